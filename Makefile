@@ -1,0 +1,35 @@
+# `make demo` and `make test` do everything on a machine with only Python 3.12+ and make.
+PYTHON ?= $(shell for p in python3.12 python3.13 python3; do \
+  $$p -c 'import sys; sys.exit(not (3, 12) <= sys.version_info[:2] < (3, 14))' 2>/dev/null && echo $$p && break; done)
+BIN := .venv/bin
+
+.PHONY: demo test slow lint types setup clean
+
+demo: setup
+	$(BIN)/sweep run study=ci_smoke
+	$(BIN)/sweep table results/ci_smoke
+	$(BIN)/sweep report results/ci_smoke
+
+test: setup lint types
+	$(BIN)/pytest -n 2
+
+slow: setup
+	$(BIN)/pytest -m slow
+
+lint: setup
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: setup
+	$(BIN)/pyright
+
+setup: .venv/.installed
+
+.venv/.installed: pyproject.toml constraints.txt
+	@test -n "$(PYTHON)" || { echo "make: no Python 3.12 or 3.13 on the PATH; set PYTHON=/path/to/python3.12"; exit 1; }
+	$(PYTHON) -m venv .venv
+	$(BIN)/pip install -q -c constraints.txt -e '.[dev]'
+	@touch $@
+
+clean:
+	rm -rf .venv build *.egg-info .pytest_cache .ruff_cache

@@ -1,0 +1,27 @@
+"""The robot: sizes, masses and where the legs are mounted (monograph 1.1, 1.1.1)."""
+
+from sweep.parameters import choice, parameters, quantity
+
+
+@parameters
+class Robot:
+    """Six-legged robot: a box body and legs of coxa (l0), thigh (l1) and shin (l2).
+
+    Legs are numbered 1-2 rear, 3-4 middle, 5-6 front, odd on the right. Base axes: x forward, y left, z up.
+    """
+
+    body_length: float = quantity(1.05, "m", above=0)  # a_r
+    body_width: float = quantity(0.5, "m", above=0)  # b_r
+    body_height: float = quantity(0.1, "m", above=0)  # c_r
+    body_mass: float = quantity(10.0, "kg", above=0)  # m_b
+    mounts: str = choice("rectangle", "rectangle", "circle")
+    mount_radius: float = quantity(0.525, "m", above=0)  # b_p of (1.1.5), used by circular mounts
+    leg_axes: str = choice("sides", "sides", "radial")  # alpha is measured from the y axis, or from the mount's radius
+    coxa: float = quantity(0.0, "m", at_least=0)  # l0
+    thigh: float = quantity(0.52, "m", above=0)  # l1
+    shin: float = quantity(0.335, "m", above=0)  # l2
+    link_radius: float = quantity(0.015, "m", above=0)
+    coxa_mass: float = quantity(0.0, "kg", at_least=0)
+    thigh_mass: float = quantity(0.5, "kg", above=0)
+    shin_mass: float = quantity(0.5, "kg", above=0)
+    knees: str = choice("outward", "outward", "backward")
