@@ -24,4 +24,4 @@ class Robot:
     coxa_mass: float = quantity(0.0, "kg", at_least=0)
     thigh_mass: float = quantity(0.5, "kg", above=0)
     shin_mass: float = quantity(0.5, "kg", above=0)
-    knees: str = choice("outward", "outward", "backward")
+    knees: str = choice("outward", "outward", "mirror")  # for feet on the inner side of their hip, see formulas.leg

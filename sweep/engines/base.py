@@ -1,0 +1,45 @@
+"""What every engine offers, and what a traced rollout holds."""
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import mujoco
+import numpy as np
+
+from sweep.case import Case
+
+Figures = dict[str, np.ndarray]  # column name (with its unit) -> one number per rollout
+
+
+@dataclass(frozen=True)
+class Trace:
+    """One rollout, sampled at the end of every control tick. World axes, SI units; F = frames."""
+
+    model: mujoco.MjModel  # the world's model, for drawing
+    time: np.ndarray  # (F,)
+    qpos: np.ndarray  # (F, nq)
+    joint_target: np.ndarray  # (F, 18)
+    joint_torque: np.ndarray  # (F, 18), peak of the tick
+    foot_position: np.ndarray  # (F, 6, 3)
+    foot_target: np.ndarray  # (F, 6, 3), as planned
+    foot_force: np.ndarray  # (F, 6, 3), mean of the tick, on the robot
+    base_target: np.ndarray  # (F, 7), planned position and quaternion (w, x, y, z)
+    stage: np.ndarray  # (F,) index into `stages`
+    stages: tuple[str, ...]
+    figures: dict[str, Any]  # the row's figures, as `run` gives them
+
+
+class Engine(Protocol):
+    """A compiled simulation of one scenario; parameters come as data."""
+
+    stages: tuple[str, ...]  # names of the plan's stages
+    duration: float  # simulated seconds of a rollout
+    width: int  # rollouts of one batch; `run` takes exactly so many
+
+    def run(self, world: Case, belief: Case, streams: np.ndarray) -> Figures:
+        """Figures of `width` rollouts; `streams` (width,) are the numbers folded into the noise key."""
+        ...
+
+    def trace(self, world: Case, belief: Case, streams: np.ndarray, slot: int) -> Trace:
+        """The rollout in `slot` of a batch, recorded."""
+        ...

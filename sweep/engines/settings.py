@@ -1,0 +1,15 @@
+"""How a simulation is run, as opposed to what is simulated."""
+
+from sweep.parameters import choice, count, parameters, quantity
+
+
+@parameters
+class EngineSettings:
+    """`mjx` is the primary engine, `native` (C MuJoCo, its own contact) the second opinion."""
+
+    name: str = choice("mjx", "mjx", "native")
+    time_step: float = quantity(2e-3, "s", above=0, at_most=0.01)
+    control_period: float = quantity(4e-3, "s", above=0, at_most=0.05)
+    iterations: int = count(2, at_least=1, at_most=20)  # of the implicit contact step
+    precision: str = choice("float32", "float32", "float64")
+    width: int = count(0)  # rollouts in a batch; 0 asks for the device's best

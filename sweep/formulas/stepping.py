@@ -1,0 +1,81 @@
+"""Step cycles and swing timing: monograph 1.3, and the half-ellipse of the thesis.
+
+Phases are normalised: u = 0 at lift-off, u = 1 at touchdown, whatever the duration of the swing.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+PHI_0 = -float(np.arcsin(0.25))  # phase of point A of cycle a, since y_s = d_y / 4
+LANDING = float(np.cos(PHI_0))  # x* / d_x = sqrt(15) / 4
+
+
+def swing_time(rate: Array | float) -> Array | float:
+    """t* (s) of a cycle with angular rate varpi (rad/s): (pi - 2 phi_0) / varpi."""
+    return (np.pi - 2 * PHI_0) / rate
+
+
+def cycle_a(u: Float[Array, "*b"]) -> tuple[Float[Array, "*b"], Float[Array, "*b"]]:
+    """Swing along the ellipse's arc, (1.3.1) a: x'/d_x and (y' + y_s)/d_y. It lands softly."""
+    phi = PHI_0 + u * (np.pi - 2 * PHI_0)
+    return -jnp.cos(phi), jnp.sin(phi) + 0.25
+
+
+def cycle_b(u: Float[Array, "*b"]) -> tuple[Float[Array, "*b"], Float[Array, "*b"]]:
+    """Swing along the half ellipse, (1.3.1) b: x'/d_x and (y' + y_s)/d_y, for a foot that must not move back first.
+
+    The angular rate is pi/t*; the printed one, that of cycle a, overshoots point B.
+    """
+    phi = np.pi * u
+    return -LANDING * jnp.cos(phi), 1.25 * jnp.sin(phi)
+
+
+def step_cycle(
+    kind: str, t: Array | float, t_star: Array | float, d_x: Array | float, d_y: Array | float, k_prime: Array | float
+) -> Float[Array, "*b 2"]:
+    """(x', y') (m) of a foot in its cycle's axes at local time t (s): (1.3.1), and (1.3.2) on the ground from t*.
+
+    `k_prime` 2 gives a stance of t* (tripod), 1 one of 2 t* (gallop): printed the other way round.
+    """
+    x_swing, y_swing = (cycle_a if kind == "a" else cycle_b)(jnp.clip(t / t_star, 0, 1))
+    x_stance = LANDING * (1 - k_prime * (t - t_star) / t_star)
+    swinging = t < t_star
+    x = d_x * jnp.where(swinging, x_swing, x_stance)
+    y = d_y * jnp.where(swinging, y_swing - 0.25, -0.25)
+    return jnp.stack([x, y], axis=-1)
+
+
+def lambda_1(
+    t: Array | float, t_0: Array | float, t_star: Array | float, sigma_2: Array | float = 1.0
+) -> tuple[Array, Array]:
+    """Share of an irregular transfer done at time t, and its rate (1/s): the trapezoid of (1.3.3).
+
+    It ends at t_0 + sigma_2 t*, 1/2 <= sigma_2 <= 1; w = 1/[sigma (sigma_2 t* - sigma)], printed for sigma_2 = 1 only.
+    """
+    sigma = t_star / 4
+    end = sigma_2 * t_star
+    w = 1 / (sigma * (end - sigma))
+    s = jnp.clip(t - t_0, 0, end)
+    last = jnp.maximum(s - end + sigma, 0)
+    ramp = jnp.minimum(s, sigma)
+    share = w * (ramp**2 / 2 + sigma * (s - ramp) - last**2 / 2)
+    inside = (t >= t_0) & (t < t_0 + end)
+    return share, jnp.where(inside, w * (ramp - last), 0.0)
+
+
+def half_ellipse(u: Float[Array, "*b"]) -> tuple[Float[Array, "*b"], Float[Array, "*b"]]:
+    """Share of the step done and height/h of a swing without impact: thesis (16), tau = -pi/2 (1 + cos pi u)."""
+    tau = -np.pi / 2 * (1 + jnp.cos(np.pi * u))
+    return (1 + jnp.cos(tau)) / 2, -jnp.sin(tau)
+
+
+def lift_direction(step: Float[Array, "*b 3"], plane: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
+    """Unit vector of a swing's height, (1.3.3): normal to the step, in the plane that it spans with `plane`.
+
+    A step of no length is lifted along `plane` itself.
+    """
+    across = jnp.cross(step, jnp.cross(plane, step))
+    size = jnp.linalg.norm(across, axis=-1, keepdims=True)
+    straight = plane / jnp.linalg.norm(plane, axis=-1, keepdims=True)
+    return jnp.where(size > 1e-9, across / jnp.maximum(size, 1e-9), straight)
