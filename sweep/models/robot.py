@@ -17,11 +17,12 @@ class Robot:
     mounts: str = choice("rectangle", "rectangle", "circle")
     mount_radius: float = quantity(0.525, "m", above=0)  # b_p of (1.1.5), used by circular mounts
     leg_axes: str = choice("sides", "sides", "radial")  # alpha is measured from the y axis, or from the mount's radius
+    legs: str = choice("two_link", "two_link", "three_link")  # without or with a coxa (1.1.1)
     coxa: float = quantity(0.0, "m", at_least=0)  # l0
     thigh: float = quantity(0.52, "m", above=0)  # l1
     shin: float = quantity(0.335, "m", above=0)  # l2
     link_radius: float = quantity(0.015, "m", above=0)
-    coxa_mass: float = quantity(0.0, "kg", at_least=0)
+    coxa_mass: float = quantity(0.1, "kg", above=0)
     thigh_mass: float = quantity(0.5, "kg", above=0)
     shin_mass: float = quantity(0.5, "kg", above=0)
     knees: str = choice("outward", "outward", "mirror")  # for feet on the inner side of their hip, see formulas.leg

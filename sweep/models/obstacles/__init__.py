@@ -1,0 +1,6 @@
+"""Obstacles: parameters, geometry for MuJoCo, and the surfaces that feet may stand on."""
+
+from sweep.models.obstacles.plane import Plane
+from sweep.models.obstacles.pole_ledge import PoleLedge
+
+OBSTACLES = {"plane": Plane, "pole_ledge": PoleLedge}

@@ -1,0 +1,54 @@
+"""Drawing and collision geometry of obstacles: each solid is drawn in full and collides shrunk by the foot radius."""
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+
+from sweep.models.obstacles.surface import FOOT_RADIUS
+
+DRAWN, COLLIDING = 0, 3  # geom groups: group 3 is hidden by default
+SOIL = (0.62, 0.66, 0.60, 1.0)
+WOOD = (0.72, 0.55, 0.36, 1.0)
+_STIFF = {"solref": [0.004, 1.0], "solimp": [0.95, 0.99, 0.001, 0.5, 2.0], "condim": 3}
+
+
+def add_plane(body: mujoco.MjsBody, name: str, normal: Sequence[float] | np.ndarray, friction: float) -> None:
+    """A half-space through the origin."""
+    quat = _to_axis(np.asarray(normal, float))
+    body.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_PLANE, size=[20, 20, 0.1], quat=quat, material="ground",
+                  group=DRAWN, contype=0, conaffinity=0)  # fmt: skip
+    body.add_geom(name=f"{name}_contact", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.1], quat=quat,
+                  pos=-FOOT_RADIUS * np.asarray(normal, float), **_colliding(friction))  # fmt: skip
+
+
+def add_solid(
+    body: mujoco.MjsBody,
+    name: str,
+    kind: mujoco.mjtGeom,
+    size: Sequence[float],
+    pos: Sequence[float],
+    friction: float,
+    rgba: Sequence[float] = WOOD,
+    mass: float = 0.0,
+) -> None:
+    """A box or cylinder at `pos` with half-sizes `size` (m)."""
+    shrunk = [max(s - FOOT_RADIUS, 1e-4) for s in size]
+    body.add_geom(name=name, type=kind, size=_three(size), pos=pos, rgba=rgba, group=DRAWN, mass=mass,
+                  contype=0, conaffinity=0)  # fmt: skip
+    body.add_geom(name=f"{name}_contact", type=kind, size=_three(shrunk), pos=pos, **_colliding(friction))
+
+
+def _colliding(friction: float) -> dict:
+    invisible = {"rgba": [0, 0, 0, 0], "group": COLLIDING, "mass": 0.0}
+    return {"contype": 1, "conaffinity": 1, "friction": [friction, 0.005, 1e-4], **_STIFF, **invisible}
+
+
+def _three(size: Sequence[float]) -> list[float]:
+    return [*size, *[0.0] * (3 - len(size))]
+
+
+def _to_axis(normal: np.ndarray) -> np.ndarray:
+    quat = np.zeros(4)
+    mujoco.mju_quatZ2Vec(quat, normal)
+    return quat

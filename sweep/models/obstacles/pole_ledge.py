@@ -1,0 +1,56 @@
+"""A vertical pole on the floor and a ledge behind it (monograph 2.3)."""
+
+import jax.numpy as jnp
+import mujoco
+from jaxtyping import Array, Float
+
+from sweep.models.obstacles.geoms import SOIL, add_plane, add_solid
+from sweep.models.obstacles.surface import Bodies, Surface
+from sweep.parameters import choice, parameters, quantity
+
+FLOOR, SIDE, TOP, LEDGE, WALL = range(5)
+
+
+@parameters
+class PoleLedge:
+    """Pole along the world's z axis; the ledge fills y < -radius, z < ledge_height."""
+
+    kind: str = choice("pole_ledge", "pole_ledge")
+    radius: float = quantity(0.42, "m", above=0)  # r
+    height: float = quantity(2.286660689865613, "m", above=0)  # h
+    ledge_height: float = quantity(2.076660689865613, "m", at_least=0)  # h1
+
+    free_bodies = ()
+    contact_sites = ()
+
+    def add_to(self, spec: mujoco.MjSpec, friction: float) -> None:
+        """Floor, pole and a block for the ledge."""
+        world = spec.worldbody
+        add_plane(world, "floor", [0, 0, 1], friction)
+        add_solid(world, "pole", mujoco.mjtGeom.mjGEOM_CYLINDER, [self.radius, self.height / 2],
+                  [0, 0, self.height / 2], friction)  # fmt: skip
+        add_solid(world, "ledge", mujoco.mjtGeom.mjGEOM_BOX, [2.0, 1.5, self.ledge_height / 2],
+                  [0, -self.radius - 1.5, self.ledge_height / 2], friction, rgba=SOIL)  # fmt: skip
+
+    def leaves(self) -> dict[str, dict[str, Array]]:
+        """Nothing moves."""
+        return {}
+
+    def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: Bodies) -> Surface:
+        """A solid's depth is the least over its faces; of three solids the deepest counts."""
+        x, y, z = points.T
+        distance = jnp.sqrt(x**2 + y**2 + 1e-12)
+        side, top = self.radius - distance, self.height - z
+        wall, ledge = -self.radius - y, self.ledge_height - z
+        solids = jnp.stack([-z, jnp.minimum(side, top), jnp.minimum(wall, ledge)])
+        solid = jnp.argmax(solids, axis=0)
+        face = jnp.select(
+            [solid == 0, (solid == 1) & (side <= top), solid == 1, wall <= ledge], [FLOOR, SIDE, TOP, WALL], LEDGE
+        )
+        zero, one = jnp.zeros_like(x), jnp.ones_like(x)
+        up = jnp.stack([zero, zero, one], axis=-1)
+        outward = jnp.stack([x / distance, y / distance, zero], axis=-1)
+        to_wall = jnp.stack([zero, one, zero], axis=-1)
+        pick = face[:, None]
+        normal = jnp.where(pick == SIDE, outward, jnp.where(pick == WALL, to_wall, up))
+        return Surface(solids.max(axis=0), normal, face, jnp.full_like(face, -1), one)

@@ -1,0 +1,51 @@
+"""What a point feels of an obstacle; the interface that contact, planning, metrics and pictures share."""
+
+from typing import NamedTuple, Protocol
+
+import mujoco
+from jaxtyping import Array, Float, Int
+
+FOOT_RADIUS = 1e-3  # m, of the native engine's spheres: a larger one rolls under the drives and drifts
+
+
+class Bodies(NamedTuple):
+    """Poses of the obstacle's free bodies, world axes."""
+
+    position: Float[Array, "k 3"]  # m, of the body frame
+    rotation: Float[Array, "k 3 3"]  # body to world
+
+
+class Surface(NamedTuple):
+    """The surface nearest to each of n points, world axes."""
+
+    depth: Float[Array, " n"]  # m, positive inside the solid, negative outside (speculative contact)
+    normal: Float[Array, "n 3"]  # outward
+    face: Int[Array, " n"]  # which face: a change of face drops the anchor
+    body: Int[Array, " n"]  # index of the free body that owns the face, -1 for the fixed world
+    grip: Float[Array, " n"]  # multiplies the friction coefficient, 1 on ordinary ground
+
+
+class Obstacle(Protocol):
+    """An obstacle is a parameter dataclass with these members."""
+
+    @property
+    def free_bodies(self) -> tuple[str, ...]:
+        """Names of its bodies with a free joint, in the order of `Bodies`."""
+        ...
+
+    @property
+    def contact_sites(self) -> tuple[tuple[str, int], ...]:
+        """Sites of its free bodies that touch the rest of the world, with the index of their body."""
+        ...
+
+    def add_to(self, spec: mujoco.MjSpec, friction: float) -> None:
+        """Put its geoms, bodies and sites in the spec; contact geoms are shrunk by `FOOT_RADIUS`."""
+        ...
+
+    def leaves(self) -> dict[str, dict[str, Array]]:
+        """Varying arrays of its free bodies by model field and body (or site) name."""
+        ...
+
+    def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: Bodies) -> Surface:
+        """Where `points` stand; `owner` is the free body that a point belongs to, -1 for the robot."""
+        ...

@@ -1,0 +1,172 @@
+"""From parameters to a MuJoCo model: built once for its topology, its varying arrays as a pure JAX function.
+
+`compile_model` makes an `MjModel` (for `native`, for drawing, and once for `mjx`); `leaves` gives the arrays of that
+model that depend on parameters, under vmap, so that sizes and masses are swept without compiling anything again.
+"""
+
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from jaxtyping import Array, Float
+
+from sweep.case import Case
+from sweep.formulas.leg import SIDE, circular_mounts, rectangular_mounts
+from sweep.models.obstacles.geoms import COLLIDING, DRAWN
+from sweep.models.obstacles.surface import FOOT_RADIUS
+from sweep.models.robot import Robot
+from sweep.parameters import InputError
+
+GRAVITY = 9.81  # m/s^2
+LEGS = range(1, 7)
+JOINTS = tuple(f"{joint}{leg}" for leg in LEGS for joint in ("alpha", "beta", "gamma"))
+_RIGHT, _LEFT = (0.85, 0.33, 0.20, 1.0), (0.20, 0.45, 0.75, 1.0)
+
+
+def mounts(robot: Robot) -> Float[Array, "6 3"]:
+    """Hips in base axes (m)."""
+    if robot.mounts == "circle":
+        return circular_mounts(robot.mount_radius)
+    return rectangular_mounts(robot.body_length, robot.body_width)
+
+
+def mount_yaw(robot: Robot) -> np.ndarray:
+    """Turn of each leg's axes about the base's z (rad): 0 where alpha counts from the y axis, else from the radius."""
+    if robot.leg_axes == "sides":
+        return np.zeros(6)
+    hips = np.array([[-1, -1, 0, 0, 1, 1], SIDE * np.array([1, 1, 2, 2, 1, 1])]) * np.array([[3**0.5], [1.0]])
+    return np.arctan2(-SIDE * hips[0], SIDE * hips[1])
+
+
+def links(robot: Robot) -> tuple[str, ...]:
+    """Names of a leg's links, from the hip out."""
+    return ("coxa", "thigh", "shin") if robot.legs == "three_link" else ("thigh", "shin")
+
+
+def _rod(mass: Array | float, length: Array | float, radius: Array | float) -> tuple[Array, Array]:
+    """Moments of inertia of a cylinder about its centre: across and along its axis (kg m^2)."""
+    return jnp.asarray(mass * (3 * radius**2 + length**2) / 12), jnp.asarray(mass * radius**2 / 2)
+
+
+def leaves(case: Case) -> dict[str, dict[str, Array]]:
+    """Varying arrays by model field, then by body, site or (for `dof_armature`) joint name. Pure JAX, float leaves."""
+    robot = case.robot
+    zero = jnp.zeros(())
+    hips = mounts(robot)
+    box = jnp.stack([jnp.asarray(s) for s in (robot.body_length, robot.body_width, robot.body_height)])
+    out: dict[str, dict[str, Array]] = {
+        "body_pos": {}, "body_ipos": {}, "body_mass": {"base": jnp.asarray(robot.body_mass)},
+        "body_inertia": {"base": robot.body_mass / 12 * (jnp.sum(box**2) - box**2)},
+        "site_pos": {}, "dof_armature": {name: jnp.asarray(case.drive.armature) for name in JOINTS},
+    }  # fmt: skip
+    for leg in LEGS:
+        side = float(SIDE[leg - 1])
+        start = hips[leg - 1]
+        for link in links(robot):
+            length, mass = getattr(robot, link), getattr(robot, f"{link}_mass")
+            across, along = _rod(mass, length, robot.link_radius)
+            body = f"{link}{leg}"
+            # at zero angles the coxa points outward, the thigh along -z (left) or z (right), the shin along z
+            y, z = {"coxa": (side, 0.0), "thigh": (0.0, -side), "shin": (0.0, 1.0)}[link]
+            end = jnp.stack([zero, y * length, z * length])
+            out["body_pos"][body] = start
+            out["body_ipos"][body] = end / 2
+            out["body_mass"][body] = jnp.asarray(mass)
+            out["body_inertia"][body] = jnp.stack([across, along, across] if y else [across, across, along])
+            start = end
+        out["site_pos"][f"foot{leg}"] = start
+    for field, values in case.obstacle.leaves().items():
+        out[field].update(values)
+    return out
+
+
+def compile_model(case: Case, geoms: bool = True) -> mujoco.MjModel:
+    """The model of one case with plain numbers; without `geoms` only what the smooth dynamics need.
+
+    Raises `InputError` where a size cannot be built.
+    """
+    robot = case.robot
+    if robot.legs == "two_link" and robot.coxa != 0:
+        raise InputError(f"robot.coxa = {robot.coxa:g} is not allowed: 0 m, or robot.legs=three_link")
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = False
+    spec.option.gravity = [0, 0, -GRAVITY]
+    spec.memory = 4 << 20
+    _add_looks(spec)
+    values = leaves(case)
+    base = spec.worldbody.add_body(name="base")
+    base.add_freejoint(name="root")
+    _set_inertia(base, "base", values)
+    if geoms:
+        half = [robot.body_length / 2, robot.body_width / 2, robot.body_height / 2]
+        base.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=half, rgba=(0.35, 0.35, 0.4, 0.9), **_DRAWING)
+    for leg in LEGS:
+        _add_leg(spec, base, case, leg, values, geoms)
+    case.obstacle.add_to(spec, float(case.contact.friction))
+    if not geoms:
+        for geom in list(spec.geoms):
+            spec.delete(geom)
+    return spec.compile()
+
+
+_DRAWING = {"contype": 0, "conaffinity": 0, "mass": 0.0, "group": DRAWN}
+
+
+def _add_looks(spec: mujoco.MjSpec) -> None:
+    spec.visual.global_.offwidth, spec.visual.global_.offheight = 1280, 960
+    spec.visual.headlight.ambient = [0.45, 0.45, 0.45]
+    spec.worldbody.add_light(pos=[2, 3, 8], dir=[-0.2, -0.3, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
+    spec.add_texture(name="ground", type=mujoco.mjtTexture.mjTEXTURE_2D, builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
+                     width=256, height=256, rgb1=[0.80, 0.83, 0.80], rgb2=[0.70, 0.74, 0.70])  # fmt: skip
+    material = spec.add_material(name="ground", texrepeat=[1, 1], texuniform=True)
+    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "ground"
+
+
+def _set_inertia(body: mujoco.MjsBody, name: str, values: dict[str, dict[str, Array]]) -> None:
+    body.explicitinertial = True
+    body.mass = float(values["body_mass"][name])
+    body.inertia = np.asarray(values["body_inertia"][name], float)
+    body.ipos = np.asarray(values["body_ipos"].get(name, jnp.zeros(3)), float)
+
+
+def _add_leg(
+    spec: mujoco.MjSpec,
+    base: mujoco.MjsBody,
+    case: Case,
+    leg: int,
+    values: dict[str, dict[str, Array]],
+    geoms: bool,
+) -> None:
+    """Bodies, hinges, drives and the foot of one leg."""
+    robot, yaw = case.robot, float(mount_yaw(case.robot)[leg - 1])
+    names = links(robot)
+    hinges = {"coxa": ["alpha"], "thigh": ["beta"], "shin": ["gamma"]}
+    if "coxa" not in names:
+        hinges["thigh"] = ["alpha", "beta"]
+    parent = base
+    for link in names:
+        name = f"{link}{leg}"
+        body = parent.add_body(name=name, pos=np.asarray(values["body_pos"][name], float))
+        if parent is base:
+            body.quat = [np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]
+        _set_inertia(body, name, values)
+        for joint in hinges[link]:
+            axis = [0, 0, 1] if joint == "alpha" else [1, 0, 0]
+            body.add_joint(name=f"{joint}{leg}", axis=axis, armature=case.drive.armature)
+            _add_drive(spec, f"{joint}{leg}")
+        end = 2 * np.asarray(values["body_ipos"][name], float)
+        if geoms and np.any(end):
+            colour = _LEFT if leg % 2 == 0 else _RIGHT
+            body.add_geom(type=mujoco.mjtGeom.mjGEOM_CYLINDER, fromto=[0, 0, 0, *end],
+                          size=[robot.link_radius, 0, 0], rgba=colour, **_DRAWING)  # fmt: skip
+        parent = body
+    end = np.asarray(values["site_pos"][f"foot{leg}"], float)
+    parent.add_site(name=f"foot{leg}", pos=end, size=[1.2 * robot.link_radius] * 3)
+    if geoms:
+        parent.add_geom(name=f"foot{leg}", type=mujoco.mjtGeom.mjGEOM_SPHERE, pos=end, size=[FOOT_RADIUS, 0, 0],
+                        contype=1, conaffinity=0, condim=3, friction=[0, 0, 0], mass=0.0, group=COLLIDING,
+                        solref=[0.004, 1.0], solimp=[0.95, 0.99, 0.001, 0.5, 2.0])  # fmt: skip
+
+
+def _add_drive(spec: mujoco.MjSpec, joint: str) -> None:
+    """A motor; the native engine turns it into the clamped servo of (1.2.1)."""
+    spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)

@@ -1,0 +1,217 @@
+"""One physics step: clamped drives (1.2.1) and foot contact (1.2.2), implicit, on MJX's smooth dynamics.
+
+The end velocity w solves M0 w = b0 + h (contact forces + clamped drive torques), both at w. Every Newton iteration
+decides anew which feet are loaded, which slip and which drives saturate; of three step lengths the one with the least
+residual is taken, which is what carries it across those switches.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+from mujoco import mjx
+from mujoco.mjx._src import math as mjx_math
+
+from sweep.case import Case
+from sweep.models import arrowhead
+from sweep.models.arrowhead import Arrowhead, Split
+from sweep.models.contact import Anchors, Contact, Forces, Geometry, approach, contact_forces, settle
+from sweep.models.drive import Drive
+from sweep.models.dynamics import N_LEGS, Smooth, Topology, smooth_dynamics
+
+STEP_LENGTHS = (1.0, 0.5, 0.2)
+
+
+class State(NamedTuple):
+    """Physical state: MuJoCo's qpos and qvel, and the contact anchors."""
+
+    q: Float[Array, " nq"]
+    v: Float[Array, " nv"]
+    anchors: Anchors
+
+
+class StepReport(NamedTuple):
+    """What happened in one step."""
+
+    forces: Forces
+    slip: Float[Array, " n"]  # m, travelled by slipping points
+    torque: Float[Array, "6 3"]  # N m, at the joints
+    saturated: Float[Array, "6 3"]  # 1 where the drive was at its limit
+    residual: Float[Array, ""]  # N, of the root's linear momentum balance and the legs' over a metre
+    power: Float[Array, "6 3"]  # W, drive torque times joint rate
+    kinetic: Float[Array, ""]  # J, at the start
+    smooth: Smooth
+
+
+class Limits(NamedTuple):
+    """What execution leaves of the drives: gain and limit of each joint, and an outside force."""
+
+    gain: Float[Array, "6 3"]  # 0 for a dead joint
+    torque: Float[Array, "6 3"]  # N m
+    push: Float[Array, " 3"]  # N, at the base's centre, world axes
+
+
+def rest(top: Topology, q: Float[Array, " nq"]) -> State:
+    """A state at rest with no foothold yet."""
+    n = len(top.points)
+    anchors = Anchors(jnp.zeros((n, 3), q.dtype), jnp.zeros(n, bool), jnp.zeros(n, jnp.int32))
+    return State(q, jnp.zeros(top.model.nv, q.dtype), anchors)
+
+
+def step(
+    top: Topology,
+    model: mjx.Model,
+    data: mjx.Data,
+    case: Case,
+    limits: Limits,
+    state: State,
+    reference: Float[Array, "6 3"],
+    h: float,
+    iterations: int,
+) -> tuple[State, StepReport]:
+    """Advance `state` by h seconds while the drives pull towards `reference` (rad)."""
+    smooth = smooth_dynamics(top, model, data, state.q, state.v)
+    surface = case.obstacle.surface(smooth.point, top.owner, smooth.bodies)
+    geometry, place = approach(case.contact, surface, state.anchors, smooth.point, smooth.bodies)
+    j_root = _relative(smooth, surface.body)
+    v = Split(state.v[top.root], state.v[top.leg])
+    problem = _Problem(case.contact, case.drive, limits, geometry, smooth, j_root, _mass(smooth, case.drive, h),
+                       _momentum(smooth, v, limits, h), reference - state.q[1 + top.leg], h)  # fmt: skip
+    w = v
+    for _ in range(iterations):
+        w = _improve(problem, w)
+    velocity = problem.point_velocity(w)
+    forces = contact_forces(case.contact, geometry, velocity, h)
+    torque, free = problem.drive(w)
+    anchors = settle(case.contact, surface, smooth.point, smooth.bodies, place, forces, velocity, h)
+    v_new = jnp.zeros_like(state.v).at[top.root].set(w.root).at[top.leg].set(w.leg)
+    q_new = _integrate(top, state.q, v_new, h)
+    left = problem.residual(w)
+    sliding = jnp.linalg.norm(
+        velocity - jnp.sum(velocity * surface.normal, -1, keepdims=True) * surface.normal, axis=-1
+    )
+    mass_v = arrowhead.times(
+        Arrowhead(smooth.m_root, smooth.m_cross, jnp.swapaxes(smooth.m_cross, 1, 2), smooth.m_leg), v
+    )
+    torque = torque - case.drive.back_emf * w.leg
+    report = StepReport(
+        forces=forces,
+        slip=h * jnp.where(forces.slipping, sliding, 0.0),
+        torque=torque,
+        saturated=1.0 - free,
+        residual=jnp.maximum(jnp.max(jnp.abs(left.root)), jnp.max(jnp.abs(left.leg))) / h,
+        power=torque * w.leg,
+        kinetic=0.5 * (mass_v.root @ v.root + jnp.sum(mass_v.leg * v.leg)),
+        smooth=smooth,
+    )
+    return State(q_new, v_new, anchors), report
+
+
+class _Problem(NamedTuple):
+    """The step's equation; everything but the end velocity is fixed."""
+
+    contact: Contact
+    drives: Drive
+    limits: Limits
+    geometry: Geometry
+    smooth: Smooth
+    j_root: Array  # (n, 3, r), relative to the surface's body
+    mass: Arrowhead  # M0 = M + h c_e on the joints
+    momentum: Split  # b0 = M v - h bias
+    error: Array  # (6, 3) rad
+    h: float
+
+    def point_velocity(self, w: Split) -> Array:
+        """(n, 3) velocity of the contact points relative to their surface."""
+        velocity = self.j_root @ w.root
+        return velocity.at[:N_LEGS].add(jnp.einsum("lij,lj->li", self.smooth.j_leg, w.leg))
+
+    def drive(self, w: Split) -> tuple[Array, Array]:
+        """Clamped drive effort (N m) and 1 where it is not at its limit."""
+        gain = self.limits.gain
+        wanted = gain * (self.drives.stiffness * self.error - self._damping() * w.leg)
+        effort = jnp.clip(wanted, -self.limits.torque, self.limits.torque)
+        return effort, (jnp.abs(wanted) < self.limits.torque).astype(w.leg.dtype)
+
+    def _damping(self) -> Array | float:
+        return self.h * self.drives.stiffness + self.drives.damping
+
+    def residual(self, w: Split) -> Split:
+        """Momentum that the step leaves unexplained (N s)."""
+        forces = contact_forces(self.contact, self.geometry, self.point_velocity(w), self.h).force
+        return self._balance(w, forces, self.drive(w)[0])
+
+    def _balance(self, w: Split, force: Array, effort: Array) -> Split:
+        done = arrowhead.times(self.mass, w)
+        root = self.momentum.root - done.root + self.h * jnp.einsum("nij,ni->j", self.j_root, force)
+        leg = jnp.einsum("lij,li->lj", self.smooth.j_leg, force[:N_LEGS]) + effort
+        return Split(root, self.momentum.leg - done.leg + self.h * leg)
+
+    def newton(self, w: Split) -> Split:
+        """The Newton direction at w, with contact and clamp states as they are there."""
+        forces = contact_forces(self.contact, self.geometry, self.point_velocity(w), self.h)
+        effort, free = self.drive(w)
+        right = self._balance(w, forces.force, effort)
+        slope_root = self.h * forces.slope @ self.j_root
+        j_leg = self.smooth.j_leg
+        slope_leg = self.h * forces.slope[:N_LEGS] @ j_leg
+        feet = self.j_root[:N_LEGS]
+        stiff = self.h * self._damping() * free * self.limits.gain
+        matrix = Arrowhead(
+            self.mass.root + jnp.einsum("nij,nik->jk", self.j_root, slope_root),
+            self.mass.upper + jnp.einsum("lij,lik->ljk", feet, slope_leg),
+            self.mass.lower + jnp.einsum("lij,lik->ljk", j_leg, slope_root[:N_LEGS]),
+            self.mass.leg
+            + jnp.einsum("lij,lik->ljk", j_leg, slope_leg)
+            + stiff[:, :, None] * jnp.eye(3, dtype=stiff.dtype),
+        )
+        return arrowhead.solve(matrix, right)
+
+    def cost(self, w: Split) -> Array:
+        """Residual, weighted with the inverse masses."""
+        left = self.residual(w)
+        legs = jnp.diagonal(self.mass.leg, axis1=1, axis2=2)
+        return jnp.sum(left.root**2 / jnp.diagonal(self.mass.root)) + jnp.sum(left.leg**2 / legs)
+
+
+def _improve(problem: _Problem, w: Split) -> Split:
+    """One Newton iteration, with the best of the fixed step lengths."""
+    direction = problem.newton(w)
+    tried = [w.plus(length, direction) for length in STEP_LENGTHS]
+    best = jnp.argmin(jnp.stack([problem.cost(x) for x in tried]))
+    return Split(jnp.stack([x.root for x in tried])[best], jnp.stack([x.leg for x in tried])[best])
+
+
+def _relative(smooth: Smooth, body: Array) -> Array:
+    """Root Jacobian of the points, minus that of the free body they stand on."""
+    j_root = smooth.j_root
+    for k in range(smooth.j_body.shape[0]):
+        on_it = (body == k).astype(j_root.dtype)[:, None, None]
+        j_root = j_root.at[:, :, 6 * (k + 1) : 6 * (k + 2)].add(-on_it * smooth.j_body[k])
+    return j_root
+
+
+def _mass(smooth: Smooth, drive: Drive, h: float) -> Arrowhead:
+    """M with the back-EMF's damping taken implicitly."""
+    leg = smooth.m_leg + h * drive.back_emf * jnp.eye(3, dtype=smooth.m_leg.dtype)
+    return Arrowhead(smooth.m_root, smooth.m_cross, jnp.swapaxes(smooth.m_cross, 1, 2), leg)
+
+
+def _momentum(smooth: Smooth, v: Split, limits: Limits, h: float) -> Split:
+    """M v - h (bias - push)."""
+    plain = Arrowhead(smooth.m_root, smooth.m_cross, jnp.swapaxes(smooth.m_cross, 1, 2), smooth.m_leg)
+    now = arrowhead.times(plain, v)
+    root = now.root - h * smooth.bias_root
+    return Split(root.at[:3].add(h * limits.push), now.leg - h * smooth.bias_leg)
+
+
+def _integrate(top: Topology, q: Array, v: Array, h: float) -> Array:
+    """Positions after h seconds at velocity v; quaternions along the exponential map."""
+    moved = q.at[1 + top.leg].add(h * v[top.leg])
+    for k, dofs in enumerate(top.root.reshape(-1, 6)):
+        at = int(dofs[0]) + k  # a free joint has one more position than velocities, and the hinges one each
+        moved = moved.at[at : at + 3].add(h * v[dofs[:3]])
+        moved = moved.at[at + 3 : at + 7].set(
+            mjx_math.quat_integrate(q[at + 3 : at + 7], v[dofs[3:]], jnp.asarray(h, q.dtype))
+        )
+    return moved
