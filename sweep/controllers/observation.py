@@ -1,5 +1,12 @@
 """What the controller is told of the state: bias, noise and delay."""
 
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from sweep.maths import exponential, multiply
 from sweep.parameters import count, parameters, quantity
 
 
@@ -20,3 +27,52 @@ class Noise:
     joint_bias: float = quantity(0.0, "rad", at_least=0)
     delay: float = quantity(0.0, "ticks", at_least=0, at_most=50)
     delay_buffer: int = count(0, at_most=50)  # room for the longest delay of a study, set by the runner
+
+
+class Observation(NamedTuple):
+    """What the controller sees of the robot. World axes."""
+
+    position: Float[Array, " 3"]  # m, of the base
+    quat: Float[Array, " 4"]  # base to world
+    velocity: Float[Array, " 3"]  # m/s, of the base
+    joint_error: Float[Array, "6 3"]  # rad, measured minus true joint angle: what the drives' feedback suffers
+    loaded: Bool[Array, " 6"]  # which feet carry load
+
+
+class Sensors(NamedTuple):
+    """A rollout's biases and the last true observations, newest first."""
+
+    position_bias: Float[Array, " 3"]
+    turn_bias: Float[Array, " 3"]
+    velocity_bias: Float[Array, " 3"]
+    joint_bias: Float[Array, "6 3"]
+    past: Observation  # leaves (delay_buffer + 1, ...)
+
+
+def install(noise: Noise, key: Array, truth: Observation) -> Sensors:
+    """Draw the biases of one rollout; before its start everything was as `truth`."""
+    keys = jax.random.split(key, 4)
+    dtype = truth.position.dtype
+    shapes = ((3,), (3,), (3,), (6, 3))
+    sizes = (noise.position_bias, noise.orientation_bias, noise.velocity_bias, noise.joint_bias)
+    biases = [s * jax.random.normal(k, shape, dtype) for k, s, shape in zip(keys, sizes, shapes, strict=True)]
+    past = jax.tree.map(lambda x: jnp.broadcast_to(x, (noise.delay_buffer + 1, *x.shape)), truth)
+    return Sensors(*biases, past)
+
+
+def observe(noise: Noise, sensors: Sensors, truth: Observation, key: Array) -> tuple[Sensors, Observation]:
+    """Delayed, biased and noisy view of `truth`; joint errors act in the drives and are not delayed."""
+    past = jax.tree.map(lambda new, old: jnp.concatenate([new[None], old[:-1]]), truth, sensors.past)
+    delay = jnp.clip(jnp.round(noise.delay).astype(jnp.int32), 0, noise.delay_buffer)
+    seen = jax.tree.map(lambda x: x[delay], past)
+    dtype = truth.position.dtype
+    draw = jax.random.normal(key, (27,), dtype)
+    turn = sensors.turn_bias + noise.orientation_noise * draw[3:6]
+    seen = Observation(
+        position=seen.position + sensors.position_bias + noise.position_noise * draw[:3],
+        quat=multiply(exponential(turn), seen.quat),
+        velocity=seen.velocity + sensors.velocity_bias + noise.velocity_noise * draw[6:9],
+        joint_error=sensors.joint_bias + noise.joint_noise * draw[9:].reshape(6, 3),
+        loaded=seen.loaded,
+    )
+    return sensors._replace(past=past), seen

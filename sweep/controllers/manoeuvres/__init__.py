@@ -1,0 +1,5 @@
+"""Manoeuvres: parameters and the plan that follows from them and from what is believed of the world."""
+
+from sweep.controllers.manoeuvres.walk import Stand, Walk
+
+MANOEUVRES = {"walk": Walk, "stand": Stand}

@@ -1,0 +1,91 @@
+"""Gaits: which legs swing together, in which order, and how the regular step cycles follow from it (monograph 1.3)."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from sweep.controllers.plan import CYCLE_A, Stage, Stance
+from sweep.formulas import stepping
+
+TRIPOD = ((1, 4, 5), (2, 3, 6))
+GALLOP = ((5, 6), (3, 4), (1, 2))  # front, middle, rear; the printed phase shifts would take the rear before the middle
+MODIFIED_GALLOP = ((5, 6), (3, 4), (1, 2), (3, 4))  # middle legs twice as often, near the pair that swings next
+GAITS = {"tripod": TRIPOD, "gallop": GALLOP, "modified_gallop": MODIFIED_GALLOP}
+
+
+class Step(NamedTuple):
+    """Geometry of the regular step cycle."""
+
+    half_length: Array | float  # m, d_x
+    height: Array | float  # m, d_y
+    time: Array | float  # s, t*
+
+    @property
+    def landing(self) -> Array | float:
+        """x* (m): a foot swings from -x* to x* about its cycle's centre."""
+        return self.half_length * stepping.LANDING
+
+
+def advance(gait: Sequence[Sequence[int]], step: Step) -> Array | float:
+    """How far the body goes in t* (m): the front legs' stance of n - 1 swings takes 2 x*.
+
+    Tripod 2 x*, so that v_o = k' x*/t* with k' = 2; gallop x*.
+    """
+    return 2 * step.landing / (len(gait) - 1)
+
+
+def centre_offsets(gait: Sequence[Sequence[int]], step: Step) -> dict[int, Array | float]:
+    """Feet at the start relative to their cycles' centres (m, forward): each as far back as its turn is near.
+
+    A leg that swings at turns p, p' of n lands at half of what the body goes in its stance ahead of the centre, so
+    that it stands symmetrically about the centre.
+    """
+    offsets = {}
+    way = advance(gait, step)
+    for leg in range(1, 7):
+        turns = _turns(gait, leg)
+        until_first = turns[0]
+        offsets[leg] = until_first * way - _half_stance(gait, leg) * way
+    return offsets
+
+
+def _turns(gait: Sequence[Sequence[int]], leg: int) -> list[int]:
+    return [turn for turn, legs in enumerate(gait) if leg in legs]
+
+
+def _half_stance(gait: Sequence[Sequence[int]], leg: int) -> float:
+    """Half of the turns that a leg stands between two of its swings."""
+    return (len(gait) / len(_turns(gait, leg)) - 1) / 2
+
+
+def regular_steps(
+    gait: Sequence[Sequence[int]],
+    step: Step,
+    start: Stance,
+    centres: Array,
+    forward: Array,
+    count: int,
+    deepening: Array | float,
+) -> list[Stage]:
+    """`count` swings of a regular gait on level ground from `start`, the body going on evenly along `forward`.
+
+    `centres` (6, 3) are the feet's cycle centres under the hips relative to the base. A swing lands where its foot
+    will have half of its stance still before the centre, `deepening` (m) below the ground.
+    """
+    way = advance(gait, step)
+    position = start.position
+    down = jnp.array([0.0, 0.0, -1.0]) * deepening
+    stages = []
+    for k in range(count):
+        legs = gait[k % len(gait)]
+        position = position + way * forward
+        landing = {}
+        for leg in legs:
+            landing[leg] = position + centres[leg - 1] + _half_stance(gait, leg) * way * forward + down
+        stance = _half_stance(gait, legs[0]) * 2
+        carry = 1 / (1 + stance)  # of the way over ground, the body's own part
+        name = f"{k // len(gait) + 1}.{'-'.join(map(str, legs))}"
+        stages.append(Stage(name, step.time, landing, CYCLE_A, step.height, (0.0, 0.0, 1.0), carry, position))
+    return stages

@@ -1,0 +1,140 @@
+"""The vocabulary of manoeuvres: a plan is a list of stages, laid out as one table that a controller can follow.
+
+In a stage some legs swing to given footholds along a step cycle while the body moves along its path; the other feet
+stand. Numbers come from the belief's parameters, so that plans are built under vmap; the number of stages and their
+names are fixed at compile time.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from sweep.formulas import stepping
+from sweep.maths import exponential, multiply, rotate
+
+CYCLE_A, CYCLE_B, CYCLE_B_SMOOTH, HALF_ELLIPSE = range(4)  # swings; the third spends its way by lambda_1
+STEADY, SMOOTH, ELLIPTIC = range(3)  # how a body path is spent: evenly, by lambda_1, as the half-ellipse swing
+
+
+class Stance(NamedTuple):
+    """Where feet and base are, or are meant to be. World axes."""
+
+    feet: Float[Array, "6 3"]  # m
+    position: Float[Array, " 3"]  # m, of the base
+    quat: Float[Array, " 4"]  # base to world
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One stage in a manoeuvre's own words; what is left out stays as it was."""
+
+    name: str
+    duration: Array | float  # s
+    swing: Mapping[int, Array] = field(default_factory=dict)  # leg number -> foothold (m, world)
+    cycle: int = CYCLE_A
+    height: Array | float = 0.0  # m: k^ d_y of (1.3.3), or h of the half-ellipse
+    plane: Array | tuple[float, float, float] = (0.0, 0.0, 1.0)  # e of (1.3.3): lifts the swing, for all its legs
+    carry: Array | float = 0.0  # share of the swing's way that is made evenly, with the body, in a regular gait
+    position: Array | None = None  # m, base at the end
+    turn: Array | None = None  # rad, rotation vector of the base over the stage, world axes
+    pace: int = STEADY
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Plan:
+    """Stages as arrays over S; `names` are static."""
+
+    names: tuple[str, ...] = field(metadata={"static": True})
+    start: Stance
+    duration: Float[Array, " s"]
+    swing: Bool[Array, "s 6"]
+    foothold: Float[Array, "s 6 3"]  # at the end of the stage, commanded
+    cycle: Int[Array, " s"]
+    height: Float[Array, " s"]
+    plane: Float[Array, "s 3"]
+    carry: Float[Array, " s"]
+    position: Float[Array, "s 3"]  # of the base, at the end
+    quat: Float[Array, "s 4"]  # of the base, at the start
+    turn: Float[Array, "s 3"]
+    pace: Int[Array, " s"]
+    patience: Float[Array, ""]  # s, that a stage waits for its swing feet to touch down
+
+
+def assemble(start: Stance, stages: Sequence[Stage], patience: Array | float) -> Plan:
+    """The table of `stages` from the stance `start` on."""
+    feet, position, quat = start
+    rows = []
+    for stage in stages:
+        swing = jnp.array([leg in stage.swing for leg in range(1, 7)])
+        for leg, foothold in stage.swing.items():
+            feet = feet.at[leg - 1].set(foothold)
+        position = position if stage.position is None else stage.position
+        turn = jnp.zeros(3) if stage.turn is None else stage.turn
+        rows.append({
+            "duration": jnp.asarray(stage.duration, float), "swing": swing, "foothold": feet,
+            "cycle": jnp.int32(stage.cycle), "height": jnp.asarray(stage.height, float),
+            "plane": jnp.asarray(stage.plane, float), "carry": jnp.asarray(stage.carry, float),
+            "position": position, "quat": quat, "turn": turn, "pace": jnp.int32(stage.pace),
+        })  # fmt: skip
+        quat = multiply(exponential(turn), quat)
+    table = {key: jnp.stack([row[key] for row in rows]) for key in rows[0]}
+    names = tuple(stage.name for stage in stages)
+    return Plan(names=names, start=start, patience=jnp.asarray(patience, float), **table)
+
+
+def moved(plan: Plan, quat: Float[Array, " 4"], by: Float[Array, " 3"]) -> Plan:
+    """The same plan in axes turned by `quat` and shifted by `by` (m): from an obstacle's frame to the world."""
+
+    def point(p: Array) -> Array:
+        return rotate(jnp.broadcast_to(quat, (*p.shape[:-1], 4)), p) + by
+
+    def vector(v: Array) -> Array:
+        return rotate(jnp.broadcast_to(quat, (*v.shape[:-1], 4)), v)
+
+    start = Stance(point(plan.start.feet), point(plan.start.position), multiply(quat, plan.start.quat))
+    turned = multiply(jnp.broadcast_to(quat, plan.quat.shape), plan.quat)
+    return _replace(plan, start=start, foothold=point(plan.foothold), plane=vector(plan.plane),
+                    position=point(plan.position), quat=turned, turn=vector(plan.turn))  # fmt: skip
+
+
+def _replace(plan: Plan, **changes: Array | Stance) -> Plan:
+    return Plan(**{**{name: getattr(plan, name) for name in plan.__dataclass_fields__}, **changes})
+
+
+def path_length(plan: Plan) -> Float[Array, ""]:
+    """Length of the base's planned way (m)."""
+    points = jnp.concatenate([plan.start.position[None], plan.position])
+    return jnp.sum(jnp.linalg.norm(jnp.diff(points, axis=0), axis=-1))
+
+
+def swing_progress(cycle: Int[Array, ""], carry: Array, u: Float[Array, ""]) -> tuple[Array, Array]:
+    """Share of the way and height in units of the stage's `height`, at phase u of a swing: lambda and y' + y_s."""
+    x_a, y_a = stepping.cycle_a(u)
+    x_b, y_b = stepping.cycle_b(u)
+    smooth, _ = stepping.lambda_1(u, 0.0, 1.0)
+    share_e, y_e = stepping.half_ellipse(u)
+    shares = jnp.stack([0.5 + 0.5 * x_a / stepping.LANDING, 0.5 + 0.5 * x_b / stepping.LANDING, smooth, share_e])
+    share, height = shares[cycle], jnp.stack([y_a, y_b, y_b, y_e])[cycle]
+    return (1 - carry) * share + carry * u, height
+
+
+def pace_progress(pace: Int[Array, ""], u: Float[Array, ""]) -> Array:
+    """Share of a body path that is done at phase u of its stage."""
+    return jnp.stack([u, stepping.lambda_1(u, 0.0, 1.0)[0], stepping.half_ellipse(u)[0]])[pace]
+
+
+def reference(plan: Plan, stage: Int[Array, ""], u: Float[Array, ""], feet: Array, position: Array) -> Stance:
+    """What stage number `stage` wants at phase u (0 to 1), having begun with `feet` (6, 3) and base `position`."""
+    share, height = swing_progress(plan.cycle[stage], plan.carry[stage], u)
+    goal = plan.foothold[stage]
+    lift = stepping.lift_direction(goal - feet, jnp.broadcast_to(plan.plane[stage], goal.shape))
+    along = feet + share * (goal - feet) + plan.height[stage] * height * lift
+    swinging = jnp.where(plan.swing[stage][:, None], along, feet)
+    done = pace_progress(plan.pace[stage], u)
+    quat = multiply(exponential(done * plan.turn[stage]), plan.quat[stage])
+    return Stance(swinging, position + done * (plan.position[stage] - position), quat)

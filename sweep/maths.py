@@ -1,0 +1,35 @@
+"""Rotations as quaternions (w, x, y, z), body to world."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+
+def rotate(quat: Float[Array, "*b 4"], v: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
+    """`v` turned from body to world axes."""
+    w, u = quat[..., :1], quat[..., 1:]
+    t = 2 * jnp.cross(u, v)
+    return v + w * t + jnp.cross(u, t)
+
+
+def conjugate(quat: Float[Array, "*b 4"]) -> Float[Array, "*b 4"]:
+    """The inverse rotation of a unit quaternion."""
+    return quat * jnp.array([1, -1, -1, -1], quat.dtype)
+
+
+def multiply(a: Float[Array, "*b 4"], b: Float[Array, "*b 4"]) -> Float[Array, "*b 4"]:
+    """First b, then a."""
+    w = a[..., :1] * b[..., :1] - jnp.sum(a[..., 1:] * b[..., 1:], axis=-1, keepdims=True)
+    v = a[..., :1] * b[..., 1:] + b[..., :1] * a[..., 1:] + jnp.cross(a[..., 1:], b[..., 1:])
+    return jnp.concatenate([w, v], axis=-1)
+
+
+def exponential(turn: Float[Array, "*b 3"]) -> Float[Array, "*b 4"]:
+    """Rotation about the vector `turn` by its length (rad)."""
+    half = 0.5 * jnp.sqrt(jnp.sum(turn**2, axis=-1, keepdims=True) + 1e-24)
+    return jnp.concatenate([jnp.cos(half), 0.5 * turn * jnp.sin(half) / half], axis=-1)
+
+
+def matrix(quat: Float[Array, "*b 4"]) -> Float[Array, "*b 3 3"]:
+    """Rotation matrix; its columns are the body's axes in the world."""
+    axes = [rotate(quat, jnp.broadcast_to(axis, quat[..., 1:].shape)) for axis in jnp.eye(3, dtype=quat.dtype)]
+    return jnp.stack(axes, axis=-1)
