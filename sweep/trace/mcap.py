@@ -1,0 +1,183 @@
+"""A trace as an MCAP file for Foxglove: moving robot, contact forces, joint torques, stages, outcome, configuration."""
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import foxglove
+import mujoco
+import numpy as np
+from foxglove import Channel, Context
+from foxglove.channels import FrameTransformsChannel, SceneUpdateChannel
+from foxglove.mcap import MCAPWriteOptions, MCAPWriter
+from foxglove.messages import (
+    ArrowPrimitive,
+    Color,
+    Duration,
+    FrameTransform,
+    FrameTransforms,
+    Pose,
+    SceneEntity,
+    SceneUpdate,
+    Timestamp,
+)
+
+from sweep.engines.base import Trace
+from sweep.models.scene import JOINTS
+from sweep.trace.arrows import ARROW_RADIUS, FORCE_COLOR, arrow_tips
+from sweep.trace.layout import layout
+from sweep.trace.sampling import at_rate, finite_frames
+from sweep.trace.shapes import WORLD, body_name, entities, moving_bodies, quaternion, vector
+
+PICTURE_RATE = 50.0  # Hz, of transforms and forces; torques are written every tick, a peak must not fall between
+
+_NUMBER = {"type": "number"}
+_TORQUE_SCHEMA = {
+    "title": "sweep.JointTorque",
+    "description": "largest torque of the control tick, N m",
+    "type": "object",
+    "properties": dict.fromkeys(JOINTS, _NUMBER),
+}
+_STAGE_SCHEMA = {
+    "title": "sweep.Stage",
+    "type": "object",
+    "properties": {"index": {"type": "integer"}, "name": {"type": "string"}},
+}
+
+
+def write_mcap(path: str | Path, trace: Trace, config: Mapping[str, Any], outcome: Mapping[str, Any]) -> None:
+    """Write `trace` to `path`, and a Foxglove layout beside it (`<name>.layout.json`).
+
+    `config` is attached as `config.json`; `outcome` is a message at the start and a metadata record. Log times
+    are simulated time. The same input gives the same bytes. Only finite frames are written; raises `ValueError`
+    if there are none.
+    """
+    path = Path(path)
+    # one thread: the compressor's blocks would depend on the machine's number of cores otherwise
+    options = MCAPWriteOptions(profile="", compression_threads=0)
+    context = Context()  # of its own: channels of the global one would leak into the next file
+    with foxglove.open_mcap(path, allow_overwrite=True, context=context, writer_options=options) as writer:
+        _write_records(writer, plain(config), plain(outcome))
+        _write_outcome(context, plain(outcome), _nanoseconds(trace.time[0]))
+        _write_stages(context, trace)
+        _write_pictures(context, trace)
+        _write_torques(context, trace)
+    path.with_suffix(".layout.json").write_text(json.dumps(layout(), indent=1) + "\n")
+
+
+def plain(value: Any) -> Any:
+    """`value` as JSON can hold it: numpy becomes Python, what is not finite becomes None, keys are sorted."""
+    match value:
+        case Mapping():
+            return {str(key): plain(value[key]) for key in sorted(value, key=str)}
+        case np.ndarray() | np.generic():
+            return plain(value.tolist())
+        case list() | tuple():
+            return [plain(item) for item in value]
+        case float():
+            return value if math.isfinite(value) else None
+        case None | bool() | int() | str():
+            return value
+        case _:
+            return str(value)
+
+
+def _nanoseconds(seconds: Any) -> int:
+    return round(float(seconds) * 1e9)
+
+
+def _timestamp(nanoseconds: int) -> Timestamp:
+    return Timestamp(*divmod(nanoseconds, 10**9))
+
+
+def _write_records(writer: MCAPWriter, config: dict[str, Any], outcome: dict[str, Any]) -> None:
+    text = {key: "" if value is None else str(value) for key, value in outcome.items()}
+    writer.write_metadata("outcome", text)
+    data = json.dumps(config, indent=1).encode()
+    writer.attach(log_time=0, create_time=0, name="config.json", media_type="application/json", data=data)
+
+
+def _write_outcome(context: Context, outcome: dict[str, Any], time: int) -> None:
+    schema = {"title": "sweep.Outcome", "type": "object", "properties": {key: {} for key in outcome}}
+    Channel("/outcome", schema=schema, context=context).log(outcome, log_time=time)
+
+
+def _write_stages(context: Context, trace: Trace) -> None:
+    channel = Channel("/stage", schema=_STAGE_SCHEMA, context=context)
+    stage = trace.stage[: finite_frames(trace)]
+    for k in np.flatnonzero(np.diff(stage, prepend=-1)):
+        message = {"index": int(stage[k]), "name": trace.stages[stage[k]]}
+        channel.log(message, log_time=_nanoseconds(trace.time[k]))
+
+
+def _write_torques(context: Context, trace: Trace) -> None:
+    channel = Channel("/joint_torque", schema=_TORQUE_SCHEMA, context=context)
+    for k in range(finite_frames(trace)):
+        message = dict(zip(JOINTS, plain(trace.joint_torque[k]), strict=True))
+        channel.log(message, log_time=_nanoseconds(trace.time[k]))
+
+
+def _write_pictures(context: Context, trace: Trace) -> None:
+    """Shapes once, then transforms of the moving bodies and force arrows."""
+    scene = SceneUpdateChannel("/scene", context=context)
+    forces = SceneUpdateChannel("/contact_force", context=context)
+    transforms = FrameTransformsChannel("/tf", context=context)
+    model, data = trace.model, mujoco.MjData(trace.model)
+    names = {int(body): body_name(model, body) for body in moving_bodies(model)}
+    scene.log(SceneUpdate(entities=entities(model)), log_time=_nanoseconds(trace.time[0]))
+    for k in at_rate(trace, PICTURE_RATE):
+        time = _nanoseconds(trace.time[k])
+        data.qpos[:] = trace.qpos[k]
+        mujoco.mj_kinematics(model, data)
+        transforms.log(FrameTransforms(transforms=_transforms(data, names, time)), log_time=time)
+        entity = _force_entity(trace.foot_position[k], trace.foot_force[k], time)
+        forces.log(SceneUpdate(entities=[entity]), log_time=time)
+
+
+def _transforms(data: mujoco.MjData, names: dict[int, str], time: int) -> list[FrameTransform]:
+    return [
+        FrameTransform(
+            timestamp=_timestamp(time),
+            parent_frame_id=WORLD,
+            child_frame_id=name,
+            translation=vector(data.xpos[body]),
+            rotation=quaternion(data.xquat[body]),
+        )
+        for body, name in names.items()
+    ]
+
+
+def _force_entity(position: np.ndarray, force: np.ndarray, time: int) -> SceneEntity:
+    """All force arrows under one id: every update replaces the one before."""
+    tips = arrow_tips(position, force)
+    return SceneEntity(
+        timestamp=_timestamp(time),
+        frame_id=WORLD,
+        id="contact_force",
+        lifetime=Duration(0, 0),
+        arrows=[_arrow(tail, tip) for tail, tip in zip(position, tips, strict=True) if np.any(tail != tip)],
+    )
+
+
+def turn_x_to(direction: np.ndarray) -> np.ndarray:
+    """Quaternion (w, x, y, z) that turns the x axis, along which Foxglove draws arrows, into `direction` (3,)."""
+    x_to_z = np.array([math.sqrt(0.5), 0.0, -math.sqrt(0.5), 0.0])
+    z_to_direction, both = np.empty(4), np.empty(4)
+    mujoco.mju_quatZ2Vec(z_to_direction, direction)
+    mujoco.mju_mulQuat(both, z_to_direction, x_to_z)
+    return both
+
+
+def _arrow(tail: np.ndarray, tip: np.ndarray) -> ArrowPrimitive:
+    length = float(np.linalg.norm(tip - tail))
+    head = min(3 * ARROW_RADIUS, length / 2)
+    return ArrowPrimitive(
+        pose=Pose(position=vector(tail), orientation=quaternion(turn_x_to(tip - tail))),
+        shaft_length=length - head,
+        shaft_diameter=2 * ARROW_RADIUS,
+        head_length=head,
+        head_diameter=3 * ARROW_RADIUS,
+        color=Color(r=FORCE_COLOR[0], g=FORCE_COLOR[1], b=FORCE_COLOR[2], a=1.0),
+    )

@@ -1,0 +1,135 @@
+"""An MjModel's geoms as Foxglove primitives."""
+
+import mujoco
+import numpy as np
+from foxglove.messages import (
+    Color,
+    CubePrimitive,
+    CylinderPrimitive,
+    Duration,
+    Pose,
+    Quaternion,
+    SceneEntity,
+    SpherePrimitive,
+    Timestamp,
+    Vector3,
+)
+
+Primitive = CubePrimitive | CylinderPrimitive | SpherePrimitive
+Geom = mujoco.mjtGeom
+
+WORLD = "world"  # the fixed frame
+PLANE_SIDE = 20.0  # m, how much of an infinite plane is drawn
+PLANE_THICKNESS = 2e-3  # m
+VISIBLE_GROUPS = 3  # MuJoCo's viewers draw the groups 0-2
+
+
+def vector(values: np.ndarray) -> Vector3:
+    """Foxglove vector from (3,)."""
+    return Vector3(x=float(values[0]), y=float(values[1]), z=float(values[2]))
+
+
+def quaternion(values: np.ndarray) -> Quaternion:
+    """Foxglove quaternion from MuJoCo's order (w, x, y, z)."""
+    return Quaternion(x=float(values[1]), y=float(values[2]), z=float(values[3]), w=float(values[0]))
+
+
+def body_name(model: mujoco.MjModel, body: int) -> str:
+    """Name of the body's frame."""
+    return mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, body) or f"body_{body}"
+
+
+def moving_bodies(model: mujoco.MjModel) -> np.ndarray:
+    """Ids of the bodies that can move in the world."""
+    return np.flatnonzero(model.body_weldid != 0)
+
+
+def entities(model: mujoco.MjModel) -> list[SceneEntity]:
+    """One entity for every body with visible geoms, locked to the body's frame.
+
+    Fixed bodies are drawn in the world's frame, so that only moving bodies need a transform.
+    """
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    moving = set(moving_bodies(model).tolist())
+    made = []
+    for body in range(model.nbody):
+        geoms = [g for g in range(model.ngeom) if model.geom_bodyid[g] == body]
+        shapes = [
+            s for g in geoms if model.geom_group[g] < VISIBLE_GROUPS for s in _shapes(model, data, g, body in moving)
+        ]
+        if shapes:
+            name = body_name(model, body)
+            made.append(_entity(name, name if body in moving else WORLD, shapes))
+    return made
+
+
+def _entity(name: str, frame: str, shapes: list[Primitive]) -> SceneEntity:
+    return SceneEntity(
+        timestamp=Timestamp(0, 0),
+        frame_id=frame,
+        id=name,
+        lifetime=Duration(0, 0),  # for ever
+        frame_locked=True,
+        cubes=[s for s in shapes if isinstance(s, CubePrimitive)],
+        spheres=[s for s in shapes if isinstance(s, SpherePrimitive)],
+        cylinders=[s for s in shapes if isinstance(s, CylinderPrimitive)],
+    )
+
+
+def _shapes(model: mujoco.MjModel, data: mujoco.MjData, geom: int, moving: bool) -> list[Primitive]:
+    """Primitives of one geom; raises `ValueError` for a shape that has none."""
+    if moving:
+        position, orientation = model.geom_pos[geom], model.geom_quat[geom]
+    else:
+        position, orientation = data.geom_xpos[geom], np.empty(4)
+        mujoco.mju_mat2Quat(orientation, data.geom_xmat[geom])
+    color, size, kind = _color(model, geom), model.geom_size[geom], Geom(model.geom_type[geom])
+
+    def pose(along_z: float = 0.0) -> Pose:
+        offset = np.empty(3)
+        mujoco.mju_rotVecQuat(offset, np.array([0.0, 0.0, along_z]), orientation)
+        return Pose(position=vector(position + offset), orientation=quaternion(orientation))
+
+    def tube(radius: float, half: float) -> CylinderPrimitive:
+        dimensions = vector(np.array([2 * radius, 2 * radius, 2 * half]))
+        return CylinderPrimitive(pose=pose(), size=dimensions, bottom_scale=1.0, top_scale=1.0, color=color)
+
+    def ball(radii: np.ndarray, along_z: float = 0.0) -> SpherePrimitive:
+        return SpherePrimitive(pose=pose(along_z), size=vector(2 * radii), color=color)
+
+    match kind:
+        case Geom.mjGEOM_BOX:
+            return [CubePrimitive(pose=pose(), size=vector(2 * size), color=color)]
+        case Geom.mjGEOM_SPHERE:
+            return [ball(size[[0, 0, 0]])]
+        case Geom.mjGEOM_ELLIPSOID:
+            return [ball(size)]
+        case Geom.mjGEOM_CYLINDER:
+            return [tube(size[0], size[1])]
+        case Geom.mjGEOM_CAPSULE:  # Foxglove has no capsule
+            return [tube(size[0], size[1]), *(ball(size[[0, 0, 0]], end) for end in (-size[1], size[1]))]
+        case Geom.mjGEOM_PLANE:  # a thin slab whose top is the plane; half-size 0 means infinite
+            sides = np.where(size[:2] > 0, 2 * size[:2], PLANE_SIDE)
+            slab = vector(np.array([*sides, PLANE_THICKNESS]))
+            return [CubePrimitive(pose=pose(-PLANE_THICKNESS / 2), size=slab, color=color)]
+        case _:
+            raise ValueError(f"no Foxglove primitive for a geom of type {kind.name}")
+
+
+def _color(model: mujoco.MjModel, geom: int) -> Color:
+    material = int(model.geom_matid[geom])
+    r, g, b, a = (model.geom_rgba[geom] if material < 0 else _material_rgba(model, material)).tolist()
+    return Color(r=r, g=g, b=b, a=a)
+
+
+def _material_rgba(model: mujoco.MjModel, material: int) -> np.ndarray:
+    """Colour of a material (4,), a texture as its mean: primitives have one colour."""
+    rgba = model.mat_rgba[material].astype(float)
+    texture = int(model.mat_texid[material, mujoco.mjtTextureRole.mjTEXROLE_RGB])
+    if texture >= 0:
+        channels, start = int(model.tex_nchannel[texture]), int(model.tex_adr[texture])
+        pixels = int(model.tex_height[texture]) * int(model.tex_width[texture])
+        colors = model.tex_data[start : start + channels * pixels].reshape(pixels, channels)
+        rgba[:3] *= colors[:, :3].mean(axis=0) / 255
+    return rgba

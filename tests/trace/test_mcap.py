@@ -1,0 +1,144 @@
+"""The MCAP file, read back by another library than the one that wrote it."""
+
+import dataclasses
+import json
+from collections import Counter, defaultdict
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap.stream_reader import StreamReader
+
+from sweep.engines.base import Trace
+from sweep.trace.arrows import FORCE_SCALE, arrow_tips
+from sweep.trace.mcap import plain, turn_x_to, write_mcap
+
+CONFIG = {"robot": {"thigh": 0.52, "shin": np.float64(0.335)}, "limits": [np.inf, 1]}
+OUTCOME = {"outcome": "success", "cause": "", "slip_max_m": np.float32(0.25), "clearance_min_m": float("nan")}
+
+
+@pytest.fixture(scope="module")
+def written(trace, tmp_path_factory):
+    path = tmp_path_factory.mktemp("mcap") / "walk.mcap"
+    write_mcap(path, trace, CONFIG, OUTCOME)
+    return path
+
+
+def _messages(path):
+    found = defaultdict(list)
+    with path.open("rb") as stream:
+        for schema, channel, message in make_reader(stream, validate_crcs=True).iter_messages():
+            found[channel.topic].append((schema and schema.name, message))
+    return found
+
+
+def test_file_is_sound(written):
+    with written.open("rb") as stream:
+        records = Counter(type(record).__name__ for record in StreamReader(stream, validate_crcs=True).records)
+    with written.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    assert records["DataEnd"] == 1
+    assert summary.statistics.message_count == sum(len(m) for m in _messages(written).values())
+
+
+def test_channels_schemas_and_counts(written, trace):
+    found = _messages(written)
+    assert {topic: (messages[0][0], len(messages)) for topic, messages in found.items()} == {
+        "/scene": ("foxglove.SceneUpdate", 1),
+        "/contact_force": ("foxglove.SceneUpdate", 50),
+        "/tf": ("foxglove.FrameTransforms", 50),
+        "/joint_torque": ("sweep.JointTorque", len(trace.time)),
+        "/stage": ("sweep.Stage", 3),
+        "/outcome": ("sweep.Outcome", 1),
+    }
+
+
+def test_log_time_is_simulated_time(written, trace):
+    for messages in _messages(written).values():
+        times = [message.log_time for _, message in messages]
+        assert times == sorted(times)
+        assert times[0] == 4_000_000
+    torque = _messages(written)["/joint_torque"]
+    np.testing.assert_allclose([m.log_time / 1e9 for _, m in torque], trace.time, atol=1e-9)
+
+
+def test_json_messages(written, trace):
+    found = _messages(written)
+    torque = json.loads(found["/joint_torque"][100][1].data)
+    assert list(torque) == [f"{kind}{leg}" for leg in range(1, 7) for kind in ("alpha", "beta", "gamma")]
+    np.testing.assert_allclose(list(torque.values()), trace.joint_torque[100])
+    assert [json.loads(m.data)["name"] for _, m in found["/stage"]] == list(trace.stages)
+    expected = {"outcome": "success", "cause": "", "slip_max_m": 0.25, "clearance_min_m": None}
+    assert json.loads(found["/outcome"][0][1].data) == expected
+
+
+def test_bodies_and_forces_are_in_the_messages(written):
+    """Names are stored as plain text in the encoded messages; an arrow makes its message longer."""
+    found = _messages(written)
+    scene, transforms = found["/scene"][0][1].data, found["/tf"][0][1].data
+    for name in (b"base", b"ball", b"thigh1", b"shin6"):
+        assert name in scene
+        assert name in transforms
+    assert b"step" in scene
+    assert b"step" not in transforms  # it cannot move
+    sizes = [len(m.data) for _, m in found["/contact_force"]]
+    assert min(sizes) > 3 * 80  # three arrows of eleven doubles and more
+
+
+def test_config_is_attached(written):
+    with written.open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        (attachment,) = reader.iter_attachments()
+        (metadata,) = reader.iter_metadata()
+    assert attachment.name == "config.json"
+    assert json.loads(attachment.data) == {"limits": [None, 1], "robot": {"shin": 0.335, "thigh": 0.52}}
+    assert metadata.metadata == {"outcome": "success", "cause": "", "slip_max_m": "0.25", "clearance_min_m": ""}
+
+
+def test_same_input_same_bytes(written, trace, tmp_path):
+    write_mcap(tmp_path / "again.mcap", trace, CONFIG, dict(reversed(OUTCOME.items())))
+    assert (tmp_path / "again.mcap").read_bytes() == written.read_bytes()
+
+
+def test_layout_names_what_is_in_the_file(written):
+    layout = json.loads(written.with_suffix(".layout.json").read_text())
+    panels = layout["configById"]
+    assert panels["3D!robot"]["followTf"] == "base"
+    topics = set(_messages(written))
+    values = [path["value"] for panel in panels.values() for path in panel.get("paths", [])]
+    assert {value.split(".")[0] for value in values} | set(panels["3D!robot"]["topics"]) <= topics
+
+    def leaves(node):
+        return [node] if isinstance(node, str) else leaves(node["first"]) + leaves(node["second"])
+
+    assert sorted(leaves(layout["layout"])) == sorted(panels)
+
+
+def test_frames_after_the_simulation_broke_are_left_out(trace: Trace, tmp_path):
+    qpos = trace.qpos.copy()
+    qpos[100:] = np.nan
+    write_mcap(tmp_path / "broken.mcap", dataclasses.replace(trace, qpos=qpos), {}, {"outcome": "invalid"})
+    assert len(_messages(tmp_path / "broken.mcap")["/joint_torque"]) == 100
+    with pytest.raises(ValueError, match="no finite frame"):
+        write_mcap(tmp_path / "x.mcap", dataclasses.replace(trace, qpos=np.full_like(qpos, np.nan)), {}, {})
+
+
+def test_arrow_starts_at_the_foot_and_points_along_the_force():
+    feet, force = np.arange(18.0).reshape(6, 3), np.zeros((6, 3))
+    force[0], force[1] = [100, 0, -20], [0, 0, 0.1]  # the second is too small to show
+    tips = arrow_tips(feet, force)
+    np.testing.assert_allclose(tips[0] - feet[0], FORCE_SCALE * force[0])
+    np.testing.assert_array_equal(tips[1:], feet[1:])
+
+
+@pytest.mark.parametrize("force", [[1.0, 0, 0], [0, 0, 1], [0, 0, -1], [-0.5, 0.2, 0.7]])
+def test_turning_x_into_the_force(force):
+    w, x, y, z = turn_x_to(np.array(force))
+    turned_x = [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)]
+    np.testing.assert_allclose(turned_x, np.array(force) / np.linalg.norm(force), atol=1e-9)
+
+
+def test_plain_is_json():
+    assert plain({2: np.arange(2), "1": (True, np.inf), "a": None}) == {"1": [True, None], "2": [0, 1], "a": None}
