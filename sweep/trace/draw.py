@@ -1,0 +1,72 @@
+"""Draws frames with MuJoCo in a process of its own: `python -m sweep.trace.draw JOB` writes raw RGB to stdout.
+
+The OpenGL library is chosen when `mujoco` is imported, and importing it with a missing one fails, so the process that
+draws must not be the one that simulates. It imports nothing that imports `mujoco`.
+"""
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sweep.trace.arrows import ARROW_RADIUS, FORCE_COLOR
+
+NO_OPENGL = 3  # exit status: this library does not work here
+MODEL, ARRAYS = "model.mjb", "frames.npz"  # files in the folder JOB
+ARROW_RGBA = np.array([*FORCE_COLOR, 1.0], np.float32)
+
+
+def main(job: Path) -> int:
+    """Draw the job in the folder `job`; the exit status."""
+    try:
+        import mujoco
+
+        mujoco.GLContext(16, 16).make_current()
+    except Exception as error:  # mujoco raises whatever its OpenGL wrapper happens to trip over
+        print(f"{type(error).__name__}: {error}", file=sys.stderr)
+        return NO_OPENGL
+    model = mujoco.MjModel.from_binary_path(str(job / MODEL))
+    with np.load(job / ARRAYS) as arrays:
+        draw(model, dict(arrays))
+    return 0
+
+
+def draw(model: Any, arrays: dict[str, np.ndarray]) -> None:
+    """Write every frame to stdout, (height, width, 3) bytes each.
+
+    `arrays`: qpos (N, nq), look_at (N, 3) m, distance () m, size (2,) width and height, tails and tips of the
+    arrows (N, 6, 3) m, where an arrow of no length is not drawn.
+    """
+    import mujoco
+
+    width, height = map(int, arrays["size"])
+    model.vis.global_.offwidth, model.vis.global_.offheight = width, height
+    data, camera = mujoco.MjData(model), mujoco.MjvCamera()
+    camera.distance, camera.azimuth, camera.elevation = float(arrays["distance"]), 125.0, -22.0
+    with mujoco.Renderer(model, height, width) as renderer:
+        for k, qpos in enumerate(arrays["qpos"]):
+            data.qpos[:] = qpos
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_comPos(model, data)
+            mujoco.mj_camlight(model, data)
+            camera.lookat[:] = arrays["look_at"][k]
+            renderer.update_scene(data, camera)
+            for tail, tip in zip(arrays["tails"][k], arrays["tips"][k], strict=True):
+                if np.any(tail != tip):
+                    _add_arrow(renderer.scene, tail, tip)
+            sys.stdout.buffer.write(renderer.render().tobytes())
+
+
+def _add_arrow(scene: Any, tail: np.ndarray, tip: np.ndarray) -> None:
+    import mujoco
+
+    geom = scene.geoms[scene.ngeom]
+    mujoco.mjv_initGeom(geom, mujoco.mjtGeom.mjGEOM_ARROW, np.zeros(3), np.zeros(3), np.zeros(9), ARROW_RGBA)
+    # an arrow is drawn half as long as the connector it is made from
+    mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_ARROW, ARROW_RADIUS, tail, 2 * tip - tail)
+    scene.ngeom += 1
+
+
+if __name__ == "__main__":
+    sys.exit(main(Path(sys.argv[1])))

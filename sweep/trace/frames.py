@@ -1,0 +1,99 @@
+"""Pictures of a trace: PNG frames and MP4, drawn by MuJoCo without a screen."""
+
+import importlib.util
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Generator
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from matplotlib.image import imsave
+
+from sweep.engines.base import Trace
+from sweep.parameters import InputError
+from sweep.trace.arrows import arrow_tips
+from sweep.trace.draw import ARRAYS, MODEL, NO_OPENGL
+from sweep.trace.sampling import at_rate, base_pose, evenly
+
+SIZE = (960, 544)  # pixels, multiples of 16 as video codecs want
+VIDEO_RATE = 25  # frames per second, simulated and shown
+CAMERA_DISTANCE = 1.7  # in units of the distance between the robot's farthest feet at the start
+LIBRARIES = {"egl": "libegl1 libegl-mesa0 libgl1-mesa-dri", "osmesa": "libosmesa6"}  # Debian packages
+
+
+def write_png(folder: str | Path, trace: Trace, number: int = 8) -> list[Path]:
+    """Write `number` frames, evenly spaced over the trace, named by their time; raises `InputError` without OpenGL."""
+    folder, chosen = Path(folder), evenly(trace, number)
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = [folder / f"t{trace.time[k]:07.3f}s.png" for k in chosen]
+    for path, picture in zip(paths, render(trace, chosen), strict=True):
+        imsave(path, picture)
+    return paths
+
+
+def write_video(path: str | Path, trace: Trace) -> None:
+    """Write an MP4 in real time; raises `InputError` without OpenGL or without the `video` extra."""
+    if importlib.util.find_spec("imageio_ffmpeg") is None:
+        raise InputError("a video needs ffmpeg: pip install 'insect-sweep[video]'")
+    import imageio_ffmpeg
+
+    writer = None
+    for picture in render(trace, at_rate(trace, VIDEO_RATE)):
+        if writer is None:  # opened with the first picture, so that a failure to draw leaves no empty file
+            writer = imageio_ffmpeg.write_frames(str(path), SIZE, fps=VIDEO_RATE, quality=7, ffmpeg_log_level="error")
+            writer.send(None)
+        writer.send(np.ascontiguousarray(picture))
+    if writer is not None:
+        writer.close()
+
+
+def render(trace: Trace, chosen: np.ndarray) -> Generator[np.ndarray, None, None]:
+    """Pictures (height, width, 3), uint8, of the frames with the indices `chosen`, one after the other.
+
+    The camera follows the base; contact forces are drawn as arrows. Raises `InputError` where neither EGL nor
+    OSMesa works.
+    """
+    with tempfile.TemporaryDirectory() as job:
+        _write_job(Path(job), trace, chosen)
+        for backend in LIBRARIES:
+            if (yield from _pictures(job, backend)):
+                return
+    packages = " or ".join(f"`{names}`" for names in LIBRARIES.values())
+    raise InputError(f"pictures need OpenGL without a screen: install the Debian packages {packages}")
+
+
+def _write_job(job: Path, trace: Trace, chosen: np.ndarray) -> None:
+    feet = trace.foot_position[0]
+    mujoco.mj_saveModel(trace.model, str(job / MODEL), None)
+    np.savez(
+        job / ARRAYS,
+        qpos=trace.qpos[chosen],
+        look_at=base_pose(trace)[chosen, :3],
+        distance=CAMERA_DISTANCE * np.linalg.norm(feet[:, None] - feet, axis=-1).max(),
+        size=SIZE,
+        tails=trace.foot_position[chosen],
+        tips=arrow_tips(trace.foot_position[chosen], trace.foot_force[chosen]),
+    )
+
+
+def _pictures(job: str, backend: str) -> Generator[np.ndarray, None, bool]:
+    """Pictures as the drawing process makes them; returns whether this OpenGL library works at all."""
+    width, height = SIZE
+    command = [sys.executable, "-m", "sweep.trace.draw", job]
+    environment = {**os.environ, "MUJOCO_GL": backend}
+    with tempfile.TemporaryFile("w+") as errors:
+        with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=errors) as process:
+            assert process.stdout is not None
+            drawn, length = 0, width * height * 3
+            while len(pixels := process.stdout.read(length)) == length:
+                yield np.frombuffer(pixels, np.uint8).reshape(height, width, 3)
+                drawn += 1
+        if process.returncode == 0:
+            return True
+        if drawn == 0 and (process.returncode == NO_OPENGL or process.returncode < 0):
+            return False
+        errors.seek(0)
+        raise RuntimeError(f"drawing failed: {errors.read().strip()[-500:]}")

@@ -1,0 +1,150 @@
+"""Plots of a trace over time. Legs are arranged as seen from above: left legs on the left, the front pair on top."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from sweep.engines.base import Trace
+from sweep.trace.layout import LEG_COLORS
+from sweep.trace.sampling import KINDS, base_pose, joint_angle
+
+LEGS = ((6, 5), (4, 3), (2, 1))
+SYMBOLS = dict(zip(KINDS, ("α", "β", "γ"), strict=True))
+ACTUAL, SECOND, REFERENCE = "#0072b2", "#d55e00", "0.25"
+NAMED_STAGES = 10  # more names than this would overlap
+
+
+def torques(trace: Trace) -> Figure:
+    """Joint torques per leg, N m."""
+    values = trace.joint_torque.reshape(-1, 6, 3)
+    return _per_leg(trace, "Joint torque (largest of each tick)", "torque (N m)", values)
+
+
+def joints(trace: Trace) -> Figure:
+    """Joint angles per leg, degrees; targets dashed."""
+    angle, target = (np.degrees(a).reshape(-1, 6, 3) for a in (joint_angle(trace), trace.joint_target))
+    return _per_leg(trace, "Joint angle (dashed: target)", "angle (deg)", angle, target)
+
+
+def base(trace: Trace) -> Figure:
+    """Position of the base against its reference, m, and its tilt, degrees."""
+    pose = base_pose(trace)
+    figure, axes = _grid(4, 1, "Base (dashed: reference)")
+    for k, (ax, name) in enumerate(zip(axes[:3, 0], "xyz", strict=True)):
+        ax.plot(trace.time, trace.base_target[:, k], color=REFERENCE, ls="--", lw=1.0)
+        ax.plot(trace.time, pose[:, k], color=ACTUAL, lw=1.2)
+        ax.set_ylabel(f"{name} (m)")
+    axes[3, 0].plot(trace.time, tilt(trace.base_target), color=REFERENCE, ls="--", lw=1.0)
+    axes[3, 0].plot(trace.time, tilt(pose), color=ACTUAL, lw=1.2)
+    axes[3, 0].set_ylabel("tilt (deg)")
+    return _finish(figure, axes, trace)
+
+
+def feet(trace: Trace) -> Figure:
+    """Height of each foot against its reference, m, and the force on it, N."""
+    figure, axes = _grid(6, 2, "Feet (dashed: planned height)")
+    for leg, (left, right) in enumerate(axes):
+        left.plot(trace.time, trace.foot_target[:, leg, 2], color=REFERENCE, ls="--", lw=1.0)
+        left.plot(trace.time, trace.foot_position[:, leg, 2], color=LEG_COLORS[leg], lw=1.2)
+        left.set_ylabel(f"leg {leg + 1}\nheight (m)")
+        force = trace.foot_force[:, leg]
+        right.plot(trace.time, force[:, 2], color=ACTUAL, lw=1.2, label="vertical")
+        right.plot(trace.time, np.linalg.norm(force[:, :2], axis=1), color=SECOND, lw=1.0, label="horizontal")
+        right.set_ylabel("force (N)")
+    _share_y(axes[:, 1])
+    figure.legend(*axes[0, 1].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
+    return _finish(figure, axes, trace)
+
+
+def paths(trace: Trace) -> Figure:
+    """Paths of the base and the feet in the horizontal plane and from the side, m; references dashed."""
+    figure = Figure(figsize=(9, 7), layout="constrained")
+    figure.suptitle("Paths (dashed: reference)")
+    axes = figure.subplots(2, 1)
+    pose = base_pose(trace)
+    for ax, k, name in zip(axes, (1, 2), "yz", strict=True):
+        ax.plot(trace.base_target[:, 0], trace.base_target[:, k], color=REFERENCE, ls="--", lw=1.0)
+        ax.plot(pose[:, 0], pose[:, k], color="k", lw=1.4, label="base")
+        for leg, color in enumerate(LEG_COLORS):
+            target, actual = trace.foot_target[:, leg], trace.foot_position[:, leg]
+            ax.plot(target[:, 0], target[:, k], color=REFERENCE, ls="--", lw=0.8)
+            ax.plot(actual[:, 0], actual[:, k], color=color, lw=1.1, label=f"foot {leg + 1}")
+        ax.set_xlabel("x (m)")
+        ax.set_ylabel(f"{name} (m)")
+        ax.set_aspect("equal", adjustable="datalim")
+        ax.grid(alpha=0.3)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside right upper", frameon=False)
+    return figure
+
+
+PLOTS: dict[str, Callable[[Trace], Figure]] = {
+    "torques": torques,
+    "joints": joints,
+    "base": base,
+    "feet": feet,
+    "paths": paths,
+}
+
+
+def save(figure: Figure, path: str | Path) -> None:
+    """Write `figure` in the format that the suffix of `path` names, without a date in it."""
+    metadata = {"Date": None} if Path(path).suffix == ".svg" else {}
+    figure.savefig(path, dpi=120, metadata=metadata)
+
+
+def tilt(pose: np.ndarray) -> np.ndarray:
+    """Angle (F,) in degrees between the base's z axis and the vertical, from poses (F, 7)."""
+    _, x, y, _ = pose[:, 3:].T
+    return np.degrees(2 * np.arcsin(np.clip(np.hypot(x, y), 0, 1)))
+
+
+def _per_leg(trace: Trace, title: str, label: str, values: np.ndarray, target: np.ndarray | None = None) -> Figure:
+    """One panel a leg with the three joints of `values` (F, 6, 3), `target` dashed."""
+    figure, axes = _grid(3, 2, title)
+    for row, legs in zip(axes, LEGS, strict=True):
+        for ax, leg in zip(row, legs, strict=True):
+            for kind, color in zip(range(3), (ACTUAL, SECOND, "#009e73"), strict=True):
+                ax.plot(trace.time, values[:, leg - 1, kind], color=color, lw=1.1, label=SYMBOLS[KINDS[kind]])
+                if target is not None:
+                    ax.plot(trace.time, target[:, leg - 1, kind], color=color, ls="--", lw=0.8)
+            ax.set_ylabel(f"leg {leg}\n{label}")
+    _share_y(axes)
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
+    return _finish(figure, axes, trace)
+
+
+def _grid(rows: int, columns: int, title: str) -> tuple[Figure, np.ndarray]:
+    figure = Figure(figsize=(4.5 + 3.5 * columns, 2.0 + 1.5 * rows), layout="constrained")
+    figure.suptitle(title)
+    return figure, figure.subplots(rows, columns, sharex=True, squeeze=False)
+
+
+def _share_y(axes: np.ndarray) -> None:
+    for ax in axes.flat[1:]:
+        ax.sharey(axes.flat[0])
+
+
+def _finish(figure: Figure, axes: np.ndarray, trace: Trace) -> Figure:
+    """Time axis, and a line where a stage begins, named above the top row."""
+    starts = np.flatnonzero(np.diff(trace.stage, prepend=-1))
+    for ax in axes.flat:
+        ax.grid(alpha=0.3)
+        ax.margins(x=0.01)
+        for k in starts[1:]:
+            ax.axvline(trace.time[k], color="0.6", lw=0.8, zorder=0)
+    for ax in axes[-1]:
+        ax.set_xlabel("time (s)")
+    if len(starts) <= NAMED_STAGES:
+        for ax in axes[0]:
+            _name_stages(ax, trace, starts)
+    return figure
+
+
+def _name_stages(ax: Axes, trace: Trace, starts: np.ndarray) -> None:
+    marks = ax.secondary_xaxis("top")
+    marks.set_xticks(trace.time[starts], [trace.stages[trace.stage[k]] for k in starts], rotation=25, ha="left")
+    marks.tick_params(length=2, labelsize="x-small")

@@ -1,0 +1,96 @@
+"""Pictures: chosen frames, what is drawn, and what is said where drawing is impossible."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from sweep.parameters import InputError
+from sweep.trace import frames
+from sweep.trace.arrows import FORCE_SCALE
+from sweep.trace.sampling import at_rate, at_times, evenly, finite_frames
+
+
+def _arrow_columns(picture: np.ndarray) -> np.ndarray:
+    """Columns of the picture that hold the arrows' orange; the rest of the scene is grey, blue and dark red."""
+    r, g, b = picture.astype(int).transpose(2, 0, 1)
+    return np.flatnonzero(((r > 40) & (b < 0.35 * r) & (g > 0.6 * r) & (g < 0.8 * r)).any(axis=0))
+
+
+@pytest.fixture(scope="module")
+def drawable(trace):
+    try:
+        next(frames.render(trace, np.array([0])))
+    except InputError as error:
+        pytest.skip(f"no OpenGL here: {error}")
+    return trace
+
+
+def test_frames_nearest_to_times(trace):
+    np.testing.assert_array_equal(at_times(trace, np.array([-1.0, 0.0101, 0.5, 9.0])), [0, 2, 124, 249])
+    assert len(at_rate(trace, 25.0)) == 25
+    np.testing.assert_array_equal(at_rate(trace, 1e4), np.arange(250))
+    np.testing.assert_array_equal(evenly(trace, 3), [0, 124, 249])
+
+
+def test_only_finite_frames_are_chosen(trace):
+    qpos = trace.qpos.copy()
+    qpos[1:] = np.inf
+    broken = dataclasses.replace(trace, qpos=qpos)
+    assert finite_frames(broken) == 1
+    for chosen in (at_times(broken, np.array([0.0, 5.0])), at_rate(broken, 25.0), evenly(broken, 4)):
+        assert set(chosen.tolist()) == {0}
+
+
+def test_png_frames(drawable, tmp_path):
+    paths = frames.write_png(tmp_path / "png", drawable, number=3)
+    assert [path.name for path in paths] == ["t000.004s.png", "t000.500s.png", "t001.000s.png"]
+    picture = imread(paths[0])
+    assert picture.shape[:2] == frames.SIZE[::-1]
+    assert picture[..., :3].std() > 0.05  # not one flat colour
+
+
+def test_forces_are_drawn_to_scale(drawable):
+    """An arrow ends where another one begins that starts at its computed tip."""
+    force = np.zeros_like(drawable.foot_force)
+
+    def columns(foot):
+        feet = drawable.foot_position.copy()
+        feet[:, 4] = foot
+        (picture,) = frames.render(dataclasses.replace(drawable, foot_position=feet, foot_force=force), np.array([0]))
+        return _arrow_columns(picture)
+
+    start = np.array([-0.3, 0.0, 0.7])
+    assert len(columns(start)) == 0
+    force[:, 4] = [80.0, 0, 0]
+    first, second = columns(start), columns(start + FORCE_SCALE * force[0, 4])
+    assert min(np.ptp(first), np.ptp(second)) > 40
+    ends = sorted([first.min(), first.max(), second.min(), second.max()])
+    assert ends[2] - ends[1] < 0.2 * np.ptp(first)
+
+
+def test_caller_may_stop_early(drawable):
+    pictures = frames.render(drawable, np.arange(50))
+    assert next(pictures).dtype == np.uint8
+    pictures.close()  # must not wait for the other 49
+
+
+def test_video(drawable, tmp_path):
+    ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="the video extra is not installed")
+    short = dataclasses.replace(drawable, qpos=np.where(drawable.time[:, None] < 0.2, drawable.qpos, np.nan))
+    frames.write_video(tmp_path / "walk.mp4", short)
+    assert ffmpeg.count_frames_and_secs(str(tmp_path / "walk.mp4"))[0] == len(at_rate(short, frames.VIDEO_RATE))
+
+
+def test_missing_opengl_names_the_packages(trace, monkeypatch, tmp_path):
+    monkeypatch.setattr(frames, "LIBRARIES", {"nonsense": "some-package"})
+    with pytest.raises(InputError, match="Debian packages `some-package`"):
+        frames.write_png(tmp_path, trace)
+
+
+def test_missing_ffmpeg_names_the_extra(trace, monkeypatch, tmp_path):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(InputError, match=r"insect-sweep\[video\]"):
+        frames.write_video(tmp_path / "walk.mp4", trace)
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,59 @@
+"""Plots: what is on the axes, and that every format is written."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from sweep.trace.plots import PLOTS, save, tilt
+
+LABELS = {
+    "torques": {f"leg {leg}\ntorque (N m)" for leg in range(1, 7)},
+    "joints": {f"leg {leg}\nangle (deg)" for leg in range(1, 7)},
+    "base": {"x (m)", "y (m)", "z (m)", "tilt (deg)"},
+    "feet": {f"leg {leg}\nheight (m)" for leg in range(1, 7)} | {"force (N)"},
+    "paths": {"y (m)", "z (m)"},
+}
+
+
+@pytest.mark.parametrize("name", PLOTS)
+def test_axes_say_what_they_show(name, trace):
+    figure = PLOTS[name](trace)
+    assert {ax.get_ylabel() for ax in figure.axes} == LABELS[name]
+    assert figure.axes[-1].get_xlabel() == ("x (m)" if name == "paths" else "time (s)")
+
+
+@pytest.mark.parametrize("suffix", ["png", "svg", "pdf"])
+def test_files_are_written(suffix, trace, tmp_path):
+    save(PLOTS["base"](trace), tmp_path / f"base.{suffix}")
+    assert (tmp_path / f"base.{suffix}").stat().st_size > 5000
+
+
+def test_stages_are_marked_and_named(trace):
+    ax = PLOTS["base"](trace).axes[0]
+    marked = [np.asarray(line.get_xdata()) for line in ax.lines]
+    starts = [float(x[0]) for x in marked if len(x) == 2]
+    np.testing.assert_allclose(starts, [0.504, 0.752], atol=1e-9)
+    (names,) = ax.child_axes
+    assert [label.get_text() for label in names.get_xticklabels()] == list(trace.stages)
+
+
+def test_curves_are_the_trace(trace):
+    target, actual = PLOTS["base"](trace).axes[0].lines[:2]
+    np.testing.assert_array_equal(actual.get_ydata(), trace.qpos[:, 7])
+    np.testing.assert_array_equal(target.get_ydata(), trace.base_target[:, 0])
+
+
+def test_tilt_of_a_turned_base():
+    angle = np.radians([0, 30, 90])
+    pose = np.zeros((3, 7))
+    pose[:, 3], pose[:, 4] = np.cos(angle / 2), np.sin(angle / 2)
+    np.testing.assert_allclose(tilt(pose), [0, 30, 90], atol=1e-6)
+
+
+def test_a_broken_simulation_leaves_a_gap(trace, tmp_path):
+    qpos = trace.qpos.copy()
+    qpos[100:] = np.nan
+    broken = dataclasses.replace(trace, qpos=qpos)
+    for name in ("base", "joints"):
+        save(PLOTS[name](broken), tmp_path / f"{name}.svg")
