@@ -1,0 +1,103 @@
+"""What the legs allow at a ball: the largest ball that can be climbed, and turning the body in front of it.
+
+Monograph 3.1.5 and 3.3.1.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from sweep.formulas.formula import Formula, Input, Scalar, positive
+from sweep.formulas.roots import newton
+
+
+class MaxBall(NamedTuple):
+    """Radius (m)."""
+
+    R: Float[Array, "..."]
+
+
+def max_ball(l1: Scalar, l2: Scalar, hhat: Scalar, b: Scalar, k_f: Scalar) -> MaxBall:
+    """Radius of the largest ball whose region of safe footholds the front feet reach: the largest root of (3.1.19).
+
+    Thigh l1, shin l2, height hhat of the front hips, b between them (m), friction k_f. The shin only touches the
+    ball, the hip stands over its rim. Starts from (3.1.22), exact for b = 0. Nan where there is no such ball.
+    """
+    l1, l2, hhat, b, k_f = jnp.broadcast_arrays(*map(jnp.asarray, (l1, l2, hhat, b, k_f)))
+    grip = 1 + k_f**2
+
+    def residual(R: Array) -> Array:
+        section = jnp.sqrt(R**2 - b**2 / 4)  # radius of the circle on which both feet of a side stand
+        above = (R + jnp.sqrt(R**2 - grip * b**2 / 4)) / grip  # height of the foothold over the ground
+        beside, up = k_f * above, above - R  # from the ball's centre: eta and zeta of the foothold
+        return (beside + up * l2 / section - R) ** 2 + (above - beside * l2 / section - hhat) ** 2 - l1**2
+
+    slack = (1 - k_f) ** 4 + 4
+    d1 = (((1 - k_f) ** 2 * (1 - k_f**2) + 4 * k_f) * l2 + 2 * grip * hhat) / slack
+    d2 = grip * ((hhat**2 + l2**2 - l1**2) * grip + 4 * k_f * l2 * hhat) / slack
+    return MaxBall(newton(residual, d1 + jnp.sqrt(d1**2 - d2), steps=12))
+
+
+class BodyTurn(NamedTuple):
+    """Displacements (eta, zeta) (m) of three points of the body's axis."""
+
+    d_mid: Float[Array, "... 2"]
+    d_rear: Float[Array, "... 2"]
+    d_front: Float[Array, "... 2"]
+
+
+def body_turn(ds: Scalar, s0: Scalar, Rp: Scalar, a_r: Scalar, eps: Scalar) -> BodyTurn:
+    """Body, level at first, as its front end goes by the angle ds (rad) up a circle of radius Rp (m) from s0.
+
+    Its middle slides down a line that falls by eps (rad) towards the rear. Monograph (3.3.1), (3.3.2); eta points
+    away from the ball, zeta up, a_r is the length of the body. Nan where the body is too short.
+    """
+    half = a_r / 2
+    chord = 2 * Rp * jnp.sin(ds / 2)
+    eta, zeta = -chord * jnp.sin(s0 + ds / 2), chord * jnp.cos(s0 + ds / 2)
+    slope = jnp.tan(eps)
+    # The length of the half body, |(half - eta - run, zeta - slope run)| = half, is quadratic in the run.
+    middle = half - eta + zeta * slope
+    rest = eta**2 - 2 * half * eta + zeta**2
+    run = rest / (middle + jnp.sqrt(middle**2 - rest * (1 + slope**2)))
+    front = jnp.stack(jnp.broadcast_arrays(eta, zeta), axis=-1)
+    mid = jnp.stack(jnp.broadcast_arrays(-run, slope * run), axis=-1)
+    return BodyTurn(mid, 2 * mid - front, front + jnp.zeros_like(mid))
+
+
+FORMULAS = (
+    Formula(
+        "max_ball",
+        "radius of the largest ball that can be climbed",
+        "monograph",
+        ("3.1.18-3.1.22",),
+        max_ball,
+        (
+            positive("l1", "m", 0.52),
+            positive("l2", "m", 0.335),
+            positive("hhat", "m", 1.71),
+            Input("b", "m", 0.5, at_least=0),
+            Input("k_f", "", 1.0, at_least=0),
+        ),
+        {"R": "m"},
+        correction="(3.1.22) has (1 - k_f)^2 + 4 for (1 - k_f)^4 + 4 below, and lacks a square for k_f = 1",
+        condition="hhat must be in reach of the ball's footholds and b less than its diameter",
+    ),
+    Formula(
+        "body_turn",
+        "displacement of the body as it turns up to a ball",
+        "monograph",
+        ("3.3.1-3.3.2",),
+        body_turn,
+        (
+            Input("ds", "rad", 0.3),
+            Input("s0", "rad", -0.3),
+            positive("Rp", "m", 0.9),
+            positive("a_r", "m", 1.05),
+            Input("eps", "rad", 0.1, above=-1.5, below=1.5),
+        ),
+        {"d_mid": "m", "d_rear": "m", "d_front": "m"},
+        condition="ds must be so small that the body still bridges the circle and the line",
+    ),
+)

@@ -1,0 +1,155 @@
+"""Standing on a vertical corner or pole by squeezing it: monograph 2.1.
+
+Four feet stand in two symmetric pairs, one above the other, on walls that make the angle 2 psi (psi = 0 is a pole);
+eps is the distance of the mass centre from the line of support over the height between the pairs, called ϰ in (2.1.4)
+and ε in (2.1.6). Forces are in units of the weight P. N_u and N_d are the normal forces of an upper and a lower foot,
+k_zeta and k_tau the vertical and horizontal friction forces over the normal one.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from sweep.formulas.formula import Formula, Input, Scalar, positive
+
+
+class Balanced(NamedTuple):
+    """Equal k_zeta for all feet, opposite k_tau for the upper and the lower ones."""
+
+    k_zeta: Float[Array, "..."]
+    k_tau: Float[Array, "..."]
+    N_u: Float[Array, "..."]
+    N_d: Float[Array, "..."]
+
+
+def corner_balanced(psi: Scalar, eps: Scalar, k: Scalar) -> Balanced:
+    """The balanced scheme where friction k is used up: monograph (2.1.4)-(2.1.6). Nan unless k > tan psi.
+
+    With k_tau = k cos t, k_zeta = k sin t, (2.1.6) becomes cos(2 t + shift) = const, hence no iteration. The normal
+    forces follow from k_tau by (2.1.4) in the form that survives psi -> 0.
+    """
+    c, s = jnp.cos(psi), jnp.sin(psi)
+    radius, shift = jnp.hypot(c / 2, eps), jnp.arctan2(eps, c / 2)
+    angle = (jnp.arccos((s**2 / (c * k**2) - c / 2) / radius) - shift) / 2
+    k_zeta = jnp.where(c * k > s, k * jnp.sin(angle), jnp.nan)
+    k_tau = k * jnp.cos(angle)
+    lean = k_zeta * eps
+    root = jnp.hypot(s, lean)
+    N_u = 1 / (2 * k_zeta * (1 + lean / (root + s)))
+    N_d = eps / (2 * (lean + root + s))
+    return Balanced(k_zeta, k_tau, N_u, N_d)
+
+
+class LeastFriction(NamedTuple):
+    """The friction needed, and its two components."""
+
+    k: Float[Array, "..."]
+    k_zeta: Float[Array, "..."]
+    k_tau: Float[Array, "..."]
+
+
+def corner_least_friction(psi: Scalar, eps: Scalar, squeeze: Scalar) -> LeastFriction:
+    """Least friction of the balanced scheme if no normal force may pass `squeeze` (in P): monograph (2.1.7), (2.1.8).
+
+    The inverse of `corner_balanced`, whose larger normal force is N_u.
+    """
+    c, s = jnp.cos(psi), jnp.sin(psi)
+    total = 2 * squeeze * (2 * s * squeeze + eps) / (4 * s * squeeze + eps)
+    k_zeta = 1 / (2 * total)
+    k_tau = (k_zeta * eps + jnp.hypot(s, k_zeta * eps)) / c
+    return LeastFriction(jnp.hypot(k_tau, k_zeta), k_zeta, k_tau)
+
+
+class EqualNormal(NamedTuple):
+    """Equal normal forces N; only the upper feet use the whole friction."""
+
+    k_zeta: Float[Array, "..."]
+    k_tau_u: Float[Array, "..."]
+    k_tau_d: Float[Array, "..."]
+    N: Float[Array, "..."]
+
+
+def corner_equalN(psi: Scalar, eps: Scalar, k: Scalar) -> EqualNormal:
+    """The scheme with one normal force for all feet where the upper ones use up friction k: monograph 2.1, L641-649.
+
+    Nan unless k > tan psi.
+    """
+    c, s = jnp.cos(psi), jnp.sin(psi)
+    spare = (c * k) ** 2 - s**2
+    k_zeta = spare / (2 * eps * s + jnp.sqrt((2 * eps * s) ** 2 + (4 * eps**2 + c**2) * spare))
+    k_zeta = jnp.where(c * k > s, k_zeta, jnp.nan)
+    return EqualNormal(k_zeta, (-2 * eps * k_zeta - s) / c, (2 * eps * k_zeta - s) / c, 1 / (4 * k_zeta))
+
+
+class Squeeze(NamedTuple):
+    """The larger normal force of the best distribution, in P."""
+
+    Nhat: Float[Array, "..."]
+
+
+def corner_min_squeeze(psi: Scalar, eps: Scalar, k: Scalar) -> Squeeze:
+    """Least squeeze over *all* equilibria of the four feet, in P; less than both schemes of monograph 2.1.
+
+    Averaging an equilibrium with its mirror image squeezes no more, so only symmetric ones matter. There the moment
+    fixes the horizontal pull of a pair, +-eps/2 a foot, and what friction is left carries the weight. Both vertical
+    forces grow with the normal force if k > tan psi (nan otherwise), so that all feet press alike: either the upper
+    feet are just able to pull and the lower ones carry everything, or all use their friction up.
+    """
+    c, s = jnp.cos(psi), jnp.sin(psi)
+    spare = (c * k) ** 2 - s**2
+    pull = eps / (2 * (k * c - s))
+    lifted = 2 * jnp.sqrt(jnp.maximum(spare * pull**2 + eps * s * pull - eps**2 / 4, 0.0)) / c
+    shared_below = c**2 * spare - (2 * eps * s) ** 2
+    shared = c * jnp.hypot(c, 2 * eps) / (4 * jnp.sqrt(jnp.where(shared_below > 0, shared_below, 1.0)))
+    return Squeeze(jnp.where(c * k > s, jnp.where(lifted >= 1, pull, shared), jnp.nan))
+
+
+_PSI = Input("psi", "rad", np.pi / 4, at_least=0, below=np.pi / 2)
+_EPS = positive("eps", "", 0.4)
+_INPUTS = (_PSI, _EPS, positive("k", "", 1.1))
+_CONDITION = "k must be greater than tan(psi)"
+
+FORMULAS = (
+    Formula(
+        "corner_balanced",
+        "forces on a corner or pole (psi = 0), balanced scheme, at friction k",
+        "monograph",
+        ("2.1.1-2.1.6",),
+        corner_balanced,
+        _INPUTS,
+        {"k_zeta": "", "k_tau": "", "N_u": "P", "N_d": "P"},
+        condition=_CONDITION,
+    ),
+    Formula(
+        "corner_least_friction",
+        "least friction of the balanced scheme under a limit on the normal force",
+        "monograph",
+        ("2.1.7-2.1.8",),
+        corner_least_friction,
+        (_PSI, _EPS, positive("squeeze", "P", 3.16)),
+        {"k": "", "k_zeta": "", "k_tau": ""},
+    ),
+    Formula(
+        "corner_equalN",
+        "forces on a corner or pole with equal normal forces, at friction k",
+        "monograph",
+        ("L641-649",),
+        corner_equalN,
+        _INPUTS,
+        {"k_zeta": "", "k_tau_u": "", "k_tau_d": "", "N": "P"},
+        condition=_CONDITION,
+    ),
+    Formula(
+        "corner_min_squeeze",
+        "least squeeze of a corner or pole over all equilibria",
+        "monograph",
+        ("2.1.1-2.1.3",),
+        corner_min_squeeze,
+        _INPUTS,
+        {"Nhat": "P"},
+        correction="called optimal in 2.1, the balanced scheme squeezes more than this (3.16 P against 2.83 P)",
+        condition=_CONDITION,
+    ),
+)

@@ -1,0 +1,165 @@
+"""What the registry knows of a formula: its inputs, outputs, units, domain and source.
+
+A formula is one typed JAX function whose argument names are its inputs and whose result is a named tuple of its
+outputs. Such a function broadcasts and gives nan outside its domain, so it can be jitted, vmapped and differentiated;
+refusing bad input, in one line, is the business of `Formula.evaluate`.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from sweep.parameters import InputError, suggest
+
+type Scalar = Float[Array, "..."] | float
+
+
+class NoSolution(InputError):
+    """The inputs are each in their domain, but the formula has no solution for them together."""
+
+
+@dataclass(frozen=True)
+class Input:
+    """One input: a number, a vector of fixed size (its default tells which), or a choice among `options`."""
+
+    name: str
+    unit: str
+    default: Any
+    above: float = -math.inf
+    at_least: float = -math.inf
+    below: float = math.inf
+    at_most: float = math.inf
+    options: tuple[Any, ...] = ()
+
+    def checked(self, value: Any, path: str) -> Any:
+        """`value` as a float, an option or a list of floats; raises `InputError` naming `path.name`."""
+        path = f"{path}.{self.name}"
+        if self.options:
+            if isinstance(value, bool) or value not in self.options:
+                raise InputError(f"{path} = {value!r} is not allowed: one of {', '.join(map(str, self.options))}")
+            return self.options[self.options.index(value)]
+        if isinstance(self.default, tuple):
+            size = len(self.default)
+            if isinstance(value, str) or not isinstance(value, Sequence | np.ndarray) or len(value) != size:
+                raise InputError(f"{path} = {value!r} is not allowed: a list of {size} numbers")
+            return [self._number(element, f"{path}[{i}]") for i, element in enumerate(value)]
+        return self._number(value, path)
+
+    def _number(self, value: Any, path: str) -> float:
+        if isinstance(value, bool) or not isinstance(value, int | float | np.number):
+            raise InputError(f"{path} = {value!r} is not allowed: a number")
+        inside = self.above < value < self.below and self.at_least <= value <= self.at_most
+        if not (math.isfinite(value) and inside):
+            raise InputError(f"{path} = {value:g} is not allowed: {self.domain()}")
+        return float(value)
+
+    def domain(self) -> str:
+        """What is allowed, in words and with the unit."""
+        if self.options:
+            return f"one of {', '.join(map(str, self.options))}"
+        bounds = (
+            ("greater than", self.above),
+            ("at least", self.at_least),
+            ("less than", self.below),
+            ("at most", self.at_most),
+        )
+        words = " and ".join(f"{word} {bound:g}" for word, bound in bounds if math.isfinite(bound))
+        return f"{words or 'finite'}{f' {self.unit}' if self.unit else ''}"
+
+
+def positive(name: str, unit: str, default: float, below: float = math.inf) -> Input:
+    """An input that must be greater than zero: a length, a mass, a duration, …."""
+    return Input(name, unit, default, above=0, below=below)
+
+
+@dataclass(frozen=True)
+class Formula:
+    """A result of the sources, by name."""
+
+    name: str
+    what: str  # one line
+    source: str  # "monograph" or "thesis"
+    equations: tuple[str, ...]  # "2.1.4-2.1.6" is a range; "L1839" a line without a number
+    function: Callable[..., Any]
+    inputs: tuple[Input, ...]
+    outputs: Mapping[str, str]  # name -> unit
+    correction: str = ""  # what the printed formula gets wrong; empty where it is right
+    condition: str = ""  # what the inputs must satisfy together
+
+    @property
+    def corrected(self) -> bool:
+        """Whether this differs from the printed formula."""
+        return bool(self.correction)
+
+    @property
+    def reference(self) -> str:
+        """The source with its equation numbers."""
+        return f"{self.source} {', '.join(f'({equations})' for equations in self.equations)}"
+
+    @cached_property
+    def _jitted(self) -> Callable[..., Any]:
+        return jax.jit(self.function, static_argnames=[entry.name for entry in self.inputs if entry.options])
+
+    def covers(self, equation: str) -> bool:
+        """Whether this is where equation `equation` of its source is found."""
+        number = _order(equation)
+        for equations in self.equations:
+            first, _, last = equations.partition("-")
+            if _order(first) <= number <= _order(last or first) and len(number) == len(_order(first)):
+                return True
+        return False
+
+    def complete(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Every input checked, defaults filled in, by flat name (`prm.a`); raises `InputError`."""
+        flat = dict(_flatten(values))
+        names = [entry.name for entry in self.inputs]
+        for name in flat:
+            if name not in names:
+                raise InputError(f"{self.name}.{name} is unknown{suggest(name, names)}")
+        return {entry.name: entry.checked(flat.get(entry.name, entry.default), self.name) for entry in self.inputs}
+
+    def evaluate(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Outputs as plain numbers and lists, in double precision whatever JAX's default; raises `InputError`."""
+        with jax.enable_x64(True):
+            outputs = self.compute(values)
+        if not all(np.all(np.isfinite(value)) for value in outputs.values()):
+            given = ", ".join(f"{name} = {_short(value)}" for name, value in self.complete(values).items())
+            raise NoSolution(f"{self.name} has no solution for {given}: {self.condition or 'a result overflows'}")
+        return {name: value.tolist() for name, value in outputs.items()}
+
+    def compute(self, values: Mapping[str, Any]) -> dict[str, np.ndarray]:
+        """Outputs in JAX's default precision, nan where there is no solution; raises `InputError`."""
+        inputs = self.complete(values)
+        arguments: dict[str, Any] = {}
+        for entry in self.inputs:
+            group, _, name = entry.name.rpartition(".")
+            place = arguments.setdefault(group, {}) if group else arguments
+            place[name] = inputs[entry.name] if entry.options else jnp.asarray(inputs[entry.name])
+        return {name: np.asarray(value) for name, value in self._jitted(**arguments)._asdict().items()}
+
+
+def _flatten(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            yield from _flatten(value, f"{prefix}{name}.")
+        else:
+            yield prefix + str(name), value
+
+
+def _order(equation: str) -> tuple[int, ...]:
+    """(2, 1, 4) of "2.1.4"; empty for what is not a number, which covers nothing."""
+    parts = equation.split(".")
+    return tuple(map(int, parts)) if all(part.isdigit() for part in parts) else ()
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, list):
+        return f"[{', '.join(map(_short, value))}]"
+    return f"{value:g}" if isinstance(value, float) else str(value)

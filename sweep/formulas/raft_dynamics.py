@@ -1,0 +1,219 @@
+"""A raft moving on still water, and small motions about its rest: monograph 4.2.
+
+Position r of the centre (m; z up from the water plane), rotation R (body to world), velocity v (m/s, world), angular
+velocity w (rad/s, body). The state is these in a row, R by rows: 3 + 9 + 3 + 3 numbers. The kinematics are those of
+e3 fixed in space; (4.2.1) and (4.2.3) print every sign of them the other way round.
+"""
+
+from typing import Any, NamedTuple
+
+import diffrax
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from sweep.formulas.drag import raft_drag
+from sweep.formulas.formula import Formula, Input, Scalar, positive
+from sweep.formulas.raft_statics import SIZES, WATER, buoyancy
+
+
+class Raft(NamedTuple):
+    """Half sides a, b, d (m), weight of water gamma (N/m^3), waterline zeta0 over the centre at rest (m), drag.
+
+    P (N) is the whole weight, acting at `rs` (m, body axes); M (kg) and J (kg m^2, about the body's axes) move.
+    """
+
+    a: Scalar
+    b: Scalar
+    d: Scalar
+    gamma: Scalar
+    zeta0: Scalar
+    k_lin: Scalar
+    k_quad: Scalar
+    P: Scalar
+    M: Scalar
+    J: Float[Array, " 3"]
+    rs: Float[Array, " 3"]
+
+
+def wrench(
+    raft: Raft, z: Scalar, R: Float[Array, "3 3"], v: Float[Array, " 3"], w: Float[Array, " 3"]
+) -> tuple[Float[Array, " 3"], Float[Array, " 3"]]:
+    """Force (N, world axes) and moment about the centre (N m, body axes): buoyancy, drag and load, (4.2.1)."""
+    a3 = R[2]  # the vertical in body axes
+    water = buoyancy(a3, -z, raft.a, raft.b, raft.d, raft.gamma)
+    drag = raft_drag(R.T @ v, w, raft.a, raft.b, raft.d, raft.zeta0, raft.k_lin, raft.k_quad)
+    weight = -raft.P * a3
+    return R @ (water.F + drag.R + weight), water.M + drag.N + jnp.cross(raft.rs, weight)
+
+
+class Linear(NamedTuple):
+    """Rows: forces x, y, z (world), moments x, y, z (body). Columns: x, y, z, three small rotations, their rates."""
+
+    matrix: Float[Array, "6 12"]
+
+
+@jax.jit
+def raft_linear(raft: Raft) -> Linear:
+    """Forces and moments per small motion about the level raft at rest (SI): the coefficients of (4.2.7).
+
+    Differentiates `wrench`: friction of the bottom acts at the depth d, so that h14 = 4 k a b d and heave is not
+    damped in first order; the load turns with the raft.
+    """
+
+    def at(motion: Float[Array, " 12"]) -> Float[Array, " 6"]:
+        shift, turn, v, w = jnp.split(motion, 4)
+        return jnp.concatenate(wrench(raft, shift[2] - raft.zeta0, jnp.eye(3) + _cross(turn), v, w))
+
+    return Linear(jax.jacfwd(at)(jnp.zeros(12)))
+
+
+def _cross(vector: Float[Array, " 3"]) -> Float[Array, "3 3"]:
+    """Matrix of the cross product with `vector` from the left."""
+    return jnp.cross(vector, jnp.eye(3), axisb=0, axisc=0)
+
+
+class Modes(NamedTuple):
+    """Poles of the linear motion (1/s) and whether none of them grows."""
+
+    poles_re: Float[Array, " 12"]
+    poles_im: Float[Array, " 12"]
+    stable: Array
+
+
+def raft_modes(raft: Raft) -> Modes:
+    """Poles of the raft's small motions: the verdict of (4.2.10)-(4.2.15) by eigenvalues.
+
+    Place and heading have poles at 0 (neutral); heave swings undamped; roll and pitch die out if the raft is stable
+    and rubs on the water (k_lin > 0).
+    """
+    mass = jnp.concatenate([jnp.full(3, raft.M), jnp.asarray(raft.J)])
+    motion = jnp.concatenate([jnp.eye(6, 12, 6), raft_linear(raft).matrix / mass[:, None]])
+    poles = jnp.linalg.eigvals(motion)
+    # A double zero comes out as +-sqrt(round-off).
+    slack = 10 * jnp.sqrt(jnp.finfo(poles.real.dtype).eps) * jnp.abs(poles).max()
+    return Modes(poles.real, poles.imag, poles.real.max() < slack)
+
+
+class Motion(NamedTuple):
+    """The state at the end."""
+
+    state: Float[Array, " 18"]
+
+
+@jax.jit
+def raft_ode(raft: Raft, state0: Float[Array, " 18"], t_end: Scalar) -> Motion:
+    """State of the raft after t_end (s): (4.2.1)-(4.2.3) integrated. Nan if the integration does not get there."""
+    state0 = jnp.asarray(state0)
+    # Well above round-off, well below what the model is good for.
+    accuracy = float(jnp.finfo(state0.dtype).eps) ** (2 / 3)
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(lambda t, state, raft: rate(raft, state)),
+        diffrax.Dopri8(),
+        0.0,
+        t_end,
+        None,
+        state0,
+        raft,
+        stepsize_controller=diffrax.PIDController(rtol=accuracy, atol=accuracy),
+        max_steps=2**14,
+        throw=False,
+    )
+    assert solution.ys is not None  # the end is saved
+    return Motion(jnp.where(solution.result == diffrax.RESULTS.successful, solution.ys[-1], jnp.nan))
+
+
+def rate(raft: Raft, state: Float[Array, " 18"]) -> Float[Array, " 18"]:
+    """Time derivative of the state (4.2.1), (4.2.3)."""
+    r, R, v, w = _parts(state)
+    force, moment = wrench(raft, r[2], R, v, w)
+    spin = (moment - jnp.cross(w, raft.J * w)) / raft.J
+    return jnp.concatenate([v, (R @ _cross(w)).ravel(), force / raft.M, spin])
+
+
+def energy(raft: Raft, state: Float[Array, " 18"]) -> Float[Array, ""]:
+    """Kinetic energy plus that of the load's height and of the displaced water (J); drag alone takes from it."""
+    r, R, v, w = _parts(state)
+    a31, a32, a33 = R[2]
+    area, cut = 4 * raft.a * raft.b, -r[2] / a33
+    wet = (cut + raft.d) ** 2 + ((a31 * raft.a) ** 2 + (a32 * raft.b) ** 2) / (3 * a33**2)
+    moving = (raft.M * v @ v + w @ (raft.J * w)) / 2
+    return moving + raft.P * (r[2] + R[2] @ raft.rs) + raft.gamma * area * a33 * wet / 2
+
+
+def vertical_momentum(raft: Raft, state: Float[Array, " 18"]) -> Float[Array, ""]:
+    """Angular momentum about the vertical (N m s), kept without drag: (4.2.4), p q r for the misprinted rho."""
+    _, R, _, w = _parts(state)
+    return R[2] @ (raft.J * w)
+
+
+def _parts(state: Float[Array, " 18"]) -> tuple[Array, Array, Array, Array]:
+    return state[:3], state[3:12].reshape(3, 3), state[12:15], state[15:]
+
+
+def _raft_inputs(prefix: str = "") -> tuple[Input, ...]:
+    inputs: tuple[Input, ...] = (
+        *SIZES,
+        WATER,
+        Input("zeta0", "m", -0.005),
+        Input("k_lin", "N*s/m^3", 20.0, at_least=0),
+        Input("k_quad", "N*s^2/m^4", 500.0, at_least=0),
+        positive("P", "N", 6489.3),
+        positive("M", "kg", 661.5),
+        Input("J", "kg*m^2", (245.5, 549.4, 790.1)),
+        Input("rs", "m", (0.0, 0.0, 0.03)),
+    )
+    return tuple(Input(**{**vars(entry), "name": prefix + entry.name}) for entry in inputs)
+
+
+def _named_linear(**raft: Any) -> Linear:
+    return raft_linear(Raft(**raft))
+
+
+def _named_modes(**raft: Any) -> Modes:
+    return raft_modes(Raft(**raft))
+
+
+def _named_ode(prm: dict[str, Any], state0: Array, t_end: Array) -> Motion:
+    return raft_ode(Raft(**prm), state0, t_end)
+
+
+_LEVEL = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+
+FORMULAS = (
+    Formula(
+        "raft_linear",
+        "forces and moments per small motion of a raft",
+        "monograph",
+        ("4.2.7-4.2.11", "4.2.20-4.2.21"),
+        _named_linear,
+        _raft_inputs(),
+        {"matrix": "SI"},
+        correction="h14 = b15 = 4 k a b d, b14 = 4 k a b d^2, h34 = 0; b31 = -M_y0, b32 = M_x0; 12 (zeta^2 - d^2)",
+    ),
+    Formula(
+        "raft_modes",
+        "poles of a raft's small motions, and whether any grows",
+        "monograph",
+        ("4.1.27", "4.2.12-4.2.15"),
+        _named_modes,
+        _raft_inputs(),
+        {"poles_re": "1/s", "poles_im": "1/s", "stable": ""},
+        correction="coefficients of (4.2.8); indices and the factor P in (4.1.27)",
+    ),
+    Formula(
+        "raft_ode",
+        "motion of a raft: state (r, R by rows, v, w) after some time",
+        "monograph",
+        ("4.2.1-4.2.6",),
+        _named_ode,
+        (
+            *_raft_inputs("prm."),
+            Input("state0", "SI", (0.0, 0.0, 0.0, *_LEVEL, 0.2, 0.0, 0.0, 0.0, 0.0, 0.05)),
+            positive("t_end", "s", 1.5),
+        ),
+        {"state": "SI"},
+        correction="every sign of the kinematics of (4.2.1), (4.2.3); 2 (zeta^2 - d^2) in (4.2.2)",
+        condition="the motion must stay in the range of the model (no capsizing) and t_end be reasonable",
+    ),
+)

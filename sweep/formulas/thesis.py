@@ -1,0 +1,188 @@
+"""The leg of the thesis: kinematics by Denavit-Hartenberg, workspace, largest step.
+
+Angles phi (about the vertical), psi (thigh above the horizontal), gam (shin against the thigh, negative with the knee
+up), rad; links l1, l2, l3 in any one unit of length. The kinematics are in the frame of (9)-(11), x outward for
+phi = 0; workspace and step in the leg's frame, where the mount makes +y outward: x = -rho sin phi, y = rho cos phi.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from sweep.formulas.formula import Formula, Input, Scalar, positive
+
+_WIDEST = 2 * np.pi / 3  # what the hexagon leaves to a leg
+
+
+class ThesisFk(NamedTuple):
+    """Foot, its derivatives by (phi, psi, gam), and their determinant."""
+
+    foot: Float[Array, "... 3"]
+    J: Float[Array, "... 3 3"]
+    det: Float[Array, "..."]
+
+
+def thesis_fk(phi: Scalar, psi: Scalar, gam: Scalar, l1: Scalar, l2: Scalar, l3: Scalar) -> ThesisFk:
+    """Foot, Jacobian and determinant of a leg: thesis (9)-(14)."""
+    phi, psi, gam, l1, l2, l3 = jnp.broadcast_arrays(*map(jnp.asarray, (phi, psi, gam, l1, l2, l3)))
+    c, s = jnp.cos(phi), jnp.sin(phi)
+    shin = l3 * jnp.cos(psi + gam), l3 * jnp.sin(psi + gam)
+    leg = l2 * jnp.cos(psi) + shin[0], l2 * jnp.sin(psi) + shin[1]
+    reach = l1 + leg[0]
+    foot = jnp.stack([reach * c, reach * s, leg[1]], axis=-1)
+    columns = [
+        jnp.stack([-reach * s, reach * c, jnp.zeros_like(reach)], axis=-1),
+        jnp.stack([-leg[1] * c, -leg[1] * s, leg[0]], axis=-1),
+        jnp.stack([-shin[1] * c, -shin[1] * s, shin[0]], axis=-1),
+    ]
+    return ThesisFk(foot, jnp.stack(columns, axis=-1), -l2 * l3 * reach * jnp.sin(gam))
+
+
+def thesis_ik(foot: Float[Array, "... 3"], l1: Scalar, l2: Scalar, l3: Scalar) -> Float[Array, "... 3"]:
+    """Angles (phi, psi, gam) of a foot, knee up, in closed form; nan out of reach."""
+    x, y, z = jnp.moveaxis(foot, -1, 0)
+    ahead = jnp.hypot(x, y) - l1
+    gam = -jnp.arccos((ahead**2 + z**2 - l2**2 - l3**2) / (2 * l2 * l3))
+    psi = jnp.arctan2(z, ahead) - jnp.arctan2(l3 * jnp.sin(gam), l2 + l3 * jnp.cos(gam))
+    return jnp.stack([jnp.arctan2(y, x), psi, gam], axis=-1)
+
+
+def thesis_ik_euler(
+    start: Float[Array, " 3"], path: Float[Array, "n 3"], l1: Scalar, l2: Scalar, l3: Scalar
+) -> Float[Array, "n 3"]:
+    """Angles along a path of feet by Euler steps with the inverse Jacobian, from the angles of its first: thesis (13).
+
+    The error grows with the length of a step; `thesis_ik` has none.
+    """
+
+    def step(angles: Array, move: Array) -> tuple[Array, Array]:
+        phi, psi, gam = angles
+        angles = angles + jnp.linalg.solve(thesis_fk(phi, psi, gam, l1, l2, l3).J, move)
+        return angles, angles
+
+    start = jnp.asarray(start)
+    return jnp.concatenate([start[None], jax.lax.scan(step, start, jnp.diff(path, axis=0))[1]])
+
+
+class Workspace(NamedTuple):
+    """Inner and outer radius from the mount, half angle of the sector (rad)."""
+
+    OA: Float[Array, "..."]
+    OB: Float[Array, "..."]
+    phimax: Float[Array, "..."]
+
+
+def thesis_workspace(z: Scalar, l1: Scalar, l2: Scalar, l3: Scalar, R: Scalar) -> Workspace:
+    """Where a foot may stand at height z: thesis (19), (20) and the half angle before them; R between the mounts.
+
+    Nan if z is out of reach or l3 <= l2, for which the section has another shape.
+    """
+    z, l1, l2, l3, R = jnp.broadcast_arrays(*map(jnp.asarray, (z, l1, l2, l3, R)))
+    reach = jnp.where((jnp.abs(z) <= l2 + l3) & (l3 > l2), l2 + l3, jnp.nan)
+    folded = jnp.where((l2 - l3 <= z) & (z < 0), _leg_of_triangle(l3 - l2, z), 0.0)
+    raised = jnp.where((z >= 0) & (z**2 < l3**2 - l2**2), _leg_of_triangle(l3, z) - l2, 0.0)
+    span = 2 * (l1 + reach)
+    meets = span > R
+    overlap = jnp.where(meets, jnp.arccos(jnp.where(meets, R / span, 0.0)), 0.0)
+    return Workspace(l1 + folded + raised + 0 * reach, l1 + _leg_of_triangle(reach, z), _WIDEST - overlap)
+
+
+def _leg_of_triangle(hypotenuse: Array, other: Array) -> Array:
+    """sqrt(hypotenuse^2 - other^2), 0 where that is negative."""
+    square = (hypotenuse - other) * (hypotenuse + other)
+    return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), square * 0)
+
+
+class Step(NamedTuple):
+    """Longest moves of a foot."""
+
+    support: Float[Array, "..."]
+    transfer: Float[Array, "..."]
+
+
+def thesis_step(r0: Float[Array, "... 2"], p: Float[Array, "... 2"], OA: Scalar, OB: Scalar, phimax: Scalar) -> Step:
+    """Longest move from r0 along p in the sector OA <= r <= OB, at most phimax from +y: thesis 2.3.
+
+    `support` keeps the whole segment inside, `transfer` only its end: it may fly over the inner circle. Both are the
+    distance to a border that the line leaves the sector by, the first or the last one. Nan if r0 is outside.
+    """
+    r0, p = jnp.asarray(r0), jnp.asarray(p)
+    p = p / jnp.linalg.norm(p, axis=-1, keepdims=True)
+    nearest = -_dot(r0, p)  # how far along p the line is closest to the origin
+    passing = jnp.abs(r0[..., 0] * p[..., 1] - r0[..., 1] * p[..., 0])
+
+    def inside_sector(length: Array) -> Array:
+        x, y = jnp.moveaxis(r0 + length[..., None] * p, -1, 0)
+        return jnp.abs(jnp.arctan2(x, y)) <= phimax
+
+    outer = nearest + _leg_of_triangle(jnp.asarray(OB), passing)
+    inner = nearest - _leg_of_triangle(jnp.asarray(OA), passing)
+    exits = [
+        (outer, inside_sector(outer)),
+        (inner, (nearest > 0) & (passing < OA) & inside_sector(inner)),
+    ]
+    for side in (1, -1):
+        edge = jnp.stack(jnp.broadcast_arrays(side * jnp.sin(phimax), jnp.cos(phimax)), axis=-1)
+        outward = jnp.stack([side * edge[..., 1], -side * edge[..., 0]], axis=-1)
+        leaving = _dot(p, outward) > 0
+        length = jnp.where(leaving, -_dot(r0, outward) / jnp.where(leaving, _dot(p, outward), 1.0), 0.0)
+        along = _dot(r0 + length[..., None] * p, edge)
+        exits.append((length, leaving & (along >= OA) & (along <= OB)))
+    radius, angle = jnp.linalg.norm(r0, axis=-1), jnp.arctan2(r0[..., 0], r0[..., 1])
+    started = (radius >= OA) & (radius <= OB) & (jnp.abs(angle) <= phimax)
+    lengths = jnp.stack(jnp.broadcast_arrays(*(length for length, _ in exits)), axis=-1)
+    valid = jnp.stack(jnp.broadcast_arrays(*(valid for _, valid in exits)), axis=-1)
+    first = jnp.where(valid, lengths, jnp.inf).min(-1)
+    last = jnp.where(valid, lengths, -jnp.inf).max(-1)
+    return Step(jnp.where(started, first, jnp.nan), jnp.where(started, last, jnp.nan))
+
+
+def _dot(u: Array, v: Array) -> Array:
+    return (u * v).sum(-1)
+
+
+_LINKS = (positive("l1", "", 1.0), positive("l2", "", 1.0), positive("l3", "", 2.0))
+
+FORMULAS = (
+    Formula(
+        "thesis_fk",
+        "foot, Jacobian and determinant of the thesis' leg",
+        "thesis",
+        ("1-14",),
+        thesis_fk,
+        (Input("phi", "rad", 0.0), Input("psi", "rad", np.pi / 4), Input("gam", "rad", -3 * np.pi / 4), *_LINKS),
+        {"foot": "length", "J": "length/rad", "det": "length^3"},
+        correction="(14) has the wrong sign",
+    ),
+    Formula(
+        "thesis_workspace",
+        "inner and outer radius and half angle of a leg's workspace at a height",
+        "thesis",
+        ("19-20", "L198"),
+        thesis_workspace,
+        (Input("z", "", -1.2928932188134525), *_LINKS, positive("R", "", 2.0)),
+        {"OA": "length", "OB": "length", "phimax": "rad"},
+        correction="(19), third piece: valid up to z = sqrt(l3^2 - l2^2), not l3",
+        condition="z must be within l2 + l3, and l3 greater than l2",
+    ),
+    Formula(
+        "thesis_step",
+        "largest step of a foot, in support and in transfer",
+        "thesis",
+        ("18", "21", "L283-339"),
+        thesis_step,
+        (
+            Input("r0", "length", (0.0, 1.7071067811865475)),
+            Input("p", "", (1.0, 0.0)),
+            positive("OA", "length", 1.0),
+            positive("OB", "length", 3.7071067811865475),
+            positive("phimax", "rad", 0.7762790307403773, below=np.pi),
+        ),
+        {"support": "length", "transfer": "length"},
+        correction="L317, L331: sign, and both edges of the sector; L333, L339: root; (21): cos > cos(phi_max)",
+        condition="r0 must lie in the sector, and p not be zero",
+    ),
+)
