@@ -49,14 +49,16 @@ class Forces(NamedTuple):
     loaded: Bool[Array, " n"]
 
 
-def _to_world(place: Array, body: Array, bodies: Bodies) -> Array:
+def to_world(place: Array, body: Array, bodies: Bodies) -> Array:
+    """Points (n, 3) from the axes of the free body that each belongs to (-1: the world) to world axes."""
     for k in range(bodies.position.shape[0]):
         moved = place @ bodies.rotation[k].T + bodies.position[k]
         place = jnp.where((body == k)[:, None], moved, place)
     return place
 
 
-def _to_body(place: Array, body: Array, bodies: Bodies) -> Array:
+def to_body(place: Array, body: Array, bodies: Bodies) -> Array:
+    """The inverse of `to_world`."""
     for k in range(bodies.position.shape[0]):
         moved = (place - bodies.position[k]) @ bodies.rotation[k]
         place = jnp.where((body == k)[:, None], moved, place)
@@ -72,7 +74,7 @@ def approach(
     """
     held = anchors.loaded & (anchors.face == surface.face)
     fresh = point + surface.depth[:, None] * surface.normal
-    place = jnp.where(held[:, None], _to_world(anchors.place, surface.body, bodies), fresh)
+    place = jnp.where(held[:, None], to_world(anchors.place, surface.body, bodies), fresh)
     gap = place - point
     stretch = gap - jnp.sum(gap * surface.normal, axis=-1, keepdims=True) * surface.normal
     return Geometry(surface.depth, surface.normal, stretch, contact.friction * surface.grip), place
@@ -121,4 +123,4 @@ def settle(
     landed = point + h * velocity + (surface.depth - h * v_normal)[:, None] * surface.normal
     dragged = landed + forces.tangential / contact.stiffness
     place = jnp.where(forces.slipping[:, None], dragged, place)
-    return Anchors(_to_body(place, surface.body, bodies), forces.loaded, surface.face)
+    return Anchors(to_body(place, surface.body, bodies), forces.loaded, surface.face)

@@ -34,6 +34,7 @@ class Topology:
     free: tuple[int, ...]  # body ids of the free bodies
     points: np.ndarray  # (n,) site ids of the contact points
     owner: tuple[int, ...]  # (n,) free body that carries the point, -1 for the robot's feet
+    links_per_leg: int
 
     @property
     def n_q(self) -> int:
@@ -55,7 +56,8 @@ class Smooth(NamedTuple):
     bodies: Bodies
     j_body: Float[Array, "k n 3 6"]  # velocity of the body's material under each point
     potential: Float[Array, ""]  # J
-    links: Float[Array, "l 3"]  # m, world position of every link's frame
+    links: Float[Array, "l 3"]  # m, world position of every link's frame, leg by leg
+    centre_of_mass: Float[Array, " 3"]  # m, of the robot
 
 
 def topology(case: Case) -> Topology:
@@ -70,7 +72,8 @@ def topology(case: Case) -> Topology:
     feet = [names["site"][f"foot{leg}"] for leg in scene.LEGS]
     extra = [names["site"][name] for name, _ in case.obstacle.contact_sites]
     owner = (-1,) * N_LEGS + tuple(body for _, body in case.obstacle.contact_sites)
-    return Topology(mjx.put_model(model), names, root, joints.reshape(6, 3), free, np.array(feet + extra), owner)
+    return Topology(mjx.put_model(model), names, root, joints.reshape(6, 3), free, np.array(feet + extra), owner,
+                    len(scene.links(case.robot)))  # fmt: skip
 
 
 def with_leaves(top: Topology, case: Case) -> mjx.Model:
@@ -112,7 +115,7 @@ def smooth_dynamics(top: Topology, model: mjx.Model, data: mjx.Data, q: Array, v
     bodies = Bodies(d.xpos[np.array(top.free, int)], d.xmat[np.array(top.free, int)])
     potential = scene.GRAVITY * jnp.sum(model.body_mass * d.xipos[:, 2])
     return Smooth(m_root, m_cross, m_leg, d.qfrc_bias[top.root], d.qfrc_bias[top.leg], point, j_root, j_leg, bodies,
-                  j_body, potential, d.xpos[2:])  # fmt: skip
+                  j_body, potential, d.xpos[2:], com[1])  # fmt: skip
 
 
 def _root_blocks(cdof: Array, wrench: Array, cross: Array, top: Topology, r: int) -> tuple[Array, Array]:

@@ -34,7 +34,7 @@ class StepReport(NamedTuple):
     """What happened in one step."""
 
     forces: Forces
-    slip: Float[Array, " n"]  # m, travelled by slipping points
+    normal: Float[Array, "n 3"]  # of the surfaces
     torque: Float[Array, "6 3"]  # N m, at the joints
     saturated: Float[Array, "6 3"]  # 1 where the drive was at its limit
     residual: Float[Array, ""]  # N, of the root's linear momentum balance and the legs' over a metre
@@ -87,16 +87,13 @@ def step(
     v_new = jnp.zeros_like(state.v).at[top.root].set(w.root).at[top.leg].set(w.leg)
     q_new = _integrate(top, state.q, v_new, h)
     left = problem.residual(w)
-    sliding = jnp.linalg.norm(
-        velocity - jnp.sum(velocity * surface.normal, -1, keepdims=True) * surface.normal, axis=-1
-    )
     mass_v = arrowhead.times(
         Arrowhead(smooth.m_root, smooth.m_cross, jnp.swapaxes(smooth.m_cross, 1, 2), smooth.m_leg), v
     )
     torque = torque - case.drive.back_emf * w.leg
     report = StepReport(
         forces=forces,
-        slip=h * jnp.where(forces.slipping, sliding, 0.0),
+        normal=surface.normal,
         torque=torque,
         saturated=1.0 - free,
         residual=jnp.maximum(jnp.max(jnp.abs(left.root)), jnp.max(jnp.abs(left.leg))) / h,

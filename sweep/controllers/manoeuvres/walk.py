@@ -27,7 +27,7 @@ class Walk:
     height_ratio: float = quantity(0.5, "a_r", above=0, at_most=2)  # d, hips above the ground
     spread_ratio: float = quantity(0.16, "a_r", at_least=0, at_most=2)  # feet out from the hips
     rate: float = quantity(3.0, "rad/s", above=0, at_most=20)  # varpi
-    deepening: float = quantity(0.0, "m", at_least=0, at_most=0.05)  # epsilon, footholds below the ground
+    deepening: float = quantity(2e-3, "m", at_least=0, at_most=0.05)  # epsilon, footholds below the ground
     patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
 
     def plan(self, belief: Case) -> Plan:
@@ -41,7 +41,7 @@ class Walk:
         offsets = centre_offsets(gait, step)
         start = start._replace(feet=start.feet + jnp.stack([offsets[leg] * forward for leg in range(1, 7)]))
         swings = regular_steps(gait, step, start, centres, forward, self.steps, self.deepening)
-        plan = assemble(start, [Stage("stand", STAND), *swings, Stage("halt", STAND)], self.patience)
+        plan = assemble(start, [Stage("stand", STAND), *swings, Stage("halt", 2 * STAND)], self.patience)
         return on_ground(plan, belief)
 
 

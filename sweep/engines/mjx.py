@@ -1,0 +1,190 @@
+"""The primary engine: controller, physics and metrics fused in one scan, vmapped over the batch; CPU and GPU alike."""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+from mujoco import mjx
+
+from sweep.case import Case
+from sweep.controllers.plan import Plan
+from sweep.engines import batching
+from sweep.engines.base import Figures, Trace
+from sweep.engines.pilot import GRACE, Pilot, decide, embark, is_quiet, measure, start_pose
+from sweep.engines.settings import EngineSettings
+from sweep.metrics import stream
+from sweep.metrics.outcome import Thresholds
+from sweep.metrics.stream import Tick
+from sweep.models import dynamics, scene
+from sweep.models.step import State, StepReport, rest, step
+
+CHUNK = 1.0  # s of simulated time between two looks of the host
+N_LEGS = 6
+
+
+class Carry(NamedTuple):
+    """One rollout between two control ticks."""
+
+    state: State
+    pilot: Pilot
+
+
+class Totals(NamedTuple):
+    """Sums and peaks over the physics steps of a tick."""
+
+    torque_peak: Array
+    saturated: Array
+    force: Array
+    normal: Array
+    residual: Array
+    work: Array
+    effort: Array
+
+
+class Mjx:
+    """MJX's smooth dynamics with the implicit contact step."""
+
+    def __init__(self, settings: EngineSettings, world: Case, belief: Case, limits: Thresholds | None = None):
+        batching.configure(settings)
+        self.settings = settings
+        self.limits = limits or Thresholds()
+        self.substeps = batching.substeps(settings)
+        self.width = settings.width or batching.default_width()
+        with batching.precision(settings):
+            self.topology = dynamics.topology(world)
+            self._data = mjx.make_data(self.topology.model)
+            plan = jax.eval_shape(belief.manoeuvre.plan, belief)
+            self.stages = plan.names
+            self.duration = float(GRACE * np.sum(belief.manoeuvre.plan(belief).duration))
+        self._compiled: dict[Any, tuple[Callable, Callable, Callable]] = {}
+
+    def run(self, world: Case, belief: Case, streams: np.ndarray) -> Figures:
+        """Figures of `width` rollouts; stops early when every rollout is over."""
+        with batching.precision(self.settings):
+            (world, belief, keys), start, chunk, finish = self._prepare(world, belief, streams)
+            plans, carry = start(world, belief, keys)
+            for tick in range(0, self._ticks(plans), self._chunk_ticks):
+                carry, _ = chunk(world, belief, plans, carry, tick)
+                if bool(jnp.all(carry.pilot.running.over)):
+                    break
+            return {name: np.asarray(values) for name, values in finish(plans, carry).items()}
+
+    def trace(self, world: Case, belief: Case, streams: np.ndarray, slot: int) -> Trace:
+        """The rollout in `slot`, simulated in its batch so that its numbers are those of `run`."""
+        with batching.precision(self.settings):
+            one = batching.pick(world, slot)
+            (world, belief, keys), start, chunk, finish = self._prepare(world, belief, streams)
+            plans, carry = start(world, belief, keys)
+            records = []
+            for tick in range(0, self._ticks(plans), self._chunk_ticks):
+                carry, record = chunk(world, belief, plans, carry, tick, slot)
+                records.append(jax.tree.map(np.asarray, record))
+                if bool(carry.pilot.running.over[slot]):
+                    break
+            figures = {name: np.asarray(values)[slot] for name, values in finish(plans, carry).items()}
+        record = jax.tree.map(lambda *parts: np.concatenate(parts), *records)
+        return batching.to_trace(scene.compile_model(one), record, self.settings.control_period, self.stages, figures)
+
+    @property
+    def _chunk_ticks(self) -> int:
+        return max(1, round(CHUNK / self.settings.control_period))
+
+    def _ticks(self, plans: Plan) -> int:
+        """Ticks of the longest rollout of the batch."""
+        longest = float(jnp.max(jnp.sum(plans.duration, axis=-1)))
+        return int(np.ceil(GRACE * longest / self.settings.control_period))
+
+    def _prepare(self, world: Case, belief: Case, streams: np.ndarray) -> tuple:
+        """Arguments as arrays of the right type, and the compiled functions for their batch axes."""
+        batching.check(streams, self.width)
+        quiet = is_quiet(world.noise)
+        structure = jax.tree.structure((world, belief))
+        axes = batching.axes((world, belief))
+        cache_key = (structure, tuple(jax.tree.leaves(axes, is_leaf=lambda x: x is None)), quiet)
+        if cache_key not in self._compiled:
+            self._compiled[cache_key] = self._compile(axes, quiet)
+        world, belief = batching.as_arrays((world, belief))
+        return (world, belief, batching.keys(streams)), *self._compiled[cache_key]
+
+    def _compile(self, axes: tuple[Case, Case], quiet: bool) -> tuple[Callable, Callable, Callable]:
+        """`start`, `chunk` and `finish` over a batch whose parameters vary along `axes`."""
+        world_axes, belief_axes = axes
+        start = jax.jit(jax.vmap(self._start, in_axes=(world_axes, belief_axes, 0)))
+        tick = jax.vmap(partial(self._tick, quiet=quiet), in_axes=(world_axes, belief_axes, 0, 0, None))
+
+        @partial(jax.jit, donate_argnums=3)
+        def chunk(world: Case, belief: Case, plans: Plan, carry: Carry, first: Array, slot: Array | None = None) -> Any:
+            def body(carry: Carry, k: Array) -> tuple[Carry, Any]:
+                carry, record = tick(world, belief, plans, carry, k)
+                return carry, None if slot is None else jax.tree.map(lambda x: x[slot], record)
+
+            return jax.lax.scan(body, carry, first + jnp.arange(self._chunk_ticks))
+
+        return start, chunk, jax.jit(jax.vmap(self._finish))
+
+    def _start(self, world: Case, belief: Case, key: Array) -> tuple[Plan, Carry]:
+        plan = belief.manoeuvre.plan(belief)
+        pose, joints = start_pose(world, belief, plan)
+        model = dynamics.with_leaves(self.topology, world)
+        qpos = jnp.asarray(model.qpos0).at[:7].set(pose).at[1 + self.topology.leg].set(joints)
+        state = rest(self.topology, qpos)
+        energy = dynamics.smooth_dynamics(self.topology, model, self._data, state.q, state.v).potential
+        return plan, Carry(state, embark(world, belief, plan, pose, joints, energy, key))
+
+    def _finish(self, plan: Plan, carry: Carry) -> dict[str, Array]:
+        return stream.figures(plan, carry.pilot.running, carry.pilot.tracker.stage)
+
+    def _tick(
+        self, world: Case, belief: Case, plan: Plan, carry: Carry, tick: Array, quiet: bool
+    ) -> tuple[Carry, dict[str, Array]]:
+        period = self.settings.control_period
+        old = carry.pilot.reference
+        pilot, command = decide(world, belief, plan, carry.pilot, tick, period, quiet)
+        state, totals, last = self._physics(world, carry.state, old, pilot.reference, tick)
+        summary = self._summary(state, totals, last)
+        pilot = measure(world, plan, self.limits, pilot, command, summary, period)
+        record = batching.record(command, pilot.tracker, summary, state.q)
+        return Carry(state, pilot), record
+
+    def _physics(
+        self, world: Case, state: State, old: Array, new: Array, tick: Array
+    ) -> tuple[State, Totals, StepReport]:
+        """The physics steps of one tick, the drives' reference going linearly from `old` to `new`."""
+        n, h = self.substeps, self.settings.time_step
+        model = dynamics.with_leaves(self.topology, world)
+
+        def substep(state: State, k: Array) -> tuple[State, tuple[Totals, StepReport]]:
+            reference = old + (k + 1) / n * (new - old)
+            limits = batching.execution_limits(world, (tick * n + k) * h)
+            state, report = step(self.topology, model, self._data, world, limits, state, reference, h,
+                                 self.settings.iterations)  # fmt: skip
+            power = jnp.sum(report.power) + limits.push @ state.v[:3]
+            totals = Totals(
+                jnp.abs(report.torque), report.saturated, report.forces.force[:N_LEGS], report.forces.normal[:N_LEGS],
+                report.residual, h * power, h * jnp.sum(jnp.maximum(report.power, 0.0)),
+            )  # fmt: skip
+            return state, (totals, report)
+
+        state, (each, reports) = jax.lax.scan(substep, state, jnp.arange(n))
+        peak, mean, total = partial(jnp.max, axis=0), partial(jnp.mean, axis=0), partial(jnp.sum, axis=0)
+        totals = Totals(peak(each.torque_peak), mean(each.saturated), mean(each.force), mean(each.normal),
+                        peak(each.residual), total(each.work), total(each.effort))  # fmt: skip
+        return state, totals, jax.tree.map(lambda x: x[-1], reports)
+
+    def _summary(self, state: State, totals: Totals, last: StepReport) -> Tick:
+        """Positions and energy are those at the start of the last physics step, 2 ms back: no kinematics twice."""
+        smooth = last.smooth
+        links = smooth.links[: 6 * self.topology.links_per_leg].reshape(6, self.topology.links_per_leg, 3)
+        feet = smooth.point[:N_LEGS]
+        along = totals.force - totals.normal[:, None] * last.normal[:N_LEGS]
+        return Tick(
+            torque_peak=totals.torque_peak, saturated=totals.saturated, force=totals.force, normal=totals.normal,
+            tangential=jnp.linalg.norm(along, axis=-1), loaded=last.forces.normal[:N_LEGS] > 1.0,
+            residual=totals.residual, work=totals.work, effort=totals.effort, energy=last.kinetic + smooth.potential,
+            position=state.q[:3], quat=state.q[3:7], velocity=state.v[:3], centre_of_mass=smooth.centre_of_mass,
+            joints=jnp.concatenate([links, feet[:, None]], axis=1), bodies=smooth.bodies,
+        )  # fmt: skip

@@ -1,0 +1,87 @@
+"""What both engines do once a control tick: observe, command, measure. Pure functions of one rollout."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from sweep.case import Case
+from sweep.controllers import tracker
+from sweep.controllers.observation import Noise, Observation, Sensors, install, observe
+from sweep.controllers.plan import Plan
+from sweep.controllers.tracker import Command, TrackerState, joint_targets
+from sweep.formulas.leg import SIDE, fk
+from sweep.maths import exponential, rotate
+from sweep.metrics import stream
+from sweep.metrics.outcome import Thresholds
+from sweep.metrics.stream import Running, Tick
+from sweep.models.obstacles.surface import Bodies
+from sweep.models.scene import mount_yaw, mounts
+
+GRACE = 1.2  # a rollout is over at this multiple of its planned duration, finished or not
+
+
+class Pilot(NamedTuple):
+    """Controller, sensors and figures of one rollout."""
+
+    tracker: TrackerState
+    sensors: Sensors
+    running: Running
+    seen: Observation  # the truth at the end of the last tick
+    reference: Float[Array, "6 3"]  # rad, what the drives were told last
+    key: Array
+
+
+def is_quiet(noise: Noise) -> bool:
+    """Whether measurement is exact, so that no random number need be drawn. Plain or batched parameters."""
+    return noise.delay_buffer == 0 and all(isinstance(x, float) and x == 0 for x in jax.tree.leaves(noise))
+
+
+def start_pose(world: Case, belief: Case, plan: Plan) -> tuple[Float[Array, " 7"], Float[Array, "6 3"]]:
+    """Base pose and joint angles at the start.
+
+    The robot stands with the joint angles that it believes right, lowered along the ground's normal (or raised) until
+    its lowest foot touches.
+    """
+    joints, _ = joint_targets(belief.robot, plan.start)
+    robot = world.robot
+    yaw = jnp.zeros((6, 3)).at[:, 2].set(mount_yaw(robot))
+    feet = mounts(robot) + rotate(exponential(yaw), fk(SIDE, joints, robot.coxa, robot.thigh, robot.shin))
+    feet = plan.start.position + rotate(plan.start.quat[None], feet)
+    nowhere = Bodies(jnp.zeros((0, 3)), jnp.zeros((0, 3, 3)))
+    ground = world.obstacle.surface(feet, (-1,) * 6, nowhere)
+    lowest = jnp.argmax(ground.depth)
+    position = plan.start.position + ground.depth[lowest] * ground.normal[lowest]
+    return jnp.concatenate([position, plan.start.quat]), joints
+
+
+def embark(world: Case, belief: Case, plan: Plan, pose: Array, joints: Array, energy: Array, key: Array) -> Pilot:
+    """Before the first tick, standing still at `pose`."""
+    truth = Observation(pose[:3], pose[3:7], jnp.zeros(3, pose.dtype), jnp.zeros((6, 3), pose.dtype), jnp.ones(6, bool))
+    bias_key, key = jax.random.split(key)
+    sensors = install(world.noise, bias_key, truth)
+    running = stream.begin(plan, pose[:3], energy)
+    return Pilot(tracker.init(belief.robot, plan), sensors, running, truth, joints, key)
+
+
+def decide(
+    world: Case, belief: Case, plan: Plan, pilot: Pilot, tick: Array, period: float, quiet: bool
+) -> tuple[Pilot, Command]:
+    """The controller's part of a tick; the drives then go linearly from the old reference to the new one."""
+    sensors, seen = pilot.sensors, pilot.seen
+    if not quiet:
+        sensors, seen = observe(world.noise, sensors, seen, jax.random.fold_in(pilot.key, tick))
+    state, command = tracker.step(belief.robot, plan, pilot.tracker, seen, period)
+    return pilot._replace(tracker=state, sensors=sensors, reference=command.joints - seen.joint_error), command
+
+
+def measure(
+    world: Case, plan: Plan, limits: Thresholds, pilot: Pilot, command: Command, tick: Tick, period: float
+) -> Pilot:
+    """The metrics' part of a tick. A rollout that has finished, or had its time, is over."""
+    running = stream.update(world, plan, limits, pilot.tracker, command, pilot.running, tick, period)
+    late = running.time >= GRACE * jnp.sum(plan.duration)
+    running = running._replace(over=running.over | pilot.tracker.finished | late)
+    truth = Observation(tick.position, tick.quat, tick.velocity, jnp.zeros_like(command.joints), tick.loaded)
+    return pilot._replace(running=running, seen=truth)

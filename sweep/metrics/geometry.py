@@ -1,0 +1,74 @@
+"""Geometry that the metrics need: support polygon, links as segments. World axes, metres."""
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+PAIRS = ((1, 3), (3, 5), (2, 4), (4, 6), (1, 2), (3, 4), (5, 6))  # legs that can reach each other
+
+
+def support_margin(feet: Float[Array, "n 2"], standing: Bool[Array, " n"], point: Float[Array, " 2"]) -> Array:
+    """Signed distance of `point` to the border lines of the convex hull of the standing feet, positive inside.
+
+    An ordered pair of feet is a border when every other standing foot lies to its left. Fewer than three standing
+    feet, or feet on one line, support nothing: the margin is then minus the distance to the nearest border line.
+    """
+    edge = feet[None, :] - feet[:, None]  # from i to j
+    length = jnp.sqrt(jnp.sum(edge**2, axis=-1) + 1e-12)
+
+    def left_of(p: Array) -> Array:
+        offset = p - feet
+        return (edge[..., 0] * offset[:, None, 1] - edge[..., 1] * offset[:, None, 0]) / length
+
+    sides = jnp.stack([left_of(foot) for foot in feet], axis=-1)  # (i, j, foot)
+    pair = standing[:, None] & standing[None, :] & ~np.eye(feet.shape[0], dtype=bool)
+    border = pair & jnp.all((sides > -1e-6) | ~standing, axis=-1)
+    return jnp.min(jnp.where(border, left_of(point), jnp.inf))
+
+
+def segment_distance(
+    p: Float[Array, "*b 3"], p_end: Float[Array, "*b 3"], q: Float[Array, "*b 3"], q_end: Float[Array, "*b 3"]
+) -> Float[Array, "*b"]:
+    """Least distance between two segments."""
+    u, v, w = p_end - p, q_end - q, p - q
+    a, b, c = _dot(u, u), _dot(u, v), _dot(v, v)
+    d, e = _dot(u, w), _dot(v, w)
+    determinant = a * c - b * b
+    parallel = determinant < 1e-9 * a * c
+    s = jnp.where(parallel, 0.0, (b * e - c * d) / jnp.where(parallel, 1.0, determinant))
+    t = jnp.clip((b * jnp.clip(s, 0, 1) + e) / c, 0, 1)
+    s = jnp.clip((b * t - d) / a, 0, 1)
+    t = jnp.clip((b * s + e) / c, 0, 1)
+    gap = w + s[..., None] * u - t[..., None] * v
+    return jnp.sqrt(_dot(gap, gap) + 1e-12)
+
+
+def _dot(a: Array, b: Array) -> Array:
+    return jnp.sum(a * b, axis=-1)
+
+
+def leg_gap(joints: Float[Array, "6 k 3"]) -> Float[Array, ""]:
+    """Least distance between the centre lines of legs that can reach each other.
+
+    `joints` are the points along each leg from the end of the hip's first link to the foot.
+    """
+    links = joints.shape[1] - 1
+    one, other = np.array(PAIRS).T - 1
+    i, j = (index.ravel() for index in np.indices((links, links)))
+    a, b = joints[one], joints[other]
+    return jnp.min(segment_distance(a[:, i], a[:, i + 1], b[:, j], b[:, j + 1]))
+
+
+def link_points(joints: Float[Array, "6 k 3"]) -> Float[Array, "n 3"]:
+    """Points along the links at which they are checked against the obstacle; the last bit of the shin is the foot's."""
+    inner = joints[:, 1:-1]
+    middles = 0.5 * (joints[:, :-2] + joints[:, 1:-1])
+    knee, foot = joints[:, -2], joints[:, -1]
+    shin = [knee + share * (foot - knee) for share in (0.25, 0.5, 0.75)]
+    return jnp.concatenate([inner, middles, jnp.stack(shin, axis=1)], axis=1).reshape(-1, 3)
+
+
+def box_corners(half: Float[Array, " 3"]) -> Float[Array, "8 3"]:
+    """Corners of a box about its centre."""
+    signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
+    return signs * half

@@ -1,0 +1,229 @@
+"""Running figures of a rollout: updated once a control tick, from the same summary for both engines."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from sweep.case import Case
+from sweep.controllers.plan import Plan, path_length
+from sweep.controllers.tracker import Command, TrackerState
+from sweep.maths import conjugate, multiply, rotate
+from sweep.metrics.geometry import box_corners, leg_gap, link_points, support_margin
+from sweep.metrics.outcome import TIMED_CAUSES, Thresholds
+from sweep.models.contact import to_body, to_world
+from sweep.models.obstacles.surface import Bodies
+from sweep.models.scene import GRAVITY
+
+OVERTURNED = 60.0  # deg of tilt: nothing after it tells anything of the manoeuvre
+LOADED = 5.0  # N, from which a foot's friction demand means something
+
+
+class Tick(NamedTuple):
+    """What an engine reports of one control tick. World axes; L links a leg, k free bodies."""
+
+    torque_peak: Float[Array, "6 3"]  # N m, absolute
+    saturated: Float[Array, "6 3"]  # share of the tick
+    force: Float[Array, "6 3"]  # N, mean, on the feet
+    normal: Float[Array, " 6"]  # N, mean
+    tangential: Float[Array, " 6"]  # N, size of the mean
+    loaded: Bool[Array, " 6"]  # at the end
+    residual: Float[Array, ""]  # N, largest of the solver
+    work: Float[Array, ""]  # J, of drives and pushes
+    effort: Float[Array, ""]  # J, positive drive work only
+    energy: Float[Array, ""]  # J, kinetic and potential, at the end
+    position: Float[Array, " 3"]  # m, of the base
+    quat: Float[Array, " 4"]
+    velocity: Float[Array, " 3"]  # m/s, of the base
+    centre_of_mass: Float[Array, " 3"]  # m, of the robot
+    joints: Float[Array, "6 k 3"]  # m, along each leg: hip, ..., knee, foot
+    bodies: Bodies
+
+
+class Running(NamedTuple):
+    """The figures so far, and what updating them needs."""
+
+    time: Float[Array, ""]
+    over: Bool[Array, ""]  # overturned or not finite: figures are frozen
+    energy_start: Float[Array, ""]
+    work: Float[Array, ""]
+    effort: Float[Array, ""]
+    energy_gain: Float[Array, ""]
+    touchdown: Float[Array, "6 3"]  # m, where each foot took hold, in its surface's body
+    slip: Float[Array, ""]
+    margin: Float[Array, ""]
+    torque: Float[Array, " 3"]
+    saturated: Float[Array, " 3"]  # s
+    friction: Float[Array, ""]
+    normal: Float[Array, ""]
+    clearance: Float[Array, ""]
+    gap: Float[Array, ""]
+    tilt: Float[Array, ""]
+    heading: Float[Array, ""]
+    shortfall: Float[Array, ""]
+    position_error: Float[Array, ""]
+    residual: Float[Array, ""]
+    start: Float[Array, " 3"]
+    position: Float[Array, " 3"]
+    travel: Float[Array, ""]  # m, along the planned direction while the plan moves the base
+    travel_time: Float[Array, ""]
+    finished: Bool[Array, ""]
+    finite: Bool[Array, ""]
+    cause_time: Float[Array, " c"]  # s, first crossing of each timed cause's threshold, NaN before
+    cause_stage: Int[Array, " c"]
+
+
+def begin(plan: Plan, position: Float[Array, " 3"], energy: Float[Array, ""]) -> Running:
+    """Nothing has happened yet."""
+    dtype = plan.duration.dtype
+    zero, far = jnp.zeros((), dtype), jnp.full((), jnp.inf, dtype)
+    three = jnp.zeros(3, dtype)
+    no, yes = jnp.asarray(False), jnp.asarray(True)
+    n = len(TIMED_CAUSES)
+    return Running(
+        time=zero, over=no, energy_start=energy, work=zero, effort=zero, energy_gain=zero,
+        touchdown=plan.start.feet, slip=zero, margin=far, torque=three, saturated=three, friction=zero, normal=zero,
+        clearance=far, gap=far, tilt=zero, heading=zero, shortfall=zero, position_error=zero, residual=zero,
+        start=position, position=position, travel=zero, travel_time=zero, finished=no, finite=yes,
+        cause_time=jnp.full(n, jnp.nan, dtype), cause_stage=jnp.full(n, -1, jnp.int32),
+    )  # fmt: skip
+
+
+def update(
+    world: Case, plan: Plan, limits: Thresholds, state: TrackerState, command: Command, running: Running, tick: Tick,
+    period: float,
+) -> Running:  # fmt: skip
+    """One control tick on."""
+    robot = world.robot
+    stage = state.stage
+    swinging = plan.swing[stage] & ~state.finished
+    touchdown, slip = _slip(world, running.touchdown, swinging, command.phase, tick)
+    tilt, heading = _attitude(tick.quat, command.target.quat)
+    corners = rotate(tick.quat[None], box_corners(
+        0.5 * jnp.stack([jnp.asarray(s, tilt.dtype) for s in (robot.body_length, robot.body_width, robot.body_height)])
+    )) + tick.position  # fmt: skip
+    points = jnp.concatenate([link_points(tick.joints), corners])
+    depth = world.obstacle.surface(points, (-1,) * points.shape[0], tick.bodies).depth
+    radius = jnp.full(points.shape[0], robot.link_radius).at[-8:].set(0.0)
+    weight = GRAVITY * total_mass(world)
+    demand = jnp.where(tick.normal > LOADED, tick.tangential / jnp.maximum(tick.normal, LOADED), 0.0)
+    way = plan.position[stage] - state.position
+    length = jnp.linalg.norm(way)
+    moving = (length > 1e-6) & ~state.finished
+    direction = way / jnp.maximum(length, 1e-6)
+    work = running.work + tick.work
+    new = running._replace(
+        time=running.time + period,
+        work=work,
+        effort=running.effort + tick.effort,
+        energy_gain=jnp.maximum(running.energy_gain, tick.energy - running.energy_start - work),
+        touchdown=touchdown,
+        slip=jnp.maximum(running.slip, slip),
+        margin=jnp.minimum(
+            running.margin, support_margin(tick.joints[:, -1, :2], tick.loaded, tick.centre_of_mass[:2])
+        ),
+        torque=jnp.maximum(running.torque, jnp.max(tick.torque_peak, axis=0)),
+        saturated=running.saturated + period * jnp.mean(tick.saturated, axis=0),
+        friction=jnp.maximum(running.friction, jnp.max(demand)),
+        normal=jnp.maximum(running.normal, jnp.max(tick.normal) / weight),
+        clearance=jnp.minimum(running.clearance, jnp.min(-depth - radius)),
+        gap=jnp.minimum(running.gap, leg_gap(tick.joints[:, -3:]) - 2 * robot.link_radius),
+        tilt=jnp.maximum(running.tilt, tilt),
+        heading=jnp.maximum(running.heading, heading),
+        shortfall=jnp.maximum(running.shortfall, command.shortfall),
+        position_error=jnp.maximum(running.position_error, jnp.linalg.norm(tick.position - command.target.position)),
+        residual=jnp.maximum(running.residual, tick.residual),
+        position=tick.position,
+        travel=running.travel + jnp.where(moving, (tick.position - running.position) @ direction, 0.0),
+        travel_time=running.travel_time + jnp.where(moving, period, 0.0),
+        finished=state.finished,
+        finite=jnp.isfinite(tick.energy) & jnp.all(jnp.isfinite(tick.joints)),
+    )
+    new = _note_causes(limits, new, stage)._replace(over=(new.tilt > OVERTURNED) | ~new.finite)
+    frozen = [jnp.where(running.over, old, fresh) for old, fresh in zip(running, new, strict=True)]
+    return Running(*frozen)
+
+
+def total_mass(world: Case) -> Array | float:
+    """Of the robot (kg)."""
+    robot = world.robot
+    coxa = robot.coxa_mass if robot.legs == "three_link" else 0.0
+    return robot.body_mass + 6 * (coxa + robot.thigh_mass + robot.shin_mass)
+
+
+def _slip(world: Case, touchdown: Array, swinging: Array, phase: Array, tick: Tick) -> tuple[Array, Array]:
+    """Touchdown points, and the largest distance of a standing foot from its own.
+
+    A foot takes hold when it is first loaded in the second half of its swing; a standing foot that is unloaded for a
+    moment keeps its touchdown point, so that chattering along does not hide a slip.
+    """
+    feet = tick.joints[:, -1]
+    body = world.obstacle.surface(feet, (-1,) * 6, tick.bodies).body
+    free = swinging & ~(tick.loaded & (phase > 0.5))
+    here = to_body(feet, body, tick.bodies)
+    touchdown = jnp.where(free[:, None], here, touchdown)
+    held = to_world(touchdown, body, tick.bodies)
+    slip = jnp.where(~free & tick.loaded, jnp.linalg.norm(feet - held, axis=-1), 0.0)
+    return touchdown, jnp.max(slip)
+
+
+def _attitude(quat: Array, wanted: Array) -> tuple[Array, Array]:
+    """Tilt of the base from its commanded vertical, and the turn about it (deg)."""
+    off = multiply(conjugate(wanted), quat)
+    w, x, y, z = off
+    tilt = jnp.degrees(jnp.arctan2(jnp.sqrt(x**2 + y**2 + 1e-14), jnp.sqrt(w**2 + z**2 + 1e-14)) * 2)
+    return tilt, jnp.degrees(jnp.abs(2 * jnp.arctan2(z * jnp.sign(w), jnp.abs(w))))
+
+
+def _note_causes(limits: Thresholds, running: Running, stage: Array) -> Running:
+    """Remember when, and in which stage, each timed cause first crossed its threshold."""
+    crossed = jnp.stack([
+        running.tilt > limits.tilt_max_deg,
+        running.slip > limits.slip_max_m,
+        running.shortfall > limits.reach_shortfall_max_m,
+        running.clearance < limits.clearance_min_m,
+        running.gap < limits.leg_gap_min_m,
+        running.heading > limits.heading_error_max_deg,
+    ])  # fmt: skip
+    first = crossed & jnp.isnan(running.cause_time)
+    return running._replace(
+        cause_time=jnp.where(first, running.time, running.cause_time),
+        cause_stage=jnp.where(first, stage, running.cause_stage),
+    )
+
+
+def figures(plan: Plan, running: Running, stage: Int[Array, ""]) -> dict[str, Array]:
+    """The row's figures by column name, units in the name."""
+    length = path_length(plan)
+    left = jnp.linalg.norm(running.position - plan.position[-1])
+    progress = jnp.where(length > 1e-6, 1 - left / jnp.maximum(length, 1e-6), 1.0)
+    time = jnp.maximum(running.time, 1e-9)
+    out = {
+        "finite": running.finite,
+        "finished": running.finished,
+        "end_stage": stage,
+        "duration_s": running.time,
+        "progress": progress,
+        "distance_m": jnp.linalg.norm((running.position - running.start)[:2]),
+        "speed_mps": running.travel / jnp.maximum(running.travel_time, 1e-9),
+        "tilt_max_deg": running.tilt,
+        "heading_error_max_deg": running.heading,
+        "position_error_max_m": running.position_error,
+        "reach_shortfall_max_m": running.shortfall,
+        "slip_max_m": running.slip,
+        "stability_margin_min_m": running.margin,
+        "friction_demand_max": running.friction,
+        "normal_max_over_weight": running.normal,
+        "clearance_min_m": running.clearance,
+        "leg_gap_min_m": running.gap,
+        "energy_j": running.effort,
+        "energy_gain_max_j": running.energy_gain,
+        "solver_residual_max_n": running.residual,
+    }
+    for k, joint in enumerate(("alpha", "beta", "gamma")):
+        out[f"torque_peak_{joint}_nm"] = running.torque[k]
+        out[f"saturation_share_{joint}"] = running.saturated[k] / time
+    for k, cause in enumerate(TIMED_CAUSES):
+        out[f"{cause}_time_s"] = running.cause_time[k]
+        out[f"{cause}_stage"] = running.cause_stage[k]
+    return out
