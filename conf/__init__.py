@@ -1,0 +1,1 @@
+"""Hydra configuration groups, one file for one choice; its first comment line describes it in `sweep list`."""

@@ -1,0 +1,148 @@
+"""`sweep run`: a Hydra application around the runner, with its progress and its summary."""
+
+import os
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import hydra
+import pandas as pd
+from hydra.errors import HydraException
+from omegaconf import DictConfig
+from omegaconf.errors import OmegaConfBaseException
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from sweep import batches, config, runner, store
+from sweep.config import Experiment
+from sweep.parameters import InputError
+from sweep.report import tables
+from sweep.stats import broken, rate
+
+DONE, BAD_INPUT, INVALID, UNEXPECTED = 0, 2, 3, 4
+
+
+@dataclass(frozen=True)
+class Flags:
+    """The flags of `sweep run` that are not Hydra's."""
+
+    dry_run: bool = False
+    limit: int | None = None
+    where: str | None = None
+
+
+def launch(overrides: list[str], flags: Flags) -> int:
+    """Compose the configuration from `overrides` and run it; the largest exit code of a Hydra multirun."""
+    config.register()
+    codes = [DONE]
+
+    @hydra.main(version_base=config.HYDRA_VERSION, config_path=f"pkg://{config.CONFIG_MODULE}", config_name="config")
+    def job(composed: DictConfig) -> None:
+        try:
+            codes.append(execute(config.experiment(config.resolve(composed)), flags))
+        except InputError as error:  # Hydra would add lines of its own, and give up the other jobs of a multirun
+            print(f"sweep: {error}", file=sys.stderr)
+            codes.append(BAD_INPUT)
+
+    before = sys.argv
+    sys.argv = ["sweep run", *overrides]
+    os.environ["HYDRA_FULL_ERROR"] = "1"  # let errors through to here, where they become one line
+    try:
+        job()
+    except (HydraException, OmegaConfBaseException) as error:
+        raise InputError(config.one_line(error, overrides)) from None
+    finally:
+        sys.argv = before
+    return max(codes)
+
+
+def execute(exp: Experiment, flags: Flags) -> int:
+    """Run one experiment; its exit code."""
+    if exp.study.single and not exp.out:
+        return execute_single(exp, flags)
+    folder = Path(exp.out or f"results/{exp.study.name}")
+    wanted = runner.wanted_points(exp, flags.where, flags.limit)
+    if flags.dry_run:
+        print(forecast(runner.lay_out(exp, folder, wanted)))
+        return DONE
+    with store.locked(folder):
+        job = runner.lay_out(exp, folder, wanted)
+        start, todo = time.perf_counter(), len(job.rows(job.missing()))
+        with reporting(exp.study.name, todo) as report:
+            runner.run(job, report)
+        seconds = time.perf_counter() - start
+        print(f"{todo} rollouts in {seconds:.1f} s ({todo / seconds:.1f} a second)", file=sys.stderr)
+        rows = store.read_rows(folder)
+        complete = len(rows) == len(job.table) and len(wanted) == len(runner.wanted_points(exp))
+    print(summary(exp.study.name, rows))
+    print(f"{len(rows)} of {len(job.table)} planned rollouts are in {folder}")
+    return verdict(exp, rows, complete)
+
+
+def execute_single(exp: Experiment, flags: Flags) -> int:
+    """One nominal rollout: its outcome and figures on the standard output."""
+    if flags.dry_run:
+        print(f"{exp.scenario}: 1 rollout on {exp.settings.name}")
+        return DONE
+    rows = runner.run_single(exp)
+    sys.stdout.write(tables.one_rollout(exp.scenario, rows.iloc[0]))
+    return verdict(exp, rows, complete=True)
+
+
+def verdict(exp: Experiment, rows: pd.DataFrame, complete: bool) -> int:
+    """Exit code of finished `rows`, with a line for everything that is not as it should be."""
+    found = rate(rows["outcome"])
+    if found.invalid_share > exp.study.invalid_max:
+        allowed = f"{exp.study.invalid_max:.1%} allowed"
+        print(f"sweep: {found.invalid} of {found.total} rollouts are invalid, {allowed}", file=sys.stderr)
+        return INVALID
+    if exp.study.expect and not complete:
+        print("sweep: expectations are checked when the whole study is done", file=sys.stderr)
+        return DONE
+    lines = broken(exp.study.expect, rows)
+    for line in lines:
+        print(f"sweep: {line}", file=sys.stderr)
+    return UNEXPECTED if lines else DONE
+
+
+def summary(name: str, rows: pd.DataFrame) -> str:
+    """The rate of success, overall and for each named alternative such as an engine."""
+    lines = [f"{name}: {rate(rows['outcome'])}"]
+    for column in batches.axis_columns(rows):
+        if rows[column].dtype.kind != "f" and rows[column].nunique() > 1:
+            lines += [f"  {column} = {value}: {rate(part['outcome'])}" for value, part in rows.groupby(column)]
+    return "\n".join(lines)
+
+
+def forecast(job: runner.Job) -> str:
+    """What a run would do: rollouts, batches, and the time where earlier batches tell it."""
+    missing = job.rows(job.missing())
+    sizes = missing.groupby(["group", "width"])["batch"].nunique()
+    parts = [f"{count} batches of {width}" for (_, width), count in sizes.items()]  # pyright: ignore[reportGeneralTypeIssues]
+    text = f"{job.exp.study.name}: {len(missing)} of {len(job.table)} rollouts to run ({', '.join(parts) or 'none'})"
+    if store.finished(job.folder) and len(missing):
+        seconds = store.read_rows(job.folder)["wall_s"].median() * len(missing)
+        return f"{text}, about {seconds:.0f} s and the time to compile"
+    return text
+
+
+@contextmanager
+def reporting(name: str, total: int) -> Iterator[runner.Progress]:
+    """A live bar on a terminal's standard error, nothing elsewhere."""
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[note]}"),
+               TimeRemainingColumn())  # fmt: skip
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
+        task = bar.add_task(name, total=total, note="compiling")
+        start, done, good = time.perf_counter(), 0, 0
+
+        def report(rows: pd.DataFrame) -> None:
+            nonlocal done, good
+            done, good = done + len(rows), good + int((rows["outcome"] == "success").sum())
+            pace = done / (time.perf_counter() - start)
+            bar.update(task, completed=done, note=f"{pace:.1f} rollouts/s, {good / done:.0%} succeed")
+
+        yield report

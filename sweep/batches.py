@@ -1,0 +1,106 @@
+"""From the points table to the inputs of an engine: groups that share a compiled engine, batches of one width."""
+
+import io
+import math
+from contextlib import redirect_stdout
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from sweep.case import Case
+from sweep.config import Experiment
+from sweep.engines.base import Engine
+from sweep.engines.settings import EngineSettings
+from sweep.study import assign, identity, is_static, side_and_path, with_settings, world_and_belief
+
+
+@dataclass(frozen=True)
+class Batch:
+    """The input of one call of an engine; `width` rows, the last one repeated where there are fewer."""
+
+    settings: EngineSettings
+    world: Case
+    belief: Case
+    streams: np.ndarray  # (width,)
+
+
+def make_engine(settings: EngineSettings, world: Case, belief: Case) -> Engine:
+    """`sweep.engines.make`, imported late: importing MJX takes seconds, and it prints to the standard output."""
+    with redirect_stdout(io.StringIO()):
+        import sweep.engines
+
+        return sweep.engines.make(settings, world, belief)
+
+
+def with_room_for_delay(exp: Experiment, table: pd.DataFrame) -> Experiment:
+    """The noise model's buffer, long enough for every point of `table`."""
+    columns = [c for c in table.columns if side_and_path(c)[1] == "noise.delay"]
+    longest = max([exp.case.noise.delay, *(table[c].max() for c in columns)])
+    room = max(math.ceil(longest), exp.case.noise.delay_buffer)
+    return replace(exp, case=assign(exp.case, "noise.delay_buffer", room))
+
+
+def axis_columns(table: pd.DataFrame) -> list[str]:
+    """The columns of `table` that vary a parameter."""
+    return [c for c in table.columns if "." in c]
+
+
+def static_values(exp: Experiment, table: pd.DataFrame) -> dict[str, Any]:
+    """The values that all rows of one group share and that fix its compiled engine."""
+    static = [c for c in axis_columns(table) if is_static(c, exp.case, exp.settings)]
+    return {c: getattr(v := table[c].iloc[0], "item", lambda v=v: v)() for c in static}
+
+
+def nominal(exp: Experiment, rows: pd.DataFrame, width: int) -> Batch:
+    """What the engine of a group is made from: static values set, swept quantities at their nominal values."""
+    statics = static_values(exp, rows)
+    settings = with_settings(exp.settings, statics)
+    return Batch(replace(settings, width=width), *world_and_belief(exp.case, statics), np.zeros(0, dtype=np.int64))
+
+
+def batch(exp: Experiment, rows: pd.DataFrame) -> Batch:
+    """`rows` of one batch as arrays over its width."""
+    width = int(rows["width"].iloc[0])
+    slots = np.minimum(np.arange(width), len(rows) - 1)
+    statics = static_values(exp, rows)
+    swept = {c: rows[c].to_numpy(dtype=float)[slots] for c in axis_columns(rows) if c not in statics}
+    world, belief = world_and_belief(exp.case, {**statics, **swept})
+    streams = rows["stream"].to_numpy()[slots]
+    return Batch(replace(with_settings(exp.settings, statics), width=width), world, belief, streams)
+
+
+def plan(exp: Experiment, planned: pd.DataFrame, wanted: pd.DataFrame) -> pd.DataFrame:
+    """`planned` rows as they are, then those of `wanted` that are new, in groups and batches of their own."""
+    table = wanted
+    if not planned.empty:
+        table = pd.concat([planned, wanted[~among(wanted, planned)]], ignore_index=True)
+    static = list(static_values(exp, table))
+    table = table.assign(group=table.groupby(static, sort=False).ngroup() if static else 0)
+    first = int(planned["batch"].max()) + 1 if len(planned) else 0
+    for column in ("batch", "slot", "width"):
+        table[column] = table[column].fillna(-1).astype("int64") if column in table else -1
+    for _, rows in table[table["batch"] < 0].groupby("group", sort=False):
+        width = _even_width(exp, rows)
+        order = np.arange(len(rows))
+        table.loc[rows.index, "batch"] = first + order // width
+        table.loc[rows.index, "slot"] = order % width
+        table.loc[rows.index, "width"] = width
+        first += -(-len(rows) // width)
+    return table
+
+
+def among(rows: pd.DataFrame, others: pd.DataFrame) -> np.ndarray:
+    """Which of `rows` are also in `others`."""
+    key = identity(rows.columns)
+    return pd.MultiIndex.from_frame(rows[key]).isin(pd.MultiIndex.from_frame(others[key]))
+
+
+def _even_width(exp: Experiment, rows: pd.DataFrame) -> int:
+    """The width asked for; else the device's best, evened out so that the last batch is nearly full."""
+    start = nominal(exp, rows, exp.settings.width)
+    if start.settings.width:
+        return start.settings.width
+    best = make_engine(start.settings, start.world, start.belief).width
+    return -(-len(rows) // -(-len(rows) // best))

@@ -1,0 +1,192 @@
+"""The command line: `sweep run`, and what is done with results. Heavy imports wait until a command needs them."""
+
+import argparse
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from sweep.parameters import InputError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+DONE, BAD_INPUT, INTERRUPTED = 0, 2, 130
+GROUPS = ("scenario", "study", "robot", "obstacle", "manoeuvre", "drive", "contact", "noise", "execution", "engine",
+          "outcome")  # fmt: skip
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run one command; the exit code says how it went (0 done, 2 bad input, 3 invalid rows, 4 expectation not met)."""
+    args = list(sys.argv[1:] if argv is None else argv)
+    # these parse their own arguments
+    whole: dict[str, Callable[[list[str]], int]] = {"run": run, "replay": replay, "formula": formula}
+    try:
+        if args and args[0] in whole:
+            return whole[args[0]](args[1:])
+        given = parser().parse_args(args)
+        return given.command(given)
+    except InputError as error:
+        print(f"sweep: {error}", file=sys.stderr)
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        print("sweep: interrupted; what is on disk stays, the same command finishes the rest", file=sys.stderr)
+        return INTERRUPTED
+    except BrokenPipeError:  # the reader, such as `head`, has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return DONE
+
+
+def parser() -> argparse.ArgumentParser:
+    """Commands and their arguments."""
+    top = argparse.ArgumentParser(prog="sweep", description="Batch experiments with six-legged robots.")
+    commands = top.add_subparsers(required=True, metavar="command")
+
+    def command(name: str, action: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:
+        sub = commands.add_parser(name, help=text, description=text)
+        sub.set_defaults(command=action)
+        return sub
+
+    def of_results(name: str, action: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:
+        sub = command(name, action, text)
+        sub.add_argument("dir", type=Path, help="folder of a study, such as results/walk_map")
+        return sub
+
+    delegated = "see `sweep {} --help`"
+    command("run", lambda _: DONE, "simulate a scenario, or every point of a study; " + delegated.format("run"))
+    command("list", show_choices, "what can be run: scenarios, studies, robots and the other groups")
+    of_results("status", status, "how far a study is")
+    table = of_results("table", show_table, "the rows of a study as a table")
+    table.add_argument("--format", choices=("csv", "markdown", "latex", "parquet"), default="markdown")
+    table.add_argument("--where", help="only rows that match, such as 'friction > 0.8 and outcome == \"failure\"'")
+    table.add_argument("--columns", help="only these columns, separated by commas")
+    table.add_argument("-o", "--output", type=Path, help="write to this file instead of the standard output")
+    report = of_results("report", draw_report, "map of where it succeeds, as map.png and map.svg in the folder")
+    report.add_argument("--x", help="parameter along the map")
+    report.add_argument("--y", help="parameter up the map")
+    report.add_argument("--where", help="only rows that match")
+    report.add_argument("-o", "--output", type=Path, help="folder for the pictures instead of DIR")
+    judge = of_results("relabel", relabel, "judge stored rollouts by other thresholds, without simulating")
+    judge.add_argument("thresholds", nargs="+", metavar="'KEY<VALUE'", help="such as 'slip_max_m<0.02'")
+    command("replay", lambda _: DONE, "record one rollout of a study again; " + delegated.format("replay"))
+    command("formula", lambda _: DONE, "evaluate a closed-form result of the sources; " + delegated.format("formula"))
+    return top
+
+
+def run(argv: list[str]) -> int:
+    """`sweep run`: our own flags are taken out, the rest is Hydra's."""
+    from sweep.app import Flags, launch
+
+    own = argparse.ArgumentParser(prog="sweep run", add_help=False, allow_abbrev=False)
+    own.add_argument("--dry-run", action="store_true")
+    own.add_argument("--limit", type=int)
+    own.add_argument("--where")
+    own.add_argument("--points")
+    given, overrides = own.parse_known_args(argv)
+    if given.limit is not None and given.limit < 1:
+        raise InputError(f"--limit = {given.limit} is not allowed: at least 1")
+    if given.points:
+        overrides.append(f"study.points='{given.points}'")
+    return launch(overrides, Flags(given.dry_run, given.limit, given.where))
+
+
+def replay(argv: list[str]) -> int:
+    """`sweep replay DIR POINT`."""
+    from sweep.trace import replay as recorder
+
+    return recorder.main(argv)
+
+
+def formula(argv: list[str]) -> int:
+    """`sweep formula NAME key=value`."""
+    from sweep import cli_formula
+
+    return cli_formula.main(argv)
+
+
+def show_choices(_: argparse.Namespace) -> int:
+    """Every configuration file with its first comment line."""
+    from importlib.resources import files
+
+    for group in GROUPS:
+        print(f"{group}=")
+        for file in sorted((files("sweep.conf") / group).iterdir(), key=lambda f: f.name):
+            lines = file.read_text(encoding="utf-8").splitlines()
+            text = next((line for line in lines if line.startswith("# ") and "@package" not in line), "#")
+            print(f"  {file.name.removesuffix('.yaml'):20} {text[2:]}")
+    return DONE
+
+
+def status(given: argparse.Namespace) -> int:
+    """Planned, done, succeeded."""
+    from sweep import store
+    from sweep.stats import rate
+
+    stored, planned = store.read_study(given.dir), store.read_points(given.dir)
+    done = planned["batch"].isin(store.finished(given.dir)).sum() if len(planned) else 0
+    print(f"{given.dir}: {done} of {len(planned)} rollouts done, code {stored['commit'] or stored['code']}")
+    if done:
+        print(rate(store.read_rows(given.dir)["outcome"]))
+    return DONE
+
+
+def selected(given: argparse.Namespace) -> "pd.DataFrame":
+    """Rows of a study that match `--where`."""
+    from sweep import store
+    from sweep.query import mask
+
+    rows = store.read_rows(given.dir)
+    return rows[mask(rows, given.where)].reset_index(drop=True)
+
+
+def show_table(given: argparse.Namespace) -> int:
+    """Rows as csv, markdown, latex or parquet."""
+    from sweep.report import tables
+
+    names = [name.strip() for name in given.columns.split(",")] if given.columns else None
+    if given.format == "parquet" and not given.output:
+        raise InputError("--format parquet needs a file: -o FILE")
+    content = tables.render(selected(given), given.format, names)
+    if given.output:
+        given.output.write_bytes(content)
+    else:
+        sys.stdout.write(content.decode())
+    return DONE
+
+
+def draw_report(given: argparse.Namespace) -> int:
+    """The success map."""
+    from sweep import store
+    from sweep.report import maps
+
+    chosen = tuple(name for name in (given.x, given.y) if name)
+    for path in maps.draw(selected(given), store.read_study(given.dir), given.output or given.dir, chosen):
+        print(path)
+    return DONE
+
+
+def relabel(given: argparse.Namespace) -> int:
+    """New thresholds for stored figures."""
+    from sweep import runner, store
+    from sweep.stats import rate
+
+    stored = store.read_study(given.dir)
+    changes = dict(map(threshold, given.thresholds))
+    with store.locked(given.dir):
+        runner.relabel(given.dir, {**stored["config"]["outcome"], **changes})
+    print(rate(store.read_rows(given.dir)["outcome"]))
+    return DONE
+
+
+def threshold(text: str) -> tuple[str, float]:
+    """`slip_max_m<0.02` -> name and value. The sign must agree with the name: a maximum is kept below."""
+    sign = next((s for s in ("<=", ">=", "<", ">", "=") if s in text), None)
+    key, _, value = text.partition(sign or "=")
+    try:
+        number = float(value)
+    except ValueError:
+        raise InputError(f"{text!r} is not a threshold, such as 'slip_max_m<0.02'") from None
+    if sign and sign != "=" and ("max" in key) != ("<" in sign):
+        raise InputError(f"{text!r} is not allowed: {key.strip()} is a {'maximum' if 'max' in key else 'minimum'}")
+    return key.strip(), number

@@ -1,0 +1,182 @@
+"""From Hydra's configuration to checked parameters, and from Hydra's errors to one clear line.
+
+The parameter dataclasses are the schemas: Hydra checks names and types while it composes, `build` checks bounds.
+"""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import hydra
+from hydra.core.config_store import ConfigStore
+from hydra.errors import ConfigCompositionException, HydraException, MissingConfigException
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import ConfigKeyError, OmegaConfBaseException, ValidationError
+
+from sweep.case import Case
+from sweep.controllers.manoeuvres import MANOEUVRES
+from sweep.controllers.observation import Noise
+from sweep.engines.settings import EngineSettings
+from sweep.metrics.outcome import Thresholds
+from sweep.models.contact import Contact
+from sweep.models.drive import Drive
+from sweep.models.execution import Execution
+from sweep.models.obstacles import OBSTACLES
+from sweep.models.robot import Robot
+from sweep.parameters import InputError, build, checked, suggest
+from sweep.study import Study
+
+CONFIG_MODULE, CONFIG_NAME, HYDRA_VERSION = "sweep.conf", "config", "1.3"
+GROUPS: dict[str, type] = {
+    "robot": Robot, "drive": Drive, "contact": Contact, "noise": Noise, "execution": Execution,
+    "engine": EngineSettings, "outcome": Thresholds,
+}  # fmt: skip
+KINDS: dict[str, dict[str, type]] = {"obstacle": OBSTACLES, "manoeuvre": MANOEUVRES}  # the class is named by `kind`
+
+
+@dataclass
+class ScenarioSchema:
+    """What is simulated nominally; `expect` must hold when it runs without a study."""
+
+    name: str = "nominal"
+    expect: list[Any] = field(default_factory=list)
+
+
+@dataclass
+class StudySchema:
+    """Which variations of the scenario are run; see `sweep.study.Study`."""
+
+    name: str = ""
+    axes: dict[str, Any] = field(default_factory=dict)
+    points: str | None = None
+    where: str | None = None
+    replicates: int = 1
+    seed: int = 0
+    invalid_max: float = 0.01
+    expect: list[Any] = field(default_factory=list)
+
+
+@dataclass
+class ExperimentSchema:
+    """The whole configuration; the other groups are merged in by their own schemas."""
+
+    scenario: ScenarioSchema = field(default_factory=ScenarioSchema)
+    robot: Any = None
+    drive: Any = None
+    contact: Any = None
+    obstacle: Any = None
+    manoeuvre: Any = None
+    noise: Any = None
+    execution: Any = None
+    engine: Any = None
+    outcome: Any = None
+    study: StudySchema = field(default_factory=StudySchema)
+    out: str | None = None
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A checked configuration: what a run needs to know."""
+
+    scenario: str
+    case: Case  # nominal
+    settings: EngineSettings
+    thresholds: Thresholds
+    study: Study
+    out: str | None
+    values: dict[str, Any]  # the resolved configuration it was made from
+
+
+def register() -> None:
+    """Tell Hydra the schemas."""
+    store = ConfigStore.instance()
+    store.store(name="experiment_schema", node=ExperimentSchema)
+    for group, cls in GROUPS.items():
+        store.store(group=group, name=f"{group}_schema", node=_schema(cls))
+    for group, kinds in KINDS.items():
+        for kind, cls in kinds.items():
+            store.store(group=group, name=f"{kind}_schema", node=_schema(cls))
+
+
+def _schema(cls: type) -> DictConfig:
+    node = OmegaConf.structured(cls)
+    OmegaConf.set_readonly(node, None)  # frozen dataclasses make frozen configs, which no file could fill in
+    return node
+
+
+def compose(overrides: list[str]) -> Experiment:
+    """The experiment of command-line `overrides`, for use from Python. Raises `InputError`."""
+    register()
+    try:
+        with hydra.initialize_config_module(CONFIG_MODULE, version_base=HYDRA_VERSION):
+            return experiment(resolve(hydra.compose(CONFIG_NAME, overrides)))
+    except (HydraException, OmegaConfBaseException) as error:
+        raise InputError(one_line(error, overrides)) from None
+
+
+def resolve(config: DictConfig) -> dict[str, Any]:
+    """Plain values, interpolations resolved."""
+    values: Any = OmegaConf.to_container(config, resolve=True)
+    # YAML 1.1 reads a bare `on` as true
+    axes = {
+        name: {"on" if key is True else key: v for key, v in axis.items()} if isinstance(axis, dict) else axis
+        for name, axis in values["study"]["axes"].items()
+    }
+    return {**values, "study": {**values["study"], "axes": axes}}
+
+
+def experiment(values: Mapping[str, Any]) -> Experiment:
+    """Check plain `values` (as composed, or as stored in study.yaml). Raises `InputError`."""
+    parts = {group: build(cls, values[group], group) for group, cls in GROUPS.items()}
+    settings, thresholds = parts.pop("engine"), parts.pop("outcome")
+    for group, kinds in KINDS.items():
+        kind = values[group]["kind"]
+        if kind not in kinds:
+            raise InputError(f"{group}.kind = {kind!r} is unknown{suggest(str(kind), kinds)}")
+        parts[group] = build(kinds[kind], values[group], group)
+    case = Case(**parts)
+    scenario = values["scenario"]
+    chosen = values["study"]
+    single = not (chosen["name"] or chosen["axes"] or chosen["points"] or chosen["replicates"] != 1)
+    if single:
+        chosen = {**chosen, "expect": scenario["expect"]}
+    study = Study.parse({**chosen, "name": chosen["name"] or scenario["name"]}, single)
+    return Experiment(scenario["name"], case, settings, thresholds, study, values["out"], dict(values))
+
+
+def one_line(error: Exception, overrides: list[str]) -> str:
+    """Hydra's or OmegaConf's error as one line naming the key, the value and what is allowed."""
+    if isinstance(error, MissingConfigException) and error.options is not None and error.missing_cfg_file:
+        group, _, name = error.missing_cfg_file.rpartition("/")
+        return f"{group} = {name} is unknown{suggest(name, choices(error.options))}"
+    cause = error.__cause__ if isinstance(error, ConfigCompositionException) else error
+    if isinstance(cause, ConfigKeyError | AttributeError) and isinstance(cause, OmegaConfBaseException):
+        key, given = str(cause.full_key), _given(str(cause.full_key), overrides)
+        allowed = [str(k) for k in cause.parent_node or () if k != "hydra"]  # pyright: ignore[reportGeneralTypeIssues]
+        return f"{key}{given} is unknown{suggest(str(cause.key), allowed)}"
+    if isinstance(cause, ValidationError):
+        return _wrong_type(cause, overrides)
+    return ": ".join(line.strip().rstrip(":") for line in str(error).splitlines()[:2] if line.strip())
+
+
+def _wrong_type(error: ValidationError, overrides: list[str]) -> str:
+    cls, key = error.object_type, str(error.full_key)
+    for member in dataclasses.fields(cls) if dataclasses.is_dataclass(cls) else ():
+        if member.name == str(error.key):
+            try:
+                checked(member, error.value, key)
+            except InputError as known:
+                return str(known)
+    return f"{key}{_given(key, overrides)} is not allowed: {str(error.msg).splitlines()[0]}"
+
+
+def _given(key: str, overrides: list[str]) -> str:
+    """` = value` where the command line gave `key` one."""
+    texts = (o.lstrip("+~").partition("=") for o in overrides)
+    return next((f" = {value}" for name, sign, value in texts if sign and name == key), "")
+
+
+def choices(options: Sequence[str]) -> list[str]:
+    """The files of a group a user may choose: schemas are not among them."""
+    return [o for o in options if not o.endswith("_schema")]

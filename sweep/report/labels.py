@@ -1,0 +1,22 @@
+"""Words and units for columns, colours for outcomes."""
+
+from sweep.metrics.outcome import CAUSES
+
+UNITS = {"m": "m", "s": "s", "deg": "°", "rad": "rad", "n": "N", "nm": "N·m", "j": "J", "mps": "m/s", "kg": "kg"}
+# after Okabe and Ito, whose colours the colour-blind can tell apart; success is the lightest, so it reads in grey too
+SUCCESS, INVALID = "#D8EEF9", "#FFFFFF"
+COLOURS = ("#D55E00", "#E69F00", "#CC79A7", "#009E73", "#0072B2", "#F0E442", "#7F7F7F", "#000000")
+CAUSE_COLOURS = {cause: COLOURS[i % len(COLOURS)] for i, cause in enumerate(CAUSES)}
+
+
+def name_and_unit(column: str) -> tuple[str, str]:
+    """`slip_max_m` -> (`slip max`, `m`); the unit is empty where the column has none."""
+    head, _, last = column.rpartition("_")
+    return (head.replace("_", " "), UNITS[last]) if head and last in UNITS else (column.replace("_", " "), "")
+
+
+def axis_words(column: str) -> str:
+    """`world.contact.friction` -> `friction (world)`."""
+    side = column.partition(".")[0]
+    words = column.rpartition(".")[2].replace("_", " ")
+    return f"{words} ({side})" if side in ("world", "belief") else words

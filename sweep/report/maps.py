@@ -1,0 +1,145 @@
+"""Where it succeeds: a map over two parameters, one panel for each combination of the named alternatives."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import ListedColormap, Normalize
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from sweep.config import experiment
+from sweep.metrics.outcome import CAUSES
+from sweep.parameters import InputError
+from sweep.query import column
+from sweep.report.labels import CAUSE_COLOURS, INVALID, SUCCESS, axis_words
+from sweep.stats import rate
+from sweep.study import parameter
+
+KINDS = ["success", *CAUSES]
+PALETTE = ListedColormap([SUCCESS, *(CAUSE_COLOURS[c] for c in CAUSES)])
+
+
+def draw(rows: pd.DataFrame, stored: Mapping[str, Any], folder: Path, chosen: tuple[str, ...] = ()) -> list[Path]:
+    """Write map.png and map.svg into `folder`; `chosen` names the two parameters. Raises `InputError`.
+
+    With one rollout a cell its colour is the outcome or the cause of failure, with more it is the rate of success.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    figure = success_map(rows, stored, chosen)
+    paths = [folder / f"map.{form}" for form in ("png", "svg")]
+    with plt.rc_context({"svg.hashsalt": "sweep", "svg.fonttype": "none"}):
+        for path in paths:
+            figure.savefig(path, dpi=150, metadata={"Date": None} if path.suffix == ".svg" else None)
+    plt.close(figure)
+    return paths
+
+
+def success_map(rows: pd.DataFrame, stored: Mapping[str, Any], chosen: tuple[str, ...] = ()) -> Figure:
+    """The figure that `draw` writes."""
+    x, y = map_axes(rows, chosen)
+    panels = list(split(rows, x, y))
+    counts = [panel.groupby([x, y]).size() for _, panel in panels]
+    most = max(int(count.max()) for count in counts)
+    figure, axes = plt.subplots(
+        1, len(panels), figsize=(1.8 + 4.6 * len(panels), 4.6), squeeze=False, sharey=True, layout="constrained"
+    )
+    for ax, (title, panel) in zip(axes[0], panels, strict=True):
+        (categories if most == 1 else shares)(ax, panel, x, y)
+        ax.set_title("\n".join([*title, str(rate(panel["outcome"])).replace(" (", "\n(", 1)]), fontsize=8)
+        ax.set_xlabel(with_unit(x, stored))
+    axes[0, 0].set_ylabel(with_unit(y, stored))
+    seen = [cause for cause in CAUSES if (rows["cause"] == cause).any()] if most == 1 else []
+    legend(figure, seen, bool((rows["outcome"] == "invalid").any()), most)
+    if most > 1:
+        scale = ScalarMappable(Normalize(0, 1), "cividis")
+        figure.colorbar(scale, ax=axes, label=f"rate of success, n = {spread(counts)} a cell", shrink=0.8)
+    figure.suptitle(stored["config"]["study"]["name"] or stored["config"]["scenario"]["name"])
+    return figure
+
+
+def map_axes(rows: pd.DataFrame, chosen: tuple[str, ...]) -> tuple[str, str]:
+    """The two parameters of a map: the chosen ones, then those with the most values."""
+    numeric = [c for c in rows.columns if "." in c and rows[c].dtype.kind in "fi" and rows[c].nunique() > 1]
+    first = [column(rows, name) for name in chosen]
+    found = [*first, *(c for c in numeric if c not in first)][:2]
+    if len(set(found)) < 2:
+        raise InputError(f"a map needs two varied parameters, here: {', '.join(found) or 'none'}")
+    return found[0], found[1]
+
+
+def split(rows: pd.DataFrame, x: str, y: str) -> Iterator[tuple[list[str], pd.DataFrame]]:
+    """Panels, with their titles: one for each combination of varied names and switches."""
+    named = [c for c in rows.columns if "." in c and c not in (x, y) and rows[c].dtype.kind not in "fi"]
+    named = [c for c in named if rows[c].nunique() > 1]
+    if not named:
+        yield [], rows
+        return
+    for values, panel in rows.groupby(named, sort=False):
+        yield [f"{axis_words(c)} {v}" for c, v in zip(named, values, strict=True)], panel
+
+
+def spread(counts: list[pd.Series]) -> str:
+    """Smallest and largest number of rollouts in a cell."""
+    low, high = min(int(c.min()) for c in counts), max(int(c.max()) for c in counts)
+    return str(low) if low == high else f"{low}-{high}"
+
+
+def categories(ax: Axes, rows: pd.DataFrame, x: str, y: str) -> None:
+    """Cells coloured by outcome and cause."""
+    kind = rows["cause"].where(rows["outcome"] == "failure", "success").map(KINDS.index).astype(float)
+    grid = rows.assign(kind=kind.where(rows["outcome"] != "invalid")).pivot(index=y, columns=x, values="kind")
+    paint(ax, grid, cmap=PALETTE, vmin=-0.5, vmax=len(KINDS) - 0.5)
+    hatch(ax, rows, x, y)
+
+
+def shares(ax: Axes, rows: pd.DataFrame, x: str, y: str) -> None:
+    """Cells coloured by the share of successes among valid rollouts."""
+    valid = rows[rows["outcome"] != "invalid"]
+    grid = valid.assign(good=valid["outcome"] == "success").pivot_table(index=y, columns=x, values="good")
+    paint(ax, grid, cmap="cividis", vmin=0, vmax=1)
+    hatch(ax, rows, x, y)
+
+
+def paint(ax: Axes, grid: pd.DataFrame, **style: Any) -> None:
+    """One rectangle for each cell, edges half-way between the values."""
+    values = np.ma.masked_invalid(grid.to_numpy(dtype=float))
+    ax.pcolormesh(edges(grid.columns), edges(grid.index), values, edgecolors="white", linewidth=0.4, **style)
+
+
+def edges(values: pd.Index) -> np.ndarray:
+    """Cell borders around sorted `values`."""
+    at = values.to_numpy(dtype=float)
+    half = np.diff(at) / 2 if len(at) > 1 else np.array([0.5 * abs(at[0]) or 0.5])
+    return np.concatenate([[at[0] - half[0]], at[:-1] + half[: len(at) - 1], [at[-1] + half[-1]]])
+
+
+def hatch(ax: Axes, rows: pd.DataFrame, x: str, y: str) -> None:
+    """Mark the cells that hold an invalid rollout."""
+    marked = rows.assign(bad=(rows["outcome"] == "invalid").astype(float)).pivot_table(index=y, columns=x, values="bad")
+    shape = np.where(marked.to_numpy() > 0, 1.0, np.nan)
+    if np.nansum(shape):
+        cells = np.ma.masked_invalid(shape)
+        ax.pcolor(edges(marked.columns), edges(marked.index), cells, hatch="////", alpha=0, edgecolor="black", lw=0)
+
+
+def legend(figure: Figure, causes: list[str], invalid: bool, most: int) -> None:
+    """What the colours and the hatching mean."""
+    patches = [Patch(facecolor=SUCCESS, edgecolor="grey", label="success")] if most == 1 else []
+    patches += [Patch(facecolor=CAUSE_COLOURS[c], label=c.replace("_", " ")) for c in causes]
+    if invalid:
+        patches.append(Patch(facecolor=INVALID, edgecolor="black", hatch="////", label="invalid"))
+    if patches:
+        figure.legend(handles=patches, loc="outside lower center", ncols=min(len(patches), 5), fontsize=8)
+
+
+def with_unit(axis: str, stored: Mapping[str, Any]) -> str:
+    """Words and unit of a parameter."""
+    exp = experiment(stored["config"])
+    unit = parameter(axis, exp.case, exp.settings).metadata.get("unit", "")
+    return f"{axis_words(axis)} [{unit}]" if unit not in ("", "-") else axis_words(axis)

@@ -1,0 +1,81 @@
+"""Rows as text: csv, markdown, LaTeX with booktabs, parquet."""
+
+import io
+
+import pandas as pd
+
+from sweep.metrics.outcome import TIMED_CAUSES
+from sweep.query import column
+from sweep.report.labels import axis_words, name_and_unit
+from sweep.store import LABELS, figure_columns
+
+# figures that the outcome is derived from and that say nothing beside it
+BOOKKEEPING = {f"{cause}_{what}" for cause in TIMED_CAUSES for what in ("time_s", "stage")}
+BOOKKEEPING |= {"finite", "finished", "end_stage"}
+
+
+def render(rows: pd.DataFrame, form: str, names: list[str] | None = None) -> bytes:
+    """`rows` in one of the forms; `names` chooses columns. Raises `InputError` on an unknown one."""
+    if names:
+        rows = rows[[column(rows, name) for name in names]]
+    elif form in ("markdown", "latex"):  # a page has no room for more; csv and parquet hold everything
+        rows = rows[reading(rows)]
+    match form:
+        case "csv":
+            return rows.to_csv(index=False).encode()
+        case "parquet":
+            content = io.BytesIO()
+            rows.to_parquet(content, index=False, compression="zstd")
+            return content.getvalue()
+        case "latex":
+            return latex(rows).encode()
+        case _:
+            return (shown(rows).to_markdown(index=False, disable_numparse=True) + "\n").encode()
+
+
+def reading(rows: pd.DataFrame) -> list[str]:
+    """The columns for a page: axes, replicate where there are several, outcome."""
+    several = ["replicate"] if rows["replicate"].nunique() > 1 else []
+    return [c for c in rows.columns if "." in c] + several + list(LABELS)
+
+
+def shown(rows: pd.DataFrame) -> pd.DataFrame:
+    """`rows` with readable headings and numbers."""
+    return rows.map(text).rename(columns=heading)
+
+
+def heading(name: str) -> str:
+    """Words and unit of a column."""
+    if "." in name:
+        return axis_words(name)
+    words, unit = name_and_unit(name)
+    return f"{words} ({unit})" if unit else words
+
+
+def text(value: object) -> str:
+    """Four digits are enough to read; what is not there stays empty."""
+    if isinstance(value, float):
+        return "" if pd.isna(value) else f"{value:.4g}"
+    return "" if value is None or value is pd.NA else str(value)
+
+
+def latex(rows: pd.DataFrame) -> str:
+    """A booktabs table; headings and words escaped."""
+    style = rows.map(text).rename(columns=heading).style.hide(axis="index")
+    style = style.format(escape="latex").format_index(escape="latex", axis="columns")
+    aligned = "".join("r" if rows[c].dtype.kind in "fi" else "l" for c in rows)
+    return style.to_latex(hrules=True, column_format=aligned).replace("°", r"\textdegree{}").replace("·", r"$\cdot$")
+
+
+def one_rollout(title: str, row: pd.Series) -> str:
+    """Outcome and figures of one rollout, a line each with its unit."""
+    lines = [(title, str(row["outcome"]), "")]
+    if row["outcome"] != "success":
+        lines.append(("cause", str(row["cause"]), f"in stage {row['stage']}"))
+    for name in figure_columns(row.to_frame().T):
+        if name in BOOKKEEPING:
+            continue
+        words, unit = name_and_unit(name)
+        lines.append((words, text(row[name]), unit))
+    table = pd.DataFrame(lines, columns=["figure", "value", "unit"])
+    return table.to_markdown(index=False, disable_numparse=True) + "\n"

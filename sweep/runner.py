@@ -1,0 +1,169 @@
+"""From an experiment to finished rows on disk, and from a row on disk back to its rollout."""
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from sweep import provenance, store
+from sweep.batches import Batch, among, batch, make_engine, nominal, plan, with_room_for_delay
+from sweep.config import Experiment, experiment
+from sweep.engines.base import Engine
+from sweep.metrics.outcome import classify
+from sweep.parameters import InputError
+from sweep.query import mask
+from sweep.study import points
+
+# what may change between runs into one folder: which points, and how they are judged
+FREE = ("study.axes.", "study.points", "study.where", "study.replicates", "study.invalid_max", "study.expect",
+        "scenario.expect", "outcome", "out")  # fmt: skip
+Progress = Callable[[pd.DataFrame], None]  # told the rows of every finished batch
+
+
+@dataclass(frozen=True)
+class Job:
+    """A study laid out in its folder: all planned rows, and those that this run asks for."""
+
+    exp: Experiment
+    folder: Path
+    table: pd.DataFrame
+    wanted: set[int]  # batches
+
+    def missing(self) -> list[int]:
+        """Batches that are asked for and not on disk."""
+        return sorted(self.wanted - store.finished(self.folder))
+
+    def rows(self, batches: list[int]) -> pd.DataFrame:
+        """Planned rows of `batches`."""
+        return self.table[self.table["batch"].isin(batches)]
+
+
+def wanted_points(exp: Experiment, where: str | None = None, limit: int | None = None) -> pd.DataFrame:
+    """The study's points that match `where`, at most `limit` of them. Raises `InputError` where none is left."""
+    table = points(exp.study, exp.case, exp.settings)
+    table = table[mask(table, where)].head(limit) if limit is not None else table[mask(table, where)]
+    if table.empty:
+        raise InputError(f"no point of {exp.study.name} is left to run")
+    return table.reset_index(drop=True)
+
+
+def lay_out(exp: Experiment, folder: Path, wanted: pd.DataFrame) -> Job:
+    """Plan `wanted` in `folder`, keeping what is planned there. Writes nothing. Raises `InputError`."""
+    planned = store.read_points(folder)
+    if len(planned):
+        refuse_other(store.read_study(folder), exp, folder)
+        if differ := set(planned.columns) ^ {*wanted.columns, "group", "batch", "slot", "width"}:
+            raise InputError(f"{folder} holds a study with other axes ({', '.join(sorted(differ))}): give out=DIR")
+    every = pd.concat([planned, wanted], ignore_index=True)
+    exp = with_room_for_delay(exp, every)
+    table = plan(exp, planned, wanted)
+    return Job(exp, folder, table, set(table.loc[among(table, wanted), "batch"]))
+
+
+def refuse_other(stored: Mapping[str, Any], exp: Experiment, folder: Path) -> None:
+    """Raise `InputError` where a folder holds rows that would not belong with those of `exp`."""
+    there, here = flat(stored["config"]), flat(exp.values)
+    for key in sorted({*there, *here}):
+        if there.get(key) != here.get(key) and not key.startswith(FREE):
+            raise InputError(
+                f"{folder} holds another study: {key} is {there.get(key)} there and {here.get(key)} here; give out=DIR"
+            )
+    if stored["code"] != provenance.code_version():
+        raise InputError(
+            f"{folder} was simulated by another version of the code or of its libraries "
+            f"({stored['commit'] or stored['code']}): remove it or give out=DIR"
+        )
+
+
+def flat(values: Any, path: str = "") -> dict[str, Any]:
+    """Nested plain values by dotted path."""
+    if not isinstance(values, Mapping):
+        return {path: values}
+    items = ((f"{path}.{key}" if path else str(key), value) for key, value in values.items())
+    return {k: v for key, value in items for k, v in flat(value, key).items()}
+
+
+def run(job: Job, progress: Progress) -> None:
+    """Simulate what is missing, one compiled engine after the other; each batch is on disk before the next starts."""
+    folder, exp = job.folder, job.exp
+    stages: dict[int, list[str]] = {}
+    if (folder / store.STUDY).exists():
+        stored = store.read_study(folder)
+        stages = stored["stages"]
+        if not stored["labelled"] or stored["config"]["outcome"] != exp.values["outcome"]:
+            relabel(folder, exp.values["outcome"])
+    describe(job, stages)
+    store.write_points(folder, job.table)
+    missing = job.rows(job.missing())
+    for _, rows in missing.groupby(["group", "width"], sort=False):
+        group, width = (int(rows[name].iloc[0]) for name in ("group", "width"))
+        start = nominal(exp, rows, width)
+        engine = make_engine(start.settings, start.world, start.belief)
+        stages[group] = list(engine.stages)
+        describe(job, stages)
+        store.log(folder, f"group {group}: {start.settings}, {len(rows)} rollouts of {engine.duration:g} s")
+        for number in rows["batch"].unique().tolist():
+            done = simulate(exp, engine, rows[rows["batch"] == number])
+            store.write_part(folder, number, done)
+            store.log(folder, f"batch {number}: {len(done)} rollouts, {done['wall_s'].sum():.1f} s")
+            progress(done)
+
+
+def describe(job: Job, stages: Mapping[int, list[str]]) -> None:
+    """Write study.yaml."""
+    store.write_study(job.folder, {
+        "config": job.exp.values, "rollouts": len(job.table), "stages": dict(stages), "labelled": True,
+        "code": provenance.code_version(), "commit": provenance.commit(), "versions": provenance.versions(),
+        "device": provenance.device(job.exp.settings),
+    })  # fmt: skip
+
+
+def simulate(exp: Experiment, engine: Engine, rows: pd.DataFrame) -> pd.DataFrame:
+    """The finished rows of one batch: points, figures, outcome, and the wall time of a rollout (s)."""
+    task = batch(exp, rows)
+    start = time.perf_counter()
+    figures = engine.run(task.world, task.belief, task.streams)
+    wall = time.perf_counter() - start
+    columns = {name: np.asarray(values, dtype=float)[: len(rows)] for name, values in figures.items()}
+    labels = classify(columns, exp.thresholds, engine.stages)
+    done = rows.reset_index(drop=True).assign(run_id=provenance.run_id(task.settings))
+    return pd.concat([done, pd.DataFrame(columns), pd.DataFrame(labels)], axis=1).assign(wall_s=wall / len(rows))
+
+
+def run_single(exp: Experiment) -> pd.DataFrame:
+    """The row of one nominal rollout, not stored."""
+    exp = replace(exp, settings=replace(exp.settings, width=exp.settings.width or 1))
+    table = plan(exp, pd.DataFrame(), wanted_points(exp))
+    exp = with_room_for_delay(exp, table)
+    start = nominal(exp, table, exp.settings.width)
+    return simulate(exp, make_engine(start.settings, start.world, start.belief), table)
+
+
+def relabel(folder: Path, outcome: Mapping[str, float]) -> None:
+    """Derive the outcomes of all stored rows from their figures by the thresholds `outcome`, without simulating."""
+    stored = store.read_study(folder)
+    config = {**stored["config"], "outcome": dict(outcome)}
+    thresholds = experiment(config).thresholds
+    # the mark stays when this is killed half-way, and the next run into the folder starts over
+    store.write_study(folder, {**stored, "labelled": False})
+    for number in sorted(store.finished(folder)):
+        rows = store.read_part(folder, number)
+        figures = {name: rows[name].to_numpy() for name in store.figure_columns(rows)}
+        labels = classify(figures, thresholds, tuple(stored["stages"][int(rows["group"].iloc[0])]))
+        store.write_part(folder, number, rows.assign(**labels))
+    store.write_study(folder, {**stored, "config": config, "labelled": True})
+
+
+def load_point(folder: Path, point: str) -> tuple[Batch, int, pd.Series]:
+    """The batch that `point` (a row number or the start of a point id) was simulated in, its slot, its row.
+
+    Running the same batch again on the same device gives the same bits. Raises `InputError`.
+    """
+    table = store.read_points(folder)
+    row = store.find_row(store.read_rows(folder), point, folder)
+    exp = with_room_for_delay(experiment(store.read_study(folder)["config"]), table)
+    return batch(exp, table[table["batch"] == row["batch"]]), int(row["slot"]), row

@@ -1,0 +1,73 @@
+"""How often rollouts succeed, and how sure that is."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from sweep.parameters import InputError
+from sweep.query import mask
+from sweep.study import Expectation
+
+
+@dataclass(frozen=True)
+class Rate:
+    """Successes among valid rollouts with the 95 % Wilson interval; invalid ones are counted apart."""
+
+    total: int
+    invalid: int
+    success: int
+    low: float
+    high: float
+
+    @property
+    def valid(self) -> int:
+        """Rollouts that can be trusted."""
+        return self.total - self.invalid
+
+    @property
+    def share(self) -> float:
+        """Successes over valid rollouts; NaN without any."""
+        return self.success / self.valid if self.valid else np.nan
+
+    @property
+    def invalid_share(self) -> float:
+        """Invalid rollouts over all."""
+        return self.invalid / self.total if self.total else 0.0
+
+    def __str__(self) -> str:
+        if not self.valid:
+            return f"no valid rollout among {self.total}"
+        share, low, high, invalid = (f"{100 * v:.1f} %" for v in (self.share, self.low, self.high, self.invalid_share))
+        sure = f"{share}, 95 % interval {low} to {high}"
+        return f"{self.success} of {self.valid} succeed ({sure}), {self.invalid} invalid ({invalid})"
+
+
+def rate(outcome: pd.Series) -> Rate:
+    """Rate of a column of outcomes."""
+    invalid, success = int((outcome == "invalid").sum()), int((outcome == "success").sum())
+    valid = len(outcome) - invalid
+    if not valid:
+        return Rate(len(outcome), invalid, success, np.nan, np.nan)
+    from scipy.stats import binomtest  # slow to import, and a listing needs none of it
+
+    interval = binomtest(success, valid).proportion_ci(0.95, method="wilson")
+    return Rate(len(outcome), invalid, success, float(interval.low), float(interval.high))
+
+
+def broken(expectations: tuple[Expectation, ...], rows: pd.DataFrame) -> list[str]:
+    """One line for every expectation that `rows` do not meet. Raises `InputError` on a bad condition."""
+    lines = []
+    valid = rows[rows["outcome"] != "invalid"]
+    for one in expectations:
+        if one.at_least > one.at_most:
+            raise InputError(f"expectation at_least = {one.at_least:g} is above at_most = {one.at_most:g}")
+        among = valid[mask(valid, one.where)]
+        what = f"share of {one.that}" + (f" where {one.where}" if one.where else "")
+        if among.empty:
+            lines.append(f"expected a {what}, but no valid rollout matches")
+            continue
+        share = float(mask(among, one.that).mean())
+        if not one.at_least <= share <= one.at_most:
+            lines.append(f"expected {what} from {one.at_least:g} to {one.at_most:g}, got {share:.4g} of {len(among)}")
+    return lines

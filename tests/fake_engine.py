@@ -1,0 +1,48 @@
+"""A fast engine with an analytic region of success, and the command line run with it (for tests in a subprocess)."""
+
+import os
+import sys
+import time
+
+import numpy as np
+
+import sweep.engines
+from sweep.metrics.outcome import TIMED_CAUSES
+
+
+class FakeEngine:
+    """Slips where the world's friction is below five times the believed half step ratio; NaN at a friction of 7."""
+
+    stages = ("stand", "walk")
+    duration = 10.0
+
+    def __init__(self, settings, world, belief):
+        self.width = settings.width or 8
+
+    def run(self, world, belief, streams):
+        friction, ratio = np.broadcast_arrays(world.contact.friction, belief.manoeuvre.half_step_ratio)
+        friction, ratio = (np.broadcast_to(v, (self.width,)).astype(float) for v in (friction, ratio))
+        assert streams.shape == (self.width,)
+        time.sleep(float(os.environ.get("FAKE_SECONDS", "0")))
+        tilt = np.where(friction < 5 * ratio, 40.0, 1.0) * np.where(friction == 7, np.nan, 1.0)
+        zero = np.zeros(self.width)
+        late = {f"{cause}_time_s": np.full(self.width, np.nan) for cause in TIMED_CAUSES}
+        late |= {f"{cause}_stage": zero for cause in TIMED_CAUSES}
+        return late | {
+            "tilt_max_deg": tilt, "slip_max_m": ratio / (friction + 0.01), "reach_shortfall_max_m": zero,
+            "clearance_min_m": zero + 0.05, "leg_gap_min_m": zero + 0.05, "heading_error_max_deg": zero,
+            "saturation_share_alpha": zero, "saturation_share_beta": zero, "saturation_share_gamma": zero,
+            "solver_residual_max_n": zero, "energy_gain_max_j": zero, "progress": zero + 1, "finished": zero + 1,
+            "finite": zero + 1, "end_stage": zero + 1, "noise_draw": streams % 1000 / 1000,
+        }  # fmt: skip
+
+
+def install():
+    sweep.engines.make = FakeEngine
+
+
+if __name__ == "__main__":
+    from sweep.cli import main
+
+    install()
+    sys.exit(main(sys.argv[1:]))
