@@ -1,6 +1,7 @@
 """Pictures of a trace: PNG frames and MP4, drawn by MuJoCo without a screen."""
 
 import importlib.util
+import itertools
 import os
 import subprocess
 import sys
@@ -36,18 +37,27 @@ def write_png(folder: str | Path, trace: Trace, number: int = 8) -> list[Path]:
 
 def write_video(path: str | Path, trace: Trace) -> None:
     """Write an MP4 in real time; raises `InputError` without OpenGL or without the `video` extra."""
-    if importlib.util.find_spec("imageio_ffmpeg") is None:
-        raise InputError("a video needs ffmpeg: pip install 'insect-sweep[video]'")
+    need_ffmpeg()
     import imageio_ffmpeg
 
-    writer = None
-    for picture in render(trace, at_rate(trace, VIDEO_RATE)):
-        if writer is None:  # opened with the first picture, so that a failure to draw leaves no empty file
-            writer = imageio_ffmpeg.write_frames(str(path), SIZE, fps=VIDEO_RATE, quality=7, ffmpeg_log_level="error")
-            writer.send(None)
-        writer.send(np.ascontiguousarray(picture))
-    if writer is not None:
-        writer.close()
+    # imageio_ffmpeg's own writer forks, which may hang a process that runs JAX
+    raw = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{SIZE[0]}x{SIZE[1]}", "-r", str(VIDEO_RATE), "-i", "-"]
+    encoded = ["-c:v", "libx264", "-crf", "20", "-pix_fmt", "yuv420p", "-movflags", "+faststart", str(path)]
+    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-loglevel", "error", *raw, *encoded]
+    pictures = render(trace, at_rate(trace, VIDEO_RATE))
+    first = next(pictures)  # before there is a file, so that a failure to draw leaves none
+    with subprocess.Popen(command, stdin=subprocess.PIPE) as process:
+        assert process.stdin is not None
+        for picture in itertools.chain([first], pictures):
+            process.stdin.write(picture.tobytes())
+    if process.returncode:
+        raise RuntimeError(f"ffmpeg failed to write {path}")
+
+
+def need_ffmpeg() -> None:
+    """Raise `InputError` where the `video` extra is not installed."""
+    if importlib.util.find_spec("imageio_ffmpeg") is None:
+        raise InputError("a video needs ffmpeg: pip install 'insect-sweep[video]'")
 
 
 def render(trace: Trace, chosen: np.ndarray) -> Generator[np.ndarray, None, None]:

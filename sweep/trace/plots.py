@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -20,7 +21,7 @@ NAMED_STAGES = 10  # more names than this would overlap
 def torques(trace: Trace) -> Figure:
     """Joint torques per leg, N m."""
     values = trace.joint_torque.reshape(-1, 6, 3)
-    return _per_leg(trace, "Joint torque (largest of each tick)", "torque (N m)", values)
+    return _per_leg(trace, "Joint torque (largest magnitude of each tick)", "torque (N m)", values)
 
 
 def joints(trace: Trace) -> Figure:
@@ -45,7 +46,7 @@ def base(trace: Trace) -> Figure:
 
 def feet(trace: Trace) -> Figure:
     """Height of each foot against its reference, m, and the force on it, N."""
-    figure, axes = _grid(6, 2, "Feet (dashed: planned height)")
+    figure, axes = _grid(6, 2, "Feet (dashed: planned height)", share="col")
     for leg, (left, right) in enumerate(axes):
         left.plot(trace.time, trace.foot_target[:, leg, 2], color=REFERENCE, ls="--", lw=1.0)
         left.plot(trace.time, trace.foot_position[:, leg, 2], color=LEG_COLORS[leg], lw=1.2)
@@ -54,7 +55,6 @@ def feet(trace: Trace) -> Figure:
         right.plot(trace.time, force[:, 2], color=ACTUAL, lw=1.2, label="vertical")
         right.plot(trace.time, np.linalg.norm(force[:, :2], axis=1), color=SECOND, lw=1.0, label="horizontal")
         right.set_ylabel("force (N)")
-    _share_y(axes[:, 1])
     figure.legend(*axes[0, 1].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
     return _finish(figure, axes, trace)
 
@@ -103,7 +103,7 @@ def tilt(pose: np.ndarray) -> np.ndarray:
 
 def _per_leg(trace: Trace, title: str, label: str, values: np.ndarray, target: np.ndarray | None = None) -> Figure:
     """One panel a leg with the three joints of `values` (F, 6, 3), `target` dashed."""
-    figure, axes = _grid(3, 2, title)
+    figure, axes = _grid(3, 2, title, share="all")
     for row, legs in zip(axes, LEGS, strict=True):
         for ax, leg in zip(row, legs, strict=True):
             for kind, color in zip(range(3), (ACTUAL, SECOND, "#009e73"), strict=True):
@@ -111,21 +111,16 @@ def _per_leg(trace: Trace, title: str, label: str, values: np.ndarray, target: n
                 if target is not None:
                     ax.plot(trace.time, target[:, leg - 1, kind], color=color, ls="--", lw=0.8)
             ax.set_ylabel(f"leg {leg}\n{label}")
-    _share_y(axes)
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
     return _finish(figure, axes, trace)
 
 
-def _grid(rows: int, columns: int, title: str) -> tuple[Figure, np.ndarray]:
+def _grid(rows: int, columns: int, title: str, share: Literal["none", "col", "all"] = "none") -> tuple[Figure, Any]:
+    """Figure and its axes (rows, columns), one time axis for all; `share` says which have one y axis."""
     figure = Figure(figsize=(4.5 + 3.5 * columns, 2.0 + 1.5 * rows), layout="constrained")
     figure.suptitle(title)
-    return figure, figure.subplots(rows, columns, sharex=True, squeeze=False)
-
-
-def _share_y(axes: np.ndarray) -> None:
-    for ax in axes.flat[1:]:
-        ax.sharey(axes.flat[0])
+    return figure, figure.subplots(rows, columns, sharex=True, sharey=share, squeeze=False)
 
 
 def _finish(figure: Figure, axes: np.ndarray, trace: Trace) -> Figure:

@@ -44,6 +44,16 @@ def test_curves_are_the_trace(trace):
     np.testing.assert_array_equal(target.get_ydata(), trace.base_target[:, 0])
 
 
+@pytest.mark.parametrize("name", ["torques", "feet"])
+def test_a_peak_in_the_last_leg_is_not_cut_off(name, trace):
+    torque, force = trace.joint_torque.copy(), trace.foot_force.copy()
+    torque[50, 17], force[50, 5] = 99.0, [0.0, 0.0, 999.0]
+    figure = PLOTS[name](dataclasses.replace(trace, joint_torque=torque, foot_force=force))
+    for ax in figure.axes:
+        curves = [y for line in ax.lines if len(y := np.asarray(line.get_ydata())) > 2]  # not the stage marks
+        assert max(y.max() for y in curves) <= ax.get_ylim()[1]
+
+
 def test_tilt_of_a_turned_base():
     angle = np.radians([0, 30, 90])
     pose = np.zeros((3, 7))
