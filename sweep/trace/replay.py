@@ -1,0 +1,131 @@
+"""`sweep replay DIR POINT`: simulate one stored rollout again and show it."""
+
+import argparse
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.backend_bases import FigureCanvasBase
+from tabulate import tabulate
+
+from sweep import provenance, store
+from sweep.batches import axis_columns, make_engine, nominal, with_room_for_delay
+from sweep.config import experiment
+from sweep.engines.base import Trace
+from sweep.metrics.outcome import classify
+from sweep.parameters import InputError
+from sweep.runner import load_point
+from sweep.trace.frames import need_ffmpeg, write_png, write_video
+from sweep.trace.mcap import write_mcap
+from sweep.trace.plots import PLOTS, save
+
+LABELS = ("outcome", "cause", "stage", "t_cause_s")
+
+
+@dataclass(frozen=True)
+class Replay:
+    """A stored rollout and the same one simulated again."""
+
+    stored: pd.Series  # its row
+    again: Mapping[str, Any]  # the new row: figures and labels
+    trace: Trace
+    config: dict[str, Any]  # the study's resolved configuration and the point's own values
+    same_run: bool  # whether it was simulated as it was then: code, libraries, device
+
+
+def main(args: list[str]) -> int:
+    """Run the command with the arguments after `replay`; the exit status. Raises `InputError`."""
+    options = _parser().parse_args(args)
+    _check(options)
+    result = replay(options.folder, options.point)
+    print(comparison(result))
+    for path in (options.mcap, options.video, options.output):
+        if path is not None:
+            path.parent.mkdir(parents=True, exist_ok=True)
+    if options.mcap:
+        outcome = {"point_id": result.stored["point_id"], **result.again}
+        write_mcap(options.mcap, result.trace, result.config, outcome)
+    for name in options.plot:
+        save(PLOTS[name](result.trace), plot_path(options.output, name, alone=len(options.plot) == 1))
+    if options.png:
+        write_png(options.png, result.trace)
+    if options.video:
+        write_video(options.video, result.trace)
+    return 0
+
+
+def replay(folder: Path, point: str) -> Replay:
+    """Simulate the batch of `point` (a row number or the start of a point id) in `folder` again, recording that point.
+
+    The whole batch runs, because equal bits need equal neighbours in equal slots. Raises `InputError`.
+    """
+    task, slot, row = load_point(folder, point)
+    table, config = store.read_points(folder), store.read_study(folder)["config"]
+    exp = with_room_for_delay(experiment(config), table)
+    start = nominal(exp, table.loc[table["batch"] == row["batch"]], len(task.streams))
+    engine = make_engine(start.settings, start.world, start.belief)
+    trace = engine.trace(task.world, task.belief, task.streams, slot)
+    labels = classify(
+        {k: np.asarray([v], dtype=float) for k, v in trace.figures.items()}, exp.thresholds, engine.stages
+    )
+    again = {**{name: values[0] for name, values in labels.items()}, **trace.figures}
+    values = {name: row[name] for name in (*axis_columns(table), "replicate", "stream")}
+    same_run = str(row["run_id"]) == provenance.run_id(task.settings)
+    return Replay(row, again, trace, {**config, "point": values}, same_run)
+
+
+def comparison(result: Replay) -> str:
+    """The stored outcome beside the new one, and the figures that differ."""
+    stored, again = result.stored, result.again
+    figures = [name for name in result.trace.figures if name in stored]
+    changed = [name for name in figures if not _equal(stored[name], again[name])]
+    rows = [(name, _shown(stored[name]), _shown(again[name])) for name in (*LABELS, *changed)]
+    lines = [
+        f"point {stored['point_id']}",
+        tabulate(rows, headers=("", "stored", "replayed"), disable_numparse=True),
+        f"{len(figures) - len(changed)} of {len(figures)} figures are equal to the last bit",
+    ]
+    if not result.same_run:
+        lines.append("the row was simulated by other code, other libraries or on another device")
+    return "\n".join(lines)
+
+
+def plot_path(output: Path, name: str, alone: bool) -> Path:
+    """File of the plot `name`: `output` itself, or one beside it for each of several plots."""
+    return output if alone else output.with_stem(f"{output.stem}-{name}")
+
+
+def _shown(value: Any) -> str:
+    return value if isinstance(value, str) else f"{value:.9g}"
+
+
+def _equal(a: Any, b: Any) -> bool:
+    return bool(np.array_equal(np.asarray(a, dtype=float), np.asarray(b, dtype=float), equal_nan=True))
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="sweep replay", description="Simulate one stored rollout again and show it.")
+    parser.add_argument("folder", metavar="DIR", type=Path, help="result folder of a study")
+    parser.add_argument("point", metavar="POINT", help="row number, or the beginning of a point_id")
+    parser.add_argument("--mcap", metavar="FILE", type=Path, help="write a trace for Foxglove, and a layout beside it")
+    parser.add_argument("--png", metavar="DIR", type=Path, help="write a few pictures")
+    parser.add_argument("--video", metavar="FILE", type=Path, help="write an MP4 in real time")
+    parser.add_argument("--plot", metavar="NAME", nargs="+", choices=PLOTS, default=[], help=", ".join(PLOTS))
+    parser.add_argument("-o", "--output", metavar="FILE", type=Path, help="file of the plots (png, svg, pdf)")
+    return parser
+
+
+def _check(options: argparse.Namespace) -> None:
+    """Refuse before simulating what could not be written after it."""
+    if bool(options.plot) != (options.output is not None):
+        raise InputError("--plot NAME ... and -o FILE go together")
+    kinds = FigureCanvasBase.get_supported_filetypes()
+    if options.output and options.output.suffix[1:] not in kinds:
+        raise InputError(f"-o {options.output} is not allowed: a file that ends in {', '.join(sorted(kinds))}")
+    if options.video:
+        if options.video.suffix != ".mp4":
+            raise InputError(f"--video {options.video} is not allowed: a file that ends in mp4")
+        need_ffmpeg()

@@ -1,0 +1,128 @@
+"""`sweep replay` on a small result folder; the engine is a stand-in, the files and the batch are real."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from sweep import batches, runner, store
+from sweep.config import compose
+from sweep.metrics.outcome import TIMED_CAUSES
+from sweep.parameters import InputError
+from sweep.trace import replay as module
+from sweep.trace.replay import main
+
+WIDTH = 3
+AXIS = "+study.axes.friction={path: contact.friction, on: world, values: [0.2, 0.4, 0.6, 0.8, 1.0]}"
+
+
+class StandInEngine:
+    """Slips the more the less friction there is, and depends on its batch's width as real engines do."""
+
+    stages = ("stand", "left tripod", "right tripod")
+    duration = 1.0
+    width = WIDTH
+
+    def __init__(self, trace):
+        self._trace = trace
+
+    def run(self, world, belief, streams):
+        assert len(streams) == WIDTH
+        names = [f"{cause}_{what}" for cause in TIMED_CAUSES for what in ("time_s", "stage")]
+        zero = ["tilt_max_deg", "reach_shortfall_max_m", "clearance_min_m", "leg_gap_min_m", "heading_error_max_deg",
+                "saturation_share_alpha", "saturation_share_beta", "saturation_share_gamma", "solver_residual_max_n",
+                "energy_gain_max_j", "end_stage"]  # fmt: skip
+        figures = {**{n: np.full(WIDTH, np.nan) for n in names}, **{n: np.zeros(WIDTH) for n in zero}}
+        figures |= {"finished": np.ones(WIDTH), "finite": np.ones(WIDTH), "progress": np.ones(WIDTH)}
+        friction = np.asarray(world.contact.friction, np.float32)
+        slow = np.where(friction < 0.5, 0.5, 1.0)
+        return {**figures, "slip_max_m": 0.01 / friction + streams % 7, "progress": slow}
+
+    def trace(self, world, belief, streams, slot):
+        figures = {name: values[slot] for name, values in self.run(world, belief, streams).items()}
+        return dataclasses.replace(self._trace, figures=figures)
+
+
+@pytest.fixture(scope="module")
+def folder(trace, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("replay") / "slip"
+    with pytest.MonkeyPatch.context() as patch:
+        for place in (batches, runner, module):
+            patch.setattr(place, "make_engine", lambda *_: StandInEngine(trace))
+        exp = compose(["scenario=walk_tripod", "study.name=slip", f"engine.width={WIDTH}", AXIS])
+        with store.locked(folder):
+            runner.run(runner.lay_out(exp, folder, runner.wanted_points(exp)), lambda rows: None)
+        yield folder
+
+
+@pytest.mark.parametrize("number", range(5))
+def test_every_point_is_found_in_its_slot(folder, number, capsys):
+    row = store.read_rows(folder).iloc[number]
+    result = module.replay(folder, row["point_id"][:10])
+    assert result.stored["point_id"] == row["point_id"]
+    assert result.again["slip_max_m"] == row["slip_max_m"]
+    friction = row["world.contact.friction"]
+    assert result.again["outcome"] == row["outcome"] == ("failure" if friction < 0.5 else "success")
+    assert result.config["point"]["world.contact.friction"] == friction
+    assert main([str(folder), str(number)]) == 0
+    shown = capsys.readouterr().out
+    assert row["point_id"] in shown
+    assert "figures are equal to the last bit" in shown
+    assert "slip_max_m" not in shown  # only what differs is listed
+
+
+def test_what_differs_is_shown(folder, trace, monkeypatch, capsys):
+    class Other(StandInEngine):
+        def run(self, world, belief, streams):
+            return {**super().run(world, belief, streams), "tilt_max_deg": np.full(WIDTH, 30.0)}
+
+    monkeypatch.setattr(module, "make_engine", lambda *_: Other(trace))
+    monkeypatch.setattr("sweep.provenance.code_version", lambda: "another")
+    main([str(folder), "4"])
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split() for line in lines if line.startswith(("outcome", "tilt"))] == [
+        ["outcome", "success", "failure"],
+        ["tilt_max_deg", "0", "30"],
+    ]
+    assert lines[-1].startswith("the row was simulated by other code")
+
+
+def test_files(folder, tmp_path):
+    out = tmp_path / "new" / "walk"
+    main([str(folder), "1", "--mcap", f"{out}.mcap", "--plot", "base", "feet", "-o", f"{out}.svg"])
+    assert {f.name for f in out.parent.iterdir()} == {"walk.mcap", "walk.layout.json", "walk-base.svg", "walk-feet.svg"}
+    with out.with_suffix(".mcap").open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        config = json.loads(next(reader.iter_attachments()).data)
+        outcome = next(reader.iter_metadata()).metadata
+    assert config["point"]["world.contact.friction"] == 0.4
+    assert config["engine"]["width"] == WIDTH
+    assert outcome["cause"] == "stalled"
+
+
+def test_one_plot_has_the_name_given(folder, tmp_path):
+    main([str(folder), "0", "--plot", "joints", "-o", str(tmp_path / "angles.png")])
+    assert (tmp_path / "angles.png").exists()
+
+
+@pytest.mark.parametrize(
+    ("args", "message"),
+    [
+        (["99"], "99 is not a point"),
+        (["0", "--plot", "base"], "go together"),
+        (["0", "-o", "base.png"], "go together"),
+        (["0", "--plot", "base", "-o", "base.doc"], r"base\.doc is not allowed"),
+        (["0", "--video", "walk.avi"], r"walk\.avi is not allowed: a file that ends in mp4"),
+    ],
+)
+def test_bad_arguments_are_one_line(folder, args, message):
+    with pytest.raises(InputError, match=message) as error:
+        main([str(folder), *args])
+    assert "\n" not in str(error.value)
+
+
+def test_folder_without_results(tmp_path):
+    with pytest.raises(InputError, match="not a folder of results"):
+        main([str(tmp_path), "0"])
