@@ -13,7 +13,8 @@ from jaxtyping import Array, Float
 
 from sweep.formulas.formula import Formula, Input, Scalar, positive
 
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
+# Plain numbers: a float64 array would be cached as such, and fail in a process that uses both precisions.
+_NODES, _WEIGHTS = (tuple(map(float, row)) for row in np.polynomial.legendre.leggauss(3))
 
 
 class DragIntegrals(NamedTuple):
@@ -48,9 +49,9 @@ def _across(inner, c: Scalar, p: Scalar, q: Scalar) -> Array:
     low, high = jax.lax.stop_gradient((breaks.min(-1), breaks.max(-1)))
     ends = jnp.stack([-jnp.ones_like(low), low, high, jnp.ones_like(low)], axis=-1)
     half = jnp.diff(ends) / 2
-    t = (ends[..., :-1] + half)[..., None] + half[..., None] * _NODES
+    t = (ends[..., :-1] + half)[..., None] + half[..., None] * jnp.array(_NODES)
     c, p, q = (jnp.expand_dims(jnp.asarray(value), (-1, -2)) for value in (c, p, q))
-    return (inner(c + q * t, p) * half[..., None] * _WEIGHTS).sum((-1, -2))
+    return (inner(c + q * t, p) * half[..., None] * jnp.array(_WEIGHTS)).sum((-1, -2))
 
 
 def _sum(v: Array, p: Array) -> Array:

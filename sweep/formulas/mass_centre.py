@@ -1,0 +1,91 @@
+"""How the robot's mass centre follows its body while the feet stand: monograph (3.1.1), (3.1.9)."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from sweep.formulas import leg
+from sweep.formulas.formula import Formula, Scalar, positive
+
+
+def leg_mass_centre(
+    side: Float[Array, "*b"],
+    angles: Float[Array, "*b 3"],
+    thigh: Scalar,
+    shin: Scalar,
+    thigh_mass: Scalar,
+    shin_mass: Scalar,
+) -> Float[Array, "*b 3"]:
+    """Mass centre of a leg of two uniform links from its hip (m, base axes): (3.1.9)."""
+    knee = leg.fk(side, angles, 0.0, thigh, 0.0)
+    foot = leg.fk(side, angles, 0.0, thigh, shin)
+    return (thigh_mass * knee / 2 + shin_mass * (knee + foot) / 2) / (thigh_mass + shin_mass)
+
+
+class MassCentre(NamedTuple):
+    """Derivative of the mass centre by the body's centre, both from the ball's centre."""
+
+    D: Float[Array, "3 3"]
+
+
+def ball_jacobian(
+    R: Scalar,
+    d1: Scalar,
+    d2: Scalar,
+    height: Scalar,
+    a_r: Scalar,
+    b_r: Scalar,
+    l1: Scalar,
+    l2: Scalar,
+    m_b: Scalar,
+    m1: Scalar,
+    m2: Scalar,
+) -> MassCentre:
+    """D of (3.1.1) for a robot that stands on a ball: what the mass centre moves by if the body moves by 1.
+
+    The feet stand on a circle of radius d1 round the top of the ball of radius R, front and rear ones d2 from its
+    middle line (before 3.1.3); the level body's centre is `height` over the ball's centre. Body of length a_r and
+    width b_r, links l1, l2 (m), masses of the body and of the links of a leg m_b, m1, m2 (kg). Axes: x forward, y
+    left, z up. Nan where a foot is out of reach.
+    """
+    fore = jnp.array([-1.0, -1.0, 0.0, 0.0, 1.0, 1.0]) * d2
+    feet = jnp.stack([fore, leg.SIDE * jnp.sqrt(d1**2 - fore**2), jnp.full(6, jnp.sqrt(R**2 - d1**2))], axis=-1)
+    mounts = leg.rectangular_mounts(a_r, b_r)
+    leg_mass = m1 + m2
+    side = jnp.asarray(leg.SIDE)
+
+    def mass_centre(body: Float[Array, " 3"]) -> Float[Array, " 3"]:
+        angles, miss = leg.ik(side, feet - body - mounts, 0.0, l1, l2)
+        legs = mounts + leg_mass_centre(side, angles, l1, l2, m1, m2)
+        reached = jnp.where(jnp.any(miss > 0), jnp.nan, 1.0)
+        return reached * (body + leg_mass * legs.sum(0) / (m_b + 6 * leg_mass))
+
+    return MassCentre(jax.jacfwd(mass_centre)(jnp.stack([0.0 * height, 0.0 * height, height])))
+
+
+FORMULAS = (
+    Formula(
+        "ball_jacobian",
+        "how the mass centre follows the body of a robot standing on a ball",
+        "monograph",
+        ("3.1.1", "3.1.9"),
+        ball_jacobian,
+        (
+            positive("R", "m", 0.84),
+            positive("d1", "m", 0.5),
+            positive("d2", "m", 0.3),
+            positive("height", "m", 1.0),
+            positive("a_r", "m", 1.05),
+            positive("b_r", "m", 0.5),
+            positive("l1", "m", 0.52),
+            positive("l2", "m", 0.335),
+            positive("m_b", "kg", 10.0),
+            positive("m1", "kg", 0.5),
+            positive("m2", "kg", 0.5),
+        ),
+        {"D": ""},
+        condition="d2 <= d1 <= R, and the feet in reach of the legs",
+    ),
+)
