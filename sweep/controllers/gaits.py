@@ -10,9 +10,13 @@ from sweep.controllers.plan import CYCLE_A, Stage, Stance
 from sweep.formulas import stepping
 
 TRIPOD = ((1, 4, 5), (2, 3, 6))
-GALLOP = ((5, 6), (3, 4), (1, 2))  # front, middle, rear; the printed phase shifts would take the rear before the middle
+GALLOP = ((5, 6), (3, 4), (1, 2))  # front, middle, rear: the text of 1.3, and what climbs a pole
+# The printed phase shifts instead take the rear pair before the middle one. On level ground they are the right ones:
+# the middle feet then stand ahead of the centre of mass while the front pair swings, and behind it for the rear pair,
+# where in the text's order the robot tips onto the swinging pair.
+LEVEL_GALLOP = ((5, 6), (1, 2), (3, 4))
 MODIFIED_GALLOP = ((5, 6), (3, 4), (1, 2), (3, 4))  # middle legs twice as often, near the pair that swings next
-GAITS = {"tripod": TRIPOD, "gallop": GALLOP, "modified_gallop": MODIFIED_GALLOP}
+GAITS = {"tripod": TRIPOD, "gallop": GALLOP, "level_gallop": LEVEL_GALLOP, "modified_gallop": MODIFIED_GALLOP}
 
 
 class Step(NamedTuple):

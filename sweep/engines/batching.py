@@ -43,10 +43,12 @@ def default_width() -> int:
 
 def substeps(settings: EngineSettings) -> int:
     """Physics steps of a control tick. Raises `InputError` where they do not fit."""
-    ratio = settings.control_period / settings.time_step
+    key = "native_time_step" if settings.name == "native" else "time_step"
+    step = getattr(settings, key)
+    ratio = settings.control_period / step
     if ratio < 1 or abs(ratio - round(ratio)) > 1e-6:
         raise InputError(
-            f"engine.time_step = {settings.time_step:g} is not allowed: a whole fraction of "
+            f"engine.{key} = {step:g} is not allowed: a whole fraction of "
             f"engine.control_period = {settings.control_period:g} s"
         )
     return round(ratio)

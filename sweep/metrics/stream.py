@@ -16,7 +16,8 @@ from sweep.models.obstacles.surface import Bodies
 from sweep.models.scene import GRAVITY
 
 OVERTURNED = 60.0  # deg of tilt: nothing after it tells anything of the manoeuvre
-LOADED = 5.0  # N, from which a foot's friction demand means something
+LOADED = 5.0  # N, from which a foot carries load and its friction demand means something
+LOAD_TIME = 0.05  # s, over which a load is averaged for the support polygon: a bounce of the feet is not a fall
 
 
 class Tick(NamedTuple):
@@ -51,6 +52,7 @@ class Running(NamedTuple):
     energy_gain: Float[Array, ""]
     touchdown: Float[Array, "6 3"]  # m, where each foot took hold, in its surface's body
     slip: Float[Array, ""]
+    load: Float[Array, " 6"]  # N, normal, averaged
     margin: Float[Array, ""]
     torque: Float[Array, " 3"]
     saturated: Float[Array, " 3"]  # s
@@ -82,7 +84,8 @@ def begin(plan: Plan, position: Float[Array, " 3"], energy: Float[Array, ""]) ->
     n = len(TIMED_CAUSES)
     return Running(
         time=zero, over=no, energy_start=energy, work=zero, effort=zero, energy_gain=zero,
-        touchdown=plan.start.feet, slip=zero, margin=far, torque=three, saturated=three, friction=zero, normal=zero,
+        touchdown=plan.start.feet, slip=zero,
+        load=jnp.full(6, 2 * LOADED, dtype), margin=far, torque=three, saturated=three, friction=zero, normal=zero,
         clearance=far, gap=far, tilt=zero, heading=zero, shortfall=zero, position_error=zero, residual=zero,
         start=position, position=position, travel=zero, travel_time=zero, finished=no, finite=yes,
         cause_time=jnp.full(n, jnp.nan, dtype), cause_stage=jnp.full(n, -1, jnp.int32),
@@ -112,6 +115,8 @@ def update(
     moving = (length > 1e-6) & ~state.finished
     direction = way / jnp.maximum(length, 1e-6)
     work = running.work + tick.work
+    load = running.load + min(1.0, period / LOAD_TIME) * (tick.normal - running.load)
+    margin = support_margin(tick.joints[:, -1, :2], load > LOADED, tick.centre_of_mass[:2])
     new = running._replace(
         time=running.time + period,
         work=work,
@@ -119,9 +124,8 @@ def update(
         energy_gain=jnp.maximum(running.energy_gain, tick.energy - running.energy_start - work),
         touchdown=touchdown,
         slip=jnp.maximum(running.slip, slip),
-        margin=jnp.minimum(
-            running.margin, support_margin(tick.joints[:, -1, :2], tick.loaded, tick.centre_of_mass[:2])
-        ),
+        load=load,
+        margin=jnp.minimum(running.margin, margin),
         torque=jnp.maximum(running.torque, jnp.max(tick.torque_peak, axis=0)),
         saturated=running.saturated + period * jnp.mean(tick.saturated, axis=0),
         friction=jnp.maximum(running.friction, jnp.max(demand)),

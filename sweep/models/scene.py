@@ -165,6 +165,9 @@ def _add_leg(
         parent.add_geom(name=f"foot{leg}", type=mujoco.mjtGeom.mjGEOM_SPHERE, pos=end, size=[FOOT_RADIUS, 0, 0],
                         contype=1, conaffinity=0, condim=3, friction=[0, 0, 0], mass=0.0, group=COLLIDING,
                         solref=[0.004, 1.0], solimp=[0.95, 0.99, 0.001, 0.5, 2.0])  # fmt: skip
+        force, net = 1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE), 3  # summed over the foot's contacts, world axes
+        spec.add_sensor(name=f"force{leg}", type=mujoco.mjtSensor.mjSENS_CONTACT, objtype=mujoco.mjtObj.mjOBJ_GEOM,
+                        objname=f"foot{leg}", intprm=[force, net, 1])  # fmt: skip
 
 
 def _add_drive(spec: mujoco.MjSpec, joint: str) -> None:

@@ -1,0 +1,205 @@
+"""The second opinion: C MuJoCo with its own contact solver on a thread pool, under the same controller and metrics."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from jaxtyping import Array, Float
+from mujoco.batch import Batch
+
+from sweep.case import Case
+from sweep.controllers.plan import Plan
+from sweep.controllers.tracker import Command
+from sweep.engines import batching
+from sweep.engines.base import Figures, Trace
+from sweep.engines.pilot import GRACE, Pilot, decide, embark, is_quiet, measure, start_pose
+from sweep.engines.settings import EngineSettings
+from sweep.metrics import stream
+from sweep.metrics.outcome import Thresholds
+from sweep.metrics.stream import Tick
+from sweep.models import scene
+from sweep.models.obstacles.surface import Bodies
+from sweep.parameters import InputError
+
+CONTROL = mujoco.mjtState.mjSTATE_CTRL.value | mujoco.mjtState.mjSTATE_XFRC_APPLIED.value
+RECORD = ("qpos", "qvel", "actuator_force", "sensordata", "energy", "xpos", "xmat", "site_xpos", "subtree_com")
+
+
+def native_model(case: Case, time_step: float) -> mujoco.MjModel:
+    """The model of one case with contact, the clamped servos of (1.2.1) and foot force sensors.
+
+    The settings are those that hold a stiff robot still: elliptic cones, impratio 100, stiff contact.
+    """
+    model = scene.compile_model(case)
+    model.opt.timestep = time_step
+    model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    model.opt.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    model.opt.impratio = 100
+    model.opt.iterations = 50
+    model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
+    drive, execution = case.drive, case.execution
+    alive = (np.arange(18) != round(float(execution.dead_joint))).astype(float)
+    limit = execution.torque_scale * drive.torque_limit
+    model.actuator_biastype[:] = mujoco.mjtBias.mjBIAS_AFFINE
+    model.actuator_gainprm[:, 0] = alive * drive.stiffness
+    model.actuator_biasprm[:, 1] = -alive * drive.stiffness
+    model.actuator_biasprm[:, 2] = -alive * drive.damping
+    model.actuator_forcelimited[:] = 1
+    model.actuator_forcerange[:] = [-limit, limit]
+    model.dof_damping[model.jnt_dofadr[model.actuator_trnid[:, 0]]] = drive.back_emf
+    return model
+
+
+class Native:
+    """One C simulation per rollout; the host goes through the control ticks."""
+
+    def __init__(self, settings: EngineSettings, world: Case, belief: Case, limits: Thresholds | None = None):
+        batching.configure(settings)
+        if world.obstacle.free_bodies:
+            raise InputError("engine.name = native is not allowed: this obstacle has free bodies")
+        self.settings = settings
+        self.limits = limits or Thresholds()
+        self.substeps = batching.substeps(settings)
+        self.width = settings.width or batching.CPU_WIDTH
+        self.duration = float(GRACE * np.sum(belief.manoeuvre.plan(belief).duration))
+        self.stages = belief.manoeuvre.plan(belief).names
+        self._compiled: dict[Any, tuple[Callable, Callable, Callable]] = {}
+
+    def run(self, world: Case, belief: Case, streams: np.ndarray) -> Figures:
+        """Figures of `width` rollouts."""
+        return self._simulate(world, belief, streams, None)[0]
+
+    def trace(self, world: Case, belief: Case, streams: np.ndarray, slot: int) -> Trace:
+        """The rollout in `slot`."""
+        figures, records = self._simulate(world, belief, streams, slot)
+        record = {key: np.stack([r[key] for r in records]) for key in records[0]}
+        model = scene.compile_model(batching.pick(world, slot))
+        row = {name: values[slot] for name, values in figures.items()}
+        return batching.to_trace(model, record, self.settings.control_period, self.stages, row)
+
+    def _simulate(
+        self, world: Case, belief: Case, streams: np.ndarray, slot: int | None
+    ) -> tuple[Figures, list[dict[str, np.ndarray]]]:
+        batching.check(streams, self.width)
+        with batching.precision(self.settings):
+            start, tick, finish = self._functions(world, belief)
+            models = [native_model(batching.pick(world, i), self.settings.native_time_step) for i in range(self.width)]
+            batch = Batch(models[0], self.width)
+            batch.set_models(models)
+            arrays = (*batching.as_arrays((world, belief)), batching.keys(streams))
+            plans, pilots, qpos = start(*arrays)
+            batch.reset()
+            batch.qpos[:] = np.asarray(qpos)
+            pilots, commands, controls = tick(*arrays[:2], plans, pilots, None, None, 0)
+            records = []
+            for k in range(self._ticks(plans)):
+                steps = batch.rollout(self.substeps, np.asarray(controls, float), CONTROL, RECORD)
+                steps["broken"] = np.any(batch.warning[:, :, 0] > 0, axis=1)
+                if k == 0:  # derived fields are those before a step, hence the start's
+                    pilots = _with_energy(pilots, steps["energy"][:, 0].sum(axis=-1))
+                if slot is not None:
+                    records.append(_record(commands, pilots, steps, slot))
+                pilots, commands, controls = tick(*arrays[:2], plans, pilots, commands, steps, k + 1)
+                if bool(np.all(pilots.running.over)):
+                    break
+            return {name: np.asarray(values) for name, values in finish(plans, pilots).items()}, records
+
+    def _ticks(self, plans: Plan) -> int:
+        longest = float(jnp.max(jnp.sum(plans.duration, axis=-1)))
+        return int(np.ceil(GRACE * longest / self.settings.control_period))
+
+    def _functions(self, world: Case, belief: Case) -> tuple[Callable, Callable, Callable]:
+        """Compiled `start`, `tick` (measure the last tick, decide the next) and `finish` over the batch."""
+        quiet = is_quiet(world.noise)
+        axes = batching.axes((world, belief))
+        key = (jax.tree.structure((world, belief)), tuple(jax.tree.leaves(axes, is_leaf=lambda x: x is None)), quiet)
+        if key not in self._compiled:
+            self._compiled[key] = self._compile(axes, quiet)
+        return self._compiled[key]
+
+    def _compile(self, axes: tuple[Case, Case], quiet: bool) -> tuple[Callable, Callable, Callable]:
+        period, n = self.settings.control_period, self.substeps
+
+        def start(world: Case, belief: Case, key: Array) -> tuple[Plan, Pilot, Array]:
+            plan = belief.manoeuvre.plan(belief)
+            pose, joints = start_pose(world, belief, plan)
+            pilot = embark(world, belief, plan, pose, joints, jnp.zeros(()), key)
+            return plan, pilot, jnp.concatenate([pose, joints.reshape(18)])
+
+        def tick(world: Case, belief: Case, plan: Plan, pilot: Pilot, command: Command | None, steps: Any, k: Array):
+            if steps is not None:
+                summary = self._summary(world, steps, (k - 1) * period)
+                pilot = measure(world, plan, self.limits, pilot, command, summary, period)
+            old = pilot.reference
+            pilot, command = decide(world, belief, plan, pilot, k, period, quiet)
+            share = (1 + jnp.arange(n))[:, None, None] / n
+            references = (old + share * (pilot.reference - old)).reshape(n, 18)
+            forces = self._pushes(world, k * period)
+            return pilot, command, jnp.concatenate([references, forces], axis=1)
+
+        def finish(plan: Plan, pilot: Pilot) -> dict[str, Array]:
+            return stream.figures(plan, pilot.running, pilot.tracker.stage)
+
+        over = (*axes, 0, 0, 0, 0, None)
+        return (jax.jit(jax.vmap(start, in_axes=(*axes, 0))), jax.jit(jax.vmap(tick, in_axes=over)),
+                jax.jit(jax.vmap(finish)))  # fmt: skip
+
+    def _pushes(self, world: Case, start: Array) -> Float[Array, "n f"]:
+        """Outside wrenches on all bodies in the tick's steps: force, then torque, world axes."""
+        times = start + self.settings.native_time_step * jnp.arange(self.substeps)
+        push = jax.vmap(lambda t: batching.execution_limits(world, t).push)(times)
+        bodies = 2 + 6 * len(scene.links(world.robot))
+        return jnp.zeros((self.substeps, 6 * bodies)).at[:, 6:9].set(push)
+
+    def _summary(self, world: Case, steps: dict[str, Array], start: Array) -> Tick:
+        """What the metrics want of a tick; `steps` hold the records of its physics steps."""
+        h, drive = self.settings.native_time_step, world.drive
+        rate = steps["qvel"][:, 6:]
+        torque = steps["actuator_force"] - drive.back_emf * rate
+        effort = jnp.abs(steps["actuator_force"])
+        limit = world.execution.torque_scale * drive.torque_limit
+        power = torque * rate
+        push = self._pushes(world, start)[:, 6:9]
+        force = -jnp.mean(steps["sensordata"].reshape(-1, 6, 3), axis=0)
+        nowhere = Bodies(jnp.zeros((0, 3)), jnp.zeros((0, 3, 3)))
+        feet = steps["site_xpos"][-1]
+        normals = world.obstacle.surface(feet, (-1,) * 6, nowhere).normal
+        normal = jnp.sum(force * normals, axis=-1)
+        last = -jnp.sum(steps["sensordata"][-1].reshape(6, 3) * normals, axis=-1)
+        links = steps["xpos"][-1, 2:].reshape(6, -1, 3)
+        energy = jnp.sum(steps["energy"][-1])
+        qpos = steps["qpos"][-1]
+        return Tick(
+            torque_peak=jnp.max(jnp.abs(torque), axis=0).reshape(6, 3),
+            saturated=jnp.mean(effort >= 0.999 * limit, axis=0).reshape(6, 3),
+            force=force, normal=normal, tangential=jnp.linalg.norm(force - normal[:, None] * normals, axis=-1),
+            loaded=last > 1.0, residual=jnp.zeros(()),  # the C solver reports no residual force
+            work=h * (jnp.sum(power) + jnp.sum(push * steps["qvel"][:, :3])),
+            effort=h * jnp.sum(jnp.maximum(power, 0.0)),
+            energy=jnp.where(steps["broken"], jnp.nan, energy),
+            position=qpos[:3], quat=qpos[3:7], velocity=steps["qvel"][-1, :3],
+            centre_of_mass=steps["subtree_com"][-1, 1], joints=jnp.concatenate([links, feet[:, None]], axis=1),
+            bodies=nowhere,
+        )  # fmt: skip
+
+
+def _with_energy(pilots: Pilot, start: np.ndarray) -> Pilot:
+    """Energy is counted from that of the start."""
+    energy = jnp.asarray(start, pilots.running.energy_start.dtype)
+    return pilots._replace(running=pilots.running._replace(energy_start=energy))
+
+
+def _record(commands: Command, pilots: Pilot, steps: dict[str, np.ndarray], slot: int) -> dict[str, np.ndarray]:
+    """What a trace keeps of a tick."""
+    command = jax.tree.map(lambda x: np.asarray(x)[slot], commands)
+    return {
+        "qpos": steps["qpos"][slot, -1], "joint_target": command.joints.reshape(18),
+        "joint_torque": np.abs(steps["actuator_force"][slot]).max(axis=0),
+        "foot_position": steps["site_xpos"][slot, -1], "foot_target": command.target.feet,
+        "foot_force": -steps["sensordata"][slot].reshape(-1, 6, 3).mean(axis=0),
+        "base_target": np.concatenate([command.target.position, command.target.quat]),
+        "stage": np.asarray(pilots.tracker.stage)[slot],
+    }  # fmt: skip
