@@ -41,8 +41,9 @@ def raft_tow(
     stiffness = F * x_s + hydro_thick(a, b, d, zeta0, gamma).k_pitch
     tilt = F * (z_s + d) / jnp.where(stiffness > 0, stiffness, jnp.nan)
     b34 = friction * (a**2 + b**2) / 3
-    discriminant = jnp.asarray(b34**2 - 4 * C * F * x_s)
-    return Tow(jnp.asarray(F / friction), tilt, (-b34 + jnp.sqrt(jnp.maximum(discriminant, 0.0))) / (2 * C))
+    discriminant = b34**2 - 4 * C * F * x_s
+    root = jnp.where(discriminant > 0, jnp.sqrt(jnp.where(discriminant > 0, discriminant, 1.0)), 0.0)
+    return Tow(jnp.asarray(F / friction), tilt, (-b34 + root) / (2 * C))
 
 
 class Push(NamedTuple):
