@@ -104,9 +104,13 @@ def raft_drag(
     Vx, Vy, Vz = jnp.moveaxis(V, -1, 0)
     p, q, r = jnp.moveaxis(w, -1, 0)
     middle, half = (zeta0 - d) / 2, (zeta0 + d) / 2  # of the wet part of a side
-    bottom = drag_integrals(Vz, -q, p, a, b)
-    side_y = drag_integrals(Vy - p * middle, r, -p, a, half)
-    side_x = drag_integrals(Vx + q * middle, -r, q, b, half)
+    faces = (
+        (Vz, -q, p, a, b),
+        (Vy - p * middle, r, -p, a, half),
+        (Vx + q * middle, -r, q, b, half),
+    )
+    integrals = drag_integrals(*(jnp.stack(jnp.broadcast_arrays(*column), -1) for column in zip(*faces, strict=True)))
+    bottom, side_y, side_x = (DragIntegrals(*(value[..., i] for value in integrals)) for i in range(3))
     area = 4 * k_lin * a * b
     slide_x, slide_y = area * (Vx - q * d), area * (Vy + p * d)
     force = [-k_quad * side_x.I - slide_x, -k_quad * side_y.I - slide_y, -k_quad * bottom.I]

@@ -13,8 +13,8 @@ from sweep.formulas.drag import drag_integrals, raft_drag
 
 SPEED = st.floats(-3, 3)
 JITTED = jax.jit(drag_integrals)
-INTEGRALS = jax.jit(jax.vmap(lambda u: drag_integrals(*u, 1.0, 1.0)))
-GRADIENT = jax.jit(jax.jacrev(lambda u: drag_integrals(*u, 1.0, 1.0)))
+INTEGRALS = jax.jit(jax.vmap(lambda u: drag_integrals(u[0], u[1], u[2], 1.0, 1.0)))
+GRADIENT = jax.jit(jax.jacrev(lambda u: drag_integrals(u[0], u[1], u[2], 1.0, 1.0)))
 
 
 def quadrature(c, al, be, A, B, panels=400):

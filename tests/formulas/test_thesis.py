@@ -17,8 +17,9 @@ ZONE = {"OA": 1.0, "OB": 3.7071067811865475, "phimax": 0.7762790307403773}
 def test_jacobian_and_determinant():
     with jax.enable_x64(True):
         angles = jnp.array([0.3, 0.8, -2.0])
-        leg = thesis_fk(*angles, *LINKS)
-        np.testing.assert_allclose(leg.J, jax.jacfwd(lambda q: thesis_fk(*q, *LINKS).foot)(angles), atol=1e-14)
+        leg = thesis_fk(angles[0], angles[1], angles[2], *LINKS)
+        jacobian = jax.jacfwd(lambda q: thesis_fk(q[0], q[1], q[2], *LINKS).foot)(angles)
+        np.testing.assert_allclose(leg.J, jacobian, atol=1e-14)
         assert leg.det == pytest.approx(np.linalg.det(leg.J))
         np.testing.assert_allclose(thesis_ik(leg.foot, *LINKS), angles, atol=1e-12)
 
