@@ -119,15 +119,15 @@ def show_choices(_: argparse.Namespace) -> int:
 
 
 def status(given: argparse.Namespace) -> int:
-    """Planned, done, succeeded."""
+    """Planned, done, and how it went so far."""
     from sweep import store
-    from sweep.stats import rate
 
     stored, planned = store.read_study(given.dir), store.read_points(given.dir)
     done = planned["batch"].isin(store.finished(given.dir)).sum() if len(planned) else 0
     print(f"{given.dir}: {done} of {len(planned)} rollouts done, code {stored['commit'] or stored['code']}")
     if done:
-        print(rate(store.read_rows(given.dir)["outcome"]))
+        counts = store.read_rows(given.dir)["outcome"].value_counts()
+        print(", ".join(f"{number} {outcome}" for outcome, number in counts.items()))
     return DONE
 
 

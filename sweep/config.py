@@ -10,7 +10,7 @@ from typing import Any
 
 import hydra
 from hydra.core.config_store import ConfigStore
-from hydra.errors import ConfigCompositionException, HydraException, MissingConfigException
+from hydra.errors import ConfigCompositionException, HydraException, MissingConfigException, OverrideParseException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import ConfigKeyError, OmegaConfBaseException, ValidationError
 
@@ -150,6 +150,9 @@ def one_line(error: Exception, overrides: list[str]) -> str:
     if isinstance(error, MissingConfigException) and error.options is not None and error.missing_cfg_file:
         group, _, name = error.missing_cfg_file.rpartition("/")
         return f"{group} = {name} is unknown{suggest(name, choices(error.options))}"
+    if isinstance(error, OverrideParseException):
+        reason = error.message.splitlines()[1].strip(" ^") or "quote what is not a word or a number"
+        return f"{error.override} cannot be read: {reason}"
     cause = error.__cause__ if isinstance(error, ConfigCompositionException) else error
     if isinstance(cause, ConfigKeyError | AttributeError) and isinstance(cause, OmegaConfBaseException):
         key, given = str(cause.full_key), _given(str(cause.full_key), overrides)

@@ -50,6 +50,5 @@ def commit() -> str:
 
 def run_id(settings: EngineSettings) -> str:
     """Hash of how a row is simulated: engine, steps, precision, width, device, code."""
-    how = (settings.name, settings.time_step, settings.control_period, settings.iterations, settings.precision)
-    content = repr((*how, settings.width, device(settings), code_version()))
+    content = repr((settings, device(settings), code_version()))
     return hashlib.blake2b(content.encode(), digest_size=6).hexdigest()

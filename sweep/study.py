@@ -72,7 +72,8 @@ class Study:
         if "/" in values["name"]:
             raise InputError(f"study.name = {values['name']!r} is not allowed: a folder name")
         axes = tuple(_axis(f"study.axes.{name}", axis) for name, axis in values["axes"].items())
-        expect = tuple(_expectation(f"study.expect.{i}", one) for i, one in enumerate(values["expect"]))
+        source = "scenario" if single else "study"
+        expect = tuple(_expectation(f"{source}.expect.{i}", one) for i, one in enumerate(values["expect"]))
         return cls(**{**values, "axes": axes, "expect": expect, "single": single})
 
 

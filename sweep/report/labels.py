@@ -16,7 +16,7 @@ def name_and_unit(column: str) -> tuple[str, str]:
 
 
 def axis_words(column: str) -> str:
-    """`world.contact.friction` -> `friction (world)`."""
+    """`world.contact.friction` -> `friction (world)`, `engine.name` -> `engine`."""
     side = column.partition(".")[0]
-    words = column.rpartition(".")[2].replace("_", " ")
+    words = column.removesuffix(".name").rpartition(".")[2].replace("_", " ")
     return f"{words} ({side})" if side in ("world", "belief") else words

@@ -1,0 +1,75 @@
+import io
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from sweep.config import compose
+from sweep.parameters import InputError
+from sweep.report import maps, tables
+from sweep.stats import broken, rate
+from sweep.study import Expectation
+
+STORED = {"config": compose(["study=walk_map"]).values}
+
+
+@pytest.fixture
+def rows():
+    """A grid of 4 by 3 with every kind of outcome, on two engines."""
+    grid = pd.MultiIndex.from_product(
+        [["mjx", "native"], np.linspace(0.2, 0.8, 4), [0.05, 0.1, 0.2]],
+        names=["engine.name", "world.contact.friction", "manoeuvre.half_step_ratio"],
+    ).to_frame(index=False)
+    slides = grid["world.contact.friction"] < 4 * grid["manoeuvre.half_step_ratio"]
+    outcome = np.where(slides, "failure", "success").astype(object)
+    outcome[[3, 15]] = "invalid"
+    cause = np.select([outcome == "invalid", slides], ["solver", "slipped"], "")
+    time = np.where(slides, 1.5, np.nan)
+    return grid.assign(replicate=0, slip_max_m=0.001, outcome=outcome, cause=cause, stage="walk", t_cause_s=time)
+
+
+def test_rate_counts_invalid_rows_apart():
+    found = rate(pd.Series(["success"] * 8 + ["failure"] * 2 + ["invalid"] * 3))
+    assert (found.valid, found.share) == (10, 0.8)
+    assert (found.low, found.high) == pytest.approx((0.4902, 0.9433), abs=1e-4)  # Wilson, 8 of 10
+    assert "no valid rollout among 1" in str(rate(pd.Series(["invalid"])))
+
+
+def test_expectations_look_at_valid_rows(rows):
+    assert not broken((Expectation(where="friction > 0.7 and half_step_ratio < 0.2", at_least=1.0),), rows)
+    assert len(broken((Expectation(at_least=0.9), Expectation(where="friction > 9")), rows)) == 2
+
+
+def test_tables_hold_the_rows_in_four_forms(rows):
+    pd.testing.assert_frame_equal(pd.read_parquet(io.BytesIO(tables.render(rows, "parquet"))), rows, check_dtype=False)
+    assert len(pd.read_csv(io.BytesIO(tables.render(rows, "csv")))) == len(rows)
+    page = tables.render(rows, "markdown").decode()
+    assert page.startswith("| engine   | friction (world)   | half step ratio")
+    assert len(page.splitlines()) == len(rows) + 2
+    latex = tables.render(rows, "latex", ["name", "friction", "cause", "slip_max_m"]).decode()
+    assert r"\toprule" in latex
+    assert r"\begin{tabular}{lrlr}" in latex
+    assert r"slip max (m)" in latex
+    with pytest.raises(InputError, match="did you mean slip_max_m"):
+        tables.render(rows, "csv", ["slip_max"])
+
+
+def test_map_of_single_rollouts_shows_causes_and_hatches_invalid_cells(rows, tmp_path):
+    figure = maps.success_map(rows, STORED)
+    left = figure.axes[0]
+    assert len(figure.axes) == 2
+    assert left.get_xlabel() == "friction (world)"
+    assert "half step ratio" in left.get_ylabel()
+    assert "5 of 11 succeed" in left.get_title()
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["success", "slipped", "invalid"]
+    assert any(mesh.get_hatch() for mesh in left.collections)
+    paths = maps.draw(rows, STORED, tmp_path)
+    assert [p.name for p in paths] == ["map.png", "map.svg"]
+    assert "friction (world)" in paths[1].read_text()
+
+
+def test_map_of_repeated_rollouts_shows_rates_and_how_many(rows):
+    figure = maps.success_map(pd.concat([rows, rows.assign(replicate=1)]), STORED)
+    assert "n = 2 a cell" in figure.axes[-1].get_ylabel()
+    with pytest.raises(InputError, match="two varied parameters"):
+        maps.success_map(rows[rows["world.contact.friction"] < 0.3], STORED)

@@ -1,0 +1,57 @@
+from importlib.resources import files
+
+import pytest
+
+from sweep.cli import GROUPS
+from sweep.config import compose
+from sweep.parameters import InputError
+
+CHOICES = [
+    f"{group}={file.name.removesuffix('.yaml')}" for group in GROUPS for file in (files("sweep.conf") / group).iterdir()
+]
+
+
+@pytest.mark.parametrize("choice", CHOICES)
+def test_every_config_file_composes(choice):
+    exp = compose([choice])
+    assert exp.study.name == (choice.partition("=")[2] if choice.startswith(("study", "scenario")) else "walk_tripod")
+
+
+def test_a_study_chooses_its_scenario_and_the_command_line_has_the_last_word():
+    exp = compose(["study=push_map"])
+    assert (exp.scenario, exp.case.manoeuvre.kind, exp.case.execution.push_time) == ("stand_push", "stand", 1.0)
+    assert not exp.study.single
+    exp = compose(["study=push_map", "scenario=walk_gallop", "robot=three_link", "robot.coxa=0.2"])
+    assert (exp.case.manoeuvre.gait, exp.case.robot.legs, exp.case.robot.coxa) == ("gallop", "three_link", 0.2)
+
+
+def test_prototype_has_the_ratios_of_the_monograph():
+    robot = compose(["robot=prototype"]).case.robot
+    sizes = [robot.mount_radius, robot.coxa, robot.thigh, robot.shin]
+    assert [s / robot.body_length for s in sizes] == pytest.approx([0.5, 0.129927, 0.272263, 0.465693])
+
+
+BAD = [
+    ("robot.coxx=1", ["robot.coxx = 1", "did you mean coxa?"]),
+    ("+robot.coxx=1", ["robot.coxx", "did you mean coxa?"]),
+    ("robot.coxa=-1", ["robot.coxa = -1", "at least 0 m"]),
+    ("robot.coxa=long", ["robot.coxa = 'long'", "a number"]),
+    ("contact.friction=-1", ["contact.friction = -1", "at least 0"]),
+    ("scenario=wlak_tripod", ["scenario = wlak_tripod", "did you mean walk_tripod?"]),
+    ("robot.mounts=star", ["robot.mounts = 'star'", "rectangle, circle"]),
+    ("frictoin=1", ["frictoin = 1", "contact"]),
+    ("robot.thigh", ["robot.thigh", "missing EQUAL"]),
+    ("study.replicates=0", ["study.replicates = 0", "at least 1"]),
+    ("+study.axes.f={path: contact.friction, num: 3}", ["study.axes.f.from", "a number"]),
+    ("+study.axes.f={path: contact.friction}", ["study.axes.f", "values or from, to and num"]),
+    ("+study.axes.f={path: contact.friction, form: 0}", ["study.axes.f.form", "did you mean from?"]),
+    ("scenario.expect=[{at_least: 2}]", ["scenario.expect.0.at_least = 2", "0 to 1"]),
+]
+
+
+@pytest.mark.parametrize(("override", "named"), BAD)
+def test_bad_configuration_is_one_line_naming_key_value_and_what_is_allowed(override, named):
+    with pytest.raises(InputError) as error:
+        compose([override])
+    assert "\n" not in str(error.value)
+    assert all(part in str(error.value) for part in named), str(error.value)

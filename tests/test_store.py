@@ -1,0 +1,107 @@
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from sweep import runner, store
+from sweep.cli import main
+
+pytestmark = pytest.mark.usefixtures("fake_engine")
+STUDY = ["study=walk_map", "study.axes.friction.num=8", "study.axes.step.num=7", "engine.width=8", "study.expect=[]"]
+
+
+def content(folder: Path) -> pd.DataFrame:
+    return store.read_rows(folder).drop(columns=list(store.TIMING))
+
+
+def test_same_command_gives_the_same_files(tmp_path):
+    for name in "ab":
+        assert main(["run", *STUDY, f"out={tmp_path / name}"]) == 0
+    pd.testing.assert_frame_equal(content(tmp_path / "a"), content(tmp_path / "b"))
+    assert len(content(tmp_path / "a")) == 56
+    assert (tmp_path / "a" / store.POINTS).read_bytes() == (tmp_path / "b" / store.POINTS).read_bytes()
+    before = {p: p.stat().st_mtime_ns for p in (tmp_path / "a" / store.PARTS).iterdir()}
+    assert main(["run", *STUDY, f"out={tmp_path / 'a'}"]) == 0  # nothing is missing: nothing is written
+    assert before == {p: p.stat().st_mtime_ns for p in (tmp_path / "a" / store.PARTS).iterdir()}
+
+
+def test_a_killed_run_restarted_gives_what_an_uninterrupted_one_gives(tmp_path):
+    killed, whole = tmp_path / "killed", tmp_path / "whole"
+    script = Path(__file__).with_name("fake_engine.py")
+    process = subprocess.Popen(
+        [sys.executable, str(script), "run", *STUDY, f"out={killed}"], env={**os.environ, "FAKE_SECONDS": "0.5"}
+    )
+    deadline = time.monotonic() + 60
+    while len(list(killed.glob("parts/part-*"))) < 2:
+        assert process.poll() is None
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    assert main(["run", *STUDY, f"out={killed}"]) == 2  # locked by the other process
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    done = store.finished(killed)
+    assert 2 <= len(done) < 7
+    assert main(["run", *STUDY, f"out={killed}"]) == 0
+    assert main(["run", *STUDY, f"out={whole}"]) == 0
+    pd.testing.assert_frame_equal(content(killed), content(whole))
+
+
+def test_a_limited_run_is_a_beginning_and_a_larger_study_an_extension(tmp_path, capsys):
+    out = f"out={tmp_path}"
+    assert main(["run", *STUDY, out, "--limit", "5"]) == 0
+    first = store.read_points(tmp_path)
+    assert len(first) == len(content(tmp_path)) == 5
+    assert main(["run", *STUDY, out, "--where", "friction > 1"]) == 0
+    assert main(["run", *STUDY, out]) == 0
+    assert main(["run", *STUDY, out, "study.axes.step.num=13"]) == 0
+    rows = content(tmp_path)
+    pd.testing.assert_frame_equal(store.read_points(tmp_path).iloc[:5], first)
+    assert len(rows) == 8 * 13
+    assert rows["point_id"].is_unique
+    assert "104 of 104 planned rollouts" in capsys.readouterr().out
+
+
+def test_a_folder_keeps_to_one_study_and_one_version_of_the_code(tmp_path, capsys, monkeypatch):
+    out = f"out={tmp_path}"
+    assert main(["run", *STUDY, out, "--limit", "8"]) == 0
+    for other, named in (
+        (["contact.stiffness=2e6"], "contact.stiffness is 1000000.0 there and 2000000.0 here"),
+        (["+study.axes.a={path: robot.shin, values: [0.3]}"], "other axes (robot.shin)"),
+        (["study.seed=1"], "study.seed is 0 there and 1 here"),
+    ):
+        capsys.readouterr()
+        assert main(["run", *STUDY, out, *other]) == 2
+        error = capsys.readouterr().err
+        assert named in error
+        assert error.count("\n") == 1
+    monkeypatch.setattr(runner.provenance, "code_version", lambda: "other")
+    assert main(["run", *STUDY, out]) == 2
+    assert "another version of the code" in capsys.readouterr().err
+
+
+def test_other_thresholds_judge_the_stored_rows_anew(tmp_path, capsys):
+    assert main(["run", *STUDY, f"out={tmp_path}"]) == 0
+    rows = content(tmp_path)
+    assert main(["relabel", str(tmp_path), "slip_max_m<0.1", "tilt_max_deg=50"]) == 0
+    strict = content(tmp_path)
+    assert (strict["outcome"] == "success").equals(rows["slip_max_m"] <= 0.1)
+    assert set(strict.loc[strict["outcome"] == "failure", "cause"]) == {"slipped"}
+    assert main(["run", *STUDY, f"out={tmp_path}"]) == 0  # the last command's thresholds hold for every row
+    pd.testing.assert_frame_equal(content(tmp_path), rows)
+    assert main(["relabel", str(tmp_path), "slip_max_m>0.1"]) == 2
+    assert main(["relabel", str(tmp_path), "slp_max_m<0.1"]) == 2
+    assert "did you mean slip_max_m?" in capsys.readouterr().err
+
+
+def test_a_stored_point_leads_back_to_its_batch(tmp_path):
+    assert main(["run", *STUDY, f"out={tmp_path}"]) == 0
+    row = content(tmp_path).iloc[42]
+    task, slot, found = runner.load_point(tmp_path, row["point_id"])
+    assert found["point_id"] == row["point_id"]
+    assert task.world.contact.friction[slot] == row["world.contact.friction"]
+    assert task.belief.manoeuvre.half_step_ratio[slot] == row["manoeuvre.half_step_ratio"]

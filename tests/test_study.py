@@ -1,0 +1,117 @@
+import numpy as np
+import pandas as pd
+import pytest
+
+from sweep.batches import batch, nominal, plan, with_room_for_delay
+from sweep.config import compose
+from sweep.parameters import InputError
+from sweep.query import mask
+from sweep.runner import wanted_points
+from sweep.study import points
+
+pytestmark = pytest.mark.usefixtures("fake_engine")
+FRICTION = "+study.axes.f={path: contact.friction, on: world, values: [0.5, 1.0, 1.5]}"
+
+
+def table_of(*overrides):
+    exp = compose(list(overrides))
+    return exp, points(exp.study, exp.case, exp.settings)
+
+
+def test_a_world_axis_never_reaches_the_belief():
+    exp, table = table_of(FRICTION, "+study.axes.b={path: contact.friction, values: [0.7]}", "engine.width=4")
+    table = plan(exp, pd.DataFrame(), table)
+    task = batch(exp, table)
+    assert task.world.contact.friction.tolist() == [0.5, 1.0, 1.5, 1.5]  # the last row is repeated
+    assert task.belief.contact.friction.tolist() == [0.7] * 4
+    assert task.world.contact.stiffness == exp.case.contact.stiffness
+    assert nominal(exp, table, 4).world == exp.case
+
+
+def test_point_id_is_the_physics_and_the_replicate():
+    _, by_axis = table_of("+study.axes.f={path: contact.friction, values: [0.5, 1.0]}", "study.replicates=2")
+    _, by_nominal = table_of("contact.friction=0.5", "study.replicates=2", "engine=native")
+    assert by_axis["point_id"].is_unique
+    assert by_axis["point_id"][:2].tolist() == by_nominal["point_id"].tolist()
+    _, in_world = table_of("+study.axes.f={path: contact.friction, on: world, values: [0.5, 1.0]}")
+    assert in_world["point_id"][1] == by_axis["point_id"][2]  # 1.0 is the nominal value: the same physics
+    assert in_world["point_id"][0] not in set(by_axis["point_id"])
+
+
+def test_replicates_share_their_noise_across_the_axes():
+    _, table = table_of(FRICTION, "study.replicates=2", "study.seed=3")
+    assert (table.groupby("replicate")["stream"].nunique() == 1).all()
+    assert table["stream"].nunique() == 2
+    assert not set(table["stream"]) & set(table_of(FRICTION, "study.replicates=2")[1]["stream"])
+
+
+def test_static_axes_make_groups_and_batches_belong_to_one():
+    engine = "+study.axes.e={path: engine.name, values: [mjx, native]}"
+    exp, table = table_of(FRICTION, engine, "study.replicates=5")
+    table = plan(exp, pd.DataFrame(), table)
+    assert table.groupby("engine.name")["group"].nunique().eq(1).all()
+    assert table.groupby("batch")["group"].nunique().eq(1).all()
+    assert table["width"].unique().tolist() == [8]  # 15 rows of either engine, at most 8 wide: two even batches
+    assert table.groupby("batch").size().tolist() == [8, 7, 8, 7]
+    assert batch(exp, table[table["batch"] == 2]).settings.name == "native"
+
+
+def test_extending_a_study_keeps_membership_and_slots():
+    exp, few = table_of(FRICTION)
+    first = plan(exp, pd.DataFrame(), few)
+    exp, more = table_of(FRICTION.replace("1.5", "1.5, 2.0, 0.1"))
+    grown = plan(exp, first, more)
+    pd.testing.assert_frame_equal(grown.iloc[:3], first)
+    assert grown["batch"].tolist() == [0, 0, 0, 1, 1]
+
+
+def test_the_delay_buffer_has_room_for_the_longest_delay():
+    exp, table = table_of("+study.axes.d={path: noise.delay, on: world, values: [0.0, 2.5]}")
+    assert with_room_for_delay(exp, table).case.noise.delay_buffer == 3
+
+
+def test_points_from_a_file_take_the_place_of_the_grid(tmp_path):
+    file = tmp_path / "points.csv"
+    file.write_text("world.contact.friction, manoeuvre.gait\n0.3, tripod\n1, gallop\n1, gallop\n")
+    exp, table = table_of("study=walk_map", f"study.points={file}", "study.where=null")
+    assert table["world.contact.friction"].tolist() == [0.3, 1.0]
+    assert plan(exp, pd.DataFrame(), table)["group"].tolist() == [0, 1]
+    file.write_text("contact.friction\n-1\n")
+    with pytest.raises(InputError, match=r"contact\.friction = -1 is not allowed"):
+        table_of(f"study.points={file}")
+
+
+@pytest.mark.parametrize(
+    ("axis", "message"),
+    [
+        ("{path: contact.frction, values: [1]}", "did you mean friction?"),
+        ("{path: friction, values: [1]}", "friction is unknown"),
+        ("{path: contact, values: [1]}", "contact is unknown"),
+        ("{path: engine.name, on: world, values: [mjx]}", "engine is unknown"),
+        ("{path: contact.friction.x, values: [1]}", "friction has no parts"),
+        ("{path: contact.friction, values: [1, -2]}", "contact.friction = -2 is not allowed"),
+        ("{path: engine.name, values: [cuda]}", "one of mjx, native"),
+    ],
+)
+def test_an_axis_that_names_nothing_or_leaves_the_bounds_is_refused(axis, message):
+    with pytest.raises(InputError) as error:
+        table_of(f"+study.axes.a={axis}")
+    assert message in str(error.value)
+
+
+def test_conditions_select_rows_and_run_no_code():
+    _, table = table_of("study=walk_map")
+    assert mask(table, "friction > 1 and not half_step_ratio < 0.1").sum() == 6 * 10
+    assert mask(table, "world.contact.friction in [0.05, 1.2] or replicate == 1").sum() == 2 * 17
+    assert mask(table, None).all()
+    for condition in ("__import__('os').system('x')", "friction.max()", "frction > 1", "friction >", "friction > 'a'"):
+        with pytest.raises(InputError):
+            mask(table, condition)
+
+
+def test_limit_and_where_choose_points_of_a_study():
+    exp = compose(["study=walk_map"])
+    assert len(wanted_points(exp, "friction > 1", 5)) == 5
+    with pytest.raises(InputError, match="no point of walk_map"):
+        wanted_points(exp, "friction > 2")
+    assert np.all(wanted_points(exp, "friction > 1")["world.contact.friction"] > 1)
