@@ -47,7 +47,7 @@ def _answer(args: argparse.Namespace) -> Iterator[str]:
         raise InputError("--plot is not allowed alone: it draws the table of --sweep key=lo:hi:n")
     if args.name is None:
         return _listing(FORMULAS.values(), args.json)
-    if re.fullmatch(r"[\d.]+", args.name):
+    if re.fullmatch(r"\d+(\.\d+)*", args.name):
         found = covering(args.name)
         if not found:
             raise InputError(f"equation {args.name} is in no formula (`sweep formula` lists all with their equations)")

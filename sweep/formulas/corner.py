@@ -72,7 +72,8 @@ class EqualNormal(NamedTuple):
 
 
 def corner_equalN(psi: Scalar, eps: Scalar, k: Scalar) -> EqualNormal:
-    """The scheme with one normal force for all feet where the upper ones use up friction k: monograph 2.1, L641-649.
+    """The scheme with one normal force for all feet where the upper ones use up friction k: the second
+    scheme of monograph 2.1.
 
     Nan unless k > tan psi.
     """
@@ -135,7 +136,7 @@ FORMULAS = (
         "corner_equalN",
         "forces on a corner or pole with equal normal forces, at friction k",
         "monograph",
-        ("L641-649",),
+        ("2.1",),
         corner_equalN,
         _INPUTS,
         {"k_zeta": "", "k_tau_u": "", "k_tau_d": "", "N": "P"},

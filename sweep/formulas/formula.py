@@ -86,7 +86,7 @@ class Formula:
     name: str
     what: str  # one line
     source: str  # "monograph" or "thesis"
-    equations: tuple[str, ...]  # "2.1.4-2.1.6" is a range; "L1839" a line without a number
+    equations: tuple[str, ...]  # "2.1.4-2.1.6" is a range; a section where the text has no number
     function: Callable[..., Any]
     inputs: tuple[Input, ...]
     outputs: Mapping[str, str]  # name -> unit
@@ -154,9 +154,8 @@ def _flatten(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str,
 
 
 def _order(equation: str) -> tuple[int, ...]:
-    """(2, 1, 4) of "2.1.4"; empty for what is not a number, which covers nothing."""
-    parts = equation.split(".")
-    return tuple(map(int, parts)) if all(part.isdigit() for part in parts) else ()
+    """(2, 1, 4) of "2.1.4"."""
+    return tuple(map(int, equation.split(".")))
 
 
 def _short(value: Any) -> str:

@@ -161,7 +161,7 @@ FORMULAS = (
         "thesis_workspace",
         "inner and outer radius and half angle of a leg's workspace at a height",
         "thesis",
-        ("19-20", "L198"),
+        ("1.3", "19-20"),
         thesis_workspace,
         (Input("z", "", -1.2928932188134525), *_LINKS, positive("R", "", 2.0)),
         {"OA": "length", "OB": "length", "phimax": "rad"},
@@ -172,7 +172,7 @@ FORMULAS = (
         "thesis_step",
         "largest step of a foot, in support and in transfer",
         "thesis",
-        ("18", "21", "L283-339"),
+        ("2.3", "18", "21"),
         thesis_step,
         (
             Input("r0", "length", (0.0, 1.7071067811865475)),
@@ -182,7 +182,7 @@ FORMULAS = (
             positive("phimax", "rad", 0.7762790307403773, below=np.pi),
         ),
         {"support": "length", "transfer": "length"},
-        correction="L317, L331: sign, and both edges of the sector; L333, L339: root; (21): cos > cos(phi_max)",
+        correction="2.3: sign of the cut by the sector, both its edges, root of the radii; (21): cos > cos(phi_max)",
         condition="r0 must lie in the sector, and p not be zero",
     ),
 )
