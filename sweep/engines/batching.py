@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
+from jax.sharding import NamedSharding, PartitionSpec
 from jaxtyping import Array
 
 from sweep.case import Case
@@ -19,7 +20,8 @@ from sweep.metrics.stream import Tick
 from sweep.models.step import Limits
 from sweep.parameters import InputError
 
-CPU_WIDTH, GPU_WIDTH = 64, 8192
+BATCH = "batch"
+CPU_WIDTH, GPU_WIDTH = 64, 8192  # a device's best number of rollouts
 
 
 def configure(settings: EngineSettings) -> None:
@@ -29,6 +31,8 @@ def configure(settings: EngineSettings) -> None:
         home = os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")
         jax.config.update("jax_compilation_cache_dir", str(Path(home) / "insect-sweep"))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 1.0)
+    with contextlib.suppress(RuntimeError):  # too late where JAX was used before
+        jax.config.update("jax_num_cpu_devices", len(os.sched_getaffinity(0)))
 
 
 def precision(settings: EngineSettings) -> contextlib.AbstractContextManager:
@@ -37,8 +41,24 @@ def precision(settings: EngineSettings) -> contextlib.AbstractContextManager:
 
 
 def default_width() -> int:
-    """Rollouts of a batch: wide on an accelerator, narrow enough for the caches of a CPU."""
-    return CPU_WIDTH if jax.default_backend() == "cpu" else GPU_WIDTH
+    """Rollouts of a batch over all devices: wide on an accelerator, narrow enough for the caches of a CPU."""
+    return jax.device_count() * (CPU_WIDTH if jax.default_backend() == "cpu" else GPU_WIDTH)
+
+
+def mesh(width: int) -> jax.sharding.Mesh:
+    """The devices that share a batch of `width`: all of them where it divides evenly, else one."""
+    devices = jax.devices() if width % jax.device_count() == 0 else jax.devices()[:1]
+    return jax.make_mesh((len(devices),), (BATCH,), (jax.sharding.AxisType.Auto,), devices=devices)
+
+
+def specs(tree: Any) -> Any:
+    """How each leaf of `tree` lies on the mesh: split where it varies over the batch, else on every device."""
+    return jax.tree.map(lambda x: PartitionSpec(BATCH) if np.ndim(x) else PartitionSpec(), tree)
+
+
+def spread(tree: Any, over: jax.sharding.Mesh) -> Any:
+    """Leaves as JAX arrays, laid out on the mesh by `specs`."""
+    return jax.tree.map(lambda x, spec: jax.device_put(x, NamedSharding(over, spec)), tree, specs(tree))
 
 
 def substeps(settings: EngineSettings) -> int:

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.sharding import PartitionSpec
 from jaxtyping import Array
 from mujoco import mjx
 
@@ -54,6 +55,7 @@ class Mjx:
         self.limits = limits or Thresholds()
         self.substeps = batching.substeps(settings)
         self.width = settings.width or batching.default_width()
+        self._mesh = batching.mesh(self.width)
         with batching.precision(settings):
             self.topology = dynamics.topology(world)
             self._data = mjx.make_data(self.topology.model)
@@ -68,7 +70,7 @@ class Mjx:
             (world, belief, keys), start, chunk, finish = self._prepare(world, belief, streams)
             plans, carry = start(world, belief, keys)
             for tick in range(0, self._ticks(plans), self._chunk_ticks):
-                carry, _ = chunk(world, belief, plans, carry, tick)
+                carry, _ = chunk(world, belief, plans, carry, tick, None)
                 if bool(jnp.all(carry.pilot.running.over)):
                     break
             return {name: np.asarray(values) for name, values in finish(plans, carry).items()}
@@ -79,10 +81,10 @@ class Mjx:
             one = batching.pick(world, slot)
             (world, belief, keys), start, chunk, finish = self._prepare(world, belief, streams)
             plans, carry = start(world, belief, keys)
-            records = []
+            records, local = [], self.width // self._mesh.size
             for tick in range(0, self._ticks(plans), self._chunk_ticks):
                 carry, record = chunk(world, belief, plans, carry, tick, slot)
-                records.append(jax.tree.map(np.asarray, record))
+                records.append(jax.tree.map(lambda x: np.asarray(x)[:, slot // local], record))
                 if bool(carry.pilot.running.over[slot]):
                     break
             figures = {name: np.asarray(values)[slot] for name, values in finish(plans, carry).items()}
@@ -106,56 +108,70 @@ class Mjx:
         axes = batching.axes((world, belief))
         cache_key = (structure, tuple(jax.tree.leaves(axes, is_leaf=lambda x: x is None)), quiet)
         if cache_key not in self._compiled:
-            self._compiled[cache_key] = self._compile(axes, quiet)
-        world, belief = batching.as_arrays((world, belief))
-        return (world, belief, batching.keys(streams)), *self._compiled[cache_key]
+            self._compiled[cache_key] = self._compile(axes, batching.specs((world, belief)), quiet)
+        arrays = (*batching.as_arrays((world, belief)), batching.keys(streams))
+        return batching.spread(arrays, self._mesh), *self._compiled[cache_key]
 
-    def _compile(self, axes: tuple[Case, Case], quiet: bool) -> tuple[Callable, Callable, Callable]:
-        """`start`, `chunk` and `finish` over a batch whose parameters vary along `axes`."""
+    def _compile(self, axes: tuple[Case, Case], specs: tuple, quiet: bool) -> tuple[Callable, Callable, Callable]:
+        """`start`, `chunk` and `finish` over a batch whose parameters vary along `axes`, split over the devices."""
         world_axes, belief_axes = axes
-        start = jax.jit(jax.vmap(self._start, in_axes=(world_axes, belief_axes, 0)))
-        tick = jax.vmap(partial(self._tick, quiet=quiet), in_axes=(world_axes, belief_axes, 0, 0, None))
+        local = self.width // self._mesh.size
+        built = (world_axes.robot, world_axes.drive, world_axes.obstacle)
+        model_axis = 0 if jax.tree.leaves(built) else None  # one model for the batch, unless it is swept
+        varying = partial(dynamics.varying, self.topology)
+        models = varying if model_axis is None else jax.vmap(varying, in_axes=(world_axes,))
+        tick = jax.vmap(partial(self._tick, quiet=quiet), in_axes=(world_axes, belief_axes, model_axis, 0, 0, None))
 
-        @partial(jax.jit, donate_argnums=3)
-        def chunk(world: Case, belief: Case, plans: Plan, carry: Carry, first: Array, slot: Array | None = None) -> Any:
+        def chunk(world: Case, belief: Case, plans: Plan, carry: Carry, first: Array, slot: Array | None) -> Any:
+            fields = models(world)
+
             def body(carry: Carry, k: Array) -> tuple[Carry, Any]:
-                carry, record = tick(world, belief, plans, carry, k)
-                return carry, None if slot is None else jax.tree.map(lambda x: x[slot], record)
+                carry, record = tick(world, belief, fields, plans, carry, k)
+                return carry, None if slot is None else jax.tree.map(lambda x: x[None, slot % local], record)
 
             return jax.lax.scan(body, carry, first + jnp.arange(self._chunk_ticks))
 
-        return start, chunk, jax.jit(jax.vmap(self._finish))
+        split, whole = PartitionSpec(batching.BATCH), PartitionSpec()
+        on_devices = partial(jax.shard_map, mesh=self._mesh, check_vma=False)
+        start = on_devices(jax.vmap(self._start, in_axes=(*axes, 0)), in_specs=(*specs, split), out_specs=split)
+        recorded = (split, PartitionSpec(None, batching.BATCH))
+        chunk = on_devices(chunk, in_specs=(*specs, split, split, whole, whole), out_specs=recorded)
+        finish = on_devices(jax.vmap(self._finish), in_specs=(split, split), out_specs=split)
+        return jax.jit(start), jax.jit(chunk, donate_argnums=3), jax.jit(finish)
 
     def _start(self, world: Case, belief: Case, key: Array) -> tuple[Plan, Carry]:
         plan = belief.manoeuvre.plan(belief)
         pose, joints = start_pose(world, belief, plan)
-        model = dynamics.with_leaves(self.topology, world)
+        model = self._model(dynamics.varying(self.topology, world))
         qpos = jnp.asarray(model.qpos0).at[:7].set(pose).at[1 + self.topology.leg].set(joints)
         state = rest(self.topology, qpos)
         energy = dynamics.smooth_dynamics(self.topology, model, self._data, state.q, state.v).potential
         return plan, Carry(state, embark(world, belief, plan, pose, joints, energy, key))
 
+    def _model(self, fields: dict[str, Array]) -> mjx.Model:
+        return self.topology.model.replace(**fields)
+
     def _finish(self, plan: Plan, carry: Carry) -> dict[str, Array]:
         return stream.figures(plan, carry.pilot.running, carry.pilot.tracker.stage)
 
     def _tick(
-        self, world: Case, belief: Case, plan: Plan, carry: Carry, tick: Array, quiet: bool
+        self, world: Case, belief: Case, fields: dict[str, Array], plan: Plan, carry: Carry, tick: Array, quiet: bool
     ) -> tuple[Carry, dict[str, Array]]:
         period = self.settings.control_period
         old = carry.pilot.reference
         pilot, command = decide(world, belief, plan, carry.pilot, tick, period, quiet)
-        state, totals, last = self._physics(world, carry.state, old, pilot.reference, tick)
+        state, totals, last = self._physics(world, fields, carry.state, old, pilot.reference, tick)
         summary = self._summary(state, totals, last)
         pilot = measure(world, plan, self.limits, pilot, command, summary, period)
         record = batching.record(command, pilot.tracker, summary, state.q)
         return Carry(state, pilot), record
 
     def _physics(
-        self, world: Case, state: State, old: Array, new: Array, tick: Array
+        self, world: Case, fields: dict[str, Array], state: State, old: Array, new: Array, tick: Array
     ) -> tuple[State, Totals, StepReport]:
         """The physics steps of one tick, the drives' reference going linearly from `old` to `new`."""
         n, h = self.substeps, self.settings.time_step
-        model = dynamics.with_leaves(self.topology, world)
+        model = self._model(fields)
 
         def substep(state: State, k: Array) -> tuple[State, tuple[Totals, StepReport]]:
             reference = old + (k + 1) / n * (new - old)

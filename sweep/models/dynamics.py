@@ -76,8 +76,8 @@ def topology(case: Case) -> Topology:
                     len(scene.links(case.robot)))  # fmt: skip
 
 
-def with_leaves(top: Topology, case: Case) -> mjx.Model:
-    """The model of `case`: the topology's with the varying arrays put in. Pure JAX."""
+def varying(top: Topology, case: Case) -> dict[str, Array]:
+    """The model's arrays that follow from the parameters of `case`, by field. Pure JAX."""
     model = top.model
     changed = {}
     for field, values in scene.leaves(case).items():
@@ -88,7 +88,7 @@ def with_leaves(top: Topology, case: Case) -> mjx.Model:
         if len(index):
             rows = jnp.stack([jnp.asarray(value) for value in values.values()])
             changed[field] = getattr(model, field).at[index].set(rows.astype(getattr(model, field).dtype))
-    return model.replace(**changed)
+    return changed
 
 
 def smooth_dynamics(top: Topology, model: mjx.Model, data: mjx.Data, q: Array, v: Array) -> Smooth:
