@@ -91,7 +91,9 @@ class Experiment:
 def register() -> None:
     """Tell Hydra the schemas."""
     store = ConfigStore.instance()
-    store.store(name="experiment_schema", node=ExperimentSchema)
+    whole = OmegaConf.structured(ExperimentSchema)
+    OmegaConf.set_struct(whole.study.axes, False)  # axes are named freely
+    store.store(name="experiment_schema", node=whole)
     for group, cls in GROUPS.items():
         store.store(group=group, name=f"{group}_schema", node=_schema(cls))
     for group, kinds in KINDS.items():

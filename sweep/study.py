@@ -93,13 +93,14 @@ def _axis(key: str, given: Any) -> Axis:
         raise InputError(f"{key}.on = {on!r} is not allowed: one of both, world, belief")
     if not isinstance(given.get("path"), str):
         raise InputError(f"{key}.path is missing: a parameter such as contact.friction")
+    values = given.get("values")
+    if values is not None:  # which win over a range, so that a command line can replace a study's range
+        if not isinstance(values, list) or not values:
+            raise InputError(f"{key}.values = {values!r} is not allowed: a list with at least one value")
+        return Axis(given["path"], on, tuple(values))
     ends = [given.get("from"), given.get("to"), given.get("num")]
-    if ("values" in given) == any(e is not None for e in ends):
-        raise InputError(f"{key} needs either values or from, to and num")
-    if "values" in given:
-        if not isinstance(given["values"], list) or not given["values"]:
-            raise InputError(f"{key}.values = {given['values']!r} is not allowed: a list with at least one value")
-        return Axis(given["path"], on, tuple(given["values"]))
+    if ends == [None] * 3:
+        raise InputError(f"{key} needs values, or from, to and num")
     for name, end in zip(("from", "to", "num"), ends, strict=True):
         if (
             isinstance(end, bool)

@@ -43,7 +43,7 @@ BAD = [
     ("robot.thigh", ["robot.thigh", "missing EQUAL"]),
     ("study.replicates=0", ["study.replicates = 0", "at least 1"]),
     ("+study.axes.f={path: contact.friction, num: 3}", ["study.axes.f.from", "a number"]),
-    ("+study.axes.f={path: contact.friction}", ["study.axes.f", "values or from, to and num"]),
+    ("+study.axes.f={path: contact.friction}", ["study.axes.f", "values, or from, to and num"]),
     ("+study.axes.f={path: contact.friction, form: 0}", ["study.axes.f.form", "did you mean from?"]),
     ("scenario.expect=[{at_least: 2}]", ["scenario.expect.0.at_least = 2", "0 to 1"]),
 ]

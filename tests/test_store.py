@@ -5,6 +5,7 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -103,5 +104,5 @@ def test_a_stored_point_leads_back_to_its_batch(tmp_path):
     row = content(tmp_path).iloc[42]
     task, slot, found = runner.load_point(tmp_path, row["point_id"])
     assert found["point_id"] == row["point_id"]
-    assert task.world.contact.friction[slot] == row["world.contact.friction"]
-    assert task.belief.manoeuvre.half_step_ratio[slot] == row["manoeuvre.half_step_ratio"]
+    assert np.asarray(task.world.contact.friction)[slot] == row["world.contact.friction"]
+    assert np.asarray(task.belief.manoeuvre.half_step_ratio)[slot] == row["manoeuvre.half_step_ratio"]

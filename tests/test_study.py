@@ -22,8 +22,8 @@ def test_a_world_axis_never_reaches_the_belief():
     exp, table = table_of(FRICTION, "+study.axes.b={path: contact.friction, values: [0.7]}", "engine.width=4")
     table = plan(exp, pd.DataFrame(), table)
     task = batch(exp, table)
-    assert task.world.contact.friction.tolist() == [0.5, 1.0, 1.5, 1.5]  # the last row is repeated
-    assert task.belief.contact.friction.tolist() == [0.7] * 4
+    np.testing.assert_array_equal(task.world.contact.friction, [0.5, 1.0, 1.5, 1.5])  # the last row is repeated
+    np.testing.assert_array_equal(task.belief.contact.friction, [0.7] * 4)
     assert task.world.contact.stiffness == exp.case.contact.stiffness
     assert nominal(exp, table, 4).world == exp.case
 

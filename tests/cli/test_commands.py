@@ -51,7 +51,7 @@ def test_what_a_study_expects_and_what_is_invalid_decide_the_exit_code(capsys):
     assert main(["run", *SMALL, "study.expect=[{where: 'friction < 0.1', at_least: 0.5}]"]) == 4
     assert 'share of outcome == "success" where friction < 0.1 from 0.5 to 1' in capsys.readouterr().err
     assert main(["run", *SMALL, "study.expect=[{that: 'slip_max_m < 100', at_least: 1}]"]) == 0
-    seven = ["study=walk_map", "out=seven", "study.axes.friction={path: contact.friction, values: [1.0, 7.0]}"]
+    seven = ["study=walk_map", "out=seven", "study.axes.friction.values=[1.0,7.0]"]
     assert main(["run", *seven]) == 3
     out, err = capsys.readouterr()
     assert "17 invalid (50.0 %)" in out

@@ -60,7 +60,7 @@ def test_map_of_single_rollouts_shows_causes_and_hatches_invalid_cells(rows, tmp
     assert len(figure.axes) == 2
     assert left.get_xlabel() == "friction (world)"
     assert "half step ratio" in left.get_ylabel()
-    assert "5 of 11 succeed" in left.get_title()
+    assert "7 of 11 succeed" in left.get_title()
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["success", "slipped", "invalid"]
     assert any(mesh.get_hatch() for mesh in left.collections)
     paths = maps.draw(rows, STORED, tmp_path)
