@@ -201,7 +201,7 @@ FORMULAS = (
         "monograph",
         ("3.1.14-3.1.16",),
         ball_climb,
-        (*_BALL, Input("phi0", "rad", 0.4, at_least=0, below=np.pi / 2)),
+        (*_BALL, Input("phi0", "rad", 0.4, above=-np.pi / 2, below=np.pi / 2)),
         {"v0_min": "m/s", "dphi_opt": "rad/s", "omega0": "rad/s", "dphi": "rad/s"},
         correction=_TWICE,
     ),

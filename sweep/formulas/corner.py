@@ -72,8 +72,7 @@ class EqualNormal(NamedTuple):
 
 
 def corner_equalN(psi: Scalar, eps: Scalar, k: Scalar) -> EqualNormal:
-    """The scheme with one normal force for all feet where the upper ones use up friction k: the second
-    scheme of monograph 2.1.
+    """One normal force for all feet, the upper ones at the limit of friction k: second scheme of monograph 2.1.
 
     Nan unless k > tan psi.
     """

@@ -99,11 +99,12 @@ def raft_drag(
     """Drag on a raft whose centre moves at V (m/s) and which turns at w (rad/s), both in body axes.
 
     Monograph (4.1.38), (4.1.39). The bottom is wet and so are the sides from -d up to the waterline at rest `zeta0`
-    (m above the centre). k_lin in N s/m^3, k_quad in N s^2/m^4.
+    (m above the centre, nan unless within d of it). k_lin in N s/m^3, k_quad in N s^2/m^4.
     """
     Vx, Vy, Vz = jnp.moveaxis(V, -1, 0)
     p, q, r = jnp.moveaxis(w, -1, 0)
-    middle, half = (zeta0 - d) / 2, (zeta0 + d) / 2  # of the wet part of a side
+    half = jnp.where(jnp.abs(zeta0) <= d, (zeta0 + d) / 2, jnp.nan)  # of the wet part of a side
+    middle = half - d
     faces = (
         (Vz, -q, p, a, b),
         (Vy - p * middle, r, -p, a, half),
@@ -158,5 +159,6 @@ FORMULAS = (
         ),
         {"R": "N", "N": "N*m"},
         correction="signs of e'_3 in (4.1.30) and of d and zeta' in (4.1.42), (4.1.43)",
+        condition="zeta0 must be within d of 0",
     ),
 )

@@ -160,7 +160,7 @@ def _raft_inputs(prefix: str = "") -> tuple[Input, ...]:
         Input("k_quad", "N*s^2/m^4", 500.0, at_least=0),
         positive("P", "N", 6489.3),
         positive("M", "kg", 661.5),
-        Input("J", "kg*m^2", (245.5, 549.4, 790.1)),
+        Input("J", "kg*m^2", (245.5, 549.4, 790.1), above=0),
         Input("rs", "m", (0.0, 0.0, 0.03)),
     )
     return tuple(Input(**{**vars(entry), "name": prefix + entry.name}) for entry in inputs)
