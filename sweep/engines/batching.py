@@ -61,10 +61,15 @@ def spread(tree: Any, over: jax.sharding.Mesh) -> Any:
     return jax.tree.map(lambda x, spec: jax.device_put(x, NamedSharding(over, spec)), tree, specs(tree))
 
 
+def step_time(settings: EngineSettings) -> float:
+    """Physics time step of the engine (s)."""
+    return settings.native_time_step if settings.name == "native" else settings.time_step
+
+
 def substeps(settings: EngineSettings) -> int:
     """Physics steps of a control tick. Raises `InputError` where they do not fit."""
     key = "native_time_step" if settings.name == "native" else "time_step"
-    step = getattr(settings, key)
+    step = step_time(settings)
     ratio = settings.control_period / step
     if ratio < 1 or abs(ratio - round(ratio)) > 1e-6:
         raise InputError(
