@@ -1,5 +1,6 @@
 """Manoeuvres: parameters and the plan that follows from them and from what is believed of the world."""
 
 from sweep.controllers.manoeuvres.walk import Stand, Walk
+from sweep.controllers.manoeuvres.waypoints import Waypoints
 
-MANOEUVRES = {"walk": Walk, "stand": Stand}
+MANOEUVRES = {"walk": Walk, "stand": Stand, "waypoints": Waypoints}
