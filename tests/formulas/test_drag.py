@@ -17,7 +17,7 @@ INTEGRALS = jax.jit(jax.vmap(lambda u: drag_integrals(u[0], u[1], u[2], 1.0, 1.0
 GRADIENT = jax.jit(jax.jacrev(lambda u: drag_integrals(u[0], u[1], u[2], 1.0, 1.0)))
 
 
-def quadrature(c, al, be, A, B, panels=400):
+def quadrature(c, al, be, A, B, panels=120):
     """By many panels of two Gauss nodes each way."""
     edges = np.linspace(-1, 1, panels + 1)
     node = (edges[1] - edges[0]) / 2 / np.sqrt(3)
@@ -28,7 +28,7 @@ def quadrature(c, al, be, A, B, panels=400):
     return f.sum(), (x * f).sum(), (y * f).sum()
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(SPEED, SPEED, SPEED, st.floats(0.05, 2), st.floats(0.05, 2))
 @example(0.0, 0.0, 0.0, 1.0, 1.0)
 @example(1.0, 1.0, 0.0, 1.0, 1.0)
@@ -37,7 +37,7 @@ def test_is_the_quadrature(c, al, be, A, B):
     with jax.enable_x64(True):
         exact = np.array(JITTED(c, al, be, A, B))
     scale = A * B * (abs(c) + abs(al) * A + abs(be) * B) ** 2
-    np.testing.assert_allclose(exact, quadrature(c, al, be, A, B), atol=1e-5 * scale * max(1, A, B))
+    np.testing.assert_allclose(exact, quadrature(c, al, be, A, B), atol=1e-4 * scale * max(1, A, B))
 
 
 @pytest.mark.parametrize(("double", "precision"), [(True, 1e-14), (False, 1e-6)])
