@@ -25,7 +25,7 @@ class Walk:
     half_step_ratio: float = quantity(0.1, "a_r", above=0, at_most=0.5)  # d_x
     lift_ratio: float = quantity(0.03, "a_r", above=0, at_most=0.5)  # d_y
     height_ratio: float = quantity(0.5, "a_r", above=0, at_most=2)  # d, hips above the ground
-    spread_ratio: float = quantity(0.16, "a_r", at_least=0, at_most=2)  # feet out from the hips
+    spread_ratio: float = quantity(0.3, "a_r", at_least=0, at_most=2)  # feet out from the hips
     rate: float = quantity(3.0, "rad/s", above=0, at_most=20)  # varpi
     deepening: float = quantity(2e-3, "m", at_least=0, at_most=0.05)  # epsilon, footholds below the ground
     patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
@@ -52,7 +52,7 @@ class Stand:
     kind: str = choice("stand", "stand")
     duration: float = quantity(4.0, "s", above=0)
     height_ratio: float = quantity(0.5, "a_r", above=0, at_most=2)
-    spread_ratio: float = quantity(0.16, "a_r", at_least=0, at_most=2)
+    spread_ratio: float = quantity(0.3, "a_r", at_least=0, at_most=2)
 
     def plan(self, belief: Case) -> Plan:
         """One stage."""
