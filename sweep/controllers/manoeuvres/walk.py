@@ -12,7 +12,7 @@ from sweep.maths import exponential
 from sweep.parameters import choice, count, parameters, quantity
 
 STAND = 0.5  # s, before the first and after the last step
-LEVEL = jnp.array([1.0, 0.0, 0.0, 0.0])
+LEVEL = (1.0, 0.0, 0.0, 0.0)
 
 
 @parameters
@@ -65,7 +65,7 @@ def standing(belief: Case, spread: Array | float, height: Array | float) -> tupl
     """A stance over the origin of level ground, and its feet relative to the base (m)."""
     centres = foot_centres(belief.robot, spread, height)
     position = jnp.array([0.0, 0.0, 1.0]) * height
-    return Stance(position + centres, position, LEVEL), centres
+    return Stance(position + centres, position, jnp.array(LEVEL)), centres
 
 
 def on_ground(plan: Plan, belief: Case) -> Plan:
