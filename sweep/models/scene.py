@@ -117,6 +117,8 @@ def _add_looks(spec: mujoco.MjSpec) -> None:
     spec.worldbody.add_light(pos=[2, 3, 8], dir=[-0.2, -0.3, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
     spec.add_texture(name="ground", type=mujoco.mjtTexture.mjTEXTURE_2D, builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
                      width=256, height=256, rgb1=[0.80, 0.83, 0.80], rgb2=[0.70, 0.74, 0.70])  # fmt: skip
+    spec.add_texture(name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+                     width=64, height=384, rgb1=[0.93, 0.95, 0.98], rgb2=[0.72, 0.80, 0.90])  # fmt: skip
     material = spec.add_material(name="ground", texrepeat=[1, 1], texuniform=True)
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "ground"
 

@@ -1,0 +1,38 @@
+"""Draws docs/figures/scenario_*.png: four moments of each scenario's nominal rollout, with contact forces.
+
+MUJOCO_GL=egl python docs/scenario_pictures.py [SCENARIO ...]
+"""
+
+import sys
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from sweep.batches import make_engine
+from sweep.config import compose
+from sweep.trace.frames import write_png
+
+FIGURES = Path(__file__).parent / "figures"
+SCENARIOS = ("walk_tripod", "walk_gallop", "walk_slope", "hexagon_waypoints", "stand_push")
+HEIGHT = 240  # pixels
+
+
+def strip(scenario: str) -> Path:
+    """Four frames of the scenario side by side."""
+    exp = compose([f"scenario={scenario}"])
+    engine = make_engine(replace(exp.settings, width=1), exp.case, exp.case)
+    trace = engine.trace(exp.case, exp.case, np.zeros(1, int), 0)
+    with tempfile.TemporaryDirectory() as folder:
+        frames = [Image.open(path).convert("RGB") for path in write_png(folder, trace, 4)]
+    small = [np.asarray(frame.resize((round(frame.width * HEIGHT / frame.height), HEIGHT))) for frame in frames]
+    path = FIGURES / f"scenario_{scenario}.png"
+    Image.fromarray(np.concatenate(small, axis=1)).quantize(128).save(path, optimize=True)
+    return path
+
+
+if __name__ == "__main__":
+    for name in sys.argv[1:] or SCENARIOS:
+        print(strip(name))
