@@ -1,0 +1,66 @@
+"""Support polygon and distances between links, against SciPy's hull and plain search."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from scipy.optimize import minimize
+from scipy.spatial import ConvexHull, QhullError
+
+from sweep.metrics.geometry import segment_distance, support_margin
+
+MARGIN, DISTANCE = jax.jit(support_margin), jax.jit(segment_distance)
+SEED = st.integers(0, 2**31)
+
+
+@settings(max_examples=200, deadline=None)
+@given(SEED, st.lists(st.booleans(), min_size=6, max_size=6))
+def test_support_margin_equals_scipys_hull(seed, standing):
+    """Least distance to the hull's border lines, positive inside: SciPy's facets are a x + b <= 0 there."""
+    assume(sum(standing) >= 3)
+    rng = np.random.default_rng(seed)
+    feet, point = rng.uniform(-1, 1, (6, 2)), rng.uniform(-1.5, 1.5, 2)
+    try:
+        facets = ConvexHull(feet[np.array(standing)]).equations
+    except QhullError:
+        assume(False)
+    expected = -np.max(facets[:, :2] @ point + facets[:, 2])
+    assert MARGIN(feet, np.array(standing), point) == pytest.approx(expected, abs=1e-5)
+
+
+@pytest.mark.parametrize("standing", [[], [2], [0, 5], [0, 2, 4]])
+def test_too_few_feet_or_feet_in_line_support_nothing(standing):
+    """Feet 1, 3, 5 stand in one line; the point is 0.3 m beside it."""
+    feet = np.array([[-0.5, -0.4], [-0.5, 0.4], [0, -0.4], [0, 0.4], [0.5, -0.4], [0.5, 0.4]])
+    margin = float(MARGIN(feet, np.isin(np.arange(6), standing), np.array([0.1, -0.1])))
+    assert margin < 0 or (len(standing) < 2 and margin == np.inf)
+    if len(standing) == 3:
+        assert margin == pytest.approx(-0.3, abs=1e-6)
+
+
+@settings(max_examples=60, deadline=None)
+@given(SEED)
+def test_segment_distance_equals_a_search(seed):
+    p, p_end, q, q_end = np.random.default_rng(seed).uniform(-1, 1, (4, 3))
+
+    def gap(x):
+        return np.sum((p + x[0] * (p_end - p) - q - x[1] * (q_end - q)) ** 2)
+
+    best = min(minimize(gap, start, bounds=[(0, 1)] * 2, tol=1e-14).fun for start in ([0.5, 0.5], [0, 1], [1, 0]))
+    assert DISTANCE(*map(jnp.asarray, (p, p_end, q, q_end))) == pytest.approx(np.sqrt(best), abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("q", "q_end", "expected"),
+    [
+        ([0, 0.2, 0], [1, 0.2, 0], 0.2),  # side by side
+        ([2, 0, 0], [3, 0, 0], 1.0),  # one behind the other
+        ([0.5, -1, 0], [0.5, 1, 0], 0.0),  # crossing
+        ([0.3, 0, 0.1], [0.3, 0, 2], 0.1),  # end on side
+    ],
+)
+def test_segment_distance_of_special_positions(q, q_end, expected):
+    one = [jnp.array([0.0, 0, 0]), jnp.array([1.0, 0, 0])]
+    assert DISTANCE(*one, jnp.array(q, float), jnp.array(q_end, float)) == pytest.approx(expected, abs=2e-6)

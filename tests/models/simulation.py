@@ -1,0 +1,49 @@
+"""Physics steps without a controller, for a batch of cases under the same joint targets."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from mujoco import mjx
+
+from sweep.case import Case
+from sweep.engines import batching
+from sweep.engines.settings import EngineSettings
+from sweep.models import dynamics
+from sweep.models.step import rest, step
+
+
+class History(NamedTuple):
+    """Everything after each step: first axis time, second the batch."""
+
+    q: np.ndarray
+    v: np.ndarray
+    force: np.ndarray  # (t, b, n, 3) N, on the contact points
+    normal: np.ndarray  # (t, b, n) N
+    point: np.ndarray  # (t, b, n, 3) m, before the step
+    residual: np.ndarray  # (t, b) N
+
+
+def simulate(case: Case, nominal: Case, q: np.ndarray, references: np.ndarray, h: float = 2e-3) -> History:
+    """`case` with swept leaves, its structure in `nominal`, from configurations q (b, nq) under targets (t, 6, 3)."""
+    batching.configure(EngineSettings())
+    top = dynamics.topology(nominal)
+    data = mjx.make_data(top.model)
+
+    def one(case: Case, state, reference):
+        model = top.model.replace(**dynamics.varying(top, case))
+        limits = batching.execution_limits(case, jnp.zeros(()))
+        state, report = step(top, model, data, case, limits, state, reference, h, 2)
+        forces = report.forces
+        return state, (state.q, state.v, forces.force, forces.normal, report.smooth.point, report.residual)
+
+    batch = jax.vmap(one, in_axes=(batching.axes(case), 0, None))
+
+    @jax.jit
+    def run(case, states, references):
+        return jax.lax.scan(lambda s, r: batch(case, s, r), states, references)
+
+    states = jax.vmap(lambda q: rest(top, q))(jnp.asarray(q))
+    _, history = run(batching.as_arrays(case), states, jnp.asarray(references))
+    return History(*[np.asarray(x, float) for x in history])
