@@ -70,7 +70,7 @@ def time_engine(name: str, width: int, rollouts: int) -> dict:
     simulated = [run(batch) for batch in batches]
     wall = time.perf_counter() - start
     compile_s = first - wall / len(batches)
-    return row(name, engine.width, rollouts, simulated, wall, compile_s, batching.step_time(engine.settings))
+    return row(name, engine.width, rollouts, simulated, wall, compile_s, batching.step_time(EngineSettings(name=name)))
 
 
 def time_bare(width: int, rollouts: int, seconds: float) -> dict:

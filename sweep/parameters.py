@@ -42,7 +42,7 @@ def switch(default: bool) -> Any:
     return dataclasses.field(default=default, metadata={"role": "switch"})
 
 
-@dataclass_transform(frozen_default=True, field_specifiers=(quantity, choice, count, switch))
+@dataclass_transform(frozen_default=True)
 def parameters[T: type](cls: T) -> T:
     """Frozen dataclass whose quantities (and nested parameter groups) are pytree leaves."""
     cls = dataclasses.dataclass(frozen=True)(cls)

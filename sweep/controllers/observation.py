@@ -55,9 +55,11 @@ def install(noise: Noise, key: Array, truth: Observation) -> Sensors:
     dtype = truth.position.dtype
     shapes = ((3,), (3,), (3,), (6, 3))
     sizes = (noise.position_bias, noise.orientation_bias, noise.velocity_bias, noise.joint_bias)
-    biases = [s * jax.random.normal(k, shape, dtype) for k, s, shape in zip(keys, sizes, shapes, strict=True)]
+    position, turn, velocity, joint = (
+        size * jax.random.normal(k, shape, dtype) for k, size, shape in zip(keys, sizes, shapes, strict=True)
+    )
     past = jax.tree.map(lambda x: jnp.broadcast_to(x, (noise.delay_buffer + 1, *x.shape)), truth)
-    return Sensors(*biases, past)
+    return Sensors(position, turn, velocity, joint, past)
 
 
 def observe(noise: Noise, sensors: Sensors, truth: Observation, key: Array) -> tuple[Sensors, Observation]:

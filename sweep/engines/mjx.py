@@ -127,7 +127,9 @@ class Mjx:
 
             def body(carry: Carry, k: Array) -> tuple[Carry, Any]:
                 carry, record = tick(world, belief, fields, plans, carry, k)
-                return carry, None if slot is None else jax.tree.map(lambda x: x[None, slot % local], record)
+                if slot is None:
+                    return carry, None
+                return carry, jax.tree.map(lambda x: x[None, jnp.asarray(slot) % local], record)
 
             return jax.lax.scan(body, carry, first + jnp.arange(self._chunk_ticks))
 

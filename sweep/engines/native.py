@@ -130,7 +130,7 @@ class Native:
             return plan, pilot, jnp.concatenate([pose, joints.reshape(18)])
 
         def tick(world: Case, belief: Case, plan: Plan, pilot: Pilot, command: Command | None, steps: Any, k: Array):
-            if steps is not None:
+            if steps is not None and command is not None:
                 summary = self._summary(world, steps, (k - 1) * period)
                 pilot = measure(world, plan, self.limits, pilot, command, summary, period)
             old = pilot.reference

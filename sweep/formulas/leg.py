@@ -12,7 +12,7 @@ SIDE = np.array([-1, 1, -1, 1, -1, 1])  # (-1)^i of leg i: +1 on the left
 
 
 def fk(
-    side: Float[Array, "*b"],
+    side: Float[Array, "*b"] | np.ndarray | int,
     angles: Float[Array, "*b 3"],
     coxa: Array | float,
     thigh: Array | float,
@@ -26,7 +26,7 @@ def fk(
 
 
 def ik(
-    side: Float[Array, "*b"],
+    side: Float[Array, "*b"] | np.ndarray | int,
     foot: Float[Array, "*b 3"],
     coxa: Array | float,
     thigh: Array | float,

@@ -71,4 +71,4 @@ def link_points(joints: Float[Array, "6 k 3"]) -> Float[Array, "n 3"]:
 def box_corners(half: Float[Array, " 3"]) -> Float[Array, "8 3"]:
     """Corners of a box about its centre."""
     signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
-    return signs * half
+    return jnp.asarray(signs, half.dtype) * half
