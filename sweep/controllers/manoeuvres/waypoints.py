@@ -25,7 +25,7 @@ class Waypoints:
 
     A cycle has two phases of one step each. In the first the first tripod swings from home to one step ahead in the
     body's axes, while the second carries the body that step on; in the second phase they exchange. So every cycle
-    starts and ends with all feet at home.
+    starts and ends with all feet at home. For robots with radial legs on a circle, the shin longer than the thigh.
 
     With lengths in metres and T = 1 s, the longest step accelerates the body by 9.24 l/T^2 = 10.7 m/s^2, which
     needs friction above 1: the feet slide by 0.25 m. Slower, the same walk is a sound one: from T = 1.35 s on they
@@ -36,7 +36,8 @@ class Waypoints:
     phase_time: float = quantity(1.0, "s", above=0, at_most=20)  # T
     psi: float = quantity(np.pi / 4, "rad", at_least=-np.pi / 2, at_most=np.pi / 2)  # at home, where phi is 0
     gamma: float = quantity(-3 * np.pi / 4, "rad", at_least=-np.pi, at_most=0)  # at home
-    share: float = quantity(0.95, "-", above=0, at_most=1)  # of the largest step: at the border the leg is singular
+    # Of the largest step. The thesis takes it where the leg is singular, not at phi_max; here it is always taken.
+    share: float = quantity(0.95, "-", above=0, at_most=1)
     cycles: int = count(9, at_least=1, at_most=100)  # 7 take the thesis' robot there, the rest are idle
     deepening: float = quantity(2e-3, "m", at_least=0, at_most=0.05)  # epsilon, footholds below the ground
     patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
@@ -98,7 +99,7 @@ class Waypoints:
         zone = thesis_workspace(-height, robot.coxa, robot.thigh, robot.shin, robot.mount_radius)
         out = outward(robot)[:, :2]
         across = jnp.stack([out[:, 1], -out[:, 0]], axis=-1)  # x of the leg's frame, whose y points outward
-        ahead = np.array([1.0 if leg in TRIPODS[0] else -1.0 for leg in range(1, 7)])
+        ahead = jnp.array([1.0 if leg in TRIPODS[0] else -1.0 for leg in range(1, 7)])
         way = ahead[:, None] * jnp.stack([across @ direction, out @ direction], axis=-1)
         foot = jnp.stack([jnp.zeros_like(spread), spread])
         return thesis_step(foot, way, zone.OA, zone.OB, zone.phimax).support
