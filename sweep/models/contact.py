@@ -94,7 +94,7 @@ def contact_forces(contact: Contact, geometry: Geometry, velocity: Float[Array, 
     loaded = normal > 0
     elastic = contact.stiffness * geometry.stretch - g * (velocity - v_normal[:, None] * n)
     size = jnp.sqrt(jnp.sum(elastic**2, axis=-1) + 1e-6)
-    slipping = loaded & (size > geometry.limit * normal)
+    slipping = loaded & ~(size <= geometry.limit * normal)  # a limit that is not a number must show, not hold
     share = jnp.where(loaded, jnp.where(slipping, geometry.limit * normal / size, 1.0), 0.0)
     direction = elastic / size[:, None]
     tangential = share[:, None] * elastic
