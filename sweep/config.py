@@ -153,7 +153,7 @@ def one_line(error: Exception, overrides: list[str]) -> str:
         group, _, name = error.missing_cfg_file.rpartition("/")
         return f"{group} = {name} is unknown{suggest(name, choices(error.options))}"
     if isinstance(error, OverrideParseException):
-        reason = error.message.splitlines()[1].strip(" ^") or "quote what is not a word or a number"
+        reason = next((line for line in error.message.splitlines() if "missing" in line), "put quotes around its value")
         return f"{error.override} cannot be read: {reason}"
     cause = error.__cause__ if isinstance(error, ConfigCompositionException) else error
     if isinstance(cause, ConfigKeyError | AttributeError) and isinstance(cause, OmegaConfBaseException):

@@ -41,6 +41,7 @@ BAD = [
     ("robot.mounts=star", ["robot.mounts = 'star'", "rectangle, circle"]),
     ("frictoin=1", ["frictoin = 1", "contact"]),
     ("robot.thigh", ["robot.thigh", "missing EQUAL"]),
+    ("study.name=a<b", ["study.name=a<b cannot be read", "quotes"]),
     ("study.replicates=0", ["study.replicates = 0", "at least 1"]),
     ("+study.axes.f={path: contact.friction, num: 3}", ["study.axes.f.from", "a number"]),
     ("+study.axes.f={path: contact.friction}", ["study.axes.f", "values, or from, to and num"]),

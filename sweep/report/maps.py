@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch
+from matplotlib.patches import Patch, Rectangle
 
 from sweep.config import experiment
 from sweep.metrics.outcome import CAUSES
@@ -23,6 +23,13 @@ from sweep.study import parameter
 
 KINDS = ["success", *CAUSES]
 PALETTE = ListedColormap([SUCCESS, *(CAUSE_COLOURS[c] for c in CAUSES)])
+
+
+class Cells(NamedTuple):
+    """The values of both parameters, in order."""
+
+    x: np.ndarray
+    y: np.ndarray
 
 
 def draw(rows: pd.DataFrame, stored: Mapping[str, Any], folder: Path, chosen: tuple[str, ...] = ()) -> list[Path]:
@@ -49,8 +56,10 @@ def success_map(rows: pd.DataFrame, stored: Mapping[str, Any], chosen: tuple[str
     figure, axes = plt.subplots(
         1, len(panels), figsize=(1.8 + 4.6 * len(panels), 4.6), squeeze=False, sharey=True, layout="constrained"
     )
+    cells = Cells(np.sort(rows[x].unique()), np.sort(rows[y].unique()))
     for ax, (title, panel) in zip(axes[0], panels, strict=True):
-        (categories if most == 1 else shares)(ax, panel, x, y)
+        (categories if most == 1 else shares)(ax, panel.assign(x=panel[x], y=panel[y]), cells)
+        mark_values(ax, cells)
         ax.set_title("\n".join([*title, str(rate(panel["outcome"])).replace(" (", "\n(", 1)]), fontsize=8)
         ax.set_xlabel(with_unit(x, stored))
     axes[0, 0].set_ylabel(with_unit(y, stored))
@@ -90,42 +99,50 @@ def spread(counts: list[pd.Series]) -> str:
     return str(low) if low == high else f"{low}-{high}"
 
 
-def categories(ax: Axes, rows: pd.DataFrame, x: str, y: str) -> None:
+def categories(ax: Axes, rows: pd.DataFrame, cells: Cells) -> None:
     """Cells coloured by outcome and cause."""
     kind = rows["cause"].where(rows["outcome"] == "failure", "success").map(KINDS.index).astype(float)
-    grid = rows.assign(kind=kind.where(rows["outcome"] != "invalid")).pivot(index=y, columns=x, values="kind")
-    paint(ax, grid, cmap=PALETTE, vmin=-0.5, vmax=len(KINDS) - 0.5)
-    hatch(ax, rows, x, y)
+    paint(ax, rows.assign(value=kind), cells, cmap=PALETTE, vmin=-0.5, vmax=len(KINDS) - 0.5)
 
 
-def shares(ax: Axes, rows: pd.DataFrame, x: str, y: str) -> None:
+def shares(ax: Axes, rows: pd.DataFrame, cells: Cells) -> None:
     """Cells coloured by the share of successes among valid rollouts."""
-    valid = rows[rows["outcome"] != "invalid"]
-    grid = valid.assign(good=valid["outcome"] == "success").pivot_table(index=y, columns=x, values="good")
-    paint(ax, grid, cmap="cividis", vmin=0, vmax=1)
-    hatch(ax, rows, x, y)
+    paint(ax, rows.assign(value=(rows["outcome"] == "success").astype(float)), cells, cmap="cividis", vmin=0, vmax=1)
 
 
-def paint(ax: Axes, grid: pd.DataFrame, **style: Any) -> None:
-    """One rectangle for each cell, edges half-way between the values."""
+def paint(ax: Axes, rows: pd.DataFrame, cells: Cells, **style: Any) -> None:
+    """The mean value of the valid rows of each cell; hatching where there are invalid ones."""
+    invalid = rows["outcome"] == "invalid"
+    grid = rows[~invalid].pivot_table(index="y", columns="x", values="value").reindex(index=cells.y, columns=cells.x)
+    x, y = edges(cells.x), edges(cells.y)
     values = np.ma.masked_invalid(grid.to_numpy(dtype=float))
-    ax.pcolormesh(edges(grid.columns), edges(grid.index), values, edgecolors="white", linewidth=0.4, **style)
+    ax.pcolormesh(x, y, values, edgecolors="white", linewidth=0.4, **style)
+    for at_x, at_y in rows.loc[invalid, ["x", "y"]].drop_duplicates().itertuples(index=False):
+        i, j = int(np.searchsorted(cells.x, at_x)), int(np.searchsorted(cells.y, at_y))
+        (left, right), (low, high) = x[i : i + 2].tolist(), y[j : j + 2].tolist()
+        cell = Rectangle((left, low), right - left, high - low, fill=False, hatch="////", linewidth=0.4)
+        ax.add_patch(cell)
 
 
-def edges(values: pd.Index) -> np.ndarray:
-    """Cell borders around sorted `values`."""
-    at = values.to_numpy(dtype=float)
-    half = np.diff(at) / 2 if len(at) > 1 else np.array([0.5 * abs(at[0]) or 0.5])
-    return np.concatenate([[at[0] - half[0]], at[:-1] + half[: len(at) - 1], [at[-1] + half[-1]]])
+def evenly_spaced(values: np.ndarray) -> bool:
+    """Whether cells can have the width of their values' distance without some being too thin to see."""
+    gaps = np.diff(values)
+    return len(gaps) == 0 or float(gaps.max()) < 3 * float(gaps.min())
 
 
-def hatch(ax: Axes, rows: pd.DataFrame, x: str, y: str) -> None:
-    """Mark the cells that hold an invalid rollout."""
-    marked = rows.assign(bad=(rows["outcome"] == "invalid").astype(float)).pivot_table(index=y, columns=x, values="bad")
-    shape = np.where(marked.to_numpy() > 0, 1.0, np.nan)
-    if np.nansum(shape):
-        cells = np.ma.masked_invalid(shape)
-        ax.pcolor(edges(marked.columns), edges(marked.index), cells, hatch="////", alpha=0, edgecolor="black", lw=0)
+def edges(values: np.ndarray) -> np.ndarray:
+    """Cell borders: half-way between values, or counted where the values are uneven."""
+    if not evenly_spaced(values):
+        return np.arange(len(values) + 1) - 0.5
+    half = np.diff(values) / 2 if len(values) > 1 else np.array([0.5 * abs(values[0]) or 0.5])
+    return np.concatenate([[values[0] - half[0]], values[:-1] + half[: len(values) - 1], [values[-1] + half[-1]]])
+
+
+def mark_values(ax: Axes, cells: Cells) -> None:
+    """Name the values of uneven axes, cell by cell."""
+    for axis, values in ((ax.xaxis, cells.x), (ax.yaxis, cells.y)):
+        if not evenly_spaced(values):
+            axis.set_ticks(np.arange(len(values)), [f"{v:.4g}" for v in values])
 
 
 def legend(figure: Figure, causes: list[str], invalid: bool, most: int) -> None:

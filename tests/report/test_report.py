@@ -62,7 +62,8 @@ def test_map_of_single_rollouts_shows_causes_and_hatches_invalid_cells(rows, tmp
     assert "half step ratio" in left.get_ylabel()
     assert "7 of 11 succeed" in left.get_title()
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["success", "slipped", "invalid"]
-    assert any(mesh.get_hatch() for mesh in left.collections)
+    hatched = [patch.get_extents() for patch in left.patches if patch.get_hatch()]
+    assert [left.transData.inverted().transform(box.p0) for box in hatched] == [pytest.approx([0.3, 0.025])]
     paths = maps.draw(rows, STORED, tmp_path)
     assert [p.name for p in paths] == ["map.png", "map.svg"]
     assert "friction (world)" in paths[1].read_text()
@@ -73,3 +74,10 @@ def test_map_of_repeated_rollouts_shows_rates_and_how_many(rows):
     assert "n = 2 a cell" in figure.axes[-1].get_ylabel()
     with pytest.raises(InputError, match="two varied parameters"):
         maps.success_map(rows[rows["world.contact.friction"] < 0.3], STORED)
+
+
+def test_cells_stay_visible_where_values_are_uneven(rows):
+    uneven = rows.assign(**{"world.contact.friction": rows["world.contact.friction"].replace({0.2: 0.001, 0.4: 0.002})})
+    left = maps.success_map(uneven, STORED).axes[0]
+    assert [label.get_text() for label in left.get_xticklabels()] == ["0.001", "0.002", "0.6", "0.8"]
+    assert left.get_xlim() == (-0.5, 3.5)
