@@ -1,0 +1,81 @@
+"""Measurement errors: none when off, constant biases, fresh noise at every tick, and a delay of whole ticks."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from sweep.controllers.observation import Noise, Observation, install, observe
+from sweep.engines.pilot import is_quiet
+
+KEY = jax.random.key(3)
+
+
+def truth(x: float) -> Observation:
+    level = jnp.array([1.0, 0, 0, 0])
+    return Observation(jnp.full(3, float(x)), level, jnp.full(3, -float(x)), jnp.zeros((6, 3)), jnp.arange(6) < x)
+
+
+def watch(noise: Noise, key=KEY, ticks: int = 8) -> list[Observation]:
+    """What is seen of a truth that counts the ticks, from 1 on."""
+    sensors, seen = install(noise, key, truth(0)), []
+    for k in range(1, ticks + 1):
+        sensors, one = observe(noise, sensors, truth(k), jax.random.fold_in(key, k))
+        seen.append(one)
+    return seen
+
+
+def test_off_means_exact():
+    assert is_quiet(Noise())
+    for k, seen in enumerate(watch(Noise()), start=1):
+        for a, b in zip(seen, truth(k), strict=True):
+            np.testing.assert_allclose(a, b, atol=1e-9)
+
+
+@pytest.mark.parametrize("delay", [0, 1, 3])
+def test_delay_counts_ticks(delay):
+    """Before anything else was seen, the start was; joint errors act in the drives and are not delayed."""
+    noise = Noise(delay=float(delay), delay_buffer=4, joint_bias=0.1)
+    assert not is_quiet(noise)
+    seen = watch(noise)
+    np.testing.assert_allclose([float(s.position[0]) for s in seen], np.maximum(np.arange(1, 9) - delay, 0))
+    assert [int(s.loaded.sum()) for s in seen] == list(np.clip(np.arange(1, 9) - delay, 0, 6))
+    assert np.all(np.asarray(seen[0].joint_error) != 0)
+
+
+def test_a_longer_buffer_changes_nothing():
+    one, other = (watch(Noise(delay=2.0, delay_buffer=n, position_noise=0.01)) for n in (2, 5))
+    for a, b in zip(one, other, strict=True):
+        assert np.array_equal(a.position, b.position)
+
+
+def test_biases_stay_and_noise_does_not():
+    biased = np.array([s.position - k for k, s in enumerate(watch(Noise(position_bias=0.5)), start=1)])
+    assert np.all(np.abs(biased[0]) > 0)
+    np.testing.assert_allclose(biased, np.broadcast_to(biased[0], biased.shape), atol=1e-6)
+    noisy = np.array([s.velocity + k for k, s in enumerate(watch(Noise(velocity_noise=0.5)), start=1)])
+    assert len(np.unique(noisy)) == noisy.size
+
+
+@pytest.mark.parametrize(
+    ("field", "of"),
+    [
+        ("position", lambda s: s.position),
+        ("velocity", lambda s: s.velocity),
+        ("joint", lambda s: s.joint_error),
+        ("orientation", lambda s: 2 * s.quat[1:]),
+    ],
+)
+def test_noise_has_the_given_deviation(field, of):
+    """400 ticks: the sample deviation of 1200 normal numbers is within 8 % of the true one, 4 standard errors."""
+    noise = Noise(**{f"{field}_noise": 0.02})
+    sensors = install(noise, KEY, truth(0))
+    draw = jax.jit(jax.vmap(lambda k: of(observe(noise, sensors, truth(0), jax.random.fold_in(KEY, k))[1])))
+    assert np.std(draw(jnp.arange(400))) == pytest.approx(0.02, rel=0.08)
+
+
+def test_another_key_sees_otherwise():
+    noise = Noise(position_noise=0.01, position_bias=0.01)
+    a, b, c = (watch(noise, jax.random.key(k), 1)[0].position for k in (1, 1, 2))
+    assert np.array_equal(a, b)
+    assert not np.array_equal(a, c)

@@ -1,0 +1,82 @@
+"""The tracker: goes through a plan's stages in time, waits for touchdowns, and hands the body's error on."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from sweep.config import compose
+from sweep.controllers import tracker
+from sweep.controllers.observation import Observation
+
+PERIOD = 4e-3
+CASE = compose(["manoeuvre.steps=2"]).case
+
+
+@pytest.fixture(scope="module")
+def plan():
+    return CASE.manoeuvre.plan(CASE)
+
+
+@pytest.fixture(scope="module")
+def follow(plan):
+    """Ticks of a robot that is where it is told to be but for `offset` (m), its feet loaded as `loaded` says."""
+
+    ticks = int(1.3 * float(plan.duration.sum()) / PERIOD)
+
+    @jax.jit
+    def run(offset, loaded):
+        def tick(carry, _):
+            state, at = carry
+            seen = Observation(at + offset, jnp.array([1.0, 0, 0, 0]), jnp.zeros(3), jnp.zeros((6, 3)), loaded)
+            state, command = tracker.step(CASE.robot, plan, state, seen, PERIOD)
+            return (state, command.target.position), (state, command)
+
+        _, history = jax.lax.scan(tick, (tracker.init(CASE.robot, plan), plan.start.position), None, length=ticks)
+        return history
+
+    return lambda offset, loaded: jax.tree.map(np.asarray, run(jnp.asarray(offset), jnp.asarray(loaded)))
+
+
+def stage_starts(states) -> np.ndarray:
+    return (1 + np.flatnonzero(np.diff(states.stage))) * PERIOD
+
+
+def test_stages_come_in_time_and_the_plan_ends(follow, plan):
+    states, commands = follow(np.zeros(3), np.ones(6, bool))
+    np.testing.assert_allclose(stage_starts(states), np.cumsum(plan.duration)[:-1], atol=2 * PERIOD)
+    assert states.finished[-1]
+    np.testing.assert_allclose(commands.target.position[-1], plan.position[-1], atol=1e-6)
+    np.testing.assert_allclose(commands.target.feet[-1], plan.foothold[-1], atol=2e-3)  # seen a tick late: 1.2 mm
+    assert commands.shortfall.max() == 0
+
+
+def test_targets_do_not_jump(follow, plan):
+    """From tick to tick a foot goes no further than its fastest swing: no jump where stages meet."""
+    _, commands = follow(np.zeros(3), np.ones(6, bool))
+    for points, limit in ((commands.target.feet, 1.0), (commands.target.position, 0.3), (commands.joints, 3.0)):
+        assert np.abs(np.diff(points, axis=0)).max() / PERIOD < limit  # m/s, m/s, rad/s
+
+
+def test_a_stage_waits_for_its_feet_as_long_as_patience_lasts(follow, plan):
+    """Foot 1 never touches down: only the stages in which it swings take longer, by the patience."""
+    states, _ = follow(np.zeros(3), np.arange(6) > 0)
+    took = np.diff(np.concatenate([[0.0], stage_starts(states)]))
+    late = np.asarray(plan.swing)[:-1, 0] * float(plan.patience)
+    assert late.max() > 0
+    np.testing.assert_allclose(took, np.asarray(plan.duration)[:-1] + late, atol=2 * PERIOD)
+
+
+def test_body_error_shifts_feet_and_body_and_fades(follow, plan):
+    """Seen 10 mm to the left: feet and body targets shift together at a stage's start, and the body's part fades."""
+    offset = np.array([0.0, 0.01, 0.0])
+    states, commands = follow(offset, np.ones(6, bool))
+    first = int(np.flatnonzero(states.stage == 1)[0])
+    last = int(np.flatnonzero(states.stage == 1)[-1])
+    standing = ~np.asarray(plan.swing)[1]
+    shift = commands.target.feet[first] - np.asarray(plan.start.feet)
+    np.testing.assert_allclose(shift[standing], np.broadcast_to(offset, (standing.sum(), 3)), atol=1e-5)
+    assert commands.target.position[first, 1] == pytest.approx(0.01, rel=0.02)
+    assert commands.target.position[last, 1] == pytest.approx(0.0, abs=1e-4)
+    landing = commands.target.feet[last] - np.asarray(plan.foothold)[1]
+    np.testing.assert_allclose(landing[~standing], 0, atol=1e-3)  # footholds are absolute
