@@ -8,3 +8,11 @@ import sweep.engines
 def fake_engine(monkeypatch):
     """Every engine that is made is a fake one."""
     monkeypatch.setattr(sweep.engines, "make", FakeEngine)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """Keep a file's tests in one process: compiled engines are shared within a module."""
+    from xdist.scheduler import LoadFileScheduling
+
+    return LoadFileScheduling(config, log)
