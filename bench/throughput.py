@@ -22,9 +22,10 @@ from mujoco import mjx
 from sweep.case import Case
 from sweep.controllers.manoeuvres.walk import Walk
 from sweep.controllers.observation import Noise
-from sweep.engines import batching, make
+from sweep.engines import batching, devices, make
 from sweep.engines.pilot import start_pose
 from sweep.engines.settings import EngineSettings
+from sweep.metrics.outcome import Thresholds
 from sweep.models import dynamics, step
 from sweep.models.contact import Contact
 from sweep.models.drive import Drive
@@ -56,7 +57,7 @@ def padded(values: np.ndarray, width: int) -> np.ndarray:
 
 def time_engine(name: str, width: int, rollouts: int) -> dict:
     """Compile and run times (s) of an engine over the map, and the seconds that its rollouts lasted."""
-    engine = make(EngineSettings(name=name, width=width), NOMINAL, NOMINAL)
+    engine = make(EngineSettings(name=name, width=width), NOMINAL, NOMINAL, Thresholds())
     batches = list(zip(*(padded(values, engine.width) for values in walk_map(rollouts)), strict=True))
     streams = np.zeros(engine.width, int)
 
@@ -76,8 +77,8 @@ def time_engine(name: str, width: int, rollouts: int) -> dict:
 def time_bare(width: int, rollouts: int, seconds: float) -> dict:
     """The same number of physics steps with nothing around them."""
     settings = EngineSettings(width=width)
-    batching.configure(settings)
-    width = width or batching.default_width()
+    devices.configure()
+    width = width or devices.default_width()
     top = dynamics.topology(NOMINAL)
     data = mjx.make_data(top.model)
     plan = NOMINAL.manoeuvre.plan(NOMINAL)
@@ -90,8 +91,8 @@ def time_bare(width: int, rollouts: int, seconds: float) -> dict:
         world = replace(NOMINAL, contact=replace(NOMINAL.contact, friction=friction))
         return step.step(top, top.model, data, world, limits, state, joints, settings.time_step, settings.iterations)[0]
 
-    mesh = batching.mesh(width)
-    split = PartitionSpec(batching.BATCH)
+    mesh = devices.mesh(width)
+    split = PartitionSpec(devices.BATCH)
 
     @partial(jax.jit, donate_argnums=1)
     @partial(jax.shard_map, mesh=mesh, in_specs=split, out_specs=split, check_vma=False)
@@ -100,17 +101,17 @@ def time_bare(width: int, rollouts: int, seconds: float) -> dict:
 
     def fresh() -> step.State:
         states = jax.tree.map(lambda x: jnp.broadcast_to(x, (width, *x.shape)), step.rest(top, q))
-        return batching.spread(states, mesh)
+        return devices.spread(states, mesh)
 
     frictions = padded(walk_map(rollouts)[0], width)
-    compile_s = timed(lambda: chunk(batching.spread(jnp.asarray(frictions[0], float), mesh), fresh()))
+    compile_s = timed(lambda: chunk(devices.spread(jnp.asarray(frictions[0], float), mesh), fresh()))
     chunks = round(seconds)
 
     def run() -> None:
         for friction in frictions:
             states = fresh()
             for _ in range(chunks):
-                states = chunk(batching.spread(jnp.asarray(friction, float), mesh), states)
+                states = chunk(devices.spread(jnp.asarray(friction, float), mesh), states)
             jax.block_until_ready(states)
 
     wall = timed(run)

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from sweep.batches import make_engine
+from sweep.batches import Batch, make_engine
 from sweep.config import compose
 from sweep.trace.frames import write_png
 
@@ -23,8 +23,9 @@ HEIGHT = 240  # pixels
 def strip(scenario: str) -> Path:
     """Four frames of the scenario side by side."""
     exp = compose([f"scenario={scenario}"])
-    engine = make_engine(replace(exp.settings, width=1), exp.case, exp.case)
-    trace = engine.trace(exp.case, exp.case, np.zeros(1, int), 0)
+    one = Batch(replace(exp.settings, width=1), exp.case, exp.case, np.zeros(1, int))
+    engine = make_engine(exp, one)
+    trace = engine.trace(exp.case, exp.case, one.streams, 0)
     with tempfile.TemporaryDirectory() as folder:
         frames = [Image.open(path).convert("RGB") for path in write_png(folder, trace, 4)]
     small = [np.asarray(frame.resize((round(frame.width * HEIGHT / frame.height), HEIGHT))) for frame in frames]

@@ -26,12 +26,12 @@ class Batch:
     streams: np.ndarray  # (width,)
 
 
-def make_engine(settings: EngineSettings, world: Case, belief: Case) -> Engine:
-    """`sweep.engines.make`, imported late: importing MJX takes seconds, and it prints to the standard output."""
+def make_engine(exp: Experiment, start: Batch) -> Engine:
+    """The engine for batches such as `start`; imported late, since importing MJX takes seconds and prints."""
     with redirect_stdout(io.StringIO()):
         import sweep.engines
 
-        return sweep.engines.make(settings, world, belief)
+    return sweep.engines.make(start.settings, start.world, start.belief, exp.thresholds)
 
 
 def with_room_for_delay(exp: Experiment, table: pd.DataFrame) -> Experiment:
@@ -102,5 +102,6 @@ def _even_width(exp: Experiment, rows: pd.DataFrame) -> int:
     start = nominal(exp, rows, exp.settings.width)
     if start.settings.width:
         return start.settings.width
-    best = make_engine(start.settings, start.world, start.belief).width
-    return -(-len(rows) // -(-len(rows) // best))
+    engine = make_engine(exp, start)
+    even = -(-len(rows) // -(-len(rows) // engine.width))
+    return -(-even // engine.devices) * engine.devices

@@ -13,10 +13,14 @@ LIBRARIES = ("mujoco", "mujoco-mjx", "jax", "jaxlib", "numpy")
 
 
 def device(settings: EngineSettings) -> str:
-    """Kind of the device an engine runs on."""
+    """Kind of the devices an engine runs on, and how many share a batch."""
     import jax  # slow to import
 
-    return jax.devices()[0].device_kind if settings.name == "mjx" else "cpu"
+    from sweep.engines import devices
+
+    devices.configure()
+
+    return f"{jax.device_count()} x {jax.devices()[0].device_kind}" if settings.name == "mjx" else "cpu"
 
 
 @functools.cache

@@ -102,7 +102,7 @@ def run(job: Job, progress: Progress) -> None:
     for _, rows in missing.groupby(["group", "width"], sort=False):
         group, width = (int(rows[name].iloc[0]) for name in ("group", "width"))
         start = nominal(exp, rows, width)
-        engine = make_engine(start.settings, start.world, start.belief)
+        engine = make_engine(exp, start)
         stages[group] = list(engine.stages)
         describe(job, stages)
         store.log(folder, f"group {group}: {start.settings}, {len(rows)} rollouts of {engine.duration:g} s")
@@ -140,7 +140,7 @@ def run_single(exp: Experiment) -> pd.DataFrame:
     table = plan(exp, pd.DataFrame(), wanted_points(exp))
     exp = with_room_for_delay(exp, table)
     start = nominal(exp, table, exp.settings.width)
-    return simulate(exp, make_engine(start.settings, start.world, start.belief), table)
+    return simulate(exp, make_engine(exp, start), table)
 
 
 def relabel(folder: Path, outcome: Mapping[str, float]) -> None:

@@ -16,7 +16,8 @@ class FakeEngine:
     stages = ("stand", "walk")
     duration = 10.0
 
-    def __init__(self, settings, world, belief):
+    def __init__(self, settings, world, belief, limits):
+        self.devices = 1
         self.width = settings.width or 8
 
     def run(self, world, belief, streams):

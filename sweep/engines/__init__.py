@@ -3,14 +3,18 @@
 from sweep.case import Case
 from sweep.engines.base import Engine
 from sweep.engines.settings import EngineSettings
+from sweep.metrics.outcome import Thresholds
 
 
-def make(settings: EngineSettings, world: Case, belief: Case) -> Engine:
-    """The engine of a scenario; `world` and `belief` give its structure, and plain numbers for a nominal plan."""
+def make(settings: EngineSettings, world: Case, belief: Case, limits: Thresholds | None = None) -> Engine:
+    """The engine of a scenario.
+
+    `world` and `belief` give its structure, and plain numbers for a nominal plan; `limits` say when to note a cause.
+    """
     if settings.name == "native":
         from sweep.engines.native import Native
 
-        return Native(settings, world, belief)
+        return Native(settings, world, belief, limits)
     from sweep.engines.mjx import Mjx
 
-    return Mjx(settings, world, belief)
+    return Mjx(settings, world, belief, limits)

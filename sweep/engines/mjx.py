@@ -13,7 +13,7 @@ from mujoco import mjx
 
 from sweep.case import Case
 from sweep.controllers.plan import Plan
-from sweep.engines import batching
+from sweep.engines import batching, devices
 from sweep.engines.base import Figures, Trace
 from sweep.engines.pilot import GRACE, Pilot, decide, embark, is_quiet, measure, start_pose
 from sweep.engines.settings import EngineSettings
@@ -50,13 +50,14 @@ class Mjx:
     """MJX's smooth dynamics with the implicit contact step."""
 
     def __init__(self, settings: EngineSettings, world: Case, belief: Case, limits: Thresholds | None = None):
-        batching.configure(settings)
+        devices.configure()
         self.settings = settings
         self.limits = limits or Thresholds()
         self.substeps = batching.substeps(settings)
-        self.width = settings.width or batching.default_width()
-        self._mesh = batching.mesh(self.width)
-        with batching.precision(settings):
+        self.width = settings.width or devices.default_width()
+        self._mesh = devices.mesh(self.width)
+        self.devices = jax.device_count()
+        with devices.precision(settings):
             self.topology = dynamics.topology(world)
             self._data = mjx.make_data(self.topology.model)
             plan = jax.eval_shape(belief.manoeuvre.plan, belief)
@@ -66,7 +67,7 @@ class Mjx:
 
     def run(self, world: Case, belief: Case, streams: np.ndarray) -> Figures:
         """Figures of `width` rollouts; stops early when every rollout is over."""
-        with batching.precision(self.settings):
+        with devices.precision(self.settings):
             (world, belief, keys), start, chunk, finish = self._prepare(world, belief, streams)
             plans, carry = start(world, belief, keys)
             for tick in range(0, self._ticks(plans), self._chunk_ticks):
@@ -77,7 +78,7 @@ class Mjx:
 
     def trace(self, world: Case, belief: Case, streams: np.ndarray, slot: int) -> Trace:
         """The rollout in `slot`, simulated in its batch so that its numbers are those of `run`."""
-        with batching.precision(self.settings):
+        with devices.precision(self.settings):
             one = batching.pick(world, slot)
             (world, belief, keys), start, chunk, finish = self._prepare(world, belief, streams)
             plans, carry = start(world, belief, keys)
@@ -105,12 +106,12 @@ class Mjx:
         batching.check(streams, self.width)
         quiet = is_quiet(world.noise)
         structure = jax.tree.structure((world, belief))
-        axes = batching.axes((world, belief))
+        axes = devices.axes((world, belief))
         cache_key = (structure, tuple(jax.tree.leaves(axes, is_leaf=lambda x: x is None)), quiet)
         if cache_key not in self._compiled:
-            self._compiled[cache_key] = self._compile(axes, batching.specs((world, belief)), quiet)
-        arrays = (*batching.as_arrays((world, belief)), batching.keys(streams))
-        return batching.spread(arrays, self._mesh), *self._compiled[cache_key]
+            self._compiled[cache_key] = self._compile(axes, devices.specs((world, belief)), quiet)
+        arrays = (*devices.as_arrays((world, belief)), devices.keys(streams))
+        return devices.spread(arrays, self._mesh), *self._compiled[cache_key]
 
     def _compile(self, axes: tuple[Case, Case], specs: tuple, quiet: bool) -> tuple[Callable, Callable, Callable]:
         """`start`, `chunk` and `finish` over a batch whose parameters vary along `axes`, split over the devices."""
@@ -133,10 +134,10 @@ class Mjx:
 
             return jax.lax.scan(body, carry, first + jnp.arange(self._chunk_ticks))
 
-        split, whole = PartitionSpec(batching.BATCH), PartitionSpec()
+        split, whole = PartitionSpec(devices.BATCH), PartitionSpec()
         on_devices = partial(jax.shard_map, mesh=self._mesh, check_vma=False)
         start = on_devices(jax.vmap(self._start, in_axes=(*axes, 0)), in_specs=(*specs, split), out_specs=split)
-        recorded = (split, PartitionSpec(None, batching.BATCH))
+        recorded = (split, PartitionSpec(None, devices.BATCH))
         chunk = on_devices(chunk, in_specs=(*specs, split, split, whole, whole), out_specs=recorded)
         finish = on_devices(jax.vmap(self._finish), in_specs=(split, split), out_specs=split)
         return jax.jit(start), jax.jit(chunk, donate_argnums=3), jax.jit(finish)

@@ -13,7 +13,7 @@ from mujoco.batch import Batch
 from sweep.case import Case
 from sweep.controllers.plan import Plan
 from sweep.controllers.tracker import Command
-from sweep.engines import batching
+from sweep.engines import batching, devices
 from sweep.engines.base import Figures, Trace
 from sweep.engines.pilot import GRACE, Pilot, decide, embark, is_quiet, measure, start_pose
 from sweep.engines.settings import EngineSettings
@@ -57,13 +57,14 @@ class Native:
     """One C simulation per rollout; the host goes through the control ticks."""
 
     def __init__(self, settings: EngineSettings, world: Case, belief: Case, limits: Thresholds | None = None):
-        batching.configure(settings)
+        devices.configure()
         if world.obstacle.free_bodies:
             raise InputError("engine.name = native is not allowed: this obstacle has free bodies")
         self.settings = settings
         self.limits = limits or Thresholds()
         self.substeps = batching.substeps(settings)
-        self.width = settings.width or batching.CPU_WIDTH
+        self.devices = 1  # threads share it
+        self.width = settings.width or devices.CPU_WIDTH
         self.duration = float(GRACE * np.sum(belief.manoeuvre.plan(belief).duration))
         self.stages = belief.manoeuvre.plan(belief).names
         self._compiled: dict[Any, tuple[Callable, Callable, Callable]] = {}
@@ -84,12 +85,12 @@ class Native:
         self, world: Case, belief: Case, streams: np.ndarray, slot: int | None
     ) -> tuple[Figures, list[dict[str, np.ndarray]]]:
         batching.check(streams, self.width)
-        with batching.precision(self.settings):
+        with devices.precision(self.settings):
             start, tick, finish = self._functions(world, belief)
             models = [native_model(batching.pick(world, i), self.settings.native_time_step) for i in range(self.width)]
             batch = Batch(models[0], self.width)
             batch.set_models(models)
-            arrays = (*batching.as_arrays((world, belief)), batching.keys(streams))
+            arrays = (*devices.as_arrays((world, belief)), devices.keys(streams))
             plans, pilots, qpos = start(*arrays)
             batch.reset()
             batch.qpos[:] = np.asarray(qpos)
@@ -114,7 +115,7 @@ class Native:
     def _functions(self, world: Case, belief: Case) -> tuple[Callable, Callable, Callable]:
         """Compiled `start`, `tick` (measure the last tick, decide the next) and `finish` over the batch."""
         quiet = is_quiet(world.noise)
-        axes = batching.axes((world, belief))
+        axes = devices.axes((world, belief))
         key = (jax.tree.structure((world, belief)), tuple(jax.tree.leaves(axes, is_leaf=lambda x: x is None)), quiet)
         if key not in self._compiled:
             self._compiled[key] = self._compile(axes, quiet)

@@ -66,7 +66,7 @@ def replay(folder: Path, point: str) -> Replay:
     table, config = store.read_points(folder), store.read_study(folder)["config"]
     exp = with_room_for_delay(experiment(config), table)
     start = nominal(exp, table.loc[table["batch"] == row["batch"]], len(task.streams))
-    engine = make_engine(start.settings, start.world, start.belief)
+    engine = make_engine(exp, start)
     trace = engine.trace(task.world, task.belief, task.streams, slot)
     labels = classify(
         {k: np.asarray([v], dtype=float) for k, v in trace.figures.items()}, exp.thresholds, engine.stages

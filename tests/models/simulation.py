@@ -8,7 +8,7 @@ import numpy as np
 from mujoco import mjx
 
 from sweep.case import Case
-from sweep.engines import batching
+from sweep.engines import devices
 from sweep.engines.settings import EngineSettings
 from sweep.models import dynamics
 from sweep.models.step import rest, step
@@ -27,7 +27,7 @@ class History(NamedTuple):
 
 def simulate(case: Case, nominal: Case, q: np.ndarray, references: np.ndarray, h: float = 2e-3) -> History:
     """`case` with swept leaves, its structure in `nominal`, from configurations q (b, nq) under targets (t, 6, 3)."""
-    batching.configure(EngineSettings())
+    devices.configure()
     top = dynamics.topology(nominal)
     data = mjx.make_data(top.model)
 
@@ -38,7 +38,7 @@ def simulate(case: Case, nominal: Case, q: np.ndarray, references: np.ndarray, h
         forces = report.forces
         return state, (state.q, state.v, forces.force, forces.normal, report.smooth.point, report.residual)
 
-    batch = jax.vmap(one, in_axes=(batching.axes(case), 0, None))
+    batch = jax.vmap(one, in_axes=(devices.axes(case), 0, None))
 
     @jax.jit
     def run(case, states, references):

@@ -15,7 +15,7 @@ import pytest
 from mujoco import mjx
 
 from sweep.config import compose
-from sweep.engines import batching
+from sweep.engines import devices
 from sweep.engines.native import native_model
 from sweep.engines.settings import EngineSettings
 from sweep.models import dynamics
@@ -42,7 +42,7 @@ def case():
 
 def largest_error(recorded, case, width: int, seconds: float) -> np.ndarray:
     """How far (m) the base of each of `width` rollouts, started up to 1 um apart in height, was from the record."""
-    batching.configure(EngineSettings())
+    devices.configure()
     top = dynamics.topology(case)
     data = mjx.make_data(top.model)
     limits = batching.execution_limits(case, jnp.zeros(()))

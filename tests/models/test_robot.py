@@ -14,7 +14,7 @@ from sweep.case import Case
 from sweep.config import compose
 from sweep.controllers.plan import Stance
 from sweep.controllers.tracker import joint_targets
-from sweep.engines import batching
+from sweep.engines import devices
 from sweep.formulas.leg import SIDE, fk
 from sweep.maths import rotate
 from sweep.models import dynamics, scene
@@ -59,7 +59,7 @@ def smooth_batch(nominal: Case, case: Case, q: np.ndarray, v: np.ndarray) -> tup
             return dynamics.smooth_dynamics(top, top.model.replace(**fields), data, q, v)
 
         _compiled[nominal.robot.legs] = jax.jit(jax.vmap(smooth))
-    fields = jax.vmap(partial(dynamics.varying, top), in_axes=(batching.axes(case),))(case)
+    fields = jax.vmap(partial(dynamics.varying, top), in_axes=(devices.axes(case),))(case)
     mounted = jnp.broadcast_to(top.model.body_quat, (WIDTH, *top.model.body_quat.shape))
     return top, _compiled[nominal.robot.legs]({**fields, "body_quat": mounted}, q, v)
 

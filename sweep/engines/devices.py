@@ -1,0 +1,71 @@
+"""The devices a batch runs on: set-up, precision, batch axes, and how arrays are spread."""
+
+import contextlib
+import os
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import NamedSharding, PartitionSpec
+from jaxtyping import Array
+
+from sweep.engines.settings import EngineSettings
+
+BATCH = "batch"
+CPU_WIDTH, GPU_WIDTH = 64, 8192  # a device's best number of rollouts
+
+
+def configure() -> None:
+    """Process-wide choices of JAX: exact matrix products, and compiled programs kept between processes."""
+    jax.config.update("jax_default_matmul_precision", "highest")  # TF32 lets the robot sink and the solver wander
+    if jax.config.jax_compilation_cache_dir is None:
+        home = os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")
+        jax.config.update("jax_compilation_cache_dir", str(Path(home) / "insect-sweep"))
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 1.0)
+    with contextlib.suppress(RuntimeError):  # too late where JAX was used before
+        jax.config.update("jax_num_cpu_devices", len(os.sched_getaffinity(0)))
+
+
+def precision(settings: EngineSettings) -> contextlib.AbstractContextManager:
+    """Double precision where asked for, for the calls inside."""
+    return jax.enable_x64(settings.precision == "float64")
+
+
+def default_width() -> int:
+    """Rollouts of a batch over all devices: wide on an accelerator, narrow enough for the caches of a CPU."""
+    return jax.device_count() * (CPU_WIDTH if jax.default_backend() == "cpu" else GPU_WIDTH)
+
+
+def mesh(width: int) -> jax.sharding.Mesh:
+    """The devices that share a batch of `width`: all of them where it divides evenly, else one."""
+    devices = jax.devices() if width % jax.device_count() == 0 else jax.devices()[:1]
+    return jax.make_mesh((len(devices),), (BATCH,), (jax.sharding.AxisType.Auto,), devices=devices)
+
+
+def specs(tree: Any) -> Any:
+    """How each leaf of `tree` lies on the mesh: split where it varies over the batch, else on every device."""
+    return jax.tree.map(lambda x: PartitionSpec(BATCH) if np.ndim(x) else PartitionSpec(), tree)
+
+
+def spread(tree: Any, over: jax.sharding.Mesh) -> Any:
+    """Leaves as JAX arrays, laid out on the mesh by `specs`."""
+    return jax.tree.map(lambda x, spec: jax.device_put(x, NamedSharding(over, spec)), tree, specs(tree))
+
+
+def axes(tree: Any) -> Any:
+    """The same tree with 0 at leaves that vary over the batch, None elsewhere."""
+    return jax.tree.map(lambda x: 0 if np.ndim(x) else None, tree)
+
+
+def as_arrays(tree: Any) -> Any:
+    """Leaves as JAX arrays of the default float type."""
+    return jax.tree.map(lambda x: jnp.asarray(x, float), tree)
+
+
+def keys(streams: np.ndarray) -> Array:
+    """A noise key per rollout, from its stream number alone."""
+    low, high = np.uint32(streams & 0xFFFFFFFF), np.uint32(np.int64(streams) >> 32)
+    root = jax.random.key(0)
+    return jax.vmap(lambda a, b: jax.random.fold_in(jax.random.fold_in(root, a), b))(low, high)
