@@ -8,8 +8,7 @@ import numpy as np
 from mujoco import mjx
 
 from sweep.case import Case
-from sweep.engines import devices
-from sweep.engines.settings import EngineSettings
+from sweep.engines import batching, devices
 from sweep.models import dynamics
 from sweep.models.step import rest, step
 
@@ -45,5 +44,5 @@ def simulate(case: Case, nominal: Case, q: np.ndarray, references: np.ndarray, h
         return jax.lax.scan(lambda s, r: batch(case, s, r), states, references)
 
     states = jax.vmap(lambda q: rest(top, q))(jnp.asarray(q))
-    _, history = run(batching.as_arrays(case), states, jnp.asarray(references))
+    _, history = run(devices.as_arrays(case), states, jnp.asarray(references))
     return History(*[np.asarray(x, float) for x in history])

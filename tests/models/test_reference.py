@@ -15,9 +15,8 @@ import pytest
 from mujoco import mjx
 
 from sweep.config import compose
-from sweep.engines import devices
+from sweep.engines import batching, devices
 from sweep.engines.native import native_model
-from sweep.engines.settings import EngineSettings
 from sweep.models import dynamics
 from sweep.models.obstacles import PoleLedge
 from sweep.models.step import rest, step

@@ -14,7 +14,7 @@ from sweep.case import Case
 from sweep.config import compose
 from sweep.controllers.plan import Stance
 from sweep.controllers.tracker import joint_targets
-from sweep.engines import devices
+from sweep.engines import batching, devices
 from sweep.formulas.leg import SIDE, fk
 from sweep.maths import rotate
 from sweep.models import dynamics, scene
