@@ -27,11 +27,11 @@ class Batch:
 
 
 def make_engine(exp: Experiment, start: Batch) -> Engine:
-    """The engine for batches such as `start`; imported late, since importing MJX takes seconds and prints."""
+    """The engine for batches such as `start`; importing MJX takes seconds, and it prints to the standard output."""
     with redirect_stdout(io.StringIO()):
         import sweep.engines
 
-    return sweep.engines.make(start.settings, start.world, start.belief, exp.thresholds)
+        return sweep.engines.make(start.settings, start.world, start.belief, exp.thresholds)
 
 
 def with_room_for_delay(exp: Experiment, table: pd.DataFrame) -> Experiment:

@@ -190,3 +190,7 @@ def threshold(text: str) -> tuple[str, float]:
     if sign and sign != "=" and ("max" in key) != ("<" in sign):
         raise InputError(f"{text!r} is not allowed: {key.strip()} is a {'maximum' if 'max' in key else 'minimum'}")
     return key.strip(), number
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -98,6 +98,13 @@ def test_hydra_keeps_its_own_flags(capsys):
     assert capsys.readouterr().out.count("| figure") == 2
 
 
+def test_the_standard_output_holds_results_only():
+    command = [sys.executable, "-m", "sweep.cli", "run", "study=walk_map", "--dry-run"]  # with the real engine
+    out = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    assert out.startswith("walk_map: 561 of 561 rollouts to run")
+    assert out.count("\n") == 1
+
+
 def test_list_describes_every_choice_and_needs_no_simulation():
     code = "import sys, sweep.cli; sweep.cli.main(['list']); print('mujoco' in sys.modules, 'hydra' in sys.modules)"
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
