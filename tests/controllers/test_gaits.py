@@ -56,7 +56,7 @@ def test_feet_swing_from_minus_to_plus_x_star(name):
     for k in range(len(plan.duration)):
         for leg in gait[k % len(gait)]:
             before, after = (feet[i, leg - 1] - position[i] - CENTRES[leg - 1] for i in (k, k + 1))
-            np.testing.assert_allclose([before[0], after[0]], [-STEP.landing, STEP.landing], atol=1e-6)
+            np.testing.assert_allclose([-before[0], after[0]], float(STEP.landing), atol=1e-6)
 
 
 @pytest.mark.parametrize("cycle", [CYCLE_A, CYCLE_B, CYCLE_B_SMOOTH, HALF_ELLIPSE])

@@ -1,5 +1,7 @@
 """Measurement errors: none when off, constant biases, fresh noise at every tick, and a delay of whole ticks."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -68,7 +70,7 @@ def test_biases_stay_and_noise_does_not():
 )
 def test_noise_has_the_given_deviation(field, of):
     """400 ticks: the sample deviation of 1200 normal numbers is within 8 % of the true one, 4 standard errors."""
-    noise = Noise(**{f"{field}_noise": 0.02})
+    noise = dataclasses.replace(Noise(), **{f"{field}_noise": 0.02})
     sensors = install(noise, KEY, truth(0))
     draw = jax.jit(jax.vmap(lambda k: of(observe(noise, sensors, truth(0), jax.random.fold_in(KEY, k))[1])))
     assert np.std(draw(jnp.arange(400))) == pytest.approx(0.02, rel=0.08)

@@ -106,13 +106,12 @@ def test_arrowhead_equals_a_dense_solve(root):
             if a is not b:
                 dense[a, b] = 0
     b = rng.normal(size=n)
-    parts = Arrowhead(
-        dense[:root, :root],
-        np.stack([dense[:root, s] for s in legs]),
-        np.stack([dense[s, :root] for s in legs]),
-        np.stack([dense[s, s] for s in legs]),
+    a = Arrowhead(
+        jnp.asarray(dense[:root, :root]),
+        jnp.stack([dense[:root, s] for s in legs]),
+        jnp.stack([dense[s, :root] for s in legs]),
+        jnp.stack([dense[s, s] for s in legs]),
     )
-    a = Arrowhead(*map(jnp.asarray, parts))
     x = arrowhead.solve(a, Split(jnp.asarray(b[:root]), jnp.asarray(b[root:].reshape(6, 3))))
     np.testing.assert_allclose(np.concatenate([x.root, x.leg.ravel()]), np.linalg.solve(dense, b), rtol=1e-12)
     back = arrowhead.times(a, x)

@@ -91,18 +91,18 @@ def test_swept_leaves_equal_fresh_models(name):
         mujoco.mj_forward(m, d)
         mass = np.zeros((24, 24))
         mujoco.mj_fullM(m, d, mass)
-        close = {"rtol": 1e-9, "atol": 1e-9}
-        np.testing.assert_allclose(full_mass_matrix(top, s), mass, **close)
+        close = partial(np.testing.assert_allclose, rtol=1e-9, atol=1e-9)
+        close(full_mass_matrix(top, s), mass)
         bias = np.zeros(24)
         bias[:6], bias[top.leg] = s.bias_root, s.bias_leg
-        np.testing.assert_allclose(bias, d.qfrc_bias, **close)
-        np.testing.assert_allclose(s.point, d.site_xpos[top.points], **close)
-        np.testing.assert_allclose(s.centre_of_mass, d.subtree_com[1], **close)
+        close(bias, d.qfrc_bias)
+        close(s.point, d.site_xpos[top.points])
+        close(s.centre_of_mass, d.subtree_com[1])
         for leg, site in enumerate(top.points):
             jacobian = np.zeros((3, 24))
             mujoco.mj_jacSite(m, d, jacobian, None, site)
-            np.testing.assert_allclose(s.j_root[leg], jacobian[:, :6], **close)
-            np.testing.assert_allclose(s.j_leg[leg], jacobian[:, top.leg[leg]], **close)
+            close(s.j_root[leg], jacobian[:, :6])
+            close(s.j_leg[leg], jacobian[:, top.leg[leg]])
 
 
 @pytest.mark.parametrize("name", ROBOTS)
