@@ -1,6 +1,5 @@
 """What engines share in handling batches: batch axes, keys, precision, records of a traced rollout."""
 
-
 import jax
 import jax.numpy as jnp
 import mujoco
