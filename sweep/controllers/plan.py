@@ -11,13 +11,14 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from sweep.formulas import stepping
 from sweep.maths import exponential, multiply, rotate
 
 CYCLE_A, CYCLE_B, CYCLE_B_SMOOTH, HALF_ELLIPSE = range(4)  # swings; the third spends its way by lambda_1
-STEADY, SMOOTH, ELLIPTIC = range(3)  # how a body path is spent: evenly, by lambda_1, as the half-ellipse swing
+STEADY, SMOOTH, ELLIPTIC = range(3)  # how a body path is spent: by its rates, by lambda_1, as the half-ellipse swing
 
 
 class Stance(NamedTuple):
@@ -37,11 +38,15 @@ class Stage:
     swing: Mapping[int, Array] = field(default_factory=dict)  # leg number -> foothold (m, world)
     cycle: int = CYCLE_A
     height: Array | float = 0.0  # m: k^ d_y of (1.3.3), or h of the half-ellipse
-    plane: Array | tuple[float, float, float] = (0.0, 0.0, 1.0)  # e of (1.3.3): lifts the swing, for all its legs
+    # e of (1.3.3), which lifts the swing: one for all legs, or by leg (6, 3)
+    plane: Array | np.ndarray | tuple[float, float, float] = (0.0, 0.0, 1.0)
     carry: Array | float = 0.0  # share of the swing's way that is made evenly, with the body, in a regular gait
     position: Array | None = None  # m, base at the end
     turn: Array | None = None  # rad, rotation vector of the base over the stage, world axes
     pace: int = STEADY
+    rates: tuple[float, float] = (1.0, 1.0)  # of a steady pace at the stage's start and end, in units of its mean
+    pivot: Array | None = None  # m, centre of the ellipse that the base goes along
+    arc: float = 0.0  # rad, how far it goes along the ellipse, below pi; 0 is straight on
 
 
 @jax.tree_util.register_dataclass
@@ -56,12 +61,15 @@ class Plan:
     foothold: Float[Array, "s 6 3"]  # at the end of the stage, commanded
     cycle: Int[Array, " s"]
     height: Float[Array, " s"]
-    plane: Float[Array, "s 3"]
+    plane: Float[Array, "s 6 3"]
     carry: Float[Array, " s"]
     position: Float[Array, "s 3"]  # of the base, at the end
     quat: Float[Array, "s 4"]  # of the base, at the start
     turn: Float[Array, "s 3"]
     pace: Int[Array, " s"]
+    rates: Float[Array, "s 2"]
+    pivot: Float[Array, "s 3"]
+    arc: Float[Array, " s"]
     patience: Float[Array, ""]  # s, that a stage waits for its swing feet to touch down
 
 
@@ -75,11 +83,14 @@ def assemble(start: Stance, stages: Sequence[Stage], patience: Array | float) ->
             feet = feet.at[leg - 1].set(foothold)
         position = position if stage.position is None else stage.position
         turn = jnp.zeros(3) if stage.turn is None else stage.turn
+        pivot = jnp.zeros(3) if stage.pivot is None else stage.pivot
         rows.append({
             "duration": jnp.asarray(stage.duration, float), "swing": swing, "foothold": feet,
             "cycle": jnp.int32(stage.cycle), "height": jnp.asarray(stage.height, float),
-            "plane": jnp.asarray(stage.plane, float), "carry": jnp.asarray(stage.carry, float),
-            "position": position, "quat": quat, "turn": turn, "pace": jnp.int32(stage.pace),
+            "plane": jnp.broadcast_to(jnp.asarray(stage.plane, float), (6, 3)),
+            "carry": jnp.asarray(stage.carry, float), "position": position, "quat": quat,
+            "turn": turn, "pace": jnp.int32(stage.pace), "rates": jnp.asarray(stage.rates, float),
+            "pivot": pivot, "arc": jnp.asarray(stage.arc, float),
         })  # fmt: skip
         quat = multiply(exponential(turn), quat)
     table = {key: jnp.stack([row[key] for row in rows]) for key in rows[0]}
@@ -98,8 +109,8 @@ def moved(plan: Plan, quat: Float[Array, " 4"], by: Float[Array, " 3"]) -> Plan:
 
     start = Stance(point(plan.start.feet), point(plan.start.position), multiply(quat, plan.start.quat))
     turned = multiply(jnp.broadcast_to(quat, plan.quat.shape), plan.quat)
-    return _replace(plan, start=start, foothold=point(plan.foothold), plane=vector(plan.plane),
-                    position=point(plan.position), quat=turned, turn=vector(plan.turn))  # fmt: skip
+    return _replace(plan, start=start, foothold=point(plan.foothold), plane=vector(plan.plane), quat=turned,
+                    position=point(plan.position), pivot=point(plan.pivot), turn=vector(plan.turn))  # fmt: skip
 
 
 def _replace(plan: Plan, **changes: Array | Stance) -> Plan:
@@ -107,7 +118,7 @@ def _replace(plan: Plan, **changes: Array | Stance) -> Plan:
 
 
 def path_length(plan: Plan) -> Float[Array, ""]:
-    """Length of the base's planned way (m)."""
+    """Length of the base's planned way (m), from the end of one stage straight to the end of the next."""
     points = jnp.concatenate([plan.start.position[None], plan.position])
     return jnp.sum(jnp.linalg.norm(jnp.diff(points, axis=0), axis=-1))
 
@@ -123,18 +134,30 @@ def swing_progress(cycle: Int[Array, ""], carry: Array, u: Float[Array, ""]) -> 
     return (1 - carry) * share + carry * u, height
 
 
-def pace_progress(pace: Int[Array, ""], u: Float[Array, ""]) -> Array:
-    """Share of a body path that is done at phase u of its stage."""
-    return jnp.stack([u, stepping.lambda_1(u, 0.0, 1.0)[0], stepping.half_ellipse(u)[0]])[pace]
+def pace_progress(pace: Int[Array, ""], rates: Float[Array, " 2"], u: Float[Array, ""]) -> Array:
+    """Share of a body path that is done at phase u of its stage; a steady one is the cubic with `rates` at its ends."""
+    first, last = rates - 1
+    steady = u + (first * (1 - u) - last * u) * u * (1 - u)
+    return jnp.stack([steady, stepping.lambda_1(u, 0.0, 1.0)[0], stepping.half_ellipse(u)[0]])[pace]
+
+
+def along_arc(start: Array, end: Array, pivot: Array, arc: Array, share: Array) -> Float[Array, " 3"]:
+    """Point (m) that has done `share` of the arc of `arc` rad between two radii of an ellipse about `pivot`.
+
+    Equal shares are equal angles where the ellipse is a circle. With arc 0 the way is straight.
+    """
+    near, far = (part * jnp.sinc(part * arc / jnp.pi) / jnp.sinc(arc / jnp.pi) for part in (1 - share, share))
+    return near * start + far * end + (1 - near - far) * pivot
 
 
 def reference(plan: Plan, stage: Int[Array, ""], u: Float[Array, ""], feet: Array, position: Array) -> Stance:
     """What stage number `stage` wants at phase u (0 to 1), having begun with `feet` (6, 3) and base `position`."""
     share, height = swing_progress(plan.cycle[stage], plan.carry[stage], u)
     goal = plan.foothold[stage]
-    lift = stepping.lift_direction(goal - feet, jnp.broadcast_to(plan.plane[stage], goal.shape))
+    lift = stepping.lift_direction(goal - feet, plan.plane[stage])
     along = feet + share * (goal - feet) + plan.height[stage] * height * lift
     swinging = jnp.where(plan.swing[stage][:, None], along, feet)
-    done = pace_progress(plan.pace[stage], u)
+    done = pace_progress(plan.pace[stage], plan.rates[stage], u)
     quat = multiply(exponential(done * plan.turn[stage]), plan.quat[stage])
-    return Stance(swinging, position + done * (plan.position[stage] - position), quat)
+    centre = along_arc(position, plan.position[stage], plan.pivot[stage], plan.arc[stage], done)
+    return Stance(swinging, centre, quat)
