@@ -2,6 +2,9 @@ import pytest
 from fake_engine import FakeEngine
 
 import sweep.engines
+from sweep.engines import devices
+
+devices.configure()  # before any test uses JAX: the CPU is split as for the command line
 
 
 @pytest.fixture

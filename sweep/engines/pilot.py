@@ -46,7 +46,7 @@ def start_pose(world: Case, belief: Case, plan: Plan) -> tuple[Float[Array, " 7"
     """
     joints, _ = joint_targets(belief.robot, plan.start)
     robot = world.robot
-    yaw = jnp.zeros((6, 3)).at[:, 2].set(mount_yaw(robot))
+    yaw = jnp.zeros((6, 3)).at[:, 2].set(jnp.asarray(mount_yaw(robot), float))
     feet = mounts(robot) + rotate(exponential(yaw), fk(SIDE, joints, robot.coxa, robot.thigh, robot.shin))
     feet = plan.start.position + rotate(plan.start.quat[None], feet)
     nowhere = Bodies(jnp.zeros((0, 3)), jnp.zeros((0, 3, 3)))

@@ -8,7 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-SIDE = np.array([-1, 1, -1, 1, -1, 1])  # (-1)^i of leg i: +1 on the left
+# (-1)^i of leg i: +1 on the left. 32 bits wide, as 64-bit NumPy constants break JAX once both precisions were used.
+SIDE = np.array([-1, 1, -1, 1, -1, 1], np.int32)
 
 
 def fk(
@@ -68,5 +69,5 @@ def rectangular_mounts(length: Array | float, width: Array | float) -> Float[Arr
 
 def circular_mounts(radius: Array | float) -> Float[Array, "6 3"]:
     """Hips on a circle, at the corners of a hexagon (m, base axes): monograph (1.1.5)."""
-    angle = np.pi / 6 + np.arange(6) // 2 * np.pi / 3
-    return jnp.stack([-radius * np.cos(angle), SIDE * radius * np.sin(angle), jnp.zeros(6)], axis=-1)
+    angle = jnp.array([np.pi / 6 + i // 2 * np.pi / 3 for i in range(6)])
+    return jnp.stack([-radius * jnp.cos(angle), SIDE * radius * jnp.sin(angle), jnp.zeros(6)], axis=-1)

@@ -130,7 +130,8 @@ def thesis_step(r0: Float[Array, "... 2"], p: Float[Array, "... 2"], OA: Scalar,
         leaving = _dot(p, outward) > 0
         length = jnp.where(leaving, -_dot(r0, outward) / jnp.where(leaving, _dot(p, outward), 1.0), 0.0)
         along = _dot(r0 + length[..., None] * p, edge)
-        exits.append((length, leaving & (along >= OA) & (along <= OB)))
+        ahead = length > -1e-6 * OB  # a sector wider than a half-plane has a border behind the foot, too
+        exits.append((length, leaving & ahead & (along >= OA) & (along <= OB)))
     radius, angle = jnp.linalg.norm(r0, axis=-1), jnp.arctan2(r0[..., 0], r0[..., 1])
     started = (radius >= OA) & (radius <= OB) & (jnp.abs(angle) <= phimax)
     lengths = jnp.stack(jnp.broadcast_arrays(*(length for length, _ in exits)), axis=-1)

@@ -115,13 +115,15 @@ def update(
     moving = (length > 1e-6) & ~state.finished
     direction = way / jnp.maximum(length, 1e-6)
     work = running.work + tick.work
+    gain = tick.energy - running.energy_start - work
+    fallen = ~jnp.isnan(running.cause_time[TIMED_CAUSES.index("fell")])  # what the solver does then is of no matter
     load = running.load + min(1.0, period / LOAD_TIME) * (tick.normal - running.load)
     margin = support_margin(tick.joints[:, -1, :2], load > LOADED, tick.centre_of_mass[:2])
     new = running._replace(
         time=running.time + period,
         work=work,
         effort=running.effort + tick.effort,
-        energy_gain=jnp.maximum(running.energy_gain, tick.energy - running.energy_start - work),
+        energy_gain=jnp.maximum(running.energy_gain, jnp.where(fallen, 0.0, gain)),
         touchdown=touchdown,
         slip=jnp.maximum(running.slip, slip),
         load=load,
@@ -136,7 +138,7 @@ def update(
         heading=jnp.maximum(running.heading, heading),
         shortfall=jnp.maximum(running.shortfall, command.shortfall),
         position_error=jnp.maximum(running.position_error, jnp.linalg.norm(tick.position - command.target.position)),
-        residual=jnp.maximum(running.residual, tick.residual),
+        residual=jnp.maximum(running.residual, jnp.where(fallen, 0.0, tick.residual)),
         position=tick.position,
         travel=running.travel + jnp.where(moving, (tick.position - running.position) @ direction, 0.0),
         travel_time=running.travel_time + jnp.where(moving, period, 0.0),

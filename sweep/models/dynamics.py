@@ -67,13 +67,14 @@ def topology(case: Case) -> Topology:
     sizes = {"body": model.nbody, "site": model.nsite, "joint": model.njnt}
     names = {kind: {mujoco.mj_id2name(model, obj, i): i for i in range(sizes[kind])} for kind, obj in kinds.items()}
     free = tuple(names["body"][name] for name in case.obstacle.free_bodies)
-    root = np.concatenate([np.arange(6), *[model.body_dofadr[b] + np.arange(6) for b in free]])
-    joints = np.array([model.jnt_dofadr[names["joint"][joint]] for joint in scene.JOINTS])
+    root = np.concatenate([np.arange(6), *[model.body_dofadr[b] + np.arange(6) for b in free]]).astype(np.int32)
+    joints = np.array([model.jnt_dofadr[names["joint"][joint]] for joint in scene.JOINTS], np.int32)
     feet = [names["site"][f"foot{leg}"] for leg in scene.LEGS]
     extra = [names["site"][name] for name, _ in case.obstacle.contact_sites]
     owner = (-1,) * N_LEGS + tuple(body for _, body in case.obstacle.contact_sites)
-    return Topology(mjx.put_model(model), names, root, joints.reshape(6, 3), free, np.array(feet + extra), owner,
-                    len(scene.links(case.robot)))  # fmt: skip
+    points = np.array(feet + extra, np.int32)
+    per_leg = len(scene.links(case.robot))
+    return Topology(mjx.put_model(model), names, root, joints.reshape(6, 3), free, points, owner, per_leg)
 
 
 def varying(top: Topology, case: Case) -> dict[str, Array]:
