@@ -14,7 +14,7 @@ from jaxtyping import Array
 from sweep.engines.settings import EngineSettings
 
 BATCH = "batch"
-CPU_WIDTH, GPU_WIDTH = 64, 8192  # a device's best number of rollouts
+CPU_WIDTH, GPU_WIDTH = 64, 32768  # a device's best number of rollouts
 
 
 def configure() -> None:
