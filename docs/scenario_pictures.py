@@ -16,7 +16,7 @@ from sweep.config import compose
 from sweep.trace.frames import write_png
 
 FIGURES = Path(__file__).parent / "figures"
-SCENARIOS = ("walk_tripod", "walk_gallop", "walk_slope", "hexagon_waypoints", "stand_push")
+SCENARIOS = ("walk_tripod", "walk_gallop", "walk_slope", "hexagon_waypoints", "stand_push", "pole_climb")
 HEIGHT = 240  # pixels
 
 

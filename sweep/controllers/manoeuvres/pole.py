@@ -1,0 +1,167 @@
+"""From the floor on to a pole and up it (monograph 2.3.1 and 2.3.2 of section 2.3.2, "Construction of the motion").
+
+World axes: the pole stands along z at the origin and the robot comes along -y. The book's xi, eta, zeta are x, y, z.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from scipy.interpolate import PchipInterpolator
+
+from sweep.case import Case
+from sweep.controllers.gaits import GALLOP, TRIPOD, Step, centre_offsets, regular_steps
+from sweep.controllers.plan import CYCLE_A, CYCLE_B, Plan, Stage, Stance, assemble
+from sweep.controllers.posture import foot_centres
+from sweep.formulas import stepping
+from sweep.formulas.leg import SIDE
+from sweep.maths import rotate
+from sweep.parameters import choice, count, parameters, quantity
+
+STAND = 0.5  # s, before the first and after the last swing
+FRONT, MIDDLE, REAR = GALLOP
+TOWARDS = (0.5**0.5, 0.0, 0.0, -(0.5**0.5))  # base to world: x_r along -y, z_r up
+OUTWARD = SIDE[:, None] * np.array([1.0, 0.0, 0.0])  # (6, 3), e_n of (2.3.2)
+# Pitch (rad) after each of the four swings on to the pole. The printed sin(theta) = v_f t / a_r ends with an infinite
+# rate, and has the middle hips too low for their feet at the end of the third swing.
+PITCH = np.radians([0.0, 14.5, 31.0, 63.0, 90.0])
+PITCH_RATE = PchipInterpolator(np.arange(5), PITCH).derivative()(np.arange(5))  # rad per swing
+# How far in front of the pole's axis the feet first touch it, in r. The printed 0 puts the front shins 27 mm into it.
+AHEAD = {FRONT: 0.4, MIDDLE: 0.2, REAR: 0.0}
+
+
+class Site(NamedTuple):
+    """What the stages are made of (m)."""
+
+    length: Array | float  # a_r
+    radius: Array | float  # r
+    grip: Array | float  # x_f, the feet's distance from the pole's axis: r less the deepening
+    clearance: Array | float  # d, of the base above the floor
+    standoff: Array | float  # d_c, of the vertical base from the pole's axis
+    step: Step
+
+    @property
+    def upright(self) -> Array | float:
+        """Height of the base's centre (m) when it has become vertical."""
+        return self.clearance + self.length / 2
+
+    def on_pole(self, legs: tuple[int, int], ahead: Array | float, height: Array | float) -> dict[int, Array]:
+        """Footholds of a pair, `ahead` (m) of the pole's axis, for a base's centre at `height` (m).
+
+        Where a cycle of the gallop starts, the front, middle and rear feet stand at A, B and C of their step cycles.
+        """
+        reach = self.length / 2 - self.step.landing
+        offset = {FRONT: reach, MIDDLE: 0.0, REAR: -reach}[legs]
+        return pair(legs, jnp.sqrt(self.grip**2 - jnp.asarray(ahead) ** 2), ahead, height + offset)
+
+
+@parameters
+class PoleClimb:
+    """By tripod to the pole, on to it, and up it by gallop. Ratios are to the body's length a_r.
+
+    For robots with legs along their sides. What differs from the printed plan, and why: `PITCH`, `AHEAD`, and the
+    rear feet's step before they leave the floor, in `get_on`.
+    """
+
+    kind: str = choice("pole_climb", "pole_climb")
+    steps: int = count(4, at_least=0, at_most=100)  # swings of the approach, 2 x* each
+    cycles: int = count(3, at_least=0, at_most=100)  # of the gallop, 3 x* each
+    half_step_ratio: float = quantity(0.1, "a_r", above=0, at_most=0.5)  # d_x
+    lift_ratio: float = quantity(0.03, "a_r", above=0, at_most=0.5)  # d_y
+    height_ratio: float = quantity(0.5, "a_r", above=0, at_most=2)  # d
+    standoff_ratio: float = quantity(0.47, "a_r", above=0, at_most=2)  # d_c
+    rate: float = quantity(3.0, "rad/s", above=0, at_most=20)  # varpi
+    deepening: float = quantity(5e-3, "m", at_least=0, at_most=0.05)  # epsilon, footholds inside the pole
+    patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
+
+    def plan(self, belief: Case) -> Plan:
+        """Stand, approach, get on, shift the feet up, gallop, halt."""
+        length, radius = belief.robot.body_length, belief.obstacle.radius
+        step = Step(self.half_step_ratio * length, self.lift_ratio * length, stepping.swing_time(self.rate))
+        site = Site(length, radius, radius - self.deepening, self.height_ratio * length, self.standoff_ratio * length,
+                    step)  # fmt: skip
+        start, walk = approach(site, belief, self.steps)
+        climb = [*get_on(site), *shift_up(site), *gallop(site, self.cycles)]
+        return assemble(start, [Stage("stand", STAND), *walk, *climb, Stage("halt", STAND)], self.patience)
+
+
+def approach(site: Site, belief: Case, steps: int) -> tuple[Stance, list[Stage]]:
+    """`steps` swings by tripod up to the pole, then a swing of each tripod to the places of (2.3.1)."""
+    step, forward, quat = site.step, jnp.array([0.0, -1.0, 0.0]), jnp.array(TOWARDS)
+    spread = site.grip - belief.robot.body_width / 2
+    centres = rotate(quat[None], foot_centres(belief.robot, spread, site.clearance))
+    arrival = point(0.0, site.standoff + site.length / 2, site.clearance)
+    position = arrival - 2 * step.landing * steps * forward
+    offsets = centre_offsets(TRIPOD, step)
+    feet = position + centres + jnp.stack([offsets[leg] * forward for leg in range(1, 7)])
+    start = Stance(feet, position, quat)
+    stages = regular_steps(TRIPOD, step, start, centres, forward, steps, 0.0)
+    places = {
+        **pair(FRONT, site.grip, site.standoff + step.landing, 0.0),
+        **pair(MIDDLE, site.grip, site.standoff + site.length / 2 - step.landing, 0.0),
+        **pair(REAR, site.grip, site.standoff + site.length, 0.0),
+    }
+    for legs in TRIPOD:
+        name = f"place.{'-'.join(map(str, legs))}"
+        stages.append(Stage(name, step.time, {leg: places[leg] for leg in legs}, CYCLE_B, step.height))
+    return start, stages
+
+
+def get_on(site: Site) -> list[Stage]:
+    """2.3.2 to t_5: front feet to the pole, rear feet nearer to it, middle and rear feet to the pole, 4 x* too low.
+
+    The base's front edge goes up a vertical line at d_c from the axis, its rear edge along a horizontal one at d above
+    the floor: its centre turns about their crossing by the angle by which the base pitches up.
+    """
+    step, low = site.step, site.upright - 4 * site.step.landing
+    # Printed as a step of -2 x* along xi, which would take both feet to one side.
+    nearer = pair(REAR, site.grip, site.standoff + site.length - 2 * step.landing, 0.0)
+    swings = (
+        ("on.front", site.on_pole(FRONT, AHEAD[FRONT] * site.radius, low), CYCLE_B, OUTWARD),
+        ("on.nearer", nearer, CYCLE_A, (0.0, 0.0, 1.0)),
+        ("on.middle", site.on_pole(MIDDLE, AHEAD[MIDDLE] * site.radius, low), CYCLE_B, OUTWARD),
+        ("on.rear", site.on_pole(REAR, AHEAD[REAR] * site.radius, low), CYCLE_B, OUTWARD),
+    )
+    crossing, half = point(0.0, site.standoff, site.clearance), site.length / 2
+    stages = []
+    for k, (name, swing, cycle, plane) in enumerate(swings):
+        angle, pitch = PITCH[k + 1] - PITCH[k], PITCH[k + 1]
+        centre = crossing + half * point(0.0, np.cos(pitch), np.sin(pitch))
+        stages.append(
+            Stage(name, step.time, swing, cycle, step.height, plane, position=centre, pivot=crossing, arc=angle,
+                  turn=point(-angle, 0.0, 0.0), rates=tuple(PITCH_RATE[k : k + 2] / angle))
+        )  # fmt: skip
+    return stages
+
+
+def shift_up(site: Site) -> list[Stage]:
+    """2.3.2 from t_5: the feet go up to where the gallop starts, the base rests."""
+    swings = {"up.front": FRONT, "up.middle": MIDDLE, "up.rear": REAR}
+    return [
+        Stage(name, site.step.time, site.on_pole(legs, 0.0, site.upright), CYCLE_A, site.step.height, OUTWARD)
+        for name, legs in swings.items()
+    ]
+
+
+def gallop(site: Site, cycles: int) -> list[Stage]:
+    """2.3.1: front, middle and rear feet go up by 3 x* in their turns, of which x* with the base."""
+    stages, way = [], site.step.landing
+    for k in range(3 * cycles):
+        goal = site.upright + 3 * way * (k // 3 + 1)
+        centre = point(0.0, site.standoff, site.upright + way * (k + 1))
+        name = f"gallop{k // 3 + 1}.{('front', 'middle', 'rear')[k % 3]}"
+        stages.append(Stage(name, site.step.time, site.on_pole(GALLOP[k % 3], 0.0, goal), CYCLE_A, site.step.height,
+                            OUTWARD, carry=1 / 3, position=centre))  # fmt: skip
+    return stages
+
+
+def pair(legs: Sequence[int], x: Array | float, y: Array | float, z: Array | float) -> dict[int, Array]:
+    """Points (m) of legs by number, each on its own side of the plane x = 0."""
+    return {leg: point(float(SIDE[leg - 1]) * x, y, z) for leg in legs}
+
+
+def point(x: Array | float, y: Array | float, z: Array | float) -> Float[Array, " 3"]:
+    """A vector of numbers that may be traced."""
+    return jnp.stack([jnp.asarray(value, float) for value in (x, y, z)])

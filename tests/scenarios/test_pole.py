@@ -1,0 +1,46 @@
+"""Climbing a pole in simulation: nominal on both engines, and robots and poles near the nominal ones."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sweep.config import compose
+from sweep.engines import make
+from sweep.metrics.outcome import classify
+
+pytestmark = pytest.mark.slow
+
+SIZES = ("body_length", "body_width", "body_height", "thigh", "shin")
+MASSES = ("body_mass", "thigh_mass", "shin_mass")
+WIDTH, SPREAD = 16, 0.02
+
+
+def outcomes(engine: str, width: int) -> dict[str, np.ndarray]:
+    """Figures and outcomes of `width` rollouts; more than one are up to `SPREAD` off in sizes, masses and friction."""
+    trial = compose(["scenario=pole_climb", f"engine={engine}"])
+    case, random = trial.case, np.random.default_rng(0)
+
+    def off(group, *names):
+        return replace(group, **{k: getattr(group, k) * random.uniform(1 - SPREAD, 1 + SPREAD, width) for k in names})
+
+    if width > 1:
+        case = replace(case, robot=off(case.robot, *SIZES, *MASSES), obstacle=off(case.obstacle, "radius"),
+                       contact=off(case.contact, "friction"))  # fmt: skip
+    simulation = make(replace(trial.settings, width=width), trial.case, trial.case, trial.thresholds)
+    figures = simulation.run(case, case, np.zeros(width, dtype=np.int64))
+    return {**figures, **classify(figures, trial.thresholds, simulation.stages)}
+
+
+def test_nominal_on_native():
+    row = outcomes("native", 1)
+    assert row["outcome"].tolist() == ["success"], row["cause"]
+    assert row["position_error_max_m"].max() < 0.02
+
+
+def test_robots_and_poles_near_the_nominal_ones_on_mjx():
+    rows = outcomes("mjx", WIDTH)
+    assert rows["outcome"].tolist() == ["success"] * WIDTH, rows["cause"]
+    assert rows["slip_max_m"].max() < 0.012
+    assert rows["position_error_max_m"].max() < 0.02
+    assert rows["clearance_min_m"].min() > -0.005
