@@ -28,7 +28,8 @@ OUTWARD = SIDE[:, None] * np.array([1.0, 0.0, 0.0])  # (6, 3), e_n of (2.3.2)
 # rate, and has the middle hips too low for their feet at the end of the third swing.
 PITCH = np.radians([0.0, 14.5, 31.0, 63.0, 90.0])
 PITCH_RATE = PchipInterpolator(np.arange(5), PITCH).derivative()(np.arange(5))  # rad per swing
-# How far in front of the pole's axis the feet first touch it, in r. The printed 0 puts the front shins 27 mm into it.
+# How far in front of the pole's axis the feet first touch it, in r. The printed 0 puts the front shins 27 mm into it,
+# but holds at a friction of 0.6, where this needs 1.0.
 AHEAD = {FRONT: 0.4, MIDDLE: 0.2, REAR: 0.0}
 
 
