@@ -6,9 +6,10 @@ BIN := .venv/bin
 .PHONY: demo test slow lint types setup clean
 
 demo: setup
-	$(BIN)/sweep run study=ci_smoke
-	$(BIN)/sweep table results/ci_smoke
-	$(BIN)/sweep report results/ci_smoke
+	rm -rf results/demo
+	$(BIN)/sweep run study=ci_smoke out=results/demo
+	$(BIN)/sweep table results/demo
+	$(BIN)/sweep report results/demo
 
 test: setup lint types
 	$(BIN)/pytest -n 2

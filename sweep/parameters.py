@@ -112,4 +112,4 @@ def bounds_text(field: "dataclasses.Field[Any]") -> str:
         for key, word in (("above", "greater than"), ("at_least", "at least"), ("at_most", "at most"))
         if math.isfinite(meta[key])
     ]
-    return " and ".join(parts or ["finite"]) + (f" {meta['unit']}" if meta["unit"] else "")
+    return " and ".join(parts or ["finite"]) + ("" if meta["unit"] in ("", "-") else f" {meta['unit']}")
