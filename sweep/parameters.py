@@ -1,7 +1,7 @@
 """Parameters with units and bounds: one dataclass is a Hydra schema, a validator and a JAX pytree at once.
 
 A field made by `quantity` is a pytree leaf: a float, or an array over the batch where it is swept. A field
-made by `choice`, `count` or `switch` is static: changing it compiles anew.
+made by `choice` or `count` is static: changing it compiles anew.
 """
 
 import dataclasses
@@ -35,11 +35,6 @@ def count(default: int, *, at_least: int = 0, at_most: float = math.inf) -> Any:
     """A whole number that shapes the compiled program."""
     bounds = {"unit": "", "above": -math.inf, "at_least": at_least, "at_most": at_most}
     return dataclasses.field(default=default, metadata={"role": "count", **bounds})
-
-
-def switch(default: bool) -> Any:
-    """On or off, fixed at compile time."""
-    return dataclasses.field(default=default, metadata={"role": "switch"})
 
 
 @dataclass_transform(frozen_default=True)
@@ -78,10 +73,6 @@ def checked(field: "dataclasses.Field[Any]", value: Any, path: str) -> Any:
         case "choice":
             if value not in field.metadata["options"]:
                 raise InputError(f"{path} = {value!r} is not allowed: one of {', '.join(field.metadata['options'])}")
-            return value
-        case "switch":
-            if not isinstance(value, bool):
-                raise InputError(f"{path} = {value!r} is not allowed: true or false")
             return value
         case "quantity" | "count":
             return _checked_number(field, value, path)

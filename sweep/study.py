@@ -20,7 +20,7 @@ from sweep.parameters import InputError, checked, suggest
 from sweep.query import mask
 
 SIDES = ("world", "belief")
-DTYPES = {"quantity": "float64", "count": "int64", "switch": "bool", "choice": "str"}
+DTYPES = {"quantity": "float64", "count": "int64", "choice": "str"}
 Values = Mapping[str, Any]
 
 
@@ -146,7 +146,7 @@ def parameter(column: str, case: Case, settings: EngineSettings) -> "dataclasses
                 raise InputError(f"axis {column} names nothing: {name} has no parts")
     found = next(f for f in dataclasses.fields(owner) if f.name == last)
     if found.metadata.get("role") not in DTYPES:
-        raise InputError(f"axis {column} cannot be varied: only single numbers, names and switches can")
+        raise InputError(f"axis {column} cannot be varied: only single numbers and names can")
     return found
 
 

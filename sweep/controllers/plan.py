@@ -6,7 +6,7 @@ names are fixed at compile time.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import jax
@@ -109,12 +109,8 @@ def moved(plan: Plan, quat: Float[Array, " 4"], by: Float[Array, " 3"]) -> Plan:
 
     start = Stance(point(plan.start.feet), point(plan.start.position), multiply(quat, plan.start.quat))
     turned = multiply(jnp.broadcast_to(quat, plan.quat.shape), plan.quat)
-    return _replace(plan, start=start, foothold=point(plan.foothold), plane=vector(plan.plane), quat=turned,
+    return replace(plan, start=start, foothold=point(plan.foothold), plane=vector(plan.plane), quat=turned,
                     position=point(plan.position), pivot=point(plan.pivot), turn=vector(plan.turn))  # fmt: skip
-
-
-def _replace(plan: Plan, **changes: Array | Stance) -> Plan:
-    return Plan(**{**{name: getattr(plan, name) for name in plan.__dataclass_fields__}, **changes})
 
 
 def path_length(plan: Plan) -> Float[Array, ""]:

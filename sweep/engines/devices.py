@@ -59,6 +59,11 @@ def axes(tree: Any) -> Any:
     return jax.tree.map(lambda x: 0 if np.ndim(x) else None, tree)
 
 
+def form(tree: Any) -> Any:
+    """What a compiled program depends on in `tree`: its static values, and which leaves vary over the batch."""
+    return jax.tree.structure(tree), tuple(bool(np.ndim(leaf)) for leaf in jax.tree.leaves(tree))
+
+
 def as_arrays(tree: Any) -> Any:
     """Leaves as JAX arrays of the default float type."""
     return jax.tree.map(lambda x: jnp.asarray(x, float), tree)

@@ -15,7 +15,7 @@ from sweep.case import Case
 from sweep.controllers.plan import Plan
 from sweep.engines import batching, devices
 from sweep.engines.base import Figures, Trace
-from sweep.engines.pilot import GRACE, Pilot, decide, embark, is_quiet, measure, start_pose
+from sweep.engines.pilot import GRACE, Pilot, decide, embark, is_quiet, measure, most_ticks, start_pose
 from sweep.engines.settings import EngineSettings
 from sweep.metrics import stream
 from sweep.metrics.outcome import Thresholds
@@ -60,9 +60,9 @@ class Mjx:
         with devices.precision(settings):
             self.topology = dynamics.topology(world)
             self._data = mjx.make_data(self.topology.model)
-            plan = jax.eval_shape(belief.manoeuvre.plan, belief)
+            plan = belief.manoeuvre.plan(belief)
             self.stages = plan.names
-            self.duration = float(GRACE * np.sum(belief.manoeuvre.plan(belief).duration))
+            self.duration = float(GRACE * np.sum(plan.duration))
         self._compiled: dict[Any, tuple[Callable, Callable, Callable]] = {}
 
     def run(self, world: Case, belief: Case, streams: np.ndarray) -> Figures:
@@ -70,7 +70,7 @@ class Mjx:
         with devices.precision(self.settings):
             (world, belief, keys), start, chunk, finish = self._prepare(world, belief, streams)
             plans, carry = start(world, belief, keys)
-            for tick in range(0, self._ticks(plans), self._chunk_ticks):
+            for tick in range(0, most_ticks(plans, self.settings.control_period), self._chunk_ticks):
                 carry, _ = chunk(world, belief, plans, carry, tick, None)
                 if bool(jnp.all(carry.pilot.running.over)):
                     break
@@ -83,7 +83,7 @@ class Mjx:
             (world, belief, keys), start, chunk, finish = self._prepare(world, belief, streams)
             plans, carry = start(world, belief, keys)
             records, local = [], self.width // self._mesh.size
-            for tick in range(0, self._ticks(plans), self._chunk_ticks):
+            for tick in range(0, most_ticks(plans, self.settings.control_period), self._chunk_ticks):
                 carry, record = chunk(world, belief, plans, carry, tick, slot)
                 records.append(jax.tree.map(lambda x: np.asarray(x)[:, slot // local], record))
                 if bool(carry.pilot.running.over[slot]):
@@ -96,22 +96,15 @@ class Mjx:
     def _chunk_ticks(self) -> int:
         return max(1, round(CHUNK / self.settings.control_period))
 
-    def _ticks(self, plans: Plan) -> int:
-        """Ticks of the longest rollout of the batch."""
-        longest = float(jnp.max(jnp.sum(plans.duration, axis=-1)))
-        return int(np.ceil(GRACE * longest / self.settings.control_period))
-
     def _prepare(self, world: Case, belief: Case, streams: np.ndarray) -> tuple:
         """Arguments as arrays of the right type, and the compiled functions for their batch axes."""
         batching.check(streams, self.width)
-        quiet = is_quiet(world.noise)
-        structure = jax.tree.structure((world, belief))
-        axes = devices.axes((world, belief))
-        cache_key = (structure, tuple(jax.tree.leaves(axes, is_leaf=lambda x: x is None)), quiet)
-        if cache_key not in self._compiled:
-            self._compiled[cache_key] = self._compile(axes, devices.specs((world, belief)), quiet)
+        axes, quiet = devices.axes((world, belief)), is_quiet(world.noise)
+        form = devices.form((world, belief)), quiet
+        if form not in self._compiled:
+            self._compiled[form] = self._compile(axes, devices.specs((world, belief)), quiet)
         arrays = (*devices.as_arrays((world, belief)), devices.keys(streams))
-        return devices.spread(arrays, self._mesh), *self._compiled[cache_key]
+        return devices.spread(arrays, self._mesh), *self._compiled[form]
 
     def _compile(self, axes: tuple[Case, Case], specs: tuple, quiet: bool) -> tuple[Callable, Callable, Callable]:
         """`start`, `chunk` and `finish` over a batch whose parameters vary along `axes`, split over the devices."""

@@ -15,7 +15,7 @@ from sweep.controllers.plan import Plan
 from sweep.controllers.tracker import Command
 from sweep.engines import batching, devices
 from sweep.engines.base import Figures, Trace
-from sweep.engines.pilot import GRACE, Pilot, decide, embark, is_quiet, measure, start_pose
+from sweep.engines.pilot import GRACE, Pilot, decide, embark, is_quiet, measure, most_ticks, start_pose
 from sweep.engines.settings import EngineSettings
 from sweep.metrics import stream
 from sweep.metrics.outcome import Thresholds
@@ -65,8 +65,9 @@ class Native:
         self.substeps = batching.substeps(settings)
         self.devices = 1  # threads share it
         self.width = settings.width or devices.CPU_WIDTH
-        self.duration = float(GRACE * np.sum(belief.manoeuvre.plan(belief).duration))
-        self.stages = belief.manoeuvre.plan(belief).names
+        plan = belief.manoeuvre.plan(belief)
+        self.stages = plan.names
+        self.duration = float(GRACE * np.sum(plan.duration))
         self._compiled: dict[Any, tuple[Callable, Callable, Callable]] = {}
 
     def run(self, world: Case, belief: Case, streams: np.ndarray) -> Figures:
@@ -96,7 +97,7 @@ class Native:
             batch.qpos[:] = np.asarray(qpos)
             pilots, commands, controls = tick(*arrays[:2], plans, pilots, None, None, 0)
             records = []
-            for k in range(self._ticks(plans)):
+            for k in range(most_ticks(plans, self.settings.control_period)):
                 steps = batch.rollout(self.substeps, np.asarray(controls, float), CONTROL, RECORD)
                 steps["broken"] = np.any(batch.warning[:, :, 0] > 0, axis=1)
                 if k == 0:  # derived fields are those before a step, hence the start's
@@ -108,18 +109,13 @@ class Native:
                     break
             return {name: np.asarray(values) for name, values in finish(plans, pilots).items()}, records
 
-    def _ticks(self, plans: Plan) -> int:
-        longest = float(jnp.max(jnp.sum(plans.duration, axis=-1)))
-        return int(np.ceil(GRACE * longest / self.settings.control_period))
-
     def _functions(self, world: Case, belief: Case) -> tuple[Callable, Callable, Callable]:
         """Compiled `start`, `tick` (measure the last tick, decide the next) and `finish` over the batch."""
-        quiet = is_quiet(world.noise)
-        axes = devices.axes((world, belief))
-        key = (jax.tree.structure((world, belief)), tuple(jax.tree.leaves(axes, is_leaf=lambda x: x is None)), quiet)
-        if key not in self._compiled:
-            self._compiled[key] = self._compile(axes, quiet)
-        return self._compiled[key]
+        axes, quiet = devices.axes((world, belief)), is_quiet(world.noise)
+        form = devices.form((world, belief)), quiet
+        if form not in self._compiled:
+            self._compiled[form] = self._compile(axes, quiet)
+        return self._compiled[form]
 
     def _compile(self, axes: tuple[Case, Case], quiet: bool) -> tuple[Callable, Callable, Callable]:
         period, n = self.settings.control_period, self.substeps

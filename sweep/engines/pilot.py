@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.case import Case
@@ -36,6 +37,11 @@ class Pilot(NamedTuple):
 def is_quiet(noise: Noise) -> bool:
     """Whether measurement is exact, so that no random number need be drawn. Plain or batched parameters."""
     return noise.delay_buffer == 0 and all(isinstance(x, float) and x == 0 for x in jax.tree.leaves(noise))
+
+
+def most_ticks(plans: Plan, period: float) -> int:
+    """Control ticks of the longest rollout of a batch."""
+    return int(np.ceil(GRACE * float(jnp.max(jnp.sum(plans.duration, axis=-1))) / period))
 
 
 def start_pose(world: Case, belief: Case, plan: Plan) -> tuple[Float[Array, " 7"], Float[Array, "6 3"]]:

@@ -36,11 +36,6 @@ class Topology:
     owner: tuple[int, ...]  # (n,) free body that carries the point, -1 for the robot's feet
     links_per_leg: int
 
-    @property
-    def n_q(self) -> int:
-        """Length of the configuration: 7 for the base, 18 joints, 7 for each free body."""
-        return self.model.nq
-
 
 class Smooth(NamedTuple):
     """Mass matrix blocks, bias and contact points of one configuration. r root dofs, n contact points."""

@@ -75,8 +75,10 @@ def step(
     geometry, place = approach(case.contact, surface, state.anchors, smooth.point, smooth.bodies)
     j_root = _relative(smooth, surface.body)
     v = Split(state.v[top.root], state.v[top.leg])
-    problem = _Problem(case.contact, case.drive, limits, geometry, smooth, j_root, _mass(smooth, case.drive, h),
-                       _momentum(smooth, v, limits, h), reference - state.q[1 + top.leg], h)  # fmt: skip
+    mass = Arrowhead(smooth.m_root, smooth.m_cross, jnp.swapaxes(smooth.m_cross, 1, 2), smooth.m_leg)
+    mass_v = arrowhead.times(mass, v)
+    problem = _Problem(case.contact, case.drive, limits, geometry, smooth, j_root, _damped(mass, case.drive, h),
+                       _momentum(smooth, mass_v, limits, h), reference - state.q[1 + top.leg], h)  # fmt: skip
     w = v
     for _ in range(iterations):
         w = _improve(problem, w)
@@ -87,9 +89,6 @@ def step(
     v_new = jnp.zeros_like(state.v).at[top.root].set(w.root).at[top.leg].set(w.leg)
     q_new = _integrate(top, state.q, v_new, h)
     left = problem.residual(w)
-    mass_v = arrowhead.times(
-        Arrowhead(smooth.m_root, smooth.m_cross, jnp.swapaxes(smooth.m_cross, 1, 2), smooth.m_leg), v
-    )
     torque = torque - case.drive.back_emf * w.leg
     report = StepReport(
         forces=forces,
@@ -188,18 +187,15 @@ def _relative(smooth: Smooth, body: Array) -> Array:
     return j_root
 
 
-def _mass(smooth: Smooth, drive: Drive, h: float) -> Arrowhead:
+def _damped(mass: Arrowhead, drive: Drive, h: float) -> Arrowhead:
     """M with the back-EMF's damping taken implicitly."""
-    leg = smooth.m_leg + h * drive.back_emf * jnp.eye(3, dtype=smooth.m_leg.dtype)
-    return Arrowhead(smooth.m_root, smooth.m_cross, jnp.swapaxes(smooth.m_cross, 1, 2), leg)
+    return mass._replace(leg=mass.leg + h * drive.back_emf * jnp.eye(3, dtype=mass.leg.dtype))
 
 
-def _momentum(smooth: Smooth, v: Split, limits: Limits, h: float) -> Split:
+def _momentum(smooth: Smooth, mass_v: Split, limits: Limits, h: float) -> Split:
     """M v - h (bias - push)."""
-    plain = Arrowhead(smooth.m_root, smooth.m_cross, jnp.swapaxes(smooth.m_cross, 1, 2), smooth.m_leg)
-    now = arrowhead.times(plain, v)
-    root = now.root - h * smooth.bias_root
-    return Split(root.at[:3].add(h * limits.push), now.leg - h * smooth.bias_leg)
+    root = mass_v.root - h * smooth.bias_root
+    return Split(root.at[:3].add(h * limits.push), mass_v.leg - h * smooth.bias_leg)
 
 
 def _integrate(top: Topology, q: Array, v: Array, h: float) -> Array:

@@ -83,7 +83,7 @@ def map_axes(rows: pd.DataFrame, chosen: tuple[str, ...]) -> tuple[str, str]:
 
 
 def split(rows: pd.DataFrame, x: str, y: str) -> Iterator[tuple[list[str], pd.DataFrame]]:
-    """Panels, with their titles: one for each combination of varied names and switches."""
+    """Panels, with their titles: one for each combination of varied names."""
     named = [c for c in rows.columns if "." in c and c not in (x, y) and rows[c].dtype.kind not in "fi"]
     named = [c for c in named if rows[c].nunique() > 1]
     if not named:
