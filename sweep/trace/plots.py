@@ -7,6 +7,7 @@ from typing import Any, Literal
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.transforms import Affine2D
 
 from sweep.engines.base import Trace
 from sweep.trace.layout import LEG_COLORS
@@ -15,13 +16,18 @@ from sweep.trace.sampling import KINDS, base_pose, joint_angle
 LEGS = ((6, 5), (4, 3), (2, 1))
 SYMBOLS = dict(zip(KINDS, ("α", "β", "γ"), strict=True))
 ACTUAL, SECOND, REFERENCE = "#0072b2", "#d55e00", "0.25"
-NAMED_STAGES = 10  # more names than this would overlap
+SLANTED_STAGES = 10  # more names than this stand upright
+BOOK_TORQUE = 75.2  # N m, the unit of figures 2.3.5 and 2.3.6: about the body's moment of gravity on a pole
 
 
 def torques(trace: Trace) -> Figure:
-    """Joint torques per leg, N m."""
+    """Joint torques per leg, N m on the left and in units of `BOOK_TORQUE` on the right."""
     values = trace.joint_torque.reshape(-1, 6, 3)
-    return _per_leg(trace, "Joint torque (largest magnitude of each tick)", "torque (N m)", values)
+    title = f"Joint torque (largest magnitude of each tick); right: in units of {BOOK_TORQUE} N m"
+    figure = _per_leg(trace, title, "torque (N m)", values)
+    for ax in figure.axes[1::2]:
+        ax.secondary_yaxis("right", functions=Affine2D().scale(1 / BOOK_TORQUE))
+    return figure
 
 
 def joints(trace: Trace) -> Figure:
@@ -133,13 +139,16 @@ def _finish(figure: Figure, axes: np.ndarray, trace: Trace) -> Figure:
             ax.axvline(trace.time[k], color="0.6", lw=0.8, zorder=0)
     for ax in axes[-1]:
         ax.set_xlabel("time (s)")
-    if len(starts) <= NAMED_STAGES:
-        for ax in axes[0]:
-            _name_stages(ax, trace, starts)
+    for ax in axes[0]:
+        _name_stages(ax, trace, starts)
     return figure
 
 
 def _name_stages(ax: Axes, trace: Trace, starts: np.ndarray) -> None:
     marks = ax.secondary_xaxis("top")
-    marks.set_xticks(trace.time[starts], [trace.stages[trace.stage[k]] for k in starts], rotation=25, ha="left")
-    marks.tick_params(length=2, labelsize="x-small")
+    names = [trace.stages[trace.stage[k]] for k in starts]
+    if len(starts) <= SLANTED_STAGES:
+        marks.set_xticks(trace.time[starts], names, rotation=25, ha="left", size="x-small")
+    else:
+        marks.set_xticks(trace.time[starts], names, rotation=90, size="xx-small")
+    marks.tick_params(length=2)

@@ -38,6 +38,22 @@ def test_stages_are_marked_and_named(trace):
     assert [label.get_text() for label in names.get_xticklabels()] == list(trace.stages)
 
 
+def test_many_stages_are_named_too(trace):
+    many = dataclasses.replace(trace, stage=np.arange(250) // 10, stages=tuple(f"swing{k}" for k in range(25)))
+    (names,) = PLOTS["base"](many).axes[0].child_axes
+    labels = names.get_xticklabels()
+    assert [label.get_text() for label in labels] == list(many.stages)
+    assert {label.get_rotation() for label in labels} == {90}
+
+
+def test_torques_are_also_in_the_unit_of_the_monograph(trace):
+    ax = PLOTS["torques"](trace).axes[1]
+    ax.set_ylim(0, 150.4)
+    (scaled,) = (child for child in ax.child_axes if child.yaxis.get_ticks_position() == "right")
+    scaled.figure.draw_without_rendering()
+    np.testing.assert_allclose(scaled.get_ylim(), [0, 2], atol=1e-9)
+
+
 def test_curves_are_the_trace(trace):
     target, actual = PLOTS["base"](trace).axes[0].lines[:2]
     np.testing.assert_array_equal(actual.get_ydata(), trace.qpos[:, 7])
