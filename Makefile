@@ -3,13 +3,16 @@ PYTHON ?= $(shell for p in python3.12 python3.13 python3; do \
   $$p -c 'import sys; sys.exit(not (3, 12) <= sys.version_info[:2] < (3, 14))' 2>/dev/null && echo $$p && break; done)
 BIN := .venv/bin
 
-.PHONY: demo test slow lint types setup clean
+.PHONY: demo baseline test slow lint types setup clean
 
 demo: setup
 	rm -rf results/demo
-	$(BIN)/sweep run study=ci_smoke out=results/demo
-	$(BIN)/sweep table results/demo
-	$(BIN)/sweep report results/demo
+	PATH="$(BIN):$$PATH" jobs/ci_smoke.sh results/demo tests/data/ci_smoke
+
+baseline: setup  # what the demo is compared with: renew it when results are meant to change, and say so in the commit
+	rm -rf tests/data/ci_smoke
+	$(BIN)/sweep run study=ci_smoke out=tests/data/ci_smoke
+	rm tests/data/ci_smoke/.lock tests/data/ci_smoke/log.txt
 
 test: setup lint types
 	$(BIN)/pytest -n 2

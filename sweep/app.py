@@ -6,7 +6,6 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 
 import hydra
 import pandas as pd
@@ -63,7 +62,7 @@ def execute(exp: Experiment, flags: Flags) -> int:
     """Run one experiment; its exit code."""
     if exp.study.single and not exp.out:
         return execute_single(exp, flags)
-    folder = Path(exp.out or f"results/{exp.study.name}")
+    folder = exp.folder
     wanted = runner.wanted_points(exp, flags.where, flags.limit)
     if flags.dry_run:
         print(forecast(runner.lay_out(exp, folder, wanted)))

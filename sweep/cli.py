@@ -12,7 +12,7 @@ from sweep.parameters import InputError
 if TYPE_CHECKING:
     import pandas as pd
 
-DONE, BAD_INPUT, INTERRUPTED = 0, 2, 130
+DONE, BAD_INPUT, UNEXPECTED, INTERRUPTED = 0, 2, 4, 130
 GROUPS = ("scenario", "study", "robot", "obstacle", "manoeuvre", "drive", "contact", "noise", "execution", "engine",
           "outcome")  # fmt: skip
 
@@ -67,6 +67,18 @@ def parser() -> argparse.ArgumentParser:
     report.add_argument("--y", help="parameter up the map")
     report.add_argument("--where", help="only rows that match")
     report.add_argument("-o", "--output", type=Path, help="folder for the pictures instead of DIR")
+    compare = command("compare", compare_results, "the same points in two folders: which outcomes differ, and where")
+    compare.add_argument(
+        "a", type=Path, metavar="A", help="folder of the reference; each of its rows needs its pair in B"
+    )
+    compare.add_argument("b", type=Path, metavar="B", help="folder of another engine, version or controller")
+    compare.add_argument("--a", dest="where_a", metavar="CONDITION", help="only rows of A that match")
+    compare.add_argument("--b", dest="where_b", metavar="CONDITION", help="only rows of B that match")
+    compare.add_argument("--by", metavar="NAMES", help="columns that are equal in a pair (default: point_id)")
+    compare.add_argument("--regions", metavar="NAMES", help="parameters whose thirds are compared one by one")
+    compare.add_argument("--tolerance", type=float, default=0.0, help="largest share of pairs whose outcome may differ")
+    compare.add_argument("--figures", type=float, metavar="SHARE", help="largest typical relative change of a figure")
+    compare.add_argument("-o", "--output", type=Path, help="write the pairs that differ as CSV")
     judge = of_results("relabel", relabel, "judge stored rollouts by other thresholds, without simulating")
     judge.add_argument("thresholds", nargs="+", metavar="'KEY<VALUE'", help="such as 'slip_max_m<0.02'")
     command("replay", lambda _: DONE, "record one rollout of a study again; " + delegated.format("replay"))
@@ -133,21 +145,30 @@ def status(given: argparse.Namespace) -> int:
 
 def selected(given: argparse.Namespace) -> "pd.DataFrame":
     """Rows of a study that match `--where`."""
+    return matching(given.dir, given.where)
+
+
+def matching(folder: Path, condition: str | None) -> "pd.DataFrame":
+    """Rows of a study that match `condition`."""
     from sweep import store
     from sweep.query import mask
 
-    rows = store.read_rows(given.dir)
-    return rows[mask(rows, given.where)].reset_index(drop=True)
+    rows = store.read_rows(folder)
+    return rows[mask(rows, condition)].reset_index(drop=True) if condition else rows
+
+
+def names(text: str | None) -> list[str] | None:
+    """`a, b` -> [`a`, `b`]."""
+    return [name.strip() for name in text.split(",")] if text else None
 
 
 def show_table(given: argparse.Namespace) -> int:
     """Rows as csv, markdown, latex or parquet."""
     from sweep.report import tables
 
-    names = [name.strip() for name in given.columns.split(",")] if given.columns else None
     if given.format == "parquet" and not given.output:
         raise InputError("--format parquet needs a file: -o FILE")
-    content = tables.render(selected(given), given.format, names)
+    content = tables.render(selected(given), given.format, names(given.columns))
     if given.output:
         given.output.write_bytes(content)
     else:
@@ -164,6 +185,22 @@ def draw_report(given: argparse.Namespace) -> int:
     for path in maps.draw(selected(given), store.read_study(given.dir), given.output or given.dir, chosen):
         print(path)
     return DONE
+
+
+def compare_results(given: argparse.Namespace) -> int:
+    """Flips of outcome between two folders; exit code 4 where they are more than tolerated."""
+    from sweep import compare
+    from sweep.report import comparison
+
+    a, b = matching(given.a, given.where_a), matching(given.b, given.where_b)
+    pairs = compare.pair(a, b, names(given.by))
+    print(comparison.text(pairs, len(a), len(b), names(given.regions)))
+    if given.output:
+        given.output.write_bytes(compare.differences(pairs).to_csv(index=False).encode())
+    broken = comparison.broken(pairs, len(a), given.tolerance, given.figures)
+    for line in broken:
+        print(f"sweep: {line}", file=sys.stderr)
+    return UNEXPECTED if broken else DONE
 
 
 def relabel(given: argparse.Namespace) -> int:

@@ -6,6 +6,7 @@ The parameter dataclasses are the schemas: Hydra checks names and types while it
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import hydra
@@ -86,6 +87,11 @@ class Experiment:
     study: Study
     out: str | None
     values: dict[str, Any]  # the resolved configuration it was made from
+
+    @property
+    def folder(self) -> Path:
+        """Where its rows are kept."""
+        return Path(self.out or f"results/{self.study.name}")
 
 
 def register() -> None:

@@ -38,9 +38,14 @@ class Rate:
     def __str__(self) -> str:
         if not self.valid:
             return f"no valid rollout among {self.total}"
-        share, low, high, invalid = (f"{100 * v:.1f} %" for v in (self.share, self.low, self.high, self.invalid_share))
+        share, low, high, invalid = map(percent, (self.share, self.low, self.high, self.invalid_share))
         sure = f"{share}, 95 % interval {low} to {high}"
         return f"{self.success} of {self.valid} succeed ({sure}), {self.invalid} invalid ({invalid})"
+
+
+def percent(share: float) -> str:
+    """`0.123` -> `12.3 %`."""
+    return f"{100 * share:.1f} %"
 
 
 def rate(outcome: pd.Series) -> Rate:

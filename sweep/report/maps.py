@@ -17,9 +17,8 @@ from sweep.config import experiment
 from sweep.metrics.outcome import CAUSES
 from sweep.parameters import InputError
 from sweep.query import column
-from sweep.report.labels import CAUSE_COLOURS, INVALID, SUCCESS, axis_words
+from sweep.report.labels import CAUSE_COLOURS, INVALID, SUCCESS, axis_words, words_and_unit
 from sweep.stats import rate
-from sweep.study import parameter
 
 KINDS = ["success", *CAUSES]
 PALETTE = ListedColormap([SUCCESS, *(CAUSE_COLOURS[c] for c in CAUSES)])
@@ -50,6 +49,7 @@ def draw(rows: pd.DataFrame, stored: Mapping[str, Any], folder: Path, chosen: tu
 def success_map(rows: pd.DataFrame, stored: Mapping[str, Any], chosen: tuple[str, ...] = ()) -> Figure:
     """The figure that `draw` writes."""
     x, y = map_axes(rows, chosen)
+    exp = experiment(stored["config"])
     panels = list(split(rows, x, y))
     counts = [panel.groupby([x, y]).size() for _, panel in panels]
     most = max(int(count.max()) for count in counts)
@@ -61,8 +61,8 @@ def success_map(rows: pd.DataFrame, stored: Mapping[str, Any], chosen: tuple[str
         (categories if most == 1 else shares)(ax, panel.assign(x=panel[x], y=panel[y]), cells)
         mark_values(ax, cells)
         ax.set_title("\n".join([*title, str(rate(panel["outcome"])).replace(" (", "\n(", 1)]), fontsize=8)
-        ax.set_xlabel(with_unit(x, stored))
-    axes[0, 0].set_ylabel(with_unit(y, stored))
+        ax.set_xlabel(words_and_unit(x, exp))
+    axes[0, 0].set_ylabel(words_and_unit(y, exp))
     seen = [cause for cause in CAUSES if (rows["cause"] == cause).any()] if most == 1 else []
     legend(figure, seen, bool((rows["outcome"] == "invalid").any()), most)
     if most > 1:
@@ -153,10 +153,3 @@ def legend(figure: Figure, causes: list[str], invalid: bool, most: int) -> None:
         patches.append(Patch(facecolor=INVALID, edgecolor="black", hatch="////", label="invalid"))
     if patches:
         figure.legend(handles=patches, loc="outside lower center", ncols=min(len(patches), 5), fontsize=8)
-
-
-def with_unit(axis: str, stored: Mapping[str, Any]) -> str:
-    """Words and unit of a parameter."""
-    exp = experiment(stored["config"])
-    unit = parameter(axis, exp.case, exp.settings).metadata.get("unit", "")
-    return f"{axis_words(axis)} [{unit}]" if unit not in ("", "-") else axis_words(axis)

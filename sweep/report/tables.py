@@ -30,7 +30,12 @@ def render(rows: pd.DataFrame, form: str, names: list[str] | None = None) -> byt
         case "latex":
             return latex(rows).encode()
         case _:
-            return (shown(rows).to_markdown(index=False, disable_numparse=True) + "\n").encode()
+            return (page_table(rows) + "\n").encode()
+
+
+def page_table(rows: pd.DataFrame) -> str:
+    """`rows` in Markdown, with readable headings and numbers."""
+    return shown(rows).to_markdown(index=False, disable_numparse=True)
 
 
 def reading(rows: pd.DataFrame) -> list[str]:

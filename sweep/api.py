@@ -1,0 +1,36 @@
+"""What `from sweep import load, run` offers to notebooks; behind it is the machinery of the command line."""
+
+from os import PathLike
+from pathlib import Path
+
+import pandas as pd
+
+from sweep import store
+from sweep.config import Experiment, compose, experiment
+from sweep.query import mask
+from sweep.report.labels import unit_of
+
+
+def run(overrides: list[str]) -> pd.DataFrame:
+    """See `sweep.run`."""
+    from sweep import app, runner
+
+    exp = compose(overrides)
+    if exp.study.single and not exp.out:
+        return _tidy(runner.run_single(exp), exp)
+    app.execute(exp, app.Flags())
+    return load(exp.folder)
+
+
+def load(folder: str | PathLike[str], where: str | None = None) -> pd.DataFrame:
+    """See `sweep.load`."""
+    folder = Path(folder)
+    stored, rows = store.read_study(folder), store.read_rows(folder)
+    if where:
+        rows = rows[mask(rows, where)].reset_index(drop=True)
+    return _tidy(rows, experiment(stored["config"]))
+
+
+def _tidy(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
+    rows.attrs = {"study": exp.study.name, "units": {c: unit for c in rows if (unit := unit_of(str(c), exp))}}
+    return rows

@@ -1,0 +1,53 @@
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import matplotlib as mpl
+import pandas as pd
+import pytest
+
+import sweep
+from sweep import store
+from sweep.parameters import InputError
+
+SMALL = ("study=walk_map", "study.axes.friction.num=4", "study.axes.step.num=3", "study.expect=[]")
+
+
+@pytest.fixture(autouse=True)
+def in_an_empty_folder(fake_engine, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+
+
+def test_rows_come_with_units_and_are_those_on_disk():
+    rows = sweep.run(*SMALL)
+    assert len(rows) == 12
+    assert rows.attrs["study"] == "walk_map"
+    units = rows.attrs["units"]
+    assert (units["slip_max_m"], units["t_cause_s"], units["tilt_max_deg"]) == ("m", "s", "°")
+    assert "world.contact.friction" not in units
+    pd.testing.assert_frame_equal(sweep.load("results/walk_map"), rows)
+    pd.testing.assert_frame_equal(store.read_rows(Path("results/walk_map")), rows)
+    assert sweep.load("results/walk_map", "friction > 1")["world.contact.friction"].min() > 1
+
+
+def test_a_nominal_rollout_is_one_row_and_leaves_no_files(tmp_path):
+    rows = sweep.run("robot.thigh=0.5")
+    assert rows["outcome"].tolist() == ["success"]
+    assert not list(tmp_path.iterdir())
+    with pytest.raises(InputError, match=r"robot\.thihg = 0\.5 is unknown: did you mean thigh"):
+        sweep.run("robot.thihg=0.5")
+
+
+def test_the_notebook_example_of_the_readme_runs():
+    readme = (Path(__file__).parents[1] / "README.md").read_text()
+    (example,) = re.findall(r"```python\n(.*?)```", readme, re.DOTALL)
+    assert sum(map(bool, example.splitlines())) == 5
+    with mpl.rc_context({"backend": "agg"}):
+        exec(example, {})
+
+
+def test_importing_is_light():
+    code = "import sys, sweep; print({'jax', 'mujoco', 'pandas', 'hydra'} & set(sys.modules))"
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert out == "set()\n"
