@@ -28,7 +28,7 @@ from sweep.engines.settings import EngineSettings
 from sweep.metrics.outcome import Thresholds
 from sweep.models import dynamics, step
 from sweep.models.contact import Contact
-from sweep.models.drive import Drive
+from sweep.models.drive import Drive, position_mode
 from sweep.models.execution import Execution
 from sweep.models.obstacles.plane import Plane
 from sweep.models.robot import Robot
@@ -85,11 +85,12 @@ def time_bare(width: int, rollouts: int, seconds: float) -> dict:
     pose, joints = start_pose(NOMINAL, NOMINAL, plan)
     q = jnp.asarray(top.model.qpos0).at[:7].set(pose).at[1 + top.leg].set(joints)
     limits = batching.execution_limits(NOMINAL, jnp.zeros(()))
+    servo = position_mode(NOMINAL.drive, joints)
     steps = round(1.0 / settings.time_step)
 
     def one(friction: jax.Array, state: step.State) -> step.State:
         world = replace(NOMINAL, contact=replace(NOMINAL.contact, friction=friction))
-        return step.step(top, top.model, data, world, limits, state, joints, settings.time_step, settings.iterations)[0]
+        return step.step(top, top.model, data, world, limits, state, servo, settings.time_step, settings.iterations)[0]
 
     mesh = devices.mesh(width)
     split = PartitionSpec(devices.BATCH)

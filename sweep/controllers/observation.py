@@ -35,6 +35,9 @@ class Observation(NamedTuple):
     position: Float[Array, " 3"]  # m, of the base
     quat: Float[Array, " 4"]  # base to world
     velocity: Float[Array, " 3"]  # m/s, of the base
+    spin: Float[Array, " 3"]  # rad/s, of the base, base axes
+    angles: Float[Array, "6 3"]  # rad, of the joints
+    rates: Float[Array, "6 3"]  # rad/s
     joint_error: Float[Array, "6 3"]  # rad, measured minus true joint angle: what the drives' feedback suffers
     loaded: Bool[Array, " 6"]  # which feet carry load
 
@@ -69,12 +72,13 @@ def observe(noise: Noise, sensors: Sensors, truth: Observation, key: Array) -> t
     seen = jax.tree.map(lambda x: x[delay], past)
     dtype = truth.position.dtype
     draw = jax.random.normal(key, (27,), dtype)
+    joint_error = sensors.joint_bias + noise.joint_noise * draw[9:].reshape(6, 3)
     turn = sensors.turn_bias + noise.orientation_noise * draw[3:6]
-    seen = Observation(
+    seen = seen._replace(
         position=seen.position + sensors.position_bias + noise.position_noise * draw[:3],
         quat=multiply(exponential(turn), seen.quat),
         velocity=seen.velocity + sensors.velocity_bias + noise.velocity_noise * draw[6:9],
-        joint_error=sensors.joint_bias + noise.joint_noise * draw[9:].reshape(6, 3),
-        loaded=seen.loaded,
+        angles=seen.angles + joint_error,
+        joint_error=joint_error,
     )
     return sensors._replace(past=past), seen

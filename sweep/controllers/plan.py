@@ -18,6 +18,7 @@ from sweep.formulas import stepping
 from sweep.maths import exponential, multiply, rotate
 
 CYCLE_A, CYCLE_B, CYCLE_B_SMOOTH, HALF_ELLIPSE = range(4)  # swings; the third spends its way by lambda_1
+LOCKED, LEVEL, BALANCE = range(3)  # middle legs: as planned; as a flywheel that comes to rest, or that balances
 STEADY, SMOOTH, ELLIPTIC = range(3)  # how a body path is spent: by its rates, by lambda_1, as the half-ellipse swing
 
 
@@ -47,6 +48,36 @@ class Stage:
     rates: tuple[float, float] = (1.0, 1.0)  # of a steady pace at the stage's start and end, in units of its mean
     pivot: Array | None = None  # m, centre of the ellipse that the base goes along
     arc: float = 0.0  # rad, how far it goes along the ellipse, below pi; 0 is straight on
+    # leg number -> joint angles (rad) that it goes to, straight in joint space, and keeps until its next swing. A leg
+    # that swings as well stands at its foothold then, which these angles must reach.
+    posture: Mapping[int, Array] = field(default_factory=dict)
+    flywheel: int = LOCKED
+
+
+class Posture(NamedTuple):
+    """Legs that follow joint angles instead of footholds, over S stages."""
+
+    held: Bool[Array, "s 6"]
+    joints: Float[Array, "s 6 3"]  # rad, at the end of the stage
+
+
+class Gains(NamedTuple):
+    """Feedback of the middle legs as a flywheel, c_1 ... c_6 of monograph 2.6.2."""
+
+    c1: Array | float  # N/m
+    c2: Array | float  # N s/m
+    c3: Array | float  # N m/rad
+    c4: Array | float  # N m s/rad
+    c5: Array | float  # N m/rad
+    c6: Array | float  # N m s/rad
+    back_emf: Array | float  # N m s/rad, what the drives are believed to lose and make up for
+
+
+class Flywheel(NamedTuple):
+    """How the middle legs balance the body, over S stages."""
+
+    mode: Int[Array, " s"]
+    gains: Gains
 
 
 @jax.tree_util.register_dataclass
@@ -71,10 +102,12 @@ class Plan:
     pivot: Float[Array, "s 3"]
     arc: Float[Array, " s"]
     patience: Float[Array, ""]  # s, that a stage waits for its swing feet to touch down
+    posture: Posture | None = None
+    flywheel: Flywheel | None = None
 
 
-def assemble(start: Stance, stages: Sequence[Stage], patience: Array | float) -> Plan:
-    """The table of `stages` from the stance `start` on."""
+def assemble(start: Stance, stages: Sequence[Stage], patience: Array | float, gains: Gains | None = None) -> Plan:
+    """The table of `stages` from the stance `start` on; `gains` are those of the flywheel, if they have one."""
     feet, position, quat = start
     rows = []
     for stage in stages:
@@ -95,7 +128,23 @@ def assemble(start: Stance, stages: Sequence[Stage], patience: Array | float) ->
         quat = multiply(exponential(turn), quat)
     table = {key: jnp.stack([row[key] for row in rows]) for key in rows[0]}
     names = tuple(stage.name for stage in stages)
-    return Plan(names=names, start=start, patience=jnp.asarray(patience, float), **table)
+    mode = jnp.array([stage.flywheel for stage in stages], jnp.int32)
+    flywheel = None if gains is None else Flywheel(mode, jax.tree.map(lambda x: jnp.asarray(x, float), gains))
+    return Plan(names=names, start=start, patience=jnp.asarray(patience, float), posture=_postures(stages),
+                flywheel=flywheel, **table)  # fmt: skip
+
+
+def _postures(stages: Sequence[Stage]) -> Posture | None:
+    """The legs that are held by their joints, from each stage's own words."""
+    if not any(stage.posture for stage in stages):
+        return None
+    kept, held, joints = {}, [], []
+    for stage in stages:
+        kept = {leg: angles for leg, angles in kept.items() if leg not in stage.swing} | dict(stage.posture)
+        held.append([leg in kept for leg in range(1, 7)])
+        joints.append(jnp.stack([jnp.asarray(kept.get(leg, jnp.zeros(3)), float) for leg in range(1, 7)]))
+        kept = {leg: angles for leg, angles in kept.items() if leg not in stage.swing}
+    return Posture(jnp.array(held), jnp.stack(joints))
 
 
 def moved(plan: Plan, quat: Float[Array, " 4"], by: Float[Array, " 3"]) -> Plan:

@@ -4,7 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from sweep.formulas.leg import SIDE
+from sweep.formulas.leg import SIDE, fk
+from sweep.maths import exponential, rotate
 from sweep.models.robot import Robot
 from sweep.models.scene import mount_yaw, mounts
 
@@ -19,3 +20,25 @@ def foot_centres(robot: Robot, spread: Array | float, height: Array | float) -> 
     """Feet `spread` (m) out from the hips and `height` (m) below them, base axes: C' of monograph (1.3.4)."""
     down = jnp.array([0.0, 0.0, -1.0])
     return mounts(robot) + spread * outward(robot) + height * down
+
+
+def foot_positions(robot: Robot, angles: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
+    """Feet (m, base axes) at joint angles (rad)."""
+    return _points(robot, angles, robot.thigh, robot.shin)
+
+
+def mass_centre(robot: Robot, angles: Float[Array, "6 3"]) -> Float[Array, " 3"]:
+    """Centre of mass of the robot (m, base axes) at joint angles (rad): uniform links, as in monograph (3.1.9)."""
+    hips, knees, feet = mounts(robot), _points(robot, angles, robot.thigh, 0.0), foot_positions(robot, angles)
+    elbows = _points(robot, angles, 0.0, 0.0)  # where the thighs begin
+    links = [(robot.thigh_mass, elbows, knees), (robot.shin_mass, knees, feet)]
+    if robot.legs == "three_link":
+        links.append((robot.coxa_mass, hips, elbows))
+    moments = jnp.stack([mass * jnp.sum(start + end, axis=0) / 2 for mass, start, end in links])
+    return jnp.sum(moments, axis=0) / (robot.body_mass + 6 * sum(mass for mass, _, _ in links))
+
+
+def _points(robot: Robot, angles: Array, thigh: Array | float, shin: Array | float) -> Array:
+    """Points along the legs (6, 3), base axes: the feet of legs with links of these lengths."""
+    yaw = jnp.zeros((6, 3), angles.dtype).at[:, 2].set(jnp.asarray(mount_yaw(robot), angles.dtype))
+    return mounts(robot) + rotate(exponential(yaw), fk(SIDE, angles, robot.coxa, thigh, shin))

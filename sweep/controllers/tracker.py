@@ -2,14 +2,18 @@
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from sweep.controllers import flywheel
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import Plan, Stance, reference
-from sweep.formulas import leg
+from sweep.controllers.plan import Plan, Posture, Stance, reference
+from sweep.controllers.posture import foot_positions
+from sweep.formulas import leg, stepping
 from sweep.maths import conjugate, exponential, rotate
+from sweep.models.drive import Servo
 from sweep.models.robot import Robot
 from sweep.models.scene import mount_yaw, mounts
 
@@ -23,6 +27,7 @@ class TrackerState(NamedTuple):
     position: Float[Array, " 3"]  # m, planned base when the stage began
     error: Float[Array, " 3"]  # m, measured body error when the stage began
     joints: Float[Array, "6 3"]  # rad, last targets
+    origin: Float[Array, "6 3"]  # rad, targets when the stage began
     finished: Bool[Array, ""]
 
 
@@ -33,6 +38,7 @@ class Command(NamedTuple):
     target: Stance
     phase: Float[Array, ""]  # of the stage, 0 to 1
     shortfall: Float[Array, ""]  # m, by how much the worst foot target is out of reach
+    own: tuple[Bool[Array, "6 3"], Servo] | None = None  # which joints do otherwise than go to `joints`, and what
 
 
 def joint_targets(robot: Robot, stance: Stance) -> tuple[Float[Array, "6 3"], Float[Array, " 6"]]:
@@ -50,7 +56,7 @@ def init(robot: Robot, plan: Plan) -> TrackerState:
     zero = jnp.zeros((), plan.duration.dtype)
     joints, _ = joint_targets(robot, plan.start)
     return TrackerState(jnp.int32(0), zero, plan.start.feet, plan.start.position, jnp.zeros(3, zero.dtype), joints,
-                        jnp.asarray(False))  # fmt: skip
+                        joints, jnp.asarray(False))  # fmt: skip
 
 
 def step(
@@ -61,8 +67,30 @@ def step(
     phase = jnp.clip(state.clock / plan.duration[state.stage], 0.0, 1.0)
     target = _target(plan, state, phase)
     joints, shortfall = joint_targets(robot, target)
-    joints = state.joints + jnp.mod(joints - state.joints + jnp.pi, 2 * jnp.pi) - jnp.pi  # no jump by a full turn
-    return state._replace(joints=joints), Command(joints, target, phase, jnp.max(shortfall))
+    joints = _nearest(joints, state.joints)
+    if plan.posture is not None:
+        held = plan.posture.held[state.stage]
+        joints = jnp.where(held[:, None], _posed(plan.posture, state, phase), joints)
+        shortfall = jnp.where(held, 0.0, shortfall)
+        feet = target.position + rotate(target.quat[None], foot_positions(robot, joints))
+        target = target._replace(feet=jnp.where(held[:, None], feet, target.feet))
+    command = Command(joints, target, phase, jnp.max(shortfall))
+    if plan.flywheel is not None:
+        turning, servo = flywheel.order(robot, plan, plan.flywheel, state.stage, seen)
+        joints = jnp.where(turning, seen.angles, joints)  # where position mode takes over from
+        command = command._replace(joints=joints, own=(turning, servo))
+    return state._replace(joints=joints), command
+
+
+def _nearest(joints: Array, to: Array) -> Array:
+    """The same joint angles without a jump by a full turn."""
+    return to + jnp.mod(joints - to + jnp.pi, 2 * jnp.pi) - jnp.pi
+
+
+def _posed(posture: Posture, state: TrackerState, phase: Array) -> Float[Array, "6 3"]:
+    """Joint angles of legs on their straight way in joint space, spent by lambda_1."""
+    goal = _nearest(posture.joints[state.stage], state.origin)
+    return state.origin + stepping.lambda_1(phase, 0.0, 1.0)[0] * (goal - state.origin)
 
 
 def _target(plan: Plan, state: TrackerState, phase: Array) -> Stance:
@@ -90,8 +118,9 @@ def _advance(plan: Plan, state: TrackerState, seen: Observation, period: float) 
         feet=jnp.where(plan.swing[state.stage][:, None], plan.foothold[state.stage], state.feet) + error,
         position=planned,
         error=error,
+        origin=state.joints,
         finished=last,
     )
     hold = last | ~ends
     kept = state._replace(finished=state.finished | (ends & last))
-    return TrackerState(*[jnp.where(hold, a, b) for a, b in zip(kept, shifted, strict=True)])
+    return jax.tree.map(lambda a, b: jnp.where(hold, a, b), kept, shifted)

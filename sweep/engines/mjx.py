@@ -21,6 +21,7 @@ from sweep.metrics import stream
 from sweep.metrics.outcome import Thresholds
 from sweep.metrics.stream import Tick
 from sweep.models import dynamics, scene
+from sweep.models.drive import Servo, towards
 from sweep.models.step import State, StepReport, rest, step
 
 CHUNK = 1.0  # s of simulated time between two looks of the host
@@ -154,25 +155,25 @@ class Mjx:
         self, world: Case, belief: Case, fields: dict[str, Array], plan: Plan, carry: Carry, tick: Array, quiet: bool
     ) -> tuple[Carry, dict[str, Array]]:
         period = self.settings.control_period
-        old = carry.pilot.reference
+        old = carry.pilot.servo
         pilot, command = decide(world, belief, plan, carry.pilot, tick, period, quiet)
-        state, totals, last = self._physics(world, fields, carry.state, old, pilot.reference, tick)
+        state, totals, last = self._physics(world, fields, carry.state, old, pilot.servo, tick)
         summary = self._summary(state, totals, last)
         pilot = measure(world, plan, self.limits, pilot, command, summary, period)
         record = batching.record(command, pilot.tracker, summary, state.q)
         return Carry(state, pilot), record
 
     def _physics(
-        self, world: Case, fields: dict[str, Array], state: State, old: Array, new: Array, tick: Array
+        self, world: Case, fields: dict[str, Array], state: State, old: Servo, new: Servo, tick: Array
     ) -> tuple[State, Totals, StepReport]:
-        """The physics steps of one tick, the drives' reference going linearly from `old` to `new`."""
+        """The physics steps of one tick, what the drives are told going from `old` to `new`."""
         n, h = self.substeps, self.settings.time_step
         model = self._model(fields)
 
         def substep(state: State, k: Array) -> tuple[State, tuple[Totals, StepReport]]:
-            reference = old + (k + 1) / n * (new - old)
+            servo = towards(old, new, (k + 1) / n)
             limits = batching.execution_limits(world, (tick * n + k) * h)
-            state, report = step(self.topology, model, self._data, world, limits, state, reference, h,
+            state, report = step(self.topology, model, self._data, world, limits, state, servo, h,
                                  self.settings.iterations)  # fmt: skip
             power = jnp.sum(report.power) + limits.push @ state.v[:3]
             totals = Totals(
@@ -197,6 +198,8 @@ class Mjx:
             torque_peak=totals.torque_peak, saturated=totals.saturated, force=totals.force, normal=totals.normal,
             tangential=jnp.linalg.norm(along, axis=-1), loaded=last.forces.normal[:N_LEGS] > 1.0,
             residual=totals.residual, work=totals.work, effort=totals.effort, energy=last.kinetic + smooth.potential,
-            position=state.q[:3], quat=state.q[3:7], velocity=state.v[:3], centre_of_mass=smooth.centre_of_mass,
-            joints=jnp.concatenate([links, feet[:, None]], axis=1), bodies=smooth.bodies,
+            position=state.q[:3], quat=state.q[3:7], velocity=state.v[:3], spin=state.v[3:6],
+            angles=state.q[1 + self.topology.leg], rates=state.v[self.topology.leg],
+            centre_of_mass=smooth.centre_of_mass, joints=jnp.concatenate([links, feet[:, None]], axis=1),
+            bodies=smooth.bodies,
         )  # fmt: skip

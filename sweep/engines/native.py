@@ -21,6 +21,7 @@ from sweep.metrics import stream
 from sweep.metrics.outcome import Thresholds
 from sweep.metrics.stream import Tick
 from sweep.models import scene
+from sweep.models.drive import Servo, towards
 from sweep.models.obstacles.surface import Bodies
 from sweep.parameters import InputError
 
@@ -44,7 +45,7 @@ def native_model(case: Case, time_step: float) -> mujoco.MjModel:
     alive = (np.arange(18) != round(float(execution.dead_joint))).astype(float)
     limit = execution.torque_scale * drive.torque_limit
     model.actuator_biastype[:] = mujoco.mjtBias.mjBIAS_AFFINE
-    model.actuator_gainprm[:, 0] = alive * drive.stiffness
+    model.actuator_gainprm[:, 0] = alive  # controls are torques: stiffness times target, and what comes on top
     model.actuator_biasprm[:, 1] = -alive * drive.stiffness
     model.actuator_biasprm[:, 2] = -alive * drive.damping
     model.actuator_forcelimited[:] = 1
@@ -96,8 +97,10 @@ class Native:
             batch.reset()
             batch.qpos[:] = np.asarray(qpos)
             pilots, commands, controls = tick(*arrays[:2], plans, pilots, None, None, 0)
-            records = []
+            records, told = [], _gains(pilots.servo)
             for k in range(most_ticks(plans, self.settings.control_period)):
+                if plans.flywheel is not None:
+                    told = _retune(batch, models, told, _gains(pilots.servo))
                 steps = batch.rollout(self.substeps, np.asarray(controls, float), CONTROL, RECORD)
                 steps["broken"] = np.any(batch.warning[:, :, 0] > 0, axis=1)
                 if k == 0:  # derived fields are those before a step, hence the start's
@@ -130,12 +133,12 @@ class Native:
             if steps is not None and command is not None:
                 summary = self._summary(world, steps, (k - 1) * period)
                 pilot = measure(world, plan, self.limits, pilot, command, summary, period)
-            old = pilot.reference
+            old = pilot.servo
             pilot, command = decide(world, belief, plan, pilot, k, period, quiet)
-            share = (1 + jnp.arange(n))[:, None, None] / n
-            references = (old + share * (pilot.reference - old)).reshape(n, 18)
+            told = towards(old, pilot.servo, (1 + jnp.arange(n))[:, None, None] / n)
+            torques = (told.stiffness * told.target + told.torque).reshape(n, 18)
             forces = self._pushes(world, k * period)
-            return pilot, command, jnp.concatenate([references, forces], axis=1)
+            return pilot, command, jnp.concatenate([torques, forces], axis=1)
 
         def finish(plan: Plan, pilot: Pilot) -> dict[str, Array]:
             return stream.figures(plan, pilot.running, pilot.tracker.stage)
@@ -177,10 +180,26 @@ class Native:
             work=h * (jnp.sum(power) + jnp.sum(push * steps["qvel"][:, :3])),
             effort=h * jnp.sum(jnp.maximum(power, 0.0)),
             energy=jnp.where(steps["broken"], jnp.nan, energy),
-            position=qpos[:3], quat=qpos[3:7], velocity=steps["qvel"][-1, :3],
+            position=qpos[:3], quat=qpos[3:7], velocity=steps["qvel"][-1, :3], spin=steps["qvel"][-1, 3:6],
+            angles=qpos[7:].reshape(6, 3), rates=rate[-1].reshape(6, 3),
             centre_of_mass=steps["subtree_com"][-1, 1], joints=jnp.concatenate([links, feet[:, None]], axis=1),
             bodies=nowhere,
         )  # fmt: skip
+
+
+def _gains(servo: Servo) -> Float[np.ndarray, "b 18 2"]:
+    """Stiffness and damping of every joint."""
+    return np.stack([np.asarray(servo.stiffness), np.asarray(servo.damping)], axis=-1).reshape(-1, 18, 2)
+
+
+def _retune(batch: Batch, models: list[mujoco.MjModel], old: np.ndarray, new: np.ndarray) -> np.ndarray:
+    """Give the servos of rollouts where a joint's mode has changed their new gains; which are returned."""
+    changed = np.flatnonzero(np.any(old != new, axis=(1, 2)))
+    for i in changed:
+        models[i].actuator_biasprm[:, 1:3] = -models[i].actuator_gainprm[:, :1] * new[i]
+    if len(changed):
+        batch.set_models(models)
+    return new
 
 
 def _with_energy(pilots: Pilot, start: np.ndarray) -> Pilot:

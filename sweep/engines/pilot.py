@@ -11,14 +11,14 @@ from sweep.case import Case
 from sweep.controllers import tracker
 from sweep.controllers.observation import Noise, Observation, Sensors, install, observe
 from sweep.controllers.plan import Plan
+from sweep.controllers.posture import foot_positions
 from sweep.controllers.tracker import Command, TrackerState, joint_targets
-from sweep.formulas.leg import SIDE, fk
-from sweep.maths import exponential, rotate
+from sweep.maths import rotate
 from sweep.metrics import stream
 from sweep.metrics.outcome import Thresholds
 from sweep.metrics.stream import Running, Tick
+from sweep.models.drive import Servo, position_mode
 from sweep.models.obstacles.surface import Bodies
-from sweep.models.scene import mount_yaw, mounts
 
 GRACE = 1.2  # a rollout is over at this multiple of its planned duration, finished or not
 
@@ -30,7 +30,7 @@ class Pilot(NamedTuple):
     sensors: Sensors
     running: Running
     seen: Observation  # the truth at the end of the last tick
-    reference: Float[Array, "6 3"]  # rad, what the drives were told last
+    servo: Servo  # what the drives were told last
     key: Array
 
 
@@ -51,10 +51,7 @@ def start_pose(world: Case, belief: Case, plan: Plan) -> tuple[Float[Array, " 7"
     its lowest foot touches.
     """
     joints, _ = joint_targets(belief.robot, plan.start)
-    robot = world.robot
-    yaw = jnp.zeros((6, 3)).at[:, 2].set(jnp.asarray(mount_yaw(robot), float))
-    feet = mounts(robot) + rotate(exponential(yaw), fk(SIDE, joints, robot.coxa, robot.thigh, robot.shin))
-    feet = plan.start.position + rotate(plan.start.quat[None], feet)
+    feet = plan.start.position + rotate(plan.start.quat[None], foot_positions(world.robot, joints))
     nowhere = Bodies(jnp.zeros((0, 3)), jnp.zeros((0, 3, 3)))
     ground = world.obstacle.surface(feet, (-1,) * 6, nowhere)
     lowest = jnp.argmax(ground.depth)
@@ -64,11 +61,12 @@ def start_pose(world: Case, belief: Case, plan: Plan) -> tuple[Float[Array, " 7"
 
 def embark(world: Case, belief: Case, plan: Plan, pose: Array, joints: Array, energy: Array, key: Array) -> Pilot:
     """Before the first tick, standing still at `pose`."""
-    truth = Observation(pose[:3], pose[3:7], jnp.zeros(3, pose.dtype), jnp.zeros((6, 3), pose.dtype), jnp.ones(6, bool))
+    still, nothing = jnp.zeros(3, pose.dtype), jnp.zeros((6, 3), pose.dtype)
+    truth = Observation(pose[:3], pose[3:7], still, still, joints, nothing, nothing, jnp.ones(6, bool))
     bias_key, key = jax.random.split(key)
     sensors = install(world.noise, bias_key, truth)
     running = stream.begin(plan, pose[:3], energy)
-    return Pilot(tracker.init(belief.robot, plan), sensors, running, truth, joints, key)
+    return Pilot(tracker.init(belief.robot, plan), sensors, running, truth, position_mode(world.drive, joints), key)
 
 
 def decide(
@@ -79,7 +77,12 @@ def decide(
     if not quiet:
         sensors, seen = observe(world.noise, sensors, seen, jax.random.fold_in(pilot.key, tick))
     state, command = tracker.step(belief.robot, plan, pilot.tracker, seen, period)
-    return pilot._replace(tracker=state, sensors=sensors, reference=command.joints - seen.joint_error), command
+    servo = position_mode(world.drive, command.joints - seen.joint_error)
+    if command.own is not None:
+        owned, own = command.own
+        own = own._replace(target=own.target - seen.joint_error)
+        servo = Servo(*[jnp.where(owned, a, b) for a, b in zip(own, servo, strict=True)])
+    return pilot._replace(tracker=state, sensors=sensors, servo=servo), command
 
 
 def measure(
@@ -89,5 +92,6 @@ def measure(
     running = stream.update(world, plan, limits, pilot.tracker, command, pilot.running, tick, period)
     late = running.time >= GRACE * jnp.sum(plan.duration)
     running = running._replace(over=running.over | pilot.tracker.finished | late)
-    truth = Observation(tick.position, tick.quat, tick.velocity, jnp.zeros_like(command.joints), tick.loaded)
+    truth = Observation(tick.position, tick.quat, tick.velocity, tick.spin, tick.angles, tick.rates,
+                        jnp.zeros_like(command.joints), tick.loaded)  # fmt: skip
     return pilot._replace(running=running, seen=truth)

@@ -36,6 +36,9 @@ class Tick(NamedTuple):
     position: Float[Array, " 3"]  # m, of the base
     quat: Float[Array, " 4"]
     velocity: Float[Array, " 3"]  # m/s, of the base
+    spin: Float[Array, " 3"]  # rad/s, of the base, base axes
+    angles: Float[Array, "6 3"]  # rad, of the joints
+    rates: Float[Array, "6 3"]  # rad/s
     centre_of_mass: Float[Array, " 3"]  # m, of the robot
     joints: Float[Array, "6 k 3"]  # m, along each leg: hip, ..., knee, foot
     bodies: Bodies

@@ -1,5 +1,10 @@
 """Joint drives (monograph 1.2.1): a PD voltage inside a clamp, back-EMF outside."""
 
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
 from sweep.parameters import parameters, quantity
 
 
@@ -15,3 +20,27 @@ class Drive:
     back_emf: float = quantity(10.0, "N*m*s/rad", at_least=0)  # c_e
     torque_limit: float = quantity(150.0, "N*m", above=0)  # U_max
     armature: float = quantity(0.1, "kg*m^2", at_least=0)  # rotor inertia seen at the joint
+
+
+class Servo(NamedTuple):
+    """What the drives are told: U = clip(stiffness (target - q) - damping q' + torque, +-torque_limit).
+
+    In position mode stiffness and damping are those of (1.2.1). A joint in torque mode has no stiffness, and a damping
+    of -back_emf, so that its torque is `torque` itself.
+    """
+
+    target: Float[Array, "6 3"]  # rad
+    stiffness: Float[Array, "6 3"]  # N m/rad
+    damping: Float[Array, "6 3"]  # N m s/rad
+    torque: Float[Array, "6 3"]  # N m
+
+
+def position_mode(drive: Drive, target: Float[Array, "6 3"]) -> Servo:
+    """Every joint goes to its target."""
+    stiffness, damping = (jnp.full_like(target, gain) for gain in (drive.stiffness, drive.damping))
+    return Servo(target, stiffness, damping, jnp.zeros_like(target))
+
+
+def towards(old: Servo, new: Servo, share: Array | float) -> Servo:
+    """The order at `share` of a control tick: the target goes over evenly, a held one ratchets the feet."""
+    return new._replace(target=old.target + share * (new.target - old.target))

@@ -16,7 +16,7 @@ from sweep.case import Case
 from sweep.models import arrowhead
 from sweep.models.arrowhead import Arrowhead, Split
 from sweep.models.contact import Anchors, Contact, Forces, Geometry, approach, contact_forces, settle
-from sweep.models.drive import Drive
+from sweep.models.drive import Drive, Servo
 from sweep.models.dynamics import N_LEGS, Smooth, Topology, smooth_dynamics
 
 STEP_LENGTHS = (1.0, 0.5, 0.2)
@@ -65,11 +65,11 @@ def step(
     case: Case,
     limits: Limits,
     state: State,
-    reference: Float[Array, "6 3"],
+    servo: Servo,
     h: float,
     iterations: int,
 ) -> tuple[State, StepReport]:
-    """Advance `state` by h seconds while the drives pull towards `reference` (rad)."""
+    """Advance `state` by h seconds while the drives do as `servo` tells them."""
     smooth = smooth_dynamics(top, model, data, state.q, state.v)
     surface = case.obstacle.surface(smooth.point, top.owner, smooth.bodies)
     geometry, place = approach(case.contact, surface, state.anchors, smooth.point, smooth.bodies)
@@ -77,8 +77,8 @@ def step(
     v = Split(state.v[top.root], state.v[top.leg])
     mass = Arrowhead(smooth.m_root, smooth.m_cross, jnp.swapaxes(smooth.m_cross, 1, 2), smooth.m_leg)
     mass_v = arrowhead.times(mass, v)
-    problem = _Problem(case.contact, case.drive, limits, geometry, smooth, j_root, _damped(mass, case.drive, h),
-                       _momentum(smooth, mass_v, limits, h), reference - state.q[1 + top.leg], h)  # fmt: skip
+    problem = _Problem(case.contact, servo, limits, geometry, smooth, j_root, _damped(mass, case.drive, h),
+                       _momentum(smooth, mass_v, limits, h), servo.target - state.q[1 + top.leg], h)  # fmt: skip
     w = v
     for _ in range(iterations):
         w = _improve(problem, w)
@@ -107,7 +107,7 @@ class _Problem(NamedTuple):
     """The step's equation; everything but the end velocity is fixed."""
 
     contact: Contact
-    drives: Drive
+    servo: Servo
     limits: Limits
     geometry: Geometry
     smooth: Smooth
@@ -125,12 +125,12 @@ class _Problem(NamedTuple):
     def drive(self, w: Split) -> tuple[Array, Array]:
         """Clamped drive effort (N m) and 1 where it is not at its limit."""
         gain = self.limits.gain
-        wanted = gain * (self.drives.stiffness * self.error - self._damping() * w.leg)
+        wanted = gain * (self.servo.stiffness * self.error + self.servo.torque - self._damping() * w.leg)
         effort = jnp.clip(wanted, -self.limits.torque, self.limits.torque)
         return effort, (jnp.abs(wanted) < self.limits.torque).astype(w.leg.dtype)
 
     def _damping(self) -> Array | float:
-        return self.h * self.drives.stiffness + self.drives.damping
+        return self.h * self.servo.stiffness + self.servo.damping
 
     def residual(self, w: Split) -> Split:
         """Momentum that the step leaves unexplained (N s)."""

@@ -14,8 +14,10 @@ KEY = jax.random.key(3)
 
 
 def truth(x: float) -> Observation:
-    level = jnp.array([1.0, 0, 0, 0])
-    return Observation(jnp.full(3, float(x)), level, jnp.full(3, -float(x)), jnp.zeros((6, 3)), jnp.arange(6) < x)
+    level, still, joints = jnp.array([1.0, 0, 0, 0]), jnp.zeros(3), jnp.zeros((6, 3))
+    return Observation(
+        jnp.full(3, float(x)), level, jnp.full(3, -float(x)), still, joints, joints, joints, jnp.arange(6) < x
+    )
 
 
 def watch(noise: Noise, key=KEY, ticks: int = 8) -> list[Observation]:

@@ -28,7 +28,8 @@ def follow(plan):
     def run(offset, loaded):
         def tick(carry, _):
             state, at = carry
-            seen = Observation(at + offset, jnp.array([1.0, 0, 0, 0]), jnp.zeros(3), jnp.zeros((6, 3)), loaded)
+            still, joints = jnp.zeros(3), jnp.zeros((6, 3))
+            seen = Observation(at + offset, jnp.array([1.0, 0, 0, 0]), still, still, joints, joints, joints, loaded)
             state, command = tracker.step(CASE.robot, plan, state, seen, PERIOD)
             return (state, command.target.position), (state, command)
 

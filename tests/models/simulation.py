@@ -10,6 +10,7 @@ from mujoco import mjx
 from sweep.case import Case
 from sweep.engines import batching, devices
 from sweep.models import dynamics
+from sweep.models.drive import position_mode
 from sweep.models.step import rest, step
 
 
@@ -33,7 +34,7 @@ def simulate(case: Case, nominal: Case, q: np.ndarray, references: np.ndarray, h
     def one(case: Case, state, reference):
         model = top.model.replace(**dynamics.varying(top, case))
         limits = batching.execution_limits(case, jnp.zeros(()))
-        state, report = step(top, model, data, case, limits, state, reference, h, 2)
+        state, report = step(top, model, data, case, limits, state, position_mode(case.drive, reference), h, 2)
         forces = report.forces
         return state, (state.q, state.v, forces.force, forces.normal, report.smooth.point, report.residual)
 

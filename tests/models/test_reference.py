@@ -18,6 +18,7 @@ from sweep.config import compose
 from sweep.engines import batching, devices
 from sweep.engines.native import native_model
 from sweep.models import dynamics
+from sweep.models.drive import position_mode
 from sweep.models.obstacles import PoleLedge
 from sweep.models.step import rest, step
 
@@ -52,7 +53,8 @@ def largest_error(recorded, case, width: int, seconds: float) -> np.ndarray:
         return rest(top, jnp.asarray(recorded["q0"], jnp.float32).at[2].add(offset))
 
     def substep(state, reference):
-        one = jax.vmap(lambda s: step(top, top.model, data, case, limits, s, reference, TICK / 2, 2)[0])
+        servo = position_mode(case.drive, reference)
+        one = jax.vmap(lambda s: step(top, top.model, data, case, limits, s, servo, TICK / 2, 2)[0])
         return one(state), None
 
     def sample(states, block):
@@ -92,7 +94,7 @@ def test_native_passes(recorded, case):
     for k in range(ticks):
         old, new = recorded["targets"][k : k + 2]
         for j in range(substeps):
-            data.ctrl = old + (j + 1) / substeps * (new - old)
+            data.ctrl = case.drive.stiffness * (old + (j + 1) / substeps * (new - old))
             mujoco.mj_step(model, data)
         if (k + 1) % SAMPLE == 0:
             error = np.linalg.norm(data.qpos[:3] - recorded["base"][(k + 1) // SAMPLE, :3])

@@ -1,0 +1,60 @@
+"""A narrow beam between two ledges of one height (monograph 2.6)."""
+
+import jax.numpy as jnp
+import mujoco
+from jaxtyping import Array, Float
+
+from sweep.models.obstacles.geoms import SOIL, add_plane, add_solid
+from sweep.models.obstacles.surface import Bodies, Surface
+from sweep.parameters import choice, parameters, quantity
+
+FLOOR, LEDGE, NEAR_WALL, FAR_WALL, TOP, LEFT, RIGHT, BOTTOM = range(8)
+LEDGE_HALF = 2.0  # m, of a ledge's drawing and collision geometry; its surface has no end
+
+
+@parameters
+class Beam:
+    """The beam lies along the world's y axis, its top level with the ledges, which fill y > 0 and y < -length."""
+
+    kind: str = choice("beam", "beam")
+    width: float = quantity(0.25, "m", above=0, at_most=4)
+    length: float = quantity(2.5, "m", above=0)  # of the gap between the ledges
+    height: float = quantity(1.0, "m", above=0)  # h_1, of the ledges and the beam's top above the floor
+    thickness: float = quantity(0.1, "m", above=0)
+
+    free_bodies = ()
+    contact_sites = ()
+
+    def add_to(self, spec: mujoco.MjSpec, friction: float) -> None:
+        """Floor, two blocks for the ledges and the beam, which ends inside them."""
+        world, box, half = spec.worldbody, mujoco.mjtGeom.mjGEOM_BOX, self.height / 2
+        add_plane(world, "floor", [0, 0, 1], friction)
+        for name, y in (("near_ledge", LEDGE_HALF), ("far_ledge", -self.length - LEDGE_HALF)):
+            add_solid(world, name, box, [LEDGE_HALF, LEDGE_HALF, half], [0, y, half], friction, rgba=SOIL)
+        add_solid(world, "beam", box, [self.width / 2, self.length / 2 + 0.5, self.thickness / 2],
+                  [0, -self.length / 2, self.height - self.thickness / 2], friction)  # fmt: skip
+
+    def leaves(self) -> dict[str, dict[str, Array]]:
+        """Nothing moves."""
+        return {}
+
+    def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: Bodies) -> Surface:
+        """A solid's depth is the least over its faces; of four solids the deepest counts.
+
+        The beam goes on inside the ledges, so that a foot crosses their edges on its top as if there were none.
+        """
+        x, y, z = points.T
+        top = self.height - z
+        near, far = y, -self.length - y
+        left, right, bottom = self.width / 2 - x, self.width / 2 + x, z - (self.height - self.thickness)
+        beam = jnp.stack([top, left, right, bottom])
+        solids = jnp.stack([-z, jnp.minimum(top, near), jnp.minimum(top, far), beam.min(axis=0)])
+        solid = jnp.argmax(solids, axis=0)
+        face = jnp.select(
+            [solid == 0, solid == 1, solid == 2],
+            [FLOOR, jnp.where(near < top, NEAR_WALL, LEDGE), jnp.where(far < top, FAR_WALL, LEDGE)],
+            TOP + jnp.argmin(beam, axis=0),
+        )
+        normals = jnp.array([[0, 0, 1], [0, 0, 1], [0, -1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 0], [-1, 0, 0], [0, 0, -1]])
+        fixed = jnp.full_like(face, -1)
+        return Surface(solids.max(axis=0), normals.astype(points.dtype)[face], face, fixed, jnp.ones_like(x))

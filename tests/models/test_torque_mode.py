@@ -1,0 +1,77 @@
+"""Joints in torque mode beside joints in position mode: they give the torque that is asked for, up to the limit."""
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+from mujoco import mjx
+
+from sweep.config import compose
+from sweep.engines import batching, devices
+from sweep.engines.native import native_model
+from sweep.models import dynamics
+from sweep.models.drive import Servo, position_mode
+from sweep.models.step import rest, step
+
+H = 1e-3
+CASE = compose([]).case
+BETA_3 = (2, 1)
+ANGLES = np.tile([0.1, 2.0, 0.9], (6, 1))
+
+
+TORQUES = (-40.0, 0.0, 60.0, 400.0)  # N m, the last beyond the limit
+
+
+@pytest.fixture(scope="module")
+def one_step():
+    """One step of a robot in the air, joint beta_3 given a torque only: its torque, and all joints' rates."""
+    devices.configure()
+    top = dynamics.topology(CASE)
+    data = mjx.make_data(top.model)
+    q = jnp.asarray(top.model.qpos0).at[2].set(9.0).at[1 + top.leg].set(ANGLES)
+    limits = batching.execution_limits(CASE, jnp.zeros(()))
+
+    def run(torque):
+        state, report = step(top, top.model, data, CASE, limits, rest(top, q), _order(torque), H, 3)
+        return report.torque[BETA_3], state.v[top.leg]
+
+    torques, rates = jax.jit(jax.vmap(run))(jnp.array(TORQUES))
+    return dict(zip(TORQUES, zip(np.asarray(torques), np.asarray(rates), strict=True), strict=True))
+
+
+def _order(torque) -> Servo:
+    servo = position_mode(CASE.drive, jnp.asarray(ANGLES))
+    return Servo(
+        servo.target,
+        servo.stiffness.at[BETA_3].set(0.0),
+        servo.damping.at[BETA_3].set(-CASE.drive.back_emf),
+        servo.torque.at[BETA_3].set(torque),
+    )
+
+
+@pytest.mark.parametrize("torque", TORQUES[:3])
+def test_the_torque_is_the_one_asked_for(one_step, torque):
+    """The back-EMF at 10 N m s/rad is made up for."""
+    got, rates = one_step[torque]
+    assert got == pytest.approx(torque, abs=1e-3)
+    assert abs(rates[BETA_3]) > 0.1 * (torque != 0)
+
+
+def test_the_limit_holds(one_step):
+    """Beyond the limit the voltage is cut and the back-EMF takes its part."""
+    got, rates = one_step[400.0]
+    assert got == pytest.approx(CASE.drive.torque_limit - CASE.drive.back_emf * rates[BETA_3], abs=1e-2)
+
+
+def test_native_gives_the_same_rates(one_step):
+    """C MuJoCo's servos with the gains of the joint changed."""
+    model = native_model(CASE, H)
+    order = _order(60.0)
+    gains = np.stack([np.asarray(order.stiffness), np.asarray(order.damping)], axis=-1).reshape(18, 2)
+    model.actuator_biasprm[:, 1:3] = -gains
+    data = mujoco.MjData(model)
+    data.qpos[2], data.qpos[7:] = 9.0, ANGLES.ravel()
+    data.ctrl = np.asarray(order.stiffness * order.target + order.torque).ravel()
+    mujoco.mj_step(model, data)
+    np.testing.assert_allclose(one_step[60.0][1].ravel(), data.qvel[6:], atol=0.02)  # rad/s, of 0.15 to 2
