@@ -15,11 +15,12 @@ from omegaconf.errors import OmegaConfBaseException
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from sweep import batches, config, runner, store
+from sweep import config, designs, runner, store
 from sweep.config import Experiment
 from sweep.parameters import InputError
 from sweep.report import tables
 from sweep.stats import broken, rate
+from sweep.study import nominal, parameter_columns, unit
 
 DONE, BAD_INPUT, INVALID, UNEXPECTED = 0, 2, 3, 4
 
@@ -64,6 +65,8 @@ def execute(exp: Experiment, flags: Flags) -> int:
         return execute_single(exp, flags)
     folder = exp.folder
     wanted = runner.wanted_points(exp, flags.where, flags.limit)
+    if line := designs.caution(exp.study.design):
+        print(f"sweep: {line}", file=sys.stderr)
     if flags.dry_run:
         print(forecast(runner.lay_out(exp, folder, wanted)))
         return DONE
@@ -110,7 +113,7 @@ def verdict(exp: Experiment, rows: pd.DataFrame, complete: bool) -> int:
 def summary(name: str, rows: pd.DataFrame) -> str:
     """The rate of success, overall and for each named alternative such as an engine."""
     lines = [f"{name}: {rate(rows['outcome'])}"]
-    for column in batches.axis_columns(rows):
+    for column in parameter_columns(rows):
         if rows[column].dtype.kind != "f" and rows[column].nunique() > 1:
             lines += [f"  {column} = {value}: {rate(part['outcome'])}" for value, part in rows.groupby(column)]
     return "\n".join(lines)
@@ -124,8 +127,20 @@ def forecast(job: runner.Job) -> str:
     text = f"{job.exp.study.name}: {len(missing)} of {len(job.table)} rollouts to run ({', '.join(parts) or 'none'})"
     if store.finished(job.folder) and len(missing):
         seconds = store.read_rows(job.folder)["wall_s"].median() * len(missing)
-        return f"{text}, about {seconds:.0f} s and the time to compile"
-    return text
+        text += f", about {seconds:.0f} s and the time to compile"
+    return f"{text}\n{axes_table(job.exp)}" if job.exp.study.axes and not job.exp.study.points else text
+
+
+def axes_table(exp: Experiment) -> str:
+    """What is varied: parameter, side, values, unit and nominal value."""
+    lines = [
+        [axis.name, axis.path, axis.on if axis.path else "", str(axis),
+         unit(axis.path, exp.case, exp.settings) if axis.path else "",
+         nominal(axis.path, exp.case, exp.settings) if axis.path else ""]
+        for axis in exp.study.axes
+    ]  # fmt: skip
+    table = pd.DataFrame(lines, columns=["axis", "parameter", "on", "values", "unit", "nominal"])
+    return table.to_markdown(index=False, disable_numparse=True)
 
 
 @contextmanager

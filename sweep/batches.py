@@ -13,7 +13,7 @@ from sweep.case import Case
 from sweep.config import Experiment
 from sweep.engines.base import Engine
 from sweep.engines.settings import EngineSettings
-from sweep.study import assign, identity, is_static, side_and_path, with_settings, world_and_belief
+from sweep.study import assign, identity, is_static, parameter_columns, side_and_path, with_settings, world_and_belief
 
 
 @dataclass(frozen=True)
@@ -42,14 +42,9 @@ def with_room_for_delay(exp: Experiment, table: pd.DataFrame) -> Experiment:
     return replace(exp, case=assign(exp.case, "noise.delay_buffer", room))
 
 
-def axis_columns(table: pd.DataFrame) -> list[str]:
-    """The columns of `table` that vary a parameter."""
-    return [c for c in table.columns if "." in c]
-
-
 def static_values(exp: Experiment, table: pd.DataFrame) -> dict[str, Any]:
     """The values that all rows of one group share and that fix its compiled engine."""
-    static = [c for c in axis_columns(table) if is_static(c, exp.case, exp.settings)]
+    static = [c for c in parameter_columns(table) if is_static(c, exp.case, exp.settings)]
     return {c: getattr(v := table[c].iloc[0], "item", lambda v=v: v)() for c in static}
 
 
@@ -65,7 +60,7 @@ def batch(exp: Experiment, rows: pd.DataFrame) -> Batch:
     width = int(rows["width"].iloc[0])
     slots = np.minimum(np.arange(width), len(rows) - 1)
     statics = static_values(exp, rows)
-    swept = {c: rows[c].to_numpy(dtype=float)[slots] for c in axis_columns(rows) if c not in statics}
+    swept = {c: rows[c].to_numpy(dtype=float)[slots] for c in parameter_columns(rows) if c not in statics}
     world, belief = world_and_belief(exp.case, {**statics, **swept})
     streams = rows["stream"].to_numpy()[slots]
     return Batch(replace(with_settings(exp.settings, statics), width=width), world, belief, streams)

@@ -45,11 +45,21 @@ class ScenarioSchema:
 
 
 @dataclass
+class DesignSchema:
+    """How the axes with a distribution are sampled; see `sweep.designs.Design`."""
+
+    kind: str = "monte_carlo"
+    num: int = 0
+    scrambles: int = 1
+
+
+@dataclass
 class StudySchema:
     """Which variations of the scenario are run; see `sweep.study.Study`."""
 
     name: str = ""
     axes: dict[str, Any] = field(default_factory=dict)
+    design: DesignSchema = field(default_factory=DesignSchema)
     points: str | None = None
     where: str | None = None
     replicates: int = 1

@@ -18,9 +18,9 @@ from sweep.parameters import InputError
 from sweep.query import mask
 from sweep.study import points
 
-# what may change between runs into one folder: which points, and how they are judged
-FREE = ("study.axes.", "study.points", "study.where", "study.replicates", "study.invalid_max", "study.expect",
-        "scenario.expect", "outcome", "out")  # fmt: skip
+# what may change between runs into one folder: which points, and how they are judged; but draws go by one distribution
+FREE = ("study.axes.", "study.design.num", "study.points", "study.where", "study.replicates", "study.invalid_max",
+        "study.expect", "scenario.expect", "outcome", "out")  # fmt: skip
 Progress = Callable[[pd.DataFrame], None]  # told the rows of every finished batch
 
 
@@ -68,7 +68,9 @@ def refuse_other(stored: Mapping[str, Any], exp: Experiment, folder: Path) -> No
     """Raise `InputError` where a folder holds rows that would not belong with those of `exp`."""
     there, here = flat(stored["config"]), flat(exp.values)
     for key in sorted({*there, *here}):
-        if there.get(key) != here.get(key) and not key.startswith(FREE):
+        drawn = ".distribution" in key or key.endswith(".relative")
+        drawn |= key == "study.design.num" and exp.study.design.kind == "latin_hypercube"
+        if there.get(key) != here.get(key) and (drawn or not key.startswith(FREE)):
             raise InputError(
                 f"{folder} holds another study: {key} is {there.get(key)} there and {here.get(key)} here; give out=DIR"
             )

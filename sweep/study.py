@@ -1,12 +1,11 @@
 """Which rollouts a study consists of: axes over paths of the nominal case, a table of points, and their parameters.
 
 A column of the points table is an axis path such as `contact.friction`, prefixed `world.` or `belief.` where only
-one of the two is varied.
+one of the two is varied, or `axis.NAME` for a number that values are made from (see `sweep.designs`).
 """
 
 import dataclasses
-import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,28 +13,16 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from sweep import designs
 from sweep.case import Case
+from sweep.designs import SIDES, Axis, Design, known
 from sweep.engines.settings import EngineSettings
-from sweep.parameters import InputError, checked, suggest
+from sweep.identity import point_ids, streams
+from sweep.parameters import InputError, checked, suggest, within
 from sweep.query import mask
 
-SIDES = ("world", "belief")
 DTYPES = {"quantity": "float64", "count": "int64", "choice": "str"}
 Values = Mapping[str, Any]
-
-
-@dataclass(frozen=True)
-class Axis:
-    """Values given to one path, in the world, in the belief or in both."""
-
-    path: str
-    on: str
-    values: tuple[Any, ...]
-
-    @property
-    def column(self) -> str:
-        """Its column in the points table."""
-        return self.path if self.on == "both" else f"{self.on}.{self.path}"
 
 
 @dataclass(frozen=True)
@@ -50,12 +37,13 @@ class Expectation:
 
 @dataclass(frozen=True)
 class Study:
-    """A grid over axes, or the points of a CSV file, each repeated with different noise."""
+    """Points of a grid and of distributions, or of a CSV file, each repeated with different noise."""
 
     name: str
     single: bool  # one nominal rollout, shown rather than stored
     axes: tuple[Axis, ...]
-    points: str | None  # CSV file that takes the place of the grid
+    design: Design  # of the axes that have a distribution
+    points: str | None  # CSV file that takes the place of the axes
     where: str | None  # points to keep
     replicates: int
     seed: int
@@ -71,51 +59,15 @@ class Study:
             raise InputError(f"study.seed = {values['seed']} is not allowed: at least 0")
         if "/" in values["name"]:
             raise InputError(f"study.name = {values['name']!r} is not allowed: a folder name")
-        axes = tuple(_axis(f"study.axes.{name}", axis) for name, axis in values["axes"].items())
+        axes = designs.parse_axes(values["axes"])
+        design = designs.parse_design(values["design"], axes)
         source = "scenario" if single else "study"
         expect = tuple(_expectation(f"{source}.expect.{i}", one) for i, one in enumerate(values["expect"]))
-        return cls(**{**values, "axes": axes, "expect": expect, "single": single})
-
-
-def _known(path: str, given: Any, allowed: tuple[str, ...]) -> dict[str, Any]:
-    if not isinstance(given, Mapping):
-        raise InputError(f"{path} = {given!r} is not allowed: keys and values (allowed: {', '.join(allowed)})")
-    for key in given:
-        if key not in allowed:
-            raise InputError(f"{path}.{key} is unknown{suggest(str(key), allowed)}")
-    return {str(k): v for k, v in given.items()}
-
-
-def _axis(key: str, given: Any) -> Axis:
-    given = _known(key, given, ("path", "on", "values", "from", "to", "num"))
-    on = given.get("on", "both")
-    if on not in ("both", *SIDES):
-        raise InputError(f"{key}.on = {on!r} is not allowed: one of both, world, belief")
-    if not isinstance(given.get("path"), str):
-        raise InputError(f"{key}.path is missing: a parameter such as contact.friction")
-    values = given.get("values")
-    if values is not None:  # which win over a range, so that a command line can replace a study's range
-        if not isinstance(values, list) or not values:
-            raise InputError(f"{key}.values = {values!r} is not allowed: a list with at least one value")
-        return Axis(given["path"], on, tuple(values))
-    ends = [given.get("from"), given.get("to"), given.get("num")]
-    if ends == [None] * 3:
-        raise InputError(f"{key} needs values, or from, to and num")
-    for name, end in zip(("from", "to", "num"), ends, strict=True):
-        if (
-            isinstance(end, bool)
-            or not isinstance(end, int | float)
-            or (name == "num" and (end != int(end) or end < 1))
-        ):
-            raise InputError(
-                f"{key}.{name} = {end!r} is not allowed: a {'whole number from 1' if name == 'num' else 'number'}"
-            )
-    # shortest decimals, so that the values read, compare and hash as written
-    return Axis(given["path"], on, tuple(float(f"{v:.12g}") for v in np.linspace(ends[0], ends[1], int(ends[2]))))
+        return cls(**{**values, "axes": axes, "design": design, "expect": expect, "single": single})
 
 
 def _expectation(key: str, given: Any) -> Expectation:
-    given = _known(key, given, ("where", "that", "at_least", "at_most"))
+    given = known(key, given, ("where", "that", "at_least", "at_most"))
     for limit in ("at_least", "at_most"):
         value = given.get(limit, 0)
         if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= 1:
@@ -131,6 +83,25 @@ def side_and_path(column: str) -> tuple[str, str]:
 
 def parameter(column: str, case: Case, settings: EngineSettings) -> "dataclasses.Field[Any]":
     """The field that a column varies. Raises `InputError` where it names nothing."""
+    owner, name = _owner(column, case, settings)
+    found = next(f for f in dataclasses.fields(owner) if f.name == name)
+    if found.metadata.get("role") not in DTYPES:
+        raise InputError(f"axis {column} cannot be varied: only single numbers and names can")
+    return found
+
+
+def nominal(column: str, case: Case, settings: EngineSettings) -> Any:
+    """The value of a parameter where it is not varied. Raises `InputError` where `column` names nothing."""
+    return getattr(*_owner(column, case, settings))
+
+
+def unit(column: str, case: Case, settings: EngineSettings) -> str:
+    """Unit of an axis; empty for pure numbers and names."""
+    found = "" if column.startswith("axis.") else parameter(column, case, settings).metadata.get("unit", "")
+    return "" if found == "-" else found
+
+
+def _owner(column: str, case: Case, settings: EngineSettings) -> tuple[Any, str]:
     side, path = side_and_path(column)
     owner: Any = case
     groups = [f.name for f in dataclasses.fields(case)] + (["engine"] if side == "both" else [])
@@ -144,10 +115,7 @@ def parameter(column: str, case: Case, settings: EngineSettings) -> "dataclasses
             owner = settings if name == "engine" and step == 0 else getattr(owner, name)
             if not dataclasses.is_dataclass(owner):
                 raise InputError(f"axis {column} names nothing: {name} has no parts")
-    found = next(f for f in dataclasses.fields(owner) if f.name == last)
-    if found.metadata.get("role") not in DTYPES:
-        raise InputError(f"axis {column} cannot be varied: only single numbers and names can")
-    return found
+    return owner, last
 
 
 def is_static(column: str, case: Case, settings: EngineSettings) -> bool:
@@ -155,37 +123,48 @@ def is_static(column: str, case: Case, settings: EngineSettings) -> bool:
     return column.startswith("engine.") or parameter(column, case, settings).metadata["role"] != "quantity"
 
 
+def parameter_columns(table: pd.DataFrame) -> list[str]:
+    """The columns of `table` that vary a parameter."""
+    return [c for c in table.columns if "." in c and not c.startswith("axis.")]
+
+
 def points(study: Study, case: Case, settings: EngineSettings) -> pd.DataFrame:
-    """One row per rollout: axis values, replicate, noise stream and point id. Raises `InputError`."""
-    design = _from_csv(study.points) if study.points else _grid(study.axes)
-    fields = {column: parameter(column, case, settings) for column in design.columns}
+    """One row per rollout: axis values, replicate, noise stream and point id. Raises `InputError`.
+
+    The replicates of a drawn point have numbers of their own, and with them noise of their own.
+    """
+    if study.points:
+        design = _from_csv(study.points)
+    else:
+        design = designs.table(study.axes, study.design, study.seed, lambda path: nominal(path, case, settings))
+    draw = design.pop("draw") if not study.points else 0
+    fields = {c: parameter(c, case, settings) for c in design.columns if not c.startswith("axis.")}
     for column, member in fields.items():
-        for value in design[column].unique().tolist():
-            checked(member, value, column)
+        _check(member, design[column], column)
     design = design.astype({column: DTYPES[member.metadata["role"]] for column, member in fields.items()})
     # static axes outermost: every compiled engine runs its rows in one go
     static = [column for column in fields if is_static(column, case, settings)]
     order = design.groupby(static, sort=False).ngroup().argsort(kind="stable") if static else slice(None)
-    design = design.iloc[order].loc[lambda d: mask(d, study.where)]
+    design = design.assign(draw=draw).iloc[order].loc[lambda d: mask(d, study.where)]
     table = design.loc[design.index.repeat(study.replicates)].reset_index(drop=True)
-    table["replicate"] = np.tile(np.arange(study.replicates), len(design))
-    streams = [np.random.SeedSequence([study.seed, r]).generate_state(1)[0] for r in range(study.replicates)]
-    table["stream"] = np.asarray(streams, dtype=np.int64)[table["replicate"]]
-    table["point_id"] = list(point_ids(table, case))
+    again = np.tile(np.arange(study.replicates), len(design))
+    table["replicate"] = table.pop("draw").to_numpy() * study.replicates + again
+    table["stream"] = streams(study.seed, int(table["replicate"].to_numpy().max(initial=0)) + 1)[table["replicate"]]
+    table["point_id"] = point_ids(table, case)
     return table.drop_duplicates(identity(table.columns), ignore_index=True)
+
+
+def _check(member: "dataclasses.Field[Any]", values: pd.Series, column: str) -> None:
+    """Every value inside the bounds of its parameter; a million numbers at once."""
+    if values.dtype.kind == "f" and member.metadata["role"] == "quantity":
+        values = values[~(np.isfinite(values) & within(member, values))].head(1)
+    for value in values.unique().tolist():
+        checked(member, value, column)
 
 
 def identity(columns: Any) -> list[str]:
     """The columns that tell one rollout of a study from another: the point, and how it is simulated."""
     return ["point_id", *(c for c in columns if c.startswith("engine."))]
-
-
-def _grid(axes: tuple[Axis, ...]) -> pd.DataFrame:
-    if len({axis.column for axis in axes}) < len(axes):
-        raise InputError(f"study.axes name the same parameter twice: {', '.join(axis.column for axis in axes)}")
-    if not axes:
-        return pd.DataFrame(index=range(1))
-    return pd.MultiIndex.from_product([a.values for a in axes], names=[a.column for a in axes]).to_frame(index=False)
 
 
 def _from_csv(file: str) -> pd.DataFrame:
@@ -198,36 +177,6 @@ def _from_csv(file: str) -> pd.DataFrame:
     if table.empty:
         raise InputError(f"study.points = {file} holds no points")
     return table
-
-
-def point_ids(table: pd.DataFrame, case: Case) -> Iterator[str]:
-    """Hash of all physical inputs of every row and its replicate; how it is simulated plays no part."""
-    columns = [c for c in table.columns if side_and_path(c)[1].partition(".")[0] in _group_names(case)]
-    # the nominal texts are made once; a row replaces a few of them
-    texts = {f"{side}.{path}": _text(value) for side in SIDES for path, value in _flat(case, "")}
-    paths = [(c, *side_and_path(c)) for c in sorted(columns, key=lambda c: side_and_path(c)[0] != "both")]
-    for row in table.to_dict("records"):
-        here = dict(texts)
-        for column, side, path in paths:
-            here.update({f"{s}.{path}": _text(row[column]) for s in (SIDES if side == "both" else (side,))})
-        content = "\n".join(f"{key}={here[key]}" for key in sorted(here)) + f"\nreplicate={row['replicate']}"
-        yield hashlib.blake2b(content.encode(), digest_size=8).hexdigest()
-
-
-def _group_names(case: Case) -> set[str]:
-    return {f.name for f in dataclasses.fields(case)}
-
-
-def _flat(value: Any, path: str) -> Iterator[tuple[str, Any]]:
-    if dataclasses.is_dataclass(value):
-        for member in dataclasses.fields(value):
-            yield from _flat(getattr(value, member.name), f"{path}.{member.name}" if path else member.name)
-    else:
-        yield path, value
-
-
-def _text(value: Any) -> str:
-    return f"{float(value):.12g}" if isinstance(value, float | np.floating) else str(value)
 
 
 def assign[T](owner: T, path: str, value: Any) -> T:

@@ -2,7 +2,7 @@
 
 from sweep.config import Experiment
 from sweep.metrics.outcome import CAUSES
-from sweep.study import parameter
+from sweep.study import unit
 
 UNITS = {"m": "m", "s": "s", "deg": "°", "rad": "rad", "n": "N", "nm": "N·m", "j": "J", "mps": "m/s", "kg": "kg"}
 # after Okabe and Ito, whose colours the colour-blind can tell apart; success is the lightest, so it reads in grey too
@@ -28,12 +28,11 @@ def unit_of(column: str, exp: Experiment) -> str:
     """Unit of a column: of an axis by its parameter, of a figure by the end of its name; empty where it has none."""
     if "." not in column:
         return name_and_unit(column)[1]
-    unit = parameter(column, exp.case, exp.settings).metadata.get("unit", "")
-    return "" if unit == "-" else unit
+    return unit(column, exp.case, exp.settings)
 
 
 def words_and_unit(column: str, exp: Experiment) -> str:
     """What to write beside an axis of a picture."""
     words = axis_words(column) if "." in column else name_and_unit(column)[0]
-    unit = unit_of(column, exp)
-    return f"{words} [{unit}]" if unit else words
+    known = unit_of(column, exp)
+    return f"{words} [{known}]" if known else words

@@ -12,12 +12,13 @@ from matplotlib.backend_bases import FigureCanvasBase
 from tabulate import tabulate
 
 from sweep import provenance, store
-from sweep.batches import axis_columns, make_engine, nominal, with_room_for_delay
+from sweep.batches import make_engine, nominal, with_room_for_delay
 from sweep.config import experiment
 from sweep.engines.base import Trace
 from sweep.metrics.outcome import classify
 from sweep.parameters import InputError
 from sweep.runner import load_point
+from sweep.study import parameter_columns
 from sweep.trace.frames import need_ffmpeg, write_png, write_video
 from sweep.trace.mcap import write_mcap
 from sweep.trace.plots import PLOTS, save
@@ -72,7 +73,7 @@ def replay(folder: Path, point: str) -> Replay:
         {k: np.asarray([v], dtype=float) for k, v in trace.figures.items()}, exp.thresholds, engine.stages
     )
     again = {**{name: values[0] for name, values in labels.items()}, **trace.figures}
-    values = {name: row[name] for name in (*axis_columns(table), "replicate", "stream")}
+    values = {name: row[name] for name in (*parameter_columns(table), "replicate", "stream")}
     same_run = str(row["run_id"]) == provenance.run_id(task.settings)
     return Replay(row, again, trace, {**config, "point": values}, same_run)
 

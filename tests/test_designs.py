@@ -1,0 +1,173 @@
+import numpy as np
+import pytest
+from scipy.stats import kstest, norm, truncnorm
+
+from sweep.config import compose
+from sweep.designs import caution
+from sweep.parameters import InputError
+from sweep.study import Study, points
+
+
+@pytest.fixture(scope="module")
+def nominal():
+    return compose([])
+
+
+@pytest.fixture
+def table_of(nominal):
+    """The points of axes, in the way of `study.axes`, and other keys of a study."""
+
+    def build(axes, **keys):
+        study = parse(nominal, axes, **keys)
+        return points(study, nominal.case, nominal.settings)
+
+    return build
+
+
+def parse(nominal, axes, **keys):
+    return Study.parse({**nominal.values["study"], "axes": axes, **keys}, single=False)
+
+
+def monte_carlo(num, **keys):
+    return {"design": {"kind": "monte_carlo", "num": num, **keys}}
+
+
+def listed(path, *values, **keys):
+    return {"path": path, "values": list(values), **keys}
+
+
+def drawn(path, kind="uniform", on="both", **numbers):
+    numbers = {key.removesuffix("_"): value for key, value in numbers.items()}
+    return {"path": path, "on": on, "distribution": {"kind": kind, **numbers}}
+
+
+FRICTION = drawn("contact.friction", on="world", from_=0.5, to=1.5)
+SHIN = {"path": "robot.shin", "relative": 0.02}
+
+
+@pytest.mark.parametrize(
+    ("given", "cdf"),
+    [
+        ({"kind": "uniform", "from": 0.5, "to": 1.5}, lambda v: np.clip(v - 0.5, 0, 1)),
+        ({"kind": "log_uniform", "from": 0.1, "to": 10}, lambda v: (np.log10(v) + 1) / 2),
+        ({"kind": "normal", "mean": 20, "std": 2}, norm(20, 2).cdf),
+        ({"kind": "normal", "mean": 1, "std": 1, "from": 0.5, "to": 4}, truncnorm(-0.5, 3, 1, 1).cdf),
+        ({"kind": "discrete", "values": [1, 2], "weights": [1, 3]}, None),
+    ],
+)
+@pytest.mark.parametrize("kind", ["monte_carlo", "latin_hypercube", "sobol", "saltelli"])
+def test_every_design_draws_the_declared_distribution(table_of, kind, given, cdf):
+    axes = {"f": {"path": "contact.friction", "distribution": given}, "shin": SHIN}
+    values = table_of(axes, design={"kind": kind, "num": 512})["contact.friction"]
+    if cdf is None:
+        assert (values == 2).mean() == pytest.approx(0.75, abs=0.06)  # 3 standard errors of 512 draws
+        return
+    values = values.unique() if kind == "saltelli" else values  # whose rows repeat the columns of two samples
+    assert kstest(values, cdf).pvalue > 1e-3
+    if kind == "latin_hypercube":  # one draw in each of 512 equally likely strata
+        assert np.array_equal(np.sort(np.floor(512 * cdf(values)).astype(int)), np.arange(512))
+
+
+def test_sobol_fills_every_elementary_box_and_scrambles_are_independent(table_of):
+    axes = {"f": FRICTION, "s": drawn("robot.shin", from_=0.2, to=0.3)}
+    table = table_of(axes, design={"kind": "sobol", "num": 64, "scrambles": 2})
+    x, y = table["world.contact.friction"] - 0.5, (table["robot.shin"] - 0.2) / 0.1
+    for scramble in (0, 1):
+        rows = table["replicate"] % 2 == scramble
+        boxes = np.floor(x[rows] * 8).astype(int) * 8 + np.floor(y[rows] * 8).astype(int)
+        assert sorted(boxes) == list(range(64))
+    assert not set(x[table["replicate"] % 2 == 0]) & set(x[table["replicate"] % 2 == 1])
+
+
+def test_draws_are_repeated_at_every_grid_point_with_noise_of_their_own(table_of):
+    believed = listed("contact.friction", 0.5, 1.0, on="belief")
+    table = table_of({"b": believed, "f": FRICTION, "shin": SHIN}, **monte_carlo(8), replicates=2)
+    assert len(table) == 32
+    halves = [part.reset_index(drop=True) for _, part in table.groupby("belief.contact.friction")]
+    for column in ("world.contact.friction", "robot.shin", "replicate", "stream"):
+        assert halves[0][column].equals(halves[1][column])
+    assert halves[0]["stream"].nunique() == 16
+    assert table["point_id"].is_unique
+    assert not table["world.contact.friction"].equals(table["robot.shin"])
+
+
+def test_more_draws_or_axes_leave_the_first_ones_as_they_are(table_of):
+    few = table_of({"f": FRICTION}, **monte_carlo(8))
+    more = table_of({"f": FRICTION, "shin": SHIN}, **monte_carlo(16))
+    other = table_of({"f": FRICTION}, **monte_carlo(8), seed=1)
+    assert few["world.contact.friction"].equals(more["world.contact.friction"][:8])
+    assert few["stream"].equals(more["stream"][:8])
+    assert not set(few["world.contact.friction"]) & set(other["world.contact.friction"])
+    axes = {"f": FRICTION, "shin": SHIN}
+    few, more = (table_of(axes, design={"kind": "sobol", "num": n, "scrambles": 2}) for n in (8, 16))
+    assert few["point_id"].equals(more["point_id"][:16])
+
+
+def test_axes_go_along_with_each_other_and_scale_others(table_of):
+    table = table_of({
+        "f": listed("contact.friction", 0.5, 1.0),
+        "gait": listed("manoeuvre.gait", "tripod", "gallop", **{"with": "f"}),
+        "length": listed("robot.body_length", 1.0, 2.0),
+        "ratio": listed("robot.body_width", 0.4, 0.5, 0.6, times="robot.body_length"),
+    })  # fmt: skip
+    assert len(table) == 2 * 2 * 3
+    pairs = set(zip(table["contact.friction"], table["manoeuvre.gait"], strict=True))
+    assert pairs == {(0.5, "tripod"), (1.0, "gallop")}
+    np.testing.assert_allclose(table["robot.body_width"], table["axis.ratio"] * table["robot.body_length"])
+    assert set(table["axis.ratio"]) == {0.4, 0.5, 0.6}
+
+
+def test_errors_grow_with_an_axis_of_their_size(table_of):
+    shin = {"path": "robot.shin", "on": "belief", "relative": "error"}
+    mass = {"path": "robot.body_mass", "on": "world", "relative": "error"}
+    table = table_of({"error": {"values": [0.0, 0.01, 0.05]}, "shin": shin, "mass": mass}, **monte_carlo(200))
+    assert len(table) == 600
+    for size, rows in table.groupby("axis.error"):
+        for column, value in (("belief.robot.shin", 0.335), ("world.robot.body_mass", 10.0)):
+            error = np.abs(rows[column] / value - 1)
+            assert 0.95 * size <= error.max() <= size + 1e-12
+
+
+@pytest.mark.parametrize(
+    ("axes", "design", "message"),
+    [
+        ({"f": FRICTION}, {}, "study.design.num = 0 is not allowed: at least 1 for f"),
+        ({}, {"num": 4}, "no axis has a distribution"),
+        ({"f": FRICTION}, {"num": 4, "kind": "sobl"}, "did you mean sobol?"),
+        ({"f": FRICTION}, {"num": 4, "scrambles": 2}, "of kind sobol only"),
+        ({"f": drawn("contact.friction", "unifrm")}, {}, "did you mean uniform?"),
+        ({"f": drawn("contact.friction", from_=1)}, {}, "f.distribution.to is missing"),
+        ({"f": drawn("contact.friction", from_=1, to=1)}, {}, "greater than from"),
+        ({"f": drawn("contact.friction", "normal", mean=1, std=0)}, {}, "f.distribution.std = 0"),
+        ({"f": drawn("contact.friction", "log_uniform", from_=0, to=1)}, {}, "greater than 0"),
+        ({"f": drawn("contact.friction", "discrete", values=[1], weights=[0])}, {}, "not all zero"),
+        ({"f": drawn("contact.friction", "normal", mean=0, std=1)}, {"num": 64}, "contact.friction = -"),
+        ({"f": {"path": "contact.friction", "relative": "size"}}, {}, "an axis without a path"),
+        ({"f": {"values": [1]}}, {}, "f.path is missing"),
+        ({"p": {"path": "noise.delay", "relative": 0.1}}, {"num": 1}, "noise.delay is 0 nominally"),
+        ({"f": listed("contact.friction", 1, times="robot.bdy_mass")}, {}, "did you mean body_mass?"),
+        ({"f": listed("contact.friction", 1, **{"with": "g"})}, {}, "both need listed values"),
+        ({"f": listed("contact.friction", 1, **{"with": "g"}), "g": listed("robot.shin", 1, 2)}, {}, "g has 2"),
+        ({"f": listed("robot.shin", 1, times="robot.thigh"), "g": listed("robot.thigh", 1, times="robot.shin")}, {},
+         "goes in a circle"),
+    ],
+)  # fmt: skip
+def test_a_bad_design_is_refused(table_of, axes, design, message):
+    with pytest.raises(InputError) as error:
+        table_of(axes, design=design)
+    assert message in str(error.value)
+
+
+def test_a_sobol_design_that_loses_its_balance_is_doubted(nominal):
+    def doubt(**design):
+        return caution(parse(nominal, {"f": FRICTION}, design=design).design)
+
+    assert doubt(kind="sobol", num=64) is None
+    assert "not a power of 2" in str(doubt(kind="sobol", num=65))
+    assert doubt(num=65) is None
+
+
+def test_many_points_are_built_at_once_and_told_apart(table_of):
+    table = table_of({"f": FRICTION, "shin": SHIN, "b": listed("robot.thigh", 0.4, 0.5)}, **monte_carlo(250_000))
+    assert len(table) == 500_000
+    assert table["point_id"].is_unique
