@@ -17,12 +17,12 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from sweep import config, designs, runner, store
 from sweep.config import Experiment
-from sweep.parameters import InputError
+from sweep.errors import Fault, InputError
 from sweep.report import tables
-from sweep.stats import broken, rate
+from sweep.stats import broken, causes, rate
 from sweep.study import nominal, parameter_columns, unit
 
-DONE, BAD_INPUT, INVALID, UNEXPECTED = 0, 2, 3, 4
+DONE, BAD_INPUT, INVALID, UNEXPECTED, FAULT = 0, 2, 3, 4, 5
 
 
 @dataclass(frozen=True)
@@ -43,9 +43,9 @@ def launch(overrides: list[str], flags: Flags) -> int:
     def job(composed: DictConfig) -> None:
         try:
             codes.append(execute(config.experiment(config.resolve(composed)), flags))
-        except InputError as error:  # Hydra would add lines of its own, and give up the other jobs of a multirun
+        except (InputError, Fault) as error:  # Hydra would add lines of its own, and give up a multirun's other jobs
             print(f"sweep: {error}", file=sys.stderr)
-            codes.append(BAD_INPUT)
+            codes.append(BAD_INPUT if isinstance(error, InputError) else FAULT)
 
     before = sys.argv
     sys.argv = ["sweep run", *overrides]
@@ -71,10 +71,13 @@ def execute(exp: Experiment, flags: Flags) -> int:
         print(forecast(runner.lay_out(exp, folder, wanted)))
         return DONE
     with store.locked(folder):
+        for line in store.discard_damaged(folder):
+            print(f"sweep: {line}", file=sys.stderr)
+            store.log(folder, line)
         job = runner.lay_out(exp, folder, wanted)
         start, todo = time.perf_counter(), len(job.rows(job.missing()))
         with reporting(exp.study.name, todo) as report:
-            runner.run(job, report)
+            job = runner.run(job, report)
         seconds = time.perf_counter() - start
         print(f"{todo} rollouts in {seconds:.1f} s ({todo / seconds:.1f} a second)", file=sys.stderr)
         rows = store.read_rows(folder)
@@ -112,7 +115,7 @@ def verdict(exp: Experiment, rows: pd.DataFrame, complete: bool) -> int:
 
 def summary(name: str, rows: pd.DataFrame) -> str:
     """The rate of success, overall and for each named alternative such as an engine."""
-    lines = [f"{name}: {rate(rows['outcome'])}"]
+    lines = [f"{name}: {rate(rows['outcome'])}", *(f"  {line}" for line in causes(rows["cause"]))]
     for column in parameter_columns(rows):
         if rows[column].dtype.kind != "f" and rows[column].nunique() > 1:
             lines += [f"  {column} = {value}: {rate(part['outcome'])}" for value, part in rows.groupby(column)]

@@ -4,6 +4,7 @@ import io
 import math
 from contextlib import redirect_stdout
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,8 @@ from sweep.case import Case
 from sweep.config import Experiment
 from sweep.engines.base import Engine
 from sweep.engines.settings import EngineSettings
+from sweep.errors import Fault
+from sweep.metrics.outcome import Thresholds
 from sweep.study import assign, identity, is_static, parameter_columns, side_and_path, with_settings, world_and_belief
 
 
@@ -27,11 +30,24 @@ class Batch:
 
 
 def make_engine(exp: Experiment, start: Batch) -> Engine:
-    """The engine for batches such as `start`; importing MJX takes seconds, and it prints to the standard output."""
-    with redirect_stdout(io.StringIO()):
+    """The engine for batches such as `start`.
+
+    A process keeps the last one, so that the batches of a group, wherever they come from, compile once.
+    """
+    return _engine(start.settings, start.world, start.belief, exp.thresholds)
+
+
+@lru_cache(maxsize=1)
+def _engine(settings: EngineSettings, world: Case, belief: Case, limits: Thresholds) -> Engine:
+    with redirect_stdout(io.StringIO()):  # importing MJX takes seconds, and it prints
         import sweep.engines
 
-        return sweep.engines.make(start.settings, start.world, start.belief, exp.thresholds)
+        return sweep.engines.make(settings, world, belief, limits)
+
+
+def forget_engine() -> None:
+    """Give back the memory of the engine that is kept."""
+    _engine.cache_clear()
 
 
 def with_room_for_delay(exp: Experiment, table: pd.DataFrame) -> Experiment:
@@ -82,6 +98,26 @@ def plan(exp: Experiment, planned: pd.DataFrame, wanted: pd.DataFrame) -> pd.Dat
         table.loc[rows.index, "batch"] = first + order // width
         table.loc[rows.index, "slot"] = order % width
         table.loc[rows.index, "width"] = width
+        first += -(-len(rows) // width)
+    return table
+
+
+def halve(table: pd.DataFrame, batches: list[int], devices: int) -> pd.DataFrame:
+    """`table` with the rows of `batches` planned anew, in batches half as wide. Raises `Fault` where none is left.
+
+    A width that shares evenly among `devices` stays one where it can.
+    """
+    table, first = table.copy(), int(table["batch"].max()) + 1
+    for number in batches:
+        rows = table.index[table["batch"] == number]
+        width = int(table["width"].loc[rows].iloc[0]) // 2
+        if not width:
+            raise Fault("a single rollout does not fit in the memory of the device")
+        width = width // devices * devices or width
+        order = np.arange(len(rows))
+        table.loc[rows, "batch"] = first + order // width
+        table.loc[rows, "slot"] = order % width
+        table.loc[rows, "width"] = width
         first += -(-len(rows) // width)
     return table
 

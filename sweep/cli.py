@@ -7,18 +7,21 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sweep.parameters import InputError
+from sweep.errors import Fault, InputError
 
 if TYPE_CHECKING:
     import pandas as pd
 
-DONE, BAD_INPUT, UNEXPECTED, INTERRUPTED = 0, 2, 4, 130
+DONE, BAD_INPUT, UNEXPECTED, FAULT, INTERRUPTED = 0, 2, 4, 5, 130
 GROUPS = ("scenario", "study", "robot", "obstacle", "manoeuvre", "drive", "contact", "noise", "execution", "engine",
-          "outcome")  # fmt: skip
+          "outcome", "cluster")  # fmt: skip
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run one command; the exit code says how it went (0 done, 2 bad input, 3 invalid rows, 4 expectation not met)."""
+    """Run one command; the exit code says how it went.
+
+    0 done, 2 bad input, 3 invalid rows, 4 expectation not met, 5 disk, memory or workers failed, 130 interrupted.
+    """
     args = list(sys.argv[1:] if argv is None else argv)
     # these parse their own arguments
     whole: dict[str, Callable[[list[str]], int]] = {"run": run, "replay": replay, "formula": formula}
@@ -30,6 +33,9 @@ def main(argv: list[str] | None = None) -> int:
     except InputError as error:
         print(f"sweep: {error}", file=sys.stderr)
         return BAD_INPUT
+    except Fault as error:
+        print(f"sweep: {error}", file=sys.stderr)
+        return FAULT
     except KeyboardInterrupt:
         print("sweep: interrupted; what is on disk stays, the same command finishes the rest", file=sys.stderr)
         return INTERRUPTED
@@ -133,13 +139,16 @@ def show_choices(_: argparse.Namespace) -> int:
 def status(given: argparse.Namespace) -> int:
     """Planned, done, and how it went so far."""
     from sweep import store
+    from sweep.stats import causes
 
     stored, planned = store.read_study(given.dir), store.read_points(given.dir)
     done = planned["batch"].isin(store.finished(given.dir)).sum() if len(planned) else 0
     print(f"{given.dir}: {done} of {len(planned)} rollouts done, code {stored['commit'] or stored['code']}")
     if done:
-        counts = store.read_rows(given.dir)["outcome"].value_counts()
-        print(", ".join(f"{number} {outcome}" for outcome, number in counts.items()))
+        rows = store.read_rows(given.dir)
+        print(", ".join(f"{number} {outcome}" for outcome, number in rows["outcome"].value_counts().items()))
+        for line in causes(rows["cause"]):
+            print(f"  {line}")
     return DONE
 
 

@@ -16,6 +16,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import ConfigKeyError, OmegaConfBaseException, ValidationError
 
 from sweep.case import Case
+from sweep.clusters import CLUSTERS, Cluster
 from sweep.controllers.manoeuvres import MANOEUVRES
 from sweep.controllers.observation import Noise
 from sweep.engines.settings import EngineSettings
@@ -33,7 +34,11 @@ GROUPS: dict[str, type] = {
     "robot": Robot, "drive": Drive, "contact": Contact, "noise": Noise, "execution": Execution,
     "engine": EngineSettings, "outcome": Thresholds,
 }  # fmt: skip
-KINDS: dict[str, dict[str, type]] = {"obstacle": OBSTACLES, "manoeuvre": MANOEUVRES}  # the class is named by `kind`
+KINDS: dict[str, dict[str, type]] = {
+    "obstacle": OBSTACLES,
+    "manoeuvre": MANOEUVRES,
+    "cluster": CLUSTERS,
+}  # the class is named by `kind`
 
 
 @dataclass
@@ -82,6 +87,7 @@ class ExperimentSchema:
     execution: Any = None
     engine: Any = None
     outcome: Any = None
+    cluster: Any = None
     study: StudySchema = field(default_factory=StudySchema)
     out: str | None = None
 
@@ -94,6 +100,7 @@ class Experiment:
     case: Case  # nominal
     settings: EngineSettings
     thresholds: Thresholds
+    cluster: Cluster
     study: Study
     out: str | None
     values: dict[str, Any]  # the resolved configuration it was made from
@@ -153,6 +160,7 @@ def experiment(values: Mapping[str, Any]) -> Experiment:
         if kind not in kinds:
             raise InputError(f"{group}.kind = {kind!r} is unknown{suggest(str(kind), kinds)}")
         parts[group] = build(kinds[kind], values[group], group)
+    cluster = parts.pop("cluster")
     case = Case(**parts)
     scenario = values["scenario"]
     chosen = values["study"]
@@ -160,7 +168,7 @@ def experiment(values: Mapping[str, Any]) -> Experiment:
     if single:
         chosen = {**chosen, "expect": scenario["expect"]}
     study = Study.parse({**chosen, "name": chosen["name"] or scenario["name"]}, single)
-    return Experiment(scenario["name"], case, settings, thresholds, study, values["out"], dict(values))
+    return Experiment(scenario["name"], case, settings, thresholds, cluster, study, values["out"], dict(values))
 
 
 def one_line(error: Exception, overrides: list[str]) -> str:

@@ -5,17 +5,14 @@ made by `choice` or `count` is static: changing it compiles anew.
 """
 
 import dataclasses
-import difflib
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any, dataclass_transform
 
 import jax
 import numpy as np
 
-
-class InputError(ValueError):
-    """Bad input from the user: the message is one line naming the key, the value and what is allowed."""
+from sweep.errors import InputError, suggest
 
 
 def quantity(
@@ -56,14 +53,6 @@ def build[T](cls: type[T], values: Mapping[str, Any], path: str) -> T:
         if key not in fields:
             raise InputError(f"{path}.{key} is unknown{suggest(str(key), fields)}")
     return cls(**{key: checked(fields[key], value, f"{path}.{key}") for key, value in values.items()})
-
-
-def suggest(word: str, allowed: Iterable[str]) -> str:
-    """The tail of a message about an unknown name: what is allowed, the closest first."""
-    allowed = list(allowed)
-    close = difflib.get_close_matches(word, allowed, n=1, cutoff=0.6)
-    hint = f": did you mean {close[0]}?" if close else ""
-    return f"{hint} (allowed: {', '.join(sorted(allowed))})"
 
 
 def checked(field: "dataclasses.Field[Any]", value: Any, path: str) -> Any:

@@ -1,5 +1,6 @@
 """What made a row: code, libraries, device. Rows are equal bit for bit only at an equal `run_id`."""
 
+import ast
 import functools
 import hashlib
 import subprocess
@@ -25,16 +26,25 @@ def device(settings: EngineSettings) -> str:
 
 @functools.cache
 def code_version() -> str:
-    """Hash of the simulation's sources and of the versions of its libraries."""
+    """Hash of what the simulation's sources say, comments and docstrings apart, and of its libraries' versions."""
     root = Path(__file__).parent
     files = sorted(
         file for name in SIMULATION for file in (root.glob(name) if "." in name else (root / name).rglob("*.py"))
     )
     content = hashlib.blake2b(digest_size=6)
     for file in files:
-        content.update(str(file.relative_to(root)).encode() + file.read_bytes())
+        content.update(f"{file.relative_to(root)}\n{_statements(file.read_text())}\n".encode())
     content.update(repr(versions()).encode())
     return content.hexdigest()
+
+
+def _statements(source: str) -> str:
+    """`source` in one format, without comments and docstrings."""
+    tree = ast.parse(source)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node, clean=False):
+            node.body = node.body[1:] or [ast.Pass()]
+    return ast.unparse(tree)
 
 
 def versions() -> dict[str, str]:

@@ -1,27 +1,38 @@
 """From an experiment to finished rows on disk, and from a row on disk back to its rollout."""
 
+import socket
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
 import numpy as np
 import pandas as pd
 
 from sweep import provenance, store
-from sweep.batches import Batch, among, batch, make_engine, nominal, plan, with_room_for_delay
+from sweep.batches import Batch, among, batch, forget_engine, halve, make_engine, nominal, plan, with_room_for_delay
 from sweep.config import Experiment, experiment
 from sweep.engines.base import Engine
+from sweep.errors import Fault, InputError
 from sweep.metrics.outcome import classify
-from sweep.parameters import InputError
 from sweep.query import mask
 from sweep.study import points
 
 # what may change between runs into one folder: which points, and how they are judged; but draws go by one distribution
 FREE = ("study.axes.", "study.design.num", "study.points", "study.where", "study.replicates", "study.invalid_max",
-        "study.expect", "scenario.expect", "outcome", "out")  # fmt: skip
+        "study.expect", "scenario.expect", "outcome", "cluster", "out")  # fmt: skip
 Progress = Callable[[pd.DataFrame], None]  # told the rows of every finished batch
+
+
+@dataclass
+class Found:
+    """What is known only when engines are made and batches are done."""
+
+    stages: dict[int, list[str]] = field(default_factory=dict)  # of the plan, by group
+    devices: list[str] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -89,38 +100,117 @@ def flat(values: Any, path: str = "") -> dict[str, Any]:
     return {k: v for key, value in items for k, v in flat(value, key).items()}
 
 
-def run(job: Job, progress: Progress) -> None:
-    """Simulate what is missing, one compiled engine after the other; each batch is on disk before the next starts."""
-    folder, exp = job.folder, job.exp
-    stages: dict[int, list[str]] = {}
+def run(job: Job, progress: Progress) -> Job:
+    """Simulate what is missing; every batch is on disk as soon as it is done. The job as it ended.
+
+    Where a device's memory is too small, the batches that it cannot hold are planned anew at half the width. Raises
+    `Fault` where disk, memory or workers fail.
+    """
+    folder, exp, found = job.folder, job.exp, Found()
     if (folder / store.STUDY).exists():
         stored = store.read_study(folder)
-        stages = stored["stages"]
+        found = Found(stored["stages"], stored["devices"])
         if not stored["labelled"] or stored["config"]["outcome"] != exp.values["outcome"]:
             relabel(folder, exp.values["outcome"])
-    describe(job, stages)
-    store.write_points(folder, job.table)
-    missing = job.rows(job.missing())
-    for _, rows in missing.groupby(["group", "width"], sort=False):
+    describe(job, found)
+    with exp.cluster.connect() as dispatch:
+        while missing := job.missing():
+            store.write_points(folder, job.table)
+            tight: list[Done] = []  # batches that found too little memory
+            work = partial(on_worker, folder.resolve(), uuid4().hex, provenance.code_version())
+            for done in dispatch(work, announced(job, missing, found, tight)):
+                if done.out_of_memory:
+                    tight.append(done)
+                    continue
+                if not store.part(folder, done.batch).exists():
+                    raise Fault(f"{done.host} wrote batch {done.batch} to {folder.resolve()}, which is not seen here")
+                if done.device not in found.devices:
+                    found.devices.append(done.device)
+                    describe(job, found)
+                rows = store.read_part(folder, done.batch)
+                where = f"{done.host}, {done.device}"
+                store.log(folder, f"batch {done.batch}: {len(rows)} rollouts, {rows['wall_s'].sum():.1f} s on {where}")
+                progress(rows)
+            if tight:
+                job = narrower(job, tight)
+    return job
+
+
+def announced(job: Job, missing: list[int], found: Found, tight: Collection["Done"]) -> Iterator[int]:
+    """`missing` batches, each group described before its first; those in the group and width of `tight` are left out.
+
+    An impossible plan is thus refused here, before a worker sees it.
+    """
+    for _, rows in job.rows(missing).groupby(["group", "width"], sort=False):
         group, width = (int(rows[name].iloc[0]) for name in ("group", "width"))
-        start = nominal(exp, rows, width)
-        engine = make_engine(exp, start)
-        stages[group] = list(engine.stages)
-        describe(job, stages)
-        store.log(folder, f"group {group}: {start.settings}, {len(rows)} rollouts of {engine.duration:g} s")
+        start = nominal(job.exp, rows, width)
+        engine = make_engine(job.exp, start)
+        found.stages[group] = list(engine.stages)
+        describe(job, found)
+        store.log(job.folder, f"group {group}: {start.settings}, {len(rows)} rollouts of {engine.duration:g} s")
         for number in rows["batch"].unique().tolist():
-            done = simulate(exp, engine, rows[rows["batch"] == number])
-            store.write_part(folder, number, done)
-            store.log(folder, f"batch {number}: {len(done)} rollouts, {done['wall_s'].sum():.1f} s")
-            progress(done)
+            if not rows["batch"].isin([done.batch for done in tight]).any():
+                yield number
 
 
-def describe(job: Job, stages: Mapping[int, list[str]]) -> None:
+def narrower(job: Job, tight: list["Done"]) -> Job:
+    """`job` with the missing batches in the group and width of `tight` planned anew, at half the width."""
+    crowded = job.rows([done.batch for done in tight])[["group", "width"]].drop_duplicates()
+    left = job.table[~job.table["batch"].isin(store.finished(job.folder))]
+    batches = left.merge(crowded, on=["group", "width"])["batch"].unique().tolist()
+    table = halve(job.table, batches, tight[0].devices)
+    for done in tight:
+        store.log(job.folder, f"batch {done.batch}: too little memory on {done.host}, {done.device}; half the width")
+    asked = job.table["batch"].isin(job.wanted)
+    return replace(job, table=table, wanted=set(table.loc[asked, "batch"]))
+
+
+@dataclass(frozen=True)
+class Done:
+    """What a worker tells of a batch; its rows are on disk, or there was too little memory for it."""
+
+    batch: int
+    host: str
+    device: str
+    devices: int  # that share a batch
+    out_of_memory: bool
+
+
+def on_worker(folder: Path, version: str, code: str, number: int) -> Done:
+    """Simulate one batch of the study in `folder`, unless it is on disk. `version` names its present plan.
+
+    Raises `InputError` where the worker's code is not `code`, `Fault` where the part cannot be written.
+    """
+    host = socket.gethostname()
+    if (here := provenance.code_version()) != code:
+        raise InputError(f"worker {host} has another version of the code or of its libraries: {here}, not {code}")
+    exp, table = _plan_of(folder, version)
+    rows = table[table["batch"] == number]
+    start = nominal(exp, rows, int(rows["width"].iloc[0]))
+    engine = make_engine(exp, start)
+    done = Done(number, host, provenance.device(start.settings), engine.devices, out_of_memory=False)
+    if not store.part(folder, number).exists():
+        try:
+            store.write_part(folder, number, simulate(exp, engine, rows))
+        except MemoryError:
+            done = replace(done, out_of_memory=True)
+    if done.out_of_memory:  # after the handler, whose error holds on to the arrays
+        forget_engine()
+    return done
+
+
+@lru_cache(maxsize=1)
+def _plan_of(folder: Path, version: str) -> tuple[Experiment, pd.DataFrame]:
+    table = store.read_points(folder)
+    return with_room_for_delay(experiment(store.read_study(folder)["config"]), table), table
+
+
+def describe(job: Job, found: Found) -> None:
     """Write study.yaml."""
     store.write_study(job.folder, {
-        "config": job.exp.values, "rollouts": len(job.table), "stages": dict(stages), "labelled": True,
-        "code": provenance.code_version(), "commit": provenance.commit(), "versions": provenance.versions(),
-        "device": provenance.device(job.exp.settings),
+        "config": job.exp.values, "rollouts": len(job.table), "labelled": True, "stages": found.stages,
+        "devices": found.devices, "code": provenance.code_version(), "commit": provenance.commit(),
+        "versions": provenance.versions(),
     })  # fmt: skip
 
 

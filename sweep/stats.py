@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from sweep.parameters import InputError
+from sweep.errors import InputError
+from sweep.metrics.outcome import MEANING
 from sweep.query import mask
 from sweep.study import Expectation
 
@@ -58,6 +59,12 @@ def rate(outcome: pd.Series) -> Rate:
 
     interval = binomtest(success, valid).proportion_ci(0.95, method="wilson")
     return Rate(len(outcome), invalid, success, float(interval.low), float(interval.high))
+
+
+def causes(cause: pd.Series) -> list[str]:
+    """A line for each cause in a column of them, the most frequent first: how many rollouts, and what it means."""
+    counts = cause[cause != ""].value_counts()
+    return [f"{number} {name}: {MEANING[str(name)]}" for name, number in counts.items()]
 
 
 def broken(expectations: tuple[Expectation, ...], rows: pd.DataFrame) -> list[str]:

@@ -1,6 +1,7 @@
 """A study's folder: what it is, its points, one file per finished batch. Every file appears whole or not at all."""
 
 import os
+import socket
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -13,7 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import yaml
 
-from sweep.parameters import InputError
+from sweep.errors import Fault, InputError
 
 STUDY, POINTS, PARTS, LOG = "study.yaml", "points.parquet", "parts", "log.txt"
 # a row: its axes (dotted names), its place in the plan, its figures, how they are judged, and what differs between runs
@@ -24,20 +25,42 @@ TIMING = ("wall_s",)
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Hold `folder` for this process, making it where missing. Raises `InputError` where another process has it."""
-    (folder / PARTS).mkdir(parents=True, exist_ok=True)
+    """Hold `folder` for this process, making it where missing and clearing what a killed one left half-written.
+
+    Raises `InputError` where it cannot be written or another process has it.
+    """
+    held = filelock.FileLock(folder / ".lock", timeout=0)
     try:
-        with filelock.FileLock(folder / ".lock", timeout=0):
-            yield
+        (folder / PARTS).mkdir(parents=True, exist_ok=True)
+        held.acquire()
+        for left in (*folder.glob(".*.tmp"), *(folder / PARTS).glob(".*.tmp")):
+            left.unlink(missing_ok=True)
     except filelock.Timeout:
-        raise InputError(f"{folder} is in use by another sweep process") from None
+        raise InputError(f"{folder} is in use by another sweep process: wait for it, or give out=DIR") from None
+    except OSError as error:
+        raise InputError(f"out = {folder} cannot be written: {_reason(error)}") from None
+    try:
+        yield
+    finally:
+        held.release()
 
 
 def _write(path: Path, write: Callable[[Path], object]) -> None:
-    """`write` into a hidden file, then put it in its place at once."""
-    hidden = path.parent / f".{path.name}.tmp"
-    write(hidden)
-    os.replace(hidden, path)
+    """`write` into a hidden file of this process, then put it in its place at once. Raises `Fault`."""
+    hidden = path.parent / f".{path.name}.{socket.gethostname()}-{os.getpid()}.tmp"
+    try:
+        write(hidden)
+        with hidden.open("rb") as written:
+            os.fsync(written.fileno())  # a power cut leaves the old content or the new
+        os.replace(hidden, path)
+    except OSError as error:
+        raise Fault(f"{path} cannot be written: {_reason(error)}") from None
+    finally:
+        hidden.unlink(missing_ok=True)
+
+
+def _reason(error: OSError) -> str:
+    return os.strerror(error.errno) if error.errno else str(error).splitlines()[0]
 
 
 def write_study(folder: Path, content: Mapping[str, Any]) -> None:
@@ -49,9 +72,14 @@ def write_study(folder: Path, content: Mapping[str, Any]) -> None:
 def read_study(folder: Path) -> dict[str, Any]:
     """Content of study.yaml. Raises `InputError` where `folder` is not a study's."""
     try:
-        return yaml.safe_load((folder / STUDY).read_text())
-    except OSError:
+        content = yaml.safe_load((folder / STUDY).read_bytes())
+    except (FileNotFoundError, NotADirectoryError):
         raise InputError(f"{folder} is not a folder of results: it has no {STUDY}") from None
+    except (OSError, yaml.YAMLError):
+        content = None
+    if not isinstance(content, dict):
+        raise InputError(f"{folder / STUDY} is damaged: restore it, or give out=DIR; the parts can be read without it")
+    return content
 
 
 def write_points(folder: Path, points: pd.DataFrame) -> None:
@@ -60,18 +88,31 @@ def write_points(folder: Path, points: pd.DataFrame) -> None:
 
 
 def read_points(folder: Path) -> pd.DataFrame:
-    """The plan, empty where nothing is planned yet."""
+    """The plan, empty where nothing is planned yet. Raises `InputError`."""
     path = folder / POINTS
-    return pd.read_parquet(path) if path.exists() else pd.DataFrame()
+    return _from_parquet(path, "restore it, or give out=DIR") if path.exists() else pd.DataFrame()
 
 
 def _to_parquet(frame: pd.DataFrame, path: Path) -> None:
-    pq.write_table(pa.Table.from_pandas(frame, preserve_index=False), path, compression="zstd")
+    table = pa.Table.from_pandas(frame, preserve_index=False)
+    pq.write_table(table, path, compression="zstd", write_page_checksum=True)
+
+
+def _from_parquet(path: Path, remedy: str) -> pd.DataFrame:
+    try:
+        return pq.ParquetFile(path, page_checksum_verification=True).read().to_pandas()
+    except (OSError, pa.ArrowException) as error:
+        raise InputError(f"{path} is damaged ({str(error).splitlines()[0]}): {remedy}") from None
+
+
+def part(folder: Path, batch: int) -> Path:
+    """The file of one batch."""
+    return folder / PARTS / f"part-{batch:06d}.parquet"
 
 
 def write_part(folder: Path, batch: int, rows: pd.DataFrame) -> None:
     """The finished rows of one batch."""
-    _write(folder / PARTS / f"part-{batch:06d}.parquet", lambda p: _to_parquet(rows, p))
+    _write(part(folder, batch), lambda p: _to_parquet(rows, p))
 
 
 def finished(folder: Path) -> set[int]:
@@ -80,8 +121,27 @@ def finished(folder: Path) -> set[int]:
 
 
 def read_part(folder: Path, batch: int) -> pd.DataFrame:
-    """The rows of one finished batch."""
-    return pd.read_parquet(folder / PARTS / f"part-{batch:06d}.parquet")
+    """The rows of one finished batch. Raises `InputError` where its file is damaged."""
+    return _from_parquet(part(folder, batch), "`sweep run` as before simulates it again")
+
+
+def discard_damaged(folder: Path) -> list[str]:
+    """Remove the parts that cannot be read; a line for each. Raises `InputError` where one is not of this plan."""
+    planned = read_points(folder)
+    ids = {batch: rows.tolist() for batch, rows in planned.groupby("batch")["point_id"]} if len(planned) else {}
+    lines = []
+    for batch in sorted(finished(folder)):
+        try:
+            found = read_part(folder, batch)
+        except InputError as error:
+            part(folder, batch).unlink()
+            lines.append(str(error))
+            continue
+        if "point_id" not in found or found["point_id"].tolist() != ids.get(batch):
+            raise InputError(
+                f"{part(folder, batch)} holds other points than {POINTS} plans: move it away, or give out=DIR"
+            )
+    return lines
 
 
 def read_rows(folder: Path) -> pd.DataFrame:
@@ -110,6 +170,9 @@ def find_row(rows: pd.DataFrame, point: str, folder: Path) -> pd.Series:
 
 
 def log(folder: Path, message: str) -> None:
-    """Append one dated line to the log."""
-    with (folder / LOG).open("a") as file:
-        file.write(f"{time.strftime('%Y-%m-%dT%H:%M:%S%z')} {message}\n")
+    """Append one dated line to the log. Raises `Fault`."""
+    try:
+        with (folder / LOG).open("a") as file:
+            file.write(f"{time.strftime('%Y-%m-%dT%H:%M:%S%z')} {message}\n")
+    except OSError as error:
+        raise Fault(f"{folder / LOG} cannot be written: {_reason(error)}") from None

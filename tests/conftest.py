@@ -2,6 +2,7 @@ import pytest
 from fake_engine import FakeEngine
 
 import sweep.engines
+from sweep import batches
 from sweep.engines import devices
 
 devices.configure()  # before any test uses JAX: the CPU is split as for the command line
@@ -11,6 +12,9 @@ devices.configure()  # before any test uses JAX: the CPU is split as for the com
 def fake_engine(monkeypatch):
     """Every engine that is made is a fake one."""
     monkeypatch.setattr(sweep.engines, "make", FakeEngine)
+    batches.forget_engine()
+    yield
+    batches.forget_engine()
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -25,6 +25,8 @@ class FakeEngine:
         friction, ratio = (np.broadcast_to(v, (self.width,)).astype(float) for v in (friction, ratio))
         assert streams.shape == (self.width,)
         time.sleep(float(os.environ.get("FAKE_SECONDS", "0")))
+        if self.width > int(os.environ.get("FAKE_ROOM", "1000000")):
+            raise MemoryError
         tilt = np.where(friction < 5 * ratio, 40.0, 1.0) * np.where(friction == 7, np.nan, 1.0)
         zero = np.zeros(self.width)
         late = {f"{cause}_time_s": np.full(self.width, np.nan) for cause in TIMED_CAUSES}
@@ -40,6 +42,11 @@ class FakeEngine:
 
 def install():
     sweep.engines.make = FakeEngine
+
+
+def dask_setup(worker):
+    """Dask calls this in the workers that preload this module."""
+    install()
 
 
 if __name__ == "__main__":

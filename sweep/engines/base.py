@@ -38,7 +38,10 @@ class Engine(Protocol):
     devices: int  # that share a batch; only a width that they divide evenly uses them all
 
     def run(self, world: Case, belief: Case, streams: np.ndarray) -> Figures:
-        """Figures of `width` rollouts; `streams` (width,) are the numbers folded into the noise key."""
+        """Figures of `width` rollouts; `streams` (width,) are the numbers folded into the noise key.
+
+        Raises `MemoryError` where the device cannot hold the batch.
+        """
         ...
 
     def trace(self, world: Case, belief: Case, streams: np.ndarray, slot: int) -> Trace:

@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,17 @@ def configure() -> None:
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 1.0)
     with contextlib.suppress(RuntimeError):  # too late where JAX was used before
         jax.config.update("jax_num_cpu_devices", len(os.sched_getaffinity(0)))
+
+
+@contextlib.contextmanager
+def memory() -> Iterator[None]:
+    """A device's lack of memory, inside, as a `MemoryError`."""
+    try:
+        yield
+    except jax.errors.JaxRuntimeError as error:
+        if "RESOURCE_EXHAUSTED" not in str(error):
+            raise
+        raise MemoryError(str(error).splitlines()[0]) from None
 
 
 def precision(settings: EngineSettings) -> contextlib.AbstractContextManager:

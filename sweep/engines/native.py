@@ -71,6 +71,7 @@ class Native:
         self.duration = float(GRACE * np.sum(plan.duration))
         self._compiled: dict[Any, tuple[Callable, Callable, Callable]] = {}
 
+    @devices.memory()
     def run(self, world: Case, belief: Case, streams: np.ndarray) -> Figures:
         """Figures of `width` rollouts."""
         return self._simulate(world, belief, streams, None)[0]

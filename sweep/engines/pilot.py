@@ -21,6 +21,7 @@ from sweep.models.drive import Servo, position_mode
 from sweep.models.obstacles.surface import Bodies
 
 GRACE = 1.2  # a rollout is over at this multiple of its planned duration, finished or not
+LONGEST = 3600.0  # s; a rollout that takes longer is not finished: absurd parameters must not hold up a batch
 
 
 class Pilot(NamedTuple):
@@ -40,8 +41,10 @@ def is_quiet(noise: Noise) -> bool:
 
 
 def most_ticks(plans: Plan, period: float) -> int:
-    """Control ticks of the longest rollout of a batch."""
-    return int(np.ceil(GRACE * float(jnp.max(jnp.sum(plans.duration, axis=-1))) / period))
+    """Control ticks of the longest rollout of a batch; a plan that is not finite has none, one too long is cut off."""
+    durations = np.asarray(jnp.sum(plans.duration, axis=-1), dtype=float)
+    longest = np.max(durations, initial=0.0, where=np.isfinite(durations))
+    return int(np.ceil(min(GRACE * longest, LONGEST) / period))
 
 
 def start_pose(world: Case, belief: Case, plan: Plan) -> tuple[Float[Array, " 7"], Float[Array, "6 3"]]:

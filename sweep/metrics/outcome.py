@@ -23,6 +23,7 @@ DOUBTS = {
     "solver": "the contact solver's residual exceeded solver_residual_max_n",
     "energy": "mechanical energy grew beyond the drives' work by more than energy_gain_max_j",
 }
+MEANING = {**CAUSES, **DOUBTS}
 
 
 @parameters

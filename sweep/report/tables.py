@@ -4,9 +4,10 @@ import io
 
 import pandas as pd
 
-from sweep.metrics.outcome import TIMED_CAUSES
+from sweep.metrics.outcome import MEANING, TIMED_CAUSES
 from sweep.query import column
 from sweep.report.labels import axis_words, name_and_unit
+from sweep.stats import causes
 from sweep.store import LABELS, figure_columns
 
 # figures that the outcome is derived from and that say nothing beside it
@@ -30,7 +31,9 @@ def render(rows: pd.DataFrame, form: str, names: list[str] | None = None) -> byt
         case "latex":
             return latex(rows).encode()
         case _:
-            return (page_table(rows) + "\n").encode()
+            page = page_table(rows) + "\n"
+            legend = "".join(f"- {line}\n" for line in causes(rows["cause"])) if "cause" in rows else ""
+            return f"{page}\n{legend}".encode() if legend else page.encode()
 
 
 def page_table(rows: pd.DataFrame) -> str:
@@ -76,7 +79,7 @@ def one_rollout(title: str, row: pd.Series) -> str:
     """Outcome and figures of one rollout, a line each with its unit."""
     lines = [(title, str(row["outcome"]), "")]
     if row["outcome"] != "success":
-        lines.append(("cause", str(row["cause"]), f"in stage {row['stage']}"))
+        lines.append(("cause", str(row["cause"]), f"in stage {row['stage']}: {MEANING[row['cause']]}"))
     for name in figure_columns(row.to_frame().T):
         if name in BOOKKEEPING:
             continue

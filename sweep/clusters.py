@@ -1,0 +1,135 @@
+"""Where batches are simulated: in this process, or by Dask workers on this machine, at an address, or as Slurm jobs.
+
+A cluster hands out the numbers of batches; all else is in the study's folder, which workers read and write themselves.
+"""
+
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import dataclass, field
+from functools import partial
+from importlib import import_module
+from typing import Any
+
+from sweep.errors import Fault, InputError
+from sweep.parameters import choice, count
+
+Work = Callable[[int], Any]
+Dispatch = Callable[[Work, Iterable[int]], Iterator[Any]]  # results in the order in which they are ready
+
+
+@dataclass(frozen=True)
+class Local:
+    """In this process, one batch after the other, each on all its devices."""
+
+    kind: str = choice("local", "local")
+
+    def connect(self) -> AbstractContextManager[Dispatch]:
+        """The built-in `map` takes a batch when the one before is done."""
+        return nullcontext(map)
+
+
+@dataclass(frozen=True)
+class DaskLocal:
+    """Worker processes on this machine."""
+
+    kind: str = choice("dask_local", "dask_local")
+    workers: int = count(2, at_least=1)
+
+    @contextmanager
+    def connect(self) -> Iterator[Dispatch]:
+        """Start the workers; a lost one is started again."""
+        distributed = _dask("distributed", self.kind)
+        with (
+            distributed.LocalCluster(n_workers=self.workers, threads_per_worker=1, memory_limit=0, **QUIET) as cluster,
+            distributed.Client(cluster) as client,
+        ):
+            yield partial(_spread, client)
+
+
+@dataclass(frozen=True)
+class DaskAddress:
+    """Workers of a Dask scheduler that runs already; they need this package and the study's folder under its path."""
+
+    kind: str = choice("dask_address", "dask_address")
+    address: str = ""
+
+    @contextmanager
+    def connect(self) -> Iterator[Dispatch]:
+        """Raises `InputError` where no scheduler answers."""
+        distributed = _dask("distributed", self.kind)
+        if not self.address:
+            raise InputError("cluster.address is missing: a scheduler's, such as tcp://host:8786")
+        try:
+            client = distributed.Client(self.address, timeout=10)
+        except (OSError, ValueError) as error:
+            reason = str(error).splitlines()[0]
+            raise InputError(f"cluster.address = {self.address} is not a scheduler that answers: {reason}") from None
+        with client:
+            yield partial(_spread, client)
+
+
+@dataclass(frozen=True)
+class Slurm:
+    """One Slurm job for each worker, sent from here; a job that ends early, as by its time limit, is sent again."""
+
+    kind: str = choice("slurm", "slurm")
+    workers: int = count(2, at_least=1)  # jobs
+    cores: int = count(1, at_least=1)  # of a job
+    memory: str = "4GB"  # of a job
+    walltime: str = "01:00:00"  # of a job
+    queue: str | None = None  # partition
+    account: str | None = None
+    interface: str | None = None  # network that the nodes reach this machine by, such as ib0
+    directives: list[str] = field(default_factory=list)  # further #SBATCH lines, such as --gres=gpu:1
+    prologue: list[str] = field(default_factory=list)  # shell lines before the worker, such as module load cuda
+    logs: str = "results/slurm"  # folder of the jobs' output
+
+    @contextmanager
+    def connect(self) -> Iterator[Dispatch]:
+        """Send the jobs; Slurm starts them when it can."""
+        distributed, jobqueue = _dask("distributed", self.kind), _dask("dask_jobqueue", self.kind)
+        cluster = jobqueue.SLURMCluster(
+            cores=self.cores, processes=1, memory=self.memory, walltime=self.walltime, queue=self.queue,
+            account=self.account, interface=self.interface, job_extra_directives=list(self.directives),
+            job_script_prologue=list(self.prologue), log_directory=self.logs, python=sys.executable,
+            # one batch at a time; Slurm guards the memory, where Dask would only pause the worker
+            worker_extra_args=["--nthreads", "1", "--memory-limit", "0"], scheduler_options=QUIET_SCHEDULER,
+        )  # fmt: skip
+        with cluster, distributed.Client(cluster) as client:
+            cluster.adapt(minimum_jobs=self.workers, maximum_jobs=self.workers)
+            yield partial(_spread, client)
+
+
+CLUSTERS = {"local": Local, "dask_local": DaskLocal, "dask_address": DaskAddress, "slurm": Slurm}
+Cluster = Local | DaskLocal | DaskAddress | Slurm
+QUIET_SCHEDULER: dict[str, Any] = {"dashboard": False, "dashboard_address": None}
+QUIET: dict[str, Any] = {"dashboard_address": None}
+
+
+def _dask(module: str, kind: str) -> Any:
+    """The module, with its loggers quiet: what a user must know is one line of ours."""
+    try:
+        import dask.config
+
+        dask.config.set({"distributed.logging": {"distributed": "critical"}})
+        return import_module(module)
+    except ImportError:
+        raise InputError(f"cluster = {kind} needs the extra `cluster`: pip install 'insect-sweep[cluster]'") from None
+
+
+def _spread(client: Any, work: Work, batches: Iterable[int]) -> Iterator[Any]:
+    """Let the workers of `client` do it. Raises `Fault` after all others where workers kept dying over a batch."""
+    from distributed import KilledWorker, as_completed
+
+    lost = []
+    # nothing but `as_completed` refers to the futures: a finished one that a dying worker holds is not done again
+    for future in as_completed(client.map(work, batches, pure=False)):
+        try:
+            yield future.result()
+        except KilledWorker as error:
+            lost.append(error.task)
+        finally:
+            future.release()
+    if lost:
+        raise Fault(f"{len(lost)} batches lost their worker again and again, as where its memory is too small")

@@ -1,0 +1,23 @@
+"""What a user is told in one line, without a traceback. Imports nothing, so that the command line starts at once."""
+
+import difflib
+from collections.abc import Iterable
+
+
+class InputError(ValueError):
+    """Bad input from the user: the message is one line naming the key, the value and what is allowed."""
+
+
+class Fault(RuntimeError):
+    """The machine failed a sound run: disk, memory, workers."""
+
+    def __str__(self) -> str:
+        return f"{super().__str__()}; what is on disk stays, the same command finishes the rest"
+
+
+def suggest(word: str, allowed: Iterable[str]) -> str:
+    """The tail of a message about an unknown name: what is allowed, the closest first."""
+    allowed = list(allowed)
+    close = difflib.get_close_matches(word, allowed, n=1, cutoff=0.6)
+    hint = f": did you mean {close[0]}?" if close else ""
+    return f"{hint} (allowed: {', '.join(sorted(allowed))})"

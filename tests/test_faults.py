@@ -1,0 +1,180 @@
+"""What goes wrong on the machine costs time, never rows: one clear line, the designed exit code, the same content."""
+
+import os
+import random
+import resource
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from fake_engine import FakeEngine
+
+import sweep.engines
+from sweep import store
+from sweep.cli import main
+
+pytestmark = pytest.mark.usefixtures("fake_engine")
+STUDY = ["study=walk_map", "study.axes.friction.num=8", "study.axes.step.num=7", "engine.width=8", "study.expect=[]"]
+FAKE = [sys.executable, str(Path(__file__).with_name("fake_engine.py"))]
+
+
+def content(folder: Path, *but: str) -> pd.DataFrame:
+    return store.read_rows(folder).drop(columns=[*store.TIMING, *but])
+
+
+def start(folder: Path, seconds: float) -> subprocess.Popen:
+    """The study in a process of its own, each batch taking `seconds`."""
+    environment = {**os.environ, "FAKE_SECONDS": str(seconds)}
+    return subprocess.Popen([*FAKE, "run", *STUDY, f"out={folder}"], env=environment, stdout=subprocess.PIPE,
+                            stderr=subprocess.PIPE, text=True)  # fmt: skip
+
+
+def wait_for(folder: Path, parts: int, process: subprocess.Popen) -> None:
+    deadline = time.monotonic() + 60
+    while len(store.finished(folder)) < parts:
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """The rows of an undisturbed run."""
+    folder = tmp_path_factory.mktemp("whole")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sweep.engines, "make", FakeEngine)
+        assert main(["run", *STUDY, f"out={folder}"]) == 0
+    return content(folder)
+
+
+def one_line(text: str, *parts: str) -> None:
+    assert text.count("\n") == 1, text
+    assert text.startswith("sweep: ")
+    assert all(part in text for part in parts), text
+
+
+@pytest.mark.slow
+def test_twenty_kills_at_random_moments_leave_the_same_rows(tmp_path, whole):
+    """From the start of the process on: laying out, writing the plan, between and within parts."""
+    moments, kills = random.Random(5), 0
+    folder = tmp_path / "killed"
+    while kills < 20:
+        process = start(folder, 0.02)
+        try:
+            process.communicate(timeout=moments.uniform(1.5, 6.0))
+        except subprocess.TimeoutExpired:
+            process.send_signal(signal.SIGKILL)
+            process.communicate()
+            kills += 1
+        if (folder / store.STUDY).exists() and store.finished(folder):
+            assert set(content(folder)["point_id"]) <= set(whole["point_id"])
+            for number in moments.sample(sorted(store.finished(folder)), 1):
+                store.part(folder, number).unlink()  # so that there is work until the last kill
+    assert main(["run", *STUDY, f"out={folder}"]) == 0
+    pd.testing.assert_frame_equal(content(folder), whole)
+    assert not list(folder.rglob("*.tmp"))
+
+
+def test_an_interrupted_run_says_so_and_goes_on(tmp_path, whole):
+    process = start(tmp_path / "out", 0.3)
+    wait_for(tmp_path / "out", 2, process)
+    process.send_signal(signal.SIGINT)
+    _, error = process.communicate(timeout=60)
+    assert process.returncode == 130
+    one_line(error, "interrupted", "the same command finishes the rest")
+    assert main(["run", *STUDY, f"out={tmp_path / 'out'}"]) == 0
+    pd.testing.assert_frame_equal(content(tmp_path / "out"), whole)
+
+
+def test_a_full_disk_is_one_line_and_loses_nothing(tmp_path, whole):
+    """A limit to the size of files stands for a disk that fills up: the plan fits, a part does not."""
+    process = start(tmp_path / "out", 0)
+    resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (12_000, 12_000))
+    _, error = process.communicate(timeout=60)
+    assert process.returncode == 5
+    one_line(error, "part-000000.parquet cannot be written", "the same command finishes the rest")
+    assert not list((tmp_path / "out" / store.PARTS).iterdir())
+    assert main(["run", *STUDY, f"out={tmp_path / 'out'}"]) == 0
+    pd.testing.assert_frame_equal(content(tmp_path / "out"), whole)
+
+
+@pytest.mark.parametrize("place", ["/proc/sweep", "file/below"])
+def test_a_folder_that_cannot_be_written_is_refused(tmp_path, monkeypatch, capsys, place):
+    """Places where not even root may write, whom permissions do not stop."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").touch()
+    assert main(["run", *STUDY, f"out={place}"]) == 2
+    one_line(capsys.readouterr().err, f"out = {place} cannot be written")
+
+
+def test_damaged_parts_are_named_and_simulated_again(tmp_path, capsys, whole):
+    assert main(["run", *STUDY, f"out={tmp_path}"]) == 0
+    parts = [store.part(tmp_path, number) for number in range(7)]
+    data, third = parts[3].read_bytes(), len(parts[3].read_bytes()) // 3
+    parts[0].write_bytes(parts[0].read_bytes()[:-100])
+    parts[2].write_bytes(b"")
+    parts[3].write_bytes(data[:third] + bytes(b ^ 0xFF for b in data[third : third + 40]) + data[third + 40 :])
+    sound = {p: p.stat().st_mtime_ns for p in (parts[1], *parts[4:])}
+    capsys.readouterr()
+    assert main(["table", str(tmp_path)]) == 2
+    one_line(capsys.readouterr().err, "part-000000.parquet is damaged", "`sweep run`")
+    assert main(["run", *STUDY, f"out={tmp_path}"]) == 0
+    error = capsys.readouterr().err
+    assert [f"part-00000{k}.parquet is damaged" in error for k in range(7)] == [k in (0, 2, 3) for k in range(7)]
+    assert "24 rollouts in" in error
+    pd.testing.assert_frame_equal(content(tmp_path), whole)
+    assert sound == {p: p.stat().st_mtime_ns for p in sound}
+
+
+@pytest.mark.parametrize("name", [store.STUDY, store.POINTS])
+def test_a_damaged_description_or_plan_is_named_and_no_part_touched(tmp_path, capsys, name):
+    assert main(["run", *STUDY, f"out={tmp_path}"]) == 0
+    (tmp_path / name).write_bytes(b"\x00{")
+    capsys.readouterr()
+    assert main(["run", *STUDY, f"out={tmp_path}"]) == 2
+    one_line(capsys.readouterr().err, f"{name} is damaged")
+    (tmp_path / store.POINTS).unlink()
+    assert main(["run", *STUDY, f"out={tmp_path}"]) == 2
+    assert len(store.finished(tmp_path)) == 7
+
+
+def test_too_little_memory_halves_the_width_and_goes_on(tmp_path, whole, monkeypatch):
+    monkeypatch.setenv("FAKE_ROOM", "3")
+    out = tmp_path / "out"
+    assert main(["run", *STUDY, f"out={out}"]) == 0
+    rows = content(out)
+    assert set(rows["width"]) == {2}
+    place = ["batch", "slot", "width", "run_id"]
+    pd.testing.assert_frame_equal(
+        rows.drop(columns=place).sort_values("point_id", ignore_index=True),
+        whole.drop(columns=place).sort_values("point_id", ignore_index=True),
+    )
+    planned = store.read_points(out)
+    pd.testing.assert_frame_equal(planned, rows[planned.columns])
+    assert "half the width" in (out / store.LOG).read_text()
+    monkeypatch.setenv("FAKE_ROOM", "0")
+    assert main(["run", *STUDY, f"out={tmp_path / 'none'}"]) == 5
+
+
+@pytest.mark.parametrize("value", ["nan", "inf", "-inf", "", "x"])
+def test_a_point_that_is_not_a_number_is_refused(tmp_path, monkeypatch, capsys, value):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "p.csv").write_text(f"contact.friction,robot.shin\n1.0,0.3\n{value},0.3\n")
+    assert main(["run", "--points", "p.csv", "out=here"]) == 2
+    one_line(capsys.readouterr().err, "contact.friction = ", "is not allowed")
+    assert not (tmp_path / "here").exists()
+
+
+def test_figures_that_are_not_finite_make_a_row_invalid_and_leave_its_neighbours(tmp_path):
+    seven = [*STUDY, "study.axes.friction.values=[1.0,7.0,2.0]", "study.invalid_max=0.5"]
+    assert main(["run", *seven, f"out={tmp_path}"]) == 0
+    rows = content(tmp_path)
+    poisoned = rows["world.contact.friction"] == 7
+    assert set(rows.loc[poisoned, "outcome"]) == {"invalid"}
+    assert set(rows.loc[poisoned, "cause"]) == {"not_finite"}
+    assert not np.isin("invalid", rows.loc[~poisoned, "outcome"])
