@@ -4,20 +4,18 @@ MUJOCO_GL=egl python docs/scenario_pictures.py [SCENARIO ...]
 """
 
 import sys
-import tempfile
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
 from sweep.batches import Batch, make_engine
 from sweep.config import compose
-from sweep.trace.frames import write_png
+from sweep.trace.frames import write_strip
+from sweep.trace.sampling import evenly
 
 FIGURES = Path(__file__).parent / "figures"
 SCENARIOS = ("walk_tripod", "walk_gallop", "walk_slope", "hexagon_waypoints", "stand_push", "pole_climb")
-HEIGHT = 240  # pixels
 
 
 def strip(scenario: str) -> Path:
@@ -26,11 +24,8 @@ def strip(scenario: str) -> Path:
     one = Batch(replace(exp.settings, width=1), exp.case, exp.case, np.zeros(1, int))
     engine = make_engine(exp, one)
     trace = engine.trace(exp.case, exp.case, one.streams, 0)
-    with tempfile.TemporaryDirectory() as folder:
-        frames = [Image.open(path).convert("RGB") for path in write_png(folder, trace, 4)]
-    small = [np.asarray(frame.resize((round(frame.width * HEIGHT / frame.height), HEIGHT))) for frame in frames]
     path = FIGURES / f"scenario_{scenario}.png"
-    Image.fromarray(np.concatenate(small, axis=1)).quantize(128).save(path, optimize=True)
+    write_strip(path, trace, evenly(trace, 4))
     return path
 
 

@@ -68,11 +68,12 @@ def parser() -> argparse.ArgumentParser:
     table.add_argument("--where", help="only rows that match, such as 'friction > 0.8 and outcome == \"failure\"'")
     table.add_argument("--columns", help="only these columns, separated by commas")
     table.add_argument("-o", "--output", type=Path, help="write to this file instead of the standard output")
-    report = of_results("report", draw_report, "map of where it succeeds, as map.png and map.svg in the folder")
+    report = of_results("report", draw_report, "a page about the study, report.html, and its map, map.png and map.svg")
     report.add_argument("--x", help="parameter along the map")
     report.add_argument("--y", help="parameter up the map")
     report.add_argument("--where", help="only rows that match")
-    report.add_argument("-o", "--output", type=Path, help="folder for the pictures instead of DIR")
+    report.add_argument("--pictures", action="store_true", help="simulate typical rollouts again for their pictures")
+    report.add_argument("-o", "--output", type=Path, help="folder for page and map instead of DIR")
     compare = command("compare", compare_results, "the same points in two folders: which outcomes differ, and where")
     compare.add_argument(
         "a", type=Path, metavar="A", help="folder of the reference; each of its rows needs its pair in B"
@@ -186,13 +187,17 @@ def show_table(given: argparse.Namespace) -> int:
 
 
 def draw_report(given: argparse.Namespace) -> int:
-    """The success map."""
-    from sweep import store
-    from sweep.report import maps
+    """The page, and the success map where there are two parameters to draw it over."""
+    from sweep.report import maps, page, results, typical
 
+    found, folder = results.read(given.dir, given.where), given.output or given.dir
+    if given.pictures:
+        typical.draw(found)
+    print(page.write(found, folder / "report.html"))
     chosen = tuple(name for name in (given.x, given.y) if name)
-    for path in maps.draw(selected(given), store.read_study(given.dir), given.output or given.dir, chosen):
-        print(path)
+    if chosen or len(found.numeric) > 1:
+        for path in maps.draw(found.rows, found.stored, folder, chosen):
+            print(path)
     return DONE
 
 

@@ -55,10 +55,28 @@ def rate(outcome: pd.Series) -> Rate:
     valid = len(outcome) - invalid
     if not valid:
         return Rate(len(outcome), invalid, success, np.nan, np.nan)
-    from scipy.stats import binomtest  # slow to import, and a listing needs none of it
+    low, high = wilson(np.array(success), np.array(valid))
+    return Rate(len(outcome), invalid, success, float(low), float(high))
 
-    interval = binomtest(success, valid).proportion_ci(0.95, method="wilson")
-    return Rate(len(outcome), invalid, success, float(interval.low), float(interval.high))
+
+def rates(rows: pd.DataFrame, by: list[str]) -> pd.DataFrame:
+    """Rate of success for each combination of values of the columns `by`, a row each, as `rate` gives for one."""
+    flags = rows[by].assign(invalid=rows["outcome"] == "invalid", success=rows["outcome"] == "success")
+    table = flags.groupby(by, sort=True, observed=True).agg(
+        total=("success", "size"), invalid=("invalid", "sum"), success=("success", "sum")
+    )
+    valid = table["total"] - table["invalid"]
+    low, high = wilson(table["success"].to_numpy(), valid.to_numpy())
+    share = table["success"] / valid.where(valid > 0)
+    return table.assign(valid=valid, share=share, low=low, high=high).reset_index()
+
+
+def wilson(success: np.ndarray, valid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Ends of the 95 % Wilson interval of `success` of `valid` trials; NaN without any."""
+    z = 1.959963984540054  # the normal distribution's 97.5 % point
+    n = np.where(valid > 0, valid, np.nan).astype(float)
+    middle, half = success + z**2 / 2, z * np.sqrt(success * (n - success) / n + z**2 / 4)
+    return np.maximum(middle - half, 0) / (n + z**2), np.minimum(middle + half, n + z**2) / (n + z**2)
 
 
 def causes(cause: pd.Series) -> list[str]:

@@ -1,14 +1,18 @@
 """Words and units for columns, colours for outcomes."""
 
 from sweep.config import Experiment
-from sweep.metrics.outcome import CAUSES
+from sweep.metrics.outcome import CAUSES, DOUBTS
 from sweep.study import unit
 
 UNITS = {"m": "m", "s": "s", "deg": "°", "rad": "rad", "n": "N", "nm": "N·m", "j": "J", "mps": "m/s", "kg": "kg"}
 # after Okabe and Ito, whose colours the colour-blind can tell apart; success is the lightest, so it reads in grey too
 SUCCESS, INVALID = "#D8EEF9", "#FFFFFF"
 COLOURS = ("#D55E00", "#E69F00", "#CC79A7", "#009E73", "#0072B2", "#F0E442", "#7F7F7F", "#000000")
+HATCHES = ("\\\\", "..", "xx", "++", "--", "||", "oo")  # "//" is kept for what is invalid
 CAUSE_COLOURS = {cause: COLOURS[i % len(COLOURS)] for i, cause in enumerate(CAUSES)}
+CAUSE_HATCHES = {cause: HATCHES[i % len(HATCHES)] for i, cause in enumerate(CAUSES)}
+CAUSE_COLOURS |= dict.fromkeys(DOUBTS, INVALID)
+CAUSE_HATCHES |= {doubt: "/" * (i + 2) for i, doubt in enumerate(DOUBTS)}
 
 
 def name_and_unit(column: str) -> tuple[str, str]:
@@ -36,3 +40,11 @@ def words_and_unit(column: str, exp: Experiment) -> str:
     words = axis_words(column) if "." in column else name_and_unit(column)[0]
     known = unit_of(column, exp)
     return f"{words} [{known}]" if known else words
+
+
+def heading(name: str) -> str:
+    """Words and unit of a column."""
+    if "." in name:
+        return axis_words(name)
+    words, unit = name_and_unit(name)
+    return f"{words} ({unit})" if unit else words

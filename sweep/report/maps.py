@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import ListedColormap, Normalize
+from matplotlib.colors import ListedColormap, Normalize, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 
@@ -17,10 +17,12 @@ from sweep.config import experiment
 from sweep.metrics.outcome import CAUSES
 from sweep.parameters import InputError
 from sweep.query import column
-from sweep.report.labels import CAUSE_COLOURS, INVALID, SUCCESS, axis_words, words_and_unit
+from sweep.report.labels import CAUSE_COLOURS, CAUSE_HATCHES, INVALID, SUCCESS, axis_words, words_and_unit
+from sweep.report.tables import text
 from sweep.stats import rate
 
 KINDS = ["success", *CAUSES]
+OUTLINED = 4000  # cells
 PALETTE = ListedColormap([SUCCESS, *(CAUSE_COLOURS[c] for c in CAUSES)])
 
 
@@ -82,15 +84,15 @@ def map_axes(rows: pd.DataFrame, chosen: tuple[str, ...]) -> tuple[str, str]:
     return found[0], found[1]
 
 
-def split(rows: pd.DataFrame, x: str, y: str) -> Iterator[tuple[list[str], pd.DataFrame]]:
-    """Panels, with their titles: one for each combination of varied names."""
+def split(rows: pd.DataFrame, x: str, y: str, also: tuple[str, ...] = ()) -> Iterator[tuple[list[str], pd.DataFrame]]:
+    """Panels, with their titles: one for each combination of varied names and values of `also`."""
     named = [c for c in rows.columns if "." in c and c not in (x, y) and rows[c].dtype.kind not in "fi"]
-    named = [c for c in named if rows[c].nunique() > 1]
+    named = [*(c for c in named if rows[c].nunique() > 1), *also]
     if not named:
         yield [], rows
         return
     for values, panel in rows.groupby(named, sort=False):
-        yield [f"{axis_words(c)} {v}" for c, v in zip(named, values, strict=True)], panel
+        yield [f"{axis_words(c)} {text(v)}" for c, v in zip(named, values, strict=True)], panel
 
 
 def spread(counts: list[pd.Series]) -> str:
@@ -103,6 +105,27 @@ def categories(ax: Axes, rows: pd.DataFrame, cells: Cells) -> None:
     """Cells coloured by outcome and cause."""
     kind = rows["cause"].where(rows["outcome"] == "failure", "success").map(KINDS.index).astype(float)
     paint(ax, rows.assign(value=kind), cells, cmap=PALETTE, vmin=-0.5, vmax=len(KINDS) - 0.5)
+    hatch(ax, rows[rows["outcome"] == "failure"], cells)
+
+
+def hatch(ax: Axes, failed: pd.DataFrame, cells: Cells) -> None:
+    """A pattern for each cause, for those who cannot tell the colours: one patch for each run of equal cells."""
+    cause_of = failed.astype({"cause": object}).pivot(index="y", columns="x", values="cause")
+    grid = cause_of.reindex(index=cells.y, columns=cells.x).astype(object).fillna("")
+    x, y = edges(cells.x), edges(cells.y)
+    for j, line in enumerate(grid.to_numpy(dtype=str)):
+        starts = np.flatnonzero(np.r_[True, line[1:] != line[:-1]])
+        for start, end in zip(starts, [*starts[1:], len(line)], strict=True):
+            if cause := str(line[start]):
+                size = x[end] - x[start], y[j + 1] - y[j]
+                ax.add_patch(Rectangle((x[start], y[j]), *size, fill=False, linewidth=0, **pattern(cause)))
+
+
+def pattern(cause: str) -> dict[str, Any]:
+    """Hatching of a cause, dark on light colours and light on dark ones."""
+    red, green, blue = to_rgb(CAUSE_COLOURS[cause])
+    dark = 0.299 * red + 0.587 * green + 0.114 * blue < 0.5
+    return {"hatch": CAUSE_HATCHES[cause], "edgecolor": "white" if dark else "black"}
 
 
 def shares(ax: Axes, rows: pd.DataFrame, cells: Cells) -> None:
@@ -116,7 +139,9 @@ def paint(ax: Axes, rows: pd.DataFrame, cells: Cells, **style: Any) -> None:
     grid = rows[~invalid].pivot_table(index="y", columns="x", values="value").reindex(index=cells.y, columns=cells.x)
     x, y = edges(cells.x), edges(cells.y)
     values = np.ma.masked_invalid(grid.to_numpy(dtype=float))
-    ax.pcolormesh(x, y, values, edgecolors="white", linewidth=0.4, **style)
+    many = values.size > OUTLINED  # a vector picture of so many cells is slow to show, and outlines would cover them
+    outline = {} if many else {"edgecolors": "white", "linewidth": 0.4}
+    ax.pcolormesh(x, y, values, rasterized=many, **outline, **style)
     for at_x, at_y in rows.loc[invalid, ["x", "y"]].drop_duplicates().itertuples(index=False):
         i, j = int(np.searchsorted(cells.x, at_x)), int(np.searchsorted(cells.y, at_y))
         (left, right), (low, high) = x[i : i + 2].tolist(), y[j : j + 2].tolist()
@@ -148,7 +173,7 @@ def mark_values(ax: Axes, cells: Cells) -> None:
 def legend(figure: Figure, causes: list[str], invalid: bool, most: int) -> None:
     """What the colours and the hatching mean."""
     patches = [Patch(facecolor=SUCCESS, edgecolor="grey", label="success")] if most == 1 else []
-    patches += [Patch(facecolor=CAUSE_COLOURS[c], label=c.replace("_", " ")) for c in causes]
+    patches += [Patch(facecolor=CAUSE_COLOURS[c], label=c.replace("_", " "), **pattern(c)) for c in causes]
     if invalid:
         patches.append(Patch(facecolor=INVALID, edgecolor="black", hatch="////", label="invalid"))
     if patches:

@@ -2,11 +2,12 @@
 
 import io
 
+import numpy as np
 import pandas as pd
 
 from sweep.metrics.outcome import MEANING, TIMED_CAUSES
 from sweep.query import column
-from sweep.report.labels import axis_words, name_and_unit
+from sweep.report.labels import heading, name_and_unit
 from sweep.stats import causes
 from sweep.store import LABELS, figure_columns
 
@@ -52,17 +53,9 @@ def shown(rows: pd.DataFrame) -> pd.DataFrame:
     return rows.map(text).rename(columns=heading)
 
 
-def heading(name: str) -> str:
-    """Words and unit of a column."""
-    if "." in name:
-        return axis_words(name)
-    words, unit = name_and_unit(name)
-    return f"{words} ({unit})" if unit else words
-
-
 def text(value: object) -> str:
     """Four digits are enough to read; what is not there stays empty."""
-    if isinstance(value, float):
+    if isinstance(value, float | np.floating):
         return "" if pd.isna(value) else f"{value:.4g}"
     return "" if value is None or value is pd.NA else str(value)
 

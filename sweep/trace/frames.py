@@ -12,6 +12,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 from matplotlib.image import imsave
+from PIL import Image
 
 from sweep.engines.base import Trace
 from sweep.parameters import InputError
@@ -33,6 +34,13 @@ def write_png(folder: str | Path, trace: Trace, number: int = 8) -> list[Path]:
     for path, picture in zip(paths, render(trace, chosen), strict=True):
         imsave(path, picture)
     return paths
+
+
+def write_strip(path: str | Path, trace: Trace, chosen: np.ndarray, height: int = 240) -> None:
+    """Write the frames with the indices `chosen` side by side, `height` pixels high; raises as `render` does."""
+    width = round(SIZE[0] * height / SIZE[1])
+    small = [np.asarray(Image.fromarray(picture).resize((width, height))) for picture in render(trace, chosen)]
+    Image.fromarray(np.concatenate(small, axis=1)).quantize(128).save(path, optimize=True)
 
 
 def write_video(path: str | Path, trace: Trace) -> None:

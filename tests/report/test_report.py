@@ -7,6 +7,7 @@ import pytest
 from sweep.config import compose
 from sweep.parameters import InputError
 from sweep.report import maps, tables
+from sweep.report.labels import CAUSE_HATCHES
 from sweep.stats import broken, rate
 from sweep.study import Expectation
 
@@ -63,7 +64,9 @@ def test_map_of_single_rollouts_shows_causes_and_hatches_invalid_cells(rows, tmp
     assert "half step ratio" in left.get_ylabel()
     assert "7 of 11 succeed" in left.get_title()
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["success", "slipped", "invalid"]
-    hatched = [patch.get_extents() for patch in left.patches if patch.get_hatch()]
+    slipped = [patch for patch in left.patches if patch.get_hatch() == CAUSE_HATCHES["slipped"]]
+    assert [p.get_width() for p in slipped] == pytest.approx([0.2, 0.6])  # one for each run of equal cells
+    hatched = [patch.get_extents() for patch in left.patches if patch.get_hatch() == "////"]
     assert [left.transData.inverted().transform(box.p0) for box in hatched] == [pytest.approx([0.3, 0.025])]
     paths = maps.draw(rows, STORED, tmp_path)
     assert [p.name for p in paths] == ["map.png", "map.svg"]

@@ -1,0 +1,194 @@
+"""The figures of a study, each with the numbers it shows: for the report's page and for the paper's bundle."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from sweep.report import slices
+from sweep.report.labels import CAUSE_COLOURS, SUCCESS, axis_words, heading, words_and_unit
+from sweep.report.maps import pattern
+from sweep.report.results import Results, binned
+from sweep.report.tables import BOOKKEEPING
+from sweep.stats import rates
+from sweep.store import figure_columns
+
+EFFECT_VALUES, EFFECT_BINS, HISTOGRAM_BINS, LINES, HISTOGRAMS = 50, 20, 30, 5, 12
+STYLES = (
+    ("#0072B2", "-", "o"),
+    ("#D55E00", "--", "s"),
+    ("#009E73", ":", "^"),
+    ("#CC79A7", "-.", "D"),
+    ("0.3", "-", "v"),
+)
+
+
+@dataclass(frozen=True)
+class Exhibit:
+    """A figure, what it shows in words, and the numbers it is drawn from."""
+
+    key: str  # for file names and anchors
+    title: str
+    caption: str
+    data: pd.DataFrame
+    draw: Callable[[], Figure]
+
+
+def exhibits(results: Results) -> Iterator[Exhibit]:
+    """All figures that a study has something to show in."""
+    yield from maps(results)
+    yield from effects(results)
+    yield from causes(results)
+    yield from distributions(results)
+
+
+def maps(results: Results) -> Iterator[Exhibit]:
+    """Where it succeeds, over pairs of parameters."""
+    for number, one in enumerate(slices.slices(results), 1):
+        table = slices.data(one)
+        title = f"{axis_words(one.y)} by {axis_words(one.x)}"
+        if "total" not in table:
+            caption = f"One rollout a cell{', ' + one.note if one.note else ''}."
+        else:
+            low, high = table["total"].min(), table["total"].max()
+            many = f"{low}" if low == high else f"{low} to {high}"
+            caption = (
+                f"Rate of success of {many} rollouts a cell{', ' + one.note if one.note else ''}, "
+                "between the ends of its 95 % Wilson interval."
+            )
+        yield Exhibit(f"map-{number}", title, caption, table, lambda one=one: slices.draw(results, one))
+
+
+def effects(results: Results) -> Iterator[Exhibit]:
+    """Rate of success along each parameter."""
+    by = [c for c in results.named if results.rows[c].nunique() <= LINES][:1]
+    tables = []
+    for axis in results.numeric:
+        value = results.rows[axis]
+        value = value if value.nunique() <= EFFECT_VALUES else binned(value, EFFECT_BINS)
+        table = rates(results.rows.assign(value=value), [*by, "value"]).assign(parameter=axis)
+        if table["total"].max() > 1:
+            tables.append(table)
+    if not tables:
+        return
+    data = pd.concat(tables, ignore_index=True)
+    caption = "Rate of success at each value of one parameter, over all others, with its 95 % Wilson interval."
+    data = data[["parameter", *by, *data.columns.drop(["parameter", *by])]]
+    yield Exhibit("effects", "Each parameter alone", caption, data, lambda: _draw_effects(results, data, by))
+
+
+def _draw_effects(results: Results, data: pd.DataFrame, by: list[str]) -> Figure:
+    axes = list(dict.fromkeys(data["parameter"]))
+    figure, spots = _panels(len(axes))
+    for axis, ax in zip(axes, spots, strict=True):
+        own = data[data["parameter"] == axis]
+        parts = own.groupby(by[0], sort=False) if by else [("", own)]
+        for (name, part), (colour, line, marker) in zip(parts, STYLES, strict=False):
+            ax.fill_between(part["value"], part["low"], part["high"], color=colour, alpha=0.2, linewidth=0)
+            ax.plot(part["value"], part["share"], line, marker=marker, markersize=3, color=colour, label=str(name))
+        ax.set(xlabel=words_and_unit(axis, results.exp), ylabel="rate of success", ylim=(-0.02, 1.02))
+        if by:
+            ax.legend(fontsize=7, title=axis_words(by[0]), title_fontsize=7)
+    return figure
+
+
+def causes(results: Results) -> Iterator[Exhibit]:
+    """Which causes end rollouts in which stage."""
+    failed = results.rows[results.rows["outcome"] != "success"]
+    if failed.empty:
+        return
+    table = pd.crosstab(failed["stage"], failed["cause"])
+    stages = [s for s in results.stages if s in table.index] + [s for s in table.index if s not in results.stages]
+    table = table.loc[stages, results.causes_seen]
+    caption = "Rollouts that did not succeed, by the stage of the plan in which it happened."
+    yield Exhibit("causes", "Causes by stage", caption, table.reset_index(), lambda: _draw_causes(table))
+
+
+def _draw_causes(table: pd.DataFrame) -> Figure:
+    figure = Figure(figsize=(7.8, 1.6 + 0.32 * len(table)), layout="constrained")
+    ax = figure.subplots()
+    left = np.zeros(len(table))
+    for cause in table:
+        number = table[cause].to_numpy()
+        ax.barh(table.index, number, left=left, color=CAUSE_COLOURS[str(cause)], label=str(cause).replace("_", " "),
+                linewidth=0.4, **pattern(str(cause)))  # fmt: skip
+        left += number
+    for y, total in enumerate(left):
+        ax.annotate(f"{total:.0f}", (total, y), xytext=(4, 0), textcoords="offset points", va="center", fontsize=8)
+    ax.invert_yaxis()
+    ax.set(xlabel="rollouts", ylabel="stage")
+    ax.spines[["top", "right"]].set_visible(False)
+    ax.legend(loc="upper left", bbox_to_anchor=(1.02, 1), borderaxespad=0, fontsize=8)
+    return figure
+
+
+def distributions(results: Results) -> Iterator[Exhibit]:
+    """Histograms of what was measured: of the figures that outcomes are judged by, then of the others."""
+    names = _telling(results)
+    if not names:
+        return
+    tables = []
+    for name in names:
+        values = results.rows[name]
+        edges = np.histogram_bin_edges(values[np.isfinite(values)], HISTOGRAM_BINS)
+        for outcome, part in values.groupby(results.rows["outcome"]):
+            number, _ = np.histogram(part[np.isfinite(part)], edges)
+            bins = {"from": edges[:-1], "to": edges[1:], "rollouts": number}
+            tables.append(pd.DataFrame({"figure": name, "outcome": outcome, **bins}))
+    data = pd.concat(tables, ignore_index=True)
+    caption = "Rollouts by what was measured in them; the dashed line is the threshold of failure or distrust."
+    yield Exhibit("distributions", "Distributions", caption, data, lambda: _draw_distributions(results, data))
+
+
+def limits(results: Results) -> dict[str, float]:
+    """Thresholds by the figure that they are for."""
+    return {name: value for name, value in results.stored["config"]["outcome"].items() if name in results.rows}
+
+
+def _telling(results: Results) -> list[str]:
+    """Figures that differ between rollouts, those with a threshold first."""
+    judged = limits(results)
+    names = [c for c in figure_columns(results.rows) if c not in BOOKKEEPING and results.rows[c].dtype.kind == "f"]
+    names = [c for c in names if results.rows[c].max() > results.rows[c].min()]
+    return sorted(names, key=lambda c: c not in judged)[:HISTOGRAMS]
+
+
+def _draw_distributions(results: Results, data: pd.DataFrame) -> Figure:
+    names = list(dict.fromkeys(data["figure"]))
+    figure, spots = _panels(len(names), columns=3, height=2.0)
+    judged = limits(results)
+    looks: dict[str, Any] = {"success": {"color": SUCCESS, "edgecolor": "#0072B2"},
+                             "failure": {"color": "#D55E00", "hatch": "\\\\\\", "edgecolor": "black"},
+                             "invalid": {"color": "white", "hatch": "///", "edgecolor": "black"}}  # fmt: skip
+    for name, ax in zip(names, spots, strict=True):
+        own = data[data["figure"] == name]
+        low, high = own["from"].min(), own["to"].max()
+        bottom = np.zeros(HISTOGRAM_BINS)
+        for outcome, part in sorted(own.groupby("outcome"), key=lambda one: list(looks).index(str(one[0]))):
+            look = {"align": "edge", "linewidth": 0.4, "label": outcome, **looks[str(outcome)]}
+            ax.bar(part["from"], part["rollouts"], part["to"] - part["from"], bottom, **look)
+            bottom += part["rollouts"].to_numpy()
+        limit = judged.get(name)
+        if limit is not None and low - (high - low) < limit < high + (high - low):  # else it would flatten the rest
+            ax.axvline(limit, color="black", linestyle="--", linewidth=1)
+        ax.set_xlabel(heading(name), fontsize=8)
+        ax.tick_params(labelsize=7)
+        ax.spines[["top", "right"]].set_visible(False)
+    handles = {text: one for ax in spots for one, text in zip(*ax.get_legend_handles_labels(), strict=True)}
+    figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=3, fontsize=8)
+    return figure
+
+
+def _panels(number: int, columns: int = 2, height: float = 2.6) -> tuple[Figure, list[Axes]]:
+    """A figure as wide as a page with `number` panels."""
+    columns = min(columns, number)
+    lines = -(-number // columns)
+    figure = Figure(figsize=(7.8 if columns > 1 else 5.2, height * lines + 0.4), layout="constrained")
+    axes = figure.subplots(lines, columns, squeeze=False).ravel().tolist()
+    for ax in axes[number:]:
+        ax.set_visible(False)
+    return figure, axes[:number]

@@ -1,0 +1,141 @@
+"""`sweep report`: a study as one HTML page that needs nothing beside it, on a screen or on paper."""
+
+import base64
+import io
+import itertools
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import matplotlib as mpl
+import pandas as pd
+import yaml
+from markupsafe import Markup
+from matplotlib.figure import Figure
+
+from sweep import store
+from sweep.metrics.outcome import MEANING
+from sweep.report import tables
+from sweep.report.exhibits import exhibits
+from sweep.report.labels import axis_words, heading, unit_of
+from sweep.report.results import Results
+from sweep.report.typical import Typical, typical
+from sweep.stats import broken, rate
+from sweep.study import nominal, side_and_path
+
+ROWS = 100  # of the table at the end
+TELLING = ("distance_m", "slip_max_m", "tilt_max_deg", "leg_gap_min_m", "clearance_min_m", "stability_margin_min_m",
+           "torque_peak_beta_nm", "t_cause_s")  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Plate:
+    """A figure on the page."""
+
+    key: str
+    title: str
+    caption: str
+    svg: Markup
+
+
+def write(results: Results, path: Path) -> Path:
+    """Write the page of `results`."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(render(results), encoding="utf-8")
+    return path
+
+
+def render(results: Results) -> str:
+    """The page as HTML."""
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    template = environment.from_string((files("sweep.report") / "page.html.j2").read_text(encoding="utf-8"))
+    plates = [Plate(e.key, e.title, e.caption, svg(e.draw(), e.title)) for e in exhibits(results)]
+    rows = results.rows
+    return template.render(
+        results=results,
+        rate=rate(rows["outcome"]),
+        repeated=results.exp.study.replicates > 1,
+        plates=plates,
+        expectations=list(expectations(results)),
+        parameters=list(parameters(results)),
+        reasons=[(cause, MEANING[cause], int((rows["cause"] == cause).sum())) for cause in results.causes_seen],
+        typical=[(one, image(one), list(telling(one))) for one in typical(results)],
+        table=table(rows.head(ROWS)),
+        configuration=yaml.safe_dump(results.stored["config"], sort_keys=False, allow_unicode=True),
+        dates=dates(results.folder),
+    )
+
+
+def expectations(results: Results) -> Iterator[tuple[str, str]]:
+    """What the study expects of its rows, and whether they keep it."""
+    for one in results.exp.study.expect:
+        where = f" where {one.where}" if one.where else ""
+        lines = broken((one,), results.rows)
+        yield f"{one.that}{where}: a share from {one.at_least:g} to {one.at_most:g}", lines[0] if lines else "met"
+
+
+def parameters(results: Results) -> Iterator[dict[str, Any]]:
+    """What was varied."""
+    for name in results.axes:
+        values = results.rows[name]
+        side, path = side_and_path(name)
+        listed = [tables.text(v) for v in sorted(values.unique())]
+        extent = ", ".join(listed) if len(listed) <= 6 else f"{listed[0]} to {listed[-1]}"
+        own = not name.startswith("axis.")  # else a number that parameters are made from
+        usual = tables.text(nominal(name, results.exp.case, results.exp.settings)) if own else ""
+        about = {"words": axis_words(name), "path": path, "on": side, "unit": unit_of(name, results.exp)}
+        yield {**about, "values": extent, "number": len(listed), "nominal": usual}
+
+
+def telling(one: Typical) -> Iterator[tuple[str, str]]:
+    """Parameters and a few figures of a typical rollout."""
+    names = [*(c for c in one.row.index if "." in c), *(c for c in TELLING if c in one.row)]
+    for name in names:
+        if shown := tables.text(one.row[name]):
+            yield heading(name), shown
+
+
+def image(one: Typical) -> str:
+    """Its picture as a data URL; empty where there is none."""
+    if not one.picture.exists():
+        return ""
+    return "data:image/png;base64," + base64.b64encode(one.picture.read_bytes()).decode()
+
+
+def table(rows: pd.DataFrame) -> Markup:
+    """The first rows, with what identifies them."""
+    shown = tables.shown(rows[[*tables.reading(rows), "point_id"]])
+    return Markup(shown.to_html(index=True, border=0, escape=True, classes="rows"))
+
+
+def dates(folder: Path) -> tuple[str, str]:
+    """First and last day and time of the log; empty without one."""
+    try:
+        lines = (folder / store.LOG).read_text().splitlines()
+    except OSError:
+        return "", ""
+    stamps = [line.partition(" ")[0] for line in lines if line]
+    return (stamps[0], stamps[-1]) if stamps else ("", "")
+
+
+_numbers = itertools.count()
+
+
+def svg(figure: Figure, title: str) -> Markup:
+    """The figure as an SVG element with text that can be searched, its identifiers unlike those of other figures."""
+    content = io.StringIO()
+    own = f"f{next(_numbers)}"
+    with mpl.rc_context({"svg.hashsalt": own, "svg.fonttype": "none"}):
+        figure.savefig(content, format="svg", metadata={"Date": None, "Creator": None})
+    text = content.getvalue()
+    text = text[text.index("<svg") :]
+    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+    text = re.sub(r'<g id="[^"]*"', "<g", text)  # names of groups, which repeat; what is referred to has other ones
+    label = str(Markup.escape(title))
+    return Markup(text.replace("<svg", f'<svg role="img" aria-label="{label}"', 1))

@@ -1,0 +1,77 @@
+"""A study's folder as its reports see it."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from sweep import store
+from sweep.config import Experiment, experiment
+from sweep.metrics.outcome import MEANING
+from sweep.query import mask
+from sweep.study import parameter_columns
+
+
+@dataclass(frozen=True)
+class Results:
+    """Finished rows of a study, and what is known of how they came about."""
+
+    folder: Path
+    stored: dict[str, Any]  # study.yaml
+    exp: Experiment
+    rows: pd.DataFrame
+    where: str | None  # the condition that chose them
+
+    @cached_property
+    def axes(self) -> list[str]:
+        """What was varied: the columns of the study's axes, or of its table of points, with more than one value."""
+        listed = [] if self.exp.study.points else [axis.column for axis in self.exp.study.axes]
+        every = listed or parameter_columns(self.rows)
+        return [c for c in every if c in self.rows and self.rows[c].nunique() > 1]
+
+    @cached_property
+    def numeric(self) -> list[str]:
+        """Those that are numbers."""
+        return [c for c in self.axes if self.rows[c].dtype.kind in "fi"]
+
+    @cached_property
+    def named(self) -> list[str]:
+        """Those that are names, such as an engine."""
+        return [c for c in self.axes if c not in self.numeric]
+
+    @property
+    def name(self) -> str:
+        """The study's name."""
+        return self.exp.study.name
+
+    @cached_property
+    def stages(self) -> list[str]:
+        """Names of the plan's stages, in its order; of several plans one after the other."""
+        return list(dict.fromkeys(name for names in self.stored["stages"].values() for name in names))
+
+    @cached_property
+    def causes_seen(self) -> list[str]:
+        """Causes of failure and reasons for distrust that occur, in the order of their definition."""
+        found = set(self.rows["cause"].unique())
+        return [cause for cause in MEANING if cause in found]
+
+
+def read(folder: Path, where: str | None = None) -> Results:
+    """Finished rows of `folder` that match `where`. Raises `InputError`."""
+    stored, rows = store.read_study(folder), store.read_rows(folder)
+    if where:
+        rows = rows[mask(rows, where)].reset_index(drop=True)
+    return Results(folder, stored, experiment(stored["config"]), rows, where)
+
+
+def binned(values: pd.Series, most: int) -> pd.Series:
+    """The values where there are at most `most`; else the middles of `most` equal intervals that they lie in."""
+    if values.dtype.kind not in "fi" or values.nunique() <= most:
+        return values
+    low, high = values.min(), values.max()
+    width = (high - low) / most
+    index = np.minimum(((values - low) / width).astype(int), most - 1)
+    return low + (index + 0.5) * width

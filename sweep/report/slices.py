@@ -1,0 +1,128 @@
+"""Maps of a study of any number of parameters: sections through its points, with the intervals of noisy ones."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+import pandas as pd
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+
+from sweep.metrics.outcome import CAUSES
+from sweep.report.labels import axis_words, words_and_unit
+from sweep.report.maps import Cells, categories, legend, mark_values, paint, split
+from sweep.report.results import Results, binned
+from sweep.report.tables import text
+from sweep.stats import rates
+from sweep.study import nominal
+
+MAPS = 6  # pairs of parameters, at most
+PANELS = 4  # sections along a third parameter
+GRID = 400  # more values than this along an axis are no grid that a picture could show
+
+
+@dataclass(frozen=True)
+class Slice:
+    """Rows near one section through the points, and what lies in the section's place of the other parameters."""
+
+    x: str
+    y: str
+    beside: str | None  # parameter that the panels go through
+    rows: pd.DataFrame
+    note: str
+
+
+def slices(results: Results) -> Iterator[Slice]:
+    """A section for each pair of parameters.
+
+    A grid is cut: at a few values of a third parameter; with more parameters, at their values next to the nominal
+    ones. Points that were drawn lie in no section: they are counted in bins, over all values of the others.
+    """
+    numeric = results.numeric
+    for x, y in list(combinations(numeric, 2))[:MAPS]:
+        rows, others = results.rows, [c for c in numeric if c not in (x, y)]
+        if not gridded(rows, x, y):
+            bins = int(np.clip(np.sqrt(len(rows) / 20), 4, 40))
+            note = f"{bins} by {bins} bins" + (", over all values of the other parameters" if others else "")
+            yield Slice(x, y, None, rows.assign(**{c: binned(rows[c], bins) for c in (x, y)}), note)
+        elif len(others) == 1:
+            values = np.sort(rows[others[0]].unique())
+            chosen = values[np.unique(np.linspace(0, len(values) - 1, PANELS).round().astype(int))]
+            yield Slice(x, y, others[0], rows[rows[others[0]].isin(chosen)], f"at values of {axis_words(others[0])}")
+        else:
+            fixed = {c: nearest(rows[c], usual(results, c)) for c in others}
+            for name, value in fixed.items():
+                rows = rows[rows[name] == value]
+            note = ", ".join(f"{axis_words(c)} = {text(v)}" for c, v in fixed.items())
+            yield Slice(x, y, None, rows, f"at {note}" if note else "")
+
+
+def gridded(rows: pd.DataFrame, x: str, y: str) -> bool:
+    """Whether `x` and `y` take few enough values to fill a map with."""
+    wide, high = rows[x].nunique(), rows[y].nunique()
+    return max(wide, high) <= GRID and len(rows) >= wide * high / 2
+
+
+def nearest(values: pd.Series, target: float) -> float:
+    """The one of `values` that is nearest to `target`."""
+    return float(values.iloc[int((values - target).abs().argmin())])
+
+
+def usual(results: Results, column: str) -> float:
+    """The nominal value of a parameter; the middle one of a number that parameters are made from."""
+    if column.startswith("axis."):
+        return float(results.rows[column].median())
+    return float(nominal(column, results.exp.case, results.exp.settings))
+
+
+def draw(results: Results, chosen: Slice) -> Figure:
+    """Outcomes of single rollouts; of several in a cell the rate of success between the ends of its interval."""
+    x, y = chosen.x, chosen.y
+    panels = list(split(chosen.rows, x, y, (chosen.beside,) if chosen.beside else ()))
+    cells = Cells(np.sort(chosen.rows[x].unique()), np.sort(chosen.rows[y].unique()))
+    tables = [rates(panel, [x, y]).rename(columns={x: "x", y: "y"}) for _, panel in panels]
+    single = max(table["total"].max() for table in tables) == 1
+    shown = [""] if single else ["low", "share", "high"]
+    columns = min(len(panels), 2) if single else 3
+    lines = -(-len(panels) * len(shown) // columns)
+    figure = Figure(figsize=(3.4 * columns + 1, 3 * lines + 0.6), layout="constrained")
+    axes = figure.subplots(lines, columns, squeeze=False, sharex=True, sharey=True).ravel()
+    spots = iter(axes)
+    for (title, panel), table in zip(panels, tables, strict=True):
+        for kind in shown:
+            ax = next(spots)
+            if single:
+                categories(ax, panel.assign(x=panel[x], y=panel[y]), cells)
+            else:
+                broken = table[table["invalid"] > 0].assign(outcome="invalid")
+                whole = table[table["valid"] > 0].assign(outcome="")
+                values = pd.concat([whole.assign(value=whole[kind]), broken.assign(value=np.nan)])
+                paint(ax, values, cells, cmap="cividis", vmin=0, vmax=1)
+            word = {"low": "lower end", "share": "rate of success", "high": "upper end"}.get(kind, "")
+            ax.set_title(", ".join([*title, word] if word else title), fontsize=9)
+            mark_values(ax, cells)
+    for ax in spots:
+        ax.set_visible(False)
+    for k, ax in enumerate(axes):
+        if k % columns == 0:
+            ax.set_ylabel(words_and_unit(y, results.exp))
+        if k >= len(axes) - columns:
+            ax.set_xlabel(words_and_unit(x, results.exp))
+    seen = [c for c in CAUSES if single and (chosen.rows["cause"] == c).any()]
+    legend(figure, seen, bool((chosen.rows["outcome"] == "invalid").any()), 1 if single else 2)
+    if not single:
+        figure.colorbar(ScalarMappable(Normalize(0, 1), "cividis"), ax=axes, shrink=0.8)
+    return figure
+
+
+def data(chosen: Slice) -> pd.DataFrame:
+    """The numbers behind the map, a row for each cell."""
+    rows = chosen.rows
+    named = [c for c in rows if "." in str(c) and rows[c].dtype.kind not in "fi" and rows[c].nunique() > 1]
+    by = [*named, *([chosen.beside] if chosen.beside else []), chosen.x, chosen.y]
+    table = rates(rows, by)
+    if (table["total"] > 1).any():
+        return table
+    return rows[[*by, "outcome", "cause", "point_id"]].sort_values(by, ignore_index=True)

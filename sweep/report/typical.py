@@ -1,0 +1,98 @@
+"""For each kind of outcome the rollout that is most like the others of its kind, and its pictures."""
+
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from sweep import batches
+from sweep.metrics.outcome import MEANING, SUCCESS
+from sweep.report.results import Results
+from sweep.report.tables import BOOKKEEPING
+from sweep.store import figure_columns
+
+SAMPLE = 1000  # rollouts of a kind that are looked at
+PICTURES = "pictures"  # folder beside the study's parts
+FRAMES, AFTER = 4, 1.0  # of a picture: how many, and how long after the cause (s)
+
+
+@dataclass(frozen=True)
+class Typical:
+    """The most typical rollout of a kind."""
+
+    kind: str  # success, or a cause
+    number: int  # rollouts of the kind
+    row: pd.Series
+    picture: Path  # where its picture is, or would be
+
+    @property
+    def meaning(self) -> str:
+        """The kind in a sentence."""
+        return MEANING.get(self.kind, "no cause of failure or distrust was met")
+
+
+def typical(results: Results) -> Iterator[Typical]:
+    """The medoid of each cause, then that of the successes: least distant from all others in standardised figures."""
+    rows = results.rows
+    kinds = rows["cause"].where(rows["outcome"] != SUCCESS, SUCCESS)
+    columns = [c for c in figure_columns(rows) if c not in BOOKKEEPING and rows[c].dtype.kind == "f"]
+    for kind in [*results.causes_seen, SUCCESS]:
+        own = rows[(kinds == kind).to_numpy()]
+        if len(own):
+            sample = own.sample(min(len(own), SAMPLE), random_state=0).sort_index()
+            row = sample.iloc[medoid(standardised(sample[columns].to_numpy(dtype=float)))]
+            picture = results.folder / PICTURES / f"{row['run_id']}-{row['point_id']}.png"
+            yield Typical(kind, len(own), row, picture)
+
+
+def standardised(values: np.ndarray) -> np.ndarray:
+    """Columns of `values` (N, K) in units of their spread from their median; what is missing counts as typical."""
+    values = np.where(np.isfinite(values), values, np.nan)
+    values = values[:, ~np.isnan(values).all(axis=0)]
+    if not values.shape[1]:
+        return np.zeros((len(values), 1))
+    low, middle, high = np.nanpercentile(values, [25, 50, 75], axis=0)
+    spread = np.where(high > low, high - low, np.nanstd(values, axis=0))
+    return np.nan_to_num((values - middle) / np.where(spread > 0, spread, 1.0))
+
+
+def medoid(values: np.ndarray) -> int:
+    """Index of the row of `values` (N, K) with the least sum of distances to all rows."""
+    square = np.sum(values**2, axis=1)
+    distance = np.sqrt(np.maximum(square[:, None] + square - 2 * values @ values.T, 0))
+    return int(np.argmin(distance.sum(axis=1)))
+
+
+def draw(results: Results) -> list[Path]:
+    """Simulate the typical rollouts again and write the pictures that are missing.
+
+    They run in a batch of their own, so that a study of wide batches can be pictured anywhere. A rollout that ends
+    otherwise in it gets no picture, and a line on the standard error. Raises `InputError` without OpenGL.
+    """
+    from sweep.metrics.outcome import classify
+    from sweep.trace.frames import write_strip
+    from sweep.trace.sampling import at_times
+
+    wanted = [one for one in typical(results) if not one.picture.exists()]
+    drawn = []
+    for group in sorted({int(one.row["group"]) for one in wanted}):
+        own = [one for one in wanted if one.row["group"] == group]
+        rows = pd.DataFrame([one.row for one in own]).assign(width=len(own)).infer_objects()
+        exp = batches.with_room_for_delay(results.exp, results.rows)
+        task = batches.batch(exp, rows)
+        engine = batches.make_engine(exp, batches.nominal(exp, rows, len(own)))
+        for slot, one in enumerate(own):
+            trace = engine.trace(task.world, task.belief, task.streams, slot)
+            figures = {k: np.asarray([v], dtype=float) for k, v in trace.figures.items()}
+            labels = classify(figures, exp.thresholds, engine.stages)
+            if (labels["outcome"][0], labels["cause"][0]) != (one.row["outcome"], one.row["cause"]):
+                print(f"sweep: no picture of {one.row['point_id']}: here it ends otherwise", file=sys.stderr)
+                continue
+            end = np.fmin(one.row["t_cause_s"] + AFTER, trace.time[-1])
+            one.picture.parent.mkdir(exist_ok=True)
+            write_strip(one.picture, trace, at_times(trace, np.linspace(trace.time[0], end, FRAMES)))
+            drawn.append(one.picture)
+    return drawn
