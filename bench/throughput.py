@@ -23,7 +23,7 @@ from sweep.case import Case
 from sweep.controllers.manoeuvres.walk import Walk
 from sweep.controllers.observation import Noise
 from sweep.engines import batching, devices, make
-from sweep.engines.pilot import start_pose
+from sweep.engines.pilot import start_state
 from sweep.engines.settings import EngineSettings
 from sweep.metrics.outcome import Thresholds
 from sweep.models import dynamics, step
@@ -82,8 +82,8 @@ def time_bare(width: int, rollouts: int, seconds: float) -> dict:
     top = dynamics.topology(NOMINAL)
     data = mjx.make_data(top.model)
     plan = NOMINAL.manoeuvre.plan(NOMINAL)
-    pose, joints = start_pose(NOMINAL, NOMINAL, plan)
-    q = jnp.asarray(top.model.qpos0).at[:7].set(pose).at[1 + top.leg].set(joints)
+    q = start_state(NOMINAL, NOMINAL, plan).qpos
+    joints = q[1 + top.leg]
     limits = batching.execution_limits(NOMINAL, jnp.zeros(()))
     servo = position_mode(NOMINAL.drive, joints)
     steps = round(1.0 / settings.time_step)

@@ -52,8 +52,8 @@ def forget_engine() -> None:
 
 def with_room_for_delay(exp: Experiment, table: pd.DataFrame) -> Experiment:
     """The noise model's buffer, long enough for every point of `table`."""
-    columns = [c for c in table.columns if side_and_path(c)[1] == "noise.delay"]
-    longest = max([exp.case.noise.delay, *(table[c].max() for c in columns)])
+    columns = [c for c in table.columns if side_and_path(c)[1] in ("noise.delay", "noise.body_delay")]
+    longest = max([exp.case.noise.delay, exp.case.noise.body_delay, *(table[c].max() for c in columns)])
     room = max(math.ceil(longest), exp.case.noise.delay_buffer)
     return replace(exp, case=assign(exp.case, "noise.delay_buffer", room))
 

@@ -7,7 +7,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from sweep.maths import exponential, multiply
+from sweep.models.obstacles.surface import FreeState
 from sweep.parameters import count, parameters, quantity
+
+FREE = 1  # folded into a key to draw errors of the free bodies
 
 
 @parameters
@@ -26,11 +29,20 @@ class Noise:
     joint_noise: float = quantity(0.0, "rad", at_least=0)
     joint_bias: float = quantity(0.0, "rad", at_least=0)
     delay: float = quantity(0.0, "ticks", at_least=0, at_most=50)
+    body_position_noise: float = quantity(0.0, "m", at_least=0)  # these of the obstacle's free bodies
+    body_position_bias: float = quantity(0.0, "m", at_least=0)
+    body_orientation_noise: float = quantity(0.0, "rad", at_least=0)
+    body_orientation_bias: float = quantity(0.0, "rad", at_least=0)
+    body_velocity_noise: float = quantity(0.0, "m/s", at_least=0)
+    body_velocity_bias: float = quantity(0.0, "m/s", at_least=0)
+    body_turn_noise: float = quantity(0.0, "rad/s", at_least=0)
+    body_turn_bias: float = quantity(0.0, "rad/s", at_least=0)
+    body_delay: float = quantity(0.0, "ticks", at_least=0, at_most=50)
     delay_buffer: int = count(0, at_most=50)  # room for the longest delay of a study, set by the runner
 
 
 class Observation(NamedTuple):
-    """What the controller sees of the robot. World axes."""
+    """What the controller sees of the robot and of the obstacle's free bodies. World axes."""
 
     position: Float[Array, " 3"]  # m, of the base
     quat: Float[Array, " 4"]  # base to world
@@ -40,6 +52,7 @@ class Observation(NamedTuple):
     rates: Float[Array, "6 3"]  # rad/s
     joint_error: Float[Array, "6 3"]  # rad, measured minus true joint angle: what the drives' feedback suffers
     loaded: Bool[Array, " 6"]  # which feet carry load
+    free: FreeState
 
 
 class Sensors(NamedTuple):
@@ -49,6 +62,7 @@ class Sensors(NamedTuple):
     turn_bias: Float[Array, " 3"]
     velocity_bias: Float[Array, " 3"]
     joint_bias: Float[Array, "6 3"]
+    free_bias: Float[Array, "k 4 3"]  # of position, orientation, velocity and turning
     past: Observation  # leaves (delay_buffer + 1, ...)
 
 
@@ -61,15 +75,22 @@ def install(noise: Noise, key: Array, truth: Observation) -> Sensors:
     position, turn, velocity, joint = (
         size * jax.random.normal(k, shape, dtype) for k, size, shape in zip(keys, sizes, shapes, strict=True)
     )
+    sizes = (noise.body_position_bias, noise.body_orientation_bias, noise.body_velocity_bias, noise.body_turn_bias)
+    free = _scatter(jax.random.fold_in(key, FREE), sizes, truth.free)
     past = jax.tree.map(lambda x: jnp.broadcast_to(x, (noise.delay_buffer + 1, *x.shape)), truth)
-    return Sensors(position, turn, velocity, joint, past)
+    return Sensors(position, turn, velocity, joint, free, past)
 
 
 def observe(noise: Noise, sensors: Sensors, truth: Observation, key: Array) -> tuple[Sensors, Observation]:
     """Delayed, biased and noisy view of `truth`; joint errors act in the drives and are not delayed."""
     past = jax.tree.map(lambda new, old: jnp.concatenate([new[None], old[:-1]]), truth, sensors.past)
-    delay = jnp.clip(jnp.round(noise.delay).astype(jnp.int32), 0, noise.delay_buffer)
-    seen = jax.tree.map(lambda x: x[delay], past)
+    late, free_late = (
+        jnp.clip(jnp.round(delay).astype(jnp.int32), 0, noise.delay_buffer) for delay in (noise.delay, noise.body_delay)
+    )
+    seen = jax.tree.map(lambda x: x[late], past)
+    free = jax.tree.map(lambda x: x[free_late], past.free)
+    sizes = (noise.body_position_noise, noise.body_orientation_noise, noise.body_velocity_noise, noise.body_turn_noise)
+    error = sensors.free_bias + _scatter(jax.random.fold_in(key, FREE), sizes, free)
     dtype = truth.position.dtype
     draw = jax.random.normal(key, (27,), dtype)
     joint_error = sensors.joint_bias + noise.joint_noise * draw[9:].reshape(6, 3)
@@ -80,5 +101,12 @@ def observe(noise: Noise, sensors: Sensors, truth: Observation, key: Array) -> t
         velocity=seen.velocity + sensors.velocity_bias + noise.velocity_noise * draw[6:9],
         angles=seen.angles + joint_error,
         joint_error=joint_error,
-    )
+        free=FreeState(free.position + error[:, 0], multiply(exponential(error[:, 1]), free.quat),
+                       free.velocity + error[:, 2], free.turn + error[:, 3]),
+    )  # fmt: skip
     return sensors._replace(past=past), seen
+
+
+def _scatter(key: Array, sizes: tuple[Array | float, ...], free: FreeState) -> Float[Array, "k 4 3"]:
+    """Errors of the free bodies of the given deviations; the key is one that nothing of the robot draws from."""
+    return jnp.stack(sizes)[:, None] * jax.random.normal(key, (*free.position.shape[:1], 4, 3), free.position.dtype)

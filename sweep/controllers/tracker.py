@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from sweep.case import Case
 from sweep.controllers import flywheel
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import Plan, Posture, Stance, reference
@@ -51,32 +52,32 @@ def joint_targets(robot: Robot, stance: Stance) -> tuple[Float[Array, "6 3"], Fl
     return leg.ik(leg.SIDE, foot, robot.coxa, robot.thigh, robot.shin, robot.knees == "mirror")
 
 
-def init(robot: Robot, plan: Plan) -> TrackerState:
+def init(belief: Case, plan: Plan) -> TrackerState:
     """At the plan's start, standing as it wants."""
     zero = jnp.zeros((), plan.duration.dtype)
-    joints, _ = joint_targets(robot, plan.start)
+    joints, _ = joint_targets(belief.robot, plan.start)
     return TrackerState(jnp.int32(0), zero, plan.start.feet, plan.start.position, jnp.zeros(3, zero.dtype), joints,
                         joints, jnp.asarray(False))  # fmt: skip
 
 
 def step(
-    robot: Robot, plan: Plan, state: TrackerState, seen: Observation, period: float
+    belief: Case, plan: Plan, state: TrackerState, seen: Observation, period: float
 ) -> tuple[TrackerState, Command]:
     """One control tick of `period` seconds."""
     state = _advance(plan, state._replace(clock=state.clock + period), seen, period)
     phase = jnp.clip(state.clock / plan.duration[state.stage], 0.0, 1.0)
     target = _target(plan, state, phase)
-    joints, shortfall = joint_targets(robot, target)
+    joints, shortfall = joint_targets(belief.robot, target)
     joints = _nearest(joints, state.joints)
     if plan.posture is not None:
         held = plan.posture.held[state.stage]
         joints = jnp.where(held[:, None], _posed(plan.posture, state, phase), joints)
         shortfall = jnp.where(held, 0.0, shortfall)
-        feet = target.position + rotate(target.quat[None], foot_positions(robot, joints))
+        feet = target.position + rotate(target.quat[None], foot_positions(belief.robot, joints))
         target = target._replace(feet=jnp.where(held[:, None], feet, target.feet))
     command = Command(joints, target, phase, jnp.max(shortfall))
     if plan.flywheel is not None:
-        turning, servo = flywheel.order(robot, plan, plan.flywheel, state.stage, seen)
+        turning, servo = flywheel.order(belief.robot, plan, plan.flywheel, state.stage, seen)
         joints = jnp.where(turning, seen.angles, joints)  # where position mode takes over from
         command = command._replace(joints=joints, own=(turning, servo))
     return state._replace(joints=joints), command

@@ -15,14 +15,14 @@ from sweep.case import Case
 from sweep.controllers.plan import Plan
 from sweep.engines import batching, devices
 from sweep.engines.base import Figures, Trace
-from sweep.engines.pilot import GRACE, Pilot, decide, embark, is_quiet, measure, most_ticks, start_pose
+from sweep.engines.pilot import GRACE, Pilot, decide, embark, free_state, is_quiet, measure, most_ticks, start_state
 from sweep.engines.settings import EngineSettings
 from sweep.metrics import stream
 from sweep.metrics.outcome import Thresholds
 from sweep.metrics.stream import Tick
 from sweep.models import dynamics, scene
 from sweep.models.drive import Servo, towards
-from sweep.models.step import State, StepReport, rest, step
+from sweep.models.step import State, StepReport, kinetic_energy, rest, step
 
 CHUNK = 1.0  # s of simulated time between two looks of the host
 N_LEGS = 6
@@ -139,12 +139,12 @@ class Mjx:
 
     def _start(self, world: Case, belief: Case, key: Array) -> tuple[Plan, Carry]:
         plan = belief.manoeuvre.plan(belief)
-        pose, joints = start_pose(world, belief, plan)
+        start = start_state(world, belief, plan)
         model = self._model(dynamics.varying(self.topology, world))
-        qpos = jnp.asarray(model.qpos0).at[:7].set(pose).at[1 + self.topology.leg].set(joints)
-        state = rest(self.topology, qpos)
-        energy = dynamics.smooth_dynamics(self.topology, model, self._data, state.q, state.v).potential
-        return plan, Carry(state, embark(world, belief, plan, pose, joints, energy, key))
+        state = rest(self.topology, start.qpos)._replace(v=start.qvel)
+        smooth = dynamics.smooth_dynamics(self.topology, model, self._data, state.q, state.v)
+        energy = smooth.potential + kinetic_energy(self.topology, smooth, state.v)
+        return plan, Carry(state, embark(world, belief, plan, start, energy, key))
 
     def _model(self, fields: dict[str, Array]) -> mjx.Model:
         return self.topology.model.replace(**fields)
@@ -202,5 +202,5 @@ class Mjx:
             position=state.q[:3], quat=state.q[3:7], velocity=state.v[:3], spin=state.v[3:6],
             angles=state.q[1 + self.topology.leg], rates=state.v[self.topology.leg],
             centre_of_mass=smooth.centre_of_mass, joints=jnp.concatenate([links, feet[:, None]], axis=1),
-            bodies=smooth.bodies,
+            bodies=smooth.bodies, free=free_state(state.q, state.v, len(self.topology.free)),
         )  # fmt: skip

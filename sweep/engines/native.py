@@ -15,17 +15,28 @@ from sweep.controllers.plan import Plan
 from sweep.controllers.tracker import Command
 from sweep.engines import batching, devices
 from sweep.engines.base import Figures, Trace
-from sweep.engines.pilot import GRACE, Pilot, decide, embark, is_quiet, measure, most_ticks, start_pose
+from sweep.engines.pilot import (
+    GRACE,
+    Pilot,
+    Start,
+    decide,
+    embark,
+    free_state,
+    is_quiet,
+    measure,
+    most_ticks,
+    start_state,
+)
 from sweep.engines.settings import EngineSettings
 from sweep.metrics import stream
 from sweep.metrics.outcome import Thresholds
 from sweep.metrics.stream import Tick
 from sweep.models import scene
 from sweep.models.drive import Servo, towards
-from sweep.models.obstacles.surface import Bodies
-from sweep.parameters import InputError
+from sweep.models.obstacles.surface import poses
 
 CONTROL = mujoco.mjtState.mjSTATE_CTRL.value | mujoco.mjtState.mjSTATE_XFRC_APPLIED.value
+LEGS = slice(6, 24)  # of qvel
 RECORD = ("qpos", "qvel", "actuator_force", "sensordata", "energy", "xpos", "xmat", "site_xpos", "subtree_com")
 
 
@@ -59,8 +70,6 @@ class Native:
 
     def __init__(self, settings: EngineSettings, world: Case, belief: Case, limits: Thresholds | None = None):
         devices.configure()
-        if world.obstacle.free_bodies:
-            raise InputError("engine.name = native is not allowed: this obstacle has free bodies")
         self.settings = settings
         self.limits = limits or Thresholds()
         self.substeps = batching.substeps(settings)
@@ -94,9 +103,9 @@ class Native:
             batch = Batch(models[0], self.width)
             batch.set_models(models)
             arrays = (*devices.as_arrays((world, belief)), devices.keys(streams))
-            plans, pilots, qpos = start(*arrays)
+            plans, pilots, state = start(*arrays)
             batch.reset()
-            batch.qpos[:] = np.asarray(qpos)
+            batch.qpos[:], batch.qvel[:] = (np.asarray(x) for x in state)
             pilots, commands, controls = tick(*arrays[:2], plans, pilots, None, None, 0)
             records, told = [], _gains(pilots.servo)
             for k in range(most_ticks(plans, self.settings.control_period)):
@@ -124,11 +133,10 @@ class Native:
     def _compile(self, axes: tuple[Case, Case], quiet: bool) -> tuple[Callable, Callable, Callable]:
         period, n = self.settings.control_period, self.substeps
 
-        def start(world: Case, belief: Case, key: Array) -> tuple[Plan, Pilot, Array]:
+        def start(world: Case, belief: Case, key: Array) -> tuple[Plan, Pilot, Start]:
             plan = belief.manoeuvre.plan(belief)
-            pose, joints = start_pose(world, belief, plan)
-            pilot = embark(world, belief, plan, pose, joints, jnp.zeros(()), key)
-            return plan, pilot, jnp.concatenate([pose, joints.reshape(18)])
+            state = start_state(world, belief, plan)
+            return plan, embark(world, belief, plan, state, jnp.zeros(()), key), state
 
         def tick(world: Case, belief: Case, plan: Plan, pilot: Pilot, command: Command | None, steps: Any, k: Array):
             if steps is not None and command is not None:
@@ -152,27 +160,27 @@ class Native:
         """Outside wrenches on all bodies in the tick's steps: force, then torque, world axes."""
         times = start + self.settings.native_time_step * jnp.arange(self.substeps)
         push = jax.vmap(lambda t: batching.execution_limits(world, t).push)(times)
-        bodies = 2 + 6 * len(scene.links(world.robot))
+        bodies = 2 + 6 * len(scene.links(world.robot)) + len(world.obstacle.free_bodies)
         return jnp.zeros((self.substeps, 6 * bodies)).at[:, 6:9].set(push)
 
     def _summary(self, world: Case, steps: dict[str, Array], start: Array) -> Tick:
         """What the metrics want of a tick; `steps` hold the records of its physics steps."""
         h, drive = self.settings.native_time_step, world.drive
-        rate = steps["qvel"][:, 6:]
+        rate = steps["qvel"][:, LEGS]
         torque = steps["actuator_force"] - drive.back_emf * rate
         effort = jnp.abs(steps["actuator_force"])
         limit = world.execution.torque_scale * drive.torque_limit
         power = torque * rate
         push = self._pushes(world, start)[:, 6:9]
         force = -jnp.mean(steps["sensordata"].reshape(-1, 6, 3), axis=0)
-        nowhere = Bodies(jnp.zeros((0, 3)), jnp.zeros((0, 3, 3)))
-        feet = steps["site_xpos"][-1]
-        normals = world.obstacle.surface(feet, (-1,) * 6, nowhere).normal
+        qpos, qvel = steps["qpos"][-1], steps["qvel"][-1]
+        free = free_state(qpos, qvel, len(world.obstacle.free_bodies))
+        feet = steps["site_xpos"][-1, :6]
+        normals = world.obstacle.surface(feet, (-1,) * 6, poses(free)).normal
         normal = jnp.sum(force * normals, axis=-1)
         last = -jnp.sum(steps["sensordata"][-1].reshape(6, 3) * normals, axis=-1)
-        links = steps["xpos"][-1, 2:].reshape(6, -1, 3)
+        links = steps["xpos"][-1, 2 : 2 + 6 * len(scene.links(world.robot))].reshape(6, -1, 3)
         energy = jnp.sum(steps["energy"][-1])
-        qpos = steps["qpos"][-1]
         return Tick(
             torque_peak=jnp.max(jnp.abs(torque), axis=0).reshape(6, 3),
             saturated=jnp.mean(effort >= 0.999 * limit, axis=0).reshape(6, 3),
@@ -181,10 +189,10 @@ class Native:
             work=h * (jnp.sum(power) + jnp.sum(push * steps["qvel"][:, :3])),
             effort=h * jnp.sum(jnp.maximum(power, 0.0)),
             energy=jnp.where(steps["broken"], jnp.nan, energy),
-            position=qpos[:3], quat=qpos[3:7], velocity=steps["qvel"][-1, :3], spin=steps["qvel"][-1, 3:6],
-            angles=qpos[7:].reshape(6, 3), rates=rate[-1].reshape(6, 3),
+            position=qpos[:3], quat=qpos[3:7], velocity=qvel[:3], spin=qvel[3:6],
+            angles=qpos[7:25].reshape(6, 3), rates=rate[-1].reshape(6, 3),
             centre_of_mass=steps["subtree_com"][-1, 1], joints=jnp.concatenate([links, feet[:, None]], axis=1),
-            bodies=nowhere,
+            bodies=poses(free), free=free,
         )  # fmt: skip
 
 
@@ -215,7 +223,7 @@ def _record(commands: Command, pilots: Pilot, steps: dict[str, np.ndarray], slot
     return {
         "qpos": steps["qpos"][slot, -1], "joint_target": command.joints.reshape(18),
         "joint_torque": np.abs(steps["actuator_force"][slot]).max(axis=0),
-        "foot_position": steps["site_xpos"][slot, -1], "foot_target": command.target.feet,
+        "foot_position": steps["site_xpos"][slot, -1, :6], "foot_target": command.target.feet,
         "foot_force": -steps["sensordata"][slot].reshape(-1, 6, 3).mean(axis=0),
         "base_target": np.concatenate([command.target.position, command.target.quat]),
         "stage": np.asarray(pilots.tracker.stage)[slot],

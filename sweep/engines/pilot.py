@@ -13,12 +13,12 @@ from sweep.controllers.observation import Noise, Observation, Sensors, install, 
 from sweep.controllers.plan import Plan
 from sweep.controllers.posture import foot_positions
 from sweep.controllers.tracker import Command, TrackerState, joint_targets
-from sweep.maths import rotate
+from sweep.maths import conjugate, rotate
 from sweep.metrics import stream
 from sweep.metrics.outcome import Thresholds
 from sweep.metrics.stream import Running, Tick
 from sweep.models.drive import Servo, position_mode
-from sweep.models.obstacles.surface import Bodies
+from sweep.models.obstacles.surface import FreeState, no_bodies, poses
 
 GRACE = 1.2  # a rollout is over at this multiple of its planned duration, finished or not
 LONGEST = 3600.0  # s; a rollout that takes longer is not finished: absurd parameters must not hold up a batch
@@ -35,6 +35,13 @@ class Pilot(NamedTuple):
     key: Array
 
 
+class Start(NamedTuple):
+    """MuJoCo's positions and velocities: base, legs, free bodies."""
+
+    qpos: Float[Array, " nq"]
+    qvel: Float[Array, " nv"]
+
+
 def is_quiet(noise: Noise) -> bool:
     """Whether measurement is exact, so that no random number need be drawn. Plain or batched parameters."""
     return noise.delay_buffer == 0 and all(isinstance(x, float) and x == 0 for x in jax.tree.leaves(noise))
@@ -47,29 +54,49 @@ def most_ticks(plans: Plan, period: float) -> int:
     return int(np.ceil(min(GRACE * longest, LONGEST) / period))
 
 
-def start_pose(world: Case, belief: Case, plan: Plan) -> tuple[Float[Array, " 7"], Float[Array, "6 3"]]:
-    """Base pose and joint angles at the start.
+def start_state(world: Case, belief: Case, plan: Plan) -> Start:
+    """The world at the start.
 
     The robot stands with the joint angles that it believes right, lowered along the ground's normal (or raised) until
-    its lowest foot touches.
+    its lowest foot touches; on free bodies it goes down upright, and rides along with them.
     """
+    free = world.obstacle.start() if world.obstacle.free_bodies else no_bodies()
     joints, _ = joint_targets(belief.robot, plan.start)
     feet = plan.start.position + rotate(plan.start.quat[None], foot_positions(world.robot, joints))
-    nowhere = Bodies(jnp.zeros((0, 3)), jnp.zeros((0, 3, 3)))
-    ground = world.obstacle.surface(feet, (-1,) * 6, nowhere)
-    lowest = jnp.argmax(ground.depth)
-    position = plan.start.position + ground.depth[lowest] * ground.normal[lowest]
-    return jnp.concatenate([position, plan.start.quat]), joints
+    ground = world.obstacle.surface(feet, (-1,) * 6, poses(free))
+    along = jnp.array([0.0, 0.0, 1.0]) if world.obstacle.free_bodies else ground.normal[jnp.argmax(ground.depth)]
+    position = plan.start.position + jnp.max(ground.depth / (ground.normal @ along)) * along
+    velocity, moving = jnp.zeros_like(position), jnp.zeros_like(feet)
+    for k in range(free.position.shape[0]):
+        on_it = (ground.body == k)[:, None]
+        velocity = velocity + jnp.mean(on_it, axis=0) * free.velocity[k]
+        moving = moving + on_it * (free.velocity[k] + jnp.cross(free.turn[k], feet - free.position[k]))
+    stance = plan.start._replace(feet=feet)
+    moved = stance._replace(feet=moving, position=velocity, quat=jnp.zeros_like(plan.start.quat))
+    _, rates = jax.jvp(lambda s: joint_targets(belief.robot, s)[0], (stance,), (moved,))
+    qpos = [position, plan.start.quat, joints.reshape(18), jnp.concatenate([free.position, free.quat], axis=1).ravel()]
+    turn = rotate(conjugate(free.quat), free.turn)  # a free joint turns about the body's own axes
+    qvel = [velocity, jnp.zeros(3), rates.reshape(18), jnp.concatenate([free.velocity, turn], axis=1).ravel()]
+    return Start(jnp.concatenate(qpos), jnp.concatenate(qvel))
 
 
-def embark(world: Case, belief: Case, plan: Plan, pose: Array, joints: Array, energy: Array, key: Array) -> Pilot:
-    """Before the first tick, standing still at `pose`."""
-    still, nothing = jnp.zeros(3, pose.dtype), jnp.zeros((6, 3), pose.dtype)
-    truth = Observation(pose[:3], pose[3:7], still, still, joints, nothing, nothing, jnp.ones(6, bool))
+def free_state(qpos: Array, qvel: Array, count: int) -> FreeState:
+    """The last `count` bodies of a state of MuJoCo: the obstacle's free bodies."""
+    pose = qpos[qpos.shape[0] - 7 * count :].reshape(count, 7)
+    motion = qvel[qvel.shape[0] - 6 * count :].reshape(count, 6)
+    return FreeState(pose[:, :3], pose[:, 3:], motion[:, :3], rotate(pose[:, 3:], motion[:, 3:]))
+
+
+def embark(world: Case, belief: Case, plan: Plan, start: Start, energy: Array, key: Array) -> Pilot:
+    """Before the first tick."""
+    free = free_state(start.qpos, start.qvel, len(world.obstacle.free_bodies))
+    joints = start.qpos[7:25].reshape(6, 3)
+    truth = Observation(start.qpos[:3], start.qpos[3:7], start.qvel[:3], start.qvel[3:6], joints,
+                        start.qvel[6:24].reshape(6, 3), jnp.zeros_like(joints), jnp.ones(6, bool), free)  # fmt: skip
     bias_key, key = jax.random.split(key)
     sensors = install(world.noise, bias_key, truth)
-    running = stream.begin(plan, pose[:3], energy)
-    return Pilot(tracker.init(belief.robot, plan), sensors, running, truth, position_mode(world.drive, joints), key)
+    running = stream.begin(world, plan, start.qpos[:3], free, energy)
+    return Pilot(tracker.init(belief, plan), sensors, running, truth, position_mode(world.drive, joints), key)
 
 
 def decide(
@@ -79,7 +106,7 @@ def decide(
     sensors, seen = pilot.sensors, pilot.seen
     if not quiet:
         sensors, seen = observe(world.noise, sensors, seen, jax.random.fold_in(pilot.key, tick))
-    state, command = tracker.step(belief.robot, plan, pilot.tracker, seen, period)
+    state, command = tracker.step(belief, plan, pilot.tracker, seen, period)
     servo = position_mode(world.drive, command.joints - seen.joint_error)
     if command.own is not None:
         owned, own = command.own
@@ -96,5 +123,5 @@ def measure(
     late = running.time >= GRACE * jnp.sum(plan.duration)
     running = running._replace(over=running.over | pilot.tracker.finished | late)
     truth = Observation(tick.position, tick.quat, tick.velocity, tick.spin, tick.angles, tick.rates,
-                        jnp.zeros_like(command.joints), tick.loaded)  # fmt: skip
+                        jnp.zeros_like(command.joints), tick.loaded, tick.free)  # fmt: skip
     return pilot._replace(running=running, seen=truth)

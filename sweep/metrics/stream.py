@@ -10,13 +10,14 @@ from sweep.controllers.plan import Plan, path_length
 from sweep.controllers.tracker import Command, TrackerState
 from sweep.maths import conjugate, multiply, rotate
 from sweep.metrics.geometry import box_corners, leg_gap, link_points, support_margin
-from sweep.metrics.outcome import TIMED_CAUSES, Thresholds
+from sweep.metrics.outcome import FREE_BODY_CAUSES, TIMED_CAUSES, Thresholds
 from sweep.models.contact import to_body, to_world
-from sweep.models.obstacles.surface import Bodies
+from sweep.models.obstacles.surface import Bodies, FreeState, poses
 from sweep.models.scene import GRAVITY
 
 OVERTURNED = 60.0  # deg of tilt: nothing after it tells anything of the manoeuvre
 LOADED = 5.0  # N, from which a foot carries load and its friction demand means something
+TAIL = 12.0  # s, before the planned end, over which the obstacle's final speed is taken
 LOAD_TIME = 0.05  # s, over which a load is averaged for the support polygon: a bounce of the feet is not a fall
 
 
@@ -40,8 +41,10 @@ class Tick(NamedTuple):
     angles: Float[Array, "6 3"]  # rad, of the joints
     rates: Float[Array, "6 3"]  # rad/s
     centre_of_mass: Float[Array, " 3"]  # m, of the robot
+    angles: Float[Array, "6 3"]  # rad, of the joints
     joints: Float[Array, "6 k 3"]  # m, along each leg: hip, ..., knee, foot
     bodies: Bodies
+    free: FreeState
 
 
 class Running(NamedTuple):
@@ -72,14 +75,23 @@ class Running(NamedTuple):
     position: Float[Array, " 3"]
     travel: Float[Array, ""]  # m, along the planned direction while the plan moves the base
     travel_time: Float[Array, ""]
+    body_start: Float[Array, "k 3"]  # m, of the obstacle's free bodies
+    body: Float[Array, "k 3"]  # m
+    body_tail: Float[Array, "k 3"]  # m, when the tail began
+    tail_time: Float[Array, ""]
+    body_moved: Float[Array, ""]
+    body_aside: Float[Array, ""]
+    ride_height: Float[Array, ""]
     finished: Bool[Array, ""]
     finite: Bool[Array, ""]
     cause_time: Float[Array, " c"]  # s, first crossing of each timed cause's threshold, NaN before
     cause_stage: Int[Array, " c"]
 
 
-def begin(plan: Plan, position: Float[Array, " 3"], energy: Float[Array, ""]) -> Running:
+def begin(world: Case, plan: Plan, position: Float[Array, " 3"], free: FreeState, energy: Float[Array, ""]) -> Running:
     """Nothing has happened yet."""
+    bodies = poses(free)
+    feet = plan.start.feet
     dtype = plan.duration.dtype
     zero, far = jnp.zeros((), dtype), jnp.full((), jnp.inf, dtype)
     three = jnp.zeros(3, dtype)
@@ -87,10 +99,12 @@ def begin(plan: Plan, position: Float[Array, " 3"], energy: Float[Array, ""]) ->
     n = len(TIMED_CAUSES)
     return Running(
         time=zero, over=no, energy_start=energy, work=zero, effort=zero, energy_gain=zero,
-        touchdown=plan.start.feet, slip=zero,
+        touchdown=to_body(feet, world.obstacle.surface(feet, (-1,) * 6, bodies).body, bodies), slip=zero,
         load=jnp.full(6, 2 * LOADED, dtype), margin=far, torque=three, saturated=three, friction=zero, normal=zero,
         clearance=far, gap=far, tilt=zero, heading=zero, shortfall=zero, position_error=zero, residual=zero,
-        start=position, position=position, travel=zero, travel_time=zero, finished=no, finite=yes,
+        start=position, position=position, travel=zero, travel_time=zero,
+        body_start=free.position, body=free.position, body_tail=free.position, tail_time=zero, body_moved=zero,
+        body_aside=zero, ride_height=far if free.position.shape[0] else zero, finished=no, finite=yes,
         cause_time=jnp.full(n, jnp.nan, dtype), cause_stage=jnp.full(n, -1, jnp.int32),
     )  # fmt: skip
 
@@ -145,12 +159,30 @@ def update(
         position=tick.position,
         travel=running.travel + jnp.where(moving, (tick.position - running.position) @ direction, 0.0),
         travel_time=running.travel_time + jnp.where(moving, period, 0.0),
+        **_free_bodies(plan, running, tick),
         finished=state.finished,
         finite=jnp.isfinite(tick.energy) & jnp.all(jnp.isfinite(tick.joints)),
     )
     new = _note_causes(limits, new, stage)._replace(over=(new.tilt > OVERTURNED) | ~new.finite)
     frozen = [jnp.where(running.over, old, fresh) for old, fresh in zip(running, new, strict=True)]
     return Running(*frozen)
+
+
+def _free_bodies(plan: Plan, running: Running, tick: Tick) -> dict[str, Array]:
+    """What the obstacle's free bodies have done; the first one is that on which the robot rides."""
+    body = tick.free.position
+    if not body.shape[0]:
+        return {}
+    way = body - running.body_start
+    before_tail = running.time < jnp.sum(plan.duration) - TAIL
+    return {
+        "body": body,
+        "body_tail": jnp.where(before_tail, body, running.body_tail),
+        "tail_time": jnp.where(before_tail, running.time, running.tail_time),
+        "body_moved": jnp.maximum(running.body_moved, jnp.max(jnp.linalg.norm(way, axis=-1))),
+        "body_aside": jnp.maximum(running.body_aside, jnp.abs(way[0, 1])),
+        "ride_height": jnp.minimum(running.ride_height, tick.position[2] - body[0, 2]),
+    }
 
 
 def total_mass(world: Case) -> Array | float:
@@ -193,6 +225,8 @@ def _note_causes(limits: Thresholds, running: Running, stage: Array) -> Running:
         running.clearance < limits.clearance_min_m,
         running.gap < limits.leg_gap_min_m,
         running.heading > limits.heading_error_max_deg,
+        running.ride_height < limits.ride_height_min_m,
+        running.body_moved > limits.obstacle_moved_max_m,
     ])  # fmt: skip
     first = crossed & jnp.isnan(running.cause_time)
     return running._replace(
@@ -229,10 +263,18 @@ def figures(plan: Plan, running: Running, stage: Int[Array, ""]) -> dict[str, Ar
         "energy_gain_max_j": running.energy_gain,
         "solver_residual_max_n": running.residual,
     }
+    if running.body.shape[0]:
+        along = (running.body - running.body_tail)[0, :2] / jnp.maximum(running.time - running.tail_time, 1e-9)
+        out["obstacle_moved_m"], out["ride_height_min_m"] = running.body_moved, running.ride_height
+        out["obstacle_x_m"], out["obstacle_y_m"] = running.body[0, :2]
+        out["obstacle_aside_max_m"] = running.body_aside  # sideways of the world's x axis
+        out["obstacle_speed_mps"] = jnp.linalg.norm(along)  # mean over the last TAIL seconds
     for k, joint in enumerate(("alpha", "beta", "gamma")):
         out[f"torque_peak_{joint}_nm"] = running.torque[k]
         out[f"saturation_share_{joint}"] = running.saturated[k] / time
     for k, cause in enumerate(TIMED_CAUSES):
+        if cause in FREE_BODY_CAUSES and not running.body.shape[0]:
+            continue
         out[f"{cause}_time_s"] = running.cause_time[k]
         out[f"{cause}_stage"] = running.cause_stage[k]
     return out

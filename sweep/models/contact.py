@@ -24,7 +24,8 @@ class Contact:
 class Anchors(NamedTuple):
     """Where each of n contact points holds on: r_T of (1.2.2)."""
 
-    place: Float[Array, "n 3"]  # m, in the axes of the body that owns the face, world axes for the fixed world
+    # m, in the axes of the body that owns the face, world axes for the fixed world; of what rolls, from the contact
+    place: Float[Array, "n 3"]
     loaded: Bool[Array, " n"]
     face: Int[Array, " n"]
 
@@ -74,7 +75,10 @@ def approach(
     """
     held = anchors.loaded & (anchors.face == surface.face)
     fresh = point + surface.depth[:, None] * surface.normal
-    place = jnp.where(held[:, None], to_world(anchors.place, surface.body, bodies), fresh)
+    kept = to_world(anchors.place, surface.body, bodies)
+    if surface.rolling is not None:
+        kept = jnp.where(surface.rolling.radius[:, None] > 0, point + anchors.place, kept)
+    place = jnp.where(held[:, None], kept, fresh)
     gap = place - point
     stretch = gap - jnp.sum(gap * surface.normal, axis=-1, keepdims=True) * surface.normal
     return Geometry(surface.depth, surface.normal, stretch, contact.friction * surface.grip), place
@@ -118,9 +122,15 @@ def settle(
     velocity: Array,
     h: float,
 ) -> Anchors:
-    """Anchors after the step: a slipping point drags its anchor along, so that it holds just the Coulomb limit."""
+    """Anchors after the step: a slipping point drags its anchor along, so that it holds just the Coulomb limit.
+
+    The contact of what rolls moves over both surfaces alike: only the slip between them, at `velocity`, stretches it.
+    """
     v_normal = jnp.sum(velocity * surface.normal, axis=-1)
     landed = point + h * velocity + (surface.depth - h * v_normal)[:, None] * surface.normal
     dragged = landed + forces.tangential / contact.stiffness
     place = jnp.where(forces.slipping[:, None], dragged, place)
-    return Anchors(to_body(place, surface.body, bodies), forces.loaded, surface.face)
+    kept = to_body(place, surface.body, bodies)
+    if surface.rolling is not None:
+        kept = jnp.where(surface.rolling.radius[:, None] > 0, place - point - h * velocity, kept)
+    return Anchors(kept, forces.loaded, surface.face)

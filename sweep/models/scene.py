@@ -121,6 +121,10 @@ def _add_looks(spec: mujoco.MjSpec) -> None:
                      width=64, height=384, rgb1=[0.93, 0.95, 0.98], rgb2=[0.72, 0.80, 0.90])  # fmt: skip
     material = spec.add_material(name="ground", texrepeat=[1, 1], texuniform=True)
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "ground"
+    spec.add_texture(name="ball", type=mujoco.mjtTexture.mjTEXTURE_CUBE, builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
+                     width=96, height=96, rgb1=[0.90, 0.75, 0.45], rgb2=[0.78, 0.60, 0.34])  # fmt: skip
+    material = spec.add_material(name="ball", texrepeat=[1, 1], texuniform=True)
+    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "ball"
 
 
 def _set_inertia(body: mujoco.MjsBody, name: str, values: dict[str, dict[str, Array]]) -> None:

@@ -18,6 +18,8 @@ from sweep.models.arrowhead import Arrowhead, Split
 from sweep.models.contact import Anchors, Contact, Forces, Geometry, approach, contact_forces, settle
 from sweep.models.drive import Drive, Servo
 from sweep.models.dynamics import N_LEGS, Smooth, Topology, smooth_dynamics
+from sweep.models.obstacles.surface import Rolling, Surface
+from sweep.models.rolling import contact_offset, resisting_moments, turning
 
 STEP_LENGTHS = (1.0, 0.5, 0.2)
 
@@ -72,20 +74,25 @@ def step(
     """Advance `state` by h seconds while the drives do as `servo` tells them."""
     smooth = smooth_dynamics(top, model, data, state.q, state.v)
     surface = case.obstacle.surface(smooth.point, top.owner, smooth.bodies)
-    geometry, place = approach(case.contact, surface, state.anchors, smooth.point, smooth.bodies)
-    j_root = _relative(smooth, surface.body)
+    point = smooth.point + contact_offset(surface)
+    geometry, place = approach(case.contact, surface, state.anchors, point, smooth.bodies)
+    j_root, j_turn = _relative(smooth, surface.body), turning(top.owner, surface, smooth.bodies)
+    if surface.rolling is not None:
+        offset = (point - smooth.point)[N_LEGS:, :, None]
+        j_root = j_root.at[N_LEGS:].add(jnp.cross(j_turn, jnp.broadcast_to(offset, j_turn.shape), axis=1))
     v = Split(state.v[top.root], state.v[top.leg])
-    mass = Arrowhead(smooth.m_root, smooth.m_cross, jnp.swapaxes(smooth.m_cross, 1, 2), smooth.m_leg)
+    mass = _mass(smooth)
     mass_v = arrowhead.times(mass, v)
-    problem = _Problem(case.contact, servo, limits, geometry, smooth, j_root, _damped(mass, case.drive, h),
-                       _momentum(smooth, mass_v, limits, h), servo.target - state.q[1 + top.leg], h)  # fmt: skip
+    problem = _Problem(case.contact, servo, limits, geometry, surface, smooth, j_root, j_turn,
+                       _damped(mass, case.drive, h), _momentum(smooth, mass_v, limits, h),
+                       servo.target - state.q[1 + top.leg], h)  # fmt: skip
     w = v
     for _ in range(iterations):
         w = _improve(problem, w)
     velocity = problem.point_velocity(w)
     forces = contact_forces(case.contact, geometry, velocity, h)
     torque, free = problem.drive(w)
-    anchors = settle(case.contact, surface, smooth.point, smooth.bodies, place, forces, velocity, h)
+    anchors = settle(case.contact, surface, point, smooth.bodies, place, forces, velocity, h)
     v_new = jnp.zeros_like(state.v).at[top.root].set(w.root).at[top.leg].set(w.leg)
     q_new = _integrate(top, state.q, v_new, h)
     left = problem.residual(w)
@@ -103,6 +110,18 @@ def step(
     return State(q_new, v_new, anchors), report
 
 
+def kinetic_energy(top: Topology, smooth: Smooth, v: Float[Array, " nv"]) -> Float[Array, ""]:
+    """Of robot and free bodies at velocity v (J)."""
+    split = Split(v[top.root], v[top.leg])
+    mass_v = arrowhead.times(_mass(smooth), split)
+    return 0.5 * (mass_v.root @ split.root + jnp.sum(mass_v.leg * split.leg))
+
+
+def _mass(smooth: Smooth) -> Arrowhead:
+    """The mass matrix as one."""
+    return Arrowhead(smooth.m_root, smooth.m_cross, jnp.swapaxes(smooth.m_cross, 1, 2), smooth.m_leg)
+
+
 class _Problem(NamedTuple):
     """The step's equation; everything but the end velocity is fixed."""
 
@@ -110,8 +129,10 @@ class _Problem(NamedTuple):
     servo: Servo
     limits: Limits
     geometry: Geometry
+    surface: Surface
     smooth: Smooth
     j_root: Array  # (n, 3, r), relative to the surface's body
+    j_turn: Array  # (n - 6, 3, r), rates of turning of the obstacle's points, likewise
     mass: Arrowhead  # M0 = M + h c_e on the joints
     momentum: Split  # b0 = M v - h bias
     error: Array  # (6, 3) rad
@@ -121,6 +142,16 @@ class _Problem(NamedTuple):
         """(n, 3) velocity of the contact points relative to their surface."""
         velocity = self.j_root @ w.root
         return velocity.at[:N_LEGS].add(jnp.einsum("lij,lj->li", self.smooth.j_leg, w.leg))
+
+    def moments(self, w: Split, forces: Forces) -> tuple[Array, Array]:
+        """Momentum (r,) that rolling resistance takes from the root, and its slope (r, r) by the root's velocity."""
+        rolling = self.surface.rolling
+        if rolling is None:
+            return jnp.zeros_like(w.root), jnp.zeros_like(self.mass.root)
+        own = Rolling(*(x[N_LEGS:] for x in rolling))
+        moments = resisting_moments(own, self.geometry.normal[N_LEGS:], forces.normal[N_LEGS:], self.j_turn @ w.root)
+        slope = jnp.einsum("mij,mik,mkl->jl", self.j_turn, moments.slope, self.j_turn)
+        return self.h * jnp.einsum("mij,mi->j", self.j_turn, moments.moment), self.h * slope
 
     def drive(self, w: Split) -> tuple[Array, Array]:
         """Clamped drive effort (N m) and 1 where it is not at its limit."""
@@ -134,12 +165,12 @@ class _Problem(NamedTuple):
 
     def residual(self, w: Split) -> Split:
         """Momentum that the step leaves unexplained (N s)."""
-        forces = contact_forces(self.contact, self.geometry, self.point_velocity(w), self.h).force
-        return self._balance(w, forces, self.drive(w)[0])
+        forces = contact_forces(self.contact, self.geometry, self.point_velocity(w), self.h)
+        return self._balance(w, forces.force, self.drive(w)[0], self.moments(w, forces)[0])
 
-    def _balance(self, w: Split, force: Array, effort: Array) -> Split:
+    def _balance(self, w: Split, force: Array, effort: Array, moment: Array) -> Split:
         done = arrowhead.times(self.mass, w)
-        root = self.momentum.root - done.root + self.h * jnp.einsum("nij,ni->j", self.j_root, force)
+        root = self.momentum.root - done.root + self.h * jnp.einsum("nij,ni->j", self.j_root, force) + moment
         leg = jnp.einsum("lij,li->lj", self.smooth.j_leg, force[:N_LEGS]) + effort
         return Split(root, self.momentum.leg - done.leg + self.h * leg)
 
@@ -147,14 +178,15 @@ class _Problem(NamedTuple):
         """The Newton direction at w, with contact and clamp states as they are there."""
         forces = contact_forces(self.contact, self.geometry, self.point_velocity(w), self.h)
         effort, free = self.drive(w)
-        right = self._balance(w, forces.force, effort)
+        moment, resistance = self.moments(w, forces)
+        right = self._balance(w, forces.force, effort, moment)
         slope_root = self.h * forces.slope @ self.j_root
         j_leg = self.smooth.j_leg
         slope_leg = self.h * forces.slope[:N_LEGS] @ j_leg
         feet = self.j_root[:N_LEGS]
         stiff = self.h * self._damping() * free * self.limits.gain
         matrix = Arrowhead(
-            self.mass.root + jnp.einsum("nij,nik->jk", self.j_root, slope_root),
+            self.mass.root + jnp.einsum("nij,nik->jk", self.j_root, slope_root) + resistance,
             self.mass.upper + jnp.einsum("lij,lik->ljk", feet, slope_leg),
             self.mass.lower + jnp.einsum("lij,lik->ljk", j_leg, slope_root[:N_LEGS]),
             self.mass.leg

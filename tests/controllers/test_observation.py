@@ -9,15 +9,16 @@ import pytest
 
 from sweep.controllers.observation import Noise, Observation, install, observe
 from sweep.engines.pilot import is_quiet
+from sweep.models.obstacles.surface import FreeState
 
 KEY = jax.random.key(3)
+FREE = FreeState(jnp.zeros((1, 3)), jnp.array([[1.0, 0, 0, 0]]), jnp.zeros((1, 3)), jnp.zeros((1, 3)))
 
 
 def truth(x: float) -> Observation:
     level, still, joints = jnp.array([1.0, 0, 0, 0]), jnp.zeros(3), jnp.zeros((6, 3))
-    return Observation(
-        jnp.full(3, float(x)), level, jnp.full(3, -float(x)), still, joints, joints, joints, jnp.arange(6) < x
-    )
+    return Observation(jnp.full(3, float(x)), level, jnp.full(3, -float(x)), still, joints, joints, joints,
+                       jnp.arange(6) < x, FREE)  # fmt: skip
 
 
 def watch(noise: Noise, key=KEY, ticks: int = 8) -> list[Observation]:
@@ -32,7 +33,7 @@ def watch(noise: Noise, key=KEY, ticks: int = 8) -> list[Observation]:
 def test_off_means_exact():
     assert is_quiet(Noise())
     for k, seen in enumerate(watch(Noise()), start=1):
-        for a, b in zip(seen, truth(k), strict=True):
+        for a, b in zip(jax.tree.leaves(seen), jax.tree.leaves(truth(k)), strict=True):
             np.testing.assert_allclose(a, b, atol=1e-9)
 
 
@@ -68,6 +69,10 @@ def test_biases_stay_and_noise_does_not():
         ("velocity", lambda s: s.velocity),
         ("joint", lambda s: s.joint_error),
         ("orientation", lambda s: 2 * s.quat[1:]),
+        ("body_position", lambda s: s.free.position),
+        ("body_orientation", lambda s: 2 * s.free.quat[:, 1:]),
+        ("body_velocity", lambda s: s.free.velocity),
+        ("body_turn", lambda s: s.free.turn),
     ],
 )
 def test_noise_has_the_given_deviation(field, of):
@@ -83,3 +88,15 @@ def test_another_key_sees_otherwise():
     a, b, c = (watch(noise, jax.random.key(k), 1)[0].position for k in (1, 1, 2))
     assert np.array_equal(a, b)
     assert not np.array_equal(a, c)
+
+
+def test_the_robot_and_the_bodies_have_delays_of_their_own():
+    def late(k):
+        return truth(k)._replace(free=FREE._replace(position=jnp.full((1, 3), float(k))))
+
+    noise = Noise(delay=1.0, body_delay=3.0, delay_buffer=4)
+    sensors = install(noise, KEY, late(0))
+    for k in range(1, 9):
+        sensors, seen = observe(noise, sensors, late(k), KEY)
+        assert float(seen.position[0]) == pytest.approx(max(k - 1, 0))
+        assert float(seen.free.position[0, 0]) == pytest.approx(max(k - 3, 0))

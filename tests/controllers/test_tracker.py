@@ -8,6 +8,7 @@ import pytest
 from sweep.config import compose
 from sweep.controllers import tracker
 from sweep.controllers.observation import Observation
+from sweep.models.obstacles.surface import no_bodies
 
 PERIOD = 4e-3
 CASE = compose(["manoeuvre.steps=2"]).case
@@ -29,11 +30,12 @@ def follow(plan):
         def tick(carry, _):
             state, at = carry
             still, joints = jnp.zeros(3), jnp.zeros((6, 3))
-            seen = Observation(at + offset, jnp.array([1.0, 0, 0, 0]), still, still, joints, joints, joints, loaded)
-            state, command = tracker.step(CASE.robot, plan, state, seen, PERIOD)
+            seen = Observation(at + offset, jnp.array([1.0, 0, 0, 0]), still, still, joints, joints, joints, loaded,
+                               no_bodies())  # fmt: skip
+            state, command = tracker.step(CASE, plan, state, seen, PERIOD)
             return (state, command.target.position), (state, command)
 
-        _, history = jax.lax.scan(tick, (tracker.init(CASE.robot, plan), plan.start.position), None, length=ticks)
+        _, history = jax.lax.scan(tick, (tracker.init(CASE, plan), plan.start.position), None, length=ticks)
         return history
 
     return lambda offset, loaded: jax.tree.map(np.asarray, run(jnp.asarray(offset), jnp.asarray(loaded)))

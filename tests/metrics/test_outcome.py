@@ -34,6 +34,8 @@ BAD = {
     "fell": {"tilt_max_deg": 25.0}, "slipped": {"slip_max_m": 2e3}, "unreachable": {"reach_shortfall_max_m": 0.01},
     "link_collision": {"clearance_min_m": -0.01}, "leg_crossing": {"leg_gap_min_m": -0.01},
     "off_course": {"heading_error_max_deg": 6.0}, "stalled": {"progress": 0.5},
+    "fell_off": {"ride_height_min_m": -2e3, "obstacle_moved_m": 0.0},
+    "obstacle_moved": {"ride_height_min_m": 1.0, "obstacle_moved_m": 2e3},
 }  # fmt: skip
 
 

@@ -23,10 +23,16 @@ class History(NamedTuple):
     normal: np.ndarray  # (t, b, n) N
     point: np.ndarray  # (t, b, n, 3) m, before the step
     residual: np.ndarray  # (t, b) N
+    power: np.ndarray  # (t, b) W, of the drives
 
 
-def simulate(case: Case, nominal: Case, q: np.ndarray, references: np.ndarray, h: float = 2e-3) -> History:
-    """`case` with swept leaves, its structure in `nominal`, from configurations q (b, nq) under targets (t, 6, 3)."""
+def simulate(
+    case: Case, nominal: Case, q: np.ndarray, references: np.ndarray, h: float = 2e-3, v: np.ndarray | None = None
+) -> History:
+    """`case` with swept leaves, its structure in `nominal`, under targets (t, 6, 3).
+
+    It starts from configurations q (b, nq), at velocities v (b, nv) or at rest.
+    """
     devices.configure()
     top = dynamics.topology(nominal)
     data = mjx.make_data(top.model)
@@ -36,7 +42,8 @@ def simulate(case: Case, nominal: Case, q: np.ndarray, references: np.ndarray, h
         limits = batching.execution_limits(case, jnp.zeros(()))
         state, report = step(top, model, data, case, limits, state, position_mode(case.drive, reference), h, 2)
         forces = report.forces
-        return state, (state.q, state.v, forces.force, forces.normal, report.smooth.point, report.residual)
+        return state, (state.q, state.v, forces.force, forces.normal, report.smooth.point, report.residual,
+                       jnp.sum(report.power))  # fmt: skip
 
     batch = jax.vmap(one, in_axes=(devices.axes(case), 0, None))
 
@@ -44,6 +51,7 @@ def simulate(case: Case, nominal: Case, q: np.ndarray, references: np.ndarray, h
     def run(case, states, references):
         return jax.lax.scan(lambda s, r: batch(case, s, r), states, references)
 
-    states = jax.vmap(lambda q: rest(top, q))(jnp.asarray(q))
+    v = np.zeros((len(q), top.model.nv)) if v is None else v
+    states = jax.vmap(lambda q, v: rest(top, q)._replace(v=v))(jnp.asarray(q), jnp.asarray(v, q.dtype))
     _, history = run(devices.as_arrays(case), states, jnp.asarray(references))
     return History(*[np.asarray(x, float) for x in history])

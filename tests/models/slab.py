@@ -31,7 +31,7 @@ class Slab:
     def add_to(self, spec: mujoco.MjSpec, friction: float) -> None:
         """The free body and its corners."""
         values = self.leaves()
-        body = spec.worldbody.add_body(name="slab", pos=[0, 0, self.half_height], explicitinertial=True,
+        body = spec.worldbody.add_body(name="slab", pos=[0, 0, self.half_height], ipos=[0, 0, 0], explicitinertial=True,
                                        mass=self.mass, inertia=np.asarray(values["body_inertia"]["slab"]))  # fmt: skip
         body.add_freejoint(name="slab")
         for name, _ in self.contact_sites:

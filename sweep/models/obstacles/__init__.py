@@ -1,7 +1,8 @@
 """Obstacles: parameters, geometry for MuJoCo, and the surfaces that feet may stand on."""
 
+from sweep.models.obstacles.ball import Ball
 from sweep.models.obstacles.beam import Beam
 from sweep.models.obstacles.plane import Plane
 from sweep.models.obstacles.pole_ledge import PoleLedge
 
-OBSTACLES = {"plane": Plane, "pole_ledge": PoleLedge, "beam": Beam}
+OBSTACLES = {"ball": Ball, "plane": Plane, "pole_ledge": PoleLedge, "beam": Beam}

@@ -39,9 +39,25 @@ def add_solid(
     body.add_geom(name=f"{name}_contact", type=kind, size=_three(shrunk), pos=pos, **_colliding(friction))
 
 
+def add_ball(
+    world: mujoco.MjsBody, body: mujoco.MjsBody, radius: float, friction: float, resistance: Sequence[float]
+) -> None:
+    """A ball on which feet stand, and which lies on the floor z = 0 with its own sliding, spinning, rolling friction.
+
+    Ball and floor meet in geoms of their own, which have their full size and which feet do not feel.
+    """
+    look = {"material": "ball", "group": DRAWN, "contype": 0, "conaffinity": 0, "mass": 0.0}
+    body.add_geom(name="ball", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0, 0], **look)
+    body.add_geom(name="ball_contact", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius - FOOT_RADIUS, 0, 0],
+                  **_colliding(friction))  # fmt: skip
+    rolling = {**_colliding(0.0), "contype": 2, "conaffinity": 2, "condim": 6, "friction": resistance}
+    body.add_geom(name="ball_rolling", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0, 0], **rolling)
+    world.add_geom(name="floor_rolling", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.1], **rolling)
+
+
 def _colliding(friction: float) -> dict:
     invisible = {"rgba": [0, 0, 0, 0], "group": COLLIDING, "mass": 0.0}
-    return {"contype": 1, "conaffinity": 1, "friction": [friction, 0.005, 1e-4], **_STIFF, **invisible}
+    return {"contype": 0, "conaffinity": 1, "friction": [friction, 0.005, 1e-4], **_STIFF, **invisible}
 
 
 def _three(size: Sequence[float]) -> list[float]:

@@ -2,17 +2,47 @@
 
 from typing import NamedTuple, Protocol
 
+import jax.numpy as jnp
 import mujoco
 from jaxtyping import Array, Float, Int
+
+from sweep.maths import matrix
 
 FOOT_RADIUS = 1e-3  # m, of the native engine's spheres: a larger one rolls under the drives and drifts
 
 
+class FreeState(NamedTuple):
+    """Pose and motion of the obstacle's free bodies, world axes."""
+
+    position: Float[Array, "k 3"]  # m, of the body frame, which is at the mass centre
+    quat: Float[Array, "k 4"]
+    velocity: Float[Array, "k 3"]  # m/s
+    turn: Float[Array, "k 3"]  # rad/s
+
+
 class Bodies(NamedTuple):
-    """Poses of the obstacle's free bodies, world axes."""
+    """Their poses alone."""
 
     position: Float[Array, "k 3"]  # m, of the body frame
     rotation: Float[Array, "k 3 3"]  # body to world
+
+
+def poses(free: FreeState) -> Bodies:
+    """Of free bodies in motion."""
+    return Bodies(free.position, matrix(free.quat))
+
+
+def no_bodies() -> FreeState:
+    """Where nothing is free."""
+    return FreeState(jnp.zeros((0, 3)), jnp.zeros((0, 4)), jnp.zeros((0, 3)), jnp.zeros((0, 3)))
+
+
+class Rolling(NamedTuple):
+    """How those of n contact points roll that are centres of spheres; zeros elsewhere."""
+
+    radius: Float[Array, " n"]  # m, of the sphere
+    roll: Float[Array, " n"]  # m, moment against rolling over the normal force
+    spin: Float[Array, " n"]  # m, moment against turning about the normal over the normal force
 
 
 class Surface(NamedTuple):
@@ -23,6 +53,7 @@ class Surface(NamedTuple):
     face: Int[Array, " n"]  # which face: a change of face drops the anchor
     body: Int[Array, " n"]  # index of the free body that owns the face, -1 for the fixed world
     grip: Float[Array, " n"]  # multiplies the friction coefficient, 1 on ordinary ground
+    rolling: Rolling | None = None  # None where nothing rolls
 
 
 class Obstacle(Protocol):
@@ -44,6 +75,10 @@ class Obstacle(Protocol):
 
     def leaves(self) -> dict[str, dict[str, Array]]:
         """Varying arrays of its free bodies by model field and body (or site) name."""
+        ...
+
+    def start(self) -> FreeState:
+        """Its free bodies at the start; asked only where there are some."""
         ...
 
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: Bodies) -> Surface:

@@ -1,0 +1,76 @@
+"""A homogeneous ball that lies on the floor and is free to roll (monograph 3.1)."""
+
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from jaxtyping import Array, Float
+
+from sweep.models.obstacles.geoms import add_ball, add_plane
+from sweep.models.obstacles.surface import Bodies, FreeState, Rolling, Surface
+from sweep.parameters import choice, parameters, quantity
+
+FLOOR, BALL = range(2)
+
+
+@parameters
+class Ball:
+    """At the start it rests on the world's origin, or rolls over it."""
+
+    kind: str = choice("ball", "ball")
+    radius: float = quantity(0.84, "m", above=0)  # R
+    mass: float = quantity(100.0, "kg", above=0)  # M
+    rolling_friction: float = quantity(4e-4, "m", at_least=0)  # f_s: moment against rolling over the normal force
+    spinning_friction: float = quantity(4e-4, "m", at_least=0)  # the same about the vertical
+    floor_grip: float = quantity(1.0, "-", at_least=0)  # multiplies the friction coefficient of ball and floor
+    speed: float = quantity(0.0, "m/s")  # of its centre at the start, with which it rolls
+    course: float = quantity(0.0, "rad")  # direction of that speed, from the world's x axis
+
+    free_bodies = ("ball",)
+    contact_sites = (("ball", 0),)
+
+    def add_to(self, spec: mujoco.MjSpec, friction: float) -> None:
+        """Floor and ball."""
+        add_plane(spec.worldbody, "floor", [0, 0, 1], friction)
+        inertia = np.asarray(self.leaves()["body_inertia"]["ball"], float)
+        body = spec.worldbody.add_body(name="ball", pos=[0, 0, self.radius], ipos=[0, 0, 0], explicitinertial=True,
+                                       mass=self.mass, inertia=inertia)  # fmt: skip
+        body.add_freejoint(name="ball")
+        body.add_site(name="ball")
+        resistance = [friction * self.floor_grip, self.spinning_friction, self.rolling_friction]
+        add_ball(spec.worldbody, body, self.radius, friction, resistance)
+
+    def leaves(self) -> dict[str, dict[str, Array]]:
+        """Mass and inertia."""
+        inertia = 2 / 5 * self.mass * self.radius**2
+        return {
+            "body_mass": {"ball": jnp.asarray(self.mass)},
+            "body_inertia": {"ball": jnp.broadcast_to(jnp.asarray(inertia), (3,))},
+        }
+
+    def start(self) -> FreeState:
+        """Rolling without slip."""
+        direction = jnp.stack([jnp.cos(self.course), jnp.sin(self.course), jnp.zeros_like(jnp.cos(self.course))])
+        velocity = self.speed * direction
+        turn = jnp.cross(jnp.array([0.0, 0.0, 1.0]), velocity) / self.radius
+        position = jnp.array([0.0, 0.0, 1.0]) * self.radius
+        return FreeState(position[None], jnp.array([[1.0, 0.0, 0.0, 0.0]]), velocity[None], turn[None])
+
+    def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: Bodies) -> Surface:
+        """Floor or ball, whichever is deeper; the ball itself, given by its centre, feels the floor."""
+        own = np.array(owner) >= 0
+        dtype = points.dtype
+        radius = jnp.asarray(self.radius, dtype)
+        offset = points - bodies.position[0]
+        distance = jnp.sqrt(jnp.sum(offset**2, axis=-1) + 1e-12)
+        over, inside = -points[:, 2], radius - distance
+        on_ball = ~own & (inside > over)
+        up = jnp.array([0.0, 0.0, 1.0], dtype)
+        rolls = jnp.asarray(own, dtype)
+        return Surface(
+            depth=jnp.where(on_ball, inside, over + rolls * radius),
+            normal=jnp.where(on_ball[:, None], offset / distance[:, None], up),
+            face=jnp.where(on_ball, BALL, FLOOR).astype(jnp.int32),
+            body=jnp.where(on_ball, 0, -1).astype(jnp.int32),
+            grip=jnp.where(own, jnp.asarray(self.floor_grip, dtype), 1.0),
+            rolling=Rolling(rolls * radius, rolls * self.rolling_friction, rolls * self.spinning_friction),
+        )

@@ -1,0 +1,133 @@
+"""A free ball: it rolls, slides, spins and slows down as mechanics says, history and under the robot."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+from simulation import simulate
+
+from sweep.config import compose
+from sweep.controllers.plan import Stance
+from sweep.controllers.tracker import joint_targets
+from sweep.formulas.leg import SIDE
+from sweep.models import scene
+from sweep.models.obstacles.ball import Ball
+from sweep.models.scene import GRAVITY
+
+STEP, SECONDS, FALL, PERIOD = 2e-3, 2.0, 1.0, 0.4
+LEVEL = jnp.array([1.0, 0, 0, 0])
+BALL_AT, BALL_MOVES = slice(25, 28), slice(24, 27)  # in q and v
+ROLLS, SLIDES, SPINS, RESTS, FALLS, ON_ICE = range(6)
+SPEED, SPIN, ARM = 0.3, 0.2, 4e-3
+
+
+@pytest.fixture(scope="module")
+def nominal():
+    return dataclasses.replace(compose([]).case, obstacle=Ball())
+
+
+@pytest.fixture(scope="module")
+def history(nominal):
+    """Four balls on their own, and two on which the robot moves its body: in free fall, and on ice.
+
+    The four roll, slide without spin at friction 0.1, spin about the vertical, and rest under a turn too slow to be
+    one. Their robots are far above and never come down.
+    """
+    robot, ball = nominal.robot, nominal.obstacle
+    across = zip((-0.3, -0.3, 0, 0, 0.3, 0.3), SIDE, strict=True)
+    feet = jnp.stack([jnp.array([x, float(side) * 0.4, 0.0]) for x, side in across])
+    feet = feet.at[:, 2].set(jnp.sqrt(ball.radius**2 - feet[:, 0] ** 2 - feet[:, 1] ** 2) - 0.5e-3)
+    t = np.arange(0, SECONDS, STEP)
+    shift = (0.5 - 0.5 * np.cos(2 * np.pi * t / PERIOD))[:, None] * np.array([0.05, 0.03, 0.03])
+    place = jnp.array([0.0, 0.0, 1.11])
+    references = jax.vmap(lambda s: joint_targets(robot, Stance(feet, place + s, LEVEL))[0])(jnp.asarray(shift))
+    q, v = np.zeros((6, 32)), np.zeros((6, 30))
+    q[:, 3] = q[:, 28] = 1.0
+    q[:, 7:25] = np.ravel(references[0])
+    q[:, BALL_AT] = [0, 0, ball.radius]
+    q[FALLS, 27] += 8.0
+    q[:, :3] = q[:, BALL_AT] + np.asarray(place)
+    q[: RESTS + 1, 2] = 40.0
+    v[ROLLS, 24], v[ROLLS, 28] = SPEED, SPEED / ball.radius
+    v[SLIDES, 24] = SPEED
+    v[SPINS, 29] = SPIN
+    v[RESTS, 28] = 1e-6
+    roll, spin = np.full(6, ARM), np.full(6, ARM)
+    roll[SLIDES] = 0.0
+    world = dataclasses.replace(nominal, obstacle=dataclasses.replace(
+        ball, rolling_friction=roll, spinning_friction=spin, floor_grip=np.array([1.0, 0.1, 1.0, 1.0, 1.0, 0.0])
+    ))  # fmt: skip
+    return simulate(world, nominal, q.astype(np.float32), np.asarray(references, np.float32), v=v)
+
+
+def test_rolling_ball_slows_down(history, nominal):
+    """The moment f N about the contact, where the moment of inertia is 7/5 M R^2."""
+    slowing = ARM * GRAVITY / (7 / 5 * nominal.obstacle.radius)
+    lost = SPEED - history.v[-1, ROLLS, 24]
+    assert lost == pytest.approx(slowing * SECONDS, rel=0.01)
+    slip = history.v[:, ROLLS, 24] - nominal.obstacle.radius * history.v[:, ROLLS, 28]
+    assert np.abs(slip[100:]).max() < 1e-3 * SPEED  # of the indentation, 1 mm of the radius
+
+
+def test_sliding_ball_comes_to_roll(history, nominal):
+    """At 5/7 of its speed, after 2 v / (7 mu g)."""
+    speed, rim = history.v[:, SLIDES, 24], nominal.obstacle.radius * history.v[:, SLIDES, 28]
+    assert speed[-1] == pytest.approx(5 / 7 * SPEED, rel=2e-3)
+    rolls = np.argmax(speed - rim < 0.01 * SPEED) * STEP
+    assert rolls == pytest.approx(2 * SPEED / (7 * 0.1 * GRAVITY), rel=0.05)
+
+
+def test_spinning_ball_slows_down(history, nominal):
+    slowing = ARM * GRAVITY / (2 / 5 * nominal.obstacle.radius**2)
+    stops = SPIN / slowing
+    assert 0.5 < stops < SECONDS - 0.2
+    assert history.v[round(stops / 2 / STEP), SPINS, 29] == pytest.approx(SPIN / 2, rel=0.02)
+    assert np.abs(history.v[round((stops + 0.1) / STEP) :, SPINS, 29]).max() < 1e-4
+
+
+def test_ball_at_rest_stays(history):
+    assert np.abs(history.q[:, RESTS, BALL_AT][:, :2]).max() < 1e-5
+
+
+def totals(nominal, history, row):
+    """Momentum (N s) and energy (J) of robot and ball after every step, by C MuJoCo."""
+    model = scene.compile_model(nominal, geoms=False)
+    model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
+    data, out = mujoco.MjData(model), []
+    for q, v in zip(history.q[:, row], history.v[:, row], strict=True):
+        data.qpos, data.qvel = q, v
+        mujoco.mj_forward(model, data)
+        mujoco.mj_subtreeVel(model, data)
+        out.append([*(data.subtree_linvel[0] * model.body_subtreemass[0]), data.energy.sum()])
+    return np.array(out)
+
+
+@pytest.mark.parametrize("row", [FALLS, ON_ICE])
+def test_robot_and_ball_keep_their_momentum(nominal, history, row):
+    """Nothing outside pushes sideways; in free fall weight alone adds to it. The rest is the integrator's."""
+    moving = slice(None, round(FALL / STEP))
+    total, ball = totals(nominal, history, row)[moving], nominal.obstacle.mass * history.v[moving, row, BALL_MOVES]
+    weight = GRAVITY * STEP * (1 + np.arange(len(total)))
+    if row == FALLS:
+        total[:, 2] += (nominal.obstacle.mass + 16) * weight
+        ball[:, 2] += nominal.obstacle.mass * weight
+    axes = slice(0, 3 if row == FALLS else 2)
+    assert np.abs(ball[:, axes]).max() > 0.5  # N s: they do push each other
+    assert np.abs(total[:, axes]).max() < 3e-3 * np.abs(ball[:, axes]).max()
+
+
+@pytest.mark.parametrize("row", [FALLS, ON_ICE])
+def test_energy_comes_from_the_drives(nominal, history, row):
+    """What is gained is not more than the drives' work; some is lost in contact and in the stiff drives.
+
+    The integrator's own share is left out: falling freely it keeps the energy less h g/2 times the momentum.
+    """
+    moving = slice(100, round(FALL / STEP))
+    total, work = totals(nominal, history, row)[moving], STEP * np.cumsum(history.power[moving, row])
+    energy = total[:, 3] - 0.5 * STEP * GRAVITY * total[:, 2]
+    gain = energy - energy[0] - (work - work[0])
+    assert gain.max() < 5e-3 * np.ptp(work)
+    assert gain.min() > -0.25 * np.ptp(work)
