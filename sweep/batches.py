@@ -14,7 +14,7 @@ from sweep.case import Case
 from sweep.config import Experiment
 from sweep.engines.base import Engine
 from sweep.engines.settings import EngineSettings
-from sweep.errors import Fault
+from sweep.errors import Fault, InputError
 from sweep.metrics.outcome import Thresholds
 from sweep.study import assign, identity, is_static, parameter_columns, side_and_path, with_settings, world_and_belief
 
@@ -129,10 +129,18 @@ def among(rows: pd.DataFrame, others: pd.DataFrame) -> np.ndarray:
 
 
 def _even_width(exp: Experiment, rows: pd.DataFrame) -> int:
-    """The width asked for; else the device's best, evened out so that the last batch is nearly full."""
+    """The width asked for; else the device's best, evened out so that the last batch is nearly full.
+
+    Raises `InputError` where neither is known.
+    """
     start = nominal(exp, rows, exp.settings.width)
     if start.settings.width:
         return start.settings.width
+    if exp.cluster.elsewhere:
+        raise InputError(
+            f"cluster = {exp.cluster.kind} needs engine.width, as the workers' devices are not seen from here: "
+            "rollouts in a batch, such as 64 for two CPU cores or 32768 for a GPU"
+        )
     engine = make_engine(exp, start)
     even = -(-len(rows) // -(-len(rows) // engine.width))
     return -(-even // engine.devices) * engine.devices

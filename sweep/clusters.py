@@ -3,13 +3,15 @@
 A cluster hands out the numbers of batches; all else is in the study's folder, which workers read and write themselves.
 """
 
+import logging
+import signal
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from functools import partial
 from importlib import import_module
-from typing import Any
+from typing import Any, ClassVar
 
 from sweep.errors import Fault, InputError
 from sweep.parameters import choice, count
@@ -22,6 +24,7 @@ Dispatch = Callable[[Work, Iterable[int]], Iterator[Any]]  # results in the orde
 class Local:
     """In this process, one batch after the other, each on all its devices."""
 
+    elsewhere: ClassVar[bool] = False  # whether workers have other devices than this machine
     kind: str = choice("local", "local")
 
     def connect(self) -> AbstractContextManager[Dispatch]:
@@ -33,6 +36,7 @@ class Local:
 class DaskLocal:
     """Worker processes on this machine."""
 
+    elsewhere: ClassVar[bool] = False
     kind: str = choice("dask_local", "dask_local")
     workers: int = count(2, at_least=1)
 
@@ -44,6 +48,7 @@ class DaskLocal:
             distributed.LocalCluster(n_workers=self.workers, threads_per_worker=1, memory_limit=0, **QUIET) as cluster,
             distributed.Client(cluster) as client,
         ):
+            client.register_worker_callbacks(setup=_ignore_interrupt)
             yield partial(_spread, client)
 
 
@@ -51,6 +56,7 @@ class DaskLocal:
 class DaskAddress:
     """Workers of a Dask scheduler that runs already; they need this package and the study's folder under its path."""
 
+    elsewhere: ClassVar[bool] = True
     kind: str = choice("dask_address", "dask_address")
     address: str = ""
 
@@ -61,7 +67,7 @@ class DaskAddress:
         if not self.address:
             raise InputError("cluster.address is missing: a scheduler's, such as tcp://host:8786")
         try:
-            client = distributed.Client(self.address, timeout=10)
+            client = distributed.Client(self.address, timeout=5)
         except (OSError, ValueError) as error:
             reason = str(error).splitlines()[0]
             raise InputError(f"cluster.address = {self.address} is not a scheduler that answers: {reason}") from None
@@ -73,6 +79,7 @@ class DaskAddress:
 class Slurm:
     """One Slurm job for each worker, sent from here; a job that ends early, as by its time limit, is sent again."""
 
+    elsewhere: ClassVar[bool] = True
     kind: str = choice("slurm", "slurm")
     workers: int = count(2, at_least=1)  # jobs
     cores: int = count(1, at_least=1)  # of a job
@@ -104,7 +111,7 @@ class Slurm:
 CLUSTERS = {"local": Local, "dask_local": DaskLocal, "dask_address": DaskAddress, "slurm": Slurm}
 Cluster = Local | DaskLocal | DaskAddress | Slurm
 QUIET_SCHEDULER: dict[str, Any] = {"dashboard": False, "dashboard_address": None}
-QUIET: dict[str, Any] = {"dashboard_address": None}
+QUIET: dict[str, Any] = {"dashboard_address": None, "silence_logs": logging.CRITICAL}
 
 
 def _dask(module: str, kind: str) -> Any:
@@ -112,10 +119,15 @@ def _dask(module: str, kind: str) -> Any:
     try:
         import dask.config
 
-        dask.config.set({"distributed.logging": {"distributed": "critical"}})
+        dask.config.set({"distributed.logging": {"distributed": "critical", "distributed.client": "critical"}})
         return import_module(module)
     except ImportError:
         raise InputError(f"cluster = {kind} needs the extra `cluster`: pip install 'insect-sweep[cluster]'") from None
+
+
+def _ignore_interrupt() -> None:
+    """A terminal's Ctrl-C reaches all processes of the command; ending the workers is for this one to do."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _spread(client: Any, work: Work, batches: Iterable[int]) -> Iterator[Any]:
@@ -124,7 +136,7 @@ def _spread(client: Any, work: Work, batches: Iterable[int]) -> Iterator[Any]:
 
     lost = []
     # nothing but `as_completed` refers to the futures: a finished one that a dying worker holds is not done again
-    for future in as_completed(client.map(work, batches, pure=False)):
+    for future in as_completed([client.submit(work, number, pure=False) for number in batches]):
         try:
             yield future.result()
         except KilledWorker as error:
@@ -132,4 +144,4 @@ def _spread(client: Any, work: Work, batches: Iterable[int]) -> Iterator[Any]:
         finally:
             future.release()
     if lost:
-        raise Fault(f"{len(lost)} batches lost their worker again and again, as where its memory is too small")
+        raise Fault(f"{len(lost)} batches lost their worker again and again; is its memory too small?")

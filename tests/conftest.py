@@ -1,8 +1,10 @@
 import pytest
 from fake_engine import FakeEngine
+from small_study import STUDY, content
 
 import sweep.engines
 from sweep import batches
+from sweep.cli import main
 from sweep.engines import devices
 
 devices.configure()  # before any test uses JAX: the CPU is split as for the command line
@@ -15,6 +17,18 @@ def fake_engine(monkeypatch):
     batches.forget_engine()
     yield
     batches.forget_engine()
+
+
+@pytest.fixture(scope="session")
+def whole(tmp_path_factory):
+    """The rows of an undisturbed run of the small study."""
+    folder = tmp_path_factory.mktemp("whole")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sweep.engines, "make", FakeEngine)
+        batches.forget_engine()
+        assert main(["run", *STUDY, f"out={folder}"]) == 0
+        batches.forget_engine()
+    return content(folder)
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -1,6 +1,7 @@
 """A fast engine with an analytic region of success, and the command line run with it (for tests in a subprocess)."""
 
 import os
+import signal
 import sys
 import time
 
@@ -27,6 +28,8 @@ class FakeEngine:
         time.sleep(float(os.environ.get("FAKE_SECONDS", "0")))
         if self.width > int(os.environ.get("FAKE_ROOM", "1000000")):
             raise MemoryError
+        if os.environ.get("FAKE_DEATH") and np.any(friction == float(os.environ["FAKE_DEATH"])):
+            os.kill(os.getpid(), signal.SIGKILL)
         tilt = np.where(friction < 5 * ratio, 40.0, 1.0) * np.where(friction == 7, np.nan, 1.0)
         zero = np.zeros(self.width)
         late = {f"{cause}_time_s": np.full(self.width, np.nan) for cause in TIMED_CAUSES}

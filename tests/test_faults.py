@@ -1,61 +1,19 @@
 """What goes wrong on the machine costs time, never rows: one clear line, the designed exit code, the same content."""
 
-import os
 import random
 import resource
 import signal
 import subprocess
-import sys
-import time
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-from fake_engine import FakeEngine
+from small_study import BATCHES, STUDY, content, one_line, start, wait_for
 
-import sweep.engines
 from sweep import store
 from sweep.cli import main
 
 pytestmark = pytest.mark.usefixtures("fake_engine")
-STUDY = ["study=walk_map", "study.axes.friction.num=8", "study.axes.step.num=7", "engine.width=8", "study.expect=[]"]
-FAKE = [sys.executable, str(Path(__file__).with_name("fake_engine.py"))]
-
-
-def content(folder: Path, *but: str) -> pd.DataFrame:
-    return store.read_rows(folder).drop(columns=[*store.TIMING, *but])
-
-
-def start(folder: Path, seconds: float) -> subprocess.Popen:
-    """The study in a process of its own, each batch taking `seconds`."""
-    environment = {**os.environ, "FAKE_SECONDS": str(seconds)}
-    return subprocess.Popen([*FAKE, "run", *STUDY, f"out={folder}"], env=environment, stdout=subprocess.PIPE,
-                            stderr=subprocess.PIPE, text=True)  # fmt: skip
-
-
-def wait_for(folder: Path, parts: int, process: subprocess.Popen) -> None:
-    deadline = time.monotonic() + 60
-    while len(store.finished(folder)) < parts:
-        assert process.poll() is None, process.communicate()
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
-
-
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory):
-    """The rows of an undisturbed run."""
-    folder = tmp_path_factory.mktemp("whole")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sweep.engines, "make", FakeEngine)
-        assert main(["run", *STUDY, f"out={folder}"]) == 0
-    return content(folder)
-
-
-def one_line(text: str, *parts: str) -> None:
-    assert text.count("\n") == 1, text
-    assert text.startswith("sweep: ")
-    assert all(part in text for part in parts), text
 
 
 @pytest.mark.slow
@@ -64,7 +22,7 @@ def test_twenty_kills_at_random_moments_leave_the_same_rows(tmp_path, whole):
     moments, kills = random.Random(5), 0
     folder = tmp_path / "killed"
     while kills < 20:
-        process = start(folder, 0.02)
+        process = start(folder, FAKE_SECONDS="0.02")
         try:
             process.communicate(timeout=moments.uniform(1.5, 6.0))
         except subprocess.TimeoutExpired:
@@ -81,7 +39,7 @@ def test_twenty_kills_at_random_moments_leave_the_same_rows(tmp_path, whole):
 
 
 def test_an_interrupted_run_says_so_and_goes_on(tmp_path, whole):
-    process = start(tmp_path / "out", 0.3)
+    process = start(tmp_path / "out", FAKE_SECONDS="0.3")
     wait_for(tmp_path / "out", 2, process)
     process.send_signal(signal.SIGINT)
     _, error = process.communicate(timeout=60)
@@ -93,7 +51,7 @@ def test_an_interrupted_run_says_so_and_goes_on(tmp_path, whole):
 
 def test_a_full_disk_is_one_line_and_loses_nothing(tmp_path, whole):
     """A limit to the size of files stands for a disk that fills up: the plan fits, a part does not."""
-    process = start(tmp_path / "out", 0)
+    process = start(tmp_path / "out")
     resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (12_000, 12_000))
     _, error = process.communicate(timeout=60)
     assert process.returncode == 5
@@ -114,7 +72,7 @@ def test_a_folder_that_cannot_be_written_is_refused(tmp_path, monkeypatch, capsy
 
 def test_damaged_parts_are_named_and_simulated_again(tmp_path, capsys, whole):
     assert main(["run", *STUDY, f"out={tmp_path}"]) == 0
-    parts = [store.part(tmp_path, number) for number in range(7)]
+    parts = [store.part(tmp_path, number) for number in range(BATCHES)]
     data, third = parts[3].read_bytes(), len(parts[3].read_bytes()) // 3
     parts[0].write_bytes(parts[0].read_bytes()[:-100])
     parts[2].write_bytes(b"")
@@ -125,7 +83,9 @@ def test_damaged_parts_are_named_and_simulated_again(tmp_path, capsys, whole):
     one_line(capsys.readouterr().err, "part-000000.parquet is damaged", "`sweep run`")
     assert main(["run", *STUDY, f"out={tmp_path}"]) == 0
     error = capsys.readouterr().err
-    assert [f"part-00000{k}.parquet is damaged" in error for k in range(7)] == [k in (0, 2, 3) for k in range(7)]
+    assert [f"part-00000{k}.parquet is damaged" in error for k in range(BATCHES)] == [
+        k in (0, 2, 3) for k in range(BATCHES)
+    ]
     assert "24 rollouts in" in error
     pd.testing.assert_frame_equal(content(tmp_path), whole)
     assert sound == {p: p.stat().st_mtime_ns for p in sound}
@@ -140,7 +100,7 @@ def test_a_damaged_description_or_plan_is_named_and_no_part_touched(tmp_path, ca
     one_line(capsys.readouterr().err, f"{name} is damaged")
     (tmp_path / store.POINTS).unlink()
     assert main(["run", *STUDY, f"out={tmp_path}"]) == 2
-    assert len(store.finished(tmp_path)) == 7
+    assert len(store.finished(tmp_path)) == BATCHES
 
 
 def test_too_little_memory_halves_the_width_and_goes_on(tmp_path, whole, monkeypatch):

@@ -1,0 +1,44 @@
+"""A study of 56 rollouts in 7 batches on the fake engine, run here or in a process of its own."""
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pandas as pd
+
+from sweep import store
+
+STUDY = ["study=walk_map", "study.axes.friction.num=8", "study.axes.step.num=7", "engine.width=8", "study.expect=[]"]
+BATCHES = 7
+FAKE = Path(__file__).with_name("fake_engine.py")
+
+
+def content(folder: Path) -> pd.DataFrame:
+    """The rows in `folder`, without what differs between equal runs."""
+    return store.read_rows(folder).drop(columns=list(store.TIMING))
+
+
+def start(folder: Path, *overrides: str, **environment: str) -> subprocess.Popen:
+    """The study in a process group of its own; Dask workers have the fake engine too."""
+    paths = {"PYTHONPATH": str(FAKE.parent), "DASK_DISTRIBUTED__WORKER__PRELOAD": '["fake_engine"]'}
+    command = [sys.executable, str(FAKE), "run", *STUDY, f"out={folder}", *overrides]
+    return subprocess.Popen(command, env={**os.environ, **paths, **environment}, stdout=subprocess.PIPE,
+                            stderr=subprocess.PIPE, text=True, start_new_session=True)  # fmt: skip
+
+
+def wait_for(folder: Path, parts: int, process: subprocess.Popen) -> None:
+    """Until so many parts are on disk, while `process` runs."""
+    deadline = time.monotonic() + 120
+    while len(store.finished(folder)) < parts:
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def one_line(text: str, *parts: str) -> None:
+    """`text` is one line of ours that names `parts`."""
+    assert text.count("\n") == 1, text
+    assert text.startswith("sweep: ")
+    assert all(part in text for part in parts), text

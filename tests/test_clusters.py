@@ -1,0 +1,96 @@
+"""Workers come and go; the rows are those of a run in one process."""
+
+import os
+import random
+import signal
+import sys
+
+import pandas as pd
+import psutil
+import pytest
+from small_study import BATCHES, STUDY, content, one_line, start, wait_for
+
+from sweep import store
+from sweep.cli import main
+
+pytestmark = pytest.mark.usefixtures("fake_engine")
+WORKERS = ("cluster=dask_local", "cluster.workers=2")
+
+
+@pytest.mark.slow
+def test_a_killed_worker_costs_time_only(tmp_path, whole):
+    process = start(tmp_path, *WORKERS, FAKE_SECONDS="0.4")
+    wait_for(tmp_path, 2, process)
+    workers = [p for p in psutil.Process(process.pid).children(recursive=True) if "spawn_main" in "".join(p.cmdline())]
+    assert len(workers) == 2
+    random.Random(1).choice(workers).kill()
+    assert len(store.finished(tmp_path)) < BATCHES
+    out, error = process.communicate(timeout=240)
+    assert process.returncode == 0, error
+    assert "56 of 56 planned rollouts" in out
+    assert error.count("\n") == 1
+    pd.testing.assert_frame_equal(content(tmp_path), whole)
+
+
+@pytest.mark.slow
+def test_a_batch_that_kills_every_worker_is_named_and_the_others_are_done(tmp_path):
+    process = start(tmp_path, *WORKERS, FAKE_DEATH="1.2")
+    _, error = process.communicate(timeout=400)
+    assert process.returncode == 5
+    one_line(error, "1 batches lost their worker", "the same command finishes the rest")
+    assert store.finished(tmp_path) == set(range(BATCHES - 1))
+
+
+@pytest.mark.slow
+def test_workers_with_too_little_memory_get_narrower_batches(tmp_path, whole):
+    process = start(tmp_path, *WORKERS, FAKE_ROOM="4")
+    _, error = process.communicate(timeout=240)
+    assert process.returncode == 0, error
+    rows = content(tmp_path)
+    assert set(rows["width"]) == {4}
+    assert set(rows["point_id"]) == set(whole["point_id"])
+    assert len(rows) == len(whole)
+
+
+@pytest.mark.slow
+def test_an_interrupted_cluster_leaves_no_process_and_goes_on(tmp_path, whole):
+    process = start(tmp_path, *WORKERS, FAKE_SECONDS="0.4")
+    wait_for(tmp_path, 2, process)
+    children = psutil.Process(process.pid).children(recursive=True)
+    os.killpg(process.pid, signal.SIGINT)  # as from a terminal: the workers get it too
+    _, error = process.communicate(timeout=240)
+    assert process.returncode == 130
+    one_line(error, "interrupted")
+    assert not psutil.wait_procs(children, timeout=30)[1]
+    assert main(["run", *STUDY, f"out={tmp_path}"]) == 0  # where it is finished may change
+    pd.testing.assert_frame_equal(content(tmp_path), whole)
+
+
+@pytest.mark.slow
+def test_workers_at_an_address_must_have_this_code(tmp_path, whole, monkeypatch, capsys):
+    import distributed
+
+    monkeypatch.setenv("PYTHONPATH", os.path.dirname(__file__))
+    with distributed.LocalCluster(n_workers=1, dashboard_address=None, preload=["fake_engine"]) as cluster:
+        run = ["run", *STUDY, "cluster=dask_address", f"cluster.address={cluster.scheduler_address}"]
+        assert main([*run, f"out={tmp_path / 'a'}"]) == 0
+        pd.testing.assert_frame_equal(content(tmp_path / "a"), whole)
+        monkeypatch.setattr("sweep.provenance.code_version", lambda: "other")
+        capsys.readouterr()
+        assert main([*run, f"out={tmp_path / 'b'}"]) == 2
+        one_line(capsys.readouterr().err, "another version of the code", "not other")
+
+
+def test_what_a_cluster_needs_is_said_before_anything_runs(tmp_path, monkeypatch, capsys):
+    for overrides, named in (
+        (["cluster=dask_address"], "cluster.address is missing"),
+        (["cluster=dask_address", "cluster.address=tcp://127.0.0.1:9"], "not a scheduler that answers"),
+        (["cluster=slurm", "engine.width=0"], "needs engine.width"),
+        (["cluster=slrm"], "did you mean slurm?"),
+        (["cluster=dask_local", "cluster.workers=0"], "cluster.workers = 0"),
+    ):
+        assert main(["run", *STUDY, f"out={tmp_path}", *overrides]) == 2
+        one_line(capsys.readouterr().err, named)
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    assert main(["run", *STUDY, f"out={tmp_path}", *WORKERS]) == 2
+    one_line(capsys.readouterr().err, "pip install 'insect-sweep[cluster]'")
