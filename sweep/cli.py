@@ -74,6 +74,11 @@ def parser() -> argparse.ArgumentParser:
     report.add_argument("--where", help="only rows that match")
     report.add_argument("--pictures", action="store_true", help="simulate typical rollouts again for their pictures")
     report.add_argument("-o", "--output", type=Path, help="folder for page and map instead of DIR")
+    export = of_results("export", export_results, "a study for others' programs")
+    export.add_argument(
+        "--paper", type=Path, required=True, metavar="FOLDER", help="LaTeX tables, figures, numbers, data"
+    )
+    export.add_argument("--where", help="only rows that match")
     compare = command("compare", compare_results, "the same points in two folders: which outcomes differ, and where")
     compare.add_argument(
         "a", type=Path, metavar="A", help="folder of the reference; each of its rows needs its pair in B"
@@ -198,6 +203,15 @@ def draw_report(given: argparse.Namespace) -> int:
     if chosen or len(found.numeric) > 1:
         for path in maps.draw(found.rows, found.stored, folder, chosen):
             print(path)
+    return DONE
+
+
+def export_results(given: argparse.Namespace) -> int:
+    """The bundle for a paper."""
+    from sweep.report import paper, results
+
+    for path in paper.write(results.read(given.dir, given.where), given.paper):
+        print(path)
     return DONE
 
 

@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
 
 import jinja2
 import matplotlib as mpl
@@ -21,11 +20,10 @@ from sweep import store
 from sweep.metrics.outcome import MEANING
 from sweep.report import tables
 from sweep.report.exhibits import exhibits
-from sweep.report.labels import axis_words, heading, unit_of
-from sweep.report.results import Results
+from sweep.report.labels import heading
+from sweep.report.results import Results, parameters
 from sweep.report.typical import Typical, typical
 from sweep.stats import broken, rate
-from sweep.study import nominal, side_and_path
 
 ROWS = 100  # of the table at the end
 TELLING = ("distance_m", "slip_max_m", "tilt_max_deg", "leg_gap_min_m", "clearance_min_m", "stability_margin_min_m",
@@ -78,19 +76,6 @@ def expectations(results: Results) -> Iterator[tuple[str, str]]:
         where = f" where {one.where}" if one.where else ""
         lines = broken((one,), results.rows)
         yield f"{one.that}{where}: a share from {one.at_least:g} to {one.at_most:g}", lines[0] if lines else "met"
-
-
-def parameters(results: Results) -> Iterator[dict[str, Any]]:
-    """What was varied."""
-    for name in results.axes:
-        values = results.rows[name]
-        side, path = side_and_path(name)
-        listed = [tables.text(v) for v in sorted(values.unique())]
-        extent = ", ".join(listed) if len(listed) <= 6 else f"{listed[0]} to {listed[-1]}"
-        own = not name.startswith("axis.")  # else a number that parameters are made from
-        usual = tables.text(nominal(name, results.exp.case, results.exp.settings)) if own else ""
-        about = {"words": axis_words(name), "path": path, "on": side, "unit": unit_of(name, results.exp)}
-        yield {**about, "values": extent, "number": len(listed), "nominal": usual}
 
 
 def telling(one: Typical) -> Iterator[tuple[str, str]]:

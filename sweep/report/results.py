@@ -1,5 +1,6 @@
 """A study's folder as its reports see it."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -12,7 +13,9 @@ from sweep import store
 from sweep.config import Experiment, experiment
 from sweep.metrics.outcome import MEANING
 from sweep.query import mask
-from sweep.study import parameter_columns
+from sweep.report.labels import axis_words, unit_of
+from sweep.report.tables import text
+from sweep.study import nominal, parameter_columns, side_and_path
 
 
 @dataclass(frozen=True)
@@ -65,6 +68,19 @@ def read(folder: Path, where: str | None = None) -> Results:
     if where:
         rows = rows[mask(rows, where)].reset_index(drop=True)
     return Results(folder, stored, experiment(stored["config"]), rows, where)
+
+
+def parameters(results: Results) -> Iterator[dict[str, Any]]:
+    """What was varied."""
+    for name in results.axes:
+        values = results.rows[name]
+        side, path = side_and_path(name)
+        listed = [text(v) for v in sorted(values.unique())]
+        extent = ", ".join(listed) if len(listed) <= 6 else f"{listed[0]} to {listed[-1]}"
+        own = not name.startswith("axis.")  # else a number that parameters are made from
+        usual = text(nominal(name, results.exp.case, results.exp.settings)) if own else ""
+        about = {"words": axis_words(name), "path": path, "on": side, "unit": unit_of(name, results.exp)}
+        yield {**about, "values": extent, "number": len(listed), "nominal": usual}
 
 
 def binned(values: pd.Series, most: int) -> pd.Series:

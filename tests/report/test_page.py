@@ -11,26 +11,7 @@ from sweep.cli import main
 from sweep.config import compose
 from sweep.report import page, results, slices, typical
 
-STUDY = ["run", "study=walk_map", "study.axes.friction.num=6", "study.axes.step.num=5", "study.expect=[]"]
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """A study of 180 rollouts of the fake engine: three parameters, two replicates, one invalid column."""
-    import fake_engine
-
-    import sweep.engines
-
-    out = tmp_path_factory.mktemp("study")
-    third = "+study.axes.damping={path: drive.damping, values: [500.0, 514.26, 530.0]}"
-    real, sweep.engines.make = sweep.engines.make, fake_engine.FakeEngine
-    try:
-        friction = "study.axes.friction.values=[0.1,0.3,0.5,0.7,0.9,7.0]"
-        assert main([*STUDY, third, friction, "study.replicates=2", "engine.width=60", f"out={out}"]) == 3
-    finally:
-        sweep.engines.make = real
-    return out
 
 
 @pytest.fixture(scope="module")

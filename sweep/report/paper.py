@@ -1,0 +1,169 @@
+"""`sweep export --paper`: a study as LaTeX tables, figures, their data, and a macro for every number."""
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+
+import jinja2
+import matplotlib as mpl
+import numpy as np
+import pandas as pd
+
+from sweep.metrics.outcome import MEANING
+from sweep.query import mask
+from sweep.report import tables
+from sweep.report.exhibits import exhibits
+from sweep.report.labels import heading
+from sweep.report.results import Results, parameters
+from sweep.stats import rate
+from sweep.store import figure_columns
+
+CAPTIONS = {
+    "parameters": "What was varied.",
+    "success": r"How often rollouts succeed, with 95\,\% Wilson intervals.",
+    "causes": "Rollouts that did not succeed.",
+}
+CSV_ROWS = 100_000  # more rows than this are kept as parquet
+NAMED_ROWS = 3  # a number that comes from so few rows names them
+DIGITS = ("Zero", "One", "Two", "Three", "Four", "Five", "Six", "Seven", "Eight", "Nine")
+
+
+@dataclass(frozen=True)
+class Number:
+    """A number to quote, and the rows that it comes from."""
+
+    name: str  # of its macro
+    value: float
+    text: str  # as quoted, in LaTeX
+    what: str  # what it says of the rows
+    where: str | None  # which rows; None: all
+
+
+def write(results: Results, out: Path) -> list[Path]:
+    """Write the bundle into the folder `out`: main.tex, numbers.tex, tables, figures, and the data of all of them."""
+    for folder in ("figures", "data", "tables"):
+        (out / folder).mkdir(parents=True, exist_ok=True)
+    paths = [_rows(results, out)]
+    shown = list(exhibits(results))
+    for one in shown:
+        paths += [out / "data" / f"{one.key}.csv", out / "figures" / f"{one.key}.pdf"]
+        one.data.to_csv(paths[-2], index=False)
+        with mpl.rc_context({"pdf.fonttype": 42}):  # TrueType, which journals ask for
+            one.draw().savefig(paths[-1], metadata={"CreationDate": None})
+    numbers = list(quoted(results))
+    texts = {f"tables/{name}.tex": tables.latex(table) for name, table in summaries(results)}
+    texts["numbers.tex"] = "".join(macro(results, one, paths[0].name) for one in numbers)
+    texts["main.tex"] = _template().render(
+        results=results, prefix=prefix(results), exhibits=shown, escape=escape,
+        tables=[(name, CAPTIONS[name]) for name, _ in summaries(results)],
+    )  # fmt: skip
+    pd.DataFrame([vars(one) for one in numbers]).to_csv(out / "data" / "numbers.csv", index=False)
+    for name, text in texts.items():
+        (out / name).write_text(text, encoding="utf-8")
+    return [*paths, out / "data" / "numbers.csv", *(out / name for name in texts)]
+
+
+def _rows(results: Results, out: Path) -> Path:
+    """All rows, which the numbers are traced to."""
+    if len(results.rows) > CSV_ROWS:
+        path = out / "data" / "rows.parquet"
+        results.rows.to_parquet(path, index=False, compression="zstd")
+    else:
+        path = out / "data" / "rows.csv"
+        results.rows.to_csv(path, index=False)
+    return path
+
+
+def summaries(results: Results) -> Iterator[tuple[str, pd.DataFrame]]:
+    """The tables: what was varied, how often each alternative succeeds, and why rollouts fail."""
+    rows = results.rows
+    if varied := list(parameters(results)):
+        columns = ["words", "on", "values", "number", "unit", "nominal"]
+        yield "parameters", pd.DataFrame(varied)[columns].rename(columns={"words": "varied"})
+    parts = [("all", rows)]
+    for column in results.named:
+        parts += [(f"{heading(column)} {value}", part) for value, part in rows.groupby(column)]
+    lines = []
+    for name, part in parts:
+        one = rate(part["outcome"])
+        shares = (f"{100 * v:.1f}" for v in (one.share, one.low, one.high))
+        lines.append((name, one.total, one.invalid, one.success, *shares))
+    yield "success", pd.DataFrame(lines, columns=["rollouts", "number", "invalid", "succeed", "%", "from", "to"])
+    if results.causes_seen:
+        counts = [(c.replace("_", " "), MEANING[c], int((rows["cause"] == c).sum())) for c in results.causes_seen]
+        yield "causes", pd.DataFrame(counts, columns=["cause", "what it means", "rollouts"])
+
+
+def quoted(results: Results) -> Iterator[Number]:
+    """Every number of the bundle's text, and those that a text about the study is likely to need."""
+    rows, start = results.rows, prefix(results)
+    one, valid = rate(rows["outcome"]), 'outcome != "invalid"'
+    for name, count, where in (("Rollouts", one.total, None), ("Valid", one.valid, valid),
+                               ("Success", one.success, 'outcome == "success"'),
+                               ("Invalid", one.invalid, 'outcome == "invalid"')):  # fmt: skip
+        yield Number(start + name, count, str(count), "number of rows", where)
+    share = 'share of outcome == "success"'
+    yield _percent(start + "Rate", one.share, share, valid)
+    yield _percent(start + "RateLow", one.low, f"lower end of the 95 % Wilson interval of the {share}", valid)
+    yield _percent(start + "RateHigh", one.high, f"upper end of the 95 % Wilson interval of the {share}", valid)
+    yield _percent(start + "InvalidRate", one.invalid_share, 'share of outcome == "invalid"', None)
+    for cause in results.causes_seen:
+        where = f'cause == "{cause}"'
+        count = int((rows["cause"] == cause).sum())
+        yield Number(start + camel("cause_" + cause), count, str(count), "number of rows", where)
+    for axis in results.numeric:
+        name = start + camel(axis.removesuffix(".name"))
+        for word, value in (("Min", rows[axis].min()), ("Max", rows[axis].max())):
+            yield Number(name + word, float(value), f"{value:.4g}", f"{word.lower()} of {axis}", None)
+    won = rows[rows["outcome"] == "success"]
+    for figure in figure_columns(rows):
+        if figure in tables.BOOKKEEPING or won.empty or won[figure].dtype.kind != "f":
+            continue
+        for word, value in (("Median", won[figure].median()), ("Min", won[figure].min()), ("Max", won[figure].max())):
+            what = f"{word.lower()} of {figure}"
+            yield Number(start + camel(figure) + word, float(value), f"{value:.4g}", what, 'outcome == "success"')
+
+
+def _percent(name: str, share: float, what: str, where: str | None) -> Number:
+    return Number(name, share, "--" if np.isnan(share) else rf"{100 * share:.1f}\,\%", what, where)
+
+
+def macro(results: Results, one: Number, file: str) -> str:
+    """The definition of a macro, below a comment that says which rows it comes from and how to list them."""
+    chosen = results.rows[mask(results.rows, one.where)]
+    if extreme := re.fullmatch(r"(min|max) of (\S+)", one.what):
+        values = chosen[extreme[2]]
+        chosen = chosen[(values == one.value).to_numpy()]
+    few = f": {', '.join(chosen['point_id'])}" if 0 < len(chosen) <= NAMED_ROWS else ""
+    where = " and ".join(f"({c})" if results.where and one.where else c for c in (results.where, one.where) if c)
+    command = f"sweep table {results.folder} --format csv" + (f" --where '{where}'" if where else "")
+    definition = f"\\newcommand{{\\{one.name}}}{{{one.text}}}"
+    return f"% {one.what}, {len(chosen)} rows of data/{file}{few}\n% {command}\n{definition}\n"
+
+
+def prefix(results: Results) -> str:
+    """What the study's macros begin with: its name as LaTeX allows it."""
+    word = camel(results.name) or "Study"
+    return word[0].lower() + word[1:]
+
+
+def camel(text: str) -> str:
+    """`slip_max_m` -> `SlipMaxM`; a macro's name has letters only, so digits are spelt."""
+    words = [w[0].upper() + w[1:] for w in re.split(r"[^0-9A-Za-z]+", text) if w]
+    return re.sub(r"\d", lambda digit: DIGITS[int(digit[0])], "".join(words))
+
+
+def escape(text: str) -> str:
+    """`text` for LaTeX."""
+    special = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "°": r"\textdegree{}",
+               "<": r"\textless{}", ">": r"\textgreater{}", "·": r"$\cdot$"}  # fmt: skip
+    return "".join(special.get(c, f"\\{c}" if c in "&%$#_{}" else c) for c in text)
+
+
+def _template() -> jinja2.Template:
+    """LaTeX is full of braces: << value >>, <% statement %>."""
+    signs = ("<%", "%>", "<<", ">>", "<#", "#>")
+    environment = jinja2.Environment(*signs, trim_blocks=True, undefined=jinja2.StrictUndefined)
+    return environment.from_string((files("sweep.report") / "paper.tex.j2").read_text(encoding="utf-8"))

@@ -1,0 +1,74 @@
+import re
+import shutil
+import subprocess
+
+import pandas as pd
+import pytest
+
+from sweep import store
+from sweep.cli import main
+from sweep.report import paper
+
+
+@pytest.fixture(scope="module")
+def bundle(folder, tmp_path_factory):
+    out = tmp_path_factory.mktemp("paper")
+    assert main(["export", str(folder), "--paper", str(out)]) == 0
+    return out
+
+
+def test_every_macro_follows_from_the_rows_that_it_names(bundle, folder):
+    text = (bundle / "numbers.tex").read_text()
+    macros = re.findall(
+        r"% (.+), (\d+) rows of data/rows\.csv(?:: (.+))?\n% sweep table \S+ --format csv(?: --where '(.+)')?\n"
+        r"\\newcommand\{\\([A-Za-z]+)\}\{(.+)\}",
+        text,
+    )
+    assert len(macros) == text.count("newcommand") == len({name for *_, name, _ in macros})
+    rows = pd.read_csv(bundle / "data/rows.csv", keep_default_na=False)
+    assert len(rows) == len(store.read_rows(folder)) == 180
+    checked = set()
+    for what, number, ids, where, name, shown in macros:
+        chosen = rows.query(where) if where else rows
+        if ids:
+            chosen = rows[rows["point_id"].isin(ids.split(", "))]
+        word = what.split()[0]
+        if what == "number of rows":
+            assert int(shown) == len(chosen) == int(number), name
+        elif word in ("min", "max", "median"):
+            value = pd.to_numeric(chosen[what.split()[-1]]).agg(word)
+            assert shown == f"{value:.4g}", name
+        elif word == "share":
+            label = re.findall(r'"(\w+)"', what)[0]
+            assert shown == rf"{100 * (chosen['outcome'] == label).mean():.1f}\,\%", name
+        else:
+            continue
+        checked.add(word)
+    assert checked == {"number", "min", "max", "median", "share"}
+
+
+def test_the_data_of_a_figure_is_what_it_shows(bundle, folder):
+    data = pd.read_csv(bundle / "data/map-1.csv")
+    rows = store.read_rows(folder)
+    cell = data[(data["world.contact.friction"] == 0.7) & (data["drive.damping"] == 500)]
+    own = rows[(rows["world.contact.friction"] == 0.7) & (rows["drive.damping"] == 500)]
+    won = own.groupby("manoeuvre.half_step_ratio")["outcome"].agg(lambda o: (o == "success").sum())
+    assert cell["success"].tolist() == won.tolist()
+    assert {p.stem for p in (bundle / "figures").glob("*.pdf")} == {
+        "map-1", "map-2", "map-3", "effects", "causes", "distributions",
+    }  # fmt: skip
+    assert r"\bottomrule" in (bundle / "tables/causes.tex").read_text()
+
+
+def test_names_and_words_are_fit_for_latex():
+    assert paper.camel("world.slip_max_2m") == "WorldSlipMaxTwom"
+    assert paper.escape("a_r 5 % <x> [°]") == r"a\_r 5 \% \textless{}x\textgreater{} [\textdegree{}]"
+
+
+@pytest.mark.skipif(not shutil.which("pdflatex"), reason="needs LaTeX: apt-get install texlive-latex-recommended")
+def test_the_paper_compiles(bundle):
+    command = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "main.tex"]
+    done = subprocess.run(command, cwd=bundle, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stdout[-2000:]
+    assert "Missing character" not in done.stdout
+    assert (bundle / "main.pdf").stat().st_size > 10_000
