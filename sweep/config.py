@@ -51,8 +51,9 @@ class ScenarioSchema:
 
 @dataclass
 class DesignSchema:
-    """How the axes with a distribution are sampled; see `sweep.designs.Design`."""
+    """How axes are combined and sampled; see `sweep.designs.Design`."""
 
+    grid: str = "full"
     kind: str = "monte_carlo"
     num: int = 0
     scrambles: int = 1

@@ -22,7 +22,8 @@ from sweep.parameters import InputError, suggest
 
 SIDES = ("world", "belief")
 DESIGNS = ("monte_carlo", "latin_hypercube", "sobol", "saltelli")
-AXIS_KEYS = ("path", "on", "values", "from", "to", "num", "distribution", "relative", "times", "with")
+GRIDS = ("full", "one_at_a_time")
+AXIS_KEYS = ("path", "on", "values", "from", "to", "num", "distribution", "relative", "times", "with", "nominal")
 # what each distribution needs, and what it may have besides
 DISTRIBUTIONS = {
     "uniform": (("from", "to"), ()), "log_uniform": (("from", "to"), ()), "normal": (("mean", "std"), ("from", "to")),
@@ -73,6 +74,7 @@ class Axis:
     relative: float | str | None  # s, or the name of an axis that gives it
     times: str | None
     along: str | None  # the axis whose values this one's go along with, one by one
+    nominal: float  # n of an axis without a path where it is not varied
 
     @property
     def target(self) -> str | None:
@@ -85,6 +87,16 @@ class Axis:
         own = self.path is None or self.times is not None or (self.relative is not None and self.values is not None)
         return f"axis.{self.name}" if own else str(self.target)
 
+    def nominal_number(self, nominal: Callable[[str], Any]) -> Any:
+        """The n that gives its nominal value; `nominal` gives a parameter by its path."""
+        if self.path is None:
+            return self.nominal
+        if self.relative is not None:
+            return 0.0
+        if self.times:
+            return _finite(self, self.path, nominal) / _finite(self, self.times, nominal)
+        return nominal(self.path)
+
     def __str__(self) -> str:
         what = _listed(self.values) if self.values is not None else str(self.distribution)
         if self.relative is not None:
@@ -95,8 +107,9 @@ class Axis:
 
 @dataclass(frozen=True)
 class Design:
-    """How axes with a distribution are sampled."""
+    """How listed axes are combined, and how axes with a distribution are sampled."""
 
+    grid: str = "full"
     kind: str = "monte_carlo"
     num: int = 0  # draws; of sobol those of one scramble, of saltelli the base sample N of N (d + 2)
     scrambles: int = 1  # independent repetitions of sobol, which tell its error
@@ -139,8 +152,10 @@ def parse_design(given: Mapping[str, Any], axes: tuple[Axis, ...]) -> Design:
     """How the axes that have a distribution are drawn. Raises `InputError`."""
     given = known("study.design", given, tuple(f.name for f in dataclasses.fields(Design)))
     design = Design(**given)
-    if design.kind not in DESIGNS:
-        raise InputError(f"study.design.kind = {design.kind!r} is unknown{suggest(str(design.kind), DESIGNS)}")
+    for key, allowed in (("kind", DESIGNS), ("grid", GRIDS)):
+        if getattr(design, key) not in allowed:
+            value = getattr(design, key)
+            raise InputError(f"study.design.{key} = {value!r} is unknown{suggest(str(value), allowed)}")
     drawn = [a.name for a in axes if a.distribution]
     least = 1 if drawn else 0
     if design.num < least:
@@ -178,7 +193,10 @@ def _axis(key: str, name: str, given: Any) -> Axis:
     if values is None:
         default = {"kind": "uniform", "from": -1.0, "to": 1.0} if relative is not None else None
         distribution = _distribution(f"{key}.distribution", given.get("distribution", default))
-    return Axis(name, path, on, values, distribution, relative, times, given.get("with"))
+    centre = _number(f"{key}.nominal", given.get("nominal", 0.0))
+    if "nominal" in given and path is not None:
+        raise InputError(f"{key}.nominal = {centre:g} is not allowed: {path} has its nominal value in the configuration")
+    return Axis(name, path, on, values, distribution, relative, times, given.get("with"), centre)
 
 
 def _values(key: str, given: Mapping[str, Any]) -> tuple[Any, ...] | None:
@@ -244,11 +262,11 @@ def table(axes: tuple[Axis, ...], design: Design, seed: int, nominal: Callable[[
     `InputError`.
     """
     listed, drawn = [a for a in axes if a.values is not None], [a for a in axes if a.distribution]
-    grid = _grid(listed)
+    grid = _star(listed, nominal) if listed and design.grid == "one_at_a_time" else _grid(listed)
     shares = _shares(drawn, design, seed)
     draws = {a.name: a.distribution.quantile(shares[:, i]) for i, a in enumerate(drawn) if a.distribution}
     size, count = len(grid), max(len(shares), 1)
-    numbers = grid.loc[grid.index.repeat(count)].reset_index(drop=True)
+    numbers = grid.take(np.repeat(np.arange(size), count)).reset_index(drop=True)
     for name, values in draws.items():
         numbers[name] = np.tile(values, size)
     columns = _columns(axes, numbers, nominal)
@@ -263,6 +281,13 @@ def _grid(axes: list[Axis]) -> pd.DataFrame:
     at = {leader.name: place for leader, place in zip(leaders, places, strict=True)}
     columns = {a.name: pd.Series(list(a.values or ())).take(at[a.along or a.name]).array for a in axes}
     return pd.DataFrame(columns, index=range(math.prod(lengths)))
+
+
+def _star(axes: list[Axis], nominal: Callable[[str], Any]) -> pd.DataFrame:
+    """The values of one leading axis after the other, the rest at their nominal numbers."""
+    centre = {a.name: a.nominal_number(nominal) for a in axes}
+    arms = [_grid([a for a in axes if leader.name in (a.name, a.along)]) for leader in axes if leader.along is None]
+    return pd.concat([arm.assign(**{k: v for k, v in centre.items() if k not in arm}) for arm in arms])[[*centre]]
 
 
 def _shares(axes: list[Axis], design: Design, seed: int) -> np.ndarray:

@@ -128,12 +128,31 @@ def test_errors_grow_with_an_axis_of_their_size(table_of):
             assert 0.95 * size <= error.max() <= size + 1e-12
 
 
+def test_one_axis_at_a_time_leaves_the_others_nominal(table_of):
+    axes = {
+        "error": {"values": [0.0, 0.02], "nominal": 0.01},
+        "shin": {"path": "robot.shin", "on": "belief", "relative": "error"},
+        "f": listed("contact.friction", 0.5, 1.0, on="world"),
+        "gait": listed("manoeuvre.gait", "tripod", "gallop"),
+        "width": listed("robot.body_width", -0.1, 0.1, relative=1),
+    }
+    table = table_of(axes, design={"grid": "one_at_a_time", "num": 3})
+    arms = table.drop_duplicates(["axis.error", "world.contact.friction", "manoeuvre.gait", "axis.width"])
+    off = [arms["axis.error"] != 0.01, arms["world.contact.friction"] != 1, arms["manoeuvre.gait"] != "tripod",
+           arms["axis.width"] != 0]  # fmt: skip
+    assert sorted(np.sum(off, axis=0)) == [0, 1, 1, 1, 1, 1, 1]  # the nominal point once, though two arms have it
+    assert len(table) == 7 * 3
+    assert (np.abs(table["belief.robot.shin"] / 0.335 - 1) <= table["axis.error"]).all()
+
+
 @pytest.mark.parametrize(
     ("axes", "design", "message"),
     [
         ({"f": FRICTION}, {}, "study.design.num = 0 is not allowed: at least 1 for f"),
         ({}, {"num": 4}, "no axis has a distribution"),
         ({"f": FRICTION}, {"num": 4, "kind": "sobl"}, "did you mean sobol?"),
+        ({"f": FRICTION}, {"num": 4, "grid": "star"}, "study.design.grid = 'star' is unknown"),
+        ({"f": listed("contact.friction", 1, nominal=1)}, {}, "has its nominal value in the configuration"),
         ({"f": FRICTION}, {"num": 4, "scrambles": 2}, "of kind sobol only"),
         ({"f": drawn("contact.friction", "unifrm")}, {}, "did you mean uniform?"),
         ({"f": drawn("contact.friction", from_=1)}, {}, "f.distribution.to is missing"),
