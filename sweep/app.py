@@ -137,7 +137,7 @@ def forecast(job: runner.Job) -> str:
 def axes_table(exp: Experiment) -> str:
     """What is varied: parameter, side, values, unit and nominal value."""
     lines = [
-        [axis.name, axis.path, axis.on if axis.path else "", str(axis),
+        [axis.name, axis.path or "", axis.on if axis.path else "", str(axis),
          unit(axis.path, exp.case, exp.settings) if axis.path else "",
          nominal(axis.path, exp.case, exp.settings) if axis.path else ""]
         for axis in exp.study.axes

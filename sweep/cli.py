@@ -68,6 +68,10 @@ def parser() -> argparse.ArgumentParser:
     table.add_argument("--where", help="only rows that match, such as 'friction > 0.8 and outcome == \"failure\"'")
     table.add_argument("--columns", help="only these columns, separated by commas")
     table.add_argument("-o", "--output", type=Path, help="write to this file instead of the standard output")
+    stats = of_results("stats", show_statistics, "rates, volume, margins, tolerance and sensitivity of a study")
+    stats.add_argument("--where", help="only rows that match")
+    stats.add_argument("--level", type=float, default=0.9, help="probability of success for the tolerance (0.9)")
+    stats.add_argument("--figure", help="Sobol indices of this column instead of success")
     report = of_results("report", draw_report, "a page about the study, report.html, and its map, map.png and map.svg")
     report.add_argument("--x", help="parameter along the map")
     report.add_argument("--y", help="parameter up the map")
@@ -188,6 +192,19 @@ def show_table(given: argparse.Namespace) -> int:
         given.output.write_bytes(content)
     else:
         sys.stdout.write(content.decode())
+    return DONE
+
+
+def show_statistics(given: argparse.Namespace) -> int:
+    """What the rows say in numbers."""
+    from sweep import store
+    from sweep.config import experiment
+    from sweep.report import statistics
+
+    if not 0 < given.level < 1:
+        raise InputError(f"--level = {given.level:g} is not allowed: between 0 and 1")
+    exp = experiment(store.read_study(given.dir)["config"])
+    sys.stdout.write(statistics.render(selected(given), exp, given.level, given.figure))
     return DONE
 
 

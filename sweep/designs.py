@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from sweep.parameters import InputError, suggest
+from sweep.errors import InputError, suggest
 
 SIDES = ("world", "belief")
 DESIGNS = ("monte_carlo", "latin_hypercube", "sobol", "saltelli")
@@ -58,8 +58,9 @@ class Distribution:
                 return values[np.minimum(np.searchsorted(ends, share, side="right"), len(values) - 1)]
 
     def __str__(self) -> str:
-        given = ", ".join(f"{key} {_short(value)}" for key, value in self.given.items())
-        return f"{self.kind.replace('_', '-')} {given}"
+        ends = " ".join(f"{key} {_short(self.given[key])}" for key in ("from", "to") if key in self.given)
+        others = [f"{key} {_short(value)}" for key, value in self.given.items() if key not in ("from", "to")]
+        return f"{self.kind.replace('_', '-')}, {', '.join([*others, ends] if ends else others)}"
 
 
 @dataclass(frozen=True)
@@ -195,7 +196,7 @@ def _axis(key: str, name: str, given: Any) -> Axis:
         distribution = _distribution(f"{key}.distribution", given.get("distribution", default))
     centre = _number(f"{key}.nominal", given.get("nominal", 0.0))
     if "nominal" in given and path is not None:
-        raise InputError(f"{key}.nominal = {centre:g} is not allowed: {path} has its nominal value in the configuration")
+        raise InputError(f"{key}.nominal = {centre:g} is not allowed: {path} has its own in the configuration")
     return Axis(name, path, on, values, distribution, relative, times, given.get("with"), centre)
 
 

@@ -1,11 +1,14 @@
 """How often rollouts succeed, and how sure that is."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 
 from sweep.errors import InputError
+from sweep.intervals import Interval, wilson
 from sweep.metrics.outcome import MEANING
 from sweep.query import mask
 from sweep.study import Expectation
@@ -55,28 +58,20 @@ def rate(outcome: pd.Series) -> Rate:
     valid = len(outcome) - invalid
     if not valid:
         return Rate(len(outcome), invalid, success, np.nan, np.nan)
-    low, high = wilson(np.array(success), np.array(valid))
-    return Rate(len(outcome), invalid, success, float(low), float(high))
+    low, high = map(float, wilson(success, valid))
+    return Rate(len(outcome), invalid, success, low, high)
 
 
-def rates(rows: pd.DataFrame, by: list[str]) -> pd.DataFrame:
+def rates(
+    rows: pd.DataFrame, by: list[str], interval: Callable[[ArrayLike, ArrayLike], Interval] = wilson
+) -> pd.DataFrame:
     """Rate of success for each combination of values of the columns `by`, a row each, as `rate` gives for one."""
     flags = rows[by].assign(invalid=rows["outcome"] == "invalid", success=rows["outcome"] == "success")
-    table = flags.groupby(by, sort=True, observed=True).agg(
-        total=("success", "size"), invalid=("invalid", "sum"), success=("success", "sum")
-    )
+    columns = {"total": ("success", "size"), "invalid": ("invalid", "sum"), "success": ("success", "sum")}
+    table = flags.groupby(by or (lambda _: 0), sort=True, observed=True).agg(**columns).reset_index(drop=not by)
     valid = table["total"] - table["invalid"]
-    low, high = wilson(table["success"].to_numpy(), valid.to_numpy())
-    share = table["success"] / valid.where(valid > 0)
-    return table.assign(valid=valid, share=share, low=low, high=high).reset_index()
-
-
-def wilson(success: np.ndarray, valid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Ends of the 95 % Wilson interval of `success` of `valid` trials; NaN without any."""
-    z = 1.959963984540054  # the normal distribution's 97.5 % point
-    n = np.where(valid > 0, valid, np.nan).astype(float)
-    middle, half = success + z**2 / 2, z * np.sqrt(success * (n - success) / n + z**2 / 4)
-    return np.maximum(middle - half, 0) / (n + z**2), np.minimum(middle + half, n + z**2) / (n + z**2)
+    low, high = (end.where(valid > 0) for end in map(pd.Series, interval(table["success"], valid)))
+    return table.assign(valid=valid, share=table["success"] / valid.where(valid > 0), low=low, high=high)
 
 
 def causes(cause: pd.Series) -> list[str]:

@@ -17,8 +17,9 @@ from sweep import designs
 from sweep.case import Case
 from sweep.designs import SIDES, Axis, Design, known
 from sweep.engines.settings import EngineSettings
+from sweep.errors import InputError, suggest
 from sweep.identity import point_ids, streams
-from sweep.parameters import InputError, checked, suggest, within
+from sweep.parameters import checked, within
 from sweep.query import mask
 
 DTYPES = {"quantity": "float64", "count": "int64", "choice": "str"}

@@ -4,7 +4,7 @@ from scipy.stats import kstest, norm, truncnorm
 
 from sweep.config import compose
 from sweep.designs import caution
-from sweep.parameters import InputError
+from sweep.errors import InputError
 from sweep.study import Study, points
 
 
@@ -152,7 +152,7 @@ def test_one_axis_at_a_time_leaves_the_others_nominal(table_of):
         ({}, {"num": 4}, "no axis has a distribution"),
         ({"f": FRICTION}, {"num": 4, "kind": "sobl"}, "did you mean sobol?"),
         ({"f": FRICTION}, {"num": 4, "grid": "star"}, "study.design.grid = 'star' is unknown"),
-        ({"f": listed("contact.friction", 1, nominal=1)}, {}, "has its nominal value in the configuration"),
+        ({"f": listed("contact.friction", 1, nominal=1)}, {}, "has its own in the configuration"),
         ({"f": FRICTION}, {"num": 4, "scrambles": 2}, "of kind sobol only"),
         ({"f": drawn("contact.friction", "unifrm")}, {}, "did you mean uniform?"),
         ({"f": drawn("contact.friction", from_=1)}, {}, "f.distribution.to is missing"),

@@ -1,0 +1,60 @@
+"""Intervals for a probability, from how often something happened in independent trials; arrays in, arrays out."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+LEVEL = 0.95  # of confidence
+
+
+class Interval(NamedTuple):
+    """Lower and upper end, of the shape of the counts; the whole of 0 to 1 without a trial."""
+
+    low: np.ndarray
+    high: np.ndarray
+
+
+def wilson(success: ArrayLike, trials: ArrayLike, level: float = LEVEL) -> Interval:
+    """Wilson's score interval: covers its level on average over probabilities; for cells of a map."""
+    from scipy.special import ndtri  # slow to import, and a listing needs none of it
+
+    k, n = np.asarray(success, float), np.maximum(np.asarray(trials, float), 1e-300)
+    z2 = ndtri(0.5 + level / 2) ** 2
+    centre = (k + z2 / 2) / (n + z2)
+    half = np.sqrt(z2 * (k * (1 - k / n) + z2 / 4)) / (n + z2)
+    return Interval(np.where(k > 0, centre - half, 0.0), np.where(k < n, centre + half, 1.0))
+
+
+def clopper_pearson(success: ArrayLike, trials: ArrayLike, level: float = LEVEL) -> Interval:
+    """The exact interval: covers at least its level at every probability; for single claims."""
+    from scipy.special import betaincinv
+
+    k, n = np.asarray(success, float), np.asarray(trials, float)
+    tail = (1 - level) / 2
+    low = np.where(k > 0, betaincinv(np.maximum(k, 1), n - k + 1, tail), 0.0)
+    return Interval(low, np.where(k < n, betaincinv(k + 1, np.maximum(n - k, 1), 1 - tail), 1.0))
+
+
+def anytime(success: ArrayLike, trials: ArrayLike, level: float = LEVEL) -> Interval:
+    """A confidence sequence: with probability `level` it covers after every trial, so that one may stop when it suits.
+
+    Robbins' mixture of likelihood ratios B(k + 1/2, n - k + 1/2) / B(1/2, 1/2) / (p^k (1 - p)^(n - k)) is a martingale
+    of mean 1 at the true p; Ville's inequality keeps it below 1 / (1 - level).
+    """
+    from scipy.special import betaln, xlog1py, xlogy
+
+    k, n = np.broadcast_arrays(np.asarray(success, float), np.asarray(trials, float))
+    most = betaln(k + 0.5, n - k + 0.5) - betaln(0.5, 0.5) + np.log(1 - level)  # of the log likelihood
+
+    def end(outer: np.ndarray) -> np.ndarray:
+        """Where the likelihood, largest at k / n, has fallen to exp(most), on the way to `outer`."""
+        inner = np.where(n > 0, k / np.maximum(n, 1), 0.5)
+        for _ in range(50):
+            middle = (inner + outer) / 2
+            inside = xlogy(k, middle) + xlog1py(n - k, -middle) > most
+            inner, outer = np.where(inside, middle, inner), np.where(inside, outer, middle)
+        return outer
+
+    low, high = np.where(k > 0, end(np.zeros_like(n)), 0.0), np.where(k < n, end(np.ones_like(n)), 1.0)
+    return Interval(low, high)

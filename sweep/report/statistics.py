@@ -1,0 +1,54 @@
+"""What the rows of a study say in numbers, as titled tables: rates, volume, margins, tolerance, sensitivity."""
+
+from collections.abc import Iterator
+
+import pandas as pd
+
+from sweep import sensitivity
+from sweep.config import Experiment
+from sweep.errors import InputError
+from sweep.report.tables import shown
+from sweep.stats import percent, rate, rates
+
+
+def sections(
+    rows: pd.DataFrame, exp: Experiment, level: float = 0.9, figure: str | None = None
+) -> Iterator[tuple[str, pd.DataFrame | str]]:
+    """Title and content of everything that this study can tell."""
+    listed, drawn = sensitivity.listed(rows, exp), sensitivity.drawn(rows, exp)
+    numbers = sensitivity.numeric(rows, listed)
+    several = len(rows) > len(rows.drop_duplicates([a.column for a in listed])) if listed else bool(drawn)
+    yield "Rate of success", str(rate(rows["outcome"]))
+    star = bool(numbers) and exp.study.design.grid == "one_at_a_time"
+    if star:
+        yield "Rate along each axis, the others nominal (Wilson, 95 %)", sensitivity.along(rows, exp)
+    elif drawn:
+        yield "Share of the draws that succeeds (Clopper-Pearson, or by scrambles)", sensitivity.volume(rows, exp)
+    elif several and listed:
+        yield "Rate at each condition (Wilson, 95 %)", rates(rows, [a.column for a in listed])
+    if numbers and not several and not star:
+        found = sensitivity.grid_volume(rows, exp)
+        share, low, high = map(percent, (found.share, found.low, found.high))
+        yield "Share of the grid's box that succeeds", f"{share}; {low} to {high} by the cells on its boundary"
+    if numbers:
+        yield "Margins: how far from nominal success holds", sensitivity.margins(rows, exp)
+    if numbers and several:
+        title = f"Tolerance: the error at which the probability of success falls to {percent(level)} (logistic fit)"
+        yield title, sensitivity.tolerance(rows, exp, level)
+    if len(drawn) and {"success", "failure"} <= set(rows["outcome"]):
+        yield "Regional sensitivity: which draws fail", sensitivity.regional(rows, exp)
+    if exp.study.design.kind == "saltelli" and drawn:
+        try:
+            yield f"Sobol indices of {figure or 'success'}", sensitivity.sobol_indices(rows, exp, figure)
+        except InputError as error:
+            yield "Sobol indices", str(error)
+
+
+def render(rows: pd.DataFrame, exp: Experiment, level: float = 0.9, figure: str | None = None) -> str:
+    """The sections as Markdown."""
+    parts = []
+    for title, content in sections(rows, exp, level, figure):
+        if isinstance(content, pd.DataFrame):
+            content = shown(content).to_markdown(index=False, disable_numparse=True)
+        parts.append(f"## {title}\n\n{content}\n")
+    return "\n".join(parts)

@@ -1,0 +1,172 @@
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from sweep import sensitivity
+from sweep.config import compose
+from sweep.errors import InputError
+from sweep.stats import rates
+from sweep.study import Study, points
+
+SHIN = {"path": "robot.shin", "distribution": {"kind": "uniform", "from": 0.3, "to": 0.4}}
+THIGH = {"path": "robot.thigh", "distribution": {"kind": "uniform", "from": 0.5, "to": 0.6}}
+MASS = {"path": "robot.body_mass", "distribution": {"kind": "uniform", "from": 9.0, "to": 11.0}}
+
+
+@pytest.fixture(scope="module")
+def nominal():
+    return compose([])
+
+
+@pytest.fixture
+def study(nominal):
+    """An experiment over axes and its points, each judged by a function of the table."""
+
+    def build(axes, succeeds, **keys):
+        chosen = Study.parse({**nominal.values["study"], "axes": axes, **keys}, single=False)
+        table = points(chosen, nominal.case, nominal.settings)
+        outcome = np.where(succeeds(table), "success", "failure")
+        return replace(nominal, study=chosen), table.assign(outcome=outcome)
+
+    return build
+
+
+def unit(table, column, low, width):
+    return (table[column] - low) / width
+
+
+def quarter_disc(table):
+    """A region of volume pi / 4."""
+    return unit(table, "robot.shin", 0.3, 0.1) ** 2 + unit(table, "robot.thigh", 0.5, 0.1) ** 2 < 1
+
+
+@pytest.mark.parametrize(
+    "design",
+    [
+        {"kind": "monte_carlo", "num": 256},
+        {"kind": "latin_hypercube", "num": 256},
+        {"kind": "sobol", "num": 64, "scrambles": 8},
+    ],
+)
+def test_the_interval_of_a_volume_covers_it(study, design):
+    hits, widths = [], []
+    for seed in range(30):
+        exp, rows = study({"shin": SHIN, "thigh": THIGH}, quarter_disc, design=design, seed=seed)
+        line = sensitivity.volume(rows, exp).iloc[0]
+        hits.append(line["low"] <= np.pi / 4 <= line["high"])
+        widths.append(line["high"] - line["low"])
+    assert np.mean(hits) >= 0.83  # 95 % less 3 standard errors of 30 studies
+    assert np.mean(widths) < (0.04 if design["kind"] == "sobol" else 0.12)
+
+
+def test_a_volume_is_told_at_each_condition_and_invalid_rows_are_left_out(study):
+    exp, rows = study({"f": {"path": "contact.friction", "values": [0.5, 1.0]}, "shin": SHIN, "thigh": THIGH},
+                      quarter_disc, design={"kind": "sobol", "num": 64, "scrambles": 4})  # fmt: skip
+    rows.loc[rows.index[:100], "outcome"] = "invalid"
+    table = sensitivity.volume(rows, exp)
+    assert table["contact.friction"].tolist() == [0.5, 1.0]
+    assert table["invalid"].tolist() == [100, 0]
+    np.testing.assert_allclose(table["share"], np.pi / 4, atol=0.06)
+
+
+def test_a_grid_brackets_the_volume(study):
+    ends = {"num": 21, "from": 0.3, "to": 0.4}
+    exp, rows = study({"shin": {"path": "robot.shin", **ends},
+                       "thigh": {"path": "robot.thigh", "num": 21, "from": 0.5, "to": 0.6}}, quarter_disc)  # fmt: skip
+    found = sensitivity.grid_volume(rows, exp)
+    assert found.low < np.pi / 4 < found.high
+    assert found.share == pytest.approx(np.pi / 4, abs=0.02)
+    assert found.high - found.low == pytest.approx(2 * 20 / 400, abs=0.03)  # a circle cuts about 2 n of n^2 cells
+    rows.loc[rows.index[3], "outcome"] = "invalid"
+    assert sensitivity.grid_volume(rows, exp).low < found.low
+
+
+def test_margins_reach_from_nominal_to_the_boundary(study):
+    axes = {
+        "shin": {"path": "robot.shin", "values": [0.25, 0.3, 0.35, 0.4]},  # 0.335 nominally
+        "friction": {"path": "contact.friction", "on": "world", "from": 0.2, "to": 1.0, "num": 5},
+    }
+    exp, rows = study(axes, lambda t: (t["world.contact.friction"] > 0.5) & (t["robot.shin"] < 0.38))
+    found = sensitivity.margins(rows, exp).set_index(["axis", "side"])
+    shin = found.loc["robot.shin"]
+    assert shin.loc["above", ["holds_to", "fails_at"]].tolist() == [0.35, 0.4]
+    assert shin.loc["below", "holds_to"] == 0.25
+    assert np.isnan(shin.loc["below", "fails_at"])
+    friction = found.loc[("world.contact.friction", "below")]
+    assert friction[["holds_to", "fails_at", "margin"]].tolist() == pytest.approx([0.6, 0.4, 0.4])
+    assert ("world.contact.friction", "above") not in found.index
+
+
+def test_the_logistic_fit_finds_the_curve_and_its_intervals_cover():
+    rng = np.random.default_rng(1)
+    x = np.repeat([0.0, 0.01, 0.02, 0.04, 0.08], 32)
+    truth, at = 1 / (1 + np.exp(-(4 - 150 * x))), (4 - np.log(9)) / 150  # P falls to 0.9 at `at`
+    hits, inside = [], []
+    for _ in range(400):
+        fit = sensitivity.logistic(x, rng.random(len(x)) < truth)
+        low, high = fit.where(0.9)[1]
+        hits.append(low <= at <= high)
+        _, band = fit.probability(0.03)
+        inside.append(band.low <= 1 / (1 + np.exp(-(4 - 150 * 0.03))) <= band.high)
+    assert 0.92 <= np.mean(hits) <= 0.99
+    assert 0.92 <= np.mean(inside) <= 0.99
+
+
+def test_the_logistic_fit_survives_a_clear_cut_and_the_lack_of_any():
+    x = np.repeat([1.0, 2.0, 3.0, 4.0], 20)
+    assert 2 < sensitivity.logistic(x, x < 2.5).where(0.5)[0] < 3
+    assert sensitivity.logistic(x, np.ones(80)).where(0.9)[1].high == np.inf
+
+
+def test_the_tolerance_to_an_error_is_told_on_either_side(study):
+    rng = np.random.default_rng(2)
+
+    def succeeds(table):
+        error = table["axis.error"]
+        return rng.random(len(table)) < 1 / (1 + np.exp(-(5 - np.where(error > 0, 200, 50) * np.abs(error))))
+
+    axes = {"error": {"path": "robot.shin", "on": "belief", "relative": 1, "from": -0.08, "to": 0.08, "num": 9},
+            "f": {"path": "contact.friction", "values": [0.5, 1.0]}}  # fmt: skip
+    exp, rows = study(axes, succeeds, replicates=100)
+    found = sensitivity.tolerance(rows, exp, 0.5).query("axis == 'axis.error'").set_index("side")
+    for side, expected in (("above", 5 / 200), ("below", 5 / 50)):
+        assert found.loc[side, "low"] < expected < found.loc[side, "high"]
+    assert (found["total"] == 5 * 100).all()  # at the nominal friction only
+
+
+def test_regional_sensitivity_puts_what_matters_first(study):
+    exp, rows = study({"shin": SHIN, "thigh": THIGH, "mass": MASS}, lambda t: t["robot.thigh"] < 0.56,
+                      design={"num": 400})  # fmt: skip
+    found = sensitivity.regional(rows, exp).set_index("axis")
+    assert found.index[0] == "robot.thigh"
+    assert found.loc["robot.thigh", "distance"] == 1
+    assert found.loc["robot.thigh", "median_success"] < found.loc["robot.thigh", "median_failure"]
+    assert (found["p"][1:] > 1e-3).all()
+    with pytest.raises(InputError, match="successes and failures"):
+        sensitivity.regional(rows[rows["outcome"] == "success"], exp)
+
+
+def test_sobol_indices_are_those_of_a_known_function(study):
+    exp, rows = study({"shin": SHIN, "thigh": THIGH, "mass": MASS}, lambda t: t["robot.thigh"] < 0.55,
+                      design={"kind": "saltelli", "num": 512})  # fmt: skip
+    u = {c: unit(rows, c, *e) for c, e in (("robot.shin", (0.3, 0.1)), ("robot.thigh", (0.5, 0.1)))}
+    # f = 4 a + 2 b + 4 (a - 1/2)(b - 1/2) of even a, b: variances 16/12, 4/12 and 16/144, of 16/9 in all
+    rows["slip_max_m"] = 4 * u["robot.shin"] + 2 * u["robot.thigh"]
+    rows["slip_max_m"] += 4 * (u["robot.shin"] - 0.5) * (u["robot.thigh"] - 0.5)
+    rows = rows.sample(frac=1, random_state=0)  # their order does not matter
+    found = sensitivity.sobol_indices(rows, exp, "slip_max_m")
+    np.testing.assert_allclose(found["first"], [3 / 4, 3 / 16, 0], atol=0.02)
+    np.testing.assert_allclose(found["total"], [13 / 16, 1 / 4, 0], atol=0.02)
+    assert sensitivity.sobol_indices(rows, exp)["first"].tolist() == pytest.approx([0, 1, 0], abs=0.05)
+    rows.loc[rows["replicate"] == 7, "outcome"] = "invalid"
+    assert (sensitivity.sobol_indices(rows, exp)["blocks"] == 511).all()
+
+
+def test_cells_count_invalid_rows_apart():
+    rows = pd.DataFrame({"x": [0, 0, 0, 1], "outcome": ["success", "failure", "invalid", "invalid"]})
+    found = rates(rows, ["x"])
+    assert found[["total", "invalid", "success"]].to_numpy().tolist() == [[3, 1, 1], [1, 1, 0]]
+    assert found["share"].tolist()[0] == 0.5
+    assert np.isnan(found["share"][1])
