@@ -29,6 +29,18 @@ def exponential(turn: Float[Array, "*b 3"]) -> Float[Array, "*b 4"]:
     return jnp.concatenate([jnp.cos(half), 0.5 * turn * jnp.sin(half) / half], axis=-1)
 
 
+def about_vertical(angle: Float[Array, ""]) -> Float[Array, " 4"]:
+    """Rotation by `angle` (rad) about z."""
+    zero = jnp.zeros_like(angle)
+    return jnp.stack([jnp.cos(angle / 2), zero, zero, jnp.sin(angle / 2)])
+
+
+def heading(quat: Float[Array, " 4"]) -> Float[Array, ""]:
+    """The part about z of a rotation (rad)."""
+    w, z = quat[0], quat[3]
+    return 2 * jnp.arctan2(z * jnp.where(w < 0, -1.0, 1.0), jnp.abs(w))
+
+
 def matrix(quat: Float[Array, "*b 4"]) -> Float[Array, "*b 3 3"]:
     """Rotation matrix; its columns are the body's axes in the world."""
     axes = [rotate(quat, jnp.broadcast_to(axis, quat[..., 1:].shape)) for axis in jnp.eye(3, dtype=quat.dtype)]

@@ -104,9 +104,14 @@ class Plan:
     patience: Float[Array, ""]  # s, that a stage waits for its swing feet to touch down
     posture: Posture | None = None
     flywheel: Flywheel | None = None
+    steered: bool = field(
+        default=False, metadata={"static": True}
+    )  # whether errors are taken back in the plane, with the heading's
 
 
-def assemble(start: Stance, stages: Sequence[Stage], patience: Array | float, gains: Gains | None = None) -> Plan:
+def assemble(
+    start: Stance, stages: Sequence[Stage], patience: Array | float, gains: Gains | None = None, steered: bool = False
+) -> Plan:
     """The table of `stages` from the stance `start` on; `gains` are those of the flywheel, if they have one."""
     feet, position, quat = start
     rows = []
@@ -131,7 +136,7 @@ def assemble(start: Stance, stages: Sequence[Stage], patience: Array | float, ga
     mode = jnp.array([stage.flywheel for stage in stages], jnp.int32)
     flywheel = None if gains is None else Flywheel(mode, jax.tree.map(lambda x: jnp.asarray(x, float), gains))
     return Plan(names=names, start=start, patience=jnp.asarray(patience, float), posture=_postures(stages),
-                flywheel=flywheel, **table)  # fmt: skip
+                flywheel=flywheel, steered=steered, **table)  # fmt: skip
 
 
 def _postures(stages: Sequence[Stage]) -> Posture | None:

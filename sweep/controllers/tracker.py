@@ -10,10 +10,10 @@ from jaxtyping import Array, Bool, Float, Int
 from sweep.case import Case
 from sweep.controllers import flywheel
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import Plan, Posture, Stance, reference
+from sweep.controllers.plan import BALANCE, Plan, Posture, Stance, reference
 from sweep.controllers.posture import foot_positions
 from sweep.formulas import leg, stepping
-from sweep.maths import conjugate, exponential, rotate
+from sweep.maths import about_vertical, conjugate, exponential, heading, multiply, rotate
 from sweep.models.drive import Servo
 from sweep.models.robot import Robot
 from sweep.models.scene import mount_yaw, mounts
@@ -27,6 +27,7 @@ class TrackerState(NamedTuple):
     feet: Float[Array, "6 3"]  # m, commanded footholds when the stage began
     position: Float[Array, " 3"]  # m, planned base when the stage began
     error: Float[Array, " 3"]  # m, measured body error when the stage began
+    yaw: Float[Array, ""]  # rad, the same of the heading, in plans that are steered
     joints: Float[Array, "6 3"]  # rad, last targets
     origin: Float[Array, "6 3"]  # rad, targets when the stage began
     finished: Bool[Array, ""]
@@ -56,8 +57,8 @@ def init(belief: Case, plan: Plan) -> TrackerState:
     """At the plan's start, standing as it wants."""
     zero = jnp.zeros((), plan.duration.dtype)
     joints, _ = joint_targets(belief.robot, plan.start)
-    return TrackerState(jnp.int32(0), zero, plan.start.feet, plan.start.position, jnp.zeros(3, zero.dtype), joints,
-                        joints, jnp.asarray(False))  # fmt: skip
+    return TrackerState(jnp.int32(0), zero, plan.start.feet, plan.start.position, jnp.zeros(3, zero.dtype), zero,
+                        joints, joints, jnp.asarray(False))  # fmt: skip
 
 
 def step(
@@ -95,9 +96,16 @@ def _posed(posture: Posture, state: TrackerState, phase: Array) -> Float[Array, 
 
 
 def _target(plan: Plan, state: TrackerState, phase: Array) -> Stance:
-    """The stage's reference; the body error that it began with fades out over the stage."""
+    """The stage's reference; the body error that it began with fades out over the stage, unless two feet carry."""
     wanted = reference(plan, state.stage, phase, state.feet, state.position)
-    return wanted._replace(position=wanted.position + (1 - phase) * state.error)
+    left = jnp.where(_balancing(plan, state.stage), 1.0, 1 - phase)
+    quat = multiply(about_vertical(left * state.yaw), wanted.quat) if plan.steered else wanted.quat
+    return wanted._replace(position=wanted.position + left * state.error, quat=quat)
+
+
+def _balancing(plan: Plan, stage: Int[Array, ""]) -> Bool[Array, ""] | bool:
+    """Whether the robot stands on two feet, about which it tilts: its place then says nothing of the feet's."""
+    return plan.flywheel is not None and plan.flywheel.mode[stage] == BALANCE
 
 
 def _advance(plan: Plan, state: TrackerState, seen: Observation, period: float) -> TrackerState:
@@ -105,23 +113,44 @@ def _advance(plan: Plan, state: TrackerState, seen: Observation, period: float) 
 
     The next stage starts from the commanded footholds, not the reached ones: that keeps the pressure on the ground.
     Feet and body are shifted together by the measured body error, which strains nothing, and the body's part of it
-    then fades: without this, errors add up from stage to stage.
+    then fades: without this, errors add up from stage to stage. So are they turned by the error of its heading, in a
+    plan that is steered.
     """
     over = state.clock - plan.duration[state.stage]
     landed = jnp.all(seen.loaded | ~plan.swing[state.stage])
     ends = (over >= 0) & (landed | (over >= plan.patience)) & ~state.finished
     last = state.stage == plan.duration.shape[0] - 1
-    planned = plan.position[state.stage]
-    error = seen.position - planned
+    feet = jnp.where(plan.swing[state.stage][:, None], plan.foothold[state.stage], state.feet)
+    feet, error, yaw = _with_error(plan, state, seen, feet)
     shifted = state._replace(
         stage=jnp.where(last, state.stage, state.stage + 1),
         clock=jnp.where(last, state.clock, jnp.minimum(over, period)),
-        feet=jnp.where(plan.swing[state.stage][:, None], plan.foothold[state.stage], state.feet) + error,
-        position=planned,
+        feet=feet,
+        position=plan.position[state.stage],
         error=error,
+        yaw=yaw,
         origin=state.joints,
         finished=last,
     )
     hold = last | ~ends
     kept = state._replace(finished=state.finished | (ends & last))
     return jax.tree.map(lambda a, b: jnp.where(hold, a, b), kept, shifted)
+
+
+def _with_error(plan: Plan, state: TrackerState, seen: Observation, feet: Array) -> tuple[Array, Array, Array]:
+    """Feet moved with the body's error at the end of the stage, and that error of its place (m) and heading (rad).
+
+    A robot that balanced on two feet has tilted about them: what it sees says nothing of where they are, and the error
+    that it knew before holds on. Of the place only the horizontal part counts there: taken up by the standing feet and
+    not by those that land, the other would put the diagonals at different heights.
+    """
+    planned = plan.position[state.stage]
+    error = seen.position - planned
+    if not plan.steered:
+        return feet + error, error, state.yaw
+    error = error.at[2].set(0.0)
+    wanted = multiply(exponential(plan.turn[state.stage]), plan.quat[state.stage])
+    yaw = heading(multiply(seen.quat, conjugate(wanted)))
+    moved = planned + error + rotate(about_vertical(yaw)[None], feet - planned)
+    known = _balancing(plan, state.stage)
+    return jnp.where(known, feet, moved), jnp.where(known, state.error, error), jnp.where(known, state.yaw, yaw)

@@ -104,10 +104,11 @@ class Native:
             batch.set_models(models)
             arrays = (*devices.as_arrays((world, belief)), devices.keys(streams))
             plans, pilots, state = start(*arrays)
+            told = _gains(pilots.servo)
             batch.reset()
             batch.qpos[:], batch.qvel[:] = (np.asarray(x) for x in state)
             pilots, commands, controls = tick(*arrays[:2], plans, pilots, None, None, 0)
-            records, told = [], _gains(pilots.servo)
+            records = []
             for k in range(most_ticks(plans, self.settings.control_period)):
                 if plans.flywheel is not None:
                     told = _retune(batch, models, told, _gains(pilots.servo))

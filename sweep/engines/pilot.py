@@ -10,14 +10,15 @@ from jaxtyping import Array, Float
 from sweep.case import Case
 from sweep.controllers import tracker
 from sweep.controllers.observation import Noise, Observation, Sensors, install, observe
-from sweep.controllers.plan import Plan
+from sweep.controllers.plan import Plan, Stance
 from sweep.controllers.posture import foot_positions
 from sweep.controllers.tracker import Command, TrackerState, joint_targets
-from sweep.maths import conjugate, rotate
+from sweep.maths import about_vertical, conjugate, multiply, rotate
 from sweep.metrics import stream
 from sweep.metrics.outcome import Thresholds
 from sweep.metrics.stream import Running, Tick
 from sweep.models.drive import Servo, position_mode
+from sweep.models.execution import Execution
 from sweep.models.obstacles.surface import FreeState, no_bodies, poses
 
 GRACE = 1.2  # a rollout is over at this multiple of its planned duration, finished or not
@@ -57,27 +58,36 @@ def most_ticks(plans: Plan, period: float) -> int:
 def start_state(world: Case, belief: Case, plan: Plan) -> Start:
     """The world at the start.
 
-    The robot stands with the joint angles that it believes right, lowered along the ground's normal (or raised) until
-    its lowest foot touches; on free bodies it goes down upright, and rides along with them.
+    The robot stands with the joint angles that it believes right, displaced as `execution` says, and lowered along the
+    ground's normal (or raised) until its lowest foot touches; on free bodies it goes down upright, and rides along
+    with them.
     """
     free = world.obstacle.start() if world.obstacle.free_bodies else no_bodies()
     joints, _ = joint_targets(belief.robot, plan.start)
-    feet = plan.start.position + rotate(plan.start.quat[None], foot_positions(world.robot, joints))
+    start = displaced(world.execution, plan.start)
+    feet = start.position + rotate(start.quat[None], foot_positions(world.robot, joints))
     ground = world.obstacle.surface(feet, (-1,) * 6, poses(free))
     along = jnp.array([0.0, 0.0, 1.0]) if world.obstacle.free_bodies else ground.normal[jnp.argmax(ground.depth)]
-    position = plan.start.position + jnp.max(ground.depth / (ground.normal @ along)) * along
+    position = start.position + jnp.max(ground.depth / (ground.normal @ along)) * along
     velocity, moving = jnp.zeros_like(position), jnp.zeros_like(feet)
     for k in range(free.position.shape[0]):
         on_it = (ground.body == k)[:, None]
         velocity = velocity + jnp.mean(on_it, axis=0) * free.velocity[k]
         moving = moving + on_it * (free.velocity[k] + jnp.cross(free.turn[k], feet - free.position[k]))
-    stance = plan.start._replace(feet=feet)
-    moved = stance._replace(feet=moving, position=velocity, quat=jnp.zeros_like(plan.start.quat))
+    stance = start._replace(feet=feet)
+    moved = stance._replace(feet=moving, position=velocity, quat=jnp.zeros_like(start.quat))
     _, rates = jax.jvp(lambda s: joint_targets(belief.robot, s)[0], (stance,), (moved,))
-    qpos = [position, plan.start.quat, joints.reshape(18), jnp.concatenate([free.position, free.quat], axis=1).ravel()]
+    qpos = [position, start.quat, joints.reshape(18), jnp.concatenate([free.position, free.quat], axis=1).ravel()]
     turn = rotate(conjugate(free.quat), free.turn)  # a free joint turns about the body's own axes
     qvel = [velocity, jnp.zeros(3), rates.reshape(18), jnp.concatenate([free.velocity, turn], axis=1).ravel()]
     return Start(jnp.concatenate(qpos), jnp.concatenate(qvel))
+
+
+def displaced(execution: Execution, start: Stance) -> Stance:
+    """The start with the errors of the base's placement."""
+    offset = jnp.stack([jnp.asarray(x, float) for x in (execution.start_x, execution.start_y, 0.0)])
+    turn = about_vertical(jnp.asarray(execution.start_yaw, float))
+    return start._replace(position=start.position + offset, quat=multiply(turn, start.quat))
 
 
 def free_state(qpos: Array, qvel: Array, count: int) -> FreeState:

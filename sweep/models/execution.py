@@ -1,4 +1,4 @@
-"""What goes wrong in execution: weak drives, a dead joint, a push."""
+"""What goes wrong in execution: weak drives, a dead joint, a push, a wrong start."""
 
 from sweep.parameters import parameters, quantity
 
@@ -13,3 +13,6 @@ class Execution:
     push_direction: float = quantity(0.0, "rad")  # in the horizontal plane, from the world's x axis
     push_time: float = quantity(1.0, "s", at_least=0)
     push_duration: float = quantity(0.05, "s", above=0)
+    start_x: float = quantity(0.0, "m")  # how far the robot starts from where the plan begins, in world axes
+    start_y: float = quantity(0.0, "m")
+    start_yaw: float = quantity(0.0, "rad")  # and how far it is turned about the vertical

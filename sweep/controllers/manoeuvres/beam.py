@@ -1,0 +1,133 @@
+"""Across a narrow beam by diagonal gait, the straight middle legs balancing as a flywheel (monograph 2.6).
+
+World axes: the beam lies along y and the robot comes along -y. The book's xi, eta, zeta are x, y, z.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from sweep.case import Case
+from sweep.controllers.gaits import TRIPOD, Step, centre_offsets, regular_steps
+from sweep.controllers.manoeuvres.pole import TOWARDS, point
+from sweep.controllers.plan import BALANCE, CYCLE_B, LEVEL, LOCKED, SMOOTH, Gains, Plan, Stage, Stance, assemble
+from sweep.controllers.tracker import joint_targets
+from sweep.formulas import stepping
+from sweep.formulas.leg import SIDE
+from sweep.models.robot import Robot
+from sweep.models.scene import mounts
+from sweep.parameters import choice, count, parameters, quantity
+
+STAND = 0.5  # s, before the first and after the last swing
+DIAGONALS = ((1, 6), (2, 5))
+MIDDLE = (3, 4)
+OUT = np.isin(np.arange(1, 7), MIDDLE)
+LEVEL_LEGS = {3: np.array([0.0, np.pi / 2, 0.0]), 4: np.array([0.0, np.pi / 2, np.pi])}  # straight out to the sides
+FORWARD = (0.0, -1.0, 0.0)
+
+
+class Site(NamedTuple):
+    """What the stages are made of."""
+
+    robot: Robot
+    ground: Array | float  # m, h_1, of the ledges and the beam's top
+    clearance: Array | float  # m, of the hips above them
+    deepening: Array | float  # m, epsilon
+    step: Step
+
+    def base(self, y: Array | float) -> Float[Array, " 3"]:
+        """The base's centre (m) where it is at y."""
+        return point(0.0, y, self.ground + self.clearance)
+
+    def feet(self, y: Array | float, track: Array | float) -> Float[Array, "6 3"]:
+        """Feet abreast of their hips, each `track` (m) from the middle line, for a base at y."""
+        hips = mounts(self.robot)[:, 0]
+        return jnp.stack([point(float(SIDE[i]) * track, y - hips[i], self.ground - self.deepening) for i in range(6)])
+
+    def angles(self, y: Array | float, feet: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
+        """Joint angles (rad) that put the feet there, for a base at y."""
+        return joint_targets(self.robot, Stance(feet, self.base(y), jnp.array(TOWARDS)))[0]
+
+    def legs_out(self, y: Array | float) -> Float[Array, "6 3"]:
+        """Feet at the ends of straight legs, level and out to the sides, for a base at y."""
+        robot = self.robot
+        feet = self.feet(y, robot.body_width / 2 + robot.coxa + robot.thigh + robot.shin)
+        return feet.at[:, 2].set(self.ground + self.clearance)
+
+    def beside_hips(self, out: Array | float, down: Array | float) -> Float[Array, "6 3"]:
+        """Joint angles (rad) that put every foot `out` (m) to the outside of its hip and `down` below it."""
+        hips = self.feet(0.0, self.robot.body_width / 2).at[:, 2].set(self.ground + self.clearance)
+        return self.angles(0.0, hips + jnp.stack([point(float(SIDE[i]) * out, 0.0, -down) for i in range(6)]))
+
+
+@parameters
+class BeamWalk:
+    """Along the beam, on which the robot stands at the start with its middle legs out. Ratios are to a_r."""
+
+    kind: str = choice("beam_walk", "beam_walk")
+    flywheel: str = choice("on", "on", "off")  # off: the middle legs stay as they are
+    steps: int = count(6, at_least=0, at_most=100)  # swings of a diagonal pair
+    track: float = quantity(0.225, "m", above=0)  # xi_b, between the feet
+    half_step_ratio: float = quantity(0.1, "a_r", above=0, at_most=0.5)  # d_x
+    lift_ratio: float = quantity(0.03, "a_r", above=0, at_most=0.5)  # d_y
+    height_ratio: float = quantity(0.55, "a_r", above=0, at_most=2)  # hips above the beam
+    rate: float = quantity(6.0, "rad/s", above=0, at_most=20)  # varpi
+    deepening: float = quantity(5e-3, "m", at_least=0, at_most=0.05)  # epsilon
+    patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
+    c1: float = quantity(5000.0, "N/m")
+    c2: float = quantity(400.0, "N*s/m")
+    c3: float = quantity(-5e4, "N*m/rad", at_most=0)
+    c4: float = quantity(547.215, "N*m*s/rad", at_least=0)  # printed with a minus: no damping
+    c5: float = quantity(-6.25, "N*m/rad")
+    c6: float = quantity(10.067, "N*m*s/rad")  # printed with a minus: no damping
+
+    def plan(self, belief: Case) -> Plan:
+        """Stand, `steps` swings with the body's way between them, a last swing that closes the stance, stand."""
+        site = self.site(belief)
+        start = -belief.robot.body_length / 2 - 2 * site.step.landing
+        stages = [Stage("stand", STAND, posture=LEVEL_LEGS, flywheel=self.mode(LEVEL))]
+        stages += self.diagonal(site, start, 2 * site.step.landing)
+        stages.append(Stage("halt", STAND, flywheel=self.mode(LEVEL)))
+        feet = jnp.where(OUT[:, None], site.legs_out(start), site.feet(start, self.track / 2))
+        stance = Stance(feet, site.base(start), jnp.array(TOWARDS))
+        return assemble(stance, stages, self.patience, self.gains(belief), steered=True)
+
+    def site(self, belief: Case) -> Site:
+        """From what is believed."""
+        length = belief.robot.body_length
+        step = Step(self.half_step_ratio * length, self.lift_ratio * length, stepping.swing_time(self.rate))
+        return Site(belief.robot, belief.obstacle.height, self.height_ratio * length, self.deepening, step)
+
+    def gains(self, belief: Case) -> Gains:
+        """Feedback of the flywheel."""
+        return Gains(self.c1, self.c2, self.c3, self.c4, self.c5, self.c6, belief.drive.back_emf)
+
+    def mode(self, wanted: int) -> int:
+        """Of the flywheel, unless it is off."""
+        return wanted if self.flywheel == "on" else LOCKED
+
+    def diagonal(self, site: Site, start: Array | float, way: Array | float) -> list[Stage]:
+        """2.6.2: pairs swing in turn to stand `way` (m) ahead of their hips, and the body follows.
+
+        While a pair swings the centre of mass is over the line of the other two feet: these are abreast of their
+        hips. The body goes on while four feet stand, and the middle legs come to rest.
+        """
+        stages, y = [], start
+        for k in range(self.steps):
+            pair = DIAGONALS[k % 2]
+            goal = site.feet(y - way, self.track / 2)
+            name = f"{k + 1}.{'-'.join(map(str, pair))}"
+            y = y - way
+            stages += [
+                Stage(name, site.step.time, {leg: goal[leg - 1] for leg in pair}, CYCLE_B, site.step.height,
+                      flywheel=self.mode(BALANCE)),
+                Stage(f"{k + 1}.body", 2 * site.step.time, position=site.base(y), pace=SMOOTH,
+                      flywheel=self.mode(LEVEL)),
+            ]  # fmt: skip
+        last, goal = DIAGONALS[self.steps % 2], site.feet(y, self.track / 2)
+        stages.append(Stage("close", site.step.time, {leg: goal[leg - 1] for leg in last}, CYCLE_B, site.step.height,
+                            flywheel=self.mode(BALANCE)))  # fmt: skip
+        return stages
