@@ -50,7 +50,7 @@ class Stage:
     arc: float = 0.0  # rad, how far it goes along the ellipse, below pi; 0 is straight on
     # leg number -> joint angles (rad) that it goes to, straight in joint space, and keeps until its next swing. A leg
     # that swings as well stands at its foothold then, which these angles must reach.
-    posture: Mapping[int, Array] = field(default_factory=dict)
+    posture: Mapping[int, Array | np.ndarray] = field(default_factory=dict)
     flywheel: int = LOCKED
 
 

@@ -69,7 +69,7 @@ def to_trace(
     model: mujoco.MjModel, record: dict[str, np.ndarray], period: float, stages: tuple[str, ...], figures: dict
 ) -> Trace:
     """The records of one rollout up to its end."""
-    frames = round(float(figures["duration_s"]) / period)
+    frames = min(round(float(figures["duration_s"]) / period), len(record["stage"]))  # the sum of many ticks is rough
     kept = {key: value[:frames] for key, value in record.items()}
     time = period * (1 + np.arange(frames))
     return Trace(model=model, time=time, stages=stages, figures=figures, **kept)

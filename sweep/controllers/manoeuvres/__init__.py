@@ -1,8 +1,15 @@
 """Manoeuvres: parameters and the plan that follows from them and from what is believed of the world."""
 
-from sweep.controllers.manoeuvres.beam import BeamWalk
+from sweep.controllers.manoeuvres.beam import BeamCross, BeamWalk
 from sweep.controllers.manoeuvres.pole import PoleClimb
 from sweep.controllers.manoeuvres.walk import Stand, Walk
 from sweep.controllers.manoeuvres.waypoints import Waypoints
 
-MANOEUVRES = {"walk": Walk, "stand": Stand, "waypoints": Waypoints, "pole_climb": PoleClimb, "beam_walk": BeamWalk}
+MANOEUVRES = {
+    "walk": Walk,
+    "stand": Stand,
+    "waypoints": Waypoints,
+    "pole_climb": PoleClimb,
+    "beam_walk": BeamWalk,
+    "beam_cross": BeamCross,
+}

@@ -5,7 +5,7 @@ import mujoco
 from jaxtyping import Array, Float
 
 from sweep.models.obstacles.geoms import SOIL, add_plane, add_solid
-from sweep.models.obstacles.surface import Bodies, Surface
+from sweep.models.obstacles.surface import FOOT_RADIUS, Bodies, Surface
 from sweep.parameters import choice, parameters, quantity
 
 FLOOR, LEDGE, NEAR_WALL, FAR_WALL, TOP, LEFT, RIGHT, BOTTOM = range(8)
@@ -18,7 +18,7 @@ class Beam:
 
     kind: str = choice("beam", "beam")
     width: float = quantity(0.25, "m", above=0, at_most=4)
-    length: float = quantity(2.5, "m", above=0)  # of the gap between the ledges
+    length: float = quantity(2.0, "m", above=0)  # of the gap between the ledges
     height: float = quantity(1.0, "m", above=0)  # h_1, of the ledges and the beam's top above the floor
     thickness: float = quantity(0.1, "m", above=0)
 
@@ -26,12 +26,12 @@ class Beam:
     contact_sites = ()
 
     def add_to(self, spec: mujoco.MjSpec, friction: float) -> None:
-        """Floor, two blocks for the ledges and the beam, which ends inside them."""
+        """Floor, two blocks for the ledges and the beam, whose shrunk collision geometry meets theirs without a gap."""
         world, box, half = spec.worldbody, mujoco.mjtGeom.mjGEOM_BOX, self.height / 2
         add_plane(world, "floor", [0, 0, 1], friction)
         for name, y in (("near_ledge", LEDGE_HALF), ("far_ledge", -self.length - LEDGE_HALF)):
             add_solid(world, name, box, [LEDGE_HALF, LEDGE_HALF, half], [0, y, half], friction, rgba=SOIL)
-        add_solid(world, "beam", box, [self.width / 2, self.length / 2 + 0.5, self.thickness / 2],
+        add_solid(world, "beam", box, [self.width / 2, self.length / 2 + 2 * FOOT_RADIUS, self.thickness / 2],
                   [0, -self.length / 2, self.height - self.thickness / 2], friction)  # fmt: skip
 
     def leaves(self) -> dict[str, dict[str, Array]]:
