@@ -1,7 +1,5 @@
 """The crossing's plan as the controller follows it: in reach, without jumps, even where legs become straight."""
 
-import dataclasses
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,6 +11,7 @@ from sweep.controllers.observation import Observation
 from sweep.controllers.plan import BALANCE, LEVEL, LOCKED
 from sweep.controllers.posture import foot_positions, mass_centre
 from sweep.maths import rotate
+from sweep.models.obstacles.surface import no_bodies
 
 PERIOD = 4e-3
 CASE = compose(["scenario=beam_cross"]).case
@@ -36,11 +35,13 @@ def followed(plan):
         def tick(carry, _):
             state, stance, joints = carry
             zero, nothing = jnp.zeros(3), jnp.zeros((6, 3))
-            seen = Observation(stance.position, stance.quat, zero, zero, joints, nothing, nothing, jnp.ones(6, bool))
-            state, command = tracker.step(CASE.robot, plan, state, seen, PERIOD)
+            seen = Observation(
+                stance.position, stance.quat, zero, zero, joints, nothing, nothing, jnp.ones(6, bool), no_bodies()
+            )
+            state, command = tracker.step(CASE, plan, state, seen, PERIOD)
             return (state, command.target, command.joints), (state.stage, command)
 
-        first = (tracker.init(CASE.robot, plan), plan.start, tracker.joint_targets(CASE.robot, plan.start)[0])
+        first = (tracker.init(CASE, plan), plan.start, tracker.joint_targets(CASE.robot, plan.start)[0])
         return jax.lax.scan(tick, first, None, length=ticks)[1]
 
     stage, command = run(plan)
@@ -82,9 +83,9 @@ def order(mode: int, **seen):
     joints = jnp.zeros((6, 3)).at[:, 1].set(jnp.pi / 2).at[3, 2].set(jnp.pi)
     level = plan.position[stage] - rotate(plan.quat[stage], mass_centre(CASE.robot, joints)) * jnp.array([1.0, 0, 0])
     zero, nothing = jnp.zeros(3), jnp.zeros((6, 3))
-    truth = Observation(level, plan.quat[stage], zero, zero, joints, nothing, nothing, jnp.ones(6, bool))
-    truth = dataclasses.replace(truth, **seen) if dataclasses.is_dataclass(truth) else truth._replace(**seen)
-    return flywheel.order(CASE.robot, plan, plan.flywheel, jnp.int32(stage), truth), truth
+    truth = Observation(level, plan.quat[stage], zero, zero, joints, nothing, nothing, jnp.ones(6, bool), no_bodies())
+    truth = truth._replace(**seen)
+    return jax.jit(flywheel.order, static_argnums=0)(CASE.robot, plan, plan.flywheel, jnp.int32(stage), truth), truth
 
 
 def test_balancing_torque():
