@@ -1,0 +1,204 @@
+"""Force planning: with which foot forces a standing robot holds its weight (monograph 2.1, for any stance).
+
+The equations of balance leave the forces of more than two standing feet open. Here they are chosen so that the largest
+of one quantity (friction used, joint torque, or normal force) is least, within friction cones and limits. The answer
+is a centre of the forces that do nearly as well, not their extreme: it changes smoothly with the pose.
+"""
+
+from typing import Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from sweep.controllers.plan import Stance
+from sweep.controllers.tracker import joint_targets
+from sweep.formulas import leg
+from sweep.maths import exponential, rotate
+from sweep.models.arrowhead import inverse_3x3
+from sweep.models.robot import Robot
+from sweep.models.scene import GRAVITY, mount_yaw, mounts
+
+Effort = Literal["friction", "torque", "normal"]
+_LEVEL: dict[Effort, str] = {"friction": "friction", "torque": "torque", "normal": "most_normal"}
+
+BALANCE_STEPS = 24  # of Newton's method, from no balance to the first centre
+ROUNDS, ROUND_STEPS = 14, 2  # levels that the effort is pressed down to, and Newton steps below each
+SLACK = (0.4, 0.01)  # first and last level, above the largest effort
+FOCUS = 8.0  # weight of the pressed bounds against all others: the effort falls faster for it
+LENGTHS = (1.0, 0.7, 0.5, 0.3, 0.15, 0.07, 0.03, 0.01)  # of a Newton step, of which the longest that fits is taken
+KEEP = 0.2  # of the room to a bound that a step has to leave
+HELD = 0.01  # of the weight: imbalance below which a stance is held
+
+
+class Pose(NamedTuple):
+    """A pose of the robot as far as forces are concerned. World axes."""
+
+    arm: Float[Array, "6 3"]  # m, feet from the robot's mass centre
+    normal: Float[Array, "6 3"]  # of the surfaces under the feet, outward
+    stands: Bool[Array, " 6"]
+    jacobian: Float[Array, "6 3 3"]  # m, of a foot by its leg's joints
+    own_torque: Float[Array, "6 3"]  # N m, that holds the leg's links up
+    weight: Float[Array, ""]  # N
+
+
+class Bounds(NamedTuple):
+    """What forces have to keep to; each a number or one for each foot."""
+
+    friction: Array | float  # coefficient
+    torque: Array | float  # N m, of a joint
+    least_normal: Array | float = 0.0  # N
+    most_normal: Array | float = 1e4  # N
+
+
+class Forces(NamedTuple):
+    """Planned foot forces, and the most that they ask for."""
+
+    force: Float[Array, "6 3"]  # N, of the surface on the foot
+    friction: Float[Array, ""]  # largest tangential over normal force
+    torque: Float[Array, ""]  # N m, largest of the joints
+    normal: Float[Array, ""]  # N, largest
+    imbalance: Float[Array, ""]  # in weights (and weights times m): what is not held
+
+
+def pose(robot: Robot, stance: Stance, normal: Float[Array, "6 3"], stands: Bool[Array, " 6"]) -> Pose:
+    """The robot in a stance, its joints where inverse kinematics has them."""
+    angles, _ = joint_targets(robot, stance)
+    yaw = jnp.zeros((6, 3), angles.dtype).at[:, 2].set(jnp.asarray(mount_yaw(robot), angles.dtype))
+    quat = jnp.broadcast_to(stance.quat, (6, 4))
+    links = ((robot.coxa_mass, 0.5, 0.0, 0.0), (robot.thigh_mass, 1.0, 0.5, 0.0), (robot.shin_mass, 1.0, 1.0, 0.5))
+    links = links if robot.legs == "three_link" else links[1:]
+
+    def point(angles: Array, coxa: float, thigh: float, shin: float) -> Array:
+        """(6, 3) points of the legs from the base's centre, world axes."""
+        hip = leg.fk(leg.SIDE, angles, coxa * robot.coxa, thigh * robot.thigh, shin * robot.shin)
+        return rotate(quat, mounts(robot) + rotate(exponential(yaw), hip))
+
+    def moment(angles: Array) -> Array:
+        """Mass times place of all links (kg m)."""
+        return sum((mass * point(angles, *share).sum(0) for mass, *share in links), jnp.zeros(3, angles.dtype))
+
+    mass = robot.body_mass + 6 * sum(link[0] for link in links)
+    centre = stance.position + moment(angles) / mass
+    slope = jax.jacfwd(lambda a: point(a, 1.0, 1.0, 1.0))(angles)  # (6, 3, 6, 3)
+    own_torque = GRAVITY * jax.grad(lambda a: moment(a)[2])(angles)
+    jacobian = jnp.einsum("lilj->lij", slope)
+    return Pose(stance.feet - centre, normal, stands, jacobian, own_torque, jnp.asarray(GRAVITY * mass))
+
+
+def joint_torque(pose: Pose, force: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
+    """Drive torques (N m) under foot forces (N) at rest."""
+    return pose.own_torque - jnp.einsum("lij,li->lj", pose.jacobian, force)
+
+
+def distribute(pose: Pose, bounds: Bounds, least: Effort) -> Forces:
+    """Foot forces in balance within `bounds` that ask for nearly the least of one effort.
+
+    The method of centres: a level is set a little above the largest effort, Newton's method takes the forces towards
+    the point that is farthest, in the logarithmic sense, from the level and all bounds, and so on with ever less room.
+    The effort ends within some 3 % of the least possible one. What is left of the weight (`imbalance`) stays below
+    `HELD` where forces within the bounds exist, and above it where there are none.
+    """
+    scaled = _Scaled.of(pose)
+    start = Bounds(bounds.friction, bounds.torque / pose.weight, bounds.least_normal / pose.weight,
+                   bounds.most_normal / pose.weight)  # fmt: skip
+    levels = Bounds(*[jnp.broadcast_to(jnp.asarray(b, scaled.normal.dtype), (6,)) for b in start])
+
+    def one_round(force: Array, slack: Array) -> tuple[Array, None]:
+        level = (1 + slack) * jnp.max(scaled.effort(force, least))
+        lower = levels._replace(**{_LEVEL[least]: jnp.minimum(level, getattr(levels, _LEVEL[least]))})
+        return jax.lax.fori_loop(0, ROUND_STEPS, lambda _, f: scaled.towards_centre(f, lower, least), force), None
+
+    force = jax.lax.fori_loop(0, BALANCE_STEPS, lambda _, f: scaled.towards_centre(f, levels, least),
+                              scaled.first(levels))  # fmt: skip
+    force, _ = jax.lax.scan(one_round, force, jnp.geomspace(*SLACK, ROUNDS, dtype=force.dtype))
+    efforts = {name: jnp.max(scaled.effort(force, name)) for name in _LEVEL}
+    return Forces(force * pose.weight, efforts["friction"], efforts["torque"] * pose.weight,
+                  efforts["normal"] * pose.weight, jnp.max(jnp.abs(scaled.left(force))))  # fmt: skip
+
+
+class _Scaled(NamedTuple):
+    """A pose with forces in weights; swinging feet carry nothing and count nowhere."""
+
+    normal: Float[Array, "6 3"]
+    stands: Float[Array, " 6"]
+    grasp: Float[Array, "6 6 3"]  # force and moment about the mass centre, by a foot's force
+    drive: Float[Array, "6 3 3"]  # joint torques by a foot's force
+    own: Float[Array, "6 3"]
+
+    @classmethod
+    def of(cls, pose: Pose) -> "_Scaled":
+        stands = pose.stands.astype(pose.arm.dtype)
+        eye = jnp.broadcast_to(jnp.eye(3, dtype=stands.dtype), (6, 3, 3))
+        moment = jnp.cross(pose.arm[:, None, :], eye).swapaxes(1, 2)
+        grasp = jnp.concatenate([eye, moment], axis=1) * stands[:, None, None]
+        return cls(pose.normal, stands, grasp, -pose.jacobian.swapaxes(1, 2), pose.own_torque / pose.weight)
+
+    def first(self, bounds: Bounds) -> Array:
+        """Forces along the normals, not in balance, within the bounds where the smallest normal force allows it."""
+        pull = jnp.abs(jnp.einsum("lij,lj->li", self.drive, self.normal)) + 1e-6
+        most = jnp.min((bounds.torque[:, None] - jnp.abs(self.own)) / pull, axis=-1)
+        size = 0.5 * (bounds.least_normal + jnp.minimum(most, bounds.most_normal))
+        return self.normal * jnp.minimum(size, bounds.least_normal + 0.5)[:, None] * self.stands[:, None]
+
+    def torque(self, force: Array) -> Array:
+        return self.own + jnp.einsum("lij,lj->li", self.drive, force)
+
+    def effort(self, force: Array, kind: Effort) -> Float[Array, " 6"]:
+        """What each foot asks for."""
+        normal = jnp.sum(force * self.normal, axis=-1)
+        if kind == "torque":
+            return jnp.max(jnp.abs(self.torque(force)), axis=-1) * self.stands
+        if kind == "normal":
+            return normal * self.stands
+        tangential = jnp.sqrt(jnp.sum((force - normal[:, None] * self.normal) ** 2, axis=-1) + 1e-12)
+        return jnp.where(self.stands > 0, tangential / jnp.maximum(normal, 1e-6), 0.0)
+
+    def left(self, force: Array) -> Float[Array, " 6"]:
+        """Weight that is not held, and its moment (m)."""
+        weight = jnp.zeros(6, force.dtype).at[2].set(1.0)
+        return weight - jnp.einsum("lij,lj->i", self.grasp, force)
+
+    def room(self, force: Array, bounds: Bounds) -> dict[Effort, Float[Array, "6 k"]]:
+        """What is left to each bound; positive within."""
+        normal = jnp.sum(force * self.normal, axis=-1)
+        tangential = jnp.sum((force - normal[:, None] * self.normal) ** 2, axis=-1)
+        torque = self.torque(force)
+        cap = bounds.torque[:, None]
+        room: dict[Effort, Array] = {
+            "friction": jnp.stack([(bounds.friction * normal) ** 2 - tangential, normal - bounds.least_normal], -1),
+            "torque": jnp.concatenate([cap - torque, cap + torque], axis=-1),
+            "normal": (bounds.most_normal - normal)[:, None],
+        }
+        return {kind: jnp.where(self.stands[:, None] > 0, r, 1.0) for kind, r in room.items()}
+
+    def barrier(self, force: Array, bounds: Bounds, least: Effort) -> Array:
+        room = self.room(force, bounds)
+        weight = {kind: FOCUS if kind == least else 1.0 for kind in room}
+        return -sum((weight[kind] * jnp.sum(jnp.log(r)) for kind, r in room.items()), 0.0)
+
+    def towards_centre(self, force: Array, bounds: Bounds, least: Effort) -> Array:
+        """A Newton step towards balance and the centre of what the bounds leave, short enough to stay within."""
+        gradient = jax.grad(self.barrier)(force, bounds, least)
+        swings = (1 - self.stands)[:, None, None] * jnp.eye(3, dtype=force.dtype)
+        curvature = jnp.stack([  # a foot's force bears on its own bounds only
+            jax.jvp(lambda f: jax.grad(self.barrier)(f, bounds, least), (force,), (jnp.zeros_like(force) + axis,))[1]
+            for axis in jnp.eye(3, dtype=force.dtype)], axis=-1)  # fmt: skip
+        inverse = inverse_3x3(curvature + swings)
+        down = -jnp.einsum("lij,lj->li", inverse, gradient)
+        across = jnp.einsum("lij,lkj->lik", inverse, self.grasp)  # (6, 3, 6)
+        schur = jnp.einsum("lij,ljk->ik", self.grasp, across)
+        scale = jnp.sqrt(jnp.diagonal(schur) + 1e-12)
+        schur = schur / scale / scale[:, None] + 1e-6 * jnp.eye(6, dtype=force.dtype)
+        short = self.left(force) - jnp.einsum("lij,lj->i", self.grasp, down)
+        direction = down + across @ (jnp.linalg.solve(schur, short / scale) / scale)
+        now = self.room(force, bounds)
+
+        def fits(length: Array) -> Array:
+            then = self.room(force + length * direction, bounds)
+            kept = [jnp.all(then[k] > KEEP * now[k]) for k in now]
+            return jnp.stack(kept).all()
+
+        lengths = jnp.asarray(LENGTHS, force.dtype)
+        length = jnp.max(jnp.where(jax.vmap(fits)(lengths), lengths, 0.0))
+        return force + length * direction
