@@ -23,7 +23,7 @@ Effort = Literal["friction", "torque", "normal"]
 _LEVEL: dict[Effort, str] = {"friction": "friction", "torque": "torque", "normal": "most_normal"}
 
 BALANCE_STEPS = 24  # of Newton's method, from no balance to the first centre
-ROUNDS, ROUND_STEPS = 14, 2  # levels that the effort is pressed down to, and Newton steps below each
+ROUNDS, ROUND_STEPS = 20, 2  # levels that the effort is pressed down to, and Newton steps below each
 SLACK = (0.4, 0.01)  # first and last level, above the largest effort
 FOCUS = 8.0  # weight of the pressed bounds against all others: the effort falls faster for it
 LENGTHS = (1.0, 0.7, 0.5, 0.3, 0.15, 0.07, 0.03, 0.01)  # of a Newton step, of which the longest that fits is taken
