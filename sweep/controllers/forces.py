@@ -11,11 +11,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from sweep.controllers.plan import Stance
+from sweep.case import Case
+from sweep.controllers.plan import Plan, Stance, reference
 from sweep.controllers.tracker import joint_targets
 from sweep.formulas import leg
 from sweep.maths import exponential, rotate
 from sweep.models.arrowhead import inverse_3x3
+from sweep.models.obstacles.surface import Bodies
 from sweep.models.robot import Robot
 from sweep.models.scene import GRAVITY, mount_yaw, mounts
 
@@ -23,10 +25,10 @@ Effort = Literal["friction", "torque", "normal"]
 _LEVEL: dict[Effort, str] = {"friction": "friction", "torque": "torque", "normal": "most_normal"}
 
 BALANCE_STEPS = 24  # of Newton's method, from no balance to the first centre
-ROUNDS, ROUND_STEPS = 20, 2  # levels that the effort is pressed down to, and Newton steps below each
-SLACK = (0.4, 0.01)  # first and last level, above the largest effort
-FOCUS = 8.0  # weight of the pressed bounds against all others: the effort falls faster for it
+ROUNDS, ROUND_STEPS = 40, 2  # levels that the effort is pressed down to, and Newton steps below each
+SLACK = (0.05, 0.01)  # first and last level, above the largest effort
 LENGTHS = (1.0, 0.7, 0.5, 0.3, 0.15, 0.07, 0.03, 0.01)  # of a Newton step, of which the longest that fits is taken
+FOCUS = 8.0  # weight of the pressed bounds against all others
 KEEP = 0.2  # of the room to a bound that a step has to leave
 HELD = 0.01  # of the weight: imbalance below which a stance is held
 
@@ -173,9 +175,9 @@ class _Scaled(NamedTuple):
         return {kind: jnp.where(self.stands[:, None] > 0, r, 1.0) for kind, r in room.items()}
 
     def barrier(self, force: Array, bounds: Bounds, least: Effort) -> Array:
-        room = self.room(force, bounds)
-        weight = {kind: FOCUS if kind == least else 1.0 for kind in room}
-        return -sum((weight[kind] * jnp.sum(jnp.log(r)) for kind, r in room.items()), 0.0)
+        weight = {kind: FOCUS if kind == least else 1.0 for kind in _LEVEL}
+        logs = {kind: jnp.sum(jnp.log(room)) for kind, room in self.room(force, bounds).items()}
+        return -sum((weight[kind] * logs[kind] for kind in logs), jnp.zeros(()))
 
     def towards_centre(self, force: Array, bounds: Bounds, least: Effort) -> Array:
         """A Newton step towards balance and the centre of what the bounds leave, short enough to stay within."""
@@ -202,3 +204,24 @@ class _Scaled(NamedTuple):
         lengths = jnp.asarray(LENGTHS, force.dtype)
         length = jnp.max(jnp.where(jax.vmap(fits)(lengths), lengths, 0.0))
         return force + length * direction
+
+
+def along(belief: Case, plan: Plan, bounds: Bounds, least: Effort, knots: int) -> tuple[Stance, Forces]:
+    """Planned stances and foot forces at `knots` evenly spaced moments of every stage; leading axes (S, knots).
+
+    Feet stand on the believed obstacle where the plan has them. In a stage in which nothing moves, load goes evenly
+    from the forces before it to those after it.
+    """
+    feet = jnp.concatenate([plan.start.feet[None], plan.foothold[:-1]])
+    base = jnp.concatenate([plan.start.position[None], plan.position[:-1]])
+    phases = jnp.linspace(0.0, 1.0, knots)
+
+    def moment(stage: Array, u: Array) -> tuple[Stance, Forces]:
+        stance = reference(plan, stage, u, feet[stage], base[stage])
+        nowhere = Bodies(jnp.zeros((0, 3)), jnp.zeros((0, 3, 3)))
+        normal = belief.obstacle.surface(feet[stage], (-1,) * 6, nowhere).normal
+        return stance, distribute(pose(belief.robot, stance, normal, ~plan.swing[stage]), bounds, least)
+
+    number = jnp.arange(plan.duration.shape[0])
+    stances, forces = jax.vmap(lambda s: jax.vmap(lambda u: moment(s, u))(phases))(number)
+    return stances, forces

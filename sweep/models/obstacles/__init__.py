@@ -2,7 +2,8 @@
 
 from sweep.models.obstacles.ball import Ball
 from sweep.models.obstacles.beam import Beam
+from sweep.models.obstacles.corner import Corner
 from sweep.models.obstacles.plane import Plane
 from sweep.models.obstacles.pole_ledge import PoleLedge
 
-OBSTACLES = {"ball": Ball, "plane": Plane, "pole_ledge": PoleLedge, "beam": Beam}
+OBSTACLES = {"ball": Ball, "beam": Beam, "corner": Corner, "plane": Plane, "pole_ledge": PoleLedge}

@@ -55,6 +55,33 @@ def add_ball(
     world.add_geom(name="floor_rolling", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.1], **rolling)
 
 
+def add_prism(
+    spec: mujoco.MjSpec, name: str, base: Sequence[tuple[float, float]], height: float, friction: float
+) -> None:
+    """An upright prism from z = 0 to `height` (m) over a convex polygon, counterclockwise or not."""
+    centre = np.mean(base, axis=0)
+    for suffix, margin, looks in (
+        ("", 0.0, {"rgba": WOOD, "group": DRAWN, "contype": 0, "conaffinity": 0}),
+        ("_contact", FOOT_RADIUS, _colliding(friction)),
+    ):
+        sides = _inset(np.asarray(base) - centre, margin)
+        corners = [c for x, y in sides for z in (0.0, height - margin) for c in (x, y, z)]
+        spec.add_mesh(name=name + suffix, uservert=corners)
+        spec.worldbody.add_geom(name=name + suffix, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name + suffix,
+                                pos=[*centre, 0.0], **looks)  # fmt: skip
+
+
+def _inset(polygon: np.ndarray, margin: float) -> np.ndarray:
+    """A polygon (n, 2) about the origin with its sides moved inward by `margin`."""
+    along = np.roll(polygon, -1, axis=0) - polygon
+    across = np.stack([along[:, 1], -along[:, 0]], axis=-1) / np.linalg.norm(along, axis=-1, keepdims=True)
+    offset = np.sum(across * polygon, axis=-1)
+    offset = offset - np.sign(offset) * margin
+    normals = np.stack([np.roll(across, 1, axis=0), across], axis=1)  # of the two sides that meet in a corner
+    offsets = np.stack([np.roll(offset, 1), offset], axis=-1)
+    return np.linalg.solve(normals, offsets[..., None])[..., 0]
+
+
 def _colliding(friction: float) -> dict:
     invisible = {"rgba": [0, 0, 0, 0], "group": COLLIDING, "mass": 0.0}
     return {"contype": 0, "conaffinity": 1, "friction": [friction, 0.005, 1e-4], **_STIFF, **invisible}

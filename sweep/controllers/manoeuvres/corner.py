@@ -1,0 +1,142 @@
+"""Up the corner of a house (monograph 2.4.2), with planned foot forces.
+
+World axes: the corner's edge stands along z at the origin and the robot comes along -y. The book's xi and zeta are x and
+z; its eta counts from the middle between the tracks on the walls.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from sweep.case import Case
+from sweep.controllers.gaits import GALLOP, Step
+from sweep.controllers.manoeuvres.pole import OUTWARD, TOWARDS, pair, point
+from sweep.controllers.plan import CYCLE_B_SMOOTH, SMOOTH, Plan, Stage, Stance, assemble
+from sweep.formulas import stepping
+from sweep.formulas.leg import SIDE
+from sweep.parameters import choice, count, parameters, quantity
+
+STAND = 0.5  # s, before the first and after the last swing
+FRONT, MIDDLE, REAR = GALLOP
+PITCH = np.arcsin([0.0, 0.42, 0.64, 1.0])  # after each of the first three swings: sin theta = zeta_s/a_r of (2.4.1)
+# e of stage 2.4.5
+SLANTED = SIDE[:, None] * np.array([1.0, 0.0, 0.0]) + np.array([0.0, 0.0, 0.9])
+
+
+class Site(NamedTuple):
+    """What the stages are made of (m)."""
+
+    length: Array | float  # a_r
+    track: Array | float  # x_f, half the distance between the tracks on the walls
+    edge: Array | float  # eta of the corner's edge
+    clearance: Array | float  # zeta_f, of the base above the floor
+    standoff: Array | float  # eta_f, of the vertical base
+    step: Step
+    shift: Array | float  # s, that load goes from foot to foot before a swing
+
+    def at(self, x: Array | float, eta: Array | float, z: Array | float) -> Array:
+        """A point by the book's eta."""
+        return point(x, eta - self.edge, z)
+
+    def on_wall(self, legs: tuple[int, int], height: Array | float) -> dict[int, Array]:
+        """Footholds of a pair."""
+        return pair(legs, self.track, -self.edge, height)
+
+    def on_floor(self, legs: tuple[int, int], eta: Array | float) -> dict[int, Array]:
+        """Footholds of a pair."""
+        return pair(legs, self.track, eta - self.edge, 0.0)
+
+    def swing(
+        self, name: str, goals: dict[int, Array], times: float = 1.0, plane: np.ndarray = OUTWARD, **body
+    ) -> list:
+        """Load goes off the feet that are to swing, then they swing."""
+        return [Stage(f"{name}.shift", self.shift),
+                Stage(name, times * self.step.time, goals, CYCLE_B_SMOOTH, self.step.height, plane, pace=SMOOTH,
+                      **body)]  # fmt: skip
+
+
+@parameters
+class CornerClimb:
+    """On to the corner and up it by the modified gallop. Ratios are to the body's length a_r."""
+
+    kind: str = choice("corner_climb", "corner_climb")
+    cycles: int = count(1, at_least=0, at_most=100)  # of the gallop
+    track_ratio: float = quantity(1 / 3, "a_r", above=0, at_most=1)  # x_f
+    standoff_ratio: float = quantity(0.39, "a_r", above=0, at_most=2)  # eta_f
+    height_ratio: float = quantity(0.5, "a_r", above=0, at_most=2)  # zeta_f
+    half_step_ratio: float = quantity(0.1, "a_r", above=0, at_most=0.5)  # d_x
+    lift_ratio: float = quantity(0.05, "a_r", above=0, at_most=0.5)  # d_y
+    rate: float = quantity(3.0, "rad/s", above=0, at_most=20)  # varpi
+    load_time: float = quantity(0.4, "s", above=0, at_most=10)
+    patience: float = quantity(0.3, "s", at_least=0)
+
+    def plan(self, belief: Case) -> Plan:
+        """Stand, get on, spread the feet, gallop, halt."""
+        a_r = belief.robot.body_length
+        track = self.track_ratio * a_r
+        step = Step(self.half_step_ratio * a_r, self.lift_ratio * a_r, stepping.swing_time(self.rate))
+        site = Site(a_r, track, track / jnp.tan(belief.obstacle.half_angle), self.height_ratio * a_r,
+                    self.standoff_ratio * a_r, step, self.load_time)  # fmt: skip
+        start, on, feet = get_on(site)
+        spread, feet = spread_out(site, feet)
+        up = gallop(site, feet, self.cycles)
+        return assemble(start, [Stage("stand", STAND), *on, *spread, *up, Stage("halt", STAND)], self.patience)
+
+
+def get_on(site: Site) -> tuple[Stance, list[Stage], dict]:
+    """2.4.1 to 2.4.5: the base pitches up, its front edge on a vertical line, its rear edge on a level one.
+
+    The feet's heights on the wall are returned beside the stages, by pair.
+    """
+    a_r, x = site.length, site.step.landing
+    pivot = site.at(0.0, site.standoff, site.clearance)
+    floor = {**site.on_floor(FRONT, site.standoff + x), **site.on_floor(MIDDLE, site.standoff + a_r / 2 - x),
+             **site.on_floor(REAR, site.standoff + a_r)}  # fmt: skip
+    start = Stance(jnp.stack([floor[leg] for leg in range(1, 7)]), pivot + point(0.0, a_r / 2, 0.0), jnp.array(TOWARDS))
+
+    def pitched(k: int) -> dict:
+        angle, pitch = PITCH[k + 1] - PITCH[k], PITCH[k + 1]
+        centre = pivot + a_r / 2 * point(0.0, np.cos(pitch), np.sin(pitch))
+        return {"position": centre, "pivot": pivot, "arc": angle, "turn": point(-angle, 0.0, 0.0)}
+
+    front = site.clearance + a_r - 5 * x
+    middle = front - 0.7 * a_r + x
+    rear = site.clearance - 3 * x
+    upright = np.zeros((6, 3)) + np.array([0.0, 0.0, 1.0])
+    stages = [
+        *site.swing("2.4.1", site.on_wall(FRONT, front), 2.0, **pitched(0)),
+        *site.swing("2.4.2", site.on_floor(REAR, site.standoff + a_r - 4.75 * x), 2.0, upright, **pitched(1)),
+        *site.swing("2.4.3", site.on_wall(MIDDLE, middle), 2.6, **pitched(2)),
+        *site.swing("2.4.4", site.on_wall(FRONT, front + 9 * x)),
+        *site.swing("2.4.5", site.on_wall(REAR, rear), plane=SLANTED),
+    ]
+    return start, stages, {FRONT: front + 9 * x, MIDDLE: middle, REAR: rear, "base": site.clearance + a_r / 2}
+
+
+def spread_out(site: Site, feet: dict) -> tuple[list[Stage], dict]:
+    """2.4.6 and 2.4.8: middle feet near the rear ones, rear feet up, so that every stance has a long lever."""
+    feet = dict(feet)
+    low = feet[FRONT] - 1.343 * site.length
+    feet[MIDDLE], feet[REAR] = low + 0.095 * site.length, low + 0.25 * site.length
+    stages = [
+        *site.swing("2.4.6", site.on_wall(MIDDLE, feet[MIDDLE])),
+        *site.swing("2.4.8", site.on_wall(REAR, feet[REAR])),
+    ]
+    return stages, feet
+
+
+def gallop(site: Site, feet: dict, cycles: int) -> list[Stage]:
+    """2.4.2, end: the middle feet go near the pair that swings next, up with the base and down again."""
+    stages, feet, near, way = [], dict(feet), 0.143 * site.length, 0.25 * site.length
+    for k in range(cycles):
+        base = (feet[FRONT] + feet[REAR] + way) / 2
+        centre = site.at(0.0, site.standoff, base)
+        stages += site.swing(f"gallop{k + 1}.up", site.on_wall(MIDDLE, feet[FRONT] - near), position=centre)
+        feet[FRONT] = feet[FRONT] + way
+        stages += site.swing(f"gallop{k + 1}.front", site.on_wall(FRONT, feet[FRONT]))
+        stages += site.swing(f"gallop{k + 1}.down", site.on_wall(MIDDLE, feet[REAR] + near))
+        feet[REAR] = feet[REAR] + way
+        stages += site.swing(f"gallop{k + 1}.rear", site.on_wall(REAR, feet[REAR]))
+    return stages

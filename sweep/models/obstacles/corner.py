@@ -1,0 +1,52 @@
+"""The vertical corner of a house with a flat roof (monograph 2.4)."""
+
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from jaxtyping import Array, Float
+
+from sweep.models.obstacles.geoms import add_plane, add_prism
+from sweep.models.obstacles.surface import Bodies, Surface
+from sweep.parameters import choice, parameters, quantity
+
+FLOOR, RIGHT, LEFT, ROOF = range(4)  # faces; the walls as a robot sees them that comes along -y
+DEPTH = 3.0  # m, that the house reaches back in y
+
+
+@parameters
+class Corner:
+    """Two walls that meet in the world's z axis and open towards -y, symmetric about the plane x = 0."""
+
+    kind: str = choice("corner", "corner")
+    half_angle: float = quantity(np.pi / 4, "rad", at_least=0.2, at_most=1.5)  # psi, of the house between its walls
+    height: float = quantity(2.3, "m", above=0)  # h
+
+    free_bodies = ()
+    contact_sites = ()
+
+    def walls(self) -> Float[Array, "2 3"]:
+        """Outward normals of the wall on the side of -x and of that on the side of +x."""
+        cos, sin = jnp.cos(self.half_angle), jnp.sin(self.half_angle)
+        zero = jnp.zeros_like(cos)
+        return jnp.stack([jnp.stack([-cos, sin, zero]), jnp.stack([cos, sin, zero])])
+
+    def add_to(self, spec: mujoco.MjSpec, friction: float) -> None:
+        """Floor and a prism for the house."""
+        add_plane(spec.worldbody, "floor", [0, 0, 1], friction)
+        half = DEPTH * np.tan(self.half_angle)
+        add_prism(spec, "house", [(0.0, 0.0), (half, -DEPTH), (-half, -DEPTH)], self.height, friction)
+
+    def leaves(self) -> dict[str, dict[str, Array]]:
+        """Nothing moves."""
+        return {}
+
+    def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: Bodies) -> Surface:
+        """The house's depth is the least over its faces; of floor and house the deeper counts."""
+        walls = self.walls().astype(points.dtype)
+        up = jnp.array([0.0, 0.0, 1.0], points.dtype)
+        z = points[:, 2]
+        faces = jnp.stack([-(points @ walls[0]), -(points @ walls[1]), self.height - z])  # RIGHT, LEFT, ROOF
+        house, face = jnp.min(faces, axis=0), 1 + jnp.argmin(faces, axis=0)
+        face = jnp.where(-z >= house, FLOOR, face).astype(jnp.int32)
+        normal = jnp.stack([up, walls[0], walls[1], up])[face]
+        return Surface(jnp.maximum(-z, house), normal, face, jnp.full_like(face, -1), jnp.ones_like(z))
