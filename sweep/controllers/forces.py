@@ -5,6 +5,7 @@ of one quantity (friction used, joint torque, or normal force) is least, within 
 is a centre of the forces that do nearly as well, not their extreme: it changes smoothly with the pose.
 """
 
+from dataclasses import replace
 from typing import Literal, NamedTuple
 
 import jax
@@ -12,14 +13,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from sweep.case import Case
-from sweep.controllers.plan import Plan, Stance, reference
+from sweep.controllers.plan import Grip, Plan, Stance, reference
+from sweep.controllers.posture import foot_positions, mass_centre
 from sweep.controllers.tracker import joint_targets
-from sweep.formulas import leg
-from sweep.maths import exponential, rotate
+from sweep.maths import rotate
 from sweep.models.arrowhead import inverse_3x3
 from sweep.models.obstacles.surface import Bodies
-from sweep.models.robot import Robot
-from sweep.models.scene import GRAVITY, mount_yaw, mounts
+from sweep.models.robot import Robot, total_mass
+from sweep.models.scene import GRAVITY
 
 Effort = Literal["friction", "torque", "normal"]
 _LEVEL: dict[Effort, str] = {"friction": "friction", "torque": "torque", "normal": "most_normal"}
@@ -30,6 +31,7 @@ SLACK = (0.05, 0.01)  # first and last level, above the largest effort
 LENGTHS = (1.0, 0.7, 0.5, 0.3, 0.15, 0.07, 0.03, 0.01)  # of a Newton step, of which the longest that fits is taken
 FOCUS = 8.0  # weight of the pressed bounds against all others
 KEEP = 0.2  # of the room to a bound that a step has to leave
+KNOTS = 5  # moments of a stage for which forces are planned
 HELD = 0.01  # of the weight: imbalance below which a stance is held
 
 
@@ -66,26 +68,14 @@ class Forces(NamedTuple):
 def pose(robot: Robot, stance: Stance, normal: Float[Array, "6 3"], stands: Bool[Array, " 6"]) -> Pose:
     """The robot in a stance, its joints where inverse kinematics has them."""
     angles, _ = joint_targets(robot, stance)
-    yaw = jnp.zeros((6, 3), angles.dtype).at[:, 2].set(jnp.asarray(mount_yaw(robot), angles.dtype))
+    weight = GRAVITY * total_mass(robot)
     quat = jnp.broadcast_to(stance.quat, (6, 4))
-    links = ((robot.coxa_mass, 0.5, 0.0, 0.0), (robot.thigh_mass, 1.0, 0.5, 0.0), (robot.shin_mass, 1.0, 1.0, 0.5))
-    links = links if robot.legs == "three_link" else links[1:]
-
-    def point(angles: Array, coxa: float, thigh: float, shin: float) -> Array:
-        """(6, 3) points of the legs from the base's centre, world axes."""
-        hip = leg.fk(leg.SIDE, angles, coxa * robot.coxa, thigh * robot.thigh, shin * robot.shin)
-        return rotate(quat, mounts(robot) + rotate(exponential(yaw), hip))
-
-    def moment(angles: Array) -> Array:
-        """Mass times place of all links (kg m)."""
-        return sum((mass * point(angles, *share).sum(0) for mass, *share in links), jnp.zeros(3, angles.dtype))
-
-    mass = robot.body_mass + 6 * sum(link[0] for link in links)
-    centre = stance.position + moment(angles) / mass
-    slope = jax.jacfwd(lambda a: point(a, 1.0, 1.0, 1.0))(angles)  # (6, 3, 6, 3)
-    own_torque = GRAVITY * jax.grad(lambda a: moment(a)[2])(angles)
-    jacobian = jnp.einsum("lilj->lij", slope)
-    return Pose(stance.feet - centre, normal, stands, jacobian, own_torque, jnp.asarray(GRAVITY * mass))
+    slope = jax.jacfwd(lambda a: rotate(quat, foot_positions(robot, a)))(angles)  # (6, 3, 6, 3)
+    lift = jax.grad(lambda a: rotate(stance.quat, mass_centre(robot, a))[2])(angles)
+    centre = stance.position + rotate(stance.quat, mass_centre(robot, angles))
+    return Pose(
+        stance.feet - centre, normal, stands, jnp.einsum("lilj->lij", slope), weight * lift, jnp.asarray(weight)
+    )
 
 
 def joint_torque(pose: Pose, force: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
@@ -206,22 +196,47 @@ class _Scaled(NamedTuple):
         return force + length * direction
 
 
-def along(belief: Case, plan: Plan, bounds: Bounds, least: Effort, knots: int) -> tuple[Stance, Forces]:
-    """Planned stances and foot forces at `knots` evenly spaced moments of every stage; leading axes (S, knots).
+class Course(NamedTuple):
+    """Planned forces along a plan: S stages, `KNOTS` even moments of each."""
 
-    Feet stand on the believed obstacle where the plan has them. In a stage in which nothing moves, load goes evenly
-    from the forces before it to those after it.
+    force: Float[Array, "s k 6 3"]  # N
+    torque: Float[Array, "s k 6 3"]  # N m, of the joints
+    planned: Forces  # the optimum of each moment by itself, leading axes (s, k)
+
+
+def along(belief: Case, plan: Plan, bounds: Bounds, least: Effort) -> Course:
+    """Foot forces for all of a plan, the feet on the believed obstacle.
+
+    In a stage in which nothing moves, load goes evenly from the forces before it to those after it: so that feet that
+    are to swing carry nothing when they do.
     """
     feet = jnp.concatenate([plan.start.feet[None], plan.foothold[:-1]])
     base = jnp.concatenate([plan.start.position[None], plan.position[:-1]])
-    phases = jnp.linspace(0.0, 1.0, knots)
+    number, phases = jnp.arange(plan.duration.shape[0]), jnp.linspace(0.0, 1.0, KNOTS)
 
-    def moment(stage: Array, u: Array) -> tuple[Stance, Forces]:
+    def moment(stage: Array, u: Array) -> tuple[Pose, Forces]:
         stance = reference(plan, stage, u, feet[stage], base[stage])
-        nowhere = Bodies(jnp.zeros((0, 3)), jnp.zeros((0, 3, 3)))
-        normal = belief.obstacle.surface(feet[stage], (-1,) * 6, nowhere).normal
-        return stance, distribute(pose(belief.robot, stance, normal, ~plan.swing[stage]), bounds, least)
+        here = pose(belief.robot, stance, surface_normals(belief, feet[stage]), ~plan.swing[stage])
+        return here, distribute(here, bounds, least)
 
-    number = jnp.arange(plan.duration.shape[0])
-    stances, forces = jax.vmap(lambda s: jax.vmap(lambda u: moment(s, u))(phases))(number)
-    return stances, forces
+    poses, planned = jax.vmap(lambda s: jax.vmap(lambda u: moment(s, u))(phases))(number)
+    force = planned.force
+    before = jnp.concatenate([force[:1, 0], force[:-1, -1]])[:, None]
+    after = jnp.concatenate([force[1:, 0], force[-1:, -1]])[:, None]
+    moves = jnp.linalg.norm(plan.position - base, axis=-1) + jnp.linalg.norm(plan.turn, axis=-1) > 1e-6
+    rests = ~jnp.any(plan.swing, axis=-1) & ~moves
+    share = phases[:, None, None]
+    force = jnp.where(rests[:, None, None, None], (1 - share) * before + share * after, force)
+    return Course(force, jax.vmap(jax.vmap(joint_torque))(poses, force), planned)
+
+
+def surface_normals(belief: Case, feet: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
+    """Outward normals of the believed obstacle at footholds."""
+    return belief.obstacle.surface(feet, (-1,) * 6, Bodies(jnp.zeros((0, 3)), jnp.zeros((0, 3, 3)))).normal
+
+
+def gripped(belief: Case, plan: Plan, course: Course, creep: Array | float, anchoring: Array | float) -> Plan:
+    """`plan` with planned forces as offsets of what the believed drives are told (`Grip`)."""
+    inward = -jax.vmap(lambda feet: surface_normals(belief, feet))(plan.foothold)
+    grip = Grip(course.torque / belief.drive.stiffness, inward, *(jnp.asarray(x, float) for x in (creep, anchoring)))
+    return replace(plan, grip=grip)

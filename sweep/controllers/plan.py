@@ -80,6 +80,15 @@ class Flywheel(NamedTuple):
     gains: Gains
 
 
+class Grip(NamedTuple):
+    """Planned foot forces as the drives are told of them, over S stages and K even moments of each."""
+
+    offset: Float[Array, "s k 6 3"]  # rad, that the drives turn into the joint torques wanted
+    inward: Float[Array, "s 6 3"]  # unit vectors into the surface at the footholds
+    creep: Float[Array, ""]  # m/s, of a foot that has not touched down at the end of its swing
+    anchoring: Float[Array, ""]  # s, in which the foothold of a loaded foot follows the place where it really is
+
+
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Plan:
@@ -104,9 +113,9 @@ class Plan:
     patience: Float[Array, ""]  # s, that a stage waits for its swing feet to touch down
     posture: Posture | None = None
     flywheel: Flywheel | None = None
-    steered: bool = field(
-        default=False, metadata={"static": True}
-    )  # whether errors are taken back in the plane, with the heading's
+    grip: Grip | None = None
+    # whether errors are taken back in the plane, with the heading's
+    steered: bool = field(default=False, metadata={"static": True})
 
 
 def assemble(

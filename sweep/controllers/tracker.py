@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from sweep.case import Case
-from sweep.controllers import flywheel
+from sweep.controllers import flywheel, grip
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import BALANCE, Plan, Posture, Stance, reference
 from sweep.controllers.posture import foot_positions
@@ -66,8 +66,12 @@ def step(
 ) -> tuple[TrackerState, Command]:
     """One control tick of `period` seconds."""
     state = _advance(plan, state._replace(clock=state.clock + period), seen, period)
+    if plan.grip is not None:
+        state = state._replace(feet=grip.anchored(belief.robot, plan, plan.grip, state.stage, state.feet, seen, period))
     phase = jnp.clip(state.clock / plan.duration[state.stage], 0.0, 1.0)
     target = _target(plan, state, phase)
+    if plan.grip is not None:
+        target = target._replace(feet=target.feet + grip.creep(plan, plan.grip, state.stage, state.clock))
     joints, shortfall = joint_targets(belief.robot, target)
     joints = _nearest(joints, state.joints)
     if plan.posture is not None:
@@ -77,6 +81,8 @@ def step(
         feet = target.position + rotate(target.quat[None], foot_positions(belief.robot, joints))
         target = target._replace(feet=jnp.where(held[:, None], feet, target.feet))
     command = Command(joints, target, phase, jnp.max(shortfall))
+    if plan.grip is not None:
+        command = command._replace(joints=joints + grip.offset(plan.grip, state.stage, phase))
     if plan.flywheel is not None:
         turning, servo = flywheel.order(belief.robot, plan, plan.flywheel, state.stage, seen)
         joints = jnp.where(turning, seen.angles, joints)  # where position mode takes over from
@@ -121,6 +127,8 @@ def _advance(plan: Plan, state: TrackerState, seen: Observation, period: float) 
     ends = (over >= 0) & (landed | (over >= plan.patience)) & ~state.finished
     last = state.stage == plan.duration.shape[0] - 1
     feet = jnp.where(plan.swing[state.stage][:, None], plan.foothold[state.stage], state.feet)
+    if plan.grip is not None:
+        feet = feet + grip.creep(plan, plan.grip, state.stage, state.clock)
     feet, error, yaw = _with_error(plan, state, seen, feet)
     shifted = state._replace(
         stage=jnp.where(last, state.stage, state.stage + 1),
@@ -146,8 +154,8 @@ def _with_error(plan: Plan, state: TrackerState, seen: Observation, feet: Array)
     """
     planned = plan.position[state.stage]
     error = seen.position - planned
-    if not plan.steered:
-        return feet + error, error, state.yaw
+    if not plan.steered:  # feet that are anchored where they are need not be moved
+        return feet if plan.grip is not None else feet + error, error, state.yaw
     error = error.at[2].set(0.0)
     wanted = multiply(exponential(plan.turn[state.stage]), plan.quat[state.stage])
     yaw = heading(multiply(seen.quat, conjugate(wanted)))

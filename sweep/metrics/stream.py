@@ -13,6 +13,7 @@ from sweep.metrics.geometry import box_corners, leg_gap, link_points, support_ma
 from sweep.metrics.outcome import FREE_BODY_CAUSES, TIMED_CAUSES, Thresholds
 from sweep.models.contact import to_body, to_world
 from sweep.models.obstacles.surface import Bodies, FreeState, poses
+from sweep.models.robot import total_mass
 from sweep.models.scene import GRAVITY
 
 OVERTURNED = 60.0  # deg of tilt: nothing after it tells anything of the manoeuvre
@@ -125,7 +126,7 @@ def update(
     points = jnp.concatenate([link_points(tick.joints), corners])
     depth = world.obstacle.surface(points, (-1,) * points.shape[0], tick.bodies).depth
     radius = jnp.full(points.shape[0], robot.link_radius).at[-8:].set(0.0)
-    weight = GRAVITY * total_mass(world)
+    weight = GRAVITY * total_mass(robot)
     demand = jnp.where(tick.normal > LOADED, tick.tangential / jnp.maximum(tick.normal, LOADED), 0.0)
     way = plan.position[stage] - state.position
     length = jnp.linalg.norm(way)
@@ -183,13 +184,6 @@ def _free_bodies(plan: Plan, running: Running, tick: Tick) -> dict[str, Array]:
         "body_aside": jnp.maximum(running.body_aside, jnp.abs(way[0, 1])),
         "ride_height": jnp.minimum(running.ride_height, tick.position[2] - body[0, 2]),
     }
-
-
-def total_mass(world: Case) -> Array | float:
-    """Of the robot (kg)."""
-    robot = world.robot
-    coxa = robot.coxa_mass if robot.legs == "three_link" else 0.0
-    return robot.body_mass + 6 * (coxa + robot.thigh_mass + robot.shin_mass)
 
 
 def _slip(world: Case, touchdown: Array, swinging: Array, phase: Array, tick: Tick) -> tuple[Array, Array]:

@@ -1,5 +1,7 @@
 """The robot: sizes, masses and where the legs are mounted (monograph 1.1, 1.1.1)."""
 
+from jaxtyping import Array
+
 from sweep.parameters import choice, parameters, quantity
 
 
@@ -26,3 +28,9 @@ class Robot:
     thigh_mass: float = quantity(0.5, "kg", above=0)
     shin_mass: float = quantity(0.5, "kg", above=0)
     knees: str = choice("outward", "outward", "mirror")  # for feet on the inner side of their hip, see formulas.leg
+
+
+def total_mass(robot: Robot) -> Array | float:
+    """Of the robot (kg)."""
+    coxa = robot.coxa_mass if robot.legs == "three_link" else 0.0
+    return robot.body_mass + 6 * (coxa + robot.thigh_mass + robot.shin_mass)

@@ -1,6 +1,7 @@
 """Manoeuvres: parameters and the plan that follows from them and from what is believed of the world."""
 
 from sweep.controllers.manoeuvres.beam import BeamCross, BeamWalk
+from sweep.controllers.manoeuvres.corner import CornerClimb
 from sweep.controllers.manoeuvres.pole import PoleClimb
 from sweep.controllers.manoeuvres.walk import Stand, Walk
 from sweep.controllers.manoeuvres.waypoints import Waypoints
@@ -12,4 +13,5 @@ MANOEUVRES = {
     "pole_climb": PoleClimb,
     "beam_walk": BeamWalk,
     "beam_cross": BeamCross,
+    "corner_climb": CornerClimb,
 }

@@ -1,7 +1,7 @@
 """Up the corner of a house (monograph 2.4.2), with planned foot forces.
 
-World axes: the corner's edge stands along z at the origin and the robot comes along -y. The book's xi and zeta are x and
-z; its eta counts from the middle between the tracks on the walls.
+World axes: the corner's edge stands along z at the origin and the robot comes along -y. The book's xi and zeta are x
+and z; its eta counts from the middle between the tracks on the walls.
 """
 
 from typing import NamedTuple
@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array
 
 from sweep.case import Case
+from sweep.controllers.forces import Bounds, along, gripped
 from sweep.controllers.gaits import GALLOP, Step
 from sweep.controllers.manoeuvres.pole import OUTWARD, TOWARDS, pair, point
 from sweep.controllers.plan import CYCLE_B_SMOOTH, SMOOTH, Plan, Stage, Stance, assemble
@@ -69,8 +70,13 @@ class CornerClimb:
     half_step_ratio: float = quantity(0.1, "a_r", above=0, at_most=0.5)  # d_x
     lift_ratio: float = quantity(0.05, "a_r", above=0, at_most=0.5)  # d_y
     rate: float = quantity(3.0, "rad/s", above=0, at_most=20)  # varpi
-    load_time: float = quantity(0.4, "s", above=0, at_most=10)
-    patience: float = quantity(0.3, "s", at_least=0)
+    load_time: float = quantity(0.4, "s", above=0, at_most=10)  # for load to go from foot to foot before a swing
+    friction_share: float = quantity(1.0, "-", above=0, at_most=1)  # of the believed friction, that is planned with
+    torque_share: float = quantity(0.85, "-", above=0, at_most=1)  # of the drives' limit
+    least_normal: float = quantity(15.0, "N", at_least=0)
+    creep: float = quantity(0.0125, "m/s", at_least=0)  # of a foot that has missed the wall
+    anchoring: float = quantity(0.01, "s", above=0)
+    patience: float = quantity(0.5, "s", at_least=0)
 
     def plan(self, belief: Case) -> Plan:
         """Stand, get on, spread the feet, gallop, halt."""
@@ -82,7 +88,11 @@ class CornerClimb:
         start, on, feet = get_on(site)
         spread, feet = spread_out(site, feet)
         up = gallop(site, feet, self.cycles)
-        return assemble(start, [Stage("stand", STAND), *on, *spread, *up, Stage("halt", STAND)], self.patience)
+        stages = [Stage("stand", STAND), *on, *spread, *up, Stage("halt", STAND)]
+        plan = assemble(start, stages, self.patience)
+        bounds = Bounds(self.friction_share * belief.contact.friction, self.torque_share * belief.drive.torque_limit,
+                        self.least_normal)  # fmt: skip
+        return gripped(belief, plan, along(belief, plan, bounds, "friction"), self.creep, self.anchoring)
 
 
 def get_on(site: Site) -> tuple[Stance, list[Stage], dict]:

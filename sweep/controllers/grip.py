@@ -1,0 +1,37 @@
+"""Holding on with planned forces: what the controller does for them from tick to tick.
+
+The drives are told of a force as an offset of their targets. It acts as planned only where the foothold is the place at
+which the foot really stands: 1 mm off is a force as large as the robot's weight.
+"""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from sweep.controllers.observation import Observation
+from sweep.controllers.plan import Grip, Plan
+from sweep.controllers.posture import foot_positions
+from sweep.maths import rotate
+from sweep.models.robot import Robot
+
+
+def anchored(
+    robot: Robot, plan: Plan, grip: Grip, stage: Int[Array, ""], feet: Array, seen: Observation, period: float
+) -> Float[Array, "6 3"]:
+    """The footholds `feet` (m) a tick of `period` s later: those of loaded standing feet follow the feet."""
+    real = seen.position + rotate(seen.quat[None], foot_positions(robot, seen.angles))
+    share = jnp.where(seen.loaded & ~plan.swing[stage], jnp.minimum(1.0, period / grip.anchoring), 0.0)
+    return feet + share[:, None] * (real - feet)
+
+
+def creep(plan: Plan, grip: Grip, stage: Int[Array, ""], clock: Float[Array, ""]) -> Float[Array, "6 3"]:
+    """How far (m) swinging feet go on inwards while the stage waits for their touchdown."""
+    late = jnp.maximum(clock - plan.duration[stage], 0.0)
+    return jnp.where(plan.swing[stage][:, None], grip.creep * late * grip.inward[stage], 0.0)
+
+
+def offset(grip: Grip, stage: Int[Array, ""], phase: Float[Array, ""]) -> Float[Array, "6 3"]:
+    """Planned offset of the targets (rad), linear between its moments."""
+    last = grip.offset.shape[1] - 1
+    before = jnp.minimum((phase * last).astype(jnp.int32), last - 1)
+    share = phase * last - before
+    return (1 - share) * grip.offset[stage, before] + share * grip.offset[stage, before + 1]
