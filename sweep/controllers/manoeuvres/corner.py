@@ -21,7 +21,7 @@ from sweep.parameters import choice, count, parameters, quantity
 
 STAND = 0.5  # s, before the first and after the last swing
 FRONT, MIDDLE, REAR = GALLOP
-PITCH = np.arcsin([0.0, 0.42, 0.64, 1.0])  # after each of the first three swings: sin theta = zeta_s/a_r of (2.4.1)
+PITCH = np.arcsin([0.0, 0.42, 0.55, 1.0])  # after each of the first three swings: sin theta = zeta_s/a_r of (2.4.1)
 # e of stage 2.4.5
 SLANTED = SIDE[:, None] * np.array([1.0, 0.0, 0.0]) + np.array([0.0, 0.0, 0.9])
 
@@ -31,9 +31,13 @@ class Site(NamedTuple):
 
     length: Array | float  # a_r
     track: Array | float  # x_f, half the distance between the tracks on the walls
+    floor_track: Array | float  # half the distance between the feet on the floor
     edge: Array | float  # eta of the corner's edge
     clearance: Array | float  # zeta_f, of the base above the floor
     standoff: Array | float  # eta_f, of the vertical base
+    span: Array | float  # from the rear to the front feet on the wall
+    near: Array | float  # of the middle feet to the pair that swings next, at least
+    way: Array | float  # of a cycle of the gallop
     step: Step
     shift: Array | float  # s, that load goes from foot to foot before a swing
 
@@ -47,7 +51,11 @@ class Site(NamedTuple):
 
     def on_floor(self, legs: tuple[int, int], eta: Array | float) -> dict[int, Array]:
         """Footholds of a pair."""
-        return pair(legs, self.track, eta - self.edge, 0.0)
+        return pair(legs, self.floor_track, eta - self.edge, 0.0)
+
+    def between(self, feet: dict) -> Array:
+        """The upright base's centre half-way from the rear to the front feet."""
+        return self.at(0.0, self.standoff, (feet[FRONT] + feet[REAR]) / 2)
 
     def swing(
         self, name: str, goals: dict[int, Array], times: float = 1.0, plane: np.ndarray = OUTWARD, **body
@@ -66,6 +74,10 @@ class CornerClimb:
     cycles: int = count(1, at_least=0, at_most=100)  # of the gallop
     track_ratio: float = quantity(1 / 3, "a_r", above=0, at_most=1)  # x_f
     standoff_ratio: float = quantity(0.39, "a_r", above=0, at_most=2)  # eta_f
+    floor_track_ratio: float = quantity(0.43, "a_r", above=0, at_most=1)
+    span_ratio: float = quantity(1.3, "a_r", above=0, at_most=3)
+    near_ratio: float = quantity(0.24, "a_r", above=0, at_most=1)
+    way_ratio: float = quantity(0.14, "a_r", above=0, at_most=1)
     height_ratio: float = quantity(0.5, "a_r", above=0, at_most=2)  # zeta_f
     half_step_ratio: float = quantity(0.1, "a_r", above=0, at_most=0.5)  # d_x
     lift_ratio: float = quantity(0.05, "a_r", above=0, at_most=0.5)  # d_y
@@ -73,7 +85,7 @@ class CornerClimb:
     load_time: float = quantity(0.4, "s", above=0, at_most=10)  # for load to go from foot to foot before a swing
     friction_share: float = quantity(1.0, "-", above=0, at_most=1)  # of the believed friction, that is planned with
     torque_share: float = quantity(0.85, "-", above=0, at_most=1)  # of the drives' limit
-    least_normal: float = quantity(15.0, "N", at_least=0)
+    least_normal: float = quantity(8.0, "N", at_least=0)
     creep: float = quantity(0.0125, "m/s", at_least=0)  # of a foot that has missed the wall
     anchoring: float = quantity(0.01, "s", above=0)
     patience: float = quantity(0.5, "s", at_least=0)
@@ -83,8 +95,20 @@ class CornerClimb:
         a_r = belief.robot.body_length
         track = self.track_ratio * a_r
         step = Step(self.half_step_ratio * a_r, self.lift_ratio * a_r, stepping.swing_time(self.rate))
-        site = Site(a_r, track, track / jnp.tan(belief.obstacle.half_angle), self.height_ratio * a_r,
-                    self.standoff_ratio * a_r, step, self.load_time)  # fmt: skip
+        edge = track / jnp.tan(belief.obstacle.half_angle)
+        site = Site(
+            a_r,
+            track,
+            self.floor_track_ratio * a_r,
+            edge,
+            self.height_ratio * a_r,
+            self.standoff_ratio * a_r,
+            self.span_ratio * a_r,
+            self.near_ratio * a_r,
+            self.way_ratio * a_r,
+            step,
+            self.load_time,
+        )
         start, on, feet = get_on(site)
         spread, feet = spread_out(site, feet)
         up = gallop(site, feet, self.cycles)
@@ -102,7 +126,7 @@ def get_on(site: Site) -> tuple[Stance, list[Stage], dict]:
     """
     a_r, x = site.length, site.step.landing
     pivot = site.at(0.0, site.standoff, site.clearance)
-    floor = {**site.on_floor(FRONT, site.standoff + x), **site.on_floor(MIDDLE, site.standoff + a_r / 2 - x),
+    floor = {**site.on_floor(FRONT, site.standoff), **site.on_floor(MIDDLE, site.standoff + a_r / 2 - 1.6 * x),
              **site.on_floor(REAR, site.standoff + a_r)}  # fmt: skip
     start = Stance(jnp.stack([floor[leg] for leg in range(1, 7)]), pivot + point(0.0, a_r / 2, 0.0), jnp.array(TOWARDS))
 
@@ -111,8 +135,8 @@ def get_on(site: Site) -> tuple[Stance, list[Stage], dict]:
         centre = pivot + a_r / 2 * point(0.0, np.cos(pitch), np.sin(pitch))
         return {"position": centre, "pivot": pivot, "arc": angle, "turn": point(-angle, 0.0, 0.0)}
 
-    front = site.clearance + a_r - 5 * x
-    middle = front - 0.7 * a_r + x
+    front = site.clearance + a_r - 4.5 * x
+    middle = front - 0.7 * a_r + 0.5 * x
     rear = site.clearance - 3 * x
     upright = np.zeros((6, 3)) + np.array([0.0, 0.0, 1.0])
     stages = [
@@ -126,12 +150,12 @@ def get_on(site: Site) -> tuple[Stance, list[Stage], dict]:
 
 
 def spread_out(site: Site, feet: dict) -> tuple[list[Stage], dict]:
-    """2.4.6 and 2.4.8: middle feet near the rear ones, rear feet up, so that every stance has a long lever."""
+    """2.4.6 and 2.4.8: rear feet up, the middle ones out of their way first."""
     feet = dict(feet)
-    low = feet[FRONT] - 1.343 * site.length
-    feet[MIDDLE], feet[REAR] = low + 0.095 * site.length, low + 0.25 * site.length
+    feet[REAR] = feet[FRONT] - site.span
+    feet[MIDDLE] = feet[REAR] + site.near
     stages = [
-        *site.swing("2.4.6", site.on_wall(MIDDLE, feet[MIDDLE])),
+        *site.swing("2.4.6", site.on_wall(MIDDLE, feet[MIDDLE]), 2.0, position=site.between(feet)),
         *site.swing("2.4.8", site.on_wall(REAR, feet[REAR])),
     ]
     return stages, feet
@@ -139,14 +163,13 @@ def spread_out(site: Site, feet: dict) -> tuple[list[Stage], dict]:
 
 def gallop(site: Site, feet: dict, cycles: int) -> list[Stage]:
     """2.4.2, end: the middle feet go near the pair that swings next, up with the base and down again."""
-    stages, feet, near, way = [], dict(feet), 0.143 * site.length, 0.25 * site.length
+    stages, feet = [], dict(feet)
     for k in range(cycles):
-        base = (feet[FRONT] + feet[REAR] + way) / 2
-        centre = site.at(0.0, site.standoff, base)
-        stages += site.swing(f"gallop{k + 1}.up", site.on_wall(MIDDLE, feet[FRONT] - near), position=centre)
-        feet[FRONT] = feet[FRONT] + way
+        low = feet[FRONT] - site.near
+        feet[FRONT] = feet[FRONT] + site.way
+        stages += site.swing(f"gallop{k + 1}.up", site.on_wall(MIDDLE, low), 1.5, position=site.between(feet))
         stages += site.swing(f"gallop{k + 1}.front", site.on_wall(FRONT, feet[FRONT]))
-        stages += site.swing(f"gallop{k + 1}.down", site.on_wall(MIDDLE, feet[REAR] + near))
-        feet[REAR] = feet[REAR] + way
+        feet[REAR] = feet[REAR] + site.way
+        stages += site.swing(f"gallop{k + 1}.down", site.on_wall(MIDDLE, feet[REAR] + site.near))
         stages += site.swing(f"gallop{k + 1}.rear", site.on_wall(REAR, feet[REAR]))
     return stages
