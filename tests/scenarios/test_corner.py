@@ -10,7 +10,7 @@ from sweep.runner import run_single
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ["mjx", "native"])
 def test_the_corner_is_climbed_as_planned(engine):
-    """Friction 1.1, 380 N m: no foot slips, and the base is where the plan has it though the cone is all but used up."""
+    """At friction 1.1 and 380 N m no foot slips, and the base is where the plan has it; the cone is all but used up."""
     row = run_single(compose(["scenario=corner_climb", f"engine={engine}", "manoeuvre.cycles=1"])).iloc[0]
     assert row["outcome"] == "success"
     assert row["slip_max_m"] < 0.01
