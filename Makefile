@@ -20,6 +20,10 @@ test: setup lint types
 slow: setup
 	$(BIN)/pytest -m slow
 
+# needs Debian's slurm-wlm and munge, which the tests start and stop themselves
+slurm: setup
+	$(BIN)/pytest -m slurm -rs
+
 lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .

@@ -5,6 +5,7 @@ A cluster hands out the numbers of batches; all else is in the study's folder, w
 
 import logging
 import signal
+import subprocess
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
@@ -94,7 +95,7 @@ class Slurm:
 
     @contextmanager
     def connect(self) -> Iterator[Dispatch]:
-        """Send the jobs; Slurm starts them when it can."""
+        """Send the jobs; Slurm starts them when it can. Raises `InputError` where it never would."""
         distributed, jobqueue = _dask("distributed", self.kind), _dask("dask_jobqueue", self.kind)
         cluster = jobqueue.SLURMCluster(
             cores=self.cores, processes=1, memory=self.memory, walltime=self.walltime, queue=self.queue,
@@ -104,6 +105,7 @@ class Slurm:
             worker_extra_args=["--nthreads", "1", "--memory-limit", "0"], scheduler_options=QUIET_SCHEDULER,
         )  # fmt: skip
         with cluster, distributed.Client(cluster) as client:
+            _check_job(cluster.job_script())
             cluster.adapt(minimum_jobs=self.workers, maximum_jobs=self.workers)
             yield partial(_spread, client)
 
@@ -123,6 +125,17 @@ def _dask(module: str, kind: str) -> Any:
         return import_module(module)
     except ImportError:
         raise InputError(f"cluster = {kind} needs the extra `cluster`: pip install 'insect-sweep[cluster]'") from None
+
+
+def _check_job(script: str) -> None:
+    """Ask Slurm whether it would take the job: Dask would send it for ever. Raises `InputError`."""
+    try:
+        asked = subprocess.run(["sbatch", "--test-only"], input=script, capture_output=True, text=True, check=False)
+    except FileNotFoundError:
+        raise InputError("cluster = slurm needs Slurm's sbatch on the PATH") from None
+    if asked.returncode:
+        lines = [line.partition("error: ")[2] for line in asked.stderr.splitlines() if "error: " in line]
+        raise InputError(f"cluster = slurm is not allowed as asked for, says sbatch: {'; '.join(lines)}")
 
 
 def _ignore_interrupt() -> None:

@@ -32,8 +32,9 @@ def wait_for(folder: Path, parts: int, process: subprocess.Popen) -> None:
     """Until so many parts are on disk, while `process` runs."""
     deadline = time.monotonic() + 120
     while len(store.finished(folder)) < parts:
-        assert process.poll() is None, process.communicate()
-        assert time.monotonic() < deadline
+        if process.poll() is not None or time.monotonic() > deadline:
+            process.kill()
+            raise AssertionError(process.communicate())
         time.sleep(0.01)
 
 
