@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 
 import hydra
 import pandas as pd
@@ -15,7 +16,7 @@ from omegaconf.errors import OmegaConfBaseException
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from sweep import config, designs, runner, store
+from sweep import config, designs, provenance, runner, store
 from sweep.config import Experiment
 from sweep.errors import Fault, InputError
 from sweep.report import tables
@@ -123,15 +124,35 @@ def summary(name: str, rows: pd.DataFrame) -> str:
 
 
 def forecast(job: runner.Job) -> str:
-    """What a run would do: rollouts, batches, and the time where earlier batches tell it."""
+    """What a run would do: rollouts, batches, and the time where an earlier batch tells it."""
     missing = job.rows(job.missing())
     sizes = missing.groupby(["group", "width"])["batch"].nunique()
     parts = [f"{count} batches of {width}" for (_, width), count in sizes.items()]  # pyright: ignore[reportGeneralTypeIssues]
     text = f"{job.exp.study.name}: {len(missing)} of {len(job.table)} rollouts to run ({', '.join(parts) or 'none'})"
-    if store.finished(job.folder) and len(missing):
-        seconds = store.read_rows(job.folder)["wall_s"].median() * len(missing)
-        text += f", about {seconds:.0f} s and the time to compile"
+    if len(missing):
+        text += f", {duration(job, missing)}"
     return f"{text}\n{axes_table(job.exp)}" if job.exp.study.axes and not job.exp.study.points else text
+
+
+def duration(job: runner.Job, missing: pd.DataFrame) -> str:
+    """The time that `missing` rollouts take by the last batch of this study, or of the latest like it beside it."""
+    beside = sorted(job.folder.parent.glob(f"*/{store.STUDY}"), key=lambda p: p.stat().st_mtime, reverse=True)
+    for folder in (job.folder, *(path.parent for path in beside)):
+        if (seconds := pace(folder, job)) is not None:
+            return f"about {len(missing) * seconds:.0f} s by the pace of {folder}, and the time to compile"
+    return f"time unknown before a first batch, as by --limit {missing['width'].iloc[0]}"
+
+
+def pace(folder: Path, job: runner.Job) -> float | None:
+    """Wall time of a rollout (s) in the last batch of `folder`, if its scenario, engine and device are those here."""
+    try:
+        stored, done = store.read_study(folder), store.finished(folder)
+        config, exp = stored["config"], job.exp
+        same = (config["scenario"]["name"], config["engine"]["name"]) == (exp.scenario, exp.settings.name)
+        same &= provenance.device(exp.settings) in stored["devices"]
+        return float(store.read_part(folder, max(done))["wall_s"].iloc[0]) if done and same else None
+    except (InputError, KeyError):  # damaged, or of an earlier layout
+        return None
 
 
 def axes_table(exp: Experiment) -> str:

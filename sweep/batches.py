@@ -131,16 +131,16 @@ def among(rows: pd.DataFrame, others: pd.DataFrame) -> np.ndarray:
 def _even_width(exp: Experiment, rows: pd.DataFrame) -> int:
     """The width asked for; else the device's best, evened out so that the last batch is nearly full.
 
-    Raises `InputError` where neither is known.
+    Raises `InputError` where neither is known, and where the nominal plan is impossible.
     """
     start = nominal(exp, rows, exp.settings.width)
-    if start.settings.width:
-        return start.settings.width
-    if exp.cluster.elsewhere:
+    if exp.cluster.elsewhere and not start.settings.width:
         raise InputError(
             f"cluster = {exp.cluster.kind} needs engine.width, as the workers' devices are not seen from here: "
             "rollouts in a batch, such as 64 for two CPU cores or 32768 for a GPU"
         )
-    engine = make_engine(exp, start)
+    engine = make_engine(exp, start)  # refuses an impossible plan while nothing is written yet
+    if start.settings.width:
+        return start.settings.width
     even = -(-len(rows) // -(-len(rows) // engine.width))
     return -(-even // engine.devices) * engine.devices

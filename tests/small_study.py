@@ -20,10 +20,11 @@ def content(folder: Path) -> pd.DataFrame:
     return store.read_rows(folder).drop(columns=list(store.TIMING))
 
 
-def start(folder: Path, *overrides: str, **environment: str) -> subprocess.Popen:
-    """The study in a process group of its own; Dask workers have the fake engine too."""
+def start(folder: Path, *overrides: str, fake: bool = True, **environment: str) -> subprocess.Popen:
+    """The study in a process group of its own; Dask workers have the fake engine too, unless it is the real one."""
     paths = {"PYTHONPATH": str(FAKE.parent), "DASK_DISTRIBUTED__WORKER__PRELOAD": '["fake_engine"]'}
-    command = [sys.executable, str(FAKE), "run", *STUDY, f"out={folder}", *overrides]
+    program = [str(FAKE)] if fake else ["-m", "sweep.cli"]
+    command = [sys.executable, *program, "run", *STUDY, f"out={folder}", *overrides]
     return subprocess.Popen(command, env={**os.environ, **paths, **environment}, stdout=subprocess.PIPE,
                             stderr=subprocess.PIPE, text=True, start_new_session=True)  # fmt: skip
 

@@ -4,6 +4,7 @@ import random
 import resource
 import signal
 import subprocess
+import time
 
 import numpy as np
 import pandas as pd
@@ -138,3 +139,43 @@ def test_figures_that_are_not_finite_make_a_row_invalid_and_leave_its_neighbours
     assert set(rows.loc[poisoned, "outcome"]) == {"invalid"}
     assert set(rows.loc[poisoned, "cause"]) == {"not_finite"}
     assert not np.isin("invalid", rows.loc[~poisoned, "outcome"])
+
+
+ABSURD = {"robot.shin": "1e-9", "robot.body_mass": "1e15", "contact.stiffness": "1e30", "robot.thigh": "1e9"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ["mjx", "native"])
+def test_absurd_sizes_are_invalid_rows_and_their_neighbours_untouched(tmp_path, monkeypatch, engine):
+    """On the real engines: the first row and the last are the same bits whatever lies between them."""
+    monkeypatch.undo()
+    nominal = {"robot.shin": "0.335", "robot.body_mass": "10", "contact.stiffness": "1e6", "robot.thigh": "0.52"}
+    sound = [nominal, *(nominal | {"robot.body_mass": mass} for mass in ("9", "8", "11", "12")),
+             nominal | {"robot.body_mass": "10.5"}]  # fmt: skip
+    absurd = [sound[0], *(nominal | {key: value} for key, value in ABSURD.items()), sound[-1]]
+    for name, points in (("sound", sound), ("absurd", absurd)):
+        pd.DataFrame(points).to_csv(tmp_path / f"{name}.csv", index=False)
+        options = ["engine.width=6", "manoeuvre.steps=1", "study.invalid_max=1", f"out={tmp_path / name}"]
+        assert main(["run", f"engine={engine}", "--points", str(tmp_path / f"{name}.csv"), *options]) == 0
+    sound, absurd = content(tmp_path / "sound"), content(tmp_path / "absurd")
+    pd.testing.assert_frame_equal(absurd.iloc[[0, 5]], sound.iloc[[0, 5]])
+    assert set(absurd["outcome"][[0, 5]]) == {"success"}
+    assert "success" not in set(absurd["outcome"][1:5]), absurd["outcome"]
+    assert (absurd["outcome"][1:5] == "invalid").sum() >= 2
+
+
+@pytest.mark.slow
+def test_kills_of_the_real_engine_leave_the_same_rows(tmp_path, monkeypatch):
+    monkeypatch.undo()
+    study = [*STUDY[:2], "study.axes.step.num=3", *STUDY[3:], "manoeuvre.steps=1"]
+    assert main(["run", *study, f"out={tmp_path / 'whole'}"]) == 0
+    out, moments = tmp_path / "killed", random.Random(2)
+    for parts in (0, 1, 2):
+        process = start(out, *study[2:], fake=False)
+        wait_for(out, parts, process)
+        time.sleep(moments.uniform(0, 0.5))
+        process.kill()
+        process.communicate()
+    assert len(store.finished(out)) >= 2
+    assert main(["run", *study, f"out={out}"]) == 0
+    pd.testing.assert_frame_equal(content(out), content(tmp_path / "whole"))

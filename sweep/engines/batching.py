@@ -7,12 +7,22 @@ import numpy as np
 from jaxtyping import Array
 
 from sweep.case import Case
+from sweep.controllers.plan import Plan
 from sweep.controllers.tracker import Command, TrackerState
 from sweep.engines.base import Trace
 from sweep.engines.settings import EngineSettings
 from sweep.metrics.stream import Tick
 from sweep.models.step import Limits
 from sweep.parameters import InputError
+
+
+def nominal_plan(belief: Case) -> Plan:
+    """The plan by plain numbers. Raises `InputError` where they admit none; a swept row is then invalid."""
+    plan = belief.manoeuvre.plan(belief)
+    if not all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(plan)):
+        kinds = f"manoeuvre = {belief.manoeuvre.kind} on obstacle = {belief.obstacle.kind}"
+        raise InputError(f"{kinds} has no plan for the sizes given: a foothold or a path is out of the robot's reach")
+    return plan
 
 
 def step_time(settings: EngineSettings) -> float:

@@ -61,7 +61,7 @@ class Mjx:
         with devices.precision(settings):
             self.topology = dynamics.topology(world)
             self._data = mjx.make_data(self.topology.model)
-            plan = belief.manoeuvre.plan(belief)
+            plan = batching.nominal_plan(belief)
             self.stages = plan.names
             self.duration = float(GRACE * np.sum(plan.duration))
         self._compiled: dict[Any, tuple[Callable, Callable, Callable]] = {}

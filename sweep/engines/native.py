@@ -28,6 +28,7 @@ from sweep.engines.pilot import (
     start_state,
 )
 from sweep.engines.settings import EngineSettings
+from sweep.errors import InputError
 from sweep.metrics import stream
 from sweep.metrics.outcome import Thresholds
 from sweep.metrics.stream import Tick
@@ -71,11 +72,12 @@ class Native:
     def __init__(self, settings: EngineSettings, world: Case, belief: Case, limits: Thresholds | None = None):
         devices.configure()
         self.settings = settings
+        self._nominal = world
         self.limits = limits or Thresholds()
         self.substeps = batching.substeps(settings)
         self.devices = 1  # threads share it
         self.width = settings.width or devices.CPU_WIDTH
-        plan = belief.manoeuvre.plan(belief)
+        plan = batching.nominal_plan(belief)
         self.stages = plan.names
         self.duration = float(GRACE * np.sum(plan.duration))
         self._compiled: dict[Any, tuple[Callable, Callable, Callable]] = {}
@@ -99,7 +101,7 @@ class Native:
         batching.check(streams, self.width)
         with devices.precision(self.settings):
             start, tick, finish = self._functions(world, belief)
-            models = [native_model(batching.pick(world, i), self.settings.native_time_step) for i in range(self.width)]
+            models, unbuilt = self._models(world)
             batch = Batch(models[0], self.width)
             batch.set_models(models)
             arrays = (*devices.as_arrays((world, belief)), devices.keys(streams))
@@ -113,7 +115,7 @@ class Native:
                 if plans.flywheel is not None:
                     told = _retune(batch, models, told, _gains(pilots.servo))
                 steps = batch.rollout(self.substeps, np.asarray(controls, float), CONTROL, RECORD)
-                steps["broken"] = np.any(batch.warning[:, :, 0] > 0, axis=1)
+                steps["broken"] = unbuilt | np.any(batch.warning[:, :, 0] > 0, axis=1)
                 if k == 0:  # derived fields are those before a step, hence the start's
                     pilots = _with_energy(pilots, steps["energy"][:, 0].sum(axis=-1))
                 if slot is not None:
@@ -122,6 +124,20 @@ class Native:
                 if bool(np.all(pilots.running.over)):
                     break
             return {name: np.asarray(values) for name, values in finish(plans, pilots).items()}, records
+
+    def _models(self, world: Case) -> tuple[list[mujoco.MjModel], np.ndarray]:
+        """Each row's model, and which rows cannot be built: absurd sizes, in whose place the nominal model runs."""
+        models: list[mujoco.MjModel | None] = []
+        for i in range(self.width):
+            try:
+                models.append(native_model(batching.pick(world, i), self.settings.native_time_step))
+            except InputError:
+                raise
+            except ValueError:  # of MuJoCo's compiler
+                models.append(None)
+        unbuilt = np.array([model is None for model in models])
+        stand_in = native_model(self._nominal, self.settings.native_time_step) if unbuilt.any() else None
+        return [model or stand_in for model in models], unbuilt  # pyright: ignore[reportReturnType]
 
     def _functions(self, world: Case, belief: Case) -> tuple[Callable, Callable, Callable]:
         """Compiled `start`, `tick` (measure the last tick, decide the next) and `finish` over the batch."""

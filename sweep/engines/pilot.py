@@ -22,7 +22,7 @@ from sweep.models.execution import Execution
 from sweep.models.obstacles.surface import FreeState, no_bodies, poses
 
 GRACE = 1.2  # a rollout is over at this multiple of its planned duration, finished or not
-LONGEST = 3600.0  # s; a rollout that takes longer is not finished: absurd parameters must not hold up a batch
+LONGEST = 600.0  # s; a rollout that takes longer is cut off unfinished: absurd parameters must not hold up a batch
 
 
 class Pilot(NamedTuple):

@@ -9,6 +9,7 @@ from sweep.case import Case
 from sweep.controllers.manoeuvres.walk import STAND, on_ground, standing
 from sweep.controllers.plan import ELLIPTIC, HALF_ELLIPSE, Plan, Stage, assemble
 from sweep.controllers.posture import outward
+from sweep.errors import InputError
 from sweep.formulas.thesis import thesis_fk, thesis_step, thesis_workspace
 from sweep.models.robot import Robot
 from sweep.parameters import choice, count, parameters, quantity
@@ -46,9 +47,15 @@ class Waypoints:
         """Stand, two stages a cycle, halt.
 
         The body is called to the last way point at the end even if the steps fell short of it: `cycles` too few are
-        then seen as legs out of reach, not as a success.
+        then seen as legs out of reach, not as a success. Raises `InputError` where plain numbers for thigh and shin
+        do not fit; rows in which they vary are then not a number, hence invalid.
         """
         robot = belief.robot
+        if all(isinstance(size, float) for size in (robot.thigh, robot.shin)) and robot.shin <= robot.thigh:
+            raise InputError(
+                f"robot.shin = {robot.shin:g} is not allowed: greater than robot.thigh = {robot.thigh:g} m for "
+                "manoeuvre = waypoints"
+            )
         spread, height = self.home(robot)
         start, centres = standing(belief, spread, height)
         lift = height - (robot.shin - robot.thigh)  # h: the foot stays below z = l2 - l3, where OA of (19) grows
