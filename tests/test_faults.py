@@ -141,7 +141,7 @@ def test_figures_that_are_not_finite_make_a_row_invalid_and_leave_its_neighbours
     assert not np.isin("invalid", rows.loc[~poisoned, "outcome"])
 
 
-ABSURD = {"robot.shin": "1e-9", "robot.body_mass": "1e15", "contact.stiffness": "1e30", "robot.thigh": "1e9"}
+ABSURD = {"robot.shin": "1e-9", "robot.body_mass": "1e15", "drive.stiffness": "1e300", "robot.thigh": "1e9"}
 
 
 @pytest.mark.slow
@@ -149,7 +149,7 @@ ABSURD = {"robot.shin": "1e-9", "robot.body_mass": "1e15", "contact.stiffness": 
 def test_absurd_sizes_are_invalid_rows_and_their_neighbours_untouched(tmp_path, monkeypatch, engine):
     """On the real engines: the first row and the last are the same bits whatever lies between them."""
     monkeypatch.undo()
-    nominal = {"robot.shin": "0.335", "robot.body_mass": "10", "contact.stiffness": "1e6", "robot.thigh": "0.52"}
+    nominal = {"robot.shin": "0.335", "robot.body_mass": "10", "drive.stiffness": "4.5e4", "robot.thigh": "0.52"}
     sound = [nominal, *(nominal | {"robot.body_mass": mass} for mass in ("9", "8", "11", "12")),
              nominal | {"robot.body_mass": "10.5"}]  # fmt: skip
     absurd = [sound[0], *(nominal | {key: value} for key, value in ABSURD.items()), sound[-1]]

@@ -77,8 +77,9 @@ def form(tree: Any) -> Any:
 
 
 def as_arrays(tree: Any) -> Any:
-    """Leaves as JAX arrays of the default float type."""
-    return jax.tree.map(lambda x: jnp.asarray(x, float), tree)
+    """Leaves as JAX arrays of the default float type; what is too large for it becomes infinite, its row invalid."""
+    with np.errstate(over="ignore"):
+        return jax.tree.map(lambda x: jnp.asarray(x, float), tree)
 
 
 def keys(streams: np.ndarray) -> Array:

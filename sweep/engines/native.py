@@ -1,5 +1,6 @@
 """The second opinion: C MuJoCo with its own contact solver on a thread pool, under the same controller and metrics."""
 
+import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -71,6 +72,7 @@ class Native:
 
     def __init__(self, settings: EngineSettings, world: Case, belief: Case, limits: Thresholds | None = None):
         devices.configure()
+        mujoco.set_mju_user_warning(lambda _: None)  # or it fills screen and disk; a row that it is about is invalid
         self.settings = settings
         self._nominal = world
         self.limits = limits or Thresholds()
@@ -130,7 +132,8 @@ class Native:
         models: list[mujoco.MjModel | None] = []
         for i in range(self.width):
             try:
-                models.append(native_model(batching.pick(world, i), self.settings.native_time_step))
+                with warnings.catch_warnings(action="ignore", category=UserWarning):  # as of a singular inertia
+                    models.append(native_model(batching.pick(world, i), self.settings.native_time_step))
             except InputError:
                 raise
             except ValueError:  # of MuJoCo's compiler
