@@ -16,7 +16,7 @@ from omegaconf.errors import OmegaConfBaseException
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from sweep import config, designs, provenance, runner, store
+from sweep import config, designs, provenance, refine, runner, store
 from sweep.config import Experiment
 from sweep.errors import Fault, InputError
 from sweep.report import tables
@@ -65,25 +65,32 @@ def execute(exp: Experiment, flags: Flags) -> int:
     if exp.study.single and not exp.out:
         return execute_single(exp, flags)
     folder = exp.folder
-    wanted = runner.wanted_points(exp, flags.where, flags.limit)
+    first = runner.wanted_points(exp, flags.where, flags.limit)
+    refining = exp.study.refined and flags.where is None and flags.limit is None
+    if exp.study.refined:
+        refine.check(exp.study, first)
     if line := designs.caution(exp.study.design):
         print(f"sweep: {line}", file=sys.stderr)
     if flags.dry_run:
-        print(forecast(runner.lay_out(exp, folder, wanted)))
+        print(forecast(runner.lay_out(exp, folder, first)))
         return DONE
     with store.locked(folder):
         for line in store.discard_damaged(folder):
             print(f"sweep: {line}", file=sys.stderr)
             store.log(folder, line)
-        job = runner.lay_out(exp, folder, wanted)
-        start, todo = time.perf_counter(), len(job.rows(job.missing()))
-        with reporting(exp.study.name, todo) as report:
-            job = runner.run(job, report)
+        done, start = 0, time.perf_counter()
+        for job in refine.rounds(exp, folder, first) if refining else [runner.lay_out(exp, folder, first)]:
+            todo = len(job.rows(job.missing()))
+            with reporting(exp.study.name, todo) as report:
+                job = runner.run(job, report)
+            done += todo
         seconds = time.perf_counter() - start
-        print(f"{todo} rollouts in {seconds:.1f} s ({todo / seconds:.1f} a second)", file=sys.stderr)
+        print(f"{done} rollouts in {seconds:.1f} s ({done / seconds:.1f} a second)", file=sys.stderr)
         rows = store.read_rows(folder)
-        complete = len(rows) == len(job.table) and len(wanted) == len(runner.wanted_points(exp))
+        complete = len(rows) == len(job.table) and (refining or len(first) == len(runner.wanted_points(exp)))
     print(summary(exp.study.name, rows))
+    if exp.study.refined:
+        print("\n".join(f"refined: {one}" for one in refine.refined(exp, rows)))
     print(f"{len(rows)} of {len(job.table)} planned rollouts are in {folder}")
     return verdict(exp, rows, complete)
 

@@ -70,6 +70,10 @@ class StudySchema:
     where: str | None = None
     replicates: int = 1
     seed: int = 0
+    resolution: float = 0.0
+    level: float = 0.5
+    budget: int = 0
+    audit: int = 0
     invalid_max: float = 0.01
     expect: list[Any] = field(default_factory=list)
 
@@ -164,7 +168,7 @@ def experiment(values: Mapping[str, Any]) -> Experiment:
     cluster = parts.pop("cluster")
     case = Case(**parts)
     scenario = values["scenario"]
-    chosen = values["study"]
+    chosen = {**dataclasses.asdict(StudySchema()), **values["study"]}  # rows of before a key was there had its default
     single = not (chosen["name"] or chosen["axes"] or chosen["points"] or chosen["replicates"] != 1)
     if single:
         chosen = {**chosen, "expect": scenario["expect"]}

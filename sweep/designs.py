@@ -256,14 +256,17 @@ def _distribution(key: str, given: Any) -> Distribution:
     return Distribution(kind, numbers)
 
 
-def table(axes: tuple[Axis, ...], design: Design, seed: int, nominal: Callable[[str], Any]) -> pd.DataFrame:
+def table(
+    axes: tuple[Axis, ...], design: Design, seed: int, nominal: Callable[[str], Any], grid: pd.DataFrame | None = None
+) -> pd.DataFrame:
     """One row per draw of each grid point: the axes' columns, and `draw`. `nominal` gives a parameter by its path.
 
-    The draws are the same at every grid point, so that a difference between grid points is theirs. Raises
-    `InputError`.
+    The draws are the same at every grid point, so that a difference between grid points is theirs. `grid` has the
+    numbers of listed axes by name, those of the design unless given. Raises `InputError`.
     """
     listed, drawn = [a for a in axes if a.values is not None], [a for a in axes if a.distribution]
-    grid = _star(listed, nominal) if listed and design.grid == "one_at_a_time" else _grid(listed)
+    if grid is None:
+        grid = _star(listed, nominal) if listed and design.grid == "one_at_a_time" else _grid(listed)
     shares = _shares(drawn, design, seed)
     draws = {a.name: a.distribution.quantile(shares[:, i]) for i, a in enumerate(drawn) if a.distribution}
     size, count = len(grid), max(len(shares), 1)

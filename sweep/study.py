@@ -48,8 +48,22 @@ class Study:
     where: str | None  # points to keep
     replicates: int
     seed: int
+    resolution: float  # cells that disagree are halved until they are this share of their axis; 0: not at all
+    level: float  # of the success region, where rollouts of a point differ
+    budget: int  # most rollouts that refinement may take; 0: no limit
+    audit: int  # random points in decided cells that are run as a check
     invalid_max: float  # largest tolerated share of invalid rows
     expect: tuple[Expectation, ...]
+
+    @property
+    def refined(self) -> bool:
+        """Whether what to run next depends on what was found."""
+        return self.resolution > 0 or self.budget > 0
+
+    @property
+    def noisy(self) -> bool:
+        """Whether rollouts of one grid point differ."""
+        return self.replicates > 1 or self.design.num > 0
 
     @classmethod
     def parse(cls, values: Mapping[str, Any], single: bool) -> "Study":
@@ -58,6 +72,13 @@ class Study:
             raise InputError(f"study.replicates = {values['replicates']} is not allowed: at least 1")
         if values["seed"] < 0:
             raise InputError(f"study.seed = {values['seed']} is not allowed: at least 0")
+        if not 0 < values["level"] < 1:
+            raise InputError(f"study.level = {values['level']:g} is not allowed: between 0 and 1")
+        if not 0 <= values["resolution"] < 1:
+            raise InputError(f"study.resolution = {values['resolution']:g} is not allowed: at least 0 and below 1")
+        for key in ("budget", "audit"):
+            if values[key] < 0:
+                raise InputError(f"study.{key} = {values[key]} is not allowed: at least 0")
         if "/" in values["name"]:
             raise InputError(f"study.name = {values['name']!r} is not allowed: a folder name")
         axes = designs.parse_axes(values["axes"])
@@ -129,15 +150,16 @@ def parameter_columns(table: pd.DataFrame) -> list[str]:
     return [c for c in table.columns if "." in c and not c.startswith("axis.")]
 
 
-def points(study: Study, case: Case, settings: EngineSettings) -> pd.DataFrame:
+def points(study: Study, case: Case, settings: EngineSettings, grid: pd.DataFrame | None = None) -> pd.DataFrame:
     """One row per rollout: axis values, replicate, noise stream and point id. Raises `InputError`.
 
-    The replicates of a drawn point have numbers of their own, and with them noise of their own.
+    The replicates of a drawn point have numbers of their own, and with them noise of their own. `grid` takes the place
+    of the study's grid points (see `designs.table`).
     """
     if study.points:
         design = _from_csv(study.points)
     else:
-        design = designs.table(study.axes, study.design, study.seed, lambda path: nominal(path, case, settings))
+        design = designs.table(study.axes, study.design, study.seed, lambda path: nominal(path, case, settings), grid)
     draw = design.pop("draw") if not study.points else 0
     fields = {c: parameter(c, case, settings) for c in design.columns if not c.startswith("axis.")}
     for column, member in fields.items():

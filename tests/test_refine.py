@@ -1,0 +1,182 @@
+import re
+
+import numpy as np
+import pandas as pd
+import pytest
+from fake_engine import FakeEngine
+
+import sweep.engines
+from sweep import refine, store
+from sweep.cli import main
+from sweep.config import compose, experiment
+from sweep.refine import FAILS, MISSING, SUCCEEDS, bisected, filled
+
+FRICTION = "study.axes.friction={path: contact.friction, on: world, from: 0.05, to: 1.2, num: 9}"
+STEP = "study.axes.step={path: manoeuvre.half_step_ratio, from: 0.03, to: 0.2, num: 9}"
+AXES = ["study=walk_map", "study.expect=[]", FRICTION, STEP]
+
+
+def explored(truth, halvings):
+    """The points that bisection asks for, told the truth round by round."""
+    label = np.full(truth.shape, MISSING)
+    while ((wanted := bisected(label, halvings)) & (label == MISSING)).any():
+        label[wanted] = truth[wanted]
+    return label
+
+
+def disc(n):
+    x, y = np.meshgrid(*[np.linspace(0, 1, n)] * 2, indexing="ij")
+    return np.where((x - 0.4) ** 2 + (y - 0.55) ** 2 < 0.09, SUCCEEDS, FAILS)
+
+
+def test_bisection_finds_a_disc_with_ten_times_fewer_points():
+    truth = disc(129)
+    label = explored(truth, 4)
+    assert (label != MISSING).sum() < truth.size / 10
+    assert (filled(label, 4) == truth).all()
+
+
+def test_a_strip_that_leaves_a_cell_through_its_side_is_followed():
+    truth = np.full((65, 65), FAILS)
+    truth[20:23] = SUCCEEDS  # thinner than a cell of the first grid: seen only where it is met
+    truth[16:33, 14:18] = SUCCEEDS  # it joins the strip, and meets two points of the first grid
+    label = explored(truth, 4)
+    assert (filled(label, 4) == truth).all()
+
+
+def test_a_boundary_in_three_dimensions_and_along_one():
+    x, y, z = np.meshgrid(*[np.arange(33)] * 3, indexing="ij")
+    truth = np.where(x + 2 * y + z < 60, SUCCEEDS, FAILS)
+    label = explored(truth, 3)
+    assert (filled(label, 3) == truth).all()
+    assert (label != MISSING).mean() < 0.5
+    line = np.where(np.arange(1025) < 300, SUCCEEDS, FAILS)
+    label = explored(line, 10)
+    assert (label != MISSING).sum() == 2 + 10
+    assert (filled(label, 10) == line).all()
+
+
+def test_what_the_first_grid_does_not_meet_is_an_island_that_the_audit_can_meet():
+    truth = disc(129)
+    truth[1:15, 1:15] = SUCCEEDS
+    label = explored(truth, 4)
+    wrong = filled(label, 4) != truth
+    assert 0 < wrong.mean() < 14 * 14 / 129**2 + 1e-9
+
+
+@pytest.fixture
+def counted(monkeypatch):
+    """The engines that were made, by width."""
+    widths = []
+
+    class Counting(FakeEngine):
+        def __init__(self, settings, *others):
+            widths.append(settings.width)
+            super().__init__(settings, *others)
+
+    monkeypatch.setattr(sweep.engines, "make", Counting)
+    return widths
+
+
+def test_a_refined_map_is_the_grid_with_ten_times_fewer_rollouts(tmp_path, capsys, counted):
+    refining = ["study.resolution=0.0078125", "study.audit=200", "engine.width=64"]
+    assert main(["run", *AXES, *refining, f"out={tmp_path}"]) == 0
+    out = capsys.readouterr().out
+    rows = store.read_rows(tmp_path)
+    exp = experiment(store.read_study(tmp_path)["config"])
+    (found,) = refine.refined(exp, rows)
+    assert found.grid.shape == (129, 129)
+    friction, ratio = np.meshgrid(*found.grid.values, indexing="ij")
+    truth = np.where(friction < 5 * ratio, FAILS, SUCCEEDS)
+    assert (found.label == truth).all()
+    assert found.rollouts < 129**2 / 10
+    assert found.audited == 200
+    assert found.missed == 0
+    assert found.missed_at_most == pytest.approx(1 - 0.025 ** (1 / 200))
+    assert re.search(
+        r"refined: \d+ rollouts for a grid of 129 x 129 points, 1\d\.\d times fewer; 0 of 200 audited", out
+    )
+    assert len(counted) == 1
+    assert main(["run", *AXES, *refining, f"out={tmp_path}"]) == 0  # nothing is left to run
+    assert len(store.read_rows(tmp_path)) == len(rows)
+
+
+def test_an_interrupted_refinement_goes_on_where_it_was(tmp_path, monkeypatch, fake_engine):
+    refining = [*AXES, "study.resolution=0.05", "study.axes.friction.num=5", "study.axes.step.num=5", "engine.width=16"]
+    assert main(["run", *refining, f"out={tmp_path / 'whole'}"]) == 0
+    limited = FakeEngine.run
+
+    def breaks(self, world, belief, streams, calls=[]):  # noqa: B006
+        calls.append(0)
+        if len(calls) == 4:
+            raise KeyboardInterrupt
+        return limited(self, world, belief, streams)
+
+    monkeypatch.setattr(FakeEngine, "run", breaks)
+    assert main(["run", *refining, f"out={tmp_path / 'broken'}"]) == 130
+    assert main(["run", *refining, f"out={tmp_path / 'broken'}"]) == 0
+    whole, broken = (store.read_rows(tmp_path / name).drop(columns="wall_s") for name in ("whole", "broken"))
+    pd.testing.assert_frame_equal(whole, broken)
+
+
+class NoisyEngine(FakeEngine):
+    """Succeeds with a probability that falls from 1 to 0 over friction 0 to 1, by the noise stream."""
+
+    def run(self, world, belief, streams):
+        figures = super().run(world, belief, streams)
+        friction = np.broadcast_to(world.contact.friction, streams.shape)
+        luck = np.random.default_rng(0).permutation(2**16)[streams % 2**16] / 2**16
+        return figures | {"tilt_max_deg": np.where(luck < friction, 40.0, 1.0)}
+
+
+NOISY = ["+study.axes.f={path: contact.friction, on: world, from: 0.05, to: 0.95, num: 10}", "study.name=noisy",
+         "study.replicates=20", "engine.width=64", "study.invalid_max=1"]  # fmt: skip
+
+
+def test_noisy_points_get_rollouts_until_decided_or_the_budget_is_spent(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(sweep.engines, "make", NoisyEngine)
+    assert main(["run", *NOISY, "study.level=0.7", "study.budget=6000", f"out={tmp_path}"]) == 0
+    rows = store.read_rows(tmp_path)
+    assert len(rows) <= 6000
+    spent = rows.groupby("world.contact.friction").size()
+    assert spent.iloc[[0, 1, -2, -1]].max() <= 90  # far from the level, which is at a friction of 0.3
+    assert spent[[0.25, 0.35]].min() > 200
+    exp = experiment(store.read_study(tmp_path)["config"])
+    (found,) = refine.refined(exp, rows)
+    assert found.label.tolist() == [SUCCEEDS] * 3 + [FAILS] * 7
+    assert found.undecided == 0
+    assert main(["run", *NOISY, "study.level=0.7", "study.budget=210", f"out={tmp_path / 'small'}"]) == 0
+    assert len(store.read_rows(tmp_path / "small")) == 210
+    assert "the interval still holds the level" in capsys.readouterr().out
+
+
+def test_draws_grow_where_a_condition_is_not_decided(tmp_path, monkeypatch):
+    monkeypatch.setattr(sweep.engines, "make", NoisyEngine)
+    drawn = [*NOISY, "study.replicates=1", "study.design.num=20", "+study.axes.s={path: robot.shin, relative: 0.02}"]
+    assert main(["run", *drawn, "study.budget=1000", f"out={tmp_path}"]) == 0
+    rows = store.read_rows(tmp_path)
+    assert rows.groupby("world.contact.friction").size().max() > 20
+    assert rows["robot.shin"].nunique() == rows["replicate"].nunique()
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (["study.resolution=0.01", "study.axes.friction.values=[1.0]"], "at least 2 values"),
+        (["study.resolution=0.01", "study.where='friction > 1'"], "refinement needs a full grid"),
+        (["study.resolution=0.01", "study.replicates=2"], "study.budget is missing"),
+        (["study.resolution=1"], "below 1"),
+        (["study.budget=2", "study.resolution=0.01"], "the first grid takes"),
+        (["study.level=1"], "study.level = 1"),
+    ],
+)
+def test_what_cannot_be_refined_is_refused(overrides, message, capsys, tmp_path, fake_engine):
+    assert main(["run", *AXES, *overrides, f"out={tmp_path / 'new'}"]) == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "new").exists()
+
+
+def test_the_finest_grid_holds_the_first_one():
+    grid = refine.lattice(compose([*AXES, "study.resolution=0.01", "study.axes.step.values=[0.1,0.11,0.2]"]).study)
+    assert grid.halvings == 7  # the widest cell is 0.9 of its axis
+    assert {0.1, 0.11, 0.2} <= set(grid.values[1])
