@@ -95,6 +95,12 @@ def parser() -> argparse.ArgumentParser:
     compare.add_argument("--tolerance", type=float, default=0.0, help="largest share of pairs whose outcome may differ")
     compare.add_argument("--figures", type=float, metavar="SHARE", help="largest typical relative change of a figure")
     compare.add_argument("-o", "--output", type=Path, help="write the pairs that differ as CSV")
+    audit = of_results(
+        "audit", audit_results, "rollouts next to the boundary again: at half the time step, in other ways"
+    )
+    audit.add_argument("--points", type=int, default=32, help="how many, drawn at random (32)")
+    audit.add_argument("--ways", default="again,half_step,float64,other_engine", help="separated by commas")
+    audit.add_argument("--where", help="only rows that match")
     judge = of_results("relabel", relabel, "judge stored rollouts by other thresholds, without simulating")
     judge.add_argument("thresholds", nargs="+", metavar="'KEY<VALUE'", help="such as 'slip_max_m<0.02'")
     command("replay", lambda _: DONE, "record one rollout of a study again; " + delegated.format("replay"))
@@ -246,6 +252,20 @@ def compare_results(given: argparse.Namespace) -> int:
     for line in broken:
         print(f"sweep: {line}", file=sys.stderr)
     return UNEXPECTED if broken else DONE
+
+
+def audit_results(given: argparse.Namespace) -> int:
+    """Flips among rollouts next to the boundary, simulated again."""
+    from sweep import app, audit
+    from sweep.report import results, tables
+
+    if given.points < 1:
+        raise InputError(f"--points = {given.points} is not allowed: at least 1")
+    found, ways = results.read(given.dir, given.where), names(given.ways) or []
+    with app.reporting("audit", given.points * len(ways)) as report:
+        audit.run(found, given.points, ways, report)
+    print(tables.page_table(audit.table(found)))
+    return DONE
 
 
 def relabel(given: argparse.Namespace) -> int:

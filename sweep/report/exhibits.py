@@ -9,6 +9,8 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from sweep import audit, compare
+from sweep.compare import SECOND
 from sweep.report import slices
 from sweep.report.labels import CAUSE_COLOURS, SUCCESS, axis_words, heading, words_and_unit
 from sweep.report.maps import pattern
@@ -44,6 +46,7 @@ def exhibits(results: Results) -> Iterator[Exhibit]:
     yield from effects(results)
     yield from causes(results)
     yield from distributions(results)
+    yield from audits(results)
 
 
 def maps(results: Results) -> Iterator[Exhibit]:
@@ -142,6 +145,39 @@ def distributions(results: Results) -> Iterator[Exhibit]:
     data = pd.concat(tables, ignore_index=True)
     caption = "Rollouts by what was measured in them; the dashed line is the threshold of failure or distrust."
     yield Exhibit("distributions", "Distributions", caption, data, lambda: _draw_distributions(results, data))
+
+
+def audits(results: Results) -> Iterator[Exhibit]:
+    """Which rollouts next to the boundary end otherwise when they are simulated in other ways."""
+    x_y, found = results.numeric[:2], dict(audit.done(results))
+    if len(x_y) < 2 or not found:
+        return
+    columns = ["point_id", *x_y, "outcome", f"outcome{SECOND}"]
+    parts = [pairs[columns].assign(simulated=audit.WAYS[way][0]) for way, pairs in found.items()]
+    data = pd.concat(parts, ignore_index=True)
+    caption = (
+        "Rollouts next to the boundary, simulated again: a dot where the outcome is the same, a cross where it flips."
+    )
+    yield Exhibit("audit", "Audit of the boundary", caption, data, lambda: _draw_audits(results, data))
+
+
+def _draw_audits(results: Results, data: pd.DataFrame) -> Figure:
+    x, y = results.numeric[:2]
+    ways = list(data.groupby("simulated", sort=False))
+    figure, spots = _panels(len(ways))
+    for (way, part), ax in zip(ways, spots, strict=True):
+        flips = compare.changed(part)
+        ax.plot(part.loc[~flips, x], part.loc[~flips, y], ".", color="#0072B2", label="same outcome")
+        ax.plot(part.loc[flips, x], part.loc[flips, y], "x", color="#D55E00", markersize=8, label="another")
+        ax.set_title(str(way), fontsize=9)
+        ax.set(xlabel=words_and_unit(x, results.exp), ylabel=words_and_unit(y, results.exp))
+        ax.set(xlim=_span(results.rows[x]), ylim=_span(results.rows[y]))
+    return figure
+
+
+def _span(values: pd.Series) -> tuple[float, float]:
+    low, high = float(values.min()), float(values.max())
+    return low - 0.05 * (high - low), high + 0.05 * (high - low)
 
 
 def limits(results: Results) -> dict[str, float]:

@@ -16,7 +16,7 @@ import yaml
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from sweep import store
+from sweep import audit, store
 from sweep.metrics.outcome import MEANING
 from sweep.report import tables
 from sweep.report.exhibits import exhibits
@@ -64,6 +64,8 @@ def render(results: Results) -> str:
         parameters=list(parameters(results)),
         reasons=[(cause, MEANING[cause], int((rows["cause"] == cause).sum())) for cause in results.causes_seen],
         typical=[(one, image(one), list(telling(one))) for one in typical(results)],
+        audit=list(audit.table(results).itertuples(index=False)),
+        audited=audit.about(results.folder),
         table=table(rows.head(ROWS)),
         configuration=yaml.safe_dump(results.stored["config"], sort_keys=False, allow_unicode=True),
         dates=dates(results.folder),

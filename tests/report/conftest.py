@@ -2,6 +2,7 @@ import fake_engine
 import pytest
 
 import sweep.engines
+from sweep import batches
 from sweep.cli import main
 
 
@@ -11,10 +12,10 @@ def folder(tmp_path_factory):
     out = tmp_path_factory.mktemp("study")
     axes = ["study.axes.friction.values=[0.1,0.3,0.5,0.7,0.9,7.0]", "study.axes.step.num=5",
             "+study.axes.damping={path: drive.damping, values: [500.0, 514.26, 530.0]}"]  # fmt: skip
-    real, sweep.engines.make = sweep.engines.make, fake_engine.FakeEngine
-    try:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sweep.engines, "make", fake_engine.FakeEngine)
+        batches.forget_engine()
         rest = ["study.expect=[]", "study.replicates=2", "engine.width=60", f"out={out}"]
         assert main(["run", "study=walk_map", *axes, *rest]) == 3
-    finally:
-        sweep.engines.make = real
+        batches.forget_engine()
     return out

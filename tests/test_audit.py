@@ -1,0 +1,93 @@
+import numpy as np
+import pytest
+from fake_engine import FakeEngine
+
+import sweep.engines
+from sweep import audit, batches, store
+from sweep.cli import main
+from sweep.report import page, results
+
+STUDY = ["run", "study=walk_map", "study.axes.friction.num=21", "study.axes.step.num=18", "study.expect=[]"]
+
+
+class CoarseEngine(FakeEngine):
+    """The boundary moves with the time step, and a little with the precision; the other engine agrees."""
+
+    def __init__(self, settings, world, belief, limits):
+        super().__init__(settings, world, belief, limits)
+        self.shift = {0.002: 0.0, 0.001: 0.03}[settings.time_step] + (0.005 if settings.precision == "float64" else 0)
+
+    def run(self, world, belief, streams):
+        figures = super().run(world, belief, streams)
+        friction = np.broadcast_to(world.contact.friction, (self.width,)) + self.shift
+        ratio = np.broadcast_to(belief.manoeuvre.half_step_ratio, (self.width,))
+        return figures | {"tilt_max_deg": np.where(friction < 5 * ratio, 40.0, 1.0)}
+
+
+@pytest.fixture
+def coarse_engine(monkeypatch):
+    monkeypatch.setattr(sweep.engines, "make", CoarseEngine)
+    batches.forget_engine()
+    yield
+    batches.forget_engine()
+
+
+def test_flips_tell_how_far_the_boundary_moves(coarse_engine, tmp_path, capsys):
+    assert main([*STUDY, f"out={tmp_path}"]) == 0
+    rows = store.read_rows(tmp_path)
+    near = audit.boundary(results.read(tmp_path))
+    # every chosen point lies within a cell of the line friction = 5 ratio, and both sides of it are chosen
+    away = np.abs(rows["world.contact.friction"] - 5 * rows["manoeuvre.half_step_ratio"])
+    assert away[near].max() <= (1.2 - 0.05) / 20 + 5 * 0.01 + 1e-9
+    assert 0 < (rows.loc[near, "outcome"] == "success").mean() < 1
+    assert 30 < near.sum() < 60
+    assert main(["audit", str(tmp_path), "--points", "1000"]) == 0
+    table = audit.table(results.read(tmp_path)).set_index("simulated")
+    assert (table["rollouts"] == near.sum()).all()
+    moved = {audit.WAYS[way][0]: shift for way, shift in
+             (("again", 0), ("half_step", 0.03), ("float64", 0.005), ("other_engine", 0))}  # fmt: skip
+    friction, needed = rows["world.contact.friction"], 5 * rows["manoeuvre.half_step_ratio"]
+    for name, shift in moved.items():
+        assert table.loc[name, "flips"] == ((friction < needed) & (friction + shift >= needed) & near).sum(), name
+    assert table["flips"].max() > 5
+    assert "half the time step" in capsys.readouterr().out
+    html = page.render(results.read(tmp_path))
+    assert f"{near.sum()} of the {near.sum()} rollouts" in html
+    assert 'id="audit"' in html
+
+
+def test_an_audit_is_a_draw_and_is_not_simulated_twice(coarse_engine, tmp_path):
+    assert main([*STUDY, f"out={tmp_path}"]) == 0
+    few = ["audit", str(tmp_path), "--points", "7", "--ways", "half_step"]
+    assert main(few) == 0
+    assert [p.name for p in (tmp_path / "audit").iterdir() if p.is_dir()] == ["half_step"]
+    parts = {p: p.stat().st_mtime_ns for p in (tmp_path / "audit/half_step/parts").iterdir()}
+    assert len(store.read_rows(tmp_path / "audit/half_step")) == 7
+    assert main(few) == 0
+    assert parts == {p: p.stat().st_mtime_ns for p in (tmp_path / "audit/half_step/parts").iterdir()}
+
+
+def test_what_has_no_boundary_is_refused(fake_engine, tmp_path, capsys):
+    assert main([*STUDY, f"out={tmp_path}", "study.where='friction > 1.1'"]) == 0
+    for arguments, message in (
+        (["--where", "half_step_ratio < 0.1"], "no two neighbouring points differ"),
+        (["--ways", "quarter_step"], "--ways quarter_step is unknown"),
+        (["--points", "0"], "at least 1"),
+    ):
+        capsys.readouterr()
+        assert main(["audit", str(tmp_path), *arguments]) == 2
+        error = capsys.readouterr().err
+        assert message in error
+        assert error.count("\n") == 1
+
+
+@pytest.mark.slow
+def test_the_boundary_of_a_walk_is_the_robots(tmp_path):
+    """Where legs cross is a matter of geometry: neither the time step nor the engine moves it."""
+    axes = ["study.axes.friction.num=3", "study.axes.step.from=0.16", "study.axes.step.num=5", "study.expect=[]"]
+    assert main(["run", "study=walk_map", *axes, f"out={tmp_path}"]) == 0
+    assert main(["audit", str(tmp_path), "--points", "6"]) == 0
+    table = audit.table(results.read(tmp_path))
+    assert len(table) == 4
+    assert (table["invalid"] == 0).all()
+    assert (table["flips"] <= 1).all()
