@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from sweep.parameters import InputError
+from sweep.errors import InputError
+from sweep.intervals import clopper_pearson
 from sweep.query import column
 from sweep.stats import percent
 from sweep.store import LABELS, figure_columns
@@ -51,12 +52,10 @@ class Flips:
 
     def interval(self) -> tuple[float, float]:
         """Exact 95 % interval (Clopper, Pearson) of the share of flips among tested pairs; NaN without any."""
-        from scipy.stats import binomtest
-
         if not self.tested:
             return np.nan, np.nan
-        found = binomtest(self.flipped, self.tested).proportion_ci(0.95, method="exact")
-        return float(found.low), float(found.high)
+        low, high = map(float, clopper_pearson(self.flipped, self.tested))
+        return low, high
 
     def __str__(self) -> str:
         if not self.tested:

@@ -9,7 +9,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from sweep import audit, compare
+from sweep import audit, compare, sensitivity
 from sweep.compare import SECOND
 from sweep.report import slices
 from sweep.report.labels import CAUSE_COLOURS, SUCCESS, axis_words, heading, words_and_unit
@@ -69,26 +69,32 @@ def maps(results: Results) -> Iterator[Exhibit]:
 def effects(results: Results) -> Iterator[Exhibit]:
     """Rate of success along each parameter."""
     by = [c for c in results.named if results.rows[c].nunique() <= LINES][:1]
-    tables = []
-    for axis in results.numeric:
-        value = results.rows[axis]
-        value = value if value.nunique() <= EFFECT_VALUES else binned(value, EFFECT_BINS)
-        table = rates(results.rows.assign(value=value), [*by, "value"]).assign(parameter=axis)
-        if table["total"].max() > 1:
-            tables.append(table)
-    if not tables:
-        return
-    data = pd.concat(tables, ignore_index=True)
-    caption = "Rate of success at each value of one parameter, over all others, with its 95 % Wilson interval."
-    data = data[["parameter", *by, *data.columns.drop(["parameter", *by])]]
-    yield Exhibit("effects", "Each parameter alone", caption, data, lambda: _draw_effects(results, data, by))
+    if results.one_at_a_time:
+        by, table = [], sensitivity.along(results.rows, results.exp)
+        caption = (
+            "Rate of success at each value of one parameter, the others nominal, with its 95 % Wilson interval; "
+            "dotted: logistic fit of the error on either side of the nominal value."
+        )
+    else:
+        tables = []
+        for axis in results.numeric:
+            value = results.rows[axis]
+            value = value if value.nunique() <= EFFECT_VALUES else binned(value, EFFECT_BINS)
+            tables.append(rates(results.rows.assign(value=value), [*by, "value"]).assign(axis=axis))
+        tables = [table for table in tables if table["total"].max() > 1]
+        if not tables:
+            return
+        table = pd.concat(tables, ignore_index=True)
+        caption = "Rate of success at each value of one parameter, over all others, with its 95 % Wilson interval."
+    table = table[["axis", *by, *table.columns.drop(["axis", *by])]]
+    yield Exhibit("effects", "Each parameter alone", caption, table, lambda: _draw_effects(results, table, by))
 
 
-def _draw_effects(results: Results, data: pd.DataFrame, by: list[str]) -> Figure:
-    axes = list(dict.fromkeys(data["parameter"]))
+def _draw_effects(results: Results, table: pd.DataFrame, by: list[str]) -> Figure:
+    axes = list(dict.fromkeys(table["axis"]))
     figure, spots = _panels(len(axes))
     for axis, ax in zip(axes, spots, strict=True):
-        own = data[data["parameter"] == axis]
+        own = table[table["axis"] == axis]
         parts = own.groupby(by[0], sort=False) if by else [("", own)]
         for (name, part), (colour, line, marker) in zip(parts, STYLES, strict=False):
             ax.fill_between(part["value"], part["low"], part["high"], color=colour, alpha=0.2, linewidth=0)
@@ -96,7 +102,20 @@ def _draw_effects(results: Results, data: pd.DataFrame, by: list[str]) -> Figure
         ax.set(xlabel=words_and_unit(axis, results.exp), ylabel="rate of success", ylim=(-0.02, 1.02))
         if by:
             ax.legend(fontsize=7, title=axis_words(by[0]), title_fontsize=7)
+    if results.one_at_a_time:
+        _draw_fits(results, dict(zip(axes, spots, strict=True)))
     return figure
+
+
+def _draw_fits(results: Results, spots: dict[str, Axes]) -> None:
+    for axis, centre, rows in sensitivity.arms(results.rows[results.rows["outcome"] != "invalid"], results.exp):
+        away = rows[axis.column].to_numpy(dtype=float) - centre
+        for sign in (-1, 1):
+            here = sign * away >= 0
+            if (most := np.abs(away[here]).max(initial=0)) > 0:
+                fit = sensitivity.logistic(np.abs(away[here]), rows["outcome"].to_numpy()[here] == "success")
+                size = np.linspace(0, most, 50)
+                spots[axis.column].plot(centre + sign * size, fit.probability(size)[0], ":", color="0.3", linewidth=1)
 
 
 def causes(results: Results) -> Iterator[Exhibit]:

@@ -21,11 +21,11 @@ from sweep.metrics.outcome import MEANING
 from sweep.report import tables
 from sweep.report.exhibits import exhibits
 from sweep.report.labels import heading
-from sweep.report.results import Results, parameters
+from sweep.report.results import Results, parameters, told
 from sweep.report.typical import Typical, typical
 from sweep.stats import broken, rate
 
-ROWS = 100  # of the table at the end
+ROWS, LINES = 100, 40  # of the table at the end, and of the others
 TELLING = ("distance_m", "slip_max_m", "tilt_max_deg", "leg_gap_min_m", "clearance_min_m", "stability_margin_min_m",
            "torque_peak_beta_nm", "t_cause_s")  # fmt: skip
 
@@ -64,6 +64,7 @@ def render(results: Results) -> str:
         parameters=list(parameters(results)),
         reasons=[(cause, MEANING[cause], int((rows["cause"] == cause).sum())) for cause in results.causes_seen],
         typical=[(one, image(one), list(telling(one))) for one in typical(results)],
+        statistics=list(statistics(results)),
         audit=list(audit.table(results).itertuples(index=False)),
         audited=audit.about(results.folder),
         table=table(rows.head(ROWS)),
@@ -78,6 +79,16 @@ def expectations(results: Results) -> Iterator[tuple[str, str]]:
         where = f" where {one.where}" if one.where else ""
         lines = broken((one,), results.rows)
         yield f"{one.that}{where}: a share from {one.at_least:g} to {one.at_most:g}", lines[0] if lines else "met"
+
+
+def statistics(results: Results) -> Iterator[tuple[str, Markup]]:
+    """Titled tables of what the rows say: margins, tolerance to errors, sensitivity, as far as the design can tell."""
+    for title, content in told(results):
+        if isinstance(content, str):
+            yield title, Markup("<p>{}</p>").format(content)
+        else:
+            note = f"<p class='soft'>The first {LINES} of {len(content)} lines.</p>" if len(content) > LINES else ""
+            yield title, Markup(note) + as_html(tables.shown(content.head(LINES)), index=False)
 
 
 def telling(one: Typical) -> Iterator[tuple[str, str]]:
@@ -97,8 +108,12 @@ def image(one: Typical) -> str:
 
 def table(rows: pd.DataFrame) -> Markup:
     """The first rows, with what identifies them."""
-    shown = tables.shown(rows[[*tables.reading(rows), "point_id"]])
-    return Markup(shown.to_html(index=True, border=0, escape=True, classes="rows"))
+    return as_html(tables.shown(rows[[*tables.reading(rows), "point_id"]]), index=True)
+
+
+def as_html(shown: pd.DataFrame, index: bool) -> Markup:
+    """A table of words."""
+    return Markup(shown.to_html(index=index, border=0, escape=True, classes="rows"))
 
 
 def dates(folder: Path) -> tuple[str, str]:

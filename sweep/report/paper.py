@@ -16,15 +16,11 @@ from sweep.query import mask
 from sweep.report import tables
 from sweep.report.exhibits import exhibits
 from sweep.report.labels import heading
-from sweep.report.results import Results, parameters
+from sweep.report.results import Results, parameters, told
 from sweep.stats import rate
 from sweep.store import figure_columns
 
-CAPTIONS = {
-    "parameters": "What was varied.",
-    "success": r"How often rollouts succeed, with 95\,\% Wilson intervals.",
-    "causes": "Rollouts that did not succeed.",
-}
+LINES = 40  # of a table; longer ones are data only
 CSV_ROWS = 100_000  # more rows than this are kept as parquet
 NAMED_ROWS = 3  # a number that comes from so few rows names them
 DIGITS = ("Zero", "One", "Two", "Three", "Four", "Five", "Six", "Seven", "Eight", "Nine")
@@ -52,14 +48,18 @@ def write(results: Results, out: Path) -> list[Path]:
         one.data.to_csv(paths[-2], index=False)
         with mpl.rc_context({"pdf.fonttype": 42}):  # TrueType, which journals ask for
             one.draw().savefig(paths[-1], metadata={"CreationDate": None})
+    texts, captions = {}, {}
+    for name, caption, table in summaries(results):
+        paths.append(out / "data" / f"{name}.csv")
+        table.to_csv(paths[-1], index=False)
+        if len(table) <= LINES:
+            texts[f"tables/{name}.tex"], captions[name] = tables.latex(table), caption
     numbers = list(quoted(results))
-    texts = {f"tables/{name}.tex": tables.latex(table) for name, table in summaries(results)}
+    pd.DataFrame([vars(one) for one in numbers]).to_csv(out / "data" / "numbers.csv", index=False)
     texts["numbers.tex"] = "".join(macro(results, one, paths[0].name) for one in numbers)
     texts["main.tex"] = _template().render(
-        results=results, prefix=prefix(results), exhibits=shown, escape=escape,
-        tables=[(name, CAPTIONS[name]) for name, _ in summaries(results)],
-    )  # fmt: skip
-    pd.DataFrame([vars(one) for one in numbers]).to_csv(out / "data" / "numbers.csv", index=False)
+        results=results, prefix=prefix(results), exhibits=shown, escape=escape, tables=captions
+    )
     for name, text in texts.items():
         (out / name).write_text(text, encoding="utf-8")
     return [*paths, out / "data" / "numbers.csv", *(out / name for name in texts)]
@@ -76,12 +76,12 @@ def _rows(results: Results, out: Path) -> Path:
     return path
 
 
-def summaries(results: Results) -> Iterator[tuple[str, pd.DataFrame]]:
-    """The tables: what was varied, how often each alternative succeeds, and why rollouts fail."""
+def summaries(results: Results) -> Iterator[tuple[str, str, pd.DataFrame]]:
+    """Names, captions and contents of the tables: what was varied, what came of it, and the statistics of the page."""
     rows = results.rows
     if varied := list(parameters(results)):
         columns = ["words", "on", "values", "number", "unit", "nominal"]
-        yield "parameters", pd.DataFrame(varied)[columns].rename(columns={"words": "varied"})
+        yield "parameters", "What was varied.", pd.DataFrame(varied)[columns].rename(columns={"words": "varied"})
     parts = [("all", rows)]
     for column in results.named:
         parts += [(f"{heading(column)} {value}", part) for value, part in rows.groupby(column)]
@@ -90,10 +90,15 @@ def summaries(results: Results) -> Iterator[tuple[str, pd.DataFrame]]:
         one = rate(part["outcome"])
         shares = (f"{100 * v:.1f}" for v in (one.share, one.low, one.high))
         lines.append((name, one.total, one.invalid, one.success, *shares))
-    yield "success", pd.DataFrame(lines, columns=["rollouts", "number", "invalid", "succeed", "%", "from", "to"])
+    success = pd.DataFrame(lines, columns=["rollouts", "number", "invalid", "succeed", "%", "from", "to"])
+    yield "success", r"How often rollouts succeed, with 95\,\% Wilson intervals.", success
     if results.causes_seen:
         counts = [(c.replace("_", " "), MEANING[c], int((rows["cause"] == c).sum())) for c in results.causes_seen]
-        yield "causes", pd.DataFrame(counts, columns=["cause", "what it means", "rollouts"])
+        table = pd.DataFrame(counts, columns=["cause", "what it means", "rollouts"])
+        yield "causes", "Rollouts that did not succeed.", table
+    for number, (title, content) in enumerate(told(results), 1):
+        if isinstance(content, pd.DataFrame):
+            yield f"statistics-{number}", escape(title) + ".", content
 
 
 def quoted(results: Results) -> Iterator[Number]:

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from sweep import store
+from sweep import sensitivity, store
 from sweep.config import Experiment, experiment
 from sweep.metrics.outcome import MEANING
 from sweep.query import mask
+from sweep.report import statistics
 from sweep.report.labels import axis_words, unit_of
 from sweep.report.tables import text
 from sweep.study import nominal, parameter_columns, side_and_path
@@ -44,6 +45,19 @@ class Results:
     def named(self) -> list[str]:
         """Those that are names, such as an engine."""
         return [c for c in self.axes if c not in self.numeric]
+
+    @cached_property
+    def listed(self) -> list[str]:
+        """Numbers that were listed; of a table of points all of them."""
+        if self.exp.study.points:
+            return self.numeric
+        own = [a.column for a in sensitivity.listed(self.rows, self.exp)]
+        return [c for c in self.numeric if c in own]
+
+    @property
+    def one_at_a_time(self) -> bool:
+        """Whether every parameter was varied with the others at their nominal values."""
+        return self.exp.study.design.grid == "one_at_a_time" and not self.exp.study.points
 
     @property
     def name(self) -> str:
@@ -81,6 +95,16 @@ def parameters(results: Results) -> Iterator[dict[str, Any]]:
         usual = text(nominal(name, results.exp.case, results.exp.settings)) if own else ""
         about = {"words": axis_words(name), "path": path, "on": side, "unit": unit_of(name, results.exp)}
         yield {**about, "values": extent, "number": len(listed), "nominal": usual}
+
+
+def told(results: Results) -> Iterator[tuple[str, pd.DataFrame | str]]:
+    """Titles and contents of the statistics of a study, parameters in words; of a table of points none are known."""
+    if results.exp.study.points:
+        return
+    for title, content in list(statistics.sections(results.rows, results.exp))[1:]:  # the first is the headline
+        if isinstance(content, pd.DataFrame) and "axis" in content:
+            content = content.assign(axis=content["axis"].map(axis_words))
+        yield title, content
 
 
 def binned(values: pd.Series, most: int) -> pd.Series:

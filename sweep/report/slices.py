@@ -38,9 +38,12 @@ def slices(results: Results) -> Iterator[Slice]:
     """A section for each pair of parameters.
 
     A grid is cut: at a few values of a third parameter; with more parameters, at their values next to the nominal
-    ones. Points that were drawn lie in no section: they are counted in bins, over all values of the others.
+    ones. Points that were drawn lie in no section: they are counted in bins, over all values of the others. Where
+    conditions were listed and errors drawn, the map is over the conditions.
     """
-    numeric = results.numeric
+    if results.one_at_a_time:
+        return
+    numeric = results.listed if len(results.listed) > 1 else results.numeric
     for x, y in list(combinations(numeric, 2))[:MAPS]:
         rows, others = results.rows, [c for c in numeric if c not in (x, y)]
         if not gridded(rows, x, y):

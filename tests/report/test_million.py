@@ -1,0 +1,31 @@
+import resource
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from sweep.cli import main
+
+COMMANDS = """
+import sys, sweep
+from sweep.cli import main
+folder = sys.argv[1]
+assert len(sweep.load(folder)) == 1_000_000
+assert main(["table", folder, "--format", "csv", "-o", folder + "/table.csv"]) == 0
+assert main(["report", folder]) == 0
+"""
+
+
+@pytest.mark.slow
+def test_a_million_rows_are_loaded_tabled_and_reported_in_a_minute(fake_engine, tmp_path):
+    axes = ["study.axes.friction.num=1000", "study.axes.step.num=1000", "engine.width=8192", "study.expect=[]"]
+    assert main(["run", "study=walk_map", *axes, f"out={tmp_path}"]) == 0
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    subprocess.run([sys.executable, "-c", COMMANDS, str(tmp_path)], check=True)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    # of the processor's time, so that a busy machine does not matter
+    seconds = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    assert seconds < 60
+    assert after.ru_maxrss < 4 * 2**20  # KiB
+    assert Path(tmp_path / "report.html").stat().st_size < 2**21
