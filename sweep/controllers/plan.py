@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from sweep.controllers.frames import WORLD
 from sweep.formulas import stepping
 from sweep.maths import exponential, multiply, rotate
 
@@ -52,6 +53,8 @@ class Stage:
     # that swings as well stands at its foothold then, which these angles must reach.
     posture: Mapping[int, Array | np.ndarray] = field(default_factory=dict)
     flywheel: int = LOCKED
+    foot_frames: tuple[int, ...] = (WORLD,) * 6  # in which each foot stands or swings, see frames.py
+    base_frame: int = WORLD  # of its place; the base's attitude is always the world's
 
 
 class Posture(NamedTuple):
@@ -110,18 +113,24 @@ class Plan:
     rates: Float[Array, "s 2"]
     pivot: Float[Array, "s 3"]
     arc: Float[Array, " s"]
+    foot_frame: Int[Array, "s 6"]
+    base_frame: Int[Array, " s"]
     patience: Float[Array, ""]  # s, that a stage waits for its swing feet to touch down
     posture: Posture | None = None
     flywheel: Flywheel | None = None
     grip: Grip | None = None
     # whether errors are taken back in the plane, with the heading's
     steered: bool = field(default=False, metadata={"static": True})
+    # How a stage begins: from footholds and base shifted by the base's error (rezero), from the feet's measured
+    # places at their commanded depth (regrip), or just from what was commanded (keep).
+    onset: str = field(default="rezero", metadata={"static": True})
 
 
 def assemble(
-    start: Stance, stages: Sequence[Stage], patience: Array | float, gains: Gains | None = None, steered: bool = False
-) -> Plan:
-    """The table of `stages` from the stance `start` on; `gains` are those of the flywheel, if they have one."""
+    start: Stance, stages: Sequence[Stage], patience: Array | float, gains: Gains | None = None, steered: bool = False,
+    onset: str = "rezero",
+) -> Plan:  # fmt: skip
+    """The table of `stages` from the stance `start` (world axes) on; `gains` are those of the flywheel, if any."""
     feet, position, quat = start
     rows = []
     for stage in stages:
@@ -138,6 +147,7 @@ def assemble(
             "carry": jnp.asarray(stage.carry, float), "position": position, "quat": quat,
             "turn": turn, "pace": jnp.int32(stage.pace), "rates": jnp.asarray(stage.rates, float),
             "pivot": pivot, "arc": jnp.asarray(stage.arc, float),
+            "foot_frame": jnp.asarray(stage.foot_frames, jnp.int32), "base_frame": jnp.int32(stage.base_frame),
         })  # fmt: skip
         quat = multiply(exponential(turn), quat)
     table = {key: jnp.stack([row[key] for row in rows]) for key in rows[0]}
@@ -145,7 +155,7 @@ def assemble(
     mode = jnp.array([stage.flywheel for stage in stages], jnp.int32)
     flywheel = None if gains is None else Flywheel(mode, jax.tree.map(lambda x: jnp.asarray(x, float), gains))
     return Plan(names=names, start=start, patience=jnp.asarray(patience, float), posture=_postures(stages),
-                flywheel=flywheel, steered=steered, **table)  # fmt: skip
+                flywheel=flywheel, steered=steered, onset=onset, **table)  # fmt: skip
 
 
 def _postures(stages: Sequence[Stage]) -> Posture | None:

@@ -1,6 +1,7 @@
 """The controller: follows a plan stage by stage, and turns feet and base into joint targets (monograph 1.3, 1.4)."""
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -9,12 +10,14 @@ from jaxtyping import Array, Bool, Float, Int
 
 from sweep.case import Case
 from sweep.controllers import flywheel, grip
+from sweep.controllers.frames import to_frame, to_world
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import BALANCE, Plan, Posture, Stance, reference
 from sweep.controllers.posture import foot_positions
 from sweep.formulas import leg, stepping
 from sweep.maths import about_vertical, conjugate, exponential, heading, multiply, rotate
 from sweep.models.drive import Servo
+from sweep.models.obstacles.surface import FreeState, no_bodies, poses
 from sweep.models.robot import Robot
 from sweep.models.scene import mount_yaw, mounts
 
@@ -24,13 +27,23 @@ class TrackerState(NamedTuple):
 
     stage: Int[Array, ""]
     clock: Float[Array, ""]  # s since the stage began
-    feet: Float[Array, "6 3"]  # m, commanded footholds when the stage began
-    position: Float[Array, " 3"]  # m, planned base when the stage began
+    feet: Float[Array, "6 3"]  # m, commanded footholds when the stage began, in its frames
+    position: Float[Array, " 3"]  # m, planned base when the stage began, in its frame
     error: Float[Array, " 3"]  # m, measured body error when the stage began
     yaw: Float[Array, ""]  # rad, the same of the heading, in plans that are steered
     joints: Float[Array, "6 3"]  # rad, last targets
     origin: Float[Array, "6 3"]  # rad, targets when the stage began
     finished: Bool[Array, ""]
+    goal: Float[Array, "6 3"]  # m, footholds at the end of the stage, in its frames, of a guided manoeuvre
+    memory: Any  # of a guided manoeuvre
+
+
+class Guidance(NamedTuple):
+    """What a guided manoeuvre wants in a tick, in the stage's frames."""
+
+    stance: Stance
+    goal: Float[Array, "6 3"]  # m, footholds at the end of the stage
+    memory: Any
 
 
 class Command(NamedTuple):
@@ -53,23 +66,52 @@ def joint_targets(robot: Robot, stance: Stance) -> tuple[Float[Array, "6 3"], Fl
     return leg.ik(leg.SIDE, foot, robot.coxa, robot.thigh, robot.shin, robot.knees == "mirror")
 
 
+@runtime_checkable
+class Guided(Protocol):
+    """A manoeuvre whose stages are re-derived from what is measured."""
+
+    def memory(self, belief: Case, plan: Plan) -> Any:
+        """What its feedback remembers, at the start."""
+        ...
+
+    def guide(
+        self, belief: Case, plan: Plan, state: TrackerState, seen: Observation, begins: Bool[Array, ""], period: float
+    ) -> Guidance:
+        """One tick; `begins` in the first of a stage."""
+        ...
+
+
 def init(belief: Case, plan: Plan) -> TrackerState:
     """At the plan's start, standing as it wants."""
     zero = jnp.zeros((), plan.duration.dtype)
+    manoeuvre = belief.manoeuvre
+    free = belief.obstacle.start() if belief.obstacle.free_bodies else no_bodies()
     joints, _ = joint_targets(belief.robot, plan.start)
-    return TrackerState(jnp.int32(0), zero, plan.start.feet, plan.start.position, jnp.zeros(3, zero.dtype), zero,
-                        joints, joints, jnp.asarray(False))  # fmt: skip
+    memory = manoeuvre.memory(belief, plan) if isinstance(manoeuvre, Guided) else None
+    feet = to_frame(plan.start.feet, plan.foot_frame[0], free)
+    return TrackerState(
+        stage=jnp.int32(0), clock=zero, feet=feet,
+        position=_place(to_frame, plan.start.position, plan.base_frame[0], free), error=jnp.zeros(3, zero.dtype),
+        yaw=zero, joints=joints, origin=joints, finished=jnp.asarray(False), goal=feet, memory=memory,
+    )  # fmt: skip
 
 
 def step(
     belief: Case, plan: Plan, state: TrackerState, seen: Observation, period: float
 ) -> tuple[TrackerState, Command]:
     """One control tick of `period` seconds."""
-    state = _advance(plan, state._replace(clock=state.clock + period), seen, period)
+    old, manoeuvre = state, belief.manoeuvre
+    state = _advance(belief, plan, state._replace(clock=state.clock + period), seen, period)
     if plan.grip is not None:
         state = state._replace(feet=grip.anchored(belief.robot, plan, plan.grip, state.stage, state.feet, seen, period))
     phase = jnp.clip(state.clock / plan.duration[state.stage], 0.0, 1.0)
-    target = _target(plan, state, phase)
+    if isinstance(manoeuvre, Guided):
+        begins = (state.stage != old.stage) | ((old.stage == 0) & (old.clock == 0))
+        wanted, goal, memory = manoeuvre.guide(belief, plan, state, seen, begins, period)
+        state = state._replace(goal=goal, memory=memory)
+    else:
+        wanted = reference(plan, state.stage, phase, state.feet, state.position)
+    target = _in_world(plan, state, wanted, phase, seen.free)
     if plan.grip is not None:
         target = target._replace(feet=target.feet + grip.creep(plan, plan.grip, state.stage, state.clock))
     joints, shortfall = joint_targets(belief.robot, target)
@@ -101,12 +143,21 @@ def _posed(posture: Posture, state: TrackerState, phase: Array) -> Float[Array, 
     return state.origin + stepping.lambda_1(phase, 0.0, 1.0)[0] * (goal - state.origin)
 
 
-def _target(plan: Plan, state: TrackerState, phase: Array) -> Stance:
-    """The stage's reference; the body error that it began with fades out over the stage, unless two feet carry."""
-    wanted = reference(plan, state.stage, phase, state.feet, state.position)
-    left = jnp.where(_balancing(plan, state.stage), 1.0, 1 - phase)
+def _in_world(plan: Plan, state: TrackerState, wanted: Stance, phase: Array, free: FreeState) -> Stance:
+    """What the stage wants, with the free body where it is seen.
+
+    The body error that the stage began with fades out, unless two feet carry.
+    """
+    stage = state.stage
+    left = jnp.where(_balancing(plan, stage), 1.0, 1 - phase)
+    feet = to_world(wanted.feet, plan.foot_frame[stage], free)
+    position = _place(to_world, wanted.position, plan.base_frame[stage], free) + left * state.error
     quat = multiply(about_vertical(left * state.yaw), wanted.quat) if plan.steered else wanted.quat
-    return wanted._replace(position=wanted.position + left * state.error, quat=quat)
+    return Stance(feet, position, quat)
+
+
+def _place(convert: Callable, point: Array, frame: Array, free: FreeState) -> Float[Array, " 3"]:
+    return convert(point[None], frame[None], free)[0]
 
 
 def _balancing(plan: Plan, stage: Int[Array, ""]) -> Bool[Array, ""] | bool:
@@ -114,27 +165,35 @@ def _balancing(plan: Plan, stage: Int[Array, ""]) -> Bool[Array, ""] | bool:
     return plan.flywheel is not None and plan.flywheel.mode[stage] == BALANCE
 
 
-def _advance(plan: Plan, state: TrackerState, seen: Observation, period: float) -> TrackerState:
+def _advance(belief: Case, plan: Plan, state: TrackerState, seen: Observation, period: float) -> TrackerState:
     """Go on to the next stage when time is up and every swinging foot has touched down, or patience has run out.
 
     The next stage starts from the commanded footholds, not the reached ones: that keeps the pressure on the ground.
-    Feet and body are shifted together by the measured body error, which strains nothing, and the body's part of it
-    then fades: without this, errors add up from stage to stage. So are they turned by the error of its heading, in a
-    plan that is steered.
+    With the onset `rezero` feet and body are shifted together by the measured body error, which strains nothing, and
+    the body's part of it then fades: without this, errors add up from stage to stage. So are they turned by the error
+    of its heading, in a plan that is steered.
     """
-    over = state.clock - plan.duration[state.stage]
-    landed = jnp.all(seen.loaded | ~plan.swing[state.stage])
+    stage = state.stage
+    over = state.clock - plan.duration[stage]
+    landed = jnp.all(seen.loaded | ~plan.swing[stage])
     ends = (over >= 0) & (landed | (over >= plan.patience)) & ~state.finished
-    last = state.stage == plan.duration.shape[0] - 1
-    feet = jnp.where(plan.swing[state.stage][:, None], plan.foothold[state.stage], state.feet)
+    last = stage == plan.duration.shape[0] - 1
+    following = jnp.where(last, stage, stage + 1)
+    planned = _place(to_world, plan.position[stage], plan.base_frame[stage], seen.free)
+    goal = state.goal if isinstance(belief.manoeuvre, Guided) else plan.foothold[stage]
+    feet = to_world(jnp.where(plan.swing[stage][:, None], goal, state.feet), plan.foot_frame[stage], seen.free)
     if plan.grip is not None:
-        feet = feet + grip.creep(plan, plan.grip, state.stage, state.clock)
-    feet, error, yaw = _with_error(plan, state, seen, feet)
+        feet = feet + grip.creep(plan, plan.grip, stage, state.clock)
+    error, yaw = jnp.zeros_like(planned), state.yaw
+    if plan.onset == "rezero":
+        feet, error, yaw = _with_error(plan, state, seen, feet, planned)
+    elif plan.onset == "regrip":
+        feet = _regripped(belief, feet, seen)
     shifted = state._replace(
-        stage=jnp.where(last, state.stage, state.stage + 1),
+        stage=following,
         clock=jnp.where(last, state.clock, jnp.minimum(over, period)),
-        feet=feet,
-        position=plan.position[state.stage],
+        feet=to_frame(feet, plan.foot_frame[following], seen.free),
+        position=_place(to_frame, planned, plan.base_frame[following], seen.free),
         error=error,
         yaw=yaw,
         origin=state.joints,
@@ -145,14 +204,23 @@ def _advance(plan: Plan, state: TrackerState, seen: Observation, period: float) 
     return jax.tree.map(lambda a, b: jnp.where(hold, a, b), kept, shifted)
 
 
-def _with_error(plan: Plan, state: TrackerState, seen: Observation, feet: Array) -> tuple[Array, Array, Array]:
+def _regripped(belief: Case, commanded: Float[Array, "6 3"], seen: Observation) -> Float[Array, "6 3"]:
+    """Standing feet where they are measured along the surface, and as deep as they were commanded."""
+    measured = seen.position + rotate(seen.quat[None], foot_positions(belief.robot, seen.angles))
+    normal = belief.obstacle.surface(measured, (-1,) * 6, poses(seen.free)).normal
+    deep = measured + jnp.sum((commanded - measured) * normal, axis=-1, keepdims=True) * normal
+    return jnp.where(seen.loaded[:, None], deep, commanded)
+
+
+def _with_error(
+    plan: Plan, state: TrackerState, seen: Observation, feet: Array, planned: Array
+) -> tuple[Array, Array, Array]:
     """Feet moved with the body's error at the end of the stage, and that error of its place (m) and heading (rad).
 
     A robot that balanced on two feet has tilted about them: what it sees says nothing of where they are, and the error
     that it knew before holds on. Of the place only the horizontal part counts there: taken up by the standing feet and
     not by those that land, the other would put the diagonals at different heights.
     """
-    planned = plan.position[state.stage]
     error = seen.position - planned
     if not plan.steered:  # feet that are anchored where they are need not be moved
         return feet if plan.grip is not None else feet + error, error, state.yaw

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from sweep.case import Case
+from sweep.controllers.frames import WORLD
 from sweep.controllers.plan import Plan, path_length
 from sweep.controllers.tracker import Command, TrackerState
 from sweep.maths import conjugate, multiply, rotate
@@ -233,7 +234,8 @@ def figures(plan: Plan, running: Running, stage: Int[Array, ""]) -> dict[str, Ar
     """The row's figures by column name, units in the name."""
     length = path_length(plan)
     left = jnp.linalg.norm(running.position - plan.position[-1])
-    progress = jnp.where(length > 1e-6, 1 - left / jnp.maximum(length, 1e-6), 1.0)
+    goes = (length > 1e-6) & (plan.base_frame[-1] == WORLD)  # on a free body the goal is a motion, not a place
+    progress = jnp.where(goes, 1 - left / jnp.maximum(length, 1e-6), 1.0)
     time = jnp.maximum(running.time, 1e-9)
     out = {
         "finite": running.finite,

@@ -1,5 +1,6 @@
 """Manoeuvres: parameters and the plan that follows from them and from what is believed of the world."""
 
+from sweep.controllers.manoeuvres.ball import BallBalance, BallDrive
 from sweep.controllers.manoeuvres.beam import BeamCross, BeamWalk
 from sweep.controllers.manoeuvres.corner import CornerClimb
 from sweep.controllers.manoeuvres.pole import PoleClimb
@@ -14,4 +15,6 @@ MANOEUVRES = {
     "beam_walk": BeamWalk,
     "beam_cross": BeamCross,
     "corner_climb": CornerClimb,
+    "ball_balance": BallBalance,
+    "ball_drive": BallDrive,
 }

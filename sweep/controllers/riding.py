@@ -1,0 +1,83 @@
+"""What a robot that stands on a ball must know of itself and of the ball (monograph 3.1.1, 3.1.2)."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from sweep.controllers.observation import Observation
+from sweep.controllers.plan import Stance
+from sweep.controllers.posture import foot_positions, mass_centre
+from sweep.controllers.tracker import joint_targets
+from sweep.formulas.ball import GRAVITY, ROLLING
+from sweep.formulas.leg import SIDE
+from sweep.maths import rotate
+from sweep.models.obstacles.ball import Ball
+from sweep.models.robot import Robot, total_mass
+
+UP = np.array([0.0, 0.0, 1.0], np.float32)
+FORE = np.array([-1, -1, 0, 0, 1, 1], np.float32)  # rear, middle and front legs
+
+
+def centre_of_mass(robot: Robot, stance: Stance) -> Float[Array, " 3"]:
+    """r_m (m) of a stance, world axes: monograph (3.1.9)."""
+    return stance.position + rotate(stance.quat, mass_centre(robot, joint_targets(robot, stance)[0]))
+
+
+def follow_up(robot: Robot, stance: Stance) -> Float[Array, "2 2"]:
+    """Horizontal part of D in (3.1.1): how the mass centre follows the body while the feet stand."""
+
+    def centre(shift: Array) -> Array:
+        position = stance.position + jnp.append(shift, 0.0)
+        return centre_of_mass(robot, stance._replace(position=position))[:2]
+
+    return jax.jacfwd(centre)(jnp.zeros(2, stance.position.dtype))
+
+
+def measured_stance(robot: Robot, seen: Observation) -> Stance:
+    """Feet and base where they are measured, world axes."""
+    feet = seen.position + rotate(seen.quat[None], foot_positions(robot, seen.angles))
+    return Stance(feet, seen.position, seen.quat)
+
+
+def angular_momentum(robot: Robot, ball: Ball, seen: Observation) -> Float[Array, " 3"]:
+    """K_S (N m s) of robot and ball about the ball's lowest point S, the feet standing on the ball.
+
+    Links count as if they did not turn about the robot's mass centre, which is a hundredth of it.
+    """
+    stance, free = measured_stance(robot, seen), seen.free
+    centre, velocity, turn = free.position[0], free.velocity[0], free.turn[0]
+    up = ball.radius * jnp.asarray(UP)
+    feet = velocity + jnp.cross(turn, stance.feet - centre)
+    moves = Stance(feet, seen.velocity, jnp.zeros_like(seen.quat))
+    place, rate = jax.jvp(lambda s: centre_of_mass(robot, s), (stance,), (moves,))
+    of_robot = total_mass(robot) * jnp.cross(place - centre + up, rate)
+    return of_robot + ball.mass * (jnp.cross(up, velocity) + (ROLLING - 1) * ball.radius**2 * turn)
+
+
+def towards(momentum: Float[Array, " 3"], mass: Array | float) -> Float[Array, " 2"]:
+    """K_S x g / (m g^2): by how much (m s) the mass centre must be ahead, and for how long, to take K_S away."""
+    return jnp.stack([-momentum[1], momentum[0]]) / (mass * GRAVITY)
+
+
+def footholds(
+    radius: Array | float, circle: Array | float, chord: Array | float, turn: Array | float
+) -> Float[Array, "6 3"]:
+    """Feet from the ball's centre (m): list after fig. 3.1.7, x ahead; `turn` is alpha of the turned foot frame.
+
+    On a circle of radius d1 = `circle`, front and rear feet d2 = `chord` from its middle. The printed list gives leg i
+    the place of leg 7 - i. Turned by alpha, the circle is as far behind the vertical at touchdown as it is ahead of it
+    when the feet lift off: the top of a ball that rolls forward takes them forward.
+    """
+    ahead, aside = FORE * chord, SIDE * jnp.sqrt(circle**2 - (FORE * chord) ** 2)
+    above = jnp.sqrt(radius**2 - circle**2)
+    sin, cos = jnp.sin(turn), jnp.cos(turn)
+    return jnp.stack([ahead * cos - above * sin, aside, above * cos + ahead * sin], axis=-1)
+
+
+def over_ball(start: Array, goal: Array, share: Array, phase: Array, height: Array) -> Float[Array, "6 3"]:
+    """Feet on their way over the ball, from its centre: on the arc from `start` to `goal`, `height` (m) above it."""
+    chord = start + share * (goal - start)
+    radius, goal_radius = (jnp.linalg.norm(p, axis=-1, keepdims=True) for p in (start, goal))
+    radius = radius + phase * (goal_radius - radius) + height
+    return chord / jnp.linalg.norm(chord, axis=-1, keepdims=True) * radius
