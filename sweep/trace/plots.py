@@ -4,18 +4,21 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal
 
+import mujoco
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.transforms import Affine2D
 
 from sweep.engines.base import Trace
+from sweep.parameters import InputError
 from sweep.trace.layout import LEG_COLORS
-from sweep.trace.sampling import KINDS, base_pose, joint_angle
+from sweep.trace.sampling import KINDS, base_pose, joint_angle, mass_centres
 
 LEGS = ((6, 5), (4, 3), (2, 1))
 SYMBOLS = dict(zip(KINDS, ("α", "β", "γ"), strict=True))
 ACTUAL, SECOND, REFERENCE = "#0072b2", "#d55e00", "0.25"
+SMOOTHED = 25  # ticks, over which the speed of a body is averaged
 SLANTED_STAGES = 10  # more names than this stand upright
 BOOK_TORQUE = 75.2  # N m, the unit of figures 2.3.5 and 2.3.6: about the body's moment of gravity on a pole
 
@@ -86,12 +89,40 @@ def paths(trace: Trace) -> Figure:
     return figure
 
 
+def ball(trace: Trace) -> Figure:
+    """Speed and way of the obstacle's first free body, and where base and mass centre are over it.
+
+    Monograph figs. 3.1.4 to 3.1.6; the base's moves are those of figs. 3.1.2 and 3.1.3. Raises `InputError` where
+    there is no such body.
+    """
+    starts = trace.model.jnt_qposadr[trace.model.jnt_type == mujoco.mjtJoint.mjJNT_FREE]
+    if len(starts) < 2:
+        raise InputError("--plot ball is not allowed: this obstacle has no free body")
+    place = trace.qpos[:, starts[1] : starts[1] + 3]
+    average = np.ones(SMOOTHED) / SMOOTHED
+    way = np.stack([np.convolve(np.pad(x, SMOOTHED // 2, mode="edge"), average, "valid") for x in place[:, :2].T])
+    speed = np.gradient(way[:, : len(place)], trace.time, axis=1)
+    few = slice(None, None, max(1, len(place) // 2000))
+    over_ball = mass_centres(trace, few)[:, :2] - place[few, :2]
+    figure, axes = _grid(4, 1, "Ball: speed and way; base and mass centre over its centre")
+    for k, (name, color) in enumerate((("ahead", ACTUAL), ("left", SECOND))):
+        axes[0, 0].plot(trace.time, 1e3 * speed[k], color=color, lw=1.2, label=name)
+        axes[1, 0].plot(trace.time, place[:, k] - place[0, k], color=color, lw=1.2)
+        axes[2, 0].plot(trace.time, 1e3 * (base_pose(trace)[:, k] - place[:, k]), color=color, lw=1.2)
+        axes[3, 0].plot(trace.time[few], 1e3 * over_ball[:, k], color=color, lw=1.2)
+    for ax, label in zip(axes[:, 0], ("speed (mm/s)", "way (m)", "base (mm)", "mass centre (mm)"), strict=True):
+        ax.set_ylabel(label)
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
+    return _finish(figure, axes, trace)
+
+
 PLOTS: dict[str, Callable[[Trace], Figure]] = {
     "torques": torques,
     "joints": joints,
     "base": base,
     "feet": feet,
     "paths": paths,
+    "ball": ball,
 }
 
 

@@ -1,5 +1,6 @@
 """Which frames of a trace to show, and where the robot's base is in them."""
 
+import mujoco
 import numpy as np
 
 from sweep.engines.base import Trace
@@ -46,3 +47,14 @@ def base_pose(trace: Trace) -> np.ndarray:
 def joint_angle(trace: Trace) -> np.ndarray:
     """Joint angles (F, 18) in rad, leg by leg, alpha, beta, gamma."""
     return trace.qpos[:, [int(trace.model.joint(name).qposadr[0]) for name in JOINTS]]
+
+
+def mass_centres(trace: Trace, frames: slice) -> np.ndarray:
+    """Mass centre of the robot (m, world) in some frames, (N, 3)."""
+    data, centres = mujoco.MjData(trace.model), []
+    for qpos in trace.qpos[frames]:
+        data.qpos[:] = qpos
+        mujoco.mj_kinematics(trace.model, data)
+        mujoco.mj_comPos(trace.model, data)
+        centres.append(data.subtree_com[trace.model.body(BASE).id].copy())
+    return np.array(centres)

@@ -208,7 +208,7 @@ class BallDrive:
     chord_ratio: float = quantity(0.7, "d_1", above=0, at_most=1)  # d_2
     height_ratio: float = quantity(0.257, "a_r", above=0, at_most=2)  # of the base over the ball's top
     deepening: float = quantity(5e-4, "m", at_least=0, at_most=0.05)  # epsilon, feet inside the ball
-    patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
+    patience: float = quantity(0.0, "s", at_least=0)  # longest wait for a touchdown, while the ball rolls on below
 
     def plan(self, belief: Case) -> Plan:
         """Tripods in turn; standing feet on the ball's axes, swinging ones in its Koenig frame."""

@@ -1,0 +1,98 @@
+"""What a robot on a ball knows of itself: frames, footholds, mass centre, angular momentum."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from sweep.config import compose
+from sweep.controllers.frames import FIXED, KOENIG, WORLD, to_frame, to_world
+from sweep.controllers.manoeuvres.ball import on_ball, perch
+from sweep.controllers.observation import Observation
+from sweep.controllers.riding import angular_momentum, centre_of_mass, follow_up, footholds, over_ball
+from sweep.engines.pilot import free_state, start_state
+from sweep.formulas.mass_centre import ball_jacobian
+from sweep.maths import exponential, rotate
+from sweep.models import scene
+from sweep.models.obstacles.surface import FreeState
+
+CASE = compose(["scenario=ball_balance"]).case
+
+
+@pytest.fixture(scope="module")
+def perched():
+    return perch(CASE, CASE.manoeuvre)
+
+
+def test_frames_go_with_the_body():
+    turn = exponential(jnp.array([[0.3, -0.2, 0.5]]))
+    still = jnp.zeros((1, 3))
+    free = FreeState(jnp.array([[1.0, 2.0, 0.8]]), turn, still, still)
+    point, frames = jnp.array([0.1, -0.2, 0.7]), jnp.array([WORLD, KOENIG, FIXED])
+    seen = to_world(jnp.stack([point] * 3), frames, free)
+    np.testing.assert_allclose(seen[0], point, atol=1e-6)
+    np.testing.assert_allclose(seen[1], point + free.position[0], atol=1e-6)
+    np.testing.assert_allclose(seen[2], rotate(turn[0], point) + free.position[0], atol=1e-6)
+    np.testing.assert_allclose(to_frame(seen, frames, free), jnp.stack([point] * 3), atol=1e-6)
+
+
+def test_mass_centre_is_over_the_ball(perched):
+    off = centre_of_mass(CASE.robot, on_ball(CASE, perched))
+    np.testing.assert_allclose(off[:2], 0, atol=1e-5)
+
+
+def test_mass_centre_follows_the_body_as_the_formula_says(perched):
+    """D of (3.1.1), from the robot's own links, equals the closed form for feet on the surface."""
+    robot, ball, plan = CASE.robot, CASE.obstacle, CASE.manoeuvre
+    circle = plan.circle_ratio * ball.radius
+    expected = ball_jacobian(
+        ball.radius, circle, plan.chord_ratio * circle, perched.position[2], robot.body_length, robot.body_width,
+        robot.thigh, robot.shin, robot.body_mass, robot.thigh_mass, robot.shin_mass,
+    ).D  # fmt: skip
+    got = follow_up(robot, on_ball(CASE, perched))
+    np.testing.assert_allclose(got, expected[:2, :2], atol=3e-3)
+    assert 0.6 < float(got[0, 0]) < 0.75
+
+
+def test_turned_footholds_roll_into_their_mirror_image():
+    """On the ball, and as far behind the vertical at touchdown as ahead of it after a stance."""
+    radius, turn = 0.84, 0.1
+    landed = footholds(radius, 0.5, 0.35, turn)
+    np.testing.assert_allclose(jnp.linalg.norm(landed, axis=-1), radius, atol=1e-6)
+    lifted = rotate(exponential(jnp.array([[0.0, 2 * turn, 0.0]])), landed)  # as a ball that goes along x turns
+    np.testing.assert_allclose(lifted, footholds(radius, 0.5, 0.35, -turn), atol=1e-6)
+    assert float(jnp.mean(landed[:, 0])) < 0
+
+
+def test_swinging_feet_stay_above_the_ball():
+    start, goal = footholds(0.84, 0.5, 0.35, 0.1), footholds(0.84, 0.5, 0.35, -0.1)
+    way = [over_ball(start, goal, u, u, 0.0) for u in jnp.linspace(0, 1, 11)]
+    np.testing.assert_allclose(jnp.linalg.norm(jnp.stack(way), axis=-1), 0.84, atol=1e-6)
+    np.testing.assert_allclose(way[-1], goal, atol=1e-6)
+
+
+@pytest.mark.parametrize("course", [0.0, 1.0])
+def test_angular_momentum_is_that_of_the_simulation(course):
+    """Within 1 % of C MuJoCo's about the ball's lowest point, robot and ball rolling along at 0.2 m/s."""
+    world = replace(CASE, obstacle=replace(CASE.obstacle, speed=0.2, course=course))
+    start = jax.jit(lambda: start_state(world, CASE, CASE.manoeuvre.plan(CASE)))()
+    model = scene.compile_model(world, geoms=False)
+    data = mujoco.MjData(model)
+    data.qpos, data.qvel = np.asarray(start.qpos, float), np.asarray(start.qvel, float)
+    mujoco.mj_forward(model, data)
+    mujoco.mj_subtreeVel(model, data)
+    below = np.array([0.0, 0.0, 0.0])
+    expected = np.zeros(3)
+    for name in ("base", "ball"):
+        body = model.body(name).id
+        arm = data.subtree_com[body] - below
+        expected += data.subtree_angmom[body]
+        expected += model.body_subtreemass[body] * np.cross(arm, data.subtree_linvel[body])
+    free = free_state(start.qpos, start.qvel, 1)
+    seen = Observation(start.qpos[:3], start.qpos[3:7], start.qvel[:3], jnp.zeros(3), start.qpos[7:25].reshape(6, 3),
+                       jnp.zeros((6, 3)), jnp.zeros((6, 3)), jnp.ones(6, bool), free)  # fmt: skip
+    got = np.asarray(jax.jit(lambda: angular_momentum(CASE.robot, CASE.obstacle, seen))())
+    assert np.linalg.norm(got - expected) < 0.01 * np.linalg.norm(expected)
