@@ -5,6 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
+from sweep.config import compose
+from sweep.models import scene
+from sweep.parameters import InputError
 from sweep.trace.plots import PLOTS, save, tilt
 
 LABELS = {
@@ -16,7 +19,25 @@ LABELS = {
 }
 
 
-@pytest.mark.parametrize("name", PLOTS)
+def test_a_ball_is_plotted_where_there_is_one(trace):
+    with pytest.raises(InputError, match="no free body"):
+        PLOTS["ball"](dataclasses.replace(trace, model=scene.compile_model(compose([]).case)))
+    model = scene.compile_model(compose(["scenario=ball_balance"]).case)
+    time = 0.004 * np.arange(1, 501)
+    qpos = np.tile(model.qpos0, (500, 1))
+    qpos[:, -7] = 0.2 * time
+    qpos[:, :3] = qpos[:, -7:-4] + [0.03, 0.0, 1.11]
+    rolling = dataclasses.replace(trace, model=model, time=time, qpos=qpos, stage=np.zeros(500, int))
+    figure = PLOTS["ball"](rolling)
+    speed, way, base, centre = (ax.lines[0].get_ydata() for ax in figure.axes)
+    np.testing.assert_allclose(speed[50:-50], 200, rtol=1e-3)  # mm/s
+    np.testing.assert_allclose(base, 30, rtol=1e-6)  # mm
+    assert way[-1] == pytest.approx(0.2 * (time[-1] - time[0]))
+    assert np.ptp(centre) < 1e-6
+    assert figure.axes[0].get_ylabel() == "speed (mm/s)"
+
+
+@pytest.mark.parametrize("name", LABELS)
 def test_axes_say_what_they_show(name, trace):
     figure = PLOTS[name](trace)
     assert {ax.get_ylabel() for ax in figure.axes} == LABELS[name]
