@@ -33,12 +33,12 @@ def code_version() -> str:
     )
     content = hashlib.blake2b(digest_size=6)
     for file in files:
-        content.update(f"{file.relative_to(root)}\n{_statements(file.read_text())}\n".encode())
+        content.update(f"{file.relative_to(root)}\n{statements(file.read_text())}\n".encode())
     content.update(repr(versions()).encode())
     return content.hexdigest()
 
 
-def _statements(source: str) -> str:
+def statements(source: str) -> str:
     """`source` in one format, without comments and docstrings."""
     tree = ast.parse(source)
     for node in ast.walk(tree):

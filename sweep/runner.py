@@ -114,6 +114,8 @@ def run(job: Job, progress: Progress) -> Job:
         if not stored["labelled"] or stored["config"]["outcome"] != exp.values["outcome"]:
             relabel(folder, exp.values["outcome"])
     describe(job, found)
+    if not job.missing():
+        return job
     with exp.cluster.connect() as dispatch:
         while missing := job.missing():
             store.write_points(folder, job.table)
@@ -228,12 +230,15 @@ def simulate(exp: Experiment, engine: Engine, rows: pd.DataFrame) -> pd.DataFram
 
 
 def run_single(exp: Experiment) -> pd.DataFrame:
-    """The row of one nominal rollout, not stored."""
+    """The row of one nominal rollout, not stored. Raises `Fault` where the device cannot hold it."""
     exp = replace(exp, settings=replace(exp.settings, width=exp.settings.width or 1))
     table = plan(exp, pd.DataFrame(), wanted_points(exp))
     exp = with_room_for_delay(exp, table)
     start = nominal(exp, table, exp.settings.width)
-    return simulate(exp, make_engine(exp, start), table)
+    try:
+        return simulate(exp, make_engine(exp, start), table)
+    except MemoryError:
+        raise Fault("a rollout does not fit in the memory of the device") from None
 
 
 def relabel(folder: Path, outcome: Mapping[str, float]) -> None:

@@ -12,6 +12,8 @@ from sweep.config import compose
 from sweep.controllers.manoeuvres.waypoints import CIRCLE, TRIPODS, WAYPOINTS
 from sweep.controllers.plan import Plan, Stance, reference
 from sweep.controllers.tracker import joint_targets
+from sweep.engines.batching import nominal_plan
+from sweep.errors import InputError
 
 # Largest steps of the thesis' legs 1 to 6 on its three segments: in transfer for 1, 3, 5, in support for 2, 4, 6.
 LIMITS = [
@@ -127,3 +129,15 @@ def test_too_few_cycles_are_out_of_reach(case):
     _, _, (_, shortfall) = play(short, U)
     assert shortfall[:-1].max() == 0
     assert shortfall[-1].max() > 0.1
+
+
+def test_a_shin_that_is_too_short_is_refused_by_name(case):
+    short = replace(case, robot=replace(case.robot, shin=0.5))
+    with pytest.raises(InputError, match=r"robot\.shin = 0\.5 is not allowed: greater than robot\.thigh = 1 m"):
+        nominal_plan(short)
+
+
+def test_a_nominal_plan_that_is_not_finite_is_refused(case):
+    """Legs folded at home have their feet inside the sector that they may use: thesis (18)-(21) give no step."""
+    with pytest.raises(InputError, match="manoeuvre = waypoints on obstacle = plane has no plan"):
+        nominal_plan(replace(case, manoeuvre=replace(case.manoeuvre, psi=0.5, gamma=-3.1)))
