@@ -279,3 +279,29 @@ def refined(exp: Experiment, rows: pd.DataFrame) -> list[Refined]:
         whole = np.where(known, label, promised)
         found.append(Refined(names, grid, whole, known, len(part), int(audit.sum()), missed, undecided))
     return found
+
+
+def painted(exp: Experiment, rows: pd.DataFrame) -> pd.DataFrame:
+    """`rows` with `known` set, and a row without it for every lattice point that its cell promises.
+
+    A failure that was filled in has the cause of the nearest one that was run.
+    """
+    from scipy.ndimage import distance_transform_edt
+
+    parts = [rows.assign(known=True)]
+    for panel, (_, part) in zip(refined(exp, rows), panels(exp.study, rows), strict=True):
+        guessed = ~panel.known & (panel.label >= FAILS)
+        if part.empty or not guessed.any():
+            continue
+        causes = np.full(panel.label.shape, "", dtype=object)
+        failed = part[part["outcome"] == "failure"]
+        causes[panel.grid.places(failed)] = failed["cause"]
+        if len(failed):
+            nearest = distance_transform_edt(causes == "", return_distances=False, return_indices=True)
+            causes = np.where(panel.label == FAILS, causes[tuple(np.asarray(nearest))], "")
+        at = np.nonzero(guessed)
+        more = {a.column: v[i] for a, v, i in zip(panel.grid.axes, panel.grid.values, at, strict=True)}
+        outcome = np.where(panel.label[at] == SUCCEEDS, "success", "failure")
+        named = {a.column: panel.names[a.name] for a in exp.study.axes if a.name in panel.names}
+        parts.append(pd.DataFrame({**more, **named, "outcome": outcome, "cause": causes[at], "known": False}))
+    return pd.concat(parts, ignore_index=True)

@@ -13,6 +13,7 @@ from matplotlib.colors import ListedColormap, Normalize, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 
+from sweep import refine
 from sweep.config import experiment
 from sweep.metrics.outcome import CAUSES
 from sweep.parameters import InputError
@@ -52,6 +53,8 @@ def success_map(rows: pd.DataFrame, stored: Mapping[str, Any], chosen: tuple[str
     """The figure that `draw` writes."""
     x, y = map_axes(rows, chosen)
     exp = experiment(stored["config"])
+    guessed = exp.study.resolution > 0 and {x, y} == {a.column for a in refine.lattice(exp.study).axes}
+    rows = refine.painted(exp, rows) if guessed else rows.assign(known=True)
     panels = list(split(rows, x, y))
     counts = [panel.groupby([x, y]).size() for _, panel in panels]
     most = max(int(count.max()) for count in counts)
@@ -62,7 +65,11 @@ def success_map(rows: pd.DataFrame, stored: Mapping[str, Any], chosen: tuple[str
     for ax, (title, panel) in zip(axes[0], panels, strict=True):
         (categories if most == 1 else shares)(ax, panel.assign(x=panel[x], y=panel[y]), cells)
         mark_values(ax, cells)
-        ax.set_title("\n".join([*title, str(rate(panel["outcome"])).replace(" (", "\n(", 1)]), fontsize=8)
+        text = str(rate(panel["outcome"])).replace(" (", "\n(", 1)
+        if guessed:  # the share of rollouts that succeed says nothing where they were placed near the boundary
+            ax.plot(x, y, ".", markersize=1.5, color="black", data=panel[panel["known"]])
+            text = f"{panel['known'].sum()} rollouts (dots); each cell as its corners"
+        ax.set_title("\n".join([*title, text]), fontsize=8)
         ax.set_xlabel(words_and_unit(x, exp))
     axes[0, 0].set_ylabel(words_and_unit(y, exp))
     seen = [cause for cause in CAUSES if (rows["cause"] == cause).any()] if most == 1 else []

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import pandas as pd
 
-from sweep import sensitivity
+from sweep import refine, sensitivity
 from sweep.config import Experiment
 from sweep.errors import InputError
 from sweep.report.tables import shown
@@ -18,7 +18,8 @@ def sections(
     listed, drawn = sensitivity.listed(rows, exp), sensitivity.drawn(rows, exp)
     numbers = sensitivity.numeric(rows, listed)
     several = len(rows) > len(rows.drop_duplicates([a.column for a in listed])) if listed else bool(drawn)
-    yield "Rate of success", str(rate(rows["outcome"]))
+    note = "; most were run next to the boundary, so this is not the region's share" if exp.study.resolution else ""
+    yield "Rate of success", f"{rate(rows['outcome'])}{note}"
     star = bool(numbers) and exp.study.design.grid == "one_at_a_time"
     if star:
         yield "Rate along each axis, the others nominal (Wilson, 95 %)", sensitivity.along(rows, exp)
@@ -26,12 +27,15 @@ def sections(
         yield "Share of the draws that succeeds (Clopper-Pearson, or by scrambles)", sensitivity.volume(rows, exp)
     elif several and listed:
         yield "Rate at each condition (Wilson, 95 %)", rates(rows, [a.column for a in listed])
+    if exp.study.refined:
+        yield "Refinement", "\n".join(map(str, refine.refined(exp, rows)))
+    whole = refine.painted(exp, rows) if exp.study.resolution else rows
     if numbers and not several and not star:
-        found = sensitivity.grid_volume(rows, exp)
+        found = sensitivity.grid_volume(whole, exp)
         share, low, high = map(percent, (found.share, found.low, found.high))
         yield "Share of the grid's box that succeeds", f"{share}; {low} to {high} by the cells on its boundary"
     if numbers:
-        yield "Margins: how far from nominal success holds", sensitivity.margins(rows, exp)
+        yield "Margins: how far from nominal success holds", sensitivity.margins(whole, exp)
     if numbers and several:
         title = f"Tolerance: the error at which the probability of success falls to {percent(level)} (logistic fit)"
         yield title, sensitivity.tolerance(rows, exp, level)

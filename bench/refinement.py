@@ -1,0 +1,39 @@
+"""Compare a refined map with the whole grid: `python bench/refinement.py REFINED GRID`."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+from scipy.ndimage import binary_dilation
+
+from sweep import store
+from sweep.config import experiment
+from sweep.refine import FAILS, MISSING, SUCCEEDS, refined
+
+
+def main(folder: Path, whole: Path) -> None:
+    """Print what the refined map saves and where it is wrong."""
+    exp = experiment(store.read_study(folder)["config"])
+    rows = store.read_rows(folder)
+    (found,) = refined(exp, rows)
+    grid = store.read_rows(whole)
+    truth = np.full(found.grid.shape, MISSING)
+    truth[found.grid.places(grid)] = np.where(grid["outcome"] == "success", SUCCEEDS, FAILS)
+    invalid = np.zeros(found.grid.shape, dtype=bool)
+    invalid[found.grid.places(grid)] = grid["outcome"] == "invalid"
+    compared = (found.label >= FAILS) & (truth != MISSING) & ~invalid
+    wrong = compared & (found.label != truth)
+    good = truth == SUCCEEDS
+    edge = binary_dilation(good) & binary_dilation(~good)  # within one cell of the boundary
+    print(found)
+    print(
+        f"{len(grid)} rollouts of the whole grid, {int(invalid.sum())} invalid: {len(grid) / len(rows):.1f} times more"
+    )
+    print(
+        f"{int(wrong.sum())} of {int(compared.sum())} points differ, {int((wrong & ~edge).sum())} of them away from the"
+    )
+    print("boundary by more than one cell")
+
+
+if __name__ == "__main__":
+    main(*map(Path, sys.argv[1:3]))
