@@ -74,9 +74,11 @@ def start_state(world: Case, belief: Case, plan: Plan) -> Start:
         on_it = (ground.body == k)[:, None]
         velocity = velocity + jnp.mean(on_it, axis=0) * free.velocity[k]
         moving = moving + on_it * (free.velocity[k] + jnp.cross(free.turn[k], feet - free.position[k]))
-    stance = start._replace(feet=feet)
-    moved = stance._replace(feet=moving, position=velocity, quat=jnp.zeros_like(start.quat))
-    _, rates = jax.jvp(lambda s: joint_targets(belief.robot, s)[0], (stance,), (moved,))
+    rates = jnp.zeros_like(joints)
+    if world.obstacle.free_bodies:  # on fixed ground nothing moves, and a straight leg's angles have no derivative
+        stance = start._replace(feet=feet)
+        moved = stance._replace(feet=moving, position=velocity, quat=jnp.zeros_like(start.quat))
+        _, rates = jax.jvp(lambda s: joint_targets(belief.robot, s)[0], (stance,), (moved,))
     qpos = [position, start.quat, joints.reshape(18), jnp.concatenate([free.position, free.quat], axis=1).ravel()]
     turn = rotate(conjugate(free.quat), free.turn)  # a free joint turns about the body's own axes
     qvel = [velocity, jnp.zeros(3), rates.reshape(18), jnp.concatenate([free.velocity, turn], axis=1).ravel()]
