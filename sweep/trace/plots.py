@@ -116,6 +116,26 @@ def ball(trace: Trace) -> Figure:
     return _finish(figure, axes, trace)
 
 
+def flywheel(trace: Trace) -> Figure:
+    """Middle legs as in figure 2.6.4, beta in rad, their torques, and how far the robot is off its upright line."""
+    angle = joint_angle(trace).reshape(-1, 6, 3)
+    torque = trace.joint_torque.reshape(-1, 6, 3)
+    figure, axes = _grid(4, 1, "Middle legs as a flywheel")
+    for leg, color in ((3, ACTUAL), (4, SECOND)):
+        wrapped = np.mod(angle[:, leg - 1, 1], 2 * np.pi)
+        axes[0, 0].plot(trace.time, wrapped, color=color, lw=1.2, label=f"leg {leg}")
+        axes[1, 0].plot(trace.time, torque[:, leg - 1, 1], color=color, lw=1.0)
+    aside = 1e3 * sideways(trace, mass_centres(trace, slice(None)) - trace.base_target[:, :3])
+    axes[2, 0].plot(trace.time, aside, color="k", lw=1.0)
+    axes[3, 0].plot(trace.time, tilt(base_pose(trace)), color="k", lw=1.0)
+    labels = ("β (rad)", "largest torque\nof β (N m)", "centre of mass\nto the left (mm)", "tilt (deg)")
+    for ax, label in zip(axes[:, 0], labels, strict=True):
+        ax.set_ylabel(label)
+    axes[0, 0].axhline(np.pi / 2, color=REFERENCE, ls="--", lw=0.8)
+    axes[0, 0].legend(frameon=False, loc="upper right")
+    return _finish(figure, axes, trace)
+
+
 PLOTS: dict[str, Callable[[Trace], Figure]] = {
     "torques": torques,
     "joints": joints,
@@ -123,6 +143,7 @@ PLOTS: dict[str, Callable[[Trace], Figure]] = {
     "feet": feet,
     "paths": paths,
     "ball": ball,
+    "flywheel": flywheel,
 }
 
 
@@ -136,6 +157,13 @@ def tilt(pose: np.ndarray) -> np.ndarray:
     """Angle (F,) in degrees between the base's z axis and the vertical, from poses (F, 7)."""
     _, x, y, _ = pose[:, 3:].T
     return np.degrees(2 * np.arcsin(np.clip(np.hypot(x, y), 0, 1)))
+
+
+def sideways(trace: Trace, vectors: np.ndarray) -> np.ndarray:
+    """The part (F,) of `vectors` (F, 3) to the left of the planned base."""
+    w, x, y, z = trace.base_target[:, 3:].T
+    left = np.stack([2 * (x * y - w * z), 1 - 2 * (x**2 + z**2), 2 * (y * z + w * x)], axis=1)
+    return np.sum(vectors * left, axis=1)
 
 
 def _per_leg(trace: Trace, title: str, label: str, values: np.ndarray, target: np.ndarray | None = None) -> Figure:
