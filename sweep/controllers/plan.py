@@ -149,7 +149,7 @@ def assemble(
             "pivot": pivot, "arc": jnp.asarray(stage.arc, float),
             "foot_frame": jnp.asarray(stage.foot_frames, jnp.int32), "base_frame": jnp.int32(stage.base_frame),
         })  # fmt: skip
-        quat = multiply(exponential(turn), quat)
+        quat = quat if stage.turn is None else multiply(exponential(turn), quat)
     table = {key: jnp.stack([row[key] for row in rows]) for key in rows[0]}
     names = tuple(stage.name for stage in stages)
     mode = jnp.array([stage.flywheel for stage in stages], jnp.int32)
@@ -162,12 +162,14 @@ def _postures(stages: Sequence[Stage]) -> Posture | None:
     """The legs that are held by their joints, from each stage's own words."""
     if not any(stage.posture for stage in stages):
         return None
-    kept, held, joints = {}, [], []
+    kept, angles, held, joints = set(), jnp.zeros((6, 3)), [], []
     for stage in stages:
-        kept = {leg: angles for leg, angles in kept.items() if leg not in stage.swing} | dict(stage.posture)
+        kept = (kept - set(stage.swing)) | set(stage.posture)
+        for leg, goal in stage.posture.items():
+            angles = angles.at[leg - 1].set(goal)
         held.append([leg in kept for leg in range(1, 7)])
-        joints.append(jnp.stack([jnp.asarray(kept.get(leg, jnp.zeros(3)), float) for leg in range(1, 7)]))
-        kept = {leg: angles for leg, angles in kept.items() if leg not in stage.swing}
+        joints.append(angles)
+        kept = kept - set(stage.swing)
     return Posture(jnp.array(held), jnp.stack(joints))
 
 

@@ -46,8 +46,8 @@ class Site(NamedTuple):
 
     def feet(self, y: Array | float, track: Array | float) -> Float[Array, "6 3"]:
         """Feet abreast of their hips, each `track` (m) from the middle line, for a base at y."""
-        hips = mounts(self.robot)[:, 0]
-        return jnp.stack([point(float(SIDE[i]) * track, y - hips[i], self.ground - self.deepening) for i in range(6)])
+        depth = jnp.full(6, self.ground - self.deepening)
+        return jnp.stack([SIDE * jnp.asarray(track, float), y - mounts(self.robot)[:, 0], depth], axis=-1)
 
     def angles(self, y: Array | float, feet: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
         """Joint angles (rad) that put the feet there, for a base at y."""
@@ -61,8 +61,8 @@ class Site(NamedTuple):
 
     def beside_hips(self, out: Array | float, down: Array | float) -> Float[Array, "6 3"]:
         """Joint angles (rad) that put every foot `out` (m) to the outside of its hip and `down` below it."""
-        hips = self.feet(0.0, self.robot.body_width / 2).at[:, 2].set(self.ground + self.clearance)
-        return self.angles(0.0, hips + jnp.stack([point(float(SIDE[i]) * out, 0.0, -down) for i in range(6)]))
+        feet = self.feet(0.0, self.robot.body_width / 2 + out)
+        return self.angles(0.0, feet.at[:, 2].set(self.ground + self.clearance - down))
 
 
 @parameters
