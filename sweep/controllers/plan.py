@@ -49,6 +49,9 @@ class Stage:
     rates: tuple[float, float] = (1.0, 1.0)  # of a steady pace at the stage's start and end, in units of its mean
     pivot: Array | None = None  # m, centre of the ellipse that the base goes along
     arc: float = 0.0  # rad, how far it goes along the ellipse, below pi; 0 is straight on
+    # control points (2, 3) (m, world) of a leg's swing along a cubic Bezier curve, which leaves towards the first and
+    # lands from the second: for swings over edges, in place of `height` and `plane`
+    guides: Mapping[int, Array] = field(default_factory=dict)
     # leg number -> joint angles (rad) that it goes to, straight in joint space, and keeps until its next swing. A leg
     # that swings as well stands at its foothold then, which these angles must reach.
     posture: Mapping[int, Array | np.ndarray] = field(default_factory=dict)
@@ -105,6 +108,7 @@ class Plan:
     cycle: Int[Array, " s"]
     height: Float[Array, " s"]
     plane: Float[Array, "s 6 3"]
+    guides: Float[Array, "s 6 2 3"]  # not a number where a swing has none
     carry: Float[Array, " s"]
     position: Float[Array, "s 3"]  # of the base, at the end
     quat: Float[Array, "s 4"]  # of the base, at the start
@@ -135,15 +139,18 @@ def assemble(
     rows = []
     for stage in stages:
         swing = jnp.array([leg in stage.swing for leg in range(1, 7)])
+        guides = jnp.full((6, 2, 3), jnp.nan)
         for leg, foothold in stage.swing.items():
             feet = feet.at[leg - 1].set(foothold)
+        for leg, points in stage.guides.items():
+            guides = guides.at[leg - 1].set(points)
         position = position if stage.position is None else stage.position
         turn = jnp.zeros(3) if stage.turn is None else stage.turn
         pivot = jnp.zeros(3) if stage.pivot is None else stage.pivot
         rows.append({
             "duration": jnp.asarray(stage.duration, float), "swing": swing, "foothold": feet,
             "cycle": jnp.int32(stage.cycle), "height": jnp.asarray(stage.height, float),
-            "plane": jnp.broadcast_to(jnp.asarray(stage.plane, float), (6, 3)),
+            "plane": jnp.broadcast_to(jnp.asarray(stage.plane, float), (6, 3)), "guides": guides,
             "carry": jnp.asarray(stage.carry, float), "position": position, "quat": quat,
             "turn": turn, "pace": jnp.int32(stage.pace), "rates": jnp.asarray(stage.rates, float),
             "pivot": pivot, "arc": jnp.asarray(stage.arc, float),
@@ -184,8 +191,8 @@ def moved(plan: Plan, quat: Float[Array, " 4"], by: Float[Array, " 3"]) -> Plan:
 
     start = Stance(point(plan.start.feet), point(plan.start.position), multiply(quat, plan.start.quat))
     turned = multiply(jnp.broadcast_to(quat, plan.quat.shape), plan.quat)
-    return replace(plan, start=start, foothold=point(plan.foothold), plane=vector(plan.plane), quat=turned,
-                    position=point(plan.position), pivot=point(plan.pivot), turn=vector(plan.turn))  # fmt: skip
+    return replace(plan, start=start, foothold=point(plan.foothold), plane=vector(plan.plane), guides=point(plan.guides),
+                    quat=turned, position=point(plan.position), pivot=point(plan.pivot), turn=vector(plan.turn))  # fmt: skip
 
 
 def path_length(plan: Plan) -> Float[Array, ""]:
@@ -221,12 +228,25 @@ def along_arc(start: Array, end: Array, pivot: Array, arc: Array, share: Array) 
     return near * start + far * end + (1 - near - far) * pivot
 
 
+def along_guides(start: Array, guides: Float[Array, "*b 2 3"], end: Array, share: Array) -> Float[Array, "*b 3"]:
+    """Point (m) at `share` of the cubic Bezier curve from `start` to `end` (*b, 3) with two control points between.
+
+    The curve stays in the hull of its four points.
+    """
+    rest = 1 - share
+    near, far = guides[..., 0, :], guides[..., 1, :]
+    return rest**3 * start + 3 * rest**2 * share * near + 3 * rest * share**2 * far + share**3 * end
+
+
 def reference(plan: Plan, stage: Int[Array, ""], u: Float[Array, ""], feet: Array, position: Array) -> Stance:
     """What stage number `stage` wants at phase u (0 to 1), having begun with `feet` (6, 3) and base `position`."""
     share, height = swing_progress(plan.cycle[stage], plan.carry[stage], u)
     goal = plan.foothold[stage]
     lift = stepping.lift_direction(goal - feet, plan.plane[stage])
     along = feet + share * (goal - feet) + plan.height[stage] * height * lift
+    guides = plan.guides[stage]
+    guided = ~jnp.isnan(guides[:, 0, :1])
+    along = jnp.where(guided, along_guides(feet, jnp.nan_to_num(guides), goal, share), along)
     swinging = jnp.where(plan.swing[stage][:, None], along, feet)
     done = pace_progress(plan.pace[stage], plan.rates[stage], u)
     quat = multiply(exponential(done * plan.turn[stage]), plan.quat[stage])

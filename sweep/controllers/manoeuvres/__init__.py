@@ -4,6 +4,7 @@ from sweep.controllers.manoeuvres.ball import BallBalance, BallDrive
 from sweep.controllers.manoeuvres.beam import BeamCross, BeamWalk
 from sweep.controllers.manoeuvres.corner import CornerClimb
 from sweep.controllers.manoeuvres.pole import PoleClimb
+from sweep.controllers.manoeuvres.pole_top import PoleTop
 from sweep.controllers.manoeuvres.walk import Stand, Walk
 from sweep.controllers.manoeuvres.waypoints import Waypoints
 
@@ -12,6 +13,7 @@ MANOEUVRES = {
     "stand": Stand,
     "waypoints": Waypoints,
     "pole_climb": PoleClimb,
+    "pole_top": PoleTop,
     "beam_walk": BeamWalk,
     "beam_cross": BeamCross,
     "corner_climb": CornerClimb,

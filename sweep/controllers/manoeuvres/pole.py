@@ -24,13 +24,14 @@ STAND = 0.5  # s, before the first and after the last swing
 FRONT, MIDDLE, REAR = GALLOP
 TOWARDS = (0.5**0.5, 0.0, 0.0, -(0.5**0.5))  # base to world: x_r along -y, z_r up
 OUTWARD = SIDE[:, None] * np.array([1.0, 0.0, 0.0])  # (6, 3), e_n of (2.3.2)
-# Pitch (rad) after each of the four swings on to the pole. The printed sin(theta) = v_f t / a_r ends with an infinite
-# rate, and has the middle hips too low for their feet at the end of the third swing.
-PITCH = np.radians([0.0, 14.5, 31.0, 63.0, 90.0])
-PITCH_RATE = PchipInterpolator(np.arange(5), PITCH).derivative()(np.arange(5))  # rad per swing
-# How far in front of the pole's axis the feet first touch it, in r. The printed 0 puts the front shins 27 mm into it,
-# but holds at a friction of 0.6, where this needs 1.0.
-AHEAD = {FRONT: 0.4, MIDDLE: 0.2, REAR: 0.0}
+# Pitch (rad) after each of the five swings on to the pole. The printed sin(theta) = v_f t / a_r ends with an infinite
+# rate, and has the middle hips too low for their feet at the end of their swing.
+PITCH = np.radians([0.0, 14.5, 31.0, 60.0, 68.0, 90.0])
+PITCH_RATE = PchipInterpolator(np.arange(6), PITCH).derivative()(np.arange(6))  # rad per swing
+# How far in front of the pole's axis the feet first touch it, in r: the printed 0 puts the front shins 34 mm into it.
+AHEAD = {FRONT: 0.4, MIDDLE: 0.25, REAR: 0.1}
+# How far below where the gallop starts, in x*; printed as 4 for all, where the front shins touch.
+BELOW = {FRONT: 2.0, MIDDLE: 4.0, REAR: 4.0}
 
 
 class Site(NamedTuple):
@@ -38,6 +39,7 @@ class Site(NamedTuple):
 
     length: Array | float  # a_r
     radius: Array | float  # r
+    top: Array | float  # h, of the pole
     grip: Array | float  # x_f, the feet's distance from the pole's axis: r less the deepening
     clearance: Array | float  # d, of the base above the floor
     standoff: Array | float  # d_c, of the vertical base from the pole's axis
@@ -62,8 +64,8 @@ class Site(NamedTuple):
 class PoleClimb:
     """By tripod to the pole, on to it, and up it by gallop. Ratios are to the body's length a_r.
 
-    For robots with legs along their sides. What differs from the printed plan, and why: `PITCH`, `AHEAD`, and the
-    rear feet's step before they leave the floor, in `get_on`.
+    For robots with legs along their sides. What differs from the printed plan, and why: `PITCH`, `AHEAD`, and `BELOW`, and
+    in `get_on` the rear feet's step on the floor and when the front feet go up.
     """
 
     kind: str = choice("pole_climb", "pole_climb")
@@ -77,15 +79,23 @@ class PoleClimb:
     deepening: float = quantity(5e-3, "m", at_least=0, at_most=0.05)  # epsilon, footholds inside the pole
     patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
 
-    def plan(self, belief: Case) -> Plan:
-        """Stand, approach, get on, shift the feet up, gallop, halt."""
-        length, radius = belief.robot.body_length, belief.obstacle.radius
+    def site(self, belief: Case) -> Site:
+        """What is believed of the robot and of the pole."""
+        length, pole = belief.robot.body_length, belief.obstacle
         step = Step(self.half_step_ratio * length, self.lift_ratio * length, stepping.swing_time(self.rate))
-        site = Site(length, radius, radius - self.deepening, self.height_ratio * length, self.standoff_ratio * length,
-                    step)  # fmt: skip
+        return Site(length, pole.radius, pole.height, pole.radius - self.deepening, self.height_ratio * length,
+                    self.standoff_ratio * length, step)  # fmt: skip
+
+    def climb(self, site: Site, belief: Case, rise: Array | float) -> tuple[Stance, list[Stage]]:
+        """Stand, approach, get on, shift the feet up, and gallop by `rise` (m) a swing."""
         start, walk = approach(site, belief, self.steps)
-        climb = [*get_on(site), *shift_up(site), *gallop(site, self.cycles)]
-        return assemble(start, [Stage("stand", STAND), *walk, *climb, Stage("halt", STAND)], self.patience)
+        return start, [Stage("stand", STAND), *walk, *get_on(site), *shift_up(site), *gallop(site, self.cycles, rise)]
+
+    def plan(self, belief: Case) -> Plan:
+        """Climb, halt."""
+        site = self.site(belief)
+        start, stages = self.climb(site, belief, site.step.landing)
+        return assemble(start, [*stages, Stage("halt", STAND)], self.patience)
 
 
 def approach(site: Site, belief: Case, steps: int) -> tuple[Stance, list[Stage]]:
@@ -111,19 +121,25 @@ def approach(site: Site, belief: Case, steps: int) -> tuple[Stance, list[Stage]]
 
 
 def get_on(site: Site) -> list[Stage]:
-    """2.3.2 to t_5: front feet to the pole, rear feet nearer to it, middle and rear feet to the pole, 4 x* too low.
+    """2.3.2: front feet to the pole, rear feet nearer to it, middle feet to the pole, front feet up, rear feet to it.
 
     The base's front edge goes up a vertical line at d_c from the axis, its rear edge along a horizontal one at d above
     the floor: its centre turns about their crossing by the angle by which the base pitches up.
+
+    Printed with the front feet going up last. Ahead of the axis the pole's normal pushes the robot away from it, which
+    costs a friction of 0.93 once the rear feet are in the air; with the front feet up and at the pole's sides, 0.3.
     """
-    step, low = site.step, site.upright - 4 * site.step.landing
+    step = site.step
     # Printed as a step of -2 x* along xi, which would take both feet to one side.
     nearer = pair(REAR, site.grip, site.standoff + site.length - 2 * step.landing, 0.0)
+    first = {legs: site.on_pole(legs, AHEAD[legs] * site.radius, site.upright - BELOW[legs] * step.landing)
+             for legs in GALLOP}  # fmt: skip
     swings = (
-        ("on.front", site.on_pole(FRONT, AHEAD[FRONT] * site.radius, low), CYCLE_B, OUTWARD),
+        ("on.front", first[FRONT], CYCLE_B, OUTWARD),
         ("on.nearer", nearer, CYCLE_A, (0.0, 0.0, 1.0)),
-        ("on.middle", site.on_pole(MIDDLE, AHEAD[MIDDLE] * site.radius, low), CYCLE_B, OUTWARD),
-        ("on.rear", site.on_pole(REAR, AHEAD[REAR] * site.radius, low), CYCLE_B, OUTWARD),
+        ("on.middle", first[MIDDLE], CYCLE_B, OUTWARD),
+        ("up.front", site.on_pole(FRONT, 0.0, site.upright), CYCLE_A, OUTWARD),
+        ("on.rear", first[REAR], CYCLE_B, OUTWARD),
     )
     crossing, half = point(0.0, site.standoff, site.clearance), site.length / 2
     stages = []
@@ -138,20 +154,19 @@ def get_on(site: Site) -> list[Stage]:
 
 
 def shift_up(site: Site) -> list[Stage]:
-    """2.3.2 from t_5: the feet go up to where the gallop starts, the base rests."""
-    swings = {"up.front": FRONT, "up.middle": MIDDLE, "up.rear": REAR}
+    """2.3.2 from t_5: middle and rear feet go up to where the gallop starts, the base rests."""
     return [
         Stage(name, site.step.time, site.on_pole(legs, 0.0, site.upright), CYCLE_A, site.step.height, OUTWARD)
-        for name, legs in swings.items()
+        for name, legs in (("up.middle", MIDDLE), ("up.rear", REAR))
     ]
 
 
-def gallop(site: Site, cycles: int) -> list[Stage]:
-    """2.3.1: front, middle and rear feet go up by 3 x* in their turns, of which x* with the base."""
-    stages, way = [], site.step.landing
+def gallop(site: Site, cycles: int, rise: Array | float) -> list[Stage]:
+    """2.3.1: front, middle and rear feet go up in their turns by three times what the base goes up in each swing."""
+    stages = []
     for k in range(3 * cycles):
-        goal = site.upright + 3 * way * (k // 3 + 1)
-        centre = point(0.0, site.standoff, site.upright + way * (k + 1))
+        goal = site.upright + 3 * rise * (k // 3 + 1)
+        centre = point(0.0, site.standoff, site.upright + rise * (k + 1))
         name = f"gallop{k // 3 + 1}.{('front', 'middle', 'rear')[k % 3]}"
         stages.append(Stage(name, site.step.time, site.on_pole(GALLOP[k % 3], 0.0, goal), CYCLE_A, site.step.height,
                             OUTWARD, carry=1 / 3, position=centre))  # fmt: skip
