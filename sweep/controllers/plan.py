@@ -191,8 +191,9 @@ def moved(plan: Plan, quat: Float[Array, " 4"], by: Float[Array, " 3"]) -> Plan:
 
     start = Stance(point(plan.start.feet), point(plan.start.position), multiply(quat, plan.start.quat))
     turned = multiply(jnp.broadcast_to(quat, plan.quat.shape), plan.quat)
-    return replace(plan, start=start, foothold=point(plan.foothold), plane=vector(plan.plane), guides=point(plan.guides),
-                    quat=turned, position=point(plan.position), pivot=point(plan.pivot), turn=vector(plan.turn))  # fmt: skip
+    return replace(plan, start=start, foothold=point(plan.foothold), plane=vector(plan.plane),
+                   guides=point(plan.guides), quat=turned, position=point(plan.position), pivot=point(plan.pivot),
+                   turn=vector(plan.turn))  # fmt: skip
 
 
 def path_length(plan: Plan) -> Float[Array, ""]:

@@ -94,26 +94,26 @@ def test_the_base_comes_to_stand_vertical_facing_up(case):
 def test_its_edges_run_on_two_rails_while_it_pitches_up(case):
     plan, stances, _ = play(case)
     first = plan.names.index("on.front")
-    quat, position = (x[first : first + 4].reshape(-1, x.shape[-1]) for x in (stances.quat, stances.position))
+    quat, position = (x[first : first + 5].reshape(-1, x.shape[-1]) for x in (stances.quat, stances.position))
     front, rear = (rotate(quat, np.broadcast_to([x, 0.0, 0.0], position.shape)) + position for x in (HALF, -HALF))
     np.testing.assert_allclose(front[:, 1], D_C, atol=1e-9)
     np.testing.assert_allclose(rear[:, 2], D, atol=1e-9)
     _, along, rise = (front - rear).T
     pitch = np.arctan2(rise, -along)
     assert np.all(np.diff(pitch) > -1e-9)
-    np.testing.assert_allclose(pitch.reshape(4, -1)[:, -1], PITCH[1:], atol=1e-7)
+    np.testing.assert_allclose(pitch.reshape(5, -1)[:, -1], PITCH[1:], atol=1e-7)
 
 
 def test_the_pitch_rate_does_not_jump_between_stages(case):
     plan, _, _ = play(case)
     first = plan.names.index("on.front")
-    rates = (plan.rates * plan.arc[:, None] / plan.duration[:, None])[first : first + 4]
+    rates = (plan.rates * plan.arc[:, None] / plan.duration[:, None])[first : first + 5]
     np.testing.assert_allclose(rates[:-1, 1], rates[1:, 0], rtol=1e-12)
 
 
 def test_swings_on_the_pole_stay_outside_it(case):
     plan, stances, _ = play(case)
-    first = plan.names.index("up.front")
+    first = plan.names.index("up.middle")
     distance = np.hypot(stances.feet[first:, :, :, 0], stances.feet[first:, :, :, 1])
     assert distance.min() > RADIUS - 5e-3 - 1e-9
     swinging = np.broadcast_to(np.asarray(plan.swing)[first:-1, None], distance[:-1].shape)

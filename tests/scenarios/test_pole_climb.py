@@ -16,9 +16,9 @@ MASSES = ("body_mass", "thigh_mass", "shin_mass")
 WIDTH, SPREAD = 16, 0.02
 
 
-def outcomes(engine: str, width: int) -> dict[str, np.ndarray]:
+def outcomes(engine: str, width: int, scenario: str = "pole_climb") -> dict[str, np.ndarray]:
     """Figures and outcomes of `width` rollouts; more than one are up to `SPREAD` off in sizes, masses and friction."""
-    trial = compose(["scenario=pole_climb", f"engine={engine}"])
+    trial = compose([f"scenario={scenario}", f"engine={engine}"])
     case, random = trial.case, np.random.default_rng(0)
 
     def off(group, *names):
@@ -44,3 +44,10 @@ def test_robots_and_poles_near_the_nominal_ones_on_mjx():
     assert rows["slip_max_m"].max() < 0.012
     assert rows["position_error_max_m"].max() < 0.02
     assert rows["clearance_min_m"].min() > -0.005
+
+
+def test_the_robot_gets_on_the_top_on_native():
+    row = outcomes("native", 1, "pole_top")
+    assert row["outcome"].tolist() == ["success"], row["cause"]
+    assert row["clearance_min_m"].min() > 0
+    assert row["tilt_max_deg"].max() < 5

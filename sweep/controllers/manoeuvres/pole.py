@@ -64,7 +64,7 @@ class Site(NamedTuple):
 class PoleClimb:
     """By tripod to the pole, on to it, and up it by gallop. Ratios are to the body's length a_r.
 
-    For robots with legs along their sides. What differs from the printed plan, and why: `PITCH`, `AHEAD`, and `BELOW`, and
+    For robots with legs along their sides. What differs from the printed plan, and why: `PITCH`, `AHEAD`, `BELOW`, and
     in `get_on` the rear feet's step on the floor and when the front feet go up.
     """
 

@@ -9,7 +9,7 @@ What differs from the printed plan. Its links cut the pole by up to 33 mm and it
   the axis, the front feet ahead of it, and the base 0.19 a_r below the top instead of at it.
 - `SLOPE`: the feet go to the top while the base is still pitched by 22 degrees. Level, the rear shins would cut the
   edge by 19 mm.
-- The base's way over the edge is an arc about a point behind the axis, on which it clears the edge, and ends at 0.36 a_r
+- The base's way over the edge is an arc about a point behind the axis, on which it clears the edge, and ends 0.36 a_r
   above the top (printed 0.67 d_c = 0.31 a_r). It then rises with the rear feet to 0.72 a_r: lower, the knees of rear
   and middle legs meet.
 - While feet on the side are let go, they are pressed in by `PRESS` only, and the front feet on the top as much.
