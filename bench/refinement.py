@@ -26,13 +26,9 @@ def main(folder: Path, whole: Path) -> None:
     good = truth == SUCCEEDS
     edge = binary_dilation(good) & binary_dilation(~good)  # within one cell of the boundary
     print(found)
-    print(
-        f"{len(grid)} rollouts of the whole grid, {int(invalid.sum())} invalid: {len(grid) / len(rows):.1f} times more"
-    )
-    print(
-        f"{int(wrong.sum())} of {int(compared.sum())} points differ, {int((wrong & ~edge).sum())} of them away from the"
-    )
-    print("boundary by more than one cell")
+    print(f"whole grid: {len(grid)} rollouts ({len(grid) / len(rows):.1f} times more), {int(invalid.sum())} invalid")
+    print(f"differing points: {int(wrong.sum())} of {int(compared.sum())}")
+    print(f"those more than a cell away from the boundary: {int((wrong & ~edge).sum())}")
 
 
 if __name__ == "__main__":
