@@ -17,6 +17,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from sweep import config, designs, provenance, refine, runner, store
+from sweep.clusters import connected
 from sweep.config import Experiment
 from sweep.errors import Fault, InputError
 from sweep.report import tables
@@ -74,7 +75,7 @@ def execute(exp: Experiment, flags: Flags) -> int:
     if flags.dry_run:
         print(forecast(runner.lay_out(exp, folder, first)))
         return DONE
-    with store.locked(folder):
+    with store.locked(folder), connected(exp.cluster) as dispatch:
         for line in store.discard_damaged(folder):
             print(f"sweep: {line}", file=sys.stderr)
             store.log(folder, line)
@@ -82,7 +83,7 @@ def execute(exp: Experiment, flags: Flags) -> int:
         for job in refine.rounds(exp, folder, first) if refining else [runner.lay_out(exp, folder, first)]:
             todo = len(job.rows(job.missing()))
             with reporting(exp.study.name, todo) as report:
-                job = runner.run(job, report)
+                job = runner.run(job, report, dispatch)
             done += todo
         seconds = time.perf_counter() - start
         print(f"{done} rollouts in {seconds:.1f} s ({done / seconds:.1f} a second)", file=sys.stderr)

@@ -8,9 +8,9 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cache, partial
 from importlib import import_module
 from typing import Any, ClassVar
 
@@ -108,6 +108,14 @@ class Slurm:
             _check_job(cluster.job_script())
             cluster.adapt(minimum_jobs=self.workers, maximum_jobs=self.workers)
             yield partial(_spread, client)
+
+
+@contextmanager
+def connected(cluster: "Cluster") -> Iterator[Dispatch]:
+    """Hand out batches, connecting to the `cluster` at the first: a finished study sends no job."""
+    with ExitStack() as stack:
+        connect = cache(lambda: stack.enter_context(cluster.connect()))
+        yield lambda work, batches: connect()(work, batches)
 
 
 CLUSTERS = {"local": Local, "dask_local": DaskLocal, "dask_address": DaskAddress, "slurm": Slurm}

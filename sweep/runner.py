@@ -14,6 +14,7 @@ import pandas as pd
 
 from sweep import provenance, store
 from sweep.batches import Batch, among, batch, forget_engine, halve, make_engine, nominal, plan, with_room_for_delay
+from sweep.clusters import Dispatch
 from sweep.config import Experiment, experiment
 from sweep.engines.base import Engine
 from sweep.errors import Fault, InputError
@@ -101,11 +102,11 @@ def flat(values: Any, path: str = "") -> dict[str, Any]:
     return {k: v for key, value in items for k, v in flat(value, key).items()}
 
 
-def run(job: Job, progress: Progress) -> Job:
-    """Simulate what is missing; every batch is on disk as soon as it is done. The job as it ended.
+def run(job: Job, progress: Progress, dispatch: Dispatch = map) -> Job:
+    """Simulate what is missing, here or as `dispatch` hands it out; a batch is on disk as soon as it is done.
 
-    Where a device's memory is too small, the batches that it cannot hold are planned anew at half the width. Raises
-    `Fault` where disk, memory or workers fail.
+    Where a device's memory is too small, the batches that it cannot hold are planned anew at half the width; the job
+    as it ended. Raises `Fault` where disk, memory or workers fail.
     """
     folder, exp, found = job.folder, job.exp, Found()
     if (folder / store.STUDY).exists():
@@ -114,28 +115,25 @@ def run(job: Job, progress: Progress) -> Job:
         if not stored["labelled"] or stored["config"]["outcome"] != exp.values["outcome"]:
             relabel(folder, exp.values["outcome"])
     describe(job, found)
-    if not job.missing():
-        return job
-    with exp.cluster.connect() as dispatch:
-        while missing := job.missing():
-            store.write_points(folder, job.table)
-            tight: list[Done] = []  # batches that found too little memory
-            work = partial(on_worker, folder.resolve(), uuid4().hex, provenance.code_version())
-            for done in dispatch(work, announced(job, missing, found, tight)):
-                if done.out_of_memory:
-                    tight.append(done)
-                    continue
-                if not store.part(folder, done.batch).exists():
-                    raise Fault(f"{done.host} wrote batch {done.batch} to {folder.resolve()}, which is not seen here")
-                if done.device not in found.devices:
-                    found.devices.append(done.device)
-                    describe(job, found)
-                rows = store.read_part(folder, done.batch)
-                where = f"{done.host}, {done.device}"
-                store.log(folder, f"batch {done.batch}: {len(rows)} rollouts, {rows['wall_s'].sum():.1f} s on {where}")
-                progress(rows)
-            if tight:
-                job = narrower(job, tight)
+    while missing := job.missing():
+        store.write_points(folder, job.table)
+        tight: list[Done] = []  # batches that found too little memory
+        work = partial(on_worker, folder.resolve(), uuid4().hex, provenance.code_version())
+        for done in dispatch(work, announced(job, missing, found, tight)):
+            if done.out_of_memory:
+                tight.append(done)
+                continue
+            if not store.part(folder, done.batch).exists():
+                raise Fault(f"{done.host} wrote batch {done.batch} to {folder.resolve()}, which is not seen here")
+            if done.device not in found.devices:
+                found.devices.append(done.device)
+                describe(job, found)
+            rows = store.read_part(folder, done.batch)
+            where = f"{done.host}, {done.device}"
+            store.log(folder, f"batch {done.batch}: {len(rows)} rollouts, {rows['wall_s'].sum():.1f} s on {where}")
+            progress(rows)
+        if tight:
+            job = narrower(job, tight)
     return job
 
 

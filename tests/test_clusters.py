@@ -82,14 +82,15 @@ def test_workers_at_an_address_must_have_this_code(tmp_path, whole, monkeypatch,
 
 
 def test_what_a_cluster_needs_is_said_before_anything_runs(tmp_path, monkeypatch, capsys):
-    for overrides, named in (
+    cases = (
         (["cluster=dask_address"], "cluster.address is missing"),
         (["cluster=dask_address", "cluster.address=tcp://127.0.0.1:9"], "not a scheduler that answers"),
-        (["cluster=slurm", "engine.width=0"], "needs engine.width"),
+        (["engine.width=0", "cluster=slurm"], "needs engine.width"),
         (["cluster=slrm"], "did you mean slurm?"),
         (["cluster=dask_local", "cluster.workers=0"], "cluster.workers = 0"),
-    ):
-        assert main(["run", *STUDY, f"out={tmp_path}", *overrides]) == 2
+    )
+    for number, (overrides, named) in enumerate(cases):
+        assert main(["run", *STUDY, f"out={tmp_path / str(number)}", *overrides]) == 2
         one_line(capsys.readouterr().err, named)
     monkeypatch.setitem(sys.modules, "distributed", None)
     assert main(["run", *STUDY, f"out={tmp_path}", *WORKERS]) == 2
