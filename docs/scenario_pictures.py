@@ -15,7 +15,10 @@ from sweep.trace.frames import write_strip
 from sweep.trace.sampling import evenly
 
 FIGURES = Path(__file__).parent / "figures"
-SCENARIOS = ("walk_tripod", "walk_gallop", "walk_slope", "hexagon_waypoints", "stand_push", "pole_climb")
+SCENARIOS = (
+    "walk_tripod", "walk_gallop", "walk_slope", "hexagon_waypoints", "stand_push", "pole_climb", "ball_balance",
+    "ball_drive",
+)  # fmt: skip
 
 
 def strip(scenario: str) -> Path:

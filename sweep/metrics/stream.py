@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from sweep.case import Case
@@ -19,6 +20,7 @@ from sweep.models.scene import GRAVITY
 
 OVERTURNED = 60.0  # deg of tilt: nothing after it tells anything of the manoeuvre
 LOADED = 5.0  # N, from which a foot carries load and its friction demand means something
+LOST = ("fell", "fell_off", "unreachable")  # what the solver does after these is of no matter
 TAIL = 12.0  # s, before the planned end, over which the obstacle's final speed is taken
 LOAD_TIME = 0.05  # s, over which a load is averaged for the support polygon: a bounce of the feet is not a fall
 
@@ -135,7 +137,8 @@ def update(
     direction = way / jnp.maximum(length, 1e-6)
     work = running.work + tick.work
     gain = tick.energy - running.energy_start - work
-    fallen = ~jnp.isnan(running.cause_time[TIMED_CAUSES.index("fell")])  # what the solver does then is of no matter
+    lost = np.array([TIMED_CAUSES.index(cause) for cause in LOST])
+    fallen = jnp.any(~jnp.isnan(running.cause_time[lost]))
     load = running.load + min(1.0, period / LOAD_TIME) * (tick.normal - running.load)
     margin = support_margin(tick.joints[:, -1, :2], load > LOADED, tick.centre_of_mass[:2])
     new = running._replace(
