@@ -15,6 +15,7 @@ from jaxtyping import Array
 from sweep.engines.settings import EngineSettings
 
 BATCH = "batch"
+NEVER = 1 << 40
 CPU_WIDTH, GPU_WIDTH = 64, 32768  # a device's best number of rollouts
 
 
@@ -43,6 +44,11 @@ def memory() -> Iterator[None]:
 def precision(settings: EngineSettings) -> contextlib.AbstractContextManager:
     """Double precision where asked for, for the calls inside."""
     return jax.enable_x64(settings.precision == "float64")
+
+
+def kept_from() -> int:
+    """From how many operations on a value that is used again is kept, see `lanes`: a GPU's compiler knows itself."""
+    return 8 if jax.default_backend() == "cpu" else NEVER
 
 
 def default_width() -> int:

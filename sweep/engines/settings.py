@@ -8,6 +8,8 @@ class EngineSettings:
     """`mjx` is the primary engine, `native` (C MuJoCo, its own contact) the second opinion."""
 
     name: str = choice("mjx", "mjx", "native")
+    # smooth dynamics of mjx: structured, MJX's own, or structured wherever robot and obstacle fit
+    dynamics: str = choice("auto", "auto", "arrowhead", "mjx")
     time_step: float = quantity(2e-3, "s", above=0, at_most=0.01)  # of mjx
     native_time_step: float = quantity(1e-3, "s", above=0, at_most=0.01)  # its contact solver fails at 2 ms
     control_period: float = quantity(4e-3, "s", above=0, at_most=0.05)

@@ -1,4 +1,4 @@
-"""One physics step: clamped drives (1.2.1) and foot contact (1.2.2), implicit, on MJX's smooth dynamics.
+"""One physics step: clamped drives (1.2.1) and foot contact (1.2.2), implicit, on the smooth dynamics.
 
 The end velocity w solves M0 w = b0 + h (contact forces + clamped drive torques), both at w. Every Newton iteration
 decides anew which feet are loaded, which slip and which drives saturate; of three step lengths the one with the least
@@ -13,7 +13,7 @@ from mujoco import mjx
 from mujoco.mjx._src import math as mjx_math
 
 from sweep.case import Case
-from sweep.models import arrowhead
+from sweep.models import arrowhead, structured
 from sweep.models.arrowhead import Arrowhead, Split
 from sweep.models.contact import Anchors, Contact, Forces, Geometry, approach, contact_forces, settle
 from sweep.models.drive import Drive, Servo
@@ -62,8 +62,8 @@ def rest(top: Topology, q: Float[Array, " nq"]) -> State:
 
 def step(
     top: Topology,
-    model: mjx.Model,
-    data: mjx.Data,
+    model: mjx.Model | None,
+    data: mjx.Data | None,
     case: Case,
     limits: Limits,
     state: State,
@@ -71,8 +71,14 @@ def step(
     h: float,
     iterations: int,
 ) -> tuple[State, StepReport]:
-    """Advance `state` by h seconds while the drives do as `servo` tells them."""
-    smooth = smooth_dynamics(top, model, data, state.q, state.v)
+    """Advance `state` by h seconds while the drives do as `servo` tells them.
+
+    Without a model the smooth dynamics are the structured ones, of the parameters themselves.
+    """
+    if model is None or data is None:
+        smooth = structured.smooth_dynamics(top, case, state.q, state.v)
+    else:
+        smooth = smooth_dynamics(top, model, data, state.q, state.v)
     surface = case.obstacle.surface(smooth.point, top.owner, smooth.bodies)
     point = smooth.point + contact_offset(surface)
     geometry, place = approach(case.contact, surface, state.anchors, point, smooth.bodies)

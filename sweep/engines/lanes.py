@@ -1,0 +1,253 @@
+"""Batch a function of one rollout along the last axis: neighbouring numbers in memory are neighbouring rollouts.
+
+`jax.vmap` puts the batch first: a foot's three coordinates then lie side by side, and neither a CPU's vector units nor
+a GPU's memory can take many rollouts at a time. `lanes` goes through the same program operation by operation and keeps
+the batch last. Products of small matrices become sums of products. What it has no rule for, `jax.vmap` does.
+
+A compiler for a CPU merges a value into every loop that uses it and works it out again in each. In a long program
+that multiplies: it made a physics step twelve times as slow. So a value that is used more than once is kept in memory
+where working it out again would take `kept_from` operations or more.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jax.extend import core
+from jax.extend.core import ClosedJaxpr  # pyright: ignore[reportPrivateImportUsage]
+from jaxtyping import Array
+
+ELEMENTWISE = frozenset("""
+    abs acos acosh add add_any and asin asinh atan atan2 atanh cbrt ceil clamp convert_element_type copy cos cosh div
+    eq erf erf_inv erfc exp exp2 expm1 floor ge gt integer_pow is_finite le log log1p logistic lt max min mul ne neg
+    nextafter not optimization_barrier or pow real reduce_precision rem round rsqrt select_n shift_left
+    shift_right_arithmetic shift_right_logical sign sin sinh sqrt square stop_gradient sub tan tanh xor
+""".split())  # fmt: skip  # noqa: SIM905
+REDUCTIONS = frozenset(
+    ("argmax", "argmin", "reduce_and", "reduce_max", "reduce_min", "reduce_or", "reduce_prod", "reduce_sum")
+)
+SAME_AXES = REDUCTIONS | {"cummax", "cummin", "cumprod", "cumsum", "rev", "squeeze"}  # counted from the front
+CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "core_call": "call_jaxpr", "checkpoint": "jaxpr",
+         "custom_jvp_call": "call_jaxpr", "custom_vjp_call": "call_jaxpr"}  # fmt: skip
+COST = {"convert_element_type": 0, "copy": 0, "div": 8, "sqrt": 8, "rsqrt": 8, "sin": 20, "cos": 20, "atan2": 20,
+        "acos": 20, "pow": 20, "exp": 20, "log": 20}  # of an operation, where it is not 1  # fmt: skip
+
+
+class Lane(NamedTuple):
+    """A value of the program: with a last axis over the batch, or the same for all of it."""
+
+    value: Any
+    batched: bool
+    cost: int = 0  # operations to work it out anew from what is kept in memory
+
+
+class Batch(NamedTuple):
+    """What is the same in the whole program."""
+
+    size: int
+    kept_from: int
+
+
+def lanes(function: Callable, in_axes: Sequence[Any], kept_from: int) -> Callable:
+    """`function` of one rollout, over a batch that is the last axis of all results.
+
+    `in_axes` holds for every argument None (the same for the whole batch), -1, or a tree of its structure whose leaves
+    are None or -1. Equal to `jax.vmap(function, in_axes, out_axes=-1)` to round-off.
+    """
+
+    def batched(*args: Any) -> Any:
+        flat, tree = jax.tree.flatten(args)
+        axes = [axis for arg, given in zip(args, in_axes, strict=True) for axis in _leaf_axes(arg, given)]
+        inputs = [Lane(jnp.asarray(x), axis is not None) for x, axis in zip(flat, axes, strict=True)]
+        size = next(x.value.shape[-1] for x in inputs if x.batched)
+        one = [jax.ShapeDtypeStruct(x.value.shape[: x.value.ndim - x.batched], x.value.dtype) for x in inputs]
+        trace = jax.make_jaxpr(lambda *leaves: function(*jax.tree.unflatten(tree, leaves)), return_shape=True)
+        program, shape = trace(*one)
+        outputs = _evaluate(program, inputs, Batch(size, kept_from))
+        return jax.tree.unflatten(jax.tree.structure(shape), [_spread(out, size) for out in outputs])
+
+    return batched
+
+
+def _leaf_axes(arg: Any, given: Any) -> list[int | None]:
+    if given is None or given == -1:
+        return [given] * len(jax.tree.leaves(arg))
+    return jax.tree.leaves(given, is_leaf=lambda x: x is None)
+
+
+def _spread(x: Lane, size: int) -> Array:
+    """The value with its last axis over the batch."""
+    value = jnp.asarray(x.value)
+    return value if x.batched else jnp.broadcast_to(value[..., None], (*value.shape, size))
+
+
+def _evaluate(program: ClosedJaxpr, inputs: Sequence[Lane], batch: Batch) -> list[Lane]:
+    """Results of `program` on `inputs`."""
+    jaxpr = program.jaxpr
+    known: dict[Any, Lane] = {}
+    read_by = [*(eqn.invars for eqn in jaxpr.eqns), jaxpr.outvars]
+    uses = Counter(atom for atoms in read_by for atom in atoms if not isinstance(atom, core.Literal))
+
+    def read(atom: Any) -> Lane:
+        return Lane(atom.val, False) if isinstance(atom, core.Literal) else known[atom]
+
+    def write(atom: Any, lane: Lane) -> None:
+        if lane.batched and lane.cost >= batch.kept_from and uses[atom] > 1:
+            lane = Lane(lax.optimization_barrier(lane.value), True)
+        known[atom] = lane
+
+    for atom, value in zip(jaxpr.constvars, program.consts, strict=True):
+        write(atom, Lane(value, False))
+    for atom, lane in zip(jaxpr.invars, inputs, strict=True):
+        write(atom, lane)
+    for eqn in jaxpr.eqns:
+        results = _apply(eqn, [read(atom) for atom in eqn.invars], batch)
+        for atom, result in zip(eqn.outvars, results, strict=True):
+            write(atom, result)
+    return [read(atom) for atom in jaxpr.outvars]
+
+
+def _apply(eqn: Any, args: list[Lane], batch: Batch) -> list[Lane]:
+    """Results of one operation."""
+    name, params, size = eqn.primitive.name, eqn.params, batch.size
+    if name in CALLS:
+        return _evaluate(_closed(params[CALLS[name]]), args, batch)
+    if name == "scan":
+        return _scan(eqn, args, batch)
+    if not any(x.batched for x in args):
+        return _results(eqn.primitive.bind(*[x.value for x in args], **params), False)
+    cost = sum(x.cost for x in args)
+    if name in ELEMENTWISE:
+        return _results(_elementwise(eqn, args), True, cost + COST.get(name, 1))
+    if name in SAME_AXES:
+        terms = eqn.invars[0].aval.size // max(1, eqn.outvars[0].aval.size) if name in REDUCTIONS else 1
+        return _results(eqn.primitive.bind(args[0].value, **params), True, terms * (cost + 1))
+    rule = RULES.get(name)
+    out = rule(args, size, **params) if rule else NotImplemented
+    if out is not NotImplemented:
+        terms = eqn.invars[0].aval.size if name == "dot_general" else 0
+        return _results(out, True, cost + terms)
+    batched = jax.vmap(lambda *xs: eqn.primitive.bind(*xs, **params), [-1 if x.batched else None for x in args], -1)
+    return _results(batched(*[x.value for x in args]), True)
+
+
+def _results(out: Any, batched: bool, cost: int = 0) -> list[Lane]:
+    return [Lane(x, batched, cost) for x in (out if isinstance(out, list | tuple) else [out])]
+
+
+def _elementwise(eqn: Any, args: list[Lane]) -> Any:
+    """Operands of one rank and the batch; JAX lets single numbers stand beside arrays."""
+    rank = max(jnp.ndim(x.value) - x.batched for x in args)
+    whole = eqn.primitive.name in ("select_n", "clamp")  # which do not stretch axes of length 1
+    values = []
+    for x in args:
+        value, ndim = jnp.asarray(x.value), jnp.ndim(x.value) - x.batched
+        if not x.batched:
+            value = value[..., None]
+        if ndim < rank:
+            value = value.reshape((1,) * (rank - ndim) + value.shape)
+        values.append(value)
+    if whole:
+        shape = jnp.broadcast_shapes(*[value.shape for value in values])
+        values = [jnp.broadcast_to(value, shape) for value in values]
+    return eqn.primitive.bind(*values, **eqn.params)
+
+
+def _scan(eqn: Any, args: list[Lane], batch: Batch) -> list[Lane]:
+    """A loop over the first axis; all that it carries becomes batched."""
+    program = eqn.params["jaxpr"]
+    inner = program.jaxpr if isinstance(program, ClosedJaxpr) else program
+    # what is looped over, or stacked up, has one axis less inside
+    n_xs = sum(_rank(x) != _rank(y) for x, y in zip(eqn.invars, inner.invars, strict=True))
+    n_ys = sum(_rank(x) != _rank(y) for x, y in zip(eqn.outvars, inner.outvars, strict=True))
+    n_carry = len(eqn.outvars) - n_ys
+    n_consts = len(args) - n_carry - n_xs
+    consts, carry, xs = args[:n_consts], args[n_consts : n_consts + n_carry], args[n_consts + n_carry :]
+
+    def body(state: list[Array], x: list[Array]) -> tuple[list[Array], list[Array]]:
+        here = [Lane(s, True) for s in state]
+        there = [Lane(v, lane.batched) for v, lane in zip(x, xs, strict=True)]
+        values = [_spread(v, batch.size) for v in _evaluate(_closed(program), [*consts, *here, *there], batch)]
+        return values[:n_carry], values[n_carry:]
+
+    loop = {key: eqn.params[key] for key in ("length", "reverse", "unroll")}
+    last, ys = lax.scan(body, [_spread(x, batch.size) for x in carry], [x.value for x in xs], **loop)
+    return [Lane(x, True) for x in (*last, *ys)]
+
+
+def _rank(atom: Any) -> int:
+    return atom.aval.ndim
+
+
+def _closed(program: Any) -> ClosedJaxpr:
+    return program if isinstance(program, ClosedJaxpr) else ClosedJaxpr(program, ())
+
+
+def _broadcast_in_dim(args: list[Lane], size: int, shape: tuple, broadcast_dimensions: tuple, **_: Any) -> Array:
+    return lax.broadcast_in_dim(args[0].value, (*shape, size), (*broadcast_dimensions, len(shape)))
+
+
+def _reshape(args: list[Lane], size: int, new_sizes: tuple, **_: Any) -> Array:
+    return lax.reshape(args[0].value, (*new_sizes, size))
+
+
+def _transpose(args: list[Lane], size: int, permutation: tuple) -> Array:
+    return lax.transpose(args[0].value, (*permutation, len(permutation)))
+
+
+def _slice(args: list[Lane], size: int, start_indices: tuple, limit_indices: tuple, strides: tuple | None) -> Array:
+    return lax.slice(args[0].value, (*start_indices, 0), (*limit_indices, size), strides and (*strides, 1))
+
+
+def _pad(args: list[Lane], size: int, padding_config: tuple) -> Array:
+    if args[1].batched:
+        return NotImplemented
+    return lax.pad(args[0].value, args[1].value, (*padding_config, (0, 0, 0)))
+
+
+def _concatenate(args: list[Lane], size: int, dimension: int) -> Array:
+    return lax.concatenate([_spread(x, size) for x in args], dimension)
+
+
+def _dot_general(args: list[Lane], size: int, dimension_numbers: tuple, **_: Any) -> Array:
+    """Products summed one after the other: the matrices are a few rows, the batch is long."""
+    (contract_l, contract_r), (batch_l, batch_r) = dimension_numbers
+    left, right = ((jnp.asarray(x.value) if x.batched else jnp.asarray(x.value)[..., None]) for x in args)
+    free_l = [d for d in range(left.ndim - 1) if d not in (*contract_l, *batch_l)]
+    free_r = [d for d in range(right.ndim - 1) if d not in (*contract_r, *batch_r)]
+    left = lax.transpose(left, (*contract_l, *batch_l, *free_l, left.ndim - 1))
+    right = lax.transpose(right, (*contract_r, *batch_r, *free_r, right.ndim - 1))
+    n = len(contract_l) + len(batch_l)
+    left = left.reshape((*left.shape[:-1], *[1] * len(free_r), left.shape[-1]))
+    right = right.reshape((*right.shape[:n], *[1] * len(free_l), *right.shape[n:]))
+    return jnp.sum(left * right, axis=tuple(range(len(contract_l))))
+
+
+def _gather(args: list[Lane], size: int, dimension_numbers: Any, slice_sizes: tuple, mode: Any, **rest: Any) -> Array:
+    operand, indices = args
+    dims = dimension_numbers
+    if not operand.batched:
+        return NotImplemented
+    kept = {"collapsed_slice_dims": dims.collapsed_slice_dims, "start_index_map": dims.start_index_map}
+    rest = {k: v for k, v in rest.items() if k in ("unique_indices", "indices_are_sorted", "fill_value")}
+    axis = operand.value.ndim - 1
+    if not indices.batched:
+        out_rank = indices.value.ndim - 1 + len(dims.offset_dims)
+        numbers = lax.GatherDimensionNumbers((*dims.offset_dims, out_rank), **kept,
+            operand_batching_dims=dims.operand_batching_dims,
+            start_indices_batching_dims=dims.start_indices_batching_dims)  # fmt: skip
+        return lax.gather(operand.value, indices.value, numbers, (*slice_sizes, size), mode=mode, **rest)
+    index = jnp.moveaxis(indices.value, -1, -2)  # (..., batch, index vector)
+    numbers = lax.GatherDimensionNumbers(dims.offset_dims, **kept,
+        operand_batching_dims=(*dims.operand_batching_dims, axis),
+        start_indices_batching_dims=(*dims.start_indices_batching_dims, index.ndim - 2))  # fmt: skip
+    return lax.gather(operand.value, index, numbers, (*slice_sizes, 1), mode=mode, **rest)
+
+
+RULES: dict[str, Callable] = {
+    "broadcast_in_dim": _broadcast_in_dim, "reshape": _reshape, "transpose": _transpose, "slice": _slice, "pad": _pad,
+    "concatenate": _concatenate, "dot_general": _dot_general, "gather": _gather,
+}  # fmt: skip

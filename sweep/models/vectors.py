@@ -1,0 +1,119 @@
+"""Vectors as three arrays, one a component: sums over legs and rollouts then never mix with sums over components.
+
+Arrays of a component broadcast against each other: (1,) for the base, (6,) for the legs, and so on. That is the layout
+in which a compiler turns a formula into a loop over many rollouts.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+Number = Array | float
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Vector:
+    """A vector field over legs; axes are those of its maker."""
+
+    x: Array
+    y: Array
+    z: Array
+    __array_ufunc__ = None  # numpy arrays leave products to this class
+
+    @classmethod
+    def of(cls, array: Float[Array, "*n 3"]) -> "Vector":
+        """From an array with the components last."""
+        return cls(array[..., 0], array[..., 1], array[..., 2])
+
+    def array(self) -> Float[Array, "*n 3"]:
+        """The components stacked last."""
+        return jnp.stack([self.x, self.y, self.z], axis=-1)
+
+    def __add__(self, other: "Vector") -> "Vector":
+        return Vector(self.x + other.x, self.y + other.y, self.z + other.z)
+
+    def __sub__(self, other: "Vector") -> "Vector":
+        return Vector(self.x - other.x, self.y - other.y, self.z - other.z)
+
+    def __mul__(self, factor: Number) -> "Vector":
+        return Vector(self.x * factor, self.y * factor, self.z * factor)
+
+    __rmul__ = __mul__
+
+    def __neg__(self) -> "Vector":
+        return Vector(-self.x, -self.y, -self.z)
+
+    def dot(self, other: "Vector") -> Array:
+        """Scalar product."""
+        return self.x * other.x + self.y * other.y + self.z * other.z
+
+    def cross(self, other: "Vector") -> "Vector":
+        """Vector product."""
+        return Vector(
+            self.y * other.z - self.z * other.y,
+            self.z * other.x - self.x * other.z,
+            self.x * other.y - self.y * other.x,
+        )
+
+    def total(self) -> "Vector":
+        """Sum over the legs (the last axis), which stays as an axis of length 1."""
+        return Vector(*(jnp.sum(part, axis=-1, keepdims=True) for part in (self.x, self.y, self.z)))
+
+
+class Matrix(NamedTuple):
+    """A 3x3 matrix by rows."""
+
+    x: Vector
+    y: Vector
+    z: Vector
+
+    def __matmul__(self, v: Vector) -> Vector:  # pyright: ignore[reportIncompatibleMethodOverride]
+        return Vector(self.x.dot(v), self.y.dot(v), self.z.dot(v))
+
+    @property
+    def transposed(self) -> "Matrix":
+        """Columns as rows."""
+        return Matrix(*(Vector(*parts) for parts in zip(*((r.x, r.y, r.z) for r in self), strict=True)))
+
+    def plus(self, other: "Matrix") -> "Matrix":
+        """Sum, entry by entry."""
+        return Matrix(*(a + b for a, b in zip(self, other, strict=True)))
+
+    def times(self, other: "Matrix") -> "Matrix":
+        """Matrix product."""
+        columns = other.transposed
+        return Matrix(*(columns @ row for row in self))
+
+    def total(self) -> "Matrix":
+        """Sum over the legs."""
+        return Matrix(*(row.total() for row in self))
+
+    def inverse(self) -> "Matrix":
+        """By cofactors."""
+        rows = self.y.cross(self.z), self.z.cross(self.x), self.x.cross(self.y)
+        scale = 1 / self.x.dot(rows[0])
+        return Matrix(*(row * scale for row in rows)).transposed
+
+
+def symmetric(xx: Array, yy: Array, zz: Array, xy: Array, xz: Array, yz: Array) -> Matrix:
+    """The symmetric matrix with these entries."""
+    return Matrix(Vector(xx, xy, xz), Vector(xy, yy, yz), Vector(xz, yz, zz))
+
+
+def cross_matrix(v: Vector) -> Matrix:
+    """The matrix of `v` cross."""
+    zero = jnp.zeros_like(v.x)
+    return Matrix(Vector(zero, -v.z, v.y), Vector(v.z, zero, -v.x), Vector(-v.y, v.x, zero))
+
+
+def rotation(w: Array, x: Array, y: Array, z: Array) -> Matrix:
+    """Of a unit quaternion, body to world."""
+    return Matrix(
+        Vector(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        Vector(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        Vector(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
