@@ -67,7 +67,7 @@ def execute(exp: Experiment, flags: Flags) -> int:
         return execute_single(exp, flags)
     folder = exp.folder
     first = runner.wanted_points(exp, flags.where, flags.limit)
-    refining = exp.study.refined and flags.where is None and flags.limit is None
+    whole = flags.where is None and flags.limit is None
     if exp.study.refined:
         refine.check(exp.study, first)
     if line := designs.caution(exp.study.design):
@@ -80,7 +80,9 @@ def execute(exp: Experiment, flags: Flags) -> int:
             print(f"sweep: {line}", file=sys.stderr)
             store.log(folder, line)
         done, start = 0, time.perf_counter()
-        for job in refine.rounds(exp, folder, first) if refining else [runner.lay_out(exp, folder, first)]:
+        for job in (
+            refine.rounds(exp, folder, first) if exp.study.refined and whole else [runner.lay_out(exp, folder, first)]
+        ):
             todo = len(job.rows(job.missing()))
             with reporting(exp.study.name, todo) as report:
                 job = runner.run(job, report, dispatch)
@@ -88,7 +90,7 @@ def execute(exp: Experiment, flags: Flags) -> int:
         seconds = time.perf_counter() - start
         print(f"{done} rollouts in {seconds:.1f} s ({done / seconds:.1f} a second)", file=sys.stderr)
         rows = store.read_rows(folder)
-        complete = len(rows) == len(job.table) and (refining or len(first) == len(runner.wanted_points(exp)))
+        complete = len(rows) == len(job.table) and (whole or len(first) == len(runner.wanted_points(exp)))
     print(summary(exp.study.name, rows))
     if exp.study.refined:
         print("\n".join(f"refined: {one}" for one in refine.refined(exp, rows)))

@@ -79,7 +79,7 @@ def counted(monkeypatch):
 
 
 def test_a_refined_map_is_the_grid_with_ten_times_fewer_rollouts(tmp_path, capsys, counted):
-    refining = ["study.resolution=0.0078125", "study.audit=200", "engine.width=64"]
+    refining = ["study.resolution=0.0078125", "study.audit=200", "engine.width=128"]
     assert main(["run", *AXES, *refining, f"out={tmp_path}"]) == 0
     out = capsys.readouterr().out
     rows = store.read_rows(tmp_path)
@@ -133,7 +133,7 @@ class NoisyEngine(FakeEngine):
 
 
 NOISY = ["+study.axes.f={path: contact.friction, on: world, from: 0.05, to: 0.95, num: 10}", "study.name=noisy",
-         "study.replicates=20", "engine.width=64", "study.invalid_max=1"]  # fmt: skip
+         "study.replicates=20", "engine.width=512", "study.invalid_max=1"]  # fmt: skip
 
 
 def test_noisy_points_get_rollouts_until_decided_or_the_budget_is_spent(tmp_path, monkeypatch, capsys):
