@@ -5,6 +5,7 @@ of one quantity (friction used, joint torque, or normal force) is least, within 
 is a centre of the forces that do nearly as well, not their extreme: it changes smoothly with the pose.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal, NamedTuple
 
@@ -13,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from sweep.case import Case
-from sweep.controllers.plan import Grip, Plan, Stance, reference
+from sweep.controllers.plan import Grip, Plan, Stage, Stance, reference
 from sweep.controllers.posture import foot_positions, mass_centre
 from sweep.controllers.tracker import joint_targets
 from sweep.maths import rotate
@@ -21,6 +22,7 @@ from sweep.models.arrowhead import inverse_3x3
 from sweep.models.obstacles.surface import Bodies
 from sweep.models.robot import Robot, total_mass
 from sweep.models.scene import GRAVITY
+from sweep.parameters import parameters, quantity
 
 Effort = Literal["friction", "torque", "normal"]
 _LEVEL: dict[Effort, str] = {"friction": "friction", "torque": "torque", "normal": "most_normal"}
@@ -235,8 +237,26 @@ def surface_normals(belief: Case, feet: Float[Array, "6 3"]) -> Float[Array, "6 
     return belief.obstacle.surface(feet, (-1,) * 6, Bodies(jnp.zeros((0, 3)), jnp.zeros((0, 3, 3)))).normal
 
 
-def gripped(belief: Case, plan: Plan, course: Course, creep: Array | float, anchoring: Array | float) -> Plan:
-    """`plan` with planned forces as offsets of what the believed drives are told (`Grip`)."""
-    inward = -jax.vmap(lambda feet: surface_normals(belief, feet))(plan.foothold)
-    grip = Grip(course.torque / belief.drive.stiffness, inward, *(jnp.asarray(x, float) for x in (creep, anchoring)))
-    return replace(plan, grip=grip)
+@parameters
+class PlannedForces:
+    """What a manoeuvre that holds on with planned forces needs to be told of them; a base of its own parameters."""
+
+    load_time: float = quantity(0.4, "s", above=0, at_most=10)  # for load to go from foot to foot before a swing
+    friction_share: float = quantity(1.0, "-", above=0, at_most=1)  # of the believed friction, planned with at most
+    torque_share: float = quantity(0.85, "-", above=0, at_most=1)  # of the believed drives' limit
+    least_normal: float = quantity(8.0, "N", at_least=0)  # force of a standing foot
+    creep: float = quantity(0.0125, "m/s", at_least=0)  # inwards, of a foot that has missed the surface
+    anchoring: float = quantity(0.01, "s", above=0)  # in which footholds follow the feet
+
+    def loading(self, stages: Sequence[Stage]) -> list[Stage]:
+        """`stages` with a rest before each of them, in which load goes off the feet that are to swing."""
+        return [s for stage in stages for s in (Stage(f"{stage.name}.load", self.load_time), stage)]
+
+    def gripped(self, belief: Case, plan: Plan) -> Plan:
+        """`plan` with the forces of least friction as offsets of what the believed drives are told (`Grip`)."""
+        bounds = Bounds(self.friction_share * belief.contact.friction, self.torque_share * belief.drive.torque_limit,
+                        self.least_normal)  # fmt: skip
+        torque = along(belief, plan, bounds, "friction").torque
+        inward = -jax.vmap(lambda feet: surface_normals(belief, feet))(plan.foothold)
+        told = (jnp.asarray(x, float) for x in (self.creep, self.anchoring))
+        return replace(plan, grip=Grip(torque / belief.drive.stiffness, inward, *told))

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array
 
 from sweep.case import Case
-from sweep.controllers.forces import Bounds, along, gripped
+from sweep.controllers.forces import PlannedForces
 from sweep.controllers.gaits import GALLOP, Step
 from sweep.controllers.manoeuvres.pole import OUTWARD, TOWARDS, pair, point
 from sweep.controllers.plan import CYCLE_B_SMOOTH, SMOOTH, Plan, Stage, Stance, assemble
@@ -39,7 +39,6 @@ class Site(NamedTuple):
     near: Array | float  # of the middle feet to the pair that swings next, at least
     way: Array | float  # of a cycle of the gallop
     step: Step
-    shift: Array | float  # s, that load goes from foot to foot before a swing
 
     def at(self, x: Array | float, eta: Array | float, z: Array | float) -> Array:
         """A point by the book's eta."""
@@ -59,16 +58,24 @@ class Site(NamedTuple):
 
     def swing(
         self, name: str, goals: dict[int, Array], times: float = 1.0, plane: np.ndarray = OUTWARD, **body
-    ) -> list:
-        """Load goes off the feet that are to swing, then they swing."""
-        return [Stage(f"{name}.shift", self.shift),
-                Stage(name, times * self.step.time, goals, CYCLE_B_SMOOTH, self.step.height, plane, pace=SMOOTH,
-                      **body)]  # fmt: skip
+    ) -> Stage:
+        """A swing that takes `times` t*, with what the base does in it."""
+        return Stage(name, times * self.step.time, goals, CYCLE_B_SMOOTH, self.step.height, plane, pace=SMOOTH, **body)
 
 
 @parameters
-class CornerClimb:
-    """On to the corner and up it by the modified gallop. Ratios are to the body's length a_r."""
+class CornerClimb(PlannedForces):
+    """On to the corner and up it by the modified gallop. Ratios are to the body's length a_r.
+
+    Forces are planned (`PlannedForces`) where the book presses the feet into the walls by a fixed depth: before every
+    swing load goes off the feet that are to swing, and standing feet are commanded to where they are. What else differs
+    from the printed plan: x_f is a_r/3 and eta_f 0.39 a_r, which need less friction than the book's 0.374 a_r; feet on
+    the floor stand wider than on the walls, and the front ones x* farther ahead, else front and middle legs cross; the
+    middle feet stand 0.6 x* nearer to the corner, and the base pitches up a little less in 2.4.2, or the middle legs do
+    not reach the floor; the front feet touch the wall x*/2 higher, where their shins clear it; swings with a moving
+    base take 2 to 2.6 t*; 2.4.4's 9 x* are along zeta; 2.4.7 is left out, and the feet are spread from the start, since
+    the longer the lever from the lower to the upper feet, the less friction is needed.
+    """
 
     kind: str = choice("corner_climb", "corner_climb")
     cycles: int = count(1, at_least=0, at_most=100)  # of the gallop
@@ -82,41 +89,29 @@ class CornerClimb:
     half_step_ratio: float = quantity(0.1, "a_r", above=0, at_most=0.5)  # d_x
     lift_ratio: float = quantity(0.05, "a_r", above=0, at_most=0.5)  # d_y
     rate: float = quantity(3.0, "rad/s", above=0, at_most=20)  # varpi
-    load_time: float = quantity(0.4, "s", above=0, at_most=10)  # for load to go from foot to foot before a swing
-    friction_share: float = quantity(1.0, "-", above=0, at_most=1)  # of the believed friction, that is planned with
-    torque_share: float = quantity(0.85, "-", above=0, at_most=1)  # of the drives' limit
-    least_normal: float = quantity(8.0, "N", at_least=0)
-    creep: float = quantity(0.0125, "m/s", at_least=0)  # of a foot that has missed the wall
-    anchoring: float = quantity(0.01, "s", above=0)
     patience: float = quantity(0.5, "s", at_least=0)
 
     def plan(self, belief: Case) -> Plan:
         """Stand, get on, spread the feet, gallop, halt."""
         a_r = belief.robot.body_length
         track = self.track_ratio * a_r
-        step = Step(self.half_step_ratio * a_r, self.lift_ratio * a_r, stepping.swing_time(self.rate))
-        edge = track / jnp.tan(belief.obstacle.half_angle)
         site = Site(
-            a_r,
-            track,
-            self.floor_track_ratio * a_r,
-            edge,
-            self.height_ratio * a_r,
-            self.standoff_ratio * a_r,
-            self.span_ratio * a_r,
-            self.near_ratio * a_r,
-            self.way_ratio * a_r,
-            step,
-            self.load_time,
+            length=a_r,
+            track=track,
+            floor_track=self.floor_track_ratio * a_r,
+            edge=track / jnp.tan(belief.obstacle.half_angle),
+            clearance=self.height_ratio * a_r,
+            standoff=self.standoff_ratio * a_r,
+            span=self.span_ratio * a_r,
+            near=self.near_ratio * a_r,
+            way=self.way_ratio * a_r,
+            step=Step(self.half_step_ratio * a_r, self.lift_ratio * a_r, stepping.swing_time(self.rate)),
         )
         start, on, feet = get_on(site)
         spread, feet = spread_out(site, feet)
-        up = gallop(site, feet, self.cycles)
-        stages = [Stage("stand", STAND), *on, *spread, *up, Stage("halt", STAND)]
-        plan = assemble(start, stages, self.patience)
-        bounds = Bounds(self.friction_share * belief.contact.friction, self.torque_share * belief.drive.torque_limit,
-                        self.least_normal)  # fmt: skip
-        return gripped(belief, plan, along(belief, plan, bounds, "friction"), self.creep, self.anchoring)
+        swings = self.loading([*on, *spread, *gallop(site, feet, self.cycles)])
+        plan = assemble(start, [Stage("stand", STAND), *swings, Stage("halt", STAND)], self.patience)
+        return self.gripped(belief, plan)
 
 
 def get_on(site: Site) -> tuple[Stance, list[Stage], dict]:
@@ -140,13 +135,13 @@ def get_on(site: Site) -> tuple[Stance, list[Stage], dict]:
     rear = site.clearance - 3 * x
     upright = np.zeros((6, 3)) + np.array([0.0, 0.0, 1.0])
     stages = [
-        *site.swing("2.4.1", site.on_wall(FRONT, front), 2.0, **pitched(0)),
-        *site.swing("2.4.2", site.on_floor(REAR, site.standoff + a_r - 4.75 * x), 2.0, upright, **pitched(1)),
-        *site.swing("2.4.3", site.on_wall(MIDDLE, middle), 2.6, **pitched(2)),
-        *site.swing("2.4.4", site.on_wall(FRONT, front + 9 * x)),
-        *site.swing("2.4.5", site.on_wall(REAR, rear), plane=SLANTED),
+        site.swing("2.4.1", site.on_wall(FRONT, front), 2.0, **pitched(0)),
+        site.swing("2.4.2", site.on_floor(REAR, site.standoff + a_r - 4.75 * x), 2.0, upright, **pitched(1)),
+        site.swing("2.4.3", site.on_wall(MIDDLE, middle), 2.6, **pitched(2)),
+        site.swing("2.4.4", site.on_wall(FRONT, front + 9 * x)),
+        site.swing("2.4.5", site.on_wall(REAR, rear), plane=SLANTED),
     ]
-    return start, stages, {FRONT: front + 9 * x, MIDDLE: middle, REAR: rear, "base": site.clearance + a_r / 2}
+    return start, stages, {FRONT: front + 9 * x, MIDDLE: middle, REAR: rear}
 
 
 def spread_out(site: Site, feet: dict) -> tuple[list[Stage], dict]:
@@ -155,8 +150,8 @@ def spread_out(site: Site, feet: dict) -> tuple[list[Stage], dict]:
     feet[REAR] = feet[FRONT] - site.span
     feet[MIDDLE] = feet[REAR] + site.near
     stages = [
-        *site.swing("2.4.6", site.on_wall(MIDDLE, feet[MIDDLE]), 2.0, position=site.between(feet)),
-        *site.swing("2.4.8", site.on_wall(REAR, feet[REAR])),
+        site.swing("2.4.6", site.on_wall(MIDDLE, feet[MIDDLE]), 2.0, position=site.between(feet)),
+        site.swing("2.4.8", site.on_wall(REAR, feet[REAR])),
     ]
     return stages, feet
 
@@ -167,9 +162,9 @@ def gallop(site: Site, feet: dict, cycles: int) -> list[Stage]:
     for k in range(cycles):
         low = feet[FRONT] - site.near
         feet[FRONT] = feet[FRONT] + site.way
-        stages += site.swing(f"gallop{k + 1}.up", site.on_wall(MIDDLE, low), 1.5, position=site.between(feet))
-        stages += site.swing(f"gallop{k + 1}.front", site.on_wall(FRONT, feet[FRONT]))
+        stages.append(site.swing(f"gallop{k + 1}.up", site.on_wall(MIDDLE, low), 1.5, position=site.between(feet)))
+        stages.append(site.swing(f"gallop{k + 1}.front", site.on_wall(FRONT, feet[FRONT])))
         feet[REAR] = feet[REAR] + site.way
-        stages += site.swing(f"gallop{k + 1}.down", site.on_wall(MIDDLE, feet[REAR] + site.near))
-        stages += site.swing(f"gallop{k + 1}.rear", site.on_wall(REAR, feet[REAR]))
+        stages.append(site.swing(f"gallop{k + 1}.down", site.on_wall(MIDDLE, feet[REAR] + site.near)))
+        stages.append(site.swing(f"gallop{k + 1}.rear", site.on_wall(REAR, feet[REAR])))
     return stages
