@@ -38,7 +38,8 @@ class FakeEngine:
             "tilt_max_deg": tilt, "slip_max_m": ratio / (friction + 0.01), "reach_shortfall_max_m": zero,
             "clearance_min_m": zero + 0.05, "leg_gap_min_m": zero + 0.05, "heading_error_max_deg": zero,
             "saturation_share_alpha": zero, "saturation_share_beta": zero, "saturation_share_gamma": zero,
-            "solver_residual_max_n": zero, "energy_gain_max_j": zero, "progress": zero + 1, "finished": zero + 1,
+            "solver_residual_max_n": zero, "imbalance_max": zero, "energy_gain_max_j": zero,
+            "progress": zero + 1, "finished": zero + 1,
             "finite": zero + 1, "end_stage": zero + 1, "noise_draw": streams % 1000 / 1000,
         }  # fmt: skip
 

@@ -34,7 +34,6 @@ LENGTHS = (1.0, 0.7, 0.5, 0.3, 0.15, 0.07, 0.03, 0.01)  # of a Newton step, of w
 FOCUS = 8.0  # weight of the pressed bounds against all others
 KEEP = 0.2  # of the room to a bound that a step has to leave
 KNOTS = 5  # moments of a stage for which forces are planned
-HELD = 0.01  # of the weight: imbalance below which a stance is held
 
 
 class Pose(NamedTuple):
@@ -91,7 +90,7 @@ def distribute(pose: Pose, bounds: Bounds, least: Effort) -> Forces:
     The method of centres: a level is set a little above the largest effort, Newton's method takes the forces towards
     the point that is farthest, in the logarithmic sense, from the level and all bounds, and so on with ever less room.
     The effort ends within some 3 % of the least possible one. What is left of the weight (`imbalance`) stays below
-    `HELD` where forces within the bounds exist, and above it where there are none.
+    1 % where forces within the bounds exist, and above it where there are none.
     """
     scaled = _Scaled.of(pose)
     start = Bounds(bounds.friction, bounds.torque / pose.weight, bounds.least_normal / pose.weight,
@@ -256,7 +255,8 @@ class PlannedForces:
         """`plan` with the forces of least friction as offsets of what the believed drives are told (`Grip`)."""
         bounds = Bounds(self.friction_share * belief.contact.friction, self.torque_share * belief.drive.torque_limit,
                         self.least_normal)  # fmt: skip
-        torque = along(belief, plan, bounds, "friction").torque
+        course = along(belief, plan, bounds, "friction")
         inward = -jax.vmap(lambda feet: surface_normals(belief, feet))(plan.foothold)
+        offset = course.torque / belief.drive.stiffness
         told = (jnp.asarray(x, float) for x in (self.creep, self.anchoring))
-        return replace(plan, grip=Grip(torque / belief.drive.stiffness, inward, *told))
+        return replace(plan, grip=Grip(offset, jnp.max(course.planned.imbalance, axis=-1), inward, *told))

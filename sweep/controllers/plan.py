@@ -90,6 +90,7 @@ class Grip(NamedTuple):
     """Planned foot forces as the drives are told of them, over S stages and K even moments of each."""
 
     offset: Float[Array, "s k 6 3"]  # rad, that the drives turn into the joint torques wanted
+    imbalance: Float[Array, " s"]  # what the forces leave of the weight; more than a little where none hold it
     inward: Float[Array, "s 6 3"]  # unit vectors into the surface at the footholds
     creep: Float[Array, ""]  # m/s, of a foot that has not touched down at the end of its swing
     anchoring: Float[Array, ""]  # s, in which the foothold of a loaded foot follows the place where it really is

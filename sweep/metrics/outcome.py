@@ -8,7 +8,7 @@ from sweep.parameters import parameters, quantity
 
 SUCCESS, FAILURE, INVALID = "success", "failure", "invalid"
 TIMED_CAUSES = ("fell", "slipped", "unreachable", "link_collision", "leg_crossing", "off_course", "fell_off",
-                "obstacle_moved")  # fmt: skip
+                "obstacle_moved", "overload")  # fmt: skip
 FREE_BODY_CAUSES = ("fell_off", "obstacle_moved")  # their figures are there where the obstacle has free bodies
 CAUSES = {
     "fell": "the base tilted beyond tilt_max_deg",
@@ -19,7 +19,8 @@ CAUSES = {
     "off_course": "the heading was off by more than heading_error_max_deg",
     "fell_off": "the base sank to less than ride_height_min_m over the centre of the body it rides on",
     "obstacle_moved": "a free body went farther than obstacle_moved_max_m",
-    "overload": "a kind of joint was saturated for more than saturation_share_max of the time",
+    "overload": "no forces within the believed friction and torque limit hold a planned stance (imbalance_max), or a "
+    "kind of joint was saturated for more than saturation_share_max of the time",
     "stalled": "the plan was not finished, or progress stayed below progress_min",
 }
 DOUBTS = {
@@ -42,6 +43,7 @@ class Thresholds:
     heading_error_max_deg: float = quantity(5.0, "deg", above=0)
     ride_height_min_m: float = quantity(-1e3, "m")
     obstacle_moved_max_m: float = quantity(1e3, "m", at_least=0)
+    imbalance_max: float = quantity(0.01, "-", at_least=0)  # of the weight, that planned forces leave unheld
     saturation_share_max: float = quantity(1.0, "-", at_least=0, at_most=1)
     progress_min: float = quantity(0.9, "-")
     solver_residual_max_n: float = quantity(100.0, "N", above=0)
@@ -93,7 +95,7 @@ def _causes(f: Mapping[str, np.ndarray], limits: Thresholds) -> dict[str, np.nda
         "leg_crossing": f["leg_gap_min_m"] < limits.leg_gap_min_m,
         "off_course": f["heading_error_max_deg"] > limits.heading_error_max_deg,
         **on_free_body,
-        "overload": saturation > limits.saturation_share_max,
+        "overload": (f["imbalance_max"] > limits.imbalance_max) | (saturation > limits.saturation_share_max),
         "stalled": ~f["finished"].astype(bool) | (f["progress"] < limits.progress_min),
     }
 

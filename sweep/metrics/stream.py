@@ -168,7 +168,9 @@ def update(
         finished=state.finished,
         finite=jnp.isfinite(tick.energy) & jnp.all(jnp.isfinite(tick.joints)),
     )
-    new = _note_causes(limits, new, stage)._replace(over=(new.tilt > OVERTURNED) | ~new.finite)
+    unheld = imbalance(plan) > limits.imbalance_max
+    new = _note_causes(limits, new, stage, unheld)
+    new = new._replace(over=(new.tilt > OVERTURNED) | ~new.finite | jnp.any(unheld))
     frozen = [jnp.where(running.over, old, fresh) for old, fresh in zip(running, new, strict=True)]
     return Running(*frozen)
 
@@ -214,8 +216,16 @@ def _attitude(quat: Array, wanted: Array) -> tuple[Array, Array]:
     return tilt, jnp.degrees(jnp.abs(2 * jnp.arctan2(z * jnp.sign(w), jnp.abs(w))))
 
 
-def _note_causes(limits: Thresholds, running: Running, stage: Array) -> Running:
-    """Remember when, and in which stage, each timed cause first crossed its threshold."""
+def imbalance(plan: Plan) -> Float[Array, " s"]:
+    """What planned forces leave of the weight in each stage; nothing where none are planned."""
+    return jnp.zeros_like(plan.duration) if plan.grip is None else plan.grip.imbalance
+
+
+def _note_causes(limits: Thresholds, running: Running, stage: Array, unheld: Bool[Array, " s"]) -> Running:
+    """Remember when, and in which stage, each timed cause first crossed its threshold.
+
+    A stance that the planner cannot hold is known from the start, with the stage that it belongs to.
+    """
     crossed = jnp.stack([
         running.tilt > limits.tilt_max_deg,
         running.slip > limits.slip_max_m,
@@ -225,8 +235,10 @@ def _note_causes(limits: Thresholds, running: Running, stage: Array) -> Running:
         running.heading > limits.heading_error_max_deg,
         running.ride_height < limits.ride_height_min_m,
         running.body_moved > limits.obstacle_moved_max_m,
+        jnp.any(unheld),
     ])  # fmt: skip
     first = crossed & jnp.isnan(running.cause_time)
+    stage = jnp.full_like(running.cause_stage, stage).at[-1].set(jnp.argmax(unheld).astype(jnp.int32))
     return running._replace(
         cause_time=jnp.where(first, running.time, running.cause_time),
         cause_stage=jnp.where(first, stage, running.cause_stage),
@@ -261,6 +273,7 @@ def figures(plan: Plan, running: Running, stage: Int[Array, ""]) -> dict[str, Ar
         "energy_j": running.effort,
         "energy_gain_max_j": running.energy_gain,
         "solver_residual_max_n": running.residual,
+        "imbalance_max": jnp.max(imbalance(plan)),
     }
     if running.body.shape[0]:
         along = (running.body - running.body_tail)[0, :2] / jnp.maximum(running.time - running.tail_time, 1e-9)

@@ -8,13 +8,14 @@ import pytest
 from scipy.optimize import linprog
 
 from sweep.case import Case
-from sweep.controllers.forces import HELD, Bounds, Pose, distribute, joint_torque, pose
+from sweep.controllers.forces import Bounds, Pose, distribute, joint_torque, pose
 from sweep.controllers.manoeuvres.walk import Stand
 from sweep.controllers.observation import Noise
 from sweep.controllers.plan import Stance
 from sweep.controllers.tracker import joint_targets
 from sweep.formulas import corner
 from sweep.formulas.leg import SIDE
+from sweep.metrics.outcome import Thresholds
 from sweep.models.contact import Contact
 from sweep.models.drive import Drive
 from sweep.models.execution import Execution
@@ -105,7 +106,7 @@ def test_forces_ask_for_hardly_more_than_a_linear_program_finds(least):
     best = np.array([least_by_program(p, bounds, least) for p in poses])
     holds = np.isfinite(best)
     assert 0 < holds.sum() < len(poses)  # stances of both kinds
-    np.testing.assert_array_equal(np.asarray(found.imbalance) < HELD, holds)
+    np.testing.assert_array_equal(np.asarray(found.imbalance) < Thresholds().imbalance_max, holds)
     got = np.asarray(getattr(found, least))[holds]
     assert np.all(got <= 1.04 * best[holds] + 1e-3)
     assert np.all(got >= 0.99 * best[holds] - 1e-3)

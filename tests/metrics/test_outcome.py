@@ -14,7 +14,7 @@ def row(**changes):
         "finite": True, "finished": True, "end_stage": 2, "progress": 1.0, "tilt_max_deg": 1.0, "slip_max_m": 1e-3,
         "reach_shortfall_max_m": 0.0, "clearance_min_m": 0.1, "leg_gap_min_m": 0.1, "heading_error_max_deg": 0.1,
         "saturation_share_alpha": 0.0, "saturation_share_beta": 0.0, "saturation_share_gamma": 0.0,
-        "solver_residual_max_n": 1.0, "energy_gain_max_j": 0.01, "speed_mps": 0.1,
+        "solver_residual_max_n": 1.0, "energy_gain_max_j": 0.01, "imbalance_max": 0.0, "speed_mps": 0.1,
     }  # fmt: skip
     good |= {f"{cause}_time_s": np.nan for cause in TIMED_CAUSES} | {f"{cause}_stage": -1 for cause in TIMED_CAUSES}
     return {key: np.array([value]) for key, value in (good | changes).items()}
@@ -33,7 +33,7 @@ def test_success_has_no_cause():
 BAD = {
     "fell": {"tilt_max_deg": 25.0}, "slipped": {"slip_max_m": 2e3}, "unreachable": {"reach_shortfall_max_m": 0.01},
     "link_collision": {"clearance_min_m": -0.01}, "leg_crossing": {"leg_gap_min_m": -0.01},
-    "off_course": {"heading_error_max_deg": 6.0}, "stalled": {"progress": 0.5},
+    "off_course": {"heading_error_max_deg": 6.0}, "stalled": {"progress": 0.5}, "overload": {"imbalance_max": 0.05},
     "fell_off": {"ride_height_min_m": -2e3, "obstacle_moved_m": 0.0},
     "obstacle_moved": {"ride_height_min_m": 1.0, "obstacle_moved_m": 2e3},
 }  # fmt: skip

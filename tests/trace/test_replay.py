@@ -24,6 +24,7 @@ class StandInEngine:
     stages = ("stand", "left tripod", "right tripod")
     duration = 1.0
     width = WIDTH
+    devices = 1
 
     def __init__(self, trace):
         self._trace = trace
@@ -33,7 +34,7 @@ class StandInEngine:
         names = [f"{cause}_{what}" for cause in TIMED_CAUSES for what in ("time_s", "stage")]
         zero = ["tilt_max_deg", "reach_shortfall_max_m", "clearance_min_m", "leg_gap_min_m", "heading_error_max_deg",
                 "saturation_share_alpha", "saturation_share_beta", "saturation_share_gamma", "solver_residual_max_n",
-                "energy_gain_max_j", "end_stage"]  # fmt: skip
+                "imbalance_max", "energy_gain_max_j", "end_stage"]  # fmt: skip
         figures = {**{n: np.full(WIDTH, np.nan) for n in names}, **{n: np.zeros(WIDTH) for n in zero}}
         figures |= {"finished": np.ones(WIDTH), "finite": np.ones(WIDTH), "progress": np.ones(WIDTH)}
         friction = np.asarray(world.contact.friction, np.float32)

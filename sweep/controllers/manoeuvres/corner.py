@@ -21,7 +21,7 @@ from sweep.parameters import choice, count, parameters, quantity
 
 STAND = 0.5  # s, before the first and after the last swing
 FRONT, MIDDLE, REAR = GALLOP
-PITCH = np.arcsin([0.0, 0.42, 0.55, 1.0])  # after each of the first three swings: sin theta = zeta_s/a_r of (2.4.1)
+PITCH = np.arcsin([0.0, 0.42, 0.5, 1.0])  # after each of the first three swings: sin theta = zeta_s/a_r of (2.4.1)
 # e of stage 2.4.5
 SLANTED = SIDE[:, None] * np.array([1.0, 0.0, 0.0]) + np.array([0.0, 0.0, 0.9])
 
