@@ -6,6 +6,7 @@ import signal
 import subprocess
 import time
 
+import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 import pytest
@@ -13,6 +14,7 @@ from small_study import BATCHES, STUDY, content, one_line, start, wait_for
 
 from sweep import store
 from sweep.cli import main
+from sweep.engines import devices
 
 pytestmark = pytest.mark.usefixtures("fake_engine")
 
@@ -179,3 +181,10 @@ def test_kills_of_the_real_engine_leave_the_same_rows(tmp_path, monkeypatch):
     assert len(store.finished(out)) >= 2
     assert main(["run", *study, f"out={out}"]) == 0
     pd.testing.assert_frame_equal(content(out), content(tmp_path / "whole"))
+
+
+def test_a_device_without_room_is_told_from_other_errors():
+    with pytest.raises(MemoryError), devices.memory():
+        jnp.zeros(10**14).block_until_ready()
+    with pytest.raises(RuntimeError), devices.memory():
+        raise RuntimeError("another error")
