@@ -109,7 +109,8 @@ class Plan:
     cycle: Int[Array, " s"]
     height: Float[Array, " s"]
     plane: Float[Array, "s 6 3"]
-    guides: Float[Array, "s 6 2 3"]  # not a number where a swing has none
+    guides: Float[Array, "s 6 2 3"]
+    guided: Bool[Array, "s 6"]  # which swings have guides
     carry: Float[Array, " s"]
     position: Float[Array, "s 3"]  # of the base, at the end
     quat: Float[Array, "s 4"]  # of the base, at the start
@@ -140,7 +141,7 @@ def assemble(
     rows = []
     for stage in stages:
         swing = jnp.array([leg in stage.swing for leg in range(1, 7)])
-        guides = jnp.full((6, 2, 3), jnp.nan)
+        guides, guided = jnp.zeros((6, 2, 3)), jnp.array([leg in stage.guides for leg in range(1, 7)])
         for leg, foothold in stage.swing.items():
             feet = feet.at[leg - 1].set(foothold)
         for leg, points in stage.guides.items():
@@ -151,7 +152,7 @@ def assemble(
         rows.append({
             "duration": jnp.asarray(stage.duration, float), "swing": swing, "foothold": feet,
             "cycle": jnp.int32(stage.cycle), "height": jnp.asarray(stage.height, float),
-            "plane": jnp.broadcast_to(jnp.asarray(stage.plane, float), (6, 3)), "guides": guides,
+            "plane": jnp.broadcast_to(jnp.asarray(stage.plane, float), (6, 3)), "guides": guides, "guided": guided,
             "carry": jnp.asarray(stage.carry, float), "position": position, "quat": quat,
             "turn": turn, "pace": jnp.int32(stage.pace), "rates": jnp.asarray(stage.rates, float),
             "pivot": pivot, "arc": jnp.asarray(stage.arc, float),
@@ -246,9 +247,8 @@ def reference(plan: Plan, stage: Int[Array, ""], u: Float[Array, ""], feet: Arra
     goal = plan.foothold[stage]
     lift = stepping.lift_direction(goal - feet, plan.plane[stage])
     along = feet + share * (goal - feet) + plan.height[stage] * height * lift
-    guides = plan.guides[stage]
-    guided = ~jnp.isnan(guides[:, 0, :1])
-    along = jnp.where(guided, along_guides(feet, jnp.nan_to_num(guides), goal, share), along)
+    curve = along_guides(feet, plan.guides[stage], goal, share)
+    along = jnp.where(plan.guided[stage][:, None], curve, along)
     swinging = jnp.where(plan.swing[stage][:, None], along, feet)
     done = pace_progress(plan.pace[stage], plan.rates[stage], u)
     quat = multiply(exponential(done * plan.turn[stage]), plan.quat[stage])
