@@ -1,6 +1,7 @@
 """Plots of a trace over time. Legs are arranged as seen from above: left legs on the left, the front pair on top."""
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -8,7 +9,6 @@ import mujoco
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.transforms import Affine2D
 
 from sweep.engines.base import Trace
 from sweep.parameters import InputError
@@ -29,7 +29,9 @@ def torques(trace: Trace) -> Figure:
     title = f"Joint torque (largest magnitude of each tick); right: in units of {BOOK_TORQUE} N m"
     figure = _per_leg(trace, title, "torque (N m)", values)
     for ax in figure.axes[1::2]:
-        ax.secondary_yaxis("right", functions=Affine2D().scale(1 / BOOK_TORQUE))
+        ax.secondary_yaxis(
+            "right", functions=(partial(np.multiply, 1 / BOOK_TORQUE), partial(np.multiply, BOOK_TORQUE))
+        )
     return figure
 
 

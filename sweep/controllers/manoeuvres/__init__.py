@@ -4,6 +4,8 @@ from sweep.controllers.manoeuvres.ball import BallBalance, BallDrive
 from sweep.controllers.manoeuvres.beam import BeamCross, BeamWalk
 from sweep.controllers.manoeuvres.corner import CornerClimb
 from sweep.controllers.manoeuvres.pole import PoleClimb
+from sweep.controllers.manoeuvres.pole_return import PoleReturn
+from sweep.controllers.manoeuvres.pole_round import PoleRound
 from sweep.controllers.manoeuvres.pole_top import PoleTop
 from sweep.controllers.manoeuvres.walk import Stand, Walk
 from sweep.controllers.manoeuvres.waypoints import Waypoints
@@ -14,6 +16,8 @@ MANOEUVRES = {
     "waypoints": Waypoints,
     "pole_climb": PoleClimb,
     "pole_top": PoleTop,
+    "pole_return": PoleReturn,
+    "pole_round": PoleRound,
     "beam_walk": BeamWalk,
     "beam_cross": BeamCross,
     "corner_climb": CornerClimb,

@@ -4,6 +4,7 @@ World axes: the pole stands along z at the origin and the robot comes along -y. 
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -24,6 +25,7 @@ STAND = 0.5  # s, before the first and after the last swing
 FRONT, MIDDLE, REAR = GALLOP
 TOWARDS = (0.5**0.5, 0.0, 0.0, -(0.5**0.5))  # base to world: x_r along -y, z_r up
 OUTWARD = SIDE[:, None] * np.array([1.0, 0.0, 0.0])  # (6, 3), e_n of (2.3.2)
+UP = np.array([0.0, 0.0, 1.0])
 # Pitch (rad) after each of the five swings on to the pole. The printed sin(theta) = v_f t / a_r ends with an infinite
 # rate, and has the middle hips too low for their feet at the end of their swing.
 PITCH = np.radians([0.0, 14.5, 31.0, 60.0, 68.0, 90.0])
@@ -50,6 +52,11 @@ class Site(NamedTuple):
         """Height of the base's centre (m) when it has become vertical."""
         return self.clearance + self.length / 2
 
+    def on_floor(self, legs: tuple[int, int]) -> dict[int, Array]:
+        """Places of a pair before the pole, (2.3.1)."""
+        behind = {FRONT: self.step.landing, MIDDLE: self.length / 2 - self.step.landing, REAR: self.length}[legs]
+        return pair(legs, self.grip, self.standoff + behind, 0.0)
+
     def on_pole(self, legs: tuple[int, int], ahead: Array | float, height: Array | float) -> dict[int, Array]:
         """Footholds of a pair, `ahead` (m) of the pole's axis, for a base's centre at `height` (m).
 
@@ -65,7 +72,7 @@ class PoleClimb:
     """By tripod to the pole, on to it, and up it by gallop. Ratios are to the body's length a_r.
 
     For robots with legs along their sides. What differs from the printed plan, and why: `PITCH`, `AHEAD`, `BELOW`, and
-    in `get_on` the rear feet's step on the floor and when the front feet go up.
+    in `get_on` the rear feet's step on the floor, when the front feet go up, and how feet leave the floor.
     """
 
     kind: str = choice("pole_climb", "pole_climb")
@@ -86,9 +93,11 @@ class PoleClimb:
         return Site(length, pole.radius, pole.height, pole.radius - self.deepening, self.height_ratio * length,
                     self.standoff_ratio * length, step)  # fmt: skip
 
-    def climb(self, site: Site, belief: Case, rise: Array | float) -> tuple[Stance, list[Stage]]:
-        """Stand, approach, get on, shift the feet up, and gallop by `rise` (m) a swing."""
-        start, walk = approach(site, belief, self.steps)
+    def climb(
+        self, site: Site, belief: Case, rise: Array | float, gap: Array | float = 0.0
+    ) -> tuple[Stance, list[Stage]]:
+        """Stand, approach, get on, shift the feet up, and gallop by `rise` (m) a swing; `gap` as in `approach`."""
+        start, walk = approach(site, belief, self.steps, gap)
         return start, [Stage("stand", STAND), *walk, *get_on(site), *shift_up(site), *gallop(site, self.cycles, rise)]
 
     def plan(self, belief: Case) -> Plan:
@@ -98,25 +107,26 @@ class PoleClimb:
         return assemble(start, [*stages, Stage("halt", STAND)], self.patience)
 
 
-def approach(site: Site, belief: Case, steps: int) -> tuple[Stance, list[Stage]]:
-    """`steps` swings by tripod up to the pole, then a swing of each tripod to the places of (2.3.1)."""
+def approach(site: Site, belief: Case, steps: int, gap: Array | float = 0.0) -> tuple[Stance, list[Stage]]:
+    """`steps` swings by tripod up to the pole, then a swing of each tripod to the places of (2.3.1).
+
+    The base walks up to `gap` (m) before where it gets on, and goes the rest while the feet go to their places.
+    """
     step, forward, quat = site.step, jnp.array([0.0, -1.0, 0.0]), jnp.array(TOWARDS)
     spread = site.grip - belief.robot.body_width / 2
     centres = rotate(quat[None], foot_centres(belief.robot, spread, site.clearance))
     arrival = point(0.0, site.standoff + site.length / 2, site.clearance)
-    position = arrival - 2 * step.landing * steps * forward
+    position = arrival - (gap + 2 * step.landing * steps) * forward
     offsets = centre_offsets(TRIPOD, step)
     feet = position + centres + jnp.stack([offsets[leg] * forward for leg in range(1, 7)])
     start = Stance(feet, position, quat)
     stages = regular_steps(TRIPOD, step, start, centres, forward, steps, 0.0)
-    places = {
-        **pair(FRONT, site.grip, site.standoff + step.landing, 0.0),
-        **pair(MIDDLE, site.grip, site.standoff + site.length / 2 - step.landing, 0.0),
-        **pair(REAR, site.grip, site.standoff + site.length, 0.0),
-    }
-    for legs in TRIPOD:
+    places = {leg: place for legs in GALLOP for leg, place in site.on_floor(legs).items()}
+    for k, legs in enumerate(TRIPOD):
+        centre = arrival - (1 - k) * gap / 2 * forward
         name = f"place.{'-'.join(map(str, legs))}"
-        stages.append(Stage(name, step.time, {leg: places[leg] for leg in legs}, CYCLE_B, step.height))
+        stages.append(Stage(name, step.time, {leg: places[leg] for leg in legs}, CYCLE_B, step.height,
+                            position=centre))  # fmt: skip
     return start, stages
 
 
@@ -129,28 +139,35 @@ def get_on(site: Site) -> list[Stage]:
     Printed with the front feet going up last. Ahead of the axis the pole's normal pushes the robot away from it, which
     costs a friction of 0.93 once the rear feet are in the air; with the front feet up and at the pole's sides, 0.3.
     """
-    step = site.step
+    step, time = site.step, site.step.time
     # Printed as a step of -2 x* along xi, which would take both feet to one side.
-    nearer = pair(REAR, site.grip, site.standoff + site.length - 2 * step.landing, 0.0)
+    nearer = {leg: place - point(0.0, 2 * step.landing, 0.0) for leg, place in site.on_floor(REAR).items()}
     first = {legs: site.on_pole(legs, AHEAD[legs] * site.radius, site.upright - BELOW[legs] * step.landing)
              for legs in GALLOP}  # fmt: skip
     swings = (
-        ("on.front", first[FRONT], CYCLE_B, OUTWARD),
-        ("on.nearer", nearer, CYCLE_A, (0.0, 0.0, 1.0)),
-        ("on.middle", first[MIDDLE], CYCLE_B, OUTWARD),
-        ("up.front", site.on_pole(FRONT, 0.0, site.upright), CYCLE_A, OUTWARD),
-        ("on.rear", first[REAR], CYCLE_B, OUTWARD),
+        Stage("on.front", time, first[FRONT], CYCLE_B, 3 * step.height, OUTWARD + UP),
+        Stage("on.nearer", time, nearer, CYCLE_A, step.height),
+        Stage("on.middle", time, first[MIDDLE], CYCLE_B, guides=off_floor(site, site.on_floor(MIDDLE), first[MIDDLE])),
+        Stage("up.front", time, site.on_pole(FRONT, 0.0, site.upright), CYCLE_A, step.height, OUTWARD),
+        Stage("on.rear", time, first[REAR], CYCLE_B, guides=off_floor(site, nearer, first[REAR])),
     )
     crossing, half = point(0.0, site.standoff, site.clearance), site.length / 2
     stages = []
-    for k, (name, swing, cycle, plane) in enumerate(swings):
+    for k, swing in enumerate(swings):
         angle, pitch = PITCH[k + 1] - PITCH[k], PITCH[k + 1]
         centre = crossing + half * point(0.0, np.cos(pitch), np.sin(pitch))
-        stages.append(
-            Stage(name, step.time, swing, cycle, step.height, plane, position=centre, pivot=crossing, arc=angle,
-                  turn=point(-angle, 0.0, 0.0), rates=tuple(PITCH_RATE[k : k + 2] / angle))
-        )  # fmt: skip
+        stages.append(replace(swing, position=centre, pivot=crossing, arc=angle, turn=point(-angle, 0.0, 0.0),
+                              rates=tuple(PITCH_RATE[k : k + 2] / angle)))  # fmt: skip
     return stages
+
+
+def off_floor(site: Site, start: dict[int, Array], end: dict[int, Array]) -> dict[int, Array]:
+    """Guides of swings from the floor to the pole: straight up from the floor, from the side on to the pole.
+
+    The printed flat cycle drags a foot along the floor where the base hangs lower than planned.
+    """
+    up, out = point(0.0, 0.0, 0.3 * site.length), point(0.1 * site.length, 0.0, 0.0)
+    return {leg: jnp.stack([start[leg] + up, end[leg] + float(SIDE[leg - 1]) * out]) for leg in end}
 
 
 def shift_up(site: Site) -> list[Stage]:

@@ -1,0 +1,94 @@
+"""New plans out of old ones: backwards in time, in a mirror, one after the other.
+
+For plans of feet alone in the world's frame: without postures, flywheel or planned forces.
+"""
+
+from dataclasses import fields, replace
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from sweep.controllers.plan import Plan, Stance
+from sweep.maths import exponential, multiply
+
+BACK = "back."  # put before the names of stages that run backwards in time
+OTHER_SIDE = np.array([1, 0, 3, 2, 5, 4])  # index of each leg's partner on the robot's other side
+
+
+def last_stance(plan: Plan) -> Stance:
+    """Where the plan ends."""
+    return Stance(plan.foothold[-1], plan.position[-1], multiply(exponential(plan.turn[-1]), plan.quat[-1]))
+
+
+def reversed_in_time(plan: Plan) -> Plan:
+    """The way back: it starts at the plan's last stance, and at time T - t it wants what the plan wants at t.
+
+    Every step cycle, pace and path of the vocabulary is its own reversal but for its ends, so that a stage goes back
+    by the same swings, from its footholds to those of the stage before. Applied twice, it gives the plan again.
+    """
+    feet = jnp.concatenate([plan.start.feet[None], plan.foothold])
+    position = jnp.concatenate([plan.start.position[None], plan.position])
+    turned = multiply(exponential(plan.turn), plan.quat)  # the base's attitude at the end of each stage
+
+    def back(array: Array) -> Array:
+        return jnp.flip(array, axis=0)
+
+    unchanged = ("duration", "swing", "guided", "cycle", "height", "plane", "carry", "pace", "pivot", "arc")
+    table: dict[str, Any] = {name: back(getattr(plan, name)) for name in unchanged}
+    return replace(
+        plan,
+        names=tuple(name.removeprefix(BACK) if name.startswith(BACK) else BACK + name for name in plan.names[::-1]),
+        start=last_stance(plan),
+        foothold=back(feet[:-1]),
+        position=back(position[:-1]),
+        quat=back(turned),
+        turn=back(-plan.turn),
+        rates=back(jnp.flip(plan.rates, axis=1)),
+        guides=back(jnp.flip(plan.guides, axis=2)),
+        **table,
+    )
+
+
+def mirrored(plan: Plan, normal: Float[np.ndarray, " 3"]) -> Plan:
+    """The plan seen in a mirror through the world's origin with unit `normal`; left and right legs change places.
+
+    For robots that are their own mirror image. Applied twice, it gives the plan again.
+    """
+    mirror = jnp.asarray(np.eye(3) - 2 * np.outer(normal, normal))
+    left = np.array([0.0, 1.0, 0.0])
+    # From the base's mirror, its plane of symmetry, to this one: a rotation by twice the angle between them.
+    between = jnp.asarray(np.concatenate([[normal @ left], np.cross(left, normal)]))
+
+    def legs(array: Array) -> Array:
+        """Of vectors by stage and leg, (S, 6, ..., 3)."""
+        return array[:, OTHER_SIDE] @ mirror
+
+    def attitude(quat: Array) -> Array:
+        turned = jnp.concatenate([quat[..., :1], -quat[..., 1:] @ mirror], axis=-1)
+        return multiply(turned, jnp.broadcast_to(between, quat.shape))
+
+    feet, position, quat = plan.start
+    return replace(
+        plan,
+        start=Stance(legs(feet[None])[0], position @ mirror, attitude(quat)),
+        swing=plan.swing[:, OTHER_SIDE],
+        guided=plan.guided[:, OTHER_SIDE],
+        foothold=legs(plan.foothold),
+        plane=legs(plan.plane),
+        guides=legs(plan.guides),
+        position=plan.position @ mirror,
+        quat=attitude(plan.quat),
+        turn=-plan.turn @ mirror,
+        pivot=plan.pivot @ mirror,
+    )
+
+
+def joined(first: Plan, *others: Plan) -> Plan:
+    """The plans one after the other; each should start in the stance in which the one before it ends."""
+    plans = (first, *others)
+    whole = ("start", "patience", "posture", "flywheel", "grip")
+    arrays = [f.name for f in fields(Plan) if f.name not in whole and not f.metadata.get("static")]
+    table: dict[str, Any] = {name: jnp.concatenate([getattr(plan, name) for plan in plans]) for name in arrays}
+    return replace(first, names=tuple(name for plan in plans for name in plan.names), **table)
