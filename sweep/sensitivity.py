@@ -217,7 +217,7 @@ def tolerance(rows: pd.DataFrame, exp: Experiment, probability: float = 0.9) -> 
 
     A logistic fit over the distance from the nominal number, on either side; `low` to `high` is its 95 % interval. It
     takes rollouts to be independent: draws or replicates. `tried` is the largest distance with a valid rollout; an
-    `error` beyond it is a guess.
+    `error` beyond it is a guess, one of 0 means that P is lower already nominally.
     """
     lines = []
     for axis, centre, part in arms(rows, exp):
@@ -231,8 +231,8 @@ def tolerance(rows: pd.DataFrame, exp: Experiment, probability: float = 0.9) -> 
             fit = logistic(size[valid], outcome[valid] == "success")
             x, (low, high) = fit.where(probability)
             lines.append({
-                "axis": axis.column, "side": side, "nominal": centre, "error": x, "low": max(float(low), 0.0),
-                "high": float(high), "tried": size[valid].max(), "total": len(valid), "invalid": int((~valid).sum()),
+                "axis": axis.column, "side": side, "nominal": centre, "error": max(x, 0.0),
+                "low": max(float(low), 0.0), "high": max(float(high), 0.0), "tried": size[valid].max(), "total": len(valid), "invalid": int((~valid).sum()),
             })  # fmt: skip
     return pd.DataFrame(lines)
 

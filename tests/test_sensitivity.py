@@ -134,6 +134,8 @@ def test_the_tolerance_to_an_error_is_told_on_either_side(study):
     for side, expected in (("above", 5 / 200), ("below", 5 / 50)):
         assert found.loc[side, "low"] < expected < found.loc[side, "high"]
     assert (found["total"] == 5 * 100).all()  # at the nominal friction only
+    rows["outcome"] = np.where(np.arange(len(rows)) % 2, "success", "failure")
+    assert (sensitivity.tolerance(rows, exp, 0.9)["error"] == 0).all()
 
 
 def test_regional_sensitivity_puts_what_matters_first(study):
