@@ -176,7 +176,7 @@ class Logistic:
 
         b, a, target = self.slope, self.intercept, logit(probability)
         if b >= 0:
-            return np.inf, Interval(np.asarray(-np.inf), np.asarray(np.inf))
+            return np.inf if a >= target else -np.inf, Interval(np.asarray(-np.inf), np.asarray(np.inf))
         v, z2 = self.covariance, _z(level) ** 2
         square = b * b - z2 * v[1, 1]
         linear, constant = b * (a - target) - z2 * v[0, 1], (a - target) ** 2 - z2 * v[0, 0]
@@ -232,7 +232,8 @@ def tolerance(rows: pd.DataFrame, exp: Experiment, probability: float = 0.9) -> 
             x, (low, high) = fit.where(probability)
             lines.append({
                 "axis": axis.column, "side": side, "nominal": centre, "error": max(x, 0.0),
-                "low": max(float(low), 0.0), "high": max(float(high), 0.0), "tried": size[valid].max(), "total": len(valid), "invalid": int((~valid).sum()),
+                "low": max(float(low), 0.0), "high": max(float(high), 0.0), "tried": size[valid].max(),
+                "total": len(valid), "invalid": int((~valid).sum()),
             })  # fmt: skip
     return pd.DataFrame(lines)
 
