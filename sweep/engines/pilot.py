@@ -68,7 +68,9 @@ def start_state(world: Case, belief: Case, plan: Plan) -> Start:
     feet = start.position + rotate(start.quat[None], foot_positions(world.robot, joints))
     ground = world.obstacle.surface(feet, (-1,) * 6, poses(free))
     along = jnp.array([0.0, 0.0, 1.0]) if world.obstacle.free_bodies else ground.normal[jnp.argmax(ground.depth)]
-    position = start.position + jnp.max(ground.depth / (ground.normal @ along)) * along
+    slant = ground.normal @ along
+    below = jnp.where(slant > 1e-3, ground.depth / jnp.maximum(slant, 1e-3), -jnp.inf)  # no wall stops a foot's descent
+    position = start.position + jnp.max(below) * along
     velocity, moving = jnp.zeros_like(position), jnp.zeros_like(feet)
     for k in range(free.position.shape[0]):
         on_it = (ground.body == k)[:, None]
@@ -86,10 +88,11 @@ def start_state(world: Case, belief: Case, plan: Plan) -> Start:
 
 
 def displaced(execution: Execution, start: Stance) -> Stance:
-    """The start with the errors of the base's placement."""
-    offset = jnp.stack([jnp.asarray(x, float) for x in (execution.start_x, execution.start_y, 0.0)])
+    """The start with the errors of the robot's placement."""
+    position = start.position + jnp.stack([jnp.asarray(x, float) for x in (execution.start_x, execution.start_y, 0.0)])
     turn = about_vertical(jnp.asarray(execution.start_yaw, float))
-    return start._replace(position=start.position + offset, quat=multiply(turn, start.quat))
+    feet = position + rotate(turn[None], start.feet - start.position)
+    return Stance(feet, position, multiply(turn, start.quat))
 
 
 def free_state(qpos: Array, qvel: Array, count: int) -> FreeState:
@@ -107,7 +110,8 @@ def embark(world: Case, belief: Case, plan: Plan, start: Start, energy: Array, k
                         start.qvel[6:24].reshape(6, 3), jnp.zeros_like(joints), jnp.ones(6, bool), free)  # fmt: skip
     bias_key, key = jax.random.split(key)
     sensors = install(world.noise, bias_key, truth)
-    running = stream.begin(world, plan, start.qpos[:3], free, energy)
+    feet = displaced(world.execution, plan.start).feet
+    running = stream.begin(world, plan, start.qpos[:3], feet, free, energy)
     return Pilot(tracker.init(belief, plan), sensors, running, truth, position_mode(world.drive, joints), key)
 
 

@@ -92,10 +92,12 @@ class Running(NamedTuple):
     cause_stage: Int[Array, " c"]
 
 
-def begin(world: Case, plan: Plan, position: Float[Array, " 3"], free: FreeState, energy: Float[Array, ""]) -> Running:
+def begin(
+    world: Case, plan: Plan, position: Float[Array, " 3"], feet: Float[Array, "6 3"], free: FreeState,
+    energy: Float[Array, ""],
+) -> Running:  # fmt: skip
     """Nothing has happened yet."""
     bodies = poses(free)
-    feet = plan.start.feet
     dtype = plan.duration.dtype
     zero, far = jnp.zeros((), dtype), jnp.full((), jnp.inf, dtype)
     three = jnp.zeros(3, dtype)
