@@ -102,8 +102,8 @@ def ball(trace: Trace) -> Figure:
         raise InputError("--plot ball is not allowed: this obstacle has no free body")
     place = trace.qpos[:, starts[1] : starts[1] + 3]
     average = np.ones(SMOOTHED) / SMOOTHED
-    way = np.stack([np.convolve(np.pad(x, SMOOTHED // 2, mode="edge"), average, "valid") for x in place[:, :2].T])
-    speed = np.gradient(way[:, : len(place)], trace.time, axis=1)
+    rates = np.gradient(place[:, :2], trace.time, axis=0).T
+    speed = [np.convolve(np.pad(rate, SMOOTHED // 2, mode="edge"), average, "valid") for rate in rates]
     few = slice(None, None, max(1, len(place) // 2000))
     over_ball = mass_centres(trace, few)[:, :2] - place[few, :2]
     figure, axes = _grid(4, 1, "Ball: speed and way; base and mass centre over its centre")
