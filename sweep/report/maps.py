@@ -23,7 +23,7 @@ from sweep.report.tables import text
 from sweep.stats import rate
 
 KINDS = ["success", *CAUSES]
-OUTLINED = 4000  # cells
+OUTLINED, HATCHED = 4000, 200  # cells, and rows of them: with more, outlines and patterns would cover the colours
 PALETTE = ListedColormap([SUCCESS, *(CAUSE_COLOURS[c] for c in CAUSES)])
 
 
@@ -112,7 +112,8 @@ def categories(ax: Axes, rows: pd.DataFrame, cells: Cells) -> None:
     """Cells coloured by outcome and cause."""
     kind = rows["cause"].where(rows["outcome"] == "failure", "success").map(KINDS.index).astype(float)
     paint(ax, rows.assign(value=kind), cells, cmap=PALETTE, vmin=-0.5, vmax=len(KINDS) - 0.5)
-    hatch(ax, rows[rows["outcome"] == "failure"], cells)
+    if len(cells.y) <= HATCHED:
+        hatch(ax, rows[rows["outcome"] == "failure"], cells)
 
 
 def hatch(ax: Axes, failed: pd.DataFrame, cells: Cells) -> None:
@@ -146,7 +147,7 @@ def paint(ax: Axes, rows: pd.DataFrame, cells: Cells, **style: Any) -> None:
     grid = rows[~invalid].pivot_table(index="y", columns="x", values="value").reindex(index=cells.y, columns=cells.x)
     x, y = edges(cells.x), edges(cells.y)
     values = np.ma.masked_invalid(grid.to_numpy(dtype=float))
-    many = values.size > OUTLINED  # a vector picture of so many cells is slow to show, and outlines would cover them
+    many = values.size > OUTLINED  # a vector picture of so many cells is slow to show
     outline = {} if many else {"edgecolors": "white", "linewidth": 0.4}
     ax.pcolormesh(x, y, values, rasterized=many, **outline, **style)
     for at_x, at_y in rows.loc[invalid, ["x", "y"]].drop_duplicates().itertuples(index=False):
