@@ -52,16 +52,17 @@ def exhibits(results: Results) -> Iterator[Exhibit]:
 def maps(results: Results) -> Iterator[Exhibit]:
     """Where it succeeds, over pairs of parameters."""
     for number, one in enumerate(slices.slices(results), 1):
-        table = slices.data(one)
+        table = slices.data(results, one)
         title = f"{axis_words(one.y)} by {axis_words(one.x)}"
         if "total" not in table:
             caption = f"One rollout a cell{', ' + one.note if one.note else ''}."
         else:
+            sure = "confidence sequence" if results.exp.study.budget else "Wilson interval"
             low, high = table["total"].min(), table["total"].max()
             many = f"{low}" if low == high else f"{low} to {high}"
             caption = (
                 f"Rate of success of {many} rollouts a cell{', ' + one.note if one.note else ''}, "
-                "between the ends of its 95 % Wilson interval."
+                f"between the ends of its 95 % {sure}."
             )
         yield Exhibit(f"map-{number}", title, caption, table, lambda one=one: slices.draw(results, one))
 

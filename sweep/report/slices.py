@@ -10,6 +10,8 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
+from sweep import refine
+from sweep.intervals import anytime, wilson
 from sweep.metrics.outcome import CAUSES
 from sweep.report.labels import axis_words, words_and_unit
 from sweep.report.maps import Cells, categories, legend, mark_values, paint, split
@@ -46,7 +48,10 @@ def slices(results: Results) -> Iterator[Slice]:
     numeric = results.listed if len(results.listed) > 1 else results.numeric
     for x, y in list(combinations(numeric, 2))[:MAPS]:
         rows, others = results.rows, [c for c in numeric if c not in (x, y)]
-        if not gridded(rows, x, y):
+        if results.exp.study.resolution and not others:
+            note = f"as its corners: {len(rows)} were run, next to the boundary"
+            yield Slice(x, y, None, refine.painted(results.exp, rows), note)
+        elif not gridded(rows, x, y):
             bins = int(np.clip(np.sqrt(len(rows) / 20), 4, 40))
             note = f"{bins} by {bins} bins" + (", over all values of the other parameters" if others else "")
             yield Slice(x, y, None, rows.assign(**{c: binned(rows[c], bins) for c in (x, y)}), note)
@@ -85,7 +90,7 @@ def draw(results: Results, chosen: Slice) -> Figure:
     x, y = chosen.x, chosen.y
     panels = list(split(chosen.rows, x, y, (chosen.beside,) if chosen.beside else ()))
     cells = Cells(np.sort(chosen.rows[x].unique()), np.sort(chosen.rows[y].unique()))
-    tables = [rates(panel, [x, y]).rename(columns={x: "x", y: "y"}) for _, panel in panels]
+    tables = [cells_of(results, panel, [x, y]).rename(columns={x: "x", y: "y"}) for _, panel in panels]
     single = max(table["total"].max() for table in tables) == 1
     shown = [""] if single else ["low", "share", "high"]
     columns = min(len(panels), 2) if single else 3
@@ -120,12 +125,17 @@ def draw(results: Results, chosen: Slice) -> Figure:
     return figure
 
 
-def data(chosen: Slice) -> pd.DataFrame:
+def cells_of(results: Results, rows: pd.DataFrame, by: list[str]) -> pd.DataFrame:
+    """Rate of success of each cell; where cells were repeated until decided, the intervals hold whenever one stops."""
+    return rates(rows, by, anytime if results.exp.study.budget else wilson)
+
+
+def data(results: Results, chosen: Slice) -> pd.DataFrame:
     """The numbers behind the map, a row for each cell."""
     rows = chosen.rows
     named = [c for c in rows if "." in str(c) and rows[c].dtype.kind not in "fi" and rows[c].nunique() > 1]
     by = [*named, *([chosen.beside] if chosen.beside else []), chosen.x, chosen.y]
-    table = rates(rows, by)
+    table = cells_of(results, rows, by)
     if (table["total"] > 1).any():
         return table
     return rows[[*by, "outcome", "cause", "point_id"]].sort_values(by, ignore_index=True)

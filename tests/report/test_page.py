@@ -70,7 +70,7 @@ def test_maps_of_three_parameters_are_sections(folder):
     maps = list(slices.slices(found))
     assert (maps[0].x, maps[0].y) == ("world.contact.friction", "manoeuvre.half_step_ratio")
     assert [m.beside for m in maps] == ["drive.damping", "manoeuvre.half_step_ratio", "world.contact.friction"]
-    table = slices.data(maps[0])
+    table = slices.data(found, maps[0])
     assert len(table) == 6 * 5 * 3
     assert (table["total"] == 2).all()
     rows = found.rows[found.rows["drive.damping"] == 500.0]
@@ -88,7 +88,7 @@ def test_drawn_points_are_counted_in_bins(folder):
     axes = {name: rng.uniform(0, 1, len(found.rows)) for name in found.numeric[:2]}
     rows = found.rows.drop(columns="drive.damping").assign(**axes)
     (one,) = slices.slices(results.Results(folder, found.stored, found.exp, rows, None))
-    table = slices.data(one)
+    table = slices.data(results.Results(folder, found.stored, found.exp, rows, None), one)
     assert table["total"].sum() == len(rows)
     assert len(table) <= 16
     assert "bins" in one.note
@@ -110,3 +110,13 @@ def test_the_page_of_one_parameter_and_of_none(fake_engine, tmp_path):
         assert main(["report", str(tmp_path / name)]) == 0
         assert "<h2>Typical rollouts</h2>" in (tmp_path / name / "report.html").read_text()
     assert compose(one[1:]).study.name in page.render(results.read(tmp_path / "one"))
+
+
+def test_a_refined_map_is_shown_whole(fake_engine, tmp_path):
+    axes = ["study.axes.friction.num=5", "study.axes.step.num=5", "study.resolution=0.0625", "study.expect=[]"]
+    assert main(["run", "study=walk_map", *axes, f"out={tmp_path}"]) == 0
+    found = results.read(tmp_path)
+    (one,) = slices.slices(found)
+    assert len(one.rows) == 17 * 17 > 2 * len(found.rows)
+    assert f"{len(found.rows)} were run" in one.note
+    assert "this is not the region's share" in page.render(found)
