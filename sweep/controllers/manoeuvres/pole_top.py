@@ -34,7 +34,7 @@ SLOPE = np.radians(22.0)
 EDGE = {FRONT: (0.1, -0.03), MIDDLE: (-0.2, -0.19), REAR: (0.55, -0.476)}
 BELOW_EDGE = (0.0, -0.355)  # where the middle feet wait for the rear ones
 # where they stand on the top in the end
-TOP = {FRONT: (0.625, -((RIM**2 - 0.625**2) ** 0.5)), MIDDLE: (RIM, 0.0), REAR: (0.697, (RIM**2 - 0.697**2) ** 0.5)}
+TOP = {FRONT: (0.625, -((RIM**2 - 0.625**2) ** 0.5)), MIDDLE: (RIM, 0.0), REAR: (0.648, (RIM**2 - 0.648**2) ** 0.5)}
 PROPPED = (0.86, 0.117)  # where the middle feet stand while the rear ones come up
 EASED = (0.0, 0.0)  # rates of a path of the base that starts and ends at rest, as swings do
 
@@ -122,12 +122,12 @@ def on_top(site: Site) -> list[Stage]:
     propped, last = on_disc(site, MIDDLE, PROPPED), on_disc(site, REAR, TOP[REAR])
     up, round_middle = (
         lofted(site, middle, propped, (0.15, 0.0, 0.25), (0.0, 0.0, 0.2)),
-        lofted(site, rear, last, (0.58, -0.19, 0.51), (0.64, 0.66, 0.435)),
+        lofted(site, rear, last, (0.34, 0.09, 1.0), (0.95, 0.66, 0.57)),
     )
     return [
         Stage("top.regrip", time, {**front, **middle, **rear}, CYCLE_B),
-        Stage("top.middle", 1.5 * time, propped, CYCLE_B, position=centre(site, -0.095, 0.375), rates=EASED, guides=up),
-        Stage("top.rear", 3 * time, last, CYCLE_B, position=centre(site, -0.055, 0.72), rates=EASED,
+        Stage("top.middle", 1.5 * time, propped, CYCLE_B, position=centre(site, -0.099, 0.413), rates=EASED, guides=up),
+        Stage("top.rear", 3 * time, last, CYCLE_B, position=centre(site, -0.048, 0.715), rates=EASED,
               turn=point(SLOPE, 0.0, 0.0), guides=round_middle),
         Stage("top.centre", time, on_disc(site, MIDDLE, TOP[MIDDLE]), CYCLE_B, site.step.height,
               position=centre(site, 0.0, 0.62), rates=EASED),
