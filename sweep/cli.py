@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 DONE, BAD_INPUT, UNEXPECTED, FAULT, INTERRUPTED = 0, 2, 4, 5, 130
+BENCH = ("arrowhead", "mjx", "bare", "native")  # rows of `sweep bench`
 GROUPS = ("scenario", "study", "robot", "obstacle", "manoeuvre", "drive", "contact", "noise", "execution", "engine",
           "outcome", "cluster")  # fmt: skip
 
@@ -103,6 +104,10 @@ def parser() -> argparse.ArgumentParser:
     audit.add_argument("--where", help="only rows that match")
     judge = of_results("relabel", relabel, "judge stored rollouts by other thresholds, without simulating")
     judge.add_argument("thresholds", nargs="+", metavar="'KEY<VALUE'", help="such as 'slip_max_m<0.02'")
+    bench = command("bench", show_speed, "how fast the walking map is simulated here, by engine and dynamics")
+    bench.add_argument("--rollouts", type=int, default=561)
+    bench.add_argument("--width", type=int, default=0, help="rollouts in a batch; 0: the device's best")
+    bench.add_argument("--rows", nargs="+", choices=BENCH, default=list(BENCH), help="bare is physics alone")
     command("replay", lambda _: DONE, "record one rollout of a study again; " + delegated.format("replay"))
     command("formula", lambda _: DONE, "evaluate a closed-form result of the sources; " + delegated.format("formula"))
     return top
@@ -123,6 +128,22 @@ def run(argv: list[str]) -> int:
     if given.points:
         overrides.append(f"study.points='{given.points}'")
     return launch(overrides, Flags(given.dry_run, given.limit, given.where))
+
+
+def show_speed(args: argparse.Namespace) -> int:
+    """`sweep bench`: a line as soon as it is measured, then all as a table."""
+    from tabulate import tabulate
+
+    from sweep import bench
+
+    if args.rollouts < 1:
+        raise InputError(f"--rollouts = {args.rollouts} is not allowed: at least 1")
+    lines = []
+    for line in bench.table(args.rollouts, args.width, tuple(args.rows)):
+        print(f"{line['engine']} {line['dynamics']}: {line['env-steps/s']:.4g} env-steps/s", file=sys.stderr)
+        lines.append(line)
+    print(tabulate(lines, headers="keys", tablefmt="github", floatfmt=".4g", missingval=""))
+    return DONE
 
 
 def replay(argv: list[str]) -> int:

@@ -148,7 +148,8 @@ def announced(job: Job, missing: list[int], found: Found, tight: Collection["Don
         engine = make_engine(job.exp, start)
         found.stages[group] = list(engine.stages)
         describe(job, found)
-        store.log(job.folder, f"group {group}: {start.settings}, {len(rows)} rollouts of {engine.duration:g} s")
+        how = f"{start.settings}, {engine.dynamics} dynamics"
+        store.log(job.folder, f"group {group}: {how}, {len(rows)} rollouts of {engine.duration:g} s")
         for number in rows["batch"].unique().tolist():
             if not rows["batch"].isin([done.batch for done in tight]).any():
                 yield number

@@ -18,6 +18,7 @@ class FakeEngine:
     duration = 10.0
 
     def __init__(self, settings, world, belief, limits):
+        self.dynamics = "none"
         self.devices = 1
         self.width = settings.width or 8
 

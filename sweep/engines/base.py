@@ -35,6 +35,7 @@ class Engine(Protocol):
     stages: tuple[str, ...]  # names of the plan's stages
     duration: float  # simulated seconds of a rollout
     width: int  # rollouts of one batch; `run` takes exactly so many
+    dynamics: str  # where the smooth dynamics come from: arrowhead, mjx or C MuJoCo
     devices: int  # that share a batch; only a width that they divide evenly uses them all
 
     def run(self, world: Case, belief: Case, streams: np.ndarray) -> Figures:

@@ -41,6 +41,7 @@ class Mjx:
         self.settings = settings
         self.limits = limits or Thresholds()
         self.substeps = batching.substeps(settings)
+        self.dynamics = physics.taken(settings, world)
         self.width = settings.width or devices.default_width()
         self._mesh = devices.mesh(self.width)
         self.devices = jax.device_count()

@@ -77,8 +77,9 @@ class Native:
         self._nominal = world
         self.limits = limits or Thresholds()
         self.substeps = batching.substeps(settings)
+        self.dynamics = "C MuJoCo"
         self.devices = 1  # threads share it
-        self.width = settings.width or devices.CPU_WIDTH
+        self.width = settings.width or devices.NATIVE_WIDTH
         plan = batching.nominal_plan(belief)
         self.stages = plan.names
         self.duration = float(GRACE * np.sum(plan.duration))
