@@ -24,7 +24,7 @@ def main(folder: Path, whole: Path) -> None:
     compared = (found.label >= FAILS) & (truth != MISSING) & ~invalid
     wrong = compared & (found.label != truth)
     good = truth == SUCCEEDS
-    edge = binary_dilation(good) & binary_dilation(~good)  # within one cell of the boundary
+    edge = np.logical_and(binary_dilation(good), binary_dilation(~good))  # within one cell of the boundary
     print(found)
     print(f"whole grid: {len(grid)} rollouts ({len(grid) / len(rows):.1f} times more), {int(invalid.sum())} invalid")
     print(f"differing points: {int(wrong.sum())} of {int(compared.sum())}")

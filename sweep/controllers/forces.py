@@ -130,7 +130,7 @@ class _Scaled(NamedTuple):
     def first(self, bounds: Bounds) -> Array:
         """Forces along the normals, not in balance, within the bounds where the smallest normal force allows it."""
         pull = jnp.abs(jnp.einsum("lij,lj->li", self.drive, self.normal)) + 1e-6
-        most = jnp.min((bounds.torque[:, None] - jnp.abs(self.own)) / pull, axis=-1)
+        most = jnp.min((jnp.asarray(bounds.torque)[:, None] - jnp.abs(self.own)) / pull, axis=-1)
         size = 0.5 * (bounds.least_normal + jnp.minimum(most, bounds.most_normal))
         return self.normal * jnp.minimum(size, bounds.least_normal + 0.5)[:, None] * self.stands[:, None]
 
@@ -157,7 +157,7 @@ class _Scaled(NamedTuple):
         normal = jnp.sum(force * self.normal, axis=-1)
         tangential = jnp.sum((force - normal[:, None] * self.normal) ** 2, axis=-1)
         torque = self.torque(force)
-        cap = bounds.torque[:, None]
+        cap = jnp.asarray(bounds.torque)[:, None]
         room: dict[Effort, Array] = {
             "friction": jnp.stack([(bounds.friction * normal) ** 2 - tangential, normal - bounds.least_normal], -1),
             "torque": jnp.concatenate([cap - torque, cap + torque], axis=-1),

@@ -164,7 +164,7 @@ def assemble(
     mode = jnp.array([stage.flywheel for stage in stages], jnp.int32)
     flywheel = None if gains is None else Flywheel(mode, jax.tree.map(lambda x: jnp.asarray(x, float), gains))
     return Plan(names=names, start=start, patience=jnp.asarray(patience, float), posture=_postures(stages),
-                flywheel=flywheel, steered=steered, onset=onset, **table)  # fmt: skip
+                flywheel=flywheel, grip=None, steered=steered, onset=onset, **table)  # fmt: skip
 
 
 def _postures(stages: Sequence[Stage]) -> Posture | None:
