@@ -42,7 +42,7 @@ def test_twenty_kills_at_random_moments_leave_the_same_rows(tmp_path, whole):
 
 
 def test_an_interrupted_run_says_so_and_goes_on(tmp_path, whole):
-    process = start(tmp_path / "out", FAKE_SECONDS="0.3")
+    process = start(tmp_path / "out", FAKE_SECONDS="1")
     wait_for(tmp_path / "out", 2, process)
     process.send_signal(signal.SIGINT)
     _, error = process.communicate(timeout=60)

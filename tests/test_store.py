@@ -24,8 +24,9 @@ def test_same_command_gives_the_same_files(tmp_path):
 
 def test_a_killed_run_restarted_gives_what_an_uninterrupted_one_gives(tmp_path, whole):
     killed = tmp_path / "killed"
-    process = start(killed, FAKE_SECONDS="0.5")
+    process = start(killed, FAKE_SECONDS="1")
     wait_for(killed, 2, process)
+    process.send_signal(signal.SIGSTOP)  # it keeps its lock, and on a busy machine does not finish before it is killed
     assert main(["run", *STUDY, f"out={killed}"]) == 2  # locked by the other process
     process.send_signal(signal.SIGKILL)
     process.communicate()

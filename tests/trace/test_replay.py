@@ -25,6 +25,7 @@ class StandInEngine:
     duration = 1.0
     width = WIDTH
     devices = 1
+    dynamics = "none"
 
     def __init__(self, trace):
         self._trace = trace
