@@ -7,7 +7,7 @@ import pytest
 from simulation import simulate
 
 from sweep.config import compose
-from sweep.engines.pilot import start_pose
+from sweep.engines.pilot import start_state
 from sweep.models.scene import GRAVITY
 
 STEP, FRICTION, DEGREE = 2e-3, 0.7, np.pi / 180
@@ -24,10 +24,9 @@ def history():
     starts = []
     for slope in SLOPES:
         case = dataclasses.replace(nominal, obstacle=dataclasses.replace(nominal.obstacle, slope=float(slope)))
-        pose, joints = start_pose(case, case, case.manoeuvre.plan(case))
-        starts.append(np.concatenate([pose, np.ravel(joints)]))
+        starts.append(np.asarray(start_state(case, case, case.manoeuvre.plan(case)).qpos))
     world = dataclasses.replace(nominal, obstacle=dataclasses.replace(nominal.obstacle, slope=SLOPES))
-    references = np.broadcast_to(np.asarray(joints), (3 * SECOND, 6, 3))
+    references = np.broadcast_to(starts[-1][7:].reshape(6, 3), (3 * SECOND, 6, 3))
     return simulate(world, nominal, np.stack(starts).astype(np.float32), references.astype(np.float32))
 
 
