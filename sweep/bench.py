@@ -12,7 +12,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import PartitionSpec
+from jax.sharding import NamedSharding, PartitionSpec
 from jaxtyping import Array
 
 from sweep.case import Case
@@ -95,7 +95,10 @@ def _bare(settings: EngineSettings, nominal: Case, rollouts: int) -> dict[str, A
     specs = jax.tree.map(lambda x: PartitionSpec(*[None] * jnp.ndim(x), devices.BATCH), rest(top, start.qpos))
     run = jax.jit(jax.shard_map(second, mesh=mesh, in_specs=(spec, specs), out_specs=specs, check_vma=False))
     frictions = [jnp.asarray(world.contact.friction, float) for world, _ in walk_map(nominal, rollouts, width)]
+    frictions = [jax.device_put(friction, NamedSharding(mesh, spec)) for friction in frictions]
     fresh = jax.tree.map(lambda x: jnp.broadcast_to(x[..., None], (*x.shape, width)), rest(top, start.qpos))
+    # laid out as the results are, or the second call compiles again
+    fresh = jax.tree.map(lambda x, s: jax.device_put(x, NamedSharding(mesh, s)), fresh, specs)
     compile_s = _timed(lambda: jax.block_until_ready(run(frictions[0], fresh)))
     seconds = int(np.ceil(float(np.sum(plan.duration)) / SECOND))
 
