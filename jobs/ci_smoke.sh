@@ -6,5 +6,6 @@ out=${1:-results/ci_smoke} before=${2:-}
 sweep run study=ci_smoke out="$out"
 sweep table "$out"
 sweep report "$out"
+# paired by what is swept, as a new parameter renames all points;
 # one rollout at the boundary may flip by rounding alone; typical figures move by far less than a tenth
-if [ -n "$before" ]; then sweep compare "$before" "$out" --tolerance 0.03 --figures 0.1; fi
+if [ -n "$before" ]; then sweep compare "$before" "$out" --by engine.name,friction,half_step_ratio --tolerance 0.03 --figures 0.1; fi
