@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 from scipy.interpolate import PchipInterpolator
 
 from sweep.case import Case
+from sweep.controllers.forces import PlannedForces
 from sweep.controllers.gaits import GALLOP, TRIPOD, Step, centre_offsets, regular_steps
 from sweep.controllers.plan import CYCLE_A, CYCLE_B, Plan, Stage, Stance, assemble
 from sweep.controllers.posture import foot_centres
@@ -68,8 +69,10 @@ class Site(NamedTuple):
 
 
 @parameters
-class PoleClimb:
+class PoleClimb(PlannedForces):
     """By tripod to the pole, on to it, and up it by gallop. Ratios are to the body's length a_r.
+
+    The feet are pressed on to the pole by footholds inside it, as printed, or by planned forces.
 
     For robots with legs along their sides. What differs from the printed plan, and why: `PITCH`, `AHEAD`, `BELOW`, and
     in `get_on` the rear feet's step on the floor, when the front feet go up, and how feet leave the floor.
@@ -85,6 +88,7 @@ class PoleClimb:
     rate: float = quantity(3.0, "rad/s", above=0, at_most=20)  # varpi
     deepening: float = quantity(5e-3, "m", at_least=0, at_most=0.05)  # epsilon, footholds inside the pole
     patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
+    forces: str = choice("deepening", "deepening", "planned")
 
     def site(self, belief: Case) -> Site:
         """What is believed of the robot and of the pole."""
@@ -98,13 +102,23 @@ class PoleClimb:
     ) -> tuple[Stance, list[Stage]]:
         """Stand, approach, get on, shift the feet up, and gallop by `rise` (m) a swing; `gap` as in `approach`."""
         start, walk = approach(site, belief, self.steps, gap)
-        return start, [Stage("stand", STAND), *walk, *get_on(site), *shift_up(site), *gallop(site, self.cycles, rise)]
+        climb = [*get_on(site), *shift_up(site), *gallop(site, self.cycles, rise)]
+        return start, [Stage("stand", STAND), *walk, *self.rested(climb)]
+
+    def rested(self, stages: list[Stage]) -> list[Stage]:
+        """With planned forces, `stages` with a rest before each of them for the load to go over."""
+        return self.loading(stages) if self.forces == "planned" else stages
+
+    def assembled(self, belief: Case, start: Stance, stages: list[Stage]) -> Plan:
+        """The plan, with its forces if they are planned."""
+        plan = assemble(start, [*stages, Stage("halt", STAND)], self.patience)
+        return self.gripped(belief, plan) if self.forces == "planned" else plan
 
     def plan(self, belief: Case) -> Plan:
         """Climb, halt."""
         site = self.site(belief)
         start, stages = self.climb(site, belief, site.step.landing)
-        return assemble(start, [*stages, Stage("halt", STAND)], self.patience)
+        return self.assembled(belief, start, stages)
 
 
 def approach(site: Site, belief: Case, steps: int, gap: Array | float = 0.0) -> tuple[Stance, list[Stage]]:

@@ -22,8 +22,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.case import Case
-from sweep.controllers.manoeuvres.pole import FRONT, MIDDLE, OUTWARD, REAR, STAND, PoleClimb, Site, pair, point
-from sweep.controllers.plan import CYCLE_B, SMOOTH, Plan, Stage, Stance, assemble
+from sweep.controllers.manoeuvres.pole import FRONT, MIDDLE, OUTWARD, REAR, PoleClimb, Site, pair, point
+from sweep.controllers.plan import CYCLE_B, SMOOTH, Plan, Stage, Stance
 from sweep.formulas.leg import SIDE
 from sweep.parameters import choice, count, parameters
 
@@ -52,12 +52,15 @@ class PoleTop(PoleClimb):
         """Climb until the base's front edge is x* below the top, and go on to the top."""
         below = site.top - site.step.landing - site.length / 2  # zeta_O(t_1) of 2.3.3
         start, climb = self.climb(site, belief, (below - site.upright) / (3 * self.cycles))
-        return start, [*climb, *to_the_edge(site), *over_the_edge(site), *on_top(site)]
+        return start, [
+            *climb,
+            *self.rested([*to_the_edge(site), *over_the_edge(site), *on_top(site, self.forces == "planned")]),
+        ]
 
     def plan(self, belief: Case) -> Plan:
         """Get on the top, halt."""
         start, stages = self.ascend(self.site(belief), belief)
-        return assemble(start, [*stages, Stage("halt", STAND)], self.patience)
+        return self.assembled(belief, start, stages)
 
 
 def on_side(site: Site, legs: tuple[int, int], place: tuple[float, float], grip: Array | float) -> Footholds:
@@ -114,8 +117,11 @@ def over_the_edge(site: Site) -> list[Stage]:
     return [Stage("edge.hold", 0.3), turn]
 
 
-def on_top(site: Site) -> list[Stage]:
-    """2.3.3 from t_5 on: middle and rear feet to the top, the base level, middle feet abreast of its centre."""
+def on_top(site: Site, held: bool) -> list[Stage]:
+    """2.3.3 from t_5 on: middle and rear feet to the top, the base level, middle feet abreast of its centre.
+
+    Feet that are `held` by planned forces need not be pressed less first.
+    """
     time = site.step.time
     middle, rear = (on_side(site, legs, EDGE[legs], site.radius - PRESS) for legs in (MIDDLE, REAR))
     front = {leg: foot - point(0.0, 0.0, PRESS) for leg, foot in on_disc(site, FRONT, TOP[FRONT]).items()}
@@ -124,8 +130,9 @@ def on_top(site: Site) -> list[Stage]:
         lofted(site, middle, propped, (0.15, 0.0, 0.25), (0.0, 0.0, 0.2)),
         lofted(site, rear, last, (0.34, 0.09, 1.0), (0.95, 0.66, 0.57)),
     )
+    regrip = Stage("top.regrip", time, {**front, **middle, **rear}, CYCLE_B)
     return [
-        Stage("top.regrip", time, {**front, **middle, **rear}, CYCLE_B),
+        *([] if held else [regrip]),
         Stage("top.middle", 1.5 * time, propped, CYCLE_B, position=centre(site, -0.099, 0.413), rates=EASED, guides=up),
         Stage("top.rear", 3 * time, last, CYCLE_B, position=centre(site, -0.048, 0.715), rates=EASED,
               turn=point(SLOPE, 0.0, 0.0), guides=round_middle),
