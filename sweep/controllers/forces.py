@@ -105,6 +105,8 @@ def distribute(pose: Pose, bounds: Bounds, least: Effort) -> Forces:
     force = jax.lax.fori_loop(0, BALANCE_STEPS, lambda _, f: scaled.towards_centre(f, levels, least),
                               scaled.first(levels))  # fmt: skip
     force, _ = jax.lax.scan(one_round, force, jnp.geomspace(*SLACK, ROUNDS, dtype=force.dtype))
+    sound = jnp.all(jnp.isfinite(force))  # far from any solution Newton's method may break down
+    force = jnp.where(sound, force, 0.0)
     efforts = {name: jnp.max(scaled.effort(force, name)) for name in _LEVEL}
     return Forces(force * pose.weight, efforts["friction"], efforts["torque"] * pose.weight,
                   efforts["normal"] * pose.weight, jnp.max(jnp.abs(scaled.left(force))))  # fmt: skip
