@@ -36,7 +36,7 @@ def smooth_dynamics(top: Topology, case: Case, q: Float[Array, " nq"], v: Float[
         bias += [heavy * jnp.array([0.0, 0.0, GRAVITY]), jnp.cross(spin, inertia * spin)]
         potential = potential + GRAVITY * heavy * position[k, 2]
     for name, k in case.obstacle.contact_sites:
-        place = leaves["site_pos"].get(name, jnp.zeros(3))
+        place = leaves.get("site_pos", {}).get(name, jnp.zeros(3))
         points.append((position[k] + bodies.rotation[k] @ place)[None])
     point = jnp.concatenate(points)
     under = [_point_jacobian(r, point - x) for x, r in zip(position, bodies.rotation, strict=True)]
