@@ -16,8 +16,15 @@ from sweep.trace.sampling import evenly
 
 FIGURES = Path(__file__).parent / "figures"
 SCENARIOS = (
-    "walk_tripod", "walk_gallop", "walk_slope", "hexagon_waypoints", "stand_push", "pole_climb", "ball_balance",
-    "ball_drive", "corner_climb")  # fmt: skip
+    "walk_tripod",
+    "walk_gallop",
+    "walk_slope",
+    "hexagon_waypoints",
+    "stand_push",
+    "pole_climb",
+    "ball_balance",
+    "ball_drive",
+)
 
 
 def strip(scenario: str) -> Path:
