@@ -1,3 +1,4 @@
+import jax
 import pytest
 from fake_engine import FakeEngine
 from small_study import STUDY, content
@@ -8,6 +9,13 @@ from sweep.cli import main
 from sweep.engines import devices
 
 devices.configure()  # before any test uses JAX: the CPU is split as for the command line
+
+
+@pytest.fixture(scope="module")
+def double():
+    """A module's tests in double precision."""
+    with jax.enable_x64(True):
+        yield
 
 
 @pytest.fixture

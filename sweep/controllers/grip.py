@@ -9,8 +9,7 @@ from jaxtyping import Array, Float, Int
 
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import Grip, Plan
-from sweep.controllers.posture import foot_positions
-from sweep.maths import rotate
+from sweep.controllers.posture import feet_in_world
 from sweep.models.robot import Robot
 
 
@@ -18,7 +17,7 @@ def anchored(
     robot: Robot, plan: Plan, grip: Grip, stage: Int[Array, ""], feet: Array, seen: Observation, period: float
 ) -> Float[Array, "6 3"]:
     """The footholds `feet` (m) a tick of `period` s later: those of loaded standing feet follow the feet."""
-    real = seen.position + rotate(seen.quat[None], foot_positions(robot, seen.angles))
+    real = feet_in_world(robot, seen.position, seen.quat, seen.angles)
     share = jnp.where(seen.loaded & ~plan.swing[stage], jnp.minimum(1.0, period / grip.anchoring), 0.0)
     return feet + share[:, None] * (real - feet)
 

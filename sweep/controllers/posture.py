@@ -27,6 +27,13 @@ def foot_positions(robot: Robot, angles: Float[Array, "6 3"]) -> Float[Array, "6
     return _points(robot, angles, robot.thigh, robot.shin)
 
 
+def feet_in_world(
+    robot: Robot, position: Float[Array, " 3"], quat: Float[Array, " 4"], angles: Float[Array, "6 3"]
+) -> Float[Array, "6 3"]:
+    """Feet (m, world axes) of a base at `position` (m) and `quat` with joint angles (rad)."""
+    return position + rotate(quat[None], foot_positions(robot, angles))
+
+
 def mass_centre(robot: Robot, angles: Float[Array, "6 3"]) -> Float[Array, " 3"]:
     """Centre of mass of the robot (m, base axes) at joint angles (rad): uniform links, as in monograph (3.1.9)."""
     hips, knees, feet = mounts(robot), _points(robot, angles, robot.thigh, 0.0), foot_positions(robot, angles)

@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import Stance
-from sweep.controllers.posture import foot_positions, mass_centre
+from sweep.controllers.posture import feet_in_world, mass_centre
 from sweep.controllers.tracker import joint_targets
 from sweep.formulas.ball import GRAVITY, ROLLING
 from sweep.formulas.leg import SIDE
@@ -36,7 +36,7 @@ def follow_up(robot: Robot, stance: Stance) -> Float[Array, "2 2"]:
 
 def measured_stance(robot: Robot, seen: Observation) -> Stance:
     """Feet and base where they are measured, world axes."""
-    feet = seen.position + rotate(seen.quat[None], foot_positions(robot, seen.angles))
+    feet = feet_in_world(robot, seen.position, seen.quat, seen.angles)
     return Stance(feet, seen.position, seen.quat)
 
 

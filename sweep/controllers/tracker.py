@@ -13,7 +13,7 @@ from sweep.controllers import flywheel, grip
 from sweep.controllers.frames import to_frame, to_world
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import BALANCE, Plan, Posture, Stance, reference
-from sweep.controllers.posture import foot_positions
+from sweep.controllers.posture import feet_in_world
 from sweep.formulas import leg, stepping
 from sweep.maths import about_vertical, conjugate, exponential, heading, multiply, rotate
 from sweep.models.drive import Servo
@@ -120,7 +120,7 @@ def step(
         held = plan.posture.held[state.stage]
         joints = jnp.where(held[:, None], _posed(plan.posture, state, phase), joints)
         shortfall = jnp.where(held, 0.0, shortfall)
-        feet = target.position + rotate(target.quat[None], foot_positions(belief.robot, joints))
+        feet = feet_in_world(belief.robot, target.position, target.quat, joints)
         target = target._replace(feet=jnp.where(held[:, None], feet, target.feet))
     command = Command(joints, target, phase, jnp.max(shortfall))
     if plan.grip is not None:
@@ -206,7 +206,7 @@ def _advance(belief: Case, plan: Plan, state: TrackerState, seen: Observation, p
 
 def _regripped(belief: Case, commanded: Float[Array, "6 3"], seen: Observation) -> Float[Array, "6 3"]:
     """Standing feet where they are measured along the surface, and as deep as they were commanded."""
-    measured = seen.position + rotate(seen.quat[None], foot_positions(belief.robot, seen.angles))
+    measured = feet_in_world(belief.robot, seen.position, seen.quat, seen.angles)
     normal = belief.obstacle.surface(measured, (-1,) * 6, poses(seen.free)).normal
     deep = measured + jnp.sum((commanded - measured) * normal, axis=-1, keepdims=True) * normal
     return jnp.where(seen.loaded[:, None], deep, commanded)

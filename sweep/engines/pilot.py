@@ -11,7 +11,7 @@ from sweep.case import Case
 from sweep.controllers import tracker
 from sweep.controllers.observation import Noise, Observation, Sensors, install, observe
 from sweep.controllers.plan import Plan, Stance
-from sweep.controllers.posture import foot_positions
+from sweep.controllers.posture import feet_in_world
 from sweep.controllers.tracker import Command, TrackerState, joint_targets
 from sweep.maths import about_vertical, conjugate, multiply, rotate
 from sweep.metrics import stream
@@ -65,7 +65,7 @@ def start_state(world: Case, belief: Case, plan: Plan) -> Start:
     free = world.obstacle.start() if world.obstacle.free_bodies else no_bodies()
     joints, _ = joint_targets(belief.robot, plan.start)
     start = displaced(world.execution, plan.start)
-    feet = start.position + rotate(start.quat[None], foot_positions(world.robot, joints))
+    feet = feet_in_world(world.robot, start.position, start.quat, joints)
     ground = world.obstacle.surface(feet, (-1,) * 6, poses(free))
     along = jnp.array([0.0, 0.0, 1.0]) if world.obstacle.free_bodies else ground.normal[jnp.argmax(ground.depth)]
     slant = ground.normal @ along

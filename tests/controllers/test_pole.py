@@ -21,10 +21,7 @@ RADIUS, HALF, D, D_C = 0.42, 0.525, 0.525, 0.4935  # m: r, a_r / 2, d, d_c
 X_STAR = 0.105 * LANDING
 
 
-@pytest.fixture(autouse=True)
-def double():
-    with jax.enable_x64(True):
-        yield
+pytestmark = pytest.mark.usefixtures("double")
 
 
 @pytest.fixture(scope="module")

@@ -15,11 +15,10 @@ from sweep.controllers.tracker import joint_targets
 from sweep.formulas.leg import SIDE, fk
 from sweep.maths import matrix, rotate
 from sweep.metrics.geometry import leg_gap, link_points
-from sweep.models.obstacles.surface import Bodies
+from sweep.models.obstacles.surface import no_bodies, poses
 from sweep.models.scene import mounts
 
 U = np.linspace(0, 1, 41)
-NOWHERE = Bodies(jnp.zeros((0, 3)), jnp.zeros((0, 3, 3)))
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +39,7 @@ def play(case: Case) -> tuple[Plan, dict[str, jax.Array]]:
         legs = mounts(robot)[:, None] + jnp.stack([jnp.zeros((6, 3)), knee, foot], axis=1)
         legs = rotate(stance.quat[None, None], legs) + stance.position
         points = link_points(legs)
-        depth = case.obstacle.surface(points, (-1,) * points.shape[0], NOWHERE).depth
+        depth = case.obstacle.surface(points, (-1,) * points.shape[0], poses(no_bodies())).depth
         return stance, {
             "shortfall": shortfall.max(), "clearance": -depth.max() - robot.link_radius,
             "gap": leg_gap(legs) - 2 * robot.link_radius, "position": stance.position, "quat": stance.quat,

@@ -17,10 +17,7 @@ SHORT = ["manoeuvre.steps=0", "manoeuvre.cycles=1", "manoeuvre.down_cycles=0", "
 NORMAL = np.array([0.6, 0.0, 0.8])
 
 
-@pytest.fixture(autouse=True)
-def double():
-    with jax.enable_x64(True):
-        yield
+pytestmark = pytest.mark.usefixtures("double")
 
 
 @pytest.fixture(scope="module")

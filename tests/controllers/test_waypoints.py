@@ -27,10 +27,7 @@ DT = 1e-4
 U = np.sort([*np.linspace(0, 1, 51), 0.5 - DT, 1 - DT])
 
 
-@pytest.fixture(autouse=True)
-def double():
-    with jax.enable_x64(True):
-        yield
+pytestmark = pytest.mark.usefixtures("double")
 
 
 @pytest.fixture(scope="module")

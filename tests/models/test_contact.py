@@ -1,6 +1,5 @@
 """The contact law (1.2.2), its Newton slope, and the arrowhead solver, each against a plain calculation."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -12,17 +11,14 @@ from sweep.models import arrowhead
 from sweep.models.arrowhead import Arrowhead, Split
 from sweep.models.contact import Anchors, Contact, Geometry, approach, contact_forces, settle, to_body, to_world
 from sweep.models.obstacles.plane import Plane
-from sweep.models.obstacles.surface import Bodies
+from sweep.models.obstacles.surface import Bodies, no_bodies, poses
 
 H = 2e-3
 CONTACT = Contact(friction=0.7)
-NOWHERE = Bodies(jnp.zeros((0, 3)), jnp.zeros((0, 3, 3)))
+NOWHERE = poses(no_bodies())
 
 
-@pytest.fixture(autouse=True, scope="module")
-def double():
-    with jax.enable_x64(True):
-        yield
+pytestmark = pytest.mark.usefixtures("double")
 
 
 def contacts(rng, n: int) -> tuple[Geometry, np.ndarray]:

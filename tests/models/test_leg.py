@@ -19,10 +19,7 @@ COORDINATE = st.floats(-1.2, 1.2)
 TOLERANCE = 2e-8  # m: arccos near a stretched or folded leg keeps half the digits
 
 
-@pytest.fixture(autouse=True, scope="module")
-def double():
-    with jax.enable_x64(True):
-        yield
+pytestmark = pytest.mark.usefixtures("double")
 
 
 @jax.jit

@@ -23,10 +23,7 @@ ROBOTS = ("base", "three_link", "circular", "prototype", "hexagon")
 WIDTH = 3
 
 
-@pytest.fixture(autouse=True)
-def double():
-    with jax.enable_x64(True):
-        yield
+pytestmark = pytest.mark.usefixtures("double")
 
 
 def swept(nominal: Case, rng: np.random.Generator) -> Case:
