@@ -27,7 +27,7 @@ from sweep.models.execution import Execution
 from sweep.models.obstacles import OBSTACLES
 from sweep.models.robot import Robot
 from sweep.parameters import InputError, build, checked, suggest
-from sweep.study import Study
+from sweep.study import Study, nominal, parameter
 
 CONFIG_MODULE, CONFIG_NAME, HYDRA_VERSION = "sweep.conf", "config", "1.3"
 GROUPS: dict[str, type] = {
@@ -76,6 +76,7 @@ class StudySchema:
     audit: int = 0
     invalid_max: float = 0.01
     expect: list[Any] = field(default_factory=list)
+    theory: list[Any] = field(default_factory=list)
 
 
 @dataclass
@@ -173,6 +174,9 @@ def experiment(values: Mapping[str, Any]) -> Experiment:
     if single:
         chosen = {**chosen, "expect": scenario["expect"]}
     study = Study.parse({**chosen, "name": chosen["name"] or scenario["name"]}, single)
+    for theory in study.theory:  # refuses inputs that mean nothing
+        parameter(theory.of, case, settings)
+        theory.numbers(lambda path: nominal(path, case, settings))
     return Experiment(scenario["name"], case, settings, thresholds, cluster, study, values["out"], dict(values))
 
 

@@ -33,7 +33,7 @@ def mask(frame: pd.DataFrame, condition: str | None) -> np.ndarray:
     if not condition:
         return np.ones(len(frame), dtype=bool)
     try:
-        result = _value(ast.parse(condition, mode="eval").body, frame)
+        result = evaluate(condition, lambda name: frame[column(frame, name)].to_numpy())
         return np.broadcast_to(np.asarray(result, dtype=bool), (len(frame),))
     except SyntaxError:
         raise InputError(
@@ -43,6 +43,14 @@ def mask(frame: pd.DataFrame, condition: str | None) -> np.ndarray:
         if isinstance(error, InputError):
             raise
         raise InputError(f"where = {condition!r} compares what cannot be compared: {error}") from None
+
+
+def evaluate(expression: str, look_up: Callable[[str], Any]) -> Any:
+    """Value of an expression whose dotted names mean what `look_up` says.
+
+    Raises `SyntaxError` where it is none, and `InputError` where it holds more than names, numbers and operators.
+    """
+    return _value(ast.parse(expression, mode="eval").body, look_up)
 
 
 def column(frame: pd.DataFrame, name: str) -> str:
@@ -57,23 +65,23 @@ def column(frame: pd.DataFrame, name: str) -> str:
     return found[0]
 
 
-def _value(node: ast.expr, frame: pd.DataFrame) -> Any:
+def _value(node: ast.expr, look_up: Callable[[str], Any]) -> Any:
     match node:
         case ast.Constant(value=value):
             return value
         case ast.Name() | ast.Attribute():
-            return frame[column(frame, ast.unparse(node))].to_numpy()
+            return look_up(ast.unparse(node))
         case ast.List(elts=items) | ast.Tuple(elts=items):
-            return [_value(item, frame) for item in items]
+            return [_value(item, look_up) for item in items]
         case ast.UnaryOp(op=op, operand=operand) if type(op) in _UNARY:
-            return _UNARY[type(op)](_value(operand, frame))
+            return _UNARY[type(op)](_value(operand, look_up))
         case ast.BinOp(left=left, op=op, right=right) if type(op) in _ARITHMETIC:
-            return _ARITHMETIC[type(op)](_value(left, frame), _value(right, frame))
+            return _ARITHMETIC[type(op)](_value(left, look_up), _value(right, look_up))
         case ast.BoolOp(op=op, values=values):
             combine = np.logical_and if isinstance(op, ast.And) else np.logical_or
-            return combine.reduce([_value(v, frame) for v in values])
+            return combine.reduce([_value(v, look_up) for v in values])
         case ast.Compare(left=left, ops=ops, comparators=others) if all(type(op) in _COMPARE for op in ops):
-            values = [_value(v, frame) for v in (left, *others)]
+            values = [_value(v, look_up) for v in (left, *others)]
             pairs = zip(ops, values[:-1], values[1:], strict=True)
             return np.logical_and.reduce([_COMPARE[type(op)](a, b) for op, a, b in pairs])
         case _:

@@ -24,7 +24,7 @@ from sweep.study import points
 
 # what may change between runs into one folder: which points, and how they are judged; but draws go by one distribution
 FREE = ("study.axes.", "study.design.num", "study.points", "study.where", "study.replicates", "study.resolution",
-        "study.level", "study.budget", "study.audit", "study.invalid_max", "study.expect",
+        "study.level", "study.budget", "study.audit", "study.invalid_max", "study.expect", "study.theory",
         "scenario.expect", "outcome", "cluster", "out")  # fmt: skip
 Progress = Callable[[pd.DataFrame], None]  # told the rows of every finished batch
 

@@ -21,6 +21,8 @@ from sweep.errors import InputError, suggest
 from sweep.identity import point_ids, streams
 from sweep.parameters import checked, within
 from sweep.query import mask
+from sweep.theory import Theory
+from sweep.theory import parse as parse_theory
 
 DTYPES = {"quantity": "float64", "count": "int64", "choice": "str"}
 Values = Mapping[str, Any]
@@ -54,6 +56,7 @@ class Study:
     audit: int  # random points in decided cells that are run as a check
     invalid_max: float  # largest tolerated share of invalid rows
     expect: tuple[Expectation, ...]
+    theory: tuple[Theory, ...]  # drawn over its maps
 
     @property
     def refined(self) -> bool:
@@ -85,7 +88,9 @@ class Study:
         design = designs.parse_design(values["design"], axes)
         source = "scenario" if single else "study"
         expect = tuple(_expectation(f"{source}.expect.{i}", one) for i, one in enumerate(values["expect"]))
-        return cls(**{**values, "axes": axes, "design": design, "expect": expect, "single": single})
+        theory = tuple(parse_theory(f"study.theory.{i}", one) for i, one in enumerate(values["theory"]))
+        told = {"axes": axes, "design": design, "expect": expect, "theory": theory, "single": single}
+        return cls(**{**values, **told})
 
 
 def _expectation(key: str, given: Any) -> Expectation:

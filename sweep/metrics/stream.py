@@ -67,6 +67,7 @@ class Running(NamedTuple):
     torque: Float[Array, " 3"]
     saturated: Float[Array, " 3"]  # s
     friction: Float[Array, ""]
+    friction_use: Float[Array, ""]  # s, integral of all feet's tangential over their normal force
     normal: Float[Array, ""]
     clearance: Float[Array, ""]
     gap: Float[Array, ""]
@@ -106,7 +107,8 @@ def begin(
     return Running(
         time=zero, over=no, energy_start=energy, work=zero, effort=zero, energy_gain=zero,
         touchdown=to_body(feet, world.obstacle.surface(feet, (-1,) * 6, bodies).body, bodies), slip=zero,
-        load=jnp.full(6, 2 * LOADED, dtype), margin=far, torque=three, saturated=three, friction=zero, normal=zero,
+        load=jnp.full(6, 2 * LOADED, dtype), margin=far, torque=three, saturated=three, friction=zero,
+        friction_use=zero, normal=zero,
         clearance=far, gap=far, tilt=zero, heading=zero, shortfall=zero, position_error=zero, residual=zero,
         start=position, position=position, travel=zero, travel_time=zero,
         body_start=free.position, body=free.position, body_tail=free.position, tail_time=zero, body_moved=zero,
@@ -155,6 +157,8 @@ def update(
         torque=jnp.maximum(running.torque, jnp.max(tick.torque_peak, axis=0)),
         saturated=running.saturated + period * jnp.mean(tick.saturated, axis=0),
         friction=jnp.maximum(running.friction, jnp.max(demand)),
+        friction_use=running.friction_use
+        + period * jnp.sum(tick.tangential) / jnp.maximum(jnp.sum(tick.normal), LOADED),
         normal=jnp.maximum(running.normal, jnp.max(tick.normal) / weight),
         clearance=jnp.minimum(running.clearance, jnp.min(-depth - radius)),
         gap=jnp.minimum(running.gap, leg_gap(tick.joints[:, -3:]) - 2 * robot.link_radius),
@@ -269,6 +273,7 @@ def figures(plan: Plan, running: Running, stage: Int[Array, ""]) -> dict[str, Ar
         "slip_max_m": running.slip,
         "stability_margin_min_m": running.margin,
         "friction_demand_max": running.friction,
+        "friction_demand_mean": running.friction_use / time,
         "normal_max_over_weight": running.normal,
         "clearance_min_m": running.clearance,
         "leg_gap_min_m": running.gap,

@@ -1,12 +1,13 @@
 """Where it succeeds: a map over two parameters, one panel for each combination of the named alternatives."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import ListedColormap, Normalize, to_rgb
@@ -18,20 +19,15 @@ from sweep.config import experiment
 from sweep.metrics.outcome import CAUSES
 from sweep.parameters import InputError
 from sweep.query import column
-from sweep.report.labels import CAUSE_COLOURS, CAUSE_HATCHES, INVALID, SUCCESS, axis_words, words_and_unit
+from sweep.report import limits
+from sweep.report.cells import Cells, edges, mark_values
+from sweep.report.labels import CAUSE_COLOURS, CAUSE_HATCHES, INVALID, SUCCESS, axis_words, heading, words_and_unit
 from sweep.report.tables import text
 from sweep.stats import rate
 
 KINDS = ["success", *CAUSES]
 OUTLINED, HATCHED = 4000, 200  # cells, and rows of them: with more, outlines and patterns would cover the colours
 PALETTE = ListedColormap([SUCCESS, *(CAUSE_COLOURS[c] for c in CAUSES)])
-
-
-class Cells(NamedTuple):
-    """The values of both parameters, in order."""
-
-    x: np.ndarray
-    y: np.ndarray
 
 
 def draw(rows: pd.DataFrame, stored: Mapping[str, Any], folder: Path, chosen: tuple[str, ...] = ()) -> list[Path]:
@@ -58,11 +54,13 @@ def success_map(rows: pd.DataFrame, stored: Mapping[str, Any], chosen: tuple[str
     panels = list(split(rows, x, y))
     counts = [panel.groupby([x, y]).size() for _, panel in panels]
     most = max(int(count.max()) for count in counts)
+    measured = limits.measured(exp, rows)
+    columns = len(panels) * (1 + len(measured))
     figure, axes = plt.subplots(
-        1, len(panels), figsize=(1.8 + 4.6 * len(panels), 4.6), squeeze=False, sharey=True, layout="constrained"
+        1, columns, figsize=(1.8 + 4.6 * columns, 4.6), squeeze=False, sharey=True, layout="constrained"
     )
     cells = Cells(np.sort(rows[x].unique()), np.sort(rows[y].unique()))
-    for ax, (title, panel) in zip(axes[0], panels, strict=True):
+    for ax, (title, panel) in zip(axes[0, : len(panels)], panels, strict=True):
         (categories if most == 1 else shares)(ax, panel.assign(x=panel[x], y=panel[y]), cells)
         mark_values(ax, cells)
         text = str(rate(panel["outcome"])).replace(" (", "\n(", 1)
@@ -71,9 +69,19 @@ def success_map(rows: pd.DataFrame, stored: Mapping[str, Any], chosen: tuple[str
             text = f"{panel['known'].sum()} rollouts (dots); each cell as its corners"
         ax.set_title("\n".join([*title, text]), fontsize=8)
         ax.set_xlabel(words_and_unit(x, exp))
+        limits.draw(ax, exp, panel, x, y, cells)
+    for ax, (title, panel), figure_name in zip(
+        axes[0, len(panels) :], panels * len(measured), np.repeat(measured, len(panels)), strict=True
+    ):
+        beside(ax, panel.assign(x=panel[x], y=panel[y]), cells, figure_name)
+        mark_values(ax, cells)
+        ax.set_title("\n".join(title), fontsize=8)
+        ax.set_xlabel(words_and_unit(x, exp))
+        limits.draw(ax, exp, panel, x, y, cells)
     axes[0, 0].set_ylabel(words_and_unit(y, exp))
     seen = [cause for cause in CAUSES if (rows["cause"] == cause).any()] if most == 1 else []
-    legend(figure, seen, bool((rows["outcome"] == "invalid").any()), most)
+    lines, _ = axes[0, 0].get_legend_handles_labels()
+    legend(figure, seen, bool((rows["outcome"] == "invalid").any()), most, lines)
     if most > 1:
         scale = ScalarMappable(Normalize(0, 1), "cividis")
         figure.colorbar(scale, ax=axes, label=f"rate of success, n = {spread(counts)} a cell", shrink=0.8)
@@ -157,32 +165,20 @@ def paint(ax: Axes, rows: pd.DataFrame, cells: Cells, **style: Any) -> None:
         ax.add_patch(cell)
 
 
-def evenly_spaced(values: np.ndarray) -> bool:
-    """Whether cells can have the width of their values' distance without some being too thin to see."""
-    gaps = np.diff(values)
-    return len(gaps) == 0 or float(gaps.max()) < 3 * float(gaps.min())
+def beside(ax: Axes, rows: pd.DataFrame, cells: Cells, name: str) -> None:
+    """A measured figure in the same cells, of rollouts that succeed."""
+    done = rows[rows["outcome"] == "success"]
+    grid = done.pivot_table(index="y", columns="x", values=name).reindex(index=cells.y, columns=cells.x)
+    mesh = ax.pcolormesh(edges(cells.x), edges(cells.y), np.ma.masked_invalid(grid.to_numpy(dtype=float)))
+    ax.figure.colorbar(mesh, ax=ax, label=f"{heading(name)}, where it succeeds", shrink=0.8)
 
 
-def edges(values: np.ndarray) -> np.ndarray:
-    """Cell borders: half-way between values, or counted where the values are uneven."""
-    if not evenly_spaced(values):
-        return np.arange(len(values) + 1) - 0.5
-    half = np.diff(values) / 2 if len(values) > 1 else np.array([0.5 * abs(values[0]) or 0.5])
-    return np.concatenate([[values[0] - half[0]], values[:-1] + half[: len(values) - 1], [values[-1] + half[-1]]])
-
-
-def mark_values(ax: Axes, cells: Cells) -> None:
-    """Name the values of uneven axes, cell by cell."""
-    for axis, values in ((ax.xaxis, cells.x), (ax.yaxis, cells.y)):
-        if not evenly_spaced(values):
-            axis.set_ticks(np.arange(len(values)), [f"{v:.4g}" for v in values])
-
-
-def legend(figure: Figure, causes: list[str], invalid: bool, most: int) -> None:
-    """What the colours and the hatching mean."""
-    patches = [Patch(facecolor=SUCCESS, edgecolor="grey", label="success")] if most == 1 else []
+def legend(figure: Figure, causes: list[str], invalid: bool, most: int, lines: Sequence[Artist]) -> None:
+    """What the colours, the hatching and the lines mean."""
+    patches: list[Any] = [Patch(facecolor=SUCCESS, edgecolor="grey", label="success")] if most == 1 else []
     patches += [Patch(facecolor=CAUSE_COLOURS[c], label=c.replace("_", " "), **pattern(c)) for c in causes]
     if invalid:
         patches.append(Patch(facecolor=INVALID, edgecolor="black", hatch="////", label="invalid"))
+    patches += lines
     if patches:
         figure.legend(handles=patches, loc="outside lower center", ncols=min(len(patches), 5), fontsize=8)

@@ -13,8 +13,10 @@ from matplotlib.figure import Figure
 from sweep import refine
 from sweep.intervals import anytime, wilson
 from sweep.metrics.outcome import CAUSES
+from sweep.report import limits
+from sweep.report.cells import Cells, mark_values
 from sweep.report.labels import axis_words, words_and_unit
-from sweep.report.maps import Cells, categories, legend, mark_values, paint, split
+from sweep.report.maps import categories, legend, paint, split
 from sweep.report.results import Results, binned
 from sweep.report.tables import text
 from sweep.stats import rates
@@ -111,6 +113,7 @@ def draw(results: Results, chosen: Slice) -> Figure:
             word = {"low": "lower end", "share": "rate of success", "high": "upper end"}.get(kind, "")
             ax.set_title(", ".join([*title, word] if word else title), fontsize=9)
             mark_values(ax, cells)
+            limits.draw(ax, results.exp, panel, x, y, cells)
     for ax in spots:
         ax.set_visible(False)
     for k, ax in enumerate(axes):
@@ -119,7 +122,8 @@ def draw(results: Results, chosen: Slice) -> Figure:
         if k >= len(axes) - columns:
             ax.set_xlabel(words_and_unit(x, results.exp))
     seen = [c for c in CAUSES if single and (chosen.rows["cause"] == c).any()]
-    legend(figure, seen, bool((chosen.rows["outcome"] == "invalid").any()), 1 if single else 2)
+    legend(figure, seen, bool((chosen.rows["outcome"] == "invalid").any()), 1 if single else 2,
+           axes[0].get_legend_handles_labels()[0])  # fmt: skip
     if not single:
         figure.colorbar(ScalarMappable(Normalize(0, 1), "cividis"), ax=axes, shrink=0.8)
     return figure

@@ -85,3 +85,34 @@ def test_cells_stay_visible_where_values_are_uneven(rows):
     left = maps.success_map(uneven, STORED).axes[0]
     assert [label.get_text() for label in left.get_xticklabels()] == ["0.001", "0.002", "0.6", "0.8"]
     assert left.get_xlim() == (-0.5, 3.5)
+
+
+def test_theory_is_a_curve_over_the_map_and_what_it_limits_is_beside():
+    """On a pole (2.1.8) is k = sqrt(4 eps^2 + 1) P / 4 N, with N = U / d_c: 46.8 N m / U for the base robot."""
+    stored = {"config": compose(["study=pole_torque_map"]).values}
+    names = ["drive.torque_limit", "world.contact.friction"]
+    grid = pd.MultiIndex.from_product([[60.0, 120.0, 180.0], [0.3, 0.6]], names=names).to_frame(index=False)
+    rows = grid.assign(outcome="success", cause="", stage="", friction_demand_mean=[0.3, 0.4] * 3)
+    left, right = maps.success_map(rows, stored).axes[:2]
+    for ax in (left, right):
+        torque, friction = ax.lines[0].get_data()
+        assert list(torque) == [60.0, 120.0, 180.0]
+        assert friction * torque == pytest.approx(46.8, rel=0.01)
+    assert list(np.ravel(right.collections[0].get_array())) == pytest.approx([0.3, 0.3, 0.3, 0.4, 0.4, 0.4])
+
+
+@pytest.mark.parametrize(("key", "value", "complaint"), [
+    ("formula", "corner_leats_friction", "did you mean corner_least_friction"),
+    ("output", "q", r"theory.0.output = q is unknown \(allowed: k, k_tau, k_zeta"),
+    ("of", "contact.fiction", "did you mean friction"),
+    ("inputs.eps", "drive.torque / 2", r"study.theory.inputs.eps = 'drive.torque / 2' is not allowed: .*torque_limit"),
+    ("inputs.eps", "-1", "eps = -1 is not allowed: greater than 0"),
+])  # fmt: skip
+def test_theory_that_means_nothing_is_refused_at_once(key, value, complaint):
+    given = {"formula": "corner_least_friction", "output": "k", "of": "contact.friction", "inputs": {"psi": 0.0}}
+    group, _, name = key.rpartition(".")
+    (given[group] if group else given)[name] = value
+    text = ", ".join(f"{k}: {v}" for k, v in given.items() if k != "inputs")
+    inputs = ", ".join(f"{k}: '{v}'" if isinstance(v, str) else f"{k}: {v}" for k, v in given["inputs"].items())
+    with pytest.raises(InputError, match=complaint):
+        compose(["study=walk_map", f"study.theory=[{{{text}, inputs: {{{inputs}}}}}]"])

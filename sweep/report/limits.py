@@ -1,0 +1,45 @@
+"""The limits of `study.theory` as curves over maps."""
+
+import pandas as pd
+from matplotlib.axes import Axes
+
+from sweep.config import Experiment
+from sweep.report.cells import Cells, places
+from sweep.study import nominal, side_and_path
+from sweep.theory import Theory
+
+STYLES = ("--", "-.", ":")
+
+
+def curve(theory: Theory, exp: Experiment, rows: pd.DataFrame, along: str) -> pd.DataFrame:
+    """The limit at each value of the column `along`: columns `along` and `limit`, nan where theory has none.
+
+    A parameter that the theory names has the value of the rows there where they agree on one, else the nominal value.
+    """
+    found = []
+    for value, group in rows.groupby(along):
+        agreed = group.loc[:, group.nunique() == 1].iloc[0]
+        here = {side_and_path(str(name))[1]: one for name, one in agreed.items()}
+
+        def value_of(path: str, here: dict = here) -> float:
+            return here[path] if path in here else nominal(path, exp.case, exp.settings)
+
+        found.append((value, theory.limit(value_of)))
+    return pd.DataFrame(found, columns=["along", "limit"])
+
+
+def draw(ax: Axes, exp: Experiment, rows: pd.DataFrame, x: str, y: str, cells: Cells) -> None:
+    """Draw the limits of either parameter of a map of `rows`, each with its label."""
+    for theory, style in zip(exp.study.theory, STYLES, strict=False):
+        for across, along in ((x, y), (y, x)):
+            if side_and_path(across)[1] != theory.of:
+                continue
+            found = curve(theory, exp, rows, along)
+            pairs = (found["limit"], found["along"]) if across == x else (found["along"], found["limit"])
+            at = [places(part.to_numpy(), values) for part, values in zip(pairs, cells, strict=True)]
+            ax.plot(*at, style, color="black", linewidth=1.8, label=theory.label, scalex=False, scaley=False)
+
+
+def measured(exp: Experiment, rows: pd.DataFrame) -> list[str]:
+    """Figures to show beside a map: what was measured of what theory limits."""
+    return list(dict.fromkeys(theory.measured for theory in exp.study.theory if theory.measured in rows))
