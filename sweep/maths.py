@@ -29,6 +29,13 @@ def exponential(turn: Float[Array, "*b 3"]) -> Float[Array, "*b 4"]:
     return jnp.concatenate([jnp.cos(half), 0.5 * turn * jnp.sin(half) / half], axis=-1)
 
 
+def logarithm(quat: Float[Array, "*b 4"]) -> Float[Array, "*b 3"]:
+    """The rotation vector (rad), of at most half a turn, of a unit quaternion."""
+    sine = jnp.sqrt(jnp.sum(quat[..., 1:] ** 2, axis=-1, keepdims=True) + 1e-24)
+    half = jnp.arctan2(sine, jnp.abs(quat[..., :1]))
+    return 2 * half / sine * jnp.where(quat[..., :1] < 0, -1.0, 1.0) * quat[..., 1:]
+
+
 def about_vertical(angle: Float[Array, ""]) -> Float[Array, " 4"]:
     """Rotation by `angle` (rad) about z."""
     zero = jnp.zeros_like(angle)

@@ -15,7 +15,7 @@ from sweep.controllers.observation import Observation
 from sweep.controllers.plan import BALANCE, Plan, Posture, Stance, reference
 from sweep.controllers.posture import feet_in_world
 from sweep.formulas import leg, stepping
-from sweep.maths import about_vertical, conjugate, exponential, heading, multiply, rotate
+from sweep.maths import conjugate, exponential, heading, logarithm, multiply, rotate
 from sweep.models.drive import Servo
 from sweep.models.obstacles.surface import FreeState, no_bodies, poses
 from sweep.models.robot import Robot
@@ -30,7 +30,7 @@ class TrackerState(NamedTuple):
     feet: Float[Array, "6 3"]  # m, commanded footholds when the stage began, in its frames
     position: Float[Array, " 3"]  # m, planned base when the stage began, in its frame
     error: Float[Array, " 3"]  # m, measured body error when the stage began
-    yaw: Float[Array, ""]  # rad, the same of the heading, in plans that are steered
+    turn: Float[Array, " 3"]  # rad, the same of its attitude, as a rotation vector in world axes
     joints: Float[Array, "6 3"]  # rad, last targets
     origin: Float[Array, "6 3"]  # rad, targets when the stage began
     finished: Bool[Array, ""]
@@ -92,7 +92,8 @@ def init(belief: Case, plan: Plan) -> TrackerState:
     return TrackerState(
         stage=jnp.int32(0), clock=zero, feet=feet,
         position=_place(to_frame, plan.start.position, plan.base_frame[0], free), error=jnp.zeros(3, zero.dtype),
-        yaw=zero, joints=joints, origin=joints, finished=jnp.asarray(False), goal=feet, memory=memory,
+        turn=jnp.zeros(3, zero.dtype), joints=joints, origin=joints, finished=jnp.asarray(False), goal=feet,
+        memory=memory,
     )  # fmt: skip
 
 
@@ -152,8 +153,7 @@ def _in_world(plan: Plan, state: TrackerState, wanted: Stance, phase: Array, fre
     left = jnp.where(_balancing(plan, stage), 1.0, 1 - phase)
     feet = to_world(wanted.feet, plan.foot_frame[stage], free)
     position = _place(to_world, wanted.position, plan.base_frame[stage], free) + left * state.error
-    quat = multiply(about_vertical(left * state.yaw), wanted.quat) if plan.steered else wanted.quat
-    return Stance(feet, position, quat)
+    return Stance(feet, position, multiply(exponential(left * state.turn), wanted.quat))
 
 
 def _place(convert: Callable, point: Array, frame: Array, free: FreeState) -> Float[Array, " 3"]:
@@ -169,9 +169,9 @@ def _advance(belief: Case, plan: Plan, state: TrackerState, seen: Observation, p
     """Go on to the next stage when time is up and every swinging foot has touched down, or patience has run out.
 
     The next stage starts from the commanded footholds, not the reached ones: that keeps the pressure on the ground.
-    With the onset `rezero` feet and body are shifted together by the measured body error, which strains nothing, and
-    the body's part of it then fades: without this, errors add up from stage to stage. So are they turned by the error
-    of its heading, in a plan that is steered.
+    With the onset `rezero` feet and body are shifted and turned together by the measured error of the body's place and
+    attitude, which strains nothing, and the body's part of it then fades: without this, errors add up from stage to
+    stage.
     """
     stage = state.stage
     over = state.clock - plan.duration[stage]
@@ -184,9 +184,9 @@ def _advance(belief: Case, plan: Plan, state: TrackerState, seen: Observation, p
     feet = to_world(jnp.where(plan.swing[stage][:, None], goal, state.feet), plan.foot_frame[stage], seen.free)
     if plan.grip is not None:
         feet = feet + grip.creep(plan, plan.grip, stage, state.clock)
-    error, yaw = jnp.zeros_like(planned), state.yaw
+    error, turn = jnp.zeros_like(planned), state.turn
     if plan.onset == "rezero":
-        feet, error, yaw = _with_error(plan, state, seen, feet, planned)
+        feet, error, turn = _with_error(plan, state, seen, feet, planned)
     elif plan.onset == "regrip":
         feet = _regripped(belief, feet, seen)
     shifted = state._replace(
@@ -195,7 +195,7 @@ def _advance(belief: Case, plan: Plan, state: TrackerState, seen: Observation, p
         feet=to_frame(feet, plan.foot_frame[following], seen.free),
         position=_place(to_frame, planned, plan.base_frame[following], seen.free),
         error=error,
-        yaw=yaw,
+        turn=turn,
         origin=state.joints,
         finished=last,
     )
@@ -215,18 +215,20 @@ def _regripped(belief: Case, commanded: Float[Array, "6 3"], seen: Observation) 
 def _with_error(
     plan: Plan, state: TrackerState, seen: Observation, feet: Array, planned: Array
 ) -> tuple[Array, Array, Array]:
-    """Feet moved with the body's error at the end of the stage, and that error of its place (m) and heading (rad).
+    """Feet moved with the body's error at the end of the stage, and that error of its place (m) and attitude (rad).
 
-    A robot that balanced on two feet has tilted about them: what it sees says nothing of where they are, and the error
-    that it knew before holds on. Of the place only the horizontal part counts there: taken up by the standing feet and
-    not by those that land, the other would put the diagonals at different heights.
+    In a plan that is steered only its parts in the plane count: taken up by the standing feet and not by those that
+    land, the others would put the diagonals at different heights. A robot that balanced on two feet has tilted about
+    them: what it sees says nothing of where they are, and the error that it knew before holds on.
     """
     error = seen.position - planned
-    if not plan.steered:  # feet that are anchored where they are need not be moved
-        return feet if plan.grip is not None else feet + error, error, state.yaw
-    error = error.at[2].set(0.0)
     wanted = multiply(exponential(plan.turn[state.stage]), plan.quat[state.stage])
-    yaw = heading(multiply(seen.quat, conjugate(wanted)))
-    moved = planned + error + rotate(about_vertical(yaw)[None], feet - planned)
+    off = multiply(seen.quat, conjugate(wanted))
+    turn = logarithm(off)
+    if plan.steered:
+        error, turn = error.at[2].set(0.0), jnp.zeros(3).at[2].set(heading(off))
+    moved = planned + error + rotate(exponential(turn)[None], feet - planned)
+    if plan.grip is not None:  # feet that are anchored where they are need not be moved
+        moved = feet
     known = _balancing(plan, state.stage)
-    return jnp.where(known, feet, moved), jnp.where(known, state.error, error), jnp.where(known, state.yaw, yaw)
+    return jnp.where(known, feet, moved), jnp.where(known, state.error, error), jnp.where(known, state.turn, turn)

@@ -8,6 +8,7 @@ import pytest
 from sweep.config import compose
 from sweep.controllers import tracker
 from sweep.controllers.observation import Observation
+from sweep.maths import exponential, logarithm, rotate
 from sweep.models.obstacles.surface import no_bodies
 
 PERIOD = 4e-3
@@ -21,16 +22,16 @@ def plan():
 
 @pytest.fixture(scope="module")
 def follow(plan):
-    """Ticks of a robot that is where it is told to be but for `offset` (m), its feet loaded as `loaded` says."""
+    """Ticks of a robot that is where it is told but for `offset` (m) and `turn` (rad), its feet loaded as `loaded`."""
 
     ticks = int(1.3 * float(plan.duration.sum()) / PERIOD)
 
     @jax.jit
-    def run(offset, loaded):
+    def run(offset, loaded, turn):
         def tick(carry, _):
             state, at = carry
             still, joints = jnp.zeros(3), jnp.zeros((6, 3))
-            seen = Observation(at + offset, jnp.array([1.0, 0, 0, 0]), still, still, joints, joints, joints, loaded,
+            seen = Observation(at + offset, exponential(turn), still, still, joints, joints, joints, loaded,
                                no_bodies())  # fmt: skip
             state, command = tracker.step(CASE, plan, state, seen, PERIOD)
             return (state, command.target.position), (state, command)
@@ -38,7 +39,10 @@ def follow(plan):
         _, history = jax.lax.scan(tick, (tracker.init(CASE, plan), plan.start.position), None, length=ticks)
         return history
 
-    return lambda offset, loaded: jax.tree.map(np.asarray, run(jnp.asarray(offset), jnp.asarray(loaded)))
+    def history_of(offset, loaded, turn=(0.0, 0.0, 0.0)):
+        return jax.tree.map(np.asarray, run(jnp.asarray(offset), jnp.asarray(loaded), jnp.asarray(turn)))
+
+    return history_of
 
 
 def stage_starts(states) -> np.ndarray:
@@ -83,3 +87,17 @@ def test_body_error_shifts_feet_and_body_and_fades(follow, plan):
     assert commands.target.position[last, 1] == pytest.approx(0.0, abs=1e-4)
     landing = commands.target.feet[last] - np.asarray(plan.foothold)[1]
     np.testing.assert_allclose(landing[~standing], 0, atol=1e-3)  # footholds are absolute
+
+
+def test_attitude_error_turns_feet_and_body_and_fades(follow, plan):
+    """Seen rolled by 10 mrad: standing feet turn about the base with it at a stage's start, and its own part fades."""
+    roll = np.array([0.01, 0.0, 0.0])
+    states, commands = follow(np.zeros(3), np.ones(6, bool), roll)
+    first, last = np.flatnonzero(states.stage == 1)[[0, -1]]
+    standing = ~np.asarray(plan.swing)[1]
+    base, feet = np.asarray(plan.position)[0], np.asarray(plan.start.feet)
+    turned = base + rotate(exponential(jnp.asarray(roll))[None], jnp.asarray(feet - base))
+    np.testing.assert_allclose(commands.target.feet[first][standing], turned[standing], atol=1e-4)
+    assert np.abs(turned - feet).max() > 4e-3
+    attitude = logarithm(jnp.asarray(commands.target.quat[[first, last]]))
+    np.testing.assert_allclose(attitude, [0.98 * roll, 0 * roll], atol=2e-4)
