@@ -210,11 +210,14 @@ def names(text: str | None) -> list[str] | None:
 
 def show_table(given: argparse.Namespace) -> int:
     """Rows as csv, markdown, latex or parquet."""
+    from sweep import store
+    from sweep.config import experiment
     from sweep.report import tables
 
     if given.format == "parquet" and not given.output:
         raise InputError("--format parquet needs a file: -o FILE")
-    content = tables.render(selected(given), given.format, names(given.columns))
+    exp = experiment(store.read_study(given.dir)["config"])
+    content = tables.render(selected(given), given.format, names(given.columns), exp)
     if given.output:
         given.output.write_bytes(content)
     else:

@@ -215,6 +215,20 @@ def _windows(array: np.ndarray, size: int) -> np.ndarray:
     return windows[(slice(None, None, size),) * array.ndim]
 
 
+def leaves(seen: np.ndarray, halvings: int) -> tuple[np.ndarray, ...]:
+    """Lower corners (cells, d) of the cells that bisection ends with, of those 1, 2, 4, ... lattice cells wide.
+
+    `seen` has the labels of the points that bisection wanted.
+    """
+    whole = np.ones([(n - 1) // 2**halvings for n in seen.shape], dtype=bool)
+    found = []
+    for size in (2**k for k in range(halvings, 0, -1)):
+        halved = whole & _disagree(seen, size)
+        found.append(np.argwhere(whole & ~halved) * size)
+        whole = np.kron(halved, np.ones((2,) * seen.ndim, dtype=bool))
+    return (np.argwhere(whole), *reversed(found))
+
+
 def filled(label: np.ndarray, halvings: int) -> np.ndarray:
     """Labels of all lattice points: a cell whose corners are known and which does not disagree is all alike."""
     guess = label.copy()
@@ -238,6 +252,7 @@ class Refined:
     grid: Lattice
     label: np.ndarray  # of every lattice point, known or filled in; MISSING where neither
     known: np.ndarray  # bool
+    cells: tuple[np.ndarray, ...]  # see `leaves`
     rollouts: int
     audited: int
     missed: int  # audited points whose label is not what was filled in
@@ -271,13 +286,14 @@ def refined(exp: Experiment, rows: pd.DataFrame) -> list[Refined]:
         counts = _counts(grid, part)
         label = labels(exp.study, counts)
         wanted = bisected(label, grid.halvings)
-        promised = filled(np.where(wanted, label, MISSING), grid.halvings)
+        seen = np.where(wanted, label, MISSING)
+        promised, cells = filled(seen, grid.halvings), leaves(seen, grid.halvings)
         audit = audited(exp.study, wanted) & (label >= FAILS) & (promised >= FAILS)
         missed = int((label != promised)[audit].sum())
         undecided = int(_undecided(exp.study, counts).sum()) if exp.study.noisy else 0
         known = counts.total > 0
         whole = np.where(known, label, promised)
-        found.append(Refined(names, grid, whole, known, len(part), int(audit.sum()), missed, undecided))
+        found.append(Refined(names, grid, whole, known, cells, len(part), int(audit.sum()), missed, undecided))
     return found
 
 

@@ -9,7 +9,7 @@ import sweep.engines
 from sweep import refine, store
 from sweep.cli import main
 from sweep.config import compose, experiment
-from sweep.refine import FAILS, MISSING, SUCCEEDS, bisected, filled
+from sweep.refine import FAILS, MISSING, SUCCEEDS, bisected, filled, leaves
 
 FRICTION = "study.axes.friction={path: contact.friction, on: world, from: 0.05, to: 1.2, num: 9}"
 STEP = "study.axes.step={path: manoeuvre.half_step_ratio, from: 0.03, to: 0.2, num: 9}"
@@ -34,6 +34,19 @@ def test_bisection_finds_a_disc_with_ten_times_fewer_points():
     label = explored(truth, 4)
     assert (label != MISSING).sum() < truth.size / 10
     assert (filled(label, 4) == truth).all()
+
+
+def test_the_cells_that_are_left_tile_the_map_and_only_the_smallest_disagree():
+    truth = disc(129)
+    cells = leaves(explored(truth, 4), 4)
+    assert len(cells) == 5
+    covered = np.zeros((128, 128), dtype=int)
+    for power, corners in enumerate(cells):
+        for i, j in corners:
+            covered[i : i + 2**power, j : j + 2**power] += 1
+            alike = np.ptp(truth[i : i + 2**power + 1, j : j + 2**power + 1]) == 0
+            assert alike or power == 0
+    assert (covered == 1).all()
 
 
 def test_a_strip_that_leaves_a_cell_through_its_side_is_followed():

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from sweep import audit, compare, sensitivity
 from sweep.compare import SECOND
 from sweep.report import slices
-from sweep.report.labels import CAUSE_COLOURS, SUCCESS, axis_words, heading, words_and_unit
+from sweep.report.labels import CAUSE_COLOURS, SUCCESS, axis_words, heading
 from sweep.report.maps import pattern
 from sweep.report.results import Results, binned
 from sweep.report.tables import BOOKKEEPING
@@ -100,7 +100,7 @@ def _draw_effects(results: Results, table: pd.DataFrame, by: list[str]) -> Figur
         for (name, part), (colour, line, marker) in zip(parts, STYLES, strict=False):
             ax.fill_between(part["value"], part["low"], part["high"], color=colour, alpha=0.2, linewidth=0)
             ax.plot(part["value"], part["share"], line, marker=marker, markersize=3, color=colour, label=str(name))
-        ax.set(xlabel=words_and_unit(axis, results.exp), ylabel="rate of success", ylim=(-0.02, 1.02))
+        ax.set(xlabel=heading(axis, results.exp), ylabel="rate of success", ylim=(-0.02, 1.02))
         if by:
             ax.legend(fontsize=7, title=axis_words(by[0]), title_fontsize=7)
     if results.one_at_a_time:
@@ -190,7 +190,7 @@ def _draw_audits(results: Results, data: pd.DataFrame) -> Figure:
         ax.plot(part.loc[~flips, x], part.loc[~flips, y], ".", color="#0072B2", label="same outcome")
         ax.plot(part.loc[flips, x], part.loc[flips, y], "x", color="#D55E00", markersize=8, label="another")
         ax.set_title(str(way), fontsize=9)
-        ax.set(xlabel=words_and_unit(x, results.exp), ylabel=words_and_unit(y, results.exp))
+        ax.set(xlabel=heading(x, results.exp), ylabel=heading(y, results.exp))
         ax.set(xlim=_span(results.rows[x]), ylim=_span(results.rows[y]))
     return figure
 

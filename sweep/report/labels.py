@@ -35,16 +35,8 @@ def unit_of(column: str, exp: Experiment) -> str:
     return unit(column, exp.case, exp.settings)
 
 
-def words_and_unit(column: str, exp: Experiment) -> str:
-    """What to write beside an axis of a picture."""
+def heading(column: str, exp: Experiment | None = None) -> str:
+    """Words and unit, for a table or beside an axis; without `exp` the units of parameters are not known."""
     words = axis_words(column) if "." in column else name_and_unit(column)[0]
-    known = unit_of(column, exp)
+    known = unit_of(column, exp) if exp else name_and_unit(column)[1] if "." not in column else ""
     return f"{words} [{known}]" if known else words
-
-
-def heading(name: str) -> str:
-    """Words and unit of a column."""
-    if "." in name:
-        return axis_words(name)
-    words, unit = name_and_unit(name)
-    return f"{words} ({unit})" if unit else words

@@ -15,13 +15,13 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 
 from sweep import refine
-from sweep.config import experiment
+from sweep.config import Experiment, experiment
 from sweep.metrics.outcome import CAUSES
 from sweep.parameters import InputError
 from sweep.query import column
-from sweep.report import limits
+from sweep.report import limits, mesh
 from sweep.report.cells import Cells, edges, mark_values
-from sweep.report.labels import CAUSE_COLOURS, CAUSE_HATCHES, INVALID, SUCCESS, axis_words, heading, words_and_unit
+from sweep.report.labels import CAUSE_COLOURS, CAUSE_HATCHES, INVALID, SUCCESS, axis_words, heading
 from sweep.report.tables import text
 from sweep.stats import rate
 
@@ -65,10 +65,10 @@ def success_map(rows: pd.DataFrame, stored: Mapping[str, Any], chosen: tuple[str
         mark_values(ax, cells)
         text = str(rate(panel["outcome"])).replace(" (", "\n(", 1)
         if guessed:  # the share of rollouts that succeed says nothing where they were placed near the boundary
-            ax.plot(x, y, ".", markersize=1.5, color="black", data=panel[panel["known"]])
+            mesh.draw(ax, exp, panel, x, y, cells)
             text = f"{panel['known'].sum()} rollouts (dots); each cell as its corners"
         ax.set_title("\n".join([*title, text]), fontsize=8)
-        ax.set_xlabel(words_and_unit(x, exp))
+        ax.set_xlabel(heading(x, exp))
         limits.draw(ax, exp, panel, x, y, cells)
     for ax, (title, panel), figure_name in zip(
         axes[0, len(panels) :], panels * len(measured), np.repeat(measured, len(panels)), strict=True
@@ -76,9 +76,9 @@ def success_map(rows: pd.DataFrame, stored: Mapping[str, Any], chosen: tuple[str
         beside(ax, panel.assign(x=panel[x], y=panel[y]), cells, figure_name)
         mark_values(ax, cells)
         ax.set_title("\n".join(title), fontsize=8)
-        ax.set_xlabel(words_and_unit(x, exp))
+        ax.set_xlabel(heading(x, exp))
         limits.draw(ax, exp, panel, x, y, cells)
-    axes[0, 0].set_ylabel(words_and_unit(y, exp))
+    axes[0, 0].set_ylabel(heading(y, exp))
     seen = [cause for cause in CAUSES if (rows["cause"] == cause).any()] if most == 1 else []
     lines, _ = axes[0, 0].get_legend_handles_labels()
     legend(figure, seen, bool((rows["outcome"] == "invalid").any()), most, lines)
@@ -169,8 +169,8 @@ def beside(ax: Axes, rows: pd.DataFrame, cells: Cells, name: str) -> None:
     """A measured figure in the same cells, of rollouts that succeed."""
     done = rows[rows["outcome"] == "success"]
     grid = done.pivot_table(index="y", columns="x", values=name).reindex(index=cells.y, columns=cells.x)
-    mesh = ax.pcolormesh(edges(cells.x), edges(cells.y), np.ma.masked_invalid(grid.to_numpy(dtype=float)))
-    ax.figure.colorbar(mesh, ax=ax, label=f"{heading(name)}, where it succeeds", shrink=0.8)
+    colours = ax.pcolormesh(edges(cells.x), edges(cells.y), np.ma.masked_invalid(grid.to_numpy(dtype=float)))
+    ax.figure.colorbar(colours, ax=ax, label=f"{heading(name)}, where it succeeds", shrink=0.8)
 
 
 def legend(figure: Figure, causes: list[str], invalid: bool, most: int, lines: Sequence[Artist]) -> None:

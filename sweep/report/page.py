@@ -17,6 +17,7 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from sweep import audit, store
+from sweep.config import Experiment
 from sweep.metrics.outcome import MEANING
 from sweep.report import tables
 from sweep.report.exhibits import exhibits
@@ -63,11 +64,11 @@ def render(results: Results) -> str:
         expectations=list(expectations(results)),
         parameters=list(parameters(results)),
         reasons=[(cause, MEANING[cause], int((rows["cause"] == cause).sum())) for cause in results.causes_seen],
-        typical=[(one, image(one), list(telling(one))) for one in typical(results)],
+        typical=[(one, image(one), list(telling(one, results.exp))) for one in typical(results)],
         statistics=list(statistics(results)),
         audit=list(audit.table(results).itertuples(index=False)),
         audited=audit.about(results.folder),
-        table=table(rows.head(ROWS)),
+        table=table(rows.head(ROWS), results.exp),
         configuration=yaml.safe_dump(results.stored["config"], sort_keys=False, allow_unicode=True),
         dates=dates(results.folder),
     )
@@ -88,15 +89,15 @@ def statistics(results: Results) -> Iterator[tuple[str, Markup]]:
             yield title, Markup("<p>{}</p>").format(content)
         else:
             note = f"<p class='soft'>The first {LINES} of {len(content)} lines.</p>" if len(content) > LINES else ""
-            yield title, Markup(note) + as_html(tables.shown(content.head(LINES)), index=False)
+            yield title, Markup(note) + as_html(tables.shown(content.head(LINES), results.exp), index=False)
 
 
-def telling(one: Typical) -> Iterator[tuple[str, str]]:
+def telling(one: Typical, exp: Experiment) -> Iterator[tuple[str, str]]:
     """Parameters and a few figures of a typical rollout."""
     names = [*(c for c in one.row.index if "." in c), *(c for c in TELLING if c in one.row)]
     for name in names:
         if shown := tables.text(one.row[name]):
-            yield heading(name), shown
+            yield heading(name, exp), shown
 
 
 def image(one: Typical) -> str:
@@ -106,9 +107,9 @@ def image(one: Typical) -> str:
     return "data:image/png;base64," + base64.b64encode(one.picture.read_bytes()).decode()
 
 
-def table(rows: pd.DataFrame) -> Markup:
+def table(rows: pd.DataFrame, exp: Experiment) -> Markup:
     """The first rows, with what identifies them."""
-    return as_html(tables.shown(rows[[*tables.reading(rows), "point_id"]]), index=True)
+    return as_html(tables.shown(rows[[*tables.reading(rows), "point_id"]], exp), index=True)
 
 
 def as_html(shown: pd.DataFrame, index: bool) -> Markup:

@@ -53,7 +53,7 @@ def write(results: Results, out: Path) -> list[Path]:
         paths.append(out / "data" / f"{name}.csv")
         table.to_csv(paths[-1], index=False)
         if len(table) <= LINES:
-            texts[f"tables/{name}.tex"], captions[name] = tables.latex(table), caption
+            texts[f"tables/{name}.tex"], captions[name] = tables.latex(table, results.exp), caption
     numbers = list(quoted(results))
     pd.DataFrame([vars(one) for one in numbers]).to_csv(out / "data" / "numbers.csv", index=False)
     texts["numbers.tex"] = "".join(macro(results, one, paths[0].name) for one in numbers)

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from sweep.config import Experiment, experiment
 from sweep.metrics.outcome import MEANING
 from sweep.query import mask
 from sweep.report import statistics
-from sweep.report.labels import axis_words, unit_of
+from sweep.report.labels import axis_words, heading, unit_of
 from sweep.report.tables import text
 from sweep.study import nominal, parameter_columns, side_and_path
 
@@ -103,7 +103,7 @@ def told(results: Results) -> Iterator[tuple[str, pd.DataFrame | str]]:
         return
     for title, content in list(statistics.sections(results.rows, results.exp))[1:]:  # the first is the headline
         if isinstance(content, pd.DataFrame) and "axis" in content:
-            content = content.assign(axis=content["axis"].map(axis_words))
+            content = content.assign(axis=content["axis"].map(partial(heading, exp=results.exp)))
         yield title, content
 
 

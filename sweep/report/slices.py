@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 from sweep import refine
 from sweep.intervals import anytime, wilson
 from sweep.metrics.outcome import CAUSES
-from sweep.report import limits
+from sweep.report import limits, mesh
 from sweep.report.cells import Cells, mark_values
-from sweep.report.labels import axis_words, words_and_unit
+from sweep.report.labels import axis_words, heading
 from sweep.report.maps import categories, legend, paint, split
 from sweep.report.results import Results, binned
 from sweep.report.tables import text
@@ -36,6 +36,7 @@ class Slice:
     beside: str | None  # parameter that the panels go through
     rows: pd.DataFrame
     note: str
+    refined: bool = False  # whether rows without `known` are as their cell's corners
 
 
 def slices(results: Results) -> Iterator[Slice]:
@@ -51,8 +52,8 @@ def slices(results: Results) -> Iterator[Slice]:
     for x, y in list(combinations(numeric, 2))[:MAPS]:
         rows, others = results.rows, [c for c in numeric if c not in (x, y)]
         if results.exp.study.resolution and not others:
-            note = f"as its corners: {len(rows)} were run, next to the boundary"
-            yield Slice(x, y, None, refine.painted(results.exp, rows), note)
+            note = f"as its corners: {len(rows)} were run (dots), next to the boundary"
+            yield Slice(x, y, None, refine.painted(results.exp, rows), note, refined=True)
         elif not gridded(rows, x, y):
             bins = int(np.clip(np.sqrt(len(rows) / 20), 4, 40))
             note = f"{bins} by {bins} bins" + (", over all values of the other parameters" if others else "")
@@ -111,6 +112,8 @@ def draw(results: Results, chosen: Slice) -> Figure:
                 values = pd.concat([whole.assign(value=whole[kind]), broken.assign(value=np.nan)])
                 paint(ax, values, cells, cmap="cividis", vmin=0, vmax=1)
             word = {"low": "lower end", "share": "rate of success", "high": "upper end"}.get(kind, "")
+            if chosen.refined:
+                mesh.draw(ax, results.exp, panel, x, y, cells)
             ax.set_title(", ".join([*title, word] if word else title), fontsize=9)
             mark_values(ax, cells)
             limits.draw(ax, results.exp, panel, x, y, cells)
@@ -118,9 +121,9 @@ def draw(results: Results, chosen: Slice) -> Figure:
         ax.set_visible(False)
     for k, ax in enumerate(axes):
         if k % columns == 0:
-            ax.set_ylabel(words_and_unit(y, results.exp))
+            ax.set_ylabel(heading(y, results.exp))
         if k >= len(axes) - columns:
-            ax.set_xlabel(words_and_unit(x, results.exp))
+            ax.set_xlabel(heading(x, results.exp))
     seen = [c for c in CAUSES if single and (chosen.rows["cause"] == c).any()]
     legend(figure, seen, bool((chosen.rows["outcome"] == "invalid").any()), 1 if single else 2,
            axes[0].get_legend_handles_labels()[0])  # fmt: skip

@@ -7,7 +7,7 @@ import pandas as pd
 from sweep import refine, sensitivity
 from sweep.config import Experiment
 from sweep.errors import InputError
-from sweep.report.tables import shown
+from sweep.report.tables import page_table
 from sweep.stats import percent, rate, rates
 
 
@@ -53,6 +53,6 @@ def render(rows: pd.DataFrame, exp: Experiment, level: float = 0.9, figure: str 
     parts = []
     for title, content in sections(rows, exp, level, figure):
         if isinstance(content, pd.DataFrame):
-            content = shown(content).to_markdown(index=False, disable_numparse=True)
+            content = page_table(content, exp)
         parts.append(f"## {title}\n\n{content}\n")
     return "\n".join(parts)

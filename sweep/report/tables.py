@@ -1,10 +1,12 @@
 """Rows as text: csv, markdown, LaTeX with booktabs, parquet."""
 
 import io
+from functools import partial
 
 import numpy as np
 import pandas as pd
 
+from sweep.config import Experiment
 from sweep.metrics.outcome import MEANING, TIMED_CAUSES
 from sweep.query import column
 from sweep.report.labels import heading, name_and_unit
@@ -16,8 +18,11 @@ BOOKKEEPING = {f"{cause}_{what}" for cause in TIMED_CAUSES for what in ("time_s"
 BOOKKEEPING |= {"finite", "finished", "end_stage"}
 
 
-def render(rows: pd.DataFrame, form: str, names: list[str] | None = None) -> bytes:
-    """`rows` in one of the forms; `names` chooses columns. Raises `InputError` on an unknown one."""
+def render(rows: pd.DataFrame, form: str, names: list[str] | None = None, exp: Experiment | None = None) -> bytes:
+    """`rows` of `exp` in one of the forms; `names` chooses columns. Raises `InputError` on an unknown one.
+
+    Headings have units where the form is one to read.
+    """
     if names:
         rows = rows[[column(rows, name) for name in names]]
     elif form in ("markdown", "latex"):  # a page has no room for more; csv and parquet hold everything
@@ -30,16 +35,16 @@ def render(rows: pd.DataFrame, form: str, names: list[str] | None = None) -> byt
             rows.to_parquet(content, index=False, compression="zstd")
             return content.getvalue()
         case "latex":
-            return latex(rows).encode()
+            return latex(rows, exp).encode()
         case _:
-            page = page_table(rows) + "\n"
+            page = page_table(rows, exp) + "\n"
             legend = "".join(f"- {line}\n" for line in causes(rows["cause"])) if "cause" in rows else ""
             return f"{page}\n{legend}".encode() if legend else page.encode()
 
 
-def page_table(rows: pd.DataFrame) -> str:
+def page_table(rows: pd.DataFrame, exp: Experiment | None = None) -> str:
     """`rows` in Markdown, with readable headings and numbers."""
-    return shown(rows).to_markdown(index=False, disable_numparse=True)
+    return shown(rows, exp).to_markdown(index=False, disable_numparse=True)
 
 
 def reading(rows: pd.DataFrame) -> list[str]:
@@ -48,9 +53,9 @@ def reading(rows: pd.DataFrame) -> list[str]:
     return [c for c in rows.columns if "." in c] + several + list(LABELS)
 
 
-def shown(rows: pd.DataFrame) -> pd.DataFrame:
+def shown(rows: pd.DataFrame, exp: Experiment | None = None) -> pd.DataFrame:
     """`rows` with readable headings and numbers."""
-    return rows.map(text).rename(columns=heading)
+    return rows.map(text).rename(columns=partial(heading, exp=exp))
 
 
 def text(value: object) -> str:
@@ -60,9 +65,9 @@ def text(value: object) -> str:
     return "" if value is None or value is pd.NA else str(value)
 
 
-def latex(rows: pd.DataFrame) -> str:
+def latex(rows: pd.DataFrame, exp: Experiment | None = None) -> str:
     """A booktabs table; headings and words escaped."""
-    style = rows.map(text).rename(columns=heading).style.hide(axis="index")
+    style = shown(rows, exp).style.hide(axis="index")
     style = style.format(escape="latex").format_index(escape="latex", axis="columns")
     aligned = "".join("r" if rows[c].dtype.kind in "fi" else "l" for c in rows)
     return style.to_latex(hrules=True, column_format=aligned).replace("°", r"\textdegree{}").replace("·", r"$\cdot$")

@@ -5,6 +5,8 @@ import subprocess
 
 import numpy as np
 import pytest
+from matplotlib.collections import PolyCollection
+from matplotlib.lines import Line2D
 
 from sweep import store
 from sweep.cli import main
@@ -119,4 +121,8 @@ def test_a_refined_map_is_shown_whole(fake_engine, tmp_path):
     (one,) = slices.slices(found)
     assert len(one.rows) == 17 * 17 > 2 * len(found.rows)
     assert f"{len(found.rows)} were run" in one.note
+    (cells, *finer), dots = (slices.draw(found, one).axes[0].findobj(kind) for kind in (PolyCollection, Line2D))
+    corners = np.concatenate([path.vertices for group in (cells, *finer) for path in group.get_paths()])
+    assert np.ptp(corners, axis=0) == pytest.approx([1.2 - 0.05, 0.2 - 0.03])
+    assert len(found.rows) in [len(line.get_xdata()) for line in dots]
     assert "this is not the region's share" in page.render(found)

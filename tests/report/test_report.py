@@ -11,7 +11,8 @@ from sweep.report.labels import CAUSE_HATCHES
 from sweep.stats import broken, rate
 from sweep.study import Expectation
 
-STORED = {"config": compose(["study=walk_map"]).values}
+EXP = compose(["study=walk_map"])
+STORED = {"config": EXP.values}
 
 
 @pytest.fixture
@@ -46,12 +47,15 @@ def test_tables_hold_the_rows_in_four_forms(rows):
     assert len(pd.read_csv(io.BytesIO(tables.render(rows, "csv")))) == len(rows)
     page = tables.render(rows, "markdown").decode()
     assert page.startswith("| engine   | friction (world)   | half step ratio")
+    longer = rows.assign(**{"belief.robot.shin": 1.2})
+    assert "| shin (belief) [m]" in tables.render(longer, "markdown", exp=EXP).decode()
+    assert ",belief.robot.shin\n" in tables.render(longer, "csv", exp=EXP).decode()  # the column's name, for programs
     assert sum(line.startswith("|") for line in page.splitlines()) == len(rows) + 2
     assert "- 2 solver: the contact solver's residual exceeded" in page
     latex = tables.render(rows, "latex", ["name", "friction", "cause", "slip_max_m"]).decode()
     assert r"\toprule" in latex
     assert r"\begin{tabular}{lrlr}" in latex
-    assert r"slip max (m)" in latex
+    assert r"slip max [m]" in latex
     with pytest.raises(InputError, match="did you mean slip_max_m"):
         tables.render(rows, "csv", ["slip_max"])
 
