@@ -19,9 +19,9 @@ def double():
 
 
 @pytest.fixture
-def fake_engine(monkeypatch):
-    """Every engine that is made is a fake one."""
-    monkeypatch.setattr(sweep.engines, "make", FakeEngine)
+def fake_engine(monkeypatch, request):
+    """Every engine that is made is a fake one, of another class where a test is parametrised by one."""
+    monkeypatch.setattr(sweep.engines, "make", getattr(request, "param", FakeEngine))
     batches.forget_engine()
     yield
     batches.forget_engine()

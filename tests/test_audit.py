@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 from fake_engine import FakeEngine
 
-import sweep.engines
-from sweep import audit, batches, store
+from sweep import audit, store
 from sweep.cli import main
 from sweep.report import page, results
 
@@ -24,15 +23,11 @@ class CoarseEngine(FakeEngine):
         return figures | {"tilt_max_deg": np.where(friction < 5 * ratio, 40.0, 1.0)}
 
 
-@pytest.fixture
-def coarse_engine(monkeypatch):
-    monkeypatch.setattr(sweep.engines, "make", CoarseEngine)
-    batches.forget_engine()
-    yield
-    batches.forget_engine()
+coarse = pytest.mark.parametrize("fake_engine", [CoarseEngine], indirect=True)
 
 
-def test_flips_tell_how_far_the_boundary_moves(coarse_engine, tmp_path, capsys):
+@coarse
+def test_flips_tell_how_far_the_boundary_moves(fake_engine, tmp_path, capsys):
     assert main([*STUDY, f"out={tmp_path}"]) == 0
     rows = store.read_rows(tmp_path)
     near = audit.boundary(results.read(tmp_path))
@@ -54,9 +49,12 @@ def test_flips_tell_how_far_the_boundary_moves(coarse_engine, tmp_path, capsys):
     html = page.render(results.read(tmp_path))
     assert f"{near.sum()} of the {near.sum()} rollouts" in html
     assert 'id="audit"' in html
+    at = table.loc["half the time step"]
+    assert f"{at['flips']:.0f} of {near.sum()} half the time step (at most {100 * at['high']:.1f} %)" in html
 
 
-def test_an_audit_is_a_draw_and_is_not_simulated_twice(coarse_engine, tmp_path):
+@coarse
+def test_an_audit_is_a_draw_and_is_not_simulated_twice(fake_engine, tmp_path):
     assert main([*STUDY, f"out={tmp_path}"]) == 0
     few = ["audit", str(tmp_path), "--points", "7", "--ways", "half_step"]
     assert main(few) == 0

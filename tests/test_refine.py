@@ -1,9 +1,11 @@
 import re
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 from fake_engine import FakeEngine
+from scipy.ndimage import binary_dilation
 
 import sweep.engines
 from sweep import refine, store
@@ -117,6 +119,21 @@ def test_a_refined_map_is_the_grid_with_ten_times_fewer_rollouts(tmp_path, capsy
     assert len(store.read_rows(tmp_path)) == len(rows)
 
 
+@pytest.mark.slow
+def test_the_walking_map_is_its_whole_grid_with_ten_times_fewer_rollouts(tmp_path):
+    """The grid of 129 x 129 points was run once, on a GPU: 1 success, 0 failure, -1 invalid."""
+    truth = np.load(Path(__file__).parent / "data" / "walk_map_grid.npz")["label"]
+    assert main(["run", "study=walk_map_refined", f"out={tmp_path}"]) == 0
+    exp = experiment(store.read_study(tmp_path)["config"])
+    (found,) = refine.refined(exp, store.read_rows(tmp_path))
+    assert found.rollouts < truth.size / 10
+    assert (found.audited, found.missed) == (200, 0)
+    wrong = (found.label != truth) & (truth != -1)
+    edge = binary_dilation(truth == 1, np.ones((3, 3))) & binary_dilation(truth != 1, np.ones((3, 3)))
+    assert not (wrong & ~edge).any()  # the boundary is within one cell
+    assert wrong.sum() <= 5  # rounding moves a point on the boundary itself; of this version none
+
+
 def test_an_interrupted_refinement_goes_on_where_it_was(tmp_path, monkeypatch, fake_engine):
     refining = [*AXES, "study.resolution=0.05", "study.axes.friction.num=5", "study.axes.step.num=5", "engine.width=16"]
     assert main(["run", *refining, f"out={tmp_path / 'whole'}"]) == 0
@@ -149,8 +166,11 @@ NOISY = ["+study.axes.f={path: contact.friction, on: world, from: 0.05, to: 0.95
          "study.replicates=20", "engine.width=512", "study.invalid_max=1"]  # fmt: skip
 
 
-def test_noisy_points_get_rollouts_until_decided_or_the_budget_is_spent(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(sweep.engines, "make", NoisyEngine)
+noisy = pytest.mark.parametrize("fake_engine", [NoisyEngine], indirect=True)
+
+
+@noisy
+def test_noisy_points_get_rollouts_until_decided_or_the_budget_is_spent(tmp_path, fake_engine, capsys):
     assert main(["run", *NOISY, "study.level=0.7", "study.budget=6000", f"out={tmp_path}"]) == 0
     rows = store.read_rows(tmp_path)
     assert len(rows) <= 6000
@@ -166,8 +186,8 @@ def test_noisy_points_get_rollouts_until_decided_or_the_budget_is_spent(tmp_path
     assert "the interval still holds the level" in capsys.readouterr().out
 
 
-def test_draws_grow_where_a_condition_is_not_decided(tmp_path, monkeypatch):
-    monkeypatch.setattr(sweep.engines, "make", NoisyEngine)
+@noisy
+def test_draws_grow_where_a_condition_is_not_decided(tmp_path, fake_engine):
     drawn = [*NOISY, "study.replicates=1", "study.design.num=20", "+study.axes.s={path: robot.shin, relative: 0.02}"]
     assert main(["run", *drawn, "study.budget=1000", f"out={tmp_path}"]) == 0
     rows = store.read_rows(tmp_path)

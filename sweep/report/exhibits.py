@@ -16,7 +16,7 @@ from sweep.report.labels import CAUSE_COLOURS, SUCCESS, axis_words, heading
 from sweep.report.maps import pattern
 from sweep.report.results import Results, binned
 from sweep.report.tables import BOOKKEEPING
-from sweep.stats import rates
+from sweep.stats import percent, rates
 from sweep.store import figure_columns
 
 EFFECT_VALUES, EFFECT_BINS, HISTOGRAM_BINS, LINES, HISTOGRAMS = 50, 20, 30, 5, 12
@@ -51,11 +51,12 @@ def exhibits(results: Results) -> Iterator[Exhibit]:
 
 def maps(results: Results) -> Iterator[Exhibit]:
     """Where it succeeds, over pairs of parameters."""
+    again = audited(results)
     for number, one in enumerate(slices.slices(results), 1):
         table = slices.data(results, one)
         title = f"{axis_words(one.y)} by {axis_words(one.x)}"
         if "total" not in table:
-            caption = f"One rollout a cell{', ' + one.note if one.note else ''}."
+            caption = f"Single rollouts{', ' + one.note if one.note else ''}."
         else:
             sure = "confidence sequence" if results.exp.study.budget else "Wilson interval"
             low, high = table["total"].min(), table["total"].max()
@@ -64,11 +65,22 @@ def maps(results: Results) -> Iterator[Exhibit]:
                 f"Rate of success of {many} rollouts a cell{', ' + one.note if one.note else ''}, "
                 f"between the ends of its 95 % {sure}."
             )
-        yield Exhibit(f"map-{number}", title, caption, table, lambda one=one: slices.draw(results, one))
+        yield Exhibit(f"map-{number}", title, caption + again, table, lambda one=one: slices.draw(results, one))
+
+
+def audited(results: Results) -> str:
+    """How often rollouts next to the boundary of the map ended otherwise when they were simulated again."""
+    ways = [
+        f"{one.flips} of {one.rollouts - one.invalid} {one.simulated} (at most {percent(one.high)})"
+        for one in audit.table(results).itertuples()
+    ]
+    return f" Next to the boundary flip, simulated again: {'; '.join(ways)}." if ways else ""
 
 
 def effects(results: Results) -> Iterator[Exhibit]:
-    """Rate of success along each parameter."""
+    """Rate of success along each parameter; of a refined study it would say where rollouts were placed."""
+    if results.exp.study.refined:
+        return
     by = [c for c in results.named if results.rows[c].nunique() <= LINES][:1]
     if results.one_at_a_time:
         by, table = [], sensitivity.along(results.rows, results.exp)

@@ -52,7 +52,7 @@ def slices(results: Results) -> Iterator[Slice]:
     for x, y in list(combinations(numeric, 2))[:MAPS]:
         rows, others = results.rows, [c for c in numeric if c not in (x, y)]
         if results.exp.study.resolution and not others:
-            note = f"as its corners: {len(rows)} were run (dots), next to the boundary"
+            note = f"each cell as its corners; {len(rows)} were run (dots), most of them next to the boundary"
             yield Slice(x, y, None, refine.painted(results.exp, rows), note, refined=True)
         elif not gridded(rows, x, y):
             bins = int(np.clip(np.sqrt(len(rows) / 20), 4, 40))

@@ -18,7 +18,7 @@ def sections(
     listed, drawn = sensitivity.listed(rows, exp), sensitivity.drawn(rows, exp)
     numbers = sensitivity.numeric(rows, listed)
     several = len(rows) > len(rows.drop_duplicates([a.column for a in listed])) if listed else bool(drawn)
-    note = "; most were run next to the boundary, so this is not the region's share" if exp.study.resolution else ""
+    note = "; most were run next to the boundary, so this is not the region's share" if exp.study.refined else ""
     yield "Rate of success", f"{rate(rows['outcome'])}{note}"
     star = bool(numbers) and exp.study.design.grid == "one_at_a_time"
     if star:
