@@ -249,12 +249,15 @@ def regional(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
     good, bad = rows[rows["outcome"] == "success"], rows[rows["outcome"] == "failure"]
     if good.empty or bad.empty:
         raise InputError("regional sensitivity needs successes and failures")
+    invalid = len(rows) - len(good) - len(bad)
     lines = []
     for axis in numeric(rows, drawn(rows, exp)):
         good_ones, bad_ones = good[axis.column], bad[axis.column]
         test: Any = ks_2samp(good_ones, bad_ones)
-        lines.append([axis.column, test.statistic, test.pvalue, good_ones.median(), bad_ones.median()])
-    columns = ["axis", "distance", "p", "median_success", "median_failure"]
+        lines.append(
+            [axis.column, test.statistic, test.pvalue, good_ones.median(), bad_ones.median(), len(rows), invalid]
+        )
+    columns = ["axis", "distance", "p", "median_success", "median_failure", "total", "invalid"]
     return pd.DataFrame(lines, columns=columns).sort_values("distance", ascending=False, ignore_index=True)
 
 
