@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 
 from sweep import refine
-from sweep.config import Experiment, experiment
+from sweep.config import experiment
 from sweep.metrics.outcome import CAUSES
 from sweep.parameters import InputError
 from sweep.query import column

@@ -46,7 +46,7 @@ def test_a_study_from_run_to_table_and_map(capsys, tmp_path):
     assert main(["table", "results/walk_map", "--format", "parquet", "-o", "rows.parquet"]) == 0
     assert len(pd.read_parquet("rows.parquet")) == 12
     assert main(["table", "results/walk_map", "--columns", "friction,slip_max_m"]) == 0
-    assert "slip max (m)" in capsys.readouterr().out
+    assert "slip max [m]" in capsys.readouterr().out
     assert main(["stats", "results/walk_map"]) == 0
     statistics = capsys.readouterr().out
     assert "Share of the grid's box that succeeds" in statistics
