@@ -4,6 +4,7 @@ from sweep.controllers.manoeuvres.ball import BallBalance, BallDrive
 from sweep.controllers.manoeuvres.beam import BeamCross, BeamWalk
 from sweep.controllers.manoeuvres.corner import CornerClimb
 from sweep.controllers.manoeuvres.pole import PoleClimb
+from sweep.controllers.manoeuvres.pole_ledge import PoleLedge
 from sweep.controllers.manoeuvres.pole_return import PoleReturn
 from sweep.controllers.manoeuvres.pole_round import PoleRound
 from sweep.controllers.manoeuvres.pole_top import PoleTop
@@ -16,6 +17,7 @@ MANOEUVRES = {
     "waypoints": Waypoints,
     "pole_climb": PoleClimb,
     "pole_top": PoleTop,
+    "pole_ledge": PoleLedge,
     "pole_return": PoleReturn,
     "pole_round": PoleRound,
     "beam_walk": BeamWalk,

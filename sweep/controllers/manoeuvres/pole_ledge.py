@@ -1,0 +1,129 @@
+"""From a pole's top on to the ledge behind it, and away by tripod (monograph 2.3.7).
+
+World axes as in `pole`; the ledge begins at the pole's far side, at y = -r.
+
+What differs from the printed plan for a ledge 0.2 a_r lower than the pole:
+
+- The base does not stay 0.31 a_r above the top, where rear and middle knees meet. It starts from 0.62 a_r, rises to
+  0.7 a_r, comes down while the front feet go to the ledge, and 0.4 a_r is reached when the rear feet do: low and
+  behind the axis the front legs would fold against the middle ones, high it cannot reach the ledge.
+- It goes 0.154 a_r (printed 0.075 a_r) behind the axis while the front feet swing: they weigh 2 of 16 kg, and the
+  centre of mass would be over the middle feet.
+- Feet stand on the ledge at r from the plane x = 0 (printed as on the top, 0.625 r to 0.875 r): on the way their hips
+  pass over them, and a leg that hangs straight down has to turn by half a turn at once.
+- The front feet go to 0.11 a_r, 0.53 a_r and 1.1 a_r beyond the edge (printed 0.05, 0.675, 1.2), the middle feet to
+  0.1 a_r and 0.38 a_r (0.05, 0.4), for neighbouring legs to stay apart in the swings between.
+- The rear feet go to the middle of the top, a little ahead, before they go to the ledge (printed: where the middle feet
+  stood), 0.83 r aside.
+- Stages take 1.5 to 2 t* and swings go along Bezier curves that come down on the ledge from above.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from sweep.case import Case
+from sweep.controllers.gaits import TRIPOD, centre_offsets, regular_steps
+from sweep.controllers.manoeuvres.pole import FRONT, MIDDLE, REAR, TOWARDS, Site, pair, point
+from sweep.controllers.manoeuvres.pole_top import EASED, TOP, Footholds, PoleTop, lofted, on_disc
+from sweep.controllers.plan import CYCLE_B, Plan, Stage, Stance
+from sweep.controllers.posture import foot_centres
+from sweep.maths import rotate
+from sweep.parameters import choice, count, parameters
+
+ON_TOP, ON_LEDGE = "top", "ledge"
+
+
+class Move(NamedTuple):
+    """A stage on the way across: a pair of feet, or none, goes to a place while the base goes to another one."""
+
+    name: str
+    base: tuple[float, float]  # beyond the ledge's edge, above the pole's top (a_r)
+    legs: tuple[int, int] | None = None
+    where: str = ON_LEDGE
+    # on the top aside and ahead (r), on the ledge aside (r) and beyond its edge (a_r)
+    place: tuple[float, float] = (0.0, 0.0)
+    first: tuple[float, float, float] = (0.1, 0.0, 0.2)  # guides of the swing, see `lofted`
+    last: tuple[float, float, float] = (0.1, 0.0, 0.2)
+    time: float = 1.5  # t*
+
+
+LEVEL = (
+    Move("back", (-0.479, 0.7)),
+    Move("front", (-0.554, 0.53), FRONT, ON_LEDGE, (1.1, 0.11), (0.166, -0.245, 0.111), (-0.151, 0.33, 0.133), 2.0),
+    Move("middle", (-0.4, 0.55), MIDDLE, ON_TOP, TOP[FRONT]),
+    Move("front2", (-0.33, 0.48), FRONT, ON_LEDGE, (1.0, 0.53)),
+    Move("middle2", (-0.1, 0.48), MIDDLE, ON_LEDGE, (1.0, 0.1)),
+    Move("ahead", (0.27, 0.47)),
+    Move("rear", (0.27, 0.47), REAR, ON_TOP, (0.83, -0.27)),
+    Move("middle3", (0.3, 0.45), MIDDLE, ON_LEDGE, (1.0, 0.38)),
+    Move("front3", (0.3, 0.45), FRONT, ON_LEDGE, (1.0, 1.1)),
+    Move("ahead2", (0.72, 0.42)),
+    Move("rear2", (0.72, 0.4), REAR, ON_LEDGE, (1.0, 0.15)),
+)
+
+
+@parameters
+class PoleLedge(PoleTop):
+    """By tripod to the pole, up it, over its top on to the ledge, and away by tripod."""
+
+    kind: str = choice("pole_ledge", "pole_ledge")
+    steps_away: int = count(3, at_least=0, at_most=100)  # swings on the ledge, 2 x* each
+
+    def way(self, belief: Case) -> tuple[Stance, list[Stage]]:
+        """Get on the top, cross to the ledge, walk away."""
+        site, ledge = self.site(belief), belief.obstacle.ledge_height
+        start, stages = self.ascend(site, belief)
+        away, walk = walk_away(site, belief, ledge, self.steps_away)
+        return start, [*stages, *self.rested([*cross(site, ledge, LEVEL), *away]), *walk]
+
+    def plan(self, belief: Case) -> Plan:
+        """Go all the way, halt."""
+        return self.assembled(belief, *self.way(belief))
+
+
+def beyond(site: Site, way: float, height: Array | float) -> Float[Array, " 3"]:
+    """A point (m) in the plane x = 0, `way` (a_r) beyond the ledge's edge."""
+    return point(0.0, -site.radius - way * site.length, height)
+
+
+def on_ledge(site: Site, ledge: Array | float, legs: tuple[int, int], place: tuple[float, float]) -> Footholds:
+    """Footholds of a pair on the ledge, aside (r) and beyond its edge (a_r)."""
+    return pair(legs, place[0] * site.radius, -site.radius - place[1] * site.length, ledge)
+
+
+def cross(site: Site, ledge: Array | float, moves: Sequence[Move]) -> list[Stage]:
+    """Stages from the top on to the ledge, the base level; the feet begin at `TOP`."""
+    at = {legs: on_disc(site, legs, TOP[legs]) for legs in (FRONT, MIDDLE, REAR)}
+    stages = []
+    for move in moves:
+        swing, guides = {}, {}
+        if move.legs is not None:
+            swing = on_disc(site, move.legs, move.place) if move.where == ON_TOP else on_ledge(
+                site, ledge, move.legs, move.place)  # fmt: skip
+            guides = lofted(site, at[move.legs], swing, move.first, move.last)
+            at[move.legs] = swing
+        base = beyond(site, move.base[0], site.top + move.base[1] * site.length)
+        stages.append(Stage(f"ledge.{move.name}", move.time * site.step.time, swing, CYCLE_B, position=base,
+                            rates=EASED, guides=guides))  # fmt: skip
+    return stages
+
+
+def walk_away(site: Site, belief: Case, ledge: Array | float, steps: int) -> tuple[list[Stage], list[Stage]]:
+    """The feet to where a tripod gait may start, and `steps` swings of it on the ledge."""
+    step, forward, quat = site.step, jnp.array([0.0, -1.0, 0.0]), jnp.array(TOWARDS)
+    spread = site.grip - belief.robot.body_width / 2
+    centres = rotate(quat[None], foot_centres(belief.robot, spread, site.clearance))
+    position = beyond(site, 0.75, ledge + site.clearance)
+    offsets = centre_offsets(TRIPOD, step)
+    feet = position + centres + jnp.stack([offsets[leg] * forward for leg in range(1, 7)])
+    stages = []
+    for legs in TRIPOD:
+        name = f"away.{'-'.join(map(str, legs))}"
+        stages.append(Stage(name, 1.5 * step.time, {leg: feet[leg - 1] for leg in legs}, CYCLE_B, 2 * step.height,
+                            position=position, rates=EASED))  # fmt: skip
+    walk = regular_steps(TRIPOD, step, Stance(feet, position, quat), centres, forward, steps, 0.0)
+    return stages, [replace(stage, name=f"away.{stage.name}") for stage in walk]
