@@ -205,11 +205,14 @@ def _advance(belief: Case, plan: Plan, state: TrackerState, seen: Observation, p
 
 
 def _regripped(belief: Case, commanded: Float[Array, "6 3"], seen: Observation) -> Float[Array, "6 3"]:
-    """Standing feet where they are measured along the surface, and as deep as they were commanded."""
+    """Feet where they are measured along the surface, and as deep as they were commanded.
+
+    Also those that have not touched down yet: they are about to, as far off as the base is, which would otherwise be
+    handed on from step to step.
+    """
     measured = feet_in_world(belief.robot, seen.position, seen.quat, seen.angles)
     normal = belief.obstacle.surface(measured, (-1,) * 6, poses(seen.free)).normal
-    deep = measured + jnp.sum((commanded - measured) * normal, axis=-1, keepdims=True) * normal
-    return jnp.where(seen.loaded[:, None], deep, commanded)
+    return measured + jnp.sum((commanded - measured) * normal, axis=-1, keepdims=True) * normal
 
 
 def _with_error(

@@ -12,6 +12,7 @@ from simulation import simulate
 from sweep.config import compose
 from sweep.controllers.plan import Stance
 from sweep.controllers.tracker import joint_targets
+from sweep.engines.native import native_model
 from sweep.formulas.leg import SIDE
 from sweep.models import scene
 from sweep.models.obstacles.ball import Ball
@@ -70,6 +71,19 @@ def test_rolling_ball_slows_down(history, nominal):
     assert lost == pytest.approx(slowing * SECONDS, rel=0.01)
     slip = history.v[:, ROLLS, 24] - nominal.obstacle.radius * history.v[:, ROLLS, 28]
     assert np.abs(slip[100:]).max() < 1e-3 * SPEED  # of the indentation, 1 mm of the radius
+
+
+@pytest.mark.parametrize("speed", [0.3, 0.02])
+def test_rolling_ball_slows_down_in_c(nominal, speed):
+    """So does it in the second engine, at any speed: MuJoCo's friction is viscous below one that it chooses."""
+    ball = dataclasses.replace(nominal.obstacle, speed=speed)
+    model = native_model(dataclasses.replace(nominal, obstacle=ball), 1e-3)
+    data, start = mujoco.MjData(model), ball.start()
+    data.qpos[2], data.qpos[BALL_AT] = 40.0, start.position[0]
+    data.qvel[BALL_MOVES], data.qvel[27:30] = start.velocity[0], start.turn[0]
+    mujoco.mj_step(model, data, 2000)
+    slowing = ball.rolling_friction * GRAVITY / (7 / 5 * ball.radius)
+    assert speed - data.qvel[24] == pytest.approx(slowing * data.time, rel=0.01)
 
 
 def test_sliding_ball_comes_to_roll(history, nominal):

@@ -27,7 +27,7 @@ from sweep.controllers.riding import (
 )
 from sweep.controllers.tracker import Guidance, TrackerState
 from sweep.formulas.ball import stabilise_delta
-from sweep.maths import rotate
+from sweep.maths import conjugate, rotate
 from sweep.models.robot import Robot, total_mass
 from sweep.parameters import choice, count, parameters, quantity
 
@@ -171,6 +171,8 @@ class DriveMemory(NamedTuple):
     aside: Float[Array, ""]  # m, delta r^(3) to the left
     aside_before: Float[Array, ""]  # m, of the last step
     way: Float[Array, ""]  # m, of the ball to the left when the step began
+    feet: Float[Array, "6 3"]  # m, commanded in the last tick, Koenig frame
+    slack: Float[Array, "6 3"]  # m, from there to where the step takes them to stand when it begins
 
 
 @parameters
@@ -208,6 +210,7 @@ class BallDrive:
     chord_ratio: float = quantity(0.7, "d_1", above=0, at_most=1)  # d_2
     height_ratio: float = quantity(0.257, "a_r", above=0, at_most=2)  # of the base over the ball's top
     deepening: float = quantity(5e-4, "m", at_least=0, at_most=0.05)  # epsilon, feet inside the ball
+    ease: float = quantity(0.1, "s", above=0)  # in which feet go over to where they are measured
     patience: float = quantity(0.0, "s", at_least=0)  # longest wait for a touchdown, while the ball rolls on below
 
     def plan(self, belief: Case) -> Plan:
@@ -224,8 +227,8 @@ class BallDrive:
 
     def memory(self, belief: Case, plan: Plan) -> DriveMemory:
         """Nothing pushed yet."""
-        zero = jnp.zeros(())
-        return DriveMemory(zero, zero, zero, zero)
+        zero, feet = jnp.zeros(()), perch(belief, self).feet
+        return DriveMemory(zero, zero, zero, zero, feet, jnp.zeros_like(feet))
 
     def guide(
         self, belief: Case, plan: Plan, state: TrackerState, seen: Observation, begins: Bool[Array, ""], period: float
@@ -233,17 +236,21 @@ class BallDrive:
         """The step's own law, planned where it begins."""
         planned, landing = self._planned(belief, state, seen)
         memory = jax.tree.map(lambda a, b: jnp.where(begins, a, b), planned, state.memory)
-        goal = jnp.where(begins, jnp.where(plan.swing[state.stage][:, None], landing, state.feet), state.goal)
+        swings = plan.swing[state.stage][:, None]
+        goal = jnp.where(begins, jnp.where(swings, landing, state.feet), state.goal)
         phase = jnp.clip(state.clock / self.step_time, 0.0, 1.0)
         share, height = swing_progress(plan.cycle[state.stage], jnp.zeros(()), phase)
         lift = height * self.lift_ratio * belief.robot.body_length
         on_way = over_ball(state.feet, goal, share, phase, lift)
-        feet = jnp.where(plan.swing[state.stage][:, None], on_way, state.feet)
+        feet = jnp.where(swings, on_way, rotate(seen.free.quat, state.feet))
         blend = jnp.minimum(1.0, 2 * phase)
         aside = memory.aside_before + blend**2 * (3 - 2 * blend) * (memory.aside - memory.aside_before)
         pulse = memory.push * stabilise_delta(self.step_time, 0.0, state.clock).pulse
-        in_koenig = jnp.where(plan.swing[state.stage][:, None], feet, rotate(seen.free.quat, feet))
-        position = self._compensated(belief, plan.position[state.stage], in_koenig, pulse, aside)
+        position = self._compensated(belief, plan.position[state.stage], feet, pulse, aside)
+        memory = memory._replace(slack=jnp.where(begins, memory.feet - feet, memory.slack))
+        feet = feet + jnp.clip(1 - state.clock / self.ease, 0.0, 1.0) * memory.slack
+        memory = memory._replace(feet=feet)
+        feet = jnp.where(swings, feet, rotate(conjugate(seen.free.quat), feet))
         return Guidance(Stance(feet, position, plan.quat[state.stage]), goal, memory)
 
     def _planned(self, belief: Case, state: TrackerState, seen: Observation) -> tuple[DriveMemory, Float[Array, "6 3"]]:
@@ -258,7 +265,8 @@ class BallDrive:
         turn = self.step_time * speed / (2 * ball.radius)
         circle = self.circle_ratio * ball.radius
         landing = footholds(ball.radius, circle, self.chord_ratio * circle, turn) * (1 - self.deepening / ball.radius)
-        return DriveMemory(push, aside, memory.aside, place[1]), landing
+        planned = memory._replace(push=push, aside=aside, aside_before=memory.aside, way=place[1])
+        return planned, landing
 
     def _compensated(self, belief: Case, perched: Array, feet: Array, ahead: Array, aside: Array) -> Float[Array, " 3"]:
         """The base (m, Koenig) that has the robot's mass centre at `ahead` and `aside` (m): iteration (3.1.10)."""

@@ -44,13 +44,16 @@ def add_ball(
 ) -> None:
     """A ball on which feet stand, and which lies on the floor z = 0 with its own sliding, spinning, rolling friction.
 
-    Ball and floor meet in geoms of their own, which have their full size and which feet do not feel.
+    Ball and floor meet in geoms of their own, which have their full size and which feet do not feel. They are stiff:
+    MuJoCo softens rolling friction by (slide/roll)^2, and with the impedance of the feet it would be viscous below
+    25 mm/s.
     """
     look = {"material": "ball", "group": DRAWN, "contype": 0, "conaffinity": 0, "mass": 0.0}
     body.add_geom(name="ball", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0, 0], **look)
     body.add_geom(name="ball_contact", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius - FOOT_RADIUS, 0, 0],
                   **_colliding(friction))  # fmt: skip
-    rolling = {**_colliding(0.0), "contype": 2, "conaffinity": 2, "condim": 6, "friction": resistance}
+    rolling = {**_colliding(0.0), "contype": 2, "conaffinity": 2, "condim": 6, "friction": resistance,
+               "solimp": [0.9999, 0.9999, 0.001, 0.5, 2.0]}  # fmt: skip
     body.add_geom(name="ball_rolling", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0, 0], **rolling)
     world.add_geom(name="floor_rolling", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.1], **rolling)
 
