@@ -71,8 +71,8 @@ def maps(results: Results) -> Iterator[Exhibit]:
 def audited(results: Results) -> str:
     """How often rollouts next to the boundary of the map ended otherwise when they were simulated again."""
     ways = [
-        f"{one.flips} of {one.rollouts - one.invalid} {one.simulated} (at most {percent(one.high)})"
-        for one in audit.table(results).itertuples()
+        f"{one['flips']} of {one['rollouts'] - one['invalid']} {one['simulated']} (at most {percent(one['high'])})"
+        for one in audit.table(results).to_dict("records")
     ]
     return f" Next to the boundary flip, simulated again: {'; '.join(ways)}." if ways else ""
 

@@ -21,6 +21,6 @@ def draw(ax: Axes, exp: Experiment, painted: pd.DataFrame, x: str, y: str, cells
                 for k, values in zip(map(columns.index, (x, y)), cells, strict=True)
             )
             outlines = np.stack([[left, low], [right, low], [right, high], [left, high]]).transpose(2, 0, 1)
-            ax.add_collection(PolyCollection(outlines, facecolor="none", edgecolor="0.35", linewidth=0.3))
+            ax.add_collection(PolyCollection(list(outlines), facecolor="none", edgecolor="0.35", linewidth=0.3))
     dots = [places(rows[c].to_numpy(), values) for c, values in zip((x, y), cells, strict=True)]
     ax.plot(*dots, ".", markersize=1.5, color="black")

@@ -11,6 +11,7 @@ import matplotlib as mpl
 import numpy as np
 import pandas as pd
 
+from sweep import audit
 from sweep.metrics.outcome import MEANING
 from sweep.query import mask
 from sweep.report import tables
@@ -96,6 +97,8 @@ def summaries(results: Results) -> Iterator[tuple[str, str, pd.DataFrame]]:
         counts = [(c.replace("_", " "), MEANING[c], int((rows["cause"] == c).sum())) for c in results.causes_seen]
         table = pd.DataFrame(counts, columns=["cause", "what it means", "rollouts"])
         yield "causes", "Rollouts that did not succeed.", table
+    if len(again := audit.table(results)):
+        yield "audit", r"Rollouts next to the boundary, simulated again, with exact 95\,\% intervals.", again
     for number, (title, content) in enumerate(told(results), 1):
         if isinstance(content, pd.DataFrame):
             yield f"statistics-{number}", escape(title) + ".", content
