@@ -1,6 +1,6 @@
-"""Draws docs/figures/scenario_*.png: four moments of each scenario's nominal rollout, with contact forces.
+"""Draws docs/figures/scenario_*.png: moments of each scenario's nominal rollout, with contact forces.
 
-MUJOCO_GL=egl python docs/scenario_pictures.py [SCENARIO ...]
+MUJOCO_GL=egl python docs/scenario_pictures.py [SCENARIO ...] [engine=native]
 """
 
 import sys
@@ -15,6 +15,7 @@ from sweep.trace.frames import write_strip
 from sweep.trace.sampling import evenly
 
 FIGURES = Path(__file__).parent / "figures"
+LONG = 45.0  # s
 SCENARIOS = (
     "walk_tripod",
     "walk_gallop",
@@ -22,22 +23,26 @@ SCENARIOS = (
     "hexagon_waypoints",
     "stand_push",
     "pole_climb",
+    "pole_top",
+    "pole_round",
+    "pole_descent",
     "ball_balance",
     "ball_drive",
 )
 
 
-def strip(scenario: str) -> Path:
-    """Four frames of the scenario side by side."""
-    exp = compose([f"scenario={scenario}"])
+def strip(scenario: str, *changes: str) -> Path:
+    """Frames of the scenario side by side."""
+    exp = compose([f"scenario={scenario}", *changes])
     one = Batch(replace(exp.settings, width=1), exp.case, exp.case, np.zeros(1, int))
     engine = make_engine(exp, one)
     trace = engine.trace(exp.case, exp.case, one.streams, 0)
     path = FIGURES / f"scenario_{scenario}.png"
-    write_strip(path, trace, evenly(trace, 4))
+    write_strip(path, trace, evenly(trace, 4 if engine.duration < LONG else 8))
     return path
 
 
 if __name__ == "__main__":
-    for name in sys.argv[1:] or SCENARIOS:
-        print(strip(name))
+    changes = [word for word in sys.argv[1:] if "=" in word]
+    for name in [word for word in sys.argv[1:] if "=" not in word] or SCENARIOS:
+        print(strip(name, *changes))

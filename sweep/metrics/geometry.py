@@ -4,7 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-PAIRS = ((1, 3), (3, 5), (2, 4), (4, 6), (1, 2), (3, 4), (5, 6))  # legs that can reach each other
+# legs that can reach each other: neighbours, opposite ones, rear and front of one side (0.11 m apart at a pole's edge)
+PAIRS = ((1, 3), (3, 5), (2, 4), (4, 6), (1, 2), (3, 4), (5, 6), (1, 5), (2, 6))
 
 
 def support_margin(feet: Float[Array, "n 2"], standing: Bool[Array, " n"], point: Float[Array, " 2"]) -> Array:

@@ -21,6 +21,7 @@ from sweep.trace.draw import ARRAYS, MODEL, NO_OPENGL
 from sweep.trace.sampling import at_rate, base_pose, evenly
 
 SIZE = (960, 544)  # pixels, multiples of 16 as video codecs want
+IN_A_ROW = 4  # frames of a strip, which should be full rows
 VIDEO_RATE = 25  # frames per second, simulated and shown
 CAMERA_DISTANCE = 1.7  # in units of the distance between the robot's farthest feet at the start
 LIBRARIES = {"egl": "libegl1 libegl-mesa0 libgl1-mesa-dri", "osmesa": "libosmesa6"}  # Debian packages
@@ -37,10 +38,14 @@ def write_png(folder: str | Path, trace: Trace, number: int = 8) -> list[Path]:
 
 
 def write_strip(path: str | Path, trace: Trace, chosen: np.ndarray, height: int = 240) -> None:
-    """Write the frames with the indices `chosen` side by side, `height` pixels high; raises as `render` does."""
+    """Write the frames with the indices `chosen` side by side, `height` pixels high, at most `IN_A_ROW` in a row.
+
+    Raises as `render` does.
+    """
     width = round(SIZE[0] * height / SIZE[1])
     small = [np.asarray(Image.fromarray(picture).resize((width, height))) for picture in render(trace, chosen)]
-    Image.fromarray(np.concatenate(small, axis=1)).quantize(128).save(path, optimize=True)
+    rows = [np.concatenate(row, axis=1) for row in itertools.batched(small, IN_A_ROW)]
+    Image.fromarray(np.concatenate(rows)).quantize(128).save(path, optimize=True)
 
 
 def write_video(path: str | Path, trace: Trace) -> None:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 from scipy.spatial import ConvexHull, QhullError
 
-from sweep.metrics.geometry import segment_distance, support_margin
+from sweep.metrics.geometry import leg_gap, segment_distance, support_margin
 
 MARGIN, DISTANCE = jax.jit(support_margin), jax.jit(segment_distance)
 SEED = st.integers(0, 2**31)
@@ -62,3 +62,13 @@ def test_segment_distance_is_the_bounded_least_squares_one(seed):
 def test_segment_distance_of_special_positions(q, q_end, expected):
     one = [jnp.array([0.0, 0, 0]), jnp.array([1.0, 0, 0])]
     assert DISTANCE(*one, jnp.array(q, float), jnp.array(q_end, float)) == pytest.approx(expected, abs=2e-6)
+
+
+@pytest.mark.parametrize(("one", "other"), [(1, 3), (2, 6), (5, 6), (1, 5)])
+def test_legs_that_cross_have_no_gap(one, other):
+    """Six legs stand 1 m apart, two of them are laid across each other."""
+    joints = np.array([[[leg, 0, 1], [leg, 0.1, 0.5], [leg, 0.2, 0]] for leg in range(6)], dtype=float)
+    assert float(leg_gap(jnp.asarray(joints))) == pytest.approx(1.0, abs=1e-5)
+    joints[one - 1] += [10, 0, 0]
+    joints[other - 1] = [[9 + one, 0.1, 0.5], [8 + one, 0.1, 0.5], [8 + one, 0.2, 0.5]]
+    assert float(leg_gap(jnp.asarray(joints))) == pytest.approx(0.0, abs=1e-5)

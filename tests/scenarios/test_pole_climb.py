@@ -16,9 +16,9 @@ MASSES = ("body_mass", "thigh_mass", "shin_mass")
 WIDTH, SPREAD = 16, 0.02
 
 
-def outcomes(engine: str, width: int, scenario: str = "pole_climb") -> dict[str, np.ndarray]:
+def outcomes(engine: str, width: int, scenario: str = "pole_climb", *changes: str) -> dict[str, np.ndarray]:
     """Figures and outcomes of `width` rollouts; more than one are up to `SPREAD` off in sizes, masses and friction."""
-    trial = compose([f"scenario={scenario}", f"engine={engine}"])
+    trial = compose([f"scenario={scenario}", f"engine={engine}", *changes])
     case, random = trial.case, np.random.default_rng(0)
 
     def off(group, *names):
@@ -44,6 +44,21 @@ def test_robots_and_poles_near_the_nominal_ones_on_mjx():
     assert rows["slip_max_m"].max() < 0.012
     assert rows["position_error_max_m"].max() < 0.02
     assert rows["clearance_min_m"].min() > -0.005
+
+
+@pytest.mark.parametrize("ratio", [0.35, 0.45, 0.5])
+def test_the_plan_follows_the_poles_radius(ratio):
+    row = outcomes("native", 1, "pole_climb", f"obstacle.radius={1.05 * ratio}")
+    assert row["outcome"].tolist() == ["success"], row["cause"]
+
+
+@pytest.mark.parametrize("scenario", ["pole_return", "pole_round", "pole_descent"])
+def test_the_way_down_on_native(scenario):
+    """On the side that it came from, on the other side, and from a ledge: attitude errors do not add up on the way."""
+    row = outcomes("native", 1, scenario)
+    assert row["outcome"].tolist() == ["success"], row["cause"]
+    assert row["tilt_max_deg"].max() < 1
+    assert row["slip_max_m"].max() < 0.015
 
 
 def test_the_robot_gets_on_the_top_on_native():

@@ -4,6 +4,7 @@ from sweep.controllers.manoeuvres.ball import BallBalance, BallDrive
 from sweep.controllers.manoeuvres.beam import BeamCross, BeamWalk
 from sweep.controllers.manoeuvres.corner import CornerClimb
 from sweep.controllers.manoeuvres.pole import PoleClimb
+from sweep.controllers.manoeuvres.pole_descent import PoleDescent
 from sweep.controllers.manoeuvres.pole_ledge import PoleLedge
 from sweep.controllers.manoeuvres.pole_return import PoleReturn
 from sweep.controllers.manoeuvres.pole_round import PoleRound
@@ -18,6 +19,7 @@ MANOEUVRES = {
     "pole_climb": PoleClimb,
     "pole_top": PoleTop,
     "pole_ledge": PoleLedge,
+    "pole_descent": PoleDescent,
     "pole_return": PoleReturn,
     "pole_round": PoleRound,
     "beam_walk": BeamWalk,

@@ -31,10 +31,12 @@ UP = np.array([0.0, 0.0, 1.0])
 # rate, and has the middle hips too low for their feet at the end of their swing.
 PITCH = np.radians([0.0, 14.5, 31.0, 60.0, 68.0, 90.0])
 PITCH_RATE = PchipInterpolator(np.arange(6), PITCH).derivative()(np.arange(6))  # rad per swing
-# How far in front of the pole's axis the feet first touch it, in r: the printed 0 puts the front shins 34 mm into it.
-AHEAD = {FRONT: 0.4, MIDDLE: 0.25, REAR: 0.1}
-# How far below where the gallop starts, in x*; printed as 4 for all, where the front shins touch.
-BELOW = {FRONT: 2.0, MIDDLE: 4.0, REAR: 4.0}
+# How far in front of the pole's axis the feet first touch it, in r, and how much more for every a_r by which r passes
+# 0.4 a_r. The printed 0 puts the front shins 34 mm into the pole. A foot that touches it at the angle psi in front of
+# its side needs a friction of tan(psi) to stay there (2.1): farther ahead than the shins need is not better.
+AHEAD = {FRONT: (0.44, 1.5), MIDDLE: (0.25, 1.0), REAR: (0.1, 0.0)}
+# How far below where the gallop starts, in x*; printed as 4 for all, where the front shins touch, of thin poles first.
+BELOW = {FRONT: 0.5, MIDDLE: 4.0, REAR: 4.0}
 
 
 class Site(NamedTuple):
@@ -44,9 +46,15 @@ class Site(NamedTuple):
     radius: Array | float  # r
     top: Array | float  # h, of the pole
     grip: Array | float  # x_f, the feet's distance from the pole's axis: r less the deepening
+    track: Array | float  # of a foot on the floor from the plane x = 0
     clearance: Array | float  # d, of the base above the floor
     standoff: Array | float  # d_c, of the vertical base from the pole's axis
     step: Step
+
+    def ahead(self, legs: tuple[int, int]) -> Array | float:
+        """How far in front of the pole's axis a pair first touches it (m)."""
+        share, more = AHEAD[legs]
+        return (share + more * (self.radius / self.length - 0.4)) * self.radius
 
     @property
     def upright(self) -> Array | float:
@@ -56,7 +64,7 @@ class Site(NamedTuple):
     def on_floor(self, legs: tuple[int, int]) -> dict[int, Array]:
         """Places of a pair before the pole, (2.3.1)."""
         behind = {FRONT: self.step.landing, MIDDLE: self.length / 2 - self.step.landing, REAR: self.length}[legs]
-        return pair(legs, self.grip, self.standoff + behind, 0.0)
+        return pair(legs, self.track, self.standoff + behind, 0.0)
 
     def on_pole(self, legs: tuple[int, int], ahead: Array | float, height: Array | float) -> dict[int, Array]:
         """Footholds of a pair, `ahead` (m) of the pole's axis, for a base's centre at `height` (m).
@@ -74,8 +82,10 @@ class PoleClimb(PlannedForces):
 
     The feet are pressed on to the pole by footholds inside it, as printed, or by planned forces.
 
-    For robots with legs along their sides. What differs from the printed plan, and why: `PITCH`, `AHEAD`, `BELOW`, and
-    in `get_on` the rear feet's step on the floor, when the front feet go up, and how feet leave the floor.
+    For robots with legs along their sides, and poles from 0.32 to 0.52 a_r. What differs from the printed plan, and
+    why: `PITCH`, `AHEAD`, `BELOW`; d_c, printed 0.47 a_r, where the base touches poles thicker than 0.45 a_r; feet on
+    the floor stay as far from the hips whatever the pole, printed at its radius, where knees meet before thin poles;
+    and in `get_on` the rear feet's step on the floor, when the front feet go up, and how feet leave the floor.
     """
 
     kind: str = choice("pole_climb", "pole_climb")
@@ -84,7 +94,8 @@ class PoleClimb(PlannedForces):
     half_step_ratio: float = quantity(0.1, "a_r", above=0, at_most=0.5)  # d_x
     lift_ratio: float = quantity(0.03, "a_r", above=0, at_most=0.5)  # d_y
     height_ratio: float = quantity(0.5, "a_r", above=0, at_most=2)  # d
-    standoff_ratio: float = quantity(0.47, "a_r", above=0, at_most=2)  # d_c
+    gap_ratio: float = quantity(0.07, "a_r", at_least=0, at_most=2)  # d_c - r
+    spread_ratio: float = quantity(0.175, "a_r", above=0, at_most=1)  # of feet on the floor from their hips, sideways
     rate: float = quantity(3.0, "rad/s", above=0, at_most=20)  # varpi
     deepening: float = quantity(5e-3, "m", at_least=0, at_most=0.05)  # epsilon, footholds inside the pole
     patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
@@ -94,8 +105,9 @@ class PoleClimb(PlannedForces):
         """What is believed of the robot and of the pole."""
         length, pole = belief.robot.body_length, belief.obstacle
         step = Step(self.half_step_ratio * length, self.lift_ratio * length, stepping.swing_time(self.rate))
-        return Site(length, pole.radius, pole.height, pole.radius - self.deepening, self.height_ratio * length,
-                    self.standoff_ratio * length, step)  # fmt: skip
+        track = belief.robot.body_width / 2 + self.spread_ratio * length
+        return Site(length, pole.radius, pole.height, pole.radius - self.deepening, track, self.height_ratio * length,
+                    pole.radius + self.gap_ratio * length, step)  # fmt: skip
 
     def climb(
         self, site: Site, belief: Case, rise: Array | float, gap: Array | float = 0.0
@@ -127,7 +139,7 @@ def approach(site: Site, belief: Case, steps: int, gap: Array | float = 0.0) -> 
     The base walks up to `gap` (m) before where it gets on, and goes the rest while the feet go to their places.
     """
     step, forward, quat = site.step, jnp.array([0.0, -1.0, 0.0]), jnp.array(TOWARDS)
-    spread = site.grip - belief.robot.body_width / 2
+    spread = site.track - belief.robot.body_width / 2
     centres = rotate(quat[None], foot_centres(belief.robot, spread, site.clearance))
     arrival = point(0.0, site.standoff + site.length / 2, site.clearance)
     position = arrival - (gap + 2 * step.landing * steps) * forward
@@ -156,7 +168,7 @@ def get_on(site: Site) -> list[Stage]:
     step, time = site.step, site.step.time
     # Printed as a step of -2 x* along xi, which would take both feet to one side.
     nearer = {leg: place - point(0.0, 2 * step.landing, 0.0) for leg, place in site.on_floor(REAR).items()}
-    first = {legs: site.on_pole(legs, AHEAD[legs] * site.radius, site.upright - BELOW[legs] * step.landing)
+    first = {legs: site.on_pole(legs, site.ahead(legs), site.upright - BELOW[legs] * step.landing)
              for legs in GALLOP}  # fmt: skip
     swings = (
         Stage("on.front", time, first[FRONT], CYCLE_B, 3 * step.height, OUTWARD + UP),

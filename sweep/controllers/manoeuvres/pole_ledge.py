@@ -115,7 +115,7 @@ def cross(site: Site, ledge: Array | float, moves: Sequence[Move]) -> list[Stage
 def walk_away(site: Site, belief: Case, ledge: Array | float, steps: int) -> tuple[list[Stage], list[Stage]]:
     """The feet to where a tripod gait may start, and `steps` swings of it on the ledge."""
     step, forward, quat = site.step, jnp.array([0.0, -1.0, 0.0]), jnp.array(TOWARDS)
-    spread = site.grip - belief.robot.body_width / 2
+    spread = site.track - belief.robot.body_width / 2
     centres = rotate(quat[None], foot_centres(belief.robot, spread, site.clearance))
     position = beyond(site, 0.75, ledge + site.clearance)
     offsets = centre_offsets(TRIPOD, step)
