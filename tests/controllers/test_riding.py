@@ -9,11 +9,9 @@ import numpy as np
 import pytest
 
 from sweep.config import compose
-from sweep.controllers import tracker
 from sweep.controllers.frames import FIXED, KOENIG, WORLD, to_frame, to_world
 from sweep.controllers.manoeuvres.ball import on_ball, perch
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import Stance
 from sweep.controllers.riding import angular_momentum, centre_of_mass, follow_up, footholds, over_ball
 from sweep.engines.pilot import free_state, start_state
 from sweep.formulas.mass_centre import ball_jacobian
@@ -95,26 +93,3 @@ def test_angular_momentum_is_that_of_the_simulation():
                        jnp.zeros((6, 3)), jnp.zeros((6, 3)), jnp.ones(6, bool), free)  # fmt: skip
     got = np.asarray(jax.jit(lambda: angular_momentum(CASE.robot, CASE.obstacle, seen))())
     assert np.linalg.norm(got - expected) < 0.01 * np.linalg.norm(expected)
-
-
-def test_a_step_begins_from_where_every_foot_is():
-    """Also from feet that hang over the ball: base and feet all being 5 mm ahead strains nothing, and must not."""
-    case = compose(["scenario=ball_drive"]).case
-    ahead = jnp.array([5e-3, 0.0, 0.0])
-    radius = case.obstacle.radius - case.manoeuvre.deepening
-
-    @jax.jit
-    def second_step():
-        plan = case.manoeuvre.plan(case)
-        state = tracker.init(case, plan)
-        feet = plan.start.feet + ahead
-        angles, _ = tracker.joint_targets(case.robot, Stance(feet, plan.start.position + ahead, plan.start.quat))
-        seen = Observation(plan.start.position + ahead, plan.start.quat, jnp.zeros(3), jnp.zeros(3), angles,
-                           jnp.zeros((6, 3)), jnp.zeros((6, 3)), jnp.zeros(6, bool), case.obstacle.start())  # fmt: skip
-        state, _ = tracker.step(case, plan, state._replace(clock=plan.duration[0]), seen, 4e-3)
-        return state, feet - seen.free.position[0]
-
-    state, feet = second_step()
-    assert int(state.stage) == 1
-    expected = radius * feet / jnp.linalg.norm(feet, axis=-1, keepdims=True)
-    np.testing.assert_allclose(state.feet, expected, atol=5e-5)  # m

@@ -1,5 +1,7 @@
 """The tracker: goes through a plan's stages in time, waits for touchdowns, and hands the body's error on."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,6 +10,7 @@ import pytest
 from sweep.config import compose
 from sweep.controllers import tracker
 from sweep.controllers.observation import Observation
+from sweep.controllers.plan import Stance
 from sweep.maths import exponential, logarithm, rotate
 from sweep.models.obstacles.surface import no_bodies
 
@@ -101,3 +104,23 @@ def test_attitude_error_turns_feet_and_body_and_fades(follow, plan):
     assert np.abs(turned - feet).max() > 4e-3
     attitude = logarithm(jnp.asarray(commands.target.quat[[first, last]]))
     np.testing.assert_allclose(attitude, [0.98 * roll, 0 * roll], atol=2e-4)
+
+
+def test_regripped_feet_stand_where_they_are(plan):
+    """Also those that have not touched down: base and feet all being 5 mm ahead strains nothing, and must not."""
+    gripping, ahead = replace(plan, onset="regrip"), jnp.array([5e-3, 0.0, 0.0])
+
+    @jax.jit
+    def second_stage():
+        position, quat = plan.start.position + ahead, plan.start.quat
+        feet = plan.start.feet + ahead
+        angles, _ = tracker.joint_targets(CASE.robot, Stance(feet, position, quat))
+        still, joints = jnp.zeros(3), jnp.zeros((6, 3))
+        seen = Observation(position, quat, still, still, angles, joints, joints, jnp.zeros(6, bool), no_bodies())
+        late = tracker.init(CASE, plan)._replace(clock=plan.duration[0] + plan.patience)
+        return tracker.step(CASE, gripping, late, seen, PERIOD)[0], feet
+
+    state, feet = second_stage()
+    assert state.stage == 1
+    np.testing.assert_allclose(state.feet[:, :2], feet[:, :2], atol=1e-5)
+    np.testing.assert_allclose(state.feet[:, 2], plan.foothold[0, :, 2], atol=1e-5)  # as deep as commanded
