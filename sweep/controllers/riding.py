@@ -34,6 +34,15 @@ def follow_up(robot: Robot, stance: Stance) -> Float[Array, "2 2"]:
     return jax.jacfwd(centre)(jnp.zeros(2, stance.position.dtype))
 
 
+def base_move(robot: Robot, stance: Stance, wanted: Float[Array, " 2"]) -> Float[Array, " 2"]:
+    """By how much (m) the base must move for the mass centre to move by `wanted`: D^-1 of (3.1.1).
+
+    None where a leg is at its full length, at which nothing can be said of how the mass centre follows.
+    """
+    move = jnp.linalg.solve(follow_up(robot, stance), wanted)
+    return jnp.where(jnp.all(jnp.isfinite(move)), move, 0.0)
+
+
 def measured_stance(robot: Robot, seen: Observation) -> Stance:
     """Feet and base where they are measured, world axes."""
     feet = feet_in_world(robot, seen.position, seen.quat, seen.angles)
@@ -51,6 +60,7 @@ def angular_momentum(robot: Robot, ball: Ball, seen: Observation) -> Float[Array
     feet = velocity + jnp.cross(turn, stance.feet - centre)
     moves = Stance(feet, seen.velocity, jnp.zeros_like(seen.quat))
     place, rate = jax.jvp(lambda s: centre_of_mass(robot, s), (stance,), (moves,))
+    rate = jnp.where(jnp.all(jnp.isfinite(rate)), rate, seen.velocity)  # a leg at its full length has no derivative
     of_robot = total_mass(robot) * jnp.cross(place - centre + up, rate)
     return of_robot + ball.mass * (jnp.cross(up, velocity) + (ROLLING - 1) * ball.radius**2 * turn)
 

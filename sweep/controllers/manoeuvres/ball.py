@@ -18,8 +18,8 @@ from sweep.controllers.plan import CYCLE_A, Plan, Stage, Stance, assemble, swing
 from sweep.controllers.riding import (
     UP,
     angular_momentum,
+    base_move,
     centre_of_mass,
-    follow_up,
     footholds,
     measured_stance,
     over_ball,
@@ -57,8 +57,8 @@ def perch(belief: Case, manoeuvre: "BallBalance | BallDrive") -> Perch:
 def _balanced(robot: Robot, stance: Stance) -> Float[Array, " 3"]:
     """The base (m) that has the mass centre over the origin."""
     for _ in range(CENTRING):
-        gap = jnp.linalg.solve(follow_up(robot, stance), centre_of_mass(robot, stance)[:2])
-        stance = stance._replace(position=stance.position.at[:2].add(-gap))
+        move = base_move(robot, stance, -centre_of_mass(robot, stance)[:2])
+        stance = stance._replace(position=stance.position.at[:2].add(move))
     return stance.position
 
 
@@ -142,11 +142,10 @@ class BallBalance:
         """(3.1.1) and the pulse after fig. 3.1.2, from what is measured now."""
         robot, stance = belief.robot, measured_stance(belief.robot, seen)
         momentum = angular_momentum(robot, belief.obstacle, seen)
-        follow = follow_up(robot, stance)
         off = (centre_of_mass(robot, stance) - seen.free.position[0])[:2]
         pulse = towards(momentum, total_mass(robot)) / self.period
         place = memory.place.at[:2].add(memory.move)
-        return BalanceMemory(place, jnp.linalg.solve(follow, -off), jnp.linalg.solve(follow, pulse), momentum)
+        return BalanceMemory(place, base_move(robot, stance, -off), base_move(robot, stance, pulse), momentum)
 
     def _leant(
         self, belief: Case, memory: BalanceMemory, state: TrackerState, seen: Observation, period: float
@@ -159,7 +158,8 @@ class BallBalance:
         wanted = jnp.clip(wanted, -self.reach, self.reach)
         stance = Stance(rotate(free.quat, state.feet), memory.place, jnp.array(LEVEL))
         off = wanted - centre_of_mass(robot, stance)[:2]
-        step = jnp.minimum(1.0, period / self.lag) * jnp.linalg.solve(follow_up(robot, stance), off)
+        move = base_move(robot, measured_stance(robot, seen), off)  # as commanded, legs may be out of reach
+        step = jnp.minimum(1.0, period / self.lag) * move
         place = memory.place.at[:2].add(jnp.clip(step, -FASTEST * period, FASTEST * period))
         return memory._replace(place=place, momentum=momentum)
 
@@ -197,14 +197,14 @@ class BallDrive:
     steps: int = count(50, at_least=1, at_most=500)
     step_time: float = quantity(1.2, "s", above=0, at_most=20)  # T
     speed: float = quantity(0.13, "m/s")  # v_d
-    speed_gain: float = quantity(0.3, "s", at_least=0)  # k_v
+    speed_gain: float = quantity(0.4, "s", at_least=0)  # k_v
     push_every: int = count(1, at_least=1)  # steps
     push_max: float = quantity(0.06, "m", at_least=0)
     aside_gain: float = quantity(0.2, "-", at_least=0)  # k_1
     aside_gain_before: float = quantity(0.15, "-", at_least=0)  # k_2
     compensate: str = choice("both", "both", "aside")
     place: float = quantity(1e6, "m")  # x of the ball's centre at which it stops
-    brake: float = quantity(0.1, "1/s", above=0)
+    brake: float = quantity(0.2, "1/s", above=0)
     lift_ratio: float = quantity(0.03, "a_r", above=0, at_most=0.5)  # d_y
     circle_ratio: float = quantity(0.613, "R", above=0, at_most=1)  # d_1
     chord_ratio: float = quantity(0.7, "d_1", above=0, at_most=1)  # d_2
