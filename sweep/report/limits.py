@@ -37,7 +37,9 @@ def draw(ax: Axes, exp: Experiment, rows: pd.DataFrame, x: str, y: str, cells: C
             found = curve(theory, exp, rows, along)
             pairs = (found["limit"], found["along"]) if across == x else (found["along"], found["limit"])
             at = [places(part.to_numpy(), values) for part, values in zip(pairs, cells, strict=True)]
-            ax.plot(*at, style, color="black", linewidth=1.8, label=theory.label, scalex=False, scaley=False)
+            box = ax.axis()
+            ax.plot(*at, style, color="black", linewidth=1.8, label=theory.label)
+            ax.axis(box)  # the map's, however far the limit goes
 
 
 def measured(exp: Experiment, rows: pd.DataFrame) -> list[str]:

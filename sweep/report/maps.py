@@ -90,10 +90,13 @@ def success_map(rows: pd.DataFrame, stored: Mapping[str, Any], chosen: tuple[str
 
 
 def map_axes(rows: pd.DataFrame, chosen: tuple[str, ...]) -> tuple[str, str]:
-    """The two parameters of a map: the chosen ones, then those with the most values."""
+    """The two parameters of a map: the chosen ones, then the first ones that do not follow from one another."""
     numeric = [c for c in rows.columns if "." in c and rows[c].dtype.kind in "fi" and rows[c].nunique() > 1]
-    first = [column(rows, name) for name in chosen]
-    found = [*first, *(c for c in numeric if c not in first)][:2]
+    found = [column(rows, name) for name in chosen]
+    for one in numeric:
+        if len(found) < 2 and not any((rows.groupby(known)[one].nunique() == 1).all() for known in found):
+            found.append(one)
+    found = found[:2]
     if len(set(found)) < 2:
         raise InputError(f"a map needs two varied parameters, here: {', '.join(found) or 'none'}")
     return found[0], found[1]

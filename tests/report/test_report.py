@@ -110,6 +110,7 @@ def test_theory_is_a_curve_over_the_map_and_what_it_limits_is_beside():
     ("output", "q", r"theory.0.output = q is unknown \(allowed: k, k_tau, k_zeta"),
     ("of", "contact.fiction", "did you mean friction"),
     ("inputs.eps", "drive.torque / 2", r"study.theory.inputs.eps = 'drive.torque / 2' is not allowed: .*torque_limit"),
+    ("inputs.eps", "exec(2)", "exec.2.' is not allowed in a condition"),
     ("inputs.eps", "-1", "eps = -1 is not allowed: greater than 0"),
 ])  # fmt: skip
 def test_theory_that_means_nothing_is_refused_at_once(key, value, complaint):
@@ -120,3 +121,9 @@ def test_theory_that_means_nothing_is_refused_at_once(key, value, complaint):
     inputs = ", ".join(f"{k}: '{v}'" if isinstance(v, str) else f"{k}: {v}" for k, v in given["inputs"].items())
     with pytest.raises(InputError, match=complaint):
         compose(["study=walk_map", f"study.theory=[{{{text}, inputs: {{{inputs}}}}}]"])
+
+
+def test_a_map_is_over_parameters_that_do_not_follow_from_one_another(rows):
+    """A ratio and the length that it gives are one parameter."""
+    ratio = rows.assign(**{"axis.step": rows["manoeuvre.half_step_ratio"] * 2}).iloc[:, ::-1]
+    assert maps.map_axes(ratio, ()) == ("axis.step", "world.contact.friction")
