@@ -21,6 +21,8 @@ from sweep.query import column
 from sweep.stats import rates
 from sweep.study import nominal
 
+GOODNESS_TRIALS = 10  # at every value, for a test of how well a fit follows the rates
+
 
 def listed(rows: pd.DataFrame, exp: Experiment) -> list[Axis]:
     """The axes of conditions that vary in `rows`."""
@@ -212,12 +214,26 @@ def logistic(x: ArrayLike, success: ArrayLike) -> Logistic:
     return Logistic(b[0], b[1] / scale, np.linalg.pinv(information) * np.outer(to_x, to_x))
 
 
+def goodness(fit: Logistic, x: np.ndarray, success: np.ndarray) -> float:
+    """How likely rates so far from `fit` are, were it true (Pearson's test); NaN with too few trials or values."""
+    from scipy.stats import chi2
+
+    table = pd.DataFrame({"x": x, "success": success}).groupby("x")["success"].agg(["size", "sum"])
+    if len(table) < 3 or table["size"].min() < GOODNESS_TRIALS:
+        return np.nan
+    p = fit.probability(table.index.to_numpy())[0]
+    expected = table["size"] * p
+    distance = ((table["sum"] - expected) ** 2 / (expected * (1 - p)).clip(lower=1e-12)).sum()
+    return float(chi2.sf(distance, len(table) - 2))
+
+
 def tolerance(rows: pd.DataFrame, exp: Experiment, probability: float = 0.9) -> pd.DataFrame:
     """How large an error along each listed axis may be, the others nominal: where P(success) falls to `probability`.
 
     A logistic fit over the distance from the nominal number, on either side; `low` to `high` is its 95 % interval. It
     takes rollouts to be independent: draws or replicates. `tried` is the largest distance with a valid rollout; an
-    `error` beyond it is a guess, one of 0 means that P is lower already nominally.
+    `error` beyond it is a guess, one of 0 means that P is lower already nominally. A `fit_p` near 0 says that the rates
+    at the values tried do not follow the fit, so that neither its `error` is to be quoted.
     """
     lines = []
     for axis, centre, part in arms(rows, exp):
@@ -233,6 +249,7 @@ def tolerance(rows: pd.DataFrame, exp: Experiment, probability: float = 0.9) -> 
             lines.append({
                 "axis": axis.column, "side": side, "nominal": centre, "error": max(x, 0.0),
                 "low": max(float(low), 0.0), "high": max(float(high), 0.0), "tried": size[valid].max(),
+                "fit_p": goodness(fit, size[valid], outcome[valid] == "success"),
                 "total": len(valid), "invalid": int((~valid).sum()),
             })  # fmt: skip
     return pd.DataFrame(lines)

@@ -103,15 +103,25 @@ def test_the_logistic_fit_finds_the_curve_and_its_intervals_cover():
     rng = np.random.default_rng(1)
     x = np.repeat([0.0, 0.01, 0.02, 0.04, 0.08], 32)
     truth, at = 1 / (1 + np.exp(-(4 - 150 * x))), (4 - np.log(9)) / 150  # P falls to 0.9 at `at`
-    hits, inside = [], []
+    hits, inside, fits = [], [], []
     for _ in range(400):
-        fit = sensitivity.logistic(x, rng.random(len(x)) < truth)
+        success = rng.random(len(x)) < truth
+        fit = sensitivity.logistic(x, success)
+        fits.append(sensitivity.goodness(fit, x, success))
         low, high = fit.where(0.9)[1]
         hits.append(low <= at <= high)
         _, band = fit.probability(0.03)
         inside.append(band.low <= 1 / (1 + np.exp(-(4 - 150 * 0.03))) <= band.high)
     assert 0.92 <= np.mean(hits) <= 0.99
     assert 0.92 <= np.mean(inside) <= 0.99
+    assert np.mean(np.array(fits) < 0.05) < 0.1
+
+
+def test_a_fit_that_the_rates_do_not_follow_is_told():
+    x, rng = np.repeat([0.0, 0.2, 0.4, 0.6, 0.65, 0.7], 100), np.random.default_rng(3)
+    step = rng.random(len(x)) < np.where(x < 0.62, 0.95, 0.0)
+    assert sensitivity.goodness(sensitivity.logistic(x, step), x, step) < 1e-3
+    assert np.isnan(sensitivity.goodness(sensitivity.logistic(x, step), x + rng.random(len(x)), step))  # all differ
 
 
 def test_the_logistic_fit_survives_a_clear_cut_and_the_lack_of_any():
