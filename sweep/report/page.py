@@ -26,7 +26,7 @@ from sweep.report.results import Results, parameters, told
 from sweep.report.typical import Typical, typical
 from sweep.stats import broken, rate
 
-ROWS, LINES = 100, 40  # of the table at the end, and of the others
+ROWS, LINES = 100, 100  # of the table at the end, and of the others
 TELLING = ("distance_m", "slip_max_m", "tilt_max_deg", "leg_gap_min_m", "clearance_min_m", "stability_margin_min_m",
            "torque_peak_beta_nm", "t_cause_s")  # fmt: skip
 
@@ -108,8 +108,9 @@ def image(one: Typical) -> str:
 
 
 def table(rows: pd.DataFrame, exp: Experiment) -> Markup:
-    """The first rows, with what identifies them."""
-    return as_html(tables.shown(rows[[*tables.reading(rows), "point_id"]], exp), index=True)
+    """The first rows: what identifies them, what came of them, then their axes, which paper may be too narrow for."""
+    axes = [c for c in tables.reading(rows) if c not in store.LABELS]
+    return as_html(tables.shown(rows[["point_id", *store.LABELS, *axes]], exp), index=True)
 
 
 def as_html(shown: pd.DataFrame, index: bool) -> Markup:

@@ -22,7 +22,7 @@ from sweep.stats import rate
 from sweep.store import figure_columns
 
 LINES = 40  # of a table; longer ones are data only
-CSV_ROWS = 100_000  # more rows than this are kept as parquet
+CSV_ROWS = 5_000  # more rows than this are kept as parquet
 NAMED_ROWS = 3  # a number that comes from so few rows names them
 DIGITS = ("Zero", "One", "Two", "Three", "Four", "Five", "Six", "Seven", "Eight", "Nine")
 
