@@ -20,7 +20,6 @@ RUNS = {
     "ball_offset": ["scenario=ball_balance", "manoeuvre.stages=4", "manoeuvre.offset=0.1"],
     "ball_each_step": ["scenario=ball_drive", "manoeuvre.steps=40"],
     "ball_every_fourth": ["scenario=ball_drive", "manoeuvre.steps=40", "manoeuvre.push_every=4"],
-    "ball_stop": ["scenario=ball_drive", "manoeuvre.place=4"],
 }
 
 
