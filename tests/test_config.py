@@ -9,7 +9,7 @@ from sweep.parameters import InputError
 CHOICES = [
     f"{group}={file.name.removesuffix('.yaml')}" for group in GROUPS for file in (files("sweep.conf") / group).iterdir()
 ]
-SHARED = ("pole_sizes", "pole_unknown_sizes")  # studies of any pole scenario, after which they are then called
+SHARED = ("pole_sizes", "pole_unknown_sizes", "ball_draws", "ball_unknown")  # called after their scenario
 
 
 @pytest.mark.parametrize("choice", CHOICES)
@@ -17,7 +17,7 @@ def test_every_config_file_composes(choice):
     exp = compose([choice])
     group, _, name = choice.partition("=")
     if name in SHARED:
-        name = name.replace("pole", exp.scenario)
+        name = exp.scenario + name[name.index("_") :]
     assert exp.study.name == (name if group in ("study", "scenario") else "walk_tripod")
 
 
