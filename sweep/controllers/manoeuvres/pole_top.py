@@ -34,8 +34,8 @@ SLOPE = np.radians(22.0)
 EDGE = {FRONT: (0.1, -0.03), MIDDLE: (-0.2, -0.19), REAR: (0.55, -0.476)}
 BELOW_EDGE = (0.0, -0.355)  # where the middle feet wait for the rear ones
 # where they stand on the top in the end
-TOP = {FRONT: (0.625, -((RIM**2 - 0.625**2) ** 0.5)), MIDDLE: (RIM, 0.0), REAR: (0.648, (RIM**2 - 0.648**2) ** 0.5)}
-PROPPED = (0.86, 0.117)  # where the middle feet stand while the rear ones come up
+TOP = {FRONT: (0.625, -((RIM**2 - 0.625**2) ** 0.5)), MIDDLE: (RIM, 0.0), REAR: (0.672, (RIM**2 - 0.672**2) ** 0.5)}
+PROPPED = (0.864, 0.077)  # where the middle feet stand while the rear ones come up
 EASED = (0.0, 0.0)  # rates of a path of the base that starts and ends at rest, as swings do
 
 type Footholds = dict[int, Array]
@@ -128,13 +128,13 @@ def on_top(site: Site, held: bool) -> list[Stage]:
     propped, last = on_disc(site, MIDDLE, PROPPED), on_disc(site, REAR, TOP[REAR])
     up, round_middle = (
         lofted(site, middle, propped, (0.15, 0.0, 0.25), (0.0, 0.0, 0.2)),
-        lofted(site, rear, last, (0.34, 0.09, 1.0), (0.95, 0.66, 0.57)),
+        lofted(site, rear, last, (0.22, -0.05, 0.47), (0.77, 0.15, 0.25)),
     )
     regrip = Stage("top.regrip", time, {**front, **middle, **rear}, CYCLE_B)
     return [
         *([] if held else [regrip]),
-        Stage("top.middle", 1.5 * time, propped, CYCLE_B, position=centre(site, -0.099, 0.413), rates=EASED, guides=up),
-        Stage("top.rear", 3 * time, last, CYCLE_B, position=centre(site, -0.048, 0.715), rates=EASED,
+        Stage("top.middle", 1.5 * time, propped, CYCLE_B, position=centre(site, -0.11, 0.444), rates=EASED, guides=up),
+        Stage("top.rear", 3 * time, last, CYCLE_B, position=centre(site, -0.025, 0.728), rates=EASED,
               turn=point(SLOPE, 0.0, 0.0), guides=round_middle),
         Stage("top.centre", time, on_disc(site, MIDDLE, TOP[MIDDLE]), CYCLE_B, site.step.height,
               position=centre(site, 0.0, 0.62), rates=EASED),
