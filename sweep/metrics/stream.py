@@ -22,6 +22,7 @@ OVERTURNED = 60.0  # deg of tilt: nothing after it tells anything of the manoeuv
 LOADED = 5.0  # N, from which a foot carries load and its friction demand means something
 LOST = ("fell", "fell_off", "unreachable")  # what the solver does after these is of no matter
 TAIL = 12.0  # s, before the planned end, over which the obstacle's final speed is taken
+AT_FACE = 5e-3  # m, within which a foot that may hover, since others carry, is at a face
 LOAD_TIME = 0.05  # s, over which a load is averaged for the support polygon: a bounce of the feet is not a fall
 
 
@@ -72,6 +73,8 @@ class Running(NamedTuple):
     clearance: Float[Array, ""]
     gap: Float[Array, ""]
     tilt: Float[Array, ""]
+    end_tilt: Float[Array, ""]  # deg, of the base from level
+    on_target: Int[Array, ""]  # feet on the face on which they are to end
     heading: Float[Array, ""]
     shortfall: Float[Array, ""]
     position_error: Float[Array, ""]
@@ -109,7 +112,8 @@ def begin(
         touchdown=to_body(feet, world.obstacle.surface(feet, (-1,) * 6, bodies).body, bodies), slip=zero,
         load=jnp.full(6, 2 * LOADED, dtype), margin=far, torque=three, saturated=three, friction=zero,
         friction_use=zero, normal=zero,
-        clearance=far, gap=far, tilt=zero, heading=zero, shortfall=zero, position_error=zero, residual=zero,
+        clearance=far, gap=far, tilt=zero, end_tilt=zero,
+        on_target=jnp.int32(0), heading=zero, shortfall=zero, position_error=zero, residual=zero,
         start=position, position=position, travel=zero, travel_time=zero,
         body_start=free.position, body=free.position, body_tail=free.position, tail_time=zero, body_moved=zero,
         body_aside=zero, ride_height=far if free.position.shape[0] else zero, finished=no, finite=yes,
@@ -163,6 +167,8 @@ def update(
         clearance=jnp.minimum(running.clearance, jnp.min(-depth - radius)),
         gap=jnp.minimum(running.gap, leg_gap(tick.joints[:, -3:]) - 2 * robot.link_radius),
         tilt=jnp.maximum(running.tilt, tilt),
+        end_tilt=_from_level(tick.quat),
+        on_target=_on_target(world, plan, tick),
         heading=jnp.maximum(running.heading, heading),
         shortfall=jnp.maximum(running.shortfall, command.shortfall),
         position_error=jnp.maximum(running.position_error, jnp.linalg.norm(tick.position - command.target.position)),
@@ -217,9 +223,23 @@ def _slip(world: Case, touchdown: Array, swinging: Array, phase: Array, tick: Ti
 def _attitude(quat: Array, wanted: Array) -> tuple[Array, Array]:
     """Tilt of the base from its commanded vertical, and the turn about it (deg)."""
     off = multiply(conjugate(wanted), quat)
-    w, x, y, z = off
-    tilt = jnp.degrees(jnp.arctan2(jnp.sqrt(x**2 + y**2 + 1e-14), jnp.sqrt(w**2 + z**2 + 1e-14)) * 2)
-    return tilt, jnp.degrees(jnp.abs(2 * jnp.arctan2(z * jnp.sign(w), jnp.abs(w))))
+    w, _, _, z = off
+    return _from_level(off), jnp.degrees(jnp.abs(2 * jnp.arctan2(z * jnp.sign(w), jnp.abs(w))))
+
+
+def _from_level(quat: Array) -> Float[Array, ""]:
+    """Angle between the vertical and what `quat` makes of it (deg)."""
+    w, x, y, z = quat
+    return jnp.degrees(jnp.arctan2(jnp.sqrt(x**2 + y**2 + 1e-14), jnp.sqrt(w**2 + z**2 + 1e-14)) * 2)
+
+
+def _on_target(world: Case, plan: Plan, tick: Tick) -> Int[Array, ""]:
+    """How many feet are at the face of the obstacle on which the plan's last footholds are, where nothing moves."""
+    feet = tick.joints[:, -1]
+    if world.obstacle.free_bodies:
+        return jnp.int32(0)
+    here, there = (world.obstacle.surface(p, (-1,) * 6, tick.bodies) for p in (feet, plan.foothold[-1]))
+    return jnp.sum((here.face == there.face) & (here.depth > -AT_FACE)).astype(jnp.int32)
 
 
 def imbalance(plan: Plan) -> Float[Array, " s"]:
@@ -267,6 +287,7 @@ def figures(plan: Plan, running: Running, stage: Int[Array, ""]) -> dict[str, Ar
         "distance_m": jnp.linalg.norm((running.position - running.start)[:2]),
         "speed_mps": running.travel / jnp.maximum(running.travel_time, 1e-9),
         "tilt_max_deg": running.tilt,
+        "end_tilt_deg": running.end_tilt,
         "heading_error_max_deg": running.heading,
         "position_error_max_m": running.position_error,
         "reach_shortfall_max_m": running.shortfall,
@@ -288,6 +309,8 @@ def figures(plan: Plan, running: Running, stage: Int[Array, ""]) -> dict[str, Ar
         out["obstacle_x_m"], out["obstacle_y_m"] = running.body[0, :2]
         out["obstacle_aside_max_m"] = running.body_aside  # sideways of the world's x axis
         out["obstacle_speed_mps"] = jnp.linalg.norm(along)  # mean over the last TAIL seconds
+    else:
+        out["feet_on_target"] = running.on_target
     for k, joint in enumerate(("alpha", "beta", "gamma")):
         out[f"torque_peak_{joint}_nm"] = running.torque[k]
         out[f"saturation_share_{joint}"] = running.saturated[k] / time

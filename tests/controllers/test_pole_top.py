@@ -23,7 +23,7 @@ U = np.linspace(0, 1, 41)
 
 @pytest.fixture(scope="module")
 def case() -> Case:
-    return compose(["scenario=pole_top"]).case
+    return compose(["scenario=pole_top", "manoeuvre.forces=deepening"]).case
 
 
 @jax.jit

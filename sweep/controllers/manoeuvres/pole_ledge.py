@@ -49,10 +49,11 @@ class Move(NamedTuple):
     first: tuple[float, float, float] = (0.1, 0.0, 0.2)  # guides of the swing, see `lofted`
     last: tuple[float, float, float] = (0.1, 0.0, 0.2)
     time: float = 1.5  # t*
+    pitch: float = 0.0  # rad, of the base, nose down, in the end
 
 
 LEVEL = (
-    Move("back", (-0.479, 0.7)),
+    Move("back", (-0.479, 0.69)),
     Move("front", (-0.554, 0.53), FRONT, ON_LEDGE, (1.1, 0.11), (0.166, -0.245, 0.111), (-0.151, 0.33, 0.133), 2.0),
     Move("middle", (-0.4, 0.55), MIDDLE, ON_TOP, TOP[FRONT]),
     Move("front2", (-0.33, 0.48), FRONT, ON_LEDGE, (1.0, 0.53)),
@@ -64,6 +65,35 @@ LEVEL = (
     Move("ahead2", (0.72, 0.42)),
     Move("rear2", (0.72, 0.4), REAR, ON_LEDGE, (1.0, 0.15)),
 )
+ABOVE = (
+    Move("back", (-0.47, 0.69)),
+    Move("front", (-0.54, 0.62), FRONT, ON_LEDGE, (1.08, 0.09), (0.18, -0.21, 0.17), (-0.08, 0.24, 0.14), 2.0),
+    Move("middle", (-0.42, 0.67), MIDDLE, ON_TOP, TOP[FRONT]),
+    Move("front2", (-0.315, 0.73), FRONT, ON_LEDGE, (1.08, 0.75)),
+    Move("middle2", (-0.1, 0.73), MIDDLE, ON_LEDGE, (1.08, 0.09), (0.13, 0.11, 0.17), (-0.05, 0.1, 0.2), 2.0),
+    Move("ahead", (0.28, 0.63)),
+    Move("rear", (0.28, 0.67), REAR, ON_TOP, (0.83, -0.27)),
+    Move("middle3", (0.35, 0.74), MIDDLE, ON_LEDGE, (1.0, 0.43)),
+    Move("front3", (0.27, 0.74), FRONT, ON_LEDGE, (1.0, 1.15)),
+    Move("ahead2", (0.52, 0.72)),
+    Move("rear2", (0.62, 0.87), REAR, ON_LEDGE, (1.0, 0.08), (0.05, -0.185, 0.24), (-0.03, 0.175, 0.11), 2.0),
+)
+BELOW = (
+    Move("back", (-0.48, 0.69)),
+    Move("front", (-0.554, 0.374), FRONT, ON_LEDGE, (1.04, 0.13), (0.46, -0.31, 0.21), (0.32, 0.47, 0.42), 2.0, 0.546),
+    Move("middle", (-0.408, 0.366), MIDDLE, ON_TOP, TOP[FRONT], pitch=0.592),
+    Move("front2", (-0.28, 0.409), FRONT, ON_LEDGE, (1.094, 0.425), pitch=0.75),
+    Move("middle2", (0.234, 0.186), MIDDLE, ON_LEDGE, (0.916, 0.194), (0.116, -0.15, 0.234), (0.074, 0.425, 0.3),
+         pitch=0.775),
+    Move("ahead", (0.342, 0.154), pitch=0.767),
+    Move("rear", (0.45, 0.089), REAR, ON_TOP, (0.825, -0.27), (0.115, -0.17, 0.146), (-0.14, 0.14, 0.083), pitch=0.405),
+    Move("middle3", (0.434, 0.186), MIDDLE, ON_LEDGE, (0.977, 0.429), pitch=0.736),
+    Move("front3", (0.374, 0.086), FRONT, ON_LEDGE, (1.065, 1.065), pitch=0.422),
+    Move("ahead2", (0.5, 0.017), pitch=0.661),
+    Move("rear2", (0.691, -0.102), REAR, ON_LEDGE, (0.984, 0.181), (0.156, -0.043, 0.316), (0.212, 0.317, 0.513), 2.0,
+         0.0),
+)  # fmt: skip
+WAYS = {"level": LEVEL, "above": ABOVE, "below": BELOW}
 
 
 @parameters
@@ -71,6 +101,7 @@ class PoleLedge(PoleTop):
     """By tripod to the pole, up it, over its top on to the ledge, and away by tripod."""
 
     kind: str = choice("pole_ledge", "pole_ledge")
+    across: str = choice("level", *WAYS)  # the ledge is 0.2 a_r lower than the pole, 0.35 a_r higher, 0.6 a_r lower
     steps_away: int = count(3, at_least=0, at_most=100)  # swings on the ledge, 2 x* each
 
     def way(self, belief: Case) -> tuple[Stance, list[Stage]]:
@@ -78,7 +109,7 @@ class PoleLedge(PoleTop):
         site, ledge = self.site(belief), belief.obstacle.ledge_height
         start, stages = self.ascend(site, belief)
         away, walk = walk_away(site, belief, ledge, self.steps_away)
-        return start, [*stages, *self.rested([*cross(site, ledge, LEVEL), *away]), *walk]
+        return start, [*stages, *self.rested([*cross(site, ledge, WAYS[self.across]), *away]), *walk]
 
     def plan(self, belief: Case) -> Plan:
         """Go all the way, halt."""
@@ -96,9 +127,9 @@ def on_ledge(site: Site, ledge: Array | float, legs: tuple[int, int], place: tup
 
 
 def cross(site: Site, ledge: Array | float, moves: Sequence[Move]) -> list[Stage]:
-    """Stages from the top on to the ledge, the base level; the feet begin at `TOP`."""
+    """Stages from the top on to the ledge; the feet begin at `TOP`, the base level."""
     at = {legs: on_disc(site, legs, TOP[legs]) for legs in (FRONT, MIDDLE, REAR)}
-    stages = []
+    stages, pitch = [], 0.0
     for move in moves:
         swing, guides = {}, {}
         if move.legs is not None:
@@ -108,7 +139,8 @@ def cross(site: Site, ledge: Array | float, moves: Sequence[Move]) -> list[Stage
             at[move.legs] = swing
         base = beyond(site, move.base[0], site.top + move.base[1] * site.length)
         stages.append(Stage(f"ledge.{move.name}", move.time * site.step.time, swing, CYCLE_B, position=base,
-                            rates=EASED, guides=guides))  # fmt: skip
+                            turn=point(move.pitch - pitch, 0.0, 0.0), rates=EASED, guides=guides))  # fmt: skip
+        pitch = move.pitch
     return stages
 
 

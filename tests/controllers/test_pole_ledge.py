@@ -1,0 +1,87 @@
+"""The plans from a pole's top on to a ledge: in reach, clear of pole and ledge, legs apart, the robot's weight held."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from test_pole_top import play
+
+from sweep.case import Case
+from sweep.config import compose
+from sweep.controllers.manoeuvres.pole_top import RIM
+from sweep.controllers.plan import Plan, Stance, reference
+from sweep.controllers.posture import mass_centre
+from sweep.controllers.tracker import joint_targets
+from sweep.maths import matrix, rotate
+from sweep.metrics.geometry import support_margin
+
+RADIUS, LENGTH = 0.42, 1.05  # m
+HEIGHT = {"level": -0.2, "above": 0.35}  # a_r, of the ledge over the pole's top
+
+
+@pytest.fixture(scope="module", params=HEIGHT)
+def case(request) -> Case:
+    return compose([f"scenario=pole_ledge_{request.param}", "manoeuvre.forces=deepening"]).case
+
+
+def test_the_ledge_is_as_high_as_the_book_has_it(request, case):
+    over = case.obstacle.ledge_height - case.obstacle.height
+    np.testing.assert_allclose(over, HEIGHT[request.node.callspec.params["case"]] * LENGTH, atol=1e-12)
+
+
+def test_links_stay_in_reach_clear_of_pole_and_ledge_and_apart(case):
+    plan, seen = play(case)
+    first = plan.names.index("ledge.back")
+    assert seen["shortfall"].max() == 0
+    assert seen["clearance"][first:].min() > 0
+    assert seen["gap"][first:].min() > 0.01
+
+
+def test_the_mass_centre_stays_over_the_standing_feet(case):
+    plan, _ = play(case)
+    first = plan.names.index("ledge.back")
+    assert margins(case, plan)[first:].min() > 0.03  # m
+
+
+@jax.jit
+def margins(case: Case, plan: Plan) -> jax.Array:
+    """How far (m) the planned centre of mass is inside the standing feet's polygon, at the ends of every stage."""
+    feet = jnp.concatenate([plan.start.feet[None], plan.foothold[:-1]])
+    base = jnp.concatenate([plan.start.position[None], plan.position[:-1]])
+
+    def at(k, u):
+        stance: Stance = reference(plan, k, u, feet[k], base[k])
+        joints, _ = joint_targets(case.robot, stance)
+        centre = stance.position + rotate(stance.quat, mass_centre(case.robot, joints))
+        return support_margin(stance.feet[:, :2], ~plan.swing[k], centre[:2])
+
+    return jax.vmap(lambda k: jax.vmap(lambda u: at(k, u))(jnp.linspace(0, 1, 5)))(jnp.arange(len(plan.names)))
+
+
+def test_it_ends_level_on_the_ledge_and_stands_off_every_edge_on_the_way(case):
+    plan, seen = play(case)
+    feet = np.asarray(plan.foothold[plan.names.index("ledge.back") :]).reshape(-1, 3)
+    beyond = -feet[:, 1] - RADIUS
+    on_top = np.isclose(feet[:, 2], case.obstacle.height, atol=0.005)  # some are pressed in by 3 mm
+    np.testing.assert_allclose(feet[~on_top, 2], case.obstacle.ledge_height, atol=1e-6)
+    assert beyond[~on_top].min() > 0.05 * LENGTH
+    assert np.hypot(feet[on_top, 0], feet[on_top, 1]).max() < RIM * RADIUS + 1e-6
+    assert not np.isclose(plan.foothold[-1, :, 2], case.obstacle.height).any()
+    np.testing.assert_allclose(matrix(seen["quat"][-1, -1])[2], [0, 0, 1], atol=1e-6)
+
+
+def test_it_follows_what_is_believed(case):
+    random = np.random.default_rng(2)
+    for _ in range(3):
+        scale = random.uniform(0.98, 1.02, 5)
+        robot = replace(case.robot, body_length=LENGTH * scale[0], body_width=0.5 * scale[1], thigh=0.52 * scale[2],
+                        shin=0.335 * scale[3])  # fmt: skip
+        other = replace(case, robot=robot, obstacle=replace(case.obstacle, radius=RADIUS * scale[4]))
+        plan, seen = play(other)
+        first = plan.names.index("ledge.back")
+        assert seen["shortfall"].max() < 0.005
+        assert seen["clearance"][first:].min() > -0.005
+        assert seen["gap"][first:].min() > -0.005
+        assert margins(other, plan)[first:].min() > 0.02
