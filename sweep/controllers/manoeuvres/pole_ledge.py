@@ -1,21 +1,26 @@
-"""From a pole's top on to the ledge behind it, and away by tripod (monograph 2.3.7).
+"""From a pole's top on to the ledge behind it, and away by tripod (monograph 2.3.4, 2.3.5 and 2.3.7).
 
-World axes as in `pole`; the ledge begins at the pole's far side, at y = -r.
+World axes as in `pole`; the ledge begins at the pole's far side, at y = -r. The printed plans are tables of places of
+the feet and of the base, and so are these: `LEVEL` (h_1 = h - 0.2 a_r, 2.3.7), `ABOVE` (h + 0.35 a_r, 2.3.5), `BELOW`
+(h - 0.6 a_r, 2.3.4). They hold for these heights, and for others as far as the legs reach.
 
-What differs from the printed plan for a ledge 0.2 a_r lower than the pole:
+What differs from the print, and why:
 
-- The base does not stay 0.31 a_r above the top, where rear and middle knees meet. It starts from 0.62 a_r, rises to
-  0.7 a_r, comes down while the front feet go to the ledge, and 0.4 a_r is reached when the rear feet do: low and
-  behind the axis the front legs would fold against the middle ones, high it cannot reach the ledge.
-- It goes 0.154 a_r (printed 0.075 a_r) behind the axis while the front feet swing: they weigh 2 of 16 kg, and the
-  centre of mass would be over the middle feet.
-- Feet stand on the ledge at r from the plane x = 0 (printed as on the top, 0.625 r to 0.875 r): on the way their hips
-  pass over them, and a leg that hangs straight down has to turn by half a turn at once.
-- The front feet go to 0.11 a_r, 0.53 a_r and 1.1 a_r beyond the edge (printed 0.05, 0.675, 1.2), the middle feet to
-  0.1 a_r and 0.38 a_r (0.05, 0.4), for neighbouring legs to stay apart in the swings between.
-- The rear feet go to the middle of the top, a little ahead, before they go to the ledge (printed: where the middle feet
-  stood), 0.83 r aside.
-- Stages take 1.5 to 2 t* and swings go along Bezier curves that come down on the ledge from above.
+- The base goes 0.14 to 0.15 a_r (printed 0.05 to 0.075 a_r) behind the axis while the front feet leave the top. The
+  front legs weigh 2 of 16 kg: with the printed way the mass centre is 3 mm outside the standing feet.
+- It starts that from 0.69 a_r above the top, from where the front legs pass the middle ones (printed 0.31 a_r from
+  2.3.3 for `LEVEL`, where they cross), and comes down as the front feet do, to where these reach the ledge.
+- Feet stand at 0.92 to 1.13 r aside on the ledge (printed as on the top, 0.625 to 0.875 r): where a hip passes over its
+  foot, the leg has to turn by half a turn at once.
+- On the ledge the front feet come down three times in every plan, the middle feet twice, at distances from the edge
+  that keep neighbouring legs apart; printed are three or two times, with the middle feet at 0.3 to 0.4 a_r at last.
+- The rear feet go half-way over the top, 0.27 r ahead, before they go to the ledge (printed: where the middle feet
+  stood).
+- `BELOW` is printed with a base that stays level until 2.3.4.3 and front, middle and rear feet that stand on the pole's
+  side meanwhile. Here the base pitches down by 31 to 44 degrees, so that the front feet reach the ledge at once, and no
+  foot goes to the side. While the middle feet are on the top their hips stay 0.36 a_r above it: lower, their knees
+  sink below the top's edge, since thighs are longer than shins.
+- Stages take 1.5 to 2 t*, and swings go along Bezier curves that come down from above.
 """
 
 from collections.abc import Sequence
@@ -69,13 +74,13 @@ ABOVE = (
     Move("back", (-0.47, 0.69)),
     Move("front", (-0.54, 0.62), FRONT, ON_LEDGE, (1.08, 0.09), (0.18, -0.21, 0.17), (-0.08, 0.24, 0.14), 2.0),
     Move("middle", (-0.42, 0.67), MIDDLE, ON_TOP, TOP[FRONT]),
-    Move("front2", (-0.315, 0.73), FRONT, ON_LEDGE, (1.08, 0.75)),
-    Move("middle2", (-0.1, 0.73), MIDDLE, ON_LEDGE, (1.08, 0.09), (0.13, 0.11, 0.17), (-0.05, 0.1, 0.2), 2.0),
+    Move("front2", (-0.305, 0.748), FRONT, ON_LEDGE, (1.08, 0.75)),
+    Move("middle2", (-0.1, 0.68), MIDDLE, ON_LEDGE, (1.13, 0.11), (0.2, 0.09, 0.154), (-0.08, 0.19, 0.135), 2.0),
     Move("ahead", (0.28, 0.63)),
     Move("rear", (0.28, 0.67), REAR, ON_TOP, (0.83, -0.27)),
-    Move("middle3", (0.35, 0.74), MIDDLE, ON_LEDGE, (1.0, 0.43)),
-    Move("front3", (0.27, 0.74), FRONT, ON_LEDGE, (1.0, 1.15)),
-    Move("ahead2", (0.52, 0.72)),
+    Move("middle3", (0.3, 0.74), MIDDLE, ON_LEDGE, (1.0, 0.39)),
+    Move("front3", (0.2, 0.74), FRONT, ON_LEDGE, (1.0, 1.15)),
+    Move("ahead2", (0.56, 0.7)),
     Move("rear2", (0.62, 0.87), REAR, ON_LEDGE, (1.0, 0.08), (0.05, -0.185, 0.24), (-0.03, 0.175, 0.11), 2.0),
 )
 BELOW = (
@@ -86,10 +91,10 @@ BELOW = (
     Move("middle2", (0.234, 0.186), MIDDLE, ON_LEDGE, (0.916, 0.194), (0.116, -0.15, 0.234), (0.074, 0.425, 0.3),
          pitch=0.775),
     Move("ahead", (0.342, 0.154), pitch=0.767),
-    Move("rear", (0.45, 0.089), REAR, ON_TOP, (0.825, -0.27), (0.115, -0.17, 0.146), (-0.14, 0.14, 0.083), pitch=0.405),
-    Move("middle3", (0.434, 0.186), MIDDLE, ON_LEDGE, (0.977, 0.429), pitch=0.736),
-    Move("front3", (0.374, 0.086), FRONT, ON_LEDGE, (1.065, 1.065), pitch=0.422),
-    Move("ahead2", (0.5, 0.017), pitch=0.661),
+    Move("rear", (0.394, 0.118), REAR, ON_TOP, (0.825, -0.27), (0.115, -0.17, 0.146), (-0.14, 0.14, 0.08), pitch=0.607),
+    Move("middle3", (0.349, 0.15), MIDDLE, ON_LEDGE, (0.961, 0.397), pitch=0.55),
+    Move("front3", (0.25, 0.112), FRONT, ON_LEDGE, (1.1, 1.162), pitch=0.483),
+    Move("ahead2", (0.7, 0.072), pitch=0.748),
     Move("rear2", (0.691, -0.102), REAR, ON_LEDGE, (0.984, 0.181), (0.156, -0.043, 0.316), (0.212, 0.317, 0.513), 2.0,
          0.0),
 )  # fmt: skip
