@@ -18,7 +18,7 @@ from sweep.maths import matrix, rotate
 from sweep.metrics.geometry import support_margin
 
 RADIUS, LENGTH = 0.42, 1.05  # m
-HEIGHT = {"level": -0.2, "above": 0.35}  # a_r, of the ledge over the pole's top
+HEIGHT = {"level": -0.2, "above": 0.35, "below": -0.6}  # a_r, of the ledge over the pole's top
 
 
 @pytest.fixture(scope="module", params=HEIGHT)
