@@ -66,3 +66,13 @@ def test_the_robot_gets_on_the_top_on_native():
     assert row["outcome"].tolist() == ["success"], row["cause"]
     assert row["clearance_min_m"].min() > 0
     assert row["tilt_max_deg"].max() < 5
+
+
+@pytest.mark.parametrize("scenario", ["pole_ledge_level", "pole_ledge_above"])
+def test_the_robot_gets_over_the_pole_on_to_the_ledge_on_native(scenario):
+    row = outcomes("native", 1, scenario)
+    assert row["outcome"].tolist() == ["success"], row["cause"]
+    assert row["feet_on_target"].tolist() == [6]
+    assert row["end_tilt_deg"].max() < 3
+    assert row["clearance_min_m"].min() > 0
+    assert row["distance_m"].min() > 3  # beyond the edge and 0.3 m on
