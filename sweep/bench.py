@@ -16,7 +16,6 @@ from jax.sharding import NamedSharding, PartitionSpec
 from jaxtyping import Array
 
 from sweep.case import Case
-from sweep.config import compose
 from sweep.engines import batching, devices, make, physics
 from sweep.engines.lanes import lanes
 from sweep.engines.pilot import start_state
@@ -29,9 +28,8 @@ from sweep.models.step import State, rest
 SECOND = 1.0  # s, simulated by one call of the bare physics
 
 
-def table(rollouts: int, width: int, rows: tuple[str, ...]) -> Iterator[dict[str, Any]]:
-    """One line for each of `rows`; width 0 is the device's best."""
-    nominal = compose(["scenario=walk_tripod"]).case
+def table(nominal: Case, rollouts: int, width: int, rows: tuple[str, ...]) -> Iterator[dict[str, Any]]:
+    """One line for each of `rows`, `nominal` walking; width 0 is the device's best."""
     for name in rows:
         settings = EngineSettings(width=width if name != "native" else 0, dynamics="mjx" if name == "mjx" else "auto",
                                   name="native" if name == "native" else "mjx")  # fmt: skip

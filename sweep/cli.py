@@ -135,11 +135,13 @@ def show_speed(args: argparse.Namespace) -> int:
     from tabulate import tabulate
 
     from sweep import bench
+    from sweep.config import compose
 
     if args.rollouts < 1:
         raise InputError(f"--rollouts = {args.rollouts} is not allowed: at least 1")
     lines = []
-    for line in bench.table(args.rollouts, args.width, tuple(args.rows)):
+    nominal = compose(["scenario=walk_tripod"]).case
+    for line in bench.table(nominal, args.rollouts, args.width, tuple(args.rows)):
         print(f"{line['engine']} {line['dynamics']}: {line['env-steps/s']:.4g} env-steps/s", file=sys.stderr)
         lines.append(line)
     print(tabulate(lines, headers="keys", tablefmt="github", floatfmt=".4g", missingval=""))

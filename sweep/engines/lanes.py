@@ -11,6 +11,7 @@ where working it out again would take `kept_from` operations or more.
 
 from collections import Counter
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -247,7 +248,20 @@ def _gather(args: list[Lane], size: int, dimension_numbers: Any, slice_sizes: tu
     return lax.gather(operand.value, index, numbers, (*slice_sizes, 1), mode=mode, **rest)
 
 
+def _scatter(put: Callable, args: list[Lane], size: int, dimension_numbers: Any, **rest: Any) -> Array:
+    operand, indices, updates = args
+    if indices.batched:
+        return NotImplemented
+    dims = dimension_numbers
+    window = (*dims.update_window_dims, jnp.ndim(updates.value) - updates.batched)
+    numbers = lax.ScatterDimensionNumbers(window, dims.inserted_window_dims, dims.scatter_dims_to_operand_dims,
+                                          dims.operand_batching_dims, dims.scatter_indices_batching_dims)  # fmt: skip
+    rest = {k: v for k, v in rest.items() if k in ("unique_indices", "indices_are_sorted", "mode")}
+    return put(_spread(operand, size), indices.value, _spread(updates, size), numbers, **rest)
+
+
 RULES: dict[str, Callable] = {
     "broadcast_in_dim": _broadcast_in_dim, "reshape": _reshape, "transpose": _transpose, "slice": _slice, "pad": _pad,
     "concatenate": _concatenate, "dot_general": _dot_general, "gather": _gather,
+    "scatter": partial(_scatter, lax.scatter), "scatter-add": partial(_scatter, lax.scatter_add),
 }  # fmt: skip

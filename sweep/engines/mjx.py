@@ -61,7 +61,8 @@ class Mjx:
             plans, carry = start(world, belief, keys)
             for tick in range(0, most_ticks(plans, self.settings.control_period), self._chunk_ticks):
                 carry, _ = chunk(world, belief, plans, carry, tick, None)
-                if bool(jnp.all(carry.pilot.running.over)):
+                # on the host: among devices it would take their collective operations, which can hang
+                if np.all(np.asarray(carry.pilot.running.over)):
                     break
             return {name: np.asarray(values) for name, values in finish(plans, carry).items()}
 
@@ -119,7 +120,8 @@ class Mjx:
         recorded = (split, PartitionSpec(None, devices.BATCH))
         chunk = on_devices(chunk, in_specs=(*specs, split, split, whole, whole), out_specs=recorded)
         finish = on_devices(jax.vmap(self._finish), in_specs=(split, split), out_specs=split)
-        return jax.jit(start), jax.jit(chunk, donate_argnums=3), jax.jit(finish)
+        options = devices.compiler_options(moving=bool(self.topology.free))
+        return jax.jit(start), jax.jit(chunk, donate_argnums=3, compiler_options=options), jax.jit(finish)
 
     def _start(self, world: Case, belief: Case, key: Array) -> tuple[Plan, Carry]:
         plan = belief.manoeuvre.plan(belief)

@@ -122,9 +122,9 @@ def step(case: Case, limits: Limits, state: Moving, servo: Servo, h: float, iter
     error = tuple(servo.target[:, k] - pose.angle[k] for k in range(3))
     problem = _Problem(case, servo, limits, feet, robot.mass, end, robot.foot,
                        start._replace(linear=start.linear + h * (to_base @ pushed)), error, h)  # pyright: ignore  # fmt: skip
-    w, carried, velocity = v, problem.momentum(v), problem.foot_velocity(v)
-    for _ in range(iterations):
-        w, carried, velocity = problem.improve(w, carried, velocity)
+    begin = v, problem.momentum(v), problem.foot_velocity(v)
+    # a loop, not written out: every operation more takes time to compile
+    (w, carried, velocity), _ = jax.lax.scan(lambda s, _: (problem.improve(*s), None), begin, length=iterations)
     grip = problem.grip(velocity)
     effort, free = problem.drive(w)
     left = problem.residual(carried, grip, effort)

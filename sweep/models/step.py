@@ -7,6 +7,7 @@ residual is taken, which is what carries it across those switches.
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 from mujoco import mjx
@@ -92,9 +93,8 @@ def step(
     problem = _Problem(case.contact, servo, limits, geometry, surface, smooth, j_root, j_turn,
                        _damped(mass, case.drive, h), _momentum(smooth, mass_v, limits, h),
                        servo.target - state.q[1 + top.leg], h)  # fmt: skip
-    w = v
-    for _ in range(iterations):
-        w = _improve(problem, w)
+    # a loop, not written out: every operation more takes time to compile
+    w, _ = jax.lax.scan(lambda w, _: (_improve(problem, w), None), v, length=iterations)
     velocity = problem.point_velocity(w)
     forces = contact_forces(case.contact, geometry, velocity, h)
     torque, free = problem.drive(w)
@@ -211,9 +211,9 @@ class _Problem(NamedTuple):
 def _improve(problem: _Problem, w: Split) -> Split:
     """One Newton iteration, with the best of the fixed step lengths."""
     direction = problem.newton(w)
-    tried = [w.plus(length, direction) for length in STEP_LENGTHS]
-    best = jnp.argmin(jnp.stack([problem.cost(x) for x in tried]))
-    return Split(jnp.stack([x.root for x in tried])[best], jnp.stack([x.leg for x in tried])[best])
+    tried = jax.vmap(lambda length: w.plus(length, direction))(jnp.asarray(STEP_LENGTHS, w.root.dtype))
+    best = jnp.argmin(jax.vmap(problem.cost)(tried))
+    return Split(tried.root[best], tried.leg[best])
 
 
 def _relative(smooth: Smooth, body: Array) -> Array:
