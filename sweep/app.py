@@ -17,6 +17,8 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from sweep import config, designs, provenance, refine, runner, store
+from sweep.batches import make_engine
+from sweep.batches import nominal as nominal_batch
 from sweep.clusters import connected
 from sweep.config import Experiment
 from sweep.errors import Fault, InputError
@@ -134,14 +136,21 @@ def summary(name: str, rows: pd.DataFrame) -> str:
 
 
 def forecast(job: runner.Job) -> str:
-    """What a run would do: rollouts, batches, and the time where an earlier batch tells it."""
+    """What a run would do: rollouts, batches, memory, and the time where an earlier batch tells it."""
     missing = job.rows(job.missing())
     sizes = missing.groupby(["group", "width"])["batch"].nunique()
     parts = [f"{count} batches of {width}" for (_, width), count in sizes.items()]  # pyright: ignore[reportGeneralTypeIssues]
     text = f"{job.exp.study.name}: {len(missing)} of {len(job.table)} rollouts to run ({', '.join(parts) or 'none'})"
     if len(missing):
-        text += f", {duration(job, missing)}"
+        text += f"{memory(job, missing)}, {duration(job, missing)}"
     return f"{text}\n{axes_table(job.exp)}" if job.exp.study.axes and not job.exp.study.points else text
+
+
+def memory(job: runner.Job, missing: pd.DataFrame) -> str:
+    """What a rollout keeps in memory, of the first group."""
+    rows = missing[missing["group"] == missing["group"].iloc[0]]
+    size = make_engine(job.exp, nominal_batch(job.exp, rows, int(rows["width"].iloc[0]))).rollout_bytes()
+    return f", {size / 1024:.1f} KiB kept a rollout" if size else ""
 
 
 def duration(job: runner.Job, missing: pd.DataFrame) -> str:

@@ -22,6 +22,9 @@ class FakeEngine:
         self.devices = 1
         self.width = settings.width or 8
 
+    def rollout_bytes(self):
+        return 2048
+
     def run(self, world, belief, streams):
         friction, ratio = np.broadcast_arrays(world.contact.friction, belief.manoeuvre.half_step_ratio)
         friction, ratio = (np.broadcast_to(v, (self.width,)).astype(float) for v in (friction, ratio))

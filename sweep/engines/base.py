@@ -38,6 +38,10 @@ class Engine(Protocol):
     dynamics: str  # where the smooth dynamics come from: arrowhead, mjx or C MuJoCo
     devices: int  # that share a batch; only a width that they divide evenly uses them all
 
+    def rollout_bytes(self) -> int | None:
+        """Plan, state and figures of a rollout, None where C keeps them; work within a tick takes several times it."""
+        ...
+
     def run(self, world: Case, belief: Case, streams: np.ndarray) -> Figures:
         """Figures of `width` rollouts; `streams` (width,) are the numbers folded into the noise key.
 

@@ -51,7 +51,14 @@ class Mjx:
             plan = batching.nominal_plan(belief)
             self.stages = plan.names
             self.duration = float(GRACE * np.sum(plan.duration))
+        self._nominal = world, belief
         self._compiled: dict[Any, tuple[Callable, Callable, Callable]] = {}
+
+    def rollout_bytes(self) -> int:
+        """See `Engine`; nothing is compiled for it."""
+        with devices.precision(self.settings):
+            kept = jax.eval_shape(self._start, *devices.as_arrays(self._nominal), jax.random.key(0))
+        return sum(x.size * x.dtype.itemsize for x in jax.tree.leaves(kept))
 
     @devices.memory()
     def run(self, world: Case, belief: Case, streams: np.ndarray) -> Figures:

@@ -85,6 +85,10 @@ class Native:
         self.duration = float(GRACE * np.sum(plan.duration))
         self._compiled: dict[Any, tuple[Callable, Callable, Callable]] = {}
 
+    def rollout_bytes(self) -> None:
+        """See `Engine`."""
+        return None
+
     @devices.memory()
     def run(self, world: Case, belief: Case, streams: np.ndarray) -> Figures:
         """Figures of `width` rollouts."""

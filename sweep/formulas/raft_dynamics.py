@@ -7,7 +7,6 @@ e3 fixed in space; (4.2.1) and (4.2.3) print every sign of them the other way ro
 
 from typing import Any, NamedTuple
 
-import diffrax
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -104,6 +103,8 @@ class Motion(NamedTuple):
 @jax.jit
 def raft_ode(raft: Raft, state0: Float[Array, " 18"], t_end: Scalar) -> Motion:
     """State of the raft after t_end (s): (4.2.1)-(4.2.3) integrated. Nan if the integration does not get there."""
+    import diffrax  # slow to import
+
     state0 = jnp.asarray(state0)
     # Well above round-off, well below what the model is good for.
     accuracy = float(jnp.finfo(state0.dtype).eps) ** (2 / 3)
