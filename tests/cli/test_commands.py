@@ -31,7 +31,8 @@ def test_a_scenario_shows_its_outcome_and_leaves_no_files(capsys, tmp_path):
 
 def test_a_study_from_run_to_table_and_map(capsys, tmp_path):
     assert main(["run", *SMALL, "--dry-run"]) == 0
-    assert "12 of 12 rollouts to run (2 batches of 6), time unknown before a first batch" in capsys.readouterr().out
+    plan = "12 of 12 rollouts to run (2 batches of 6), 2.0 KiB kept a rollout, time unknown before a first batch"
+    assert plan in capsys.readouterr().out
     assert not list(tmp_path.iterdir())
     assert main(["run", *SMALL]) == 0
     assert "12 of 12 planned rollouts are in results/walk_map" in capsys.readouterr().out
