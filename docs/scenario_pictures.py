@@ -28,6 +28,7 @@ SCENARIOS = (
     "pole_descent",
     "ball_balance",
     "ball_drive",
+    "corner_full",
 )
 
 

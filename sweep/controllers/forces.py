@@ -253,11 +253,15 @@ class PlannedForces:
         """`stages` with a rest before each of them, in which load goes off the feet that are to swing."""
         return [s for stage in stages for s in (Stage(f"{stage.name}.load", self.load_time), stage)]
 
-    def gripped(self, belief: Case, plan: Plan) -> Plan:
-        """`plan` with the forces of least friction as offsets of what the believed drives are told (`Grip`)."""
+    def course(self, belief: Case, plan: Plan) -> Course:
+        """The forces of least friction along `plan`."""
         bounds = Bounds(self.friction_share * belief.contact.friction, self.torque_share * belief.drive.torque_limit,
                         self.least_normal)  # fmt: skip
-        course = along(belief, plan, bounds, "friction")
+        return along(belief, plan, bounds, "friction")
+
+    def gripped(self, belief: Case, plan: Plan) -> Plan:
+        """`plan` with its `course` as offsets of what the believed drives are told (`Grip`)."""
+        course = self.course(belief, plan)
         inward = -jax.vmap(lambda feet: surface_normals(belief, feet))(plan.foothold)
         offset = course.torque / belief.drive.stiffness
         told = (jnp.asarray(x, float) for x in (self.creep, self.anchoring))

@@ -15,6 +15,8 @@ Figures = dict[str, np.ndarray]  # column name (with its unit) -> one number per
 class Trace:
     """One rollout, sampled at the end of every control tick. World axes, SI units; F = frames."""
 
+    world: Case  # as it was, plain numbers
+    belief: Case  # as the planner was told
     model: mujoco.MjModel  # the world's model, for drawing
     time: np.ndarray  # (F,)
     qpos: np.ndarray  # (F, nq)

@@ -2,7 +2,6 @@
 
 import jax
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 from jaxtyping import Array
 
@@ -12,6 +11,7 @@ from sweep.controllers.tracker import Command, TrackerState
 from sweep.engines.base import Trace
 from sweep.engines.settings import EngineSettings
 from sweep.metrics.stream import Tick
+from sweep.models import scene
 from sweep.models.step import Limits
 from sweep.parameters import InputError
 
@@ -76,10 +76,11 @@ def record(command: Command, state: TrackerState, tick: Tick, q: Array) -> dict[
 
 
 def to_trace(
-    model: mujoco.MjModel, record: dict[str, np.ndarray], period: float, stages: tuple[str, ...], figures: dict
+    world: Case, belief: Case, record: dict[str, np.ndarray], period: float, stages: tuple[str, ...], figures: dict
 ) -> Trace:
-    """The records of one rollout up to its end."""
+    """The records of one rollout, whose parameters are plain numbers, up to its end."""
     frames = min(round(float(figures["duration_s"]) / period), len(record["stage"]))  # the sum of many ticks is rough
     kept = {key: value[:frames] for key, value in record.items()}
     time = period * (1 + np.arange(frames))
-    return Trace(model=model, time=time, stages=stages, figures=figures, **kept)
+    model = scene.compile_model(world)
+    return Trace(world=world, belief=belief, model=model, time=time, stages=stages, figures=figures, **kept)

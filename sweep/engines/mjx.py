@@ -19,7 +19,7 @@ from sweep.engines.pilot import GRACE, Pilot, decide, embark, is_quiet, measure,
 from sweep.engines.settings import EngineSettings
 from sweep.metrics import stream
 from sweep.metrics.outcome import Thresholds
-from sweep.models import dynamics, scene
+from sweep.models import dynamics
 from sweep.models.step import State, rest
 
 CHUNK = 1.0  # s of simulated time between two looks of the host
@@ -76,7 +76,7 @@ class Mjx:
     def trace(self, world: Case, belief: Case, streams: np.ndarray, slot: int) -> Trace:
         """The rollout in `slot`, simulated in its batch so that its numbers are those of `run`."""
         with devices.precision(self.settings):
-            one = batching.pick(world, slot)
+            one = batching.pick(world, slot), batching.pick(belief, slot)
             (world, belief, keys), start, chunk, finish = self._prepare(world, belief, streams)
             plans, carry = start(world, belief, keys)
             records, local = [], self.width // self._mesh.size
@@ -87,7 +87,7 @@ class Mjx:
                     break
             figures = {name: np.asarray(values)[slot] for name, values in finish(plans, carry).items()}
         record = jax.tree.map(lambda *parts: np.concatenate(parts), *records)
-        return batching.to_trace(scene.compile_model(one), record, self.settings.control_period, self.stages, figures)
+        return batching.to_trace(*one, record, self.settings.control_period, self.stages, figures)
 
     @property
     def _chunk_ticks(self) -> int:

@@ -98,9 +98,9 @@ class Native:
         """The rollout in `slot`."""
         figures, records = self._simulate(world, belief, streams, slot)
         record = {key: np.stack([r[key] for r in records]) for key in records[0]}
-        model = scene.compile_model(batching.pick(world, slot))
+        one = batching.pick(world, slot), batching.pick(belief, slot)
         row = {name: values[slot] for name, values in figures.items()}
-        return batching.to_trace(model, record, self.settings.control_period, self.stages, row)
+        return batching.to_trace(*one, record, self.settings.control_period, self.stages, row)
 
     def _simulate(
         self, world: Case, belief: Case, streams: np.ndarray, slot: int | None

@@ -35,15 +35,17 @@ def main(job: Path) -> int:
 def draw(model: Any, arrays: dict[str, np.ndarray]) -> None:
     """Write every frame to stdout, (height, width, 3) bytes each.
 
-    `arrays`: qpos (N, nq), look_at (N, 3) m, distance () m, size (2,) width and height, tails and tips of the
-    arrows (N, 6, 3) m, where an arrow of no length is not drawn.
+    `arrays`: qpos (N, nq), look_at (N, 3) m, distance () m, azimuth and elevation () deg, size (2,) width and height,
+    tails and tips of the arrows (N, 6, 3) m, where an arrow of no length is not drawn.
     """
     import mujoco
 
     width, height = map(int, arrays["size"])
     model.vis.global_.offwidth, model.vis.global_.offheight = width, height
     data, camera = mujoco.MjData(model), mujoco.MjvCamera()
-    camera.distance, camera.azimuth, camera.elevation = float(arrays["distance"]), 125.0, -22.0
+    camera.distance, camera.azimuth, camera.elevation = (
+        float(arrays[key]) for key in ("distance", "azimuth", "elevation")
+    )
     with mujoco.Renderer(model, height, width) as renderer:
         for k, qpos in enumerate(arrays["qpos"]):
             data.qpos[:] = qpos

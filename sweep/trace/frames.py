@@ -7,6 +7,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Generator
+from functools import partial
 from pathlib import Path
 
 import mujoco
@@ -15,6 +16,7 @@ from matplotlib.image import imsave
 from PIL import Image
 
 from sweep.engines.base import Trace
+from sweep.models.obstacles.surface import no_bodies, poses
 from sweep.parameters import InputError
 from sweep.trace.arrows import arrow_tips
 from sweep.trace.draw import ARRAYS, MODEL, NO_OPENGL
@@ -24,6 +26,8 @@ SIZE = (960, 544)  # pixels, multiples of 16 as video codecs want
 IN_A_ROW = 4  # frames of a strip, which should be full rows
 VIDEO_RATE = 25  # frames per second, simulated and shown
 CAMERA_DISTANCE = 1.7  # in units of the distance between the robot's farthest feet at the start
+AZIMUTHS = (125.0, -125.0, 55.0, -55.0)  # deg, of the camera's sight, in order of preference
+ELEVATION = -22.0  # deg
 LIBRARIES = {"egl": "libegl1 libegl-mesa0 libgl1-mesa-dri", "osmesa": "libosmesa6"}  # Debian packages
 
 
@@ -90,16 +94,33 @@ def render(trace: Trace, chosen: np.ndarray) -> Generator[np.ndarray, None, None
 
 def _write_job(job: Path, trace: Trace, chosen: np.ndarray) -> None:
     feet = trace.foot_position[0]
+    distance = CAMERA_DISTANCE * np.linalg.norm(feet[:, None] - feet, axis=-1).max()
     mujoco.mj_saveModel(trace.model, str(job / MODEL), None)
     np.savez(
         job / ARRAYS,
         qpos=trace.qpos[chosen],
         look_at=base_pose(trace)[chosen, :3],
-        distance=CAMERA_DISTANCE * np.linalg.norm(feet[:, None] - feet, axis=-1).max(),
+        distance=distance,
+        azimuth=min(AZIMUTHS, key=partial(_hidden, trace, chosen, distance)),
+        elevation=ELEVATION,
         size=SIZE,
         tails=trace.foot_position[chosen],
         tips=arrow_tips(trace.foot_position[chosen], trace.foot_force[chosen]),
     )
+
+
+def _hidden(trace: Trace, chosen: np.ndarray, distance: float, azimuth: float) -> int:
+    """How many of some points between the camera and the base the obstacle hides, over the frames `chosen`."""
+    angle, slope = np.radians(azimuth), np.radians(ELEVATION)
+    away = -np.array([np.cos(angle) * np.cos(slope), np.sin(angle) * np.cos(slope), np.sin(slope)])
+    points = base_pose(trace)[chosen, None, :3] + distance * np.linspace(0.2, 1, 9)[:, None] * away
+    obstacle = trace.world.obstacle
+    if obstacle.free_bodies:  # seldom larger than the way to the camera, and not where they were
+        return 0
+    depth = obstacle.surface(
+        points.reshape(-1, 3).astype(np.float32), (-1,) * (points.size // 3), poses(no_bodies())
+    ).depth
+    return int(np.sum(np.asarray(depth) > 0))
 
 
 def _pictures(job: str, backend: str) -> Generator[np.ndarray, None, bool]:

@@ -11,7 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from sweep.engines.base import Trace
+from sweep.formulas import stepping
 from sweep.parameters import InputError
+from sweep.trace.held import measured, planned
 from sweep.trace.layout import LEG_COLORS
 from sweep.trace.sampling import KINDS, base_pose, joint_angle, mass_centres
 
@@ -138,6 +140,36 @@ def flywheel(trace: Trace) -> Figure:
     return _finish(figure, axes, trace)
 
 
+def forces(trace: Trace) -> Figure:
+    """Normal forces of the right feet as in figure 2.4.14, friction used by all feet, and what is left to the cone.
+
+    Planned forces are dashed. A dotted line every t* where the manoeuvre has a step cycle.
+    """
+    hold, wanted, friction = measured(trace), planned(trace), float(trace.world.contact.friction)
+    figure, axes = _grid(3, 1, "Forces of the feet on the surfaces under them (dashed: planned)", width=14)
+    for leg in range(6):
+        color, label = LEG_COLORS[leg], f"leg {leg + 1}"
+        axes[1, 0].plot(trace.time, hold.friction[:, leg], color=color, lw=0.9, label=label)
+        if leg % 2 == 0:
+            axes[0, 0].plot(trace.time, hold.normal[:, leg], color=color, lw=1.2)
+            if wanted is not None:
+                axes[0, 0].plot(trace.time, wanted.normal[:, leg], color=color, ls="--", lw=0.9)
+    axes[1, 0].axhline(friction, color=REFERENCE, lw=0.9)
+    for one, color, style in ((hold, "k", "-"), (wanted, REFERENCE, "--")):
+        if one is not None:
+            left = friction - np.nanmax(np.nan_to_num(one.friction), axis=1)
+            axes[2, 0].plot(trace.time, left, color=color, ls=style, lw=1.0)
+    axes[2, 0].axhline(0, color=REFERENCE, lw=0.8)
+    for ax, label in zip(axes[:, 0], ("N/P", "friction used", "margin to\nthe cone"), strict=True):
+        ax.set_ylabel(label)
+    if rate := getattr(trace.belief.manoeuvre, "rate", None):
+        step = float(stepping.swing_time(rate))
+        for t in np.arange(step, trace.time[-1], step):
+            axes[0, 0].axvline(t, color="0.75", lw=0.6, ls=":", zorder=0)
+    figure.legend(*axes[1, 0].get_legend_handles_labels(), loc="outside lower center", ncols=6, frameon=False)
+    return _finish(figure, axes, trace)
+
+
 PLOTS: dict[str, Callable[[Trace], Figure]] = {
     "torques": torques,
     "joints": joints,
@@ -146,6 +178,7 @@ PLOTS: dict[str, Callable[[Trace], Figure]] = {
     "paths": paths,
     "ball": ball,
     "flywheel": flywheel,
+    "forces": forces,
 }
 
 
@@ -183,9 +216,11 @@ def _per_leg(trace: Trace, title: str, label: str, values: np.ndarray, target: n
     return _finish(figure, axes, trace)
 
 
-def _grid(rows: int, columns: int, title: str, share: Literal["none", "col", "all"] = "none") -> tuple[Figure, Any]:
+def _grid(
+    rows: int, columns: int, title: str, share: Literal["none", "col", "all"] = "none", width: float = 0.0
+) -> tuple[Figure, Any]:
     """Figure and its axes (rows, columns), one time axis for all; `share` says which have one y axis."""
-    figure = Figure(figsize=(4.5 + 3.5 * columns, 2.0 + 1.5 * rows), layout="constrained")
+    figure = Figure(figsize=(width or 4.5 + 3.5 * columns, 2.0 + 1.5 * rows), layout="constrained")
     figure.suptitle(title)
     return figure, figure.subplots(rows, columns, sharex=True, sharey=share, squeeze=False)
 

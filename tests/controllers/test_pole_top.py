@@ -6,19 +6,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from playing import U, play
 
 from sweep.case import Case
 from sweep.config import compose
 from sweep.controllers.manoeuvres.pole_top import RIM
-from sweep.controllers.plan import Plan, along_guides, reference
-from sweep.controllers.tracker import joint_targets
-from sweep.formulas.leg import SIDE, fk
-from sweep.maths import matrix, rotate
-from sweep.metrics.geometry import leg_gap, link_points
-from sweep.models.obstacles.surface import no_bodies, poses
-from sweep.models.scene import mounts
-
-U = np.linspace(0, 1, 41)
+from sweep.controllers.plan import Plan, along_guides
+from sweep.maths import matrix
 
 
 @pytest.fixture(scope="module")
@@ -26,34 +20,14 @@ def case() -> Case:
     return compose(["scenario=pole_top", "manoeuvre.forces=deepening"]).case
 
 
-@jax.jit
-def play(case: Case) -> tuple[Plan, dict[str, jax.Array]]:
-    """The plan, and for `U` of every stage (S, U): reach shortfall, clearance of the links, gap of legs, base, feet."""
-    plan, robot = case.manoeuvre.plan(case), case.robot
-
-    def at(k, u, begin):
-        stance = reference(plan, k, u, *begin)
-        joints, shortfall = joint_targets(robot, stance)
-        knee = fk(SIDE, joints.at[:, 2].set(0.0), 0.0, robot.thigh, 0.0)
-        foot = fk(SIDE, joints, 0.0, robot.thigh, robot.shin)
-        legs = mounts(robot)[:, None] + jnp.stack([jnp.zeros((6, 3)), knee, foot], axis=1)
-        legs = rotate(stance.quat[None, None], legs) + stance.position
-        points = link_points(legs)
-        depth = case.obstacle.surface(points, (-1,) * points.shape[0], poses(no_bodies())).depth
-        return stance, {
-            "shortfall": shortfall.max(), "clearance": -depth.max() - robot.link_radius,
-            "gap": leg_gap(legs) - 2 * robot.link_radius, "position": stance.position, "quat": stance.quat,
-        }  # fmt: skip
-
-    def stage(begin, k):
-        stance, seen = jax.vmap(lambda u: at(k, u, begin))(jnp.asarray(U, float))
-        return (stance.feet[-1], stance.position[-1]), seen
-
-    return plan, jax.lax.scan(stage, (plan.start.feet, plan.start.position), jnp.arange(len(plan.names)))[1]
+def played(case: Case) -> tuple[Plan, dict[str, jax.Array]]:
+    """The plan, and what it asks for."""
+    plan = jax.jit(lambda case: case.manoeuvre.plan(case))(case)
+    return plan, play(case, plan)
 
 
 def test_links_stay_in_reach_clear_of_the_pole_and_apart(case):
-    plan, seen = play(case)
+    plan, seen = played(case)
     first = plan.names.index("edge.front")
     assert seen["shortfall"].max() == 0
     assert seen["clearance"][first:].min() > 0
@@ -61,7 +35,7 @@ def test_links_stay_in_reach_clear_of_the_pole_and_apart(case):
 
 
 def test_it_ends_level_with_all_feet_on_the_top_off_the_rim(case):
-    plan, seen = play(case)
+    plan, seen = played(case)
     feet = np.asarray(plan.foothold[-1])
     top = case.obstacle.height
     np.testing.assert_allclose(feet[:, 2], top, atol=0.005)
@@ -77,7 +51,7 @@ def test_it_follows_what_is_believed(case):
         robot = replace(case.robot, body_length=1.05 * scale[0], body_width=0.5 * scale[1], thigh=0.52 * scale[2],
                         shin=0.335 * scale[3])  # fmt: skip
         other = replace(case, robot=robot, obstacle=replace(case.obstacle, radius=0.42 * scale[4]))
-        plan, seen = play(other)
+        plan, seen = played(other)
         first = plan.names.index("edge.front")
         assert seen["shortfall"].max() < 0.005
         assert seen["clearance"][first:].min() > -0.005

@@ -17,3 +17,14 @@ def test_the_corner_is_climbed_as_planned(engine):
     assert row["position_error_max_m"] < 0.005
     assert row["friction_demand_max"] > 1.0  # no easy corner
     assert np.isfinite(row["energy_j"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ["mjx", "native"])
+def test_the_roof_is_reached_and_walked_on(engine):
+    """From the floor up a house of 2.3 m and over its edge, with links clear of the edge, at the book's friction."""
+    row = run_single(compose(["scenario=corner_full", f"engine={engine}"])).iloc[0]
+    assert row["outcome"] == "success"
+    assert row["slip_max_m"] < 0.01
+    assert row["position_error_max_m"] < 0.005
+    assert row["leg_gap_min_m"] > 0

@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from sweep.config import compose
 from sweep.engines.base import Trace
 
 FRAMES, TICK = 250, 4e-3  # 1 s
@@ -54,7 +55,10 @@ def _trace() -> Trace:
         mujoco.mj_kinematics(model, data)
         feet[k] = data.site_xpos
     force = np.where(lift[..., None] > 0, 0.0, np.array([10.0, 0.0, 60.0]))
+    case = compose([]).case
     return Trace(
+        world=case,
+        belief=case,
         model=model,
         time=time,
         qpos=qpos,

@@ -16,6 +16,7 @@ LABELS = {
     "base": {"x (m)", "y (m)", "z (m)", "tilt (deg)"},
     "feet": {f"leg {leg}\nheight (m)" for leg in range(1, 7)} | {"force (N)"},
     "paths": {"y (m)", "z (m)"},
+    "forces": {"N/P", "friction used", "margin to\nthe cone"},
 }
 
 
@@ -42,6 +43,14 @@ def test_axes_say_what_they_show(name, trace):
     figure = PLOTS[name](trace)
     assert {ax.get_ylabel() for ax in figure.axes} == LABELS[name]
     assert figure.axes[-1].get_xlabel() == ("x (m)" if name == "paths" else "time (s)")
+
+
+def test_forces_are_measured_against_the_surface_under_the_foot(trace):
+    """A loaded foot of the trace bears 60 N on the floor and 10 N along it, of a robot of 16 kg."""
+    load, used, left = (ax.lines[0].get_ydata() for ax in PLOTS["forces"](trace).axes)
+    assert load.max() == pytest.approx(60 / (16 * 9.81), rel=1e-3)
+    assert np.nanmax(used) == pytest.approx(1 / 6, rel=1e-3)
+    assert left.min() == pytest.approx(trace.world.contact.friction - 1 / 6, rel=1e-3)
 
 
 @pytest.mark.parametrize("suffix", ["png", "svg", "pdf"])

@@ -3,6 +3,7 @@
 from sweep.controllers.manoeuvres.ball import BallBalance, BallDrive
 from sweep.controllers.manoeuvres.beam import BeamCross, BeamWalk
 from sweep.controllers.manoeuvres.corner import CornerClimb
+from sweep.controllers.manoeuvres.corner_roof import CornerFull, CornerRoof
 from sweep.controllers.manoeuvres.pole import PoleClimb
 from sweep.controllers.manoeuvres.pole_descent import PoleDescent
 from sweep.controllers.manoeuvres.pole_ledge import PoleLedge
@@ -25,6 +26,8 @@ MANOEUVRES = {
     "beam_walk": BeamWalk,
     "beam_cross": BeamCross,
     "corner_climb": CornerClimb,
+    "corner_roof": CornerRoof,
+    "corner_full": CornerFull,
     "ball_balance": BallBalance,
     "ball_drive": BallDrive,
 }

@@ -37,7 +37,6 @@ class Site(NamedTuple):
     standoff: Array | float  # eta_f, of the vertical base
     span: Array | float  # from the rear to the front feet on the wall
     near: Array | float  # of the middle feet to the pair that swings next, at least
-    way: Array | float  # of a cycle of the gallop
     step: Step
 
     def at(self, x: Array | float, eta: Array | float, z: Array | float) -> Array:
@@ -64,8 +63,47 @@ class Site(NamedTuple):
 
 
 @parameters
-class CornerClimb(PlannedForces):
-    """On to the corner and up it by the modified gallop. Ratios are to the body's length a_r.
+class OnCorner(PlannedForces):
+    """What manoeuvres on a corner have in common. Ratios are to the body's length a_r."""
+
+    cycles: int = count(1, at_least=0, at_most=100)  # of the gallop
+    anchoring: float = quantity(0.03, "s", above=0)
+    track_ratio: float = quantity(1 / 3, "a_r", above=0, at_most=1)  # x_f
+    standoff_ratio: float = quantity(0.39, "a_r", above=0, at_most=2)  # eta_f
+    floor_track_ratio: float = quantity(0.43, "a_r", above=0, at_most=1)
+    span_ratio: float = quantity(1.3, "a_r", above=0, at_most=3)
+    near_ratio: float = quantity(0.24, "a_r", above=0, at_most=1)
+    height_ratio: float = quantity(0.5, "a_r", above=0, at_most=2)  # zeta_f
+    half_step_ratio: float = quantity(0.1, "a_r", above=0, at_most=0.5)  # d_x
+    lift_ratio: float = quantity(0.05, "a_r", above=0, at_most=0.5)  # d_y
+    rate: float = quantity(3.0, "rad/s", above=0, at_most=20)  # varpi
+    patience: float = quantity(0.5, "s", at_least=0)
+
+    def site(self, belief: Case) -> Site:
+        """What is believed of the robot and of the corner."""
+        a_r = belief.robot.body_length
+        track = self.track_ratio * a_r
+        return Site(
+            length=a_r,
+            track=track,
+            floor_track=self.floor_track_ratio * a_r,
+            edge=track / jnp.tan(belief.obstacle.half_angle),
+            clearance=self.height_ratio * a_r,
+            standoff=self.standoff_ratio * a_r,
+            span=self.span_ratio * a_r,
+            near=self.near_ratio * a_r,
+            step=Step(self.half_step_ratio * a_r, self.lift_ratio * a_r, stepping.swing_time(self.rate)),
+        )
+
+    def assembled(self, belief: Case, start: Stance, stages: list[Stage]) -> Plan:
+        """The plan with rests before its stages, and its forces."""
+        plan = assemble(start, [Stage("stand", STAND), *self.loading(stages), Stage("halt", STAND)], self.patience)
+        return self.gripped(belief, plan)
+
+
+@parameters
+class CornerClimb(OnCorner):
+    """On to the corner and up it by the modified gallop.
 
     Forces are planned (`PlannedForces`) where the book presses the feet into the walls by a fixed depth: before every
     swing load goes off the feet that are to swing, and standing feet are commanded to where they are. What else differs
@@ -78,40 +116,21 @@ class CornerClimb(PlannedForces):
     """
 
     kind: str = choice("corner_climb", "corner_climb")
-    cycles: int = count(1, at_least=0, at_most=100)  # of the gallop
-    track_ratio: float = quantity(1 / 3, "a_r", above=0, at_most=1)  # x_f
-    standoff_ratio: float = quantity(0.39, "a_r", above=0, at_most=2)  # eta_f
-    floor_track_ratio: float = quantity(0.43, "a_r", above=0, at_most=1)
-    span_ratio: float = quantity(1.3, "a_r", above=0, at_most=3)
-    near_ratio: float = quantity(0.24, "a_r", above=0, at_most=1)
-    way_ratio: float = quantity(0.14, "a_r", above=0, at_most=1)
-    height_ratio: float = quantity(0.5, "a_r", above=0, at_most=2)  # zeta_f
-    half_step_ratio: float = quantity(0.1, "a_r", above=0, at_most=0.5)  # d_x
-    lift_ratio: float = quantity(0.05, "a_r", above=0, at_most=0.5)  # d_y
-    rate: float = quantity(3.0, "rad/s", above=0, at_most=20)  # varpi
-    patience: float = quantity(0.5, "s", at_least=0)
+    rise_ratio: float = quantity(0.14, "a_r", at_least=0, at_most=100)  # of the whole gallop
 
     def plan(self, belief: Case) -> Plan:
         """Stand, get on, spread the feet, gallop, halt."""
-        a_r = belief.robot.body_length
-        track = self.track_ratio * a_r
-        site = Site(
-            length=a_r,
-            track=track,
-            floor_track=self.floor_track_ratio * a_r,
-            edge=track / jnp.tan(belief.obstacle.half_angle),
-            clearance=self.height_ratio * a_r,
-            standoff=self.standoff_ratio * a_r,
-            span=self.span_ratio * a_r,
-            near=self.near_ratio * a_r,
-            way=self.way_ratio * a_r,
-            step=Step(self.half_step_ratio * a_r, self.lift_ratio * a_r, stepping.swing_time(self.rate)),
-        )
-        start, on, feet = get_on(site)
-        spread, feet = spread_out(site, feet)
-        swings = self.loading([*on, *spread, *gallop(site, feet, self.cycles)])
-        plan = assemble(start, [Stage("stand", STAND), *swings, Stage("halt", STAND)], self.patience)
-        return self.gripped(belief, plan)
+        site = self.site(belief)
+        start, stages, feet = climb(site)
+        rise = self.rise_ratio * site.length
+        return self.assembled(belief, start, [*stages, *gallop(site, feet, rise, self.cycles)])
+
+
+def climb(site: Site) -> tuple[Stance, list[Stage], dict]:
+    """2.4.1 to 2.4.8: from the floor to where the gallop starts, with the feet's heights then."""
+    start, on, feet = get_on(site)
+    spread, feet = spread_out(site, feet)
+    return start, [*on, *spread], feet
 
 
 def get_on(site: Site) -> tuple[Stance, list[Stage], dict]:
@@ -156,15 +175,18 @@ def spread_out(site: Site, feet: dict) -> tuple[list[Stage], dict]:
     return stages, feet
 
 
-def gallop(site: Site, feet: dict, cycles: int) -> list[Stage]:
-    """2.4.2, end: the middle feet go near the pair that swings next, up with the base and down again."""
-    stages, feet = [], dict(feet)
+def gallop(site: Site, feet: dict, rise: Array | float, cycles: int) -> list[Stage]:
+    """2.4.2, end: the middle feet go near the pair that swings next, up with the base and down again.
+
+    The feet's heights are `rise` (m) more after all cycles, and the middle ones' those of the rear ones and `near`.
+    """
+    stages, feet, way = [], dict(feet), rise / max(cycles, 1)
     for k in range(cycles):
         low = feet[FRONT] - site.near
-        feet[FRONT] = feet[FRONT] + site.way
+        feet[FRONT] = feet[FRONT] + way
         stages.append(site.swing(f"gallop{k + 1}.up", site.on_wall(MIDDLE, low), 1.5, position=site.between(feet)))
         stages.append(site.swing(f"gallop{k + 1}.front", site.on_wall(FRONT, feet[FRONT])))
-        feet[REAR] = feet[REAR] + site.way
+        feet[REAR] = feet[REAR] + way
         stages.append(site.swing(f"gallop{k + 1}.down", site.on_wall(MIDDLE, feet[REAR] + site.near)))
         stages.append(site.swing(f"gallop{k + 1}.rear", site.on_wall(REAR, feet[REAR])))
     return stages

@@ -1,0 +1,58 @@
+"""How the feet of a trace hold on: their forces on the surfaces under them, as they were and as they were planned."""
+
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from sweep.controllers.forces import PlannedForces
+from sweep.engines.base import Trace
+from sweep.metrics.stream import LOADED
+from sweep.models.obstacles.surface import no_bodies, poses
+from sweep.models.robot import total_mass
+from sweep.models.scene import GRAVITY
+
+
+class Hold(NamedTuple):
+    """Forces of the feet over F frames."""
+
+    normal: np.ndarray  # (F, 6), in the robot's weights
+    friction: np.ndarray  # (F, 6), tangential over normal force; nan below a load of `LOADED`
+
+
+def measured(trace: Trace) -> Hold:
+    """What the fixed surfaces of the world did."""
+    return _hold(trace, trace.foot_force)
+
+
+def planned(trace: Trace) -> Hold | None:
+    """What was planned for the same moments; nothing where no forces were."""
+    manoeuvre = trace.belief.manoeuvre
+    if not isinstance(manoeuvre, PlannedForces):
+        return None
+    plan, force = jax.jit(_plan)(trace.belief)
+    number = np.arange(len(trace.stage))
+    first = np.maximum.accumulate(np.where(np.diff(trace.stage, prepend=-1) != 0, number, 0))
+    tick = trace.time[1] - trace.time[0]
+    phase = np.clip((trace.time - trace.time[first] + tick) / np.asarray(plan.duration)[trace.stage], 0, 1)
+    knots = force.shape[1] - 1
+    before = np.minimum((phase * knots).astype(int), knots - 1)
+    share = (phase * knots - before)[:, None, None]
+    force = np.asarray(force)
+    return _hold(trace, (1 - share) * force[trace.stage, before] + share * force[trace.stage, before + 1])
+
+
+def _plan(belief):
+    plan = belief.manoeuvre.plan(belief)
+    return plan, belief.manoeuvre.course(belief, plan).force
+
+
+def _hold(trace: Trace, force: np.ndarray) -> Hold:
+    """`force` (F, 6, 3) in parts normal and tangential to the surface nearest to each foot."""
+    feet = trace.foot_position.reshape(-1, 3).astype(np.float32)
+    surface = trace.world.obstacle.surface(feet, (-1,) * len(feet), poses(no_bodies()))
+    normals = np.asarray(surface.normal, float).reshape(force.shape)
+    normal = np.sum(force * normals, axis=-1)
+    tangential = np.linalg.norm(force - normal[..., None] * normals, axis=-1)
+    friction = np.where(normal > LOADED, tangential / np.maximum(normal, LOADED), np.nan)
+    return Hold(normal / (GRAVITY * total_mass(trace.world.robot)), friction)
