@@ -9,7 +9,7 @@ from sweep.parameters import InputError
 CHOICES = [
     f"{group}={file.name.removesuffix('.yaml')}" for group in GROUPS for file in (files("sweep.conf") / group).iterdir()
 ]
-SHARED = ("pole_sizes", "pole_unknown_sizes", "ball_draws", "ball_unknown")  # called after their scenario
+SHARED = ("pole_sizes", "pole_unknown_sizes", "ball_sizes", "ball_unknown")  # called after their scenario
 
 
 @pytest.mark.parametrize("choice", CHOICES)

@@ -41,3 +41,9 @@ def play(case: Case, plan: Plan) -> dict[str, jax.Array]:
         return (stance.feet[-1], stance.position[-1]), seen
 
     return jax.lax.scan(stage, (plan.start.feet, plan.start.position), jnp.arange(len(plan.names)))[1]
+
+
+def played(case: Case) -> tuple[Plan, dict[str, jax.Array]]:
+    """The case's own plan, and what it asks for."""
+    plan = jax.jit(lambda case: case.manoeuvre.plan(case))(case)
+    return plan, play(case, plan)

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_pole_top import play
+from playing import played
 
 from sweep.case import Case
 from sweep.config import compose
@@ -32,7 +32,7 @@ def test_the_ledge_is_as_high_as_the_book_has_it(request, case):
 
 
 def test_links_stay_in_reach_clear_of_pole_and_ledge_and_apart(case):
-    plan, seen = play(case)
+    plan, seen = played(case)
     first = plan.names.index("ledge.back")
     assert seen["shortfall"].max() == 0
     assert seen["clearance"][first:].min() > 0
@@ -40,7 +40,7 @@ def test_links_stay_in_reach_clear_of_pole_and_ledge_and_apart(case):
 
 
 def test_the_mass_centre_stays_over_the_standing_feet(case):
-    plan, _ = play(case)
+    plan, _ = played(case)
     first = plan.names.index("ledge.back")
     assert margins(case, plan)[first:].min() > 0.03  # m
 
@@ -61,7 +61,7 @@ def margins(case: Case, plan: Plan) -> jax.Array:
 
 
 def test_it_ends_level_on_the_ledge_and_stands_off_every_edge_on_the_way(case):
-    plan, seen = play(case)
+    plan, seen = played(case)
     feet = np.asarray(plan.foothold[plan.names.index("ledge.back") :]).reshape(-1, 3)
     beyond = -feet[:, 1] - RADIUS
     on_top = np.isclose(feet[:, 2], case.obstacle.height, atol=0.005)  # some are pressed in by 3 mm
@@ -80,7 +80,7 @@ def test_it_follows_what_is_believed(case):
         robot = replace(case.robot, body_length=LENGTH * scale[0], body_width=0.5 * scale[1], thigh=0.52 * scale[2],
                         shin=0.335 * scale[3])  # fmt: skip
         other = replace(case, robot=robot, obstacle=replace(case.obstacle, radius=RADIUS * scale[4]))
-        plan, seen = play(other)
+        plan, seen = played(other)
         first = plan.names.index("ledge.back")
         assert seen["shortfall"].max() < 0.005
         assert seen["clearance"][first:].min() > -0.005

@@ -6,24 +6,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from playing import U, play
+from playing import U
 
 from sweep.case import Case
 from sweep.config import compose
 from sweep.controllers.manoeuvres.pole_top import RIM
-from sweep.controllers.plan import Plan, along_guides
+from sweep.controllers.plan import along_guides
 from sweep.maths import matrix
 
 
 @pytest.fixture(scope="module")
 def case() -> Case:
     return compose(["scenario=pole_top", "manoeuvre.forces=deepening"]).case
-
-
-def played(case: Case) -> tuple[Plan, dict[str, jax.Array]]:
-    """The plan, and what it asks for."""
-    plan = jax.jit(lambda case: case.manoeuvre.plan(case))(case)
-    return plan, play(case, plan)
 
 
 def test_links_stay_in_reach_clear_of_the_pole_and_apart(case):
