@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from playing import U
+from playing import U, played
 
 from sweep.case import Case
 from sweep.config import compose
