@@ -15,16 +15,8 @@ from jaxtyping import Array, Float
 
 from sweep.case import Case
 from sweep.controllers.gaits import TRIPOD
-from sweep.controllers.manoeuvres.corner import (
-    FRONT,
-    MIDDLE,
-    REAR,
-    OnCorner,
-    Site,
-    climb,
-    gallop,
-)
-from sweep.controllers.manoeuvres.pole import pair, point
+from sweep.controllers.manoeuvres.corner import FRONT, MIDDLE, REAR, OnCorner, Site, climb, gallop
+from sweep.controllers.manoeuvres.pole import curves, pair, point
 from sweep.controllers.plan import CYCLE_B_SMOOTH, SMOOTH, Plan, Stage, Stance
 from sweep.formulas.leg import SIDE
 from sweep.parameters import choice, count, parameters, quantity
@@ -143,10 +135,9 @@ def over_edge(site: Site, belief: Case) -> list[Stage]:
         swing, guides = {}, {}
         if event.legs is not None and event.to is not None:
             swing = spot(site, belief, event.legs, event.to)
-            for leg, place in swing.items():
-                way = site.length * np.array([float(SIDE[leg - 1]), -1.0, 1.0])
-                leave, land = way * np.array(event.leave), way * np.array(event.land)
-                guides[leg] = jnp.stack([feet[event.legs][leg] + leave, place + land])
+            ahead = site.length * np.array([1.0, -1.0, 1.0])
+            leave, land = ahead * np.array(event.leave), ahead * np.array(event.land)
+            guides = curves(feet[event.legs], swing, leave, land)
             feet[event.legs] = swing
         centre = point(0.0, -event.base.ahead * site.length, belief.obstacle.height + event.base.above * site.length)
         turn = point(np.radians(pitch - event.base.pitch), 0.0, 0.0)

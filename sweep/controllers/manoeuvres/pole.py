@@ -192,8 +192,8 @@ def off_floor(site: Site, start: dict[int, Array], end: dict[int, Array]) -> dic
 
     The printed flat cycle drags a foot along the floor where the base hangs lower than planned.
     """
-    up, out = point(0.0, 0.0, 0.3 * site.length), point(0.1 * site.length, 0.0, 0.0)
-    return {leg: jnp.stack([start[leg] + up, end[leg] + float(SIDE[leg - 1]) * out]) for leg in end}
+    up, out = np.array([0.0, 0.0, 0.3]), np.array([0.1, 0.0, 0.0])
+    return curves(start, end, site.length * up, site.length * out)
 
 
 def shift_up(site: Site) -> list[Stage]:
@@ -214,6 +214,17 @@ def gallop(site: Site, cycles: int, rise: Array | float) -> list[Stage]:
         stages.append(Stage(name, site.step.time, site.on_pole(GALLOP[k % 3], 0.0, goal), CYCLE_A, site.step.height,
                             OUTWARD, carry=1 / 3, position=centre))  # fmt: skip
     return stages
+
+
+def curves(
+    start: dict[int, Array], end: dict[int, Array], leave: Array | np.ndarray, land: Array | np.ndarray
+) -> dict[int, Float[Array, "2 3"]]:
+    """Guides of swings by leg: `leave` from where they start, `land` from where they end (m; out to the side, y, z)."""
+    guides = {}
+    for leg, goal in end.items():
+        out = np.array([float(SIDE[leg - 1]), 1.0, 1.0])
+        guides[leg] = jnp.stack([start[leg] + out * leave, goal + out * land])
+    return guides
 
 
 def pair(legs: Sequence[int], x: Array | float, y: Array | float, z: Array | float) -> dict[int, Array]:

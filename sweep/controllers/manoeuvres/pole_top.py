@@ -22,9 +22,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.case import Case
-from sweep.controllers.manoeuvres.pole import FRONT, MIDDLE, OUTWARD, REAR, PoleClimb, Site, pair, point
+from sweep.controllers.manoeuvres.pole import FRONT, MIDDLE, OUTWARD, REAR, PoleClimb, Site, curves, pair, point
 from sweep.controllers.plan import CYCLE_B, SMOOTH, Plan, Stage, Stance
-from sweep.formulas.leg import SIDE
 from sweep.parameters import choice, count, parameters
 
 RIM = 0.875  # r' / r, keeps feet off the rim of the top
@@ -81,11 +80,7 @@ def centre(site: Site, ahead: float, above: float) -> Float[Array, " 3"]:
 
 def lofted(site: Site, start: Footholds, end: Footholds, first: tuple, last: tuple) -> dict[int, Float[Array, "2 3"]]:
     """Guides of swings: `first` from where they start and `last` from where they land, outward, ahead and up in a_r."""
-    guides = {}
-    for leg in end:
-        way = site.length * np.array([float(SIDE[leg - 1]), 1.0, 1.0])
-        guides[leg] = jnp.stack([start[leg] + way * np.array(first), end[leg] + way * np.array(last)])
-    return guides
+    return curves(start, end, site.length * np.array(first), site.length * np.array(last))
 
 
 def to_the_edge(site: Site) -> list[Stage]:
