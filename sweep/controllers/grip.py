@@ -29,8 +29,13 @@ def creep(plan: Plan, grip: Grip, stage: Int[Array, ""], clock: Float[Array, ""]
 
 
 def offset(grip: Grip, stage: Int[Array, ""], phase: Float[Array, ""]) -> Float[Array, "6 3"]:
-    """Planned offset of the targets (rad), linear between its moments."""
-    last = grip.offset.shape[1] - 1
+    """Planned offset of the targets (rad)."""
+    return between(grip.offset, stage, phase)
+
+
+def between(moments: Float[Array, "s k 6 3"], stage: Int[Array, ""], phase: Float[Array, ""]) -> Float[Array, "6 3"]:
+    """What is planned for k even moments of every stage, at `phase` (0 to 1) of one: linear between them."""
+    last = moments.shape[1] - 1
     before = jnp.minimum((phase * last).astype(jnp.int32), last - 1)
     share = phase * last - before
-    return (1 - share) * grip.offset[stage, before] + share * grip.offset[stage, before + 1]
+    return (1 - share) * moments[stage, before] + share * moments[stage, before + 1]

@@ -1,11 +1,13 @@
 """How the feet of a trace hold on: their forces on the surfaces under them, as they were and as they were planned."""
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
-from sweep.controllers.forces import PlannedForces
+from sweep.controllers.grip import between
 from sweep.engines.base import Trace
 from sweep.metrics.stream import LOADED
 from sweep.models.obstacles.surface import no_bodies, poses
@@ -27,24 +29,20 @@ def measured(trace: Trace) -> Hold:
 
 def planned(trace: Trace) -> Hold | None:
     """What was planned for the same moments; nothing where no forces were."""
-    manoeuvre = trace.belief.manoeuvre
-    if not isinstance(manoeuvre, PlannedForces):
-        return None
     plan, force = jax.jit(_plan)(trace.belief)
+    if force is None:
+        return None
     number = np.arange(len(trace.stage))
     first = np.maximum.accumulate(np.where(np.diff(trace.stage, prepend=-1) != 0, number, 0))
     tick = trace.time[1] - trace.time[0]
     phase = np.clip((trace.time - trace.time[first] + tick) / np.asarray(plan.duration)[trace.stage], 0, 1)
-    knots = force.shape[1] - 1
-    before = np.minimum((phase * knots).astype(int), knots - 1)
-    share = (phase * knots - before)[:, None, None]
-    force = np.asarray(force)
-    return _hold(trace, (1 - share) * force[trace.stage, before] + share * force[trace.stage, before + 1])
+    force = jax.vmap(partial(between, force))(jnp.asarray(trace.stage), jnp.asarray(phase, float))
+    return _hold(trace, np.asarray(force))
 
 
 def _plan(belief):
     plan = belief.manoeuvre.plan(belief)
-    return plan, belief.manoeuvre.course(belief, plan).force
+    return plan, None if plan.grip is None else belief.manoeuvre.course(belief, plan).force
 
 
 def _hold(trace: Trace, force: np.ndarray) -> Hold:
