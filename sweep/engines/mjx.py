@@ -71,7 +71,7 @@ class Mjx:
                 # on the host: among devices it would take their collective operations, which can hang
                 if np.all(np.asarray(carry.pilot.running.over)):
                     break
-            return {name: np.asarray(values) for name, values in finish(plans, carry).items()}
+            return {name: np.asarray(values) for name, values in finish(world, plans, carry).items()}
 
     def trace(self, world: Case, belief: Case, streams: np.ndarray, slot: int) -> Trace:
         """The rollout in `slot`, simulated in its batch so that its numbers are those of `run`."""
@@ -85,7 +85,7 @@ class Mjx:
                 records.append(jax.tree.map(lambda x: np.asarray(x)[:, slot // local], record))
                 if bool(carry.pilot.running.over[slot]):
                     break
-            figures = {name: np.asarray(values)[slot] for name, values in finish(plans, carry).items()}
+            figures = {name: np.asarray(values)[slot] for name, values in finish(world, plans, carry).items()}
         record = jax.tree.map(lambda *parts: np.concatenate(parts), *records)
         return batching.to_trace(*one, record, self.settings.control_period, self.stages, figures)
 
@@ -126,7 +126,8 @@ class Mjx:
         start = on_devices(jax.vmap(self._start, in_axes=(*axes, 0)), in_specs=(*specs, split), out_specs=split)
         recorded = (split, PartitionSpec(None, devices.BATCH))
         chunk = on_devices(chunk, in_specs=(*specs, split, split, whole, whole), out_specs=recorded)
-        finish = on_devices(jax.vmap(self._finish), in_specs=(split, split), out_specs=split)
+        finish = jax.vmap(self._finish, in_axes=(axes[0], 0, 0))
+        finish = on_devices(finish, in_specs=(specs[0], split, split), out_specs=split)
         options = devices.compiler_options(moving=bool(self.topology.free))
         return jax.jit(start), jax.jit(chunk, donate_argnums=3, compiler_options=options), jax.jit(finish)
 
@@ -137,8 +138,8 @@ class Mjx:
         energy = self.physics.energy(world, state)
         return plan, Carry(state, embark(world, belief, plan, start, energy, key))
 
-    def _finish(self, plan: Plan, carry: Carry) -> dict[str, Array]:
-        return stream.figures(plan, carry.pilot.running, carry.pilot.tracker.stage)
+    def _finish(self, world: Case, plan: Plan, carry: Carry) -> dict[str, Array]:
+        return stream.figures(world, plan, carry.pilot.running, carry.pilot.tracker.stage)
 
     def _tick(
         self, world: Case, belief: Case, plan: Plan, carry: Carry, tick: Array, quiet: bool

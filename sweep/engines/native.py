@@ -130,7 +130,7 @@ class Native:
                 pilots, commands, controls = tick(*arrays[:2], plans, pilots, commands, steps, k + 1)
                 if bool(np.all(pilots.running.over)):
                     break
-            return {name: np.asarray(values) for name, values in finish(plans, pilots).items()}, records
+            return {name: np.asarray(values) for name, values in finish(arrays[0], plans, pilots).items()}, records
 
     def _models(self, world: Case) -> tuple[list[mujoco.MjModel], np.ndarray]:
         """Each row's model, and which rows cannot be built: absurd sizes, in whose place the nominal model runs."""
@@ -174,12 +174,12 @@ class Native:
             forces = self._pushes(world, k * period)
             return pilot, command, jnp.concatenate([torques, forces], axis=1)
 
-        def finish(plan: Plan, pilot: Pilot) -> dict[str, Array]:
-            return stream.figures(plan, pilot.running, pilot.tracker.stage)
+        def finish(world: Case, plan: Plan, pilot: Pilot) -> dict[str, Array]:
+            return stream.figures(world, plan, pilot.running, pilot.tracker.stage)
 
         over = (*axes, 0, 0, 0, 0, None)
         return (jax.jit(jax.vmap(start, in_axes=(*axes, 0))), jax.jit(jax.vmap(tick, in_axes=over)),
-                jax.jit(jax.vmap(finish)))  # fmt: skip
+                jax.jit(jax.vmap(finish, in_axes=(axes[0], 0, 0))))  # fmt: skip
 
     def _pushes(self, world: Case, start: Array) -> Float[Array, "n f"]:
         """Outside wrenches on all bodies in the tick's steps: force, then torque, world axes."""

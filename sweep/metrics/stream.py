@@ -14,7 +14,7 @@ from sweep.maths import conjugate, multiply, rotate
 from sweep.metrics.geometry import box_corners, leg_gap, link_points, support_margin
 from sweep.metrics.outcome import FREE_BODY_CAUSES, TIMED_CAUSES, Thresholds
 from sweep.models.contact import to_body, to_world
-from sweep.models.obstacles.surface import Bodies, FreeState, poses
+from sweep.models.obstacles.surface import Bodies, FreeState, no_bodies, poses
 from sweep.models.robot import total_mass
 from sweep.models.scene import GRAVITY
 
@@ -73,8 +73,8 @@ class Running(NamedTuple):
     clearance: Float[Array, ""]
     gap: Float[Array, ""]
     tilt: Float[Array, ""]
-    end_tilt: Float[Array, ""]  # deg, of the base from level
-    on_target: Int[Array, ""]  # feet on the face on which they are to end
+    quat: Float[Array, " 4"]  # of the base
+    feet: Float[Array, "6 3"]  # m
     heading: Float[Array, ""]
     shortfall: Float[Array, ""]
     position_error: Float[Array, ""]
@@ -112,8 +112,8 @@ def begin(
         touchdown=to_body(feet, world.obstacle.surface(feet, (-1,) * 6, bodies).body, bodies), slip=zero,
         load=jnp.full(6, 2 * LOADED, dtype), margin=far, torque=three, saturated=three, friction=zero,
         friction_use=zero, normal=zero,
-        clearance=far, gap=far, tilt=zero, end_tilt=zero,
-        on_target=jnp.int32(0), heading=zero, shortfall=zero, position_error=zero, residual=zero,
+        clearance=far, gap=far, tilt=zero, quat=plan.start.quat, feet=feet, heading=zero, shortfall=zero,
+        position_error=zero, residual=zero,
         start=position, position=position, travel=zero, travel_time=zero,
         body_start=free.position, body=free.position, body_tail=free.position, tail_time=zero, body_moved=zero,
         body_aside=zero, ride_height=far if free.position.shape[0] else zero, finished=no, finite=yes,
@@ -167,8 +167,8 @@ def update(
         clearance=jnp.minimum(running.clearance, jnp.min(-depth - radius)),
         gap=jnp.minimum(running.gap, leg_gap(tick.joints[:, -3:]) - 2 * robot.link_radius),
         tilt=jnp.maximum(running.tilt, tilt),
-        end_tilt=_from_level(tick.quat),
-        on_target=_on_target(world, plan, tick),
+        quat=tick.quat,
+        feet=tick.joints[:, -1],
         heading=jnp.maximum(running.heading, heading),
         shortfall=jnp.maximum(running.shortfall, command.shortfall),
         position_error=jnp.maximum(running.position_error, jnp.linalg.norm(tick.position - command.target.position)),
@@ -233,12 +233,9 @@ def _from_level(quat: Array) -> Float[Array, ""]:
     return jnp.degrees(jnp.arctan2(jnp.sqrt(x**2 + y**2 + 1e-14), jnp.sqrt(w**2 + z**2 + 1e-14)) * 2)
 
 
-def _on_target(world: Case, plan: Plan, tick: Tick) -> Int[Array, ""]:
-    """How many feet are at the face of the obstacle on which the plan's last footholds are, where nothing moves."""
-    feet = tick.joints[:, -1]
-    if world.obstacle.free_bodies:
-        return jnp.int32(0)
-    here, there = (world.obstacle.surface(p, (-1,) * 6, tick.bodies) for p in (feet, plan.foothold[-1]))
+def _on_target(world: Case, plan: Plan, feet: Float[Array, "6 3"]) -> Int[Array, ""]:
+    """How many feet are at the face of the obstacle, which has no free bodies, on which the last footholds are."""
+    here, there = (world.obstacle.surface(p, (-1,) * 6, poses(no_bodies())) for p in (feet, plan.foothold[-1]))
     return jnp.sum((here.face == there.face) & (here.depth > -AT_FACE)).astype(jnp.int32)
 
 
@@ -271,7 +268,7 @@ def _note_causes(limits: Thresholds, running: Running, stage: Array, unheld: Boo
     )
 
 
-def figures(plan: Plan, running: Running, stage: Int[Array, ""]) -> dict[str, Array]:
+def figures(world: Case, plan: Plan, running: Running, stage: Int[Array, ""]) -> dict[str, Array]:
     """The row's figures by column name, units in the name."""
     length = path_length(plan)
     left = jnp.linalg.norm(running.position - plan.position[-1])
@@ -287,7 +284,7 @@ def figures(plan: Plan, running: Running, stage: Int[Array, ""]) -> dict[str, Ar
         "distance_m": jnp.linalg.norm((running.position - running.start)[:2]),
         "speed_mps": running.travel / jnp.maximum(running.travel_time, 1e-9),
         "tilt_max_deg": running.tilt,
-        "end_tilt_deg": running.end_tilt,
+        "end_tilt_deg": _from_level(running.quat),
         "heading_error_max_deg": running.heading,
         "position_error_max_m": running.position_error,
         "reach_shortfall_max_m": running.shortfall,
@@ -310,7 +307,7 @@ def figures(plan: Plan, running: Running, stage: Int[Array, ""]) -> dict[str, Ar
         out["obstacle_aside_max_m"] = running.body_aside  # sideways of the world's x axis
         out["obstacle_speed_mps"] = jnp.linalg.norm(along)  # mean over the last TAIL seconds
     else:
-        out["feet_on_target"] = running.on_target
+        out["feet_on_target"] = _on_target(world, plan, running.feet)
     for k, joint in enumerate(("alpha", "beta", "gamma")):
         out[f"torque_peak_{joint}_nm"] = running.torque[k]
         out[f"saturation_share_{joint}"] = running.saturated[k] / time
