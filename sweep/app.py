@@ -82,9 +82,8 @@ def execute(exp: Experiment, flags: Flags) -> int:
             print(f"sweep: {line}", file=sys.stderr)
             store.log(folder, line)
         done, start = 0, time.perf_counter()
-        for job in (
-            refine.rounds(exp, folder, first) if exp.study.refined and whole else [runner.lay_out(exp, folder, first)]
-        ):
+        refining = exp.study.refined and whole
+        for job in refine.rounds(exp, folder, first) if refining else [runner.lay_out(exp, folder, first)]:
             todo = len(job.rows(job.missing()))
             with reporting(exp.study.name, todo) as report:
                 job = runner.run(job, report, dispatch)
