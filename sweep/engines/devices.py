@@ -24,6 +24,8 @@ GPU_ROLLOUT = 64 << 10  # bytes of a rollout on a GPU with room to spare: 14 to 
 def configure() -> None:
     """Process-wide choices of JAX: exact matrix products, and compiled programs kept between processes."""
     jax.config.update("jax_default_matmul_precision", "highest")  # TF32 lets the robot sink and the solver wander
+    if jax.__version_info__ < (0, 12):  # its newer partitioner crashes on programs for several devices
+        jax.config.update("jax_use_shardy_partitioner", False)
     if jax.config.jax_compilation_cache_dir is None:
         home = os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")
         jax.config.update("jax_compilation_cache_dir", str(Path(home) / "insect-sweep"))
