@@ -7,7 +7,7 @@ is a centre of the forces that do nearly as well, not their extreme: it changes 
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -22,7 +22,7 @@ from sweep.models.arrowhead import inverse_3x3
 from sweep.models.obstacles.surface import no_bodies, poses
 from sweep.models.robot import Robot, total_mass
 from sweep.models.scene import GRAVITY
-from sweep.parameters import parameters, quantity
+from sweep.parameters import choice, parameters, quantity
 
 Effort = Literal["friction", "torque", "normal"]
 _LEVEL: dict[Effort, str] = {"friction": "friction", "torque": "torque", "normal": "most_normal"}
@@ -242,6 +242,7 @@ def surface_normals(belief: Case, feet: Float[Array, "6 3"]) -> Float[Array, "6 
 class PlannedForces:
     """What a manoeuvre that holds on with planned forces needs to be told of them; a base of its own parameters."""
 
+    effort: str = choice("friction", "friction", "torque", "normal")  # of which the forces ask for the least
     load_time: float = quantity(0.4, "s", above=0, at_most=10)  # for load to go from foot to foot before a swing
     friction_share: float = quantity(1.0, "-", above=0, at_most=1)  # of the believed friction, planned with at most
     torque_share: float = quantity(0.85, "-", above=0, at_most=1)  # of the believed drives' limit
@@ -254,10 +255,10 @@ class PlannedForces:
         return [s for stage in stages for s in (Stage(f"{stage.name}.load", self.load_time), stage)]
 
     def course(self, belief: Case, plan: Plan) -> Course:
-        """The forces of least friction along `plan`."""
+        """The forces of least `effort` along `plan`."""
         bounds = Bounds(self.friction_share * belief.contact.friction, self.torque_share * belief.drive.torque_limit,
                         self.least_normal)  # fmt: skip
-        return along(belief, plan, bounds, "friction")
+        return along(belief, plan, bounds, cast(Effort, self.effort))
 
     def gripped(self, belief: Case, plan: Plan) -> Plan:
         """`plan` with its `course` as offsets of what the believed drives are told (`Grip`)."""

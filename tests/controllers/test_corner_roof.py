@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from playing import play
@@ -10,8 +9,9 @@ from playing import play
 from sweep.case import Case
 from sweep.config import compose
 from sweep.controllers import forces
-from sweep.controllers.manoeuvres.corner_roof import below_edge, over_edge, walk_on
-from sweep.controllers.plan import Plan, Stance, assemble
+from sweep.controllers.manoeuvres.corner_roof import walk_on
+from sweep.controllers.plan import Plan, assemble
+from sweep.errors import InputError
 from sweep.formulas.leg import SIDE
 from sweep.maths import matrix
 
@@ -22,24 +22,19 @@ def case() -> Case:
 
 
 def plan_of(case: Case) -> Plan:
-    """From the end of the gallop on, without the forces."""
-    site, feet = case.manoeuvre.site(case), {}
-    heights = below_edge(site, case.obstacle.height)
-    for legs, height in heights.items():
-        feet |= site.on_wall(legs, height)
-    places = jnp.stack([feet[leg] for leg in range(1, 7)])
-    start = Stance(places, site.between(heights), jnp.array([0.5, -0.5, -0.5, -0.5]))
-    return assemble(start, [*over_edge(site, case), *walk_on(site, case, 10, 0.1)], 0.5)
+    """The whole way, without the forces and the rests that they need."""
+    site, start, stages = case.manoeuvre.ascend(case)
+    return assemble(start, [*stages, *walk_on(site, case, 10, 0.1)], 0.5)
 
 
-@pytest.mark.parametrize("change", [1.0, 1.01])
+@pytest.mark.parametrize("change", [0.99, 1.0, 1.01])
 def test_links_stay_in_reach_clear_of_the_house_and_apart(case, change):
-    robot = replace(case.robot, body_length=1.05 * change, thigh=0.52 / change)
+    robot = replace(case.robot, body_length=1.05 * change, thigh=0.52 / change, shin=0.335 * change)
     other = replace(case, robot=robot)
     seen = play(other, plan_of(other))
     assert seen["shortfall"].max() < 0.001
-    assert seen["clearance"].min() > 0
-    assert seen["gap"].min() > 0
+    assert seen["clearance"].min() > 0.01
+    assert seen["gap"].min() > 0.03
     # a leg whose foot passes under its hip turns over at once
     out = SIDE * np.asarray(seen["feet"])[..., 0]
     assert out.min() > robot.body_width / 2
@@ -52,6 +47,17 @@ def test_the_robot_ends_level_on_the_roof_off_its_edges(case):
     np.testing.assert_allclose(feet[:, 2], case.obstacle.height, atol=1e-6)
     assert np.all(np.abs(feet[:, 0]) < -feet[:, 1] * np.tan(case.obstacle.half_angle) - 0.05)
     np.testing.assert_allclose(matrix(seen["quat"][-1, -1])[2], [0, 0, 1], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("height", "told"),
+    [(2.0, "obstacle.height = 2 is not allowed: at least 2.07 m"),
+     (3.0, "manoeuvre.cycles = 2 is not allowed: at least 4 for obstacle.height = 3 m")],
+)  # fmt: skip
+def test_a_house_that_the_gallop_does_not_end_at_is_refused(case, height, told):
+    other = replace(case, obstacle=replace(case.obstacle, height=height))
+    with pytest.raises(InputError, match=told):
+        other.manoeuvre.plan(other)
 
 
 @pytest.mark.slow

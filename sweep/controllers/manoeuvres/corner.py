@@ -13,7 +13,7 @@ from jaxtyping import Array
 from sweep.case import Case
 from sweep.controllers.forces import PlannedForces
 from sweep.controllers.gaits import GALLOP, Step
-from sweep.controllers.manoeuvres.pole import OUTWARD, TOWARDS, pair, point
+from sweep.controllers.manoeuvres.pole import OUTWARD, TOWARDS, UP, pair, point
 from sweep.controllers.plan import CYCLE_B_SMOOTH, SMOOTH, Plan, Stage, Stance, assemble
 from sweep.formulas import stepping
 from sweep.formulas.leg import SIDE
@@ -22,7 +22,9 @@ from sweep.parameters import choice, count, parameters, quantity
 STAND = 0.5  # s, before the first and after the last swing
 FRONT, MIDDLE, REAR = GALLOP
 PITCH = np.arcsin([0.0, 0.42, 0.5, 1.0])  # after each of the first three swings: sin theta = zeta_s/a_r of (2.4.1)
-# e of stage 2.4.5
+FIRST_TRACK = 1.2  # of the front feet in 2.4.1, over x_f
+# e of stages 2.4.3 and 2.4.5
+RISING = OUTWARD + UP
 SLANTED = SIDE[:, None] * np.array([1.0, 0.0, 0.0]) + np.array([0.0, 0.0, 0.9])
 
 
@@ -43,9 +45,9 @@ class Site(NamedTuple):
         """A point by the book's eta."""
         return point(x, eta - self.edge, z)
 
-    def on_wall(self, legs: tuple[int, int], height: Array | float) -> dict[int, Array]:
-        """Footholds of a pair."""
-        return pair(legs, self.track, -self.edge, height)
+    def on_wall(self, legs: tuple[int, int], height: Array | float, wider: float = 1.0) -> dict[int, Array]:
+        """Footholds of a pair, `wider` times the track apart."""
+        return pair(legs, wider * self.track, -wider * self.edge, height)
 
     def on_floor(self, legs: tuple[int, int], eta: Array | float) -> dict[int, Array]:
         """Footholds of a pair."""
@@ -110,9 +112,10 @@ class CornerClimb(OnCorner):
     from the printed plan: x_f is a_r/3 and eta_f 0.39 a_r, which need less friction than the book's 0.374 a_r; feet on
     the floor stand wider than on the walls, and the front ones x* farther ahead, else front and middle legs cross; the
     middle feet stand 0.6 x* nearer to the corner, and the base pitches up a little less in 2.4.2, or the middle legs do
-    not reach the floor; the front feet touch the wall x*/2 higher, where their shins clear it; swings with a moving
-    base take 2 to 2.6 t*; 2.4.4's 9 x* are along zeta; 2.4.7 is left out, and the feet are spread from the start, since
-    the longer the lever from the lower to the upper feet, the less friction is needed.
+    not reach the floor, and in 2.4.3 they leave it upwards, or are out of reach; the front feet touch the wall x*/2
+    higher and farther apart (FIRST_TRACK), where their shins clear it; swings with a moving base take 2 to 2.6 t*;
+    2.4.4's 9 x* are along zeta; 2.4.7 is left out, and the feet are spread from the start, since the longer the lever
+    from the lower to the upper feet, the less friction is needed.
     """
 
     kind: str = choice("corner_climb", "corner_climb")
@@ -154,9 +157,9 @@ def get_on(site: Site) -> tuple[Stance, list[Stage], dict]:
     rear = site.clearance - 3 * x
     upright = np.zeros((6, 3)) + np.array([0.0, 0.0, 1.0])
     stages = [
-        site.swing("2.4.1", site.on_wall(FRONT, front), 2.0, **pitched(0)),
+        site.swing("2.4.1", site.on_wall(FRONT, front, FIRST_TRACK), 2.0, **pitched(0)),
         site.swing("2.4.2", site.on_floor(REAR, site.standoff + a_r - 4.75 * x), 2.0, upright, **pitched(1)),
-        site.swing("2.4.3", site.on_wall(MIDDLE, middle), 2.6, **pitched(2)),
+        site.swing("2.4.3", site.on_wall(MIDDLE, middle), 2.6, RISING, **pitched(2)),
         site.swing("2.4.4", site.on_wall(FRONT, front + 9 * x)),
         site.swing("2.4.5", site.on_wall(REAR, rear), plane=SLANTED),
     ]

@@ -7,10 +7,12 @@ every stance the friction and the torque that the best foot forces need, the leg
 the house and to one another.
 """
 
+import math
 from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from sweep.case import Case
@@ -18,6 +20,7 @@ from sweep.controllers.gaits import TRIPOD
 from sweep.controllers.manoeuvres.corner import FRONT, MIDDLE, REAR, OnCorner, Site, climb, gallop
 from sweep.controllers.manoeuvres.pole import curves, pair, point
 from sweep.controllers.plan import CYCLE_B_SMOOTH, SMOOTH, Plan, Stage, Stance
+from sweep.errors import InputError
 from sweep.formulas.leg import SIDE
 from sweep.parameters import choice, count, parameters, quantity
 
@@ -58,9 +61,9 @@ class Event(NamedTuple):
 
 EVENTS: tuple[Event, ...] = (
     Event("roof.middle.up", Pose(0.152, -0.568, 90.9), MIDDLE, Wall(0.324, -0.389),
-          leave=(0.044, -0.35, 0.09), land=(0.045, -0.071, -0.008)),
+          leave=(0.105, -0.133, 0.0), land=(0.138, -0.1, 0.01)),
     Event("roof.front.on", Pose(0.018, -0.404, 72.4), FRONT, Roof(0.538, 0.587),
-          leave=(0.12, -0.266, 0.197), land=(-0.025, -0.036, 0.099)),
+          leave=(0.373, -0.079, 0.014), land=(-0.015, 0.008, 0.191)),
     Event("roof.middle.near", Pose(-0.040, -0.316, 70.2), MIDDLE, Wall(0.41, -0.32),
           leave=(0.245, -0.316, 0.335), land=(0.344, -0.054, 0.109)),
     Event("roof.rear.up", Pose(-0.057, -0.179, 56.3), REAR, Wall(0.272, -0.571),
@@ -79,6 +82,7 @@ EVENTS: tuple[Event, ...] = (
           leave=(0.078, -0.147, -0.057), land=(0.134, -0.346, 0.337)),
 )  # fmt: skip
 BELOW = 0.029  # a_r, of the front feet under the edge when the first event begins
+MOST_RISE = 0.28  # a_r, of a cycle of the gallop; from 0.35 on front and middle legs cross
 TIMES = 2.0  # t*, of an event
 # when walking on the roof (a_r)
 BRINK = 0.05  # of feet behind its edges, along y
@@ -87,17 +91,40 @@ NARROWEST = 0.28  # half the distance between a pair's feet
 
 @parameters
 class CornerRoof(OnCorner):
-    """From the floor on to the corner, up it, and over the edge on to the roof."""
+    """From the floor on to the corner, up it, and over the edge on to the roof.
+
+    For houses that reach above the front feet where the gallop begins, which goes the rest in `cycles`.
+    """
 
     kind: str = choice("corner_roof", "corner_roof")
     cycles: int = count(2, at_least=1, at_most=100)  # of the gallop, which goes as far as the house is high
 
     def ascend(self, belief: Case) -> tuple[Site, Stance, list[Stage]]:
-        """Climb until the front feet are below the edge, and get over it."""
+        """Climb until the front feet are below the edge, and get over it.
+
+        Raises `InputError` where the house is too low, or too high for the cycles, by plain numbers; rows in which
+        it is too low are not a number, hence invalid.
+        """
         site, top = self.site(belief), belief.obstacle.height
         start, stages, feet = climb(site)
-        up = gallop(site, feet, below_edge(site, top)[FRONT] - feet[FRONT], self.cycles)
+        rise = below_edge(site, top)[FRONT] - feet[FRONT]
+        if not isinstance(rise, Tracer):
+            self.refuse(belief, float(rise), float(MOST_RISE * site.length))
+        up = gallop(site, feet, jnp.where(rise >= 0, rise, jnp.nan), self.cycles)
         return site, start, [*stages, *up, *over_edge(site, belief)]
+
+    def refuse(self, belief: Case, rise: float, most: float) -> None:
+        """Raise `InputError` where the gallop cannot go up by `rise` (m), `most` (m) a cycle."""
+        top, needed = belief.obstacle.height, math.ceil(rise / most)
+        if rise < 0:
+            least = math.ceil(100 * (top - rise)) / 100
+            raise InputError(
+                f"obstacle.height = {top:g} is not allowed: at least {least:g} m for manoeuvre = {self.kind}"
+            )
+        if needed > self.cycles:
+            raise InputError(
+                f"manoeuvre.cycles = {self.cycles} is not allowed: at least {needed} for obstacle.height = {top:g} m"
+            )
 
     def plan(self, belief: Case) -> Plan:
         """Get on to the roof, halt."""
@@ -158,15 +185,16 @@ def spot(site: Site, belief: Case, legs: tuple[int, int], to: Wall | Roof) -> di
 def walk_on(site: Site, belief: Case, steps: int, way: Array | float) -> list[Stage]:
     """Swings by tripod, in each of which the base goes `way` (m) on. Where the roof is narrow, so are the tracks.
 
-    In the first two the feet go to their places and the base rests.
+    In the first two the feet go beside their hips and the base rests: farther on middle feet would meet the front legs.
     """
     top, stages = belief.obstacle.height, []
     base = -EVENTS[-1].base.ahead * site.length
     for k in range(steps):
-        base = base - (way if k >= len(TRIPOD) else 0.0)
+        on = way if k >= len(TRIPOD) else 0.0
+        base = base - on
         swing = {}
         for leg in TRIPOD[k % 2]:
-            hip = base - way / 2 + (1 - (leg - 1) // 2) * site.length / 2
+            hip = base - on / 2 + (1 - (leg - 1) // 2) * site.length / 2
             swing[leg] = on_roof(site, belief, leg, hip)
         stages.append(Stage(f"on{k + 1}", site.step.time, swing, CYCLE_B_SMOOTH, site.step.height, pace=SMOOTH,
                             position=point(0.0, base, top + site.clearance)))  # fmt: skip
