@@ -17,8 +17,11 @@ from sweep.parameters import InputError
 
 
 def nominal_plan(belief: Case) -> Plan:
-    """The plan by plain numbers. Raises `InputError` where they admit none; a swept row is then invalid."""
-    plan = belief.manoeuvre.plan(belief)
+    """The plan by plain numbers. Raises `InputError` where they admit none; a swept row is then invalid.
+
+    The compiler has the numbers as constants and works most of the plan out itself, sooner than operation by operation.
+    """
+    plan = jax.jit(lambda: belief.manoeuvre.plan(belief))()
     if not all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(plan)):
         kinds = f"manoeuvre = {belief.manoeuvre.kind} on obstacle = {belief.obstacle.kind}"
         raise InputError(f"{kinds} has no plan for the sizes given: a foothold or a path is out of the robot's reach")

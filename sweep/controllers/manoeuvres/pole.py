@@ -10,7 +10,6 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from scipy.interpolate import PchipInterpolator
 
 from sweep.case import Case
 from sweep.controllers.forces import PlannedForces
@@ -30,7 +29,10 @@ UP = np.array([0.0, 0.0, 1.0])
 # Pitch (rad) after each of the five swings on to the pole. The printed sin(theta) = v_f t / a_r ends with an infinite
 # rate, and has the middle hips too low for their feet at the end of their swing.
 PITCH = np.radians([0.0, 14.5, 31.0, 60.0, 68.0, 90.0])
-PITCH_RATE = PchipInterpolator(np.arange(6), PITCH).derivative()(np.arange(6))  # rad per swing
+RISE = np.diff(PITCH)
+PITCH_RATE = np.array([  # rad per swing, of the monotone cubic through them: harmonic means, and one-sided at the ends
+    (3 * RISE[0] - RISE[1]) / 2, *(2 * RISE[:-1] * RISE[1:] / (RISE[:-1] + RISE[1:])), (3 * RISE[-1] - RISE[-2]) / 2
+])  # fmt: skip
 # How far in front of the pole's axis the feet first touch it, in r, and how much more for every a_r by which r passes
 # 0.4 a_r. The printed 0 puts the front shins 34 mm into the pole. A foot that touches it at the angle psi in front of
 # its side needs a friction of tan(psi) to stay there (2.1): farther ahead than the shins need is not better.
