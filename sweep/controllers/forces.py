@@ -11,6 +11,7 @@ from typing import Literal, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from sweep.case import Case
@@ -27,9 +28,9 @@ from sweep.parameters import choice, parameters, quantity
 Effort = Literal["friction", "torque", "normal"]
 _LEVEL: dict[Effort, str] = {"friction": "friction", "torque": "torque", "normal": "most_normal"}
 
-BALANCE_STEPS = 24  # of Newton's method, from no balance to the first centre
-ROUNDS, ROUND_STEPS = 40, 2  # levels that the effort is pressed down to, and Newton steps below each
-SLACK = (0.05, 0.01)  # first and last level, above the largest effort
+ROUND_STEPS = 2  # Newton steps of a round
+# By how much each round's level lies above the largest effort: first no level, from no balance to the first centre.
+SLACK = np.array([1e12] * 12 + list(np.geomspace(0.05, 0.01, 40)), np.float32)
 LENGTHS = (1.0, 0.7, 0.5, 0.3, 0.15, 0.07, 0.03, 0.01)  # of a Newton step, of which the longest that fits is taken
 FOCUS = 8.0  # weight of the pressed bounds against all others
 KEEP = 0.2  # of the room to a bound that a step has to leave
@@ -102,9 +103,8 @@ def distribute(pose: Pose, bounds: Bounds, least: Effort) -> Forces:
         lower = levels._replace(**{_LEVEL[least]: jnp.minimum(level, getattr(levels, _LEVEL[least]))})
         return jax.lax.fori_loop(0, ROUND_STEPS, lambda _, f: scaled.towards_centre(f, lower, least), force), None
 
-    force = jax.lax.fori_loop(0, BALANCE_STEPS, lambda _, f: scaled.towards_centre(f, levels, least),
-                              scaled.first(levels))  # fmt: skip
-    force, _ = jax.lax.scan(one_round, force, jnp.geomspace(*SLACK, ROUNDS, dtype=force.dtype))
+    first = scaled.first(levels)
+    force, _ = jax.lax.scan(one_round, first, jnp.asarray(SLACK, first.dtype))
     sound = jnp.all(jnp.isfinite(force))  # far from any solution Newton's method may break down
     force = jnp.where(sound, force, 0.0)
     efforts = {name: jnp.max(scaled.effort(force, name)) for name in _LEVEL}
