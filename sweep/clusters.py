@@ -45,12 +45,20 @@ class DaskLocal:
     def connect(self) -> Iterator[Dispatch]:
         """Start the workers; a lost one is started again."""
         distributed = _dask("distributed", self.kind)
+        from tornado.ioloop import PeriodicCallback
+
         with (
             distributed.LocalCluster(n_workers=self.workers, threads_per_worker=1, memory_limit=0, **QUIET) as cluster,
             distributed.Client(cluster) as client,
         ):
             client.register_worker_callbacks(setup=_ignore_interrupt)
-            yield partial(_spread, client)
+            # Dask starts a lost worker again, but not one that is lost before it has said that it started
+            mend = PeriodicCallback(lambda: cluster.scale(self.workers), MEND)
+            cluster.loop.add_callback(mend.start)
+            try:
+                yield partial(_spread, client)
+            finally:
+                cluster.loop.add_callback(mend.stop)
 
 
 @dataclass(frozen=True)
@@ -120,8 +128,9 @@ def connected(cluster: "Cluster") -> Iterator[Dispatch]:
 
 CLUSTERS = {"local": Local, "dask_local": DaskLocal, "dask_address": DaskAddress, "slurm": Slurm}
 Cluster = Local | DaskLocal | DaskAddress | Slurm
-QUIET_SCHEDULER: dict[str, Any] = {"dashboard": False, "dashboard_address": None}
-QUIET: dict[str, Any] = {"dashboard_address": None, "silence_logs": logging.CRITICAL}
+MEND = 5000  # ms between two looks for workers that are lost
+QUIET_SCHEDULER: dict[str, Any] = {"dashboard": False, "dashboard_address": "localhost:0"}  # where no port is taken
+QUIET: dict[str, Any] = {"scheduler_kwargs": QUIET_SCHEDULER, "silence_logs": logging.CRITICAL}
 
 
 def _dask(module: str, kind: str) -> Any:
