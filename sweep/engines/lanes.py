@@ -142,7 +142,7 @@ def _results(out: Any, batched: bool, cost: int = 0) -> list[Lane]:
 def _elementwise(eqn: Any, args: list[Lane]) -> Any:
     """Operands of one rank and the batch; JAX lets single numbers stand beside arrays."""
     rank = max(jnp.ndim(x.value) - x.batched for x in args)
-    whole = eqn.primitive.name in ("select_n", "clamp")  # which do not stretch axes of length 1
+    whole = eqn.primitive.name in ("select_n", "clamp", "add_any")  # which do not stretch axes of length 1
     values = []
     for x in args:
         value, ndim = jnp.asarray(x.value), jnp.ndim(x.value) - x.batched

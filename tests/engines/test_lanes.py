@@ -39,8 +39,12 @@ def loops(x, m, k, shared):
     return last, rows, branch, noise, jax.lax.fori_loop(0, 3, lambda i, y: jnp.cos(y + i), x)
 
 
+def derivatives(x, m, k, shared):
+    return jax.grad(lambda s: jnp.sum(s * shared) + jnp.sum(s * x))(x), jax.jvp(jnp.linalg.norm, (m,), (m**2,))
+
+
 @pytest.mark.parametrize("kept_from", [1, 1 << 40])
-@pytest.mark.parametrize("function", [arithmetic, algebra, shapes, indices, loops])
+@pytest.mark.parametrize("function", [arithmetic, algebra, shapes, indices, loops, derivatives])
 def test_equals_vmap(function, kept_from):
     rng = np.random.default_rng(0)
     args = (rng.normal(size=(3, B)), rng.normal(size=(3, 3, B)), rng.integers(0, 3, B), rng.normal(size=3))
