@@ -22,6 +22,7 @@ SYMBOLS = dict(zip(KINDS, ("α", "β", "γ"), strict=True))
 ACTUAL, SECOND, REFERENCE = "#0072b2", "#d55e00", "0.25"
 SMOOTHED = 25  # ticks, over which the speed of a body is averaged
 SLANTED_STAGES = 10  # more names than this stand upright
+NAMED_STAGE = 0.012  # of the time shown: the name of a shorter stage would lie over the next one
 BOOK_TORQUE = 75.2  # N m, the unit of figures 2.3.5 and 2.3.6: about the body's moment of gravity on a pole
 
 
@@ -242,6 +243,8 @@ def _finish(figure: Figure, axes: np.ndarray, trace: Trace) -> Figure:
 
 def _name_stages(ax: Axes, trace: Trace, starts: np.ndarray) -> None:
     marks = ax.secondary_xaxis("top")
+    lasts = np.diff(trace.time[[*starts, -1]])
+    starts = starts[lasts > NAMED_STAGE * (trace.time[-1] - trace.time[0])]
     names = [trace.stages[trace.stage[k]] for k in starts]
     if len(starts) <= SLANTED_STAGES:
         marks.set_xticks(trace.time[starts], names, rotation=25, ha="left", size="x-small")

@@ -33,10 +33,9 @@ RISE = np.diff(PITCH)
 PITCH_RATE = np.array([  # rad per swing, of the monotone cubic through them: harmonic means, and one-sided at the ends
     (3 * RISE[0] - RISE[1]) / 2, *(2 * RISE[:-1] * RISE[1:] / (RISE[:-1] + RISE[1:])), (3 * RISE[-1] - RISE[-2]) / 2
 ])  # fmt: skip
-# How far in front of the pole's axis the feet first touch it, in r, and how much more for every a_r by which r passes
-# 0.4 a_r. The printed 0 puts the front shins 34 mm into the pole. A foot that touches it at the angle psi in front of
-# its side needs a friction of tan(psi) to stay there (2.1): farther ahead than the shins need is not better.
-AHEAD = {FRONT: (0.44, 1.5), MIDDLE: (0.25, 1.0), REAR: (0.1, 0.0)}
+# How far in front of the pole's axis middle and rear feet first touch it, in r, and how much more for every a_r by
+# which r passes 0.4 a_r. For the front feet both are parameters.
+AHEAD = {MIDDLE: (0.25, 1.0), REAR: (0.1, 0.0)}
 # How far below where the gallop starts, in x*; printed as 4 for all, where the front shins touch, of thin poles first.
 BELOW = {FRONT: 0.5, MIDDLE: 4.0, REAR: 4.0}
 
@@ -51,11 +50,12 @@ class Site(NamedTuple):
     track: Array | float  # of a foot on the floor from the plane x = 0
     clearance: Array | float  # d, of the base above the floor
     standoff: Array | float  # d_c, of the vertical base from the pole's axis
+    front_ahead: tuple[Array | float, Array | float]  # as `AHEAD`, of the front feet
     step: Step
 
     def ahead(self, legs: tuple[int, int]) -> Array | float:
         """How far in front of the pole's axis a pair first touches it (m)."""
-        share, more = AHEAD[legs]
+        share, more = {FRONT: self.front_ahead, **AHEAD}[legs]
         return (share + more * (self.radius / self.length - 0.4)) * self.radius
 
     @property
@@ -85,9 +85,10 @@ class PoleClimb(PlannedForces):
     The feet are pressed on to the pole by footholds inside it, as printed, or by planned forces.
 
     For robots with legs along their sides, and poles from 0.32 to 0.52 a_r. What differs from the printed plan, and
-    why: `PITCH`, `AHEAD`, `BELOW`; d_c, printed 0.47 a_r, where the base touches poles thicker than 0.45 a_r; feet on
-    the floor stay as far from the hips whatever the pole, printed at its radius, where knees meet before thin poles;
-    and in `get_on` the rear feet's step on the floor, when the front feet go up, and how feet leave the floor.
+    why: `PITCH`, `front_ahead`, `AHEAD`, `BELOW`; d_c, printed 0.47 a_r, where the base touches poles thicker than
+    0.45 a_r; feet on the floor stay as far from the hips whatever the pole, printed at its radius, where knees meet
+    before thin poles; and in `get_on` the rear feet's step on the floor, when the front feet go up, and how feet leave
+    the floor.
     """
 
     kind: str = choice("pole_climb", "pole_climb")
@@ -98,6 +99,11 @@ class PoleClimb(PlannedForces):
     height_ratio: float = quantity(0.5, "a_r", above=0, at_most=2)  # d
     gap_ratio: float = quantity(0.07, "a_r", at_least=0, at_most=2)  # d_c - r
     spread_ratio: float = quantity(0.175, "a_r", above=0, at_most=1)  # of feet on the floor from their hips, sideways
+    # How far in front of the pole's axis the front feet first touch it, and how much more for every a_r by which r
+    # passes 0.4 a_r. The printed 0 puts their shins 34 mm into the pole. A foot that touches it at the angle psi in
+    # front of its side needs a friction of tan(psi) to stay there (2.1): farther ahead than shins need is no better.
+    front_ahead: float = quantity(0.44, "r", at_least=0, at_most=1)
+    front_ahead_slope: float = quantity(1.5, "r/a_r", at_least=0, at_most=10)
     rate: float = quantity(3.0, "rad/s", above=0, at_most=20)  # varpi
     deepening: float = quantity(5e-3, "m", at_least=0, at_most=0.05)  # epsilon, footholds inside the pole
     patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
@@ -109,7 +115,8 @@ class PoleClimb(PlannedForces):
         step = Step(self.half_step_ratio * length, self.lift_ratio * length, stepping.swing_time(self.rate))
         track = belief.robot.body_width / 2 + self.spread_ratio * length
         return Site(length, pole.radius, pole.height, pole.radius - self.deepening, track, self.height_ratio * length,
-                    pole.radius + self.gap_ratio * length, step)  # fmt: skip
+                    pole.radius + self.gap_ratio * length, (self.front_ahead, self.front_ahead_slope),
+                    step)  # fmt: skip
 
     def climb(
         self, site: Site, belief: Case, rise: Array | float, gap: Array | float = 0.0

@@ -17,8 +17,8 @@ What differs from the print, and why:
 - The rear feet go half-way over the top, 0.27 r ahead, before they go to the ledge (printed: where the middle feet
   stood).
 - `BELOW` is printed with a base that stays level until 2.3.4.3 and front, middle and rear feet that stand on the pole's
-  side meanwhile. Here the base pitches down by 31 to 44 degrees, so that the front feet reach the ledge at once, and no
-  foot goes to the side. While the middle feet are on the top their hips stay 0.36 a_r above it: lower, their knees
+  side meanwhile. Here the base pitches down by 28 to 50 degrees, so that the front feet reach the ledge at once, and no
+  foot goes to the side. While the middle feet are on the top their hips stay 0.34 a_r above it: lower, their knees
   sink below the top's edge, since thighs are longer than shins.
 - Stages take 1.5 to 2 t*, and swings go along Bezier curves that come down from above.
 """
@@ -84,12 +84,14 @@ ABOVE = (
     Move("rear2", (0.62, 0.87), REAR, ON_LEDGE, (1.0, 0.08), (0.05, -0.185, 0.24), (-0.03, 0.175, 0.11), 2.0),
 )
 BELOW = (
-    Move("back", (-0.48, 0.69)),
-    Move("front", (-0.554, 0.374), FRONT, ON_LEDGE, (1.04, 0.13), (0.46, -0.31, 0.21), (0.32, 0.47, 0.42), 2.0, 0.546),
-    Move("middle", (-0.408, 0.366), MIDDLE, ON_TOP, TOP[FRONT], pitch=0.592),
-    Move("front2", (-0.28, 0.409), FRONT, ON_LEDGE, (1.094, 0.425), pitch=0.75),
-    Move("middle2", (0.234, 0.186), MIDDLE, ON_LEDGE, (0.916, 0.194), (0.116, -0.15, 0.234), (0.074, 0.425, 0.3),
-         pitch=0.775),
+    Move("back", (-0.484, 0.696), pitch=-0.037),
+    Move("front", (-0.574, 0.376), FRONT, ON_LEDGE, (1.041, 0.108), (0.355, -0.432, 0.158), (0.194, 0.484, 0.38), 2.0,
+         0.499),
+    Move("middle", (-0.421, 0.342), MIDDLE, ON_TOP, TOP[FRONT], pitch=0.61),
+    Move("front2", (-0.3, 0.409), FRONT, ON_LEDGE, (1.206, 0.419), (0.126, -0.022, 0.244), (0.085, 0.004, 0.202),
+         pitch=0.875),
+    Move("middle2", (0.288, 0.185), MIDDLE, ON_LEDGE, (0.906, 0.218), (0.133, -0.128, 0.262), (0.081, 0.411, 0.359),
+         pitch=0.806),
     Move("ahead", (0.342, 0.154), pitch=0.767),
     Move("rear", (0.394, 0.118), REAR, ON_TOP, (0.825, -0.27), (0.115, -0.17, 0.146), (-0.14, 0.14, 0.08), pitch=0.607),
     Move("middle3", (0.349, 0.15), MIDDLE, ON_LEDGE, (0.961, 0.397), pitch=0.55),
