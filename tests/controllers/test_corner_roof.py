@@ -61,8 +61,10 @@ def test_a_house_that_the_gallop_does_not_end_at_is_refused(case, height, told):
 
 
 @pytest.mark.slow
-def test_every_stance_is_held_with_less_friction_than_the_gallop(case):
-    """The book's friction is 1.1; the gallop needs 1.06, the way over the edge no more."""
-    course = forces.along(case, plan_of(case), forces.Bounds(1.1, 0.85 * 380.0, 8.0), "friction")
+def test_the_way_over_the_edge_needs_no_more_friction_than_the_climb(case):
+    """The book's friction is 1.1; the climb needs 1.06."""
+    plan = plan_of(case)
+    course = forces.along(case, plan, forces.Bounds(1.1, 0.85 * 380.0, 8.0), "friction")
+    needed, over = np.asarray(course.planned.friction.max(axis=1)), np.char.startswith(plan.names, "roof.")
     assert float(course.planned.imbalance.max()) < 0.01
-    assert 1.0 < float(course.planned.friction.max()) < 1.06
+    assert needed[over].max() <= needed[~over].max() < 1.07
