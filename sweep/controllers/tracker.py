@@ -12,6 +12,7 @@ from sweep.case import Case
 from sweep.controllers import flywheel, grip
 from sweep.controllers.frames import to_frame, to_world
 from sweep.controllers.observation import Observation
+from sweep.controllers.observer import Observer, followed
 from sweep.controllers.plan import BALANCE, Plan, Posture, Stance, reference
 from sweep.controllers.posture import feet_in_world
 from sweep.formulas import leg, stepping
@@ -36,6 +37,7 @@ class TrackerState(NamedTuple):
     finished: Bool[Array, ""]
     goal: Float[Array, "6 3"]  # m, footholds at the end of the stage, in its frames, of a guided manoeuvre
     memory: Any  # of a guided manoeuvre
+    observer: Observer | None  # of the obstacle's free bodies, of such a manoeuvre
 
 
 class Guidance(NamedTuple):
@@ -70,6 +72,8 @@ def joint_targets(robot: Robot, stance: Stance) -> tuple[Float[Array, "6 3"], Fl
 class Guided(Protocol):
     """A manoeuvre whose stages are re-derived from what is measured."""
 
+    observer: Array | float  # s, time constant in which the free bodies' measured poses are taken over
+
     def memory(self, belief: Case, plan: Plan) -> Any:
         """What its feedback remembers, at the start."""
         ...
@@ -93,7 +97,7 @@ def init(belief: Case, plan: Plan) -> TrackerState:
         stage=jnp.int32(0), clock=zero, feet=feet,
         position=_place(to_frame, plan.start.position, plan.base_frame[0], free), error=jnp.zeros(3, zero.dtype),
         turn=jnp.zeros(3, zero.dtype), joints=joints, origin=joints, finished=jnp.asarray(False), goal=feet,
-        memory=memory,
+        memory=memory, observer=None if memory is None else Observer(free, free),
     )  # fmt: skip
 
 
@@ -102,6 +106,9 @@ def step(
 ) -> tuple[TrackerState, Command]:
     """One control tick of `period` seconds."""
     old, manoeuvre = state, belief.manoeuvre
+    if state.observer is not None:
+        observer = followed(state.observer, seen.free, manoeuvre.observer, period)
+        state, seen = state._replace(observer=observer), seen._replace(free=observer.second)
     state = _advance(belief, plan, state._replace(clock=state.clock + period), seen, period)
     if plan.grip is not None:
         state = state._replace(feet=grip.anchored(belief.robot, plan, plan.grip, state.stage, state.feet, seen, period))

@@ -48,6 +48,15 @@ def test_the_law_of_every_tick_brings_the_ball_back():
     assert abs(rows["obstacle_x_m"][0]) < 0.045
 
 
+def test_the_observer_bears_an_error_of_the_attitude():
+    """5 mrad at every tick throw off a robot whose feet follow the ball as it is seen."""
+    overrides = ["scenario=ball_balance", "engine=native", "manoeuvre.law=tick", "manoeuvre.stages=3"]
+    overrides += ["noise.body_orientation_noise=0.005"]
+    rows = outcomes(overrides, 2, manoeuvre={"observer": np.array([0.0, 0.1])})
+    assert rows["outcome"].tolist() == ["failure", "success"], rows["cause"]
+    assert rows["slip_max_m"][1] < 0.01
+
+
 def test_engines_agree_on_what_it_recovers_from():
     """64 starts of which about half succeed; they may differ at the boundary of success."""
     offset, speed = (x.ravel() for x in np.meshgrid(np.linspace(-0.3, 0.3, 8), np.linspace(0, 0.3, 8)))

@@ -1,7 +1,9 @@
 """Standing on a free ball and driving it (monograph 3.1.1, 3.1.2).
 
 World axes: the robot faces x and the ball starts at the origin; the book's e is x. Feet stand in the ball's own axes,
-the base and swinging feet go in its Koenig frame, all from where the ball is seen at every control tick.
+the base and swinging feet go in its Koenig frame, all from where the ball is observed at every control tick. The drives
+are stiff: feet that follow its measured attitude as it comes, 1 mrad off at every tick, shake the robot off the ball.
+Therefore the pose goes through an observer, which steady rolling passes without lag.
 """
 
 from typing import NamedTuple
@@ -105,6 +107,7 @@ class BallBalance:
     chord_ratio: float = quantity(0.7, "d_1", above=0, at_most=1)  # d_2
     height_ratio: float = quantity(0.257, "a_r", above=0, at_most=2)  # of the base over the ball's top
     deepening: float = quantity(5e-4, "m", at_least=0, at_most=0.05)  # epsilon, feet inside the ball
+    observer: float = quantity(0.1, "s", at_least=0)  # in which the ball's measured pose is taken over; 0: at once
 
     def plan(self, belief: Case) -> Plan:
         """One stage each T; all feet stay."""
@@ -212,6 +215,7 @@ class BallDrive:
     chord_ratio: float = quantity(0.7, "d_1", above=0, at_most=1)  # d_2
     height_ratio: float = quantity(0.257, "a_r", above=0, at_most=2)  # of the base over the ball's top
     deepening: float = quantity(5e-4, "m", at_least=0, at_most=0.05)  # epsilon, feet inside the ball
+    observer: float = quantity(0.1, "s", at_least=0)  # in which the ball's measured pose is taken over; 0: at once
     ease: float = quantity(0.1, "s", above=0)  # in which feet go over to where they are measured
     patience: float = quantity(0.0, "s", at_least=0)  # longest wait for a touchdown, while the ball rolls on below
 
