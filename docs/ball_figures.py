@@ -1,17 +1,23 @@
-"""Draws docs/figures/ball_*.png, figs. 3.1.4 to 3.1.6 of the monograph from our own runs: speed of the ball, and the
-robot over it.
+"""Draws docs/figures/ball_*.png: figs. 3.1.4 to 3.1.6 of the monograph from our own runs (speed of the ball, and the
+robot over it), and how likely the robot stays on, from the rows of study=ball_noise.
 
 python docs/ball_figures.py [NAME ...]
+python docs/ball_figures.py ball_noise=results/ball_noise
 """
 
 import sys
 from dataclasses import replace
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
 
+from sweep import load
 from sweep.batches import Batch, make_engine
 from sweep.config import compose
+from sweep.intervals import wilson
 from sweep.trace.plots import PLOTS, save
 
 FIGURES = Path(__file__).parent / "figures"
@@ -35,6 +41,39 @@ def draw(name: str) -> Path:
     return path
 
 
+def draw_noise(rows: pd.DataFrame) -> Path:
+    """Share of rollouts that stay on, with 95 % intervals, against the error of the observed pose and the push."""
+    rows = rows[rows.outcome != "invalid"].assign(
+        error=1e3 * rows["noise.body_orientation_noise"],
+        delay=(4 * rows["noise.body_delay"]).astype(int).astype(str) + " ms late",
+        push=rows["execution.push_impulse"],
+        seen=(1e3 * rows["noise.body_orientation_noise"]).map("{:g} mrad off".format),
+    )
+    figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.4), sharey=True, layout="constrained")
+    _shares(left, rows[rows.push == 0], "error", "delay")
+    left.set(xlabel="error of attitude and place (mrad, mm)", ylabel="stay on for 30 s", title="not pushed")
+    _shares(right, rows[rows.error.isin([0, 20, 30, 40]) & (rows["noise.body_delay"] == 0)], "push", "seen")
+    right.set(xlabel="push from any side (N s)", title="no delay")
+    path = FIGURES / "ball_noise.png"
+    figure.savefig(path, dpi=110)
+    return path
+
+
+def _shares(axes: Axes, rows: pd.DataFrame, along: str, curve: str) -> None:
+    """One curve per value of `curve`, a little aside of each other."""
+    apart = 0.006 * np.ptp(rows[along])
+    for k, (label, some) in enumerate(rows.groupby(curve, sort=False)):
+        cell = (some.outcome == "success").groupby(some[along]).agg(["sum", "size"])
+        share, (low, high) = cell["sum"] / cell["size"], wilson(cell["sum"], cell["size"])
+        spread = np.clip([share - low, high - share], 0, None)
+        axes.errorbar(cell.index + k * apart, share, spread, marker="o", ms=4, capsize=2, lw=1, label=label)
+    axes.legend(fontsize=8)
+
+
 if __name__ == "__main__":
     for run in sys.argv[1:] or RUNS:
-        draw(run)
+        name, _, folder = run.partition("=")
+        if folder:
+            print(draw_noise(load(folder)))
+        else:
+            draw(name)
