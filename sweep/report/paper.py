@@ -73,7 +73,7 @@ def _rows(results: Results, out: Path) -> Path:
         results.rows.to_parquet(path, index=False, compression="zstd")
     else:
         path = out / "data" / "rows.csv"
-        results.rows.to_csv(path, index=False)
+        path.write_bytes(tables.csv(results.rows))
     return path
 
 
