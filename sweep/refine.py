@@ -254,6 +254,7 @@ class Refined:
     known: np.ndarray  # bool
     cells: tuple[np.ndarray, ...]  # see `leaves`
     rollouts: int
+    invalid: int  # of the rollouts
     audited: int
     missed: int  # audited points whose label is not what was filled in
     undecided: int  # points whose interval still holds the level
@@ -265,7 +266,8 @@ class Refined:
 
     def __str__(self) -> str:
         size = self.label.size
-        text = f"{self.rollouts} rollouts for a grid of {' x '.join(map(str, self.grid.shape))} points"
+        broken = f"{self.invalid} invalid ({percent(self.invalid / self.rollouts if self.rollouts else 0.0)})"
+        text = f"{self.rollouts} rollouts, {broken}, for a grid of {' x '.join(map(str, self.grid.shape))} points"
         text = ", ".join(self.names.values()) + f": {text}" if self.names else text
         if self.rollouts < size:
             text += f", {size / self.rollouts:.1f} times fewer"
@@ -293,7 +295,8 @@ def refined(exp: Experiment, rows: pd.DataFrame) -> list[Refined]:
         undecided = int(_undecided(exp.study, counts).sum()) if exp.study.noisy else 0
         known = counts.total > 0
         whole = np.where(known, label, promised)
-        found.append(Refined(names, grid, whole, known, cells, len(part), int(audit.sum()), missed, undecided))
+        invalid = int((part["outcome"] == "invalid").sum())
+        found.append(Refined(names, grid, whole, known, cells, len(part), invalid, int(audit.sum()), missed, undecided))
     return found
 
 

@@ -69,12 +69,13 @@ def volume(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
 class GridVolume:
     """Share of a full grid's box that succeeds, between the cells all of whose corners do and those any of which does.
 
-    What is smaller than a cell is not seen.
+    What is smaller than a cell is not seen. A corner without a valid rollout may be either.
     """
 
     share: float  # by the mean of the corners
     low: float
     high: float
+    invalid: int  # rollouts
 
 
 def grid_volume(rows: pd.DataFrame, exp: Experiment, level: float = 0.5) -> GridVolume:
@@ -97,7 +98,8 @@ def grid_volume(rows: pd.DataFrame, exp: Experiment, level: float = 0.5) -> Grid
     weights = sizes / sizes.sum()
     least, most = (np.nan_to_num(f(shifted, axis=0), nan=empty) for f, empty in ((np.min, 0), (np.max, 1)))
     mean = np.nan_to_num(np.mean(shifted, axis=0), nan=0.5)
-    return GridVolume(*(float((weights * part).sum()) for part in (mean, least, most)))
+    shares = (float((weights * part).sum()) for part in (mean, least, most))
+    return GridVolume(*shares, int(table["invalid"].sum()))
 
 
 def arms(rows: pd.DataFrame, exp: Experiment) -> Iterator[tuple[Axis, float, pd.DataFrame]]:

@@ -79,8 +79,11 @@ def test_a_grid_brackets_the_volume(study):
     assert found.low < np.pi / 4 < found.high
     assert found.share == pytest.approx(np.pi / 4, abs=0.02)
     assert found.high - found.low == pytest.approx(2 * 20 / 400, abs=0.03)  # a circle cuts about 2 n of n^2 cells
+    assert found.invalid == 0
     rows.loc[rows.index[3], "outcome"] = "invalid"
-    assert sensitivity.grid_volume(rows, exp).low < found.low
+    again = sensitivity.grid_volume(rows, exp)
+    assert again.low < found.low
+    assert again.invalid == 1
 
 
 def test_margins_reach_from_nominal_to_the_boundary(study):

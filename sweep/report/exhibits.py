@@ -16,7 +16,7 @@ from sweep.report.labels import CAUSE_COLOURS, SUCCESS, axis_words, heading
 from sweep.report.maps import pattern
 from sweep.report.results import Results, binned
 from sweep.report.tables import BOOKKEEPING
-from sweep.stats import percent, rates
+from sweep.stats import percent, rate, rates
 from sweep.store import figure_columns
 
 EFFECT_VALUES, EFFECT_BINS, HISTOGRAM_BINS, LINES, HISTOGRAMS = 50, 20, 30, 5, 12
@@ -65,7 +65,18 @@ def maps(results: Results) -> Iterator[Exhibit]:
                 f"Rate of success of {many} rollouts a cell{', ' + one.note if one.note else ''}, "
                 f"between the ends of its 95 % {sure}."
             )
-        yield Exhibit(f"map-{number}", title, caption + again, table, lambda one=one: slices.draw(results, one))
+        left_out = invalid(one.rows[one.rows["known"]] if one.refined else one.rows, "hatched")
+        yield Exhibit(
+            f"map-{number}", title, caption + left_out + again, table, lambda one=one: slices.draw(results, one)
+        )
+
+
+def invalid(rows: pd.DataFrame, where: str) -> str:
+    """How many of `rows` are invalid, where any is."""
+    found = rate(rows["outcome"])
+    if not found.invalid:
+        return ""
+    return f" Of {found.total} rollouts {found.invalid} ({percent(found.invalid_share)}) are invalid: {where}."
 
 
 def audited(results: Results) -> str:
@@ -100,6 +111,7 @@ def effects(results: Results) -> Iterator[Exhibit]:
         table = pd.concat(tables, ignore_index=True)
         caption = "Rate of success at each value of one parameter, over all others, with its 95 % Wilson interval."
     table = table[["axis", *by, *table.columns.drop(["axis", *by])]]
+    caption += invalid(results.rows, "left out")
     yield Exhibit("effects", "Each parameter alone", caption, table, lambda: _draw_effects(results, table, by))
 
 

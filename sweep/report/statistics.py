@@ -19,7 +19,8 @@ def sections(
     numbers = sensitivity.numeric(rows, listed)
     several = len(rows) > len(rows.drop_duplicates([a.column for a in listed])) if listed else bool(drawn)
     note = "; most were run next to the boundary, so this is not the region's share" if exp.study.refined else ""
-    yield "Rate of success", f"{rate(rows['outcome'])}{note}"
+    every = rate(rows["outcome"])
+    yield "Rate of success", f"{every}{note}"
     star = bool(numbers) and exp.study.design.grid == "one_at_a_time"
     if star:
         yield "Rate along each axis, the others nominal (Wilson, 95 %)", sensitivity.along(rows, exp)
@@ -33,7 +34,11 @@ def sections(
     if numbers and not several and not star:
         found = sensitivity.grid_volume(whole, exp)
         share, low, high = map(percent, (found.share, found.low, found.high))
-        yield "Share of the grid's box that succeeds", f"{share}; {low} to {high} by the cells on its boundary"
+        invalid = f"{found.invalid} rollouts invalid ({percent(every.invalid_share)}), which may be either"
+        yield (
+            "Share of the grid's box that succeeds",
+            f"{share}; {low} to {high} by the cells on its boundary; {invalid}",
+        )
     if numbers:
         yield "Margins: how far from nominal success holds", sensitivity.margins(whole, exp)
     if numbers and several:

@@ -37,6 +37,8 @@ def test_the_page_says_what_was_run_and_what_came_of_it(html, folder):
     success, invalid = (int((rows["outcome"] == word).sum()) for word in ("success", "invalid"))
     assert f"<strong>{success} of {len(rows) - invalid}</strong>" in html
     assert f"{invalid} of 180 are invalid (16.7 %)" in html
+    assert html.count(f"Of 180 rollouts {invalid} (16.7 %) are invalid: left out.") == 1  # below the rates
+    assert re.search(r"Of \d+ rollouts \d+ \(.+ %\) are invalid: hatched\.", html)  # below the maps
     assert "the base tilted beyond tilt_max_deg" in html
     assert "a number was not finite" in html
     assert store.read_study(folder)["code"] in html
