@@ -102,6 +102,8 @@ def done(results: Results) -> Iterator[tuple[str, pd.DataFrame]]:
         if (folder / way / store.STUDY).exists() and store.finished(folder / way):
             again = store.read_rows(folder / way)
             before = results.rows[results.rows["point_id"].isin(again["point_id"])]
+            if before.empty:  # other rows were chosen than those that were audited
+                continue
             yield way, compare.pair(before, again, ["point_id"])
 
 

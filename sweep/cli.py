@@ -43,6 +43,12 @@ def main(argv: list[str] | None = None) -> int:
     except BrokenPipeError:  # the reader, such as `head`, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
+    except (FileNotFoundError, FileExistsError, NotADirectoryError, IsADirectoryError, PermissionError) as error:
+        print(f"sweep: {error.filename}: {error.strerror}", file=sys.stderr)
+        return BAD_INPUT
+    except OSError as error:  # such as a full disk
+        print(f"sweep: {error}", file=sys.stderr)
+        return FAULT
 
 
 def parser() -> argparse.ArgumentParser:
@@ -236,6 +242,8 @@ def show_statistics(given: argparse.Namespace) -> int:
     if not 0 < given.level < 1:
         raise InputError(f"--level = {given.level:g} is not allowed: between 0 and 1")
     exp = experiment(store.read_study(given.dir)["config"])
+    if given.figure and exp.study.design.kind != "saltelli":
+        raise InputError("--figure is for Sobol indices, which need a study with study.design.kind=saltelli")
     sys.stdout.write(statistics.render(selected(given), exp, given.level, given.figure))
     return DONE
 

@@ -35,7 +35,9 @@ def mask(frame: pd.DataFrame, condition: str | None) -> np.ndarray:
         return np.ones(len(frame), dtype=bool)
     try:
         result = evaluate(condition, lambda name: frame[column(frame, name)].to_numpy())
-        return np.broadcast_to(np.asarray(result, dtype=bool), (len(frame),))
+        if np.asarray(result).dtype != bool:
+            raise SyntaxError
+        return np.broadcast_to(result, (len(frame),))
     except SyntaxError:
         raise InputError(
             f"where = {condition!r} is not a condition, such as 'friction > 0.8 and replicate == 0'"

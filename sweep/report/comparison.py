@@ -17,8 +17,8 @@ def text(pairs: pd.DataFrame, a: int, b: int, regions: list[str] | None = None) 
         f"{len(pairs)} pairs; {a - len(pairs)} rows of A and {b - len(pairs)} of B have none",
         str(compare.flips(pairs)),
     ]
+    axes = [column(pairs, name) for name in regions] if regions else default_regions(pairs)
     if compare.changed(pairs).any():
-        axes = [column(pairs, name) for name in regions] if regions else default_regions(pairs)
         if axes:
             parts += ["", f"By region ({', '.join(map(axis_words, axes))}):", page_table(compare.regions(pairs, axes))]
         parts += ["", "What became what:", page_table(compare.causes(pairs))]

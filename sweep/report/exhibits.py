@@ -20,6 +20,7 @@ from sweep.stats import percent, rate, rates
 from sweep.store import figure_columns
 
 EFFECT_VALUES, EFFECT_BINS, HISTOGRAM_BINS, LINES, HISTOGRAMS = 50, 20, 30, 5, 12
+REJECTED = 0.01  # p-value below which a fit is not drawn
 STYLES = (
     ("#0072B2", "-", "o"),
     ("#D55E00", "--", "s"),
@@ -97,7 +98,8 @@ def effects(results: Results) -> Iterator[Exhibit]:
         by, table = [], sensitivity.along(results.rows, results.exp)
         caption = (
             "Rate of success at each value of one parameter, the others nominal, with its 95 % Wilson interval; "
-            "dotted: logistic fit of the error on either side of the nominal value."
+            "dotted: logistic fit of the error on either side of the nominal value, "
+            f"unless the rates reject it (p < {REJECTED:g})."
         )
     else:
         tables = []
@@ -138,7 +140,10 @@ def _draw_fits(results: Results, spots: dict[str, Axes]) -> None:
         for sign in (-1, 1):
             here = sign * away >= 0
             if (most := np.abs(away[here]).max(initial=0)) > 0:
-                fit = sensitivity.logistic(np.abs(away[here]), rows["outcome"].to_numpy()[here] == "success")
+                success = rows["outcome"].to_numpy()[here] == "success"
+                fit = sensitivity.logistic(np.abs(away[here]), success)
+                if sensitivity.goodness(fit, np.abs(away[here]), success) < REJECTED:
+                    continue
                 size = np.linspace(0, most, 50)
                 spots[axis.column].plot(centre + sign * size, fit.probability(size)[0], ":", color="0.3", linewidth=1)
 

@@ -11,6 +11,7 @@ import pandas as pd
 
 from sweep import sensitivity, store
 from sweep.config import Experiment, experiment
+from sweep.errors import InputError
 from sweep.metrics.outcome import MEANING
 from sweep.query import mask
 from sweep.report import statistics
@@ -81,6 +82,8 @@ def read(folder: Path, where: str | None = None) -> Results:
     stored, rows = store.read_study(folder), store.read_rows(folder)
     if where:
         rows = rows[mask(rows, where)].reset_index(drop=True)
+        if rows.empty:
+            raise InputError(f"no row of {folder} matches where = {where!r}")
     return Results(folder, stored, experiment(stored["config"]), rows, where)
 
 

@@ -121,3 +121,27 @@ def test_list_describes_every_choice_and_needs_no_simulation():
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert "walk_map             Where walking works" in out
     assert out.endswith("set()\n")
+
+
+def test_mistakes_with_results_are_one_line_each(capsys, tmp_path):
+    assert main(["run", "study=walk_map", "study.axes.friction.num=2", "study.axes.step.num=2", "study.expect=[]"]) == 0
+    (tmp_path / "file").touch()
+    (tmp_path / "empty").mkdir()
+    results = "results/walk_map"
+    mistakes = [
+        (["run", "study=wlak_map"], "study = wlak_map is unknown: did you mean walk_map"),
+        (["report", "empty"], "empty is not a folder of results"),
+        (["report", results, "--where", "friction > 9"], "no row of results/walk_map matches where = 'friction > 9'"),
+        (["report", results, "-o", "file"], "file: File exists"),
+        (["export", results, "--paper", "file"], "file/figures: Not a directory"),
+        (["table", results, "-o", "none/rows.md"], "none/rows.md: No such file or directory"),
+        (["table", results, "--where", "friction"], "where = 'friction' is not a condition"),
+        (["stats", results, "--figure", "slip_max_m"], "need a study with study.design.kind=saltelli"),
+        (["compare", results, results, "--regions", "firction"], "column firction is unknown"),
+    ]
+    capsys.readouterr()
+    for arguments, message in mistakes:
+        assert main(arguments) == 2, arguments
+        error = capsys.readouterr().err
+        assert message in error
+        assert error.count("\n") == 1
