@@ -98,8 +98,8 @@ def grid_volume(rows: pd.DataFrame, exp: Experiment, level: float = 0.5) -> Grid
     weights = sizes / sizes.sum()
     least, most = (np.nan_to_num(f(shifted, axis=0), nan=empty) for f, empty in ((np.min, 0), (np.max, 1)))
     mean = np.nan_to_num(np.mean(shifted, axis=0), nan=0.5)
-    shares = (float((weights * part).sum()) for part in (mean, least, most))
-    return GridVolume(*shares, int(table["invalid"].sum()))
+    share, low, high = (float((weights * part).sum()) for part in (mean, least, most))
+    return GridVolume(share, low, high, int(table["invalid"].sum()))
 
 
 def arms(rows: pd.DataFrame, exp: Experiment) -> Iterator[tuple[Axis, float, pd.DataFrame]]:
