@@ -63,3 +63,24 @@ def test_a_not_finite_rollout_touches_no_other():
     out = lanes(lambda x: jnp.sum(jnp.sqrt(x) @ jnp.eye(3)) * x, (-1,), 1)(x)
     assert np.all(np.isnan(out[:, 2]))
     assert np.all(np.isfinite(np.delete(out, 2, axis=1)))
+
+
+def test_no_operation_moves_the_batch():
+    """Only indices that differ between rollouts may: elsewhere a transpose costs more than the arithmetic around it."""
+
+    def function(x, m):
+        written = m.at[TABLE].set(x), m.at[:, 1].add(x), jnp.zeros(6).at[1:4].set(x)
+        return (
+            m[TABLE],
+            m[:, TABLE[:2]],
+            *written,
+            m @ x,
+            jnp.concatenate([m, x[None]]).T,
+            jnp.sort(x),
+            jnp.max(m, axis=0),
+        )
+
+    program = jax.make_jaxpr(lanes(function, (-1, -1), 1))(jnp.ones((3, B)), jnp.ones((3, 3, B)))
+    results = [(eqn.primitive.name, out.aval.shape) for eqn in program.jaxpr.eqns for out in eqn.outvars]
+    assert {"gather", "scatter", "scatter-add", "transpose"} <= {name for name, _ in results}
+    assert not [result for result in results if B in result[1][:-1]]

@@ -1,0 +1,57 @@
+"""How many variants of a model a second: `leaves` of a batch, and MJX's `put_model` one by one.
+
+To run: `python bench/variants.py`.
+
+Links' lengths and masses, the links' radius and friction vary.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import jax
+import numpy as np
+from mujoco import mjx
+
+from sweep.case import Case
+from sweep.config import compose
+from sweep.engines import batching, devices
+from sweep.models import dynamics
+from sweep.models.scene import compile_model
+
+BATCH, ONE_BY_ONE = 65536, 40
+
+
+def variants(nominal: Case, count: int) -> Case:
+    """`count` cases, each size within 20 % of its nominal one."""
+    robot, u = nominal.robot, np.random.default_rng(0).uniform
+    names = ("body_length", "body_width", "body_mass", "thigh", "shin", "thigh_mass", "shin_mass", "link_radius")
+    sizes = {name: getattr(robot, name) * u(0.8, 1.2, count) for name in names}
+    return replace(nominal, robot=replace(robot, **sizes), contact=replace(nominal.contact, friction=u(0.2, 1, count)))
+
+
+def seconds(work: Callable[[], object]) -> float:
+    """The best of three."""
+    took = []
+    for _ in range(3):
+        start = time.perf_counter()
+        jax.block_until_ready(work())
+        took.append(time.perf_counter() - start)
+    return min(took)
+
+
+def main() -> None:
+    """Print both."""
+    devices.configure()
+    nominal = compose(["robot=base"]).case
+    top, batch = dynamics.topology(nominal), variants(nominal, BATCH)
+    make = jax.jit(jax.vmap(lambda case: dynamics.varying(top, case), in_axes=(devices.axes(batch),)))
+    arrays = devices.as_arrays(batch)
+    rate = BATCH / seconds(lambda: make(arrays))
+    several = [batching.pick(batch, k) for k in range(ONE_BY_ONE)]
+    single = ONE_BY_ONE / seconds(lambda: [mjx.put_model(compile_model(case, geoms=False)) for case in several])
+    print(f"leaves: {rate:,.0f} variants/s\nput_model: {single:,.0f} variants/s")
+
+
+if __name__ == "__main__":
+    main()
