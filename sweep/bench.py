@@ -30,12 +30,11 @@ SECOND = 1.0  # s, simulated by one call of the bare physics
 
 
 def table(nominal: Case, rollouts: int, width: int, rows: tuple[str, ...]) -> Iterator[dict[str, Any]]:
-    """One line for each of `rows`, `nominal` walking; width 0 is the device's best."""
+    """One line for each of `rows`, `nominal` walking; width 0 is the device's best, rollouts 0 one batch of them."""
     for name in rows:
         settings = EngineSettings(width=width if name != "native" else 0, dynamics="mjx" if name == "mjx" else "auto",
                                   name="native" if name == "native" else "mjx")  # fmt: skip
-        count = min(rollouts, MOST_NATIVE) if name == "native" else rollouts
-        yield _bare(settings, nominal, count) if name == "bare" else _engine(settings, nominal, count)
+        yield _bare(settings, nominal, rollouts) if name == "bare" else _engine(settings, nominal, rollouts)
 
 
 def walk_map(nominal: Case, rollouts: int, width: int) -> list[tuple[Case, Case]]:
@@ -54,6 +53,9 @@ def walk_map(nominal: Case, rollouts: int, width: int) -> list[tuple[Case, Case]
 def _engine(settings: EngineSettings, nominal: Case, rollouts: int) -> dict[str, Any]:
     """Controller, physics and metrics."""
     engine = make(settings, nominal, nominal, Thresholds())
+    rollouts = rollouts or engine.width
+    if settings.name == "native":
+        rollouts = min(rollouts, MOST_NATIVE)
     batches = walk_map(nominal, rollouts, engine.width)
     streams = np.zeros(engine.width, int)
 
@@ -74,6 +76,7 @@ def _bare(settings: EngineSettings, nominal: Case, rollouts: int) -> dict[str, A
     """Its physics steps alone, for the time that the plan takes."""
     devices.configure()
     width = settings.width or devices.default_width()
+    rollouts = rollouts or width
     top = dynamics.topology(nominal)
     steps = physics.make(settings, top, nominal)
     plan = nominal.manoeuvre.plan(nominal)

@@ -111,7 +111,7 @@ def parser() -> argparse.ArgumentParser:
     judge = of_results("relabel", relabel, "judge stored rollouts by other thresholds, without simulating")
     judge.add_argument("thresholds", nargs="+", metavar="'KEY<VALUE'", help="such as 'slip_max_m<0.02'")
     bench = command("bench", show_speed, "how fast the walking map is simulated here, by engine and dynamics")
-    bench.add_argument("--rollouts", type=int, default=561)
+    bench.add_argument("--rollouts", type=int, default=0, help="of each row; 0: one batch")
     bench.add_argument("--width", type=int, default=0, help="rollouts in a batch; 0: the device's best")
     bench.add_argument("--rows", nargs="+", choices=BENCH, default=list(BENCH), help="bare is physics alone")
     command("replay", lambda _: DONE, "record one rollout of a study again; " + delegated.format("replay"))
@@ -143,8 +143,9 @@ def show_speed(args: argparse.Namespace) -> int:
     from sweep import bench
     from sweep.config import compose
 
-    if args.rollouts < 1:
-        raise InputError(f"--rollouts = {args.rollouts} is not allowed: at least 1")
+    for name in ("rollouts", "width"):
+        if getattr(args, name) < 0:
+            raise InputError(f"--{name} = {getattr(args, name)} is not allowed: at least 0")
     lines = []
     nominal = compose(["scenario=walk_tripod"]).case
     for line in bench.table(nominal, args.rollouts, args.width, tuple(args.rows)):
