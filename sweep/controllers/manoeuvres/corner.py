@@ -16,7 +16,6 @@ from sweep.controllers.gaits import GALLOP, Step
 from sweep.controllers.manoeuvres.pole import OUTWARD, TOWARDS, UP, pair, point
 from sweep.controllers.plan import CYCLE_B_SMOOTH, SMOOTH, Plan, Stage, Stance, assemble
 from sweep.formulas import stepping
-from sweep.formulas.leg import SIDE
 from sweep.parameters import choice, count, parameters, quantity
 
 STAND = 0.5  # s, before the first and after the last swing
@@ -25,7 +24,7 @@ PITCH = np.arcsin([0.0, 0.42, 0.5, 1.0])  # after each of the first three swings
 FIRST_TRACK = 1.2  # of the front feet in 2.4.1, over x_f
 # e of stages 2.4.3 and 2.4.5
 RISING = OUTWARD + UP
-SLANTED = SIDE[:, None] * np.array([1.0, 0.0, 0.0]) + np.array([0.0, 0.0, 0.9])
+SLANTED = OUTWARD + 0.9 * UP
 
 
 class Site(NamedTuple):
@@ -155,7 +154,7 @@ def get_on(site: Site) -> tuple[Stance, list[Stage], dict]:
     front = site.clearance + a_r - 4.5 * x
     middle = front - 0.7 * a_r + 0.5 * x
     rear = site.clearance - 3 * x
-    upright = np.zeros((6, 3)) + np.array([0.0, 0.0, 1.0])
+    upright = np.tile(UP, (6, 1))
     stages = [
         site.swing("2.4.1", site.on_wall(FRONT, front, FIRST_TRACK), 2.0, **pitched(0)),
         site.swing("2.4.2", site.on_floor(REAR, site.standoff + a_r - 4.75 * x), 2.0, upright, **pitched(1)),
