@@ -20,7 +20,7 @@ from sweep.controllers.posture import foot_positions, mass_centre
 from sweep.controllers.tracker import joint_targets
 from sweep.maths import rotate
 from sweep.models.arrowhead import inverse_3x3
-from sweep.models.obstacles.surface import no_bodies, poses
+from sweep.models.obstacles.surface import fixed_surface
 from sweep.models.robot import Robot, total_mass
 from sweep.models.scene import GRAVITY
 from sweep.parameters import choice, parameters, quantity
@@ -235,7 +235,7 @@ def along(belief: Case, plan: Plan, bounds: Bounds, least: Effort) -> Course:
 
 def surface_normals(belief: Case, feet: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
     """Outward normals of the believed obstacle at footholds."""
-    return belief.obstacle.surface(feet, (-1,) * 6, poses(no_bodies())).normal
+    return fixed_surface(belief.obstacle, feet).normal
 
 
 @parameters

@@ -14,7 +14,7 @@ from sweep.maths import conjugate, multiply, rotate
 from sweep.metrics.geometry import box_corners, leg_gap, link_points, support_margin
 from sweep.metrics.outcome import FREE_BODY_CAUSES, TIMED_CAUSES, Thresholds
 from sweep.models.contact import to_body, to_world
-from sweep.models.obstacles.surface import Bodies, FreeState, no_bodies, poses
+from sweep.models.obstacles.surface import Bodies, FreeState, fixed_surface, poses
 from sweep.models.robot import total_mass
 from sweep.models.scene import GRAVITY
 
@@ -235,7 +235,7 @@ def _from_level(quat: Array) -> Float[Array, ""]:
 
 def _on_target(world: Case, plan: Plan, feet: Float[Array, "6 3"]) -> Int[Array, ""]:
     """How many feet are at the face of the obstacle, which has no free bodies, on which the last footholds are."""
-    here, there = (world.obstacle.surface(p, (-1,) * 6, poses(no_bodies())) for p in (feet, plan.foothold[-1]))
+    here, there = (fixed_surface(world.obstacle, p) for p in (feet, plan.foothold[-1]))
     return jnp.sum((here.face == there.face) & (here.depth > -AT_FACE)).astype(jnp.int32)
 
 

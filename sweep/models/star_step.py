@@ -16,7 +16,7 @@ from sweep.case import Case
 from sweep.formulas.leg import SIDE
 from sweep.models.contact import Anchors
 from sweep.models.drive import Servo
-from sweep.models.obstacles.surface import no_bodies, poses
+from sweep.models.obstacles.surface import fixed_surface
 from sweep.models.scene import links
 from sweep.models.star import Column, Mass, Motion, Pose, Star, pack, potential, star, unpack
 from sweep.models.step import STEP_LENGTHS, Limits, State
@@ -108,7 +108,7 @@ def step(case: Case, limits: Limits, state: Moving, servo: Servo, h: float, iter
     turned, to_base = robot.rotation, robot.rotation.transposed
     end = robot.joints[-1]
     foot = pose.position + turned @ end
-    surface = case.obstacle.surface(foot.array(), (-1,) * end.x.shape[-1], poses(no_bodies()))
+    surface = fixed_surface(case.obstacle, foot.array())
     normal = Vector.of(surface.normal)
     held = state.loaded & (state.face == surface.face)
     fresh = foot + surface.depth * normal

@@ -16,7 +16,7 @@ from matplotlib.image import imsave
 from PIL import Image
 
 from sweep.engines.base import Trace
-from sweep.models.obstacles.surface import no_bodies, poses
+from sweep.models.obstacles.surface import fixed_surface
 from sweep.parameters import InputError
 from sweep.trace.arrows import arrow_tips
 from sweep.trace.draw import ARRAYS, MODEL, NO_OPENGL
@@ -117,9 +117,7 @@ def _hidden(trace: Trace, chosen: np.ndarray, distance: float, azimuth: float) -
     obstacle = trace.world.obstacle
     if obstacle.free_bodies:  # seldom larger than the way to the camera, and not where they were
         return 0
-    depth = obstacle.surface(
-        points.reshape(-1, 3).astype(np.float32), (-1,) * (points.size // 3), poses(no_bodies())
-    ).depth
+    depth = fixed_surface(obstacle, points.reshape(-1, 3).astype(np.float32)).depth
     return int(np.sum(np.asarray(depth) > 0))
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from sweep.controllers.grip import between
 from sweep.engines.base import Trace
 from sweep.metrics.stream import LOADED
-from sweep.models.obstacles.surface import no_bodies, poses
+from sweep.models.obstacles.surface import fixed_surface
 from sweep.models.robot import total_mass
 from sweep.models.scene import GRAVITY
 
@@ -48,7 +48,7 @@ def _plan(belief):
 def _hold(trace: Trace, force: np.ndarray) -> Hold:
     """`force` (F, 6, 3) in parts normal and tangential to the surface nearest to each foot."""
     feet = trace.foot_position.reshape(-1, 3).astype(np.float32)
-    surface = trace.world.obstacle.surface(feet, (-1,) * len(feet), poses(no_bodies()))
+    surface = fixed_surface(trace.world.obstacle, feet)
     normals = np.asarray(surface.normal, float).reshape(force.shape)
     normal = np.sum(force * normals, axis=-1)
     tangential = np.linalg.norm(force - normal[..., None] * normals, axis=-1)

@@ -10,7 +10,7 @@ from sweep.controllers.tracker import joint_targets
 from sweep.formulas.leg import SIDE, fk
 from sweep.maths import rotate
 from sweep.metrics.geometry import leg_gap, link_points
-from sweep.models.obstacles.surface import no_bodies, poses
+from sweep.models.obstacles.surface import fixed_surface
 from sweep.models.scene import mounts
 
 U = np.linspace(0, 1, 41)
@@ -29,7 +29,7 @@ def play(case: Case, plan: Plan) -> dict[str, jax.Array]:
         legs = mounts(robot)[:, None] + jnp.stack([jnp.zeros((6, 3)), knee, foot], axis=1)
         legs = rotate(stance.quat[None, None], legs) + stance.position
         points = link_points(legs)
-        depth = case.obstacle.surface(points, (-1,) * points.shape[0], poses(no_bodies())).depth
+        depth = fixed_surface(case.obstacle, points).depth
         return stance, {
             "shortfall": shortfall.max(), "clearance": -depth.max() - robot.link_radius,
             "gap": leg_gap(legs) - 2 * robot.link_radius, "position": stance.position, "quat": stance.quat,

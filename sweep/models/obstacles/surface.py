@@ -4,6 +4,7 @@ from typing import NamedTuple, Protocol
 
 import jax.numpy as jnp
 import mujoco
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 from sweep.maths import matrix
@@ -84,3 +85,8 @@ class Obstacle(Protocol):
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: Bodies) -> Surface:
         """Where `points` stand; `owner` is the free body that a point belongs to, -1 for the robot."""
         ...
+
+
+def fixed_surface(obstacle: Obstacle, points: Float[Array, "n 3"] | np.ndarray) -> Surface:
+    """What is under points (m, world axes) that belong to no free body, of an obstacle that has none."""
+    return obstacle.surface(jnp.asarray(points), (-1,) * points.shape[0], poses(no_bodies()))
