@@ -55,12 +55,17 @@ def kept_from() -> int:
     return 8 if jax.default_backend() == "cpu" else NEVER
 
 
-def compiler_options(moving: bool) -> dict[str, str] | None:
-    """How a program is compiled; `moving` where the robot stands on free bodies.
+def compiler_options(moving: bool) -> dict[str, Any] | None:
+    """How a program is compiled; `moving` where it steps a robot on free bodies.
+
+    A GPU's compiler times variants of every larger part before it takes one: 14 s for a single variant of a plan, which
+    spills its registers, for nothing gained in the run.
 
     From 0.12 on JAX leaves sums over short axes to a library that a CPU spends milliseconds in. Without it the step on
     free bodies is seven times as fast; that on fixed ground only a third faster, and twice as long to compile.
     """
+    if jax.default_backend() == "gpu":
+        return {"xla_gpu_autotune_level": 0}
     if jax.default_backend() != "cpu" or jax.__version_info__ < (0, 12) or not moving:
         return None
     return {"xla_cpu_experimental_ynn_fusion_type": ""}
@@ -91,6 +96,16 @@ def specs(tree: Any) -> Any:
 def spread(tree: Any, over: jax.sharding.Mesh) -> Any:
     """Leaves as JAX arrays, laid out on the mesh by `specs`."""
     return jax.tree.map(lambda x, spec: jax.device_put(x, NamedSharding(over, spec)), tree, specs(tree))
+
+
+def split(tree: Any, over: jax.sharding.Mesh) -> Any:
+    """The form of arrays like those of `tree`, which all vary over the batch, split over the mesh."""
+    split, whole = NamedSharding(over, PartitionSpec(BATCH)), NamedSharding(over, PartitionSpec())
+
+    def form(x: Any) -> jax.ShapeDtypeStruct:  # the compiler leaves empty arrays whole
+        return jax.ShapeDtypeStruct(x.shape, x.dtype, sharding=split if np.prod(x.shape) else whole)
+
+    return jax.tree.map(form, tree)
 
 
 def axes(tree: Any) -> Any:

@@ -1,6 +1,7 @@
 """The primary engine: controller, physics and metrics of a batch fused in one scan; CPU and GPU alike."""
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -33,6 +34,14 @@ class Carry(NamedTuple):
     pilot: Pilot
 
 
+class Programs(NamedTuple):
+    """What a batch runs through, compiled."""
+
+    start: Callable[[Case, Case, Array], tuple[Plan, Carry]]
+    chunk: Callable[[Case, Case, Plan, Carry, int, int | None], tuple[Carry, Any]]
+    finish: Callable[[Case, Plan, Carry], dict[str, Array]]
+
+
 class Mjx:
     """The implicit contact step on structured or on MJX's smooth dynamics."""
 
@@ -52,7 +61,7 @@ class Mjx:
             self.stages = plan.names
             self.duration = float(GRACE * np.sum(plan.duration))
         self._nominal = world, belief
-        self._compiled: dict[Any, tuple[Callable, Callable, Callable]] = {}
+        self._programs: dict[Any, Programs] = {}
 
     def rollout_bytes(self) -> int:
         """See `Engine`; nothing is compiled for it."""
@@ -64,28 +73,28 @@ class Mjx:
     def run(self, world: Case, belief: Case, streams: np.ndarray) -> Figures:
         """Figures of `width` rollouts; stops early when every rollout is over."""
         with devices.precision(self.settings):
-            (world, belief, keys), start, chunk, finish = self._prepare(world, belief, streams)
-            plans, carry = start(world, belief, keys)
+            (world, belief, keys), programs = self._prepare(world, belief, streams, None)
+            plans, carry = programs.start(world, belief, keys)
             for tick in range(0, most_ticks(plans, self.settings.control_period), self._chunk_ticks):
-                carry, _ = chunk(world, belief, plans, carry, tick, None)
+                carry, _ = programs.chunk(world, belief, plans, carry, tick, None)
                 # on the host: among devices it would take their collective operations, which can hang
                 if np.all(np.asarray(carry.pilot.running.over)):
                     break
-            return {name: np.asarray(values) for name, values in finish(world, plans, carry).items()}
+            return {name: np.asarray(values) for name, values in programs.finish(world, plans, carry).items()}
 
     def trace(self, world: Case, belief: Case, streams: np.ndarray, slot: int) -> Trace:
         """The rollout in `slot`, simulated in its batch so that its numbers are those of `run`."""
         with devices.precision(self.settings):
             one = batching.pick(world, slot), batching.pick(belief, slot)
-            (world, belief, keys), start, chunk, finish = self._prepare(world, belief, streams)
-            plans, carry = start(world, belief, keys)
+            (world, belief, keys), programs = self._prepare(world, belief, streams, slot)
+            plans, carry = programs.start(world, belief, keys)
             records, local = [], self.width // self._mesh.size
             for tick in range(0, most_ticks(plans, self.settings.control_period), self._chunk_ticks):
-                carry, record = chunk(world, belief, plans, carry, tick, slot)
+                carry, record = programs.chunk(world, belief, plans, carry, tick, slot)
                 records.append(jax.tree.map(lambda x: np.asarray(x)[:, slot // local], record))
                 if bool(carry.pilot.running.over[slot]):
                     break
-            figures = {name: np.asarray(values)[slot] for name, values in finish(world, plans, carry).items()}
+            figures = {name: np.asarray(x)[slot] for name, x in programs.finish(world, plans, carry).items()}
         record = jax.tree.map(lambda *parts: np.concatenate(parts), *records)
         return batching.to_trace(*one, record, self.settings.control_period, self.stages, figures)
 
@@ -93,21 +102,45 @@ class Mjx:
     def _chunk_ticks(self) -> int:
         return max(1, round(CHUNK / self.settings.control_period))
 
-    def _prepare(self, world: Case, belief: Case, streams: np.ndarray) -> tuple:
-        """Arguments as arrays of the right type, and the compiled functions for their batch axes."""
+    def _prepare(
+        self, world: Case, belief: Case, streams: np.ndarray, slot: int | None
+    ) -> tuple[tuple[Case, Case, Array], Programs]:
+        """Arguments as arrays of the right type, and the programs for their batch axes; `slot` is recorded."""
         batching.check(streams, self.width)
-        axes, quiet = devices.axes((world, belief)), is_quiet(world.noise)
-        form = devices.form((world, belief)), quiet
-        if form not in self._compiled:
-            self._compiled[form] = self._compile(axes, devices.specs((world, belief)), quiet)
-        arrays = (*devices.as_arrays((world, belief)), devices.keys(streams))
-        return devices.spread(arrays, self._mesh), *self._compiled[form]
+        form = devices.form((world, belief)), is_quiet(world.noise), slot is None
+        arrays = devices.spread((*devices.as_arrays((world, belief)), devices.keys(streams)), self._mesh)
+        if form not in self._programs:
+            self._programs[form] = self._compile(arrays, is_quiet(world.noise), slot)
+        return arrays, self._programs[form]
 
-    def _compile(self, axes: tuple[Case, Case], specs: tuple, quiet: bool) -> tuple[Callable, Callable, Callable]:
-        """`start`, `chunk` and `finish` over a batch whose parameters vary along `axes`, split over the devices."""
-        world_axes, belief_axes = _last(axes)
+    def _compile(self, arrays: tuple[Case, Case, Array], quiet: bool, slot: int | None) -> Programs:
+        """The programs over batches like `arrays`, split over the devices.
+
+        They are compiled side by side: the compiler needs no Python, which traces the next one meanwhile.
+        """
+        world, belief, _ = arrays
+        axes, specs = devices.axes((world, belief)), devices.specs((world, belief))
+        split, whole = PartitionSpec(devices.BATCH), PartitionSpec()
+        on_devices = partial(jax.shard_map, mesh=self._mesh, check_vma=False)
+        start = on_devices(jax.vmap(self._start, in_axes=(*axes, 0)), in_specs=(*specs, split), out_specs=split)
+        recorded = (split, PartitionSpec(None, devices.BATCH))
+        chunk = on_devices(self._chunk(axes, quiet), in_specs=(*specs, split, split, whole, whole), out_specs=recorded)
+        finish = jax.vmap(self._finish, in_axes=(axes[0], 0, 0))
+        finish = on_devices(finish, in_specs=(specs[0], split, split), out_specs=split)
+        options = devices.compiler_options(moving=bool(self.topology.free))
+        with ThreadPoolExecutor() as pool:
+            begin = jax.jit(start, compiler_options=devices.compiler_options(moving=False)).lower(*arrays)
+            started = pool.submit(begin.compile)
+            plans, carry = devices.split(begin.out_info, self._mesh)
+            go_on = jax.jit(chunk, donate_argnums=3, compiler_options=options)
+            chunked = pool.submit(go_on.lower(world, belief, plans, carry, 0, slot).compile)
+            finished = jax.jit(finish).lower(world, plans, carry).compile()
+            return Programs(started.result(), chunked.result(), finished)
+
+    def _chunk(self, axes: tuple[Case, Case], quiet: bool) -> Callable:
+        """A second of the batch that a device has, of which the rollout in a slot may be recorded."""
         local = self.width // self._mesh.size
-        tick = lanes(partial(self._tick, quiet=quiet), (world_axes, belief_axes, -1, -1, None), devices.kept_from())
+        tick = lanes(partial(self._tick, quiet=quiet), (*_last(axes), -1, -1, None), devices.kept_from())
 
         def chunk(world: Case, belief: Case, plans: Plan, carry: Carry, first: Array, slot: Array | None) -> Any:
             world, belief, plans, carry = _batch_last((world, belief, plans, carry))
@@ -121,15 +154,7 @@ class Mjx:
             carry, records = jax.lax.scan(body, carry, first + jnp.arange(self._chunk_ticks))
             return _batch_first(carry), records
 
-        split, whole = PartitionSpec(devices.BATCH), PartitionSpec()
-        on_devices = partial(jax.shard_map, mesh=self._mesh, check_vma=False)
-        start = on_devices(jax.vmap(self._start, in_axes=(*axes, 0)), in_specs=(*specs, split), out_specs=split)
-        recorded = (split, PartitionSpec(None, devices.BATCH))
-        chunk = on_devices(chunk, in_specs=(*specs, split, split, whole, whole), out_specs=recorded)
-        finish = jax.vmap(self._finish, in_axes=(axes[0], 0, 0))
-        finish = on_devices(finish, in_specs=(specs[0], split, split), out_specs=split)
-        options = devices.compiler_options(moving=bool(self.topology.free))
-        return jax.jit(start), jax.jit(chunk, donate_argnums=3, compiler_options=options), jax.jit(finish)
+        return chunk
 
     def _start(self, world: Case, belief: Case, key: Array) -> tuple[Plan, Carry]:
         plan = belief.manoeuvre.plan(belief)
