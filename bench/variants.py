@@ -8,6 +8,7 @@ Links' lengths and masses, the links' radius and friction vary.
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import jax
 import numpy as np
@@ -16,7 +17,7 @@ from mujoco import mjx
 from sweep.case import Case
 from sweep.config import compose
 from sweep.engines import batching, devices
-from sweep.models import dynamics
+from sweep.models import dynamics, mjx_dynamics
 from sweep.models.scene import compile_model
 
 BATCH, ONE_BY_ONE = 65536, 40
@@ -45,7 +46,8 @@ def main() -> None:
     devices.configure()
     nominal = compose(["robot=base"]).case
     top, batch = dynamics.topology(nominal), variants(nominal, BATCH)
-    make = jax.jit(jax.vmap(lambda case: dynamics.varying(top, case), in_axes=(devices.axes(batch),)))
+    model = mjx.put_model(top.model)
+    make = jax.jit(jax.vmap(partial(mjx_dynamics.varying, top, model), in_axes=(devices.axes(batch),)))
     arrays = devices.as_arrays(batch)
     rate = BATCH / seconds(lambda: make(arrays))
     several = [batching.pick(batch, k) for k in range(ONE_BY_ONE)]

@@ -1,21 +1,21 @@
 """The physics steps of one control tick of `mjx`, and what the metrics want of them. Functions of one rollout."""
 
+from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array
-from mujoco import mjx
 
 from sweep.case import Case
 from sweep.engines import batching
 from sweep.engines.pilot import free_state
 from sweep.engines.settings import EngineSettings
 from sweep.metrics.stream import Tick
-from sweep.models import dynamics, star_step, structured
+from sweep.models import star_step, structured
 from sweep.models.drive import Servo, towards
-from sweep.models.dynamics import N_LEGS, Topology
+from sweep.models.dynamics import N_LEGS, SmoothDynamics, Topology
 from sweep.models.obstacles.surface import no_bodies, poses
 from sweep.models.star import fits
 from sweep.models.star_step import from_state, to_state
@@ -47,8 +47,10 @@ def taken(settings: EngineSettings, world: Case) -> str:
 def make(settings: EngineSettings, top: Topology, world: Case) -> Physics:
     """The physics of a scenario; on ground that does not move, the structured step written out."""
     if taken(settings, world) == "mjx":
-        return General(settings, top, mjx.make_data(top.model))
-    return General(settings, top, None) if top.free else OnFixedGround(settings)
+        from sweep.models import mjx_dynamics  # MJX is slow to import
+
+        return General(settings, top, mjx_dynamics.of(top))
+    return General(settings, top, structured.of(top)) if top.free else OnFixedGround(settings)
 
 
 class Totals(NamedTuple):
@@ -64,32 +66,26 @@ class Totals(NamedTuple):
 
 
 class General(NamedTuple):
-    """The step for any obstacle, on MJX's smooth dynamics, or on the structured ones where there are no MJX data."""
+    """The step for any obstacle, on MJX's smooth dynamics or on the structured ones."""
 
     settings: EngineSettings
     top: Topology
-    data: mjx.Data | None
+    smooth_dynamics: Callable[[Case], SmoothDynamics]
 
     def energy(self, world: Case, state: State) -> Array:
         """Kinetic and potential energy (J)."""
-        if self.data is None:
-            smooth = structured.smooth_dynamics(self.top, world, state.q, state.v)
-        else:
-            smooth = dynamics.smooth_dynamics(self.top, self._model(world), self.data, state.q, state.v)
+        smooth = self.smooth_dynamics(world)(state.q, state.v)
         return smooth.potential + kinetic_energy(self.top, smooth, state.v)
-
-    def _model(self, world: Case) -> mjx.Model:
-        return self.top.model.replace(**dynamics.varying(self.top, world))
 
     def advance(self, world: Case, state: State, old: Servo, new: Servo, tick: Array) -> tuple[State, Tick]:
         """See `Physics`."""
         n, h = batching.substeps(self.settings), self.settings.time_step
-        model = None if self.data is None else self._model(world)
+        smooth = self.smooth_dynamics(world)
 
         def substep(state: State, k: Array) -> tuple[State, tuple[Totals, StepReport]]:
             servo = towards(old, new, (k + 1) / n)
             limits = batching.execution_limits(world, (tick * n + k) * h)
-            state, report = step(self.top, model, self.data, world, limits, state, servo, h, self.settings.iterations)
+            state, report = step(self.top, smooth, world, limits, state, servo, h, self.settings.iterations)
             power = jnp.sum(report.power) + limits.push @ state.v[:3]
             totals = Totals(
                 jnp.abs(report.torque), report.saturated, report.forces.force[:N_LEGS], report.forces.normal[:N_LEGS],

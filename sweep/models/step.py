@@ -10,15 +10,14 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
-from mujoco import mjx
-from mujoco.mjx._src import math as mjx_math
 
 from sweep.case import Case
-from sweep.models import arrowhead, structured
+from sweep.maths import exponential, multiply
+from sweep.models import arrowhead
 from sweep.models.arrowhead import Arrowhead, Split
 from sweep.models.contact import Anchors, Contact, Forces, Geometry, approach, contact_forces, settle
 from sweep.models.drive import Drive, Servo
-from sweep.models.dynamics import N_LEGS, Smooth, Topology, smooth_dynamics
+from sweep.models.dynamics import N_LEGS, Smooth, SmoothDynamics, Topology
 from sweep.models.obstacles.surface import Rolling, Surface
 from sweep.models.rolling import contact_offset, resisting_moments, turning
 
@@ -63,8 +62,7 @@ def rest(top: Topology, q: Float[Array, " nq"]) -> State:
 
 def step(
     top: Topology,
-    model: mjx.Model | None,
-    data: mjx.Data | None,
+    smooth_dynamics: SmoothDynamics,
     case: Case,
     limits: Limits,
     state: State,
@@ -72,14 +70,8 @@ def step(
     h: float,
     iterations: int,
 ) -> tuple[State, StepReport]:
-    """Advance `state` by h seconds while the drives do as `servo` tells them.
-
-    Without a model the smooth dynamics are the structured ones, of the parameters themselves.
-    """
-    if model is None or data is None:
-        smooth = structured.smooth_dynamics(top, case, state.q, state.v)
-    else:
-        smooth = smooth_dynamics(top, model, data, state.q, state.v)
+    """Advance `state` by h seconds while the drives do as `servo` tells them."""
+    smooth = smooth_dynamics(state.q, state.v)
     surface = case.obstacle.surface(smooth.point, top.owner, smooth.bodies)
     point = smooth.point + contact_offset(surface)
     geometry, place = approach(case.contact, surface, state.anchors, point, smooth.bodies)
@@ -242,7 +234,6 @@ def _integrate(top: Topology, q: Array, v: Array, h: float) -> Array:
     for k, dofs in enumerate(top.root.reshape(-1, 6)):
         at = int(dofs[0]) + k  # a free joint has one more position than velocities, and the hinges one each
         moved = moved.at[at : at + 3].add(h * v[dofs[:3]])
-        moved = moved.at[at + 3 : at + 7].set(
-            mjx_math.quat_integrate(q[at + 3 : at + 7], v[dofs[3:]], jnp.asarray(h, q.dtype))
-        )
+        turned = multiply(q[at + 3 : at + 7], exponential(h * v[dofs[3:]]))
+        moved = moved.at[at + 3 : at + 7].set(turned / jnp.linalg.norm(turned))
     return moved

@@ -1,14 +1,22 @@
 """The smooth dynamics of `dynamics` from the structure of the robot, see `star`, beside the obstacle's free bodies."""
 
+from collections.abc import Callable
+from functools import partial
+
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.case import Case
 from sweep.maths import matrix
 from sweep.models import star
-from sweep.models.dynamics import N_LEGS, Smooth, Topology
+from sweep.models.dynamics import N_LEGS, Smooth, SmoothDynamics, Topology
 from sweep.models.obstacles.surface import Bodies
 from sweep.models.scene import GRAVITY
+
+
+def of(top: Topology) -> Callable[[Case], SmoothDynamics]:
+    """The smooth dynamics of a world, for every world of the topology."""
+    return lambda world: partial(smooth_dynamics, top, world)
 
 
 def smooth_dynamics(top: Topology, case: Case, q: Float[Array, " nq"], v: Float[Array, " nv"]) -> Smooth:

@@ -5,11 +5,10 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from mujoco import mjx
 
 from sweep.case import Case
 from sweep.engines import batching, devices
-from sweep.models import dynamics
+from sweep.models import dynamics, mjx_dynamics
 from sweep.models.drive import position_mode
 from sweep.models.step import rest, step
 
@@ -35,12 +34,11 @@ def simulate(
     """
     devices.configure()
     top = dynamics.topology(nominal)
-    data = mjx.make_data(top.model)
+    smooth = mjx_dynamics.of(top)
 
     def one(case: Case, state, reference):
-        model = top.model.replace(**dynamics.varying(top, case))
         limits = batching.execution_limits(case, jnp.zeros(()))
-        state, report = step(top, model, data, case, limits, state, position_mode(case.drive, reference), h, 2)
+        state, report = step(top, smooth(case), case, limits, state, position_mode(case.drive, reference), h, 2)
         forces = report.forces
         return state, (state.q, state.v, forces.force, forces.normal, report.smooth.point, report.residual,
                        jnp.sum(report.power))  # fmt: skip

@@ -12,12 +12,11 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-from mujoco import mjx
 
 from sweep.config import compose
 from sweep.engines import batching, devices
 from sweep.engines.native import native_model
-from sweep.models import dynamics
+from sweep.models import dynamics, mjx_dynamics
 from sweep.models.drive import position_mode
 from sweep.models.obstacles import PoleLedge
 from sweep.models.step import rest, step
@@ -44,7 +43,7 @@ def largest_error(recorded, case, width: int, seconds: float) -> np.ndarray:
     """How far (m) the base of each of `width` rollouts, started up to 1 um apart in height, was from the record."""
     devices.configure()
     top = dynamics.topology(case)
-    data = mjx.make_data(top.model)
+    smooth = mjx_dynamics.of(top)(case)
     limits = batching.execution_limits(case, jnp.zeros(()))
 
     @jax.jit
@@ -54,7 +53,7 @@ def largest_error(recorded, case, width: int, seconds: float) -> np.ndarray:
 
     def substep(state, reference):
         servo = position_mode(case.drive, reference)
-        one = jax.vmap(lambda s: step(top, top.model, data, case, limits, s, servo, TICK / 2, 2)[0])
+        one = jax.vmap(lambda s: step(top, smooth, case, limits, s, servo, TICK / 2, 2)[0])
         return one(state), None
 
     def sample(states, block):

@@ -17,7 +17,7 @@ from sweep.controllers.tracker import joint_targets
 from sweep.engines import batching, devices
 from sweep.formulas.leg import SIDE, fk
 from sweep.maths import rotate
-from sweep.models import dynamics, scene
+from sweep.models import dynamics, mjx_dynamics, scene
 
 ROBOTS = ("base", "three_link", "circular", "prototype", "hexagon")
 WIDTH = 3
@@ -49,14 +49,15 @@ _compiled = {}
 def smooth_batch(nominal: Case, case: Case, q: np.ndarray, v: np.ndarray) -> tuple[dynamics.Topology, dynamics.Smooth]:
     """The smooth dynamics of a batch; robots with the same links share one compiled program, as sweeps do."""
     top = dynamics.topology(nominal)
+    model = mjx.put_model(top.model)
     if nominal.robot.legs not in _compiled:
-        data = mjx.make_data(top.model)
+        data = mjx.make_data(model)
 
         def smooth(fields, q, v):
-            return dynamics.smooth_dynamics(top, top.model.replace(**fields), data, q, v)
+            return mjx_dynamics.smooth_dynamics(top, model.replace(**fields), data, q, v)
 
         _compiled[nominal.robot.legs] = jax.jit(jax.vmap(smooth))
-    fields = jax.vmap(partial(dynamics.varying, top), in_axes=(devices.axes(case),))(case)
+    fields = jax.vmap(partial(mjx_dynamics.varying, top, model), in_axes=(devices.axes(case),))(case)
     mounted = jnp.broadcast_to(top.model.body_quat, (WIDTH, *top.model.body_quat.shape))
     return top, _compiled[nominal.robot.legs]({**fields, "body_quat": mounted}, q, v)
 

@@ -87,8 +87,10 @@ def test_steps_agree(name):
         targets = jnp.asarray(q[:, 7:25].reshape(-1, 6, 3) + rng.normal(scale=2e-3, size=(STATES, 6, 3)))
         limits = batching.execution_limits(case, jnp.zeros(()))
 
+        smooth = structured.of(top)(case)
+
         def general(state, target):
-            return step(top, None, None, case, limits, state, position_mode(case.drive, target), H, ITERATIONS)
+            return step(top, smooth, case, limits, state, position_mode(case.drive, target), H, ITERATIONS)
 
         def written_out(state, target):
             servo = position_mode(case.drive, target)

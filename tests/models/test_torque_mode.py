@@ -5,12 +5,11 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-from mujoco import mjx
 
 from sweep.config import compose
 from sweep.engines import batching, devices
 from sweep.engines.native import native_model
-from sweep.models import dynamics
+from sweep.models import dynamics, mjx_dynamics
 from sweep.models.drive import Servo, position_mode
 from sweep.models.step import rest, step
 
@@ -28,12 +27,12 @@ def one_step():
     """One step of a robot in the air, joint beta_3 given a torque only: its torque, and all joints' rates."""
     devices.configure()
     top = dynamics.topology(CASE)
-    data = mjx.make_data(top.model)
+    smooth = mjx_dynamics.of(top)(CASE)
     q = jnp.asarray(top.model.qpos0).at[2].set(9.0).at[1 + top.leg].set(ANGLES)
     limits = batching.execution_limits(CASE, jnp.zeros(()))
 
     def run(torque):
-        state, report = step(top, top.model, data, CASE, limits, rest(top, q), _order(torque), H, 3)
+        state, report = step(top, smooth, CASE, limits, rest(top, q), _order(torque), H, 3)
         return report.torque[BETA_3], state.v[top.leg]
 
     torques, rates = jax.jit(jax.vmap(run))(jnp.array(TORQUES))
