@@ -3,7 +3,10 @@
 from sweep import load, run
 """
 
+import time
 from typing import TYPE_CHECKING
+
+STARTED = time.time()  # before the other modules are read
 
 if TYPE_CHECKING:
     from os import PathLike

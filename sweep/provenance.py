@@ -7,9 +7,11 @@ import subprocess
 from importlib import metadata
 from pathlib import Path
 
+from sweep import STARTED
 from sweep.engines.settings import EngineSettings
 
-SIMULATION = ("models", "controllers", "engines", "metrics", "formulas", "case.py", "parameters.py")
+ROOT = Path(__file__).parent
+SIMULATION = ("models", "controllers", "engines", "metrics", "formulas", "case.py", "maths.py", "parameters.py")
 LIBRARIES = ("mujoco", "mujoco-mjx", "jax", "jaxlib", "numpy")
 
 
@@ -27,15 +29,22 @@ def device(settings: EngineSettings) -> str:
 @functools.cache
 def code_version() -> str:
     """Hash of what the simulation's sources say, comments and docstrings apart, and of its libraries' versions."""
-    root = Path(__file__).parent
-    files = sorted(
-        file for name in SIMULATION for file in (root.glob(name) if "." in name else (root / name).rglob("*.py"))
-    )
     content = hashlib.blake2b(digest_size=6)
-    for file in files:
-        content.update(f"{file.relative_to(root)}\n{statements(file.read_text())}\n".encode())
+    for file in _sources():
+        content.update(f"{file.relative_to(ROOT)}\n{statements(file.read_text())}\n".encode())
     content.update(repr(versions()).encode())
     return content.hexdigest()
+
+
+def edited() -> bool:
+    """Whether any of the simulation's sources was written after this process began: what runs may be older."""
+    return any(file.stat().st_mtime > STARTED for file in _sources())
+
+
+def _sources() -> list[Path]:
+    return sorted(
+        file for name in SIMULATION for file in (ROOT.glob(name) if "." in name else (ROOT / name).rglob("*.py"))
+    )
 
 
 def statements(source: str) -> str:
@@ -57,7 +66,7 @@ def commit() -> str:
     """The checkout's commit, marked where files differ from it; empty outside a checkout."""
     found = subprocess.run(
         ["git", "describe", "--always", "--dirty", "--abbrev=12"],
-        cwd=Path(__file__).parent, capture_output=True, text=True, check=False,
+        cwd=ROOT, capture_output=True, text=True, check=False,
     )  # fmt: skip
     return found.stdout.strip()
 

@@ -9,11 +9,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.sharding import PartitionSpec
+from jax.stages import Compiled
 from jaxtyping import Array
 
 from sweep.case import Case
 from sweep.controllers.plan import Plan
-from sweep.engines import batching, devices, physics
+from sweep.engines import batching, devices, kept, physics
 from sweep.engines.base import Figures, Trace
 from sweep.engines.lanes import lanes
 from sweep.engines.pilot import GRACE, Pilot, decide, embark, is_quiet, measure, most_ticks, start_state
@@ -66,8 +67,8 @@ class Mjx:
     def rollout_bytes(self) -> int:
         """See `Engine`; nothing is compiled for it."""
         with devices.precision(self.settings):
-            kept = jax.eval_shape(self._start, *devices.as_arrays(self._nominal), jax.random.key(0))
-        return sum(x.size * x.dtype.itemsize for x in jax.tree.leaves(kept))
+            held = jax.eval_shape(self._start, *devices.as_arrays(self._nominal), jax.random.key(0))
+        return sum(x.size * x.dtype.itemsize for x in jax.tree.leaves(held))
 
     @devices.memory()
     def run(self, world: Case, belief: Case, streams: np.ndarray) -> Figures:
@@ -110,10 +111,21 @@ class Mjx:
         form = devices.form((world, belief)), is_quiet(world.noise), slot is None
         arrays = devices.spread((*devices.as_arrays((world, belief)), devices.keys(streams)), self._mesh)
         if form not in self._programs:
-            self._programs[form] = self._compile(arrays, is_quiet(world.noise), slot)
+            compiled = partial(self._compile, arrays, is_quiet(world.noise), slot)
+            made_of, on = (form, *self._made_of), list(self._mesh.devices.flat)
+            self._programs[form] = Programs(*kept.programs(made_of, on, compiled))
         return arrays, self._programs[form]
 
-    def _compile(self, arrays: tuple[Case, Case, Array], quiet: bool, slot: int | None) -> Programs:
+    @property
+    def _made_of(self) -> tuple:
+        """All that the programs depend on beside the form of their arguments; MJX's dynamics hold the nominal model."""
+        top = self.topology
+        model = dynamics.saved(top.model) if self.dynamics == "mjx" else None
+        return self.settings, self.limits, self.width, self._mesh.size, self.dynamics, top.names, top.owner, model
+
+    def _compile(
+        self, arrays: tuple[Case, Case, Array], quiet: bool, slot: int | None
+    ) -> tuple[Compiled, Compiled, Compiled]:
         """The programs over batches like `arrays`, split over the devices.
 
         They are compiled side by side: the compiler needs no Python, which traces the next one meanwhile.
@@ -135,7 +147,7 @@ class Mjx:
             go_on = jax.jit(chunk, donate_argnums=3, compiler_options=options)
             chunked = pool.submit(go_on.lower(world, belief, plans, carry, 0, slot).compile)
             finished = jax.jit(finish).lower(world, plans, carry).compile()
-            return Programs(started.result(), chunked.result(), finished)
+            return started.result(), chunked.result(), finished
 
     def _chunk(self, axes: tuple[Case, Case], quiet: bool) -> Callable:
         """A second of the batch that a device has, of which the rollout in a slot may be recorded."""

@@ -69,3 +69,10 @@ def topology(case: Case) -> Topology:
     points = np.array(feet + extra, np.int32)
     per_leg = len(scene.links(case.robot))
     return Topology(model, names, root, joints.reshape(6, 3), free, points, owner, per_leg)
+
+
+def saved(model: mujoco.MjModel) -> bytes:
+    """All that is in a compiled model."""
+    content = np.empty(mujoco.mj_sizeModel(model), np.uint8)
+    mujoco.mj_saveModel(model, None, content)
+    return content.tobytes()

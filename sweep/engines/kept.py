@@ -1,0 +1,84 @@
+"""Compiled programs kept between processes, so that a later start need not even trace them.
+
+JAX keeps what its compiler makes, but has to trace a program to find it again, which takes longer than to load it.
+"""
+
+import contextlib
+import hashlib
+import os
+import pickle
+import uuid
+import zlib
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from jax.experimental.compilation_cache.compilation_cache import reset_cache
+from jax.experimental.serialize_executable import deserialize_and_load, serialize
+from jax.stages import Compiled
+
+from sweep import provenance
+
+MOST = 200  # files, of one or two MB each
+
+
+def programs(made_of: Any, devices: Sequence[Any], compiled: Callable[[], Sequence[Compiled]]) -> Sequence[Compiled]:
+    """What `compiled` gives for `devices`, or gave in an earlier process.
+
+    The text of `made_of`, the code, its libraries' versions, JAX's settings and the devices' kind have to be all that
+    the programs depend on.
+    """
+    folder = _folder()
+    if folder is None:
+        return compiled()
+    file = folder / f"{_key(made_of, devices)}.programs"
+    try:
+        parts = pickle.loads(zlib.decompress(file.read_bytes()))
+        return [deserialize_and_load(*part, execution_devices=devices) for part in parts]
+    except Exception:  # not there, cut short, or not for these devices after all
+        with _not_by_jax():
+            made = compiled()
+    with contextlib.suppress(OSError):  # as of a full disk; the next start compiles again
+        _write(file, zlib.compress(pickle.dumps([serialize(part) for part in made]), level=1))
+        for old in sorted(folder.glob("*.programs"), key=lambda f: f.stat().st_mtime)[:-MOST]:
+            old.unlink(missing_ok=True)
+    return made
+
+
+def _folder() -> Path | None:
+    """Where JAX keeps its own, if it does. Sources that changed meanwhile are not what was traced."""
+    if not jax.config.jax_enable_compilation_cache or not jax.config.jax_compilation_cache_dir or provenance.edited():
+        return None
+    return Path(jax.config.jax_compilation_cache_dir)
+
+
+@contextlib.contextmanager
+def _not_by_jax() -> Iterator[None]:
+    """JAX keeps and finds nothing: a program for a CPU that came out of a file lacks functions after a second file."""
+    jax.config.update("jax_enable_compilation_cache", False)
+    reset_cache()
+    try:
+        yield
+    finally:
+        jax.config.update("jax_enable_compilation_cache", True)
+        reset_cache()
+
+
+def _key(made_of: Any, devices: Sequence[Any]) -> str:
+    kind, version = devices[0].device_kind, devices[0].client.platform_version
+    where = kind, version, [device.id for device in devices], np.show_config(mode="dicts")["SIMD Extensions"]
+    how = sorted(jax.config.values.items()), os.environ.get("XLA_FLAGS")
+    return hashlib.blake2b(repr((made_of, provenance.code_version(), where, how)).encode(), digest_size=20).hexdigest()
+
+
+def _write(file: Path, content: bytes) -> None:
+    """All of it or nothing, while other processes may do the same."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = file.with_suffix(f".{uuid.uuid4().hex}")
+    try:
+        unfinished.write_bytes(content)
+        unfinished.replace(file)
+    finally:
+        unfinished.unlink(missing_ok=True)

@@ -1,0 +1,130 @@
+"""Programs kept between processes: found again, made anew where anything differs, never in the way."""
+
+import contextlib
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from sweep import provenance
+from sweep.config import compose
+from sweep.engines import kept
+from sweep.engines.mjx import Mjx
+from sweep.engines.settings import EngineSettings
+from sweep.metrics.outcome import Thresholds
+
+CASE = compose(["scenario=walk_tripod"]).case
+X = jnp.arange(3.0)
+ONE = jax.devices()[:1]
+
+
+@contextlib.contextmanager
+def setting(**values):
+    """JAX's settings, inside."""
+    before = {name: getattr(jax.config, name) for name in values}
+    for name, value in values.items():
+        jax.config.update(name, value)
+    yield
+    for name, value in before.items():
+        jax.config.update(name, value)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """An empty place for kept programs."""
+    with setting(jax_compilation_cache_dir=str(tmp_path)):
+        yield tmp_path
+
+
+class Compiler:
+    """Compiles x -> factor x, and counts how often."""
+
+    def __init__(self, factor):
+        self.factor, self.times = factor, 0
+
+    def __call__(self):
+        self.times += 1
+        return [jax.jit(lambda x: {"y": self.factor * x}).lower(X).compile()]
+
+
+def test_what_one_process_compiled_the_next_loads(folder):
+    compiler = Compiler(2.0)
+    first, again = (kept.programs("two", ONE, compiler)[0](X)["y"] for _ in range(2))
+    np.testing.assert_array_equal(first, again)
+    np.testing.assert_array_equal(again, 2 * X)
+    assert compiler.times == 1
+
+
+@pytest.mark.parametrize("change", ["made of", "code", "compiler flags", "JAX's settings"])
+def test_where_anything_differs_it_is_compiled_anew(folder, monkeypatch, change):
+    kept.programs("two", ONE, Compiler(2.0))
+    if change == "code":
+        monkeypatch.setattr(provenance, "code_version", lambda: "another")
+    if change == "compiler flags":
+        monkeypatch.setenv("XLA_FLAGS", "--xla_cpu_enable_fast_math=true")
+    precision = "bfloat16" if change == "JAX's settings" else jax.config.jax_default_matmul_precision
+    compiler = Compiler(3.0)
+    with setting(jax_default_matmul_precision=precision):
+        (program,) = kept.programs("three" if change == "made of" else "two", ONE, compiler)
+    np.testing.assert_array_equal(program(X)["y"], 3 * X)
+    assert compiler.times == 1
+
+
+@pytest.mark.parametrize("damage", [b"", b"not a program"])
+def test_a_damaged_file_is_replaced(folder, damage):
+    kept.programs("two", ONE, Compiler(2.0))
+    (file,) = folder.glob("*.programs")
+    whole = file.read_bytes()
+    file.write_bytes(damage)
+    compiler = Compiler(2.0)
+    np.testing.assert_array_equal(kept.programs("two", ONE, compiler)[0](X)["y"], 2 * X)
+    assert compiler.times == 1
+    assert len(file.read_bytes()) == pytest.approx(len(whole), rel=0.05)
+
+
+def test_a_folder_that_cannot_be_written_is_no_fault(tmp_path):
+    (tmp_path / "file").touch()
+    with setting(jax_compilation_cache_dir=str(tmp_path / "file")):
+        np.testing.assert_array_equal(kept.programs("two", ONE, Compiler(2.0))[0](X)["y"], 2 * X)
+
+
+def test_nothing_is_kept_of_sources_written_since_the_start(folder, monkeypatch):
+    monkeypatch.setattr(provenance, "STARTED", 0.0)
+    kept.programs("two", ONE, Compiler(2.0))
+    assert not list(folder.glob("*.programs"))
+
+
+def made_of(monkeypatch, settings=(), limits=(), case=CASE, vary=False, slot=None) -> str:
+    """What an engine says that its programs depend on."""
+    asked = []
+    monkeypatch.setattr(kept, "programs", lambda parts, *_: asked.append(repr(parts)) or (None,) * 3)
+    engine = Mjx(EngineSettings(width=2, **dict(settings)), case, case, Thresholds(**dict(limits)))
+    world = dataclasses.replace(case, contact=dataclasses.replace(case.contact, friction=np.ones(2) if vary else 1.0))
+    with jax.enable_x64(engine.settings.precision == "float64"):
+        engine._prepare(world, case, np.zeros(2, int), slot)
+    return asked[0]
+
+
+def changed(group, **values):
+    return dataclasses.replace(CASE, **{group: dataclasses.replace(getattr(CASE, group), **values)})
+
+
+MJX = {"settings": {"dynamics": "mjx"}}
+DIFFERENT = {
+    "steps of the solver": {"settings": {"iterations": 3}}, "time step": {"settings": {"time_step": 1e-3}},
+    "precision": {"settings": {"precision": "float64"}}, "limits": {"limits": {"tilt_max_deg": 21.0}},
+    "dynamics": MJX, "what varies": {"vary": True}, "a recorded slot": {"slot": 0},
+    "links": {"case": changed("robot", legs="three_link", coxa=0.05)},
+    "noise": {"case": changed("noise", position_noise=1e-3)},
+    "length of the walk": {"case": changed("manoeuvre", steps=3)},
+    "MJX's own constants": {**MJX, "case": changed("robot", body_mass=11.0)},
+}  # fmt: skip
+
+
+def test_an_engines_programs_depend_on_all_that_shapes_them_and_on_no_swept_number(monkeypatch):
+    texts = {name: made_of(monkeypatch, **change) for name, change in DIFFERENT.items()}
+    texts["nominal"] = made_of(monkeypatch)
+    assert len(set(texts.values())) == len(texts)
+    assert made_of(monkeypatch, case=changed("robot", body_mass=11.0)) == texts["nominal"]
