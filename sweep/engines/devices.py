@@ -55,17 +55,17 @@ def kept_from() -> int:
     return 8 if jax.default_backend() == "cpu" else NEVER
 
 
-def compiler_options(moving: bool) -> dict[str, Any] | None:
-    """How a program is compiled; `moving` where it steps a robot on free bodies.
+def plan_options() -> dict[str, Any] | None:
+    """How plans are compiled: once run, they are not worth the 14 s that a GPU's compiler takes to time one variant."""
+    return {"xla_gpu_autotune_level": 0} if jax.default_backend() == "gpu" else None
 
-    A GPU's compiler times variants of every larger part before it takes one: 14 s for a single variant of a plan, which
-    spills its registers, for nothing gained in the run.
+
+def step_options(moving: bool) -> dict[str, Any] | None:
+    """How steps are compiled; `moving` where the robot stands on free bodies.
 
     From 0.12 on JAX leaves sums over short axes to a library that a CPU spends milliseconds in. Without it the step on
     free bodies is seven times as fast; that on fixed ground only a third faster, and twice as long to compile.
     """
-    if jax.default_backend() == "gpu":
-        return {"xla_gpu_autotune_level": 0}
     if jax.default_backend() != "cpu" or jax.__version_info__ < (0, 12) or not moving:
         return None
     return {"xla_cpu_experimental_ynn_fusion_type": ""}

@@ -139,9 +139,9 @@ class Mjx:
         chunk = on_devices(self._chunk(axes, quiet), in_specs=(*specs, split, split, whole, whole), out_specs=recorded)
         finish = jax.vmap(self._finish, in_axes=(axes[0], 0, 0))
         finish = on_devices(finish, in_specs=(specs[0], split, split), out_specs=split)
-        options = devices.compiler_options(moving=bool(self.topology.free))
+        options = devices.step_options(moving=bool(self.topology.free))
         with ThreadPoolExecutor() as pool:
-            begin = jax.jit(start, compiler_options=devices.compiler_options(moving=False)).lower(*arrays)
+            begin = jax.jit(start, compiler_options=devices.plan_options()).lower(*arrays)
             started = pool.submit(begin.compile)
             plans, carry = devices.split(begin.out_info, self._mesh)
             go_on = jax.jit(chunk, donate_argnums=3, compiler_options=options)
