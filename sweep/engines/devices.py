@@ -29,7 +29,7 @@ def configure() -> None:
     if jax.config.jax_compilation_cache_dir is None:
         home = os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")
         jax.config.update("jax_compilation_cache_dir", str(Path(home) / "insect-sweep"))
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)  # a plan is hundreds of small ones
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)  # small ones, too
     with contextlib.suppress(RuntimeError):  # too late where JAX was used before
         jax.config.update("jax_num_cpu_devices", len(os.sched_getaffinity(0)))
 

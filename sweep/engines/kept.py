@@ -38,7 +38,7 @@ def programs(made_of: Any, devices: Sequence[Any], compiled: Callable[[], Sequen
         parts = pickle.loads(zlib.decompress(file.read_bytes()))
         return [deserialize_and_load(*part, execution_devices=devices) for part in parts]
     except Exception:  # not there, cut short, or not for these devices after all
-        with _not_by_jax():
+        with unused():
             made = compiled()
     with contextlib.suppress(OSError):  # as of a full disk; the next start compiles again
         _write(file, zlib.compress(pickle.dumps([serialize(part) for part in made]), level=1))
@@ -55,14 +55,18 @@ def _folder() -> Path | None:
 
 
 @contextlib.contextmanager
-def _not_by_jax() -> Iterator[None]:
-    """JAX keeps and finds nothing: a program for a CPU that came out of a file lacks functions after a second file."""
+def unused() -> Iterator[None]:
+    """Inside, nothing is kept or found, by JAX neither.
+
+    A program for a CPU that JAX has from a file of its own lacks functions when it is kept once more.
+    """
+    before = jax.config.jax_enable_compilation_cache
     jax.config.update("jax_enable_compilation_cache", False)
     reset_cache()
     try:
         yield
     finally:
-        jax.config.update("jax_enable_compilation_cache", True)
+        jax.config.update("jax_enable_compilation_cache", before)
         reset_cache()
 
 
