@@ -1,8 +1,6 @@
 """From the points table to the inputs of an engine: groups that share a compiled engine, batches of one width."""
 
-import io
 import math
-from contextlib import redirect_stdout
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -39,10 +37,9 @@ def make_engine(exp: Experiment, start: Batch) -> Engine:
 
 @lru_cache(maxsize=1)
 def _engine(settings: EngineSettings, world: Case, belief: Case, limits: Thresholds) -> Engine:
-    with redirect_stdout(io.StringIO()):  # importing MJX takes seconds, and it prints
-        import sweep.engines
+    import sweep.engines  # slow to import
 
-        return sweep.engines.make(settings, world, belief, limits)
+    return sweep.engines.make(settings, world, belief, limits)
 
 
 def forget_engine() -> None:

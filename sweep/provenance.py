@@ -38,7 +38,7 @@ def code_version() -> str:
 
 def edited() -> bool:
     """Whether any of the simulation's sources was written after this process began: what runs may be older."""
-    return any(file.stat().st_mtime > STARTED for file in _sources())
+    return any(file.stat().st_ctime > STARTED for file in _sources())
 
 
 def _sources() -> list[Path]:

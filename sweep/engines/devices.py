@@ -100,12 +100,12 @@ def spread(tree: Any, over: jax.sharding.Mesh) -> Any:
 
 def split(tree: Any, over: jax.sharding.Mesh) -> Any:
     """The form of arrays like those of `tree`, which all vary over the batch, split over the mesh."""
-    split, whole = NamedSharding(over, PartitionSpec(BATCH)), NamedSharding(over, PartitionSpec())
+    parts, whole = NamedSharding(over, PartitionSpec(BATCH)), NamedSharding(over, PartitionSpec())
 
-    def form(x: Any) -> jax.ShapeDtypeStruct:  # the compiler leaves empty arrays whole
-        return jax.ShapeDtypeStruct(x.shape, x.dtype, sharding=split if np.prod(x.shape) else whole)
+    def laid_out(x: Any) -> jax.ShapeDtypeStruct:  # the compiler leaves empty arrays whole
+        return jax.ShapeDtypeStruct(x.shape, x.dtype, sharding=parts if np.prod(x.shape) else whole)
 
-    return jax.tree.map(form, tree)
+    return jax.tree.map(laid_out, tree)
 
 
 def axes(tree: Any) -> Any:

@@ -7,44 +7,59 @@ import contextlib
 import hashlib
 import os
 import pickle
-import uuid
+import platform
+import threading
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import jax
-import numpy as np
 from jax.experimental.compilation_cache.compilation_cache import reset_cache
 from jax.experimental.serialize_executable import deserialize_and_load, serialize
 from jax.stages import Compiled
 
 from sweep import provenance
 
-MOST = 200  # files, of one or two MB each
+MOST = 200  # files, of about a MB each
+CPU_INFO = Path("/proc/cpuinfo")
+_jax_settings = threading.RLock()
 
 
 def programs(made_of: Any, devices: Sequence[Any], compiled: Callable[[], Sequence[Compiled]]) -> Sequence[Compiled]:
     """What `compiled` gives for `devices`, or gave in an earlier process.
 
-    The text of `made_of`, the code, its libraries' versions, JAX's settings and the devices' kind have to be all that
-    the programs depend on.
+    The text of `made_of`, the code of this package, its libraries' versions, JAX's settings and the devices' kind have
+    to be all that the programs depend on.
     """
     folder = _folder()
     if folder is None:
         return compiled()
     file = folder / f"{_key(made_of, devices)}.programs"
-    try:
-        parts = pickle.loads(zlib.decompress(file.read_bytes()))
-        return [deserialize_and_load(*part, execution_devices=devices) for part in parts]
-    except Exception:  # not there, cut short, or not for these devices after all
-        with unused():
-            made = compiled()
-    with contextlib.suppress(OSError):  # as of a full disk; the next start compiles again
-        _write(file, zlib.compress(pickle.dumps([serialize(part) for part in made]), level=1))
-        for old in sorted(folder.glob("*.programs"), key=lambda f: f.stat().st_mtime)[:-MOST]:
-            old.unlink(missing_ok=True)
+    if (found := _load(file, devices)) is not None:
+        return found
+    with unused():
+        made = compiled()
+    with contextlib.suppress(Exception):  # such as a full disk: what is made can run, and the next start makes it again
+        _keep(file, zlib.compress(pickle.dumps([serialize(part) for part in made]), level=1))
     return made
+
+
+@contextlib.contextmanager
+def unused() -> Iterator[None]:
+    """Inside, nothing is kept or found, by JAX neither; one thread at a time.
+
+    A program for a CPU that JAX has from a file of its own lacks functions when it is kept once more.
+    """
+    with _jax_settings:
+        before = jax.config.jax_enable_compilation_cache
+        try:
+            jax.config.update("jax_enable_compilation_cache", False)
+            reset_cache()
+            yield
+        finally:
+            jax.config.update("jax_enable_compilation_cache", before)
+            reset_cache()
 
 
 def _folder() -> Path | None:
@@ -54,35 +69,33 @@ def _folder() -> Path | None:
     return Path(jax.config.jax_compilation_cache_dir)
 
 
-@contextlib.contextmanager
-def unused() -> Iterator[None]:
-    """Inside, nothing is kept or found, by JAX neither.
-
-    A program for a CPU that JAX has from a file of its own lacks functions when it is kept once more.
-    """
-    before = jax.config.jax_enable_compilation_cache
-    jax.config.update("jax_enable_compilation_cache", False)
-    reset_cache()
-    try:
-        yield
-    finally:
-        jax.config.update("jax_enable_compilation_cache", before)
-        reset_cache()
-
-
 def _key(made_of: Any, devices: Sequence[Any]) -> str:
     kind, version = devices[0].device_kind, devices[0].client.platform_version
-    where = kind, version, [device.id for device in devices], np.show_config(mode="dicts")["SIMD Extensions"]
+    where = kind, version, [device.id for device in devices], _processor()
     how = sorted(jax.config.values.items()), os.environ.get("XLA_FLAGS")
     return hashlib.blake2b(repr((made_of, provenance.code_version(), where, how)).encode(), digest_size=20).hexdigest()
 
 
-def _write(file: Path, content: bytes) -> None:
-    """All of it or nothing, while other processes may do the same."""
-    file.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = file.with_suffix(f".{uuid.uuid4().hex}")
+def _processor() -> Any:
+    """What a program for the CPU may make use of: machines that share a home folder need not be alike."""
+    if not CPU_INFO.exists():
+        return platform.processor()
+    lines = CPU_INFO.read_text().splitlines()
+    return sorted({line for line in lines if line.startswith(("model name", "flags", "Features"))})
+
+
+def _load(file: Path, devices: Sequence[Any]) -> Sequence[Compiled] | None:
     try:
-        unfinished.write_bytes(content)
-        unfinished.replace(file)
-    finally:
-        unfinished.unlink(missing_ok=True)
+        parts = pickle.loads(zlib.decompress(file.read_bytes()))
+        return [deserialize_and_load(*part, execution_devices=devices) for part in parts]
+    except Exception:  # not there, cut short, or not for these devices after all
+        return None
+
+
+def _keep(file: Path, content: bytes) -> None:
+    file.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = file.with_suffix(".unfinished")
+    unfinished.write_bytes(content)
+    unfinished.replace(file)
+    for old in sorted(file.parent.glob("*.programs"), key=lambda f: f.stat().st_mtime)[:-MOST]:
+        old.unlink(missing_ok=True)

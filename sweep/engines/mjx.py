@@ -25,7 +25,6 @@ from sweep.models import dynamics
 from sweep.models.step import State, rest
 
 CHUNK = 1.0  # s of simulated time between two looks of the host
-N_LEGS = 6
 
 
 class Carry(NamedTuple):
@@ -121,7 +120,7 @@ class Mjx:
         """All that the programs depend on beside the form of their arguments; MJX's dynamics hold the nominal model."""
         top = self.topology
         model = dynamics.saved(top.model) if self.dynamics == "mjx" else None
-        return self.settings, self.limits, self.width, self._mesh.size, self.dynamics, top.names, top.owner, model
+        return self.settings, self.limits, self.width, self.dynamics, top.names, top.owner, model
 
     def _compile(
         self, arrays: tuple[Case, Case, Array], quiet: bool, slot: int | None

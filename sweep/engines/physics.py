@@ -1,6 +1,8 @@
 """The physics steps of one control tick of `mjx`, and what the metrics want of them. Functions of one rollout."""
 
+import io
 from collections.abc import Callable
+from contextlib import redirect_stdout
 from functools import partial
 from typing import NamedTuple, Protocol
 
@@ -47,7 +49,8 @@ def taken(settings: EngineSettings, world: Case) -> str:
 def make(settings: EngineSettings, top: Topology, world: Case) -> Physics:
     """The physics of a scenario; on ground that does not move, the structured step written out."""
     if taken(settings, world) == "mjx":
-        from sweep.models import mjx_dynamics  # MJX is slow to import
+        with redirect_stdout(io.StringIO()):  # MJX is slow to import, and prints that
+            from sweep.models import mjx_dynamics
 
         return General(settings, top, mjx_dynamics.of(top))
     return General(settings, top, structured.of(top)) if top.free else OnFixedGround(settings)

@@ -18,8 +18,8 @@ from sweep.models.obstacles.surface import Bodies
 
 def of(top: Topology) -> Callable[[Case], SmoothDynamics]:
     """The smooth dynamics of a world, for every world of the topology."""
-    model = mjx.put_model(top.model)
-    data = mjx.make_data(model)
+    model = mjx.put_model(top.model, impl="jax")
+    data = mjx.make_data(model, impl="jax")
     return lambda world: partial(smooth_dynamics, top, model.replace(**varying(top, model, world)), data)
 
 

@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+from concurrent.futures import ThreadPoolExecutor
 
 import jax
 import jax.numpy as jnp
@@ -26,9 +27,11 @@ def setting(**values):
     before = {name: getattr(jax.config, name) for name in values}
     for name, value in values.items():
         jax.config.update(name, value)
-    yield
-    for name, value in before.items():
-        jax.config.update(name, value)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            jax.config.update(name, value)
 
 
 @pytest.fixture
@@ -88,6 +91,21 @@ def test_a_folder_that_cannot_be_written_is_no_fault(tmp_path):
     (tmp_path / "file").touch()
     with setting(jax_compilation_cache_dir=str(tmp_path / "file")):
         np.testing.assert_array_equal(kept.programs("two", ONE, Compiler(2.0))[0](X)["y"], 2 * X)
+
+
+def test_a_program_that_cannot_be_kept_runs(folder, monkeypatch):
+    def refuse(_):
+        raise NotImplementedError
+
+    monkeypatch.setattr(kept, "serialize", refuse)
+    np.testing.assert_array_equal(kept.programs("two", ONE, Compiler(2.0))[0](X)["y"], 2 * X)
+
+
+def test_two_threads_that_compile_at_once_leave_keeping_as_it_was(folder):
+    with ThreadPoolExecutor(2) as pool:
+        list(pool.map(lambda k: kept.programs(k, ONE, Compiler(float(k))), (2, 3)))
+    assert jax.config.jax_enable_compilation_cache
+    assert len(list(folder.glob("*.programs"))) == 2
 
 
 def test_nothing_is_kept_of_sources_written_since_the_start(folder, monkeypatch):
