@@ -32,14 +32,15 @@ def programs(made_of: Any, devices: Sequence[Any], compiled: Callable[[], Sequen
     The text of `made_of`, the code of this package, its libraries' versions, JAX's settings and the devices' kind have
     to be all that the programs depend on.
     """
-    folder = _folder()
-    if folder is None:
-        return compiled()
-    file = folder / f"{_key(made_of, devices)}.programs"
-    if (found := _load(file, devices)) is not None:
-        return found
-    with unused():
-        made = compiled()
+    with _jax_settings:  # which another thread may be changing
+        folder = _folder()
+        if folder is None:
+            return compiled()
+        file = folder / f"{_key(made_of, devices)}.programs"
+        if (found := _load(file, devices)) is not None:
+            return found
+        with unused():
+            made = compiled()
     with contextlib.suppress(Exception):  # such as a full disk: what is made can run, and the next start makes it again
         _keep(file, zlib.compress(pickle.dumps([serialize(part) for part in made]), level=1))
     return made
