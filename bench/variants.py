@@ -5,7 +5,6 @@ To run: `python bench/variants.py`.
 Links' lengths and masses, the links' radius and friction vary.
 """
 
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -14,6 +13,7 @@ import jax
 import numpy as np
 from mujoco import mjx
 
+from sweep.bench import timed
 from sweep.case import Case
 from sweep.config import compose
 from sweep.engines import batching, devices
@@ -33,12 +33,7 @@ def variants(nominal: Case, count: int) -> Case:
 
 def seconds(work: Callable[[], object]) -> float:
     """The best of three."""
-    took = []
-    for _ in range(3):
-        start = time.perf_counter()
-        jax.block_until_ready(work())
-        took.append(time.perf_counter() - start)
-    return min(took)
+    return min(timed(lambda: jax.block_until_ready(work())) for _ in range(3))
 
 
 def main() -> None:

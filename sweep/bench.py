@@ -64,7 +64,7 @@ def _engine(settings: EngineSettings, nominal: Case, rollouts: int) -> dict[str,
     def simulate(batch: tuple[Case, Case]) -> float:
         return float(np.max(engine.run(*batch, streams)["duration_s"]))
 
-    first = _timed(lambda: simulate(batches[0]))
+    first = timed(lambda: simulate(batches[0]))
     start = time.perf_counter()
     seconds = sum(simulate(batch) for batch in batches)
     wall = time.perf_counter() - start
@@ -104,7 +104,7 @@ def _bare(settings: EngineSettings, nominal: Case, rollouts: int) -> dict[str, A
     fresh = jax.tree.map(lambda x: jnp.broadcast_to(x[..., None], (*x.shape, width)), rest(top, start.qpos))
     # laid out as the results are, or the second call compiles again
     fresh = jax.tree.map(lambda x, s: jax.device_put(x, NamedSharding(mesh, s)), fresh, specs)
-    compile_s = _timed(lambda: jax.block_until_ready(run(frictions[0], fresh)))
+    compile_s = timed(lambda: jax.block_until_ready(run(frictions[0], fresh)))
     seconds = int(np.ceil(float(np.sum(plan.duration)) / SECOND))
 
     def simulate() -> None:
@@ -114,12 +114,12 @@ def _bare(settings: EngineSettings, nominal: Case, rollouts: int) -> dict[str, A
                 states = run(friction, states)
             jax.block_until_ready(states)
 
-    wall = _timed(simulate)
+    wall = timed(simulate)
     total = seconds * SECOND * len(frictions)
     return _line("bare", physics.taken(settings, nominal), width, rollouts, total, wall, compile_s, settings.time_step)
 
 
-def _timed(work: Callable[[], object]) -> float:
+def timed(work: Callable[[], object]) -> float:
     """Wall time (s)."""
     start = time.perf_counter()
     work()
