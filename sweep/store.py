@@ -46,7 +46,7 @@ def locked(folder: Path) -> Iterator[None]:
         held.release()
 
 
-def _write(path: Path, write: Callable[[Path], object]) -> None:
+def write_whole(path: Path, write: Callable[[Path], object]) -> None:
     """`write` into a hidden file of this process, then put it in its place at once. Raises `Fault`."""
     hidden = path.parent / f".{path.name}.{socket.gethostname()}-{os.getpid()}.tmp"
     try:
@@ -67,7 +67,7 @@ def _reason(error: OSError) -> str:
 def write_study(folder: Path, content: Mapping[str, Any]) -> None:
     """What the folder holds: configuration, versions, device."""
     text = yaml.safe_dump(dict(content), sort_keys=False, allow_unicode=True)
-    _write(folder / STUDY, lambda p: p.write_text(text))
+    write_whole(folder / STUDY, lambda p: p.write_text(text))
 
 
 def read_study(folder: Path) -> dict[str, Any]:
@@ -85,7 +85,7 @@ def read_study(folder: Path) -> dict[str, Any]:
 
 def write_points(folder: Path, points: pd.DataFrame) -> None:
     """The plan: one row per rollout, with its group, batch and slot."""
-    _write(folder / POINTS, lambda p: _to_parquet(points, p))
+    write_whole(folder / POINTS, lambda p: _to_parquet(points, p))
 
 
 def read_points(folder: Path) -> pd.DataFrame:
@@ -113,7 +113,7 @@ def part(folder: Path, batch: int) -> Path:
 
 def write_part(folder: Path, batch: int, rows: pd.DataFrame) -> None:
     """The finished rows of one batch."""
-    _write(part(folder, batch), lambda p: _to_parquet(rows, p))
+    write_whole(part(folder, batch), lambda p: _to_parquet(rows, p))
 
 
 def finished(folder: Path) -> set[int]:

@@ -19,7 +19,7 @@ from jax.experimental.compilation_cache.compilation_cache import reset_cache
 from jax.experimental.serialize_executable import deserialize_and_load, serialize
 from jax.stages import Compiled
 
-from sweep import provenance
+from sweep import provenance, store
 
 MOST = 200  # files, of about a MB each
 CPU_INFO = Path("/proc/cpuinfo")
@@ -95,8 +95,6 @@ def _load(file: Path, devices: Sequence[Any]) -> Sequence[Compiled] | None:
 
 def _keep(file: Path, content: bytes) -> None:
     file.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = file.with_suffix(".unfinished")
-    unfinished.write_bytes(content)
-    unfinished.replace(file)
+    store.write_whole(file, lambda path: path.write_bytes(content))
     for old in sorted(file.parent.glob("*.programs"), key=lambda f: f.stat().st_mtime)[:-MOST]:
         old.unlink(missing_ok=True)
