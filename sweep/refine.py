@@ -21,7 +21,7 @@ from sweep.designs import Axis
 from sweep.errors import InputError
 from sweep.intervals import anytime, clopper_pearson
 from sweep.runner import Job, lay_out
-from sweep.stats import percent
+from sweep.stats import Rate, percent, rate
 from sweep.study import Study, points
 
 MISSING, INVALID, FAILS, SUCCEEDS = -2, -1, 0, 1
@@ -253,11 +253,15 @@ class Refined:
     label: np.ndarray  # of every lattice point, known or filled in; MISSING where neither
     known: np.ndarray  # bool
     cells: tuple[np.ndarray, ...]  # see `leaves`
-    rollouts: int
-    invalid: int  # of the rollouts
+    rate: Rate  # of the rollouts
     audited: int
     missed: int  # audited points whose label is not what was filled in
     undecided: int  # points whose interval still holds the level
+
+    @property
+    def rollouts(self) -> int:
+        """That were run."""
+        return self.rate.total
 
     @property
     def missed_at_most(self) -> float:
@@ -265,9 +269,8 @@ class Refined:
         return float(clopper_pearson(self.missed, self.audited).high)
 
     def __str__(self) -> str:
-        size = self.label.size
-        broken = f"{self.invalid} invalid ({percent(self.invalid / self.rollouts if self.rollouts else 0.0)})"
-        text = f"{self.rollouts} rollouts, {broken}, for a grid of {' x '.join(map(str, self.grid.shape))} points"
+        size, shape = self.label.size, " x ".join(map(str, self.grid.shape))
+        text = f"{self.rollouts} rollouts, {self.rate.broken}, for a grid of {shape} points"
         text = ", ".join(self.names.values()) + f": {text}" if self.names else text
         if self.rollouts < size:
             text += f", {size / self.rollouts:.1f} times fewer"
@@ -295,8 +298,8 @@ def refined(exp: Experiment, rows: pd.DataFrame) -> list[Refined]:
         undecided = int(_undecided(exp.study, counts).sum()) if exp.study.noisy else 0
         known = counts.total > 0
         whole = np.where(known, label, promised)
-        invalid = int((part["outcome"] == "invalid").sum())
-        found.append(Refined(names, grid, whole, known, cells, len(part), invalid, int(audit.sum()), missed, undecided))
+        run = rate(part["outcome"])
+        found.append(Refined(names, grid, whole, known, cells, run, int(audit.sum()), missed, undecided))
     return found
 
 

@@ -39,12 +39,16 @@ class Rate:
         """Invalid rollouts over all."""
         return self.invalid / self.total if self.total else 0.0
 
+    @property
+    def broken(self) -> str:
+        """`3 invalid (1.2 %)`."""
+        return f"{self.invalid} invalid ({percent(self.invalid_share)})"
+
     def __str__(self) -> str:
         if not self.valid:
             return f"no valid rollout among {self.total}"
-        share, low, high, invalid = map(percent, (self.share, self.low, self.high, self.invalid_share))
-        sure = f"{share}, 95 % interval {low} to {high}"
-        return f"{self.success} of {self.valid} succeed ({sure}), {self.invalid} invalid ({invalid})"
+        share, low, high = map(percent, (self.share, self.low, self.high))
+        return f"{self.success} of {self.valid} succeed ({share}, 95 % interval {low} to {high}), {self.broken}"
 
 
 def percent(share: float) -> str:
