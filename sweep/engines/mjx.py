@@ -107,10 +107,11 @@ class Mjx:
     ) -> tuple[tuple[Case, Case, Array], Programs]:
         """Arguments as arrays of the right type, and the programs for their batch axes; `slot` is recorded."""
         batching.check(streams, self.width)
-        form = devices.form((world, belief)), is_quiet(world.noise), slot is None
+        quiet = is_quiet(world.noise)
+        form = devices.form((world, belief)), quiet, slot is None
         arrays = devices.spread((*devices.as_arrays((world, belief)), devices.keys(streams)), self._mesh)
         if form not in self._programs:
-            compiled = partial(self._compile, arrays, is_quiet(world.noise), slot)
+            compiled = partial(self._compile, arrays, quiet, slot)
             made_of, on = (form, *self._made_of), list(self._mesh.devices.flat)
             self._programs[form] = Programs(*kept.programs(made_of, on, compiled))
         return arrays, self._programs[form]
