@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import binary_dilation
 
-from sweep import store
-from sweep.config import experiment
-from sweep.refine import FAILS, MISSING, SUCCEEDS, refined
+from sweep.runs import store
+from sweep.runs.refine import FAILS, MISSING, SUCCEEDS, refined
+from sweep.study.config import experiment
 
 
 def main(folder: Path, whole: Path) -> None:

@@ -13,12 +13,13 @@ import jax
 import numpy as np
 from mujoco import mjx
 
-from sweep.bench import timed
-from sweep.case import Case
-from sweep.config import compose
+from sweep.cli.bench import timed
+from sweep.dynamics import interface as dynamics
+from sweep.dynamics import mjx as mjx_dynamics
 from sweep.engines import batching, devices
-from sweep.models import dynamics, mjx_dynamics
+from sweep.models.case import Case
 from sweep.models.scene import compile_model
+from sweep.study.config import compose
 
 BATCH, ONE_BY_ONE = 65536, 40
 

@@ -15,9 +15,9 @@ import pandas as pd
 from matplotlib.axes import Axes
 
 from sweep import load
-from sweep.batches import Batch, make_engine
-from sweep.config import compose
-from sweep.intervals import wilson
+from sweep.analysis.intervals import wilson
+from sweep.runs.batches import Batch, make_engine
+from sweep.study.config import compose
 from sweep.trace.plots import PLOTS, save
 
 FIGURES = Path(__file__).parent / "figures"

@@ -10,14 +10,14 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from sweep.case import Case
-from sweep.config import compose
-from sweep.controllers.manoeuvres.waypoints import CIRCLE, TRIPODS, WAYPOINTS
+from sweep.controllers.manoeuvres.walking.waypoints import CIRCLE, TRIPODS, WAYPOINTS
 from sweep.controllers.plan import Plan, reference
 from sweep.controllers.tracker import joint_targets
 from sweep.engines import make
 from sweep.formulas.leg import SIDE
 from sweep.formulas.thesis import thesis_workspace
+from sweep.models.case import Case
+from sweep.study.config import compose
 
 FIGURES = Path(__file__).parent / "figures"
 SCENARIO = "scenario=hexagon_waypoints"

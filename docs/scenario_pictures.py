@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from sweep.batches import Batch, make_engine
-from sweep.config import compose
+from sweep.runs.batches import Batch, make_engine
+from sweep.study.config import compose
 from sweep.trace.frames import write_strip
 from sweep.trace.sampling import evenly
 

@@ -21,7 +21,7 @@ def run(*overrides: str) -> "pd.DataFrame":
     """Simulate what `sweep run` with the same `overrides` would, and give its rows as `load` does.
 
     Studies are kept in their folder, so a second call finishes or only reads them; a nominal rollout is one row
-    and leaves no files. Raises `sweep.parameters.InputError`, whose message is one line.
+    and leaves no files. Raises `sweep.core.parameters.InputError`, whose message is one line.
     """
     from sweep import api  # the simulator takes seconds to import
 
@@ -32,7 +32,7 @@ def load(folder: "str | PathLike[str]", where: str | None = None) -> "pd.DataFra
     """Finished rows of a study's folder that match `where`: one row a rollout, one column a parameter or figure.
 
     `attrs["units"]` has the unit of every column with a dimension, `attrs["study"]` the study's name. Raises
-    `sweep.parameters.InputError`.
+    `sweep.core.parameters.InputError`.
     """
     from sweep import api
 

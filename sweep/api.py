@@ -5,15 +5,16 @@ from pathlib import Path
 
 import pandas as pd
 
-from sweep import store
-from sweep.config import Experiment, compose, experiment
-from sweep.query import mask
+from sweep.core.expressions import mask
 from sweep.report.labels import unit_of
+from sweep.runs import store
+from sweep.study.config import Experiment, compose, experiment
 
 
 def run(overrides: list[str]) -> pd.DataFrame:
     """See `sweep.run`."""
-    from sweep import app, runner
+    from sweep.cli import run as app
+    from sweep.runs import runner
 
     exp = compose(overrides)
     if exp.study.single and not exp.out:

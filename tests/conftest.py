@@ -4,9 +4,9 @@ from fake_engine import FakeEngine
 from small_study import STUDY, content
 
 import sweep.engines
-from sweep import batches
-from sweep.cli import main
+from sweep.cli.main import main
 from sweep.engines import devices
+from sweep.runs import batches
 
 devices.configure()  # before any test uses JAX: the CPU is split as for the command line
 

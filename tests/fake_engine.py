@@ -58,7 +58,7 @@ def dask_setup(worker):
 
 
 if __name__ == "__main__":
-    from sweep.cli import main
+    from sweep.cli.main import main
 
     install()
     sys.exit(main(sys.argv[1:]))

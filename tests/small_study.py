@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from sweep import store
+from sweep.runs import store
 
 STUDY = ["study=walk_map", "study.axes.friction.num=8", "study.axes.step.num=7", "engine.width=8", "study.expect=[]"]
 BATCHES = 7

@@ -8,8 +8,8 @@ import pandas as pd
 import pytest
 
 import sweep
-from sweep import store
-from sweep.parameters import InputError
+from sweep.core.parameters import InputError
+from sweep.runs import store
 
 SMALL = ("study=walk_map", "study.axes.friction.num=4", "study.axes.step.num=3", "study.expect=[]")
 

@@ -2,9 +2,10 @@ import numpy as np
 import pytest
 from fake_engine import FakeEngine
 
-from sweep import audit, store
-from sweep.cli import main
-from sweep.report import page, results
+from sweep.analysis import results
+from sweep.cli.main import main
+from sweep.report import page
+from sweep.runs import audit, store
 
 STUDY = ["run", "study=walk_map", "study.axes.friction.num=21", "study.axes.step.num=18", "study.expect=[]"]
 

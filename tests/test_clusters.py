@@ -10,8 +10,8 @@ import psutil
 import pytest
 from small_study import BATCHES, STUDY, content, one_line, start, wait_for
 
-from sweep import store
-from sweep.cli import main
+from sweep.cli.main import main
+from sweep.runs import store
 
 pytestmark = pytest.mark.usefixtures("fake_engine")
 WORKERS = ("cluster=dask_local", "cluster.workers=2")
@@ -75,7 +75,7 @@ def test_workers_at_an_address_must_have_this_code(tmp_path, whole, monkeypatch,
         run = ["run", *STUDY, "cluster=dask_address", f"cluster.address={cluster.scheduler_address}"]
         assert main([*run, f"out={tmp_path / 'a'}"]) == 0
         pd.testing.assert_frame_equal(content(tmp_path / "a"), whole)
-        monkeypatch.setattr("sweep.provenance.code_version", lambda: "other")
+        monkeypatch.setattr("sweep.core.provenance.code_version", lambda: "other")
         capsys.readouterr()
         assert main([*run, f"out={tmp_path / 'b'}"]) == 2
         one_line(capsys.readouterr().err, "another version of the code", "not other")

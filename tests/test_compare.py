@@ -4,9 +4,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from sweep import compare, store
-from sweep.cli import main
-from sweep.parameters import InputError
+from sweep.analysis import compare
+from sweep.cli.main import main
+from sweep.core.parameters import InputError
+from sweep.runs import store
 
 STUDY = ["run", "study=walk_map", "study.axes.friction.num=6", "study.axes.step.num=5", "study.expect=[]"]
 

@@ -2,9 +2,9 @@ from importlib.resources import files
 
 import pytest
 
-from sweep.cli import GROUPS
-from sweep.config import compose
-from sweep.parameters import InputError
+from sweep.cli.main import GROUPS
+from sweep.core.parameters import InputError
+from sweep.study.config import compose
 
 CHOICES = [
     f"{group}={file.name.removesuffix('.yaml')}" for group in GROUPS for file in (files("sweep.conf") / group).iterdir()

@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 from scipy.stats import kstest, norm, truncnorm
 
-from sweep.config import compose
-from sweep.designs import caution
-from sweep.errors import InputError
-from sweep.study import Study, points
+from sweep.core.errors import InputError
+from sweep.study.config import compose
+from sweep.study.designs import caution
+from sweep.study.study import Study, points
 
 
 @pytest.fixture(scope="module")

@@ -12,9 +12,9 @@ import pandas as pd
 import pytest
 from small_study import BATCHES, STUDY, content, one_line, start, wait_for
 
-from sweep import store
-from sweep.cli import main
+from sweep.cli.main import main
 from sweep.engines import devices
+from sweep.runs import store
 
 pytestmark = pytest.mark.usefixtures("fake_engine")
 

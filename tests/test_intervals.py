@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom, binomtest
 
-from sweep.intervals import anytime, clopper_pearson, wilson
+from sweep.analysis.intervals import anytime, clopper_pearson, wilson
 
 PROBABILITIES = np.array([0.01, 0.05, 0.1, 0.3, 0.5, 0.8, 0.97])
 

@@ -1,4 +1,4 @@
-from sweep.provenance import statements
+from sweep.core.provenance import statements
 
 SOURCE = '''"""What it does."""
 def f(x):

@@ -7,10 +7,10 @@ from fake_engine import FakeEngine
 from scipy.ndimage import binary_dilation
 
 import sweep.engines
-from sweep import refine, store
-from sweep.cli import main
-from sweep.config import compose, experiment
-from sweep.refine import FAILS, MISSING, SUCCEEDS, bisected, filled, leaves
+from sweep.cli.main import main
+from sweep.runs import refine, store
+from sweep.runs.refine import FAILS, MISSING, SUCCEEDS, bisected, filled, leaves
+from sweep.study.config import compose, experiment
 
 FRICTION = "study.axes.friction={path: contact.friction, on: world, from: 0.05, to: 1.2, num: 9}"
 STEP = "study.axes.step={path: manoeuvre.half_step_ratio, from: 0.03, to: 0.2, num: 9}"

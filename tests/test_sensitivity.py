@@ -4,11 +4,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from sweep import sensitivity
-from sweep.config import compose
-from sweep.errors import InputError
-from sweep.stats import rates
-from sweep.study import Study, points
+from sweep.analysis import sensitivity
+from sweep.analysis.stats import rates
+from sweep.core.errors import InputError
+from sweep.study.config import compose
+from sweep.study.study import Study, points
 
 SHIN = {"path": "robot.shin", "distribution": {"kind": "uniform", "from": 0.3, "to": 0.4}}
 THIGH = {"path": "robot.thigh", "distribution": {"kind": "uniform", "from": 0.5, "to": 0.6}}

@@ -8,7 +8,7 @@ import psutil
 import pytest
 from small_study import BATCHES, content, one_line, start, wait_for
 
-from sweep import store
+from sweep.runs import store
 
 pytestmark = [
     pytest.mark.slurm,

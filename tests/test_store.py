@@ -5,8 +5,8 @@ import pandas as pd
 import pytest
 from small_study import BATCHES, STUDY, content, start, wait_for
 
-from sweep import runner, store
-from sweep.cli import main
+from sweep.cli.main import main
+from sweep.runs import runner, store
 
 pytestmark = pytest.mark.usefixtures("fake_engine")
 

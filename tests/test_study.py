@@ -2,12 +2,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from sweep.batches import batch, nominal, plan, with_room_for_delay
-from sweep.config import compose
-from sweep.parameters import InputError
-from sweep.query import mask
-from sweep.runner import wanted_points
-from sweep.study import points
+from sweep.core.expressions import mask
+from sweep.core.parameters import InputError
+from sweep.runs.batches import batch, nominal, plan, with_room_for_delay
+from sweep.runs.runner import wanted_points
+from sweep.study.config import compose
+from sweep.study.study import points
 
 pytestmark = pytest.mark.usefixtures("fake_engine")
 FRICTION = "+study.axes.f={path: contact.friction, on: world, values: [0.5, 1.0, 1.5]}"

@@ -8,7 +8,7 @@ from jaxtyping import Array, Bool, Float, Int
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import BALANCE, LOCKED, Flywheel, Plan
 from sweep.controllers.posture import mass_centre
-from sweep.maths import rotate
+from sweep.core.rotations import rotate
 from sweep.models.drive import Servo
 from sweep.models.robot import Robot
 from sweep.models.scene import GRAVITY

@@ -14,16 +14,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from sweep.case import Case
 from sweep.controllers.plan import Grip, Plan, Stage, Stance, reference
 from sweep.controllers.posture import foot_positions, mass_centre
 from sweep.controllers.tracker import joint_targets
-from sweep.maths import rotate
-from sweep.models.arrowhead import inverse_3x3
+from sweep.core.parameters import choice, parameters, quantity
+from sweep.core.rotations import rotate
+from sweep.dynamics.arrowhead import inverse_3x3
+from sweep.models.case import Case
 from sweep.models.obstacles.surface import fixed_surface
 from sweep.models.robot import Robot, total_mass
 from sweep.models.scene import GRAVITY
-from sweep.parameters import choice, parameters, quantity
 
 Effort = Literal["friction", "torque", "normal"]
 _LEVEL: dict[Effort, str] = {"friction": "friction", "torque": "torque", "normal": "most_normal"}

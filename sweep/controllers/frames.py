@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from sweep.maths import conjugate, rotate
+from sweep.core.rotations import conjugate, rotate
 from sweep.models.obstacles.surface import FreeState
 
 WORLD, KOENIG, FIXED = range(3)  # the body's centre with the world's axes is its Koenig frame; FIXED has its own axes

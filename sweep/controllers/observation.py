@@ -6,9 +6,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from sweep.maths import exponential, multiply
+from sweep.core.parameters import count, parameters, quantity
+from sweep.core.rotations import exponential, multiply
 from sweep.models.obstacles.surface import FreeState
-from sweep.parameters import count, parameters, quantity
 
 FREE = 1  # folded into a key to draw errors of the free bodies
 

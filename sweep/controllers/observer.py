@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from sweep.maths import conjugate, exponential, logarithm, multiply
+from sweep.core.rotations import conjugate, exponential, logarithm, multiply
 from sweep.models.obstacles.surface import FreeState
 
 

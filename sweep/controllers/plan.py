@@ -15,8 +15,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from sweep.controllers.frames import WORLD
+from sweep.core.rotations import exponential, multiply, rotate
 from sweep.formulas import stepping
-from sweep.maths import exponential, multiply, rotate
 
 CYCLE_A, CYCLE_B, CYCLE_B_SMOOTH, HALF_ELLIPSE = range(4)  # swings; the third spends its way by lambda_1
 LOCKED, LEVEL, BALANCE = range(3)  # middle legs: as planned; as a flywheel that comes to rest, or that balances

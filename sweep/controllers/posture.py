@@ -4,8 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from sweep.core.rotations import exponential, rotate
 from sweep.formulas.leg import SIDE, fk
-from sweep.maths import exponential, rotate
 from sweep.models.robot import Robot
 from sweep.models.scene import mount_yaw, mounts
 

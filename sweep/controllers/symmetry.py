@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.controllers.plan import Plan, Stance
-from sweep.maths import exponential, multiply
+from sweep.core.rotations import exponential, multiply
 
 BACK = "back."  # put before the names of stages that run backwards in time
 OTHER_SIDE = np.array([1, 0, 3, 2, 5, 4])  # index of each leg's partner on the robot's other side

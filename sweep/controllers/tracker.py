@@ -8,15 +8,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from sweep.case import Case
 from sweep.controllers import flywheel, grip
 from sweep.controllers.frames import to_frame, to_world
 from sweep.controllers.observation import Observation
 from sweep.controllers.observer import Observer, followed
 from sweep.controllers.plan import BALANCE, Plan, Posture, Stance, reference
 from sweep.controllers.posture import feet_in_world
+from sweep.core.rotations import conjugate, exponential, heading, logarithm, multiply, rotate
 from sweep.formulas import leg, stepping
-from sweep.maths import conjugate, exponential, heading, logarithm, multiply, rotate
+from sweep.models.case import Case
 from sweep.models.drive import Servo
 from sweep.models.obstacles.surface import FreeState, no_bodies, poses
 from sweep.models.robot import Robot

@@ -1,9 +1,9 @@
 """Engines run batches of rollouts: `mjx` (the primary one) and `native` (C MuJoCo, the second opinion)."""
 
-from sweep.case import Case
 from sweep.engines.base import Engine
 from sweep.engines.settings import EngineSettings
 from sweep.metrics.outcome import Thresholds
+from sweep.models.case import Case
 
 
 def make(settings: EngineSettings, world: Case, belief: Case, limits: Thresholds | None = None) -> Engine:

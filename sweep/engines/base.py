@@ -6,7 +6,7 @@ from typing import Any, Protocol
 import mujoco
 import numpy as np
 
-from sweep.case import Case
+from sweep.models.case import Case
 
 Figures = dict[str, np.ndarray]  # column name (with its unit) -> one number per rollout
 

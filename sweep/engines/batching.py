@@ -5,15 +5,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from sweep.case import Case
 from sweep.controllers.plan import Plan
 from sweep.controllers.tracker import Command, TrackerState
+from sweep.core.parameters import InputError
+from sweep.dynamics.step import Limits
 from sweep.engines.base import Trace
 from sweep.engines.settings import EngineSettings
 from sweep.metrics.stream import Tick
 from sweep.models import scene
-from sweep.models.step import Limits
-from sweep.parameters import InputError
+from sweep.models.case import Case
 
 
 def nominal_plan(belief: Case) -> Plan:

@@ -12,17 +12,17 @@ from jax.sharding import PartitionSpec
 from jax.stages import Compiled
 from jaxtyping import Array
 
-from sweep.case import Case
 from sweep.controllers.plan import Plan
-from sweep.engines import batching, devices, kept, physics
+from sweep.dynamics import interface as dynamics
+from sweep.dynamics.step import State, rest
+from sweep.engines import batching, devices, physics, program_cache
 from sweep.engines.base import Figures, Trace
-from sweep.engines.lanes import lanes
-from sweep.engines.pilot import GRACE, Pilot, decide, embark, is_quiet, measure, most_ticks, start_state
+from sweep.engines.batch_last import lanes
+from sweep.engines.closed_loop import GRACE, Pilot, decide, embark, is_quiet, measure, most_ticks, start_state
 from sweep.engines.settings import EngineSettings
 from sweep.metrics import stream
 from sweep.metrics.outcome import Thresholds
-from sweep.models import dynamics
-from sweep.models.step import State, rest
+from sweep.models.case import Case
 
 CHUNK = 1.0  # s of simulated time between two looks of the host
 
@@ -113,7 +113,7 @@ class Mjx:
         if form not in self._programs:
             compiled = partial(self._compile, arrays, quiet, slot)
             made_of, on = (form, *self._made_of), list(self._mesh.devices.flat)
-            self._programs[form] = Programs(*kept.programs(made_of, on, compiled))
+            self._programs[form] = Programs(*program_cache.programs(made_of, on, compiled))
         return arrays, self._programs[form]
 
     @property

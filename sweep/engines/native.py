@@ -11,12 +11,12 @@ import numpy as np
 from jaxtyping import Array, Float
 from mujoco.batch import Batch
 
-from sweep.case import Case
 from sweep.controllers.plan import Plan
 from sweep.controllers.tracker import Command
+from sweep.core.errors import InputError
 from sweep.engines import batching, devices
 from sweep.engines.base import Figures, Trace
-from sweep.engines.pilot import (
+from sweep.engines.closed_loop import (
     GRACE,
     Pilot,
     Start,
@@ -29,11 +29,11 @@ from sweep.engines.pilot import (
     start_state,
 )
 from sweep.engines.settings import EngineSettings
-from sweep.errors import InputError
 from sweep.metrics import stream
 from sweep.metrics.outcome import Thresholds
 from sweep.metrics.stream import Tick
 from sweep.models import scene
+from sweep.models.case import Case
 from sweep.models.drive import Servo, towards
 from sweep.models.obstacles.surface import poses
 

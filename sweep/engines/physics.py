@@ -10,18 +10,18 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from sweep.case import Case
+from sweep.dynamics import structured, tree_step
+from sweep.dynamics.interface import N_LEGS, SmoothDynamics, Topology
+from sweep.dynamics.step import State, StepReport, kinetic_energy, step
+from sweep.dynamics.tree import fits
+from sweep.dynamics.tree_step import from_state, to_state
 from sweep.engines import batching
-from sweep.engines.pilot import free_state
+from sweep.engines.closed_loop import free_state
 from sweep.engines.settings import EngineSettings
 from sweep.metrics.stream import Tick
-from sweep.models import star_step, structured
+from sweep.models.case import Case
 from sweep.models.drive import Servo, towards
-from sweep.models.dynamics import N_LEGS, SmoothDynamics, Topology
 from sweep.models.obstacles.surface import no_bodies, poses
-from sweep.models.star import fits
-from sweep.models.star_step import from_state, to_state
-from sweep.models.step import State, StepReport, kinetic_energy, step
 
 
 class Physics(Protocol):
@@ -50,7 +50,7 @@ def make(settings: EngineSettings, top: Topology, world: Case) -> Physics:
     """The physics of a scenario; on ground that does not move, the structured step written out."""
     if taken(settings, world) == "mjx":
         with redirect_stdout(io.StringIO()):  # MJX is slow to import, and prints that
-            from sweep.models import mjx_dynamics
+            from sweep.dynamics import mjx as mjx_dynamics
 
         return General(settings, top, mjx_dynamics.of(top))
     return General(settings, top, structured.of(top)) if top.free else OnFixedGround(settings)
@@ -124,7 +124,7 @@ class OnFixedGround(NamedTuple):
 
     def energy(self, world: Case, state: State) -> Array:
         """Kinetic and potential energy (J)."""
-        return star_step.energy(world, from_state(state))[0]
+        return tree_step.energy(world, from_state(state))[0]
 
     def advance(self, world: Case, state: State, old: Servo, new: Servo, tick: Array) -> tuple[State, Tick]:
         """See `Physics`."""
@@ -134,14 +134,14 @@ class OnFixedGround(NamedTuple):
             moving, sums, _ = carry
             servo = towards(old, new, (k + 1) / n)
             limits = batching.execution_limits(world, (tick * n + k) * h)
-            moving, report = star_step.step(world, limits, moving, servo, h, self.settings.iterations)
-            return (moving, star_step.add(sums, report), report.end), None
+            moving, report = tree_step.step(world, limits, moving, servo, h, self.settings.iterations)
+            return (moving, tree_step.add(sums, report), report.end), None
 
-        nothing = star_step.nothing(world, state.q.dtype)
+        nothing = tree_step.nothing(world, state.q.dtype)
         (moving, sums, end), _ = jax.lax.scan(substep, (from_state(state), *nothing), jnp.arange(n))
         return (state := to_state(moving)), self._summary(state, sums, end, n, h)
 
-    def _summary(self, state: State, sums: star_step.Sums, end: star_step.End, n: int, h: float) -> Tick:
+    def _summary(self, state: State, sums: tree_step.Sums, end: tree_step.End, n: int, h: float) -> Tick:
         force, normal = (1 / n) * sums.force, sums.normal / n
         along = force - normal * end.normal
         legs = (N_LEGS, 3)

@@ -1,6 +1,6 @@
 """How a simulation is run, as opposed to what is simulated."""
 
-from sweep.parameters import choice, count, parameters, quantity
+from sweep.core.parameters import choice, count, parameters, quantity
 
 
 @parameters

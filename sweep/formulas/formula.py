@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from sweep.parameters import InputError, suggest
+from sweep.core.parameters import InputError, suggest
 
 type Scalar = Float[Array, "..."] | float
 

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from sweep.core.parameters import InputError, suggest
 from sweep.formulas import (
     ball,
     ball_reach,
@@ -23,7 +24,6 @@ from sweep.formulas import (
 )
 from sweep.formulas import leg as legs
 from sweep.formulas.formula import Formula, Input, Scalar, positive
-from sweep.parameters import InputError, suggest
 
 
 def _side(leg: int) -> Array:

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from sweep.parameters import parameters, quantity
+from sweep.core.parameters import parameters, quantity
 
 SUCCESS, FAILURE, INVALID = "success", "failure", "invalid"
 TIMED_CAUSES = ("fell", "slipped", "unreachable", "link_collision", "leg_crossing", "off_course", "fell_off",

@@ -6,13 +6,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from sweep.case import Case
 from sweep.controllers.frames import WORLD
 from sweep.controllers.plan import Plan, path_length
 from sweep.controllers.tracker import Command, TrackerState
-from sweep.maths import conjugate, multiply, rotate
+from sweep.core.rotations import conjugate, multiply, rotate
 from sweep.metrics.geometry import box_corners, leg_gap, link_points, support_margin
 from sweep.metrics.outcome import FREE_BODY_CAUSES, TIMED_CAUSES, Thresholds
+from sweep.models.case import Case
 from sweep.models.contact import to_body, to_world
 from sweep.models.obstacles.surface import Bodies, FreeState, fixed_surface, poses
 from sweep.models.robot import total_mass

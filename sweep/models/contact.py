@@ -5,8 +5,8 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from sweep.core.parameters import parameters, quantity
 from sweep.models.obstacles.surface import Bodies, Surface
-from sweep.parameters import parameters, quantity
 
 
 @parameters

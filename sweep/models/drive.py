@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sweep.parameters import parameters, quantity
+from sweep.core.parameters import parameters, quantity
 
 
 @parameters

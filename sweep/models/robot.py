@@ -2,7 +2,7 @@
 
 from jaxtyping import Array
 
-from sweep.parameters import choice, parameters, quantity
+from sweep.core.parameters import choice, parameters, quantity
 
 
 @parameters

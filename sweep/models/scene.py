@@ -9,12 +9,12 @@ import mujoco
 import numpy as np
 from jaxtyping import Array, Float
 
-from sweep.case import Case
+from sweep.core.parameters import InputError
 from sweep.formulas.leg import SIDE, circular_mounts, rectangular_mounts
+from sweep.models.case import Case
 from sweep.models.obstacles.geoms import COLLIDING, DRAWN
 from sweep.models.obstacles.surface import FOOT_RADIUS
 from sweep.models.robot import Robot
-from sweep.parameters import InputError
 
 GRAVITY = 9.81  # m/s^2
 LEGS = range(1, 7)

@@ -2,11 +2,11 @@
 
 import pandas as pd
 
-from sweep import compare
-from sweep.query import column
+from sweep.analysis import compare
+from sweep.analysis.stats import percent
+from sweep.core.expressions import column
 from sweep.report.labels import axis_words
 from sweep.report.tables import page_table
-from sweep.stats import percent
 
 SHOWN = 12  # pairs and figures of a list; `--output` has them all
 

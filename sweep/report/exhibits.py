@@ -9,15 +9,16 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from sweep import audit, compare, sensitivity
-from sweep.compare import SECOND
+from sweep.analysis import compare, sensitivity
+from sweep.analysis.compare import SECOND
+from sweep.analysis.results import Results, binned
+from sweep.analysis.stats import percent, rate, rates
 from sweep.report import slices
 from sweep.report.labels import CAUSE_COLOURS, SUCCESS, axis_words, heading
 from sweep.report.maps import pattern
-from sweep.report.results import Results, binned
 from sweep.report.tables import BOOKKEEPING
-from sweep.stats import percent, rate, rates
-from sweep.store import figure_columns
+from sweep.runs import audit
+from sweep.runs.store import figure_columns
 
 EFFECT_VALUES, EFFECT_BINS, HISTOGRAM_BINS, LINES, HISTOGRAMS = 50, 20, 30, 5, 12
 REJECTED = 0.01  # p-value below which a fit is not drawn

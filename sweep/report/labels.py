@@ -1,8 +1,8 @@
 """Words and units for columns, colours for outcomes."""
 
-from sweep.config import Experiment
 from sweep.metrics.outcome import CAUSES, DOUBTS
-from sweep.study import unit
+from sweep.study.config import Experiment
+from sweep.study.study import unit
 
 UNITS = {"m": "m", "s": "s", "deg": "°", "rad": "rad", "n": "N", "nm": "N·m", "j": "J", "mps": "m/s", "kg": "kg"}
 # after Okabe and Ito, whose colours the colour-blind can tell apart; success is the lightest, so it reads in grey too

@@ -3,10 +3,10 @@
 import pandas as pd
 from matplotlib.axes import Axes
 
-from sweep.config import Experiment
 from sweep.report.cells import Cells, places
-from sweep.study import nominal, side_and_path
-from sweep.theory import Theory
+from sweep.study.config import Experiment
+from sweep.study.study import nominal, side_and_path
+from sweep.study.theory import Theory
 
 STYLES = ("--", "-.", ":")
 

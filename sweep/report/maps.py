@@ -14,16 +14,16 @@ from matplotlib.colors import ListedColormap, Normalize, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 
-from sweep import refine
-from sweep.config import experiment
+from sweep.analysis.stats import rate
+from sweep.core.expressions import column
+from sweep.core.parameters import InputError
 from sweep.metrics.outcome import CAUSES
-from sweep.parameters import InputError
-from sweep.query import column
 from sweep.report import limits, mesh
 from sweep.report.cells import Cells, edges, mark_values
 from sweep.report.labels import CAUSE_COLOURS, CAUSE_HATCHES, INVALID, SUCCESS, axis_words, heading
 from sweep.report.tables import text
-from sweep.stats import rate
+from sweep.runs import refine
+from sweep.study.config import experiment
 
 KINDS = ["success", *CAUSES]
 OUTLINED, HATCHED = 4000, 200  # cells, and rows of them: with more, outlines and patterns would cover the colours

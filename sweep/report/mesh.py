@@ -5,9 +5,9 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 
-from sweep import refine
-from sweep.config import Experiment
 from sweep.report.cells import Cells, places
+from sweep.runs import refine
+from sweep.study.config import Experiment
 
 
 def draw(ax: Axes, exp: Experiment, painted: pd.DataFrame, x: str, y: str, cells: Cells) -> None:

@@ -16,15 +16,15 @@ import yaml
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from sweep import audit, store
-from sweep.config import Experiment
+from sweep.analysis.results import Results, parameters, told
+from sweep.analysis.stats import broken, rate
 from sweep.metrics.outcome import MEANING
 from sweep.report import tables
 from sweep.report.exhibits import exhibits
 from sweep.report.labels import heading
-from sweep.report.results import Results, parameters, told
 from sweep.report.typical import Typical, typical
-from sweep.stats import broken, rate
+from sweep.runs import audit, store
+from sweep.study.config import Experiment
 
 ROWS, LINES = 100, 100  # of the table at the end, and of the others
 TELLING = ("distance_m", "slip_max_m", "tilt_max_deg", "leg_gap_min_m", "clearance_min_m", "stability_margin_min_m",

@@ -11,15 +11,15 @@ import matplotlib as mpl
 import numpy as np
 import pandas as pd
 
-from sweep import audit
+from sweep.analysis.results import Results, parameters, told
+from sweep.analysis.stats import rate
+from sweep.core.expressions import mask
 from sweep.metrics.outcome import MEANING
-from sweep.query import mask
 from sweep.report import tables
 from sweep.report.exhibits import exhibits
 from sweep.report.labels import heading
-from sweep.report.results import Results, parameters, told
-from sweep.stats import rate
-from sweep.store import figure_columns
+from sweep.runs import audit
+from sweep.runs.store import figure_columns
 
 LINES = 40  # of a table; longer ones are data only
 CSV_ROWS = 5_000  # more rows than this are kept as parquet

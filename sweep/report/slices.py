@@ -10,17 +10,17 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from sweep import refine
-from sweep.intervals import anytime, wilson
+from sweep.analysis.intervals import anytime, wilson
+from sweep.analysis.results import Results, binned
+from sweep.analysis.stats import rates
 from sweep.metrics.outcome import CAUSES
 from sweep.report import limits, mesh
 from sweep.report.cells import Cells, mark_values
 from sweep.report.labels import axis_words, heading
 from sweep.report.maps import categories, legend, paint, split
-from sweep.report.results import Results, binned
 from sweep.report.tables import text
-from sweep.stats import rates
-from sweep.study import nominal
+from sweep.runs import refine
+from sweep.study.study import nominal
 
 MAPS = 6  # pairs of parameters, at most
 PANELS = 4  # sections along a third parameter

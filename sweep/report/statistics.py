@@ -4,11 +4,12 @@ from collections.abc import Iterator
 
 import pandas as pd
 
-from sweep import refine, sensitivity
-from sweep.config import Experiment
-from sweep.errors import InputError
+from sweep.analysis import sensitivity
+from sweep.analysis.stats import percent, rate, rates
+from sweep.core.errors import InputError
 from sweep.report.tables import page_table
-from sweep.stats import percent, rate, rates
+from sweep.runs import refine
+from sweep.study.config import Experiment
 
 
 def sections(

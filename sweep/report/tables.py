@@ -8,12 +8,12 @@ import pandas as pd
 import pyarrow as pa
 from pyarrow.csv import WriteOptions, write_csv
 
-from sweep.config import Experiment
+from sweep.analysis.stats import causes
+from sweep.core.expressions import column
 from sweep.metrics.outcome import MEANING, TIMED_CAUSES
-from sweep.query import column
 from sweep.report.labels import heading, name_and_unit
-from sweep.stats import causes
-from sweep.store import LABELS, figure_columns
+from sweep.runs.store import LABELS, figure_columns
+from sweep.study.config import Experiment
 
 # figures that the outcome is derived from and that say nothing beside it
 BOOKKEEPING = {f"{cause}_{what}" for cause in TIMED_CAUSES for what in ("time_s", "stage")}

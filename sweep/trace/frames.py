@@ -15,9 +15,9 @@ import numpy as np
 from matplotlib.image import imsave
 from PIL import Image
 
+from sweep.core.parameters import InputError
 from sweep.engines.base import Trace
 from sweep.models.obstacles.surface import fixed_surface
-from sweep.parameters import InputError
 from sweep.trace.arrows import arrow_tips
 from sweep.trace.draw import ARRAYS, MODEL, NO_OPENGL
 from sweep.trace.sampling import at_rate, base_pose, evenly

@@ -10,9 +10,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from sweep.core.parameters import InputError
 from sweep.engines.base import Trace
 from sweep.formulas import stepping
-from sweep.parameters import InputError
 from sweep.trace.held import measured, planned
 from sweep.trace.layout import LEG_COLORS
 from sweep.trace.sampling import KINDS, base_pose, joint_angle, mass_centres

@@ -11,14 +11,15 @@ import pandas as pd
 from matplotlib.backend_bases import FigureCanvasBase
 from tabulate import tabulate
 
-from sweep import provenance, store
-from sweep.batches import make_engine, nominal, with_room_for_delay
-from sweep.config import experiment
+from sweep.core import provenance
+from sweep.core.parameters import InputError
 from sweep.engines.base import Trace
 from sweep.metrics.outcome import classify
-from sweep.parameters import InputError
-from sweep.runner import load_point
-from sweep.study import parameter_columns
+from sweep.runs import store
+from sweep.runs.batches import make_engine, nominal, with_room_for_delay
+from sweep.runs.runner import load_point
+from sweep.study.config import experiment
+from sweep.study.study import parameter_columns
 from sweep.trace.frames import need_ffmpeg, write_png, write_video
 from sweep.trace.mcap import write_mcap
 from sweep.trace.plots import PLOTS, save

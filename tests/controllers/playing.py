@@ -4,12 +4,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sweep.case import Case
 from sweep.controllers.plan import Plan, reference
 from sweep.controllers.tracker import joint_targets
+from sweep.core.rotations import rotate
 from sweep.formulas.leg import SIDE, fk
-from sweep.maths import rotate
 from sweep.metrics.geometry import leg_gap, link_points
+from sweep.models.case import Case
 from sweep.models.obstacles.surface import fixed_surface
 from sweep.models.scene import mounts
 

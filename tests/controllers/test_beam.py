@@ -5,13 +5,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sweep.config import compose
 from sweep.controllers import flywheel, tracker
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import BALANCE, LEVEL, LOCKED
 from sweep.controllers.posture import foot_positions, mass_centre
-from sweep.maths import rotate
+from sweep.core.rotations import rotate
 from sweep.models.obstacles.surface import no_bodies
+from sweep.study.config import compose
 
 PERIOD = 4e-3
 CASE = compose(["scenario=beam_cross"]).case

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from playing import play
 
-from sweep.case import Case
-from sweep.config import compose
 from sweep.controllers import forces
-from sweep.controllers.manoeuvres.corner_roof import walk_on
+from sweep.controllers.manoeuvres.climbing.corner_roof import walk_on
 from sweep.controllers.plan import Plan, assemble
-from sweep.errors import InputError
+from sweep.core.errors import InputError
+from sweep.core.rotations import matrix
 from sweep.formulas.leg import SIDE
-from sweep.maths import matrix
+from sweep.models.case import Case
+from sweep.study.config import compose
 
 
 @pytest.fixture(scope="module")

@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from sweep.case import Case
 from sweep.controllers.forces import Bounds, Pose, distribute, joint_torque, pose
-from sweep.controllers.manoeuvres.walk import Stand
+from sweep.controllers.manoeuvres.walking.walk import Stand
 from sweep.controllers.observation import Noise
 from sweep.controllers.plan import Stance
 from sweep.controllers.tracker import joint_targets
 from sweep.formulas import corner
 from sweep.formulas.leg import SIDE
 from sweep.metrics.outcome import Thresholds
+from sweep.models.case import Case
 from sweep.models.contact import Contact
+from sweep.models.disturbance import Execution
 from sweep.models.drive import Drive
-from sweep.models.execution import Execution
 from sweep.models.obstacles.plane import Plane
 from sweep.models.robot import Robot
 from sweep.models.scene import compile_model

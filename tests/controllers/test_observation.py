@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sweep.controllers.observation import Noise, Observation, install, observe
-from sweep.engines.pilot import is_quiet
+from sweep.engines.closed_loop import is_quiet
 from sweep.models.obstacles.surface import FreeState
 
 KEY = jax.random.key(3)

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from sweep.controllers.observer import Observer, followed
-from sweep.maths import conjugate, exponential, logarithm, multiply
+from sweep.core.rotations import conjugate, exponential, logarithm, multiply
 from sweep.models.obstacles.surface import FreeState
 
 PERIOD, TIME = 0.004, 0.1  # s

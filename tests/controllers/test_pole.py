@@ -7,14 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sweep.case import Case
-from sweep.config import compose
-from sweep.controllers.manoeuvres.pole import PITCH
+from sweep.controllers.manoeuvres.climbing.pole import PITCH
 from sweep.controllers.plan import Plan, Stance, along_arc, moved, pace_progress, reference
 from sweep.controllers.tracker import joint_targets
+from sweep.core.rotations import exponential, matrix, rotate
 from sweep.formulas.leg import SIDE
 from sweep.formulas.stepping import LANDING
-from sweep.maths import exponential, matrix, rotate
+from sweep.models.case import Case
+from sweep.study.config import compose
 
 U = np.linspace(0, 1, 41)
 RADIUS, HALF, D, D_C = 0.42, 0.525, 0.525, 0.4935  # m: r, a_r / 2, d, d_c

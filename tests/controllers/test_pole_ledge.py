@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from playing import played
 
-from sweep.case import Case
-from sweep.config import compose
-from sweep.controllers.manoeuvres.pole_top import RIM
+from sweep.controllers.manoeuvres.climbing.pole_top import RIM
 from sweep.controllers.plan import Plan, Stance, reference
 from sweep.controllers.posture import mass_centre
 from sweep.controllers.tracker import joint_targets
-from sweep.maths import matrix, rotate
+from sweep.core.rotations import matrix, rotate
 from sweep.metrics.geometry import support_margin
+from sweep.models.case import Case
+from sweep.study.config import compose
 
 RADIUS, LENGTH = 0.42, 1.05  # m
 HEIGHT = {"level": -0.2, "above": 0.35, "below": -0.6}  # a_r, of the ledge over the pole's top

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from playing import U, played
 
-from sweep.case import Case
-from sweep.config import compose
-from sweep.controllers.manoeuvres.pole_top import RIM
+from sweep.controllers.manoeuvres.climbing.pole_top import RIM
 from sweep.controllers.plan import along_guides
-from sweep.maths import matrix
+from sweep.core.rotations import matrix
+from sweep.models.case import Case
+from sweep.study.config import compose
 
 
 @pytest.fixture(scope="module")

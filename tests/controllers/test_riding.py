@@ -8,16 +8,16 @@ import mujoco
 import numpy as np
 import pytest
 
-from sweep.config import compose
 from sweep.controllers.frames import FIXED, KOENIG, WORLD, to_frame, to_world
-from sweep.controllers.manoeuvres.ball import on_ball, perch
+from sweep.controllers.manoeuvres.balancing.ball import on_ball, perch
 from sweep.controllers.observation import Observation
 from sweep.controllers.riding import angular_momentum, centre_of_mass, follow_up, footholds, over_ball
-from sweep.engines.pilot import free_state, start_state
+from sweep.core.rotations import exponential, rotate
+from sweep.engines.closed_loop import free_state, start_state
 from sweep.formulas.mass_centre import ball_jacobian
-from sweep.maths import exponential, rotate
 from sweep.models import scene
 from sweep.models.obstacles.surface import FreeState
+from sweep.study.config import compose
 
 CASE = compose(["scenario=ball_balance"]).case
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from test_pole import play_plan
 
-from sweep.case import Case
-from sweep.config import compose
 from sweep.controllers.plan import Plan, Stance
 from sweep.controllers.symmetry import OTHER_SIDE, joined, last_stance, mirrored, reversed_in_time
-from sweep.maths import matrix
+from sweep.core.rotations import matrix
+from sweep.models.case import Case
+from sweep.study.config import compose
 
 SHORT = ["manoeuvre.steps=0", "manoeuvre.cycles=1", "manoeuvre.down_cycles=0", "obstacle.ledge_height=0.3"]
 NORMAL = np.array([0.6, 0.0, 0.8])

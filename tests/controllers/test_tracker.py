@@ -7,12 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sweep.config import compose
 from sweep.controllers import tracker
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import Stance
-from sweep.maths import exponential, logarithm, rotate
+from sweep.core.rotations import exponential, logarithm, rotate
 from sweep.models.obstacles.surface import no_bodies
+from sweep.study.config import compose
 
 PERIOD = 4e-3
 CASE = compose(["manoeuvre.steps=2"]).case

@@ -7,13 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sweep.case import Case
-from sweep.config import compose
-from sweep.controllers.manoeuvres.waypoints import CIRCLE, TRIPODS, WAYPOINTS
+from sweep.controllers.manoeuvres.walking.waypoints import CIRCLE, TRIPODS, WAYPOINTS
 from sweep.controllers.plan import Plan, Stance, reference
 from sweep.controllers.tracker import joint_targets
+from sweep.core.errors import InputError
 from sweep.engines.batching import nominal_plan
-from sweep.errors import InputError
+from sweep.models.case import Case
+from sweep.study.config import compose
 
 # Largest steps of the thesis' legs 1 to 6 on its three segments: in transfer for 1, 3, 5, in support for 2, 4, 6.
 LIMITS = [

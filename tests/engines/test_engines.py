@@ -8,12 +8,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from sweep.config import compose
 from sweep.engines.mjx import Mjx
 from sweep.engines.native import Native
 from sweep.formulas import stepping
 from sweep.metrics.outcome import Thresholds, classify
 from sweep.models.scene import GRAVITY
+from sweep.study.config import compose
 
 STEPS, WIDTH = 3, 12
 WALK = ["scenario=walk_tripod", f"manoeuvre.steps={STEPS}"]

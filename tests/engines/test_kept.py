@@ -9,12 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sweep import provenance
-from sweep.config import compose
-from sweep.engines import kept
+from sweep.core import provenance
+from sweep.engines import program_cache
 from sweep.engines.mjx import Mjx
 from sweep.engines.settings import EngineSettings
 from sweep.metrics.outcome import Thresholds
+from sweep.study.config import compose
 
 CASE = compose(["scenario=walk_tripod"]).case
 X = jnp.arange(3.0)
@@ -54,7 +54,7 @@ class Compiler:
 
 def test_what_one_process_compiled_the_next_loads(folder):
     compiler = Compiler(2.0)
-    first, again = (kept.programs("two", ONE, compiler)[0](X)["y"] for _ in range(2))
+    first, again = (program_cache.programs("two", ONE, compiler)[0](X)["y"] for _ in range(2))
     np.testing.assert_array_equal(first, again)
     np.testing.assert_array_equal(again, 2 * X)
     assert compiler.times == 1
@@ -62,7 +62,7 @@ def test_what_one_process_compiled_the_next_loads(folder):
 
 @pytest.mark.parametrize("change", ["made of", "code", "compiler flags", "JAX's settings"])
 def test_where_anything_differs_it_is_compiled_anew(folder, monkeypatch, change):
-    kept.programs("two", ONE, Compiler(2.0))
+    program_cache.programs("two", ONE, Compiler(2.0))
     if change == "code":
         monkeypatch.setattr(provenance, "code_version", lambda: "another")
     if change == "compiler flags":
@@ -70,19 +70,19 @@ def test_where_anything_differs_it_is_compiled_anew(folder, monkeypatch, change)
     precision = "bfloat16" if change == "JAX's settings" else jax.config.jax_default_matmul_precision
     compiler = Compiler(3.0)
     with setting(jax_default_matmul_precision=precision):
-        (program,) = kept.programs("three" if change == "made of" else "two", ONE, compiler)
+        (program,) = program_cache.programs("three" if change == "made of" else "two", ONE, compiler)
     np.testing.assert_array_equal(program(X)["y"], 3 * X)
     assert compiler.times == 1
 
 
 @pytest.mark.parametrize("damage", [b"", b"not a program"])
 def test_a_damaged_file_is_replaced(folder, damage):
-    kept.programs("two", ONE, Compiler(2.0))
+    program_cache.programs("two", ONE, Compiler(2.0))
     (file,) = folder.glob("*.programs")
     whole = file.read_bytes()
     file.write_bytes(damage)
     compiler = Compiler(2.0)
-    np.testing.assert_array_equal(kept.programs("two", ONE, compiler)[0](X)["y"], 2 * X)
+    np.testing.assert_array_equal(program_cache.programs("two", ONE, compiler)[0](X)["y"], 2 * X)
     assert compiler.times == 1
     assert len(file.read_bytes()) == pytest.approx(len(whole), rel=0.05)
 
@@ -90,34 +90,34 @@ def test_a_damaged_file_is_replaced(folder, damage):
 def test_a_folder_that_cannot_be_written_is_no_fault(tmp_path):
     (tmp_path / "file").touch()
     with setting(jax_compilation_cache_dir=str(tmp_path / "file")):
-        np.testing.assert_array_equal(kept.programs("two", ONE, Compiler(2.0))[0](X)["y"], 2 * X)
+        np.testing.assert_array_equal(program_cache.programs("two", ONE, Compiler(2.0))[0](X)["y"], 2 * X)
 
 
 def test_a_program_that_cannot_be_kept_runs(folder, monkeypatch):
     def refuse(_):
         raise NotImplementedError
 
-    monkeypatch.setattr(kept, "serialize", refuse)
-    np.testing.assert_array_equal(kept.programs("two", ONE, Compiler(2.0))[0](X)["y"], 2 * X)
+    monkeypatch.setattr(program_cache, "serialize", refuse)
+    np.testing.assert_array_equal(program_cache.programs("two", ONE, Compiler(2.0))[0](X)["y"], 2 * X)
 
 
 def test_two_threads_that_compile_at_once_leave_keeping_as_it_was(folder):
     with ThreadPoolExecutor(2) as pool:
-        list(pool.map(lambda k: kept.programs(k, ONE, Compiler(float(k))), (2, 3)))
+        list(pool.map(lambda k: program_cache.programs(k, ONE, Compiler(float(k))), (2, 3)))
     assert jax.config.jax_enable_compilation_cache
     assert len(list(folder.glob("*.programs"))) == 2
 
 
 def test_nothing_is_kept_of_sources_written_since_the_start(folder, monkeypatch):
     monkeypatch.setattr(provenance, "STARTED", 0.0)
-    kept.programs("two", ONE, Compiler(2.0))
+    program_cache.programs("two", ONE, Compiler(2.0))
     assert not list(folder.glob("*.programs"))
 
 
 def made_of(monkeypatch, settings=(), limits=(), case=CASE, vary=False, slot=None) -> str:
     """What an engine says that its programs depend on."""
     asked = []
-    monkeypatch.setattr(kept, "programs", lambda parts, *_: asked.append(repr(parts)) or (None,) * 3)
+    monkeypatch.setattr(program_cache, "programs", lambda parts, *_: asked.append(repr(parts)) or (None,) * 3)
     engine = Mjx(EngineSettings(width=2, **dict(settings)), case, case, Thresholds(**dict(limits)))
     world = dataclasses.replace(case, contact=dataclasses.replace(case.contact, friction=np.ones(2) if vary else 1.0))
     with jax.enable_x64(engine.settings.precision == "float64"):

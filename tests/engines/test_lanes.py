@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sweep.engines.lanes import lanes
+from sweep.engines.batch_last import lanes
 
 B = 5
 TABLE = np.array([2, 0, 1])

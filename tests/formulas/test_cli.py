@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from sweep.cli_formula import main
+from sweep.cli.formula import main
 from sweep.formulas import FORMULAS
 
 

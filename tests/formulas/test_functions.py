@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from sweep.core.parameters import InputError
 from sweep.formulas import FORMULAS, covering, evaluate
-from sweep.parameters import InputError
 
 # Whole systems, not functions of numbers to broadcast; their derivatives are tested where they live.
 SYSTEMS = ("raft_linear", "raft_modes", "raft_ode", "mounts", "ball_jacobian")

@@ -6,11 +6,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sweep.case import Case
+from sweep.dynamics import interface as dynamics
+from sweep.dynamics import mjx as mjx_dynamics
+from sweep.dynamics.step import rest, step
 from sweep.engines import batching, devices
-from sweep.models import dynamics, mjx_dynamics
+from sweep.models.case import Case
 from sweep.models.drive import position_mode
-from sweep.models.step import rest, step
 
 
 class History(NamedTuple):

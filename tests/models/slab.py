@@ -5,8 +5,8 @@ import mujoco
 import numpy as np
 from jaxtyping import Array, Float
 
+from sweep.core.parameters import choice, parameters, quantity
 from sweep.models.obstacles.surface import Bodies, Surface
-from sweep.parameters import choice, parameters, quantity
 
 CORNERS = np.array([[1, 1, -1], [1, -1, -1], [-1, 1, -1], [-1, -1, -1]])
 

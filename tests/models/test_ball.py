@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from simulation import simulate
 
-from sweep.config import compose
 from sweep.controllers.plan import Stance
 from sweep.controllers.tracker import joint_targets
 from sweep.engines.native import native_model
@@ -17,6 +16,7 @@ from sweep.formulas.leg import SIDE
 from sweep.models import scene
 from sweep.models.obstacles.ball import Ball
 from sweep.models.scene import GRAVITY
+from sweep.study.config import compose
 
 STEP, SECONDS, FALL, PERIOD = 2e-3, 2.0, 1.0, 0.4
 LEVEL = jnp.array([1.0, 0, 0, 0])

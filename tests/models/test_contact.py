@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sweep.maths import exponential, matrix
-from sweep.models import arrowhead
-from sweep.models.arrowhead import Arrowhead, Split
+from sweep.core.rotations import exponential, matrix
+from sweep.dynamics import arrowhead
+from sweep.dynamics.arrowhead import Arrowhead, Split
 from sweep.models.contact import Anchors, Contact, Geometry, approach, contact_forces, settle, to_body, to_world
 from sweep.models.obstacles.plane import Plane
 from sweep.models.obstacles.surface import Bodies, no_bodies, poses

@@ -13,13 +13,14 @@ import mujoco
 import numpy as np
 import pytest
 
-from sweep.config import compose
+from sweep.dynamics import interface as dynamics
+from sweep.dynamics import mjx as mjx_dynamics
+from sweep.dynamics.step import rest, step
 from sweep.engines import batching, devices
 from sweep.engines.native import native_model
-from sweep.models import dynamics, mjx_dynamics
 from sweep.models.drive import position_mode
 from sweep.models.obstacles import PoleLedge
-from sweep.models.step import rest, step
+from sweep.study.config import compose
 
 TICK, SAMPLE = 4e-3, 25  # s; ticks between two recorded poses
 SECONDS = 51.2

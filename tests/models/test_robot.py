@@ -10,14 +10,16 @@ import numpy as np
 import pytest
 from mujoco import mjx
 
-from sweep.case import Case
-from sweep.config import compose
 from sweep.controllers.plan import Stance
 from sweep.controllers.tracker import joint_targets
+from sweep.core.rotations import rotate
+from sweep.dynamics import interface as dynamics
+from sweep.dynamics import mjx as mjx_dynamics
 from sweep.engines import batching, devices
 from sweep.formulas.leg import SIDE, fk
-from sweep.maths import rotate
-from sweep.models import dynamics, mjx_dynamics, scene
+from sweep.models import scene
+from sweep.models.case import Case
+from sweep.study.config import compose
 
 ROBOTS = ("base", "three_link", "circular", "prototype", "hexagon")
 WIDTH = 3

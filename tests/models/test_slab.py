@@ -10,12 +10,12 @@ import pytest
 from simulation import simulate
 from slab import Slab
 
-from sweep.config import compose
-from sweep.controllers.manoeuvres.walk import standing
+from sweep.controllers.manoeuvres.walking.walk import standing
 from sweep.controllers.plan import Stance
 from sweep.controllers.tracker import joint_targets
-from sweep.maths import exponential
+from sweep.core.rotations import exponential
 from sweep.models import scene
+from sweep.study.config import compose
 
 STEP, SECONDS, SETTLED = 2e-3, 3.0, 100
 STICKS, SLIDES = range(2)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from simulation import simulate
 
-from sweep.config import compose
-from sweep.engines.pilot import start_state
+from sweep.engines.closed_loop import start_state
 from sweep.models.scene import GRAVITY
+from sweep.study.config import compose
 
 STEP, FRICTION, DEGREE = 2e-3, 0.7, np.pi / 180
 LIMIT = np.arctan(FRICTION)

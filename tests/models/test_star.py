@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 from slab import Slab
 
-from sweep.config import compose
+from sweep.dynamics import interface as dynamics
+from sweep.dynamics import structured, tree, tree_step
+from sweep.dynamics.step import State, step
 from sweep.engines import batching
-from sweep.models import dynamics, scene, star, star_step, structured
+from sweep.models import scene
 from sweep.models.contact import Anchors
 from sweep.models.drive import position_mode
-from sweep.models.step import State, step
+from sweep.study.config import compose
 
 WORLDS = ("base", "three_link", "hexagon", "prototype", "slab")
 STATES, H, ITERATIONS = 8, 2e-3, 2
@@ -94,8 +96,8 @@ def test_steps_agree(name):
 
         def written_out(state, target):
             servo = position_mode(case.drive, target)
-            moving, report = star_step.step(case, limits, star_step.from_state(state), servo, H, ITERATIONS)
-            return star_step.to_state(moving), report
+            moving, report = tree_step.step(case, limits, tree_step.from_state(state), servo, H, ITERATIONS)
+            return tree_step.to_state(moving), report
 
         (expected, report), (given, other) = (jax.jit(jax.vmap(f))(states, targets) for f in (general, written_out))
         forces = report.forces
@@ -115,5 +117,5 @@ def test_shape_is_asked_of_the_obstacle():
         def leaves(self):
             return {**super().leaves(), "body_ipos": {"slab": jnp.ones(3)}}
 
-    assert star.fits(case_of("slab"))
-    assert not star.fits(dataclasses.replace(case_of("slab"), obstacle=Lopsided()))
+    assert tree.fits(case_of("slab"))
+    assert not tree.fits(dataclasses.replace(case_of("slab"), obstacle=Lopsided()))

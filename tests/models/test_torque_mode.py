@@ -6,12 +6,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from sweep.config import compose
+from sweep.dynamics import interface as dynamics
+from sweep.dynamics import mjx as mjx_dynamics
+from sweep.dynamics.step import rest, step
 from sweep.engines import batching, devices
 from sweep.engines.native import native_model
-from sweep.models import dynamics, mjx_dynamics
 from sweep.models.drive import Servo, position_mode
-from sweep.models.step import rest, step
+from sweep.study.config import compose
 
 H = 1e-3
 CASE = compose([]).case

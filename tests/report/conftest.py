@@ -2,8 +2,8 @@ import fake_engine
 import pytest
 
 import sweep.engines
-from sweep import batches
-from sweep.cli import main
+from sweep.cli.main import main
+from sweep.runs import batches
 
 
 @pytest.fixture(scope="session")

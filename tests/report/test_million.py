@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from fake_engine import FakeEngine
 
-from sweep.cli import main
+from sweep.cli.main import main
 
 COMMANDS = """
 import sys, sweep
-from sweep.cli import main
+from sweep.cli.main import main
 folder = sys.argv[1]
 assert len(sweep.load(folder)) == 1_000_000
 assert main(["table", folder, "--format", "csv", "-o", folder + "/table.csv"]) == 0

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from matplotlib.collections import PolyCollection
 
-from sweep import store
-from sweep.cli import main
-from sweep.config import compose
-from sweep.report import page, results, slices, typical
+from sweep.analysis import results
+from sweep.cli.main import main
+from sweep.report import page, slices, typical
+from sweep.runs import store
+from sweep.study.config import compose
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 

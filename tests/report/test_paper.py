@@ -5,9 +5,9 @@ import subprocess
 import pandas as pd
 import pytest
 
-from sweep import store
-from sweep.cli import main
+from sweep.cli.main import main
 from sweep.report import paper
+from sweep.runs import store
 
 
 @pytest.fixture(scope="module")

@@ -4,12 +4,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from sweep.config import compose
-from sweep.parameters import InputError
+from sweep.analysis.stats import broken, rate
+from sweep.core.parameters import InputError
 from sweep.report import maps, tables
 from sweep.report.labels import CAUSE_HATCHES
-from sweep.stats import broken, rate
-from sweep.study import Expectation
+from sweep.study.config import compose
+from sweep.study.study import Expectation
 
 EXP = compose(["study=walk_map"])
 STORED = {"config": EXP.values}

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from sweep.config import compose
-from sweep.runner import run_single
+from sweep.runs.runner import run_single
+from sweep.study.config import compose
 
 
 @pytest.mark.slow

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from sweep.parameters import InputError
+from sweep.core.parameters import InputError
 from sweep.trace import frames
 from sweep.trace.arrows import FORCE_SCALE
 from sweep.trace.sampling import at_rate, at_times, evenly, finite_frames

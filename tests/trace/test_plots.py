@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from sweep.config import compose
+from sweep.core.parameters import InputError
 from sweep.models import scene
-from sweep.parameters import InputError
+from sweep.study.config import compose
 from sweep.trace.plots import PLOTS, save, tilt
 
 LABELS = {

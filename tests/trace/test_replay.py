@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from sweep import batches, runner, store
-from sweep.config import compose
+from sweep.core.parameters import InputError
 from sweep.metrics.outcome import TIMED_CAUSES
-from sweep.parameters import InputError
+from sweep.runs import batches, runner, store
+from sweep.study.config import compose
 from sweep.trace import replay as module
 from sweep.trace.replay import main
 
@@ -81,7 +81,7 @@ def test_what_differs_is_shown(folder, trace, monkeypatch, capsys):
             return {**super().run(world, belief, streams), "tilt_max_deg": np.full(WIDTH, 30.0)}
 
     monkeypatch.setattr(module, "make_engine", lambda *_: Other(trace))
-    monkeypatch.setattr("sweep.provenance.code_version", lambda: "another")
+    monkeypatch.setattr("sweep.core.provenance.code_version", lambda: "another")
     main([str(folder), "4"])
     lines = capsys.readouterr().out.splitlines()
     assert [line.split() for line in lines if line.startswith(("outcome", "tilt"))] == [

@@ -1,17 +1,17 @@
 """Manoeuvres: parameters and the plan that follows from them and from what is believed of the world."""
 
-from sweep.controllers.manoeuvres.ball import BallBalance, BallDrive
-from sweep.controllers.manoeuvres.beam import BeamCross, BeamWalk
-from sweep.controllers.manoeuvres.corner import CornerClimb
-from sweep.controllers.manoeuvres.corner_roof import CornerFull, CornerRoof
-from sweep.controllers.manoeuvres.pole import PoleClimb
-from sweep.controllers.manoeuvres.pole_descent import PoleDescent
-from sweep.controllers.manoeuvres.pole_ledge import PoleLedge
-from sweep.controllers.manoeuvres.pole_return import PoleReturn
-from sweep.controllers.manoeuvres.pole_round import PoleRound
-from sweep.controllers.manoeuvres.pole_top import PoleTop
-from sweep.controllers.manoeuvres.walk import Stand, Walk
-from sweep.controllers.manoeuvres.waypoints import Waypoints
+from sweep.controllers.manoeuvres.balancing.ball import BallBalance, BallDrive
+from sweep.controllers.manoeuvres.balancing.beam import BeamCross, BeamWalk
+from sweep.controllers.manoeuvres.climbing.corner import CornerClimb
+from sweep.controllers.manoeuvres.climbing.corner_roof import CornerFull, CornerRoof
+from sweep.controllers.manoeuvres.climbing.pole import PoleClimb
+from sweep.controllers.manoeuvres.climbing.pole_descent import PoleDescent
+from sweep.controllers.manoeuvres.climbing.pole_ledge import PoleLedge
+from sweep.controllers.manoeuvres.climbing.pole_return import PoleReturn
+from sweep.controllers.manoeuvres.climbing.pole_round import PoleRound
+from sweep.controllers.manoeuvres.climbing.pole_top import PoleTop
+from sweep.controllers.manoeuvres.walking.walk import Stand, Walk
+from sweep.controllers.manoeuvres.walking.waypoints import Waypoints
 
 MANOEUVRES = {
     "walk": Walk,

@@ -5,9 +5,9 @@ import mujoco
 import numpy as np
 from jaxtyping import Array, Float
 
+from sweep.core.parameters import choice, parameters, quantity
 from sweep.models.obstacles.geoms import add_ball, add_plane
 from sweep.models.obstacles.surface import Bodies, FreeState, Rolling, Surface
-from sweep.parameters import choice, parameters, quantity
 
 FLOOR, BALL = range(2)
 

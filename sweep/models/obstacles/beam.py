@@ -4,9 +4,9 @@ import jax.numpy as jnp
 import mujoco
 from jaxtyping import Array, Float
 
+from sweep.core.parameters import choice, parameters, quantity
 from sweep.models.obstacles.geoms import SOIL, add_plane, add_solid
 from sweep.models.obstacles.surface import FOOT_RADIUS, Bodies, Surface
-from sweep.parameters import choice, parameters, quantity
 
 FLOOR, LEDGE, NEAR_WALL, FAR_WALL, TOP, LEFT, RIGHT, BOTTOM = range(8)
 LEDGE_HALF = 2.0  # m, of a ledge's drawing and collision geometry; its surface has no end

@@ -5,9 +5,9 @@ import mujoco
 import numpy as np
 from jaxtyping import Array, Float
 
+from sweep.core.parameters import choice, parameters, quantity
 from sweep.models.obstacles.geoms import add_plane, add_prism
 from sweep.models.obstacles.surface import Bodies, Surface
-from sweep.parameters import choice, parameters, quantity
 
 FLOOR, RIGHT, LEFT, ROOF = range(4)  # faces; the walls as a robot sees them that comes along -y
 DEPTH = 3.0  # m, that the house reaches back in y

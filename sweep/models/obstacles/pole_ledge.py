@@ -4,9 +4,9 @@ import jax.numpy as jnp
 import mujoco
 from jaxtyping import Array, Float
 
+from sweep.core.parameters import choice, parameters, quantity
 from sweep.models.obstacles.geoms import SOIL, add_plane, add_solid
 from sweep.models.obstacles.surface import Bodies, Surface
-from sweep.parameters import choice, parameters, quantity
 
 FLOOR, SIDE, TOP, LEDGE, WALL = range(5)
 

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from sweep.maths import matrix
+from sweep.core.rotations import matrix
 
 FOOT_RADIUS = 1e-3  # m, of the native engine's spheres: a larger one rolls under the drives and drifts
 

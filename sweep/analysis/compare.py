@@ -1,0 +1,188 @@
+"""The same points run twice (another engine, version or controller): what changed, where, is it more than chance?"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from sweep.analysis.intervals import clopper_pearson
+from sweep.analysis.stats import percent
+from sweep.core.errors import InputError
+from sweep.core.expressions import column
+from sweep.runs.store import LABELS, figure_columns
+from sweep.study.study import identity
+
+BINS = 3  # regions along an axis
+SECOND = " (B)"  # marks the columns of the second run
+
+
+@dataclass(frozen=True)
+class Flips:
+    """Pairs whose outcome differs. Pairs with an invalid rollout are counted apart and not tested."""
+
+    pairs: int
+    lost: int  # succeed in A, fail in B
+    gained: int  # fail in A, succeed in B
+    recaused: int  # fail in both, of another cause
+    invalid_a: int  # in A alone
+    invalid_b: int  # in B alone
+    invalid_both: int
+
+    @property
+    def tested(self) -> int:
+        """Pairs that are valid in both runs."""
+        return self.pairs - self.invalid_a - self.invalid_b - self.invalid_both
+
+    @property
+    def flipped(self) -> int:
+        """Pairs that succeed in one run and fail in the other."""
+        return self.lost + self.gained
+
+    @property
+    def changed(self) -> float:
+        """Share of all pairs that flipped or became valid or invalid."""
+        return (self.flipped + self.invalid_a + self.invalid_b) / self.pairs
+
+    @property
+    def p(self) -> float:
+        """McNemar's exact test: how likely so uneven flips are if either direction were equally likely."""
+        from scipy.stats import binomtest
+
+        return float(binomtest(self.lost, self.flipped).pvalue) if self.flipped else 1.0
+
+    def interval(self) -> tuple[float, float]:
+        """Exact 95 % interval (Clopper, Pearson) of the share of flips among tested pairs; NaN without any."""
+        if not self.tested:
+            return np.nan, np.nan
+        low, high = map(float, clopper_pearson(self.flipped, self.tested))
+        return low, high
+
+    def __str__(self) -> str:
+        if not self.tested:
+            return f"none of {self.pairs} pairs is valid in both"
+        share, (low, high) = percent(self.flipped / self.tested), map(percent, self.interval())
+        return (
+            f"{self.flipped} of {self.tested} flip ({share}, 95 % interval {low} to {high}): "
+            f"{self.lost} succeed only in A, {self.gained} only in B (McNemar p = {self.p:.2g}); "
+            f"{self.recaused} fail of another cause; "
+            f"invalid: {self.invalid_a} only in A, {self.invalid_b} only in B, {self.invalid_both} in both"
+        )
+
+
+def pair(a: pd.DataFrame, b: pd.DataFrame, by: list[str] | None = None) -> pd.DataFrame:
+    """Rows of `a` beside those of `b` (their columns marked `SECOND`) that agree in the columns `by`.
+
+    The default is `point_id`: equal physical inputs and replicate, however they are simulated; where a study repeats
+    its points on several engines, equal engines too. Raises `InputError` where several rows are left to choose from,
+    or none.
+    """
+    if not by:
+        by = ["point_id"] if a["point_id"].is_unique else identity(a.columns)
+    key = [column(a, name) for name in by]
+    for side, rows in (("A", a), ("B", b)):
+        if absent := [name for name in key if name not in rows]:
+            raise InputError(f"{side} has no column {absent[0]} to pair by")
+        if rows.duplicated(key).any():
+            raise InputError(
+                f"{side} has several rows of equal {', '.join(key)}: choose among them with --{side.lower()} CONDITION"
+            )
+    both = a.merge(b.rename(columns={c: f"{c}{SECOND}" for c in b if c not in key}), on=key)
+    if both.empty:
+        raise InputError(f"no row of A has the {', '.join(key)} of one of B (other columns to pair by: --by NAMES)")
+    return both
+
+
+def axes(pairs: pd.DataFrame) -> list[str]:
+    """Parameters that A varies."""
+    return [c for c in pairs.columns if "." in c and not c.endswith(SECOND)]
+
+
+def flips(pairs: pd.DataFrame) -> Flips:
+    """How outcomes differ between the runs."""
+    first, second = pairs["outcome"].to_numpy(), pairs[f"outcome{SECOND}"].to_numpy()
+    invalid, invalid_b = first == "invalid", second == "invalid"
+    won, won_b = first == "success", second == "success"
+    fail = (first == "failure") & (second == "failure")
+    other = pairs["cause"].to_numpy() != pairs[f"cause{SECOND}"].to_numpy()
+    counts = (won & (second == "failure"), (first == "failure") & won_b, fail & other,
+              invalid & ~invalid_b, ~invalid & invalid_b, invalid & invalid_b)  # fmt: skip
+    return Flips(len(pairs), *(int(np.sum(c)) for c in counts))
+
+
+def changed(pairs: pd.DataFrame) -> np.ndarray:
+    """Which pairs differ in outcome."""
+    return (pairs["outcome"] != pairs[f"outcome{SECOND}"]).to_numpy()
+
+
+def regions(pairs: pd.DataFrame, axes: list[str], bins: int = BINS) -> pd.DataFrame:
+    """Flips in each region: the crossed thirds (or the values, where there are few) of `axes`.
+
+    `p` is McNemar's exact test, `p_holm` the same corrected for the number of regions.
+    """
+    groups = [_binned(pairs[axis], bins) for axis in axes]
+    table = []
+    for _, part in pairs.groupby(groups, observed=True):
+        found = flips(part)
+        where = {axis: _extent(part[axis]) for axis in axes}
+        invalid = found.pairs - found.tested
+        table.append({**where, "pairs": found.pairs, "flips": found.flipped, "only_A_succeeds": found.lost,
+                      "only_B_succeeds": found.gained, "invalid": invalid, "p": found.p})  # fmt: skip
+    result = pd.DataFrame(table)
+    return result.assign(p_holm=_holm(result["p"].to_numpy()))
+
+
+def _binned(values: pd.Series, bins: int) -> pd.Series:
+    if values.dtype.kind not in "fi" or values.nunique() <= bins:
+        return values
+    return pd.cut(values, bins, labels=False)
+
+
+def _extent(values: pd.Series) -> str:
+    if values.nunique() == 1:
+        return f"{values.iloc[0]:.4g}" if values.dtype.kind in "fi" else str(values.iloc[0])
+    return f"{values.min():.4g} to {values.max():.4g}"
+
+
+def _holm(p: np.ndarray) -> np.ndarray:
+    """P-values after Holm's correction for testing all of them."""
+    order = np.argsort(p)
+    adjusted = np.empty(len(p))
+    adjusted[order] = np.maximum.accumulate((len(p) - np.arange(len(p))) * p[order])
+    return np.minimum(adjusted, 1.0)
+
+
+def causes(pairs: pd.DataFrame) -> pd.DataFrame:
+    """How many pairs went from which outcome or cause in A to which other one in B."""
+    first, second = (_verdict(pairs, mark) for mark in ("", SECOND))
+    moved = pd.DataFrame({"A": first, "B": second})[(first != second).to_numpy()]
+    return moved.value_counts().rename("pairs").reset_index()
+
+
+def _verdict(pairs: pd.DataFrame, mark: str) -> pd.Series:
+    outcome, cause = pairs[f"outcome{mark}"], pairs[f"cause{mark}"]
+    return outcome.where(outcome == "success", outcome + " (" + cause + ")")
+
+
+def drift(pairs: pd.DataFrame) -> pd.Series:
+    """Typical relative change of every figure over the pairs valid in both: median of abs(B - A) over that of abs(A).
+
+    Figures that are typically 0 in both runs change by 0, those that are 0 only in A by infinity.
+    """
+    valid = (pairs["outcome"] != "invalid") & (pairs[f"outcome{SECOND}"] != "invalid")
+    own = pairs.columns[[not c.endswith(SECOND) for c in pairs.columns]]
+    found = {}
+    for name in figure_columns(pairs[own]):
+        a, b = pairs.loc[valid, name], pairs.loc[valid, f"{name}{SECOND}"] if f"{name}{SECOND}" in pairs else None
+        if b is None or a.dtype.kind != "f" or not (both := a.notna() & b.notna()).any():
+            continue
+        change, scale = (b[both] - a[both]).abs().median(), a[both].abs().median()
+        found[name] = change / scale if scale else (np.inf if change else 0.0)
+    return pd.Series(found, dtype=float).sort_values(ascending=False)
+
+
+def differences(pairs: pd.DataFrame) -> pd.DataFrame:
+    """The pairs that differ in outcome: their axes, and outcome, cause, stage and time in both runs."""
+    rows = pairs[changed(pairs)]
+    return rows[["point_id", *axes(pairs), *(f"{c}{mark}" for c in LABELS for mark in ("", SECOND))]].reset_index(
+        drop=True
+    )

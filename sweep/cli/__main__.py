@@ -1,0 +1,5 @@
+"""`python -m sweep.cli`: the command where it is not on the PATH."""
+
+from sweep.cli.main import main
+
+raise SystemExit(main())

@@ -1,0 +1,219 @@
+"""`sweep formula`: the closed-form results from the shell, one value, a table or a plot."""
+
+import argparse
+import json
+import re
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sweep.core.parameters import InputError
+from sweep.formulas import FORMULAS, Formula, Input, NoSolution, covering, find
+
+PICTURES = (".pdf", ".png", ".svg")
+
+
+def main(argv: list[str]) -> int:
+    """Run `sweep formula ARGV`; 0, or 2 with one line on stderr for bad input."""
+    args = _parser().parse_args(argv)
+    try:
+        for line in _answer(args):
+            print(line)
+    except InputError as error:
+        print(f"sweep: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="sweep formula",
+        description="Closed-form results of the sources. Without a name: the list of them.",
+        epilog="Elements of a vector are set together (r_s=0.1,0,0.05) or one by one (r_s.0=0.1).",
+    )
+    parser.add_argument("name", nargs="?", help="a formula, or an equation number such as 2.1.6 to find it")
+    parser.add_argument("values", nargs="*", metavar="key=value", help="inputs; the others keep their defaults")
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    parser.add_argument("--sweep", metavar="key=lo:hi:n", help="a table over n values of one input")
+    parser.add_argument("--plot", metavar="FILE", type=Path, help="draw the table of --sweep")
+    return parser
+
+
+def _answer(args: argparse.Namespace) -> Iterator[str]:
+    if args.plot and not args.sweep:
+        raise InputError("--plot is not allowed alone: it draws the table of --sweep key=lo:hi:n")
+    if args.name is None:
+        return _listing(FORMULAS.values(), args.json)
+    if re.fullmatch(r"\d+(\.\d+)*", args.name):
+        found = covering(args.name)
+        if not found:
+            raise InputError(f"equation {args.name} is in no formula (`sweep formula` lists all with their equations)")
+        return _listing(found, args.json)
+    formula = find(args.name)
+    values = _values(formula, args.values)
+    if args.sweep:
+        key, points = _range(formula, args.sweep)
+        rows = _table(formula, values, key, points)
+        if args.plot:
+            _plot(formula, rows, key, args.plot)
+        return iter([json.dumps(rows)]) if args.json else _table_lines(rows)
+    report = _report(formula, values)
+    return iter([json.dumps(report, indent=2, ensure_ascii=False)]) if args.json else _report_lines(formula, report)
+
+
+def _listing(formulas: Any, as_json: bool) -> Iterator[str]:
+    if as_json:
+        yield json.dumps({formula.name: {"what": formula.what, "source": formula.reference} for formula in formulas})
+        return
+    for formula in formulas:
+        units = ", ".join(f"{name} {unit}".rstrip() for name, unit in formula.outputs.items())
+        yield f"{formula.name:22} {formula.what}: {units}. {formula.reference}"
+
+
+def _values(formula: Formula, assignments: Sequence[str]) -> dict[str, Any]:
+    """Complete, checked inputs by flat name."""
+    values = formula.complete({})
+    for assignment in assignments:
+        key, equals, text = assignment.partition("=")
+        if not equals:
+            raise InputError(f"{assignment} is not allowed: inputs are written key=value")
+        values = _assigned(formula, values, key, _parsed(text))
+    return values
+
+
+def _assigned(formula: Formula, values: Mapping[str, Any], key: str, value: Any) -> dict[str, Any]:
+    """`values` with input `key`, or element `key` = name.index of a vector, set and checked."""
+    name, _, index = key.rpartition(".")
+    vector = values.get(name)
+    if isinstance(vector, list) and index.isdigit() and int(index) < len(vector):
+        key, value = name, [*vector[: int(index)], value, *vector[int(index) + 1 :]]
+    return formula.complete({**values, key: value})
+
+
+def _parsed(text: str) -> Any:
+    """Numbers as int or float, several with commas as a list, anything else as it is."""
+    if "," in text:
+        return [_parsed(part) for part in text.split(",")]
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text
+
+
+def _range(formula: Formula, text: str) -> tuple[str, list[float]]:
+    """Input and values of `key=lo:hi:n`."""
+    match = re.fullmatch(r"([^=]+)=([^:]+):([^:]+):(\d+)", text)
+    try:
+        key, low, high, count = match.groups()  # pyright: ignore[reportOptionalMemberAccess]
+        points = np.linspace(float(low), float(high), int(count)).tolist()
+    except (AttributeError, ValueError):
+        points = []
+    if len(points) < 2:
+        raise InputError(f"--sweep {text} is not allowed: key=lo:hi:n with two numbers and n at least 2")
+    return key, points
+
+
+def _table(formula: Formula, values: Mapping[str, Any], key: str, points: Sequence[float]) -> list[dict[str, Any]]:
+    """One row per value of `key`: that value and the outputs, by element; None where there is no solution."""
+    rows: list[dict[str, Any]] = []
+    for point in points:
+        inputs = _assigned(formula, values, key, point)
+        try:
+            outputs = dict(_elements(formula.evaluate(inputs)))
+        except NoSolution:
+            outputs = {}
+        rows.append({key: point, **outputs})
+    columns = max(rows, key=len)
+    if len(columns) == 1:
+        formula.evaluate(_assigned(formula, values, key, points[0]))  # raises, and says why
+    return [{column: row.get(column) for column in columns} for row in rows]
+
+
+def _elements(outputs: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    for name, value in outputs.items():
+        if isinstance(value, list):
+            yield from _elements({f"{name}.{i}": element for i, element in enumerate(value)})
+        else:
+            yield name, value
+
+
+def _table_lines(rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    width = max(12, *(len(name) for name in rows[0]))
+    yield "  ".join(f"{name:>{width}}" for name in rows[0])
+    for row in rows:
+        yield "  ".join(f"{'-' if value is None else _text(value):>{width}}" for value in row.values())
+
+
+def _report(formula: Formula, values: Mapping[str, Any]) -> dict[str, Any]:
+    outputs = formula.evaluate(values)
+    return {
+        "formula": formula.name,
+        "what": formula.what,
+        "source": formula.reference,
+        "corrected": formula.corrected,
+        "correction": formula.correction,
+        "inputs": {
+            entry.name: {"value": values[entry.name], "unit": entry.unit, "allowed": entry.domain()}
+            for entry in formula.inputs
+        },
+        "outputs": {name: {"value": outputs[name], "unit": unit} for name, unit in formula.outputs.items()},
+    }
+
+
+def _report_lines(formula: Formula, report: Mapping[str, Any]) -> Iterator[str]:
+    yield f"{formula.name}: {formula.what}"
+    yield f"source: {formula.reference}"
+    yield f"corrected: {formula.correction or 'no, as printed'}"
+    yield "inputs"
+    for name, entry in report["inputs"].items():
+        yield f"  {name} = {_quantity(entry)}  ({entry['allowed']})"
+    if formula.condition:
+        yield f"  together: {formula.condition}"
+    yield "outputs"
+    for name, entry in report["outputs"].items():
+        yield f"  {name} = {_quantity(entry)}"
+
+
+def _quantity(entry: Mapping[str, Any]) -> str:
+    return f"{_text(entry['value'])} {entry['unit']}".rstrip()
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, list):
+        return f"[{', '.join(map(_text, value))}]"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _plot(formula: Formula, rows: Sequence[Mapping[str, Any]], key: str, file: Path) -> None:
+    """Draw every output against `key`, one panel per unit."""
+    if file.suffix not in PICTURES or not file.parent.is_dir():
+        raise InputError(f"--plot {file} is not allowed: a {', '.join(PICTURES)} file in a folder that exists")
+    from matplotlib.figure import Figure  # slow to load, and wanted only here
+
+    names = [name for name in rows[0] if name != key]
+    units = dict.fromkeys(formula.outputs[name.partition(".")[0]] for name in names)
+    figure = Figure(figsize=(6.4, 2.4 + 1.8 * len(units)), layout="constrained")
+    panels = figure.subplots(len(units), sharex=True, squeeze=False)[:, 0]
+    for panel, unit in zip(panels, units, strict=True):
+        for name in names:
+            if formula.outputs[name.partition(".")[0]] == unit:
+                column = [np.nan if row[name] is None else row[name] for row in rows]
+                panel.plot([row[key] for row in rows], column, label=name)
+        panel.set_ylabel(unit or "1")
+        panel.legend()
+    panels[-1].set_xlabel(f"{key} ({_unit(formula.inputs, key) or '1'})")
+    figure.suptitle(f"{formula.what}\n{formula.reference}", fontsize="medium")
+    figure.savefig(file, dpi=120)
+
+
+def _unit(inputs: Sequence[Input], key: str) -> str:
+    """Unit of input `key`, or of the vector that it is an element of."""
+    units = {entry.name: entry.unit for entry in inputs}
+    return units[key] if key in units else units[key.rpartition(".")[0]]

@@ -1,0 +1,206 @@
+"""`sweep run`: a Hydra application around the runner, with its progress and its summary."""
+
+import os
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import hydra
+import pandas as pd
+from hydra.errors import HydraException
+from omegaconf import DictConfig
+from omegaconf.errors import OmegaConfBaseException
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from sweep.analysis.stats import broken, causes, rate
+from sweep.core import provenance
+from sweep.core.errors import Fault, InputError
+from sweep.report import tables
+from sweep.runs import refine, runner, store
+from sweep.runs.batches import make_engine
+from sweep.runs.batches import nominal as nominal_batch
+from sweep.runs.clusters import connected
+from sweep.study import config, designs
+from sweep.study.config import Experiment
+from sweep.study.study import nominal, parameter_columns, unit
+
+DONE, BAD_INPUT, INVALID, UNEXPECTED, FAULT = 0, 2, 3, 4, 5
+
+
+@dataclass(frozen=True)
+class Flags:
+    """The flags of `sweep run` that are not Hydra's."""
+
+    dry_run: bool = False
+    limit: int | None = None
+    where: str | None = None
+
+
+def launch(overrides: list[str], flags: Flags) -> int:
+    """Compose the configuration from `overrides` and run it; the largest exit code of a Hydra multirun."""
+    config.register()
+    codes = [DONE]
+
+    @hydra.main(version_base=config.HYDRA_VERSION, config_path=f"pkg://{config.CONFIG_MODULE}", config_name="config")
+    def job(composed: DictConfig) -> None:
+        try:
+            codes.append(execute(config.experiment(config.resolve(composed)), flags))
+        except (InputError, Fault) as error:  # Hydra would add lines of its own, and give up a multirun's other jobs
+            print(f"sweep: {error}", file=sys.stderr)
+            codes.append(BAD_INPUT if isinstance(error, InputError) else FAULT)
+
+    before = sys.argv
+    sys.argv = ["sweep run", *overrides]
+    os.environ["HYDRA_FULL_ERROR"] = "1"  # let errors through to here, where they become one line
+    try:
+        job()
+    except (HydraException, OmegaConfBaseException) as error:
+        raise InputError(config.one_line(error, overrides)) from None
+    finally:
+        sys.argv = before
+    return max(codes)
+
+
+def execute(exp: Experiment, flags: Flags) -> int:
+    """Run one experiment; its exit code."""
+    if exp.study.single and not exp.out:
+        return execute_single(exp, flags)
+    folder = exp.folder
+    first = runner.wanted_points(exp, flags.where, flags.limit)
+    whole = flags.where is None and flags.limit is None
+    if exp.study.refined:
+        refine.check(exp.study, first)
+    if line := designs.caution(exp.study.design):
+        print(f"sweep: {line}", file=sys.stderr)
+    if flags.dry_run:
+        print(forecast(runner.lay_out(exp, folder, first)))
+        return DONE
+    with store.locked(folder), connected(exp.cluster) as dispatch:
+        for line in store.discard_damaged(folder):
+            print(f"sweep: {line}", file=sys.stderr)
+            store.log(folder, line)
+        done, start = 0, time.perf_counter()
+        refining = exp.study.refined and whole
+        for job in refine.rounds(exp, folder, first) if refining else [runner.lay_out(exp, folder, first)]:
+            todo = len(job.rows(job.missing()))
+            with reporting(exp.study.name, todo) as report:
+                job = runner.run(job, report, dispatch)
+            done += todo
+        seconds = time.perf_counter() - start
+        print(f"{done} rollouts in {seconds:.1f} s ({done / seconds:.1f} a second)", file=sys.stderr)
+        rows = store.read_rows(folder)
+        complete = len(rows) == len(job.table) and (whole or len(first) == len(runner.wanted_points(exp)))
+    print(summary(exp.study.name, rows))
+    if exp.study.refined:
+        print("\n".join(f"refined: {one}" for one in refine.refined(exp, rows)))
+    print(f"{len(rows)} of {len(job.table)} planned rollouts are in {folder}")
+    return verdict(exp, rows, complete)
+
+
+def execute_single(exp: Experiment, flags: Flags) -> int:
+    """One nominal rollout: its outcome and figures on the standard output."""
+    if flags.dry_run:
+        print(f"{exp.scenario}: 1 rollout on {exp.settings.name}")
+        return DONE
+    rows = runner.run_single(exp)
+    sys.stdout.write(tables.one_rollout(exp.scenario, rows.iloc[0]))
+    return verdict(exp, rows, complete=True)
+
+
+def verdict(exp: Experiment, rows: pd.DataFrame, complete: bool) -> int:
+    """Exit code of finished `rows`, with a line for everything that is not as it should be."""
+    found = rate(rows["outcome"])
+    if found.invalid_share > exp.study.invalid_max:
+        allowed = f"{exp.study.invalid_max:.1%} allowed"
+        print(f"sweep: {found.invalid} of {found.total} rollouts are invalid, {allowed}", file=sys.stderr)
+        return INVALID
+    if exp.study.expect and not complete:
+        print("sweep: expectations are checked when the whole study is done", file=sys.stderr)
+        return DONE
+    lines = broken(exp.study.expect, rows)
+    for line in lines:
+        print(f"sweep: {line}", file=sys.stderr)
+    return UNEXPECTED if lines else DONE
+
+
+def summary(name: str, rows: pd.DataFrame) -> str:
+    """The rate of success, overall and for each named alternative such as an engine."""
+    lines = [f"{name}: {rate(rows['outcome'])}", *(f"  {line}" for line in causes(rows["cause"]))]
+    for column in parameter_columns(rows):
+        if rows[column].dtype.kind != "f" and rows[column].nunique() > 1:
+            lines += [f"  {column} = {value}: {rate(part['outcome'])}" for value, part in rows.groupby(column)]
+    return "\n".join(lines)
+
+
+def forecast(job: runner.Job) -> str:
+    """What a run would do: rollouts, batches, memory, and the time where an earlier batch tells it."""
+    missing = job.rows(job.missing())
+    sizes = missing.groupby(["group", "width"])["batch"].nunique()
+    parts = [f"{count} batches of {width}" for (_, width), count in sizes.items()]  # pyright: ignore[reportGeneralTypeIssues]
+    text = f"{job.exp.study.name}: {len(missing)} of {len(job.table)} rollouts to run ({', '.join(parts) or 'none'})"
+    if len(missing):
+        text += f"{memory(job, missing)}, {duration(job, missing)}"
+    return f"{text}\n{axes_table(job.exp)}" if job.exp.study.axes and not job.exp.study.points else text
+
+
+def memory(job: runner.Job, missing: pd.DataFrame) -> str:
+    """What a rollout keeps in memory, of the first group."""
+    rows = missing[missing["group"] == missing["group"].iloc[0]]
+    size = make_engine(job.exp, nominal_batch(job.exp, rows, int(rows["width"].iloc[0]))).rollout_bytes()
+    return f", {size / 1024:.1f} KiB kept a rollout" if size else ""
+
+
+def duration(job: runner.Job, missing: pd.DataFrame) -> str:
+    """The time that `missing` rollouts take by the last batch of this study, or of the latest like it beside it."""
+    beside = sorted(job.folder.parent.glob(f"*/{store.STUDY}"), key=lambda p: p.stat().st_mtime, reverse=True)
+    for folder in (job.folder, *(path.parent for path in beside)):
+        if (seconds := pace(folder, job)) is not None:
+            return f"about {len(missing) * seconds:.0f} s by the pace of {folder}, and the time to compile"
+    return f"time unknown before a first batch, as by --limit {missing['width'].iloc[0]}"
+
+
+def pace(folder: Path, job: runner.Job) -> float | None:
+    """Wall time of a rollout (s) in the last batch of `folder`, if its scenario, engine and device are those here."""
+    try:
+        stored, done = store.read_study(folder), store.finished(folder)
+        config, exp = stored["config"], job.exp
+        same = (config["scenario"]["name"], config["engine"]["name"]) == (exp.scenario, exp.settings.name)
+        same &= provenance.device(exp.settings) in stored["devices"]
+        return float(store.read_part(folder, max(done))["wall_s"].iloc[0]) if done and same else None
+    except (InputError, KeyError):  # damaged, or of an earlier layout
+        return None
+
+
+def axes_table(exp: Experiment) -> str:
+    """What is varied: parameter, side, values, unit and nominal value."""
+    lines = [
+        [axis.name, axis.path or "", axis.on if axis.path else "", str(axis),
+         unit(axis.path, exp.case, exp.settings) if axis.path else "",
+         nominal(axis.path, exp.case, exp.settings) if axis.path else ""]
+        for axis in exp.study.axes
+    ]  # fmt: skip
+    table = pd.DataFrame(lines, columns=["axis", "parameter", "on", "values", "unit", "nominal"])
+    return table.to_markdown(index=False, disable_numparse=True)
+
+
+@contextmanager
+def reporting(name: str, total: int) -> Iterator[runner.Progress]:
+    """A live bar on a terminal's standard error, nothing elsewhere."""
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[note]}"),
+               TimeRemainingColumn())  # fmt: skip
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
+        task = bar.add_task(name, total=total, note="compiling")
+        start, done, good = time.perf_counter(), 0, 0
+
+        def report(rows: pd.DataFrame) -> None:
+            nonlocal done, good
+            done, good = done + len(rows), good + int((rows["outcome"] == "success").sum())
+            pace = done / (time.perf_counter() - start)
+            bar.update(task, completed=done, note=f"{pace:.1f} rollouts/s, {good / done:.0%} succeed")
+
+        yield report

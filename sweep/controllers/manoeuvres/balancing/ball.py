@@ -1,0 +1,287 @@
+"""Standing on a free ball and driving it (monograph 3.1.1, 3.1.2).
+
+World axes: the robot faces x and the ball starts at the origin; the book's e is x. Feet stand in the ball's own axes,
+the base and swinging feet go in its Koenig frame, all from where the ball is observed at every control tick. The drives
+are stiff: feet that follow its measured attitude as it comes, 1 mrad off at every tick, shake the robot off the ball.
+Therefore the pose goes through an observer, which steady rolling passes without lag.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from sweep.controllers.frames import FIXED, KOENIG
+from sweep.controllers.gaits import TRIPOD
+from sweep.controllers.observation import Observation
+from sweep.controllers.plan import CYCLE_A, Plan, Stage, Stance, assemble, swing_progress
+from sweep.controllers.riding import (
+    UP,
+    angular_momentum,
+    base_move,
+    centre_of_mass,
+    footholds,
+    measured_stance,
+    over_ball,
+    towards,
+)
+from sweep.controllers.tracker import Guidance, TrackerState
+from sweep.core.parameters import choice, count, parameters, quantity
+from sweep.core.rotations import conjugate, rotate
+from sweep.formulas.ball import stabilise_delta
+from sweep.models.case import Case
+from sweep.models.robot import Robot, total_mass
+
+LEVEL = (1.0, 0.0, 0.0, 0.0)
+CENTRING = 4  # Newton's iterations that put the mass centre over the ball's
+CHI_ITERATIONS = 3  # of (3.1.10)
+FASTEST = 0.4  # m/s, of the base in the law of every tick
+
+
+class Perch(NamedTuple):
+    """Where a robot stands on a ball, from the ball's centre (m)."""
+
+    feet: Float[Array, "6 3"]
+    position: Float[Array, " 3"]  # of the base, with the mass centre over the ball's
+
+
+def perch(belief: Case, manoeuvre: "BallBalance | BallDrive") -> Perch:
+    """Feet on their circle, the base level over the ball."""
+    radius, length = belief.obstacle.radius, belief.robot.body_length
+    circle = manoeuvre.circle_ratio * radius
+    feet = footholds(radius, circle, manoeuvre.chord_ratio * circle, 0.0) * (1 - manoeuvre.deepening / radius)
+    above = jnp.asarray(UP) * (radius + manoeuvre.height_ratio * length)
+    return Perch(feet, _balanced(belief.robot, Stance(feet, above, jnp.array(LEVEL))))
+
+
+@jax.jit  # for plans outside a compiled program
+def _balanced(robot: Robot, stance: Stance) -> Float[Array, " 3"]:
+    """The base (m) that has the mass centre over the origin."""
+    for _ in range(CENTRING):
+        move = base_move(robot, stance, -centre_of_mass(robot, stance)[:2])
+        stance = stance._replace(position=stance.position.at[:2].add(move))
+    return stance.position
+
+
+def on_ball(belief: Case, perched: Perch) -> Stance:
+    """The perch in the world, before anything moves."""
+    centre = jnp.asarray(UP) * belief.obstacle.radius
+    return Stance(perched.feet + centre, perched.position + centre, jnp.array(LEVEL))
+
+
+class BalanceMemory(NamedTuple):
+    """Of the law in use: a move and a pulse planned at a stage's start, or the way and the momentum so far."""
+
+    place: Float[Array, " 3"]  # m, of the base over the ball's centre, when the stage began or now
+    move: Float[Array, " 2"]  # m, wanted of the base by delta
+    pulse: Float[Array, " 2"]  # m, by delta'
+    momentum: Float[Array, " 3"]  # K_S, N m s, smoothed
+
+
+@parameters
+class BallBalance:
+    """Stand on a ball, stop it and put the mass centre over it by moving the body. Ratios are to the length a_r.
+
+    Two laws. `manoeuvre` plans every `period` T from what is measured then: base = start + D^-1 (-x) delta(tau)
+    + D^-1 (K_S x g)/(m g^2 T) delta'(tau) with x = r_m - r_b, monograph (3.1.1)-(3.1.7). `tick` does it at every
+    control tick: the mass centre follows `momentum_gain` (K_S x g)/(m g^2) - `place_gain` r_b, which also brings the
+    ball back to where it started. `none` holds the body over the ball.
+
+    The book leaves open how D and K_S are known: here from the believed robot's own links and the measured motion.
+    """
+
+    kind: str = choice("ball_balance", "ball_balance")
+    law: str = choice("manoeuvre", "manoeuvre", "tick", "none")
+    stages: int = count(30, at_least=1, at_most=500)  # of T each
+    period: float = quantity(2.0, "s", above=0, at_most=20)  # T
+    rest: float = quantity(0.0, "s", at_least=0)  # Delta, at the end of T
+    offset: float = quantity(0.03, "m")  # of the body ahead of its balanced place, at the start
+    offset_aside: float = quantity(0.0, "m")  # the same to the left
+    momentum_gain: float = quantity(1.5, "1/s", at_least=0)
+    place_gain: float = quantity(0.2, "-", at_least=0)
+    smoothing: float = quantity(0.05, "s", at_least=0)  # of K_S in the law of every tick
+    lag: float = quantity(0.1, "s", above=0)  # in which the mass centre goes to where that law wants it
+    reach: float = quantity(0.12, "m", above=0)  # at most so far does that law lean
+    circle_ratio: float = quantity(0.613, "R", above=0, at_most=1)  # d_1
+    chord_ratio: float = quantity(0.7, "d_1", above=0, at_most=1)  # d_2
+    height_ratio: float = quantity(0.257, "a_r", above=0, at_most=2)  # of the base over the ball's top
+    deepening: float = quantity(5e-4, "m", at_least=0, at_most=0.05)  # epsilon, feet inside the ball
+    observer: float = quantity(0.1, "s", at_least=0)  # in which the ball's measured pose is taken over; 0: at once
+
+    def plan(self, belief: Case) -> Plan:
+        """One stage each T; all feet stay."""
+        perched = perch(belief, self)
+        off = jnp.stack([jnp.asarray(self.offset, float), jnp.asarray(self.offset_aside, float)])
+        perched = perched._replace(position=perched.position.at[:2].add(off))
+        stages = [
+            Stage(
+                f"balance{k + 1}", self.period, position=perched.position, foot_frames=(FIXED,) * 6, base_frame=KOENIG
+            )
+            for k in range(self.stages)
+        ]
+        return assemble(on_ball(belief, perched), stages, 0.0, onset="keep")
+
+    def memory(self, belief: Case, plan: Plan) -> BalanceMemory:
+        """The base where the plan starts."""
+        return BalanceMemory(plan.position[0], jnp.zeros(2), jnp.zeros(2), jnp.zeros(3))
+
+    def guide(
+        self, belief: Case, plan: Plan, state: TrackerState, seen: Observation, begins: Bool[Array, ""], period: float
+    ) -> Guidance:
+        """The base's place by the chosen law."""
+        memory: BalanceMemory = state.memory
+        if self.law == "manoeuvre":
+            memory = jax.tree.map(lambda a, b: jnp.where(begins, a, b), self._planned(belief, memory, seen), memory)
+            shape = stabilise_delta(self.period, self.rest, state.clock)
+            way = memory.move * shape.delta + memory.pulse * shape.pulse_integral_T
+            position = memory.place.at[:2].add(way)
+        else:
+            memory = self._leant(belief, memory, state, seen, period) if self.law == "tick" else memory
+            position = memory.place
+        return Guidance(Stance(state.feet, position, plan.quat[state.stage]), state.feet, memory)
+
+    def _planned(self, belief: Case, memory: BalanceMemory, seen: Observation) -> BalanceMemory:
+        """(3.1.1) and the pulse after fig. 3.1.2, from what is measured now."""
+        robot, stance = belief.robot, measured_stance(belief.robot, seen)
+        momentum = angular_momentum(robot, belief.obstacle, seen)
+        off = (centre_of_mass(robot, stance) - seen.free.position[0])[:2]
+        pulse = towards(momentum, total_mass(robot)) / self.period
+        place = memory.place.at[:2].add(memory.move)
+        return BalanceMemory(place, base_move(robot, stance, -off), base_move(robot, stance, pulse), momentum)
+
+    def _leant(
+        self, belief: Case, memory: BalanceMemory, state: TrackerState, seen: Observation, period: float
+    ) -> BalanceMemory:
+        """The base a tick on: the commanded stance's mass centre goes towards where the law of every tick wants it."""
+        robot, free = belief.robot, seen.free
+        share = jnp.minimum(1.0, period / jnp.maximum(self.smoothing, period))
+        momentum = memory.momentum + share * (angular_momentum(robot, belief.obstacle, seen) - memory.momentum)
+        wanted = self.momentum_gain * towards(momentum, total_mass(robot)) - self.place_gain * free.position[0, :2]
+        wanted = jnp.clip(wanted, -self.reach, self.reach)
+        stance = Stance(rotate(free.quat, state.feet), memory.place, jnp.array(LEVEL))
+        off = wanted - centre_of_mass(robot, stance)[:2]
+        move = base_move(robot, measured_stance(robot, seen), off)  # as commanded, legs may be out of reach
+        step = jnp.minimum(1.0, period / self.lag) * move
+        place = memory.place.at[:2].add(jnp.clip(step, -FASTEST * period, FASTEST * period))
+        return memory._replace(place=place, momentum=momentum)
+
+
+class DriveMemory(NamedTuple):
+    """Of a step."""
+
+    push: Float[Array, ""]  # m, k_v (v_d - v_e)
+    aside: Float[Array, ""]  # m, delta r^(3) to the left
+    aside_before: Float[Array, ""]  # m, of the last step
+    way: Float[Array, ""]  # m, of the ball to the left when the step began
+    feet: Float[Array, "6 3"]  # m, commanded in the last tick, Koenig frame
+    slack: Float[Array, "6 3"]  # m, from there to where the step takes them to stand when it begins
+
+
+@parameters
+class BallDrive:
+    """Walk on a ball by tripod so that it rolls along x at `speed`, and stop at `place`. Ratios are to the length a_r.
+
+    Each step, monograph 3.1.2: the mass centre is pushed ahead by k_v (v_d - v_e) delta'(tau) (3.1.8), every
+    `push_every` steps; kept over the ball's middle line by the fixed-point iteration (3.1.10); and moved aside by
+    -(k_1 y_n - k_2 y_(n-1)). Feet land on the circle that is turned back by alpha = T v_b/(2 R).
+
+    What the book leaves out, and what differs:
+    - At the start of every step all feet are taken where they are measured, at their commanded depth, also those about
+      to land. Otherwise a foot lands as far off its commanded place as the base is, hands that on to the base, and the
+      ball goes ever faster: at 0.7 m/s after 30 s.
+    - Commanded feet go over to there within `ease`: a jump would have the drives kick.
+    - (3.1.10) is used lengthwise too (`compensate`): swinging legs shift the mass centre by centimetres, which is as
+      much as the push itself.
+    - T of alpha is the time of a stance, which is that of one step.
+    - Changes of the lateral move are spread over half a step, and the push is limited.
+    - To stop, v_d is at most `brake` times the distance to `place`.
+    """
+
+    kind: str = choice("ball_drive", "ball_drive")
+    steps: int = count(50, at_least=1, at_most=500)
+    step_time: float = quantity(1.2, "s", above=0, at_most=20)  # T
+    speed: float = quantity(0.13, "m/s")  # v_d
+    speed_gain: float = quantity(0.4, "s", at_least=0)  # k_v
+    push_every: int = count(1, at_least=1)  # steps
+    push_max: float = quantity(0.06, "m", at_least=0)
+    aside_gain: float = quantity(0.2, "-", at_least=0)  # k_1
+    aside_gain_before: float = quantity(0.15, "-", at_least=0)  # k_2
+    compensate: str = choice("both", "both", "aside")
+    place: float = quantity(1e6, "m")  # x of the ball's centre at which it stops
+    brake: float = quantity(0.2, "1/s", above=0)
+    lift_ratio: float = quantity(0.03, "a_r", above=0, at_most=0.5)  # d_y
+    circle_ratio: float = quantity(0.613, "R", above=0, at_most=1)  # d_1
+    chord_ratio: float = quantity(0.7, "d_1", above=0, at_most=1)  # d_2
+    height_ratio: float = quantity(0.257, "a_r", above=0, at_most=2)  # of the base over the ball's top
+    deepening: float = quantity(5e-4, "m", at_least=0, at_most=0.05)  # epsilon, feet inside the ball
+    observer: float = quantity(0.1, "s", at_least=0)  # in which the ball's measured pose is taken over; 0: at once
+    ease: float = quantity(0.1, "s", above=0)  # in which feet go over to where they are measured
+    patience: float = quantity(0.0, "s", at_least=0)  # longest wait for a touchdown, while the ball rolls on below
+
+    def plan(self, belief: Case) -> Plan:
+        """Tripods in turn; standing feet on the ball's axes, swinging ones in its Koenig frame."""
+        perched = perch(belief, self)
+        stages = []
+        for k in range(self.steps):
+            legs = TRIPOD[k % 2]
+            swing = {leg: perched.feet[leg - 1] for leg in legs}
+            frames = tuple(KOENIG if leg in legs else FIXED for leg in range(1, 7))
+            stages.append(Stage(f"step{k + 1}", self.step_time, swing, CYCLE_A, position=perched.position,
+                                foot_frames=frames, base_frame=KOENIG))  # fmt: skip
+        return assemble(on_ball(belief, perched), stages, self.patience, onset="regrip")
+
+    def memory(self, belief: Case, plan: Plan) -> DriveMemory:
+        """Nothing pushed yet."""
+        zero, feet = jnp.zeros(()), perch(belief, self).feet
+        return DriveMemory(zero, zero, zero, zero, feet, jnp.zeros_like(feet))
+
+    def guide(
+        self, belief: Case, plan: Plan, state: TrackerState, seen: Observation, begins: Bool[Array, ""], period: float
+    ) -> Guidance:
+        """The step's own law, planned where it begins."""
+        planned, landing = self._planned(belief, state, seen)
+        memory = jax.tree.map(lambda a, b: jnp.where(begins, a, b), planned, state.memory)
+        swings = plan.swing[state.stage][:, None]
+        goal = jnp.where(begins, jnp.where(swings, landing, state.feet), state.goal)
+        phase = jnp.clip(state.clock / self.step_time, 0.0, 1.0)
+        share, height = swing_progress(plan.cycle[state.stage], jnp.zeros(()), phase)
+        lift = height * self.lift_ratio * belief.robot.body_length
+        on_way = over_ball(state.feet, goal, share, phase, lift)
+        feet = jnp.where(swings, on_way, rotate(seen.free.quat, state.feet))
+        blend = jnp.minimum(1.0, 2 * phase)
+        aside = memory.aside_before + blend**2 * (3 - 2 * blend) * (memory.aside - memory.aside_before)
+        pulse = memory.push * stabilise_delta(self.step_time, 0.0, state.clock).pulse
+        position = self._compensated(belief, plan.position[state.stage], feet, pulse, aside)
+        memory = memory._replace(slack=jnp.where(begins, memory.feet - feet, memory.slack))
+        feet = feet + jnp.clip(1 - state.clock / self.ease, 0.0, 1.0) * memory.slack
+        memory = memory._replace(feet=feet)
+        feet = jnp.where(swings, feet, rotate(conjugate(seen.free.quat), feet))
+        return Guidance(Stance(feet, position, plan.quat[state.stage]), goal, memory)
+
+    def _planned(self, belief: Case, state: TrackerState, seen: Observation) -> tuple[DriveMemory, Float[Array, "6 3"]]:
+        """(3.1.8), delta r^(3) and the turned footholds, from the ball's measured place and speed."""
+        ball, memory = belief.obstacle, state.memory
+        place, speed = seen.free.position[0], seen.free.velocity[0, 0]
+        wanted = jnp.minimum(self.speed, self.brake * (self.place - place[0]))
+        push = jnp.clip(self.speed_gain * (wanted - speed), -self.push_max, self.push_max)
+        push = jnp.where(state.stage % self.push_every == 0, push, 0.0)
+        before = jnp.where(state.stage == 0, place[1], memory.way)
+        aside = self.aside_gain_before * before - self.aside_gain * place[1]
+        turn = self.step_time * speed / (2 * ball.radius)
+        circle = self.circle_ratio * ball.radius
+        landing = footholds(ball.radius, circle, self.chord_ratio * circle, turn) * (1 - self.deepening / ball.radius)
+        planned = memory._replace(push=push, aside=aside, aside_before=memory.aside, way=place[1])
+        return planned, landing
+
+    def _compensated(self, belief: Case, perched: Array, feet: Array, ahead: Array, aside: Array) -> Float[Array, " 3"]:
+        """The base (m, Koenig) that has the robot's mass centre at `ahead` and `aside` (m): iteration (3.1.10)."""
+        robot = belief.robot
+        heavier = total_mass(robot) / robot.body_mass
+        wanted = jnp.stack([ahead, aside])
+        position = perched.at[:2].add(wanted)
+        free = jnp.array([1.0 if self.compensate == "both" else 0.0, 1.0])
+        for _ in range(CHI_ITERATIONS):
+            off = wanted - centre_of_mass(robot, Stance(feet, position, jnp.array(LEVEL)))[:2]
+            position = position.at[:2].add(heavier * free * off)
+        return position

@@ -1,0 +1,241 @@
+"""Across a narrow beam by diagonal gait, the straight middle legs balancing as a flywheel (monograph 2.6).
+
+World axes: the beam lies along y and the robot comes along -y. The book's xi, eta, zeta are x, y, z.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from sweep.controllers.gaits import TRIPOD, Step, centre_offsets, regular_steps
+from sweep.controllers.manoeuvres.climbing.pole import TOWARDS, point
+from sweep.controllers.plan import BALANCE, CYCLE_B, LEVEL, LOCKED, SMOOTH, Gains, Plan, Stage, Stance, assemble
+from sweep.controllers.tracker import joint_targets
+from sweep.core.parameters import choice, count, parameters, quantity
+from sweep.formulas import stepping
+from sweep.formulas.leg import SIDE
+from sweep.models.case import Case
+from sweep.models.robot import Robot
+from sweep.models.scene import mounts
+
+STAND = 0.5  # s, before the first and after the last swing
+DIAGONALS = ((1, 6), (2, 5))
+MIDDLE = (3, 4)
+OUT = np.isin(np.arange(1, 7), MIDDLE)
+LEVEL_LEGS = {3: np.array([0.0, np.pi / 2, 0.0]), 4: np.array([0.0, np.pi / 2, np.pi])}  # straight out to the sides
+FORWARD = (0.0, -1.0, 0.0)
+
+
+class Site(NamedTuple):
+    """What the stages are made of."""
+
+    robot: Robot
+    ground: Array | float  # m, h_1, of the ledges and the beam's top
+    clearance: Array | float  # m, of the hips above them
+    track: Array | float  # m, xi_b, the narrow one
+    deepening: Array | float  # m, epsilon
+    step: Step
+
+    def base(self, y: Array | float) -> Float[Array, " 3"]:
+        """The base's centre (m) where it is at y."""
+        return point(0.0, y, self.ground + self.clearance)
+
+    def feet(self, y: Array | float, track: Array | float) -> Float[Array, "6 3"]:
+        """Feet abreast of their hips, each `track` (m) from the middle line, for a base at y."""
+        depth = jnp.full(6, self.ground - self.deepening)
+        return jnp.stack([SIDE * jnp.asarray(track, float), y - mounts(self.robot)[:, 0], depth], axis=-1)
+
+    def angles(self, y: Array | float, feet: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
+        """Joint angles (rad) that put the feet there, for a base at y."""
+        return joint_targets(self.robot, Stance(feet, self.base(y), jnp.array(TOWARDS)))[0]
+
+    def legs_out(self, y: Array | float) -> Float[Array, "6 3"]:
+        """Feet at the ends of straight legs, level and out to the sides, for a base at y."""
+        robot = self.robot
+        feet = self.feet(y, robot.body_width / 2 + robot.coxa + robot.thigh + robot.shin)
+        return feet.at[:, 2].set(self.ground + self.clearance)
+
+    def beside_hips(self, out: Array | float, down: Array | float) -> Float[Array, "6 3"]:
+        """Joint angles (rad) that put every foot `out` (m) to the outside of its hip and `down` below it."""
+        feet = self.feet(0.0, self.robot.body_width / 2 + out)
+        return self.angles(0.0, feet.at[:, 2].set(self.ground + self.clearance - down))
+
+
+@parameters
+class BeamWalk:
+    """Along the beam, on which the robot stands at the start with its middle legs out. Ratios are to a_r."""
+
+    kind: str = choice("beam_walk", "beam_walk")
+    flywheel: str = choice("on", "on", "off")  # off: the middle legs stay as they are
+    steps: int = count(16, at_least=0, at_most=100)  # swings of a diagonal pair
+    inset: float = quantity(0.0125, "m", at_least=0)  # of the feet from the beam's edges: xi_b is its width less both
+    half_step_ratio: float = quantity(0.1, "a_r", above=0, at_most=0.5)  # d_x
+    lift_ratio: float = quantity(0.03, "a_r", above=0, at_most=0.5)  # d_y
+    height_ratio: float = quantity(0.58, "a_r", above=0, at_most=2)  # hips above the beam
+    rate: float = quantity(6.0, "rad/s", above=0, at_most=20)  # varpi
+    deepening: float = quantity(5e-3, "m", at_least=0, at_most=0.05)  # epsilon
+    patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
+    c1: float = quantity(5000.0, "N/m")
+    c2: float = quantity(400.0, "N*s/m")
+    c3: float = quantity(-5e4, "N*m/rad", at_most=0)
+    c4: float = quantity(547.215, "N*m*s/rad", at_least=0)  # printed with a minus: no damping
+    c5: float = quantity(-6.25, "N*m/rad")
+    c6: float = quantity(10.067, "N*m*s/rad")  # printed with a minus: no damping
+
+    def plan(self, belief: Case) -> Plan:
+        """Stand, `steps` swings with the body's way between them, a last swing that closes the stance, stand."""
+        site = self.site(belief)
+        start = -belief.robot.body_length / 2 - 2 * site.step.landing
+        stages = [Stage("stand", STAND, posture=LEVEL_LEGS, flywheel=self.mode(LEVEL))]
+        stages += self.diagonal(site, start, 2 * site.step.landing)
+        stages.append(Stage("halt", STAND, flywheel=self.mode(LEVEL)))
+        feet = jnp.where(OUT[:, None], site.legs_out(start), site.feet(start, site.track / 2))
+        stance = Stance(feet, site.base(start), jnp.array(TOWARDS))
+        return assemble(stance, stages, self.patience, self.gains(belief), steered=True)
+
+    def site(self, belief: Case) -> Site:
+        """From what is believed."""
+        length = belief.robot.body_length
+        step = Step(self.half_step_ratio * length, self.lift_ratio * length, stepping.swing_time(self.rate))
+        track = belief.obstacle.width - 2 * self.inset
+        return Site(belief.robot, belief.obstacle.height, self.height_ratio * length, track, self.deepening, step)
+
+    def gains(self, belief: Case) -> Gains:
+        """Feedback of the flywheel."""
+        return Gains(self.c1, self.c2, self.c3, self.c4, self.c5, self.c6, belief.drive.back_emf)
+
+    def mode(self, wanted: int) -> int:
+        """Of the flywheel, unless it is off."""
+        return wanted if self.flywheel == "on" else LOCKED
+
+    def diagonal(self, site: Site, start: Array | float, way: Array | float) -> list[Stage]:
+        """2.6.2: pairs swing in turn to stand `way` (m) ahead of their hips, and the body follows.
+
+        While a pair swings the centre of mass is over the line of the other two feet: these are abreast of their
+        hips. The body goes on while four feet stand, and the middle legs come to rest.
+        """
+        stages, y = [], start
+        for k in range(self.steps):
+            pair = DIAGONALS[k % 2]
+            goal = site.feet(y - way, site.track / 2)
+            name = f"{k + 1}.{'-'.join(map(str, pair))}"
+            y = y - way
+            stages += [
+                Stage(name, site.step.time, {leg: goal[leg - 1] for leg in pair}, CYCLE_B, site.step.height,
+                      flywheel=self.mode(BALANCE)),
+                Stage(f"{k + 1}.body", 2 * site.step.time, position=site.base(y), pace=SMOOTH,
+                      flywheel=self.mode(LEVEL)),
+            ]  # fmt: skip
+        last, goal = DIAGONALS[self.steps % 2], site.feet(y, site.track / 2)
+        stages.append(Stage("close", site.step.time, {leg: goal[leg - 1] for leg in last}, CYCLE_B, site.step.height,
+                            flywheel=self.mode(BALANCE)))  # fmt: skip
+        return stages
+
+
+@parameters
+class BeamCross(BeamWalk):
+    """From one ledge to the other: to the edge by tripod, 2.6.1, the beam, 2.6.3, and on by tripod.
+
+    `steps` swings divide the way on the narrow track evenly, from `margin` before the first edge to `margin` behind
+    the second one.
+    """
+
+    kind: str = choice("beam_cross", "beam_cross")
+    steps: int = count(17, at_least=1, at_most=100)
+    approach: int = count(2, at_least=0, at_most=50)  # swings by tripod to the edge
+    walk_step_ratio: float = quantity(0.08, "a_r", above=0, at_most=0.5)  # d_x of these
+    departure: int = count(4, at_least=0, at_most=50)  # and away from it
+    wide_track: float = quantity(0.7852, "m", above=0)  # 2 x_f
+    margin: float = quantity(0.12, "m", at_least=0)  # between the feet and the edge
+    transfer_lift: float = quantity(0.1, "m", above=0)  # of feet that change the track
+
+    def plan(self, belief: Case) -> Plan:
+        """Stand, approach, narrow track, middle legs out, across, middle legs down, wide track, depart, halt."""
+        site = self.site(belief)
+        reach = belief.robot.body_length / 2 + self.margin
+        far = -belief.obstacle.length - reach
+        start, stages = self.walk_up(site, reach)
+        stages += [
+            *rebuild(site, reach, site.track, self.transfer_lift, "narrow"),
+            *self.spread(site, reach),
+            *self.diagonal(site, reach, (reach - far) / self.steps),
+            Stage("rest", STAND, flywheel=self.mode(LEVEL)),
+            *self.fold(site, far),
+            *rebuild(site, far, self.wide_track, self.transfer_lift, "wide"),
+        ]
+        stance = Stance(site.feet(far, self.wide_track / 2), site.base(far), jnp.array(TOWARDS))
+        departure = self.tripods(self.walking(site), stance, self.departure)
+        stages += [replace(stage, name=f"depart.{stage.name}") for stage in departure]
+        return assemble(start, [*stages, Stage("halt", STAND)], self.patience, self.gains(belief), steered=True)
+
+    def walk_up(self, site: Site, y: Array | float) -> tuple[Stance, list[Stage]]:
+        """By tripod to where the base is at y, the feet then abreast of the hips."""
+        site, forward = self.walking(site), jnp.array(FORWARD)
+        step = site.step
+        first = y + 2 * step.landing * self.approach
+        offsets = centre_offsets(TRIPOD, step)
+        feet = site.feet(first, self.wide_track / 2) + jnp.stack([offsets[leg] * forward for leg in range(1, 7)])
+        start = Stance(feet, site.base(first), jnp.array(TOWARDS))
+        stages = [Stage("stand", STAND), *self.tripods(site, start, self.approach)]
+        goal = site.feet(y, self.wide_track / 2)
+        for legs in TRIPOD:
+            name = f"place.{'-'.join(map(str, legs))}"
+            stages.append(Stage(name, step.time, {leg: goal[leg - 1] for leg in legs}, CYCLE_B, step.height))
+        return start, stages
+
+    def walking(self, site: Site) -> Site:
+        """With the step of the tripods."""
+        return site._replace(step=site.step._replace(half_length=self.walk_step_ratio * site.robot.body_length))
+
+    def tripods(self, site: Site, start: Stance, number: int) -> list[Stage]:
+        """Regular swings on the wide track."""
+        centres = site.feet(0.0, self.wide_track / 2) - site.base(0.0)
+        return regular_steps(TRIPOD, site.step, start, centres, jnp.array(FORWARD), number, 0.0)
+
+    def spread(self, site: Site, y: Array | float) -> list[Stage]:
+        """2.6.1: the middle legs are lifted, led outward and straightened."""
+        raised, out = self.on_the_way(site, y)
+        return [*postures(site, "out", (raised, out)), Stage("out.3", site.step.time, posture=LEVEL_LEGS)]
+
+    def fold(self, site: Site, y: Array | float) -> list[Stage]:
+        """2.6.3: back on to the narrow track, the same way."""
+        raised, out = self.on_the_way(site, y)
+        feet = site.feet(y, site.track / 2)
+        down = Stage("down.3", site.step.time, {leg: feet[leg - 1] for leg in MIDDLE},
+                     posture=chosen(site.angles(y, feet), MIDDLE))  # fmt: skip
+        return [*postures(site, "down", (out, raised)), down]
+
+    def on_the_way(self, site: Site, y: Array | float) -> tuple[Array, Array]:
+        """Joint angles (6, 3) with the feet lifted from the narrow track, and half bent outside of the hips."""
+        lifted = site.feet(y, site.track / 2) + jnp.array([0.0, 0.0, 1.0]) * self.transfer_lift
+        reach = site.robot.thigh + site.robot.shin
+        return site.angles(y, lifted), site.beside_hips(0.5 * reach, 0.25 * reach)
+
+
+def rebuild(site: Site, y: Array | float, track: Array | float, lift: Array | float, name: str) -> list[Stage]:
+    """2.6.1 and 2.6.3: one tripod after the other goes over to another track, in planes across the body.
+
+    The foot passes below its hip, where alpha is not defined by its place: it goes there in joint space.
+    """
+    over, goal = site.beside_hips(0.02, site.clearance - lift), site.feet(y, track / 2)
+    angles, stages = site.angles(y, goal), []
+    for legs in TRIPOD:
+        label = f"{name}.{'-'.join(map(str, legs))}"
+        stages.append(Stage(f"{label}.over", site.step.time, posture=chosen(over, legs)))
+        stages.append(Stage(f"{label}.down", site.step.time, {leg: goal[leg - 1] for leg in legs},
+                            posture=chosen(angles, legs)))  # fmt: skip
+    return stages
+
+
+def postures(site: Site, name: str, angles: Sequence[Array]) -> list[Stage]:
+    """The middle legs go through postures."""
+    return [Stage(f"{name}.{k}", site.step.time, posture=chosen(a, MIDDLE)) for k, a in enumerate(angles, start=1)]
+
+
+def chosen(angles: Float[Array, "6 3"], legs: Sequence[int]) -> dict[int, Array]:
+    """Joint angles of some legs by number."""
+    return {leg: angles[leg - 1] for leg in legs}

@@ -1,0 +1,194 @@
+"""Up the corner of a house (monograph 2.4.2), with planned foot forces.
+
+World axes: the corner's edge stands along z at the origin and the robot comes along -y. The book's xi and zeta are x
+and z; its eta counts from the middle between the tracks on the walls.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from sweep.controllers.forces import PlannedForces
+from sweep.controllers.gaits import GALLOP, Step
+from sweep.controllers.manoeuvres.climbing.pole import OUTWARD, TOWARDS, UP, pair, point
+from sweep.controllers.plan import CYCLE_B_SMOOTH, SMOOTH, Plan, Stage, Stance, assemble
+from sweep.core.parameters import choice, count, parameters, quantity
+from sweep.formulas import stepping
+from sweep.models.case import Case
+
+STAND = 0.5  # s, before the first and after the last swing
+FRONT, MIDDLE, REAR = GALLOP
+PITCH = np.arcsin([0.0, 0.42, 0.5, 1.0])  # after each of the first three swings: sin theta = zeta_s/a_r of (2.4.1)
+FIRST_TRACK = 1.2  # of the front feet in 2.4.1, over x_f
+# e of stages 2.4.3 and 2.4.5
+RISING = OUTWARD + UP
+SLANTED = OUTWARD + 0.9 * UP
+
+
+class Site(NamedTuple):
+    """What the stages are made of (m)."""
+
+    length: Array | float  # a_r
+    track: Array | float  # x_f, half the distance between the tracks on the walls
+    floor_track: Array | float  # half the distance between the feet on the floor
+    edge: Array | float  # eta of the corner's edge
+    clearance: Array | float  # zeta_f, of the base above the floor
+    standoff: Array | float  # eta_f, of the vertical base
+    span: Array | float  # from the rear to the front feet on the wall
+    near: Array | float  # of the middle feet to the pair that swings next, at least
+    step: Step
+
+    def at(self, x: Array | float, eta: Array | float, z: Array | float) -> Array:
+        """A point by the book's eta."""
+        return point(x, eta - self.edge, z)
+
+    def on_wall(self, legs: tuple[int, int], height: Array | float, wider: float = 1.0) -> dict[int, Array]:
+        """Footholds of a pair, `wider` times the track apart."""
+        return pair(legs, wider * self.track, -wider * self.edge, height)
+
+    def on_floor(self, legs: tuple[int, int], eta: Array | float) -> dict[int, Array]:
+        """Footholds of a pair."""
+        return pair(legs, self.floor_track, eta - self.edge, 0.0)
+
+    def between(self, feet: dict) -> Array:
+        """The upright base's centre half-way from the rear to the front feet."""
+        return self.at(0.0, self.standoff, (feet[FRONT] + feet[REAR]) / 2)
+
+    def swing(
+        self, name: str, goals: dict[int, Array], times: float = 1.0, plane: np.ndarray = OUTWARD, **body
+    ) -> Stage:
+        """A swing that takes `times` t*, with what the base does in it."""
+        return Stage(name, times * self.step.time, goals, CYCLE_B_SMOOTH, self.step.height, plane, pace=SMOOTH, **body)
+
+
+@parameters
+class OnCorner(PlannedForces):
+    """What manoeuvres on a corner have in common. Ratios are to the body's length a_r."""
+
+    cycles: int = count(1, at_least=0, at_most=100)  # of the gallop
+    anchoring: float = quantity(0.03, "s", above=0)
+    track_ratio: float = quantity(1 / 3, "a_r", above=0, at_most=1)  # x_f
+    standoff_ratio: float = quantity(0.39, "a_r", above=0, at_most=2)  # eta_f
+    floor_track_ratio: float = quantity(0.43, "a_r", above=0, at_most=1)
+    span_ratio: float = quantity(1.3, "a_r", above=0, at_most=3)
+    near_ratio: float = quantity(0.24, "a_r", above=0, at_most=1)
+    height_ratio: float = quantity(0.5, "a_r", above=0, at_most=2)  # zeta_f
+    half_step_ratio: float = quantity(0.1, "a_r", above=0, at_most=0.5)  # d_x
+    lift_ratio: float = quantity(0.05, "a_r", above=0, at_most=0.5)  # d_y
+    rate: float = quantity(3.0, "rad/s", above=0, at_most=20)  # varpi
+    patience: float = quantity(0.5, "s", at_least=0)
+
+    def site(self, belief: Case) -> Site:
+        """What is believed of the robot and of the corner."""
+        a_r = belief.robot.body_length
+        track = self.track_ratio * a_r
+        return Site(
+            length=a_r,
+            track=track,
+            floor_track=self.floor_track_ratio * a_r,
+            edge=track / jnp.tan(belief.obstacle.half_angle),
+            clearance=self.height_ratio * a_r,
+            standoff=self.standoff_ratio * a_r,
+            span=self.span_ratio * a_r,
+            near=self.near_ratio * a_r,
+            step=Step(self.half_step_ratio * a_r, self.lift_ratio * a_r, stepping.swing_time(self.rate)),
+        )
+
+    def assembled(self, belief: Case, start: Stance, stages: list[Stage]) -> Plan:
+        """The plan with rests before its stages, and its forces."""
+        plan = assemble(start, [Stage("stand", STAND), *self.loading(stages), Stage("halt", STAND)], self.patience)
+        return self.gripped(belief, plan)
+
+
+@parameters
+class CornerClimb(OnCorner):
+    """On to the corner and up it by the modified gallop.
+
+    Forces are planned (`PlannedForces`) where the book presses the feet into the walls by a fixed depth: before every
+    swing load goes off the feet that are to swing, and standing feet are commanded to where they are. What else differs
+    from the printed plan: x_f is a_r/3 and eta_f 0.39 a_r, which need less friction than the book's 0.374 a_r; feet on
+    the floor stand wider than on the walls, and the front ones x* farther ahead, else front and middle legs cross; the
+    middle feet stand 0.6 x* nearer to the corner, and the base pitches up a little less in 2.4.2, or the middle legs do
+    not reach the floor, and in 2.4.3 they leave it upwards, or are out of reach; the front feet touch the wall x*/2
+    higher and farther apart (FIRST_TRACK), where their shins clear it; swings with a moving base take 2 to 2.6 t*;
+    2.4.4's 9 x* are along zeta; 2.4.7 is left out, and the feet are spread from the start, since the longer the lever
+    from the lower to the upper feet, the less friction is needed.
+    """
+
+    kind: str = choice("corner_climb", "corner_climb")
+    rise_ratio: float = quantity(0.14, "a_r", at_least=0, at_most=100)  # of the whole gallop
+
+    def plan(self, belief: Case) -> Plan:
+        """Stand, get on, spread the feet, gallop, halt."""
+        site = self.site(belief)
+        start, stages, feet = climb(site)
+        rise = self.rise_ratio * site.length
+        return self.assembled(belief, start, [*stages, *gallop(site, feet, rise, self.cycles)])
+
+
+def climb(site: Site) -> tuple[Stance, list[Stage], dict]:
+    """2.4.1 to 2.4.8: from the floor to where the gallop starts, with the feet's heights then."""
+    start, on, feet = get_on(site)
+    spread, feet = spread_out(site, feet)
+    return start, [*on, *spread], feet
+
+
+def get_on(site: Site) -> tuple[Stance, list[Stage], dict]:
+    """2.4.1 to 2.4.5: the base pitches up, its front edge on a vertical line, its rear edge on a level one.
+
+    The feet's heights on the wall are returned beside the stages, by pair.
+    """
+    a_r, x = site.length, site.step.landing
+    pivot = site.at(0.0, site.standoff, site.clearance)
+    floor = {**site.on_floor(FRONT, site.standoff), **site.on_floor(MIDDLE, site.standoff + a_r / 2 - 1.6 * x),
+             **site.on_floor(REAR, site.standoff + a_r)}  # fmt: skip
+    start = Stance(jnp.stack([floor[leg] for leg in range(1, 7)]), pivot + point(0.0, a_r / 2, 0.0), jnp.array(TOWARDS))
+
+    def pitched(k: int) -> dict:
+        angle, pitch = PITCH[k + 1] - PITCH[k], PITCH[k + 1]
+        centre = pivot + a_r / 2 * point(0.0, np.cos(pitch), np.sin(pitch))
+        return {"position": centre, "pivot": pivot, "arc": angle, "turn": point(-angle, 0.0, 0.0)}
+
+    front = site.clearance + a_r - 4.5 * x
+    middle = front - 0.7 * a_r + 0.5 * x
+    rear = site.clearance - 3 * x
+    upright = np.tile(UP, (6, 1))
+    stages = [
+        site.swing("2.4.1", site.on_wall(FRONT, front, FIRST_TRACK), 2.0, **pitched(0)),
+        site.swing("2.4.2", site.on_floor(REAR, site.standoff + a_r - 4.75 * x), 2.0, upright, **pitched(1)),
+        site.swing("2.4.3", site.on_wall(MIDDLE, middle), 2.6, RISING, **pitched(2)),
+        site.swing("2.4.4", site.on_wall(FRONT, front + 9 * x)),
+        site.swing("2.4.5", site.on_wall(REAR, rear), plane=SLANTED),
+    ]
+    return start, stages, {FRONT: front + 9 * x, MIDDLE: middle, REAR: rear}
+
+
+def spread_out(site: Site, feet: dict) -> tuple[list[Stage], dict]:
+    """2.4.6 and 2.4.8: rear feet up, the middle ones out of their way first."""
+    feet = dict(feet)
+    feet[REAR] = feet[FRONT] - site.span
+    feet[MIDDLE] = feet[REAR] + site.near
+    stages = [
+        site.swing("2.4.6", site.on_wall(MIDDLE, feet[MIDDLE]), 2.0, position=site.between(feet)),
+        site.swing("2.4.8", site.on_wall(REAR, feet[REAR])),
+    ]
+    return stages, feet
+
+
+def gallop(site: Site, feet: dict, rise: Array | float, cycles: int) -> list[Stage]:
+    """2.4.2, end: the middle feet go near the pair that swings next, up with the base and down again.
+
+    The feet's heights are `rise` (m) more after all cycles, and the middle ones' those of the rear ones and `near`.
+    """
+    stages, feet, way = [], dict(feet), rise / max(cycles, 1)
+    for k in range(cycles):
+        low = feet[FRONT] - site.near
+        feet[FRONT] = feet[FRONT] + way
+        stages.append(site.swing(f"gallop{k + 1}.up", site.on_wall(MIDDLE, low), 1.5, position=site.between(feet)))
+        stages.append(site.swing(f"gallop{k + 1}.front", site.on_wall(FRONT, feet[FRONT])))
+        feet[REAR] = feet[REAR] + way
+        stages.append(site.swing(f"gallop{k + 1}.down", site.on_wall(MIDDLE, feet[REAR] + site.near)))
+        stages.append(site.swing(f"gallop{k + 1}.rear", site.on_wall(REAR, feet[REAR])))
+    return stages

@@ -1,0 +1,246 @@
+"""From the floor on to a pole and up it (monograph 2.3.1 and 2.3.2 of section 2.3.2, "Construction of the motion").
+
+World axes: the pole stands along z at the origin and the robot comes along -y. The book's xi, eta, zeta are x, y, z.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from sweep.controllers.forces import PlannedForces
+from sweep.controllers.gaits import GALLOP, TRIPOD, Step, centre_offsets, regular_steps
+from sweep.controllers.plan import CYCLE_A, CYCLE_B, Plan, Stage, Stance, assemble
+from sweep.controllers.posture import foot_centres
+from sweep.core.parameters import choice, count, parameters, quantity
+from sweep.core.rotations import rotate
+from sweep.formulas import stepping
+from sweep.formulas.leg import SIDE
+from sweep.models.case import Case
+
+STAND = 0.5  # s, before the first and after the last swing
+FRONT, MIDDLE, REAR = GALLOP
+TOWARDS = (0.5**0.5, 0.0, 0.0, -(0.5**0.5))  # base to world: x_r along -y, z_r up
+OUTWARD = SIDE[:, None] * np.array([1.0, 0.0, 0.0])  # (6, 3), e_n of (2.3.2)
+UP = np.array([0.0, 0.0, 1.0])
+# Pitch (rad) after each of the five swings on to the pole. The printed sin(theta) = v_f t / a_r ends with an infinite
+# rate, and has the middle hips too low for their feet at the end of their swing.
+PITCH = np.radians([0.0, 14.5, 31.0, 60.0, 68.0, 90.0])
+RISE = np.diff(PITCH)
+PITCH_RATE = np.array([  # rad per swing, of the monotone cubic through them: harmonic means, and one-sided at the ends
+    (3 * RISE[0] - RISE[1]) / 2, *(2 * RISE[:-1] * RISE[1:] / (RISE[:-1] + RISE[1:])), (3 * RISE[-1] - RISE[-2]) / 2
+])  # fmt: skip
+# How far in front of the pole's axis middle and rear feet first touch it, in r, and how much more for every a_r by
+# which r passes 0.4 a_r. For the front feet both are parameters.
+AHEAD = {MIDDLE: (0.25, 1.0), REAR: (0.1, 0.0)}
+# How far below where the gallop starts, in x*; printed as 4 for all, where the front shins touch, of thin poles first.
+BELOW = {FRONT: 0.5, MIDDLE: 4.0, REAR: 4.0}
+
+
+class Site(NamedTuple):
+    """What the stages are made of (m)."""
+
+    length: Array | float  # a_r
+    radius: Array | float  # r
+    top: Array | float  # h, of the pole
+    grip: Array | float  # x_f, the feet's distance from the pole's axis: r less the deepening
+    track: Array | float  # of a foot on the floor from the plane x = 0
+    clearance: Array | float  # d, of the base above the floor
+    standoff: Array | float  # d_c, of the vertical base from the pole's axis
+    front_ahead: tuple[Array | float, Array | float]  # as `AHEAD`, of the front feet
+    step: Step
+
+    def ahead(self, legs: tuple[int, int]) -> Array | float:
+        """How far in front of the pole's axis a pair first touches it (m)."""
+        share, more = {FRONT: self.front_ahead, **AHEAD}[legs]
+        return (share + more * (self.radius / self.length - 0.4)) * self.radius
+
+    @property
+    def upright(self) -> Array | float:
+        """Height of the base's centre (m) when it has become vertical."""
+        return self.clearance + self.length / 2
+
+    def on_floor(self, legs: tuple[int, int]) -> dict[int, Array]:
+        """Places of a pair before the pole, (2.3.1)."""
+        behind = {FRONT: self.step.landing, MIDDLE: self.length / 2 - self.step.landing, REAR: self.length}[legs]
+        return pair(legs, self.track, self.standoff + behind, 0.0)
+
+    def on_pole(self, legs: tuple[int, int], ahead: Array | float, height: Array | float) -> dict[int, Array]:
+        """Footholds of a pair, `ahead` (m) of the pole's axis, for a base's centre at `height` (m).
+
+        Where a cycle of the gallop starts, the front, middle and rear feet stand at A, B and C of their step cycles.
+        """
+        reach = self.length / 2 - self.step.landing
+        offset = {FRONT: reach, MIDDLE: 0.0, REAR: -reach}[legs]
+        return pair(legs, jnp.sqrt(self.grip**2 - jnp.asarray(ahead) ** 2), ahead, height + offset)
+
+
+@parameters
+class PoleClimb(PlannedForces):
+    """By tripod to the pole, on to it, and up it by gallop. Ratios are to the body's length a_r.
+
+    The feet are pressed on to the pole by footholds inside it, as printed, or by planned forces.
+
+    For robots with legs along their sides, and poles from 0.32 to 0.52 a_r. What differs from the printed plan, and
+    why: `PITCH`, `front_ahead`, `AHEAD`, `BELOW`; d_c, printed 0.47 a_r, where the base touches poles thicker than
+    0.45 a_r; feet on the floor stay as far from the hips whatever the pole, printed at its radius, where knees meet
+    before thin poles; and in `get_on` the rear feet's step on the floor, when the front feet go up, and how feet leave
+    the floor.
+    """
+
+    kind: str = choice("pole_climb", "pole_climb")
+    steps: int = count(4, at_least=0, at_most=100)  # swings of the approach, 2 x* each
+    cycles: int = count(3, at_least=0, at_most=100)  # of the gallop, 3 x* each
+    half_step_ratio: float = quantity(0.1, "a_r", above=0, at_most=0.5)  # d_x
+    lift_ratio: float = quantity(0.03, "a_r", above=0, at_most=0.5)  # d_y
+    height_ratio: float = quantity(0.5, "a_r", above=0, at_most=2)  # d
+    gap_ratio: float = quantity(0.07, "a_r", at_least=0, at_most=2)  # d_c - r
+    spread_ratio: float = quantity(0.175, "a_r", above=0, at_most=1)  # of feet on the floor from their hips, sideways
+    # How far in front of the pole's axis the front feet first touch it, and how much more for every a_r by which r
+    # passes 0.4 a_r. The printed 0 puts their shins 34 mm into the pole. A foot that touches it at the angle psi in
+    # front of its side needs a friction of tan(psi) to stay there (2.1): farther ahead than shins need is no better.
+    front_ahead: float = quantity(0.44, "r", at_least=0, at_most=1)
+    front_ahead_slope: float = quantity(1.5, "r/a_r", at_least=0, at_most=10)
+    rate: float = quantity(3.0, "rad/s", above=0, at_most=20)  # varpi
+    deepening: float = quantity(5e-3, "m", at_least=0, at_most=0.05)  # epsilon, footholds inside the pole
+    patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
+    forces: str = choice("deepening", "deepening", "planned")
+
+    def site(self, belief: Case) -> Site:
+        """What is believed of the robot and of the pole."""
+        length, pole = belief.robot.body_length, belief.obstacle
+        step = Step(self.half_step_ratio * length, self.lift_ratio * length, stepping.swing_time(self.rate))
+        track = belief.robot.body_width / 2 + self.spread_ratio * length
+        return Site(length, pole.radius, pole.height, pole.radius - self.deepening, track, self.height_ratio * length,
+                    pole.radius + self.gap_ratio * length, (self.front_ahead, self.front_ahead_slope),
+                    step)  # fmt: skip
+
+    def climb(
+        self, site: Site, belief: Case, rise: Array | float, gap: Array | float = 0.0
+    ) -> tuple[Stance, list[Stage]]:
+        """Stand, approach, get on, shift the feet up, and gallop by `rise` (m) a swing; `gap` as in `approach`."""
+        start, walk = approach(site, belief, self.steps, gap)
+        climb = [*get_on(site), *shift_up(site), *gallop(site, self.cycles, rise)]
+        return start, [Stage("stand", STAND), *walk, *self.rested(climb)]
+
+    def rested(self, stages: list[Stage]) -> list[Stage]:
+        """With planned forces, `stages` with a rest before each of them for the load to go over."""
+        return self.loading(stages) if self.forces == "planned" else stages
+
+    def assembled(self, belief: Case, start: Stance, stages: list[Stage]) -> Plan:
+        """The plan, with its forces if they are planned."""
+        plan = assemble(start, [*stages, Stage("halt", STAND)], self.patience)
+        return self.gripped(belief, plan) if self.forces == "planned" else plan
+
+    def plan(self, belief: Case) -> Plan:
+        """Climb, halt."""
+        site = self.site(belief)
+        start, stages = self.climb(site, belief, site.step.landing)
+        return self.assembled(belief, start, stages)
+
+
+def approach(site: Site, belief: Case, steps: int, gap: Array | float = 0.0) -> tuple[Stance, list[Stage]]:
+    """`steps` swings by tripod up to the pole, then a swing of each tripod to the places of (2.3.1).
+
+    The base walks up to `gap` (m) before where it gets on, and goes the rest while the feet go to their places.
+    """
+    step, forward, quat = site.step, jnp.array([0.0, -1.0, 0.0]), jnp.array(TOWARDS)
+    spread = site.track - belief.robot.body_width / 2
+    centres = rotate(quat[None], foot_centres(belief.robot, spread, site.clearance))
+    arrival = point(0.0, site.standoff + site.length / 2, site.clearance)
+    position = arrival - (gap + 2 * step.landing * steps) * forward
+    offsets = centre_offsets(TRIPOD, step)
+    feet = position + centres + jnp.stack([offsets[leg] * forward for leg in range(1, 7)])
+    start = Stance(feet, position, quat)
+    stages = regular_steps(TRIPOD, step, start, centres, forward, steps, 0.0)
+    places = {leg: place for legs in GALLOP for leg, place in site.on_floor(legs).items()}
+    for k, legs in enumerate(TRIPOD):
+        centre = arrival - (1 - k) * gap / 2 * forward
+        name = f"place.{'-'.join(map(str, legs))}"
+        stages.append(Stage(name, step.time, {leg: places[leg] for leg in legs}, CYCLE_B, step.height,
+                            position=centre))  # fmt: skip
+    return start, stages
+
+
+def get_on(site: Site) -> list[Stage]:
+    """2.3.2: front feet to the pole, rear feet nearer to it, middle feet to the pole, front feet up, rear feet to it.
+
+    The base's front edge goes up a vertical line at d_c from the axis, its rear edge along a horizontal one at d above
+    the floor: its centre turns about their crossing by the angle by which the base pitches up.
+
+    Printed with the front feet going up last. Ahead of the axis the pole's normal pushes the robot away from it, which
+    costs a friction of 0.93 once the rear feet are in the air; with the front feet up and at the pole's sides, 0.3.
+    """
+    step, time = site.step, site.step.time
+    # Printed as a step of -2 x* along xi, which would take both feet to one side.
+    nearer = {leg: place - point(0.0, 2 * step.landing, 0.0) for leg, place in site.on_floor(REAR).items()}
+    first = {legs: site.on_pole(legs, site.ahead(legs), site.upright - BELOW[legs] * step.landing)
+             for legs in GALLOP}  # fmt: skip
+    swings = (
+        Stage("on.front", time, first[FRONT], CYCLE_B, 3 * step.height, OUTWARD + UP),
+        Stage("on.nearer", time, nearer, CYCLE_A, step.height),
+        Stage("on.middle", time, first[MIDDLE], CYCLE_B, guides=off_floor(site, site.on_floor(MIDDLE), first[MIDDLE])),
+        Stage("up.front", time, site.on_pole(FRONT, 0.0, site.upright), CYCLE_A, step.height, OUTWARD),
+        Stage("on.rear", time, first[REAR], CYCLE_B, guides=off_floor(site, nearer, first[REAR])),
+    )
+    crossing, half = point(0.0, site.standoff, site.clearance), site.length / 2
+    stages = []
+    for k, swing in enumerate(swings):
+        angle, pitch = PITCH[k + 1] - PITCH[k], PITCH[k + 1]
+        centre = crossing + half * point(0.0, np.cos(pitch), np.sin(pitch))
+        stages.append(replace(swing, position=centre, pivot=crossing, arc=angle, turn=point(-angle, 0.0, 0.0),
+                              rates=tuple(PITCH_RATE[k : k + 2] / angle)))  # fmt: skip
+    return stages
+
+
+def off_floor(site: Site, start: dict[int, Array], end: dict[int, Array]) -> dict[int, Array]:
+    """Guides of swings from the floor to the pole: straight up from the floor, from the side on to the pole.
+
+    The printed flat cycle drags a foot along the floor where the base hangs lower than planned.
+    """
+    up, out = np.array([0.0, 0.0, 0.3]), np.array([0.1, 0.0, 0.0])
+    return curves(start, end, site.length * up, site.length * out)
+
+
+def shift_up(site: Site) -> list[Stage]:
+    """2.3.2 from t_5: middle and rear feet go up to where the gallop starts, the base rests."""
+    return [
+        Stage(name, site.step.time, site.on_pole(legs, 0.0, site.upright), CYCLE_A, site.step.height, OUTWARD)
+        for name, legs in (("up.middle", MIDDLE), ("up.rear", REAR))
+    ]
+
+
+def gallop(site: Site, cycles: int, rise: Array | float) -> list[Stage]:
+    """2.3.1: front, middle and rear feet go up in their turns by three times what the base goes up in each swing."""
+    stages = []
+    for k in range(3 * cycles):
+        goal = site.upright + 3 * rise * (k // 3 + 1)
+        centre = point(0.0, site.standoff, site.upright + rise * (k + 1))
+        name = f"gallop{k // 3 + 1}.{('front', 'middle', 'rear')[k % 3]}"
+        stages.append(Stage(name, site.step.time, site.on_pole(GALLOP[k % 3], 0.0, goal), CYCLE_A, site.step.height,
+                            OUTWARD, carry=1 / 3, position=centre))  # fmt: skip
+    return stages
+
+
+def curves(
+    start: dict[int, Array], end: dict[int, Array], leave: Array | np.ndarray, land: Array | np.ndarray
+) -> dict[int, Float[Array, "2 3"]]:
+    """Guides of swings by leg: `leave` from where they start, `land` from where they end (m; out to the side, y, z)."""
+    guides = {}
+    for leg, goal in end.items():
+        out = np.array([float(SIDE[leg - 1]), 1.0, 1.0])
+        guides[leg] = jnp.stack([start[leg] + out * leave, goal + out * land])
+    return guides
+
+
+def pair(legs: Sequence[int], x: Array | float, y: Array | float, z: Array | float) -> dict[int, Array]:
+    """Points (m) of legs by number, each on its own side of the plane x = 0."""
+    return {leg: point(float(SIDE[leg - 1]) * x, y, z) for leg in legs}
+
+
+def point(x: Array | float, y: Array | float, z: Array | float) -> Float[Array, " 3"]:
+    """A vector of numbers that may be traced."""
+    return jnp.stack([jnp.asarray(value, float) for value in (x, y, z)])

@@ -1,0 +1,170 @@
+"""From a pole's top on to the ledge behind it, and away by tripod (monograph 2.3.4, 2.3.5 and 2.3.7).
+
+World axes as in `pole`; the ledge begins at the pole's far side, at y = -r. The printed plans are tables of places of
+the feet and of the base, and so are these: `LEVEL` (h_1 = h - 0.2 a_r, 2.3.7), `ABOVE` (h + 0.35 a_r, 2.3.5), `BELOW`
+(h - 0.6 a_r, 2.3.4). They hold for these heights, and for others as far as the legs reach.
+
+What differs from the print, and why:
+
+- The base goes 0.14 to 0.17 a_r (printed 0.05 to 0.075 a_r) behind the axis while the front feet leave the top. The
+  front legs weigh 2 of 16 kg: with the printed way the mass centre is 3 mm outside the standing feet.
+- It starts that from 0.69 a_r above the top, from where the front legs pass the middle ones (printed 0.31 a_r from
+  2.3.3 for `LEVEL`, where they cross), and comes down as the front feet do, to where these reach the ledge.
+- Feet stand at 0.91 to 1.21 r aside on the ledge (printed as on the top, 0.625 to 0.875 r): where a hip passes over its
+  foot, the leg has to turn by half a turn at once.
+- On the ledge the front feet come down three times in every plan, the middle feet twice, at distances from the edge
+  that keep neighbouring legs apart; printed are three or two times, with the middle feet at 0.3 to 0.4 a_r at last.
+- The rear feet go half-way over the top, 0.27 r ahead, before they go to the ledge (printed: where the middle feet
+  stood).
+- `BELOW` is printed with a base that stays level until 2.3.4.3 and front, middle and rear feet that stand on the pole's
+  side meanwhile. Here the base pitches down by 28 to 50 degrees, so that the front feet reach the ledge at once, and no
+  foot goes to the side. While the middle feet are on the top their hips stay 0.34 a_r above it: lower, their knees
+  sink below the top's edge, since thighs are longer than shins. Before, its nose goes up by 2 degrees: the front legs
+  pass the middle ones 20 mm farther away. The numbers until `middle2` keep legs farthest apart in robots and poles that
+  are up to 2 % off the nominal ones, the worst of 128 by 19 mm in `front`.
+- Stages take 1.5 to 2 t*, and swings go along Bezier curves that come down from above.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from sweep.controllers.gaits import TRIPOD, centre_offsets, regular_steps
+from sweep.controllers.manoeuvres.climbing.pole import FRONT, MIDDLE, REAR, TOWARDS, Site, pair, point
+from sweep.controllers.manoeuvres.climbing.pole_top import EASED, TOP, Footholds, PoleTop, lofted, on_disc
+from sweep.controllers.plan import CYCLE_B, Plan, Stage, Stance
+from sweep.controllers.posture import foot_centres
+from sweep.core.parameters import choice, count, parameters
+from sweep.core.rotations import rotate
+from sweep.models.case import Case
+
+ON_TOP, ON_LEDGE = "top", "ledge"
+
+
+class Move(NamedTuple):
+    """A stage on the way across: a pair of feet, or none, goes to a place while the base goes to another one."""
+
+    name: str
+    base: tuple[float, float]  # beyond the ledge's edge, above the pole's top (a_r)
+    legs: tuple[int, int] | None = None
+    where: str = ON_LEDGE
+    # on the top aside and ahead (r), on the ledge aside (r) and beyond its edge (a_r)
+    place: tuple[float, float] = (0.0, 0.0)
+    first: tuple[float, float, float] = (0.1, 0.0, 0.2)  # guides of the swing, see `lofted`
+    last: tuple[float, float, float] = (0.1, 0.0, 0.2)
+    time: float = 1.5  # t*
+    pitch: float = 0.0  # rad, of the base, nose down, in the end
+
+
+LEVEL = (
+    Move("back", (-0.479, 0.69)),
+    Move("front", (-0.554, 0.53), FRONT, ON_LEDGE, (1.1, 0.11), (0.166, -0.245, 0.111), (-0.151, 0.33, 0.133), 2.0),
+    Move("middle", (-0.4, 0.55), MIDDLE, ON_TOP, TOP[FRONT]),
+    Move("front2", (-0.33, 0.48), FRONT, ON_LEDGE, (1.0, 0.53)),
+    Move("middle2", (-0.1, 0.48), MIDDLE, ON_LEDGE, (1.0, 0.1)),
+    Move("ahead", (0.27, 0.47)),
+    Move("rear", (0.27, 0.47), REAR, ON_TOP, (0.83, -0.27)),
+    Move("middle3", (0.3, 0.45), MIDDLE, ON_LEDGE, (1.0, 0.38)),
+    Move("front3", (0.3, 0.45), FRONT, ON_LEDGE, (1.0, 1.1)),
+    Move("ahead2", (0.72, 0.42)),
+    Move("rear2", (0.72, 0.4), REAR, ON_LEDGE, (1.0, 0.15)),
+)
+ABOVE = (
+    Move("back", (-0.47, 0.69)),
+    Move("front", (-0.54, 0.62), FRONT, ON_LEDGE, (1.08, 0.09), (0.18, -0.21, 0.17), (-0.08, 0.24, 0.14), 2.0),
+    Move("middle", (-0.42, 0.67), MIDDLE, ON_TOP, TOP[FRONT]),
+    Move("front2", (-0.305, 0.748), FRONT, ON_LEDGE, (1.08, 0.75)),
+    Move("middle2", (-0.1, 0.68), MIDDLE, ON_LEDGE, (1.13, 0.11), (0.2, 0.09, 0.154), (-0.08, 0.19, 0.135), 2.0),
+    Move("ahead", (0.28, 0.63)),
+    Move("rear", (0.28, 0.67), REAR, ON_TOP, (0.83, -0.27)),
+    Move("middle3", (0.3, 0.74), MIDDLE, ON_LEDGE, (1.0, 0.39)),
+    Move("front3", (0.2, 0.74), FRONT, ON_LEDGE, (1.0, 1.15)),
+    Move("ahead2", (0.56, 0.7)),
+    Move("rear2", (0.62, 0.87), REAR, ON_LEDGE, (1.0, 0.08), (0.05, -0.185, 0.24), (-0.03, 0.175, 0.11), 2.0),
+)
+BELOW = (
+    Move("back", (-0.484, 0.696), pitch=-0.037),
+    Move("front", (-0.574, 0.376), FRONT, ON_LEDGE, (1.041, 0.108), (0.355, -0.432, 0.158), (0.194, 0.484, 0.38), 2.0,
+         0.499),
+    Move("middle", (-0.421, 0.342), MIDDLE, ON_TOP, TOP[FRONT], pitch=0.61),
+    Move("front2", (-0.3, 0.409), FRONT, ON_LEDGE, (1.206, 0.419), (0.126, -0.022, 0.244), (0.085, 0.004, 0.202),
+         pitch=0.875),
+    Move("middle2", (0.288, 0.185), MIDDLE, ON_LEDGE, (0.906, 0.218), (0.133, -0.128, 0.262), (0.081, 0.411, 0.359),
+         pitch=0.806),
+    Move("ahead", (0.342, 0.154), pitch=0.767),
+    Move("rear", (0.394, 0.118), REAR, ON_TOP, (0.825, -0.27), (0.115, -0.17, 0.146), (-0.14, 0.14, 0.08), pitch=0.607),
+    Move("middle3", (0.349, 0.15), MIDDLE, ON_LEDGE, (0.961, 0.397), pitch=0.55),
+    Move("front3", (0.25, 0.112), FRONT, ON_LEDGE, (1.1, 1.162), pitch=0.483),
+    Move("ahead2", (0.7, 0.072), pitch=0.748),
+    Move("rear2", (0.691, -0.102), REAR, ON_LEDGE, (0.984, 0.181), (0.156, -0.043, 0.316), (0.212, 0.317, 0.513), 2.0,
+         0.0),
+)  # fmt: skip
+WAYS = {"level": LEVEL, "above": ABOVE, "below": BELOW}
+
+
+@parameters
+class PoleLedge(PoleTop):
+    """By tripod to the pole, up it, over its top on to the ledge, and away by tripod."""
+
+    kind: str = choice("pole_ledge", "pole_ledge")
+    across: str = choice("level", *WAYS)  # the ledge is 0.2 a_r lower than the pole, 0.35 a_r higher, 0.6 a_r lower
+    steps_away: int = count(3, at_least=0, at_most=100)  # swings on the ledge, 2 x* each
+
+    def way(self, belief: Case) -> tuple[Stance, list[Stage]]:
+        """Get on the top, cross to the ledge, walk away."""
+        site, ledge = self.site(belief), belief.obstacle.ledge_height
+        start, stages = self.ascend(site, belief)
+        away, walk = walk_away(site, belief, ledge, self.steps_away)
+        return start, [*stages, *self.rested([*cross(site, ledge, WAYS[self.across]), *away]), *walk]
+
+    def plan(self, belief: Case) -> Plan:
+        """Go all the way, halt."""
+        return self.assembled(belief, *self.way(belief))
+
+
+def beyond(site: Site, way: float, height: Array | float) -> Float[Array, " 3"]:
+    """A point (m) in the plane x = 0, `way` (a_r) beyond the ledge's edge."""
+    return point(0.0, -site.radius - way * site.length, height)
+
+
+def on_ledge(site: Site, ledge: Array | float, legs: tuple[int, int], place: tuple[float, float]) -> Footholds:
+    """Footholds of a pair on the ledge, aside (r) and beyond its edge (a_r)."""
+    return pair(legs, place[0] * site.radius, -site.radius - place[1] * site.length, ledge)
+
+
+def cross(site: Site, ledge: Array | float, moves: Sequence[Move]) -> list[Stage]:
+    """Stages from the top on to the ledge; the feet begin at `TOP`, the base level."""
+    at = {legs: on_disc(site, legs, TOP[legs]) for legs in (FRONT, MIDDLE, REAR)}
+    stages, pitch = [], 0.0
+    for move in moves:
+        swing, guides = {}, {}
+        if move.legs is not None:
+            swing = on_disc(site, move.legs, move.place) if move.where == ON_TOP else on_ledge(
+                site, ledge, move.legs, move.place)  # fmt: skip
+            guides = lofted(site, at[move.legs], swing, move.first, move.last)
+            at[move.legs] = swing
+        base = beyond(site, move.base[0], site.top + move.base[1] * site.length)
+        stages.append(Stage(f"ledge.{move.name}", move.time * site.step.time, swing, CYCLE_B, position=base,
+                            turn=point(move.pitch - pitch, 0.0, 0.0), rates=EASED, guides=guides))  # fmt: skip
+        pitch = move.pitch
+    return stages
+
+
+def walk_away(site: Site, belief: Case, ledge: Array | float, steps: int) -> tuple[list[Stage], list[Stage]]:
+    """The feet to where a tripod gait may start, and `steps` swings of it on the ledge."""
+    step, forward, quat = site.step, jnp.array([0.0, -1.0, 0.0]), jnp.array(TOWARDS)
+    spread = site.track - belief.robot.body_width / 2
+    centres = rotate(quat[None], foot_centres(belief.robot, spread, site.clearance))
+    position = beyond(site, 0.75, ledge + site.clearance)
+    offsets = centre_offsets(TRIPOD, step)
+    feet = position + centres + jnp.stack([offsets[leg] * forward for leg in range(1, 7)])
+    stages = []
+    for legs in TRIPOD:
+        name = f"away.{'-'.join(map(str, legs))}"
+        stages.append(Stage(name, 1.5 * step.time, {leg: feet[leg - 1] for leg in legs}, CYCLE_B, 2 * step.height,
+                            position=position, rates=EASED))  # fmt: skip
+    walk = regular_steps(TRIPOD, step, Stance(feet, position, quat), centres, forward, steps, 0.0)
+    return stages, [replace(stage, name=f"away.{stage.name}") for stage in walk]

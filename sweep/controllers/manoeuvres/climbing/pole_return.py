@@ -1,0 +1,19 @@
+"""Up a pole and down again: the climb, then the climb backwards in time."""
+
+from sweep.controllers.manoeuvres.climbing.pole import PoleClimb
+from sweep.controllers.plan import Plan
+from sweep.controllers.symmetry import joined, reversed_in_time
+from sweep.core.parameters import choice, parameters
+from sweep.models.case import Case
+
+
+@parameters
+class PoleReturn(PoleClimb):
+    """The climb of `PoleClimb` and its reversal, which ends walking away from the pole backwards."""
+
+    kind: str = choice("pole_return", "pole_return")
+
+    def plan(self, belief: Case) -> Plan:
+        """Up and down."""
+        up = super().plan(belief)
+        return joined(up, reversed_in_time(up))

@@ -1,0 +1,80 @@
+"""Up a pole, sideways round it, and backwards down on to the ledge behind it (monograph 2.3.4 and 2.3.6).
+
+For ledges so low that the robot hangs above them on the pole: h - h1 > a + x*. World axes as in `pole`.
+"""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from sweep.controllers.gaits import GALLOP
+from sweep.controllers.manoeuvres.climbing.pole import STAND, PoleClimb, Site, point
+from sweep.controllers.plan import CYCLE_B, Plan, Stage, Stance, assemble, moved
+from sweep.controllers.symmetry import joined, last_stance, mirrored, reversed_in_time
+from sweep.core.parameters import choice, count, parameters
+from sweep.core.rotations import exponential, rotate
+from sweep.models.case import Case
+
+STEP = np.pi / 8  # sigma: how far round the pole the base goes in 3 t*; printed as pi/6 in 2 t*
+BEHIND = np.array([0.0, 0.0, np.pi])  # rotation vector of the half turn to the ledge's side
+
+
+@parameters
+class PoleRound(PoleClimb):
+    """By tripod to the pole, up it, half-way round it by gallop, backwards down on to the ledge and away.
+
+    The way down is the climb backwards in time, from the other side and from the ledge's height on. It is printed as
+    the reverse of 2.3.3, the way on to the top; 2.3.2 is meant, since the ledge is where the robot goes.
+    """
+
+    kind: str = choice("pole_round", "pole_round")
+    cycles: int = count(3, at_least=1, at_most=100)  # of the gallop, as long as it takes to get above the ledge
+    side: str = choice("left", "left", "right")  # on which it goes round, as it sees the pole when it comes
+    down_cycles: int = count(1, at_least=0, at_most=100)  # of the gallop, 3 x* each, backwards
+
+    def plan(self, belief: Case) -> Plan:
+        """Climb, go round, and the climb from the ledge backwards."""
+        site, ledge = self.site(belief), belief.obstacle.ledge_height
+        landing = site.step.landing
+        # A gap of x*, since walking up to the pole the front feet would stand beside it, where the ledge has ended.
+        start, stages = replace(self, cycles=self.down_cycles).climb(site, belief, landing, landing)
+        from_ledge = assemble(start, stages, self.patience)
+        rise = (ledge + 3 * self.down_cycles * landing) / (3 * self.cycles)
+        up = assemble(*self.climb(site, belief, rise), self.patience)
+        top = last_stance(up)
+        across = assemble(top, [Stage("hang", STAND), *half_way_round(site, top)], self.patience)
+        down = moved(reversed_in_time(from_ledge), exponential(jnp.asarray(BEHIND)), point(0.0, 0.0, ledge))
+        plan = joined(up, across, down)
+        return plan if self.side == "left" else mirrored(plan, np.array([1.0, 0.0, 0.0]))
+
+
+def half_way_round(site: Site, start: Stance) -> list[Stage]:
+    """2.3.6: pairs of feet go round the pole by `STEP` in their turns, while the base goes round it evenly.
+
+    Printed for tripods. The three feet that stay then press unevenly, since the base turns a little while only three
+    hold it: those that land 2 mm off carry nothing when they should hold it in their turn, and the robot falls. The
+    pairs of the gallop hold it as they do on the way up. A swing is lifted straight away from the pole; the printed
+    directions are those to the nearest quarter.
+    """
+    feet, position = start.feet, start.position
+    way = STEP / len(GALLOP)
+    axis, turn = point(0.0, 0.0, position[2]), point(0.0, 0.0, way)
+    stages = []
+    for k in range(round(np.pi / way)):
+        legs = GALLOP[k % 3]
+        swing = {leg: about_pole(feet[leg - 1], STEP) for leg in legs}
+        away = jnp.stack([about_pole(foot, STEP / 2) for foot in feet]).at[:, 2].set(0.0)
+        position = about_pole(position, way)
+        name = f"round{k // 3 + 1}.{('front', 'middle', 'rear')[k % 3]}"
+        stages.append(Stage(name, site.step.time, swing, CYCLE_B, 1.5 * site.step.height, away, position=position,
+                            turn=turn, pivot=axis, arc=way))  # fmt: skip
+        for leg in legs:
+            feet = feet.at[leg - 1].set(swing[leg])
+    return stages
+
+
+def about_pole(place: Array, angle: float) -> Array:
+    """A point (m) turned about the pole's axis by `angle` (rad)."""
+    return rotate(exponential(point(0.0, 0.0, angle)), place)

@@ -1,0 +1,73 @@
+"""Walking on level or tilted ground by a regular gait (monograph 1.3)."""
+
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from sweep.controllers.gaits import GAITS, Step, centre_offsets, regular_steps
+from sweep.controllers.plan import Plan, Stage, Stance, assemble, moved
+from sweep.controllers.posture import foot_centres
+from sweep.core.parameters import choice, count, parameters, quantity
+from sweep.core.rotations import exponential
+from sweep.formulas import stepping
+from sweep.models.case import Case
+
+STAND = 0.5  # s, before the first and after the last step
+LEVEL = (1.0, 0.0, 0.0, 0.0)
+
+
+@parameters
+class Walk:
+    """Straight on along the world's x axis, uphill on a slope. Ratios are to the body's length a_r."""
+
+    kind: str = choice("walk", "walk")
+    gait: str = choice("tripod", *GAITS)
+    steps: int = count(7, at_least=0, at_most=200)  # swings of t* each
+    half_step_ratio: float = quantity(0.1, "a_r", above=0, at_most=0.5)  # d_x
+    lift_ratio: float = quantity(0.03, "a_r", above=0, at_most=0.5)  # d_y
+    height_ratio: float = quantity(0.5, "a_r", above=0, at_most=2)  # d, hips above the ground
+    spread_ratio: float = quantity(0.3, "a_r", at_least=0, at_most=2)  # feet out from the hips
+    rate: float = quantity(3.0, "rad/s", above=0, at_most=20)  # varpi
+    deepening: float = quantity(2e-3, "m", at_least=0, at_most=0.05)  # epsilon, footholds below the ground
+    patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
+
+    def plan(self, belief: Case) -> Plan:
+        """Stand, `steps` swings, stand. Along the believed ground, with the base parallel to it."""
+        robot = belief.robot
+        length = robot.body_length
+        step = Step(self.half_step_ratio * length, self.lift_ratio * length, stepping.swing_time(self.rate))
+        gait = GAITS[self.gait]
+        start, centres = standing(belief, self.spread_ratio * length, self.height_ratio * length)
+        forward = jnp.array([1.0, 0.0, 0.0])
+        offsets = centre_offsets(gait, step)
+        start = start._replace(feet=start.feet + jnp.stack([offsets[leg] * forward for leg in range(1, 7)]))
+        swings = regular_steps(gait, step, start, centres, forward, self.steps, self.deepening)
+        plan = assemble(start, [Stage("stand", STAND), *swings, Stage("halt", 2 * STAND)], self.patience)
+        return on_ground(plan, belief)
+
+
+@parameters
+class Stand:
+    """Standing still; what the push scenarios start from."""
+
+    kind: str = choice("stand", "stand")
+    duration: float = quantity(4.0, "s", above=0)
+    height_ratio: float = quantity(0.5, "a_r", above=0, at_most=2)
+    spread_ratio: float = quantity(0.3, "a_r", at_least=0, at_most=2)
+
+    def plan(self, belief: Case) -> Plan:
+        """One stage."""
+        length = belief.robot.body_length
+        start, _ = standing(belief, self.spread_ratio * length, self.height_ratio * length)
+        return on_ground(assemble(start, [Stage("stand", self.duration)], 0.0), belief)
+
+
+def standing(belief: Case, spread: Array | float, height: Array | float) -> tuple[Stance, Array]:
+    """A stance over the origin of level ground, and its feet relative to the base (m)."""
+    centres = foot_centres(belief.robot, spread, height)
+    position = jnp.array([0.0, 0.0, 1.0]) * height
+    return Stance(position + centres, position, jnp.array(LEVEL)), centres
+
+
+def on_ground(plan: Plan, belief: Case) -> Plan:
+    """The plan on the believed ground: turned by its slope."""
+    return moved(plan, exponential(jnp.array([0.0, -1.0, 0.0]) * belief.obstacle.slope), jnp.zeros(3))

@@ -1,0 +1,112 @@
+"""The hexagonal robot's walk through way points, by the largest step that its legs allow (thesis, chapters 2 and 3)."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from sweep.controllers.manoeuvres.walking.walk import STAND, on_ground, standing
+from sweep.controllers.plan import ELLIPTIC, HALF_ELLIPSE, Plan, Stage, assemble
+from sweep.controllers.posture import outward
+from sweep.core.errors import InputError
+from sweep.core.parameters import choice, count, parameters, quantity
+from sweep.formulas.thesis import thesis_fk, thesis_step, thesis_workspace
+from sweep.models.case import Case
+from sweep.models.robot import Robot
+
+WAYPOINTS = np.array([[0.0, 0.0], [3.0, 2.0], [3.0, 3.5], [8.0, 5.0]])  # m, on the ground
+CIRCLE = (6, 4, 2, 1, 3, 5)  # our legs in the thesis' order: its leg 1 is 30 deg from x, the rest counter-clockwise
+TRIPODS = ((6, 2, 3), (4, 1, 5))  # its legs 1, 3, 5, which swing first, and 2, 4, 6
+IDLE = 0.02  # s, a phase of a cycle after arrival: no step, no lift
+
+
+@parameters
+class Waypoints:
+    """Straight from one of `WAYPOINTS` to the next, the body never turning: thesis, chapter 3.
+
+    A cycle has two phases of one step each. In the first the first tripod swings from home to one step ahead in the
+    body's axes, while the second carries the body that step on; in the second phase they exchange. So every cycle
+    starts and ends with all feet at home. For robots with radial legs on a circle, the shin longer than the thigh.
+
+    With lengths in metres and T = 1 s, the longest step accelerates the body by 9.24 l/T^2 = 10.7 m/s^2, which
+    needs friction above 1: the feet slide by 0.25 m. Slower, the same walk is a sound one: from T = 1.35 s on they
+    slide by less than 0.02 m at friction 0.7. `conf/manoeuvre/waypoints.yaml` takes 2 s.
+    """
+
+    kind: str = choice("waypoints", "waypoints")
+    phase_time: float = quantity(1.0, "s", above=0, at_most=20)  # T
+    psi: float = quantity(np.pi / 4, "rad", at_least=-np.pi / 2, at_most=np.pi / 2)  # at home, where phi is 0
+    gamma: float = quantity(-3 * np.pi / 4, "rad", at_least=-np.pi, at_most=0)  # at home
+    # Of the largest step. The thesis takes it where the leg is singular, not at phi_max; here it is always taken.
+    share: float = quantity(0.95, "-", above=0, at_most=1)
+    cycles: int = count(9, at_least=1, at_most=100)  # 7 take the thesis' robot there, the rest are idle
+    deepening: float = quantity(2e-3, "m", at_least=0, at_most=0.05)  # epsilon, footholds below the ground
+    patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
+
+    def plan(self, belief: Case) -> Plan:
+        """Stand, two stages a cycle, halt.
+
+        The body is called to the last way point at the end even if the steps fell short of it: `cycles` too few are
+        then seen as legs out of reach, not as a success. Raises `InputError` where plain numbers for thigh and shin
+        do not fit; rows in which they vary are then not a number, hence invalid.
+        """
+        robot = belief.robot
+        if all(isinstance(size, float) for size in (robot.thigh, robot.shin)) and robot.shin <= robot.thigh:
+            raise InputError(
+                f"robot.shin = {robot.shin:g} is not allowed: greater than robot.thigh = {robot.thigh:g} m for "
+                "manoeuvre = waypoints"
+            )
+        spread, height = self.home(robot)
+        start, centres = standing(belief, spread, height)
+        lift = height - (robot.shin - robot.thigh)  # h: the foot stays below z = l2 - l3, where OA of (19) grows
+        stages = [Stage("stand", STAND)]
+        position = start.position
+        for k, step in enumerate(self.steps(robot)):
+            moving = jnp.any(step != 0)
+            time = jnp.where(moving, self.phase_time, IDLE)
+            footing = position + 2 * step + centres - jnp.array([0.0, 0.0, self.deepening])
+            for tripod in TRIPODS:
+                position = position + step
+                landing = {leg: footing[leg - 1] for leg in tripod}
+                name = f"{k + 1}.{'-'.join(map(str, tripod))}"
+                stages.append(Stage(name, time, landing, HALF_ELLIPSE, moving * lift, position=position, pace=ELLIPTIC))
+        stages.append(Stage("halt", 2 * STAND, position=start.position.at[:2].set(WAYPOINTS[-1])))
+        return on_ground(assemble(start, stages, self.patience), belief)
+
+    def home(self, robot: Robot) -> tuple[Array, Array]:
+        """How far out from its hip and below it (m) a foot is at home, phi = 0: thesis (11). The latter is H."""
+        foot = thesis_fk(0.0, self.psi, self.gamma, robot.coxa, robot.thigh, robot.shin).foot
+        return foot[0], -foot[2]
+
+    def steps(self, robot: Robot) -> Float[Array, "cycles 3"]:
+        """The step of each cycle (m): the largest one, or half of what is left where two of them would be too much."""
+        points = jnp.asarray(WAYPOINTS)
+
+        def cycle(state: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], Array]:
+            position, next_point = state
+            left = points[next_point] - position
+            length = jnp.linalg.norm(left)
+            direction = jnp.where(length > 0, left / jnp.where(length > 0, length, 1.0), jnp.array([1.0, 0.0]))
+            largest = self.share * jnp.min(self.largest_steps(robot, direction))
+            arrives = 2 * largest >= length
+            step = jnp.where(arrives, left / 2, largest * direction)
+            position = jnp.where(arrives, points[next_point], position + 2 * step)
+            following = jnp.minimum(next_point + arrives, len(WAYPOINTS) - 1)
+            return (position, following), jnp.append(step, 0.0)
+
+        return jax.lax.scan(cycle, (points[0], jnp.int32(1)), length=self.cycles)[1]
+
+    def largest_steps(self, robot: Robot, direction: Float[Array, " 2"]) -> Float[Array, " 6"]:
+        """Each leg's largest step (m) with the body going along `direction`, by leg number: thesis (18)-(21).
+
+        Feet of the first tripod go ahead of home and back, those of the second behind it and back. Both ways are
+        support once, so that the whole segment must be allowed, and the limit of the transfer never binds.
+        """
+        spread, height = self.home(robot)
+        zone = thesis_workspace(-height, robot.coxa, robot.thigh, robot.shin, robot.mount_radius)
+        out = outward(robot)[:, :2]
+        across = jnp.stack([out[:, 1], -out[:, 0]], axis=-1)  # x of the leg's frame, whose y points outward
+        ahead = jnp.array([1.0 if leg in TRIPODS[0] else -1.0 for leg in range(1, 7)])
+        way = ahead[:, None] * jnp.stack([across @ direction, out @ direction], axis=-1)
+        foot = jnp.stack([jnp.zeros_like(spread), spread])
+        return thesis_step(foot, way, zone.OA, zone.OB, zone.phimax).support

@@ -1,0 +1,102 @@
+"""Row conditions such as `friction > 0.8 and engine.name == "mjx"`: parsed, never evaluated as Python."""
+
+import ast
+import operator
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from sweep.core.errors import InputError, suggest
+
+_COMPARE: dict[type, Callable[[Any, Any], Any]] = {
+    ast.Lt: operator.lt, ast.LtE: operator.le, ast.Gt: operator.gt, ast.GtE: operator.ge,
+    ast.Eq: lambda a, b: _close(a, b), ast.NotEq: lambda a, b: ~_close(a, b),
+    ast.In: lambda a, b: np.any([_close(a, one) for one in b], axis=0),
+    ast.NotIn: lambda a, b: ~np.any([_close(a, one) for one in b], axis=0),
+}  # fmt: skip
+_ARITHMETIC: dict[type, Callable[[Any, Any], Any]] = {
+    ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv,
+    ast.BitAnd: operator.and_, ast.BitOr: operator.or_,
+}  # fmt: skip
+_FUNCTIONS = {"sqrt": np.sqrt, "sin": np.sin, "cos": np.cos, "tan": np.tan, "asin": np.arcsin, "acos": np.arccos}
+_UNARY: dict[type, Callable[[Any], Any]] = {
+    ast.Not: operator.invert, ast.Invert: operator.invert, ast.USub: operator.neg, ast.UAdd: operator.pos,
+}  # fmt: skip
+
+
+def mask(frame: pd.DataFrame, condition: str | None) -> np.ndarray:
+    """Which rows of `frame` meet `condition` (all of them without one).
+
+    Columns go by their full dotted name or by an unambiguous end of it. Raises `InputError`.
+    """
+    if not condition:
+        return np.ones(len(frame), dtype=bool)
+    try:
+        result = evaluate(condition, lambda name: frame[column(frame, name)].to_numpy())
+        if np.asarray(result).dtype != bool:
+            raise SyntaxError
+        return np.broadcast_to(result, (len(frame),))
+    except SyntaxError:
+        raise InputError(
+            f"where = {condition!r} is not a condition, such as 'friction > 0.8 and replicate == 0'"
+        ) from None
+    except (TypeError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"where = {condition!r} compares what cannot be compared: {error}") from None
+
+
+def evaluate(expression: str, look_up: Callable[[str], Any]) -> Any:
+    """Value of an expression whose dotted names mean what `look_up` says.
+
+    Raises `SyntaxError` where it is none, and `InputError` where it holds more than names, numbers and operators.
+    """
+    return _value(ast.parse(expression, mode="eval").body, look_up)
+
+
+def column(frame: pd.DataFrame, name: str) -> str:
+    """The column that `name` means: itself, or the only one that ends in `.name`."""
+    if name in frame.columns:
+        return name
+    found = [c for c in frame.columns if c.endswith(f".{name}")]
+    if len(found) > 1:
+        raise InputError(f"column {name} is ambiguous (allowed: {', '.join(found)})")
+    if not found:
+        raise InputError(f"column {name} is unknown{suggest(name, list(frame.columns))}")
+    return found[0]
+
+
+def _value(node: ast.expr, look_up: Callable[[str], Any]) -> Any:
+    match node:
+        case ast.Constant(value=value):
+            return value
+        case ast.Name() | ast.Attribute():
+            return look_up(ast.unparse(node))
+        case ast.List(elts=items) | ast.Tuple(elts=items):
+            return [_value(item, look_up) for item in items]
+        case ast.UnaryOp(op=op, operand=operand) if type(op) in _UNARY:
+            return _UNARY[type(op)](_value(operand, look_up))
+        case ast.BinOp(left=left, op=op, right=right) if type(op) in _ARITHMETIC:
+            return _ARITHMETIC[type(op)](_value(left, look_up), _value(right, look_up))
+        case ast.Call(func=ast.Name(id=name), args=[argument], keywords=[]) if name in _FUNCTIONS:
+            return _FUNCTIONS[name](_value(argument, look_up))
+        case ast.BoolOp(op=op, values=values):
+            combine = np.logical_and if isinstance(op, ast.And) else np.logical_or
+            return combine.reduce([_value(v, look_up) for v in values])
+        case ast.Compare(left=left, ops=ops, comparators=others) if all(type(op) in _COMPARE for op in ops):
+            values = [_value(v, look_up) for v in (left, *others)]
+            pairs = zip(ops, values[:-1], values[1:], strict=True)
+            return np.logical_and.reduce([_COMPARE[type(op)](a, b) for op, a, b in pairs])
+        case _:
+            raise InputError(
+                f"{ast.unparse(node)!r} is not allowed in a condition: columns, numbers, comparisons, and/or/not"
+            )
+
+
+def _close(a: Any, b: Any) -> Any:
+    """Equality; of numbers, up to rounding, so that a grid's value can be named by its decimals."""
+    if all(np.issubdtype(np.asarray(v).dtype, np.number) for v in (a, b)):
+        return np.isclose(np.asarray(a, dtype=float), np.asarray(b, dtype=float), rtol=1e-9, atol=1e-12)
+    return np.asarray(a == b)

@@ -1,0 +1,95 @@
+"""Parameters with units and bounds: one dataclass is a Hydra schema, a validator and a JAX pytree at once.
+
+A field made by `quantity` is a pytree leaf: a float, or an array over the batch where it is swept. A field
+made by `choice` or `count` is static: changing it compiles anew.
+"""
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from typing import Any, dataclass_transform
+
+import jax
+import numpy as np
+
+from sweep.core.errors import InputError, suggest
+
+
+def quantity(
+    default: float, unit: str, *, above: float = -math.inf, at_least: float = -math.inf, at_most: float = math.inf
+) -> Any:
+    """A physical quantity: sweepable without recompiling."""
+    bounds = {"unit": unit, "above": above, "at_least": at_least, "at_most": at_most}
+    return dataclasses.field(default=default, metadata={"role": "quantity", **bounds})
+
+
+def choice(default: str, *options: str) -> Any:
+    """One of a few names."""
+    return dataclasses.field(default=default, metadata={"role": "choice", "options": options})
+
+
+def count(default: int, *, at_least: int = 0, at_most: float = math.inf) -> Any:
+    """A whole number that shapes the compiled program."""
+    bounds = {"unit": "", "above": -math.inf, "at_least": at_least, "at_most": at_most}
+    return dataclasses.field(default=default, metadata={"role": "count", **bounds})
+
+
+@dataclass_transform(frozen_default=True)
+def parameters[T: type](cls: T) -> T:
+    """Frozen dataclass whose quantities (and nested parameter groups) are pytree leaves."""
+    cls = dataclasses.dataclass(frozen=True)(cls)
+    data = [f.name for f in dataclasses.fields(cls) if f.metadata.get("role", "quantity") == "quantity"]
+    static = [f.name for f in dataclasses.fields(cls) if f.name not in data]
+    return jax.tree_util.register_dataclass(cls, data_fields=data, meta_fields=static)
+
+
+def build[T](cls: type[T], values: Mapping[str, Any], path: str) -> T:
+    """`cls` from plain values, every one checked.
+
+    Raises `InputError` naming `path.key`, the value and what is allowed.
+    """
+    fields = {f.name: f for f in dataclasses.fields(cls)}  # pyright: ignore[reportArgumentType]
+    for key in values:
+        if key not in fields:
+            raise InputError(f"{path}.{key} is unknown{suggest(str(key), fields)}")
+    return cls(**{key: checked(fields[key], value, f"{path}.{key}") for key, value in values.items()})
+
+
+def checked(field: "dataclasses.Field[Any]", value: Any, path: str) -> Any:
+    """`value`, converted and inside the bounds of `field`; raises `InputError`."""
+    role = field.metadata.get("role")
+    match role:
+        case "choice":
+            if value not in field.metadata["options"]:
+                raise InputError(f"{path} = {value!r} is not allowed: one of {', '.join(field.metadata['options'])}")
+            return value
+        case "quantity" | "count":
+            return _checked_number(field, value, path)
+        case _:
+            return value
+
+
+def _checked_number(field: "dataclasses.Field[Any]", value: Any, path: str) -> float | int:
+    whole = field.metadata["role"] == "count"
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or (whole and int(value) != value):
+        raise InputError(f"{path} = {value!r} is not allowed: a {'whole ' if whole else ''}number")
+    if not math.isfinite(value) or not within(field, value):
+        raise InputError(f"{path} = {value:g} is not allowed: {bounds_text(field)}")
+    return int(value) if whole else float(value)
+
+
+def within(field: "dataclasses.Field[Any]", value: Any) -> Any:
+    """Whether `value` (a number or an array) lies inside the bounds of `field`."""
+    meta = field.metadata
+    return (value > meta["above"]) & (value >= meta["at_least"]) & (value <= meta["at_most"])
+
+
+def bounds_text(field: "dataclasses.Field[Any]") -> str:
+    """The bounds of `field` in words, with its unit."""
+    meta = field.metadata
+    parts = [
+        f"{word} {meta[key]:g}"
+        for key, word in (("above", "greater than"), ("at_least", "at least"), ("at_most", "at most"))
+        if math.isfinite(meta[key])
+    ]
+    return " and ".join(parts or ["finite"]) + ("" if meta["unit"] in ("", "-") else f" {meta['unit']}")

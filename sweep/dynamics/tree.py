@@ -1,0 +1,240 @@
+"""Smooth dynamics of a robot whose legs meet in its base only, written out: mass matrix, bias, Jacobians of the feet.
+
+Generalised velocity: the base's (linear, angular), both in base axes here, then alpha, beta, gamma of each leg. Legs
+couple through the base alone. Every scalar is an array over the legs, see `vectors`.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from sweep.dynamics.vectors import Matrix, Number, Vector, rotation, symmetric
+from sweep.formulas.leg import SIDE
+from sweep.models.case import Case
+from sweep.models.robot import Robot
+from sweep.models.scene import GRAVITY, mount_yaw, mounts
+
+
+class Pose(NamedTuple):
+    """Where base and joints are; l legs."""
+
+    position: Vector  # (1,) m, of the base, world axes
+    quat: tuple[Array, Array, Array, Array]  # (1,) base to world
+    angle: tuple[Array, Array, Array]  # (l,) rad: alpha, beta, gamma
+
+
+class Motion(NamedTuple):
+    """How they move, or a momentum or force that goes with it. Base axes."""
+
+    linear: Vector  # (1,)
+    angular: Vector  # (1,)
+    leg: tuple[Array, Array, Array]  # (l,)
+
+    def plus(self, share: Number, other: "Motion") -> "Motion":
+        """self + share * other."""
+        legs = tuple(a + share * b for a, b in zip(self.leg, other.leg, strict=True))
+        return Motion(self.linear + share * other.linear, self.angular + share * other.angular, legs)  # pyright: ignore
+
+
+class Column(NamedTuple):
+    """What moves or acts when one joint of each leg does: a linear and an angular part about the base's origin."""
+
+    linear: Vector  # (l,)
+    angular: Vector  # (l,)
+
+
+class Mass(NamedTuple):
+    """The mass matrix."""
+
+    mass: Array  # (1,) kg, of the robot
+    moment: Vector  # (1,) kg m, mass times mass centre
+    inertia: Matrix  # (1,) kg m^2, about the base's origin
+    cross: tuple[Column, Column, Column]  # momentum of the leg per rate of a joint
+    leg: Matrix  # (l,)
+
+    def times(self, v: Motion) -> Motion:
+        """Momentum."""
+        linear, angular = self.mass * v.linear - self.moment.cross(v.angular), self.moment.cross(v.linear)
+        angular = angular + self.inertia @ v.angular
+        rates = Vector(*v.leg)
+        own = self.leg @ rates
+        legs = [c.linear.dot(v.linear) + c.angular.dot(v.angular) for c in self.cross]
+        for column, rate in zip(self.cross, v.leg, strict=True):
+            linear, angular = linear + (rate * column.linear).total(), angular + (rate * column.angular).total()
+        return Motion(linear, angular, (legs[0] + own.x, legs[1] + own.y, legs[2] + own.z))
+
+
+class Star(NamedTuple):
+    """One configuration of the robot. Base axes, from the base's origin, unless said otherwise."""
+
+    mass: Mass  # with armature
+    bias: Motion  # Coriolis and gravity
+    rotation: Matrix  # (1,) base to world
+    joints: tuple[Vector, ...]  # (l,) m, along a leg: hip, (end of the coxa,) knee, foot
+    foot: tuple[Vector, Vector, Vector]  # (l,) velocity of the foot per rate of a joint
+
+
+class Link(NamedTuple):
+    """A rod of one leg."""
+
+    mass: Number
+    across: Number  # kg m^2, about its centre
+    along: Number
+    way: Vector  # m, from its start to its end
+    direction: Vector
+    joint: int  # the last joint before it
+
+    def inertia_times(self, u: Vector) -> Vector:
+        """Its inertia about its centre, times a vector."""
+        return self.across * u + ((self.along - self.across) * self.direction.dot(u)) * self.direction
+
+
+def fits(case: Case) -> bool:
+    """Whether robot and obstacle are of this kind: a free body's frame must be at its mass centre."""
+    return isinstance(case.robot, Robot) and not case.obstacle.leaves().get("body_ipos")
+
+
+def leg_links(robot: Robot, angle: tuple[Array, Array, Array]) -> tuple[Vector, list[Link]]:
+    """Unit vector of beta's and gamma's axis, and the links from the hip out."""
+    yaw, side = mount_yaw(robot).astype(angle[0].dtype), SIDE.astype(angle[0].dtype)
+    turn, lift, bend = yaw + angle[0], angle[1], angle[1] + angle[2]
+    cos, sin = jnp.cos(turn), jnp.sin(turn)
+    zero, one = jnp.zeros_like(cos), jnp.ones_like(cos)
+    across, out, up = Vector(cos, sin, zero), Vector(-sin, cos, zero), Vector(zero, zero, one)
+    ways = {
+        "coxa": (side * out, 0),
+        "thigh": ((side * jnp.sin(lift)) * out - (side * jnp.cos(lift)) * up, 1),
+        "shin": (-jnp.sin(bend) * out + jnp.cos(bend) * up, 2),
+    }
+    names = ("coxa", "thigh", "shin") if robot.legs == "three_link" else ("thigh", "shin")
+    links = []
+    for name in names:
+        length, mass = getattr(robot, name), getattr(robot, f"{name}_mass")
+        direction, joint = ways[name]
+        radius = robot.link_radius
+        links.append(Link(mass, mass * (3 * radius**2 + length**2) / 12, mass * radius**2 / 2, length * direction,
+                          direction, joint))  # fmt: skip
+    return across, links
+
+
+def star(robot: Robot, armature: Number, pose: Pose, v: Motion) -> Star:
+    """Mass matrix, bias and feet at a pose and velocity: recursive Newton-Euler and composite bodies, leg by leg.
+
+    The bias is the force that keeps all generalised accelerations zero; the linear one is that in world axes, so that
+    a moving base adds nothing to it.
+    """
+    turned = rotation(*pose.quat)
+    axis, links = leg_links(robot, pose.angle)
+    up = Vector(jnp.zeros_like(axis.x), jnp.zeros_like(axis.x), jnp.ones_like(axis.x))
+    axes = (up, axis, axis)
+    gravity = turned.z * -GRAVITY  # world's down, in base axes
+    hips = mounts(robot).astype(axis.x.dtype)
+    start, spin, turning = Vector.of(hips), v.angular, Vector(*[jnp.zeros_like(axis.x)] * 3)
+    acceleration = spin.cross(spin.cross(start)) - gravity
+    origins: list[Vector] = []  # of the joints
+    centres, forces, moments = [], [], []  # of the links; the moments are about their centres
+    joints, reached = [start], -1
+    for link in links:
+        for k in range(reached + 1, link.joint + 1):
+            origins.append(start)
+            turning = turning + v.leg[k] * spin.cross(axes[k])
+            spin = spin + v.leg[k] * axes[k]
+        reached = link.joint
+        half = 0.5 * link.way
+        at_centre = acceleration + turning.cross(half) + spin.cross(spin.cross(half))
+        acceleration = acceleration + turning.cross(link.way) + spin.cross(spin.cross(link.way))
+        centres.append(start + half)
+        forces.append(link.mass * at_centre)
+        moments.append(link.inertia_times(turning) + spin.cross(link.inertia_times(spin)))
+        start = start + link.way
+        joints.append(start)
+    leg_bias, columns = [], []
+    for k in range(3):
+        moved = [i for i, link in enumerate(links) if link.joint >= k]
+        moment = _sum(moments[i] + (centres[i] - origins[k]).cross(forces[i]) for i in moved)
+        leg_bias.append(axes[k].dot(moment))
+        momenta = [links[i].mass * axes[k].cross(centres[i] - origins[k]) for i in moved]
+        angular = _sum(
+            links[i].inertia_times(axes[k]) + centres[i].cross(p) for i, p in zip(moved, momenta, strict=True)
+        )
+        columns.append(Column(_sum(momenta), angular))
+    mass, moment, inertia = _composite(robot, links, centres)
+    box = _box(robot)
+    spin_base = v.angular
+    wrench = _sum(forces).total() - robot.body_mass * gravity
+    twist = _sum(m + c.cross(f) for m, c, f in zip(moments, centres, forces, strict=True)).total()
+    twist = twist + spin_base.cross(Vector(box[0] * spin_base.x, box[1] * spin_base.y, box[2] * spin_base.z))
+    feet = tuple(a.cross(start - o) for a, o in zip(axes, origins, strict=True))
+    leg = _leg_block(axes, origins, columns, armature)
+    return Star(Mass(mass, moment, inertia, tuple(columns), leg), Motion(wrench, twist, tuple(leg_bias)), turned,  # pyright: ignore
+                tuple(joints), feet)  # pyright: ignore  # fmt: skip
+
+
+def _sum(vectors) -> Vector:
+    first, *rest = vectors
+    for vector in rest:
+        first = first + vector
+    return first
+
+
+def _box(robot: Robot) -> tuple[Number, Number, Number]:
+    """Moments of inertia of the base (kg m^2)."""
+    a, b, c = (robot.body_length**2, robot.body_width**2, robot.body_height**2)
+    share = robot.body_mass / 12
+    return share * (b + c), share * (a + c), share * (a + b)
+
+
+def _composite(robot: Robot, links: list[Link], centres: list[Vector]) -> tuple[Array, Vector, Matrix]:
+    """Mass, first moment and inertia of the whole robot about the base's origin."""
+    moment = _sum(link.mass * c for link, c in zip(links, centres, strict=True))
+    entries = [jnp.zeros_like(centres[0].x)] * 6
+    for link, c in zip(links, centres, strict=True):
+        d, m, extra = link.direction, link.mass, link.along - link.across
+        round_ = link.across + m * c.dot(c)
+        parts = [(d.x, d.x, c.x, c.x), (d.y, d.y, c.y, c.y), (d.z, d.z, c.z, c.z),
+                 (d.x, d.y, c.x, c.y), (d.x, d.z, c.x, c.z), (d.y, d.z, c.y, c.z)]  # fmt: skip
+        for k, (d1, d2, c1, c2) in enumerate(parts):
+            entries[k] = entries[k] + extra * d1 * d2 - m * c1 * c2 + (round_ if k < 3 else 0.0)
+    totals = [jnp.sum(entry, axis=-1, keepdims=True) for entry in entries]
+    box = _box(robot)
+    inertia = symmetric(*[totals[k] + (box[k] if k < 3 else 0.0) for k in range(6)])
+    legs = centres[0].x.shape[-1]
+    mass = robot.body_mass + legs * sum(link.mass for link in links)
+    return mass * jnp.ones_like(totals[0]), moment.total(), inertia
+
+
+def _leg_block(axes: tuple, origins: list[Vector], columns: list[Column], armature: Number) -> Matrix:
+    """The legs' 3x3 blocks: momentum about joint i of what joint j >= i moves."""
+
+    def entry(i: int, j: int) -> Array:
+        return axes[i].dot(columns[j].angular - origins[i].cross(columns[j].linear))
+
+    e = {(i, j): entry(i, j) for i in range(3) for j in range(i, 3)}
+    return symmetric(e[0, 0] + armature, e[1, 1] + armature, e[2, 2] + armature, e[0, 1], e[0, 2], e[1, 2])
+
+
+def potential(mass: Mass, turned: Matrix, position: Vector) -> Array:
+    """Potential energy (J), (1,)."""
+    return GRAVITY * (mass.mass * position.z + turned.z.dot(mass.moment))
+
+
+def unpack(q: Array, v: Array) -> tuple[Pose, Motion]:
+    """From MuJoCo's qpos and qvel, base first, then the legs' hinges in order."""
+    legs = (q.shape[0] - 7) // 3
+    angle, rate = q[7 : 7 + 3 * legs].reshape(legs, 3), v[6 : 6 + 3 * legs].reshape(legs, 3)
+    quat = tuple(q[3 + k : 4 + k] for k in range(4))
+    pose = Pose(Vector(q[0:1], q[1:2], q[2:3]), quat, tuple(angle[:, k] for k in range(3)))  # pyright: ignore
+    linear = rotation(*quat).transposed @ Vector(v[0:1], v[1:2], v[2:3])
+    return pose, Motion(linear, Vector(v[3:4], v[4:5], v[5:6]), tuple(rate[:, k] for k in range(3)))  # pyright: ignore
+
+
+def pack(pose: Pose, v: Motion) -> tuple[Array, Array]:
+    """The inverse of `unpack`."""
+    linear = rotation(*pose.quat) @ v.linear
+    angle, rate = (jnp.stack(parts, axis=-1).reshape(-1) for parts in (pose.angle, v.leg))
+    p = pose.position
+    return (
+        jnp.concatenate([p.x, p.y, p.z, *pose.quat, angle]),
+        jnp.concatenate([linear.x, linear.y, linear.z, v.angular.x, v.angular.y, v.angular.z, rate]),
+    )

@@ -1,0 +1,143 @@
+"""What both engines do once a control tick: observe, command, measure. Pure functions of one rollout."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from sweep.controllers import tracker
+from sweep.controllers.observation import Noise, Observation, Sensors, install, observe
+from sweep.controllers.plan import Plan, Stance
+from sweep.controllers.posture import feet_in_world
+from sweep.controllers.tracker import Command, TrackerState, joint_targets
+from sweep.core.rotations import about_vertical, conjugate, multiply, rotate
+from sweep.metrics import stream
+from sweep.metrics.outcome import Thresholds
+from sweep.metrics.stream import Running, Tick
+from sweep.models.case import Case
+from sweep.models.disturbance import Execution
+from sweep.models.drive import Servo, position_mode
+from sweep.models.obstacles.surface import FreeState, no_bodies, poses
+
+GRACE = 1.2  # a rollout is over at this multiple of its planned duration, finished or not
+LONGEST = 600.0  # s; a rollout that takes longer is cut off unfinished: absurd parameters must not hold up a batch
+
+
+class Pilot(NamedTuple):
+    """Controller, sensors and figures of one rollout."""
+
+    tracker: TrackerState
+    sensors: Sensors
+    running: Running
+    seen: Observation  # the truth at the end of the last tick
+    servo: Servo  # what the drives were told last
+    key: Array
+
+
+class Start(NamedTuple):
+    """MuJoCo's positions and velocities: base, legs, free bodies."""
+
+    qpos: Float[Array, " nq"]
+    qvel: Float[Array, " nv"]
+
+
+def is_quiet(noise: Noise) -> bool:
+    """Whether measurement is exact, so that no random number need be drawn. Plain or batched parameters."""
+    return noise.delay_buffer == 0 and all(isinstance(x, float) and x == 0 for x in jax.tree.leaves(noise))
+
+
+def most_ticks(plans: Plan, period: float) -> int:
+    """Control ticks of the longest rollout of a batch; a plan that is not finite has none, one too long is cut off."""
+    durations = np.asarray(jnp.sum(plans.duration, axis=-1), dtype=float)
+    longest = np.max(durations, initial=0.0, where=np.isfinite(durations))
+    return int(np.ceil(min(GRACE * longest, LONGEST) / period))
+
+
+def start_state(world: Case, belief: Case, plan: Plan) -> Start:
+    """The world at the start.
+
+    The robot stands with the joint angles that it believes right, displaced as `execution` says, and lowered along the
+    ground's normal (or raised) until its lowest foot touches; on free bodies it goes down upright, and rides along
+    with them.
+    """
+    free = world.obstacle.start() if world.obstacle.free_bodies else no_bodies()
+    joints, _ = joint_targets(belief.robot, plan.start)
+    start = displaced(world.execution, plan.start)
+    feet = feet_in_world(world.robot, start.position, start.quat, joints)
+    ground = world.obstacle.surface(feet, (-1,) * 6, poses(free))
+    along = jnp.array([0.0, 0.0, 1.0]) if world.obstacle.free_bodies else ground.normal[jnp.argmax(ground.depth)]
+    slant = ground.normal @ along
+    below = jnp.where(slant > 1e-3, ground.depth / jnp.maximum(slant, 1e-3), -jnp.inf)  # no wall stops a foot's descent
+    position = start.position + jnp.max(below) * along
+    velocity, moving = jnp.zeros_like(position), jnp.zeros_like(feet)
+    for k in range(free.position.shape[0]):
+        on_it = (ground.body == k)[:, None]
+        velocity = velocity + jnp.mean(on_it, axis=0) * free.velocity[k]
+        moving = moving + on_it * (free.velocity[k] + jnp.cross(free.turn[k], feet - free.position[k]))
+    rates = jnp.zeros_like(joints)
+    if world.obstacle.free_bodies:  # on fixed ground nothing moves, and a straight leg's angles have no derivative
+        stance = start._replace(feet=feet)
+        moved = stance._replace(feet=moving, position=velocity, quat=jnp.zeros_like(start.quat))
+        _, rates = jax.jvp(lambda s: joint_targets(belief.robot, s)[0], (stance,), (moved,))
+    qpos = [position, start.quat, joints.reshape(18), jnp.concatenate([free.position, free.quat], axis=1).ravel()]
+    turn = rotate(conjugate(free.quat), free.turn)  # a free joint turns about the body's own axes
+    qvel = [velocity, jnp.zeros(3), rates.reshape(18), jnp.concatenate([free.velocity, turn], axis=1).ravel()]
+    return Start(jnp.concatenate(qpos), jnp.concatenate(qvel))
+
+
+def displaced(execution: Execution, start: Stance) -> Stance:
+    """The start with the errors of the robot's placement."""
+    position = start.position + jnp.stack([jnp.asarray(x, float) for x in (execution.start_x, execution.start_y, 0.0)])
+    turn = about_vertical(jnp.asarray(execution.start_yaw, float))
+    feet = position + rotate(turn[None], start.feet - start.position)
+    return Stance(feet, position, multiply(turn, start.quat))
+
+
+def free_state(qpos: Array, qvel: Array, count: int) -> FreeState:
+    """The last `count` bodies of a state of MuJoCo: the obstacle's free bodies."""
+    pose = qpos[qpos.shape[0] - 7 * count :].reshape(count, 7)
+    motion = qvel[qvel.shape[0] - 6 * count :].reshape(count, 6)
+    return FreeState(pose[:, :3], pose[:, 3:], motion[:, :3], rotate(pose[:, 3:], motion[:, 3:]))
+
+
+def embark(world: Case, belief: Case, plan: Plan, start: Start, energy: Array, key: Array) -> Pilot:
+    """Before the first tick."""
+    free = free_state(start.qpos, start.qvel, len(world.obstacle.free_bodies))
+    joints = start.qpos[7:25].reshape(6, 3)
+    truth = Observation(start.qpos[:3], start.qpos[3:7], start.qvel[:3], start.qvel[3:6], joints,
+                        start.qvel[6:24].reshape(6, 3), jnp.zeros_like(joints), jnp.ones(6, bool), free)  # fmt: skip
+    bias_key, key = jax.random.split(key)
+    sensors = install(world.noise, bias_key, truth)
+    feet = displaced(world.execution, plan.start).feet
+    running = stream.begin(world, plan, start.qpos[:3], feet, free, energy)
+    return Pilot(tracker.init(belief, plan), sensors, running, truth, position_mode(world.drive, joints), key)
+
+
+def decide(
+    world: Case, belief: Case, plan: Plan, pilot: Pilot, tick: Array, period: float, quiet: bool
+) -> tuple[Pilot, Command]:
+    """The controller's part of a tick; the drives then go linearly from the old reference to the new one."""
+    sensors, seen = pilot.sensors, pilot.seen
+    if not quiet:
+        sensors, seen = observe(world.noise, sensors, seen, jax.random.fold_in(pilot.key, tick))
+    state, command = tracker.step(belief, plan, pilot.tracker, seen, period)
+    servo = position_mode(world.drive, command.joints - seen.joint_error)
+    if command.own is not None:
+        owned, own = command.own
+        own = own._replace(target=own.target - seen.joint_error)
+        servo = Servo(*[jnp.where(owned, a, b) for a, b in zip(own, servo, strict=True)])
+    return pilot._replace(tracker=state, sensors=sensors, servo=servo), command
+
+
+def measure(
+    world: Case, plan: Plan, limits: Thresholds, pilot: Pilot, command: Command, tick: Tick, period: float
+) -> Pilot:
+    """The metrics' part of a tick. A rollout that has finished, or had its time, is over."""
+    running = stream.update(world, plan, limits, pilot.tracker, command, pilot.running, tick, period)
+    late = running.time >= GRACE * jnp.sum(plan.duration)
+    running = running._replace(over=running.over | pilot.tracker.finished | late)
+    truth = Observation(tick.position, tick.quat, tick.velocity, tick.spin, tick.angles, tick.rates,
+                        jnp.zeros_like(command.joints), tick.loaded, tick.free)  # fmt: skip
+    return pilot._replace(running=running, seen=truth)

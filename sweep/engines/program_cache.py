@@ -1,0 +1,101 @@
+"""Compiled programs kept between processes, so that a later start need not even trace them.
+
+JAX keeps what its compiler makes, but has to trace a program to find it again, which takes longer than to load it.
+"""
+
+import contextlib
+import hashlib
+import os
+import pickle
+import platform
+import threading
+import zlib
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+from jax.experimental.compilation_cache.compilation_cache import reset_cache
+from jax.experimental.serialize_executable import deserialize_and_load, serialize
+from jax.stages import Compiled
+
+from sweep.core import provenance
+from sweep.runs import store
+
+MOST = 200  # files, of about a MB each
+CPU_INFO = Path("/proc/cpuinfo")
+_jax_settings = threading.RLock()
+
+
+def programs(made_of: Any, devices: Sequence[Any], compiled: Callable[[], Sequence[Compiled]]) -> Sequence[Compiled]:
+    """What `compiled` gives for `devices`, or gave in an earlier process.
+
+    The text of `made_of`, the code of this package, its libraries' versions, JAX's settings and the devices' kind have
+    to be all that the programs depend on.
+    """
+    with _jax_settings:  # which another thread may be changing
+        folder = _folder()
+        if folder is None:
+            return compiled()
+        file = folder / f"{_key(made_of, devices)}.programs"
+        if (found := _load(file, devices)) is not None:
+            return found
+        with unused():
+            made = compiled()
+    with contextlib.suppress(Exception):  # such as a full disk: what is made can run, and the next start makes it again
+        _keep(file, zlib.compress(pickle.dumps([serialize(part) for part in made]), level=1))
+    return made
+
+
+@contextlib.contextmanager
+def unused() -> Iterator[None]:
+    """Inside, nothing is kept or found, by JAX neither; one thread at a time.
+
+    A program for a CPU that JAX has from a file of its own lacks functions when it is kept once more.
+    """
+    with _jax_settings:
+        before = jax.config.jax_enable_compilation_cache
+        try:
+            jax.config.update("jax_enable_compilation_cache", False)
+            reset_cache()
+            yield
+        finally:
+            jax.config.update("jax_enable_compilation_cache", before)
+            reset_cache()
+
+
+def _folder() -> Path | None:
+    """Where JAX keeps its own, if it does. Sources that changed meanwhile are not what was traced."""
+    if not jax.config.jax_enable_compilation_cache or not jax.config.jax_compilation_cache_dir or provenance.edited():
+        return None
+    return Path(jax.config.jax_compilation_cache_dir)
+
+
+def _key(made_of: Any, devices: Sequence[Any]) -> str:
+    kind, version = devices[0].device_kind, devices[0].client.platform_version
+    where = kind, version, [device.id for device in devices], _processor()
+    how = sorted(jax.config.values.items()), os.environ.get("XLA_FLAGS")
+    return hashlib.blake2b(repr((made_of, provenance.code_version(), where, how)).encode(), digest_size=20).hexdigest()
+
+
+def _processor() -> Any:
+    """What a program for the CPU may make use of: machines that share a home folder need not be alike."""
+    if not CPU_INFO.exists():
+        return platform.processor()
+    lines = CPU_INFO.read_text().splitlines()
+    return sorted({line for line in lines if line.startswith(("model name", "flags", "Features"))})
+
+
+def _load(file: Path, devices: Sequence[Any]) -> Sequence[Compiled] | None:
+    try:
+        parts = pickle.loads(zlib.decompress(file.read_bytes()))
+        return [deserialize_and_load(*part, execution_devices=devices) for part in parts]
+    except Exception:  # not there, cut short, or not for these devices after all
+        return None
+
+
+def _keep(file: Path, content: bytes) -> None:
+    file.parent.mkdir(parents=True, exist_ok=True)
+    store.write_whole(file, lambda path: path.write_bytes(content))
+    for old in sorted(file.parent.glob("*.programs"), key=lambda f: f.stat().st_mtime)[:-MOST]:
+        old.unlink(missing_ok=True)

@@ -1,0 +1,151 @@
+"""From the points table to the inputs of an engine: groups that share a compiled engine, batches of one width."""
+
+import math
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from sweep.core.errors import Fault, InputError
+from sweep.engines.base import Engine
+from sweep.engines.settings import EngineSettings
+from sweep.metrics.outcome import Thresholds
+from sweep.models.case import Case
+from sweep.study.config import Experiment
+from sweep.study.study import (
+    assign,
+    identity,
+    is_static,
+    parameter_columns,
+    side_and_path,
+    with_settings,
+    world_and_belief,
+)
+
+
+@dataclass(frozen=True)
+class Batch:
+    """The input of one call of an engine; `width` rows, the last one repeated where there are fewer."""
+
+    settings: EngineSettings
+    world: Case
+    belief: Case
+    streams: np.ndarray  # (width,)
+
+
+def make_engine(exp: Experiment, start: Batch) -> Engine:
+    """The engine for batches such as `start`.
+
+    A process keeps the last one, so that the batches of a group, wherever they come from, compile once.
+    """
+    return _engine(start.settings, start.world, start.belief, exp.thresholds)
+
+
+@lru_cache(maxsize=1)
+def _engine(settings: EngineSettings, world: Case, belief: Case, limits: Thresholds) -> Engine:
+    import sweep.engines  # slow to import
+
+    return sweep.engines.make(settings, world, belief, limits)
+
+
+def forget_engine() -> None:
+    """Give back the memory of the engine that is kept."""
+    _engine.cache_clear()
+
+
+def with_room_for_delay(exp: Experiment, table: pd.DataFrame) -> Experiment:
+    """The noise model's buffer, long enough for every point of `table`."""
+    columns = [c for c in table.columns if side_and_path(c)[1] in ("noise.delay", "noise.body_delay")]
+    longest = max([exp.case.noise.delay, exp.case.noise.body_delay, *(table[c].max() for c in columns)])
+    room = max(math.ceil(longest), exp.case.noise.delay_buffer)
+    return replace(exp, case=assign(exp.case, "noise.delay_buffer", room))
+
+
+def static_values(exp: Experiment, table: pd.DataFrame) -> dict[str, Any]:
+    """The values that all rows of one group share and that fix its compiled engine."""
+    static = [c for c in parameter_columns(table) if is_static(c, exp.case, exp.settings)]
+    return {c: getattr(v := table[c].iloc[0], "item", lambda v=v: v)() for c in static}
+
+
+def nominal(exp: Experiment, rows: pd.DataFrame, width: int) -> Batch:
+    """What the engine of a group is made from: static values set, swept quantities at their nominal values."""
+    statics = static_values(exp, rows)
+    settings = with_settings(exp.settings, statics)
+    return Batch(replace(settings, width=width), *world_and_belief(exp.case, statics), np.zeros(0, dtype=np.int64))
+
+
+def batch(exp: Experiment, rows: pd.DataFrame) -> Batch:
+    """`rows` of one batch as arrays over its width."""
+    width = int(rows["width"].iloc[0])
+    slots = np.minimum(np.arange(width), len(rows) - 1)
+    statics = static_values(exp, rows)
+    swept = {c: rows[c].to_numpy(dtype=float)[slots] for c in parameter_columns(rows) if c not in statics}
+    world, belief = world_and_belief(exp.case, {**statics, **swept})
+    streams = rows["stream"].to_numpy()[slots]
+    return Batch(replace(with_settings(exp.settings, statics), width=width), world, belief, streams)
+
+
+def plan(exp: Experiment, planned: pd.DataFrame, wanted: pd.DataFrame) -> pd.DataFrame:
+    """`planned` rows as they are, then those of `wanted` that are new, in groups and batches of their own."""
+    table = wanted
+    if not planned.empty:
+        table = pd.concat([planned, wanted[~among(wanted, planned)]], ignore_index=True)
+    static = list(static_values(exp, table))
+    table = table.assign(group=table.groupby(static, sort=False).ngroup() if static else 0)
+    first = int(planned["batch"].max()) + 1 if len(planned) else 0
+    for column in ("batch", "slot", "width"):
+        table[column] = table[column].fillna(-1).astype("int64") if column in table else -1
+    for _, rows in table[table["batch"] < 0].groupby("group", sort=False):
+        width = _even_width(exp, rows)
+        order = np.arange(len(rows))
+        table.loc[rows.index, "batch"] = first + order // width
+        table.loc[rows.index, "slot"] = order % width
+        table.loc[rows.index, "width"] = width
+        first += -(-len(rows) // width)
+    return table
+
+
+def halve(table: pd.DataFrame, batches: list[int], devices: int) -> pd.DataFrame:
+    """`table` with the rows of `batches` planned anew, in batches half as wide. Raises `Fault` where none is left.
+
+    A width that shares evenly among `devices` stays one where it can.
+    """
+    table, first = table.copy(), int(table["batch"].max()) + 1
+    for number in batches:
+        rows = table.index[table["batch"] == number]
+        width = int(table["width"].loc[rows].iloc[0]) // 2
+        if not width:
+            raise Fault("a single rollout does not fit in the memory of the device")
+        width = width // devices * devices or width
+        order = np.arange(len(rows))
+        table.loc[rows, "batch"] = first + order // width
+        table.loc[rows, "slot"] = order % width
+        table.loc[rows, "width"] = width
+        first += -(-len(rows) // width)
+    return table
+
+
+def among(rows: pd.DataFrame, others: pd.DataFrame) -> np.ndarray:
+    """Which of `rows` are also in `others`."""
+    key = identity(rows.columns)
+    return pd.MultiIndex.from_frame(rows[key]).isin(pd.MultiIndex.from_frame(others[key]))
+
+
+def _even_width(exp: Experiment, rows: pd.DataFrame) -> int:
+    """The width asked for; else the device's best, evened out so that the last batch is nearly full.
+
+    Raises `InputError` where neither is known, and where the nominal plan is impossible.
+    """
+    start = nominal(exp, rows, exp.settings.width)
+    if exp.cluster.elsewhere and not start.settings.width:
+        raise InputError(
+            f"cluster = {exp.cluster.kind} needs engine.width, as the workers' devices are not seen from here: "
+            "rollouts in a batch, such as 64 for two CPU cores or 32768 for a GPU"
+        )
+    engine = make_engine(exp, start)  # refuses an impossible plan while nothing is written yet
+    if start.settings.width:
+        return start.settings.width
+    even = -(-len(rows) // -(-len(rows) // engine.width))
+    return -(-even // engine.devices) * engine.devices

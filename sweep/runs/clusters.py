@@ -1,0 +1,177 @@
+"""Where batches are simulated: in this process, or by Dask workers on this machine, at an address, or as Slurm jobs.
+
+A cluster hands out the numbers of batches; all else is in the study's folder, which workers read and write themselves.
+"""
+
+import logging
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from dataclasses import dataclass, field
+from functools import cache, partial
+from importlib import import_module
+from typing import Any, ClassVar
+
+from sweep.core.errors import Fault, InputError
+from sweep.core.parameters import choice, count
+
+Work = Callable[[int], Any]
+Dispatch = Callable[[Work, Iterable[int]], Iterator[Any]]  # results in the order in which they are ready
+
+
+@dataclass(frozen=True)
+class Local:
+    """In this process, one batch after the other, each on all its devices."""
+
+    elsewhere: ClassVar[bool] = False  # whether workers have other devices than this machine
+    kind: str = choice("local", "local")
+
+    def connect(self) -> AbstractContextManager[Dispatch]:
+        """The built-in `map` takes a batch when the one before is done."""
+        return nullcontext(map)
+
+
+@dataclass(frozen=True)
+class DaskLocal:
+    """Worker processes on this machine."""
+
+    elsewhere: ClassVar[bool] = False
+    kind: str = choice("dask_local", "dask_local")
+    workers: int = count(2, at_least=1)
+
+    @contextmanager
+    def connect(self) -> Iterator[Dispatch]:
+        """Start the workers; a lost one is started again."""
+        distributed = _dask("distributed", self.kind)
+        from tornado.ioloop import PeriodicCallback
+
+        with (
+            distributed.LocalCluster(n_workers=self.workers, threads_per_worker=1, memory_limit=0, **QUIET) as cluster,
+            distributed.Client(cluster) as client,
+        ):
+            client.register_worker_callbacks(setup=_ignore_interrupt)
+            # Dask starts a lost worker again, but not one that is lost before it has said that it started
+            mend = PeriodicCallback(lambda: cluster.scale(self.workers), MEND)
+            cluster.loop.add_callback(mend.start)
+            try:
+                yield partial(_spread, client)
+            finally:
+                cluster.loop.add_callback(mend.stop)
+
+
+@dataclass(frozen=True)
+class DaskAddress:
+    """Workers of a Dask scheduler that runs already; they need this package and the study's folder under its path."""
+
+    elsewhere: ClassVar[bool] = True
+    kind: str = choice("dask_address", "dask_address")
+    address: str = ""
+
+    @contextmanager
+    def connect(self) -> Iterator[Dispatch]:
+        """Raises `InputError` where no scheduler answers."""
+        distributed = _dask("distributed", self.kind)
+        if not self.address:
+            raise InputError("cluster.address is missing: a scheduler's, such as tcp://host:8786")
+        try:
+            client = distributed.Client(self.address, timeout=5)
+        except (OSError, ValueError) as error:
+            reason = str(error).splitlines()[0]
+            raise InputError(f"cluster.address = {self.address} is not a scheduler that answers: {reason}") from None
+        with client:
+            yield partial(_spread, client)
+
+
+@dataclass(frozen=True)
+class Slurm:
+    """One Slurm job for each worker, sent from here; a job that ends early, as by its time limit, is sent again."""
+
+    elsewhere: ClassVar[bool] = True
+    kind: str = choice("slurm", "slurm")
+    workers: int = count(2, at_least=1)  # jobs
+    cores: int = count(1, at_least=1)  # of a job
+    memory: str = "4GB"  # of a job
+    walltime: str = "01:00:00"  # of a job
+    queue: str | None = None  # partition
+    account: str | None = None
+    interface: str | None = None  # network that the nodes reach this machine by, such as ib0
+    directives: list[str] = field(default_factory=list)  # further #SBATCH lines, such as --gres=gpu:1
+    prologue: list[str] = field(default_factory=list)  # shell lines before the worker, such as module load cuda
+    logs: str = "results/slurm"  # folder of the jobs' output
+
+    @contextmanager
+    def connect(self) -> Iterator[Dispatch]:
+        """Send the jobs; Slurm starts them when it can. Raises `InputError` where it never would."""
+        distributed, jobqueue = _dask("distributed", self.kind), _dask("dask_jobqueue", self.kind)
+        cluster = jobqueue.SLURMCluster(
+            cores=self.cores, processes=1, memory=self.memory, walltime=self.walltime, queue=self.queue,
+            account=self.account, interface=self.interface, job_extra_directives=list(self.directives),
+            job_script_prologue=list(self.prologue), log_directory=self.logs, python=sys.executable,
+            # one batch at a time; Slurm guards the memory, where Dask would only pause the worker
+            worker_extra_args=["--nthreads", "1", "--memory-limit", "0"], scheduler_options=QUIET_SCHEDULER,
+        )  # fmt: skip
+        with cluster, distributed.Client(cluster) as client:
+            _check_job(cluster.job_script())
+            cluster.adapt(minimum_jobs=self.workers, maximum_jobs=self.workers)
+            yield partial(_spread, client)
+
+
+@contextmanager
+def connected(cluster: "Cluster") -> Iterator[Dispatch]:
+    """Hand out batches, connecting to the `cluster` at the first: a finished study sends no job."""
+    with ExitStack() as stack:
+        connect = cache(lambda: stack.enter_context(cluster.connect()))
+        yield lambda work, batches: connect()(work, batches)
+
+
+CLUSTERS = {"local": Local, "dask_local": DaskLocal, "dask_address": DaskAddress, "slurm": Slurm}
+Cluster = Local | DaskLocal | DaskAddress | Slurm
+MEND = 5000  # ms between two looks for workers that are lost
+QUIET_SCHEDULER: dict[str, Any] = {"dashboard": False, "dashboard_address": "localhost:0"}  # where no port is taken
+QUIET: dict[str, Any] = {"scheduler_kwargs": QUIET_SCHEDULER, "silence_logs": logging.CRITICAL}
+
+
+def _dask(module: str, kind: str) -> Any:
+    """The module, with its loggers quiet: what a user must know is one line of ours."""
+    try:
+        import dask.config
+
+        dask.config.set({"distributed.logging": {"distributed": "critical", "distributed.client": "critical"}})
+        return import_module(module)
+    except ImportError:
+        raise InputError(f"cluster = {kind} needs the extra `cluster`: pip install 'insect-sweep[cluster]'") from None
+
+
+def _check_job(script: str) -> None:
+    """Ask Slurm whether it would take the job: Dask would send it for ever. Raises `InputError`."""
+    try:
+        asked = subprocess.run(["sbatch", "--test-only"], input=script, capture_output=True, text=True, check=False)
+    except FileNotFoundError:
+        raise InputError("cluster = slurm needs Slurm's sbatch on the PATH") from None
+    if asked.returncode:
+        lines = [line.partition("error: ")[2] for line in asked.stderr.splitlines() if "error: " in line]
+        raise InputError(f"cluster = slurm is not allowed as asked for, says sbatch: {'; '.join(lines)}")
+
+
+def _ignore_interrupt() -> None:
+    """A terminal's Ctrl-C reaches all processes of the command; ending the workers is for this one to do."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _spread(client: Any, work: Work, batches: Iterable[int]) -> Iterator[Any]:
+    """Let the workers of `client` do it. Raises `Fault` after all others where workers kept dying over a batch."""
+    from distributed import KilledWorker, as_completed
+
+    lost = []
+    # nothing but `as_completed` refers to the futures: a finished one that a dying worker holds is not done again
+    for future in as_completed([client.submit(work, number, pure=False) for number in batches]):
+        try:
+            yield future.result()
+        except KilledWorker as error:
+            lost.append(error.task)
+        finally:
+            future.release()
+    if lost:
+        raise Fault(f"{len(lost)} batches lost their worker again and again; is its memory too small?")

@@ -1,0 +1,329 @@
+"""Refinement: rollouts only where they tell something, in rounds of whole batches.
+
+With `study.resolution`, cells of the grid whose corners disagree are halved along every axis, again and again, until
+they are small enough. With `study.budget` and noise or draws, points whose interval straddles `study.level` get more
+rollouts until it does not; as this stops when it suits, the interval is the anytime-valid one. What to run next is a
+function of the rows there are, so that an interrupted refinement goes on where it was.
+"""
+
+import itertools
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from sweep.analysis.intervals import anytime, clopper_pearson
+from sweep.analysis.stats import Rate, percent, rate
+from sweep.core.errors import InputError
+from sweep.runs import store
+from sweep.runs.runner import Job, lay_out
+from sweep.study.config import Experiment
+from sweep.study.designs import Axis
+from sweep.study.study import Study, points
+
+MISSING, INVALID, FAILS, SUCCEEDS = -2, -1, 0, 1
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """The finest grid that refinement may reach; a cell of the study's own grid is 2^halvings of its cells wide."""
+
+    axes: tuple[Axis, ...]
+    values: tuple[np.ndarray, ...]  # along each axis
+    halvings: int
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Points along each axis."""
+        return tuple(len(v) for v in self.values)
+
+    def places(self, rows: pd.DataFrame) -> tuple[np.ndarray, ...]:
+        """Index of every row along each axis."""
+        columns = [rows[a.column].to_numpy(dtype=float) for a in self.axes]
+        return tuple(np.searchsorted((v[1:] + v[:-1]) / 2, c) for v, c in zip(self.values, columns, strict=True))
+
+
+def lattice(study: Study) -> Lattice:
+    """The finest grid of a study that is refined. Raises `InputError` where it cannot be."""
+    listed = [a for a in study.axes if a.values is not None]
+    axes = tuple(a for a in listed if not any(isinstance(v, str) for v in a.values or ()))
+    if study.points or study.where or study.design.grid != "full" or any(a.along for a in listed):
+        raise InputError("refinement needs a full grid: no points, where, grid = one_at_a_time, or axes with `with`")
+    values = [np.unique(np.asarray(a.values, dtype=float)) for a in axes]
+    if not axes or min(map(len, values)) < 2:
+        raise InputError("refinement needs axes of numbers, with at least 2 values each")
+    if study.noisy and study.design.kind not in ("monte_carlo", "sobol"):
+        raise InputError(f"refinement needs draws that can grow: not of study.design.kind = {study.design.kind}")
+    if study.noisy and not study.budget:
+        raise InputError("study.budget is missing: refinement with noise or draws ends when it is spent")
+    halvings = 0
+    if study.resolution:
+        widest = max(np.diff(v).max() / (v[-1] - v[0]) for v in values)
+        halvings = max(math.ceil(math.log2(widest / study.resolution) - 1e-9), 0)
+    fine = [np.interp(np.arange((len(v) - 1) * 2**halvings + 1) / 2**halvings, np.arange(len(v)), v) for v in values]
+    return Lattice(axes, tuple(np.array([float(f"{x:.12g}") for x in v]) for v in fine), halvings)
+
+
+def check(study: Study, first: pd.DataFrame) -> None:
+    """Raise `InputError` where a study whose first grid takes the rollouts `first` cannot be refined."""
+    lattice(study)
+    if 0 < study.budget < len(first):
+        raise InputError(f"study.budget = {study.budget} is not allowed: the first grid takes {len(first)} rollouts")
+
+
+def panels(study: Study, rows: pd.DataFrame) -> Iterator[tuple[dict[str, str], pd.DataFrame]]:
+    """Each combination of the listed names, by axis name, and its rows: they are refined apart."""
+    named = [a for a in study.axes if a.values is not None and any(isinstance(v, str) for v in a.values)]
+    for names in itertools.product(*(a.values or () for a in named)):
+        part = rows
+        for axis, name in zip(named, names, strict=True):
+            part = part[part[axis.column] == name] if len(part) else part
+        yield {a.name: n for a, n in zip(named, names, strict=True)}, part
+
+
+def rounds(exp: Experiment, folder: Path, first: pd.DataFrame) -> Iterator[Job]:
+    """Jobs to be run one after the other: what an earlier run left, the `first` grid, then what their rows ask for.
+
+    All have batches of one width, so that the engine compiles once.
+    """
+    wanted = first
+    if len(planned := store.read_points(folder)):
+        wanted = pd.concat([planned[first.columns], first], ignore_index=True)
+    while len(wanted):
+        if len(planned := store.read_points(folder)):
+            exp = replace(exp, settings=replace(exp.settings, width=int(planned["width"].iloc[-1])))
+        yield lay_out(exp, folder, wanted)
+        wanted = next_points(exp, store.read_rows(folder))
+
+
+def next_points(exp: Experiment, rows: pd.DataFrame) -> pd.DataFrame:
+    """The rollouts to run next, after those in `rows`; none where refinement is done. Raises `InputError`."""
+    study, grid = exp.study, lattice(exp.study)
+    first = max(study.design.num * study.design.scrambles, 1) * study.replicates
+    tables = []
+    room = study.budget - len(rows) if study.budget else math.inf
+    for names, part in panels(study, rows):
+        counts = _counts(grid, part)
+        more = np.where(known_points(study, grid, counts) & (counts.total == 0), first, 0)
+        if study.noisy and not more.any():
+            asked = _undecided(study, counts) & (counts.total > 0)
+            more = np.where(asked, np.maximum(counts.total // 2, first), 0)
+        order = np.argsort(counts.total, axis=None, kind="stable")  # what is known least of comes first
+        before = np.cumsum(more.ravel()[order]) - more.ravel()[order]
+        more.ravel()[order] = np.clip(room - before, 0, more.ravel()[order])
+        room -= more.sum()
+        if more.any():
+            tables.append(_rows(exp, grid, names, counts.total + more, more > 0))
+    return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
+
+
+def _rows(exp: Experiment, grid: Lattice, names: dict[str, str], upto: np.ndarray, asked: np.ndarray) -> pd.DataFrame:
+    """The rollouts of the points `asked` for, to a number of `upto` at each."""
+    study, most = exp.study, int(upto[asked].max())
+    if study.design.num:
+        draws = -(-most // (study.replicates * study.design.scrambles))
+        study = replace(study, design=replace(study.design, num=draws))
+    else:
+        study = replace(study, replicates=most)
+    at = np.nonzero(asked)
+    numbers = {a.name: v[i] for a, v, i in zip(grid.axes, grid.values, at, strict=True)}
+    table = points(study, exp.case, exp.settings, pd.DataFrame(numbers).assign(**names))
+    return table[table["replicate"].to_numpy() < upto[grid.places(table)]].reset_index(drop=True)
+
+
+@dataclass(frozen=True)
+class Counts:
+    """Rollouts at every lattice point."""
+
+    total: np.ndarray
+    valid: np.ndarray
+    success: np.ndarray
+
+
+def _counts(grid: Lattice, rows: pd.DataFrame) -> Counts:
+    arrays = [np.zeros(grid.shape, dtype=np.int64) for _ in range(3)]
+    if len(rows):
+        at, outcome = grid.places(rows), rows["outcome"].to_numpy()
+        for array, hit in zip(arrays, (outcome == outcome, outcome != "invalid", outcome == "success"), strict=True):
+            np.add.at(array, at, hit)
+    return Counts(*arrays)
+
+
+def _undecided(study: Study, counts: Counts) -> np.ndarray:
+    """Points whose interval holds the level; those without a valid rollout are given up."""
+    low, high = anytime(counts.success, counts.valid)
+    return (low <= study.level) & (study.level <= high) & (counts.valid > 0)
+
+
+def labels(study: Study, counts: Counts) -> np.ndarray:
+    """What is known of every lattice point."""
+    share = counts.success / np.maximum(counts.valid, 1)
+    known = np.where(share >= study.level, SUCCEEDS, FAILS)
+    return np.where(counts.total == 0, MISSING, np.where(counts.valid == 0, INVALID, known))
+
+
+def known_points(study: Study, grid: Lattice, counts: Counts) -> np.ndarray:
+    """Lattice points (bool) that bisection, and after it the audit, wants to know; some may still be missing."""
+    label = labels(study, counts)
+    wanted = bisected(label, grid.halvings)
+    if not study.audit or (wanted & (label == MISSING)).any():
+        return wanted
+    return wanted | audited(study, wanted)
+
+
+def audited(study: Study, wanted: np.ndarray) -> np.ndarray:
+    """`study.audit` random lattice points among those that bisection left out."""
+    order = np.random.default_rng([study.seed, 1]).permutation(wanted.size)
+    chosen = np.zeros(wanted.size, dtype=bool)
+    chosen[order[~wanted.ravel()[order]][: study.audit]] = True
+    return chosen.reshape(wanted.shape)
+
+
+def bisected(label: np.ndarray, halvings: int) -> np.ndarray:
+    """Points (bool) wanted by halving cells that disagree, as far as the labels of wanted points are there.
+
+    A cell disagrees where both a success and a failure are known in it or on its border, so that a boundary which
+    leaves a halved cell through a side is followed into the next one.
+    """
+    wanted = np.zeros(label.shape, dtype=bool)
+    wanted[(slice(None, None, 2**halvings),) * label.ndim] = True
+    while not (wanted & (label == MISSING)).any():
+        grown = wanted.copy()
+        seen = np.where(wanted, label, MISSING)
+        for size in (2**k for k in range(halvings, 0, -1)):
+            cells = np.argwhere(_disagree(seen, size)) * size
+            for offset in itertools.product((0, size // 2, size), repeat=label.ndim):
+                grown[tuple((cells + offset).T)] = True
+        if (grown == wanted).all():
+            break
+        wanted = grown
+    return wanted
+
+
+def _disagree(seen: np.ndarray, size: int) -> np.ndarray:
+    inside = _windows(seen, size)
+    axes = tuple(range(seen.ndim, 2 * seen.ndim))
+    return (inside == FAILS).any(axis=axes) & (inside == SUCCEEDS).any(axis=axes)
+
+
+def _windows(array: np.ndarray, size: int) -> np.ndarray:
+    """The points in and on the border of every cell of `size`: (cells along each axis ..., size + 1, ...)."""
+    windows = np.lib.stride_tricks.sliding_window_view(array, (size + 1,) * array.ndim)
+    return windows[(slice(None, None, size),) * array.ndim]
+
+
+def leaves(seen: np.ndarray, halvings: int) -> tuple[np.ndarray, ...]:
+    """Lower corners (cells, d) of the cells that bisection ends with, of those 1, 2, 4, ... lattice cells wide.
+
+    `seen` has the labels of the points that bisection wanted.
+    """
+    whole = np.ones([(n - 1) // 2**halvings for n in seen.shape], dtype=bool)
+    found = []
+    for size in (2**k for k in range(halvings, 0, -1)):
+        halved = whole & _disagree(seen, size)
+        found.append(np.argwhere(whole & ~halved) * size)
+        whole = np.kron(halved, np.ones((2,) * seen.ndim, dtype=bool))
+    return (np.argwhere(whole), *reversed(found))
+
+
+def filled(label: np.ndarray, halvings: int) -> np.ndarray:
+    """Labels of all lattice points: a cell whose corners are known and which does not disagree is all alike."""
+    guess = label.copy()
+    for size in (2**k for k in range(1, halvings + 1)):
+        inside = _windows(label, size)
+        corners = inside[(..., *(slice(None, None, size),) * label.ndim)]
+        axes = tuple(range(label.ndim, 2 * label.ndim))
+        alike = (corners.min(axis=axes) == corners.max(axis=axes)) & (corners.min(axis=axes) >= FAILS)
+        alike &= ~_disagree(label, size)
+        for cell in np.argwhere(alike):
+            block = guess[tuple(slice(i * size, (i + 1) * size + 1) for i in cell)]
+            block[block == MISSING] = label[tuple(cell * size)]
+    return guess
+
+
+@dataclass(frozen=True)
+class Refined:
+    """What refinement found in one panel."""
+
+    names: dict[str, str]
+    grid: Lattice
+    label: np.ndarray  # of every lattice point, known or filled in; MISSING where neither
+    known: np.ndarray  # bool
+    cells: tuple[np.ndarray, ...]  # see `leaves`
+    rate: Rate  # of the rollouts
+    audited: int
+    missed: int  # audited points whose label is not what was filled in
+    undecided: int  # points whose interval still holds the level
+
+    @property
+    def rollouts(self) -> int:
+        """That were run."""
+        return self.rate.total
+
+    @property
+    def missed_at_most(self) -> float:
+        """Upper end of the exact 95 % interval of the share of points that are filled in wrongly."""
+        return float(clopper_pearson(self.missed, self.audited).high)
+
+    def __str__(self) -> str:
+        size, shape = self.label.size, " x ".join(map(str, self.grid.shape))
+        text = f"{self.rollouts} rollouts, {self.rate.broken}, for a grid of {shape} points"
+        text = ", ".join(self.names.values()) + f": {text}" if self.names else text
+        if self.rollouts < size:
+            text += f", {size / self.rollouts:.1f} times fewer"
+        if missing := int((self.label == MISSING).sum()):
+            text += f"; {missing} points are not decided"
+        if self.undecided:
+            text += f"; at {self.undecided} the interval still holds the level"
+        if self.audited:
+            text += f"; {self.missed} of {self.audited} audited points differ from what their cell promised"
+            text += f", at most {percent(self.missed_at_most)} of the points that were not run (95 %)"
+        return text
+
+
+def refined(exp: Experiment, rows: pd.DataFrame) -> list[Refined]:
+    """What is known after refinement, panel by panel."""
+    found, grid = [], lattice(exp.study)
+    for names, part in panels(exp.study, rows):
+        counts = _counts(grid, part)
+        label = labels(exp.study, counts)
+        wanted = bisected(label, grid.halvings)
+        seen = np.where(wanted, label, MISSING)
+        promised, cells = filled(seen, grid.halvings), leaves(seen, grid.halvings)
+        audit = audited(exp.study, wanted) & (label >= FAILS) & (promised >= FAILS)
+        missed = int((label != promised)[audit].sum())
+        undecided = int(_undecided(exp.study, counts).sum()) if exp.study.noisy else 0
+        known = counts.total > 0
+        whole = np.where(known, label, promised)
+        run = rate(part["outcome"])
+        found.append(Refined(names, grid, whole, known, cells, run, int(audit.sum()), missed, undecided))
+    return found
+
+
+def painted(exp: Experiment, rows: pd.DataFrame) -> pd.DataFrame:
+    """`rows` with `known` set, and a row without it for every lattice point that its cell promises.
+
+    A failure that was filled in has the cause of the nearest one that was run.
+    """
+    from scipy.ndimage import distance_transform_edt
+
+    parts = [rows.assign(known=True)]
+    for panel, (_, part) in zip(refined(exp, rows), panels(exp.study, rows), strict=True):
+        guessed = ~panel.known & (panel.label >= FAILS)
+        if part.empty or not guessed.any():
+            continue
+        causes = np.full(panel.label.shape, "", dtype=object)
+        failed = part[part["outcome"] == "failure"]
+        causes[panel.grid.places(failed)] = failed["cause"]
+        if len(failed):
+            nearest = distance_transform_edt(causes == "", return_distances=False, return_indices=True)
+            causes = np.where(panel.label == FAILS, causes[tuple(np.asarray(nearest))], "")
+        at = np.nonzero(guessed)
+        more = {a.column: v[i] for a, v, i in zip(panel.grid.axes, panel.grid.values, at, strict=True)}
+        outcome = np.where(panel.label[at] == SUCCEEDS, "success", "failure")
+        named = {a.column: panel.names[a.name] for a in exp.study.axes if a.name in panel.names}
+        parts.append(pd.DataFrame({**more, **named, "outcome": outcome, "cause": causes[at], "known": False}))
+    return pd.concat(parts, ignore_index=True)

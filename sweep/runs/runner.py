@@ -1,0 +1,277 @@
+"""From an experiment to finished rows on disk, and from a row on disk back to its rollout."""
+
+import socket
+import time
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Any
+from uuid import uuid4
+
+import numpy as np
+import pandas as pd
+
+from sweep.core import provenance
+from sweep.core.errors import Fault, InputError
+from sweep.core.expressions import mask
+from sweep.engines.base import Engine
+from sweep.metrics.outcome import classify
+from sweep.runs import store
+from sweep.runs.batches import (
+    Batch,
+    among,
+    batch,
+    forget_engine,
+    halve,
+    make_engine,
+    nominal,
+    plan,
+    with_room_for_delay,
+)
+from sweep.runs.clusters import Dispatch
+from sweep.study.config import Experiment, experiment
+from sweep.study.study import points
+
+# what may change between runs into one folder: which points, and how they are judged; but draws go by one distribution
+FREE = ("study.axes.", "study.design.num", "study.points", "study.where", "study.replicates", "study.resolution",
+        "study.level", "study.budget", "study.audit", "study.invalid_max", "study.expect", "study.theory",
+        "scenario.expect", "outcome", "cluster", "out")  # fmt: skip
+Progress = Callable[[pd.DataFrame], None]  # told the rows of every finished batch
+
+
+@dataclass
+class Found:
+    """What is known only when engines are made and batches are done."""
+
+    stages: dict[int, list[str]] = field(default_factory=dict)  # of the plan, by group
+    devices: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Job:
+    """A study laid out in its folder: all planned rows, and those that this run asks for."""
+
+    exp: Experiment
+    folder: Path
+    table: pd.DataFrame
+    wanted: set[int]  # batches
+
+    def missing(self) -> list[int]:
+        """Batches that are asked for and not on disk."""
+        return sorted(self.wanted - store.finished(self.folder))
+
+    def rows(self, batches: list[int]) -> pd.DataFrame:
+        """Planned rows of `batches`."""
+        return self.table[self.table["batch"].isin(batches)]
+
+
+def wanted_points(exp: Experiment, where: str | None = None, limit: int | None = None) -> pd.DataFrame:
+    """The study's points that match `where`, at most `limit` of them. Raises `InputError` where none is left."""
+    table = points(exp.study, exp.case, exp.settings)
+    table = table[mask(table, where)].head(limit) if limit is not None else table[mask(table, where)]
+    if table.empty:
+        raise InputError(f"no point of {exp.study.name} is left to run")
+    return table.reset_index(drop=True)
+
+
+def lay_out(exp: Experiment, folder: Path, wanted: pd.DataFrame) -> Job:
+    """Plan `wanted` in `folder`, keeping what is planned there. Writes nothing. Raises `InputError`."""
+    planned = store.read_points(folder)
+    if len(planned):
+        refuse_other(store.read_study(folder), exp, folder)
+        if differ := set(planned.columns) ^ {*wanted.columns, "group", "batch", "slot", "width"}:
+            raise InputError(f"{folder} holds a study with other axes ({', '.join(sorted(differ))}): give out=DIR")
+    every = pd.concat([planned, wanted], ignore_index=True)
+    exp = with_room_for_delay(exp, every)
+    table = plan(exp, planned, wanted)
+    return Job(exp, folder, table, set(table.loc[among(table, wanted), "batch"]))
+
+
+def refuse_other(stored: Mapping[str, Any], exp: Experiment, folder: Path) -> None:
+    """Raise `InputError` where a folder holds rows that would not belong with those of `exp`."""
+    there, here = flat(stored["config"]), flat(exp.values)
+    for key in sorted({*there, *here}):
+        drawn = ".distribution" in key or key.endswith(".relative")
+        drawn |= key == "study.design.num" and exp.study.design.kind == "latin_hypercube"
+        if there.get(key) != here.get(key) and (drawn or not key.startswith(FREE)):
+            raise InputError(
+                f"{folder} holds another study: {key} is {there.get(key)} there and {here.get(key)} here; give out=DIR"
+            )
+    if stored["code"] != provenance.code_version():
+        raise InputError(
+            f"{folder} was simulated by another version of the code or of its libraries "
+            f"({stored['commit'] or stored['code']}): remove it or give out=DIR"
+        )
+
+
+def flat(values: Any, path: str = "") -> dict[str, Any]:
+    """Nested plain values by dotted path."""
+    if not isinstance(values, Mapping):
+        return {path: values}
+    items = ((f"{path}.{key}" if path else str(key), value) for key, value in values.items())
+    return {k: v for key, value in items for k, v in flat(value, key).items()}
+
+
+def run(job: Job, progress: Progress, dispatch: Dispatch = map) -> Job:
+    """Simulate what is missing, here or as `dispatch` hands it out; a batch is on disk as soon as it is done.
+
+    Where a device's memory is too small, the batches that it cannot hold are planned anew at half the width; the job
+    as it ended. Raises `Fault` where disk, memory or workers fail.
+    """
+    folder, exp, found = job.folder, job.exp, Found()
+    if (folder / store.STUDY).exists():
+        stored = store.read_study(folder)
+        found = Found(stored["stages"], stored["devices"])
+        if not stored["labelled"] or stored["config"]["outcome"] != exp.values["outcome"]:
+            relabel(folder, exp.values["outcome"])
+    describe(job, found)
+    while missing := job.missing():
+        store.write_points(folder, job.table)
+        tight: list[Done] = []  # batches that found too little memory
+        work = partial(on_worker, folder.resolve(), uuid4().hex, provenance.code_version())
+        for done in dispatch(work, announced(job, missing, found, tight)):
+            if done.out_of_memory:
+                tight.append(done)
+                continue
+            if not store.part(folder, done.batch).exists():
+                raise Fault(f"{done.host} wrote batch {done.batch} to {folder.resolve()}, which is not seen here")
+            if done.device not in found.devices:
+                found.devices.append(done.device)
+                describe(job, found)
+            rows = store.read_part(folder, done.batch)
+            where = f"{done.host}, {done.device}"
+            store.log(folder, f"batch {done.batch}: {len(rows)} rollouts, {rows['wall_s'].sum():.1f} s on {where}")
+            progress(rows)
+        if tight:
+            job = narrower(job, tight)
+    return job
+
+
+def announced(job: Job, missing: list[int], found: Found, tight: Collection["Done"]) -> Iterator[int]:
+    """`missing` batches, each group described before its first; those in the group and width of `tight` are left out.
+
+    An impossible plan is thus refused here, before a worker sees it.
+    """
+    for _, rows in job.rows(missing).groupby(["group", "width"], sort=False):
+        group, width = (int(rows[name].iloc[0]) for name in ("group", "width"))
+        start = nominal(job.exp, rows, width)
+        engine = make_engine(job.exp, start)
+        found.stages[group] = list(engine.stages)
+        describe(job, found)
+        how = f"{start.settings}, {engine.dynamics} dynamics"
+        store.log(job.folder, f"group {group}: {how}, {len(rows)} rollouts of {engine.duration:g} s")
+        for number in rows["batch"].unique().tolist():
+            if not rows["batch"].isin([done.batch for done in tight]).any():
+                yield number
+
+
+def narrower(job: Job, tight: list["Done"]) -> Job:
+    """`job` with the missing batches in the group and width of `tight` planned anew, at half the width."""
+    crowded = job.rows([done.batch for done in tight])[["group", "width"]].drop_duplicates()
+    left = job.table[~job.table["batch"].isin(store.finished(job.folder))]
+    batches = left.merge(crowded, on=["group", "width"])["batch"].unique().tolist()
+    table = halve(job.table, batches, tight[0].devices)
+    for done in tight:
+        store.log(job.folder, f"batch {done.batch}: too little memory on {done.host}, {done.device}; half the width")
+    asked = job.table["batch"].isin(job.wanted)
+    return replace(job, table=table, wanted=set(table.loc[asked, "batch"]))
+
+
+@dataclass(frozen=True)
+class Done:
+    """What a worker tells of a batch; its rows are on disk, or there was too little memory for it."""
+
+    batch: int
+    host: str
+    device: str
+    devices: int  # that share a batch
+    out_of_memory: bool
+
+
+def on_worker(folder: Path, version: str, code: str, number: int) -> Done:
+    """Simulate one batch of the study in `folder`, unless it is on disk. `version` names its present plan.
+
+    Raises `InputError` where the worker's code is not `code`, `Fault` where the part cannot be written.
+    """
+    host = socket.gethostname()
+    if (here := provenance.code_version()) != code:
+        raise InputError(f"worker {host} has another version of the code or of its libraries: {here}, not {code}")
+    exp, table = _plan_of(folder, version)
+    rows = table[table["batch"] == number]
+    start = nominal(exp, rows, int(rows["width"].iloc[0]))
+    engine = make_engine(exp, start)
+    done = Done(number, host, provenance.device(start.settings), engine.devices, out_of_memory=False)
+    if not store.part(folder, number).exists():
+        try:
+            store.write_part(folder, number, simulate(exp, engine, rows))
+        except MemoryError:
+            done = replace(done, out_of_memory=True)
+    if done.out_of_memory:  # after the handler, whose error holds on to the arrays
+        forget_engine()
+    return done
+
+
+@lru_cache(maxsize=1)
+def _plan_of(folder: Path, version: str) -> tuple[Experiment, pd.DataFrame]:
+    table = store.read_points(folder)
+    return with_room_for_delay(experiment(store.read_study(folder)["config"]), table), table
+
+
+def describe(job: Job, found: Found) -> None:
+    """Write study.yaml."""
+    store.write_study(job.folder, {
+        "config": job.exp.values, "rollouts": len(job.table), "labelled": True, "stages": found.stages,
+        "devices": found.devices, "code": provenance.code_version(), "commit": provenance.commit(),
+        "versions": provenance.versions(),
+    })  # fmt: skip
+
+
+def simulate(exp: Experiment, engine: Engine, rows: pd.DataFrame) -> pd.DataFrame:
+    """The finished rows of one batch: points, figures, outcome, and the wall time of a rollout (s)."""
+    task = batch(exp, rows)
+    start = time.perf_counter()
+    figures = engine.run(task.world, task.belief, task.streams)
+    wall = time.perf_counter() - start
+    columns = {name: np.asarray(values, dtype=float)[: len(rows)] for name, values in figures.items()}
+    labels = classify(columns, exp.thresholds, engine.stages)
+    done = rows.reset_index(drop=True).assign(run_id=provenance.run_id(task.settings))
+    return pd.concat([done, pd.DataFrame(columns), pd.DataFrame(labels)], axis=1).assign(wall_s=wall / len(rows))
+
+
+def run_single(exp: Experiment) -> pd.DataFrame:
+    """The row of one nominal rollout, not stored. Raises `Fault` where the device cannot hold it."""
+    exp = replace(exp, settings=replace(exp.settings, width=exp.settings.width or 1))
+    table = plan(exp, pd.DataFrame(), wanted_points(exp))
+    exp = with_room_for_delay(exp, table)
+    start = nominal(exp, table, exp.settings.width)
+    try:
+        return simulate(exp, make_engine(exp, start), table)
+    except MemoryError:
+        raise Fault("a rollout does not fit in the memory of the device") from None
+
+
+def relabel(folder: Path, outcome: Mapping[str, float]) -> None:
+    """Derive the outcomes of all stored rows from their figures by the thresholds `outcome`, without simulating."""
+    stored = store.read_study(folder)
+    config = {**stored["config"], "outcome": dict(outcome)}
+    thresholds = experiment(config).thresholds
+    # the mark stays when this is killed half-way, and the next run into the folder starts over
+    store.write_study(folder, {**stored, "labelled": False})
+    for number in sorted(store.finished(folder)):
+        rows = store.read_part(folder, number)
+        figures = {name: rows[name].to_numpy() for name in store.figure_columns(rows)}
+        labels = classify(figures, thresholds, tuple(stored["stages"][int(rows["group"].iloc[0])]))
+        store.write_part(folder, number, rows.assign(**labels))
+    store.write_study(folder, {**stored, "config": config, "labelled": True})
+
+
+def load_point(folder: Path, point: str) -> tuple[Batch, int, pd.Series]:
+    """The batch that `point` (a row number or the start of a point id) was simulated in, its slot, its row.
+
+    Running the same batch again on the same device gives the same bits. Raises `InputError`.
+    """
+    table = store.read_points(folder)
+    row = store.find_row(store.read_rows(folder), point, folder)
+    exp = with_room_for_delay(experiment(store.read_study(folder)["config"]), table)
+    return batch(exp, table[table["batch"] == row["batch"]]), int(row["slot"]), row

@@ -1,0 +1,379 @@
+"""How the points of a study are chosen: a grid of listed values, and draws from distributions at each of its points.
+
+Every axis gives a number n, listed or drawn, and turns it into a value of its path:
+
+- n itself;
+- with `times: PATH`, n times the value of another parameter at the same point (a ratio such as r/a_r);
+- with `relative: s`, (1 + s n) times its own nominal value, where n is even between -1 and 1 unless given.
+"""
+
+import dataclasses
+import hashlib
+import math
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from sweep.core.errors import InputError, suggest
+
+SIDES = ("world", "belief")
+DESIGNS = ("monte_carlo", "latin_hypercube", "sobol", "saltelli")
+GRIDS = ("full", "one_at_a_time")
+AXIS_KEYS = ("path", "on", "values", "from", "to", "num", "distribution", "relative", "times", "with", "nominal")
+# what each distribution needs, and what it may have besides
+DISTRIBUTIONS = {
+    "uniform": (("from", "to"), ()), "log_uniform": (("from", "to"), ()), "normal": (("mean", "std"), ("from", "to")),
+    "discrete": (("values",), ("weights",)),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Distribution:
+    """One of `DISTRIBUTIONS` with its numbers; a normal one with `from` or `to` is truncated there."""
+
+    kind: str
+    given: Mapping[str, Any]
+
+    def quantile(self, share: np.ndarray) -> np.ndarray:
+        """The values below which `share` of all draws lie, shape as given."""
+        low, high = self.given.get("from", -math.inf), self.given.get("to", math.inf)
+        match self.kind:
+            case "uniform":
+                return low + share * (high - low)
+            case "log_uniform":
+                return low * (high / low) ** share
+            case "normal":
+                from scipy.stats import truncnorm  # slow to import
+
+                mean, std = self.given["mean"], self.given["std"]
+                return truncnorm.ppf(share, (low - mean) / std, (high - mean) / std, mean, std)
+            case _:
+                values = np.asarray(self.given["values"])
+                weights = np.asarray(self.given.get("weights", np.ones(len(values))), dtype=float)
+                ends = np.cumsum(weights / weights.sum())
+                return values[np.minimum(np.searchsorted(ends, share, side="right"), len(values) - 1)]
+
+    def __str__(self) -> str:
+        ends = " ".join(f"{key} {_short(self.given[key])}" for key in ("from", "to") if key in self.given)
+        others = [f"{key} {_short(value)}" for key, value in self.given.items() if key not in ("from", "to")]
+        return f"{self.kind.replace('_', '-')}, {', '.join([*others, ends] if ends else others)}"
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One varied parameter, or, without a path, a number that other axes refer to."""
+
+    name: str
+    path: str | None
+    on: str
+    values: tuple[Any, ...] | None  # listed: a part of the grid
+    distribution: Distribution | None  # drawn
+    relative: float | str | None  # s, or the name of an axis that gives it
+    times: str | None
+    along: str | None  # the axis whose values this one's go along with, one by one
+    nominal: float  # n of an axis without a path where it is not varied
+
+    @property
+    def target(self) -> str | None:
+        """The column of the points table that its values go to."""
+        return self.path if self.path is None or self.on == "both" else f"{self.on}.{self.path}"
+
+    @property
+    def column(self) -> str:
+        """The column that holds what was listed or drawn: its values, or n where that is what one wants to read."""
+        own = self.path is None or self.times is not None or (self.relative is not None and self.values is not None)
+        return f"axis.{self.name}" if own else str(self.target)
+
+    def nominal_number(self, nominal: Callable[[str], Any]) -> Any:
+        """The n that gives its nominal value; `nominal` gives a parameter by its path."""
+        if self.path is None:
+            return self.nominal
+        if self.relative is not None:
+            return 0.0
+        if self.times:
+            return _finite(self, self.path, nominal) / _finite(self, self.times, nominal)
+        return nominal(self.path)
+
+    def __str__(self) -> str:
+        what = _listed(self.values) if self.values is not None else str(self.distribution)
+        if self.relative is not None:
+            percent = f"{100 * self.relative:g} %" if isinstance(self.relative, float) else self.relative
+            return f"nominal x (1 + {percent} x {what})"
+        return f"{what}, times {self.times}" if self.times else what
+
+
+@dataclass(frozen=True)
+class Design:
+    """How listed axes are combined, and how axes with a distribution are sampled."""
+
+    grid: str = "full"
+    kind: str = "monte_carlo"
+    num: int = 0  # draws; of sobol those of one scramble, of saltelli the base sample N of N (d + 2)
+    scrambles: int = 1  # independent repetitions of sobol, which tell its error
+
+
+def known(path: str, given: Any, allowed: tuple[str, ...]) -> dict[str, Any]:
+    """`given` as a dict whose keys are all allowed. Raises `InputError`."""
+    if not isinstance(given, Mapping):
+        raise InputError(f"{path} = {given!r} is not allowed: keys and values (allowed: {', '.join(allowed)})")
+    for key in given:
+        if key not in allowed:
+            raise InputError(f"{path}.{key} is unknown{suggest(str(key), allowed)}")
+    return {str(k): v for k, v in given.items()}
+
+
+def parse_axes(given: Mapping[str, Any]) -> tuple[Axis, ...]:
+    """The axes of a study, by name. Raises `InputError`."""
+    axes = tuple(_axis(f"study.axes.{name}", name, axis) for name, axis in given.items())
+    columns = [a.target for a in axes if a.target]
+    if len(set(columns)) < len(columns):
+        raise InputError(f"study.axes name the same parameter twice: {', '.join(columns)}")
+    by_name, used = {a.name: a for a in axes}, {a.relative for a in axes}
+    for axis in axes:
+        key = f"study.axes.{axis.name}"
+        if axis.path is None and axis.name not in used:
+            raise InputError(f"{key}.path is missing: a parameter such as contact.friction")
+        if isinstance(axis.relative, str) and (axis.relative not in by_name or by_name[axis.relative].path):
+            raise InputError(f"{key}.relative = {axis.relative!r} is not allowed: a number, or an axis without a path")
+        if axis.along is not None:
+            leader = by_name.get(axis.along)
+            if leader is None or leader.values is None or leader.along is not None or axis.values is None:
+                raise InputError(f"{key}.with = {axis.along!r} is not allowed: both need listed values")
+            if len(leader.values) != len(axis.values):
+                counts = f"{len(axis.values)} values, {axis.along} has {len(leader.values)}"
+                raise InputError(f"{key} cannot go along with {axis.along}: it has {counts}")
+    return axes
+
+
+def parse_design(given: Mapping[str, Any], axes: tuple[Axis, ...]) -> Design:
+    """How the axes that have a distribution are drawn. Raises `InputError`."""
+    given = known("study.design", given, tuple(f.name for f in dataclasses.fields(Design)))
+    design = Design(**given)
+    for key, allowed in (("kind", DESIGNS), ("grid", GRIDS)):
+        if getattr(design, key) not in allowed:
+            value = getattr(design, key)
+            raise InputError(f"study.design.{key} = {value!r} is unknown{suggest(str(value), allowed)}")
+    drawn = [a.name for a in axes if a.distribution]
+    least = 1 if drawn else 0
+    if design.num < least:
+        raise InputError(f"study.design.num = {design.num} is not allowed: at least {least} for {', '.join(drawn)}")
+    if design.num and not drawn:
+        raise InputError(f"study.design.num = {design.num} is not allowed: no axis has a distribution")
+    if design.scrambles < 1 or (design.scrambles > 1 and design.kind != "sobol"):
+        raise InputError(f"study.design.scrambles = {design.scrambles} is not allowed: at least 1, of kind sobol only")
+    return design
+
+
+def caution(design: Design) -> str | None:
+    """What is doubtful about a design."""
+    if design.kind in ("sobol", "saltelli") and design.num & (design.num - 1):
+        return f"study.design.num = {design.num} is not a power of 2: the points of a Sobol sequence lose their balance"
+    return None
+
+
+def _axis(key: str, name: str, given: Any) -> Axis:
+    given = known(key, given, AXIS_KEYS)
+    on, path, times, relative = given.get("on", "both"), given.get("path"), given.get("times"), given.get("relative")
+    if on not in ("both", *SIDES):
+        raise InputError(f"{key}.on = {on!r} is not allowed: one of both, world, belief")
+    for word, text in (("path", path), ("times", times)):
+        if text is not None and not isinstance(text, str):
+            raise InputError(f"{key}.{word} = {text!r} is not allowed: a parameter such as contact.friction")
+    if relative is not None and not isinstance(relative, str):
+        relative = _number(f"{key}.relative", relative)
+    if relative is not None and times is not None:
+        raise InputError(f"{key} has relative and times: one of them")
+    if path is None and (relative is not None or times is not None):
+        raise InputError(f"{key}.path is missing: a parameter such as contact.friction")
+    values = _values(key, given)
+    distribution = None
+    if values is None:
+        default = {"kind": "uniform", "from": -1.0, "to": 1.0} if relative is not None else None
+        distribution = _distribution(f"{key}.distribution", given.get("distribution", default))
+    centre = _number(f"{key}.nominal", given.get("nominal", 0.0))
+    if "nominal" in given and path is not None:
+        raise InputError(f"{key}.nominal = {centre:g} is not allowed: {path} has its own in the configuration")
+    return Axis(name, path, on, values, distribution, relative, times, given.get("with"), centre)
+
+
+def _values(key: str, given: Mapping[str, Any]) -> tuple[Any, ...] | None:
+    """Listed values, or those of a range; None where the axis is drawn."""
+    values = given.get("values")
+    if values is not None:  # which win over a range, so that a command line can replace a study's range
+        if not isinstance(values, list) or not values:
+            raise InputError(f"{key}.values = {values!r} is not allowed: a list with at least one value")
+        return tuple(values)
+    ends = [given.get("from"), given.get("to"), given.get("num")]
+    if ends == [None] * 3:
+        if given.get("distribution") is None and given.get("relative") is None:
+            raise InputError(f"{key} needs values, or from, to and num, or a distribution")
+        return None
+    if given.get("distribution") is not None:
+        raise InputError(f"{key} has a range and a distribution: one of them")
+    low, high = (_number(f"{key}.{name}", end) for name, end in zip(("from", "to"), ends[:2], strict=True))
+    if not isinstance(ends[2], int | float) or ends[2] != int(ends[2]) or ends[2] < 1:
+        raise InputError(f"{key}.num = {ends[2]!r} is not allowed: a whole number from 1")
+    # shortest decimals, so that the values read, compare and hash as written
+    return tuple(float(f"{v:.12g}") for v in np.linspace(low, high, int(ends[2])))
+
+
+def _number(key: str, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise InputError(f"{key} = {value!r} is not allowed: a number")
+    return float(value)
+
+
+def _distribution(key: str, given: Any) -> Distribution:
+    if not isinstance(given, Mapping) or given.get("kind") not in DISTRIBUTIONS:
+        kind = given.get("kind") if isinstance(given, Mapping) else given
+        raise InputError(f"{key}.kind = {kind!r} is unknown{suggest(str(kind), DISTRIBUTIONS)}")
+    kind = str(given["kind"])
+    needed, optional = DISTRIBUTIONS[kind]
+    given = known(key, given, ("kind", *needed, *optional))
+    for name in needed:
+        if name not in given:
+            raise InputError(f"{key}.{name} is missing: {kind} needs {' and '.join(needed)}")
+    if kind == "discrete":
+        values, weights = given["values"], given.get("weights", [1])
+        if not isinstance(values, list) or not values:
+            raise InputError(f"{key}.values = {values!r} is not allowed: a list with at least one value")
+        if "weights" in given and (not isinstance(weights, list) or len(weights) != len(values)):
+            raise InputError(f"{key}.weights = {weights!r} is not allowed: a number for each of {len(values)} values")
+        if min(_number(f"{key}.weights", w) for w in weights) < 0 or not sum(weights):
+            raise InputError(f"{key}.weights = {weights!r} is not allowed: none negative, not all zero")
+        return Distribution(kind, {k: v for k, v in given.items() if k != "kind"})
+    numbers = {name: _number(f"{key}.{name}", given[name]) for name in (*needed, *optional) if name in given}
+    if numbers.get("std", 1.0) <= 0:
+        raise InputError(f"{key}.std = {numbers['std']:g} is not allowed: greater than 0")
+    if kind == "log_uniform" and numbers["from"] <= 0:
+        raise InputError(f"{key}.from = {numbers['from']:g} is not allowed: greater than 0")
+    if numbers.get("from", -math.inf) >= numbers.get("to", math.inf):
+        raise InputError(f"{key}.to = {numbers['to']:g} is not allowed: greater than from = {numbers['from']:g}")
+    return Distribution(kind, numbers)
+
+
+def table(
+    axes: tuple[Axis, ...], design: Design, seed: int, nominal: Callable[[str], Any], grid: pd.DataFrame | None = None
+) -> pd.DataFrame:
+    """One row per draw of each grid point: the axes' columns, and `draw`. `nominal` gives a parameter by its path.
+
+    The draws are the same at every grid point, so that a difference between grid points is theirs. `grid` has the
+    numbers of listed axes by name, those of the design unless given. Raises `InputError`.
+    """
+    listed, drawn = [a for a in axes if a.values is not None], [a for a in axes if a.distribution]
+    if grid is None:
+        grid = _star(listed, nominal) if listed and design.grid == "one_at_a_time" else _grid(listed)
+    shares = _shares(drawn, design, seed)
+    draws = {a.name: a.distribution.quantile(shares[:, i]) for i, a in enumerate(drawn) if a.distribution}
+    size, count = len(grid), max(len(shares), 1)
+    numbers = grid.take(np.repeat(np.arange(size), count)).reset_index(drop=True)
+    for name, values in draws.items():
+        numbers[name] = np.tile(values, size)
+    columns = _columns(axes, numbers, nominal)
+    return pd.DataFrame({**columns, "draw": np.tile(np.arange(count), size)})
+
+
+def _grid(axes: list[Axis]) -> pd.DataFrame:
+    """Every combination of the leading axes' values, by axis name, the last axis fastest."""
+    leaders = [a for a in axes if a.along is None]
+    lengths = [len(a.values or ()) for a in leaders]
+    places = np.unravel_index(np.arange(math.prod(lengths)), lengths) if lengths else ()
+    at = {leader.name: place for leader, place in zip(leaders, places, strict=True)}
+    columns = {a.name: pd.Series(list(a.values or ())).take(at[a.along or a.name]).array for a in axes}
+    return pd.DataFrame(columns, index=range(math.prod(lengths)))
+
+
+def _star(axes: list[Axis], nominal: Callable[[str], Any]) -> pd.DataFrame:
+    """The values of one leading axis after the other, the rest at their nominal numbers."""
+    centre = {a.name: a.nominal_number(nominal) for a in axes}
+    arms = [_grid([a for a in axes if leader.name in (a.name, a.along)]) for leader in axes if leader.along is None]
+    return pd.concat([arm.assign(**{k: v for k, v in centre.items() if k not in arm}) for arm in arms])[[*centre]]
+
+
+def _shares(axes: list[Axis], design: Design, seed: int) -> np.ndarray:
+    """Numbers (draws, drawn axes) in (0, 1), spread as the design wants."""
+    if not axes:
+        return np.empty((0, 0))
+    # scipy is slow to import, and a listing needs none of it
+    match design.kind:
+        case "monte_carlo":  # a stream for each axis: one more axis or more draws leave the others as they are
+            rngs = [np.random.default_rng([seed, _number_of(a.name)]) for a in axes]
+            shares = np.stack([rng.random(design.num) for rng in rngs], axis=1)
+        case "latin_hypercube":
+            from scipy.stats import qmc
+
+            shares = qmc.LatinHypercube(len(axes), rng=np.random.default_rng([seed])).random(design.num)
+        case "sobol":
+            from scipy.stats import qmc
+
+            with warnings.catch_warnings(action="ignore", category=UserWarning):  # its balance: see `caution`
+                parts = [
+                    qmc.Sobol(len(axes), rng=np.random.default_rng([seed, k])).random(design.num)
+                    for k in range(design.scrambles)
+                ]
+            shares = np.stack(parts, axis=1).reshape(-1, len(axes))  # more draws come last
+        case _:
+            from SALib.sample import sobol
+
+            problem = {"num_vars": len(axes), "names": [a.name for a in axes], "bounds": [[0.0, 1.0]] * len(axes)}
+            with warnings.catch_warnings(action="ignore", category=UserWarning):
+                shares = sobol.sample(problem, design.num, calc_second_order=False, seed=seed)
+    edge = 2.0**-32  # no distribution is asked for its infinite ends
+    return np.clip(shares, edge, 1 - edge)
+
+
+def _number_of(word: str) -> int:
+    return int.from_bytes(hashlib.blake2b(word.encode(), digest_size=8).digest())
+
+
+def _columns(axes: tuple[Axis, ...], numbers: pd.DataFrame, nominal: Callable[[str], Any]) -> dict[str, Any]:
+    """The axes' columns of the points table, from their numbers (listed or drawn) by name."""
+    by_target = {a.target: a for a in axes if a.target}
+
+    def value(axis: Axis, above: tuple[str, ...] = ()) -> Any:
+        n = numbers[axis.name]
+        if axis.relative is not None:
+            base = _finite(axis, str(axis.path), nominal)
+            if base == 0:
+                raise InputError(f"study.axes.{axis.name}.relative is of no use: {axis.path} is 0 nominally")
+            scale = numbers[axis.relative] if isinstance(axis.relative, str) else axis.relative
+            return base * (1 + scale * n)
+        if axis.times is None:
+            return n
+        if axis.name in above:
+            raise InputError(f"study.axes.{axis.name}.times goes in a circle: {' -> '.join((*above, axis.name))}")
+        source = by_target.get(f"{axis.on}.{axis.times}") or by_target.get(axis.times)
+        if axis.on == "both" and any(f"{side}.{axis.times}" in by_target for side in SIDES):
+            raise InputError(f"study.axes.{axis.name}.times = {axis.times} differs between world and belief: give on")
+        return n * (value(source, (*above, axis.name)) if source else _finite(axis, axis.times, nominal))
+
+    columns: dict[str, Any] = {}
+    for axis in axes:
+        if axis.column != axis.target:
+            columns[axis.column] = numbers[axis.name]
+        if axis.target:
+            columns[axis.target] = value(axis)
+    return columns
+
+
+def _finite(axis: Axis, path: str, nominal: Callable[[str], Any]) -> float:
+    value = nominal(path)
+    if isinstance(value, str):
+        raise InputError(f"study.axes.{axis.name}: {path} is a name, not a number to multiply")
+    return float(value)
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, list | tuple):
+        return _listed(tuple(value))
+    return f"{value:.6g}" if isinstance(value, int | float) else str(value)
+
+
+def _listed(values: tuple[Any, ...]) -> str:
+    if len(values) <= 4:
+        return ", ".join(map(_short, values))
+    return f"{_short(values[0])}, {_short(values[1])}, ... {_short(values[-1])} ({len(values)} values)"

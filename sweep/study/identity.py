@@ -1,0 +1,84 @@
+"""Point ids and noise streams: what tells one rollout from another, for a million rows at once."""
+
+import dataclasses
+import hashlib
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from sweep.models.case import Case
+from sweep.study.designs import SIDES
+
+DIGITS = 12  # of a number that count
+
+
+def streams(seed: int, replicates: int) -> np.ndarray:
+    """The numbers (replicates,) that the noise of each replicate is drawn from; the first ones stay as more come."""
+    return (np.random.SeedSequence(seed).generate_state(replicates, np.uint64) >> np.uint64(1)).astype(np.int64)
+
+
+def point_ids(table: pd.DataFrame, case: Case) -> np.ndarray:
+    """Hash (16 hexadecimal digits) of all physical inputs of every row and its replicate.
+
+    The sum over all inputs of a hash of name and value, so that it is the same whether an input is varied or
+    nominal. How a row is simulated plays no part.
+    """
+    groups = {f.name for f in dataclasses.fields(case)}
+    nominal = {f"{side}.{path}": value for side in SIDES for path, value in _flat(case, "")}
+    varied: dict[str, str] = {}
+    for column in sorted(table.columns, key=lambda c: c.startswith(tuple(f"{s}." for s in SIDES))):  # a side's own win
+        side = column.partition(".")[0]
+        if side in SIDES:
+            varied[column] = column
+        elif side in groups:
+            varied |= {f"{side}.{column}": column for side in SIDES}
+    parts = [_hashes(key, np.asarray([value])) for key, value in nominal.items() if key not in varied]
+    parts += [_hashes(key, table[column].to_numpy()) for key, column in varied.items()]
+    parts.append(_hashes("replicate", table["replicate"].to_numpy()))
+    total = np.zeros(len(table), np.uint64)
+    for part in parts:
+        total += part
+    text = _mixed(total).astype(">u8").tobytes().hex()
+    return np.frombuffer(text.encode(), "S16").astype("U16")
+
+
+def _flat(value: Any, path: str) -> Iterator[tuple[str, Any]]:
+    if dataclasses.is_dataclass(value):
+        for member in dataclasses.fields(value):
+            yield from _flat(getattr(value, member.name), f"{path}.{member.name}" if path else member.name)
+    else:
+        yield path, value
+
+
+def _hashes(key: str, values: np.ndarray) -> np.ndarray:
+    """Hashes (n,) of one input's values; numbers count to `DIGITS` decimal digits."""
+    if values.dtype.kind in "fiu":
+        mantissa, exponent = _decimal(values.astype(float))
+        parts = _mixed(mantissa.astype(np.uint64) + _mixed(exponent.astype(np.uint64)))
+    else:
+        codes, names = pd.factorize(values.astype(object))
+        parts = np.asarray([_text_hash(str(name)) for name in names], np.uint64)[codes]
+    return _mixed(parts + _text_hash(key))
+
+
+def _decimal(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mantissa of `DIGITS` digits and exponent, both whole numbers."""
+    size = np.abs(values)
+    exponent = np.floor(np.log10(np.where(size > 0, size, 1.0))).astype(np.int64)
+    mantissa = np.rint(values * 10.0 ** (DIGITS - 1 - exponent)).astype(np.int64)
+    carried = np.abs(mantissa) == 10**DIGITS  # 9.9999... rounded up, or a logarithm rounded down
+    return np.where(carried, mantissa // 10, mantissa), np.where(mantissa == 0, 0, exponent + carried)
+
+
+def _text_hash(text: str) -> np.uint64:
+    return np.uint64(int.from_bytes(hashlib.blake2b(text.encode(), digest_size=8).digest()))
+
+
+def _mixed(x: np.ndarray) -> np.ndarray:
+    """Every bit of the result depends on every bit of `x` (the finaliser of SplitMix64)."""
+    x = np.asarray(x, np.uint64) + np.uint64(0x9E3779B97F4A7C15)
+    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return x ^ (x >> np.uint64(31))

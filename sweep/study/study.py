@@ -1,0 +1,235 @@
+"""Which rollouts a study consists of: axes over paths of the nominal case, a table of points, and their parameters.
+
+A column of the points table is an axis path such as `contact.friction`, prefixed `world.` or `belief.` where only
+one of the two is varied, or `axis.NAME` for a number that values are made from (see `sweep.study.designs`).
+"""
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from sweep.core.errors import InputError, suggest
+from sweep.core.expressions import mask
+from sweep.core.parameters import checked, within
+from sweep.engines.settings import EngineSettings
+from sweep.models.case import Case
+from sweep.study import designs
+from sweep.study.designs import SIDES, Axis, Design, known
+from sweep.study.identity import point_ids, streams
+from sweep.study.theory import Theory
+from sweep.study.theory import parse as parse_theory
+
+DTYPES = {"quantity": "float64", "count": "int64", "choice": "str"}
+Values = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Expectation:
+    """Among the valid rows that match `where`, the share of those matching `that` lies within the limits."""
+
+    where: str | None = None
+    that: str = 'outcome == "success"'
+    at_least: float = 0.0
+    at_most: float = 1.0
+
+
+@dataclass(frozen=True)
+class Study:
+    """Points of a grid and of distributions, or of a CSV file, each repeated with different noise."""
+
+    name: str
+    single: bool  # one nominal rollout, shown rather than stored
+    axes: tuple[Axis, ...]
+    design: Design  # of the axes that have a distribution
+    points: str | None  # CSV file that takes the place of the axes
+    where: str | None  # points to keep
+    replicates: int
+    seed: int
+    resolution: float  # cells that disagree are halved until they are this share of their axis; 0: not at all
+    level: float  # of the success region, where rollouts of a point differ
+    budget: int  # most rollouts that refinement may take; 0: no limit
+    audit: int  # random points in decided cells that are run as a check
+    invalid_max: float  # largest tolerated share of invalid rows
+    expect: tuple[Expectation, ...]
+    theory: tuple[Theory, ...]  # drawn over its maps
+
+    @property
+    def refined(self) -> bool:
+        """Whether what to run next depends on what was found."""
+        return self.resolution > 0 or self.budget > 0
+
+    @property
+    def noisy(self) -> bool:
+        """Whether rollouts of one grid point differ."""
+        return self.replicates > 1 or self.design.num > 0
+
+    @classmethod
+    def parse(cls, values: Mapping[str, Any], single: bool) -> "Study":
+        """From plain values. Raises `InputError`."""
+        if values["replicates"] < 1:
+            raise InputError(f"study.replicates = {values['replicates']} is not allowed: at least 1")
+        if values["seed"] < 0:
+            raise InputError(f"study.seed = {values['seed']} is not allowed: at least 0")
+        if not 0 < values["level"] < 1:
+            raise InputError(f"study.level = {values['level']:g} is not allowed: between 0 and 1")
+        if not 0 <= values["resolution"] < 1:
+            raise InputError(f"study.resolution = {values['resolution']:g} is not allowed: at least 0 and below 1")
+        for key in ("budget", "audit"):
+            if values[key] < 0:
+                raise InputError(f"study.{key} = {values[key]} is not allowed: at least 0")
+        if "/" in values["name"]:
+            raise InputError(f"study.name = {values['name']!r} is not allowed: a folder name")
+        axes = designs.parse_axes(values["axes"])
+        design = designs.parse_design(values["design"], axes)
+        source = "scenario" if single else "study"
+        expect = tuple(_expectation(f"{source}.expect.{i}", one) for i, one in enumerate(values["expect"]))
+        theory = tuple(parse_theory(f"study.theory.{i}", one) for i, one in enumerate(values["theory"]))
+        told = {"axes": axes, "design": design, "expect": expect, "theory": theory, "single": single}
+        return cls(**{**values, **told})
+
+
+def _expectation(key: str, given: Any) -> Expectation:
+    given = known(key, given, ("where", "that", "at_least", "at_most"))
+    for limit in ("at_least", "at_most"):
+        value = given.get(limit, 0)
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= 1:
+            raise InputError(f"{key}.{limit} = {value!r} is not allowed: a share from 0 to 1")
+    return Expectation(**given)
+
+
+def side_and_path(column: str) -> tuple[str, str]:
+    """`world.contact.friction` -> (`world`, `contact.friction`)."""
+    side, _, path = column.partition(".")
+    return (side, path) if side in SIDES else ("both", column)
+
+
+def parameter(column: str, case: Case, settings: EngineSettings) -> "dataclasses.Field[Any]":
+    """The field that a column varies. Raises `InputError` where it names nothing."""
+    owner, name = _owner(column, case, settings)
+    found = next(f for f in dataclasses.fields(owner) if f.name == name)
+    if found.metadata.get("role") not in DTYPES:
+        raise InputError(f"axis {column} cannot be varied: only single numbers and names can")
+    return found
+
+
+def nominal(column: str, case: Case, settings: EngineSettings) -> Any:
+    """The value of a parameter where it is not varied. Raises `InputError` where `column` names nothing."""
+    return getattr(*_owner(column, case, settings))
+
+
+def unit(column: str, case: Case, settings: EngineSettings) -> str:
+    """Unit of an axis; empty for pure numbers and names."""
+    found = "" if column.startswith("axis.") else parameter(column, case, settings).metadata.get("unit", "")
+    return "" if found == "-" else found
+
+
+def _owner(column: str, case: Case, settings: EngineSettings) -> tuple[Any, str]:
+    side, path = side_and_path(column)
+    owner: Any = case
+    groups = [f.name for f in dataclasses.fields(case)] + (["engine"] if side == "both" else [])
+    *above, last = path.split(".")
+    for step, name in enumerate([*above, last]):
+        allowed = groups if step == 0 else [f.name for f in dataclasses.fields(owner)]
+        if name not in allowed or (name == last and step == 0):
+            before = "".join(f"{p}." for p in path.split(".")[:step])
+            raise InputError(f"axis {column} names nothing: {before}{name} is unknown{suggest(name, allowed)}")
+        if step < len(above):
+            owner = settings if name == "engine" and step == 0 else getattr(owner, name)
+            if not dataclasses.is_dataclass(owner):
+                raise InputError(f"axis {column} names nothing: {name} has no parts")
+    return owner, last
+
+
+def is_static(column: str, case: Case, settings: EngineSettings) -> bool:
+    """Whether another value of `column` needs another compiled engine."""
+    return column.startswith("engine.") or parameter(column, case, settings).metadata["role"] != "quantity"
+
+
+def parameter_columns(table: pd.DataFrame) -> list[str]:
+    """The columns of `table` that vary a parameter."""
+    return [c for c in table.columns if "." in c and not c.startswith("axis.")]
+
+
+def points(study: Study, case: Case, settings: EngineSettings, grid: pd.DataFrame | None = None) -> pd.DataFrame:
+    """One row per rollout: axis values, replicate, noise stream and point id. Raises `InputError`.
+
+    The replicates of a drawn point have numbers of their own, and with them noise of their own. `grid` takes the place
+    of the study's grid points (see `designs.table`).
+    """
+    if study.points:
+        design = _from_csv(study.points)
+    else:
+        design = designs.table(study.axes, study.design, study.seed, lambda path: nominal(path, case, settings), grid)
+    draw = design.pop("draw") if not study.points else 0
+    fields = {c: parameter(c, case, settings) for c in design.columns if not c.startswith("axis.")}
+    for column, member in fields.items():
+        _check(member, design[column], column)
+    design = design.astype({column: DTYPES[member.metadata["role"]] for column, member in fields.items()})
+    # static axes outermost: every compiled engine runs its rows in one go
+    static = [column for column in fields if is_static(column, case, settings)]
+    order = design.groupby(static, sort=False).ngroup().argsort(kind="stable") if static else slice(None)
+    design = design.assign(draw=draw).iloc[order].loc[lambda d: mask(d, study.where)]
+    table = design.loc[design.index.repeat(study.replicates)].reset_index(drop=True)
+    again = np.tile(np.arange(study.replicates), len(design))
+    table["replicate"] = table.pop("draw").to_numpy() * study.replicates + again
+    table["stream"] = streams(study.seed, int(table["replicate"].to_numpy().max(initial=0)) + 1)[table["replicate"]]
+    table["point_id"] = point_ids(table, case)
+    return table.drop_duplicates(identity(table.columns), ignore_index=True)
+
+
+def _check(member: "dataclasses.Field[Any]", values: pd.Series, column: str) -> None:
+    """Every value inside the bounds of its parameter; a million numbers at once."""
+    if values.dtype.kind == "f" and member.metadata["role"] == "quantity":
+        values = values[~(np.isfinite(values) & within(member, values))].head(1)
+    for value in values.unique().tolist():
+        checked(member, value, column)
+
+
+def identity(columns: Any) -> list[str]:
+    """The columns that tell one rollout of a study from another: the point, and how it is simulated."""
+    return ["point_id", *(c for c in columns if c.startswith("engine."))]
+
+
+def _from_csv(file: str) -> pd.DataFrame:
+    if not Path(file).is_file():
+        raise InputError(f"study.points = {file} is not a file")
+    try:
+        table = pd.read_csv(file, skipinitialspace=True)
+    except ValueError as error:
+        raise InputError(f"study.points = {file} is not a table: {str(error).splitlines()[0]}") from None
+    if table.empty:
+        raise InputError(f"study.points = {file} holds no points")
+    return table
+
+
+def assign[T](owner: T, path: str, value: Any) -> T:
+    """`owner` with the member at `path` replaced."""
+    name, _, rest = path.partition(".")
+    inner = assign(getattr(owner, name), rest, value) if rest else value
+    return dataclasses.replace(owner, **{name: inner})  # pyright: ignore[reportArgumentType]
+
+
+def world_and_belief(case: Case, values: Values) -> tuple[Case, Case]:
+    """What is simulated and what the planner is told: common values first, then each side's own."""
+    sides = {}
+    for side in SIDES:
+        sides[side] = case
+        for here in ("both", side):
+            for column, value in values.items():
+                on, path = side_and_path(column)
+                if on == here and not path.startswith("engine."):
+                    sides[side] = assign(sides[side], path, value)
+    return sides["world"], sides["belief"]
+
+
+def with_settings(settings: EngineSettings, values: Values) -> EngineSettings:
+    """The engine settings of a row."""
+    for column, value in values.items():
+        if column.startswith("engine."):
+            settings = assign(settings, column.removeprefix("engine."), value)
+    return settings

@@ -1,0 +1,60 @@
+"""Closed forms that a study's maps are compared with: `study.theory` names a formula of `sweep.formulas` as a limit.
+
+An input of the formula is a number or an expression of parameters, such as `drive.torque_limit / 77.4`.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from sweep.core.errors import InputError, suggest
+from sweep.core.expressions import evaluate
+from sweep.formulas import registry
+from sweep.study.designs import known
+
+KEYS = ("label", "formula", "output", "of", "inputs", "measured")
+
+
+@dataclass(frozen=True)
+class Theory:
+    """`output` of `formula` as a limit of the parameter `of`, a path without its side, in that parameter's unit."""
+
+    label: str
+    formula: str
+    output: str
+    of: str
+    inputs: Mapping[str, Any]
+    measured: str  # figure to show beside; empty for none
+
+    def limit(self, value_of: Callable[[str], Any]) -> float:
+        """The limit where parameters have the values that `value_of` gives for their paths; nan where there is none.
+
+        Raises `InputError`.
+        """
+        outputs = registry.find(self.formula).compute(self.numbers(value_of))
+        return float(outputs[self.output])
+
+    def numbers(self, value_of: Callable[[str], Any]) -> dict[str, Any]:
+        """The formula's inputs. Raises `InputError`."""
+        given = {}
+        for name, value in self.inputs.items():
+            try:
+                given[name] = float(evaluate(value, value_of)) if isinstance(value, str) else value
+            except (SyntaxError, TypeError, ValueError) as error:
+                reason = error if isinstance(error, InputError) else "a number or an expression of parameters"
+                raise InputError(f"study.theory.inputs.{name} = {value!r} is not allowed: {reason}") from None
+        return registry.find(self.formula).complete(given)
+
+
+def parse(key: str, given: Any) -> Theory:
+    """From plain values. Raises `InputError`."""
+    given = known(key, given, KEYS)
+    for needed in ("formula", "output", "of"):
+        if needed not in given:
+            raise InputError(f"{key}.{needed} is missing")
+    formula = registry.find(given["formula"])
+    if given["output"] not in formula.outputs:
+        raise InputError(f"{key}.output = {given['output']} is unknown{suggest(given['output'], formula.outputs)}")
+    inputs = known(f"{key}.inputs", given.get("inputs", {}), tuple(entry.name for entry in formula.inputs))
+    return Theory(given.get("label", formula.name), formula.name, given["output"], given["of"], inputs,
+                  given.get("measured", ""))  # fmt: skip
