@@ -8,7 +8,7 @@ import time
 import numpy as np
 
 import sweep.engines
-from sweep.metrics.outcome import TIMED_CAUSES
+from faultless import faultless
 
 
 class FakeEngine:
@@ -18,6 +18,7 @@ class FakeEngine:
     duration = 10.0
 
     def __init__(self, settings, world, belief, limits):
+        self.world = world
         self.dynamics = "none"
         self.devices = 1
         self.width = settings.width or 8
@@ -35,16 +36,10 @@ class FakeEngine:
         if os.environ.get("FAKE_DEATH") and np.any(friction == float(os.environ["FAKE_DEATH"])):
             os.kill(os.getpid(), signal.SIGKILL)
         tilt = np.where(friction < 5 * ratio, 40.0, 1.0) * np.where(friction == 7, np.nan, 1.0)
-        zero = np.zeros(self.width)
-        late = {f"{cause}_time_s": np.full(self.width, np.nan) for cause in TIMED_CAUSES}
-        late |= {f"{cause}_stage": zero for cause in TIMED_CAUSES}
-        return late | {
-            "tilt_max_deg": tilt, "slip_max_m": ratio / (friction + 0.01), "reach_shortfall_max_m": zero,
-            "clearance_min_m": zero + 0.05, "leg_gap_min_m": zero + 0.05, "heading_error_max_deg": zero,
-            "saturation_share_alpha": zero, "saturation_share_beta": zero, "saturation_share_gamma": zero,
-            "solver_residual_max_n": zero, "imbalance_max": zero, "energy_gain_max_j": zero,
-            "progress": zero + 1, "finished": zero + 1,
-            "finite": zero + 1, "end_stage": zero + 1, "noise_draw": streams % 1000 / 1000,
+        good = {name: np.full(self.width, value) for name, value in faultless(self.world).items()}
+        return good | {
+            "tilt_max_deg": tilt, "slip_max_m": ratio / (friction + 0.01), "end_stage": np.ones(self.width),
+            "clearance_min_m": np.full(self.width, 0.05), "noise_draw": streams % 1000 / 1000,
         }  # fmt: skip
 
 

@@ -107,7 +107,7 @@ def execute_single(exp: Experiment, flags: Flags) -> int:
         print(f"{exp.scenario}: 1 rollout on {exp.settings.name}")
         return DONE
     rows = runner.run_single(exp)
-    sys.stdout.write(tables.one_rollout(exp.scenario, rows.iloc[0]))
+    sys.stdout.write(tables.one_rollout(exp, rows.iloc[0]))
     return verdict(exp, rows, complete=True)
 
 

@@ -16,9 +16,14 @@ from sweep.core.errors import InputError, suggest
 
 
 def quantity(
-    default: float, unit: str, *, above: float = -math.inf, at_least: float = -math.inf, at_most: float = math.inf
+    default: float | None,
+    unit: str,
+    *,
+    above: float = -math.inf,
+    at_least: float = -math.inf,
+    at_most: float = math.inf,
 ) -> Any:
-    """A physical quantity: sweepable without recompiling."""
+    """A physical quantity: sweepable without recompiling. One whose default is None may be left open."""
     bounds = {"unit": unit, "above": above, "at_least": at_least, "at_most": at_most}
     return dataclasses.field(default=default, metadata={"role": "quantity", **bounds})
 
@@ -69,8 +74,10 @@ def checked(field: "dataclasses.Field[Any]", value: Any, path: str) -> Any:
             return value
 
 
-def _checked_number(field: "dataclasses.Field[Any]", value: Any, path: str) -> float | int:
+def _checked_number(field: "dataclasses.Field[Any]", value: Any, path: str) -> float | int | None:
     whole = field.metadata["role"] == "count"
+    if value is None and field.default is None:
+        return None
     if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or (whole and int(value) != value):
         raise InputError(f"{path} = {value!r} is not allowed: a {'whole ' if whole else ''}number")
     if not math.isfinite(value) or not within(field, value):

@@ -11,7 +11,7 @@ from sweep.core.parameters import InputError
 from sweep.dynamics.step import Limits
 from sweep.engines.base import Trace
 from sweep.engines.settings import EngineSettings
-from sweep.metrics.stream import Tick
+from sweep.metrics.metric import Tick
 from sweep.models import scene
 from sweep.models.case import Case
 

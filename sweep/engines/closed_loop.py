@@ -14,8 +14,9 @@ from sweep.controllers.posture import feet_in_world
 from sweep.controllers.tracker import Command, TrackerState, joint_targets
 from sweep.core.rotations import about_vertical, conjugate, multiply, rotate
 from sweep.metrics import stream
+from sweep.metrics.metric import Tick
 from sweep.metrics.outcome import Thresholds
-from sweep.metrics.stream import Running, Tick
+from sweep.metrics.stream import Running
 from sweep.models.case import Case
 from sweep.models.disturbance import Execution
 from sweep.models.drive import Servo, position_mode
@@ -110,8 +111,8 @@ def embark(world: Case, belief: Case, plan: Plan, start: Start, energy: Array, k
                         start.qvel[6:24].reshape(6, 3), jnp.zeros_like(joints), jnp.ones(6, bool), free)  # fmt: skip
     bias_key, key = jax.random.split(key)
     sensors = install(world.noise, bias_key, truth)
-    feet = displaced(world.execution, plan.start).feet
-    running = stream.begin(world, plan, start.qpos[:3], feet, free, energy)
+    feet = feet_in_world(world.robot, start.qpos[:3], start.qpos[3:7], joints)
+    running = stream.begin(world, plan, start.qpos[:3], start.qpos[3:7], feet, free, energy)
     return Pilot(tracker.init(belief, plan), sensors, running, truth, position_mode(world.drive, joints), key)
 
 

@@ -30,8 +30,8 @@ from sweep.engines.closed_loop import (
 )
 from sweep.engines.settings import EngineSettings
 from sweep.metrics import stream
+from sweep.metrics.metric import Tick
 from sweep.metrics.outcome import Thresholds
-from sweep.metrics.stream import Tick
 from sweep.models import scene
 from sweep.models.case import Case
 from sweep.models.drive import Servo, towards
@@ -124,7 +124,7 @@ class Native:
                 steps = batch.rollout(self.substeps, np.asarray(controls, float), CONTROL, RECORD)
                 steps["broken"] = unbuilt | np.any(batch.warning[:, :, 0] > 0, axis=1)
                 if k == 0:  # derived fields are those before a step, hence the start's
-                    pilots = _with_energy(pilots, steps["energy"][:, 0].sum(axis=-1))
+                    pilots = _with_energy(self._nominal, pilots, steps["energy"][:, 0].sum(axis=-1))
                 if slot is not None:
                     records.append(_record(commands, pilots, steps, slot))
                 pilots, commands, controls = tick(*arrays[:2], plans, pilots, commands, steps, k + 1)
@@ -236,10 +236,10 @@ def _retune(batch: Batch, models: list[mujoco.MjModel], old: np.ndarray, new: np
     return new
 
 
-def _with_energy(pilots: Pilot, start: np.ndarray) -> Pilot:
+def _with_energy(world: Case, pilots: Pilot, start: np.ndarray) -> Pilot:
     """Energy is counted from that of the start."""
-    energy = jnp.asarray(start, pilots.running.energy_start.dtype)
-    return pilots._replace(running=pilots.running._replace(energy_start=energy))
+    energy = jnp.asarray(start, pilots.running.time.dtype)
+    return pilots._replace(running=stream.with_energy(world, pilots.running, energy))
 
 
 def _record(commands: Command, pilots: Pilot, steps: dict[str, np.ndarray], slot: int) -> dict[str, np.ndarray]:

@@ -18,7 +18,7 @@ from sweep.dynamics.tree_step import from_state, to_state
 from sweep.engines import batching
 from sweep.engines.closed_loop import free_state
 from sweep.engines.settings import EngineSettings
-from sweep.metrics.stream import Tick
+from sweep.metrics.metric import Tick
 from sweep.models.case import Case
 from sweep.models.drive import Servo, towards
 from sweep.models.obstacles.surface import no_bodies, poses

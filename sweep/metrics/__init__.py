@@ -1,0 +1,42 @@
+"""Metrics: what happened in a rollout, and how it is judged."""
+
+from sweep.metrics import (
+    attitude,
+    clearance,
+    drives,
+    footholds,
+    free_bodies,
+    load,
+    planned_forces,
+    progress,
+    reach,
+    slip,
+    solver,
+    support,
+)
+from sweep.metrics.metric import Cause, Metric
+from sweep.models.case import Case
+
+METRICS: tuple[Metric, ...] = tuple(
+    module.METRIC
+    for module in (
+        progress,
+        attitude,
+        slip,
+        reach,
+        clearance,
+        planned_forces,
+        free_bodies,
+        drives,
+        footholds,
+        support,
+        load,
+        solver,
+    )
+)
+CAUSES: tuple[Cause, ...] = tuple(cause for metric in METRICS for cause in metric.causes)
+
+
+def of(case: Case) -> tuple[Metric, ...]:
+    """The metrics that apply to a kind of world."""
+    return tuple(metric for metric in METRICS if metric.applies(case))

@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+FOOT_LENGTH = 0.04  # m, of the shin's end that may be near what the foot stands on
 # legs that can reach each other: neighbours, opposite ones, rear and front of one side (0.11 m apart at a pole's edge)
 PAIRS = ((1, 3), (3, 5), (2, 4), (4, 6), (1, 2), (3, 4), (5, 6), (1, 5), (2, 6))
 
@@ -60,16 +61,16 @@ def leg_gap(joints: Float[Array, "6 k 3"]) -> Float[Array, ""]:
     return jnp.min(segment_distance(a[:, i], a[:, i + 1], b[:, j], b[:, j + 1]))
 
 
-def link_points(joints: Float[Array, "6 k 3"]) -> Float[Array, "n 3"]:
-    """Points along the links at which they are checked against the obstacle; the last bit of the shin is the foot's."""
-    inner = joints[:, 1:-1]
-    middles = 0.5 * (joints[:, :-2] + joints[:, 1:-1])
+def links_beyond_foot(joints: Float[Array, "6 k 3"]) -> tuple[Float[Array, "n 3"], Float[Array, "n 3"]]:
+    """Ends of the links' centre lines; the shin's last 40 mm are the foot's, which stands."""
     knee, foot = joints[:, -2], joints[:, -1]
-    shin = [knee + share * (foot - knee) for share in (0.25, 0.5, 0.75)]
-    return jnp.concatenate([inner, middles, jnp.stack(shin, axis=1)], axis=1).reshape(-1, 3)
+    shin = foot - knee
+    length = jnp.sqrt(jnp.sum(shin**2, axis=-1, keepdims=True) + 1e-12)
+    ends = joints.at[:, -1].set(foot - jnp.minimum(FOOT_LENGTH / length, 1.0) * shin)
+    return joints[:, :-1].reshape(-1, 3), ends[:, 1:].reshape(-1, 3)
 
 
-def box_corners(half: Float[Array, " 3"]) -> Float[Array, "8 3"]:
-    """Corners of a box about its centre."""
-    signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
-    return jnp.asarray(signs, half.dtype) * half
+def outer_halves(joints: Float[Array, "6 k 3"]) -> tuple[Float[Array, "12 3"], Float[Array, "12 3"]]:
+    """Ends of the centre lines of each thigh's outer half and of each shin."""
+    middle = 0.5 * (joints[:, -3] + joints[:, -2])
+    return jnp.concatenate([middle, joints[:, -2]]), jnp.concatenate([joints[:, -2], joints[:, -1]])

@@ -1,117 +1,137 @@
 """From a row's figures to its outcome: success, failure with a cause, or invalid."""
 
+import dataclasses
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sweep.core.parameters import parameters, quantity
+from sweep.core.errors import InputError
+from sweep.core.parameters import parameters
+from sweep.metrics import CAUSES, METRICS, of
+from sweep.metrics.metric import Cause
+from sweep.models.case import Case
 
 SUCCESS, FAILURE, INVALID = "success", "failure", "invalid"
-TIMED_CAUSES = ("fell", "slipped", "unreachable", "link_collision", "leg_crossing", "off_course", "fell_off",
-                "obstacle_moved", "overload")  # fmt: skip
-FREE_BODY_CAUSES = ("fell_off", "obstacle_moved")  # their figures are there where the obstacle has free bodies
-CAUSES = {
-    "fell": "the base tilted beyond tilt_max_deg",
-    "slipped": "a standing foot slipped beyond slip_max_m",
-    "unreachable": "a foot target was out of the leg's reach by more than reach_shortfall_max_m",
-    "link_collision": "a link or the base came closer to the obstacle than clearance_min_m",
-    "leg_crossing": "two legs came closer to each other than leg_gap_min_m",
-    "off_course": "the heading was off by more than heading_error_max_deg",
-    "fell_off": "the base sank to less than ride_height_min_m over the centre of the body it rides on",
-    "obstacle_moved": "a free body went farther than obstacle_moved_max_m",
-    "overload": "no forces within the believed friction and torque limit hold a planned stance (imbalance_max), or a "
-    "kind of joint was saturated for more than saturation_share_max of the time",
-    "stalled": "the plan was not finished, or progress stayed below progress_min",
+GOAL = "goal_missed"
+_MEANING = {cause.name: cause.sentence for cause in CAUSES} | {
+    GOAL: "the manoeuvre's goal was missed; the column `limit` says which part of it"
 }
-DOUBTS = {
-    "not_finite": "a number was not finite",
-    "solver": "the contact solver's residual exceeded solver_residual_max_n",
-    "energy": "mechanical energy grew beyond the drives' work by more than energy_gain_max_j",
-}
-MEANING = {**CAUSES, **DOUBTS}
+FAILURES = {cause.name: _MEANING[cause.name] for cause in CAUSES if not cause.doubt}
+DOUBTS = {cause.name: _MEANING[cause.name] for cause in CAUSES if cause.doubt}
+MEANING = {**FAILURES, **DOUBTS}
+COLUMNS = {name: meaning for metric in METRICS for name, meaning in metric.columns.items()}
+BOOKKEEPING = {f"{cause.name}_{what}" for cause in CAUSES for what in ("time_s", "stage")}  # when causes were met
 
 
-@parameters
 class Thresholds:
-    """When a rollout counts as failed, or as not to be trusted."""
+    """When a rollout counts as failed, or as not to be trusted; null is what the manoeuvre's goal says."""
 
-    tilt_max_deg: float = quantity(20.0, "deg", above=0)
-    slip_max_m: float = quantity(1e3, "m", at_least=0)
-    reach_shortfall_max_m: float = quantity(5e-3, "m", at_least=0)
-    clearance_min_m: float = quantity(-5e-3, "m")
-    leg_gap_min_m: float = quantity(-5e-3, "m")
-    heading_error_max_deg: float = quantity(5.0, "deg", above=0)
-    ride_height_min_m: float = quantity(-1e3, "m")
-    obstacle_moved_max_m: float = quantity(1e3, "m", at_least=0)
-    imbalance_max: float = quantity(0.01, "-", at_least=0)  # of the weight, that planned forces leave unheld
-    saturation_share_max: float = quantity(1.0, "-", at_least=0, at_most=1)
-    progress_min: float = quantity(0.9, "-")
-    solver_residual_max_n: float = quantity(100.0, "N", above=0)
-    energy_gain_max_j: float = quantity(1.0, "J", above=0)
+    if TYPE_CHECKING:  # a field for each threshold of a cause
+
+        def __init__(self, **values: float | None) -> None: ...
+        def __getattr__(self, threshold: str) -> Any: ...
 
 
-def classify(figures: Mapping[str, np.ndarray], thresholds: Thresholds, stages: Sequence[str]) -> dict[str, np.ndarray]:
-    """Outcome, cause, stage and time of the cause of each row; a pure function of the stored figures.
+for _cause in CAUSES:
+    if _cause.threshold:
+        Thresholds.__annotations__[_cause.threshold] = float if _cause.default is not None else float | None
+        setattr(Thresholds, _cause.threshold, _cause.quantity())
+parameters(Thresholds)
 
-    The first cause in time wins. With thresholds other than those of the run a cause may lack its time: it then
-    comes last, with its time NaN. An invalid row's cause is why it is not trusted.
+
+def thresholds(values: Mapping[str, float | None], case: Case) -> Thresholds:
+    """The `Thresholds` of a kind of world: `values`, its manoeuvre's goal where they are null.
+
+    Raises `InputError` where a value is for a figure that such a rollout does not have.
+    """
+    known = {cause.threshold: cause for metric in of(case) for cause in metric.causes}
+    chosen = {}
+    for field in dataclasses.fields(Thresholds):  # pyright: ignore[reportArgumentType]
+        value, cause = values.get(field.name, field.default), known.get(field.name)
+        if cause is None and value != field.default:
+            kinds = f"manoeuvre = {case.manoeuvre.kind} on obstacle = {case.obstacle.kind}"
+            raise InputError(f"outcome.{field.name} = {value} is not allowed: {kinds} has no such figure")
+        if value is None:
+            value = case.manoeuvre.goal.get(field.name)
+        if value is None:
+            value = -np.inf if cause is None or cause.below else np.inf
+        chosen[field.name] = value
+    return Thresholds(**chosen)
+
+
+def limit_of(cause: Cause, limits: Thresholds) -> float:
+    """Its threshold."""
+    value = getattr(limits, cause.threshold) if cause.threshold else cause.default
+    return (-np.inf if cause.below else np.inf) if value is None else value
+
+
+def classify(figures: Mapping[str, np.ndarray], limits: Thresholds, stages: Sequence[str]) -> dict[str, np.ndarray]:
+    """The labels of each row; a pure function of the stored figures.
+
+    What came first in time decides, a cause of failure or a doubt; of those of one moment a doubt does. What is known
+    at the end only comes last. With thresholds other than those of the run a cause may lack its time: it then comes at
+    the end, with its time NaN. `limit` is the threshold that was crossed; `margin` the least distance of a figure to
+    the threshold of a failure, in units of that threshold, and `margin_of` which threshold that is.
     """
     f = {key: np.asarray(value) for key, value in figures.items()}
-    holds = _causes(f, thresholds)
-    times = np.stack([
-        np.where(holds[cause], np.nan_to_num(f[f"{cause}_time_s"], nan=np.inf) if cause in TIMED_CAUSES else np.inf,
-                 np.nan) for cause in holds
-    ])  # fmt: skip
-    failed = ~np.isnan(times).all(axis=0)
+    causes = sorted((c for c in CAUSES if c.figure in f), key=lambda c: not c.doubt)
+    holds = np.stack([_holds(c, f, limit_of(c, limits)) for c in causes])
+    times = np.where(holds, np.stack([_time(c, f) for c in causes]), np.nan)
+    any_holds = holds.any(axis=0)
     first = np.argmin(np.nan_to_num(times, nan=np.inf, posinf=np.finfo(float).max), axis=0)
-    names = np.array(list(holds), dtype=object)
-    doubts = _doubts(f, thresholds)
-    invalid = np.any(list(doubts.values()), axis=0)
-    why = np.select(list(doubts.values()), [np.full(len(invalid), name, dtype=object) for name in doubts], "")
-    outcome = np.where(invalid, INVALID, np.where(failed, FAILURE, SUCCESS))
     time = np.take_along_axis(times, first[None], axis=0)[0]
-    timed = failed & np.isfinite(time)
-    stage = np.where(timed, _stage_of(f, tuple(holds), first), f["end_stage"]).astype(int)
+    stage = np.take_along_axis(np.stack([_stage(c, f) for c in causes]), first[None], axis=0)[0]
+    stage = np.where(np.isfinite(time), stage, f["end_stage"]).astype(int)
+    verdict = np.array([INVALID if c.doubt else FAILURE for c in causes], dtype=object)[first]
     labels = np.array([*stages, ""], dtype=object)
+    margins, names = _margins(f, [c for c in causes if not c.doubt and c.threshold], limits)
+    nearest = np.argmin(np.nan_to_num(margins, nan=-np.inf), axis=0)
     return {
-        "outcome": outcome,
-        "cause": np.where(invalid, why, np.where(failed, names[first], "")),
-        "stage": np.where(failed | invalid, labels[np.clip(stage, -1, len(stages) - 1)], ""),
-        "t_cause_s": np.where(timed & ~invalid, time, np.nan),
+        "outcome": np.where(any_holds, verdict, SUCCESS),
+        "cause": np.where(any_holds, np.array([c.name for c in causes], dtype=object)[first], ""),
+        "stage": np.where(any_holds, labels[np.clip(stage, -1, len(stages) - 1)], ""),
+        "t_cause_s": np.where(any_holds & np.isfinite(time), time, np.nan),
+        "limit": np.where(any_holds, np.array([c.threshold for c in causes], dtype=object)[first], ""),
+        "margin": np.take_along_axis(margins, nearest[None], axis=0)[0],
+        "margin_of": names[nearest],
     }
 
 
-def _causes(f: Mapping[str, np.ndarray], limits: Thresholds) -> dict[str, np.ndarray]:
-    saturation = np.max([f[f"saturation_share_{joint}"] for joint in ("alpha", "beta", "gamma")], axis=0)
-    on_free_body = {} if "ride_height_min_m" not in f else {
-        "fell_off": f["ride_height_min_m"] < limits.ride_height_min_m,
-        "obstacle_moved": f["obstacle_moved_m"] > limits.obstacle_moved_max_m,
-    }  # fmt: skip
-    return {
-        "fell": f["tilt_max_deg"] > limits.tilt_max_deg,
-        "slipped": f["slip_max_m"] > limits.slip_max_m,
-        "unreachable": f["reach_shortfall_max_m"] > limits.reach_shortfall_max_m,
-        "link_collision": f["clearance_min_m"] < limits.clearance_min_m,
-        "leg_crossing": f["leg_gap_min_m"] < limits.leg_gap_min_m,
-        "off_course": f["heading_error_max_deg"] > limits.heading_error_max_deg,
-        **on_free_body,
-        "overload": (f["imbalance_max"] > limits.imbalance_max) | (saturation > limits.saturation_share_max),
-        "stalled": ~f["finished"].astype(bool) | (f["progress"] < limits.progress_min),
-    }
+def why(row: Mapping[str, Any], limits: Thresholds) -> str:
+    """The cause of a row in words, with the figure and its threshold; empty for a success."""
+    for cause in CAUSES:
+        if cause.name == row["cause"] and cause.threshold == row["limit"] and cause.figure in row:
+            value = f" ({cause.figure} {float(row[cause.figure]):.4g}, " if cause.threshold else ""
+            side = "at least" if cause.below else "at most"
+            return cause.sentence + (value and f"{value}{side} {limit_of(cause, limits):.4g})")
+    return MEANING.get(str(row["cause"]), "")
 
 
-def _doubts(f: Mapping[str, np.ndarray], limits: Thresholds) -> dict[str, np.ndarray]:
-    """Why rows are not to be trusted. A comparison with NaN is false, hence the explicit check of every figure."""
-    optional = {f"{cause}_{what}" for cause in TIMED_CAUSES for what in ("time_s", "stage")}
-    numbers = [value.astype(float) for key, value in f.items() if key not in optional]
-    broken = ~f["finite"].astype(bool) | np.any([np.isnan(value) for value in numbers], axis=0)
-    return {
-        "not_finite": broken,
-        "solver": f["solver_residual_max_n"] > limits.solver_residual_max_n,
-        "energy": f["energy_gain_max_j"] > limits.energy_gain_max_j,
-    }
+def _holds(cause: Cause, f: Mapping[str, np.ndarray], limit: float) -> np.ndarray:
+    """A comparison with NaN is false, hence the explicit check of every figure."""
+    holds = np.asarray(cause.holds(f[cause.figure], limit))
+    if cause.name != "not_finite":
+        return holds
+    return holds | np.any([np.isnan(v.astype(float)) for key, v in f.items() if key not in BOOKKEEPING], axis=0)
 
 
-def _stage_of(f: Mapping[str, np.ndarray], causes: Sequence[str], first: np.ndarray) -> np.ndarray:
-    stages = [f[f"{cause}_stage"] if cause in TIMED_CAUSES else f["end_stage"] for cause in causes]
-    return np.take_along_axis(np.stack(stages), first[None], axis=0)[0]
+def _time(cause: Cause, f: Mapping[str, np.ndarray]) -> np.ndarray:
+    match cause.known:
+        case "start":
+            return np.zeros(f["end_stage"].shape)
+        case "tick":
+            return np.nan_to_num(f[f"{cause.name}_time_s"].astype(float), nan=np.inf)
+        case _:
+            return np.full(f["end_stage"].shape, np.inf)
+
+
+def _stage(cause: Cause, f: Mapping[str, np.ndarray]) -> np.ndarray:
+    return f["end_stage"] if cause.known == "end" else f[f"{cause.name}_stage"]
+
+
+def _margins(f: Mapping[str, np.ndarray], causes: Sequence[Cause], limits: Thresholds) -> tuple[np.ndarray, np.ndarray]:
+    """Of each cause that has a finite threshold, by row, and the thresholds' names."""
+    judged = [(c, limit_of(c, limits)) for c in causes if np.isfinite(limit_of(c, limits))]
+    margins = np.stack([c.margin(f[c.figure].astype(float), limit) for c, limit in judged])
+    return margins, np.array([c.threshold for c, _ in judged], dtype=object)

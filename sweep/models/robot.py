@@ -1,6 +1,7 @@
 """The robot: sizes, masses and where the legs are mounted (monograph 1.1, 1.1.1)."""
 
-from jaxtyping import Array
+import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
 
@@ -28,6 +29,11 @@ class Robot:
     thigh_mass: float = quantity(0.5, "kg", above=0)
     shin_mass: float = quantity(0.5, "kg", above=0)
     knees: str = choice("outward", "outward", "mirror")  # for feet on the inner side of their hip, see formulas.leg
+
+
+def half_size(robot: Robot) -> Float[Array, " 3"]:
+    """Of the base (m)."""
+    return 0.5 * jnp.stack([jnp.asarray(s, float) for s in (robot.body_length, robot.body_width, robot.body_height)])
 
 
 def total_mass(robot: Robot) -> Array | float:

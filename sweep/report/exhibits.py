@@ -13,6 +13,8 @@ from sweep.analysis import compare, sensitivity
 from sweep.analysis.compare import SECOND
 from sweep.analysis.results import Results, binned
 from sweep.analysis.stats import percent, rate, rates
+from sweep.metrics import CAUSES
+from sweep.metrics.outcome import limit_of
 from sweep.report import slices
 from sweep.report.labels import CAUSE_COLOURS, SUCCESS, axis_words, heading
 from sweep.report.maps import pattern
@@ -232,7 +234,8 @@ def _span(values: pd.Series) -> tuple[float, float]:
 
 def limits(results: Results) -> dict[str, float]:
     """Thresholds by the figure that they are for."""
-    return {name: value for name, value in results.stored["config"]["outcome"].items() if name in results.rows}
+    given = {cause.figure: limit_of(cause, results.exp.thresholds) for cause in CAUSES if cause.threshold}
+    return {name: value for name, value in given.items() if name in results.rows}
 
 
 def _telling(results: Results) -> list[str]:

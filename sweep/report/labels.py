@@ -1,6 +1,6 @@
 """Words and units for columns, colours for outcomes."""
 
-from sweep.metrics.outcome import CAUSES, DOUBTS
+from sweep.metrics.outcome import DOUBTS, FAILURES
 from sweep.study.config import Experiment
 from sweep.study.study import unit
 
@@ -9,8 +9,8 @@ UNITS = {"m": "m", "s": "s", "deg": "°", "rad": "rad", "n": "N", "nm": "N·m", 
 SUCCESS, INVALID = "#D8EEF9", "#FFFFFF"
 COLOURS = ("#D55E00", "#E69F00", "#CC79A7", "#009E73", "#0072B2", "#F0E442", "#7F7F7F", "#000000")
 HATCHES = ("\\\\", "..", "xx", "++", "--", "||", "oo")  # "//" is kept for what is invalid
-CAUSE_COLOURS = {cause: COLOURS[i % len(COLOURS)] for i, cause in enumerate(CAUSES)}
-CAUSE_HATCHES = {cause: HATCHES[i % len(HATCHES)] for i, cause in enumerate(CAUSES)}
+CAUSE_COLOURS = {cause: COLOURS[i % len(COLOURS)] for i, cause in enumerate(FAILURES)}
+CAUSE_HATCHES = {cause: HATCHES[i % len(HATCHES)] for i, cause in enumerate(FAILURES)}
 CAUSE_COLOURS |= dict.fromkeys(DOUBTS, INVALID)
 CAUSE_HATCHES |= {doubt: "/" * (i + 2) for i, doubt in enumerate(DOUBTS)}
 

@@ -17,7 +17,7 @@ from matplotlib.patches import Patch, Rectangle
 from sweep.analysis.stats import rate
 from sweep.core.expressions import column
 from sweep.core.parameters import InputError
-from sweep.metrics.outcome import CAUSES
+from sweep.metrics.outcome import FAILURES
 from sweep.report import limits, mesh
 from sweep.report.cells import Cells, edges, mark_values
 from sweep.report.labels import CAUSE_COLOURS, CAUSE_HATCHES, INVALID, SUCCESS, axis_words, heading
@@ -25,9 +25,9 @@ from sweep.report.tables import text
 from sweep.runs import refine
 from sweep.study.config import experiment
 
-KINDS = ["success", *CAUSES]
+KINDS = ["success", *FAILURES]
 OUTLINED, HATCHED = 4000, 200  # cells, and rows of them: with more, outlines and patterns would cover the colours
-PALETTE = ListedColormap([SUCCESS, *(CAUSE_COLOURS[c] for c in CAUSES)])
+PALETTE = ListedColormap([SUCCESS, *(CAUSE_COLOURS[c] for c in FAILURES)])
 
 
 def draw(rows: pd.DataFrame, stored: Mapping[str, Any], folder: Path, chosen: tuple[str, ...] = ()) -> list[Path]:
@@ -79,7 +79,7 @@ def success_map(rows: pd.DataFrame, stored: Mapping[str, Any], chosen: tuple[str
         ax.set_xlabel(heading(x, exp))
         limits.draw(ax, exp, panel, x, y, cells)
     axes[0, 0].set_ylabel(heading(y, exp))
-    seen = [cause for cause in CAUSES if (rows["cause"] == cause).any()] if most == 1 else []
+    seen = [cause for cause in FAILURES if (rows["cause"] == cause).any()] if most == 1 else []
     lines, _ = axes[0, 0].get_legend_handles_labels()
     legend(figure, seen, bool((rows["outcome"] == "invalid").any()), most, lines)
     if most > 1:

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from sweep.analysis.intervals import anytime, wilson
 from sweep.analysis.results import Results, binned
 from sweep.analysis.stats import rates
-from sweep.metrics.outcome import CAUSES
+from sweep.metrics.outcome import FAILURES
 from sweep.report import limits, mesh
 from sweep.report.cells import Cells, mark_values
 from sweep.report.labels import axis_words, heading
@@ -124,7 +124,7 @@ def draw(results: Results, chosen: Slice) -> Figure:
             ax.set_ylabel(heading(y, results.exp))
         if k >= len(axes) - columns:
             ax.set_xlabel(heading(x, results.exp))
-    seen = [c for c in CAUSES if single and (chosen.rows["cause"] == c).any()]
+    seen = [c for c in FAILURES if single and (chosen.rows["cause"] == c).any()]
     legend(figure, seen, bool((chosen.rows["outcome"] == "invalid").any()), 1 if single else 2,
            axes[0].get_legend_handles_labels()[0])  # fmt: skip
     if not single:

@@ -10,14 +10,14 @@ from pyarrow.csv import WriteOptions, write_csv
 
 from sweep.analysis.stats import causes
 from sweep.core.expressions import column
-from sweep.metrics.outcome import MEANING, TIMED_CAUSES
+from sweep.metrics.outcome import BOOKKEEPING as MOMENTS
+from sweep.metrics.outcome import why
 from sweep.report.labels import heading, name_and_unit
 from sweep.runs.store import LABELS, figure_columns
 from sweep.study.config import Experiment
 
 # figures that the outcome is derived from and that say nothing beside it
-BOOKKEEPING = {f"{cause}_{what}" for cause in TIMED_CAUSES for what in ("time_s", "stage")}
-BOOKKEEPING |= {"finite", "finished", "end_stage"}
+BOOKKEEPING = MOMENTS | {"finite", "finished", "end_stage"}
 
 
 def render(rows: pd.DataFrame, form: str, names: list[str] | None = None, exp: Experiment | None = None) -> bytes:
@@ -83,15 +83,16 @@ def latex(rows: pd.DataFrame, exp: Experiment | None = None) -> str:
     return style.to_latex(hrules=True, column_format=aligned).replace("°", r"\textdegree{}").replace("·", r"$\cdot$")
 
 
-def one_rollout(title: str, row: pd.Series) -> str:
+def one_rollout(exp: Experiment, row: pd.Series) -> str:
     """Outcome and figures of one rollout, a line each with its unit."""
-    lines = [(title, str(row["outcome"]), "")]
+    lines = [(exp.scenario, str(row["outcome"]), "")]
     if row["outcome"] != "success":
-        lines.append(("cause", str(row["cause"]), f"in stage {row['stage']}: {MEANING[row['cause']]}"))
+        lines.append(("cause", str(row["cause"]), f"in stage {row['stage']}"))
     for name in figure_columns(row.to_frame().T):
         if name in BOOKKEEPING:
             continue
         words, unit = name_and_unit(name)
         lines.append((words, text(row[name]), unit))
     table = pd.DataFrame(lines, columns=["figure", "value", "unit"])
-    return table.to_markdown(index=False, disable_numparse=True) + "\n"
+    reason = why(row.to_dict(), exp.thresholds)
+    return table.to_markdown(index=False, disable_numparse=True) + "\n" + (reason and f"\n{reason}\n")

@@ -20,7 +20,7 @@ pa.set_memory_pool(pa.system_memory_pool())  # a million rows are read in 2 s of
 STUDY, POINTS, PARTS, LOG = "study.yaml", "points.parquet", "parts", "log.txt"
 # a row: its axes (dotted names), its place in the plan, its figures, how they are judged, and what differs between runs
 PLAN = ("replicate", "stream", "point_id", "group", "batch", "slot", "width", "run_id")
-LABELS = ("outcome", "cause", "stage", "t_cause_s")
+LABELS = ("outcome", "cause", "stage", "t_cause_s", "limit", "margin", "margin_of")
 TIMING = ("wall_s",)
 
 

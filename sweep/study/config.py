@@ -19,7 +19,7 @@ from sweep.controllers.manoeuvres import MANOEUVRES
 from sweep.controllers.observation import Noise
 from sweep.core.parameters import InputError, build, checked, suggest
 from sweep.engines.settings import EngineSettings
-from sweep.metrics.outcome import Thresholds
+from sweep.metrics.outcome import Thresholds, thresholds
 from sweep.models.case import Case
 from sweep.models.contact import Contact
 from sweep.models.disturbance import Execution
@@ -160,7 +160,7 @@ def resolve(config: DictConfig) -> dict[str, Any]:
 def experiment(values: Mapping[str, Any]) -> Experiment:
     """Check plain `values` (as composed, or as stored in study.yaml). Raises `InputError`."""
     parts = {group: build(cls, values[group], group) for group, cls in GROUPS.items()}
-    settings, thresholds = parts.pop("engine"), parts.pop("outcome")
+    settings, given = parts.pop("engine"), dataclasses.asdict(parts.pop("outcome"))
     for group, kinds in KINDS.items():
         kind = values[group]["kind"]
         if kind not in kinds:
@@ -168,6 +168,7 @@ def experiment(values: Mapping[str, Any]) -> Experiment:
         parts[group] = build(kinds[kind], values[group], group)
     cluster = parts.pop("cluster")
     case = Case(**parts)
+    limits = thresholds(given, case)
     scenario = values["scenario"]
     chosen = {**dataclasses.asdict(StudySchema()), **values["study"]}  # rows of before a key was there had its default
     single = not (chosen["name"] or chosen["axes"] or chosen["points"] or chosen["replicates"] != 1)
@@ -177,7 +178,7 @@ def experiment(values: Mapping[str, Any]) -> Experiment:
     for theory in study.theory:  # refuses inputs that mean nothing
         parameter(theory.of, case, settings)
         theory.numbers(lambda path: nominal(path, case, settings))
-    return Experiment(scenario["name"], case, settings, thresholds, cluster, study, values["out"], dict(values))
+    return Experiment(scenario["name"], case, settings, limits, cluster, study, values["out"], dict(values))
 
 
 def one_line(error: Exception, overrides: list[str]) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 
 from sweep.controllers.grip import between
 from sweep.engines.base import Trace
-from sweep.metrics.stream import LOADED
+from sweep.metrics.metric import LOADED
 from sweep.models.obstacles.surface import fixed_surface
 from sweep.models.robot import total_mass
 from sweep.models.scene import GRAVITY

@@ -24,8 +24,6 @@ from sweep.trace.frames import need_ffmpeg, write_png, write_video
 from sweep.trace.mcap import write_mcap
 from sweep.trace.plots import PLOTS, save
 
-LABELS = ("outcome", "cause", "stage", "t_cause_s")
-
 
 @dataclass(frozen=True)
 class Replay:
@@ -84,7 +82,7 @@ def comparison(result: Replay) -> str:
     stored, again = result.stored, result.again
     figures = [name for name in result.trace.figures if name in stored]
     changed = [name for name in figures if not _equal(stored[name], again[name])]
-    rows = [(name, _shown(stored[name]), _shown(again[name])) for name in (*LABELS, *changed)]
+    rows = [(name, _shown(stored[name]), _shown(again[name])) for name in (*store.LABELS, *changed)]
     lines = [
         f"point {stored['point_id']}",
         tabulate(rows, headers=("", "stored", "replayed"), disable_numparse=True),

@@ -163,7 +163,7 @@ def test_without_noise_the_stream_does_not_matter(figures):
 def test_errors_of_execution_tell(figures):
     """Too weak drives give way, a big push fells, a nudge and (with five good legs) a dead joint are only felt."""
     # while it tumbles, two iterations leave more of the solver's residual than a trusted rollout may
-    outcome = classify(figures, Thresholds(solver_residual_max_n=1e9), ("",) * 20)
+    outcome = classify(figures, Thresholds(solver_residual_max=1e9, solver_unsettled_share_max=1), ("",) * 20)
     assert outcome["outcome"][WEAK] == "failure"
     assert (outcome["outcome"][FELLED], outcome["cause"][FELLED]) == ("failure", "fell")
     assert outcome["outcome"][NUDGED] == "success"

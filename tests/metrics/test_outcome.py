@@ -1,62 +1,76 @@
 """From figures to outcomes."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+from faultless import faultless
 
-from sweep.metrics.outcome import CAUSES, TIMED_CAUSES, Thresholds, classify
+from sweep.core.errors import InputError
+from sweep.metrics import CAUSES, METRICS
+from sweep.metrics.outcome import COLUMNS, MEANING, Thresholds, classify, limit_of, why
+from sweep.runs.store import LABELS
+from sweep.study.config import compose
 
 STAGES = ("stand", "walk", "halt")
+STRICT = Thresholds(slip_max_m=0.02, ride_height_min_m=0.5, obstacle_moved_max_m=3.0, saturation_share_max=0.5,
+                    feet_on_target_min=6.0, end_tilt_max_deg=3.0, progress_min=0.9, obstacle_speed_error_max_mps=0.01,
+                    obstacle_aside_max_m=0.02)  # fmt: skip
 
 
-def row(**changes):
-    """A faultless rollout, but for `changes`."""
-    good = {
-        "finite": True, "finished": True, "end_stage": 2, "progress": 1.0, "tilt_max_deg": 1.0, "slip_max_m": 1e-3,
-        "reach_shortfall_max_m": 0.0, "clearance_min_m": 0.1, "leg_gap_min_m": 0.1, "heading_error_max_deg": 0.1,
-        "saturation_share_alpha": 0.0, "saturation_share_beta": 0.0, "saturation_share_gamma": 0.0,
-        "solver_residual_max_n": 1.0, "energy_gain_max_j": 0.01, "imbalance_max": 0.0, "speed_mps": 0.1,
-    }  # fmt: skip
-    good |= {f"{cause}_time_s": np.nan for cause in TIMED_CAUSES} | {f"{cause}_stage": -1 for cause in TIMED_CAUSES}
-    return {key: np.array([value]) for key, value in (good | changes).items()}
+def label(limits=STRICT, **changes):
+    row = {key: np.array([value]) for key, value in ({**faultless(), "end_stage": 2.0} | changes).items()}
+    return {key: value[0] for key, value in classify(row, limits, STAGES).items()}
 
 
-def label(thresholds=None, **changes):
-    return {key: value[0] for key, value in classify(row(**changes), thresholds or Thresholds(), STAGES).items()}
+def beyond(cause):
+    """The figure of `cause` beyond its threshold."""
+    limit = limit_of(cause, STRICT)
+    return {cause.figure: limit - 1e-3 if cause.below else limit + 1e-3}
 
 
 def test_success_has_no_cause():
     got = label()
-    assert (got["outcome"], got["cause"], got["stage"]) == ("success", "", "")
+    assert tuple(got) == LABELS
+    assert (got["outcome"], got["cause"], got["stage"], got["limit"]) == ("success", "", "", "")
     assert np.isnan(got["t_cause_s"])
 
 
-BAD = {
-    "fell": {"tilt_max_deg": 25.0}, "slipped": {"slip_max_m": 2e3}, "unreachable": {"reach_shortfall_max_m": 0.01},
-    "link_collision": {"clearance_min_m": -0.01}, "leg_crossing": {"leg_gap_min_m": -0.01},
-    "off_course": {"heading_error_max_deg": 6.0}, "stalled": {"progress": 0.5}, "overload": {"imbalance_max": 0.05},
-    "fell_off": {"ride_height_min_m": -2e3, "obstacle_moved_m": 0.0},
-    "obstacle_moved": {"ride_height_min_m": 1.0, "obstacle_moved_m": 2e3},
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("cause", BAD)
+@pytest.mark.parametrize("cause", CAUSES, ids=lambda c: c.threshold or c.name)
 def test_every_threshold_has_its_cause(cause):
-    got = label(**BAD[cause])
-    assert (got["outcome"], got["cause"]) == ("failure", cause)
+    got = label(**beyond(cause))
+    assert (got["outcome"], got["cause"], got["limit"]) == (
+        "invalid" if cause.doubt else "failure", cause.name, cause.threshold
+    )  # fmt: skip
+    assert cause.name in MEANING
+    assert why({**got, **beyond(cause)}, STRICT).startswith(cause.sentence)
 
 
-def test_overload_and_an_unfinished_plan_are_failures():
-    assert label(Thresholds(saturation_share_max=0.2), saturation_share_beta=0.3)["cause"] == "overload"
-    assert label(finished=False)["cause"] == "stalled"
-    assert set(BAD) | {"overload"} == set(CAUSES)
+def test_every_figure_that_is_judged_is_a_column_and_causes_are_told_apart():
+    assert {cause.figure for cause in CAUSES} <= set(COLUMNS)
+    timed = [cause.name for cause in CAUSES if cause.known == "tick"]
+    assert len(timed) == len(set(timed))
+    names = [name for metric in METRICS for name in metric.columns]
+    assert len(names) == len(set(names))
 
 
-def test_first_cause_in_time_wins():
-    late, early = {"fell_time_s": 3.0, "fell_stage": 2}, {"off_course_time_s": 1.5, "off_course_stage": 1}
-    got = label(**BAD["fell"], **BAD["off_course"], **BAD["stalled"], **late, **early)
+def test_first_in_time_decides_be_it_a_failure_or_a_doubt():
+    fell = {"tilt_max_deg": 25.0, "fell_time_s": 3.0, "fell_stage": 2}
+    early = {"heading_error_max_deg": 6.0, "off_course_time_s": 1.5, "off_course_stage": 1}
+    got = label(**fell, **early, finished=0.0)
     assert (got["cause"], got["stage"], got["t_cause_s"]) == ("off_course", "walk", 1.5)
-    swapped = {"fell_time_s": 1.0, "fell_stage": 0}
-    assert label(**BAD["fell"], **BAD["off_course"], **swapped, **early)["cause"] == "fell"
+    assert label(**{**fell, "fell_time_s": 1.0}, **early)["cause"] == "fell"
+    after = {"energy_gain_ratio": 5.0, "energy_time_s": 3.5, "energy_stage": 2}
+    assert label(**fell, **after)["outcome"] == "failure"  # what a fallen robot does is of no matter
+    for time in (2.0, 3.0):
+        got = label(**fell, **{**after, "energy_time_s": time})
+        assert (got["outcome"], got["cause"], got["t_cause_s"]) == ("invalid", "energy", time)
+    assert label(progress=0.5, **after)["outcome"] == "invalid"  # known at the end
+
+
+def test_a_stance_that_cannot_be_held_is_known_from_the_start():
+    got = label(imbalance_max=0.05, infeasible_stage=1, tilt_max_deg=25.0, fell_time_s=3.0, fell_stage=2)
+    assert (got["cause"], got["stage"], got["t_cause_s"]) == ("infeasible", "walk", 0.0)
 
 
 @pytest.mark.parametrize("key", ["speed_mps", "tilt_max_deg", "progress"])
@@ -65,18 +79,40 @@ def test_nan_is_invalid_and_no_success_or_failure(key):
     assert (got["outcome"], got["cause"]) == ("invalid", "not_finite")
 
 
-def test_doubt_beats_failure():
-    assert label(solver_residual_max_n=1e4, **BAD["fell"])["cause"] == "solver"
-    assert label(energy_gain_max_j=5.0)["outcome"] == "invalid"
-    assert label(finite=False)["outcome"] == "invalid"
-
-
 def test_relabelling_moves_the_threshold_only():
     """Looser: the cause goes, though its time is stored. Tighter: it comes without a time, after the others."""
-    fell = BAD["fell"] | {"fell_time_s": 2.0, "fell_stage": 1}
+    fell = {"tilt_max_deg": 25.0, "fell_time_s": 2.0, "fell_stage": 1}
     assert label(Thresholds(tilt_max_deg=30.0), **fell)["outcome"] == "success"
-    tight = label(Thresholds(tilt_max_deg=0.5))
+    tight = label(Thresholds(tilt_max_deg=0.5), tilt_max_deg=1.0)
     assert (tight["outcome"], tight["cause"], tight["stage"]) == ("failure", "fell", "halt")
     assert np.isnan(tight["t_cause_s"])
-    both = label(Thresholds(heading_error_max_deg=0.05), **fell)
+    both = label(Thresholds(heading_error_max_deg=0.05), heading_error_max_deg=0.1, **fell)
     assert (both["cause"], both["t_cause_s"]) == ("fell", 2.0)
+    assert label(Thresholds(feet_on_target_min=3.0), feet_on_target=4)["outcome"] == "success"
+
+
+def test_the_margin_is_the_least_distance_to_a_threshold():
+    got = label(slip_max_m=0.015)
+    assert (got["margin"], got["margin_of"]) == (pytest.approx(0.25), "slip_max_m")
+    got = label(slip_max_m=0.025, clearance_min_m=-0.004)
+    assert (got["outcome"], got["margin"], got["margin_of"]) == ("failure", pytest.approx(-0.25), "slip_max_m")
+    assert label(clearance_min_m=0.005)["margin"] == pytest.approx(0.5)  # in units of 20 mm
+    assert label(feet_on_target=5)["margin"] == -1
+
+
+def test_a_manoeuvre_states_its_goal_and_outcome_may_loosen_it():
+    assert compose(["scenario=pole_top"]).thresholds.feet_on_target_min == 6
+    assert compose(["scenario=pole_top", "outcome.feet_on_target_min=4"]).thresholds.feet_on_target_min == 4
+    assert compose(["scenario=ball_drive"]).thresholds.feet_on_target_min == -np.inf  # its goal is a motion
+
+
+@pytest.mark.parametrize("wrong", ["ride_height_min_m=0.5", "obstacle_aside_max_m=0.1"])
+def test_a_threshold_without_its_figure_is_refused(wrong):
+    with pytest.raises(InputError, match=f"outcome.{wrong.split('=')[0]} = .* has no such figure"):
+        compose(["scenario=walk_tripod", f"outcome.{wrong}"])
+
+
+def test_the_documented_figures_are_those_of_the_metrics():
+    page = (Path(__file__).parents[2] / "docs" / "model.md").read_text()
+    for name, meaning in COLUMNS.items():
+        assert f"| `{name}` | {meaning} |" in page

@@ -5,10 +5,10 @@ import json
 
 import numpy as np
 import pytest
+from faultless import faultless
 from mcap.reader import make_reader
 
 from sweep.core.parameters import InputError
-from sweep.metrics.outcome import TIMED_CAUSES
 from sweep.runs import batches, runner, store
 from sweep.study.config import compose
 from sweep.trace import replay as module
@@ -32,12 +32,7 @@ class StandInEngine:
 
     def run(self, world, belief, streams):
         assert len(streams) == WIDTH
-        names = [f"{cause}_{what}" for cause in TIMED_CAUSES for what in ("time_s", "stage")]
-        zero = ["tilt_max_deg", "reach_shortfall_max_m", "clearance_min_m", "leg_gap_min_m", "heading_error_max_deg",
-                "saturation_share_alpha", "saturation_share_beta", "saturation_share_gamma", "solver_residual_max_n",
-                "imbalance_max", "energy_gain_max_j", "end_stage"]  # fmt: skip
-        figures = {**{n: np.full(WIDTH, np.nan) for n in names}, **{n: np.zeros(WIDTH) for n in zero}}
-        figures |= {"finished": np.ones(WIDTH), "finite": np.ones(WIDTH), "progress": np.ones(WIDTH)}
+        figures = {name: np.full(WIDTH, value) for name, value in faultless(world).items()}
         friction = np.asarray(world.contact.friction, np.float32)
         slow = np.where(friction < 0.5, 0.5, 1.0)
         return {**figures, "slip_max_m": 0.01 / friction + streams % 7, "progress": slow}
@@ -101,7 +96,7 @@ def test_files(folder, tmp_path):
         outcome = next(reader.iter_metadata()).metadata
     assert config["point"]["world.contact.friction"] == 0.4
     assert config["engine"]["width"] == WIDTH
-    assert outcome["cause"] == "stalled"
+    assert outcome["cause"] == "goal_missed"
 
 
 def test_one_plot_has_the_name_given(folder, tmp_path):

@@ -6,7 +6,7 @@ are stiff: feet that follow its measured attitude as it comes, 1 mrad off at eve
 Therefore the pose goes through an observer, which steady rolling passes without lag.
 """
 
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, Float
 
 from sweep.controllers.frames import FIXED, KOENIG
 from sweep.controllers.gaits import TRIPOD
+from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import CYCLE_A, Plan, Stage, Stance, assemble, swing_progress
 from sweep.controllers.riding import (
@@ -91,6 +92,7 @@ class BallBalance:
     The book leaves open how D and K_S are known: here from the believed robot's own links and the measured motion.
     """
 
+    goal: ClassVar = {**ON_ITS_FEET, "obstacle_speed_error_max_mps": 0.01}
     kind: str = choice("ball_balance", "ball_balance")
     law: str = choice("manoeuvre", "manoeuvre", "tick", "none")
     stages: int = count(30, at_least=1, at_most=500)  # of T each
@@ -108,6 +110,10 @@ class BallBalance:
     height_ratio: float = quantity(0.257, "a_r", above=0, at_most=2)  # of the base over the ball's top
     deepening: float = quantity(5e-4, "m", at_least=0, at_most=0.05)  # epsilon, feet inside the ball
     observer: float = quantity(0.1, "s", at_least=0)  # in which the ball's measured pose is taken over; 0: at once
+
+    def obstacle_speed(self, duration: Array) -> Array:
+        """The ball is to stand (m/s)."""
+        return jnp.zeros_like(duration)
 
     def plan(self, belief: Case) -> Plan:
         """One stage each T; all feet stay."""
@@ -198,6 +204,7 @@ class BallDrive:
     - To stop, v_d is at most `brake` times the distance to `place`.
     """
 
+    goal: ClassVar = {"obstacle_speed_error_max_mps": 0.0065, "obstacle_aside_max_m": 0.02}
     kind: str = choice("ball_drive", "ball_drive")
     steps: int = count(50, at_least=1, at_most=500)
     step_time: float = quantity(1.2, "s", above=0, at_most=20)  # T
@@ -218,6 +225,10 @@ class BallDrive:
     observer: float = quantity(0.1, "s", at_least=0)  # in which the ball's measured pose is taken over; 0: at once
     ease: float = quantity(0.1, "s", above=0)  # in which feet go over to where they are measured
     patience: float = quantity(0.0, "s", at_least=0)  # longest wait for a touchdown, while the ball rolls on below
+
+    def obstacle_speed(self, duration: Array) -> Array:
+        """What the ball is to do at the end of `duration` (s): stand, where it gets to its place (m/s)."""
+        return jnp.where(self.speed * duration > self.place, 0.0, self.speed)
 
     def plan(self, belief: Case) -> Plan:
         """Tripods in turn; standing feet on the ball's axes, swinging ones in its Koenig frame."""

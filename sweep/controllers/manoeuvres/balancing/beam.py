@@ -5,7 +5,7 @@ World axes: the beam lies along y and the robot comes along -y. The book's xi, e
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 
 from sweep.controllers.gaits import TRIPOD, Step, centre_offsets, regular_steps
 from sweep.controllers.manoeuvres.climbing.pole import TOWARDS, point
+from sweep.controllers.manoeuvres.goals import ARRIVED, UPRIGHT
 from sweep.controllers.plan import BALANCE, CYCLE_B, LEVEL, LOCKED, SMOOTH, Gains, Plan, Stage, Stance, assemble
 from sweep.controllers.tracker import joint_targets
 from sweep.core.parameters import choice, count, parameters, quantity
@@ -69,6 +70,7 @@ class Site(NamedTuple):
 class BeamWalk:
     """Along the beam, on which the robot stands at the start with its middle legs out. Ratios are to a_r."""
 
+    goal: ClassVar = ARRIVED
     kind: str = choice("beam_walk", "beam_walk")
     flywheel: str = choice("on", "on", "off")  # off: the middle legs stay as they are
     steps: int = count(16, at_least=0, at_most=100)  # swings of a diagonal pair
@@ -144,6 +146,7 @@ class BeamCross(BeamWalk):
     the second one.
     """
 
+    goal: ClassVar = UPRIGHT
     kind: str = choice("beam_cross", "beam_cross")
     steps: int = count(17, at_least=1, at_most=100)
     approach: int = count(2, at_least=0, at_most=50)  # swings by tripod to the edge

@@ -4,7 +4,7 @@ World axes: the corner's edge stands along z at the origin and the robot comes a
 and z; its eta counts from the middle between the tracks on the walls.
 """
 
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -13,6 +13,7 @@ from jaxtyping import Array
 from sweep.controllers.forces import PlannedForces
 from sweep.controllers.gaits import GALLOP, Step
 from sweep.controllers.manoeuvres.climbing.pole import OUTWARD, TOWARDS, UP, pair, point
+from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
 from sweep.controllers.plan import CYCLE_B_SMOOTH, SMOOTH, Plan, Stage, Stance, assemble
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.formulas import stepping
@@ -117,6 +118,7 @@ class CornerClimb(OnCorner):
     from the lower to the upper feet, the less friction is needed.
     """
 
+    goal: ClassVar = ON_ITS_FEET
     kind: str = choice("corner_climb", "corner_climb")
     rise_ratio: float = quantity(0.14, "a_r", at_least=0, at_most=100)  # of the whole gallop
 

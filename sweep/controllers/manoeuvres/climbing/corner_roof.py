@@ -8,7 +8,7 @@ the house and to one another.
 """
 
 import math
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -18,6 +18,7 @@ from jaxtyping import Array, Float
 from sweep.controllers.gaits import TRIPOD
 from sweep.controllers.manoeuvres.climbing.corner import FRONT, MIDDLE, REAR, OnCorner, Site, climb, gallop
 from sweep.controllers.manoeuvres.climbing.pole import curves, pair, point
+from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.plan import CYCLE_B_SMOOTH, SMOOTH, Plan, Stage, Stance
 from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, parameters, quantity
@@ -96,6 +97,7 @@ class CornerRoof(OnCorner):
     For houses that reach above the front feet where the gallop begins, which goes the rest in `cycles`.
     """
 
+    goal: ClassVar = UPRIGHT
     kind: str = choice("corner_roof", "corner_roof")
     cycles: int = count(2, at_least=1, at_most=100)  # of the gallop, which goes as far as the house is high
 

@@ -5,7 +5,7 @@ World axes: the pole stands along z at the origin and the robot comes along -y. 
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 
 from sweep.controllers.forces import PlannedForces
 from sweep.controllers.gaits import GALLOP, TRIPOD, Step, centre_offsets, regular_steps
+from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
 from sweep.controllers.plan import CYCLE_A, CYCLE_B, Plan, Stage, Stance, assemble
 from sweep.controllers.posture import foot_centres
 from sweep.core.parameters import choice, count, parameters, quantity
@@ -91,6 +92,7 @@ class PoleClimb(PlannedForces):
     the floor.
     """
 
+    goal: ClassVar = ON_ITS_FEET
     kind: str = choice("pole_climb", "pole_climb")
     steps: int = count(4, at_least=0, at_most=100)  # swings of the approach, 2 x* each
     cycles: int = count(3, at_least=0, at_most=100)  # of the gallop, 3 x* each

@@ -27,7 +27,7 @@ What differs from the print, and why:
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -35,6 +35,7 @@ from jaxtyping import Array, Float
 from sweep.controllers.gaits import TRIPOD, centre_offsets, regular_steps
 from sweep.controllers.manoeuvres.climbing.pole import FRONT, MIDDLE, REAR, TOWARDS, Site, pair, point
 from sweep.controllers.manoeuvres.climbing.pole_top import EASED, TOP, Footholds, PoleTop, lofted, on_disc
+from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.plan import CYCLE_B, Plan, Stage, Stance
 from sweep.controllers.posture import foot_centres
 from sweep.core.parameters import choice, count, parameters
@@ -109,6 +110,7 @@ WAYS = {"level": LEVEL, "above": ABOVE, "below": BELOW}
 class PoleLedge(PoleTop):
     """By tripod to the pole, up it, over its top on to the ledge, and away by tripod."""
 
+    goal: ClassVar = UPRIGHT
     kind: str = choice("pole_ledge", "pole_ledge")
     across: str = choice("level", *WAYS)  # the ledge is 0.2 a_r lower than the pole, 0.35 a_r higher, 0.6 a_r lower
     steps_away: int = count(3, at_least=0, at_most=100)  # swings on the ledge, 2 x* each

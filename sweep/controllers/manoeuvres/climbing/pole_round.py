@@ -4,6 +4,7 @@ For ledges so low that the robot hangs above them on the pole: h - h1 > a + x*. 
 """
 
 from dataclasses import replace
+from typing import ClassVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,6 +12,7 @@ from jaxtyping import Array
 
 from sweep.controllers.gaits import GALLOP
 from sweep.controllers.manoeuvres.climbing.pole import STAND, PoleClimb, Site, point
+from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.plan import CYCLE_B, Plan, Stage, Stance, assemble, moved
 from sweep.controllers.symmetry import joined, last_stance, mirrored, reversed_in_time
 from sweep.core.parameters import choice, count, parameters
@@ -29,6 +31,7 @@ class PoleRound(PoleClimb):
     the reverse of 2.3.3, the way on to the top; 2.3.2 is meant, since the ledge is where the robot goes.
     """
 
+    goal: ClassVar = UPRIGHT
     kind: str = choice("pole_round", "pole_round")
     cycles: int = count(3, at_least=1, at_most=100)  # of the gallop, as long as it takes to get above the ledge
     side: str = choice("left", "left", "right")  # on which it goes round, as it sees the pole when it comes

@@ -17,6 +17,8 @@ What differs from the printed plan. Its links cut the pole by up to 33 mm and it
 - In the end the base stands 0.62 a_r above the top, as where the print goes on to a ledge (2.3.4.1).
 """
 
+from typing import ClassVar
+
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -32,6 +34,7 @@ from sweep.controllers.manoeuvres.climbing.pole import (
     pair,
     point,
 )
+from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.plan import CYCLE_B, SMOOTH, Plan, Stage, Stance
 from sweep.core.parameters import choice, count, parameters
 from sweep.models.case import Case
@@ -54,6 +57,7 @@ type Footholds = dict[int, Array]
 class PoleTop(PoleClimb):
     """By tripod to the pole, up it by gallop, and on to its top."""
 
+    goal: ClassVar = UPRIGHT
     kind: str = choice("pole_top", "pole_top")
     cycles: int = count(2, at_least=1, at_most=100)  # of the gallop, all alike, of about 3 x* each
 

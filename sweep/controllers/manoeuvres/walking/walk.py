@@ -1,9 +1,12 @@
 """Walking on level or tilted ground by a regular gait (monograph 1.3)."""
 
+from typing import ClassVar
+
 import jax.numpy as jnp
 from jaxtyping import Array
 
 from sweep.controllers.gaits import GAITS, Step, centre_offsets, regular_steps
+from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
 from sweep.controllers.plan import Plan, Stage, Stance, assemble, moved
 from sweep.controllers.posture import foot_centres
 from sweep.core.parameters import choice, count, parameters, quantity
@@ -19,6 +22,7 @@ LEVEL = (1.0, 0.0, 0.0, 0.0)
 class Walk:
     """Straight on along the world's x axis, uphill on a slope. Ratios are to the body's length a_r."""
 
+    goal: ClassVar = ON_ITS_FEET
     kind: str = choice("walk", "walk")
     gait: str = choice("tripod", *GAITS)
     steps: int = count(7, at_least=0, at_most=200)  # swings of t* each
@@ -49,6 +53,7 @@ class Walk:
 class Stand:
     """Standing still; what the push scenarios start from."""
 
+    goal: ClassVar = ON_ITS_FEET
     kind: str = choice("stand", "stand")
     duration: float = quantity(4.0, "s", above=0)
     height_ratio: float = quantity(0.5, "a_r", above=0, at_most=2)

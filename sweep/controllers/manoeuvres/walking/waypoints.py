@@ -1,10 +1,13 @@
 """The hexagonal robot's walk through way points, by the largest step that its legs allow (thesis, chapters 2 and 3)."""
 
+from typing import ClassVar
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
 from sweep.controllers.manoeuvres.walking.walk import STAND, on_ground, standing
 from sweep.controllers.plan import ELLIPTIC, HALF_ELLIPSE, Plan, Stage, assemble
 from sweep.controllers.posture import outward
@@ -33,6 +36,7 @@ class Waypoints:
     slide by less than 0.02 m at friction 0.7. `conf/manoeuvre/waypoints.yaml` takes 2 s.
     """
 
+    goal: ClassVar = ON_ITS_FEET
     kind: str = choice("waypoints", "waypoints")
     phase_time: float = quantity(1.0, "s", above=0, at_most=20)  # T
     psi: float = quantity(np.pi / 4, "rad", at_least=-np.pi / 2, at_most=np.pi / 2)  # at home, where phi is 0

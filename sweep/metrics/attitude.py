@@ -1,0 +1,66 @@
+"""How far the base turns away from where it should point."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from sweep.core.rotations import conjugate, multiply
+from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment
+
+
+class Attitude(NamedTuple):
+    """Largest errors so far (deg), and the base as it is."""
+
+    tilt: Float[Array, ""]
+    heading: Float[Array, ""]
+    quat: Float[Array, " 4"]
+
+
+def begin(start: Begin) -> Attitude:
+    """Nothing is off."""
+    zero = jnp.zeros((), start.quat.dtype)
+    return Attitude(zero, zero, start.quat)
+
+
+def update(so_far: Attitude, now: Moment) -> Attitude:
+    """Tilt of the base from its commanded vertical, and the turn about it."""
+    off = multiply(conjugate(now.target.quat), now.tick.quat)
+    w, _, _, z = off
+    heading = jnp.degrees(jnp.abs(2 * jnp.arctan2(z * jnp.sign(w), jnp.abs(w))))
+    tilt = jnp.maximum(so_far.tilt, from_level(off))
+    return Attitude(tilt, jnp.maximum(so_far.heading, heading), now.tick.quat)
+
+
+def from_level(quat: Float[Array, " 4"]) -> Float[Array, ""]:
+    """Angle between the vertical and what `quat` makes of it (deg)."""
+    w, x, y, z = quat
+    return jnp.degrees(jnp.arctan2(jnp.sqrt(x**2 + y**2 + 1e-14), jnp.sqrt(w**2 + z**2 + 1e-14)) * 2)
+
+
+def figures(found: Attitude, at: Elapsed) -> dict[str, Array]:
+    """See `METRIC`."""
+    return {
+        "tilt_max_deg": found.tilt,
+        "end_tilt_deg": from_level(found.quat),
+        "heading_error_max_deg": found.heading,
+    }
+
+
+METRIC = Metric(
+    begin,
+    update,
+    figures,
+    {
+        "tilt_max_deg": "largest tilt of the base from its commanded vertical",
+        "end_tilt_deg": "tilt of the base from the vertical at the end",
+        "heading_error_max_deg": "largest turn of the base about its commanded vertical",
+    },
+    (
+        Cause("fell", "the base tilted beyond tilt_max_deg", "tilt_max_deg", "tilt_max_deg", 20.0, "deg"),
+        Cause("off_course", "the heading was off by more than heading_error_max_deg",
+              "heading_error_max_deg", "heading_error_max_deg", 5.0, "deg"),
+        Cause("goal_missed", "the base ended tilted by more than end_tilt_max_deg",
+              "end_tilt_deg", "end_tilt_max_deg", None, "deg", known="end"),
+    ),
+)  # fmt: skip

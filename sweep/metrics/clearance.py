@@ -1,0 +1,66 @@
+"""True distances: of base and links to the obstacle, of legs to one another and to the base."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from sweep.core.rotations import matrix
+from sweep.metrics.geometry import leg_gap, links_beyond_foot, outer_halves, segment_box_distance
+from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment
+from sweep.models.robot import half_size
+from sweep.models.solids import distance_to_box, distance_to_segments
+
+
+class Clearance(NamedTuple):
+    """Least distances so far (m)."""
+
+    obstacle: Float[Array, ""]
+    legs: Float[Array, ""]
+    base: Float[Array, ""]
+
+
+def begin(start: Begin) -> Clearance:
+    """Nothing is near."""
+    far = jnp.full((), jnp.inf, start.feet.dtype)
+    return Clearance(far, far, far)
+
+
+def update(so_far: Clearance, now: Moment) -> Clearance:
+    """Links are capsules; the shin up to a little from its foot, which stands."""
+    tick, robot = now.tick, now.world.robot
+    base = tick.position, matrix(tick.quat), half_size(robot)
+    solids = now.world.obstacle.solids(tick.bodies)
+    links = distance_to_segments(solids, *links_beyond_foot(tick.joints)) - robot.link_radius
+    own = segment_box_distance(*outer_halves(tick.joints), *base) - robot.link_radius
+    return Clearance(
+        jnp.minimum(so_far.obstacle, jnp.minimum(jnp.min(links), distance_to_box(solids, *base))),
+        jnp.minimum(so_far.legs, leg_gap(tick.joints[:, -3:]) - 2 * robot.link_radius),
+        jnp.minimum(so_far.base, jnp.min(own)),
+    )
+
+
+def figures(found: Clearance, at: Elapsed) -> dict[str, Array]:
+    """See `METRIC`."""
+    return {"clearance_min_m": found.obstacle, "leg_gap_min_m": found.legs, "base_gap_min_m": found.base}
+
+
+METRIC = Metric(
+    begin,
+    update,
+    figures,
+    {
+        "clearance_min_m": "least distance of base and links to the obstacle, negative inside; links do not collide in "
+        "either engine",
+        "leg_gap_min_m": "least distance between two legs",
+        "base_gap_min_m": "least distance of a leg's outer half to the base",
+    },
+    (
+        Cause("link_collision", "a link or the base came closer to the obstacle than clearance_min_m",
+              "clearance_min_m", "clearance_min_m", -5e-3, "m", below=True, scale=0.02),
+        Cause("leg_crossing", "two legs came closer to each other than leg_gap_min_m",
+              "leg_gap_min_m", "leg_gap_min_m", -5e-3, "m", below=True, scale=0.02),
+        Cause("base_hit", "a leg came closer to the base than base_gap_min_m",
+              "base_gap_min_m", "base_gap_min_m", -5e-3, "m", below=True, scale=0.02),
+    ),
+)  # fmt: skip

@@ -1,0 +1,41 @@
+"""Whether the feet end where the plan has them."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from sweep.controllers.frames import to_world
+from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment
+from sweep.models.obstacles.surface import FreeState, poses
+
+AT_FACE = 5e-3  # m, within which a foot that may hover, since others carry, is at a face
+
+Last = tuple[Float[Array, "6 3"], FreeState]  # feet (m) and free bodies
+
+
+def begin(start: Begin) -> Last:
+    """As they stand."""
+    return start.feet, start.free
+
+
+def update(so_far: Last, now: Moment) -> Last:
+    """As they are now."""
+    return now.tick.joints[:, -1], now.tick.free
+
+
+def figures(found: Last, at: Elapsed) -> dict[str, Array]:
+    """See `METRIC`."""
+    feet, free = found
+    target = to_world(at.plan.foothold[-1], at.plan.foot_frame[-1], free)
+    here, there = (at.world.obstacle.surface(p, (-1,) * 6, poses(free)) for p in (feet, target))
+    hit = (here.face == there.face) & (here.body == there.body) & (here.depth > -AT_FACE)
+    return {"feet_on_target": jnp.sum(hit).astype(jnp.int32)}
+
+
+METRIC = Metric(
+    begin,
+    update,
+    figures,
+    {"feet_on_target": "feet that are at the end at the obstacle's face, of the body, where the plan has them"},
+    (Cause("goal_missed", "fewer feet than feet_on_target_min ended at their faces",
+           "feet_on_target", "feet_on_target_min", None, below=True, known="end", whole=True),),
+)  # fmt: skip

@@ -1,0 +1,88 @@
+"""What the obstacle's free bodies do; the first one is that on which the robot rides."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment
+
+TAIL = 12.0  # s, before the planned end, over which the obstacle's final speed is taken
+
+
+class FreeBodies(NamedTuple):
+    """Where they were, are, and were when the tail began (m) at a time (s); how far they went; the least height."""
+
+    start: Float[Array, "k 3"]
+    place: Float[Array, "k 3"]
+    tail: Float[Array, "k 3"]
+    tail_time: Float[Array, ""]
+    moved: Float[Array, ""]
+    aside: Float[Array, ""]
+    ride_height: Float[Array, ""]
+
+
+def begin(start: Begin) -> FreeBodies:
+    """Nothing has moved."""
+    place = start.free.position
+    zero = jnp.zeros((), place.dtype)
+    return FreeBodies(place, place, place, zero, zero, zero, jnp.full((), jnp.inf, place.dtype))
+
+
+def update(so_far: FreeBodies, now: Moment) -> FreeBodies:
+    """Their ways from the start."""
+    place = now.tick.free.position
+    way = place - so_far.start
+    before_tail = now.time - now.period < jnp.sum(now.plan.duration) - TAIL
+    return FreeBodies(
+        start=so_far.start,
+        place=place,
+        tail=jnp.where(before_tail, place, so_far.tail),
+        tail_time=jnp.where(before_tail, now.time - now.period, so_far.tail_time),
+        moved=jnp.maximum(so_far.moved, jnp.max(jnp.linalg.norm(way, axis=-1))),
+        aside=jnp.maximum(so_far.aside, jnp.abs(way[0, 1])),
+        ride_height=jnp.minimum(so_far.ride_height, now.tick.position[2] - place[0, 2]),
+    )
+
+
+def figures(found: FreeBodies, at: Elapsed) -> dict[str, Array]:
+    """See `METRIC`."""
+    along = (found.place - found.tail)[0, :2] / jnp.maximum(at.time - found.tail_time, 1e-9)
+    speed = jnp.linalg.norm(along)
+    return {
+        "obstacle_moved_m": found.moved,
+        "ride_height_min_m": found.ride_height,
+        "obstacle_x_m": found.place[0, 0],
+        "obstacle_y_m": found.place[0, 1],
+        "obstacle_aside_max_m": found.aside,
+        "obstacle_speed_mps": speed,
+        "obstacle_speed_error_mps": jnp.abs(speed - at.world.manoeuvre.obstacle_speed(jnp.sum(at.plan.duration))),
+    }
+
+
+METRIC = Metric(
+    begin,
+    update,
+    figures,
+    {
+        "obstacle_moved_m": "farthest that a free body of the obstacle was from its start",
+        "ride_height_min_m": "least height of the base over the centre of the body that it rides on",
+        "obstacle_x_m": "where that body ended, along the world's x axis",
+        "obstacle_y_m": "the same along y",
+        "obstacle_aside_max_m": "the farthest that it was sideways of the x axis",
+        "obstacle_speed_mps": f"its mean speed over the last {TAIL:g} s",
+        "obstacle_speed_error_mps": "difference of that from the speed that the manoeuvre aims at",
+    },
+    (
+        Cause("fell_off", "the base sank to less than ride_height_min_m over the centre of the body it rides on",
+              "ride_height_min_m", "ride_height_min_m", -1e3, "m", below=True),
+        Cause("obstacle_moved", "a free body went farther than obstacle_moved_max_m",
+              "obstacle_moved_m", "obstacle_moved_max_m", 1e3, "m"),
+        Cause("goal_missed", "the body that the robot rides on ended off its speed by more than "
+              "obstacle_speed_error_max_mps", "obstacle_speed_error_mps", "obstacle_speed_error_max_mps", None, "m/s",
+              known="end"),
+        Cause("goal_missed", "the body that the robot rides on went aside by more than obstacle_aside_max_m",
+              "obstacle_aside_max_m", "obstacle_aside_max_m", None, "m", known="end"),
+    ),
+    applies=lambda case: bool(case.obstacle.free_bodies),
+)  # fmt: skip

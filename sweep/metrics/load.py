@@ -1,0 +1,58 @@
+"""Forces at the feet: how much friction they take, and how hard they press."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from sweep.metrics.metric import LOADED, Begin, Elapsed, Metric, Moment
+from sweep.models.robot import total_mass
+from sweep.models.scene import GRAVITY
+
+
+class Load(NamedTuple):
+    """Largest tangential over normal force, its integral over time (s), largest normal force over the weight."""
+
+    friction: Float[Array, ""]
+    use: Float[Array, ""]
+    normal: Float[Array, ""]
+
+
+def begin(start: Begin) -> Load:
+    """No load."""
+    zero = jnp.zeros((), start.feet.dtype)
+    return Load(zero, zero, zero)
+
+
+def update(so_far: Load, now: Moment) -> Load:
+    """Means over the tick."""
+    tick, weight = now.tick, GRAVITY * total_mass(now.world.robot)
+    demand = jnp.where(tick.normal > LOADED, tick.tangential / jnp.maximum(tick.normal, LOADED), 0.0)
+    use = jnp.sum(tick.tangential) / jnp.maximum(jnp.sum(tick.normal), LOADED)
+    return Load(
+        jnp.maximum(so_far.friction, jnp.max(demand)),
+        so_far.use + now.period * use,
+        jnp.maximum(so_far.normal, jnp.max(tick.normal) / weight),
+    )
+
+
+def figures(found: Load, at: Elapsed) -> dict[str, Array]:
+    """See `METRIC`."""
+    return {
+        "friction_demand_max": found.friction,
+        "friction_demand_mean": found.use / jnp.maximum(at.time, 1e-9),
+        "normal_max_over_weight": found.normal,
+    }
+
+
+METRIC = Metric(
+    begin,
+    update,
+    figures,
+    {
+        "friction_demand_max": "largest tangential over normal force of a loaded foot, tick means; the friction itself "
+        "as soon as a foot slides for a moment",
+        "friction_demand_mean": "tangential over normal force, each summed over the feet, averaged over time",
+        "normal_max_over_weight": "largest normal force of a foot over the robot's weight",
+    },
+)

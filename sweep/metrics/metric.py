@@ -1,0 +1,131 @@
+"""What a metric is: figures of a rollout, updated once a control tick, and the causes of failure that follow from them.
+
+Each module of this folder is one metric. To add one, write its module and name it in `sweep.metrics.METRICS`: columns,
+thresholds, outcomes and the tables that explain them follow.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from sweep.controllers.plan import Plan, Stance
+from sweep.core.parameters import quantity
+from sweep.models.case import Case
+from sweep.models.obstacles.surface import Bodies, FreeState
+
+LOADED = 5.0  # N, from which a foot carries load and its friction demand means something
+
+
+class Tick(NamedTuple):
+    """What an engine reports of one control tick. World axes; L links a leg, k free bodies."""
+
+    torque_peak: Float[Array, "6 3"]  # N m, absolute
+    saturated: Float[Array, "6 3"]  # share of the tick
+    force: Float[Array, "6 3"]  # N, mean, on the feet
+    normal: Float[Array, " 6"]  # N, mean
+    tangential: Float[Array, " 6"]  # N, size of the mean
+    loaded: Bool[Array, " 6"]  # at the end
+    residual: Float[Array, ""]  # N, largest of the solver
+    work: Float[Array, ""]  # J, of drives and pushes
+    effort: Float[Array, ""]  # J, positive drive work only
+    energy: Float[Array, ""]  # J, kinetic and potential, at the end
+    position: Float[Array, " 3"]  # m, of the base
+    quat: Float[Array, " 4"]
+    velocity: Float[Array, " 3"]  # m/s, of the base
+    spin: Float[Array, " 3"]  # rad/s, of the base, base axes
+    angles: Float[Array, "6 3"]  # rad, of the joints
+    rates: Float[Array, "6 3"]  # rad/s
+    centre_of_mass: Float[Array, " 3"]  # m, of the robot
+    joints: Float[Array, "6 k 3"]  # m, along each leg: hip, ..., knee, foot
+    bodies: Bodies
+    free: FreeState
+
+
+class Begin(NamedTuple):
+    """A rollout before its first tick."""
+
+    world: Case
+    plan: Plan
+    position: Float[Array, " 3"]  # m, of the base
+    quat: Float[Array, " 4"]
+    feet: Float[Array, "6 3"]  # m, where they really are
+    free: FreeState
+    energy: Float[Array, ""]  # J
+
+
+class Moment(NamedTuple):
+    """The control tick that has just passed."""
+
+    world: Case
+    plan: Plan
+    stage: Int[Array, ""]
+    phase: Float[Array, ""]  # of the stage, 0 to 1
+    finished: Bool[Array, ""]  # the plan
+    stage_start: Float[Array, " 3"]  # m, planned base when the stage began, in its frame
+    target: Stance  # what feet and base were told
+    shortfall: Float[Array, ""]  # m, of targets beyond the legs' reach
+    tick: Tick
+    period: float  # s, of a tick
+    time: Float[Array, ""]  # s, at its end
+
+
+class Elapsed(NamedTuple):
+    """A rollout as far as it has come."""
+
+    world: Case
+    plan: Plan
+    time: Float[Array, ""]  # s
+    stage: Int[Array, ""]
+
+
+@dataclass(frozen=True)
+class Cause:
+    """A figure beyond its threshold, and what that means: a way to fail, or a reason not to trust the simulation.
+
+    `default` None leaves the threshold to the manoeuvre, whose `goal` it is then part of.
+    """
+
+    name: str
+    sentence: str
+    figure: str  # a column of the metric
+    threshold: str  # its key in `outcome`; without one nobody can change it
+    default: float | None
+    unit: str = "-"
+    below: bool = False  # it holds where the figure is below the threshold, not above
+    # When it is known: in the tick that crosses it; from the start, in the stage that the figure `NAME_stage` tells; at
+    # the end. Of those known in a tick each has a name of its own.
+    known: str = "tick"
+    doubt: bool = False
+    scale: float | None = None  # in which its margin is counted; the threshold's size by default
+    whole: bool = False  # a count, which is enough or not
+
+    def quantity(self) -> Any:
+        """The threshold as a parameter."""
+        return quantity(self.default, self.unit, at_least=-math.inf if self.below else 0.0)
+
+    def holds(self, value: Any, limit: Any) -> Any:
+        """Whether figures (numbers or arrays, of numpy or JAX) are beyond `limit`."""
+        return value < limit if self.below else value > limit
+
+    def margin(self, value: Any, limit: float) -> Any:
+        """How far figures are from `limit`, in units of `scale`, at most 1; negative where the cause holds."""
+        left = value - limit if self.below else limit - value
+        if self.whole:
+            return np.where(left < 0, left, 1.0)
+        size = abs(limit) if self.scale is None else self.scale
+        return (left / size if size else left).clip(max=1.0)
+
+
+class Metric[S](NamedTuple):
+    """Figures with a common state `S`, a pytree."""
+
+    begin: Callable[[Begin], S]
+    update: Callable[[S, Moment], S]
+    figures: Callable[[S, Elapsed], dict[str, Array]]  # by column name, the unit at its end
+    columns: Mapping[str, str]  # what each figure means
+    causes: tuple[Cause, ...] = ()
+    applies: Callable[[Case], bool] = lambda case: True  # to what kind of world; not by numbers

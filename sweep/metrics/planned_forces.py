@@ -1,0 +1,31 @@
+"""Whether any foot forces within the believed friction and torque limit hold the planned stances."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from sweep.controllers.plan import Plan
+from sweep.metrics.metric import Cause, Elapsed, Metric
+
+
+def figures(found: None, at: Elapsed) -> dict[str, Array]:
+    """See `METRIC`."""
+    left = imbalance(at.plan)
+    return {"imbalance_max": jnp.max(left), "infeasible_stage": jnp.argmax(left).astype(jnp.int32)}
+
+
+def imbalance(plan: Plan) -> Float[Array, " s"]:
+    """What planned forces leave of the weight in each stage; nothing where none are planned."""
+    return jnp.zeros_like(plan.duration) if plan.grip is None else plan.grip.imbalance
+
+
+METRIC = Metric(
+    lambda start: None,
+    lambda so_far, now: None,
+    figures,
+    {
+        "imbalance_max": "largest part of the weight that planned forces leave unheld",
+        "infeasible_stage": "the stage in which they do",
+    },
+    (Cause("infeasible", "no forces within the believed friction and torque limit hold a planned stance",
+           "imbalance_max", "imbalance_max", 0.01, known="start"),),
+)  # fmt: skip

@@ -1,0 +1,56 @@
+"""How far standing feet slide from where they took hold."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment
+from sweep.models.contact import to_body, to_world
+from sweep.models.obstacles.surface import poses
+
+
+class Slip(NamedTuple):
+    """Where each foot took hold (m), in the axes of what it stands on, whether it has yet, and the largest slip (m)."""
+
+    place: Float[Array, "6 3"]
+    holds: Bool[Array, " 6"]
+    most: Float[Array, ""]
+
+
+def begin(start: Begin) -> Slip:
+    """No foot has been loaded yet."""
+    bodies = poses(start.free)
+    body = start.world.obstacle.surface(start.feet, (-1,) * 6, bodies).body
+    return Slip(to_body(start.feet, body, bodies), jnp.zeros(6, bool), jnp.zeros((), start.feet.dtype))
+
+
+def update(so_far: Slip, now: Moment) -> Slip:
+    """A foot takes hold where it really is when it is first loaded: after the start, or in the second half of a swing.
+
+    A standing foot that is unloaded for a moment keeps its place, so that chattering along does not hide a slip.
+    """
+    tick = now.tick
+    feet = tick.joints[:, -1]
+    body = now.world.obstacle.surface(feet, (-1,) * 6, tick.bodies).body
+    swings = now.plan.swing[now.stage] & ~now.finished
+    holds = jnp.where(swings, tick.loaded & (now.phase > 0.5), so_far.holds | tick.loaded)
+    here = to_body(feet, body, tick.bodies)
+    place = jnp.where((holds & so_far.holds)[:, None], so_far.place, here)
+    slip = jnp.linalg.norm(feet - to_world(place, body, tick.bodies), axis=-1)
+    slip = jnp.where(holds & tick.loaded, slip, 0.0)
+    return Slip(place, holds, jnp.maximum(so_far.most, jnp.max(slip)))
+
+
+def figures(found: Slip, at: Elapsed) -> dict[str, Array]:
+    """See `METRIC`."""
+    return {"slip_max_m": found.most}
+
+
+METRIC = Metric(
+    begin,
+    update,
+    figures,
+    {"slip_max_m": "largest distance of a loaded standing foot from where it took hold"},
+    (Cause("slipped", "a standing foot slipped beyond slip_max_m", "slip_max_m", "slip_max_m", 1e3, "m"),),
+)

@@ -1,0 +1,90 @@
+"""Whether the simulation itself can be trusted: numbers, contact solver, energy.
+
+Every bound is relative to what it doubts, so that a large robot on a long way is not trusted less than a small one.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment
+from sweep.models.robot import total_mass
+from sweep.models.scene import GRAVITY
+
+UNSETTLED = 0.1  # of the weight, a residual that counts for the share of ticks
+
+
+class Solver(NamedTuple):
+    """Whether all was finite; residuals (N, s); energy at the start, work, positive work, largest growth (J, -)."""
+
+    finite: Bool[Array, ""]
+    residual: Float[Array, ""]
+    unsettled: Float[Array, ""]
+    energy: Float[Array, ""]
+    work: Float[Array, ""]
+    effort: Float[Array, ""]
+    gain: Float[Array, ""]
+    ratio: Float[Array, ""]
+
+
+def begin(start: Begin) -> Solver:
+    """No doubt."""
+    zero = jnp.zeros((), start.energy.dtype)
+    return Solver(jnp.asarray(True), zero, zero, start.energy, zero, zero, zero, zero)
+
+
+def update(so_far: Solver, now: Moment) -> Solver:
+    """Energy may not grow by more than drives and pushes put in."""
+    tick, robot = now.tick, now.world.robot
+    weight = GRAVITY * total_mass(robot)
+    work, effort = so_far.work + tick.work, so_far.effort + tick.effort
+    gain = jnp.maximum(tick.energy - so_far.energy - work, 0.0)
+    finite = jnp.isfinite(tick.energy) & jnp.all(jnp.isfinite(tick.joints))
+    return Solver(
+        so_far.finite & finite,
+        jnp.maximum(so_far.residual, tick.residual),
+        so_far.unsettled + now.period * (tick.residual > UNSETTLED * weight),
+        so_far.energy,
+        work,
+        effort,
+        jnp.maximum(so_far.gain, gain),
+        jnp.maximum(so_far.ratio, gain / (effort + weight * robot.body_length)),
+    )
+
+
+def figures(found: Solver, at: Elapsed) -> dict[str, Array]:
+    """See `METRIC`."""
+    return {
+        "finite": found.finite,
+        "solver_residual_max_n": found.residual,
+        "solver_residual_over_weight": found.residual / (GRAVITY * total_mass(at.world.robot)),
+        "solver_unsettled_share": found.unsettled / jnp.maximum(at.time, 1e-9),
+        "energy_gain_max_j": found.gain,
+        "energy_gain_ratio": found.ratio,
+    }
+
+
+METRIC = Metric(
+    begin,
+    update,
+    figures,
+    {
+        "finite": "whether energy and joints were finite throughout",
+        "solver_residual_max_n": "largest force that the contact solver left unexplained",
+        "solver_residual_over_weight": "the same over the robot's weight",
+        "solver_unsettled_share": f"share of time in which more than {UNSETTLED:g} of the weight was left",
+        "energy_gain_max_j": "largest growth of mechanical energy beyond the drives' work",
+        "energy_gain_ratio": "largest growth over the drives' positive work until then and the energy that "
+        "lifts the robot by its length",
+    },
+    (
+        Cause("not_finite", "a number was not finite", "finite", "", 1.0, below=True, doubt=True),
+        Cause("solver", "the contact solver left more than solver_residual_max of the weight unexplained",
+              "solver_residual_over_weight", "solver_residual_max", 1.0, doubt=True),
+        Cause("unsettled", "the contact solver was unsettled for more than solver_unsettled_share_max of the time",
+              "solver_unsettled_share", "solver_unsettled_share_max", 0.01, known="end", doubt=True),
+        Cause("energy", "mechanical energy grew beyond the drives' work by more than energy_gain_ratio_max",
+              "energy_gain_ratio", "energy_gain_ratio_max", 0.01, doubt=True),
+    ),
+)  # fmt: skip

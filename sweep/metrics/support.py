@@ -1,0 +1,48 @@
+"""Whether the mass centre is over the feet that carry."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from sweep.metrics.geometry import support_margin
+from sweep.metrics.metric import LOADED, Begin, Elapsed, Metric, Moment
+
+LOAD_TIME = 0.05  # s, over which a load is averaged: a bounce of the feet is not a fall
+
+
+class Support(NamedTuple):
+    """Averaged normal forces of the feet (N), and the least margin so far (m)."""
+
+    load: Float[Array, " 6"]
+    margin: Float[Array, ""]
+
+
+def begin(start: Begin) -> Support:
+    """All feet carry."""
+    dtype = start.feet.dtype
+    return Support(jnp.full(6, 2 * LOADED, dtype), jnp.full((), jnp.inf, dtype))
+
+
+def update(so_far: Support, now: Moment) -> Support:
+    """Seen from above, the distance of the mass centre to the border of the feet that carry."""
+    tick = now.tick
+    load = so_far.load + min(1.0, now.period / LOAD_TIME) * (tick.normal - so_far.load)
+    margin = support_margin(tick.joints[:, -1, :2], load > LOADED, tick.centre_of_mass[:2])
+    return Support(load, jnp.minimum(so_far.margin, margin))
+
+
+def figures(found: Support, at: Elapsed) -> dict[str, Array]:
+    """See `METRIC`."""
+    return {"stability_margin_min_m": found.margin}
+
+
+METRIC = Metric(
+    begin,
+    update,
+    figures,
+    {
+        "stability_margin_min_m": "least distance of the centre of mass, seen from above, to the border of the convex "
+        "hull of the feet that carry load (5 N over 50 ms), negative outside"
+    },
+)
