@@ -6,9 +6,9 @@ import sys
 import time
 
 import numpy as np
+from faultless import faultless
 
 import sweep.engines
-from faultless import faultless
 
 
 class FakeEngine:

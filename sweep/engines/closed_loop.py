@@ -133,10 +133,17 @@ def decide(
 
 
 def measure(
-    world: Case, plan: Plan, limits: Thresholds, pilot: Pilot, command: Command, tick: Tick, period: float
+    world: Case,
+    plan: Plan,
+    limits: Thresholds,
+    pilot: Pilot,
+    command: Command,
+    tick: Tick,
+    number: Array,
+    period: float,
 ) -> Pilot:
     """The metrics' part of a tick. A rollout that has finished, or had its time, is over."""
-    running = stream.update(world, plan, limits, pilot.tracker, command, pilot.running, tick, period)
+    running = stream.update(world, plan, limits, pilot.tracker, command, pilot.running, tick, number, period)
     late = running.time >= GRACE * jnp.sum(plan.duration)
     running = running._replace(over=running.over | pilot.tracker.finished | late)
     truth = Observation(tick.position, tick.quat, tick.velocity, tick.spin, tick.angles, tick.rates,

@@ -185,7 +185,7 @@ class Mjx:
         old = carry.pilot.servo
         pilot, command = decide(world, belief, plan, carry.pilot, tick, period, quiet)
         state, summary = self.physics.advance(world, carry.state, old, pilot.servo, tick)
-        pilot = measure(world, plan, self.limits, pilot, command, summary, period)
+        pilot = measure(world, plan, self.limits, pilot, command, summary, tick, period)
         record = batching.record(command, pilot.tracker, summary, state.q)
         return Carry(state, pilot), record
 

@@ -166,7 +166,7 @@ class Native:
         def tick(world: Case, belief: Case, plan: Plan, pilot: Pilot, command: Command | None, steps: Any, k: Array):
             if steps is not None and command is not None:
                 summary = self._summary(world, steps, (k - 1) * period)
-                pilot = measure(world, plan, self.limits, pilot, command, summary, period)
+                pilot = measure(world, plan, self.limits, pilot, command, summary, k - 1, period)
             old = pilot.servo
             pilot, command = decide(world, belief, plan, pilot, k, period, quiet)
             told = towards(old, pilot.servo, (1 + jnp.arange(n))[:, None, None] / n)

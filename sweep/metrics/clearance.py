@@ -63,4 +63,5 @@ METRIC = Metric(
         Cause("base_hit", "a leg came closer to the base than base_gap_min_m",
               "base_gap_min_m", "base_gap_min_m", -5e-3, "m", below=True, scale=0.02),
     ),
+    interval=0.02,
 )  # fmt: skip

@@ -129,3 +129,4 @@ class Metric[S](NamedTuple):
     columns: Mapping[str, str]  # what each figure means
     causes: tuple[Cause, ...] = ()
     applies: Callable[[Case], bool] = lambda case: True  # to what kind of world; not by numbers
+    interval: float = 0.0  # s, between updates, of a metric that is dear and would not miss anything shorter

@@ -12,6 +12,9 @@ from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment
 from sweep.models.robot import total_mass
 from sweep.models.scene import GRAVITY
 
+# The bounds are from 1,500 rollouts with sizes wrong by up to 2 %, each again at half the time step: below 0.4 of the
+# weight 1 in 690 outcomes differed, from there to 2 weights 4 in 140; no success was unsettled for more than 0.3 % of its
+# time, nor gained more than 1e-4.
 UNSETTLED = 0.1  # of the weight, a residual that counts for the share of ticks
 
 
@@ -81,10 +84,10 @@ METRIC = Metric(
     (
         Cause("not_finite", "a number was not finite", "finite", "", 1.0, below=True, doubt=True),
         Cause("solver", "the contact solver left more than solver_residual_max of the weight unexplained",
-              "solver_residual_over_weight", "solver_residual_max", 1.0, doubt=True),
+              "solver_residual_over_weight", "solver_residual_max", 2.0, doubt=True),
         Cause("unsettled", "the contact solver was unsettled for more than solver_unsettled_share_max of the time",
-              "solver_unsettled_share", "solver_unsettled_share_max", 0.01, known="end", doubt=True),
+              "solver_unsettled_share", "solver_unsettled_share_max", 0.005, known="end", doubt=True),
         Cause("energy", "mechanical energy grew beyond the drives' work by more than energy_gain_ratio_max",
-              "energy_gain_ratio", "energy_gain_ratio_max", 0.01, doubt=True),
+              "energy_gain_ratio", "energy_gain_ratio_max", 0.005, doubt=True),
     ),
 )  # fmt: skip

@@ -10,7 +10,7 @@ from sweep import metrics
 from sweep.controllers.plan import Plan
 from sweep.controllers.tracker import Command, TrackerState
 from sweep.metrics import solver
-from sweep.metrics.metric import Begin, Cause, Elapsed, Moment, Tick
+from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment, Tick
 from sweep.metrics.outcome import Thresholds, limit_of
 from sweep.models.case import Case
 from sweep.models.obstacles.surface import FreeState
@@ -59,13 +59,13 @@ def with_energy(world: Case, running: Running, energy: Array) -> Running:
 
 def update(
     world: Case, plan: Plan, limits: Thresholds, state: TrackerState, command: Command, running: Running, tick: Tick,
-    period: float,
+    number: Array, period: float,
 ) -> Running:  # fmt: skip
-    """One control tick on. `limits` only say when the moment of a cause is noted."""
+    """Control tick `number` on, which all rollouts share. `limits` only say when the moment of a cause is noted."""
     time = running.time + period
     now = Moment(world, plan, state.stage, command.phase, state.finished, state.position, command.target,
                  command.shortfall, tick, period, time)  # fmt: skip
-    states = tuple(m.update(s, now) for m, s in zip(metrics.of(world), running.states, strict=True))
+    states = tuple(_updated(m, s, now, number) for m, s in zip(metrics.of(world), running.states, strict=True))
     found = _figures(Elapsed(world, plan, time, state.stage), states)
     crossed = jnp.stack([cause.holds(found[cause.figure], limit_of(cause, limits)) for cause in timed(world)])
     first = crossed & jnp.isnan(running.cause_time)
@@ -77,6 +77,13 @@ def update(
         cause_stage=jnp.where(first, state.stage, running.cause_stage),
     )
     return jax.tree.map(lambda old, fresh: jnp.where(running.over, old, fresh), running, new)
+
+
+def _updated(metric: Metric, state: Any, now: Moment, number: Array) -> Any:
+    every = max(1, int(metric.interval / now.period + 1e-6))
+    if every == 1:
+        return metric.update(state, now)
+    return jax.lax.cond(number % every == 0, metric.update, lambda so_far, _: so_far, state, now)
 
 
 def figures(world: Case, plan: Plan, running: Running, stage: Int[Array, ""]) -> dict[str, Array]:
