@@ -257,7 +257,8 @@ def _record(commands: Command, pilots: Pilot, steps: dict[str, np.ndarray], slot
     """What a trace keeps of a tick."""
     command = jax.tree.map(lambda x: np.asarray(x)[slot], commands)
     return {
-        "qpos": steps["qpos"][slot, -1], "joint_target": command.joints.reshape(18),
+        "qpos": steps["qpos"][slot, -1], "qvel": steps["qvel"][slot, -1],
+        "joint_target": command.joints.reshape(18),
         "joint_torque": np.abs(steps["actuator_force"][slot]).max(axis=0),
         "foot_position": steps["site_xpos"][slot, -1, :6], "foot_target": command.target.feet,
         "foot_force": -steps["sensordata"][slot].reshape(-1, 6, 3).mean(axis=0),
