@@ -31,7 +31,7 @@ def folder(tmp_path_factory):
 
 
 def test_the_documents_lines_load_them(folder, monkeypatch, capsys):
-    code = re.search(r"```python\n(import mujoco.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL).group(1)
+    code = re.findall(r"```python\n(import mujoco.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)[0]
     monkeypatch.chdir(folder)
     found = {}
     exec(code, found)
