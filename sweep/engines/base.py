@@ -20,6 +20,7 @@ class Trace:
     model: mujoco.MjModel  # the world's model, for drawing
     time: np.ndarray  # (F,)
     qpos: np.ndarray  # (F, nq)
+    qvel: np.ndarray  # (F, nv)
     joint_target: np.ndarray  # (F, 18)
     joint_torque: np.ndarray  # (F, 18), peak of the tick
     foot_position: np.ndarray  # (F, 6, 3)

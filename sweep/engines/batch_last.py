@@ -118,6 +118,8 @@ def _apply(eqn: Any, args: list[Lane], batch: Batch) -> list[Lane]:
         return _evaluate(_closed(params[CALLS[name]]), args, batch)
     if name == "scan":
         return _scan(eqn, args, batch)
+    if name == "cond" and not args[0].batched:
+        return _cond(eqn, args, batch)
     if not any(x.batched for x in args):
         return _results(eqn.primitive.bind(*[x.value for x in args], **params), False)
     cost = sum(x.cost for x in args)
@@ -177,6 +179,15 @@ def _scan(eqn: Any, args: list[Lane], batch: Batch) -> list[Lane]:
     loop = {key: eqn.params[key] for key in ("length", "reverse", "unroll")}
     last, ys = lax.scan(body, [_spread(x, batch.size) for x in carry], [x.value for x in xs], **loop)
     return [Lane(x, True) for x in (*last, *ys)]
+
+
+def _cond(eqn: Any, args: list[Lane], batch: Batch) -> list[Lane]:
+    """A choice that is the same for the whole batch."""
+
+    def spread(branch: ClosedJaxpr) -> list[Array]:
+        return [_spread(x, batch.size) for x in _evaluate(branch, args[1:], batch)]
+
+    return _results(lax.switch(args[0].value, [partial(spread, branch) for branch in eqn.params["branches"]]), True)
 
 
 def _rank(atom: Any) -> int:

@@ -69,10 +69,10 @@ def execution_limits(world: Case, time: Array) -> Limits:
     return Limits(alive.astype(torque.dtype), torque, size * direction)
 
 
-def record(command: Command, state: TrackerState, tick: Tick, q: Array) -> dict[str, Array]:
+def record(command: Command, state: TrackerState, tick: Tick, q: Array, v: Array) -> dict[str, Array]:
     """What a trace keeps of a tick."""
     return {
-        "qpos": q, "joint_target": command.joints.reshape(18), "joint_torque": tick.torque_peak.reshape(18),
+        "qpos": q, "qvel": v, "joint_target": command.joints.reshape(18), "joint_torque": tick.torque_peak.reshape(18),
         "foot_position": tick.joints[:, -1], "foot_target": command.target.feet, "foot_force": tick.force,
         "base_target": jnp.concatenate([command.target.position, command.target.quat]), "stage": state.stage,
     }  # fmt: skip

@@ -186,7 +186,7 @@ class Mjx:
         pilot, command = decide(world, belief, plan, carry.pilot, tick, period, quiet)
         state, summary = self.physics.advance(world, carry.state, old, pilot.servo, tick)
         pilot = measure(world, plan, self.limits, pilot, command, summary, tick, period)
-        record = batching.record(command, pilot.tracker, summary, state.q)
+        record = batching.record(command, pilot.tracker, summary, state.q, state.v)
         return Carry(state, pilot), record
 
 

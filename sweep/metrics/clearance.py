@@ -50,8 +50,8 @@ METRIC = Metric(
     update,
     figures,
     {
-        "clearance_min_m": "least distance of base and links to the obstacle, negative inside; links do not collide in "
-        "either engine",
+        "clearance_min_m": "least distance of base and links to the obstacle, negative inside; links collide only "
+        "with `engine=native engine.solid=true`",
         "leg_gap_min_m": "least distance between two legs",
         "base_gap_min_m": "least distance of a leg's outer half to the base",
     },

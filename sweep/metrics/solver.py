@@ -13,8 +13,8 @@ from sweep.models.robot import total_mass
 from sweep.models.scene import GRAVITY
 
 # The bounds are from 1,500 rollouts with sizes wrong by up to 2 %, each again at half the time step: below 0.4 of the
-# weight 1 in 690 outcomes differed, from there to 2 weights 4 in 140; no success was unsettled for more than 0.3 % of its
-# time, nor gained more than 1e-4.
+# weight 1 in 690 outcomes differed, from there to 2 weights 4 in 140; no success was unsettled for more than 0.3 % of
+# its time, nor gained more than 1e-4.
 UNSETTLED = 0.1  # of the weight, a residual that counts for the share of ticks
 
 

@@ -83,7 +83,7 @@ def _updated(metric: Metric, state: Any, now: Moment, number: Array) -> Any:
     every = max(1, int(metric.interval / now.period + 1e-6))
     if every == 1:
         return metric.update(state, now)
-    return jax.lax.cond(number % every == 0, metric.update, lambda so_far, _: so_far, state, now)
+    return jax.lax.cond(number % every == 0, lambda: metric.update(state, now), lambda: state)
 
 
 def figures(world: Case, plan: Plan, running: Running, stage: Int[Array, ""]) -> dict[str, Array]:

@@ -113,7 +113,7 @@ class Sphere:
 
     def to_box(self, centre: Array, rotation: Array, half: Array) -> Array:
         """See `Solid`."""
-        return _from_box((_vector(self.centre, centre.dtype) - centre) @ rotation, half) - self.radius
+        return from_box((_vector(self.centre, centre.dtype) - centre) @ rotation, half) - self.radius
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -158,7 +158,7 @@ class _Convex(ABC):
     def to_segments(self, a: Array, b: Array) -> Array:
         """See `Solid`."""
         a, b = self.inward(a), self.inward(b)
-        at, apart = _innermost(self.signed, a, b)
+        at, apart = least_along(self.signed, a, b)
         along = (b - a) / _length(b - a)[:, None]
         axes = jnp.stack([
             *[jnp.broadcast_to(plane, a.shape) for plane in self.planes(a.dtype)], *self.rays(a), *self.rays(b),
@@ -173,8 +173,8 @@ class _Convex(ABC):
         centre = self.inward(centre)
         rotation = rotation if self.rotation is None else self.rotation.T @ rotation
         corners = box_corners(centre, rotation, half)
-        at, from_edges = _innermost(self.signed, corners[STARTS.ravel()], corners[ENDS.ravel()])
-        from_tips = _from_box((self.tips(rotation.T) - centre) @ rotation, half)
+        at, from_edges = least_along(self.signed, corners[STARTS.ravel()], corners[ENDS.ravel()])
+        from_tips = from_box((self.tips(rotation.T) - centre) @ rotation, half)
         apart = jnp.minimum(jnp.min(from_edges), jnp.min(from_tips))
         nearest = jnp.argmin(from_edges.reshape(3, 4), axis=1)  # of the edges along each axis
         at = jnp.take_along_axis(at.reshape(3, 4, 3), nearest[:, None, None], axis=1)[:, 0]
@@ -199,7 +199,7 @@ class Box(_Convex):
 
     def signed(self, points: Array) -> Array:
         """See `_Convex`."""
-        return _from_box(points, _vector(self.half, points.dtype))
+        return from_box(points, _vector(self.half, points.dtype))
 
     def reach(self, axes: Array) -> tuple[Array, Array]:
         """See `_Convex`."""
@@ -318,7 +318,7 @@ class Prism(_Convex):
         return corners, side / length[:, None], length
 
 
-def _innermost(
+def least_along(
     signed: Callable[[Array], Array], a: Float[Array, "n 3"], b: Float[Array, "n 3"]
 ) -> tuple[Float[Array, "n 3"], Float[Array, " n"]]:
     """Where on segments a signed distance is least, and how large it is; it is convex along each."""
@@ -353,7 +353,7 @@ def _extruded(aside: Array, above: Array) -> Array:
     return jnp.where(most > 0, jnp.sqrt(jnp.maximum(aside, 0.0) ** 2 + jnp.maximum(above, 0.0) ** 2 + TINY), most)
 
 
-def _from_box(points: Float[Array, "*n 3"], half: Float[Array, " 3"]) -> Float[Array, "*n"]:
+def from_box(points: Float[Array, "*n 3"], half: Float[Array, " 3"]) -> Float[Array, "*n"]:
     """Signed distance from a box about the origin."""
     out = jnp.abs(points) - half
     most = jnp.max(out, axis=-1)

@@ -94,5 +94,5 @@ def one_rollout(exp: Experiment, row: pd.Series) -> str:
         words, unit = name_and_unit(name)
         lines.append((words, text(row[name]), unit))
     table = pd.DataFrame(lines, columns=["figure", "value", "unit"])
-    reason = why(row.to_dict(), exp.thresholds)
+    reason = why({str(name): value for name, value in row.items()}, exp.thresholds)
     return table.to_markdown(index=False, disable_numparse=True) + "\n" + (reason and f"\n{reason}\n")

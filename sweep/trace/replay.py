@@ -14,6 +14,7 @@ from tabulate import tabulate
 from sweep.core import provenance
 from sweep.core.parameters import InputError
 from sweep.engines.base import Trace
+from sweep.engines.settings import EngineSettings
 from sweep.metrics.outcome import classify
 from sweep.runs import store
 from sweep.runs.batches import make_engine, nominal, with_room_for_delay
@@ -23,6 +24,7 @@ from sweep.study.study import parameter_columns
 from sweep.trace.frames import need_ffmpeg, write_png, write_video
 from sweep.trace.mcap import write_mcap
 from sweep.trace.plots import PLOTS, save
+from sweep.trace.states import model_xml, states
 
 
 @dataclass(frozen=True)
@@ -32,6 +34,7 @@ class Replay:
     stored: pd.Series  # its row
     again: Mapping[str, Any]  # the new row: figures and labels
     trace: Trace
+    settings: EngineSettings
     config: dict[str, Any]  # the study's resolved configuration and the point's own values
     same_run: bool  # whether it was simulated as it was then: code, libraries, device
 
@@ -42,12 +45,16 @@ def main(args: list[str]) -> int:
     _check(options)
     result = replay(options.folder, options.point)
     print(comparison(result))
-    for path in (options.mcap, options.video, options.output):
+    for path in (options.mcap, options.video, options.output, options.states, options.model):
         if path is not None:
             path.parent.mkdir(parents=True, exist_ok=True)
     if options.mcap:
         outcome = {"point_id": result.stored["point_id"], **result.again}
         write_mcap(options.mcap, result.trace, result.config, outcome)
+    if options.states:
+        states(result.trace).to_parquet(options.states, index=False)
+    if options.model:
+        options.model.write_text(model_xml(result.trace.world, result.settings), encoding="utf-8")
     for name in options.plot:
         save(PLOTS[name](result.trace), plot_path(options.output, name, alone=len(options.plot) == 1))
     if options.png:
@@ -74,7 +81,7 @@ def replay(folder: Path, point: str) -> Replay:
     again = {**{name: values[0] for name, values in labels.items()}, **trace.figures}
     values = {name: row[name] for name in (*parameter_columns(table), "replicate", "stream")}
     same_run = str(row["run_id"]) == provenance.run_id(task.settings)
-    return Replay(row, again, trace, {**config, "point": values}, same_run)
+    return Replay(row, again, trace, task.settings, {**config, "point": values}, same_run)
 
 
 def comparison(result: Replay) -> str:
@@ -111,6 +118,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("folder", metavar="DIR", type=Path, help="result folder of a study")
     parser.add_argument("point", metavar="POINT", help="row number, or the beginning of a point_id")
     parser.add_argument("--mcap", metavar="FILE", type=Path, help="write a trace for Foxglove, and a layout beside it")
+    parser.add_argument("--states", metavar="FILE", type=Path, help="write every tick's state as a Parquet table")
+    parser.add_argument("--model", metavar="FILE", type=Path, help="write the MuJoCo model of these states as XML")
     parser.add_argument("--png", metavar="DIR", type=Path, help="write a few pictures")
     parser.add_argument("--video", metavar="FILE", type=Path, help="write an MP4 in real time")
     parser.add_argument("--plot", metavar="NAME", nargs="+", choices=PLOTS, default=[], help=", ".join(PLOTS))
@@ -125,6 +134,10 @@ def _check(options: argparse.Namespace) -> None:
     kinds = FigureCanvasBase.get_supported_filetypes()
     if options.output and options.output.suffix[1:] not in kinds:
         raise InputError(f"-o {options.output} is not allowed: a file that ends in {', '.join(sorted(kinds))}")
+    for option, ending in (("states", ".parquet"), ("model", ".xml")):
+        path = getattr(options, option)
+        if path and path.suffix != ending:
+            raise InputError(f"--{option} {path} is not allowed: a file that ends in {ending[1:]}")
     if options.video:
         if options.video.suffix != ".mp4":
             raise InputError(f"--video {options.video} is not allowed: a file that ends in mp4")

@@ -62,6 +62,7 @@ def _trace() -> Trace:
         model=model,
         time=time,
         qpos=qpos,
+        qvel=np.zeros((FRAMES, model.nv)),
         joint_target=angles + 0.02,
         joint_torque=np.tile([2.0, 10.0, 5.0], 6) * np.sin(phase).repeat(3, axis=1),
         foot_position=feet,
