@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.core.rotations import matrix
-from sweep.metrics.geometry import leg_gap, links_beyond_foot, outer_halves, segment_box_distance
+from sweep.metrics.geometry import base_gap, leg_gap, links_beyond_foot
 from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment
 from sweep.models.robot import half_size
 from sweep.models.solids import distance_to_box, distance_to_segments
@@ -32,11 +32,10 @@ def update(so_far: Clearance, now: Moment) -> Clearance:
     base = tick.position, matrix(tick.quat), half_size(robot)
     solids = now.world.obstacle.solids(tick.bodies)
     links = distance_to_segments(solids, *links_beyond_foot(tick.joints)) - robot.link_radius
-    own = segment_box_distance(*outer_halves(tick.joints), *base) - robot.link_radius
     return Clearance(
         jnp.minimum(so_far.obstacle, jnp.minimum(jnp.min(links), distance_to_box(solids, *base))),
         jnp.minimum(so_far.legs, leg_gap(tick.joints[:, -3:]) - 2 * robot.link_radius),
-        jnp.minimum(so_far.base, jnp.min(own)),
+        jnp.minimum(so_far.base, base_gap(tick.joints, *base) - robot.link_radius),
     )
 
 
