@@ -34,7 +34,7 @@ from sweep.study.study import is_static, parameter_columns, points, world_and_be
 Table = Any
 # what is aimed at if not told; what has no aim counts for nothing
 NEED = {"base": 0.02, "links": 0.003, "legs": 0.025, "body": 0.02, "reach": 0.01, "swing": 0.015, "rate": -6.0,
-        "balance": -0.002}  # fmt: skip
+        "edge": 0.02, "balance": -0.002}  # fmt: skip
 # deviations that count alike
 UNIT = {"rate": 1.0, "friction": 0.02, "torque": 10.0, "balance": 0.001}  # others 0.01 m
 FRICTION = 2.5  # that forces may use, so that what is lacking is known where the believed one is too little
@@ -81,7 +81,9 @@ def judge(
     case: Case, names: Sequence[str], patterns: Sequence[str], moments: int, least_normal: float | None
 ) -> tuple[list[str], Callable[[Case, Table], dict[str, jax.Array]]]:
     """The stages to be judged, and for a belief and a table what is left at their worst moment: margins of (S,)."""
-    chosen = [k for k, name in enumerate(names) if any(fnmatchcase(name, p) for p in patterns)]
+    chosen = [
+        k for k, name in enumerate(names) if any(fnmatchcase(name, p) for p in patterns) and not name.endswith(".load")
+    ]  # rests, in poses that others begin and end with
     number, phases = jnp.array(chosen), jnp.linspace(0, 1, moments)
     knots = jnp.linspace(0, 1, 3)
 

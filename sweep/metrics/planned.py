@@ -7,17 +7,18 @@ from jaxtyping import Array, Float, Int
 
 from sweep.controllers import forces
 from sweep.controllers.plan import Plan, Stance, begins, reference
-from sweep.controllers.posture import feet_in_world, leg_points
+from sweep.controllers.posture import feet_in_world, leg_points, mass_centre
 from sweep.controllers.tracker import joint_targets
 from sweep.core.rotations import matrix, rotate
 from sweep.formulas import stepping
-from sweep.metrics.geometry import leg_gap
+from sweep.metrics.geometry import leg_gap, segment_box_distance, support_margin
 from sweep.models import solids
 from sweep.models.case import Case
 from sweep.models.obstacles.surface import fixed_surface, no_bodies, poses
 
 NEAR_FOOT = 0.04  # m of the shin, which may be nearer to the obstacle than its radius: the foot stands on it
 MID_SWING = 0.05  # m from both ends of a swing, beyond which a foot has to be off the obstacle
+AROUND = 0.05  # m
 JOINTS_AT = 0.02  # share of a stage over which the joints' rate is taken
 
 
@@ -27,10 +28,12 @@ class Margins(NamedTuple):
     base: Float[Array, "*b"]  # m, from the base to the obstacle
     links: Float[Array, "*b"]  # m, from the links to it, of shins all but the end
     legs: Float[Array, "*b"]  # m, between legs
-    body: Float[Array, "*b"]  # m, from the outer half of a leg to the base
+    body: Float[Array, "*b"]  # m, from the base to shins and outer halves of thighs
     reach: Float[Array, "*b"]  # m, by which the worst leg could be longer or shorter
     swing: Float[Array, "*b"]  # m, from swinging feet to the obstacle, away from where they start and land
     rate: Float[Array, "*b"]  # rad/s, of the fastest joint, negative
+    edge: Float[Array, "*b"]  # m, from standing feet to the edges of their face, no more than `AROUND`
+    support: Float[Array, "*b"]  # m, of the mass centre in the standing feet's polygon; tells something on level ground
 
 
 class Holding(NamedTuple):
@@ -54,6 +57,8 @@ def margins(case: Case, plan: Plan, stage: Int[Array, ""], u: Float[Array, ""]) 
     end = foot + NEAR_FOOT / jnp.linalg.norm(knee - foot, axis=-1, keepdims=True) * (knee - foot)
     held = legs.at[:, -1].set(end)
     to_links = solids.distance_to_segments(solid, held[:, :-1].reshape(-1, 3), held[:, 1:].reshape(-1, 3))
+    outer = jnp.concatenate([(legs[:, -3] + knee) / 2, knee]), jnp.concatenate([knee, foot])
+    to_body = segment_box_distance(*outer, stance.position, rotation, half)
     stretch = jnp.linalg.norm(points[:, -1] - points[:, -3], axis=-1)  # from the knee's joint's other end
     reach = jnp.minimum(robot.thigh + robot.shin - stretch, stretch - jnp.abs(robot.thigh - robot.shin)) - shortfall
     starts, _ = begins(plan, stage)
@@ -61,13 +66,18 @@ def margins(case: Case, plan: Plan, stage: Int[Array, ""], u: Float[Array, ""]) 
     above = jnp.where(goes & plan.swing[stage], -fixed_surface(obstacle, foot).depth, jnp.inf)
     _, later, _ = posed(case, plan, stage, u + jnp.where(u > 0.5, -JOINTS_AT, JOINTS_AT))
     turn = jnp.abs(jnp.mod(later - joints + jnp.pi, 2 * jnp.pi) - jnp.pi)
+    stands, under = ~plan.swing[stage], fixed_surface(obstacle, starts)
+    inside = fixed_surface(obstacle, starts - AROUND * under.normal).depth
+    centre = stance.position + rotate(stance.quat, mass_centre(robot, joints))
     return Margins(
         base=solids.distance_to_box(solid, stance.position, rotation, half),
         links=to_links.min() - robot.link_radius,
         legs=leg_gap(legs) - 2 * robot.link_radius,
-        body=jnp.inf,
+        body=jnp.min(to_body) - robot.link_radius,
         reach=jnp.min(reach),
         swing=jnp.min(above),
+        edge=jnp.min(jnp.where(stands, inside, AROUND)),
+        support=support_margin(stance.feet[:, :2], stands, centre[:2]),
         rate=-jnp.max(turn) / (JOINTS_AT * plan.duration[stage]),
     )
 

@@ -16,6 +16,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from sweep.controllers.gaits import TRIPOD
+from sweep.controllers.manoeuvres.climbing import corner
 from sweep.controllers.manoeuvres.climbing.corner import FRONT, MIDDLE, REAR, OnCorner, Site, climb, gallop
 from sweep.controllers.manoeuvres.climbing.pole import curves, pair, point
 from sweep.controllers.plan import CYCLE_B_SMOOTH, SMOOTH, Plan, Stage, Stance
@@ -60,6 +61,13 @@ class Event(NamedTuple):
     land: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
+class Way(NamedTuple):
+    """On to the corner, and over its edge."""
+
+    entry: corner.Entry
+    events: tuple[Event, ...]
+
+
 EVENTS: tuple[Event, ...] = (
     Event("roof.middle.up", Pose(-0.2071, -0.7058, 89.99), MIDDLE, Wall(0.2809, -0.5545),
           leave=(0.0378, -0.1634, 0.0672), land=(0.2330, -0.1864, 0.1207)),
@@ -82,6 +90,7 @@ EVENTS: tuple[Event, ...] = (
     Event("roof.rear.on", Pose(0.5160, 0.4950, 0.00), REAR, Roof(0.2677, 0.3093),
           leave=(0.7280, 0.4303, 0.0318), land=(-0.0062, -0.6438, 0.2593)),
 )  # fmt: skip
+WAY = Way(corner.ENTRY, EVENTS)
 LEG = 0.855 / 1.05  # a_r, l1 + l2 in the book
 BELOW = 0.029  # a_r, of the front feet under the edge when the first event begins
 MOST_RISE = 0.28  # a_r, of a cycle of the gallop; from 0.35 on front and middle legs cross
@@ -102,23 +111,23 @@ class CornerRoof(OnCorner):
     cycles: int = count(2, at_least=1, at_most=100)  # of the gallop, which goes as far as the house is high
 
     @property
-    def table(self) -> tuple[Event, ...]:
-        """The numbers of the way over the edge."""
-        return EVENTS
+    def table(self) -> Way:
+        """The numbers of the whole way."""
+        return WAY
 
-    def ascend(self, belief: Case, events: Sequence[Event] = EVENTS) -> tuple[Site, Stance, list[Stage]]:
+    def ascend(self, belief: Case, way: Way = WAY) -> tuple[Site, Stance, list[Stage]]:
         """Climb until the front feet are below the edge, and get over it.
 
         Raises `InputError` where the house is too low, or too high for the cycles, by plain numbers; rows in which
         it is too low are not a number, hence invalid.
         """
         site, top = self.site(belief), belief.obstacle.height
-        start, stages, feet = climb(site)
+        start, stages, feet = climb(site, way.entry)
         rise = below_edge(site, top)[FRONT] - feet[FRONT]
         if not isinstance(rise, Tracer):
             self.refuse(belief, float(rise), float(MOST_RISE * site.length))
         up = gallop(site, feet, jnp.where(rise >= 0, rise, jnp.nan), self.cycles)
-        return site, start, [*stages, *up, *over_edge(site, belief, events)]
+        return site, start, [*stages, *up, *over_edge(site, belief, way.events)]
 
     def refuse(self, belief: Case, rise: float, most: float) -> None:
         """Raise `InputError` where the gallop cannot go up by `rise` (m), `most` (m) a cycle."""
@@ -133,7 +142,7 @@ class CornerRoof(OnCorner):
                 f"manoeuvre.cycles = {self.cycles} is not allowed: at least {needed} for obstacle.height = {top:g} m"
             )
 
-    def plan(self, belief: Case, table: Sequence[Event] = EVENTS) -> Plan:
+    def plan(self, belief: Case, table: Way = WAY) -> Plan:
         """Get on to the roof, halt."""
         _, start, stages = self.ascend(belief, table)
         return self.assembled(belief, start, stages)
@@ -147,10 +156,10 @@ class CornerFull(CornerRoof):
     steps: int = count(10, at_least=0, at_most=100)  # swings by tripod on the roof
     roof_step_ratio: float = quantity(0.1, "a_r", above=0, at_most=0.3)  # way of the base in each, from the third on
 
-    def plan(self, belief: Case, table: Sequence[Event] = EVENTS) -> Plan:
+    def plan(self, belief: Case, table: Way = WAY) -> Plan:
         """Get on to the roof, walk on, halt."""
         site, start, stages = self.ascend(belief, table)
-        on = walk_on(site, belief, self.steps, self.roof_step_ratio * site.length, table[-1].base.ahead)
+        on = walk_on(site, belief, self.steps, self.roof_step_ratio * site.length, table.events[-1].base.ahead)
         return self.assembled(belief, start, [*stages, *on])
 
 
