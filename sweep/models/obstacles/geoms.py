@@ -10,7 +10,7 @@ from sweep.models.obstacles.surface import FOOT_RADIUS
 from sweep.models.solids import Box, Cylinder, HalfSpace, Prism, Solid, Sphere
 
 DRAWN, COLLIDING = 0, 3  # geom groups: group 3 is hidden by default
-_STIFF = {"solref": [0.004, 1.0], "solimp": [0.95, 0.99, 0.001, 0.5, 2.0], "condim": 3}
+STIFF = {"solref": [0.004, 1.0], "solimp": [0.95, 0.99, 0.001, 0.5, 2.0], "condim": 3}
 
 
 def add_solids(spec: mujoco.MjSpec, solids: Sequence[Solid], friction: float, bodies: Sequence[str] = ()) -> None:
@@ -107,4 +107,4 @@ def _inset(polygon: np.ndarray, margin: float) -> np.ndarray:
 
 def _colliding(friction: float) -> dict:
     invisible = {"rgba": [0, 0, 0, 0], "group": COLLIDING, "mass": 0.0}
-    return {"contype": 0, "conaffinity": 1, "friction": [friction, 0.005, 1e-4], **_STIFF, **invisible}
+    return {"contype": 0, "conaffinity": 1, "friction": [friction, 0.005, 1e-4], **STIFF, **invisible}
