@@ -104,24 +104,23 @@ def judge(
 
 
 def show(stages: Sequence[str], found: Mapping[str, np.ndarray], whole: bool) -> None:
-    """The worst of all draws, in mm where it is a length: of every stage, or where it is least."""
-    worst = pd.DataFrame({key: value.min(axis=0) for key, value in found.items()}, index=pd.Index(stages))
-    lengths = [key for key in worst if key not in UNIT]
-    worst[lengths] *= 1e3
+    """The worst of all draws, in mm where it is a length: where it is least, and of every stage if `whole`."""
+    lengths = {key: 1.0 if key in UNIT else 1e3 for key in found}
+    worst = {key: lengths[key] * value.min(axis=0) for key, value in found.items()}
     if whole:
-        print(worst.replace(np.inf, np.nan).round(3).to_string(na_rep="", float_format=lambda x: f"{x:.4g}"))
-    for key in worst:
-        if np.isfinite(worst[key].min()):
-            k = int(np.argmin(worst[key]))
-            print(f"  least {key:9s}{worst[key].iloc[k]:9.4g}{' mm' if key in lengths else ''}  {stages[k]}"
-                  f", draw {int(np.argmin(found[key][:, k]))}")  # fmt: skip
+        table = pd.DataFrame(worst, index=pd.Index(stages)).replace(np.inf, np.nan)
+        print(table.to_string(na_rep="", float_format=lambda x: f"{x:.4g}"))
+    for key, value in worst.items():
+        if np.isfinite(value.min()):
+            k, unit = int(np.argmin(value)), "" if key in UNIT else " mm"
+            print(f"  least {key} {value[k]:.4g}{unit}: {stages[k]}, draw {int(np.argmin(found[key][:, k]))}")
 
 
 def check(given: argparse.Namespace) -> int:
     """Print what the plan keeps, over the study's draws."""
     exp = compose(given.overrides)
     if isinstance(exp.case.manoeuvre, Guided):
-        raise InputError(f"manoeuvre = {exp.case.manoeuvre.kind} has no plan to check: it follows what is measured")
+        raise InputError(f"scenario = {exp.scenario} has no plan to check: it follows what is measured")
     table = changed(exp.case.manoeuvre.table, json.loads(given.start.read_text())) if given.start else None
     names = jax.eval_shape(lambda case: case.manoeuvre.plan(case), exp.case).names
     stages, left = judge(exp.case, names, given.stages, given.moments, given.least_normal)
@@ -161,7 +160,8 @@ def search(given: argparse.Namespace) -> int:
 
     scores, tell = jax.jit(jax.vmap(score)), jax.jit(over)
     x = np.array([at[name] for name in free])
-    print(f"{len(free)} numbers, {len(stages)} stages, score {float(scores(jnp.asarray(x)[None])[0]):.4g}", flush=True)
+    first = float(scores(jnp.tile(jnp.asarray(x), (given.population, 1)))[0])  # all calls have one shape
+    print(f"{len(free)} numbers, {len(stages)} stages, score {first:.4g}", flush=True)
     told = {"popsize": given.population, "seed": given.seed, "verbose": -9, "timeout": given.minutes * 60,
             "ftarget": 1e-9, "tolflatfitness": 50}  # fmt: skip
     strategy = cma.CMAEvolutionStrategy(np.zeros(len(free)), 1.0, told)

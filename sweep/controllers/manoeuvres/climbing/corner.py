@@ -85,7 +85,7 @@ class OnCorner(PlannedForces):
     anchoring: float = quantity(0.03, "s", above=0)
     track_ratio: float = quantity(1 / 3, "a_r", above=0, at_most=1)  # x_f
     standoff_ratio: float = quantity(0.39, "a_r", above=0, at_most=2)  # eta_f
-    floor_track_ratio: float = quantity(0.43, "a_r", above=0, at_most=1)
+    floor_track_ratio: float = quantity(0.44, "a_r", above=0, at_most=1)
     span_ratio: float = quantity(1.3, "a_r", above=0, at_most=3)
     near_ratio: float = quantity(0.24, "a_r", above=0, at_most=1)
     height_ratio: float = quantity(0.5, "a_r", above=0, at_most=2)  # zeta_f
@@ -126,7 +126,7 @@ class CornerClimb(OnCorner):
     the floor stand wider than on the walls, and the front ones x* farther ahead, else front and middle legs cross; the
     middle feet stand 0.6 x* nearer to the corner, and the base pitches up a little less in 2.4.2, or the middle legs do
     not reach the floor, and in 2.4.3 they leave it upwards, or are out of reach; the front feet touch the wall x*/2
-    higher and farther apart (FIRST_TRACK), where their shins clear it; swings with a moving base take 2 to 2.6 t*;
+    higher and farther apart (`Entry`), where their shins clear it; swings with a moving base take 2 to 2.6 t*;
     2.4.4's 9 x* are along zeta; 2.4.7 is left out, and the feet are spread from the start, since the longer the lever
     from the lower to the upper feet, the less friction is needed.
     """
