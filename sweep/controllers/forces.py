@@ -12,9 +12,9 @@ from typing import Literal, NamedTuple, cast
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
-from sweep.controllers.plan import Grip, Plan, Stage, Stance, reference
+from sweep.controllers.plan import Grip, Plan, Stage, Stance, begins, reference
 from sweep.controllers.posture import foot_positions, mass_centre
 from sweep.controllers.tracker import joint_targets
 from sweep.core.parameters import choice, parameters, quantity
@@ -207,22 +207,26 @@ class Course(NamedTuple):
     planned: Forces  # the optimum of each moment by itself, leading axes (s, k)
 
 
+def moment(
+    belief: Case, plan: Plan, bounds: Bounds, least: Effort, stage: Int[Array, ""], u: Float[Array, ""]
+) -> tuple[Pose, Forces]:
+    """The pose at phase `u` of a stage as planned, and the best forces there by itself."""
+    feet, position = begins(plan, stage)
+    stance = reference(plan, stage, u, feet, position)
+    here = pose(belief.robot, stance, surface_normals(belief, feet), ~plan.swing[stage])
+    return here, distribute(here, bounds, least)
+
+
 def along(belief: Case, plan: Plan, bounds: Bounds, least: Effort) -> Course:
     """Foot forces for all of a plan, the feet on the believed obstacle.
 
     In a stage in which nothing moves, load goes evenly from the forces before it to those after it: so that feet that
     are to swing carry nothing when they do.
     """
-    feet = jnp.concatenate([plan.start.feet[None], plan.foothold[:-1]])
     base = jnp.concatenate([plan.start.position[None], plan.position[:-1]])
     number, phases = jnp.arange(plan.duration.shape[0]), jnp.linspace(0.0, 1.0, KNOTS)
 
-    def moment(stage: Array, u: Array) -> tuple[Pose, Forces]:
-        stance = reference(plan, stage, u, feet[stage], base[stage])
-        here = pose(belief.robot, stance, surface_normals(belief, feet[stage]), ~plan.swing[stage])
-        return here, distribute(here, bounds, least)
-
-    poses, planned = jax.vmap(lambda s: jax.vmap(lambda u: moment(s, u))(phases))(number)
+    poses, planned = jax.vmap(lambda s: jax.vmap(lambda u: moment(belief, plan, bounds, least, s, u))(phases))(number)
     force = planned.force
     before = jnp.concatenate([force[:1, 0], force[:-1, -1]])[:, None]
     after = jnp.concatenate([force[1:, 0], force[-1:, -1]])[:, None]

@@ -241,6 +241,13 @@ def along_guides(start: Array, guides: Float[Array, "*b 2 3"], end: Array, share
     return rest**3 * start + 3 * rest**2 * share * near + 3 * rest * share**2 * far + share**3 * end
 
 
+def begins(plan: Plan, stage: Int[Array, ""]) -> tuple[Float[Array, "6 3"], Float[Array, " 3"]]:
+    """Where feet and base (m) are when a stage begins, had all gone as planned; in the frames of the one before."""
+    before = jnp.maximum(stage - 1, 0)
+    feet = jnp.where(stage > 0, plan.foothold[before], plan.start.feet)
+    return feet, jnp.where(stage > 0, plan.position[before], plan.start.position)
+
+
 def reference(plan: Plan, stage: Int[Array, ""], u: Float[Array, ""], feet: Array, position: Array) -> Stance:
     """What stage number `stage` wants at phase u (0 to 1), having begun with `feet` (6, 3) and base `position`."""
     share, height = swing_progress(plan.cycle[stage], plan.carry[stage], u)

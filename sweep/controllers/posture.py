@@ -27,6 +27,13 @@ def foot_positions(robot: Robot, angles: Float[Array, "6 3"]) -> Float[Array, "6
     return _points(robot, angles, robot.thigh, robot.shin)
 
 
+def leg_points(robot: Robot, angles: Float[Array, "6 3"]) -> Float[Array, "6 k 3"]:
+    """Along each leg (m, base axes): hip, the coxa's end where there is one, knee, foot."""
+    hips, knees, feet = mounts(robot), _points(robot, angles, robot.thigh, 0.0), foot_positions(robot, angles)
+    coxa = [_points(robot, angles, 0.0, 0.0)] if robot.legs == "three_link" else []
+    return jnp.stack([hips, *coxa, knees, feet], axis=1)
+
+
 def feet_in_world(
     robot: Robot, position: Float[Array, " 3"], quat: Float[Array, " 4"], angles: Float[Array, "6 3"]
 ) -> Float[Array, "6 3"]:

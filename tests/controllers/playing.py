@@ -1,49 +1,44 @@
 """What a plan asks for without physics: every stage played through by inverse kinematics."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sweep.controllers.plan import Plan, reference
-from sweep.controllers.tracker import joint_targets
-from sweep.core.rotations import rotate
-from sweep.formulas.leg import SIDE, fk
-from sweep.metrics.geometry import leg_gap, link_points
+from sweep.controllers.plan import Plan
+from sweep.metrics.planned import margins, posed
 from sweep.models.case import Case
-from sweep.models.obstacles.surface import fixed_surface
-from sweep.models.scene import mounts
 
 U = np.linspace(0, 1, 41)
 
 
 @jax.jit
 def play(case: Case, plan: Plan) -> dict[str, jax.Array]:
-    """For `U` of every stage (S, U): reach shortfall, clearance of the links, gap of legs, base, feet, joints."""
-    robot = case.robot
+    """For `U` of every stage (S, U): the plan's margins, its stance and its joints."""
 
-    def at(k, u, begin):
-        stance = reference(plan, k, u, *begin)
-        joints, shortfall = joint_targets(robot, stance)
-        knee = fk(SIDE, joints.at[:, 2].set(0.0), 0.0, robot.thigh, 0.0)
-        foot = fk(SIDE, joints, 0.0, robot.thigh, robot.shin)
-        legs = mounts(robot)[:, None] + jnp.stack([jnp.zeros((6, 3)), knee, foot], axis=1)
-        legs = rotate(stance.quat[None, None], legs) + stance.position
-        points = link_points(legs)
-        depth = fixed_surface(case.obstacle, points).depth
-        return stance, {
-            "shortfall": shortfall.max(), "clearance": -depth.max() - robot.link_radius,
-            "gap": leg_gap(legs) - 2 * robot.link_radius, "position": stance.position, "quat": stance.quat,
-            "feet": stance.feet, "joints": joints,
-        }  # fmt: skip
+    def at(k, u):
+        stance, joints, _ = posed(case, plan, k, u)
+        return margins(case, plan, k, u)._asdict() | stance._asdict() | {"joints": joints}
 
-    def stage(begin, k):
-        stance, seen = jax.vmap(lambda u: at(k, u, begin))(jnp.asarray(U, float))
-        return (stance.feet[-1], stance.position[-1]), seen
-
-    return jax.lax.scan(stage, (plan.start.feet, plan.start.position), jnp.arange(len(plan.names)))[1]
+    stages, moments = jnp.arange(len(plan.names)), jnp.asarray(U, float)
+    return jax.lax.map(lambda k: jax.vmap(lambda u: at(k, u))(moments), stages)
 
 
 def played(case: Case) -> tuple[Plan, dict[str, jax.Array]]:
     """The case's own plan, and what it asks for."""
     plan = jax.jit(lambda case: case.manoeuvre.plan(case))(case)
     return plan, play(case, plan)
+
+
+def varied(case: Case, share: float, seed: int, heights: float = 0.0) -> Case:
+    """`case` with the lengths of robot and obstacle off by up to `share`, the obstacle's heights by `heights`."""
+    random = np.random.default_rng(seed)
+
+    def scaled(part, names, most):
+        given = {name: getattr(part, name) for name in names if hasattr(part, name)}
+        return replace(part, **{name: value * random.uniform(1 - most, 1 + most) for name, value in given.items()})
+
+    robot = scaled(case.robot, ("body_length", "body_width", "body_height", "thigh", "shin"), share)
+    obstacle = scaled(scaled(case.obstacle, ("radius",), share), ("height", "ledge_height"), heights)
+    return replace(case, robot=robot, obstacle=obstacle)

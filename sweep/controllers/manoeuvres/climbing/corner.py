@@ -21,8 +21,6 @@ from sweep.models.case import Case
 
 STAND = 0.5  # s, before the first and after the last swing
 FRONT, MIDDLE, REAR = GALLOP
-PITCH = np.arcsin([0.0, 0.42, 0.5, 1.0])  # after each of the first three swings: sin theta = zeta_s/a_r of (2.4.1)
-FIRST_TRACK = 1.2  # of the front feet in 2.4.1, over x_f
 # e of stages 2.4.3 and 2.4.5
 RISING = OUTWARD + UP
 SLANTED = OUTWARD + 0.9 * UP
@@ -64,6 +62,22 @@ class Site(NamedTuple):
         return Stage(name, times * self.step.time, goals, CYCLE_B_SMOOTH, self.step.height, plane, pace=SMOOTH, **body)
 
 
+class Entry(NamedTuple):
+    """Numbers of 2.4.1 to 2.4.5; all but the first two in x*."""
+
+    pitch: tuple[float, float] = (0.42, 0.48)  # sin theta = zeta_s/a_r of (2.4.1) after each of the first two swings
+    track: float = 1.3  # of the front feet when they first touch the wall, over x_f
+    front: float = 4.0  # they touch it so far below zeta_f + a_r
+    higher: float = 8.5  # by which they go up later
+    middle_floor: float = 1.6  # of the middle feet nearer to the corner than their hips
+    middle: float = 0.5  # of the middle feet on the wall above 0.7 a_r under the front ones
+    rear_floor: float = 4.5  # by which the rear feet come nearer to the corner
+    rear: float = 3.0  # of the rear feet on the wall under zeta_f
+
+
+ENTRY = Entry()
+
+
 @parameters
 class OnCorner(PlannedForces):
     """What manoeuvres on a corner have in common. Ratios are to the body's length a_r."""
@@ -72,7 +86,7 @@ class OnCorner(PlannedForces):
     anchoring: float = quantity(0.03, "s", above=0)
     track_ratio: float = quantity(1 / 3, "a_r", above=0, at_most=1)  # x_f
     standoff_ratio: float = quantity(0.39, "a_r", above=0, at_most=2)  # eta_f
-    floor_track_ratio: float = quantity(0.43, "a_r", above=0, at_most=1)
+    floor_track_ratio: float = quantity(0.44, "a_r", above=0, at_most=1)
     span_ratio: float = quantity(1.3, "a_r", above=0, at_most=3)
     near_ratio: float = quantity(0.24, "a_r", above=0, at_most=1)
     height_ratio: float = quantity(0.5, "a_r", above=0, at_most=2)  # zeta_f
@@ -113,7 +127,7 @@ class CornerClimb(OnCorner):
     the floor stand wider than on the walls, and the front ones x* farther ahead, else front and middle legs cross; the
     middle feet stand 0.6 x* nearer to the corner, and the base pitches up a little less in 2.4.2, or the middle legs do
     not reach the floor, and in 2.4.3 they leave it upwards, or are out of reach; the front feet touch the wall x*/2
-    higher and farther apart (FIRST_TRACK), where their shins clear it; swings with a moving base take 2 to 2.6 t*;
+    higher and farther apart (`Entry`), where their shins clear it; swings with a moving base take 2 to 2.6 t*;
     2.4.4's 9 x* are along zeta; 2.4.7 is left out, and the feet are spread from the start, since the longer the lever
     from the lower to the upper feet, the less friction is needed.
     """
@@ -122,49 +136,57 @@ class CornerClimb(OnCorner):
     kind: str = choice("corner_climb", "corner_climb")
     rise_ratio: float = quantity(0.14, "a_r", at_least=0, at_most=100)  # of the whole gallop
 
-    def plan(self, belief: Case) -> Plan:
+    @property
+    def table(self) -> Entry:
+        """The numbers of the way on to the corner."""
+        return ENTRY
+
+    def plan(self, belief: Case, table: Entry = ENTRY) -> Plan:
         """Stand, get on, spread the feet, gallop, halt."""
         site = self.site(belief)
-        start, stages, feet = climb(site)
+        start, stages, feet = climb(site, table)
         rise = self.rise_ratio * site.length
         return self.assembled(belief, start, [*stages, *gallop(site, feet, rise, self.cycles)])
 
 
-def climb(site: Site) -> tuple[Stance, list[Stage], dict]:
+def climb(site: Site, entry: Entry) -> tuple[Stance, list[Stage], dict]:
     """2.4.1 to 2.4.8: from the floor to where the gallop starts, with the feet's heights then."""
-    start, on, feet = get_on(site)
+    start, on, feet = get_on(site, entry)
     spread, feet = spread_out(site, feet)
     return start, [*on, *spread], feet
 
 
-def get_on(site: Site) -> tuple[Stance, list[Stage], dict]:
+def get_on(site: Site, entry: Entry) -> tuple[Stance, list[Stage], dict]:
     """2.4.1 to 2.4.5: the base pitches up, its front edge on a vertical line, its rear edge on a level one.
 
     The feet's heights on the wall are returned beside the stages, by pair.
     """
     a_r, x = site.length, site.step.landing
     pivot = site.at(0.0, site.standoff, site.clearance)
-    floor = {**site.on_floor(FRONT, site.standoff), **site.on_floor(MIDDLE, site.standoff + a_r / 2 - 1.6 * x),
-             **site.on_floor(REAR, site.standoff + a_r)}  # fmt: skip
+    behind = {FRONT: 0.0, MIDDLE: a_r / 2 - entry.middle_floor * x, REAR: a_r}
+    floor = {leg: place for legs, eta in behind.items()
+             for leg, place in site.on_floor(legs, site.standoff + eta).items()}  # fmt: skip
     start = Stance(jnp.stack([floor[leg] for leg in range(1, 7)]), pivot + point(0.0, a_r / 2, 0.0), jnp.array(TOWARDS))
 
+    pitches = [0.0, *(jnp.arcsin(sine) for sine in entry.pitch), np.pi / 2]
+
     def pitched(k: int) -> dict:
-        angle, pitch = PITCH[k + 1] - PITCH[k], PITCH[k + 1]
-        centre = pivot + a_r / 2 * point(0.0, np.cos(pitch), np.sin(pitch))
+        angle, pitch = pitches[k + 1] - pitches[k], pitches[k + 1]
+        centre = pivot + a_r / 2 * point(0.0, jnp.cos(pitch), jnp.sin(pitch))
         return {"position": centre, "pivot": pivot, "arc": angle, "turn": point(-angle, 0.0, 0.0)}
 
-    front = site.clearance + a_r - 4.5 * x
-    middle = front - 0.7 * a_r + 0.5 * x
-    rear = site.clearance - 3 * x
+    front = site.clearance + a_r - entry.front * x
+    middle = front - 0.7 * a_r + entry.middle * x
+    rear, nearer = site.clearance - entry.rear * x, site.standoff + a_r - entry.rear_floor * x
     upright = np.tile(UP, (6, 1))
     stages = [
-        site.swing("2.4.1", site.on_wall(FRONT, front, FIRST_TRACK), 2.0, **pitched(0)),
-        site.swing("2.4.2", site.on_floor(REAR, site.standoff + a_r - 4.75 * x), 2.0, upright, **pitched(1)),
+        site.swing("2.4.1", site.on_wall(FRONT, front, entry.track), 2.0, **pitched(0)),
+        site.swing("2.4.2", site.on_floor(REAR, nearer), 2.0, upright, **pitched(1)),
         site.swing("2.4.3", site.on_wall(MIDDLE, middle), 2.6, RISING, **pitched(2)),
-        site.swing("2.4.4", site.on_wall(FRONT, front + 9 * x)),
+        site.swing("2.4.4", site.on_wall(FRONT, front + entry.higher * x)),
         site.swing("2.4.5", site.on_wall(REAR, rear), plane=SLANTED),
     ]
-    return start, stages, {FRONT: front + 9 * x, MIDDLE: middle, REAR: rear}
+    return start, stages, {FRONT: front + entry.higher * x, MIDDLE: middle, REAR: rear}
 
 
 def spread_out(site: Site, feet: dict) -> tuple[list[Stage], dict]:

@@ -8,14 +8,15 @@ the house and to one another.
 """
 
 import math
+from collections.abc import Sequence
 from typing import ClassVar, NamedTuple
 
 import jax.numpy as jnp
-import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from sweep.controllers.gaits import TRIPOD
+from sweep.controllers.manoeuvres.climbing import corner
 from sweep.controllers.manoeuvres.climbing.corner import FRONT, MIDDLE, REAR, OnCorner, Site, climb, gallop
 from sweep.controllers.manoeuvres.climbing.pole import curves, pair, point
 from sweep.controllers.manoeuvres.goals import UPRIGHT
@@ -24,24 +25,25 @@ from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
+from sweep.models.robot import Robot
 
 
 class Wall(NamedTuple):
-    """Where a pair stands on the walls (a_r)."""
+    """Where a pair stands on the walls, in `leg_unit`s, nominally a_r."""
 
     aside: float
     above: float  # the roof
 
 
 class Roof(NamedTuple):
-    """Where a pair stands on the roof (a_r)."""
+    """Where a pair stands on the roof, in the same unit."""
 
     aside: float
     ahead: float  # of the corner's edge
 
 
 class Pose(NamedTuple):
-    """Of the base: its centre (a_r) and its pitch (deg)."""
+    """Of the base: its centre, in the same unit, and its pitch (deg)."""
 
     ahead: float  # of the corner's edge
     above: float  # the roof
@@ -55,33 +57,42 @@ class Event(NamedTuple):
     base: Pose  # at the end
     legs: tuple[int, int] | None = None
     to: Wall | Roof | None = None
-    # control points of the swing's curve, from the place that is left and from the new one: out, ahead, up (a_r)
+    # control points of the swing's curve, from the place that is left and from the new one: out, ahead, up
     leave: tuple[float, float, float] = (0.0, 0.0, 0.0)
     land: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
+class Way(NamedTuple):
+    """On to the corner, and over its edge."""
+
+    entry: corner.Entry
+    events: tuple[Event, ...]
+
+
 EVENTS: tuple[Event, ...] = (
-    Event("roof.middle.up", Pose(0.152, -0.568, 90.9), MIDDLE, Wall(0.324, -0.389),
-          leave=(0.105, -0.133, 0.0), land=(0.138, -0.1, 0.01)),
-    Event("roof.front.on", Pose(0.018, -0.404, 72.4), FRONT, Roof(0.538, 0.587),
-          leave=(0.373, -0.079, 0.014), land=(-0.015, 0.008, 0.191)),
-    Event("roof.middle.near", Pose(-0.040, -0.316, 70.2), MIDDLE, Wall(0.41, -0.32),
-          leave=(0.245, -0.316, 0.335), land=(0.344, -0.054, 0.109)),
-    Event("roof.rear.up", Pose(-0.057, -0.179, 56.3), REAR, Wall(0.272, -0.571),
-          leave=(0.194, -0.093, 0.012), land=(0.243, -0.142, -0.07)),
-    Event("roof.pitch", Pose(-0.113, 0.093, 49.6)),
-    Event("roof.middle.higher", Pose(0.001, 0.255, 55.2), MIDDLE, Wall(0.41, -0.111),
-          leave=(0.171, -0.105, 0.133), land=(0.235, -0.101, 0.107)),
-    Event("roof.middle.on", Pose(0.194, 0.377, 38.8), MIDDLE, Roof(0.284, 0.333),
-          leave=(0.495, -0.328, -0.285), land=(0.161, -0.322, 0.474)),
-    Event("roof.front.ahead", Pose(0.036, 0.300, 51.0), FRONT, Roof(0.437, 0.667),
-          leave=(-0.351, -0.375, 0.687), land=(0.004, -0.482, 0.634)),
-    Event("roof.middle.ahead", Pose(0.386, 0.385, 31.4), MIDDLE, Roof(0.429, 0.481),
-          leave=(0.179, -0.129, 0.257), land=(-0.008, 0.003, 0.081)),
-    Event("roof.over", Pose(0.641, 0.286, 11.9)),
-    Event("roof.rear.on", Pose(0.516, 0.495, 0.0), REAR, Roof(0.276, 0.334),
-          leave=(0.078, -0.147, -0.057), land=(0.134, -0.346, 0.337)),
+    Event("roof.middle.up", Pose(-0.2071, -0.7058, 89.99), MIDDLE, Wall(0.2809, -0.5545),
+          leave=(0.0378, -0.1634, 0.0672), land=(0.2330, -0.1864, 0.1207)),
+    Event("roof.front.on", Pose(-0.1731, -0.6335, 84.28), FRONT, Roof(0.4436, 0.4695),
+          leave=(0.1607, -0.0544, 0.1179), land=(-0.0012, 0.0098, 0.1530)),
+    Event("roof.middle.near", Pose(-0.2090, -0.4740, 73.87), MIDDLE, Wall(0.4096, -0.4067),
+          leave=(0.1250, -0.1452, 0.0305), land=(0.1782, -0.2103, 0.1374)),
+    Event("roof.rear.up", Pose(-0.2387, -0.3106, 68.82), REAR, Wall(0.3006, -0.4746),
+          leave=(0.1443, -0.0995, 0.1076), land=(0.1758, -0.0928, 0.1389)),
+    Event("roof.pitch", Pose(-0.1467, 0.0545, 48.80)),
+    Event("roof.middle.higher", Pose(-0.0584, 0.2997, 49.22), MIDDLE, Wall(0.3000, -0.1242),
+          leave=(0.1685, -0.1182, 0.1383), land=(0.1284, -0.0878, 0.1407)),
+    Event("roof.middle.on", Pose(-0.0176, 0.3644, 49.40), MIDDLE, Roof(0.3762, 0.4100),
+          leave=(0.1607, -0.0741, 0.1658), land=(0.1773, -0.1716, 0.1473)),
+    Event("roof.front.ahead", Pose(0.0092, 0.3327, 48.96), FRONT, Roof(0.3842, 0.6512),
+          leave=(0.0712, -0.0122, 0.1840), land=(0.1740, -0.1702, 0.1413)),
+    Event("roof.middle.ahead", Pose(0.5726, 0.4494, 28.76), MIDDLE, Roof(0.4177, 0.4536),
+          leave=(0.0894, -0.0580, 0.1706), land=(0.2114, -0.1819, 0.1686)),
+    Event("roof.over", Pose(0.6773, 0.3456, 14.62)),
+    Event("roof.rear.on", Pose(0.5160, 0.4950, 0.00), REAR, Roof(0.2677, 0.3093),
+          leave=(0.7280, 0.4303, 0.0318), land=(-0.0062, -0.6438, 0.2593)),
 )  # fmt: skip
+WAY = Way(corner.ENTRY, EVENTS)
+LEG = 0.855 / 1.05  # a_r, l1 + l2 in the book
 BELOW = 0.029  # a_r, of the front feet under the edge when the first event begins
 MOST_RISE = 0.28  # a_r, of a cycle of the gallop; from 0.35 on front and middle legs cross
 TIMES = 2.0  # t*, of an event
@@ -101,19 +112,24 @@ class CornerRoof(OnCorner):
     kind: str = choice("corner_roof", "corner_roof")
     cycles: int = count(2, at_least=1, at_most=100)  # of the gallop, which goes as far as the house is high
 
-    def ascend(self, belief: Case) -> tuple[Site, Stance, list[Stage]]:
+    @property
+    def table(self) -> Way:
+        """The numbers of the whole way."""
+        return WAY
+
+    def ascend(self, belief: Case, way: Way = WAY) -> tuple[Site, Stance, list[Stage]]:
         """Climb until the front feet are below the edge, and get over it.
 
         Raises `InputError` where the house is too low, or too high for the cycles, by plain numbers; rows in which
         it is too low are not a number, hence invalid.
         """
         site, top = self.site(belief), belief.obstacle.height
-        start, stages, feet = climb(site)
+        start, stages, feet = climb(site, way.entry)
         rise = below_edge(site, top)[FRONT] - feet[FRONT]
         if not isinstance(rise, Tracer):
             self.refuse(belief, float(rise), float(MOST_RISE * site.length))
         up = gallop(site, feet, jnp.where(rise >= 0, rise, jnp.nan), self.cycles)
-        return site, start, [*stages, *up, *over_edge(site, belief)]
+        return site, start, [*stages, *up, *over_edge(site, belief, way.events)]
 
     def refuse(self, belief: Case, rise: float, most: float) -> None:
         """Raise `InputError` where the gallop cannot go up by `rise` (m), `most` (m) a cycle."""
@@ -128,9 +144,9 @@ class CornerRoof(OnCorner):
                 f"manoeuvre.cycles = {self.cycles} is not allowed: at least {needed} for obstacle.height = {top:g} m"
             )
 
-    def plan(self, belief: Case) -> Plan:
+    def plan(self, belief: Case, table: Way = WAY) -> Plan:
         """Get on to the roof, halt."""
-        _, start, stages = self.ascend(belief)
+        _, start, stages = self.ascend(belief, table)
         return self.assembled(belief, start, stages)
 
 
@@ -142,10 +158,10 @@ class CornerFull(CornerRoof):
     steps: int = count(10, at_least=0, at_most=100)  # swings by tripod on the roof
     roof_step_ratio: float = quantity(0.1, "a_r", above=0, at_most=0.3)  # way of the base in each, from the third on
 
-    def plan(self, belief: Case) -> Plan:
+    def plan(self, belief: Case, table: Way = WAY) -> Plan:
         """Get on to the roof, walk on, halt."""
-        site, start, stages = self.ascend(belief)
-        on = walk_on(site, belief, self.steps, self.roof_step_ratio * site.length)
+        site, start, stages = self.ascend(belief, table)
+        on = walk_on(site, belief, self.steps, self.roof_step_ratio * site.length, table.events[-1].base.ahead)
         return self.assembled(belief, start, [*stages, *on])
 
 
@@ -156,41 +172,51 @@ def below_edge(site: Site, top: Array | float) -> dict:
     return {FRONT: front, MIDDLE: rear + site.near, REAR: rear}
 
 
-def over_edge(site: Site, belief: Case) -> list[Stage]:
+def over_edge(site: Site, belief: Case, events: Sequence[Event]) -> list[Stage]:
     """2.4.3: the events, from the end of the gallop on."""
     feet = {legs: site.on_wall(legs, height) for legs, height in below_edge(site, belief.obstacle.height).items()}
-    pitch, stages = 90.0, []
-    for event in EVENTS:
+    unit, pitch, stages = leg_unit(belief.robot), 90.0, []
+    for event in events:
         swing, guides = {}, {}
         if event.legs is not None and event.to is not None:
-            swing = spot(site, belief, event.legs, event.to)
-            ahead = site.length * np.array([1.0, -1.0, 1.0])
-            leave, land = ahead * np.array(event.leave), ahead * np.array(event.land)
+            swing = spot(belief, event.legs, event.to)
+            ahead = unit * jnp.array([1.0, -1.0, 1.0])
+            leave, land = ahead * jnp.array(event.leave), ahead * jnp.array(event.land)
             guides = curves(feet[event.legs], swing, leave, land)
             feet[event.legs] = swing
-        centre = point(0.0, -event.base.ahead * site.length, belief.obstacle.height + event.base.above * site.length)
-        turn = point(np.radians(pitch - event.base.pitch), 0.0, 0.0)
+        centre = point(0.0, -event.base.ahead * unit, belief.obstacle.height + event.base.above * unit)
+        turn = point(jnp.radians(pitch - event.base.pitch), 0.0, 0.0)
         pitch = event.base.pitch
         stages.append(Stage(event.name, TIMES * site.step.time, swing, CYCLE_B_SMOOTH, guides=guides,
                             position=centre, turn=turn, pace=SMOOTH))  # fmt: skip
     return stages
 
 
-def spot(site: Site, belief: Case, legs: tuple[int, int], to: Wall | Roof) -> dict[int, Array]:
+def leg_unit(robot: Robot) -> Array | float:
+    """What the events are measured by (m): a_r of a robot with these legs and the book's proportions.
+
+    With a_r itself, legs 2 % shorter than their body asks for would be out of reach.
+    """
+    return (robot.thigh + robot.shin) / LEG
+
+
+def spot(belief: Case, legs: tuple[int, int], to: Wall | Roof) -> dict[int, Array]:
     """Footholds of a pair (m)."""
-    top, aside = belief.obstacle.height, to.aside * site.length
+    top, unit = belief.obstacle.height, leg_unit(belief.robot)
+    aside = to.aside * unit
     if isinstance(to, Roof):
-        return pair(legs, aside, -to.ahead * site.length, top)
-    return pair(legs, aside, -aside / jnp.tan(belief.obstacle.half_angle), top + to.above * site.length)
+        return pair(legs, aside, -to.ahead * unit, top)
+    return pair(legs, aside, -aside / jnp.tan(belief.obstacle.half_angle), top + to.above * unit)
 
 
-def walk_on(site: Site, belief: Case, steps: int, way: Array | float) -> list[Stage]:
-    """Swings by tripod, in each of which the base goes `way` (m) on. Where the roof is narrow, so are the tracks.
+def walk_on(site: Site, belief: Case, steps: int, way: Array | float, ahead: Array | float) -> list[Stage]:
+    """Swings by tripod, in each of which the base goes `way` (m) on, from `ahead` of the corner's edge.
 
-    In the first two the feet go beside their hips and the base rests: farther on middle feet would meet the front legs.
+    Where the roof is narrow, so are the tracks. In the first two the feet go beside their hips and the base rests:
+    farther on middle feet would meet the front legs.
     """
     top, stages = belief.obstacle.height, []
-    base = -EVENTS[-1].base.ahead * site.length
+    base = -ahead * leg_unit(belief.robot)
     for k in range(steps):
         on = way if k >= len(TRIPOD) else 0.0
         base = base - on

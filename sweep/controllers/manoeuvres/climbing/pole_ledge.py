@@ -115,16 +115,21 @@ class PoleLedge(PoleTop):
     across: str = choice("level", *WAYS)  # the ledge is 0.2 a_r lower than the pole, 0.35 a_r higher, 0.6 a_r lower
     steps_away: int = count(3, at_least=0, at_most=100)  # swings on the ledge, 2 x* each
 
-    def way(self, belief: Case) -> tuple[Stance, list[Stage]]:
+    @property
+    def table(self) -> tuple[Move, ...]:
+        """The numbers of the way across."""
+        return WAYS[self.across]
+
+    def way(self, belief: Case, moves: Sequence[Move]) -> tuple[Stance, list[Stage]]:
         """Get on the top, cross to the ledge, walk away."""
         site, ledge = self.site(belief), belief.obstacle.ledge_height
         start, stages = self.ascend(site, belief)
         away, walk = walk_away(site, belief, ledge, self.steps_away)
-        return start, [*stages, *self.rested([*cross(site, ledge, WAYS[self.across]), *away]), *walk]
+        return start, [*stages, *self.rested([*cross(site, ledge, moves), *away]), *walk]
 
-    def plan(self, belief: Case) -> Plan:
+    def plan(self, belief: Case, table: Sequence[Move] | None = None) -> Plan:
         """Go all the way, halt."""
-        return self.assembled(belief, *self.way(belief))
+        return self.assembled(belief, *self.way(belief, table or self.table))
 
 
 def beyond(site: Site, way: float, height: Array | float) -> Float[Array, " 3"]:

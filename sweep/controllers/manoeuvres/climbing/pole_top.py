@@ -94,7 +94,7 @@ def centre(site: Site, ahead: float, above: float) -> Float[Array, " 3"]:
 
 def lofted(site: Site, start: Footholds, end: Footholds, first: tuple, last: tuple) -> dict[int, Float[Array, "2 3"]]:
     """Guides of swings: `first` from where they start and `last` from where they land, outward, ahead and up in a_r."""
-    return curves(start, end, site.length * np.array(first), site.length * np.array(last))
+    return curves(start, end, site.length * jnp.array(first), site.length * jnp.array(last))
 
 
 def to_the_edge(site: Site) -> list[Stage]:

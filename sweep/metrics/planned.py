@@ -1,0 +1,105 @@
+"""How far a plan keeps from what must not be, without physics: its stages played through by inverse kinematics."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from sweep.controllers import forces
+from sweep.controllers.plan import Plan, Stance, begins, reference
+from sweep.controllers.posture import feet_in_world, leg_points, mass_centre
+from sweep.controllers.tracker import joint_targets
+from sweep.core.rotations import matrix, rotate
+from sweep.formulas import stepping
+from sweep.metrics.geometry import leg_gap, segment_box_distance, support_margin
+from sweep.models import solids
+from sweep.models.case import Case
+from sweep.models.obstacles.surface import fixed_surface, no_bodies, poses
+
+NEAR_FOOT = 0.04  # m of the shin, which may be nearer to the obstacle than its radius: the foot stands on it
+MID_SWING = 0.05  # m from both ends of a swing, beyond which a foot has to be off the obstacle
+AROUND = 0.05  # m
+JOINTS_AT = 0.02  # share of a stage over which the joints' rate is taken
+
+
+class Margins(NamedTuple):
+    """What is left, negative where something is not as it has to be."""
+
+    base: Float[Array, "*b"]  # m, from the base to the obstacle
+    links: Float[Array, "*b"]  # m, from the links to it, of shins all but the end
+    legs: Float[Array, "*b"]  # m, between legs
+    body: Float[Array, "*b"]  # m, from the base to shins and outer halves of thighs
+    reach: Float[Array, "*b"]  # m, by which the worst leg could be longer or shorter
+    swing: Float[Array, "*b"]  # m, from swinging feet to the obstacle, away from where they start and land
+    rate: Float[Array, "*b"]  # rad/s, of the fastest joint, negative
+    edge: Float[Array, "*b"]  # m, from standing feet to the edges of their face, no more than `AROUND`
+    support: Float[Array, "*b"]  # m, of the mass centre in the standing feet's polygon; tells something on level ground
+
+
+class Holding(NamedTuple):
+    """What planned forces leave."""
+
+    friction: Float[Array, "*b"]  # of the believed coefficient
+    torque: Float[Array, "*b"]  # N m, of the believed limit
+    balance: Float[Array, "*b"]  # weights that are not held, negative
+
+
+def margins(case: Case, plan: Plan, stage: Int[Array, ""], u: Float[Array, ""]) -> Margins:
+    """At phase `u` of a stage, feet and base where the stages before have planned them. For obstacles that rest."""
+    robot, obstacle = case.robot, case.obstacle
+    stance, joints, shortfall = posed(case, plan, stage, u)
+    solid = obstacle.solids(poses(no_bodies()))
+    rotation = matrix(stance.quat)
+    half = jnp.stack([jnp.asarray(s) / 2 for s in (robot.body_length, robot.body_width, robot.body_height)])
+    points = leg_points(robot, joints)
+    legs = stance.position + rotate(stance.quat[None, None], points)
+    knee, foot = legs[:, -2], legs[:, -1]
+    end = foot + NEAR_FOOT / jnp.linalg.norm(knee - foot, axis=-1, keepdims=True) * (knee - foot)
+    held = legs.at[:, -1].set(end)
+    to_links = solids.distance_to_segments(solid, held[:, :-1].reshape(-1, 3), held[:, 1:].reshape(-1, 3))
+    outer = jnp.concatenate([(legs[:, -3] + knee) / 2, knee]), jnp.concatenate([knee, foot])
+    to_body = segment_box_distance(*outer, stance.position, rotation, half)
+    stretch = jnp.linalg.norm(points[:, -1] - points[:, -3], axis=-1)  # from the knee's joint's other end
+    reach = jnp.minimum(robot.thigh + robot.shin - stretch, stretch - jnp.abs(robot.thigh - robot.shin)) - shortfall
+    starts, _ = begins(plan, stage)
+    goes = jnp.minimum(*(jnp.linalg.norm(foot - at, axis=-1) for at in (starts, plan.foothold[stage]))) > MID_SWING
+    above = jnp.where(goes & plan.swing[stage], -fixed_surface(obstacle, foot).depth, jnp.inf)
+    _, later, _ = posed(case, plan, stage, u + jnp.where(u > 0.5, -JOINTS_AT, JOINTS_AT))
+    turn = jnp.abs(jnp.mod(later - joints + jnp.pi, 2 * jnp.pi) - jnp.pi)
+    stands, under = ~plan.swing[stage], fixed_surface(obstacle, starts)
+    inside = fixed_surface(obstacle, starts - AROUND * under.normal).depth
+    centre = stance.position + rotate(stance.quat, mass_centre(robot, joints))
+    return Margins(
+        base=solids.distance_to_box(solid, stance.position, rotation, half),
+        links=to_links.min() - robot.link_radius,
+        legs=leg_gap(legs) - 2 * robot.link_radius,
+        body=jnp.min(to_body) - robot.link_radius,
+        reach=jnp.min(reach),
+        swing=jnp.min(above),
+        edge=jnp.min(jnp.where(stands, inside, AROUND)),
+        support=support_margin(stance.feet[:, :2], stands, centre[:2]),
+        rate=-jnp.max(turn) / (JOINTS_AT * plan.duration[stage]),
+    )
+
+
+def holding(case: Case, plan: Plan, stage: Int[Array, ""], u: Float[Array, ""], bounds: forces.Bounds) -> Holding:
+    """What the forces of least friction within `bounds` leave at phase `u` of a stage."""
+    _, held = forces.moment(case, plan, bounds, "friction", stage, u)
+    return Holding(case.contact.friction - held.friction, case.drive.torque_limit - held.torque, -held.imbalance)
+
+
+def posed(case: Case, plan: Plan, stage: Array, u: Array) -> tuple[Stance, Float[Array, "6 3"], Float[Array, " 6"]]:
+    """The stance at phase `u` of a stage, its joint angles (rad) and how far each foot is out of reach (m)."""
+    robot = case.robot
+    stance = reference(plan, stage, u, *begins(plan, stage))
+    joints, shortfall = joint_targets(robot, stance)
+    if plan.posture is None:
+        return stance, joints, shortfall
+    before = jnp.maximum(stage - 1, 0)
+    origin, _ = joint_targets(robot, reference(plan, before, jnp.ones(()), *begins(plan, before)))
+    origin = jnp.where(plan.posture.held[before][:, None], plan.posture.joints[before], origin)
+    held = plan.posture.held[stage]
+    way = stepping.lambda_1(u, 0.0, 1.0)[0] * (plan.posture.joints[stage] - origin)
+    joints = jnp.where(held[:, None], origin + way, joints)
+    feet = feet_in_world(robot, stance.position, stance.quat, joints)
+    return stance._replace(feet=jnp.where(held[:, None], feet, stance.feet)), joints, jnp.where(held, 0.0, shortfall)
