@@ -9,7 +9,7 @@ from sweep.analysis.intervals import clopper_pearson
 from sweep.analysis.stats import percent
 from sweep.core.errors import InputError
 from sweep.core.expressions import column
-from sweep.runs.store import LABELS, figure_columns
+from sweep.study.columns import LABELS, figure_columns
 from sweep.study.study import identity
 
 BINS = 3  # regions along an axis

@@ -166,8 +166,9 @@ def replay(argv: list[str]) -> int:
 
 def formula(argv: list[str]) -> int:
     """`sweep formula NAME key=value`."""
+    from sweep.cli import formula as command
 
-    return formula.main(argv)
+    return command.main(argv)
 
 
 def show_choices(_: argparse.Namespace) -> int:
@@ -252,8 +253,8 @@ def show_statistics(given: argparse.Namespace) -> int:
 
 def draw_report(given: argparse.Namespace) -> int:
     """The page, and the success map where there are two parameters to draw it over."""
-    from sweep.analysis import results
     from sweep.report import maps, page, typical
+    from sweep.runs import results
 
     found, folder = results.read(given.dir, given.where), given.output or given.dir
     if given.pictures:
@@ -268,8 +269,8 @@ def draw_report(given: argparse.Namespace) -> int:
 
 def export_results(given: argparse.Namespace) -> int:
     """The bundle for a paper."""
-    from sweep.analysis import results
     from sweep.report import paper
+    from sweep.runs import results
 
     for path in paper.write(results.read(given.dir, given.where), given.paper):
         print(path)
@@ -294,10 +295,9 @@ def compare_results(given: argparse.Namespace) -> int:
 
 def audit_results(given: argparse.Namespace) -> int:
     """Flips among rollouts next to the boundary, simulated again."""
-    from sweep.analysis import results
     from sweep.cli import run as app
     from sweep.report import tables
-    from sweep.runs import audit
+    from sweep.runs import audit, results
 
     if given.points < 1:
         raise InputError(f"--points = {given.points} is not allowed: at least 1")

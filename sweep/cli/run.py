@@ -17,14 +17,14 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from sweep.analysis.stats import broken, causes, rate
-from sweep.core import provenance
 from sweep.core.errors import Fault, InputError
+from sweep.engines.run_id import device
 from sweep.report import tables
 from sweep.runs import refine, runner, store
 from sweep.runs.batches import make_engine
 from sweep.runs.batches import nominal as nominal_batch
-from sweep.runs.clusters import connected
 from sweep.study import config, designs
+from sweep.study.clusters import connected
 from sweep.study.config import Experiment
 from sweep.study.study import nominal, parameter_columns, unit
 
@@ -169,7 +169,7 @@ def pace(folder: Path, job: runner.Job) -> float | None:
         stored, done = store.read_study(folder), store.finished(folder)
         config, exp = stored["config"], job.exp
         same = (config["scenario"]["name"], config["engine"]["name"]) == (exp.scenario, exp.settings.name)
-        same &= provenance.device(exp.settings) in stored["devices"]
+        same &= device(exp.settings) in stored["devices"]
         return float(store.read_part(folder, max(done))["wall_s"].iloc[0]) if done and same else None
     except (InputError, KeyError):  # damaged, or of an earlier layout
         return None

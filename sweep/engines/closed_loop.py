@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.controllers import tracker
-from sweep.controllers.observation import Noise, Observation, Sensors, install, observe
+from sweep.controllers.observation import Observation, Sensors, install, observe
 from sweep.controllers.plan import Plan, Stance
 from sweep.controllers.posture import feet_in_world
 from sweep.controllers.tracker import Command, TrackerState, joint_targets
@@ -19,6 +19,7 @@ from sweep.metrics.stream import Running, Tick
 from sweep.models.case import Case
 from sweep.models.disturbance import Execution
 from sweep.models.drive import Servo, position_mode
+from sweep.models.noise import Noise
 from sweep.models.obstacles.surface import FreeState, no_bodies, poses
 
 GRACE = 1.2  # a rollout is over at this multiple of its planned duration, finished or not

@@ -2,11 +2,11 @@
 
 from typing import Any
 
-from sweep.controllers.observation import Noise
 from sweep.core.parameters import parameters
 from sweep.models.contact import Contact
 from sweep.models.disturbance import Execution
 from sweep.models.drive import Drive
+from sweep.models.noise import Noise
 from sweep.models.robot import Robot
 
 

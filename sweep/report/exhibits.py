@@ -11,14 +11,14 @@ from matplotlib.figure import Figure
 
 from sweep.analysis import compare, sensitivity
 from sweep.analysis.compare import SECOND
-from sweep.analysis.results import Results, binned
-from sweep.analysis.stats import percent, rate, rates
+from sweep.analysis.stats import binned, percent, rate, rates
 from sweep.report import slices
 from sweep.report.labels import CAUSE_COLOURS, SUCCESS, axis_words, heading
 from sweep.report.maps import pattern
 from sweep.report.tables import BOOKKEEPING
 from sweep.runs import audit
-from sweep.runs.store import figure_columns
+from sweep.runs.results import Results
+from sweep.study.columns import figure_columns
 
 EFFECT_VALUES, EFFECT_BINS, HISTOGRAM_BINS, LINES, HISTOGRAMS = 50, 20, 30, 5, 12
 REJECTED = 0.01  # p-value below which a fit is not drawn

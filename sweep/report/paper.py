@@ -11,15 +11,15 @@ import matplotlib as mpl
 import numpy as np
 import pandas as pd
 
-from sweep.analysis.results import Results, parameters, told
 from sweep.analysis.stats import rate
 from sweep.core.expressions import mask
 from sweep.metrics.outcome import MEANING
-from sweep.report import tables
+from sweep.report import statistics, tables
 from sweep.report.exhibits import exhibits
 from sweep.report.labels import heading
 from sweep.runs import audit
-from sweep.runs.store import figure_columns
+from sweep.runs.results import Results
+from sweep.study.columns import figure_columns
 
 LINES = 40  # of a table; longer ones are data only
 CSV_ROWS = 5_000  # more rows than this are kept as parquet
@@ -80,7 +80,7 @@ def _rows(results: Results, out: Path) -> Path:
 def summaries(results: Results) -> Iterator[tuple[str, str, pd.DataFrame]]:
     """Names, captions and contents of the tables: what was varied, what came of it, and the statistics of the page."""
     rows = results.rows
-    if varied := list(parameters(results)):
+    if varied := list(tables.parameters(results)):
         columns = ["words", "on", "values", "number", "unit", "nominal"]
         yield "parameters", "What was varied.", pd.DataFrame(varied)[columns].rename(columns={"words": "varied"})
     parts = [("all", rows)]
@@ -99,7 +99,7 @@ def summaries(results: Results) -> Iterator[tuple[str, str, pd.DataFrame]]:
         yield "causes", "Rollouts that did not succeed.", table
     if len(again := audit.table(results)):
         yield "audit", r"Rollouts next to the boundary, simulated again, with exact 95\,\% intervals.", again
-    for number, (title, content) in enumerate(told(results), 1):
+    for number, (title, content) in enumerate(statistics.in_words(results), 1):
         if isinstance(content, pd.DataFrame):
             yield f"statistics-{number}", escape(title) + ".", content
 

@@ -11,8 +11,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from sweep.analysis.intervals import anytime, wilson
-from sweep.analysis.results import Results, binned
-from sweep.analysis.stats import rates
+from sweep.analysis.stats import binned, rates
 from sweep.metrics.outcome import CAUSES
 from sweep.report import limits, mesh
 from sweep.report.cells import Cells, mark_values
@@ -20,6 +19,7 @@ from sweep.report.labels import axis_words, heading
 from sweep.report.maps import categories, legend, paint, split
 from sweep.report.tables import text
 from sweep.runs import refine
+from sweep.runs.results import Results
 from sweep.study.study import nominal
 
 MAPS = 6  # pairs of parameters, at most

@@ -1,7 +1,9 @@
 """Rows as text: csv, markdown, LaTeX with booktabs, parquet."""
 
 import io
+from collections.abc import Iterator
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -11,9 +13,11 @@ from pyarrow.csv import WriteOptions, write_csv
 from sweep.analysis.stats import causes
 from sweep.core.expressions import column
 from sweep.metrics.outcome import MEANING, TIMED_CAUSES
-from sweep.report.labels import heading, name_and_unit
-from sweep.runs.store import LABELS, figure_columns
+from sweep.report.labels import axis_words, heading, name_and_unit, unit_of
+from sweep.runs.results import Results
+from sweep.study.columns import LABELS, figure_columns
 from sweep.study.config import Experiment
+from sweep.study.study import nominal, side_and_path
 
 # figures that the outcome is derived from and that say nothing beside it
 BOOKKEEPING = {f"{cause}_{what}" for cause in TIMED_CAUSES for what in ("time_s", "stage")}
@@ -95,3 +99,16 @@ def one_rollout(title: str, row: pd.Series) -> str:
         lines.append((words, text(row[name]), unit))
     table = pd.DataFrame(lines, columns=["figure", "value", "unit"])
     return table.to_markdown(index=False, disable_numparse=True) + "\n"
+
+
+def parameters(results: Results) -> Iterator[dict[str, Any]]:
+    """What was varied."""
+    for name in results.axes:
+        values = results.rows[name]
+        side, path = side_and_path(name)
+        listed = [text(v) for v in sorted(values.unique())]
+        extent = ", ".join(listed) if len(listed) <= 6 else f"{listed[0]} to {listed[-1]}"
+        own = not name.startswith("axis.")  # else a number that parameters are made from
+        usual = text(nominal(name, results.exp.case, results.exp.settings)) if own else ""
+        about = {"words": axis_words(name), "path": path, "on": side, "unit": unit_of(name, results.exp)}
+        yield {**about, "values": extent, "number": len(listed), "nominal": usual}

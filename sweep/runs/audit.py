@@ -14,10 +14,10 @@ import pandas as pd
 import yaml
 
 from sweep.analysis import compare
-from sweep.analysis.results import Results
 from sweep.core.errors import InputError
 from sweep.engines.settings import EngineSettings
 from sweep.runs import runner, store
+from sweep.runs.results import Results
 from sweep.study.config import Experiment, experiment
 from sweep.study.study import parameter_columns, with_settings
 

@@ -16,7 +16,6 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import ConfigKeyError, OmegaConfBaseException, ValidationError
 
 from sweep.controllers.manoeuvres import MANOEUVRES
-from sweep.controllers.observation import Noise
 from sweep.core.parameters import InputError, build, checked, suggest
 from sweep.engines.settings import EngineSettings
 from sweep.metrics.outcome import Thresholds
@@ -24,9 +23,10 @@ from sweep.models.case import Case
 from sweep.models.contact import Contact
 from sweep.models.disturbance import Execution
 from sweep.models.drive import Drive
+from sweep.models.noise import Noise
 from sweep.models.obstacles import OBSTACLES
 from sweep.models.robot import Robot
-from sweep.runs.clusters import CLUSTERS, Cluster
+from sweep.study.clusters import CLUSTERS, Cluster
 from sweep.study.study import Study, nominal, parameter
 
 CONFIG_MODULE, CONFIG_NAME, HYDRA_VERSION = "sweep.conf", "config", "1.3"

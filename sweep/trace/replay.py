@@ -11,20 +11,19 @@ import pandas as pd
 from matplotlib.backend_bases import FigureCanvasBase
 from tabulate import tabulate
 
-from sweep.core import provenance
 from sweep.core.parameters import InputError
 from sweep.engines.base import Trace
+from sweep.engines.run_id import run_id
 from sweep.metrics.outcome import classify
 from sweep.runs import store
 from sweep.runs.batches import make_engine, nominal, with_room_for_delay
 from sweep.runs.runner import load_point
+from sweep.study.columns import LABELS
 from sweep.study.config import experiment
 from sweep.study.study import parameter_columns
 from sweep.trace.frames import need_ffmpeg, write_png, write_video
 from sweep.trace.mcap import write_mcap
 from sweep.trace.plots import PLOTS, save
-
-LABELS = ("outcome", "cause", "stage", "t_cause_s")
 
 
 @dataclass(frozen=True)
@@ -75,7 +74,7 @@ def replay(folder: Path, point: str) -> Replay:
     )
     again = {**{name: values[0] for name, values in labels.items()}, **trace.figures}
     values = {name: row[name] for name in (*parameter_columns(table), "replicate", "stream")}
-    same_run = str(row["run_id"]) == provenance.run_id(task.settings)
+    same_run = str(row["run_id"]) == run_id(task.settings)
     return Replay(row, again, trace, {**config, "point": values}, same_run)
 
 
