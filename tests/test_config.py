@@ -1,14 +1,20 @@
+import itertools
+import re
 from importlib.resources import files
 
 import pytest
 
 from sweep.cli.main import GROUPS
 from sweep.core.parameters import InputError
-from sweep.study.config import compose
+from sweep.study.config import compose, composed, experiment
 
-CHOICES = [
-    f"{group}={file.name.removesuffix('.yaml')}" for group in GROUPS for file in (files("sweep.conf") / group).iterdir()
-]
+
+def choices(group):
+    return [file.name.removesuffix(".yaml") for file in (files("sweep.conf") / group).iterdir()]
+
+
+TOGETHER = ("obstacle", "manoeuvre")  # which have to fit
+CHOICES = [f"{group}={name}" for group in GROUPS if group not in TOGETHER for name in choices(group)]
 SHARED = ("pole_sizes", "pole_unknown_sizes", "ball_sizes", "ball_unknown")  # called after their scenario
 
 
@@ -19,6 +25,23 @@ def test_every_config_file_composes(choice):
     if name in SHARED:
         name = exp.scenario + name[name.index("_") :]
     assert exp.study.name == (name if group in ("study", "scenario") else "walk_tripod")
+
+
+def test_a_manoeuvre_on_an_obstacle_that_it_is_not_for_is_refused_in_one_line():
+    nominal, fits, refusals = composed([]), set(), {}
+    values = {group: {name: composed([f"{group}={name}"])[group] for name in choices(group)} for group in TOGETHER}
+    for manoeuvre, obstacle in itertools.product(values["manoeuvre"], values["obstacle"]):
+        pair = {"manoeuvre": values["manoeuvre"][manoeuvre], "obstacle": values["obstacle"][obstacle]}
+        try:
+            experiment({**nominal, **pair})
+            fits.add((manoeuvre, obstacle))
+        except InputError as error:
+            kinds = f"obstacle.kind = {pair['obstacle']['kind']} .* manoeuvre.kind = {pair['manoeuvre']['kind']} needs"
+            refusals[f"{kinds} [a-z_ ]+"] = str(error)
+    assert all(re.fullmatch(pattern, text) for pattern, text in refusals.items())
+    ground = {(manoeuvre, on) for manoeuvre in ("tripod", "gallop", "stand", "waypoints") for on in ("flat", "slope")}
+    others = {(name, name.partition("_")[0]) for name in values["manoeuvre"] if "_" in name}
+    assert fits == ground | others
 
 
 def test_a_study_chooses_its_scenario_and_the_command_line_has_the_last_word():
@@ -45,6 +68,7 @@ BAD = [
     ("scenario=wlak_tripod", ["scenario = wlak_tripod", "did you mean walk_tripod?"]),
     ("robot.mounts=star", ["robot.mounts = 'star'", "rectangle, circle"]),
     ("frictoin=1", ["frictoin = 1", "contact"]),
+    ("obstacle=ball", ["obstacle.kind = ball", "manoeuvre.kind = walk needs plane"]),
     ("robot.thigh", ["robot.thigh", "missing EQUAL"]),
     ("study.name=a<b", ["study.name=a<b cannot be read", "quotes"]),
     ("study.replicates=0", ["study.replicates = 0", "at least 1"]),

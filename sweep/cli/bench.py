@@ -24,6 +24,7 @@ from sweep.engines.settings import EngineSettings
 from sweep.metrics.outcome import Thresholds
 from sweep.models.case import Case
 from sweep.models.drive import position_mode
+from sweep.study.study import assign
 
 MOST_NATIVE = 128  # rollouts for the row of C MuJoCo, the slowest
 SECOND = 1.0  # s, simulated by one call of the bare physics
@@ -46,8 +47,8 @@ def walk_map(nominal: Case, rollouts: int, width: int) -> list[tuple[Case, Case]
     slots = np.minimum(np.arange(-(-rollouts // width) * width), rollouts - 1).reshape(-1, width)
     batches = []
     for batch in slots:
-        belief = replace(nominal, manoeuvre=replace(nominal.manoeuvre, half_step_ratio=ratio.ravel()[batch]))
-        world = replace(belief, contact=replace(belief.contact, friction=friction.ravel()[batch]))
+        belief = assign(nominal, "manoeuvre.half_step_ratio", ratio.ravel()[batch])
+        world = assign(belief, "contact.friction", friction.ravel()[batch])
         batches.append((world, belief))
     return batches
 

@@ -20,7 +20,7 @@ from sweep.models.case import Case
 from sweep.models.disturbance import Execution
 from sweep.models.drive import Servo, position_mode
 from sweep.models.noise import Noise
-from sweep.models.obstacles.surface import FreeState, no_bodies, poses
+from sweep.models.obstacles.surface import FreeState, free_start, poses
 
 GRACE = 1.2  # a rollout is over at this multiple of its planned duration, finished or not
 LONGEST = 600.0  # s; a rollout that takes longer is cut off unfinished: absurd parameters must not hold up a batch
@@ -63,7 +63,7 @@ def start_state(world: Case, belief: Case, plan: Plan) -> Start:
     ground's normal (or raised) until its lowest foot touches; on free bodies it goes down upright, and rides along
     with them.
     """
-    free = world.obstacle.start() if world.obstacle.free_bodies else no_bodies()
+    free = free_start(world.obstacle)
     joints, _ = joint_targets(belief.robot, plan.start)
     start = displaced(world.execution, plan.start)
     feet = feet_in_world(world.robot, start.position, start.quat, joints)

@@ -138,10 +138,15 @@ def _schema(cls: type) -> DictConfig:
 
 def compose(overrides: list[str]) -> Experiment:
     """The experiment of command-line `overrides`, for use from Python. Raises `InputError`."""
+    return experiment(composed(overrides))
+
+
+def composed(overrides: list[str]) -> dict[str, Any]:
+    """Its plain values, of which only names and types are checked. Raises `InputError`."""
     register()
     try:
         with hydra.initialize_config_module(CONFIG_MODULE, version_base=HYDRA_VERSION):
-            return experiment(resolve(hydra.compose(CONFIG_NAME, overrides)))
+            return resolve(hydra.compose(CONFIG_NAME, overrides))
     except (HydraException, OmegaConfBaseException) as error:
         raise InputError(one_line(error, overrides)) from None
 
@@ -168,6 +173,10 @@ def experiment(values: Mapping[str, Any]) -> Experiment:
         parts[group] = build(kinds[kind], values[group], group)
     cluster = parts.pop("cluster")
     case = Case(**parts)
+    if not isinstance(case.obstacle, case.manoeuvre.needs):
+        needed = " or ".join(kind for kind, cls in OBSTACLES.items() if cls in case.manoeuvre.needs)
+        kinds = f"obstacle.kind = {case.obstacle.kind} is not allowed: manoeuvre.kind = {case.manoeuvre.kind}"
+        raise InputError(f"{kinds} needs {needed}")
     scenario = values["scenario"]
     chosen = {**dataclasses.asdict(StudySchema()), **values["study"]}  # rows of before a key was there had its default
     single = not (chosen["name"] or chosen["axes"] or chosen["points"] or chosen["replicates"] != 1)

@@ -31,6 +31,7 @@ from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import conjugate, rotate
 from sweep.formulas.ball import stabilise_delta
 from sweep.models.case import Case
+from sweep.models.obstacles.ball import Ball
 from sweep.models.robot import Robot, total_mass
 
 LEVEL = (1.0, 0.0, 0.0, 0.0)
@@ -48,7 +49,7 @@ class Perch(NamedTuple):
 
 def perch(belief: Case, manoeuvre: "BallBalance | BallDrive") -> Perch:
     """Feet on their circle, the base level over the ball."""
-    radius, length = belief.obstacle.radius, belief.robot.body_length
+    radius, length = belief.on(Ball).radius, belief.robot.body_length
     circle = manoeuvre.circle_ratio * radius
     feet = footholds(radius, circle, manoeuvre.chord_ratio * circle, 0.0) * (1 - manoeuvre.deepening / radius)
     above = jnp.asarray(UP) * (radius + manoeuvre.height_ratio * length)
@@ -66,7 +67,7 @@ def _balanced(robot: Robot, stance: Stance) -> Float[Array, " 3"]:
 
 def on_ball(belief: Case, perched: Perch) -> Stance:
     """The perch in the world, before anything moves."""
-    centre = jnp.asarray(UP) * belief.obstacle.radius
+    centre = jnp.asarray(UP) * belief.on(Ball).radius
     return Stance(perched.feet + centre, perched.position + centre, jnp.array(LEVEL))
 
 
@@ -109,6 +110,8 @@ class BallBalance:
     deepening: float = quantity(5e-4, "m", at_least=0, at_most=0.05)  # epsilon, feet inside the ball
     observer: float = quantity(0.1, "s", at_least=0)  # in which the ball's measured pose is taken over; 0: at once
 
+    needs = (Ball,)
+
     def plan(self, belief: Case) -> Plan:
         """One stage each T; all feet stay."""
         perched = perch(belief, self)
@@ -144,7 +147,7 @@ class BallBalance:
     def _planned(self, belief: Case, memory: BalanceMemory, seen: Observation) -> BalanceMemory:
         """(3.1.1) and the pulse after fig. 3.1.2, from what is measured now."""
         robot, stance = belief.robot, measured_stance(belief.robot, seen)
-        momentum = angular_momentum(robot, belief.obstacle, seen)
+        momentum = angular_momentum(robot, belief.on(Ball), seen)
         off = (centre_of_mass(robot, stance) - seen.free.position[0])[:2]
         pulse = towards(momentum, total_mass(robot)) / self.period
         place = memory.place.at[:2].add(memory.move)
@@ -156,7 +159,7 @@ class BallBalance:
         """The base a tick on: the commanded stance's mass centre goes towards where the law of every tick wants it."""
         robot, free = belief.robot, seen.free
         share = jnp.minimum(1.0, period / jnp.maximum(self.smoothing, period))
-        momentum = memory.momentum + share * (angular_momentum(robot, belief.obstacle, seen) - memory.momentum)
+        momentum = memory.momentum + share * (angular_momentum(robot, belief.on(Ball), seen) - memory.momentum)
         wanted = self.momentum_gain * towards(momentum, total_mass(robot)) - self.place_gain * free.position[0, :2]
         wanted = jnp.clip(wanted, -self.reach, self.reach)
         stance = Stance(rotate(free.quat, state.feet), memory.place, jnp.array(LEVEL))
@@ -219,6 +222,8 @@ class BallDrive:
     ease: float = quantity(0.1, "s", above=0)  # in which feet go over to where they are measured
     patience: float = quantity(0.0, "s", at_least=0)  # longest wait for a touchdown, while the ball rolls on below
 
+    needs = (Ball,)
+
     def plan(self, belief: Case) -> Plan:
         """Tripods in turn; standing feet on the ball's axes, swinging ones in its Koenig frame."""
         perched = perch(belief, self)
@@ -261,7 +266,7 @@ class BallDrive:
 
     def _planned(self, belief: Case, state: TrackerState, seen: Observation) -> tuple[DriveMemory, Float[Array, "6 3"]]:
         """(3.1.8), delta r^(3) and the turned footholds, from the ball's measured place and speed."""
-        ball, memory = belief.obstacle, state.memory
+        ball, memory = belief.on(Ball), state.memory
         place, speed = seen.free.position[0], seen.free.velocity[0, 0]
         wanted = jnp.minimum(self.speed, self.brake * (self.place - place[0]))
         push = jnp.clip(self.speed_gain * (wanted - speed), -self.push_max, self.push_max)

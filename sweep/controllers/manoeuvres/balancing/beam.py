@@ -19,6 +19,7 @@ from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.formulas import stepping
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
+from sweep.models.obstacles.beam import Beam
 from sweep.models.robot import Robot
 from sweep.models.scene import mounts
 
@@ -86,6 +87,8 @@ class BeamWalk:
     c5: float = quantity(-6.25, "N*m/rad")
     c6: float = quantity(10.067, "N*m*s/rad")  # printed with a minus: no damping
 
+    needs = (Beam,)
+
     def plan(self, belief: Case) -> Plan:
         """Stand, `steps` swings with the body's way between them, a last swing that closes the stance, stand."""
         site = self.site(belief)
@@ -101,8 +104,8 @@ class BeamWalk:
         """From what is believed."""
         length = belief.robot.body_length
         step = Step(self.half_step_ratio * length, self.lift_ratio * length, stepping.swing_time(self.rate))
-        track = belief.obstacle.width - 2 * self.inset
-        return Site(belief.robot, belief.obstacle.height, self.height_ratio * length, track, self.deepening, step)
+        track = belief.on(Beam).width - 2 * self.inset
+        return Site(belief.robot, belief.on(Beam).height, self.height_ratio * length, track, self.deepening, step)
 
     def gains(self, belief: Case) -> Gains:
         """Feedback of the flywheel."""
@@ -157,7 +160,7 @@ class BeamCross(BeamWalk):
         """Stand, approach, narrow track, middle legs out, across, middle legs down, wide track, depart, halt."""
         site = self.site(belief)
         reach = belief.robot.body_length / 2 + self.margin
-        far = -belief.obstacle.length - reach
+        far = -belief.on(Beam).length - reach
         start, stages = self.walk_up(site, reach)
         stages += [
             *rebuild(site, reach, site.track, self.transfer_lift, "narrow"),

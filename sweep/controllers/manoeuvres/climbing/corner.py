@@ -17,6 +17,7 @@ from sweep.controllers.plan import CYCLE_B_SMOOTH, SMOOTH, Plan, Stage, Stance, 
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.formulas import stepping
 from sweep.models.case import Case
+from sweep.models.obstacles.corner import Corner
 
 STAND = 0.5  # s, before the first and after the last swing
 FRONT, MIDDLE, REAR = GALLOP
@@ -80,6 +81,8 @@ class OnCorner(PlannedForces):
     rate: float = quantity(3.0, "rad/s", above=0, at_most=20)  # varpi
     patience: float = quantity(0.5, "s", at_least=0)
 
+    needs = (Corner,)
+
     def site(self, belief: Case) -> Site:
         """What is believed of the robot and of the corner."""
         a_r = belief.robot.body_length
@@ -88,7 +91,7 @@ class OnCorner(PlannedForces):
             length=a_r,
             track=track,
             floor_track=self.floor_track_ratio * a_r,
-            edge=track / jnp.tan(belief.obstacle.half_angle),
+            edge=track / jnp.tan(belief.on(Corner).half_angle),
             clearance=self.height_ratio * a_r,
             standoff=self.standoff_ratio * a_r,
             span=self.span_ratio * a_r,

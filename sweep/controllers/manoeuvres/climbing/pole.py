@@ -20,6 +20,7 @@ from sweep.core.rotations import rotate
 from sweep.formulas import stepping
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
+from sweep.models.obstacles.pole_ledge import PoleLedge
 
 STAND = 0.5  # s, before the first and after the last swing
 FRONT, MIDDLE, REAR = GALLOP
@@ -109,9 +110,11 @@ class PoleClimb(PlannedForces):
     patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
     forces: str = choice("deepening", "deepening", "planned")
 
+    needs = (PoleLedge,)
+
     def site(self, belief: Case) -> Site:
         """What is believed of the robot and of the pole."""
-        length, pole = belief.robot.body_length, belief.obstacle
+        length, pole = belief.robot.body_length, belief.on(PoleLedge)
         step = Step(self.half_step_ratio * length, self.lift_ratio * length, stepping.swing_time(self.rate))
         track = belief.robot.body_width / 2 + self.spread_ratio * length
         return Site(length, pole.radius, pole.height, pole.radius - self.deepening, track, self.height_ratio * length,

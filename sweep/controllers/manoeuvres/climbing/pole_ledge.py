@@ -40,6 +40,7 @@ from sweep.controllers.posture import foot_centres
 from sweep.core.parameters import choice, count, parameters
 from sweep.core.rotations import rotate
 from sweep.models.case import Case
+from sweep.models.obstacles import pole_ledge
 
 ON_TOP, ON_LEDGE = "top", "ledge"
 
@@ -115,7 +116,7 @@ class PoleLedge(PoleTop):
 
     def way(self, belief: Case) -> tuple[Stance, list[Stage]]:
         """Get on the top, cross to the ledge, walk away."""
-        site, ledge = self.site(belief), belief.obstacle.ledge_height
+        site, ledge = self.site(belief), belief.on(pole_ledge.PoleLedge).ledge_height
         start, stages = self.ascend(site, belief)
         away, walk = walk_away(site, belief, ledge, self.steps_away)
         return start, [*stages, *self.rested([*cross(site, ledge, WAYS[self.across]), *away]), *walk]

@@ -10,6 +10,7 @@ from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import exponential
 from sweep.formulas import stepping
 from sweep.models.case import Case
+from sweep.models.obstacles.plane import Plane
 
 STAND = 0.5  # s, before the first and after the last step
 LEVEL = (1.0, 0.0, 0.0, 0.0)
@@ -29,6 +30,8 @@ class Walk:
     rate: float = quantity(3.0, "rad/s", above=0, at_most=20)  # varpi
     deepening: float = quantity(2e-3, "m", at_least=0, at_most=0.05)  # epsilon, footholds below the ground
     patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
+
+    needs = (Plane,)
 
     def plan(self, belief: Case) -> Plan:
         """Stand, `steps` swings, stand. Along the believed ground, with the base parallel to it."""
@@ -54,6 +57,8 @@ class Stand:
     height_ratio: float = quantity(0.5, "a_r", above=0, at_most=2)
     spread_ratio: float = quantity(0.3, "a_r", at_least=0, at_most=2)
 
+    needs = (Plane,)
+
     def plan(self, belief: Case) -> Plan:
         """One stage."""
         length = belief.robot.body_length
@@ -70,4 +75,4 @@ def standing(belief: Case, spread: Array | float, height: Array | float) -> tupl
 
 def on_ground(plan: Plan, belief: Case) -> Plan:
     """The plan on the believed ground: turned by its slope."""
-    return moved(plan, exponential(jnp.array([0.0, -1.0, 0.0]) * belief.obstacle.slope), jnp.zeros(3))
+    return moved(plan, exponential(jnp.array([0.0, -1.0, 0.0]) * belief.on(Plane).slope), jnp.zeros(3))

@@ -12,6 +12,7 @@ from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.formulas.thesis import thesis_fk, thesis_step, thesis_workspace
 from sweep.models.case import Case
+from sweep.models.obstacles.plane import Plane
 from sweep.models.robot import Robot
 
 WAYPOINTS = np.array([[0.0, 0.0], [3.0, 2.0], [3.0, 3.5], [8.0, 5.0]])  # m, on the ground
@@ -42,6 +43,8 @@ class Waypoints:
     cycles: int = count(9, at_least=1, at_most=100)  # 7 take the thesis' robot there, the rest are idle
     deepening: float = quantity(2e-3, "m", at_least=0, at_most=0.05)  # epsilon, footholds below the ground
     patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
+
+    needs = (Plane,)
 
     def plan(self, belief: Case) -> Plan:
         """Stand, two stages a cycle, halt.
