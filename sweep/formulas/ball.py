@@ -77,7 +77,8 @@ def lateral_mu(
 ) -> Lateral:
     """Sideways push of a ball: pulse with a plateau.
 
-    At its peak of 2, with d = T/4. Its integral is 3/2 T, so that the gain of (3.1.8) must be cut by 2/3 where this shape replaces the pulse.
+    At its peak of 2, with d = T/4. Its integral is 3/2 T, so that the gain of (3.1.8) must be cut by 2/3 where this
+    shape replaces the pulse.
     """
     share = tau / T
     without_plateau = jnp.clip(share, 0.0, 0.25) + jnp.clip(share - 0.75, 0.0, 0.25)

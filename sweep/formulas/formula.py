@@ -178,8 +178,7 @@ class Formula:
     def compute(self, values: Mapping[str, Any]) -> dict[str, np.ndarray]:
         """Outputs in JAX's default precision, nan where there is no solution; raises `InputError`."""
         inputs = self.complete(values)
-        numbers = iter([inputs[entry.name] if entry.options else jnp.asarray(inputs[entry.name])
-                        for entry in self.inputs])  # fmt: skip
+        numbers = (inputs[each.name] if each.options else jnp.asarray(inputs[each.name]) for each in self.inputs)
         arguments = {
             name: next(numbers) if _metadata(hint) else hint(*(next(numbers) for _ in hint._fields))
             for name, hint in self._arguments.items()
