@@ -1,17 +1,13 @@
 import itertools
 import re
-from importlib.resources import files
 
 import pytest
 
-from sweep.cli.main import GROUPS
+from sweep.cli.choices import GROUPS, choices
+from sweep.controllers.manoeuvres import MANOEUVRES
 from sweep.core.parameters import InputError
+from sweep.models.obstacles import OBSTACLES
 from sweep.study.config import compose, composed, experiment
-
-
-def choices(group):
-    return [file.name.removesuffix(".yaml") for file in (files("sweep.conf") / group).iterdir()]
-
 
 TOGETHER = ("obstacle", "manoeuvre")  # which have to fit
 CHOICES = [f"{group}={name}" for group in GROUPS if group not in TOGETHER for name in choices(group)]
@@ -27,6 +23,12 @@ def test_every_config_file_composes(choice):
     assert exp.study.name == (name if group in ("study", "scenario") else "walk_tripod")
 
 
+@pytest.mark.parametrize(("group", "classes"), [("obstacle", OBSTACLES), ("manoeuvre", MANOEUVRES)])
+def test_a_class_is_a_choice_without_a_file(group, classes):
+    assert set(classes) <= set(choices(group))
+    assert all(choices(group).values())
+
+
 def test_a_manoeuvre_on_an_obstacle_that_it_is_not_for_is_refused_in_one_line():
     nominal, fits, refusals = composed([]), set(), {}
     values = {group: {name: composed([f"{group}={name}"])[group] for name in choices(group)} for group in TOGETHER}
@@ -39,8 +41,10 @@ def test_a_manoeuvre_on_an_obstacle_that_it_is_not_for_is_refused_in_one_line():
             kinds = f"obstacle.kind = {pair['obstacle']['kind']} .* manoeuvre.kind = {pair['manoeuvre']['kind']} needs"
             refusals[f"{kinds} [a-z_ ]+"] = str(error)
     assert all(re.fullmatch(pattern, text) for pattern, text in refusals.items())
-    ground = {(manoeuvre, on) for manoeuvre in ("tripod", "gallop", "stand", "waypoints") for on in ("flat", "slope")}
+    walks = ("tripod", "gallop", "walk", "stand", "waypoints")
+    ground = set(itertools.product(walks, ("flat", "slope", "plane")))
     others = {(name, name.partition("_")[0]) for name in values["manoeuvre"] if "_" in name}
+    others |= {(name, "pole_ledge") for name, on in others if on == "pole"}
     assert fits == ground | others
 
 

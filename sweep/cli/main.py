@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from sweep.cli.choices import GROUPS, choices
 from sweep.core.errors import Fault, InputError
 
 if TYPE_CHECKING:
@@ -15,8 +16,6 @@ if TYPE_CHECKING:
 
 DONE, BAD_INPUT, UNEXPECTED, FAULT, INTERRUPTED = 0, 2, 4, 5, 130
 BENCH = ("arrowhead", "mjx", "bare", "native")  # rows of `sweep bench`
-GROUPS = ("scenario", "study", "robot", "obstacle", "manoeuvre", "drive", "contact", "noise", "execution", "engine",
-          "outcome", "cluster")  # fmt: skip
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -172,15 +171,11 @@ def formula(argv: list[str]) -> int:
 
 
 def show_choices(_: argparse.Namespace) -> int:
-    """Every configuration file with its first comment line."""
-    from importlib.resources import files
-
+    """Every choice with what it says of itself."""
     for group in GROUPS:
         print(f"{group}=")
-        for file in sorted((files("sweep.conf") / group).iterdir(), key=lambda f: f.name):
-            lines = file.read_text(encoding="utf-8").splitlines()
-            text = next((line for line in lines if line.startswith("# ") and "@package" not in line), "#")
-            print(f"  {file.name.removesuffix('.yaml'):20} {text[2:]}")
+        for name, text in choices(group).items():
+            print(f"  {name:20} {text}")
     return DONE
 
 

@@ -4,8 +4,10 @@ The parameter dataclasses are the schemas: Hydra checks names and types while it
 """
 
 import dataclasses
+import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +29,7 @@ from sweep.models.noise import Noise
 from sweep.models.obstacles import OBSTACLES
 from sweep.models.robot import Robot
 from sweep.study.clusters import CLUSTERS, Cluster
-from sweep.study.study import Study, nominal, parameter
+from sweep.study.study import Study, StudySchema, nominal, parameter
 
 CONFIG_MODULE, CONFIG_NAME, HYDRA_VERSION = "sweep.conf", "config", "1.3"
 GROUPS: dict[str, type] = {
@@ -47,36 +49,6 @@ class ScenarioSchema:
 
     name: str = "nominal"
     expect: list[Any] = field(default_factory=list)
-
-
-@dataclass
-class DesignSchema:
-    """How axes are combined and sampled; see `sweep.study.designs.Design`."""
-
-    grid: str = "full"
-    kind: str = "monte_carlo"
-    num: int = 0
-    scrambles: int = 1
-
-
-@dataclass
-class StudySchema:
-    """Which variations of the scenario are run; see `sweep.study.study.Study`."""
-
-    name: str = ""
-    axes: dict[str, Any] = field(default_factory=dict)
-    design: DesignSchema = field(default_factory=DesignSchema)
-    points: str | None = None
-    where: str | None = None
-    replicates: int = 1
-    seed: int = 0
-    resolution: float = 0.0
-    level: float = 0.5
-    budget: int = 0
-    audit: int = 0
-    invalid_max: float = 0.01
-    expect: list[Any] = field(default_factory=list)
-    theory: list[Any] = field(default_factory=list)
 
 
 @dataclass
@@ -117,10 +89,11 @@ class Experiment:
         return Path(self.out or f"results/{self.study.name}")
 
 
+@functools.cache
 def register() -> None:
-    """Tell Hydra the schemas."""
+    """Tell Hydra the schemas; a kind without a file of its name is a choice as it is."""
     store = ConfigStore.instance()
-    whole = OmegaConf.structured(ExperimentSchema)
+    whole = _schema(ExperimentSchema)
     OmegaConf.set_struct(whole.study.axes, False)  # axes are named freely
     store.store(name="experiment_schema", node=whole)
     for group, cls in GROUPS.items():
@@ -128,11 +101,20 @@ def register() -> None:
     for group, kinds in KINDS.items():
         for kind, cls in kinds.items():
             store.store(group=group, name=f"{kind}_schema", node=_schema(cls))
+            if not (files(CONFIG_MODULE) / group / f"{kind}.yaml").is_file():
+                store.store(group=group, name=kind, node=_schema(cls))
 
 
 def _schema(cls: type) -> DictConfig:
-    node = OmegaConf.structured(cls)
-    OmegaConf.set_readonly(node, None)  # frozen dataclasses make frozen configs, which no file could fill in
+    return _open(OmegaConf.structured(cls))
+
+
+def _open(node: DictConfig) -> DictConfig:
+    """`node` with its parts no longer frozen, as frozen dataclasses make them: no file could fill them in."""
+    OmegaConf.set_readonly(node, None)
+    for key in node:
+        if isinstance(part := node._get_node(key), DictConfig):
+            _open(part)
     return node
 
 

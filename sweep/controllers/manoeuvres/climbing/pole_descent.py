@@ -10,7 +10,9 @@ from sweep.models.case import Case
 
 @parameters
 class PoleDescent(PoleLedge):
-    """The way of `PoleLedge` reversed: backwards by tripod to the pole, over its top, down it, and away by tripod.
+    """From the ledge behind a pole over its top and down it.
+
+    The way of `PoleLedge` reversed: backwards by tripod to the pole, over its top, down it, and away by tripod.
 
     Forces are planned for the reversed plan, not reversed: the weight does not change its direction.
     """
