@@ -1,4 +1,4 @@
-"""What each group of the configuration may be: files, and classes that need none. Read as text, to list them at once."""
+"""What each group of the configuration may be: files, and classes that need none; read as text, which is quick."""
 
 import ast
 from importlib.resources import files
