@@ -10,17 +10,22 @@ STUDY = ["run", "study=walk_map", "study.axes.friction.num=21", "study.axes.step
 
 
 class CoarseEngine(FakeEngine):
-    """The boundary moves with the time step, and a little with the precision; the other engine agrees."""
+    """The boundary moves with the time step, and a little with the precision; the other engine agrees.
+
+    Above a friction of 1.1 success takes a body that passes through another.
+    """
 
     def __init__(self, settings, world, belief, limits):
         super().__init__(settings, world, belief, limits)
+        self.solid = settings.solid
         self.shift = {0.002: 0.0, 0.001: 0.03}[settings.time_step] + (0.005 if settings.precision == "float64" else 0)
 
     def run(self, world, belief, streams):
         figures = super().run(world, belief, streams)
         friction = np.broadcast_to(world.contact.friction, (self.width,)) + self.shift
         ratio = np.broadcast_to(belief.manoeuvre.half_step_ratio, (self.width,))
-        return figures | {"tilt_max_deg": np.where(friction < 5 * ratio, 40.0, 1.0)}
+        fails = (friction < 5 * ratio) | (self.solid & (friction > 1.1))
+        return figures | {"tilt_max_deg": np.where(fails, 40.0, 1.0)}
 
 
 coarse = pytest.mark.parametrize("fake_engine", [CoarseEngine], indirect=True)
@@ -37,17 +42,24 @@ def test_flips_tell_how_far_the_boundary_moves(fake_engine, tmp_path, capsys):
     assert 0 < (rows.loc[near, "outcome"] == "success").mean() < 1
     assert 30 < near.sum() < 60
     assert main(["audit", str(tmp_path), "--points", "1000"]) == 0
-    table = audit.table(results.read(tmp_path)).set_index("simulated")
+    every = audit.table(results.read(tmp_path))
+    assert (every["rollouts"] == every["of"]).all()
+    friction, needed = rows["world.contact.friction"], 5 * rows["manoeuvre.half_step_ratio"]
+    wins = (rows["outcome"] == "success") & ~near
+    elsewhere = every[every["drawn"] == "successes elsewhere"].set_index("simulated")
+    assert (elsewhere["rollouts"] == wins.sum()).all()
+    assert list(elsewhere["flips"]) == [0, 0, 0, 0, (wins & (friction > 1.1)).sum()]
+    assert elsewhere["flips"].max() > 5
+    table = every[every["drawn"] == "next to the boundary"].set_index("simulated")
     assert (table["rollouts"] == near.sum()).all()
     moved = {audit.WAYS[way][0]: shift for way, shift in
              (("again", 0), ("half_step", 0.03), ("float64", 0.005), ("other_engine", 0))}  # fmt: skip
-    friction, needed = rows["world.contact.friction"], 5 * rows["manoeuvre.half_step_ratio"]
     for name, shift in moved.items():
         assert table.loc[name, "flips"] == ((friction < needed) & (friction + shift >= needed) & near).sum(), name
     assert table["flips"].max() > 5
     assert "half the time step" in capsys.readouterr().out
     html = page.render(results.read(tmp_path))
-    assert f"{near.sum()} of the {near.sum()} rollouts" in html
+    assert f"<td>successes elsewhere</td><td>{wins.sum()}</td><td>{wins.sum()}</td>" in html
     assert 'id="audit"' in html
     at = table.loc["half the time step"]
     assert f"{at['flips']:.0f} of {near.sum()} half the time step (at most {100 * at['high']:.1f} %)" in html
@@ -60,15 +72,15 @@ def test_an_audit_is_a_draw_and_is_not_simulated_twice(fake_engine, tmp_path):
     assert main(few) == 0
     assert [p.name for p in (tmp_path / "audit").iterdir() if p.is_dir()] == ["half_step"]
     parts = {p: p.stat().st_mtime_ns for p in (tmp_path / "audit/half_step/parts").iterdir()}
-    assert len(store.read_rows(tmp_path / "audit/half_step")) == 7
+    assert len(store.read_rows(tmp_path / "audit/half_step")) == 14
     assert main(few) == 0
     assert parts == {p: p.stat().st_mtime_ns for p in (tmp_path / "audit/half_step/parts").iterdir()}
 
 
-def test_what_has_no_boundary_is_refused(fake_engine, tmp_path, capsys):
-    assert main([*STUDY, f"out={tmp_path}", "study.where='friction > 1.1'"]) == 0
+def test_what_has_neither_a_boundary_nor_successes_is_refused(fake_engine, tmp_path, capsys):
+    assert main([*STUDY, f"out={tmp_path}", "study.where='friction < 0.15'"]) == 0
     for arguments, message in (
-        (["--where", "half_step_ratio < 0.1"], "no two neighbouring points differ"),
+        ([], "no two neighbouring points differ, and none succeeds"),
         (["--ways", "quarter_step"], "--ways quarter_step is unknown"),
         (["--points", "0"], "at least 1"),
     ):
@@ -86,6 +98,6 @@ def test_the_boundary_of_a_walk_is_the_robots(tmp_path):
     assert main(["run", "study=walk_map", *axes, f"out={tmp_path}"]) == 0
     assert main(["audit", str(tmp_path), "--points", "6"]) == 0
     table = audit.table(results.read(tmp_path))
-    assert len(table) == 4
+    assert len(table) == 10
     assert (table["invalid"] == 0).all()
     assert (table["flips"] <= 1).all()

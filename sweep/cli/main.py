@@ -104,10 +104,10 @@ def parser() -> argparse.ArgumentParser:
     compare.add_argument("--figures", type=float, metavar="SHARE", help="largest typical relative change of a figure")
     compare.add_argument("-o", "--output", type=Path, help="write the pairs that differ as CSV")
     audit = of_results(
-        "audit", audit_results, "rollouts next to the boundary again: at half the time step, in other ways"
+        "audit", audit_results, "rollouts at the boundary and successes again: at half the time step, in other ways"
     )
-    audit.add_argument("--points", type=int, default=32, help="how many, drawn at random (32)")
-    audit.add_argument("--ways", default="again,half_step,float64,other_engine", help="separated by commas")
+    audit.add_argument("--points", type=int, default=32, help="how many of each, drawn at random (32)")
+    audit.add_argument("--ways", default="again,half_step,float64,other_engine,solid", help="separated by commas")
     audit.add_argument("--where", help="only rows that match")
     judge = of_results("relabel", relabel, "judge stored rollouts by other thresholds, without simulating")
     judge.add_argument("thresholds", nargs="+", metavar="'KEY<VALUE'", help="such as 'slip_max_m<0.02'")
@@ -289,7 +289,7 @@ def compare_results(given: argparse.Namespace) -> int:
 
 
 def audit_results(given: argparse.Namespace) -> int:
-    """Flips among rollouts next to the boundary, simulated again."""
+    """Flips among rollouts next to the boundary and successes elsewhere, simulated again."""
     from sweep.cli import run as app
     from sweep.report import tables
     from sweep.runs import audit, results
@@ -297,7 +297,7 @@ def audit_results(given: argparse.Namespace) -> int:
     if given.points < 1:
         raise InputError(f"--points = {given.points} is not allowed: at least 1")
     found, ways = results.read(given.dir, given.where), names(given.ways) or []
-    with app.reporting("audit", given.points * len(ways)) as report:
+    with app.reporting("audit", 2 * given.points * len(ways)) as report:
         audit.run(found, given.points, ways, report)
     print(tables.page_table(audit.table(found)))
     return DONE

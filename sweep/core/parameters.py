@@ -34,6 +34,11 @@ def count(default: int, *, at_least: int = 0, at_most: float = math.inf) -> Any:
     return dataclasses.field(default=default, metadata={"role": "count", **bounds})
 
 
+def flag(default: bool) -> Any:
+    """On or off; it shapes what is compiled."""
+    return dataclasses.field(default=default, metadata={"role": "flag"})
+
+
 @dataclass_transform(frozen_default=True)
 def parameters[T: type](cls: T) -> T:
     """Frozen dataclass whose quantities (and nested parameter groups) are pytree leaves."""
@@ -62,6 +67,10 @@ def checked(field: "dataclasses.Field[Any]", value: Any, path: str) -> Any:
         case "choice":
             if value not in field.metadata["options"]:
                 raise InputError(f"{path} = {value!r} is not allowed: one of {', '.join(field.metadata['options'])}")
+            return value
+        case "flag":
+            if not isinstance(value, bool):
+                raise InputError(f"{path} = {value!r} is not allowed: true or false")
             return value
         case "quantity" | "count":
             return _checked_number(field, value, path)

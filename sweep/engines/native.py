@@ -34,6 +34,7 @@ from sweep.metrics.outcome import Thresholds
 from sweep.metrics.stream import Tick
 from sweep.models import scene
 from sweep.models.case import Case
+from sweep.models.collisions import collide
 from sweep.models.drive import Servo, towards
 from sweep.models.obstacles.surface import poses
 
@@ -42,29 +43,36 @@ LEGS = slice(6, 24)  # of qvel
 RECORD = ("qpos", "qvel", "actuator_force", "sensordata", "energy", "xpos", "xmat", "site_xpos", "subtree_com")
 
 
-def native_model(case: Case, time_step: float) -> mujoco.MjModel:
+def native_model(case: Case, time_step: float, solid: bool = False) -> mujoco.MjModel:
+    """The compiled `native_spec`."""
+    return native_spec(case, time_step, solid).compile()
+
+
+def native_spec(case: Case, time_step: float, solid: bool = False) -> mujoco.MjSpec:
     """The model of one case with contact, the clamped servos of (1.2.1) and foot force sensors.
 
-    The settings are those that hold a stiff robot still: elliptic cones, impratio 100, stiff contact.
+    The settings are those that hold a stiff robot still: elliptic cones, impratio 100, stiff contact. Where it is
+    `solid`, not only feet touch.
     """
-    model = scene.compile_model(case)
-    model.opt.timestep = time_step
-    model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    model.opt.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    model.opt.impratio = 100
-    model.opt.iterations = 50
-    model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
+    spec = scene.describe(case)
+    spec.option.timestep = time_step
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    spec.option.impratio = 100
+    spec.option.iterations = 50
+    spec.option.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
     drive, execution = case.drive, case.execution
-    alive = (np.arange(18) != round(float(execution.dead_joint))).astype(float)
-    limit = execution.torque_scale * drive.torque_limit
-    model.actuator_biastype[:] = mujoco.mjtBias.mjBIAS_AFFINE
-    model.actuator_gainprm[:, 0] = alive  # controls are torques: stiffness times target, and what comes on top
-    model.actuator_biasprm[:, 1] = -alive * drive.stiffness
-    model.actuator_biasprm[:, 2] = -alive * drive.damping
-    model.actuator_forcelimited[:] = 1
-    model.actuator_forcerange[:] = [-limit, limit]
-    model.dof_damping[model.jnt_dofadr[model.actuator_trnid[:, 0]]] = drive.back_emf
-    return model
+    dead, limit = round(float(execution.dead_joint)), execution.torque_scale * drive.torque_limit
+    for number, (name, motor) in enumerate(zip(scene.JOINTS, spec.actuators, strict=True)):
+        alive = float(number != dead)
+        motor.gainprm[0] = alive  # controls are torques: stiffness times target, and what comes on top
+        motor.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+        motor.biasprm[1:3] = -alive * drive.stiffness, -alive * drive.damping
+        motor.forcelimited, motor.forcerange = True, [-limit, limit]
+        spec.joint(name).damping[0] = drive.back_emf
+    if solid:
+        collide(spec, case, scene.links(case.robot))
+    return spec
 
 
 class Native:
@@ -138,14 +146,17 @@ class Native:
         for i in range(self.width):
             try:
                 with warnings.catch_warnings(action="ignore", category=UserWarning):  # as of a singular inertia
-                    models.append(native_model(batching.pick(world, i), self.settings.native_time_step))
+                    models.append(self._model(batching.pick(world, i)))
             except InputError:
                 raise
             except ValueError:  # of MuJoCo's compiler
                 models.append(None)
         unbuilt = np.array([model is None for model in models])
-        stand_in = native_model(self._nominal, self.settings.native_time_step) if unbuilt.any() else None
+        stand_in = self._model(self._nominal) if unbuilt.any() else None
         return [model or stand_in for model in models], unbuilt  # pyright: ignore[reportReturnType]
+
+    def _model(self, world: Case) -> mujoco.MjModel:
+        return native_model(world, self.settings.native_time_step, self.settings.solid)
 
     def _functions(self, world: Case, belief: Case) -> tuple[Callable, Callable, Callable]:
         """Compiled `start`, `tick` (measure the last tick, decide the next) and `finish` over the batch."""

@@ -1,6 +1,7 @@
 """How a simulation is run, as opposed to what is simulated."""
 
-from sweep.core.parameters import choice, count, parameters, quantity
+from sweep.core.errors import InputError
+from sweep.core.parameters import choice, count, flag, parameters, quantity
 
 
 @parameters
@@ -16,3 +17,9 @@ class EngineSettings:
     iterations: int = count(2, at_least=1, at_most=20)  # of the implicit contact step
     precision: str = choice("float32", "float32", "float64")
     width: int = count(0)  # rollouts in a batch; 0 asks for the device's best
+    solid: bool = flag(False)  # base and links collide with the obstacle and each other; native only
+
+    def __post_init__(self) -> None:
+        """Raises `InputError` where an engine cannot do what is asked."""
+        if self.solid and self.name != "native":
+            raise InputError("engine.solid = True is not allowed: false, or engine=native (elsewhere only feet touch)")

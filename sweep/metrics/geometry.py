@@ -4,8 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-# legs that can reach each other: neighbours, opposite ones, rear and front of one side (0.11 m apart at a pole's edge)
-PAIRS = ((1, 3), (3, 5), (2, 4), (4, 6), (1, 2), (3, 4), (5, 6), (1, 5), (2, 6))
+from sweep.models.solids import Box
 
 
 def support_margin(feet: Float[Array, "n 2"], standing: Bool[Array, " n"], point: Float[Array, " 2"]) -> Array:
@@ -44,17 +43,28 @@ def segment_distance(
     return jnp.sqrt(_dot(gap, gap) + 1e-12)
 
 
+def segment_box_distance(
+    a: Float[Array, "n 3"],
+    b: Float[Array, "n 3"],
+    centre: Float[Array, " 3"],
+    rotation: Float[Array, "3 3"],
+    half: Float[Array, " 3"],
+) -> Float[Array, " n"]:
+    """Signed distance of segments to a box of half-sizes `half` along the columns of `rotation`."""
+    return Box(name="", position=centre, rotation=rotation, half=half).to_segments(a, b)
+
+
 def _dot(a: Array, b: Array) -> Array:
     return jnp.sum(a * b, axis=-1)
 
 
 def leg_gap(joints: Float[Array, "6 k 3"]) -> Float[Array, ""]:
-    """Least distance between the centre lines of legs that can reach each other.
+    """Least distance between the centre lines of any two legs.
 
     `joints` are the points along each leg from the end of the hip's first link to the foot.
     """
     links = joints.shape[1] - 1
-    one, other = np.array(PAIRS).T - 1
+    one, other = np.triu_indices(6, 1)
     i, j = (index.ravel() for index in np.indices((links, links)))
     a, b = joints[one], joints[other]
     return jnp.min(segment_distance(a[:, i], a[:, i + 1], b[:, j], b[:, j + 1]))

@@ -84,6 +84,15 @@ def compile_model(case: Case, geoms: bool = True) -> mujoco.MjModel:
 
     Raises `InputError` where a size cannot be built.
     """
+    spec = describe(case, geoms)
+    if not geoms:
+        for geom in list(spec.geoms):
+            spec.delete(geom)
+    return spec.compile()
+
+
+def describe(case: Case, geoms: bool = True) -> mujoco.MjSpec:
+    """What `compile_model` compiles; without `geoms` the robot has none."""
     robot = case.robot
     if robot.legs == "two_link" and robot.coxa != 0:
         raise InputError(f"robot.coxa = {robot.coxa:g} is not allowed: 0 m, or robot.legs=three_link")
@@ -102,10 +111,7 @@ def compile_model(case: Case, geoms: bool = True) -> mujoco.MjModel:
     for leg in LEGS:
         _add_leg(spec, base, case, leg, values, geoms)
     case.obstacle.add_to(spec, float(case.contact.friction))
-    if not geoms:
-        for geom in list(spec.geoms):
-            spec.delete(geom)
-    return spec.compile()
+    return spec
 
 
 _DRAWING = {"contype": 0, "conaffinity": 0, "mass": 0.0, "group": DRAWN}

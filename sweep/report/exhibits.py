@@ -82,12 +82,15 @@ def invalid(rows: pd.DataFrame, where: str) -> str:
 
 
 def audited(results: Results) -> str:
-    """How often rollouts next to the boundary of the map ended otherwise when they were simulated again."""
-    ways = [
-        f"{one['flips']} of {one['rollouts'] - one['invalid']} {one['simulated']} (at most {percent(one['high'])})"
-        for one in audit.table(results).to_dict("records")
-    ]
-    return f" Next to the boundary flip, simulated again: {'; '.join(ways)}." if ways else ""
+    """How often rollouts next to the boundary, and successes elsewhere, ended otherwise when simulated again."""
+    text = ""
+    for drawn, table in audit.table(results).groupby("drawn", sort=False):
+        ways = [
+            f"{one['flips']} of {one['rollouts'] - one['invalid']} {one['simulated']} (at most {percent(one['high'])})"
+            for one in table.to_dict("records")
+        ]
+        text += f" Simulated again, flip {drawn}: {'; '.join(ways)}."
+    return text
 
 
 def effects(results: Results) -> Iterator[Exhibit]:
@@ -198,7 +201,7 @@ def distributions(results: Results) -> Iterator[Exhibit]:
 
 
 def audits(results: Results) -> Iterator[Exhibit]:
-    """Which rollouts next to the boundary end otherwise when they are simulated in other ways."""
+    """Which of the audited rollouts end otherwise when they are simulated in other ways."""
     x_y, found = results.numeric[:2], dict(audit.done(results))
     if len(x_y) < 2 or not found:
         return
@@ -206,9 +209,10 @@ def audits(results: Results) -> Iterator[Exhibit]:
     parts = [pairs[columns].assign(simulated=audit.WAYS[way][0]) for way, pairs in found.items()]
     data = pd.concat(parts, ignore_index=True)
     caption = (
-        "Rollouts next to the boundary, simulated again: a dot where the outcome is the same, a cross where it flips."
+        "Rollouts next to the boundary and successes elsewhere, simulated again: a dot where the outcome is the same, "
+        "a cross where it flips."
     )
-    yield Exhibit("audit", "Audit of the boundary", caption, data, lambda: _draw_audits(results, data))
+    yield Exhibit("audit", "Audit", caption, data, lambda: _draw_audits(results, data))
 
 
 def _draw_audits(results: Results, data: pd.DataFrame) -> Figure:

@@ -69,7 +69,6 @@ def render(results: Results) -> str:
         typical=[(one, image(one), list(telling(one, results.exp))) for one in typical(results)],
         statistics=list(statistics(results)),
         audit=list(audit.table(results).itertuples(index=False)),
-        audited=audit.about(results.folder),
         table=table(rows.head(ROWS), results.exp),
         configuration=yaml.safe_dump(results.stored["config"], sort_keys=False, allow_unicode=True),
         dates=dates(results.folder),

@@ -98,7 +98,7 @@ def summaries(results: Results) -> Iterator[tuple[str, str, pd.DataFrame]]:
         table = pd.DataFrame(counts, columns=["cause", "what it means", "rollouts"])
         yield "causes", "Rollouts that did not succeed.", table
     if len(again := audit.table(results)):
-        yield "audit", r"Rollouts next to the boundary, simulated again, with exact 95\,\% intervals.", again
+        yield "audit", r"Rollouts at the boundary and successes, simulated again, with exact 95\,\% intervals.", again
     for number, (title, content) in enumerate(statistics.in_words(results), 1):
         if isinstance(content, pd.DataFrame):
             yield f"statistics-{number}", escape(title) + ".", content

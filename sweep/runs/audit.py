@@ -1,17 +1,16 @@
-"""`sweep audit`: does the boundary of success belong to the robot or to the simulation?
+"""`sweep audit`: do the boundary of success, and success away from it, belong to the robot or to the simulation?
 
-Rollouts next to the boundary are simulated again in other ways that should make no difference. Each way is a study of
-its own in the folder's `audit/`, so it can be interrupted, looked at and replayed like any other.
+Rollouts next to the boundary, and as many successes elsewhere, are simulated again in other ways that should make no
+difference. Each way is a study of its own in the folder's `audit/`, so it can be interrupted, looked at and replayed
+like any other.
 """
 
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
-import yaml
 
 from sweep.analysis import compare
 from sweep.core.errors import InputError
@@ -21,7 +20,7 @@ from sweep.runs.results import Results
 from sweep.study.config import Experiment, experiment
 from sweep.study.study import parameter_columns, with_settings
 
-AUDIT, ABOUT = "audit", "about.yaml"
+AUDIT = "audit"
 WAYS: dict[str, tuple[str, Callable[[EngineSettings], EngineSettings]]] = {
     "again": ("as before, in batches of another width", lambda s: s),
     "half_step": (
@@ -29,27 +28,28 @@ WAYS: dict[str, tuple[str, Callable[[EngineSettings], EngineSettings]]] = {
         lambda s: replace(s, time_step=s.time_step / 2, native_time_step=s.native_time_step / 2),
     ),
     "float64": ("in double precision", lambda s: replace(s, precision="float64")),
-    "other_engine": ("on the other engine", lambda s: replace(s, name="native" if s.name == "mjx" else "mjx")),
+    "other_engine": (
+        "on the other engine",
+        lambda s: replace(s, name="native" if s.name == "mjx" else "mjx", solid=False),
+    ),
+    "solid": ("with solid bodies, on native", lambda s: replace(s, name="native", solid=True)),
 }
 
 
 def run(results: Results, number: int, ways: list[str], progress: runner.Progress) -> None:
-    """Simulate `number` rollouts next to the boundary again, each in all `ways`. Raises `InputError`."""
+    """Simulate rollouts again in all `ways`, up to `number` of each of the `samples`. Raises `InputError`."""
     for way in ways:
         if way not in WAYS:
             raise InputError(f"--ways {way} is unknown (allowed: {', '.join(WAYS)})")
     exp = one_engine(results)
-    near = np.flatnonzero(boundary(results))
-    if not len(near):
-        raise InputError(f"{results.folder} has no boundary: no two neighbouring points differ in success")
-    chosen = np.random.default_rng(0).permutation(near)[:number]
+    shuffled = [np.random.default_rng(0).permutation(np.flatnonzero(one)) for one in samples(results).values()]
+    chosen = np.concatenate([one[:number] for one in shuffled])
+    if not len(chosen):
+        raise InputError(f"{results.folder} has nothing to audit: no two neighbouring points differ, and none succeeds")
     points = results.rows.iloc[np.sort(chosen)]
     kept = [c for c in points if "." in str(c) and not str(c).startswith("engine.")]
     points = points[[*kept, "replicate", "stream", "point_id"]].reset_index(drop=True)
     folder = results.folder / AUDIT
-    folder.mkdir(exist_ok=True)
-    about = {"where": results.where, "boundary": len(near), "chosen": len(points)}
-    (folder / ABOUT).write_text(yaml.safe_dump(about))
     for way in ways:
         settings = replace(WAYS[way][1](exp.settings), width=0)  # so few rollouts have a width of their own
         values = {**exp.values, "engine": asdict(settings), "out": str(folder / way)}
@@ -67,6 +67,12 @@ def one_engine(results: Results) -> Experiment:
     return replace(results.exp, settings=with_settings(results.exp.settings, values))
 
 
+def samples(results: Results) -> dict[str, np.ndarray]:
+    """Which rows may be drawn, by the words for them: those next to the boundary, and successes elsewhere."""
+    near, wins = boundary(results), (results.rows["outcome"] == "success").to_numpy()
+    return {"next to the boundary": near, "successes elsewhere": wins & ~near}
+
+
 def boundary(results: Results) -> np.ndarray:
     """Which rows succeed while a neighbour fails, or the other way round.
 
@@ -76,9 +82,9 @@ def boundary(results: Results) -> np.ndarray:
     from scipy.spatial import KDTree
 
     rows, axes = results.rows, results.numeric
-    if not axes:
-        raise InputError(f"{results.folder} has no boundary: no number is varied")
     near = np.zeros(len(rows), dtype=bool)
+    if not axes:
+        return near
     again = rows["replicate"] % results.exp.study.replicates
     valid = (rows["outcome"] != "invalid").to_numpy()
     place = rows[axes].rank(method="dense")
@@ -108,18 +114,19 @@ def done(results: Results) -> Iterator[tuple[str, pd.DataFrame]]:
             yield way, compare.pair(before, again, ["point_id"])
 
 
-def about(folder: Path) -> dict[str, Any]:
-    """How the points of an audit were chosen; empty where there is none."""
-    path = folder / AUDIT / ABOUT
-    return yaml.safe_load(path.read_text()) if path.exists() else {}
-
-
 def table(results: Results) -> pd.DataFrame:
-    """Flips in each way, with the exact 95 % interval of their share of the boundary's points."""
+    """Flips in each way among each sample, with the exact 95 % interval of their share."""
     lines = []
+    members = {kind: set(results.rows.loc[member, "point_id"]) for kind, member in samples(results).items()}
     for way, pairs in done(results):
-        found = compare.flips(pairs)
-        low, high = found.interval()
-        lines.append((WAYS[way][0], found.pairs, found.pairs - found.tested, found.flipped,
-                      found.flipped / found.tested if found.tested else np.nan, low, high))  # fmt: skip
-    return pd.DataFrame(lines, columns=["simulated", "rollouts", "invalid", "flips", "share", "low", "high"])
+        for kind, points in members.items():
+            of_kind = pairs[pairs["point_id"].isin(points)]
+            if of_kind.empty:
+                continue
+            found = compare.flips(of_kind)
+            low, high = found.interval()
+            lines.append((WAYS[way][0], kind, len(points), found.pairs, found.pairs - found.tested, found.flipped,
+                          found.flipped / found.tested if found.tested else np.nan, low, high))  # fmt: skip
+    return pd.DataFrame(
+        lines, columns=["simulated", "drawn", "of", "rollouts", "invalid", "flips", "share", "low", "high"]
+    )

@@ -7,6 +7,7 @@ from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.models.obstacles.surface import Bodies, Surface
+from sweep.models.solids import Box, Solid
 
 CORNERS = np.array([[1, 1, -1], [1, -1, -1], [-1, 1, -1], [-1, -1, -1]])
 
@@ -46,6 +47,11 @@ class Slab:
             "body_inertia": {"slab": self.mass / 3 * (jnp.sum(half**2) - half**2)},
             "site_pos": sites,
         }
+
+    def solids(self, bodies: Bodies) -> tuple[Solid, ...]:
+        """The slab."""
+        half = (self.half_length, self.half_width, self.half_height)
+        return (Box(name="slab", position=bodies.position[0], rotation=bodies.rotation[0], half=half, body=0),)
 
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: Bodies) -> Surface:
         """The robot's feet stand on the slab, the slab's corners on the floor without friction."""

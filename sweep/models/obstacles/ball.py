@@ -6,8 +6,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
-from sweep.models.obstacles.geoms import add_ball, add_plane
-from sweep.models.obstacles.surface import Bodies, FreeState, Rolling, Surface
+from sweep.models.obstacles.geoms import add_rolling, add_solids
+from sweep.models.obstacles.surface import Bodies, FreeState, Rolling, Surface, own_axes
+from sweep.models.solids import HalfSpace, Solid, Sphere
 
 FLOOR, BALL = range(2)
 
@@ -32,14 +33,14 @@ class Ball:
 
     def add_to(self, spec: mujoco.MjSpec, friction: float) -> None:
         """Floor and ball."""
-        add_plane(spec.worldbody, "floor", [0, 0, 1], friction)
         inertia = np.asarray(self.leaves()["body_inertia"]["ball"], float)
         body = spec.worldbody.add_body(name="ball", pos=[0, 0, self.radius], ipos=[0, 0, 0], explicitinertial=True,
                                        mass=self.mass, inertia=inertia)  # fmt: skip
         body.add_freejoint(name="ball")
         body.add_site(name="ball")
         resistance = [friction * self.floor_grip, self.spinning_friction, self.rolling_friction]
-        add_ball(spec.worldbody, body, self.radius, friction, resistance)
+        add_solids(spec, self.solids(own_axes(1)), friction, self.free_bodies)
+        add_rolling(spec.worldbody, body, self.radius, resistance)
 
     def leaves(self) -> dict[str, dict[str, Array]]:
         """Mass and inertia."""
@@ -56,6 +57,11 @@ class Ball:
         turn = jnp.cross(jnp.array([0.0, 0.0, 1.0]), velocity) / self.radius
         position = jnp.array([0.0, 0.0, 1.0]) * self.radius
         return FreeState(position[None], jnp.array([[1.0, 0.0, 0.0, 0.0]]), velocity[None], turn[None])
+
+    def solids(self, bodies: Bodies) -> tuple[Solid, ...]:
+        """Floor and ball."""
+        floor = HalfSpace(name="floor", normal=(0.0, 0.0, 1.0))
+        return floor, Sphere(name="ball", radius=self.radius, centre=bodies.position[0], body=0)
 
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: Bodies) -> Surface:
         """Floor or ball, whichever is deeper; the ball itself, given by its centre, feels the floor."""

@@ -5,8 +5,9 @@ import mujoco
 from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
-from sweep.models.obstacles.geoms import SOIL, add_plane, add_solid
-from sweep.models.obstacles.surface import FOOT_RADIUS, Bodies, Surface
+from sweep.models.obstacles.geoms import add_solids
+from sweep.models.obstacles.surface import FOOT_RADIUS, Bodies, Surface, own_axes
+from sweep.models.solids import SOIL, Box, HalfSpace, Solid
 
 FLOOR, LEDGE, NEAR_WALL, FAR_WALL, TOP, LEFT, RIGHT, BOTTOM = range(8)
 LEDGE_HALF = 2.0  # m, of a ledge's drawing and collision geometry; its surface has no end
@@ -28,17 +29,24 @@ class Beam:
     contact_sites = ()
 
     def add_to(self, spec: mujoco.MjSpec, friction: float) -> None:
-        """Floor, two blocks for the ledges and the beam, whose shrunk collision geometry meets theirs without a gap."""
-        world, box, half = spec.worldbody, mujoco.mjtGeom.mjGEOM_BOX, self.height / 2
-        add_plane(world, "floor", [0, 0, 1], friction)
-        for name, y in (("near_ledge", LEDGE_HALF), ("far_ledge", -self.length - LEDGE_HALF)):
-            add_solid(world, name, box, [LEDGE_HALF, LEDGE_HALF, half], [0, y, half], friction, rgba=SOIL)
-        add_solid(world, "beam", box, [self.width / 2, self.length / 2 + 2 * FOOT_RADIUS, self.thickness / 2],
-                  [0, -self.length / 2, self.height - self.thickness / 2], friction)  # fmt: skip
+        """Floor, two blocks for the ledges and the beam, whose shrunk geometry meets theirs without a gap."""
+        add_solids(spec, self.solids(own_axes(0)), friction)
 
     def leaves(self) -> dict[str, dict[str, Array]]:
         """Nothing moves."""
         return {}
+
+    def solids(self, bodies: Bodies) -> tuple[Solid, ...]:
+        """The ledges end where no robot comes; the beam reaches as far into them as feet's geometry is shrunk."""
+        half, length, thickness = self.height / 2, self.length / 2, self.thickness / 2
+        ledges = (("near_ledge", LEDGE_HALF), ("far_ledge", -self.length - LEDGE_HALF))
+        return (
+            HalfSpace(name="floor", normal=(0.0, 0.0, 1.0)),
+            *[Box(name=name, position=(0.0, y, half), half=(LEDGE_HALF, LEDGE_HALF, half), colour=SOIL)
+              for name, y in ledges],
+            Box(name="beam", position=(0.0, -length, self.height - thickness),
+                half=(self.width / 2, length + 2 * FOOT_RADIUS, thickness)),
+        )  # fmt: skip
 
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: Bodies) -> Surface:
         """A solid's depth is the least over its faces; of four solids the deepest counts.

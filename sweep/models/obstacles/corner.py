@@ -6,8 +6,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
-from sweep.models.obstacles.geoms import add_plane, add_prism
-from sweep.models.obstacles.surface import Bodies, Surface
+from sweep.models.obstacles.geoms import add_solids
+from sweep.models.obstacles.surface import Bodies, Surface, own_axes
+from sweep.models.solids import HalfSpace, Prism, Solid, maths
 
 FLOOR, RIGHT, LEFT, ROOF = range(4)  # faces; the walls as a robot sees them that comes along -y
 DEPTH = 3.0  # m, that the house reaches back in y
@@ -34,13 +35,18 @@ class Corner:
 
     def add_to(self, spec: mujoco.MjSpec, friction: float) -> None:
         """Floor and a prism for the house."""
-        add_plane(spec.worldbody, "floor", [0, 0, 1], friction)
-        half = DEPTH * np.tan(self.half_angle)
-        add_prism(spec, "house", [(0.0, 0.0), (half, -DEPTH), (-half, -DEPTH)], self.height, friction)
+        add_solids(spec, self.solids(own_axes(0)), friction)
 
     def leaves(self) -> dict[str, dict[str, Array]]:
         """Nothing moves."""
         return {}
+
+    def solids(self, bodies: Bodies) -> tuple[Solid, ...]:
+        """The house has a back wall, where no robot comes."""
+        half = DEPTH * maths(self.half_angle).tan(self.half_angle)
+        polygon = ((0.0, 0.0), (half, -DEPTH), (-half, -DEPTH))
+        floor = HalfSpace(name="floor", normal=(0.0, 0.0, 1.0))
+        return floor, Prism(name="house", polygon=polygon, height=self.height)
 
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: Bodies) -> Surface:
         """The house's depth is the least over its faces; of floor and house the deeper counts."""

@@ -1,77 +1,97 @@
-"""Drawing and collision geometry of obstacles: each solid is drawn in full and collides shrunk by the foot radius."""
+"""MuJoCo's geoms of an obstacle's solids: each is drawn in full and meets feet shrunk by the foot radius."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import mujoco
 import numpy as np
 
 from sweep.models.obstacles.surface import FOOT_RADIUS
+from sweep.models.solids import Box, Cylinder, HalfSpace, Prism, Solid, Sphere
 
 DRAWN, COLLIDING = 0, 3  # geom groups: group 3 is hidden by default
-SOIL = (0.62, 0.66, 0.60, 1.0)
-WOOD = (0.72, 0.55, 0.36, 1.0)
-_STIFF = {"solref": [0.004, 1.0], "solimp": [0.95, 0.99, 0.001, 0.5, 2.0], "condim": 3}
+STIFF = {"solref": [0.004, 1.0], "solimp": [0.95, 0.99, 0.001, 0.5, 2.0], "condim": 3}
 
 
-def add_plane(body: mujoco.MjsBody, name: str, normal: Sequence[float] | np.ndarray, friction: float) -> None:
-    """A half-space through the origin."""
-    quat = _to_axis(np.asarray(normal, float))
-    body.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_PLANE, size=[20, 20, 0.1], quat=quat, material="ground",
-                  group=DRAWN, contype=0, conaffinity=0)  # fmt: skip
-    body.add_geom(name=f"{name}_contact", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.1], quat=quat,
-                  pos=-FOOT_RADIUS * np.asarray(normal, float), **_colliding(friction))  # fmt: skip
+def add_solids(spec: mujoco.MjSpec, solids: Sequence[Solid], friction: float, bodies: Sequence[str] = ()) -> None:
+    """Two geoms a solid, which are described in the axes of the free bodies that they belong to, of those names."""
+    for solid in solids:
+        body = spec.worldbody if solid.body < 0 else spec.body(bodies[solid.body])
+        drawn = {"group": DRAWN, "mass": 0.0, "contype": 0, "conaffinity": 0}
+        body.add_geom(name=solid.name, **shape(spec, solid, solid.name), **_look(solid), **drawn)
+        name = f"{solid.name}_contact"
+        body.add_geom(name=name, **shape(spec, solid, name, FOOT_RADIUS), **_colliding(friction))
 
 
-def add_solid(
-    body: mujoco.MjsBody,
-    name: str,
-    kind: mujoco.mjtGeom,
-    size: Sequence[float],
-    pos: Sequence[float],
-    friction: float,
-    rgba: Sequence[float] = WOOD,
-    mass: float = 0.0,
-) -> None:
-    """A box or cylinder at `pos` with half-sizes `size` (m)."""
-    shrunk = [max(s - FOOT_RADIUS, 1e-4) for s in size]
-    body.add_geom(name=name, type=kind, size=_three(size), pos=pos, rgba=rgba, group=DRAWN, mass=mass,
-                  contype=0, conaffinity=0)  # fmt: skip
-    body.add_geom(name=f"{name}_contact", type=kind, size=_three(shrunk), pos=pos, **_colliding(friction))
+def shape(spec: mujoco.MjSpec, solid: Solid, name: str, margin: float = 0.0) -> dict[str, Any]:
+    """Options of a geom in the shape of a solid, in the axes of its description, shrunk by `margin` (m).
+
+    A prism's is a mesh called `name`, which is put in the spec.
+    """
+    kinds = mujoco.mjtGeom
+    match solid:
+        case HalfSpace():
+            normal = np.asarray(solid.normal, float)
+            extent = 0.0 if margin else 20.0  # of the drawing
+            quat = np.zeros(4)
+            mujoco.mju_quatZ2Vec(quat, normal)
+            size, pos = [extent, extent, 0.1], 0.0 - margin * normal
+            return {"type": kinds.mjGEOM_PLANE, "size": size, "quat": quat, "pos": pos}
+        case Sphere():
+            return {"type": kinds.mjGEOM_SPHERE, "size": [solid.radius - margin, 0, 0], "pos": _numbers(solid.centre)}
+        case Box():
+            return {"type": kinds.mjGEOM_BOX, "size": _shrunk(solid.half, margin), **_place(solid)}
+        case Cylinder():
+            size = [*_shrunk([solid.radius, solid.half], margin), 0.0]
+            return {"type": kinds.mjGEOM_CYLINDER, "size": size, **_place(solid)}
+        case Prism():
+            polygon = np.asarray(solid.polygon, float)
+            centre = np.mean(polygon, axis=0)
+            sides = _inset(polygon - centre, margin)
+            spec.add_mesh(name=name, uservert=[c for x, y in sides for z in (0.0, solid.height - margin)
+                                               for c in (x, y, z)])  # fmt: skip
+            place = _place(solid)
+            turn = np.eye(3) if solid.rotation is None else np.asarray(solid.rotation, float)
+            return {**place, "type": kinds.mjGEOM_MESH, "meshname": name, "pos": place["pos"] + turn @ [*centre, 0.0]}
+    raise TypeError(f"no geom has the shape of a {type(solid).__name__}")
 
 
-def add_ball(
-    world: mujoco.MjsBody, body: mujoco.MjsBody, radius: float, friction: float, resistance: Sequence[float]
-) -> None:
-    """A ball on which feet stand, and which lies on the floor z = 0 with its own sliding, spinning, rolling friction.
+def add_rolling(world: mujoco.MjsBody, body: mujoco.MjsBody, radius: float, resistance: Sequence[float]) -> None:
+    """How a ball lies on the floor z = 0, with its own sliding, spinning, rolling friction.
 
     Ball and floor meet in geoms of their own, which have their full size and which feet do not feel. They are stiff:
     MuJoCo softens rolling friction by (slide/roll)^2, and with the impedance of the feet it would be viscous below
     25 mm/s.
     """
-    look = {"material": "ball", "group": DRAWN, "contype": 0, "conaffinity": 0, "mass": 0.0}
-    body.add_geom(name="ball", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0, 0], **look)
-    body.add_geom(name="ball_contact", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius - FOOT_RADIUS, 0, 0],
-                  **_colliding(friction))  # fmt: skip
     rolling = {**_colliding(0.0), "contype": 2, "conaffinity": 2, "condim": 6, "friction": resistance,
                "solimp": [0.9999, 0.9999, 0.001, 0.5, 2.0]}  # fmt: skip
     body.add_geom(name="ball_rolling", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0, 0], **rolling)
     world.add_geom(name="floor_rolling", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.1], **rolling)
 
 
-def add_prism(
-    spec: mujoco.MjSpec, name: str, base: Sequence[tuple[float, float]], height: float, friction: float
-) -> None:
-    """An upright prism from z = 0 to `height` (m) over a convex polygon, counterclockwise or not."""
-    centre = np.mean(base, axis=0)
-    for suffix, margin, looks in (
-        ("", 0.0, {"rgba": WOOD, "group": DRAWN, "contype": 0, "conaffinity": 0}),
-        ("_contact", FOOT_RADIUS, _colliding(friction)),
-    ):
-        sides = _inset(np.asarray(base) - centre, margin)
-        corners = [c for x, y in sides for z in (0.0, height - margin) for c in (x, y, z)]
-        spec.add_mesh(name=name + suffix, uservert=corners)
-        spec.worldbody.add_geom(name=name + suffix, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name + suffix,
-                                pos=[*centre, 0.0], **looks)  # fmt: skip
+def _look(solid: Solid) -> dict[str, Any]:
+    match solid:
+        case HalfSpace():
+            return {"material": "ground"}
+        case Sphere():
+            return {"material": "ball"}
+    return {"rgba": solid.colour}  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def _place(solid: Box | Cylinder | Prism) -> dict[str, np.ndarray]:
+    quat = np.array([1.0, 0.0, 0.0, 0.0])
+    if solid.rotation is not None:
+        mujoco.mju_mat2Quat(quat, np.asarray(solid.rotation, float).ravel())
+    return {"pos": _numbers(solid.position), "quat": quat}
+
+
+def _shrunk(sizes: Any, margin: float) -> np.ndarray:
+    """Half-sizes less a margin, of which a thin solid keeps something."""
+    return np.array([max(size - margin, min(size, 1e-4)) for size in _numbers(sizes)])
+
+
+def _numbers(values: Any) -> np.ndarray:
+    return np.asarray([float(value) for value in values])
 
 
 def _inset(polygon: np.ndarray, margin: float) -> np.ndarray:
@@ -87,14 +107,4 @@ def _inset(polygon: np.ndarray, margin: float) -> np.ndarray:
 
 def _colliding(friction: float) -> dict:
     invisible = {"rgba": [0, 0, 0, 0], "group": COLLIDING, "mass": 0.0}
-    return {"contype": 0, "conaffinity": 1, "friction": [friction, 0.005, 1e-4], **_STIFF, **invisible}
-
-
-def _three(size: Sequence[float]) -> list[float]:
-    return [*size, *[0.0] * (3 - len(size))]
-
-
-def _to_axis(normal: np.ndarray) -> np.ndarray:
-    quat = np.zeros(4)
-    mujoco.mju_quatZ2Vec(quat, normal)
-    return quat
+    return {"contype": 0, "conaffinity": 1, "friction": [friction, 0.005, 1e-4], **STIFF, **invisible}

@@ -2,12 +2,12 @@
 
 import jax.numpy as jnp
 import mujoco
-import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
-from sweep.models.obstacles.geoms import add_plane
-from sweep.models.obstacles.surface import Bodies, Surface
+from sweep.models.obstacles.geoms import add_solids
+from sweep.models.obstacles.surface import Bodies, Surface, own_axes
+from sweep.models.solids import HalfSpace, Solid, maths
 
 
 @parameters
@@ -29,11 +29,16 @@ class Plane:
 
     def add_to(self, spec: mujoco.MjSpec, friction: float) -> None:
         """One plane."""
-        add_plane(spec.worldbody, "ground", [-np.sin(self.slope), 0.0, np.cos(self.slope)], friction)
+        add_solids(spec, self.solids(own_axes(0)), friction)
 
     def leaves(self) -> dict[str, dict[str, Array]]:
         """Nothing moves."""
         return {}
+
+    def solids(self, bodies: Bodies) -> tuple[Solid, ...]:
+        """The ground."""
+        sin, cos = (getattr(maths(self.slope), name)(self.slope) for name in ("sin", "cos"))
+        return (HalfSpace(name="ground", normal=(-sin, 0.0, cos)),)
 
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: Bodies) -> Surface:
         """Depth below the plane."""

@@ -5,8 +5,9 @@ import mujoco
 from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
-from sweep.models.obstacles.geoms import SOIL, add_plane, add_solid
-from sweep.models.obstacles.surface import Bodies, Surface
+from sweep.models.obstacles.geoms import add_solids
+from sweep.models.obstacles.surface import Bodies, Surface, own_axes
+from sweep.models.solids import SOIL, Box, Cylinder, HalfSpace, Solid
 
 FLOOR, SIDE, TOP, LEDGE, WALL = range(5)
 
@@ -25,16 +26,20 @@ class PoleLedge:
 
     def add_to(self, spec: mujoco.MjSpec, friction: float) -> None:
         """Floor, pole and a block for the ledge."""
-        world = spec.worldbody
-        add_plane(world, "floor", [0, 0, 1], friction)
-        add_solid(world, "pole", mujoco.mjtGeom.mjGEOM_CYLINDER, [self.radius, self.height / 2],
-                  [0, 0, self.height / 2], friction)  # fmt: skip
-        add_solid(world, "ledge", mujoco.mjtGeom.mjGEOM_BOX, [2.0, 1.5, self.ledge_height / 2],
-                  [0, -self.radius - 1.5, self.ledge_height / 2], friction, rgba=SOIL)  # fmt: skip
+        add_solids(spec, self.solids(own_axes(0)), friction)
 
     def leaves(self) -> dict[str, dict[str, Array]]:
         """Nothing moves."""
         return {}
+
+    def solids(self, bodies: Bodies) -> tuple[Solid, ...]:
+        """The ledge ends where no robot comes."""
+        half, ledge = self.height / 2, self.ledge_height / 2
+        return (
+            HalfSpace(name="floor", normal=(0.0, 0.0, 1.0)),
+            Cylinder(name="pole", position=(0.0, 0.0, half), radius=self.radius, half=half),
+            Box(name="ledge", position=(0.0, -self.radius - 1.5, ledge), half=(2.0, 1.5, ledge), colour=SOIL),
+        )
 
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: Bodies) -> Surface:
         """A solid's depth is the least over its faces; of three solids the deepest counts."""

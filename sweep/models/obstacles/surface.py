@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from sweep.core.rotations import matrix
+from sweep.models.solids import Solid
 
 FOOT_RADIUS = 1e-3  # m, of the native engine's spheres: a larger one rolls under the drives and drifts
 
@@ -36,6 +37,11 @@ def poses(free: FreeState) -> Bodies:
 def no_bodies() -> FreeState:
     """Where nothing is free."""
     return FreeState(jnp.zeros((0, 3)), jnp.zeros((0, 4)), jnp.zeros((0, 3)), jnp.zeros((0, 3)))
+
+
+def own_axes(count: int) -> Bodies:
+    """Of free bodies in their own axes."""
+    return Bodies(jnp.zeros((count, 3)), jnp.tile(jnp.eye(3), (count, 1, 1)))
 
 
 class Rolling(NamedTuple):
@@ -81,6 +87,10 @@ class Obstacle(Protocol):
 
     def leaves(self) -> dict[str, dict[str, Array]]:
         """Varying arrays of its free bodies by model field and body (or site) name."""
+        ...
+
+    def solids(self, bodies: Bodies) -> tuple[Solid, ...]:
+        """What it consists of, its free bodies where `bodies` says. Plain sizes stay plain numbers."""
         ...
 
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: Bodies) -> Surface:

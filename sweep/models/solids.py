@@ -1,0 +1,383 @@
+"""Obstacles as solids, and their true signed distances to a robot's links and base. World axes, metres, radians.
+
+The signed distance of two bodies is their gap where they are apart, and minus the least shift that parts them where
+they overlap (penetration depth). Apart, it is found on edges: the distance from a convex solid is a convex function
+along a segment, whose minimum a golden section search brackets. Overlapping, it is the largest separation over the
+axes that can be the last to part the two: normals of their faces and of pairs of their edges (Gottschalk, Lin and
+Manocha, OBBTree, SIGGRAPH 1996, 15.3); a rim counts as its tangent.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float
+
+SEARCH = 12  # golden sections, to 3 mm of a segment of 1 m; its least distance is then right to 0.1 mm
+RIM_STEPS = 3  # Newton's, for the tangent of a rim that an edge crosses
+PARALLEL = 1e-3  # an axis shorter than that, from unit vectors that are nearly parallel, tells nothing
+TINY = 1e-12  # m^2, under roots: their derivatives stay finite, and their values true to 1 um
+SOIL = (0.62, 0.66, 0.60, 1.0)
+WOOD = (0.72, 0.55, 0.36, 1.0)
+SIGNS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])  # of a box's corners
+# ends of a box's edges among its corners: the four along each axis
+STARTS, ENDS = (np.stack([np.flatnonzero(SIGNS[:, axis] == s) for axis in range(3)]) for s in (-1, 1))
+
+
+class Solid(Protocol):
+    """What an obstacle consists of. Sizes and places may be plain numbers or traced ones."""
+
+    @property
+    def name(self) -> str:
+        """Of its geoms."""
+        ...
+
+    @property
+    def body(self) -> int:
+        """Index of the free body that it belongs to, -1 for the fixed world."""
+        ...
+
+    def to_segments(self, a: Float[Array, "n 3"], b: Float[Array, "n 3"]) -> Float[Array, " n"]:
+        """Signed distance to n segments."""
+        ...
+
+    def to_box(
+        self, centre: Float[Array, " 3"], rotation: Float[Array, "3 3"], half: Float[Array, " 3"]
+    ) -> Float[Array, ""]:
+        """Signed distance to a box of half-sizes `half` along the columns of `rotation`."""
+        ...
+
+
+def distance_to_segments(solids: Sequence[Solid], a: Float[Array, "n 3"], b: Float[Array, "n 3"]) -> Float[Array, " n"]:
+    """Signed distance from the nearest of the solids to each segment, the centre line of a capsule."""
+    return jnp.min(jnp.stack([solid.to_segments(a, b) for solid in solids]), axis=0)
+
+
+def distance_to_box(
+    solids: Sequence[Solid], centre: Float[Array, " 3"], rotation: Float[Array, "3 3"], half: Float[Array, " 3"]
+) -> Float[Array, ""]:
+    """Signed distance from the nearest of the solids to a box of half-sizes `half` along the columns of `rotation`."""
+    return jnp.min(jnp.stack([solid.to_box(centre, rotation, half) for solid in solids]))
+
+
+def maths(x: Any) -> Any:
+    """The module whose functions keep what `x` is: `jax.numpy` of arrays and tracers, NumPy of plain numbers."""
+    return jnp if isinstance(x, jax.Array) else np
+
+
+def box_corners(
+    centre: Float[Array, " 3"], rotation: Float[Array, "3 3"], half: Float[Array, " 3"]
+) -> Float[Array, "8 3"]:
+    """Corners of a box."""
+    return centre + (SIGNS.astype(half.dtype) * half) @ rotation.T
+
+
+@dataclass(frozen=True, kw_only=True)
+class HalfSpace:
+    """Everything below a plane through the world's origin."""
+
+    name: str
+    normal: Sequence[Any] | Array
+    body: int = -1
+
+    def to_segments(self, a: Array, b: Array) -> Array:
+        """See `Solid`."""
+        normal = _vector(self.normal, a.dtype)
+        return jnp.minimum(a @ normal, b @ normal)
+
+    def to_box(self, centre: Array, rotation: Array, half: Array) -> Array:
+        """See `Solid`."""
+        normal = _vector(self.normal, centre.dtype)
+        return centre @ normal - jnp.abs(normal @ rotation) @ half
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sphere:
+    """A ball."""
+
+    name: str
+    radius: Any
+    centre: Sequence[Any] | Array
+    body: int = -1
+
+    def to_segments(self, a: Array, b: Array) -> Array:
+        """See `Solid`."""
+        centre, along = _vector(self.centre, a.dtype), b - a
+        share = jnp.clip(_dot(centre - a, along) / (_dot(along, along) + TINY), 0.0, 1.0)
+        return _length(a + share[:, None] * along - centre) - self.radius
+
+    def to_box(self, centre: Array, rotation: Array, half: Array) -> Array:
+        """See `Solid`."""
+        return _from_box((_vector(self.centre, centre.dtype) - centre) @ rotation, half) - self.radius
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Convex(ABC):
+    """A convex solid about the origin of its own frame; all points and axes of the methods below are in that frame."""
+
+    name: str
+    position: Sequence[Any] | Array = (0.0, 0.0, 0.0)  # of its frame
+    rotation: Array | None = None  # own axes to world axes, None where they are the same
+    body: int = -1
+    colour: tuple[float, ...] = WOOD
+
+    @abstractmethod
+    def signed(self, points: Float[Array, "n 3"]) -> Float[Array, " n"]:
+        """Signed distance to points."""
+
+    @abstractmethod
+    def reach(self, axes: Float[Array, "*n 3"]) -> tuple[Array, Array]:
+        """How far the solid extends along axes and against them."""
+
+    @abstractmethod
+    def tips(self, axes: Float[Array, "3 3"]) -> Float[Array, "m 3"]:
+        """Points of which one is the outermost along each of the axes (rows), and one against it."""
+
+    @abstractmethod
+    def planes(self, dtype: Any) -> Float[Array, "k 3"]:
+        """Normals of its flat faces, one of each parallel pair."""
+
+    def rays(self, points: Float[Array, "n 3"]) -> list[Array]:
+        """Normals (n, 3) of its curved face towards points."""
+        return []
+
+    @abstractmethod
+    def crosses(self, along: Float[Array, "n 3"], at: Float[Array, "n 3"]) -> list[Array]:
+        """Axes (n, 3) across its edges and edges with the directions `along`, whose innermost points are `at`."""
+
+    def inward(self, points: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
+        """Points from world axes to the solid's."""
+        offset = points - _vector(self.position, points.dtype)
+        return offset if self.rotation is None else offset @ self.rotation
+
+    def to_segments(self, a: Array, b: Array) -> Array:
+        """See `Solid`."""
+        a, b = self.inward(a), self.inward(b)
+        at, apart = _innermost(self.signed, a, b)
+        along = (b - a) / _length(b - a)[:, None]
+        axes = jnp.stack([
+            *[jnp.broadcast_to(plane, a.shape) for plane in self.planes(a.dtype)], *self.rays(a), *self.rays(b),
+            *self.crosses(along, at),
+        ])  # fmt: skip
+        one, other = _dot(axes, a), _dot(axes, b)
+        parted = self._separation(axes, jnp.minimum(one, other), jnp.maximum(one, other))
+        return jnp.where(apart > 0, apart, jnp.max(parted, axis=0))
+
+    def to_box(self, centre: Array, rotation: Array, half: Array) -> Array:
+        """See `Solid`."""
+        centre = self.inward(centre)
+        rotation = rotation if self.rotation is None else self.rotation.T @ rotation
+        corners = box_corners(centre, rotation, half)
+        at, from_edges = _innermost(self.signed, corners[STARTS.ravel()], corners[ENDS.ravel()])
+        from_tips = _from_box((self.tips(rotation.T) - centre) @ rotation, half)
+        apart = jnp.minimum(jnp.min(from_edges), jnp.min(from_tips))
+        nearest = jnp.argmin(from_edges.reshape(3, 4), axis=1)  # of the edges along each axis
+        at = jnp.take_along_axis(at.reshape(3, 4, 3), nearest[:, None, None], axis=1)[:, 0]
+        axes = [rotation.T, self.planes(centre.dtype), *self.rays(corners), *self.crosses(rotation.T, at)]
+        axes = jnp.concatenate(axes)
+        middle, around = axes @ centre, jnp.abs(axes @ rotation) @ half
+        parted = jnp.max(self._separation(axes, middle - around, middle + around))
+        return jnp.where(parted > 0, apart, parted)
+
+    def _separation(self, axes: Array, low: Array, high: Array) -> Array:
+        """Gap along axes, or against them, between the solid and what extends from `low` to `high`."""
+        size = _length(axes)
+        along, against = self.reach(axes)
+        return jnp.where(size > PARALLEL, jnp.maximum(low - along, -high - against) / size, -jnp.inf)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Box(_Convex):
+    """Half-sizes along its own axes about its position."""
+
+    half: Sequence[Any] | Array
+
+    def signed(self, points: Array) -> Array:
+        """See `_Convex`."""
+        return _from_box(points, _vector(self.half, points.dtype))
+
+    def reach(self, axes: Array) -> tuple[Array, Array]:
+        """See `_Convex`."""
+        extent = jnp.abs(axes) @ _vector(self.half, axes.dtype)
+        return extent, extent
+
+    def tips(self, axes: Array) -> Array:
+        """See `_Convex`."""
+        return jnp.asarray(SIGNS, axes.dtype) * _vector(self.half, axes.dtype)
+
+    def planes(self, dtype: Any) -> Array:
+        """See `_Convex`."""
+        return jnp.eye(3, dtype=dtype)
+
+    def crosses(self, along: Array, at: Array) -> list[Array]:
+        """See `_Convex`."""
+        return [jnp.cross(edge, along) for edge in np.eye(3, dtype=along.dtype)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cylinder(_Convex):
+    """Along its own z axis about its position."""
+
+    radius: Any
+    half: Any  # of its height
+
+    def signed(self, points: Array) -> Array:
+        """See `_Convex`."""
+        return _extruded(_length(points[..., :2]) - self.radius, jnp.abs(points[..., 2]) - self.half)
+
+    def reach(self, axes: Array) -> tuple[Array, Array]:
+        """See `_Convex`."""
+        extent = self.radius * _length(axes[..., :2]) + self.half * jnp.abs(axes[..., 2])
+        return extent, extent
+
+    def tips(self, axes: Array) -> Array:
+        """See `_Convex`."""
+        rim = self._rim(axes[:, :2] / _length(axes[:, :2])[:, None], jnp.where(axes[:, 2] < 0, -1.0, 1.0))
+        return jnp.concatenate([rim, -rim])
+
+    def planes(self, dtype: Any) -> Array:
+        """See `_Convex`."""
+        return jnp.eye(3, dtype=dtype)[2:]
+
+    def rays(self, points: Array) -> list[Array]:
+        """See `_Convex`."""
+        return [points * np.array([1, 1, 0], points.dtype)]
+
+    def crosses(self, along: Array, at: Array) -> list[Array]:
+        """See `_Convex`. The rim is followed to where its tangent is nearest to the edge."""
+        side = jnp.where(at[:, 2] < 0, -1.0, 1.0)
+        clamped = jnp.clip(at[:, 2], -self.half, self.half)
+        distance = _length(at[:, :2])[:, None]
+        outer = jnp.concatenate([at[:, :2] * jnp.maximum(1 - self.radius / distance, 0.0),
+                                 (at[:, 2] - clamped)[:, None]], axis=1)  # fmt: skip
+        axes = [outer, jnp.cross(np.array([0, 0, 1], along.dtype), along)]
+        radial = at[:, :2] / distance
+        for _ in range(RIM_STEPS):
+            tangent = jnp.stack([-radial[:, 1], radial[:, 0], jnp.zeros_like(side)], axis=1)
+            axes.append(jnp.cross(tangent, along))
+            gap, cosine = at - self._rim(radial, side), _dot(tangent, along)
+            step = (_dot(gap, tangent) - _dot(gap, along) * cosine) / jnp.maximum(1 - cosine**2, PARALLEL)
+            radial = self.radius * radial + jnp.clip(step, -self.radius, self.radius)[:, None] * tangent[:, :2]
+            radial = radial / _length(radial)[:, None]
+        return axes
+
+    def _rim(self, radial: Array, side: Array) -> Array:
+        return jnp.concatenate([self.radius * radial, (side * self.half)[:, None]], axis=1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prism(_Convex):
+    """From its own z = 0 to `height` over a convex polygon, clockwise seen from above."""
+
+    polygon: Sequence[tuple[Any, Any]]
+    height: Any
+
+    def inward(self, points: Array) -> Array:
+        """See `_Convex`: about half the height."""
+        return super().inward(points) - _vector((0.0, 0.0, self.height / 2), points.dtype)
+
+    def signed(self, points: Array) -> Array:
+        """See `_Convex`."""
+        corners, along, length = self._sides(points.dtype)
+        offset = points[:, None, :2] - corners
+        out, on = _dot(offset, _left_of(along)), _dot(offset, along)
+        deepest = jnp.max(out, axis=1)
+        outside = jnp.sqrt(jnp.min(out**2 + (on - jnp.clip(on, 0.0, length)) ** 2, axis=1) + TINY)
+        aside = jnp.where(deepest > 0, outside, deepest)
+        return _extruded(aside, jnp.abs(points[:, 2]) - self.height / 2)
+
+    def reach(self, axes: Array) -> tuple[Array, Array]:
+        """See `_Convex`."""
+        at = axes[..., :2] @ self._sides(axes.dtype)[0].T
+        up = self.height / 2 * jnp.abs(axes[..., 2])
+        return up + jnp.max(at, axis=-1), up - jnp.min(at, axis=-1)
+
+    def tips(self, axes: Array) -> Array:
+        """See `_Convex`."""
+        return jnp.concatenate([_raised(self._sides(axes.dtype)[0], end * self.height / 2) for end in (-1, 1)])
+
+    def planes(self, dtype: Any) -> Array:
+        """See `_Convex`."""
+        return jnp.concatenate([_raised(_left_of(self._sides(dtype)[1]), 0.0), jnp.eye(3, dtype=dtype)[2:]])
+
+    def crosses(self, along: Array, at: Array) -> list[Array]:
+        """See `_Convex`."""
+        edges = [*_raised(self._sides(along.dtype)[1], 0.0), jnp.eye(3, dtype=along.dtype)[2]]
+        return [jnp.cross(edge, along) for edge in edges]
+
+    def _sides(self, dtype: Any) -> tuple[Array, Array, Array]:
+        """Corners, unit vectors along the sides that start there, and the sides' lengths."""
+        corners = jnp.stack([_vector(corner, dtype) for corner in self.polygon])
+        side = jnp.roll(corners, -1, axis=0) - corners
+        length = _length(side)
+        return corners, side / length[:, None], length
+
+
+def _innermost(
+    signed: Callable[[Array], Array], a: Float[Array, "n 3"], b: Float[Array, "n 3"]
+) -> tuple[Float[Array, "n 3"], Float[Array, " n"]]:
+    """Where on segments a signed distance is least, and how large it is; it is convex along each."""
+    golden = (5**0.5 - 1) / 2
+    along = b - a
+
+    def at(share: Array) -> Array:
+        return a + share[:, None] * along
+
+    def narrow(_: int, bracket: tuple[Array, ...]) -> tuple[Array, ...]:
+        start, width, early, late = bracket  # two inner points, `golden` and 1 - `golden` of the width from the start
+        left = early < late
+        start = jnp.where(left, start, start + (1 - golden) * width)
+        width = golden * width
+        fresh = signed(at(start + jnp.where(left, 1 - golden, golden) * width))
+        return start, width, jnp.where(left, fresh, late), jnp.where(left, early, fresh)
+
+    zero = jnp.zeros_like(a[:, 0])
+    first, last = (signed(at(zero + share)) for share in (1 - golden, golden))
+    start, width, early, late = lax.fori_loop(0, SEARCH, narrow, (zero, zero + 1, first, last))
+    places = [zero, start + (1 - golden) * width, start + golden * width, zero + 1]
+    values = [signed(a), early, late, signed(b)]
+    place, value = places[0], values[0]
+    for other, fresh in zip(places[1:], values[1:], strict=True):
+        place, value = jnp.where(fresh < value, other, place), jnp.minimum(fresh, value)
+    return at(place), value
+
+
+def _extruded(aside: Array, above: Array) -> Array:
+    """Signed distance to a prism from that to its cross-section and that to its slab."""
+    most = jnp.maximum(aside, above)
+    return jnp.where(most > 0, jnp.sqrt(jnp.maximum(aside, 0.0) ** 2 + jnp.maximum(above, 0.0) ** 2 + TINY), most)
+
+
+def _from_box(points: Float[Array, "*n 3"], half: Float[Array, " 3"]) -> Float[Array, "*n"]:
+    """Signed distance from a box about the origin."""
+    out = jnp.abs(points) - half
+    most = jnp.max(out, axis=-1)
+    return jnp.where(most > 0, _length(jnp.maximum(out, 0.0)), most)
+
+
+def _vector(numbers: Any, dtype: Any) -> Array:
+    """A vector of plain or traced numbers."""
+    return jnp.stack([jnp.asarray(x, dtype) for x in numbers])
+
+
+def _raised(plane: Float[Array, "n 2"], height: Any) -> Float[Array, "n 3"]:
+    """Vectors of the x-y plane with a third component."""
+    return jnp.concatenate([plane, jnp.full_like(plane[:, :1], height)], axis=1)
+
+
+def _left_of(plane: Float[Array, "n 2"]) -> Float[Array, "n 2"]:
+    """Vectors of the x-y plane turned counterclockwise: outward from the sides of a clockwise polygon."""
+    return jnp.stack([-plane[:, 1], plane[:, 0]], axis=1)
+
+
+def _dot(a: Array, b: Array) -> Array:
+    return jnp.sum(a * b, axis=-1)
+
+
+def _length(a: Array) -> Array:
+    return jnp.sqrt(_dot(a, a) + TINY)

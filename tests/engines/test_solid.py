@@ -1,0 +1,84 @@
+"""Bodies that collide in C MuJoCo: what they meet, and that it changes nothing of what passes through nothing."""
+
+import dataclasses
+
+import mujoco
+import numpy as np
+import pytest
+
+from sweep.core.errors import InputError
+from sweep.engines import make
+from sweep.engines.native import native_model
+from sweep.metrics.outcome import classify
+from sweep.study.config import compose
+from sweep.study.study import points
+
+SCENARIOS = (
+    "ball_balance", "ball_drive", "beam_cross", "beam_walk", "corner_climb", "corner_full", "corner_gallop",
+    "corner_roof", "hexagon_waypoints", "pole_climb", "pole_descent", "pole_ledge_above", "pole_ledge_below",
+    "pole_ledge_level", "pole_return", "pole_round", "pole_top", "stand_push", "walk_gallop", "walk_slope",
+    "walk_tripod",
+)  # fmt: skip
+
+
+def touching(model, place, angles=()):
+    """Names of the geoms that meet with the base at `place`, level, and their depths (m)."""
+    data = mujoco.MjData(model)
+    data.qpos[:3] = place
+    data.qpos[7 : 7 + len(angles)] = angles
+    mujoco.mj_forward(model, data)
+    return {frozenset(model.geom(int(g)).name for g in c.geom): c.dist for c in data.contact}
+
+
+def test_a_base_in_a_solid_is_pushed_out():
+    """10 mm into the top of a pole, whose geometry for feet it does not feel."""
+    case = compose(["scenario=pole_top"]).case
+    place = [0, 0, case.obstacle.height + case.robot.body_height / 2 - 0.01]
+    met = touching(native_model(case, 1e-3, solid=True), place)
+    assert met[frozenset({"base", "pole"})] == pytest.approx(-0.01, abs=1e-6)
+    assert not any("base" in pair for pair in touching(native_model(case, 1e-3), place))
+
+
+@pytest.mark.parametrize("robot", ["base", "three_link"])
+def test_legs_meet_each_other_and_their_own_base_but_no_neighbours(robot):
+    """Knees folded all the way in lay shins over the base; straight legs meet nothing."""
+    model = native_model(compose([f"robot={robot}"]).case, 1e-3, solid=True)
+    straight = np.tile([0.0, np.pi / 2, 0.0], 6)
+    assert not touching(model, [0, 0, 3], straight)
+    rng = np.random.default_rng(0)
+    met = set().union(*(touching(model, [0, 0, 3], rng.uniform(-3, 3, 18)) for _ in range(500)))
+    kinds = {frozenset(name.rstrip("_solid0123456789") for name in pair) for pair in met}
+    assert {frozenset({"base", "shin"}), frozenset({"thigh"}), frozenset({"thigh", "shin"}), frozenset({"shin"}),
+            frozenset({"base", "outer_thigh"})} <= kinds  # fmt: skip
+    for pair in met:
+        legs = {name.removesuffix("_solid")[-1] for name in pair if name != "base"}
+        assert "base" in pair or len(legs) == 2, pair
+
+
+def test_only_native_can_be_solid():
+    with pytest.raises(InputError, match=r"engine\.solid = True is not allowed: false, or engine=native"):
+        compose(["engine.solid=true"])
+    assert compose(["engine=native", "engine.solid=true"]).settings.solid
+    exp = compose(["engine=native", "study.axes.solid={path: engine.solid, values: [true, false]}"])
+    with pytest.raises(InputError, match=r"axis engine\.solid cannot be varied"):
+        points(exp.study, exp.case, exp.settings)
+
+
+def rolled_out(exp, solid):
+    """Outcome, cause and stage, and the trace of the nominal rollout."""
+    engine = make(dataclasses.replace(exp.settings, solid=solid), exp.case, exp.case, exp.thresholds)
+    trace = engine.trace(exp.case, exp.case, np.zeros(1, int), 0)
+    figures = {name: np.asarray([value], float) for name, value in trace.figures.items()}
+    labels = classify(figures, exp.thresholds, engine.stages)
+    return [labels[name][0] for name in ("outcome", "cause", "stage")], trace
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_a_scenario_passes_through_nothing(name):
+    """With solid bodies it ends the same way, with the base within 5 mm of where it is without."""
+    exp = compose([f"scenario={name}", "engine=native", "engine.width=1"])
+    (plain, without), (solid, touched) = (rolled_out(exp, way) for way in (False, True))
+    assert plain == solid
+    ends = min(len(without.time), len(touched.time))
+    assert np.abs(without.qpos[:ends, :3] - touched.qpos[:ends, :3]).max() < 5e-3
