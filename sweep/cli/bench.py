@@ -24,6 +24,7 @@ from sweep.engines.settings import EngineSettings
 from sweep.metrics.outcome import Thresholds
 from sweep.models.case import Case
 from sweep.models.drive import position_mode
+from sweep.models.legs import JOINT_Q, N_LEGS
 from sweep.study.study import assign
 
 MOST_NATIVE = 128  # rollouts for the row of C MuJoCo, the slowest
@@ -84,7 +85,7 @@ def _bare(settings: EngineSettings, nominal: Case, rollouts: int) -> dict[str, A
     steps = physics.make(settings, top, nominal)
     plan = nominal.manoeuvre.plan(nominal)
     start = start_state(nominal, nominal, plan)
-    servo = position_mode(nominal.drive, start.qpos[7:25].reshape(6, 3))
+    servo = position_mode(nominal.drive, start.qpos[JOINT_Q].reshape(N_LEGS, 3))
     ticks = round(SECOND / settings.control_period)
 
     def one(friction: Array, state: State, tick: Array) -> State:

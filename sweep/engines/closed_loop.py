@@ -19,6 +19,7 @@ from sweep.metrics.stream import Running, Tick
 from sweep.models.case import Case
 from sweep.models.disturbance import Execution
 from sweep.models.drive import Servo, position_mode
+from sweep.models.legs import JOINT_Q, JOINT_V, N_JOINTS, N_LEGS
 from sweep.models.noise import Noise
 from sweep.models.obstacles.surface import FreeState, free_start, poses
 
@@ -82,9 +83,9 @@ def start_state(world: Case, belief: Case, plan: Plan) -> Start:
         stance = start._replace(feet=feet)
         moved = stance._replace(feet=moving, position=velocity, quat=jnp.zeros_like(start.quat))
         _, rates = jax.jvp(lambda s: joint_targets(belief.robot, s)[0], (stance,), (moved,))
-    qpos = [position, start.quat, joints.reshape(18), jnp.concatenate([free.position, free.quat], axis=1).ravel()]
+    qpos = [position, start.quat, joints.reshape(N_JOINTS), jnp.concatenate([free.position, free.quat], axis=1).ravel()]
     turn = rotate(conjugate(free.quat), free.turn)  # a free joint turns about the body's own axes
-    qvel = [velocity, jnp.zeros(3), rates.reshape(18), jnp.concatenate([free.velocity, turn], axis=1).ravel()]
+    qvel = [velocity, jnp.zeros(3), rates.reshape(N_JOINTS), jnp.concatenate([free.velocity, turn], axis=1).ravel()]
     return Start(jnp.concatenate(qpos), jnp.concatenate(qvel))
 
 
@@ -106,9 +107,10 @@ def free_state(qpos: Array, qvel: Array, count: int) -> FreeState:
 def embark(world: Case, belief: Case, plan: Plan, start: Start, energy: Array, key: Array) -> Pilot:
     """Before the first tick."""
     free = free_state(start.qpos, start.qvel, len(world.obstacle.free_bodies))
-    joints = start.qpos[7:25].reshape(6, 3)
-    truth = Observation(start.qpos[:3], start.qpos[3:7], start.qvel[:3], start.qvel[3:6], joints,
-                        start.qvel[6:24].reshape(6, 3), jnp.zeros_like(joints), jnp.ones(6, bool), free)  # fmt: skip
+    joints = start.qpos[JOINT_Q].reshape(N_LEGS, 3)
+    rates = start.qvel[JOINT_V].reshape(N_LEGS, 3)
+    truth = Observation(start.qpos[:3], start.qpos[3:7], start.qvel[:3], start.qvel[3:6], joints, rates,
+                        jnp.zeros_like(joints), jnp.ones(N_LEGS, bool), free)  # fmt: skip
     bias_key, key = jax.random.split(key)
     sensors = install(world.noise, bias_key, truth)
     feet = displaced(world.execution, plan.start).feet

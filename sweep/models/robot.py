@@ -3,6 +3,7 @@
 from jaxtyping import Array
 
 from sweep.core.parameters import choice, parameters, quantity
+from sweep.models.legs import N_LEGS
 
 
 @parameters
@@ -33,4 +34,4 @@ class Robot:
 def total_mass(robot: Robot) -> Array | float:
     """Of the robot (kg)."""
     coxa = robot.coxa_mass if robot.legs == "three_link" else 0.0
-    return robot.body_mass + 6 * (coxa + robot.thigh_mass + robot.shin_mass)
+    return robot.body_mass + N_LEGS * (coxa + robot.thigh_mass + robot.shin_mass)

@@ -12,13 +12,12 @@ from jaxtyping import Array, Float
 from sweep.core.parameters import InputError
 from sweep.formulas.leg import SIDE, circular_mounts, rectangular_mounts
 from sweep.models.case import Case
+from sweep.models.legs import JOINTS, LEGS
 from sweep.models.obstacles.geoms import COLLIDING, DRAWN
 from sweep.models.obstacles.surface import FOOT_RADIUS
 from sweep.models.robot import Robot
 
 GRAVITY = 9.81  # m/s^2
-LEGS = range(1, 7)
-JOINTS = tuple(f"{joint}{leg}" for leg in LEGS for joint in ("alpha", "beta", "gamma"))
 _RIGHT, _LEFT = (0.85, 0.33, 0.20, 1.0), (0.20, 0.45, 0.75, 1.0)
 
 

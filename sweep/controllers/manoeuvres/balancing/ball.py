@@ -31,6 +31,7 @@ from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import conjugate, rotate
 from sweep.formulas.ball import stabilise_delta
 from sweep.models.case import Case
+from sweep.models.legs import LEGS
 from sweep.models.obstacles.ball import Ball
 from sweep.models.robot import Robot, total_mass
 
@@ -231,7 +232,7 @@ class BallDrive:
         for k in range(self.steps):
             legs = TRIPOD[k % 2]
             swing = {leg: perched.feet[leg - 1] for leg in legs}
-            frames = tuple(KOENIG if leg in legs else FIXED for leg in range(1, 7))
+            frames = tuple(KOENIG if leg in legs else FIXED for leg in LEGS)
             stages.append(Stage(f"step{k + 1}", self.step_time, swing, CYCLE_A, position=perched.position,
                                 foot_frames=frames, base_frame=KOENIG))  # fmt: skip
         return assemble(on_ball(belief, perched), stages, self.patience, onset="regrip")

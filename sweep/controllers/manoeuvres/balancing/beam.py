@@ -19,6 +19,7 @@ from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.formulas import stepping
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
+from sweep.models.legs import LEGS
 from sweep.models.obstacles.beam import Beam
 from sweep.models.robot import Robot
 from sweep.models.scene import mounts
@@ -26,7 +27,7 @@ from sweep.models.scene import mounts
 STAND = 0.5  # s, before the first and after the last swing
 DIAGONALS = ((1, 6), (2, 5))
 MIDDLE = (3, 4)
-OUT = np.isin(np.arange(1, 7), MIDDLE)
+OUT = np.isin(np.array(LEGS), MIDDLE)
 LEVEL_LEGS = {3: np.array([0.0, np.pi / 2, 0.0]), 4: np.array([0.0, np.pi / 2, np.pi])}  # straight out to the sides
 FORWARD = (0.0, -1.0, 0.0)
 
@@ -181,7 +182,7 @@ class BeamCross(BeamWalk):
         step = site.step
         first = y + 2 * step.landing * self.approach
         offsets = centre_offsets(TRIPOD, step)
-        feet = site.feet(first, self.wide_track / 2) + jnp.stack([offsets[leg] * forward for leg in range(1, 7)])
+        feet = site.feet(first, self.wide_track / 2) + jnp.stack([offsets[leg] * forward for leg in LEGS])
         start = Stance(feet, site.base(first), jnp.array(TOWARDS))
         stages = [Stage("stand", STAND), *self.tripods(site, start, self.approach)]
         goal = site.feet(y, self.wide_track / 2)

@@ -17,6 +17,7 @@ from sweep.controllers.plan import CYCLE_B_SMOOTH, SMOOTH, Plan, Stage, Stance, 
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.formulas import stepping
 from sweep.models.case import Case
+from sweep.models.legs import LEGS
 from sweep.models.obstacles.corner import Corner
 
 STAND = 0.5  # s, before the first and after the last swing
@@ -147,7 +148,7 @@ def get_on(site: Site) -> tuple[Stance, list[Stage], dict]:
     pivot = site.at(0.0, site.standoff, site.clearance)
     floor = {**site.on_floor(FRONT, site.standoff), **site.on_floor(MIDDLE, site.standoff + a_r / 2 - 1.6 * x),
              **site.on_floor(REAR, site.standoff + a_r)}  # fmt: skip
-    start = Stance(jnp.stack([floor[leg] for leg in range(1, 7)]), pivot + point(0.0, a_r / 2, 0.0), jnp.array(TOWARDS))
+    start = Stance(jnp.stack([floor[leg] for leg in LEGS]), pivot + point(0.0, a_r / 2, 0.0), jnp.array(TOWARDS))
 
     def pitched(k: int) -> dict:
         angle, pitch = PITCH[k + 1] - PITCH[k], PITCH[k + 1]

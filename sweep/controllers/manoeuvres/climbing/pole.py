@@ -20,6 +20,7 @@ from sweep.core.rotations import rotate
 from sweep.formulas import stepping
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
+from sweep.models.legs import LEGS
 from sweep.models.obstacles.pole_ledge import PoleLedge
 
 STAND = 0.5  # s, before the first and after the last swing
@@ -156,7 +157,7 @@ def approach(site: Site, belief: Case, steps: int, gap: Array | float = 0.0) -> 
     arrival = point(0.0, site.standoff + site.length / 2, site.clearance)
     position = arrival - (gap + 2 * step.landing * steps) * forward
     offsets = centre_offsets(TRIPOD, step)
-    feet = position + centres + jnp.stack([offsets[leg] * forward for leg in range(1, 7)])
+    feet = position + centres + jnp.stack([offsets[leg] * forward for leg in LEGS])
     start = Stance(feet, position, quat)
     stages = regular_steps(TRIPOD, step, start, centres, forward, steps, 0.0)
     places = {leg: place for legs in GALLOP for leg, place in site.on_floor(legs).items()}

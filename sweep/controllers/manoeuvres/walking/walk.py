@@ -10,6 +10,7 @@ from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import exponential
 from sweep.formulas import stepping
 from sweep.models.case import Case
+from sweep.models.legs import LEGS
 from sweep.models.obstacles.plane import Plane
 
 STAND = 0.5  # s, before the first and after the last step
@@ -42,7 +43,7 @@ class Walk:
         start, centres = standing(belief, self.spread_ratio * length, self.height_ratio * length)
         forward = jnp.array([1.0, 0.0, 0.0])
         offsets = centre_offsets(gait, step)
-        start = start._replace(feet=start.feet + jnp.stack([offsets[leg] * forward for leg in range(1, 7)]))
+        start = start._replace(feet=start.feet + jnp.stack([offsets[leg] * forward for leg in LEGS]))
         swings = regular_steps(gait, step, start, centres, forward, self.steps, self.deepening)
         plan = assemble(start, [Stage("stand", STAND), *swings, Stage("halt", 2 * STAND)], self.patience)
         return on_ground(plan, belief)

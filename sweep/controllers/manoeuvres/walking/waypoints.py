@@ -12,6 +12,7 @@ from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.formulas.thesis import thesis_fk, thesis_step, thesis_workspace
 from sweep.models.case import Case
+from sweep.models.legs import LEGS
 from sweep.models.obstacles.plane import Plane
 from sweep.models.robot import Robot
 
@@ -109,7 +110,7 @@ class Waypoints:
         zone = thesis_workspace(-height, robot.coxa, robot.thigh, robot.shin, robot.mount_radius)
         out = outward(robot)[:, :2]
         across = jnp.stack([out[:, 1], -out[:, 0]], axis=-1)  # x of the leg's frame, whose y points outward
-        ahead = jnp.array([1.0 if leg in TRIPODS[0] else -1.0 for leg in range(1, 7)])
+        ahead = jnp.array([1.0 if leg in TRIPODS[0] else -1.0 for leg in LEGS])
         way = ahead[:, None] * jnp.stack([across @ direction, out @ direction], axis=-1)
         foot = jnp.stack([jnp.zeros_like(spread), spread])
         return thesis_step(foot, way, zone.OA, zone.OB, zone.phimax).support
