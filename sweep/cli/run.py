@@ -178,12 +178,12 @@ def pace(folder: Path, job: runner.Job) -> float | None:
 def axes_table(exp: Experiment) -> str:
     """What is varied: parameter, side, values, unit and nominal value."""
     lines = [
-        [axis.name, axis.path or "", axis.on if axis.path else "", str(axis),
+        [axis.name, axis.path or "", axis.side if axis.path else "", str(axis),
          unit(axis.path, exp.case, exp.settings) if axis.path else "",
          nominal(axis.path, exp.case, exp.settings) if axis.path else ""]
         for axis in exp.study.axes
     ]  # fmt: skip
-    table = pd.DataFrame(lines, columns=["axis", "parameter", "on", "values", "unit", "nominal"])
+    table = pd.DataFrame(lines, columns=["axis", "parameter", "side", "values", "unit", "nominal"])
     return table.to_markdown(index=False, disable_numparse=True)
 
 

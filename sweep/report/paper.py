@@ -81,7 +81,7 @@ def summaries(results: Results) -> Iterator[tuple[str, str, pd.DataFrame]]:
     """Names, captions and contents of the tables: what was varied, what came of it, and the statistics of the page."""
     rows = results.rows
     if varied := list(tables.parameters(results)):
-        columns = ["words", "on", "values", "number", "unit", "nominal"]
+        columns = ["words", "side", "values", "number", "unit", "nominal"]
         yield "parameters", "What was varied.", pd.DataFrame(varied)[columns].rename(columns={"words": "varied"})
     parts = [("all", rows)]
     for column in results.named:

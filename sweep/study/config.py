@@ -5,6 +5,7 @@ The parameter dataclasses are the schemas: Hydra checks names and types while it
 
 import dataclasses
 import functools
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.resources import files
@@ -29,6 +30,7 @@ from sweep.models.noise import Noise
 from sweep.models.obstacles import OBSTACLES
 from sweep.models.robot import Robot
 from sweep.study.clusters import CLUSTERS, Cluster
+from sweep.study.designs import with_side
 from sweep.study.study import Study, StudySchema, nominal, parameter
 
 CONFIG_MODULE, CONFIG_NAME, HYDRA_VERSION = "sweep.conf", "config", "1.3"
@@ -136,11 +138,9 @@ def composed(overrides: list[str]) -> dict[str, Any]:
 def resolve(config: DictConfig) -> dict[str, Any]:
     """Plain values, interpolations resolved."""
     values: Any = OmegaConf.to_container(config, resolve=True)
-    # YAML 1.1 reads a bare `on` as true
-    axes = {
-        name: {"on" if key is True else key: v for key, v in axis.items()} if isinstance(axis, dict) else axis
-        for name, axis in values["study"]["axes"].items()
-    }
+    axes = with_side(values["study"]["axes"])
+    if axes != values["study"]["axes"]:
+        print("sweep: note: the key `on` of an axis is called `side` now", file=sys.stderr)
     return {**values, "study": {**values["study"], "axes": axes}}
 
 
