@@ -34,8 +34,11 @@ SECOND = 1.0  # s, simulated by one call of the bare physics
 def table(nominal: Case, rollouts: int, width: int, rows: tuple[str, ...]) -> Iterator[dict[str, Any]]:
     """One line for each of `rows`, `nominal` walking; width 0 is the device's best, rollouts 0 one batch of them."""
     for name in rows:
-        settings = EngineSettings(width=width if name != "native" else 0, dynamics="mjx" if name == "mjx" else "auto",
-                                  name="native" if name == "native" else "mjx")  # fmt: skip
+        settings = EngineSettings(
+            width=width if name != "native" else 0,
+            dynamics="mjx" if name == "mjx" else "auto",
+            name="native" if name == "native" else "mjx",
+        )
         with program_cache.unused():
             line = _bare(settings, nominal, rollouts) if name == "bare" else _engine(settings, nominal, rollouts)
         yield line
@@ -136,8 +139,12 @@ def _line(
     peak = (device.memory_stats() or {}).get("peak_bytes_in_use")
     share = jax.device_count() if name != "native" else 1
     return {
-        "engine": name, "dynamics": kind, "device": f"{share} x {device.device_kind}", "width": width,
-        "env-steps/s": width * seconds / step / wall, "rollouts/s": rollouts / wall,
+        "engine": name,
+        "dynamics": kind,
+        "device": f"{share} x {device.device_kind}",
+        "width": width,
+        "env-steps/s": width * seconds / step / wall,
+        "rollouts/s": rollouts / wall,
         "compile s": compile_s if compile_s > 0 else None,  # lost beside a long run whose speed is not even
         "KiB/rollout": peak / (width / share) / 1024 if peak and name != "native" else None,
-    }  # fmt: skip
+    }

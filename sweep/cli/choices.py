@@ -4,8 +4,20 @@ import ast
 from importlib.resources import files
 from pathlib import Path
 
-GROUPS = ("scenario", "study", "robot", "obstacle", "manoeuvre", "drive", "contact", "noise", "execution", "engine",
-          "outcome", "cluster")  # fmt: skip
+GROUPS = (
+    "scenario",
+    "study",
+    "robot",
+    "obstacle",
+    "manoeuvre",
+    "drive",
+    "contact",
+    "noise",
+    "execution",
+    "engine",
+    "outcome",
+    "cluster",
+)
 CLASSES = {"obstacle": "models/obstacles", "manoeuvre": "controllers/manoeuvres"}  # folders of their sources
 
 

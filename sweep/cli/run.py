@@ -178,11 +178,16 @@ def pace(folder: Path, job: runner.Job) -> float | None:
 def axes_table(exp: Experiment) -> str:
     """What is varied: parameter, side, values, unit and nominal value."""
     lines = [
-        [axis.name, axis.path or "", axis.side if axis.path else "", str(axis),
-         unit(axis.path, exp.case, exp.settings) if axis.path else "",
-         nominal(axis.path, exp.case, exp.settings) if axis.path else ""]
+        [
+            axis.name,
+            axis.path or "",
+            axis.side if axis.path else "",
+            str(axis),
+            unit(axis.path, exp.case, exp.settings) if axis.path else "",
+            nominal(axis.path, exp.case, exp.settings) if axis.path else "",
+        ]
         for axis in exp.study.axes
-    ]  # fmt: skip
+    ]
     table = pd.DataFrame(lines, columns=["axis", "parameter", "side", "values", "unit", "nominal"])
     return table.to_markdown(index=False, disable_numparse=True)
 
@@ -190,8 +195,13 @@ def axes_table(exp: Experiment) -> str:
 @contextmanager
 def reporting(name: str, total: int) -> Iterator[runner.Progress]:
     """A live bar on a terminal's standard error, nothing elsewhere."""
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[note]}"),
-               TimeRemainingColumn())  # fmt: skip
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[note]}"),
+        TimeRemainingColumn(),
+    )
     console = Console(stderr=True)
     with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
         task = bar.add_task(name, total=total, note="compiling")

@@ -73,9 +73,13 @@ def observe(noise: Noise, sensors: Sensors, truth: Observation, key: Array) -> t
         velocity=seen.velocity + sensors.velocity_bias + noise.velocity_noise * draw[6:9],
         angles=seen.angles + joint_error,
         joint_error=joint_error,
-        free=FreeState(free.position + error[:, 0], multiply(exponential(error[:, 1]), free.quat),
-                       free.velocity + error[:, 2], free.turn + error[:, 3]),
-    )  # fmt: skip
+        free=FreeState(
+            free.position + error[:, 0],
+            multiply(exponential(error[:, 1]), free.quat),
+            free.velocity + error[:, 2],
+            free.turn + error[:, 3],
+        ),
+    )
     return sensors._replace(past=past), seen
 
 

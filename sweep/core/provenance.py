@@ -11,8 +11,15 @@ from sweep.core.start import STARTED
 
 ROOT = Path(__file__).parents[1]
 SIMULATION = (  # what can change a row
-    "models", "controllers", "dynamics", "engines", "metrics", "formulas", "core/rotations.py", "core/parameters.py",
-)  # fmt: skip
+    "models",
+    "controllers",
+    "dynamics",
+    "engines",
+    "metrics",
+    "formulas",
+    "core/rotations.py",
+    "core/parameters.py",
+)
 LIBRARIES = ("mujoco", "mujoco-mjx", "jax", "jaxlib", "numpy")
 
 
@@ -56,6 +63,9 @@ def commit() -> str:
     """The checkout's commit, marked where files differ from it; empty outside a checkout."""
     found = subprocess.run(
         ["git", "describe", "--always", "--dirty", "--abbrev=12"],
-        cwd=ROOT, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     return found.stdout.strip()

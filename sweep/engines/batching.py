@@ -73,10 +73,15 @@ def execution_limits(world: Case, time: Array) -> Limits:
 def record(command: Command, state: TrackerState, tick: Tick, q: Array) -> dict[str, Array]:
     """What a trace keeps of a tick."""
     return {
-        "qpos": q, "joint_target": command.joints.reshape(N_JOINTS), "joint_torque": tick.torque_peak.reshape(N_JOINTS),
-        "foot_position": tick.joints[:, -1], "foot_target": command.target.feet, "foot_force": tick.force,
-        "base_target": jnp.concatenate([command.target.position, command.target.quat]), "stage": state.stage,
-    }  # fmt: skip
+        "qpos": q,
+        "joint_target": command.joints.reshape(N_JOINTS),
+        "joint_torque": tick.torque_peak.reshape(N_JOINTS),
+        "foot_position": tick.joints[:, -1],
+        "foot_target": command.target.feet,
+        "foot_force": tick.force,
+        "base_target": jnp.concatenate([command.target.position, command.target.quat]),
+        "stage": state.stage,
+    }
 
 
 def to_trace(

@@ -170,8 +170,15 @@ def _draw_causes(table: pd.DataFrame) -> Figure:
     left = np.zeros(len(table))
     for cause in table:
         number = table[cause].to_numpy()
-        ax.barh(table.index, number, left=left, color=CAUSE_COLOURS[str(cause)], label=str(cause).replace("_", " "),
-                linewidth=0.4, **pattern(str(cause)))  # fmt: skip
+        ax.barh(
+            table.index,
+            number,
+            left=left,
+            color=CAUSE_COLOURS[str(cause)],
+            label=str(cause).replace("_", " "),
+            linewidth=0.4,
+            **pattern(str(cause)),
+        )
         left += number
     for y, total in enumerate(left):
         ax.annotate(f"{total:.0f}", (total, y), xytext=(4, 0), textcoords="offset points", va="center", fontsize=8)
@@ -251,9 +258,11 @@ def _draw_distributions(results: Results, data: pd.DataFrame) -> Figure:
     names = list(dict.fromkeys(data["figure"]))
     figure, spots = _panels(len(names), columns=3, height=2.0)
     judged = limits(results)
-    looks: dict[str, Any] = {"success": {"color": SUCCESS, "edgecolor": "#0072B2"},
-                             "failure": {"color": "#D55E00", "hatch": "\\\\\\", "edgecolor": "black"},
-                             "invalid": {"color": "white", "hatch": "///", "edgecolor": "black"}}  # fmt: skip
+    looks: dict[str, Any] = {
+        "success": {"color": SUCCESS, "edgecolor": "#0072B2"},
+        "failure": {"color": "#D55E00", "hatch": "\\\\\\", "edgecolor": "black"},
+        "invalid": {"color": "white", "hatch": "///", "edgecolor": "black"},
+    }
     for name, ax in zip(names, spots, strict=True):
         own = data[data["figure"] == name]
         low, high = own["from"].min(), own["to"].max()

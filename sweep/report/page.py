@@ -29,8 +29,16 @@ from sweep.study.columns import LABELS
 from sweep.study.config import Experiment
 
 ROWS, LINES = 100, 100  # of the table at the end, and of the others
-TELLING = ("distance_m", "slip_max_m", "tilt_max_deg", "leg_gap_min_m", "clearance_min_m", "stability_margin_min_m",
-           "torque_peak_beta_nm", "t_cause_s")  # fmt: skip
+TELLING = (
+    "distance_m",
+    "slip_max_m",
+    "tilt_max_deg",
+    "leg_gap_min_m",
+    "clearance_min_m",
+    "stability_margin_min_m",
+    "torque_peak_beta_nm",
+    "t_cause_s",
+)
 
 
 @dataclass(frozen=True)

@@ -108,9 +108,12 @@ def quoted(results: Results) -> Iterator[Number]:
     """Every number of the bundle's text, and those that a text about the study is likely to need."""
     rows, start = results.rows, prefix(results)
     one, valid = rate(rows["outcome"]), 'outcome != "invalid"'
-    for name, count, where in (("Rollouts", one.total, None), ("Valid", one.valid, valid),
-                               ("Success", one.success, 'outcome == "success"'),
-                               ("Invalid", one.invalid, 'outcome == "invalid"')):  # fmt: skip
+    for name, count, where in (
+        ("Rollouts", one.total, None),
+        ("Valid", one.valid, valid),
+        ("Success", one.success, 'outcome == "success"'),
+        ("Invalid", one.invalid, 'outcome == "invalid"'),
+    ):
         yield Number(start + name, count, str(count), "number of rows", where)
     share = 'share of outcome == "success"'
     yield _percent(start + "Rate", one.share, share, valid)
@@ -165,8 +168,15 @@ def camel(text: str) -> str:
 
 def escape(text: str) -> str:
     """`text` for LaTeX."""
-    special = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "°": r"\textdegree{}",
-               "<": r"\textless{}", ">": r"\textgreater{}", "·": r"$\cdot$"}  # fmt: skip
+    special = {
+        "\\": r"\textbackslash{}",
+        "~": r"\textasciitilde{}",
+        "^": r"\textasciicircum{}",
+        "°": r"\textdegree{}",
+        "<": r"\textless{}",
+        ">": r"\textgreater{}",
+        "·": r"$\cdot$",
+    }
     return "".join(special.get(c, f"\\{c}" if c in "&%$#_{}" else c) for c in text)
 
 

@@ -125,8 +125,13 @@ def draw(results: Results, chosen: Slice) -> Figure:
         if k >= len(axes) - columns:
             ax.set_xlabel(heading(x, results.exp))
     seen = [c for c in CAUSES if single and (chosen.rows["cause"] == c).any()]
-    legend(figure, seen, bool((chosen.rows["outcome"] == "invalid").any()), 1 if single else 2,
-           axes[0].get_legend_handles_labels()[0])  # fmt: skip
+    legend(
+        figure,
+        seen,
+        bool((chosen.rows["outcome"] == "invalid").any()),
+        1 if single else 2,
+        axes[0].get_legend_handles_labels()[0],
+    )
     if not single:
         figure.colorbar(ScalarMappable(Normalize(0, 1), "cividis"), ax=axes, shrink=0.8)
     return figure

@@ -125,8 +125,19 @@ def table(results: Results) -> pd.DataFrame:
                 continue
             found = compare.flips(of_kind)
             low, high = found.interval()
-            lines.append((WAYS[way][0], kind, len(points), found.pairs, found.pairs - found.tested, found.flipped,
-                          found.flipped / found.tested if found.tested else np.nan, low, high))  # fmt: skip
+            lines.append(
+                (
+                    WAYS[way][0],
+                    kind,
+                    len(points),
+                    found.pairs,
+                    found.pairs - found.tested,
+                    found.flipped,
+                    found.flipped / found.tested if found.tested else np.nan,
+                    low,
+                    high,
+                )
+            )
     return pd.DataFrame(
         lines, columns=["simulated", "drawn", "of", "rollouts", "invalid", "flips", "share", "low", "high"]
     )

@@ -35,9 +35,14 @@ from sweep.study.study import Study, StudySchema, nominal, parameter
 
 CONFIG_MODULE, CONFIG_NAME, HYDRA_VERSION = "sweep.conf", "config", "1.3"
 GROUPS: dict[str, type] = {
-    "robot": Robot, "drive": Drive, "contact": Contact, "noise": Noise, "execution": Execution,
-    "engine": EngineSettings, "outcome": Thresholds,
-}  # fmt: skip
+    "robot": Robot,
+    "drive": Drive,
+    "contact": Contact,
+    "noise": Noise,
+    "execution": Execution,
+    "engine": EngineSettings,
+    "outcome": Thresholds,
+}
 KINDS: dict[str, dict[str, type]] = {
     "obstacle": OBSTACLES,
     "manoeuvre": MANOEUVRES,

@@ -27,9 +27,11 @@ AXIS_KEYS = ("path", "side", "values", "from", "to", "num", "distribution", "rel
 OLD_SIDE = ("on", True)  # what `side` was called; a bare `on` is YAML's true
 # what each distribution needs, and what it may have besides
 DISTRIBUTIONS = {
-    "uniform": (("from", "to"), ()), "log_uniform": (("from", "to"), ()), "normal": (("mean", "std"), ("from", "to")),
+    "uniform": (("from", "to"), ()),
+    "log_uniform": (("from", "to"), ()),
+    "normal": (("mean", "std"), ("from", "to")),
     "discrete": (("values",), ("weights",)),
-}  # fmt: skip
+}
 
 
 @dataclass(frozen=True)

@@ -233,8 +233,17 @@ class BallDrive:
             legs = TRIPOD[k % 2]
             swing = {leg: perched.feet[leg - 1] for leg in legs}
             frames = tuple(KOENIG if leg in legs else FIXED for leg in LEGS)
-            stages.append(Stage(f"step{k + 1}", self.step_time, swing, CYCLE_A, position=perched.position,
-                                foot_frames=frames, base_frame=KOENIG))  # fmt: skip
+            stages.append(
+                Stage(
+                    f"step{k + 1}",
+                    self.step_time,
+                    swing,
+                    CYCLE_A,
+                    position=perched.position,
+                    foot_frames=frames,
+                    base_frame=KOENIG,
+                )
+            )
         return assemble(on_ball(belief, perched), stages, self.patience, onset="regrip")
 
     def memory(self, belief: Case, plan: Plan) -> DriveMemory:

@@ -51,6 +51,11 @@ class Site(NamedTuple):
         depth = jnp.full(6, self.ground - self.deepening)
         return jnp.stack([SIDE * jnp.asarray(track, float), y - mounts(self.robot)[:, 0], depth], axis=-1)
 
+    def swing(self, name: str, legs: Sequence[int], feet: Float[Array, "6 3"], **more) -> Stage:
+        """Some legs step to where `feet` has theirs."""
+        goal = {leg: feet[leg - 1] for leg in legs}
+        return Stage(name, self.step.time, goal, CYCLE_B, self.step.height, **more)
+
     def angles(self, y: Array | float, feet: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
         """Joint angles (rad) that put the feet there, for a base at y."""
         return joint_targets(self.robot, Stance(feet, self.base(y), jnp.array(TOWARDS)))[0]
@@ -129,14 +134,13 @@ class BeamWalk:
             name = f"{k + 1}.{'-'.join(map(str, pair))}"
             y = y - way
             stages += [
-                Stage(name, site.step.time, {leg: goal[leg - 1] for leg in pair}, CYCLE_B, site.step.height,
-                      flywheel=self.mode(BALANCE)),
-                Stage(f"{k + 1}.body", 2 * site.step.time, position=site.base(y), pace=SMOOTH,
-                      flywheel=self.mode(LEVEL)),
-            ]  # fmt: skip
+                site.swing(name, pair, goal, flywheel=self.mode(BALANCE)),
+                Stage(
+                    f"{k + 1}.body", 2 * site.step.time, position=site.base(y), pace=SMOOTH, flywheel=self.mode(LEVEL)
+                ),
+            ]
         last, goal = DIAGONALS[self.steps % 2], site.feet(y, site.track / 2)
-        stages.append(Stage("close", site.step.time, {leg: goal[leg - 1] for leg in last}, CYCLE_B, site.step.height,
-                            flywheel=self.mode(BALANCE)))  # fmt: skip
+        stages.append(site.swing("close", last, goal, flywheel=self.mode(BALANCE)))
         return stages
 
 
@@ -188,7 +192,7 @@ class BeamCross(BeamWalk):
         goal = site.feet(y, self.wide_track / 2)
         for legs in TRIPOD:
             name = f"place.{'-'.join(map(str, legs))}"
-            stages.append(Stage(name, step.time, {leg: goal[leg - 1] for leg in legs}, CYCLE_B, step.height))
+            stages.append(site.swing(name, legs, goal))
         return start, stages
 
     def walking(self, site: Site) -> Site:
@@ -209,8 +213,8 @@ class BeamCross(BeamWalk):
         """2.6.3: back on to the narrow track, the same way."""
         raised, out = self.on_the_way(site, y)
         feet = site.feet(y, site.track / 2)
-        down = Stage("down.3", site.step.time, {leg: feet[leg - 1] for leg in MIDDLE},
-                     posture=chosen(site.angles(y, feet), MIDDLE))  # fmt: skip
+        goal = {leg: feet[leg - 1] for leg in MIDDLE}
+        down = Stage("down.3", site.step.time, goal, posture=chosen(site.angles(y, feet), MIDDLE))
         return [*postures(site, "down", (out, raised)), down]
 
     def on_the_way(self, site: Site, y: Array | float) -> tuple[Array, Array]:
@@ -230,8 +234,8 @@ def rebuild(site: Site, y: Array | float, track: Array | float, lift: Array | fl
     for legs in TRIPOD:
         label = f"{name}.{'-'.join(map(str, legs))}"
         stages.append(Stage(f"{label}.over", site.step.time, posture=chosen(over, legs)))
-        stages.append(Stage(f"{label}.down", site.step.time, {leg: goal[leg - 1] for leg in legs},
-                            posture=chosen(angles, legs)))  # fmt: skip
+        down = {leg: goal[leg - 1] for leg in legs}
+        stages.append(Stage(f"{label}.down", site.step.time, down, posture=chosen(angles, legs)))
     return stages
 
 
