@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from sweep.controllers.manoeuvres.walking.waypoints import CIRCLE, TRIPODS, WAYPOINTS
+from sweep.controllers.manoeuvres.walking.waypoints import CIRCLE, TRIPODS, WAYPOINTS, Waypoints
 from sweep.controllers.plan import Plan, reference
 from sweep.controllers.tracker import joint_targets
 from sweep.engines import make
@@ -102,6 +102,7 @@ def angles(case: Case) -> None:
     motion = play(case, plan, range(FIRST_CYCLE[0], FIRST_CYCLE[-1] + 1))
     values = thesis_angles(motion.joints)
     robot = case.robot
+    assert isinstance(case.manoeuvre, Waypoints)
     height = case.manoeuvre.home(robot)[1]
     widest = float(thesis_workspace(-height, robot.coxa, robot.thigh, robot.shin, robot.mount_radius).phimax)
     ranges = ((-widest, widest), (0, np.pi / 2), (-np.pi, -1.4))  # γ is printed up to -pi/2, but goes beyond it

@@ -6,9 +6,10 @@ python docs/robustness_figures.py results/robustness_walk results/robustness_pol
 import sys
 from pathlib import Path
 
-from sweep.analysis import results, sensitivity
-from sweep.analysis.results import Results
+from sweep.analysis import sensitivity
 from sweep.report.exhibits import effects
+from sweep.runs import results
+from sweep.runs.results import Results
 
 FIGURES = Path(__file__).parent / "figures"
 ERRORS = {  # what a line of the table is called, and how its numbers are told

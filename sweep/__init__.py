@@ -3,10 +3,9 @@
 from sweep import load, run
 """
 
-import time
 from typing import TYPE_CHECKING
 
-STARTED = time.time()  # before the other modules are read
+import sweep.core.start  # noqa: F401  first of all
 
 if TYPE_CHECKING:
     from os import PathLike

@@ -9,6 +9,7 @@ from pathlib import Path
 import pandas as pd
 
 from sweep.runs import store
+from sweep.study.columns import TIMING
 
 STUDY = ["study=walk_map", "study.axes.friction.num=8", "study.axes.step.num=7", "engine.width=8", "study.expect=[]"]
 BATCHES = 7
@@ -17,7 +18,7 @@ FAKE = Path(__file__).with_name("fake_engine.py")
 
 def content(folder: Path) -> pd.DataFrame:
     """The rows in `folder`, without what differs between equal runs."""
-    return store.read_rows(folder).drop(columns=list(store.TIMING))
+    return store.read_rows(folder).drop(columns=list(TIMING))
 
 
 def start(folder: Path, *overrides: str, fake: bool = True, **environment: str) -> subprocess.Popen:

@@ -2,10 +2,9 @@ import numpy as np
 import pytest
 from fake_engine import FakeEngine
 
-from sweep.analysis import results
 from sweep.cli.main import main
 from sweep.report import page
-from sweep.runs import audit, store
+from sweep.runs import audit, results, store
 
 STUDY = ["run", "study=walk_map", "study.axes.friction.num=21", "study.axes.step.num=18", "study.expect=[]"]
 

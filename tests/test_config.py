@@ -1,14 +1,16 @@
-from importlib.resources import files
+import itertools
+import re
 
 import pytest
 
-from sweep.cli.main import GROUPS
+from sweep.cli.choices import GROUPS, choices
+from sweep.controllers.manoeuvres import MANOEUVRES
 from sweep.core.parameters import InputError
-from sweep.study.config import compose
+from sweep.models.obstacles import OBSTACLES
+from sweep.study.config import compose, composed, experiment
 
-CHOICES = [
-    f"{group}={file.name.removesuffix('.yaml')}" for group in GROUPS for file in (files("sweep.conf") / group).iterdir()
-]
+TOGETHER = ("obstacle", "manoeuvre")  # which have to fit
+CHOICES = [f"{group}={name}" for group in GROUPS if group not in TOGETHER for name in choices(group)]
 SHARED = ("pole_sizes", "pole_unknown_sizes", "ball_sizes", "ball_unknown")  # called after their scenario
 
 
@@ -19,6 +21,31 @@ def test_every_config_file_composes(choice):
     if name in SHARED:
         name = exp.scenario + name[name.index("_") :]
     assert exp.study.name == (name if group in ("study", "scenario") else "walk_tripod")
+
+
+@pytest.mark.parametrize(("group", "classes"), [("obstacle", OBSTACLES), ("manoeuvre", MANOEUVRES)])
+def test_a_class_is_a_choice_without_a_file(group, classes):
+    assert set(classes) <= set(choices(group))
+    assert all(choices(group).values())
+
+
+def test_a_manoeuvre_on_an_obstacle_that_it_is_not_for_is_refused_in_one_line():
+    nominal, fits, refusals = composed([]), set(), {}
+    values = {group: {name: composed([f"{group}={name}"])[group] for name in choices(group)} for group in TOGETHER}
+    for manoeuvre, obstacle in itertools.product(values["manoeuvre"], values["obstacle"]):
+        pair = {"manoeuvre": values["manoeuvre"][manoeuvre], "obstacle": values["obstacle"][obstacle]}
+        try:
+            experiment({**nominal, **pair})
+            fits.add((manoeuvre, obstacle))
+        except InputError as error:
+            kinds = f"obstacle.kind = {pair['obstacle']['kind']} .* manoeuvre.kind = {pair['manoeuvre']['kind']} needs"
+            refusals[f"{kinds} [a-z_ ]+"] = str(error)
+    assert all(re.fullmatch(pattern, text) for pattern, text in refusals.items())
+    walks = ("tripod", "gallop", "walk", "stand", "waypoints")
+    ground = set(itertools.product(walks, ("flat", "slope", "plane")))
+    others = {(name, name.partition("_")[0]) for name in values["manoeuvre"] if "_" in name}
+    others |= {(name, "pole_ledge") for name, on in others if on == "pole"}
+    assert fits == ground | others
 
 
 def test_a_study_chooses_its_scenario_and_the_command_line_has_the_last_word():
@@ -45,6 +72,7 @@ BAD = [
     ("scenario=wlak_tripod", ["scenario = wlak_tripod", "did you mean walk_tripod?"]),
     ("robot.mounts=star", ["robot.mounts = 'star'", "rectangle, circle"]),
     ("frictoin=1", ["frictoin = 1", "contact"]),
+    ("obstacle=ball", ["obstacle.kind = ball", "manoeuvre.kind = walk needs plane"]),
     ("robot.thigh", ["robot.thigh", "missing EQUAL"]),
     ("study.name=a<b", ["study.name=a<b cannot be read", "quotes"]),
     ("study.replicates=0", ["study.replicates = 0", "at least 1"]),

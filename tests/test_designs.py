@@ -36,12 +36,12 @@ def listed(path, *values, **keys):
     return {"path": path, "values": list(values), **keys}
 
 
-def drawn(path, kind="uniform", on="both", **numbers):
+def drawn(path, kind="uniform", side="both", **numbers):
     numbers = {key.removesuffix("_"): value for key, value in numbers.items()}
-    return {"path": path, "on": on, "distribution": {"kind": kind, **numbers}}
+    return {"path": path, "side": side, "distribution": {"kind": kind, **numbers}}
 
 
-FRICTION = drawn("contact.friction", on="world", from_=0.5, to=1.5)
+FRICTION = drawn("contact.friction", side="world", from_=0.5, to=1.5)
 SHIN = {"path": "robot.shin", "relative": 0.02}
 
 
@@ -80,7 +80,7 @@ def test_sobol_fills_every_elementary_box_and_scrambles_are_independent(table_of
 
 
 def test_draws_are_repeated_at_every_grid_point_with_noise_of_their_own(table_of):
-    believed = listed("contact.friction", 0.5, 1.0, on="belief")
+    believed = listed("contact.friction", 0.5, 1.0, side="belief")
     table = table_of({"b": believed, "f": FRICTION, "shin": SHIN}, **monte_carlo(8), replicates=2)
     assert len(table) == 32
     halves = [part.reset_index(drop=True) for _, part in table.groupby("belief.contact.friction")]
@@ -118,8 +118,8 @@ def test_axes_go_along_with_each_other_and_scale_others(table_of):
 
 
 def test_errors_grow_with_an_axis_of_their_size(table_of):
-    shin = {"path": "robot.shin", "on": "belief", "relative": "error"}
-    mass = {"path": "robot.body_mass", "on": "world", "relative": "error"}
+    shin = {"path": "robot.shin", "side": "belief", "relative": "error"}
+    mass = {"path": "robot.body_mass", "side": "world", "relative": "error"}
     table = table_of({"error": {"values": [0.0, 0.01, 0.05]}, "shin": shin, "mass": mass}, **monte_carlo(200))
     assert len(table) == 600
     for size, rows in table.groupby("axis.error"):
@@ -131,8 +131,8 @@ def test_errors_grow_with_an_axis_of_their_size(table_of):
 def test_one_axis_at_a_time_leaves_the_others_nominal(table_of):
     axes = {
         "error": {"values": [0.0, 0.02], "nominal": 0.01},
-        "shin": {"path": "robot.shin", "on": "belief", "relative": "error"},
-        "f": listed("contact.friction", 0.5, 1.0, on="world"),
+        "shin": {"path": "robot.shin", "side": "belief", "relative": "error"},
+        "f": listed("contact.friction", 0.5, 1.0, side="world"),
         "gait": listed("manoeuvre.gait", "tripod", "gallop"),
         "width": listed("robot.body_width", -0.1, 0.1, relative=1),
     }

@@ -12,7 +12,7 @@ from sweep.runs import refine, store
 from sweep.runs.refine import FAILS, MISSING, SUCCEEDS, bisected, filled, leaves
 from sweep.study.config import compose, experiment
 
-FRICTION = "study.axes.friction={path: contact.friction, on: world, from: 0.05, to: 1.2, num: 9}"
+FRICTION = "study.axes.friction={path: contact.friction, side: world, from: 0.05, to: 1.2, num: 9}"
 STEP = "study.axes.step={path: manoeuvre.half_step_ratio, from: 0.03, to: 0.2, num: 9}"
 AXES = ["study=walk_map", "study.expect=[]", FRICTION, STEP]
 
@@ -167,7 +167,7 @@ class NoisyEngine(FakeEngine):
         return figures | {"tilt_max_deg": np.where(luck < friction, 40.0, 1.0)}
 
 
-NOISY = ["+study.axes.f={path: contact.friction, on: world, from: 0.05, to: 0.95, num: 10}", "study.name=noisy",
+NOISY = ["+study.axes.f={path: contact.friction, side: world, from: 0.05, to: 0.95, num: 10}", "study.name=noisy",
          "study.replicates=20", "engine.width=512", "study.invalid_max=1"]  # fmt: skip
 
 

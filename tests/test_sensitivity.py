@@ -89,7 +89,7 @@ def test_a_grid_brackets_the_volume(study):
 def test_margins_reach_from_nominal_to_the_boundary(study):
     axes = {
         "shin": {"path": "robot.shin", "values": [0.25, 0.3, 0.35, 0.4]},  # 0.335 nominally
-        "friction": {"path": "contact.friction", "on": "world", "from": 0.2, "to": 1.0, "num": 5},
+        "friction": {"path": "contact.friction", "side": "world", "from": 0.2, "to": 1.0, "num": 5},
     }
     exp, rows = study(axes, lambda t: (t["world.contact.friction"] > 0.5) & (t["robot.shin"] < 0.38))
     found = sensitivity.margins(rows, exp).set_index(["axis", "side"])
@@ -140,7 +140,7 @@ def test_the_tolerance_to_an_error_is_told_on_either_side(study):
         error = table["axis.error"]
         return rng.random(len(table)) < 1 / (1 + np.exp(-(5 - np.where(error > 0, 200, 50) * np.abs(error))))
 
-    axes = {"error": {"path": "robot.shin", "on": "belief", "relative": 1, "from": -0.08, "to": 0.08, "num": 9},
+    axes = {"error": {"path": "robot.shin", "side": "belief", "relative": 1, "from": -0.08, "to": 0.08, "num": 9},
             "f": {"path": "contact.friction", "values": [0.5, 1.0]}}  # fmt: skip
     exp, rows = study(axes, succeeds, replicates=100)
     found = sensitivity.tolerance(rows, exp, 0.5).query("axis == 'axis.error'").set_index("side")

@@ -7,10 +7,11 @@ from sweep.core.parameters import InputError
 from sweep.runs.batches import batch, nominal, plan, with_room_for_delay
 from sweep.runs.runner import wanted_points
 from sweep.study.config import compose
+from sweep.study.designs import parse_axes
 from sweep.study.study import points
 
 pytestmark = pytest.mark.usefixtures("fake_engine")
-FRICTION = "+study.axes.f={path: contact.friction, on: world, values: [0.5, 1.0, 1.5]}"
+FRICTION = "+study.axes.f={path: contact.friction, side: world, values: [0.5, 1.0, 1.5]}"
 
 
 def table_of(*overrides):
@@ -33,7 +34,7 @@ def test_point_id_is_the_physics_and_the_replicate():
     _, by_nominal = table_of("contact.friction=0.5", "study.replicates=2", "engine=native")
     assert by_axis["point_id"].is_unique
     assert by_axis["point_id"][:2].tolist() == by_nominal["point_id"].tolist()
-    _, in_world = table_of("+study.axes.f={path: contact.friction, on: world, values: [0.5, 1.0]}")
+    _, in_world = table_of("+study.axes.f={path: contact.friction, side: world, values: [0.5, 1.0]}")
     assert in_world["point_id"][1] == by_axis["point_id"][2]  # 1.0 is the nominal value: the same physics
     assert in_world["point_id"][0] not in set(by_axis["point_id"])
 
@@ -66,7 +67,7 @@ def test_extending_a_study_keeps_membership_and_slots():
 
 
 def test_the_delay_buffer_has_room_for_the_longest_delay():
-    exp, table = table_of("+study.axes.d={path: noise.delay, on: world, values: [0.0, 2.5]}")
+    exp, table = table_of("+study.axes.d={path: noise.delay, side: world, values: [0.0, 2.5]}")
     assert with_room_for_delay(exp, table).case.noise.delay_buffer == 3
 
 
@@ -87,7 +88,7 @@ def test_points_from_a_file_take_the_place_of_the_grid(tmp_path):
         ("{path: contact.frction, values: [1]}", "did you mean friction?"),
         ("{path: friction, values: [1]}", "friction is unknown"),
         ("{path: contact, values: [1]}", "contact is unknown"),
-        ("{path: engine.name, on: world, values: [mjx]}", "engine is unknown"),
+        ("{path: engine.name, side: world, values: [mjx]}", "engine is unknown"),
         ("{path: contact.friction.x, values: [1]}", "friction has no parts"),
         ("{path: contact.friction, values: [1, -2]}", "contact.friction = -2 is not allowed"),
         ("{path: engine.name, values: [cuda]}", "one of mjx, native"),
@@ -115,3 +116,14 @@ def test_limit_and_where_choose_points_of_a_study():
     with pytest.raises(InputError, match="no point of walk_map"):
         wanted_points(exp, "friction > 2")
     assert np.all(wanted_points(exp, "friction > 1")["world.contact.friction"] > 1)
+
+
+def test_a_side_by_its_old_name_is_read_and_noted(capsys):
+    exp = compose(["+study.axes.f={path: contact.friction, on: world, values: [0.5]}"])
+    assert exp.study.axes[0].target == "world.contact.friction"
+    assert exp.values["study"]["axes"]["f"]["side"] == "world"
+    assert capsys.readouterr().err == "sweep: note: the key `on` of an axis is called `side` now\n"
+    with pytest.raises(InputError, match="on is not allowed beside side"):
+        compose(["+study.axes.f={path: contact.friction, on: world, side: world, values: [0.5]}"])
+    as_yaml_reads_it = {"f": {"path": "contact.friction", True: "world", "values": [0.5]}}
+    assert parse_axes(as_yaml_reads_it) == exp.study.axes

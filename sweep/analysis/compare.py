@@ -9,7 +9,7 @@ from sweep.analysis.intervals import clopper_pearson
 from sweep.analysis.stats import percent
 from sweep.core.errors import InputError
 from sweep.core.expressions import column
-from sweep.runs.store import LABELS, figure_columns
+from sweep.study.columns import LABELS, figure_columns
 from sweep.study.study import identity
 
 BINS = 3  # regions along an axis
@@ -104,8 +104,14 @@ def flips(pairs: pd.DataFrame) -> Flips:
     won, won_b = first == "success", second == "success"
     fail = (first == "failure") & (second == "failure")
     other = pairs["cause"].to_numpy() != pairs[f"cause{SECOND}"].to_numpy()
-    counts = (won & (second == "failure"), (first == "failure") & won_b, fail & other,
-              invalid & ~invalid_b, ~invalid & invalid_b, invalid & invalid_b)  # fmt: skip
+    counts = (
+        won & (second == "failure"),
+        (first == "failure") & won_b,
+        fail & other,
+        invalid & ~invalid_b,
+        ~invalid & invalid_b,
+        invalid & invalid_b,
+    )
     return Flips(len(pairs), *(int(np.sum(c)) for c in counts))
 
 
@@ -125,8 +131,17 @@ def regions(pairs: pd.DataFrame, axes: list[str], bins: int = BINS) -> pd.DataFr
         found = flips(part)
         where = {axis: _extent(part[axis]) for axis in axes}
         invalid = found.pairs - found.tested
-        table.append({**where, "pairs": found.pairs, "flips": found.flipped, "only_A_succeeds": found.lost,
-                      "only_B_succeeds": found.gained, "invalid": invalid, "p": found.p})  # fmt: skip
+        table.append(
+            {
+                **where,
+                "pairs": found.pairs,
+                "flips": found.flipped,
+                "only_A_succeeds": found.lost,
+                "only_B_succeeds": found.gained,
+                "invalid": invalid,
+                "p": found.p,
+            }
+        )
     result = pd.DataFrame(table)
     return result.assign(p_holm=_holm(result["p"].to_numpy()))
 

@@ -90,8 +90,10 @@ def grid_volume(rows: pd.DataFrame, exp: Experiment, level: float = 0.5) -> Grid
     places = tuple(np.searchsorted(v, table[c]) for c, v in zip(by, values, strict=True))
     corners = np.full([len(v) for v in values], np.nan)
     corners[places] = good
-    shifted = [corners[tuple(slice(k, n - 1 + k) for k, n in zip(at, corners.shape, strict=True))]
-               for at in itertools.product((0, 1), repeat=len(by))]  # fmt: skip
+    shifted = [
+        corners[tuple(slice(k, n - 1 + k) for k, n in zip(at, corners.shape, strict=True))]
+        for at in itertools.product((0, 1), repeat=len(by))
+    ]
     sizes = np.ones(())
     for v in values:
         sizes = np.multiply.outer(sizes, np.diff(v))
@@ -127,8 +129,10 @@ def _nearest(values: np.ndarray, at: float) -> np.ndarray:
 
 def along(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
     """Rate of success with its Wilson interval at each value of each listed axis, the others nominal."""
-    parts = [rates(part, [axis.column]).rename(columns={axis.column: "value"}).assign(axis=axis.column)
-             for axis, _, part in arms(rows, exp)]  # fmt: skip
+    parts = [
+        rates(part, [axis.column]).rename(columns={axis.column: "value"}).assign(axis=axis.column)
+        for axis, _, part in arms(rows, exp)
+    ]
     return pd.concat(parts, ignore_index=True)[["axis", *parts[0].columns.drop("axis")]]
 
 
@@ -150,8 +154,17 @@ def margins(rows: pd.DataFrame, exp: Experiment, level: float = 0.5) -> pd.DataF
             last = values[first - 1] if first else np.nan
             fails = values[first] if first < len(values) else np.nan
             counts = {k: int(way[k].sum()) for k in ("total", "invalid")}
-            lines.append({"axis": axis.column, "side": side, "nominal": centre, "holds_to": last, "fails_at": fails,
-                          "margin": abs(last - centre), **counts})  # fmt: skip
+            lines.append(
+                {
+                    "axis": axis.column,
+                    "side": side,
+                    "nominal": centre,
+                    "holds_to": last,
+                    "fails_at": fails,
+                    "margin": abs(last - centre),
+                    **counts,
+                }
+            )
     return pd.DataFrame(lines)
 
 
@@ -248,12 +261,20 @@ def tolerance(rows: pd.DataFrame, exp: Experiment, probability: float = 0.9) -> 
                 continue
             fit = logistic(size[valid], outcome[valid] == "success")
             x, (low, high) = fit.where(probability)
-            lines.append({
-                "axis": axis.column, "side": side, "nominal": centre, "error": max(x, 0.0),
-                "low": max(float(low), 0.0), "high": max(float(high), 0.0), "tried": size[valid].max(),
-                "fit_p": goodness(fit, size[valid], outcome[valid] == "success"),
-                "total": len(valid), "invalid": int((~valid).sum()),
-            })  # fmt: skip
+            lines.append(
+                {
+                    "axis": axis.column,
+                    "side": side,
+                    "nominal": centre,
+                    "error": max(x, 0.0),
+                    "low": max(float(low), 0.0),
+                    "high": max(float(high), 0.0),
+                    "tried": size[valid].max(),
+                    "fit_p": goodness(fit, size[valid], outcome[valid] == "success"),
+                    "total": len(valid),
+                    "invalid": int((~valid).sum()),
+                }
+            )
     return pd.DataFrame(lines)
 
 
@@ -304,8 +325,16 @@ def sobol_indices(rows: pd.DataFrame, exp: Experiment, figure: str | None = None
         raise InputError(f"Sobol indices need values that vary: {len(whole)} complete blocks of {block} draws")
     problem = {"num_vars": len(axes), "names": [a.column for a in axes]}
     found = sobol.analyze(problem, whole.ravel(), calc_second_order=False, num_resamples=200, seed=0)
-    return pd.DataFrame({"axis": problem["names"], "first": found["S1"], "first_error": found["S1_conf"],
-                         "total": found["ST"], "total_error": found["ST_conf"], "blocks": len(whole)})  # fmt: skip
+    return pd.DataFrame(
+        {
+            "axis": problem["names"],
+            "first": found["S1"],
+            "first_error": found["S1_conf"],
+            "total": found["ST"],
+            "total_error": found["ST_conf"],
+            "blocks": len(whole),
+        }
+    )
 
 
 def _z(level: float) -> float:

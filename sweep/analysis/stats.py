@@ -100,3 +100,13 @@ def broken(expectations: tuple[Expectation, ...], rows: pd.DataFrame) -> list[st
         if not one.at_least <= share <= one.at_most:
             lines.append(f"expected {what} from {one.at_least:g} to {one.at_most:g}, got {share:.4g} of {len(among)}")
     return lines
+
+
+def binned(values: pd.Series, most: int) -> pd.Series:
+    """The values where there are at most `most`; else the middles of `most` equal intervals that they lie in."""
+    if values.dtype.kind not in "fi" or values.nunique() <= most:
+        return values
+    low, high = values.min(), values.max()
+    width = (high - low) / most
+    index = np.minimum(((values - low) / width).astype(int), most - 1)
+    return low + (index + 0.5) * width

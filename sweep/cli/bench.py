@@ -24,6 +24,8 @@ from sweep.engines.settings import EngineSettings
 from sweep.metrics.outcome import Thresholds
 from sweep.models.case import Case
 from sweep.models.drive import position_mode
+from sweep.models.legs import JOINT_Q, N_LEGS
+from sweep.study.study import assign
 
 MOST_NATIVE = 128  # rollouts for the row of C MuJoCo, the slowest
 SECOND = 1.0  # s, simulated by one call of the bare physics
@@ -32,8 +34,11 @@ SECOND = 1.0  # s, simulated by one call of the bare physics
 def table(nominal: Case, rollouts: int, width: int, rows: tuple[str, ...]) -> Iterator[dict[str, Any]]:
     """One line for each of `rows`, `nominal` walking; width 0 is the device's best, rollouts 0 one batch of them."""
     for name in rows:
-        settings = EngineSettings(width=width if name != "native" else 0, dynamics="mjx" if name == "mjx" else "auto",
-                                  name="native" if name == "native" else "mjx")  # fmt: skip
+        settings = EngineSettings(
+            width=width if name != "native" else 0,
+            dynamics="mjx" if name == "mjx" else "auto",
+            name="native" if name == "native" else "mjx",
+        )
         with program_cache.unused():
             line = _bare(settings, nominal, rollouts) if name == "bare" else _engine(settings, nominal, rollouts)
         yield line
@@ -46,8 +51,8 @@ def walk_map(nominal: Case, rollouts: int, width: int) -> list[tuple[Case, Case]
     slots = np.minimum(np.arange(-(-rollouts // width) * width), rollouts - 1).reshape(-1, width)
     batches = []
     for batch in slots:
-        belief = replace(nominal, manoeuvre=replace(nominal.manoeuvre, half_step_ratio=ratio.ravel()[batch]))
-        world = replace(belief, contact=replace(belief.contact, friction=friction.ravel()[batch]))
+        belief = assign(nominal, "manoeuvre.half_step_ratio", ratio.ravel()[batch])
+        world = assign(belief, "contact.friction", friction.ravel()[batch])
         batches.append((world, belief))
     return batches
 
@@ -83,7 +88,7 @@ def _bare(settings: EngineSettings, nominal: Case, rollouts: int) -> dict[str, A
     steps = physics.make(settings, top, nominal)
     plan = nominal.manoeuvre.plan(nominal)
     start = start_state(nominal, nominal, plan)
-    servo = position_mode(nominal.drive, start.qpos[7:25].reshape(6, 3))
+    servo = position_mode(nominal.drive, start.qpos[JOINT_Q].reshape(N_LEGS, 3))
     ticks = round(SECOND / settings.control_period)
 
     def one(friction: Array, state: State, tick: Array) -> State:
@@ -134,8 +139,12 @@ def _line(
     peak = (device.memory_stats() or {}).get("peak_bytes_in_use")
     share = jax.device_count() if name != "native" else 1
     return {
-        "engine": name, "dynamics": kind, "device": f"{share} x {device.device_kind}", "width": width,
-        "env-steps/s": width * seconds / step / wall, "rollouts/s": rollouts / wall,
+        "engine": name,
+        "dynamics": kind,
+        "device": f"{share} x {device.device_kind}",
+        "width": width,
+        "env-steps/s": width * seconds / step / wall,
+        "rollouts/s": rollouts / wall,
         "compile s": compile_s if compile_s > 0 else None,  # lost beside a long run whose speed is not even
         "KiB/rollout": peak / (width / share) / 1024 if peak and name != "native" else None,
-    }  # fmt: skip
+    }

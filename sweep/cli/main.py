@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from sweep.cli.choices import GROUPS, choices
 from sweep.core.errors import Fault, InputError
 
 if TYPE_CHECKING:
@@ -15,8 +16,6 @@ if TYPE_CHECKING:
 
 DONE, BAD_INPUT, UNEXPECTED, FAULT, INTERRUPTED = 0, 2, 4, 5, 130
 BENCH = ("arrowhead", "mjx", "bare", "native")  # rows of `sweep bench`
-GROUPS = ("scenario", "study", "robot", "obstacle", "manoeuvre", "drive", "contact", "noise", "execution", "engine",
-          "outcome", "cluster")  # fmt: skip
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -166,20 +165,17 @@ def replay(argv: list[str]) -> int:
 
 def formula(argv: list[str]) -> int:
     """`sweep formula NAME key=value`."""
+    from sweep.cli import formula as command
 
-    return formula.main(argv)
+    return command.main(argv)
 
 
 def show_choices(_: argparse.Namespace) -> int:
-    """Every configuration file with its first comment line."""
-    from importlib.resources import files
-
+    """Every choice with what it says of itself."""
     for group in GROUPS:
         print(f"{group}=")
-        for file in sorted((files("sweep.conf") / group).iterdir(), key=lambda f: f.name):
-            lines = file.read_text(encoding="utf-8").splitlines()
-            text = next((line for line in lines if line.startswith("# ") and "@package" not in line), "#")
-            print(f"  {file.name.removesuffix('.yaml'):20} {text[2:]}")
+        for name, text in choices(group).items():
+            print(f"  {name:20} {text}")
     return DONE
 
 
@@ -252,8 +248,8 @@ def show_statistics(given: argparse.Namespace) -> int:
 
 def draw_report(given: argparse.Namespace) -> int:
     """The page, and the success map where there are two parameters to draw it over."""
-    from sweep.analysis import results
     from sweep.report import maps, page, typical
+    from sweep.runs import results
 
     found, folder = results.read(given.dir, given.where), given.output or given.dir
     if given.pictures:
@@ -268,8 +264,8 @@ def draw_report(given: argparse.Namespace) -> int:
 
 def export_results(given: argparse.Namespace) -> int:
     """The bundle for a paper."""
-    from sweep.analysis import results
     from sweep.report import paper
+    from sweep.runs import results
 
     for path in paper.write(results.read(given.dir, given.where), given.paper):
         print(path)
@@ -294,10 +290,9 @@ def compare_results(given: argparse.Namespace) -> int:
 
 def audit_results(given: argparse.Namespace) -> int:
     """Flips among rollouts next to the boundary and successes elsewhere, simulated again."""
-    from sweep.analysis import results
     from sweep.cli import run as app
     from sweep.report import tables
-    from sweep.runs import audit
+    from sweep.runs import audit, results
 
     if given.points < 1:
         raise InputError(f"--points = {given.points} is not allowed: at least 1")

@@ -17,14 +17,14 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from sweep.analysis.stats import broken, causes, rate
-from sweep.core import provenance
 from sweep.core.errors import Fault, InputError
+from sweep.engines.run_id import device
 from sweep.report import tables
 from sweep.runs import refine, runner, store
 from sweep.runs.batches import make_engine
 from sweep.runs.batches import nominal as nominal_batch
-from sweep.runs.clusters import connected
 from sweep.study import config, designs
+from sweep.study.clusters import connected
 from sweep.study.config import Experiment
 from sweep.study.study import nominal, parameter_columns, unit
 
@@ -169,7 +169,7 @@ def pace(folder: Path, job: runner.Job) -> float | None:
         stored, done = store.read_study(folder), store.finished(folder)
         config, exp = stored["config"], job.exp
         same = (config["scenario"]["name"], config["engine"]["name"]) == (exp.scenario, exp.settings.name)
-        same &= provenance.device(exp.settings) in stored["devices"]
+        same &= device(exp.settings) in stored["devices"]
         return float(store.read_part(folder, max(done))["wall_s"].iloc[0]) if done and same else None
     except (InputError, KeyError):  # damaged, or of an earlier layout
         return None
@@ -178,20 +178,30 @@ def pace(folder: Path, job: runner.Job) -> float | None:
 def axes_table(exp: Experiment) -> str:
     """What is varied: parameter, side, values, unit and nominal value."""
     lines = [
-        [axis.name, axis.path or "", axis.on if axis.path else "", str(axis),
-         unit(axis.path, exp.case, exp.settings) if axis.path else "",
-         nominal(axis.path, exp.case, exp.settings) if axis.path else ""]
+        [
+            axis.name,
+            axis.path or "",
+            axis.side if axis.path else "",
+            str(axis),
+            unit(axis.path, exp.case, exp.settings) if axis.path else "",
+            nominal(axis.path, exp.case, exp.settings) if axis.path else "",
+        ]
         for axis in exp.study.axes
-    ]  # fmt: skip
-    table = pd.DataFrame(lines, columns=["axis", "parameter", "on", "values", "unit", "nominal"])
+    ]
+    table = pd.DataFrame(lines, columns=["axis", "parameter", "side", "values", "unit", "nominal"])
     return table.to_markdown(index=False, disable_numparse=True)
 
 
 @contextmanager
 def reporting(name: str, total: int) -> Iterator[runner.Progress]:
     """A live bar on a terminal's standard error, nothing elsewhere."""
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[note]}"),
-               TimeRemainingColumn())  # fmt: skip
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[note]}"),
+        TimeRemainingColumn(),
+    )
     console = Console(stderr=True)
     with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
         task = bar.add_task(name, total=total, note="compiling")

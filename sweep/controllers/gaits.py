@@ -8,6 +8,7 @@ from jaxtyping import Array
 
 from sweep.controllers.plan import CYCLE_A, Stage, Stance
 from sweep.formulas import stepping
+from sweep.models.legs import LEGS
 
 TRIPOD = ((1, 4, 5), (2, 3, 6))
 GALLOP = ((5, 6), (3, 4), (1, 2))  # front, middle, rear: the text of 1.3, and what climbs a pole
@@ -48,7 +49,7 @@ def centre_offsets(gait: Sequence[Sequence[int]], step: Step) -> dict[int, Array
     """
     offsets = {}
     way = advance(gait, step)
-    for leg in range(1, 7):
+    for leg in LEGS:
         turns = _turns(gait, leg)
         until_first = turns[0]
         offsets[leg] = until_first * way - _half_stance(gait, leg) * way

@@ -6,39 +6,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from sweep.core.parameters import count, parameters, quantity
 from sweep.core.rotations import exponential, multiply
+from sweep.models.noise import Noise
 from sweep.models.obstacles.surface import FreeState
 
 FREE = 1  # folded into a key to draw errors of the free bodies
-
-
-@parameters
-class Noise:
-    """Errors of measurement, all off by default.
-
-    A bias is drawn once a rollout, noise anew at every control tick; both are normal with the given deviation.
-    """
-
-    position_noise: float = quantity(0.0, "m", at_least=0)
-    position_bias: float = quantity(0.0, "m", at_least=0)
-    orientation_noise: float = quantity(0.0, "rad", at_least=0)
-    orientation_bias: float = quantity(0.0, "rad", at_least=0)
-    velocity_noise: float = quantity(0.0, "m/s", at_least=0)
-    velocity_bias: float = quantity(0.0, "m/s", at_least=0)
-    joint_noise: float = quantity(0.0, "rad", at_least=0)
-    joint_bias: float = quantity(0.0, "rad", at_least=0)
-    delay: float = quantity(0.0, "ticks", at_least=0, at_most=50)
-    body_position_noise: float = quantity(0.0, "m", at_least=0)  # these of the obstacle's free bodies
-    body_position_bias: float = quantity(0.0, "m", at_least=0)
-    body_orientation_noise: float = quantity(0.0, "rad", at_least=0)
-    body_orientation_bias: float = quantity(0.0, "rad", at_least=0)
-    body_velocity_noise: float = quantity(0.0, "m/s", at_least=0)
-    body_velocity_bias: float = quantity(0.0, "m/s", at_least=0)
-    body_turn_noise: float = quantity(0.0, "rad/s", at_least=0)
-    body_turn_bias: float = quantity(0.0, "rad/s", at_least=0)
-    body_delay: float = quantity(0.0, "ticks", at_least=0, at_most=50)
-    delay_buffer: int = count(0, at_most=50)  # room for the longest delay of a study, set by the runner
 
 
 class Observation(NamedTuple):
@@ -101,9 +73,13 @@ def observe(noise: Noise, sensors: Sensors, truth: Observation, key: Array) -> t
         velocity=seen.velocity + sensors.velocity_bias + noise.velocity_noise * draw[6:9],
         angles=seen.angles + joint_error,
         joint_error=joint_error,
-        free=FreeState(free.position + error[:, 0], multiply(exponential(error[:, 1]), free.quat),
-                       free.velocity + error[:, 2], free.turn + error[:, 3]),
-    )  # fmt: skip
+        free=FreeState(
+            free.position + error[:, 0],
+            multiply(exponential(error[:, 1]), free.quat),
+            free.velocity + error[:, 2],
+            free.turn + error[:, 3],
+        ),
+    )
     return sensors._replace(past=past), seen
 
 

@@ -17,6 +17,7 @@ from jaxtyping import Array, Bool, Float, Int
 from sweep.controllers.frames import WORLD
 from sweep.core.rotations import exponential, multiply, rotate
 from sweep.formulas import stepping
+from sweep.models.legs import LEGS
 
 CYCLE_A, CYCLE_B, CYCLE_B_SMOOTH, HALF_ELLIPSE = range(4)  # swings; the third spends its way by lambda_1
 LOCKED, LEVEL, BALANCE = range(3)  # middle legs: as planned; as a flywheel that comes to rest, or that balances
@@ -140,8 +141,8 @@ def assemble(
     feet, position, quat = start
     rows = []
     for stage in stages:
-        swing = jnp.array([leg in stage.swing for leg in range(1, 7)])
-        guides, guided = jnp.zeros((6, 2, 3)), jnp.array([leg in stage.guides for leg in range(1, 7)])
+        swing = jnp.array([leg in stage.swing for leg in LEGS])
+        guides, guided = jnp.zeros((6, 2, 3)), jnp.array([leg in stage.guides for leg in LEGS])
         for leg, foothold in stage.swing.items():
             feet = feet.at[leg - 1].set(foothold)
         for leg, points in stage.guides.items():
@@ -176,7 +177,7 @@ def _postures(stages: Sequence[Stage]) -> Posture | None:
         kept = (kept - set(stage.swing)) | set(stage.posture)
         for leg, goal in stage.posture.items():
             angles = angles.at[leg - 1].set(goal)
-        held.append([leg in kept for leg in range(1, 7)])
+        held.append([leg in kept for leg in LEGS])
         joints.append(angles)
         kept = kept - set(stage.swing)
     return Posture(jnp.array(held), jnp.stack(joints))

@@ -18,7 +18,7 @@ from sweep.core.rotations import conjugate, exponential, heading, logarithm, mul
 from sweep.formulas import leg, stepping
 from sweep.models.case import Case
 from sweep.models.drive import Servo
-from sweep.models.obstacles.surface import FreeState, no_bodies, poses
+from sweep.models.obstacles.surface import FreeState, free_start, poses
 from sweep.models.robot import Robot
 from sweep.models.scene import mount_yaw, mounts
 
@@ -89,7 +89,7 @@ def init(belief: Case, plan: Plan) -> TrackerState:
     """At the plan's start, standing as it wants."""
     zero = jnp.zeros((), plan.duration.dtype)
     manoeuvre = belief.manoeuvre
-    free = belief.obstacle.start() if belief.obstacle.free_bodies else no_bodies()
+    free = free_start(belief.obstacle)
     joints, _ = joint_targets(belief.robot, plan.start)
     memory = manoeuvre.memory(belief, plan) if isinstance(manoeuvre, Guided) else None
     feet = to_frame(plan.start.feet, plan.foot_frame[0], free)
@@ -106,7 +106,7 @@ def step(
 ) -> tuple[TrackerState, Command]:
     """One control tick of `period` seconds."""
     old, manoeuvre = state, belief.manoeuvre
-    if state.observer is not None:
+    if isinstance(manoeuvre, Guided) and state.observer is not None:
         observer = followed(state.observer, seen.free, manoeuvre.observer, period)
         state, seen = state._replace(observer=observer), seen._replace(free=observer.second)
     state = _advance(belief, plan, state._replace(clock=state.clock + period), seen, period)

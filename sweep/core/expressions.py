@@ -11,19 +11,30 @@ import pandas as pd
 from sweep.core.errors import InputError, suggest
 
 _COMPARE: dict[type, Callable[[Any, Any], Any]] = {
-    ast.Lt: operator.lt, ast.LtE: operator.le, ast.Gt: operator.gt, ast.GtE: operator.ge,
-    ast.Eq: lambda a, b: _close(a, b), ast.NotEq: lambda a, b: ~_close(a, b),
+    ast.Lt: operator.lt,
+    ast.LtE: operator.le,
+    ast.Gt: operator.gt,
+    ast.GtE: operator.ge,
+    ast.Eq: lambda a, b: _close(a, b),
+    ast.NotEq: lambda a, b: ~_close(a, b),
     ast.In: lambda a, b: np.any([_close(a, one) for one in b], axis=0),
     ast.NotIn: lambda a, b: ~np.any([_close(a, one) for one in b], axis=0),
-}  # fmt: skip
+}
 _ARITHMETIC: dict[type, Callable[[Any, Any], Any]] = {
-    ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv,
-    ast.BitAnd: operator.and_, ast.BitOr: operator.or_,
-}  # fmt: skip
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+    ast.BitAnd: operator.and_,
+    ast.BitOr: operator.or_,
+}
 _FUNCTIONS = {"sqrt": np.sqrt, "sin": np.sin, "cos": np.cos, "tan": np.tan, "asin": np.arcsin, "acos": np.arccos}
 _UNARY: dict[type, Callable[[Any], Any]] = {
-    ast.Not: operator.invert, ast.Invert: operator.invert, ast.USub: operator.neg, ast.UAdd: operator.pos,
-}  # fmt: skip
+    ast.Not: operator.invert,
+    ast.Invert: operator.invert,
+    ast.USub: operator.neg,
+    ast.UAdd: operator.pos,
+}
 
 
 def mask(frame: pd.DataFrame, condition: str | None) -> np.ndarray:

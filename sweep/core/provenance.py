@@ -1,4 +1,4 @@
-"""What made a row: code, libraries, device. Rows are equal bit for bit only at an equal `run_id`."""
+"""What made a row: code and libraries."""
 
 import ast
 import functools
@@ -7,25 +7,20 @@ import subprocess
 from importlib import metadata
 from pathlib import Path
 
-from sweep import STARTED
-from sweep.engines.settings import EngineSettings
+from sweep.core.start import STARTED
 
 ROOT = Path(__file__).parents[1]
 SIMULATION = (  # what can change a row
-    "models", "controllers", "dynamics", "engines", "metrics", "formulas", "core/rotations.py", "core/parameters.py",
-)  # fmt: skip
+    "models",
+    "controllers",
+    "dynamics",
+    "engines",
+    "metrics",
+    "formulas",
+    "core/rotations.py",
+    "core/parameters.py",
+)
 LIBRARIES = ("mujoco", "mujoco-mjx", "jax", "jaxlib", "numpy")
-
-
-def device(settings: EngineSettings) -> str:
-    """Kind of the devices an engine runs on, and how many share a batch."""
-    import jax  # slow to import
-
-    from sweep.engines import devices
-
-    devices.configure()
-
-    return f"{jax.device_count()} x {jax.devices()[0].device_kind}" if settings.name == "mjx" else "cpu"
 
 
 @functools.cache
@@ -68,12 +63,9 @@ def commit() -> str:
     """The checkout's commit, marked where files differ from it; empty outside a checkout."""
     found = subprocess.run(
         ["git", "describe", "--always", "--dirty", "--abbrev=12"],
-        cwd=ROOT, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     return found.stdout.strip()
-
-
-def run_id(settings: EngineSettings) -> str:
-    """Hash of how a row is simulated: engine, steps, precision, width, device, code."""
-    content = repr((settings, device(settings), code_version()))
-    return hashlib.blake2b(content.encode(), digest_size=6).hexdigest()

@@ -14,9 +14,8 @@ from jaxtyping import Array, Float
 
 from sweep.models import scene
 from sweep.models.case import Case
+from sweep.models.legs import JOINTS, LEGS, N_LEGS
 from sweep.models.obstacles.surface import Bodies
-
-N_LEGS = 6
 
 
 @dataclass(frozen=True)
@@ -62,13 +61,13 @@ def topology(case: Case) -> Topology:
     names = {kind: {mujoco.mj_id2name(model, obj, i): i for i in range(sizes[kind])} for kind, obj in kinds.items()}
     free = tuple(names["body"][name] for name in case.obstacle.free_bodies)
     root = np.concatenate([np.arange(6), *[model.body_dofadr[b] + np.arange(6) for b in free]]).astype(np.int32)
-    joints = np.array([model.jnt_dofadr[names["joint"][joint]] for joint in scene.JOINTS], np.int32)
-    feet = [names["site"][f"foot{leg}"] for leg in scene.LEGS]
+    joints = np.array([model.jnt_dofadr[names["joint"][joint]] for joint in JOINTS], np.int32)
+    feet = [names["site"][f"foot{leg}"] for leg in LEGS]
     extra = [names["site"][name] for name, _ in case.obstacle.contact_sites]
     owner = (-1,) * N_LEGS + tuple(body for _, body in case.obstacle.contact_sites)
     points = np.array(feet + extra, np.int32)
     per_leg = len(scene.links(case.robot))
-    return Topology(model, names, root, joints.reshape(6, 3), free, points, owner, per_leg)
+    return Topology(model, names, root, joints.reshape(N_LEGS, 3), free, points, owner, per_leg)
 
 
 def saved(model: mujoco.MjModel) -> bytes:

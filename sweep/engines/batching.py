@@ -14,6 +14,7 @@ from sweep.engines.settings import EngineSettings
 from sweep.metrics.metric import Tick
 from sweep.models import scene
 from sweep.models.case import Case
+from sweep.models.legs import N_JOINTS, N_LEGS
 
 
 def nominal_plan(belief: Case) -> Plan:
@@ -60,7 +61,7 @@ def check(streams: np.ndarray, width: int) -> None:
 def execution_limits(world: Case, time: Array) -> Limits:
     """What the drives can do, and the push, at `time` (s)."""
     execution = world.execution
-    alive = jnp.arange(18).reshape(6, 3) != jnp.round(execution.dead_joint)
+    alive = jnp.arange(N_JOINTS).reshape(N_LEGS, 3) != jnp.round(execution.dead_joint)
     torque = jnp.full((6, 3), execution.torque_scale * world.drive.torque_limit)
     pushed = (time >= execution.push_time) & (time < execution.push_time + execution.push_duration)
     size = jnp.where(pushed, execution.push_impulse / execution.push_duration, 0.0)
@@ -72,10 +73,16 @@ def execution_limits(world: Case, time: Array) -> Limits:
 def record(command: Command, state: TrackerState, tick: Tick, q: Array, v: Array) -> dict[str, Array]:
     """What a trace keeps of a tick."""
     return {
-        "qpos": q, "qvel": v, "joint_target": command.joints.reshape(18), "joint_torque": tick.torque_peak.reshape(18),
-        "foot_position": tick.joints[:, -1], "foot_target": command.target.feet, "foot_force": tick.force,
-        "base_target": jnp.concatenate([command.target.position, command.target.quat]), "stage": state.stage,
-    }  # fmt: skip
+        "qpos": q,
+        "qvel": v,
+        "joint_target": command.joints.reshape(N_JOINTS),
+        "joint_torque": tick.torque_peak.reshape(N_JOINTS),
+        "foot_position": tick.joints[:, -1],
+        "foot_target": command.target.feet,
+        "foot_force": tick.force,
+        "base_target": jnp.concatenate([command.target.position, command.target.quat]),
+        "stage": state.stage,
+    }
 
 
 def to_trace(

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.controllers import tracker
-from sweep.controllers.observation import Noise, Observation, Sensors, install, observe
+from sweep.controllers.observation import Observation, Sensors, install, observe
 from sweep.controllers.plan import Plan, Stance
 from sweep.controllers.posture import feet_in_world
 from sweep.controllers.tracker import Command, TrackerState, joint_targets
@@ -20,7 +20,9 @@ from sweep.metrics.stream import Running
 from sweep.models.case import Case
 from sweep.models.disturbance import Execution
 from sweep.models.drive import Servo, position_mode
-from sweep.models.obstacles.surface import FreeState, no_bodies, poses
+from sweep.models.legs import JOINT_Q, JOINT_V, N_JOINTS, N_LEGS
+from sweep.models.noise import Noise
+from sweep.models.obstacles.surface import FreeState, free_start, poses
 
 GRACE = 1.2  # a rollout is over at this multiple of its planned duration, finished or not
 LONGEST = 600.0  # s; a rollout that takes longer is cut off unfinished: absurd parameters must not hold up a batch
@@ -63,7 +65,7 @@ def start_state(world: Case, belief: Case, plan: Plan) -> Start:
     ground's normal (or raised) until its lowest foot touches; on free bodies it goes down upright, and rides along
     with them.
     """
-    free = world.obstacle.start() if world.obstacle.free_bodies else no_bodies()
+    free = free_start(world.obstacle)
     joints, _ = joint_targets(belief.robot, plan.start)
     start = displaced(world.execution, plan.start)
     feet = feet_in_world(world.robot, start.position, start.quat, joints)
@@ -82,9 +84,9 @@ def start_state(world: Case, belief: Case, plan: Plan) -> Start:
         stance = start._replace(feet=feet)
         moved = stance._replace(feet=moving, position=velocity, quat=jnp.zeros_like(start.quat))
         _, rates = jax.jvp(lambda s: joint_targets(belief.robot, s)[0], (stance,), (moved,))
-    qpos = [position, start.quat, joints.reshape(18), jnp.concatenate([free.position, free.quat], axis=1).ravel()]
+    qpos = [position, start.quat, joints.reshape(N_JOINTS), jnp.concatenate([free.position, free.quat], axis=1).ravel()]
     turn = rotate(conjugate(free.quat), free.turn)  # a free joint turns about the body's own axes
-    qvel = [velocity, jnp.zeros(3), rates.reshape(18), jnp.concatenate([free.velocity, turn], axis=1).ravel()]
+    qvel = [velocity, jnp.zeros(3), rates.reshape(N_JOINTS), jnp.concatenate([free.velocity, turn], axis=1).ravel()]
     return Start(jnp.concatenate(qpos), jnp.concatenate(qvel))
 
 
@@ -106,9 +108,10 @@ def free_state(qpos: Array, qvel: Array, count: int) -> FreeState:
 def embark(world: Case, belief: Case, plan: Plan, start: Start, energy: Array, key: Array) -> Pilot:
     """Before the first tick."""
     free = free_state(start.qpos, start.qvel, len(world.obstacle.free_bodies))
-    joints = start.qpos[7:25].reshape(6, 3)
-    truth = Observation(start.qpos[:3], start.qpos[3:7], start.qvel[:3], start.qvel[3:6], joints,
-                        start.qvel[6:24].reshape(6, 3), jnp.zeros_like(joints), jnp.ones(6, bool), free)  # fmt: skip
+    joints = start.qpos[JOINT_Q].reshape(N_LEGS, 3)
+    rates = start.qvel[JOINT_V].reshape(N_LEGS, 3)
+    truth = Observation(start.qpos[:3], start.qpos[3:7], start.qvel[:3], start.qvel[3:6], joints, rates,
+                        jnp.zeros_like(joints), jnp.ones(N_LEGS, bool), free)  # fmt: skip
     bias_key, key = jax.random.split(key)
     sensors = install(world.noise, bias_key, truth)
     feet = feet_in_world(world.robot, start.qpos[:3], start.qpos[3:7], joints)

@@ -36,10 +36,10 @@ from sweep.models import scene
 from sweep.models.case import Case
 from sweep.models.collisions import collide
 from sweep.models.drive import Servo, towards
+from sweep.models.legs import JOINT_Q, JOINT_V, JOINTS, N_JOINTS, N_LEGS
 from sweep.models.obstacles.surface import poses
 
 CONTROL = mujoco.mjtState.mjSTATE_CTRL.value | mujoco.mjtState.mjSTATE_XFRC_APPLIED.value
-LEGS = slice(6, 24)  # of qvel
 RECORD = ("qpos", "qvel", "actuator_force", "sensordata", "energy", "xpos", "xmat", "site_xpos", "subtree_com")
 
 
@@ -63,7 +63,7 @@ def native_spec(case: Case, time_step: float, solid: bool = False) -> mujoco.MjS
     spec.option.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
     drive, execution = case.drive, case.execution
     dead, limit = round(float(execution.dead_joint)), execution.torque_scale * drive.torque_limit
-    for number, (name, motor) in enumerate(zip(scene.JOINTS, spec.actuators, strict=True)):
+    for number, (name, motor) in enumerate(zip(JOINTS, spec.actuators, strict=True)):
         alive = float(number != dead)
         motor.gainprm[0] = alive  # controls are torques: stiffness times target, and what comes on top
         motor.biastype = mujoco.mjtBias.mjBIAS_AFFINE
@@ -181,7 +181,7 @@ class Native:
             old = pilot.servo
             pilot, command = decide(world, belief, plan, pilot, k, period, quiet)
             told = towards(old, pilot.servo, (1 + jnp.arange(n))[:, None, None] / n)
-            torques = (told.stiffness * told.target + told.torque).reshape(n, 18)
+            torques = (told.stiffness * told.target + told.torque).reshape(n, N_JOINTS)
             forces = self._pushes(world, k * period)
             return pilot, command, jnp.concatenate([torques, forces], axis=1)
 
@@ -196,13 +196,13 @@ class Native:
         """Outside wrenches on all bodies in the tick's steps: force, then torque, world axes."""
         times = start + self.settings.native_time_step * jnp.arange(self.substeps)
         push = jax.vmap(lambda t: batching.execution_limits(world, t).push)(times)
-        bodies = 2 + 6 * len(scene.links(world.robot)) + len(world.obstacle.free_bodies)
+        bodies = 2 + N_LEGS * len(scene.links(world.robot)) + len(world.obstacle.free_bodies)
         return jnp.zeros((self.substeps, 6 * bodies)).at[:, 6:9].set(push)
 
     def _summary(self, world: Case, steps: dict[str, Array], start: Array) -> Tick:
         """What the metrics want of a tick; `steps` hold the records of its physics steps."""
         h, drive = self.settings.native_time_step, world.drive
-        rate = steps["qvel"][:, LEGS]
+        rate = steps["qvel"][:, JOINT_V]
         torque = steps["actuator_force"] - drive.back_emf * rate
         effort = jnp.abs(steps["actuator_force"])
         limit = world.execution.torque_scale * drive.torque_limit
@@ -214,19 +214,19 @@ class Native:
         feet = steps["site_xpos"][-1, :6]
         normals = world.obstacle.surface(feet, (-1,) * 6, poses(free)).normal
         normal = jnp.sum(force * normals, axis=-1)
-        last = -jnp.sum(steps["sensordata"][-1].reshape(6, 3) * normals, axis=-1)
-        links = steps["xpos"][-1, 2 : 2 + 6 * len(scene.links(world.robot))].reshape(6, -1, 3)
+        last = -jnp.sum(steps["sensordata"][-1].reshape(N_LEGS, 3) * normals, axis=-1)
+        links = steps["xpos"][-1, 2 : 2 + N_LEGS * len(scene.links(world.robot))].reshape(N_LEGS, -1, 3)
         energy = jnp.sum(steps["energy"][-1])
         return Tick(
-            torque_peak=jnp.max(jnp.abs(torque), axis=0).reshape(6, 3),
-            saturated=jnp.mean(effort >= 0.999 * limit, axis=0).reshape(6, 3),
+            torque_peak=jnp.max(jnp.abs(torque), axis=0).reshape(N_LEGS, 3),
+            saturated=jnp.mean(effort >= 0.999 * limit, axis=0).reshape(N_LEGS, 3),
             force=force, normal=normal, tangential=jnp.linalg.norm(force - normal[:, None] * normals, axis=-1),
             loaded=last > 1.0, residual=jnp.zeros(()),  # the C solver reports no residual force
             work=h * (jnp.sum(power) + jnp.sum(push * steps["qvel"][:, :3])),
             effort=h * jnp.sum(jnp.maximum(power, 0.0)),
             energy=jnp.where(steps["broken"], jnp.nan, energy),
             position=qpos[:3], quat=qpos[3:7], velocity=qvel[:3], spin=qvel[3:6],
-            angles=qpos[7:25].reshape(6, 3), rates=rate[-1].reshape(6, 3),
+            angles=qpos[JOINT_Q].reshape(N_LEGS, 3), rates=rate[-1].reshape(N_LEGS, 3),
             centre_of_mass=steps["subtree_com"][-1, 1], joints=jnp.concatenate([links, feet[:, None]], axis=1),
             bodies=poses(free), free=free,
         )  # fmt: skip
@@ -234,7 +234,7 @@ class Native:
 
 def _gains(servo: Servo) -> Float[np.ndarray, "b 18 2"]:
     """Stiffness and damping of every joint."""
-    return np.stack([np.asarray(servo.stiffness), np.asarray(servo.damping)], axis=-1).reshape(-1, 18, 2)
+    return np.stack([np.asarray(servo.stiffness), np.asarray(servo.damping)], axis=-1).reshape(-1, N_JOINTS, 2)
 
 
 def _retune(batch: Batch, models: list[mujoco.MjModel], old: np.ndarray, new: np.ndarray) -> np.ndarray:
@@ -258,7 +258,7 @@ def _record(commands: Command, pilots: Pilot, steps: dict[str, np.ndarray], slot
     command = jax.tree.map(lambda x: np.asarray(x)[slot], commands)
     return {
         "qpos": steps["qpos"][slot, -1], "qvel": steps["qvel"][slot, -1],
-        "joint_target": command.joints.reshape(18),
+        "joint_target": command.joints.reshape(N_JOINTS),
         "joint_torque": np.abs(steps["actuator_force"][slot]).max(axis=0),
         "foot_position": steps["site_xpos"][slot, -1, :6], "foot_target": command.target.feet,
         "foot_force": -steps["sensordata"][slot].reshape(-1, 6, 3).mean(axis=0),

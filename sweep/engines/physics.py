@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from sweep.dynamics import structured, tree_step
-from sweep.dynamics.interface import N_LEGS, SmoothDynamics, Topology
+from sweep.dynamics.interface import SmoothDynamics, Topology
 from sweep.dynamics.step import State, StepReport, kinetic_energy, step
 from sweep.dynamics.tree import fits
 from sweep.dynamics.tree_step import from_state, to_state
@@ -21,6 +21,7 @@ from sweep.engines.settings import EngineSettings
 from sweep.metrics.metric import Tick
 from sweep.models.case import Case
 from sweep.models.drive import Servo, towards
+from sweep.models.legs import N_LEGS
 from sweep.models.obstacles.surface import no_bodies, poses
 
 

@@ -5,31 +5,50 @@ the robot's mass centre keeps the distance rho from the ball's centre; phi is it
 (pi/2 on top), and a positive rate dphi climbs.
 """
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from sweep.formulas.formula import Formula, Input, Scalar, positive
+from sweep.formulas.formula import Input, Scalar, formula, positive
 
 GRAVITY = 9.81  # m/s^2
 ROLLING = 7 / 5  # ball's moment of inertia about the point of contact, in M R^2
 
 
+_TWICE = "the ball's M R^2 is counted twice by J_b + (m + M) R^2 with J_b = 7/5 M R^2"
+RobotMass = Annotated[Scalar, positive("kg", 16.0)]
+BallMass = Annotated[Scalar, positive("kg", 40.0)]
+BallRadius = Annotated[Scalar, positive("m", 0.84)]
+CentreDistance = Annotated[Scalar, positive("m", 1.1)]
+
+
 class Stabilise(NamedTuple):
     """Shapes at time tau and the constants of delta (times in s, `ubar` in 1/s^2)."""
 
-    ubar: Float[Array, "..."]
-    tau1: Float[Array, "..."]
-    tau2: Float[Array, "..."]
-    delta: Float[Array, "..."]
-    pulse: Float[Array, "..."]
-    pulse_integral_T: Float[Array, "..."]
+    ubar: Annotated[Float[Array, "..."], "1/s^2"]
+    tau1: Annotated[Float[Array, "..."], "s"]
+    tau2: Annotated[Float[Array, "..."], "s"]
+    delta: Annotated[Float[Array, "..."], ""]
+    pulse: Annotated[Float[Array, "..."], ""]
+    pulse_integral_T: Annotated[Float[Array, "..."], ""]
 
 
-def stabilise_delta(T: Scalar, Delta: Scalar, tau: Scalar) -> Stabilise:
-    """Body's path over the ball that ends at rest with no angular momentum gained: monograph (3.1.4)-(3.1.7).
+@formula(
+    "monograph",
+    "3.1.3-3.1.7",
+    correction="(3.1.7) gives the pulse the integral T - Delta, not T: pulse_integral_T is scaled",
+    condition="Delta must be less than T",
+)
+def stabilise_delta(
+    T: Annotated[Scalar, positive("s", 2.0)],
+    Delta: Annotated[Scalar, Input("s", 0.0, at_least=0)],
+    tau: Annotated[Scalar, Input("s", 1.0, at_least=0)],
+) -> Stabilise:
+    """Body's moves that stop a ball: delta from 0 to 1, pulse delta'.
+
+    The ball ends at rest with no angular momentum gained.
 
     `delta` goes from 0 to 1 in T - Delta with an overshoot (golden ratio) such that its integral over T is T.
     The body then rests.
@@ -49,13 +68,17 @@ def stabilise_delta(T: Scalar, Delta: Scalar, tau: Scalar) -> Stabilise:
 class Lateral(NamedTuple):
     """Shape of the sideways move."""
 
-    mu: Float[Array, "..."]
+    mu: Annotated[Float[Array, "..."], ""]
 
 
-def lateral_mu(T: Scalar, tau: Scalar) -> Lateral:
-    """Sideways push on the ball at time tau: the pulse with a plateau at its peak 2, monograph (3.3.7), d = T/4.
+@formula("monograph", "3.3.7")
+def lateral_mu(
+    T: Annotated[Scalar, positive("s", 2.0)], tau: Annotated[Scalar, Input("s", 1.0, at_least=0)]
+) -> Lateral:
+    """Sideways push of a ball: pulse with a plateau.
 
-    Its integral is 3/2 T, so that the gain of (3.1.8) must be cut by 2/3 where this shape replaces the pulse.
+    At its peak of 2, with d = T/4. Its integral is 3/2 T, so that the gain of (3.1.8) must be cut by 2/3 where this
+    shape replaces the pulse.
     """
     share = tau / T
     without_plateau = jnp.clip(share, 0.0, 0.25) + jnp.clip(share - 0.75, 0.0, 0.25)
@@ -75,14 +98,23 @@ def _bell(s: Array) -> Array:
 class Climb(NamedTuple):
     """Least starting speed of the ball (m/s) with the best climbing rate; the rate for 1.3 times that speed."""
 
-    v0_min: Float[Array, "..."]
-    dphi_opt: Float[Array, "..."]
-    omega0: Float[Array, "..."]
-    dphi: Float[Array, "..."]
+    v0_min: Annotated[Float[Array, "..."], "m/s"]
+    dphi_opt: Annotated[Float[Array, "..."], "rad/s"]
+    omega0: Annotated[Float[Array, "..."], "rad/s"]
+    dphi: Annotated[Float[Array, "..."], "rad/s"]
 
 
-def ball_climb(m: Scalar, M: Scalar, R: Scalar, rho: Scalar, phi0: Scalar) -> Climb:
-    """Push that the ball needs so that the robot reaches its top as it stops: monograph (3.1.14)-(3.1.16).
+@formula("monograph", "3.1.14-3.1.16", correction=_TWICE)
+def ball_climb(
+    m: RobotMass,
+    M: BallMass,
+    R: BallRadius,
+    rho: CentreDistance,
+    phi0: Annotated[Scalar, Input("rad", 0.4, above=-np.pi / 2, below=np.pi / 2)],
+) -> Climb:
+    """Least speed of a ball that can be climbed, and the rate of climbing.
+
+    Push that the ball needs so that the robot reaches its top as it stops.
 
     Robot of mass m (kg) starting at elevation phi0 (rad), ball of mass M and radius R (m). `omega0` (rad/s) is the
     start at 1.3 times the least speed and `dphi` (rad/s) the lower of the two climbing rates that suit it.
@@ -104,13 +136,24 @@ def climbing_rate(omega0: Scalar, effort: Scalar, R: Scalar) -> Array:
 class Omega(NamedTuple):
     """Rate of the ball (rad/s)."""
 
-    omega: Float[Array, "..."]
+    omega: Annotated[Float[Array, "..."], "rad/s"]
 
 
+@formula("monograph", "3.1.11-3.1.13", correction=_TWICE, condition="dphi must not be 0")
 def ball_omega(
-    m: Scalar, M: Scalar, R: Scalar, rho: Scalar, phi0: Scalar, phi1: Scalar, dphi: Scalar, omega0: Scalar
+    m: RobotMass,
+    M: BallMass,
+    R: BallRadius,
+    rho: CentreDistance,
+    phi0: Annotated[Scalar, Input("rad", 0.4, at_least=-np.pi, at_most=np.pi)],
+    phi1: Annotated[Scalar, Input("rad", np.pi / 2, at_least=-np.pi, at_most=np.pi)],
+    dphi: Annotated[Scalar, Input("rad/s", 1.0)],
+    omega0: Annotated[Scalar, Input("rad/s", 1.0)],
 ) -> Omega:
-    """Rate of the ball after the robot went from phi0 to phi1 at the constant rate dphi != 0: monograph (3.1.13)."""
+    """Rate of a ball after the robot moved on it at a constant rate.
+
+    The robot goes from phi0 to phi1 at dphi, which must not be 0.
+    """
     p = _ratio(m, M, R, rho)
     growth = jnp.log1p(p * (jnp.sin(phi1) - jnp.sin(phi0)) / (1 + p * jnp.sin(phi0)))
     return Omega(omega0 - (GRAVITY + dphi**2 * R) / (dphi * R) * growth)
@@ -119,12 +162,19 @@ def ball_omega(
 class Descent(NamedTuple):
     """Best rate of the robot and what the ball gains by it (rad/s)."""
 
-    dphi_opt: Float[Array, "..."]
-    gain: Float[Array, "..."]
+    dphi_opt: Annotated[Float[Array, "..."], "rad/s"]
+    gain: Annotated[Float[Array, "..."], "rad/s"]
 
 
-def ball_descent(m: Scalar, M: Scalar, R: Scalar, rho: Scalar, phi: Scalar) -> Descent:
-    """Least rate that the ball gains while the robot comes down from the top to phi: monograph (3.1.17).
+@formula("monograph", "3.1.17", correction=f"the bound after (3.1.17) lacks the factor 2; {_TWICE}")
+def ball_descent(
+    m: RobotMass,
+    M: BallMass,
+    R: BallRadius,
+    rho: CentreDistance,
+    phi: Annotated[Scalar, Input("rad", 0.4, at_least=0, at_most=np.pi / 2)],
+) -> Descent:
+    """Least rate that a ball gains while the robot comes down from its top.
 
     A ball at rest ends with `gain`; a ball that shall be at rest in the end must start with as much the other way.
     """
@@ -142,13 +192,28 @@ def _ratio(m: Scalar, M: Scalar, R: Scalar, rho: Scalar) -> Scalar:
 class Turn(NamedTuple):
     """Radius (m) of the ball's circle."""
 
-    rho_exact: Float[Array, "..."]
-    rho_approx: Float[Array, "..."]
+    rho_exact: Annotated[Float[Array, "..."], "m"]
+    rho_approx: Annotated[Float[Array, "..."], "m"]
 
 
-def ball_turn(m: Scalar, M: Scalar, R: Scalar, h: Scalar, phi: Scalar, v: Scalar) -> Turn:
-    """Radius of the steady turn of a ball at speed v (m/s), the robot leaning by phi (rad) to the inside.
+@formula(
+    "monograph",
+    "3.1.23-3.1.25",
+    "3.1.32-3.1.33",
+    correction="(3.1.24) leaves the turn out of the mass centre's speed; rho_exact keeps it",
+    condition="phi must not be 0, and v so high that a steady turn exists",
+)
+def ball_turn(
+    m: RobotMass,
+    M: BallMass,
+    R: BallRadius,
+    h: Annotated[Scalar, positive("m", 0.3)],
+    phi: Annotated[Scalar, Input("rad", 0.2, above=-np.pi / 2, below=np.pi / 2)],
+    v: Annotated[Scalar, positive("m/s", 0.5)],
+) -> Turn:
+    """Radius of the steady turn of a ball, exact and as printed.
 
+    The ball's speed is v (m/s), the robot leans by phi (rad) to the inside.
     `h` (m) is the height of the mass centre over the ball. Monograph (3.1.33) is `rho_approx`: it takes the mass
     centre to be as fast as the ball. Without that, D rho^2 - v^2 (A + B) rho + v^2 B S = 0 and the outer root is
     `rho_exact`; nan where there is no steady turn. The sign is that of phi.
@@ -160,92 +225,5 @@ def ball_turn(m: Scalar, M: Scalar, R: Scalar, h: Scalar, phi: Scalar, v: Scalar
     return Turn(approx * (1 + jnp.sqrt(1 - 4 * D * B * S / (v * (A + B)) ** 2)) / 2, approx)
 
 
-_BALL = (
-    positive("m", "kg", 16.0),
-    positive("M", "kg", 40.0),
-    positive("R", "m", 0.84),
-    positive("rho", "m", 1.1),
-)
-
-
 def _elevation(name: str, default: float) -> Input:
     return Input(name, "rad", default, at_least=-np.pi, at_most=np.pi)
-
-
-_TWICE = "the ball's M R^2 is counted twice by J_b + (m + M) R^2 with J_b = 7/5 M R^2"
-
-FORMULAS = (
-    Formula(
-        "stabilise_delta",
-        "body's moves that stop a ball: delta from 0 to 1, pulse delta'",
-        "monograph",
-        ("3.1.3-3.1.7",),
-        stabilise_delta,
-        (positive("T", "s", 2.0), Input("Delta", "s", 0.0, at_least=0), Input("tau", "s", 1.0, at_least=0)),
-        {"ubar": "1/s^2", "tau1": "s", "tau2": "s", "delta": "", "pulse": "", "pulse_integral_T": ""},
-        correction="(3.1.7) gives the pulse the integral T - Delta, not T: pulse_integral_T is scaled",
-        condition="Delta must be less than T",
-    ),
-    Formula(
-        "lateral_mu",
-        "sideways push of a ball: pulse with a plateau",
-        "monograph",
-        ("3.3.7",),
-        lateral_mu,
-        (positive("T", "s", 2.0), Input("tau", "s", 1.0, at_least=0)),
-        {"mu": ""},
-    ),
-    Formula(
-        "ball_climb",
-        "least speed of a ball that can be climbed, and the rate of climbing",
-        "monograph",
-        ("3.1.14-3.1.16",),
-        ball_climb,
-        (*_BALL, Input("phi0", "rad", 0.4, above=-np.pi / 2, below=np.pi / 2)),
-        {"v0_min": "m/s", "dphi_opt": "rad/s", "omega0": "rad/s", "dphi": "rad/s"},
-        correction=_TWICE,
-    ),
-    Formula(
-        "ball_omega",
-        "rate of a ball after the robot moved on it at a constant rate",
-        "monograph",
-        ("3.1.11-3.1.13",),
-        ball_omega,
-        (
-            *_BALL,
-            _elevation("phi0", 0.4),
-            _elevation("phi1", np.pi / 2),
-            Input("dphi", "rad/s", 1.0),
-            Input("omega0", "rad/s", 1.0),
-        ),
-        {"omega": "rad/s"},
-        correction=_TWICE,
-        condition="dphi must not be 0",
-    ),
-    Formula(
-        "ball_descent",
-        "least rate that a ball gains while the robot comes down from its top",
-        "monograph",
-        ("3.1.17",),
-        ball_descent,
-        (*_BALL, Input("phi", "rad", 0.4, at_least=0, at_most=np.pi / 2)),
-        {"dphi_opt": "rad/s", "gain": "rad/s"},
-        correction=f"the bound after (3.1.17) lacks the factor 2; {_TWICE}",
-    ),
-    Formula(
-        "ball_turn",
-        "radius of the steady turn of a ball, exact and as printed",
-        "monograph",
-        ("3.1.23-3.1.25", "3.1.32-3.1.33"),
-        ball_turn,
-        (
-            *_BALL[:3],
-            positive("h", "m", 0.3),
-            Input("phi", "rad", 0.2, above=-np.pi / 2, below=np.pi / 2),
-            positive("v", "m/s", 0.5),
-        ),
-        {"rho_exact": "m", "rho_approx": "m"},
-        correction="(3.1.24) leaves the turn out of the mass centre's speed; rho_exact keeps it",
-        condition="phi must not be 0, and v so high that a steady turn exists",
-    ),
-)

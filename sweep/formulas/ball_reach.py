@@ -3,24 +3,37 @@
 Monograph 3.1.5 and 3.3.1.
 """
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sweep.formulas.formula import Formula, Input, Scalar, positive
+from sweep.formulas.formula import Input, Scalar, formula, positive
 from sweep.formulas.roots import newton
 
 
 class MaxBall(NamedTuple):
     """Radius (m)."""
 
-    R: Float[Array, "..."]
+    R: Annotated[Float[Array, "..."], "m"]
 
 
-def max_ball(l1: Scalar, l2: Scalar, hhat: Scalar, b: Scalar, k_f: Scalar) -> MaxBall:
-    """Radius of the largest ball whose region of safe footholds the front feet reach: the largest root of (3.1.19).
+@formula(
+    "monograph",
+    "3.1.18-3.1.22",
+    correction="(3.1.22) has (1 - k_f)^2 + 4 for (1 - k_f)^4 + 4 below, and lacks a square for k_f = 1",
+    condition="hhat must be in reach of the ball's footholds and b less than its diameter",
+)
+def max_ball(
+    l1: Annotated[Scalar, positive("m", 0.52)],
+    l2: Annotated[Scalar, positive("m", 0.335)],
+    hhat: Annotated[Scalar, positive("m", 1.71)],
+    b: Annotated[Scalar, Input("m", 0.5, at_least=0)],
+    k_f: Annotated[Scalar, Input("", 1.0, at_least=0)],
+) -> MaxBall:
+    """Radius of the largest ball that can be climbed.
 
+    The front feet reach its region of safe footholds: the largest root of (3.1.19).
     Thigh l1, shin l2, height hhat of the front hips, b between them (m), friction k_f. The shin only touches the
     ball, the hip stands over its rim. Starts from (3.1.22), exact for b = 0. Nan where there is no such ball.
     """
@@ -42,13 +55,24 @@ def max_ball(l1: Scalar, l2: Scalar, hhat: Scalar, b: Scalar, k_f: Scalar) -> Ma
 class BodyTurn(NamedTuple):
     """Displacements (eta, zeta) (m) of three points of the body's axis."""
 
-    d_mid: Float[Array, "... 2"]
-    d_rear: Float[Array, "... 2"]
-    d_front: Float[Array, "... 2"]
+    d_mid: Annotated[Float[Array, "... 2"], "m"]
+    d_rear: Annotated[Float[Array, "... 2"], "m"]
+    d_front: Annotated[Float[Array, "... 2"], "m"]
 
 
-def body_turn(ds: Scalar, s0: Scalar, Rp: Scalar, a_r: Scalar, eps: Scalar) -> BodyTurn:
-    """Body, level at first, as its front end goes by the angle ds (rad) up a circle of radius Rp (m) from s0.
+@formula(
+    "monograph", "3.3.1-3.3.2", condition="ds must be so small that the body still bridges the circle and the line"
+)
+def body_turn(
+    ds: Annotated[Scalar, Input("rad", 0.3)],
+    s0: Annotated[Scalar, Input("rad", -0.3)],
+    Rp: Annotated[Scalar, positive("m", 0.9)],
+    a_r: Annotated[Scalar, positive("m", 1.05)],
+    eps: Annotated[Scalar, Input("rad", 0.1, above=-1.5, below=1.5)],
+) -> BodyTurn:
+    """Displacement of the body as it turns up to a ball.
+
+    Body, level at first, as its front end goes by the angle ds (rad) up a circle of radius Rp (m) from s0.
 
     Its middle slides down a line that falls by eps (rad) towards the rear. Monograph (3.3.1), (3.3.2); eta points
     away from the ball, zeta up, a_r is the length of the body. Nan where the body is too short.
@@ -64,40 +88,3 @@ def body_turn(ds: Scalar, s0: Scalar, Rp: Scalar, a_r: Scalar, eps: Scalar) -> B
     front = jnp.stack(jnp.broadcast_arrays(eta, zeta), axis=-1)
     mid = jnp.stack(jnp.broadcast_arrays(-run, slope * run), axis=-1)
     return BodyTurn(mid, 2 * mid - front, front + jnp.zeros_like(mid))
-
-
-FORMULAS = (
-    Formula(
-        "max_ball",
-        "radius of the largest ball that can be climbed",
-        "monograph",
-        ("3.1.18-3.1.22",),
-        max_ball,
-        (
-            positive("l1", "m", 0.52),
-            positive("l2", "m", 0.335),
-            positive("hhat", "m", 1.71),
-            Input("b", "m", 0.5, at_least=0),
-            Input("k_f", "", 1.0, at_least=0),
-        ),
-        {"R": "m"},
-        correction="(3.1.22) has (1 - k_f)^2 + 4 for (1 - k_f)^4 + 4 below, and lacks a square for k_f = 1",
-        condition="hhat must be in reach of the ball's footholds and b less than its diameter",
-    ),
-    Formula(
-        "body_turn",
-        "displacement of the body as it turns up to a ball",
-        "monograph",
-        ("3.3.1-3.3.2",),
-        body_turn,
-        (
-            Input("ds", "rad", 0.3),
-            Input("s0", "rad", -0.3),
-            positive("Rp", "m", 0.9),
-            positive("a_r", "m", 1.05),
-            Input("eps", "rad", 0.1, above=-1.5, below=1.5),
-        ),
-        {"d_mid": "m", "d_rear": "m", "d_front": "m"},
-        condition="ds must be so small that the body still bridges the circle and the line",
-    ),
-)

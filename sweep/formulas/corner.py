@@ -6,26 +6,34 @@ and ε in (2.1.6). Forces are in units of the weight P. N_u and N_d are the norm
 k_zeta and k_tau the vertical and horizontal friction forces over the normal one.
 """
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from sweep.formulas.formula import Formula, Input, Scalar, positive
+from sweep.formulas.formula import Input, Scalar, formula, positive
+
+_CONDITION = "k must be greater than tan(psi)"
+HalfAngle = Annotated[Scalar, Input("rad", np.pi / 4, at_least=0, below=np.pi / 2)]
+Offset = Annotated[Scalar, positive("", 0.4)]
+Friction = Annotated[Scalar, positive("", 1.1)]
 
 
 class Balanced(NamedTuple):
     """Equal k_zeta for all feet, opposite k_tau for the upper and the lower ones."""
 
-    k_zeta: Float[Array, "..."]
-    k_tau: Float[Array, "..."]
-    N_u: Float[Array, "..."]
-    N_d: Float[Array, "..."]
+    k_zeta: Annotated[Float[Array, "..."], ""]
+    k_tau: Annotated[Float[Array, "..."], ""]
+    N_u: Annotated[Float[Array, "..."], "P"]
+    N_d: Annotated[Float[Array, "..."], "P"]
 
 
-def corner_balanced(psi: Scalar, eps: Scalar, k: Scalar) -> Balanced:
-    """The balanced scheme where friction k is used up: monograph (2.1.4)-(2.1.6). Nan unless k > tan psi.
+@formula("monograph", "2.1.1-2.1.6", condition=_CONDITION)
+def corner_balanced(psi: HalfAngle, eps: Offset, k: Friction) -> Balanced:
+    """Forces on a corner or pole (psi = 0), balanced scheme, at friction k.
+
+    The balanced scheme where friction k is used up. Nan unless k > tan psi.
 
     With k_tau = k cos t, k_zeta = k sin t, (2.1.6) becomes cos(2 t + shift) = const, hence no iteration. The normal
     forces follow from k_tau by (2.1.4) in the form that survives psi -> 0.
@@ -45,14 +53,18 @@ def corner_balanced(psi: Scalar, eps: Scalar, k: Scalar) -> Balanced:
 class LeastFriction(NamedTuple):
     """The friction needed, and its two components."""
 
-    k: Float[Array, "..."]
-    k_zeta: Float[Array, "..."]
-    k_tau: Float[Array, "..."]
+    k: Annotated[Float[Array, "..."], ""]
+    k_zeta: Annotated[Float[Array, "..."], ""]
+    k_tau: Annotated[Float[Array, "..."], ""]
 
 
-def corner_least_friction(psi: Scalar, eps: Scalar, squeeze: Scalar) -> LeastFriction:
-    """Least friction of the balanced scheme if no normal force may pass `squeeze` (in P): monograph (2.1.7), (2.1.8).
+@formula("monograph", "2.1.7-2.1.8")
+def corner_least_friction(
+    psi: HalfAngle, eps: Offset, squeeze: Annotated[Scalar, positive("P", 3.16)]
+) -> LeastFriction:
+    """Least friction of the balanced scheme under a limit on the normal force.
 
+    No normal force may pass `squeeze` (in P).
     The inverse of `corner_balanced`, whose larger normal force is N_u.
     """
     c, s = jnp.cos(psi), jnp.sin(psi)
@@ -65,14 +77,17 @@ def corner_least_friction(psi: Scalar, eps: Scalar, squeeze: Scalar) -> LeastFri
 class EqualNormal(NamedTuple):
     """Equal normal forces N; only the upper feet use the whole friction."""
 
-    k_zeta: Float[Array, "..."]
-    k_tau_u: Float[Array, "..."]
-    k_tau_d: Float[Array, "..."]
-    N: Float[Array, "..."]
+    k_zeta: Annotated[Float[Array, "..."], ""]
+    k_tau_u: Annotated[Float[Array, "..."], ""]
+    k_tau_d: Annotated[Float[Array, "..."], ""]
+    N: Annotated[Float[Array, "..."], "P"]
 
 
-def corner_equalN(psi: Scalar, eps: Scalar, k: Scalar) -> EqualNormal:
-    """One normal force for all feet, the upper ones at the limit of friction k: second scheme of monograph 2.1.
+@formula("monograph", "2.1", condition=_CONDITION)
+def corner_equalN(psi: HalfAngle, eps: Offset, k: Friction) -> EqualNormal:
+    """Forces on a corner or pole with equal normal forces, at friction k.
+
+    One normal force for all feet, the upper ones at the limit of friction k: second scheme of monograph 2.1.
 
     Nan unless k > tan psi.
     """
@@ -86,12 +101,19 @@ def corner_equalN(psi: Scalar, eps: Scalar, k: Scalar) -> EqualNormal:
 class Squeeze(NamedTuple):
     """The larger normal force of the best distribution, in P."""
 
-    Nhat: Float[Array, "..."]
+    Nhat: Annotated[Float[Array, "..."], "P"]
 
 
-def corner_min_squeeze(psi: Scalar, eps: Scalar, k: Scalar) -> Squeeze:
-    """Least squeeze over *all* equilibria of the four feet, in P; less than both schemes of monograph 2.1.
+@formula(
+    "monograph",
+    "2.1.1-2.1.3",
+    correction="called optimal in 2.1, the balanced scheme squeezes more than this (3.16 P against 2.83 P)",
+    condition=_CONDITION,
+)
+def corner_min_squeeze(psi: HalfAngle, eps: Offset, k: Friction) -> Squeeze:
+    """Least squeeze of a corner or pole over all equilibria.
 
+    Of *all* equilibria of the four feet, in P; less than both schemes of monograph 2.1.
     Averaging an equilibrium with its mirror image squeezes no more, so only symmetric ones matter. There the moment
     fixes the horizontal pull of a pair, +-eps/2 a foot, and what friction is left carries the weight. Both vertical
     forces grow with the normal force if k > tan psi (nan otherwise), so that all feet press alike: either the upper
@@ -104,52 +126,3 @@ def corner_min_squeeze(psi: Scalar, eps: Scalar, k: Scalar) -> Squeeze:
     shared_below = c**2 * spare - (2 * eps * s) ** 2
     shared = c * jnp.hypot(c, 2 * eps) / (4 * jnp.sqrt(jnp.where(shared_below > 0, shared_below, 1.0)))
     return Squeeze(jnp.where(c * k > s, jnp.where(lifted >= 1, pull, shared), jnp.nan))
-
-
-_PSI = Input("psi", "rad", np.pi / 4, at_least=0, below=np.pi / 2)
-_EPS = positive("eps", "", 0.4)
-_INPUTS = (_PSI, _EPS, positive("k", "", 1.1))
-_CONDITION = "k must be greater than tan(psi)"
-
-FORMULAS = (
-    Formula(
-        "corner_balanced",
-        "forces on a corner or pole (psi = 0), balanced scheme, at friction k",
-        "monograph",
-        ("2.1.1-2.1.6",),
-        corner_balanced,
-        _INPUTS,
-        {"k_zeta": "", "k_tau": "", "N_u": "P", "N_d": "P"},
-        condition=_CONDITION,
-    ),
-    Formula(
-        "corner_least_friction",
-        "least friction of the balanced scheme under a limit on the normal force",
-        "monograph",
-        ("2.1.7-2.1.8",),
-        corner_least_friction,
-        (_PSI, _EPS, positive("squeeze", "P", 3.16)),
-        {"k": "", "k_zeta": "", "k_tau": ""},
-    ),
-    Formula(
-        "corner_equalN",
-        "forces on a corner or pole with equal normal forces, at friction k",
-        "monograph",
-        ("2.1",),
-        corner_equalN,
-        _INPUTS,
-        {"k_zeta": "", "k_tau_u": "", "k_tau_d": "", "N": "P"},
-        condition=_CONDITION,
-    ),
-    Formula(
-        "corner_min_squeeze",
-        "least squeeze of a corner or pole over all equilibria",
-        "monograph",
-        ("2.1.1-2.1.3",),
-        corner_min_squeeze,
-        _INPUTS,
-        {"Nhat": "P"},
-        correction="called optimal in 2.1, the balanced scheme squeezes more than this (3.16 P against 2.83 P)",
-        condition=_CONDITION,
-    ),
-)

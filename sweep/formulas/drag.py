@@ -4,14 +4,15 @@ The raft is a box |x| <= a, |y| <= b, |z| <= d in body axes with its centre at t
 feels k_quad |v_n| v_n against its normal velocity, and the bottom also k_lin v_t against the tangential one (4.1.29).
 """
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from sweep.formulas.formula import Formula, Input, Scalar, positive
+from sweep.formulas.formula import Input, Scalar, formula, positive
+from sweep.formulas.raft_statics import HalfHeight, HalfLength, HalfWidth
 
 # Plain numbers: a float64 array would be cached as such, and fail in a process that uses both precisions.
 _NODES, _WEIGHTS = (tuple(map(float, row)) for row in np.polynomial.legendre.leggauss(3))
@@ -20,13 +21,27 @@ _NODES, _WEIGHTS = (tuple(map(float, row)) for row in np.polynomial.legendre.leg
 class DragIntegrals(NamedTuple):
     """Integrals over the rectangle of |u|u, x|u|u and y|u|u."""
 
-    I: Float[Array, "..."]  # noqa: E741 - the book's name
-    Ix: Float[Array, "..."]
-    Iy: Float[Array, "..."]
+    I: Annotated[Float[Array, "..."], ""]  # noqa: E741 - the book's name
+    Ix: Annotated[Float[Array, "..."], ""]
+    Iy: Annotated[Float[Array, "..."], ""]
 
 
-def drag_integrals(c: Scalar, al: Scalar, be: Scalar, A: Scalar, B: Scalar) -> DragIntegrals:
-    """I, Ix, Iy = integral of (1, x, y) |u|u, u = c + al x + be y, over |x| <= A, |y| <= B.
+@formula(
+    "monograph",
+    "4.1.44-4.1.95",
+    correction="one form for all branches; (4.1.60), (4.1.71), (4.1.73), (4.1.82), (4.1.84), (4.1.92), (4.1.94) "
+    "have wrong signs or copied terms",
+)
+def drag_integrals(
+    c: Annotated[Scalar, Input("", 0.1)],
+    al: Annotated[Scalar, Input("", 0.2)],
+    be: Annotated[Scalar, Input("", -0.3)],
+    A: Annotated[Scalar, positive("", 1.0)],
+    B: Annotated[Scalar, positive("", 1.0)],
+) -> DragIntegrals:
+    """Integrals of |u|u over a rectangle: drag of a plate in still water.
+
+    I, Ix, Iy = integral of (1, x, y) |u|u, u = c + al x + be y, over |x| <= A, |y| <= B.
 
     Replaces monograph (4.1.44)-(4.1.95). Exact up to round-off for all slopes, zero included, and so are its
     derivatives: over one side the integral is elementary; it is a polynomial of degree four at most in the other
@@ -82,21 +97,29 @@ def _divide(number: Array, by: Array) -> Array:
 class RaftDrag(NamedTuple):
     """Force (N) and moment about the centre (N m), body axes."""
 
-    R: Float[Array, "... 3"]
-    N: Float[Array, "... 3"]
+    R: Annotated[Float[Array, "... 3"], "N"]
+    N: Annotated[Float[Array, "... 3"], "N*m"]
 
 
+@formula(
+    "monograph",
+    "4.1.29-4.1.43",
+    correction="signs of e'_3 in (4.1.30) and of d and zeta' in (4.1.42), (4.1.43)",
+    condition="zeta0 must be within d of 0",
+)
 def raft_drag(
-    V: Float[Array, "... 3"],
-    w: Float[Array, "... 3"],
-    a: Scalar,
-    b: Scalar,
-    d: Scalar,
-    zeta0: Scalar,
-    k_lin: Scalar,
-    k_quad: Scalar,
+    V: Annotated[Float[Array, "... 3"], Input("m/s", (0.2, 0.0, 0.0))],
+    w: Annotated[Float[Array, "... 3"], Input("rad/s", (0.0, 0.0, 0.1))],
+    a: HalfLength,
+    b: HalfWidth,
+    d: HalfHeight,
+    zeta0: Annotated[Scalar, Input("m", 0.0)],
+    k_lin: Annotated[Scalar, Input("N*s/m^3", 20.0, at_least=0)],
+    k_quad: Annotated[Scalar, Input("N*s^2/m^4", 500.0, at_least=0)],
 ) -> RaftDrag:
-    """Drag on a raft whose centre moves at V (m/s) and which turns at w (rad/s), both in body axes.
+    """Force and moment of the water on a moving raft.
+
+    Drag on a raft whose centre moves at V (m/s) and which turns at w (rad/s), both in body axes.
 
     Monograph (4.1.38), (4.1.39). The bottom is wet and so are the sides from -d up to the waterline at rest `zeta0`
     (m above the centre, nan unless within d of it). k_lin in N s/m^3, k_quad in N s^2/m^4.
@@ -121,44 +144,3 @@ def raft_drag(
         k_quad * (side_x.Ix - side_y.Ix) - area * r * (a**2 + b**2) / 3,
     ]
     return RaftDrag(jnp.stack(jnp.broadcast_arrays(*force), -1), jnp.stack(jnp.broadcast_arrays(*moment), -1))
-
-
-FORMULAS = (
-    Formula(
-        "drag_integrals",
-        "integrals of |u|u over a rectangle: drag of a plate in still water",
-        "monograph",
-        ("4.1.44-4.1.95",),
-        drag_integrals,
-        (
-            Input("c", "", 0.1),
-            Input("al", "", 0.2),
-            Input("be", "", -0.3),
-            positive("A", "", 1.0),
-            positive("B", "", 1.0),
-        ),
-        {"I": "", "Ix": "", "Iy": ""},
-        correction="one form for all branches; (4.1.60), (4.1.71), (4.1.73), (4.1.82), (4.1.84), (4.1.92), (4.1.94) "
-        "have wrong signs or copied terms",
-    ),
-    Formula(
-        "raft_drag",
-        "force and moment of the water on a moving raft",
-        "monograph",
-        ("4.1.29-4.1.43",),
-        raft_drag,
-        (
-            Input("V", "m/s", (0.2, 0.0, 0.0)),
-            Input("w", "rad/s", (0.0, 0.0, 0.1)),
-            positive("a", "m", 1.575),
-            positive("b", "m", 1.05),
-            positive("d", "m", 0.105),
-            Input("zeta0", "m", 0.0),
-            Input("k_lin", "N*s/m^3", 20.0, at_least=0),
-            Input("k_quad", "N*s^2/m^4", 500.0, at_least=0),
-        ),
-        {"R": "N", "N": "N*m"},
-        correction="signs of e'_3 in (4.1.30) and of d and zeta' in (4.1.42), (4.1.43)",
-        condition="zeta0 must be within d of 0",
-    ),
-)

@@ -1,27 +1,36 @@
 """The joint servo: monograph (1.2.1)."""
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sweep.formulas.formula import Formula, Input, Scalar, positive
+from sweep.formulas.formula import Input, Scalar, formula, positive
 
 
 class Servo(NamedTuple):
     """`torque` at the joint (N m); the closed loop's poles (1/s), the fastest first."""
 
-    chi2: Float[Array, "..."]
-    torque: Float[Array, "..."]
-    poles_re: Float[Array, "... 2"]
-    poles_im: Float[Array, "... 2"]
+    chi2: Annotated[Float[Array, "..."], "N*m*s/rad"]
+    torque: Annotated[Float[Array, "..."], "N*m"]
+    poles_re: Annotated[Float[Array, "... 2"], "1/s"]
+    poles_im: Annotated[Float[Array, "... 2"], "1/s"]
 
 
+@formula("monograph", "1.2.1")
 def servo(
-    phi: Scalar, dphi: Scalar, phi0: Scalar, c_e: Scalar, chi1: Scalar, delta: Scalar, umax: Scalar, J: Scalar
+    phi: Annotated[Scalar, Input("rad", 0.0)],
+    dphi: Annotated[Scalar, Input("rad/s", 0.0)],
+    phi0: Annotated[Scalar, Input("rad", 0.001)],
+    c_e: Annotated[Scalar, Input("N*m*s/rad", 10.0, at_least=0)],
+    chi1: Annotated[Scalar, positive("N*m/rad", 45000.0)],
+    delta: Annotated[Scalar, Input("N*m*s/rad", 100.0, at_least=0)],
+    umax: Annotated[Scalar, positive("N*m", 150.0)],
+    J: Annotated[Scalar, positive("kg*m^2", 1.0)],
 ) -> Servo:
-    """Torque of a drive with clipped control and back-EMF, and its poles about an inertia J: monograph (1.2.1).
+    """Torque of a joint drive and the poles of its closed loop.
 
+    With clipped control and back-EMF; the poles are those about an inertia J.
     `phi`, `phi0` are the measured and the wanted angle (rad), `dphi` the measured rate (rad/s). The control is
     -chi1 (phi - phi0) + chi2 dphi with chi2 = c_e - 2 sqrt(chi1) - delta, held within +-umax; c_e dphi is lost to
     the back-EMF. Unsaturated: J phi'' = -chi1 (phi - phi0) - (2 sqrt(chi1) + delta) phi'.
@@ -40,25 +49,3 @@ def servo(
     poles_re = jnp.stack(jnp.broadcast_arrays(fast, slow), axis=-1)
     poles_im = jnp.stack(jnp.broadcast_arrays(-imaginary, imaginary), axis=-1)
     return Servo(chi2, torque, poles_re, poles_im)
-
-
-FORMULAS = (
-    Formula(
-        "servo",
-        "torque of a joint drive and the poles of its closed loop",
-        "monograph",
-        ("1.2.1",),
-        servo,
-        (
-            Input("phi", "rad", 0.0),
-            Input("dphi", "rad/s", 0.0),
-            Input("phi0", "rad", 0.001),
-            Input("c_e", "N*m*s/rad", 10.0, at_least=0),
-            positive("chi1", "N*m/rad", 4.5e4),
-            Input("delta", "N*m*s/rad", 100.0, at_least=0),
-            positive("umax", "N*m", 150.0),
-            positive("J", "kg*m^2", 1.0),
-        ),
-        {"chi2": "N*m*s/rad", "torque": "N*m", "poles_re": "1/s", "poles_im": "1/s"},
-    ),
-)

@@ -1,15 +1,17 @@
-"""What the registry knows of a formula: its inputs, outputs, units, domain and source.
+"""What is known of a formula: its inputs, outputs, units, domain and source, all from where it is defined.
 
-A formula is one typed JAX function whose argument names are its inputs and whose result is a named tuple of its
-outputs. Such a function broadcasts and gives nan outside its domain, so it can be jitted, vmapped and differentiated;
-refusing bad input, in one line, is the business of `Formula.evaluate`.
+A formula is one typed JAX function under the decorator `formula`. Its arguments are its inputs, each annotated with an
+`Input`; its result is a named tuple of its outputs, each annotated with a unit; the first line of its docstring says
+what it gives. Such a function broadcasts and gives nan outside its domain, so it can be jitted, vmapped and
+differentiated; refusing bad input, in one line, is the business of `Formula.evaluate`.
 """
 
+import inspect
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, get_type_hints
 
 import jax
 import jax.numpy as jnp
@@ -27,9 +29,11 @@ class NoSolution(InputError):
 
 @dataclass(frozen=True)
 class Input:
-    """One input: a number, a vector of fixed size (its default tells which), or a choice among `options`."""
+    """One input: a number, a vector of fixed size (its default tells which), or a choice among `options`.
 
-    name: str
+    Its name is that of the argument which it annotates.
+    """
+
     unit: str
     default: Any
     above: float = -math.inf
@@ -37,6 +41,7 @@ class Input:
     below: float = math.inf
     at_most: float = math.inf
     options: tuple[Any, ...] = ()
+    name: str = ""
 
     def checked(self, value: Any, path: str) -> Any:
         """`value` as a float, an option or a list of floats; raises `InputError` naming `path.name`."""
@@ -74,24 +79,55 @@ class Input:
         return f"{words or 'finite'}{f' {self.unit}' if self.unit else ''}"
 
 
-def positive(name: str, unit: str, default: float, below: float = math.inf) -> Input:
+def positive(unit: str, default: float, below: float = math.inf) -> Input:
     """An input that must be greater than zero: a length, a mass, a duration, …."""
-    return Input(name, unit, default, above=0, below=below)
+    return Input(unit, default, above=0, below=below)
 
 
 @dataclass(frozen=True)
 class Formula:
     """A result of the sources, by name."""
 
-    name: str
-    what: str  # one line
+    function: Callable[..., Any]
     source: str  # "monograph" or "thesis"
     equations: tuple[str, ...]  # "2.1.4-2.1.6" is a range; a section where the text has no number
-    function: Callable[..., Any]
-    inputs: tuple[Input, ...]
-    outputs: Mapping[str, str]  # name -> unit
     correction: str = ""  # what the printed formula gets wrong; empty where it is right
     condition: str = ""  # what the inputs must satisfy together
+
+    @property
+    def name(self) -> str:
+        """That of its function."""
+        return self.function.__name__
+
+    @property
+    def what(self) -> str:
+        """What it gives, in one line."""
+        first = str(self.function.__doc__).splitlines()[0].removesuffix(".")
+        return first[0].lower() + first[1:]
+
+    @cached_property
+    def _annotations(self) -> dict[str, Any]:
+        return get_type_hints(inspect.unwrap(self.function), include_extras=True)
+
+    @cached_property
+    def _arguments(self) -> dict[str, Any]:
+        return {name: hint for name, hint in self._annotations.items() if name != "return"}
+
+    @cached_property
+    def inputs(self) -> tuple[Input, ...]:
+        """By flat names: a named tuple's are `prm.a` of the argument `prm`, and `a` of an only argument."""
+        found = []
+        for name, hint in self._arguments.items():
+            parts = {name: hint} if _metadata(hint) else get_type_hints(hint, include_extras=True)
+            prefix = "" if _metadata(hint) or len(self._arguments) == 1 else f"{name}."
+            found += [replace(_metadata(part)[0], name=prefix + own) for own, part in parts.items()]
+        return tuple(found)
+
+    @cached_property
+    def outputs(self) -> Mapping[str, str]:
+        """Name and unit."""
+        results = get_type_hints(self._annotations["return"], include_extras=True)
+        return {name: _metadata(hint)[0] for name, hint in results.items()}
 
     @property
     def corrected(self) -> bool:
@@ -102,6 +138,11 @@ class Formula:
     def reference(self) -> str:
         """The source with its equation numbers."""
         return f"{self.source} {', '.join(f'({equations})' for equations in self.equations)}"
+
+    @property
+    def place(self) -> tuple[str, tuple[int, ...]]:
+        """Where it comes among others."""
+        return self.source, _order(self.equations[0].partition("-")[0])
 
     @cached_property
     def _jitted(self) -> Callable[..., Any]:
@@ -137,12 +178,32 @@ class Formula:
     def compute(self, values: Mapping[str, Any]) -> dict[str, np.ndarray]:
         """Outputs in JAX's default precision, nan where there is no solution; raises `InputError`."""
         inputs = self.complete(values)
-        arguments: dict[str, Any] = {}
-        for entry in self.inputs:
-            group, _, name = entry.name.rpartition(".")
-            place = arguments.setdefault(group, {}) if group else arguments
-            place[name] = inputs[entry.name] if entry.options else jnp.asarray(inputs[entry.name])
+        numbers = (inputs[each.name] if each.options else jnp.asarray(inputs[each.name]) for each in self.inputs)
+        arguments = {
+            name: next(numbers) if _metadata(hint) else hint(*(next(numbers) for _ in hint._fields))
+            for name, hint in self._arguments.items()
+        }
         return {name: np.asarray(value) for name, value in self._jitted(**arguments)._asdict().items()}
+
+
+FORMULAS: dict[str, Formula] = {}
+
+
+def formula[F: Callable[..., Any]](
+    source: str, *equations: str, correction: str = "", condition: str = ""
+) -> Callable[[F], F]:
+    """Decorator that puts a function among `FORMULAS`; see `Formula`."""
+
+    def put(function: F) -> F:
+        FORMULAS[function.__name__] = Formula(function, source, equations, correction, condition)
+        return function
+
+    return put
+
+
+def _metadata(hint: Any) -> tuple[Any, ...]:
+    """What an annotation says besides its type; nothing of a named tuple."""
+    return getattr(hint, "__metadata__", ())
 
 
 def _flatten(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

@@ -1,23 +1,30 @@
 """A ladder leaning on a wall: monograph 2.2."""
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from sweep.formulas.formula import Formula, Scalar, positive
+from sweep.formulas.formula import Scalar, formula, positive
 
 
 class Ladder(NamedTuple):
     """How far up the load may go (share of the length), and whether it may go all the way."""
 
-    chi_max: Float[Array, "..."]
-    holds_for_all: Bool[Array, "..."]
+    chi_max: Annotated[Float[Array, "..."], ""]
+    holds_for_all: Annotated[Bool[Array, "..."], ""]
 
 
-def ladder(phi: Scalar, f1: Scalar, f2: Scalar) -> Ladder:
-    """Highest place of the load on a ladder at angle phi (rad) with friction f1 on the floor, f2 on the wall.
+@formula("monograph", "2.2.1-2.2.4")
+def ladder(
+    phi: Annotated[Scalar, positive("rad", np.deg2rad(75), below=np.pi)],
+    f1: Annotated[Scalar, positive("", 1.0)],
+    f2: Annotated[Scalar, positive("", 1.0)],
+) -> Ladder:
+    """How far up a leaning ladder holds, and whether it holds to the top.
+
+    The load's highest place on a ladder at angle phi (rad) with friction f1 on the floor, f2 on the wall.
 
     Monograph (2.2.1)-(2.2.4). Both contacts slide at the limit, which gives chi = f1 (tan phi + f2) / (1 + f1 f2);
     it reaches 1 exactly where tan phi >= 1/f1, the theorem of 2.2. An overhanging ladder (phi > pi/2) holds at most
@@ -28,16 +35,3 @@ def ladder(phi: Scalar, f1: Scalar, f2: Scalar) -> Ladder:
     slope = jnp.where(upright, 2 / f1, sin / jnp.where(upright, 1.0, cos))
     chi = f1 * (slope + f2) / (1 + f1 * f2)
     return Ladder(jnp.clip(chi, 0.0, 1.0), slope * f1 >= 1)
-
-
-FORMULAS = (
-    Formula(
-        "ladder",
-        "how far up a leaning ladder holds, and whether it holds to the top",
-        "monograph",
-        ("2.2.1-2.2.4",),
-        ladder,
-        (positive("phi", "rad", np.deg2rad(75), below=np.pi), positive("f1", "", 1.0), positive("f2", "", 1.0)),
-        {"chi_max": "", "holds_for_all": ""},
-    ),
-)

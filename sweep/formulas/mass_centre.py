@@ -1,13 +1,13 @@
 """How the robot's mass centre follows its body while the feet stand: monograph (3.1.1), (3.1.9)."""
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.formulas import leg
-from sweep.formulas.formula import Formula, Scalar, positive
+from sweep.formulas.formula import Scalar, formula, positive
 
 
 def leg_mass_centre(
@@ -27,23 +27,26 @@ def leg_mass_centre(
 class MassCentre(NamedTuple):
     """Derivative of the mass centre by the body's centre, both from the ball's centre."""
 
-    D: Float[Array, "3 3"]
+    D: Annotated[Float[Array, "3 3"], ""]
 
 
+@formula("monograph", "3.1.1", "3.1.9", condition="d2 <= d1 <= R, and the feet in reach of the legs")
 def ball_jacobian(
-    R: Scalar,
-    d1: Scalar,
-    d2: Scalar,
-    height: Scalar,
-    a_r: Scalar,
-    b_r: Scalar,
-    l1: Scalar,
-    l2: Scalar,
-    m_b: Scalar,
-    m1: Scalar,
-    m2: Scalar,
+    R: Annotated[Scalar, positive("m", 0.84)],
+    d1: Annotated[Scalar, positive("m", 0.5)],
+    d2: Annotated[Scalar, positive("m", 0.3)],
+    height: Annotated[Scalar, positive("m", 1.0)],
+    a_r: Annotated[Scalar, positive("m", 1.05)],
+    b_r: Annotated[Scalar, positive("m", 0.5)],
+    l1: Annotated[Scalar, positive("m", 0.52)],
+    l2: Annotated[Scalar, positive("m", 0.335)],
+    m_b: Annotated[Scalar, positive("kg", 10.0)],
+    m1: Annotated[Scalar, positive("kg", 0.5)],
+    m2: Annotated[Scalar, positive("kg", 0.5)],
 ) -> MassCentre:
-    """D of (3.1.1) for a robot that stands on a ball: what the mass centre moves by if the body moves by 1.
+    """How the mass centre follows the body of a robot standing on a ball.
+
+    D of (3.1.1) for a robot that stands on a ball: what the mass centre moves by if the body moves by 1.
 
     The feet stand on a circle of radius d1 round the top of the ball of radius R, front and rear ones d2 from its
     middle line (before 3.1.3); the level body's centre is `height` over the ball's centre. Body of length a_r and
@@ -63,29 +66,3 @@ def ball_jacobian(
         return reached * (body + leg_mass * legs.sum(0) / (m_b + 6 * leg_mass))
 
     return MassCentre(jax.jacfwd(mass_centre)(jnp.stack([0.0 * height, 0.0 * height, height])))
-
-
-FORMULAS = (
-    Formula(
-        "ball_jacobian",
-        "how the mass centre follows the body of a robot standing on a ball",
-        "monograph",
-        ("3.1.1", "3.1.9"),
-        ball_jacobian,
-        (
-            positive("R", "m", 0.84),
-            positive("d1", "m", 0.5),
-            positive("d2", "m", 0.3),
-            positive("height", "m", 1.0),
-            positive("a_r", "m", 1.05),
-            positive("b_r", "m", 0.5),
-            positive("l1", "m", 0.52),
-            positive("l2", "m", 0.335),
-            positive("m_b", "kg", 10.0),
-            positive("m1", "kg", 0.5),
-            positive("m2", "kg", 0.5),
-        ),
-        {"D": ""},
-        condition="d2 <= d1 <= R, and the feet in reach of the legs",
-    ),
-)

@@ -3,36 +3,46 @@
 The bottom's friction h15 = 4 k_lin a b per speed acts at the depth d. The weight acts at the raft's centre.
 """
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sweep.formulas.formula import Formula, Input, Scalar, positive
-from sweep.formulas.raft_statics import SIZES, WATER, hydro_thick
+from sweep.formulas.formula import Input, Scalar, formula, positive
+from sweep.formulas.raft_statics import HalfHeight, HalfLength, HalfWidth, WaterWeight, hydro_thick
+
+Friction = Annotated[Scalar, positive("N*s/m^3", 20.0)]
 
 
 class Tow(NamedTuple):
     """Speed (m/s), nose-down tilt (rad), the slower pole of the heading (1/s): it is kept where this is negative."""
 
-    speed: Float[Array, "..."]
-    tilt: Float[Array, "..."]
-    yaw_pole: Float[Array, "..."]
+    speed: Annotated[Float[Array, "..."], "m/s"]
+    tilt: Annotated[Float[Array, "..."], "rad"]
+    yaw_pole: Annotated[Float[Array, "..."], "1/s"]
 
 
+@formula(
+    "monograph",
+    "4.2.26-4.2.35",
+    correction="(4.2.33) has z_s + d/2 for z_s + d; b34 decides the decay of the heading, not b14",
+    condition="F x_s must not overcome the stiffness in pitch",
+)
 def raft_tow(
-    F: Scalar,
-    x_s: Scalar,
-    z_s: Scalar,
-    a: Scalar,
-    b: Scalar,
-    d: Scalar,
-    zeta0: Scalar,
-    gamma: Scalar,
-    k_lin: Scalar,
-    C: Scalar,
+    F: Annotated[Scalar, positive("N", 50.0)],
+    x_s: Annotated[Scalar, Input("m", 1.5)],
+    z_s: Annotated[Scalar, Input("m", 0.1)],
+    a: HalfLength,
+    b: HalfWidth,
+    d: HalfHeight,
+    zeta0: Annotated[Scalar, Input("m", 0.0)],
+    gamma: WaterWeight,
+    k_lin: Friction,
+    C: Annotated[Scalar, positive("kg*m^2", 790.0)],
 ) -> Tow:
-    """Raft towed by F (N, fixed in the world) at the point (x_s, 0, z_s) (m) of the raft: (4.2.32)-(4.2.35).
+    """Speed, tilt and heading's pole of a raft towed by a force fixed in the world.
+
+    Raft towed by F (N, fixed in the world) at the point (x_s, 0, z_s) (m) of the raft.
 
     C (kg m^2) is the moment of inertia about the vertical. Pulled at the front (F x_s > 0) the raft keeps its
     heading, pushed from behind it turns away. Nan where the tow overcomes the raft's stiffness.
@@ -49,26 +59,34 @@ def raft_tow(
 class Push(NamedTuple):
     """Speeds along the raft's axes (m/s), rotations about them (rad), rise of the centre (m)."""
 
-    speed_x: Float[Array, "..."]
-    speed_y: Float[Array, "..."]
-    roll: Float[Array, "..."]
-    pitch: Float[Array, "..."]
-    rise: Float[Array, "..."]
+    speed_x: Annotated[Float[Array, "..."], "m/s"]
+    speed_y: Annotated[Float[Array, "..."], "m/s"]
+    roll: Annotated[Float[Array, "..."], "rad"]
+    pitch: Annotated[Float[Array, "..."], "rad"]
+    rise: Annotated[Float[Array, "..."], "m"]
 
 
+@formula(
+    "monograph",
+    "4.2.16-4.2.25",
+    correction="(4.2.24) has 3 for 12 and misses 4 k a b d in b15",
+    condition="the raft must be stable in roll and pitch",
+)
 def raft_push(
-    F_x: Scalar,
-    F_y: Scalar,
-    F_z: Scalar,
-    M_x: Scalar,
-    M_y: Scalar,
-    a: Scalar,
-    b: Scalar,
-    d: Scalar,
-    gamma: Scalar,
-    k_lin: Scalar,
+    F_x: Annotated[Scalar, Input("N", 50.0)],
+    F_y: Annotated[Scalar, Input("N", 0.0)],
+    F_z: Annotated[Scalar, Input("N", -6489.3, below=0)],
+    M_x: Annotated[Scalar, Input("N*m", 0.0)],
+    M_y: Annotated[Scalar, Input("N*m", 0.0)],
+    a: HalfLength,
+    b: HalfWidth,
+    d: HalfHeight,
+    gamma: WaterWeight,
+    k_lin: Friction,
 ) -> Push:
-    """Steady motion under a force (N) and moment (N m, none about z) fixed in the raft's axes: (4.2.22)-(4.2.24).
+    """Steady motion of a raft under a force fixed in its own axes.
+
+    The force (N) comes with a moment (N m, none about z).
 
     F_z < 0 holds the weight too; the rise is against the level at which water carries it alone. The heading is free
     (4.2.25). Nan where the level raft is unstable.
@@ -81,49 +99,3 @@ def raft_push(
     speed_y = (F_y - F_z * M_x / k_roll) / (friction - F_z * arm / k_roll)
     roll, pitch = (M_x - speed_y * arm) / k_roll, (M_y + speed_x * arm) / k_pitch
     return Push(speed_x, speed_y, roll, pitch, (F_y * roll - F_x * pitch) / (4 * gamma * a * b))
-
-
-_FRICTION = positive("k_lin", "N*s/m^3", 20.0)
-
-FORMULAS = (
-    Formula(
-        "raft_tow",
-        "speed, tilt and heading's pole of a raft towed by a force fixed in the world",
-        "monograph",
-        ("4.2.26-4.2.35",),
-        raft_tow,
-        (
-            positive("F", "N", 50.0),
-            Input("x_s", "m", 1.5),
-            Input("z_s", "m", 0.1),
-            *SIZES,
-            Input("zeta0", "m", 0.0),
-            WATER,
-            _FRICTION,
-            positive("C", "kg*m^2", 790.0),
-        ),
-        {"speed": "m/s", "tilt": "rad", "yaw_pole": "1/s"},
-        correction="(4.2.33) has z_s + d/2 for z_s + d; b34 decides the decay of the heading, not b14",
-        condition="F x_s must not overcome the stiffness in pitch",
-    ),
-    Formula(
-        "raft_push",
-        "steady motion of a raft under a force fixed in its own axes",
-        "monograph",
-        ("4.2.16-4.2.25",),
-        raft_push,
-        (
-            Input("F_x", "N", 50.0),
-            Input("F_y", "N", 0.0),
-            Input("F_z", "N", -6489.3, below=0),
-            Input("M_x", "N*m", 0.0),
-            Input("M_y", "N*m", 0.0),
-            *SIZES,
-            WATER,
-            _FRICTION,
-        ),
-        {"speed_x": "m/s", "speed_y": "m/s", "roll": "rad", "pitch": "rad", "rise": "m"},
-        correction="(4.2.24) has 3 for 12 and misses 4 k a b d in b15",
-        condition="the raft must be stable in roll and pitch",
-    ),
-)

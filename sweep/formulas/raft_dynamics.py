@@ -5,15 +5,17 @@ velocity w (rad/s, body). The state is these in a row, R by rows: 3 + 9 + 3 + 3 
 e3 fixed in space; (4.2.1) and (4.2.3) print every sign of them the other way round.
 """
 
-from typing import Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.formulas.drag import raft_drag
-from sweep.formulas.formula import Formula, Input, Scalar, positive
-from sweep.formulas.raft_statics import SIZES, WATER, buoyancy
+from sweep.formulas.formula import Input, Scalar, formula, positive
+from sweep.formulas.raft_statics import HalfHeight, HalfLength, HalfWidth, WaterWeight, buoyancy
+
+_LEVEL = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 
 
 class Raft(NamedTuple):
@@ -22,17 +24,17 @@ class Raft(NamedTuple):
     P (N) is the whole weight, acting at `rs` (m, body axes); M (kg) and J (kg m^2, about the body's axes) move.
     """
 
-    a: Scalar
-    b: Scalar
-    d: Scalar
-    gamma: Scalar
-    zeta0: Scalar
-    k_lin: Scalar
-    k_quad: Scalar
-    P: Scalar
-    M: Scalar
-    J: Float[Array, " 3"]
-    rs: Float[Array, " 3"]
+    a: HalfLength
+    b: HalfWidth
+    d: HalfHeight
+    gamma: WaterWeight
+    zeta0: Annotated[Scalar, Input("m", -0.005)]
+    k_lin: Annotated[Scalar, Input("N*s/m^3", 20.0, at_least=0)]
+    k_quad: Annotated[Scalar, Input("N*s^2/m^4", 500.0, at_least=0)]
+    P: Annotated[Scalar, positive("N", 6489.3)]
+    M: Annotated[Scalar, positive("kg", 661.5)]
+    J: Annotated[Float[Array, " 3"], Input("kg*m^2", (245.5, 549.4, 790.1), above=0)]
+    rs: Annotated[Float[Array, " 3"], Input("m", (0.0, 0.0, 0.03))]
 
 
 def wrench(
@@ -49,12 +51,20 @@ def wrench(
 class Linear(NamedTuple):
     """Rows: forces x, y, z (world), moments x, y, z (body). Columns: x, y, z, three small rotations, their rates."""
 
-    matrix: Float[Array, "6 12"]
+    matrix: Annotated[Float[Array, "6 12"], "SI"]
 
 
+@formula(
+    "monograph",
+    "4.2.7-4.2.11",
+    "4.2.20-4.2.21",
+    correction="h14 = b15 = 4 k a b d, b14 = 4 k a b d^2, h34 = 0; b31 = -M_y0, b32 = M_x0; 12 (zeta^2 - d^2)",
+)
 @jax.jit
 def raft_linear(raft: Raft) -> Linear:
-    """Forces and moments per small motion about the level raft at rest (SI): the coefficients of (4.2.7).
+    """Forces and moments per small motion of a raft.
+
+    About the level raft at rest (SI): the coefficients of (4.2.7).
 
     Differentiates `wrench`: friction of the bottom acts at the depth d, so that h14 = 4 k a b d and heave is not
     damped in first order; the load turns with the raft.
@@ -75,13 +85,18 @@ def _cross(vector: Float[Array, " 3"]) -> Float[Array, "3 3"]:
 class Modes(NamedTuple):
     """Poles of the linear motion (1/s) and whether none of them grows."""
 
-    poles_re: Float[Array, " 12"]
-    poles_im: Float[Array, " 12"]
-    stable: Array
+    poles_re: Annotated[Float[Array, " 12"], "1/s"]
+    poles_im: Annotated[Float[Array, " 12"], "1/s"]
+    stable: Annotated[Array, ""]
 
 
+@formula(
+    "monograph", "4.1.27", "4.2.12-4.2.15", correction="coefficients of (4.2.8); indices and the factor P in (4.1.27)"
+)
 def raft_modes(raft: Raft) -> Modes:
-    """Poles of the raft's small motions: the verdict of (4.2.10)-(4.2.15) by eigenvalues.
+    """Poles of a raft's small motions, and whether any grows.
+
+    The verdict of (4.2.10)-(4.2.15) by eigenvalues.
 
     Place and heading have poles at 0 (neutral); heave swings undamped; roll and pitch die out if the raft is stable
     and rubs on the water (k_lin > 0).
@@ -97,12 +112,25 @@ def raft_modes(raft: Raft) -> Modes:
 class Motion(NamedTuple):
     """The state at the end."""
 
-    state: Float[Array, " 18"]
+    state: Annotated[Float[Array, " 18"], "SI"]
 
 
+@formula(
+    "monograph",
+    "4.2.1-4.2.6",
+    correction="every sign of the kinematics of (4.2.1), (4.2.3); 2 (zeta^2 - d^2) in (4.2.2)",
+    condition="the motion must stay in the range of the model (no capsizing) and t_end be reasonable",
+)
 @jax.jit
-def raft_ode(raft: Raft, state0: Float[Array, " 18"], t_end: Scalar) -> Motion:
-    """State of the raft after t_end (s): (4.2.1)-(4.2.3) integrated. Nan if the integration does not get there."""
+def raft_ode(
+    prm: Raft,
+    state0: Annotated[Float[Array, " 18"], Input("SI", (0.0, 0.0, 0.0, *_LEVEL, 0.2, 0.0, 0.0, 0.0, 0.0, 0.05))],
+    t_end: Annotated[Scalar, positive("s", 1.5)],
+) -> Motion:
+    """Motion of a raft: state (r, R by rows, v, w) after some time.
+
+    (4.2.1)-(4.2.3) integrated over t_end (s). Nan if the integration does not get there.
+    """
     import diffrax  # slow to import
 
     state0 = jnp.asarray(state0)
@@ -115,7 +143,7 @@ def raft_ode(raft: Raft, state0: Float[Array, " 18"], t_end: Scalar) -> Motion:
         t_end,
         None,
         state0,
-        raft,
+        prm,
         stepsize_controller=diffrax.PIDController(rtol=accuracy, atol=accuracy),
         max_steps=2**14,
         throw=False,
@@ -150,71 +178,3 @@ def vertical_momentum(raft: Raft, state: Float[Array, " 18"]) -> Float[Array, ""
 
 def _parts(state: Float[Array, " 18"]) -> tuple[Array, Array, Array, Array]:
     return state[:3], state[3:12].reshape(3, 3), state[12:15], state[15:]
-
-
-def _raft_inputs(prefix: str = "") -> tuple[Input, ...]:
-    inputs: tuple[Input, ...] = (
-        *SIZES,
-        WATER,
-        Input("zeta0", "m", -0.005),
-        Input("k_lin", "N*s/m^3", 20.0, at_least=0),
-        Input("k_quad", "N*s^2/m^4", 500.0, at_least=0),
-        positive("P", "N", 6489.3),
-        positive("M", "kg", 661.5),
-        Input("J", "kg*m^2", (245.5, 549.4, 790.1), above=0),
-        Input("rs", "m", (0.0, 0.0, 0.03)),
-    )
-    return tuple(Input(**{**vars(entry), "name": prefix + entry.name}) for entry in inputs)
-
-
-def _named_linear(**raft: Any) -> Linear:
-    return raft_linear(Raft(**raft))
-
-
-def _named_modes(**raft: Any) -> Modes:
-    return raft_modes(Raft(**raft))
-
-
-def _named_ode(prm: dict[str, Any], state0: Array, t_end: Array) -> Motion:
-    return raft_ode(Raft(**prm), state0, t_end)
-
-
-_LEVEL = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
-
-FORMULAS = (
-    Formula(
-        "raft_linear",
-        "forces and moments per small motion of a raft",
-        "monograph",
-        ("4.2.7-4.2.11", "4.2.20-4.2.21"),
-        _named_linear,
-        _raft_inputs(),
-        {"matrix": "SI"},
-        correction="h14 = b15 = 4 k a b d, b14 = 4 k a b d^2, h34 = 0; b31 = -M_y0, b32 = M_x0; 12 (zeta^2 - d^2)",
-    ),
-    Formula(
-        "raft_modes",
-        "poles of a raft's small motions, and whether any grows",
-        "monograph",
-        ("4.1.27", "4.2.12-4.2.15"),
-        _named_modes,
-        _raft_inputs(),
-        {"poles_re": "1/s", "poles_im": "1/s", "stable": ""},
-        correction="coefficients of (4.2.8); indices and the factor P in (4.1.27)",
-    ),
-    Formula(
-        "raft_ode",
-        "motion of a raft: state (r, R by rows, v, w) after some time",
-        "monograph",
-        ("4.2.1-4.2.6",),
-        _named_ode,
-        (
-            *_raft_inputs("prm."),
-            Input("state0", "SI", (0.0, 0.0, 0.0, *_LEVEL, 0.2, 0.0, 0.0, 0.0, 0.0, 0.05)),
-            positive("t_end", "s", 1.5),
-        ),
-        {"state": "SI"},
-        correction="every sign of the kinematics of (4.2.1), (4.2.3); 2 (zeta^2 - d^2) in (4.2.2)",
-        condition="the motion must stay in the range of the model (no capsizing) and t_end be reasonable",
-    ),
-)

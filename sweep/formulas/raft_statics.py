@@ -5,24 +5,43 @@ The raft is a box of half sides a (along x), b (along y), d (up z) in body axes 
 specific weight of water (N/m^3). The bottom is wet all over and the deck dry, which nothing here checks.
 """
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sweep.formulas.formula import Formula, Input, Scalar, positive
+from sweep.formulas.formula import Input, Scalar, formula, positive
 from sweep.formulas.roots import newton
+
+_QUARTER = "the moment holds 2 (zeta^2 - d^2), printed 1/2; zeta is measured along the body's axis"
+_UNSTABLE = "the raft must be stable under its load: a lower load, or a wider raft"
+HalfLength = Annotated[Scalar, positive("m", 1.575)]
+HalfWidth = Annotated[Scalar, positive("m", 1.05)]
+HalfHeight = Annotated[Scalar, positive("m", 0.105)]
+WaterWeight = Annotated[Scalar, positive("N/m^3", 9810.0)]
 
 
 class Hydro(NamedTuple):
     """Buoyant force (N) and its moment about the centre (N m), body axes."""
 
-    F: Float[Array, "... 3"]
-    M: Float[Array, "... 3"]
+    F: Annotated[Float[Array, "... 3"], "N"]
+    M: Annotated[Float[Array, "... 3"], "N*m"]
 
 
-def hydro(a31: Scalar, a32: Scalar, depth: Scalar, a: Scalar, b: Scalar, d: Scalar, gamma: Scalar) -> Hydro:
-    """Buoyancy of a tilted raft: monograph (4.1.2), (4.1.3), exact. Nan if the tilt is 90 degrees or more."""
+@formula("monograph", "4.1.1-4.1.4", correction=_QUARTER, condition="a31^2 + a32^2 must be less than 1")
+def hydro(
+    a31: Annotated[Scalar, Input("", 0.01, above=-1, below=1)],
+    a32: Annotated[Scalar, Input("", 0.01, above=-1, below=1)],
+    depth: Annotated[Scalar, Input("m", 0.0)],
+    a: HalfLength,
+    b: HalfWidth,
+    d: HalfHeight,
+    gamma: WaterWeight,
+) -> Hydro:
+    """Buoyant force and moment on a tilted raft.
+
+    Exact. Nan if the tilt is 90 degrees or more.
+    """
     return buoyancy(upright(a31, a32), depth, a, b, d, gamma)
 
 
@@ -47,12 +66,23 @@ def buoyancy(a3: Float[Array, "... 3"], depth: Scalar, a: Scalar, b: Scalar, d: 
 class Stiffness(NamedTuple):
     """Restoring moment over the angle, about x (roll) and y (pitch); negative capsizes."""
 
-    k_roll: Float[Array, "..."]
-    k_pitch: Float[Array, "..."]
+    k_roll: Annotated[Float[Array, "..."], "N*m/rad"]
+    k_pitch: Annotated[Float[Array, "..."], "N*m/rad"]
 
 
-def hydro_thick(a: Scalar, b: Scalar, d: Scalar, zeta0: Scalar, gamma: Scalar) -> Stiffness:
-    """Stiffness of a level raft at depth zeta0 (m), load not counted: monograph (4.1.12), (4.1.16), (4.2.21)."""
+@formula(
+    "monograph",
+    "4.1.12-4.1.16",
+    "4.2.21",
+    correction="8 b^2 + 12 (zeta^2 - d^2), printed 3; (4.1.16) exchanges a and b",
+)
+def hydro_thick(
+    a: HalfLength, b: HalfWidth, d: HalfHeight, zeta0: Annotated[Scalar, Input("m", 0.0)], gamma: WaterWeight
+) -> Stiffness:
+    """Stiffness of a level raft in roll and pitch.
+
+    At depth zeta0 (m), load not counted.
+    """
     submerged = 2 * (zeta0**2 - d**2)
     weight = jnp.asarray(gamma * a * b)
     return Stiffness(weight * (4 / 3 * b**2 + submerged), weight * (4 / 3 * a**2 + submerged))
@@ -61,16 +91,24 @@ def hydro_thick(a: Scalar, b: Scalar, d: Scalar, zeta0: Scalar, gamma: Scalar) -
 class Equilibrium(NamedTuple):
     """The vertical in body axes, and the depth of the centre (m)."""
 
-    a31: Float[Array, "..."]
-    a32: Float[Array, "..."]
-    a33: Float[Array, "..."]
-    depth: Float[Array, "..."]
+    a31: Annotated[Float[Array, "..."], ""]
+    a32: Annotated[Float[Array, "..."], ""]
+    a33: Annotated[Float[Array, "..."], ""]
+    depth: Annotated[Float[Array, "..."], "m"]
 
 
+@formula("monograph", "4.1.5-4.1.11", "4.1.20-4.1.24", correction=_QUARTER, condition=_UNSTABLE)
 def raft_equilibrium(
-    P: Scalar, r_s: Float[Array, "... 3"], a: Scalar, b: Scalar, d: Scalar, gamma: Scalar
+    P: Annotated[Scalar, positive("N", 6500.0)],
+    r_s: Annotated[Float[Array, "... 3"], Input("m", (0.01, 0.01, 0.05))],
+    a: HalfLength,
+    b: HalfWidth,
+    d: HalfHeight,
+    gamma: WaterWeight,
 ) -> Equilibrium:
-    """Raft at rest under the weight P (N, its own included) that acts at r_s (m, body axes): (4.1.21)-(4.1.24).
+    """Tilt and depth of a loaded raft.
+
+    Raft at rest under the weight P (N, its own included) that acts at r_s (m, body axes).
 
     The book's fixed point for two slopes needs one number, q = (slope_x a)^2 + (slope_y b)^2, whose equation is
     increasing and concave: Newton from q = 0 cannot miss it. Nan if the level raft is unstable under its load.
@@ -92,14 +130,24 @@ def raft_equilibrium(
 class OffsetLimit(NamedTuple):
     """How far the robot may go from the raft's middle, fore and aft and sideways (m)."""
 
-    delta_x: Float[Array, "..."]
-    delta_y: Float[Array, "..."]
+    delta_x: Annotated[Float[Array, "..."], "m"]
+    delta_y: Annotated[Float[Array, "..."], "m"]
 
 
+@formula("monograph", "4.1.25-4.1.28", correction=_QUARTER, condition=_UNSTABLE)
 def raft_offset_limit(
-    tilt: Scalar, P: Scalar, P_r: Scalar, z_s: Scalar, a: Scalar, b: Scalar, d: Scalar, gamma: Scalar
+    tilt: Annotated[Scalar, positive("rad", 0.03)],
+    P: Annotated[Scalar, positive("N", 6500.0)],
+    P_r: Annotated[Scalar, positive("N", 160.0)],
+    z_s: Annotated[Scalar, Input("m", 0.05)],
+    a: HalfLength,
+    b: HalfWidth,
+    d: HalfHeight,
+    gamma: WaterWeight,
 ) -> OffsetLimit:
-    """Offsets of a robot of weight P_r (N) that tilt the raft by `tilt` (rad), small angles: (4.1.25)-(4.1.28).
+    """How far a robot may walk from the middle of a raft, for a given tilt.
+
+    Offsets of a robot of weight P_r (N) that tilt the raft by `tilt` (rad), small angles.
 
     P (N) is the whole weight, z_s (m) the height at which it acts. Nan if the level raft is unstable.
     """
@@ -113,72 +161,3 @@ def _load_arms(
     """Offset of the load over the angle it causes (m), in roll and in pitch: the hatted alphas of (4.1.23)."""
     stiffness = hydro_thick(a, b, d, P / (4 * gamma * a * b) - d, gamma)
     return stiffness.k_roll / P - z_s, stiffness.k_pitch / P - z_s
-
-
-SIZES = (
-    positive("a", "m", 1.575),
-    positive("b", "m", 1.05),
-    positive("d", "m", 0.105),
-)
-WATER = positive("gamma", "N/m^3", 9810.0)
-_QUARTER = "the moment holds 2 (zeta^2 - d^2), printed 1/2; zeta is measured along the body's axis"
-_UNSTABLE = "the raft must be stable under its load: a lower load, or a wider raft"
-
-FORMULAS = (
-    Formula(
-        "hydro",
-        "buoyant force and moment on a tilted raft",
-        "monograph",
-        ("4.1.1-4.1.4",),
-        hydro,
-        (
-            Input("a31", "", 0.01, above=-1, below=1),
-            Input("a32", "", 0.01, above=-1, below=1),
-            Input("depth", "m", 0.0),
-            *SIZES,
-            WATER,
-        ),
-        {"F": "N", "M": "N*m"},
-        correction=_QUARTER,
-        condition="a31^2 + a32^2 must be less than 1",
-    ),
-    Formula(
-        "hydro_thick",
-        "stiffness of a level raft in roll and pitch",
-        "monograph",
-        ("4.1.12-4.1.16", "4.2.21"),
-        hydro_thick,
-        (*SIZES, Input("zeta0", "m", 0.0), WATER),
-        {"k_roll": "N*m/rad", "k_pitch": "N*m/rad"},
-        correction="8 b^2 + 12 (zeta^2 - d^2), printed 3; (4.1.16) exchanges a and b",
-    ),
-    Formula(
-        "raft_equilibrium",
-        "tilt and depth of a loaded raft",
-        "monograph",
-        ("4.1.5-4.1.11", "4.1.20-4.1.24"),
-        raft_equilibrium,
-        (positive("P", "N", 6500.0), Input("r_s", "m", (0.01, 0.01, 0.05)), *SIZES, WATER),
-        {"a31": "", "a32": "", "a33": "", "depth": "m"},
-        correction=_QUARTER,
-        condition=_UNSTABLE,
-    ),
-    Formula(
-        "raft_offset_limit",
-        "how far a robot may walk from the middle of a raft, for a given tilt",
-        "monograph",
-        ("4.1.25-4.1.28",),
-        raft_offset_limit,
-        (
-            positive("tilt", "rad", 0.03),
-            positive("P", "N", 6500.0),
-            positive("P_r", "N", 160.0),
-            Input("z_s", "m", 0.05),
-            *SIZES,
-            WATER,
-        ),
-        {"delta_x": "m", "delta_y": "m"},
-        correction=_QUARTER,
-        condition=_UNSTABLE,
-    ),
-)

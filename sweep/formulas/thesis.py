@@ -5,28 +5,41 @@ up), rad; links l1, l2, l3 in any one unit of length. The kinematics are in the 
 phi = 0; workspace and step in the leg's frame, where the mount makes +y outward: x = -rho sin phi, y = rho cos phi.
 """
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from sweep.formulas.formula import Formula, Input, Scalar, positive
+from sweep.formulas.formula import Input, Scalar, formula, positive
 
 _WIDEST = 2 * np.pi / 3  # what the hexagon leaves to a leg
+
+
+Coxa = Annotated[Scalar, positive("", 1.0)]
+Thigh = Annotated[Scalar, positive("", 1.0)]
+Shin = Annotated[Scalar, positive("", 2.0)]
 
 
 class ThesisFk(NamedTuple):
     """Foot, its derivatives by (phi, psi, gam), and their determinant."""
 
-    foot: Float[Array, "... 3"]
-    J: Float[Array, "... 3 3"]
-    det: Float[Array, "..."]
+    foot: Annotated[Float[Array, "... 3"], "length"]
+    J: Annotated[Float[Array, "... 3 3"], "length/rad"]
+    det: Annotated[Float[Array, "..."], "length^3"]
 
 
-def thesis_fk(phi: Scalar, psi: Scalar, gam: Scalar, l1: Scalar, l2: Scalar, l3: Scalar) -> ThesisFk:
-    """Foot, Jacobian and determinant of a leg: thesis (9)-(14)."""
+@formula("thesis", "1-14", correction="(14) has the wrong sign")
+def thesis_fk(
+    phi: Annotated[Scalar, Input("rad", 0.0)],
+    psi: Annotated[Scalar, Input("rad", np.pi / 4)],
+    gam: Annotated[Scalar, Input("rad", -3 * np.pi / 4)],
+    l1: Coxa,
+    l2: Thigh,
+    l3: Shin,
+) -> ThesisFk:
+    """Foot, Jacobian and determinant of the thesis' leg."""
     phi, psi, gam, l1, l2, l3 = jnp.broadcast_arrays(*map(jnp.asarray, (phi, psi, gam, l1, l2, l3)))
     c, s = jnp.cos(phi), jnp.sin(phi)
     shin = l3 * jnp.cos(psi + gam), l3 * jnp.sin(psi + gam)
@@ -70,13 +83,28 @@ def thesis_ik_euler(
 class Workspace(NamedTuple):
     """Inner and outer radius from the mount, half angle of the sector (rad)."""
 
-    OA: Float[Array, "..."]
-    OB: Float[Array, "..."]
-    phimax: Float[Array, "..."]
+    OA: Annotated[Float[Array, "..."], "length"]
+    OB: Annotated[Float[Array, "..."], "length"]
+    phimax: Annotated[Float[Array, "..."], "rad"]
 
 
-def thesis_workspace(z: Scalar, l1: Scalar, l2: Scalar, l3: Scalar, R: Scalar) -> Workspace:
-    """Where a foot may stand at height z: thesis (19), (20) and the half angle before them; R between the mounts.
+@formula(
+    "thesis",
+    "1.3",
+    "19-20",
+    correction="(19), third piece: valid up to z = sqrt(l3^2 - l2^2), not l3",
+    condition="z must be within l2 + l3, and l3 greater than l2",
+)
+def thesis_workspace(
+    z: Annotated[Scalar, Input("", -1.2928932188134525)],
+    l1: Coxa,
+    l2: Thigh,
+    l3: Shin,
+    R: Annotated[Scalar, positive("", 2.0)],
+) -> Workspace:
+    """Inner and outer radius and half angle of a leg's workspace at a height.
+
+    Where a foot may stand at height z; R between the mounts.
 
     Nan if z is out of reach or l3 <= l2, for which the section has another shape.
     """
@@ -99,12 +127,28 @@ def _leg_of_triangle(hypotenuse: Array, other: Array) -> Array:
 class Step(NamedTuple):
     """Longest moves of a foot."""
 
-    support: Float[Array, "..."]
-    transfer: Float[Array, "..."]
+    support: Annotated[Float[Array, "..."], "length"]
+    transfer: Annotated[Float[Array, "..."], "length"]
 
 
-def thesis_step(r0: Float[Array, "... 2"], p: Float[Array, "... 2"], OA: Scalar, OB: Scalar, phimax: Scalar) -> Step:
-    """Longest move from r0 along p in the sector OA <= r <= OB, at most phimax from +y: thesis 2.3.
+@formula(
+    "thesis",
+    "2.3",
+    "18",
+    "21",
+    correction="2.3: sign of the cut by the sector, both its edges, root of the radii; (21): cos > cos(phi_max)",
+    condition="r0 must lie in the sector, and p not be zero",
+)
+def thesis_step(
+    r0: Annotated[Float[Array, "... 2"], Input("length", (0.0, 1.7071067811865475))],
+    p: Annotated[Float[Array, "... 2"], Input("", (1.0, 0.0))],
+    OA: Annotated[Scalar, positive("length", 1.0)],
+    OB: Annotated[Scalar, positive("length", 3.7071067811865475)],
+    phimax: Annotated[Scalar, positive("rad", 0.7762790307403773, below=np.pi)],
+) -> Step:
+    """Largest step of a foot, in support and in transfer.
+
+    Longest move from r0 along p in the sector OA <= r <= OB, at most phimax from +y.
 
     `support` keeps the whole segment inside, `transfer` only its end: it may fly over the inner circle. Both are the
     distance to a border that the line leaves the sector by, the first or the last one. Nan if r0 is outside.
@@ -143,47 +187,3 @@ def thesis_step(r0: Float[Array, "... 2"], p: Float[Array, "... 2"], OA: Scalar,
 
 def _dot(u: Array, v: Array) -> Array:
     return (u * v).sum(-1)
-
-
-_LINKS = (positive("l1", "", 1.0), positive("l2", "", 1.0), positive("l3", "", 2.0))
-
-FORMULAS = (
-    Formula(
-        "thesis_fk",
-        "foot, Jacobian and determinant of the thesis' leg",
-        "thesis",
-        ("1-14",),
-        thesis_fk,
-        (Input("phi", "rad", 0.0), Input("psi", "rad", np.pi / 4), Input("gam", "rad", -3 * np.pi / 4), *_LINKS),
-        {"foot": "length", "J": "length/rad", "det": "length^3"},
-        correction="(14) has the wrong sign",
-    ),
-    Formula(
-        "thesis_workspace",
-        "inner and outer radius and half angle of a leg's workspace at a height",
-        "thesis",
-        ("1.3", "19-20"),
-        thesis_workspace,
-        (Input("z", "", -1.2928932188134525), *_LINKS, positive("R", "", 2.0)),
-        {"OA": "length", "OB": "length", "phimax": "rad"},
-        correction="(19), third piece: valid up to z = sqrt(l3^2 - l2^2), not l3",
-        condition="z must be within l2 + l3, and l3 greater than l2",
-    ),
-    Formula(
-        "thesis_step",
-        "largest step of a foot, in support and in transfer",
-        "thesis",
-        ("2.3", "18", "21"),
-        thesis_step,
-        (
-            Input("r0", "length", (0.0, 1.7071067811865475)),
-            Input("p", "", (1.0, 0.0)),
-            positive("OA", "length", 1.0),
-            positive("OB", "length", 3.7071067811865475),
-            positive("phimax", "rad", 0.7762790307403773, below=np.pi),
-        ),
-        {"support": "length", "transfer": "length"},
-        correction="2.3: sign of the cut by the sector, both its edges, root of the radii; (21): cos > cos(phi_max)",
-        condition="r0 must lie in the sector, and p not be zero",
-    ),
-)

@@ -1,11 +1,12 @@
 """What the obstacle's free bodies do; the first one is that on which the robot rides."""
 
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment
+from sweep.models.case import Riding
 
 TAIL = 12.0  # s, before the planned end, over which the obstacle's final speed is taken
 
@@ -49,6 +50,7 @@ def figures(found: FreeBodies, at: Elapsed) -> dict[str, Array]:
     """See `METRIC`."""
     along = (found.place - found.tail)[0, :2] / jnp.maximum(at.time - found.tail_time, 1e-9)
     speed = jnp.linalg.norm(along)
+    aim = cast(Riding, at.world.manoeuvre).obstacle_speed(jnp.sum(at.plan.duration))
     return {
         "obstacle_moved_m": found.moved,
         "ride_height_min_m": found.ride_height,
@@ -56,7 +58,7 @@ def figures(found: FreeBodies, at: Elapsed) -> dict[str, Array]:
         "obstacle_y_m": found.place[0, 1],
         "obstacle_aside_max_m": found.aside,
         "obstacle_speed_mps": speed,
-        "obstacle_speed_error_mps": jnp.abs(speed - at.world.manoeuvre.obstacle_speed(jnp.sum(at.plan.duration))),
+        "obstacle_speed_error_mps": jnp.abs(speed - aim),
     }
 
 

@@ -11,12 +11,12 @@ from sweep.controllers.posture import feet_in_world, leg_points, mass_centre
 from sweep.controllers.tracker import joint_targets
 from sweep.core.rotations import matrix, rotate
 from sweep.formulas import stepping
-from sweep.metrics.geometry import leg_gap, segment_box_distance, support_margin
+from sweep.metrics.geometry import base_gap, leg_gap, links_beyond_foot, support_margin
 from sweep.models import solids
 from sweep.models.case import Case
 from sweep.models.obstacles.surface import fixed_surface, no_bodies, poses
+from sweep.models.robot import half_size
 
-NEAR_FOOT = 0.04  # m of the shin, which may be nearer to the obstacle than its radius: the foot stands on it
 MID_SWING = 0.05  # m from both ends of a swing, beyond which a foot has to be off the obstacle
 AROUND = 0.05  # m
 JOINTS_AT = 0.02  # share of a stage over which the joints' rate is taken
@@ -50,15 +50,11 @@ def margins(case: Case, plan: Plan, stage: Int[Array, ""], u: Float[Array, ""]) 
     stance, joints, shortfall = posed(case, plan, stage, u)
     solid = obstacle.solids(poses(no_bodies()))
     rotation = matrix(stance.quat)
-    half = jnp.stack([jnp.asarray(s) / 2 for s in (robot.body_length, robot.body_width, robot.body_height)])
+    base = stance.position, rotation, half_size(robot)
     points = leg_points(robot, joints)
     legs = stance.position + rotate(stance.quat[None, None], points)
-    knee, foot = legs[:, -2], legs[:, -1]
-    end = foot + NEAR_FOOT / jnp.linalg.norm(knee - foot, axis=-1, keepdims=True) * (knee - foot)
-    held = legs.at[:, -1].set(end)
-    to_links = solids.distance_to_segments(solid, held[:, :-1].reshape(-1, 3), held[:, 1:].reshape(-1, 3))
-    outer = jnp.concatenate([(legs[:, -3] + knee) / 2, knee]), jnp.concatenate([knee, foot])
-    to_body = segment_box_distance(*outer, stance.position, rotation, half)
+    foot = legs[:, -1]
+    to_links = solids.distance_to_segments(solid, *links_beyond_foot(legs))
     stretch = jnp.linalg.norm(points[:, -1] - points[:, -3], axis=-1)  # from the knee's joint's other end
     reach = jnp.minimum(robot.thigh + robot.shin - stretch, stretch - jnp.abs(robot.thigh - robot.shin)) - shortfall
     starts, _ = begins(plan, stage)
@@ -70,10 +66,10 @@ def margins(case: Case, plan: Plan, stage: Int[Array, ""], u: Float[Array, ""]) 
     inside = fixed_surface(obstacle, starts - AROUND * under.normal).depth
     centre = stance.position + rotate(stance.quat, mass_centre(robot, joints))
     return Margins(
-        base=solids.distance_to_box(solid, stance.position, rotation, half),
+        base=solids.distance_to_box(solid, *base),
         links=to_links.min() - robot.link_radius,
         legs=leg_gap(legs) - 2 * robot.link_radius,
-        body=jnp.min(to_body) - robot.link_radius,
+        body=base_gap(legs, *base) - robot.link_radius,
         reach=jnp.min(reach),
         swing=jnp.min(above),
         edge=jnp.min(jnp.where(stands, inside, AROUND)),

@@ -1,13 +1,54 @@
 """One experiment's parameters. A rollout has two: the world that is simulated, the belief that is planned with."""
 
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, Protocol
 
-from sweep.controllers.observation import Noise
+from jaxtyping import Array
+
 from sweep.core.parameters import parameters
 from sweep.models.contact import Contact
 from sweep.models.disturbance import Execution
 from sweep.models.drive import Drive
+from sweep.models.noise import Noise
+from sweep.models.obstacles.surface import Obstacle
 from sweep.models.robot import Robot
+
+
+class Manoeuvre(Protocol):
+    """What the robot does: a parameter dataclass with these members.
+
+    One whose feedback goes beyond following its plan is `sweep.controllers.tracker.Guided` besides.
+    """
+
+    @property
+    def kind(self) -> str:
+        """Its name in the configuration."""
+        ...
+
+    @property
+    def needs(self) -> tuple[type[Obstacle], ...]:
+        """The obstacles that it is for; any one of them."""
+        ...
+
+    @property
+    def goal(self) -> Mapping[str, float]:
+        """What it aims at: thresholds of figures, by their names in `outcome`."""
+        ...
+
+    def plan(self, belief: "Case") -> Any:
+        """The `sweep.controllers.plan.Plan` for what is believed; traced by JAX, not a number where there is none.
+
+        May raise `InputError` where plain numbers admit none.
+        """
+        ...
+
+
+class Riding(Manoeuvre, Protocol):
+    """What the robot does on a free body."""
+
+    def obstacle_speed(self, duration: Array) -> Array:
+        """The speed (m/s) that the body is meant to have at the end of a plan of `duration` (s)."""
+        ...
 
 
 @parameters
@@ -17,7 +58,12 @@ class Case:
     robot: Robot
     drive: Drive
     contact: Contact
-    obstacle: Any
-    manoeuvre: Any
+    obstacle: Obstacle
+    manoeuvre: Manoeuvre
     noise: Noise
     execution: Execution
+
+    def on[T: Obstacle](self, kind: type[T]) -> T:
+        """The obstacle, which is of the `kind` that the manoeuvre needs."""
+        assert isinstance(self.obstacle, kind)
+        return self.obstacle

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from sweep.models.case import Case
+from sweep.models.legs import LEGS
 from sweep.models.obstacles.geoms import COLLIDING, STIFF
 from sweep.models.obstacles.surface import own_axes
 
@@ -23,7 +24,7 @@ def collide(spec: mujoco.MjSpec, case: Case, links: tuple[str, ...]) -> None:
         _set(spec.geom(solid.name), conaffinity=OBSTACLE, **touch)
     base = spec.body("base").first_geom()
     _set(base, name="base", contype=OBSTACLE, conaffinity=SHIN, **touch)
-    for leg in range(1, 7):
+    for leg in LEGS:
         bodies = [f"{link}{leg}" for link in links]
         for name in bodies:
             start, end = np.zeros(3), _end(spec.body(name))

@@ -1,6 +1,7 @@
 """What goes wrong in execution: weak drives, a dead joint, a push, a wrong start."""
 
 from sweep.core.parameters import parameters, quantity
+from sweep.models.legs import N_JOINTS
 
 
 @parameters
@@ -8,7 +9,7 @@ class Execution:
     """Errors of execution, all off by default."""
 
     torque_scale: float = quantity(1.0, "-", at_least=0, at_most=1)  # multiplies the drives' torque limit
-    dead_joint: float = quantity(-1, "index", at_least=-1, at_most=17)  # 3 (leg - 1) + (0 alpha, 1 beta, 2 gamma)
+    dead_joint: float = quantity(-1, "index", at_least=-1, at_most=N_JOINTS - 1)  # of `JOINTS`; -1: none
     push_impulse: float = quantity(0.0, "N*s", at_least=0)
     push_direction: float = quantity(0.0, "rad")  # in the horizontal plane, from the world's x axis
     push_time: float = quantity(1.0, "s", at_least=0)

@@ -4,6 +4,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
+from sweep.models.legs import N_LEGS
 
 
 @parameters
@@ -39,4 +40,4 @@ def half_size(robot: Robot) -> Float[Array, " 3"]:
 def total_mass(robot: Robot) -> Array | float:
     """Of the robot (kg)."""
     coxa = robot.coxa_mass if robot.legs == "three_link" else 0.0
-    return robot.body_mass + 6 * (coxa + robot.thigh_mass + robot.shin_mass)
+    return robot.body_mass + N_LEGS * (coxa + robot.thigh_mass + robot.shin_mass)

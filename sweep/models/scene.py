@@ -12,13 +12,12 @@ from jaxtyping import Array, Float
 from sweep.core.parameters import InputError
 from sweep.formulas.leg import SIDE, circular_mounts, rectangular_mounts
 from sweep.models.case import Case
+from sweep.models.legs import JOINTS, LEGS
 from sweep.models.obstacles.geoms import COLLIDING, DRAWN
 from sweep.models.obstacles.surface import FOOT_RADIUS
 from sweep.models.robot import Robot
 
 GRAVITY = 9.81  # m/s^2
-LEGS = range(1, 7)
-JOINTS = tuple(f"{joint}{leg}" for leg in LEGS for joint in ("alpha", "beta", "gamma"))
 _RIGHT, _LEFT = (0.85, 0.33, 0.20, 1.0), (0.20, 0.45, 0.75, 1.0)
 
 
@@ -54,10 +53,13 @@ def leaves(case: Case) -> dict[str, dict[str, Array]]:
     hips = mounts(robot)
     box = jnp.stack([jnp.asarray(s) for s in (robot.body_length, robot.body_width, robot.body_height)])
     out: dict[str, dict[str, Array]] = {
-        "body_pos": {}, "body_ipos": {}, "body_mass": {"base": jnp.asarray(robot.body_mass)},
+        "body_pos": {},
+        "body_ipos": {},
+        "body_mass": {"base": jnp.asarray(robot.body_mass)},
         "body_inertia": {"base": robot.body_mass / 12 * (jnp.sum(box**2) - box**2)},
-        "site_pos": {}, "dof_armature": {name: jnp.asarray(case.drive.armature) for name in JOINTS},
-    }  # fmt: skip
+        "site_pos": {},
+        "dof_armature": {name: jnp.asarray(case.drive.armature) for name in JOINTS},
+    }
     for leg in LEGS:
         side = float(SIDE[leg - 1])
         start = hips[leg - 1]
@@ -121,14 +123,35 @@ def _add_looks(spec: mujoco.MjSpec) -> None:
     spec.visual.global_.offwidth, spec.visual.global_.offheight = 1280, 960
     spec.visual.headlight.ambient = [0.45, 0.45, 0.45]
     spec.worldbody.add_light(pos=[2, 3, 8], dir=[-0.2, -0.3, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
-    spec.add_texture(name="ground", type=mujoco.mjtTexture.mjTEXTURE_2D, builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
-                     width=256, height=256, rgb1=[0.80, 0.83, 0.80], rgb2=[0.70, 0.74, 0.70])  # fmt: skip
-    spec.add_texture(name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-                     width=64, height=384, rgb1=[0.93, 0.95, 0.98], rgb2=[0.72, 0.80, 0.90])  # fmt: skip
+    spec.add_texture(
+        name="ground",
+        type=mujoco.mjtTexture.mjTEXTURE_2D,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
+        width=256,
+        height=256,
+        rgb1=[0.80, 0.83, 0.80],
+        rgb2=[0.70, 0.74, 0.70],
+    )
+    spec.add_texture(
+        name="sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        width=64,
+        height=384,
+        rgb1=[0.93, 0.95, 0.98],
+        rgb2=[0.72, 0.80, 0.90],
+    )
     material = spec.add_material(name="ground", texrepeat=[1, 1], texuniform=True)
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "ground"
-    spec.add_texture(name="ball", type=mujoco.mjtTexture.mjTEXTURE_CUBE, builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
-                     width=96, height=96, rgb1=[0.90, 0.75, 0.45], rgb2=[0.78, 0.60, 0.34])  # fmt: skip
+    spec.add_texture(
+        name="ball",
+        type=mujoco.mjtTexture.mjTEXTURE_CUBE,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
+        width=96,
+        height=96,
+        rgb1=[0.90, 0.75, 0.45],
+        rgb2=[0.78, 0.60, 0.34],
+    )
     material = spec.add_material(name="ball", texrepeat=[1, 1], texuniform=True)
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "ball"
 
@@ -168,18 +191,39 @@ def _add_leg(
         end = 2 * np.asarray(values["body_ipos"][name], float)
         if geoms and np.any(end):
             colour = _LEFT if leg % 2 == 0 else _RIGHT
-            body.add_geom(type=mujoco.mjtGeom.mjGEOM_CYLINDER, fromto=[0, 0, 0, *end],
-                          size=[robot.link_radius, 0, 0], rgba=colour, **_DRAWING)  # fmt: skip
+            body.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+                fromto=[0, 0, 0, *end],
+                size=[robot.link_radius, 0, 0],
+                rgba=colour,
+                **_DRAWING,
+            )
         parent = body
     end = np.asarray(values["site_pos"][f"foot{leg}"], float)
     parent.add_site(name=f"foot{leg}", pos=end, size=[1.2 * robot.link_radius] * 3)
     if geoms:
-        parent.add_geom(name=f"foot{leg}", type=mujoco.mjtGeom.mjGEOM_SPHERE, pos=end, size=[FOOT_RADIUS, 0, 0],
-                        contype=1, conaffinity=0, condim=3, friction=[0, 0, 0], mass=0.0, group=COLLIDING,
-                        solref=[0.004, 1.0], solimp=[0.95, 0.99, 0.001, 0.5, 2.0])  # fmt: skip
+        parent.add_geom(
+            name=f"foot{leg}",
+            type=mujoco.mjtGeom.mjGEOM_SPHERE,
+            pos=end,
+            size=[FOOT_RADIUS, 0, 0],
+            contype=1,
+            conaffinity=0,
+            condim=3,
+            friction=[0, 0, 0],
+            mass=0.0,
+            group=COLLIDING,
+            solref=[0.004, 1.0],
+            solimp=[0.95, 0.99, 0.001, 0.5, 2.0],
+        )
         force, net = 1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE), 3  # summed over the foot's contacts, world axes
-        spec.add_sensor(name=f"force{leg}", type=mujoco.mjtSensor.mjSENS_CONTACT, objtype=mujoco.mjtObj.mjOBJ_GEOM,
-                        objname=f"foot{leg}", intprm=[force, net, 1])  # fmt: skip
+        spec.add_sensor(
+            name=f"force{leg}",
+            type=mujoco.mjtSensor.mjSENS_CONTACT,
+            objtype=mujoco.mjtObj.mjOBJ_GEOM,
+            objname=f"foot{leg}",
+            intprm=[force, net, 1],
+        )
 
 
 def _add_drive(spec: mujoco.MjSpec, joint: str) -> None:

@@ -11,8 +11,7 @@ from matplotlib.figure import Figure
 
 from sweep.analysis import compare, sensitivity
 from sweep.analysis.compare import SECOND
-from sweep.analysis.results import Results, binned
-from sweep.analysis.stats import percent, rate, rates
+from sweep.analysis.stats import binned, percent, rate, rates
 from sweep.metrics import CAUSES
 from sweep.metrics.outcome import limit_of
 from sweep.report import slices
@@ -20,7 +19,8 @@ from sweep.report.labels import CAUSE_COLOURS, SUCCESS, axis_words, heading
 from sweep.report.maps import pattern
 from sweep.report.tables import BOOKKEEPING
 from sweep.runs import audit
-from sweep.runs.store import figure_columns
+from sweep.runs.results import Results
+from sweep.study.columns import figure_columns
 
 EFFECT_VALUES, EFFECT_BINS, HISTOGRAM_BINS, LINES, HISTOGRAMS = 50, 20, 30, 5, 12
 REJECTED = 0.01  # p-value below which a fit is not drawn
@@ -172,8 +172,15 @@ def _draw_causes(table: pd.DataFrame) -> Figure:
     left = np.zeros(len(table))
     for cause in table:
         number = table[cause].to_numpy()
-        ax.barh(table.index, number, left=left, color=CAUSE_COLOURS[str(cause)], label=str(cause).replace("_", " "),
-                linewidth=0.4, **pattern(str(cause)))  # fmt: skip
+        ax.barh(
+            table.index,
+            number,
+            left=left,
+            color=CAUSE_COLOURS[str(cause)],
+            label=str(cause).replace("_", " "),
+            linewidth=0.4,
+            **pattern(str(cause)),
+        )
         left += number
     for y, total in enumerate(left):
         ax.annotate(f"{total:.0f}", (total, y), xytext=(4, 0), textcoords="offset points", va="center", fontsize=8)
@@ -254,9 +261,11 @@ def _draw_distributions(results: Results, data: pd.DataFrame) -> Figure:
     names = list(dict.fromkeys(data["figure"]))
     figure, spots = _panels(len(names), columns=3, height=2.0)
     judged = limits(results)
-    looks: dict[str, Any] = {"success": {"color": SUCCESS, "edgecolor": "#0072B2"},
-                             "failure": {"color": "#D55E00", "hatch": "\\\\\\", "edgecolor": "black"},
-                             "invalid": {"color": "white", "hatch": "///", "edgecolor": "black"}}  # fmt: skip
+    looks: dict[str, Any] = {
+        "success": {"color": SUCCESS, "edgecolor": "#0072B2"},
+        "failure": {"color": "#D55E00", "hatch": "\\\\\\", "edgecolor": "black"},
+        "invalid": {"color": "white", "hatch": "///", "edgecolor": "black"},
+    }
     for name, ax in zip(names, spots, strict=True):
         own = data[data["figure"] == name]
         low, high = own["from"].min(), own["to"].max()

@@ -16,19 +16,29 @@ import yaml
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from sweep.analysis.results import Results, parameters, told
 from sweep.analysis.stats import broken, rate
 from sweep.metrics.outcome import MEANING
 from sweep.report import tables
 from sweep.report.exhibits import exhibits
 from sweep.report.labels import heading
+from sweep.report.statistics import in_words
 from sweep.report.typical import Typical, typical
 from sweep.runs import audit, store
+from sweep.runs.results import Results
+from sweep.study.columns import LABELS
 from sweep.study.config import Experiment
 
 ROWS, LINES = 100, 100  # of the table at the end, and of the others
-TELLING = ("distance_m", "slip_max_m", "tilt_max_deg", "leg_gap_min_m", "clearance_min_m", "stability_margin_min_m",
-           "torque_peak_beta_nm", "t_cause_s")  # fmt: skip
+TELLING = (
+    "distance_m",
+    "slip_max_m",
+    "tilt_max_deg",
+    "leg_gap_min_m",
+    "clearance_min_m",
+    "stability_margin_min_m",
+    "torque_peak_beta_nm",
+    "t_cause_s",
+)
 
 
 @dataclass(frozen=True)
@@ -62,7 +72,7 @@ def render(results: Results) -> str:
         repeated=results.exp.study.replicates > 1,
         plates=plates,
         expectations=list(expectations(results)),
-        parameters=list(parameters(results)),
+        parameters=list(tables.parameters(results)),
         reasons=[(cause, MEANING[cause], int((rows["cause"] == cause).sum())) for cause in results.causes_seen],
         typical=[(one, image(one), list(telling(one, results.exp))) for one in typical(results)],
         statistics=list(statistics(results)),
@@ -83,7 +93,7 @@ def expectations(results: Results) -> Iterator[tuple[str, str]]:
 
 def statistics(results: Results) -> Iterator[tuple[str, Markup]]:
     """Titled tables of what the rows say: margins, tolerance to errors, sensitivity, as far as the design can tell."""
-    for title, content in told(results):
+    for title, content in in_words(results):
         if isinstance(content, str):
             yield title, Markup("<p>{}</p>").format(content)
         else:
@@ -108,8 +118,8 @@ def image(one: Typical) -> str:
 
 def table(rows: pd.DataFrame, exp: Experiment) -> Markup:
     """The first rows: what identifies them, what came of them, then their axes, which paper may be too narrow for."""
-    axes = [c for c in tables.reading(rows) if c not in store.LABELS]
-    return as_html(tables.shown(rows[["point_id", *store.LABELS, *axes]], exp), index=True)
+    axes = [c for c in tables.reading(rows) if c not in LABELS]
+    return as_html(tables.shown(rows[["point_id", *LABELS, *axes]], exp), index=True)
 
 
 def as_html(shown: pd.DataFrame, index: bool) -> Markup:

@@ -11,15 +11,15 @@ import matplotlib as mpl
 import numpy as np
 import pandas as pd
 
-from sweep.analysis.results import Results, parameters, told
 from sweep.analysis.stats import rate
 from sweep.core.expressions import mask
 from sweep.metrics.outcome import MEANING
-from sweep.report import tables
+from sweep.report import statistics, tables
 from sweep.report.exhibits import exhibits
 from sweep.report.labels import heading
 from sweep.runs import audit
-from sweep.runs.store import figure_columns
+from sweep.runs.results import Results
+from sweep.study.columns import figure_columns
 
 LINES = 40  # of a table; longer ones are data only
 CSV_ROWS = 5_000  # more rows than this are kept as parquet
@@ -80,8 +80,8 @@ def _rows(results: Results, out: Path) -> Path:
 def summaries(results: Results) -> Iterator[tuple[str, str, pd.DataFrame]]:
     """Names, captions and contents of the tables: what was varied, what came of it, and the statistics of the page."""
     rows = results.rows
-    if varied := list(parameters(results)):
-        columns = ["words", "on", "values", "number", "unit", "nominal"]
+    if varied := list(tables.parameters(results)):
+        columns = ["words", "side", "values", "number", "unit", "nominal"]
         yield "parameters", "What was varied.", pd.DataFrame(varied)[columns].rename(columns={"words": "varied"})
     parts = [("all", rows)]
     for column in results.named:
@@ -99,7 +99,7 @@ def summaries(results: Results) -> Iterator[tuple[str, str, pd.DataFrame]]:
         yield "causes", "Rollouts that did not succeed.", table
     if len(again := audit.table(results)):
         yield "audit", r"Rollouts at the boundary and successes, simulated again, with exact 95\,\% intervals.", again
-    for number, (title, content) in enumerate(told(results), 1):
+    for number, (title, content) in enumerate(statistics.in_words(results), 1):
         if isinstance(content, pd.DataFrame):
             yield f"statistics-{number}", escape(title) + ".", content
 
@@ -108,9 +108,12 @@ def quoted(results: Results) -> Iterator[Number]:
     """Every number of the bundle's text, and those that a text about the study is likely to need."""
     rows, start = results.rows, prefix(results)
     one, valid = rate(rows["outcome"]), 'outcome != "invalid"'
-    for name, count, where in (("Rollouts", one.total, None), ("Valid", one.valid, valid),
-                               ("Success", one.success, 'outcome == "success"'),
-                               ("Invalid", one.invalid, 'outcome == "invalid"')):  # fmt: skip
+    for name, count, where in (
+        ("Rollouts", one.total, None),
+        ("Valid", one.valid, valid),
+        ("Success", one.success, 'outcome == "success"'),
+        ("Invalid", one.invalid, 'outcome == "invalid"'),
+    ):
         yield Number(start + name, count, str(count), "number of rows", where)
     share = 'share of outcome == "success"'
     yield _percent(start + "Rate", one.share, share, valid)
@@ -165,8 +168,15 @@ def camel(text: str) -> str:
 
 def escape(text: str) -> str:
     """`text` for LaTeX."""
-    special = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "°": r"\textdegree{}",
-               "<": r"\textless{}", ">": r"\textgreater{}", "·": r"$\cdot$"}  # fmt: skip
+    special = {
+        "\\": r"\textbackslash{}",
+        "~": r"\textasciitilde{}",
+        "^": r"\textasciicircum{}",
+        "°": r"\textdegree{}",
+        "<": r"\textless{}",
+        ">": r"\textgreater{}",
+        "·": r"$\cdot$",
+    }
     return "".join(special.get(c, f"\\{c}" if c in "&%$#_{}" else c) for c in text)
 
 

@@ -11,8 +11,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from sweep.analysis.intervals import anytime, wilson
-from sweep.analysis.results import Results, binned
-from sweep.analysis.stats import rates
+from sweep.analysis.stats import binned, rates
 from sweep.metrics.outcome import FAILURES
 from sweep.report import limits, mesh
 from sweep.report.cells import Cells, mark_values
@@ -20,6 +19,7 @@ from sweep.report.labels import axis_words, heading
 from sweep.report.maps import categories, legend, paint, split
 from sweep.report.tables import text
 from sweep.runs import refine
+from sweep.runs.results import Results
 from sweep.study.study import nominal
 
 MAPS = 6  # pairs of parameters, at most
@@ -125,8 +125,13 @@ def draw(results: Results, chosen: Slice) -> Figure:
         if k >= len(axes) - columns:
             ax.set_xlabel(heading(x, results.exp))
     seen = [c for c in FAILURES if single and (chosen.rows["cause"] == c).any()]
-    legend(figure, seen, bool((chosen.rows["outcome"] == "invalid").any()), 1 if single else 2,
-           axes[0].get_legend_handles_labels()[0])  # fmt: skip
+    legend(
+        figure,
+        seen,
+        bool((chosen.rows["outcome"] == "invalid").any()),
+        1 if single else 2,
+        axes[0].get_legend_handles_labels()[0],
+    )
     if not single:
         figure.colorbar(ScalarMappable(Normalize(0, 1), "cividis"), ax=axes, shrink=0.8)
     return figure

@@ -1,14 +1,17 @@
 """What the rows of a study say in numbers, as titled tables: rates, volume, margins, tolerance, sensitivity."""
 
 from collections.abc import Iterator
+from functools import partial
 
 import pandas as pd
 
 from sweep.analysis import sensitivity
 from sweep.analysis.stats import percent, rate, rates
 from sweep.core.errors import InputError
+from sweep.report.labels import heading
 from sweep.report.tables import page_table
 from sweep.runs import refine
+from sweep.runs.results import Results
 from sweep.study.config import Experiment
 
 
@@ -62,3 +65,13 @@ def render(rows: pd.DataFrame, exp: Experiment, level: float = 0.9, figure: str 
             content = page_table(content, exp)
         parts.append(f"## {title}\n\n{content}\n")
     return "\n".join(parts)
+
+
+def in_words(results: Results) -> Iterator[tuple[str, pd.DataFrame | str]]:
+    """Titles and contents of the statistics of a study, parameters in words; of a table of points none are known."""
+    if results.exp.study.points:
+        return
+    for title, content in list(sections(results.rows, results.exp))[1:]:  # the first is the headline
+        if isinstance(content, pd.DataFrame) and "axis" in content:
+            content = content.assign(axis=content["axis"].map(partial(heading, exp=results.exp)))
+        yield title, content

@@ -1,7 +1,9 @@
 """Rows as text: csv, markdown, LaTeX with booktabs, parquet."""
 
 import io
+from collections.abc import Iterator
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -12,9 +14,11 @@ from sweep.analysis.stats import causes
 from sweep.core.expressions import column
 from sweep.metrics.outcome import BOOKKEEPING as MOMENTS
 from sweep.metrics.outcome import why
-from sweep.report.labels import heading, name_and_unit
-from sweep.runs.store import LABELS, figure_columns
+from sweep.report.labels import axis_words, heading, name_and_unit, unit_of
+from sweep.runs.results import Results
+from sweep.study.columns import LABELS, figure_columns
 from sweep.study.config import Experiment
+from sweep.study.study import nominal, side_and_path
 
 # figures that the outcome is derived from and that say nothing beside it
 BOOKKEEPING = MOMENTS | {"finite", "finished", "end_stage"}
@@ -96,3 +100,16 @@ def one_rollout(exp: Experiment, row: pd.Series) -> str:
     table = pd.DataFrame(lines, columns=["figure", "value", "unit"])
     reason = why({str(name): value for name, value in row.items()}, exp.thresholds)
     return table.to_markdown(index=False, disable_numparse=True) + "\n" + (reason and f"\n{reason}\n")
+
+
+def parameters(results: Results) -> Iterator[dict[str, Any]]:
+    """What was varied."""
+    for name in results.axes:
+        values = results.rows[name]
+        side, path = side_and_path(name)
+        listed = [text(v) for v in sorted(values.unique())]
+        extent = ", ".join(listed) if len(listed) <= 6 else f"{listed[0]} to {listed[-1]}"
+        own = not name.startswith("axis.")  # else a number that parameters are made from
+        usual = text(nominal(name, results.exp.case, results.exp.settings)) if own else ""
+        about = {"words": axis_words(name), "path": path, "side": side, "unit": unit_of(name, results.exp)}
+        yield {**about, "values": extent, "number": len(listed), "nominal": usual}

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from sweep.analysis.results import Results
 from sweep.metrics.outcome import MEANING, SUCCESS
 from sweep.report.tables import BOOKKEEPING
 from sweep.runs import batches
-from sweep.runs.store import figure_columns
+from sweep.runs.results import Results
+from sweep.study.columns import figure_columns
 
 SAMPLE = 1000  # rollouts of a kind that are looked at
 PICTURES = "pictures"  # folder beside the study's parts

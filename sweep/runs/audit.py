@@ -13,10 +13,10 @@ import numpy as np
 import pandas as pd
 
 from sweep.analysis import compare
-from sweep.analysis.results import Results
 from sweep.core.errors import InputError
 from sweep.engines.settings import EngineSettings
 from sweep.runs import runner, store
+from sweep.runs.results import Results
 from sweep.study.config import Experiment, experiment
 from sweep.study.study import parameter_columns, with_settings
 
@@ -125,8 +125,19 @@ def table(results: Results) -> pd.DataFrame:
                 continue
             found = compare.flips(of_kind)
             low, high = found.interval()
-            lines.append((WAYS[way][0], kind, len(points), found.pairs, found.pairs - found.tested, found.flipped,
-                          found.flipped / found.tested if found.tested else np.nan, low, high))  # fmt: skip
+            lines.append(
+                (
+                    WAYS[way][0],
+                    kind,
+                    len(points),
+                    found.pairs,
+                    found.pairs - found.tested,
+                    found.flipped,
+                    found.flipped / found.tested if found.tested else np.nan,
+                    low,
+                    high,
+                )
+            )
     return pd.DataFrame(
         lines, columns=["simulated", "drawn", "of", "rollouts", "invalid", "flips", "share", "low", "high"]
     )

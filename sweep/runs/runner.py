@@ -16,6 +16,7 @@ from sweep.core import provenance
 from sweep.core.errors import Fault, InputError
 from sweep.core.expressions import mask
 from sweep.engines.base import Engine
+from sweep.engines.run_id import device, run_id
 from sweep.metrics.outcome import classify
 from sweep.runs import store
 from sweep.runs.batches import (
@@ -29,7 +30,8 @@ from sweep.runs.batches import (
     plan,
     with_room_for_delay,
 )
-from sweep.runs.clusters import Dispatch
+from sweep.study.clusters import Dispatch
+from sweep.study.columns import figure_columns
 from sweep.study.config import Experiment, experiment
 from sweep.study.study import points
 
@@ -201,7 +203,7 @@ def on_worker(folder: Path, version: str, code: str, number: int) -> Done:
     rows = table[table["batch"] == number]
     start = nominal(exp, rows, int(rows["width"].iloc[0]))
     engine = make_engine(exp, start)
-    done = Done(number, host, provenance.device(start.settings), engine.devices, out_of_memory=False)
+    done = Done(number, host, device(start.settings), engine.devices, out_of_memory=False)
     if not store.part(folder, number).exists():
         try:
             store.write_part(folder, number, simulate(exp, engine, rows))
@@ -235,7 +237,7 @@ def simulate(exp: Experiment, engine: Engine, rows: pd.DataFrame) -> pd.DataFram
     wall = time.perf_counter() - start
     columns = {name: np.asarray(values, dtype=float)[: len(rows)] for name, values in figures.items()}
     labels = classify(columns, exp.thresholds, engine.stages)
-    done = rows.reset_index(drop=True).assign(run_id=provenance.run_id(task.settings))
+    done = rows.reset_index(drop=True).assign(run_id=run_id(task.settings))
     return pd.concat([done, pd.DataFrame(columns), pd.DataFrame(labels)], axis=1).assign(wall_s=wall / len(rows))
 
 
@@ -260,7 +262,7 @@ def relabel(folder: Path, outcome: Mapping[str, float]) -> None:
     store.write_study(folder, {**stored, "labelled": False})
     for number in sorted(store.finished(folder)):
         rows = store.read_part(folder, number)
-        figures = {name: rows[name].to_numpy() for name in store.figure_columns(rows)}
+        figures = {name: rows[name].to_numpy() for name in figure_columns(rows)}
         labels = classify(figures, thresholds, tuple(stored["stages"][int(rows["group"].iloc[0])]))
         store.write_part(folder, number, rows.assign(**labels))
     store.write_study(folder, {**stored, "config": config, "labelled": True})

@@ -1,9 +1,7 @@
 """A study's folder: what it is, its points, one file per finished batch. Every file appears whole or not at all."""
 
-import os
-import socket
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -15,13 +13,10 @@ import pyarrow.parquet as pq
 import yaml
 
 from sweep.core.errors import Fault, InputError
+from sweep.core.files import reason, write_whole
 
 pa.set_memory_pool(pa.system_memory_pool())  # a million rows are read in 2 s of a processor; in 8 s by Arrow's own pool
 STUDY, POINTS, PARTS, LOG = "study.yaml", "points.parquet", "parts", "log.txt"
-# a row: its axes (dotted names), its place in the plan, its figures, how they are judged, and what differs between runs
-PLAN = ("replicate", "stream", "point_id", "group", "batch", "slot", "width", "run_id")
-LABELS = ("outcome", "cause", "stage", "t_cause_s", "limit", "margin", "margin_of")
-TIMING = ("wall_s",)
 
 
 @contextmanager
@@ -39,29 +34,11 @@ def locked(folder: Path) -> Iterator[None]:
     except filelock.Timeout:
         raise InputError(f"{folder} is in use by another sweep process: wait for it, or give out=DIR") from None
     except OSError as error:
-        raise InputError(f"out = {folder} cannot be written: {_reason(error)}") from None
+        raise InputError(f"out = {folder} cannot be written: {reason(error)}") from None
     try:
         yield
     finally:
         held.release()
-
-
-def write_whole(path: Path, write: Callable[[Path], object]) -> None:
-    """`write` into a hidden file of this process, then put it in its place at once. Raises `Fault`."""
-    hidden = path.parent / f".{path.name}.{socket.gethostname()}-{os.getpid()}.tmp"
-    try:
-        write(hidden)
-        with hidden.open("rb") as written:
-            os.fsync(written.fileno())  # a power cut leaves the old content or the new
-        os.replace(hidden, path)
-    except OSError as error:
-        raise Fault(f"{path} cannot be written: {_reason(error)}") from None
-    finally:
-        hidden.unlink(missing_ok=True)
-
-
-def _reason(error: OSError) -> str:
-    return os.strerror(error.errno) if error.errno else str(error).splitlines()[0]
 
 
 def write_study(folder: Path, content: Mapping[str, Any]) -> None:
@@ -160,11 +137,6 @@ def read_rows(folder: Path) -> pd.DataFrame:
     return table.to_pandas(split_blocks=True, self_destruct=True)
 
 
-def figure_columns(rows: pd.DataFrame) -> list[str]:
-    """What was measured: all but the axes, the plan, the labels and the timing."""
-    return [c for c in rows.columns if "." not in c and c not in (*PLAN, *LABELS, *TIMING)]
-
-
 def find_row(rows: pd.DataFrame, point: str, folder: Path) -> pd.Series:
     """The row named by its number or by the beginning of its point id. Raises `InputError`."""
     if point.isdecimal() and int(point) < len(rows):
@@ -182,4 +154,4 @@ def log(folder: Path, message: str) -> None:
         with (folder / LOG).open("a") as file:
             file.write(f"{time.strftime('%Y-%m-%dT%H:%M:%S%z')} {message}\n")
     except OSError as error:
-        raise Fault(f"{folder / LOG} cannot be written: {_reason(error)}") from None
+        raise Fault(f"{folder / LOG} cannot be written: {reason(error)}") from None

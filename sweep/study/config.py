@@ -4,8 +4,11 @@ The parameter dataclasses are the schemas: Hydra checks names and types while it
 """
 
 import dataclasses
+import functools
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +19,6 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import ConfigKeyError, OmegaConfBaseException, ValidationError
 
 from sweep.controllers.manoeuvres import MANOEUVRES
-from sweep.controllers.observation import Noise
 from sweep.core.parameters import InputError, build, checked, suggest
 from sweep.engines.settings import EngineSettings
 from sweep.metrics.outcome import Thresholds, thresholds
@@ -24,16 +26,23 @@ from sweep.models.case import Case
 from sweep.models.contact import Contact
 from sweep.models.disturbance import Execution
 from sweep.models.drive import Drive
+from sweep.models.noise import Noise
 from sweep.models.obstacles import OBSTACLES
 from sweep.models.robot import Robot
-from sweep.runs.clusters import CLUSTERS, Cluster
-from sweep.study.study import Study, nominal, parameter
+from sweep.study.clusters import CLUSTERS, Cluster
+from sweep.study.designs import with_side
+from sweep.study.study import Study, StudySchema, nominal, parameter
 
 CONFIG_MODULE, CONFIG_NAME, HYDRA_VERSION = "sweep.conf", "config", "1.3"
 GROUPS: dict[str, type] = {
-    "robot": Robot, "drive": Drive, "contact": Contact, "noise": Noise, "execution": Execution,
-    "engine": EngineSettings, "outcome": Thresholds,
-}  # fmt: skip
+    "robot": Robot,
+    "drive": Drive,
+    "contact": Contact,
+    "noise": Noise,
+    "execution": Execution,
+    "engine": EngineSettings,
+    "outcome": Thresholds,
+}
 KINDS: dict[str, dict[str, type]] = {
     "obstacle": OBSTACLES,
     "manoeuvre": MANOEUVRES,
@@ -47,36 +56,6 @@ class ScenarioSchema:
 
     name: str = "nominal"
     expect: list[Any] = field(default_factory=list)
-
-
-@dataclass
-class DesignSchema:
-    """How axes are combined and sampled; see `sweep.study.designs.Design`."""
-
-    grid: str = "full"
-    kind: str = "monte_carlo"
-    num: int = 0
-    scrambles: int = 1
-
-
-@dataclass
-class StudySchema:
-    """Which variations of the scenario are run; see `sweep.study.study.Study`."""
-
-    name: str = ""
-    axes: dict[str, Any] = field(default_factory=dict)
-    design: DesignSchema = field(default_factory=DesignSchema)
-    points: str | None = None
-    where: str | None = None
-    replicates: int = 1
-    seed: int = 0
-    resolution: float = 0.0
-    level: float = 0.5
-    budget: int = 0
-    audit: int = 0
-    invalid_max: float = 0.01
-    expect: list[Any] = field(default_factory=list)
-    theory: list[Any] = field(default_factory=list)
 
 
 @dataclass
@@ -117,10 +96,11 @@ class Experiment:
         return Path(self.out or f"results/{self.study.name}")
 
 
+@functools.cache
 def register() -> None:
-    """Tell Hydra the schemas."""
+    """Tell Hydra the schemas; a kind without a file of its name is a choice as it is."""
     store = ConfigStore.instance()
-    whole = OmegaConf.structured(ExperimentSchema)
+    whole = _schema(ExperimentSchema)
     OmegaConf.set_struct(whole.study.axes, False)  # axes are named freely
     store.store(name="experiment_schema", node=whole)
     for group, cls in GROUPS.items():
@@ -128,20 +108,34 @@ def register() -> None:
     for group, kinds in KINDS.items():
         for kind, cls in kinds.items():
             store.store(group=group, name=f"{kind}_schema", node=_schema(cls))
+            if not (files(CONFIG_MODULE) / group / f"{kind}.yaml").is_file():
+                store.store(group=group, name=kind, node=_schema(cls))
 
 
 def _schema(cls: type) -> DictConfig:
-    node = OmegaConf.structured(cls)
-    OmegaConf.set_readonly(node, None)  # frozen dataclasses make frozen configs, which no file could fill in
+    return _open(OmegaConf.structured(cls))
+
+
+def _open(node: DictConfig) -> DictConfig:
+    """`node` with its parts no longer frozen, as frozen dataclasses make them: no file could fill them in."""
+    OmegaConf.set_readonly(node, None)
+    for key in node:
+        if isinstance(part := node._get_node(key), DictConfig):
+            _open(part)
     return node
 
 
 def compose(overrides: list[str]) -> Experiment:
     """The experiment of command-line `overrides`, for use from Python. Raises `InputError`."""
+    return experiment(composed(overrides))
+
+
+def composed(overrides: list[str]) -> dict[str, Any]:
+    """Its plain values, of which only names and types are checked. Raises `InputError`."""
     register()
     try:
         with hydra.initialize_config_module(CONFIG_MODULE, version_base=HYDRA_VERSION):
-            return experiment(resolve(hydra.compose(CONFIG_NAME, overrides)))
+            return resolve(hydra.compose(CONFIG_NAME, overrides))
     except (HydraException, OmegaConfBaseException) as error:
         raise InputError(one_line(error, overrides)) from None
 
@@ -149,11 +143,9 @@ def compose(overrides: list[str]) -> Experiment:
 def resolve(config: DictConfig) -> dict[str, Any]:
     """Plain values, interpolations resolved."""
     values: Any = OmegaConf.to_container(config, resolve=True)
-    # YAML 1.1 reads a bare `on` as true
-    axes = {
-        name: {"on" if key is True else key: v for key, v in axis.items()} if isinstance(axis, dict) else axis
-        for name, axis in values["study"]["axes"].items()
-    }
+    axes = with_side(values["study"]["axes"])
+    if axes != values["study"]["axes"]:
+        print("sweep: note: the key `on` of an axis is called `side` now", file=sys.stderr)
     return {**values, "study": {**values["study"], "axes": axes}}
 
 
@@ -168,6 +160,10 @@ def experiment(values: Mapping[str, Any]) -> Experiment:
         parts[group] = build(kinds[kind], values[group], group)
     cluster = parts.pop("cluster")
     case = Case(**parts)
+    if not isinstance(case.obstacle, case.manoeuvre.needs):
+        needed = " or ".join(kind for kind, cls in OBSTACLES.items() if cls in case.manoeuvre.needs)
+        kinds = f"obstacle.kind = {case.obstacle.kind} is not allowed: manoeuvre.kind = {case.manoeuvre.kind}"
+        raise InputError(f"{kinds} needs {needed}")
     limits = thresholds(given, case)
     scenario = values["scenario"]
     chosen = {**dataclasses.asdict(StudySchema()), **values["study"]}  # rows of before a key was there had its default

@@ -23,12 +23,15 @@ from sweep.core.errors import InputError, suggest
 SIDES = ("world", "belief")
 DESIGNS = ("monte_carlo", "latin_hypercube", "sobol", "saltelli")
 GRIDS = ("full", "one_at_a_time")
-AXIS_KEYS = ("path", "on", "values", "from", "to", "num", "distribution", "relative", "times", "with", "nominal")
+AXIS_KEYS = ("path", "side", "values", "from", "to", "num", "distribution", "relative", "times", "with", "nominal")
+OLD_SIDE = ("on", True)  # what `side` was called; a bare `on` is YAML's true
 # what each distribution needs, and what it may have besides
 DISTRIBUTIONS = {
-    "uniform": (("from", "to"), ()), "log_uniform": (("from", "to"), ()), "normal": (("mean", "std"), ("from", "to")),
+    "uniform": (("from", "to"), ()),
+    "log_uniform": (("from", "to"), ()),
+    "normal": (("mean", "std"), ("from", "to")),
     "discrete": (("values",), ("weights",)),
-}  # fmt: skip
+}
 
 
 @dataclass(frozen=True)
@@ -69,7 +72,7 @@ class Axis:
 
     name: str
     path: str | None
-    on: str
+    side: str
     values: tuple[Any, ...] | None  # listed: a part of the grid
     distribution: Distribution | None  # drawn
     relative: float | str | None  # s, or the name of an axis that gives it
@@ -80,7 +83,7 @@ class Axis:
     @property
     def target(self) -> str | None:
         """The column of the points table that its values go to."""
-        return self.path if self.path is None or self.on == "both" else f"{self.on}.{self.path}"
+        return self.path if self.path is None or self.side == "both" else f"{self.side}.{self.path}"
 
     @property
     def column(self) -> str:
@@ -126,9 +129,20 @@ def known(path: str, given: Any, allowed: tuple[str, ...]) -> dict[str, Any]:
     return {str(k): v for k, v in given.items()}
 
 
+def with_side(axes: Mapping[str, Any]) -> dict[str, Any]:
+    """Plain axes whose key `side` may have its old name, with the one it has now. Raises `InputError`."""
+
+    def renamed(name: str, axis: Mapping[Any, Any]) -> dict[Any, Any]:
+        if "side" in axis and any(key in OLD_SIDE for key in axis):
+            raise InputError(f"study.axes.{name}.on is not allowed beside side, which is what it is called now")
+        return {"side" if key in OLD_SIDE else key: value for key, value in axis.items()}
+
+    return {name: renamed(name, axis) if isinstance(axis, Mapping) else axis for name, axis in axes.items()}
+
+
 def parse_axes(given: Mapping[str, Any]) -> tuple[Axis, ...]:
     """The axes of a study, by name. Raises `InputError`."""
-    axes = tuple(_axis(f"study.axes.{name}", name, axis) for name, axis in given.items())
+    axes = tuple(_axis(f"study.axes.{name}", name, axis) for name, axis in with_side(given).items())
     columns = [a.target for a in axes if a.target]
     if len(set(columns)) < len(columns):
         raise InputError(f"study.axes name the same parameter twice: {', '.join(columns)}")
@@ -177,9 +191,9 @@ def caution(design: Design) -> str | None:
 
 def _axis(key: str, name: str, given: Any) -> Axis:
     given = known(key, given, AXIS_KEYS)
-    on, path, times, relative = given.get("on", "both"), given.get("path"), given.get("times"), given.get("relative")
-    if on not in ("both", *SIDES):
-        raise InputError(f"{key}.on = {on!r} is not allowed: one of both, world, belief")
+    side, path, times, relative = (given.get(word) for word in ("side", "path", "times", "relative"))
+    if (side := side or "both") not in ("both", *SIDES):
+        raise InputError(f"{key}.side = {side!r} is not allowed: one of both, world, belief")
     for word, text in (("path", path), ("times", times)):
         if text is not None and not isinstance(text, str):
             raise InputError(f"{key}.{word} = {text!r} is not allowed: a parameter such as contact.friction")
@@ -197,7 +211,7 @@ def _axis(key: str, name: str, given: Any) -> Axis:
     centre = _number(f"{key}.nominal", given.get("nominal", 0.0))
     if "nominal" in given and path is not None:
         raise InputError(f"{key}.nominal = {centre:g} is not allowed: {path} has its own in the configuration")
-    return Axis(name, path, on, values, distribution, relative, times, given.get("with"), centre)
+    return Axis(name, path, side, values, distribution, relative, times, given.get("with"), centre)
 
 
 def _values(key: str, given: Mapping[str, Any]) -> tuple[Any, ...] | None:
@@ -346,9 +360,9 @@ def _columns(axes: tuple[Axis, ...], numbers: pd.DataFrame, nominal: Callable[[s
             return n
         if axis.name in above:
             raise InputError(f"study.axes.{axis.name}.times goes in a circle: {' -> '.join((*above, axis.name))}")
-        source = by_target.get(f"{axis.on}.{axis.times}") or by_target.get(axis.times)
-        if axis.on == "both" and any(f"{side}.{axis.times}" in by_target for side in SIDES):
-            raise InputError(f"study.axes.{axis.name}.times = {axis.times} differs between world and belief: give on")
+        source = by_target.get(f"{axis.side}.{axis.times}") or by_target.get(axis.times)
+        if axis.side == "both" and any(f"{side}.{axis.times}" in by_target for side in SIDES):
+            raise InputError(f"study.axes.{axis.name}.times = {axis.times} differs between world and belief: give side")
         return n * (value(source, (*above, axis.name)) if source else _finite(axis, axis.times, nominal))
 
     columns: dict[str, Any] = {}

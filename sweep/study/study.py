@@ -6,7 +6,7 @@ one of the two is varied, or `axis.NAME` for a number that values are made from 
 
 import dataclasses
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -39,22 +39,38 @@ class Expectation:
 
 
 @dataclass(frozen=True)
-class Study:
+class _Plain:
+    """What a study's configuration holds as it is."""
+
+    name: str = ""
+    points: str | None = None  # CSV file that takes the place of the axes
+    where: str | None = None  # points to keep
+    replicates: int = 1
+    seed: int = 0
+    resolution: float = 0.0  # cells that disagree are halved until they are this share of their axis; 0: not at all
+    level: float = 0.5  # of the success region, where rollouts of a point differ
+    budget: int = 0  # most rollouts that refinement may take; 0: no limit
+    audit: int = 0  # random points in decided cells that are run as a check
+    invalid_max: float = 0.01  # largest tolerated share of invalid rows
+
+
+@dataclass(frozen=True)
+class StudySchema(_Plain):
+    """Which variations of the scenario are run, as the configuration says it; `Study.parse` reads the rest."""
+
+    axes: dict[str, Any] = field(default_factory=dict)
+    design: Design = field(default_factory=Design)
+    expect: list[Any] = field(default_factory=list)
+    theory: list[Any] = field(default_factory=list)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Study(_Plain):
     """Points of a grid and of distributions, or of a CSV file, each repeated with different noise."""
 
-    name: str
     single: bool  # one nominal rollout, shown rather than stored
     axes: tuple[Axis, ...]
     design: Design  # of the axes that have a distribution
-    points: str | None  # CSV file that takes the place of the axes
-    where: str | None  # points to keep
-    replicates: int
-    seed: int
-    resolution: float  # cells that disagree are halved until they are this share of their axis; 0: not at all
-    level: float  # of the success region, where rollouts of a point differ
-    budget: int  # most rollouts that refinement may take; 0: no limit
-    audit: int  # random points in decided cells that are run as a check
-    invalid_max: float  # largest tolerated share of invalid rows
     expect: tuple[Expectation, ...]
     theory: tuple[Theory, ...]  # drawn over its maps
 

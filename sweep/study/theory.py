@@ -56,5 +56,6 @@ def parse(key: str, given: Any) -> Theory:
     if given["output"] not in formula.outputs:
         raise InputError(f"{key}.output = {given['output']} is unknown{suggest(given['output'], formula.outputs)}")
     inputs = known(f"{key}.inputs", given.get("inputs", {}), tuple(entry.name for entry in formula.inputs))
-    return Theory(given.get("label", formula.name), formula.name, given["output"], given["of"], inputs,
-                  given.get("measured", ""))  # fmt: skip
+    return Theory(
+        given.get("label", formula.name), formula.name, given["output"], given["of"], inputs, given.get("measured", "")
+    )

@@ -25,7 +25,7 @@ from foxglove.messages import (
 )
 
 from sweep.engines.base import Trace
-from sweep.models.scene import JOINTS
+from sweep.models.legs import JOINTS
 from sweep.trace.arrows import ARROW_RADIUS, FORCE_COLOR, arrow_tips
 from sweep.trace.layout import layout
 from sweep.trace.sampling import at_rate, finite_frames

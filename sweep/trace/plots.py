@@ -13,11 +13,12 @@ from matplotlib.figure import Figure
 from sweep.core.parameters import InputError
 from sweep.engines.base import Trace
 from sweep.formulas import stepping
+from sweep.models.legs import N_LEGS
 from sweep.trace.held import measured, planned
 from sweep.trace.layout import LEG_COLORS
 from sweep.trace.sampling import KINDS, base_pose, joint_angle, mass_centres
 
-LEGS = ((6, 5), (4, 3), (2, 1))
+PAIRS = ((6, 5), (4, 3), (2, 1))
 SYMBOLS = dict(zip(KINDS, ("α", "β", "γ"), strict=True))
 ACTUAL, SECOND, REFERENCE = "#0072b2", "#d55e00", "0.25"
 SMOOTHED = 25  # ticks, over which the speed of a body is averaged
@@ -148,7 +149,7 @@ def forces(trace: Trace) -> Figure:
     """
     hold, wanted, friction = measured(trace), planned(trace), float(trace.world.contact.friction)
     figure, axes = _grid(3, 1, "Forces of the feet on the surfaces under them (dashed: planned)", width=14)
-    for leg in range(6):
+    for leg in range(N_LEGS):
         color, label = LEG_COLORS[leg], f"leg {leg + 1}"
         axes[1, 0].plot(trace.time, hold.friction[:, leg], color=color, lw=0.9, label=label)
         if leg % 2 == 0:
@@ -205,7 +206,7 @@ def sideways(trace: Trace, vectors: np.ndarray) -> np.ndarray:
 def _per_leg(trace: Trace, title: str, label: str, values: np.ndarray, target: np.ndarray | None = None) -> Figure:
     """One panel a leg with the three joints of `values` (F, 6, 3), `target` dashed."""
     figure, axes = _grid(3, 2, title, share="all")
-    for row, legs in zip(axes, LEGS, strict=True):
+    for row, legs in zip(axes, PAIRS, strict=True):
         for ax, leg in zip(row, legs, strict=True):
             for kind, color in zip(range(3), (ACTUAL, SECOND, "#009e73"), strict=True):
                 ax.plot(trace.time, values[:, leg - 1, kind], color=color, lw=1.1, label=SYMBOLS[KINDS[kind]])

@@ -11,14 +11,15 @@ import pandas as pd
 from matplotlib.backend_bases import FigureCanvasBase
 from tabulate import tabulate
 
-from sweep.core import provenance
 from sweep.core.parameters import InputError
 from sweep.engines.base import Trace
+from sweep.engines.run_id import run_id
 from sweep.engines.settings import EngineSettings
 from sweep.metrics.outcome import classify
 from sweep.runs import store
 from sweep.runs.batches import make_engine, nominal, with_room_for_delay
 from sweep.runs.runner import load_point
+from sweep.study.columns import LABELS
 from sweep.study.config import experiment
 from sweep.study.study import parameter_columns
 from sweep.trace.frames import need_ffmpeg, write_png, write_video
@@ -80,7 +81,7 @@ def replay(folder: Path, point: str) -> Replay:
     )
     again = {**{name: values[0] for name, values in labels.items()}, **trace.figures}
     values = {name: row[name] for name in (*parameter_columns(table), "replicate", "stream")}
-    same_run = str(row["run_id"]) == provenance.run_id(task.settings)
+    same_run = str(row["run_id"]) == run_id(task.settings)
     return Replay(row, again, trace, task.settings, {**config, "point": values}, same_run)
 
 
@@ -89,7 +90,7 @@ def comparison(result: Replay) -> str:
     stored, again = result.stored, result.again
     figures = [name for name in result.trace.figures if name in stored]
     changed = [name for name in figures if not _equal(stored[name], again[name])]
-    rows = [(name, _shown(stored[name]), _shown(again[name])) for name in (*store.LABELS, *changed)]
+    rows = [(name, _shown(stored[name]), _shown(again[name])) for name in (*LABELS, *changed)]
     lines = [
         f"point {stored['point_id']}",
         tabulate(rows, headers=("", "stored", "replayed"), disable_numparse=True),

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 
 from sweep.engines.base import Trace
-from sweep.models.scene import JOINTS
+from sweep.models.legs import JOINTS
 
 BASE = "base"  # the robot's body
 KINDS = ("alpha", "beta", "gamma")  # the joints of a leg, from the body outwards

@@ -112,7 +112,7 @@ def test_the_standard_output_holds_results_only():
     command = [sys.executable, "-m", "sweep.cli", "run", "study=walk_map", "--dry-run"]  # with the real engine
     out = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     assert out.startswith("walk_map: 561 of 561 rollouts to run")
-    assert "| step     | manoeuvre.half_step_ratio | both  | 0.03, 0.040625, ... 0.2 (17 values)  | a_r" in out
+    assert "| step     | manoeuvre.half_step_ratio | both   | 0.03, 0.040625, ... 0.2 (17 values)  | a_r" in out
     assert out.count("\n") == 5
 
 

@@ -9,7 +9,6 @@ from scipy.optimize import linprog
 
 from sweep.controllers.forces import Bounds, Pose, distribute, joint_torque, pose
 from sweep.controllers.manoeuvres.walking.walk import Stand
-from sweep.controllers.observation import Noise
 from sweep.controllers.plan import Stance
 from sweep.controllers.tracker import joint_targets
 from sweep.formulas import corner
@@ -19,6 +18,7 @@ from sweep.models.case import Case
 from sweep.models.contact import Contact
 from sweep.models.disturbance import Execution
 from sweep.models.drive import Drive
+from sweep.models.noise import Noise
 from sweep.models.obstacles.plane import Plane
 from sweep.models.robot import Robot
 from sweep.models.scene import compile_model

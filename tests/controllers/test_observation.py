@@ -7,8 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sweep.controllers.observation import Noise, Observation, install, observe
+from sweep.controllers.observation import Observation, install, observe
 from sweep.engines.closed_loop import is_quiet
+from sweep.models.noise import Noise
 from sweep.models.obstacles.surface import FreeState
 
 KEY = jax.random.key(3)

@@ -9,7 +9,7 @@ from faultless import faultless
 from sweep.core.errors import InputError
 from sweep.metrics import CAUSES, METRICS
 from sweep.metrics.outcome import COLUMNS, MEANING, Thresholds, classify, limit_of, why
-from sweep.runs.store import LABELS
+from sweep.study.columns import LABELS
 from sweep.study.config import compose
 
 STAGES = ("stand", "walk", "halt")

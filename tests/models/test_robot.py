@@ -19,6 +19,7 @@ from sweep.engines import batching, devices
 from sweep.formulas.leg import SIDE, fk
 from sweep.models import scene
 from sweep.models.case import Case
+from sweep.models.legs import LEGS
 from sweep.study.config import compose
 
 ROBOTS = ("base", "three_link", "circular", "prototype", "hexagon")
@@ -113,7 +114,7 @@ def test_kinematics_equal_mujocos(name):
     robot = case.robot
     m = scene.compile_model(case, geoms=False)
     d = mujoco.MjData(m)
-    feet_ids = [m.site(f"foot{leg}").id for leg in scene.LEGS]
+    feet_ids = [m.site(f"foot{leg}").id for leg in LEGS]
     yaw = scene.mount_yaw(robot)
     turn = np.stack([np.cos(yaw / 2), 0 * yaw, 0 * yaw, np.sin(yaw / 2)], axis=-1)
 

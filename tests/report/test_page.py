@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 from matplotlib.collections import PolyCollection
 
-from sweep.analysis import results
 from sweep.cli.main import main
 from sweep.report import page, slices, typical
-from sweep.runs import store
+from sweep.runs import results, store
 from sweep.study.config import compose
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)

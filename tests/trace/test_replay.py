@@ -15,7 +15,7 @@ from sweep.trace import replay as module
 from sweep.trace.replay import main
 
 WIDTH = 3
-AXIS = "+study.axes.friction={path: contact.friction, on: world, values: [0.2, 0.4, 0.6, 0.8, 1.0]}"
+AXIS = "+study.axes.friction={path: contact.friction, side: world, values: [0.2, 0.4, 0.6, 0.8, 1.0]}"
 
 
 class StandInEngine:

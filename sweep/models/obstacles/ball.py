@@ -15,7 +15,9 @@ FLOOR, BALL = range(2)
 
 @parameters
 class Ball:
-    """At the start it rests on the world's origin, or rolls over it."""
+    """A free ball, of radius 0.8 a_r and 100 kg by default, on the floor.
+
+    At the start it rests on the world's origin, or rolls over it."""
 
     kind: str = choice("ball", "ball")
     radius: float = quantity(0.84, "m", above=0)  # R

@@ -15,7 +15,9 @@ LEDGE_HALF = 2.0  # m, of a ledge's drawing and collision geometry; its surface 
 
 @parameters
 class Beam:
-    """The beam lies along the world's y axis, its top level with the ledges, which fill y > 0 and y < -length."""
+    """A narrow beam between two ledges.
+
+    It lies along the world's y axis, its top level with the ledges, which fill y > 0 and y < -length."""
 
     kind: str = choice("beam", "beam")
     width: float = quantity(0.25, "m", above=0, at_most=4)

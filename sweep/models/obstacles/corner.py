@@ -16,7 +16,9 @@ DEPTH = 3.0  # m, that the house reaches back in y
 
 @parameters
 class Corner:
-    """Two walls that meet in the world's z axis and open towards -y, symmetric about the plane x = 0."""
+    """The corner of a house.
+
+    Two walls that meet in the world's z axis and open towards -y, symmetric about the plane x = 0."""
 
     kind: str = choice("corner", "corner")
     half_angle: float = quantity(np.pi / 4, "rad", at_least=0.2, at_most=1.5)  # psi, of the house between its walls

@@ -1,6 +1,6 @@
 """What a point feels of an obstacle; the interface that contact, planning, metrics and pictures share."""
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax.numpy as jnp
 import mujoco
@@ -67,6 +67,11 @@ class Obstacle(Protocol):
     """An obstacle is a parameter dataclass with these members."""
 
     @property
+    def kind(self) -> str:
+        """Its name in the configuration."""
+        ...
+
+    @property
     def free_bodies(self) -> tuple[str, ...]:
         """Names of its bodies with a free joint, in the order of `Bodies`."""
         ...
@@ -84,10 +89,6 @@ class Obstacle(Protocol):
         """Varying arrays of its free bodies by model field and body (or site) name."""
         ...
 
-    def start(self) -> FreeState:
-        """Its free bodies at the start; asked only where there are some."""
-        ...
-
     def solids(self, bodies: Bodies) -> tuple[Solid, ...]:
         """What it consists of, its free bodies where `bodies` says. Plain sizes stay plain numbers."""
         ...
@@ -95,6 +96,20 @@ class Obstacle(Protocol):
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: Bodies) -> Surface:
         """Where `points` stand; `owner` is the free body that a point belongs to, -1 for the robot."""
         ...
+
+
+@runtime_checkable
+class Moving(Obstacle, Protocol):
+    """An obstacle that has free bodies."""
+
+    def start(self) -> FreeState:
+        """These at the start."""
+        ...
+
+
+def free_start(obstacle: Obstacle) -> FreeState:
+    """Its free bodies at the start, where it has any."""
+    return obstacle.start() if isinstance(obstacle, Moving) else no_bodies()
 
 
 def fixed_surface(obstacle: Obstacle, points: Float[Array, "n 3"] | np.ndarray) -> Surface:

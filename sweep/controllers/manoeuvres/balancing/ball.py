@@ -32,6 +32,8 @@ from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import conjugate, rotate
 from sweep.formulas.ball import stabilise_delta
 from sweep.models.case import Case
+from sweep.models.legs import LEGS
+from sweep.models.obstacles.ball import Ball
 from sweep.models.robot import Robot, total_mass
 
 LEVEL = (1.0, 0.0, 0.0, 0.0)
@@ -49,7 +51,7 @@ class Perch(NamedTuple):
 
 def perch(belief: Case, manoeuvre: "BallBalance | BallDrive") -> Perch:
     """Feet on their circle, the base level over the ball."""
-    radius, length = belief.obstacle.radius, belief.robot.body_length
+    radius, length = belief.on(Ball).radius, belief.robot.body_length
     circle = manoeuvre.circle_ratio * radius
     feet = footholds(radius, circle, manoeuvre.chord_ratio * circle, 0.0) * (1 - manoeuvre.deepening / radius)
     above = jnp.asarray(UP) * (radius + manoeuvre.height_ratio * length)
@@ -67,7 +69,7 @@ def _balanced(robot: Robot, stance: Stance) -> Float[Array, " 3"]:
 
 def on_ball(belief: Case, perched: Perch) -> Stance:
     """The perch in the world, before anything moves."""
-    centre = jnp.asarray(UP) * belief.obstacle.radius
+    centre = jnp.asarray(UP) * belief.on(Ball).radius
     return Stance(perched.feet + centre, perched.position + centre, jnp.array(LEVEL))
 
 
@@ -111,6 +113,8 @@ class BallBalance:
     deepening: float = quantity(5e-4, "m", at_least=0, at_most=0.05)  # epsilon, feet inside the ball
     observer: float = quantity(0.1, "s", at_least=0)  # in which the ball's measured pose is taken over; 0: at once
 
+    needs = (Ball,)
+
     def obstacle_speed(self, duration: Array) -> Array:
         """The ball is to stand (m/s)."""
         return jnp.zeros_like(duration)
@@ -150,7 +154,7 @@ class BallBalance:
     def _planned(self, belief: Case, memory: BalanceMemory, seen: Observation) -> BalanceMemory:
         """(3.1.1) and the pulse after fig. 3.1.2, from what is measured now."""
         robot, stance = belief.robot, measured_stance(belief.robot, seen)
-        momentum = angular_momentum(robot, belief.obstacle, seen)
+        momentum = angular_momentum(robot, belief.on(Ball), seen)
         off = (centre_of_mass(robot, stance) - seen.free.position[0])[:2]
         pulse = towards(momentum, total_mass(robot)) / self.period
         place = memory.place.at[:2].add(memory.move)
@@ -162,7 +166,7 @@ class BallBalance:
         """The base a tick on: the commanded stance's mass centre goes towards where the law of every tick wants it."""
         robot, free = belief.robot, seen.free
         share = jnp.minimum(1.0, period / jnp.maximum(self.smoothing, period))
-        momentum = memory.momentum + share * (angular_momentum(robot, belief.obstacle, seen) - memory.momentum)
+        momentum = memory.momentum + share * (angular_momentum(robot, belief.on(Ball), seen) - memory.momentum)
         wanted = self.momentum_gain * towards(momentum, total_mass(robot)) - self.place_gain * free.position[0, :2]
         wanted = jnp.clip(wanted, -self.reach, self.reach)
         stance = Stance(rotate(free.quat, state.feet), memory.place, jnp.array(LEVEL))
@@ -226,6 +230,8 @@ class BallDrive:
     ease: float = quantity(0.1, "s", above=0)  # in which feet go over to where they are measured
     patience: float = quantity(0.0, "s", at_least=0)  # longest wait for a touchdown, while the ball rolls on below
 
+    needs = (Ball,)
+
     def obstacle_speed(self, duration: Array) -> Array:
         """What the ball is to do at the end of `duration` (s): stand, where it gets to its place (m/s)."""
         return jnp.where(self.speed * duration > self.place, 0.0, self.speed)
@@ -237,9 +243,18 @@ class BallDrive:
         for k in range(self.steps):
             legs = TRIPOD[k % 2]
             swing = {leg: perched.feet[leg - 1] for leg in legs}
-            frames = tuple(KOENIG if leg in legs else FIXED for leg in range(1, 7))
-            stages.append(Stage(f"step{k + 1}", self.step_time, swing, CYCLE_A, position=perched.position,
-                                foot_frames=frames, base_frame=KOENIG))  # fmt: skip
+            frames = tuple(KOENIG if leg in legs else FIXED for leg in LEGS)
+            stages.append(
+                Stage(
+                    f"step{k + 1}",
+                    self.step_time,
+                    swing,
+                    CYCLE_A,
+                    position=perched.position,
+                    foot_frames=frames,
+                    base_frame=KOENIG,
+                )
+            )
         return assemble(on_ball(belief, perched), stages, self.patience, onset="regrip")
 
     def memory(self, belief: Case, plan: Plan) -> DriveMemory:
@@ -272,7 +287,7 @@ class BallDrive:
 
     def _planned(self, belief: Case, state: TrackerState, seen: Observation) -> tuple[DriveMemory, Float[Array, "6 3"]]:
         """(3.1.8), delta r^(3) and the turned footholds, from the ball's measured place and speed."""
-        ball, memory = belief.obstacle, state.memory
+        ball, memory = belief.on(Ball), state.memory
         place, speed = seen.free.position[0], seen.free.velocity[0, 0]
         wanted = jnp.minimum(self.speed, self.brake * (self.place - place[0]))
         push = jnp.clip(self.speed_gain * (wanted - speed), -self.push_max, self.push_max)

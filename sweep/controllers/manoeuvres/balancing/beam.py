@@ -20,13 +20,15 @@ from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.formulas import stepping
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
+from sweep.models.legs import LEGS
+from sweep.models.obstacles.beam import Beam
 from sweep.models.robot import Robot
 from sweep.models.scene import mounts
 
 STAND = 0.5  # s, before the first and after the last swing
 DIAGONALS = ((1, 6), (2, 5))
 MIDDLE = (3, 4)
-OUT = np.isin(np.arange(1, 7), MIDDLE)
+OUT = np.isin(np.array(LEGS), MIDDLE)
 LEVEL_LEGS = {3: np.array([0.0, np.pi / 2, 0.0]), 4: np.array([0.0, np.pi / 2, np.pi])}  # straight out to the sides
 FORWARD = (0.0, -1.0, 0.0)
 
@@ -49,6 +51,11 @@ class Site(NamedTuple):
         """Feet abreast of their hips, each `track` (m) from the middle line, for a base at y."""
         depth = jnp.full(6, self.ground - self.deepening)
         return jnp.stack([SIDE * jnp.asarray(track, float), y - mounts(self.robot)[:, 0], depth], axis=-1)
+
+    def swing(self, name: str, legs: Sequence[int], feet: Float[Array, "6 3"], **more) -> Stage:
+        """Some legs step to where `feet` has theirs."""
+        goal = {leg: feet[leg - 1] for leg in legs}
+        return Stage(name, self.step.time, goal, CYCLE_B, self.step.height, **more)
 
     def angles(self, y: Array | float, feet: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
         """Joint angles (rad) that put the feet there, for a base at y."""
@@ -88,6 +95,8 @@ class BeamWalk:
     c5: float = quantity(-6.25, "N*m/rad")
     c6: float = quantity(10.067, "N*m*s/rad")  # printed with a minus: no damping
 
+    needs = (Beam,)
+
     def plan(self, belief: Case) -> Plan:
         """Stand, `steps` swings with the body's way between them, a last swing that closes the stance, stand."""
         site = self.site(belief)
@@ -103,8 +112,8 @@ class BeamWalk:
         """From what is believed."""
         length = belief.robot.body_length
         step = Step(self.half_step_ratio * length, self.lift_ratio * length, stepping.swing_time(self.rate))
-        track = belief.obstacle.width - 2 * self.inset
-        return Site(belief.robot, belief.obstacle.height, self.height_ratio * length, track, self.deepening, step)
+        track = belief.on(Beam).width - 2 * self.inset
+        return Site(belief.robot, belief.on(Beam).height, self.height_ratio * length, track, self.deepening, step)
 
     def gains(self, belief: Case) -> Gains:
         """Feedback of the flywheel."""
@@ -127,14 +136,13 @@ class BeamWalk:
             name = f"{k + 1}.{'-'.join(map(str, pair))}"
             y = y - way
             stages += [
-                Stage(name, site.step.time, {leg: goal[leg - 1] for leg in pair}, CYCLE_B, site.step.height,
-                      flywheel=self.mode(BALANCE)),
-                Stage(f"{k + 1}.body", 2 * site.step.time, position=site.base(y), pace=SMOOTH,
-                      flywheel=self.mode(LEVEL)),
-            ]  # fmt: skip
+                site.swing(name, pair, goal, flywheel=self.mode(BALANCE)),
+                Stage(
+                    f"{k + 1}.body", 2 * site.step.time, position=site.base(y), pace=SMOOTH, flywheel=self.mode(LEVEL)
+                ),
+            ]
         last, goal = DIAGONALS[self.steps % 2], site.feet(y, site.track / 2)
-        stages.append(Stage("close", site.step.time, {leg: goal[leg - 1] for leg in last}, CYCLE_B, site.step.height,
-                            flywheel=self.mode(BALANCE)))  # fmt: skip
+        stages.append(site.swing("close", last, goal, flywheel=self.mode(BALANCE)))
         return stages
 
 
@@ -160,7 +168,7 @@ class BeamCross(BeamWalk):
         """Stand, approach, narrow track, middle legs out, across, middle legs down, wide track, depart, halt."""
         site = self.site(belief)
         reach = belief.robot.body_length / 2 + self.margin
-        far = -belief.obstacle.length - reach
+        far = -belief.on(Beam).length - reach
         start, stages = self.walk_up(site, reach)
         stages += [
             *rebuild(site, reach, site.track, self.transfer_lift, "narrow"),
@@ -181,13 +189,13 @@ class BeamCross(BeamWalk):
         step = site.step
         first = y + 2 * step.landing * self.approach
         offsets = centre_offsets(TRIPOD, step)
-        feet = site.feet(first, self.wide_track / 2) + jnp.stack([offsets[leg] * forward for leg in range(1, 7)])
+        feet = site.feet(first, self.wide_track / 2) + jnp.stack([offsets[leg] * forward for leg in LEGS])
         start = Stance(feet, site.base(first), jnp.array(TOWARDS))
         stages = [Stage("stand", STAND), *self.tripods(site, start, self.approach)]
         goal = site.feet(y, self.wide_track / 2)
         for legs in TRIPOD:
             name = f"place.{'-'.join(map(str, legs))}"
-            stages.append(Stage(name, step.time, {leg: goal[leg - 1] for leg in legs}, CYCLE_B, step.height))
+            stages.append(site.swing(name, legs, goal))
         return start, stages
 
     def walking(self, site: Site) -> Site:
@@ -208,8 +216,8 @@ class BeamCross(BeamWalk):
         """2.6.3: back on to the narrow track, the same way."""
         raised, out = self.on_the_way(site, y)
         feet = site.feet(y, site.track / 2)
-        down = Stage("down.3", site.step.time, {leg: feet[leg - 1] for leg in MIDDLE},
-                     posture=chosen(site.angles(y, feet), MIDDLE))  # fmt: skip
+        goal = {leg: feet[leg - 1] for leg in MIDDLE}
+        down = Stage("down.3", site.step.time, goal, posture=chosen(site.angles(y, feet), MIDDLE))
         return [*postures(site, "down", (out, raised)), down]
 
     def on_the_way(self, site: Site, y: Array | float) -> tuple[Array, Array]:
@@ -229,8 +237,8 @@ def rebuild(site: Site, y: Array | float, track: Array | float, lift: Array | fl
     for legs in TRIPOD:
         label = f"{name}.{'-'.join(map(str, legs))}"
         stages.append(Stage(f"{label}.over", site.step.time, posture=chosen(over, legs)))
-        stages.append(Stage(f"{label}.down", site.step.time, {leg: goal[leg - 1] for leg in legs},
-                            posture=chosen(angles, legs)))  # fmt: skip
+        down = {leg: goal[leg - 1] for leg in legs}
+        stages.append(Stage(f"{label}.down", site.step.time, down, posture=chosen(angles, legs)))
     return stages
 
 

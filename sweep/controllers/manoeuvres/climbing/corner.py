@@ -18,6 +18,8 @@ from sweep.controllers.plan import CYCLE_B_SMOOTH, SMOOTH, Plan, Stage, Stance, 
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.formulas import stepping
 from sweep.models.case import Case
+from sweep.models.legs import LEGS
+from sweep.models.obstacles.corner import Corner
 
 STAND = 0.5  # s, before the first and after the last swing
 FRONT, MIDDLE, REAR = GALLOP
@@ -95,6 +97,8 @@ class OnCorner(PlannedForces):
     rate: float = quantity(3.0, "rad/s", above=0, at_most=20)  # varpi
     patience: float = quantity(0.5, "s", at_least=0)
 
+    needs = (Corner,)
+
     def site(self, belief: Case) -> Site:
         """What is believed of the robot and of the corner."""
         a_r = belief.robot.body_length
@@ -103,7 +107,7 @@ class OnCorner(PlannedForces):
             length=a_r,
             track=track,
             floor_track=self.floor_track_ratio * a_r,
-            edge=track / jnp.tan(belief.obstacle.half_angle),
+            edge=track / jnp.tan(belief.on(Corner).half_angle),
             clearance=self.height_ratio * a_r,
             standoff=self.standoff_ratio * a_r,
             span=self.span_ratio * a_r,
@@ -166,7 +170,7 @@ def get_on(site: Site, entry: Entry) -> tuple[Stance, list[Stage], dict]:
     behind = {FRONT: 0.0, MIDDLE: a_r / 2 - entry.middle_floor * x, REAR: a_r}
     floor = {leg: place for legs, eta in behind.items()
              for leg, place in site.on_floor(legs, site.standoff + eta).items()}  # fmt: skip
-    start = Stance(jnp.stack([floor[leg] for leg in range(1, 7)]), pivot + point(0.0, a_r / 2, 0.0), jnp.array(TOWARDS))
+    start = Stance(jnp.stack([floor[leg] for leg in LEGS]), pivot + point(0.0, a_r / 2, 0.0), jnp.array(TOWARDS))
 
     pitches = [0.0, *(jnp.arcsin(sine) for sine in entry.pitch), np.pi / 2]
 

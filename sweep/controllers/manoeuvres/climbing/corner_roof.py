@@ -25,6 +25,7 @@ from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
+from sweep.models.obstacles.corner import Corner
 from sweep.models.robot import Robot
 
 
@@ -123,7 +124,7 @@ class CornerRoof(OnCorner):
         Raises `InputError` where the house is too low, or too high for the cycles, by plain numbers; rows in which
         it is too low are not a number, hence invalid.
         """
-        site, top = self.site(belief), belief.obstacle.height
+        site, top = self.site(belief), belief.on(Corner).height
         start, stages, feet = climb(site, way.entry)
         rise = below_edge(site, top)[FRONT] - feet[FRONT]
         if not isinstance(rise, Tracer):
@@ -133,7 +134,7 @@ class CornerRoof(OnCorner):
 
     def refuse(self, belief: Case, rise: float, most: float) -> None:
         """Raise `InputError` where the gallop cannot go up by `rise` (m), `most` (m) a cycle."""
-        top, needed = belief.obstacle.height, math.ceil(rise / most)
+        top, needed = belief.on(Corner).height, math.ceil(rise / most)
         if rise < 0:
             least = math.ceil(100 * (top - rise)) / 100
             raise InputError(
@@ -174,7 +175,7 @@ def below_edge(site: Site, top: Array | float) -> dict:
 
 def over_edge(site: Site, belief: Case, events: Sequence[Event]) -> list[Stage]:
     """2.4.3: the events, from the end of the gallop on."""
-    feet = {legs: site.on_wall(legs, height) for legs, height in below_edge(site, belief.obstacle.height).items()}
+    feet = {legs: site.on_wall(legs, height) for legs, height in below_edge(site, belief.on(Corner).height).items()}
     unit, pitch, stages = leg_unit(belief.robot), 90.0, []
     for event in events:
         swing, guides = {}, {}
@@ -184,7 +185,7 @@ def over_edge(site: Site, belief: Case, events: Sequence[Event]) -> list[Stage]:
             leave, land = ahead * jnp.array(event.leave), ahead * jnp.array(event.land)
             guides = curves(feet[event.legs], swing, leave, land)
             feet[event.legs] = swing
-        centre = point(0.0, -event.base.ahead * unit, belief.obstacle.height + event.base.above * unit)
+        centre = point(0.0, -event.base.ahead * unit, belief.on(Corner).height + event.base.above * unit)
         turn = point(jnp.radians(pitch - event.base.pitch), 0.0, 0.0)
         pitch = event.base.pitch
         stages.append(Stage(event.name, TIMES * site.step.time, swing, CYCLE_B_SMOOTH, guides=guides,
@@ -202,11 +203,11 @@ def leg_unit(robot: Robot) -> Array | float:
 
 def spot(belief: Case, legs: tuple[int, int], to: Wall | Roof) -> dict[int, Array]:
     """Footholds of a pair (m)."""
-    top, unit = belief.obstacle.height, leg_unit(belief.robot)
+    top, unit = belief.on(Corner).height, leg_unit(belief.robot)
     aside = to.aside * unit
     if isinstance(to, Roof):
         return pair(legs, aside, -to.ahead * unit, top)
-    return pair(legs, aside, -aside / jnp.tan(belief.obstacle.half_angle), top + to.above * unit)
+    return pair(legs, aside, -aside / jnp.tan(belief.on(Corner).half_angle), top + to.above * unit)
 
 
 def walk_on(site: Site, belief: Case, steps: int, way: Array | float, ahead: Array | float) -> list[Stage]:
@@ -215,7 +216,7 @@ def walk_on(site: Site, belief: Case, steps: int, way: Array | float, ahead: Arr
     Where the roof is narrow, so are the tracks. In the first two the feet go beside their hips and the base rests:
     farther on middle feet would meet the front legs.
     """
-    top, stages = belief.obstacle.height, []
+    top, stages = belief.on(Corner).height, []
     base = -ahead * leg_unit(belief.robot)
     for k in range(steps):
         on = way if k >= len(TRIPOD) else 0.0
@@ -231,7 +232,7 @@ def walk_on(site: Site, belief: Case, steps: int, way: Array | float, ahead: Arr
 
 def on_roof(site: Site, belief: Case, leg: int, y: Array | float) -> Float[Array, " 3"]:
     """A foothold beside a hip at `y` (m), or as far back as the roof is wide enough."""
-    slope, brink = jnp.tan(belief.obstacle.half_angle), BRINK * site.length
+    slope, brink = jnp.tan(belief.on(Corner).half_angle), BRINK * site.length
     y = jnp.minimum(y, -brink - NARROWEST * site.length / slope)
     aside = jnp.minimum(site.floor_track, slope * (-y - brink))
-    return point(float(SIDE[leg - 1]) * aside, y, belief.obstacle.height)
+    return point(float(SIDE[leg - 1]) * aside, y, belief.on(Corner).height)

@@ -21,6 +21,8 @@ from sweep.core.rotations import rotate
 from sweep.formulas import stepping
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
+from sweep.models.legs import LEGS
+from sweep.models.obstacles.pole_ledge import PoleLedge
 
 STAND = 0.5  # s, before the first and after the last swing
 FRONT, MIDDLE, REAR = GALLOP
@@ -111,9 +113,11 @@ class PoleClimb(PlannedForces):
     patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
     forces: str = choice("deepening", "deepening", "planned")
 
+    needs = (PoleLedge,)
+
     def site(self, belief: Case) -> Site:
         """What is believed of the robot and of the pole."""
-        length, pole = belief.robot.body_length, belief.obstacle
+        length, pole = belief.robot.body_length, belief.on(PoleLedge)
         step = Step(self.half_step_ratio * length, self.lift_ratio * length, stepping.swing_time(self.rate))
         track = belief.robot.body_width / 2 + self.spread_ratio * length
         return Site(length, pole.radius, pole.height, pole.radius - self.deepening, track, self.height_ratio * length,
@@ -155,7 +159,7 @@ def approach(site: Site, belief: Case, steps: int, gap: Array | float = 0.0) -> 
     arrival = point(0.0, site.standoff + site.length / 2, site.clearance)
     position = arrival - (gap + 2 * step.landing * steps) * forward
     offsets = centre_offsets(TRIPOD, step)
-    feet = position + centres + jnp.stack([offsets[leg] * forward for leg in range(1, 7)])
+    feet = position + centres + jnp.stack([offsets[leg] * forward for leg in LEGS])
     start = Stance(feet, position, quat)
     stages = regular_steps(TRIPOD, step, start, centres, forward, steps, 0.0)
     places = {leg: place for legs in GALLOP for leg, place in site.on_floor(legs).items()}

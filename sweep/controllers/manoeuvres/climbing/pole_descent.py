@@ -10,7 +10,9 @@ from sweep.models.case import Case
 
 @parameters
 class PoleDescent(PoleLedge):
-    """The way of `PoleLedge` reversed: backwards by tripod to the pole, over its top, down it, and away by tripod.
+    """From the ledge behind a pole over its top and down it.
+
+    The way of `PoleLedge` reversed: backwards by tripod to the pole, over its top, down it, and away by tripod.
 
     Forces are planned for the reversed plan, not reversed: the weight does not change its direction.
     """
@@ -19,6 +21,6 @@ class PoleDescent(PoleLedge):
 
     def plan(self, belief: Case) -> Plan:
         """From the ledge to the floor."""
-        start, stages = self.way(belief)
+        start, stages = self.way(belief, self.table)
         down = reversed_in_time(assemble(start, [*stages, Stage("halt", STAND)], self.patience))
         return self.gripped(belief, down) if self.forces == "planned" else down

@@ -41,6 +41,8 @@ from sweep.controllers.posture import foot_centres
 from sweep.core.parameters import choice, count, parameters
 from sweep.core.rotations import rotate
 from sweep.models.case import Case
+from sweep.models.legs import LEGS
+from sweep.models.obstacles import pole_ledge
 
 ON_TOP, ON_LEDGE = "top", "ledge"
 
@@ -122,7 +124,7 @@ class PoleLedge(PoleTop):
 
     def way(self, belief: Case, moves: Sequence[Move]) -> tuple[Stance, list[Stage]]:
         """Get on the top, cross to the ledge, walk away."""
-        site, ledge = self.site(belief), belief.obstacle.ledge_height
+        site, ledge = self.site(belief), belief.on(pole_ledge.PoleLedge).ledge_height
         start, stages = self.ascend(site, belief)
         away, walk = walk_away(site, belief, ledge, self.steps_away)
         return start, [*stages, *self.rested([*cross(site, ledge, moves), *away]), *walk]
@@ -167,7 +169,7 @@ def walk_away(site: Site, belief: Case, ledge: Array | float, steps: int) -> tup
     centres = rotate(quat[None], foot_centres(belief.robot, spread, site.clearance))
     position = beyond(site, 0.75, ledge + site.clearance)
     offsets = centre_offsets(TRIPOD, step)
-    feet = position + centres + jnp.stack([offsets[leg] * forward for leg in range(1, 7)])
+    feet = position + centres + jnp.stack([offsets[leg] * forward for leg in LEGS])
     stages = []
     for legs in TRIPOD:
         name = f"away.{'-'.join(map(str, legs))}"

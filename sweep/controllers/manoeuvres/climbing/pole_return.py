@@ -12,7 +12,9 @@ from sweep.models.case import Case
 
 @parameters
 class PoleReturn(PoleClimb):
-    """The climb of `PoleClimb` and its reversal, which ends walking away from the pole backwards."""
+    """Up a pole by gallop, and the same way down and away from it.
+
+    The climb of `PoleClimb` and its reversal, which ends walking away from the pole backwards."""
 
     goal: ClassVar = UPRIGHT
     kind: str = choice("pole_return", "pole_return")

@@ -18,6 +18,7 @@ from sweep.controllers.symmetry import joined, last_stance, mirrored, reversed_i
 from sweep.core.parameters import choice, count, parameters
 from sweep.core.rotations import exponential, rotate
 from sweep.models.case import Case
+from sweep.models.obstacles.pole_ledge import PoleLedge
 
 STEP = np.pi / 8  # sigma: how far round the pole the base goes in 3 t*; printed as pi/6 in 2 t*
 BEHIND = np.array([0.0, 0.0, np.pi])  # rotation vector of the half turn to the ledge's side
@@ -39,7 +40,7 @@ class PoleRound(PoleClimb):
 
     def plan(self, belief: Case) -> Plan:
         """Climb, go round, and the climb from the ledge backwards."""
-        site, ledge = self.site(belief), belief.obstacle.ledge_height
+        site, ledge = self.site(belief), belief.on(PoleLedge).ledge_height
         landing = site.step.landing
         # A gap of x*, since walking up to the pole the front feet would stand beside it, where the ledge has ended.
         start, stages = replace(self, cycles=self.down_cycles).climb(site, belief, landing, landing)

@@ -13,6 +13,8 @@ from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import exponential
 from sweep.formulas import stepping
 from sweep.models.case import Case
+from sweep.models.legs import LEGS
+from sweep.models.obstacles.plane import Plane
 
 STAND = 0.5  # s, before the first and after the last step
 LEVEL = (1.0, 0.0, 0.0, 0.0)
@@ -34,6 +36,8 @@ class Walk:
     deepening: float = quantity(2e-3, "m", at_least=0, at_most=0.05)  # epsilon, footholds below the ground
     patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
 
+    needs = (Plane,)
+
     def plan(self, belief: Case) -> Plan:
         """Stand, `steps` swings, stand. Along the believed ground, with the base parallel to it."""
         robot = belief.robot
@@ -43,7 +47,7 @@ class Walk:
         start, centres = standing(belief, self.spread_ratio * length, self.height_ratio * length)
         forward = jnp.array([1.0, 0.0, 0.0])
         offsets = centre_offsets(gait, step)
-        start = start._replace(feet=start.feet + jnp.stack([offsets[leg] * forward for leg in range(1, 7)]))
+        start = start._replace(feet=start.feet + jnp.stack([offsets[leg] * forward for leg in LEGS]))
         swings = regular_steps(gait, step, start, centres, forward, self.steps, self.deepening)
         plan = assemble(start, [Stage("stand", STAND), *swings, Stage("halt", 2 * STAND)], self.patience)
         return on_ground(plan, belief)
@@ -58,6 +62,8 @@ class Stand:
     duration: float = quantity(4.0, "s", above=0)
     height_ratio: float = quantity(0.5, "a_r", above=0, at_most=2)
     spread_ratio: float = quantity(0.3, "a_r", at_least=0, at_most=2)
+
+    needs = (Plane,)
 
     def plan(self, belief: Case) -> Plan:
         """One stage."""
@@ -75,4 +81,4 @@ def standing(belief: Case, spread: Array | float, height: Array | float) -> tupl
 
 def on_ground(plan: Plan, belief: Case) -> Plan:
     """The plan on the believed ground: turned by its slope."""
-    return moved(plan, exponential(jnp.array([0.0, -1.0, 0.0]) * belief.obstacle.slope), jnp.zeros(3))
+    return moved(plan, exponential(jnp.array([0.0, -1.0, 0.0]) * belief.on(Plane).slope), jnp.zeros(3))

@@ -15,6 +15,8 @@ from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.formulas.thesis import thesis_fk, thesis_step, thesis_workspace
 from sweep.models.case import Case
+from sweep.models.legs import LEGS
+from sweep.models.obstacles.plane import Plane
 from sweep.models.robot import Robot
 
 WAYPOINTS = np.array([[0.0, 0.0], [3.0, 2.0], [3.0, 3.5], [8.0, 5.0]])  # m, on the ground
@@ -46,6 +48,8 @@ class Waypoints:
     cycles: int = count(9, at_least=1, at_most=100)  # 7 take the thesis' robot there, the rest are idle
     deepening: float = quantity(2e-3, "m", at_least=0, at_most=0.05)  # epsilon, footholds below the ground
     patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
+
+    needs = (Plane,)
 
     def plan(self, belief: Case) -> Plan:
         """Stand, two stages a cycle, halt.
@@ -110,7 +114,7 @@ class Waypoints:
         zone = thesis_workspace(-height, robot.coxa, robot.thigh, robot.shin, robot.mount_radius)
         out = outward(robot)[:, :2]
         across = jnp.stack([out[:, 1], -out[:, 0]], axis=-1)  # x of the leg's frame, whose y points outward
-        ahead = jnp.array([1.0 if leg in TRIPODS[0] else -1.0 for leg in range(1, 7)])
+        ahead = jnp.array([1.0 if leg in TRIPODS[0] else -1.0 for leg in LEGS])
         way = ahead[:, None] * jnp.stack([across @ direction, out @ direction], axis=-1)
         foot = jnp.stack([jnp.zeros_like(spread), spread])
         return thesis_step(foot, way, zone.OA, zone.OB, zone.phimax).support

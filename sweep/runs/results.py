@@ -1,24 +1,19 @@
 """A study's folder as its reports see it."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from sweep.analysis import sensitivity
 from sweep.core.errors import InputError
 from sweep.core.expressions import mask
 from sweep.metrics.outcome import MEANING
-from sweep.report import statistics
-from sweep.report.labels import axis_words, heading, unit_of
-from sweep.report.tables import text
 from sweep.runs import store
 from sweep.study.config import Experiment, experiment
-from sweep.study.study import nominal, parameter_columns, side_and_path
+from sweep.study.study import parameter_columns
 
 
 @dataclass(frozen=True)
@@ -86,36 +81,3 @@ def read(folder: Path, where: str | None = None) -> Results:
         if rows.empty:
             raise InputError(f"no row of {folder} matches where = {where!r}")
     return Results(folder, stored, experiment(stored["config"]), rows, where)
-
-
-def parameters(results: Results) -> Iterator[dict[str, Any]]:
-    """What was varied."""
-    for name in results.axes:
-        values = results.rows[name]
-        side, path = side_and_path(name)
-        listed = [text(v) for v in sorted(values.unique())]
-        extent = ", ".join(listed) if len(listed) <= 6 else f"{listed[0]} to {listed[-1]}"
-        own = not name.startswith("axis.")  # else a number that parameters are made from
-        usual = text(nominal(name, results.exp.case, results.exp.settings)) if own else ""
-        about = {"words": axis_words(name), "path": path, "on": side, "unit": unit_of(name, results.exp)}
-        yield {**about, "values": extent, "number": len(listed), "nominal": usual}
-
-
-def told(results: Results) -> Iterator[tuple[str, pd.DataFrame | str]]:
-    """Titles and contents of the statistics of a study, parameters in words; of a table of points none are known."""
-    if results.exp.study.points:
-        return
-    for title, content in list(statistics.sections(results.rows, results.exp))[1:]:  # the first is the headline
-        if isinstance(content, pd.DataFrame) and "axis" in content:
-            content = content.assign(axis=content["axis"].map(partial(heading, exp=results.exp)))
-        yield title, content
-
-
-def binned(values: pd.Series, most: int) -> pd.Series:
-    """The values where there are at most `most`; else the middles of `most` equal intervals that they lie in."""
-    if values.dtype.kind not in "fi" or values.nunique() <= most:
-        return values
-    low, high = values.min(), values.max()
-    width = (high - low) / most
-    index = np.minimum(((values - low) / width).astype(int), most - 1)
-    return low + (index + 0.5) * width

@@ -106,12 +106,21 @@ class Slurm:
         """Send the jobs; Slurm starts them when it can. Raises `InputError` where it never would."""
         distributed, jobqueue = _dask("distributed", self.kind), _dask("dask_jobqueue", self.kind)
         cluster = jobqueue.SLURMCluster(
-            cores=self.cores, processes=1, memory=self.memory, walltime=self.walltime, queue=self.queue,
-            account=self.account, interface=self.interface, job_extra_directives=list(self.directives),
-            job_script_prologue=list(self.prologue), log_directory=self.logs, python=sys.executable,
+            cores=self.cores,
+            processes=1,
+            memory=self.memory,
+            walltime=self.walltime,
+            queue=self.queue,
+            account=self.account,
+            interface=self.interface,
+            job_extra_directives=list(self.directives),
+            job_script_prologue=list(self.prologue),
+            log_directory=self.logs,
+            python=sys.executable,
             # one batch at a time; Slurm guards the memory, where Dask would only pause the worker
-            worker_extra_args=["--nthreads", "1", "--memory-limit", "0"], scheduler_options=QUIET_SCHEDULER,
-        )  # fmt: skip
+            worker_extra_args=["--nthreads", "1", "--memory-limit", "0"],
+            scheduler_options=QUIET_SCHEDULER,
+        )
         with cluster, distributed.Client(cluster) as client:
             _check_job(cluster.job_script())
             cluster.adapt(minimum_jobs=self.workers, maximum_jobs=self.workers)

@@ -1,0 +1,117 @@
+"""The leg (`leg`) and the step cycles (`stepping`) as formulas."""
+
+from typing import Annotated, NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from sweep.formulas import leg as legs
+from sweep.formulas import stepping
+from sweep.formulas.formula import Input, Scalar, formula, positive
+
+LegNumber = Annotated[int, Input("", 6, options=(1, 2, 3, 4, 5, 6))]
+Coxa = Annotated[Scalar, Input("m", 0.0, at_least=0)]
+Thigh = Annotated[Scalar, positive("m", 0.52)]
+Shin = Annotated[Scalar, positive("m", 0.335)]
+
+
+def _side(leg: int) -> Array:
+    return jnp.asarray(legs.SIDE[leg - 1])
+
+
+class Foot(NamedTuple):
+    """Foot from the hip, body axes."""
+
+    foot: Annotated[Float[Array, "... 3"], "m"]
+
+
+@formula("monograph", "1.1.1", "1.1.4")
+def leg_fk(
+    leg: LegNumber,
+    angles: Annotated[Float[Array, "... 3"], Input("rad", (0.0, 2.0, 1.0))],
+    l0: Coxa,
+    l1: Thigh,
+    l2: Shin,
+) -> Foot:
+    """Foot of a leg from its joint angles."""
+    return Foot(legs.fk(_side(leg), angles, l0, l1, l2))
+
+
+class JointAngles(NamedTuple):
+    """Angles with the knee outside and, for a foot on the inner side, inside."""
+
+    angles: Annotated[Float[Array, "... 3"], "rad"]
+    mirror_knee_angles: Annotated[Float[Array, "... 3"], "rad"]
+    inner_side: Annotated[Bool[Array, "..."], ""]
+
+
+@formula(
+    "monograph",
+    "1.1.2-1.1.3",
+    correction="(1.1.3) misses a foot on the inner side of its hip, and any foot if l0 > 0",
+    condition="the foot must be in reach of the leg",
+)
+def leg_ik(
+    leg: LegNumber, q: Annotated[Float[Array, "... 3"], Input("m", (0.1, 0.4, -0.3))], l0: Coxa, l1: Thigh, l2: Shin
+) -> JointAngles:
+    """Joint angles of a leg from its foot, knee outside or (mirror) inside."""
+    side = _side(leg)
+    outside, miss = legs.ik(side, q, l0, l1, l2)
+    inside, _ = legs.ik(side, q, l0, l1, l2, mirror=True)
+    reached = jnp.where(miss[..., None] > 0, jnp.nan, 1.0)
+    return JointAngles(outside * reached, inside * reached, side * q[..., 1] < 0)
+
+
+class Mounts(NamedTuple):
+    """Hips of legs 1 to 6, body axes."""
+
+    points: Annotated[Float[Array, "6 3"], "m"]
+
+
+@formula("monograph", "1.1.5-1.1.6")
+def mounts(b_p: Annotated[Scalar, positive("m", 0.525)]) -> Mounts:
+    """Hips of the six legs on a circle."""
+    return Mounts(legs.circular_mounts(b_p))
+
+
+class Cycle(NamedTuple):
+    """Foot in the axes of its cycle."""
+
+    xy: Annotated[Float[Array, "... 2"], "m"]
+
+
+@formula(
+    "monograph",
+    "1.3.1-1.3.2",
+    correction="cycle b turns at pi/t*; kprime = 1 stands for 2 t*; x* is positive",
+)
+def step_cycle(
+    cycle: Annotated[str, Input("", "a", options=("a", "b"))],
+    t: Annotated[Scalar, Input("s", 0.5, at_least=0)],
+    tstar: Annotated[Scalar, positive("s", 1.2156)],
+    d_x: Annotated[Scalar, positive("m", 0.1)],
+    d_y: Annotated[Scalar, positive("m", 0.08)],
+    kprime: Annotated[int, Input("", 2, options=(1, 2))],
+    period: Annotated[Scalar, Input("s", 0.0, at_least=0)],
+) -> Cycle:
+    """Foot in a step cycle, swing and stance (period 0: that of kprime)."""
+    full = jnp.where(jnp.asarray(period) > 0, period, tstar * (1 + 2 / kprime))
+    return Cycle(stepping.step_cycle(cycle, t % full, tstar, d_x, d_y, kprime))
+
+
+class Blend(NamedTuple):
+    """Share of the way, and its rate."""
+
+    lam: Annotated[Float[Array, "..."], ""]
+    dlam: Annotated[Float[Array, "..."], "1/s"]
+
+
+@formula("monograph", "1.3.3", correction="w = 1/[sigma (sigma2 t* - sigma)], printed for sigma2 = 1 only")
+def lambda1(
+    t: Annotated[Scalar, Input("s", 0.6)],
+    t0: Annotated[Scalar, Input("s", 0.0)],
+    tstar: Annotated[Scalar, positive("s", 1.2156)],
+    sigma2: Annotated[Scalar, Input("", 1.0, at_least=0.5, at_most=1)],
+) -> Blend:
+    """Share of an irregular transfer done at a time, and its rate."""
+    return Blend(*stepping.lambda_1(t, t0, tstar, sigma2))

@@ -1,0 +1,78 @@
+"""The rooms of the package and which of them may know which: imports as the sources say them, lazy ones too."""
+
+import ast
+from graphlib import TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parents[1] / "sweep"
+# from the ground up: a room knows those before it; modules beside the rooms, which users import, know all of them
+BELOW_RUNS = ("core", "formulas", "models", "dynamics", "controllers", "metrics", "engines", "study", "analysis")
+ROOMS = (*BELOW_RUNS, "runs", "trace", "report", "cli", "")
+# one rollout's surfaces; physics measured alone
+JAX_ABOVE_ENGINES = {"sweep.trace.held", "sweep.cli.bench"}
+# the sources' own text; compiled programs; a study's name for its folder and its table of points
+FILES_BELOW_RUNS = {
+    "sweep.core.files",
+    "sweep.core.provenance",
+    "sweep.engines.devices",
+    "sweep.engines.program_cache",
+    "sweep.study.config",
+    "sweep.study.study",
+}
+
+
+def name_of(path):
+    """`sweep.models` of sweep/models/__init__.py."""
+    return ".".join(("sweep", *path.relative_to(PACKAGE).with_suffix("").parts)).removesuffix(".__init__")
+
+
+MODULES = {name_of(path): path for path in PACKAGE.rglob("*.py")}
+
+
+def imported(path):
+    """All modules that the source at `path` names in imports, wherever they stand in it."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path} imports relatively"
+            parts = [f"{node.module}.{alias.name}" for alias in node.names]
+            yield from (part if part in MODULES else node.module for part in parts)
+
+
+ARROWS = {name: set(imported(path)) for name, path in MODULES.items()}
+
+
+def room(module):
+    return next((part for part in module.split(".")[1:2] if part in ROOMS), "")
+
+
+def above(place):
+    return ROOMS[ROOMS.index(place) + 1 :]
+
+
+@pytest.mark.parametrize("place", ROOMS)
+def test_no_room_knows_one_above_it(place):
+    arrows = [(name, other) for name in MODULES if room(name) == place for other in ARROWS[name] & set(MODULES)]
+    assert not [(name, other) for name, other in arrows if room(other) in above(place)]
+
+
+def test_no_module_needs_itself():
+    TopologicalSorter({name: others & set(MODULES) for name, others in ARROWS.items()}).prepare()
+
+
+def test_every_module_has_a_room():
+    beside = {name for name in MODULES if not room(name)}
+    assert beside == {"sweep", "sweep.api"}
+
+
+def test_only_engines_and_what_is_below_know_jax():
+    roots = {name: {other.partition(".")[0] for other in others} for name, others in ARROWS.items()}
+    assert {n for n in MODULES if "jax" in roots[n] and room(n) in above("engines")} == JAX_ABOVE_ENGINES
+
+
+def test_only_runs_and_what_is_above_know_files():
+    files = {"pathlib", "tempfile", "shutil"}
+    assert {n for n in MODULES if files & ARROWS[n] and room(n) in BELOW_RUNS} == FILES_BELOW_RUNS
