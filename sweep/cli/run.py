@@ -80,7 +80,7 @@ def execute(exp: Experiment, flags: Flags) -> int:
         print(forecast(runner.lay_out(exp, folder, first)))
         return DONE
     with store.locked(folder), connected(exp.cluster) as dispatch:
-        for line in store.discard_damaged(folder):
+        for line in runner.mend(exp, folder):
             print(f"sweep: {line}", file=sys.stderr)
             store.log(folder, line)
         done, start = 0, time.perf_counter()
@@ -166,11 +166,11 @@ def duration(job: runner.Job, missing: pd.DataFrame) -> str:
 def pace(folder: Path, job: runner.Job) -> float | None:
     """Wall time of a rollout (s) in the last batch of `folder`, if its scenario, engine and device are those here."""
     try:
-        stored, done = store.read_study(folder), store.finished(folder)
+        stored, done = store.read_study(folder), store.counted(folder)
         config, exp = stored["config"], job.exp
         same = (config["scenario"]["name"], config["engine"]["name"]) == (exp.scenario, exp.settings.name)
         same &= provenance.device(exp.settings) in stored["devices"]
-        return float(store.read_part(folder, max(done))["wall_s"].iloc[0]) if done and same else None
+        return float(store.read_part(folder, done[-1])["wall_s"].iloc[-1]) if done and same else None
     except (InputError, KeyError):  # damaged, or of an earlier layout
         return None
 

@@ -20,7 +20,7 @@ from jax.experimental.serialize_executable import deserialize_and_load, serializ
 from jax.stages import Compiled
 
 from sweep.core import provenance
-from sweep.runs import store
+from sweep.core.files import write_whole
 
 MOST = 200  # files, of about a MB each
 CPU_INFO = Path("/proc/cpuinfo")
@@ -96,6 +96,6 @@ def _load(file: Path, devices: Sequence[Any]) -> Sequence[Compiled] | None:
 
 def _keep(file: Path, content: bytes) -> None:
     file.parent.mkdir(parents=True, exist_ok=True)
-    store.write_whole(file, lambda path: path.write_bytes(content))
+    write_whole(file, content)
     for old in sorted(file.parent.glob("*.programs"), key=lambda f: f.stat().st_mtime)[:-MOST]:
         old.unlink(missing_ok=True)

@@ -16,6 +16,7 @@ import yaml
 from sweep.analysis import compare
 from sweep.analysis.results import Results
 from sweep.core.errors import InputError
+from sweep.core.files import write_whole
 from sweep.engines.settings import EngineSettings
 from sweep.runs import runner, store
 from sweep.study.config import Experiment, experiment
@@ -38,7 +39,7 @@ def run(results: Results, number: int, ways: list[str], progress: runner.Progres
     for way in ways:
         if way not in WAYS:
             raise InputError(f"--ways {way} is unknown (allowed: {', '.join(WAYS)})")
-    exp = one_engine(results)
+    one = one_engine(results)
     near = np.flatnonzero(boundary(results))
     if not len(near):
         raise InputError(f"{results.folder} has no boundary: no two neighbouring points differ in success")
@@ -49,12 +50,14 @@ def run(results: Results, number: int, ways: list[str], progress: runner.Progres
     folder = results.folder / AUDIT
     folder.mkdir(exist_ok=True)
     about = {"where": results.where, "boundary": len(near), "chosen": len(points)}
-    (folder / ABOUT).write_text(yaml.safe_dump(about))
+    write_whole(folder / ABOUT, yaml.safe_dump(about).encode())
     for way in ways:
-        settings = replace(WAYS[way][1](exp.settings), width=0)  # so few rollouts have a width of their own
-        values = {**exp.values, "engine": asdict(settings), "out": str(folder / way)}
+        settings = replace(WAYS[way][1](one.settings), width=0)  # so few rollouts have a width of their own
+        values = {**one.values, "engine": asdict(settings), "out": str(folder / way)}
+        exp = experiment(values)
         with store.locked(folder / way):
-            runner.run(runner.lay_out(experiment(values), folder / way, points), progress)
+            runner.mend(exp, folder / way)
+            runner.run(runner.lay_out(exp, folder / way, points), progress)
 
 
 def one_engine(results: Results) -> Experiment:
