@@ -92,8 +92,10 @@ def execute(exp: Experiment, flags: Flags) -> int:
             done += todo
         seconds = time.perf_counter() - start
         print(f"{done} rollouts in {seconds:.1f} s ({done / seconds:.1f} a second)", file=sys.stderr)
-        rows = store.read_rows(folder)
+        rows, used = store.read_rows(folder), store.read_study(folder)["devices"]
         complete = len(rows) == len(job.table) and (whole or len(first) == len(runner.wanted_points(exp)))
+    if len(used) > 1:
+        print(f"sweep: equal rollouts need not be equal to the last bit on {' and on '.join(used)}", file=sys.stderr)
     print(summary(exp.study.name, rows))
     if exp.study.refined:
         print("\n".join(f"refined: {one}" for one in refine.refined(exp, rows)))

@@ -7,7 +7,6 @@ import contextlib
 import hashlib
 import os
 import pickle
-import platform
 import threading
 import zlib
 from collections.abc import Callable, Iterator, Sequence
@@ -23,7 +22,6 @@ from sweep.core import provenance
 from sweep.core.files import write_whole
 
 MOST = 200  # files, of about a MB each
-CPU_INFO = Path("/proc/cpuinfo")
 _jax_settings = threading.RLock()
 
 
@@ -73,17 +71,11 @@ def _folder() -> Path | None:
 
 def _key(made_of: Any, devices: Sequence[Any]) -> str:
     kind, version = devices[0].device_kind, devices[0].client.platform_version
-    where = kind, version, [device.id for device in devices], _processor()
+    where = kind, version, [device.id for device in devices], provenance.processor()
     how = sorted(jax.config.values.items()), os.environ.get("XLA_FLAGS")
-    return hashlib.blake2b(repr((made_of, provenance.code_version(), where, how)).encode(), digest_size=20).hexdigest()
-
-
-def _processor() -> Any:
-    """What a program for the CPU may make use of: machines that share a home folder need not be alike."""
-    if not CPU_INFO.exists():
-        return platform.processor()
-    lines = CPU_INFO.read_text().splitlines()
-    return sorted({line for line in lines if line.startswith(("model name", "flags", "Features"))})
+    return hashlib.blake2b(
+        repr((made_of, provenance.program_version(), where, how)).encode(), digest_size=20
+    ).hexdigest()
 
 
 def _load(file: Path, devices: Sequence[Any]) -> Sequence[Compiled] | None:

@@ -64,7 +64,7 @@ def test_what_one_process_compiled_the_next_loads(folder):
 def test_where_anything_differs_it_is_compiled_anew(folder, monkeypatch, change):
     program_cache.programs("two", ONE, Compiler(2.0))
     if change == "code":
-        monkeypatch.setattr(provenance, "code_version", lambda: "another")
+        monkeypatch.setattr(provenance, "program_version", lambda: "another")
     if change == "compiler flags":
         monkeypatch.setenv("XLA_FLAGS", "--xla_cpu_enable_fast_math=true")
     precision = "bfloat16" if change == "JAX's settings" else jax.config.jax_default_matmul_precision
