@@ -23,7 +23,7 @@ from sweep.report import tables
 from sweep.runs import refine, runner, store
 from sweep.runs.batches import make_engine
 from sweep.runs.batches import nominal as nominal_batch
-from sweep.runs.clusters import connected
+from sweep.runs.clusters import Watched, connected
 from sweep.study import config, designs
 from sweep.study.config import Experiment
 from sweep.study.study import nominal, parameter_columns, unit
@@ -79,15 +79,20 @@ def execute(exp: Experiment, flags: Flags) -> int:
     if flags.dry_run:
         print(forecast(runner.lay_out(exp, folder, first)))
         return DONE
-    with store.locked(folder), connected(exp.cluster) as dispatch:
+
+    def say(line: str) -> None:
+        print(f"sweep: {line}", file=sys.stderr)
+        store.log(folder, line)
+
+    watched = Watched(say)
+    with store.locked(folder), connected(exp.cluster, watched) as dispatch:
         for line in runner.mend(exp, folder):
-            print(f"sweep: {line}", file=sys.stderr)
-            store.log(folder, line)
+            say(line)
         done, start = 0, time.perf_counter()
         refining = exp.study.refined and whole
         for job in refine.rounds(exp, folder, first) if refining else [runner.lay_out(exp, folder, first)]:
             todo = len(job.rows(job.missing()))
-            with reporting(exp.study.name, todo) as report:
+            with reporting(exp.study.name, todo, watched) as report:
                 job = runner.run(job, report, dispatch)
             done += todo
         seconds = time.perf_counter() - start
@@ -190,8 +195,8 @@ def axes_table(exp: Experiment) -> str:
 
 
 @contextmanager
-def reporting(name: str, total: int) -> Iterator[runner.Progress]:
-    """A live bar on a terminal's standard error, nothing elsewhere."""
+def reporting(name: str, total: int, watched: Watched | None = None) -> Iterator[runner.Progress]:
+    """A live bar on a terminal's standard error, nothing elsewhere; with the workers that are `watched`."""
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[note]}"),
                TimeRemainingColumn())  # fmt: skip
     console = Console(stderr=True)
@@ -203,6 +208,7 @@ def reporting(name: str, total: int) -> Iterator[runner.Progress]:
             nonlocal done, good
             done, good = done + len(rows), good + int((rows["outcome"] == "success").sum())
             pace = done / (time.perf_counter() - start)
-            bar.update(task, completed=done, note=f"{pace:.1f} rollouts/s, {good / done:.0%} succeed")
+            workers = f", {watched.workers} workers" if watched and watched.workers is not None else ""
+            bar.update(task, completed=done, note=f"{pace:.1f} rollouts/s, {good / done:.0%} succeed{workers}")
 
         yield report
