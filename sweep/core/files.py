@@ -6,7 +6,7 @@ import socket
 from collections.abc import Callable
 from pathlib import Path
 
-from sweep.core.errors import Fault
+from sweep.core.errors import Fault, InputError
 
 HIDDEN = ".tmp-"  # begins the name of a file that is not whole yet
 
@@ -41,6 +41,27 @@ def append(path: Path, line: str) -> None:
                 raise
     except OSError as error:
         raise Fault(f"{path} cannot be written: {reason(error)}") from None
+
+
+def private(path: Path) -> bool:
+    """Whether there is a folder at `path`, made for this user alone where it is missing.
+
+    Raises `InputError` where others can put files there: what is kept in it is run.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True, mode=0o700)
+        own(path)
+    except OSError:
+        return False
+    return True
+
+
+def own(path: Path) -> None:
+    """Raises `InputError` where `path` belongs to another user or others may write it."""
+    found = path.stat()
+    if found.st_uid != os.geteuid() or found.st_mode & 0o022:
+        whose = "belongs to another user" if found.st_uid != os.geteuid() else "can be written by others (chmod go-w)"
+        raise InputError(f"{path} {whose}, and what is kept there is run: remove it, or set XDG_CACHE_HOME")
 
 
 def reason(error: OSError) -> str:

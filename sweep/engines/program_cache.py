@@ -1,6 +1,8 @@
 """Compiled programs kept between processes, so that a later start need not even trace them.
 
 JAX keeps what its compiler makes, but has to trace a program to find it again, which takes longer than to load it.
+A kept program is machine code within a pickle, as JAX serialises no other way: to load one is to run it. So they are
+loaded only from a folder and files of this user that nobody else can write.
 """
 
 import contextlib
@@ -18,8 +20,8 @@ from jax.experimental.compilation_cache.compilation_cache import reset_cache
 from jax.experimental.serialize_executable import deserialize_and_load, serialize
 from jax.stages import Compiled
 
-from sweep.core import provenance
-from sweep.core.files import write_whole
+from sweep.core import files, provenance
+from sweep.core.errors import InputError
 
 MOST = 200  # files, of about a MB each
 _jax_settings = threading.RLock()
@@ -66,7 +68,8 @@ def _folder() -> Path | None:
     """Where JAX keeps its own, if it does. Sources that changed meanwhile are not what was traced."""
     if not jax.config.jax_enable_compilation_cache or not jax.config.jax_compilation_cache_dir or provenance.edited():
         return None
-    return Path(jax.config.jax_compilation_cache_dir)
+    folder = Path(jax.config.jax_compilation_cache_dir)
+    return folder if files.private(folder) else None
 
 
 def _key(made_of: Any, devices: Sequence[Any]) -> str:
@@ -80,14 +83,16 @@ def _key(made_of: Any, devices: Sequence[Any]) -> str:
 
 def _load(file: Path, devices: Sequence[Any]) -> Sequence[Compiled] | None:
     try:
+        files.own(file)
         parts = pickle.loads(zlib.decompress(file.read_bytes()))
         return [deserialize_and_load(*part, execution_devices=devices) for part in parts]
+    except InputError:
+        raise
     except Exception:  # not there, cut short, or not for these devices after all
         return None
 
 
 def _keep(file: Path, content: bytes) -> None:
-    file.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(file, content)
+    files.write_whole(file, content)
     for old in sorted(file.parent.glob("*.programs"), key=lambda f: f.stat().st_mtime)[:-MOST]:
         old.unlink(missing_ok=True)
