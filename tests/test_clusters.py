@@ -2,8 +2,10 @@
 
 import os
 import random
+import re
 import signal
 import sys
+from pathlib import Path
 
 import pandas as pd
 import psutil
@@ -11,7 +13,9 @@ import pytest
 from small_study import BATCHES, STUDY, content, one_line, start, wait_for
 
 from sweep.cli.main import main
+from sweep.core.errors import InputError
 from sweep.runs import store
+from sweep.study import clusters
 
 pytestmark = pytest.mark.usefixtures("fake_engine")
 WORKERS = ("cluster=dask_local", "cluster.workers=2")
@@ -79,6 +83,51 @@ def test_workers_at_an_address_must_have_this_code(tmp_path, whole, monkeypatch,
         capsys.readouterr()
         assert main([*run, f"out={tmp_path / 'b'}"]) == 2
         one_line(capsys.readouterr().err, "another version of the code", "not other")
+
+
+@pytest.mark.slow
+def test_a_worker_that_hangs_is_named_and_its_batch_goes_to_another(tmp_path, whole, monkeypatch, capsys):
+    import dask.config
+
+    monkeypatch.setenv("FAKE_STOP", str(tmp_path / "stopped"))
+    monkeypatch.setattr(clusters, "LEAST", 4.0)
+    monkeypatch.setattr(clusters, "FIRST", 20.0)  # which another machine's load must not reach
+    monkeypatch.setattr(clusters, "GIVE_UP", 10.0)
+    with dask.config.set({"distributed.worker.preload": ["fake_engine"]}):
+        assert main(["run", *STUDY, *WORKERS, f"out={tmp_path / 'out'}"]) == 0
+    assert (tmp_path / "stopped").exists()
+    error = capsys.readouterr().err
+    assert "batch 6 has kept worker tls://" in error
+    assert "it goes to another" in error
+    pd.testing.assert_frame_equal(content(tmp_path / "out"), whole)
+
+
+def test_a_scheduler_that_the_command_starts_listens_to_nobody_else():
+    import distributed
+
+    with clusters.DaskLocal(workers=1).connect(clusters.Watched(print)) as dispatch:
+        address = dispatch.args[0].scheduler.address  # pyright: ignore
+        for security in (None, distributed.Security.temporary()):
+            with pytest.raises((OSError, ValueError)):
+                distributed.Client(
+                    address.replace("tls:", "tls:" if security else "tcp:"), security=security, timeout=2
+                )
+        assert list(dispatch(abs, [-3])) == [3]
+
+
+def test_jobs_of_slurm_are_given_keys_that_only_this_user_can_read(tmp_path, monkeypatch):
+    seen = []
+
+    def check(script):
+        files = [Path(line) for line in re.findall(r"--tls-\w+(?:-\w+)? (\S+)", script)]
+        seen.extend((script, *(file.stat().st_mode & 0o077 for file in files), len(files)))
+        raise InputError("enough")
+
+    monkeypatch.setattr(clusters, "_check_job", check)
+    with pytest.raises(InputError), clusters.Slurm(logs=str(tmp_path / "logs")).connect(clusters.Watched(print)):
+        pass
+    assert "tls://" in seen[0]
+    assert seen[1:] == [0, 0, 0, 3]
 
 
 def test_what_a_cluster_needs_is_said_before_anything_runs(tmp_path, monkeypatch, capsys):

@@ -1,4 +1,15 @@
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from small_study import STUDY, content
+
+from sweep.cli.main import main
+from sweep.core import provenance
 from sweep.core.provenance import statements
+from sweep.engines.run_id import run_id
+from sweep.engines.settings import EngineSettings
 
 SOURCE = '''"""What it does."""
 def f(x):
@@ -7,6 +18,12 @@ def f(x):
 class C:
     """What C is."""
 '''
+# what a worker has imported when it has simulated a batch on either engine
+WORKER = """
+import sys
+import sweep.runs.runner, sweep.engines.mjx, sweep.engines.native
+print(*(m.__file__ for name, m in sys.modules.items() if name.split(".")[0] == "sweep" and m.__file__), sep="\\n")
+"""
 
 
 def test_words_and_format_do_not_change_the_version_of_the_code_and_all_else_does():
@@ -14,3 +31,40 @@ def test_words_and_format_do_not_change_the_version_of_the_code_and_all_else_doe
     assert statements(SOURCE) == statements(formatted)
     for old, new in (("x + 1", "x + 2"), ("x + 1", "x + 1.0"), ("f(x)", "f(x, y)"), ("class C", "class D")):
         assert statements(SOURCE) != statements(SOURCE.replace(old, new))
+
+
+def test_every_module_that_a_worker_runs_is_in_the_version_of_the_code(monkeypatch):
+    loaded = subprocess.run([sys.executable, "-c", WORKER], check=True, capture_output=True, text=True).stdout.split()
+    sources = provenance.sources(provenance.WORKER)
+    assert {Path(file) for file in loaded if not file.endswith("conf/__init__.py")} <= set(sources)
+    named = {file.relative_to(provenance.ROOT).as_posix() for file in sources}
+    assert {"study/study.py", "study/identity.py", "runs/batches.py", "study/clusters.py"} <= named
+    assert not [name for name in named if name.startswith(("cli", "report", "trace"))]
+    real, version = provenance._read, provenance.code_version()
+    for edited in sources:
+
+        def read(file, edited=edited):
+            imports, said = real(file)
+            return imports, said + "\nvalues *= 2" * (file == edited)
+
+        monkeypatch.setattr(provenance, "_read", read)
+        provenance.code_version.cache_clear()
+        assert provenance.code_version() != version, edited
+    provenance.code_version.cache_clear()
+
+
+@pytest.mark.usefixtures("fake_engine")
+def test_another_processor_is_another_run_and_said(tmp_path, monkeypatch, capsys):
+    settings = EngineSettings()
+    here = run_id(settings)
+    with monkeypatch.context() as patch:
+        patch.setenv("XLA_FLAGS", "--xla_cpu_max_isa=SSE4_2")
+        assert run_id(settings) != here
+    assert main(["run", *STUDY, f"out={tmp_path}", "--limit", "8"]) == 0
+    assert "last bit" not in capsys.readouterr().err
+    monkeypatch.setattr(provenance, "processor", lambda: "another processor")
+    assert run_id(settings) != here
+    assert main(["run", *STUDY, f"out={tmp_path}"]) == 0
+    assert "need not be equal to the last bit on" in (error := capsys.readouterr().err)
+    assert "another processor" in error
+    assert content(tmp_path)["run_id"].nunique() == 2

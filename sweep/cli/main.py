@@ -71,6 +71,7 @@ def parser() -> argparse.ArgumentParser:
     command("run", lambda _: DONE, "simulate a scenario, or every point of a study; " + delegated.format("run"))
     command("list", show_choices, "what can be run: scenarios, studies, robots and the other groups")
     of_results("status", status, "how far a study is")
+    of_results("verify", verify, "which files of a study are damaged, missing or no part of it")
     table = of_results("table", show_table, "the rows of a study as a table")
     table.add_argument("--format", choices=("csv", "markdown", "latex", "parquet"), default="markdown")
     table.add_argument("--where", help="only rows that match, such as 'friction > 0.8 and outcome == \"failure\"'")
@@ -193,6 +194,18 @@ def status(given: argparse.Namespace) -> int:
         for line in causes(rows["cause"]):
             print(f"  {line}")
     return DONE
+
+
+def verify(given: argparse.Namespace) -> int:
+    """Which files of a folder are not as they were written."""
+    from sweep.runs import repair
+
+    problems, others, sound = repair.verify(given.dir)
+    for line in (*problems, *others):
+        print(line)
+    remedy = f", {len(problems)} problems: `sweep run` as before mends them" if problems else ""
+    print(f"{given.dir}: {sound} parts are sound{remedy}")
+    return UNEXPECTED if problems else DONE
 
 
 def selected(given: argparse.Namespace) -> "pd.DataFrame":

@@ -24,7 +24,7 @@ from sweep.runs import refine, runner, store
 from sweep.runs.batches import make_engine
 from sweep.runs.batches import nominal as nominal_batch
 from sweep.study import config, designs
-from sweep.study.clusters import connected
+from sweep.study.clusters import Watched, connected
 from sweep.study.config import Experiment
 from sweep.study.study import nominal, parameter_columns, unit
 
@@ -79,21 +79,28 @@ def execute(exp: Experiment, flags: Flags) -> int:
     if flags.dry_run:
         print(forecast(runner.lay_out(exp, folder, first)))
         return DONE
-    with store.locked(folder), connected(exp.cluster) as dispatch:
-        for line in store.discard_damaged(folder):
-            print(f"sweep: {line}", file=sys.stderr)
-            store.log(folder, line)
+
+    def say(line: str) -> None:
+        print(f"sweep: {line}", file=sys.stderr)
+        store.log(folder, line)
+
+    watched = Watched(say)
+    with store.locked(folder), connected(exp.cluster, watched) as dispatch:
+        for line in runner.mend(exp, folder):
+            say(line)
         done, start = 0, time.perf_counter()
         refining = exp.study.refined and whole
         for job in refine.rounds(exp, folder, first) if refining else [runner.lay_out(exp, folder, first)]:
             todo = len(job.rows(job.missing()))
-            with reporting(exp.study.name, todo) as report:
+            with reporting(exp.study.name, todo, watched) as report:
                 job = runner.run(job, report, dispatch)
             done += todo
         seconds = time.perf_counter() - start
         print(f"{done} rollouts in {seconds:.1f} s ({done / seconds:.1f} a second)", file=sys.stderr)
-        rows = store.read_rows(folder)
+        rows, used = store.read_rows(folder), store.read_study(folder)["devices"]
         complete = len(rows) == len(job.table) and (whole or len(first) == len(runner.wanted_points(exp)))
+    if len(used) > 1:
+        print(f"sweep: equal rollouts need not be equal to the last bit on {' and on '.join(used)}", file=sys.stderr)
     print(summary(exp.study.name, rows))
     if exp.study.refined:
         print("\n".join(f"refined: {one}" for one in refine.refined(exp, rows)))
@@ -166,11 +173,11 @@ def duration(job: runner.Job, missing: pd.DataFrame) -> str:
 def pace(folder: Path, job: runner.Job) -> float | None:
     """Wall time of a rollout (s) in the last batch of `folder`, if its scenario, engine and device are those here."""
     try:
-        stored, done = store.read_study(folder), store.finished(folder)
+        stored, done = store.read_study(folder), store.counted(folder)
         config, exp = stored["config"], job.exp
         same = (config["scenario"]["name"], config["engine"]["name"]) == (exp.scenario, exp.settings.name)
         same &= device(exp.settings) in stored["devices"]
-        return float(store.read_part(folder, max(done))["wall_s"].iloc[0]) if done and same else None
+        return float(store.read_part(folder, done[-1])["wall_s"].iloc[-1]) if done and same else None
     except (InputError, KeyError):  # damaged, or of an earlier layout
         return None
 
@@ -193,8 +200,8 @@ def axes_table(exp: Experiment) -> str:
 
 
 @contextmanager
-def reporting(name: str, total: int) -> Iterator[runner.Progress]:
-    """A live bar on a terminal's standard error, nothing elsewhere."""
+def reporting(name: str, total: int, watched: Watched | None = None) -> Iterator[runner.Progress]:
+    """A live bar on a terminal's standard error, nothing elsewhere; with the workers that are `watched`."""
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -211,6 +218,7 @@ def reporting(name: str, total: int) -> Iterator[runner.Progress]:
             nonlocal done, good
             done, good = done + len(rows), good + int((rows["outcome"] == "success").sum())
             pace = done / (time.perf_counter() - start)
-            bar.update(task, completed=done, note=f"{pace:.1f} rollouts/s, {good / done:.0%} succeed")
+            workers = f", {watched.workers} workers" if watched and watched.workers is not None else ""
+            bar.update(task, completed=done, note=f"{pace:.1f} rollouts/s, {good / done:.0%} succeed{workers}")
 
         yield report

@@ -1,18 +1,24 @@
-"""Files that appear whole or not at all."""
+"""Files that appear whole or not at all, and the digests that tell whether they stayed as they were written."""
 
+import hashlib
 import os
 import socket
 from collections.abc import Callable
 from pathlib import Path
 
-from sweep.core.errors import Fault
+from sweep.core.errors import Fault, InputError
+
+HIDDEN = ".tmp-"  # begins the name of a file that is not whole yet
 
 
-def write_whole(path: Path, write: Callable[[Path], object]) -> None:
-    """`write` into a hidden file of this process, then put it in its place at once. Raises `Fault`."""
-    hidden = path.parent / f".{path.name}.{socket.gethostname()}-{os.getpid()}.tmp"
+def write_whole(path: Path, content: bytes | Callable[[Path], object]) -> None:
+    """Put `content`, or what it writes to the path that it is given, in the place of `path` at once. Raises `Fault`.
+
+    The path given ends as `path` does, so that what goes by a file's suffix can write there.
+    """
+    hidden = path.with_name(f"{HIDDEN}{socket.gethostname()}-{os.getpid()}-{path.name}")
     try:
-        write(hidden)
+        hidden.write_bytes(content) if isinstance(content, bytes) else content(hidden)
         with hidden.open("rb") as written:
             os.fsync(written.fileno())  # a power cut leaves the old content or the new
         os.replace(hidden, path)
@@ -22,6 +28,47 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
         hidden.unlink(missing_ok=True)
 
 
+def append(path: Path, line: str) -> None:
+    """Add one line, which is on disk when this returns, or not at all. Raises `Fault`."""
+    try:
+        with path.open("ab", buffering=0) as file:
+            before = file.tell()
+            try:
+                file.write(f"{line}\n".encode())
+                os.fsync(file.fileno())
+            except OSError:
+                file.truncate(before)
+                raise
+    except OSError as error:
+        raise Fault(f"{path} cannot be written: {reason(error)}") from None
+
+
+def private(path: Path) -> bool:
+    """Whether there is a folder at `path`, made for this user alone where it is missing.
+
+    Raises `InputError` where others can put files there: what is kept in it is run.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True, mode=0o700)
+        own(path)
+    except OSError:
+        return False
+    return True
+
+
+def own(path: Path) -> None:
+    """Raises `InputError` where `path` belongs to another user or others may write it."""
+    found = path.stat()
+    if found.st_uid != os.geteuid() or found.st_mode & 0o022:
+        whose = "belongs to another user" if found.st_uid != os.geteuid() else "can be written by others (chmod go-w)"
+        raise InputError(f"{path} {whose}, and what is kept there is run: remove it, or set XDG_CACHE_HOME")
+
+
 def reason(error: OSError) -> str:
-    """Why, in a few words."""
+    """What the system says of `error`, in one line."""
     return os.strerror(error.errno) if error.errno else str(error).splitlines()[0]
+
+
+def digest(content: bytes) -> str:
+    """SHA-256 (64 hexadecimal digits), as `sha256sum` gives it."""
+    return hashlib.sha256(content).hexdigest()

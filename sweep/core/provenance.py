@@ -3,6 +3,7 @@
 import ast
 import functools
 import hashlib
+import platform
 import subprocess
 from importlib import metadata
 from pathlib import Path
@@ -10,47 +11,99 @@ from pathlib import Path
 from sweep.core.start import STARTED
 
 ROOT = Path(__file__).parents[1]
-SIMULATION = (  # what can change a row
-    "models",
-    "controllers",
-    "dynamics",
-    "engines",
-    "metrics",
-    "formulas",
-    "core/rotations.py",
-    "core/parameters.py",
-)
-LIBRARIES = ("mujoco", "mujoco-mjx", "jax", "jaxlib", "numpy")
+WORKER = ("sweep.runs.runner",)  # what it imports can change a row
+PROGRAMS = ("sweep.engines", "sweep.controllers.manoeuvres")  # what they import can change a compiled program
+LIBRARIES = ("mujoco", "mujoco-mjx", "jax", "jaxlib", "numpy", "scipy", "SALib")
+CPU_INFO = Path("/proc/cpuinfo")
+
+
+@functools.cache
+def processor() -> str:
+    """This machine's processor and a digest of the features that a compiler may make use of."""
+    if not CPU_INFO.exists():
+        return platform.processor() or platform.machine()
+    lines = CPU_INFO.read_text(encoding="utf-8", errors="replace").splitlines()
+    told = {key: value.strip() for key, _, value in (line.partition(":") for line in reversed(lines))}
+    told = {key.strip(): value for key, value in told.items()}
+    name = told.get("model name") or platform.machine()
+    features = " ".join(sorted((told.get("flags") or told.get("Features") or "").split()))
+    return f"{name} {hashlib.blake2b(features.encode(), digest_size=4).hexdigest()}"
 
 
 @functools.cache
 def code_version() -> str:
-    """Hash of what the simulation's sources say, comments and docstrings apart, and of its libraries' versions."""
+    """Hash of the sources that can change a row, and of their libraries' versions."""
+    return _version(WORKER)
+
+
+@functools.cache
+def program_version() -> str:
+    """Hash of the sources that can change a compiled program, and of their libraries' versions."""
+    return _version(PROGRAMS)
+
+
+def edited() -> bool:
+    """Whether a source of programs was written after this process began: what runs may be older."""
+    return any(file.stat().st_ctime > STARTED for file in sources(PROGRAMS))
+
+
+def _version(modules: tuple[str, ...]) -> str:
+    """Hash of what the sources of `modules` say, comments and docstrings apart, and of the libraries' versions."""
     content = hashlib.blake2b(digest_size=6)
-    for file in _sources():
-        content.update(f"{file.relative_to(ROOT)}\n{statements(file.read_text())}\n".encode())
+    for file in sources(modules):
+        content.update(f"{file.relative_to(ROOT)}\n{_read(file)[1]}\n".encode())
     content.update(repr(versions()).encode())
     return content.hexdigest()
 
 
-def edited() -> bool:
-    """Whether any of the simulation's sources was written after this process began: what runs may be older."""
-    return any(file.stat().st_ctime > STARTED for file in _sources())
+@functools.cache
+def sources(modules: tuple[str, ...]) -> tuple[Path, ...]:
+    """The files of this package that `modules` consist of and import, whenever they do."""
+    found: dict[str, Path] = {}
+    todo = list(modules)
+    while todo:
+        parts = todo.pop().split(".")
+        for name in (".".join(parts[: k + 1]) for k in range(len(parts))):
+            if name not in found and (file := _file(name)):
+                found[name] = file
+                todo += _read(file)[0]
+    return tuple(sorted(found.values()))
 
 
-def _sources() -> list[Path]:
-    return sorted(
-        file for name in SIMULATION for file in (ROOT.glob(name) if "." in name else (ROOT / name).rglob("*.py"))
-    )
+def _file(module: str) -> Path | None:
+    package, *rest = module.split(".")
+    path = ROOT.joinpath(*rest)
+    candidates = (path / "__init__.py", path.with_suffix(".py")) if package == ROOT.name else ()
+    return next((file for file in candidates if file.is_file()), None)
+
+
+@functools.cache
+def _read(file: Path) -> tuple[list[str], str]:
+    """Names that a source imports, whether modules or not, and what it says."""
+    tree = ast.parse(file.read_text(encoding="utf-8"))
+    # what the package itself imports when called is for notebooks, not for a worker
+    nodes = tree.body if file.parent == ROOT else None
+    said, every = _said(tree)
+    return [name for node in nodes or every for name in _imported(node)], said
+
+
+def _imported(node: ast.AST) -> list[str]:
+    if isinstance(node, ast.Import):
+        return [alias.name for alias in node.names]
+    return [f"{node.module}.{alias.name}" for alias in node.names] if isinstance(node, ast.ImportFrom) else []
 
 
 def statements(source: str) -> str:
     """`source` in one format, without comments and docstrings."""
-    tree = ast.parse(source)
-    for node in ast.walk(tree):
+    return _said(ast.parse(source))[0]
+
+
+def _said(tree: ast.Module) -> tuple[str, list[ast.AST]]:
+    every = list(ast.walk(tree))
+    for node in every:
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node, clean=False):
             node.body = node.body[1:] or [ast.Pass()]
-    return ast.unparse(tree)
+    return ast.unparse(tree), every
 
 
 def versions() -> dict[str, str]:

@@ -12,6 +12,7 @@ import numpy as np
 from jax.sharding import NamedSharding, PartitionSpec
 from jaxtyping import Array
 
+from sweep.core import files
 from sweep.engines.settings import EngineSettings
 
 BATCH = "batch"
@@ -22,16 +23,27 @@ GPU_ROLLOUT = 64 << 10  # bytes of a rollout on a GPU with room to spare: 10 to 
 
 
 def configure() -> None:
-    """Process-wide choices of JAX: exact matrix products, and compiled programs kept between processes."""
+    """Process-wide choices of JAX: exact matrix products, and compiled programs kept between processes.
+
+    Raises `InputError` where others can write to the folder of the programs.
+    """
     jax.config.update("jax_default_matmul_precision", "highest")  # TF32 lets the robot sink and the solver wander
     if jax.__version_info__ < (0, 12):  # its newer partitioner crashes on programs for several devices
         jax.config.update("jax_use_shardy_partitioner", False)
-    if jax.config.jax_compilation_cache_dir is None:
-        home = os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")
-        jax.config.update("jax_compilation_cache_dir", str(Path(home) / "insect-sweep"))
+    if jax.config.jax_compilation_cache_dir is None and (folder := cache_folder()) and files.private(folder):
+        jax.config.update("jax_compilation_cache_dir", str(folder))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)  # small ones, too
     with contextlib.suppress(RuntimeError):  # too late where JAX was used before
         jax.config.update("jax_num_cpu_devices", len(os.sched_getaffinity(0)))
+
+
+def cache_folder() -> Path | None:
+    """Where compiled programs are kept; None for a user without a home. Empty and relative settings count for none."""
+    given = Path(os.environ.get("XDG_CACHE_HOME", ""))
+    try:
+        return (given if given.is_absolute() else Path.home() / ".cache") / "insect-sweep"
+    except RuntimeError:
+        return None
 
 
 @contextlib.contextmanager

@@ -1,13 +1,14 @@
 """Compiled programs kept between processes, so that a later start need not even trace them.
 
 JAX keeps what its compiler makes, but has to trace a program to find it again, which takes longer than to load it.
+A kept program is machine code within a pickle, as JAX serialises no other way: to load one is to run it. So they are
+loaded only from a folder and files of this user that nobody else can write.
 """
 
 import contextlib
 import hashlib
 import os
 import pickle
-import platform
 import threading
 import zlib
 from collections.abc import Callable, Iterator, Sequence
@@ -19,11 +20,10 @@ from jax.experimental.compilation_cache.compilation_cache import reset_cache
 from jax.experimental.serialize_executable import deserialize_and_load, serialize
 from jax.stages import Compiled
 
-from sweep.core import provenance
-from sweep.core.files import write_whole
+from sweep.core import files, provenance
+from sweep.core.errors import InputError
 
 MOST = 200  # files, of about a MB each
-CPU_INFO = Path("/proc/cpuinfo")
 _jax_settings = threading.RLock()
 
 
@@ -68,34 +68,31 @@ def _folder() -> Path | None:
     """Where JAX keeps its own, if it does. Sources that changed meanwhile are not what was traced."""
     if not jax.config.jax_enable_compilation_cache or not jax.config.jax_compilation_cache_dir or provenance.edited():
         return None
-    return Path(jax.config.jax_compilation_cache_dir)
+    folder = Path(jax.config.jax_compilation_cache_dir)
+    return folder if files.private(folder) else None
 
 
 def _key(made_of: Any, devices: Sequence[Any]) -> str:
     kind, version = devices[0].device_kind, devices[0].client.platform_version
-    where = kind, version, [device.id for device in devices], _processor()
+    where = kind, version, [device.id for device in devices], provenance.processor()
     how = sorted(jax.config.values.items()), os.environ.get("XLA_FLAGS")
-    return hashlib.blake2b(repr((made_of, provenance.code_version(), where, how)).encode(), digest_size=20).hexdigest()
-
-
-def _processor() -> Any:
-    """What a program for the CPU may make use of: machines that share a home folder need not be alike."""
-    if not CPU_INFO.exists():
-        return platform.processor()
-    lines = CPU_INFO.read_text().splitlines()
-    return sorted({line for line in lines if line.startswith(("model name", "flags", "Features"))})
+    return hashlib.blake2b(
+        repr((made_of, provenance.program_version(), where, how)).encode(), digest_size=20
+    ).hexdigest()
 
 
 def _load(file: Path, devices: Sequence[Any]) -> Sequence[Compiled] | None:
     try:
+        files.own(file)
         parts = pickle.loads(zlib.decompress(file.read_bytes()))
         return [deserialize_and_load(*part, execution_devices=devices) for part in parts]
+    except InputError:
+        raise
     except Exception:  # not there, cut short, or not for these devices after all
         return None
 
 
 def _keep(file: Path, content: bytes) -> None:
-    file.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(file, lambda path: path.write_bytes(content))
+    files.write_whole(file, content)
     for old in sorted(file.parent.glob("*.programs"), key=lambda f: f.stat().st_mtime)[:-MOST]:
         old.unlink(missing_ok=True)

@@ -53,8 +53,10 @@ def run(results: Results, number: int, ways: list[str], progress: runner.Progres
     for way in ways:
         settings = replace(WAYS[way][1](exp.settings), width=0)  # so few rollouts have a width of their own
         values = {**exp.values, "engine": asdict(settings), "out": str(folder / way)}
+        again = experiment(values)
         with store.locked(folder / way):
-            runner.run(runner.lay_out(experiment(values), folder / way, points), progress)
+            runner.mend(again, folder / way)
+            runner.run(runner.lay_out(again, folder / way, points), progress)
 
 
 def one_engine(results: Results) -> Experiment:

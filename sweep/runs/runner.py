@@ -18,7 +18,7 @@ from sweep.core.expressions import mask
 from sweep.engines.base import Engine
 from sweep.engines.run_id import device, run_id
 from sweep.metrics.outcome import classify
-from sweep.runs import store
+from sweep.runs import manifest, repair, store
 from sweep.runs.batches import (
     Batch,
     among,
@@ -30,6 +30,7 @@ from sweep.runs.batches import (
     plan,
     with_room_for_delay,
 )
+from sweep.runs.manifest import Entry
 from sweep.study.clusters import Dispatch
 from sweep.study.columns import figure_columns
 from sweep.study.config import Experiment, experiment
@@ -90,13 +91,41 @@ def lay_out(exp: Experiment, folder: Path, wanted: pd.DataFrame) -> Job:
     return Job(exp, folder, table, set(table.loc[among(table, wanted), "batch"]))
 
 
+def mend(exp: Experiment, folder: Path) -> list[str]:
+    """Make `folder`, which is locked, whole again, as far as `exp` and what is left of it tell; a line for each repair.
+
+    Raises `InputError` where it holds another study.
+    """
+    study, labels, stored = study_id(exp.values), labels_id(exp.values), None
+    entries, _ = manifest.parse(folder)
+    try:
+        stored = store.read_study(folder)
+        labels = stored["labels"]
+        if entries:
+            refuse_other(stored, exp, folder)
+    except store.Damaged:
+        if any(entry.batches and (entry.study, entry.labels) != (study, labels) for entry in entries):
+            raise InputError(
+                f"{folder / store.STUDY} is lost or damaged, and the rows are of another study, version or thresholds "
+                "than those asked for: give the same, or out=DIR"
+            ) from None
+    lines = repair.mend(folder, study, labels)
+    planned = store.read_points(folder)
+    if stored is None and len(planned):
+        job, found = Job(with_room_for_delay(exp, planned), folder, planned, set()), Found()
+        for group, rows in planned.groupby("group"):
+            start = nominal(job.exp, rows, int(rows["width"].iloc[0]))
+            found.stages[int(group)] = list(make_engine(job.exp, start).stages)  # pyright: ignore[reportArgumentType]
+        describe(job, found)
+        lines.append(f"{folder / store.STUDY} was lost or damaged: written anew")
+    return lines
+
+
 def refuse_other(stored: Mapping[str, Any], exp: Experiment, folder: Path) -> None:
     """Raise `InputError` where a folder holds rows that would not belong with those of `exp`."""
-    there, here = flat(stored["config"]), flat(exp.values)
+    there, here = fixed(stored["config"]), fixed(exp.values)
     for key in sorted({*there, *here}):
-        drawn = ".distribution" in key or key.endswith(".relative")
-        drawn |= key == "study.design.num" and exp.study.design.kind == "latin_hypercube"
-        if there.get(key) != here.get(key) and (drawn or not key.startswith(FREE)):
+        if there.get(key) != here.get(key):
             raise InputError(
                 f"{folder} holds another study: {key} is {there.get(key)} there and {here.get(key)} here; give out=DIR"
             )
@@ -105,6 +134,29 @@ def refuse_other(stored: Mapping[str, Any], exp: Experiment, folder: Path) -> No
             f"{folder} was simulated by another version of the code or of its libraries "
             f"({stored['commit'] or stored['code']}): remove it or give out=DIR"
         )
+
+
+def fixed(values: Mapping[str, Any]) -> dict[str, Any]:
+    """What may not change between runs into one folder, by dotted path."""
+    whole = values["study"]["design"]["kind"] == "latin_hypercube"  # one draw more changes all of them
+    return {
+        key: value
+        for key, value in flat(values).items()
+        if not key.startswith(FREE)
+        or ".distribution" in key
+        or key.endswith(".relative")
+        or (whole and key == "study.design.num")
+    }
+
+
+def study_id(values: Mapping[str, Any]) -> str:
+    """Digest of what all rows of a folder share: configuration and code."""
+    return store.digest([fixed(values), provenance.code_version()])
+
+
+def labels_id(values: Mapping[str, Any]) -> str:
+    """Digest of how rows are judged: thresholds and code."""
+    return store.digest([values["outcome"], provenance.code_version()])
 
 
 def flat(values: Any, path: str = "") -> dict[str, Any]:
@@ -125,7 +177,7 @@ def run(job: Job, progress: Progress, dispatch: Dispatch = map) -> Job:
     if (folder / store.STUDY).exists():
         stored = store.read_study(folder)
         found = Found(stored["stages"], stored["devices"])
-        if not stored["labelled"] or stored["config"]["outcome"] != exp.values["outcome"]:
+        if stored["labels"] != labels_id(exp.values):
             relabel(folder, exp.values["outcome"])
     describe(job, found)
     while missing := job.missing():
@@ -133,21 +185,31 @@ def run(job: Job, progress: Progress, dispatch: Dispatch = map) -> Job:
         tight: list[Done] = []  # batches that found too little memory
         work = partial(on_worker, folder.resolve(), uuid4().hex, provenance.code_version())
         for done in dispatch(work, announced(job, missing, found, tight)):
-            if done.out_of_memory:
+            if done.entry is None:
                 tight.append(done)
                 continue
-            if not store.part(folder, done.batch).exists():
-                raise Fault(f"{done.host} wrote batch {done.batch} to {folder.resolve()}, which is not seen here")
+            rows = accepted(job, done, done.entry)
             if done.device not in found.devices:
                 found.devices.append(done.device)
                 describe(job, found)
-            rows = store.read_part(folder, done.batch)
             where = f"{done.host}, {done.device}"
             store.log(folder, f"batch {done.batch}: {len(rows)} rollouts, {rows['wall_s'].sum():.1f} s on {where}")
             progress(rows)
         if tight:
             job = narrower(job, tight)
+    repair.compact(folder, job.table)
     return job
+
+
+def accepted(job: Job, done: "Done", entry: Entry) -> pd.DataFrame:
+    """The rows that a worker wrote; from now on they count. Raises `Fault` where they are not those asked for."""
+    if not (job.folder / entry.file).exists():
+        raise Fault(f"{done.host} wrote batch {done.batch} to {job.folder.resolve()}, which is not seen here")
+    if (entry.study, entry.labels) != (study_id(job.exp.values), labels_id(job.exp.values)):
+        raise Fault(f"{done.host} simulated batch {done.batch} of another study, or judged it by other thresholds")
+    rows = store.read_part(job.folder, entry)
+    manifest.add(job.folder, entry)
+    return rows
 
 
 def announced(job: Job, missing: list[int], found: Found, tight: Collection["Done"]) -> Iterator[int]:
@@ -182,19 +244,20 @@ def narrower(job: Job, tight: list["Done"]) -> Job:
 
 @dataclass(frozen=True)
 class Done:
-    """What a worker tells of a batch; its rows are on disk, or there was too little memory for it."""
+    """What a worker tells of a batch; its rows are on disk."""
 
     batch: int
     host: str
     device: str
     devices: int  # that share a batch
-    out_of_memory: bool
+    entry: Entry | None  # None where there was too little memory
 
 
 def on_worker(folder: Path, version: str, code: str, number: int) -> Done:
-    """Simulate one batch of the study in `folder`, unless it is on disk. `version` names its present plan.
+    """Simulate one batch of the study in `folder`. `version` names its present plan.
 
-    Raises `InputError` where the worker's code is not `code`, `Fault` where the part cannot be written.
+    The rows count when the command that asked for them lists them. Raises `InputError` where the worker's code is not
+    `code`, `Fault` where the part cannot be written.
     """
     host = socket.gethostname()
     if (here := provenance.code_version()) != code:
@@ -203,15 +266,16 @@ def on_worker(folder: Path, version: str, code: str, number: int) -> Done:
     rows = table[table["batch"] == number]
     start = nominal(exp, rows, int(rows["width"].iloc[0]))
     engine = make_engine(exp, start)
-    done = Done(number, host, device(start.settings), engine.devices, out_of_memory=False)
-    if not store.part(folder, number).exists():
-        try:
-            store.write_part(folder, number, simulate(exp, engine, rows))
-        except MemoryError:
-            done = replace(done, out_of_memory=True)
-    if done.out_of_memory:  # after the handler, whose error holds on to the arrays
+    entry = None
+    try:
+        finished = simulate(exp, engine, rows)
+        # by what the rows were judged by, whatever the command believes by now
+        entry = store.write_part(folder, finished, study_id(exp.values), labels_id(exp.values))
+    except MemoryError:
+        pass
+    if entry is None:  # after the handler, whose error holds on to the arrays
         forget_engine()
-    return done
+    return Done(number, host, device(start.settings), engine.devices, entry)
 
 
 @lru_cache(maxsize=1)
@@ -223,9 +287,9 @@ def _plan_of(folder: Path, version: str) -> tuple[Experiment, pd.DataFrame]:
 def describe(job: Job, found: Found) -> None:
     """Write study.yaml."""
     store.write_study(job.folder, {
-        "config": job.exp.values, "rollouts": len(job.table), "labelled": True, "stages": found.stages,
-        "devices": found.devices, "code": provenance.code_version(), "commit": provenance.commit(),
-        "versions": provenance.versions(),
+        "config": job.exp.values, "rollouts": len(job.table), "labels": labels_id(job.exp.values),
+        "stages": found.stages, "devices": found.devices, "code": provenance.code_version(),
+        "commit": provenance.commit(), "versions": provenance.versions(),
     })  # fmt: skip
 
 
@@ -254,18 +318,24 @@ def run_single(exp: Experiment) -> pd.DataFrame:
 
 
 def relabel(folder: Path, outcome: Mapping[str, float]) -> None:
-    """Derive the outcomes of all stored rows from their figures by the thresholds `outcome`, without simulating."""
+    """Derive the outcomes of all stored rows from their figures by the thresholds `outcome`, without simulating.
+
+    The new rows lie beside the old ones until study.yaml names their labels: all are judged anew, or none.
+    """
     stored = store.read_study(folder)
     config = {**stored["config"], "outcome": dict(outcome)}
-    thresholds = experiment(config).thresholds
-    # the mark stays when this is killed half-way, and the next run into the folder starts over
-    store.write_study(folder, {**stored, "labelled": False})
-    for number in sorted(store.finished(folder)):
-        rows = store.read_part(folder, number)
+    thresholds, labels = experiment(config).thresholds, labels_id(config)
+    before = store.counted(folder)
+    if labels == stored["labels"]:
+        return
+    repair.forget(folder, [e for e in manifest.read(folder) if e.batches and e not in before])  # of one that was killed
+    for entry in before:
+        rows = store.read_part(folder, entry)
         figures = {name: rows[name].to_numpy() for name in figure_columns(rows)}
-        labels = classify(figures, thresholds, tuple(stored["stages"][int(rows["group"].iloc[0])]))
-        store.write_part(folder, number, rows.assign(**labels))
-    store.write_study(folder, {**stored, "config": config, "labelled": True})
+        judged = classify(figures, thresholds, tuple(stored["stages"][int(rows["group"].iloc[0])]))
+        manifest.add(folder, store.write_part(folder, rows.assign(**judged), entry.study, labels))
+    store.write_study(folder, {**stored, "config": config, "labels": labels})
+    repair.forget(folder, before)
 
 
 def load_point(folder: Path, point: str) -> tuple[Batch, int, pd.Series]:

@@ -1,5 +1,6 @@
-"""A study's folder: what it is, its points, one file per finished batch. Every file appears whole or not at all."""
+"""A study's folder: what it is, its points, its finished rows. A file appears whole or not at all, see `manifest`."""
 
+import json
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -12,11 +13,20 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import yaml
 
+from sweep.core import files
 from sweep.core.errors import Fault, InputError
-from sweep.core.files import reason, write_whole
+from sweep.runs import manifest
+from sweep.runs.manifest import Entry
 
 pa.set_memory_pool(pa.system_memory_pool())  # a million rows are read in 2 s of a processor; in 8 s by Arrow's own pool
 STUDY, POINTS, PARTS, LOG = "study.yaml", "points.parquet", "parts", "log.txt"
+FORMAT = 2  # of the folder
+CHECK = "# sha256 of the lines above: "
+ABOUT = b"sweep"  # key of a part's own account of itself
+
+
+class Damaged(InputError):
+    """A file is lost or not as it was written; `sweep run` mends it."""
 
 
 @contextmanager
@@ -29,12 +39,12 @@ def locked(folder: Path) -> Iterator[None]:
     try:
         (folder / PARTS).mkdir(parents=True, exist_ok=True)
         held.acquire()
-        for left in (*folder.glob(".*.tmp"), *(folder / PARTS).glob(".*.tmp")):
+        for left in (*folder.glob(f"{files.HIDDEN}*"), *(folder / PARTS).glob(f"{files.HIDDEN}*")):
             left.unlink(missing_ok=True)
     except filelock.Timeout:
         raise InputError(f"{folder} is in use by another sweep process: wait for it, or give out=DIR") from None
     except OSError as error:
-        raise InputError(f"out = {folder} cannot be written: {reason(error)}") from None
+        raise InputError(f"out = {folder} cannot be written: {files.reason(error)}") from None
     try:
         yield
     finally:
@@ -42,98 +52,128 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 def write_study(folder: Path, content: Mapping[str, Any]) -> None:
-    """What the folder holds: configuration, versions, device."""
-    text = yaml.safe_dump(dict(content), sort_keys=False, allow_unicode=True)
-    write_whole(folder / STUDY, lambda p: p.write_text(text))
+    """What the folder holds: configuration, versions, devices. Raises `Fault`."""
+    text = yaml.safe_dump({"format": FORMAT, **content}, sort_keys=False, allow_unicode=True)
+    files.write_whole(folder / STUDY, f"{text}{CHECK}{files.digest(text.encode())}\n".encode())
 
 
 def read_study(folder: Path) -> dict[str, Any]:
-    """Content of study.yaml. Raises `InputError` where `folder` is not a study's."""
+    """Content of study.yaml. Raises `InputError` where `folder` is not a study's, or one of another format."""
+    path = folder / STUDY
+    damaged = Damaged(f"{path} is damaged: `sweep run` as before mends it")
     try:
-        content = yaml.safe_load((folder / STUDY).read_bytes())
+        text, check, given = path.read_bytes().rpartition(CHECK.encode())
+        if check and given != f"{files.digest(text)}\n".encode():
+            raise damaged
+        content = yaml.load(text if check else given, _Loader)
     except (FileNotFoundError, NotADirectoryError):
-        raise InputError(f"{folder} is not a folder of results: it has no {STUDY}") from None
-    except (OSError, yaml.YAMLError):
-        content = None
-    if not isinstance(content, dict):
-        raise InputError(f"{folder / STUDY} is damaged: restore it, or give out=DIR; the parts can be read without it")
+        raise Damaged(f"{folder} is not a folder of results: it has no {STUDY}") from None
+    except (OSError, ValueError, RecursionError, yaml.YAMLError):
+        raise damaged from None
+    if isinstance(content, dict) and not check and "labelled" in content:
+        content = {"format": 1, **content}
+    elif not isinstance(content, dict) or not check:
+        raise damaged
+    if content["format"] != FORMAT:
+        by = f"format {content['format']}, of version {content.get('commit') or content.get('code')}"
+        raise InputError(f"{folder} has {by}; this one reads {FORMAT}: give out=DIR")
     return content
 
 
+_Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+
+def digest(values: Any) -> str:
+    """Of plain values; short."""
+    return files.digest(json.dumps(values, sort_keys=True).encode())[:16]
+
+
 def write_points(folder: Path, points: pd.DataFrame) -> None:
-    """The plan: one row per rollout, with its group, batch and slot."""
-    write_whole(folder / POINTS, lambda p: _to_parquet(points, p))
+    """The plan: one row per rollout, with its group, batch and slot. Raises `Fault`."""
+    content = _to_parquet(pa.Table.from_pandas(points, preserve_index=False), {})
+    entry = Entry(POINTS, len(content), files.digest(content))
+    if entry not in manifest.read(folder):  # any plan that was listed is sound, so that a kill in between does no harm
+        manifest.add(folder, entry)
+    files.write_whole(folder / POINTS, content)
 
 
 def read_points(folder: Path) -> pd.DataFrame:
     """The plan, empty where nothing is planned yet. Raises `InputError`."""
     path = folder / POINTS
-    return _from_parquet(path, "restore it, or give out=DIR").to_pandas() if path.exists() else pd.DataFrame()
+    if not path.exists():
+        return pd.DataFrame()
+    content = path.read_bytes()
+    if not any(entry.file == POINTS and not entry.problem(content) for entry in manifest.read(folder)):
+        raise Damaged(f"{path} is damaged: `sweep run` as before mends it")
+    return pq.read_table(pa.BufferReader(content)).to_pandas()
 
 
-def _to_parquet(frame: pd.DataFrame, path: Path) -> None:
-    table = pa.Table.from_pandas(frame, preserve_index=False)
-    pq.write_table(table, path, compression="zstd", write_page_checksum=True)
+def _to_parquet(table: pa.Table, about: Mapping[str, Any]) -> bytes:
+    table = table.replace_schema_metadata({**(table.schema.metadata or {}), ABOUT: json.dumps(about).encode()})
+    sink = pa.BufferOutputStream()
+    pq.write_table(table, sink, compression="zstd")
+    return sink.getvalue().to_pybytes()
 
 
-def _from_parquet(path: Path, remedy: str) -> pa.Table:
-    try:
-        return pq.ParquetFile(path, page_checksum_verification=True).read()
-    except (OSError, pa.ArrowException) as error:
-        raise InputError(f"{path} is damaged ({str(error).splitlines()[0]}): {remedy}") from None
+def write_part(folder: Path, rows: pd.DataFrame, study: str, labels: str) -> Entry:
+    """Finished rows of one or more batches, as a file that counts when `manifest.add` lists it. Raises `Fault`.
+
+    `study` and `labels` are digests of what the rows have in common and of the thresholds that judged them.
+    """
+    return write_table(folder, pa.Table.from_pandas(rows, preserve_index=False), study, labels)
 
 
-def part(folder: Path, batch: int) -> Path:
-    """The file of one batch."""
-    return folder / PARTS / f"part-{batch:06d}.parquet"
+def write_table(folder: Path, table: pa.Table, study: str, labels: str) -> Entry:
+    """As `write_part`, from Arrow's form."""
+    batches, ids = (tuple(sorted(table[name].unique().to_pylist())) for name in ("batch", "run_id"))
+    content = _to_parquet(table, {"study": study, "labels": labels, "batches": batches, "run_ids": ids})
+    sha256 = files.digest(content)
+    name = f"{PARTS}/part-{batches[0]:06d}-{sha256[:12]}.parquet"
+    entry = Entry(name, len(content), sha256, batches, study, labels, ids)
+    files.write_whole(folder / entry.file, content)
+    return entry
 
 
-def write_part(folder: Path, batch: int, rows: pd.DataFrame) -> None:
-    """The finished rows of one batch."""
-    write_whole(part(folder, batch), lambda p: _to_parquet(rows, p))
+def counted(folder: Path) -> list[Entry]:
+    """The parts that hold a folder's rows: those of its manifest, judged by its thresholds. Raises `InputError`."""
+    if not (folder / STUDY).exists():
+        return []
+    if not (folder / manifest.MANIFEST).exists() and any((folder / PARTS).glob("*.parquet")):
+        raise InputError(f"{folder / manifest.MANIFEST} is missing: `sweep run` as before mends it")
+    return manifest.judged(manifest.read(folder), read_study(folder)["labels"])
 
 
 def finished(folder: Path) -> set[int]:
-    """Numbers of the batches that are on disk."""
-    return {int(p.stem.removeprefix("part-")) for p in (folder / PARTS).glob("part-*.parquet")}
+    """Numbers of the batches that are on disk. Raises `InputError`."""
+    return {batch for entry in counted(folder) for batch in entry.batches}
 
 
-def read_part(folder: Path, batch: int) -> pd.DataFrame:
-    """The rows of one finished batch. Raises `InputError` where its file is damaged."""
-    return _part_table(folder, batch).to_pandas()
+def read_part(folder: Path, entry: Entry) -> pd.DataFrame:
+    """The rows of one part. Raises `InputError` where its file is not what is listed."""
+    return read_table(folder, entry).to_pandas()
 
 
-def _part_table(folder: Path, batch: int) -> pa.Table:
-    return _from_parquet(part(folder, batch), "`sweep run` as before simulates it again")
-
-
-def discard_damaged(folder: Path) -> list[str]:
-    """Remove the parts that cannot be read; a line for each. Raises `InputError` where one is not of this plan."""
-    planned = read_points(folder)
-    ids = {batch: rows.tolist() for batch, rows in planned.groupby("batch")["point_id"]} if len(planned) else {}
-    lines = []
-    for batch in sorted(finished(folder)):
-        try:
-            found = read_part(folder, batch)
-        except InputError as error:
-            part(folder, batch).unlink()
-            lines.append(str(error))
-            continue
-        if "point_id" not in found or found["point_id"].tolist() != ids.get(batch):
-            raise InputError(
-                f"{part(folder, batch)} holds other points than {POINTS} plans: move it away, or give out=DIR"
-            )
-    return lines
+def read_table(folder: Path, entry: Entry) -> pa.Table:
+    """As `read_part`, in Arrow's form."""
+    path = folder / entry.file
+    try:
+        content = path.read_bytes()
+        problem = entry.problem(content)
+    except OSError as error:
+        content, problem = b"", files.reason(error)
+    if problem:
+        raise InputError(f"{path} is damaged ({problem}): `sweep run` as before simulates it again")
+    return pq.read_table(pa.BufferReader(content))
 
 
 def read_rows(folder: Path) -> pd.DataFrame:
     """All finished rows, in the order of their batches. Raises `InputError` where there are none."""
     read_study(folder)
-    batches = sorted(finished(folder))
-    if not batches:
+    parts = counted(folder)
+    if not parts:
         raise InputError(f"{folder} has no finished rollouts yet")
     # into pandas once, column by column: a million rows take seconds and little more memory than they need
-    table = pa.concat_tables([_part_table(folder, batch) for batch in batches], promote_options="permissive")
+    table = pa.concat_tables([read_table(folder, entry) for entry in parts], promote_options="permissive")
     return table.to_pandas(split_blocks=True, self_destruct=True)
 
 
@@ -151,7 +191,7 @@ def find_row(rows: pd.DataFrame, point: str, folder: Path) -> pd.Series:
 def log(folder: Path, message: str) -> None:
     """Append one dated line to the log. Raises `Fault`."""
     try:
-        with (folder / LOG).open("a") as file:
+        with (folder / LOG).open("a", encoding="utf-8") as file:
             file.write(f"{time.strftime('%Y-%m-%dT%H:%M:%S%z')} {message}\n")
     except OSError as error:
-        raise Fault(f"{folder / LOG} cannot be written: {reason(error)}") from None
+        raise Fault(f"{folder / LOG} cannot be written: {files.reason(error)}") from None

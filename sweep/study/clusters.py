@@ -1,13 +1,18 @@
 """Where batches are simulated: in this process, or by Dask workers on this machine, at an address, or as Slurm jobs.
 
 A cluster hands out the numbers of batches; all else is in the study's folder, which workers read and write themselves.
+What it starts talks by TLS with keys of its own, as whoever reaches a Dask scheduler can run code on all its workers.
 """
 
 import logging
+import math
+import os
 import signal
+import statistics
 import subprocess
 import sys
-from collections.abc import Callable, Iterable, Iterator
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from functools import cache, partial
@@ -21,6 +26,14 @@ Work = Callable[[int], Any]
 Dispatch = Callable[[Work, Iterable[int]], Iterator[Any]]  # results in the order in which they are ready
 
 
+@dataclass
+class Watched:
+    """What is seen of the workers meanwhile."""
+
+    say: Callable[[str], None]  # what a user should know, in one line
+    workers: int | None = None  # alive; None where there are none but this process
+
+
 @dataclass(frozen=True)
 class Local:
     """In this process, one batch after the other, each on all its devices."""
@@ -28,7 +41,7 @@ class Local:
     elsewhere: ClassVar[bool] = False  # whether workers have other devices than this machine
     kind: str = choice("local", "local")
 
-    def connect(self) -> AbstractContextManager[Dispatch]:
+    def connect(self, _: Watched) -> AbstractContextManager[Dispatch]:
         """The built-in `map` takes a batch when the one before is done."""
         return nullcontext(map)
 
@@ -42,21 +55,19 @@ class DaskLocal:
     workers: int = count(2, at_least=1)
 
     @contextmanager
-    def connect(self) -> Iterator[Dispatch]:
+    def connect(self, watched: Watched) -> Iterator[Dispatch]:
         """Start the workers; a lost one is started again."""
         distributed = _dask("distributed", self.kind)
         from tornado.ioloop import PeriodicCallback
 
-        with (
-            distributed.LocalCluster(n_workers=self.workers, threads_per_worker=1, memory_limit=0, **QUIET) as cluster,
-            distributed.Client(cluster) as client,
-        ):
+        options = {"n_workers": self.workers, "threads_per_worker": 1, "memory_limit": 0, "security": _security()}
+        with distributed.LocalCluster(**options, **QUIET) as cluster, distributed.Client(cluster) as client:
             client.register_worker_callbacks(setup=_ignore_interrupt)
             # Dask starts a lost worker again, but not one that is lost before it has said that it started
             mend = PeriodicCallback(lambda: cluster.scale(self.workers), MEND)
             cluster.loop.add_callback(mend.start)
             try:
-                yield partial(_spread, client)
+                yield partial(_spread, client, watched)
             finally:
                 cluster.loop.add_callback(mend.stop)
 
@@ -70,7 +81,7 @@ class DaskAddress:
     address: str = ""
 
     @contextmanager
-    def connect(self) -> Iterator[Dispatch]:
+    def connect(self, watched: Watched) -> Iterator[Dispatch]:
         """Raises `InputError` where no scheduler answers."""
         distributed = _dask("distributed", self.kind)
         if not self.address:
@@ -81,7 +92,7 @@ class DaskAddress:
             reason = str(error).splitlines()[0]
             raise InputError(f"cluster.address = {self.address} is not a scheduler that answers: {reason}") from None
         with client:
-            yield partial(_spread, client)
+            yield partial(_spread, client, watched)
 
 
 @dataclass(frozen=True)
@@ -102,9 +113,10 @@ class Slurm:
     logs: str = "results/slurm"  # folder of the jobs' output
 
     @contextmanager
-    def connect(self) -> Iterator[Dispatch]:
+    def connect(self, watched: Watched) -> Iterator[Dispatch]:
         """Send the jobs; Slurm starts them when it can. Raises `InputError` where it never would."""
         distributed, jobqueue = _dask("distributed", self.kind), _dask("dask_jobqueue", self.kind)
+        os.makedirs(self.logs, exist_ok=True)
         cluster = jobqueue.SLURMCluster(
             cores=self.cores,
             processes=1,
@@ -120,24 +132,31 @@ class Slurm:
             # one batch at a time; Slurm guards the memory, where Dask would only pause the worker
             worker_extra_args=["--nthreads", "1", "--memory-limit", "0"],
             scheduler_options=QUIET_SCHEDULER,
+            security=_security(),
+            shared_temp_directory=os.path.abspath(self.logs),  # readable by this user alone
         )
         with cluster, distributed.Client(cluster) as client:
             _check_job(cluster.job_script())
             cluster.adapt(minimum_jobs=self.workers, maximum_jobs=self.workers)
-            yield partial(_spread, client)
+            yield partial(_spread, client, watched)
 
 
 @contextmanager
-def connected(cluster: "Cluster") -> Iterator[Dispatch]:
+def connected(cluster: "Cluster", watched: Watched) -> Iterator[Dispatch]:
     """Hand out batches, connecting to the `cluster` at the first: a finished study sends no job."""
     with ExitStack() as stack:
-        connect = cache(lambda: stack.enter_context(cluster.connect()))
+        connect = cache(lambda: stack.enter_context(cluster.connect(watched)))
         yield lambda work, batches: connect()(work, batches)
 
 
 CLUSTERS = {"local": Local, "dask_local": DaskLocal, "dask_address": DaskAddress, "slurm": Slurm}
 Cluster = Local | DaskLocal | DaskAddress | Slurm
 MEND = 5000  # ms between two looks for workers that are lost
+LEAST, TIMES = 60.0, 10  # s, and medians, that a batch may take before its worker is given up
+POLL = 0.05  # s, between two looks for results
+FETCH = 5.0  # s, for a result, of a few hundred bytes
+GIVE_UP = 30.0  # s, for a worker to end and start again
+FIRST = 600.0  # s, of a worker's first batch, for which it compiles
 QUIET_SCHEDULER: dict[str, Any] = {"dashboard": False, "dashboard_address": "localhost:0"}  # where no port is taken
 QUIET: dict[str, Any] = {"scheduler_kwargs": QUIET_SCHEDULER, "silence_logs": logging.CRITICAL}
 
@@ -169,18 +188,100 @@ def _ignore_interrupt() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def _spread(client: Any, work: Work, batches: Iterable[int]) -> Iterator[Any]:
+def _security() -> Any:
+    """Keys for one scheduler and its workers, which nobody else has."""
+    from distributed.security import Security
+
+    try:
+        return Security.temporary()
+    except ImportError:
+        raise InputError("cluster needs the package cryptography: pip install 'insect-sweep[cluster]'") from None
+
+
+def _spread(client: Any, watched: Watched, work: Work, batches: Iterable[int]) -> Iterator[Any]:
     """Let the workers of `client` do it. Raises `Fault` after all others where workers kept dying over a batch."""
     from distributed import KilledWorker, as_completed
 
-    lost = []
-    # nothing but `as_completed` refers to the futures: a finished one that a dying worker holds is not done again
-    for future in as_completed([client.submit(work, number, pure=False) for number in batches]):
+    tasks = [(client.submit(_timed, work, number, pure=False), number) for number in batches]
+    watch = _Watch(client, watched, {future.key: number for future, number in tasks})
+    ready, lost = as_completed([future for future, _ in tasks]), []
+    del tasks  # nothing but `ready` refers to the futures: a finished one that a dying worker holds is not done again
+    while ready.count():
+        if not ready.has_ready():
+            watch.look()
+            time.sleep(POLL)
+            continue
+        future = next(ready)
         try:
-            yield future.result()
+            seconds, result = future.result(timeout=FETCH)
+        except TimeoutError:  # it is on a worker that hangs over another batch
+            ready.add(future)
+            watch.unfetched(future)
+            watch.look()
+            continue
         except KilledWorker as error:
             lost.append(error.task)
-        finally:
-            future.release()
+        else:
+            watch.took.append(seconds)
+            yield result
+        future.release()
     if lost:
         raise Fault(f"{len(lost)} batches lost their worker again and again; is its memory too small?")
+
+
+def _timed(work: Work, number: int) -> tuple[float, Any]:
+    """The result of `work`, after the seconds that it took."""
+    start = time.monotonic()
+    result = work(number)
+    return time.monotonic() - start, result
+
+
+@dataclass
+class _Watch:
+    """Which workers are at their batch for too long: they are started again, and their batches go to others."""
+
+    client: Any
+    watched: Watched
+    numbers: Mapping[str, int]  # of batches, by the key of their task
+    took: list[float] = field(default_factory=list)  # s, of finished batches
+    tasks: dict[str, set[str]] = field(default_factory=dict)  # that each worker has, the first of them running
+    since: dict[str, float] = field(default_factory=dict)  # s, when that one began, as far as is seen from here
+    warm: set[str] = field(default_factory=set)  # workers that have finished a batch
+    asked: dict[str, float] = field(default_factory=dict)  # s, when a result was first asked for in vain, by task
+    last: float = -math.inf  # s, when this looked
+
+    def look(self) -> None:
+        """Once a second."""
+        now = time.monotonic()
+        if now < self.last + 1:
+            return
+        self.last, tasks = now, {worker: set(keys) for worker, keys in self.client.processing().items()}
+        self.watched.workers = len(tasks)
+        for worker, keys in tasks.items():
+            before = self.tasks.get(worker, set())
+            if not before <= keys:
+                self.warm.add(worker)
+            if not before or not before <= keys:
+                self.since[worker] = now
+            if keys and now - self.since[worker] > self.limit(worker):
+                self.give_up(worker, min(self.numbers[key] for key in keys), now - self.since[worker])
+        self.tasks = tasks
+
+    def unfetched(self, future: Any) -> None:
+        """A batch is done, and the worker that did it does not tell."""
+        now = time.monotonic()
+        waited = now - self.asked.setdefault(future.key, now)
+        if waited > LEAST:
+            for worker in self.client.who_has([future])[future.key]:
+                self.give_up(worker, self.numbers[future.key], waited)
+
+    def give_up(self, worker: str, number: int, waited: float) -> None:
+        """Let its nanny kill `worker` and start it again; the scheduler forgets one that has none that answers."""
+        self.watched.say(f"batch {number} has kept worker {worker} for {waited:.0f} s: it goes to another worker")
+        self.client.restart_workers([worker], timeout=GIVE_UP, raise_for_error=False)
+        self.since[worker] = time.monotonic()
+
+    def limit(self, worker: str) -> float:
+        """Seconds that a batch of `worker` may take."""
+        usual = TIMES * statistics.median(self.took) if self.took else 0.0
+        return max(usual, LEAST if worker in self.warm else FIRST)

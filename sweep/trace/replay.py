@@ -13,7 +13,7 @@ from tabulate import tabulate
 
 from sweep.core.parameters import InputError
 from sweep.engines.base import Trace
-from sweep.engines.run_id import run_id
+from sweep.engines.run_id import device, run_id
 from sweep.engines.settings import EngineSettings
 from sweep.metrics.outcome import classify
 from sweep.runs import store
@@ -37,7 +37,7 @@ class Replay:
     trace: Trace
     settings: EngineSettings
     config: dict[str, Any]  # the study's resolved configuration and the point's own values
-    same_run: bool  # whether it was simulated as it was then: code, libraries, device
+    other_run: str | None  # what may differ from then, where code, libraries or device do
 
 
 def main(args: list[str]) -> int:
@@ -71,7 +71,8 @@ def replay(folder: Path, point: str) -> Replay:
     The whole batch runs, because equal bits need equal neighbours in equal slots. Raises `InputError`.
     """
     task, slot, row = load_point(folder, point)
-    table, config = store.read_points(folder), store.read_study(folder)["config"]
+    table, stored = store.read_points(folder), store.read_study(folder)
+    config = stored["config"]
     exp = with_room_for_delay(experiment(config), table)
     start = nominal(exp, table.loc[table["batch"] == row["batch"]], len(task.streams))
     engine = make_engine(exp, start)
@@ -81,8 +82,11 @@ def replay(folder: Path, point: str) -> Replay:
     )
     again = {**{name: values[0] for name, values in labels.items()}, **trace.figures}
     values = {name: row[name] for name in (*parameter_columns(table), "replicate", "stream")}
-    same_run = str(row["run_id"]) == run_id(task.settings)
-    return Replay(row, again, trace, task.settings, {**config, "point": values}, same_run)
+    other_run = None
+    if str(row["run_id"]) != run_id(task.settings):
+        then, here = " or ".join(stored["devices"]), device(task.settings)
+        other_run = f"the row was simulated by other code or libraries, or on another device ({then}; here {here})"
+    return Replay(row, again, trace, task.settings, {**config, "point": values}, other_run)
 
 
 def comparison(result: Replay) -> str:
@@ -96,8 +100,8 @@ def comparison(result: Replay) -> str:
         tabulate(rows, headers=("", "stored", "replayed"), disable_numparse=True),
         f"{len(figures) - len(changed)} of {len(figures)} figures are equal to the last bit",
     ]
-    if not result.same_run:
-        lines.append("the row was simulated by other code, other libraries or on another device")
+    if result.other_run:
+        lines.append(f"{result.other_run}: bits may differ")
     return "\n".join(lines)
 
 

@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import os
 from concurrent.futures import ThreadPoolExecutor
 
 import jax
@@ -9,8 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sweep.core import provenance
-from sweep.engines import program_cache
+from sweep.core import files, provenance
+from sweep.core.errors import InputError
+from sweep.engines import devices, program_cache
 from sweep.engines.mjx import Mjx
 from sweep.engines.settings import EngineSettings
 from sweep.metrics.outcome import Thresholds
@@ -64,7 +66,7 @@ def test_what_one_process_compiled_the_next_loads(folder):
 def test_where_anything_differs_it_is_compiled_anew(folder, monkeypatch, change):
     program_cache.programs("two", ONE, Compiler(2.0))
     if change == "code":
-        monkeypatch.setattr(provenance, "code_version", lambda: "another")
+        monkeypatch.setattr(provenance, "program_version", lambda: "another")
     if change == "compiler flags":
         monkeypatch.setenv("XLA_FLAGS", "--xla_cpu_enable_fast_math=true")
     precision = "bfloat16" if change == "JAX's settings" else jax.config.jax_default_matmul_precision
@@ -146,3 +148,30 @@ def test_an_engines_programs_depend_on_all_that_shapes_them_and_on_no_swept_numb
     texts["nominal"] = made_of(monkeypatch)
     assert len(set(texts.values())) == len(texts)
     assert made_of(monkeypatch, case=changed("robot", body_mass=11.0)) == texts["nominal"]
+
+
+@pytest.mark.parametrize("what", ["folder", "programs"])
+@pytest.mark.parametrize("how", ["others may write it", "another user's"])
+def test_what_others_could_have_written_is_not_run(folder, monkeypatch, what, how):
+    program_cache.programs("two", ONE, Compiler(2.0))
+    (path,) = [folder] if what == "folder" else folder.glob("*.programs")
+    if how == "others may write it":
+        path.chmod(0o777)
+    elif os.geteuid() == 0:
+        os.chown(path, 12345, -1)
+    else:
+        monkeypatch.setattr(os, "geteuid", lambda: 12345)
+    with pytest.raises(InputError, match=path.name):
+        program_cache.programs("two", ONE, Compiler(2.0))
+
+
+def test_programs_are_kept_in_an_absolute_folder_or_not_at_all(monkeypatch, tmp_path):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    for given in ("", "here", "./here"):
+        monkeypatch.setenv("XDG_CACHE_HOME", given)
+        assert devices.cache_folder() == tmp_path / ".cache" / "insect-sweep"
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "x"))
+    assert devices.cache_folder() == tmp_path / "x" / "insect-sweep"
+    assert files.private(tmp_path / "x")
+    assert (tmp_path / "x").stat().st_mode & 0o777 == 0o700
+    assert not files.private(tmp_path / ("z" * 300))

@@ -1,0 +1,93 @@
+"""The list of a folder's files that count: what is not in it, or is not as it says, is no result.
+
+Only the command that holds the folder's lock writes it. A worker names its part by what the part holds and hands the
+entry to the command, so that one whose command died or went on without it can do no harm: its part is not listed.
+"""
+
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from sweep.core import files
+from sweep.core.errors import InputError
+
+MANIFEST = "manifest.txt"
+CHECK = 16  # digits of a line's own digest, before it
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A file of the folder as it was when it was finished."""
+
+    file: str  # below the folder
+    length: int  # bytes
+    sha256: str
+    batches: tuple[int, ...] = ()  # that a part holds
+    study: str = ""  # digest of what all rows of the folder share
+    labels: str = ""  # digest of the thresholds that the rows were judged by
+    run_ids: tuple[str, ...] = ()
+
+    def problem(self, content: bytes) -> str | None:
+        """What is wrong with the file, if anything is."""
+        if len(content) != self.length:
+            return f"{len(content)} bytes instead of {self.length}"
+        return None if files.digest(content) == self.sha256 else "its content has changed"
+
+
+def line(entry: Entry) -> str:
+    """`entry` as text, after a digest of it."""
+    text = json.dumps(asdict(entry))
+    return f"{files.digest(text.encode())[:CHECK]} {text}"
+
+
+def parse(folder: Path) -> tuple[list[Entry], list[int]]:
+    """The entries, and the numbers of the lines that are damaged."""
+    try:
+        content = (folder / MANIFEST).read_bytes()
+    except FileNotFoundError:
+        return [], []
+    entries, damaged = [], []
+    for number, row in enumerate(content.split(b"\n")[:-1] if content.endswith(b"\n") else content.split(b"\n"), 1):
+        check, _, text = row.partition(b" ")
+        if check == files.digest(text)[:CHECK].encode():
+            entries.append(_entry(text))
+        else:
+            damaged.append(number)
+    if content and not content.endswith(b"\n") and not damaged:
+        damaged.append(len(entries))
+    return entries, damaged
+
+
+def _entry(text: bytes) -> Entry:
+    values = json.loads(text)
+    return Entry(**{**values, "batches": tuple(values["batches"]), "run_ids": tuple(values["run_ids"])})
+
+
+def read(folder: Path) -> list[Entry]:
+    """The entries of `folder`, in the order in which they were written. Raises `InputError` where one is damaged."""
+    entries, damaged = parse(folder)
+    if damaged:
+        raise InputError(f"{folder / MANIFEST} is damaged in line {damaged[0]}: `sweep run` as before mends it")
+    return entries
+
+
+def add(folder: Path, entry: Entry) -> None:
+    """From now on `entry` counts. Raises `Fault`."""
+    files.append(folder / MANIFEST, line(entry))
+
+
+def rewrite(folder: Path, entries: Iterable[Entry]) -> None:
+    """From now on `entries` count and no others. Raises `Fault`."""
+    files.write_whole(folder / MANIFEST, "".join(f"{line(entry)}\n" for entry in entries).encode())
+
+
+def judged(entries: Sequence[Entry], labels: str) -> list[Entry]:
+    """The parts judged by the thresholds `labels`, in the order of their batches, each batch once."""
+    seen: set[int] = set()
+    found = []
+    for entry in entries:
+        if entry.batches and entry.labels == labels and not seen.intersection(entry.batches):
+            seen.update(entry.batches)
+            found.append(entry)
+    return sorted(found, key=lambda entry: entry.batches[0])
