@@ -8,6 +8,7 @@ from importlib import metadata
 from pathlib import Path
 
 from sweep import STARTED
+from sweep.core import project
 from sweep.engines.settings import EngineSettings
 
 ROOT = Path(__file__).parents[1]
@@ -34,13 +35,15 @@ def code_version() -> str:
     content = hashlib.blake2b(digest_size=6)
     for file in _sources():
         content.update(f"{file.relative_to(ROOT)}\n{statements(file.read_text())}\n".encode())
+    for file in project.module_sources():
+        content.update(statements(file.read_text()).encode())
     content.update(repr(versions()).encode())
     return content.hexdigest()
 
 
 def edited() -> bool:
     """Whether any of the simulation's sources was written after this process began: what runs may be older."""
-    return any(file.stat().st_ctime > STARTED for file in _sources())
+    return any(file.stat().st_ctime > STARTED for file in (*_sources(), *project.module_sources()))
 
 
 def _sources() -> list[Path]:

@@ -17,6 +17,7 @@ from omegaconf.errors import ConfigKeyError, OmegaConfBaseException, ValidationE
 
 from sweep.controllers.manoeuvres import MANOEUVRES
 from sweep.controllers.observation import Noise
+from sweep.core import project
 from sweep.core.parameters import InputError, build, checked, suggest
 from sweep.engines.settings import EngineSettings
 from sweep.metrics.outcome import Thresholds
@@ -27,6 +28,7 @@ from sweep.models.drive import Drive
 from sweep.models.obstacles import OBSTACLES
 from sweep.models.robot import Robot
 from sweep.runs.clusters import CLUSTERS, Cluster
+from sweep.study import sources
 from sweep.study.study import Study, nominal, parameter
 
 CONFIG_MODULE, CONFIG_NAME, HYDRA_VERSION = "sweep.conf", "config", "1.3"
@@ -118,7 +120,9 @@ class Experiment:
 
 
 def register() -> None:
-    """Tell Hydra the schemas."""
+    """Tell Hydra the schemas, those of users' modules too, and where files are. Raises `InputError`."""
+    sources.register()
+    add_modules()
     store = ConfigStore.instance()
     whole = OmegaConf.structured(ExperimentSchema)
     OmegaConf.set_struct(whole.study.axes, False)  # axes are named freely
@@ -128,6 +132,15 @@ def register() -> None:
     for group, kinds in KINDS.items():
         for kind, cls in kinds.items():
             store.store(group=group, name=f"{kind}_schema", node=_schema(cls))
+
+
+def add_modules() -> None:
+    """Add the obstacles and manoeuvres of users' modules to ours. Raises `InputError`."""
+    for module in project.modules():
+        for group, name in (("obstacle", "OBSTACLES"), ("manoeuvre", "MANOEUVRES")):
+            for kind, cls in getattr(module, name, {}).items():
+                if KINDS[group].setdefault(kind, cls) is not cls:
+                    raise InputError(f"module {module.__name__}: {group} {kind} is there already: give it another name")
 
 
 def _schema(cls: type) -> DictConfig:
@@ -149,16 +162,12 @@ def compose(overrides: list[str]) -> Experiment:
 def resolve(config: DictConfig) -> dict[str, Any]:
     """Plain values, interpolations resolved."""
     values: Any = OmegaConf.to_container(config, resolve=True)
-    # YAML 1.1 reads a bare `on` as true
-    axes = {
-        name: {"on" if key is True else key: v for key, v in axis.items()} if isinstance(axis, dict) else axis
-        for name, axis in values["study"]["axes"].items()
-    }
-    return {**values, "study": {**values["study"], "axes": axes}}
+    return values
 
 
 def experiment(values: Mapping[str, Any]) -> Experiment:
     """Check plain `values` (as composed, or as stored in study.yaml). Raises `InputError`."""
+    add_modules()
     parts = {group: build(cls, values[group], group) for group, cls in GROUPS.items()}
     settings, thresholds = parts.pop("engine"), parts.pop("outcome")
     for group, kinds in KINDS.items():
@@ -183,12 +192,14 @@ def experiment(values: Mapping[str, Any]) -> Experiment:
 def one_line(error: Exception, overrides: list[str]) -> str:
     """Hydra's or OmegaConf's error as one line naming the key, the value and what is allowed."""
     if isinstance(error, MissingConfigException) and error.options is not None and error.missing_cfg_file:
-        group, _, name = error.missing_cfg_file.rpartition("/")
+        group, _, name = error.missing_cfg_file.partition("/")
+        if name.endswith(".yaml"):
+            return f"{group} = {name} is not a file"
         return f"{group} = {name} is unknown{suggest(name, choices(error.options))}"
     if isinstance(error, OverrideParseException):
         reason = next((line for line in error.message.splitlines() if "missing" in line), "put quotes around its value")
         return f"{error.override} cannot be read: {reason}"
-    cause = error.__cause__ if isinstance(error, ConfigCompositionException) else error
+    cause = error.__cause__ or error.__context__ if isinstance(error, ConfigCompositionException) else error
     if isinstance(cause, ConfigKeyError | AttributeError) and isinstance(cause, OmegaConfBaseException):
         key, given = str(cause.full_key), _given(str(cause.full_key), overrides)
         allowed = [str(k) for k in cause.parent_node or () if k != "hydra"]  # pyright: ignore[reportGeneralTypeIssues]
