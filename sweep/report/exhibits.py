@@ -13,7 +13,7 @@ from sweep.analysis import compare, sensitivity
 from sweep.analysis.compare import SECOND
 from sweep.analysis.results import Results, binned
 from sweep.analysis.stats import percent, rate, rates
-from sweep.report import slices
+from sweep.report import draws, slices
 from sweep.report.labels import CAUSE_COLOURS, SUCCESS, axis_words, heading
 from sweep.report.maps import pattern
 from sweep.report.tables import BOOKKEEPING
@@ -44,11 +44,19 @@ class Exhibit:
 
 def exhibits(results: Results) -> Iterator[Exhibit]:
     """All figures that a study has something to show in."""
+    yield from drawn(results)
     yield from maps(results)
     yield from effects(results)
     yield from causes(results)
     yield from distributions(results)
     yield from audits(results)
+
+
+def drawn(results: Results) -> Iterator[Exhibit]:
+    """What came of draws."""
+    if draws.shown(results):
+        table, caption = draws.data(results), draws.caption(results)
+        yield Exhibit("draws", "Draws", caption, table, lambda: draws.draw(results))
 
 
 def maps(results: Results) -> Iterator[Exhibit]:

@@ -17,7 +17,8 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from sweep.analysis.results import Results, parameters, told
-from sweep.analysis.stats import broken, rate
+from sweep.analysis.sample import pooled
+from sweep.analysis.stats import broken
 from sweep.metrics.outcome import MEANING
 from sweep.report import tables
 from sweep.report.exhibits import exhibits
@@ -58,7 +59,7 @@ def render(results: Results) -> str:
     rows = results.rows
     return template.render(
         results=results,
-        rate=rate(rows["outcome"]),
+        rate=pooled(rows, results.exp),
         repeated=results.exp.study.replicates > 1,
         plates=plates,
         expectations=list(expectations(results)),

@@ -24,6 +24,7 @@ from sweep.study.study import nominal
 
 MAPS = 6  # pairs of parameters, at most
 PANELS = 4  # sections along a third parameter
+BINNED = 320  # fewer draws than this leave bins empty
 GRID = 400  # more values than this along an axis are no grid that a picture could show
 
 
@@ -46,7 +47,8 @@ def slices(results: Results) -> Iterator[Slice]:
     ones. Points that were drawn lie in no section: they are counted in bins, over all values of the others. Where
     conditions were listed and errors drawn, the map is over the conditions.
     """
-    if results.one_at_a_time:
+    few = len(results.rows) < BINNED and not results.listed and not results.exp.study.points
+    if results.one_at_a_time or few:
         return
     numeric = results.listed if len(results.listed) > 1 else results.numeric
     for x, y in list(combinations(numeric, 2))[:MAPS]:
