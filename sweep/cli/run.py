@@ -16,6 +16,7 @@ from omegaconf.errors import OmegaConfBaseException
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from sweep.analysis.sample import distinct, pooled
 from sweep.analysis.stats import broken, causes, rate
 from sweep.core import provenance
 from sweep.core.errors import Fault, InputError
@@ -67,6 +68,10 @@ def launch(overrides: list[str], flags: Flags) -> int:
 
 def execute(exp: Experiment, flags: Flags) -> int:
     """Run one experiment; its exit code."""
+    if exp.study.single:
+        for flag, value in (("--limit", flags.limit), ("--where", flags.where)):
+            if value is not None:
+                raise InputError(f"{flag} = {value} chooses among a study's points: give study=NAME, or leave it out")
     if exp.study.single and not exp.out:
         return execute_single(exp, flags)
     folder = exp.folder
@@ -93,11 +98,12 @@ def execute(exp: Experiment, flags: Flags) -> int:
         seconds = time.perf_counter() - start
         print(f"{done} rollouts in {seconds:.1f} s ({done / seconds:.1f} a second)", file=sys.stderr)
         rows = store.read_rows(folder)
-        complete = len(rows) == len(job.table) and (whole or len(first) == len(runner.wanted_points(exp)))
-    print(summary(exp.study.name, rows))
+        size = store.read_study(folder)["rollouts"]
+        complete = len(rows) == size and (whole or not exp.study.refined)
+    print(summary(exp, rows))
     if exp.study.refined:
         print("\n".join(f"refined: {one}" for one in refine.refined(exp, rows)))
-    print(f"{len(rows)} of {len(job.table)} planned rollouts are in {folder}")
+    print(f"{len(rows)} of {size} planned rollouts are in {folder}")
     return verdict(exp, rows, complete)
 
 
@@ -127,12 +133,14 @@ def verdict(exp: Experiment, rows: pd.DataFrame, complete: bool) -> int:
     return UNEXPECTED if lines else DONE
 
 
-def summary(name: str, rows: pd.DataFrame) -> str:
-    """The rate of success, overall and for each named alternative such as an engine."""
-    lines = [f"{name}: {rate(rows['outcome'])}", *(f"  {line}" for line in causes(rows["cause"]))]
+def summary(exp: Experiment, rows: pd.DataFrame) -> str:
+    """The rate of success, overall and for each named alternative such as an engine; copies are counted once."""
+    rows, copies = distinct(rows, exp)
+    lines = [f"{exp.study.name}: {pooled(rows, exp)}", *(f"  {line}" for line in causes(rows["cause"]))]
+    lines += [f"  {copies}"] if copies else []
     for column in parameter_columns(rows):
         if rows[column].dtype.kind != "f" and rows[column].nunique() > 1:
-            lines += [f"  {column} = {value}: {rate(part['outcome'])}" for value, part in rows.groupby(column)]
+            lines += [f"  {column} = {value}: {pooled(part, exp)}" for value, part in rows.groupby(column)]
     return "\n".join(lines)
 
 
