@@ -103,7 +103,7 @@ def parameters(results: Results) -> Iterator[dict[str, Any]]:
         extent = ", ".join(listed) if len(listed) <= 6 else f"{listed[0]} to {listed[-1]}"
         own = not name.startswith("axis.")  # else a number that parameters are made from
         usual = text(nominal(name, results.exp.case, results.exp.settings)) if own else ""
-        about = {"words": axis_words(name), "path": path, "on": side, "unit": unit_of(name, results.exp)}
+        about = {"words": axis_words(name, results.exp), "path": path, "on": side, "unit": unit_of(name, results.exp)}
         yield {**about, "values": extent, "number": len(listed), "nominal": usual}
 
 

@@ -21,6 +21,7 @@ from sweep.analysis.results import Results
 from sweep.analysis.sample import pooled
 from sweep.core.errors import InputError
 from sweep.metrics.outcome import MEANING
+from sweep.report.cells import not_below_zero
 from sweep.report.labels import CAUSE_COLOURS, axis_words, heading
 from sweep.runs.store import LABELS
 
@@ -31,14 +32,12 @@ MARGIN = "margin"  # column: how far a rollout stayed from its nearest limit, ne
 
 def shown(results: Results) -> bool:
     """Whether the study is one of draws: with fewer than two listed numbers that a map could be drawn over."""
-    return bool(drawn(results)) and len(results.listed) < 2
+    return bool(columns_of(results)) and len(results.listed) < 2
 
 
-def drawn(results: Results) -> list[str]:
-    """The columns of drawn numbers, those that tell success from failure best first."""
-    columns = [a.column for a in sensitivity.numeric(results.rows, sensitivity.drawn(results.rows, results.exp))]
-    order = list(importance(results)["axis"])
-    return sorted(columns, key=lambda c: order.index(c) if c in order else 0)
+def columns_of(results: Results) -> list[str]:
+    """The columns of drawn numbers."""
+    return [a.column for a in sensitivity.numeric(results.rows, sensitivity.drawn(results.rows, results.exp))]
 
 
 def importance(results: Results) -> pd.DataFrame:
@@ -62,21 +61,20 @@ def write(results: Results, folder: Path) -> list[Path]:
 
 def data(results: Results) -> pd.DataFrame:
     """What is drawn, a row for each rollout."""
-    return results.rows[[*drawn(results), *LABELS, *([MARGIN] if MARGIN in results.rows else []), "point_id"]]
+    return results.rows[[*columns_of(results), *LABELS, *([MARGIN] if MARGIN in results.rows else []), "point_id"]]
 
 
 def caption(results: Results) -> str:
     """The figure in words."""
-    columns, size = drawn(results), len(results.rows)
+    columns, size = columns_of(results), len(results.rows)
     lines = sum(min(len(part), LINES) for _, part in kinds(results.rows))
     text = "Above: a line for each rollout through its drawn values, each axis from the least to the largest. "
     if lines < size or len(columns) > AXES:
         text += f"{lines} of {size} lines and {min(len(columns), AXES)} of {len(columns)} parameters are shown. "
-    text += (
-        "Below: how differently each parameter is distributed among successes and failures (Kolmogorov and Smirnov's "
-    )
-    text += "distance; grey where p > 0.05)" if len(importance(results)) else "Below: the rollouts"
-    return text + ", and the rollouts over the parameters that matter most."
+    if not {"success", "failure"} <= set(results.rows["outcome"]):
+        return text + "Below: the rollouts over the first parameters."
+    text += "Below: how differently each parameter is distributed among successes and failures (Kolmogorov and "
+    return text + "Smirnov's distance; grey where p > 0.05), and the rollouts over the parameters that matter most."
 
 
 def kinds(rows: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
@@ -97,7 +95,8 @@ def colour(kind: str) -> str:
 
 def draw(results: Results) -> Figure:
     """The figure."""
-    columns, rows, ranked = drawn(results), results.rows, importance(results)
+    rows, ranked = results.rows, importance(results)
+    columns = list(ranked["axis"]) or columns_of(results)
     panels = [name for name, there in (("rank", len(ranked) > 0), ("pair", True), ("margin", MARGIN in rows)) if there]
     wide = len(columns) > 1
     figure = Figure(figsize=(9.5, 7.4 if wide else 4.2), layout="constrained")
@@ -106,7 +105,7 @@ def draw(results: Results) -> Figure:
     if wide:
         parallel(axes["lines"], results, columns[:AXES])
     if "rank" in axes:
-        bars(axes["rank"], ranked.head(AXES))
+        bars(axes["rank"], ranked.head(AXES), results)
     pair(axes["pair"], results, columns)
     if "margin" in axes:
         margins(axes["margin"], results, columns[0])
@@ -141,9 +140,9 @@ def parallel(ax: Axes, results: Results, columns: list[str]) -> None:
     ax.spines[:].set_visible(False)
 
 
-def bars(ax: Axes, ranked: pd.DataFrame) -> None:
+def bars(ax: Axes, ranked: pd.DataFrame, results: Results) -> None:
     """How much each parameter has to do with failure."""
-    names = [axis_words(name) for name in ranked["axis"]]
+    names = [axis_words(name, results.exp) for name in ranked["axis"]]
     ax.barh(names, ranked["distance"], color=["#0072B2" if p <= 0.05 else "0.75" for p in ranked["p"]])
     ax.invert_yaxis()
     ax.set_xlim(0, 1)
@@ -165,6 +164,8 @@ def pair(ax: Axes, results: Results, columns: list[str]) -> None:
     else:
         ax.set_yticks(range(len(every)), [kind.replace("_", " ") for kind, _ in every])
     ax.tick_params(labelsize=8)
+    if len(columns) > 1:
+        not_below_zero(ax)
 
 
 def margins(ax: Axes, results: Results, column: str) -> None:

@@ -16,9 +16,8 @@ from sweep.analysis.stats import rates
 from sweep.metrics.outcome import CAUSES
 from sweep.report import limits, mesh
 from sweep.report.cells import Cells, mark_values
-from sweep.report.labels import axis_words, heading
+from sweep.report.labels import axis_words, heading, with_value
 from sweep.report.maps import categories, legend, paint, split
-from sweep.report.tables import text
 from sweep.runs import refine
 from sweep.study.study import nominal
 
@@ -63,12 +62,13 @@ def slices(results: Results) -> Iterator[Slice]:
         elif len(others) == 1:
             values = np.sort(rows[others[0]].unique())
             chosen = values[np.unique(np.linspace(0, len(values) - 1, PANELS).round().astype(int))]
-            yield Slice(x, y, others[0], rows[rows[others[0]].isin(chosen)], f"at values of {axis_words(others[0])}")
+            note = f"at values of {axis_words(others[0], results.exp)}"
+            yield Slice(x, y, others[0], rows[rows[others[0]].isin(chosen)], note)
         else:
             fixed = {c: nearest(rows[c], usual(results, c)) for c in others}
             for name, value in fixed.items():
                 rows = rows[rows[name] == value]
-            note = ", ".join(f"{axis_words(c)} = {text(v)}" for c, v in fixed.items())
+            note = ", ".join(with_value(c, v, results.exp) for c, v in fixed.items())
             yield Slice(x, y, None, rows, f"at {note}" if note else "")
 
 
@@ -93,7 +93,7 @@ def usual(results: Results, column: str) -> float:
 def draw(results: Results, chosen: Slice) -> Figure:
     """Outcomes of single rollouts; of several in a cell the rate of success between the ends of its interval."""
     x, y = chosen.x, chosen.y
-    panels = list(split(chosen.rows, x, y, (chosen.beside,) if chosen.beside else ()))
+    panels = list(split(chosen.rows, x, y, (chosen.beside,) if chosen.beside else (), exp=results.exp))
     cells = Cells(np.sort(chosen.rows[x].unique()), np.sort(chosen.rows[y].unique()))
     tables = [cells_of(results, panel, [x, y]).rename(columns={x: "x", y: "y"}) for _, panel in panels]
     single = max(table["total"].max() for table in tables) == 1
