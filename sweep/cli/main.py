@@ -368,7 +368,7 @@ def audit_results(given: argparse.Namespace) -> int:
     if given.points < 1:
         raise InputError(f"--points = {given.points} is not allowed: at least 1")
     found, ways = results.read(given.dir, given.where), names(given.ways) or []
-    with app.reporting("audit", given.points * len(ways)) as report:
+    with app.reporting("audit", given.points * len(ways), f"{found.exp.scenario} in other ways") as report:
         audit.run(found, given.points, ways, report)
     print(tables.page_table(audit.table(found)))
     return DONE

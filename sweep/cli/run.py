@@ -4,7 +4,7 @@ import os
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,12 +14,13 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from sweep.analysis.sample import distinct, pooled
 from sweep.analysis.stats import broken, causes, rate
 from sweep.core import provenance
 from sweep.core.errors import Fault, InputError
+from sweep.core.waiting import last_time, remember, waiting
 from sweep.report import tables
 from sweep.runs import refine, runner, store
 from sweep.runs.batches import make_engine
@@ -92,7 +93,7 @@ def execute(exp: Experiment, flags: Flags) -> int:
         refining = exp.study.refined and whole
         for job in refine.rounds(exp, folder, first) if refining else [runner.lay_out(exp, folder, first)]:
             todo = len(job.rows(job.missing()))
-            with reporting(exp.study.name, todo) as report:
+            with reporting(exp.study.name, todo, program(exp)) as report:
                 job = runner.run(job, report, dispatch)
             done += todo
         seconds = time.perf_counter() - start
@@ -112,7 +113,10 @@ def execute_single(exp: Experiment, flags: Flags) -> int:
     if flags.dry_run:
         print(f"{exp.scenario}: 1 rollout on {exp.settings.name}")
         return DONE
-    rows = runner.run_single(exp)
+    what, start = program(exp), time.perf_counter()
+    with waiting(f"compiling {what}, then simulating{last_time(what)}"):
+        rows = runner.run_single(exp)
+    remember(what, time.perf_counter() - start)
     sys.stdout.write(tables.one_rollout(exp.scenario, rows.iloc[0]))
     return verdict(exp, rows, complete=True)
 
@@ -195,20 +199,34 @@ def axes_table(exp: Experiment) -> str:
     return table.to_markdown(index=False, disable_numparse=True)
 
 
+def program(exp: Experiment) -> str:
+    """What has to be compiled before the first batch, in words."""
+    kind = exp.settings.name if exp.study.single else f"batches of {exp.study.name} on {exp.settings.name}"
+    return f"{exp.scenario} for {kind}"
+
+
 @contextmanager
-def reporting(name: str, total: int) -> Iterator[runner.Progress]:
-    """A live bar on a terminal's standard error, nothing elsewhere."""
+def reporting(name: str, total: int, what: str) -> Iterator[runner.Progress]:
+    """A live bar on a terminal's standard error, a line now and then elsewhere; `what` is compiled first."""
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[note]}"),
-               TimeRemainingColumn())  # fmt: skip
+               TimeElapsedColumn(), TimeRemainingColumn())  # fmt: skip
     console = Console(stderr=True)
-    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
-        task = bar.add_task(name, total=total, note="compiling")
-        start, done, good = time.perf_counter(), 0, 0
+    start, done, good = time.perf_counter(), 0, 0
+
+    def note() -> str:
+        if not done:
+            return f"compiling {what}{last_time(what)}"
+        return f"{done / (time.perf_counter() - start):.1f} rollouts/s, {good / done:.0%} succeed"
+
+    silent = nullcontext() if console.is_terminal else waiting(lambda: f"{name}: {done} of {total}, {note()}")
+    with silent, Progress(*columns, console=console, disable=not console.is_terminal) as bar:
+        task = bar.add_task(name, total=total, note=note())
 
         def report(rows: pd.DataFrame) -> None:
             nonlocal done, good
+            if not done:
+                remember(what, time.perf_counter() - start)
             done, good = done + len(rows), good + int((rows["outcome"] == "success").sum())
-            pace = done / (time.perf_counter() - start)
-            bar.update(task, completed=done, note=f"{pace:.1f} rollouts/s, {good / done:.0%} succeed")
+            bar.update(task, completed=done, note=note())
 
         yield report

@@ -16,7 +16,7 @@ from matplotlib.patches import Patch, PathPatch, Rectangle
 from matplotlib.path import Path
 from matplotlib.transforms import Affine2D
 
-from sweep.analysis.stats import rate
+from sweep.analysis.sample import pooled
 from sweep.core.expressions import column
 from sweep.core.parameters import InputError
 from sweep.metrics.outcome import CAUSES
@@ -65,7 +65,7 @@ def success_map(rows: pd.DataFrame, stored: Mapping[str, Any], chosen: tuple[str
     for ax, (title, panel) in zip(axes[0, : len(panels)], panels, strict=True):
         (categories if most == 1 else shares)(ax, panel.assign(x=panel[x], y=panel[y]), cells)
         mark_values(ax, cells)
-        text = str(rate(panel["outcome"])).replace(" (", "\n(", 1)
+        text = str(pooled(panel, exp)).replace(" (", "\n(", 1)
         if guessed:  # the share of rollouts that succeed says nothing where they were placed near the boundary
             mesh.draw(ax, exp, panel, x, y, cells)
             text = f"{panel['known'].sum()} rollouts (dots); each cell as its corners"

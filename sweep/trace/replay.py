@@ -13,6 +13,7 @@ from tabulate import tabulate
 
 from sweep.core import provenance
 from sweep.core.parameters import InputError
+from sweep.core.waiting import waiting
 from sweep.engines.base import Trace
 from sweep.metrics.outcome import classify
 from sweep.runs import store
@@ -42,7 +43,8 @@ def main(args: list[str]) -> int:
     """Run the command with the arguments after `replay`; the exit status. Raises `InputError`."""
     options = _parser().parse_args(args)
     _check(options)
-    result = replay(options.folder, options.point)
+    with waiting(f"simulating {options.point} of {options.folder} in its batch"):
+        result = replay(options.folder, options.point)
     print(comparison(result))
     for path in (options.mcap, options.video, options.output):
         if path is not None:
@@ -53,9 +55,16 @@ def main(args: list[str]) -> int:
     for name in options.plot:
         save(PLOTS[name](result.trace), plot_path(options.output, name, alone=len(options.plot) == 1))
     if options.png:
-        write_png(options.png, result.trace)
+        write_png(options.png, result.trace, str(result.again["cause"] or result.again["outcome"]).replace("_", " "))
     if options.video:
-        write_video(options.video, result.trace)
+        drawn = "no picture drawn"
+
+        def report(done: int, of: int) -> None:
+            nonlocal drawn
+            drawn = f"{done} of {of} pictures drawn"
+
+        with waiting(lambda: drawn):
+            write_video(options.video, result.trace, report)
     return 0
 
 
