@@ -44,7 +44,7 @@ def test_a_nominal_rollout_is_one_row_and_leaves_no_files(tmp_path):
 def test_the_notebook_example_of_the_readme_runs():
     readme = (Path(__file__).parents[1] / "README.md").read_text()
     (example,) = re.findall(r"```python\n(.*?)```", readme, re.DOTALL)
-    assert sum(map(bool, example.splitlines())) == 5
+    assert sum(map(bool, example.splitlines())) == 6
     with mpl.rc_context({"backend": "agg"}):
         exec(example, {})
 
