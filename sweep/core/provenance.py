@@ -68,7 +68,10 @@ def versions() -> dict[str, str]:
 
 @functools.cache
 def commit() -> str:
-    """The checkout's commit, marked where files differ from it; empty outside a checkout."""
+    """The commit that was installed, else the checkout's, marked where files differ from it; empty where unknown."""
+    installed = ROOT / "commit.txt"  # written into a wheel: a folder around it may be a checkout of something else
+    if installed.exists():
+        return installed.read_text().strip()
     found = subprocess.run(
         ["git", "describe", "--always", "--dirty", "--abbrev=12"],
         cwd=ROOT, capture_output=True, text=True, check=False,
