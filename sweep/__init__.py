@@ -6,6 +6,7 @@ from sweep import load, run
 from typing import TYPE_CHECKING
 
 import sweep.core.start  # noqa: F401  first of all
+from sweep.core.errors import Fault, InputError
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -13,14 +14,14 @@ if TYPE_CHECKING:
     import pandas as pd
 
 __version__ = "0.1.0"
-__all__ = ["load", "run"]
+__all__ = ["Fault", "InputError", "load", "run"]
 
 
 def run(*overrides: str) -> "pd.DataFrame":
     """Simulate what `sweep run` with the same `overrides` would, and give its rows as `load` does.
 
     Studies are kept in their folder, so a second call finishes or only reads them; a nominal rollout is one row
-    and leaves no files. Raises `sweep.core.parameters.InputError`, whose message is one line.
+    and leaves no files. Raises `sweep.InputError`, whose message is one line.
     """
     from sweep import api  # the simulator takes seconds to import
 
@@ -30,8 +31,8 @@ def run(*overrides: str) -> "pd.DataFrame":
 def load(folder: "str | PathLike[str]", where: str | None = None) -> "pd.DataFrame":
     """Finished rows of a study's folder that match `where`: one row a rollout, one column a parameter or figure.
 
-    `attrs["units"]` has the unit of every column with a dimension, `attrs["study"]` the study's name. Raises
-    `sweep.core.parameters.InputError`.
+    `attrs["units"]` has the unit of every column with a dimension, `attrs["study"]` the study's name. `rows.sweep`
+    draws and replays them (see `sweep.api.Accessor`). Raises `sweep.InputError`.
     """
     from sweep import api
 

@@ -1,14 +1,25 @@
 """What `from sweep import load, run` offers to notebooks; behind it is the machinery of the command line."""
 
+from dataclasses import dataclass
+from html import escape
 from os import PathLike
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
+import matplotlib.pyplot as plt
 import pandas as pd
+from matplotlib.figure import Figure
 
+from sweep.analysis.sample import distinct
+from sweep.core.errors import InputError
 from sweep.core.expressions import mask
+from sweep.report import draws, maps, page
 from sweep.report.labels import unit_of
-from sweep.runs import store
+from sweep.runs import results, store
 from sweep.study.config import Experiment, compose, experiment
+
+if TYPE_CHECKING:
+    from sweep.trace.replay import Replay
 
 
 def run(overrides: list[str]) -> pd.DataFrame:
@@ -29,7 +40,65 @@ def load(folder: str | PathLike[str], where: str | None = None) -> pd.DataFrame:
     stored, rows = store.read_study(folder), store.read_rows(folder)
     if where:
         rows = rows[mask(rows, where)].reset_index(drop=True)
-    return _tidy(rows, experiment(stored["config"]))
+    rows = _tidy(rows, experiment(stored["config"]))
+    rows.attrs["folder"] = str(folder)
+    return rows
+
+
+@dataclass(frozen=True)
+class Page:
+    """A page of HTML that notebooks show in a frame of its own, as its styles are not theirs."""
+
+    html: str
+
+    def __str__(self) -> str:
+        return self.html
+
+    def _repr_html_(self) -> str:
+        return f'<iframe srcdoc="{escape(self.html)}" style="width: 100%; height: 70vh; border: 0"></iframe>'
+
+
+@pd.api.extensions.register_dataframe_accessor("sweep")
+class Accessor:
+    """`rows.sweep`: pictures of the rows that `load` or `run` gave, all or chosen ones, and their rollouts again."""
+
+    def __init__(self, rows: pd.DataFrame):
+        if "folder" not in rows.attrs:
+            raise AttributeError("only rows of a study's folder have pictures: see sweep.load")
+        self._rows, self._folder = rows, Path(rows.attrs["folder"])
+
+    def map(self, x: str = "", y: str = "") -> Figure:
+        """The map of success over two parameters, the first two that vary unless named. Raises `InputError`."""
+        found = self._results()
+        figure = maps.success_map(found.rows, found.stored, tuple(name for name in (x, y) if name))
+        plt.close(figure)  # else a notebook shows it once more at the end of the cell
+        return figure
+
+    def draws(self) -> Figure:
+        """Every draw, what matters, and where they fail. Raises `InputError`."""
+        found = self._results()
+        if not draws.columns_of(found):
+            raise InputError(f"{self._folder} has no axis with a distribution of numbers: draw a map")
+        return draws.draw(found)
+
+    def report(self) -> Page:
+        """The page that `sweep report` writes; `str()` of it is the HTML."""
+        return Page(page.render(self._results()))
+
+    def replay(self, row: Any = 0) -> "Replay":
+        """The rollout of the row with that label, simulated again in its batch.
+
+        `trace` has what was recorded, `again` its figures and labels, `stored` those of the row. Raises `InputError`.
+        """
+        from sweep.trace.replay import replay
+
+        return replay(self._folder, str(self._rows.loc[row, "point_id"]))
+
+    def _results(self) -> results.Results:
+        stored = store.read_study(self._folder)
+        exp = experiment(stored["config"])
+        rows, copies = distinct(self._rows, exp)
+        return results.Results(self._folder, stored, exp, rows, None, len(self._rows), copies)
 
 
 def _tidy(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:

@@ -1,3 +1,4 @@
+import json
 import re
 import subprocess
 import sys
@@ -8,6 +9,7 @@ import pandas as pd
 import pytest
 
 import sweep
+from sweep.cli.main import main
 from sweep.core.parameters import InputError
 from sweep.runs import store
 
@@ -42,7 +44,7 @@ def test_a_nominal_rollout_is_one_row_and_leaves_no_files(tmp_path):
 def test_the_notebook_example_of_the_readme_runs():
     readme = (Path(__file__).parents[1] / "README.md").read_text()
     (example,) = re.findall(r"```python\n(.*?)```", readme, re.DOTALL)
-    assert sum(map(bool, example.splitlines())) == 5
+    assert sum(map(bool, example.splitlines())) == 6
     with mpl.rc_context({"backend": "agg"}):
         exec(example, {})
 
@@ -51,3 +53,30 @@ def test_importing_is_light():
     code = "import sys, sweep; print({'jax', 'mujoco', 'pandas', 'hydra'} & set(sys.modules))"
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert out == "set()\n"
+
+
+def test_a_notebook_sees_maps_draws_and_pages():
+    rows = sweep.run(*SMALL)
+    assert rows.sweep.map().axes[0].get_xlabel() == "friction (world)"
+    assert rows.sweep.map("half_step_ratio", "friction").axes[0].get_ylabel() == "friction (world)"
+    some = rows[rows["outcome"] == "failure"]
+    page = some.sweep.report()
+    assert f"<strong>0 of {len(some)}</strong>" in str(page)
+    assert page._repr_html_().startswith('<iframe srcdoc="&lt;!doctype')
+    with pytest.raises(sweep.InputError, match="no axis with a distribution"):
+        rows.sweep.draws()
+    with pytest.raises(AttributeError, match=r"see sweep\.load"):
+        sweep.run().sweep.map()
+
+
+def test_the_notebook_of_a_new_project_runs(tmp_path, monkeypatch):
+    """All its cells but the replay, of which the fake engine has no record."""
+    assert main(["init", str(tmp_path / "lab")]) == 0
+    monkeypatch.chdir(tmp_path / "lab")
+    cells = json.loads(Path("first.ipynb").read_text())["cells"]
+    *code, last = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
+    space: dict = {}
+    for source in code:
+        exec(source, space)
+    assert len(space["rows"]) == 32
+    assert "replay" in last

@@ -3,9 +3,10 @@ import re
 
 import pytest
 
-from sweep.cli.choices import GROUPS, choices
+from sweep.cli.choices import choices
 from sweep.controllers.manoeuvres import MANOEUVRES
 from sweep.core.parameters import InputError
+from sweep.core.project import GROUPS
 from sweep.models.obstacles import OBSTACLES
 from sweep.study.config import compose, composed, experiment
 

@@ -286,13 +286,13 @@ def regional(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
     """
     from scipy.stats import ks_2samp
 
-    good, bad = rows[rows["outcome"] == "success"], rows[rows["outcome"] == "failure"]
-    if good.empty or bad.empty:
+    good, bad = (rows["outcome"] == "success").to_numpy(), (rows["outcome"] == "failure").to_numpy()
+    if not good.any() or not bad.any():
         raise InputError("regional sensitivity needs successes and failures")
-    invalid = len(rows) - len(good) - len(bad)
+    invalid = int((~good & ~bad).sum())
     lines = []
     for axis in numeric(rows, drawn(rows, exp)):
-        good_ones, bad_ones = good[axis.column], bad[axis.column]
+        good_ones, bad_ones = rows[axis.column][good], rows[axis.column][bad]
         test: Any = ks_2samp(good_ones, bad_ones)
         lines.append(
             [axis.column, test.statistic, test.pvalue, good_ones.median(), bad_ones.median(), len(rows), invalid]

@@ -16,7 +16,7 @@ from sweep.study.study import Expectation
 
 @dataclass(frozen=True)
 class Rate:
-    """Successes among valid rollouts with the 95 % Wilson interval; invalid ones are counted apart."""
+    """Successes among valid rollouts with the 95 % Wilson interval, NaN where none is meant; invalid ones apart."""
 
     total: int
     invalid: int
@@ -47,8 +47,8 @@ class Rate:
     def __str__(self) -> str:
         if not self.valid:
             return f"no valid rollout among {self.total}"
-        share, low, high = map(percent, (self.share, self.low, self.high))
-        return f"{self.success} of {self.valid} succeed ({share}, 95 % interval {low} to {high}), {self.broken}"
+        sure = "" if np.isnan(self.low) else f", 95 % interval {percent(self.low)} to {percent(self.high)}"
+        return f"{self.success} of {self.valid} succeed ({percent(self.share)}{sure}), {self.broken}"
 
 
 def percent(share: float) -> str:

@@ -1,33 +1,17 @@
 """What each group of the configuration may be: files, and classes that need none; read as text, which is quick."""
 
 import ast
-from importlib.resources import files
 from pathlib import Path
 
-GROUPS = (
-    "scenario",
-    "study",
-    "robot",
-    "obstacle",
-    "manoeuvre",
-    "drive",
-    "contact",
-    "noise",
-    "execution",
-    "engine",
-    "outcome",
-    "cluster",
-)
+from sweep.core import project
+
 CLASSES = {"obstacle": "models/obstacles", "manoeuvre": "controllers/manoeuvres"}  # folders of their sources
 
 
 def choices(group: str) -> dict[str, str]:
-    """Their names, and what the first comment of the file or the first sentence of the class says."""
+    """Those that ship: their names, and what the first comment of the file or the first sentence of the class says."""
     found = _classes(Path(__file__).parents[1] / CLASSES[group]) if group in CLASSES else {}
-    for file in (files("sweep.conf") / group).iterdir():
-        lines = file.read_text(encoding="utf-8").splitlines()
-        text = next((line for line in lines if line.startswith("# ") and "@package" not in line), "#")
-        found[file.name.removesuffix(".yaml")] = text[2:]
+    found |= {name: project.described(file) for name, file in project.shipped(group).items()}
     return dict(sorted(found.items()))
 
 

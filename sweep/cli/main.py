@@ -8,14 +8,30 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sweep.cli.choices import GROUPS, choices
+from sweep import __version__
+from sweep.cli import project
 from sweep.core.errors import Fault, InputError
+from sweep.core.project import GROUPS
 
 if TYPE_CHECKING:
     import pandas as pd
 
+    from sweep.runs.results import Results
+
 DONE, BAD_INPUT, UNEXPECTED, FAULT, INTERRUPTED = 0, 2, 4, 5, 130
 BENCH = ("arrowhead", "mjx", "bare", "native")  # rows of `sweep bench`
+RUN_HELP = f"""groups: {", ".join(GROUPS)}
+  sweep list               their choices
+  sweep describe robot     their parameters: unit, meaning, bounds, default
+  sweep run --cfg job      the whole configuration
+  sweep run --multirun     a run for each of robot=base,circular
+examples:
+  sweep run scenario=walk_slope contact.friction=0.2 robot=three_link
+  sweep run study=walk_map study.axes.friction.num=65 out=results/fine
+  sweep run study=my/study.yaml --dry-run
+exit codes:
+  0 done, 2 bad input, 3 too many invalid rollouts, 4 an expectation is not met, 5 disk, memory or workers failed,
+  130 interrupted"""
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -55,21 +71,36 @@ def main(argv: list[str] | None = None) -> int:
 def parser() -> argparse.ArgumentParser:
     """Commands and their arguments."""
     top = argparse.ArgumentParser(prog="sweep", description="Batch experiments with six-legged robots.")
+    top.add_argument("--version", action="version", version=f"sweep {__version__}")
     commands = top.add_subparsers(required=True, metavar="command")
 
-    def command(name: str, action: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:
-        sub = commands.add_parser(name, help=text, description=text)
+    def command(
+        name: str, action: Callable[[argparse.Namespace], int], text: str, example: str = ""
+    ) -> argparse.ArgumentParser:
+        raw, epilog = argparse.RawDescriptionHelpFormatter, f"example:\n  {example}" if example else None
+        sub = commands.add_parser(name, help=text, description=text, epilog=epilog, formatter_class=raw)
         sub.set_defaults(command=action)
         return sub
 
-    def of_results(name: str, action: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:
-        sub = command(name, action, text)
+    def of_results(
+        name: str, action: Callable[[argparse.Namespace], int], text: str, example: str = ""
+    ) -> argparse.ArgumentParser:
+        sub = command(name, action, text, example)
         sub.add_argument("dir", type=Path, help="folder of a study, such as results/walk_map")
         return sub
 
     delegated = "see `sweep {} --help`"
     command("run", lambda _: DONE, "simulate a scenario, or every point of a study; " + delegated.format("run"))
-    command("list", show_choices, "what can be run: scenarios, studies, robots and the other groups")
+    new = command("init", project.init, "make a project: a folder for studies, robots and modules of your own")
+    new.add_argument("dir", type=Path, help="a new or empty folder")
+    choices = command("list", project.show, "scenarios, studies, robots and the other groups; or folders of results")
+    choices.add_argument("dir", type=Path, nargs="*", help="folders of studies, such as results/: a line for each")
+    about = command("describe", project.describe, "parameters: unit, meaning, bounds, default",
+                    "sweep describe robot; sweep describe drive.torque_limit")  # fmt: skip
+    about.add_argument("name", nargs="?", help="a group, obstacle=ball, or a parameter; all of them without")
+    words = command("completion", project.completion, "completion for bash", 'eval "$(sweep completion)"  # in .bashrc')
+    words.add_argument("--line", help=argparse.SUPPRESS)
+    words.set_defaults(flags=lambda: flags_of(commands))
     of_results("status", status, "how far a study is")
     of_results("verify", verify, "which files of a study are damaged, missing or no part of it")
     table = of_results("table", show_table, "the rows of a study as a table")
@@ -92,11 +123,12 @@ def parser() -> argparse.ArgumentParser:
         "--paper", type=Path, required=True, metavar="FOLDER", help="LaTeX tables, figures, numbers, data"
     )
     export.add_argument("--where", help="only rows that match")
-    compare = command("compare", compare_results, "the same points in two folders: which outcomes differ, and where")
+    compare = command("compare", compare_results, "the same points in two folders: which outcomes differ, and where",
+                      "sweep compare results/before results/after --tolerance 0.01 --figures 0.1")  # fmt: skip
     compare.add_argument(
         "a", type=Path, metavar="A", help="folder of the reference; each of its rows needs its pair in B"
     )
-    compare.add_argument("b", type=Path, metavar="B", help="folder of another engine, version or controller")
+    compare.add_argument("b", type=Path, nargs="+", metavar="B", help="folder of another engine, version or controller")
     compare.add_argument("--a", dest="where_a", metavar="CONDITION", help="only rows of A that match")
     compare.add_argument("--b", dest="where_b", metavar="CONDITION", help="only rows of B that match")
     compare.add_argument("--by", metavar="NAMES", help="columns that are equal in a pair (default: point_id)")
@@ -110,7 +142,8 @@ def parser() -> argparse.ArgumentParser:
     audit.add_argument("--points", type=int, default=32, help="how many of each, drawn at random (32)")
     audit.add_argument("--ways", default="again,half_step,float64,other_engine,solid", help="separated by commas")
     audit.add_argument("--where", help="only rows that match")
-    judge = of_results("relabel", relabel, "judge stored rollouts by other thresholds, without simulating")
+    judge = of_results("relabel", relabel, "judge stored rollouts by other thresholds, without simulating",
+                       "sweep relabel results/walk_map 'slip_max_m<0.02' 'tilt_max_deg<15'")  # fmt: skip
     judge.add_argument("thresholds", nargs="+", metavar="'KEY<VALUE'", help="such as 'slip_max_m<0.02'")
     bench = command("bench", show_speed, "how fast the walking map is simulated here, by engine and dynamics")
     bench.add_argument("--rollouts", type=int, default=0, help="of each row; 0: one batch")
@@ -125,17 +158,38 @@ def run(argv: list[str]) -> int:
     """`sweep run`: our own flags are taken out, the rest is Hydra's."""
     from sweep.cli.run import Flags, launch
 
-    own = argparse.ArgumentParser(prog="sweep run", add_help=False, allow_abbrev=False)
-    own.add_argument("--dry-run", action="store_true")
-    own.add_argument("--limit", type=int)
-    own.add_argument("--where")
-    own.add_argument("--points")
-    given, overrides = own.parse_known_args(argv)
+    given, overrides = run_parser().parse_known_args(argv)
     if given.limit is not None and given.limit < 1:
         raise InputError(f"--limit = {given.limit} is not allowed: at least 1")
+    for group in GROUPS:
+        if len(chosen := [one for one in overrides if one.startswith(f"{group}=")]) > 1:
+            raise InputError(f"{group} is chosen twice: {' '.join(chosen)}")
     if given.points:
         overrides.append(f"study.points='{given.points}'")
     return launch(overrides, Flags(given.dry_run, given.limit, given.where))
+
+
+def run_parser() -> argparse.ArgumentParser:
+    """Our own flags of `sweep run`, and its help."""
+    own = argparse.ArgumentParser(
+        prog="sweep run", allow_abbrev=False, formatter_class=argparse.RawDescriptionHelpFormatter,
+        usage="sweep run [group=choice ...] [group.name=value ...] [flags]",
+        description="Without a study: one nominal rollout of a scenario. With one: every point of it, into "
+        "results/STUDY.",
+        epilog=RUN_HELP,
+    )  # fmt: skip
+    own.add_argument("--dry-run", action="store_true", help="only say how many rollouts, in which batches")
+    own.add_argument("--limit", type=int, metavar="N", help="only the first N points of the study")
+    own.add_argument("--where", metavar="CONDITION", help="only points that match, such as 'friction > 0.8'")
+    own.add_argument("--points", metavar="FILE.csv", help="points from a table whose columns are parameters")
+    return own
+
+
+def flags_of(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> dict[str, list[str]]:
+    """The commands and their flags."""
+    parsers = {**commands.choices, "run": run_parser()}
+    return {name: [flag for action in sub._actions for flag in action.option_strings if flag.startswith("--")]
+            for name, sub in parsers.items()}  # fmt: skip
 
 
 def show_speed(args: argparse.Namespace) -> int:
@@ -171,15 +225,6 @@ def formula(argv: list[str]) -> int:
     return command.main(argv)
 
 
-def show_choices(_: argparse.Namespace) -> int:
-    """Every choice with what it says of itself."""
-    for group in GROUPS:
-        print(f"{group}=")
-        for name, text in choices(group).items():
-            print(f"  {name:20} {text}")
-    return DONE
-
-
 def status(given: argparse.Namespace) -> int:
     """Planned, done, and how it went so far."""
     from sweep.analysis.stats import causes
@@ -187,7 +232,7 @@ def status(given: argparse.Namespace) -> int:
 
     stored, planned = store.read_study(given.dir), store.read_points(given.dir)
     done = planned["batch"].isin(store.finished(given.dir)).sum() if len(planned) else 0
-    print(f"{given.dir}: {done} of {len(planned)} rollouts done, code {stored['commit'] or stored['code']}")
+    print(f"{given.dir}: {done} of {stored['rollouts']} rollouts done, code {stored['commit'] or stored['code']}")
     if done:
         rows = store.read_rows(given.dir)
         print(", ".join(f"{number} {outcome}" for outcome, number in rows["outcome"].value_counts().items()))
@@ -246,16 +291,20 @@ def show_table(given: argparse.Namespace) -> int:
 
 def show_statistics(given: argparse.Namespace) -> int:
     """What the rows say in numbers."""
+    from sweep.core.expressions import column
     from sweep.report import statistics
     from sweep.runs import store
     from sweep.study.config import experiment
 
+    rows = selected(given)
+    if given.figure:
+        column(rows, given.figure)
     if not 0 < given.level < 1:
         raise InputError(f"--level = {given.level:g} is not allowed: between 0 and 1")
     exp = experiment(store.read_study(given.dir)["config"])
     if given.figure and exp.study.design.kind != "saltelli":
         raise InputError("--figure is for Sobol indices, which need a study with study.design.kind=saltelli")
-    sys.stdout.write(statistics.render(selected(given), exp, given.level, given.figure))
+    sys.stdout.write(statistics.render(rows, exp, given.level, given.figure))
     return DONE
 
 
@@ -265,14 +314,24 @@ def draw_report(given: argparse.Namespace) -> int:
     from sweep.runs import results
 
     found, folder = results.read(given.dir, given.where), given.output or given.dir
+    chosen = tuple(name for name in (given.x, given.y) if name)
+    if chosen:
+        maps.map_axes(found.rows, chosen)  # refuses before anything is written
     if given.pictures:
         typical.draw(found)
     print(page.write(found, folder / "report.html"))
-    chosen = tuple(name for name in (given.x, given.y) if name)
-    if chosen or len(found.numeric) > 1:
-        for path in maps.draw(found.rows, found.stored, folder, chosen):
-            print(path)
+    for path in pictures(found, folder, chosen):
+        print(path)
     return DONE
+
+
+def pictures(found: "Results", folder: Path, chosen: tuple[str, ...]) -> list[Path]:
+    """The map of a study of conditions, or of the two parameters that are `chosen`; for draws the picture of draws."""
+    from sweep.report import draws, maps
+
+    if draws.shown(found) and not chosen:
+        return draws.write(found, folder)
+    return maps.draw(found.rows, found.stored, folder, chosen) if chosen or len(found.numeric) > 1 else []
 
 
 def export_results(given: argparse.Namespace) -> int:
@@ -286,16 +345,27 @@ def export_results(given: argparse.Namespace) -> int:
 
 
 def compare_results(given: argparse.Namespace) -> int:
-    """Flips of outcome between two folders; exit code 4 where they are more than tolerated."""
+    """Flips of outcome between a folder and each of the others; exit code 4 where they are more than tolerated."""
+    import pandas as pd
+
     from sweep.analysis import compare
     from sweep.report import comparison
 
-    a, b = matching(given.a, given.where_a), matching(given.b, given.where_b)
-    pairs = compare.pair(a, b, names(given.by))
-    print(comparison.text(pairs, len(a), len(b), names(given.regions)))
+    if not 0 <= given.tolerance <= 1:
+        raise InputError(f"--tolerance = {given.tolerance:g} is not allowed: a share from 0 to 1")
+    if given.figures is not None and not given.figures >= 0:
+        raise InputError(f"--figures = {given.figures:g} is not allowed: at least 0")
+    a, differ, broken = matching(given.a, given.where_a), [], []
+    for number, folder in enumerate(given.b):
+        b = matching(folder, given.where_b)
+        pairs = compare.pair(a, b, names(given.by))
+        if len(given.b) > 1:
+            print(f"{chr(10) if number else ''}{given.a} and {folder}")
+        print(comparison.text(pairs, len(a), len(b), names(given.regions)))
+        differ.append(compare.differences(pairs).assign(**({"B": str(folder)} if len(given.b) > 1 else {})))
+        broken += comparison.broken(pairs, len(a), given.tolerance, given.figures)
     if given.output:
-        given.output.write_bytes(compare.differences(pairs).to_csv(index=False).encode())
-    broken = comparison.broken(pairs, len(a), given.tolerance, given.figures)
+        given.output.write_bytes(pd.concat(differ).to_csv(index=False).encode())
     for line in broken:
         print(f"sweep: {line}", file=sys.stderr)
     return UNEXPECTED if broken else DONE
@@ -310,7 +380,7 @@ def audit_results(given: argparse.Namespace) -> int:
     if given.points < 1:
         raise InputError(f"--points = {given.points} is not allowed: at least 1")
     found, ways = results.read(given.dir, given.where), names(given.ways) or []
-    with app.reporting("audit", 2 * given.points * len(ways)) as report:
+    with app.reporting("audit", 2 * given.points * len(ways), f"{found.exp.scenario} in other ways") as report:
         audit.run(found, given.points, ways, report)
     print(tables.page_table(audit.table(found)))
     return DONE

@@ -4,7 +4,7 @@ import os
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,10 +14,12 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from sweep.analysis.sample import distinct, pooled
 from sweep.analysis.stats import broken, causes, rate
 from sweep.core.errors import Fault, InputError
+from sweep.core.waiting import last_time, remember, waiting
 from sweep.engines.run_id import device
 from sweep.report import tables
 from sweep.runs import refine, runner, store
@@ -67,6 +69,10 @@ def launch(overrides: list[str], flags: Flags) -> int:
 
 def execute(exp: Experiment, flags: Flags) -> int:
     """Run one experiment; its exit code."""
+    if exp.study.single:
+        for flag, value in (("--limit", flags.limit), ("--where", flags.where)):
+            if value is not None:
+                raise InputError(f"{flag} = {value} chooses among a study's points: give study=NAME, or leave it out")
     if exp.study.single and not exp.out:
         return execute_single(exp, flags)
     folder = exp.folder
@@ -92,19 +98,20 @@ def execute(exp: Experiment, flags: Flags) -> int:
         refining = exp.study.refined and whole
         for job in refine.rounds(exp, folder, first) if refining else [runner.lay_out(exp, folder, first)]:
             todo = len(job.rows(job.missing()))
-            with reporting(exp.study.name, todo, watched) as report:
+            with reporting(exp.study.name, todo, program(exp), watched) as report:
                 job = runner.run(job, report, dispatch)
             done += todo
         seconds = time.perf_counter() - start
         print(f"{done} rollouts in {seconds:.1f} s ({done / seconds:.1f} a second)", file=sys.stderr)
-        rows, used = store.read_rows(folder), store.read_study(folder)["devices"]
-        complete = len(rows) == len(job.table) and (whole or len(first) == len(runner.wanted_points(exp)))
+        rows, stored = store.read_rows(folder), store.read_study(folder)
+        size, used = stored["rollouts"], stored["devices"]
+        complete = len(rows) == size and (whole or not exp.study.refined)
     if len(used) > 1:
         print(f"sweep: equal rollouts need not be equal to the last bit on {' and on '.join(used)}", file=sys.stderr)
-    print(summary(exp.study.name, rows))
+    print(summary(exp, rows))
     if exp.study.refined:
         print("\n".join(f"refined: {one}" for one in refine.refined(exp, rows)))
-    print(f"{len(rows)} of {len(job.table)} planned rollouts are in {folder}")
+    print(f"{len(rows)} of {size} planned rollouts are in {folder}")
     return verdict(exp, rows, complete)
 
 
@@ -113,7 +120,10 @@ def execute_single(exp: Experiment, flags: Flags) -> int:
     if flags.dry_run:
         print(f"{exp.scenario}: 1 rollout on {exp.settings.name}")
         return DONE
-    rows = runner.run_single(exp)
+    what, start = program(exp), time.perf_counter()
+    with waiting(f"compiling {what}, then simulating{last_time(what)}"):
+        rows = runner.run_single(exp)
+    remember(what, time.perf_counter() - start)
     sys.stdout.write(tables.one_rollout(exp, rows.iloc[0]))
     return verdict(exp, rows, complete=True)
 
@@ -134,12 +144,14 @@ def verdict(exp: Experiment, rows: pd.DataFrame, complete: bool) -> int:
     return UNEXPECTED if lines else DONE
 
 
-def summary(name: str, rows: pd.DataFrame) -> str:
-    """The rate of success, overall and for each named alternative such as an engine."""
-    lines = [f"{name}: {rate(rows['outcome'])}", *(f"  {line}" for line in causes(rows["cause"]))]
+def summary(exp: Experiment, rows: pd.DataFrame) -> str:
+    """The rate of success, overall and for each named alternative such as an engine; copies are counted once."""
+    rows, copies = distinct(rows, exp)
+    lines = [f"{exp.study.name}: {pooled(rows, exp)}", *(f"  {line}" for line in causes(rows["cause"]))]
+    lines += [f"  {copies}"] if copies else []
     for column in parameter_columns(rows):
         if rows[column].dtype.kind != "f" and rows[column].nunique() > 1:
-            lines += [f"  {column} = {value}: {rate(part['outcome'])}" for value, part in rows.groupby(column)]
+            lines += [f"  {column} = {value}: {pooled(part, exp)}" for value, part in rows.groupby(column)]
     return "\n".join(lines)
 
 
@@ -199,26 +211,44 @@ def axes_table(exp: Experiment) -> str:
     return table.to_markdown(index=False, disable_numparse=True)
 
 
+def program(exp: Experiment) -> str:
+    """What has to be compiled before the first batch, in words."""
+    kind = exp.settings.name if exp.study.single else f"batches of {exp.study.name} on {exp.settings.name}"
+    return f"{exp.scenario} for {kind}"
+
+
 @contextmanager
-def reporting(name: str, total: int, watched: Watched | None = None) -> Iterator[runner.Progress]:
-    """A live bar on a terminal's standard error, nothing elsewhere; with the workers that are `watched`."""
+def reporting(name: str, total: int, what: str, watched: Watched | None = None) -> Iterator[runner.Progress]:
+    """A live bar on a terminal's standard error, a line now and then elsewhere; with the workers that are `watched`.
+
+    `what` is compiled first.
+    """
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
         TextColumn("{task.fields[note]}"),
+        TimeElapsedColumn(),
         TimeRemainingColumn(),
     )
     console = Console(stderr=True)
-    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
-        task = bar.add_task(name, total=total, note="compiling")
-        start, done, good = time.perf_counter(), 0, 0
+    start, done, good = time.perf_counter(), 0, 0
+
+    def note() -> str:
+        if not done:
+            return f"compiling {what}{last_time(what)}"
+        workers = f", {watched.workers} workers" if watched and watched.workers is not None else ""
+        return f"{done / (time.perf_counter() - start):.1f} rollouts/s, {good / done:.0%} succeed{workers}"
+
+    silent = nullcontext() if console.is_terminal else waiting(lambda: f"{name}: {done} of {total}, {note()}")
+    with silent, Progress(*columns, console=console, disable=not console.is_terminal) as bar:
+        task = bar.add_task(name, total=total, note=note())
 
         def report(rows: pd.DataFrame) -> None:
             nonlocal done, good
+            if not done:
+                remember(what, time.perf_counter() - start)
             done, good = done + len(rows), good + int((rows["outcome"] == "success").sum())
-            pace = done / (time.perf_counter() - start)
-            workers = f", {watched.workers} workers" if watched and watched.workers is not None else ""
-            bar.update(task, completed=done, note=f"{pace:.1f} rollouts/s, {good / done:.0%} succeed{workers}")
+            bar.update(task, completed=done, note=note())
 
         yield report

@@ -89,7 +89,9 @@ def _checked_number(field: "dataclasses.Field[Any]", value: Any, path: str) -> f
         return None
     if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or (whole and int(value) != value):
         raise InputError(f"{path} = {value!r} is not allowed: a {'whole ' if whole else ''}number")
-    if not math.isfinite(value) or not within(field, value):
+    if not math.isfinite(value):
+        raise InputError(f"{path} = {value:g} is not allowed: a finite number")
+    if not within(field, value):
         raise InputError(f"{path} = {value:g} is not allowed: {bounds_text(field)}")
     return int(value) if whole else float(value)
 

@@ -8,6 +8,7 @@ import subprocess
 from importlib import metadata
 from pathlib import Path
 
+from sweep.core import project
 from sweep.core.start import STARTED
 
 ROOT = Path(__file__).parents[1]
@@ -44,7 +45,7 @@ def program_version() -> str:
 
 def edited() -> bool:
     """Whether a source of programs was written after this process began: what runs may be older."""
-    return any(file.stat().st_ctime > STARTED for file in sources(PROGRAMS))
+    return any(file.stat().st_ctime > STARTED for file in (*sources(PROGRAMS), *project.module_sources()))
 
 
 def _version(modules: tuple[str, ...]) -> str:
@@ -52,6 +53,8 @@ def _version(modules: tuple[str, ...]) -> str:
     content = hashlib.blake2b(digest_size=6)
     for file in sources(modules):
         content.update(f"{file.relative_to(ROOT)}\n{_read(file)[1]}\n".encode())
+    for file in project.module_sources():
+        content.update(_read(file)[1].encode())
     content.update(repr(versions()).encode())
     return content.hexdigest()
 
@@ -113,7 +116,10 @@ def versions() -> dict[str, str]:
 
 @functools.cache
 def commit() -> str:
-    """The checkout's commit, marked where files differ from it; empty outside a checkout."""
+    """The commit that was installed, else the checkout's, marked where files differ from it; empty where unknown."""
+    installed = ROOT / "commit.txt"  # written into a wheel: a folder around it may be a checkout of something else
+    if installed.exists():
+        return installed.read_text().strip()
     found = subprocess.run(
         ["git", "describe", "--always", "--dirty", "--abbrev=12"],
         cwd=ROOT,

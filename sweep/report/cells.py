@@ -5,6 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.axes import Axes
 
+NAMED, SIDE_BY_SIDE = 12, 6  # values of an uneven axis that have a label; that have room beside each other
+
 
 class Cells(NamedTuple):
     """The values of both parameters, in order."""
@@ -24,14 +26,28 @@ def edges(values: np.ndarray) -> np.ndarray:
     if not evenly_spaced(values):
         return np.arange(len(values) + 1) - 0.5
     half = np.diff(values) / 2 if len(values) > 1 else np.array([0.5 * abs(values[0]) or 0.5])
-    return np.concatenate([[values[0] - half[0]], values[:-1] + half[: len(values) - 1], [values[-1] + half[-1]]])
+    first = values[0] - half[0]
+    if len(values) > 1 and values[0] >= 0:  # such as friction, which is never below zero
+        first = max(first, 0.0)
+    return np.concatenate([[first], values[:-1] + half[: len(values) - 1], [values[-1] + half[-1]]])
+
+
+def not_below_zero(ax: Axes) -> None:
+    """End both axes at zero where what is drawn does not go below it: a friction of -0.05 would be nonsense."""
+    for low, start, set_limit in ((ax.dataLim.x0, ax.get_xlim()[0], ax.set_xlim),
+                                  (ax.dataLim.y0, ax.get_ylim()[0], ax.set_ylim)):  # fmt: skip
+        if low >= 0 > start:
+            set_limit(0)
 
 
 def mark_values(ax: Axes, cells: Cells) -> None:
     """Name the values of uneven axes, cell by cell."""
     for axis, values in ((ax.xaxis, cells.x), (ax.yaxis, cells.y)):
         if not evenly_spaced(values):
-            axis.set_ticks(np.arange(len(values)), [f"{v:.4g}" for v in values])
+            named = np.unique(np.linspace(0, len(values) - 1, NAMED).round().astype(int))
+            axis.set_ticks(named, [f"{values[k]:.4g}" for k in named])
+    if not evenly_spaced(cells.x) and len(cells.x) > SIDE_BY_SIDE:
+        ax.tick_params(axis="x", labelrotation=60)
 
 
 def places(numbers: np.ndarray, values: np.ndarray) -> np.ndarray:

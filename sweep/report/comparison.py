@@ -4,6 +4,7 @@ import pandas as pd
 
 from sweep.analysis import compare
 from sweep.analysis.stats import percent
+from sweep.core.errors import InputError, suggest
 from sweep.core.expressions import column
 from sweep.report.labels import axis_words
 from sweep.report.tables import page_table
@@ -17,7 +18,7 @@ def text(pairs: pd.DataFrame, a: int, b: int, regions: list[str] | None = None) 
         f"{len(pairs)} pairs; {a - len(pairs)} rows of A and {b - len(pairs)} of B have none",
         str(compare.flips(pairs)),
     ]
-    axes = [column(pairs, name) for name in regions] if regions else default_regions(pairs)
+    axes = [parameter(pairs, name) for name in regions] if regions else default_regions(pairs)
     if compare.changed(pairs).any():
         if axes:
             parts += ["", f"By region ({', '.join(map(axis_words, axes))}):", page_table(compare.regions(pairs, axes))]
@@ -29,6 +30,14 @@ def text(pairs: pd.DataFrame, a: int, b: int, regions: list[str] | None = None) 
         figures = pd.DataFrame({"figure": drift.index, "typical change": [percent(v) for v in drift]})
         parts += ["", "Figures that changed most:", page_table(figures)]
     return "\n".join(parts)
+
+
+def parameter(pairs: pd.DataFrame, name: str) -> str:
+    """The parameter that `name` means. Raises `InputError` where it is another column."""
+    found = column(pairs, name)
+    if found not in (allowed := compare.axes(pairs)):
+        raise InputError(f"{name} is not a parameter{suggest(name, allowed)}")
+    return found
 
 
 def default_regions(pairs: pd.DataFrame) -> list[str]:

@@ -14,7 +14,8 @@ from sweep.analysis.compare import SECOND
 from sweep.analysis.stats import binned, percent, rate, rates
 from sweep.metrics import CAUSES
 from sweep.metrics.outcome import limit_of
-from sweep.report import slices
+from sweep.report import draws, slices
+from sweep.report.cells import not_below_zero
 from sweep.report.labels import CAUSE_COLOURS, SUCCESS, axis_words, heading
 from sweep.report.maps import pattern
 from sweep.report.tables import BOOKKEEPING
@@ -46,6 +47,7 @@ class Exhibit:
 
 def exhibits(results: Results) -> Iterator[Exhibit]:
     """All figures that a study has something to show in."""
+    yield from drawn(results)
     yield from maps(results)
     yield from effects(results)
     yield from causes(results)
@@ -53,12 +55,19 @@ def exhibits(results: Results) -> Iterator[Exhibit]:
     yield from audits(results)
 
 
+def drawn(results: Results) -> Iterator[Exhibit]:
+    """What came of draws."""
+    if draws.shown(results):
+        table, caption = draws.data(results), draws.caption(results)
+        yield Exhibit("draws", "Draws", caption, table, lambda: draws.draw(results))
+
+
 def maps(results: Results) -> Iterator[Exhibit]:
     """Where it succeeds, over pairs of parameters."""
     again = audited(results)
     for number, one in enumerate(slices.slices(results), 1):
         table = slices.data(results, one)
-        title = f"{axis_words(one.y)} by {axis_words(one.x)}"
+        title = f"{axis_words(one.y, results.exp)} by {axis_words(one.x, results.exp)}"
         if "total" not in table:
             caption = f"Single rollouts{', ' + one.note if one.note else ''}."
         else:
@@ -132,9 +141,11 @@ def _draw_effects(results: Results, table: pd.DataFrame, by: list[str]) -> Figur
         for (name, part), (colour, line, marker) in zip(parts, STYLES, strict=False):
             ax.fill_between(part["value"], part["low"], part["high"], color=colour, alpha=0.2, linewidth=0)
             ax.plot(part["value"], part["share"], line, marker=marker, markersize=3, color=colour, label=str(name))
-        ax.set(xlabel=heading(axis, results.exp), ylabel="rate of success", ylim=(-0.02, 1.02))
+        ax.set(xlabel=heading(axis, results.exp), ylabel="rate of success")
+        not_below_zero(ax)
+        ax.set_ylim(-0.02, 1.02)
         if by:
-            ax.legend(fontsize=7, title=axis_words(by[0]), title_fontsize=7)
+            ax.legend(fontsize=7, title=axis_words(by[0], results.exp), title_fontsize=7)
     if results.one_at_a_time:
         _draw_fits(results, dict(zip(axes, spots, strict=True)))
     return figure
@@ -240,7 +251,8 @@ def _draw_audits(results: Results, data: pd.DataFrame) -> Figure:
 
 def _span(values: pd.Series) -> tuple[float, float]:
     low, high = float(values.min()), float(values.max())
-    return low - 0.05 * (high - low), high + 0.05 * (high - low)
+    start = low - 0.05 * (high - low)
+    return max(start, 0.0) if low >= 0 else start, high + 0.05 * (high - low)
 
 
 def limits(results: Results) -> dict[str, float]:

@@ -2,6 +2,7 @@
 
 from sweep.metrics.outcome import DOUBTS, FAILURES
 from sweep.study.config import Experiment
+from sweep.study.designs import Axis
 from sweep.study.study import unit
 
 UNITS = {"m": "m", "s": "s", "deg": "°", "rad": "rad", "n": "N", "nm": "N·m", "j": "J", "mps": "m/s", "kg": "kg"}
@@ -21,11 +22,36 @@ def name_and_unit(column: str) -> tuple[str, str]:
     return (head.replace("_", " "), UNITS[last]) if head and last in UNITS else (column.replace("_", " "), "")
 
 
-def axis_words(column: str) -> str:
-    """`world.contact.friction` -> `friction (world)`, `engine.name` -> `engine`."""
+def axis_words(column: str, exp: Experiment | None = None) -> str:
+    """`world.contact.friction` -> `friction (world)`, `engine.name` -> `engine`.
+
+    Of numbers that parameters are made from `exp` tells how: `radius / body length`, `relative error of radius`.
+    """
+    if exp and column.startswith("axis."):
+        return made_from(next((axis for axis in exp.study.axes if axis.column == column), None), column)
     side = column.partition(".")[0]
     words = column.removesuffix(".name").rpartition(".")[2].replace("_", " ")
     return f"{words} ({side})" if side in ("world", "belief") else words
+
+
+def made_from(axis: Axis | None, column: str) -> str:
+    """What the number of an axis is, in words."""
+    if axis is None or axis.path is None:
+        return axis_words(column)
+    words = axis_words(axis.path)
+    if axis.times:
+        words = f"{words} / {axis_words(axis.times)}"
+    elif axis.relative is not None:
+        scale = axis.relative if isinstance(axis.relative, str) else f"{axis.relative:g}"
+        words = f"{words}, relative error" + ("" if axis.relative == 1 else f" in units of {scale}")
+    return words if axis.side == "both" else f"{words} ({axis.side})"
+
+
+def with_value(column: str, value: object, exp: Experiment | None = None) -> str:
+    """`obstacle.mass` at 50.0 -> `mass 50 kg`."""
+    shown = f"{value:.4g}" if isinstance(value, float) else str(value)
+    unit_there = unit_of(column, exp) if exp else ""
+    return " ".join(part for part in (axis_words(column, exp), shown, unit_there) if part)
 
 
 def unit_of(column: str, exp: Experiment) -> str:
@@ -37,6 +63,6 @@ def unit_of(column: str, exp: Experiment) -> str:
 
 def heading(column: str, exp: Experiment | None = None) -> str:
     """Words and unit, for a table or beside an axis; without `exp` the units of parameters are not known."""
-    words = axis_words(column) if "." in column else name_and_unit(column)[0]
+    words = axis_words(column, exp) if "." in column else name_and_unit(column)[0]
     known = unit_of(column, exp) if exp else name_and_unit(column)[1] if "." not in column else ""
     return f"{words} [{known}]" if known else words

@@ -1,7 +1,7 @@
 """Where it succeeds: a map over two parameters, one panel for each combination of the named alternatives."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
+from pathlib import Path as File
 from typing import Any
 
 import matplotlib.pyplot as plt
@@ -12,25 +12,27 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import ListedColormap, Normalize, to_rgb
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch, Rectangle
+from matplotlib.patches import Patch, PathPatch, Rectangle
+from matplotlib.path import Path
+from matplotlib.transforms import Affine2D
 
-from sweep.analysis.stats import rate
+from sweep.analysis.sample import pooled
 from sweep.core.expressions import column
 from sweep.core.parameters import InputError
 from sweep.metrics.outcome import FAILURES
 from sweep.report import limits, mesh
 from sweep.report.cells import Cells, edges, mark_values
-from sweep.report.labels import CAUSE_COLOURS, CAUSE_HATCHES, INVALID, SUCCESS, axis_words, heading
-from sweep.report.tables import text
+from sweep.report.labels import CAUSE_COLOURS, CAUSE_HATCHES, INVALID, SUCCESS, heading, with_value
 from sweep.runs import refine
-from sweep.study.config import experiment
+from sweep.study.config import Experiment, experiment
 
 KINDS = ["success", *FAILURES]
-OUTLINED, HATCHED = 4000, 200  # cells, and rows of them: with more, outlines and patterns would cover the colours
+# cells, and rows of them: with more, outlines and patterns would cover the colours; boxes that patterns may be cut into
+OUTLINED, HATCHED, BOXES = 4000, 200, 20_000
 PALETTE = ListedColormap([SUCCESS, *(CAUSE_COLOURS[c] for c in FAILURES)])
 
 
-def draw(rows: pd.DataFrame, stored: Mapping[str, Any], folder: Path, chosen: tuple[str, ...] = ()) -> list[Path]:
+def draw(rows: pd.DataFrame, stored: Mapping[str, Any], folder: File, chosen: tuple[str, ...] = ()) -> list[File]:
     """Write map.png and map.svg into `folder`; `chosen` names the two parameters. Raises `InputError`.
 
     With one rollout a cell its colour is the outcome or the cause of failure, with more it is the rate of success.
@@ -51,7 +53,7 @@ def success_map(rows: pd.DataFrame, stored: Mapping[str, Any], chosen: tuple[str
     exp = experiment(stored["config"])
     guessed = exp.study.resolution > 0 and {x, y} == {a.column for a in refine.lattice(exp.study).axes}
     rows = refine.painted(exp, rows) if guessed else rows.assign(known=True)
-    panels = list(split(rows, x, y))
+    panels = list(split(rows, x, y, exp=exp))
     counts = [panel.groupby([x, y]).size() for _, panel in panels]
     most = max(int(count.max()) for count in counts)
     measured = limits.measured(exp, rows)
@@ -63,7 +65,7 @@ def success_map(rows: pd.DataFrame, stored: Mapping[str, Any], chosen: tuple[str
     for ax, (title, panel) in zip(axes[0, : len(panels)], panels, strict=True):
         (categories if most == 1 else shares)(ax, panel.assign(x=panel[x], y=panel[y]), cells)
         mark_values(ax, cells)
-        text = str(rate(panel["outcome"])).replace(" (", "\n(", 1)
+        text = str(pooled(panel, exp)).replace(" (", "\n(", 1)
         if guessed:  # the share of rollouts that succeed says nothing where they were placed near the boundary
             mesh.draw(ax, exp, panel, x, y, cells)
             text = f"{panel['known'].sum()} rollouts (dots); each cell as its corners"
@@ -102,7 +104,9 @@ def map_axes(rows: pd.DataFrame, chosen: tuple[str, ...]) -> tuple[str, str]:
     return found[0], found[1]
 
 
-def split(rows: pd.DataFrame, x: str, y: str, also: tuple[str, ...] = ()) -> Iterator[tuple[list[str], pd.DataFrame]]:
+def split(
+    rows: pd.DataFrame, x: str, y: str, also: tuple[str, ...] = (), exp: Experiment | None = None
+) -> Iterator[tuple[list[str], pd.DataFrame]]:
     """Panels, with their titles: one for each combination of varied names and values of `also`."""
     named = [c for c in rows.columns if "." in c and c not in (x, y) and rows[c].dtype.kind not in "fi"]
     named = [*(c for c in named if rows[c].nunique() > 1), *also]
@@ -110,7 +114,7 @@ def split(rows: pd.DataFrame, x: str, y: str, also: tuple[str, ...] = ()) -> Ite
         yield [], rows
         return
     for values, panel in rows.groupby(named, sort=False):
-        yield [f"{axis_words(c)} {text(v)}" for c, v in zip(named, values, strict=True)], panel
+        yield [with_value(str(c), v, exp) for c, v in zip(named, values, strict=True)], panel
 
 
 def spread(counts: list[pd.Series]) -> str:
@@ -129,15 +133,36 @@ def categories(ax: Axes, rows: pd.DataFrame, cells: Cells) -> None:
 
 def hatch(ax: Axes, failed: pd.DataFrame, cells: Cells) -> None:
     """A pattern for each cause, for those who cannot tell the colours: one patch for each run of equal cells."""
-    cause_of = failed.astype({"cause": object}).pivot(index="y", columns="x", values="cause")
-    grid = cause_of.reindex(index=cells.y, columns=cells.x).astype(object).fillna("")
-    x, y = edges(cells.x), edges(cells.y)
-    for j, line in enumerate(grid.to_numpy(dtype=str)):
-        starts = np.flatnonzero(np.r_[True, line[1:] != line[:-1]])
+    causes = np.full((len(cells.y), len(cells.x)), "", dtype=object)
+    causes[places_in(failed, cells)] = failed["cause"].to_numpy()
+    for box, cause in runs(causes, cells):
+        if cause:
+            ax.add_patch(Rectangle(*box, fill=False, linewidth=0, **pattern(cause)))
+
+
+def runs(grid: np.ndarray, cells: Cells) -> Iterator[tuple[tuple[tuple[float, float], float, float], Any]]:
+    """Corner, width and height of each run of equal cells of a line, and what they hold."""
+    x, y = edges(cells.x).tolist(), edges(cells.y).tolist()
+    for j, line in enumerate(grid):
+        starts = np.flatnonzero(np.r_[True, line[1:] != line[:-1]]).tolist()
         for start, end in zip(starts, [*starts[1:], len(line)], strict=True):
-            if cause := str(line[start]):
-                size = x[end] - x[start], y[j + 1] - y[j]
-                ax.add_patch(Rectangle((x[start], y[j]), *size, fill=False, linewidth=0, **pattern(cause)))
+            yield ((x[start], y[j]), x[end] - x[start], y[j + 1] - y[j]), line[start]
+
+
+def places_in(rows: pd.DataFrame, cells: Cells) -> tuple[np.ndarray, np.ndarray]:
+    """Line and column of the cell of each row."""
+    return np.searchsorted(cells.y, rows["y"]), np.searchsorted(cells.x, rows["x"])
+
+
+def means(rows: pd.DataFrame, cells: Cells, name: str) -> np.ma.MaskedArray:
+    """The mean of a column over the rows of each cell that have a number, masked where none has."""
+    own = rows[rows[name].notna()]
+    at = np.ravel_multi_index(places_in(own, cells), (len(cells.y), len(cells.x)))
+    size = len(cells.x) * len(cells.y)
+    number = np.bincount(at, minlength=size)
+    total = np.bincount(at, own[name].to_numpy(dtype=float), minlength=size)
+    mean = np.ma.masked_array(total / np.maximum(number, 1), number == 0)
+    return mean.reshape(len(cells.y), len(cells.x))
 
 
 def pattern(cause: str) -> dict[str, Any]:
@@ -155,24 +180,35 @@ def shares(ax: Axes, rows: pd.DataFrame, cells: Cells) -> None:
 def paint(ax: Axes, rows: pd.DataFrame, cells: Cells, **style: Any) -> None:
     """The mean value of the valid rows of each cell; hatching where there are invalid ones."""
     invalid = rows["outcome"] == "invalid"
-    grid = rows[~invalid].pivot_table(index="y", columns="x", values="value").reindex(index=cells.y, columns=cells.x)
+    coloured(ax, means(rows[~invalid], cells, "value"), cells, **style)
+    doubtful = np.zeros((len(cells.y), len(cells.x)), dtype=bool)
+    doubtful[places_in(rows[invalid], cells)] = True
+    boxes = [box for box, broken in runs(doubtful, cells) if broken] if invalid.any() else []
+    if doubtful.size <= OUTLINED:
+        for box in boxes:
+            ax.add_patch(Rectangle(*box, fill=False, hatch="////", linewidth=0.4))
+    elif 0 < len(boxes) <= BOXES:
+        path = Path.make_compound_path(*(Rectangle(*box).get_path().transformed(box_of(box)) for box in boxes))
+        ax.add_patch(PathPatch(path, fill=False, hatch="////", linewidth=0))
+
+
+def box_of(box: tuple[tuple[float, float], float, float]) -> Affine2D:
+    """From the unit square to a box of cells."""
+    corner, width, height = box
+    return Affine2D().scale(width, height).translate(*corner)
+
+
+def coloured(ax: Axes, values: np.ma.MaskedArray, cells: Cells, **style: Any) -> Any:
+    """Cells by their values: drawn one by one with white outlines, or where they are many as one image."""
     x, y = edges(cells.x), edges(cells.y)
-    values = np.ma.masked_invalid(grid.to_numpy(dtype=float))
-    many = values.size > OUTLINED  # a vector picture of so many cells is slow to show
-    outline = {} if many else {"edgecolors": "white", "linewidth": 0.4}
-    ax.pcolormesh(x, y, values, rasterized=many, **outline, **style)
-    for at_x, at_y in rows.loc[invalid, ["x", "y"]].drop_duplicates().itertuples(index=False):
-        i, j = int(np.searchsorted(cells.x, at_x)), int(np.searchsorted(cells.y, at_y))
-        (left, right), (low, high) = x[i : i + 2].tolist(), y[j : j + 2].tolist()
-        cell = Rectangle((left, low), right - left, high - low, fill=False, hatch="////", linewidth=0.4)
-        ax.add_patch(cell)
+    if values.size > OUTLINED:
+        return ax.pcolorfast(x, y, values, **style)
+    return ax.pcolormesh(x, y, values, edgecolors="white", linewidth=0.4, **style)
 
 
 def beside(ax: Axes, rows: pd.DataFrame, cells: Cells, name: str) -> None:
     """A measured figure in the same cells, of rollouts that succeed."""
-    done = rows[rows["outcome"] == "success"]
-    grid = done.pivot_table(index="y", columns="x", values=name).reindex(index=cells.y, columns=cells.x)
-    colours = ax.pcolormesh(edges(cells.x), edges(cells.y), np.ma.masked_invalid(grid.to_numpy(dtype=float)))
+    colours = coloured(ax, means(rows[rows["outcome"] == "success"], cells, name), cells)
     ax.figure.colorbar(colours, ax=ax, label=f"{heading(name)}, where it succeeds", shrink=0.8)
 
 

@@ -16,7 +16,8 @@ import yaml
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from sweep.analysis.stats import broken, rate
+from sweep.analysis.sample import pooled
+from sweep.analysis.stats import broken
 from sweep.metrics.outcome import MEANING
 from sweep.report import tables
 from sweep.report.exhibits import exhibits
@@ -68,7 +69,7 @@ def render(results: Results) -> str:
     rows = results.rows
     return template.render(
         results=results,
-        rate=rate(rows["outcome"]),
+        rate=pooled(rows, results.exp),
         repeated=results.exp.study.replicates > 1,
         plates=plates,
         expectations=list(expectations(results)),

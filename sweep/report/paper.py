@@ -11,7 +11,7 @@ import matplotlib as mpl
 import numpy as np
 import pandas as pd
 
-from sweep.analysis.stats import rate
+from sweep.analysis.sample import is_sample, pooled
 from sweep.core.expressions import mask
 from sweep.metrics.outcome import MEANING
 from sweep.report import statistics, tables
@@ -59,7 +59,12 @@ def write(results: Results, out: Path) -> list[Path]:
     pd.DataFrame([vars(one) for one in numbers]).to_csv(out / "data" / "numbers.csv", index=False)
     texts["numbers.tex"] = "".join(macro(results, one, paths[0].name) for one in numbers)
     texts["main.tex"] = _template().render(
-        results=results, prefix=prefix(results), exhibits=shown, escape=escape, tables=captions
+        results=results,
+        prefix=prefix(results),
+        exhibits=shown,
+        escape=escape,
+        tables=captions,
+        sample=is_sample(results.rows, results.exp),
     )
     for name, text in texts.items():
         (out / name).write_text(text, encoding="utf-8")
@@ -88,11 +93,11 @@ def summaries(results: Results) -> Iterator[tuple[str, str, pd.DataFrame]]:
         parts += [(f"{heading(column)} {value}", part) for value, part in rows.groupby(column)]
     lines = []
     for name, part in parts:
-        one = rate(part["outcome"])
-        shares = (f"{100 * v:.1f}" for v in (one.share, one.low, one.high))
+        one = pooled(part, results.exp)
+        shares = ("" if np.isnan(v) else f"{100 * v:.1f}" for v in (one.share, one.low, one.high))
         lines.append((name, one.total, one.invalid, one.success, *shares))
     success = pd.DataFrame(lines, columns=["rollouts", "number", "invalid", "succeed", "%", "from", "to"])
-    yield "success", r"How often rollouts succeed, with 95\,\% Wilson intervals.", success
+    yield "success", r"How often rollouts succeed, with 95\,\% Wilson intervals of what is a sample.", success
     if results.causes_seen:
         counts = [(c.replace("_", " "), MEANING[c], int((rows["cause"] == c).sum())) for c in results.causes_seen]
         table = pd.DataFrame(counts, columns=["cause", "what it means", "rollouts"])
@@ -107,18 +112,16 @@ def summaries(results: Results) -> Iterator[tuple[str, str, pd.DataFrame]]:
 def quoted(results: Results) -> Iterator[Number]:
     """Every number of the bundle's text, and those that a text about the study is likely to need."""
     rows, start = results.rows, prefix(results)
-    one, valid = rate(rows["outcome"]), 'outcome != "invalid"'
-    for name, count, where in (
-        ("Rollouts", one.total, None),
-        ("Valid", one.valid, valid),
-        ("Success", one.success, 'outcome == "success"'),
-        ("Invalid", one.invalid, 'outcome == "invalid"'),
-    ):
+    one, valid = pooled(rows, results.exp), 'outcome != "invalid"'
+    for name, count, where in (("Rollouts", one.total, None), ("Valid", one.valid, valid),
+                               ("Success", one.success, 'outcome == "success"'),
+                               ("Invalid", one.invalid, 'outcome == "invalid"')):  # fmt: skip
         yield Number(start + name, count, str(count), "number of rows", where)
     share = 'share of outcome == "success"'
     yield _percent(start + "Rate", one.share, share, valid)
-    yield _percent(start + "RateLow", one.low, f"lower end of the 95 % Wilson interval of the {share}", valid)
-    yield _percent(start + "RateHigh", one.high, f"upper end of the 95 % Wilson interval of the {share}", valid)
+    if not np.isnan(one.low):
+        yield _percent(start + "RateLow", one.low, f"lower end of the 95 % Wilson interval of the {share}", valid)
+        yield _percent(start + "RateHigh", one.high, f"upper end of the 95 % Wilson interval of the {share}", valid)
     yield _percent(start + "InvalidRate", one.invalid_share, 'share of outcome == "invalid"', None)
     for cause in results.causes_seen:
         where = f'cause == "{cause}"'

@@ -15,15 +15,15 @@ from sweep.analysis.stats import binned, rates
 from sweep.metrics.outcome import FAILURES
 from sweep.report import limits, mesh
 from sweep.report.cells import Cells, mark_values
-from sweep.report.labels import axis_words, heading
+from sweep.report.labels import axis_words, heading, with_value
 from sweep.report.maps import categories, legend, paint, split
-from sweep.report.tables import text
 from sweep.runs import refine
 from sweep.runs.results import Results
 from sweep.study.study import nominal
 
 MAPS = 6  # pairs of parameters, at most
 PANELS = 4  # sections along a third parameter
+BINNED = 320  # fewer draws than this leave bins empty
 GRID = 400  # more values than this along an axis are no grid that a picture could show
 
 
@@ -46,7 +46,8 @@ def slices(results: Results) -> Iterator[Slice]:
     ones. Points that were drawn lie in no section: they are counted in bins, over all values of the others. Where
     conditions were listed and errors drawn, the map is over the conditions.
     """
-    if results.one_at_a_time:
+    few = len(results.rows) < BINNED and not results.listed and not results.exp.study.points
+    if results.one_at_a_time or few:
         return
     numeric = results.listed if len(results.listed) > 1 else results.numeric
     for x, y in list(combinations(numeric, 2))[:MAPS]:
@@ -61,12 +62,13 @@ def slices(results: Results) -> Iterator[Slice]:
         elif len(others) == 1:
             values = np.sort(rows[others[0]].unique())
             chosen = values[np.unique(np.linspace(0, len(values) - 1, PANELS).round().astype(int))]
-            yield Slice(x, y, others[0], rows[rows[others[0]].isin(chosen)], f"at values of {axis_words(others[0])}")
+            note = f"at values of {axis_words(others[0], results.exp)}"
+            yield Slice(x, y, others[0], rows[rows[others[0]].isin(chosen)], note)
         else:
             fixed = {c: nearest(rows[c], usual(results, c)) for c in others}
             for name, value in fixed.items():
                 rows = rows[rows[name] == value]
-            note = ", ".join(f"{axis_words(c)} = {text(v)}" for c, v in fixed.items())
+            note = ", ".join(with_value(c, v, results.exp) for c, v in fixed.items())
             yield Slice(x, y, None, rows, f"at {note}" if note else "")
 
 
@@ -91,7 +93,7 @@ def usual(results: Results, column: str) -> float:
 def draw(results: Results, chosen: Slice) -> Figure:
     """Outcomes of single rollouts; of several in a cell the rate of success between the ends of its interval."""
     x, y = chosen.x, chosen.y
-    panels = list(split(chosen.rows, x, y, (chosen.beside,) if chosen.beside else ()))
+    panels = list(split(chosen.rows, x, y, (chosen.beside,) if chosen.beside else (), exp=results.exp))
     cells = Cells(np.sort(chosen.rows[x].unique()), np.sort(chosen.rows[y].unique()))
     tables = [cells_of(results, panel, [x, y]).rename(columns={x: "x", y: "y"}) for _, panel in panels]
     single = max(table["total"].max() for table in tables) == 1

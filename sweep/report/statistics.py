@@ -6,7 +6,8 @@ from functools import partial
 import pandas as pd
 
 from sweep.analysis import sensitivity
-from sweep.analysis.stats import percent, rate, rates
+from sweep.analysis.sample import distinct, pooled
+from sweep.analysis.stats import percent, rates
 from sweep.core.errors import InputError
 from sweep.report.labels import heading
 from sweep.report.tables import page_table
@@ -19,12 +20,13 @@ def sections(
     rows: pd.DataFrame, exp: Experiment, level: float = 0.9, figure: str | None = None
 ) -> Iterator[tuple[str, pd.DataFrame | str]]:
     """Title and content of everything that this study can tell."""
+    rows, copies = distinct(rows, exp)
     listed, drawn = sensitivity.listed(rows, exp), sensitivity.drawn(rows, exp)
     numbers = sensitivity.numeric(rows, listed)
     several = len(rows) > len(rows.drop_duplicates([a.column for a in listed])) if listed else bool(drawn)
     note = "; most were run next to the boundary, so this is not the region's share" if exp.study.refined else ""
-    every = rate(rows["outcome"])
-    yield "Rate of success", f"{every}{note}"
+    every = pooled(rows, exp)
+    yield "Rate of success", f"{every}{note}{'; ' if copies else ''}{copies}"
     star = bool(numbers) and exp.study.design.grid == "one_at_a_time"
     if star:
         yield "Rate along each axis, the others nominal (Wilson, 95 %)", sensitivity.along(rows, exp)

@@ -93,6 +93,7 @@ def draw(results: Results) -> list[Path]:
                 continue
             end = np.fmin(one.row["t_cause_s"] + AFTER, trace.time[-1])
             one.picture.parent.mkdir(exist_ok=True)
-            write_strip(one.picture, trace, at_times(trace, np.linspace(trace.time[0], end, FRAMES)))
+            shown = at_times(trace, np.linspace(trace.time[0], end, FRAMES))
+            write_strip(one.picture, trace, shown, one.kind.replace("_", " "))
             drawn.append(one.picture)
     return drawn

@@ -8,6 +8,7 @@ from typing import Any
 import pandas as pd
 
 from sweep.analysis import sensitivity
+from sweep.analysis.sample import distinct
 from sweep.core.errors import InputError
 from sweep.core.expressions import mask
 from sweep.metrics.outcome import MEANING
@@ -25,6 +26,8 @@ class Results:
     exp: Experiment
     rows: pd.DataFrame
     where: str | None  # the condition that chose them
+    done: int = 0  # rows of the folder
+    copies: str = ""  # a sentence about rows that are left out because they repeat others
 
     @cached_property
     def axes(self) -> list[str]:
@@ -74,10 +77,13 @@ class Results:
 
 
 def read(folder: Path, where: str | None = None) -> Results:
-    """Finished rows of `folder` that match `where`. Raises `InputError`."""
+    """Finished rows of `folder` that match `where`, copies of noise-free ones left out. Raises `InputError`."""
     stored, rows = store.read_study(folder), store.read_rows(folder)
+    done = len(rows)
     if where:
         rows = rows[mask(rows, where)].reset_index(drop=True)
         if rows.empty:
             raise InputError(f"no row of {folder} matches where = {where!r}")
-    return Results(folder, stored, experiment(stored["config"]), rows, where)
+    exp = experiment(stored["config"])
+    chosen, copies = distinct(rows, exp)
+    return Results(folder, stored, exp, chosen, where, done, copies)

@@ -49,6 +49,7 @@ class Found:
 
     stages: dict[int, list[str]] = field(default_factory=dict)  # of the plan, by group
     devices: list[str] = field(default_factory=list)
+    unplanned: int = 0  # rollouts of the study that this run leaves out
 
 
 @dataclass(frozen=True)
@@ -76,6 +77,13 @@ def wanted_points(exp: Experiment, where: str | None = None, limit: int | None =
     if table.empty:
         raise InputError(f"no point of {exp.study.name} is left to run")
     return table.reset_index(drop=True)
+
+
+def unplanned(exp: Experiment, table: pd.DataFrame) -> int:
+    """How many of the study's points `table` leaves out, as after `--limit`; 0 where they are not known beforehand."""
+    if exp.study.refined or (exp.study.points and not Path(exp.study.points).is_file()):
+        return 0
+    return int((~among(points(exp.study, exp.case, exp.settings), table)).sum())
 
 
 def lay_out(exp: Experiment, folder: Path, wanted: pd.DataFrame) -> Job:
@@ -179,6 +187,7 @@ def run(job: Job, progress: Progress, dispatch: Dispatch = map) -> Job:
         found = Found(stored["stages"], stored["devices"])
         if stored["labels"] != labels_id(exp.values):
             relabel(folder, exp.values["outcome"])
+    found.unplanned = unplanned(exp, job.table)
     describe(job, found)
     while missing := job.missing():
         store.write_points(folder, job.table)
@@ -287,7 +296,7 @@ def _plan_of(folder: Path, version: str) -> tuple[Experiment, pd.DataFrame]:
 def describe(job: Job, found: Found) -> None:
     """Write study.yaml."""
     store.write_study(job.folder, {
-        "config": job.exp.values, "rollouts": len(job.table), "labels": labels_id(job.exp.values),
+        "config": job.exp.values, "rollouts": len(job.table) + found.unplanned, "labels": labels_id(job.exp.values),
         "stages": found.stages, "devices": found.devices, "code": provenance.code_version(),
         "commit": provenance.commit(), "versions": provenance.versions(),
     })  # fmt: skip

@@ -19,6 +19,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import ConfigKeyError, OmegaConfBaseException, ValidationError
 
 from sweep.controllers.manoeuvres import MANOEUVRES
+from sweep.core import project
 from sweep.core.parameters import InputError, build, checked, suggest
 from sweep.engines.settings import EngineSettings
 from sweep.metrics.outcome import Thresholds, thresholds
@@ -29,6 +30,7 @@ from sweep.models.drive import Drive
 from sweep.models.noise import Noise
 from sweep.models.obstacles import OBSTACLES
 from sweep.models.robot import Robot
+from sweep.study import sources
 from sweep.study.clusters import CLUSTERS, Cluster
 from sweep.study.designs import with_side
 from sweep.study.study import Study, StudySchema, nominal, parameter
@@ -98,7 +100,12 @@ class Experiment:
 
 @functools.cache
 def register() -> None:
-    """Tell Hydra the schemas; a kind without a file of its name is a choice as it is."""
+    """Tell Hydra the schemas, those of users' modules too, and where files are. Raises `InputError`.
+
+    A kind without a file of its name is a choice as it is.
+    """
+    sources.register()
+    add_modules()
     store = ConfigStore.instance()
     whole = _schema(ExperimentSchema)
     OmegaConf.set_struct(whole.study.axes, False)  # axes are named freely
@@ -110,6 +117,15 @@ def register() -> None:
             store.store(group=group, name=f"{kind}_schema", node=_schema(cls))
             if not (files(CONFIG_MODULE) / group / f"{kind}.yaml").is_file():
                 store.store(group=group, name=kind, node=_schema(cls))
+
+
+def add_modules() -> None:
+    """Add the obstacles and manoeuvres of users' modules to ours. Raises `InputError`."""
+    for module in project.modules():
+        for group, name in (("obstacle", "OBSTACLES"), ("manoeuvre", "MANOEUVRES")):
+            for kind, cls in getattr(module, name, {}).items():
+                if KINDS[group].setdefault(kind, cls) is not cls:
+                    raise InputError(f"module {module.__name__}: {group} {kind} is there already: give it another name")
 
 
 def _schema(cls: type) -> DictConfig:
@@ -151,6 +167,7 @@ def resolve(config: DictConfig) -> dict[str, Any]:
 
 def experiment(values: Mapping[str, Any]) -> Experiment:
     """Check plain `values` (as composed, or as stored in study.yaml). Raises `InputError`."""
+    add_modules()
     parts = {group: build(cls, values[group], group) for group, cls in GROUPS.items()}
     settings, given = parts.pop("engine"), dataclasses.asdict(parts.pop("outcome"))
     for group, kinds in KINDS.items():
@@ -180,12 +197,14 @@ def experiment(values: Mapping[str, Any]) -> Experiment:
 def one_line(error: Exception, overrides: list[str]) -> str:
     """Hydra's or OmegaConf's error as one line naming the key, the value and what is allowed."""
     if isinstance(error, MissingConfigException) and error.options is not None and error.missing_cfg_file:
-        group, _, name = error.missing_cfg_file.rpartition("/")
+        group, _, name = error.missing_cfg_file.partition("/")
+        if name.endswith(".yaml"):
+            return f"{group} = {name} is not a file"
         return f"{group} = {name} is unknown{suggest(name, choices(error.options))}"
     if isinstance(error, OverrideParseException):
         reason = next((line for line in error.message.splitlines() if "missing" in line), "put quotes around its value")
         return f"{error.override} cannot be read: {reason}"
-    cause = error.__cause__ if isinstance(error, ConfigCompositionException) else error
+    cause = error.__cause__ or error.__context__ if isinstance(error, ConfigCompositionException) else error
     if isinstance(cause, ConfigKeyError | AttributeError) and isinstance(cause, OmegaConfBaseException):
         key, given = str(cause.full_key), _given(str(cause.full_key), overrides)
         allowed = [str(k) for k in cause.parent_node or () if k != "hydra"]  # pyright: ignore[reportGeneralTypeIssues]

@@ -231,6 +231,8 @@ def _values(key: str, given: Mapping[str, Any]) -> tuple[Any, ...] | None:
     low, high = (_number(f"{key}.{name}", end) for name, end in zip(("from", "to"), ends[:2], strict=True))
     if not isinstance(ends[2], int | float) or ends[2] != int(ends[2]) or ends[2] < 1:
         raise InputError(f"{key}.num = {ends[2]!r} is not allowed: a whole number from 1")
+    if ends[2] == 1 and low != high:
+        raise InputError(f"{key}.num = 1 is not allowed from {low:g} to {high:g}: at least 2, or values: [{low:g}]")
     # shortest decimals, so that the values read, compare and hash as written
     return tuple(float(f"{v:.12g}") for v in np.linspace(low, high, int(ends[2])))
 

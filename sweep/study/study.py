@@ -95,6 +95,8 @@ class Study(_Plain):
             raise InputError(f"study.level = {values['level']:g} is not allowed: between 0 and 1")
         if not 0 <= values["resolution"] < 1:
             raise InputError(f"study.resolution = {values['resolution']:g} is not allowed: at least 0 and below 1")
+        if not 0 <= values["invalid_max"] <= 1:
+            raise InputError(f"study.invalid_max = {values['invalid_max']:g} is not allowed: a share from 0 to 1")
         for key in ("budget", "audit"):
             if values[key] < 0:
                 raise InputError(f"study.{key} = {values[key]} is not allowed: at least 0")
@@ -202,6 +204,9 @@ def _check(member: "dataclasses.Field[Any]", values: pd.Series, column: str) -> 
     """Every value inside the bounds of its parameter; a million numbers at once."""
     if values.dtype.kind == "f" and member.metadata["role"] == "quantity":
         values = values[~(np.isfinite(values) & within(member, values))].head(1)
+    if values.dtype.kind in "OUT" and member.metadata["role"] != "choice":  # of a file: one word makes a column words
+        no_number = values[pd.to_numeric(values, errors="coerce").isna()]
+        values = (no_number if len(no_number) else values).head(1)
     for value in values.unique().tolist():
         checked(member, value, column)
 

@@ -36,12 +36,14 @@ def draw(model: Any, arrays: dict[str, np.ndarray]) -> None:
     """Write every frame to stdout, (height, width, 3) bytes each.
 
     `arrays`: qpos (N, nq), look_at (N, 3) m, distance () m, azimuth and elevation () deg, size (2,) width and height,
-    tails and tips of the arrows (N, 6, 3) m, where an arrow of no length is not drawn.
+    tails and tips of the arrows (N, 6, 3) m, where an arrow of no length is not drawn, samples () of a pixel. Shadows
+    are left out: they speckle, and take more time than all the rest.
     """
     import mujoco
 
     width, height = map(int, arrays["size"])
     model.vis.global_.offwidth, model.vis.global_.offheight = width, height
+    model.vis.quality.offsamples = int(arrays["samples"])
     data, camera = mujoco.MjData(model), mujoco.MjvCamera()
     camera.distance, camera.azimuth, camera.elevation = (
         float(arrays[key]) for key in ("distance", "azimuth", "elevation")
@@ -54,6 +56,7 @@ def draw(model: Any, arrays: dict[str, np.ndarray]) -> None:
             mujoco.mj_camlight(model, data)
             camera.lookat[:] = arrays["look_at"][k]
             renderer.update_scene(data, camera)
+            renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
             for tail, tip in zip(arrays["tails"][k], arrays["tips"][k], strict=True):
                 if np.any(tail != tip):
                     _add_arrow(renderer.scene, tail, tip)

@@ -6,14 +6,14 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from functools import partial
 from pathlib import Path
 
 import mujoco
 import numpy as np
 from matplotlib.image import imsave
-from PIL import Image
+from PIL import Image, ImageDraw, ImageFont
 
 from sweep.core.parameters import InputError
 from sweep.engines.base import Trace
@@ -24,6 +24,7 @@ from sweep.trace.sampling import at_rate, base_pose, evenly
 
 SIZE = (960, 544)  # pixels, multiples of 16 as video codecs want
 IN_A_ROW = 4  # frames of a strip, which should be full rows
+STILL = 4  # samples of a pixel of a picture that is looked at
 VIDEO_RATE = 25  # frames per second, simulated and shown
 CAMERA_DISTANCE = 1.7  # in units of the distance between the robot's farthest feet at the start
 AZIMUTHS = (125.0, -125.0, 55.0, -55.0)  # deg, of the camera's sight, in order of preference
@@ -31,29 +32,53 @@ ELEVATION = -22.0  # deg
 LIBRARIES = {"egl": "libegl1 libegl-mesa0 libgl1-mesa-dri", "osmesa": "libosmesa6"}  # Debian packages
 
 
-def write_png(folder: str | Path, trace: Trace, number: int = 8) -> list[Path]:
-    """Write `number` frames, evenly spaced over the trace, named by their time; raises `InputError` without OpenGL."""
+def write_png(folder: str | Path, trace: Trace, outcome: str = "", number: int = 8) -> list[Path]:
+    """Write `number` frames, evenly spaced over the trace, named by their time; raises `InputError` without OpenGL.
+
+    Time and stage stand on each, and what came of it all.
+    """
     folder, chosen = Path(folder), evenly(trace, number)
     folder.mkdir(parents=True, exist_ok=True)
     paths = [folder / f"t{trace.time[k]:07.3f}s.png" for k in chosen]
-    for path, picture in zip(paths, render(trace, chosen), strict=True):
-        imsave(path, picture)
+    for path, picture, k in zip(paths, render(trace, chosen), chosen, strict=True):
+        imsave(path, captioned(picture, caption(trace, k, outcome)))
     return paths
 
 
-def write_strip(path: str | Path, trace: Trace, chosen: np.ndarray, height: int = 240) -> None:
+def caption(trace: Trace, k: int, outcome: str = "") -> str:
+    """Time, stage and outcome of the frame `k`, in a line."""
+    stage = trace.stages[trace.stage[k]] if 0 <= trace.stage[k] < len(trace.stages) else ""
+    return "   ".join(part for part in (f"{trace.time[k]:.2f} s", stage, outcome) if part)
+
+
+def captioned(picture: np.ndarray, text: str) -> np.ndarray:
+    """The picture with a line of text at its lower left."""
+    image = Image.fromarray(picture)
+    pen, size = ImageDraw.Draw(image), max(12, image.height // 22)
+    font, place = ImageFont.load_default(size), (size // 2, image.height - size // 2)
+    pen.text(place, text, "white", font, anchor="ls", stroke_width=max(1, size // 10), stroke_fill="black")
+    return np.asarray(image)
+
+
+def write_strip(path: str | Path, trace: Trace, chosen: np.ndarray, outcome: str = "", height: int = 240) -> None:
     """Write the frames with the indices `chosen` side by side, `height` pixels high, at most `IN_A_ROW` in a row.
 
     Raises as `render` does.
     """
     width = round(SIZE[0] * height / SIZE[1])
-    small = [np.asarray(Image.fromarray(picture).resize((width, height))) for picture in render(trace, chosen)]
+    small = [
+        captioned(np.asarray(Image.fromarray(picture).resize((width, height))), caption(trace, k, outcome))
+        for picture, k in zip(render(trace, chosen), chosen, strict=True)
+    ]
     rows = [np.concatenate(row, axis=1) for row in itertools.batched(small, IN_A_ROW)]
     Image.fromarray(np.concatenate(rows)).quantize(128).save(path, optimize=True)
 
 
-def write_video(path: str | Path, trace: Trace) -> None:
-    """Write an MP4 in real time; raises `InputError` without OpenGL or without the `video` extra."""
+def write_video(path: str | Path, trace: Trace, progress: Callable[[int, int], None] = lambda done, of: None) -> None:
+    """Write an MP4 in real time; raises `InputError` without OpenGL or without the `video` extra.
+
+    `progress` is told how many pictures of how many are drawn.
+    """
     need_ffmpeg()
     import imageio_ffmpeg
 
@@ -61,12 +86,14 @@ def write_video(path: str | Path, trace: Trace) -> None:
     raw = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{SIZE[0]}x{SIZE[1]}", "-r", str(VIDEO_RATE), "-i", "-"]
     encoded = ["-c:v", "libx264", "-crf", "20", "-pix_fmt", "yuv420p", "-movflags", "+faststart", str(path)]
     command = [imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-loglevel", "error", *raw, *encoded]
-    pictures = render(trace, at_rate(trace, VIDEO_RATE))
+    chosen = at_rate(trace, VIDEO_RATE)
+    pictures = render(trace, chosen, samples=0)
     first = next(pictures)  # before there is a file, so that a failure to draw leaves none
     with subprocess.Popen(command, stdin=subprocess.PIPE) as process:
         assert process.stdin is not None
-        for picture in itertools.chain([first], pictures):
+        for done, picture in enumerate(itertools.chain([first], pictures), start=1):
             process.stdin.write(picture.tobytes())
+            progress(done, len(chosen))
     if process.returncode:
         raise RuntimeError(f"ffmpeg failed to write {path}")
 
@@ -77,14 +104,14 @@ def need_ffmpeg() -> None:
         raise InputError("a video needs ffmpeg: pip install 'insect-sweep[video]'")
 
 
-def render(trace: Trace, chosen: np.ndarray) -> Generator[np.ndarray, None, None]:
+def render(trace: Trace, chosen: np.ndarray, samples: int = STILL) -> Generator[np.ndarray, None, None]:
     """Pictures (height, width, 3), uint8, of the frames with the indices `chosen`, one after the other.
 
-    The camera follows the base; contact forces are drawn as arrows. Raises `InputError` where neither EGL nor
-    OSMesa works.
+    A pixel is the mean of `samples`; 0 takes half the time. The camera follows the base; contact forces are drawn as
+    arrows. Raises `InputError` where neither EGL nor OSMesa works.
     """
     with tempfile.TemporaryDirectory() as job:
-        _write_job(Path(job), trace, chosen)
+        _write_job(Path(job), trace, chosen, samples)
         for backend in LIBRARIES:
             if (yield from _pictures(job, backend)):
                 return
@@ -92,7 +119,7 @@ def render(trace: Trace, chosen: np.ndarray) -> Generator[np.ndarray, None, None
     raise InputError(f"pictures need OpenGL without a screen: install the Debian packages {packages}")
 
 
-def _write_job(job: Path, trace: Trace, chosen: np.ndarray) -> None:
+def _write_job(job: Path, trace: Trace, chosen: np.ndarray, samples: int) -> None:
     feet = trace.foot_position[0]
     distance = CAMERA_DISTANCE * np.linalg.norm(feet[:, None] - feet, axis=-1).max()
     mujoco.mj_saveModel(trace.model, str(job / MODEL), None)
@@ -104,6 +131,7 @@ def _write_job(job: Path, trace: Trace, chosen: np.ndarray) -> None:
         azimuth=min(AZIMUTHS, key=partial(_hidden, trace, chosen, distance)),
         elevation=ELEVATION,
         size=SIZE,
+        samples=samples,
         tails=trace.foot_position[chosen],
         tips=arrow_tips(trace.foot_position[chosen], trace.foot_force[chosen]),
     )

@@ -30,7 +30,10 @@ BOOK_TORQUE = 75.2  # N m, the unit of figures 2.3.5 and 2.3.6: about the body's
 def torques(trace: Trace) -> Figure:
     """Joint torques per leg, N m on the left and in units of `BOOK_TORQUE` on the right."""
     values = trace.joint_torque.reshape(-1, 6, 3)
-    title = f"Joint torque (largest magnitude of each tick); right: in units of {BOOK_TORQUE} N m"
+    title = (
+        f"Joint torque (largest magnitude of each tick); right: over {BOOK_TORQUE} N m, the unit of the monograph's "
+        "figures 2.3.5 and 2.3.6"
+    )
     figure = _per_leg(trace, title, "torque (N m)", values)
     for ax in figure.axes[1::2]:
         ax.secondary_yaxis(

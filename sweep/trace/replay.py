@@ -12,6 +12,7 @@ from matplotlib.backend_bases import FigureCanvasBase
 from tabulate import tabulate
 
 from sweep.core.parameters import InputError
+from sweep.core.waiting import waiting
 from sweep.engines.base import Trace
 from sweep.engines.run_id import device, run_id
 from sweep.engines.settings import EngineSettings
@@ -44,7 +45,8 @@ def main(args: list[str]) -> int:
     """Run the command with the arguments after `replay`; the exit status. Raises `InputError`."""
     options = _parser().parse_args(args)
     _check(options)
-    result = replay(options.folder, options.point)
+    with waiting(f"simulating {options.point} of {options.folder} in its batch"):
+        result = replay(options.folder, options.point)
     print(comparison(result))
     for path in (options.mcap, options.video, options.output, options.states, options.model):
         if path is not None:
@@ -59,9 +61,16 @@ def main(args: list[str]) -> int:
     for name in options.plot:
         save(PLOTS[name](result.trace), plot_path(options.output, name, alone=len(options.plot) == 1))
     if options.png:
-        write_png(options.png, result.trace)
+        write_png(options.png, result.trace, str(result.again["cause"] or result.again["outcome"]).replace("_", " "))
     if options.video:
-        write_video(options.video, result.trace)
+        drawn = "no picture drawn"
+
+        def report(done: int, of: int) -> None:
+            nonlocal drawn
+            drawn = f"{done} of {of} pictures drawn"
+
+        with waiting(lambda: drawn):
+            write_video(options.video, result.trace, report)
     return 0
 
 

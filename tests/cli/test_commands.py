@@ -1,3 +1,4 @@
+import re
 import subprocess
 import sys
 
@@ -124,6 +125,49 @@ def test_list_describes_every_choice_and_needs_no_simulation():
     assert out.endswith("set()\n")
 
 
+def test_a_part_of_a_study_is_not_taken_for_the_whole(capsys):
+    assert main(["run", *SMALL, "--limit", "5"]) == 0
+    assert "5 of 12 planned rollouts are in results/walk_map" in capsys.readouterr().out
+    assert main(["status", "results/walk_map"]) == 0
+    assert "5 of 12 rollouts done" in capsys.readouterr().out
+    assert main(["list", "results"]) == 0
+    assert "| results/walk_map | walk_map | 5 of 12 " in re.sub(" +", " ", capsys.readouterr().out)
+
+
+def test_several_folders_are_compared_with_one(capsys):
+    for name in "abc":
+        limit = "0.5" if name == "b" else "20"
+        assert main(["run", *SMALL, f"out={name}", "study.expect=[]", f"outcome.tilt_max_deg={limit}"]) == 0
+    capsys.readouterr()
+    assert main(["compare", "a", "b", "c", "-o", "differ.csv"]) == 4
+    out, _ = capsys.readouterr()
+    assert out.index("a and b") < out.index("a and c")
+    assert set(pd.read_csv("differ.csv")["B"]) == {"b"}
+
+
+def test_draws_have_a_picture_of_their_own(capsys, tmp_path):
+    axes = ["+study.axes.f={path: contact.friction, side: world, distribution: {kind: uniform, from: 0.1, to: 1}}",
+            "+study.axes.m={path: robot.body_mass, relative: 0.1}", "study.design.num=12"]  # fmt: skip
+    assert main(["run", "study.name=few", *axes]) == 0
+    assert main(["report", "results/few"]) == 0
+    assert {"report.html", "draws.png", "draws.svg"} <= {path.name for path in (tmp_path / "results/few").iterdir()}
+    page = (tmp_path / "results/few/report.html").read_text()
+    assert 'aria-label="Draws"' in page
+    assert "bins" not in page  # of which 12 draws would leave most empty
+    assert main(["report", "results/few", "--x", "friction", "--y", "body_mass"]) == 0
+
+
+def test_copies_and_choices_are_not_taken_for_evidence(capsys):
+    assert main(["run", *SMALL, "study.replicates=5"]) == 0
+    out = capsys.readouterr().out
+    assert "6 of 12 succeed (50.0 %), 0 invalid" in out  # of a grid: no sample, no interval
+    assert "48 copies of noise-free rollouts are counted once" in out
+    assert main(["stats", "results/walk_map"]) == 0
+    assert "| 60 " not in capsys.readouterr().out
+    assert main(["run", "study.replicates=5", "out=noisy", "noise.position_noise=0.001"]) == 0
+    assert "5 of 5 succeed (100.0 %, 95 % interval 56.6 % to 100.0 %)" in capsys.readouterr().out
+
+
 def test_mistakes_with_results_are_one_line_each(capsys, tmp_path):
     assert main(["run", "study=walk_map", "study.axes.friction.num=2", "study.axes.step.num=2", "study.expect=[]"]) == 0
     (tmp_path / "file").touch()
@@ -139,7 +183,22 @@ def test_mistakes_with_results_are_one_line_each(capsys, tmp_path):
         (["table", results, "--where", "friction"], "where = 'friction' is not a condition"),
         (["stats", results, "--figure", "slip_max_m"], "need a study with study.design.kind=saltelli"),
         (["compare", results, results, "--regions", "firction"], "column firction is unknown"),
+        (["compare", results, results, "--regions", "outcome"], "outcome is not a parameter"),
+        (["compare", results, results, "--tolerance", "7"], "--tolerance = 7 is not allowed: a share from 0 to 1"),
+        (["stats", results, "--figure", "nope"], "column nope is unknown"),
+        (["report", results, "--x", "nope"], "column nope is unknown"),
+        (["run", "study=walk_map", "study=push_map"], "study is chosen twice: study=walk_map study=push_map"),
+        (["run", "--limit", "3"], "--limit = 3 chooses among a study's points: give study=NAME"),
+        (["run", *SMALL, "study.invalid_max=-1"], "study.invalid_max = -1 is not allowed: a share from 0 to 1"),
+        (
+            ["run", *SMALL, "study.axes.step.num=1"],
+            "study.axes.step.num = 1 is not allowed from 0.03 to 0.2: at least 2",
+        ),
+        (["run", "manoeuvre.steps=0"], "manoeuvre.steps = 0 is not allowed: at least 1"),
+        (["run", "contact.friction=inf"], "contact.friction = inf is not allowed: a finite number"),
+        (["run", "--points", "file.csv"], "world.contact.friction = 'abc' is not allowed: a number"),
     ]
+    (tmp_path / "file.csv").write_text("world.contact.friction\n0.3\n0.5\nabc\n")
     capsys.readouterr()
     for arguments, message in mistakes:
         assert main(arguments) == 2, arguments

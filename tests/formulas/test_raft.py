@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from sweep.formulas import NoSolution, evaluate
-from sweep.formulas.raft_dynamics import Raft, energy, raft_linear, raft_ode, rate, vertical_momentum
+from sweep.formulas.raft_dynamics import Raft, energy, integrated, raft_linear, raft_ode, rate, vertical_momentum
 
 A, B, D, GAMMA = 1.575, 1.05, 0.105, 9810.0
 WEIGHT = 4 * GAMMA * A * B * 0.1
@@ -130,3 +130,10 @@ def test_crossing_is_the_coasting_of_the_raft(h):
     start = [0, result["v0"], 0, result["w0"]]
     end = solve_ivp(drag, (0, result["time"]), start, rtol=1e-11, atol=1e-13).y[:, -1]
     np.testing.assert_allclose(end[:3], [2.5, 0.1, result["yaw"]], rtol=1e-8)
+
+
+def test_the_integrator_keeps_its_accuracy_and_says_where_it_does_not_arrive(double):
+    start, sought = jnp.array([1.0, 0.0]), 1e-9
+    swing = integrated(lambda y: jnp.stack([y[1], -y[0]]), start, 10.0, sought)
+    np.testing.assert_allclose(swing, [np.cos(10.0), -np.sin(10.0)], atol=100 * sought)
+    assert np.isnan(integrated(lambda y: y**2, jnp.ones(1), 2.0, sought)).all()  # infinite at 1

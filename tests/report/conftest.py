@@ -15,7 +15,7 @@ def folder(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sweep.engines, "make", fake_engine.FakeEngine)
         batches.forget_engine()
-        rest = ["study.expect=[]", "study.replicates=2", "engine.width=60", f"out={out}"]
+        rest = ["study.expect=[]", "noise.position_noise=0.001", "study.replicates=2", "engine.width=60", f"out={out}"]
         assert main(["run", "study=walk_map", *axes, *rest]) == 3
         batches.forget_engine()
     return out

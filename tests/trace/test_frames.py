@@ -1,6 +1,7 @@
 """Pictures: chosen frames, what is drawn, and what is said where drawing is impossible."""
 
 import dataclasses
+import resource
 
 import numpy as np
 import pytest
@@ -49,6 +50,23 @@ def test_png_frames(drawable, tmp_path):
     picture = imread(paths[0])
     assert picture.shape[:2] == frames.SIZE[::-1]
     assert picture[..., :3].std() > 0.05  # not one flat colour
+
+
+def test_stills_say_when_what_and_how_it_ended(drawable):
+    (plain,) = frames.render(drawable, np.array([124]))
+    line = frames.caption(drawable, 124, "slipped")
+    assert line.startswith("0.50 s   ")
+    assert line.endswith(f"{drawable.stages[drawable.stage[124]]}   slipped")
+    changed = np.any(frames.captioned(plain, line) != plain, axis=2)
+    assert changed[-60:].any()  # at the bottom
+    assert not changed[:-60].any()
+
+
+def test_a_video_takes_less_time_than_what_it_shows(drawable):
+    start = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
+    number = sum(1 for _ in frames.render(drawable, np.arange(0, 250, 5), samples=0))
+    seconds = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - start  # of the processor, with starting to draw
+    assert number / frames.VIDEO_RATE > 0.5 * (seconds - 1.5)
 
 
 def test_forces_are_drawn_to_scale(drawable):

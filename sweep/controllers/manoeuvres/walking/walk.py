@@ -27,7 +27,7 @@ class Walk:
     goal: ClassVar = ON_ITS_FEET
     kind: str = choice("walk", "walk")
     gait: str = choice("tripod", *GAITS)
-    steps: int = count(7, at_least=0, at_most=200)  # swings of t* each
+    steps: int = count(7, at_least=1, at_most=200)  # swings of t* each
     half_step_ratio: float = quantity(0.1, "a_r", above=0, at_most=0.5)  # d_x
     lift_ratio: float = quantity(0.03, "a_r", above=0, at_most=0.5)  # d_y
     height_ratio: float = quantity(0.5, "a_r", above=0, at_most=2)  # d, hips above the ground

@@ -1,0 +1,50 @@
+"""What may be pooled: copies of a rollout are no evidence, and only a sample of something has an interval."""
+
+import dataclasses
+
+import numpy as np
+import pandas as pd
+
+from sweep.analysis import sensitivity
+from sweep.analysis.stats import Rate, rate
+from sweep.controllers.observation import Noise
+from sweep.study.config import Experiment
+from sweep.study.study import parameter_columns
+
+RANDOM = tuple(f.name for f in dataclasses.fields(Noise) if f.name.endswith(("_noise", "_bias")))  # drawn in a rollout
+
+
+def copies(rows: pd.DataFrame, exp: Experiment) -> np.ndarray:
+    """Which rows repeat an earlier one: replicates of a point whose noise is all zero, so that they cannot differ."""
+    if exp.study.replicates < 2:
+        return np.zeros(len(rows), dtype=bool)
+    random = np.zeros(len(rows), dtype=bool)
+    for name in RANDOM:
+        column = next((c for c in (f"world.noise.{name}", f"noise.{name}") if c in rows), None)
+        random |= (rows[column] if column else getattr(exp.case.noise, name)) != 0
+    points = rows[parameter_columns(rows)].assign(draw=rows["replicate"] // exp.study.replicates)
+    return points.duplicated().to_numpy() & ~random
+
+
+def distinct(rows: pd.DataFrame, exp: Experiment) -> tuple[pd.DataFrame, str]:
+    """The rows without copies, and a sentence about those; empty without any."""
+    again = copies(rows, exp)
+    if not again.any():
+        return rows, ""
+    number = int(again.sum())
+    return rows[~again].reset_index(drop=True), f"{number} copies of noise-free rollouts are counted once"
+
+
+def is_sample(rows: pd.DataFrame, exp: Experiment) -> bool:
+    """Whether the rows are draws or noisy replicates at one condition, and not a choice of conditions."""
+    if exp.study.refined or (exp.study.design.kind == "saltelli" and exp.study.design.num):
+        return False
+    if exp.study.points:
+        return all(rows[c].nunique() == 1 for c in parameter_columns(rows))
+    return not sensitivity.listed(rows, exp)
+
+
+def pooled(rows: pd.DataFrame, exp: Experiment) -> Rate:
+    """The rate of success of all rows together, with an interval only where they are a sample."""
+    found = rate(rows["outcome"])
+    return found if is_sample(rows, exp) else dataclasses.replace(found, low=np.nan, high=np.nan)

@@ -1,0 +1,106 @@
+"""`sweep init`, `list`, `describe` and `completion`: what there is to work with. No simulator is loaded for a list."""
+
+import argparse
+from collections.abc import Iterator, Mapping
+from importlib.resources import files
+from importlib.resources.abc import Traversable
+from pathlib import Path
+
+from sweep.cli.choices import choices
+from sweep.core import project
+from sweep.core.errors import InputError
+
+HIDDEN = {"gitignore": ".gitignore"}  # files that a package cannot hold under their name
+
+
+def init(given: argparse.Namespace) -> int:
+    """Make a project in a folder, without touching what is there. Raises `InputError`."""
+    folder: Path = given.dir
+    wanted = [(file, folder / Path(*path)) for file, path in template(files("sweep.cli") / "template")]
+    there = [str(path) for _, path in wanted if path.exists()]
+    if there:
+        raise InputError(f"{there[0]} is there already: choose an empty folder")
+    for file, path in wanted:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(file.read_bytes())
+        print(path)
+    print(f"next: cd {folder}; sweep run study=first")
+    return 0
+
+
+def template(folder: Traversable, above: tuple[str, ...] = ()) -> Iterator[tuple[Traversable, tuple[str, ...]]]:
+    """The files of a new project, each with its place."""
+    for entry in sorted(folder.iterdir(), key=lambda e: e.name):
+        if entry.is_dir() and entry.name != "__pycache__":
+            yield from template(entry, (*above, entry.name))
+        elif entry.is_file():
+            yield entry, (*above, HIDDEN.get(entry.name, entry.name))
+
+
+def show(given: argparse.Namespace) -> int:
+    """Every configuration file with its first comment line; of folders of results a line each."""
+    if given.dir:
+        from sweep.report import overview
+
+        print(overview.text(given.dir))
+        return 0
+    for group in project.GROUPS:
+        print(f"{group}=")
+        lines(choices(group))
+    folder = project.root()
+    if found := {group: project.own(group) for group in project.GROUPS if project.own(group)}:
+        print(f"\nof this project, {folder}")
+        for group, own in found.items():
+            print(f"{group}=")
+            lines({name: project.described(file) for name, file in own.items()})
+    return 0
+
+
+def lines(named: Mapping[str, str]) -> None:
+    """Names and what they say of themselves."""
+    for name, text in named.items():
+        print(f"  {name:20} {text}".rstrip())
+
+
+def describe(given: argparse.Namespace) -> int:
+    """Unit, meaning, bounds and default of parameters."""
+    from sweep.study import reference
+
+    print(reference.page() if given.name is None else reference.text(given.name))
+    return 0
+
+
+def completion(given: argparse.Namespace) -> int:
+    """The script for bash, or how the line so far may go on."""
+    if given.line is None:
+        print(SCRIPT)
+        return 0
+    _, *before = given.line.split()
+    word = "" if given.line.endswith(" ") or not before else before.pop()
+    kept = word.rpartition("=")[0] + "=" if "=" in word else ""  # bash takes the word to begin behind it
+    for one in candidates(before, word, given.flags()):
+        if one.startswith(word):
+            print(one.removeprefix(kept))
+    return 0
+
+
+def candidates(before: list[str], word: str, flags: dict[str, list[str]]) -> list[str]:
+    """Commands; then the flags of one, `group=choice` for a run, folders of results for the rest."""
+    if not before:
+        return list(flags)
+    if word.startswith("-"):
+        return flags.get(before[0], [])
+    if before[0] != "run":
+        return sorted(str(file.parent) for file in Path().glob("results/*/study.yaml"))
+    group, sign, _ = word.partition("=")
+    if not sign:
+        return [f"{one}=" for one in project.GROUPS]
+    names = {**choices(group), **project.own(group)} if group in project.GROUPS else {}
+    return [f"{group}={name}" for name in names]
+
+
+SCRIPT = """_sweep() {
+  mapfile -t COMPREPLY < <(sweep completion --line "${COMP_LINE:0:COMP_POINT}" 2>/dev/null)
+  if [[ ${COMPREPLY[0]-} == *= ]]; then compopt -o nospace; fi
+}
+complete -o default -F _sweep sweep"""

@@ -1,0 +1,107 @@
+"""Where configuration files are: those that ship, and those of the working project, a folder with a sweep.yaml.
+
+Imports nothing that is slow, so that `sweep list` starts at once.
+"""
+
+import functools
+import importlib
+import sys
+from collections.abc import Iterator
+from importlib import metadata, resources
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import yaml
+
+from sweep.core.errors import InputError
+
+SHIPPED, FILE, ENTRY_POINTS = "sweep.conf", "sweep.yaml", "sweep.modules"
+GROUPS = ("scenario", "study", "robot", "obstacle", "manoeuvre", "drive", "contact", "noise", "execution", "engine",
+          "outcome", "cluster")  # fmt: skip
+FOLDERS = {group: "studies" if group == "study" else f"{group}s" for group in GROUPS}  # of a project
+KEYS = ("modules",)
+
+
+def root() -> Path | None:
+    """The working project: the nearest folder, from here upwards, with a sweep.yaml."""
+    here = Path.cwd()
+    return next((folder for folder in (here, *here.parents) if (folder / FILE).is_file()), None)
+
+
+def own(group: str) -> dict[str, Path]:
+    """The working project's files of a group by name."""
+    folder = root()
+    return {file.stem: file for file in sorted((folder / FOLDERS[group]).glob("*.yaml"))} if folder else {}
+
+
+def shipped(group: str) -> dict[str, Any]:
+    """The files of a group that come with the package, by name."""
+    files = (resources.files(SHIPPED) / group).iterdir()
+    return {f.name.removesuffix(".yaml"): f for f in sorted(files, key=lambda f: f.name) if f.name.endswith(".yaml")}
+
+
+def find(group: str, name: str) -> Any:
+    """The file that `group=name` means: a path that ends in .yaml, else the project's, else what ships; or None."""
+    if name.endswith(".yaml"):
+        return file if (file := Path(name)).is_file() else None
+    return own(group).get(name) or shipped(group).get(name)
+
+
+def described(file: Any) -> str:
+    """The first comment of a configuration file."""
+    lines = file.read_text(encoding="utf-8").splitlines()
+    return next((line[2:] for line in lines if line.startswith("# ") and not line.startswith("# @")), "")
+
+
+def settings() -> dict[str, Any]:
+    """Content of the working project's sweep.yaml; empty without one. Raises `InputError`."""
+    folder = root()
+    if folder is None:
+        return {}
+    try:
+        content = yaml.safe_load((folder / FILE).read_text(encoding="utf-8")) or {}
+    except yaml.YAMLError as error:
+        raise InputError(f"{folder / FILE} cannot be read: {one_line(error)}") from None
+    modules = content.get("modules", []) if isinstance(content, dict) else None
+    if not isinstance(modules, list) or (unknown := [key for key in content if key not in KEYS]):
+        what = f"{unknown[0]} is unknown" if isinstance(modules, list) else "it does not say so"
+        raise InputError(f"{folder / FILE}: {what} (allowed: modules, a list of names of Python modules)")
+    return {"modules": [str(module) for module in modules]}
+
+
+def one_line(error: yaml.YAMLError) -> str:
+    """What is wrong with a YAML text, and where."""
+    mark = getattr(error, "problem_mark", None)
+    where = f"line {mark.line + 1}: " if mark else ""
+    return where + (getattr(error, "problem", None) or str(error).splitlines()[0])
+
+
+def modules() -> tuple[ModuleType, ...]:
+    """The modules with obstacles and manoeuvres of users: the project's, then those of installed packages.
+
+    A module's `OBSTACLES` and `MANOEUVRES` name its classes by their `kind`. An installed package announces one as an
+    entry point of the group `sweep.modules`. Raises `InputError` where one cannot be imported.
+    """
+    return _imported(root(), tuple(settings().get("modules", ())))
+
+
+@functools.cache
+def _imported(folder: Path | None, names: tuple[str, ...]) -> tuple[ModuleType, ...]:
+    if folder and str(folder) not in sys.path:
+        sys.path.insert(0, str(folder))
+    found = []
+    for name in (*names, *(entry.value for entry in metadata.entry_points(group=ENTRY_POINTS))):
+        try:
+            found.append(importlib.import_module(name))
+        except Exception as error:
+            reason = str(error).splitlines()[0] if str(error) else ""
+            raise InputError(f"module {name} cannot be imported: {type(error).__name__}: {reason}") from None
+    return tuple(found)
+
+
+def module_sources() -> Iterator[Path]:
+    """The files of `modules`: of a package all of its own."""
+    for module in modules():
+        file = Path(str(module.__file__))
+        yield from sorted(file.parent.rglob("*.py")) if file.name == "__init__.py" else (file,)

@@ -1,0 +1,63 @@
+"""What is told while one has to wait: on a terminal a line that changes, in a pipe a line now and then."""
+
+import json
+import os
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+FIRST, NEXT = 15.0, 60.0  # s, of silence, before the first line in a pipe and between the others
+WORTH = 2.0  # s, that a wait lasts to be remembered
+
+
+@contextmanager
+def waiting(what: Callable[[], str] | str) -> Iterator[None]:
+    """Say on the standard error, after a moment, what is done and for how long."""
+    done, start, terminal = threading.Event(), time.perf_counter(), sys.stderr.isatty()
+
+    def tell() -> None:
+        pause = 1.0 if terminal else FIRST
+        while not done.wait(pause):
+            line = f"{what() if callable(what) else what}, {time.perf_counter() - start:.0f} s"
+            text = f"\r\x1b[K{line}" if terminal else f"sweep: {line}\n"
+            print(text, end="", file=sys.stderr, flush=True)
+            pause = 1.0 if terminal else NEXT
+
+    teller = threading.Thread(target=tell, daemon=True)
+    teller.start()
+    try:
+        yield
+    finally:
+        done.set()
+        teller.join()
+        if terminal:
+            print("\r\x1b[K", end="", file=sys.stderr, flush=True)
+
+
+def last_time(what: str) -> str:
+    """How long `what` took when it was last waited for, in words; empty where that is not known."""
+    seconds = _waits().get(what)
+    return f" ({seconds:.0f} s last time)" if seconds else ""
+
+
+def remember(what: str, seconds: float) -> None:
+    """Keep how long `what` took, beside the compiled programs."""
+    if seconds > WORTH:
+        with suppress(OSError):  # such as a home that cannot be written
+            file = _file()
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_text(json.dumps({**_waits(), what: round(seconds, 1)}))
+
+
+def _waits() -> dict[str, float]:
+    try:
+        return dict(json.loads(_file().read_text()))
+    except (OSError, ValueError):
+        return {}
+
+
+def _file() -> Path:
+    return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "insect-sweep" / "waits.json"

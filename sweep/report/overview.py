@@ -1,0 +1,49 @@
+"""`sweep list results/`: folders of studies, a line each."""
+
+from datetime import datetime
+from pathlib import Path
+
+import pandas as pd
+
+from sweep.analysis.stats import percent, rate
+from sweep.core.errors import InputError
+from sweep.runs import store
+
+
+def text(folders: list[Path]) -> str:
+    """The table of the studies in `folders`, or in the folders in them. Raises `InputError` without any."""
+    found = [one for folder in folders for one in ([folder] if (folder / store.STUDY).exists() else within(folder))]
+    if not found:
+        raise InputError(f"{', '.join(map(str, folders))} holds no study: a folder with {store.STUDY} is one")
+    return pd.DataFrame([line(folder) for folder in found]).to_markdown(index=False, disable_numparse=True)
+
+
+def within(folder: Path) -> list[Path]:
+    """The studies just below."""
+    return sorted(file.parent for file in folder.glob(f"*/{store.STUDY}"))
+
+
+def line(folder: Path) -> dict[str, str]:
+    """Study, rollouts done and planned, rate of success, invalid ones, code, and when it was last worked on."""
+    empty = dict.fromkeys(("study", "rollouts", "succeed", "invalid", "commit", "date"), "")
+    try:
+        stored = store.read_study(folder)
+        outcome = outcomes(folder)
+    except InputError as error:
+        return {"folder": str(folder), **empty, "study": str(error).split(":")[0].removeprefix(f"{folder}/")}
+    found, config = rate(outcome), stored["config"]
+    return {
+        "folder": str(folder),
+        "study": config["study"]["name"] or config["scenario"]["name"],
+        "rollouts": f"{found.total} of {stored['rollouts']}",
+        "succeed": percent(found.share) if found.valid else "",
+        "invalid": percent(found.invalid_share),
+        "commit": stored["commit"] or stored["code"],
+        "date": f"{datetime.fromtimestamp((folder / store.STUDY).stat().st_mtime):%Y-%m-%d %H:%M}",
+    }
+
+
+def outcomes(folder: Path) -> pd.Series:
+    """The outcomes of finished rows. Raises `InputError` where a part is damaged."""
+    parts = [store.read_table(folder, entry)["outcome"].to_pandas() for entry in store.counted(folder)]
+    return pd.concat(parts, ignore_index=True) if parts else pd.Series([], dtype=object)

@@ -1,0 +1,132 @@
+"""`sweep describe`: every parameter with its unit, what it may be, its default and what it means.
+
+Meanings are the comments beside the parameters where they are defined, so that there is one place for both.
+"""
+
+import ast
+import dataclasses
+import inspect
+import io
+import textwrap
+import tokenize
+from collections.abc import Iterator
+from typing import Any
+
+import pandas as pd
+
+from sweep.core.errors import InputError, suggest
+from sweep.core.parameters import bounds_text
+from sweep.study import config
+
+
+def classes() -> dict[str, list[type]]:
+    """The classes of each group; of obstacles, manoeuvres and clusters one for each kind, those of users too."""
+    config.add_modules()
+    kinds = {group: list(kinds.values()) for group, kinds in config.KINDS.items()}
+    return {group: [cls] for group, cls in config.GROUPS.items()} | kinds
+
+
+def text(name: str) -> str:
+    """A group, a kind such as `obstacle=ball`, or a parameter such as `drive.torque_limit`. Raises `InputError`."""
+    every = classes()
+    group, _, kind = name.partition("=")
+    if group in every:
+        kinds = [kind_of(cls) for cls in every[group]]
+        if kind and kind not in kinds:
+            raise InputError(f"{group} = {kind} is unknown{suggest(kind, kinds)}")
+        return "\n\n".join(section(group, cls) for cls in every[group] if kind in ("", kind_of(cls)))
+    group, _, key = name.partition(".")
+    if group not in every:
+        raise InputError(f"{name} is unknown{suggest(group, every)}")
+    found = [(cls, line) for cls in every[group] for line in parameters(cls) if line["parameter"] == key]
+    if not found:
+        names = {line["parameter"] for cls in every[group] for line in parameters(cls)}
+        raise InputError(f"{name} is unknown{suggest(key, names)}")
+    return "\n\n".join(entry(group, cls, line) for cls, line in found)
+
+
+def page() -> str:
+    """All of them, as Markdown."""
+    parts = ["# Parameters", "Any of them is set by `group.name=value`, in a study as well as on the command line. "
+             "The list is made by `sweep describe`."]  # fmt: skip
+    for group, own in classes().items():
+        parts += [f"## {group}", *(section(group, cls) for cls in own)]
+    return "\n\n".join(parts) + "\n"
+
+
+def section(group: str, cls: type) -> str:
+    """What a class is, and its parameters as a table."""
+    kind = kind_of(cls)
+    lines = pd.DataFrame(list(parameters(cls)))
+    table = lines.to_markdown(index=False, disable_numparse=True) if len(lines) else "No parameters."
+    return f"### {group}{'=' + kind if kind else ''}\n\n{about(cls)}\n\n{table}"
+
+
+def entry(group: str, cls: type, line: dict[str, str]) -> str:
+    """One parameter in words."""
+    kind = kind_of(cls)
+    beside = f" (of {group}={kind})" if kind else ""
+    rows = [f"{group}.{line['parameter']}{beside}: {line['meaning'] or about(cls).splitlines()[0]}"]
+    rows += [f"  {key}: {line[key]}" for key in ("default", "unit", "allowed") if line[key]]
+    return "\n".join([*rows, f"  defined in: {cls.__module__}.{cls.__name__}, {source(cls)}"])
+
+
+def parameters(cls: type) -> Iterator[dict[str, str]]:
+    """A line for each parameter: name, default, unit, what is allowed, meaning. The kind is not one of them."""
+    meanings = comments(cls)
+    for field in dataclasses.fields(cls):
+        role = field.metadata.get("role")
+        if field.name == "kind" or (role is None and not isinstance(field.default, str | int | float | bool)):
+            continue
+        unit = field.metadata.get("unit", "")
+        allowed = {"choice": lambda f: ", ".join(f.metadata["options"]), "quantity": bounds_text, "count": bounds_text}
+        yield {"parameter": field.name, "default": default(field), "unit": "" if unit == "-" else unit,
+               "allowed": allowed[role](field) if role else "", "meaning": meanings.get(field.name, "")}  # fmt: skip
+
+
+def default(field: "dataclasses.Field[Any]") -> str:
+    """Its default as it is written."""
+    value = field.default if field.default is not dataclasses.MISSING else ""
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def kind_of(cls: type) -> str:
+    """The `kind` of an obstacle, a manoeuvre or a cluster; empty for the others."""
+    found = [f.default for f in dataclasses.fields(cls) if f.name == "kind"]
+    return str(found[0]) if found else ""
+
+
+def about(cls: type) -> str:
+    """What the class says of itself."""
+    return inspect.cleandoc(cls.__doc__ or "")
+
+
+def source(cls: type) -> str:
+    """The first sentence of its module, which names the source."""
+    return (inspect.cleandoc(inspect.getmodule(cls).__doc__ or "").splitlines() or [""])[0]
+
+
+def comments(cls: type) -> dict[str, str]:
+    """The comment beside each member of a class, or above it; those of the classes it inherits from too."""
+    found: dict[str, str] = {}
+    for one in reversed(cls.__mro__[:-1]):
+        try:
+            code = textwrap.dedent(inspect.getsource(one))
+        except (OSError, TypeError):
+            continue
+        tokens = tokenize.generate_tokens(io.StringIO(code).readline)
+        said = {token.start[0]: token.string.lstrip("# ") for token in tokens if token.type == tokenize.COMMENT}
+        own_lines = code.splitlines()
+        (body,) = ast.parse(code).body
+        for node in body.body if isinstance(body, ast.ClassDef) else ():
+            if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
+                found[node.target.id] = said.get(node.end_lineno or 0, "") or above(node.lineno, said, own_lines)
+    return {name: "" if text.startswith(("fmt:", "pyright:")) else text for name, text in found.items()}
+
+
+def above(line: int, said: dict[int, str], code: list[str]) -> str:
+    """The comment of the lines just above `line`."""
+    parts: list[str] = []
+    while (line := line - 1) in said and code[line - 1].lstrip().startswith("#"):
+        parts.insert(0, said[line])
+    return " ".join(parts)

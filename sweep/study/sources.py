@@ -1,0 +1,137 @@
+"""How Hydra reads configuration files: ours are plain, and what Hydra wants besides is added here.
+
+A file of the groups `study` and `scenario` speaks of the whole configuration. Its `extends` names the file that it
+starts from; under the name of a group stands a choice (`scenario: pole_climb`), or parameters
+(`obstacle: {height: 3}`), or both (`robot: {extends: prototype, thigh: 0.3}`). A file of another group holds
+parameters, and may have `extends` too. A file with a list of `defaults` is Hydra's own and taken as it is.
+"""
+
+import io
+from collections.abc import Mapping
+from typing import Any
+
+import yaml
+from hydra.core.config_search_path import ConfigSearchPath
+from hydra.core.object_type import ObjectType
+from hydra.core.plugins import Plugins
+from hydra.plugins.config_source import ConfigResult, ConfigSource
+from hydra.plugins.search_path_plugin import SearchPathPlugin
+from omegaconf import DictConfig, OmegaConf
+
+from sweep.core import project
+from sweep.core.errors import InputError, suggest
+
+SCHEME, WHOLE = "sweep", ("study", "scenario")
+
+
+class Files(ConfigSource):
+    """The files of the groups, of the project and shipped (see `sweep.core.project`)."""
+
+    @staticmethod
+    def scheme() -> str:
+        """Of the search path."""
+        return SCHEME
+
+    def available(self) -> bool:
+        """They always are."""
+        return True
+
+    def is_group(self, config_path: str) -> bool:
+        """Whether it names a group."""
+        return config_path in project.GROUPS
+
+    def is_config(self, config_path: str) -> bool:
+        """Whether `group/name` is a file."""
+        group, _, name = config_path.partition("/")
+        return group in project.GROUPS and project.find(group, name) is not None
+
+    def list(self, config_path: str, results_filter: ObjectType | None) -> list[str]:
+        """The names in a group."""
+        if results_filter == ObjectType.GROUP:
+            return []
+        return sorted({*project.own(config_path), *project.shipped(config_path)})
+
+    def load_config(self, config_path: str) -> ConfigResult:
+        """The file as Hydra wants it. Raises `InputError`."""
+        group, _, name = config_path.partition("/")
+        file = project.find(group, name)
+        content = read(file)
+        header = ConfigSource._get_header_dict(file.read_text(encoding="utf-8")[:512])
+        if group in WHOLE:
+            header["package"] = header.get("package") or "_global_"
+        if "defaults" not in content:
+            content = whole(group, file, content) if group in WHOLE else part(group, file, content)
+        return ConfigResult(self.provider, self.full_path(), OmegaConf.create(content), header)
+
+
+class SearchPath(SearchPathPlugin):
+    """Our files before Hydra's other sources."""
+
+    def manipulate_search_path(self, search_path: ConfigSearchPath) -> None:
+        """Add them."""
+        search_path.prepend("sweep", f"{SCHEME}://")
+
+
+def register() -> None:
+    """Tell Hydra of both."""
+    for plugin in (Files, SearchPath):
+        Plugins.instance().register(plugin)
+
+
+def read(file: Any) -> dict[str, Any]:
+    """A file's keys and values. Raises `InputError`."""
+    try:
+        content = OmegaConf.load(io.StringIO(file.read_text(encoding="utf-8")))
+    except yaml.YAMLError as error:
+        raise InputError(f"{file} cannot be read: {project.one_line(error)}") from None
+    except OSError:
+        content = None
+    if not isinstance(content, DictConfig):
+        raise InputError(f"{file} is not a configuration: keys and values are wanted, such as `study:`")
+    values: Any = OmegaConf.to_container(content, resolve=False)
+    study = values.get("study")
+    if isinstance(study, dict) and isinstance(study.get("axes"), dict):
+        study["axes"] = {name: with_on(axis) for name, axis in study["axes"].items()}
+    return values
+
+
+def with_on(axis: Any) -> Any:
+    """An axis whose key `on` is a word: YAML 1.1 reads a bare one as true."""
+    return {"on" if key is True else key: value for key, value in axis.items()} if isinstance(axis, dict) else axis
+
+
+def whole(group: str, file: Any, content: Mapping[str, Any]) -> dict[str, Any]:
+    """A study or a scenario: what it starts from, its choices, then its values. Its name is its file's unless given."""
+    defaults, values = extended(group, file, content), {}
+    for key, value in content.items():
+        choice = value if isinstance(value, str) else value.get("extends") if isinstance(value, Mapping) else None
+        if key in project.GROUPS and key != group and choice is not None:
+            defaults.append({f"override /{key}": chosen(file, key, choice)})
+        if not isinstance(value, str) or key not in project.GROUPS:
+            values[key] = {k: v for k, v in value.items() if k != "extends"} if isinstance(value, Mapping) else value
+    about = values.pop(group, None) or {}
+    if not isinstance(about, Mapping):
+        raise InputError(f"{file}: {group} = {about!r} is not allowed: keys and values")
+    values.pop("extends", None)
+    return {"defaults": [*defaults, "_self_"], **values, group: {"name": str(file.name).removesuffix(".yaml"), **about}}
+
+
+def part(group: str, file: Any, content: Mapping[str, Any]) -> dict[str, Any]:
+    """Parameters of one group, on top of those of the file it extends or of its class."""
+    start = extended(group, file, content) or [f"/{group}/{content.get('kind', group)}_schema@_here_"]
+    return {"defaults": [*start, "_self_"], **{k: v for k, v in content.items() if k != "extends"}}
+
+
+def extended(group: str, file: Any, content: Mapping[str, Any]) -> list[Any]:
+    """The file that this one starts from, as a list of defaults."""
+    if "extends" not in content:
+        return []
+    return [f"/{group}/{chosen(file, group, content['extends'])}@{'_global_' if group in WHOLE else '_here_'}"]
+
+
+def chosen(file: Any, group: str, name: Any) -> str:
+    """`name` if it is a file of `group`. Raises `InputError`."""
+    if not isinstance(name, str) or project.find(group, name) is None:
+        names = {*project.own(group), *project.shipped(group)}
+        raise InputError(f"{file}: {group} = {name} is unknown{suggest(str(name), names)}")
+    return name

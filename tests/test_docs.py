@@ -1,0 +1,124 @@
+"""What README and docs show is what works: every command is run, every study is loaded, every link leads somewhere."""
+
+import argparse
+import re
+import shlex
+import shutil
+import types
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fake_engine import FakeEngine
+
+from sweep.cli import main as cli
+from sweep.study.config import compose
+from sweep.trace import replay
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", ROOT / "results/README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+BLOCK = re.compile(r"(?:^    .*\n|^\n(?=    ))+", re.MULTILINE)
+HELD = {"feet_on_target": 6.0, "end_tilt_deg": 0.0, "obstacle_speed_mps": 0.13, "obstacle_aside_max_m": 0.0}
+FENCE = re.compile(r"```(\w*)\n(.*?)```", re.DOTALL)
+
+
+class AnyEngine(FakeEngine):
+    """The fake engine for any manoeuvre: one that has no half step takes a tenth of the body."""
+
+    def run(self, world, belief, streams):
+        if not hasattr(belief.manoeuvre, "half_step_ratio"):
+            belief = types.SimpleNamespace(manoeuvre=types.SimpleNamespace(half_step_ratio=0.1))
+        world = types.SimpleNamespace(contact=types.SimpleNamespace(friction=np.asarray(world.contact.friction)))
+        return super().run(world, belief, streams) | {name: np.full(self.width, v) for name, v in HELD.items()}
+
+
+def blocks(page):
+    text = page.read_text(encoding="utf-8")
+    yield from (re.sub("^    ", "", block, flags=re.MULTILINE).strip("\n") for block in BLOCK.findall(text))
+    yield from (body for kind, body in FENCE.findall(text) if kind in ("", "yaml", "console", "sh"))
+
+
+def commands(page):
+    for block in blocks(page):
+        for line in re.sub(r"\\\n\s*", " ", block).splitlines():
+            yield from (
+                part.strip() for part in line.removeprefix("$ ").split(" && ") if re.match(r"(\$ )?sweep ", line)
+            )
+
+
+def samples(page):
+    """Blocks that are studies: with `study:` at the beginning of a line."""
+    return [block for block in blocks(page) if re.search(r"^study:", block, re.MULTILINE)]
+
+
+@pytest.mark.parametrize("fake_engine", [AnyEngine], indirect=True)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_every_command_of_a_page_works(page, fake_engine, monkeypatch, tmp_path, capsys):
+    assert cli.main(["init", str(tmp_path / "lab")]) == 0
+    monkeypatch.chdir(tmp_path / "lab")
+    Path("my").mkdir()
+    shutil.copy("studies/first.yaml", "my/study.yaml")
+    for command in commands(page):
+        if command.startswith("cd "):
+            monkeypatch.chdir(shlex.split(command)[1])
+            continue
+        words = [re.sub(r"\bNAME\b", "walk_map", word) for word in shlex.split(command, comments=True)[1:]]
+        words = [word for word in words if word not in ("...", "|")]
+        words = [word.strip("[]") if word.startswith("[--") else word for word in words]
+        made = [word for word in words if word.startswith("results/") and words[0] not in ("run", "init")]
+        for folder in made:
+            if not Path(folder, "study.yaml").exists():
+                Path("results").mkdir(exist_ok=True)
+                if not Path("results/walk_map/study.yaml").exists():
+                    assert cli.main(["run", "study=walk_map", "study.expect=[]"]) == 0
+                if folder != "results/walk_map" and folder != "results/":
+                    shutil.copytree("results/walk_map", folder)
+        words = [word for word in words if word != "--pictures"]  # for which OpenGL would be needed
+        try:
+            if words[0] == "replay":
+                code = replay._parser().parse_args(words[1:]) and 0
+            elif words[0] == "bench":
+                code = cli.parser().parse_args(words) and 0
+            else:
+                code = cli.main([*words, "--dry-run"] if any(word.startswith("cluster=") for word in words) else words)
+        except SystemExit as end:
+            code = end.code
+        assert code in (0, 3, 4), (command, capsys.readouterr().err)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_every_study_of_a_page_loads_as_it_stands(page, monkeypatch, tmp_path):
+    for number, sample in enumerate(samples(page)):
+        file = tmp_path / f"sample_{number}.yaml"
+        file.write_text(sample)
+        assert compose([f"study={file}"]).study.axes
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_every_link_and_file_of_a_page_is_there(page):
+    text = page.read_text(encoding="utf-8")
+    for target in re.findall(r"\]\(([^)#\s]+)[^)]*\)", text):
+        assert target.startswith("https://") or (page.parent / target).exists(), target
+    for line in re.findall(r"^    (?:python |)((?:jobs|docs|bench)/\S+)", text, re.MULTILINE):
+        assert (ROOT / line).exists(), line
+    for sentence in re.findall(r"^\s*(from sweep[\w.]* import [\w, ]+?)\s*(?:#.*)?$", text, re.MULTILINE):
+        exec(sentence, {})
+
+
+def test_every_command_has_help_and_is_in_the_readme(capsys):
+    actions = cli.parser()._actions
+    (names,) = [action.choices for action in actions if isinstance(action, argparse._SubParsersAction)]
+    readme = (ROOT / "README.md").read_text()
+    for name in names:
+        with pytest.raises(SystemExit) as end:
+            cli.main([name, "--help"])
+        assert end.value.code == 0
+        assert f"sweep {name}" in readme, name
+    for name in ("relabel", "compare"):
+        with pytest.raises(SystemExit):
+            cli.main([name, "--help"])
+        assert f"example:\n  sweep {name} " in capsys.readouterr().out
+    with pytest.raises(SystemExit):
+        cli.main(["run", "--help"])
+    assert "_schema" not in capsys.readouterr().out
+    assert len(readme.splitlines()) < 200

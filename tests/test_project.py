@@ -1,0 +1,161 @@
+"""What a user has of one's own: a project with studies, robots, obstacles and manoeuvres."""
+
+import subprocess
+import sys
+
+import pytest
+
+import sweep
+from sweep.cli.main import main
+from sweep.core import project, provenance
+from sweep.core.parameters import InputError
+from sweep.study.config import KINDS, compose
+
+OWN = """
+from dataclasses import dataclass
+import jax.numpy as jnp
+from sweep.controllers.manoeuvres.walking.walk import Walk
+from sweep.core.parameters import choice, parameters, quantity
+from sweep.models.obstacles.plane import Plane
+
+@parameters
+class Ramp(Plane):
+    kind: str = choice("ramp", "ramp")
+    slope: float = quantity(0.05, "rad", at_least=0, at_most=1)  # rises ahead
+
+@parameters
+class Stroll(Walk):
+    kind: str = choice("stroll", "stroll")
+    half_step_ratio: float = quantity(0.04, "a_r", above=0)  # short steps
+
+OBSTACLES = {"ramp": Ramp}
+MANOEUVRES = {"stroll": Stroll}
+"""
+
+
+@pytest.fixture(autouse=True)
+def home(fake_engine, monkeypatch, tmp_path, request):
+    """A new project, in which the test is; what its module adds is forgotten."""
+    assert main(["init", str(tmp_path / "lab")]) == 0
+    monkeypatch.chdir(tmp_path / "lab")
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    for group, kinds in list(KINDS.items()):
+        monkeypatch.setitem(KINDS, group, dict(kinds))
+    yield tmp_path / "lab"
+    provenance.code_version.cache_clear()
+    project._imported.cache_clear()
+    sys.modules.pop("own", None)
+
+
+def write(path, text):
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(text)
+    return path
+
+
+def test_a_new_project_has_a_study_that_runs_and_is_never_overwritten(home, capsys):
+    exp = compose(["study=first"])
+    assert (exp.study.name, exp.study.design.num, exp.case.robot.shin) == ("first", 32, 0.402)
+    assert {axis.on for axis in exp.study.axes} == {"world", "both"}
+    assert main(["run", "study=first"]) == 0
+    assert len(sweep.load("results/first")) == 32
+    assert main(["init", "."]) == 2
+    assert "is there already" in capsys.readouterr().err
+    assert "results/" in (home / ".gitignore").read_text().split()
+
+
+def test_a_study_is_a_plain_file_wherever_it_lies(home, monkeypatch):
+    axes = "study: {axes: {f: {path: contact.friction, side: world, values: [0.2, 1]}}}\n"
+    write(home / "studies/tall.yaml", f"# High\nscenario: pole_climb\nobstacle: {{height: 3.5}}\n{axes}")
+    exp = compose(["study=tall"])
+    assert (exp.scenario, exp.study.name, exp.case.obstacle.height) == ("pole_climb", "tall", 3.5)
+    assert exp.study.axes[0].on == "world"  # which YAML reads as true
+    write(home / "else/mine.yaml", f"robot: {{extends: long_legs, thigh: 0.6}}\n{axes}")
+    for path in ("else/mine.yaml", "./else/mine.yaml", str(home / "else/mine.yaml")):
+        exp = compose([f"study={path}"])
+        assert (exp.study.name, exp.case.robot.thigh, exp.case.robot.shin) == ("mine", 0.6, 0.402)
+    assert compose(["study=else/mine.yaml", "robot=base"]).case.robot.shin == 0.335  # the command line wins
+    write(home / "studies/taller.yaml", "extends: tall\nobstacle: {height: 4.0}\n")
+    exp = compose(["study=taller"])
+    assert (exp.study.name, exp.scenario, exp.case.obstacle.height, len(exp.study.axes)) == (
+        "taller", "pole_climb", 4.0, 1)  # fmt: skip
+    monkeypatch.chdir(home / "else")
+    assert compose(["study=../else/mine.yaml"]).case.robot.shin == 0.402  # the project is found from below
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("scenario: pole_clmb\n", "scenario = pole_clmb is unknown: did you mean pole_climb?"),
+        ("extends: wlak_map\n", "study = wlak_map is unknown: did you mean walk_map?"),
+        ("study: {axis: {}}\n", "study.axis is unknown: did you mean axes?"),
+        ("study: [\n", "cannot be read: line 2"),
+        ("just words\n", "just words is unknown (allowed: "),
+        ("study: 3\n", "study = 3 is not allowed"),
+        ("contact: {frictoin: 1}\nstudy: {name: a}\n", "contact.frictoin is unknown: did you mean friction?"),
+    ],
+)
+def test_what_is_wrong_with_a_study_file_is_one_line(home, capsys, text, named):
+    write(home / "bad.yaml", text)
+    assert main(["run", "study=bad.yaml"]) == 2
+    error = capsys.readouterr().err
+    assert named in error
+    assert error.count("\n") == 1
+    assert main(["run", "study=none.yaml"]) == 2
+    assert "study = none.yaml is not a file" in capsys.readouterr().err
+
+
+def test_lists_and_completion_show_what_is_ones_own_apart(capsys, home):
+    capsys.readouterr()
+    assert main(["list"]) == 0
+    shipped, own = capsys.readouterr().out.split("of this project")
+    assert "long_legs" not in shipped
+    assert own.split()[2:4] == ["study=", "first"]
+    assert "long_legs            The base robot with shins longer by a fifth" in own
+    for line, wanted in (
+        ("sweep run study=fi", "first"),
+        ("sweep run robot=lo", "long_legs"),
+        ("sweep des", "describe"),
+        ("sweep run --dry", "--dry-run"),
+        ("sweep run scena", "scenario="),
+    ):
+        assert main(["completion", "--line", line]) == 0
+        assert capsys.readouterr().out.split() == [wanted]
+    code = "import sys; from sweep.cli.main import main; main(['completion', '--line', 'sweep run study=']); "
+    code += "print(sys.modules.keys() & {'mujoco', 'hydra', 'jax', 'pandas'})"
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert out.endswith("set()\n")
+
+
+def test_obstacles_and_manoeuvres_of_ones_own_are_simulated(home, capsys, monkeypatch):
+    before = provenance.code_version()
+    write(home / "own.py", OWN)
+    write(home / "sweep.yaml", "modules: [own]\n")
+    write(home / "obstacles/ramp.yaml", "# A gentle ramp\nkind: ramp\nslope: 0.1\n")
+    write(home / "manoeuvres/stroll.yaml", "kind: stroll\n")
+    provenance.code_version.cache_clear()
+    exp = compose(["obstacle=ramp", "manoeuvre=stroll"])
+    assert (exp.case.obstacle.kind, exp.case.obstacle.slope) == ("ramp", 0.1)
+    assert exp.case.manoeuvre.plan(exp.case).duration.sum() > 1
+    assert provenance.code_version() != before  # rows are told apart by what simulated them
+    assert main(["describe", "obstacle=ramp"]) == 0
+    assert "rises ahead" in capsys.readouterr().out
+    with pytest.raises(InputError, match=r"obstacle\.slope = 2 is not allowed: at least 0 and at most 1 rad"):
+        compose(["obstacle=ramp", "obstacle.slope=2"])
+    for text, named in (("modules: [nowhere]", "module nowhere cannot be imported: ModuleNotFoundError"),
+                        ("moduls: [own]", "moduls is unknown"), ("modules: own", "a list of names")):  # fmt: skip
+        write(home / "sweep.yaml", text)
+        with pytest.raises(InputError, match=named):
+            compose([])
+
+
+def test_parameters_are_described_where_they_are_defined(capsys):
+    assert main(["describe", "drive.torque_limit"]) == 0
+    told = capsys.readouterr().out
+    assert all(part in told for part in ("default: 150", "unit: N*m", "greater than 0 N*m", "(monograph 1.2.1)"))
+    assert main(["describe"]) == 0
+    page = capsys.readouterr().out
+    assert all(f"## {group}" in page for group in KINDS)
+    assert page.count("| thigh ") == 1
+    assert main(["describe", "drive.torque"]) == 2
+    assert "did you mean torque_limit?" in capsys.readouterr().err
