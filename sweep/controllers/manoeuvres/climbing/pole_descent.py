@@ -19,6 +19,6 @@ class PoleDescent(PoleLedge):
 
     def plan(self, belief: Case) -> Plan:
         """From the ledge to the floor."""
-        start, stages = self.way(belief)
+        start, stages = self.way(belief, self.table)
         down = reversed_in_time(assemble(start, [*stages, Stage("halt", STAND)], self.patience))
         return self.gripped(belief, down) if self.forces == "planned" else down
