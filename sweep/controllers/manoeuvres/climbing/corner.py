@@ -130,10 +130,10 @@ class CornerClimb(OnCorner):
     from the printed plan: x_f is a_r/3 and eta_f 0.39 a_r, which need less friction than the book's 0.374 a_r; feet on
     the floor stand wider than on the walls, and the front ones x* farther ahead, else front and middle legs cross; the
     middle feet stand 0.6 x* nearer to the corner, and the base pitches up a little less in 2.4.2, or the middle legs do
-    not reach the floor, and in 2.4.3 they leave it upwards, or are out of reach; the front feet touch the wall x*/2
-    higher and farther apart (`Entry`), where their shins clear it; swings with a moving base take 2 to 2.6 t*;
-    2.4.4's 9 x* are along zeta; 2.4.7 is left out, and the feet are spread from the start, since the longer the lever
-    from the lower to the upper feet, the less friction is needed.
+    not reach the floor, and in 2.4.3 they leave it upwards, or are out of reach; the front feet touch the wall x*
+    higher and farther apart (`Entry`), where their shins clear it, and go up as much less in 2.4.4, whose way is along
+    zeta; swings with a moving base take 2 to 2.6 t*; 2.4.7 is left out, and the feet are spread from the start, since
+    the longer the lever from the lower to the upper feet, the less friction is needed.
     """
 
     goal: ClassVar = ON_ITS_FEET

@@ -4,7 +4,9 @@ World axes as in `corner`. The roof is a wedge: at a distance d behind its tip i
 
 The printed sequence of events (table 2.1) is replaced by `EVENTS`, all of whose numbers were searched for together: for
 every stance the friction and the torque that the best foot forces need, the legs' reach, and the distances of links to
-the house and to one another.
+the house and to one another, all of them true ones. Until its centre is above the roof the base keeps away from the
+house: farther over the edge it would need less friction, and be cut by it. Lengths are `leg_unit`s: measured by the
+body, robots with legs 2 % short of what their body asks for would be out of reach.
 """
 
 import math
@@ -21,12 +23,12 @@ from sweep.controllers.manoeuvres.climbing.corner import FRONT, MIDDLE, REAR, On
 from sweep.controllers.manoeuvres.climbing.pole import curves, pair, point
 from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.plan import CYCLE_B_SMOOTH, SMOOTH, Plan, Stage, Stance
+from sweep.controllers.posture import leg_unit
 from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
 from sweep.models.obstacles.corner import Corner
-from sweep.models.robot import Robot
 
 
 class Wall(NamedTuple):
@@ -93,7 +95,6 @@ EVENTS: tuple[Event, ...] = (
           leave=(0.7280, 0.4303, 0.0318), land=(-0.0062, -0.6438, 0.2593)),
 )  # fmt: skip
 WAY = Way(corner.ENTRY, EVENTS)
-LEG = 0.855 / 1.05  # a_r, l1 + l2 in the book
 BELOW = 0.029  # a_r, of the front feet under the edge when the first event begins
 MOST_RISE = 0.28  # a_r, of a cycle of the gallop; from 0.35 on front and middle legs cross
 TIMES = 2.0  # t*, of an event
@@ -191,14 +192,6 @@ def over_edge(site: Site, belief: Case, events: Sequence[Event]) -> list[Stage]:
         stages.append(Stage(event.name, TIMES * site.step.time, swing, CYCLE_B_SMOOTH, guides=guides,
                             position=centre, turn=turn, pace=SMOOTH))  # fmt: skip
     return stages
-
-
-def leg_unit(robot: Robot) -> Array | float:
-    """What the events are measured by (m): a_r of a robot with these legs and the book's proportions.
-
-    With a_r itself, legs 2 % shorter than their body asks for would be out of reach.
-    """
-    return (robot.thigh + robot.shin) / LEG
 
 
 def spot(belief: Case, legs: tuple[int, int], to: Wall | Roof) -> dict[int, Array]:

@@ -17,11 +17,14 @@ What differs from the print, and why:
 - The rear feet go half-way over the top, 0.27 r ahead, before they go to the ledge (printed: where the middle feet
   stood).
 - `BELOW` is printed with a base that stays level until 2.3.4.3 and front, middle and rear feet that stand on the pole's
-  side meanwhile. Here the base pitches down by 28 to 50 degrees, so that the front feet reach the ledge at once, and no
-  foot goes to the side. While the middle feet are on the top their hips stay 0.34 a_r above it: lower, their knees
+  side meanwhile. Here the base pitches down by 24 to 47 degrees, so that the front feet reach the ledge at once, and no
+  foot goes to the side. While the middle feet are on the top their hips stay 0.4 a_r above it: lower, their knees
   sink below the top's edge, since thighs are longer than shins. Before, its nose goes up by 2 degrees: the front legs
-  pass the middle ones 20 mm farther away. The numbers until `middle2` keep legs farthest apart in robots and poles that
-  are up to 2 % off the nominal ones, the worst of 128 by 19 mm in `front`.
+  pass the middle ones 20 mm farther away. The rear feet step aside to the pole's widest: behind it their shins would
+  lie on the rim when the base goes ahead. All its numbers but the first move's were searched for together, against true
+  distances (`tools/search_plan.py`).
+- Its way is measured by the legs (`leg_unit`), nominally a_r: by the body, robots with legs 2 % shorter than it asks
+  for would be out of reach.
 - Stages take 1.5 to 2 t*, and swings go along Bezier curves that come down from above.
 """
 
@@ -37,7 +40,7 @@ from sweep.controllers.manoeuvres.climbing.pole import FRONT, MIDDLE, REAR, TOWA
 from sweep.controllers.manoeuvres.climbing.pole_top import EASED, TOP, Footholds, PoleTop, lofted, on_disc
 from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.plan import CYCLE_B, Plan, Stage, Stance
-from sweep.controllers.posture import foot_centres
+from sweep.controllers.posture import foot_centres, leg_unit
 from sweep.core.parameters import choice, count, parameters
 from sweep.core.rotations import rotate
 from sweep.models.case import Case
@@ -90,19 +93,20 @@ ABOVE = (
 )
 BELOW = (
     Move("back", (-0.484, 0.696), pitch=-0.037),
-    Move("front", (-0.574, 0.376), FRONT, ON_LEDGE, (1.041, 0.108), (0.355, -0.432, 0.158), (0.194, 0.484, 0.38), 2.0,
-         0.499),
-    Move("middle", (-0.421, 0.342), MIDDLE, ON_TOP, TOP[FRONT], pitch=0.61),
-    Move("front2", (-0.3, 0.409), FRONT, ON_LEDGE, (1.206, 0.419), (0.126, -0.022, 0.244), (0.085, 0.004, 0.202),
-         pitch=0.875),
-    Move("middle2", (0.288, 0.185), MIDDLE, ON_LEDGE, (0.906, 0.218), (0.133, -0.128, 0.262), (0.081, 0.411, 0.359),
-         pitch=0.806),
-    Move("ahead", (0.342, 0.154), pitch=0.767),
-    Move("rear", (0.394, 0.118), REAR, ON_TOP, (0.825, -0.27), (0.115, -0.17, 0.146), (-0.14, 0.14, 0.08), pitch=0.607),
-    Move("middle3", (0.349, 0.15), MIDDLE, ON_LEDGE, (0.961, 0.397), pitch=0.55),
-    Move("front3", (0.25, 0.112), FRONT, ON_LEDGE, (1.1, 1.162), pitch=0.483),
-    Move("ahead2", (0.7, 0.072), pitch=0.748),
-    Move("rear2", (0.691, -0.102), REAR, ON_LEDGE, (0.984, 0.181), (0.156, -0.043, 0.316), (0.212, 0.317, 0.513), 2.0,
+    Move("front", (-0.533, 0.358), FRONT, ON_LEDGE, (1.074, 0.045), (0.377, -0.34, 0.231), (0.176, 0.484, 0.427), 2.0,
+         0.421),
+    Move("middle", (-0.38, 0.398), MIDDLE, ON_TOP, (0.7015, -0.5526), pitch=0.589),
+    Move("front2", (-0.314, 0.427), FRONT, ON_LEDGE, (1.29, 0.356), (0.126, -0.022, 0.244), (0.085, 0.004, 0.202),
+         pitch=0.827),
+    Move("middle2", (0.309, 0.174), MIDDLE, ON_LEDGE, (0.859, 0.218), (0.212, -0.136, 0.307), (0.124, 0.511, 0.444),
+         pitch=0.828),
+    Move("ahead", (0.326, 0.134), pitch=0.616),
+    Move("rear", (0.342, 0.139), REAR, ON_TOP, (0.8035, 0.103), (0.115, -0.17, 0.146), (-0.14, 0.14, 0.08),
+         pitch=0.666),
+    Move("middle3", (0.36, 0.159), MIDDLE, ON_LEDGE, (0.973, 0.413), pitch=0.717),
+    Move("front3", (0.355, 0.156), FRONT, ON_LEDGE, (1.155, 1.231), pitch=0.566),
+    Move("ahead2", (0.634, 0.016), pitch=0.76),
+    Move("rear2", (0.648, -0.1), REAR, ON_LEDGE, (0.982, 0.187), (0.156, -0.043, 0.316), (0.212, 0.317, 0.513), 2.0,
          0.0),
 )  # fmt: skip
 WAYS = {"level": LEVEL, "above": ABOVE, "below": BELOW}
@@ -127,7 +131,7 @@ class PoleLedge(PoleTop):
         site, ledge = self.site(belief), belief.on(pole_ledge.PoleLedge).ledge_height
         start, stages = self.ascend(site, belief)
         away, walk = walk_away(site, belief, ledge, self.steps_away)
-        return start, [*stages, *self.rested([*cross(site, ledge, moves), *away]), *walk]
+        return start, [*stages, *self.rested([*cross(site, belief, moves), *away]), *walk]
 
     def plan(self, belief: Case, table: Sequence[Move] | None = None) -> Plan:
         """Go all the way, halt."""
@@ -144,8 +148,9 @@ def on_ledge(site: Site, ledge: Array | float, legs: tuple[int, int], place: tup
     return pair(legs, place[0] * site.radius, -site.radius - place[1] * site.length, ledge)
 
 
-def cross(site: Site, ledge: Array | float, moves: Sequence[Move]) -> list[Stage]:
-    """Stages from the top on to the ledge; the feet begin at `TOP`, the base level."""
+def cross(site: Site, belief: Case, moves: Sequence[Move]) -> list[Stage]:
+    """Stages from the top on to the ledge; the feet begin at `TOP`, the base level. Measured by `leg_unit`s."""
+    ledge, site = belief.obstacle.ledge_height, site._replace(length=leg_unit(belief.robot))
     at = {legs: on_disc(site, legs, TOP[legs]) for legs in (FRONT, MIDDLE, REAR)}
     stages, pitch = [], 0.0
     for move in moves:
