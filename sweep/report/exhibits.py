@@ -1,7 +1,6 @@
 """The figures of a study, each with the numbers it shows: for the report's page and for the paper's bundle."""
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -16,6 +15,7 @@ from sweep.metrics import CAUSES
 from sweep.metrics.outcome import limit_of
 from sweep.report import draws, slices
 from sweep.report.cells import not_below_zero
+from sweep.report.exhibit import Exhibit
 from sweep.report.labels import CAUSE_COLOURS, SUCCESS, axis_words, heading
 from sweep.report.maps import pattern
 from sweep.report.tables import BOOKKEEPING
@@ -32,17 +32,6 @@ STYLES = (
     ("#CC79A7", "-.", "D"),
     ("0.3", "-", "v"),
 )
-
-
-@dataclass(frozen=True)
-class Exhibit:
-    """A figure, what it shows in words, and the numbers it is drawn from."""
-
-    key: str  # for file names and anchors
-    title: str
-    caption: str
-    data: pd.DataFrame
-    draw: Callable[[], Figure]
 
 
 def exhibits(results: Results) -> Iterator[Exhibit]:

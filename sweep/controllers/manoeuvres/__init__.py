@@ -11,12 +11,14 @@ from sweep.controllers.manoeuvres.climbing.pole_return import PoleReturn
 from sweep.controllers.manoeuvres.climbing.pole_round import PoleRound
 from sweep.controllers.manoeuvres.climbing.pole_top import PoleTop
 from sweep.controllers.manoeuvres.walking.walk import Stand, Walk
+from sweep.controllers.manoeuvres.walking.walk_kerb import WalkKerb
 from sweep.controllers.manoeuvres.walking.waypoints import Waypoints
 
 MANOEUVRES = {
     "walk": Walk,
     "stand": Stand,
     "waypoints": Waypoints,
+    "walk_kerb": WalkKerb,
     "pole_climb": PoleClimb,
     "pole_top": PoleTop,
     "pole_ledge": PoleLedge,

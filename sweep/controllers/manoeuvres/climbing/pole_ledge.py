@@ -150,7 +150,7 @@ def on_ledge(site: Site, ledge: Array | float, legs: tuple[int, int], place: tup
 
 def cross(site: Site, belief: Case, moves: Sequence[Move]) -> list[Stage]:
     """Stages from the top on to the ledge; the feet begin at `TOP`, the base level. Measured by `leg_unit`s."""
-    ledge, site = belief.obstacle.ledge_height, site._replace(length=leg_unit(belief.robot))
+    ledge, site = belief.on(pole_ledge.PoleLedge).ledge_height, site._replace(length=leg_unit(belief.robot))
     at = {legs: on_disc(site, legs, TOP[legs]) for legs in (FRONT, MIDDLE, REAR)}
     stages, pitch = [], 0.0
     for move in moves:

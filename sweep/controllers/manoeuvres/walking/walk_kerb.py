@@ -1,0 +1,53 @@
+"""Walking on to a kerb by tripod: level ground's steps, lifted to where the ground is."""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from sweep.controllers.gaits import GAITS, Step, centre_offsets, regular_steps
+from sweep.controllers.manoeuvres.walking.walk import STAND, Walk, standing
+from sweep.controllers.plan import Plan, Stage, assemble
+from sweep.core.parameters import choice, count, parameters, quantity
+from sweep.formulas import stepping
+from sweep.models.case import Case
+from sweep.models.legs import LEGS
+from sweep.models.obstacles.kerb import Kerb
+
+
+@parameters
+class WalkKerb(Walk):
+    """Straight on to a kerb, the base level and rising as it passes the edge."""
+
+    kind: str = choice("walk_kerb", "walk_kerb")
+    steps: int = count(11, at_least=0, at_most=200)
+    lift_ratio: float = quantity(0.12, "a_r", above=0, at_most=0.5)  # over the edge, too
+    distance: float = quantity(0.3, "m", above=0)  # from the front feet's cycle centres to the edge, at the start
+    margin: float = quantity(0.06, "m", at_least=0)  # of footholds to the edge, at least
+
+    needs = (Kerb,)
+
+    def plan(self, belief: Case) -> Plan:
+        """Stand, `steps` swings, stand."""
+        length, height, gait = belief.robot.body_length, belief.on(Kerb).height, GAITS[self.gait]
+        step = Step(self.half_step_ratio * length, self.lift_ratio * length, stepping.swing_time(self.rate))
+        start, centres = standing(belief, self.spread_ratio * length, self.height_ratio * length)
+        forward = jnp.array([1.0, 0.0, 0.0])
+        offsets = centre_offsets(gait, step)
+        back = (jnp.max(centres[:, 0]) + self.distance) * forward
+        ahead = jnp.stack([offsets[leg] * forward for leg in LEGS])
+        start = start._replace(feet=start.feet + ahead - back, position=start.position - back)
+
+        def foothold(foot: Float[Array, " 3"]) -> Float[Array, " 3"]:
+            x = jnp.where(foot[0] > 0, jnp.maximum(foot[0], self.margin), jnp.minimum(foot[0], -self.margin))
+            return jnp.stack([x, foot[1], foot[2] + jnp.where(x > 0, height, 0.0)])
+
+        def lifted(stage: Stage) -> Stage:
+            assert stage.position is not None
+            share = jnp.clip(stage.position[0] / length + 0.5, 0.0, 1.0)  # front hips over the edge: 0; rear hips: 1
+            swing = {leg: foothold(foot) for leg, foot in stage.swing.items()}
+            return replace(stage, swing=swing, position=stage.position.at[2].add(share * height))
+
+        level = regular_steps(gait, step, start, centres, forward, self.steps, self.deepening)
+        stages = [Stage("stand", STAND), *map(lifted, level), Stage("halt", 2 * STAND)]
+        return assemble(start, stages, self.patience)

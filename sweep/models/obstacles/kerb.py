@@ -1,0 +1,45 @@
+"""A step up in level ground."""
+
+import jax.numpy as jnp
+import mujoco
+from jaxtyping import Array, Float
+
+from sweep.core.parameters import choice, parameters, quantity
+from sweep.models.obstacles.geoms import add_solids
+from sweep.models.obstacles.surface import Bodies, Surface, own_axes
+from sweep.models.solids import SOIL, Box, HalfSpace, Solid
+
+FLOOR, TOP, WALL = range(3)
+HALF = 5.0  # m, of the block that is drawn; its surface has no end
+
+
+@parameters
+class Kerb:
+    """A kerb, 0.1 m high by default: the ground is higher where x > 0."""
+
+    kind: str = choice("kerb", "kerb")
+    height: float = quantity(0.1, "m", above=0, at_most=1)
+
+    free_bodies = ()
+    contact_sites = ()
+
+    def add_to(self, spec: mujoco.MjSpec, friction: float) -> None:
+        """Floor and block."""
+        add_solids(spec, self.solids(own_axes(0)), friction)
+
+    def leaves(self) -> dict[str, dict[str, Array]]:
+        """Nothing moves."""
+        return {}
+
+    def solids(self, bodies: Bodies) -> tuple[Solid, ...]:
+        """The block ends where no robot comes."""
+        floor, half = HalfSpace(name="floor", normal=(0.0, 0.0, 1.0)), self.height / 2
+        return floor, Box(name="kerb", position=(HALF, 0.0, half), half=(HALF, HALF, half), colour=SOIL)
+
+    def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: Bodies) -> Surface:
+        """Of the block's two faces the nearer one counts, of floor and block the deeper one."""
+        x, _, z = points.T
+        block = jnp.minimum(x, self.height - z)
+        face = jnp.select([-z >= block, x <= self.height - z], [FLOOR, WALL], TOP)
+        normal = jnp.where((face == WALL)[:, None], jnp.array([-1.0, 0.0, 0.0]), jnp.array([0.0, 0.0, 1.0]))
+        return Surface(jnp.maximum(-z, block), normal, face, jnp.full_like(face, -1), jnp.ones_like(x))

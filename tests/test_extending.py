@@ -1,0 +1,93 @@
+"""`docs/extending.md`, followed to the letter in a copy of the package, from which what it adds is taken out first."""
+
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PAGE = (ROOT / "docs/extending.md").read_text()
+PAGES = dict(re.findall(r"^## (.*?)\n(.*?)(?=^## |\Z)", PAGE, re.M | re.S))
+SIMULATED = "An obstacle and a manoeuvre"  # with the real engine
+BLOCK = re.compile(r"(?:^`(?P<path>[^`]+)`\n\n)?^```(?P<kind>\w+)\n(?P<text>.*?)^```", re.M | re.S)
+SAID = {  # by the commands of a page
+    "A robot": ["long_legs            The base robot, thighs and shins a fifth longer", "| walk_tripod "],
+    "A formula": ["v = 0.", "0.15"],
+    "An exhibit": ["report.html"],
+    SIMULATED: ["kerb                 A kerb, 0.1 m high", "| walk_kerb "],
+}
+
+
+@pytest.fixture
+def checkout(tmp_path):
+    """A copy with the configuration where an installed package has it."""
+    ignored = shutil.ignore_patterns("__pycache__")
+    shutil.copytree(ROOT / "sweep", tmp_path / "sweep", ignore=ignored)
+    shutil.copytree(ROOT / "conf", tmp_path / "sweep/conf", ignore=ignored)
+    (tmp_path / "conf").symlink_to(tmp_path / "sweep/conf")
+    return tmp_path
+
+
+def blocks(page):
+    """Path, kind and text of each fenced block; one without a path of its own goes with the file named last."""
+    path = None
+    for found in BLOCK.finditer(page):
+        path = found["path"] or path
+        yield path, found["kind"], found["text"]
+
+
+def sides(diff):
+    """What a diff takes out and puts in, context included."""
+    lines = diff.splitlines(keepends=True)
+    return tuple("".join(line[1:] for line in lines if line[0] in f" {sign}") for sign in "-+")
+
+
+def replaced(file, old, new):
+    text = file.read_text()
+    assert text.count(old) == 1, f"{file.name} has {text.count(old)} times\n{old}"
+    file.write_text(text.replace(old, new))
+
+
+def take_out(root, page):
+    """Undo what the page adds where the repository keeps it, which has to be word for word."""
+    for path, kind, text in blocks(page):
+        file = root / str(path)
+        if kind == "diff" and sides(text)[1] in file.read_text():
+            replaced(file, *reversed(sides(text)))
+        elif kind in ("python", "yaml") and file.exists():
+            assert file.read_text() == text
+            file.unlink()
+
+
+def run(command, root, program):
+    """As in a shell, `program` standing for `sweep`."""
+    name, *words = shlex.split(command)
+    assert name == "sweep"
+    there = {"cwd": root, "env": {**os.environ, "PYTHONPATH": str(root)}}
+    done = subprocess.run([sys.executable, *program, *words], capture_output=True, text=True, check=False, **there)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.mark.parametrize(
+    "title", [pytest.param(title, marks=pytest.mark.slow if title == SIMULATED else ()) for title in PAGES]
+)
+def test_a_page_followed_to_the_letter_adds_what_it_says(title, checkout):
+    take_out(checkout, PAGES[title])
+    program = ["-m", "sweep.cli"] if title == SIMULATED else [ROOT / "tests/fake_engine.py"]
+    said = ""
+    for path, kind, text in blocks(PAGES[title]):
+        if kind == "sh":
+            said += "".join(run(command, checkout, program) for command in text.splitlines())
+        elif kind == "diff":
+            replaced(checkout / path, *sides(text))
+        else:
+            (checkout / path).write_text(text)
+    assert all(part in said for part in SAID[title]), said
+    if title == "An exhibit":
+        assert "Median and largest slip" in (checkout / "results/slips/report.html").read_text()
