@@ -12,7 +12,7 @@ from sweep.models.legs import LEGS
 from sweep.models.obstacles.geoms import COLLIDING, STIFF
 from sweep.models.obstacles.surface import own_axes
 
-FOOT_END = 0.04  # m, of the shin next to its foot, which may touch
+FOOT_END = 0.04  # m, of a shin's centre line next to its foot, which may touch
 OBSTACLE, SHIN, LEG = 4, 8, 16  # what bodies collide with: contype and conaffinity, beside those of feet and balls
 
 
