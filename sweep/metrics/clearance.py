@@ -31,7 +31,7 @@ def update(so_far: Clearance, now: Moment) -> Clearance:
     tick, robot = now.tick, now.world.robot
     base = tick.position, matrix(tick.quat), half_size(robot)
     solids = now.world.obstacle.solids(tick.bodies)
-    links = distance_to_segments(solids, *links_beyond_foot(tick.joints)) - robot.link_radius
+    links = distance_to_segments(solids, *links_beyond_foot(tick.joints, robot.link_radius)) - robot.link_radius
     return Clearance(
         jnp.minimum(so_far.obstacle, jnp.minimum(jnp.min(links), distance_to_box(solids, *base))),
         jnp.minimum(so_far.legs, leg_gap(tick.joints[:, -3:]) - 2 * robot.link_radius),

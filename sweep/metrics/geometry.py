@@ -4,10 +4,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from sweep.models.robot import FOOT_LENGTH
 from sweep.models.solids import from_box
 
 HALVINGS = 8  # a segment of 0.4 m is searched to 1 mm
-FOOT_LENGTH = 0.04  # m, of the shin's end that may be near what the foot stands on
 
 
 def support_margin(feet: Float[Array, "n 2"], standing: Bool[Array, " n"], point: Float[Array, " 2"]) -> Array:
@@ -82,12 +82,14 @@ def leg_gap(joints: Float[Array, "6 k 3"]) -> Float[Array, ""]:
     return jnp.min(segment_distance(a[:, i], a[:, i + 1], b[:, j], b[:, j + 1]))
 
 
-def links_beyond_foot(joints: Float[Array, "6 k 3"]) -> tuple[Float[Array, "n 3"], Float[Array, "n 3"]]:
-    """Ends of the links' centre lines; the shin's last 40 mm are the foot's, which stands."""
+def links_beyond_foot(
+    joints: Float[Array, "6 k 3"], radius: Array | float
+) -> tuple[Float[Array, "n 3"], Float[Array, "n 3"]]:
+    """Ends of the centre lines of links as capsules of `radius`; the shin's ends, round, where its foot begins."""
     knee, foot = joints[:, -2], joints[:, -1]
     shin = foot - knee
     length = jnp.sqrt(jnp.sum(shin**2, axis=-1, keepdims=True) + 1e-12)
-    ends = joints.at[:, -1].set(foot - jnp.minimum(FOOT_LENGTH / length, 1.0) * shin)
+    ends = joints.at[:, -1].set(foot - jnp.minimum((FOOT_LENGTH + radius) / length, 1.0) * shin)
     return joints[:, :-1].reshape(-1, 3), ends[:, 1:].reshape(-1, 3)
 
 

@@ -54,7 +54,7 @@ def margins(case: Case, plan: Plan, stage: Int[Array, ""], u: Float[Array, ""]) 
     points = leg_points(robot, joints)
     legs = stance.position + rotate(stance.quat[None, None], points)
     foot = legs[:, -1]
-    to_links = solids.distance_to_segments(solid, *links_beyond_foot(legs))
+    to_links = solids.distance_to_segments(solid, *links_beyond_foot(legs, robot.link_radius))
     stretch = jnp.linalg.norm(points[:, -1] - points[:, -3], axis=-1)  # from the knee's joint's other end
     reach = jnp.minimum(robot.thigh + robot.shin - stretch, stretch - jnp.abs(robot.thigh - robot.shin)) - shortfall
     starts, _ = begins(plan, stage)

@@ -11,8 +11,8 @@ from sweep.models.case import Case
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.geoms import COLLIDING, STIFF
 from sweep.models.obstacles.surface import own_axes
+from sweep.models.robot import FOOT_LENGTH
 
-FOOT_END = 0.04  # m, of a shin's centre line next to its foot, which may touch
 OBSTACLE, SHIN, LEG = 4, 8, 16  # what bodies collide with: contype and conaffinity, beside those of feet and balls
 
 
@@ -29,7 +29,7 @@ def collide(spec: mujoco.MjSpec, case: Case, links: tuple[str, ...]) -> None:
         for name in bodies:
             start, end = np.zeros(3), _end(spec.body(name))
             if name == bodies[-1]:
-                end = end * max(0.0, 1 - FOOT_END / np.linalg.norm(end))
+                end = end * max(0.0, 1 - (FOOT_LENGTH + case.robot.link_radius) / np.linalg.norm(end))
             if np.any(end):
                 kinds = OBSTACLE | LEG | (SHIN if name == bodies[-1] else 0)
                 _add_capsule(spec.body(name), name, start, end, case, contype=kinds, conaffinity=LEG, **touch)

@@ -6,6 +6,8 @@ from jaxtyping import Array, Float
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.models.legs import N_LEGS
 
+FOOT_LENGTH = 0.04  # m, of a shin's end that is the foot: what is solid of the shin ends there
+
 
 @parameters
 class Robot:
