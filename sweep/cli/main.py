@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sweep.core.errors import Fault, InputError
+from sweep.core.files import write_whole
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -242,10 +243,17 @@ def show_table(given: argparse.Namespace) -> int:
     exp = experiment(store.read_study(given.dir)["config"])
     content = tables.render(selected(given), given.format, names(given.columns), exp)
     if given.output:
-        given.output.write_bytes(content)
+        write_output(given.output, content)
     else:
         sys.stdout.write(content.decode())
     return DONE
+
+
+def write_output(path: Path, content: bytes) -> None:
+    """What a command was asked to write, whole. Raises `InputError` where there is no place for it."""
+    if not path.parent.is_dir() or path.is_dir():
+        raise InputError(f"-o {path} is not allowed: a file in a folder that exists")
+    write_whole(path, content)
 
 
 def show_statistics(given: argparse.Namespace) -> int:
@@ -298,7 +306,7 @@ def compare_results(given: argparse.Namespace) -> int:
     pairs = compare.pair(a, b, names(given.by))
     print(comparison.text(pairs, len(a), len(b), names(given.regions)))
     if given.output:
-        given.output.write_bytes(compare.differences(pairs).to_csv(index=False).encode())
+        write_output(given.output, compare.differences(pairs).to_csv(index=False).encode())
     broken = comparison.broken(pairs, len(a), given.tolerance, given.figures)
     for line in broken:
         print(f"sweep: {line}", file=sys.stderr)

@@ -14,6 +14,8 @@ import numpy as np
 
 from sweep.core.errors import InputError, suggest
 
+LARGEST = 10**18  # of whole numbers, which 64 bits hold
+
 
 def quantity(
     default: float, unit: str, *, above: float = -math.inf, at_least: float = -math.inf, at_most: float = math.inf
@@ -71,10 +73,14 @@ def checked(field: "dataclasses.Field[Any]", value: Any, path: str) -> Any:
 
 def _checked_number(field: "dataclasses.Field[Any]", value: Any, path: str) -> float | int:
     whole = field.metadata["role"] == "count"
-    if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or (whole and int(value) != value):
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.number)):
         raise InputError(f"{path} = {value!r} is not allowed: a {'whole ' if whole else ''}number")
+    if isinstance(value, int) and abs(value) > LARGEST:
+        raise InputError(f"{path} is not allowed with {len(str(abs(value)))} digits: {bounds_text(field)}")
     if not math.isfinite(value) or not within(field, value):
         raise InputError(f"{path} = {value:g} is not allowed: {bounds_text(field)}")
+    if whole and int(value) != value:
+        raise InputError(f"{path} = {value!r} is not allowed: a whole number")
     return int(value) if whole else float(value)
 
 

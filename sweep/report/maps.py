@@ -1,6 +1,7 @@
 """Where it succeeds: a map over two parameters, one panel for each combination of the named alternatives."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from matplotlib.patches import Patch, Rectangle
 
 from sweep.analysis.stats import rate
 from sweep.core.expressions import column
+from sweep.core.files import write_whole
 from sweep.core.parameters import InputError
 from sweep.metrics.outcome import CAUSES
 from sweep.report import limits, mesh
@@ -40,7 +42,8 @@ def draw(rows: pd.DataFrame, stored: Mapping[str, Any], folder: Path, chosen: tu
     paths = [folder / f"map.{form}" for form in ("png", "svg")]
     with plt.rc_context({"svg.hashsalt": "sweep", "svg.fonttype": "none"}):
         for path in paths:
-            figure.savefig(path, dpi=150, metadata={"Date": None} if path.suffix == ".svg" else None)
+            metadata = {"Date": None} if path.suffix == ".svg" else None
+            write_whole(path, partial(figure.savefig, dpi=150, metadata=metadata))
     plt.close(figure)
     return paths
 

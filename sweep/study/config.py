@@ -4,14 +4,21 @@ The parameter dataclasses are the schemas: Hydra checks names and types while it
 """
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import hydra
+from hydra._internal.core_plugins.file_config_source import FileConfigSource
+from hydra._internal.sources_registry import SourcesRegistry
 from hydra.core.config_store import ConfigStore
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import QuotedString
+from hydra.core.plugins import Plugins
 from hydra.errors import ConfigCompositionException, HydraException, MissingConfigException, OverrideParseException
+from hydra.plugins.config_source import ConfigResult
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import ConfigKeyError, OmegaConfBaseException, ValidationError
 
@@ -27,6 +34,7 @@ from sweep.models.drive import Drive
 from sweep.models.obstacles import OBSTACLES
 from sweep.models.robot import Robot
 from sweep.runs.clusters import CLUSTERS, Cluster
+from sweep.study.designs import known
 from sweep.study.study import Study, nominal, parameter
 
 CONFIG_MODULE, CONFIG_NAME, HYDRA_VERSION = "sweep.conf", "config", "1.3"
@@ -98,6 +106,9 @@ class ExperimentSchema:
     out: str | None = None
 
 
+SCHEMA = tuple(f.name for f in dataclasses.fields(ExperimentSchema))
+
+
 @dataclass(frozen=True)
 class Experiment:
     """A checked configuration: what a run needs to know."""
@@ -117,8 +128,40 @@ class Experiment:
         return Path(self.out or f"results/{self.study.name}")
 
 
+class Unexecuted(FileConfigSource):
+    """Files of a user, such as studies in a `--config-dir`: they choose and set values, and have nothing run."""
+
+    def load_config(self, config_path: str) -> ConfigResult:
+        """Raises `InputError` where Hydra would be told what to run."""
+        result = super().load_config(config_path)
+        values = OmegaConf.to_container(result.config, resolve=False)
+        where = [config_path, str(result.header.get("package")), *_texts(values, "defaults")]
+        named = [key for key in _keys(values) if key in ("hydra", "_target_")]
+        named += ["hydra" for text in where if re.search(r"\bhydra\b", text)]
+        if named:
+            raise InputError(f"{config_path} has {named[0]}, which runs code: a file of yours sets parameters only")
+        return result
+
+
+def _keys(values: Any) -> Iterator[str]:
+    if isinstance(values, Mapping):
+        for key, value in values.items():
+            yield str(key)
+            yield from _keys(value)
+    elif isinstance(values, list):
+        for value in values:
+            yield from _keys(value)
+
+
+def _texts(values: Any, key: str) -> list[str]:
+    found = values.get(key) if isinstance(values, Mapping) else None
+    return [str(one) for one in found] if isinstance(found, list) else []
+
+
 def register() -> None:
-    """Tell Hydra the schemas."""
+    """Tell Hydra the schemas, and that a user's files are not run."""
+    Plugins.instance()  # which would put its own source in the place of ours
+    SourcesRegistry.instance().types[Unexecuted.scheme()] = Unexecuted
     store = ConfigStore.instance()
     whole = OmegaConf.structured(ExperimentSchema)
     OmegaConf.set_struct(whole.study.axes, False)  # axes are named freely
@@ -140,15 +183,30 @@ def compose(overrides: list[str]) -> Experiment:
     """The experiment of command-line `overrides`, for use from Python. Raises `InputError`."""
     register()
     try:
+        check_choices(overrides)
         with hydra.initialize_config_module(CONFIG_MODULE, version_base=HYDRA_VERSION):
             return experiment(resolve(hydra.compose(CONFIG_NAME, overrides)))
     except (HydraException, OmegaConfBaseException) as error:
         raise InputError(one_line(error, overrides)) from None
 
 
+def check_choices(overrides: list[str]) -> None:
+    """Raises `InputError` where a group's choice is no name, which Hydra has no words for."""
+    groups = {*GROUPS, *KINDS, "scenario", "study"}
+    chosen = [text for text in overrides if text.partition("=")[0] in groups]
+    for one in OverridesParser.create().parse_overrides(chosen):
+        if not one.is_sweep_override() and not isinstance(one.value(), str | list | dict | QuotedString):
+            raise InputError(f"{one.input_line} is not allowed: the name of a choice (`sweep list` shows them)")
+
+
 def resolve(config: DictConfig) -> dict[str, Any]:
-    """Plain values, interpolations resolved."""
+    """Plain values, interpolations of each other resolved. Raises `InputError`."""
+    for key, text in flat(OmegaConf.to_container(config, resolve=False)).items():
+        if isinstance(text, str) and re.search(r"\$\{[^}]*:", text):  # such as oc.env, whose secret would be stored
+            raise InputError(f"{key} = {text} is not allowed: an interpolation names another key")
     values: Any = OmegaConf.to_container(config, resolve=True)
+    if not isinstance(values.get("study"), dict) or not isinstance(values["study"].get("axes"), dict):
+        return values  # which `experiment` refuses
     # YAML 1.1 reads a bare `on` as true
     axes = {
         name: {"on" if key is True else key: v for key, v in axis.items()} if isinstance(axis, dict) else axis
@@ -157,19 +215,34 @@ def resolve(config: DictConfig) -> dict[str, Any]:
     return {**values, "study": {**values["study"], "axes": axes}}
 
 
+def flat(values: Any, path: str = "") -> dict[str, Any]:
+    """Nested plain values by dotted path."""
+    if not isinstance(values, Mapping):
+        return {path: values}
+    items = ((f"{path}.{key}" if path else str(key), value) for key, value in values.items())
+    return {k: v for key, value in items for k, v in flat(value, key).items()}
+
+
 def experiment(values: Mapping[str, Any]) -> Experiment:
     """Check plain `values` (as composed, or as stored in study.yaml). Raises `InputError`."""
+    for key in values:
+        if key not in SCHEMA:
+            raise InputError(f"{key} is unknown{suggest(str(key), SCHEMA)}")
+    for group in (*GROUPS, *KINDS, "scenario", "study"):
+        if not isinstance(values.get(group), Mapping):
+            raise InputError(f"{group} = {values.get(group)} is not allowed: `sweep list` shows the choices")
     parts = {group: build(cls, values[group], group) for group, cls in GROUPS.items()}
     settings, thresholds = parts.pop("engine"), parts.pop("outcome")
     for group, kinds in KINDS.items():
-        kind = values[group]["kind"]
+        kind = values[group].get("kind")
         if kind not in kinds:
             raise InputError(f"{group}.kind = {kind!r} is unknown{suggest(str(kind), kinds)}")
         parts[group] = build(kinds[kind], values[group], group)
     cluster = parts.pop("cluster")
     case = Case(**parts)
-    scenario = values["scenario"]
-    chosen = {**dataclasses.asdict(StudySchema()), **values["study"]}  # rows of before a key was there had its default
+    scenario = known("scenario", values["scenario"], _names(ScenarioSchema))
+    given = known("study", values["study"], _names(StudySchema))
+    chosen = {**dataclasses.asdict(StudySchema()), **given}  # rows of before a key was there had its default
     single = not (chosen["name"] or chosen["axes"] or chosen["points"] or chosen["replicates"] != 1)
     if single:
         chosen = {**chosen, "expect": scenario["expect"]}
@@ -178,6 +251,10 @@ def experiment(values: Mapping[str, Any]) -> Experiment:
         parameter(theory.of, case, settings)
         theory.numbers(lambda path: nominal(path, case, settings))
     return Experiment(scenario["name"], case, settings, thresholds, cluster, study, values["out"], dict(values))
+
+
+def _names(cls: type) -> tuple[str, ...]:
+    return tuple(f.name for f in dataclasses.fields(cls))
 
 
 def one_line(error: Exception, overrides: list[str]) -> str:

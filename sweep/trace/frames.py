@@ -15,6 +15,7 @@ import numpy as np
 from matplotlib.image import imsave
 from PIL import Image
 
+from sweep.core.files import write_whole
 from sweep.core.parameters import InputError
 from sweep.engines.base import Trace
 from sweep.models.obstacles.surface import fixed_surface
@@ -37,7 +38,7 @@ def write_png(folder: str | Path, trace: Trace, number: int = 8) -> list[Path]:
     folder.mkdir(parents=True, exist_ok=True)
     paths = [folder / f"t{trace.time[k]:07.3f}s.png" for k in chosen]
     for path, picture in zip(paths, render(trace, chosen), strict=True):
-        imsave(path, picture)
+        write_whole(path, partial(imsave, arr=picture))
     return paths
 
 
@@ -55,6 +56,10 @@ def write_strip(path: str | Path, trace: Trace, chosen: np.ndarray, height: int 
 def write_video(path: str | Path, trace: Trace) -> None:
     """Write an MP4 in real time; raises `InputError` without OpenGL or without the `video` extra."""
     need_ffmpeg()
+    write_whole(Path(path), partial(_write_video, trace=trace))
+
+
+def _write_video(path: Path, trace: Trace) -> None:
     import imageio_ffmpeg
 
     # imageio_ffmpeg's own writer forks, which may hang a process that runs JAX
