@@ -2,6 +2,7 @@
 
 import argparse
 import gc
+import io
 import os
 import sys
 from collections.abc import Callable
@@ -27,6 +28,9 @@ def main(argv: list[str] | None = None) -> int:
     """
     gc.set_threshold(50_000)  # imports and tracing make a million objects, none in vain: 10 % of a start
     args = list(sys.argv[1:] if argv is None else argv)
+    for stream in (sys.stdout, sys.stderr):  # a terminal without our letters shows others instead
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     # these parse their own arguments
     whole: dict[str, Callable[[list[str]], int]] = {"run": run, "replay": replay, "formula": formula}
     try:

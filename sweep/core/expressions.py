@@ -34,20 +34,19 @@ def mask(frame: pd.DataFrame, condition: str | None) -> np.ndarray:
     """
     if not condition:
         return np.ones(len(frame), dtype=bool)
+    shown = repr(condition) if len(condition) < 200 else f"{condition[:200]!r}..."
     try:
         result = evaluate(condition, lambda name: frame[column(frame, name)].to_numpy())
         if np.asarray(result).dtype != bool:
             raise SyntaxError
         return np.broadcast_to(result, (len(frame),))
     except SyntaxError:
-        raise InputError(
-            f"where = {condition!r} is not a condition, such as 'friction > 0.8 and replicate == 0'"
-        ) from None
+        raise InputError(f"where = {shown} is not a condition, such as 'friction > 0.8 and replicate == 0'") from None
     except (TypeError, ValueError) as error:
         if isinstance(error, InputError):
             raise
         reason = str(error).splitlines()[0]
-        raise InputError(f"where = {condition!r} compares what cannot be compared: {reason}") from None
+        raise InputError(f"where = {shown} compares what cannot be compared: {reason}") from None
 
 
 def evaluate(expression: str, look_up: Callable[[str], Any]) -> Any:
@@ -64,7 +63,7 @@ def evaluate(expression: str, look_up: Callable[[str], Any]) -> Any:
     except (RecursionError, MemoryError):
         raise InputError(f"{expression[:20]!r}... is not allowed: nested too deeply") from None
     except ArithmeticError as error:
-        raise InputError(f"{expression!r} has no value: {error}") from None
+        raise InputError(f"{expression[:200]!r} has no value: {error}") from None
 
 
 def column(frame: pd.DataFrame, name: str) -> str:
