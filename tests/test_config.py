@@ -4,6 +4,7 @@ import re
 import pytest
 
 from sweep.cli.choices import choices
+from sweep.cli.main import main
 from sweep.controllers.manoeuvres import MANOEUVRES
 from sweep.core.parameters import InputError
 from sweep.core.project import GROUPS
@@ -80,6 +81,20 @@ BAD = [
     ("+study.axes.f={path: contact.friction, num: 3}", ["study.axes.f.from", "a number"]),
     ("+study.axes.f={path: contact.friction}", ["study.axes.f", "values, or from, to and num"]),
     ("+study.axes.f={path: contact.friction, form: 0}", ["study.axes.f.form", "did you mean from?"]),
+    ("++contcat.friction=0.2", ["contcat is unknown", "did you mean contact?"]),
+    ("+foo.bar=1", ["foo is unknown"]),
+    ("+study.foo=1", ["study.foo", "unknown"]),
+    ("+study.axes.f={path: '', values: [1]}", ["study.axes.f.path = ''", "a parameter"]),
+    ("study.name=..", ["study.name = '..'", "a folder name"]),
+    ('study.name="a\nb"', ["study.name", "a folder name"]),
+    ("study=null", ["study=null", "the name of a choice"]),
+    ("~robot", ["robot"]),
+    ("cluster=-1", ["cluster=-1", "the name of a choice"]),
+    ("engine.iterations=1e400", ["engine.iterations = inf", "at most 20"]),
+    (f"engine.width={'9' * 400}", ["engine.width", "400 digits"]),
+    ("+study.axes.f={path: contact.friction, from: 0, to: 1, num: 1000000000}", ["study.axes.f.num", "20000000"]),
+    ("contact.friction='${oc.env:SECRET}'", ["contact.friction = ${oc.env:SECRET}", "another key"]),
+    ("study.name=${oc.env:SECRET}", ["study.name = ${oc.env:SECRET}", "another key"]),
     ("scenario.expect=[{at_least: 2}]", ["scenario.expect.0.at_least = 2", "0 to 1"]),
 ]
 
@@ -90,3 +105,36 @@ def test_bad_configuration_is_one_line_naming_key_value_and_what_is_allowed(over
         compose([override])
     assert "\n" not in str(error.value)
     assert all(part in str(error.value) for part in named), str(error.value)
+
+
+CODE = {
+    "hydra": "hydra: {callbacks: {x: {_target_: pandas.read_pickle, filepath_or_buffer: evil.pickle}}}",
+    "environment": "hydra: {job: {env_set: {XLA_FLAGS: x}}}",
+    "target": "study: {name: mine, axes: {a: {_target_: os.system}}}",
+    "choice": "defaults: [{override /hydra/launcher: joblib}]",
+    "package": "defaults: [{/contact@hydra.callbacks: base}]",
+}
+
+
+@pytest.mark.usefixtures("fake_engine")
+@pytest.mark.parametrize("kind", CODE)
+def test_a_file_of_a_user_runs_nothing(tmp_path, monkeypatch, capsys, kind):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "conf" / "study").mkdir(parents=True)
+    (tmp_path / "conf" / "study" / "mine.yaml").write_text(f"# @package _global_\n{CODE[kind]}\n")
+    (tmp_path / "evil.pickle").write_bytes(b"cos\nmkdir\n(S'ran'\ntR.")
+    assert main(["run", "--config-dir", "conf", "study=mine", "--dry-run"]) == 2
+    assert not (tmp_path / "ran").exists()
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "which runs code" in error
+
+
+@pytest.mark.usefixtures("fake_engine")
+def test_a_study_in_a_folder_of_a_user_is_run(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "conf" / "study").mkdir(parents=True)
+    text = "# @package _global_\nstudy: {name: mine, axes: {f: {path: contact.friction, values: [1, 2]}}}\n"
+    (tmp_path / "conf" / "study" / "mine.yaml").write_text(text)
+    assert main(["run", "--config-dir", "conf", "study=mine", "--dry-run", "engine.width=2"]) == 0
+    assert "mine: 2 of 2 rollouts" in capsys.readouterr().out

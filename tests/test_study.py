@@ -2,6 +2,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from sweep.cli.main import main
 from sweep.core.expressions import mask
 from sweep.core.parameters import InputError
 from sweep.runs.batches import batch, nominal, plan, with_room_for_delay
@@ -55,6 +56,60 @@ def test_static_axes_make_groups_and_batches_belong_to_one():
     assert table["width"].unique().tolist() == [8]  # 15 rows of either engine, at most 8 wide: two even batches
     assert table.groupby("batch").size().tolist() == [8, 7, 8, 7]
     assert batch(exp, table[table["batch"] == 2]).settings.name == "native"
+
+
+def test_points_that_are_left_out_are_counted(tmp_path, capsys):
+    values = "+study.axes.f={path: contact.friction, values: [1.0, 1.00000000000001, 1.0, 2.0, 1e-300, 2e-300]}"
+    said = []
+    exp = compose([values, "study.name=x"])
+    table = points(exp.study, exp.case, exp.settings, say=said.append)
+    assert table["contact.friction"].tolist() == [1.0, 2.0, 1e-300, 2e-300]
+    assert said == ["2 of 6 rollouts are left out: equal to others in 12 digits"]
+    (tmp_path / "p.csv").write_text("contact.friction\n1.0\n1.0\n2.0\n")
+    assert main(["run", "--points", str(tmp_path / "p.csv"), f"out={tmp_path / 'out'}", "--dry-run"]) == 0
+    assert "1 of 3 rollouts are left out" in capsys.readouterr().err
+    star = "study.design.grid=one_at_a_time"
+    both = [
+        "+study.axes.f={path: contact.friction, values: [0.5, 0.8]}",
+        "+study.axes.s={path: robot.shin, values: [0.3, 0.4]}",
+    ]
+    exp = compose([*both, star, "study.name=x"])
+    points(exp.study, exp.case, exp.settings, say=pytest.fail)
+
+
+ABSURD = [
+    "1/0 > friction", f"friction > {'9' * 400}", "not " * 2000 + "friction > 1", "[0]*400000000 == friction",
+    "'a'*400000000 == friction", "(" * 3000 + "friction > 1", "friction > " + "1+" * 3000 + "1",
+    "friction == [[1],[2,3]]",
+    "friction > 1e400 * 0 and friction", "outcome in 5",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("where", ABSURD)
+def test_an_absurd_condition_is_one_short_line(where):
+    frame = pd.DataFrame({"friction": [1.0, 2.0], "outcome": ["success", "failure"]})
+    with pytest.raises(InputError) as error:
+        mask(frame, where)
+    assert "\n" not in str(error.value)
+    assert len(str(error.value)) < 1000
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        [
+            f"+study.axes.{k}={{path: robot.{p}, from: 1, to: 2, num: 1000}}"
+            for k, p in zip("ab", ["shin", "thigh"], strict=True)
+        ]
+        + ["study.replicates=100"],
+        ["+study.axes.a={path: robot.shin, relative: 0.1}", "study.design.num=1000000000"],
+        ["study.replicates=1000000000"],
+    ],
+)
+def test_a_study_that_is_too_large_is_refused_before_it_is_built(overrides):
+    exp = compose([*overrides, "study.name=x"])
+    with pytest.raises(InputError, match="rollouts: at most 20000000"):
+        points(exp.study, exp.case, exp.settings)
 
 
 def test_extending_a_study_keeps_membership_and_slots():

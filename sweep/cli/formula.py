@@ -5,11 +5,13 @@ import json
 import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from sweep.core.files import write_whole
 from sweep.core.parameters import InputError
 from sweep.formulas import FORMULAS, Formula, Input, NoSolution, covering, find
 
@@ -110,11 +112,11 @@ def _range(formula: Formula, text: str) -> tuple[str, list[float]]:
     match = re.fullmatch(r"([^=]+)=([^:]+):([^:]+):(\d+)", text)
     try:
         key, low, high, count = match.groups()  # pyright: ignore[reportOptionalMemberAccess]
-        points = np.linspace(float(low), float(high), int(count)).tolist()
+        points = np.linspace(float(low), float(high), int(count)).tolist() if len(count) < 7 else []
     except (AttributeError, ValueError):
         points = []
     if len(points) < 2:
-        raise InputError(f"--sweep {text} is not allowed: key=lo:hi:n with two numbers and n at least 2")
+        raise InputError(f"--sweep {text} is not allowed: key=lo:hi:n with two numbers and n from 2 to 999999")
     return key, points
 
 
@@ -210,7 +212,7 @@ def _plot(formula: Formula, rows: Sequence[Mapping[str, Any]], key: str, file: P
         panel.legend()
     panels[-1].set_xlabel(f"{key} ({_unit(formula.inputs, key) or '1'})")
     figure.suptitle(f"{formula.what}\n{formula.reference}", fontsize="medium")
-    figure.savefig(file, dpi=120)
+    write_whole(file, partial(figure.savefig, dpi=120))
 
 
 def _unit(inputs: Sequence[Input], key: str) -> str:

@@ -2,6 +2,7 @@
 
 import argparse
 import gc
+import io
 import os
 import sys
 from collections.abc import Callable
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING
 from sweep import __version__
 from sweep.cli import project
 from sweep.core.errors import Fault, InputError
+from sweep.core.files import write_whole
 from sweep.core.project import GROUPS
 
 if TYPE_CHECKING:
@@ -41,6 +43,9 @@ def main(argv: list[str] | None = None) -> int:
     """
     gc.set_threshold(50_000)  # imports and tracing make a million objects, none in vain: 10 % of a start
     args = list(sys.argv[1:] if argv is None else argv)
+    for stream in (sys.stdout, sys.stderr):  # a terminal without our letters shows others instead
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     # these parse their own arguments
     whole: dict[str, Callable[[list[str]], int]] = {"run": run, "replay": replay, "formula": formula}
     try:
@@ -283,10 +288,17 @@ def show_table(given: argparse.Namespace) -> int:
     exp = experiment(store.read_study(given.dir)["config"])
     content = tables.render(selected(given), given.format, names(given.columns), exp)
     if given.output:
-        given.output.write_bytes(content)
+        write_output(given.output, content)
     else:
         sys.stdout.write(content.decode())
     return DONE
+
+
+def write_output(path: Path, content: bytes) -> None:
+    """What a command was asked to write, whole. Raises `InputError` where there is no place for it."""
+    if not path.parent.is_dir() or path.is_dir():
+        raise InputError(f"-o {path} is not allowed: a file in a folder that exists")
+    write_whole(path, content)
 
 
 def show_statistics(given: argparse.Namespace) -> int:
@@ -365,7 +377,7 @@ def compare_results(given: argparse.Namespace) -> int:
         differ.append(compare.differences(pairs).assign(**({"B": str(folder)} if len(given.b) > 1 else {})))
         broken += comparison.broken(pairs, len(a), given.tolerance, given.figures)
     if given.output:
-        given.output.write_bytes(pd.concat(differ).to_csv(index=False).encode())
+        write_output(given.output, pd.concat(differ).to_csv(index=False).encode())
     for line in broken:
         print(f"sweep: {line}", file=sys.stderr)
     return UNEXPECTED if broken else DONE

@@ -59,6 +59,7 @@ def launch(overrides: list[str], flags: Flags) -> int:
     sys.argv = ["sweep run", *overrides]
     os.environ["HYDRA_FULL_ERROR"] = "1"  # let errors through to here, where they become one line
     try:
+        config.check_choices(overrides)
         job()
     except (HydraException, OmegaConfBaseException) as error:
         raise InputError(config.one_line(error, overrides)) from None
@@ -76,7 +77,7 @@ def execute(exp: Experiment, flags: Flags) -> int:
     if exp.study.single and not exp.out:
         return execute_single(exp, flags)
     folder = exp.folder
-    first = runner.wanted_points(exp, flags.where, flags.limit)
+    first = runner.wanted_points(exp, flags.where, flags.limit, lambda line: print(f"sweep: {line}", file=sys.stderr))
     whole = flags.where is None and flags.limit is None
     if exp.study.refined:
         refine.check(exp.study, first)

@@ -10,6 +10,7 @@ import pandas as pd
 
 from sweep.core.errors import InputError, suggest
 
+LONGEST = 5000  # characters of an expression
 _COMPARE: dict[type, Callable[[Any, Any], Any]] = {
     ast.Lt: operator.lt,
     ast.LtE: operator.le,
@@ -44,27 +45,36 @@ def mask(frame: pd.DataFrame, condition: str | None) -> np.ndarray:
     """
     if not condition:
         return np.ones(len(frame), dtype=bool)
+    shown = repr(condition) if len(condition) < 200 else f"{condition[:200]!r}..."
     try:
         result = evaluate(condition, lambda name: frame[column(frame, name)].to_numpy())
         if np.asarray(result).dtype != bool:
             raise SyntaxError
         return np.broadcast_to(result, (len(frame),))
     except SyntaxError:
-        raise InputError(
-            f"where = {condition!r} is not a condition, such as 'friction > 0.8 and replicate == 0'"
-        ) from None
+        raise InputError(f"where = {shown} is not a condition, such as 'friction > 0.8 and replicate == 0'") from None
     except (TypeError, ValueError) as error:
         if isinstance(error, InputError):
             raise
-        raise InputError(f"where = {condition!r} compares what cannot be compared: {error}") from None
+        reason = str(error).splitlines()[0]
+        raise InputError(f"where = {shown} compares what cannot be compared: {reason}") from None
 
 
 def evaluate(expression: str, look_up: Callable[[str], Any]) -> Any:
     """Value of an expression whose dotted names mean what `look_up` says.
 
-    Raises `SyntaxError` where it is none, and `InputError` where it holds more than names, numbers and operators.
+    Raises `SyntaxError` where it is none, and `InputError` where it holds more than names, numbers and operators, or
+    has no value.
     """
-    return _value(ast.parse(expression, mode="eval").body, look_up)
+    if len(expression) > LONGEST:
+        raise InputError(f"an expression of {len(expression)} characters is not allowed: at most {LONGEST}")
+    try:
+        with np.errstate(all="ignore"):
+            return _value(ast.parse(expression, mode="eval").body, look_up)
+    except (RecursionError, MemoryError):
+        raise InputError(f"{expression[:20]!r}... is not allowed: nested too deeply") from None
+    except ArithmeticError as error:
+        raise InputError(f"{expression[:200]!r} has no value: {error}") from None
 
 
 def column(frame: pd.DataFrame, name: str) -> str:
@@ -90,7 +100,7 @@ def _value(node: ast.expr, look_up: Callable[[str], Any]) -> Any:
         case ast.UnaryOp(op=op, operand=operand) if type(op) in _UNARY:
             return _UNARY[type(op)](_value(operand, look_up))
         case ast.BinOp(left=left, op=op, right=right) if type(op) in _ARITHMETIC:
-            return _ARITHMETIC[type(op)](_value(left, look_up), _value(right, look_up))
+            return _ARITHMETIC[type(op)](_number(_value(left, look_up)), _number(_value(right, look_up)))
         case ast.Call(func=ast.Name(id=name), args=[argument], keywords=[]) if name in _FUNCTIONS:
             return _FUNCTIONS[name](_value(argument, look_up))
         case ast.BoolOp(op=op, values=values):
@@ -104,6 +114,13 @@ def _value(node: ast.expr, look_up: Callable[[str], Any]) -> Any:
             raise InputError(
                 f"{ast.unparse(node)!r} is not allowed in a condition: columns, numbers, comparisons, and/or/not"
             )
+
+
+def _number(value: Any) -> Any:
+    """`value`, if it is a number or a column of them: to multiply a list is to copy it."""
+    if isinstance(value, list | str | bytes):
+        raise TypeError("words and lists are not reckoned with")
+    return value
 
 
 def _close(a: Any, b: Any) -> Any:

@@ -14,8 +14,13 @@ HIDDEN = ".tmp-"  # begins the name of a file that is not whole yet
 def write_whole(path: Path, content: bytes | Callable[[Path], object]) -> None:
     """Put `content`, or what it writes to the path that it is given, in the place of `path` at once. Raises `Fault`.
 
-    The path given ends as `path` does, so that what goes by a file's suffix can write there.
+    The path given ends as `path` does, so that what goes by a file's suffix can write there. A link stays one, and a
+    device such as /dev/stdout is written to as it is.
     """
+    path = path.resolve() if path.is_symlink() else path
+    if path.exists() and not path.is_file():
+        path.write_bytes(content) if isinstance(content, bytes) else content(path)
+        return
     hidden = path.with_name(f"{HIDDEN}{socket.gethostname()}-{os.getpid()}-{path.name}")
     try:
         hidden.write_bytes(content) if isinstance(content, bytes) else content(hidden)

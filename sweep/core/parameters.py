@@ -14,6 +14,8 @@ import numpy as np
 
 from sweep.core.errors import InputError, suggest
 
+LARGEST = 10**18  # of whole numbers, which 64 bits hold
+
 
 def quantity(
     default: float | None,
@@ -87,12 +89,16 @@ def _checked_number(field: "dataclasses.Field[Any]", value: Any, path: str) -> f
     whole = field.metadata["role"] == "count"
     if value is None and field.default is None:
         return None
-    if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or (whole and int(value) != value):
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.number)):
         raise InputError(f"{path} = {value!r} is not allowed: a {'whole ' if whole else ''}number")
+    if isinstance(value, int) and abs(value) > LARGEST:
+        raise InputError(f"{path} is not allowed with {len(str(abs(value)))} digits: {bounds_text(field)}")
     if not math.isfinite(value):
         raise InputError(f"{path} = {value:g} is not allowed: a finite number")
     if not within(field, value):
         raise InputError(f"{path} = {value:g} is not allowed: {bounds_text(field)}")
+    if whole and int(value) != value:
+        raise InputError(f"{path} = {value!r} is not allowed: a whole number")
     return int(value) if whole else float(value)
 
 

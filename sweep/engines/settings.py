@@ -16,7 +16,7 @@ class EngineSettings:
     control_period: float = quantity(4e-3, "s", above=0, at_most=0.05)
     iterations: int = count(2, at_least=1, at_most=20)  # of the implicit contact step
     precision: str = choice("float32", "float32", "float64")
-    width: int = count(0)  # rollouts in a batch; 0 asks for the device's best
+    width: int = count(0, at_most=1 << 24)  # rollouts in a batch; 0 asks for the device's best
     solid: bool = flag(False)  # base and links collide with the obstacle and each other; native only
 
     def __post_init__(self) -> None:

@@ -1,6 +1,7 @@
 """Where it succeeds: a map over two parameters, one panel for each combination of the named alternatives."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path as File
 from typing import Any
 
@@ -18,6 +19,7 @@ from matplotlib.transforms import Affine2D
 
 from sweep.analysis.sample import pooled
 from sweep.core.expressions import column
+from sweep.core.files import write_whole
 from sweep.core.parameters import InputError
 from sweep.metrics.outcome import FAILURES
 from sweep.report import limits, mesh
@@ -42,7 +44,8 @@ def draw(rows: pd.DataFrame, stored: Mapping[str, Any], folder: File, chosen: tu
     paths = [folder / f"map.{form}" for form in ("png", "svg")]
     with plt.rc_context({"svg.hashsalt": "sweep", "svg.fonttype": "none"}):
         for path in paths:
-            figure.savefig(path, dpi=150, metadata={"Date": None} if path.suffix == ".svg" else None)
+            metadata = {"Date": None} if path.suffix == ".svg" else None
+            write_whole(path, partial(figure.savefig, dpi=150, metadata=metadata))
     plt.close(figure)
     return paths
 

@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 
 from sweep.analysis.sample import pooled
 from sweep.analysis.stats import broken
+from sweep.core.files import write_whole
 from sweep.metrics.outcome import MEANING
 from sweep.report import tables
 from sweep.report.exhibits import exhibits
@@ -55,7 +56,7 @@ class Plate:
 def write(results: Results, path: Path) -> Path:
     """Write the page of `results`."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(render(results), encoding="utf-8")
+    write_whole(path, render(results).encode())
     return path
 
 
@@ -131,7 +132,7 @@ def as_html(shown: pd.DataFrame, index: bool) -> Markup:
 def dates(folder: Path) -> tuple[str, str]:
     """First and last day and time of the log; empty without one."""
     try:
-        lines = (folder / store.LOG).read_text().splitlines()
+        lines = (folder / store.LOG).read_text(encoding="utf-8").splitlines()
     except OSError:
         return "", ""
     stamps = [line.partition(" ")[0] for line in lines if line]

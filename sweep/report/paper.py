@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
 
@@ -13,6 +14,7 @@ import pandas as pd
 
 from sweep.analysis.sample import is_sample, pooled
 from sweep.core.expressions import mask
+from sweep.core.files import write_whole
 from sweep.metrics.outcome import MEANING
 from sweep.report import statistics, tables
 from sweep.report.exhibits import exhibits
@@ -46,17 +48,18 @@ def write(results: Results, out: Path) -> list[Path]:
     shown = list(exhibits(results))
     for one in shown:
         paths += [out / "data" / f"{one.key}.csv", out / "figures" / f"{one.key}.pdf"]
-        one.data.to_csv(paths[-2], index=False)
+        write_whole(paths[-2], one.data.to_csv(index=False).encode())
         with mpl.rc_context({"pdf.fonttype": 42}):  # TrueType, which journals ask for
-            one.draw().savefig(paths[-1], metadata={"CreationDate": None})
+            write_whole(paths[-1], partial(one.draw().savefig, metadata={"CreationDate": None}))
     texts, captions = {}, {}
     for name, caption, table in summaries(results):
         paths.append(out / "data" / f"{name}.csv")
-        table.to_csv(paths[-1], index=False)
+        write_whole(paths[-1], table.to_csv(index=False).encode())
         if len(table) <= LINES:
             texts[f"tables/{name}.tex"], captions[name] = tables.latex(table, results.exp), caption
     numbers = list(quoted(results))
-    pd.DataFrame([vars(one) for one in numbers]).to_csv(out / "data" / "numbers.csv", index=False)
+    table = pd.DataFrame([vars(one) for one in numbers])
+    write_whole(out / "data" / "numbers.csv", table.to_csv(index=False).encode())
     texts["numbers.tex"] = "".join(macro(results, one, paths[0].name) for one in numbers)
     texts["main.tex"] = _template().render(
         results=results,
@@ -67,7 +70,7 @@ def write(results: Results, out: Path) -> list[Path]:
         sample=is_sample(results.rows, results.exp),
     )
     for name, text in texts.items():
-        (out / name).write_text(text, encoding="utf-8")
+        write_whole(out / name, text.encode())
     return [*paths, out / "data" / "numbers.csv", *(out / name for name in texts)]
 
 
@@ -75,10 +78,10 @@ def _rows(results: Results, out: Path) -> Path:
     """All rows, which the numbers are traced to."""
     if len(results.rows) > CSV_ROWS:
         path = out / "data" / "rows.parquet"
-        results.rows.to_parquet(path, index=False, compression="zstd")
+        write_whole(path, partial(results.rows.to_parquet, index=False, compression="zstd"))
     else:
         path = out / "data" / "rows.csv"
-        path.write_bytes(tables.csv(results.rows))
+        write_whole(path, tables.csv(results.rows))
     return path
 
 
@@ -154,6 +157,7 @@ def macro(results: Results, one: Number, file: str) -> str:
     where = " and ".join(f"({c})" if results.where and one.where else c for c in (results.where, one.where) if c)
     command = f"sweep table {results.folder} --format csv" + (f" --where '{where}'" if where else "")
     definition = f"\\newcommand{{\\{one.name}}}{{{one.text}}}"
+    command = re.sub(r"\s", " ", command)  # a line break would end the comment
     return f"% {one.what}, {len(chosen)} rows of data/{file}{few}\n% {command}\n{definition}\n"
 
 

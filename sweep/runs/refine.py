@@ -21,7 +21,7 @@ from sweep.core.errors import InputError
 from sweep.runs import store
 from sweep.runs.runner import Job, lay_out
 from sweep.study.config import Experiment
-from sweep.study.designs import Axis
+from sweep.study.designs import MOST, Axis
 from sweep.study.study import Study, points
 
 MISSING, INVALID, FAILS, SUCCEEDS = -2, -1, 0, 1
@@ -63,6 +63,8 @@ def lattice(study: Study) -> Lattice:
     if study.resolution:
         widest = max(np.diff(v).max() / (v[-1] - v[0]) for v in values)
         halvings = max(math.ceil(math.log2(widest / study.resolution) - 1e-9), 0)
+    if math.prod((len(v) - 1) * 2**halvings + 1 for v in values) > MOST:
+        raise InputError(f"study.resolution = {study.resolution:g} is not allowed: a grid of more than {MOST} points")
     fine = [np.interp(np.arange((len(v) - 1) * 2**halvings + 1) / 2**halvings, np.arange(len(v)), v) for v in values]
     return Lattice(axes, tuple(np.array([float(f"{x:.12g}") for x in v]) for v in fine), halvings)
 

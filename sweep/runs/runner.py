@@ -33,8 +33,8 @@ from sweep.runs.batches import (
 from sweep.runs.manifest import Entry
 from sweep.study.clusters import Dispatch
 from sweep.study.columns import figure_columns
-from sweep.study.config import Experiment, experiment
-from sweep.study.study import points
+from sweep.study.config import Experiment, experiment, flat
+from sweep.study.study import Say, points
 
 # what may change between runs into one folder: which points, and how they are judged; but draws go by one distribution
 FREE = ("study.axes.", "study.design.num", "study.points", "study.where", "study.replicates", "study.resolution",
@@ -70,9 +70,11 @@ class Job:
         return self.table[self.table["batch"].isin(batches)]
 
 
-def wanted_points(exp: Experiment, where: str | None = None, limit: int | None = None) -> pd.DataFrame:
+def wanted_points(
+    exp: Experiment, where: str | None = None, limit: int | None = None, say: Say | None = None
+) -> pd.DataFrame:
     """The study's points that match `where`, at most `limit` of them. Raises `InputError` where none is left."""
-    table = points(exp.study, exp.case, exp.settings)
+    table = points(exp.study, exp.case, exp.settings, say=say)
     table = table[mask(table, where)].head(limit) if limit is not None else table[mask(table, where)]
     if table.empty:
         raise InputError(f"no point of {exp.study.name} is left to run")
@@ -165,14 +167,6 @@ def study_id(values: Mapping[str, Any]) -> str:
 def labels_id(values: Mapping[str, Any]) -> str:
     """Digest of how rows are judged: thresholds and code."""
     return store.digest([values["outcome"], provenance.code_version()])
-
-
-def flat(values: Any, path: str = "") -> dict[str, Any]:
-    """Nested plain values by dotted path."""
-    if not isinstance(values, Mapping):
-        return {path: values}
-    items = ((f"{path}.{key}" if path else str(key), value) for key, value in values.items())
-    return {k: v for key, value in items for k, v in flat(value, key).items()}
 
 
 def run(job: Job, progress: Progress, dispatch: Dispatch = map) -> Job:

@@ -5,6 +5,7 @@ The parameter dataclasses are the schemas: Hydra checks names and types while it
 
 import dataclasses
 import functools
+import re
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,6 +15,8 @@ from typing import Any
 
 import hydra
 from hydra.core.config_store import ConfigStore
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import QuotedString
 from hydra.errors import ConfigCompositionException, HydraException, MissingConfigException, OverrideParseException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import ConfigKeyError, OmegaConfBaseException, ValidationError
@@ -32,7 +35,7 @@ from sweep.models.obstacles import OBSTACLES
 from sweep.models.robot import Robot
 from sweep.study import sources
 from sweep.study.clusters import CLUSTERS, Cluster
-from sweep.study.designs import with_side
+from sweep.study.designs import known, with_side
 from sweep.study.study import Study, StudySchema, nominal, parameter
 
 CONFIG_MODULE, CONFIG_NAME, HYDRA_VERSION = "sweep.conf", "config", "1.3"
@@ -77,6 +80,9 @@ class ExperimentSchema:
     cluster: Any = None
     study: StudySchema = field(default_factory=StudySchema)
     out: str | None = None
+
+
+SCHEMA = tuple(f.name for f in dataclasses.fields(ExperimentSchema))
 
 
 @dataclass(frozen=True)
@@ -150,28 +156,57 @@ def composed(overrides: list[str]) -> dict[str, Any]:
     """Its plain values, of which only names and types are checked. Raises `InputError`."""
     register()
     try:
+        check_choices(overrides)
         with hydra.initialize_config_module(CONFIG_MODULE, version_base=HYDRA_VERSION):
             return resolve(hydra.compose(CONFIG_NAME, overrides))
     except (HydraException, OmegaConfBaseException) as error:
         raise InputError(one_line(error, overrides)) from None
 
 
+def check_choices(overrides: list[str]) -> None:
+    """Raises `InputError` where a group's choice is no name, which Hydra has no words for."""
+    groups = {*GROUPS, *KINDS, "scenario", "study"}
+    chosen = [text for text in overrides if text.partition("=")[0] in groups]
+    for one in OverridesParser.create().parse_overrides(chosen):
+        if not one.is_sweep_override() and not isinstance(one.value(), str | list | dict | QuotedString):
+            raise InputError(f"{one.input_line} is not allowed: the name of a choice (`sweep list` shows them)")
+
+
 def resolve(config: DictConfig) -> dict[str, Any]:
-    """Plain values, interpolations resolved."""
+    """Plain values, interpolations of each other resolved. Raises `InputError`."""
+    for key, text in flat(OmegaConf.to_container(config, resolve=False)).items():
+        if isinstance(text, str) and re.search(r"\$\{[^}]*:", text):  # such as oc.env, whose secret would be stored
+            raise InputError(f"{key} = {text} is not allowed: an interpolation names another key")
     values: Any = OmegaConf.to_container(config, resolve=True)
+    if not isinstance(values.get("study"), dict) or not isinstance(values["study"].get("axes"), dict):
+        return values  # which `experiment` refuses
     axes = with_side(values["study"]["axes"])
     if axes != values["study"]["axes"]:
         print("sweep: note: the key `on` of an axis is called `side` now", file=sys.stderr)
     return {**values, "study": {**values["study"], "axes": axes}}
 
 
+def flat(values: Any, path: str = "") -> dict[str, Any]:
+    """Nested plain values by dotted path."""
+    if not isinstance(values, Mapping):
+        return {path: values}
+    items = ((f"{path}.{key}" if path else str(key), value) for key, value in values.items())
+    return {k: v for key, value in items for k, v in flat(value, key).items()}
+
+
 def experiment(values: Mapping[str, Any]) -> Experiment:
     """Check plain `values` (as composed, or as stored in study.yaml). Raises `InputError`."""
     add_modules()
+    for key in values:
+        if key not in SCHEMA:
+            raise InputError(f"{key} is unknown{suggest(str(key), SCHEMA)}")
+    for group in (*GROUPS, *KINDS, "scenario", "study"):
+        if not isinstance(values.get(group), Mapping):
+            raise InputError(f"{group} = {values.get(group)} is not allowed: `sweep list` shows the choices")
     parts = {group: build(cls, values[group], group) for group, cls in GROUPS.items()}
     settings, given = parts.pop("engine"), dataclasses.asdict(parts.pop("outcome"))
     for group, kinds in KINDS.items():
-        kind = values[group]["kind"]
+        kind = values[group].get("kind")
         if kind not in kinds:
             raise InputError(f"{group}.kind = {kind!r} is unknown{suggest(str(kind), kinds)}")
         parts[group] = build(kinds[kind], values[group], group)
@@ -182,8 +217,9 @@ def experiment(values: Mapping[str, Any]) -> Experiment:
         kinds = f"obstacle.kind = {case.obstacle.kind} is not allowed: manoeuvre.kind = {case.manoeuvre.kind}"
         raise InputError(f"{kinds} needs {needed}")
     limits = thresholds(given, case)
-    scenario = values["scenario"]
-    chosen = {**dataclasses.asdict(StudySchema()), **values["study"]}  # rows of before a key was there had its default
+    scenario = known("scenario", values["scenario"], _names(ScenarioSchema))
+    asked = known("study", values["study"], _names(StudySchema))
+    chosen = {**dataclasses.asdict(StudySchema()), **asked}  # rows of before a key was there had its default
     single = not (chosen["name"] or chosen["axes"] or chosen["points"] or chosen["replicates"] != 1)
     if single:
         chosen = {**chosen, "expect": scenario["expect"]}
@@ -192,6 +228,10 @@ def experiment(values: Mapping[str, Any]) -> Experiment:
         parameter(theory.of, case, settings)
         theory.numbers(lambda path: nominal(path, case, settings))
     return Experiment(scenario["name"], case, settings, limits, cluster, study, values["out"], dict(values))
+
+
+def _names(cls: type) -> tuple[str, ...]:
+    return tuple(f.name for f in dataclasses.fields(cls))
 
 
 def one_line(error: Exception, overrides: list[str]) -> str:

@@ -10,6 +10,7 @@ Every axis gives a number n, listed or drawn, and turns it into a value of its p
 import dataclasses
 import hashlib
 import math
+import sys
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -22,6 +23,7 @@ from sweep.core.errors import InputError, suggest
 
 SIDES = ("world", "belief")
 DESIGNS = ("monte_carlo", "latin_hypercube", "sobol", "saltelli")
+MOST = 20_000_000  # rollouts of a study, whose plan takes 10 GB
 GRIDS = ("full", "one_at_a_time")
 AXIS_KEYS = ("path", "side", "values", "from", "to", "num", "distribution", "relative", "times", "with", "nominal")
 OLD_SIDE = ("on", True)  # what `side` was called; a bare `on` is YAML's true
@@ -195,7 +197,7 @@ def _axis(key: str, name: str, given: Any) -> Axis:
     if (side := side or "both") not in ("both", *SIDES):
         raise InputError(f"{key}.side = {side!r} is not allowed: one of both, world, belief")
     for word, text in (("path", path), ("times", times)):
-        if text is not None and not isinstance(text, str):
+        if text is not None and (not isinstance(text, str) or not text):
             raise InputError(f"{key}.{word} = {text!r} is not allowed: a parameter such as contact.friction")
     if relative is not None and not isinstance(relative, str):
         relative = _number(f"{key}.relative", relative)
@@ -229,8 +231,8 @@ def _values(key: str, given: Mapping[str, Any]) -> tuple[Any, ...] | None:
     if given.get("distribution") is not None:
         raise InputError(f"{key} has a range and a distribution: one of them")
     low, high = (_number(f"{key}.{name}", end) for name, end in zip(("from", "to"), ends[:2], strict=True))
-    if not isinstance(ends[2], int | float) or ends[2] != int(ends[2]) or ends[2] < 1:
-        raise InputError(f"{key}.num = {ends[2]!r} is not allowed: a whole number from 1")
+    if not isinstance(ends[2], int | float) or not 1 <= ends[2] <= MOST or ends[2] != int(ends[2]):
+        raise InputError(f"{key}.num = {ends[2]!r} is not allowed: a whole number from 1 to {MOST}")
     if ends[2] == 1 and low != high:
         raise InputError(f"{key}.num = 1 is not allowed from {low:g} to {high:g}: at least 2, or values: [{low:g}]")
     # shortest decimals, so that the values read, compare and hash as written
@@ -238,8 +240,8 @@ def _values(key: str, given: Mapping[str, Any]) -> tuple[Any, ...] | None:
 
 
 def _number(key: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise InputError(f"{key} = {value!r} is not allowed: a number")
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= sys.float_info.max:
+        raise InputError(f"{key} = {str(value)[:40]} is not allowed: a number")
     return float(value)
 
 
@@ -293,6 +295,14 @@ def table(
     return pd.DataFrame({**columns, "draw": np.tile(np.arange(count), size)})
 
 
+def size(axes: tuple[Axis, ...], design: Design) -> int:
+    """How many points `table` would have."""
+    lengths = [len(a.values) for a in axes if a.values is not None and a.along is None]
+    drawn = sum(a.distribution is not None for a in axes)
+    draws = design.num * (design.scrambles if design.kind != "saltelli" else drawn + 2)
+    return (sum(lengths) if design.grid == "one_at_a_time" else math.prod(lengths)) * max(draws, 1)
+
+
 def _grid(axes: list[Axis]) -> pd.DataFrame:
     """Every combination of the leading axes' values, by axis name, the last axis fastest."""
     leaders = [a for a in axes if a.along is None]
@@ -307,7 +317,8 @@ def _star(axes: list[Axis], nominal: Callable[[str], Any]) -> pd.DataFrame:
     """The values of one leading axis after the other, the rest at their nominal numbers."""
     centre = {a.name: a.nominal_number(nominal) for a in axes}
     arms = [_grid([a for a in axes if leader.name in (a.name, a.along)]) for leader in axes if leader.along is None]
-    return pd.concat([arm.assign(**{k: v for k, v in centre.items() if k not in arm}) for arm in arms])[[*centre]]
+    star = pd.concat([arm.assign(**{k: v for k, v in centre.items() if k not in arm}) for arm in arms])[[*centre]]
+    return star.drop_duplicates()  # the arms cross
 
 
 def _shares(axes: list[Axis], design: Design, seed: int) -> np.ndarray:

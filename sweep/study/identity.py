@@ -67,7 +67,9 @@ def _decimal(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Mantissa of `DIGITS` digits and exponent, both whole numbers."""
     size = np.abs(values)
     exponent = np.floor(np.log10(np.where(size > 0, size, 1.0))).astype(np.int64)
-    mantissa = np.rint(values * 10.0 ** (DIGITS - 1 - exponent)).astype(np.int64)
+    shift = DIGITS - 1 - exponent
+    most = np.minimum(shift, 300)  # a power of ten that there is; the smallest numbers take two
+    mantissa = np.rint(values * 10.0**most * 10.0 ** (shift - most)).astype(np.int64)
     carried = np.abs(mantissa) == 10**DIGITS  # 9.9999... rounded up, or a logarithm rounded down
     return np.where(carried, mantissa // 10, mantissa), np.where(mantissa == 0, 0, exponent + carried)
 

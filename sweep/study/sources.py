@@ -7,10 +7,13 @@ parameters, and may have `extends` too. A file with a list of `defaults` is Hydr
 """
 
 import io
-from collections.abc import Mapping
+import re
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import yaml
+from hydra._internal.core_plugins.file_config_source import FileConfigSource
+from hydra._internal.sources_registry import SourcesRegistry
 from hydra.core.config_search_path import ConfigSearchPath
 from hydra.core.object_type import ObjectType
 from hydra.core.plugins import Plugins
@@ -57,11 +60,47 @@ class Files(ConfigSource):
         file = project.find(group, name)
         content = read(file)
         header = ConfigSource._get_header_dict(file.read_text(encoding="utf-8")[:512])
+        refuse_code(config_path, content, str(header.get("package")))
         if group in WHOLE:
             header["package"] = header.get("package") or "_global_"
         if "defaults" not in content:
             content = whole(group, file, content) if group in WHOLE else part(group, file, content)
         return ConfigResult(self.provider, self.full_path(), OmegaConf.create(content), header)
+
+
+class Unexecuted(FileConfigSource):
+    """Files of a user, such as studies in a `--config-dir`: they choose and set values, and have nothing run."""
+
+    def load_config(self, config_path: str) -> ConfigResult:
+        """Raises `InputError` where Hydra would be told what to run."""
+        result = super().load_config(config_path)
+        values = OmegaConf.to_container(result.config, resolve=False)
+        refuse_code(config_path, values, str(result.header.get("package")))
+        return result
+
+
+def refuse_code(config_path: str, values: Any, package: str) -> None:
+    """Raise `InputError` where Hydra would be told what to run."""
+    where = [config_path, package, *_texts(values, "defaults")]
+    named = [key for key in _keys(values) if key in ("hydra", "_target_")]
+    named += ["hydra" for text in where if re.search(r"\bhydra\b", text)]
+    if named:
+        raise InputError(f"{config_path} has {named[0]}, which runs code: a file of yours sets parameters only")
+
+
+def _keys(values: Any) -> Iterator[str]:
+    if isinstance(values, Mapping):
+        for key, value in values.items():
+            yield str(key)
+            yield from _keys(value)
+    elif isinstance(values, list):
+        for value in values:
+            yield from _keys(value)
+
+
+def _texts(values: Any, key: str) -> list[str]:
+    found = values.get(key) if isinstance(values, Mapping) else None
+    return [str(one) for one in found] if isinstance(found, list) else []
 
 
 class SearchPath(SearchPathPlugin):
@@ -75,7 +114,8 @@ class SearchPath(SearchPathPlugin):
 def register() -> None:
     """Tell Hydra of both."""
     for plugin in (Files, SearchPath):
-        Plugins.instance().register(plugin)
+        Plugins.instance().register(plugin)  # which puts Hydra's own source of files in the place of ours
+    SourcesRegistry.instance().types[Unexecuted.scheme()] = Unexecuted
 
 
 def read(file: Any) -> dict[str, Any]:

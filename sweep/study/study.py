@@ -5,7 +5,8 @@ one of the two is varied, or `axis.NAME` for a number that values are made from 
 """
 
 import dataclasses
-from collections.abc import Mapping
+import re
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,12 +21,13 @@ from sweep.engines.settings import EngineSettings
 from sweep.models.case import Case
 from sweep.study import designs
 from sweep.study.designs import SIDES, Axis, Design, known
-from sweep.study.identity import point_ids, streams
+from sweep.study.identity import DIGITS, point_ids, streams
 from sweep.study.theory import Theory
 from sweep.study.theory import parse as parse_theory
 
 DTYPES = {"quantity": "float64", "count": "int64", "choice": "str"}
 Values = Mapping[str, Any]
+Say = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -100,7 +102,7 @@ class Study(_Plain):
         for key in ("budget", "audit"):
             if values[key] < 0:
                 raise InputError(f"study.{key} = {values[key]} is not allowed: at least 0")
-        if "/" in values["name"]:
+        if not re.fullmatch(r"[^/\x00-\x1f\x7f]{1,200}", values["name"]) or set(values["name"]) <= set(". "):
             raise InputError(f"study.name = {values['name']!r} is not allowed: a folder name")
         axes = designs.parse_axes(values["axes"])
         design = designs.parse_design(values["design"], axes)
@@ -173,12 +175,19 @@ def parameter_columns(table: pd.DataFrame) -> list[str]:
     return [c for c in table.columns if "." in c and not c.startswith("axis.")]
 
 
-def points(study: Study, case: Case, settings: EngineSettings, grid: pd.DataFrame | None = None) -> pd.DataFrame:
+def points(
+    study: Study, case: Case, settings: EngineSettings, grid: pd.DataFrame | None = None, say: Say | None = None
+) -> pd.DataFrame:
     """One row per rollout: axis values, replicate, noise stream and point id. Raises `InputError`.
+
+    Points that are equal in all their digits that count are one; `say` is told how many others there were.
 
     The replicates of a drawn point have numbers of their own, and with them noise of their own. `grid` takes the place
     of the study's grid points (see `designs.table`).
     """
+    count = study.replicates * (1 if study.points or grid is not None else designs.size(study.axes, study.design))
+    if count > designs.MOST:
+        raise InputError(f"study {study.name} has {count} rollouts: at most {designs.MOST} are allowed")
     if study.points:
         design = _from_csv(study.points)
     else:
@@ -197,7 +206,10 @@ def points(study: Study, case: Case, settings: EngineSettings, grid: pd.DataFram
     table["replicate"] = table.pop("draw").to_numpy() * study.replicates + again
     table["stream"] = streams(study.seed, int(table["replicate"].to_numpy().max(initial=0)) + 1)[table["replicate"]]
     table["point_id"] = point_ids(table, case)
-    return table.drop_duplicates(identity(table.columns), ignore_index=True)
+    distinct = table.drop_duplicates(identity(table.columns), ignore_index=True)
+    if say and len(distinct) < len(table):
+        say(f"{len(table) - len(distinct)} of {len(table)} rollouts are left out: equal to others in {DIGITS} digits")
+    return distinct
 
 
 def _check(member: "dataclasses.Field[Any]", values: pd.Series, column: str) -> None:

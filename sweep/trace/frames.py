@@ -15,6 +15,7 @@ import numpy as np
 from matplotlib.image import imsave
 from PIL import Image, ImageDraw, ImageFont
 
+from sweep.core.files import write_whole
 from sweep.core.parameters import InputError
 from sweep.engines.base import Trace
 from sweep.models.obstacles.surface import fixed_surface
@@ -41,7 +42,7 @@ def write_png(folder: str | Path, trace: Trace, outcome: str = "", number: int =
     folder.mkdir(parents=True, exist_ok=True)
     paths = [folder / f"t{trace.time[k]:07.3f}s.png" for k in chosen]
     for path, picture, k in zip(paths, render(trace, chosen), chosen, strict=True):
-        imsave(path, captioned(picture, caption(trace, k, outcome)))
+        write_whole(path, partial(imsave, arr=captioned(picture, caption(trace, k, outcome))))
     return paths
 
 
@@ -80,6 +81,10 @@ def write_video(path: str | Path, trace: Trace, progress: Callable[[int, int], N
     `progress` is told how many pictures of how many are drawn.
     """
     need_ffmpeg()
+    write_whole(Path(path), partial(_write_video, trace=trace, progress=progress))
+
+
+def _write_video(path: Path, trace: Trace, progress: Callable[[int, int], None]) -> None:
     import imageio_ffmpeg
 
     # imageio_ffmpeg's own writer forks, which may hang a process that runs JAX

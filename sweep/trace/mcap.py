@@ -3,6 +3,7 @@
 import json
 import math
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from foxglove.messages import (
     Timestamp,
 )
 
+from sweep.core.files import write_whole
 from sweep.engines.base import Trace
 from sweep.models.legs import JOINTS
 from sweep.trace.arrows import ARROW_RADIUS, FORCE_COLOR, arrow_tips
@@ -55,6 +57,11 @@ def write_mcap(path: str | Path, trace: Trace, config: Mapping[str, Any], outcom
     if there are none.
     """
     path = Path(path)
+    write_whole(path, partial(_write, trace=trace, config=config, outcome=outcome))
+    write_whole(path.with_suffix(".layout.json"), f"{json.dumps(layout(), indent=1)}\n".encode())
+
+
+def _write(path: Path, trace: Trace, config: Mapping[str, Any], outcome: Mapping[str, Any]) -> None:
     # one thread: the compressor's blocks would depend on the machine's number of cores otherwise
     options = MCAPWriteOptions(profile="", compression_threads=0)
     context = Context()  # of its own: channels of the global one would leak into the next file
@@ -64,7 +71,6 @@ def write_mcap(path: str | Path, trace: Trace, config: Mapping[str, Any], outcom
         _write_stages(context, trace)
         _write_pictures(context, trace)
         _write_torques(context, trace)
-    path.with_suffix(".layout.json").write_text(json.dumps(layout(), indent=1) + "\n")
 
 
 def plain(value: Any) -> Any:

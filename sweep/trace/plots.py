@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from sweep.core.files import write_whole
 from sweep.core.parameters import InputError
 from sweep.engines.base import Trace
 from sweep.formulas import stepping
@@ -190,7 +191,7 @@ PLOTS: dict[str, Callable[[Trace], Figure]] = {
 def save(figure: Figure, path: str | Path) -> None:
     """Write `figure` in the format that the suffix of `path` names, without a date in it."""
     metadata = {"Date": None} if Path(path).suffix == ".svg" else {}
-    figure.savefig(path, dpi=120, metadata=metadata)
+    write_whole(Path(path), partial(figure.savefig, dpi=120, metadata=metadata))
 
 
 def tilt(pose: np.ndarray) -> np.ndarray:

@@ -1,0 +1,72 @@
+"""What a command writes is whole, quoted and escaped, whatever the names in it and wherever it is run."""
+
+import errno
+import io
+import os
+import subprocess
+import sys
+
+import pandas as pd
+import pytest
+from small_study import FAKE, STUDY
+
+from sweep.cli.main import main
+from sweep.report import tables
+from sweep.runs import store
+
+pytestmark = pytest.mark.usefixtures("fake_engine")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    from fake_engine import FakeEngine
+
+    import sweep.engines
+    from sweep.runs import batches
+
+    path = tmp_path_factory.mktemp("out")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sweep.engines, "make", FakeEngine)
+        batches.forget_engine()
+        assert main(["run", *STUDY, f"out={path}"]) == 0
+    return path
+
+
+def test_headers_with_commas_and_quotes_are_quoted():
+    rows = pd.DataFrame({"axis.a,b": [1.0], 'axis.say "c"': [2.0], "axis.d\ne": ["x"]})
+    pd.testing.assert_frame_equal(pd.read_csv(io.BytesIO(tables.csv(rows))), rows)
+
+
+def test_a_line_break_in_a_condition_is_no_line_of_latex(folder, tmp_path):
+    where = "friction >\n 0.1 and\n\\tilt_max_deg > -1".replace("\\", "")
+    assert main(["export", str(folder), "--paper", str(tmp_path), "--where", f"({where})"]) == 0
+    lines = (tmp_path / "numbers.tex").read_text().splitlines()
+    assert all(line.startswith(("%", "\\newcommand")) for line in lines)
+
+
+@pytest.mark.parametrize("command", ["table", "report", "export"])
+def test_a_full_disk_leaves_the_old_output(folder, tmp_path, monkeypatch, capsys, command):
+    options = {"table": ["--format", "csv", "-o", str(tmp_path / "t.csv")], "report": ["-o", str(tmp_path)],
+               "export": ["--paper", str(tmp_path)]}  # fmt: skip
+    assert main([command, str(folder), *options[command]]) == 0
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+
+    def full(_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    capsys.readouterr()
+    assert main([command, str(folder), *options[command]]) == 5
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "No space left" in error
+    assert before == {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+
+
+def test_a_user_without_a_home_or_our_letters_is_served(folder, tmp_path):
+    plain = {key: value for key, value in os.environ.items() if key != "HOME" and not key.startswith(("LC_", "LANG"))}
+    plain |= {"LC_ALL": "POSIX", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "PYTHONPATH": str(FAKE.parent)}
+    for command in (["run", *STUDY, f"out={tmp_path}"], ["table", str(folder)], ["stats", str(folder)]):
+        done = subprocess.run([sys.executable, str(FAKE), *command], env=plain, capture_output=True)
+        assert done.returncode == 0, done.stderr
+    assert len(store.read_rows(tmp_path)) == 56
