@@ -59,6 +59,7 @@ class DesignSchema:
     kind: str = "monte_carlo"
     num: int = 0
     scrambles: int = 1
+    correlation: list[Any] = field(default_factory=list)
 
 
 @dataclass

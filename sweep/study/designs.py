@@ -21,7 +21,8 @@ import pandas as pd
 from sweep.core.errors import InputError, suggest
 
 SIDES = ("world", "belief")
-DESIGNS = ("monte_carlo", "latin_hypercube", "sobol", "saltelli")
+DESIGNS = ("monte_carlo", "latin_hypercube", "sobol", "saltelli", "morris")
+LEVELS, INNER = 4, (0.005, 0.995)  # of a morris design: values of an axis, and the shares that they lie between
 GRIDS = ("full", "one_at_a_time")
 AXIS_KEYS = ("path", "on", "values", "from", "to", "num", "distribution", "relative", "times", "with", "nominal")
 # what each distribution needs, and what it may have besides
@@ -33,7 +34,10 @@ DISTRIBUTIONS = {
 
 @dataclass(frozen=True)
 class Distribution:
-    """One of `DISTRIBUTIONS` with its numbers; a normal one with `from` or `to` is truncated there."""
+    """One of `DISTRIBUTIONS`, or of scipy.stats by its name there, with its numbers.
+
+    A normal one and those of scipy.stats are truncated at `from` and `to` where these are given.
+    """
 
     kind: str
     given: Mapping[str, Any]
@@ -51,11 +55,16 @@ class Distribution:
 
                 mean, std = self.given["mean"], self.given["std"]
                 return truncnorm.ppf(share, (low - mean) / std, (high - mean) / std, mean, std)
-            case _:
+            case "discrete":
                 values = np.asarray(self.given["values"])
                 weights = np.asarray(self.given.get("weights", np.ones(len(values))), dtype=float)
                 ends = np.cumsum(weights / weights.sum())
                 return values[np.minimum(np.searchsorted(ends, share, side="right"), len(values) - 1)]
+            case _:
+                own = {key: value for key, value in self.given.items() if key not in ("from", "to")}
+                frozen = of_scipy(self.kind)(**own)
+                below, above = frozen.cdf(low), frozen.cdf(high)
+                return frozen.ppf(below + share * (above - below))
 
     def __str__(self) -> str:
         ends = " ".join(f"{key} {_short(self.given[key])}" for key in ("from", "to") if key in self.given)
@@ -112,8 +121,9 @@ class Design:
 
     grid: str = "full"
     kind: str = "monte_carlo"
-    num: int = 0  # draws; of sobol those of one scramble, of saltelli the base sample N of N (d + 2)
+    num: int = 0  # draws; of sobol those of one scramble, of saltelli the base sample N of N (d + 2), of morris paths
     scrambles: int = 1  # independent repetitions of sobol, which tell its error
+    correlation: tuple[tuple[str, str, float], ...] = ()  # of pairs of drawn axes: of the normals of a Gaussian copula
 
 
 def known(path: str, given: Any, allowed: tuple[str, ...]) -> dict[str, Any]:
@@ -152,12 +162,17 @@ def parse_axes(given: Mapping[str, Any]) -> tuple[Axis, ...]:
 def parse_design(given: Mapping[str, Any], axes: tuple[Axis, ...]) -> Design:
     """How the axes that have a distribution are drawn. Raises `InputError`."""
     given = known("study.design", given, tuple(f.name for f in dataclasses.fields(Design)))
+    drawn = [a.name for a in axes if a.distribution]
+    given["correlation"] = _correlation("study.design.correlation", given.get("correlation") or [], drawn)
     design = Design(**given)
     for key, allowed in (("kind", DESIGNS), ("grid", GRIDS)):
         if getattr(design, key) not in allowed:
             value = getattr(design, key)
             raise InputError(f"study.design.{key} = {value!r} is unknown{suggest(str(value), allowed)}")
-    drawn = [a.name for a in axes if a.distribution]
+    if design.correlation and design.kind in ("saltelli", "morris"):
+        raise InputError(
+            f"study.design.correlation is not allowed with kind = {design.kind}: it moves one axis at a time"
+        )
     least = 1 if drawn else 0
     if design.num < least:
         raise InputError(f"study.design.num = {design.num} is not allowed: at least {least} for {', '.join(drawn)}")
@@ -166,6 +181,34 @@ def parse_design(given: Mapping[str, Any], axes: tuple[Axis, ...]) -> Design:
     if design.scrambles < 1 or (design.scrambles > 1 and design.kind != "sobol"):
         raise InputError(f"study.design.scrambles = {design.scrambles} is not allowed: at least 1, of kind sobol only")
     return design
+
+
+def _correlation(key: str, given: Any, drawn: list[str]) -> tuple[tuple[str, str, float], ...]:
+    """Pairs `[axis, axis, number]`. Raises `InputError`, also where no joint distribution has them all."""
+    pairs = []
+    for pair in given:
+        if not isinstance(pair, list | tuple) or len(pair) != 3 or pair[0] == pair[1]:
+            raise InputError(
+                f"{key} = {pair!r} is not allowed: two drawn axes and a number, such as [mass, length, 0.7]"
+            )
+        for name in pair[:2]:
+            if name not in drawn:
+                raise InputError(f"{key}: {name} is no drawn axis{suggest(str(name), drawn)}")
+        if not -1 < (number := _number(key, pair[2])) < 1:
+            raise InputError(f"{key} = {number:g} is not allowed: between -1 and 1")
+        pairs.append((str(pair[0]), str(pair[1]), number))
+    if np.linalg.eigvalsh(_matrix(tuple(pairs), drawn)).min(initial=1.0) <= 0:
+        raise InputError(f"{key}: no distribution has all of {', '.join(f'{a}-{b} {c:g}' for a, b, c in pairs)}")
+    return tuple(pairs)
+
+
+def _matrix(pairs: tuple[tuple[str, str, float], ...], names: list[str]) -> np.ndarray:
+    """The correlations of the axes `names`, (d, d)."""
+    matrix = np.eye(len(names))
+    for a, b, number in pairs:
+        i, j = names.index(a), names.index(b)
+        matrix[i, j] = matrix[j, i] = number
+    return matrix
 
 
 def caution(design: Design) -> str | None:
@@ -230,10 +273,11 @@ def _number(key: str, value: Any) -> float:
 
 
 def _distribution(key: str, given: Any) -> Distribution:
-    if not isinstance(given, Mapping) or given.get("kind") not in DISTRIBUTIONS:
-        kind = given.get("kind") if isinstance(given, Mapping) else given
-        raise InputError(f"{key}.kind = {kind!r} is unknown{suggest(str(kind), DISTRIBUTIONS)}")
-    kind = str(given["kind"])
+    kind = str(given.get("kind") if isinstance(given, Mapping) else given)
+    if kind not in DISTRIBUTIONS or not isinstance(given, Mapping):
+        if isinstance(given, Mapping) and of_scipy(kind) is not None:
+            return _distribution_of_scipy(key, kind, given)
+        raise InputError(f"{key}.kind = {kind!r} is unknown{suggest(kind, (*DISTRIBUTIONS, 'any of scipy.stats'))}")
     needed, optional = DISTRIBUTIONS[kind]
     given = known(key, given, ("kind", *needed, *optional))
     for name in needed:
@@ -258,6 +302,27 @@ def _distribution(key: str, given: Any) -> Distribution:
     return Distribution(kind, numbers)
 
 
+def of_scipy(kind: str) -> Any:
+    """The continuous distribution of scipy.stats that has this name; None without."""
+    from scipy import stats  # slow to import
+
+    found = getattr(stats, kind, None)
+    return found if isinstance(found, stats.rv_continuous) else None
+
+
+def _distribution_of_scipy(key: str, kind: str, given: Mapping[str, Any]) -> Distribution:
+    """One of scipy.stats with its shapes, `loc` and `scale`, as its documentation names them."""
+    shapes = tuple(name.strip() for name in (of_scipy(kind).shapes or "").split(",") if name.strip())
+    given = known(key, given, ("kind", *shapes, "loc", "scale", "from", "to"))
+    for name in shapes:
+        if name not in given:
+            raise InputError(f"{key}.{name} is missing: {kind} needs {' and '.join(shapes)}")
+    found = Distribution(kind, {name: _number(f"{key}.{name}", v) for name, v in given.items() if name != "kind"})
+    if not np.isfinite(found.quantile(np.array([0.001, 0.5, 0.999]))).all():
+        raise InputError(f"{key} = {found} is not allowed: scipy.stats.{kind} has no such distribution")
+    return found
+
+
 def table(
     axes: tuple[Axis, ...], design: Design, seed: int, nominal: Callable[[str], Any], grid: pd.DataFrame | None = None
 ) -> pd.DataFrame:
@@ -269,7 +334,7 @@ def table(
     listed, drawn = [a for a in axes if a.values is not None], [a for a in axes if a.distribution]
     if grid is None:
         grid = _star(listed, nominal) if listed and design.grid == "one_at_a_time" else _grid(listed)
-    shares = _shares(drawn, design, seed)
+    shares = shares_of(axes, design, seed)
     draws = {a.name: a.distribution.quantile(shares[:, i]) for i, a in enumerate(drawn) if a.distribution}
     size, count = len(grid), max(len(shares), 1)
     numbers = grid.take(np.repeat(np.arange(size), count)).reset_index(drop=True)
@@ -296,8 +361,12 @@ def _star(axes: list[Axis], nominal: Callable[[str], Any]) -> pd.DataFrame:
     return pd.concat([arm.assign(**{k: v for k, v in centre.items() if k not in arm}) for arm in arms])[[*centre]]
 
 
+def shares_of(axes: tuple[Axis, ...], design: Design, seed: int) -> np.ndarray:
+    """Numbers (draws, drawn axes) in (0, 1), spread as the design wants: the quantiles that are drawn."""
+    return _shares([a for a in axes if a.distribution], design, seed)
+
+
 def _shares(axes: list[Axis], design: Design, seed: int) -> np.ndarray:
-    """Numbers (draws, drawn axes) in (0, 1), spread as the design wants."""
     if not axes:
         return np.empty((0, 0))
     # scipy is slow to import, and a listing needs none of it
@@ -318,6 +387,11 @@ def _shares(axes: list[Axis], design: Design, seed: int) -> np.ndarray:
                     for k in range(design.scrambles)
                 ]
             shares = np.stack(parts, axis=1).reshape(-1, len(axes))  # more draws come last
+        case "morris":  # of paths that change one axis after the other; scaled, as 0 and 1 are infinitely far for some
+            from SALib.sample import morris
+
+            problem = {"num_vars": len(axes), "names": [a.name for a in axes], "bounds": [[*INNER]] * len(axes)}
+            shares = morris.sample(problem, design.num, num_levels=LEVELS, seed=seed)
         case _:
             from SALib.sample import sobol
 
@@ -325,7 +399,13 @@ def _shares(axes: list[Axis], design: Design, seed: int) -> np.ndarray:
             with warnings.catch_warnings(action="ignore", category=UserWarning):
                 shares = sobol.sample(problem, design.num, calc_second_order=False, seed=seed)
     edge = 2.0**-32  # no distribution is asked for its infinite ends
-    return np.clip(shares, edge, 1 - edge)
+    shares = np.clip(shares, edge, 1 - edge)
+    if design.correlation:
+        from scipy.special import ndtr, ndtri
+
+        root = np.linalg.cholesky(_matrix(design.correlation, [a.name for a in axes]))
+        shares = np.clip(ndtr(ndtri(shares) @ root.T), edge, 1 - edge)
+    return shares
 
 
 def _number_of(word: str) -> int:
