@@ -225,6 +225,6 @@ def test_distributions_and_correlations_that_mean_nothing_are_refused(key, value
     drawn = {"kind": "uniform", "from": 0.5, "to": 1.5}
     axes = {"mass": {"path": "robot.body_mass", "distribution": value if key == "distribution" else drawn},
             "size": {"path": "robot.body_length", "distribution": drawn}}  # fmt: skip
+    pairs = value if key == "correlation" else []
     with pytest.raises(InputError, match=named):
-        parsed = designs.parse_axes(axes)
-        designs.parse_design({"num": 4, "correlation": value if key == "correlation" else []}, parsed)
+        designs.parse_design({"num": 4, "correlation": pairs}, designs.parse_axes(axes))

@@ -312,8 +312,8 @@ def elementary_effects(rows: pd.DataFrame, exp: Experiment, figure: str | None =
     """Morris' elementary effects on success, or on the column `figure`: cheap screening of many axes.
 
     `mean_size` is the mean of the effects' sizes (mu*) with its 95 % error (bootstrap), `spread` their standard
-    deviation, large where an axis interacts or acts unevenly. A path with an invalid rollout is left out: `paths` tells how many
-    remain. Raises `InputError` where the design is another one or fewer than two paths are left.
+    deviation, large where an axis interacts or acts unevenly. A path with an invalid rollout is left out: `paths` tells
+    how many remain. Raises `InputError` where the design is another one or fewer than two paths are left.
     """
     axes = [a for a in exp.study.axes if a.distribution is not None]
     if exp.study.design.kind != "morris" or not axes:

@@ -19,57 +19,14 @@ import numpy as np
 import pandas as pd
 
 from sweep.core.errors import InputError, suggest
+from sweep.study.distributions import Distribution, known, listed, number
+from sweep.study.distributions import parse as parse_distribution
 
 SIDES = ("world", "belief")
 DESIGNS = ("monte_carlo", "latin_hypercube", "sobol", "saltelli", "morris")
 LEVELS, INNER = 4, (0.005, 0.995)  # of a morris design: values of an axis, and the shares that they lie between
 GRIDS = ("full", "one_at_a_time")
 AXIS_KEYS = ("path", "on", "values", "from", "to", "num", "distribution", "relative", "times", "with", "nominal")
-# what each distribution needs, and what it may have besides
-DISTRIBUTIONS = {
-    "uniform": (("from", "to"), ()), "log_uniform": (("from", "to"), ()), "normal": (("mean", "std"), ("from", "to")),
-    "discrete": (("values",), ("weights",)),
-}  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Distribution:
-    """One of `DISTRIBUTIONS`, or of scipy.stats by its name there, with its numbers.
-
-    A normal one and those of scipy.stats are truncated at `from` and `to` where these are given.
-    """
-
-    kind: str
-    given: Mapping[str, Any]
-
-    def quantile(self, share: np.ndarray) -> np.ndarray:
-        """The values below which `share` of all draws lie, shape as given."""
-        low, high = self.given.get("from", -math.inf), self.given.get("to", math.inf)
-        match self.kind:
-            case "uniform":
-                return low + share * (high - low)
-            case "log_uniform":
-                return low * (high / low) ** share
-            case "normal":
-                from scipy.stats import truncnorm  # slow to import
-
-                mean, std = self.given["mean"], self.given["std"]
-                return truncnorm.ppf(share, (low - mean) / std, (high - mean) / std, mean, std)
-            case "discrete":
-                values = np.asarray(self.given["values"])
-                weights = np.asarray(self.given.get("weights", np.ones(len(values))), dtype=float)
-                ends = np.cumsum(weights / weights.sum())
-                return values[np.minimum(np.searchsorted(ends, share, side="right"), len(values) - 1)]
-            case _:
-                own = {key: value for key, value in self.given.items() if key not in ("from", "to")}
-                frozen = of_scipy(self.kind)(**own)
-                below, above = frozen.cdf(low), frozen.cdf(high)
-                return frozen.ppf(below + share * (above - below))
-
-    def __str__(self) -> str:
-        ends = " ".join(f"{key} {_short(self.given[key])}" for key in ("from", "to") if key in self.given)
-        others = [f"{key} {_short(value)}" for key, value in self.given.items() if key not in ("from", "to")]
-        return f"{self.kind.replace('_', '-')}, {', '.join([*others, ends] if ends else others)}"
 
 
 @dataclass(frozen=True)
@@ -108,7 +65,7 @@ class Axis:
         return nominal(self.path)
 
     def __str__(self) -> str:
-        what = _listed(self.values) if self.values is not None else str(self.distribution)
+        what = listed(self.values) if self.values is not None else str(self.distribution)
         if self.relative is not None:
             percent = f"{100 * self.relative:g} %" if isinstance(self.relative, float) else self.relative
             return f"nominal x (1 + {percent} x {what})"
@@ -124,16 +81,6 @@ class Design:
     num: int = 0  # draws; of sobol those of one scramble, of saltelli the base sample N of N (d + 2), of morris paths
     scrambles: int = 1  # independent repetitions of sobol, which tell its error
     correlation: tuple[tuple[str, str, float], ...] = ()  # of pairs of drawn axes: of the normals of a Gaussian copula
-
-
-def known(path: str, given: Any, allowed: tuple[str, ...]) -> dict[str, Any]:
-    """`given` as a dict whose keys are all allowed. Raises `InputError`."""
-    if not isinstance(given, Mapping):
-        raise InputError(f"{path} = {given!r} is not allowed: keys and values (allowed: {', '.join(allowed)})")
-    for key in given:
-        if key not in allowed:
-            raise InputError(f"{path}.{key} is unknown{suggest(str(key), allowed)}")
-    return {str(k): v for k, v in given.items()}
 
 
 def parse_axes(given: Mapping[str, Any]) -> tuple[Axis, ...]:
@@ -170,9 +117,7 @@ def parse_design(given: Mapping[str, Any], axes: tuple[Axis, ...]) -> Design:
             value = getattr(design, key)
             raise InputError(f"study.design.{key} = {value!r} is unknown{suggest(str(value), allowed)}")
     if design.correlation and design.kind in ("saltelli", "morris"):
-        raise InputError(
-            f"study.design.correlation is not allowed with kind = {design.kind}: it moves one axis at a time"
-        )
+        raise InputError(f"study.design.correlation is not allowed with {design.kind}, which moves one axis at a time")
     least = 1 if drawn else 0
     if design.num < least:
         raise InputError(f"study.design.num = {design.num} is not allowed: at least {least} for {', '.join(drawn)}")
@@ -188,15 +133,13 @@ def _correlation(key: str, given: Any, drawn: list[str]) -> tuple[tuple[str, str
     pairs = []
     for pair in given:
         if not isinstance(pair, list | tuple) or len(pair) != 3 or pair[0] == pair[1]:
-            raise InputError(
-                f"{key} = {pair!r} is not allowed: two drawn axes and a number, such as [mass, length, 0.7]"
-            )
+            raise InputError(f"{key} = {pair!r} is not allowed: two drawn axes and a number, such as [a, b, 0.7]")
         for name in pair[:2]:
             if name not in drawn:
                 raise InputError(f"{key}: {name} is no drawn axis{suggest(str(name), drawn)}")
-        if not -1 < (number := _number(key, pair[2])) < 1:
-            raise InputError(f"{key} = {number:g} is not allowed: between -1 and 1")
-        pairs.append((str(pair[0]), str(pair[1]), number))
+        if not -1 < (share := number(key, pair[2])) < 1:
+            raise InputError(f"{key} = {share:g} is not allowed: between -1 and 1")
+        pairs.append((str(pair[0]), str(pair[1]), share))
     if np.linalg.eigvalsh(_matrix(tuple(pairs), drawn)).min(initial=1.0) <= 0:
         raise InputError(f"{key}: no distribution has all of {', '.join(f'{a}-{b} {c:g}' for a, b, c in pairs)}")
     return tuple(pairs)
@@ -205,9 +148,9 @@ def _correlation(key: str, given: Any, drawn: list[str]) -> tuple[tuple[str, str
 def _matrix(pairs: tuple[tuple[str, str, float], ...], names: list[str]) -> np.ndarray:
     """The correlations of the axes `names`, (d, d)."""
     matrix = np.eye(len(names))
-    for a, b, number in pairs:
+    for a, b, share in pairs:
         i, j = names.index(a), names.index(b)
-        matrix[i, j] = matrix[j, i] = number
+        matrix[i, j] = matrix[j, i] = share
     return matrix
 
 
@@ -227,7 +170,7 @@ def _axis(key: str, name: str, given: Any) -> Axis:
         if text is not None and not isinstance(text, str):
             raise InputError(f"{key}.{word} = {text!r} is not allowed: a parameter such as contact.friction")
     if relative is not None and not isinstance(relative, str):
-        relative = _number(f"{key}.relative", relative)
+        relative = number(f"{key}.relative", relative)
     if relative is not None and times is not None:
         raise InputError(f"{key} has relative and times: one of them")
     if path is None and (relative is not None or times is not None):
@@ -236,8 +179,8 @@ def _axis(key: str, name: str, given: Any) -> Axis:
     distribution = None
     if values is None:
         default = {"kind": "uniform", "from": -1.0, "to": 1.0} if relative is not None else None
-        distribution = _distribution(f"{key}.distribution", given.get("distribution", default))
-    centre = _number(f"{key}.nominal", given.get("nominal", 0.0))
+        distribution = parse_distribution(f"{key}.distribution", given.get("distribution", default))
+    centre = number(f"{key}.nominal", given.get("nominal", 0.0))
     if "nominal" in given and path is not None:
         raise InputError(f"{key}.nominal = {centre:g} is not allowed: {path} has its own in the configuration")
     return Axis(name, path, on, values, distribution, relative, times, given.get("with"), centre)
@@ -257,70 +200,13 @@ def _values(key: str, given: Mapping[str, Any]) -> tuple[Any, ...] | None:
         return None
     if given.get("distribution") is not None:
         raise InputError(f"{key} has a range and a distribution: one of them")
-    low, high = (_number(f"{key}.{name}", end) for name, end in zip(("from", "to"), ends[:2], strict=True))
+    low, high = (number(f"{key}.{name}", end) for name, end in zip(("from", "to"), ends[:2], strict=True))
     if not isinstance(ends[2], int | float) or ends[2] != int(ends[2]) or ends[2] < 1:
         raise InputError(f"{key}.num = {ends[2]!r} is not allowed: a whole number from 1")
     if ends[2] == 1 and low != high:
         raise InputError(f"{key}.num = 1 is not allowed from {low:g} to {high:g}: at least 2, or values: [{low:g}]")
     # shortest decimals, so that the values read, compare and hash as written
     return tuple(float(f"{v:.12g}") for v in np.linspace(low, high, int(ends[2])))
-
-
-def _number(key: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise InputError(f"{key} = {value!r} is not allowed: a number")
-    return float(value)
-
-
-def _distribution(key: str, given: Any) -> Distribution:
-    kind = str(given.get("kind") if isinstance(given, Mapping) else given)
-    if kind not in DISTRIBUTIONS or not isinstance(given, Mapping):
-        if isinstance(given, Mapping) and of_scipy(kind) is not None:
-            return _distribution_of_scipy(key, kind, given)
-        raise InputError(f"{key}.kind = {kind!r} is unknown{suggest(kind, (*DISTRIBUTIONS, 'any of scipy.stats'))}")
-    needed, optional = DISTRIBUTIONS[kind]
-    given = known(key, given, ("kind", *needed, *optional))
-    for name in needed:
-        if name not in given:
-            raise InputError(f"{key}.{name} is missing: {kind} needs {' and '.join(needed)}")
-    if kind == "discrete":
-        values, weights = given["values"], given.get("weights", [1])
-        if not isinstance(values, list) or not values:
-            raise InputError(f"{key}.values = {values!r} is not allowed: a list with at least one value")
-        if "weights" in given and (not isinstance(weights, list) or len(weights) != len(values)):
-            raise InputError(f"{key}.weights = {weights!r} is not allowed: a number for each of {len(values)} values")
-        if min(_number(f"{key}.weights", w) for w in weights) < 0 or not sum(weights):
-            raise InputError(f"{key}.weights = {weights!r} is not allowed: none negative, not all zero")
-        return Distribution(kind, {k: v for k, v in given.items() if k != "kind"})
-    numbers = {name: _number(f"{key}.{name}", given[name]) for name in (*needed, *optional) if name in given}
-    if numbers.get("std", 1.0) <= 0:
-        raise InputError(f"{key}.std = {numbers['std']:g} is not allowed: greater than 0")
-    if kind == "log_uniform" and numbers["from"] <= 0:
-        raise InputError(f"{key}.from = {numbers['from']:g} is not allowed: greater than 0")
-    if numbers.get("from", -math.inf) >= numbers.get("to", math.inf):
-        raise InputError(f"{key}.to = {numbers['to']:g} is not allowed: greater than from = {numbers['from']:g}")
-    return Distribution(kind, numbers)
-
-
-def of_scipy(kind: str) -> Any:
-    """The continuous distribution of scipy.stats that has this name; None without."""
-    from scipy import stats  # slow to import
-
-    found = getattr(stats, kind, None)
-    return found if isinstance(found, stats.rv_continuous) else None
-
-
-def _distribution_of_scipy(key: str, kind: str, given: Mapping[str, Any]) -> Distribution:
-    """One of scipy.stats with its shapes, `loc` and `scale`, as its documentation names them."""
-    shapes = tuple(name.strip() for name in (of_scipy(kind).shapes or "").split(",") if name.strip())
-    given = known(key, given, ("kind", *shapes, "loc", "scale", "from", "to"))
-    for name in shapes:
-        if name not in given:
-            raise InputError(f"{key}.{name} is missing: {kind} needs {' and '.join(shapes)}")
-    found = Distribution(kind, {name: _number(f"{key}.{name}", v) for name, v in given.items() if name != "kind"})
-    if not np.isfinite(found.quantile(np.array([0.001, 0.5, 0.999]))).all():
-        raise InputError(f"{key} = {found} is not allowed: scipy.stats.{kind} has no such distribution")
-    return found
 
 
 def table(
@@ -447,15 +333,3 @@ def _finite(axis: Axis, path: str, nominal: Callable[[str], Any]) -> float:
     if isinstance(value, str):
         raise InputError(f"study.axes.{axis.name}: {path} is a name, not a number to multiply")
     return float(value)
-
-
-def _short(value: Any) -> str:
-    if isinstance(value, list | tuple):
-        return _listed(tuple(value))
-    return f"{value:.6g}" if isinstance(value, int | float) else str(value)
-
-
-def _listed(values: tuple[Any, ...]) -> str:
-    if len(values) <= 4:
-        return ", ".join(map(_short, values))
-    return f"{_short(values[0])}, {_short(values[1])}, ... {_short(values[-1])} ({len(values)} values)"
