@@ -3,7 +3,7 @@ PYTHON ?= $(shell for p in python3.12 python3.13 python3; do \
   $$p -c 'import sys; sys.exit(not (3, 12) <= sys.version_info[:2] < (3, 14))' 2>/dev/null && echo $$p && break; done)
 BIN := .venv/bin
 
-.PHONY: demo baseline test slow lint types setup clean
+.PHONY: demo baseline test slow lint types docs setup clean
 
 demo: setup
 	rm -rf results/demo
@@ -30,6 +30,10 @@ lint: setup
 
 types: setup
 	$(BIN)/pyright
+
+docs: setup  # build/site: all pages and the reference, links checked
+	$(BIN)/pip install -q -c constraints.txt -e '.[docs]'
+	$(BIN)/mkdocs build -q
 
 setup: .venv/.installed
 

@@ -1,8 +1,10 @@
 import numpy as np
 import pytest
+from scipy import stats
 from scipy.stats import kstest, norm, truncnorm
 
 from sweep.core.errors import InputError
+from sweep.study import designs
 from sweep.study.config import compose
 from sweep.study.designs import caution
 from sweep.study.study import Study, points
@@ -190,3 +192,39 @@ def test_many_points_are_built_at_once_and_told_apart(table_of):
     table = table_of({"f": FRICTION, "shin": SHIN, "b": listed("robot.thigh", 0.4, 0.5)}, **monte_carlo(250_000))
     assert len(table) == 500_000
     assert table["point_id"].is_unique
+
+
+def test_distributions_of_scipy_and_a_copula_keep_what_they_promise():
+    axes = {
+        "mass": {"path": "robot.body_mass", "distribution": {"kind": "gamma", "a": 25, "scale": 0.4}},
+        "size": {"path": "robot.body_length", "distribution": {"kind": "normal", "mean": 1.05, "std": 0.02}},
+        "grip": {"path": "contact.friction", "distribution": {"kind": "beta", "a": 2, "b": 5, "from": 0.1, "to": 0.4}},
+    }
+    parsed = designs.parse_axes(axes)
+    given = {"num": 4000, "correlation": [["mass", "size", 0.7]]}
+    table = designs.table(parsed, designs.parse_design(given, parsed), 0, lambda path: 1.0)
+    mass, size, grip = (table[path] for path in ("robot.body_mass", "robot.body_length", "contact.friction"))
+    assert stats.kstest(mass, stats.gamma(25, scale=0.4).cdf).pvalue > 0.01  # each keeps its own
+    assert stats.kstest(size, stats.norm(1.05, 0.02).cdf).pvalue > 0.01
+    assert (grip.min(), grip.max()) == pytest.approx((0.1, 0.4), abs=0.01)
+    normals = stats.gamma(25, scale=0.4).cdf(mass)
+    assert np.corrcoef(stats.norm.ppf(normals), size)[0, 1] == pytest.approx(0.7, abs=0.03)
+    assert abs(np.corrcoef(mass, grip)[0, 1]) < 0.05
+
+
+@pytest.mark.parametrize(("key", "value", "named"), [
+    ("distribution", {"kind": "gama", "a": 2}, "any of scipy.stats"),
+    ("distribution", {"kind": "gamma"}, r"distribution\.a is missing: gamma needs a"),
+    ("distribution", {"kind": "gamma", "a": -2}, r"scipy\.stats\.gamma has no such distribution"),
+    ("distribution", {"kind": "gamma", "a": 2, "b": 2}, r"distribution\.b is unknown"),
+    ("correlation", [["mass", "siez", 0.5]], "siez is no drawn axis: did you mean size"),
+    ("correlation", [["mass", "size", 1.5]], "between -1 and 1"),
+    ("correlation", [["mass"]], "two drawn axes and a number"),
+])  # fmt: skip
+def test_distributions_and_correlations_that_mean_nothing_are_refused(key, value, named):
+    drawn = {"kind": "uniform", "from": 0.5, "to": 1.5}
+    axes = {"mass": {"path": "robot.body_mass", "distribution": value if key == "distribution" else drawn},
+            "size": {"path": "robot.body_length", "distribution": drawn}}  # fmt: skip
+    pairs = value if key == "correlation" else []
+    with pytest.raises(InputError, match=named):
+        designs.parse_design({"num": 4, "correlation": pairs}, designs.parse_axes(axes))

@@ -185,3 +185,19 @@ def test_cells_count_invalid_rows_apart():
     assert found[["total", "invalid", "success"]].to_numpy().tolist() == [[3, 1, 1], [1, 1, 0]]
     assert found["share"].tolist()[0] == 0.5
     assert np.isnan(found["share"][1])
+
+
+def test_elementary_effects_screen_axes(study):
+    """Of y = thigh + 3 shin in units of their ranges the effects are 1 and 3 everywhere; mass has none."""
+    exp, rows = study({"shin": SHIN, "thigh": THIGH, "mass": MASS}, lambda t: t["robot.shin"] > 0.35,
+                      design={"kind": "morris", "num": 16})  # fmt: skip
+    assert len(rows) == 16 * 4
+    y = 3 * unit(rows, "robot.shin", 0.3, 0.1) + unit(rows, "robot.thigh", 0.5, 0.1)
+    found = sensitivity.elementary_effects(rows.assign(y_m=y), exp, "y_m")
+    assert found["axis"].tolist() == ["robot.shin", "robot.thigh", "robot.body_mass"]
+    inner = 0.99  # the design leaves half a percent at either end; effects are for the whole of it
+    assert found["mean_size"].to_numpy() / inner == pytest.approx([3 / inner, 1 / inner, 0], rel=0.02)
+    assert found["spread"].to_numpy() == pytest.approx([0, 0, 0], abs=1e-9)
+    broken = rows.assign(y_m=y, outcome=rows["outcome"].where(rows.index != 5, "invalid"))
+    assert (sensitivity.elementary_effects(broken, exp, "y_m")["paths"] == 15).all()
+    assert sensitivity.elementary_effects(rows, exp)["mean_size"].iloc[1:].tolist() == [0, 0]

@@ -18,7 +18,7 @@ from sweep.analysis.stats import rates
 from sweep.core.errors import InputError
 from sweep.core.expressions import column
 from sweep.study.config import Experiment
-from sweep.study.designs import Axis
+from sweep.study.designs import INNER, LEVELS, Axis, shares_of
 from sweep.study.study import nominal
 
 GOODNESS_TRIALS = 10  # at every value, for a test of how well a fit follows the rates
@@ -335,6 +335,37 @@ def sobol_indices(rows: pd.DataFrame, exp: Experiment, figure: str | None = None
             "blocks": len(whole),
         }
     )
+
+
+def elementary_effects(rows: pd.DataFrame, exp: Experiment, figure: str | None = None) -> pd.DataFrame:
+    """Morris' elementary effects on success, or on the column `figure`: cheap screening of many axes.
+
+    `mean_size` is the mean of the effects' sizes (mu*) with its 95 % error (bootstrap), `spread` their standard
+    deviation, large where an axis interacts or acts unevenly. A path with an invalid rollout is left out: `paths` tells
+    how many remain. Raises `InputError` where the design is another one or fewer than two paths are left.
+    """
+    axes = [a for a in exp.study.axes if a.distribution is not None]
+    if exp.study.design.kind != "morris" or not axes:
+        raise InputError("elementary effects need a study with design.kind = morris")
+    if len(conditions := listed(rows, exp)):
+        raise InputError(f"they need one grid point: choose among {', '.join(a.column for a in conditions)}")
+    from SALib.analyze import morris
+
+    value = (rows["outcome"] == "success").astype(float) if not figure else rows[column(rows, figure)].astype(float)
+    value = value.where(rows["outcome"] != "invalid")
+    draw, length = rows["replicate"] // exp.study.replicates, len(axes) + 1
+    every = range(exp.study.design.num * length)
+    mean = value.groupby(draw).mean().where(value.notna().groupby(draw).any()).reindex(every).to_numpy()
+    whole = ~np.isnan(mean.reshape(-1, length)).any(axis=1)
+    if whole.sum() < 2:
+        raise InputError(f"elementary effects need two complete paths of {length} draws, here: {whole.sum()}")
+    chosen = np.repeat(whole, length)
+    shares = shares_of(exp.study.axes, exp.study.design, exp.study.seed)[chosen]
+    problem = {"num_vars": len(axes), "names": [a.column for a in axes], "bounds": [[*INNER]] * len(axes)}
+    found = morris.analyze(problem, shares, mean[chosen], num_levels=LEVELS, seed=0)
+    table = pd.DataFrame({"axis": problem["names"], "mean_size": found["mu_star"], "error": found["mu_star_conf"],
+                          "mean": found["mu"], "spread": found["sigma"], "paths": int(whole.sum())})  # fmt: skip
+    return table.sort_values("mean_size", ascending=False, ignore_index=True)
 
 
 def _z(level: float) -> float:

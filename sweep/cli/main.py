@@ -116,7 +116,7 @@ def parser() -> argparse.ArgumentParser:
     stats = of_results("stats", show_statistics, "rates, volume, margins, tolerance and sensitivity of a study")
     stats.add_argument("--where", help="only rows that match")
     stats.add_argument("--level", type=float, default=0.9, help="probability of success for the tolerance (0.9)")
-    stats.add_argument("--figure", help="Sobol indices of this column instead of success")
+    stats.add_argument("--figure", help="Sobol indices or elementary effects of this column instead of success")
     report = of_results("report", draw_report, "a page about the study, report.html, and its map, map.png and map.svg")
     report.add_argument("--x", help="parameter along the map")
     report.add_argument("--y", help="parameter up the map")
@@ -314,8 +314,8 @@ def show_statistics(given: argparse.Namespace) -> int:
     if not 0 < given.level < 1:
         raise InputError(f"--level = {given.level:g} is not allowed: between 0 and 1")
     exp = experiment(store.read_study(given.dir)["config"])
-    if given.figure and exp.study.design.kind != "saltelli":
-        raise InputError("--figure is for Sobol indices, which need a study with study.design.kind=saltelli")
+    if given.figure and exp.study.design.kind not in ("saltelli", "morris"):
+        raise InputError("--figure is for sensitivity: it needs a study with study.design.kind=saltelli or morris")
     sys.stdout.write(statistics.render(rows, exp, given.level, given.figure))
     return DONE
 

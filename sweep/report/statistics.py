@@ -30,7 +30,7 @@ def sections(
     star = bool(numbers) and exp.study.design.grid == "one_at_a_time"
     if star:
         yield "Rate along each axis, the others nominal (Wilson, 95 %)", sensitivity.along(rows, exp)
-    elif drawn:
+    elif drawn and exp.study.design.kind != "morris":
         yield "Share of the draws that succeeds (Clopper-Pearson, or by scrambles)", sensitivity.volume(rows, exp)
     elif several and listed:
         yield "Rate at each condition (Wilson, 95 %)", rates(rows, [a.column for a in listed])
@@ -52,11 +52,14 @@ def sections(
         yield title, sensitivity.tolerance(rows, exp, level)
     if len(drawn) and {"success", "failure"} <= set(rows["outcome"]):
         yield "Regional sensitivity: which draws fail", sensitivity.regional(rows, exp)
-    if exp.study.design.kind == "saltelli" and drawn:
+    ways = {"saltelli": ("Sobol indices", sensitivity.sobol_indices),
+            "morris": ("Elementary effects (Morris)", sensitivity.elementary_effects)}  # fmt: skip
+    if exp.study.design.kind in ways and drawn:
+        title, function = ways[exp.study.design.kind]
         try:
-            yield f"Sobol indices of {figure or 'success'}", sensitivity.sobol_indices(rows, exp, figure)
+            yield f"{title} of {figure or 'success'}", function(rows, exp, figure)
         except InputError as error:
-            yield "Sobol indices", str(error)
+            yield title, str(error)
 
 
 def render(rows: pd.DataFrame, exp: Experiment, level: float = 0.9, figure: str | None = None) -> str:

@@ -10,7 +10,6 @@ Every axis gives a number n, listed or drawn, and turns it into a value of its p
 import dataclasses
 import hashlib
 import math
-import sys
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -20,52 +19,16 @@ import numpy as np
 import pandas as pd
 
 from sweep.core.errors import InputError, suggest
+from sweep.study.distributions import Distribution, known, listed, number
+from sweep.study.distributions import parse as parse_distribution
 
 SIDES = ("world", "belief")
-DESIGNS = ("monte_carlo", "latin_hypercube", "sobol", "saltelli")
+DESIGNS = ("monte_carlo", "latin_hypercube", "sobol", "saltelli", "morris")
+LEVELS, INNER = 4, (0.005, 0.995)  # of a morris design: values of an axis, and the shares that they lie between
 MOST = 20_000_000  # rollouts of a study, whose plan takes 10 GB
 GRIDS = ("full", "one_at_a_time")
 AXIS_KEYS = ("path", "side", "values", "from", "to", "num", "distribution", "relative", "times", "with", "nominal")
 OLD_SIDE = ("on", True)  # what `side` was called; a bare `on` is YAML's true
-# what each distribution needs, and what it may have besides
-DISTRIBUTIONS = {
-    "uniform": (("from", "to"), ()),
-    "log_uniform": (("from", "to"), ()),
-    "normal": (("mean", "std"), ("from", "to")),
-    "discrete": (("values",), ("weights",)),
-}
-
-
-@dataclass(frozen=True)
-class Distribution:
-    """One of `DISTRIBUTIONS` with its numbers; a normal one with `from` or `to` is truncated there."""
-
-    kind: str
-    given: Mapping[str, Any]
-
-    def quantile(self, share: np.ndarray) -> np.ndarray:
-        """The values below which `share` of all draws lie, shape as given."""
-        low, high = self.given.get("from", -math.inf), self.given.get("to", math.inf)
-        match self.kind:
-            case "uniform":
-                return low + share * (high - low)
-            case "log_uniform":
-                return low * (high / low) ** share
-            case "normal":
-                from scipy.stats import truncnorm  # slow to import
-
-                mean, std = self.given["mean"], self.given["std"]
-                return truncnorm.ppf(share, (low - mean) / std, (high - mean) / std, mean, std)
-            case _:
-                values = np.asarray(self.given["values"])
-                weights = np.asarray(self.given.get("weights", np.ones(len(values))), dtype=float)
-                ends = np.cumsum(weights / weights.sum())
-                return values[np.minimum(np.searchsorted(ends, share, side="right"), len(values) - 1)]
-
-    def __str__(self) -> str:
-        ends = " ".join(f"{key} {_short(self.given[key])}" for key in ("from", "to") if key in self.given)
-        others = [f"{key} {_short(value)}" for key, value in self.given.items() if key not in ("from", "to")]
-        return f"{self.kind.replace('_', '-')}, {', '.join([*others, ends] if ends else others)}"
 
 
 @dataclass(frozen=True)
@@ -104,7 +67,7 @@ class Axis:
         return nominal(self.path)
 
     def __str__(self) -> str:
-        what = _listed(self.values) if self.values is not None else str(self.distribution)
+        what = listed(self.values) if self.values is not None else str(self.distribution)
         if self.relative is not None:
             percent = f"{100 * self.relative:g} %" if isinstance(self.relative, float) else self.relative
             return f"nominal x (1 + {percent} x {what})"
@@ -117,18 +80,10 @@ class Design:
 
     grid: str = "full"
     kind: str = "monte_carlo"
-    num: int = 0  # draws; of sobol those of one scramble, of saltelli the base sample N of N (d + 2)
+    num: int = 0  # draws; of sobol those of one scramble, of saltelli the base sample N of N (d + 2), of morris paths
     scrambles: int = 1  # independent repetitions of sobol, which tell its error
-
-
-def known(path: str, given: Any, allowed: tuple[str, ...]) -> dict[str, Any]:
-    """`given` as a dict whose keys are all allowed. Raises `InputError`."""
-    if not isinstance(given, Mapping):
-        raise InputError(f"{path} = {given!r} is not allowed: keys and values (allowed: {', '.join(allowed)})")
-    for key in given:
-        if key not in allowed:
-            raise InputError(f"{path}.{key} is unknown{suggest(str(key), allowed)}")
-    return {str(k): v for k, v in given.items()}
+    # one, other, coefficient: of pairs of drawn axes, by the normals of a Gaussian copula
+    correlation: tuple[Any, ...] = ()
 
 
 def with_side(axes: Mapping[str, Any]) -> dict[str, Any]:
@@ -168,12 +123,15 @@ def parse_axes(given: Mapping[str, Any]) -> tuple[Axis, ...]:
 def parse_design(given: Mapping[str, Any], axes: tuple[Axis, ...]) -> Design:
     """How the axes that have a distribution are drawn. Raises `InputError`."""
     given = known("study.design", given, tuple(f.name for f in dataclasses.fields(Design)))
+    drawn = [a.name for a in axes if a.distribution]
+    given["correlation"] = _correlation("study.design.correlation", given.get("correlation") or [], drawn)
     design = Design(**given)
     for key, allowed in (("kind", DESIGNS), ("grid", GRIDS)):
         if getattr(design, key) not in allowed:
             value = getattr(design, key)
             raise InputError(f"study.design.{key} = {value!r} is unknown{suggest(str(value), allowed)}")
-    drawn = [a.name for a in axes if a.distribution]
+    if design.correlation and design.kind in ("saltelli", "morris"):
+        raise InputError(f"study.design.correlation is not allowed with {design.kind}, which moves one axis at a time")
     least = 1 if drawn else 0
     if design.num < least:
         raise InputError(f"study.design.num = {design.num} is not allowed: at least {least} for {', '.join(drawn)}")
@@ -182,6 +140,32 @@ def parse_design(given: Mapping[str, Any], axes: tuple[Axis, ...]) -> Design:
     if design.scrambles < 1 or (design.scrambles > 1 and design.kind != "sobol"):
         raise InputError(f"study.design.scrambles = {design.scrambles} is not allowed: at least 1, of kind sobol only")
     return design
+
+
+def _correlation(key: str, given: Any, drawn: list[str]) -> tuple[tuple[str, str, float], ...]:
+    """Pairs `[axis, axis, number]`. Raises `InputError`, also where no joint distribution has them all."""
+    pairs = []
+    for pair in given:
+        if not isinstance(pair, list | tuple) or len(pair) != 3 or pair[0] == pair[1]:
+            raise InputError(f"{key} = {pair!r} is not allowed: two drawn axes and a number, such as [a, b, 0.7]")
+        for name in pair[:2]:
+            if name not in drawn:
+                raise InputError(f"{key}: {name} is no drawn axis{suggest(str(name), drawn)}")
+        if not -1 < (share := number(key, pair[2])) < 1:
+            raise InputError(f"{key} = {share:g} is not allowed: between -1 and 1")
+        pairs.append((str(pair[0]), str(pair[1]), share))
+    if np.linalg.eigvalsh(_matrix(tuple(pairs), drawn)).min(initial=1.0) <= 0:
+        raise InputError(f"{key}: no distribution has all of {', '.join(f'{a}-{b} {c:g}' for a, b, c in pairs)}")
+    return tuple(pairs)
+
+
+def _matrix(pairs: tuple[tuple[str, str, float], ...], names: list[str]) -> np.ndarray:
+    """The correlations of the axes `names`, (d, d)."""
+    matrix = np.eye(len(names))
+    for a, b, share in pairs:
+        i, j = names.index(a), names.index(b)
+        matrix[i, j] = matrix[j, i] = share
+    return matrix
 
 
 def caution(design: Design) -> str | None:
@@ -200,7 +184,7 @@ def _axis(key: str, name: str, given: Any) -> Axis:
         if text is not None and (not isinstance(text, str) or not text):
             raise InputError(f"{key}.{word} = {text!r} is not allowed: a parameter such as contact.friction")
     if relative is not None and not isinstance(relative, str):
-        relative = _number(f"{key}.relative", relative)
+        relative = number(f"{key}.relative", relative)
     if relative is not None and times is not None:
         raise InputError(f"{key} has relative and times: one of them")
     if path is None and (relative is not None or times is not None):
@@ -209,8 +193,8 @@ def _axis(key: str, name: str, given: Any) -> Axis:
     distribution = None
     if values is None:
         default = {"kind": "uniform", "from": -1.0, "to": 1.0} if relative is not None else None
-        distribution = _distribution(f"{key}.distribution", given.get("distribution", default))
-    centre = _number(f"{key}.nominal", given.get("nominal", 0.0))
+        distribution = parse_distribution(f"{key}.distribution", given.get("distribution", default))
+    centre = number(f"{key}.nominal", given.get("nominal", 0.0))
     if "nominal" in given and path is not None:
         raise InputError(f"{key}.nominal = {centre:g} is not allowed: {path} has its own in the configuration")
     return Axis(name, path, side, values, distribution, relative, times, given.get("with"), centre)
@@ -230,48 +214,13 @@ def _values(key: str, given: Mapping[str, Any]) -> tuple[Any, ...] | None:
         return None
     if given.get("distribution") is not None:
         raise InputError(f"{key} has a range and a distribution: one of them")
-    low, high = (_number(f"{key}.{name}", end) for name, end in zip(("from", "to"), ends[:2], strict=True))
+    low, high = (number(f"{key}.{name}", end) for name, end in zip(("from", "to"), ends[:2], strict=True))
     if not isinstance(ends[2], int | float) or not 1 <= ends[2] <= MOST or ends[2] != int(ends[2]):
         raise InputError(f"{key}.num = {ends[2]!r} is not allowed: a whole number from 1 to {MOST}")
     if ends[2] == 1 and low != high:
         raise InputError(f"{key}.num = 1 is not allowed from {low:g} to {high:g}: at least 2, or values: [{low:g}]")
     # shortest decimals, so that the values read, compare and hash as written
     return tuple(float(f"{v:.12g}") for v in np.linspace(low, high, int(ends[2])))
-
-
-def _number(key: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= sys.float_info.max:
-        raise InputError(f"{key} = {str(value)[:40]} is not allowed: a number")
-    return float(value)
-
-
-def _distribution(key: str, given: Any) -> Distribution:
-    if not isinstance(given, Mapping) or given.get("kind") not in DISTRIBUTIONS:
-        kind = given.get("kind") if isinstance(given, Mapping) else given
-        raise InputError(f"{key}.kind = {kind!r} is unknown{suggest(str(kind), DISTRIBUTIONS)}")
-    kind = str(given["kind"])
-    needed, optional = DISTRIBUTIONS[kind]
-    given = known(key, given, ("kind", *needed, *optional))
-    for name in needed:
-        if name not in given:
-            raise InputError(f"{key}.{name} is missing: {kind} needs {' and '.join(needed)}")
-    if kind == "discrete":
-        values, weights = given["values"], given.get("weights", [1])
-        if not isinstance(values, list) or not values:
-            raise InputError(f"{key}.values = {values!r} is not allowed: a list with at least one value")
-        if "weights" in given and (not isinstance(weights, list) or len(weights) != len(values)):
-            raise InputError(f"{key}.weights = {weights!r} is not allowed: a number for each of {len(values)} values")
-        if min(_number(f"{key}.weights", w) for w in weights) < 0 or not sum(weights):
-            raise InputError(f"{key}.weights = {weights!r} is not allowed: none negative, not all zero")
-        return Distribution(kind, {k: v for k, v in given.items() if k != "kind"})
-    numbers = {name: _number(f"{key}.{name}", given[name]) for name in (*needed, *optional) if name in given}
-    if numbers.get("std", 1.0) <= 0:
-        raise InputError(f"{key}.std = {numbers['std']:g} is not allowed: greater than 0")
-    if kind == "log_uniform" and numbers["from"] <= 0:
-        raise InputError(f"{key}.from = {numbers['from']:g} is not allowed: greater than 0")
-    if numbers.get("from", -math.inf) >= numbers.get("to", math.inf):
-        raise InputError(f"{key}.to = {numbers['to']:g} is not allowed: greater than from = {numbers['from']:g}")
-    return Distribution(kind, numbers)
 
 
 def table(
@@ -285,7 +234,7 @@ def table(
     listed, drawn = [a for a in axes if a.values is not None], [a for a in axes if a.distribution]
     if grid is None:
         grid = _star(listed, nominal) if listed and design.grid == "one_at_a_time" else _grid(listed)
-    shares = _shares(drawn, design, seed)
+    shares = shares_of(axes, design, seed)
     draws = {a.name: a.distribution.quantile(shares[:, i]) for i, a in enumerate(drawn) if a.distribution}
     size, count = len(grid), max(len(shares), 1)
     numbers = grid.take(np.repeat(np.arange(size), count)).reset_index(drop=True)
@@ -321,8 +270,12 @@ def _star(axes: list[Axis], nominal: Callable[[str], Any]) -> pd.DataFrame:
     return star.drop_duplicates()  # the arms cross
 
 
+def shares_of(axes: tuple[Axis, ...], design: Design, seed: int) -> np.ndarray:
+    """Numbers (draws, drawn axes) in (0, 1), spread as the design wants: the quantiles that are drawn."""
+    return _shares([a for a in axes if a.distribution], design, seed)
+
+
 def _shares(axes: list[Axis], design: Design, seed: int) -> np.ndarray:
-    """Numbers (draws, drawn axes) in (0, 1), spread as the design wants."""
     if not axes:
         return np.empty((0, 0))
     # scipy is slow to import, and a listing needs none of it
@@ -343,6 +296,11 @@ def _shares(axes: list[Axis], design: Design, seed: int) -> np.ndarray:
                     for k in range(design.scrambles)
                 ]
             shares = np.stack(parts, axis=1).reshape(-1, len(axes))  # more draws come last
+        case "morris":  # of paths that change one axis after the other; scaled, as 0 and 1 are infinitely far for some
+            from SALib.sample import morris
+
+            problem = {"num_vars": len(axes), "names": [a.name for a in axes], "bounds": [[*INNER]] * len(axes)}
+            shares = morris.sample(problem, design.num, num_levels=LEVELS, seed=seed)
         case _:
             from SALib.sample import sobol
 
@@ -350,7 +308,13 @@ def _shares(axes: list[Axis], design: Design, seed: int) -> np.ndarray:
             with warnings.catch_warnings(action="ignore", category=UserWarning):
                 shares = sobol.sample(problem, design.num, calc_second_order=False, seed=seed)
     edge = 2.0**-32  # no distribution is asked for its infinite ends
-    return np.clip(shares, edge, 1 - edge)
+    shares = np.clip(shares, edge, 1 - edge)
+    if design.correlation:
+        from scipy.special import ndtr, ndtri
+
+        root = np.linalg.cholesky(_matrix(design.correlation, [a.name for a in axes]))
+        shares = np.clip(ndtr(ndtri(shares) @ root.T), edge, 1 - edge)
+    return shares
 
 
 def _number_of(word: str) -> int:
@@ -392,15 +356,3 @@ def _finite(axis: Axis, path: str, nominal: Callable[[str], Any]) -> float:
     if isinstance(value, str):
         raise InputError(f"study.axes.{axis.name}: {path} is a name, not a number to multiply")
     return float(value)
-
-
-def _short(value: Any) -> str:
-    if isinstance(value, list | tuple):
-        return _listed(tuple(value))
-    return f"{value:.6g}" if isinstance(value, int | float) else str(value)
-
-
-def _listed(values: tuple[Any, ...]) -> str:
-    if len(values) <= 4:
-        return ", ".join(map(_short, values))
-    return f"{_short(values[0])}, {_short(values[1])}, ... {_short(values[-1])} ({len(values)} values)"

@@ -20,7 +20,8 @@ from sweep.core.parameters import checked, within
 from sweep.engines.settings import EngineSettings
 from sweep.models.case import Case
 from sweep.study import designs
-from sweep.study.designs import SIDES, Axis, Design, known
+from sweep.study.designs import SIDES, Axis, Design
+from sweep.study.distributions import known
 from sweep.study.identity import DIGITS, point_ids, streams
 from sweep.study.theory import Theory
 from sweep.study.theory import parse as parse_theory

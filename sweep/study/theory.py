@@ -10,7 +10,7 @@ from typing import Any
 from sweep.core.errors import InputError, suggest
 from sweep.core.expressions import evaluate
 from sweep.formulas import registry
-from sweep.study.designs import known
+from sweep.study.distributions import known
 
 KEYS = ("label", "formula", "output", "of", "inputs", "measured")
 

@@ -181,7 +181,7 @@ def test_mistakes_with_results_are_one_line_each(capsys, tmp_path):
         (["export", results, "--paper", "file"], "file/figures: Not a directory"),
         (["table", results, "-o", "none/rows.md"], "none/rows.md: No such file or directory"),
         (["table", results, "--where", "friction"], "where = 'friction' is not a condition"),
-        (["stats", results, "--figure", "slip_max_m"], "need a study with study.design.kind=saltelli"),
+        (["stats", results, "--figure", "slip_max_m"], "needs a study with study.design.kind=saltelli"),
         (["compare", results, results, "--regions", "firction"], "column firction is unknown"),
         (["compare", results, results, "--regions", "outcome"], "outcome is not a parameter"),
         (["compare", results, results, "--tolerance", "7"], "--tolerance = 7 is not allowed: a share from 0 to 1"),

@@ -1,0 +1,140 @@
+"""Distributions that axes are drawn from: a few of our own, and every continuous one of scipy.stats."""
+
+import math
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sweep.core.errors import InputError, suggest
+
+# what each distribution needs, and what it may have besides
+DISTRIBUTIONS = {
+    "uniform": (("from", "to"), ()), "log_uniform": (("from", "to"), ()), "normal": (("mean", "std"), ("from", "to")),
+    "discrete": (("values",), ("weights",)),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Distribution:
+    """One of `DISTRIBUTIONS`, or of scipy.stats by its name there, with its numbers.
+
+    A normal one and those of scipy.stats are truncated at `from` and `to` where these are given.
+    """
+
+    kind: str
+    given: Mapping[str, Any]
+
+    def quantile(self, share: np.ndarray) -> np.ndarray:
+        """The values below which `share` of all draws lie, shape as given."""
+        low, high = self.given.get("from", -math.inf), self.given.get("to", math.inf)
+        match self.kind:
+            case "uniform":
+                return low + share * (high - low)
+            case "log_uniform":
+                return low * (high / low) ** share
+            case "normal":
+                from scipy.stats import truncnorm  # slow to import
+
+                mean, std = self.given["mean"], self.given["std"]
+                return truncnorm.ppf(share, (low - mean) / std, (high - mean) / std, mean, std)
+            case "discrete":
+                values = np.asarray(self.given["values"])
+                weights = np.asarray(self.given.get("weights", np.ones(len(values))), dtype=float)
+                ends = np.cumsum(weights / weights.sum())
+                return values[np.minimum(np.searchsorted(ends, share, side="right"), len(values) - 1)]
+            case _:
+                own = {key: value for key, value in self.given.items() if key not in ("from", "to")}
+                frozen = of_scipy(self.kind)(**own)
+                below, above = frozen.cdf(low), frozen.cdf(high)
+                return frozen.ppf(below + share * (above - below))
+
+    def __str__(self) -> str:
+        ends = " ".join(f"{key} {short(self.given[key])}" for key in ("from", "to") if key in self.given)
+        others = [f"{key} {short(value)}" for key, value in self.given.items() if key not in ("from", "to")]
+        return f"{self.kind.replace('_', '-')}, {', '.join([*others, ends] if ends else others)}"
+
+
+def parse(key: str, given: Any) -> Distribution:
+    """From plain values. Raises `InputError`."""
+    kind = str(given.get("kind") if isinstance(given, Mapping) else given)
+    if kind not in DISTRIBUTIONS or not isinstance(given, Mapping):
+        if isinstance(given, Mapping) and of_scipy(kind) is not None:
+            return _distribution_of_scipy(key, kind, given)
+        raise InputError(f"{key}.kind = {kind!r} is unknown{suggest(kind, (*DISTRIBUTIONS, 'any of scipy.stats'))}")
+    needed, optional = DISTRIBUTIONS[kind]
+    given = known(key, given, ("kind", *needed, *optional))
+    for name in needed:
+        if name not in given:
+            raise InputError(f"{key}.{name} is missing: {kind} needs {' and '.join(needed)}")
+    if kind == "discrete":
+        values, weights = given["values"], given.get("weights", [1])
+        if not isinstance(values, list) or not values:
+            raise InputError(f"{key}.values = {values!r} is not allowed: a list with at least one value")
+        if "weights" in given and (not isinstance(weights, list) or len(weights) != len(values)):
+            raise InputError(f"{key}.weights = {weights!r} is not allowed: a number for each of {len(values)} values")
+        if min(number(f"{key}.weights", w) for w in weights) < 0 or not sum(weights):
+            raise InputError(f"{key}.weights = {weights!r} is not allowed: none negative, not all zero")
+        return Distribution(kind, {k: v for k, v in given.items() if k != "kind"})
+    numbers = {name: number(f"{key}.{name}", given[name]) for name in (*needed, *optional) if name in given}
+    if numbers.get("std", 1.0) <= 0:
+        raise InputError(f"{key}.std = {numbers['std']:g} is not allowed: greater than 0")
+    if kind == "log_uniform" and numbers["from"] <= 0:
+        raise InputError(f"{key}.from = {numbers['from']:g} is not allowed: greater than 0")
+    if numbers.get("from", -math.inf) >= numbers.get("to", math.inf):
+        raise InputError(f"{key}.to = {numbers['to']:g} is not allowed: greater than from = {numbers['from']:g}")
+    return Distribution(kind, numbers)
+
+
+def of_scipy(kind: str) -> Any:
+    """The continuous distribution of scipy.stats that has this name; None without."""
+    from scipy import stats  # slow to import
+
+    found = getattr(stats, kind, None)
+    return found if isinstance(found, stats.rv_continuous) else None
+
+
+def _distribution_of_scipy(key: str, kind: str, given: Mapping[str, Any]) -> Distribution:
+    """One of scipy.stats with its shapes, `loc` and `scale`, as its documentation names them."""
+    shapes = tuple(name.strip() for name in (of_scipy(kind).shapes or "").split(",") if name.strip())
+    given = known(key, given, ("kind", *shapes, "loc", "scale", "from", "to"))
+    for name in shapes:
+        if name not in given:
+            raise InputError(f"{key}.{name} is missing: {kind} needs {' and '.join(shapes)}")
+    found = Distribution(kind, {name: number(f"{key}.{name}", v) for name, v in given.items() if name != "kind"})
+    if not np.isfinite(found.quantile(np.array([0.001, 0.5, 0.999]))).all():
+        raise InputError(f"{key} = {found} is not allowed: scipy.stats.{kind} has no such distribution")
+    return found
+
+
+def known(path: str, given: Any, allowed: tuple[str, ...]) -> dict[str, Any]:
+    """`given` as a dict whose keys are all allowed. Raises `InputError`."""
+    if not isinstance(given, Mapping):
+        raise InputError(f"{path} = {given!r} is not allowed: keys and values (allowed: {', '.join(allowed)})")
+    for key in given:
+        if key not in allowed:
+            raise InputError(f"{path}.{key} is unknown{suggest(str(key), allowed)}")
+    return {str(k): v for k, v in given.items()}
+
+
+def number(key: str, value: Any) -> float:
+    """`value` as a number. Raises `InputError`."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= sys.float_info.max:
+        raise InputError(f"{key} = {str(value)[:40]} is not allowed: a number")
+    return float(value)
+
+
+def short(value: Any) -> str:
+    """Six digits are enough to tell values apart."""
+    if isinstance(value, list | tuple):
+        return listed(tuple(value))
+    return f"{value:.6g}" if isinstance(value, int | float) else str(value)
+
+
+def listed(values: tuple[Any, ...]) -> str:
+    """Values in a row, of many the first and the last."""
+    if len(values) <= 4:
+        return ", ".join(map(short, values))
+    return f"{short(values[0])}, {short(values[1])}, ... {short(values[-1])} ({len(values)} values)"
