@@ -35,8 +35,9 @@ def loops(x, m, k, shared):
 
     last, rows = jax.lax.scan(body, 0.0, m)
     branch = jax.lax.cond(x[0] > 0, lambda: x, lambda: -x)
+    shared_branch = jax.lax.cond(shared[0] > 0, lambda: (x @ m, k), lambda: (shared, k + 1))
     noise = jax.random.normal(jax.random.fold_in(jax.random.key(3), k), (2,))
-    return last, rows, branch, noise, jax.lax.fori_loop(0, 3, lambda i, y: jnp.cos(y + i), x)
+    return last, rows, branch, shared_branch, noise, jax.lax.fori_loop(0, 3, lambda i, y: jnp.cos(y + i), x)
 
 
 def derivatives(x, m, k, shared):

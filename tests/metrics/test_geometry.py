@@ -9,7 +9,14 @@ from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 from scipy.spatial import ConvexHull, QhullError
 
-from sweep.metrics.geometry import leg_gap, segment_distance, support_margin
+from sweep.metrics.geometry import (
+    base_gap,
+    leg_gap,
+    links_beyond_foot,
+    segment_distance,
+    support_margin,
+)
+from sweep.models.robot import FOOT_LENGTH
 
 MARGIN, DISTANCE = jax.jit(support_margin), jax.jit(segment_distance)
 SEED = st.integers(0, 2**31)
@@ -72,3 +79,23 @@ def test_legs_that_cross_have_no_gap(one, other):
     joints[one - 1] += [10, 0, 0]
     joints[other - 1] = [[9 + one, 0.1, 0.5], [8 + one, 0.1, 0.5], [8 + one, 0.2, 0.5]]
     assert float(leg_gap(jnp.asarray(joints))) == pytest.approx(0.0, abs=1e-5)
+
+
+@settings(max_examples=60, deadline=None)
+@given(SEED)
+def test_distance_of_a_segment_to_a_box_is_that_of_its_nearest_point(seed):
+    rng = np.random.default_rng(seed)
+    a, b, half = rng.uniform(-1, 1, 3), rng.uniform(-1, 1, 3), rng.uniform(0.05, 0.6, 3)
+    points = a + np.linspace(0, 1, 2001)[:, None] * (b - a)
+    expected = np.linalg.norm(np.maximum(np.abs(points) - half, 0), axis=-1).min()
+    found = float(jax.jit(segment_box_distance)(*(jnp.asarray(x) for x in (a[None], b[None], half)))[0])
+    assert max(found, 0.0) == pytest.approx(expected, abs=2e-3)
+
+
+def test_the_solid_shin_ends_a_foot_and_its_radius_before_the_ground():
+    joints = jnp.asarray([[[0, 0, 0.6], [0, 0.4, 0.6], [0, 0.4, 0]]] * 6, float)
+    starts, ends = links_beyond_foot(joints, 0.015)
+    np.testing.assert_allclose(ends[1], [0, 0.4, FOOT_LENGTH + 0.015], atol=1e-6)
+    np.testing.assert_allclose(starts[1], [0, 0.4, 0.6], atol=1e-6)
+    base = jnp.zeros(3), jnp.eye(3), jnp.array([0.5, 0.25, 0.05])
+    assert float(base_gap(joints, *base)) == pytest.approx(0.15, abs=1e-3)  # the foot, beside the base
