@@ -49,9 +49,16 @@ def launch(overrides: list[str], flags: Flags) -> int:
     def job(composed: DictConfig) -> None:
         try:
             codes.append(execute(config.experiment(config.resolve(composed)), flags))
-        except (InputError, Fault) as error:  # Hydra would add lines of its own, and give up a multirun's other jobs
+        # Hydra would add lines of its own, and give up a multirun's other jobs
+        except Fault as error:
             print(f"sweep: {error}", file=sys.stderr)
-            codes.append(BAD_INPUT if isinstance(error, InputError) else FAULT)
+            codes.append(FAULT)
+        except (InputError, OmegaConfBaseException) as error:
+            print(
+                f"sweep: {error if isinstance(error, InputError) else config.one_line(error, overrides)}",
+                file=sys.stderr,
+            )
+            codes.append(BAD_INPUT)
 
     before = sys.argv
     sys.argv = ["sweep run", *overrides]
