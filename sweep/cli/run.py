@@ -54,10 +54,8 @@ def launch(overrides: list[str], flags: Flags) -> int:
             print(f"sweep: {error}", file=sys.stderr)
             codes.append(FAULT)
         except (InputError, OmegaConfBaseException) as error:
-            print(
-                f"sweep: {error if isinstance(error, InputError) else config.one_line(error, overrides)}",
-                file=sys.stderr,
-            )
+            line = str(error) if isinstance(error, InputError) else config.one_line(error, overrides)
+            print(f"sweep: {line}", file=sys.stderr)
             codes.append(BAD_INPUT)
 
     before = sys.argv
@@ -66,7 +64,7 @@ def launch(overrides: list[str], flags: Flags) -> int:
     try:
         config.check_choices(overrides)
         job()
-    except (HydraException, OmegaConfBaseException) as error:
+    except (HydraException, OmegaConfBaseException, OverflowError) as error:
         raise InputError(config.one_line(error, overrides)) from None
     finally:
         sys.argv = before

@@ -186,7 +186,7 @@ def compose(overrides: list[str]) -> Experiment:
         check_choices(overrides)
         with hydra.initialize_config_module(CONFIG_MODULE, version_base=HYDRA_VERSION):
             return experiment(resolve(hydra.compose(CONFIG_NAME, overrides)))
-    except (HydraException, OmegaConfBaseException) as error:
+    except (HydraException, OmegaConfBaseException, OverflowError) as error:
         raise InputError(one_line(error, overrides)) from None
 
 
