@@ -32,11 +32,14 @@ def again(folder, *overrides: str) -> int:
 
 def test_what_a_worker_of_a_dead_command_writes_counts_for_nothing(tmp_path, whole):
     """It has read its plan and thresholds, its command dies, another one judges by others, then it finishes."""
-    orphan, code = (tmp_path.resolve(), "a plan of the dead command"), provenance.code_version()
-    assert again(tmp_path, "--limit", "40") == 0
-    runner.on_worker(*orphan, code, 0)  # as its plan is kept, it knows no other
+    assert main(["run", *STUDY, f"out={tmp_path}"]) == 0
+    for entry in store.counted(tmp_path)[5:]:
+        (tmp_path / entry.file).unlink()
+    known = runner._plan_of(tmp_path.resolve(), "a plan of the dead command")
     assert again(tmp_path, "--limit", "48", "outcome.slip_max_m=0.1") == 0
-    runner.on_worker(*orphan, code, 4)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(runner, "_plan_of", lambda *_: known)
+        runner.on_worker(tmp_path.resolve(), "a plan of the dead command", provenance.code_version(), 6)
     assert again(tmp_path, "outcome.slip_max_m=0.1") == 0
     rows = content(tmp_path)
     assert (rows["outcome"] == "success").equals(rows["slip_max_m"] <= 0.1)

@@ -68,20 +68,15 @@ def test_points_that_are_left_out_are_counted(tmp_path, capsys):
     (tmp_path / "p.csv").write_text("contact.friction\n1.0\n1.0\n2.0\n")
     assert main(["run", "--points", str(tmp_path / "p.csv"), f"out={tmp_path / 'out'}", "--dry-run"]) == 0
     assert "1 of 3 rollouts are left out" in capsys.readouterr().err
-    star = "study.design.grid=one_at_a_time"
-    both = [
-        "+study.axes.f={path: contact.friction, values: [0.5, 0.8]}",
-        "+study.axes.s={path: robot.shin, values: [0.3, 0.4]}",
-    ]
-    exp = compose([*both, star, "study.name=x"])
+    arms = [f"+study.axes.{name}={{path: robot.{name}, values: [0.3, 0.4]}}" for name in ("shin", "thigh")]
+    exp = compose([*arms, "study.design.grid=one_at_a_time", "study.name=x"])
     points(exp.study, exp.case, exp.settings, say=pytest.fail)
 
 
 ABSURD = [
     "1/0 > friction", f"friction > {'9' * 400}", "not " * 2000 + "friction > 1", "[0]*400000000 == friction",
     "'a'*400000000 == friction", "(" * 3000 + "friction > 1", "friction > " + "1+" * 3000 + "1",
-    "friction == [[1],[2,3]]",
-    "friction > 1e400 * 0 and friction", "outcome in 5",
+    "friction == [[1],[2,3]]", "outcome in 5",
 ]  # fmt: skip
 
 
@@ -97,11 +92,7 @@ def test_an_absurd_condition_is_one_short_line(where):
 @pytest.mark.parametrize(
     "overrides",
     [
-        [
-            f"+study.axes.{k}={{path: robot.{p}, from: 1, to: 2, num: 1000}}"
-            for k, p in zip("ab", ["shin", "thigh"], strict=True)
-        ]
-        + ["study.replicates=100"],
+        [f"+study.axes.{name}={{path: robot.{name}, from: 1, to: 2, num: 5000}}" for name in ("shin", "thigh")],
         ["+study.axes.a={path: robot.shin, relative: 0.1}", "study.design.num=1000000000"],
         ["study.replicates=1000000000"],
     ],

@@ -51,9 +51,14 @@ def launch(overrides: list[str], flags: Flags) -> int:
     def job(composed: DictConfig) -> None:
         try:
             codes.append(execute(config.experiment(config.resolve(composed)), flags))
-        except (InputError, Fault) as error:  # Hydra would add lines of its own, and give up a multirun's other jobs
+        # Hydra would add lines of its own, and give up a multirun's other jobs
+        except Fault as error:
             print(f"sweep: {error}", file=sys.stderr)
-            codes.append(BAD_INPUT if isinstance(error, InputError) else FAULT)
+            codes.append(FAULT)
+        except (InputError, OmegaConfBaseException) as error:
+            line = str(error) if isinstance(error, InputError) else config.one_line(error, overrides)
+            print(f"sweep: {line}", file=sys.stderr)
+            codes.append(BAD_INPUT)
 
     before = sys.argv
     sys.argv = ["sweep run", *overrides]
@@ -61,7 +66,7 @@ def launch(overrides: list[str], flags: Flags) -> int:
     try:
         config.check_choices(overrides)
         job()
-    except (HydraException, OmegaConfBaseException) as error:
+    except (HydraException, OmegaConfBaseException, OverflowError) as error:
         raise InputError(config.one_line(error, overrides)) from None
     finally:
         sys.argv = before

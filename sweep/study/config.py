@@ -159,16 +159,19 @@ def composed(overrides: list[str]) -> dict[str, Any]:
         check_choices(overrides)
         with hydra.initialize_config_module(CONFIG_MODULE, version_base=HYDRA_VERSION):
             return resolve(hydra.compose(CONFIG_NAME, overrides))
-    except (HydraException, OmegaConfBaseException) as error:
+    except (HydraException, OmegaConfBaseException, OverflowError) as error:
         raise InputError(one_line(error, overrides)) from None
 
 
 def check_choices(overrides: list[str]) -> None:
     """Raises `InputError` where a group's choice is no name, which Hydra has no words for."""
     groups = {*GROUPS, *KINDS, "scenario", "study"}
-    chosen = [text for text in overrides if text.partition("=")[0] in groups]
+    chosen = [text for text in overrides if text.partition("=")[0].lstrip("+") in groups]
     for one in OverridesParser.create().parse_overrides(chosen):
-        if not one.is_sweep_override() and not isinstance(one.value(), str | list | dict | QuotedString):
+        if one.is_sweep_override() or isinstance(one.value(), dict):
+            continue
+        value = one.value()
+        if not all(isinstance(name, str | QuotedString) for name in (value if isinstance(value, list) else [value])):
             raise InputError(f"{one.input_line} is not allowed: the name of a choice (`sweep list` shows them)")
 
 

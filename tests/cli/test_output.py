@@ -33,7 +33,7 @@ def folder(tmp_path_factory):
 
 
 def test_headers_with_commas_and_quotes_are_quoted():
-    rows = pd.DataFrame({"axis.a,b": [1.0], 'axis.say "c"': [2.0], "axis.d\ne": ["x"]})
+    rows = pd.DataFrame({"axis.a,b": [1.5], 'axis.say "c"': [2.5], "axis.d\ne": ["x"]})
     pd.testing.assert_frame_equal(pd.read_csv(io.BytesIO(tables.csv(rows))), rows)
 
 

@@ -13,6 +13,7 @@ from sweep.metrics.geometry import (
     base_gap,
     leg_gap,
     links_beyond_foot,
+    segment_box_distance,
     segment_distance,
     support_margin,
 )

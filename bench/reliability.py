@@ -1,0 +1,240 @@
+"""What a folder of results withstands: attacks on a small study of the tests' fake engine, as one table.
+
+    python bench/reliability.py                              # minutes
+    FLIPS=100000 KILLS=500 FUZZ=5000 python bench/reliability.py    # hours
+
+An attack is survived where the rows are the same or one line says what is wrong; it is silent where the rows differ and
+nothing says so; else it ended in a traceback.
+"""
+
+import contextlib
+import io
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from tabulate import tabulate
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+import fake_engine  # pyright: ignore
+from small_study import STUDY, content, start  # pyright: ignore
+
+from sweep.cli.main import main
+from sweep.core.errors import Fault, InputError
+from sweep.runs import manifest, repair, runner, store
+
+FLIPS, CUTS, KILLS, RELABELS, FUZZ, CONDITIONS, WORKERS = (
+    int(os.environ.get(name, default))
+    for name, default in (("FLIPS", 5000), ("CUTS", 500), ("KILLS", 20), ("RELABELS", 40), ("FUZZ", 300),
+                          ("CONDITIONS", 2000), ("WORKERS", 2))
+)  # fmt: skip
+SURVIVED, SILENT, TRACEBACK = "survived", "silent", "tracebacks"
+Attack = Callable[[Path, random.Random], Iterator[str]]
+
+
+def judged(work: Callable[[], bool]) -> str:
+    """How `work`, which tells whether all is as it should be, went."""
+    try:
+        return SURVIVED if work() else SILENT
+    except (InputError, Fault) as error:
+        return SURVIVED if "\n" not in str(error) else TRACEBACK
+    except Exception:
+        return TRACEBACK
+
+
+def quiet(*args: str) -> tuple[int, str]:
+    """Exit code of a command in this process, and its standard error."""
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()) as error:
+        code = main(list(args))
+    return code, error.getvalue()
+
+
+def files(folder: Path) -> list[Path]:
+    """All that rows are read from."""
+    named = [folder / name for name in (store.STUDY, store.POINTS, manifest.MANIFEST)]
+    return named + [folder / entry.file for entry in store.counted(folder)]
+
+
+def damage(folder: Path, chance: random.Random, number: int, how: Callable[[bytes], bytes]) -> Iterator[str]:
+    """Files changed by `how`, one at a time, and read."""
+    rows, plan, places = content(folder), store.read_points(folder), files(folder)
+    for _ in range(number):
+        path = chance.choice(places)
+        sound = path.read_bytes()
+        path.write_bytes(how(sound))
+        yield judged(lambda: content(folder).equals(rows) and store.read_points(folder).equals(plan))
+        path.write_bytes(sound)
+
+
+def flips(folder: Path, chance: random.Random) -> Iterator[str]:
+    """One bit."""
+
+    def flipped(content: bytes) -> bytes:
+        bit = chance.randrange(8 * len(content))
+        return content[: bit // 8] + bytes([content[bit // 8] ^ 1 << bit % 8]) + content[bit // 8 + 1 :]
+
+    yield from damage(folder, chance, FLIPS, flipped)
+
+
+def cuts(folder: Path, chance: random.Random) -> Iterator[str]:
+    """Cut short, or a block of zeros, as after a power cut. A manifest cut between two lines is an earlier one."""
+
+    def cut(content: bytes) -> bytes:
+        at = chance.randrange(len(content) - 1)
+        return content[:at].rstrip(b"\n") if chance.random() < 0.5 else content[:at] + bytes(len(content) - at)
+
+    yield from damage(folder, chance, CUTS, cut)
+
+
+def kills(folder: Path, chance: random.Random) -> Iterator[str]:
+    """`kill -9` of `sweep run` at any moment, then the same command to its end."""
+    rows = content(folder)
+    for number in range(KILLS):
+        killed = folder.with_name(f"killed{number}")
+        process = start(killed, FAKE_SECONDS="0.05")
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.communicate(timeout=chance.uniform(1, 8))
+        process.send_signal(signal.SIGKILL)
+        process.communicate()
+        yield judged(
+            lambda killed=killed: quiet("run", *STUDY, f"out={killed}")[0] == 0 and content(killed).equals(rows)
+        )
+
+
+def relabels(folder: Path, chance: random.Random) -> Iterator[str]:
+    """`sweep relabel` ended before one of its writes: all rows are judged by the thresholds named, or none."""
+    for _ in range(RELABELS):
+        limit, left = chance.uniform(0.02, 1.0), chance.randrange(12)
+        real = store.write_part, store.write_study, repair.forget
+
+        def dying(work: Callable[..., Any]) -> Callable[..., Any]:
+            def write(*args: Any) -> Any:
+                nonlocal left
+                left -= 1
+                if left < 0:
+                    raise KeyboardInterrupt
+                return work(*args)
+
+            return write
+
+        store.write_part, store.write_study, repair.forget = map(dying, real)
+        quiet("relabel", str(folder), f"slip_max_m<{limit}", "tilt_max_deg<50")
+        store.write_part, store.write_study, repair.forget = real
+        named = store.read_study(folder)["config"]["outcome"]
+        yield judged(lambda named=named: agrees(folder, named))
+
+
+def agrees(folder: Path, limits: dict[str, float]) -> bool:
+    """Whether all rows are judged by `limits`."""
+    rows = content(folder)
+    good = (rows["slip_max_m"] <= limits["slip_max_m"]) & (rows["tilt_max_deg"] <= limits["tilt_max_deg"])
+    return bool(((rows["outcome"] == "success") == good).all())
+
+
+def stale(folder: Path, chance: random.Random) -> Iterator[str]:
+    """A worker whose command is dead writes its part after another command judged by other thresholds."""
+    code, real = runner.provenance.code_version(), runner._plan_of
+    for number in range(6):
+        out = folder.with_name(f"stale{number}")
+        shutil.copytree(folder, out)
+        for entry in store.counted(out)[number + 1 :]:
+            (out / entry.file).unlink()
+        known = real(out.resolve(), "old")
+        quiet("run", *STUDY, "--limit", str(8 * (number + 1)), f"out={out}", "outcome.slip_max_m=0.1")
+        runner._plan_of = lambda *_, known=known: known  # pyright: ignore
+        runner.on_worker(out.resolve(), "old", code, chance.randrange(number + 1, 7))
+        runner._plan_of = real
+        quiet("run", *STUDY, f"out={out}", "outcome.slip_max_m=0.1")
+        yield judged(lambda out=out: agrees(out, {"slip_max_m": 0.1, "tilt_max_deg": 30}) and len(content(out)) == 56)
+
+
+# fmt: off
+KEYS = (
+    "contact.friction", "robot.shin", "engine.width", "engine.iterations", "study.name", "study.replicates", "study",
+    "study.where", "study.resolution", "cluster", "robot", "scenario", "study.axes.f", "study.design.num", "foo.bar",
+    "noise.delay", "drive.stiffness", "obstacle", "outcome.slip_max_m",
+)
+VALUES = (
+    "0", "-1", "1e400", "-1e-320", "nan", "null", "true", "''", "..", "[]", "[1,2]", "{}", "{path: ''}", "9" * 400,
+    "{path: contact.friction, values: [a, 1]}", "{path: robot, from: 0, to: 1, num: 2}", "${x.y}", "${oc.env:HOME}",
+    "{path: contact.friction, from: 0, to: 1, num: 1000000000}", "1/0", "a/b", "\u00e4", "{a: {b: {c: 1}}}",
+)
+WORDS = (
+    "friction", "outcome", "replicate", "1", "0", "1e400", "'success'", "9" * 50, "(", ")", "[", "]", ",", "+", "-",
+    "*", "/", "not", "and", "or", "in", "==", "<", "sqrt", ".", "lambda", "x", "{}", "|", "&", "\n", "[0]*400000000",
+)
+# fmt: on
+
+
+def settings(folder: Path, chance: random.Random) -> Iterator[str]:
+    """Configurations of random keys and values, which are run or refused in one line."""
+    for _ in range(FUZZ):
+        some = [chance.choice(("", "", "+", "++", "~")) + chance.choice(KEYS) for _ in range(chance.randint(1, 3))]
+        args = [key if key[0] == "~" else f"{key}={chance.choice(VALUES)}" for key in some]
+        yield judged(lambda args=args: said(*quiet("run", "--dry-run", f"out={folder}-fuzz", *args)))
+
+
+def conditions(folder: Path, chance: random.Random) -> Iterator[str]:
+    """Conditions of random words."""
+    for _ in range(CONDITIONS):
+        where = " ".join(chance.choices(WORDS, k=chance.randint(1, 9)))
+        yield judged(lambda where=where: said(*quiet("table", str(folder), "--format", "csv", "--where", where)))
+
+
+def said(code: int, error: str) -> bool:
+    """Whether a command ended as the README says."""
+    if code == 2 and error.count("\n") != 1:
+        raise RuntimeError(error)
+    return code in (0, 2, 3, 4)
+
+
+def workers(folder: Path, chance: random.Random) -> Iterator[str]:
+    """A Dask worker killed while it is in a batch."""
+    import psutil
+
+    rows = content(folder)
+    for number in range(WORKERS):
+        out = folder.with_name(f"workers{number}")
+        process = start(out, "cluster=dask_local", "cluster.workers=2", FAKE_SECONDS="0.5")
+        time.sleep(chance.uniform(8, 14))
+        for child in psutil.Process(process.pid).children(recursive=True) if process.poll() is None else ():
+            if "spawn_main" in "".join(child.cmdline()):
+                child.kill()
+                break
+        _, error = process.communicate()
+        yield judged(lambda out=out, error=error: "Traceback" not in error and content(out).equals(rows))
+
+
+ATTACKS: dict[str, Attack] = {
+    "a bit of any file flipped": flips, "a file cut short or zeroed": cuts, "`kill -9` of a run": kills,
+    "a relabelling ended": relabels, "a worker of a dead command": stale, "absurd configurations": settings,
+    "absurd conditions": conditions, "a Dask worker killed": workers,
+}  # fmt: skip
+
+
+def table() -> pd.DataFrame:
+    """One line for each attack."""
+    lines = []
+    for name, attack in ATTACKS.items():
+        with tempfile.TemporaryDirectory() as place:
+            folder = Path(place) / "study"
+            quiet("run", *STUDY, f"out={folder}")
+            counts = Counter(attack(folder, random.Random(0)))
+        lines.append((name, counts.total(), *(counts[how] for how in (SURVIVED, SILENT, TRACEBACK))))
+        print(*lines[-1], file=sys.stderr)
+    return pd.DataFrame(lines, columns=["attack", "tried", SURVIVED, SILENT, TRACEBACK])
+
+
+if __name__ == "__main__":
+    fake_engine.install()
+    print(tabulate(table(), headers="keys", tablefmt="github", showindex=False))  # pyright: ignore

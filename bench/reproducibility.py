@@ -1,0 +1,96 @@
+"""Which rows and figures are bit-equal when they are simulated in other ways, and what `run_id` says: one table.
+
+    python bench/reproducibility.py        # some minutes: a walking study, one step long, once for each line
+
+Each run is a process of its own. Rows are paired by `point_id`; their place in a batch and their wall time are left out.
+"""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from tabulate import tabulate
+
+from sweep.runs import store
+from sweep.runs.store import LABELS, PLAN, TIMING
+
+STUDY = ["study=walk_map", "study.axes.friction.num=4", "study.axes.step.num=4", "study.expect=[]", "manoeuvre.steps=1",
+         "study.invalid_max=1"]  # fmt: skip
+WIDTH = "engine.width=8"
+WAYS: dict[str, tuple[list[str], dict[str, str], int]] = {  # settings, environment, processor cores; 0: all
+    "the same command again": ([WIDTH], {}, 0),
+    "alone: width 1": (["engine.width=1"], {}, 0),
+    "width 4": (["engine.width=4"], {}, 0),
+    "width 16": (["engine.width=16"], {}, 0),
+    "one device instead of two": ([WIDTH], {}, 1),
+    "two Dask workers": ([WIDTH, "cluster=dask_local", "cluster.workers=2"], {}, 0),
+    "another instruction set": ([WIDTH], {"XLA_FLAGS": "--xla_cpu_max_isa=SSE4_2"}, 0),
+}
+Line = tuple[str, str, str, str, str]
+
+
+def started(out: Path, settings: list[str], environment: dict[str, str], cores: int) -> subprocess.Popen:
+    """The study in a process of its own."""
+    command = [sys.executable, "-m", "sweep.cli", "run", *STUDY, *settings, f"out={out}"]
+    pinned = ["taskset", "-c", ",".join(map(str, range(cores)))] if cores else []
+    return subprocess.Popen([*pinned, *command], env=os.environ | environment, stdout=subprocess.DEVNULL)
+
+
+def compared(way: str, base: Path, other: Path) -> Line:
+    """Rows and figures that are bit-equal, outcomes that are equal, and whether `run_id` is."""
+    a, b = (store.read_rows(path).set_index("point_id").sort_index() for path in (base, other))
+    names = [c for c in a.columns if c not in (*PLAN, *LABELS, *TIMING) and "." not in c]
+    equal = (a[names] == b[names]) | (a[names].isna() & b[names].isna())
+    same = "the same" if set(a["run_id"]) == set(b["run_id"]) else "another"
+    outcomes = f"{(a['outcome'] == b['outcome']).sum()} of {len(a)}"
+    return way, f"{equal.all(axis=1).sum()} of {len(a)}", f"{equal.all().sum()} of {len(names)}", outcomes, same
+
+
+def interrupted(out: Path) -> None:
+    """The study, killed after its first part and run again."""
+    process = started(out, [WIDTH], {}, 0)
+    while not (out / store.STUDY).exists() or not store.finished(out):
+        time.sleep(0.05)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    started(out, [WIDTH], {}, 0).wait()
+
+
+def replayed(base: Path, rows: tuple[int, ...]) -> Line:
+    """Some rows, simulated again and recorded."""
+    shown = [
+        subprocess.run(
+            [sys.executable, "-m", "sweep.cli", "replay", str(base), str(row)], capture_output=True, text=True
+        )
+        for row in rows
+    ]
+    found = [re.search(r"(\d+) of (\d+) figures are equal", one.stdout) for one in shown]
+    counts = [(int(one[1]), int(one[2])) for one in found if one]
+    other = any("bits may differ" in one.stdout for one in shown)
+    bits = f"{sum(a == b for a, b in counts)} of {len(rows)}"
+    figures = f"{min(a for a, _ in counts)} of {counts[0][1]}"
+    return f"`sweep replay` of rows {', '.join(map(str, rows))}", bits, figures, "", "another" if other else "the same"
+
+
+def table(place: Path) -> list[Line]:
+    """One line for each way."""
+    base, killed = place / "base", place / "killed"
+    started(base, [WIDTH], {}, 0).wait()
+    lines = []
+    for number, (way, how) in enumerate(WAYS.items()):
+        started(place / str(number), *how).wait()
+        lines.append(compared(way, base, place / str(number)))
+        print(*lines[-1], sep="; ", file=sys.stderr)
+    interrupted(killed)
+    return [*lines, compared("after `kill -9`", base, killed), replayed(base, (0, 15))]
+
+
+if __name__ == "__main__":
+    with tempfile.TemporaryDirectory() as folder:
+        heads = ["compared with width 8", "rows bit-equal", "figures bit-equal", "outcomes equal", "run_id"]
+        print(tabulate(table(Path(folder)), headers=heads, tablefmt="github"))
