@@ -2,7 +2,7 @@
 
     python bench/reproducibility.py        # some minutes: a walking study, one step long, once for each line
 
-Each run is a process of its own. Rows are paired by `point_id`; their place in a batch and their wall time are left out.
+Each run is a process of its own. Rows are paired by `point_id`; place in a batch and wall time are left out.
 """
 
 import os
@@ -17,7 +17,7 @@ from pathlib import Path
 from tabulate import tabulate
 
 from sweep.runs import store
-from sweep.runs.store import LABELS, PLAN, TIMING
+from sweep.study.columns import LABELS, PLAN, TIMING
 
 STUDY = ["study=walk_map", "study.axes.friction.num=4", "study.axes.step.num=4", "study.expect=[]", "manoeuvre.steps=1",
          "study.invalid_max=1"]  # fmt: skip

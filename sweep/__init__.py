@@ -5,15 +5,15 @@ from sweep import load, run
 
 from typing import TYPE_CHECKING
 
-import sweep.core.start  # noqa: F401  first of all
 from sweep.core.errors import Fault, InputError
+from sweep.core.start import VERSION  # first of all: it notes the time
 
 if TYPE_CHECKING:
     from os import PathLike
 
     import pandas as pd
 
-__version__ = "0.1.0"
+__version__ = VERSION
 __all__ = ["Fault", "InputError", "load", "run"]
 
 

@@ -15,6 +15,8 @@ JAX_ABOVE_ENGINES = {"sweep.trace.held", "sweep.cli.bench"}
 # the sources' own text; compiled programs; a study's name for its folder and its table of points
 FILES_BELOW_RUNS = {
     "sweep.core.files",
+    "sweep.core.project",
+    "sweep.core.waiting",
     "sweep.core.provenance",
     "sweep.engines.devices",
     "sweep.engines.program_cache",

@@ -9,11 +9,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sweep import __version__
 from sweep.cli import project
 from sweep.core.errors import Fault, InputError
 from sweep.core.files import write_whole
 from sweep.core.project import GROUPS
+from sweep.core.start import VERSION
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -76,7 +76,7 @@ def main(argv: list[str] | None = None) -> int:
 def parser() -> argparse.ArgumentParser:
     """Commands and their arguments."""
     top = argparse.ArgumentParser(prog="sweep", description="Batch experiments with six-legged robots.")
-    top.add_argument("--version", action="version", version=f"sweep {__version__}")
+    top.add_argument("--version", action="version", version=f"sweep {VERSION}")
     commands = top.add_subparsers(required=True, metavar="command")
 
     def command(

@@ -94,7 +94,9 @@ def _checked_number(field: "dataclasses.Field[Any]", value: Any, path: str) -> f
     if isinstance(value, int) and abs(value) > LARGEST:
         raise InputError(f"{path} is not allowed with {len(str(abs(value)))} digits: {bounds_text(field)}")
     if not math.isfinite(value):
-        raise InputError(f"{path} = {value:g} is not allowed: a finite number")
+        raise InputError(
+            f"{path} = {value:g} is not allowed: a finite number, {bounds_text(field)}".removesuffix(", finite")
+        )
     if not within(field, value):
         raise InputError(f"{path} = {value:g} is not allowed: {bounds_text(field)}")
     if whole and int(value) != value:

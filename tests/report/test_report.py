@@ -27,7 +27,9 @@ def rows():
     outcome[[3, 15]] = "invalid"
     cause = np.select([outcome == "invalid", slides], ["solver", "slipped"], "")
     time = np.where(slides, 1.5, np.nan)
-    return grid.assign(replicate=0, slip_max_m=0.001, outcome=outcome, cause=cause, stage="walk", t_cause_s=time)
+    return grid.assign(replicate=0, slip_max_m=0.001, outcome=outcome, cause=cause, stage="walk", t_cause_s=time,
+                       limit=np.where(slides, "slip_max_m", ""), margin=np.where(slides, -0.5, 0.5),
+                       margin_of="slip_max_m")  # fmt: skip
 
 
 def test_rate_counts_invalid_rows_apart():
