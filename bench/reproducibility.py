@@ -2,7 +2,7 @@
 
     python bench/reproducibility.py        # some minutes: a walking study, one step long, once for each line
 
-Each run is a process of its own. Rows are paired by `point_id`; their place in a batch and their wall time are left out.
+Each run is a process of its own. Rows are paired by `point_id`; place in a batch and wall time are left out.
 """
 
 import os
