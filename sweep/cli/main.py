@@ -1,6 +1,7 @@
 """The command line: `sweep run`, and what is done with results. Heavy imports wait until a command needs them."""
 
 import argparse
+import errno
 import gc
 import io
 import os
@@ -295,9 +296,10 @@ def show_table(given: argparse.Namespace) -> int:
 
 
 def write_output(path: Path, content: bytes) -> None:
-    """What a command was asked to write, whole. Raises `InputError` where there is no place for it."""
+    """What a command was asked to write, whole. Raises `OSError` where there is no place for it."""
     if not path.parent.is_dir() or path.is_dir():
-        raise InputError(f"-o {path} is not allowed: a file in a folder that exists")
+        missing = errno.EISDIR if path.is_dir() else errno.ENOENT
+        raise OSError(missing, os.strerror(missing), str(path))
     write_whole(path, content)
 
 

@@ -103,8 +103,9 @@ class Study(_Plain):
         for key in ("budget", "audit"):
             if values[key] < 0:
                 raise InputError(f"study.{key} = {values[key]} is not allowed: at least 0")
-        if not re.fullmatch(r"[^/\x00-\x1f\x7f]{1,200}", values["name"]) or set(values["name"]) <= set(". "):
-            raise InputError(f"study.name = {values['name']!r} is not allowed: a folder name")
+        name = values["name"]  # of a folder
+        if name and (not name.strip(". ") or not re.fullmatch(r"[^/\x00-\x1f\x7f]{1,200}", name)):
+            raise InputError(f"study.name = {name!r} is not allowed: a folder name")
         axes = designs.parse_axes(values["axes"])
         design = designs.parse_design(values["design"], axes)
         source = "scenario" if single else "study"
