@@ -17,8 +17,8 @@ from sweep.trace import replay
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "results/README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+FOLLOWED = "extending.md"  # to the letter, by a test of its own; its commands are of what it adds
 BLOCK = re.compile(r"(?:^    .*\n|^\n(?=    ))+", re.MULTILINE)
-HELD = {"feet_on_target": 6.0, "end_tilt_deg": 0.0, "obstacle_speed_mps": 0.13, "obstacle_aside_max_m": 0.0}
 FENCE = re.compile(r"```(\w*)\n(.*?)```", re.DOTALL)
 
 
@@ -29,7 +29,7 @@ class AnyEngine(FakeEngine):
         if not hasattr(belief.manoeuvre, "half_step_ratio"):
             belief = types.SimpleNamespace(manoeuvre=types.SimpleNamespace(half_step_ratio=0.1))
         world = types.SimpleNamespace(contact=types.SimpleNamespace(friction=np.asarray(world.contact.friction)))
-        return super().run(world, belief, streams) | {name: np.full(self.width, v) for name, v in HELD.items()}
+        return super().run(world, belief, streams)
 
 
 def blocks(page):
@@ -52,7 +52,7 @@ def samples(page):
 
 
 @pytest.mark.parametrize("fake_engine", [AnyEngine], indirect=True)
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+@pytest.mark.parametrize("page", [p for p in PAGES if p.name != FOLLOWED], ids=lambda page: str(page.relative_to(ROOT)))
 def test_every_command_of_a_page_works(page, fake_engine, monkeypatch, tmp_path, capsys):
     assert cli.main(["init", str(tmp_path / "lab")]) == 0
     monkeypatch.chdir(tmp_path / "lab")

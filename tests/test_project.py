@@ -56,7 +56,7 @@ def write(path, text):
 def test_a_new_project_has_a_study_that_runs_and_is_never_overwritten(home, capsys):
     exp = compose(["study=first"])
     assert (exp.study.name, exp.study.design.num, exp.case.robot.shin) == ("first", 32, 0.402)
-    assert {axis.on for axis in exp.study.axes} == {"world", "both"}
+    assert {axis.side for axis in exp.study.axes} == {"world", "both"}
     assert main(["run", "study=first"]) == 0
     assert len(sweep.load("results/first")) == 32
     assert main(["init", "."]) == 2
@@ -69,7 +69,7 @@ def test_a_study_is_a_plain_file_wherever_it_lies(home, monkeypatch):
     write(home / "studies/tall.yaml", f"# High\nscenario: pole_climb\nobstacle: {{height: 3.5}}\n{axes}")
     exp = compose(["study=tall"])
     assert (exp.scenario, exp.study.name, exp.case.obstacle.height) == ("pole_climb", "tall", 3.5)
-    assert exp.study.axes[0].on == "world"  # which YAML reads as true
+    assert exp.study.axes[0].side == "world"  # which YAML reads as true
     write(home / "else/mine.yaml", f"robot: {{extends: long_legs, thigh: 0.6}}\n{axes}")
     for path in ("else/mine.yaml", "./else/mine.yaml", str(home / "else/mine.yaml")):
         exp = compose([f"study={path}"])

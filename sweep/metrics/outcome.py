@@ -38,6 +38,7 @@ for _cause in CAUSES:
         Thresholds.__annotations__[_cause.threshold] = float if _cause.default is not None else float | None
         setattr(Thresholds, _cause.threshold, _cause.quantity())
 parameters(Thresholds)
+BELOW = {cause.threshold for cause in CAUSES if cause.below}
 
 
 def thresholds(values: Mapping[str, float | None], case: Case) -> Thresholds:
@@ -55,7 +56,7 @@ def thresholds(values: Mapping[str, float | None], case: Case) -> Thresholds:
         if value is None:
             value = case.manoeuvre.goal.get(field.name)
         if value is None:
-            value = -np.inf if cause is None or cause.below else np.inf
+            value = -np.inf if field.name in BELOW else np.inf
         chosen[field.name] = value
     return Thresholds(**chosen)
 

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import hydra
@@ -104,14 +105,16 @@ class Experiment:
         return Path(self.out or f"results/{self.study.name}")
 
 
-@functools.cache
 def register() -> None:
-    """Tell Hydra the schemas, those of users' modules too, and where files are. Raises `InputError`.
+    """Tell Hydra the schemas, those of users' modules too, and where files are. Raises `InputError`."""
+    _register(project.modules())
 
-    A kind without a file of its name is a choice as it is.
-    """
+
+@functools.cache
+def _register(modules: tuple[ModuleType, ...]) -> None:
+    """A kind without a file of its name is a choice as it is."""
     sources.register()
-    add_modules()
+    add_modules(modules)
     store = ConfigStore.instance()
     whole = _schema(ExperimentSchema)
     OmegaConf.set_struct(whole.study.axes, False)  # axes are named freely
@@ -125,9 +128,9 @@ def register() -> None:
                 store.store(group=group, name=kind, node=_schema(cls))
 
 
-def add_modules() -> None:
+def add_modules(modules: tuple[ModuleType, ...]) -> None:
     """Add the obstacles and manoeuvres of users' modules to ours. Raises `InputError`."""
-    for module in project.modules():
+    for module in modules:
         for group, name in (("obstacle", "OBSTACLES"), ("manoeuvre", "MANOEUVRES")):
             for kind, cls in getattr(module, name, {}).items():
                 if KINDS[group].setdefault(kind, cls) is not cls:
@@ -199,7 +202,7 @@ def flat(values: Any, path: str = "") -> dict[str, Any]:
 
 def experiment(values: Mapping[str, Any]) -> Experiment:
     """Check plain `values` (as composed, or as stored in study.yaml). Raises `InputError`."""
-    add_modules()
+    add_modules(project.modules())
     for key in values:
         if key not in SCHEMA:
             raise InputError(f"{key} is unknown{suggest(str(key), SCHEMA)}")

@@ -21,7 +21,7 @@ from sweep.study import config
 
 def classes() -> dict[str, list[type]]:
     """The classes of each group; of obstacles, manoeuvres and clusters one for each kind, those of users too."""
-    config.add_modules()
+    config.register()
     kinds = {group: list(kinds.values()) for group, kinds in config.KINDS.items()}
     return {group: [cls] for group, cls in config.GROUPS.items()} | kinds
 
@@ -79,7 +79,8 @@ def parameters(cls: type) -> Iterator[dict[str, str]]:
         if field.name == "kind" or (role is None and not isinstance(field.default, str | int | float | bool)):
             continue
         unit = field.metadata.get("unit", "")
-        allowed = {"choice": lambda f: ", ".join(f.metadata["options"]), "quantity": bounds_text, "count": bounds_text}
+        allowed = {"choice": lambda f: ", ".join(f.metadata["options"]), "quantity": bounds_text, "count": bounds_text,
+                   "flag": lambda f: "true, false"}  # fmt: skip
         yield {"parameter": field.name, "default": default(field), "unit": "" if unit == "-" else unit,
                "allowed": allowed[role](field) if role else "", "meaning": meanings.get(field.name, "")}  # fmt: skip
 

@@ -103,7 +103,7 @@ def comparison(result: Replay) -> str:
     stored, again = result.stored, result.again
     figures = [name for name in result.trace.figures if name in stored]
     changed = [name for name in figures if not _equal(stored[name], again[name])]
-    rows = [(name, _shown(stored[name]), _shown(again[name])) for name in (*LABELS, *changed)]
+    rows = [(name, _shown(stored[name]), _shown(again[name])) for name in (*LABELS[:4], *changed)]
     lines = [
         f"point {stored['point_id']}",
         tabulate(rows, headers=("", "stored", "replayed"), disable_numparse=True),

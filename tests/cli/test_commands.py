@@ -24,7 +24,8 @@ def test_a_scenario_shows_its_outcome_and_leaves_no_files(capsys, tmp_path):
     assert not err
     assert main(["run", "contact.friction=0.3"]) == 4
     out, err = capsys.readouterr()
-    assert "in stage walk: the base tilted beyond tilt_max_deg" in out
+    assert "in stage walk" in out
+    assert "the base tilted beyond tilt_max_deg (tilt_max_deg 40, at most 20)" in out
     assert "expected share" in err
     assert main(["run", "contact.friction=7"]) == 3
     assert not list(tmp_path.iterdir())
