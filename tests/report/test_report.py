@@ -54,7 +54,7 @@ def test_tables_hold_the_rows_in_four_forms(rows):
     assert "| shin (belief) [m]" in tables.render(longer, "markdown", exp=EXP).decode()
     assert ",belief.robot.shin\n" in tables.render(longer, "csv", exp=EXP).decode()  # the column's name, for programs
     assert sum(line.startswith("|") for line in page.splitlines()) == len(rows) + 2
-    assert "- 2 solver: the contact solver's residual exceeded" in page
+    assert "- 2 solver: the contact solver left more than" in page
     latex = tables.render(rows, "latex", ["name", "friction", "cause", "slip_max_m"]).decode()
     assert r"\toprule" in latex
     assert r"\begin{tabular}{lrlr}" in latex
