@@ -16,7 +16,7 @@ from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 from pprint import pformat
-from typing import Any
+from typing import Any, Protocol, cast
 
 import jax
 import jax.numpy as jnp
@@ -27,7 +27,7 @@ from sweep.controllers import forces
 from sweep.controllers.tracker import Guided
 from sweep.core.errors import InputError
 from sweep.metrics.planned import holding, margins
-from sweep.models.case import Case
+from sweep.models.case import Case, Manoeuvre
 from sweep.study.config import Experiment, compose
 from sweep.study.study import is_static, parameter_columns, points, world_and_belief
 
@@ -38,6 +38,24 @@ NEED = {"base": 0.02, "links": 0.003, "legs": 0.025, "body": 0.02, "reach": 0.01
 # deviations that count alike
 UNIT = {"rate": 1.0, "friction": 0.02, "torque": 10.0, "balance": 0.001}  # others 0.01 m
 FRICTION = 2.5  # that forces may use, so that what is lacking is known where the believed one is too little
+
+
+class Tabled(Manoeuvre, Protocol):
+    """A manoeuvre whose plan can be searched."""
+
+    @property
+    def table(self) -> Table:
+        """The numbers of its plan."""
+        ...
+
+    @property
+    def torque_share(self) -> Any:
+        """Share of the torque limit that planned forces may use; of those that plan forces."""
+        ...
+
+    def plan(self, belief: Case, table: Table | None = None) -> Any:
+        """The plan, of another table in the place of its own."""
+        ...
 
 
 def leaves(table: Table, name: str = "") -> Iterator[tuple[str, float]]:
@@ -92,7 +110,7 @@ def judge(
         return {key: jnp.min(value, axis=1) for key, value in seen._asdict().items()}
 
     def left(belief: Case, table: Table) -> dict[str, jax.Array]:
-        manoeuvre = belief.manoeuvre
+        manoeuvre = cast(Tabled, belief.manoeuvre)
         plan = manoeuvre.plan(belief) if table is None else manoeuvre.plan(belief, table)
         found = worst(lambda k, u: margins(belief, plan, k, u), phases)
         if least_normal is not None:
@@ -121,7 +139,9 @@ def check(given: argparse.Namespace) -> int:
     exp = compose(given.overrides)
     if isinstance(exp.case.manoeuvre, Guided):
         raise InputError(f"scenario = {exp.scenario} has no plan to check: it follows what is measured")
-    table = changed(exp.case.manoeuvre.table, json.loads(given.start.read_text())) if given.start else None
+    table = (
+        changed(cast(Tabled, exp.case.manoeuvre).table, json.loads(given.start.read_text())) if given.start else None
+    )
     names = jax.eval_shape(lambda case: case.manoeuvre.plan(case), exp.case).names
     stages, left = judge(exp.case, names, given.stages, given.moments, given.least_normal)
     many = draws(exp, exp.study.seed)
@@ -135,7 +155,7 @@ def search(given: argparse.Namespace) -> int:
     import cma  # of the extra `dev`
 
     exp = compose(given.overrides)
-    table = exp.case.manoeuvre.table
+    table = cast(Tabled, exp.case.manoeuvre).table
     at = dict(leaves(table)) | (json.loads(given.start.read_text()) if given.start else {})
     pairs = [(p.rpartition("=")[0], float(p.rpartition("=")[2])) for p in given.free]
     steps = {name: step for name in at for pattern, step in pairs if fnmatchcase(name, pattern)}
