@@ -61,7 +61,7 @@ def write(results: Results, folder: Path) -> list[Path]:
 
 def data(results: Results) -> pd.DataFrame:
     """What is drawn, a row for each rollout."""
-    return results.rows[[*columns_of(results), *LABELS, *([MARGIN] if MARGIN in results.rows else []), "point_id"]]
+    return results.rows[[*columns_of(results), *LABELS, "point_id"]]
 
 
 def caption(results: Results) -> str:
@@ -97,7 +97,7 @@ def draw(results: Results) -> Figure:
     """The figure."""
     rows, ranked = results.rows, importance(results)
     columns = list(ranked["axis"]) or columns_of(results)
-    panels = [name for name, there in (("rank", len(ranked) > 0), ("pair", True), ("margin", MARGIN in rows)) if there]
+    panels = [*(["rank"] if len(ranked) else []), "pair", "margin"]
     wide = len(columns) > 1
     figure = Figure(figsize=(9.5, 7.4 if wide else 4.2), layout="constrained")
     mosaic: list[Any] = [["lines"] * len(panels), panels] if wide else [panels]
