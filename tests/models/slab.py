@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
-from sweep.models.obstacles.surface import Bodies, Surface
+from sweep.models.obstacles.surface import Bodies, FreeState, Surface
 
 CORNERS = np.array([[1, 1, -1], [1, -1, -1], [-1, 1, -1], [-1, -1, -1]])
 
@@ -46,6 +46,9 @@ class Slab:
             "body_inertia": {"slab": self.mass / 3 * (jnp.sum(half**2) - half**2)},
             "site_pos": sites,
         }
+
+    def load(self, free: FreeState) -> None:
+        """Nothing beside weight and contact."""
 
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: Bodies) -> Surface:
         """The robot's feet stand on the slab, the slab's corners on the floor without friction."""

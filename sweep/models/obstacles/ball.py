@@ -55,6 +55,9 @@ class Ball:
         position = jnp.array([0.0, 0.0, 1.0]) * self.radius
         return FreeState(position[None], jnp.array([[1.0, 0.0, 0.0, 0.0]]), velocity[None], turn[None])
 
+    def load(self, free: FreeState) -> None:
+        """Nothing beside weight and contact."""
+
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: Bodies) -> Surface:
         """Floor or ball, whichever is deeper; the ball itself, given by its centre, feels the floor."""
         own = np.array(owner) >= 0
