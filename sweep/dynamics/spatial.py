@@ -4,17 +4,29 @@ Root bodies are those with six degrees of freedom: the robot's base first, then 
 the base alone. Every scalar is an array over the legs, or of one number for a root body; see `vectors`.
 """
 
+from collections.abc import Callable
 from itertools import chain
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from sweep.core.vectors import Matrix, Vector, rotation, total
 from sweep.models.legs import N_LEGS
 
 Rates = tuple[Array, Array, Array]  # (l,) of alpha, beta, gamma
+
+
+def by_joint(values: Float[Array, "l 3"]) -> Rates:
+    """Of each joint of the legs."""
+    return values[:, 0], values[:, 1], values[:, 2]
+
+
+def each(f: Callable[..., Array], *values: tuple[Any, Any, Any]) -> Rates:
+    """`f` for each joint of the legs."""
+    alpha, beta, gamma = (f(*parts) for parts in zip(*values, strict=True))
+    return alpha, beta, gamma
 
 
 class Spatial(NamedTuple):
@@ -128,8 +140,7 @@ def unpack(q: Array, v: Array) -> tuple[Pose, Motion]:
         place = Place(Vector(x, y, z), tuple(quat))  # pyright: ignore
         places.append(place)
         motions.append(Spatial(place.rotation().transposed @ Vector(*moving[:3]), Vector(*moving[3:])))
-    angles, rates = (tuple(parts[:, k] for k in range(3)) for parts in (angle, rate))
-    return Pose(tuple(places), angles), Motion(tuple(motions), rates)  # pyright: ignore
+    return Pose(tuple(places), by_joint(angle)), Motion(tuple(motions), by_joint(rate))
 
 
 def pack(pose: Pose, v: Motion) -> tuple[Array, Array]:

@@ -9,7 +9,7 @@ are linear in the end velocity, so they are formed once for all step lengths.
 """
 
 from functools import reduce
-from operator import add, sub
+from operator import add, mul, sub
 from typing import NamedTuple
 
 import jax
@@ -22,7 +22,7 @@ from sweep.dynamics.contacts import Arm, Contacts, arms, part
 from sweep.dynamics.free_bodies import FreeBodies
 from sweep.dynamics.interface import SmoothDynamics, Topology, Tree, owners
 from sweep.dynamics.rolling import Moments, resisting_moments
-from sweep.dynamics.spatial import Mass, Motion, Pose, Rates, Spatial, pack, shifted, unpack
+from sweep.dynamics.spatial import Mass, Motion, Pose, Rates, Spatial, by_joint, each, pack, shifted, unpack
 from sweep.models.case import Case
 from sweep.models.contact import (
     Anchors,
@@ -118,7 +118,7 @@ def step(
     mass, turned, v = here.mass, here.turned, here.motion
     momentum, outside = mass.times(v), _outside(case, limits, state, here)
     touches = _touches(case, state, here)
-    error = tuple(servo.target[:, k] - angle for k, angle in enumerate(state.pose.angle))
+    error = each(sub, by_joint(servo.target), state.pose.angle)
     problem = _Problem(
         case,
         servo,
@@ -129,20 +129,20 @@ def step(
         _start(momentum, here, outside, h),
         error,
         h,
-    )  # pyright: ignore
+    )
     # a loop, not written out: every operation more takes time to compile
     trial, _ = jax.lax.scan(lambda s, _: (problem.improve(s), None), problem.trial(v), length=iterations)
     w, acting = trial.motion, problem.acting(trial)
     world = tuple(motion.turned(turned) for motion in w.root)  # of the root bodies
-    torque = tuple(u - case.drive.back_emf * rate for u, rate in zip(acting.effort, w.leg, strict=True))
+    torque = each(lambda u, rate: u - case.drive.back_emf * rate, acting.effort, w.leg)
     feet, normal = acting.forces[0], Vector.of(touches[0].surface.normal)
     report = Report(
         force=feet.normal * normal + turned @ feet.tangential,
         normal=feet.normal,
-        torque=torque,  # pyright: ignore
-        saturated=tuple(1.0 - f for f in acting.free),
-        residual=_largest(problem.residual(trial, acting), here) / h,  # pyright: ignore
-        power=tuple(u * rate for u, rate in zip(torque, w.leg, strict=True)),  # pyright: ignore
+        torque=torque,
+        saturated=each(lambda f: 1.0 - f, acting.free),
+        residual=_largest(problem.residual(trial, acting), here) / h,
+        power=each(mul, torque, w.leg),
         outside=reduce(add, (motion.dot(force) for motion, force in zip(world, outside, strict=False))),
         before=_before(here, normal, 0.5 * momentum.dot(v)),
     )
@@ -235,8 +235,8 @@ def _integrate(pose: Pose, w: Motion, world: tuple[Spatial, ...], here: _Here, h
         Spatial(place.rotation().transposed @ motion.linear, spin)
         for place, motion, spin in zip(places, world, spins, strict=True)
     ]
-    angle = tuple(a + h * rate for a, rate in zip(pose.angle, w.leg, strict=True))
-    return Pose(tuple(places), angle), Motion(tuple(root), w.leg)  # pyright: ignore
+    angle = each(lambda a, rate: a + h * rate, pose.angle, w.leg)
+    return Pose(tuple(places), angle), Motion(tuple(root), w.leg)
 
 
 class _Touch(NamedTuple):
@@ -329,17 +329,21 @@ class _Problem(NamedTuple):
         return _Acting(forces, moments, *self._drive(trial.motion))
 
     def _drive(self, w: Motion) -> tuple[Rates, Rates]:
-        efforts, free = [], []
-        for k in range(3):
-            gain, limit = self.limits.gain[:, k], self.limits.torque[:, k]
-            pull = self.servo.stiffness[:, k] * self.error[k] + self.servo.torque[:, k]
-            wanted = gain * (pull - self._damping(k) * w.leg[k])
-            efforts.append(jnp.clip(wanted, -limit, limit))
-            free.append((jnp.abs(wanted) < limit).astype(wanted.dtype))
-        return tuple(efforts), tuple(free)  # pyright: ignore
+        stiffness, torque, limit = (by_joint(x) for x in (self.servo.stiffness, self.servo.torque, self.limits.torque))
+        pull = each(
+            lambda k, error, u, damping, rate: k * error + u - damping * rate,
+            stiffness,
+            self.error,
+            torque,
+            self._damping(),
+            w.leg,
+        )
+        wanted = each(mul, by_joint(self.limits.gain), pull)
+        free = each(lambda u, most: (jnp.abs(u) < most).astype(u.dtype), wanted, limit)
+        return each(lambda u, most: jnp.clip(u, -most, most), wanted, limit), free
 
-    def _damping(self, k: int) -> Array:
-        return self.h * self.servo.stiffness[:, k] + self.servo.damping[:, k]
+    def _damping(self) -> Rates:
+        return by_joint(self.h * self.servo.stiffness + self.servo.damping)
 
     def residual(self, trial: _Trial, acting: _Acting) -> Motion:
         """Momentum that the step leaves unexplained (N s)."""
@@ -349,11 +353,8 @@ class _Problem(NamedTuple):
             moments = acting.moments.moment if k and acting.moments is not None else None
             for body, force in contacts.onto(forces.force, moments):
                 root[body] = shifted(root[body], self.h, force)
-        legs = tuple(
-            part + self.h * (j.dot(feet) + effort)
-            for part, j, effort in zip(left.leg, self.j_leg, acting.effort, strict=True)
-        )
-        return Motion(tuple(root), legs)  # pyright: ignore
+        legs = each(lambda own, j, effort: own + self.h * (j.dot(feet) + effort), left.leg, self.j_leg, acting.effort)
+        return Motion(tuple(root), legs)
 
     def improve(self, trial: _Trial) -> _Trial:
         """One Newton iteration, with the best of the fixed step lengths."""
@@ -387,8 +388,8 @@ class _Problem(NamedTuple):
             for own, forces in zip(self.contacts, acting.forces, strict=True)
         ]
         rolling = None if acting.moments is None else acting.moments.slope.scaled(self.h)
-        stiff = tuple(
-            self.h * (self.case.drive.back_emf + self._damping(k) * acting.free[k] * self.limits.gain[:, k])
-            for k in range(3)
+        held = each(
+            lambda damping, free, gain: damping * free * gain, self._damping(), acting.free, by_joint(self.limits.gain)
         )
-        return newton.direction(self.mass, self.j_leg, stiff, self.contacts, slopes, rolling, right)  # pyright: ignore
+        stiff = each(lambda d: self.h * (self.case.drive.back_emf + d), held)
+        return newton.direction(self.mass, self.j_leg, stiff, self.contacts, slopes, rolling, right)

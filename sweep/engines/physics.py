@@ -15,7 +15,7 @@ from sweep.core.vectors import Vector
 from sweep.dynamics import step as dynamics
 from sweep.dynamics import tree
 from sweep.dynamics.interface import SmoothDynamics, Topology
-from sweep.dynamics.spatial import Rates
+from sweep.dynamics.spatial import Rates, each
 from sweep.dynamics.step import Before, Report, State, from_state, to_state
 from sweep.engines import batching
 from sweep.engines.closed_loop import free_state
@@ -58,8 +58,8 @@ class Totals(NamedTuple):
     def plus(self, report: Report) -> "Totals":
         """With one more step."""
         return Totals(
-            tuple(jnp.maximum(peak, jnp.abs(u)) for peak, u in zip(self.torque_peak, report.torque, strict=True)),  # pyright: ignore
-            tuple(a + b for a, b in zip(self.saturated, report.saturated, strict=True)),  # pyright: ignore
+            each(lambda peak, u: jnp.maximum(peak, jnp.abs(u)), self.torque_peak, report.torque),
+            each(add, self.saturated, report.saturated),
             self.force + report.force,
             self.normal + report.normal,
             jnp.maximum(self.residual, report.residual),
