@@ -46,7 +46,9 @@ def test_a_study_as_slurm_jobs_survives_a_killed_worker_and_a_cancelled_job(tmp_
     assert len(store.finished(out)) < BATCHES
     _, error = process.communicate(timeout=300)
     assert process.returncode == 0, error
-    assert error.count("\n") == 1
+    *progress, last = error.splitlines()  # of which there is one every 15 s
+    assert "56 rollouts in" in last
+    assert all(line.startswith("sweep: walk_map: ") for line in progress), error
     pd.testing.assert_frame_equal(content(out), whole)
     assert not [job for job in jobs(slurm) if "COMPLETING" not in job and "CANCELLED" not in job]
 

@@ -4,7 +4,7 @@ import socket
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
@@ -40,7 +40,8 @@ from sweep.study.study import Say, points
 FREE = ("study.axes.", "study.design.num", "study.points", "study.where", "study.replicates", "study.resolution",
         "study.level", "study.budget", "study.audit", "study.invalid_max", "study.expect", "study.theory",
         "scenario.expect", "outcome", "cluster", "out")  # fmt: skip
-Progress = Callable[[pd.DataFrame], None]  # told the rows of every finished batch
+TOLD = ["outcome", "wall_s"]
+Progress = Callable[[pd.DataFrame], None]  # told these columns of every finished batch
 
 
 @dataclass
@@ -49,7 +50,6 @@ class Found:
 
     stages: dict[int, list[str]] = field(default_factory=dict)  # of the plan, by group
     devices: list[str] = field(default_factory=list)
-    unplanned: int = 0  # rollouts of the study that this run leaves out
 
 
 @dataclass(frozen=True)
@@ -60,14 +60,31 @@ class Job:
     folder: Path
     table: pd.DataFrame
     wanted: set[int]  # batches
+    unplanned: int = 0  # rollouts of the study that are in neither
+
+    @cached_property
+    def study(self) -> str:
+        """Digest of what all rows of the folder share: configuration and code."""
+        return study_id(self.exp.values)
+
+    @cached_property
+    def labels(self) -> str:
+        """Digest of how the rows are judged."""
+        return labels_id(self.exp.values)
 
     def missing(self) -> list[int]:
         """Batches that are asked for and not on disk."""
         return sorted(self.wanted - store.finished(self.folder))
 
+    @cached_property
+    def _places(self) -> dict[int, np.ndarray]:
+        """Where each batch is in the table, which would else be gone through for each of them."""
+        return self.table.groupby("batch").indices  # pyright: ignore[reportReturnType]
+
     def rows(self, batches: list[int]) -> pd.DataFrame:
-        """Planned rows of `batches`."""
-        return self.table[self.table["batch"].isin(batches)]
+        """Planned rows of `batches`, in the table's order."""
+        places = [self._places[number] for number in batches]
+        return self.table.take(np.sort(np.concatenate([np.zeros(0, dtype=int), *places])))
 
 
 def wanted_points(
@@ -81,9 +98,14 @@ def wanted_points(
     return table.reset_index(drop=True)
 
 
-def unplanned(exp: Experiment, table: pd.DataFrame) -> int:
-    """How many of the study's points `table` leaves out, as after `--limit`; 0 where they are not known beforehand."""
+def unplanned(exp: Experiment, table: pd.DataFrame, wanted: pd.DataFrame) -> int:
+    """How many of the study's points `table` leaves out, as after `--limit`; 0 where they are not known beforehand.
+
+    None are, without a look at each of a million points, where all that the study can have are `wanted`.
+    """
     if exp.study.refined or (exp.study.points and not Path(exp.study.points).is_file()):
+        return 0
+    if not exp.study.points and len(wanted) == exp.study.most:
         return 0
     return int((~among(points(exp.study, exp.case, exp.settings), table)).sum())
 
@@ -98,7 +120,7 @@ def lay_out(exp: Experiment, folder: Path, wanted: pd.DataFrame) -> Job:
     every = pd.concat([planned, wanted], ignore_index=True)
     exp = with_room_for_delay(exp, every)
     table = plan(exp, planned, wanted)
-    return Job(exp, folder, table, set(table.loc[among(table, wanted), "batch"]))
+    return Job(exp, folder, table, set(table.loc[among(table, wanted), "batch"]), unplanned(exp, table, wanted))
 
 
 def mend(exp: Experiment, folder: Path) -> list[str]:
@@ -179,9 +201,8 @@ def run(job: Job, progress: Progress, dispatch: Dispatch = map) -> Job:
     if (folder / store.STUDY).exists():
         stored = store.read_study(folder)
         found = Found(stored["stages"], stored["devices"])
-        if stored["labels"] != labels_id(exp.values):
+        if stored["labels"] != job.labels:
             relabel(folder, exp.values["outcome"])
-    found.unplanned = unplanned(exp, job.table)
     describe(job, found)
     while missing := job.missing():
         store.write_points(folder, job.table)
@@ -205,12 +226,15 @@ def run(job: Job, progress: Progress, dispatch: Dispatch = map) -> Job:
 
 
 def accepted(job: Job, done: "Done", entry: Entry) -> pd.DataFrame:
-    """The rows that a worker wrote; from now on they count. Raises `Fault` where they are not those asked for."""
+    """What is told of the rows that a worker wrote; from now on they count.
+
+    Raises `Fault` where they are not those asked for.
+    """
     if not (job.folder / entry.file).exists():
         raise Fault(f"{done.host} wrote batch {done.batch} to {job.folder.resolve()}, which is not seen here")
-    if (entry.study, entry.labels) != (study_id(job.exp.values), labels_id(job.exp.values)):
+    if (entry.study, entry.labels) != (job.study, job.labels):
         raise Fault(f"{done.host} simulated batch {done.batch} of another study, or judged it by other thresholds")
-    rows = store.read_part(job.folder, entry)
+    rows = store.read_table(job.folder, entry, TOLD).to_pandas()
     manifest.add(job.folder, entry)
     return rows
 
@@ -229,7 +253,7 @@ def announced(job: Job, missing: list[int], found: Found, tight: Collection["Don
         how = f"{start.settings}, {engine.dynamics} dynamics"
         store.log(job.folder, f"group {group}: {how}, {len(rows)} rollouts of {engine.duration:g} s")
         for number in rows["batch"].unique().tolist():
-            if not rows["batch"].isin([done.batch for done in tight]).any():
+            if not (tight and rows["batch"].isin([done.batch for done in tight]).any()):
                 yield number
 
 
@@ -265,15 +289,15 @@ def on_worker(folder: Path, version: str, code: str, number: int) -> Done:
     host = socket.gethostname()
     if (here := provenance.code_version()) != code:
         raise InputError(f"worker {host} has another version of the code or of its libraries: {here}, not {code}")
-    exp, table = _plan_of(folder, version)
-    rows = table[table["batch"] == number]
-    start = nominal(exp, rows, int(rows["width"].iloc[0]))
-    engine = make_engine(exp, start)
+    job = _plan_of(folder, version)
+    rows = job.rows([number])
+    start = nominal(job.exp, rows, int(rows["width"].iloc[0]))
+    engine = make_engine(job.exp, start)
     entry = None
     try:
-        finished = simulate(exp, engine, rows)
+        finished = simulate(job.exp, engine, rows)
         # by what the rows were judged by, whatever the command believes by now
-        entry = store.write_part(folder, finished, study_id(exp.values), labels_id(exp.values))
+        entry = store.write_part(folder, finished, job.study, job.labels)
     except MemoryError:
         pass
     if entry is None:  # after the handler, whose error holds on to the arrays
@@ -282,15 +306,15 @@ def on_worker(folder: Path, version: str, code: str, number: int) -> Done:
 
 
 @lru_cache(maxsize=1)
-def _plan_of(folder: Path, version: str) -> tuple[Experiment, pd.DataFrame]:
+def _plan_of(folder: Path, version: str) -> Job:
     table = store.read_points(folder)
-    return with_room_for_delay(experiment(store.read_study(folder)["config"]), table), table
+    return Job(with_room_for_delay(experiment(store.read_study(folder)["config"]), table), folder, table, set())
 
 
 def describe(job: Job, found: Found) -> None:
     """Write study.yaml."""
     store.write_study(job.folder, {
-        "config": job.exp.values, "rollouts": len(job.table) + found.unplanned, "labels": labels_id(job.exp.values),
+        "config": job.exp.values, "rollouts": len(job.table) + job.unplanned, "labels": job.labels,
         "stages": found.stages, "devices": found.devices, "code": provenance.code_version(),
         "commit": provenance.commit(), "versions": provenance.versions(),
     })  # fmt: skip

@@ -153,8 +153,8 @@ def read_part(folder: Path, entry: Entry) -> pd.DataFrame:
     return read_table(folder, entry).to_pandas()
 
 
-def read_table(folder: Path, entry: Entry) -> pa.Table:
-    """As `read_part`, in Arrow's form."""
+def read_table(folder: Path, entry: Entry, columns: list[str] | None = None) -> pa.Table:
+    """As `read_part`, in Arrow's form; of all columns or of some."""
     path = folder / entry.file
     try:
         content = path.read_bytes()
@@ -163,7 +163,7 @@ def read_table(folder: Path, entry: Entry) -> pa.Table:
         content, problem = b"", files.reason(error)
     if problem:
         raise InputError(f"{path} is damaged ({problem}): `sweep run` as before simulates it again")
-    return pq.read_table(pa.BufferReader(content))
+    return pq.read_table(pa.BufferReader(content), columns=columns)
 
 
 def read_rows(folder: Path) -> pd.DataFrame:

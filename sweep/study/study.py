@@ -87,6 +87,11 @@ class Study(_Plain):
         """Whether rollouts of one grid point differ."""
         return self.replicates > 1 or self.design.num > 0
 
+    @property
+    def most(self) -> int:
+        """Rollouts of its axes and draws, those of equal points among them."""
+        return self.replicates * designs.size(self.axes, self.design)
+
     @classmethod
     def parse(cls, values: Mapping[str, Any], single: bool) -> "Study":
         """From plain values. Raises `InputError`."""
@@ -187,7 +192,7 @@ def points(
     The replicates of a drawn point have numbers of their own, and with them noise of their own. `grid` takes the place
     of the study's grid points (see `designs.table`).
     """
-    count = study.replicates * (1 if study.points or grid is not None else designs.size(study.axes, study.design))
+    count = study.replicates if study.points or grid is not None else study.most
     if count > designs.MOST:
         raise InputError(f"study {study.name} has {count} rollouts: at most {designs.MOST} are allowed")
     if study.points:
