@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from sweep.analysis.sample import distinct
 from sweep.core.errors import InputError
 from sweep.core.expressions import mask
-from sweep.report import draws, maps, page
+from sweep.report import draws, maps, overlay, page
 from sweep.report.labels import unit_of
 from sweep.runs import results, store
 from sweep.study.config import Experiment, compose, experiment
@@ -80,6 +80,10 @@ class Accessor:
         if not draws.columns_of(found):
             raise InputError(f"{self._folder} has no axis with a distribution of numbers: draw a map")
         return draws.draw(found)
+
+    def histories(self) -> pd.DataFrame:
+        """What `study.keep` kept of these rows: `point_id`, `outcome`, `time_s`, its columns. Raises `InputError`."""
+        return overlay.samples(self._results())
 
     def report(self) -> Page:
         """The page that `sweep report` writes; `str()` of it is the HTML."""

@@ -17,8 +17,8 @@ from sweep.core.errors import Fault, InputError
 from sweep.core.expressions import mask
 from sweep.engines.base import Engine
 from sweep.engines.run_id import device, run_id
-from sweep.metrics.outcome import classify
-from sweep.runs import manifest, repair, store
+from sweep.metrics.outcome import INVALID, classify
+from sweep.runs import histories, manifest, repair, store
 from sweep.runs.batches import (
     Batch,
     among,
@@ -120,6 +120,7 @@ def lay_out(exp: Experiment, folder: Path, wanted: pd.DataFrame) -> Job:
     every = pd.concat([planned, wanted], ignore_index=True)
     exp = with_room_for_delay(exp, every)
     table = plan(exp, planned, wanted)
+    histories.size(exp, table)
     return Job(exp, folder, table, set(table.loc[among(table, wanted), "batch"]), unplanned(exp, table, wanted))
 
 
@@ -230,13 +231,22 @@ def accepted(job: Job, done: "Done", entry: Entry) -> pd.DataFrame:
 
     Raises `Fault` where they are not those asked for.
     """
-    if not (job.folder / entry.file).exists():
+    if not all((job.folder / one.file).exists() for one in (entry, *done.beside)):
         raise Fault(f"{done.host} wrote batch {done.batch} to {job.folder.resolve()}, which is not seen here")
-    if (entry.study, entry.labels) != (job.study, job.labels):
+    if (entry.study, entry.labels) != (job.study, job.labels) or {one.study for one in done.beside} - {job.study}:
         raise Fault(f"{done.host} simulated batch {done.batch} of another study, or judged it by other thresholds")
     rows = store.read_table(job.folder, entry, TOLD).to_pandas()
-    manifest.add(job.folder, entry)
+    manifest.add(job.folder, *within_bounds(job.folder, done.beside), entry)
     return rows
+
+
+def within_bounds(folder: Path, beside: tuple[Entry, ...]) -> list[Entry]:
+    """Those of `beside` that are to be kept: workers that do not know of each other may find too many invalid rows."""
+    last = [entry for entry in beside if entry.file.startswith(f"{store.LAST_STATES}/")]
+    room = histories.INVALID_ROWS - len(store.beside(folder, store.LAST_STATES)) if last else 0
+    for entry in last[room:]:
+        (folder / entry.file).unlink(missing_ok=True)
+    return [entry for entry in beside if entry not in last[room:]]
 
 
 def announced(job: Job, missing: list[int], found: Found, tight: Collection["Done"]) -> Iterator[int]:
@@ -278,6 +288,7 @@ class Done:
     device: str
     devices: int  # that share a batch
     entry: Entry | None  # None where there was too little memory
+    beside: tuple[Entry, ...] = ()  # histories and last states
 
 
 def on_worker(folder: Path, version: str, code: str, number: int) -> Done:
@@ -293,16 +304,25 @@ def on_worker(folder: Path, version: str, code: str, number: int) -> Done:
     rows = job.rows([number])
     start = nominal(job.exp, rows, int(rows["width"].iloc[0]))
     engine = make_engine(job.exp, start)
-    entry = None
+    entry, beside = None, ()
     try:
-        finished = simulate(job.exp, engine, rows)
+        finished, table = simulate(job.exp, engine, rows)
         # by what the rows were judged by, whatever the command believes by now
         entry = store.write_part(folder, finished, job.study, job.labels)
+        beside = histories.write(folder, job.study, number, table, ended(job, engine, rows, finished))
     except MemoryError:
         pass
     if entry is None:  # after the handler, whose error holds on to the arrays
         forget_engine()
-    return Done(number, host, device(start.settings), engine.devices, entry)
+    return Done(number, host, device(start.settings), engine.devices, entry, beside)
+
+
+def ended(job: Job, engine: Engine, rows: pd.DataFrame, finished: pd.DataFrame) -> list[pd.DataFrame]:
+    """The last states of a batch's invalid rows, as long as the folder has few of them."""
+    if not (finished["outcome"] == INVALID).any():
+        return []
+    room = histories.INVALID_ROWS - len(store.beside(job.folder, store.LAST_STATES))
+    return histories.last_states(engine, batch(job.exp, rows), finished, room) if room > 0 else []
 
 
 @lru_cache(maxsize=1)
@@ -320,16 +340,23 @@ def describe(job: Job, found: Found) -> None:
     })  # fmt: skip
 
 
-def simulate(exp: Experiment, engine: Engine, rows: pd.DataFrame) -> pd.DataFrame:
-    """The finished rows of one batch: points, figures, outcome, and the wall time of a rollout (s)."""
-    task = batch(exp, rows)
+def simulate(exp: Experiment, engine: Engine, rows: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame | None]:
+    """The finished rows of one batch: points, figures, outcome, and the wall time of a rollout (s); and histories."""
+    task, slots, samples = batch(exp, rows), histories.kept(exp, rows), None
+    watched = histories.watch(exp, task.settings)
     start = time.perf_counter()
-    figures = engine.run(task.world, task.belief, task.streams)
+    if len(slots):
+        figures, samples = engine.histories(task.world, task.belief, task.streams, slots, watched)
+    else:
+        figures = engine.run(task.world, task.belief, task.streams)
     wall = time.perf_counter() - start
     columns = {name: np.asarray(values, dtype=float)[: len(rows)] for name, values in figures.items()}
     labels = classify(columns, exp.thresholds, engine.stages)
     done = rows.reset_index(drop=True).assign(run_id=run_id(task.settings))
-    return pd.concat([done, pd.DataFrame(columns), pd.DataFrame(labels)], axis=1).assign(wall_s=wall / len(rows))
+    finished = pd.concat([done, pd.DataFrame(columns), pd.DataFrame(labels)], axis=1).assign(wall_s=wall / len(rows))
+    if samples is None:
+        return finished, None
+    return finished, histories.of_batch(finished, slots, samples, watched, task.settings.control_period)
 
 
 def run_single(exp: Experiment) -> pd.DataFrame:
@@ -339,7 +366,7 @@ def run_single(exp: Experiment) -> pd.DataFrame:
     exp = with_room_for_delay(exp, table)
     start = nominal(exp, table, exp.settings.width)
     try:
-        return simulate(exp, make_engine(exp, start), table)
+        return simulate(exp, make_engine(exp, start), table)[0]
     except MemoryError:
         raise Fault("a rollout does not fit in the memory of the device") from None
 
