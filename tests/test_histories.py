@@ -1,5 +1,8 @@
 """What is recorded over time beside the rows: histories that a study keeps, last states of rows that are invalid."""
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -127,3 +130,15 @@ def test_rollouts_that_are_watched_are_those_of_the_run(name):
     np.testing.assert_array_equal(samples[:frames, 1, 2], trace.foot_force[4::5, 0, 2][:frames])
     for column, values in engine.run(*inputs).items():
         np.testing.assert_array_equal(figures[column], values, err_msg=column)
+
+
+def test_the_page_on_debugging_finds_what_was_lost_first(fake_engine, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["run", *STUDY, *BROKEN]) == 0
+    page = (Path(__file__).parents[1] / "docs/debugging.md").read_text()
+    (sample,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    capsys.readouterr()
+    exec(sample, {})
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 10
+    assert all("9.004" in line for line in lines)
