@@ -15,7 +15,7 @@ class Plane:
     """Ground through the world's origin, rising towards +x by `slope`."""
 
     kind: str = choice("plane", "plane")
-    slope: float = quantity(0.0, "rad", at_least=-1.2, at_most=1.2)
+    slope: float = quantity(0.0, "rad", at_least=-1.2, at_most=1.2)  # angle by which the ground rises towards +x
 
     free_bodies = ()
     contact_sites = ()
