@@ -72,5 +72,5 @@ def _lines(ax: Axes, kept: pd.DataFrame, name: str, colour: str) -> None:
     groups = [part for _, part in kept.groupby(identity(kept.columns), sort=False)]
     chosen = np.unique(np.linspace(0, len(groups) - 1, min(LINES, len(groups))).round().astype(int))
     lines = [groups[k][["time_s", name]].to_numpy() for k in chosen]
-    look = mpl.rcParams["lines.linewidth"] / 4
-    ax.add_collection(LineCollection(lines, colors=colour, linewidths=look, alpha=0.3, rasterized=True))
+    look = mpl.rcParams["lines.linewidth"] / 3
+    ax.add_collection(LineCollection(lines, colors=colour, linewidths=look, alpha=0.4, rasterized=True))
