@@ -1,4 +1,6 @@
-"""Which rows and figures are bit-equal when they are simulated in other ways, and what `run_id` says: one table.
+"""Which rows and figures are bit-equal when they are simulated in other ways, and what `run_id` says.
+
+One table, and below it the figures that differ in any row.
 
     python bench/reproducibility.py        # some minutes: a walking study, one step long, once for each line
 
@@ -38,6 +40,7 @@ WAYS: dict[str, tuple[list[str], dict[str, str], int]] = {  # settings, environm
     "another instruction set": ([WIDTH], {"XLA_FLAGS": "--xla_cpu_max_isa=SSE4_2"}, 0),
 }
 Line = tuple[str, str, str, str, str]
+Found = tuple[Line, list[str], list[str]]  # with the figures that are bit-equal in all rows, and the others
 
 
 def started(out: Path, settings: list[str], environment: dict[str, str], cores: int) -> subprocess.Popen:
@@ -47,14 +50,26 @@ def started(out: Path, settings: list[str], environment: dict[str, str], cores: 
     return subprocess.Popen([*pinned, *command], env=os.environ | environment, stdout=subprocess.DEVNULL)
 
 
-def compared(way: str, base: Path, other: Path) -> Line:
+def compared(way: str, base: Path, other: Path) -> Found:
     """Rows and figures that are bit-equal, outcomes that are equal, and whether `run_id` is."""
     a, b = (store.read_rows(path).set_index("point_id").sort_index() for path in (base, other))
     names = [c for c in a.columns if c not in (*PLAN, *LABELS, *TIMING) and "." not in c]
     equal = (a[names] == b[names]) | (a[names].isna() & b[names].isna())
     same = "the same" if set(a["run_id"]) == set(b["run_id"]) else "another"
     outcomes = f"{(a['outcome'] == b['outcome']).sum()} of {len(a)}"
-    return way, f"{equal.all(axis=1).sum()} of {len(a)}", f"{equal.all().sum()} of {len(names)}", outcomes, same
+    line = way, f"{equal.all(axis=1).sum()} of {len(a)}", f"{equal.all().sum()} of {len(names)}", outcomes, same
+    return line, [name for name in names if equal[name].all()], [name for name in names if not equal[name].all()]
+
+
+def named(found: list[Found]) -> str:
+    """The figures that are bit-equal or not, whichever are fewer, of each way that changes any."""
+    lines = []
+    for (way, *_), equal, differ in found:
+        if differ and len(differ) <= len(equal):
+            lines.append(f"- {way}: all are but {', '.join(f'`{name}`' for name in differ)}")
+        elif differ:
+            lines.append(f"- {way}: only {', '.join(f'`{name}`' for name in equal) or 'none'}")
+    return "\n".join(["Figures that are bit-equal in all rows:", "", *lines]) if lines else "All figures are bit-equal."
 
 
 def interrupted(out: Path) -> None:
@@ -83,20 +98,22 @@ def replayed(base: Path, rows: tuple[int, ...]) -> Line:
     return f"`sweep replay` of rows {', '.join(map(str, rows))}", bits, figures, "", "another" if other else "the same"
 
 
-def table(place: Path) -> list[Line]:
-    """One line for each way."""
+def table(place: Path) -> list[Found]:
+    """What was found in each way."""
     base, killed = place / "base", place / "killed"
     started(base, [WIDTH], {}, 0).wait()
-    lines = []
+    found = []
     for number, (way, how) in enumerate(WAYS.items()):
         started(place / str(number), *how).wait()
-        lines.append(compared(way, base, place / str(number)))
-        print(*lines[-1], sep="; ", file=sys.stderr)
+        found.append(compared(way, base, place / str(number)))
+        print(*found[-1][0], sep="; ", file=sys.stderr)
     interrupted(killed)
-    return [*lines, compared("after `kill -9`", base, killed), replayed(base, (0, 15))]
+    return [*found, compared("after `kill -9`", base, killed), (replayed(base, (0, 15)), [], [])]
 
 
 if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as folder:
         heads = ["compared with width 8", "rows bit-equal", "figures bit-equal", "outcomes equal", "run_id"]
-        print(tabulate(table(Path(folder)), headers=heads, tablefmt="github"))
+        found = table(Path(folder))
+    print(tabulate([line for line, *_ in found], headers=heads, tablefmt="github"))
+    print(f"\n{named(found)}")

@@ -16,6 +16,7 @@ PYTHON = """# From Python
 ::: sweep.api.Accessor
 ::: sweep.analysis.stats
 ::: sweep.analysis.sensitivity
+::: sweep.analysis.screening
 ::: sweep.analysis.intervals
 """
 

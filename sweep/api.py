@@ -13,12 +13,14 @@ from matplotlib.figure import Figure
 from sweep.analysis.sample import distinct
 from sweep.core.errors import InputError
 from sweep.core.expressions import mask
-from sweep.report import draws, maps, page
+from sweep.report import draws, maps, overlay, page
 from sweep.report.labels import unit_of
 from sweep.runs import results, store
 from sweep.study.config import Experiment, compose, experiment
 
 if TYPE_CHECKING:
+    import xarray
+
     from sweep.trace.replay import Replay
 
 
@@ -80,6 +82,32 @@ class Accessor:
         if not draws.columns_of(found):
             raise InputError(f"{self._folder} has no axis with a distribution of numbers: draw a map")
         return draws.draw(found)
+
+    def histories(self) -> pd.DataFrame:
+        """What `study.keep` kept of these rows: `point_id`, `outcome`, `time_s`, its columns. Raises `InputError`."""
+        return overlay.samples(self._results())
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """These rows on the grid of the axes that were listed, with a dimension `replicate` where points repeat.
+
+        Points that were not run are NaN; `attrs` hold units. Raises `InputError` where there is no grid or no xarray.
+        """
+        found = self._results()
+        axes = found.listed + [name for name in found.named if name in self._rows]
+        if not axes:
+            raise InputError(f"{self._folder} has no grid: no axis with listed values varies")
+        try:
+            import xarray  # noqa: F401  # which pandas asks for in words of its own
+        except ImportError:
+            raise InputError("to_xarray needs the package xarray: pip install 'insect-sweep[xarray]'") from None
+        keys = axes if not self._rows.duplicated(axes).any() else [*axes, "replicate"]
+        if self._rows.duplicated(keys).any():
+            raise InputError(f"{self._folder} is no grid: several rows are at one point of {', '.join(axes)}")
+        grid = self._rows.set_index(keys).to_xarray()
+        for name, unit in self._rows.attrs["units"].items():
+            if name in grid.variables:
+                grid[name].attrs["units"] = unit
+        return grid
 
     def report(self) -> Page:
         """The page that `sweep report` writes; `str()` of it is the HTML."""

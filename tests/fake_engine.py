@@ -19,6 +19,7 @@ class FakeEngine:
 
     def __init__(self, settings, world, belief, limits):
         self.world = world
+        self.period = settings.control_period
         self.dynamics = "none"
         self.devices = 1
         self.width = settings.width or 8
@@ -43,7 +44,16 @@ class FakeEngine:
         return good | {
             "tilt_max_deg": tilt, "slip_max_m": ratio / (friction + 0.01), "end_stage": np.ones(self.width),
             "clearance_min_m": np.full(self.width, 0.05), "noise_draw": streams % 1000 / 1000,
+            "duration_s": np.full(self.width, self.duration),
         }  # fmt: skip
+
+    def histories(self, world, belief, streams, slots, watch):
+        """Every column is the time, of a rollout that is not finite from half of it on."""
+        figures = self.run(world, belief, streams)
+        time = self.period * watch.every * (1 + np.arange(int(self.duration / self.period / watch.every + 1e-9)))
+        samples = np.tile(time[:, None, None], (1, len(slots), len(watch.columns)))
+        broken = np.isnan(figures["tilt_max_deg"][slots]) & (time[:, None] > self.duration / 2)
+        return figures, np.where(broken[..., None], np.nan, samples)
 
 
 def install():

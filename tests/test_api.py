@@ -80,3 +80,22 @@ def test_the_notebook_of_a_new_project_runs(tmp_path, monkeypatch):
         exec(source, space)
     assert len(space["rows"]) == 32
     assert "replay" in last
+
+
+def test_a_grid_becomes_a_labelled_array():
+    pytest.importorskip("xarray")
+    rows = sweep.run(*SMALL)
+    grid = rows.sweep.to_xarray()
+    assert dict(grid.sizes) == {"world.contact.friction": 4, "manoeuvre.half_step_ratio": 3}
+    first = rows.iloc[0]
+    there = grid.sel({name: first[name] for name in grid.dims})
+    assert float(there["slip_max_m"]) == first["slip_max_m"]
+    assert grid["slip_max_m"].attrs["units"] == "m"
+    assert "replicate" in sweep.run(*SMALL, "study.replicates=2").sweep.to_xarray().dims
+
+
+def test_a_missing_xarray_is_said_in_one_line(monkeypatch):
+    monkeypatch.setitem(sys.modules, "xarray", None)
+    rows = sweep.run(*SMALL)
+    with pytest.raises(InputError, match=r"^to_xarray needs the package xarray: pip install 'insect-sweep\[xarray\]'$"):
+        rows.sweep.to_xarray()

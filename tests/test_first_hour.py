@@ -17,7 +17,7 @@ outcome: {slip_max_m: 0.02}
 study:
   design: {kind: latin_hypercube, num: 32}
   axes:
-    friction: {path: contact.friction, on: world, distribution: {kind: uniform, from: 0.01, to: 0.2}}
+    friction: {path: contact.friction, side: world, distribution: {kind: uniform, from: 0.01, to: 0.2}}
     step: {path: manoeuvre.half_step_ratio, distribution: {kind: uniform, from: 0.03, to: 0.2}}
   invalid_max: 0.1
 """

@@ -9,6 +9,7 @@ import sweep
 from sweep.cli.main import main
 from sweep.core import project, provenance
 from sweep.core.parameters import InputError
+from sweep.study import reference
 from sweep.study.config import KINDS, compose
 
 OWN = """
@@ -147,6 +148,14 @@ def test_obstacles_and_manoeuvres_of_ones_own_are_simulated(home, capsys, monkey
         write(home / "sweep.yaml", text)
         with pytest.raises(InputError, match=named):
             compose([])
+
+
+def test_no_parameter_is_explained_by_a_symbol_alone():
+    for group, classes in reference.classes().items():
+        for cls in classes:
+            for line in reference.parameters(cls):
+                short = len(line["meaning"].split()) < 3
+                assert not short or cls.__module__.startswith("sweep.controllers.manoeuvres.climbing"), (group, line)
 
 
 def test_parameters_are_described_where_they_are_defined(capsys):

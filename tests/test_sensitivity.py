@@ -4,9 +4,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from sweep.analysis import sensitivity
+from sweep.analysis import screening, sensitivity
 from sweep.analysis.stats import rates
 from sweep.core.errors import InputError
+from sweep.report.statistics import sections
 from sweep.study.config import compose
 from sweep.study.study import Study, points
 
@@ -201,3 +202,20 @@ def test_elementary_effects_screen_axes(study):
     broken = rows.assign(y_m=y, outcome=rows["outcome"].where(rows.index != 5, "invalid"))
     assert (sensitivity.elementary_effects(broken, exp, "y_m")["paths"] == 15).all()
     assert sensitivity.elementary_effects(rows, exp)["mean_size"].iloc[1:].tolist() == [0, 0]
+
+
+def test_any_draws_tell_which_axes_matter(study):
+    """Of y = thigh + 3 shin in units of their ranges the axes explain a tenth and nine tenths of the variance."""
+    exp, rows = study({"shin": SHIN, "thigh": THIGH, "mass": MASS}, lambda t: t["robot.shin"] > 0.35,
+                      design={"kind": "latin_hypercube", "num": 500})  # fmt: skip
+    rows["y_m"] = 3 * unit(rows, "robot.shin", 0.3, 0.1) + unit(rows, "robot.thigh", 0.5, 0.1)
+    found = screening.first_order(rows, exp, "y_m")
+    assert found["axis"].tolist() == ["robot.shin", "robot.thigh", "robot.body_mass"]
+    assert found["first"].to_numpy() == pytest.approx([0.9, 0.1, 0], abs=0.05)
+    moved = screening.pawn(rows, exp, "y_m").set_index("axis")
+    assert moved["median"]["robot.shin"] > moved["median"]["robot.thigh"] > moved["by_chance"].iloc[0]
+    assert moved["median"]["robot.body_mass"] == pytest.approx(moved["by_chance"].iloc[0], abs=0.05)
+    titles = [title for title, _ in sections(rows, exp)]
+    assert titles[-2:] == ["PAWN indices of success", "First Sobol indices (RBD-FAST) of success"]
+    with pytest.raises(InputError, match="need 100 valid draws"):
+        screening.pawn(rows.head(50), exp)

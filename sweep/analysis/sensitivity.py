@@ -301,6 +301,12 @@ def regional(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
     return pd.DataFrame(lines, columns=columns).sort_values("distance", ascending=False, ignore_index=True)
 
 
+def measured(rows: pd.DataFrame, figure: str | None) -> pd.Series:
+    """1 or 0 for success, or the column `figure`; NaN where a rollout is invalid. Raises `InputError`."""
+    value = (rows["outcome"] == "success").astype(float) if not figure else rows[column(rows, figure)].astype(float)
+    return value.where(rows["outcome"] != "invalid")
+
+
 def sobol_indices(rows: pd.DataFrame, exp: Experiment, figure: str | None = None) -> pd.DataFrame:
     """Sobol indices of success, or of the column `figure`, from a Saltelli design, with 95 % errors (bootstrap).
 
@@ -315,8 +321,7 @@ def sobol_indices(rows: pd.DataFrame, exp: Experiment, figure: str | None = None
         raise InputError(f"Sobol indices need one grid point: choose among {', '.join(a.column for a in conditions)}")
     from SALib.analyze import sobol
 
-    value = (rows["outcome"] == "success").astype(float) if not figure else rows[column(rows, figure)].astype(float)
-    value = value.where(rows["outcome"] != "invalid")
+    value = measured(rows, figure)
     draw, block = rows["replicate"] // exp.study.replicates, len(axes) + 2
     by_draw = value.groupby(draw).mean().where(value.notna().groupby(draw).any())
     whole = by_draw.reindex(range(exp.study.design.num * block)).to_numpy().reshape(-1, block)
@@ -351,8 +356,7 @@ def elementary_effects(rows: pd.DataFrame, exp: Experiment, figure: str | None =
         raise InputError(f"they need one grid point: choose among {', '.join(a.column for a in conditions)}")
     from SALib.analyze import morris
 
-    value = (rows["outcome"] == "success").astype(float) if not figure else rows[column(rows, figure)].astype(float)
-    value = value.where(rows["outcome"] != "invalid")
+    value = measured(rows, figure)
     draw, length = rows["replicate"] // exp.study.replicates, len(axes) + 1
     every = range(exp.study.design.num * length)
     mean = value.groupby(draw).mean().where(value.notna().groupby(draw).any()).reindex(every).to_numpy()

@@ -270,8 +270,8 @@ def verify(given: argparse.Namespace) -> int:
     problems, others, sound = repair.verify(given.dir)
     for line in (*problems, *others):
         print(line)
-    remedy = f", {len(problems)} problems: `sweep run` as before mends them" if problems else ""
-    print(f"{given.dir}: {sound} parts are sound{remedy}")
+    remedy = f", {len(problems)} damaged: `sweep run` as before mends it" if problems else ""
+    print(f"{given.dir}: {sound} part{' is' if sound == 1 else 's are'} sound{remedy}")
     return UNEXPECTED if problems else DONE
 
 

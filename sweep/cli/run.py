@@ -22,7 +22,7 @@ from sweep.core.errors import Fault, InputError
 from sweep.core.waiting import last_time, remember, waiting
 from sweep.engines.run_id import device
 from sweep.report import tables
-from sweep.runs import refine, runner, store
+from sweep.runs import histories, refine, runner, store
 from sweep.runs.batches import make_engine
 from sweep.runs.batches import nominal as nominal_batch
 from sweep.study import config, designs
@@ -123,6 +123,8 @@ def execute(exp: Experiment, flags: Flags) -> int:
 
 def execute_single(exp: Experiment, flags: Flags) -> int:
     """One nominal rollout: its outcome and figures on the standard output."""
+    if exp.study.keep:
+        raise InputError("study.keep keeps time histories beside a study's rows: give study=NAME or out=DIR")
     if flags.dry_run:
         print(f"{exp.scenario}: 1 rollout on {exp.settings.name}")
         return DONE
@@ -169,6 +171,9 @@ def forecast(job: runner.Job) -> str:
     text = f"{job.exp.study.name}: {len(missing)} of {len(job.table)} rollouts to run ({', '.join(parts) or 'none'})"
     if len(missing):
         text += f"{memory(job, missing)}, {duration(job, missing)}"
+    if count := histories.size(job.exp, job.table):
+        kept, columns = min(job.exp.study.keep_rows, len(job.table)), ", ".join(job.exp.study.keep)
+        text += f"\ntime histories of {kept} rollouts ({columns}): about {4 * count / 2**20:.1f} MiB before compression"
     return f"{text}\n{axes_table(job.exp)}" if job.exp.study.axes and not job.exp.study.points else text
 
 

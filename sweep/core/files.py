@@ -34,7 +34,7 @@ def write_whole(path: Path, content: bytes | Callable[[Path], object]) -> None:
 
 
 def append(path: Path, line: str) -> None:
-    """Add one line, which is on disk when this returns, or not at all. Raises `Fault`."""
+    """Add a line, or a few, on disk when this returns, or not at all. Raises `Fault`."""
     try:
         with path.open("ab", buffering=0) as file:
             before = file.tell()

@@ -6,6 +6,7 @@ from typing import Any, Protocol
 import mujoco
 import numpy as np
 
+from sweep.engines.states import Watch
 from sweep.models.case import Case
 
 Figures = dict[str, np.ndarray]  # column name (with its unit) -> one number per rollout
@@ -49,6 +50,16 @@ class Engine(Protocol):
         """Figures of `width` rollouts; `streams` (width,) are the numbers folded into the noise key.
 
         Raises `MemoryError` where the device cannot hold the batch.
+        """
+        ...
+
+    def histories(
+        self, world: Case, belief: Case, streams: np.ndarray, slots: np.ndarray, watch: Watch
+    ) -> tuple[Figures, np.ndarray]:
+        """As `run`, with what is to be watched of the rollouts in `slots` (n,): (samples, n, columns).
+
+        Samples are at the ends of control ticks `watch.every`, twice that, ... of all; those after a rollout's own end
+        mean nothing.
         """
         ...
 

@@ -20,6 +20,7 @@ from sweep.engines.base import Figures, Trace
 from sweep.engines.batch_last import batch_last_vmap
 from sweep.engines.closed_loop import GRACE, ClosedLoop, act, init, is_quiet, measure, most_ticks, start_state
 from sweep.engines.settings import EngineSettings
+from sweep.engines.states import Watch, offered
 from sweep.metrics import stream
 from sweep.metrics.outcome import Thresholds
 from sweep.models.case import Case
@@ -38,7 +39,7 @@ class Programs(NamedTuple):
     """What a batch runs through, compiled."""
 
     start: Callable[[Case, Case, Array], tuple[Plan, Carry]]
-    chunk: Callable[[Case, Case, Plan, Carry, int, int | None], tuple[Carry, Any]]
+    chunk: Callable[[Case, Case, Plan, Carry, int, Array | None], tuple[Carry, Any]]
     finish: Callable[[Case, Plan, Carry], dict[str, Array]]
 
 
@@ -72,46 +73,74 @@ class Mjx:
     @devices.memory()
     def run(self, world: Case, belief: Case, streams: np.ndarray) -> Figures:
         """Figures of `width` rollouts; stops early when every rollout is over."""
+        return self._simulate(world, belief, streams, None, None)[0]
+
+    @devices.memory()
+    def histories(
+        self, world: Case, belief: Case, streams: np.ndarray, slots: np.ndarray, watch: Watch
+    ) -> tuple[Figures, np.ndarray]:
+        """See `Engine`."""
+        figures, parts = self._simulate(world, belief, streams, slots, watch)
+        return figures, np.concatenate([np.zeros((0, len(slots), len(watch.columns)), np.float32), *parts])
+
+    def _simulate(
+        self, world: Case, belief: Case, streams: np.ndarray, slots: np.ndarray | None, watch: Watch | None
+    ) -> tuple[Figures, list[Any]]:
+        """Figures of the batch, and what is recorded in each chunk of ticks of the rollouts in `slots`, if any."""
         with devices.precision(self.settings):
-            (world, belief, keys), programs = self._prepare(world, belief, streams, None)
+            room = 0 if slots is None else min(self._local, watch.most if watch else 1)
+            kept, places = (None, slots) if slots is None else self._kept(slots, room)
+            (world, belief, keys), programs = self._prepare(world, belief, streams, kept, watch)
             plans, carry = programs.start(world, belief, keys)
+            records, every = [], watch.every if watch else 1
             for tick in range(0, most_ticks(plans, self.settings.control_period), self._chunk_ticks):
-                carry, _ = programs.chunk(world, belief, plans, carry, tick, None)
+                carry, record = programs.chunk(world, belief, plans, carry, tick, kept)
+                first = (every - 1 - tick) % every
+                records.append(jax.tree.map(lambda x, first=first: np.asarray(x)[first::every][:, places], record))
                 # on the host: among devices it would take their collective operations, which can hang
-                if np.all(np.asarray(carry.loop.running.over)):
+                over = np.asarray(carry.loop.running.over)
+                if np.all(over if slots is None or watch else over[slots]):
                     break
-            return {name: np.asarray(values) for name, values in programs.finish(world, plans, carry).items()}
+            figures = programs.finish(world, plans, carry).items()
+            return {name: np.asarray(values) for name, values in figures}, records
 
     def trace(self, world: Case, belief: Case, streams: np.ndarray, slot: int) -> Trace:
         """The rollout in `slot`, simulated in its batch so that its numbers are those of `run`."""
-        with devices.precision(self.settings):
-            one = batching.pick(world, slot), batching.pick(belief, slot)
-            (world, belief, keys), programs = self._prepare(world, belief, streams, slot)
-            plans, carry = programs.start(world, belief, keys)
-            records, local = [], self.width // self._mesh.size
-            for tick in range(0, most_ticks(plans, self.settings.control_period), self._chunk_ticks):
-                carry, record = programs.chunk(world, belief, plans, carry, tick, slot)
-                records.append(jax.tree.map(lambda x: np.asarray(x)[:, slot // local], record))
-                if bool(carry.loop.running.over[slot]):
-                    break
-            figures = {name: np.asarray(x)[slot] for name, x in programs.finish(world, plans, carry).items()}
-        record = jax.tree.map(lambda *parts: np.concatenate(parts), *records)
-        return batching.to_trace(*one, record, self.settings.control_period, self.stages, figures)
+        one = batching.pick(world, slot), batching.pick(belief, slot)
+        figures, records = self._simulate(world, belief, streams, np.array([slot]), None)
+        record = jax.tree.map(lambda *parts: np.concatenate(parts)[:, 0], *records)
+        row = {name: values[slot] for name, values in figures.items()}
+        return batching.to_trace(*one, record, self.settings.control_period, self.stages, row)
+
+    @property
+    def _local(self) -> int:
+        """Rollouts of a device."""
+        return self.width // self._mesh.size
+
+    def _kept(self, slots: np.ndarray, room: int) -> tuple[Array, np.ndarray]:
+        """What each device records, as `room` places among its rollouts, and where `slots` are among all of these."""
+        local, places = np.zeros((self._mesh.size, room), np.int32), np.zeros(len(slots), int)
+        for device in range(self._mesh.size):
+            mine = np.flatnonzero(slots // self._local == device)
+            local[device, : len(mine)] = slots[mine] % self._local
+            places[mine] = device * room + np.arange(len(mine))
+        return devices.spread(jnp.asarray(local.ravel()), self._mesh), places
 
     @property
     def _chunk_ticks(self) -> int:
         return max(1, round(CHUNK / self.settings.control_period))
 
     def _prepare(
-        self, world: Case, belief: Case, streams: np.ndarray, slot: int | None
+        self, world: Case, belief: Case, streams: np.ndarray, kept: Array | None, watch: Watch | None
     ) -> tuple[tuple[Case, Case, Array], Programs]:
-        """Arguments as arrays of the right type, and the programs for their batch axes; `slot` is recorded."""
+        """Arguments as arrays of the right type, and the programs for their batch axes; `kept` is recorded."""
         batching.check(streams, self.width)
         quiet = is_quiet(world.noise)
-        form = devices.form((world, belief)), quiet, slot is None
+        recorded = None if kept is None else (kept.shape, watch and watch.columns)
+        form = devices.form((world, belief)), quiet, recorded
         arrays = devices.spread((*devices.as_arrays((world, belief)), devices.keys(streams)), self._mesh)
         if form not in self._programs:
-            compiled = partial(self._compile, arrays, quiet, slot)
+            compiled = partial(self._compile, arrays, quiet, kept, watch)
             made_of, on = (form, *self._made_of), list(self._mesh.devices.flat)
             self._programs[form] = Programs(*program_cache.programs(made_of, on, compiled))
         return arrays, self._programs[form]
@@ -124,7 +153,7 @@ class Mjx:
         return self.settings, self.limits, self.width, self.dynamics, top.names, top.owner, model
 
     def _compile(
-        self, arrays: tuple[Case, Case, Array], quiet: bool, slot: int | None
+        self, arrays: tuple[Case, Case, Array], quiet: bool, kept: Array | None, watch: Watch | None
     ) -> tuple[Compiled, Compiled, Compiled]:
         """The programs over batches like `arrays`, split over the devices.
 
@@ -136,7 +165,8 @@ class Mjx:
         on_devices = partial(jax.shard_map, mesh=self._mesh, check_vma=False)
         start = on_devices(jax.vmap(self._start, in_axes=(*axes, 0)), in_specs=(*specs, split), out_specs=split)
         recorded = (split, PartitionSpec(None, devices.BATCH))
-        chunk = on_devices(self._chunk(axes, quiet), in_specs=(*specs, split, split, whole, whole), out_specs=recorded)
+        chunk = self._chunk(axes, quiet, watch)
+        chunk = on_devices(chunk, in_specs=(*specs, split, split, whole, split), out_specs=recorded)
         finish = jax.vmap(self._finish, in_axes=(axes[0], 0, 0))
         finish = on_devices(finish, in_specs=(specs[0], split, split), out_specs=split)
         with ThreadPoolExecutor() as pool:
@@ -144,23 +174,25 @@ class Mjx:
             started = pool.submit(begin.compile)
             plans, carry = devices.split(begin.out_info, self._mesh)
             go_on = jax.jit(chunk, donate_argnums=3)
-            chunked = pool.submit(go_on.lower(world, belief, plans, carry, 0, slot).compile)
+            chunked = pool.submit(go_on.lower(world, belief, plans, carry, 0, kept).compile)
             finished = jax.jit(finish).lower(world, plans, carry).compile()
             return started.result(), chunked.result(), finished
 
-    def _chunk(self, axes: tuple[Case, Case], quiet: bool) -> Callable:
-        """A second of the batch that a device has, of which the rollout in a slot may be recorded."""
-        local = self.width // self._mesh.size
+    def _chunk(self, axes: tuple[Case, Case], quiet: bool, watch: Watch | None) -> Callable:
+        """A second of the batch that a device has, of which some rollouts may be recorded: columns, or all there is."""
+        columns = offered(self._nominal[0])
         tick = batch_last_vmap(partial(self._tick, quiet=quiet), (*_last(axes), -1, -1, None), devices.reuse_from())
 
-        def chunk(world: Case, belief: Case, plans: Plan, carry: Carry, first: Array, slot: Array | None) -> Any:
+        def chunk(world: Case, belief: Case, plans: Plan, carry: Carry, first: Array, kept: Array | None) -> Any:
             world, belief, plans, carry = _batch_last((world, belief, plans, carry))
 
             def body(carry: Carry, k: Array) -> tuple[Carry, Any]:
                 carry, record = tick(world, belief, plans, carry, k)
-                if slot is None:
+                if kept is None:
                     return carry, None
-                return carry, jax.tree.map(lambda x: x[None, ..., jnp.asarray(slot) % local], record)
+                record = jax.tree.map(lambda x: x[..., kept], record)
+                chosen = jnp.stack([columns[name](record) for name in watch.columns]) if watch else record
+                return carry, jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), chosen)
 
             carry, records = jax.lax.scan(body, carry, first + jnp.arange(self._chunk_ticks))
             return _batch_first(carry), records

@@ -30,6 +30,7 @@ from sweep.engines.closed_loop import (
     start_state,
 )
 from sweep.engines.settings import EngineSettings
+from sweep.engines.states import Watch, offered
 from sweep.metrics import stream
 from sweep.metrics.metric import Tick
 from sweep.metrics.outcome import Thresholds
@@ -103,16 +104,31 @@ class Native:
         """Figures of `width` rollouts."""
         return self._simulate(world, belief, streams, None)[0]
 
+    @devices.memory()
+    def histories(
+        self, world: Case, belief: Case, streams: np.ndarray, slots: np.ndarray, watch: Watch
+    ) -> tuple[Figures, np.ndarray]:
+        """See `Engine`."""
+        columns = offered(self._nominal)
+
+        def chosen(record: dict[str, np.ndarray]) -> np.ndarray:
+            parts = {name: np.moveaxis(values, 0, -1) for name, values in record.items()}
+            return np.stack([np.asarray(columns[name](parts)) for name in watch.columns], axis=-1)
+
+        figures, records = self._simulate(world, belief, streams, slots, watch.every)
+        samples = [chosen(record) for record in records]
+        return figures, np.stack(samples) if samples else np.zeros((0, len(slots), len(watch.columns)))
+
     def trace(self, world: Case, belief: Case, streams: np.ndarray, slot: int) -> Trace:
         """The rollout in `slot`."""
-        figures, records = self._simulate(world, belief, streams, slot)
-        record = {key: np.stack([r[key] for r in records]) for key in records[0]}
+        figures, records = self._simulate(world, belief, streams, np.array([slot]))
+        record = {key: np.stack([r[key][0] for r in records]) for key in records[0]}
         one = batching.pick(world, slot), batching.pick(belief, slot)
         row = {name: values[slot] for name, values in figures.items()}
         return batching.to_trace(*one, record, self.settings.control_period, self.stages, row)
 
     def _simulate(
-        self, world: Case, belief: Case, streams: np.ndarray, slot: int | None
+        self, world: Case, belief: Case, streams: np.ndarray, slots: np.ndarray | None, every: int = 1
     ) -> tuple[Figures, list[dict[str, np.ndarray]]]:
         batching.check(streams, self.width)
         with devices.precision(self.settings):
@@ -134,8 +150,8 @@ class Native:
                 steps["broken"] = unbuilt | np.any(batch.warning[:, :, 0] > 0, axis=1)
                 if k == 0:  # derived fields are those before a step, hence the start's
                     loops = _with_energy(self._nominal, loops, steps["energy"][:, 0].sum(axis=-1))
-                if slot is not None:
-                    records.append(_record(commands, loops, steps, slot))
+                if slots is not None and (k + 1) % every == 0:
+                    records.append(_record(commands, loops, steps, slots))
                 loops, commands, controls = tick(*arrays[:2], plans, loops, commands, steps, k + 1)
                 if bool(np.all(loops.running.over)):
                     break
@@ -293,17 +309,19 @@ def _with_energy(world: Case, loops: ClosedLoop, start: np.ndarray) -> ClosedLoo
     return loops._replace(running=stream.with_energy(world, loops.running, energy))
 
 
-def _record(commands: Command, loops: ClosedLoop, steps: dict[str, np.ndarray], slot: int) -> dict[str, np.ndarray]:
-    """What a trace keeps of a tick."""
-    command = jax.tree.map(lambda x: np.asarray(x)[slot], commands)
+def _record(
+    commands: Command, loops: ClosedLoop, steps: dict[str, np.ndarray], slots: np.ndarray
+) -> dict[str, np.ndarray]:
+    """What is kept of a tick of the rollouts in `slots`."""
+    command, n = jax.tree.map(lambda x: np.asarray(x)[slots], commands), len(slots)
     return {
-        "qpos": steps["qpos"][slot, -1],
-        "qvel": steps["qvel"][slot, -1],
-        "joint_target": command.joints.reshape(N_JOINTS),
-        "joint_torque": np.abs(steps["actuator_force"][slot]).max(axis=0),
-        "foot_position": steps["site_xpos"][slot, -1, :6],
+        "qpos": steps["qpos"][slots, -1],
+        "qvel": steps["qvel"][slots, -1],
+        "joint_target": command.joints.reshape(n, N_JOINTS),
+        "joint_torque": np.abs(steps["actuator_force"][slots]).max(axis=1),
+        "foot_position": steps["site_xpos"][slots, -1, :6],
         "foot_target": command.target.feet,
-        "foot_force": -steps["sensordata"][slot].reshape(-1, 6, 3).mean(axis=0),
-        "base_target": np.concatenate([command.target.position, command.target.quat]),
-        "stage": np.asarray(loops.tracker.stage)[slot],
+        "foot_force": -steps["sensordata"][slots].reshape(n, -1, 6, 3).mean(axis=1),
+        "base_target": np.concatenate([command.target.position, command.target.quat], axis=-1),
+        "stage": np.asarray(loops.tracker.stage)[slots],
     }

@@ -8,14 +8,15 @@ from sweep.core.parameters import choice, count, flag, parameters, quantity
 class EngineSettings:
     """`mjx` is the primary engine, `native` (C MuJoCo, its own contact) the second opinion."""
 
-    name: str = choice("mjx", "mjx", "native")
+    name: str = choice("mjx", "mjx", "native")  # which engine simulates: mjx, or native as the independent check
     # smooth dynamics of mjx: structured, MJX's own, or structured wherever robot and obstacle fit
     dynamics: str = choice("auto", "auto", "arrowhead", "mjx")
-    time_step: float = quantity(2e-3, "s", above=0, at_most=0.01)  # of mjx
+    time_step: float = quantity(2e-3, "s", above=0, at_most=0.01)  # a physics step of mjx
     native_time_step: float = quantity(1e-3, "s", above=0, at_most=0.01)  # its contact solver fails at 2 ms
+    # between two orders of the controller: a whole number of physics steps
     control_period: float = quantity(4e-3, "s", above=0, at_most=0.05)
     iterations: int = count(2, at_least=1, at_most=20)  # of the implicit contact step
-    precision: str = choice("float32", "float32", "float64")
+    precision: str = choice("float32", "float32", "float64")  # of all numbers of mjx and of the controller
     width: int = count(0, at_most=1 << 24)  # rollouts in a batch; 0 asks for the device's best
     solid: bool = flag(False)  # base and links collide with the obstacle and each other; native only
 

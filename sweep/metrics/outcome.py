@@ -38,7 +38,6 @@ for _cause in CAUSES:
         Thresholds.__annotations__[_cause.threshold] = float if _cause.default is not None else float | None
         setattr(Thresholds, _cause.threshold, _cause.quantity())
 parameters(Thresholds)
-BELOW = {cause.threshold for cause in CAUSES if cause.below}
 
 
 def thresholds(values: Mapping[str, float | None], case: Case) -> Thresholds:
@@ -53,16 +52,12 @@ def thresholds(values: Mapping[str, float | None], case: Case) -> Thresholds:
         if cause is None and value != field.default:
             kinds = f"manoeuvre = {case.manoeuvre.kind} on obstacle = {case.obstacle.kind}"
             raise InputError(f"outcome.{field.name} = {value} is not allowed: {kinds} has no such figure")
-        if value is None:
-            value = case.manoeuvre.goal.get(field.name)
-        if value is None:
-            value = -np.inf if field.name in BELOW else np.inf
-        chosen[field.name] = value
+        chosen[field.name] = case.manoeuvre.goal.get(field.name) if value is None else value
     return Thresholds(**chosen)
 
 
 def limit_of(cause: Cause, limits: Thresholds) -> float:
-    """Its threshold."""
+    """Its threshold; infinite where there is none."""
     value = getattr(limits, cause.threshold) if cause.threshold else cause.default
     return (-np.inf if cause.below else np.inf) if value is None else value
 

@@ -21,9 +21,9 @@ class Contact:
     The factor epsilon that the book puts beside d_n is undefined there; it is 1 here.
     """
 
-    stiffness: float = quantity(1e6, "N/m", above=0)  # c_n
-    damping: float = quantity(100.0, "N*s/m", at_least=0)  # d_n
-    friction: float = quantity(1.0, "-", at_least=0)  # k_f
+    stiffness: float = quantity(1e6, "N/m", above=0)  # c_n, force for each metre that a foot sinks in
+    damping: float = quantity(100.0, "N*s/m", at_least=0)  # d_n, force against the speed at which it sinks in
+    friction: float = quantity(1.0, "-", at_least=0)  # k_f, largest tangential force over the normal force
 
 
 class Anchors(NamedTuple):

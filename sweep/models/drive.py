@@ -15,10 +15,12 @@ class Drive:
     `damping` is -chi2 = 2 sqrt(chi1) + delta - c_e of the book for chi1 = 4.5e4, delta = 100.
     """
 
-    stiffness: float = quantity(4.5e4, "N*m/rad", above=0)  # chi1
-    damping: float = quantity(514.26, "N*m*s/rad", at_least=0)  # -chi2
-    back_emf: float = quantity(10.0, "N*m*s/rad", at_least=0)  # c_e
-    torque_limit: float = quantity(150.0, "N*m", above=0)  # U_max
+    # chi1, torque for each radian that the joint is off its reference
+    stiffness: float = quantity(4.5e4, "N*m/rad", above=0)
+    damping: float = quantity(514.26, "N*m*s/rad", at_least=0)  # -chi2, torque against the joint's rate
+    # c_e, torque that the motor's own rotation takes off, beyond the limit too
+    back_emf: float = quantity(10.0, "N*m*s/rad", at_least=0)
+    torque_limit: float = quantity(150.0, "N*m", above=0)  # U_max, largest torque that the servo asks for
     armature: float = quantity(0.1, "kg*m^2", at_least=0)  # rotor inertia seen at the joint
 
 

@@ -10,22 +10,31 @@ class Noise:
     A bias is drawn once a rollout, noise anew at every control tick; both are normal with the given deviation.
     """
 
+    # deviation of the base's measured position, along each axis, at every tick
     position_noise: float = quantity(0.0, "m", at_least=0)
-    position_bias: float = quantity(0.0, "m", at_least=0)
+    position_bias: float = quantity(0.0, "m", at_least=0)  # deviation of its constant error, along each axis
+    # deviation of the base's measured orientation, about each axis, at every tick
     orientation_noise: float = quantity(0.0, "rad", at_least=0)
-    orientation_bias: float = quantity(0.0, "rad", at_least=0)
+    orientation_bias: float = quantity(0.0, "rad", at_least=0)  # deviation of its constant error, about each axis
+    # deviation of the base's measured velocity, along each axis, at every tick
     velocity_noise: float = quantity(0.0, "m/s", at_least=0)
-    velocity_bias: float = quantity(0.0, "m/s", at_least=0)
-    joint_noise: float = quantity(0.0, "rad", at_least=0)
-    joint_bias: float = quantity(0.0, "rad", at_least=0)
+    velocity_bias: float = quantity(0.0, "m/s", at_least=0)  # deviation of its constant error, along each axis
+    joint_noise: float = quantity(0.0, "rad", at_least=0)  # deviation of each measured joint angle, at every tick
+    joint_bias: float = quantity(0.0, "rad", at_least=0)  # deviation of the constant error of each joint's zero
+    # control ticks by which what is measured of the robot comes late
     delay: float = quantity(0.0, "ticks", at_least=0, at_most=50)
-    body_position_noise: float = quantity(0.0, "m", at_least=0)  # these of the obstacle's free bodies
-    body_position_bias: float = quantity(0.0, "m", at_least=0)
+    # of the measured positions of the obstacle's free bodies, at every tick
+    body_position_noise: float = quantity(0.0, "m", at_least=0)
+    body_position_bias: float = quantity(0.0, "m", at_least=0)  # deviation of their constant error
+    # of the measured orientations of free bodies, at every tick
     body_orientation_noise: float = quantity(0.0, "rad", at_least=0)
-    body_orientation_bias: float = quantity(0.0, "rad", at_least=0)
+    body_orientation_bias: float = quantity(0.0, "rad", at_least=0)  # deviation of their constant error
+    # of the measured velocities of free bodies, at every tick
     body_velocity_noise: float = quantity(0.0, "m/s", at_least=0)
-    body_velocity_bias: float = quantity(0.0, "m/s", at_least=0)
+    body_velocity_bias: float = quantity(0.0, "m/s", at_least=0)  # deviation of their constant error
+    # of the measured angular velocities of free bodies, at every tick
     body_turn_noise: float = quantity(0.0, "rad/s", at_least=0)
-    body_turn_bias: float = quantity(0.0, "rad/s", at_least=0)
+    body_turn_bias: float = quantity(0.0, "rad/s", at_least=0)  # deviation of their constant error
+    # control ticks by which what is measured of free bodies comes late
     body_delay: float = quantity(0.0, "ticks", at_least=0, at_most=50)
     delay_buffer: int = count(0, at_most=50)  # room for the longest delay of a study, set by the runner

@@ -16,21 +16,23 @@ class Robot:
     Legs are numbered 1-2 rear, 3-4 middle, 5-6 front, odd on the right. Base axes: x forward, y left, z up.
     """
 
-    body_length: float = quantity(1.05, "m", above=0)  # a_r
-    body_width: float = quantity(0.5, "m", above=0)  # b_r
-    body_height: float = quantity(0.1, "m", above=0)  # c_r
-    body_mass: float = quantity(10.0, "kg", above=0)  # m_b
+    body_length: float = quantity(1.05, "m", above=0)  # a_r, from the rear hips to the front ones
+    body_width: float = quantity(0.5, "m", above=0)  # b_r, between the hips of the two sides
+    body_height: float = quantity(0.1, "m", above=0)  # c_r, thickness of the box
+    body_mass: float = quantity(10.0, "kg", above=0)  # m_b, of the box without its legs
+    # where the legs are mounted: on the box's corners and sides, or on a circle
     mounts: str = choice("rectangle", "rectangle", "circle")
     mount_radius: float = quantity(0.525, "m", above=0)  # b_p of (1.1.5), used by circular mounts
     leg_axes: str = choice("sides", "sides", "radial")  # alpha is measured from the y axis, or from the mount's radius
     legs: str = choice("two_link", "two_link", "three_link")  # without or with a coxa (1.1.1)
-    coxa: float = quantity(0.0, "m", at_least=0)  # l0
-    thigh: float = quantity(0.52, "m", above=0)  # l1
-    shin: float = quantity(0.335, "m", above=0)  # l2
+    coxa: float = quantity(0.0, "m", at_least=0)  # l0, length of the link between alpha and beta where there is one
+    thigh: float = quantity(0.52, "m", above=0)  # l1, length of the link between beta and gamma
+    shin: float = quantity(0.335, "m", above=0)  # l2, length of the link between gamma and the foot
+    # of the cylinders that thighs and shins are, for their inertia and for what they touch
     link_radius: float = quantity(0.015, "m", above=0)
-    coxa_mass: float = quantity(0.1, "kg", above=0)
-    thigh_mass: float = quantity(0.5, "kg", above=0)
-    shin_mass: float = quantity(0.5, "kg", above=0)
+    coxa_mass: float = quantity(0.1, "kg", above=0)  # of one coxa, where there is one
+    thigh_mass: float = quantity(0.5, "kg", above=0)  # of one thigh
+    shin_mass: float = quantity(0.5, "kg", above=0)  # of one shin
     knees: str = choice("outward", "outward", "mirror")  # for feet on the inner side of their hip, see formulas.leg
 
 

@@ -13,7 +13,7 @@ from sweep.analysis.compare import SECOND
 from sweep.analysis.stats import binned, percent, rate, rates
 from sweep.metrics import CAUSES
 from sweep.metrics.outcome import limit_of
-from sweep.report import draws, slices
+from sweep.report import draws, overlay, slices
 from sweep.report.cells import not_below_zero
 from sweep.report.exhibit import Exhibit
 from sweep.report.labels import CAUSE_COLOURS, SUCCESS, axis_words, heading
@@ -41,6 +41,7 @@ def exhibits(results: Results) -> Iterator[Exhibit]:
     yield from effects(results)
     yield from causes(results)
     yield from distributions(results)
+    yield from histories(results)
     yield from audits(results)
 
 
@@ -49,6 +50,13 @@ def drawn(results: Results) -> Iterator[Exhibit]:
     if draws.shown(results):
         table, caption = draws.data(results), draws.caption(results)
         yield Exhibit("draws", "Draws", caption, table, lambda: draws.draw(results))
+
+
+def histories(results: Results) -> Iterator[Exhibit]:
+    """What was kept over time."""
+    if overlay.shown(results):
+        table, caption = overlay.data(results), overlay.caption(results)
+        yield Exhibit("histories", "Over time", caption, table, lambda: overlay.draw(results))
 
 
 def maps(results: Results) -> Iterator[Exhibit]:

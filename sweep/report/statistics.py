@@ -1,11 +1,11 @@
 """What the rows of a study say in numbers, as titled tables: rates, volume, margins, tolerance, sensitivity."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 
 import pandas as pd
 
-from sweep.analysis import sensitivity
+from sweep.analysis import screening, sensitivity
 from sweep.analysis.sample import distinct, pooled
 from sweep.analysis.stats import percent, rates
 from sweep.core.errors import InputError
@@ -14,6 +14,8 @@ from sweep.report.tables import page_table
 from sweep.runs import refine
 from sweep.runs.results import Results
 from sweep.study.config import Experiment
+
+Analysis = Callable[[pd.DataFrame, Experiment, str | None], pd.DataFrame]
 
 
 def sections(
@@ -52,16 +54,24 @@ def sections(
         yield title, sensitivity.tolerance(rows, exp, level)
     if len(drawn) and {"success", "failure"} <= set(rows["outcome"]):
         yield "Regional sensitivity: which draws fail", sensitivity.regional(rows, exp)
-    ways = {
-        "saltelli": ("Sobol indices", sensitivity.sobol_indices),
-        "morris": ("Elementary effects (Morris)", sensitivity.elementary_effects),
-    }
-    if exp.study.design.kind in ways and drawn:
-        title, function = ways[exp.study.design.kind]
+    for title, function in ways(exp, len(rows)).items() if drawn else ():
         try:
             yield f"{title} of {figure or 'success'}", function(rows, exp, figure)
         except InputError as error:
             yield title, str(error)
+
+
+def ways(exp: Experiment, size: int) -> dict[str, Analysis]:
+    """What SALib tells of `size` draws of a study's design."""
+    match exp.study.design.kind:
+        case "saltelli":
+            return {"Sobol indices": sensitivity.sobol_indices}
+        case "morris":
+            return {"Elementary effects (Morris)": sensitivity.elementary_effects}
+        case _ if size < screening.LEAST:
+            return {}
+        case _:
+            return {"PAWN indices": screening.pawn, "First Sobol indices (RBD-FAST)": screening.first_order}
 
 
 def render(rows: pd.DataFrame, exp: Experiment, level: float = 0.9, figure: str | None = None) -> str:

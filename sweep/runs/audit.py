@@ -52,7 +52,8 @@ def run(results: Results, number: int, ways: list[str], progress: runner.Progres
     folder = results.folder / AUDIT
     for way in ways:
         settings = replace(WAYS[way][1](exp.settings), width=0)  # so few rollouts have a width of their own
-        values = {**exp.values, "engine": asdict(settings), "out": str(folder / way)}
+        study = {**exp.values["study"], "keep": []}
+        values = {**exp.values, "study": study, "engine": asdict(settings), "out": str(folder / way)}
         again = experiment(values)
         with store.locked(folder / way):
             runner.mend(again, folder / way)

@@ -72,9 +72,9 @@ def read(folder: Path) -> list[Entry]:
     return entries
 
 
-def add(folder: Path, entry: Entry) -> None:
-    """From now on `entry` counts. Raises `Fault`."""
-    files.append(folder / MANIFEST, line(entry))
+def add(folder: Path, *entries: Entry) -> None:
+    """From now on `entries` count, all at once. Raises `Fault`."""
+    files.append(folder / MANIFEST, "\n".join(map(line, entries)))
 
 
 def rewrite(folder: Path, entries: Iterable[Entry]) -> None:

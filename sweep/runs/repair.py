@@ -32,10 +32,11 @@ def verify(folder: Path) -> tuple[list[str], list[str], int]:
     if _planned(folder, entries) is None:
         problems.append(f"{folder / store.POINTS} is lost or damaged")
     parts = {folder / entry.file: _problem(folder, entry) for entry in entries if entry.batches}
-    problems += [f"{path} is damaged ({problem})" for path, problem in parts.items() if problem]
+    others = {folder / entry.file: _problem(folder, entry) for entry in entries if _is_beside(entry)}
+    problems += [f"{path} is damaged ({problem})" for path, problem in {**parts, **others}.items() if problem]
     sound = list(parts.values()).count(None)
-    others = [f"{path} is not in {manifest.MANIFEST}: ignored" for path in _unlisted(folder, entries)]
-    return problems, others, sound
+    strangers = [f"{path} is not in {manifest.MANIFEST}: ignored" for path in _unlisted(folder, entries)]
+    return problems, strangers, sound
 
 
 def mend(folder: Path, study: str, labels: str) -> list[str]:
@@ -53,9 +54,19 @@ def mend(folder: Path, study: str, labels: str) -> list[str]:
             left.append(entry)
         else:
             kept.append(entry)
+    for entry in filter(_is_beside, entries):
+        if problem := _problem(folder, entry):
+            lines.append(f"{folder / entry.file} is damaged ({problem}): `sweep replay` shows its rollouts again")
+            left.append(entry)
+        else:
+            kept.append(entry)
     planned = _planned(folder, kept)
     for path in _unlisted(folder, entries):
         found = _own(folder, path)
+        if found and _is_beside(found) and found.study == study and (damaged or not entries):
+            kept.append(found)
+            lines.append(f"{path} was not in {manifest.MANIFEST}: listed")
+            continue
         if found and found.study == study and found.labels == labels and _fits(folder, found, kept, planned):
             kept.append(found)
             lines.append(f"{path} was not in {manifest.MANIFEST}: listed")
@@ -100,9 +111,14 @@ def _problem(folder: Path, entry: Entry) -> str | None:
 
 def _unlisted(folder: Path, entries: Sequence[Entry]) -> Iterator[Path]:
     listed = {entry.file for entry in entries}
-    for path in sorted((folder / store.PARTS).iterdir()):
-        if f"{store.PARTS}/{path.name}" not in listed and not path.name.startswith(files.HIDDEN):
-            yield path
+    for place in store.PLACES:
+        for path in sorted((folder / place).glob("*")):
+            if f"{place}/{path.name}" not in listed and not path.name.startswith(files.HIDDEN):
+                yield path
+
+
+def _is_beside(entry: Entry) -> bool:
+    return not entry.batches and entry.file != store.POINTS
 
 
 def _own(folder: Path, path: Path) -> Entry | None:
@@ -115,7 +131,7 @@ def _own(folder: Path, path: Path) -> Entry | None:
         about = json.loads(pq.read_schema(pa.BufferReader(content)).metadata[store.ABOUT])
     except (OSError, ValueError, KeyError, TypeError, pa.ArrowException):
         return None
-    name = f"{store.PARTS}/{path.name}"
+    name = f"{path.parent.name}/{path.name}"
     return Entry(
         name, len(content), sha256, tuple(about["batches"]), about["study"], about["labels"], tuple(about["run_ids"])
     )
@@ -153,9 +169,11 @@ def compact(folder: Path, planned: pd.DataFrame) -> None:
             merged[run[0].file] = store.write_table(folder, table, run[0].study, run[0].labels)
             merged |= dict.fromkeys((entry.file for entry in run[1:]), None)
     if merged:
-        plan = [entry for entry in manifest.read(folder) if entry.file == store.POINTS]
+        listed = manifest.read(folder)
+        plan = [entry for entry in listed if entry.file == store.POINTS]
         kept = [merged.get(entry.file, entry) for entry in parts]
-        manifest.rewrite(folder, [*plan[-1:], *(entry for entry in kept if entry)])
+        beside = filter(_is_beside, listed)
+        manifest.rewrite(folder, [*plan[-1:], *beside, *(entry for entry in kept if entry)])
         for file in merged:
             (folder / file).unlink(missing_ok=True)
 

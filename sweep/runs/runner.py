@@ -4,7 +4,7 @@ import socket
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
@@ -17,8 +17,8 @@ from sweep.core.errors import Fault, InputError
 from sweep.core.expressions import mask
 from sweep.engines.base import Engine
 from sweep.engines.run_id import device, run_id
-from sweep.metrics.outcome import classify
-from sweep.runs import manifest, repair, store
+from sweep.metrics.outcome import INVALID, classify
+from sweep.runs import histories, manifest, repair, store
 from sweep.runs.batches import (
     Batch,
     among,
@@ -40,7 +40,8 @@ from sweep.study.study import Say, points
 FREE = ("study.axes.", "study.design.num", "study.points", "study.where", "study.replicates", "study.resolution",
         "study.level", "study.budget", "study.audit", "study.invalid_max", "study.expect", "study.theory",
         "scenario.expect", "outcome", "cluster", "out")  # fmt: skip
-Progress = Callable[[pd.DataFrame], None]  # told the rows of every finished batch
+TOLD = ["outcome", "wall_s"]
+Progress = Callable[[pd.DataFrame], None]  # told these columns of every finished batch
 
 
 @dataclass
@@ -49,7 +50,6 @@ class Found:
 
     stages: dict[int, list[str]] = field(default_factory=dict)  # of the plan, by group
     devices: list[str] = field(default_factory=list)
-    unplanned: int = 0  # rollouts of the study that this run leaves out
 
 
 @dataclass(frozen=True)
@@ -60,14 +60,31 @@ class Job:
     folder: Path
     table: pd.DataFrame
     wanted: set[int]  # batches
+    unplanned: int = 0  # rollouts of the study that are in neither
+
+    @cached_property
+    def study(self) -> str:
+        """Digest of what all rows of the folder share: configuration and code."""
+        return study_id(self.exp.values)
+
+    @cached_property
+    def labels(self) -> str:
+        """Digest of how the rows are judged."""
+        return labels_id(self.exp.values)
 
     def missing(self) -> list[int]:
         """Batches that are asked for and not on disk."""
         return sorted(self.wanted - store.finished(self.folder))
 
+    @cached_property
+    def _places(self) -> dict[int, np.ndarray]:
+        """Where each batch is in the table, which would else be gone through for each of them."""
+        return self.table.groupby("batch").indices  # pyright: ignore[reportReturnType]
+
     def rows(self, batches: list[int]) -> pd.DataFrame:
-        """Planned rows of `batches`."""
-        return self.table[self.table["batch"].isin(batches)]
+        """Planned rows of `batches`, in the table's order."""
+        places = [self._places[number] for number in batches]
+        return self.table.take(np.sort(np.concatenate([np.zeros(0, dtype=int), *places])))
 
 
 def wanted_points(
@@ -81,9 +98,14 @@ def wanted_points(
     return table.reset_index(drop=True)
 
 
-def unplanned(exp: Experiment, table: pd.DataFrame) -> int:
-    """How many of the study's points `table` leaves out, as after `--limit`; 0 where they are not known beforehand."""
+def unplanned(exp: Experiment, table: pd.DataFrame, wanted: pd.DataFrame) -> int:
+    """How many of the study's points `table` leaves out, as after `--limit`; 0 where they are not known beforehand.
+
+    None are, without a look at each of a million points, where all that the study can have are `wanted`.
+    """
     if exp.study.refined or (exp.study.points and not Path(exp.study.points).is_file()):
+        return 0
+    if not exp.study.points and len(wanted) == exp.study.most:
         return 0
     return int((~among(points(exp.study, exp.case, exp.settings), table)).sum())
 
@@ -98,7 +120,8 @@ def lay_out(exp: Experiment, folder: Path, wanted: pd.DataFrame) -> Job:
     every = pd.concat([planned, wanted], ignore_index=True)
     exp = with_room_for_delay(exp, every)
     table = plan(exp, planned, wanted)
-    return Job(exp, folder, table, set(table.loc[among(table, wanted), "batch"]))
+    histories.size(exp, table)
+    return Job(exp, folder, table, set(table.loc[among(table, wanted), "batch"]), unplanned(exp, table, wanted))
 
 
 def mend(exp: Experiment, folder: Path) -> list[str]:
@@ -179,9 +202,8 @@ def run(job: Job, progress: Progress, dispatch: Dispatch = map) -> Job:
     if (folder / store.STUDY).exists():
         stored = store.read_study(folder)
         found = Found(stored["stages"], stored["devices"])
-        if stored["labels"] != labels_id(exp.values):
+        if stored["labels"] != job.labels:
             relabel(folder, exp.values["outcome"])
-    found.unplanned = unplanned(exp, job.table)
     describe(job, found)
     while missing := job.missing():
         store.write_points(folder, job.table)
@@ -205,14 +227,26 @@ def run(job: Job, progress: Progress, dispatch: Dispatch = map) -> Job:
 
 
 def accepted(job: Job, done: "Done", entry: Entry) -> pd.DataFrame:
-    """The rows that a worker wrote; from now on they count. Raises `Fault` where they are not those asked for."""
-    if not (job.folder / entry.file).exists():
+    """What is told of the rows that a worker wrote; from now on they count.
+
+    Raises `Fault` where they are not those asked for.
+    """
+    if not all((job.folder / one.file).exists() for one in (entry, *done.beside)):
         raise Fault(f"{done.host} wrote batch {done.batch} to {job.folder.resolve()}, which is not seen here")
-    if (entry.study, entry.labels) != (study_id(job.exp.values), labels_id(job.exp.values)):
+    if (entry.study, entry.labels) != (job.study, job.labels) or {one.study for one in done.beside} - {job.study}:
         raise Fault(f"{done.host} simulated batch {done.batch} of another study, or judged it by other thresholds")
-    rows = store.read_part(job.folder, entry)
-    manifest.add(job.folder, entry)
+    rows = store.read_table(job.folder, entry, TOLD).to_pandas()
+    manifest.add(job.folder, *within_bounds(job.folder, done.beside), entry)
     return rows
+
+
+def within_bounds(folder: Path, beside: tuple[Entry, ...]) -> list[Entry]:
+    """Those of `beside` that are to be kept: workers that do not know of each other may find too many invalid rows."""
+    last = [entry for entry in beside if entry.file.startswith(f"{store.LAST_STATES}/")]
+    room = histories.INVALID_ROWS - len(store.beside(folder, store.LAST_STATES)) if last else 0
+    for entry in last[room:]:
+        (folder / entry.file).unlink(missing_ok=True)
+    return [entry for entry in beside if entry not in last[room:]]
 
 
 def announced(job: Job, missing: list[int], found: Found, tight: Collection["Done"]) -> Iterator[int]:
@@ -229,7 +263,7 @@ def announced(job: Job, missing: list[int], found: Found, tight: Collection["Don
         how = f"{start.settings}, {engine.dynamics} dynamics"
         store.log(job.folder, f"group {group}: {how}, {len(rows)} rollouts of {engine.duration:g} s")
         for number in rows["batch"].unique().tolist():
-            if not rows["batch"].isin([done.batch for done in tight]).any():
+            if not (tight and rows["batch"].isin([done.batch for done in tight]).any()):
                 yield number
 
 
@@ -254,6 +288,7 @@ class Done:
     device: str
     devices: int  # that share a batch
     entry: Entry | None  # None where there was too little memory
+    beside: tuple[Entry, ...] = ()  # histories and last states
 
 
 def on_worker(folder: Path, version: str, code: str, number: int) -> Done:
@@ -265,47 +300,63 @@ def on_worker(folder: Path, version: str, code: str, number: int) -> Done:
     host = socket.gethostname()
     if (here := provenance.code_version()) != code:
         raise InputError(f"worker {host} has another version of the code or of its libraries: {here}, not {code}")
-    exp, table = _plan_of(folder, version)
-    rows = table[table["batch"] == number]
-    start = nominal(exp, rows, int(rows["width"].iloc[0]))
-    engine = make_engine(exp, start)
-    entry = None
+    job = _plan_of(folder, version)
+    rows = job.rows([number])
+    start = nominal(job.exp, rows, int(rows["width"].iloc[0]))
+    engine = make_engine(job.exp, start)
+    entry, beside = None, ()
     try:
-        finished = simulate(exp, engine, rows)
+        finished, table = simulate(job.exp, engine, rows)
         # by what the rows were judged by, whatever the command believes by now
-        entry = store.write_part(folder, finished, study_id(exp.values), labels_id(exp.values))
+        entry = store.write_part(folder, finished, job.study, job.labels)
+        beside = histories.write(folder, job.study, number, table, ended(job, engine, rows, finished))
     except MemoryError:
         pass
     if entry is None:  # after the handler, whose error holds on to the arrays
         forget_engine()
-    return Done(number, host, device(start.settings), engine.devices, entry)
+    return Done(number, host, device(start.settings), engine.devices, entry, beside)
+
+
+def ended(job: Job, engine: Engine, rows: pd.DataFrame, finished: pd.DataFrame) -> list[pd.DataFrame]:
+    """The last states of a batch's invalid rows, as long as the folder has few of them."""
+    if not (finished["outcome"] == INVALID).any():
+        return []
+    room = histories.INVALID_ROWS - len(store.beside(job.folder, store.LAST_STATES))
+    return histories.last_states(engine, batch(job.exp, rows), finished, room) if room > 0 else []
 
 
 @lru_cache(maxsize=1)
-def _plan_of(folder: Path, version: str) -> tuple[Experiment, pd.DataFrame]:
+def _plan_of(folder: Path, version: str) -> Job:
     table = store.read_points(folder)
-    return with_room_for_delay(experiment(store.read_study(folder)["config"]), table), table
+    return Job(with_room_for_delay(experiment(store.read_study(folder)["config"]), table), folder, table, set())
 
 
 def describe(job: Job, found: Found) -> None:
     """Write study.yaml."""
     store.write_study(job.folder, {
-        "config": job.exp.values, "rollouts": len(job.table) + found.unplanned, "labels": labels_id(job.exp.values),
+        "config": job.exp.values, "rollouts": len(job.table) + job.unplanned, "labels": job.labels,
         "stages": found.stages, "devices": found.devices, "code": provenance.code_version(),
         "commit": provenance.commit(), "versions": provenance.versions(),
     })  # fmt: skip
 
 
-def simulate(exp: Experiment, engine: Engine, rows: pd.DataFrame) -> pd.DataFrame:
-    """The finished rows of one batch: points, figures, outcome, and the wall time of a rollout (s)."""
-    task = batch(exp, rows)
+def simulate(exp: Experiment, engine: Engine, rows: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame | None]:
+    """The finished rows of one batch: points, figures, outcome, and the wall time of a rollout (s); and histories."""
+    task, slots, samples = batch(exp, rows), histories.kept(exp, rows), None
+    watched = histories.watch(exp, task.settings)
     start = time.perf_counter()
-    figures = engine.run(task.world, task.belief, task.streams)
+    if len(slots):
+        figures, samples = engine.histories(task.world, task.belief, task.streams, slots, watched)
+    else:
+        figures = engine.run(task.world, task.belief, task.streams)
     wall = time.perf_counter() - start
     columns = {name: np.asarray(values, dtype=float)[: len(rows)] for name, values in figures.items()}
     labels = classify(columns, exp.thresholds, engine.stages)
     done = rows.reset_index(drop=True).assign(run_id=run_id(task.settings))
-    return pd.concat([done, pd.DataFrame(columns), pd.DataFrame(labels)], axis=1).assign(wall_s=wall / len(rows))
+    finished = pd.concat([done, pd.DataFrame(columns), pd.DataFrame(labels)], axis=1).assign(wall_s=wall / len(rows))
+    if samples is None:
+        return finished, None
+    return finished, histories.of_batch(finished, slots, samples, watched, task.settings.control_period)
 
 
 def run_single(exp: Experiment) -> pd.DataFrame:
@@ -315,7 +366,7 @@ def run_single(exp: Experiment) -> pd.DataFrame:
     exp = with_room_for_delay(exp, table)
     start = nominal(exp, table, exp.settings.width)
     try:
-        return simulate(exp, make_engine(exp, start), table)
+        return simulate(exp, make_engine(exp, start), table)[0]
     except MemoryError:
         raise Fault("a rollout does not fit in the memory of the device") from None
 

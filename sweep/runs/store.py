@@ -1,9 +1,10 @@
 """A study's folder: what it is, its points, its finished rows. A file appears whole or not at all, see `manifest`."""
 
+import contextlib
 import json
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,8 @@ from sweep.runs.manifest import Entry
 
 pa.set_memory_pool(pa.system_memory_pool())  # a million rows are read in 2 s of a processor; in 8 s by Arrow's own pool
 STUDY, POINTS, PARTS, LOG = "study.yaml", "points.parquet", "parts", "log.txt"
+HISTORIES, LAST_STATES = "histories", "last_states"
+PLACES = (PARTS, HISTORIES, LAST_STATES)  # folders of what the manifest lists
 FORMAT = 2  # of the folder
 CHECK = "# sha256 of the lines above: "
 ABOUT = b"sweep"  # key of a part's own account of itself
@@ -29,7 +32,7 @@ class Damaged(InputError):
     """A file is lost or not as it was written; `sweep run` mends it."""
 
 
-@contextmanager
+@contextlib.contextmanager
 def locked(folder: Path) -> Iterator[None]:
     """Hold `folder` for this process, making it where missing and clearing what a killed one left half-written.
 
@@ -39,8 +42,9 @@ def locked(folder: Path) -> Iterator[None]:
     try:
         (folder / PARTS).mkdir(parents=True, exist_ok=True)
         held.acquire()
-        for left in (*folder.glob(f"{files.HIDDEN}*"), *(folder / PARTS).glob(f"{files.HIDDEN}*")):
-            left.unlink(missing_ok=True)
+        for place in (folder, *(folder / name for name in PLACES)):
+            for left in place.glob(f"{files.HIDDEN}*"):
+                left.unlink(missing_ok=True)
     except filelock.Timeout:
         raise InputError(f"{folder} is in use by another sweep process: wait for it, or give out=DIR") from None
     except OSError as error:
@@ -126,12 +130,32 @@ def write_part(folder: Path, rows: pd.DataFrame, study: str, labels: str) -> Ent
 def write_table(folder: Path, table: pa.Table, study: str, labels: str) -> Entry:
     """As `write_part`, from Arrow's form."""
     batches, ids = (tuple(sorted(table[name].unique().to_pylist())) for name in ("batch", "run_id"))
-    content = _to_parquet(table, {"study": study, "labels": labels, "batches": batches, "run_ids": ids})
+    return _written(folder, f"{PARTS}/part-{batches[0]:06d}", table, Entry("", 0, "", batches, study, labels, ids))
+
+
+def write_beside(folder: Path, name: str, rows: pd.DataFrame, study: str) -> Entry:
+    """A file that goes with the parts, which counts when it is listed; `name` without its digest. Raises `Fault`."""
+    return _written(folder, name, pa.Table.from_pandas(rows, preserve_index=False), Entry("", 0, "", study=study))
+
+
+def _written(folder: Path, name: str, table: pa.Table, about: Entry) -> Entry:
+    told = {"study": about.study, "labels": about.labels, "batches": about.batches, "run_ids": about.run_ids}
+    content = _to_parquet(table, told)
     sha256 = files.digest(content)
-    name = f"{PARTS}/part-{batches[0]:06d}-{sha256[:12]}.parquet"
-    entry = Entry(name, len(content), sha256, batches, study, labels, ids)
+    entry = replace(about, file=f"{name}-{sha256[:12]}.parquet", length=len(content), sha256=sha256)
+    with contextlib.suppress(OSError):  # said of the file
+        (folder / entry.file).parent.mkdir(exist_ok=True)
     files.write_whole(folder / entry.file, content)
     return entry
+
+
+def beside(folder: Path, place: str) -> list[Entry]:
+    """The listed files of a place beside the parts; of several of one name the last, as of a batch done again.
+
+    Raises `InputError`.
+    """
+    listed = (entry for entry in manifest.read(folder) if entry.file.startswith(f"{place}/"))
+    return list({entry.file.rpartition("-")[0]: entry for entry in listed}.values())
 
 
 def counted(folder: Path) -> list[Entry]:
@@ -153,8 +177,8 @@ def read_part(folder: Path, entry: Entry) -> pd.DataFrame:
     return read_table(folder, entry).to_pandas()
 
 
-def read_table(folder: Path, entry: Entry) -> pa.Table:
-    """As `read_part`, in Arrow's form."""
+def read_table(folder: Path, entry: Entry, columns: list[str] | None = None) -> pa.Table:
+    """As `read_part`, in Arrow's form; of all columns or of some."""
     path = folder / entry.file
     try:
         content = path.read_bytes()
@@ -163,7 +187,7 @@ def read_table(folder: Path, entry: Entry) -> pa.Table:
         content, problem = b"", files.reason(error)
     if problem:
         raise InputError(f"{path} is damaged ({problem}): `sweep run` as before simulates it again")
-    return pq.read_table(pa.BufferReader(content))
+    return pq.read_table(pa.BufferReader(content), columns=columns)
 
 
 def read_rows(folder: Path) -> pd.DataFrame:

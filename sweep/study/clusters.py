@@ -52,7 +52,7 @@ class DaskLocal:
 
     elsewhere: ClassVar[bool] = False
     kind: str = choice("dask_local", "dask_local")
-    workers: int = count(2, at_least=1)
+    workers: int = count(2, at_least=1)  # processes, each of which simulates one batch at a time
 
     @contextmanager
     def connect(self, watched: Watched) -> Iterator[Dispatch]:
@@ -78,7 +78,7 @@ class DaskAddress:
 
     elsewhere: ClassVar[bool] = True
     kind: str = choice("dask_address", "dask_address")
-    address: str = ""
+    address: str = ""  # of a scheduler that runs already, such as tcp://host:8786
 
     @contextmanager
     def connect(self, watched: Watched) -> Iterator[Dispatch]:
@@ -101,10 +101,10 @@ class Slurm:
 
     elsewhere: ClassVar[bool] = True
     kind: str = choice("slurm", "slurm")
-    workers: int = count(2, at_least=1)  # jobs
-    cores: int = count(1, at_least=1)  # of a job
-    memory: str = "4GB"  # of a job
-    walltime: str = "01:00:00"  # of a job
+    workers: int = count(2, at_least=1)  # jobs that are sent, each with one worker
+    cores: int = count(1, at_least=1)  # processor cores of a job
+    memory: str = "4GB"  # that a job asks for
+    walltime: str = "01:00:00"  # after which Slurm ends a job, which is then sent again
     queue: str | None = None  # partition
     account: str | None = None
     interface: str | None = None  # network that the nodes reach this machine by, such as ib0

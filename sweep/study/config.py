@@ -37,7 +37,7 @@ from sweep.models.robot import Robot
 from sweep.study import sources
 from sweep.study.clusters import CLUSTERS, Cluster
 from sweep.study.designs import known, with_side
-from sweep.study.study import Study, StudySchema, nominal, parameter
+from sweep.study.study import Study, StudySchema, check_keep, nominal, parameter
 
 CONFIG_MODULE, CONFIG_NAME, HYDRA_VERSION = "sweep.conf", "config", "1.3"
 GROUPS: dict[str, type] = {
@@ -230,6 +230,7 @@ def experiment(values: Mapping[str, Any]) -> Experiment:
     if single:
         chosen = {**chosen, "expect": scenario["expect"]}
     study = Study.parse({**chosen, "name": chosen["name"] or scenario["name"]}, single)
+    check_keep(study, case, settings)
     for theory in study.theory:  # refuses inputs that mean nothing
         parameter(theory.of, case, settings)
         theory.numbers(lambda path: nominal(path, case, settings))

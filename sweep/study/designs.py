@@ -248,7 +248,7 @@ def size(axes: tuple[Axis, ...], design: Design) -> int:
     """How many points `table` would have."""
     lengths = [len(a.values) for a in axes if a.values is not None and a.along is None]
     drawn = sum(a.distribution is not None for a in axes)
-    draws = design.num * (design.scrambles if design.kind != "saltelli" else drawn + 2)
+    draws = design.num * {"saltelli": drawn + 2, "morris": drawn + 1}.get(design.kind, design.scrambles)
     return (sum(lengths) if design.grid == "one_at_a_time" else math.prod(lengths)) * max(draws, 1)
 
 

@@ -16,6 +16,7 @@ import pandas as pd
 
 from sweep.core.errors import InputError, suggest
 from sweep.core.parameters import bounds_text
+from sweep.metrics import CAUSES
 from sweep.study import config
 
 
@@ -76,7 +77,7 @@ def entry(group: str, cls: type, line: dict[str, str]) -> str:
 
 def parameters(cls: type) -> Iterator[dict[str, str]]:
     """A line for each parameter: name, default, unit, what is allowed, meaning. The kind is not one of them."""
-    meanings = comments(cls)
+    meanings = judged() | comments(cls)
     for field in dataclasses.fields(cls):
         role = field.metadata.get("role")
         if field.name == "kind" or (role is None and not isinstance(field.default, str | int | float | bool)):
@@ -95,6 +96,11 @@ def parameters(cls: type) -> Iterator[dict[str, str]]:
             "allowed": allowed[role](field) if role else "",
             "meaning": meanings.get(field.name, ""),
         }
+
+
+def judged() -> dict[str, str]:
+    """What each threshold of `outcome` decides."""
+    return {cause.threshold: f"{cause.name}: {cause.sentence}" for cause in CAUSES if cause.threshold}
 
 
 def default(field: "dataclasses.Field[Any]") -> str:

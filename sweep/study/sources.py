@@ -128,16 +128,7 @@ def read(file: Any) -> dict[str, Any]:
         content = None
     if not isinstance(content, DictConfig):
         raise InputError(f"{file} is not a configuration: keys and values are wanted, such as `study:`")
-    values: Any = OmegaConf.to_container(content, resolve=False)
-    study = values.get("study")
-    if isinstance(study, dict) and isinstance(study.get("axes"), dict):
-        study["axes"] = {name: with_on(axis) for name, axis in study["axes"].items()}
-    return values
-
-
-def with_on(axis: Any) -> Any:
-    """An axis whose key `on` is a word: YAML 1.1 reads a bare one as true."""
-    return {"on" if key is True else key: value for key, value in axis.items()} if isinstance(axis, dict) else axis
+    return OmegaConf.to_container(content, resolve=False)  # pyright: ignore[reportReturnType]
 
 
 def whole(group: str, file: Any, content: Mapping[str, Any]) -> dict[str, Any]:

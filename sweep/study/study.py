@@ -18,6 +18,7 @@ from sweep.core.errors import InputError, suggest
 from sweep.core.expressions import mask
 from sweep.core.parameters import checked, within
 from sweep.engines.settings import EngineSettings
+from sweep.engines.states import offered
 from sweep.models.case import Case
 from sweep.study import designs
 from sweep.study.designs import SIDES, Axis, Design
@@ -54,6 +55,8 @@ class _Plain:
     level: float = 0.5  # of the success region, where rollouts of a point differ
     budget: int = 0  # most rollouts that refinement may take; 0: no limit
     audit: int = 0  # random points in decided cells that are run as a check
+    keep_rate: float = 10.0  # samples of the columns `keep` in a simulated second
+    keep_rows: int = 1000  # of the plan, from its first, whose histories are kept
     invalid_max: float = 0.01  # largest tolerated share of invalid rows
 
 
@@ -65,6 +68,7 @@ class StudySchema(_Plain):
     design: Design = field(default_factory=Design)
     expect: list[Any] = field(default_factory=list)
     theory: list[Any] = field(default_factory=list)
+    keep: list[Any] = field(default_factory=list)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,6 +80,7 @@ class Study(_Plain):
     design: Design  # of the axes that have a distribution
     expect: tuple[Expectation, ...]
     theory: tuple[Theory, ...]  # drawn over its maps
+    keep: tuple[str, ...]  # columns whose time histories are kept, see `sweep.engines.states`
 
     @property
     def refined(self) -> bool:
@@ -86,6 +91,11 @@ class Study(_Plain):
     def noisy(self) -> bool:
         """Whether rollouts of one grid point differ."""
         return self.replicates > 1 or self.design.num > 0
+
+    @property
+    def most(self) -> int:
+        """Rollouts of its axes and draws, those of equal points among them."""
+        return self.replicates * designs.size(self.axes, self.design)
 
     @classmethod
     def parse(cls, values: Mapping[str, Any], single: bool) -> "Study":
@@ -100,6 +110,8 @@ class Study(_Plain):
             raise InputError(f"study.resolution = {values['resolution']:g} is not allowed: at least 0 and below 1")
         if not 0 <= values["invalid_max"] <= 1:
             raise InputError(f"study.invalid_max = {values['invalid_max']:g} is not allowed: a share from 0 to 1")
+        if values["keep_rows"] < 1:
+            raise InputError(f"study.keep_rows = {values['keep_rows']} is not allowed: at least 1")
         for key in ("budget", "audit"):
             if values[key] < 0:
                 raise InputError(f"study.{key} = {values[key]} is not allowed: at least 0")
@@ -111,7 +123,8 @@ class Study(_Plain):
         source = "scenario" if single else "study"
         expect = tuple(_expectation(f"{source}.expect.{i}", one) for i, one in enumerate(values["expect"]))
         theory = tuple(parse_theory(f"study.theory.{i}", one) for i, one in enumerate(values["theory"]))
-        told = {"axes": axes, "design": design, "expect": expect, "theory": theory, "single": single}
+        keep = tuple(dict.fromkeys(values["keep"]))
+        told = {"axes": axes, "design": design, "expect": expect, "theory": theory, "keep": keep, "single": single}
         return cls(**{**values, **told})
 
 
@@ -177,6 +190,18 @@ def parameter_columns(table: pd.DataFrame) -> list[str]:
     return [c for c in table.columns if "." in c and not c.startswith("axis.")]
 
 
+def check_keep(study: Study, case: Case, settings: EngineSettings) -> None:
+    """Raise `InputError` where time histories are asked for that there are none of."""
+    columns = offered(case)
+    for name in study.keep:
+        if name not in columns:
+            raise InputError(f"study.keep: {name} is unknown{suggest(str(name), columns)}")
+    ticks = 1 / (settings.control_period * study.keep_rate) if study.keep_rate > 0 else 0.0
+    if study.keep and (round(ticks) < 1 or abs(ticks - round(ticks)) > 1e-6):
+        rate = f"a whole fraction of the control rate, {1 / settings.control_period:g} a second"
+        raise InputError(f"study.keep_rate = {study.keep_rate:g} is not allowed: {rate}")
+
+
 def points(
     study: Study, case: Case, settings: EngineSettings, grid: pd.DataFrame | None = None, say: Say | None = None
 ) -> pd.DataFrame:
@@ -187,7 +212,7 @@ def points(
     The replicates of a drawn point have numbers of their own, and with them noise of their own. `grid` takes the place
     of the study's grid points (see `designs.table`).
     """
-    count = study.replicates * (1 if study.points or grid is not None else designs.size(study.axes, study.design))
+    count = study.replicates if study.points or grid is not None else study.most
     if count > designs.MOST:
         raise InputError(f"study {study.name} has {count} rollouts: at most {designs.MOST} are allowed")
     if study.points:

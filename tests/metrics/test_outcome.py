@@ -103,7 +103,7 @@ def test_the_margin_is_the_least_distance_to_a_threshold():
 def test_a_manoeuvre_states_its_goal_and_outcome_may_loosen_it():
     assert compose(["scenario=pole_top"]).thresholds.feet_on_target_min == 6
     assert compose(["scenario=pole_top", "outcome.feet_on_target_min=4"]).thresholds.feet_on_target_min == 4
-    assert compose(["scenario=ball_drive"]).thresholds.feet_on_target_min == -np.inf  # its goal is a motion
+    assert compose(["scenario=ball_drive"]).thresholds.feet_on_target_min is None  # its goal is a motion
 
 
 @pytest.mark.parametrize("wrong", ["ride_height_min_m=0.5", "obstacle_aside_max_m=0.1"])

@@ -20,8 +20,8 @@ class Ball:
     At the start it rests on the world's origin, or rolls over it."""
 
     kind: str = choice("ball", "ball")
-    radius: float = quantity(0.84, "m", above=0)  # R
-    mass: float = quantity(100.0, "kg", above=0)  # M
+    radius: float = quantity(0.84, "m", above=0)  # R, of the ball that the robot stands on
+    mass: float = quantity(100.0, "kg", above=0)  # M, of the ball that the robot stands on
     rolling_friction: float = quantity(4e-4, "m", at_least=0)  # f_s: moment against rolling over the normal force
     spinning_friction: float = quantity(4e-4, "m", at_least=0)  # the same about the vertical
     floor_grip: float = quantity(1.0, "-", at_least=0)  # multiplies the friction coefficient of ball and floor

@@ -19,10 +19,10 @@ class Beam(Fixed):
     It lies along the world's y axis, its top level with the ledges, which fill y > 0 and y < -length."""
 
     kind: str = choice("beam", "beam")
-    width: float = quantity(0.25, "m", above=0, at_most=4)
+    width: float = quantity(0.25, "m", above=0, at_most=4)  # of the beam's top, along the world's x axis
     length: float = quantity(2.0, "m", above=0)  # of the gap between the ledges
     height: float = quantity(1.0, "m", above=0)  # h_1, of the ledges and the beam's top above the floor
-    thickness: float = quantity(0.1, "m", above=0)
+    thickness: float = quantity(0.1, "m", above=0)  # of the beam, from its top down
 
     def solids(self, bodies: Bodies) -> tuple[Solid, ...]:
         """The ledges end where no robot comes; the beam reaches as far into them as feet's geometry is shrunk."""

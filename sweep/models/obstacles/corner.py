@@ -21,7 +21,7 @@ class Corner(Fixed):
 
     kind: str = choice("corner", "corner")
     half_angle: float = quantity(np.pi / 4, "rad", at_least=0.2, at_most=1.5)  # psi, of the house between its walls
-    height: float = quantity(2.3, "m", above=0)  # h
+    height: float = quantity(2.3, "m", above=0)  # h, of the house above the floor
 
     def walls(self) -> Float[Array, "2 3"]:
         """Outward normals of the wall on the side of -x and of that on the side of +x."""

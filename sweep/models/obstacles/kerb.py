@@ -17,7 +17,7 @@ class Kerb(Fixed):
     """A kerb, 0.1 m high by default: the ground is higher where x > 0."""
 
     kind: str = choice("kerb", "kerb")
-    height: float = quantity(0.1, "m", above=0, at_most=1)
+    height: float = quantity(0.1, "m", above=0, at_most=1)  # of the ground beyond the edge, above that before it
 
     def solids(self, bodies: Bodies) -> tuple[Solid, ...]:
         """The block ends where no robot comes."""

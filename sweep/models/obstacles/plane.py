@@ -14,7 +14,7 @@ class Plane(Fixed):
     """Ground through the world's origin, rising towards +x by `slope`."""
 
     kind: str = choice("plane", "plane")
-    slope: float = quantity(0.0, "rad", at_least=-1.2, at_most=1.2)
+    slope: float = quantity(0.0, "rad", at_least=-1.2, at_most=1.2)  # angle by which the ground rises towards +x
 
     def rotation(self) -> Float[Array, "3 3"]:
         """Ground axes (x uphill, z along the normal) to world axes."""

@@ -79,20 +79,21 @@ class BeamWalk:
 
     goal: ClassVar = ARRIVED
     kind: str = choice("beam_walk", "beam_walk")
-    flywheel: str = choice("on", "on", "off")  # off: the middle legs stay as they are
+    flywheel: str = choice("on", "on", "off")  # whether the middle legs balance the body; off: they stay as they are
     steps: int = count(16, at_least=0, at_most=100)  # swings of a diagonal pair
     inset: float = quantity(0.0125, "m", at_least=0)  # of the feet from the beam's edges: xi_b is its width less both
-    half_step_ratio: float = quantity(0.1, "a_r", above=0, at_most=0.5)  # d_x
-    lift_ratio: float = quantity(0.03, "a_r", above=0, at_most=0.5)  # d_y
+    # d_x, half of what a foot moves ahead in a swing
+    half_step_ratio: float = quantity(0.1, "a_r", above=0, at_most=0.5)
+    lift_ratio: float = quantity(0.03, "a_r", above=0, at_most=0.5)  # d_y, how high a swinging foot is lifted
     height_ratio: float = quantity(0.58, "a_r", above=0, at_most=2)  # hips above the beam
-    rate: float = quantity(6.0, "rad/s", above=0, at_most=20)  # varpi
-    deepening: float = quantity(5e-3, "m", at_least=0, at_most=0.05)  # epsilon
+    rate: float = quantity(6.0, "rad/s", above=0, at_most=20)  # varpi, of the swings, whose time t* it gives
+    deepening: float = quantity(5e-3, "m", at_least=0, at_most=0.05)  # epsilon, footholds below the beam's top
     patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
-    c1: float = quantity(5000.0, "N/m")
-    c2: float = quantity(400.0, "N*s/m")
-    c3: float = quantity(-5e4, "N*m/rad", at_most=0)
+    c1: float = quantity(5000.0, "N/m")  # force for each metre that the mass centre is aside of its planned line
+    c2: float = quantity(400.0, "N*s/m")  # force against the mass centre's sideways speed
+    c3: float = quantity(-5e4, "N*m/rad", at_most=0)  # torque by which leg 4 follows leg 3, for each radian
     c4: float = quantity(547.215, "N*m*s/rad", at_least=0)  # printed with a minus: no damping
-    c5: float = quantity(-6.25, "N*m/rad")
+    c5: float = quantity(-6.25, "N*m/rad")  # torque on leg 3 towards its rest while four feet stand, for each radian
     c6: float = quantity(10.067, "N*m*s/rad")  # printed with a minus: no damping
 
     needs = (Beam,)
@@ -160,11 +161,12 @@ class BeamCross(BeamWalk):
 
     goal: ClassVar = UPRIGHT
     kind: str = choice("beam_cross", "beam_cross")
-    steps: int = count(17, at_least=1, at_most=100)
+    steps: int = count(17, at_least=1, at_most=100)  # swings of a diagonal pair, on the beam
     approach: int = count(2, at_least=0, at_most=50)  # swings by tripod to the edge
-    walk_step_ratio: float = quantity(0.08, "a_r", above=0, at_most=0.5)  # d_x of these
+    # d_x, half of what a foot moves ahead in these
+    walk_step_ratio: float = quantity(0.08, "a_r", above=0, at_most=0.5)
     departure: int = count(4, at_least=0, at_most=50)  # and away from it
-    wide_track: float = quantity(0.7852, "m", above=0)  # 2 x_f
+    wide_track: float = quantity(0.7852, "m", above=0)  # 2 x_f, between the feet of both sides on the ledges
     margin: float = quantity(0.12, "m", at_least=0)  # between the feet and the edge
     transfer_lift: float = quantity(0.1, "m", above=0)  # of feet that change the track
 

@@ -84,18 +84,22 @@ ENTRY = Entry()
 class OnCorner(PlannedForces):
     """What manoeuvres on a corner have in common. Ratios are to the body's length a_r."""
 
-    cycles: int = count(1, at_least=0, at_most=100)  # of the gallop
-    anchoring: float = quantity(0.03, "s", above=0)
-    track_ratio: float = quantity(1 / 3, "a_r", above=0, at_most=1)  # x_f
-    standoff_ratio: float = quantity(0.39, "a_r", above=0, at_most=2)  # eta_f
+    cycles: int = count(1, at_least=0, at_most=100)  # of the gallop up the corner
+    anchoring: float = quantity(0.03, "s", above=0)  # in which footholds follow the feet
+    # x_f, half the distance between the tracks on the walls
+    track_ratio: float = quantity(1 / 3, "a_r", above=0, at_most=1)
+    # eta_f, of the vertical base from the middle between the tracks
+    standoff_ratio: float = quantity(0.39, "a_r", above=0, at_most=2)
+    # half the distance between the feet on the floor
     floor_track_ratio: float = quantity(0.44, "a_r", above=0, at_most=1)
-    span_ratio: float = quantity(1.3, "a_r", above=0, at_most=3)
+    span_ratio: float = quantity(1.3, "a_r", above=0, at_most=3)  # from the rear to the front feet on the wall
     near_ratio: float = quantity(0.24, "a_r", above=0, at_most=1)
-    height_ratio: float = quantity(0.5, "a_r", above=0, at_most=2)  # zeta_f
-    half_step_ratio: float = quantity(0.1, "a_r", above=0, at_most=0.5)  # d_x
-    lift_ratio: float = quantity(0.05, "a_r", above=0, at_most=0.5)  # d_y
-    rate: float = quantity(3.0, "rad/s", above=0, at_most=20)  # varpi
-    patience: float = quantity(0.5, "s", at_least=0)
+    height_ratio: float = quantity(0.5, "a_r", above=0, at_most=2)  # zeta_f, of the base above the floor
+    # d_x, half of what a foot moves ahead in a swing
+    half_step_ratio: float = quantity(0.1, "a_r", above=0, at_most=0.5)
+    lift_ratio: float = quantity(0.05, "a_r", above=0, at_most=0.5)  # d_y, how high a swinging foot is lifted
+    rate: float = quantity(3.0, "rad/s", above=0, at_most=20)  # varpi, of the swings, whose time t* it gives
+    patience: float = quantity(0.5, "s", at_least=0)  # longest wait for a touchdown
 
     needs = (Corner,)
 

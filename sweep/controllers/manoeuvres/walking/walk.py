@@ -26,13 +26,14 @@ class Walk:
 
     goal: ClassVar = ON_ITS_FEET
     kind: str = choice("walk", "walk")
-    gait: str = choice("tripod", *GAITS)
+    gait: str = choice("tripod", *GAITS)  # which legs swing at a time, and in which order
     steps: int = count(7, at_least=1, at_most=200)  # swings of t* each
-    half_step_ratio: float = quantity(0.1, "a_r", above=0, at_most=0.5)  # d_x
-    lift_ratio: float = quantity(0.03, "a_r", above=0, at_most=0.5)  # d_y
+    # d_x, half of what a foot moves ahead in a swing
+    half_step_ratio: float = quantity(0.1, "a_r", above=0, at_most=0.5)
+    lift_ratio: float = quantity(0.03, "a_r", above=0, at_most=0.5)  # d_y, how high a swinging foot is lifted
     height_ratio: float = quantity(0.5, "a_r", above=0, at_most=2)  # d, hips above the ground
     spread_ratio: float = quantity(0.3, "a_r", at_least=0, at_most=2)  # feet out from the hips
-    rate: float = quantity(3.0, "rad/s", above=0, at_most=20)  # varpi
+    rate: float = quantity(3.0, "rad/s", above=0, at_most=20)  # varpi, of the swings, whose time t* it gives
     deepening: float = quantity(2e-3, "m", at_least=0, at_most=0.05)  # epsilon, footholds below the ground
     patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
 
@@ -59,9 +60,9 @@ class Stand:
 
     goal: ClassVar = ON_ITS_FEET
     kind: str = choice("stand", "stand")
-    duration: float = quantity(4.0, "s", above=0)
-    height_ratio: float = quantity(0.5, "a_r", above=0, at_most=2)
-    spread_ratio: float = quantity(0.3, "a_r", at_least=0, at_most=2)
+    duration: float = quantity(4.0, "s", above=0)  # how long the robot stands
+    height_ratio: float = quantity(0.5, "a_r", above=0, at_most=2)  # d, hips above the ground
+    spread_ratio: float = quantity(0.3, "a_r", at_least=0, at_most=2)  # feet out from the hips
 
     needs = (Plane,)
 

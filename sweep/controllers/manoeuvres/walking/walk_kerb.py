@@ -20,7 +20,7 @@ class WalkKerb(Walk):
     """Straight on to a kerb, the base level and rising as it passes the edge."""
 
     kind: str = choice("walk_kerb", "walk_kerb")
-    steps: int = count(11, at_least=0, at_most=200)
+    steps: int = count(11, at_least=0, at_most=200)  # swings of t* each
     lift_ratio: float = quantity(0.12, "a_r", above=0, at_most=0.5)  # over the edge, too
     distance: float = quantity(0.3, "m", above=0)  # from the front feet's cycle centres to the edge, at the start
     margin: float = quantity(0.06, "m", at_least=0)  # of footholds to the edge, at least

@@ -40,9 +40,9 @@ class Waypoints:
 
     goal: ClassVar = ON_ITS_FEET
     kind: str = choice("waypoints", "waypoints")
-    phase_time: float = quantity(1.0, "s", above=0, at_most=20)  # T
+    phase_time: float = quantity(1.0, "s", above=0, at_most=20)  # T, of a step of either tripod
     psi: float = quantity(np.pi / 4, "rad", at_least=-np.pi / 2, at_most=np.pi / 2)  # at home, where phi is 0
-    gamma: float = quantity(-3 * np.pi / 4, "rad", at_least=-np.pi, at_most=0)  # at home
+    gamma: float = quantity(-3 * np.pi / 4, "rad", at_least=-np.pi, at_most=0)  # angle of the knees at home
     # Of the largest step. The thesis takes it where the leg is singular, not at phi_max; here it is always taken.
     share: float = quantity(0.95, "-", above=0, at_most=1)
     cycles: int = count(9, at_least=1, at_most=100)  # 7 take the thesis' robot there, the rest are idle

@@ -1,0 +1,38 @@
+"""Names for what engines record of a rollout: the columns of its states, in files and in `study.keep`."""
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any, NamedTuple
+
+from sweep.metrics.attitude import from_level
+from sweep.models.case import Case
+from sweep.models.legs import JOINTS, LEGS, N_JOINTS
+
+Record = Mapping[str, Any]  # see `batching.record`; components first, so that what comes after may be rollouts or ticks
+Column = Callable[[Record], Any]
+
+
+class Watch(NamedTuple):
+    """What is to be recorded of some rollouts of a batch."""
+
+    columns: tuple[str, ...]
+    every: int  # control ticks
+    most: int  # rollouts that are ever asked for at a time, so that one program serves them all
+
+
+def offered(world: Case) -> dict[str, Column]:
+    """All columns of a kind of world. `qpos_k` and `qvel_k` are MuJoCo's; forces are on the robot, in world axes."""
+    bodies = len(world.obstacle.free_bodies)
+    columns: dict[str, Column] = {f"base_{axis}_m": partial(_number, "qpos", (k,)) for k, axis in enumerate("xyz")}
+    columns["tilt_deg"] = lambda record: from_level(record["qpos"][3:7])
+    columns |= {f"qpos_{k}": partial(_number, "qpos", (k,)) for k in range(7 + N_JOINTS + 7 * bodies)}
+    columns |= {f"qvel_{k}": partial(_number, "qvel", (k,)) for k in range(6 + N_JOINTS + 6 * bodies)}
+    columns |= {f"torque_peak_{name}_nm": partial(_number, "joint_torque", (k,)) for k, name in enumerate(JOINTS)}
+    for leg in LEGS:
+        at = {axis: (leg - 1, k) for k, axis in enumerate("xyz")}
+        columns |= {f"foot{leg}_force_{axis}_n": partial(_number, "foot_force", place) for axis, place in at.items()}
+    return columns
+
+
+def _number(name: str, place: tuple[int, ...], record: Record) -> Any:
+    return record[name][place]

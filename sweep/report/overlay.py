@@ -1,0 +1,76 @@
+"""Time histories over each other: what `study.keep` kept, a line for each rollout, with median and quantiles."""
+
+import matplotlib as mpl
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+
+from sweep.report.labels import heading
+from sweep.runs import histories, store
+from sweep.runs.results import Results
+from sweep.study.study import identity
+
+LINES, PANELS = 100, 8  # that are drawn at most: of each outcome, and columns
+LOW, HIGH = 0.1, 0.9  # quantiles that the band lies between
+COLOURS = {"success": "#0072B2", "failure": "#D55E00", "invalid": "0.5"}
+
+
+def shown(results: Results) -> bool:
+    """Whether there are any."""
+    return bool(results.exp.study.keep) and bool(store.beside(results.folder, store.HISTORIES))
+
+
+def samples(results: Results) -> pd.DataFrame:
+    """The histories of the rows at hand, with their `outcome`."""
+    kept = histories.read(results.folder)
+    keys = identity(kept.columns)
+    return kept.merge(results.rows[[*keys, "outcome"]], on=keys)
+
+
+def data(results: Results) -> pd.DataFrame:
+    """Quantiles of every column at every moment among the rollouts of an outcome that are still under way."""
+    long = samples(results).melt(["outcome", "time_s"], list(results.exp.study.keep), "column")
+    found = long.groupby(["column", "outcome", "time_s"], sort=False)["value"]
+    parts = {"low": found.quantile(LOW), "median": found.median(), "high": found.quantile(HIGH)}
+    return pd.DataFrame({**parts, "rollouts": found.count()}).reset_index()
+
+
+def caption(results: Results) -> str:
+    """The figure in words."""
+    kept = samples(results)
+    rollouts = len(kept[identity(kept.columns)].drop_duplicates())
+    return (
+        f"Over time: {rollouts} of {len(results.rows)} rollouts, a thin line each (at most {LINES} of an outcome), "
+        f"their median, and the band that holds {HIGH - LOW:.0%} of those still under way."
+    )
+
+
+def draw(results: Results) -> Figure:
+    """A panel for each column."""
+    columns = results.exp.study.keep[:PANELS]
+    kept, quantiles = samples(results), data(results)
+    figure = Figure(figsize=(7.2, 1.2 + 1.9 * len(columns)), layout="constrained")
+    spots = figure.subplots(len(columns), 1, sharex=True, squeeze=False)[:, 0]
+    for name, ax in zip(columns, spots, strict=True):
+        for outcome, colour in COLOURS.items():
+            _lines(ax, kept[kept["outcome"] == outcome], name, colour)
+            of = quantiles[(quantiles["outcome"] == outcome) & (quantiles["column"] == name)].sort_values("time_s")
+            ax.fill_between(of["time_s"], of["low"], of["high"], color=colour, alpha=0.2, linewidth=0)
+            if len(of):
+                ax.plot(of["time_s"], of["median"], color=colour, linewidth=1.5, label=outcome)
+        ax.set_ylabel(heading(name))
+        ax.autoscale_view()
+    spots[0].legend(fontsize=8)
+    spots[-1].set_xlabel(heading("time_s"))
+    return figure
+
+
+def _lines(ax: Axes, kept: pd.DataFrame, name: str, colour: str) -> None:
+    """Evenly chosen rollouts, as one picture inside the figure."""
+    groups = [part for _, part in kept.groupby(identity(kept.columns), sort=False)]
+    chosen = np.unique(np.linspace(0, len(groups) - 1, min(LINES, len(groups))).round().astype(int))
+    lines = [groups[k][["time_s", name]].to_numpy() for k in chosen]
+    look = mpl.rcParams["lines.linewidth"] / 3
+    ax.add_collection(LineCollection(lines, colors=colour, linewidths=look, alpha=0.4, rasterized=True))
