@@ -29,18 +29,30 @@ FRONT, MIDDLE, REAR = GALLOP
 TOWARDS = (0.5**0.5, 0.0, 0.0, -(0.5**0.5))  # base to world: x_r along -y, z_r up
 OUTWARD = SIDE[:, None] * np.array([1.0, 0.0, 0.0])  # (6, 3), e_n of (2.3.2)
 UP = np.array([0.0, 0.0, 1.0])
-# Pitch (rad) after each of the five swings on to the pole. The printed sin(theta) = v_f t / a_r ends with an infinite
-# rate, and has the middle hips too low for their feet at the end of their swing.
-PITCH = np.radians([0.0, 14.5, 31.0, 60.0, 68.0, 90.0])
-RISE = np.diff(PITCH)
-PITCH_RATE = np.array([  # rad per swing, of the monotone cubic through them: harmonic means, and one-sided at the ends
-    (3 * RISE[0] - RISE[1]) / 2, *(2 * RISE[:-1] * RISE[1:] / (RISE[:-1] + RISE[1:])), (3 * RISE[-1] - RISE[-2]) / 2
-])  # fmt: skip
-# How far in front of the pole's axis middle and rear feet first touch it, in r, and how much more for every a_r by
-# which r passes 0.4 a_r. For the front feet both are parameters.
-AHEAD = {MIDDLE: (0.25, 1.0), REAR: (0.1, 0.0)}
-# How far below where the gallop starts, in x*; printed as 4 for all, where the front shins touch, of thin poles first.
-BELOW = {FRONT: 0.5, MIDDLE: 4.0, REAR: 4.0}
+
+
+class Entry(NamedTuple):
+    """Numbers of the way on to the pole, 2.3.2."""
+
+    # Until all feet are on the pole the base's front edge is farther from it than d_c and its rear edge lower than d, a_r
+    away: float = 0.049
+    lower: float = 0.07
+    floor: tuple[float, float, float] = (0.34, 1.88, 0.0)  # x*, of front, middle, rear feet
+    # Pitch (deg) after each of the first four swings on to the pole, 90 after the fifth. The printed
+    # sin(theta) = v_f t / a_r ends with an infinite rate, and has the middle hips too low for their feet at the end of
+    # their swing.
+    pitch: tuple[float, float, float, float] = (39.5, 41.5, 69.8, 72.3)
+    # How far in front of the pole's axis middle and rear feet first touch it, in r, and how much more for every a_r by
+    # which r passes 0.4 a_r. For the front feet both are parameters.
+    middle: tuple[float, float] = (0.34, 1.0)
+    rear: tuple[float, float] = (0.232, 0.0)
+    # How far below where the gallop starts front, middle and rear feet first touch the pole, in x*; printed as 4 for
+    # all, where the front shins touch, of thin poles first.
+    below: tuple[float, float, float] = (-1.12, 2.91, 4.0)
+    nearer: float = 2.8  # x*, by which the rear feet come nearer to the pole on the floor
+
+
+ENTRY = Entry()
 
 
 class Site(NamedTuple):
@@ -53,12 +65,13 @@ class Site(NamedTuple):
     track: Array | float  # of a foot on the floor from the plane x = 0
     clearance: Array | float  # d, of the base above the floor
     standoff: Array | float  # d_c, of the vertical base from the pole's axis
-    front_ahead: tuple[Array | float, Array | float]  # as `AHEAD`, of the front feet
+    front_ahead: tuple[Array | float, Array | float]  # arguments of `ahead` for the front feet
     step: Step
+    floor: tuple = (1.0,1.0,0.0)
+    lower: float | Array = 0.0
 
-    def ahead(self, legs: tuple[int, int]) -> Array | float:
-        """How far in front of the pole's axis a pair first touches it (m)."""
-        share, more = {FRONT: self.front_ahead, **AHEAD}[legs]
+    def ahead(self, share: Array | float, more: Array | float) -> Array | float:
+        """How far in front of the pole's axis feet first touch it (m): `share` of r, and `more` the thicker it is."""
         return (share + more * (self.radius / self.length - 0.4)) * self.radius
 
     @property
@@ -68,7 +81,8 @@ class Site(NamedTuple):
 
     def on_floor(self, legs: tuple[int, int]) -> dict[int, Array]:
         """Places of a pair before the pole, (2.3.1)."""
-        behind = {FRONT: self.step.landing, MIDDLE: self.length / 2 - self.step.landing, REAR: self.length}[legs]
+        a,b,c=(x*self.step.landing for x in self.floor)
+        behind = {FRONT: a, MIDDLE: self.length / 2 - b, REAR: self.length-c}[legs]
         return pair(legs, self.track, self.standoff + behind, 0.0)
 
     def on_pole(self, legs: tuple[int, int], ahead: Array | float, height: Array | float) -> dict[int, Array]:
@@ -106,7 +120,7 @@ class PoleClimb(PlannedForces):
     # How far in front of the pole's axis the front feet first touch it, and how much more for every a_r by which r
     # passes 0.4 a_r. The printed 0 puts their shins 34 mm into the pole. A foot that touches it at the angle psi in
     # front of its side needs a friction of tan(psi) to stay there (2.1): farther ahead than shins need is no better.
-    front_ahead: float = quantity(0.44, "r", at_least=0, at_most=1)
+    front_ahead: float = quantity(0.47, "r", at_least=0, at_most=1)
     front_ahead_slope: float = quantity(1.5, "r/a_r", at_least=0, at_most=10)
     rate: float = quantity(3.0, "rad/s", above=0, at_most=20)  # varpi
     deepening: float = quantity(5e-3, "m", at_least=0, at_most=0.05)  # epsilon, footholds inside the pole
@@ -125,11 +139,12 @@ class PoleClimb(PlannedForces):
                     step)  # fmt: skip
 
     def climb(
-        self, site: Site, belief: Case, rise: Array | float, gap: Array | float = 0.0
+        self, site: Site, belief: Case, rise: Array | float, gap: Array | float = 0.0, entry: Entry = ENTRY
     ) -> tuple[Stance, list[Stage]]:
         """Stand, approach, get on, shift the feet up, and gallop by `rise` (m) a swing; `gap` as in `approach`."""
-        start, walk = approach(site, belief, self.steps, gap)
-        climb = [*get_on(site), *shift_up(site), *gallop(site, self.cycles, rise)]
+        farther = site._replace(standoff=site.standoff + entry.away * site.length, clearance=site.clearance-entry.lower*site.length, lower=entry.lower*site.length,floor=entry.floor)
+        start, walk = approach(farther, belief, self.steps, gap)
+        climb = [*get_on(farther, entry), *shift_up(site), *gallop(site, self.cycles, rise)]
         return start, [Stage("stand", STAND), *walk, *self.rested(climb)]
 
     def rested(self, stages: list[Stage]) -> list[Stage]:
@@ -141,10 +156,15 @@ class PoleClimb(PlannedForces):
         plan = assemble(start, [*stages, Stage("halt", STAND)], self.patience)
         return self.gripped(belief, plan) if self.forces == "planned" else plan
 
-    def plan(self, belief: Case) -> Plan:
+    @property
+    def table(self) -> Entry:
+        """The numbers of the way on to the pole."""
+        return ENTRY
+
+    def plan(self, belief: Case, table: Entry = ENTRY) -> Plan:
         """Climb, halt."""
         site = self.site(belief)
-        start, stages = self.climb(site, belief, site.step.landing)
+        start, stages = self.climb(site, belief, site.step.landing, entry=table)
         return self.assembled(belief, start, stages)
 
 
@@ -171,7 +191,7 @@ def approach(site: Site, belief: Case, steps: int, gap: Array | float = 0.0) -> 
     return start, stages
 
 
-def get_on(site: Site) -> list[Stage]:
+def get_on(site: Site, entry: Entry) -> list[Stage]:
     """2.3.2: front feet to the pole, rear feet nearer to it, middle feet to the pole, front feet up, rear feet to it.
 
     The base's front edge goes up a vertical line at d_c from the axis, its rear edge along a horizontal one at d above
@@ -182,24 +202,37 @@ def get_on(site: Site) -> list[Stage]:
     """
     step, time = site.step, site.step.time
     # Printed as a step of -2 x* along xi, which would take both feet to one side.
-    nearer = {leg: place - point(0.0, 2 * step.landing, 0.0) for leg, place in site.on_floor(REAR).items()}
-    first = {legs: site.on_pole(legs, site.ahead(legs), site.upright - BELOW[legs] * step.landing)
-             for legs in GALLOP}  # fmt: skip
+    nearer = {leg: place - point(0.0, entry.nearer * step.landing, 0.0) for leg, place in site.on_floor(REAR).items()}
+    ahead = site.front_ahead, entry.middle, entry.rear
+    first = {legs: site.on_pole(legs, site.ahead(*where), site.upright+site.lower - below * step.landing)
+             for legs, where, below in zip(GALLOP, ahead, entry.below, strict=True)}  # fmt: skip
     swings = (
         Stage("on.front", time, first[FRONT], CYCLE_B, 3 * step.height, OUTWARD + UP),
         Stage("on.nearer", time, nearer, CYCLE_A, step.height),
         Stage("on.middle", time, first[MIDDLE], CYCLE_B, guides=off_floor(site, site.on_floor(MIDDLE), first[MIDDLE])),
-        Stage("up.front", time, site.on_pole(FRONT, 0.0, site.upright), CYCLE_A, step.height, OUTWARD),
+        Stage("up.front", time, site.on_pole(FRONT, 0.0, site.upright+site.lower), CYCLE_A, step.height, OUTWARD),
         Stage("on.rear", time, first[REAR], CYCLE_B, guides=off_floor(site, nearer, first[REAR])),
     )
     crossing, half = point(0.0, site.standoff, site.clearance), site.length / 2
+    pitches, rates = pitch_path(entry)
     stages = []
     for k, swing in enumerate(swings):
-        angle, pitch = PITCH[k + 1] - PITCH[k], PITCH[k + 1]
-        centre = crossing + half * point(0.0, np.cos(pitch), np.sin(pitch))
+        angle, pitch = pitches[k + 1] - pitches[k], pitches[k + 1]
+        centre = crossing + half * point(0.0, jnp.cos(pitch), jnp.sin(pitch))
         stages.append(replace(swing, position=centre, pivot=crossing, arc=angle, turn=point(-angle, 0.0, 0.0),
-                              rates=tuple(PITCH_RATE[k : k + 2] / angle)))  # fmt: skip
+                              rates=tuple(rates[k : k + 2] / angle)))  # fmt: skip
     return stages
+
+
+def pitch_path(entry: Entry) -> tuple[Float[Array, " 6"], Float[Array, " 6"]]:
+    """Pitch (rad) before and after the swings on to the pole, and its rates (rad per swing) there.
+
+    The rates are those of the monotone cubic through it: harmonic means, and one-sided at the ends.
+    """
+    pitch = jnp.radians(jnp.array([0.0, *entry.pitch, 90.0]))
+    rise = jnp.diff(pitch)
+    means = 2 * rise[:-1] * rise[1:] / (rise[:-1] + rise[1:])
+    return pitch, jnp.array([(3 * rise[0] - rise[1]) / 2, *means, (3 * rise[-1] - rise[-2]) / 2])
 
 
 def off_floor(site: Site, start: dict[int, Array], end: dict[int, Array]) -> dict[int, Array]:
@@ -212,11 +245,13 @@ def off_floor(site: Site, start: dict[int, Array], end: dict[int, Array]) -> dic
 
 
 def shift_up(site: Site) -> list[Stage]:
-    """2.3.2 from t_5: middle and rear feet go up to where the gallop starts, the base rests."""
+    """2.3.2 from t_5: middle and rear feet go up to where the gallop starts, the base comes to d_c from the pole."""
+    base = point(0.0, site.standoff, site.upright)
     return [
-        Stage(name, site.step.time, site.on_pole(legs, 0.0, site.upright), CYCLE_A, site.step.height, OUTWARD)
-        for name, legs in (("up.middle", MIDDLE), ("up.rear", REAR))
-    ]
+        Stage("up.middle", site.step.time, site.on_pole(MIDDLE, 0.0, site.upright), CYCLE_A, site.step.height, OUTWARD,
+              position=base, rates=(0.0, 0.0)),
+        Stage("up.rear", site.step.time, site.on_pole(REAR, 0.0, site.upright), CYCLE_A, site.step.height, OUTWARD),
+    ]  # fmt: skip
 
 
 def gallop(site: Site, cycles: int, rise: Array | float) -> list[Stage]:
