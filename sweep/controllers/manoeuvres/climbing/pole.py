@@ -227,12 +227,12 @@ def get_on(site: Site, entry: Entry) -> list[Stage]:
 def pitch_path(entry: Entry) -> tuple[Float[Array, " 6"], Float[Array, " 6"]]:
     """Pitch (rad) before and after the swings on to the pole, and its rates (rad per swing) there.
 
-    The rates are those of the monotone cubic through it: harmonic means, and one-sided at the ends.
+    The rates are those of the monotone cubic through it that starts and ends at rest: harmonic means.
     """
     pitch = jnp.radians(jnp.array([0.0, *entry.pitch, 90.0]))
     rise = jnp.diff(pitch)
     means = 2 * rise[:-1] * rise[1:] / (rise[:-1] + rise[1:])
-    return pitch, jnp.array([(3 * rise[0] - rise[1]) / 2, *means, (3 * rise[-1] - rise[-2]) / 2])
+    return pitch, jnp.array([0.0, *means, 0.0])
 
 
 def off_floor(site: Site, start: dict[int, Array], end: dict[int, Array]) -> dict[int, Array]:
