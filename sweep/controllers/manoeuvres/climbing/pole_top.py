@@ -28,7 +28,7 @@ from sweep.controllers.manoeuvres.climbing.pole import (
     MIDDLE,
     OUTWARD,
     REAR,
-    PoleClimb,
+    OnPole,
     Site,
     curves,
     pair,
@@ -54,7 +54,7 @@ type Footholds = dict[int, Array]
 
 
 @parameters
-class PoleTop(PoleClimb):
+class PoleTop(OnPole):
     """By tripod to the pole, up it by gallop, and on to its top."""
 
     goal: ClassVar = UPRIGHT
