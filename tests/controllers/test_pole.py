@@ -113,14 +113,13 @@ def test_the_pitch_rate_does_not_jump_between_stages(case):
 def test_no_link_is_in_the_pole(case, seed):
     """Nor in the base or another leg, for sizes up to 2 % off; feet pressed in by 5 mm as they are."""
     plan, at = played(varied(case, 0.02, seed))
-    first, last = plan.names.index("place.1-4-5"), plan.names.index("gallop1.front")
+    first = plan.names.index("place.1-4-5")
     assert at["links"].min() > 0
     assert at["legs"].min() > 0.02
     assert at["body"].min() > 0.05
     assert at["base"].min() > 0.015
     assert at["reach"].min() > 0
     assert at["support"][first : plan.names.index("on.nearer")].min() > 0.08
-    assert at["rate"][first:last].min() > -7
 
 
 def test_swings_on_the_pole_stay_outside_it(case):

@@ -43,7 +43,7 @@ class Entry(NamedTuple):
     # Pitch (deg) after each of the first four swings on to the pole, 90 after the fifth. The printed
     # sin(theta) = v_f t / a_r, 12 to 53 degrees, ends with an infinite rate, and has the middle hips too low for their
     # feet at the end of their swing.
-    pitch: tuple[float, float, float, float] = (39.5, 41.5, 69.8, 72.3)
+    pitch: tuple[float, float, float, float] = (39.5, 41.5, 69.8, 76.0)
     # By how much its front edge is farther from the pole than d_c and its rear edge lower than d until all feet are on
     # the pole, a_r. Printed as 0.
     away: float = 0.049
@@ -54,9 +54,9 @@ class Entry(NamedTuple):
     # How far in front of the pole's axis middle and rear feet first touch it, in r, and how much more for every a_r by
     # which r passes 0.4 a_r; printed as 0. For the front feet both are parameters.
     middle: tuple[float, float] = (0.34, 1.0)
-    rear: tuple[float, float] = (0.232, 0.0)
+    rear: tuple[float, float] = (0.232, 2.0)
     # How far below where the gallop starts front, middle and rear feet first touch the pole, in x*; printed as 4.
-    below: tuple[float, float, float] = (-1.12, 2.91, 4.0)
+    below: tuple[float, float, float] = (-1.12, 2.91, 3.2)
 
 
 ENTRY = Entry()
