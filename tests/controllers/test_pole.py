@@ -6,8 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from playing import played, varied
 
-from sweep.controllers.manoeuvres.climbing.pole import PITCH
+from sweep.controllers.manoeuvres.climbing.pole import ENTRY
 from sweep.controllers.plan import Plan, Stance, along_arc, moved, pace_progress, reference
 from sweep.controllers.tracker import joint_targets
 from sweep.core.rotations import exponential, matrix, rotate
@@ -93,12 +94,12 @@ def test_its_edges_run_on_two_rails_while_it_pitches_up(case):
     first = plan.names.index("on.front")
     quat, position = (x[first : first + 5].reshape(-1, x.shape[-1]) for x in (stances.quat, stances.position))
     front, rear = (rotate(quat, np.broadcast_to([x, 0.0, 0.0], position.shape)) + position for x in (HALF, -HALF))
-    np.testing.assert_allclose(front[:, 1], D_C, atol=1e-9)
-    np.testing.assert_allclose(rear[:, 2], D, atol=1e-9)
+    np.testing.assert_allclose(front[:, 1], D_C + 2 * HALF * ENTRY.away, atol=1e-9)
+    np.testing.assert_allclose(rear[:, 2], D - 2 * HALF * ENTRY.lower, atol=1e-9)
     _, along, rise = (front - rear).T
     pitch = np.arctan2(rise, -along)
     assert np.all(np.diff(pitch) > -1e-9)
-    np.testing.assert_allclose(pitch.reshape(5, -1)[:, -1], PITCH[1:], atol=1e-7)
+    np.testing.assert_allclose(pitch.reshape(5, -1)[:, -1], np.radians([*ENTRY.pitch, 90]), atol=1e-7)
 
 
 def test_the_pitch_rate_does_not_jump_between_stages(case):
@@ -106,6 +107,19 @@ def test_the_pitch_rate_does_not_jump_between_stages(case):
     first = plan.names.index("on.front")
     rates = (plan.rates * plan.arc[:, None] / plan.duration[:, None])[first : first + 5]
     np.testing.assert_allclose(rates[:-1, 1], rates[1:, 0], rtol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(2, 5))
+def test_no_link_is_in_the_pole(case, seed):
+    """Nor in the base or another leg, for sizes up to 2 % off; feet pressed in by 5 mm as they are."""
+    plan, at = played(varied(case, 0.02, seed))
+    first = plan.names.index("place.1-4-5")
+    assert at["links"].min() > 0
+    assert at["legs"].min() > 0.02
+    assert at["body"].min() > 0.05
+    assert at["base"].min() > 0.015
+    assert at["reach"].min() > 0
+    assert at["support"][first : plan.names.index("on.nearer")].min() > 0.08
 
 
 def test_swings_on_the_pole_stay_outside_it(case):

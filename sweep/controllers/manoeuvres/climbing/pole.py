@@ -29,18 +29,37 @@ FRONT, MIDDLE, REAR = GALLOP
 TOWARDS = (0.5**0.5, 0.0, 0.0, -(0.5**0.5))  # base to world: x_r along -y, z_r up
 OUTWARD = SIDE[:, None] * np.array([1.0, 0.0, 0.0])  # (6, 3), e_n of (2.3.2)
 UP = np.array([0.0, 0.0, 1.0])
-# Pitch (rad) after each of the five swings on to the pole. The printed sin(theta) = v_f t / a_r ends with an infinite
-# rate, and has the middle hips too low for their feet at the end of their swing.
-PITCH = np.radians([0.0, 14.5, 31.0, 60.0, 68.0, 90.0])
-RISE = np.diff(PITCH)
-PITCH_RATE = np.array([  # rad per swing, of the monotone cubic through them: harmonic means, and one-sided at the ends
-    (3 * RISE[0] - RISE[1]) / 2, *(2 * RISE[:-1] * RISE[1:] / (RISE[:-1] + RISE[1:])), (3 * RISE[-1] - RISE[-2]) / 2
-])  # fmt: skip
-# How far in front of the pole's axis middle and rear feet first touch it, in r, and how much more for every a_r by
-# which r passes 0.4 a_r. For the front feet both are parameters.
-AHEAD = {MIDDLE: (0.25, 1.0), REAR: (0.1, 0.0)}
-# How far below where the gallop starts, in x*; printed as 4 for all, where the front shins touch, of thin poles first.
-BELOW = {FRONT: 0.5, MIDDLE: 4.0, REAR: 4.0}
+
+
+class Entry(NamedTuple):
+    """Numbers of 2.3.1 and 2.3.2, from the floor on to the pole.
+
+    Searched for together (`tools/search_plan.py`) so that no shin lies in the pole, thick as it is, while feet are
+    pressed into it by 5 mm. What helps the front shins is pitch: it turns the planes of the legs, and with them the
+    knees, away from the pole. How far the base can pitch up before the middle feet leave the floor is what their legs
+    can reach: so it does that lower and a little farther away, and they stand nearer.
+    """
+
+    # Pitch (deg) after each of the first four swings on to the pole, 90 after the fifth. The printed
+    # sin(theta) = v_f t / a_r, 12 to 53 degrees, ends with an infinite rate, and has the middle hips too low for their
+    # feet at the end of their swing.
+    pitch: tuple[float, float, float, float] = (39.5, 41.5, 69.8, 76.0)
+    # By how much its front edge is farther from the pole than d_c and its rear edge lower than d until all feet are on
+    # the pole, a_r. Printed as 0.
+    away: float = 0.049
+    lower: float = 0.07
+    # Where front and middle feet stand on the floor, x* behind the front edge and before the middle hips; printed as 1.
+    floor: tuple[float, float] = (0.34, 1.88)
+    nearer: float = 2.8  # x*, by which the rear feet come nearer to the pole on the floor; printed as 2
+    # How far in front of the pole's axis middle and rear feet first touch it, in r, and how much more for every a_r by
+    # which r passes 0.4 a_r; printed as 0. For the front feet both are parameters.
+    middle: tuple[float, float] = (0.34, 1.0)
+    rear: tuple[float, float] = (0.232, 2.0)
+    # How far below where the gallop starts front, middle and rear feet first touch the pole, in x*; printed as 4.
+    below: tuple[float, float, float] = (-1.12, 2.91, 3.2)
+
+
+ENTRY = Entry()
 
 
 class PoleSite(NamedTuple):
@@ -53,12 +72,18 @@ class PoleSite(NamedTuple):
     track: Array | float  # of a foot on the floor from the plane x = 0
     clearance: Array | float  # d, of the base above the floor
     standoff: Array | float  # d_c, of the vertical base from the pole's axis
-    front_ahead: tuple[Array | float, Array | float]  # as `AHEAD`, of the front feet
+    front_ahead: tuple[Array | float, Array | float]  # arguments of `ahead` for the front feet
     step: Step
+    entry: Entry = ENTRY
 
-    def ahead(self, legs: tuple[int, int]) -> Array | float:
-        """How far in front of the pole's axis a pair first touches it (m)."""
-        share, more = {FRONT: self.front_ahead, **AHEAD}[legs]
+    @property
+    def crossing(self) -> Float[Array, " 3"]:
+        """Where the lines cross along which the base's front and rear edges go while it pitches up."""
+        away, lower = self.entry.away * self.length, self.entry.lower * self.length
+        return point(0.0, self.standoff + away, self.clearance - lower)
+
+    def ahead(self, share: Array | float, more: Array | float) -> Array | float:
+        """How far in front of the pole's axis feet first touch it (m): `share` of r, and `more` the thicker it is."""
         return (share + more * (self.radius / self.length - 0.4)) * self.radius
 
     @property
@@ -68,8 +93,9 @@ class PoleSite(NamedTuple):
 
     def on_floor(self, legs: tuple[int, int]) -> dict[int, Array]:
         """Places of a pair before the pole, (2.3.1)."""
-        behind = {FRONT: self.step.landing, MIDDLE: self.length / 2 - self.step.landing, REAR: self.length}[legs]
-        return pair(legs, self.track, self.standoff + behind, 0.0)
+        front, middle = (x * self.step.landing for x in self.entry.floor)
+        behind = {FRONT: front, MIDDLE: self.length / 2 - middle, REAR: self.length}[legs]
+        return pair(legs, self.track, self.crossing[1] + behind, 0.0)
 
     def on_pole(self, legs: tuple[int, int], ahead: Array | float, height: Array | float) -> dict[int, Array]:
         """Footholds of a pair, `ahead` (m) of the pole's axis, for a base's centre at `height` (m).
@@ -82,20 +108,17 @@ class PoleSite(NamedTuple):
 
 
 @parameters
-class PoleClimb(PlannedForces):
-    """By tripod to the pole, on to it, and up it by gallop. Ratios are to the body's length a_r.
+class OnPole(PlannedForces):
+    """What manoeuvres on a pole have in common: by tripod to it, on to it, and up it by gallop. Ratios are to a_r.
 
     The feet are pressed on to the pole by footholds inside it, as printed, or by planned forces.
 
     For robots with legs along their sides, and poles from 0.32 to 0.52 a_r. What differs from the printed plan, and
-    why: `PITCH`, `front_ahead`, `AHEAD`, `BELOW`; d_c, printed 0.47 a_r, where the base touches poles thicker than
-    0.45 a_r; feet on the floor stay as far from the hips whatever the pole, printed at its radius, where knees meet
-    before thin poles; and in `get_on` the rear feet's step on the floor, when the front feet go up, and how feet leave
-    the floor.
+    why: `Entry` and `front_ahead`; d_c, printed 0.47 a_r, where the base touches poles thicker than 0.45 a_r; feet on
+    the floor stay as far from the hips whatever the pole, printed at its radius, where knees meet before thin poles;
+    and in `get_on` the rear feet's step on the floor, when the front feet go up, and how feet leave the floor.
     """
 
-    goal: ClassVar = ON_ITS_FEET
-    kind: str = choice("pole_climb", "pole_climb")
     steps: int = count(4, at_least=0, at_most=100)  # swings of the approach, 2 x* each
     cycles: int = count(3, at_least=0, at_most=100)  # of the gallop, 3 x* each
     half_step_ratio: float = quantity(0.1, "a_r", above=0, at_most=0.5)  # d_x
@@ -104,9 +127,10 @@ class PoleClimb(PlannedForces):
     gap_ratio: float = quantity(0.07, "a_r", at_least=0, at_most=2)  # d_c - r
     spread_ratio: float = quantity(0.175, "a_r", above=0, at_most=1)  # of feet on the floor from their hips, sideways
     # How far in front of the pole's axis the front feet first touch it, and how much more for every a_r by which r
-    # passes 0.4 a_r. The printed 0 puts their shins 34 mm into the pole. A foot that touches it at the angle psi in
-    # front of its side needs a friction of tan(psi) to stay there (2.1): farther ahead than shins need is no better.
-    front_ahead: float = quantity(0.44, "r", at_least=0, at_most=1)
+    # passes 0.4 a_r. With the printed 0, and the printed pitch, their shins are 34 mm inside the pole. A foot that
+    # touches it at the angle psi in front of its side needs a friction of tan(psi) to stay there (2.1): farther ahead
+    # than shins need is no better.
+    front_ahead: float = quantity(0.47, "r", at_least=0, at_most=1)
     front_ahead_slope: float = quantity(1.5, "r/a_r", at_least=0, at_most=10)
     rate: float = quantity(3.0, "rad/s", above=0, at_most=20)  # varpi
     deepening: float = quantity(5e-3, "m", at_least=0, at_most=0.05)  # epsilon, footholds inside the pole
@@ -149,9 +173,22 @@ class PoleClimb(PlannedForces):
         plan = assemble(start, [*stages, Stage("halt", STAND)], self.patience)
         return self.with_feedforward(belief, plan) if self.forces == "planned" else plan
 
-    def plan(self, belief: Case) -> Plan:
+
+@parameters
+class PoleClimb(OnPole):
+    """By tripod to the pole, on to it, and up it by gallop."""
+
+    goal: ClassVar = ON_ITS_FEET
+    kind: str = choice("pole_climb", "pole_climb")
+
+    @property
+    def table(self) -> Entry:
+        """The numbers of the way on to the pole."""
+        return ENTRY
+
+    def plan(self, belief: Case, table: Entry = ENTRY) -> Plan:
         """Climb, halt."""
-        site = self.site(belief)
+        site = self.site(belief)._replace(entry=table)
         start, stages = self.climb(site, belief, site.step.landing)
         return self.assembled(belief, start, stages)
 
@@ -163,8 +200,8 @@ def approach(site: PoleSite, belief: Case, steps: int, gap: Array | float = 0.0)
     """
     step, forward, quat = site.step, jnp.array([0.0, -1.0, 0.0]), jnp.array(TOWARDS)
     spread = site.track - belief.robot.body_width / 2
-    centres = rotate(quat[None], foot_centres(belief.robot, spread, site.clearance))
-    arrival = point(0.0, site.standoff + site.length / 2, site.clearance)
+    centres = rotate(quat[None], foot_centres(belief.robot, spread, site.crossing[2]))
+    arrival = site.crossing + point(0.0, site.length / 2, 0.0)
     position = arrival - (gap + 2 * step.landing * steps) * forward
     offsets = centre_offsets(TRIPOD, step)
     feet = position + centres + jnp.stack([offsets[leg] * forward for leg in LEGS])
@@ -182,17 +219,19 @@ def approach(site: PoleSite, belief: Case, steps: int, gap: Array | float = 0.0)
 def get_on(site: PoleSite) -> list[Stage]:
     """2.3.2: front feet to the pole, rear feet nearer to it, middle feet to the pole, front feet up, rear feet to it.
 
-    The base's front edge goes up a vertical line at d_c from the axis, its rear edge along a horizontal one at d above
-    the floor: its centre turns about their crossing by the angle by which the base pitches up.
+    The base's front edge goes up a vertical line, its rear edge along a horizontal one, as printed: its centre turns
+    about their crossing by the angle by which the base pitches up. The lines are farther from the pole than the printed
+    d_c, and lower than d (`Entry`).
 
     Printed with the front feet going up last. Ahead of the axis the pole's normal pushes the robot away from it, which
     costs a friction of 0.93 once the rear feet are in the air; with the front feet up and at the pole's sides, 0.3.
     """
-    step, time = site.step, site.step.time
+    step, time, entry = site.step, site.step.time, site.entry
     # Printed as a step of -2 x* along xi, which would take both feet to one side.
-    nearer = {leg: place - point(0.0, 2 * step.landing, 0.0) for leg, place in site.on_floor(REAR).items()}
-    first = {legs: site.on_pole(legs, site.ahead(legs), site.upright - BELOW[legs] * step.landing)
-             for legs in GALLOP}  # fmt: skip
+    nearer = {leg: place - point(0.0, entry.nearer * step.landing, 0.0) for leg, place in site.on_floor(REAR).items()}
+    ahead = site.front_ahead, entry.middle, entry.rear
+    first = {legs: site.on_pole(legs, site.ahead(*where), site.upright - below * step.landing)
+             for legs, where, below in zip(GALLOP, ahead, entry.below, strict=True)}  # fmt: skip
     swings = (
         Stage("on.front", time, first[FRONT], CYCLE_B, 3 * step.height, OUTWARD + UP),
         Stage("on.nearer", time, nearer, CYCLE_A, step.height),
@@ -200,14 +239,26 @@ def get_on(site: PoleSite) -> list[Stage]:
         Stage("up.front", time, site.on_pole(FRONT, 0.0, site.upright), CYCLE_A, step.height, OUTWARD),
         Stage("on.rear", time, first[REAR], CYCLE_B, guides=off_floor(site, nearer, first[REAR])),
     )
-    crossing, half = point(0.0, site.standoff, site.clearance), site.length / 2
+    crossing, half = site.crossing, site.length / 2
+    pitches, rates = pitch_path(entry.pitch)
     stages = []
     for k, swing in enumerate(swings):
-        angle, pitch = PITCH[k + 1] - PITCH[k], PITCH[k + 1]
-        centre = crossing + half * point(0.0, np.cos(pitch), np.sin(pitch))
+        angle, pitch = pitches[k + 1] - pitches[k], pitches[k + 1]
+        centre = crossing + half * point(0.0, jnp.cos(pitch), jnp.sin(pitch))
         stages.append(replace(swing, position=centre, pivot=crossing, arc=angle, turn=point(-angle, 0.0, 0.0),
-                              rates=tuple(PITCH_RATE[k : k + 2] / angle)))  # fmt: skip
+                              rates=tuple(rates[k : k + 2] / angle)))  # fmt: skip
     return stages
+
+
+def pitch_path(between: Sequence[float]) -> tuple[Float[Array, " 6"], Float[Array, " 6"]]:
+    """Pitch (rad) before and after the swings on to the pole, and its rates (rad per swing) there.
+
+    The rates are those of the monotone cubic through it that starts and ends at rest: harmonic means.
+    """
+    pitch = jnp.radians(jnp.array([0.0, *between, 90.0]))
+    rise = jnp.diff(pitch)
+    means = 2 * rise[:-1] * rise[1:] / (rise[:-1] + rise[1:])
+    return pitch, jnp.array([0.0, *means, 0.0])
 
 
 def off_floor(site: PoleSite, start: dict[int, Array], end: dict[int, Array]) -> dict[int, Array]:
@@ -220,11 +271,13 @@ def off_floor(site: PoleSite, start: dict[int, Array], end: dict[int, Array]) ->
 
 
 def shift_up(site: PoleSite) -> list[Stage]:
-    """2.3.2 from t_5: middle and rear feet go up to where the gallop starts, the base rests."""
-    return [
+    """2.3.2 from t_5: middle and rear feet go up to where the gallop starts, the base comes to d_c from the pole."""
+    base = point(0.0, site.standoff, site.upright)
+    middle, rear = (
         Stage(name, site.step.time, site.on_pole(legs, 0.0, site.upright), CYCLE_A, site.step.height, OUTWARD)
         for name, legs in (("up.middle", MIDDLE), ("up.rear", REAR))
-    ]
+    )
+    return [replace(middle, position=base, rates=(0.0, 0.0)), rear]
 
 
 def gallop(site: PoleSite, cycles: int, rise: Array | float) -> list[Stage]:

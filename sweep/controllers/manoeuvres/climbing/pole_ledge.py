@@ -10,14 +10,14 @@ What differs from the print, and why:
   front legs weigh 2 of 16 kg: with the printed way the mass centre is 3 mm outside the standing feet.
 - It starts that from 0.69 a_r above the top, from where the front legs pass the middle ones (printed 0.31 a_r from
   2.3.3 for `LEVEL`, where they cross), and comes down as the front feet do, to where these reach the ledge.
-- Feet stand at 0.91 to 1.21 r aside on the ledge (printed as on the top, 0.625 to 0.875 r): where a hip passes over its
+- Feet stand at 0.9 to 1.28 r aside on the ledge (printed as on the top, 0.625 to 0.875 r): where a hip passes over its
   foot, the leg has to turn by half a turn at once.
 - On the ledge the front feet come down three times in every plan, the middle feet twice, at distances from the edge
   that keep neighbouring legs apart; printed are three or two times, with the middle feet at 0.3 to 0.4 a_r at last.
 - The rear feet go half-way over the top, 0.27 r ahead, before they go to the ledge (printed: where the middle feet
   stood).
 - `BELOW` is printed with a base that stays level until 2.3.4.3 and front, middle and rear feet that stand on the pole's
-  side meanwhile. Here the base pitches down by 24 to 47 degrees, so that the front feet reach the ledge at once, and no
+  side meanwhile. Here the base pitches down by 25 to 49 degrees, so that the front feet reach the ledge at once, and no
   foot goes to the side. While the middle feet are on the top their hips stay 0.4 a_r above it: lower, their knees
   sink below the top's edge, since thighs are longer than shins. Before, its nose goes up by 2 degrees: the front legs
   pass the middle ones 20 mm farther away. The rear feet step aside to the pole's widest: behind it their shins would
@@ -68,13 +68,13 @@ class Move(NamedTuple):
 LEVEL = (
     Move("back", (-0.479, 0.69)),
     Move("front", (-0.554, 0.53), FRONT, ON_LEDGE, (1.1, 0.11), (0.166, -0.245, 0.111), (-0.151, 0.33, 0.133), 2.0),
-    Move("middle", (-0.4, 0.55), MIDDLE, ON_TOP, TOP[FRONT]),
-    Move("front2", (-0.33, 0.48), FRONT, ON_LEDGE, (1.0, 0.53)),
-    Move("middle2", (-0.1, 0.48), MIDDLE, ON_LEDGE, (1.0, 0.1)),
+    Move("middle", (-0.4, 0.535), MIDDLE, ON_TOP, TOP[FRONT]),
+    Move("front2", (-0.316, 0.464), FRONT, ON_LEDGE, (0.98, 0.518)),
+    Move("middle2", (-0.109, 0.488), MIDDLE, ON_LEDGE, (1.013, 0.115)),
     Move("ahead", (0.27, 0.47)),
     Move("rear", (0.27, 0.47), REAR, ON_TOP, (0.83, -0.27)),
-    Move("middle3", (0.3, 0.45), MIDDLE, ON_LEDGE, (1.0, 0.38)),
-    Move("front3", (0.3, 0.45), FRONT, ON_LEDGE, (1.0, 1.1)),
+    Move("middle3", (0.3, 0.45), MIDDLE, ON_LEDGE, (0.995, 0.37)),
+    Move("front3", (0.3, 0.45), FRONT, ON_LEDGE, (0.987, 1.1)),
     Move("ahead2", (0.72, 0.42)),
     Move("rear2", (0.72, 0.4), REAR, ON_LEDGE, (1.0, 0.15)),
 )
@@ -92,19 +92,19 @@ ABOVE = (
     Move("rear2", (0.62, 0.87), REAR, ON_LEDGE, (1.0, 0.08), (0.05, -0.185, 0.24), (-0.03, 0.175, 0.11), 2.0),
 )
 BELOW = (
-    Move("back", (-0.484, 0.696), pitch=-0.037),
-    Move("front", (-0.533, 0.358), FRONT, ON_LEDGE, (1.074, 0.045), (0.377, -0.34, 0.231), (0.176, 0.484, 0.427), 2.0,
-         0.421),
-    Move("middle", (-0.38, 0.398), MIDDLE, ON_TOP, (0.7015, -0.5526), pitch=0.589),
-    Move("front2", (-0.314, 0.427), FRONT, ON_LEDGE, (1.29, 0.356), (0.126, -0.022, 0.244), (0.085, 0.004, 0.202),
-         pitch=0.827),
-    Move("middle2", (0.287, 0.174), MIDDLE, ON_LEDGE, (0.859, 0.218), (0.212, -0.136, 0.307), (0.124, 0.511, 0.444),
-         pitch=0.828),
-    Move("ahead", (0.326, 0.134), pitch=0.616),
-    Move("rear", (0.342, 0.139), REAR, ON_TOP, (0.8035, 0.103), (0.115, -0.17, 0.146), (-0.14, 0.14, 0.08),
+    Move("back", (-0.479, 0.724), pitch=-0.037),
+    Move("front", (-0.521, 0.348), FRONT, ON_LEDGE, (1.096, 0.042), (0.377, -0.34, 0.231), (0.176, 0.484, 0.427), 2.0,
+         0.43),
+    Move("middle", (-0.341, 0.407), MIDDLE, ON_TOP, (0.7047, -0.5591), pitch=0.652),
+    Move("front2", (-0.303, 0.407), FRONT, ON_LEDGE, (1.276, 0.38), (0.126, -0.022, 0.244), (0.085, 0.004, 0.202),
+         pitch=0.82),
+    Move("middle2", (0.298, 0.144), MIDDLE, ON_LEDGE, (0.897, 0.151), (0.212, -0.136, 0.307), (0.124, 0.511, 0.444),
+         pitch=0.855),
+    Move("ahead", (0.307, 0.13), pitch=0.634),
+    Move("rear", (0.342, 0.139), REAR, ON_TOP, (0.8205, 0.07), (0.115, -0.17, 0.146), (-0.14, 0.14, 0.08),
          pitch=0.666),
-    Move("middle3", (0.36, 0.159), MIDDLE, ON_LEDGE, (0.973, 0.413), pitch=0.717),
-    Move("front3", (0.355, 0.156), FRONT, ON_LEDGE, (1.155, 1.231), pitch=0.566),
+    Move("middle3", (0.335, 0.153), MIDDLE, ON_LEDGE, (0.965, 0.41), pitch=0.717),
+    Move("front3", (0.343, 0.156), FRONT, ON_LEDGE, (1.155, 1.231), pitch=0.566),
     Move("ahead2", (0.622, 0.016), pitch=0.76),
     Move("rear2", (0.648, -0.1), REAR, ON_LEDGE, (0.982, 0.187), (0.156, -0.043, 0.316), (0.212, 0.317, 0.513), 2.0,
          0.0),

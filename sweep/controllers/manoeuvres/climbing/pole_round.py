@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array
 
 from sweep.controllers.gaits import GALLOP
-from sweep.controllers.manoeuvres.climbing.pole import STAND, PoleClimb, PoleSite, point
+from sweep.controllers.manoeuvres.climbing.pole import STAND, OnPole, PoleSite, point
 from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.plan import CYCLE_B, Plan, Stage, Stance, assemble, moved
 from sweep.controllers.symmetry import joined, last_stance, mirrored, reversed_in_time
@@ -25,7 +25,7 @@ BEHIND = np.array([0.0, 0.0, np.pi])  # rotation vector of the half turn to the 
 
 
 @parameters
-class PoleRound(PoleClimb):
+class PoleRound(OnPole):
     """By tripod to the pole, up it, half-way round it by gallop, backwards down on to the ledge and away.
 
     The way down is the climb backwards in time, from the other side and from the ledge's height on. It is printed as

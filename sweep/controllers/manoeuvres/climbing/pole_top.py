@@ -28,7 +28,7 @@ from sweep.controllers.manoeuvres.climbing.pole import (
     MIDDLE,
     OUTWARD,
     REAR,
-    PoleClimb,
+    OnPole,
     PoleSite,
     curves,
     pair,
@@ -45,8 +45,9 @@ SLOPE = np.radians(22.0)
 # where the feet stand while the base turns over the edge
 EDGE = {FRONT: (0.1, -0.03), MIDDLE: (-0.2, -0.19), REAR: (0.55, -0.476)}
 BELOW_EDGE = (0.0, -0.355)  # where the middle feet wait for the rear ones
-# where they stand on the top in the end
-TOP = {FRONT: (0.625, -((RIM**2 - 0.625**2) ** 0.5)), MIDDLE: (RIM, 0.0), REAR: (0.672, (RIM**2 - 0.672**2) ** 0.5)}
+# where they stand on the top in the end; were the rear ones less far aside, their thighs would rub along the base's
+# sides when it pitches down to a lower ledge
+TOP = {FRONT: (0.625, -((RIM**2 - 0.625**2) ** 0.5)), MIDDLE: (RIM, 0.0), REAR: (0.7, (RIM**2 - 0.7**2) ** 0.5)}
 PROPPED = (0.864, 0.077)  # where the middle feet stand while the rear ones come up
 EASED = (0.0, 0.0)  # rates of a path of the base that starts and ends at rest, as swings do
 
@@ -54,7 +55,7 @@ type Footholds = dict[int, Array]
 
 
 @parameters
-class PoleTop(PoleClimb):
+class PoleTop(OnPole):
     """By tripod to the pole, up it by gallop, and on to its top."""
 
     goal: ClassVar = UPRIGHT
