@@ -51,13 +51,13 @@ class Mjx:
         self.settings = settings
         self.limits = limits or Thresholds()
         self.substeps = batching.substeps(settings)
-        self.dynamics = physics.taken(settings, world)
+        self.dynamics = physics.taken(settings)
         self.width = settings.width or devices.default_width()
         self._mesh = devices.mesh(self.width)
         self.devices = jax.device_count()
         with devices.precision(settings):
             self.topology = dynamics.topology(world)
-            self.physics = physics.make(settings, self.topology, world)
+            self.physics = physics.make(settings, self.topology)
             plan = batching.nominal_plan(belief)
             self.stages = plan.names
             self.duration = float(GRACE * np.sum(plan.duration))
@@ -169,12 +169,11 @@ class Mjx:
         chunk = on_devices(chunk, in_specs=(*specs, split, split, whole, split), out_specs=recorded)
         finish = jax.vmap(self._finish, in_axes=(axes[0], 0, 0))
         finish = on_devices(finish, in_specs=(specs[0], split, split), out_specs=split)
-        options = devices.step_options(moving=bool(self.topology.free))
         with ThreadPoolExecutor() as pool:
             begin = jax.jit(start, compiler_options=devices.plan_options()).lower(*arrays)
             started = pool.submit(begin.compile)
             plans, carry = devices.split(begin.out_info, self._mesh)
-            go_on = jax.jit(chunk, donate_argnums=3, compiler_options=options)
+            go_on = jax.jit(chunk, donate_argnums=3)
             chunked = pool.submit(go_on.lower(world, belief, plans, carry, 0, kept).compile)
             finished = jax.jit(finish).lower(world, plans, carry).compile()
             return started.result(), chunked.result(), finished
