@@ -62,13 +62,16 @@ def compared(way: str, base: Path, other: Path) -> Found:
 
 
 def named(found: list[Found]) -> str:
-    """The figures that are bit-equal or not, whichever are fewer, of each way that changes any."""
+    """The figures that are bit-equal or not, whichever are fewer, of the ways that change any."""
+    ways: dict[tuple[str, ...], list[str]] = {}
+    for (way, *_), _, differ in found:
+        ways.setdefault(tuple(differ), []).append(way)
+    of = {tuple(differ): equal for _, equal, differ in found}
     lines = []
-    for (way, *_), equal, differ in found:
-        if differ and len(differ) <= len(equal):
-            lines.append(f"- {way}: all are but {', '.join(f'`{name}`' for name in differ)}")
-        elif differ:
-            lines.append(f"- {way}: only {', '.join(f'`{name}`' for name in equal) or 'none'}")
+    for differ, names in ways.items():
+        few = differ if len(differ) <= len(of[differ]) else of[differ]
+        how = "all but" if few is differ else "only"
+        lines += [f"- {'; '.join(names)}: {how} {', '.join(f'`{name}`' for name in few)}."] if differ else []
     return "\n".join(["Figures that are bit-equal in all rows:", "", *lines]) if lines else "All figures are bit-equal."
 
 

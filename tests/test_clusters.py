@@ -14,7 +14,7 @@ from small_study import BATCHES, STUDY, content, one_line, start, wait_for, with
 
 from sweep.cli.main import main
 from sweep.core.errors import InputError
-from sweep.runs import store
+from sweep.runs import histories, repair, store
 from sweep.study import clusters
 
 pytestmark = pytest.mark.usefixtures("fake_engine")
@@ -43,6 +43,17 @@ def test_a_batch_that_kills_every_worker_is_named_and_the_others_are_done(tmp_pa
     assert process.returncode == 5
     one_line(error, "1 batches lost their worker", "the same command finishes the rest")
     assert store.finished(tmp_path) == set(range(BATCHES - 1))
+
+
+@pytest.mark.slow
+def test_workers_keep_histories_and_the_last_states_of_few_invalid_rows(tmp_path):
+    broken = ["study.axes.friction.values=[7,0.3]", "study.axes.step.num=17", "study.invalid_max=1"]
+    process = start(tmp_path, *WORKERS, *broken, "study.keep=[tilt_deg]", "study.keep_rows=20")
+    _, error = process.communicate(timeout=400)
+    assert process.returncode == 0, error
+    assert histories.read(tmp_path)["point_id"].nunique() == 20
+    assert len(list((tmp_path / store.LAST_STATES).iterdir())) == 10
+    assert not repair.verify(tmp_path)[0]
 
 
 @pytest.mark.slow

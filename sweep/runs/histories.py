@@ -5,7 +5,6 @@ Each batch's histories are a file, each invalid row's last states too; they coun
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -99,7 +98,9 @@ def read(folder: Path) -> pd.DataFrame:
     return pd.concat([store.read_part(folder, entry) for entry in entries], ignore_index=True)
 
 
-def write(folder: Path, study: str, batch: int, table: pd.DataFrame | None, states: Sequence[pd.DataFrame]) -> Any:
+def write(
+    folder: Path, study: str, batch: int, table: pd.DataFrame | None, states: Sequence[pd.DataFrame]
+) -> tuple[Entry, ...]:
     """Files of what a batch recorded. Raises `Fault`."""
     entries: list[Entry] = []
     if table is not None:

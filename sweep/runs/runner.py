@@ -318,11 +318,14 @@ def on_worker(folder: Path, version: str, code: str, number: int) -> Done:
 
 
 def ended(job: Job, engine: Engine, rows: pd.DataFrame, finished: pd.DataFrame) -> list[pd.DataFrame]:
-    """The last states of a batch's invalid rows, as long as the folder has few of them."""
+    """The last states of a batch's invalid rows, as long as the folder has few of them, listed yet or not."""
     if not (finished["outcome"] == INVALID).any():
         return []
-    room = histories.INVALID_ROWS - len(store.beside(job.folder, store.LAST_STATES))
-    return histories.last_states(engine, batch(job.exp, rows), finished, room) if room > 0 else []
+    room = histories.INVALID_ROWS - len(list((job.folder / store.LAST_STATES).glob("*.parquet")))
+    try:
+        return histories.last_states(engine, batch(job.exp, rows), finished, room) if room > 0 else []
+    except MemoryError:  # the rows are there all the same
+        return []
 
 
 @lru_cache(maxsize=1)
