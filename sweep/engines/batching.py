@@ -86,11 +86,18 @@ def record(command: Command, state: TrackerState, tick: Tick, q: Array, v: Array
 
 
 def to_trace(
-    world: Case, belief: Case, record: dict[str, np.ndarray], period: float, stages: tuple[str, ...], figures: dict
+    world: Case,
+    belief: Case,
+    record: dict[str, np.ndarray],
+    period: float,
+    stages: tuple[str, ...],
+    figures: dict,
+    every: int = 1,
 ) -> Trace:
-    """The records of one rollout, whose parameters are plain numbers, up to its end."""
-    frames = min(round(float(figures["duration_s"]) / period), len(record["stage"]))  # the sum of many ticks is rough
+    """The records of one rollout, whose parameters are plain numbers, up to its end; one in `every` ticks has one."""
+    ticks = round(float(figures["duration_s"]) / period)  # the sum of many ticks is rough
+    frames = min(ticks // every, len(record["stage"]))
     kept = {key: value[:frames] for key, value in record.items()}
-    time = period * (1 + np.arange(frames))
+    time = every * period * (1 + np.arange(frames))
     model = scene.compile_model(world)
     return Trace(world=world, belief=belief, model=model, time=time, stages=stages, figures=figures, **kept)

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -25,6 +25,7 @@ from sweep.metrics.outcome import Thresholds
 from sweep.models.case import Case
 
 CHUNK = 1.0  # s of simulated time between two looks of the host
+Recorded = Literal["nothing", "slot", "batch"]  # of a batch: one rollout, or all of them
 
 
 class Carry(NamedTuple):
@@ -72,46 +73,72 @@ class Mjx:
     @devices.memory()
     def run(self, world: Case, belief: Case, streams: np.ndarray) -> Figures:
         """Figures of `width` rollouts; stops early when every rollout is over."""
-        with devices.precision(self.settings):
-            (world, belief, keys), programs = self._prepare(world, belief, streams, None)
-            plans, carry = programs.start(world, belief, keys)
-            for tick in range(0, most_ticks(plans, self.settings.control_period), self._chunk_ticks):
-                carry, _ = programs.chunk(world, belief, plans, carry, tick, None)
-                # on the host: among devices it would take their collective operations, which can hang
-                if np.all(np.asarray(carry.pilot.running.over)):
-                    break
-            return {name: np.asarray(values) for name, values in programs.finish(world, plans, carry).items()}
+        return self._simulate(world, belief, streams)[0]
 
     def trace(self, world: Case, belief: Case, streams: np.ndarray, slot: int) -> Trace:
         """The rollout in `slot`, simulated in its batch so that its numbers are those of `run`."""
+        device = slot // (self.width // self._mesh.size)  # each records one rollout
+        figures, record = self._simulate(world, belief, streams, "slot", slot, lambda x, _: x[:, device])
+        return self._traced(world, belief, slot, figures, record)
+
+    def traces(self, world: Case, belief: Case, streams: np.ndarray, every: int) -> list[Trace]:
+        """See `Engine`."""
+        figures, record = self._simulate(
+            world, belief, streams, "batch", None, lambda x, first: x[(-1 - first) % every :: every]
+        )
+        return [
+            self._traced(world, belief, slot, figures, {key: x[:, slot] for key, x in record.items()}, every)
+            for slot in range(self.width)
+        ]
+
+    def _simulate(
+        self,
+        world: Case,
+        belief: Case,
+        streams: np.ndarray,
+        what: Recorded = "nothing",
+        slot: int | None = None,
+        keep: Callable[[np.ndarray, int], np.ndarray] = lambda x, first: x,
+    ) -> tuple[Figures, dict[str, np.ndarray]]:
+        """Figures of a batch, and of what was recorded (ticks first) the parts that `keep` takes from each chunk.
+
+        It ends when every rollout is over, or the only one that is recorded.
+        """
         with devices.precision(self.settings):
-            one = batching.pick(world, slot), batching.pick(belief, slot)
-            (world, belief, keys), programs = self._prepare(world, belief, streams, slot)
+            (world, belief, keys), programs = self._prepare(world, belief, streams, what)
             plans, carry = programs.start(world, belief, keys)
-            records, local = [], self.width // self._mesh.size
+            records = []
             for tick in range(0, most_ticks(plans, self.settings.control_period), self._chunk_ticks):
                 carry, record = programs.chunk(world, belief, plans, carry, tick, slot)
-                records.append(jax.tree.map(lambda x: np.asarray(x)[:, slot // local], record))
-                if bool(carry.pilot.running.over[slot]):
+                records.append(jax.tree.map(lambda x, tick=tick: keep(np.asarray(x), tick), record))
+                # on the host: among devices it would take their collective operations, which can hang
+                over = np.asarray(carry.pilot.running.over)
+                if np.all(over if slot is None else over[slot]):
                     break
-            figures = {name: np.asarray(x)[slot] for name, x in programs.finish(world, plans, carry).items()}
-        record = jax.tree.map(lambda *parts: np.concatenate(parts), *records)
-        return batching.to_trace(*one, record, self.settings.control_period, self.stages, figures)
+            figures = {name: np.asarray(values) for name, values in programs.finish(world, plans, carry).items()}
+        return figures, jax.tree.map(lambda *parts: np.concatenate(parts), *records) if records else {}
+
+    def _traced(
+        self, world: Case, belief: Case, slot: int, figures: Figures, record: dict[str, np.ndarray], every: int = 1
+    ) -> Trace:
+        one = batching.pick(world, slot), batching.pick(belief, slot)
+        row = {name: values[slot] for name, values in figures.items()}
+        return batching.to_trace(*one, record, self.settings.control_period, self.stages, row, every)
 
     @property
     def _chunk_ticks(self) -> int:
         return max(1, round(CHUNK / self.settings.control_period))
 
     def _prepare(
-        self, world: Case, belief: Case, streams: np.ndarray, slot: int | None
+        self, world: Case, belief: Case, streams: np.ndarray, what: Recorded
     ) -> tuple[tuple[Case, Case, Array], Programs]:
-        """Arguments as arrays of the right type, and the programs for their batch axes; `slot` is recorded."""
+        """Arguments as arrays of the right type, and the programs for their batch axes."""
         batching.check(streams, self.width)
         quiet = is_quiet(world.noise)
-        form = devices.form((world, belief)), quiet, slot is None
+        form = devices.form((world, belief)), quiet, what
         arrays = devices.spread((*devices.as_arrays((world, belief)), devices.keys(streams)), self._mesh)
         if form not in self._programs:
-            compiled = partial(self._compile, arrays, quiet, slot)
+            compiled = partial(self._compile, arrays, quiet, what)
             made_of, on = (form, *self._made_of), list(self._mesh.devices.flat)
             self._programs[form] = Programs(*program_cache.programs(made_of, on, compiled))
         return arrays, self._programs[form]
@@ -124,7 +151,7 @@ class Mjx:
         return self.settings, self.limits, self.width, self.dynamics, top.names, top.owner, model
 
     def _compile(
-        self, arrays: tuple[Case, Case, Array], quiet: bool, slot: int | None
+        self, arrays: tuple[Case, Case, Array], quiet: bool, what: Recorded
     ) -> tuple[Compiled, Compiled, Compiled]:
         """The programs over batches like `arrays`, split over the devices.
 
@@ -136,7 +163,9 @@ class Mjx:
         on_devices = partial(jax.shard_map, mesh=self._mesh, check_vma=False)
         start = on_devices(jax.vmap(self._start, in_axes=(*axes, 0)), in_specs=(*specs, split), out_specs=split)
         recorded = (split, PartitionSpec(None, devices.BATCH))
-        chunk = on_devices(self._chunk(axes, quiet), in_specs=(*specs, split, split, whole, whole), out_specs=recorded)
+        chunk = on_devices(
+            self._chunk(axes, quiet, what), in_specs=(*specs, split, split, whole, whole), out_specs=recorded
+        )
         finish = jax.vmap(self._finish, in_axes=(axes[0], 0, 0))
         finish = on_devices(finish, in_specs=(specs[0], split, split), out_specs=split)
         options = devices.step_options(moving=bool(self.topology.free))
@@ -145,12 +174,12 @@ class Mjx:
             started = pool.submit(begin.compile)
             plans, carry = devices.split(begin.out_info, self._mesh)
             go_on = jax.jit(chunk, donate_argnums=3, compiler_options=options)
-            chunked = pool.submit(go_on.lower(world, belief, plans, carry, 0, slot).compile)
+            chunked = pool.submit(go_on.lower(world, belief, plans, carry, 0, 0 if what == "slot" else None).compile)
             finished = jax.jit(finish).lower(world, plans, carry).compile()
             return started.result(), chunked.result(), finished
 
-    def _chunk(self, axes: tuple[Case, Case], quiet: bool) -> Callable:
-        """A second of the batch that a device has, of which the rollout in a slot may be recorded."""
+    def _chunk(self, axes: tuple[Case, Case], quiet: bool, what: Recorded) -> Callable:
+        """A second of the batch that a device has, of which the rollout in a slot or all may be recorded."""
         local = self.width // self._mesh.size
         tick = lanes(partial(self._tick, quiet=quiet), (*_last(axes), -1, -1, None), devices.kept_from())
 
@@ -159,8 +188,10 @@ class Mjx:
 
             def body(carry: Carry, k: Array) -> tuple[Carry, Any]:
                 carry, record = tick(world, belief, plans, carry, k)
-                if slot is None:
+                if what == "nothing":
                     return carry, None
+                if what == "batch":
+                    return carry, _batch_first(record)
                 return carry, jax.tree.map(lambda x: x[None, ..., jnp.asarray(slot) % local], record)
 
             carry, records = jax.lax.scan(body, carry, first + jnp.arange(self._chunk_ticks))

@@ -104,15 +104,28 @@ class Native:
 
     def trace(self, world: Case, belief: Case, streams: np.ndarray, slot: int) -> Trace:
         """The rollout in `slot`."""
-        figures, records = self._simulate(world, belief, streams, slot)
-        record = {key: np.stack([r[key] for r in records]) for key in records[0]}
+        figures, record = self._simulate(world, belief, streams, slice(slot, slot + 1))
+        return self._traced(world, belief, slot, figures, {key: x[:, 0] for key, x in record.items()})
+
+    def traces(self, world: Case, belief: Case, streams: np.ndarray, every: int) -> list[Trace]:
+        """See `Engine`."""
+        figures, record = self._simulate(world, belief, streams, slice(None), every)
+        return [
+            self._traced(world, belief, slot, figures, {key: x[:, slot] for key, x in record.items()}, every)
+            for slot in range(self.width)
+        ]
+
+    def _traced(
+        self, world: Case, belief: Case, slot: int, figures: Figures, record: dict[str, np.ndarray], every: int = 1
+    ) -> Trace:
         one = batching.pick(world, slot), batching.pick(belief, slot)
         row = {name: values[slot] for name, values in figures.items()}
-        return batching.to_trace(*one, record, self.settings.control_period, self.stages, row)
+        return batching.to_trace(*one, record, self.settings.control_period, self.stages, row, every)
 
     def _simulate(
-        self, world: Case, belief: Case, streams: np.ndarray, slot: int | None
-    ) -> tuple[Figures, list[dict[str, np.ndarray]]]:
+        self, world: Case, belief: Case, streams: np.ndarray, slots: slice | None, every: int = 1
+    ) -> tuple[Figures, dict[str, np.ndarray]]:
+        """Figures of a batch, and of `slots` a record (ticks first) of one in `every` ticks."""
         batching.check(streams, self.width)
         with devices.precision(self.settings):
             start, tick, finish = self._functions(world, belief)
@@ -133,12 +146,13 @@ class Native:
                 steps["broken"] = unbuilt | np.any(batch.warning[:, :, 0] > 0, axis=1)
                 if k == 0:  # derived fields are those before a step, hence the start's
                     pilots = _with_energy(self._nominal, pilots, steps["energy"][:, 0].sum(axis=-1))
-                if slot is not None:
-                    records.append(_record(commands, pilots, steps, slot))
+                if slots is not None and (k + 1) % every == 0:
+                    records.append(_record(commands, pilots, steps, slots))
                 pilots, commands, controls = tick(*arrays[:2], plans, pilots, commands, steps, k + 1)
                 if bool(np.all(pilots.running.over)):
                     break
-            return {name: np.asarray(values) for name, values in finish(arrays[0], plans, pilots).items()}, records
+            figures = {name: np.asarray(values) for name, values in finish(arrays[0], plans, pilots).items()}
+        return figures, {key: np.stack([r[key] for r in records]) for key in records[0]} if records else {}
 
     def _models(self, world: Case) -> tuple[list[mujoco.MjModel], np.ndarray]:
         """Each row's model, and which rows cannot be built: absurd sizes, in whose place the nominal model runs."""
@@ -253,15 +267,16 @@ def _with_energy(world: Case, pilots: Pilot, start: np.ndarray) -> Pilot:
     return pilots._replace(running=stream.with_energy(world, pilots.running, energy))
 
 
-def _record(commands: Command, pilots: Pilot, steps: dict[str, np.ndarray], slot: int) -> dict[str, np.ndarray]:
-    """What a trace keeps of a tick."""
-    command = jax.tree.map(lambda x: np.asarray(x)[slot], commands)
+def _record(commands: Command, pilots: Pilot, steps: dict[str, np.ndarray], slots: slice) -> dict[str, np.ndarray]:
+    """What a trace keeps of a tick, rollouts first."""
+    command = jax.tree.map(lambda x: np.asarray(x)[slots], commands)
+    sensed = steps["sensordata"][slots]
     return {
-        "qpos": steps["qpos"][slot, -1], "qvel": steps["qvel"][slot, -1],
-        "joint_target": command.joints.reshape(N_JOINTS),
-        "joint_torque": np.abs(steps["actuator_force"][slot]).max(axis=0),
-        "foot_position": steps["site_xpos"][slot, -1, :6], "foot_target": command.target.feet,
-        "foot_force": -steps["sensordata"][slot].reshape(-1, 6, 3).mean(axis=0),
-        "base_target": np.concatenate([command.target.position, command.target.quat]),
-        "stage": np.asarray(pilots.tracker.stage)[slot],
+        "qpos": steps["qpos"][slots, -1], "qvel": steps["qvel"][slots, -1],
+        "joint_target": command.joints.reshape(-1, N_JOINTS),
+        "joint_torque": np.abs(steps["actuator_force"][slots]).max(axis=1),
+        "foot_position": steps["site_xpos"][slots, -1, :6], "foot_target": command.target.feet,
+        "foot_force": -sensed.reshape(*sensed.shape[:2], 6, 3).mean(axis=1),
+        "base_target": np.concatenate([command.target.position, command.target.quat], axis=-1),
+        "stage": np.asarray(pilots.tracker.stage)[slots],
     }  # fmt: skip

@@ -23,12 +23,16 @@ from sweep.metrics.outcome import MEANING
 from sweep.report import tables
 from sweep.report.exhibits import exhibits
 from sweep.report.labels import heading
+from sweep.report.page import data
+from sweep.report.page.script import bundle, policy, style_sheet
+from sweep.report.page.stage import Shown, replays_of, stage_directions
 from sweep.report.statistics import in_words
 from sweep.report.typical import Typical, typical
 from sweep.runs import audit, store
 from sweep.runs.results import Results
 from sweep.study.columns import LABELS
 from sweep.study.config import Experiment
+from sweep.trace.arrows import FORCE_SCALE, FORCE_SHOWN
 
 ROWS, LINES = 100, 100  # of the table at the end, and of the others
 TELLING = (
@@ -51,28 +55,41 @@ class Plate:
     title: str
     caption: str
     svg: Markup
+    live: bool  # the script shows the same
 
 
-def write(results: Results, path: Path) -> Path:
-    """Write the page of `results`."""
+def write(results: Results, path: Path, chosen: tuple[str, ...] = ()) -> Path:
+    """Write the page of `results`; its map starts with the columns `chosen`."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, render(results).encode())
+    write_whole(path, render(results, chosen=chosen).encode())
     return path
 
 
-def render(results: Results) -> str:
-    """The page as HTML."""
+def render(results: Results, shown: list[Shown] | None = None, chosen: tuple[str, ...] = ()) -> str:
+    """The page as HTML.
+
+    It has the replays `shown`, of which the first two are open, or else those that the folder keeps.
+    """
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    template = environment.from_string((files("sweep.report") / "page.html.j2").read_text(encoding="utf-8"))
-    plates = [Plate(e.key, e.title, e.caption, svg(e.draw(), e.title)) for e in exhibits(results)]
+    template = environment.from_string((files("sweep.report.page") / "page.html.j2").read_text(encoding="utf-8"))
     rows = results.rows
+    replays = stage_directions(results, replays_of(results) if shown is None else shown)
+    about = data.data(results, replays.about, chosen)
+    arrow = {"metres": FORCE_SCALE, "least": FORCE_SHOWN}
+    about |= {"models": replays.models, "left_out": replays.left_out, "arrow": arrow, "open": len(shown or [])}
+    style, script = style_sheet(), bundle()
     return template.render(
         results=results,
+        policy=policy(style, script),
+        style=Markup(style),
+        script=Markup(script),
+        data=Markup(data.as_json(about)),
+        streams=Markup("\n".join(replays.streams)),
         rate=pooled(rows, results.exp),
         repeated=results.exp.study.replicates > 1,
-        plates=plates,
+        plates=[Plate(e.key, e.title, e.caption, svg(e.draw(), e.title), live(e.key)) for e in exhibits(results)],
         expectations=list(expectations(results)),
         parameters=list(tables.parameters(results)),
         reasons=[(cause, MEANING[cause], int((rows["cause"] == cause).sum())) for cause in results.causes_seen],
@@ -83,6 +100,11 @@ def render(results: Results) -> str:
         configuration=yaml.safe_dump(results.stored["config"], sort_keys=False, allow_unicode=True),
         dates=dates(results.folder),
     )
+
+
+def live(key: str) -> bool:
+    """Whether the page's script shows what the exhibit `key` does, so that a screen needs no picture of it."""
+    return key.startswith("map-") or key in ("draws", "causes", "distributions")
 
 
 def expectations(results: Results) -> Iterator[tuple[str, str]]:
@@ -150,7 +172,7 @@ def svg(figure: Figure, title: str) -> Markup:
         figure.savefig(content, format="svg", metadata={"Date": None, "Creator": None})
     text = content.getvalue()
     text = text[text.index("<svg") :]
-    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+    text = re.sub(r"<metadata>.*?</metadata>|<style.*?</style>", "", text, flags=re.DOTALL)  # the page has these
     text = re.sub(r'<g id="[^"]*"', "<g", text)  # names of groups, which repeat; what is referred to has other ones
     label = str(Markup.escape(title))
     return Markup(text.replace("<svg", f'<svg role="img" aria-label="{label}"', 1))

@@ -1,0 +1,57 @@
+"""Replays as a page holds them: bodies that several have once, and the streams of states as lines of text."""
+
+import json
+from collections.abc import Iterable, Iterator
+from typing import Any, NamedTuple
+
+from sweep.report import replays
+from sweep.report.page.data import packed, sample
+from sweep.runs.results import Results
+
+ROOM = 4_000_000  # characters of all streams
+TOLD = ("step", "frames", "scales", "force_scale", "stages", "equal", "of", "why")  # of a replay as it is
+
+
+class Shown(NamedTuple):
+    """A replay on the page."""
+
+    place: int  # of its row among those of the results
+    replay: dict[str, Any]  # see `replays.keep`
+    title: str = ""
+
+
+class Replays(NamedTuple):
+    """All of them."""
+
+    about: list[dict[str, Any]]
+    streams: list[str]
+    models: str
+    left_out: int  # for want of room
+
+
+def replays_of(results: Results) -> Iterator[Shown]:
+    """Those that the folder keeps."""
+    return (Shown(place, replay) for place, replay in replays.kept(results))
+
+
+def stage_directions(results: Results, shown: Iterable[Shown]) -> Replays:
+    """What the script is told of replays, and their streams in the same order."""
+    places = {place: k for k, place in enumerate(sample(results.rows.reset_index(drop=True)).index)}
+    about, streams, models, left_out, size = [], [], {}, 0, 0
+    for place, replay, title in shown:
+        size += len(replay["states"])
+        if size > ROOM:
+            left_out += 1
+            continue
+        row = results.rows.iloc[place]
+        bodies = json.dumps(replay["bodies"], separators=(",", ":"))
+        streams.append(replay["states"])
+        about.append({
+            **{name: replay[name] for name in TOLD},
+            "model": models.setdefault(bodies, len(models)),
+            "row": places.get(place, -1),
+            "point": row["point_id"],
+            "kind": str(row["cause"]) if row["outcome"] != "success" else "success",
+            "title": title,
+        })  # fmt: skip
+    return Replays(about, streams, packed(f"[{','.join(models)}]".encode()), left_out)
