@@ -13,7 +13,6 @@ from sweep.core.files import write_whole
 from sweep.engines import devices
 from sweep.engines.base import Trace
 from sweep.metrics.outcome import classify
-from sweep.report.chosen import chosen
 from sweep.runs import batches, store
 from sweep.runs.results import Results
 from sweep.study.config import Experiment
@@ -22,13 +21,12 @@ from sweep.trace.motion import RATE, bodies, motion
 REPLAYS = "replays"  # folder beside the study's parts
 
 
-def make(results: Results, number: int, progress: Callable[[int, int], None] = lambda done, of: None) -> int:
-    """Simulate the `number` most telling rows again where no replay is kept yet; how many are new.
+def make(results: Results, rows: pd.DataFrame, progress: Callable[[int, int], None] = lambda done, of: None) -> int:
+    """Simulate `rows`, such as the `chosen` ones, again where no replay is kept yet; how many have run.
 
     A rollout that ends otherwise in its new batch is not kept, and a line on the standard error says so. `progress` is
     told how many of how many are done.
     """
-    rows = chosen(results, number)
     wanted = rows[[not path(results.folder, row).exists() for _, row in rows.iterrows()]]
     done = 0
     for row, trace, labels in again(results.exp, wanted, store.read_points(results.folder)):
@@ -41,8 +39,10 @@ def make(results: Results, number: int, progress: Callable[[int, int], None] = l
     return done
 
 
-def again(exp: Experiment, rows: pd.DataFrame, planned: pd.DataFrame) -> Iterator[tuple[pd.Series, Trace, dict]]:
-    """Each of `rows`, its rollout recorded `RATE` times a second, and the labels that it has here.
+def again(
+    exp: Experiment, rows: pd.DataFrame, planned: pd.DataFrame, rate: float = RATE
+) -> Iterator[tuple[pd.Series, Trace, dict[str, Any]]]:
+    """Each of `rows`, its rollout recorded `rate` times a second, and the labels that it has here.
 
     `planned` are all points of the study, `rows` some of them with the slots that they were simulated in.
     """
@@ -54,7 +54,7 @@ def again(exp: Experiment, rows: pd.DataFrame, planned: pd.DataFrame) -> Iterato
         full = part.iloc[order]
         task, start = batches.batch(exp, full), batches.nominal(exp, full, len(full))
         engine = batches.make_engine(exp, start)
-        every = max(1, round(1 / RATE / task.settings.control_period))
+        every = max(1, round(1 / rate / task.settings.control_period))
         traces = engine.traces(task.world, task.belief, task.streams, every)
         for _, row in part.iterrows():
             trace = traces[row["slot"]]
@@ -80,8 +80,15 @@ def laid_out(rows: pd.DataFrame, widest: int) -> pd.DataFrame:
 
 def keep(folder: Path, row: pd.Series, trace: Trace) -> None:
     """Write the replay of `row`."""
+    file = path(folder, row)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(file, json.dumps(content(row, trace)).encode())
+
+
+def content(row: pd.Series, trace: Trace) -> dict[str, Any]:
+    """What is kept of the replay of `row`."""
     same = [name for name, value in trace.figures.items() if name in row and equal(row[name], value)]
-    content = {
+    return {
         **motion(trace),
         "bodies": bodies(trace.model),
         "stages": list(trace.stages),
@@ -89,13 +96,16 @@ def keep(folder: Path, row: pd.Series, trace: Trace) -> None:
         "of": len([name for name in trace.figures if name in row]),
         "why": str(row.get("why", "")),
     }
+
+
+def read(folder: Path, row: pd.Series) -> dict[str, Any] | None:
+    """The replay of `row`, where one is kept."""
     file = path(folder, row)
-    file.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(file, json.dumps(content).encode())
+    return json.loads(file.read_text(encoding="utf-8")) if file.exists() else None
 
 
 def kept(results: Results) -> Iterator[tuple[int, dict[str, Any]]]:
-    """Rows (their place among the results') that a replay is kept of, and the replays; the most telling first."""
+    """Rows (their place among the results') that a replay is kept of, and the replays."""
     folder = results.folder / REPLAYS
     there = {file.stem: file for file in folder.glob("*.json")} if folder.is_dir() else {}
     if not there:

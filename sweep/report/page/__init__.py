@@ -65,10 +65,11 @@ def write(results: Results, path: Path, chosen: tuple[str, ...] = ()) -> Path:
     return path
 
 
-def render(results: Results, shown: list[Shown] | None = None, chosen: tuple[str, ...] = ()) -> str:
+def render(results: Results, shown: list[Shown] | None = None, chosen: tuple[str, ...] = (), opened: int = 0) -> str:
     """The page as HTML.
 
-    It has the replays `shown`, of which the first two are open, or else those that the folder keeps.
+    It has the replays `shown`, the first `opened` of which, at most two, play from the start, or else those that the
+    folder keeps.
     """
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
@@ -78,7 +79,7 @@ def render(results: Results, shown: list[Shown] | None = None, chosen: tuple[str
     replays = stage_directions(results, replays_of(results) if shown is None else shown)
     about = data.data(results, replays.about, chosen)
     arrow = {"metres": FORCE_SCALE, "least": FORCE_SHOWN}
-    about |= {"models": replays.models, "left_out": replays.left_out, "arrow": arrow, "open": len(shown or [])}
+    about |= {"models": replays.models, "left_out": replays.left_out, "arrow": arrow, "open": opened}
     style, script = style_sheet(), bundle()
     return template.render(
         results=results,

@@ -172,7 +172,7 @@ export function rateView(app) {
     const side = sideOf(app);
     const column = table.named.get(select.value);
     const order = column ? app.order(column) : counting;
-    const box = { left: 52, top: 10, width: width - 66, height: height - 58 };
+    const box = { left: 64, top: 10, width: width - 78, height: height - 58 };
     const steps = Math.max(1, Math.floor(order.length / 240));
     let [good, all] = [0, 0];
     /** @type {{ at: number, rate: number, ends: [number, number] }[]} */
@@ -218,6 +218,8 @@ export function distributionsView(app) {
   const columns = table.columns.filter((column) => !column.names && column.high > column.low);
   const ranks = new Map(columns.map((column) => [column, smirnov(app.order(column), column.values, side).distance]));
   columns.sort((a, b) => Number(b.axis && b.drawn) - Number(a.axis && a.drawn) || Number(b.axis) - Number(a.axis) || (ranks.get(b) ?? 0) - (ranks.get(a) ?? 0)); // prettier-ignore
+  const [few] = table.about.kinds.filter(({ outcome }) => outcome !== "invalid").map(({ count }) => count).sort((a, b) => a - b); // prettier-ignore
+  const many = clamp(Math.round(1.6 * Math.sqrt(few ?? 1)), 8, BINS);
   const more = byId("distributions-more");
   let shown = SHOWN;
   /** @type {{ canvas: HTMLCanvasElement, column: Column, bins: Uint8Array }[]} */
@@ -227,7 +229,7 @@ export function distributionsView(app) {
       const label = `${column.title}: distributions of successes and failures; drag to choose a range`;
       const canvas = element("canvas", { class: "small", role: "img", "aria-label": label });
       brushed(canvas, column);
-      return { canvas, column, bins: binsOf(column, BINS) };
+      return { canvas, column, bins: binsOf(column, many) };
     });
     root.replaceChildren(...panels.map(({ canvas }) => canvas));
     more.hidden = shown >= columns.length;
@@ -273,10 +275,10 @@ export function distributionsView(app) {
     for (const { canvas, column, bins } of panels) {
       if (!app.visible(canvas)) continue;
       const { pen, width, height } = sheetOf(canvas);
-      const counts = [new Float64Array(BINS), new Float64Array(BINS)];
+      const counts = [new Float64Array(many), new Float64Array(many)];
       for (let row = 0; row < table.rows; row++) {
         const of = sides(row);
-        if (of < 2 && bins[row] < BINS) counts[of][bins[row]]++;
+        if (of < 2 && bins[row] < many) counts[of][bins[row]]++;
       }
       const totals = counts.map((count) => count.reduce((a, b) => a + b, 0));
       const most = Math.max(...counts.map((count, k) => Math.max(...count) / (totals[k] || 1))) || 1;
@@ -287,8 +289,8 @@ export function distributionsView(app) {
         pen.moveTo(left, bottom);
         count.forEach((number, bin) => {
           const y = bottom - (number / totals[k] / most) * high;
-          pen.lineTo(left + (bin / BINS) * wide, y);
-          pen.lineTo(left + ((bin + 1) / BINS) * wide, y);
+          pen.lineTo(left + (bin / many) * wide, y);
+          pen.lineTo(left + ((bin + 1) / many) * wide, y);
         });
         pen.lineTo(left + wide, bottom);
         pen.globalAlpha = k ? 0.16 : 0.3;

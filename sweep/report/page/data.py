@@ -46,7 +46,9 @@ def data(results: Results, replays: list[dict[str, Any]], chosen: tuple[str, ...
     ]  # fmt: skip
     stages = [*results.stages, *sorted(set(rows["stage"].astype(str)) - {*results.stages, ""})]
     kind = codes_of(rows, kinds).astype(np.uint8)
-    stage = pd.Index(stages).get_indexer(pd.Index(rows["stage"].astype(str))).astype(np.uint8) + np.uint8(1)  # 0: there is none
+    stage = pd.Index(stages).get_indexer(pd.Index(rows["stage"].astype(str))).astype(np.uint8) + np.uint8(
+        1
+    )  # 0: there is none
     ids = b"".join(bytes.fromhex(f"{one[:DIGITS]:0<{DIGITS}}") for one in rows["point_id"])
     blocks = [kind.tobytes(), stage.tobytes(), ids, *(block for _, block in coded)]
     return {

@@ -43,6 +43,8 @@ async function begin() {
   const table = await readTable(about);
   if (!table.rows) return;
   document.documentElement.classList.add("live");
+  const watch = table.rows < 3 || table.columns.length < 2; // nothing to map: the replay is all there is
+  document.documentElement.classList.toggle("watch", watch);
   const state = stateOf(table);
   /** @type {Map<Column, Uint32Array>} */
   const orders = new Map();
@@ -113,9 +115,9 @@ async function begin() {
     visible,
   };
   const chips = chipsOf(app);
-  views.push(mapView(app), parallelView(app), stageView(app), importanceView(app), rateView(app), distributionsView(app), pairsView(app), listView(app)); // prettier-ignore
+  if (!watch) views.push(mapView(app), parallelView(app), stageView(app), importanceView(app), rateView(app), distributionsView(app), pairsView(app), listView(app)); // prettier-ignore
   chips();
-  views[0].draw();
+  views[0]?.draw();
   const player = playerOf(app);
   for (const view of views.slice(1)) waiting.add(view);
   soon();

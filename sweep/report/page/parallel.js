@@ -9,6 +9,7 @@ import { narrow } from "./state.js";
 /** @typedef {import("./main.js").View} View */
 
 const MOST = 10; // axes side by side
+const NARROW = 84; // pixels that an axis needs for its title
 const AT_ONCE = 16; // ms of drawing before the page may answer
 const BATCH = 150; // lines between two looks at the clock
 const FRAME = { left: 46, right: 46, top: 52, bottom: 30 };
@@ -21,12 +22,13 @@ export function parallelView(app) {
   const { table, state } = app;
   const base = /** @type {HTMLCanvasElement} */ (byId("lines-base"));
   const over = /** @type {HTMLCanvasElement} */ (byId("lines-over"));
-  const axes = axesOf(app);
+  const every = axesOf(app);
   const order = shuffled(table.rows);
   /** @type {Float32Array[]} shares of each axis by row */
-  const shares = axes.map(({ values, low, high, names }) =>
+  const parts = every.map(({ values, low, high, names }) =>
     Float32Array.from(values, (value, row) => (high > low ? (value + (names ? jitter(row) : 0) - low) / (high - low) : 0.5)), // prettier-ignore
   );
+  let [axes, shares] = [every, parts];
   let job = 0; // number of the drawing that goes on
   /** @type {{ axis: number, from: number } | null} */
   let pressed = null;
@@ -40,8 +42,17 @@ export function parallelView(app) {
   });
   const xOf = (/** @type {number} */ axis) => area().left + (axes.length > 1 ? axis / (axes.length - 1) : 0.5) * area().width; // prettier-ignore
 
+  /** On a narrow screen the axes that matter most, and the margin. */
+  const fit = () => {
+    const room = clamp(Math.floor(base.clientWidth / NARROW), 2, every.length);
+    const kept = every.map((_, axis) => axis).filter((axis) => axis < room - 1 || axis === every.length - 1);
+    [axes, shares] = [kept.map((axis) => every[axis]), kept.map((axis) => parts[axis])];
+    keyed = Math.min(keyed, axes.length - 1);
+  };
+
   const draw = () => {
     const mine = ++job;
+    fit();
     const { pen, width } = sheetOf(base);
     const { top, height } = area();
     const { ink, soft, line, paper } = app.theme();

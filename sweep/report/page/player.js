@@ -2,7 +2,7 @@
 import { clipped, inflate, nearestReplay } from "./data.js";
 import { byId, cssOf, element, pointerOn, sheetOf } from "./dom.js";
 import { endOf, frameAt, plus, readMotion, stateAt } from "./kinematics.js";
-import { clamp } from "./numbers.js";
+import { clamp, shortly } from "./numbers.js";
 import { baseOf, drawForces, drawRobot, drawWorld, obstaclesOf, viewOf } from "./scene.js";
 import { hides } from "./solids.js";
 import { worded } from "./map.js";
@@ -144,8 +144,7 @@ export function playerOf(app) {
    */
   const spanOf = ({ model, motion }) => {
     const base = baseOf(model, stateAt(motion, motion.step));
-    const robot = model.geoms.filter((geom) => geom.robot).reduce((most, geom) => Math.max(most, ...(geom.size ?? [0])), 0);
-    return clamp(8 * robot + 0.15 * Math.abs(base[2]), 1.2, 12);
+    return clamp(8 * sizeOf(model) + 0.15 * Math.abs(base[2]), 1.2, 12);
   };
 
   /**
@@ -208,8 +207,10 @@ export function playerOf(app) {
       sheet.pen.globalAlpha = 1;
     }
     const frame = frameAt(reel.motion, time);
-    drawForces(view, reel.model, state, reel.motion.force.subarray(18 * frame, 18 * frame + 18), table.about.arrow);
+    const arrow = arrowOf(reel);
+    drawForces(view, reel.model, state, reel.motion.force.subarray(18 * frame, 18 * frame + 18), arrow);
     const lines = [`${time.toFixed(2)} s   ${stageOf(reel)}`, titleOf(app, reel.number)];
+    lines[0] += `   arrows: 100 N are ${shortly(100 * arrow.metres)} m`;
     if (ghost) lines.push(`violet: ${titleOf(app, ghost.number)}`);
     sheet.pen.textAlign = "left";
     sheet.pen.textBaseline = "bottom";
@@ -222,6 +223,18 @@ export function playerOf(app) {
       sheet.pen.strokeText(text, 12, y, sheet.width - 24);
       sheet.pen.fillText(text, 12, y, sheet.width - 24);
     });
+  };
+
+  /**
+   * Arrows no longer than the robot.
+   * @param {Reel} reel
+   * @returns {{ metres: number, least: number }}
+   */
+  const arrowOf = ({ model, motion }) => {
+    const robot = 2 * sizeOf(model);
+    const most = motion.force.reduce((a, b) => Math.max(a, Math.abs(b)), 1);
+    const { metres, least } = table.about.arrow;
+    return { metres: Math.min(metres, Number((robot / most).toPrecision(1))), least };
   };
 
   /** @type {HTMLCanvasElement | null} */
@@ -310,8 +323,9 @@ export function playerOf(app) {
 
   play.addEventListener("click", () => (playing ? stop() : start()));
   scrub.addEventListener("input", () => {
+    const chosen = Number(scrub.value); // before drawing sets it
     stop();
-    to(Number(scrub.value));
+    to(chosen);
   });
   strip.addEventListener("pointerdown", (event) => {
     stop();
@@ -385,9 +399,21 @@ export function playerOf(app) {
     });
   }
   const typical = replays.findIndex(({ why }) => why === "typical of success");
-  void openReel(0, table.about.open ? 0 : Math.max(0, typical));
-  if (table.about.open > 1) void openReel(1, 1);
+  const { open: wanted } = table.about;
+  void openReel(0, wanted ? 0 : Math.max(0, typical)).then(async () => {
+    if (wanted > 1) await openReel(1, 1);
+    if (wanted && !matchMedia("(prefers-reduced-motion: reduce)").matches) start();
+  });
   return { openRow, draw };
+}
+
+/**
+ * @param {Model} model
+ * @returns {number} m, the largest half-size of the robot's parts
+ */
+function sizeOf(model) {
+  const parts = model.geoms.filter((geom) => geom.robot);
+  return parts.reduce((most, geom) => Math.max(most, ...(geom.size ?? [0])), 0);
 }
 
 /**

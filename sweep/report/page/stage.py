@@ -4,6 +4,8 @@ import json
 from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
+import pandas as pd
+
 from sweep.report import replays
 from sweep.report.page.data import packed, sample
 from sweep.runs.results import Results
@@ -15,7 +17,8 @@ TOLD = ("step", "frames", "scales", "force_scale", "stages", "equal", "of", "why
 class Shown(NamedTuple):
     """A replay on the page."""
 
-    place: int  # of its row among those of the results
+    place: int  # of its row among those of the results, -1 where it is not one of them
+    row: pd.Series
     replay: dict[str, Any]  # see `replays.keep`
     title: str = ""
 
@@ -31,19 +34,18 @@ class Replays(NamedTuple):
 
 def replays_of(results: Results) -> Iterator[Shown]:
     """Those that the folder keeps."""
-    return (Shown(place, replay) for place, replay in replays.kept(results))
+    return (Shown(place, results.rows.iloc[place], replay) for place, replay in replays.kept(results))
 
 
 def stage_directions(results: Results, shown: Iterable[Shown]) -> Replays:
     """What the script is told of replays, and their streams in the same order."""
     places = {place: k for k, place in enumerate(sample(results.rows.reset_index(drop=True)).index)}
     about, streams, models, left_out, size = [], [], {}, 0, 0
-    for place, replay, title in shown:
+    for place, row, replay, title in shown:
         size += len(replay["states"])
         if size > ROOM:
             left_out += 1
             continue
-        row = results.rows.iloc[place]
         bodies = json.dumps(replay["bodies"], separators=(",", ":"))
         streams.append(replay["states"])
         about.append({
