@@ -58,11 +58,10 @@ def parser() -> argparse.ArgumentParser:
         "  sweep view scenario=pole_climb --with engine=native\n  sweep view results/before 42 --with results/after",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
+    kinds = "DIR ID | group.name=value"
+    made.add_argument("what", metavar=kinds, nargs="+", help="a row of a study, or a configuration")
     made.add_argument(
-        "what", metavar="DIR ID | group.name=value", nargs="+", help="a row of a study, or a configuration"
-    )
-    made.add_argument(
-        "--with", dest="beside", metavar="DIR ID | group.name=value", nargs="+", default=[],
+        "--with", dest="beside", metavar=kinds, nargs="+", default=[],
         help="a second rollout in step with it: another row, the same of another folder, or other values",
     )  # fmt: skip
     made.add_argument("--mujoco", action="store_true", help="MuJoCo's own viewer in place of the page")
@@ -103,7 +102,7 @@ def stored(what: list[str], beside: list[str]) -> tuple[Results, list[Shown]]:
                 replays.make(of, of.rows.iloc[[at]].assign(why=""))
         if not (kept := replays.read(of.folder, row)):
             raise InputError(f"{row['point_id']} of {of.folder} ends otherwise here, or at once: sweep replay says how")
-        shown.append(Shown(at if of is found else -1, row, kept, title))
+        shown.append(Shown(at if of.folder == found.folder else -1, row, kept, title))
     seen = {one.row["point_id"] for one in shown}
     return found, [*shown, *(one for one in replays_of(found) if one.row["point_id"] not in seen)]
 

@@ -89,6 +89,9 @@ def render(results: Results, shown: list[Shown] | None = None, chosen: tuple[str
         data=Markup(data.as_json(about)),
         streams=Markup("\n".join(replays.streams)),
         rate=pooled(rows, results.exp),
+        watched=[
+            (one.title, one.row["cause"] or one.row["outcome"]) for one in shown or () if results.exp.study.single
+        ],
         repeated=results.exp.study.replicates > 1,
         plates=[Plate(e.key, e.title, e.caption, svg(e.draw(), e.title), live(e.key)) for e in exhibits(results)],
         expectations=list(expectations(results)),

@@ -83,7 +83,16 @@ function celled(x, y, sx, sy, rows) {
     boxes.set([start, sy.edges?.[j] ?? 0, start + step, sy.edges?.[j + 1] ?? 1], 4 * k);
   });
   const several = counts.some((count) => count > 1);
-  return { x: sx, y: sy, form: "cells", rows: Int32Array.from(rows), boxes, cell, several, outlines: new Float64Array() };
+  return {
+    x: sx,
+    y: sy,
+    form: "cells",
+    rows: Int32Array.from(rows),
+    boxes,
+    cell,
+    several,
+    outlines: new Float64Array(),
+  };
 }
 
 /**
@@ -101,7 +110,16 @@ function marked(x, y, rows, room) {
     boxes[4 * k + 1] = sy.to(y.values[row] + (y.names ? scattered(row + 1) : 0));
   });
   const none = new Float64Array();
-  return { x: sx, y: sy, form: "marks", rows: Int32Array.from(rows), boxes, cell: new Int32Array(), several: false, outlines: none }; // prettier-ignore
+  return {
+    x: sx,
+    y: sy,
+    form: "marks",
+    rows: Int32Array.from(rows),
+    boxes,
+    cell: new Int32Array(),
+    several: false,
+    outlines: none,
+  };
 }
 
 /**
@@ -131,9 +149,15 @@ function meshed(table, x, y, within, room, straight) {
     return { ...scale, to, back: (/** @type {number} */ share) => column.low + share * size };
   });
   const corners = table.mesh ?? new Int32Array();
-  const [rows, boxes, outlines] = [/** @type {number[]} */ ([]), /** @type {number[]} */ ([]), /** @type {number[]} */ ([])];
+  const [rows, boxes, outlines] = [
+    /** @type {number[]} */ ([]),
+    /** @type {number[]} */ ([]),
+    /** @type {number[]} */ ([]),
+  ];
   for (let k = 0; k < corners.length; k += 4) {
-    const four = straight ? corners.subarray(k, k + 4) : Int32Array.of(corners[k], corners[k + 2], corners[k + 1], corners[k + 3]); // prettier-ignore
+    const four = straight
+      ? corners.subarray(k, k + 4)
+      : Int32Array.of(corners[k], corners[k + 2], corners[k + 1], corners[k + 3]);
     if (!within(four[0])) continue;
     const [left, right] = [sx.to(x.values[four[0]]), sx.to(x.values[four[1]])];
     const [low, high] = [sy.to(y.values[four[0]]), sy.to(y.values[four[2]])];
@@ -143,7 +167,13 @@ function meshed(table, x, y, within, room, straight) {
     outlines.push(left, low, right, high);
   }
   return {
-    x: sx, y: sy, form: "cells", rows: Int32Array.from(rows), boxes: Float64Array.from(boxes),
-    cell: Int32Array.from(rows, (_, k) => k), several: false, outlines: Float64Array.from(outlines),
-  }; // prettier-ignore
+    x: sx,
+    y: sy,
+    form: "cells",
+    rows: Int32Array.from(rows),
+    boxes: Float64Array.from(boxes),
+    cell: Int32Array.from(rows, (_, k) => k),
+    several: false,
+    outlines: Float64Array.from(outlines),
+  };
 }

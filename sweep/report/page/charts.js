@@ -148,7 +148,10 @@ export function importanceView(app) {
     pen.lineTo(left - 0.5, 6 + 24 * Math.min(16, found.length));
     pen.stroke();
     const one = found[0];
-    byId("importance-note").textContent = one?.counts[0] && one.counts[1] ? `Among ${one.counts[0]} successes and ${one.counts[1]} failures.` : "Among what passes the filters not both succeed and fail."; // prettier-ignore
+    byId("importance-note").textContent =
+      one?.counts[0] && one.counts[1]
+        ? `Among ${one.counts[0]} successes and ${one.counts[1]} failures.`
+        : "Among what passes the filters not both succeed and fail.";
   };
   return { root: canvas, draw, point: () => {}, resized: () => {} };
 }
@@ -163,7 +166,14 @@ export function rateView(app) {
   const canvas = /** @type {HTMLCanvasElement} */ (byId("rates"));
   const select = /** @type {HTMLSelectElement} */ (byId("rates-by"));
   const numbers = table.columns.filter((column) => !column.names);
-  offer(select, [["", "number of rollouts"], ...numbers.map((column) => /** @type {[string, string]} */ ([column.key, column.title]))], ""); // prettier-ignore
+  offer(
+    select,
+    [
+      ["", "number of rollouts"],
+      ...numbers.map((column) => /** @type {[string, string]} */ ([column.key, column.title])),
+    ],
+    "",
+  );
   select.addEventListener("change", () => app.redraw());
   const counting = Float64Array.from({ length: table.rows }, (_, row) => row);
   const draw = () => {
@@ -189,8 +199,15 @@ export function rateView(app) {
     /** @type {Column} */
     const shown = { ...(column ?? numbers[0] ?? table.columns[0]), names: null, low, high };
     const x = scaleOf(shown, null, width / 80);
-    const y = { to: (/** @type {number} */ v) => v, back: (/** @type {number} */ v) => v, ticks: [0, 0.25, 0.5, 0.75, 1].map((value) => ({ value, text: `${100 * value} %` })), edges: null, cells: null }; // prettier-ignore
-    const spot = (/** @type {number} */ at, /** @type {number} */ rate) => /** @type {const} */ ([box.left + x.to(at) * box.width, box.top + (1 - rate) * box.height]); // prettier-ignore
+    const y = {
+      to: (/** @type {number} */ v) => v,
+      back: (/** @type {number} */ v) => v,
+      ticks: [0, 0.25, 0.5, 0.75, 1].map((value) => ({ value, text: `${100 * value} %` })),
+      edges: null,
+      cells: null,
+    };
+    const spot = (/** @type {number} */ at, /** @type {number} */ rate) =>
+      /** @type {const} */ ([box.left + x.to(at) * box.width, box.top + (1 - rate) * box.height]);
     pen.fillStyle = cssOf(app.looks()[0]?.mark ?? [58, 146, 201], 0.22);
     pen.beginPath();
     curve.forEach(({ at, ends }) => pen.lineTo(...spot(at, ends[1])));
@@ -201,7 +218,13 @@ export function rateView(app) {
     pen.beginPath();
     curve.forEach(({ at, rate }) => pen.lineTo(...spot(at, rate)));
     pen.stroke();
-    drawFrame(sheet, app.theme(), box, { scale: x, title: column ? `${column.title}, up to` : "rollouts, as they were planned" }, { scale: y, title: "rate of success" }); // prettier-ignore
+    drawFrame(
+      sheet,
+      app.theme(),
+      box,
+      { scale: x, title: column ? `${column.title}, up to` : "rollouts, as they were planned" },
+      { scale: y, title: "rate of success" },
+    );
   };
   return { root: canvas, draw, point: () => {}, resized: () => {} };
 }
@@ -217,8 +240,16 @@ export function distributionsView(app) {
   const side = sideOf(app);
   const columns = table.columns.filter((column) => !column.names && column.high > column.low);
   const ranks = new Map(columns.map((column) => [column, smirnov(app.order(column), column.values, side).distance]));
-  columns.sort((a, b) => Number(b.axis && b.drawn) - Number(a.axis && a.drawn) || Number(b.axis) - Number(a.axis) || (ranks.get(b) ?? 0) - (ranks.get(a) ?? 0)); // prettier-ignore
-  const [few] = table.about.kinds.filter(({ outcome }) => outcome !== "invalid").map(({ count }) => count).sort((a, b) => a - b); // prettier-ignore
+  columns.sort(
+    (a, b) =>
+      Number(b.axis && b.drawn) - Number(a.axis && a.drawn) ||
+      Number(b.axis) - Number(a.axis) ||
+      (ranks.get(b) ?? 0) - (ranks.get(a) ?? 0),
+  );
+  const [few] = table.about.kinds
+    .filter(({ outcome }) => outcome !== "invalid")
+    .map(({ count }) => count)
+    .sort((a, b) => a - b);
   const many = clamp(Math.round(1.6 * Math.sqrt(few ?? 1)), 8, BINS);
   const more = byId("distributions-more");
   let shown = SHOWN;
@@ -248,7 +279,8 @@ export function distributionsView(app) {
   function brushed(canvas, column) {
     /** @type {number | null} */
     let from = null;
-    const valueAt = (/** @type {number} */ x) => column.low + clamp((x - 10) / (canvas.clientWidth - 20), 0, 1) * (column.high - column.low); // prettier-ignore
+    const valueAt = (/** @type {number} */ x) =>
+      column.low + clamp((x - 10) / (canvas.clientWidth - 20), 0, 1) * (column.high - column.low);
     canvas.addEventListener("pointerdown", (event) => {
       from = pointerOn(event, canvas)[0];
       canvas.setPointerCapture(event.pointerId);
@@ -308,7 +340,8 @@ export function distributionsView(app) {
       pen.moveTo(left, bottom + 0.5);
       pen.lineTo(left + wide, bottom + 0.5);
       pen.stroke();
-      const place = (/** @type {number} */ value) => left + clamp((value - column.low) / (column.high - column.low), 0, 1) * wide; // prettier-ignore
+      const place = (/** @type {number} */ value) =>
+        left + clamp((value - column.low) / (column.high - column.low), 0, 1) * wide;
       if (column.limit !== null && column.limit >= column.low && column.limit <= column.high) {
         pen.strokeStyle = ink;
         pen.setLineDash([3, 3]);
@@ -349,7 +382,10 @@ export function pairsView(app) {
   const canvas = /** @type {HTMLCanvasElement} */ (byId("pairs"));
   const details = /** @type {HTMLDetailsElement} */ (byId("pairs-box"));
   details.addEventListener("toggle", () => app.redraw());
-  const columns = [...app.ranked.map(({ column }) => column), ...table.columns.filter(({ key }) => key === "margin")].slice(0, PAIRED); // prettier-ignore
+  const columns = [
+    ...app.ranked.map(({ column }) => column),
+    ...table.columns.filter(({ key }) => key === "margin"),
+  ].slice(0, PAIRED);
   const draw = () => {
     if (!details.open || columns.length < 2) return;
     canvas.style.height = `${canvas.clientWidth}px`;
@@ -379,7 +415,8 @@ export function pairsView(app) {
           if (!state.mask[row]) continue;
           const [u, v] = [x.values[row], y.values[row]];
           if (Number.isNaN(u) || Number.isNaN(v)) continue;
-          const at = (/** @type {Column} */ column, /** @type {number} */ value) => 0.03 + (0.94 * (value - column.low)) / (column.high - column.low || 1); // prettier-ignore
+          const at = (/** @type {Column} */ column, /** @type {number} */ value) =>
+            0.03 + (0.94 * (value - column.low)) / (column.high - column.low || 1);
           const kind = table.kind[row];
           stampAt(pixels, stamps[kind], at(x, u) * size, (1 - at(y, v)) * size, looks[kind].mark, 0.6, -2);
         }
@@ -406,4 +443,3 @@ export function rankedOf(table, order) {
     .map((column) => ({ column, distance: smirnov(order(column), column.values, side).distance }))
     .sort((a, b) => b.distance - a.distance);
 }
-

@@ -50,7 +50,7 @@ def data(results: Results, replays: list[dict[str, Any]], chosen: tuple[str, ...
         1
     )  # 0: there is none
     ids = b"".join(bytes.fromhex(f"{one[:DIGITS]:0<{DIGITS}}") for one in rows["point_id"])
-    blocks = [kind.tobytes(), stage.tobytes(), ids, *(block for _, block in coded)]
+    blocks = [kind.tobytes(), stage.astype(np.uint8).tobytes(), ids, *(block for _, block in coded)]
     return {
         "name": results.name,
         "folder": str(results.folder),

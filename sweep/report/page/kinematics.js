@@ -115,8 +115,7 @@ export function stateAt(motion, time) {
     (u - 1) * u * u * 0.5,
   ];
   const state = new Float64Array(coordinates);
-  for (let c = 0; c < coordinates; c++)
-    for (let j = 0; j < 4; j++) state[c] += weights[j] * qpos[at[j] + c];
+  for (let c = 0; c < coordinates; c++) for (let j = 0; j < 4; j++) state[c] += weights[j] * qpos[at[j] + c];
   return state;
 }
 
@@ -129,10 +128,16 @@ export function turnOf(quat) {
   const size = Math.hypot(quat[0], quat[1], quat[2], quat[3]) || 1;
   const [w, x, y, z] = [quat[0] / size, quat[1] / size, quat[2] / size, quat[3] / size];
   return [
-    1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
-    2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-    2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
-  ]; // prettier-ignore
+    1 - 2 * (y * y + z * z),
+    2 * (x * y - w * z),
+    2 * (x * z + w * y),
+    2 * (x * y + w * z),
+    1 - 2 * (x * x + z * z),
+    2 * (y * z - w * x),
+    2 * (x * z - w * y),
+    2 * (y * z + w * x),
+    1 - 2 * (x * x + y * y),
+  ];
 }
 
 /**

@@ -17,7 +17,10 @@ const WIDE = 10; // columns of numbers
 export function listView(app) {
   const { table, state } = app;
   const root = byId("list");
-  const columns = [...table.columns.filter((column) => column.axis), ...table.columns.filter((column) => !column.axis)].slice(0, WIDE); // prettier-ignore
+  const columns = [
+    ...table.columns.filter((column) => column.axis),
+    ...table.columns.filter((column) => !column.axis),
+  ].slice(0, WIDE);
   const { kinds, stages } = table.about;
   let first = 0;
   let sorted = -1;
@@ -37,7 +40,9 @@ export function listView(app) {
   });
   const body = element("tbody");
   const words = ["", "outcome", "stage"].map((text) => element("th", { scope: "col" }, text));
-  root.replaceChildren(element("table", { class: "rows" }, element("thead", {}, element("tr", {}, ...words, ...heads)), body)); // prettier-ignore
+  root.replaceChildren(
+    element("table", { class: "rows" }, element("thead", {}, element("tr", {}, ...words, ...heads)), body),
+  );
   const pages = byId("list-pages");
   const turn = (/** @type {string} */ text, /** @type {number} */ by) => {
     const button = element("button", { type: "button" }, text);
@@ -62,21 +67,38 @@ export function listView(app) {
       const row = order ? order[falling ? count - 1 - k : k] : k;
       if (state.mask[row] && ++at >= first) rows.push(row);
     }
-    heads.forEach((head, k) => head.setAttribute("aria-sort", k !== sorted ? "none" : falling ? "descending" : "ascending")); // prettier-ignore
+    heads.forEach((head, k) =>
+      head.setAttribute("aria-sort", k !== sorted ? "none" : falling ? "descending" : "ascending"),
+    );
     body.replaceChildren(
       ...rows.map((row) => {
         const own = table.replayed.has(row);
         const point = pointOf(table, row);
-        const button = element("button", { type: "button", "aria-label": `show ${own ? "the replay" : "a replay near"} ${point}` }, own ? "▶" : "▷"); // prettier-ignore
+        const button = element(
+          "button",
+          { type: "button", "aria-label": `show ${own ? "the replay" : "a replay near"} ${point}` },
+          own ? "▶" : "▷",
+        );
         button.addEventListener("click", () => app.choose(row));
-        const cells = columns.map(({ names, values }) => element("td", {}, names ? (names[values[row]] ?? "") : shortly(values[row]))); // prettier-ignore
+        const cells = columns.map(({ names, values }) =>
+          element("td", {}, names ? (names[values[row]] ?? "") : shortly(values[row])),
+        );
         const stage = table.stage[row] ? (stages[table.stage[row] - 1] ?? "") : "";
-        const line = element("tr", {}, element("td", {}, button), element("td", {}, kinds[table.kind[row]].label), element("td", {}, stage), ...cells); // prettier-ignore
+        const line = element(
+          "tr",
+          {},
+          element("td", {}, button),
+          element("td", {}, kinds[table.kind[row]].label),
+          element("td", {}, stage),
+          ...cells,
+        );
         if (row === state.chosen) line.setAttribute("aria-current", "true");
         return line;
       }),
     );
-    where.textContent = state.passing ? ` ${first + 1} to ${first + rows.length} of ${state.passing} ` : " no row passes the filters "; // prettier-ignore
+    where.textContent = state.passing
+      ? ` ${first + 1} to ${first + rows.length} of ${state.passing} `
+      : " no row passes the filters ";
     back.disabled = first === 0;
     on.disabled = first + LINES >= state.passing;
   };

@@ -115,9 +115,20 @@ async function begin() {
     visible,
   };
   const chips = chipsOf(app);
-  if (!watch) views.push(mapView(app), parallelView(app), stageView(app), importanceView(app), rateView(app), distributionsView(app), pairsView(app), listView(app)); // prettier-ignore
+  if (!watch)
+    views.push(
+      mapView(app),
+      parallelView(app),
+      stageView(app),
+      importanceView(app),
+      rateView(app),
+      distributionsView(app),
+      pairsView(app),
+      listView(app),
+    );
   chips();
   views[0]?.draw();
+  performance.mark("map");
   const player = playerOf(app);
   for (const view of views.slice(1)) waiting.add(view);
   soon();
@@ -147,7 +158,13 @@ function chipsOf(app) {
   const buttons = table.about.kinds.map((kind, k) => {
     const swatch = element("canvas", { class: "swatch", "aria-hidden": "true" });
     const count = element("span", { class: "soft" });
-    const button = element("button", { type: "button", class: "chip", "aria-pressed": "true", title: kind.meaning }, swatch, clipped(kind.label), count); // prettier-ignore
+    const button = element(
+      "button",
+      { type: "button", class: "chip", "aria-pressed": "true", title: kind.meaning },
+      swatch,
+      clipped(kind.label),
+      count,
+    );
     button.addEventListener("click", () => {
       if (state.hidden.has(k)) state.hidden.delete(k);
       else state.hidden.add(k);
@@ -176,7 +193,11 @@ function chipsOf(app) {
       const column = table.named.get(key);
       const names = column?.names?.filter((_, code) => code >= low && code <= high);
       const text = names ? names.join(", ") : `${shortly(low)} to ${shortly(high)}`;
-      const button = element("button", { type: "button", class: "chip", title: "take this filter off" }, `${column?.label ?? key}: ${clipped(text)} ×`); // prettier-ignore
+      const button = element(
+        "button",
+        { type: "button", class: "chip", title: "take this filter off" },
+        `${column?.label ?? key}: ${clipped(text)} ×`,
+      );
       button.addEventListener("click", () => {
         narrow(state, key, null);
         app.filtered();

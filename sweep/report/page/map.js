@@ -3,8 +3,9 @@ import { drawFrame } from "./axes.js";
 import { placesOf } from "./cells.js";
 import { clipped, inflate, readCounts } from "./data.js";
 import { byId, cssOf, element, offer, pointerOn, sheetOf } from "./dom.js";
-import { clamp, mixed, packRgb, scaleColour, shortly } from "./numbers.js";
-import { fillCell, ownerNear, pixelsOf, stampAt, stampOf, tileOf } from "./paint.js";
+import { KIND, markSize, paintCells, paintDensity, paintMarks, RATE, spanOf, spotOf } from "./fill.js";
+import { clamp, packRgb, scaleColour, shortly } from "./numbers.js";
+import { ownerNear, pixelsOf } from "./paint.js";
 import { narrow } from "./state.js";
 
 /** @typedef {import("./cells.js").Places} Places */
@@ -15,10 +16,6 @@ import { narrow } from "./state.js";
 /** @typedef {import("./paint.js").Pixels} Pixels */
 
 const MARGIN = { left: 64, right: 14, top: 12, bottom: 48 };
-const KIND = "kind";
-const RATE = "rate";
-const PATTERNED = 6; // CSS pixels of a cell that a pattern is seen in
-const FADED = 0.86; // of what does not pass the filters
 const DRAG = 5; // pixels that make a click a drag
 
 /**
@@ -35,8 +32,10 @@ export function mapView(app) {
   const start = startOf(app);
   offer(selects[0], names, start[0]);
   offer(selects[1], names, start[1]);
-  const numbers = table.columns.filter((column) => !column.names).map((column) => /** @type {[string, string]} */ ([column.key, column.title])); // prettier-ignore
-  offer(selects[2], [[KIND, "outcome and cause"], [RATE, "rate of success in the cell"], ...numbers], KIND); // prettier-ignore
+  const numbers = table.columns
+    .filter((column) => !column.names)
+    .map((column) => /** @type {[string, string]} */ ([column.key, column.title]));
+  offer(selects[2], [[KIND, "outcome and cause"], [RATE, "rate of success in the cell"], ...numbers], KIND);
 
   /** @type {Map<string, number>} values that further axes are fixed at */
   const slices = new Map();
@@ -53,7 +52,10 @@ export function mapView(app) {
 
   const columns = () => selects.slice(0, 2).map((select) => table.named.get(select.value) ?? table.columns[0]);
   const box = () => {
-    const [width, height] = [base.clientWidth - MARGIN.left - MARGIN.right, base.clientHeight - MARGIN.top - MARGIN.bottom];
+    const [width, height] = [
+      base.clientWidth - MARGIN.left - MARGIN.right,
+      base.clientHeight - MARGIN.top - MARGIN.bottom,
+    ];
     return { left: MARGIN.left, top: MARGIN.top, width: Math.max(10, width), height: Math.max(10, height) };
   };
 
@@ -96,7 +98,9 @@ export function mapView(app) {
 
   const densityOf = () => {
     const [x, y] = columns();
-    return selects[2].value === KIND ? table.about.densities.find((one) => one.x === x.key && one.y === y.key) : undefined; // prettier-ignore
+    return selects[2].value === KIND
+      ? table.about.densities.find((one) => one.x === x.key && one.y === y.key)
+      : undefined;
   };
 
   const draw = () => {
@@ -149,7 +153,9 @@ export function mapView(app) {
       const [low, high] = column ? spanOf(column) : [0, 1];
       note.append(column ? column.title : "rate of success", " ", shortly(low), " ", bar, " ", shortly(high));
     } else if (densityOf()) {
-      note.append(`${table.about.total} rollouts counted in cells; a choice is shown by ${table.rows} of them, drawn at random.`); // prettier-ignore
+      note.append(
+        `${table.about.total} rollouts counted in cells; a choice is shown by ${table.rows} of them, drawn at random.`,
+      );
     } else if (table.about.total > table.rows) {
       note.append(`${table.rows} of ${table.about.total} rollouts, drawn at random.`);
     } else if (table.mesh && places?.outlines.length) {
@@ -171,7 +177,12 @@ export function mapView(app) {
     pen.beginPath();
     for (let k = 0; k < outlines.length; k += 4) {
       const [left, low, right, high] = outlines.subarray(k, k + 4);
-      pen.rect(area.left + left * area.width, area.top + (1 - high) * area.height, (right - left) * area.width, (high - low) * area.height); // prettier-ignore
+      pen.rect(
+        area.left + left * area.width,
+        area.top + (1 - high) * area.height,
+        (right - left) * area.width,
+        (high - low) * area.height,
+      );
     }
     pen.stroke();
   };
@@ -184,7 +195,9 @@ export function mapView(app) {
    * @param {import("./axes.js").Box} area
    */
   const drawTheory = (pen, x, y, here, area) => {
-    const curves = table.about.theory.filter((one) => [x.key, y.key].sort().join() === [one.of, one.along].sort().join());
+    const curves = table.about.theory.filter(
+      (one) => [x.key, y.key].sort().join() === [one.of, one.along].sort().join(),
+    );
     pen.save();
     pen.beginPath();
     pen.rect(area.left, area.top, area.width, area.height);
@@ -196,16 +209,29 @@ export function mapView(app) {
         const [u, v] = curve.of === x.key ? [limit, along] : [along, limit];
         return [[area.left + here.x.to(u) * area.width, area.top + (1 - here.y.to(v)) * area.height]];
       });
-      for (const [colour, width] of /** @type {[string, number][]} */ ([[app.theme().panel, 5], [app.theme().ink, 2]])) { // prettier-ignore
+      for (const [colour, width] of /** @type {[string, number][]} */ ([
+        [app.theme().panel, 5],
+        [app.theme().ink, 2],
+      ])) {
         pen.strokeStyle = colour;
         pen.lineWidth = width;
-        pen.setLineDash([[7, 4], [7, 3, 2, 3], [2, 3]][number % 3]); // prettier-ignore
+        pen.setLineDash(
+          [
+            [7, 4],
+            [7, 3, 2, 3],
+            [2, 3],
+          ][number % 3],
+        );
         pen.beginPath();
         spots.forEach(([u, v], k) => (k ? pen.lineTo(u, v) : pen.moveTo(u, v)));
         pen.stroke();
       }
       pen.setLineDash([]);
-      const end = spots.filter(([u, v]) => u > area.left && u < area.left + area.width - 8 && v > area.top + 8 && v < area.top + area.height).at(-1); // prettier-ignore
+      const end = spots
+        .filter(
+          ([u, v]) => u > area.left && u < area.left + area.width - 8 && v > area.top + 8 && v < area.top + area.height,
+        )
+        .at(-1);
       if (!end) return;
       pen.textAlign = end[0] > area.left + area.width / 2 ? "right" : "left";
       pen.textBaseline = "bottom";
@@ -231,7 +257,10 @@ export function mapView(app) {
       if (!table.replayed.has(row) || done.has(row) || !state.mask[row]) return;
       done.add(row);
       const [u, v] = spotOf(here, k, area);
-      for (const [colour, width] of /** @type {[string, number][]} */ ([[app.theme().panel, 3.4], [app.theme().ink, 1.3]])) { // prettier-ignore
+      for (const [colour, width] of /** @type {[string, number][]} */ ([
+        [app.theme().panel, 3.4],
+        [app.theme().ink, 1.3],
+      ])) {
         pen.strokeStyle = colour;
         pen.lineWidth = width;
         pen.beginPath();
@@ -256,13 +285,24 @@ export function mapView(app) {
       const high = b ? clamp(here.y.to(b.high), 0, 1) : 1;
       pen.strokeStyle = app.theme().accent;
       pen.lineWidth = 1.5;
-      pen.strokeRect(area.left + left * area.width, area.top + (1 - high) * area.height, (right - left) * area.width, (high - low) * area.height); // prettier-ignore
+      pen.strokeRect(
+        area.left + left * area.width,
+        area.top + (1 - high) * area.height,
+        (right - left) * area.width,
+        (high - low) * area.height,
+      );
     }
-    for (const [row, size] of /** @type {[number, number][]} */ ([[state.chosen, 8], [state.cursor, 6]])) { // prettier-ignore
+    for (const [row, size] of /** @type {[number, number][]} */ ([
+      [state.chosen, 8],
+      [state.cursor, 6],
+    ])) {
       const k = row < 0 ? -1 : here.rows.indexOf(row);
       if (k < 0) continue;
       const [u, v] = spotOf(here, k, area);
-      for (const [colour, width] of /** @type {[string, number][]} */ ([[app.theme().panel, 4], [app.theme().accent, 2]])) { // prettier-ignore
+      for (const [colour, width] of /** @type {[string, number][]} */ ([
+        [app.theme().panel, 4],
+        [app.theme().accent, 2],
+      ])) {
         pen.strokeStyle = colour;
         pen.lineWidth = width;
         pen.beginPath();
@@ -334,10 +374,20 @@ export function mapView(app) {
     drawOver();
   });
   over.addEventListener("keydown", (event) => {
-    const ways = /** @type {Record<string, [number, number]>} */ ({ ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }); // prettier-ignore
+    const ways = /** @type {Record<string, [number, number]>} */ ({
+      ArrowLeft: [-1, 0],
+      ArrowRight: [1, 0],
+      ArrowUp: [0, 1],
+      ArrowDown: [0, -1],
+    });
     const way = ways[event.key];
     if (way && places) {
-      const row = stepFrom(places, state.cursor, way, (/** @type {number} */ one) => state.mask[one] > 0);
+      const row = stepFrom(
+        places,
+        state.cursor,
+        way,
+        (/** @type {number} */ one) => event.shiftKey || state.mask[one] > 0,
+      );
       if (event.shiftKey && state.cursor >= 0) {
         const [x, y] = columns();
         anchor ??= [x.values[state.cursor], y.values[state.cursor]];
@@ -442,29 +492,12 @@ function startOf({ table, ranked }) {
   const first = start[0] ?? ranked[0]?.column.key ?? numbers[0]?.key ?? table.columns[0]?.key ?? "";
   const free = (/** @type {string} */ key) => table.named.has(key) && key !== first;
   const second = ranked[1]?.column.key ?? "";
-  const beside = [start[1] ?? "", ...(table.about.one_at_a_time ? ["margin", second] : [second, "margin"]), ...numbers.map(({ key }) => key)].find(free);
+  const beside = [
+    start[1] ?? "",
+    ...(table.about.one_at_a_time ? ["margin", second] : [second, "margin"]),
+    ...numbers.map(({ key }) => key),
+  ].find(free);
   return [first, beside ?? first];
-}
-
-/**
- * The middle of what a map shows of a row, in CSS pixels.
- * @param {Places} here
- * @param {number} k
- * @param {import("./axes.js").Box} area
- * @returns {[number, number]}
- */
-function spotOf(here, k, area) {
-  const [left, low, right, high] = here.boxes.subarray(4 * k, 4 * k + 4);
-  const [x, y] = here.form === "cells" ? [(left + right) / 2, (low + high) / 2] : [left, low];
-  return [area.left + x * area.width, area.top + (1 - y) * area.height];
-}
-
-/**
- * @param {Places} here
- * @returns {number} radius of its marks in CSS pixels
- */
-function markSize(here) {
-  return clamp(70 / Math.sqrt(here.rows.length + 1) + 1.2, 1.7, 5);
 }
 
 /**
@@ -492,150 +525,4 @@ export function stepFrom(here, row, way, passes) {
     if (ahead > 1e-9 && aside <= ahead && away < least) [best, least] = [other, away];
   });
   return best;
-}
-
-/**
- * Ends of a scale of colours: all but the most extreme hundredths.
- * @param {Column} column
- * @returns {[number, number]}
- */
-function spanOf(column) {
-  const values = column.values.filter((value) => !Number.isNaN(value)).sort();
-  if (!values.length) return [0, 1];
-  const at = (/** @type {number} */ share) => values[Math.round(share * (values.length - 1))];
-  const [low, high] = [at(0.01), at(0.99)];
-  return high > low ? [low, high] : [column.low, column.high || column.low + 1];
-}
-
-/**
- * How rows are coloured: a colour for each row, packed or as three numbers.
- * @param {App} app
- * @param {Places} here
- * @param {string} by
- * @returns {((k: number) => number) | null} null for kinds
- */
-function coloursBy({ table, state }, here, by) {
-  if (by === KIND) return null;
-  if (by === RATE) {
-    const size = here.cell.reduce((most, one) => Math.max(most, one), 0) + 1;
-    const [good, all] = [new Int32Array(size), new Int32Array(size)];
-    here.rows.forEach((row, k) => {
-      const { outcome } = table.about.kinds[table.kind[row]];
-      const cell = here.cell[k] ?? 0;
-      if (!state.mask[row] || outcome === "invalid") return;
-      all[cell]++;
-      if (outcome === "success") good[cell]++;
-    });
-    return (k) => (all[here.cell[k] ?? 0] ? scaleColour(good[here.cell[k] ?? 0] / all[here.cell[k] ?? 0]) : 0);
-  }
-  const column = table.named.get(by);
-  if (!column) return null;
-  const [low, high] = spanOf(column);
-  return (k) => {
-    const value = column.values[here.rows[k]];
-    return Number.isNaN(value) ? 0 : scaleColour((value - low) / (high - low));
-  };
-}
-
-/**
- * @param {App} app
- * @param {Pixels} pixels
- * @param {Places} here
- * @param {string} by
- * @param {number} ratio
- */
-function paintCells(app, pixels, here, by, ratio) {
-  const { table, state } = app;
-  const { paper } = app.theme();
-  const looks = app.looks();
-  const faded = looks.map((look) => packRgb(...mixed(look.cell, paper, FADED)));
-  const plain = looks.map((look) => packRgb(...look.cell));
-  const inks = looks.map((look) => packRgb(...look.ink));
-  const tiles = looks.map((look) => tileOf(look.pattern));
-  const colour = coloursBy(app, here, by);
-  const { width, height } = pixels;
-  const gap = here.outlines.length ? 0 : 1;
-  const empty = packRgb(...mixed(paper, [128, 128, 128], 0.12));
-  for (let k = 0; k < here.rows.length; k++) {
-    const row = here.rows[k];
-    const kind = table.kind[row];
-    const left = Math.round(here.boxes[4 * k] * width);
-    const right = Math.max(left + 1, Math.round(here.boxes[4 * k + 2] * width));
-    const top = Math.round((1 - here.boxes[4 * k + 3]) * height);
-    const bottom = Math.max(top + 1, Math.round((1 - here.boxes[4 * k + 1]) * height));
-    const large = Math.min(right - left, bottom - top) >= PATTERNED * ratio;
-    const space = large ? gap : 0;
-    const passes = state.mask[row] > 0;
-    const own = colour ? colour(k) || empty : plain[kind];
-    const shown = passes ? own : colour ? empty : faded[kind];
-    const tile = passes && large && !colour ? tiles[kind] : null;
-    fillCell(pixels, left, top, right - space, bottom - space, shown, row, tile, inks[kind], ratio);
-  }
-}
-
-/**
- * @param {App} app
- * @param {Pixels} pixels
- * @param {Places} here
- * @param {string} by
- * @param {number} ratio
- */
-function paintMarks(app, pixels, here, by, ratio) {
-  const { table, state } = app;
-  const { paper } = app.theme();
-  const looks = app.looks();
-  const radius = markSize(here) * ratio;
-  const stamps = looks.map((_, kind) => stampOf(kind, radius));
-  const halos = radius > 2.4 * ratio ? looks.map((_, kind) => stampOf(kind, radius + ratio)) : null;
-  const colour = coloursBy(app, here, by);
-  const opacity = clamp(120 / Math.sqrt(here.rows.length + 1), 0.55, 1);
-  const faint = looks.map((look) => mixed(look.mark, paper, FADED));
-  for (const passing of [0, 1])
-    for (let k = 0; k < here.rows.length; k++) {
-      const row = here.rows[k];
-      if (state.mask[row] !== passing) continue;
-      const kind = table.kind[row];
-      const x = here.boxes[4 * k] * pixels.width;
-      const y = (1 - here.boxes[4 * k + 1]) * pixels.height;
-      const packed = colour ? colour(k) : 0;
-      const own = packed ? /** @type {Rgb} */ ([packed & 255, (packed >> 8) & 255, (packed >> 16) & 255]) : looks[kind].mark; // prettier-ignore
-      if (passing && halos) stampAt(pixels, halos[kind], x, y, paper, 0.7, -2);
-      stampAt(pixels, stamps[kind], x, y, passing ? own : faint[kind], passing ? opacity : 0.5, passing ? row : -2);
-    }
-}
-
-/**
- * Counts as colours: kinds in proportion, the stronger the more rollouts there are.
- * @param {App} app
- * @param {Pixels} pixels
- * @param {Places} here
- * @param {import("./data.js").Binned} density
- * @param {Uint32Array} counts
- * @param {boolean} faint
- */
-function paintDensity(app, pixels, here, density, counts, faint) {
-  const { wide, high } = density;
-  const looks = app.looks();
-  const { paper } = app.theme();
-  const size = wide * high;
-  const [across, up] = /** @type {const} */ ([[here.x, density.x_ends], [here.y, density.y_ends]]).map(
-    ([scale, ends]) => (/** @type {number} */ share) => scale.to(ends[0] + share * (ends[1] - ends[0])),
-  ); // prettier-ignore
-  const totals = new Float64Array(size);
-  for (let k = 0; k < counts.length; k++) totals[k % size] += counts[k];
-  const most = totals.reduce((a, b) => Math.max(a, b), 0);
-  for (let cell = 0; cell < size; cell++) {
-    if (!totals[cell]) continue;
-    /** @type {Rgb} */
-    let rgb = [0, 0, 0];
-    looks.forEach((look, kind) => {
-      const share = counts[kind * size + cell] / totals[cell];
-      rgb = [rgb[0] + look.cell[0] * share, rgb[1] + look.cell[1] * share, rgb[2] + look.cell[2] * share];
-    });
-    const strength = (0.35 + 0.65 * (Math.log1p(totals[cell]) / Math.log1p(most))) * (faint ? 0.25 : 1);
-    const [i, j] = [cell % wide, Math.floor(cell / wide)];
-    const [left, right] = [i, i + 1].map((k) => Math.round(across(k / wide) * pixels.width));
-    const [bottom, top] = [j, j + 1].map((k) => Math.round((1 - up(k / high)) * pixels.height));
-    fillCell(pixels, left, top, right, bottom, packRgb(...mixed(paper, rgb, strength)), -1, null, 0, 1);
-  }
 }

@@ -47,7 +47,7 @@ export function tileOf(pattern) {
         "-": y % 4 === 1,
         "|": x % 4 === 1,
         o: away > 1.8 && away < 3,
-        ".": (x % 4 === 1 || x % 4 === 2) && (y % 4 === 1 || y % 4 === 2) && (x < 4) === (y < 4),
+        ".": (x % 4 === 1 || x % 4 === 2) && (y % 4 === 1 || y % 4 === 2) && x < 4 === y < 4,
       }[mark];
       tile[y * TILE + x] = Number(ink ?? false);
     }

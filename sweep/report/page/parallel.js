@@ -26,7 +26,9 @@ export function parallelView(app) {
   const order = shuffled(table.rows);
   /** @type {Float32Array[]} shares of each axis by row */
   const parts = every.map(({ values, low, high, names }) =>
-    Float32Array.from(values, (value, row) => (high > low ? (value + (names ? jitter(row) : 0) - low) / (high - low) : 0.5)), // prettier-ignore
+    Float32Array.from(values, (value, row) =>
+      high > low ? (value + (names ? jitter(row) : 0) - low) / (high - low) : 0.5,
+    ),
   );
   let [axes, shares] = [every, parts];
   let job = 0; // number of the drawing that goes on
@@ -40,7 +42,8 @@ export function parallelView(app) {
     width: base.clientWidth - FRAME.left - FRAME.right,
     height: base.clientHeight - FRAME.top - FRAME.bottom,
   });
-  const xOf = (/** @type {number} */ axis) => area().left + (axes.length > 1 ? axis / (axes.length - 1) : 0.5) * area().width; // prettier-ignore
+  const xOf = (/** @type {number} */ axis) =>
+    area().left + (axes.length > 1 ? axis / (axes.length - 1) : 0.5) * area().width;
 
   /** On a narrow screen the axes that matter most, and the margin. */
   const fit = () => {
@@ -81,8 +84,10 @@ export function parallelView(app) {
         pen.moveTo(places[axis], top);
         pen.lineTo(places[axis], top + height);
         pen.stroke();
-        pen.textAlign = axis === 0 && axes.length > 1 ? "left" : axis === axes.length - 1 && axes.length > 1 ? "right" : "center"; // prettier-ignore
-        const at = places[axis] + (pen.textAlign === "left" ? -FRAME.left + 4 : pen.textAlign === "right" ? FRAME.right - 4 : 0); // prettier-ignore
+        pen.textAlign =
+          axis === 0 && axes.length > 1 ? "left" : axis === axes.length - 1 && axes.length > 1 ? "right" : "center";
+        const at =
+          places[axis] + (pen.textAlign === "left" ? -FRAME.left + 4 : pen.textAlign === "right" ? FRAME.right - 4 : 0);
         pen.fillStyle = ink;
         pen.textBaseline = "bottom";
         const room = axes.length > 1 ? (area().width / (axes.length - 1)) * 0.96 : width;
@@ -114,7 +119,8 @@ export function parallelView(app) {
           for (let kind = 0; kind < looks.length; kind++) {
             pen.strokeStyle = cssOf(looks[kind].mark);
             pen.beginPath();
-            for (let k = next; k < end; k++) if (table.kind[order[k]] === kind && state.mask[order[k]]) stroke(order[k], pen); // prettier-ignore
+            for (let k = next; k < end; k++)
+              if (table.kind[order[k]] === kind && state.mask[order[k]]) stroke(order[k], pen);
             pen.stroke();
           }
         }
@@ -162,7 +168,8 @@ export function parallelView(app) {
     const { low, high } = axes[axis];
     return low + clamp(1 - (y - area().top) / area().height, 0, 1) * (high - low);
   };
-  const nearest = (/** @type {number} */ x) => axes.reduce((best, _, axis) => (Math.abs(xOf(axis) - x) < Math.abs(xOf(best) - x) ? axis : best), 0); // prettier-ignore
+  const nearest = (/** @type {number} */ x) =>
+    axes.reduce((best, _, axis) => (Math.abs(xOf(axis) - x) < Math.abs(xOf(best) - x) ? axis : best), 0);
 
   over.addEventListener("pointerdown", (event) => {
     const [x, y] = pointerOn(event, over);

@@ -35,7 +35,9 @@ export function playerOf(app) {
   const { replays } = table.about;
   const panel = byId("replay");
   const canvases = ["scene-a", "scene-b"].map((id) => /** @type {HTMLCanvasElement} */ (byId(id)));
-  const [list, beside, mode, speed] = ["replay-list", "replay-with", "replay-mode", "replay-speed"].map((id) => /** @type {HTMLSelectElement} */ (byId(id))); // prettier-ignore
+  const [list, beside, mode, speed] = ["replay-list", "replay-with", "replay-mode", "replay-speed"].map(
+    (id) => /** @type {HTMLSelectElement} */ (byId(id)),
+  );
   const play = byId("play");
   const scrub = /** @type {HTMLInputElement} */ (byId("scrub"));
   const strip = /** @type {HTMLCanvasElement} */ (byId("strip"));
@@ -120,9 +122,17 @@ export function playerOf(app) {
     let said = "";
     if (other !== row) {
       const differ = table.columns.filter((column) => column.axis && column.values[row] !== column.values[other]);
-      const apart = differ.slice(0, 4).map((column) => `${column.label} ${worded(column, column.values[other])} instead of ${worded(column, column.values[row])}`); // prettier-ignore
-      const ends = table.kind[row] === table.kind[other] ? "" : `; it ends as ${table.about.kinds[table.kind[other]].label}, not as ${table.about.kinds[table.kind[row]].label}`; // prettier-ignore
-      said = `Another row: the one you chose has no replay. This is the nearest that has one: ${apart.join(", ")}${differ.length > 4 ? ", …" : ""}${ends}.`; // prettier-ignore
+      const apart = differ
+        .slice(0, 4)
+        .map(
+          (column) =>
+            `${column.label} ${worded(column, column.values[other])} instead of ${worded(column, column.values[row])}`,
+        );
+      const ends =
+        table.kind[row] === table.kind[other]
+          ? ""
+          : `; it ends as ${table.about.kinds[table.kind[other]].label}, not as ${table.about.kinds[table.kind[row]].label}`;
+      said = `Another row: the one you chose has no replay. This is the nearest that has one: ${apart.join(", ")}${differ.length > 4 ? ", …" : ""}${ends}.`;
     }
     time = 0;
     void openReel(0, number, said).then(() => start());
@@ -132,7 +142,10 @@ export function playerOf(app) {
     const reel = open[0];
     if (!reel) return;
     const shown = replays[reel.number];
-    const same = shown.equal === shown.of ? "all figures equal to the last bit" : `${shown.equal} of ${shown.of} figures equal to the last bit`; // prettier-ignore
+    const same =
+      shown.equal === shown.of
+        ? "all figures equal to the last bit"
+        : `${shown.equal} of ${shown.of} figures equal to the last bit`;
     caption.textContent = `${shown.why ? `${clipped(shown.why)}. ` : ""}Simulated again from row ${shown.point}: ${same}.`;
   };
 
@@ -158,8 +171,13 @@ export function playerOf(app) {
       return { base: baseOf(model, state), solids: obstaclesOf(model, state) };
     });
     const hidden = ANGLES.map((angle) => {
-      const away = [Math.cos(angle) * Math.cos(START.elevation), Math.sin(angle) * Math.cos(START.elevation), Math.sin(START.elevation)]; // prettier-ignore
-      return solids.filter(({ base, solids }) => solids.some((one) => hides(one, plus(base, away, spanOf(reel)), base))).length; // prettier-ignore
+      const away = [
+        Math.cos(angle) * Math.cos(START.elevation),
+        Math.sin(angle) * Math.cos(START.elevation),
+        Math.sin(START.elevation),
+      ];
+      return solids.filter(({ base, solids }) => solids.some((one) => hides(one, plus(base, away, spanOf(reel)), base)))
+        .length;
     });
     return ANGLES[hidden.indexOf(Math.min(...hidden))];
   };
@@ -198,7 +216,12 @@ export function playerOf(app) {
     if (canvas === canvases[0]) camera = { ...camera, target: shift };
     const view = viewOf(sheet, theme, canvas === canvases[0] ? camera : { ...camera, target: aim });
     const state = stateAt(reel.motion, time);
-    drawWorld(view, reel.model, state, view.eye.map((part, k) => part + view.axes[2][k] * camera.distance)); // prettier-ignore
+    drawWorld(
+      view,
+      reel.model,
+      state,
+      view.eye.map((part, k) => part + view.axes[2][k] * camera.distance),
+    );
     if (ghost) {
       const own = sheetOf(overlay(canvas));
       drawRobot({ ...view, sheet: own }, ghost.model, stateAt(ghost.motion, time), GHOST);
@@ -262,7 +285,7 @@ export function playerOf(app) {
     const xOf = (/** @type {number} */ at) => (at / total) * width;
     pen.textBaseline = "middle";
     pen.textAlign = "left";
-    for (let from = 0; from < motion.frames; ) {
+    for (let from = 0; from < motion.frames;) {
       let to = from;
       while (to < motion.frames && motion.stage[to] === motion.stage[from]) to++;
       const [left, right] = [xOf(from * motion.step), xOf(to * motion.step)];
@@ -349,7 +372,11 @@ export function playerOf(app) {
 
   const orbit = (/** @type {number} */ dx, /** @type {number} */ dy) => {
     turned = true;
-    camera = { ...camera, azimuth: camera.azimuth - dx / 160, elevation: clamp(camera.elevation + dy / 160, 0.03, 1.5) };
+    camera = {
+      ...camera,
+      azimuth: camera.azimuth - dx / 160,
+      elevation: clamp(camera.elevation + dy / 160, 0.03, 1.5),
+    };
     if (!playing) draw();
   };
   const zoom = (/** @type {number} */ factor) => {
@@ -424,7 +451,8 @@ function sizeOf(model) {
  */
 function titleOf({ table, ranked }, number) {
   const shown = table.about.replays[number];
-  const kind = table.about.kinds.find(({ key }) => key === shown.kind)?.label ?? clipped(shown.kind.replaceAll("_", " "));
+  const kind =
+    table.about.kinds.find(({ key }) => key === shown.kind)?.label ?? clipped(shown.kind.replaceAll("_", " "));
   if (shown.title) return `${clipped(shown.title)}: ${kind}`;
   if (shown.row < 0) return `${kind}, ${shown.point.slice(0, 6)}`;
   const columns = [...table.columns.filter(({ axis, names }) => axis && names), ...ranked.map(({ column }) => column)];

@@ -41,7 +41,7 @@ export function viewOf(sheet, theme, camera) {
   const [ca, sa] = [Math.cos(azimuth), Math.sin(azimuth)];
   const [ce, se] = [Math.cos(elevation), Math.sin(elevation)];
   const away = [-ca * ce, -sa * ce, -se];
-  const axes = [[-sa, ca, 0], [-ca * se, -sa * se, ce], away]; // prettier-ignore
+  const axes = [[-sa, ca, 0], [-ca * se, -sa * se, ce], away];
   const focus = 1.25 * Math.min(sheet.width * 1.1, sheet.height * 1.35);
   return { sheet, theme, eye: plus(target, away, -distance), axes, focus };
 }
@@ -235,7 +235,10 @@ function drawGround(view, ground, target) {
       const level = Math.floor(away * 6);
       if (level >= faint.length) continue;
       const [x, y] = [near(u), near(v)];
-      for (const [p, q] of [[at(x + k, y + j), at(x + k, y + j + 2 * GRID)], [at(x + j, y + k), at(x + j + 2 * GRID, y + k)]]) // prettier-ignore
+      for (const [p, q] of [
+        [at(x + k, y + j), at(x + k, y + j + 2 * GRID)],
+        [at(x + j, y + k), at(x + j + 2 * GRID, y + k)],
+      ])
         faint[level].push(outline(view, [p, q, q]));
     }
   faint.forEach((lines, level) => {
@@ -279,7 +282,13 @@ function drawShadows(view, ground, casting) {
       pen.stroke();
     } else if (solid.geom.shape === "box") {
       const shadow = cssOf([0, 0, 0], opacity / 2);
-      for (const face of solid.faces.slice(4)) polygon(view, face.points.map((p) => fallen(p).spot), shadow, null); // prettier-ignore
+      for (const face of solid.faces.slice(4))
+        polygon(
+          view,
+          face.points.map((p) => fallen(p).spot),
+          shadow,
+          null,
+        );
     }
   }
 }
@@ -366,7 +375,11 @@ function drawLink(view, from, to, radius, rgb) {
   limb(p, q, r + 0.9, s + 0.9, cssOf(mixed(colour, [0, 0, 0], 0.45)));
   limb(p, q, r, s, cssOf(colour));
   const shine = { x: -0.3, y: -0.34 };
-  const moved = (/** @type {Spot} */ spot, /** @type {number} */ size) => ({ ...spot, x: spot.x + shine.x * size, y: spot.y + shine.y * size }); // prettier-ignore
+  const moved = (/** @type {Spot} */ spot, /** @type {number} */ size) => ({
+    ...spot,
+    x: spot.x + shine.x * size,
+    y: spot.y + shine.y * size,
+  });
   limb(moved(p, r), moved(q, s), 0.42 * r, 0.42 * s, cssOf(mixed(colour, [255, 255, 255], 0.36)));
 
   /**
@@ -411,8 +424,14 @@ export function drawForces(view, model, state, force, arrow) {
     const head = Math.min(9, length / 2);
     const angle = Math.atan2(q.y - p.y, q.x - p.x);
     const tip = (/** @type {number} */ back, /** @type {number} */ aside) =>
-      /** @type {const} */ ([q.x - back * Math.cos(angle) - aside * Math.sin(angle), q.y - back * Math.sin(angle) + aside * Math.cos(angle)]); // prettier-ignore
-    for (const [stroke, wide] of /** @type {[string, number][]} */ ([[cssOf(view.theme.paper, 0.8), 5], [colour, 2.6]])) { // prettier-ignore
+      /** @type {const} */ ([
+        q.x - back * Math.cos(angle) - aside * Math.sin(angle),
+        q.y - back * Math.sin(angle) + aside * Math.cos(angle),
+      ]);
+    for (const [stroke, wide] of /** @type {[string, number][]} */ ([
+      [cssOf(view.theme.paper, 0.8), 5],
+      [colour, 2.6],
+    ])) {
       pen.strokeStyle = pen.fillStyle = stroke;
       pen.lineWidth = wide;
       pen.beginPath();

@@ -74,8 +74,17 @@ function facesOf(geom) {
     const rim = rimOf(a);
     const sides = rim.map(([x, y], k) => {
       const [u, v] = rim[(k + 1) % SIDES];
-      return { points: [[x, y, -b], [u, v, -b], [u, v, b], [x, y, b]], normal: [(x + u) / 2 / a, (y + v) / 2 / a, 0], edges: false };
-    }); // prettier-ignore
+      return {
+        points: [
+          [x, y, -b],
+          [u, v, -b],
+          [u, v, b],
+          [x, y, b],
+        ],
+        normal: [(x + u) / 2 / a, (y + v) / 2 / a, 0],
+        edges: false,
+      };
+    });
     const lids = [1, -1].map((side) => ({
       points: rim.map(([x, y]) => [x, y, side * b]),
       normal: [0, 0, side],
@@ -126,12 +135,28 @@ function outlineOf(geom) {
     case "mesh":
       return geom.vertices ?? [];
     case "sphere":
-      return [[0, 0, a], [0, 0, -a], [a, 0, 0], [-a, 0, 0], [0, a, 0], [0, -a, 0], [0, 0, 0]]; // prettier-ignore
+      return [
+        [0, 0, a],
+        [0, 0, -a],
+        [a, 0, 0],
+        [-a, 0, 0],
+        [0, a, 0],
+        [0, -a, 0],
+        [0, 0, 0],
+      ];
     case "plane":
       return [[0, 0, 0]];
   }
-  if (isLink(geom)) return [[0, 0, -b], [0, 0, b]]; // prettier-ignore
-  return [-b, 0, b].flatMap((z) => rimOf(a).filter((_, k) => k % 4 === 0).map(([x, y]) => [x, y, z])); // prettier-ignore
+  if (isLink(geom))
+    return [
+      [0, 0, -b],
+      [0, 0, b],
+    ];
+  return [-b, 0, b].flatMap((z) =>
+    rimOf(a)
+      .filter((_, k) => k % 4 === 0)
+      .map(([x, y]) => [x, y, z]),
+  );
 }
 
 /**
@@ -169,7 +194,8 @@ export function hides(solid, eye, point) {
     case "mesh":
       for (const face of facesOf(solid.geom)) {
         const [p] = face.points;
-        const dot = (/** @type {number[]} */ v) => v[0] * face.normal[0] + v[1] * face.normal[1] + v[2] * face.normal[2];
+        const dot = (/** @type {number[]} */ v) =>
+          v[0] * face.normal[0] + v[1] * face.normal[1] + v[2] * face.normal[2];
         cut(dot(plus(from, p, -1)), dot(way));
       }
       break;
