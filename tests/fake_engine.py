@@ -4,6 +4,7 @@ import os
 import signal
 import sys
 import time
+from dataclasses import replace
 
 import numpy as np
 from faultless import faultless
@@ -42,8 +43,17 @@ class FakeEngine:
         good = {name: np.full(self.width, value) for name, value in faultless(self.world).items()}
         return good | {
             "tilt_max_deg": tilt, "slip_max_m": ratio / (friction + 0.01), "end_stage": np.ones(self.width),
+            "duration_s": np.full(self.width, 5.0),
             "clearance_min_m": np.full(self.width, 0.05), "noise_draw": streams % 1000 / 1000,
         }  # fmt: skip
+
+    def traces(self, world, belief, streams, every):
+        """The same motion for every row, with the figures that it has."""
+        from moved import moved
+
+        figures, trace = self.run(world, belief, streams), moved()
+        rows = [{name: values[slot] for name, values in figures.items()} for slot in range(self.width)]
+        return [replace(trace, stages=self.stages, figures=row) for row in rows]
 
 
 def install():

@@ -27,8 +27,11 @@ def make(results: Results, rows: pd.DataFrame, progress: Callable[[int, int], No
     A rollout that ends otherwise in its new batch is not kept, and a line on the standard error says so. `progress` is
     told how many of how many are done.
     """
-    wanted = rows[[not path(results.folder, row).exists() for _, row in rows.iterrows()]]
+    missing = [not path(results.folder, row).exists() for _, row in rows.iterrows()]
+    wanted = rows[np.array(missing, dtype=bool)]
     done = 0
+    if wanted.empty:
+        return done
     for row, trace, labels in again(results.exp, wanted, store.read_points(results.folder)):
         if (labels["outcome"], labels["cause"]) != (row["outcome"], row["cause"]):
             print(f"sweep: no replay of {row['point_id']}: here it ends otherwise", file=sys.stderr)

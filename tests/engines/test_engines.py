@@ -184,3 +184,16 @@ def test_a_trace_is_the_run(mjx, world, nominal, figures):
     assert len(trace.time) == len(trace.qpos) == round(figures["duration_s"][NOISY] / 4e-3)
     weight = np.sum(trace.foot_force[:, :, 2], axis=1).mean()
     assert weight == pytest.approx(16 * GRAVITY, rel=0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["mjx", "native"])
+def test_all_rollouts_of_a_batch_are_recorded_as_one_is(name, request, world, nominal):
+    engine, belief = request.getfixturevalue(name), replace(nominal, obstacle={"slope": world.obstacle.slope})
+    one, every = engine.trace(world, belief, STREAMS, NOISY), engine.traces(world, belief, STREAMS, 25)
+    assert len(every) == len(STREAMS)
+    again = every[NOISY]
+    for field in ("time", "qpos", "foot_force", "joint_torque", "stage"):
+        found = getattr(again, field)
+        assert np.array_equal(found, getattr(one, field)[24::25][: len(found)]), field
+    assert all(np.array_equal(again.figures[k], one.figures[k], equal_nan=True) for k in one.figures)

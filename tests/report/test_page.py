@@ -4,8 +4,8 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import moved
 from matplotlib.collections import PolyCollection
+from moved import moved
 
 from sweep.cli.main import main
 from sweep.report import chosen, page, replays, slices, typical

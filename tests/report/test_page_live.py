@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from browser import CHROMIUM, Browser
-from conftest import body_places, moved
+from moved import body_places, moved
 
 from sweep.report import page, replays
 from sweep.report.page.stage import Shown
