@@ -21,7 +21,7 @@ RATE = 10.0  # frames per second
 FINE = 1e-3  # of a state's stream: m and rad; coarser where int16 could not hold the largest value
 UNIT = 1e-4  # of a quaternion's numbers
 INT16, LEVELS = 2**15 - 1, 63  # of a state at most; of a force on either side of zero
-DIGITS = 5  # of lengths (m) and directions of bodies and geoms
+DIGITS = 4  # of lengths (m) and directions of bodies and geoms
 Kind = mujoco.mjtGeom
 SHAPES = {Kind.mjGEOM_PLANE: "plane", Kind.mjGEOM_SPHERE: "sphere", Kind.mjGEOM_CAPSULE: "capsule",
           Kind.mjGEOM_CYLINDER: "cylinder", Kind.mjGEOM_BOX: "box", Kind.mjGEOM_MESH: "mesh"}  # fmt: skip
@@ -39,14 +39,30 @@ def motion(trace: Trace) -> dict[str, Any]:
     force = np.asarray(trace.foot_force[:frames], float).reshape(frames, -1)
     force_scale = max(float(np.nan_to_num(np.abs(force)).max()) / LEVELS, 1e-6)
     small = np.column_stack([np.round(np.nan_to_num(force) / force_scale), trace.stage[:frames]]).astype(np.int8)
-    content = planes(np.round(qpos / scales).astype(np.int16)) + planes(small)
     return {
         "step": float(trace.time[0]),
         "frames": frames,
         "scales": [float(f"{scale:.6g}") for scale in scales],
         "force_scale": float(f"{force_scale:.6g}"),
-        "states": base64.b64encode(zlib.compress(content, 9)).decode(),
+        "states": packed(np.round(qpos / scales).astype(np.int16), small),
     }
+
+
+def thinned(kept: dict[str, Any], every: int) -> dict[str, Any]:
+    """A motion with one in `every` of its frames, and one at least; a page shows a cubic through them."""
+    frames, columns = kept["frames"], len(kept["scales"])
+    content = zlib.decompress(base64.b64decode(kept["states"]))
+    states = read_planes(content[: 2 * frames * columns], frames, np.dtype(np.int16))
+    small = read_planes(content[2 * frames * columns :], frames, np.dtype(np.int8))
+    every = min(every, frames)
+    chosen = slice(every - 1, None, every)
+    return {**kept, "step": kept["step"] * every, "frames": frames // every,
+            "states": packed(states[chosen], small[chosen])}  # fmt: skip
+
+
+def packed(states: np.ndarray, small: np.ndarray) -> str:
+    """Whole numbers of two bytes and of one as text."""
+    return base64.b64encode(zlib.compress(planes(states) + planes(small), 9)).decode()
 
 
 def planes(values: np.ndarray) -> bytes:
@@ -61,6 +77,14 @@ def planes(values: np.ndarray) -> bytes:
         .transpose(0, 2, 1)
         .tobytes()
     )
+
+
+def read_planes(content: bytes, frames: int, kind: np.dtype) -> np.ndarray:
+    """Whole numbers (F, K) from their `planes`."""
+    size = kind.itemsize
+    change = np.frombuffer(content, np.uint8).reshape(-1, size, frames).transpose(0, 2, 1)
+    change = np.ascontiguousarray(change).view(f"<i{size}")[..., 0]
+    return np.cumsum(change, axis=1, dtype=kind).T
 
 
 def units(model: mujoco.MjModel) -> np.ndarray:

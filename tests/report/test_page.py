@@ -12,6 +12,7 @@ from sweep.report import chosen, page, replays, slices, typical
 from sweep.report.page import data, stage
 from sweep.runs import results, store
 from sweep.study.config import compose
+from sweep.trace import motion
 
 
 @pytest.fixture(scope="module")
@@ -154,14 +155,28 @@ def test_rows_keep_slot_and_width_where_the_batch_is_not_too_wide():
     assert table["batch"].tolist() == [0, 1, 0, 0]
 
 
-def test_only_so_many_replays_as_there_is_room_for(folder, tmp_path, monkeypatch):
+def test_only_so_many_replays_as_there_is_room_for(folder, tmp_path):
     found = replace(results.read(folder), folder=tmp_path)
     for place in (3, 8, 15):
         replays.keep(tmp_path, found.rows.iloc[place], moved())
     assert [place for place, _ in replays.kept(found)] == [3, 8, 15]
     size = len(replays.read(tmp_path, found.rows.iloc[3])["states"])
     assert size < 6000
-    monkeypatch.setattr("sweep.report.page.stage.ROOM", 2.5 * size)
-    placed = stage.stage_directions(found, stage.replays_of(found))
-    assert (placed.left_out, len(placed.streams), len(placed.about)) == (1, 2, 2)
-    assert [one["row"] for one in placed.about] == [3, 8]
+    placed = stage.stage_directions(found, stage.replays_of(found), 3 * size)
+    assert [(one["row"], one["frames"]) for one in placed.about] == [(3, 50), (8, 50), (15, 50)]
+    placed = stage.stage_directions(found, stage.replays_of(found), 2 * size)
+    assert [one["row"] for one in placed.about] == [3, 8, 15]
+    assert all(one["frames"] * one["step"] == pytest.approx(5, abs=0.3) and one["frames"] < 50 for one in placed.about)
+    placed = stage.stage_directions(found, stage.replays_of(found), size // 2)
+    assert placed.left_out == 3 - len(placed.streams) > 0
+
+
+def test_a_thinned_motion_has_the_states_of_its_frames():
+    trace = moved()
+    thin = motion.motion(
+        replace(trace, **{name: getattr(trace, name)[2::3] for name in ("qpos", "foot_force", "stage")})
+    )
+    again = motion.thinned(motion.motion(trace), 3)
+    assert again["frames"] == thin["frames"] == 16
+    assert again["step"] == pytest.approx(0.3)
+    assert again["states"] == thin["states"]

@@ -15,12 +15,14 @@ import pandas as pd
 import yaml
 from markupsafe import Markup
 from matplotlib.figure import Figure
+from PIL import Image
 
 from sweep.analysis.sample import pooled
 from sweep.analysis.stats import broken
 from sweep.core.files import write_whole
 from sweep.metrics.outcome import MEANING
 from sweep.report import tables
+from sweep.report.exhibit import Exhibit
 from sweep.report.exhibits import exhibits
 from sweep.report.labels import heading
 from sweep.report.page import data
@@ -35,6 +37,8 @@ from sweep.study.config import Experiment
 from sweep.trace.arrows import FORCE_SCALE, FORCE_SHOWN
 
 ROWS, LINES = 100, 100  # of the table at the end, and of the others
+DPI = 140  # of pictures that are for paper alone
+SIZE, REST = 5_000_000, 700_000  # characters of a page, and of what is neither picture, row nor state
 TELLING = (
     "distance_m",
     "slip_max_m",
@@ -54,7 +58,7 @@ class Plate:
     key: str
     title: str
     caption: str
-    svg: Markup
+    picture: Markup
     live: bool  # the script shows the same
 
 
@@ -76,11 +80,22 @@ def render(results: Results, shown: list[Shown] | None = None, chosen: tuple[str
     )
     template = environment.from_string((files("sweep.report.page") / "page.html.j2").read_text(encoding="utf-8"))
     rows = results.rows
-    replays = stage_directions(results, replays_of(results) if shown is None else shown)
-    about = data.data(results, replays.about, chosen)
-    arrow = {"metres": FORCE_SCALE, "least": FORCE_SHOWN}
-    about |= {"models": replays.models, "left_out": replays.left_out, "arrow": arrow, "open": opened}
     style, script = style_sheet(), bundle()
+    plates = [plate(one) for one in exhibits(results)]
+    typicals = [(one, image(one), list(telling(one, results.exp))) for one in typical(results)]
+    about = data.data(results, chosen)
+    others = [
+        style,
+        script,
+        data.as_json(about),
+        *(one.picture for one in plates),
+        *(picture for _, picture, _ in typicals),
+    ]
+    room = SIZE - REST - sum(map(len, others))
+    replays = stage_directions(results, replays_of(results) if shown is None else shown, room)
+    arrow = {"metres": FORCE_SCALE, "least": FORCE_SHOWN}
+    about |= {"replays": replays.about, "models": replays.models, "left_out": replays.left_out}
+    about |= {"arrow": arrow, "open": opened}
     return template.render(
         results=results,
         policy=policy(style, script),
@@ -93,11 +108,11 @@ def render(results: Results, shown: list[Shown] | None = None, chosen: tuple[str
             (one.title, one.row["cause"] or one.row["outcome"]) for one in shown or () if results.exp.study.single
         ],
         repeated=results.exp.study.replicates > 1,
-        plates=[Plate(e.key, e.title, e.caption, svg(e.draw(), e.title), live(e.key)) for e in exhibits(results)],
+        plates=plates,
         expectations=list(expectations(results)),
         parameters=list(tables.parameters(results)),
         reasons=[(cause, MEANING[cause], int((rows["cause"] == cause).sum())) for cause in results.causes_seen],
-        typical=[(one, image(one), list(telling(one, results.exp))) for one in typical(results)],
+        typical=typicals,
         statistics=list(statistics(results)),
         audit=list(audit.table(results).itertuples(index=False)),
         table=table(rows.head(ROWS), results.exp),
@@ -106,9 +121,10 @@ def render(results: Results, shown: list[Shown] | None = None, chosen: tuple[str
     )
 
 
-def live(key: str) -> bool:
-    """Whether the page's script shows what the exhibit `key` does, so that a screen needs no picture of it."""
-    return key.startswith("map-") or key in ("draws", "causes", "distributions")
+def plate(one: Exhibit) -> Plate:
+    """A figure as the page has it: pixels where the script shows the same, and only paper needs it."""
+    live = one.key.startswith("map-") or one.key in ("draws", "causes", "distributions")
+    return Plate(one.key, one.title, one.caption, (png if live else svg)(one.draw(), one.title), live)
 
 
 def expectations(results: Results) -> Iterator[tuple[str, str]]:
@@ -163,6 +179,15 @@ def dates(folder: Path) -> tuple[str, str]:
         return "", ""
     stamps = [line.partition(" ")[0] for line in lines if line]
     return (stamps[0], stamps[-1]) if stamps else ("", "")
+
+
+def png(figure: Figure, title: str) -> Markup:
+    """The figure as an image element, in few colours."""
+    content, small = io.BytesIO(), io.BytesIO()
+    figure.savefig(content, format="png", dpi=DPI)
+    Image.open(content).convert("RGB").quantize(64).save(small, "png", optimize=True)
+    address = f"data:image/png;base64,{base64.b64encode(small.getvalue()).decode()}"
+    return Markup('<img src="{}" alt="{}">').format(address, title)
 
 
 _numbers = itertools.count()

@@ -30,9 +30,9 @@ BINS, PAIRS = 128, 3  # of densities along an axis, and how many pairs of parame
 DIGITS = 12  # of a point id: bytes are two of them
 
 
-def data(results: Results, replays: list[dict[str, Any]], chosen: tuple[str, ...] = ()) -> dict[str, Any]:
-    """All that the page's script is told of `results`; `chosen` are the columns that its map starts with."""
-    rows = sample(results.rows)
+def data(results: Results, chosen: tuple[str, ...] = ()) -> dict[str, Any]:
+    """What the page's script is told of the rows; `chosen` are the columns that its map starts with."""
+    rows = results.rows.iloc[sampled(len(results.rows))]
     kinds, axes = kinds_of(results), [*results.named, *results.numeric]
     figures = ["margin", "t_cause_s"] if "margin" in rows else []
     figures = [c for c in figures if rows[c].nunique() > 1] + judged_first(results)[:FIGURES]
@@ -66,13 +66,13 @@ def data(results: Results, replays: list[dict[str, Any]], chosen: tuple[str, ...
         "theory": list(curves(results, rows)),
         "mesh": mesh(results) if len(rows) == len(results.rows) else None,
         "densities": list(densities(results, kinds)) if len(rows) < len(results.rows) else [],
-        "replays": replays,
     }
 
 
-def sample(rows: pd.DataFrame) -> pd.DataFrame:
-    """`rows`, or some of them drawn at random where they are too many for a page."""
-    return rows if len(rows) <= ROWS else rows.sample(SAMPLE, random_state=0).sort_index()
+def sampled(number: int) -> np.ndarray:
+    """Places of the rows that a page holds of `number`: all, or some drawn at random where they are too many."""
+    every = np.arange(number)
+    return every if number <= ROWS else np.sort(np.random.default_rng(0).choice(every, SAMPLE, replace=False))
 
 
 def packed(content: bytes) -> str:

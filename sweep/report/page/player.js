@@ -142,11 +142,12 @@ export function playerOf(app) {
     const reel = open[0];
     if (!reel) return;
     const shown = replays[reel.number];
+    const left = table.about.left_out ? ` ${table.about.left_out} more replays have no room on this page.` : "";
     const same =
       shown.equal === shown.of
         ? "all figures equal to the last bit"
         : `${shown.equal} of ${shown.of} figures equal to the last bit`;
-    caption.textContent = `${shown.why ? `${clipped(shown.why)}. ` : ""}Simulated again from row ${shown.point}: ${same}.`;
+    caption.textContent = `${shown.why ? `${clipped(shown.why)}. ` : ""}Simulated again from row ${shown.point}: ${same}.${left}`;
   };
 
   const lengthOf = () => Math.max(0.1, ...open.map((reel) => (reel ? endOf(reel.motion) : 0)));

@@ -7,10 +7,11 @@ from typing import Any, NamedTuple
 import pandas as pd
 
 from sweep.report import replays
-from sweep.report.page.data import packed, sample
+from sweep.report.page.data import packed, sampled
 from sweep.runs.results import Results
+from sweep.trace.motion import thinned
 
-ROOM = 4_000_000  # characters of all streams
+THINNEST = 4  # frames of which one is kept at least, where all of them do not fit
 TOLD = ("step", "frames", "scales", "force_scale", "stages", "equal", "of", "why")  # of a replay as it is
 
 
@@ -37,13 +38,17 @@ def replays_of(results: Results) -> Iterator[Shown]:
     return (Shown(place, results.rows.iloc[place], replay) for place, replay in replays.kept(results))
 
 
-def stage_directions(results: Results, shown: Iterable[Shown]) -> Replays:
-    """What the script is told of replays, and their streams in the same order."""
-    places = {place: k for k, place in enumerate(sample(results.rows.reset_index(drop=True)).index)}
+def stage_directions(results: Results, shown: Iterable[Shown], room: int) -> Replays:
+    """What the script is told of replays, and their streams in the same order.
+
+    Where these take more than `room` characters they have fewer frames, and then some are left out.
+    """
+    places = {int(place): k for k, place in enumerate(sampled(len(results.rows)))}
+    shown = fitted(list(shown), room)
     about, streams, models, left_out, size = [], [], {}, 0, 0
     for place, row, replay, title in shown:
         size += len(replay["states"])
-        if size > ROOM:
+        if size > room:
             left_out += 1
             continue
         bodies = json.dumps(replay["bodies"], separators=(",", ":"))
@@ -57,3 +62,12 @@ def stage_directions(results: Results, shown: Iterable[Shown]) -> Replays:
             "title": title,
         })  # fmt: skip
     return Replays(about, streams, packed(f"[{','.join(models)}]".encode()), left_out)
+
+
+def fitted(shown: list[Shown], room: int) -> list[Shown]:
+    """Replays with no more frames than there is room for, and no fewer than one in `THINNEST`."""
+    for every in range(1, THINNEST + 1):
+        thin = [one._replace(replay=thinned(one.replay, every) if every > 1 else one.replay) for one in shown]
+        if sum(len(one.replay["states"]) for one in thin) <= room:
+            break
+    return thin
