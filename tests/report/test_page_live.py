@@ -172,6 +172,7 @@ def test_it_fits_the_screen(browser, file, width, dark):
     assert browser.run("document.documentElement.scrollWidth <= innerWidth")
     back = browser.run("getComputedStyle(document.body).backgroundColor")
     assert (max(map(int, back[4:-1].split(","))) < 60) == dark
+    browser.until("document.querySelector('#scene-a').toDataURL().length > 20000")  # below the window's end at first
     browser.resize(1400, 1000)
 
 

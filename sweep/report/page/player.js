@@ -185,7 +185,7 @@ export function playerOf(app) {
 
   const draw = () => {
     const [a, b] = open;
-    if (!a || !app.visible(canvases[0])) return;
+    if (!a) return;
     const ghost = mode.value === "ghost";
     const aim = baseOf(a.model, stateAt(a.motion, time));
     scene(canvases[0], a, aim, b && ghost ? b : null);
@@ -337,7 +337,7 @@ export function playerOf(app) {
       waited += passed;
       if (waited > HOLD) [time, waited] = [0, 0];
     }
-    draw();
+    if (app.visible(canvases[0])) draw();
     requestAnimationFrame(step);
   };
   const to = (/** @type {number} */ value) => {
