@@ -238,8 +238,10 @@ export function mapView(app) {
       pen.lineWidth = 4;
       pen.strokeStyle = app.theme().panel;
       pen.fillStyle = app.theme().ink;
-      pen.strokeText(clipped(curve.label), end[0] - 6, end[1] - 4);
-      pen.fillText(clipped(curve.label), end[0] - 6, end[1] - 4);
+      const at = end[0] + (pen.textAlign === "right" ? -8 : 8);
+      const up = Math.max(end[1] - 4, area.top + 18);
+      pen.strokeText(clipped(curve.label), at, up);
+      pen.fillText(clipped(curve.label), at, up);
     });
     pen.restore();
   };
