@@ -85,7 +85,7 @@ def _bare(settings: EngineSettings, nominal: Case, rollouts: int) -> dict[str, A
     width = settings.width or devices.default_width()
     rollouts = rollouts or width
     top = dynamics.topology(nominal)
-    steps = physics.make(settings, top, nominal)
+    steps = physics.make(settings, top)
     plan = nominal.manoeuvre.plan(nominal)
     start = start_state(nominal, nominal, plan)
     servo = position_mode(nominal.drive, start.qpos[JOINT_Q].reshape(N_LEGS, 3))
@@ -121,7 +121,7 @@ def _bare(settings: EngineSettings, nominal: Case, rollouts: int) -> dict[str, A
 
     wall = timed(simulate)
     total = seconds * SECOND * len(frictions)
-    return _line("bare", physics.taken(settings, nominal), width, rollouts, total, wall, compile_s, settings.time_step)
+    return _line("bare", physics.taken(settings), width, rollouts, total, wall, compile_s, settings.time_step)
 
 
 def timed(work: Callable[[], object]) -> float:

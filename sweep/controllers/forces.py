@@ -19,7 +19,6 @@ from sweep.controllers.posture import foot_positions, mass_centre
 from sweep.controllers.tracker import joint_targets
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.core.rotations import rotate
-from sweep.dynamics.arrowhead import inverse_3x3
 from sweep.models.case import Case
 from sweep.models.obstacles.surface import fixed_surface
 from sweep.models.robot import Robot, total_mass
@@ -179,7 +178,7 @@ class _Scaled(NamedTuple):
         curvature = jnp.stack([  # a foot's force bears on its own bounds only
             jax.jvp(lambda f: jax.grad(self.barrier)(f, bounds, least), (force,), (jnp.zeros_like(force) + axis,))[1]
             for axis in jnp.eye(3, dtype=force.dtype)], axis=-1)  # fmt: skip
-        inverse = inverse_3x3(curvature + swings)
+        inverse = _inverse_3x3(curvature + swings)
         down = -jnp.einsum("lij,lj->li", inverse, gradient)
         across = jnp.einsum("lij,lkj->lik", inverse, self.grasp)  # (6, 3, 6)
         schur = jnp.einsum("lij,ljk->ik", self.grasp, across)
@@ -271,3 +270,11 @@ class PlannedForces:
         offset = course.torque / belief.drive.stiffness
         told = (jnp.asarray(x, float) for x in (self.creep, self.anchoring))
         return replace(plan, grip=Grip(offset, jnp.max(course.planned.imbalance, axis=-1), inward, *told))
+
+
+def _inverse_3x3(m: Float[Array, "*b 3 3"]) -> Float[Array, "*b 3 3"]:
+    """Inverses by cofactors."""
+    x, y, z = m[..., 0, :], m[..., 1, :], m[..., 2, :]
+    columns = jnp.stack([jnp.cross(y, z), jnp.cross(z, x), jnp.cross(x, y)], axis=-1)
+    determinant = jnp.sum(x * columns[..., :, 0], axis=-1)
+    return columns / determinant[..., None, None]

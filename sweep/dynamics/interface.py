@@ -1,7 +1,7 @@
-"""What the smooth dynamics of a star-shaped robot and the obstacle's free bodies are: arrowhead blocks.
+"""What the smooth dynamics of a star-shaped robot are: a mass matrix in blocks, bias forces, and its feet.
 
-Generalised velocity: the root part (base, then free bodies, 6 each: world linear, body angular), then 3 per leg.
-The mass matrix couples legs through the base only, so it is kept as blocks and never as a full matrix.
+Legs couple through the base only, so the mass matrix is kept as blocks and never as a full matrix. The obstacle's
+free bodies are rigid bodies of their own, see `free_bodies`.
 """
 
 from collections.abc import Callable, Mapping
@@ -10,12 +10,13 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from jaxtyping import Array, Float
 
+from sweep.core.errors import InputError
+from sweep.core.vectors import Vector
+from sweep.dynamics.spatial import Mass, Motion, Pose
 from sweep.models import scene
 from sweep.models.case import Case
 from sweep.models.legs import JOINTS, LEGS, N_LEGS
-from sweep.models.obstacles.surface import Bodies
 
 
 @dataclass(frozen=True)
@@ -24,50 +25,45 @@ class Topology:
 
     model: mujoco.MjModel
     names: Mapping[str, Mapping[str, int]]  # ids by kind ("body", "site", "joint") and name
-    root: np.ndarray  # (r,) dofs of the base and of the free bodies
     leg: np.ndarray  # (6, 3) dofs of the legs
+    feet: np.ndarray  # (6,) their site ids
     free: tuple[int, ...]  # body ids of the free bodies
-    points: np.ndarray  # (n,) site ids of the contact points
-    owner: tuple[int, ...]  # (n,) free body that carries the point, -1 for the robot's feet
-    links_per_leg: int
+    owner: tuple[int, ...]  # (n,) free body that carries the contact point, -1 for the robot's feet
 
 
-class Smooth(NamedTuple):
-    """Mass matrix blocks, bias and contact points of one configuration. r root dofs, n contact points."""
+class Star(NamedTuple):
+    """One configuration of the robot. Base axes, from the base's origin."""
 
-    m_root: Float[Array, "r r"]
-    m_cross: Float[Array, "6 r 3"]
-    m_leg: Float[Array, "6 3 3"]  # with armature
-    bias_root: Float[Array, " r"]  # Coriolis and gravity
-    bias_leg: Float[Array, "6 3"]
-    point: Float[Array, "n 3"]  # m, world
-    j_root: Float[Array, "n 3 r"]  # world velocity of a point
-    j_leg: Float[Array, "6 3 3"]  # of foot i by its own leg
-    bodies: Bodies
-    j_body: Float[Array, "k n 3 6"]  # velocity of the body's material under each point
-    potential: Float[Array, ""]  # J
-    links: Float[Array, "l 3"]  # m, world position of every link's frame, leg by leg
-    centre_of_mass: Float[Array, " 3"]  # m, of the robot
+    mass: Mass  # with armature
+    bias: Motion  # Coriolis and gravity
+    joints: tuple[Vector, ...]  # (l,) m, along a leg: hip, (end of the coxa,) knee, foot
+    foot: tuple[Vector, Vector, Vector]  # (l,) velocity of the foot per rate of a joint
 
 
-SmoothDynamics = Callable[[Float[Array, " nq"], Float[Array, " nv"]], Smooth]  # of one world
+SmoothDynamics = Callable[[Pose, Motion], Star]  # of one world; motions in the bodies' own axes
 
 
 def topology(case: Case) -> Topology:
-    """The compiled model of `case` (plain numbers) and the index tables of its arrowhead."""
+    """The compiled model of `case` (plain numbers) and the index tables of its blocks.
+
+    Raises `InputError` for a free body whose frame is not at its mass centre along its principal axes.
+    """
     model = scene.compile_model(case, geoms=False)
     kinds = {"body": mujoco.mjtObj.mjOBJ_BODY, "site": mujoco.mjtObj.mjOBJ_SITE, "joint": mujoco.mjtObj.mjOBJ_JOINT}
     sizes = {"body": model.nbody, "site": model.nsite, "joint": model.njnt}
     names = {kind: {mujoco.mj_id2name(model, obj, i): i for i in range(sizes[kind])} for kind, obj in kinds.items()}
     free = tuple(names["body"][name] for name in case.obstacle.free_bodies)
-    root = np.concatenate([np.arange(6), *[model.body_dofadr[b] + np.arange(6) for b in free]]).astype(np.int32)
-    joints = np.array([model.jnt_dofadr[names["joint"][joint]] for joint in JOINTS], np.int32)
-    feet = [names["site"][f"foot{leg}"] for leg in LEGS]
-    extra = [names["site"][name] for name, _ in case.obstacle.contact_sites]
-    owner = (-1,) * N_LEGS + tuple(body for _, body in case.obstacle.contact_sites)
-    points = np.array(feet + extra, np.int32)
-    per_leg = len(scene.links(case.robot))
-    return Topology(model, names, root, joints.reshape(N_LEGS, 3), free, points, owner, per_leg)
+    for name, body in zip(case.obstacle.free_bodies, free, strict=True):
+        if np.any(model.body_ipos[body]) or np.any(model.body_iquat[body, 1:]):
+            raise InputError(f"free body {name} is not allowed: its frame is at its mass centre, on principal axes")
+    leg = np.array([model.jnt_dofadr[names["joint"][joint]] for joint in JOINTS], np.int32).reshape(N_LEGS, 3)
+    feet = np.array([names["site"][f"foot{leg}"] for leg in LEGS], np.int32)
+    return Topology(model, names, leg, feet, free, owners(case))
+
+
+def owners(case: Case) -> tuple[int, ...]:
+    """The free body that carries each contact point, -1 for the robot's feet, which come first."""
+    return (-1,) * N_LEGS + tuple(body for _, body in case.obstacle.contact_sites)
 
 
 def saved(model: mujoco.MjModel) -> bytes:

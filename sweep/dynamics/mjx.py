@@ -1,4 +1,4 @@
-"""The smooth dynamics of `dynamics`, from MJX."""
+"""The smooth dynamics of `interface`, from MJX."""
 
 from collections.abc import Callable
 from functools import partial
@@ -10,10 +10,14 @@ from mujoco import mjx
 from mujoco.mjx._src import math as mjx_math
 from mujoco.mjx._src import smooth
 
-from sweep.dynamics.interface import N_LEGS, Smooth, SmoothDynamics, Topology
+from sweep.core.vectors import Matrix, Vector
+from sweep.dynamics.interface import SmoothDynamics, Star, Topology
+from sweep.dynamics.spatial import Inertia, Mass, Motion, Pose, Spatial, pack
 from sweep.models import scene
 from sweep.models.case import Case
-from sweep.models.obstacles.surface import Bodies
+from sweep.models.legs import N_LEGS
+
+BASE = 1  # body id
 
 
 def of(top: Topology) -> Callable[[Case], SmoothDynamics]:
@@ -37,64 +41,35 @@ def varying(top: Topology, model: mjx.Model, case: Case) -> dict[str, Array]:
     return changed
 
 
-def smooth_dynamics(top: Topology, model: mjx.Model, data: mjx.Data, q: Array, v: Array) -> Smooth:
-    """Blocks at configuration q (nq,) and velocity v (nv,). `data` is an empty MJX data of the topology."""
+def smooth_dynamics(top: Topology, model: mjx.Model, data: mjx.Data, pose: Pose, motion: Motion) -> Star:
+    """The robot's blocks at a pose and motion. `data` is an empty MJX data of the topology."""
+    q, v = pack(pose, motion)
     d = data.replace(qpos=q, qvel=v)
     for stage in (smooth.kinematics, smooth.com_pos, smooth.crb, smooth.com_vel, smooth.rne):
         d = stage(model, d)
-    cdof = d.cdof
+    base, leg = d.cdof[:6], d.cdof[top.leg]  # (6, 6), (6, 3, 6)
     momentum = mjx_math.inert_mul  # (composite inertia, motion) -> wrench
     crb = d._impl.crb[top.model.dof_bodyid]  # pyright: ignore[reportAttributeAccessIssue]
-    wrench = jnp.stack([momentum(crb[i], cdof[i]) for i in range(crb.shape[0])])
-    leg_motion, leg_wrench = cdof[top.leg], wrench[top.leg]  # (6, 3, 6)
-    upper = jnp.einsum("lic,ljc->lij", leg_motion, leg_wrench)  # right where dof i is not below dof j
-    upper = jnp.triu(upper)
+    wrench = jnp.stack([momentum(inertia, motion) for inertia, motion in zip(crb, d.cdof, strict=True)])
+    upper = jnp.triu(jnp.einsum("lic,ljc->lij", leg, wrench[top.leg]))  # right where dof i is not below dof j
     m_leg = upper + jnp.swapaxes(jnp.triu(upper, 1), 1, 2)
     m_leg = m_leg + model.dof_armature[top.leg][:, :, None] * jnp.eye(3, dtype=q.dtype)
-    base = cdof[:6]
-    m_cross = jnp.einsum("ic,ljc->lij", base, leg_wrench)
-    r = len(top.root)
-    m_root, m_cross = _root_blocks(cdof, wrench, m_cross, top, r)
-    point = d.site_xpos[top.points]
-    com = d.subtree_com
-    j_root, j_leg, j_body = _jacobians(cdof, com, point, top, r)
-    bodies = Bodies(d.xpos[np.array(top.free, int)], d.xmat[np.array(top.free, int)])
-    potential = scene.GRAVITY * jnp.sum(model.body_mass * d.xipos[:, 2])
-    return Smooth(m_root, m_cross, m_leg, d.qfrc_bias[top.root], d.qfrc_bias[top.leg], point, j_root, j_leg, bodies,
-                  j_body, potential, d.xpos[2:], com[1])  # fmt: skip
-
-
-def _root_blocks(cdof: Array, wrench: Array, cross: Array, top: Topology, r: int) -> tuple[Array, Array]:
-    """Root block (r, r), one 6x6 block per root body, and the legs' coupling padded to (6, r, 3)."""
-    blocks = [cdof[dofs] @ wrench[dofs].T for dofs in top.root.reshape(-1, 6)]
-    if len(blocks) == 1:
-        return blocks[0], cross
-    m_root = jnp.zeros((r, r), cdof.dtype)
-    for k, block in enumerate(blocks):
-        m_root = m_root.at[6 * k : 6 * k + 6, 6 * k : 6 * k + 6].set(block)
-    return m_root, jnp.pad(cross, ((0, 0), (0, r - 6), (0, 0)))
-
-
-def _point_jacobian(motion: Array, offset: Array) -> Array:
-    """(n, 3, d) velocity of points at `offset` (n, 3) from the reference of the spatial motions (d, 6)."""
-    linear = motion[None, :, 3:] + jnp.cross(motion[None, :, :3], offset[:, None, :])
-    return jnp.swapaxes(linear, 1, 2)
-
-
-def _jacobians(cdof: Array, com: Array, point: Array, top: Topology, r: int) -> tuple[Array, Array, Array]:
-    """Jacobians of the contact points by root and leg dofs, and of free bodies' material under each point."""
-    base_body = 1
-    feet = point[:N_LEGS]
-    j_feet = _point_jacobian(cdof[:6], feet - com[base_body])
-    own = cdof[top.leg]  # (6, 3, 6)
-    j_leg = own[:, :, 3:] + jnp.cross(own[:, :, :3], (feet - com[base_body])[:, None, :])
-    j_leg = jnp.swapaxes(j_leg, 1, 2)
-    if not top.free:
-        return j_feet, j_leg, jnp.zeros((0, point.shape[0], 3, 6), point.dtype)
-    dofs = top.root.reshape(-1, 6)[1:]
-    j_body = jnp.stack([_point_jacobian(cdof[d], point - com[b]) for d, b in zip(dofs, top.free, strict=True)])
-    j_root = jnp.zeros((point.shape[0], 3, r), point.dtype).at[:N_LEGS, :, :6].set(j_feet)
-    for i, body in enumerate(top.owner):
-        if body >= 0:
-            j_root = j_root.at[i, :, 6 * (body + 1) : 6 * (body + 2)].set(j_body[body, i])
-    return j_root, j_leg, j_body
+    turned = d.xmat[BASE]
+    cross = jnp.einsum("ic,ljc->jli", base, wrench[top.leg])  # (3, 6, 6), linear parts in world axes
+    columns = tuple(Spatial(Vector.of(c[:, :3] @ turned), Vector.of(c[:, 3:])) for c in cross)
+    whole = base @ wrench[:6].T
+    arm = turned.T @ whole[:3, 3:]  # minus the matrix of the first moment cross
+    moment = Vector(arm[1:2, 2], arm[2:3, 0], arm[0:1, 1])
+    inertia = Inertia(whole[0:1, 0], moment, Matrix.of(whole[None, 3:, 3:]))
+    bias = d.qfrc_bias
+    forces = Spatial(Vector.of((bias[:3] @ turned)[None]), Vector.of(bias[None, 3:6]))
+    foot, per_leg = d.site_xpos[top.feet], (top.model.nbody - 2 - len(top.free)) // N_LEGS
+    swept = leg[:, :, 3:] + jnp.cross(leg[:, :, :3], (foot - d.subtree_com[BASE])[:, None, :])
+    links = d.xpos[2 : 2 + N_LEGS * per_leg].reshape(N_LEGS, per_leg, 3)
+    joints = [*jnp.swapaxes(links, 0, 1), foot]
+    return Star(
+        Mass((inertia,), columns, Matrix.of(m_leg)),  # pyright: ignore
+        Motion((forces,), tuple(bias[top.leg].T)),  # pyright: ignore
+        tuple(Vector.of((joint - d.xpos[BASE]) @ turned) for joint in joints),
+        tuple(Vector.of(swept[:, k] @ turned) for k in range(3)),  # pyright: ignore
+    )

@@ -1,48 +1,75 @@
-"""One physics step: clamped drives (1.2.1) and foot contact (1.2.2), implicit, on the smooth dynamics.
+"""One physics step: clamped drives (1.2.1) and contact (1.2.2), implicit, on the smooth dynamics.
 
 The end velocity w solves M0 w = b0 + h (contact forces + clamped drive torques), both at w. Every Newton iteration
 decides anew which feet are loaded, which slip and which drives saturate; of three step lengths the one with the least
 residual is taken, which is what carries it across those switches.
+
+All is in the axes of the base at the start of the step, by components. Momentum and the velocities of contact points
+are linear in the end velocity, so they are formed once for all step lengths.
 """
 
+from functools import reduce
+from operator import add, sub
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sweep.core.rotations import exponential, multiply
-from sweep.dynamics import arrowhead
-from sweep.dynamics.arrowhead import Arrowhead, Split
-from sweep.dynamics.interface import N_LEGS, Smooth, SmoothDynamics, Topology
-from sweep.dynamics.rolling import contact_offset, resisting_moments, turning
+from sweep.core.vectors import Matrix, Vector, total
+from sweep.dynamics import free_bodies, newton
+from sweep.dynamics.contacts import Arm, Contacts, arms, part
+from sweep.dynamics.free_bodies import FreeBodies
+from sweep.dynamics.interface import SmoothDynamics, Star, Topology, owners
+from sweep.dynamics.rolling import Moments, resisting_moments
+from sweep.dynamics.spatial import Mass, Motion, Pose, Rates, Spatial, pack, shifted, unpack
 from sweep.models.case import Case
-from sweep.models.contact import Anchors, Contact, Forces, Geometry, approach, contact_forces, settle
-from sweep.models.drive import Drive, Servo
-from sweep.models.obstacles.surface import Rolling, Surface
+from sweep.models.contact import Anchors, Forces, approach, contact_forces, contact_slope, nowhere, settle
+from sweep.models.drive import Servo
+from sweep.models.legs import N_LEGS
+from sweep.models.obstacles.surface import Bodies, Surface
+from sweep.models.scene import GRAVITY
 
 STEP_LENGTHS = (1.0, 0.5, 0.2)
 
 
 class State(NamedTuple):
-    """Physical state: MuJoCo's qpos and qvel, and the contact anchors."""
+    """Physical state: MuJoCo's qpos and qvel, and the anchors of the feet and of the obstacle's sites, if any."""
 
     q: Float[Array, " nq"]
     v: Float[Array, " nv"]
-    anchors: Anchors
+    anchors: tuple[Anchors, ...]
 
 
-class StepReport(NamedTuple):
-    """What happened in one step."""
+class Moving(NamedTuple):
+    """The same by components."""
 
-    forces: Forces
-    normal: Float[Array, "n 3"]  # of the surfaces
-    torque: Float[Array, "6 3"]  # N m, at the joints
-    saturated: Float[Array, "6 3"]  # 1 where the drive was at its limit
-    residual: Float[Array, ""]  # N, of the root's linear momentum balance and the legs' over a metre
-    power: Float[Array, "6 3"]  # W, drive torque times joint rate
-    kinetic: Float[Array, ""]  # J, at the start
-    smooth: Smooth
+    pose: Pose
+    motion: Motion  # in the bodies' own axes
+    anchors: tuple[Anchors, ...]
+
+
+class Before(NamedTuple):
+    """Where things were at the start of a step. World axes."""
+
+    normal: Vector  # (l,) of the surfaces under the feet
+    energy: Array  # (1,) J
+    centre_of_mass: Vector  # (1,) m, of the robot
+    joints: tuple[Vector, ...]  # (l,) m, along a leg: hip, ..., foot
+    bodies: Bodies
+
+
+class Report(NamedTuple):
+    """What happened in one step; forces in world axes."""
+
+    force: Vector  # (l,) N, on the feet
+    normal: Array  # (l,) N
+    torque: Rates  # (l,) N m, at the joints
+    saturated: Rates
+    residual: Array  # (1,) N, of the bodies' momentum balance and the legs' over a metre
+    power: Rates  # (l,) W, of the drives
+    outside: Array  # (1,) W, of the push and the obstacle's loads
+    before: Before
 
 
 class Limits(NamedTuple):
@@ -55,185 +82,289 @@ class Limits(NamedTuple):
 
 def rest(top: Topology, q: Float[Array, " nq"]) -> State:
     """A state at rest with no foothold yet."""
-    n = len(top.points)
-    anchors = Anchors(jnp.zeros((n, 3), q.dtype), jnp.zeros(n, bool), jnp.zeros(n, jnp.int32))
-    return State(q, jnp.zeros(top.model.nv, q.dtype), anchors)
+    counts = (N_LEGS, len(top.owner) - N_LEGS)
+    return State(q, jnp.zeros(top.model.nv, q.dtype), tuple(nowhere(n, q.dtype) for n in counts if n))
+
+
+def from_state(state: State) -> Moving:
+    """By components."""
+    return Moving(*unpack(state.q, state.v), state.anchors)
+
+
+def to_state(moving: Moving) -> State:
+    """As MuJoCo's arrays."""
+    return State(*pack(moving.pose, moving.motion), moving.anchors)
 
 
 def step(
-    top: Topology,
     smooth_dynamics: SmoothDynamics,
     case: Case,
     limits: Limits,
-    state: State,
+    state: Moving,
     servo: Servo,
     h: float,
     iterations: int,
-) -> tuple[State, StepReport]:
+) -> tuple[Moving, Report]:
     """Advance `state` by h seconds while the drives do as `servo` tells them."""
-    smooth = smooth_dynamics(state.q, state.v)
-    surface = case.obstacle.surface(smooth.point, top.owner, smooth.bodies)
-    point = smooth.point + contact_offset(surface)
-    geometry, place = approach(case.contact, surface, state.anchors, point, smooth.bodies)
-    j_root, j_turn = _relative(smooth, surface.body), turning(top.owner, surface, smooth.bodies)
-    if surface.rolling is not None:
-        offset = (point - smooth.point)[N_LEGS:, :, None]
-        j_root = j_root.at[N_LEGS:].add(jnp.cross(j_turn, jnp.broadcast_to(offset, j_turn.shape), axis=1))
-    v = Split(state.v[top.root], state.v[top.leg])
-    mass = _mass(smooth)
-    mass_v = arrowhead.times(mass, v)
-    problem = _Problem(case.contact, servo, limits, geometry, surface, smooth, j_root, j_turn,
-                       _damped(mass, case.drive, h), _momentum(smooth, mass_v, limits, h),
-                       servo.target - state.q[1 + top.leg], h)  # fmt: skip
+    here = _here(smooth_dynamics, case, state)
+    mass, turned, v = here.mass, here.turned, here.motion
+    momentum, outside = mass.times(v), _outside(case, limits, state, here)
+    touches = _touches(case, state, here)
+    error = tuple(servo.target[:, k] - angle for k, angle in enumerate(state.pose.angle))
+    problem = _Problem(case, servo, limits, tuple(touch.contacts for touch in touches), mass, here.robot.foot,
+                       _start(momentum, here, outside, h), error, h)  # pyright: ignore  # fmt: skip
     # a loop, not written out: every operation more takes time to compile
-    w, _ = jax.lax.scan(lambda w, _: (_improve(problem, w), None), v, length=iterations)
-    velocity = problem.point_velocity(w)
-    forces = contact_forces(case.contact, geometry, velocity, h)
-    torque, free = problem.drive(w)
-    anchors = settle(case.contact, surface, point, smooth.bodies, place, forces, velocity, h)
-    v_new = jnp.zeros_like(state.v).at[top.root].set(w.root).at[top.leg].set(w.leg)
-    q_new = _integrate(top, state.q, v_new, h)
-    left = problem.residual(w)
-    torque = torque - case.drive.back_emf * w.leg
-    report = StepReport(
-        forces=forces,
-        normal=surface.normal,
-        torque=torque,
-        saturated=1.0 - free,
-        residual=jnp.maximum(jnp.max(jnp.abs(left.root)), jnp.max(jnp.abs(left.leg))) / h,
-        power=torque * w.leg,
-        kinetic=0.5 * (mass_v.root @ v.root + jnp.sum(mass_v.leg * v.leg)),
-        smooth=smooth,
+    trial, _ = jax.lax.scan(lambda s, _: (problem.improve(s), None), problem.trial(v), length=iterations)
+    w, acting = trial.motion, problem.acting(trial)
+    world = tuple(motion.turned(turned) for motion in w.root)  # of the root bodies
+    torque = tuple(u - case.drive.back_emf * rate for u, rate in zip(acting.effort, w.leg, strict=True))
+    feet, normal = acting.forces[0], Vector.of(touches[0].surface.normal)
+    report = Report(
+        force=feet.normal * normal + turned @ feet.tangential, normal=feet.normal, torque=torque,  # pyright: ignore
+        saturated=tuple(1.0 - f for f in acting.free), residual=_largest(problem.residual(trial, acting), here) / h,  # pyright: ignore
+        power=tuple(u * rate for u, rate in zip(torque, w.leg, strict=True)),  # pyright: ignore
+        outside=reduce(add, (motion.dot(force) for motion, force in zip(world, outside, strict=False))),
+        before=_before(here, normal, 0.5 * momentum.dot(v)),
+    )  # fmt: skip
+    anchors = tuple(
+        touch.after(case, forces, velocity, here, h)
+        for touch, forces, velocity in zip(touches, acting.forces, trial.velocity, strict=True)
     )
-    return State(q_new, v_new, anchors), report
+    return Moving(*_integrate(state.pose, w, world, here, h), anchors), report
 
 
-def kinetic_energy(top: Topology, smooth: Smooth, v: Float[Array, " nv"]) -> Float[Array, ""]:
-    """Of robot and free bodies at velocity v (J)."""
-    split = Split(v[top.root], v[top.leg])
-    mass_v = arrowhead.times(_mass(smooth), split)
-    return 0.5 * (mass_v.root @ split.root + jnp.sum(mass_v.leg * split.leg))
+def energy(smooth_dynamics: SmoothDynamics, case: Case, state: Moving) -> Array:
+    """Kinetic and potential energy (J), (1,)."""
+    here = _here(smooth_dynamics, case, state)
+    return 0.5 * here.mass.times(here.motion).dot(here.motion) + _potential(here)
 
 
-def _mass(smooth: Smooth) -> Arrowhead:
-    """The mass matrix as one."""
-    return Arrowhead(smooth.m_root, smooth.m_cross, jnp.swapaxes(smooth.m_cross, 1, 2), smooth.m_leg)
+class _Here(NamedTuple):
+    """One configuration of all, in base axes."""
+
+    pose: Pose
+    turned: Matrix  # (1,) to world axes
+    robot: Star
+    free: FreeBodies
+    mass: Mass
+    motion: Motion
+
+
+def _here(smooth_dynamics: SmoothDynamics, case: Case, state: Moving) -> _Here:
+    pose, robot = state.pose, smooth_dynamics(state.pose, state.motion)
+    turned = pose.root[0].rotation()
+    free = free_bodies.kinematics(pose, turned.transposed)
+    mass = robot.mass._replace(root=(*robot.mass.root, *free_bodies.inertias(case, free.axes)))
+    base, *others = state.motion.root
+    motions = (base, *(own.turned(axes) for own, axes in zip(others, free.axes, strict=True)))
+    return _Here(pose, turned, robot, free, mass, Motion(motions, state.motion.leg))
+
+
+def _outside(case: Case, limits: Limits, state: Moving, here: _Here) -> list[Spatial]:
+    """Forces on the root bodies beside weight, contact and drives; world axes. Those left out are zero."""
+    push = Vector(*(limits.push[k : k + 1] for k in range(3)))
+    no_torque = Vector.of(jnp.zeros((1, 3), push.x.dtype))
+    return [Spatial(push, no_torque), *free_bodies.loads(case, state.pose, state.motion, here.free)]
+
+
+def _start(momentum: Motion, here: _Here, outside: list[Spatial], h: float) -> Motion:
+    """M v - h (bias - outside forces)."""
+    up, to_base = here.turned.z, here.turned.transposed
+    biases = [here.robot.bias.root[0]]
+    biases += [free_bodies.bias(m, v, up) for m, v in zip(here.mass.root[1:], here.motion.root[1:], strict=True)]
+    start = shifted(momentum, -h, Motion(tuple(biases), here.robot.bias.leg))
+    root = list(start.root)
+    for k, force in enumerate(outside):
+        root[k] = shifted(root[k], h, force.turned(to_base))
+    return start._replace(root=tuple(root))
+
+
+def _potential(here: _Here) -> Array:
+    """Energy (J)."""
+    up, energies = here.turned.z, []
+    for place, body in zip(here.pose.root, here.mass.root, strict=True):
+        height = body.mass * place.position.z
+        energies.append(height if body.moment is None else height + up.dot(body.moment))
+    return GRAVITY * reduce(add, energies)
+
+
+def _before(here: _Here, normal: Vector, kinetic: Array) -> Before:
+    turned, at, robot = here.turned, here.pose.root[0].position, here.robot.mass.root[0]
+    centre = at if robot.moment is None else at + turned @ ((1 / robot.mass) * robot.moment)
+    joints = tuple(at + turned @ joint for joint in here.robot.joints)
+    return Before(normal, kinetic + _potential(here), centre, joints, free_bodies.as_bodies(here.free, normal.x.dtype))
+
+
+def _largest(left: Motion, here: _Here) -> Array:
+    """Of a residual's parts: forces in world axes, torques in the body's own."""
+    parts = [*left.root[0].angular]
+    for force, axes in zip(left.root[1:], here.free.axes, strict=True):
+        parts += axes.transposed @ force.angular
+    for force in left.root:
+        parts += here.turned @ force.linear
+    legs = [jnp.max(jnp.abs(part), axis=-1, keepdims=True) for part in left.leg]
+    return reduce(jnp.maximum, [*(jnp.abs(part) for part in parts), *legs])
+
+
+def _integrate(pose: Pose, w: Motion, world: tuple[Spatial, ...], here: _Here, h: float) -> tuple[Pose, Motion]:
+    """After h seconds at velocity w, the linear parts in world axes; motions in own axes then."""
+    base, *others = w.root
+    spins = [base.angular, *(b.transposed @ own.angular for own, b in zip(others, here.free.axes, strict=True))]
+    places = [place.after(motion.linear, spin, h) for place, motion, spin in zip(pose.root, world, spins, strict=True)]
+    root = [
+        Spatial(place.rotation().transposed @ motion.linear, spin)
+        for place, motion, spin in zip(places, world, spins, strict=True)
+    ]
+    angle = tuple(a + h * rate for a, rate in zip(pose.angle, w.leg, strict=True))
+    return Pose(tuple(places), angle), Motion(tuple(root), w.leg)  # pyright: ignore
+
+
+class _Touch(NamedTuple):
+    """Contacts at the start of a step. World axes, but for `contacts`, in base axes."""
+
+    contacts: Contacts
+    surface: Surface
+    point: Vector  # m
+    place: Vector  # m, the anchors
+
+    def after(self, case: Case, forces: Forces, velocity: Vector, here: _Here, h: float) -> Anchors:
+        """The anchors after the step; forces and velocities in base axes."""
+        world = forces._replace(tangential=here.turned @ forces.tangential)
+        return settle(case.contact, self.surface, self.point, here.free.frames, self.place, world,
+                      here.turned @ velocity, h)  # fmt: skip
+
+
+def _touches(case: Case, state: Moving, here: _Here) -> list[_Touch]:
+    """The feet, and the sites of free bodies where there are some."""
+    base, turned, to_base = here.pose.root[0].position, here.turned, here.turned.transposed
+    at = [here.robot.joints[-1], *free_bodies.sites(case, here.free)]
+    points = [base + turned @ each for each in at]
+    owner, dtype = owners(case), at[0].x.dtype
+    bodies = free_bodies.as_bodies(here.free, dtype)
+    surface = case.obstacle.surface(jnp.concatenate([each.array() for each in points]), owner, bodies)
+    touches = []
+    for k, (anchors, span) in enumerate(zip(state.anchors, (slice(N_LEGS), slice(N_LEGS, None)), strict=False)):
+        own, place, point = part(surface, span), at[k], points[k]
+        own = own if k else own._replace(rolling=None)  # feet do not
+        if own.rolling is not None:
+            offset = -own.rolling.radius * Vector.of(own.normal)
+            point, place = point + offset, place + to_base @ offset
+        geometry, anchor = approach(case.contact, own, anchors, point, here.free.frames)
+        carried = arms(place, own.body, owner[span], here.free.origins)
+        if k == 0:
+            carried = (Arm(0, None, place), *carried)
+        touches.append(_Touch(Contacts(geometry.turned(to_base), carried, own.rolling), own, point, anchor))
+    return touches
+
+
+class _Trial(NamedTuple):
+    """An end velocity, and what is linear in it."""
+
+    motion: Motion
+    momentum: Motion  # (M + h c_e on the joints) w
+    velocity: tuple[Vector, ...]  # of feet and sites over their surfaces
+    turning: Vector | None  # of sites that roll
+
+
+class _Acting(NamedTuple):
+    """What acts at an end velocity."""
+
+    forces: tuple[Forces, ...]  # on feet and sites
+    moments: Moments | None  # against rolling
+    effort: Rates  # N m, of the drives
+    free: Rates  # 1 where a drive is not at its limit
 
 
 class _Problem(NamedTuple):
     """The step's equation; everything but the end velocity is fixed."""
 
-    contact: Contact
+    case: Case
     servo: Servo
     limits: Limits
-    geometry: Geometry
-    surface: Surface
-    smooth: Smooth
-    j_root: Array  # (n, 3, r), relative to the surface's body
-    j_turn: Array  # (n - 6, 3, r), rates of turning of the obstacle's points, likewise
-    mass: Arrowhead  # M0 = M + h c_e on the joints
-    momentum: Split  # b0 = M v - h bias
-    error: Array  # (6, 3) rad
+    contacts: tuple[Contacts, ...]  # feet, and sites if any
+    mass: Mass
+    j_leg: tuple[Vector, Vector, Vector]
+    start: Motion  # M v - h (bias - outside forces)
+    error: Rates  # rad
     h: float
 
-    def point_velocity(self, w: Split) -> Array:
-        """(n, 3) velocity of the contact points relative to their surface."""
-        velocity = self.j_root @ w.root
-        return velocity.at[:N_LEGS].add(jnp.einsum("lij,lj->li", self.smooth.j_leg, w.leg))
+    def trial(self, w: Motion) -> _Trial:
+        """At an end velocity."""
+        done, damping = self.mass.times(w), self.h * self.case.drive.back_emf
+        done = done._replace(leg=tuple(p + damping * rate for p, rate in zip(done.leg, w.leg, strict=True)))
+        feet, *sites = (contacts.velocity(w.root) for contacts in self.contacts)
+        feet = reduce(add, (rate * j for rate, j in zip(w.leg, self.j_leg, strict=True)), feet)
+        rolls = sites and self.contacts[1].rolling is not None
+        return _Trial(w, done, (feet, *sites), self.contacts[1].turning(w.root) if rolls else None)
 
-    def moments(self, w: Split, forces: Forces) -> tuple[Array, Array]:
-        """Momentum (r,) that rolling resistance takes from the root, and its slope (r, r) by the root's velocity."""
-        rolling = self.surface.rolling
-        if rolling is None:
-            return jnp.zeros_like(w.root), jnp.zeros_like(self.mass.root)
-        own = Rolling(*(x[N_LEGS:] for x in rolling))
-        moments = resisting_moments(own, self.geometry.normal[N_LEGS:], forces.normal[N_LEGS:], self.j_turn @ w.root)
-        slope = jnp.einsum("mij,mik,mkl->jl", self.j_turn, moments.slope, self.j_turn)
-        return self.h * jnp.einsum("mij,mi->j", self.j_turn, moments.moment), self.h * slope
+    def acting(self, trial: _Trial) -> _Acting:
+        """Contact (1.2.2), rolling and clamped drives (1.2.1)."""
+        laws = zip(self.contacts, trial.velocity, strict=True)
+        forces = tuple(contact_forces(self.case.contact, own.geometry, velocity, self.h) for own, velocity in laws)
+        moments = None
+        if trial.turning is not None:
+            sites = self.contacts[1]
+            moments = resisting_moments(sites.rolling, sites.geometry.normal, forces[1].normal, trial.turning)  # pyright: ignore
+        return _Acting(forces, moments, *self._drive(trial.motion))
 
-    def drive(self, w: Split) -> tuple[Array, Array]:
-        """Clamped drive effort (N m) and 1 where it is not at its limit."""
-        gain = self.limits.gain
-        wanted = gain * (self.servo.stiffness * self.error + self.servo.torque - self._damping() * w.leg)
-        effort = jnp.clip(wanted, -self.limits.torque, self.limits.torque)
-        return effort, (jnp.abs(wanted) < self.limits.torque).astype(w.leg.dtype)
+    def _drive(self, w: Motion) -> tuple[Rates, Rates]:
+        efforts, free = [], []
+        for k in range(3):
+            gain, limit = self.limits.gain[:, k], self.limits.torque[:, k]
+            pull = self.servo.stiffness[:, k] * self.error[k] + self.servo.torque[:, k]
+            wanted = gain * (pull - self._damping(k) * w.leg[k])
+            efforts.append(jnp.clip(wanted, -limit, limit))
+            free.append((jnp.abs(wanted) < limit).astype(wanted.dtype))
+        return tuple(efforts), tuple(free)  # pyright: ignore
 
-    def _damping(self) -> Array | float:
-        return self.h * self.servo.stiffness + self.servo.damping
+    def _damping(self, k: int) -> Array:
+        return self.h * self.servo.stiffness[:, k] + self.servo.damping[:, k]
 
-    def residual(self, w: Split) -> Split:
+    def residual(self, trial: _Trial, acting: _Acting) -> Motion:
         """Momentum that the step leaves unexplained (N s)."""
-        forces = contact_forces(self.contact, self.geometry, self.point_velocity(w), self.h)
-        return self._balance(w, forces.force, self.drive(w)[0], self.moments(w, forces)[0])
-
-    def _balance(self, w: Split, force: Array, effort: Array, moment: Array) -> Split:
-        done = arrowhead.times(self.mass, w)
-        root = self.momentum.root - done.root + self.h * jnp.einsum("nij,ni->j", self.j_root, force) + moment
-        leg = jnp.einsum("lij,li->lj", self.smooth.j_leg, force[:N_LEGS]) + effort
-        return Split(root, self.momentum.leg - done.leg + self.h * leg)
-
-    def newton(self, w: Split) -> Split:
-        """The Newton direction at w, with contact and clamp states as they are there."""
-        forces = contact_forces(self.contact, self.geometry, self.point_velocity(w), self.h)
-        effort, free = self.drive(w)
-        moment, resistance = self.moments(w, forces)
-        right = self._balance(w, forces.force, effort, moment)
-        slope_root = self.h * forces.slope @ self.j_root
-        j_leg = self.smooth.j_leg
-        slope_leg = self.h * forces.slope[:N_LEGS] @ j_leg
-        feet = self.j_root[:N_LEGS]
-        stiff = self.h * self._damping() * free * self.limits.gain
-        matrix = Arrowhead(
-            self.mass.root + jnp.einsum("nij,nik->jk", self.j_root, slope_root) + resistance,
-            self.mass.upper + jnp.einsum("lij,lik->ljk", feet, slope_leg),
-            self.mass.lower + jnp.einsum("lij,lik->ljk", j_leg, slope_root[:N_LEGS]),
-            self.mass.leg
-            + jnp.einsum("lij,lik->ljk", j_leg, slope_leg)
-            + stiff[:, :, None] * jnp.eye(3, dtype=stiff.dtype),
+        left = jax.tree.map(sub, self.start, trial.momentum)
+        root, feet = list(left.root), acting.forces[0].force
+        for k, (contacts, forces) in enumerate(zip(self.contacts, acting.forces, strict=True)):
+            moments = acting.moments.moment if k and acting.moments is not None else None
+            for body, force in contacts.onto(forces.force, moments):
+                root[body] = shifted(root[body], self.h, force)
+        legs = tuple(
+            part + self.h * (j.dot(feet) + effort)
+            for part, j, effort in zip(left.leg, self.j_leg, acting.effort, strict=True)
         )
-        return arrowhead.solve(matrix, right)
+        return Motion(tuple(root), legs)  # pyright: ignore
 
-    def cost(self, w: Split) -> Array:
+    def improve(self, trial: _Trial) -> _Trial:
+        """One Newton iteration, with the best of the fixed step lengths."""
+        acting = self.acting(trial)
+        way = self.trial(self._newton(acting, self.residual(trial, acting)))
+        lengths = jnp.asarray(STEP_LENGTHS, trial.motion.leg[0].dtype)[:, None]
+        tried = shifted(trial, lengths, way)
+        costs = self._cost(self.residual(tried, self.acting(tried)))
+        first, second, third = costs[0], costs[1], costs[2]
+        length = jnp.where(third < jnp.minimum(first, second), STEP_LENGTHS[2],
+                           jnp.where(second < first, STEP_LENGTHS[1], STEP_LENGTHS[0])).astype(first.dtype)  # fmt: skip
+        return shifted(trial, length, way)
+
+    def _cost(self, left: Motion) -> Array:
         """Residual, weighted with the inverse masses."""
-        left = self.residual(w)
-        legs = jnp.diagonal(self.mass.leg, axis1=1, axis2=2)
-        return jnp.sum(left.root**2 / jnp.diagonal(self.mass.root)) + jnp.sum(left.leg**2 / legs)
+        cost = []
+        for body, force in zip(self.mass.root, left.root, strict=True):
+            own = zip(force.angular, body.inertia, "xyz", strict=True)
+            cost += [force.linear.dot(force.linear) / body.mass, *(p**2 / getattr(row, name) for p, row, name in own)]
+        leg, damping = self.mass.leg, self.h * self.case.drive.back_emf
+        own = (leg.x.x + damping, leg.y.y + damping, leg.z.z + damping)
+        return reduce(add, [*cost, total(reduce(add, (p**2 / m for p, m in zip(left.leg, own, strict=True))))])
 
-
-def _improve(problem: _Problem, w: Split) -> Split:
-    """One Newton iteration, with the best of the fixed step lengths."""
-    direction = problem.newton(w)
-    tried = jax.vmap(lambda length: w.plus(length, direction))(jnp.asarray(STEP_LENGTHS, w.root.dtype))
-    best = jnp.argmin(jax.vmap(problem.cost)(tried))
-    return Split(tried.root[best], tried.leg[best])
-
-
-def _relative(smooth: Smooth, body: Array) -> Array:
-    """Root Jacobian of the points, minus that of the free body they stand on."""
-    j_root = smooth.j_root
-    for k in range(smooth.j_body.shape[0]):
-        on_it = (body == k).astype(j_root.dtype)[:, None, None]
-        j_root = j_root.at[:, :, 6 * (k + 1) : 6 * (k + 2)].add(-on_it * smooth.j_body[k])
-    return j_root
-
-
-def _damped(mass: Arrowhead, drive: Drive, h: float) -> Arrowhead:
-    """M with the back-EMF's damping taken implicitly."""
-    return mass._replace(leg=mass.leg + h * drive.back_emf * jnp.eye(3, dtype=mass.leg.dtype))
-
-
-def _momentum(smooth: Smooth, mass_v: Split, limits: Limits, h: float) -> Split:
-    """M v - h (bias - push)."""
-    root = mass_v.root - h * smooth.bias_root
-    return Split(root.at[:3].add(h * limits.push), mass_v.leg - h * smooth.bias_leg)
-
-
-def _integrate(top: Topology, q: Array, v: Array, h: float) -> Array:
-    """Positions after h seconds at velocity v; quaternions along the exponential map."""
-    moved = q.at[1 + top.leg].add(h * v[top.leg])
-    for k, dofs in enumerate(top.root.reshape(-1, 6)):
-        at = int(dofs[0]) + k  # a free joint has one more position than velocities, and the hinges one each
-        moved = moved.at[at : at + 3].add(h * v[dofs[:3]])
-        turned = multiply(q[at + 3 : at + 7], exponential(h * v[dofs[3:]]))
-        moved = moved.at[at + 3 : at + 7].set(turned / jnp.linalg.norm(turned))
-    return moved
+    def _newton(self, acting: _Acting, right: Motion) -> Motion:
+        """The direction at a velocity, with contact and clamp states as they are there."""
+        slopes = [
+            contact_slope(self.case.contact, own.geometry, forces, self.h)
+            for own, forces in zip(self.contacts, acting.forces, strict=True)
+        ]
+        rolling = None if acting.moments is None else acting.moments.slope.scaled(self.h)
+        stiff = tuple(
+            self.h * (self.case.drive.back_emf + self._damping(k) * acting.free[k] * self.limits.gain[:, k])
+            for k in range(3)
+        )
+        return newton.direction(self.mass, self.j_leg, stiff, self.contacts, slopes, rolling, right)  # pyright: ignore

@@ -1,78 +1,21 @@
 """Smooth dynamics of a robot whose legs meet in its base only, written out: mass matrix, bias, Jacobians of the feet.
 
-Generalised velocity: the base's (linear, angular), both in base axes here, then alpha, beta, gamma of each leg. Legs
-couple through the base alone. Every scalar is an array over the legs, see `vectors`.
+Generalised velocity: the base's (linear, angular), both in base axes, then alpha, beta, gamma of each leg.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from sweep.dynamics.vectors import Matrix, Number, Vector, rotation, symmetric
+from sweep.core.vectors import Matrix, Number, Vector, symmetric
+from sweep.dynamics.interface import SmoothDynamics, Star
+from sweep.dynamics.spatial import Inertia, Mass, Motion, Pose, Rates, Spatial
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
 from sweep.models.robot import Robot
 from sweep.models.scene import GRAVITY, mount_yaw, mounts
-
-
-class Pose(NamedTuple):
-    """Where base and joints are; l legs."""
-
-    position: Vector  # (1,) m, of the base, world axes
-    quat: tuple[Array, Array, Array, Array]  # (1,) base to world
-    angle: tuple[Array, Array, Array]  # (l,) rad: alpha, beta, gamma
-
-
-class Motion(NamedTuple):
-    """How they move, or a momentum or force that goes with it. Base axes."""
-
-    linear: Vector  # (1,)
-    angular: Vector  # (1,)
-    leg: tuple[Array, Array, Array]  # (l,)
-
-    def plus(self, share: Number, other: "Motion") -> "Motion":
-        """self + share * other."""
-        legs = tuple(a + share * b for a, b in zip(self.leg, other.leg, strict=True))
-        return Motion(self.linear + share * other.linear, self.angular + share * other.angular, legs)  # pyright: ignore
-
-
-class Column(NamedTuple):
-    """What moves or acts when one joint of each leg does: a linear and an angular part about the base's origin."""
-
-    linear: Vector  # (l,)
-    angular: Vector  # (l,)
-
-
-class Mass(NamedTuple):
-    """The mass matrix."""
-
-    mass: Array  # (1,) kg, of the robot
-    moment: Vector  # (1,) kg m, mass times mass centre
-    inertia: Matrix  # (1,) kg m^2, about the base's origin
-    cross: tuple[Column, Column, Column]  # momentum of the leg per rate of a joint
-    leg: Matrix  # (l,)
-
-    def times(self, v: Motion) -> Motion:
-        """Momentum."""
-        linear, angular = self.mass * v.linear - self.moment.cross(v.angular), self.moment.cross(v.linear)
-        angular = angular + self.inertia @ v.angular
-        rates = Vector(*v.leg)
-        own = self.leg @ rates
-        legs = [c.linear.dot(v.linear) + c.angular.dot(v.angular) for c in self.cross]
-        for column, rate in zip(self.cross, v.leg, strict=True):
-            linear, angular = linear + (rate * column.linear).total(), angular + (rate * column.angular).total()
-        return Motion(linear, angular, (legs[0] + own.x, legs[1] + own.y, legs[2] + own.z))
-
-
-class Star(NamedTuple):
-    """One configuration of the robot. Base axes, from the base's origin, unless said otherwise."""
-
-    mass: Mass  # with armature
-    bias: Motion  # Coriolis and gravity
-    rotation: Matrix  # (1,) base to world
-    joints: tuple[Vector, ...]  # (l,) m, along a leg: hip, (end of the coxa,) knee, foot
-    foot: tuple[Vector, Vector, Vector]  # (l,) velocity of the foot per rate of a joint
 
 
 class Link(NamedTuple):
@@ -90,12 +33,12 @@ class Link(NamedTuple):
         return self.across * u + ((self.along - self.across) * self.direction.dot(u)) * self.direction
 
 
-def fits(case: Case) -> bool:
-    """Whether robot and obstacle are of this kind: a free body's frame must be at its mass centre."""
-    return isinstance(case.robot, Robot) and not case.obstacle.leaves().get("body_ipos")
+def of(world: Case) -> SmoothDynamics:
+    """The smooth dynamics of a world."""
+    return partial(star, world.robot, world.drive.armature)
 
 
-def leg_links(robot: Robot, angle: tuple[Array, Array, Array]) -> tuple[Vector, list[Link]]:
+def leg_links(robot: Robot, angle: Rates) -> tuple[Vector, list[Link]]:
     """Unit vector of beta's and gamma's axis, and the links from the hip out."""
     yaw, side = mount_yaw(robot).astype(angle[0].dtype), SIDE.astype(angle[0].dtype)
     turn, lift, bend = yaw + angle[0], angle[1], angle[1] + angle[2]
@@ -124,13 +67,12 @@ def star(robot: Robot, armature: Number, pose: Pose, v: Motion) -> Star:
     The bias is the force that keeps all generalised accelerations zero; the linear one is that in world axes, so that
     a moving base adds nothing to it.
     """
-    turned = rotation(*pose.quat)
     axis, links = leg_links(robot, pose.angle)
     up = Vector(jnp.zeros_like(axis.x), jnp.zeros_like(axis.x), jnp.ones_like(axis.x))
     axes = (up, axis, axis)
-    gravity = turned.z * -GRAVITY  # world's down, in base axes
+    gravity = pose.root[0].rotation().z * -GRAVITY  # world's down, in base axes
     hips = mounts(robot).astype(axis.x.dtype)
-    start, spin, turning = Vector.of(hips), v.angular, Vector(*[jnp.zeros_like(axis.x)] * 3)
+    start, spin, turning = Vector.of(hips), v.root[0].angular, Vector(*[jnp.zeros_like(axis.x)] * 3)
     acceleration = spin.cross(spin.cross(start)) - gravity
     origins: list[Vector] = []  # of the joints
     centres, forces, moments = [], [], []  # of the links; the moments are about their centres
@@ -158,17 +100,15 @@ def star(robot: Robot, armature: Number, pose: Pose, v: Motion) -> Star:
         angular = _sum(
             links[i].inertia_times(axes[k]) + centres[i].cross(p) for i, p in zip(moved, momenta, strict=True)
         )
-        columns.append(Column(_sum(momenta), angular))
-    mass, moment, inertia = _composite(robot, links, centres)
+        columns.append(Spatial(_sum(momenta), angular))
     box = _box(robot)
-    spin_base = v.angular
+    spin_base = v.root[0].angular
     wrench = _sum(forces).total() - robot.body_mass * gravity
     twist = _sum(m + c.cross(f) for m, c, f in zip(moments, centres, forces, strict=True)).total()
     twist = twist + spin_base.cross(Vector(box[0] * spin_base.x, box[1] * spin_base.y, box[2] * spin_base.z))
     feet = tuple(a.cross(start - o) for a, o in zip(axes, origins, strict=True))
-    leg = _leg_block(axes, origins, columns, armature)
-    return Star(Mass(mass, moment, inertia, tuple(columns), leg), Motion(wrench, twist, tuple(leg_bias)), turned,  # pyright: ignore
-                tuple(joints), feet)  # pyright: ignore  # fmt: skip
+    mass = Mass((_composite(robot, links, centres),), tuple(columns), _leg_block(axes, origins, columns, armature))  # pyright: ignore
+    return Star(mass, Motion((Spatial(wrench, twist),), tuple(leg_bias)), tuple(joints), feet)  # pyright: ignore
 
 
 def _sum(vectors) -> Vector:
@@ -185,7 +125,7 @@ def _box(robot: Robot) -> tuple[Number, Number, Number]:
     return share * (b + c), share * (a + c), share * (a + b)
 
 
-def _composite(robot: Robot, links: list[Link], centres: list[Vector]) -> tuple[Array, Vector, Matrix]:
+def _composite(robot: Robot, links: list[Link], centres: list[Vector]) -> Inertia:
     """Mass, first moment and inertia of the whole robot about the base's origin."""
     moment = _sum(link.mass * c for link, c in zip(links, centres, strict=True))
     entries = [jnp.zeros_like(centres[0].x)] * 6
@@ -201,10 +141,10 @@ def _composite(robot: Robot, links: list[Link], centres: list[Vector]) -> tuple[
     inertia = symmetric(*[totals[k] + (box[k] if k < 3 else 0.0) for k in range(6)])
     legs = centres[0].x.shape[-1]
     mass = robot.body_mass + legs * sum(link.mass for link in links)
-    return mass * jnp.ones_like(totals[0]), moment.total(), inertia
+    return Inertia(mass * jnp.ones_like(totals[0]), moment.total(), inertia)
 
 
-def _leg_block(axes: tuple, origins: list[Vector], columns: list[Column], armature: Number) -> Matrix:
+def _leg_block(axes: tuple, origins: list[Vector], columns: list[Spatial], armature: Number) -> Matrix:
     """The legs' 3x3 blocks: momentum about joint i of what joint j >= i moves."""
 
     def entry(i: int, j: int) -> Array:
@@ -212,29 +152,3 @@ def _leg_block(axes: tuple, origins: list[Vector], columns: list[Column], armatu
 
     e = {(i, j): entry(i, j) for i in range(3) for j in range(i, 3)}
     return symmetric(e[0, 0] + armature, e[1, 1] + armature, e[2, 2] + armature, e[0, 1], e[0, 2], e[1, 2])
-
-
-def potential(mass: Mass, turned: Matrix, position: Vector) -> Array:
-    """Potential energy (J), (1,)."""
-    return GRAVITY * (mass.mass * position.z + turned.z.dot(mass.moment))
-
-
-def unpack(q: Array, v: Array) -> tuple[Pose, Motion]:
-    """From MuJoCo's qpos and qvel, base first, then the legs' hinges in order."""
-    legs = (q.shape[0] - 7) // 3
-    angle, rate = q[7 : 7 + 3 * legs].reshape(legs, 3), v[6 : 6 + 3 * legs].reshape(legs, 3)
-    quat = tuple(q[3 + k : 4 + k] for k in range(4))
-    pose = Pose(Vector(q[0:1], q[1:2], q[2:3]), quat, tuple(angle[:, k] for k in range(3)))  # pyright: ignore
-    linear = rotation(*quat).transposed @ Vector(v[0:1], v[1:2], v[2:3])
-    return pose, Motion(linear, Vector(v[3:4], v[4:5], v[5:6]), tuple(rate[:, k] for k in range(3)))  # pyright: ignore
-
-
-def pack(pose: Pose, v: Motion) -> tuple[Array, Array]:
-    """The inverse of `unpack`."""
-    linear = rotation(*pose.quat) @ v.linear
-    angle, rate = (jnp.stack(parts, axis=-1).reshape(-1) for parts in (pose.angle, v.leg))
-    p = pose.position
-    return (
-        jnp.concatenate([p.x, p.y, p.z, *pose.quat, angle]),
-        jnp.concatenate([linear.x, linear.y, linear.z, v.angular.x, v.angular.y, v.angular.z, rate]),
-    )

@@ -72,17 +72,6 @@ def plan_options() -> dict[str, Any] | None:
     return {"xla_gpu_autotune_level": 0} if jax.default_backend() == "gpu" else None
 
 
-def step_options(moving: bool) -> dict[str, Any] | None:
-    """How steps are compiled; `moving` where the robot stands on free bodies.
-
-    From 0.12 on JAX leaves sums over short axes to a library that a CPU spends milliseconds in. Without it the step on
-    free bodies is seven times as fast; that on fixed ground only a third faster, and twice as long to compile.
-    """
-    if jax.default_backend() != "cpu" or jax.__version_info__ < (0, 12) or not moving:
-        return None
-    return {"xla_cpu_experimental_ynn_fusion_type": ""}
-
-
 def default_width() -> int:
     """Rollouts of a batch over all devices: as many as an accelerator's memory holds, up to where its speed levels off.
 

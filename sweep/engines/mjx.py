@@ -168,12 +168,11 @@ class Mjx:
         )
         finish = jax.vmap(self._finish, in_axes=(axes[0], 0, 0))
         finish = on_devices(finish, in_specs=(specs[0], split, split), out_specs=split)
-        options = devices.step_options(moving=bool(self.topology.free))
         with ThreadPoolExecutor() as pool:
             begin = jax.jit(start, compiler_options=devices.plan_options()).lower(*arrays)
             started = pool.submit(begin.compile)
             plans, carry = devices.split(begin.out_info, self._mesh)
-            go_on = jax.jit(chunk, donate_argnums=3, compiler_options=options)
+            go_on = jax.jit(chunk, donate_argnums=3)
             chunked = pool.submit(go_on.lower(world, belief, plans, carry, 0, 0 if what == "slot" else None).compile)
             finished = jax.jit(finish).lower(world, plans, carry).compile()
             return started.result(), chunked.result(), finished

@@ -14,6 +14,7 @@ from mujoco.batch import Batch
 from sweep.controllers.plan import Plan
 from sweep.controllers.tracker import Command
 from sweep.core.errors import InputError
+from sweep.core.rotations import exponential, multiply
 from sweep.engines import batching, devices
 from sweep.engines.base import Figures, Trace
 from sweep.engines.closed_loop import (
@@ -37,7 +38,7 @@ from sweep.models.case import Case
 from sweep.models.collisions import collide
 from sweep.models.drive import Servo, towards
 from sweep.models.legs import JOINT_Q, JOINT_V, JOINTS, N_JOINTS, N_LEGS
-from sweep.models.obstacles.surface import poses
+from sweep.models.obstacles.surface import FreeState, poses
 
 CONTROL = mujoco.mjtState.mjSTATE_CTRL.value | mujoco.mjtState.mjSTATE_XFRC_APPLIED.value
 RECORD = ("qpos", "qvel", "actuator_force", "sensordata", "energy", "xpos", "xmat", "site_xpos", "subtree_com")
@@ -190,13 +191,13 @@ class Native:
 
         def tick(world: Case, belief: Case, plan: Plan, pilot: Pilot, command: Command | None, steps: Any, k: Array):
             if steps is not None and command is not None:
-                summary = self._summary(world, steps, (k - 1) * period)
+                summary = self._summary(world, steps, (k - 1) * period, pilot.seen.free)
                 pilot = measure(world, plan, self.limits, pilot, command, summary, k - 1, period)
             old = pilot.servo
             pilot, command = decide(world, belief, plan, pilot, k, period, quiet)
             told = towards(old, pilot.servo, (1 + jnp.arange(n))[:, None, None] / n)
             torques = (told.stiffness * told.target + told.torque).reshape(n, N_JOINTS)
-            forces = self._pushes(world, k * period)
+            forces = self._outside(world, k * period, pilot.seen.free)
             return pilot, command, jnp.concatenate([torques, forces], axis=1)
 
         def finish(world: Case, plan: Plan, pilot: Pilot) -> dict[str, Array]:
@@ -206,25 +207,32 @@ class Native:
         return (jax.jit(jax.vmap(start, in_axes=(*axes, 0))), jax.jit(jax.vmap(tick, in_axes=over)),
                 jax.jit(jax.vmap(finish, in_axes=(axes[0], 0, 0))))  # fmt: skip
 
-    def _pushes(self, world: Case, start: Array) -> Float[Array, "n f"]:
-        """Outside wrenches on all bodies in the tick's steps: force, then torque, world axes."""
-        times = start + self.settings.native_time_step * jnp.arange(self.substeps)
-        push = jax.vmap(lambda t: batching.execution_limits(world, t).push)(times)
-        bodies = 2 + N_LEGS * len(scene.links(world.robot)) + len(world.obstacle.free_bodies)
-        return jnp.zeros((self.substeps, 6 * bodies)).at[:, 6:9].set(push)
+    def _outside(self, world: Case, start: Array, free: FreeState) -> Float[Array, "n f"]:
+        """Outside wrenches on all bodies in the tick's steps: force, then torque, world axes.
 
-    def _summary(self, world: Case, steps: dict[str, Array], start: Array) -> Tick:
-        """What the metrics want of a tick; `steps` hold the records of its physics steps."""
+        The obstacle's loads are those of its bodies moved on from the tick's start, `free`, as fast as they are there.
+        """
+        ahead = self.settings.native_time_step * jnp.arange(self.substeps)
+        push = jax.vmap(lambda t: batching.execution_limits(world, t).push)(start + ahead)
+        robot, count = 2 + N_LEGS * len(scene.links(world.robot)), len(world.obstacle.free_bodies)
+        forces = jnp.zeros((self.substeps, 6 * (robot + count))).at[:, 6:9].set(push)
+        if not count:
+            return forces
+        load = jax.vmap(lambda t: world.obstacle.load(_ahead(free, t)))(ahead)
+        return forces if load is None else forces.at[:, 6 * robot :].set(load.reshape(self.substeps, -1))
+
+    def _summary(self, world: Case, steps: dict[str, Array], start: Array, before: FreeState) -> Tick:
+        """What the metrics want of a tick; `steps` hold the records of its physics steps, `before` free bodies then."""
         h, drive = self.settings.native_time_step, world.drive
         rate = steps["qvel"][:, JOINT_V]
         torque = steps["actuator_force"] - drive.back_emf * rate
         effort = jnp.abs(steps["actuator_force"])
         limit = world.execution.torque_scale * drive.torque_limit
         power = torque * rate
-        push = self._pushes(world, start)[:, 6:9]
+        outside, count = self._outside(world, start, before), len(world.obstacle.free_bodies)
         force = -jnp.mean(steps["sensordata"].reshape(-1, 6, 3), axis=0)
         qpos, qvel = steps["qpos"][-1], steps["qvel"][-1]
-        free = free_state(qpos, qvel, len(world.obstacle.free_bodies))
+        free = free_state(qpos, qvel, count)
         feet = steps["site_xpos"][-1, :6]
         normals = world.obstacle.surface(feet, (-1,) * 6, poses(free)).normal
         normal = jnp.sum(force * normals, axis=-1)
@@ -236,7 +244,8 @@ class Native:
             saturated=jnp.mean(effort >= 0.999 * limit, axis=0).reshape(N_LEGS, 3),
             force=force, normal=normal, tangential=jnp.linalg.norm(force - normal[:, None] * normals, axis=-1),
             loaded=last > 1.0, residual=jnp.zeros(()),  # the C solver reports no residual force
-            work=h * (jnp.sum(power) + jnp.sum(push * steps["qvel"][:, :3])),
+            work=h * (jnp.sum(power) + jnp.sum(outside[:, 6:9] * steps["qvel"][:, :3])
+                      + jnp.sum(outside[:, outside.shape[1] - 6 * count :] * _twists(steps, count))),
             effort=h * jnp.sum(jnp.maximum(power, 0.0)),
             energy=jnp.where(steps["broken"], jnp.nan, energy),
             position=qpos[:3], quat=qpos[3:7], velocity=qvel[:3], spin=qvel[3:6],
@@ -244,6 +253,18 @@ class Native:
             centre_of_mass=steps["subtree_com"][-1, 1], joints=jnp.concatenate([links, feet[:, None]], axis=1),
             bodies=poses(free), free=free,
         )  # fmt: skip
+
+
+def _ahead(free: FreeState, time: Array) -> FreeState:
+    """Free bodies that went on as they do for `time` (s)."""
+    return free._replace(position=free.position + time * free.velocity,
+                         quat=multiply(exponential(time * free.turn), free.quat))  # fmt: skip
+
+
+def _twists(steps: dict[str, Array], count: int) -> Float[Array, "n 6k"]:
+    """Velocities and rates of turning of the free bodies after each step, world axes."""
+    free = jax.vmap(lambda q, v: free_state(q, v, count))(steps["qpos"], steps["qvel"])
+    return jnp.concatenate([free.velocity, free.turn], axis=-1).reshape(len(steps["qpos"]), 6 * count)
 
 
 def _gains(servo: Servo) -> Float[np.ndarray, "b 18 2"]:

@@ -1,12 +1,17 @@
 """Viscoelastic foot contact with a Coulomb limit (monograph 1.2.2), evaluated implicitly."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from sweep.core.parameters import parameters, quantity
+from sweep.core.vectors import Matrix, Vector, along, where
 from sweep.models.obstacles.surface import Bodies, Surface
+
+Frames = Sequence[tuple[Vector, Matrix]]  # (1,) of each free body: place of its origin, and body to world axes
 
 
 @parameters
@@ -25,112 +30,146 @@ class Anchors(NamedTuple):
     """Where each of n contact points holds on: r_T of (1.2.2)."""
 
     # m, in the axes of the body that owns the face, world axes for the fixed world; of what rolls, from the contact
-    place: Float[Array, "n 3"]
+    place: Vector
     loaded: Bool[Array, " n"]
     face: Int[Array, " n"]
 
 
 class Geometry(NamedTuple):
-    """Everything of a contact that stays fixed while a step's velocity is solved for."""
+    """Everything of n contacts that stays fixed while a step's velocity is solved for. Axes are those of its maker."""
 
     depth: Float[Array, " n"]
-    normal: Float[Array, "n 3"]
-    stretch: Float[Array, "n 3"]  # tangential part of anchor minus point, m
+    normal: Vector
+    stretch: Vector  # tangential part of anchor minus point, m
     limit: Float[Array, " n"]  # friction coefficient
+    damping: Float[Array, " n"] | float  # N s/m, d_n and the surface's own
+
+    def turned(self, by: Matrix) -> "Geometry":
+        """In other axes."""
+        return self._replace(normal=by @ self.normal, stretch=by @ self.stretch)
 
 
 class Forces(NamedTuple):
-    """Contact forces at a velocity, and how they fall with it."""
+    """Contact forces at a velocity."""
 
-    force: Float[Array, "n 3"]  # N, on the point, world axes
+    force: Vector  # N, on the point
     normal: Float[Array, " n"]  # N, along the surface normal
-    tangential: Float[Array, "n 3"]  # N
-    slope: Float[Array, "n 3 3"]  # -d force / d velocity, N s/m
+    tangential: Vector  # N
+    direction: Vector  # of the tangential force
+    share: Float[Array, " n"]  # of the elastic force that holds
     slipping: Bool[Array, " n"]
     loaded: Bool[Array, " n"]
 
 
-def to_world(place: Array, body: Array, bodies: Bodies) -> Array:
-    """Points (n, 3) from the axes of the free body that each belongs to (-1: the world) to world axes."""
-    for k in range(bodies.position.shape[0]):
-        moved = place @ bodies.rotation[k].T + bodies.position[k]
-        place = jnp.where((body == k)[:, None], moved, place)
+def nowhere(n: int, dtype: jnp.dtype) -> Anchors:
+    """Of points that have not touched anything."""
+    return Anchors(Vector.of(jnp.zeros((n, 3), dtype)), jnp.zeros(n, bool), jnp.zeros(n, jnp.int32))
+
+
+def _world(place: Vector, body: Array, frames: Frames) -> Vector:
+    """Points from the axes of the free body that each belongs to (-1: the world) to world axes."""
+    for k, (origin, rotation) in enumerate(frames):
+        place = where(body == k, rotation @ place + origin, place)
     return place
 
 
-def to_body(place: Array, body: Array, bodies: Bodies) -> Array:
+def _own(place: Vector, body: Array, frames: Frames) -> Vector:
+    """The inverse of `_world`."""
+    for k, (origin, rotation) in enumerate(frames):
+        place = where(body == k, rotation.transposed @ (place - origin), place)
+    return place
+
+
+def _frames(bodies: Bodies) -> Frames:
+    """By components."""
+    places = zip(bodies.position, bodies.rotation, strict=True)
+    return [(Vector.of(position[None]), Matrix.of(rotation[None])) for position, rotation in places]
+
+
+def to_world(place: Float[Array, "n 3"], body: Int[Array, " n"], bodies: Bodies) -> Float[Array, "n 3"]:
+    """Points from the axes of the free body that each belongs to (-1: the world) to world axes."""
+    return _world(Vector.of(place), body, _frames(bodies)).array()
+
+
+def to_body(place: Float[Array, "n 3"], body: Int[Array, " n"], bodies: Bodies) -> Float[Array, "n 3"]:
     """The inverse of `to_world`."""
-    for k in range(bodies.position.shape[0]):
-        moved = (place - bodies.position[k]) @ bodies.rotation[k]
-        place = jnp.where((body == k)[:, None], moved, place)
-    return place
+    return _own(Vector.of(place), body, _frames(bodies)).array()
 
 
 def approach(
-    contact: Contact, surface: Surface, anchors: Anchors, point: Array, bodies: Bodies
-) -> tuple[Geometry, Array]:
-    """Contact geometry at the start of a step, and the anchors in world axes.
+    contact: Contact, surface: Surface, anchors: Anchors, point: Vector, frames: Frames
+) -> tuple[Geometry, Vector]:
+    """Contact geometry at the start of a step, and the anchors; world axes.
 
     A point keeps its anchor while it stays loaded on the same face; otherwise it takes hold where it is now.
     """
+    normal = Vector.of(surface.normal)
     held = anchors.loaded & (anchors.face == surface.face)
-    fresh = point + surface.depth[:, None] * surface.normal
-    kept = to_world(anchors.place, surface.body, bodies)
+    fresh = point + surface.depth * normal
+    kept = _world(anchors.place, surface.body, frames)
     if surface.rolling is not None:
-        kept = jnp.where(surface.rolling.radius[:, None] > 0, point + anchors.place, kept)
-    place = jnp.where(held[:, None], kept, fresh)
+        kept = where(surface.rolling.radius > 0, point + anchors.place, kept)
+    place = where(held, kept, fresh)
     gap = place - point
-    stretch = gap - jnp.sum(gap * surface.normal, axis=-1, keepdims=True) * surface.normal
-    return Geometry(surface.depth, surface.normal, stretch, contact.friction * surface.grip), place
+    stretch = gap - gap.dot(normal) * normal
+    damping = contact.damping if surface.damping is None else contact.damping + surface.damping
+    return Geometry(surface.depth, normal, stretch, contact.friction * surface.grip, damping), place
 
 
-def contact_forces(contact: Contact, geometry: Geometry, velocity: Float[Array, "n 3"], h: float) -> Forces:
+def contact_forces(contact: Contact, geometry: Geometry, velocity: Vector, h: float) -> Forces:
     """Forces at the end of a step of h seconds that is passed at `velocity` (m/s, relative to the surface).
 
-    N = c_n depth - (c_n h + d_n) v_n where positive; the tangential force is elastic up to the Coulomb limit. The
-    slope keeps the coupling of the limit to the normal force, which makes it unsymmetric: without it the two
-    iterations of a step diverge at 2 ms.
+    N = c_n depth - (c_n h + d_n) v_n where positive; the tangential force is elastic up to the Coulomb limit.
     """
-    g = contact.stiffness * h + contact.damping
-    n = geometry.normal
-    v_normal = jnp.sum(velocity * n, axis=-1)
+    n, g = geometry.normal, contact.stiffness * h + geometry.damping
+    v_normal = velocity.dot(n)
     normal = jnp.maximum(0.0, contact.stiffness * geometry.depth - g * v_normal)
     loaded = normal > 0
-    elastic = contact.stiffness * geometry.stretch - g * (velocity - v_normal[:, None] * n)
-    size = jnp.sqrt(jnp.sum(elastic**2, axis=-1) + 1e-6)
-    slipping = loaded & ~(size <= geometry.limit * normal)  # a limit that is not a number must show, not hold
-    share = jnp.where(loaded, jnp.where(slipping, geometry.limit * normal / size, 1.0), 0.0)
-    direction = elastic / size[:, None]
-    tangential = share[:, None] * elastic
-    slips, holds = slipping.astype(n.dtype), loaded.astype(n.dtype)
-    nn = n[:, :, None] * n[:, None, :]
-    tt = direction[:, :, None] * direction[:, None, :]
-    tn = direction[:, :, None] * n[:, None, :]
-    along = share[:, None, None] * (jnp.eye(3, dtype=n.dtype) - nn - slips[:, None, None] * tt)
-    coupling = (slips * geometry.limit)[:, None, None] * tn
-    slope = g * (holds[:, None, None] * nn + along + coupling)
-    return Forces(normal[:, None] * n + tangential, normal, tangential, slope, slipping, loaded)
+    elastic = contact.stiffness * geometry.stretch - g * (velocity - v_normal * n)
+    size = jnp.sqrt(elastic.dot(elastic) + 1e-6)
+    most = geometry.limit * normal
+    slipping = loaded & ~(size <= most)  # a limit that is not a number must show, not hold
+    share = jnp.where(loaded, jnp.where(slipping, most / size, 1.0), 0.0)
+    tangential = share * elastic
+    return Forces(normal * n + tangential, normal, tangential, (1 / size) * elastic, share, slipping, loaded)
+
+
+def contact_slope(contact: Contact, geometry: Geometry, forces: Forces, h: float) -> Matrix:
+    """-h d force / d velocity (N s^2/m), where `forces` are.
+
+    It keeps the coupling of the limit to the normal force, which makes it unsymmetric: without it the two iterations of
+    a step diverge at 2 ms. Its parts are kept as values: worked out twice, they might differ.
+    """
+    n, t = geometry.normal, forces.direction
+    scale = h * (contact.stiffness * h + geometry.damping)
+    slips, holds = forces.slipping.astype(t.x.dtype), forces.loaded.astype(t.x.dtype)
+    round_ = scale * forces.share
+    along_n = scale * (holds - forces.share) * n + (scale * slips * geometry.limit) * t
+    along_t = (-scale * slips * forces.share) * t
+    round_, along_n, along_t = jax.lax.optimization_barrier((round_, along_n, along_t))
+    return Matrix(*(a * n + b * t + along(k, round_) for k, (a, b) in enumerate(zip(along_n, along_t, strict=True))))
 
 
 def settle(
     contact: Contact,
     surface: Surface,
-    point: Array,
-    bodies: Bodies,
-    place: Array,
+    point: Vector,
+    frames: Frames,
+    place: Vector,
     forces: Forces,
-    velocity: Array,
+    velocity: Vector,
     h: float,
 ) -> Anchors:
     """Anchors after the step: a slipping point drags its anchor along, so that it holds just the Coulomb limit.
 
     The contact of what rolls moves over both surfaces alike: only the slip between them, at `velocity`, stretches it.
+    All in world axes.
     """
-    v_normal = jnp.sum(velocity * surface.normal, axis=-1)
-    landed = point + h * velocity + (surface.depth - h * v_normal)[:, None] * surface.normal
-    dragged = landed + forces.tangential / contact.stiffness
-    place = jnp.where(forces.slipping[:, None], dragged, place)
-    kept = to_body(place, surface.body, bodies)
+    normal = Vector.of(surface.normal)
+    landed = point + h * velocity + (surface.depth - h * normal.dot(velocity)) * normal
+    dragged = landed + (1 / contact.stiffness) * forces.tangential
+    place = where(forces.slipping, dragged, place)
+    kept = _own(place, surface.body, frames)
     if surface.rolling is not None:
-        kept = jnp.where(surface.rolling.radius[:, None] > 0, place - point - h * velocity, kept)
+        kept = where(surface.rolling.radius > 0, place - point - h * velocity, kept)
     return Anchors(kept, forces.loaded, surface.face)

@@ -6,10 +6,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sweep.dynamics import interface as dynamics
-from sweep.dynamics import mjx as mjx_dynamics
-from sweep.dynamics.step import rest, step
+from sweep.dynamics import interface, tree
+from sweep.dynamics.step import from_state, rest, step, to_state
 from sweep.engines import batching, devices
+from sweep.engines.batch_last import lanes
 from sweep.models.case import Case
 from sweep.models.drive import position_mode
 
@@ -19,38 +19,47 @@ class History(NamedTuple):
 
     q: np.ndarray
     v: np.ndarray
-    force: np.ndarray  # (t, b, n, 3) N, on the contact points
-    normal: np.ndarray  # (t, b, n) N
-    point: np.ndarray  # (t, b, n, 3) m, before the step
+    force: np.ndarray  # (t, b, 6, 3) N, on the feet
+    normal: np.ndarray  # (t, b, 6) N
+    foot: np.ndarray  # (t, b, 6, 3) m, before the step
+    energy: np.ndarray  # (t, b) J, before the step
     residual: np.ndarray  # (t, b) N
-    power: np.ndarray  # (t, b) W, of the drives
+    work: np.ndarray  # (t, b) J, of drives and loads in the step
 
 
 def simulate(
-    case: Case, nominal: Case, q: np.ndarray, references: np.ndarray, h: float = 2e-3, v: np.ndarray | None = None
+    case: Case,
+    nominal: Case,
+    q: np.ndarray,
+    references: np.ndarray,
+    h: float = 2e-3,
+    v: np.ndarray | None = None,
+    iterations: int = 2,
 ) -> History:
     """`case` with swept leaves, its structure in `nominal`, under targets (t, 6, 3).
 
     It starts from configurations q (b, nq), at velocities v (b, nv) or at rest.
     """
     devices.configure()
-    top = dynamics.topology(nominal)
-    smooth = mjx_dynamics.of(top)
+    top = interface.topology(nominal)
 
     def one(case: Case, state, reference):
         limits = batching.execution_limits(case, jnp.zeros(()))
-        state, report = step(top, smooth(case), case, limits, state, position_mode(case.drive, reference), h, 2)
-        forces = report.forces
-        return state, (state.q, state.v, forces.force, forces.normal, report.smooth.point, report.residual,
-                       jnp.sum(report.power))  # fmt: skip
+        servo = position_mode(case.drive, reference)
+        moving, report = step(tree.of(case), case, limits, from_state(state), servo, h, iterations)
+        work = h * (jnp.sum(sum(report.power)) + report.outside[0])
+        state, before = to_state(moving), report.before
+        return state, (state.q, state.v, report.force.array(), report.normal, before.joints[-1].array(),
+                       before.energy[0], report.residual[0], work)  # fmt: skip
 
-    batch = jax.vmap(one, in_axes=(devices.axes(case), 0, None))
+    axes = jax.tree.map(lambda x: -1 if np.ndim(x) else None, case)
+    batch = lanes(one, (axes, -1, None), devices.kept_from())
 
-    @jax.jit
     def run(case, states, references):
         return jax.lax.scan(lambda s, r: batch(case, s, r), states, references)
 
     v = np.zeros((len(q), top.model.nv)) if v is None else v
     states = jax.vmap(lambda q, v: rest(top, q)._replace(v=v))(jnp.asarray(q), jnp.asarray(v, q.dtype))
-    _, history = run(devices.as_arrays(case), states, jnp.asarray(references))
-    return History(*[np.asarray(x, float) for x in history])
+    args = devices.as_arrays(case), jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), states), jnp.asarray(references)
+    _, history = jax.jit(run)(*args)
+    return History(*[np.moveaxis(np.asarray(x, float), -1, 1) for x in history])

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
-from sweep.models.obstacles.surface import Bodies, Surface
+from sweep.models.obstacles.surface import Bodies, FreeState, Surface
 from sweep.models.solids import Box, Solid
 
 CORNERS = np.array([[1, 1, -1], [1, -1, -1], [-1, 1, -1], [-1, -1, -1]])
@@ -52,6 +52,9 @@ class Slab:
         """The slab."""
         half = (self.half_length, self.half_width, self.half_height)
         return (Box(name="slab", position=bodies.position[0], rotation=bodies.rotation[0], half=half, body=0),)
+
+    def load(self, free: FreeState) -> None:
+        """Nothing beside weight and contact."""
 
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: Bodies) -> Surface:
         """The robot's feet stand on the slab, the slab's corners on the floor without friction."""

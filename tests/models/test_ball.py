@@ -140,7 +140,7 @@ def test_energy_comes_from_the_drives(nominal, history, row):
     The integrator's own share is left out: falling freely it keeps the energy less h g/2 times the momentum.
     """
     moving = slice(100, round(FALL / STEP))
-    total, work = totals(nominal, history, row)[moving], STEP * np.cumsum(history.power[moving, row])
+    total, work = totals(nominal, history, row)[moving], np.cumsum(history.work[moving, row])
     energy = total[:, 3] - 0.5 * STEP * GRAVITY * total[:, 2]
     gain = energy - energy[0] - (work - work[0])
     assert gain.max() < 5e-3 * np.ptp(work)

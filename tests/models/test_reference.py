@@ -13,10 +13,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from sweep.dynamics import interface as dynamics
-from sweep.dynamics import mjx as mjx_dynamics
-from sweep.dynamics.step import rest, step
+from sweep.dynamics import interface, tree
+from sweep.dynamics.step import from_state, rest, step, to_state
 from sweep.engines import batching, devices
+from sweep.engines.batch_last import lanes
 from sweep.engines.native import native_model
 from sweep.models.drive import position_mode
 from sweep.models.obstacles import PoleLedge
@@ -43,30 +43,31 @@ def case():
 def largest_error(recorded, case, width: int, seconds: float) -> np.ndarray:
     """How far (m) the base of each of `width` rollouts, started up to 1 um apart in height, was from the record."""
     devices.configure()
-    top = dynamics.topology(case)
-    smooth = mjx_dynamics.of(top)(case)
+    top = interface.topology(case)
     limits = batching.execution_limits(case, jnp.zeros(()))
 
-    @jax.jit
-    @jax.vmap
     def start(offset):
         return rest(top, jnp.asarray(recorded["q0"], jnp.float32).at[2].add(offset))
 
-    def substep(state, reference):
+    def one(state, reference):
         servo = position_mode(case.drive, reference)
-        one = jax.vmap(lambda s: step(top, smooth, case, limits, s, servo, TICK / 2, 2)[0])
-        return one(state), None
+        return to_state(step(tree.of(case), case, limits, from_state(state), servo, TICK / 2, 2)[0])
+
+    batch = lanes(one, (-1, None), devices.kept_from())
+
+    def substep(states, reference):
+        return batch(states, reference), None
 
     def sample(states, block):
         now, following = block
         references = jnp.stack([0.5 * (now + following), following], axis=1).reshape(2 * SAMPLE, 6, 3)
         states, _ = jax.lax.scan(substep, states, references)
-        return states, states.q[:, :3]
+        return states, states.q[:3].T
 
     ticks = round(seconds / TICK / SAMPLE) * SAMPLE
     targets = recorded["targets"].reshape(-1, 6, 3)
     blocks = [t.reshape(-1, SAMPLE, 6, 3) for t in (targets[:ticks], targets[1 : ticks + 1])]
-    states = start(1e-6 * jnp.arange(width) / width)
+    states = jax.vmap(start, out_axes=-1)(1e-6 * jnp.arange(width) / width)
     _, position = jax.jit(lambda s, b: jax.lax.scan(sample, s, b))(states, blocks)
     wanted = recorded["base"][1 : ticks // SAMPLE + 1, None, :3]
     return np.linalg.norm(np.asarray(position) - wanted, axis=-1).max(axis=0)  # NaN where any number is

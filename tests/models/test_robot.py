@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+from dense import Dense, dense
 from mujoco import mjx
 
 from sweep.controllers.plan import Stance
@@ -49,7 +50,7 @@ def swept(nominal: Case, rng: np.random.Generator) -> Case:
 _compiled = {}
 
 
-def smooth_batch(nominal: Case, case: Case, q: np.ndarray, v: np.ndarray) -> tuple[dynamics.Topology, dynamics.Smooth]:
+def smooth_batch(nominal: Case, case: Case, q: np.ndarray, v: np.ndarray) -> tuple[dynamics.Topology, Dense]:
     """The smooth dynamics of a batch; robots with the same links share one compiled program, as sweeps do."""
     top = dynamics.topology(nominal)
     model = mjx.put_model(top.model)
@@ -57,21 +58,12 @@ def smooth_batch(nominal: Case, case: Case, q: np.ndarray, v: np.ndarray) -> tup
         data = mjx.make_data(model)
 
         def smooth(fields, q, v):
-            return mjx_dynamics.smooth_dynamics(top, model.replace(**fields), data, q, v)
+            return dense(partial(mjx_dynamics.smooth_dynamics, top, model.replace(**fields), data), q, v)
 
         _compiled[nominal.robot.legs] = jax.jit(jax.vmap(smooth))
     fields = jax.vmap(partial(mjx_dynamics.varying, top, model), in_axes=(devices.axes(case),))(case)
     mounted = jnp.broadcast_to(top.model.body_quat, (WIDTH, *top.model.body_quat.shape))
     return top, _compiled[nominal.robot.legs]({**fields, "body_quat": mounted}, q, v)
-
-
-def full_mass_matrix(top: dynamics.Topology, s: dynamics.Smooth) -> np.ndarray:
-    m = np.zeros((24, 24))
-    m[:6, :6] = s.m_root
-    for leg, dofs in enumerate(top.leg):
-        m[:6, dofs], m[dofs, :6] = s.m_cross[leg], s.m_cross[leg].T
-        m[np.ix_(dofs, dofs)] = s.m_leg[leg]
-    return m
 
 
 @pytest.mark.parametrize("name", ROBOTS)
@@ -93,17 +85,14 @@ def test_swept_leaves_equal_fresh_models(name):
         mass = np.zeros((24, 24))
         mujoco.mj_fullM(m, d, mass)
         close = partial(np.testing.assert_allclose, rtol=1e-9, atol=1e-9)
-        close(full_mass_matrix(top, s), mass)
-        bias = np.zeros(24)
-        bias[:6], bias[top.leg] = s.bias_root, s.bias_leg
-        close(bias, d.qfrc_bias)
-        close(s.point, d.site_xpos[top.points])
+        close(s.mass, mass)
+        close(s.bias, d.qfrc_bias)
+        close(s.foot, d.site_xpos[top.feet])
         close(s.centre_of_mass, d.subtree_com[1])
-        for leg, site in enumerate(top.points):
+        for leg, site in enumerate(top.feet):
             jacobian = np.zeros((3, 24))
             mujoco.mj_jacSite(m, d, jacobian, None, site)
-            close(s.j_root[leg], jacobian[:, :6])
-            close(s.j_leg[leg], jacobian[:, top.leg[leg]])
+            close(s.jacobian[:, leg].T, jacobian)
 
 
 @pytest.mark.parametrize("name", ROBOTS)

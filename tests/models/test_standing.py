@@ -33,7 +33,7 @@ def history():
 def drift(history, row):
     """How far the base and the feet went in the last two seconds, and in how long."""
     base = np.linalg.norm(history.q[-1, row, :3] - history.q[SECOND, row, :3])
-    feet = np.linalg.norm(history.point[-1, row] - history.point[SECOND, row], axis=-1).max()
+    feet = np.linalg.norm(history.foot[-1, row] - history.foot[SECOND, row], axis=-1).max()
     return max(base, feet) / 2.0
 
 

@@ -8,8 +8,9 @@ import pytest
 
 from sweep.dynamics import interface as dynamics
 from sweep.dynamics import mjx as mjx_dynamics
-from sweep.dynamics.step import rest, step
+from sweep.dynamics.step import from_state, rest, step
 from sweep.engines import batching, devices
+from sweep.engines.batch_last import lanes
 from sweep.engines.native import native_model
 from sweep.models.drive import Servo, position_mode
 from sweep.study.config import compose
@@ -33,11 +34,11 @@ def one_step():
     limits = batching.execution_limits(CASE, jnp.zeros(()))
 
     def run(torque):
-        state, report = step(top, smooth, CASE, limits, rest(top, q), _order(torque), H, 3)
-        return report.torque[BETA_3], state.v[top.leg]
+        moving, report = step(smooth, CASE, limits, from_state(rest(top, q)), _order(torque), H, 3)
+        return report.torque[BETA_3[1]][BETA_3[0]], jnp.stack(moving.motion.leg, axis=-1)
 
-    torques, rates = jax.jit(jax.vmap(run))(jnp.array(TORQUES))
-    return dict(zip(TORQUES, zip(np.asarray(torques), np.asarray(rates), strict=True), strict=True))
+    torques, rates = jax.jit(lanes(run, (-1,), devices.kept_from()))(jnp.array(TORQUES))
+    return {torque: (np.asarray(torques)[k], np.asarray(rates)[..., k]) for k, torque in enumerate(TORQUES)}
 
 
 def _order(torque) -> Servo:

@@ -63,6 +63,9 @@ class Ball:
         floor = HalfSpace(name="floor", normal=(0.0, 0.0, 1.0))
         return floor, Sphere(name="ball", radius=self.radius, centre=bodies.position[0], body=0)
 
+    def load(self, free: FreeState) -> None:
+        """Nothing beside weight and contact."""
+
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: Bodies) -> Surface:
         """Floor or ball, whichever is deeper; the ball itself, given by its centre, feels the floor."""
         own = np.array(owner) >= 0

@@ -1,12 +1,11 @@
 """A narrow beam between two ledges of one height (monograph 2.6)."""
 
 import jax.numpy as jnp
-import mujoco
 from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
-from sweep.models.obstacles.geoms import add_solids
-from sweep.models.obstacles.surface import FOOT_RADIUS, Bodies, Surface, own_axes
+from sweep.models.obstacles.fixed import Fixed
+from sweep.models.obstacles.surface import FOOT_RADIUS, Bodies, Surface
 from sweep.models.solids import SOIL, Box, HalfSpace, Solid
 
 FLOOR, LEDGE, NEAR_WALL, FAR_WALL, TOP, LEFT, RIGHT, BOTTOM = range(8)
@@ -14,7 +13,7 @@ LEDGE_HALF = 2.0  # m, of a ledge's drawing and collision geometry; its surface 
 
 
 @parameters
-class Beam:
+class Beam(Fixed):
     """A narrow beam between two ledges.
 
     It lies along the world's y axis, its top level with the ledges, which fill y > 0 and y < -length."""
@@ -24,17 +23,6 @@ class Beam:
     length: float = quantity(2.0, "m", above=0)  # of the gap between the ledges
     height: float = quantity(1.0, "m", above=0)  # h_1, of the ledges and the beam's top above the floor
     thickness: float = quantity(0.1, "m", above=0)
-
-    free_bodies = ()
-    contact_sites = ()
-
-    def add_to(self, spec: mujoco.MjSpec, friction: float) -> None:
-        """Floor, two blocks for the ledges and the beam, whose shrunk geometry meets theirs without a gap."""
-        add_solids(spec, self.solids(own_axes(0)), friction)
-
-    def leaves(self) -> dict[str, dict[str, Array]]:
-        """Nothing moves."""
-        return {}
 
     def solids(self, bodies: Bodies) -> tuple[Solid, ...]:
         """The ledges end where no robot comes; the beam reaches as far into them as feet's geometry is shrunk."""

@@ -1,13 +1,12 @@
 """The vertical corner of a house with a flat roof (monograph 2.4)."""
 
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
-from sweep.models.obstacles.geoms import add_solids
-from sweep.models.obstacles.surface import Bodies, Surface, own_axes
+from sweep.models.obstacles.fixed import Fixed
+from sweep.models.obstacles.surface import Bodies, Surface
 from sweep.models.solids import HalfSpace, Prism, Solid, maths
 
 FLOOR, RIGHT, LEFT, ROOF = range(4)  # faces; the walls as a robot sees them that comes along -y
@@ -15,7 +14,7 @@ DEPTH = 3.0  # m, that the house reaches back in y
 
 
 @parameters
-class Corner:
+class Corner(Fixed):
     """The corner of a house.
 
     Two walls that meet in the world's z axis and open towards -y, symmetric about the plane x = 0."""
@@ -24,22 +23,11 @@ class Corner:
     half_angle: float = quantity(np.pi / 4, "rad", at_least=0.2, at_most=1.5)  # psi, of the house between its walls
     height: float = quantity(2.3, "m", above=0)  # h
 
-    free_bodies = ()
-    contact_sites = ()
-
     def walls(self) -> Float[Array, "2 3"]:
         """Outward normals of the wall on the side of -x and of that on the side of +x."""
         cos, sin = jnp.cos(self.half_angle), jnp.sin(self.half_angle)
         zero = jnp.zeros_like(cos)
         return jnp.stack([jnp.stack([-cos, sin, zero]), jnp.stack([cos, sin, zero])])
-
-    def add_to(self, spec: mujoco.MjSpec, friction: float) -> None:
-        """Floor and a prism for the house."""
-        add_solids(spec, self.solids(own_axes(0)), friction)
-
-    def leaves(self) -> dict[str, dict[str, Array]]:
-        """Nothing moves."""
-        return {}
 
     def solids(self, bodies: Bodies) -> tuple[Solid, ...]:
         """The house has a back wall, where no robot comes."""

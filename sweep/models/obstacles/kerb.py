@@ -1,12 +1,11 @@
 """A step up in level ground."""
 
 import jax.numpy as jnp
-import mujoco
 from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
-from sweep.models.obstacles.geoms import add_solids
-from sweep.models.obstacles.surface import Bodies, Surface, own_axes
+from sweep.models.obstacles.fixed import Fixed
+from sweep.models.obstacles.surface import Bodies, Surface
 from sweep.models.solids import SOIL, Box, HalfSpace, Solid
 
 FLOOR, TOP, WALL = range(3)
@@ -14,22 +13,11 @@ HALF = 5.0  # m, of the block that is drawn; its surface has no end
 
 
 @parameters
-class Kerb:
+class Kerb(Fixed):
     """A kerb, 0.1 m high by default: the ground is higher where x > 0."""
 
     kind: str = choice("kerb", "kerb")
     height: float = quantity(0.1, "m", above=0, at_most=1)
-
-    free_bodies = ()
-    contact_sites = ()
-
-    def add_to(self, spec: mujoco.MjSpec, friction: float) -> None:
-        """Floor and block."""
-        add_solids(spec, self.solids(own_axes(0)), friction)
-
-    def leaves(self) -> dict[str, dict[str, Array]]:
-        """Nothing moves."""
-        return {}
 
     def solids(self, bodies: Bodies) -> tuple[Solid, ...]:
         """The block ends where no robot comes."""

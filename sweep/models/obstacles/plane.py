@@ -1,24 +1,20 @@
 """Flat or tilted ground."""
 
 import jax.numpy as jnp
-import mujoco
 from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
-from sweep.models.obstacles.geoms import add_solids
-from sweep.models.obstacles.surface import Bodies, Surface, own_axes
+from sweep.models.obstacles.fixed import Fixed
+from sweep.models.obstacles.surface import Bodies, Surface
 from sweep.models.solids import HalfSpace, Solid, maths
 
 
 @parameters
-class Plane:
+class Plane(Fixed):
     """Ground through the world's origin, rising towards +x by `slope`."""
 
     kind: str = choice("plane", "plane")
     slope: float = quantity(0.0, "rad", at_least=-1.2, at_most=1.2)
-
-    free_bodies = ()
-    contact_sites = ()
 
     def rotation(self) -> Float[Array, "3 3"]:
         """Ground axes (x uphill, z along the normal) to world axes."""
@@ -26,14 +22,6 @@ class Plane:
         zero, one = jnp.zeros_like(cos), jnp.ones_like(cos)
         rows = [jnp.stack([cos, zero, -sin]), jnp.stack([zero, one, zero]), jnp.stack([sin, zero, cos])]
         return jnp.stack(rows)
-
-    def add_to(self, spec: mujoco.MjSpec, friction: float) -> None:
-        """One plane."""
-        add_solids(spec, self.solids(own_axes(0)), friction)
-
-    def leaves(self) -> dict[str, dict[str, Array]]:
-        """Nothing moves."""
-        return {}
 
     def solids(self, bodies: Bodies) -> tuple[Solid, ...]:
         """The ground."""

@@ -1,36 +1,24 @@
 """A vertical pole on the floor and a ledge behind it (monograph 2.3)."""
 
 import jax.numpy as jnp
-import mujoco
 from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
-from sweep.models.obstacles.geoms import add_solids
-from sweep.models.obstacles.surface import Bodies, Surface, own_axes
+from sweep.models.obstacles.fixed import Fixed
+from sweep.models.obstacles.surface import Bodies, Surface
 from sweep.models.solids import SOIL, Box, Cylinder, HalfSpace, Solid
 
 FLOOR, SIDE, TOP, LEDGE, WALL = range(5)
 
 
 @parameters
-class PoleLedge:
+class PoleLedge(Fixed):
     """Pole along the world's z axis; the ledge fills y < -radius, z < ledge_height."""
 
     kind: str = choice("pole_ledge", "pole_ledge")
     radius: float = quantity(0.42, "m", above=0)  # r
     height: float = quantity(2.286660689865613, "m", above=0)  # h
     ledge_height: float = quantity(2.076660689865613, "m", at_least=0)  # h1
-
-    free_bodies = ()
-    contact_sites = ()
-
-    def add_to(self, spec: mujoco.MjSpec, friction: float) -> None:
-        """Floor, pole and a block for the ledge."""
-        add_solids(spec, self.solids(own_axes(0)), friction)
-
-    def leaves(self) -> dict[str, dict[str, Array]]:
-        """Nothing moves."""
-        return {}
 
     def solids(self, bodies: Bodies) -> tuple[Solid, ...]:
         """The ledge ends where no robot comes."""

@@ -61,6 +61,7 @@ class Surface(NamedTuple):
     body: Int[Array, " n"]  # index of the free body that owns the face, -1 for the fixed world
     grip: Float[Array, " n"]  # multiplies the friction coefficient, 1 on ordinary ground
     rolling: Rolling | None = None  # None where nothing rolls
+    damping: Float[Array, " n"] | None = None  # N s/m, added to that of the contact; None where there is no more
 
 
 class Obstacle(Protocol):
@@ -78,7 +79,11 @@ class Obstacle(Protocol):
 
     @property
     def contact_sites(self) -> tuple[tuple[str, int], ...]:
-        """Sites of its free bodies that touch the rest of the world, with the index of their body."""
+        """Sites of its free bodies that touch the rest of the world, with the index of their body.
+
+        A body may touch in several places at once: a ball that meets a wall as it lies on the floor has two sites at
+        its centre, which `surface` tells apart by their order.
+        """
         ...
 
     def add_to(self, spec: mujoco.MjSpec, friction: float) -> None:
@@ -91,6 +96,13 @@ class Obstacle(Protocol):
 
     def solids(self, bodies: Bodies) -> tuple[Solid, ...]:
         """What it consists of, its free bodies where `bodies` says. Plain sizes stay plain numbers."""
+        ...
+
+    def load(self, free: FreeState) -> Float[Array, "k 6"] | None:
+        """Force (N) and torque (N m) on each free body beside weight and contact, world axes; None where there is none.
+
+        Asked at every physics step, only where there are free bodies.
+        """
         ...
 
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: Bodies) -> Surface:

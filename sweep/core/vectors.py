@@ -1,9 +1,10 @@
 """Vectors as three arrays, one a component: sums over legs and rollouts then never mix with sums over components.
 
-Arrays of a component broadcast against each other: (1,) for the base, (6,) for the legs, and so on. That is the layout
+Arrays of a component broadcast against each other: (1,) for a body, (6,) for the legs, and so on. That is the layout
 in which a compiler turns a formula into a loop over many rollouts.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -17,7 +18,7 @@ Number = Array | float
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Vector:
-    """A vector field over legs; axes are those of its maker."""
+    """A vector field over legs or other points; axes are those of its maker."""
 
     x: Array
     y: Array
@@ -32,6 +33,9 @@ class Vector:
     def array(self) -> Float[Array, "*n 3"]:
         """The components stacked last."""
         return jnp.stack([self.x, self.y, self.z], axis=-1)
+
+    def __iter__(self) -> Iterator[Array]:
+        return iter((self.x, self.y, self.z))
 
     def __add__(self, other: "Vector") -> "Vector":
         return Vector(self.x + other.x, self.y + other.y, self.z + other.z)
@@ -61,7 +65,7 @@ class Vector:
 
     def total(self) -> "Vector":
         """Sum over the legs (the last axis), which stays as an axis of length 1."""
-        return Vector(*(jnp.sum(part, axis=-1, keepdims=True) for part in (self.x, self.y, self.z)))
+        return Vector(*(total(part) for part in self))
 
 
 class Matrix(NamedTuple):
@@ -71,22 +75,48 @@ class Matrix(NamedTuple):
     y: Vector
     z: Vector
 
+    @classmethod
+    def of(cls, array: Float[Array, "*n 3 3"]) -> "Matrix":
+        """From an array with rows and columns last."""
+        return cls(*(Vector.of(array[..., k, :]) for k in range(3)))
+
+    def array(self) -> Float[Array, "*n 3 3"]:
+        """Rows and columns last."""
+        return jnp.stack([row.array() for row in self], axis=-2)
+
     def __matmul__(self, v: Vector) -> Vector:  # pyright: ignore[reportIncompatibleMethodOverride]
         return Vector(self.x.dot(v), self.y.dot(v), self.z.dot(v))
 
     @property
     def transposed(self) -> "Matrix":
         """Columns as rows."""
-        return Matrix(*(Vector(*parts) for parts in zip(*((r.x, r.y, r.z) for r in self), strict=True)))
+        return Matrix(*(Vector(*parts) for parts in zip(*self, strict=True)))
 
     def plus(self, other: "Matrix") -> "Matrix":
         """Sum, entry by entry."""
         return Matrix(*(a + b for a, b in zip(self, other, strict=True)))
 
+    def minus(self, other: "Matrix") -> "Matrix":
+        """Difference, entry by entry."""
+        return Matrix(*(a - b for a, b in zip(self, other, strict=True)))
+
+    def scaled(self, factor: Number) -> "Matrix":
+        """Every entry times `factor`."""
+        return Matrix(*(row * factor for row in self))
+
+    @property
+    def negative(self) -> "Matrix":
+        """Minus every entry."""
+        return Matrix(*(-row for row in self))
+
     def times(self, other: "Matrix") -> "Matrix":
         """Matrix product."""
         columns = other.transposed
         return Matrix(*(columns @ row for row in self))
+
+    def crossed(self, v: Vector) -> "Matrix":
+        """The product with the matrix of `v` cross, from the right."""
+        return Matrix(*(row.cross(v) for row in self))
 
     def total(self) -> "Matrix":
         """Sum over the legs."""
@@ -97,6 +127,27 @@ class Matrix(NamedTuple):
         rows = self.y.cross(self.z), self.z.cross(self.x), self.x.cross(self.y)
         scale = 1 / self.x.dot(rows[0])
         return Matrix(*(row * scale for row in rows)).transposed
+
+
+def total(x: Array) -> Array:
+    """Sum over the last axis, which stays as an axis of length 1."""
+    return jnp.sum(x, axis=-1, keepdims=True)
+
+
+def where(condition: Array, a: Vector, b: Vector) -> Vector:
+    """`a` where the condition holds, else `b`."""
+    return Vector(*(jnp.where(condition, x, y) for x, y in zip(a, b, strict=True)))
+
+
+def along(axis: int, value: Array) -> Vector:
+    """A vector along one of the axes."""
+    zero = jnp.zeros_like(value)
+    return Vector(*(value if i == axis else zero for i in range(3)))
+
+
+def diagonal(x: Array, y: Array, z: Array) -> Matrix:
+    """The matrix with these entries on its diagonal."""
+    return Matrix(*(along(k, value) for k, value in enumerate((x, y, z))))
 
 
 def symmetric(xx: Array, yy: Array, zz: Array, xy: Array, xz: Array, yz: Array) -> Matrix:

@@ -1,0 +1,78 @@
+"""The obstacle's free bodies: rigid, each with its frame at its mass centre, along its principal axes."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from sweep.core.vectors import Matrix, Vector
+from sweep.dynamics.spatial import Inertia, Motion, Pose, Spatial
+from sweep.models.case import Case
+from sweep.models.contact import Frames
+from sweep.models.obstacles.surface import Bodies, FreeState
+from sweep.models.scene import GRAVITY
+
+
+class FreeBodies(NamedTuple):
+    """Their kinematics, k bodies; base axes, from the base's origin, unless said otherwise."""
+
+    origins: list[Vector]  # (1,) m
+    axes: list[Matrix]  # (1,) own axes to base axes
+    frames: Frames  # world axes
+
+
+def kinematics(pose: Pose, to_base: Matrix) -> FreeBodies:
+    """Of the free bodies of a pose."""
+    base, *free = pose.root
+    frames = [(place.position, place.rotation()) for place in free]
+    origins = [to_base @ (position - base.position) for position, _ in frames]
+    return FreeBodies(origins, [to_base.times(rotation) for _, rotation in frames], frames)
+
+
+def inertias(case: Case, axes: list[Matrix]) -> list[Inertia]:
+    """In the axes to which `axes` lead from their own."""
+    leaves = case.obstacle.leaves()
+    out = []
+    for name, turned in zip(case.obstacle.free_bodies, axes, strict=True):
+        mass, own = (jnp.asarray(leaves[field][name], turned.x.x.dtype) for field in ("body_mass", "body_inertia"))
+        scaled = Matrix(*(Vector(*(part * size for part, size in zip(row, own, strict=True))) for row in turned))
+        out.append(Inertia(mass[None], None, scaled.times(turned.transposed)))
+    return out
+
+
+def bias(inertia: Inertia, motion: Spatial, up: Vector) -> Spatial:
+    """Of a body: Coriolis and gravity force that keep its acceleration zero; `up` is the world's z axis."""
+    spin = motion.angular
+    return Spatial((GRAVITY * inertia.mass) * up, spin.cross(inertia.inertia @ spin))
+
+
+def sites(case: Case, bodies: FreeBodies) -> list[Vector]:
+    """Contact sites (m,), if any; one that is not among the obstacle's leaves is at its body's origin."""
+    places, found = case.obstacle.leaves().get("site_pos", {}), []
+    for name, k in case.obstacle.contact_sites:
+        origin = bodies.origins[k]
+        if name in places:
+            origin = origin + bodies.axes[k] @ Vector.of(jnp.asarray(places[name], origin.x.dtype)[None])
+        found.append(origin)
+    return [Vector(*(jnp.concatenate(parts) for parts in zip(*found, strict=True)))] if found else []
+
+
+def loads(case: Case, pose: Pose, motion: Motion, bodies: FreeBodies) -> list[Spatial]:
+    """What the obstacle puts on its bodies beside weight and contact, world axes, if anything."""
+    if not bodies.frames:
+        return []
+    turned = [own.turned(rotation) for own, (_, rotation) in zip(motion.root[1:], bodies.frames, strict=True)]
+    load = case.obstacle.load(FreeState(
+        jnp.concatenate([place.position.array() for place in pose.root[1:]]),
+        jnp.stack([jnp.concatenate(place.quat) for place in pose.root[1:]]),
+        jnp.concatenate([own.linear.array() for own in turned]),
+        jnp.concatenate([own.angular.array() for own in turned]),
+    ))  # fmt: skip
+    return [] if load is None else [Spatial(Vector.of(x[None, :3]), Vector.of(x[None, 3:])) for x in load]
+
+
+def as_bodies(bodies: FreeBodies, dtype: jnp.dtype) -> Bodies:
+    """Their poses as arrays."""
+    if not bodies.frames:
+        return Bodies(jnp.zeros((0, 3), dtype), jnp.zeros((0, 3, 3), dtype))
+    position, rotation = ([x.array() for x in parts] for parts in zip(*bodies.frames, strict=True))
+    return Bodies(jnp.concatenate(position), jnp.concatenate(rotation))

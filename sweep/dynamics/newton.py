@@ -1,0 +1,170 @@
+"""Solve a step's linear equations: legs are eliminated one by one, then root bodies in blocks of three."""
+
+from functools import reduce
+from operator import add
+from typing import NamedTuple
+
+from sweep.core.vectors import Matrix, Vector, cross_matrix, diagonal
+from sweep.dynamics.contacts import Arm, Contacts
+from sweep.dynamics.spatial import Mass, Motion, Rates, Spatial
+
+
+class Legs(NamedTuple):
+    """The legs' equations solved for the rates of their joints.
+
+    Columns are the velocities that a leg feels: the base's, its rate of turning, and that of its foot over what it
+    stands on by the motion of free bodies (where there are some).
+    """
+
+    upper: list[list[Vector]]  # by joint: impulse on the column's partner per rate
+    solved: list[list[Vector]]  # by joint: minus its rate per column
+    inverse: Matrix
+    rest: list[list[Matrix]]  # what remains between the columns
+
+
+def direction(
+    mass: Mass,
+    j_leg: tuple[Vector, Vector, Vector],
+    stiff: Rates,
+    contacts: tuple[Contacts, ...],
+    slopes: list[Matrix],
+    rolling: Matrix | None,
+    right: Motion,
+) -> Motion:
+    """x of (M + stiffness of contacts, drives and rolling) x = right.
+
+    `slopes` are -h d force / d velocity of feet and sites, `rolling` is -h d moment / d rate of the sites; `stiff` is
+    what drives add to the legs' diagonal.
+    """
+    feet, *sites = contacts
+    base, *others = feet.arms
+    legs = _eliminate_legs(mass, j_leg, stiff, base, slopes[0], len(others) > 0)
+    blocks = Blocks()
+    for i in range(2):
+        for j in range(2):
+            blocks.add(i, j, legs.rest[i][j].total())
+    for arm in others:
+        _stand_on(blocks, arm, legs.rest)
+    if sites:
+        _touch(blocks, sites[0].arms, slopes[1], rolling)
+    for k, body in enumerate(mass.root):
+        blocks.add(2 * k, 2 * k, diagonal(body.mass, body.mass, body.mass))
+        blocks.add(2 * k + 1, 2 * k + 1, body.inertia)
+        if body.moment is not None:
+            cross = cross_matrix(body.moment)
+            blocks.add(2 * k, 2 * k + 1, cross.negative)
+            blocks.add(2 * k + 1, 2 * k, cross)
+    leg = legs.inverse @ Vector(*right.leg)
+    known = [part for body in right.root for part in body]
+    for column, rate in zip(legs.upper, leg, strict=True):
+        for i in range(2):
+            known[i] = known[i] - (rate * column[i]).total()
+        for arm in others:
+            linear, angular = (2 * arm.body + i for i in range(2))
+            own = arm.shared(rate * column[2])
+            known[linear] = known[linear] - own.total()
+            known[angular] = known[angular] - arm.at.cross(own).total()
+    x = blocks.solve(known)
+    root = tuple(Spatial(x[2 * k], x[2 * k + 1]) for k in range(len(mass.root)))
+    felt = [*root[0]]
+    if others:
+        felt.append(feet._replace(arms=tuple(others)).velocity(root))
+    rates = tuple(
+        part - reduce(add, (c.dot(v) for c, v in zip(columns, felt, strict=True)))
+        for part, columns in zip(leg, legs.solved, strict=True)
+    )
+    return Motion(root, rates)  # pyright: ignore
+
+
+def _eliminate_legs(
+    mass: Mass, j_leg: tuple[Vector, Vector, Vector], stiff: Rates, arm: Arm, slope: Matrix, moving: bool
+) -> Legs:
+    """`arm` is that of the base to the feet; `moving` where they stand on free bodies."""
+    down = slope.transposed
+    pulls = [slope @ j for j in j_leg]  # impulse on a foot per rate of a joint
+    pushes = [down @ j for j in j_leg]  # torque of a joint per velocity of the foot
+
+    def columns(forces: list[Vector]) -> list[list[Vector]]:
+        parts = [[c.linear + f, c.angular + arm.at.cross(f)] for c, f in zip(mass.cross, forces, strict=True)]
+        return [[*own, f] if moving else own for own, f in zip(parts, forces, strict=True)]
+
+    upper, lower = columns(pulls), columns(pushes)
+    leg = Matrix(*(Vector(*(j.dot(f) for f in pulls)) for j in j_leg)).plus(mass.leg)
+    inverse = leg.plus(diagonal(*stiff)).inverse()
+    solved = [[_combine(row, [own[i] for own in lower]) for i in range(2 + moving)] for row in inverse]
+    moved, turned = arm.columns(slope)[1], arm.rows(slope)[1]
+    direct = [[slope, moved, slope], [turned, arm.rows(moved)[1], turned], [slope, moved, slope]]
+
+    def rest(i: int, j: int) -> Matrix:
+        rows = []
+        for name, row in zip("xyz", direct[i][j], strict=True):
+            for own, given in zip(upper, solved, strict=True):
+                row = row - getattr(own[i], name) * given[j]
+            rows.append(row)
+        return Matrix(*rows)
+
+    return Legs(upper, solved, inverse, [[rest(i, j) for j in range(2 + moving)] for i in range(2 + moving)])
+
+
+def _combine(shares: Vector, vectors: list[Vector]) -> Vector:
+    return shares.x * vectors[0] + shares.y * vectors[1] + shares.z * vectors[2]
+
+
+def _stand_on(blocks: "Blocks", arm: Arm, rest: list[list[Matrix]]) -> None:
+    """A free body feels what legs that stand on it feel of the motion under their feet."""
+    ground = 2
+    for i in range(2):
+        for j, column in enumerate(arm.columns(rest[i][ground])):
+            blocks.add(i, 2 * arm.body + j, column.total())
+        for j, row in enumerate(arm.rows(rest[ground][i])):
+            blocks.add(2 * arm.body + j, i, row.total())
+    _couple(blocks, arm, arm, rest[ground][ground])
+
+
+def _touch(blocks: "Blocks", touching: tuple[Arm, ...], slope: Matrix, turning: Matrix | None) -> None:
+    """Free bodies touch the world and each other; `turning` is the resistance to rolling."""
+    for one in touching:
+        for other in touching:
+            _couple(blocks, one, other, slope)
+            if turning is not None:
+                shared = turning.scaled(one.share).scaled(other.share)  # pyright: ignore
+                blocks.add(2 * one.body + 1, 2 * other.body + 1, shared.total())
+
+
+def _couple(blocks: "Blocks", one: Arm, other: Arm, slope: Matrix) -> None:
+    for i, row in enumerate(one.rows(slope)):
+        for j, block in enumerate(other.columns(row)):
+            blocks.add(2 * one.body + i, 2 * other.body + j, block.total())
+
+
+class Blocks:
+    """A square matrix of 3x3 blocks, those that are missing being zero."""
+
+    def __init__(self) -> None:
+        self.of: dict[tuple[int, int], Matrix] = {}
+
+    def add(self, i: int, j: int, block: Matrix) -> None:
+        """To what is there."""
+        self.of[i, j] = self.of[i, j].plus(block) if (i, j) in self.of else block
+
+    def solve(self, right: list[Vector]) -> list[Vector]:
+        """Gauss without pivoting: the diagonal prevails."""
+        n, a, right = len(right), dict(self.of), list(right)
+        inverses: list[Matrix] = []
+        for i in range(n):
+            inverses.append(a[i, i].inverse())
+            below = [j for j in range(i + 1, n) if (j, i) in a]
+            beside = [k for k in range(i + 1, n) if (i, k) in a]
+            for j in below:
+                factor = a[j, i].times(inverses[i])
+                for k in beside:
+                    less = factor.times(a[i, k])
+                    a[j, k] = a[j, k].minus(less) if (j, k) in a else less.negative
+                right[j] = right[j] - factor @ right[i]
+        x = list(right)
+        for i in reversed(range(n)):
+            for k in range(i + 1, n):
+                if (i, k) in a:
+                    x[i] = x[i] - a[i, k] @ x[k]
+            x[i] = inverses[i] @ x[i]
+        return x

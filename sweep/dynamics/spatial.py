@@ -1,0 +1,138 @@
+"""Poses, motions and masses of the robot and of the obstacle's free bodies, by components.
+
+Root bodies are those with six degrees of freedom: the robot's base first, then the free bodies. Legs couple through
+the base alone. Every scalar is an array over the legs, or of one number for a root body; see `vectors`.
+"""
+
+from itertools import chain
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from sweep.core.vectors import Matrix, Vector, rotation, total
+from sweep.models.legs import N_LEGS
+
+Rates = tuple[Array, Array, Array]  # (l,) of alpha, beta, gamma
+
+
+class Spatial(NamedTuple):
+    """Motion, momentum or force of a body: its linear part, and its angular part about the body's origin."""
+
+    linear: Vector
+    angular: Vector
+
+    def dot(self, other: "Spatial") -> Array:
+        """Power, where one is a motion and the other a force."""
+        return self.linear.dot(other.linear) + self.angular.dot(other.angular)
+
+    def turned(self, by: Matrix) -> "Spatial":
+        """In other axes."""
+        return Spatial(by @ self.linear, by @ self.angular)
+
+
+class Place(NamedTuple):
+    """Where a root body is."""
+
+    position: Vector  # (1,) m, of its origin, world axes
+    quat: tuple[Array, Array, Array, Array]  # (1,) body to world
+
+    def rotation(self) -> Matrix:
+        """Body to world."""
+        return rotation(*self.quat)
+
+    def after(self, velocity: Vector, spin: Vector, h: float) -> "Place":
+        """Moved on for h seconds at `velocity` (m/s, world axes) and `spin` (rad/s, own axes)."""
+        rate = jnp.sqrt(spin.dot(spin) + 1e-24)
+        half = 0.5 * h * rate
+        c, s = jnp.cos(half), jnp.sin(half) / rate
+        x, y, z = s * spin.x, s * spin.y, s * spin.z
+        w0, x0, y0, z0 = self.quat
+        out = (w0 * c - x0 * x - y0 * y - z0 * z, w0 * x + x0 * c + y0 * z - z0 * y,
+               w0 * y - x0 * z + y0 * c + z0 * x, w0 * z + x0 * y - y0 * x + z0 * c)  # fmt: skip
+        scale = jax.lax.rsqrt(sum(part * part for part in out))
+        return Place(self.position + h * velocity, tuple(part * scale for part in out))  # pyright: ignore
+
+
+class Pose(NamedTuple):
+    """Where root bodies and joints are."""
+
+    root: tuple[Place, ...]
+    angle: Rates  # (l,) rad: alpha, beta, gamma
+
+
+class Motion(NamedTuple):
+    """How they move, or a momentum or force that goes with it. Axes are those of its maker."""
+
+    root: tuple[Spatial, ...]
+    leg: Rates
+
+    def dot(self, other: "Motion") -> Array:
+        """Power (1,), where one is a motion and the other a force."""
+        bodies = sum(a.dot(b) for a, b in zip(self.root, other.root, strict=True))
+        return bodies + total(sum(a * b for a, b in zip(self.leg, other.leg, strict=True)))  # pyright: ignore
+
+
+class Inertia(NamedTuple):
+    """Of a body, about its origin."""
+
+    mass: Array  # (1,) kg
+    moment: Vector | None  # (1,) kg m, mass times mass centre; None where that is the origin
+    inertia: Matrix  # (1,) kg m^2
+
+    def times(self, v: Spatial) -> Spatial:
+        """Momentum."""
+        linear, angular = self.mass * v.linear, self.inertia @ v.angular
+        if self.moment is None:
+            return Spatial(linear, angular)
+        return Spatial(linear - self.moment.cross(v.angular), self.moment.cross(v.linear) + angular)
+
+
+class Mass(NamedTuple):
+    """The mass matrix."""
+
+    root: tuple[Inertia, ...]  # the robot's as if its joints were locked, then the free bodies'
+    cross: tuple[Spatial, Spatial, Spatial]  # (l,) momentum of the leg per rate of a joint
+    leg: Matrix  # (l,)
+
+    def times(self, v: Motion) -> Motion:
+        """Momentum."""
+        base, *free = [inertia.times(motion) for inertia, motion in zip(self.root, v.root, strict=True)]
+        linear, angular = base
+        own = self.leg @ Vector(*v.leg)
+        legs = tuple(c.dot(v.root[0]) + p for c, p in zip(self.cross, own, strict=True))
+        for column, rate in zip(self.cross, v.leg, strict=True):
+            linear, angular = linear + (rate * column.linear).total(), angular + (rate * column.angular).total()
+        return Motion((Spatial(linear, angular), *free), legs)  # pyright: ignore
+
+
+def shifted(a, share: Array | float, b):
+    """a + share * b, part by part of two trees of the same form."""
+    return jax.tree.map(lambda x, y: x + share * y, a, b)
+
+
+def unpack(q: Array, v: Array) -> tuple[Pose, Motion]:
+    """From MuJoCo's qpos and qvel: base, the legs' hinges in order, free bodies. Motions in each body's own axes."""
+    joints = 3 * N_LEGS
+    angle, rate = q[7 : 7 + joints].reshape(N_LEGS, 3), v[6 : 6 + joints].reshape(N_LEGS, 3)
+    places, motions = [], []
+    for k in range((q.shape[0] - joints) // 7):
+        at, of = 7 * k + joints * (k > 0), 6 * k + joints * (k > 0)
+        x, y, z, *quat = (q[at + i : at + i + 1] for i in range(7))
+        moving = [v[of + i : of + i + 1] for i in range(6)]
+        place = Place(Vector(x, y, z), tuple(quat))  # pyright: ignore
+        places.append(place)
+        motions.append(Spatial(place.rotation().transposed @ Vector(*moving[:3]), Vector(*moving[3:])))
+    angles, rates = (tuple(parts[:, k] for k in range(3)) for parts in (angle, rate))
+    return Pose(tuple(places), angles), Motion(tuple(motions), rates)  # pyright: ignore
+
+
+def pack(pose: Pose, v: Motion) -> tuple[Array, Array]:
+    """The inverse of `unpack`."""
+    angle, rate = (jnp.stack(parts, axis=-1).reshape(-1) for parts in (pose.angle, v.leg))
+    places = [[*place.position, *place.quat] for place in pose.root]
+    motions = [[*(place.rotation() @ own.linear), *own.angular] for place, own in zip(pose.root, v.root, strict=True)]
+    parts = ((places, angle), (motions, rate))
+    whole = [jnp.concatenate([*base, legs, *chain(*free)]) for (base, *free), legs in parts]
+    return whole[0], whole[1]

@@ -1,0 +1,33 @@
+"""What obstacles have in common that never move."""
+
+from abc import ABC, abstractmethod
+
+import mujoco
+from jaxtyping import Array, Float
+
+from sweep.models.obstacles.geoms import add_solids
+from sweep.models.obstacles.surface import Bodies, FreeState, own_axes
+from sweep.models.solids import Solid
+
+
+class Fixed(ABC):
+    """An obstacle without free bodies: a kind, sizes, solids and a surface are all that it needs to say."""
+
+    free_bodies: tuple[str, ...] = ()
+    contact_sites: tuple[tuple[str, int], ...] = ()
+
+    @abstractmethod
+    def solids(self, bodies: Bodies) -> tuple[Solid, ...]:
+        """What it consists of."""
+
+    def add_to(self, spec: mujoco.MjSpec, friction: float) -> None:
+        """Its solids, as geoms."""
+        add_solids(spec, self.solids(own_axes(0)), friction)
+
+    def leaves(self) -> dict[str, dict[str, Array]]:
+        """Nothing moves."""
+        return {}
+
+    def load(self, free: FreeState) -> Float[Array, "0 6"] | None:
+        """Nothing is loaded."""
+        return None

@@ -1,0 +1,93 @@
+"""Free bodies that touch each other and the world: momentum, restitution, loads, and a rod that leans and slides."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from simulation import simulate
+from touching import Rod, TwoBalls
+
+from sweep.models.contact import Contact
+from sweep.models.scene import GRAVITY
+from sweep.study.config import compose
+
+STEP, SECONDS = 2e-4, 0.8
+COLLIDES, DAMPED, BUMPS, SWINGS = range(4)
+SPEED, DAMPING, SPRING, ASIDE = 0.5, 4e3, 4e4, 0.05
+FIRST, SECOND = slice(24, 27), slice(30, 33)  # of v
+POSITION = 32  # of the second ball's x, in q
+
+
+def restitution(mass: float, damping: float) -> float:
+    """Speed after over speed before, of the law's spring and damper, which push as long as their sum does.
+
+    That is for half a period. The implicit step damps by c_n h more.
+    """
+    stiffness = Contact().stiffness
+    decay = (Contact().damping + damping + stiffness * STEP) / (2 * mass)
+    rate = np.sqrt(stiffness / mass - decay**2)
+    return float(np.exp(-np.pi * decay / rate))
+
+
+@pytest.fixture(scope="module")
+def balls():
+    """The first ball rolls into the second; once more with damping; the second into the wall; and hangs on a spring."""
+    world = TwoBalls(damping=np.array([0.0, DAMPING, DAMPING, 0.0]), spring=np.array([0.0, 0.0, 0.0, SPRING]))  # pyright: ignore
+    nominal = dataclasses.replace(compose([]).case, obstacle=TwoBalls())
+    q, v = np.zeros((4, 39)), np.zeros((4, 36))
+    q[:, 2], q[:, 3], q[:, 28], q[:, 35] = 400.0, 1.0, 1.0, 1.0
+    sag = GRAVITY / nominal.contact.stiffness  # m a kilogram
+    q[:, 25], q[:, 27], q[:, 34] = -1.1, 0.5 - 200 * sag, 0.5 - 400 * sag
+    v[[COLLIDES, DAMPED], 24] = SPEED
+    q[BUMPS, POSITION], v[BUMPS, 30] = 3.4, SPEED
+    q[SWINGS, 25], q[SWINGS, POSITION] = -4.0, ASIDE
+    case = dataclasses.replace(nominal, obstacle=world)
+    return simulate(case, nominal, q, np.zeros((round(SECONDS / STEP), 6, 3)), STEP, v, iterations=4)
+
+
+@pytest.mark.parametrize("row", [COLLIDES, DAMPED])
+def test_balls_collide(balls, row):
+    """Together they keep their momentum; they part as fast as the damper of the contact leaves them."""
+    first, second = balls.v[:, row, FIRST], balls.v[:, row, SECOND]
+    momentum = 200 * first + 400 * second
+    assert np.abs(momentum[:, :2] - [200 * SPEED, 0.0]).max() < 1e-5 * 200 * SPEED
+    wanted = restitution(200 * 400 / 600, DAMPING if row == DAMPED else 0.0)
+    assert (second - first)[-1, 0] / SPEED == pytest.approx(wanted, abs=0.005)
+
+
+def test_ball_leaves_the_wall(balls):
+    """The floor carries it all the while."""
+    assert -balls.v[-1, BUMPS, 30] / SPEED == pytest.approx(restitution(400, DAMPING), abs=0.005)
+    assert np.abs(balls.v[:, BUMPS, 32]).max() < 1e-2 * SPEED
+
+
+def test_load_swings_a_ball_and_its_work_is_counted(balls):
+    """At the frequency of spring and mass; kinetic and potential energy come from the load's work alone."""
+    t = STEP * (1 + np.arange(len(balls.q)))
+    wanted = ASIDE * np.cos(np.sqrt(SPRING / 400) * t)
+    assert np.abs(balls.q[:, SWINGS, POSITION] - wanted).max() < 0.02 * ASIDE
+    work, swung = np.cumsum(balls.work[:-1, SWINGS]), balls.v[:-1, SWINGS, 30]
+    assert np.ptp(work) == pytest.approx(0.5 * SPRING * ASIDE**2, rel=0.02)
+    np.testing.assert_allclose(0.5 * 400 * swung**2, work, atol=0.03 * np.ptp(work))
+
+
+@pytest.fixture(scope="module")
+def rod():
+    """Friction over and under what holds the rod: cot(angle) = 2 f / (1 - f^2)."""
+    angle, length = np.deg2rad(60.0), Rod().length
+    least = np.tan(0.5 * np.arctan(1 / np.tan(angle)))
+    nominal = dataclasses.replace(compose([]).case, obstacle=Rod())
+    contact = dataclasses.replace(nominal.contact, friction=least * np.array([1.2, 0.8]))
+    q = np.zeros((2, 32))
+    q[:, 2], q[:, 3] = 400.0, 1.0
+    q[:, 25], q[:, 27] = -0.5 * length * np.cos(angle), 0.5 * length * np.sin(angle)
+    q[:, 28], q[:, 30] = np.cos(angle / 2), -np.sin(angle / 2)  # its x axis points up and to the wall
+    case = dataclasses.replace(nominal, contact=contact)
+    return simulate(case, nominal, q.astype(np.float32), np.zeros((1000, 6, 3), np.float32), iterations=4)
+
+
+def test_rod_holds_and_slides_at_its_friction(rod):
+    moved = np.abs(rod.q[:, :, 25] - rod.q[:1, :, 25])
+    assert moved[:, 0].max() < 1e-3
+    assert moved[-1, 1] > 0.1
+    assert rod.residual.max() < 1.0
