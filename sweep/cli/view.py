@@ -61,9 +61,13 @@ def parser() -> argparse.ArgumentParser:
     kinds = "DIR ID | group.name=value"
     made.add_argument("what", metavar=kinds, nargs="+", help="a row of a study, or a configuration")
     made.add_argument(
-        "--with", dest="beside", metavar=kinds, nargs="+", default=[],
+        "--with",
+        dest="beside",
+        metavar=kinds,
+        nargs="+",
+        default=[],
         help="a second rollout in step with it: another row, the same of another folder, or other values",
-    )  # fmt: skip
+    )
     made.add_argument("--mujoco", action="store_true", help="MuJoCo's own viewer in place of the page")
     made.add_argument("-o", "--output", type=Path, metavar="FILE", help="the page's file")
     return made
@@ -140,9 +144,14 @@ def fresh(what: list[str], beside: list[str]) -> tuple[Results, list[Shown]]:
         rows.append(row)
     assert exp is not None
     about = {
-        "config": exp.values, "rollouts": len(rows), "stages": stages, "devices": [device(exp.settings)],
-        "code": provenance.code_version(), "commit": provenance.commit(), "versions": provenance.versions(),
-    }  # fmt: skip
+        "config": exp.values,
+        "rollouts": len(rows),
+        "stages": stages,
+        "devices": [device(exp.settings)],
+        "code": provenance.code_version(),
+        "commit": provenance.commit(),
+        "versions": provenance.versions(),
+    }
     table = pd.DataFrame(rows).infer_objects().reset_index(drop=True)
     return Results(Path(exp.scenario), about, exp, table, None, len(rows)), shown
 

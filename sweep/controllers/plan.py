@@ -20,7 +20,7 @@ from sweep.formulas import stepping
 from sweep.models.legs import LEGS
 
 CYCLE_A, CYCLE_B, CYCLE_B_SMOOTH, HALF_ELLIPSE = range(4)  # swings; the third spends its way by lambda_1
-LOCKED, LEVEL, BALANCE = range(3)  # middle legs: as planned; as a flywheel that comes to rest, or that balances
+LOCKED, LEVELLING, BALANCE = range(3)  # middle legs: as planned; as a flywheel that comes to rest, or that balances
 STEADY, SMOOTH, ELLIPTIC = range(3)  # how a body path is spent: by its rates, by lambda_1, as the half-ellipse swing
 
 
@@ -87,7 +87,7 @@ class Flywheel(NamedTuple):
     gains: Gains
 
 
-class Grip(NamedTuple):
+class Feedforward(NamedTuple):
     """Planned foot forces as the drives are told of them, over S stages and K even moments of each."""
 
     offset: Float[Array, "s k 6 3"]  # rad, that the drives turn into the joint torques wanted
@@ -125,7 +125,7 @@ class Plan:
     patience: Float[Array, ""]  # s, that a stage waits for its swing feet to touch down
     posture: Posture | None = None
     flywheel: Flywheel | None = None
-    grip: Grip | None = None
+    feedforward: Feedforward | None = None
     # whether errors are taken back in the plane, with the heading's
     steered: bool = field(default=False, metadata={"static": True})
     # How a stage begins: from footholds and base shifted by the base's error (rezero), from the feet's measured
@@ -165,7 +165,7 @@ def assemble(
     mode = jnp.array([stage.flywheel for stage in stages], jnp.int32)
     flywheel = None if gains is None else Flywheel(mode, jax.tree.map(lambda x: jnp.asarray(x, float), gains))
     return Plan(names=names, start=start, patience=jnp.asarray(patience, float), posture=_postures(stages),
-                flywheel=flywheel, grip=None, steered=steered, onset=onset, **table)  # fmt: skip
+                flywheel=flywheel, feedforward=None, steered=steered, onset=onset, **table)  # fmt: skip
 
 
 def _postures(stages: Sequence[Stage]) -> Posture | None:

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from sweep.controllers import flywheel, grip
+from sweep.controllers import feedforward, flywheel
 from sweep.controllers.frames import to_frame, to_world
 from sweep.controllers.observation import Observation
 from sweep.controllers.observer import Observer, followed
@@ -94,11 +94,19 @@ def init(belief: Case, plan: Plan) -> TrackerState:
     memory = manoeuvre.memory(belief, plan) if isinstance(manoeuvre, Guided) else None
     feet = to_frame(plan.start.feet, plan.foot_frame[0], free)
     return TrackerState(
-        stage=jnp.int32(0), clock=zero, feet=feet,
-        position=_place(to_frame, plan.start.position, plan.base_frame[0], free), error=jnp.zeros(3, zero.dtype),
-        turn=jnp.zeros(3, zero.dtype), joints=joints, origin=joints, finished=jnp.asarray(False), goal=feet,
-        memory=memory, observer=None if memory is None else Observer(free, free),
-    )  # fmt: skip
+        stage=jnp.int32(0),
+        clock=zero,
+        feet=feet,
+        position=_place(to_frame, plan.start.position, plan.base_frame[0], free),
+        error=jnp.zeros(3, zero.dtype),
+        turn=jnp.zeros(3, zero.dtype),
+        joints=joints,
+        origin=joints,
+        finished=jnp.asarray(False),
+        goal=feet,
+        memory=memory,
+        observer=None if memory is None else Observer(free, free),
+    )
 
 
 def step(
@@ -110,8 +118,10 @@ def step(
         observer = followed(state.observer, seen.free, manoeuvre.observer, period)
         state, seen = state._replace(observer=observer), seen._replace(free=observer.second)
     state = _advance(belief, plan, state._replace(clock=state.clock + period), seen, period)
-    if plan.grip is not None:
-        state = state._replace(feet=grip.anchored(belief.robot, plan, plan.grip, state.stage, state.feet, seen, period))
+    if plan.feedforward is not None:
+        state = state._replace(
+            feet=feedforward.anchored(belief.robot, plan, plan.feedforward, state.stage, state.feet, seen, period)
+        )
     phase = jnp.clip(state.clock / plan.duration[state.stage], 0.0, 1.0)
     if isinstance(manoeuvre, Guided):
         begins = (state.stage != old.stage) | ((old.stage == 0) & (old.clock == 0))
@@ -120,8 +130,8 @@ def step(
     else:
         wanted = reference(plan, state.stage, phase, state.feet, state.position)
     target = _in_world(plan, state, wanted, phase, seen.free)
-    if plan.grip is not None:
-        target = target._replace(feet=target.feet + grip.creep(plan, plan.grip, state.stage, state.clock))
+    if plan.feedforward is not None:
+        target = target._replace(feet=target.feet + feedforward.creep(plan, plan.feedforward, state.stage, state.clock))
     joints, shortfall = joint_targets(belief.robot, target)
     joints = _nearest(joints, state.joints)
     if plan.posture is not None:
@@ -131,8 +141,8 @@ def step(
         feet = feet_in_world(belief.robot, target.position, target.quat, joints)
         target = target._replace(feet=jnp.where(held[:, None], feet, target.feet))
     command = Command(joints, target, phase, jnp.max(shortfall))
-    if plan.grip is not None:
-        command = command._replace(joints=joints + grip.offset(plan.grip, state.stage, phase))
+    if plan.feedforward is not None:
+        command = command._replace(joints=joints + feedforward.offset(plan.feedforward, state.stage, phase))
     if plan.flywheel is not None:
         turning, servo = flywheel.order(belief.robot, plan, plan.flywheel, state.stage, seen)
         joints = jnp.where(turning, seen.angles, joints)  # where position mode takes over from
@@ -189,8 +199,8 @@ def _advance(belief: Case, plan: Plan, state: TrackerState, seen: Observation, p
     planned = _place(to_world, plan.position[stage], plan.base_frame[stage], seen.free)
     goal = state.goal if isinstance(belief.manoeuvre, Guided) else plan.foothold[stage]
     feet = to_world(jnp.where(plan.swing[stage][:, None], goal, state.feet), plan.foot_frame[stage], seen.free)
-    if plan.grip is not None:
-        feet = feet + grip.creep(plan, plan.grip, stage, state.clock)
+    if plan.feedforward is not None:
+        feet = feet + feedforward.creep(plan, plan.feedforward, stage, state.clock)
     error, turn = jnp.zeros_like(planned), state.turn
     if plan.onset == "rezero":
         feet, error, turn = _with_error(plan, state, seen, feet, planned)
@@ -238,7 +248,7 @@ def _with_error(
     if plan.steered:
         error, turn = error.at[2].set(0.0), jnp.zeros(3).at[2].set(heading(off))
     moved = planned + error + rotate(exponential(turn)[None], feet - planned)
-    if plan.grip is not None:  # feet that are anchored where they are need not be moved
+    if plan.feedforward is not None:  # feet that are anchored where they are need not be moved
         moved = feet
     known = _balancing(plan, state.stage)
     return jnp.where(known, feet, moved), jnp.where(known, state.error, error), jnp.where(known, state.turn, turn)

@@ -17,8 +17,8 @@ from sweep.dynamics import interface as dynamics
 from sweep.dynamics.step import State, rest
 from sweep.engines import batching, devices, physics, program_cache
 from sweep.engines.base import Figures, Trace
-from sweep.engines.batch_last import lanes
-from sweep.engines.closed_loop import GRACE, Pilot, decide, embark, is_quiet, measure, most_ticks, start_state
+from sweep.engines.batch_last import batch_last_vmap
+from sweep.engines.closed_loop import GRACE, ClosedLoop, act, init, is_quiet, measure, most_ticks, start_state
 from sweep.engines.settings import EngineSettings
 from sweep.metrics import stream
 from sweep.metrics.outcome import Thresholds
@@ -32,7 +32,7 @@ class Carry(NamedTuple):
     """One rollout between two control ticks."""
 
     state: State
-    pilot: Pilot
+    loop: ClosedLoop
 
 
 class Programs(NamedTuple):
@@ -112,7 +112,7 @@ class Mjx:
                 carry, record = programs.chunk(world, belief, plans, carry, tick, slot)
                 records.append(jax.tree.map(lambda x, tick=tick: keep(np.asarray(x), tick), record))
                 # on the host: among devices it would take their collective operations, which can hang
-                over = np.asarray(carry.pilot.running.over)
+                over = np.asarray(carry.loop.running.over)
                 if np.all(over if slot is None else over[slot]):
                     break
             figures = {name: np.asarray(values) for name, values in programs.finish(world, plans, carry).items()}
@@ -180,7 +180,7 @@ class Mjx:
     def _chunk(self, axes: tuple[Case, Case], quiet: bool, what: Recorded) -> Callable:
         """A second of the batch that a device has, of which the rollout in a slot or all may be recorded."""
         local = self.width // self._mesh.size
-        tick = lanes(partial(self._tick, quiet=quiet), (*_last(axes), -1, -1, None), devices.kept_from())
+        tick = batch_last_vmap(partial(self._tick, quiet=quiet), (*_last(axes), -1, -1, None), devices.reuse_from())
 
         def chunk(world: Case, belief: Case, plans: Plan, carry: Carry, first: Array, slot: Array | None) -> Any:
             world, belief, plans, carry = _batch_last((world, belief, plans, carry))
@@ -203,21 +203,21 @@ class Mjx:
         start = start_state(world, belief, plan)
         state = rest(self.topology, start.qpos)._replace(v=start.qvel)
         energy = self.physics.energy(world, state)
-        return plan, Carry(state, embark(world, belief, plan, start, energy, key))
+        return plan, Carry(state, init(world, belief, plan, start, energy, key))
 
     def _finish(self, world: Case, plan: Plan, carry: Carry) -> dict[str, Array]:
-        return stream.figures(world, plan, carry.pilot.running, carry.pilot.tracker.stage)
+        return stream.figures(world, plan, carry.loop.running, carry.loop.tracker.stage)
 
     def _tick(
         self, world: Case, belief: Case, plan: Plan, carry: Carry, tick: Array, quiet: bool
     ) -> tuple[Carry, dict[str, Array]]:
         period = self.settings.control_period
-        old = carry.pilot.servo
-        pilot, command = decide(world, belief, plan, carry.pilot, tick, period, quiet)
-        state, summary = self.physics.advance(world, carry.state, old, pilot.servo, tick)
-        pilot = measure(world, plan, self.limits, pilot, command, summary, tick, period)
-        record = batching.record(command, pilot.tracker, summary, state.q, state.v)
-        return Carry(state, pilot), record
+        old = carry.loop.servo
+        loop, command = act(world, belief, plan, carry.loop, tick, period, quiet)
+        state, summary = self.physics.advance(world, carry.state, old, loop.servo, tick)
+        loop = measure(world, plan, self.limits, loop, command, summary, tick, period)
+        record = batching.record(command, loop.tracker, summary, state.q, state.v)
+        return Carry(state, loop), record
 
 
 def _last(axes: Any) -> Any:

@@ -23,8 +23,14 @@ UNIT = 1e-4  # of a quaternion's numbers
 INT16, LEVELS = 2**15 - 1, 63  # of a state at most; of a force on either side of zero
 DIGITS = 4  # of lengths (m) and directions of bodies and geoms
 Kind = mujoco.mjtGeom
-SHAPES = {Kind.mjGEOM_PLANE: "plane", Kind.mjGEOM_SPHERE: "sphere", Kind.mjGEOM_CAPSULE: "capsule",
-          Kind.mjGEOM_CYLINDER: "cylinder", Kind.mjGEOM_BOX: "box", Kind.mjGEOM_MESH: "mesh"}  # fmt: skip
+SHAPES = {
+    Kind.mjGEOM_PLANE: "plane",
+    Kind.mjGEOM_SPHERE: "sphere",
+    Kind.mjGEOM_CAPSULE: "capsule",
+    Kind.mjGEOM_CYLINDER: "cylinder",
+    Kind.mjGEOM_BOX: "box",
+    Kind.mjGEOM_MESH: "mesh",
+}
 
 
 def motion(trace: Trace) -> dict[str, Any]:
@@ -56,8 +62,12 @@ def thinned(kept: dict[str, Any], every: int) -> dict[str, Any]:
     small = read_planes(content[2 * frames * columns :], frames, np.dtype(np.int8))
     every = min(every, frames)
     chosen = slice(every - 1, None, every)
-    return {**kept, "step": kept["step"] * every, "frames": frames // every,
-            "states": packed(states[chosen], small[chosen])}  # fmt: skip
+    return {
+        **kept,
+        "step": kept["step"] * every,
+        "frames": frames // every,
+        "states": packed(states[chosen], small[chosen]),
+    }
 
 
 def packed(states: np.ndarray, small: np.ndarray) -> str:

@@ -40,10 +40,16 @@ def data(results: Results, chosen: tuple[str, ...] = ()) -> dict[str, Any]:
     coded = [code(rows[c], bits) for c in (*axes, *figures)]
     judged = thresholds(results)
     columns = [
-        {"key": c, **words(c, results), "axis": c in axes, "drawn": c not in (*results.listed, *results.named),
-         "limit": judged.get(c), **about}
+        {
+            "key": c,
+            **words(c, results),
+            "axis": c in axes,
+            "drawn": c not in (*results.listed, *results.named),
+            "limit": judged.get(c),
+            **about,
+        }
         for c, (about, _) in zip((*axes, *figures), coded, strict=True)
-    ]  # fmt: skip
+    ]
     stages = [*results.stages, *sorted(set(rows["stage"].astype(str)) - {*results.stages, ""})]
     kind = codes_of(rows, kinds).astype(np.uint8)
     stage = pd.Index(stages).get_indexer(pd.Index(rows["stage"].astype(str))).astype(np.uint8) + np.uint8(
@@ -64,7 +70,7 @@ def data(results: Results, chosen: tuple[str, ...] = ()) -> dict[str, Any]:
         "one_at_a_time": results.one_at_a_time,
         "start": [c for c in (*chosen, *first_axes(results)) if c in (*axes, *figures)][:2],
         "theory": list(curves(results, rows)),
-        "mesh": mesh(results) if len(rows) == len(results.rows) else None,
+        "refined_cells": refined_cells(results) if len(rows) == len(results.rows) else None,
         "densities": list(densities(results, kinds)) if len(rows) < len(results.rows) else [],
     }
 
@@ -171,11 +177,16 @@ def curves(results: Results, rows: pd.DataFrame) -> Any:
         for of in [c for c in results.numeric if side_and_path(c)[1] == theory.of]:
             for along in [c for c in results.numeric if c != of]:
                 found = limits.curve(theory, results.exp, rows, along)
-                yield {"label": theory.label, "of": of, "along": along,
-                       "at": found["along"].tolist(), "limit": found["limit"].tolist()}  # fmt: skip
+                yield {
+                    "label": theory.label,
+                    "of": of,
+                    "along": along,
+                    "at": found["along"].tolist(),
+                    "limit": found["limit"].tolist(),
+                }
 
 
-def mesh(results: Results) -> dict[str, Any] | None:
+def refined_cells(results: Results) -> dict[str, Any] | None:
     """The cells that refinement over two parameters ended with: the rows at the corners of each, four a cell."""
     study = results.exp.study
     if not study.resolution:
@@ -203,8 +214,15 @@ def densities(results: Results, kinds: list[dict[str, Any]]) -> Any:
     for x, y in pairs:
         (i, wide, x_ends), (j, high, y_ends) = binned(results.rows[x]), binned(results.rows[y])
         counts = np.bincount((kind * high + j) * wide + i, minlength=len(kinds) * high * wide)
-        yield {"x": x, "y": y, "wide": wide, "high": high, "x_ends": x_ends, "y_ends": y_ends,
-               "block": packed(counts.astype("<u4").view(np.uint8).reshape(-1, 4).T.tobytes())}  # fmt: skip
+        yield {
+            "x": x,
+            "y": y,
+            "wide": wide,
+            "high": high,
+            "x_ends": x_ends,
+            "y_ends": y_ends,
+            "block": packed(counts.astype("<u4").view(np.uint8).reshape(-1, 4).T.tobytes()),
+        }
 
 
 def binned(values: pd.Series) -> tuple[np.ndarray, int, list[float]]:

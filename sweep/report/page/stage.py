@@ -53,14 +53,16 @@ def stage_directions(results: Results, shown: Iterable[Shown], room: int) -> Rep
             continue
         bodies = json.dumps(replay["bodies"], separators=(",", ":"))
         streams.append(replay["states"])
-        about.append({
-            **{name: replay[name] for name in TOLD},
-            "model": models.setdefault(bodies, len(models)),
-            "row": places.get(place, -1),
-            "point": row["point_id"],
-            "kind": str(row["cause"]) if row["outcome"] != "success" else "success",
-            "title": title,
-        })  # fmt: skip
+        about.append(
+            {
+                **{name: replay[name] for name in TOLD},
+                "model": models.setdefault(bodies, len(models)),
+                "row": places.get(place, -1),
+                "point": row["point_id"],
+                "kind": str(row["cause"]) if row["outcome"] != "success" else "success",
+                "title": title,
+            }
+        )
     return Replays(about, streams, packed(f"[{','.join(models)}]".encode()), left_out)
 
 
