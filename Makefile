@@ -2,6 +2,9 @@
 PYTHON ?= $(shell for p in python3.12 python3.13 python3; do \
   $$p -c 'import sys; sys.exit(not (3, 12) <= sys.version_info[:2] < (3, 14))' 2>/dev/null && echo $$p && break; done)
 BIN := .venv/bin
+# the page's script is checked where npm is; its tests run in a browser, where there is one
+SCRIPT = @if npx --yes --package=$(1) $(2) --version >/dev/null 2>&1; then npx --yes --package=$(1) $(2) $(3); \
+  else echo "npx has no $(1) here: the page's script is not checked by $(2)"; fi
 
 .PHONY: demo baseline test slow lint types docs setup clean
 
@@ -27,9 +30,11 @@ slurm: setup
 lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(call SCRIPT,prettier@3.10.1,prettier,--check sweep/report/page)
 
 types: setup
 	$(BIN)/pyright
+	$(call SCRIPT,typescript@5.9,tsc,-p sweep/report/page)
 
 docs: setup  # build/site: all pages and the reference, links checked
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build -q

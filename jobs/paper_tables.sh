@@ -7,6 +7,6 @@ out=${1:-results/paper}
 studies=("${@:2}")
 for study in "${studies[@]:-walk_map}"; do
   sweep run study="$study" out="$out/$study"
-  sweep report "$out/$study" --pictures
+  sweep report "$out/$study" --replays 60 --pictures
   sweep export "$out/$study" --paper "$out/$study/paper"
 done

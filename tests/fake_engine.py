@@ -4,6 +4,7 @@ import os
 import signal
 import sys
 import time
+from dataclasses import replace
 
 import numpy as np
 from faultless import faultless
@@ -54,6 +55,14 @@ class FakeEngine:
         samples = np.tile(time[:, None, None], (1, len(slots), len(watch.columns)))
         broken = np.isnan(figures["tilt_max_deg"][slots]) & (time[:, None] > self.duration / 2)
         return figures, np.where(broken[..., None], np.nan, samples)
+
+    def traces(self, world, belief, streams, every):
+        """The same motion for every row, with the figures that it has."""
+        from moved import moved
+
+        figures, trace = self.run(world, belief, streams), moved()
+        rows = [{name: values[slot] for name, values in figures.items()} for slot in range(self.width)]
+        return [replace(trace, stages=self.stages, figures=row) for row in rows]
 
 
 def install():

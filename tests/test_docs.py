@@ -15,6 +15,7 @@ import pytest
 from fake_engine import FakeEngine
 
 from sweep.cli import main as cli
+from sweep.cli import view
 from sweep.study.config import compose
 from sweep.trace import replay
 
@@ -80,6 +81,8 @@ def test_every_command_of_a_page_works(page, fake_engine, monkeypatch, tmp_path,
         try:
             if words[0] == "replay":
                 code = replay._parser().parse_args(words[1:]) and 0
+            elif words[0] == "view":
+                code = view.parser().parse_args(words[1:]) and 0
             elif words[0] == "bench":
                 code = cli.parser().parse_args(words) and 0
             else:

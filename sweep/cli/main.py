@@ -48,7 +48,7 @@ def main(argv: list[str] | None = None) -> int:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     # these parse their own arguments
-    whole: dict[str, Callable[[list[str]], int]] = {"run": run, "replay": replay, "formula": formula}
+    whole: dict[str, Callable[[list[str]], int]] = {"run": run, "view": view, "replay": replay, "formula": formula}
     try:
         if args and args[0] in whole:
             return whole[args[0]](args[1:])
@@ -126,6 +126,9 @@ def parser() -> argparse.ArgumentParser:
     report.add_argument("--x", help="parameter along the map")
     report.add_argument("--y", help="parameter up the map")
     report.add_argument("--where", help="only rows that match")
+    report.add_argument(
+        "--replays", type=int, default=0, metavar="N", help="simulate the N most telling rollouts again"
+    )
     report.add_argument("--pictures", action="store_true", help="simulate typical rollouts again for their pictures")
     report.add_argument("-o", "--output", type=Path, help="folder for page and map instead of DIR")
     export = of_results("export", export_results, "a study for others' programs")
@@ -167,6 +170,7 @@ def parser() -> argparse.ArgumentParser:
     bench.add_argument("--rollouts", type=int, default=0, help="of each row; 0: one batch")
     bench.add_argument("--width", type=int, default=0, help="rollouts in a batch; 0: the device's best")
     bench.add_argument("--rows", nargs="+", choices=BENCH, default=list(BENCH), help="bare is physics alone")
+    command("view", lambda _: DONE, "watch a rollout on its page; " + delegated.format("view"))
     command("replay", lambda _: DONE, "record one rollout of a study again; " + delegated.format("replay"))
     command("formula", lambda _: DONE, "evaluate a closed-form result of the sources; " + delegated.format("formula"))
     return top
@@ -238,6 +242,13 @@ def replay(argv: list[str]) -> int:
     from sweep.trace import replay as recorder
 
     return recorder.main(argv)
+
+
+def view(argv: list[str]) -> int:
+    """`sweep view DIR ID`, `sweep view scenario=NAME`."""
+    from sweep.cli import view as command
+
+    return command.main(argv)
 
 
 def formula(argv: list[str]) -> int:
@@ -340,17 +351,30 @@ def show_statistics(given: argparse.Namespace) -> int:
 
 def draw_report(given: argparse.Namespace) -> int:
     """The page, and the success map where there are two parameters to draw it over."""
-    from sweep.report import maps, page, typical
+    from sweep.core.expressions import column
+    from sweep.core.waiting import waiting
+    from sweep.report import chosen, maps, page, replays, typical
     from sweep.runs import results
 
     found, folder = results.read(given.dir, given.where), given.output or given.dir
-    chosen = tuple(name for name in (given.x, given.y) if name)
-    if chosen:
-        maps.map_axes(found.rows, chosen)  # refuses before anything is written
+    columns = tuple(column(found.rows, name) for name in (given.x, given.y) if name)
+    if columns:
+        maps.map_axes(found.rows, columns)  # refuses before anything is written
     if given.pictures:
         typical.draw(found)
-    print(page.write(found, folder / "report.html"))
-    for path in pictures(found, folder, chosen):
+    if given.replays < 0:
+        raise InputError(f"--replays = {given.replays} is not allowed: at least 0")
+    if given.replays:
+        made, number = 0, given.replays
+
+        def report(done: int, of: int) -> None:
+            nonlocal made, number
+            made, number = done, of
+
+        with waiting(lambda: f"{made} of {number} rollouts simulated again"):
+            replays.make(found, chosen.chosen(found, given.replays), report)
+    print(page.write(found, folder / "report.html", columns))
+    for path in pictures(found, folder, columns):
         print(path)
     return DONE
 

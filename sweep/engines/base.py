@@ -14,7 +14,7 @@ Figures = dict[str, np.ndarray]  # column name (with its unit) -> one number per
 
 @dataclass(frozen=True)
 class Trace:
-    """One rollout, sampled at the end of every control tick. World axes, SI units; F = frames."""
+    """One rollout, sampled at the end of every control tick, or of one in several. World axes, SI units; F = frames."""
 
     world: Case  # as it was, plain numbers
     belief: Case  # as the planner was told
@@ -65,4 +65,8 @@ class Engine(Protocol):
 
     def trace(self, world: Case, belief: Case, streams: np.ndarray, slot: int) -> Trace:
         """The rollout in `slot` of a batch, recorded."""
+        ...
+
+    def traces(self, world: Case, belief: Case, streams: np.ndarray, every: int) -> list[Trace]:
+        """All rollouts of a batch, recorded at one in `every` ticks; the batch runs once."""
         ...

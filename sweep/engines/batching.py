@@ -9,7 +9,7 @@ from sweep.controllers.plan import Plan
 from sweep.controllers.tracker import Command, TrackerState
 from sweep.core.parameters import InputError
 from sweep.dynamics.step import Limits
-from sweep.engines.base import Trace
+from sweep.engines.base import Figures, Trace
 from sweep.engines.settings import EngineSettings
 from sweep.metrics.metric import Tick
 from sweep.models import scene
@@ -85,12 +85,25 @@ def record(command: Command, state: TrackerState, tick: Tick, q: Array, v: Array
     }
 
 
-def to_trace(
-    world: Case, belief: Case, record: dict[str, np.ndarray], period: float, stages: tuple[str, ...], figures: dict
-) -> Trace:
-    """The records of one rollout, whose parameters are plain numbers, up to its end."""
-    frames = min(round(float(figures["duration_s"]) / period), len(record["stage"]))  # the sum of many ticks is rough
-    kept = {key: value[:frames] for key, value in record.items()}
-    time = period * (1 + np.arange(frames))
-    model = scene.compile_model(world)
-    return Trace(world=world, belief=belief, model=model, time=time, stages=stages, figures=figures, **kept)
+def to_traces(
+    cases: tuple[Case, Case],
+    slots: np.ndarray,
+    figures: Figures,
+    records: dict[str, np.ndarray],
+    stages: tuple[str, ...],
+    tick: float,
+    every: int,
+) -> list[Trace]:
+    """The rollouts in `slots` of a batch, of world and belief `cases`, each up to its end.
+
+    `records` (samples, slots, ...) are of one in `every` control ticks of `tick` seconds.
+    """
+    traces = []
+    for place, slot in enumerate(slots):
+        world, belief = (pick(case, slot) for case in cases)
+        row = {name: values[slot] for name, values in figures.items()}
+        samples = round(float(row["duration_s"]) / tick) // every  # the sum of many ticks is rough
+        kept = {name: values[:samples, place] for name, values in records.items()}
+        time, model = every * tick * (1 + np.arange(len(kept["stage"]))), scene.compile_model(world)
+        traces.append(Trace(world=world, belief=belief, model=model, time=time, stages=stages, figures=row, **kept))
+    return traces

@@ -73,26 +73,35 @@ class Mjx:
     @devices.memory()
     def run(self, world: Case, belief: Case, streams: np.ndarray) -> Figures:
         """Figures of `width` rollouts; stops early when every rollout is over."""
-        return self._simulate(world, belief, streams, None, None)[0]
+        return self._simulate(world, belief, streams)[0]
 
     @devices.memory()
     def histories(
         self, world: Case, belief: Case, streams: np.ndarray, slots: np.ndarray, watch: Watch
     ) -> tuple[Figures, np.ndarray]:
         """See `Engine`."""
-        figures, parts = self._simulate(world, belief, streams, slots, watch)
+        figures, parts = self._simulate(world, belief, streams, slots, watch.every, watch.most, watch)
         return figures, np.concatenate([np.zeros((0, len(slots), len(watch.columns)), np.float32), *parts])
 
     def _simulate(
-        self, world: Case, belief: Case, streams: np.ndarray, slots: np.ndarray | None, watch: Watch | None
+        self,
+        world: Case,
+        belief: Case,
+        streams: np.ndarray,
+        slots: np.ndarray | None = None,
+        every: int = 1,
+        most: int = 1,
+        watch: Watch | None = None,
     ) -> tuple[Figures, list[Any]]:
-        """Figures of the batch, and what is recorded in each chunk of ticks of the rollouts in `slots`, if any."""
+        """Figures of the batch, and of the rollouts in `slots`, if any, what is recorded in each chunk of ticks.
+
+        That is one in `every` ticks: all there is of them, or what is to be watched. Room is made for `most` slots.
+        """
         with devices.precision(self.settings):
-            room = 0 if slots is None else min(self._local, watch.most if watch else 1)
-            kept, places = (None, slots) if slots is None else self._kept(slots, room)
+            kept, places = (None, slots) if slots is None else self._kept(slots, min(self._local, most))
             (world, belief, keys), programs = self._prepare(world, belief, streams, kept, watch)
             plans, carry = programs.start(world, belief, keys)
-            records, every = [], watch.every if watch else 1
+            records = []
             for tick in range(0, most_ticks(plans, self.settings.control_period), self._chunk_ticks):
                 carry, record = programs.chunk(world, belief, plans, carry, tick, kept)
                 first = (every - 1 - tick) % every
@@ -106,11 +115,17 @@ class Mjx:
 
     def trace(self, world: Case, belief: Case, streams: np.ndarray, slot: int) -> Trace:
         """The rollout in `slot`, simulated in its batch so that its numbers are those of `run`."""
-        one = batching.pick(world, slot), batching.pick(belief, slot)
-        figures, records = self._simulate(world, belief, streams, np.array([slot]), None)
-        record = jax.tree.map(lambda *parts: np.concatenate(parts)[:, 0], *records)
-        row = {name: values[slot] for name, values in figures.items()}
-        return batching.to_trace(*one, record, self.settings.control_period, self.stages, row)
+        return self._traces(world, belief, streams, np.array([slot]), 1)[0]
+
+    def traces(self, world: Case, belief: Case, streams: np.ndarray, every: int) -> list[Trace]:
+        """See `Engine`."""
+        return self._traces(world, belief, streams, np.arange(self.width), every)
+
+    def _traces(self, world: Case, belief: Case, streams: np.ndarray, slots: np.ndarray, every: int) -> list[Trace]:
+        figures, parts = self._simulate(world, belief, streams, slots, every, len(slots))
+        records = jax.tree.map(lambda *each: np.concatenate(each), *parts)
+        tick = self.settings.control_period
+        return batching.to_traces((world, belief), slots, figures, records, self.stages, tick, every)
 
     @property
     def _local(self) -> int:

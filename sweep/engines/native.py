@@ -121,11 +121,17 @@ class Native:
 
     def trace(self, world: Case, belief: Case, streams: np.ndarray, slot: int) -> Trace:
         """The rollout in `slot`."""
-        figures, records = self._simulate(world, belief, streams, np.array([slot]))
-        record = {key: np.stack([r[key][0] for r in records]) for key in records[0]}
-        one = batching.pick(world, slot), batching.pick(belief, slot)
-        row = {name: values[slot] for name, values in figures.items()}
-        return batching.to_trace(*one, record, self.settings.control_period, self.stages, row)
+        return self._traces(world, belief, streams, np.array([slot]), 1)[0]
+
+    def traces(self, world: Case, belief: Case, streams: np.ndarray, every: int) -> list[Trace]:
+        """See `Engine`."""
+        return self._traces(world, belief, streams, np.arange(self.width), every)
+
+    def _traces(self, world: Case, belief: Case, streams: np.ndarray, slots: np.ndarray, every: int) -> list[Trace]:
+        figures, parts = self._simulate(world, belief, streams, slots, every)
+        records = {name: np.stack([part[name] for part in parts]) for name in parts[0]}
+        tick = self.settings.control_period
+        return batching.to_traces((world, belief), slots, figures, records, self.stages, tick, every)
 
     def _simulate(
         self, world: Case, belief: Case, streams: np.ndarray, slots: np.ndarray | None, every: int = 1

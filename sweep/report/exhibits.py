@@ -201,7 +201,7 @@ def _draw_causes(table: pd.DataFrame) -> Figure:
 
 def distributions(results: Results) -> Iterator[Exhibit]:
     """Histograms of what was measured: of the figures that outcomes are judged by, then of the others."""
-    names = _telling(results)
+    names = judged_first(results)[:HISTOGRAMS]
     if not names:
         return
     tables = []
@@ -252,24 +252,24 @@ def _span(values: pd.Series) -> tuple[float, float]:
     return max(start, 0.0) if low >= 0 else start, high + 0.05 * (high - low)
 
 
-def limits(results: Results) -> dict[str, float]:
+def thresholds(results: Results) -> dict[str, float]:
     """Thresholds by the figure that they are for."""
     given = {cause.figure: limit_of(cause, results.exp.thresholds) for cause in CAUSES if cause.threshold}
     return {name: value for name, value in given.items() if name in results.rows}
 
 
-def _telling(results: Results) -> list[str]:
+def judged_first(results: Results) -> list[str]:
     """Figures that differ between rollouts, those with a threshold first."""
-    judged = limits(results)
+    judged = thresholds(results)
     names = [c for c in figure_columns(results.rows) if c not in BOOKKEEPING and results.rows[c].dtype.kind == "f"]
     names = [c for c in names if results.rows[c].max() > results.rows[c].min()]
-    return sorted(names, key=lambda c: c not in judged)[:HISTOGRAMS]
+    return sorted(names, key=lambda c: c not in judged)
 
 
 def _draw_distributions(results: Results, data: pd.DataFrame) -> Figure:
     names = list(dict.fromkeys(data["figure"]))
     figure, spots = _panels(len(names), columns=3, height=2.0)
-    judged = limits(results)
+    judged = thresholds(results)
     looks: dict[str, Any] = {
         "success": {"color": SUCCESS, "edgecolor": "#0072B2"},
         "failure": {"color": "#D55E00", "hatch": "\\\\\\", "edgecolor": "black"},

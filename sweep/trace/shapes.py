@@ -84,7 +84,8 @@ def _shapes(model: mujoco.MjModel, data: mujoco.MjData, geom: int, moving: bool)
     else:
         position, orientation = data.geom_xpos[geom], np.empty(4)
         mujoco.mju_mat2Quat(orientation, data.geom_xmat[geom])
-    color, size, kind = _color(model, geom), model.geom_size[geom], Geom(model.geom_type[geom])
+    r, g, b, a = geom_color(model, geom)
+    color, size, kind = Color(r=r, g=g, b=b, a=a), model.geom_size[geom], Geom(model.geom_type[geom])
 
     def pose(along_z: float = 0.0) -> Pose:
         offset = np.empty(3)
@@ -117,14 +118,13 @@ def _shapes(model: mujoco.MjModel, data: mujoco.MjData, geom: int, moving: bool)
             raise ValueError(f"no Foxglove primitive for a geom of type {kind.name}")
 
 
-def _color(model: mujoco.MjModel, geom: int) -> Color:
+def geom_color(model: mujoco.MjModel, geom: int) -> tuple[float, ...]:
+    """Red, green, blue and opacity of a geom, a texture as its mean: primitives have one colour."""
     material = int(model.geom_matid[geom])
-    r, g, b, a = (model.geom_rgba[geom] if material < 0 else _material_rgba(model, material)).tolist()
-    return Color(r=r, g=g, b=b, a=a)
+    return tuple((model.geom_rgba[geom] if material < 0 else _material_rgba(model, material)).tolist())
 
 
 def _material_rgba(model: mujoco.MjModel, material: int) -> np.ndarray:
-    """Colour of a material (4,), a texture as its mean: primitives have one colour."""
     rgba = model.mat_rgba[material].astype(float)
     texture = int(model.mat_texid[material, mujoco.mjtTextureRole.mjTEXROLE_RGB])
     if texture >= 0:

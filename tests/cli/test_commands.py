@@ -12,6 +12,8 @@ SMALL = ["study=walk_map", "study.axes.friction.num=4", "study.axes.step.num=3"]
 
 @pytest.fixture(autouse=True)
 def in_an_empty_folder(fake_engine, monkeypatch, tmp_path):
+    for screen in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(screen, raising=False)
     monkeypatch.chdir(tmp_path)
 
 
@@ -152,8 +154,8 @@ def test_draws_have_a_picture_of_their_own(capsys, tmp_path):
     assert main(["run", "study.name=few", *axes]) == 0
     assert main(["report", "results/few"]) == 0
     assert {"report.html", "draws.png", "draws.svg"} <= {path.name for path in (tmp_path / "results/few").iterdir()}
-    page = (tmp_path / "results/few/report.html").read_text()
-    assert 'aria-label="Draws"' in page
+    page = (tmp_path / "results/few/report.html").read_text().partition("<script")[0]
+    assert 'alt="Draws"' in page
     assert "bins" not in page  # of which 12 draws would leave most empty
     assert main(["report", "results/few", "--x", "friction", "--y", "body_mass"]) == 0
 
@@ -206,3 +208,27 @@ def test_mistakes_with_results_are_one_line_each(capsys, tmp_path):
         error = capsys.readouterr().err
         assert message in error
         assert error.count("\n") == 1
+
+
+def test_rollouts_are_replayed_on_the_page_and_watched(capsys, tmp_path):
+    assert main(["run", *SMALL, "study.expect=[]"]) == 0
+    assert main(["report", "results/walk_map", "--replays", "5"]) == 0
+    kept = {file.stem.partition("-")[2] for file in (tmp_path / "results/walk_map/replays").iterdir()}
+    assert len(kept) == 5
+    page = (tmp_path / "results/walk_map/report.html").read_text()
+    assert all(f'"point":"{point}"' in page for point in kept)
+    assert main(["view", "results/walk_map", "3", "--with", "7", "-o", "two.html"]) == 0
+    assert '"open":2' in (tmp_path / "two.html").read_text()
+    assert main(["view", "scenario=walk_tripod", "--with", "contact.friction=0.3"]) == 0
+    page = (tmp_path / "results/view/walk_tripod.html").read_text()
+    assert "contact.friction=0.3: <strong>fell</strong>" in page
+    capsys.readouterr()
+    refused = {
+        "study=walk_map": "walk_map is a study",
+        "results/walk_map": "add a row number",
+        "results/walk_map 999": "is not a point",
+        "--mujoco robot=base": "needs a screen",
+    }
+    for words, error in refused.items():
+        assert main(["view", *words.split()]) == 2
+        assert error in capsys.readouterr().err

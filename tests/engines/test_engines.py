@@ -184,3 +184,21 @@ def test_a_trace_is_the_run(mjx, world, nominal, figures):
     assert len(trace.time) == len(trace.qpos) == round(figures["duration_s"][NOISY] / 4e-3)
     weight = np.sum(trace.foot_force[:, :, 2], axis=1).mean()
     assert weight == pytest.approx(16 * GRAVITY, rel=0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["mjx", "native"])
+def test_all_rollouts_of_a_batch_are_recorded_as_one_is(name, mjx, world, nominal):
+    belief = replace(nominal, obstacle={"slope": world.obstacle.slope})
+    engine, cases, streams, slot = mjx, (world, belief), STREAMS, NOISY
+    if name == "native":
+        settings = dataclasses.replace(compose(WALK).settings, name="native", width=2)
+        engine = Native(settings, nominal, nominal, Thresholds())
+        cases, streams, slot = (nominal, nominal), np.zeros(2, int), 1
+    one, every = engine.trace(*cases, streams, slot), engine.traces(*cases, streams, 25)
+    assert len(every) == len(streams)
+    again = every[slot]
+    assert again.time == pytest.approx(one.time[24::25])
+    for field in ("qpos", "foot_force", "joint_torque", "stage"):
+        assert np.array_equal(getattr(again, field), getattr(one, field)[24::25]), field
+    assert all(np.array_equal(again.figures[k], one.figures[k], equal_nan=True) for k in one.figures)

@@ -1,9 +1,21 @@
 import fake_engine
 import pytest
+from moved import moved
 
 import sweep.engines
 from sweep.cli.main import main
-from sweep.runs import batches
+from sweep.report import replays
+from sweep.runs import batches, results
+
+
+def simulated(out, *overrides):
+    """A study of the fake engine in the folder `out`; the exit status of the command."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sweep.engines, "make", fake_engine.FakeEngine)
+        batches.forget_engine()
+        status = main(["run", "study=walk_map", "study.expect=[]", *overrides, f"out={out}"])
+        batches.forget_engine()
+    return status
 
 
 @pytest.fixture(scope="session")
@@ -12,10 +24,16 @@ def folder(tmp_path_factory):
     out = tmp_path_factory.mktemp("study")
     axes = ["study.axes.friction.values=[0.1,0.3,0.5,0.7,0.9,7.0]", "study.axes.step.num=5",
             "+study.axes.damping={path: drive.damping, values: [500.0, 514.26, 530.0]}"]  # fmt: skip
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sweep.engines, "make", fake_engine.FakeEngine)
-        batches.forget_engine()
-        rest = ["study.expect=[]", "noise.position_noise=0.001", "study.replicates=2", "engine.width=60", f"out={out}"]
-        assert main(["run", "study=walk_map", *axes, *rest]) == 3
-        batches.forget_engine()
+    assert simulated(out, *axes, "noise.position_noise=0.001", "study.replicates=2", "engine.width=60") == 3
+    return out
+
+
+@pytest.fixture(scope="session")
+def wide(tmp_path_factory):
+    """A map of 16,384 rollouts of the fake engine, of which some have a replay that was moved by hand."""
+    out = tmp_path_factory.mktemp("wide")
+    assert simulated(out, "study.axes.friction.num=128", "study.axes.step.num=128", "engine.width=8192") == 0
+    rows, trace = results.read(out).rows, moved("scenario=pole_climb")
+    for place in range(64, len(rows), 1000):
+        replays.keep(out, rows.iloc[place], trace)
     return out

@@ -1,18 +1,18 @@
-import json
 import re
-import shutil
-import subprocess
+from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 from matplotlib.collections import PolyCollection
+from moved import moved
 
 from sweep.cli.main import main
-from sweep.report import page, slices, typical
+from sweep.report import chosen, page, replays, slices, typical
+from sweep.report.page import data, stage
 from sweep.runs import results, store
 from sweep.study.config import compose
-
-BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+from sweep.trace import motion
 
 
 @pytest.fixture(scope="module")
@@ -22,8 +22,9 @@ def html(folder):
 
 
 def test_the_page_needs_nothing_from_elsewhere(html):
-    assert "<script" not in html
-    links = re.findall(r"""(?:src|href)=["']([^"']+)|url\(["']?([^"')]+)|@import\s+(\S+)""", html)
+    assert html.count("<script") == 3  # data, the page's own script, and states of replays
+    outside = re.sub(r"<script.*?</script>", "", html, flags=re.DOTALL)
+    links = re.findall(r"""(?:src|href)=["']([^"']+)|url\(["']?([^"')]+)|@import\s+(\S+)""", outside)
     targets = {next(filter(None, link)) for link in links}
     assert targets
     assert all(target.startswith(("#", "data:")) for target in targets)
@@ -45,27 +46,6 @@ def test_the_page_says_what_was_run_and_what_came_of_it(html, folder):
     for cause in ("fell", "not_finite"):
         (point,) = re.findall(rf"sweep replay \S+ (\w+) --mcap {cause}\.mcap", html)
         assert set(rows.loc[rows["point_id"] == point, "cause"]) == {cause}
-
-
-@pytest.mark.skipif(BROWSER is None, reason="needs a browser: apt-get install chromium")
-def test_a_browser_shows_the_figures(html, folder, tmp_path):
-    flags = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
-             "--disable-background-networking", "--disable-component-update", "--disable-sync"]  # fmt: skip
-    # the page reports on itself: a copy with a script that measures what the browser laid out
-    probe = """<script>addEventListener("load", () => { document.title = JSON.stringify(
-        [...document.querySelectorAll("figure svg")].map(s => [s.parentNode.id, s.getBoundingClientRect().width,
-        s.getBoundingClientRect().height, s.querySelectorAll("path").length,
-        document.documentElement.scrollWidth <= innerWidth])) })</script></body>"""
-    copy = tmp_path / "probe.html"
-    copy.write_text(html.replace("</body>", probe))
-    command = [str(BROWSER), *flags, f"--user-data-dir={tmp_path / 'profile'}", "--window-size=1000,1000"]
-    command += ["--dump-dom", copy.as_uri()]
-    shown = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120).stdout
-    (title,) = re.findall(r"<title>(.*?)</title>", shown)
-    found = json.loads(title)
-    assert [one[0] for one in found] == ["map-1", "map-2", "map-3", "effects", "causes", "distributions"]
-    for key, width, height, paths, fits in found:
-        assert (width > 300, height > 150, paths > 10, fits) == (True,) * 4, key
 
 
 def test_maps_of_three_parameters_are_sections(folder):
@@ -127,3 +107,76 @@ def test_a_refined_map_is_shown_whole(fake_engine, tmp_path):
     assert np.prod(cells, axis=1).sum() == pytest.approx((1.2 - 0.05) * (0.2 - 0.03))
     assert len(ax.lines[0].get_xdata()) == len(found.rows)
     assert "this is not the region's share" in page.render(found)
+
+
+def test_columns_are_read_as_they_were(folder):
+    """What the script makes of a column's bytes, in Python."""
+    rng = np.random.default_rng(0)
+    columns = {
+        "names": pd.Series(["b", "a", "b"]),
+        "levels": pd.Series([0.1, np.nan, 0.3, 0.1]),
+        "even": pd.Series(rng.uniform(-3, 5, 4000)),
+        "tailed": pd.Series(np.concatenate([rng.normal(size=3999), [1e9]])),
+    }
+    for name, column in columns.items():
+        about, block = data.code(column, 15)
+        low, high = np.frombuffer(block, np.uint8).reshape(2, -1).astype(int)
+        codes = low + 256 * high
+        if name == "names":
+            assert [about["names"][k] for k in codes] == column.tolist()
+        elif name == "levels":
+            assert [about["levels"][k] for k in codes[codes != data.MISSING]] == [0.1, 0.3, 0.1]
+            assert (codes == data.MISSING).tolist() == column.isna().tolist()
+        else:
+            found = about["low"] + about["step"] * codes
+            found = about["middle"] + about["bend"] * np.sinh(found) if about["bend"] else found
+            assert np.abs(found - column).max() < 2e-3 * max(1, np.abs(column).max())
+            assert np.median(np.abs(found - column)) < 2e-3
+
+
+def test_replays_are_typical_then_at_the_boundary_then_extreme(folder):
+    found = results.read(folder)
+    found = replace(found, rows=found.rows.assign(duration_s=5.0))
+    rows = chosen.chosen(found, 12)
+    assert rows["why"].iloc[:3].tolist() == ["typical of fell", "typical of not finite", "typical of success"]
+    pair = rows[rows["why"].str.startswith("next to the boundary")].iloc[:2]
+    assert set(pair["outcome"]) == {"success", "failure"}
+    assert rows["why"].str.startswith("largest").any()
+    assert rows["point_id"].is_unique
+    assert len(chosen.chosen(found, 500)) == len(found.rows)
+
+
+def test_rows_keep_slot_and_width_where_the_batch_is_not_too_wide():
+    rows = pd.DataFrame({"group": 0, "batch": [0, 1, 1, 2], "slot": [5, 5, 6, 7], "width": [8, 8, 8, 4096]})
+    table = replays.laid_out(rows, 512)
+    assert table["slot"].tolist() == [5, 5, 6, 0]
+    assert table["width"].tolist() == [8, 8, 8, 1]
+    assert not table.duplicated(["group", "batch", "width", "slot"]).any()
+    assert table["batch"].tolist() == [0, 1, 0, 0]
+
+
+def test_only_so_many_replays_as_there_is_room_for(folder, tmp_path):
+    found = replace(results.read(folder), folder=tmp_path)
+    for place in (3, 8, 15):
+        replays.keep(tmp_path, found.rows.iloc[place], moved())
+    assert [place for place, _ in replays.kept(found)] == [3, 8, 15]
+    size = len(replays.read(tmp_path, found.rows.iloc[3])["states"])
+    assert size < 6000
+    placed = stage.stage_directions(found, stage.replays_of(found), 3 * size)
+    assert [(one["row"], one["frames"]) for one in placed.about] == [(3, 50), (8, 50), (15, 50)]
+    placed = stage.stage_directions(found, stage.replays_of(found), 2 * size)
+    assert [one["row"] for one in placed.about] == [3, 8, 15]
+    assert all(one["frames"] * one["step"] == pytest.approx(5, abs=0.3) and one["frames"] < 50 for one in placed.about)
+    placed = stage.stage_directions(found, stage.replays_of(found), size // 2)
+    assert placed.left_out == 3 - len(placed.streams) > 0
+
+
+def test_a_thinned_motion_has_the_states_of_its_frames():
+    trace = moved()
+    thin = motion.motion(
+        replace(trace, **{name: getattr(trace, name)[2::3] for name in ("qpos", "foot_force", "stage")})
+    )
+    again = motion.thinned(motion.motion(trace), 3)
+    assert again["frames"] == thin["frames"] == 16
+    assert again["step"] == pytest.approx(0.3)
+    assert again["states"] == thin["states"]

@@ -15,22 +15,30 @@ import pandas as pd
 import yaml
 from markupsafe import Markup
 from matplotlib.figure import Figure
+from PIL import Image
 
 from sweep.analysis.sample import pooled
 from sweep.analysis.stats import broken
 from sweep.core.files import write_whole
 from sweep.metrics.outcome import MEANING
 from sweep.report import tables
+from sweep.report.exhibit import Exhibit
 from sweep.report.exhibits import exhibits
 from sweep.report.labels import heading
+from sweep.report.page import data
+from sweep.report.page.script import bundle, policy, style_sheet
+from sweep.report.page.stage import Shown, replays_of, stage_directions
 from sweep.report.statistics import in_words
 from sweep.report.typical import Typical, typical
 from sweep.runs import audit, store
 from sweep.runs.results import Results
 from sweep.study.columns import LABELS
 from sweep.study.config import Experiment
+from sweep.trace.arrows import FORCE_SCALE, FORCE_SHOWN
 
 ROWS, LINES = 100, 100  # of the table at the end, and of the others
+DPI = 140  # of pictures that are for paper alone
+SIZE, REST = 5_000_000, 700_000  # characters of a page, and of what is neither picture, row nor state
 TELLING = (
     "distance_m",
     "slip_max_m",
@@ -50,39 +58,73 @@ class Plate:
     key: str
     title: str
     caption: str
-    svg: Markup
+    picture: Markup
+    live: bool  # the script shows the same
 
 
-def write(results: Results, path: Path) -> Path:
-    """Write the page of `results`."""
+def write(results: Results, path: Path, chosen: tuple[str, ...] = ()) -> Path:
+    """Write the page of `results`; its map starts with the columns `chosen`."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, render(results).encode())
+    write_whole(path, render(results, chosen=chosen).encode())
     return path
 
 
-def render(results: Results) -> str:
-    """The page as HTML."""
+def render(results: Results, shown: list[Shown] | None = None, chosen: tuple[str, ...] = (), opened: int = 0) -> str:
+    """The page as HTML.
+
+    It has the replays `shown`, the first `opened` of which, at most two, play from the start, or else those that the
+    folder keeps.
+    """
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    template = environment.from_string((files("sweep.report") / "page.html.j2").read_text(encoding="utf-8"))
-    plates = [Plate(e.key, e.title, e.caption, svg(e.draw(), e.title)) for e in exhibits(results)]
+    template = environment.from_string((files("sweep.report.page") / "page.html.j2").read_text(encoding="utf-8"))
     rows = results.rows
+    style, script = style_sheet(), bundle()
+    plates = [plate(one) for one in exhibits(results)]
+    typicals = [(one, image(one), list(telling(one, results.exp))) for one in typical(results)]
+    about = data.data(results, chosen)
+    others = [
+        style,
+        script,
+        data.as_json(about),
+        *(one.picture for one in plates),
+        *(picture for _, picture, _ in typicals),
+    ]
+    room = SIZE - REST - sum(map(len, others))
+    replays = stage_directions(results, replays_of(results) if shown is None else shown, room)
+    arrow = {"metres": FORCE_SCALE, "least": FORCE_SHOWN}
+    about |= {"replays": replays.about, "models": replays.models, "left_out": replays.left_out}
+    about |= {"arrow": arrow, "open": opened}
     return template.render(
         results=results,
+        policy=policy(style, script),
+        style=Markup(style),
+        script=Markup(script),
+        data=Markup(data.as_json(about)),
+        streams=Markup("\n".join(replays.streams)),
         rate=pooled(rows, results.exp),
+        watched=[
+            (one.title, one.row["cause"] or one.row["outcome"]) for one in shown or () if results.exp.study.single
+        ],
         repeated=results.exp.study.replicates > 1,
         plates=plates,
         expectations=list(expectations(results)),
         parameters=list(tables.parameters(results)),
         reasons=[(cause, MEANING[cause], int((rows["cause"] == cause).sum())) for cause in results.causes_seen],
-        typical=[(one, image(one), list(telling(one, results.exp))) for one in typical(results)],
+        typical=typicals,
         statistics=list(statistics(results)),
         audit=list(audit.table(results).itertuples(index=False)),
         table=table(rows.head(ROWS), results.exp),
         configuration=yaml.safe_dump(results.stored["config"], sort_keys=False, allow_unicode=True),
         dates=dates(results.folder),
     )
+
+
+def plate(one: Exhibit) -> Plate:
+    """A figure as the page has it: pixels where the script shows the same, and only paper needs it."""
+    live = one.key.startswith("map-") or one.key in ("draws", "causes", "distributions")
+    return Plate(one.key, one.title, one.caption, (png if live else svg)(one.draw(), one.title), live)
 
 
 def expectations(results: Results) -> Iterator[tuple[str, str]]:
@@ -139,6 +181,15 @@ def dates(folder: Path) -> tuple[str, str]:
     return (stamps[0], stamps[-1]) if stamps else ("", "")
 
 
+def png(figure: Figure, title: str) -> Markup:
+    """The figure as an image element, in few colours."""
+    content, small = io.BytesIO(), io.BytesIO()
+    figure.savefig(content, format="png", dpi=DPI)
+    Image.open(content).convert("RGB").quantize(64).save(small, "png", optimize=True)
+    address = f"data:image/png;base64,{base64.b64encode(small.getvalue()).decode()}"
+    return Markup('<img src="{}" alt="{}">').format(address, title)
+
+
 _numbers = itertools.count()
 
 
@@ -150,7 +201,7 @@ def svg(figure: Figure, title: str) -> Markup:
         figure.savefig(content, format="svg", metadata={"Date": None, "Creator": None})
     text = content.getvalue()
     text = text[text.index("<svg") :]
-    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+    text = re.sub(r"<metadata>.*?</metadata>|<style.*?</style>", "", text, flags=re.DOTALL)  # the page has these
     text = re.sub(r'<g id="[^"]*"', "<g", text)  # names of groups, which repeat; what is referred to has other ones
     label = str(Markup.escape(title))
     return Markup(text.replace("<svg", f'<svg role="img" aria-label="{label}"', 1))

@@ -1,0 +1,165 @@
+"""`sweep view`: watch one rollout, or two in step, on the page of its study or in MuJoCo's viewer."""
+
+import argparse
+import os
+import sys
+import webbrowser
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pandas as pd
+
+from sweep.core import provenance
+from sweep.core.errors import InputError
+from sweep.core.files import write_whole
+from sweep.core.waiting import waiting
+from sweep.engines.base import Trace
+from sweep.engines.run_id import device, run_id
+from sweep.report import page, replays
+from sweep.report.page.stage import Shown, replays_of
+from sweep.runs import batches, results, runner, store
+from sweep.runs.results import Results
+from sweep.study.config import Experiment, compose
+from sweep.trace import viewer
+
+SMOOTH = 60.0  # frames per second in MuJoCo's viewer
+PAGES = Path("results") / "view"  # of rollouts that belong to no folder
+
+
+def main(args: list[str]) -> int:
+    """Run the command with the arguments after `view`; the exit status. Raises `InputError`."""
+    options = parser().parse_args(args)
+    if options.mujoco:
+        viewer.check()
+        with waiting(f"simulating {' '.join(options.what)}"):
+            trace = next(traces(options.what))
+        viewer.play(trace)
+        return 0
+    of_folder = store.STUDY in names_in(options.what[0])
+    found, shown = (stored if of_folder else fresh)(options.what, options.beside)
+    path = options.output or (
+        Path(options.what[0]) / "view.html" if of_folder else PAGES / f"{found.exp.scenario}.html"
+    )
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, page.render(found, shown, opened=1 + bool(options.beside)).encode())
+    print(path)
+    if sys.platform != "linux" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
+        webbrowser.open(path.resolve().as_uri())
+    return 0
+
+
+def parser() -> argparse.ArgumentParser:
+    """The arguments."""
+    made = argparse.ArgumentParser(
+        prog="sweep view",
+        description="Watch a rollout: simulate it and open its page, which plays it.",
+        epilog="examples:\n  sweep view scenario=pole_climb contact.friction=0.5\n  sweep view results/walk_map 42\n"
+        "  sweep view scenario=pole_climb --with engine=native\n  sweep view results/before 42 --with results/after",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    kinds = "DIR ID | group.name=value"
+    made.add_argument("what", metavar=kinds, nargs="+", help="a row of a study, or a configuration")
+    made.add_argument(
+        "--with",
+        dest="beside",
+        metavar=kinds,
+        nargs="+",
+        default=[],
+        help="a second rollout in step with it: another row, the same of another folder, or other values",
+    )
+    made.add_argument("--mujoco", action="store_true", help="MuJoCo's own viewer in place of the page")
+    made.add_argument("-o", "--output", type=Path, metavar="FILE", help="the page's file")
+    return made
+
+
+def names_in(folder: str) -> list[str]:
+    """What a folder holds; nothing where it is none."""
+    return os.listdir(folder) if os.path.isdir(folder) else []
+
+
+def traces(what: list[str]) -> Iterator[Trace]:
+    """The rollout that is asked for, with enough frames to look smooth. Raises `InputError`."""
+    if store.STUDY in names_in(what[0]):
+        found, place = row_of(*folder_and_point(what))
+        again = replays.again(found.exp, found.rows.iloc[[place]], store.read_points(found.folder), SMOOTH)
+    else:
+        exp, planned = single(what)
+        again = replays.again(exp, planned, planned, SMOOTH)
+    return (trace for _, trace, _ in again)
+
+
+def stored(what: list[str], beside: list[str]) -> tuple[Results, list[Shown]]:
+    """A study's results, and the replays of its page with those asked for first. Raises `InputError`."""
+    folder, point = folder_and_point(what)
+    found, place = row_of(folder, point)
+    wanted = [(found, place, "")]
+    if beside:
+        other = beside[0] if store.STUDY in names_in(beside[0]) else folder
+        named = beside[-1] if len(beside) > 1 or other == folder else str(found.rows["point_id"].iloc[place])
+        wanted.append((*row_of(other, named), "" if other == folder else str(other)))
+    shown = []
+    for of, at, title in wanted:
+        row = of.rows.iloc[at]
+        if not replays.path(of.folder, row).exists():
+            with waiting(f"simulating {row['point_id']} of {of.folder} again"):
+                replays.make(of, of.rows.iloc[[at]].assign(why=""))
+        if not (kept := replays.read(of.folder, row)):
+            raise InputError(f"{row['point_id']} of {of.folder} ends otherwise here, or at once: sweep replay says how")
+        shown.append(Shown(at if of.folder == found.folder else -1, row, kept, title))
+    seen = {one.row["point_id"] for one in shown}
+    return found, [*shown, *(one for one in replays_of(found) if one.row["point_id"] not in seen)]
+
+
+def folder_and_point(what: list[str]) -> tuple[str, str]:
+    """The two arguments. Raises `InputError` where there are not two."""
+    if len(what) != 2:
+        raise InputError(f"{what[0]} is a study: add a row number, or the beginning of a point_id")
+    return what[0], what[1]
+
+
+def row_of(folder: str, point: str) -> tuple[Results, int]:
+    """Results of a folder, and the place of a point among their rows. Raises `InputError`."""
+    found = results.read(Path(folder))
+    row = store.find_row(store.read_rows(Path(folder)), point, Path(folder))
+    return found, int((found.rows["point_id"] == row["point_id"]).to_numpy().argmax())
+
+
+def fresh(what: list[str], beside: list[str]) -> tuple[Results, list[Shown]]:
+    """One rollout of a configuration, and a second one of it with some other values. Raises `InputError`."""
+    rows, shown = [], []
+    exp, stages = None, {}
+    for overrides in [what, [*what, *beside]][: 1 + bool(beside)]:
+        one, planned = single(overrides)
+        exp = exp or one
+        with waiting(f"simulating {' '.join(overrides)}"):
+            (row, trace, labels), *_ = replays.again(one, planned, planned)
+        row = pd.concat([row, pd.Series({**labels, **trace.figures, "run_id": run_id(one.settings), "wall_s": 0.0})])
+        if not len(trace.time):
+            raise InputError(f"{one.scenario} ends at once: {row['cause']}")
+        stages[str(len(rows))] = list(trace.stages)
+        shown.append(
+            Shown(len(rows), row, replays.content(row, trace), " ".join(overrides[len(what) :]) or one.scenario)
+        )
+        rows.append(row)
+    assert exp is not None
+    about = {
+        "config": exp.values,
+        "rollouts": len(rows),
+        "stages": stages,
+        "devices": [device(exp.settings)],
+        "code": provenance.code_version(),
+        "commit": provenance.commit(),
+        "versions": provenance.versions(),
+    }
+    table = pd.DataFrame(rows).infer_objects().reset_index(drop=True)
+    return Results(Path(exp.scenario), about, exp, table, None, len(rows)), shown
+
+
+def single(overrides: list[str]) -> tuple[Experiment, pd.DataFrame]:
+    """The experiment of one rollout, and its plan. Raises `InputError` where it is a study."""
+    exp = compose(overrides)
+    if not exp.study.single:
+        raise InputError(f"{exp.study.name} is a study: run it, then sweep view DIR ID shows one of its rows")
+    exp = replace(exp, settings=replace(exp.settings, width=exp.settings.width or 1))
+    return exp, batches.plan(exp, pd.DataFrame(), runner.wanted_points(exp))

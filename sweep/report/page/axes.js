@@ -1,0 +1,143 @@
+// Axes of charts: from values to pixels and back, ticks and titles.
+import { clamp, edgesOf, placeIn, shortly, ticks } from "./numbers.js";
+
+/** @typedef {import("./data.js").Column} Column */
+
+/**
+ * A way from values to a share of an axis, 0 to 1, and back.
+ * @typedef {object} Scale
+ * @property {(value: number) => number} to
+ * @property {(share: number) => number} back
+ * @property {{ value: number, text: string }[]} ticks
+ * @property {Float64Array | null} edges of cells, as shares, where the axis has cells
+ * @property {Float64Array | null} cells their values
+ */
+
+const UNEVEN = 3; // gaps between cells that differ more have cells of equal width
+
+/**
+ * The scale of a column: of names or of cells where it has `cells`, else even between its ends with some room.
+ * @param {Column} column
+ * @param {Float64Array | null} cells sorted values
+ * @param {number} room ticks that have room
+ * @returns {Scale}
+ */
+export function scaleOf(column, cells, room) {
+  if (column.names) {
+    const count = column.names.length;
+    const values = Float64Array.from({ length: count }, (_, k) => k);
+    const every = Math.max(1, Math.ceil(count / room));
+    const marks = column.names.map((text, value) => ({ value, text })).filter(({ value }) => value % every === 0);
+    return even(-0.5, count - 0.5, marks, values);
+  }
+  if (!cells) {
+    const margin = 0.03 * (column.high - column.low) || 0.5;
+    const low = column.low >= 0 ? Math.max(0, column.low - margin) : column.low - margin;
+    return even(low, column.high + margin, numbered(low, column.high + margin, room), null);
+  }
+  const gaps = Array.from(cells.subarray(1), (value, k) => value - cells[k]);
+  if (!gaps.length || Math.max(...gaps) < UNEVEN * Math.min(...gaps)) {
+    const edges = edgesOf(cells);
+    const [low, high] = [edges[0], edges[edges.length - 1]];
+    const few = cells.length <= room / 1.5;
+    const marks = few ? Array.from(cells, (value) => ({ value, text: shortly(value) })) : numbered(low, high, room);
+    return even(low, high, marks, cells);
+  }
+  return uneven(cells, room);
+}
+
+/**
+ * @param {number} low
+ * @param {number} high
+ * @param {number} room
+ * @returns {{ value: number, text: string }[]}
+ */
+function numbered(low, high, room) {
+  return ticks(low, high, room).map((value) => ({ value, text: shortly(value) }));
+}
+
+/**
+ * @param {number} low
+ * @param {number} high
+ * @param {{ value: number, text: string }[]} marks
+ * @param {Float64Array | null} cells
+ * @returns {Scale}
+ */
+function even(low, high, marks, cells) {
+  const size = high - low || 1;
+  const to = (/** @type {number} */ value) => (value - low) / size;
+  const edges = cells ? edgesOf(cells).map((edge) => clamp(to(edge), 0, 1)) : null;
+  return { to, back: (share) => low + share * size, ticks: marks, edges, cells };
+}
+
+/**
+ * Cells of equal width, whose values are not evenly spaced.
+ * @param {Float64Array} cells
+ * @param {number} room
+ * @returns {Scale}
+ */
+function uneven(cells, room) {
+  const count = cells.length;
+  const to = (/** @type {number} */ value) => {
+    const k = clamp(placeIn(cells, value), 0, count - 2);
+    return (clamp(k + (value - cells[k]) / (cells[k + 1] - cells[k]), -0.5, count - 0.5) + 0.5) / count;
+  };
+  const back = (/** @type {number} */ share) => {
+    const place = share * count - 0.5;
+    const k = clamp(Math.floor(place), 0, count - 2);
+    return cells[k] + (place - k) * (cells[k + 1] - cells[k]);
+  };
+  const every = Math.max(1, Math.ceil(count / room));
+  const marks = Array.from(cells, (value) => ({ value, text: shortly(value) })).filter((_, k) => k % every === 0);
+  const edges = Float64Array.from({ length: count + 1 }, (_, k) => k / count);
+  return { to, back, ticks: marks, edges, cells };
+}
+
+/** @typedef {{ left: number, top: number, width: number, height: number }} Box */
+
+/**
+ * The frame of a chart: ticks with numbers along the lower and the left side, and the axes' titles.
+ * @param {import("./dom.js").Sheet} sheet
+ * @param {import("./dom.js").Theme} theme
+ * @param {Box} box
+ * @param {{ scale: Scale, title: string }} x
+ * @param {{ scale: Scale, title: string }} y
+ */
+export function drawFrame({ pen }, theme, box, x, y) {
+  const { left, top, width, height } = box;
+  const bottom = top + height;
+  pen.strokeStyle = theme.line;
+  pen.lineWidth = 1;
+  pen.strokeRect(left - 0.5, top - 0.5, width + 1, height + 1);
+  pen.fillStyle = theme.soft;
+  pen.textBaseline = "top";
+  pen.textAlign = "center";
+  pen.beginPath();
+  for (const { value, text } of x.scale.ticks) {
+    const at = left + x.scale.to(value) * width;
+    if (at < left - 1 || at > left + width + 1) continue;
+    pen.moveTo(at, bottom);
+    pen.lineTo(at, bottom + 4);
+    pen.fillText(text, clamp(at, left + 4, left + width - 4), bottom + 7, width);
+  }
+  pen.textBaseline = "middle";
+  pen.textAlign = "right";
+  for (const { value, text } of y.scale.ticks) {
+    const at = bottom - y.scale.to(value) * height;
+    if (at < top - 1 || at > bottom + 1) continue;
+    pen.moveTo(left - 4, at);
+    pen.lineTo(left, at);
+    pen.fillText(text, left - 7, at, left - 20);
+  }
+  pen.stroke();
+  pen.fillStyle = theme.ink;
+  pen.textAlign = "center";
+  pen.textBaseline = "bottom";
+  pen.fillText(x.title, left + width / 2, bottom + 42, width + left);
+  pen.save();
+  pen.translate(4, top + height / 2);
+  pen.rotate(-Math.PI / 2);
+  pen.textBaseline = "top";
+  pen.fillText(y.title, 0, 0, height + 30);
+  pen.restore();
+}

@@ -1,0 +1,179 @@
+// What a map shows where: rows as cells of a grid, as quarters of a refined mesh's cells, or as marks.
+import { scaleOf } from "./axes.js";
+
+/** @typedef {import("./axes.js").Scale} Scale */
+/** @typedef {import("./data.js").Column} Column */
+/** @typedef {import("./data.js").Table} Table */
+
+/**
+ * Rows and where they are; boxes are left, low, right and high as shares of the axes.
+ * @typedef {object} Places
+ * @property {Scale} x
+ * @property {Scale} y
+ * @property {"cells" | "marks"} form
+ * @property {Int32Array} rows
+ * @property {Float64Array} boxes four for each of `rows`; of marks the first two are the place
+ * @property {Int32Array} cell number of the cell that each of `rows` is in, of a grid
+ * @property {boolean} several whether a cell has several rows
+ * @property {Float64Array} outlines of a refined mesh's cells, four each
+ */
+
+const FULLEST = 400; // more values along an axis than that are no grid that a picture could show
+
+/**
+ * @param {Table} table
+ * @param {Column} x
+ * @param {Column} y
+ * @param {(row: number) => boolean} within whether a row lies in the slice that is shown
+ * @param {number} room ticks that have room
+ * @returns {Places}
+ */
+export function placesOf(table, x, y, within, room) {
+  const rows = [];
+  for (let row = 0; row < table.rows; row++)
+    if (within(row) && !Number.isNaN(x.values[row]) && !Number.isNaN(y.values[row])) rows.push(row);
+  const about = table.about.mesh;
+  if (about && table.mesh && about.axes.includes(x.key) && about.axes.includes(y.key) && x !== y)
+    return meshed(table, x, y, within, room, about.axes[0] === x.key);
+  const [across, up] = [distinct(x.values, rows), distinct(y.values, rows)];
+  const full = across.length * up.length <= 2 * rows.length || (x.names && y.names);
+  const gridded = full && x.axis && y.axis && Math.max(across.length, up.length) <= FULLEST && rows.length > 1;
+  if (!gridded) return marked(x, y, rows, room);
+  const [sx, sy] = [scaleOf(x, across, room), scaleOf(y, up, room)];
+  return celled(x, y, sx, sy, rows);
+}
+
+/**
+ * @param {Float64Array} values
+ * @param {number[]} rows
+ * @returns {Float64Array} sorted
+ */
+function distinct(values, rows) {
+  const seen = new Set();
+  for (const row of rows) {
+    seen.add(values[row]);
+    if (seen.size > FULLEST) break;
+  }
+  return Float64Array.from(seen).sort();
+}
+
+/**
+ * Rows of a cell share its width.
+ * @param {Column} x
+ * @param {Column} y
+ * @param {Scale} sx
+ * @param {Scale} sy
+ * @param {number[]} rows
+ * @returns {Places}
+ */
+function celled(x, y, sx, sy, rows) {
+  const column = new Map(Array.from(sx.cells ?? [], (value, k) => [value, k]));
+  const line = new Map(Array.from(sy.cells ?? [], (value, k) => [value, k]));
+  const wide = column.size;
+  const cell = Int32Array.from(rows, (row) => (line.get(y.values[row]) ?? 0) * wide + (column.get(x.values[row]) ?? 0));
+  const counts = new Int32Array(wide * line.size);
+  for (const one of cell) counts[one]++;
+  const taken = new Int32Array(counts.length);
+  const boxes = new Float64Array(4 * rows.length);
+  rows.forEach((_, k) => {
+    const [i, j] = [cell[k] % wide, Math.floor(cell[k] / wide)];
+    const [left, right] = [sx.edges?.[i] ?? 0, sx.edges?.[i + 1] ?? 1];
+    const step = (right - left) / counts[cell[k]];
+    const start = left + step * taken[cell[k]]++;
+    boxes.set([start, sy.edges?.[j] ?? 0, start + step, sy.edges?.[j + 1] ?? 1], 4 * k);
+  });
+  const several = counts.some((count) => count > 1);
+  return {
+    x: sx,
+    y: sy,
+    form: "cells",
+    rows: Int32Array.from(rows),
+    boxes,
+    cell,
+    several,
+    outlines: new Float64Array(),
+  };
+}
+
+/**
+ * @param {Column} x
+ * @param {Column} y
+ * @param {number[]} rows
+ * @param {number} room
+ * @returns {Places}
+ */
+function marked(x, y, rows, room) {
+  const [sx, sy] = [scaleOf(x, null, room), scaleOf(y, null, room)];
+  const boxes = new Float64Array(4 * rows.length);
+  rows.forEach((row, k) => {
+    boxes[4 * k] = sx.to(x.values[row] + (x.names ? scattered(row) : 0));
+    boxes[4 * k + 1] = sy.to(y.values[row] + (y.names ? scattered(row + 1) : 0));
+  });
+  const none = new Float64Array();
+  return {
+    x: sx,
+    y: sy,
+    form: "marks",
+    rows: Int32Array.from(rows),
+    boxes,
+    cell: new Int32Array(),
+    several: false,
+    outlines: none,
+  };
+}
+
+/**
+ * Where a mark of a name stands beside its middle, so that marks do not cover each other; the same for a row each time.
+ * @param {number} row
+ * @returns {number}
+ */
+function scattered(row) {
+  return (((row * 2654435761) >>> 8) % 1000) / 1400 - 0.357;
+}
+
+/**
+ * A cell of a refined map has the colours of the rollouts at its corners, in its quarters.
+ * @param {Table} table
+ * @param {Column} x
+ * @param {Column} y
+ * @param {(row: number) => boolean} within
+ * @param {number} room
+ * @param {boolean} straight whether x is the first of the mesh's axes
+ * @returns {Places}
+ */
+function meshed(table, x, y, within, room, straight) {
+  const [sx, sy] = [x, y].map((column) => {
+    const size = column.high - column.low || 1;
+    const scale = scaleOf(column, null, room);
+    const to = (/** @type {number} */ value) => (value - column.low) / size;
+    return { ...scale, to, back: (/** @type {number} */ share) => column.low + share * size };
+  });
+  const corners = table.mesh ?? new Int32Array();
+  const [rows, boxes, outlines] = [
+    /** @type {number[]} */ ([]),
+    /** @type {number[]} */ ([]),
+    /** @type {number[]} */ ([]),
+  ];
+  for (let k = 0; k < corners.length; k += 4) {
+    const four = straight
+      ? corners.subarray(k, k + 4)
+      : Int32Array.of(corners[k], corners[k + 2], corners[k + 1], corners[k + 3]);
+    if (!within(four[0])) continue;
+    const [left, right] = [sx.to(x.values[four[0]]), sx.to(x.values[four[1]])];
+    const [low, high] = [sy.to(y.values[four[0]]), sy.to(y.values[four[2]])];
+    const [middle, half] = [(left + right) / 2, (low + high) / 2];
+    rows.push(...four);
+    boxes.push(left, low, middle, half, middle, low, right, half, left, half, middle, high, middle, half, right, high);
+    outlines.push(left, low, right, high);
+  }
+  return {
+    x: sx,
+    y: sy,
+    form: "cells",
+    rows: Int32Array.from(rows),
+    boxes: Float64Array.from(boxes),
+    cell: Int32Array.from(rows, (_, k) => k),
+    several: false,
+    outlines: Float64Array.from(outlines),
+  };
+}

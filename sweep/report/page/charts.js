@@ -1,0 +1,445 @@
+// Smaller charts of what passes the filters: causes, what matters, distributions, rates, all pairs.
+import { drawFrame, scaleOf } from "./axes.js";
+import { binsOf, clipped, smirnov } from "./data.js";
+import { byId, cssOf, element, offer, pointerOn, sheetOf } from "./dom.js";
+import { clamp, packRgb, shortly, wilson } from "./numbers.js";
+import { pixelsOf, stampAt, stampOf, tileOf } from "./paint.js";
+import { narrow } from "./state.js";
+
+/** @typedef {import("./data.js").Column} Column */
+/** @typedef {import("./dom.js").Rgb} Rgb */
+/** @typedef {import("./main.js").App} App */
+/** @typedef {import("./main.js").View} View */
+
+const BINS = 32;
+const SHOWN = 8; // distributions before one asks for more
+const PAIRED = 6; // columns of the matrix of pairs
+
+/**
+ * 0 for a success, 1 for a failure, 2 for what counts neither way or does not pass.
+ * @param {App} app
+ * @returns {(row: number) => number}
+ */
+function sideOf({ table, state }) {
+  const sides = Uint8Array.from(table.about.kinds, ({ outcome }) => ({ success: 0, failure: 1, invalid: 2 })[outcome]);
+  return (row) => (state.mask[row] ? sides[table.kind[row]] : 2);
+}
+
+/**
+ * Causes by the stage in which they came.
+ * @param {App} app
+ * @returns {View}
+ */
+export function stageView(app) {
+  const { table, state } = app;
+  const canvas = /** @type {HTMLCanvasElement} */ (byId("stages"));
+  const { kinds } = table.about;
+  const stages = table.about.stages
+    .map((name, k) => ({ name: clipped(name), code: k + 1 }))
+    .filter(({ code }) => table.stage.some((one, row) => one === code && kinds[table.kind[row]].outcome !== "success"));
+  canvas.style.height = `${40 + 26 * Math.max(1, stages.length)}px`;
+  const draw = () => {
+    const { pen, width, ratio } = sheetOf(canvas);
+    const { ink, soft } = app.theme();
+    const looks = app.looks();
+    const counts = stages.map(() => kinds.map(() => 0));
+    const line = new Map(stages.map(({ code }, k) => [code, k]));
+    for (let row = 0; row < table.rows; row++) {
+      const at = line.get(table.stage[row]);
+      if (state.mask[row] && at !== undefined) counts[at][table.kind[row]]++;
+    }
+    const totals = counts.map((one) => one.reduce((a, b) => a + b, 0));
+    const most = Math.max(1, ...totals);
+    const left = Math.min(140, 0.34 * width);
+    pen.textBaseline = "middle";
+    stages.forEach(({ name }, k) => {
+      const y = 8 + 26 * k;
+      pen.fillStyle = ink;
+      pen.textAlign = "right";
+      pen.fillText(name, left - 8, y + 9, left - 10);
+      let x = left;
+      counts[k].forEach((count, kind) => {
+        const size = (count / most) * (width - left - 50);
+        if (!count) return;
+        patterned(pen, x, y, Math.max(1, size), 18, looks[kind], ratio);
+        x += size;
+      });
+      pen.fillStyle = soft;
+      pen.textAlign = "left";
+      pen.fillText(String(totals[k]), x + 6, y + 9);
+    });
+    if (!stages.length) {
+      pen.fillStyle = soft;
+      pen.fillText("No rollout fails.", 4, 16);
+    }
+  };
+  return { root: canvas, draw, point: () => {}, resized: () => {} };
+}
+
+/** @type {Map<string, CanvasPattern>} */
+const fills = new Map();
+
+/**
+ * A box in the colour and pattern of a kind.
+ * @param {CanvasRenderingContext2D} pen
+ * @param {number} x
+ * @param {number} y
+ * @param {number} width
+ * @param {number} height
+ * @param {import("./dom.js").Look} look
+ * @param {number} ratio
+ */
+export function patterned(pen, x, y, width, height, look, ratio) {
+  pen.fillStyle = cssOf(look.cell);
+  pen.fillRect(x, y, width, height);
+  const key = `${look.pattern} ${look.ink} ${ratio}`;
+  const bits = tileOf(look.pattern);
+  if (bits && !fills.has(key)) {
+    const canvas = element("canvas", { width: "8", height: "8" });
+    const own = /** @type {CanvasRenderingContext2D} */ (canvas.getContext("2d"));
+    own.fillStyle = cssOf(look.ink);
+    bits.forEach((bit, k) => bit && own.fillRect(k % 8, k >> 3, 1, 1));
+    const made = pen.createPattern(canvas, "repeat");
+    if (made) fills.set(key, made);
+  }
+  const pattern = fills.get(key);
+  if (pattern && bits) {
+    pen.fillStyle = pattern;
+    pen.fillRect(x, y, width, height);
+  }
+  pen.strokeStyle = cssOf(look.mark, 0.7);
+  pen.lineWidth = 0.7;
+  pen.strokeRect(x, y, width, height);
+}
+
+/**
+ * How much each parameter has to do with failure.
+ * @param {App} app
+ * @returns {View}
+ */
+export function importanceView(app) {
+  const { table } = app;
+  const canvas = /** @type {HTMLCanvasElement} */ (byId("importance"));
+  const columns = table.columns.filter((column) => column.axis && !column.names);
+  canvas.style.height = `${44 + 24 * Math.min(16, Math.max(1, columns.length))}px`;
+  const draw = () => {
+    const { pen, width } = sheetOf(canvas);
+    const { ink, soft, line, dark } = app.theme();
+    const side = sideOf(app);
+    const found = columns.map((column) => ({ column, ...smirnov(app.order(column), column.values, side) }));
+    found.sort((a, b) => b.distance - a.distance);
+    const left = Math.min(190, 0.42 * width);
+    const room = width - left - 48;
+    pen.textBaseline = "middle";
+    found.slice(0, 16).forEach(({ column, distance, told }, k) => {
+      const y = 6 + 24 * k;
+      pen.textAlign = "right";
+      pen.fillStyle = ink;
+      pen.fillText(column.label, left - 8, y + 8, left - 10);
+      pen.fillStyle = told ? (dark ? "#62b4e4" : "#0072B2") : line;
+      pen.fillRect(left, y, Math.max(1, distance * room), 16);
+      pen.textAlign = "left";
+      pen.fillStyle = soft;
+      pen.fillText(distance.toFixed(2), left + distance * room + 6, y + 8);
+    });
+    pen.strokeStyle = line;
+    pen.beginPath();
+    pen.moveTo(left - 0.5, 2);
+    pen.lineTo(left - 0.5, 6 + 24 * Math.min(16, found.length));
+    pen.stroke();
+    const one = found[0];
+    byId("importance-note").textContent =
+      one?.counts[0] && one.counts[1]
+        ? `Among ${one.counts[0]} successes and ${one.counts[1]} failures.`
+        : "Among what passes the filters not both succeed and fail.";
+  };
+  return { root: canvas, draw, point: () => {}, resized: () => {} };
+}
+
+/**
+ * The rate of success of all rollouts up to a value, or up to a number of rollouts.
+ * @param {App} app
+ * @returns {View}
+ */
+export function rateView(app) {
+  const { table } = app;
+  const canvas = /** @type {HTMLCanvasElement} */ (byId("rates"));
+  const select = /** @type {HTMLSelectElement} */ (byId("rates-by"));
+  const numbers = table.columns.filter((column) => !column.names);
+  offer(
+    select,
+    [
+      ["", "number of rollouts"],
+      ...numbers.map((column) => /** @type {[string, string]} */ ([column.key, column.title])),
+    ],
+    "",
+  );
+  select.addEventListener("change", () => app.redraw());
+  const counting = Float64Array.from({ length: table.rows }, (_, row) => row);
+  const draw = () => {
+    const sheet = sheetOf(canvas);
+    const { pen, width, height } = sheet;
+    const side = sideOf(app);
+    const column = table.named.get(select.value);
+    const order = column ? app.order(column) : counting;
+    const box = { left: 64, top: 10, width: width - 78, height: height - 58 };
+    const steps = Math.max(1, Math.floor(order.length / 240));
+    let [good, all] = [0, 0];
+    /** @type {{ at: number, rate: number, ends: [number, number] }[]} */
+    const curve = [];
+    for (let k = 0; k < order.length; k++) {
+      const of = side(order[k]);
+      if (of < 2) all++;
+      if (of === 0) good++;
+      const tied = column && k + 1 < order.length && column.values[order[k + 1]] === column.values[order[k]];
+      if (of < 2 && !tied && (k % steps === 0 || k + 1 === order.length || all < 60))
+        curve.push({ at: column ? column.values[order[k]] : all, rate: good / all, ends: wilson(good, all) });
+    }
+    const [low, high] = column ? [column.low, column.high] : [0, Math.max(1, all)];
+    /** @type {Column} */
+    const shown = { ...(column ?? numbers[0] ?? table.columns[0]), names: null, low, high };
+    const x = scaleOf(shown, null, width / 80);
+    const y = {
+      to: (/** @type {number} */ v) => v,
+      back: (/** @type {number} */ v) => v,
+      ticks: [0, 0.25, 0.5, 0.75, 1].map((value) => ({ value, text: `${100 * value} %` })),
+      edges: null,
+      cells: null,
+    };
+    const spot = (/** @type {number} */ at, /** @type {number} */ rate) =>
+      /** @type {const} */ ([box.left + x.to(at) * box.width, box.top + (1 - rate) * box.height]);
+    pen.fillStyle = cssOf(app.looks()[0]?.mark ?? [58, 146, 201], 0.22);
+    pen.beginPath();
+    curve.forEach(({ at, ends }) => pen.lineTo(...spot(at, ends[1])));
+    [...curve].reverse().forEach(({ at, ends }) => pen.lineTo(...spot(at, ends[0])));
+    pen.fill();
+    pen.strokeStyle = app.theme().dark ? "#62b4e4" : "#0072B2";
+    pen.lineWidth = 2;
+    pen.beginPath();
+    curve.forEach(({ at, rate }) => pen.lineTo(...spot(at, rate)));
+    pen.stroke();
+    drawFrame(
+      sheet,
+      app.theme(),
+      box,
+      { scale: x, title: column ? `${column.title}, up to` : "rollouts, as they were planned" },
+      { scale: y, title: "rate of success" },
+    );
+  };
+  return { root: canvas, draw, point: () => {}, resized: () => {} };
+}
+
+/**
+ * Distributions of columns among failures beside successes.
+ * @param {App} app
+ * @returns {View}
+ */
+export function distributionsView(app) {
+  const { table, state } = app;
+  const root = byId("distributions-live");
+  const side = sideOf(app);
+  const columns = table.columns.filter((column) => !column.names && column.high > column.low);
+  const ranks = new Map(columns.map((column) => [column, smirnov(app.order(column), column.values, side).distance]));
+  columns.sort(
+    (a, b) =>
+      Number(b.axis && b.drawn) - Number(a.axis && a.drawn) ||
+      Number(b.axis) - Number(a.axis) ||
+      (ranks.get(b) ?? 0) - (ranks.get(a) ?? 0),
+  );
+  const [few] = table.about.kinds
+    .filter(({ outcome }) => outcome !== "invalid")
+    .map(({ count }) => count)
+    .sort((a, b) => a - b);
+  const many = clamp(Math.round(1.6 * Math.sqrt(few ?? 1)), 8, BINS);
+  const more = byId("distributions-more");
+  let shown = SHOWN;
+  /** @type {{ canvas: HTMLCanvasElement, column: Column, bins: Uint8Array }[]} */
+  let panels = [];
+  const fill = () => {
+    panels = columns.slice(0, shown).map((column) => {
+      const label = `${column.title}: distributions of successes and failures; drag to choose a range`;
+      const canvas = element("canvas", { class: "small", role: "img", "aria-label": label });
+      brushed(canvas, column);
+      return { canvas, column, bins: binsOf(column, many) };
+    });
+    root.replaceChildren(...panels.map(({ canvas }) => canvas));
+    more.hidden = shown >= columns.length;
+  };
+  more.addEventListener("click", () => {
+    shown = columns.length;
+    fill();
+    app.redraw();
+  });
+  fill();
+
+  /**
+   * @param {HTMLCanvasElement} canvas
+   * @param {Column} column
+   */
+  function brushed(canvas, column) {
+    /** @type {number | null} */
+    let from = null;
+    const valueAt = (/** @type {number} */ x) =>
+      column.low + clamp((x - 10) / (canvas.clientWidth - 20), 0, 1) * (column.high - column.low);
+    canvas.addEventListener("pointerdown", (event) => {
+      from = pointerOn(event, canvas)[0];
+      canvas.setPointerCapture(event.pointerId);
+    });
+    canvas.addEventListener("pointermove", (event) => {
+      const [x] = pointerOn(event, canvas);
+      if (from === null || Math.abs(x - from) < 4) return;
+      narrow(state, column.key, { low: valueAt(from), high: valueAt(x) });
+      app.filtered();
+    });
+    canvas.addEventListener("pointerup", (event) => {
+      if (from !== null && Math.abs(pointerOn(event, canvas)[0] - from) < 4) {
+        narrow(state, column.key, null);
+        app.filtered();
+      }
+      from = null;
+    });
+  }
+
+  const draw = () => {
+    const sides = sideOf(app);
+    const { ink, soft, line, accent, dark } = app.theme();
+    const colours = [dark ? "#62b4e4" : "#3a92c9", "#D55E00"];
+    for (const { canvas, column, bins } of panels) {
+      if (!app.visible(canvas)) continue;
+      const { pen, width, height } = sheetOf(canvas);
+      const counts = [new Float64Array(many), new Float64Array(many)];
+      for (let row = 0; row < table.rows; row++) {
+        const of = sides(row);
+        if (of < 2 && bins[row] < many) counts[of][bins[row]]++;
+      }
+      const totals = counts.map((count) => count.reduce((a, b) => a + b, 0));
+      const most = Math.max(...counts.map((count, k) => Math.max(...count) / (totals[k] || 1))) || 1;
+      const [left, bottom, wide, high] = [10, height - 34, width - 20, height - 46];
+      counts.forEach((count, k) => {
+        if (!totals[k]) return;
+        pen.beginPath();
+        pen.moveTo(left, bottom);
+        count.forEach((number, bin) => {
+          const y = bottom - (number / totals[k] / most) * high;
+          pen.lineTo(left + (bin / many) * wide, y);
+          pen.lineTo(left + ((bin + 1) / many) * wide, y);
+        });
+        pen.lineTo(left + wide, bottom);
+        pen.globalAlpha = k ? 0.16 : 0.3;
+        pen.fillStyle = colours[k];
+        pen.fill();
+        pen.globalAlpha = 1;
+        pen.strokeStyle = colours[k];
+        pen.lineWidth = 1.4;
+        pen.setLineDash(k ? [4, 2] : []);
+        pen.stroke();
+      });
+      pen.setLineDash([]);
+      pen.strokeStyle = line;
+      pen.beginPath();
+      pen.moveTo(left, bottom + 0.5);
+      pen.lineTo(left + wide, bottom + 0.5);
+      pen.stroke();
+      const place = (/** @type {number} */ value) =>
+        left + clamp((value - column.low) / (column.high - column.low), 0, 1) * wide;
+      if (column.limit !== null && column.limit >= column.low && column.limit <= column.high) {
+        pen.strokeStyle = ink;
+        pen.setLineDash([3, 3]);
+        pen.beginPath();
+        pen.moveTo(place(column.limit), 8);
+        pen.lineTo(place(column.limit), bottom);
+        pen.stroke();
+        pen.setLineDash([]);
+      }
+      const range = state.ranges.get(column.key);
+      if (range) {
+        pen.fillStyle = accent;
+        pen.globalAlpha = 0.2;
+        pen.fillRect(place(range.low), 6, Math.max(2, place(range.high) - place(range.low)), bottom - 6);
+        pen.globalAlpha = 1;
+      }
+      pen.fillStyle = soft;
+      pen.textBaseline = "top";
+      pen.textAlign = "left";
+      pen.fillText(shortly(column.low), left, bottom + 4);
+      pen.textAlign = "right";
+      pen.fillText(shortly(column.high), left + wide, bottom + 4);
+      pen.fillStyle = ink;
+      pen.textAlign = "center";
+      pen.fillText(column.title, width / 2, bottom + 18, width - 4);
+    }
+  };
+  return { root, draw, point: () => {}, resized: () => {} };
+}
+
+/**
+ * All pairs of the columns that matter most, when they are asked for.
+ * @param {App} app
+ * @returns {View}
+ */
+export function pairsView(app) {
+  const { table, state } = app;
+  const canvas = /** @type {HTMLCanvasElement} */ (byId("pairs"));
+  const details = /** @type {HTMLDetailsElement} */ (byId("pairs-box"));
+  details.addEventListener("toggle", () => app.redraw());
+  const columns = [
+    ...app.ranked.map(({ column }) => column),
+    ...table.columns.filter(({ key }) => key === "margin"),
+  ].slice(0, PAIRED);
+  const draw = () => {
+    if (!details.open || columns.length < 2) return;
+    canvas.style.height = `${canvas.clientWidth}px`;
+    const { pen, width, ratio } = sheetOf(canvas);
+    const { ink, soft, line, paper } = app.theme();
+    const looks = app.looks();
+    const cell = (width - 8) / columns.length;
+    const size = Math.round((cell - 10) * ratio);
+    const radius = clamp(30 / Math.sqrt(table.rows), 0.9, 3) * ratio;
+    const stamps = looks.map((_, kind) => stampOf(kind, radius));
+    columns.forEach((y, j) =>
+      columns.forEach((x, i) => {
+        const [left, top] = [4 + i * cell, 4 + j * cell];
+        if (i === j) {
+          pen.fillStyle = ink;
+          pen.textAlign = "center";
+          pen.textBaseline = "middle";
+          pen.fillText(x.title, left + cell / 2 - 5, top + cell / 2 - 5, cell - 14);
+          pen.fillStyle = soft;
+          pen.fillText(`${shortly(x.low)} to ${shortly(x.high)}`, left + cell / 2 - 5, top + cell / 2 + 12, cell - 14);
+          return;
+        }
+        if (i > j) return;
+        const pixels = pixelsOf(size, size);
+        pixels.colours.fill(packRgb(...paper));
+        for (let row = 0; row < table.rows; row++) {
+          if (!state.mask[row]) continue;
+          const [u, v] = [x.values[row], y.values[row]];
+          if (Number.isNaN(u) || Number.isNaN(v)) continue;
+          const at = (/** @type {Column} */ column, /** @type {number} */ value) =>
+            0.03 + (0.94 * (value - column.low)) / (column.high - column.low || 1);
+          const kind = table.kind[row];
+          stampAt(pixels, stamps[kind], at(x, u) * size, (1 - at(y, v)) * size, looks[kind].mark, 0.6, -2);
+        }
+        pen.putImageData(pixels.image, Math.round(left * ratio), Math.round(top * ratio));
+        pen.strokeStyle = line;
+        pen.strokeRect(left - 0.5, top - 0.5, size / ratio + 1, size / ratio + 1);
+      }),
+    );
+  };
+  return { root: canvas, draw, point: () => {}, resized: () => {} };
+}
+
+/**
+ * Parameters by how much they have to do with failure, over all rows.
+ * @param {import("./data.js").Table} table
+ * @param {(column: Column) => Uint32Array} order
+ * @returns {{ column: Column, distance: number }[]}
+ */
+export function rankedOf(table, order) {
+  const sides = table.about.kinds.map(({ outcome }) => ({ success: 0, failure: 1, invalid: 2 })[outcome]);
+  const side = (/** @type {number} */ row) => sides[table.kind[row]];
+  return table.columns
+    .filter((column) => column.axis && !column.names)
+    .map((column) => ({ column, distance: smirnov(order(column), column.values, side).distance }))
+    .sort((a, b) => b.distance - a.distance);
+}

@@ -1,0 +1,294 @@
+// What the page holds, read: rows by column, the cells of a refined map, densities.
+import { clamp } from "./numbers.js";
+
+/**
+ * @typedef {object} Kind
+ * @property {string} key
+ * @property {string} label
+ * @property {string} meaning
+ * @property {number} count
+ * @property {string} colour
+ * @property {string} pattern
+ * @property {"success" | "failure" | "invalid"} outcome
+ */
+
+/**
+ * A column; what stands for its values is either names, listed levels, or two ends and the bend between them.
+ * @typedef {object} Told
+ * @property {string} key
+ * @property {string} label
+ * @property {string} unit
+ * @property {boolean} axis
+ * @property {boolean} drawn
+ * @property {number | null} limit
+ * @property {string[]} [names]
+ * @property {number[]} [levels]
+ * @property {number} [low]
+ * @property {number} [step]
+ * @property {number} [bend]
+ * @property {number} [middle]
+ */
+
+/** @typedef {{ label: string, of: string, along: string, at: (number | null)[], limit: (number | null)[] }} Theory */
+/** @typedef {{ x: string, y: string, wide: number, high: number, x_ends: number[], y_ends: number[], block: string }} Binned */
+
+/**
+ * @typedef {object} Shown
+ * @property {number} row
+ * @property {string} point
+ * @property {string} kind
+ * @property {string} title
+ * @property {string} why
+ * @property {number} equal
+ * @property {number} of
+ * @property {number} model
+ * @property {number} step
+ * @property {number} frames
+ * @property {number[]} scales
+ * @property {number} force_scale
+ * @property {string[]} stages
+ */
+
+/**
+ * @typedef {object} About
+ * @property {string} name
+ * @property {string} folder
+ * @property {number} total
+ * @property {number} rows
+ * @property {Kind[]} kinds
+ * @property {string[]} stages
+ * @property {Told[]} columns
+ * @property {number} digits
+ * @property {string} block
+ * @property {boolean} one_at_a_time whether each parameter was varied alone
+ * @property {string[]} start
+ * @property {Theory[]} theory
+ * @property {{ axes: string[], cells: number, block: string } | null} mesh
+ * @property {Binned[]} densities
+ * @property {Shown[]} replays
+ * @property {string} models
+ * @property {number} left_out
+ * @property {number} open
+ * @property {{ metres: number, least: number }} arrow
+ */
+
+/**
+ * @typedef {object} Column
+ * @property {string} key
+ * @property {string} label
+ * @property {string} unit
+ * @property {string} title label and unit
+ * @property {boolean} axis
+ * @property {boolean} drawn
+ * @property {number | null} limit
+ * @property {string[] | null} names of the codes that are its values
+ * @property {Float64Array} values NaN where there is none
+ * @property {number} low
+ * @property {number} high
+ */
+
+/**
+ * @typedef {object} Table
+ * @property {About} about
+ * @property {number} rows
+ * @property {Uint8Array} kind index of each row's kind
+ * @property {Uint8Array} stage one more than the index of its stage, 0 without one
+ * @property {Column[]} columns
+ * @property {Map<string, Column>} named by key
+ * @property {Uint8Array} ids bytes of point ids
+ * @property {Int32Array | null} mesh rows at the corners of cells, four a cell
+ * @property {Map<number, number>} replayed replays by row
+ */
+
+const NONE = 65535;
+export const LONGEST = 120; // letters of a name that are shown
+
+/**
+ * The bytes that a text of the page stands for.
+ * @param {string} text
+ * @returns {Promise<ArrayBuffer>}
+ */
+export async function inflate(text) {
+  const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+  return new Response(new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"))).arrayBuffer();
+}
+
+/**
+ * A name that is not too long to be shown.
+ * @param {string} text
+ * @returns {string}
+ */
+export function clipped(text) {
+  return text.length > LONGEST ? `${text.slice(0, LONGEST)}…` : text;
+}
+
+/**
+ * @param {About} about
+ * @returns {Promise<Table>}
+ */
+export async function readTable(about) {
+  const { rows } = about;
+  const buffer = await inflate(about.block);
+  const bytes = new Uint8Array(buffer);
+  const half = about.digits / 2;
+  let at = (2 + half) * rows;
+  const columns = about.columns.map((told) => {
+    const values = readColumn(told, bytes.subarray(at, at + 2 * rows), rows);
+    at += 2 * rows;
+    return columnOf(told, values);
+  });
+  return {
+    about,
+    rows,
+    kind: bytes.subarray(0, rows),
+    stage: bytes.subarray(rows, 2 * rows),
+    ids: bytes.subarray(2 * rows, (2 + half) * rows),
+    columns,
+    named: new Map(columns.map((column) => [column.key, column])),
+    mesh: about.mesh ? new Int32Array(await inflate(about.mesh.block)) : null,
+    replayed: new Map(about.replays.map((one, k) => /** @type {const} */ ([one.row, k])).filter(([row]) => row >= 0)),
+  };
+}
+
+/**
+ * Values of a column, from all its low bytes and then all its high ones.
+ * @param {Told} told
+ * @param {Uint8Array} bytes
+ * @param {number} rows
+ * @returns {Float64Array}
+ */
+export function readColumn(told, bytes, rows) {
+  const values = new Float64Array(rows);
+  const { levels, low = 0, step = 1, bend = 0, middle = 0 } = told;
+  for (let k = 0; k < rows; k++) {
+    const code = bytes[k] | (bytes[rows + k] << 8);
+    if (code === NONE) values[k] = NaN;
+    else if (told.names) values[k] = code;
+    else if (levels) values[k] = levels[code];
+    else values[k] = bend ? middle + bend * Math.sinh(low + step * code) : low + step * code;
+  }
+  return values;
+}
+
+/**
+ * @param {Told} told
+ * @param {Float64Array} values
+ * @returns {Column}
+ */
+function columnOf(told, values) {
+  let low = Infinity;
+  let high = -Infinity;
+  for (const value of values) {
+    if (value < low) low = value;
+    if (value > high) high = value;
+  }
+  if (!(high >= low)) low = high = 0;
+  const label = clipped(told.label);
+  const title = told.unit ? `${label} [${told.unit}]` : label;
+  const names = told.names ? told.names.map(clipped) : null;
+  return { ...told, label, title, names, limit: told.limit, values, low, high };
+}
+
+/**
+ * The beginning of a row's point id.
+ * @param {Table} table
+ * @param {number} row
+ * @returns {string}
+ */
+export function pointOf(table, row) {
+  const half = table.about.digits / 2;
+  const bytes = table.ids.subarray(row * half, (row + 1) * half);
+  return Array.from(bytes, (byte) => byte.toString(16).padStart(2, "0")).join("");
+}
+
+/**
+ * Counts of densities by kind, from their bytes in planes.
+ * @param {ArrayBuffer} buffer
+ * @returns {Uint32Array}
+ */
+export function readCounts(buffer) {
+  const bytes = new Uint8Array(buffer);
+  const size = bytes.length / 4;
+  const counts = new Uint32Array(size);
+  for (let plane = 0; plane < 4; plane++)
+    for (let k = 0; k < size; k++) counts[k] += bytes[plane * size + k] * 2 ** (8 * plane);
+  return counts;
+}
+
+/**
+ * Replayed rows by their distance from a row, in units of the range of each parameter; a name that differs counts one.
+ * The row's own replay comes first.
+ * @param {Table} table
+ * @param {number} row
+ * @returns {number} the replay's number, -1 where there is none
+ */
+export function nearestReplay(table, row) {
+  const own = table.replayed.get(row);
+  if (own !== undefined) return own;
+  let best = -1;
+  let least = Infinity;
+  const axes = table.columns.filter((column) => column.axis);
+  for (const [other, number] of table.replayed) {
+    let sum = table.kind[other] === table.kind[row] ? 0 : 1e-9; // of two as far, the one that ends alike
+    for (const { names, values, low, high } of axes) {
+      const apart = names ? Number(values[row] !== values[other]) : (values[row] - values[other]) / (high - low || 1);
+      sum += apart * apart || 0;
+    }
+    if (sum < least) [best, least] = [number, sum];
+  }
+  return best;
+}
+
+/**
+ * How differently a column's values are distributed in two sets of rows (Kolmogorov and Smirnov's distance), and whether
+ * that would be seldom by chance (5 %). `order` are the rows by value.
+ * @param {ArrayLike<number>} order
+ * @param {ArrayLike<number>} values
+ * @param {(row: number) => number} side 0 or 1 for the sets, anything else for neither
+ * @returns {{ distance: number, told: boolean, counts: [number, number] }}
+ */
+export function smirnov(order, values, side) {
+  /** @type {[number, number]} */
+  const counts = [0, 0];
+  for (let k = 0; k < order.length; k++) {
+    const of = side(order[k]);
+    if (of === 0 || of === 1) counts[of]++;
+  }
+  if (!counts[0] || !counts[1]) return { distance: 0, told: false, counts };
+  const seen = [0, 0];
+  let distance = 0;
+  for (let k = 0; k < order.length; k++) {
+    const of = side(order[k]);
+    if (of === 0 || of === 1) seen[of]++;
+    if (k + 1 < order.length && values[order[k + 1]] === values[order[k]]) continue;
+    distance = Math.max(distance, Math.abs(seen[0] / counts[0] - seen[1] / counts[1]));
+  }
+  const rare = 1.358 * Math.sqrt((counts[0] + counts[1]) / (counts[0] * counts[1]));
+  return { distance, told: distance > rare, counts };
+}
+
+/**
+ * Rows in the order of a column's values; those without one are left out.
+ * @param {Column} column
+ * @returns {Uint32Array}
+ */
+export function orderOf(column) {
+  const { values } = column;
+  const rows = [];
+  for (let row = 0; row < values.length; row++) if (!Number.isNaN(values[row])) rows.push(row);
+  return Uint32Array.from(rows).sort((a, b) => values[a] - values[b] || a - b);
+}
+
+/**
+ * Rows of a column by bins between its ends.
+ * @param {Column} column
+ * @param {number} bins
+ * @returns {Uint8Array} 255 for none
+ */
+export function binsOf(column, bins) {
+  const { values, low, high } = column;
+  const size = high - low || 1;
+  return Uint8Array.from(values, (value) =>
+    Number.isNaN(value) ? 255 : clamp(Math.floor(((value - low) / size) * bins), 0, bins - 1),
+  );
+}

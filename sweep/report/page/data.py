@@ -1,0 +1,236 @@
+"""The rows of a study as a page holds them: plain values, and all columns as one block of deflated bytes.
+
+`data.js` reads the block: for each row its kind (success, or a cause) and its stage, a byte each, and the first digits
+of its point id; then each column as whole numbers of two bytes, all the low bytes before all the high ones.
+"""
+
+import base64
+import json
+import zlib
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from sweep.metrics.outcome import DOUBTS, MEANING
+from sweep.report import limits
+from sweep.report.exhibits import judged_first, thresholds
+from sweep.report.labels import CAUSE_COLOURS, CAUSE_HATCHES, SUCCESS, axis_words, name_and_unit, unit_of
+from sweep.runs import refine
+from sweep.runs.results import Results
+from sweep.study.study import side_and_path
+
+ROWS, SAMPLE = 40_000, 20_000  # with more rows than that the page has a sample of them, and maps of densities
+FIGURES = 28  # that are on the page, the ones that outcomes are judged by first
+LEVELS = 1024  # a column with at most so many values has them to the last bit
+COARSE, ROOM = 12, 400_000  # bits of a measured number, where all of them take more bytes than `ROOM`; else 15
+MISSING = 2**16 - 1
+TAIL = 50.0  # a range that is so many times that of the middle half is stored by its inverse hyperbolic sine
+BINS, PAIRS = 128, 3  # of densities along an axis, and how many pairs of parameters have one
+DIGITS = 12  # of a point id: bytes are two of them
+
+
+def data(results: Results, chosen: tuple[str, ...] = ()) -> dict[str, Any]:
+    """What the page's script is told of the rows; `chosen` are the columns that its map starts with."""
+    rows = results.rows.iloc[sampled(len(results.rows))]
+    kinds, axes = kinds_of(results), [*results.named, *results.numeric]
+    figures = ["margin", "t_cause_s"] if "margin" in rows else []
+    figures = [c for c in figures if rows[c].nunique() > 1] + judged_first(results)[:FIGURES]
+    bits = COARSE if len(rows) * len(figures) * 2 > ROOM else 15
+    coded = [code(rows[c], bits) for c in (*axes, *figures)]
+    judged = thresholds(results)
+    columns = [
+        {
+            "key": c,
+            **words(c, results),
+            "axis": c in axes,
+            "drawn": c not in (*results.listed, *results.named),
+            "limit": judged.get(c),
+            **about,
+        }
+        for c, (about, _) in zip((*axes, *figures), coded, strict=True)
+    ]
+    stages = [*results.stages, *sorted(set(rows["stage"].astype(str)) - {*results.stages, ""})]
+    kind = codes_of(rows, kinds).astype(np.uint8)
+    stage = pd.Index(stages).get_indexer(pd.Index(rows["stage"].astype(str))).astype(np.uint8) + np.uint8(
+        1
+    )  # 0: there is none
+    ids = b"".join(bytes.fromhex(f"{one[:DIGITS]:0<{DIGITS}}") for one in rows["point_id"])
+    blocks = [kind.tobytes(), stage.astype(np.uint8).tobytes(), ids, *(block for _, block in coded)]
+    return {
+        "name": results.name,
+        "folder": str(results.folder),
+        "total": len(results.rows),
+        "rows": len(rows),
+        "kinds": kinds,
+        "stages": stages,
+        "columns": columns,
+        "digits": DIGITS,
+        "block": packed(b"".join(blocks)),
+        "one_at_a_time": results.one_at_a_time,
+        "start": [c for c in (*chosen, *first_axes(results)) if c in (*axes, *figures)][:2],
+        "theory": list(curves(results, rows)),
+        "refined_cells": refined_cells(results) if len(rows) == len(results.rows) else None,
+        "densities": list(densities(results, kinds)) if len(rows) < len(results.rows) else [],
+    }
+
+
+def sampled(number: int) -> np.ndarray:
+    """Places of the rows that a page holds of `number`: all, or some drawn at random where they are too many."""
+    every = np.arange(number)
+    return every if number <= ROWS else np.sort(np.random.default_rng(0).choice(every, SAMPLE, replace=False))
+
+
+def packed(content: bytes) -> str:
+    """Bytes as text."""
+    return base64.b64encode(zlib.compress(content, 9)).decode()
+
+
+def as_json(content: Any) -> str:
+    """Text for a script element: nothing in it ends the element or begins a comment."""
+    text = json.dumps(plain(content), separators=(",", ":"), ensure_ascii=True, allow_nan=False)
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+def plain(content: Any) -> Any:
+    """`content` with numbers that JSON has, None in place of those that it has not."""
+    match content:
+        case dict():
+            return {str(key): plain(value) for key, value in content.items()}
+        case list() | tuple():
+            return [plain(one) for one in content]
+        case np.generic():
+            return plain(content.item())
+        case float():
+            return content if np.isfinite(content) else None
+    return content
+
+
+def kind_of(rows: pd.DataFrame) -> pd.Series:
+    """`success`, or the cause."""
+    return rows["cause"].astype(object).where(rows["outcome"] != "success", "success").astype(str)
+
+
+def codes_of(rows: pd.DataFrame, kinds: list[dict[str, Any]]) -> np.ndarray:
+    """The place of each row's kind among `kinds`."""
+    return pd.Index([one["key"] for one in kinds]).get_indexer(pd.Index(kind_of(rows)))
+
+
+def kinds_of(results: Results) -> list[dict[str, Any]]:
+    """What came of rollouts, with words, colour and pattern: success, then the causes in their order."""
+    counts = kind_of(results.rows).value_counts()
+    known = [name for name in ("success", *MEANING) if name in counts]
+    return [
+        {
+            "key": name,
+            "label": name.replace("_", " ") or "no cause",
+            "meaning": MEANING.get(name, "no cause of failure or distrust was met" if name == "success" else ""),
+            "count": int(counts[name]),
+            "colour": SUCCESS if name == "success" else CAUSE_COLOURS.get(name, "#7F7F7F"),
+            "pattern": CAUSE_HATCHES.get(name, ""),
+            "outcome": "success" if name == "success" else "invalid" if name in DOUBTS else "failure",
+        }
+        for name in [*known, *sorted(set(counts.index) - set(known))]
+    ]
+
+
+def words(column: str, results: Results) -> dict[str, str]:
+    """Label and unit of a column."""
+    label = axis_words(column, results.exp) if "." in column else name_and_unit(column)[0]
+    return {"label": label, "unit": unit_of(column, results.exp)}
+
+
+def code(values: pd.Series, bits: int) -> tuple[dict[str, Any], bytes]:
+    """How a column is stored, and its bytes. Few values are listed; others are evenly spaced between two ends."""
+    if values.dtype.kind not in "fiub":
+        codes, levels = pd.factorize(values.astype(str), sort=True)
+        return {"names": [str(one) for one in levels]}, split(np.asarray(codes))
+    numbers = values.to_numpy(dtype=float)
+    finite = np.isfinite(numbers)
+    levels, codes = np.unique(numbers[finite], return_inverse=True)
+    whole = np.full(len(numbers), MISSING)
+    if len(levels) <= LEVELS and (len(levels) < len(numbers) / 4 or len(numbers) <= LEVELS):
+        whole[finite] = codes
+        return {"levels": levels.tolist()}, split(whole)
+    quarter, middle, most = np.percentile(numbers[finite], [25, 50, 75])
+    bend = max(float(most - quarter), 1e-12) if np.ptp(levels) > TAIL * (most - quarter) else 0.0
+    shown = np.arcsinh((numbers - middle) / bend) if bend else numbers
+    low, high = float(np.min(shown[finite])), float(np.max(shown[finite]))
+    step = (high - low) / (2**bits - 1) or 1.0
+    whole[finite] = np.round((shown[finite] - low) / step)
+    return {"low": low, "step": step, "bend": bend, "middle": float(middle)}, split(whole)
+
+
+def split(values: np.ndarray) -> bytes:
+    """Whole numbers from 0 to 65535, all low bytes before all high ones."""
+    return values.astype("<u2").view(np.uint8).reshape(-1, 2).T.tobytes()
+
+
+def first_axes(results: Results) -> list[str]:
+    """What a map starts with: two listed numbers; elsewhere the script takes what matters most."""
+    return results.listed[:2] if len(results.listed) > 1 and not results.one_at_a_time else []
+
+
+def curves(results: Results, rows: pd.DataFrame) -> Any:
+    """The limits of `study.theory` over pairs of parameters."""
+    for theory in results.exp.study.theory:
+        for of in [c for c in results.numeric if side_and_path(c)[1] == theory.of]:
+            for along in [c for c in results.numeric if c != of]:
+                found = limits.curve(theory, results.exp, rows, along)
+                yield {
+                    "label": theory.label,
+                    "of": of,
+                    "along": along,
+                    "at": found["along"].tolist(),
+                    "limit": found["limit"].tolist(),
+                }
+
+
+def refined_cells(results: Results) -> dict[str, Any] | None:
+    """The cells that refinement over two parameters ended with: the rows at the corners of each, four a cell."""
+    study = results.exp.study
+    if not study.resolution:
+        return None
+    found, axes = [], ()
+    rows = results.rows.reset_index(drop=True)
+    for panel, (_, part) in zip(refine.refined(results.exp, rows), refine.panels(study, rows), strict=True):
+        axes = panel.grid.axes
+        if len(axes) != 2:
+            return None
+        place = np.full(panel.grid.shape, -1)
+        place[panel.grid.places(part)] = part.index
+        for power, cells in enumerate(panel.cells if panel.rollouts else ()):
+            corners = [cells + 2**power * np.array(corner) for corner in ((0, 0), (1, 0), (0, 1), (1, 1))]
+            found.append(np.stack([place[tuple(corner.T)] for corner in corners], axis=1))
+    cells = np.concatenate(found) if found else np.zeros((0, 4), int)
+    cells = cells[(cells >= 0).all(axis=1)]
+    return {"axes": [axis.column for axis in axes], "cells": len(cells), "block": packed(cells.astype("<i4").tobytes())}
+
+
+def densities(results: Results, kinds: list[dict[str, Any]]) -> Any:
+    """Of a few pairs of parameters how many rows of each kind lie in each bin, counted over all rows."""
+    kind = codes_of(results.rows, kinds)
+    pairs = [(x, y) for k, x in enumerate(results.numeric) for y in results.numeric[k + 1 :]][:PAIRS]
+    for x, y in pairs:
+        (i, wide, x_ends), (j, high, y_ends) = binned(results.rows[x]), binned(results.rows[y])
+        counts = np.bincount((kind * high + j) * wide + i, minlength=len(kinds) * high * wide)
+        yield {
+            "x": x,
+            "y": y,
+            "wide": wide,
+            "high": high,
+            "x_ends": x_ends,
+            "y_ends": y_ends,
+            "block": packed(counts.astype("<u4").view(np.uint8).reshape(-1, 4).T.tobytes()),
+        }
+
+
+def binned(values: pd.Series) -> tuple[np.ndarray, int, list[float]]:
+    """The bin of each value, how many there are, and the ends of all of them; few values have one each."""
+    levels = np.unique(values)
+    low, high = float(levels[0]), float(levels[-1])
+    if len(levels) <= BINS and np.allclose(np.diff(levels), (high - low) / (len(levels) - 1)):
+        half = (high - low) / (len(levels) - 1) / 2
+        return np.searchsorted(levels, values), len(levels), [low - half, high + half]
+    place = np.minimum((values.to_numpy(dtype=float) - low) / (high - low) * BINS, BINS - 1).astype(int)
+    return place, BINS, [low, high]

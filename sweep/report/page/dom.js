@@ -1,0 +1,130 @@
+// Elements, canvases and the colours of the page's theme.
+import { mixed, rgbOf } from "./numbers.js";
+
+/** @typedef {import("./data.js").Kind} Kind */
+/** @typedef {[number, number, number]} Rgb */
+
+/**
+ * The element with an id of the page.
+ * @param {string} id
+ * @returns {HTMLElement}
+ */
+export function byId(id) {
+  const found = document.getElementById(id);
+  if (!found) throw new Error(`the page has no element ${id}`);
+  return found;
+}
+
+/**
+ * An element with attributes, and with children of which strings are text and nothing else.
+ * @template {keyof HTMLElementTagNameMap} Tag
+ * @param {Tag} tag
+ * @param {Record<string, string>} attributes
+ * @param {(Node | string)[]} children
+ * @returns {HTMLElementTagNameMap[Tag]}
+ */
+export function element(tag, attributes = {}, ...children) {
+  const made = document.createElement(tag);
+  for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
+  made.append(...children);
+  return made;
+}
+
+/**
+ * Fill a selection list.
+ * @param {HTMLSelectElement} select
+ * @param {[string, string][]} options values and words
+ * @param {string} chosen
+ */
+export function offer(select, options, chosen) {
+  select.replaceChildren(...options.map(([value, text]) => element("option", { value }, text)));
+  select.value = chosen;
+}
+
+/** @typedef {{ pen: CanvasRenderingContext2D, width: number, height: number, ratio: number }} Sheet */
+
+/**
+ * A canvas ready to be drawn on in CSS pixels, as sharp as the screen, cleared.
+ * @param {HTMLCanvasElement} canvas
+ * @returns {Sheet}
+ */
+export function sheetOf(canvas) {
+  const ratio = Math.min(window.devicePixelRatio || 1, 2);
+  const { clientWidth: width, clientHeight: height } = canvas;
+  if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
+    canvas.width = Math.round(width * ratio);
+    canvas.height = Math.round(height * ratio);
+  }
+  const pen = /** @type {CanvasRenderingContext2D} */ (canvas.getContext("2d"));
+  pen.setTransform(ratio, 0, 0, ratio, 0, 0);
+  pen.clearRect(0, 0, width, height);
+  pen.font = `12px ${getComputedStyle(document.body).fontFamily}`;
+  pen.lineJoin = "round";
+  return { pen, width, height, ratio };
+}
+
+/**
+ * @typedef {object} Theme
+ * @property {boolean} dark
+ * @property {Rgb} paper of panels
+ * @property {string} ink
+ * @property {string} soft
+ * @property {string} line
+ * @property {string} accent
+ * @property {string} panel
+ */
+
+/**
+ * The colours that the style sheet gives now.
+ * @returns {Theme}
+ */
+export function themeNow() {
+  const style = getComputedStyle(document.documentElement);
+  const value = (/** @type {string} */ name) => style.getPropertyValue(`--${name}`).trim();
+  const dark = value("dark") === "1";
+  const panel = value("panel");
+  const [ink, soft, line, accent] = ["ink", "soft", "line", "accent"].map(value);
+  return { dark, paper: rgbOf(panel), ink, soft, line, accent, panel };
+}
+
+/** @typedef {{ cell: Rgb, mark: Rgb, ink: Rgb, pattern: string }} Look */
+
+/**
+ * How a kind of outcome looks: as a cell with its pattern, and as a mark or a line on the panel.
+ * @param {Kind} kind
+ * @param {Theme} theme
+ * @returns {Look}
+ */
+export function lookOf(kind, theme) {
+  const own = rgbOf(kind.colour);
+  if (kind.outcome === "success")
+    return { cell: theme.dark ? [32, 74, 99] : own, mark: [86, 180, 233], ink: own, pattern: "" };
+  if (kind.outcome === "invalid") {
+    const grey = /** @type {Rgb} */ (theme.dark ? [150, 152, 158] : [128, 130, 136]);
+    return { cell: theme.paper, mark: grey, ink: grey, pattern: kind.pattern };
+  }
+  const bright = (0.299 * own[0] + 0.587 * own[1] + 0.114 * own[2]) / 255;
+  const shown = bright < 0.2 ? mixed(own, [255, 255, 255], theme.dark ? 0.75 : 0.22) : own; // no hole in the page
+  const ink = /** @type {Rgb} */ (bright < 0.5 ? [255, 255, 255] : [0, 0, 0]);
+  return { cell: shown, mark: shown, ink: mixed(shown, ink, 0.6), pattern: kind.pattern };
+}
+
+/**
+ * @param {Rgb} rgb
+ * @param {number} opacity
+ * @returns {string}
+ */
+export function cssOf(rgb, opacity = 1) {
+  return `rgba(${rgb.map(Math.round).join(",")},${opacity})`;
+}
+
+/**
+ * Where a pointer is on an element.
+ * @param {{ clientX: number, clientY: number }} event
+ * @param {HTMLElement} target
+ * @returns {[number, number]}
+ */
+export function pointerOn(event, target) {
+  const box = target.getBoundingClientRect();
+  return [event.clientX - box.left, event.clientY - box.top];
+}

@@ -1,0 +1,188 @@
+// How a map is filled: cells, marks or densities, in the colours of kinds, rates or figures.
+import { clamp, mixed, packRgb, scaleColour } from "./numbers.js";
+import { fillCell, stampAt, stampOf, tileOf } from "./paint.js";
+
+/** @typedef {import("./cells.js").Places} Places */
+/** @typedef {import("./data.js").Column} Column */
+/** @typedef {import("./dom.js").Rgb} Rgb */
+/** @typedef {import("./main.js").App} App */
+/** @typedef {import("./paint.js").Pixels} Pixels */
+
+export const KIND = "kind";
+export const RATE = "rate";
+const PATTERNED = 6; // CSS pixels of a cell that a pattern is seen in
+const FADED = 0.86; // of what does not pass the filters
+
+/**
+ * The middle of what a map shows of a row, in CSS pixels.
+ * @param {Places} here
+ * @param {number} k
+ * @param {import("./axes.js").Box} area
+ * @returns {[number, number]}
+ */
+export function spotOf(here, k, area) {
+  const [left, low, right, high] = here.boxes.subarray(4 * k, 4 * k + 4);
+  const [x, y] = here.form === "cells" ? [(left + right) / 2, (low + high) / 2] : [left, low];
+  return [area.left + x * area.width, area.top + (1 - y) * area.height];
+}
+
+/**
+ * @param {Places} here
+ * @returns {number} radius of its marks in CSS pixels
+ */
+export function markSize(here) {
+  return clamp(70 / Math.sqrt(here.rows.length + 1) + 1.2, 1.7, 5);
+}
+
+/**
+ * Ends of a scale of colours: all but the most extreme hundredths.
+ * @param {Column} column
+ * @returns {[number, number]}
+ */
+export function spanOf(column) {
+  const values = column.values.filter((value) => !Number.isNaN(value)).sort();
+  if (!values.length) return [0, 1];
+  const at = (/** @type {number} */ share) => values[Math.round(share * (values.length - 1))];
+  const [low, high] = [at(0.01), at(0.99)];
+  return high > low ? [low, high] : [column.low, column.high || column.low + 1];
+}
+
+/**
+ * How rows are coloured: a colour for each row, packed or as three numbers.
+ * @param {App} app
+ * @param {Places} here
+ * @param {string} by
+ * @returns {((k: number) => number) | null} null for kinds
+ */
+function coloursBy({ table, state }, here, by) {
+  if (by === KIND) return null;
+  if (by === RATE) {
+    const size = here.cell.reduce((most, one) => Math.max(most, one), 0) + 1;
+    const [good, all] = [new Int32Array(size), new Int32Array(size)];
+    here.rows.forEach((row, k) => {
+      const { outcome } = table.about.kinds[table.kind[row]];
+      const cell = here.cell[k] ?? 0;
+      if (!state.mask[row] || outcome === "invalid") return;
+      all[cell]++;
+      if (outcome === "success") good[cell]++;
+    });
+    return (k) => (all[here.cell[k] ?? 0] ? scaleColour(good[here.cell[k] ?? 0] / all[here.cell[k] ?? 0]) : 0);
+  }
+  const column = table.named.get(by);
+  if (!column) return null;
+  const [low, high] = spanOf(column);
+  return (k) => {
+    const value = column.values[here.rows[k]];
+    return Number.isNaN(value) ? 0 : scaleColour((value - low) / (high - low));
+  };
+}
+
+/**
+ * @param {App} app
+ * @param {Pixels} pixels
+ * @param {Places} here
+ * @param {string} by
+ * @param {number} ratio
+ */
+export function paintCells(app, pixels, here, by, ratio) {
+  const { table, state } = app;
+  const { paper } = app.theme();
+  const looks = app.looks();
+  const faded = looks.map((look) => packRgb(...mixed(look.cell, paper, FADED)));
+  const plain = looks.map((look) => packRgb(...look.cell));
+  const inks = looks.map((look) => packRgb(...look.ink));
+  const tiles = looks.map((look) => tileOf(look.pattern));
+  const colour = coloursBy(app, here, by);
+  const { width, height } = pixels;
+  const gap = here.outlines.length ? 0 : 1;
+  const empty = packRgb(...mixed(paper, [128, 128, 128], 0.12));
+  for (let k = 0; k < here.rows.length; k++) {
+    const row = here.rows[k];
+    const kind = table.kind[row];
+    const left = Math.round(here.boxes[4 * k] * width);
+    const right = Math.max(left + 1, Math.round(here.boxes[4 * k + 2] * width));
+    const top = Math.round((1 - here.boxes[4 * k + 3]) * height);
+    const bottom = Math.max(top + 1, Math.round((1 - here.boxes[4 * k + 1]) * height));
+    const large = Math.min(right - left, bottom - top) >= PATTERNED * ratio;
+    const space = large ? gap : 0;
+    const passes = state.mask[row] > 0;
+    const own = colour ? colour(k) || empty : plain[kind];
+    const shown = passes ? own : colour ? empty : faded[kind];
+    const tile = passes && large && !colour ? tiles[kind] : null;
+    fillCell(pixels, left, top, right - space, bottom - space, shown, row, tile, inks[kind], ratio);
+  }
+}
+
+/**
+ * @param {App} app
+ * @param {Pixels} pixels
+ * @param {Places} here
+ * @param {string} by
+ * @param {number} ratio
+ */
+export function paintMarks(app, pixels, here, by, ratio) {
+  const { table, state } = app;
+  const { paper } = app.theme();
+  const looks = app.looks();
+  const radius = markSize(here) * ratio;
+  const stamps = looks.map((_, kind) => stampOf(kind, radius));
+  const halos = radius > 2.4 * ratio ? looks.map((_, kind) => stampOf(kind, radius + ratio)) : null;
+  const colour = coloursBy(app, here, by);
+  const opacity = clamp(120 / Math.sqrt(here.rows.length + 1), 0.55, 1);
+  const faint = looks.map((look) => mixed(look.mark, paper, FADED));
+  for (const passing of [0, 1])
+    for (let k = 0; k < here.rows.length; k++) {
+      const row = here.rows[k];
+      if (state.mask[row] !== passing) continue;
+      const kind = table.kind[row];
+      const x = here.boxes[4 * k] * pixels.width;
+      const y = (1 - here.boxes[4 * k + 1]) * pixels.height;
+      const packed = colour ? colour(k) : 0;
+      const own = packed
+        ? /** @type {Rgb} */ ([packed & 255, (packed >> 8) & 255, (packed >> 16) & 255])
+        : looks[kind].mark;
+      if (passing && halos) stampAt(pixels, halos[kind], x, y, paper, 0.7, -2);
+      stampAt(pixels, stamps[kind], x, y, passing ? own : faint[kind], passing ? opacity : 0.5, passing ? row : -2);
+    }
+}
+
+/**
+ * Counts as colours: kinds in proportion, the stronger the more rollouts there are.
+ * @param {App} app
+ * @param {Pixels} pixels
+ * @param {Places} here
+ * @param {import("./data.js").Binned} density
+ * @param {Uint32Array} counts
+ * @param {boolean} faint
+ */
+export function paintDensity(app, pixels, here, density, counts, faint) {
+  const { wide, high } = density;
+  const looks = app.looks();
+  const { paper } = app.theme();
+  const size = wide * high;
+  const [across, up] = /** @type {const} */ ([
+    [here.x, density.x_ends],
+    [here.y, density.y_ends],
+  ]).map(
+    ([scale, ends]) =>
+      (/** @type {number} */ share) =>
+        scale.to(ends[0] + share * (ends[1] - ends[0])),
+  );
+  const totals = new Float64Array(size);
+  for (let k = 0; k < counts.length; k++) totals[k % size] += counts[k];
+  const most = totals.reduce((a, b) => Math.max(a, b), 0);
+  for (let cell = 0; cell < size; cell++) {
+    if (!totals[cell]) continue;
+    /** @type {Rgb} */
+    let rgb = [0, 0, 0];
+    looks.forEach((look, kind) => {
+      const share = counts[kind * size + cell] / totals[cell];
+      rgb = [rgb[0] + look.cell[0] * share, rgb[1] + look.cell[1] * share, rgb[2] + look.cell[2] * share];
+    });
+    const strength = (0.35 + 0.65 * (Math.log1p(totals[cell]) / Math.log1p(most))) * (faint ? 0.25 : 1);
+    const [i, j] = [cell % wide, Math.floor(cell / wide)];
+    const [left, right] = [i, i + 1].map((k) => Math.round(across(k / wide) * pixels.width));
+    const [bottom, top] = [j, j + 1].map((k) => Math.round((1 - up(k / high)) * pixels.height));
+    fillCell(pixels, left, top, right, bottom, packRgb(...mixed(paper, rgb, strength)), -1, null, 0, 1);
+  }
+}

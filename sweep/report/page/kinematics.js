@@ -1,0 +1,204 @@
+// A replay's stream of states, and where its bodies are in each.
+
+/** @typedef {import("./data.js").Shown} Shown */
+
+/**
+ * @typedef {object} Body
+ * @property {number} parent
+ * @property {number[]} pos
+ * @property {number[]} quat w, x, y, z
+ * @property {number[][]} joints
+ */
+
+/**
+ * @typedef {object} Geom
+ * @property {number} body
+ * @property {boolean} robot
+ * @property {number[]} pos
+ * @property {number[]} quat
+ * @property {[number, number, number]} colour
+ * @property {"plane" | "sphere" | "capsule" | "cylinder" | "box" | "mesh"} shape
+ * @property {number[]} [size]
+ * @property {number[][]} [vertices]
+ * @property {number[][]} [faces]
+ */
+
+/** @typedef {{ bodies: Body[], geoms: Geom[], feet: number[][], hinges: number[] }} Model */
+
+/**
+ * @typedef {object} Motion
+ * @property {number} step s between frames, and of the first
+ * @property {number} frames
+ * @property {number} coordinates
+ * @property {Float64Array} qpos frame by frame
+ * @property {Float64Array} force of the feet, N, 18 a frame
+ * @property {Int16Array} stage
+ */
+
+/**
+ * Columns of whole numbers from planes of bytes: differences from frame to frame, low bytes of a column first.
+ * @param {Uint8Array} bytes
+ * @param {number} frames
+ * @param {number} columns
+ * @param {1 | 2} size bytes of a number
+ * @returns {Int16Array} frame by frame
+ */
+export function readPlanes(bytes, frames, columns, size) {
+  const values = new Int16Array(frames * columns);
+  for (let column = 0; column < columns; column++) {
+    const start = column * size * frames;
+    let sum = 0;
+    for (let frame = 0; frame < frames; frame++) {
+      const low = bytes[start + frame];
+      sum += size === 2 ? low | (bytes[start + frames + frame] << 8) : low;
+      values[frame * columns + column] = size === 2 ? sum : (sum << 24) >> 24;
+    }
+  }
+  return values;
+}
+
+/**
+ * @param {Shown} shown
+ * @param {ArrayBuffer} buffer of its stream
+ * @returns {Motion}
+ */
+export function readMotion(shown, buffer) {
+  const { frames, scales } = shown;
+  const coordinates = scales.length;
+  const bytes = new Uint8Array(buffer);
+  const states = readPlanes(bytes, frames, coordinates, 2);
+  const small = readPlanes(bytes.subarray(2 * frames * coordinates), frames, 19, 1);
+  const qpos = Float64Array.from(states, (value, k) => value * scales[k % coordinates]);
+  const force = new Float64Array(18 * frames);
+  const stage = new Int16Array(frames);
+  for (let frame = 0; frame < frames; frame++) {
+    for (let k = 0; k < 18; k++) force[frame * 18 + k] = small[frame * 19 + k] * shown.force_scale;
+    stage[frame] = small[frame * 19 + 18];
+  }
+  return { step: shown.step, frames, coordinates, qpos, force, stage };
+}
+
+/**
+ * @param {Motion} motion
+ * @returns {number} s, of the last frame
+ */
+export function endOf(motion) {
+  return motion.step * motion.frames;
+}
+
+/**
+ * The frame that is shown at a time.
+ * @param {Motion} motion
+ * @param {number} time
+ * @returns {number}
+ */
+export function frameAt(motion, time) {
+  return Math.max(0, Math.min(motion.frames - 1, Math.round(time / motion.step) - 1));
+}
+
+/**
+ * Coordinates between frames, on a cubic through the four around (Catmull and Rom).
+ * @param {Motion} motion
+ * @param {number} time s
+ * @returns {Float64Array}
+ */
+export function stateAt(motion, time) {
+  const { frames, coordinates, qpos } = motion;
+  const place = Math.max(0, Math.min(frames - 1, time / motion.step - 1));
+  const k = Math.min(Math.floor(place), Math.max(0, frames - 2));
+  const u = place - k;
+  const at = [k - 1, k, k + 1, k + 2].map((frame) => Math.max(0, Math.min(frames - 1, frame)) * coordinates);
+  const weights = [
+    ((2 - u) * u - 1) * u * 0.5,
+    ((3 * u - 5) * u * u + 2) * 0.5,
+    ((4 - 3 * u) * u + 1) * u * 0.5,
+    (u - 1) * u * u * 0.5,
+  ];
+  const state = new Float64Array(coordinates);
+  for (let c = 0; c < coordinates; c++) for (let j = 0; j < 4; j++) state[c] += weights[j] * qpos[at[j] + c];
+  return state;
+}
+
+/**
+ * The rotation matrix of a quaternion of any length, by lines.
+ * @param {ArrayLike<number>} quat w, x, y, z
+ * @returns {number[]}
+ */
+export function turnOf(quat) {
+  const size = Math.hypot(quat[0], quat[1], quat[2], quat[3]) || 1;
+  const [w, x, y, z] = [quat[0] / size, quat[1] / size, quat[2] / size, quat[3] / size];
+  return [
+    1 - 2 * (y * y + z * z),
+    2 * (x * y - w * z),
+    2 * (x * z + w * y),
+    2 * (x * y + w * z),
+    1 - 2 * (x * x + z * z),
+    2 * (y * z - w * x),
+    2 * (x * z - w * y),
+    2 * (y * z + w * x),
+    1 - 2 * (x * x + y * y),
+  ];
+}
+
+/**
+ * @param {number[]} a
+ * @param {number[]} b
+ * @returns {number[]} the product of two matrices
+ */
+export function turned(a, b) {
+  const made = new Array(9);
+  for (let i = 0; i < 3; i++)
+    for (let j = 0; j < 3; j++) made[3 * i + j] = a[3 * i] * b[j] + a[3 * i + 1] * b[3 + j] + a[3 * i + 2] * b[6 + j];
+  return made;
+}
+
+/**
+ * @param {number[]} turn
+ * @param {ArrayLike<number>} v
+ * @returns {number[]}
+ */
+export function rotated(turn, v) {
+  return [0, 3, 6].map((i) => turn[i] * v[0] + turn[i + 1] * v[1] + turn[i + 2] * v[2]);
+}
+
+/**
+ * @param {ArrayLike<number>} a
+ * @param {ArrayLike<number>} b
+ * @param {number} times
+ * @returns {number[]} a + times b
+ */
+export function plus(a, b, times = 1) {
+  return [a[0] + times * b[0], a[1] + times * b[1], a[2] + times * b[2]];
+}
+
+/** @typedef {{ pos: number[], turn: number[] }} Pose */
+
+/**
+ * Where all bodies are: MuJoCo's kinematics of free joints and hinges.
+ * @param {Model} model
+ * @param {Float64Array} state
+ * @returns {Pose[]}
+ */
+export function posesOf(model, state) {
+  /** @type {Pose[]} */
+  const poses = [];
+  for (const body of model.bodies) {
+    const parent = poses[body.parent] ?? { pos: [0, 0, 0], turn: [1, 0, 0, 0, 1, 0, 0, 0, 1] };
+    let pos = plus(parent.pos, rotated(parent.turn, body.pos));
+    let turn = turned(parent.turn, turnOf(body.quat));
+    for (const [address, ...hinge] of body.joints) {
+      if (!hinge.length) {
+        pos = Array.from(state.subarray(address, address + 3));
+        turn = turnOf(state.subarray(address + 3, address + 7));
+        continue;
+      }
+      const half = state[address] / 2;
+      const anchor = hinge.slice(3);
+      const fixed = plus(pos, rotated(turn, anchor));
+      turn = turned(turn, turnOf([Math.cos(half), ...hinge.slice(0, 3).map((part) => part * Math.sin(half))]));
+      pos = plus(fixed, rotated(turn, anchor), -1);
+    }
+    poses.push({ pos, turn });
+  }
+  return poses;
+}

@@ -1,0 +1,106 @@
+// The rows as a table, for those who read rather than look: sorted, page by page, each with its replay.
+import { pointOf } from "./data.js";
+import { byId, element } from "./dom.js";
+import { shortly } from "./numbers.js";
+
+/** @typedef {import("./data.js").Column} Column */
+/** @typedef {import("./main.js").App} App */
+/** @typedef {import("./main.js").View} View */
+
+const LINES = 20;
+const WIDE = 10; // columns of numbers
+
+/**
+ * @param {App} app
+ * @returns {View}
+ */
+export function listView(app) {
+  const { table, state } = app;
+  const root = byId("list");
+  const columns = [
+    ...table.columns.filter((column) => column.axis),
+    ...table.columns.filter((column) => !column.axis),
+  ].slice(0, WIDE);
+  const { kinds, stages } = table.about;
+  let first = 0;
+  let sorted = -1;
+  let falling = false;
+  let before = state.passing;
+
+  const heads = columns.map((column, k) => {
+    const button = element("button", { type: "button", class: "sort" }, column.title);
+    const head = element("th", { scope: "col", "aria-sort": "none" }, button);
+    button.addEventListener("click", () => {
+      falling = sorted === k && !falling;
+      sorted = k;
+      first = 0;
+      app.redraw();
+    });
+    return head;
+  });
+  const body = element("tbody");
+  const words = ["", "outcome", "stage"].map((text) => element("th", { scope: "col" }, text));
+  root.replaceChildren(
+    element("table", { class: "rows" }, element("thead", {}, element("tr", {}, ...words, ...heads)), body),
+  );
+  const pages = byId("list-pages");
+  const turn = (/** @type {string} */ text, /** @type {number} */ by) => {
+    const button = element("button", { type: "button" }, text);
+    button.addEventListener("click", () => {
+      first = Math.max(0, first + by * LINES);
+      app.redraw();
+    });
+    return button;
+  };
+  const [back, on] = [turn("Previous", -1), turn("Next", 1)];
+  const where = element("span", { class: "soft" });
+  pages.replaceChildren(back, where, on);
+
+  const draw = () => {
+    if (before !== state.passing) first = 0;
+    before = state.passing;
+    const order = sorted < 0 ? null : app.order(columns[sorted]);
+    const rows = [];
+    const count = order ? order.length : table.rows;
+    let at = -1;
+    for (let k = 0; k < count && rows.length < LINES; k++) {
+      const row = order ? order[falling ? count - 1 - k : k] : k;
+      if (state.mask[row] && ++at >= first) rows.push(row);
+    }
+    heads.forEach((head, k) =>
+      head.setAttribute("aria-sort", k !== sorted ? "none" : falling ? "descending" : "ascending"),
+    );
+    body.replaceChildren(
+      ...rows.map((row) => {
+        const own = table.replayed.has(row);
+        const point = pointOf(table, row);
+        const button = element(
+          "button",
+          { type: "button", "aria-label": `show ${own ? "the replay" : "a replay near"} ${point}` },
+          own ? "▶" : "▷",
+        );
+        button.addEventListener("click", () => app.choose(row));
+        const cells = columns.map(({ names, values }) =>
+          element("td", {}, names ? (names[values[row]] ?? "") : shortly(values[row])),
+        );
+        const stage = table.stage[row] ? (stages[table.stage[row] - 1] ?? "") : "";
+        const line = element(
+          "tr",
+          {},
+          element("td", {}, button),
+          element("td", {}, kinds[table.kind[row]].label),
+          element("td", {}, stage),
+          ...cells,
+        );
+        if (row === state.chosen) line.setAttribute("aria-current", "true");
+        return line;
+      }),
+    );
+    where.textContent = state.passing
+      ? ` ${first + 1} to ${first + rows.length} of ${state.passing} `
+      : " no row passes the filters ";
+    back.disabled = first === 0;
+    on.disabled = first + LINES >= state.passing;
+  };
+  return { root, draw, point: () => {}, resized: () => {} };
+}

@@ -1,0 +1,260 @@
+// The page: reads what it holds, makes its views, and draws those that are seen when something changes.
+import { distributionsView, importanceView, pairsView, patterned, rankedOf, rateView, stageView } from "./charts.js";
+import { clipped, orderOf, pointOf, readTable } from "./data.js";
+import { byId, element, lookOf, sheetOf, themeNow } from "./dom.js";
+import { listView } from "./list.js";
+import { mapView, worded } from "./map.js";
+import { shortly } from "./numbers.js";
+import { parallelView } from "./parallel.js";
+import { playerOf } from "./player.js";
+import { narrow, sift, stateOf } from "./state.js";
+
+/** @typedef {import("./data.js").Column} Column */
+/** @typedef {import("./data.js").Table} Table */
+/** @typedef {import("./dom.js").Look} Look */
+/** @typedef {import("./dom.js").Theme} Theme */
+/** @typedef {import("./state.js").State} State */
+
+/**
+ * What views may ask for and say.
+ * @typedef {object} App
+ * @property {Table} table
+ * @property {State} state
+ * @property {{ column: Column, distance: number }[]} ranked parameters by how much they have to do with failure
+ * @property {() => Theme} theme
+ * @property {() => Look[]} looks of kinds
+ * @property {(column: Column) => Uint32Array} order rows by value
+ * @property {(number: number) => string} stream of a replay
+ * @property {(row: number) => void} point at a row
+ * @property {(row: number) => void} mark a row as chosen
+ * @property {(row: number) => void} choose a row: mark it and open its replay
+ * @property {() => void} filtered says that filters have changed
+ * @property {() => void} redraw everything
+ * @property {(text: string) => void} tell those who listen
+ * @property {(row: number, columns: Column[]) => Node[]} words about a row
+ * @property {(target: Element) => boolean} visible
+ */
+
+/** @typedef {{ root: HTMLElement, draw: () => void, point: () => void, resized: () => void }} View */
+
+/** @returns {Promise<void>} */
+async function begin() {
+  const about = JSON.parse(byId("data").textContent ?? "{}");
+  const table = await readTable(about);
+  if (!table.rows) return;
+  document.documentElement.classList.add("live");
+  const watch = table.rows < 3 || table.columns.length < 2; // nothing to map: the replay is all there is
+  document.documentElement.classList.toggle("watch", watch);
+  const state = stateOf(table);
+  /** @type {Map<Column, Uint32Array>} */
+  const orders = new Map();
+  const order = (/** @type {Column} */ column) => {
+    const known = orders.get(column) ?? orderOf(column);
+    orders.set(column, known);
+    return known;
+  };
+  let theme = themeNow();
+  let looks = about.kinds.map((/** @type {import("./data.js").Kind} */ kind) => lookOf(kind, theme));
+  /** @type {string[] | null} */
+  let streams = null;
+  /** @type {View[]} */
+  const views = [];
+  /** @type {Set<View>} */
+  const waiting = new Set();
+  let due = false;
+
+  const visible = (/** @type {Element} */ target) => {
+    const { top, bottom, height } = target.getBoundingClientRect();
+    return height > 0 && bottom > -100 && top < window.innerHeight + 100;
+  };
+  const paint = () => {
+    due = false;
+    for (const view of [...waiting]) {
+      if (!visible(view.root)) continue;
+      waiting.delete(view);
+      view.draw();
+    }
+  };
+  const soon = () => {
+    if (!due) requestAnimationFrame(paint);
+    due = true;
+  };
+  /** @type {App} */
+  const app = {
+    table,
+    state,
+    ranked: rankedOf(table, order),
+    theme: () => theme,
+    looks: () => looks,
+    order,
+    stream: (number) => (streams ??= (byId("streams").textContent ?? "").trim().split("\n"))[number],
+    point: (row) => {
+      if (row === state.cursor) return;
+      state.cursor = row;
+      for (const view of views) if (visible(view.root)) view.point();
+    },
+    mark: (row) => {
+      state.chosen = row;
+      for (const view of views) if (visible(view.root)) view.point();
+    },
+    choose: (row) => {
+      app.mark(row);
+      player.openRow(row);
+    },
+    filtered: () => {
+      sift(state);
+      chips();
+      app.redraw();
+    },
+    redraw: () => {
+      for (const view of views) waiting.add(view);
+      soon();
+    },
+    tell: (text) => (byId("told").textContent = text),
+    words: (row, columns) => wordsOf(app, row, columns),
+    visible,
+  };
+  const chips = chipsOf(app);
+  if (!watch)
+    views.push(
+      mapView(app),
+      parallelView(app),
+      stageView(app),
+      importanceView(app),
+      rateView(app),
+      distributionsView(app),
+      pairsView(app),
+      listView(app),
+    );
+  chips();
+  views[0]?.draw();
+  performance.mark("map");
+  const player = playerOf(app);
+  for (const view of views.slice(1)) waiting.add(view);
+  soon();
+
+  const again = () => {
+    theme = themeNow();
+    looks = about.kinds.map((/** @type {import("./data.js").Kind} */ kind) => lookOf(kind, theme));
+    for (const view of views) view.resized();
+    chips();
+    app.redraw();
+    player.draw();
+  };
+  window.addEventListener("scroll", () => waiting.size && soon(), { passive: true });
+  window.addEventListener("resize", again);
+  window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", again);
+  linkTypical(app);
+}
+
+/**
+ * Kinds as buttons that show and hide them, and filters that can be taken off.
+ * @param {App} app
+ * @returns {() => void} draws them
+ */
+function chipsOf(app) {
+  const { table, state } = app;
+  const root = byId("kinds");
+  const buttons = table.about.kinds.map((kind, k) => {
+    const swatch = element("canvas", { class: "swatch", "aria-hidden": "true" });
+    const count = element("span", { class: "soft" });
+    const button = element(
+      "button",
+      { type: "button", class: "chip", "aria-pressed": "true", title: kind.meaning },
+      swatch,
+      clipped(kind.label),
+      count,
+    );
+    button.addEventListener("click", () => {
+      if (state.hidden.has(k)) state.hidden.delete(k);
+      else state.hidden.add(k);
+      button.setAttribute("aria-pressed", String(!state.hidden.has(k)));
+      app.filtered();
+    });
+    return { button, swatch, count };
+  });
+  root.replaceChildren(...buttons.map(({ button }) => button));
+  const clear = byId("clear");
+  clear.addEventListener("click", () => {
+    state.ranges.clear();
+    state.hidden.clear();
+    for (const { button } of buttons) button.setAttribute("aria-pressed", "true");
+    app.filtered();
+  });
+  return () => {
+    const counts = new Int32Array(buttons.length);
+    for (let row = 0; row < table.rows; row++) counts[table.kind[row]] += state.mask[row];
+    buttons.forEach(({ swatch, count }, k) => {
+      const { pen, width, height, ratio } = sheetOf(swatch);
+      patterned(pen, 0.5, 0.5, width - 1, height - 1, app.looks()[k], ratio);
+      count.textContent = ` ${counts[k]}`;
+    });
+    const filters = [...state.ranges].map(([key, { low, high }]) => {
+      const column = table.named.get(key);
+      const names = column?.names?.filter((_, code) => code >= low && code <= high);
+      const text = names ? names.join(", ") : `${shortly(low)} to ${shortly(high)}`;
+      const button = element(
+        "button",
+        { type: "button", class: "chip", title: "take this filter off" },
+        `${column?.label ?? key}: ${clipped(text)} ×`,
+      );
+      button.addEventListener("click", () => {
+        narrow(state, key, null);
+        app.filtered();
+      });
+      return button;
+    });
+    byId("filters").replaceChildren(...filters);
+    const all = state.passing === table.rows;
+    byId("passing").textContent = all ? `all ${table.rows} rollouts` : `${state.passing} of ${table.rows} rollouts`;
+    clear.hidden = all && !state.ranges.size;
+  };
+}
+
+/**
+ * What is said of a row: outcome, parameters, figures.
+ * @param {App} app
+ * @param {number} row
+ * @param {Column[]} columns that are shown anyway
+ * @returns {Node[]}
+ */
+function wordsOf({ table }, row, columns) {
+  const kind = table.about.kinds[table.kind[row]];
+  const stage = table.stage[row] ? table.about.stages[table.stage[row] - 1] : "";
+  const when = table.named.get("t_cause_s")?.values[row] ?? NaN;
+  const head = [kind.outcome === "success" ? "success" : `${kind.outcome}: ${kind.label}`];
+  if (stage) head.push(` in ${stage}`);
+  if (Number.isFinite(when)) head.push(` at ${shortly(when)} s`);
+  const shown = new Set([...columns, ...table.columns.filter((column) => column.axis).slice(0, 8)]);
+  for (const column of table.columns) if (shown.size < 14 && !Number.isNaN(column.values[row])) shown.add(column);
+  const lines = [...shown].flatMap((column) => [
+    element("dt", {}, column.label),
+    element("dd", {}, worded(column, column.values[row])),
+  ]);
+  const own = table.replayed.has(row) ? "click: its replay" : table.replayed.size ? "click: the nearest replay" : "";
+  return [
+    element("strong", {}, clipped(head.join(""))),
+    element("dl", {}, ...lines),
+    element("span", { class: "soft" }, `${pointOf(table, row)}${own ? `, ${own}` : ""}`),
+  ];
+}
+
+/**
+ * A button for the replay of each typical rollout that has one.
+ * @param {App} app
+ */
+function linkTypical(app) {
+  for (const article of document.querySelectorAll("[data-point]")) {
+    const point = article.getAttribute("data-point") ?? "";
+    const shown = app.table.about.replays.find((one) => one.point === point);
+    if (!shown || shown.row < 0) continue;
+    const button = element("button", { type: "button" }, "▶ replay");
+    button.addEventListener("click", () => {
+      app.choose(shown.row);
+      byId("replay").scrollIntoView({ behavior: "smooth", block: "center" });
+    });
+    article.querySelector("h3")?.append(" ", button);
+  }
+}
+
+await begin();

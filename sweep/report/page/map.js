@@ -1,0 +1,530 @@
+// The map: every rollout over two columns, as cells or marks; hover, brush, keyboard.
+import { drawFrame } from "./axes.js";
+import { placesOf } from "./cells.js";
+import { clipped, inflate, readCounts } from "./data.js";
+import { byId, cssOf, element, offer, pointerOn, sheetOf } from "./dom.js";
+import { KIND, markSize, paintCells, paintDensity, paintMarks, RATE, spanOf, spotOf } from "./fill.js";
+import { clamp, packRgb, scaleColour, shortly } from "./numbers.js";
+import { ownerNear, pixelsOf } from "./paint.js";
+import { narrow } from "./state.js";
+
+/** @typedef {import("./cells.js").Places} Places */
+/** @typedef {import("./data.js").Column} Column */
+/** @typedef {import("./dom.js").Rgb} Rgb */
+/** @typedef {import("./main.js").App} App */
+/** @typedef {import("./main.js").View} View */
+/** @typedef {import("./paint.js").Pixels} Pixels */
+
+const MARGIN = { left: 64, right: 14, top: 12, bottom: 48 };
+const DRAG = 5; // pixels that make a click a drag
+
+/**
+ * @param {App} app
+ * @returns {View}
+ */
+export function mapView(app) {
+  const { table, state } = app;
+  const base = /** @type {HTMLCanvasElement} */ (byId("map-base"));
+  const over = /** @type {HTMLCanvasElement} */ (byId("map-over"));
+  const tip = byId("map-tip");
+  const selects = ["map-x", "map-y", "map-colour"].map((id) => /** @type {HTMLSelectElement} */ (byId(id)));
+  const names = table.columns.map((column) => /** @type {[string, string]} */ ([column.key, column.title]));
+  const start = startOf(app);
+  offer(selects[0], names, start[0]);
+  offer(selects[1], names, start[1]);
+  const numbers = table.columns
+    .filter((column) => !column.names)
+    .map((column) => /** @type {[string, string]} */ ([column.key, column.title]));
+  offer(selects[2], [[KIND, "outcome and cause"], [RATE, "rate of success in the cell"], ...numbers], KIND);
+
+  /** @type {Map<string, number>} values that further axes are fixed at */
+  const slices = new Map();
+  /** @type {Places | null} */
+  let places = null;
+  /** @type {Pixels | null} */
+  let pixels = null;
+  /** @type {{ x: number, y: number, part: "both" | "x" | "y" } | null} */
+  let pressed = null;
+  /** @type {[number, number] | null} the row's place that the keyboard is at */
+  let anchor = null;
+  /** @type {Map<string, Uint32Array>} */
+  const counted = new Map();
+
+  const columns = () => selects.slice(0, 2).map((select) => table.named.get(select.value) ?? table.columns[0]);
+  const box = () => {
+    const [width, height] = [
+      base.clientWidth - MARGIN.left - MARGIN.right,
+      base.clientHeight - MARGIN.top - MARGIN.bottom,
+    ];
+    return { left: MARGIN.left, top: MARGIN.top, width: Math.max(10, width), height: Math.max(10, height) };
+  };
+
+  const lay = () => {
+    const [x, y] = columns();
+    const within = (/** @type {number} */ row) => {
+      for (const [key, value] of slices) if (table.named.get(key)?.values[row] !== value) return false;
+      return true;
+    };
+    places = placesOf(table, x, y, within, box().width / 70);
+    anchor = null;
+  };
+
+  const slicing = () => {
+    const [x, y] = columns();
+    const further = table.columns.filter(
+      (column) => column.axis && column !== x && column !== y && (column.names || !column.drawn),
+    );
+    const kept = new Map(slices);
+    slices.clear();
+    const shown = further.filter((column) => valuesOf(column).length > 1 && valuesOf(column).length <= 200);
+    byId("map-slices").replaceChildren(
+      ...shown.slice(0, 8).map((column) => {
+        const select = element("select", {});
+        const values = valuesOf(column);
+        const options = values.map((value) => /** @type {[string, string]} */ ([String(value), worded(column, value)]));
+        const chosen = kept.get(column.key);
+        offer(select, [["", "all"], ...options], chosen === undefined ? "" : String(chosen));
+        if (chosen !== undefined) slices.set(column.key, chosen);
+        select.addEventListener("change", () => {
+          if (select.value) slices.set(column.key, Number(select.value));
+          else slices.delete(column.key);
+          lay();
+          app.redraw();
+        });
+        return element("label", {}, clipped(column.title), select);
+      }),
+    );
+  };
+
+  const densityOf = () => {
+    const [x, y] = columns();
+    return selects[2].value === KIND
+      ? table.about.densities.find((one) => one.x === x.key && one.y === y.key)
+      : undefined;
+  };
+
+  const draw = () => {
+    if (!places) lay();
+    const sheet = sheetOf(base);
+    const area = box();
+    const { ratio } = sheet;
+    const [width, height] = [Math.round(area.width * ratio), Math.round(area.height * ratio)];
+    if (!pixels || pixels.width !== width || pixels.height !== height) pixels = pixelsOf(width, height);
+    pixels.colours.fill(packRgb(...app.theme().paper));
+    pixels.owner.fill(-1);
+    const here = /** @type {Places} */ (places);
+    const density = densityOf();
+    const counts = density && counted.get(`${density.x} ${density.y}`);
+    if (density && !counts) {
+      void inflate(density.block).then((buffer) => {
+        counted.set(`${density.x} ${density.y}`, readCounts(buffer));
+        app.redraw();
+      });
+    }
+    const filtered = state.passing < table.rows;
+    if (density && counts) paintDensity(app, pixels, here, density, counts, filtered);
+    if (!density || filtered) {
+      if (here.form === "cells") paintCells(app, pixels, here, selects[2].value, ratio);
+      else paintMarks(app, pixels, here, selects[2].value, ratio);
+    }
+    sheet.pen.putImageData(pixels.image, Math.round(area.left * ratio), Math.round(area.top * ratio));
+    drawOutlines(sheet.pen, here, area);
+    const [x, y] = columns();
+    drawTheory(sheet.pen, x, y, here, area);
+    drawReplayed(sheet.pen, here, area);
+    drawFrame(sheet, app.theme(), area, { scale: here.x, title: x.title }, { scale: here.y, title: y.title });
+    drawKey();
+    drawOver();
+  };
+
+  /** The scale of colours that are numbers, or what marks mean. */
+  const drawKey = () => {
+    const note = byId("map-key");
+    const colour = selects[2].value;
+    const column = table.named.get(colour);
+    note.replaceChildren();
+    if (colour !== KIND) {
+      const bar = element("canvas", { width: "120", height: "10", "aria-hidden": "true" });
+      const pen = /** @type {CanvasRenderingContext2D} */ (bar.getContext("2d"));
+      const strip = new ImageData(120, 10);
+      const memory = new Uint32Array(strip.data.buffer);
+      for (let k = 0; k < memory.length; k++) memory[k] = scaleColour((k % 120) / 119);
+      pen.putImageData(strip, 0, 0);
+      const [low, high] = column ? spanOf(column) : [0, 1];
+      note.append(column ? column.title : "rate of success", " ", shortly(low), " ", bar, " ", shortly(high));
+    } else if (densityOf()) {
+      note.append(
+        `${table.about.total} rollouts counted in cells; a choice is shown by ${table.rows} of them, drawn at random.`,
+      );
+    } else if (table.about.total > table.rows) {
+      note.append(`${table.rows} of ${table.about.total} rollouts, drawn at random.`);
+    } else if (table.mesh && places?.outlines.length) {
+      note.append("Cells as refinement left them: each quarter shows the rollout at its corner.");
+    }
+    if (table.replayed.size) note.append(" Rings: rollouts with a replay of their own.");
+  };
+
+  /**
+   * @param {CanvasRenderingContext2D} pen
+   * @param {Places} here
+   * @param {import("./axes.js").Box} area
+   */
+  const drawOutlines = (pen, here, area) => {
+    const { outlines } = here;
+    if (!outlines.length) return;
+    pen.strokeStyle = cssOf(app.theme().dark ? [255, 255, 255] : [0, 0, 0], 0.22);
+    pen.lineWidth = 0.5;
+    pen.beginPath();
+    for (let k = 0; k < outlines.length; k += 4) {
+      const [left, low, right, high] = outlines.subarray(k, k + 4);
+      pen.rect(
+        area.left + left * area.width,
+        area.top + (1 - high) * area.height,
+        (right - left) * area.width,
+        (high - low) * area.height,
+      );
+    }
+    pen.stroke();
+  };
+
+  /**
+   * @param {CanvasRenderingContext2D} pen
+   * @param {Column} x
+   * @param {Column} y
+   * @param {Places} here
+   * @param {import("./axes.js").Box} area
+   */
+  const drawTheory = (pen, x, y, here, area) => {
+    const curves = table.about.theory.filter(
+      (one) => [x.key, y.key].sort().join() === [one.of, one.along].sort().join(),
+    );
+    pen.save();
+    pen.beginPath();
+    pen.rect(area.left, area.top, area.width, area.height);
+    pen.clip();
+    curves.forEach((curve, number) => {
+      const spots = curve.at.flatMap((along, k) => {
+        const limit = curve.limit[k];
+        if (along === null || limit === null) return [];
+        const [u, v] = curve.of === x.key ? [limit, along] : [along, limit];
+        return [[area.left + here.x.to(u) * area.width, area.top + (1 - here.y.to(v)) * area.height]];
+      });
+      for (const [colour, width] of /** @type {[string, number][]} */ ([
+        [app.theme().panel, 5],
+        [app.theme().ink, 2],
+      ])) {
+        pen.strokeStyle = colour;
+        pen.lineWidth = width;
+        pen.setLineDash(
+          [
+            [7, 4],
+            [7, 3, 2, 3],
+            [2, 3],
+          ][number % 3],
+        );
+        pen.beginPath();
+        spots.forEach(([u, v], k) => (k ? pen.lineTo(u, v) : pen.moveTo(u, v)));
+        pen.stroke();
+      }
+      pen.setLineDash([]);
+      const end = spots
+        .filter(
+          ([u, v]) => u > area.left && u < area.left + area.width - 8 && v > area.top + 8 && v < area.top + area.height,
+        )
+        .at(-1);
+      if (!end) return;
+      pen.textAlign = end[0] > area.left + area.width / 2 ? "right" : "left";
+      pen.textBaseline = "bottom";
+      pen.lineWidth = 4;
+      pen.strokeStyle = app.theme().panel;
+      pen.fillStyle = app.theme().ink;
+      const at = end[0] + (pen.textAlign === "right" ? -8 : 8);
+      const up = Math.max(end[1] - 4, area.top + 18);
+      pen.strokeText(clipped(curve.label), at, up);
+      pen.fillText(clipped(curve.label), at, up);
+    });
+    pen.restore();
+  };
+
+  /**
+   * Rings around rollouts that have a replay.
+   * @param {CanvasRenderingContext2D} pen
+   * @param {Places} here
+   * @param {import("./axes.js").Box} area
+   */
+  const drawReplayed = (pen, here, area) => {
+    const done = new Set();
+    const size = here.form === "marks" ? markSize(here) + 2.6 : 3.2;
+    here.rows.forEach((row, k) => {
+      if (!table.replayed.has(row) || done.has(row) || !state.mask[row]) return;
+      done.add(row);
+      const [u, v] = spotOf(here, k, area);
+      for (const [colour, width] of /** @type {[string, number][]} */ ([
+        [app.theme().panel, 3.4],
+        [app.theme().ink, 1.3],
+      ])) {
+        pen.strokeStyle = colour;
+        pen.lineWidth = width;
+        pen.beginPath();
+        pen.arc(u, v, size, 0, 2 * Math.PI);
+        pen.stroke();
+      }
+    });
+  };
+
+  /** The brush, the chosen row and the one under the pointer. */
+  const drawOver = () => {
+    const { pen } = sheetOf(over);
+    const area = box();
+    const here = places;
+    if (!here) return;
+    const [x, y] = columns();
+    const [a, b] = [state.ranges.get(x.key), state.ranges.get(y.key)];
+    if (a || b) {
+      const left = a ? clamp(here.x.to(a.low), 0, 1) : 0;
+      const right = a ? clamp(here.x.to(a.high), 0, 1) : 1;
+      const low = b ? clamp(here.y.to(b.low), 0, 1) : 0;
+      const high = b ? clamp(here.y.to(b.high), 0, 1) : 1;
+      pen.strokeStyle = app.theme().accent;
+      pen.lineWidth = 1.5;
+      pen.strokeRect(
+        area.left + left * area.width,
+        area.top + (1 - high) * area.height,
+        (right - left) * area.width,
+        (high - low) * area.height,
+      );
+    }
+    for (const [row, size] of /** @type {[number, number][]} */ ([
+      [state.chosen, 8],
+      [state.cursor, 6],
+    ])) {
+      const k = row < 0 ? -1 : here.rows.indexOf(row);
+      if (k < 0) continue;
+      const [u, v] = spotOf(here, k, area);
+      for (const [colour, width] of /** @type {[string, number][]} */ ([
+        [app.theme().panel, 4],
+        [app.theme().accent, 2],
+      ])) {
+        pen.strokeStyle = colour;
+        pen.lineWidth = width;
+        pen.beginPath();
+        pen.arc(u, v, size, 0, 2 * Math.PI);
+        pen.stroke();
+      }
+    }
+  };
+
+  /**
+   * @param {number} x
+   * @param {number} y
+   * @returns {number} the row there, -1 for none
+   */
+  const rowAt = (x, y) => {
+    if (!pixels) return -1;
+    const area = box();
+    const ratio = pixels.width / area.width;
+    if (x < area.left || x > area.left + area.width || y < area.top || y > area.top + area.height) return -1;
+    return ownerNear(pixels, (x - area.left) * ratio, (y - area.top) * ratio, places?.form === "marks" ? 6 * ratio : 0);
+  };
+
+  /** @param {number} row */
+  const show = (row) => {
+    app.point(row);
+    tip.hidden = row < 0;
+    if (row < 0 || !places) return;
+    tip.replaceChildren(...app.words(row, columns()));
+    const k = places.rows.indexOf(row);
+    if (k < 0) return;
+    const [u, v] = spotOf(places, k, box());
+    const right = u < base.clientWidth / 2;
+    tip.style.left = right ? `${u + 14}px` : "auto";
+    tip.style.right = right ? "auto" : `${base.clientWidth - u + 14}px`;
+    tip.style.top = `${clamp(v - 30, 0, Math.max(0, base.clientHeight - tip.offsetHeight))}px`;
+  };
+
+  over.addEventListener("pointerdown", (event) => {
+    const [x, y] = pointerOn(event, over);
+    const area = box();
+    const part = y > area.top + area.height ? "x" : x < area.left ? "y" : "both";
+    pressed = { x, y, part };
+    over.setPointerCapture(event.pointerId);
+  });
+  over.addEventListener("pointermove", (event) => {
+    const [x, y] = pointerOn(event, over);
+    if (!pressed) {
+      show(rowAt(x, y));
+      drawOver();
+      return;
+    }
+    if (Math.hypot(x - pressed.x, y - pressed.y) < DRAG && !pressed.part.startsWith("d")) return;
+    tip.hidden = true;
+    brush(pressed, x, y);
+  });
+  over.addEventListener("pointerup", (event) => {
+    const [x, y] = pointerOn(event, over);
+    if (pressed && Math.hypot(x - pressed.x, y - pressed.y) < DRAG) {
+      const row = rowAt(x, y);
+      if (row >= 0) app.choose(row);
+      else brushOff();
+    }
+    pressed = null;
+  });
+  over.addEventListener("pointercancel", () => (pressed = null));
+  over.addEventListener("pointerleave", () => {
+    if (pressed) return;
+    show(-1);
+    drawOver();
+  });
+  over.addEventListener("keydown", (event) => {
+    const ways = /** @type {Record<string, [number, number]>} */ ({
+      ArrowLeft: [-1, 0],
+      ArrowRight: [1, 0],
+      ArrowUp: [0, 1],
+      ArrowDown: [0, -1],
+    });
+    const way = ways[event.key];
+    if (way && places) {
+      const row = stepFrom(
+        places,
+        state.cursor,
+        way,
+        (/** @type {number} */ one) => event.shiftKey || state.mask[one] > 0,
+      );
+      if (event.shiftKey && state.cursor >= 0) {
+        const [x, y] = columns();
+        anchor ??= [x.values[state.cursor], y.values[state.cursor]];
+        narrow(state, x.key, around(x, anchor[0], x.values[row]));
+        narrow(state, y.key, around(y, anchor[1], y.values[row]));
+        state.cursor = row;
+        app.filtered();
+      } else anchor = null;
+      show(row);
+      drawOver();
+      app.tell(tip.textContent ?? "");
+    } else if ((event.key === "Enter" || event.key === " ") && state.cursor >= 0) app.choose(state.cursor);
+    else if (event.key === "Escape") brushOff();
+    else return;
+    event.preventDefault();
+  });
+  selects.forEach((select, k) =>
+    select.addEventListener("change", () => {
+      if (k < 2) {
+        slicing();
+        lay();
+      }
+      app.redraw();
+    }),
+  );
+
+  /**
+   * @param {{ x: number, y: number, part: "both" | "x" | "y" }} from
+   * @param {number} toX
+   * @param {number} toY
+   */
+  const brush = (from, toX, toY) => {
+    if (!places) return;
+    const area = box();
+    const here = places;
+    const [x, y] = columns();
+    const across = (/** @type {number} */ at) => here.x.back(clamp((at - area.left) / area.width, 0, 1));
+    const up = (/** @type {number} */ at) => here.y.back(clamp(1 - (at - area.top) / area.height, 0, 1));
+    if (from.part !== "y") narrow(state, x.key, { low: across(from.x), high: across(toX) });
+    if (from.part !== "x") narrow(state, y.key, { low: up(from.y), high: up(toY) });
+    app.filtered();
+  };
+
+  const brushOff = () => {
+    const [x, y] = columns();
+    narrow(state, x.key, null);
+    narrow(state, y.key, null);
+    anchor = null;
+    app.filtered();
+  };
+
+  slicing();
+  return {
+    root: base,
+    draw,
+    point: drawOver,
+    resized: () => (places = null),
+  };
+
+  /**
+   * @param {Column} column
+   * @returns {number[]}
+   */
+  function valuesOf(column) {
+    return [...new Set(column.values)].filter((value) => !Number.isNaN(value)).sort((a, b) => a - b);
+  }
+}
+
+/**
+ * A range that takes both of two values in.
+ * @param {Column} column
+ * @param {number} a
+ * @param {number} b
+ * @returns {{ low: number, high: number }}
+ */
+function around(column, a, b) {
+  const room = 1e-9 * (column.high - column.low || 1);
+  return { low: Math.min(a, b) - room, high: Math.max(a, b) + room };
+}
+
+/**
+ * A value of a column in words.
+ * @param {Column} column
+ * @param {number} value
+ * @returns {string}
+ */
+export function worded(column, value) {
+  if (Number.isNaN(value)) return "–";
+  if (column.names) return column.names[value] ?? "";
+  return column.unit ? `${shortly(value)} ${column.unit}` : shortly(value);
+}
+
+/**
+ * The columns that the map starts with: what the page says, or the two parameters that have most to do with failure; the
+ * margin for the second where each was varied alone.
+ * @param {App} app
+ * @returns {[string, string]}
+ */
+function startOf({ table, ranked }) {
+  const { start } = table.about;
+  const numbers = table.columns.filter((column) => !column.names);
+  const first = start[0] ?? ranked[0]?.column.key ?? numbers[0]?.key ?? table.columns[0]?.key ?? "";
+  const free = (/** @type {string} */ key) => table.named.has(key) && key !== first;
+  const second = ranked[1]?.column.key ?? "";
+  const beside = [
+    start[1] ?? "",
+    ...(table.about.one_at_a_time ? ["margin", second] : [second, "margin"]),
+    ...numbers.map(({ key }) => key),
+  ].find(free);
+  return [first, beside ?? first];
+}
+
+/**
+ * The nearest row in a direction: what lies aside counts twice.
+ * @param {Places} here
+ * @param {number} row
+ * @param {[number, number]} way
+ * @param {(row: number) => boolean} passes
+ * @returns {number}
+ */
+export function stepFrom(here, row, way, passes) {
+  const unit = { left: 0, top: 0, width: 1, height: 1 };
+  const from = here.rows.indexOf(row);
+  if (from < 0) return here.rows.find(passes) ?? -1;
+  const [x, y] = spotOf(here, from, unit);
+  let best = row;
+  let least = Infinity;
+  here.rows.forEach((other, k) => {
+    if (other === row || !passes(other)) return;
+    const [u, v] = spotOf(here, k, unit);
+    const [right, up] = [u - x, y - v];
+    const ahead = right * way[0] + up * way[1];
+    const aside = Math.abs(right * way[1]) + Math.abs(up * way[0]);
+    const away = ahead + 2 * aside;
+    if (ahead > 1e-9 && aside <= ahead && away < least) [best, least] = [other, away];
+  });
+  return best;
+}

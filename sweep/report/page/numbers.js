@@ -1,0 +1,141 @@
+// Numbers as text, ticks of axes, and colours of values.
+
+/**
+ * Four digits are enough to read.
+ * @param {number} value
+ * @returns {string}
+ */
+export function shortly(value) {
+  if (!Number.isFinite(value)) return "–";
+  const size = Math.abs(value);
+  if (size !== 0 && (size >= 1e6 || size < 1e-4)) return value.toExponential(2).replace("e+", "e");
+  return String(Number(value.toPrecision(4)));
+}
+
+/**
+ * Round numbers between two ends, about `count` of them.
+ * @param {number} low
+ * @param {number} high
+ * @param {number} count
+ * @returns {number[]}
+ */
+export function ticks(low, high, count) {
+  if (!(high > low) || count < 1) return [low];
+  const rough = (high - low) / count;
+  const power = 10 ** Math.floor(Math.log10(rough));
+  const step = power * ([1, 2, 5].find((factor) => factor * power >= rough * 0.999) ?? 10);
+  const found = [];
+  for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k++)
+    found.push(Number((k * step).toPrecision(12)));
+  return found;
+}
+
+/**
+ * @param {number} value
+ * @param {number} low
+ * @param {number} high
+ * @returns {number}
+ */
+export function clamp(value, low, high) {
+  return Math.max(low, Math.min(high, value));
+}
+
+/**
+ * Where `count` cells begin and end that lie about sorted values: half-way between them.
+ * @param {ArrayLike<number>} values
+ * @returns {Float64Array}
+ */
+export function edgesOf(values) {
+  const count = values.length;
+  const edges = new Float64Array(count + 1);
+  for (let k = 1; k < count; k++) edges[k] = (values[k - 1] + values[k]) / 2;
+  const first = count > 1 ? (values[1] - values[0]) / 2 : Math.abs(values[0]) / 2 || 0.5;
+  const last = count > 1 ? (values[count - 1] - values[count - 2]) / 2 : first;
+  edges[0] = values[0] - first;
+  if (values[0] >= 0) edges[0] = Math.max(edges[0], 0); // such as friction, which is never below zero
+  edges[count] = values[count - 1] + last;
+  return edges;
+}
+
+/**
+ * Index of the last of sorted numbers that is not above `value`; -1 below the first.
+ * @param {ArrayLike<number>} sorted
+ * @param {number} value
+ * @returns {number}
+ */
+export function placeIn(sorted, value) {
+  let low = 0;
+  let high = sorted.length;
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if (sorted[middle] <= value) low = middle + 1;
+    else high = middle;
+  }
+  return low - 1;
+}
+
+/** The scale of rates and figures, dark to light, which the colour-blind can read (cividis). */
+const SCALE = [0x00224e, 0x123570, 0x3b496c, 0x575d6d, 0x707173, 0x8a8678, 0xa59c74, 0xc3b369, 0xe1cc55, 0xfee838];
+
+/**
+ * The colour of a share between 0 and 1, as `packRgb` packs it.
+ * @param {number} share
+ * @returns {number}
+ */
+export function scaleColour(share) {
+  const at = clamp(share, 0, 1) * (SCALE.length - 1);
+  const k = Math.min(Math.floor(at), SCALE.length - 2);
+  const part = (/** @type {number} */ shift) => {
+    const from = (SCALE[k] >> shift) & 255;
+    return from + (((SCALE[k + 1] >> shift) & 255) - from) * (at - k);
+  };
+  return packRgb(part(16), part(8), part(0));
+}
+
+/**
+ * A colour as a number of an image's memory, opaque.
+ * @param {number} red
+ * @param {number} green
+ * @param {number} blue
+ * @returns {number}
+ */
+export function packRgb(red, green, blue) {
+  return ((255 << 24) | (Math.round(blue) << 16) | (Math.round(green) << 8) | Math.round(red)) >>> 0;
+}
+
+/**
+ * `#D55E00` as three numbers.
+ * @param {string} hex
+ * @returns {[number, number, number]}
+ */
+export function rgbOf(hex) {
+  const value = parseInt(hex.slice(1), 16);
+  return [(value >> 16) & 255, (value >> 8) & 255, value & 255];
+}
+
+/**
+ * A colour on the way from one to another.
+ * @param {[number, number, number]} from
+ * @param {[number, number, number]} to
+ * @param {number} share
+ * @returns {[number, number, number]}
+ */
+export function mixed(from, to, share) {
+  const part = (/** @type {number} */ k) => from[k] + (to[k] - from[k]) * share;
+  return [part(0), part(1), part(2)];
+}
+
+/**
+ * Wilson's interval of a rate, for 95 %.
+ * @param {number} good
+ * @param {number} total
+ * @returns {[number, number]}
+ */
+export function wilson(good, total) {
+  if (!total) return [NaN, NaN];
+  const z = 1.959964;
+  const rate = good / total;
+  const middle = (rate + (z * z) / (2 * total)) / (1 + (z * z) / total);
+  const half = (z / (1 + (z * z) / total)) * Math.sqrt((rate * (1 - rate)) / total + (z * z) / (4 * total * total));
+  return [good === 0 ? 0 : middle - half, good === total ? 1 : middle + half];
+}

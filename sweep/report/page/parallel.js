@@ -1,0 +1,261 @@
+// Parallel coordinates: a line for each rollout from axis to axis, brushed along each; drawn in slices of time.
+import { clipped } from "./data.js";
+import { byId, cssOf, pointerOn, sheetOf } from "./dom.js";
+import { clamp, shortly } from "./numbers.js";
+import { narrow } from "./state.js";
+
+/** @typedef {import("./data.js").Column} Column */
+/** @typedef {import("./main.js").App} App */
+/** @typedef {import("./main.js").View} View */
+
+const MOST = 10; // axes side by side
+const NARROW = 84; // pixels that an axis needs for its title
+const AT_ONCE = 16; // ms of drawing before the page may answer
+const BATCH = 150; // lines between two looks at the clock
+const FRAME = { left: 46, right: 46, top: 52, bottom: 30 };
+
+/**
+ * @param {App} app
+ * @returns {View}
+ */
+export function parallelView(app) {
+  const { table, state } = app;
+  const base = /** @type {HTMLCanvasElement} */ (byId("lines-base"));
+  const over = /** @type {HTMLCanvasElement} */ (byId("lines-over"));
+  const every = axesOf(app);
+  const order = shuffled(table.rows);
+  /** @type {Float32Array[]} shares of each axis by row */
+  const parts = every.map(({ values, low, high, names }) =>
+    Float32Array.from(values, (value, row) =>
+      high > low ? (value + (names ? jitter(row) : 0) - low) / (high - low) : 0.5,
+    ),
+  );
+  let [axes, shares] = [every, parts];
+  let job = 0; // number of the drawing that goes on
+  /** @type {{ axis: number, from: number } | null} */
+  let pressed = null;
+  let keyed = 0; // axis of the keyboard
+
+  const area = () => ({
+    left: FRAME.left,
+    top: FRAME.top,
+    width: base.clientWidth - FRAME.left - FRAME.right,
+    height: base.clientHeight - FRAME.top - FRAME.bottom,
+  });
+  const xOf = (/** @type {number} */ axis) =>
+    area().left + (axes.length > 1 ? axis / (axes.length - 1) : 0.5) * area().width;
+
+  /** On a narrow screen the axes that matter most, and the margin. */
+  const fit = () => {
+    const room = clamp(Math.floor(base.clientWidth / NARROW), 2, every.length);
+    const kept = every.map((_, axis) => axis).filter((axis) => axis < room - 1 || axis === every.length - 1);
+    [axes, shares] = [kept.map((axis) => every[axis]), kept.map((axis) => parts[axis])];
+    keyed = Math.min(keyed, axes.length - 1);
+  };
+
+  const draw = () => {
+    const mine = ++job;
+    fit();
+    const { pen, width } = sheetOf(base);
+    const { top, height } = area();
+    const { ink, soft, line, paper } = app.theme();
+    const looks = app.looks();
+    const places = axes.map((_, axis) => xOf(axis));
+    const opacity = clamp(9 / Math.sqrt(state.passing + 1), 0.06, 0.75);
+    const stroke = (/** @type {number} */ row, /** @type {CanvasRenderingContext2D} */ on) => {
+      for (let axis = 0, down = false; axis < places.length; axis++) {
+        const share = shares[axis][row];
+        if (Number.isNaN(share)) {
+          down = false;
+          continue;
+        }
+        const y = top + (1 - share) * height;
+        if (down) on.lineTo(places[axis], y);
+        else on.moveTo(places[axis], y);
+        down = true;
+      }
+    };
+    const frame = () => {
+      pen.globalAlpha = 1;
+      axes.forEach((column, axis) => {
+        pen.strokeStyle = line;
+        pen.lineWidth = 1;
+        pen.beginPath();
+        pen.moveTo(places[axis], top);
+        pen.lineTo(places[axis], top + height);
+        pen.stroke();
+        pen.textAlign =
+          axis === 0 && axes.length > 1 ? "left" : axis === axes.length - 1 && axes.length > 1 ? "right" : "center";
+        const at =
+          places[axis] + (pen.textAlign === "left" ? -FRAME.left + 4 : pen.textAlign === "right" ? FRAME.right - 4 : 0);
+        pen.fillStyle = ink;
+        pen.textBaseline = "bottom";
+        const room = axes.length > 1 ? (area().width / (axes.length - 1)) * 0.96 : width;
+        twoLines(column).forEach((text, k) => pen.fillText(text, at, 18 + 15 * k, room));
+        pen.fillStyle = soft;
+        pen.fillText(column.names ? (column.names.at(-1) ?? "") : shortly(column.high), at, top - 4, room);
+        pen.textBaseline = "top";
+        pen.fillText(column.names ? (column.names[0] ?? "") : shortly(column.low), at, top + height + 6, room);
+      });
+    };
+    // what is left out first, in grey and not all of it; then what passes, kinds mixed as they come
+    let next = 0;
+    let stage = state.passing < table.rows ? 0 : 1;
+    const go = () => {
+      if (mine !== job) return;
+      const until = performance.now() + AT_ONCE;
+      pen.lineWidth = 1;
+      while (performance.now() < until) {
+        if (stage > 1) return frame();
+        const end = Math.min(order.length, next + BATCH);
+        if (stage === 0) {
+          pen.globalAlpha = 0.12;
+          pen.strokeStyle = soft;
+          pen.beginPath();
+          for (let k = next; k < end; k++) if (!state.mask[order[k]]) stroke(order[k], pen);
+          pen.stroke();
+        } else {
+          pen.globalAlpha = opacity;
+          for (let kind = 0; kind < looks.length; kind++) {
+            pen.strokeStyle = cssOf(looks[kind].mark);
+            pen.beginPath();
+            for (let k = next; k < end; k++)
+              if (table.kind[order[k]] === kind && state.mask[order[k]]) stroke(order[k], pen);
+            pen.stroke();
+          }
+        }
+        next = end;
+        if (next >= order.length || (stage === 0 && next > 1200)) [stage, next] = [stage + 1, 0];
+      }
+      frame();
+      requestAnimationFrame(go);
+    };
+    pen.fillStyle = cssOf(paper);
+    go();
+    drawOver();
+  };
+
+  const drawOver = () => {
+    const { pen } = sheetOf(over);
+    const { top, height } = area();
+    axes.forEach((column, axis) => {
+      const range = state.ranges.get(column.key);
+      if (!range) return;
+      const size = column.high - column.low || 1;
+      const [low, high] = [range.low, range.high].map((value) => clamp((value - column.low) / size, 0, 1));
+      pen.fillStyle = app.theme().accent;
+      pen.globalAlpha = 0.22;
+      pen.fillRect(xOf(axis) - 8, top + (1 - high) * height, 16, (high - low) * height);
+      pen.globalAlpha = 1;
+      pen.strokeStyle = app.theme().accent;
+      pen.strokeRect(xOf(axis) - 8, top + (1 - high) * height, 16, Math.max(1, (high - low) * height));
+    });
+    for (const row of [state.chosen, state.cursor]) {
+      if (row < 0) continue;
+      pen.lineWidth = 2.5;
+      pen.strokeStyle = app.theme().accent;
+      pen.beginPath();
+      shares.forEach((share, axis) => {
+        const y = top + (1 - share[row]) * height;
+        if (axis) pen.lineTo(xOf(axis), y);
+        else pen.moveTo(xOf(axis), y);
+      });
+      pen.stroke();
+    }
+  };
+
+  const valueAt = (/** @type {number} */ axis, /** @type {number} */ y) => {
+    const { low, high } = axes[axis];
+    return low + clamp(1 - (y - area().top) / area().height, 0, 1) * (high - low);
+  };
+  const nearest = (/** @type {number} */ x) =>
+    axes.reduce((best, _, axis) => (Math.abs(xOf(axis) - x) < Math.abs(xOf(best) - x) ? axis : best), 0);
+
+  over.addEventListener("pointerdown", (event) => {
+    const [x, y] = pointerOn(event, over);
+    pressed = { axis: nearest(x), from: y };
+    over.setPointerCapture(event.pointerId);
+  });
+  over.addEventListener("pointermove", (event) => {
+    if (!pressed) return;
+    const [, y] = pointerOn(event, over);
+    if (Math.abs(y - pressed.from) < 4) return;
+    narrow(state, axes[pressed.axis].key, { low: valueAt(pressed.axis, pressed.from), high: valueAt(pressed.axis, y) });
+    app.filtered();
+  });
+  over.addEventListener("pointerup", (event) => {
+    const [, y] = pointerOn(event, over);
+    if (pressed && Math.abs(y - pressed.from) < 4) {
+      narrow(state, axes[pressed.axis].key, null);
+      app.filtered();
+    }
+    pressed = null;
+  });
+  over.addEventListener("keydown", (event) => {
+    const column = axes[keyed];
+    const size = column.high - column.low;
+    const range = state.ranges.get(column.key) ?? { low: column.low, high: column.high };
+    const step = 0.05 * size * (event.key === "ArrowUp" ? 1 : -1);
+    if (event.key === "ArrowLeft" || event.key === "ArrowRight") {
+      keyed = clamp(keyed + (event.key === "ArrowRight" ? 1 : -1), 0, axes.length - 1);
+    } else if (event.key === "ArrowUp" || event.key === "ArrowDown") {
+      const end = event.shiftKey ? "high" : "low";
+      narrow(state, column.key, { ...range, [end]: clamp(range[end] + step, column.low, column.high) });
+      app.filtered();
+    } else if (event.key === "Escape") {
+      narrow(state, column.key, null);
+      app.filtered();
+    } else return;
+    event.preventDefault();
+    const now = state.ranges.get(axes[keyed].key);
+    const said = now ? `from ${shortly(now.low)} to ${shortly(now.high)}` : "all";
+    app.tell(`${axes[keyed].title}: ${said}; ${state.passing} rollouts`);
+  });
+  return { root: base, draw, point: drawOver, resized: () => {} };
+}
+
+/**
+ * The axes of the lines: drawn numbers, those that matter most first, or what there is.
+ * @param {App} app
+ * @returns {Column[]}
+ */
+function axesOf({ table, ranked }) {
+  const axes = ranked.map(({ column }) => column);
+  const rest = table.columns.filter((column) => column.axis && !axes.includes(column));
+  const margin = table.columns.filter(({ key }) => key === "margin");
+  return [...axes, ...rest].slice(0, MOST - margin.length).concat(margin);
+}
+
+/**
+ * @param {Column} column
+ * @returns {string[]}
+ */
+function twoLines({ label, unit }) {
+  const cut = label.indexOf(" (");
+  const second = [cut > 0 ? label.slice(cut + 1) : "", unit ? `[${unit}]` : ""].filter(Boolean).join(" ");
+  return [clipped(cut > 0 ? label.slice(0, cut) : label), second];
+}
+
+/**
+ * @param {number} row
+ * @returns {number}
+ */
+function jitter(row) {
+  return (((row * 2654435761) >>> 8) % 1000) / 5000 - 0.1;
+}
+
+/**
+ * Rows in an order that any part of is a fair sample, the same each time.
+ * @param {number} count
+ * @returns {Uint32Array}
+ */
+export function shuffled(count) {
+  const order = Uint32Array.from({ length: count }, (_, k) => k);
+  let seed = 1;
+  for (let k = count - 1; k > 0; k--) {
+    seed = (Math.imul(seed, 1664525) + 1013904223) >>> 0;
+    const other = Math.floor((seed / 2 ** 32) * (k + 1));
+    [order[k], order[other]] = [order[other], order[k]];
+  }
+  return order;
+}

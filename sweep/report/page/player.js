@@ -1,0 +1,462 @@
+// The player of replays: time, stages, speed, orbit, and a second replay beside or over the first.
+import { clipped, inflate, nearestReplay } from "./data.js";
+import { byId, cssOf, element, pointerOn, sheetOf } from "./dom.js";
+import { endOf, frameAt, plus, readMotion, stateAt } from "./kinematics.js";
+import { clamp, shortly } from "./numbers.js";
+import { baseOf, drawForces, drawRobot, drawWorld, obstaclesOf, viewOf } from "./scene.js";
+import { hides } from "./solids.js";
+import { worded } from "./map.js";
+
+/** @typedef {import("./kinematics.js").Model} Model */
+/** @typedef {import("./kinematics.js").Motion} Motion */
+/** @typedef {import("./main.js").App} App */
+/** @typedef {import("./scene.js").Camera} Camera */
+
+/** @typedef {{ number: number, model: Model, motion: Motion }} Reel */
+
+/**
+ * @typedef {object} Player
+ * @property {(row: number) => void} openRow the replay of a row, or of the nearest one
+ * @property {() => void} draw
+ */
+
+const GHOST = /** @type {[number, number, number]} */ ([140, 86, 190]);
+const START = { azimuth: -0.75, elevation: 0.36 };
+const ANGLES = [-0.75, 0.75, -2.4, 2.4, 0, 3.14]; // that a replay may be seen from at first
+const HOLD = 0.8; // s before a replay that has ended begins again
+const FOLLOW = 0.12; // share of the way to the base that the camera goes in a frame
+
+/**
+ * @param {App} app
+ * @returns {Player}
+ */
+export function playerOf(app) {
+  const { table } = app;
+  const { replays } = table.about;
+  const panel = byId("replay");
+  const canvases = ["scene-a", "scene-b"].map((id) => /** @type {HTMLCanvasElement} */ (byId(id)));
+  const [list, beside, mode, speed] = ["replay-list", "replay-with", "replay-mode", "replay-speed"].map(
+    (id) => /** @type {HTMLSelectElement} */ (byId(id)),
+  );
+  const play = byId("play");
+  const scrub = /** @type {HTMLInputElement} */ (byId("scrub"));
+  const strip = /** @type {HTMLCanvasElement} */ (byId("strip"));
+  const [clock, note, caption] = ["clock", "replay-note", "replay-about"].map(byId);
+
+  /** @type {Map<number, Promise<Reel>>} */
+  const reels = new Map();
+  /** @type {Promise<Model[]> | null} */
+  let models = null;
+  /** @type {(Reel | null)[]} */
+  let open = [null, null];
+  let time = 0;
+  let playing = false;
+  let last = 0;
+  /** @type {Camera} */
+  let camera = { ...START, distance: 3, target: [0, 0, 0] };
+  let waited = 0;
+  let turned = false; // whether the view is the reader's own
+  /** @type {Map<number, [number, number]>} */
+  const fingers = new Map();
+
+  if (!replays.length) {
+    panel.classList.add("empty");
+    note.textContent = `No rollout has a replay yet: sweep report ${clipped(table.about.folder)} --replays 60`;
+    return { openRow: () => {}, draw: () => {} };
+  }
+  const groups = () =>
+    table.about.kinds.flatMap(({ key, label }) => {
+      const own = replays.flatMap((one, number) => (one.kind === key ? [number] : []));
+      const options = own.map((number) => element("option", { value: String(number) }, titleOf(app, number)));
+      return own.length ? [element("optgroup", { label: clipped(label) }, ...options)] : [];
+    });
+  list.replaceChildren(...groups());
+  beside.replaceChildren(element("option", { value: "" }, "nothing"), ...groups());
+
+  /**
+   * @param {number} number
+   * @returns {Promise<Reel>}
+   */
+  const reelOf = (number) => {
+    models ??= inflate(table.about.models).then((buffer) => JSON.parse(new TextDecoder().decode(buffer)));
+    const known = reels.get(number);
+    if (known) return known;
+    const shown = replays[number];
+    const made = Promise.all([models, inflate(app.stream(number))]).then(([all, buffer]) => ({
+      number,
+      model: all[shown.model],
+      motion: readMotion(shown, buffer),
+    }));
+    reels.set(number, made);
+    return made;
+  };
+
+  /**
+   * @param {number} which 0, or 1 for the one beside it
+   * @param {number} number -1 closes it
+   * @param {string} said
+   */
+  const openReel = async (which, number, said = "") => {
+    const reel = number < 0 ? null : await reelOf(number);
+    open[which] = reel;
+    (which ? beside : list).value = reel ? String(number) : "";
+    if (reel && which === 0) {
+      note.textContent = said;
+      time = reel.motion.step;
+      const target = baseOf(reel.model, stateAt(reel.motion, time));
+      camera = { ...camera, target, distance: spanOf(reel), azimuth: turned ? camera.azimuth : freest(reel) };
+      describe();
+    }
+    panel.classList.toggle("two", Boolean(open[1]));
+    panel.classList.toggle("ghost", mode.value === "ghost");
+    scrub.max = String(lengthOf());
+    drawStrip();
+    draw();
+  };
+
+  /** @param {number} row */
+  const openRow = (row) => {
+    const number = nearestReplay(table, row);
+    if (number < 0) return;
+    const other = replays[number].row;
+    let said = "";
+    if (other !== row) {
+      const differ = table.columns.filter((column) => column.axis && column.values[row] !== column.values[other]);
+      const apart = differ
+        .slice(0, 4)
+        .map(
+          (column) =>
+            `${column.label} ${worded(column, column.values[other])} instead of ${worded(column, column.values[row])}`,
+        );
+      const ends =
+        table.kind[row] === table.kind[other]
+          ? ""
+          : `; it ends as ${table.about.kinds[table.kind[other]].label}, not as ${table.about.kinds[table.kind[row]].label}`;
+      said = `Another row: the one you chose has no replay. This is the nearest that has one: ${apart.join(", ")}${differ.length > 4 ? ", …" : ""}${ends}.`;
+    }
+    time = 0;
+    void openReel(0, number, said).then(() => start());
+  };
+
+  const describe = () => {
+    const reel = open[0];
+    if (!reel) return;
+    const shown = replays[reel.number];
+    const left = table.about.left_out ? ` ${table.about.left_out} more replays have no room on this page.` : "";
+    const same =
+      shown.equal === shown.of
+        ? "all figures equal to the last bit"
+        : `${shown.equal} of ${shown.of} figures equal to the last bit`;
+    caption.textContent = `${shown.why ? `${clipped(shown.why)}. ` : ""}Simulated again from row ${shown.point}: ${same}.${left}`;
+  };
+
+  const lengthOf = () => Math.max(0.1, ...open.map((reel) => (reel ? endOf(reel.motion) : 0)));
+
+  /**
+   * @param {Reel} reel
+   * @returns {number} m from where the robot is seen whole
+   */
+  const spanOf = ({ model, motion }) => {
+    const base = baseOf(model, stateAt(motion, motion.step));
+    return clamp(8 * sizeOf(model) + 0.15 * Math.abs(base[2]), 1.2, 12);
+  };
+
+  /**
+   * @param {Reel} reel
+   * @returns {number} the angle that the base is least hidden from, of a few
+   */
+  const freest = (reel) => {
+    const { model, motion } = reel;
+    const solids = Array.from({ length: 9 }, (_, k) => {
+      const state = stateAt(motion, motion.step + (k / 8) * (endOf(motion) - motion.step));
+      return { base: baseOf(model, state), solids: obstaclesOf(model, state) };
+    });
+    const hidden = ANGLES.map((angle) => {
+      const away = [
+        Math.cos(angle) * Math.cos(START.elevation),
+        Math.sin(angle) * Math.cos(START.elevation),
+        Math.sin(START.elevation),
+      ];
+      return solids.filter(({ base, solids }) => solids.some((one) => hides(one, plus(base, away, spanOf(reel)), base)))
+        .length;
+    });
+    return ANGLES[hidden.indexOf(Math.min(...hidden))];
+  };
+
+  const draw = () => {
+    const [a, b] = open;
+    if (!a) return;
+    const ghost = mode.value === "ghost";
+    const aim = baseOf(a.model, stateAt(a.motion, time));
+    scene(canvases[0], a, aim, b && ghost ? b : null);
+    if (b && !ghost) scene(canvases[1], b, baseOf(b.model, stateAt(b.motion, time)), null);
+    scrub.value = String(time);
+    const stage = stageOf(a);
+    clock.textContent = `${time.toFixed(2)} s`;
+    byId("stage").textContent = stage;
+    scrub.setAttribute("aria-valuetext", `${time.toFixed(1)} seconds, ${stage}`);
+    drawStrip();
+  };
+
+  /**
+   * @param {Reel} reel
+   * @returns {string}
+   */
+  const stageOf = ({ motion, number }) => clipped(replays[number].stages[motion.stage[frameAt(motion, time)]] ?? "");
+
+  /**
+   * @param {HTMLCanvasElement} canvas
+   * @param {Reel} reel
+   * @param {number[]} aim
+   * @param {Reel | null} ghost
+   */
+  const scene = (canvas, reel, aim, ghost) => {
+    const sheet = sheetOf(canvas);
+    const theme = app.theme();
+    const shift = camera.target.map((part, k) => part + (aim[k] - part) * (playing ? FOLLOW : 1));
+    if (canvas === canvases[0]) camera = { ...camera, target: shift };
+    const view = viewOf(sheet, theme, canvas === canvases[0] ? camera : { ...camera, target: aim });
+    const state = stateAt(reel.motion, time);
+    drawWorld(
+      view,
+      reel.model,
+      state,
+      view.eye.map((part, k) => part + view.axes[2][k] * camera.distance),
+    );
+    if (ghost) {
+      const own = sheetOf(overlay(canvas));
+      drawRobot({ ...view, sheet: own }, ghost.model, stateAt(ghost.motion, time), GHOST);
+      sheet.pen.globalAlpha = 0.5;
+      sheet.pen.drawImage(own.pen.canvas, 0, 0, sheet.width, sheet.height);
+      sheet.pen.globalAlpha = 1;
+    }
+    const frame = frameAt(reel.motion, time);
+    const arrow = arrowOf(reel);
+    drawForces(view, reel.model, state, reel.motion.force.subarray(18 * frame, 18 * frame + 18), arrow);
+    const lines = [`${time.toFixed(2)} s   ${stageOf(reel)}`, titleOf(app, reel.number)];
+    lines[0] += `   arrows: 100 N are ${shortly(100 * arrow.metres)} m`;
+    if (ghost) lines.push(`violet: ${titleOf(app, ghost.number)}`);
+    sheet.pen.textAlign = "left";
+    sheet.pen.textBaseline = "bottom";
+    sheet.pen.lineWidth = 3;
+    sheet.pen.strokeStyle = cssOf(theme.paper, 0.85);
+    lines.forEach((text, k) => {
+      sheet.pen.font = sheet.pen.font.replace(/^(bold )?/, k ? "" : "bold ");
+      sheet.pen.fillStyle = k ? theme.soft : theme.ink;
+      const y = sheet.height - 10 - 17 * (lines.length - 1 - k);
+      sheet.pen.strokeText(text, 12, y, sheet.width - 24);
+      sheet.pen.fillText(text, 12, y, sheet.width - 24);
+    });
+  };
+
+  /**
+   * Arrows no longer than the robot.
+   * @param {Reel} reel
+   * @returns {{ metres: number, least: number }}
+   */
+  const arrowOf = ({ model, motion }) => {
+    const robot = 2 * sizeOf(model);
+    const most = motion.force.reduce((a, b) => Math.max(a, Math.abs(b)), 1);
+    const { metres, least } = table.about.arrow;
+    return { metres: Math.min(metres, Number((robot / most).toPrecision(1))), least };
+  };
+
+  /** @type {HTMLCanvasElement | null} */
+  let second = null;
+  /**
+   * A canvas of the same size that is not shown.
+   * @param {HTMLCanvasElement} canvas
+   * @returns {HTMLCanvasElement}
+   */
+  const overlay = (canvas) => {
+    second ??= element("canvas");
+    Object.defineProperty(second, "clientWidth", { value: canvas.clientWidth, configurable: true });
+    Object.defineProperty(second, "clientHeight", { value: canvas.clientHeight, configurable: true });
+    return second;
+  };
+
+  /** Stages along the time, and when the cause came. */
+  const drawStrip = () => {
+    const [a] = open;
+    if (!a) return;
+    const { pen, width, height } = sheetOf(strip);
+    const { ink, soft, line, accent } = app.theme();
+    const { motion } = a;
+    const total = lengthOf();
+    const xOf = (/** @type {number} */ at) => (at / total) * width;
+    pen.textBaseline = "middle";
+    pen.textAlign = "left";
+    for (let from = 0; from < motion.frames;) {
+      let to = from;
+      while (to < motion.frames && motion.stage[to] === motion.stage[from]) to++;
+      const [left, right] = [xOf(from * motion.step), xOf(to * motion.step)];
+      const now = time > from * motion.step && time <= to * motion.step + 1e-9;
+      pen.globalAlpha = now ? 0.45 : motion.stage[from] % 2 ? 0.42 : 0.2;
+      pen.fillStyle = now ? accent : line;
+      pen.fillRect(left, 0, right - left - 1, height);
+      pen.globalAlpha = 1;
+      const name = clipped(replays[a.number].stages[motion.stage[from]] ?? "");
+      pen.fillStyle = now ? ink : soft;
+      if (pen.measureText(name).width < right - left - 8) pen.fillText(name, left + 4, height / 2);
+      from = to;
+    }
+    const row = replays[a.number].row;
+    const cause = table.named.get("t_cause_s")?.values[row];
+    if (cause !== undefined && Number.isFinite(cause)) {
+      pen.fillStyle = "#D55E00";
+      pen.fillRect(xOf(cause) - 1.5, 0, 3, height);
+    }
+    pen.fillStyle = ink;
+    pen.fillRect(xOf(time) - 1, 0, 2, height);
+  };
+
+  const start = () => {
+    playing = true;
+    last = 0;
+    play.setAttribute("aria-pressed", "true");
+    play.textContent = "❚❚";
+    play.setAttribute("aria-label", "pause");
+    requestAnimationFrame(step);
+  };
+  const stop = () => {
+    playing = false;
+    play.setAttribute("aria-pressed", "false");
+    play.textContent = "▶";
+    play.setAttribute("aria-label", "play");
+    draw();
+  };
+  /** @param {number} now */
+  const step = (now) => {
+    if (!playing) return;
+    const passed = last ? Math.min(0.1, (now - last) / 1000) : 0;
+    last = now;
+    time += passed * Number(speed.value);
+    const end = lengthOf();
+    if (time >= end) {
+      time = end;
+      waited += passed;
+      if (waited > HOLD) [time, waited] = [0, 0];
+    }
+    if (app.visible(canvases[0])) draw();
+    requestAnimationFrame(step);
+  };
+  const to = (/** @type {number} */ value) => {
+    time = clamp(value, 0, lengthOf());
+    draw();
+  };
+
+  play.addEventListener("click", () => (playing ? stop() : start()));
+  scrub.addEventListener("input", () => {
+    const chosen = Number(scrub.value); // before drawing sets it
+    stop();
+    to(chosen);
+  });
+  strip.addEventListener("pointerdown", (event) => {
+    stop();
+    to((pointerOn(event, strip)[0] / strip.clientWidth) * lengthOf());
+  });
+  list.addEventListener("change", () => {
+    const number = Number(list.value);
+    app.mark(replays[number].row);
+    void openReel(0, number);
+  });
+  beside.addEventListener("change", () => void openReel(1, beside.value === "" ? -1 : Number(beside.value)));
+  mode.addEventListener("change", () => {
+    panel.classList.toggle("ghost", mode.value === "ghost");
+    draw();
+  });
+  byId("reset").addEventListener("click", () => {
+    turned = false;
+    if (open[0]) camera = { ...camera, ...START, distance: spanOf(open[0]), azimuth: freest(open[0]) };
+    draw();
+  });
+
+  const orbit = (/** @type {number} */ dx, /** @type {number} */ dy) => {
+    turned = true;
+    camera = {
+      ...camera,
+      azimuth: camera.azimuth - dx / 160,
+      elevation: clamp(camera.elevation + dy / 160, 0.03, 1.5),
+    };
+    if (!playing) draw();
+  };
+  const zoom = (/** @type {number} */ factor) => {
+    camera = { ...camera, distance: clamp(camera.distance * factor, 0.4, 30) };
+    if (!playing) draw();
+  };
+  for (const canvas of canvases) {
+    canvas.addEventListener("pointerdown", (event) => {
+      canvas.setPointerCapture(event.pointerId);
+      fingers.set(event.pointerId, pointerOn(event, canvas));
+    });
+    canvas.addEventListener("pointermove", (event) => {
+      const before = fingers.get(event.pointerId);
+      if (!before) return;
+      const now = pointerOn(event, canvas);
+      fingers.set(event.pointerId, now);
+      const other = [...fingers].find(([id]) => id !== event.pointerId)?.[1];
+      if (!other) return orbit(now[0] - before[0], now[1] - before[1]);
+      const apart = (/** @type {[number, number]} */ p) => Math.hypot(p[0] - other[0], p[1] - other[1]);
+      zoom(apart(before) / Math.max(1, apart(now)));
+    });
+    for (const name of /** @type {const} */ (["pointerup", "pointercancel"]))
+      canvas.addEventListener(name, (event) => fingers.delete(event.pointerId));
+    canvas.addEventListener(
+      "wheel",
+      (event) => {
+        event.preventDefault();
+        zoom(Math.exp(clamp(event.deltaY, -200, 200) / 600));
+      },
+      { passive: false },
+    );
+    canvas.addEventListener("keydown", (event) => {
+      const turns = /** @type {Record<string, () => void>} */ ({
+        ArrowLeft: () => orbit(-16, 0),
+        ArrowRight: () => orbit(16, 0),
+        ArrowUp: () => orbit(0, 16),
+        ArrowDown: () => orbit(0, -16),
+        "+": () => zoom(0.9),
+        "-": () => zoom(1.1),
+        " ": () => play.click(),
+        ",": () => to(time - 0.1),
+        ".": () => to(time + 0.1),
+      });
+      if (!turns[event.key]) return;
+      turns[event.key]();
+      event.preventDefault();
+    });
+  }
+  const typical = replays.findIndex(({ why }) => why === "typical of success");
+  const { open: wanted } = table.about;
+  void openReel(0, wanted ? 0 : Math.max(0, typical)).then(async () => {
+    if (wanted > 1) await openReel(1, 1);
+    if (wanted && !matchMedia("(prefers-reduced-motion: reduce)").matches) start();
+  });
+  return { openRow, draw };
+}
+
+/**
+ * @param {Model} model
+ * @returns {number} m, the largest half-size of the robot's parts
+ */
+function sizeOf(model) {
+  const parts = model.geoms.filter((geom) => geom.robot);
+  return parts.reduce((most, geom) => Math.max(most, ...(geom.size ?? [0])), 0);
+}
+
+/**
+ * What a replay is called in lists: its own title, or its outcome and its place in the study.
+ * @param {App} app
+ * @param {number} number
+ * @returns {string}
+ */
+function titleOf({ table, ranked }, number) {
+  const shown = table.about.replays[number];
+  const kind =
+    table.about.kinds.find(({ key }) => key === shown.kind)?.label ?? clipped(shown.kind.replaceAll("_", " "));
+  if (shown.title) return `${clipped(shown.title)}: ${kind}`;
+  if (shown.row < 0) return `${kind}, ${shown.point.slice(0, 6)}`;
+  const columns = [...table.columns.filter(({ axis, names }) => axis && names), ...ranked.map(({ column }) => column)];
+  const told = columns.slice(0, 3).map((column) => `${column.label} ${worded(column, column.values[shown.row])}`);
+  return `${kind}${told.length ? `: ${told.join(", ")}` : ""}`;
+}

@@ -1,0 +1,473 @@
+// The robot on its obstacle, drawn on a canvas: no more than polygons, thick lines and their order.
+import { cssOf } from "./dom.js";
+import { plus, posesOf, rotated } from "./kinematics.js";
+import { clamp, mixed } from "./numbers.js";
+import { backToFront, hides, isLink, solidOf } from "./solids.js";
+
+/** @typedef {import("./dom.js").Rgb} Rgb */
+/** @typedef {import("./dom.js").Sheet} Sheet */
+/** @typedef {import("./dom.js").Theme} Theme */
+/** @typedef {import("./kinematics.js").Model} Model */
+/** @typedef {import("./solids.js").Solid} Solid */
+
+/** @typedef {{ azimuth: number, elevation: number, distance: number, target: number[] }} Camera angles in rad */
+
+/**
+ * @typedef {object} View
+ * @property {Sheet} sheet
+ * @property {Theme} theme
+ * @property {number[]} eye
+ * @property {number[][]} axes right, up, and away from the eye
+ * @property {number} focus pixels
+ */
+
+/** @typedef {{ x: number, y: number, depth: number }} Spot */
+
+const NEAR = 0.05; // m before the eye, from where things are seen
+const LIGHT = [0.36, -0.48, 0.8]; // towards the light
+const PIECES = 6; // of a link, each behind or before what it passes
+const GRID = 0.5; // m
+const REACH = 12; // m of ground that is seen around the target
+const SUN = 0.55; // share of a face's colour that depends on the light
+
+/**
+ * @param {Sheet} sheet
+ * @param {Theme} theme
+ * @param {Camera} camera
+ * @returns {View}
+ */
+export function viewOf(sheet, theme, camera) {
+  const { azimuth, elevation, distance, target } = camera;
+  const [ca, sa] = [Math.cos(azimuth), Math.sin(azimuth)];
+  const [ce, se] = [Math.cos(elevation), Math.sin(elevation)];
+  const away = [-ca * ce, -sa * ce, -se];
+  const axes = [[-sa, ca, 0], [-ca * se, -sa * se, ce], away];
+  const focus = 1.25 * Math.min(sheet.width * 1.1, sheet.height * 1.35);
+  return { sheet, theme, eye: plus(target, away, -distance), axes, focus };
+}
+
+/**
+ * @param {View} view
+ * @param {ArrayLike<number>} point
+ * @returns {number[]} right, up, away
+ */
+function seen(view, point) {
+  const offset = plus(point, view.eye, -1);
+  return view.axes.map((axis) => axis[0] * offset[0] + axis[1] * offset[1] + axis[2] * offset[2]);
+}
+
+/**
+ * @param {View} view
+ * @param {number[]} local
+ * @returns {Spot}
+ */
+function onSheet(view, local) {
+  const { width, height } = view.sheet;
+  const scale = view.focus / local[2];
+  return { x: width / 2 + local[0] * scale, y: height / 2 - local[1] * scale, depth: local[2] };
+}
+
+/**
+ * The part of a polygon that is before the eye, on the sheet.
+ * @param {View} view
+ * @param {number[][]} points
+ * @returns {Spot[]}
+ */
+export function outline(view, points) {
+  const locals = points.map((point) => seen(view, point));
+  const kept = [];
+  for (let k = 0; k < locals.length; k++) {
+    const [a, b] = [locals[k], locals[(k + 1) % locals.length]];
+    if (a[2] >= NEAR) kept.push(a);
+    if (a[2] >= NEAR !== b[2] >= NEAR) kept.push(plus(a, plus(b, a, -1), (NEAR - a[2]) / (b[2] - a[2])));
+  }
+  return kept.map((local) => onSheet(view, local));
+}
+
+/**
+ * @param {View} view
+ * @param {number[][]} points
+ * @param {string | null} fill
+ * @param {string | null} stroke
+ */
+function polygon(view, points, fill, stroke) {
+  const spots = outline(view, points);
+  if (spots.length < 3) return;
+  const { pen } = view.sheet;
+  pen.beginPath();
+  spots.forEach(({ x, y }, k) => (k ? pen.lineTo(x, y) : pen.moveTo(x, y)));
+  pen.closePath();
+  if (fill) {
+    pen.fillStyle = fill;
+    pen.fill();
+  }
+  if (stroke) {
+    pen.strokeStyle = stroke;
+    pen.stroke();
+  }
+}
+
+/**
+ * A colour in the light that falls along a normal.
+ * @param {Theme} theme
+ * @param {Rgb} rgb
+ * @param {number[]} normal
+ * @returns {Rgb}
+ */
+function lit(theme, rgb, normal) {
+  const light = normal[0] * LIGHT[0] + normal[1] * LIGHT[1] + normal[2] * LIGHT[2];
+  const share = 1 - SUN / 2 + (SUN / 2) * light;
+  return mixed([0, 0, 0], rgb, clamp(share * (theme.dark ? 0.8 : 1.04), 0, 1));
+}
+
+/**
+ * Sky, ground, obstacles and the robot.
+ * @param {View} view
+ * @param {Model} model
+ * @param {Float64Array} state
+ * @param {number[]} target that the ground fades around
+ */
+export function drawWorld(view, model, state, target) {
+  const poses = posesOf(model, state);
+  const solids = model.geoms.map((geom) => solidOf(geom, poses[geom.body]));
+  const grounds = solids.filter((solid) => solid.geom.shape === "plane");
+  drawSky(view);
+  for (const ground of grounds) drawGround(view, ground, target);
+  const bodies = solids.filter((solid) => solid.geom.shape !== "plane" && !isLink(solid.geom));
+  const links = solids.filter((solid) => isLink(solid.geom));
+  for (const ground of grounds) drawShadows(view, ground, [...links, ...bodies.filter((b) => b.geom.robot)]);
+  drawInOrder(view, bodies, links, null);
+}
+
+/**
+ * The robot alone, in one colour.
+ * @param {View} view
+ * @param {Model} model
+ * @param {Float64Array} state
+ * @param {Rgb} tint
+ */
+export function drawRobot(view, model, state, tint) {
+  const poses = posesOf(model, state);
+  const solids = model.geoms.map((geom) => solidOf(geom, poses[geom.body]));
+  const links = solids.filter((solid) => isLink(solid.geom));
+  const bodies = solids.filter((solid) => solid.geom.robot && !isLink(solid.geom));
+  drawInOrder(view, bodies, links, tint);
+}
+
+/**
+ * @param {View} view
+ * @param {Solid[]} bodies
+ * @param {Solid[]} links
+ * @param {Rgb | null} tint
+ */
+function drawInOrder(view, bodies, links, tint) {
+  const order = backToFront(bodies, view.eye);
+  const layers = /** @type {{ depth: number, draw: () => void }[][]} */ ([...order, null].map(() => []));
+  for (const link of links) {
+    const [a, b] = link.points;
+    const radius = link.geom.size?.[0] ?? 0.01;
+    const along = plus(b, a, -1);
+    const places = Array.from({ length: PIECES }, (_, k) => layerOf(plus(a, along, (k + 0.5) / PIECES), radius));
+    for (let k = 0, from = 0; k < PIECES; k++) {
+      if (k + 1 < PIECES && places[k + 1] === places[k]) continue;
+      const [start, end] = [plus(a, along, from / PIECES), plus(a, along, (k + 1) / PIECES)];
+      const depth = (seen(view, start)[2] + seen(view, end)[2]) / 2;
+      layers[places[k]].push({ depth, draw: () => drawLink(view, start, end, radius, tint ?? link.geom.colour) });
+      from = k + 1;
+    }
+  }
+  layers.forEach((layer, k) => {
+    layer.sort((a, b) => b.depth - a.depth).forEach((piece) => piece.draw());
+    if (k < order.length) drawSolid(view, order[k], tint);
+  });
+
+  /**
+   * Before which of the ordered bodies a piece is drawn: the first that hides it.
+   * @param {number[]} point
+   * @param {number} radius
+   * @returns {number}
+   */
+  function layerOf(point, radius) {
+    const towards = plus(view.eye, point, -1);
+    const before = plus(point, towards, (1.5 * radius) / Math.hypot(...towards)); // what it touches does not hide it
+    const first = order.findIndex((body) => hides(body, view.eye, before));
+    return first < 0 ? order.length : first;
+  }
+}
+
+/** @param {View} view */
+function drawSky({ sheet, theme }) {
+  const { pen, width, height } = sheet;
+  const sky = pen.createLinearGradient(0, 0, 0, height);
+  const [high, low] = theme.dark ? ["#20252d", "#161a20"] : ["#dfe8f0", "#f7f9fb"];
+  sky.addColorStop(0, high);
+  sky.addColorStop(0.75, low);
+  pen.fillStyle = sky;
+  pen.fillRect(0, 0, width, height);
+}
+
+/**
+ * A plane around the target, fading out, with a grid.
+ * @param {View} view
+ * @param {Solid} ground
+ * @param {number[]} target
+ */
+function drawGround(view, ground, target) {
+  const { pen } = view.sheet;
+  const [right, ahead, normal] = [0, 1, 2].map((k) => [ground.turn[k], ground.turn[3 + k], ground.turn[6 + k]]);
+  const inPlane = (/** @type {number[]} */ axis) =>
+    axis.reduce((sum, part, k) => sum + part * (target[k] - ground.pos[k]), 0);
+  const [u, v] = [inPlane(right), inPlane(ahead)];
+  const at = (/** @type {number} */ x, /** @type {number} */ y) => plus(plus(ground.pos, right, x), ahead, y);
+  const below = plus(view.eye, ground.pos, -1).reduce((sum, part, k) => sum + part * normal[k], 0) < 0;
+  const soil = cssOf(view.theme.dark ? [46, 52, 55] : [226, 230, 225], below ? 0.15 : 0.34);
+  const ring = (/** @type {number} */ radius) =>
+    Array.from({ length: 40 }, (_, k) => at(u + radius * Math.cos(k / 6.3662), v + radius * Math.sin(k / 6.3662)));
+  for (let k = 0; k < 8; k++) polygon(view, ring(REACH * (1 - k / 10)), soil, null);
+  const ink = view.theme.dark ? [120, 132, 140] : [120, 132, 126];
+  pen.lineWidth = 1;
+  const near = (/** @type {number} */ value) => Math.round(value / GRID) * GRID;
+  /** @type {Spot[][][]} by how faint they are */
+  const faint = [[], [], [], []];
+  for (let k = -REACH; k <= REACH; k += GRID)
+    for (let j = -REACH; j < REACH; j += 2 * GRID) {
+      const away = Math.hypot(k, j + GRID) / REACH;
+      const level = Math.floor(away * 6);
+      if (level >= faint.length) continue;
+      const [x, y] = [near(u), near(v)];
+      for (const [p, q] of [
+        [at(x + k, y + j), at(x + k, y + j + 2 * GRID)],
+        [at(x + j, y + k), at(x + j + 2 * GRID, y + k)],
+      ])
+        faint[level].push(outline(view, [p, q, q]));
+    }
+  faint.forEach((lines, level) => {
+    pen.strokeStyle = cssOf(/** @type {Rgb} */ (ink), (0.34 * (faint.length - level)) / faint.length);
+    pen.beginPath();
+    for (const [a, b] of lines) {
+      if (!b) continue;
+      pen.moveTo(a.x, a.y);
+      pen.lineTo(b.x, b.y);
+    }
+    pen.stroke();
+  });
+}
+
+/**
+ * What falls on a plane from above along its normal, soft.
+ * @param {View} view
+ * @param {Solid} ground
+ * @param {Solid[]} casting
+ */
+function drawShadows(view, ground, casting) {
+  const normal = [ground.turn[2], ground.turn[5], ground.turn[8]];
+  const { pen } = view.sheet;
+  const fallen = (/** @type {number[]} */ point) => {
+    const height = plus(point, ground.pos, -1).reduce((sum, part, k) => sum + part * normal[k], 0);
+    return { spot: plus(point, normal, -height), height };
+  };
+  pen.lineCap = "round";
+  for (const solid of casting) {
+    const spots = solid.points.map(fallen);
+    const height = spots.reduce((sum, { height }) => sum + height, 0) / spots.length;
+    const opacity = (view.theme.dark ? 0.4 : 0.16) / (1 + Math.max(0, height));
+    if (isLink(solid.geom)) {
+      const [a, b] = outline(view, [spots[0].spot, spots[1].spot, spots[1].spot]);
+      if (!b) continue;
+      pen.strokeStyle = cssOf([0, 0, 0], opacity);
+      pen.lineWidth = ((2.4 * (solid.geom.size?.[0] ?? 0.01)) / ((a.depth + b.depth) / 2)) * view.focus;
+      pen.beginPath();
+      pen.moveTo(a.x, a.y);
+      pen.lineTo(b.x, b.y);
+      pen.stroke();
+    } else if (solid.geom.shape === "box") {
+      const shadow = cssOf([0, 0, 0], opacity / 2);
+      for (const face of solid.faces.slice(4))
+        polygon(
+          view,
+          face.points.map((p) => fallen(p).spot),
+          shadow,
+          null,
+        );
+    }
+  }
+}
+
+/**
+ * @param {View} view
+ * @param {Solid} solid
+ * @param {Rgb | null} tint
+ */
+function drawSolid(view, solid, tint) {
+  const own = tint ?? solid.geom.colour;
+  if (solid.geom.shape === "sphere") {
+    drawBall(view, solid, own);
+    return;
+  }
+  const { pen } = view.sheet;
+  pen.lineWidth = 1;
+  for (const face of solid.faces) {
+    const sight = plus(face.points[0], view.eye, -1);
+    if (sight.reduce((sum, part, k) => sum + part * face.normal[k], 0) >= 0) continue;
+    const colour = lit(view.theme, own, face.normal);
+    const edge = face.edges ? cssOf(mixed(colour, view.theme.dark ? [0, 0, 0] : [255, 255, 255], 0.35)) : cssOf(colour);
+    polygon(view, face.points, cssOf(colour), edge);
+  }
+}
+
+/**
+ * A ball with three circles around it, which show how it turns.
+ * @param {View} view
+ * @param {Solid} solid
+ * @param {Rgb} own
+ */
+function drawBall(view, solid, own) {
+  const { pen } = view.sheet;
+  const local = seen(view, solid.pos);
+  if (local[2] < NEAR) return;
+  const radius = solid.geom.size?.[0] ?? 0;
+  const { x, y, depth } = onSheet(view, local);
+  const size = (radius / Math.sqrt(Math.max(depth ** 2 - radius ** 2, 1e-6))) * view.focus;
+  const light = pen.createRadialGradient(x + 0.25 * size, y - 0.4 * size, 0.1 * size, x, y, 1.1 * size);
+  light.addColorStop(0, cssOf(mixed(own, [255, 255, 255], view.theme.dark ? 0.1 : 0.45)));
+  light.addColorStop(1, cssOf(mixed(own, [0, 0, 0], 0.35)));
+  pen.fillStyle = light;
+  pen.beginPath();
+  pen.arc(x, y, size, 0, 2 * Math.PI);
+  pen.fill();
+  pen.strokeStyle = cssOf(mixed(own, [0, 0, 0], 0.45), 0.6);
+  pen.lineWidth = 1;
+  for (let circle = 0; circle < 3; circle++) {
+    let before = /** @type {Spot | null} */ (null);
+    pen.beginPath();
+    for (let k = 0; k <= 48; k++) {
+      const angle = (2 * Math.PI * k) / 48;
+      const point = [0, 0, 0];
+      point[circle] = radius * Math.cos(angle);
+      point[(circle + 1) % 3] = radius * Math.sin(angle);
+      const out = rotated(solid.turn, point);
+      const place = plus(solid.pos, out);
+      const facing = plus(view.eye, place, -1).reduce((sum, part, axis) => sum + part * out[axis], 0) > 0;
+      const spot = facing ? onSheet(view, seen(view, place)) : null;
+      if (spot && before) pen.lineTo(spot.x, spot.y);
+      else if (spot) pen.moveTo(spot.x, spot.y);
+      before = spot;
+    }
+    pen.stroke();
+  }
+}
+
+/**
+ * A limb: a thick line that tapers with distance, bright on the side of the light.
+ * @param {View} view
+ * @param {number[]} from
+ * @param {number[]} to
+ * @param {number} radius
+ * @param {Rgb} rgb
+ */
+function drawLink(view, from, to, radius, rgb) {
+  const [a, b] = [seen(view, from), seen(view, to)];
+  if (a[2] < NEAR || b[2] < NEAR) return;
+  const { pen } = view.sheet;
+  const [p, q] = [onSheet(view, a), onSheet(view, b)];
+  const [r, s] = [Math.max((radius / a[2]) * view.focus, 1), Math.max((radius / b[2]) * view.focus, 1)];
+  const colour = mixed([0, 0, 0], rgb, view.theme.dark ? 0.88 : 0.94);
+  limb(p, q, r + 0.9, s + 0.9, cssOf(mixed(colour, [0, 0, 0], 0.45)));
+  limb(p, q, r, s, cssOf(colour));
+  const shine = { x: -0.3, y: -0.34 };
+  const moved = (/** @type {Spot} */ spot, /** @type {number} */ size) => ({
+    ...spot,
+    x: spot.x + shine.x * size,
+    y: spot.y + shine.y * size,
+  });
+  limb(moved(p, r), moved(q, s), 0.42 * r, 0.42 * s, cssOf(mixed(colour, [255, 255, 255], 0.36)));
+
+  /**
+   * @param {Spot} start
+   * @param {Spot} end
+   * @param {number} first
+   * @param {number} last radii
+   * @param {string} fill
+   */
+  function limb(start, end, first, last, fill) {
+    const angle = Math.atan2(end.y - start.y, end.x - start.x);
+    pen.fillStyle = fill;
+    pen.beginPath();
+    pen.arc(start.x, start.y, first, angle + Math.PI / 2, angle - Math.PI / 2);
+    pen.arc(end.x, end.y, last, angle - Math.PI / 2, angle + Math.PI / 2);
+    pen.closePath();
+    pen.fill();
+  }
+}
+
+/**
+ * Forces on the feet as arrows.
+ * @param {View} view
+ * @param {Model} model
+ * @param {Float64Array} state
+ * @param {Float64Array} force (18,) N
+ * @param {{ metres: number, least: number }} arrow m per N, and the N below which there is none
+ */
+export function drawForces(view, model, state, force, arrow) {
+  const { pen } = view.sheet;
+  const poses = posesOf(model, state);
+  const colour = view.theme.dark ? "#ffc24d" : "#e08e00";
+  pen.lineCap = "round";
+  model.feet.forEach(([body, ...place], foot) => {
+    const pull = force.subarray(3 * foot, 3 * foot + 3);
+    if (Math.hypot(...pull) <= arrow.least) return;
+    const tail = plus(poses[body].pos, rotated(poses[body].turn, place));
+    const [a, b] = [seen(view, tail), seen(view, plus(tail, pull, arrow.metres))];
+    if (a[2] < NEAR || b[2] < NEAR) return;
+    const [p, q] = [onSheet(view, a), onSheet(view, b)];
+    const length = Math.hypot(q.x - p.x, q.y - p.y);
+    const head = Math.min(9, length / 2);
+    const angle = Math.atan2(q.y - p.y, q.x - p.x);
+    const tip = (/** @type {number} */ back, /** @type {number} */ aside) =>
+      /** @type {const} */ ([
+        q.x - back * Math.cos(angle) - aside * Math.sin(angle),
+        q.y - back * Math.sin(angle) + aside * Math.cos(angle),
+      ]);
+    for (const [stroke, wide] of /** @type {[string, number][]} */ ([
+      [cssOf(view.theme.paper, 0.8), 5],
+      [colour, 2.6],
+    ])) {
+      pen.strokeStyle = pen.fillStyle = stroke;
+      pen.lineWidth = wide;
+      pen.beginPath();
+      pen.moveTo(p.x, p.y);
+      pen.lineTo(...tip(head, 0));
+      pen.stroke();
+      pen.beginPath();
+      pen.moveTo(q.x, q.y);
+      pen.lineTo(...tip(head, head / 2));
+      pen.lineTo(...tip(head, -head / 2));
+      pen.closePath();
+      pen.fill();
+      if (wide > 4) pen.stroke();
+    }
+  });
+}
+
+/**
+ * What the robot may be hidden behind.
+ * @param {Model} model
+ * @param {Float64Array} state
+ * @returns {Solid[]}
+ */
+export function obstaclesOf(model, state) {
+  const poses = posesOf(model, state);
+  const others = model.geoms.filter((geom) => !geom.robot && geom.shape !== "plane");
+  return others.map((geom) => solidOf(geom, poses[geom.body]));
+}
+
+/**
+ * Where the robot's base is.
+ * @param {Model} model
+ * @param {Float64Array} state
+ * @returns {number[]}
+ */
+export function baseOf(model, state) {
+  const robot = model.geoms.find((geom) => geom.robot);
+  return robot ? posesOf(model, state)[robot.body].pos : [0, 0, 0];
+}

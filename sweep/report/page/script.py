@@ -1,0 +1,51 @@
+"""The page's script and style: one text each from the files beside this, and the policy that lets them alone run."""
+
+import base64
+import hashlib
+import re
+from functools import cache
+from graphlib import TopologicalSorter
+from importlib.resources import files
+
+IMPORT = re.compile(r'^import \{[^}]*\} from "\./([\w-]+\.js)";\n', re.MULTILINE)
+EXPORT = re.compile(r"^export (?=(?:async )?(?:function|const|class) )", re.MULTILINE)
+
+
+@cache
+def bundle() -> str:
+    """All modules as one script, each after those that it imports; their names are of one piece."""
+    sources = {
+        file.name: file.read_text(encoding="utf-8")
+        for file in files(__package__).iterdir()
+        if file.name.endswith(".js")
+    }
+    order = TopologicalSorter({name: IMPORT.findall(text) for name, text in sources.items()}).static_order()
+    return "\n".join(EXPORT.sub("", IMPORT.sub("", sources[name])).strip() for name in order)
+
+
+@cache
+def style_sheet() -> str:
+    """The style as it is."""
+    return (files(__package__) / "style.css").read_text(encoding="utf-8")
+
+
+def policy(style: str, script: str) -> str:
+    """A content security policy: no network, and only this style and this script.
+
+    Styles of single elements are allowed, as figures have them, and data URLs of pictures.
+    """
+    rules = {
+        "default-src": "'none'",
+        "script-src": digest(script),
+        "style-src": digest(style),
+        "style-src-attr": "'unsafe-inline'",
+        "img-src": "data:",
+        "base-uri": "'none'",
+        "form-action": "'none'",
+    }
+    return "; ".join(f"{name} {value}" for name, value in rules.items())
+
+
+def digest(text: str) -> str:
+    """What a policy calls a text by."""
+    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"

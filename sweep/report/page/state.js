@@ -1,0 +1,55 @@
+// What is chosen: which rows pass the filters, and who draws anew when that changes.
+
+/** @typedef {import("./data.js").Table} Table */
+/** @typedef {{ low: number, high: number }} Range */
+
+/**
+ * @typedef {object} State
+ * @property {Table} table
+ * @property {Map<string, Range>} ranges by column
+ * @property {Set<number>} hidden kinds
+ * @property {Uint8Array} mask 1 for each row that passes
+ * @property {number} passing
+ * @property {number} cursor the row under the pointer, -1 for none
+ * @property {number} chosen the row that was clicked, -1 for none
+ */
+
+/**
+ * @param {Table} table
+ * @returns {State}
+ */
+export function stateOf(table) {
+  const mask = new Uint8Array(table.rows).fill(1);
+  return { table, ranges: new Map(), hidden: new Set(), mask, passing: table.rows, cursor: -1, chosen: -1 };
+}
+
+/**
+ * Mark the rows that pass all filters; how many do.
+ * @param {State} state
+ * @returns {number}
+ */
+export function sift(state) {
+  const { table, mask, hidden } = state;
+  const shown = Uint8Array.from(table.about.kinds, (_, k) => (hidden.has(k) ? 0 : 1));
+  for (let row = 0; row < table.rows; row++) mask[row] = shown[table.kind[row]];
+  for (const [key, { low, high }] of state.ranges) {
+    const values = table.named.get(key)?.values;
+    if (!values) continue;
+    for (let row = 0; row < table.rows; row++) if (!(values[row] >= low && values[row] <= high)) mask[row] = 0;
+  }
+  let passing = 0;
+  for (let row = 0; row < table.rows; row++) passing += mask[row];
+  state.passing = passing;
+  return passing;
+}
+
+/**
+ * A range of a column as a filter; without one the filter goes.
+ * @param {State} state
+ * @param {string} key
+ * @param {Range | null} range
+ */
+export function narrow(state, key, range) {
+  if (range) state.ranges.set(key, { low: Math.min(range.low, range.high), high: Math.max(range.low, range.high) });
+  else state.ranges.delete(key);
+}

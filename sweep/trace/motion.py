@@ -1,0 +1,176 @@
+"""A rollout for a page: its bodies and geoms once, its states as a small stream of whole numbers.
+
+`page/kinematics.js` reads both. A stream has F frames of columns: MuJoCo's `qpos`, then the feet's forces, then the
+stage. Columns are differences from frame to frame, each as all its low bytes and then all its high ones, which deflates
+to a third; forces and stages have no high bytes.
+"""
+
+import base64
+import zlib
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from sweep.engines.base import Trace
+from sweep.models.scene import JOINTS, LEGS
+from sweep.trace.sampling import BASE, finite_frames
+from sweep.trace.shapes import VISIBLE_GROUPS, geom_color
+
+RATE = 10.0  # frames per second
+FINE = 1e-3  # of a state's stream: m and rad; coarser where int16 could not hold the largest value
+UNIT = 1e-4  # of a quaternion's numbers
+INT16, LEVELS = 2**15 - 1, 63  # of a state at most; of a force on either side of zero
+DIGITS = 4  # of lengths (m) and directions of bodies and geoms
+Kind = mujoco.mjtGeom
+SHAPES = {
+    Kind.mjGEOM_PLANE: "plane",
+    Kind.mjGEOM_SPHERE: "sphere",
+    Kind.mjGEOM_CAPSULE: "capsule",
+    Kind.mjGEOM_CYLINDER: "cylinder",
+    Kind.mjGEOM_BOX: "box",
+    Kind.mjGEOM_MESH: "mesh",
+}
+
+
+def motion(trace: Trace) -> dict[str, Any]:
+    """`states` of the trace's finite frames as base64, and what is needed to read them.
+
+    `scales` (nq,) are units of the whole numbers of `qpos`, `force_scale` (N) those of the forces, `step` (s) is the
+    time between frames, and of the first one.
+    """
+    frames = finite_frames(trace)
+    qpos = np.asarray(trace.qpos[:frames], float)
+    scales = np.maximum(units(trace.model), np.abs(qpos).max(axis=0) / INT16)
+    force = np.asarray(trace.foot_force[:frames], float).reshape(frames, -1)
+    force_scale = max(float(np.nan_to_num(np.abs(force)).max()) / LEVELS, 1e-6)
+    small = np.column_stack([np.round(np.nan_to_num(force) / force_scale), trace.stage[:frames]]).astype(np.int8)
+    return {
+        "step": float(trace.time[0]),
+        "frames": frames,
+        "scales": [float(f"{scale:.6g}") for scale in scales],
+        "force_scale": float(f"{force_scale:.6g}"),
+        "states": packed(np.round(qpos / scales).astype(np.int16), small),
+    }
+
+
+def thinned(kept: dict[str, Any], every: int) -> dict[str, Any]:
+    """A motion with one in `every` of its frames, and one at least; a page shows a cubic through them."""
+    frames, columns = kept["frames"], len(kept["scales"])
+    content = zlib.decompress(base64.b64decode(kept["states"]))
+    states = read_planes(content[: 2 * frames * columns], frames, np.dtype(np.int16))
+    small = read_planes(content[2 * frames * columns :], frames, np.dtype(np.int8))
+    every = min(every, frames)
+    chosen = slice(every - 1, None, every)
+    return {
+        **kept,
+        "step": kept["step"] * every,
+        "frames": frames // every,
+        "states": packed(states[chosen], small[chosen]),
+    }
+
+
+def packed(states: np.ndarray, small: np.ndarray) -> str:
+    """Whole numbers of two bytes and of one as text."""
+    return base64.b64encode(zlib.compress(planes(states) + planes(small), 9)).decode()
+
+
+def planes(values: np.ndarray) -> bytes:
+    """Differences of the rows of whole numbers `values` (F, K), column by column, low bytes first."""
+    change = np.diff(values, axis=0, prepend=np.zeros_like(values[:1])).T  # wraps around, and back when it is summed
+    size = values.dtype.itemsize
+    return (
+        np.ascontiguousarray(change)
+        .astype(f"<i{size}")
+        .view(np.uint8)
+        .reshape(*change.shape, size)
+        .transpose(0, 2, 1)
+        .tobytes()
+    )
+
+
+def read_planes(content: bytes, frames: int, kind: np.dtype) -> np.ndarray:
+    """Whole numbers (F, K) from their `planes`."""
+    size = kind.itemsize
+    change = np.frombuffer(content, np.uint8).reshape(-1, size, frames).transpose(0, 2, 1)
+    change = np.ascontiguousarray(change).view(f"<i{size}")[..., 0]
+    return np.cumsum(change, axis=1, dtype=kind).T
+
+
+def units(model: mujoco.MjModel) -> np.ndarray:
+    """What a whole number of each coordinate of `qpos` stands for at best."""
+    fine = np.full(model.nq, FINE)
+    for joint in range(model.njnt):
+        if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE:
+            start = model.jnt_qposadr[joint] + 3
+            fine[start : start + 4] = UNIT
+    return fine
+
+
+def bodies(model: mujoco.MjModel) -> dict[str, Any]:
+    """The tree of bodies with their joints and what is drawn of them, as plain values.
+
+    A body has its parent's index, place and quaternion in it, and joints: `[address in qpos]` of a free one,
+    `[address, x, y, z, px, py, pz]` of a hinge with its axis and anchor. A geom has its body, shape, MuJoCo's size (of
+    a mesh: vertices and faces), place, quaternion, colour, and whether it is the robot's. `feet` are body and place.
+    """
+    root = model.body_rootid[model.body(BASE).id]
+    drawn = [g for g in range(model.ngeom) if model.geom_group[g] < VISIBLE_GROUPS and model.geom_rgba[g, 3] > 0]
+    feet = [model.site(f"foot{leg}") for leg in LEGS]
+    return {
+        "bodies": [
+            {
+                "parent": int(model.body_parentid[body]),
+                "pos": short(model.body_pos[body]),
+                "quat": short(model.body_quat[body]),
+                "joints": [joint(model, int(j)) for j in model.body_jntadr[body] + np.arange(model.body_jntnum[body])],
+            }
+            for body in range(model.nbody)
+        ],
+        "geoms": [
+            {
+                "body": int(model.geom_bodyid[geom]),
+                "robot": bool(model.body_rootid[model.geom_bodyid[geom]] == root),
+                "pos": short(model.geom_pos[geom]),
+                "quat": short(model.geom_quat[geom]),
+                "colour": [round(255 * float(part)) for part in geom_color(model, geom)[:3]],
+                **shape(model, geom),
+            }
+            for geom in drawn
+        ],
+        "feet": [[int(site.bodyid[0]), *short(site.pos)] for site in feet],
+        "hinges": [int(model.joint(name).qposadr[0]) for name in JOINTS],
+    }
+
+
+def joint(model: mujoco.MjModel, number: int) -> list[float]:
+    """See `bodies`. Raises `ValueError` for a joint of another type."""
+    address = int(model.jnt_qposadr[number])
+    match model.jnt_type[number]:
+        case mujoco.mjtJoint.mjJNT_FREE:
+            return [address]
+        case mujoco.mjtJoint.mjJNT_HINGE:
+            return [address, *short(model.jnt_axis[number]), *short(model.jnt_pos[number])]
+        case kind:
+            raise ValueError(f"a page shows no joint of type {kind}")
+
+
+def shape(model: mujoco.MjModel, geom: int) -> dict[str, Any]:
+    """Shape and size of a geom. Raises `ValueError` for one of another type."""
+    kind = Kind(model.geom_type[geom])
+    if kind not in SHAPES:
+        raise ValueError(f"a page shows no geom of type {kind.name}")
+    if kind != Kind.mjGEOM_MESH:
+        return {"shape": SHAPES[kind], "size": short(model.geom_size[geom])}
+    mesh = int(model.geom_dataid[geom])
+    first, number = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
+    faces = []
+    for polygon in model.mesh_polyadr[mesh] + np.arange(model.mesh_polynum[mesh]):
+        start = int(model.mesh_polyvertadr[polygon])
+        faces.append(model.mesh_polyvert[start : start + int(model.mesh_polyvertnum[polygon])].tolist())
+    return {"shape": "mesh", "vertices": [short(v) for v in model.mesh_vert[first : first + number]], "faces": faces}
+
+
+def short(values: np.ndarray) -> list[float]:
+    """Numbers with as many digits as can be seen."""
+    return [float(f"{value:.{DIGITS}f}") + 0.0 for value in np.asarray(values, float)]
