@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from sweep.controllers.frames import FIXED, KOENIG, WORLD, to_frame, to_world
+from sweep.controllers.frames import WORLD, fixed, koenig, to_frame, to_world
 from sweep.controllers.manoeuvres.balancing.ball import on_ball, perch
 from sweep.controllers.observation import Observation
 from sweep.controllers.riding import angular_momentum, centre_of_mass, follow_up, footholds, over_ball
@@ -31,7 +31,7 @@ def test_frames_go_with_the_body():
     turn = exponential(jnp.array([[0.3, -0.2, 0.5]]))
     still = jnp.zeros((1, 3))
     free = FreeState(jnp.array([[1.0, 2.0, 0.8]]), turn, still, still)
-    point, frames = jnp.array([0.1, -0.2, 0.7]), jnp.array([WORLD, KOENIG, FIXED])
+    point, frames = jnp.array([0.1, -0.2, 0.7]), jnp.array([WORLD, koenig(0), fixed(0)])
     seen = to_world(jnp.stack([point] * 3), frames, free)
     np.testing.assert_allclose(seen[0], point, atol=1e-6)
     np.testing.assert_allclose(seen[1], point + free.position[0], atol=1e-6)

@@ -6,17 +6,17 @@ are stiff: feet that follow its measured attitude as it comes, 1 mrad off at eve
 Therefore the pose goes through an observer, which steady rolling passes without lag.
 """
 
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from sweep.controllers.frames import FIXED, KOENIG
+from sweep.controllers.frames import fixed, koenig
 from sweep.controllers.gaits import TRIPOD
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import CYCLE_A, Plan, Stage, Stance, assemble, swing_progress
+from sweep.controllers.plan import CYCLE_A, KEEP, REGRIP, Plan, Stage, Stance, assemble, swing_progress
 from sweep.controllers.riding import (
     UP,
     angular_momentum,
@@ -49,7 +49,31 @@ class Perch(NamedTuple):
     position: Float[Array, " 3"]  # of the base, with the mass centre over the ball's
 
 
-def perch(belief: Case, manoeuvre: "BallBalance | BallDrive") -> Perch:
+class Perching(Protocol):
+    """A manoeuvre on top of a ball has these numbers."""
+
+    @property
+    def circle_ratio(self) -> float:
+        """d_1 (R)."""
+        ...
+
+    @property
+    def chord_ratio(self) -> float:
+        """d_2 (d_1)."""
+        ...
+
+    @property
+    def height_ratio(self) -> float:
+        """Of the base over the ball's top (a_r)."""
+        ...
+
+    @property
+    def deepening(self) -> float:
+        """Epsilon, feet inside the ball (m)."""
+        ...
+
+
+def perch(belief: Case, manoeuvre: "Perching") -> Perch:
     """Feet on their circle, the base level over the ball."""
     radius, length = belief.on(Ball).radius, belief.robot.body_length
     circle = manoeuvre.circle_ratio * radius
@@ -126,11 +150,16 @@ class BallBalance:
         perched = perched._replace(position=perched.position.at[:2].add(off))
         stages = [
             Stage(
-                f"balance{k + 1}", self.period, position=perched.position, foot_frames=(FIXED,) * 6, base_frame=KOENIG
+                f"balance{k + 1}",
+                self.period,
+                position=perched.position,
+                foot_frames=(fixed(0),) * 6,
+                base_frame=koenig(0),
+                onset=KEEP,
             )
             for k in range(self.stages)
         ]
-        return assemble(on_ball(belief, perched), stages, 0.0, onset="keep")
+        return assemble(on_ball(belief, perched), stages, 0.0)
 
     def memory(self, belief: Case, plan: Plan) -> BalanceMemory:
         """The base where the plan starts."""
@@ -184,8 +213,6 @@ class DriveMemory(NamedTuple):
     aside: Float[Array, ""]  # m, delta r^(3) to the left
     aside_before: Float[Array, ""]  # m, of the last step
     way: Float[Array, ""]  # m, of the ball to the left when the step began
-    feet: Float[Array, "6 3"]  # m, commanded in the last tick, Koenig frame
-    slack: Float[Array, "6 3"]  # m, from there to where the step takes them to stand when it begins
 
 
 @parameters
@@ -237,30 +264,25 @@ class BallDrive:
         return jnp.where(self.speed * duration > self.place, 0.0, self.speed)
 
     def plan(self, belief: Case) -> Plan:
-        """Tripods in turn; standing feet on the ball's axes, swinging ones in its Koenig frame."""
+        """Steps in turn."""
         perched = perch(belief, self)
+        return assemble(on_ball(belief, perched), self.steps_of(perched, "step"), self.patience, ease=self.ease)
+
+    def steps_of(self, perched: Perch, name: str) -> list[Stage]:
+        """Tripods in turn; standing feet on the ball's axes, swinging ones in its Koenig frame."""
         stages = []
         for k in range(self.steps):
             legs = TRIPOD[k % 2]
             swing = {leg: perched.feet[leg - 1] for leg in legs}
-            frames = tuple(KOENIG if leg in legs else FIXED for leg in LEGS)
-            stages.append(
-                Stage(
-                    f"step{k + 1}",
-                    self.step_time,
-                    swing,
-                    CYCLE_A,
-                    position=perched.position,
-                    foot_frames=frames,
-                    base_frame=KOENIG,
-                )
-            )
-        return assemble(on_ball(belief, perched), stages, self.patience, onset="regrip")
+            frames = tuple(koenig(0) if leg in legs else fixed(0) for leg in LEGS)
+            stages.append(Stage(f"{name}{k + 1}", self.step_time, swing, CYCLE_A, position=perched.position,
+                                foot_frames=frames, base_frame=koenig(0), onset=REGRIP))  # fmt: skip
+        return stages
 
     def memory(self, belief: Case, plan: Plan) -> DriveMemory:
         """Nothing pushed yet."""
-        zero, feet = jnp.zeros(()), perch(belief, self).feet
-        return DriveMemory(zero, zero, zero, zero, feet, jnp.zeros_like(feet))
+        zero = jnp.zeros(())
+        return DriveMemory(zero, zero, zero, zero)
 
     def guide(
         self, belief: Case, plan: Plan, state: TrackerState, seen: Observation, begins: Bool[Array, ""], period: float
@@ -279,9 +301,6 @@ class BallDrive:
         aside = memory.aside_before + blend**2 * (3 - 2 * blend) * (memory.aside - memory.aside_before)
         pulse = memory.push * stabilise_delta(self.step_time, 0.0, state.clock).pulse
         position = self._compensated(belief, plan.position[state.stage], feet, pulse, aside)
-        memory = memory._replace(slack=jnp.where(begins, memory.feet - feet, memory.slack))
-        feet = feet + jnp.clip(1 - state.clock / self.ease, 0.0, 1.0) * memory.slack
-        memory = memory._replace(feet=feet)
         feet = jnp.where(swings, feet, rotate(conjugate(seen.free.quat), feet))
         return Guidance(Stance(feet, position, plan.quat[state.stage]), goal, memory)
 
