@@ -288,16 +288,19 @@ def begins(plan: Plan, stage: Int[Array, ""]) -> tuple[Float[Array, "6 3"], Floa
     return feet, jnp.where(stage > 0, plan.position[before], plan.start.position)
 
 
-def reference(plan: Plan, stage: Int[Array, ""], u: Float[Array, ""], feet: Array, position: Array) -> Stance:
-    """What stage number `stage` wants at phase u (0 to 1), having begun with `feet` (6, 3) and base `position`."""
+def swings(plan: Plan, stage: Int[Array, ""], u: Float[Array, ""], feet: Array, goal: Array) -> Float[Array, "6 3"]:
+    """Feet at phase u (0 to 1) of stage number `stage`: those that swing on their way from `feet` to `goal`."""
     share, height = swing_progress(plan.cycle[stage], plan.carry[stage], u)
-    goal = plan.foothold[stage]
     lift = stepping.lift_direction(goal - feet, plan.plane[stage])
     along = feet + share * (goal - feet) + plan.height[stage] * height * lift
     curve = along_guides(feet, plan.guides[stage], goal, share)
     along = jnp.where(plan.guided[stage][:, None], curve, along)
-    swinging = jnp.where(plan.swing[stage][:, None], along, feet)
+    return jnp.where(plan.swing[stage][:, None], along, feet)
+
+
+def reference(plan: Plan, stage: Int[Array, ""], u: Float[Array, ""], feet: Array, position: Array) -> Stance:
+    """What stage number `stage` wants at phase u (0 to 1), having begun with `feet` (6, 3) and base `position`."""
     done = pace_progress(plan.pace[stage], plan.rates[stage], u)
     quat = multiply(exponential(done * plan.turn[stage]), plan.quat[stage])
     centre = along_arc(position, plan.position[stage], plan.pivot[stage], plan.arc[stage], done)
-    return Stance(swinging, centre, quat)
+    return Stance(swings(plan, stage, u, feet, plan.foothold[stage]), centre, quat)

@@ -11,7 +11,7 @@ from sweep.controllers import flywheel, grip, onset, support
 from sweep.controllers.frames import to_world
 from sweep.controllers.observation import Observation
 from sweep.controllers.observer import Observer, followed
-from sweep.controllers.plan import BALANCE, Plan, Posture, Stance, reference, stance_to_frame, stance_to_world
+from sweep.controllers.plan import BALANCE, REZERO, Plan, Posture, Stance, reference, stance_to_frame, stance_to_world
 from sweep.controllers.posture import feet_in_world
 from sweep.core.rotations import conjugate, exponential, logarithm, multiply, rotate
 from sweep.formulas import leg, stepping
@@ -138,12 +138,15 @@ def step(
         state = state._replace(goal=goal, memory=memory)
     else:
         wanted = reference(plan, state.stage, phase, state.feet, state.position)
+    if old.told is not None:
+        state = _from_told(plan, old.stage, old.told, state, wanted, begins, free)
     target = _in_world(plan, state, wanted, phase, free)
-    if state.told is not None:
-        state = state._replace(told=wanted)
     if state.slack is not None and plan.ease is not None:
         eased = _eased(plan, state.slack, old.stage, state, begins, target.feet, free)
         state, target = state._replace(slack=eased[0]), target._replace(feet=eased[1])
+    if state.told is not None:
+        frames = plan.foot_frame[state.stage], plan.base_frame[state.stage]
+        state = state._replace(told=stance_to_frame(target, *frames, free))
     if plan.grip is not None:
         target = target._replace(feet=target.feet + grip.creep(plan, plan.grip, state.stage, state.clock))
     joints, shortfall = joint_targets(belief.robot, target)
@@ -186,6 +189,23 @@ def _in_world(plan: Plan, state: TrackerState, wanted: Stance, phase: Array, fre
     return Stance(feet, position + left * state.error, multiply(exponential(left * state.turn), quat))
 
 
+def _from_told(
+    plan: Plan, before: Array, told: Stance, state: TrackerState, wanted: Stance, begins: Array, free: FreeState
+) -> TrackerState:
+    """The base goes over from where it was told to be to what a stage wants that begins elsewhere.
+
+    As the error of one that is rezeroed does, which is measured.
+    """
+    stage = state.stage
+    was = stance_to_world(told, plan.foot_frame[before], plan.base_frame[before], free)
+    now = stance_to_world(wanted, plan.foot_frame[stage], plan.base_frame[stage], free)
+    takes = begins & ~jnp.asarray(np.array(plan.onset) == REZERO)[stage]
+    return state._replace(
+        error=jnp.where(takes, was.position - now.position, state.error),
+        turn=jnp.where(takes, logarithm(multiply(was.quat, conjugate(now.quat))), state.turn),
+    )
+
+
 def _eased(
     plan: Plan, slack: Slack, before: Array, state: TrackerState, begins: Array, feet: Array, free: FreeState
 ) -> tuple[Slack, Float[Array, "6 3"]]:
@@ -226,19 +246,16 @@ def _advance(belief: Case, plan: Plan, state: TrackerState, seen: Observation, p
     if plan.flywheel is not None:  # tilted about two feet, it sees nothing of where they are: the error before holds on
         known = onset.Begun(ended.feet, state.error, state.turn)
         begun = jax.tree.map(lambda a, b: jnp.where(_balancing(plan, stage), a, b), known, begun)
-    frames = plan.foot_frame[following], plan.base_frame[following]
-    starts = stance_to_frame(ended._replace(feet=begun.feet), *frames, seen.free)
-    turn = begun.turn
-    if state.told is not None:  # attitudes that are not as planned when a stage ends go over to what is
-        planned = stance_to_world(starts._replace(quat=plan.quat[following]), *frames, seen.free).quat
-        turn = turn + logarithm(multiply(ended.quat, conjugate(planned)))
+    starts = stance_to_frame(
+        ended._replace(feet=begun.feet), plan.foot_frame[following], plan.base_frame[following], seen.free
+    )
     shifted = state._replace(
         stage=following,
         clock=jnp.where(last, state.clock, jnp.minimum(jnp.maximum(over, 0.0), period)),
         feet=starts.feet,
         position=starts.position,
         error=begun.error,
-        turn=turn,
+        turn=begun.turn,
         origin=state.joints,
         finished=last,
         free=None if state.free is None else seen.free,
