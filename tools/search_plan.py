@@ -28,6 +28,7 @@ import pandas as pd
 from sweep.controllers import forces
 from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError
+from sweep.metrics import played
 from sweep.metrics.planned import holding, margins
 from sweep.metrics.played import by_stage, play
 from sweep.models.case import Case, Manoeuvre
@@ -119,8 +120,13 @@ def judge(
         manoeuvre = cast(Tabled, belief.manoeuvre)
         plan = manoeuvre.plan(belief) if table is None else manoeuvre.plan(belief, table)
         if case.obstacle.free_bodies:
-            seen = by_stage(play(belief, plan, PERIOD, ticks), len(names))
-            return {key: value[number] for key, value in seen._asdict().items()}
+            seen = play(belief, plan, PERIOD, ticks)
+            found = by_stage(seen, len(names))._asdict()
+            if least_normal is not None:
+                bounds = forces.Bounds(FRICTION, belief.drive.torque_limit, least_normal)
+                held = played.holding(belief, seen, bounds, len(names))
+                found |= {key: jnp.min(value, axis=1) for key, value in held._asdict().items()}
+            return {key: value[number] for key, value in found.items()}
         found = worst(lambda k, u: margins(belief, plan, k, u), phases)
         if least_normal is not None:
             bounds = forces.Bounds(FRICTION, manoeuvre.torque_share * belief.drive.torque_limit, least_normal)

@@ -8,23 +8,25 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
-from sweep.controllers import tracker
+from sweep.controllers import forces, tracker
 from sweep.controllers.frames import to_world
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import Plan
+from sweep.controllers.plan import Plan, Stance
 from sweep.controllers.posture import feet_in_world, mass_centre
 from sweep.controllers.riding import UP
 from sweep.controllers.support import MEASURED
 from sweep.controllers.tracker import TrackerState
 from sweep.core.rotations import exponential, multiply, rotate
 from sweep.formulas.ball import GRAVITY, ROLLING
-from sweep.metrics.planned import Margins, Swing, left, turn
+from sweep.metrics.planned import Holding, Margins, Swing, left, turn
 from sweep.models.case import Case
 from sweep.models.obstacles.ball import Ball
 from sweep.models.obstacles.surface import FreeState, free_start, poses
 from sweep.models.robot import total_mass
+
+SHARES = (0.1, 0.5, 0.95)  # of a stage, at which forces are planned
 
 
 class Played(NamedTuple):
@@ -33,6 +35,8 @@ class Played(NamedTuple):
     stage: Int[Array, " t"]
     margins: Margins
     free: FreeState
+    stance: Stance
+    stands: Bool[Array, "t 6"]
 
 
 class Roll(NamedTuple):
@@ -66,7 +70,7 @@ def play(case: Case, plan: Plan, period: float, ticks: int) -> Played:
         roll, then = _rolled(case, plan, state, roll, free, at - free.position[0], on_floor, period)
         velocity = (position - seen.position) / period
         seen = seen._replace(position=position, quat=quat, velocity=velocity, angles=command.joints, free=then)
-        return (state, seen, roll), Played(stage, now, free)
+        return (state, seen, roll), Played(stage, now, free, command.target, ~swing.swings)
 
     _, found = jax.lax.scan(tick, (state, seen, Roll(jnp.zeros(2), centre)), None, length=ticks)
     return found
@@ -98,6 +102,21 @@ def _rolled(
     turned = jnp.where(follows, h * turn, 0.0)
     then = FreeState(free.position + moved, multiply(exponential(turned)[None], free.quat), velocity[None], turn[None])
     return Roll(inertia * v + own, centre), then
+
+
+def holding(case: Case, found: Played, bounds: forces.Bounds, stages: int) -> Holding:
+    """What the forces of least friction within `bounds` leave at `SHARES` of every stage, standing still (S, 3)."""
+    ticks = jnp.arange(found.stage.shape[0])
+    first, last = (of(ticks, found.stage, stages) for of in (jax.ops.segment_min, jax.ops.segment_max))
+    at = jnp.clip(first[:, None] + jnp.asarray(SHARES) * (last - first)[:, None], 0, len(ticks) - 1).astype(jnp.int32)
+
+    def one(tick: Array) -> Holding:
+        stance, free, stands = jax.tree.map(lambda x: x[tick], (found.stance, found.free, found.stands))
+        normal = case.obstacle.surface(stance.feet, (-1,) * 6, poses(free)).normal
+        held = forces.distribute(forces.pose(case.robot, stance, normal, stands), bounds, "friction")
+        return Holding(case.contact.friction - held.friction, case.drive.torque_limit - held.torque, -held.imbalance)
+
+    return jax.vmap(jax.vmap(one))(at)
 
 
 def by_stage(found: Played, stages: int) -> Margins:

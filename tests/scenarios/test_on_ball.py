@@ -88,3 +88,13 @@ def test_fewer_pushes_drive_slower():
     rows = outcomes(["scenario=ball_drive", "engine=native", "manoeuvre.steps=40", "manoeuvre.push_every=4"])
     assert rows["outcome"].tolist() == ["success"]
     assert 0.10 < rows["obstacle_speed_mps"][0] < 0.12
+
+
+@pytest.mark.parametrize("engine", ["native", "mjx"])
+def test_it_comes_down_from_a_ball(engine):
+    """At rest, and from one that it has driven, which it stops first."""
+    speed = np.array([0.0, 0.13])
+    rows = outcomes(["scenario=ball_descend", f"engine={engine}"], 2, obstacle={"speed": speed})
+    assert rows["outcome"].tolist() == ["success"] * 2, rows["cause"]
+    assert rows["obstacle_moved_m"][0] < 0.6
+    assert rows["duration_s"][1] > rows["duration_s"][0] + 1.2  # steps that calm the ball
