@@ -14,8 +14,9 @@ from sweep.core.rotations import conjugate, exponential, logarithm, multiply
 from sweep.formulas import stepping
 from sweep.models.obstacles.surface import FreeState
 
-# a body is: where it is seen; going over to a velocity; going to a pose; rolling along with the others
-MEASURED, TO_VELOCITY, TO_POSE, TOGETHER = range(4)
+# a body is: where it is seen; going over to a velocity; going to a pose; rolling along with the others; held where it
+# was meant to be when the stage before ended
+MEASURED, TO_VELOCITY, TO_POSE, TOGETHER, KEPT = range(5)
 STILL, LEVEL = np.zeros(3, np.float32), np.array([1, 0, 0, 0], np.float32)
 
 
@@ -23,7 +24,8 @@ class Support(NamedTuple):
     """How a free body is meant to move from where it is seen when a stage begins; of a plan, over S stages, k bodies.
 
     To the velocity (with its rate of turning) that it has at the stage's end, at constant acceleration: monograph
-    (3.3.5), also to rest. To a pose, spent by lambda_1. Together: as the mean of all bodies has moved and turned.
+    (3.3.5), also to rest. To a pose, spent by lambda_1. Together: as the mean of all bodies has moved and turned. Kept:
+    not from where it is seen, so that it is pulled back there.
     """
 
     mode: Int[Array, "*b"] | int = MEASURED
@@ -33,7 +35,7 @@ class Support(NamedTuple):
     quat: Float[Array, "*b 4"] | np.ndarray = LEVEL
 
 
-RESTS = Support(TO_VELOCITY)
+RESTS, STAYS = Support(TO_VELOCITY), Support(KEPT)
 
 
 def meant(support: Support, start: FreeState, seen: FreeState, clock: Array, duration: Array) -> FreeState:
@@ -62,8 +64,16 @@ def meant(support: Support, start: FreeState, seen: FreeState, clock: Array, dur
         jnp.broadcast_to(jnp.mean(seen.turn, axis=0), seen.turn.shape),
     )
 
+    kept = start._replace(velocity=jnp.zeros_like(start.velocity), turn=jnp.zeros_like(start.turn))
+
     def chosen(*parts: Array) -> Array:
         mode = jnp.broadcast_to(jnp.asarray(support.mode)[..., None], parts[0].shape)
-        return jnp.select([mode == MEASURED, mode == TO_VELOCITY, mode == TO_POSE], parts[:3], parts[3])
+        return jnp.select([mode == k for k in range(KEPT)], parts[:KEPT], parts[KEPT])
 
-    return FreeState(*[chosen(*parts) for parts in zip(seen, to_velocity, to_pose, together, strict=True)])
+    return FreeState(*[chosen(*parts) for parts in zip(seen, to_velocity, to_pose, together, kept, strict=True)])
+
+
+def begun(support: Support, meant: FreeState, seen: FreeState) -> FreeState:
+    """Free bodies with which a stage of `support` (k,) begins, after one that has meant them to be as in `meant`."""
+    kept = jnp.asarray(support.mode) == KEPT
+    return FreeState(*[jnp.where(kept[:, None], a, b) for a, b in zip(meant, seen, strict=True)])

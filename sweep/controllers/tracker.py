@@ -239,16 +239,19 @@ def _advance(belief: Case, plan: Plan, state: TrackerState, seen: Observation, p
         reached = Stance(jnp.where(early, state.told.feet, reached.feet), *state.told[1:])
     last = stage == plan.duration.shape[0] - 1
     following = jnp.where(last, stage, stage + 1)
-    ended = stance_to_world(reached, plan.foot_frame[stage], plan.base_frame[stage], bodies(plan, state, seen.free))
+    meant = bodies(plan, state, seen.free)
+    ended = stance_to_world(reached, plan.foot_frame[stage], plan.base_frame[stage], meant)
     if plan.grip is not None:
         ended = ended._replace(feet=ended.feet + grip.creep(plan, plan.grip, stage, state.clock))
     begun = onset.begun(belief, plan, following, ended, seen)
     if plan.flywheel is not None:  # tilted about two feet, it sees nothing of where they are: the error before holds on
         known = onset.Begun(ended.feet, state.error, state.turn)
         begun = jax.tree.map(lambda a, b: jnp.where(_balancing(plan, stage), a, b), known, begun)
-    starts = stance_to_frame(
-        ended._replace(feet=begun.feet), plan.foot_frame[following], plan.base_frame[following], seen.free
-    )
+    frames, free = (plan.foot_frame[following], plan.base_frame[following]), seen.free
+    starts = stance_to_frame(ended._replace(feet=begun.feet), *frames, free)
+    if plan.support is not None:
+        free = support.begun(jax.tree.map(lambda x: x[following], plan.support), meant, free)
+        starts = starts._replace(position=stance_to_frame(ended, *frames, free).position)
     shifted = state._replace(
         stage=following,
         clock=jnp.where(last, state.clock, jnp.minimum(jnp.maximum(over, 0.0), period)),
@@ -258,7 +261,7 @@ def _advance(belief: Case, plan: Plan, state: TrackerState, seen: Observation, p
         turn=begun.turn,
         origin=state.joints,
         finished=last,
-        free=None if state.free is None else seen.free,
+        free=None if state.free is None else free,
     )
     hold = last | ~ends
     kept = state._replace(finished=state.finished | (ends & last))
