@@ -12,7 +12,18 @@ from sweep.controllers.frames import fixed, koenig
 from sweep.controllers.manoeuvres.balancing.ball import on_ball, perch
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import PRESS, Stage, Stance, assemble
-from sweep.controllers.support import MEASURED, RESTS, TO_POSE, TO_VELOCITY, TOGETHER, Support, meant
+from sweep.controllers.support import (
+    KEPT,
+    MEASURED,
+    RESTS,
+    STAYS,
+    TO_POSE,
+    TO_VELOCITY,
+    TOGETHER,
+    Support,
+    begun,
+    meant,
+)
 from sweep.controllers.tracker import joint_targets
 from sweep.core.rotations import exponential, logarithm
 from sweep.models.obstacles.surface import FreeState, free_start
@@ -60,6 +71,13 @@ def test_a_body_goes_to_a_pose_follows_or_rolls_with_the_others():
     np.testing.assert_allclose(moved(MEASURED, 1.0)[0], NOW.position[:, 0])
     x, angle, _ = moved(TOGETHER, 1.0)
     np.testing.assert_allclose([*x, *angle], [0.2, 3.2, 0.1, 0.6], atol=1e-5)
+
+
+def test_a_body_that_is_kept_is_where_it_was_meant_to_be():
+    np.testing.assert_allclose(moved(KEPT, TIME)[0], START.position[:, 0], atol=1e-6)
+    one_kept = jax.tree.map(lambda *x: jnp.stack([jnp.asarray(each) for each in x]), STAYS, RESTS)
+    free = begun(one_kept, START, NOW)
+    np.testing.assert_allclose(free.position[:, 0], [START.position[0, 0], NOW.position[1, 0]], atol=1e-6)
 
 
 @pytest.fixture(scope="module")

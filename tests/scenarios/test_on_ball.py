@@ -92,9 +92,8 @@ def test_fewer_pushes_drive_slower():
 
 @pytest.mark.parametrize("engine", ["native", "mjx"])
 def test_it_comes_down_from_a_ball(engine):
-    """At rest, and from one that it has driven, which it stops first."""
-    speed = np.array([0.0, 0.13])
-    rows = outcomes(["scenario=ball_descend", f"engine={engine}"], 2, obstacle={"speed": speed})
-    assert rows["outcome"].tolist() == ["success"] * 2, rows["cause"]
-    assert rows["obstacle_moved_m"][0] < 0.6
-    assert rows["duration_s"][1] > rows["duration_s"][0] + 1.2  # steps that calm the ball
+    """Which stays where it was brought to rest."""
+    rows = outcomes(["scenario=ball_descend", f"engine={engine}"])
+    assert rows["outcome"].tolist() == ["success"], rows["cause"]
+    assert 0.3 < rows["obstacle_x_m"][0] < 0.6
+    assert rows["leg_gap_min_m"][0] > 0
