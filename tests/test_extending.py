@@ -19,6 +19,7 @@ SAID = {  # by the commands of a page
     "A robot": ["long_legs            The base robot, thighs and shins a fifth longer", "| walk_tripod "],
     "A formula": ["v = 0.", "0.15"],
     "An exhibit": ["report.html"],
+    "A metric": ["base_speed_max_mps", "m/s", "| base speed max"],
     SIMULATED: ["kerb                 A kerb, 0.1 m high", "| walk_kerb "],
 }
 
