@@ -35,9 +35,16 @@ from sweep.runs import manifest, repair, runner, store
 
 FLIPS, CUTS, KILLS, RELABELS, FUZZ, CONDITIONS, WORKERS = (
     int(os.environ.get(name, default))
-    for name, default in (("FLIPS", 5000), ("CUTS", 500), ("KILLS", 20), ("RELABELS", 40), ("FUZZ", 300),
-                          ("CONDITIONS", 2000), ("WORKERS", 2))
-)  # fmt: skip
+    for name, default in (
+        ("FLIPS", 5000),
+        ("CUTS", 500),
+        ("KILLS", 20),
+        ("RELABELS", 40),
+        ("FUZZ", 300),
+        ("CONDITIONS", 2000),
+        ("WORKERS", 2),
+    )
+)
 SURVIVED, SILENT, TRACEBACK = "survived", "silent", "tracebacks"
 Attack = Callable[[Path, random.Random], Iterator[str]]
 
@@ -216,10 +223,15 @@ def workers(folder: Path, chance: random.Random) -> Iterator[str]:
 
 
 ATTACKS: dict[str, Attack] = {
-    "a bit of any file flipped": flips, "a file cut short or zeroed": cuts, "`kill -9` of a run": kills,
-    "a relabelling ended": relabels, "a worker of a dead command": stale, "absurd configurations": settings,
-    "absurd conditions": conditions, "a Dask worker killed": workers,
-}  # fmt: skip
+    "a bit of any file flipped": flips,
+    "a file cut short or zeroed": cuts,
+    "`kill -9` of a run": kills,
+    "a relabelling ended": relabels,
+    "a worker of a dead command": stale,
+    "absurd configurations": settings,
+    "absurd conditions": conditions,
+    "a Dask worker killed": workers,
+}
 
 
 def table() -> pd.DataFrame:

@@ -19,8 +19,14 @@ from tabulate import tabulate
 from sweep.runs import store
 from sweep.study.columns import LABELS, PLAN, TIMING
 
-STUDY = ["study=walk_map", "study.axes.friction.num=4", "study.axes.step.num=4", "study.expect=[]", "manoeuvre.steps=1",
-         "study.invalid_max=1"]  # fmt: skip
+STUDY = [
+    "study=walk_map",
+    "study.axes.friction.num=4",
+    "study.axes.step.num=4",
+    "study.expect=[]",
+    "manoeuvre.steps=1",
+    "study.invalid_max=1",
+]
 WIDTH = "engine.width=8"
 WAYS: dict[str, tuple[list[str], dict[str, str], int]] = {  # settings, environment, processor cores; 0: all
     "the same command again": ([WIDTH], {}, 0),

@@ -59,10 +59,12 @@ class TwoBalls(Ball):
         away = jnp.sqrt(jnp.sum(off**2, axis=-1) + 1e-12)
         roll, spin = (jnp.where(touch, 0.0, x) for x in (felt.rolling.roll, felt.rolling.spin))
         return felt._replace(
-            depth=jnp.where(touch, 2 * self.radius - away, felt.depth), face=jnp.where(touch, 2, felt.face),
-            normal=jnp.where(touch[:, None], off / away[:, None], felt.normal), body=jnp.where(touch, 1, felt.body),
+            depth=jnp.where(touch, 2 * self.radius - away, felt.depth),
+            face=jnp.where(touch, 2, felt.face),
+            normal=jnp.where(touch[:, None], off / away[:, None], felt.normal),
+            body=jnp.where(touch, 1, felt.body),
             rolling=Rolling(felt.rolling.radius, roll, spin),
-        )  # fmt: skip
+        )
 
 
 def speed(name: str, width: int) -> str:

@@ -11,7 +11,7 @@ PACKAGE = Path(__file__).parents[1] / "sweep"
 BELOW_RUNS = ("core", "formulas", "models", "dynamics", "controllers", "metrics", "engines", "study", "analysis")
 ROOMS = (*BELOW_RUNS, "runs", "trace", "report", "cli", "")
 # one rollout's surfaces; physics measured alone
-JAX_ABOVE_ENGINES = {"sweep.trace.held", "sweep.cli.bench"}
+JAX_ABOVE_ENGINES = {"sweep.trace.contact_forces", "sweep.cli.bench"}
 # the sources' own text; compiled programs; a study's name for its folder and its table of points
 FILES_BELOW_RUNS = {
     "sweep.core.files",

@@ -37,8 +37,17 @@ from sweep.study.study import is_static, parameter_columns, points, world_and_be
 
 Table = Any
 # what is aimed at if not told; what has no aim counts for nothing
-NEED = {"base": 0.02, "links": 0.003, "legs": 0.025, "body": 0.02, "reach": 0.01, "swing": 0.015, "rate": -6.0,
-        "edge": 0.02, "balance": -0.002}  # fmt: skip
+NEED = {
+    "base": 0.02,
+    "links": 0.003,
+    "legs": 0.025,
+    "body": 0.02,
+    "reach": 0.01,
+    "swing": 0.015,
+    "rate": -6.0,
+    "edge": 0.02,
+    "balance": -0.002,
+}
 # deviations that count alike
 UNIT = {"rate": 1.0, "friction": 0.02, "torque": 10.0, "balance": 0.001}  # others 0.01 m
 PERIOD, TIMES = 0.04, 1.05  # s, of a tick in which a plan on free bodies is played; its time, with that of waiting
@@ -205,8 +214,14 @@ def search(given: argparse.Namespace) -> int:
     x = np.array([at[name] for name in free])
     begins = float(scores(jnp.tile(jnp.asarray(x), (given.population, 1)))[0])  # all calls have one shape
     print(f"{len(free)} numbers, {len(stages)} stages, score {begins:.4g}", flush=True)
-    told = {"popsize": given.population, "seed": given.seed, "verbose": -9, "timeout": given.minutes * 60,
-            "ftarget": 1e-9, "tolflatfitness": 50}  # fmt: skip
+    told = {
+        "popsize": given.population,
+        "seed": given.seed,
+        "verbose": -9,
+        "timeout": given.minutes * 60,
+        "ftarget": 1e-9,
+        "tolflatfitness": 50,
+    }
     strategy = cma.CMAEvolutionStrategy(np.zeros(len(free)), 1.0, told)
     while not strategy.stop():
         asked = strategy.ask()

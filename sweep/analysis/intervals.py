@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-LEVEL = 0.95  # of confidence
+CONFIDENCE = 0.95  # of confidence
 
 
 class Interval(NamedTuple):
@@ -15,7 +15,7 @@ class Interval(NamedTuple):
     high: np.ndarray
 
 
-def wilson(success: ArrayLike, trials: ArrayLike, level: float = LEVEL) -> Interval:
+def wilson(success: ArrayLike, trials: ArrayLike, level: float = CONFIDENCE) -> Interval:
     """Wilson's score interval: covers its level on average over probabilities; for cells of a map."""
     from scipy.special import ndtri  # slow to import, and a listing needs none of it
 
@@ -26,7 +26,7 @@ def wilson(success: ArrayLike, trials: ArrayLike, level: float = LEVEL) -> Inter
     return Interval(np.where(k > 0, centre - half, 0.0), np.where(k < n, centre + half, 1.0))
 
 
-def clopper_pearson(success: ArrayLike, trials: ArrayLike, level: float = LEVEL) -> Interval:
+def clopper_pearson(success: ArrayLike, trials: ArrayLike, level: float = CONFIDENCE) -> Interval:
     """The exact interval: covers at least its level at every probability; for single claims."""
     from scipy.special import betaincinv
 
@@ -36,7 +36,7 @@ def clopper_pearson(success: ArrayLike, trials: ArrayLike, level: float = LEVEL)
     return Interval(low, np.where(k < n, betaincinv(k + 1, np.maximum(n - k, 1), 1 - tail), 1.0))
 
 
-def anytime(success: ArrayLike, trials: ArrayLike, level: float = LEVEL) -> Interval:
+def anytime(success: ArrayLike, trials: ArrayLike, level: float = CONFIDENCE) -> Interval:
     """A confidence sequence: with probability `level` it covers after every trial, so that one may stop when it suits.
 
     Robbins' mixture of likelihood ratios B(k + 1/2, n - k + 1/2) / B(1/2, 1/2) / (p^k (1 - p)^(n - k)) is a martingale

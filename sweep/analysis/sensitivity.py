@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from sweep.analysis.intervals import LEVEL, Interval, clopper_pearson
+from sweep.analysis.intervals import CONFIDENCE, Interval, clopper_pearson
 from sweep.analysis.stats import rates
 from sweep.core.errors import InputError
 from sweep.core.expressions import column
@@ -60,7 +60,7 @@ def volume(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
 
     parts = rates(rows.assign(scramble=draw % design.scrambles), [*by, "scramble"])
     shares = parts.groupby(by or (lambda _: 0))["share"]
-    mean, half = shares.mean(), t.ppf(0.5 + LEVEL / 2, shares.count() - 1) * shares.sem()
+    mean, half = shares.mean(), t.ppf(0.5 + CONFIDENCE / 2, shares.count() - 1) * shares.sem()
     ends = {"share": mean, "low": (mean - half).clip(lower=0), "high": (mean + half).clip(upper=1)}
     return found.assign(**{k: v.to_numpy() for k, v in ends.items()})
 
@@ -176,7 +176,7 @@ class Logistic:
     slope: float
     covariance: np.ndarray
 
-    def probability(self, x: ArrayLike, level: float = LEVEL) -> tuple[np.ndarray, Interval]:
+    def probability(self, x: ArrayLike, level: float = CONFIDENCE) -> tuple[np.ndarray, Interval]:
         """P at `x`, with its interval."""
         from scipy.special import expit
 
@@ -184,7 +184,7 @@ class Logistic:
         line, half = self.intercept + self.slope * x, _z(level) * np.sqrt(self._variance(x))
         return expit(line), Interval(expit(line - half), expit(line + half))
 
-    def where(self, probability: float, level: float = LEVEL) -> tuple[float, Interval]:
+    def where(self, probability: float, level: float = CONFIDENCE) -> tuple[float, Interval]:
         """The x at which P falls to `probability`, with its interval (Fieller): where the band of P contains it.
 
         Infinite ends where the data do not tell that P falls at all.
@@ -363,8 +363,16 @@ def elementary_effects(rows: pd.DataFrame, exp: Experiment, figure: str | None =
     shares = shares_of(exp.study.axes, exp.study.design, exp.study.seed)[chosen]
     problem = {"num_vars": len(axes), "names": [a.column for a in axes], "bounds": [[*INNER]] * len(axes)}
     found = morris.analyze(problem, shares, mean[chosen], num_levels=LEVELS, seed=0)
-    table = pd.DataFrame({"axis": problem["names"], "mean_size": found["mu_star"], "error": found["mu_star_conf"],
-                          "mean": found["mu"], "spread": found["sigma"], "paths": int(whole.sum())})  # fmt: skip
+    table = pd.DataFrame(
+        {
+            "axis": problem["names"],
+            "mean_size": found["mu_star"],
+            "error": found["mu_star_conf"],
+            "mean": found["mu"],
+            "spread": found["sigma"],
+            "paths": int(whole.sum()),
+        }
+    )
     return table.sort_values("mean_size", ascending=False, ignore_index=True)
 
 

@@ -18,7 +18,7 @@ from jaxtyping import Array
 from sweep.dynamics import interface as dynamics
 from sweep.dynamics.step import State, rest
 from sweep.engines import batching, devices, make, physics, program_cache
-from sweep.engines.batch_last import lanes
+from sweep.engines.batch_last import batch_last_vmap
 from sweep.engines.closed_loop import start_state
 from sweep.engines.settings import EngineSettings
 from sweep.metrics.outcome import Thresholds
@@ -96,7 +96,7 @@ def _bare(settings: EngineSettings, nominal: Case, rollouts: int) -> dict[str, A
         return steps.advance(world, state, servo, servo, tick)[0]
 
     mesh = devices.mesh(width)
-    tick = lanes(one, (-1, -1, None), devices.kept_from())
+    tick = batch_last_vmap(one, (-1, -1, None), devices.reuse_from())
 
     def second(friction: Array, states: Any) -> Any:
         return jax.lax.scan(lambda s, k: (tick(friction, s, k), None), states, jnp.arange(ticks))[0]

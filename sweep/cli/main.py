@@ -101,8 +101,12 @@ def parser() -> argparse.ArgumentParser:
     new.add_argument("dir", type=Path, help="a new or empty folder")
     choices = command("list", project.show, "scenarios, studies, robots and the other groups; or folders of results")
     choices.add_argument("dir", type=Path, nargs="*", help="folders of studies, such as results/: a line for each")
-    about = command("describe", project.describe, "parameters: unit, meaning, bounds, default",
-                    "sweep describe robot; sweep describe drive.torque_limit")  # fmt: skip
+    about = command(
+        "describe",
+        project.describe,
+        "parameters: unit, meaning, bounds, default",
+        "sweep describe robot; sweep describe drive.torque_limit",
+    )
     about.add_argument("name", nargs="?", help="a group, obstacle=ball, or a parameter; all of them without")
     words = command("completion", project.completion, "completion for bash", 'eval "$(sweep completion)"  # in .bashrc')
     words.add_argument("--line", help=argparse.SUPPRESS)
@@ -129,8 +133,12 @@ def parser() -> argparse.ArgumentParser:
         "--paper", type=Path, required=True, metavar="FOLDER", help="LaTeX tables, figures, numbers, data"
     )
     export.add_argument("--where", help="only rows that match")
-    compare = command("compare", compare_results, "the same points in two folders: which outcomes differ, and where",
-                      "sweep compare results/before results/after --tolerance 0.01 --figures 0.1")  # fmt: skip
+    compare = command(
+        "compare",
+        compare_results,
+        "the same points in two folders: which outcomes differ, and where",
+        "sweep compare results/before results/after --tolerance 0.01 --figures 0.1",
+    )
     compare.add_argument(
         "a", type=Path, metavar="A", help="folder of the reference; each of its rows needs its pair in B"
     )
@@ -148,8 +156,12 @@ def parser() -> argparse.ArgumentParser:
     audit.add_argument("--points", type=int, default=32, help="how many of each, drawn at random (32)")
     audit.add_argument("--ways", default="again,half_step,float64,other_engine,solid", help="separated by commas")
     audit.add_argument("--where", help="only rows that match")
-    judge = of_results("relabel", relabel, "judge stored rollouts by other thresholds, without simulating",
-                       "sweep relabel results/walk_map 'slip_max_m<0.02' 'tilt_max_deg<15'")  # fmt: skip
+    judge = of_results(
+        "relabel",
+        relabel,
+        "judge stored rollouts by other thresholds, without simulating",
+        "sweep relabel results/walk_map 'slip_max_m<0.02' 'tilt_max_deg<15'",
+    )
     judge.add_argument("thresholds", nargs="+", metavar="'KEY<VALUE'", help="such as 'slip_max_m<0.02'")
     bench = command("bench", show_speed, "how fast the walking map is simulated here, by engine and dynamics")
     bench.add_argument("--rollouts", type=int, default=0, help="of each row; 0: one batch")
@@ -178,12 +190,14 @@ def run(argv: list[str]) -> int:
 def run_parser() -> argparse.ArgumentParser:
     """Our own flags of `sweep run`, and its help."""
     own = argparse.ArgumentParser(
-        prog="sweep run", allow_abbrev=False, formatter_class=argparse.RawDescriptionHelpFormatter,
+        prog="sweep run",
+        allow_abbrev=False,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
         usage="sweep run [group=choice ...] [group.name=value ...] [flags]",
         description="Without a study: one nominal rollout of a scenario. With one: every point of it, into "
         "results/STUDY.",
         epilog=RUN_HELP,
-    )  # fmt: skip
+    )
     own.add_argument("--dry-run", action="store_true", help="only say how many rollouts, in which batches")
     own.add_argument("--limit", type=int, metavar="N", help="only the first N points of the study")
     own.add_argument("--where", metavar="CONDITION", help="only points that match, such as 'friction > 0.8'")
@@ -194,8 +208,10 @@ def run_parser() -> argparse.ArgumentParser:
 def flags_of(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> dict[str, list[str]]:
     """The commands and their flags."""
     parsers = {**commands.choices, "run": run_parser()}
-    return {name: [flag for action in sub._actions for flag in action.option_strings if flag.startswith("--")]
-            for name, sub in parsers.items()}  # fmt: skip
+    return {
+        name: [flag for action in sub._actions for flag in action.option_strings if flag.startswith("--")]
+        for name, sub in parsers.items()
+    }
 
 
 def show_speed(args: argparse.Namespace) -> int:

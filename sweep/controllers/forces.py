@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from sweep.controllers.frames import to_world
-from sweep.controllers.plan import Grip, Plan, Stage, Stance, begins, reference, stance_to_world
+from sweep.controllers.plan import Feedforward, Plan, Stage, Stance, begins, reference, stance_to_world
 from sweep.controllers.posture import foot_positions, mass_centre
 from sweep.controllers.tracker import joint_targets
 from sweep.core.parameters import choice, parameters, quantity
@@ -26,7 +26,7 @@ from sweep.models.robot import Robot, total_mass
 from sweep.models.scene import GRAVITY
 
 Effort = Literal["friction", "torque", "normal"]
-_LEVEL: dict[Effort, str] = {"friction": "friction", "torque": "torque", "normal": "most_normal"}
+_BOUND: dict[Effort, str] = {"friction": "friction", "torque": "torque", "normal": "most_normal"}
 
 ROUND_STEPS = 2  # Newton steps of a round
 # By how much each round's level lies above the largest effort: first no level, from no balance to the first centre.
@@ -37,7 +37,7 @@ KEEP = 0.2  # of the room to a bound that a step has to leave
 KNOTS = 5  # moments of a stage for which forces are planned
 
 
-class Pose(NamedTuple):
+class StaticPose(NamedTuple):
     """A pose of the robot as far as forces are concerned. World axes."""
 
     arm: Float[Array, "6 3"]  # m, feet from the robot's mass centre
@@ -67,7 +67,7 @@ class Forces(NamedTuple):
     imbalance: Float[Array, ""]  # in weights (and weights times m): what is not held
 
 
-def pose(robot: Robot, stance: Stance, normal: Float[Array, "6 3"], stands: Bool[Array, " 6"]) -> Pose:
+def pose(robot: Robot, stance: Stance, normal: Float[Array, "6 3"], stands: Bool[Array, " 6"]) -> StaticPose:
     """The robot in a stance, its joints where inverse kinematics has them."""
     angles, _ = joint_targets(robot, stance)
     weight = GRAVITY * total_mass(robot)
@@ -75,17 +75,17 @@ def pose(robot: Robot, stance: Stance, normal: Float[Array, "6 3"], stands: Bool
     slope = jax.jacfwd(lambda a: rotate(quat, foot_positions(robot, a)))(angles)  # (6, 3, 6, 3)
     lift = jax.grad(lambda a: rotate(stance.quat, mass_centre(robot, a))[2])(angles)
     centre = stance.position + rotate(stance.quat, mass_centre(robot, angles))
-    return Pose(
+    return StaticPose(
         stance.feet - centre, normal, stands, jnp.einsum("lilj->lij", slope), weight * lift, jnp.asarray(weight)
     )
 
 
-def joint_torque(pose: Pose, force: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
+def joint_torque(pose: StaticPose, force: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
     """Drive torques (N m) under foot forces (N) at rest."""
     return pose.own_torque - jnp.einsum("lij,li->lj", pose.jacobian, force)
 
 
-def distribute(pose: Pose, bounds: Bounds, least: Effort) -> Forces:
+def distribute(pose: StaticPose, bounds: Bounds, least: Effort) -> Forces:
     """Foot forces in balance within `bounds` that ask for nearly the least of one effort.
 
     The method of centres: a level is set a little above the largest effort, Newton's method takes the forces towards
@@ -94,22 +94,31 @@ def distribute(pose: Pose, bounds: Bounds, least: Effort) -> Forces:
     1 % where forces within the bounds exist, and above it where there are none.
     """
     scaled = _Scaled.of(pose)
-    start = Bounds(bounds.friction, bounds.torque / pose.weight, bounds.least_normal / pose.weight,
-                   bounds.most_normal / pose.weight)  # fmt: skip
+    start = Bounds(
+        bounds.friction,
+        bounds.torque / pose.weight,
+        bounds.least_normal / pose.weight,
+        bounds.most_normal / pose.weight,
+    )
     levels = Bounds(*[jnp.broadcast_to(jnp.asarray(b, scaled.normal.dtype), (6,)) for b in start])
 
     def one_round(force: Array, slack: Array) -> tuple[Array, None]:
         level = (1 + slack) * jnp.max(scaled.effort(force, least))
-        lower = levels._replace(**{_LEVEL[least]: jnp.minimum(level, getattr(levels, _LEVEL[least]))})
+        lower = levels._replace(**{_BOUND[least]: jnp.minimum(level, getattr(levels, _BOUND[least]))})
         return jax.lax.fori_loop(0, ROUND_STEPS, lambda _, f: scaled.towards_centre(f, lower, least), force), None
 
     first = scaled.first(levels)
     force, _ = jax.lax.scan(one_round, first, jnp.asarray(SLACK, first.dtype))
     sound = jnp.all(jnp.isfinite(force))  # far from any solution Newton's method may break down
     force = jnp.where(sound, force, 0.0)
-    efforts = {name: jnp.max(scaled.effort(force, name)) for name in _LEVEL}
-    return Forces(force * pose.weight, efforts["friction"], efforts["torque"] * pose.weight,
-                  efforts["normal"] * pose.weight, jnp.max(jnp.abs(scaled.left(force))))  # fmt: skip
+    efforts = {name: jnp.max(scaled.effort(force, name)) for name in _BOUND}
+    return Forces(
+        force * pose.weight,
+        efforts["friction"],
+        efforts["torque"] * pose.weight,
+        efforts["normal"] * pose.weight,
+        jnp.max(jnp.abs(scaled.left(force))),
+    )
 
 
 class _Scaled(NamedTuple):
@@ -122,7 +131,7 @@ class _Scaled(NamedTuple):
     own: Float[Array, "6 3"]
 
     @classmethod
-    def of(cls, pose: Pose) -> "_Scaled":
+    def of(cls, pose: StaticPose) -> "_Scaled":
         stands = pose.stands.astype(pose.arm.dtype)
         eye = jnp.broadcast_to(jnp.eye(3, dtype=stands.dtype), (6, 3, 3))
         moment = jnp.cross(pose.arm[:, None, :], eye).swapaxes(1, 2)
@@ -168,7 +177,7 @@ class _Scaled(NamedTuple):
         return {kind: jnp.where(self.stands[:, None] > 0, r, 1.0) for kind, r in room.items()}
 
     def barrier(self, force: Array, bounds: Bounds, least: Effort) -> Array:
-        weight = {kind: FOCUS if kind == least else 1.0 for kind in _LEVEL}
+        weight = {kind: FOCUS if kind == least else 1.0 for kind in _BOUND}
         logs = {kind: jnp.sum(jnp.log(room)) for kind, room in self.room(force, bounds).items()}
         return -sum((weight[kind] * logs[kind] for kind in logs), jnp.zeros(()))
 
@@ -176,9 +185,15 @@ class _Scaled(NamedTuple):
         """A Newton step towards balance and the centre of what the bounds leave, short enough to stay within."""
         gradient = jax.grad(self.barrier)(force, bounds, least)
         swings = (1 - self.stands)[:, None, None] * jnp.eye(3, dtype=force.dtype)
-        curvature = jnp.stack([  # a foot's force bears on its own bounds only
-            jax.jvp(lambda f: jax.grad(self.barrier)(f, bounds, least), (force,), (jnp.zeros_like(force) + axis,))[1]
-            for axis in jnp.eye(3, dtype=force.dtype)], axis=-1)  # fmt: skip
+        curvature = jnp.stack(
+            [  # a foot's force bears on its own bounds only
+                jax.jvp(lambda f: jax.grad(self.barrier)(f, bounds, least), (force,), (jnp.zeros_like(force) + axis,))[
+                    1
+                ]
+                for axis in jnp.eye(3, dtype=force.dtype)
+            ],
+            axis=-1,
+        )
         inverse = _inverse_3x3(curvature + swings)
         down = -jnp.einsum("lij,lj->li", inverse, gradient)
         across = jnp.einsum("lij,lkj->lik", inverse, self.grasp)  # (6, 3, 6)
@@ -209,7 +224,7 @@ class Course(NamedTuple):
 
 def moment(
     belief: Case, plan: Plan, bounds: Bounds, least: Effort, stage: Int[Array, ""], u: Float[Array, ""]
-) -> tuple[Pose, Forces]:
+) -> tuple[StaticPose, Forces]:
     """The pose at phase `u` of a stage as planned, bodies as they start, and the best forces there by itself."""
     feet, position = begins(plan, stage)
     frames = plan.foot_frame[stage], plan.base_frame[stage]
@@ -262,17 +277,20 @@ class PlannedForces:
 
     def course(self, belief: Case, plan: Plan) -> Course:
         """The forces of least `effort` along `plan`."""
-        bounds = Bounds(self.friction_share * belief.contact.friction, self.torque_share * belief.drive.torque_limit,
-                        self.least_normal)  # fmt: skip
+        bounds = Bounds(
+            self.friction_share * belief.contact.friction,
+            self.torque_share * belief.drive.torque_limit,
+            self.least_normal,
+        )
         return along(belief, plan, bounds, cast(Effort, self.effort))
 
-    def gripped(self, belief: Case, plan: Plan) -> Plan:
-        """`plan` with its `course` as offsets of what the believed drives are told (`Grip`)."""
+    def with_feedforward(self, belief: Case, plan: Plan) -> Plan:
+        """`plan` with its `course` as offsets of what the believed drives are told (`Feedforward`)."""
         course = self.course(belief, plan)
         inward = -jax.vmap(lambda *feet: surface_normals(belief, *feet))(plan.foothold, plan.foot_frame)
         offset = course.torque / belief.drive.stiffness
         told = (jnp.asarray(x, float) for x in (self.creep, self.anchoring))
-        return replace(plan, grip=Grip(offset, jnp.max(course.planned.imbalance, axis=-1), inward, *told))
+        return replace(plan, feedforward=Feedforward(offset, jnp.max(course.planned.imbalance, axis=-1), inward, *told))
 
 
 def _inverse_3x3(m: Float[Array, "*b 3 3"]) -> Float[Array, "*b 3 3"]:

@@ -88,4 +88,4 @@ def _with_error(plan: Plan, ended: Stance, seen: Observation) -> Begun:
     if plan.steered:
         error, turn = error.at[2].set(0.0), jnp.zeros(3).at[2].set(heading(off))
     moved = ended.position + error + rotate(exponential(turn)[None], ended.feet - ended.position)
-    return Begun(ended.feet if plan.grip is not None else moved, error, turn)  # anchored feet need not be moved
+    return Begun(ended.feet if plan.feedforward is not None else moved, error, turn)  # anchored feet need not be moved

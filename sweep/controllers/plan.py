@@ -22,7 +22,7 @@ from sweep.models.legs import LEGS
 from sweep.models.obstacles.surface import FreeState
 
 CYCLE_A, CYCLE_B, CYCLE_B_SMOOTH, HALF_ELLIPSE = range(4)  # swings; the third spends its way by lambda_1
-LOCKED, LEVEL, BALANCE = range(3)  # middle legs: as planned; as a flywheel that comes to rest, or that balances
+LOCKED, LEVELLING, BALANCE = range(3)  # middle legs: as planned; as a flywheel that comes to rest, or that balances
 STEADY, SMOOTH, ELLIPTIC = range(3)  # how a body path is spent: by its rates, by lambda_1, as the half-ellipse swing
 # How a stage begins: with footholds and base shifted by the base's error; from the feet's measured places, at their
 # commanded depth or pressed as far beyond them as the stage says; or just from what was commanded.
@@ -96,7 +96,7 @@ class Flywheel(NamedTuple):
     gains: Gains
 
 
-class Grip(NamedTuple):
+class Feedforward(NamedTuple):
     """Planned foot forces as the drives are told of them, over S stages and K even moments of each."""
 
     offset: Float[Array, "s k 6 3"]  # rad, that the drives turn into the joint torques wanted
@@ -137,7 +137,7 @@ class Plan:
     ease: Float[Array, ""] | None = None  # s, in which feet go over to where a stage takes them; None: at once
     posture: Posture | None = None
     flywheel: Flywheel | None = None
-    grip: Grip | None = None
+    feedforward: Feedforward | None = None
     # whether errors are taken back in the plane, with the heading's
     steered: bool = field(default=False, metadata={"static": True})
     onset: tuple[str, ...] = field(default=(), metadata={"static": True})  # of each stage
@@ -181,7 +181,7 @@ def assemble(
     flywheel = None if gains is None else Flywheel(mode, jax.tree.map(lambda x: jnp.asarray(x, float), gains))
     onset, ease = tuple(stage.onset for stage in stages), None if ease is None else jnp.asarray(ease, float)
     return Plan(names=names, start=start, patience=jnp.asarray(patience, float), posture=_postures(stages),
-                flywheel=flywheel, grip=None, steered=steered, onset=onset, support=_supports(stages), ease=ease,
+                flywheel=flywheel, feedforward=None, steered=steered, onset=onset, support=_supports(stages), ease=ease,
                 **table)  # fmt: skip
 
 

@@ -54,8 +54,12 @@ def meant(support: Support, start: FreeState, seen: FreeState, clock: Array, dur
     )
     done, rate = stepping.lambda_1(share, 0.0, 1.0)
     way, turn = support.position - start.position, logarithm(multiply(jnp.asarray(support.quat), conjugate(start.quat)))
-    to_pose = FreeState(start.position + done * way, multiply(exponential(done * turn), start.quat),
-                        rate / duration * way, rate / duration * turn)  # fmt: skip
+    to_pose = FreeState(
+        start.position + done * way,
+        multiply(exponential(done * turn), start.quat),
+        rate / duration * way,
+        rate / duration * turn,
+    )
     moved, turned = seen.position - start.position, logarithm(multiply(seen.quat, conjugate(start.quat)))
     together = FreeState(
         start.position + jnp.mean(moved, axis=0),

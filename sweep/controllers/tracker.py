@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from sweep.controllers import flywheel, grip, onset, support
+from sweep.controllers import feedforward, flywheel, onset, support
 from sweep.controllers.frames import to_world
 from sweep.controllers.observation import Observation
 from sweep.controllers.observer import Observer, followed
@@ -110,12 +110,22 @@ def init(belief: Case, plan: Plan) -> TrackerState:
     memory = manoeuvre.memory(belief, plan) if isinstance(manoeuvre, Guided) else None
     start = stance_to_frame(plan.start, plan.foot_frame[0], plan.base_frame[0], free)
     return TrackerState(
-        stage=jnp.int32(0), clock=zero, feet=start.feet, position=start.position, error=jnp.zeros(3, zero.dtype),
-        turn=jnp.zeros(3, zero.dtype), joints=joints, origin=joints, finished=jnp.asarray(False), goal=start.feet,
-        memory=memory, observer=Observer(free, free) if isinstance(manoeuvre, Riding) else None,
+        stage=jnp.int32(0),
+        clock=zero,
+        feet=start.feet,
+        position=start.position,
+        error=jnp.zeros(3, zero.dtype),
+        turn=jnp.zeros(3, zero.dtype),
+        joints=joints,
+        origin=joints,
+        finished=jnp.asarray(False),
+        goal=start.feet,
+        memory=memory,
+        observer=Observer(free, free) if isinstance(manoeuvre, Riding) else None,
         slack=None if plan.ease is None else Slack(start.feet, jnp.zeros_like(start.feet)),
-        free=None if plan.support is None else free, told=start if isinstance(manoeuvre, Eventful) else None,
-    )  # fmt: skip
+        free=None if plan.support is None else free,
+        told=start if isinstance(manoeuvre, Eventful) else None,
+    )
 
 
 def step(
@@ -128,9 +138,9 @@ def step(
         state, seen = state._replace(observer=observer), seen._replace(free=observer.second)
     state = _advance(belief, plan, state._replace(clock=state.clock + period), seen, period)
     free = bodies(plan, state, seen.free)
-    if plan.grip is not None:
-        here = plan, plan.grip, state.stage
-        state = state._replace(feet=grip.anchored(belief.robot, *here, state.feet, seen, free, period))
+    if plan.feedforward is not None:
+        here = plan, plan.feedforward, state.stage
+        state = state._replace(feet=feedforward.anchored(belief.robot, *here, state.feet, seen, free, period))
     phase = jnp.clip(state.clock / plan.duration[state.stage], 0.0, 1.0)
     begins = (state.stage != old.stage) | ((old.stage == 0) & (old.clock == 0))
     if isinstance(manoeuvre, Guided):
@@ -147,8 +157,8 @@ def step(
     if state.told is not None:
         frames = plan.foot_frame[state.stage], plan.base_frame[state.stage]
         state = state._replace(told=stance_to_frame(target, *frames, free))
-    if plan.grip is not None:
-        target = target._replace(feet=target.feet + grip.creep(plan, plan.grip, state.stage, state.clock))
+    if plan.feedforward is not None:
+        target = target._replace(feet=target.feet + feedforward.creep(plan, plan.feedforward, state.stage, state.clock))
     joints, shortfall = joint_targets(belief.robot, target)
     joints = _nearest(joints, state.joints)
     if plan.posture is not None:
@@ -158,8 +168,8 @@ def step(
         feet = feet_in_world(belief.robot, target.position, target.quat, joints)
         target = target._replace(feet=jnp.where(held[:, None], feet, target.feet))
     command = Command(joints, target, phase, jnp.max(shortfall))
-    if plan.grip is not None:
-        command = command._replace(joints=joints + grip.offset(plan.grip, state.stage, phase))
+    if plan.feedforward is not None:
+        command = command._replace(joints=joints + feedforward.offset(plan.feedforward, state.stage, phase))
     if plan.flywheel is not None:
         turning, servo = flywheel.order(belief.robot, plan, plan.flywheel, state.stage, seen)
         joints = jnp.where(turning, seen.angles, joints)  # where position mode takes over from
@@ -241,8 +251,8 @@ def _advance(belief: Case, plan: Plan, state: TrackerState, seen: Observation, p
     following = jnp.where(last, stage, stage + 1)
     meant = bodies(plan, state, seen.free)
     ended = stance_to_world(reached, plan.foot_frame[stage], plan.base_frame[stage], meant)
-    if plan.grip is not None:
-        ended = ended._replace(feet=ended.feet + grip.creep(plan, plan.grip, stage, state.clock))
+    if plan.feedforward is not None:
+        ended = ended._replace(feet=ended.feet + feedforward.creep(plan, plan.feedforward, stage, state.clock))
     begun = onset.begun(belief, plan, following, ended, seen)
     if plan.flywheel is not None:  # tilted about two feet, it sees nothing of where they are: the error before holds on
         known = onset.Begun(ended.feet, state.error, state.turn)

@@ -61,12 +61,14 @@ def loads(case: Case, pose: Pose, motion: Motion, bodies: FreeBodies) -> list[Sp
     if not bodies.frames:
         return []
     turned = [own.turned(rotation) for own, (_, rotation) in zip(motion.root[1:], bodies.frames, strict=True)]
-    load = case.obstacle.load(FreeState(
-        jnp.concatenate([place.position.array() for place in pose.root[1:]]),
-        jnp.stack([jnp.concatenate(place.quat) for place in pose.root[1:]]),
-        jnp.concatenate([own.linear.array() for own in turned]),
-        jnp.concatenate([own.angular.array() for own in turned]),
-    ))  # fmt: skip
+    load = case.obstacle.load(
+        FreeState(
+            jnp.concatenate([place.position.array() for place in pose.root[1:]]),
+            jnp.stack([jnp.concatenate(place.quat) for place in pose.root[1:]]),
+            jnp.concatenate([own.linear.array() for own in turned]),
+            jnp.concatenate([own.angular.array() for own in turned]),
+        )
+    )
     return [] if load is None else [Spatial(Vector.of(x[None, :3]), Vector.of(x[None, 3:])) for x in load]
 
 

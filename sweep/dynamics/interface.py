@@ -1,4 +1,4 @@
-"""What the smooth dynamics of a star-shaped robot are: a mass matrix in blocks, bias forces, and its feet.
+"""What the smooth dynamics of a tree_terms-shaped robot are: a mass matrix in blocks, bias forces, and its feet.
 
 Legs couple through the base only, so the mass matrix is kept as blocks and never as a full matrix. The obstacle's
 free bodies are rigid bodies of their own, see `free_bodies`.
@@ -31,7 +31,7 @@ class Topology:
     owner: tuple[int, ...]  # (n,) free body that carries the contact point, -1 for the robot's feet
 
 
-class Star(NamedTuple):
+class Tree(NamedTuple):
     """One configuration of the robot. Base axes, from the base's origin."""
 
     mass: Mass  # with armature
@@ -40,7 +40,7 @@ class Star(NamedTuple):
     foot: tuple[Vector, Vector, Vector]  # (l,) velocity of the foot per rate of a joint
 
 
-SmoothDynamics = Callable[[Pose, Motion], Star]  # of one world; motions in the bodies' own axes
+SmoothDynamics = Callable[[Pose, Motion], Tree]  # of one world; motions in the bodies' own axes
 
 
 def topology(case: Case) -> Topology:

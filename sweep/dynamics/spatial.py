@@ -49,8 +49,12 @@ class Place(NamedTuple):
         c, s = jnp.cos(half), jnp.sin(half) / rate
         x, y, z = s * spin.x, s * spin.y, s * spin.z
         w0, x0, y0, z0 = self.quat
-        out = (w0 * c - x0 * x - y0 * y - z0 * z, w0 * x + x0 * c + y0 * z - z0 * y,
-               w0 * y - x0 * z + y0 * c + z0 * x, w0 * z + x0 * y - y0 * x + z0 * c)  # fmt: skip
+        out = (
+            w0 * c - x0 * x - y0 * y - z0 * z,
+            w0 * x + x0 * c + y0 * z - z0 * y,
+            w0 * y - x0 * z + y0 * c + z0 * x,
+            w0 * z + x0 * y - y0 * x + z0 * c,
+        )
         scale = jax.lax.rsqrt(sum(part * part for part in out))
         return Place(self.position + h * velocity, tuple(part * scale for part in out))  # pyright: ignore
 

@@ -20,11 +20,19 @@ from sweep.core.vectors import Matrix, Vector, total
 from sweep.dynamics import free_bodies, newton
 from sweep.dynamics.contacts import Arm, Contacts, arms, part
 from sweep.dynamics.free_bodies import FreeBodies
-from sweep.dynamics.interface import SmoothDynamics, Star, Topology, owners
+from sweep.dynamics.interface import SmoothDynamics, Topology, Tree, owners
 from sweep.dynamics.rolling import Moments, resisting_moments
 from sweep.dynamics.spatial import Mass, Motion, Pose, Rates, Spatial, pack, shifted, unpack
 from sweep.models.case import Case
-from sweep.models.contact import Anchors, Forces, approach, contact_forces, contact_slope, nowhere, settle
+from sweep.models.contact import (
+    Anchors,
+    Forces,
+    contact_forces,
+    contact_geometry,
+    contact_slope,
+    nowhere,
+    update_anchors,
+)
 from sweep.models.drive import Servo
 from sweep.models.legs import N_LEGS
 from sweep.models.obstacles.surface import Bodies, Surface
@@ -111,8 +119,17 @@ def step(
     momentum, outside = mass.times(v), _outside(case, limits, state, here)
     touches = _touches(case, state, here)
     error = tuple(servo.target[:, k] - angle for k, angle in enumerate(state.pose.angle))
-    problem = _Problem(case, servo, limits, tuple(touch.contacts for touch in touches), mass, here.robot.foot,
-                       _start(momentum, here, outside, h), error, h)  # pyright: ignore  # fmt: skip
+    problem = _Problem(
+        case,
+        servo,
+        limits,
+        tuple(touch.contacts for touch in touches),
+        mass,
+        here.robot.foot,
+        _start(momentum, here, outside, h),
+        error,
+        h,
+    )  # pyright: ignore
     # a loop, not written out: every operation more takes time to compile
     trial, _ = jax.lax.scan(lambda s, _: (problem.improve(s), None), problem.trial(v), length=iterations)
     w, acting = trial.motion, problem.acting(trial)
@@ -120,12 +137,15 @@ def step(
     torque = tuple(u - case.drive.back_emf * rate for u, rate in zip(acting.effort, w.leg, strict=True))
     feet, normal = acting.forces[0], Vector.of(touches[0].surface.normal)
     report = Report(
-        force=feet.normal * normal + turned @ feet.tangential, normal=feet.normal, torque=torque,  # pyright: ignore
-        saturated=tuple(1.0 - f for f in acting.free), residual=_largest(problem.residual(trial, acting), here) / h,  # pyright: ignore
+        force=feet.normal * normal + turned @ feet.tangential,
+        normal=feet.normal,
+        torque=torque,  # pyright: ignore
+        saturated=tuple(1.0 - f for f in acting.free),
+        residual=_largest(problem.residual(trial, acting), here) / h,  # pyright: ignore
         power=tuple(u * rate for u, rate in zip(torque, w.leg, strict=True)),  # pyright: ignore
         outside=reduce(add, (motion.dot(force) for motion, force in zip(world, outside, strict=False))),
         before=_before(here, normal, 0.5 * momentum.dot(v)),
-    )  # fmt: skip
+    )
     anchors = tuple(
         touch.after(case, forces, velocity, here, h)
         for touch, forces, velocity in zip(touches, acting.forces, trial.velocity, strict=True)
@@ -144,7 +164,7 @@ class _Here(NamedTuple):
 
     pose: Pose
     turned: Matrix  # (1,) to world axes
-    robot: Star
+    robot: Tree
     free: FreeBodies
     mass: Mass
     motion: Motion
@@ -230,8 +250,9 @@ class _Touch(NamedTuple):
     def after(self, case: Case, forces: Forces, velocity: Vector, here: _Here, h: float) -> Anchors:
         """The anchors after the step; forces and velocities in base axes."""
         world = forces._replace(tangential=here.turned @ forces.tangential)
-        return settle(case.contact, self.surface, self.point, here.free.frames, self.place, world,
-                      here.turned @ velocity, h)  # fmt: skip
+        return update_anchors(
+            case.contact, self.surface, self.point, here.free.frames, self.place, world, here.turned @ velocity, h
+        )
 
 
 def _touches(case: Case, state: Moving, here: _Here) -> list[_Touch]:
@@ -249,7 +270,7 @@ def _touches(case: Case, state: Moving, here: _Here) -> list[_Touch]:
         if own.rolling is not None:
             offset = -own.rolling.radius * Vector.of(own.normal)
             point, place = point + offset, place + to_base @ offset
-        geometry, anchor = approach(case.contact, own, anchors, point, here.free.frames)
+        geometry, anchor = contact_geometry(case.contact, own, anchors, point, here.free.frames)
         carried = arms(place, own.body, owner[span], here.free.origins)
         if k == 0:
             carried = (Arm(0, None, place), *carried)
@@ -342,8 +363,11 @@ class _Problem(NamedTuple):
         tried = shifted(trial, lengths, way)
         costs = self._cost(self.residual(tried, self.acting(tried)))
         first, second, third = costs[0], costs[1], costs[2]
-        length = jnp.where(third < jnp.minimum(first, second), STEP_LENGTHS[2],
-                           jnp.where(second < first, STEP_LENGTHS[1], STEP_LENGTHS[0])).astype(first.dtype)  # fmt: skip
+        length = jnp.where(
+            third < jnp.minimum(first, second),
+            STEP_LENGTHS[2],
+            jnp.where(second < first, STEP_LENGTHS[1], STEP_LENGTHS[0]),
+        ).astype(first.dtype)
         return shifted(trial, length, way)
 
     def _cost(self, left: Motion) -> Array:

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from sweep.core.vectors import Matrix, Number, Vector, symmetric
-from sweep.dynamics.interface import SmoothDynamics, Star
+from sweep.dynamics.interface import SmoothDynamics, Tree
 from sweep.dynamics.spatial import Inertia, Mass, Motion, Pose, Rates, Spatial
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
@@ -35,7 +35,7 @@ class Link(NamedTuple):
 
 def of(world: Case) -> SmoothDynamics:
     """The smooth dynamics of a world."""
-    return partial(star, world.robot, world.drive.armature)
+    return partial(tree_terms, world.robot, world.drive.armature)
 
 
 def leg_links(robot: Robot, angle: Rates) -> tuple[Vector, list[Link]]:
@@ -56,12 +56,20 @@ def leg_links(robot: Robot, angle: Rates) -> tuple[Vector, list[Link]]:
         length, mass = getattr(robot, name), getattr(robot, f"{name}_mass")
         direction, joint = ways[name]
         radius = robot.link_radius
-        links.append(Link(mass, mass * (3 * radius**2 + length**2) / 12, mass * radius**2 / 2, length * direction,
-                          direction, joint))  # fmt: skip
+        links.append(
+            Link(
+                mass,
+                mass * (3 * radius**2 + length**2) / 12,
+                mass * radius**2 / 2,
+                length * direction,
+                direction,
+                joint,
+            )
+        )
     return across, links
 
 
-def star(robot: Robot, armature: Number, pose: Pose, v: Motion) -> Star:
+def tree_terms(robot: Robot, armature: Number, pose: Pose, v: Motion) -> Tree:
     """Mass matrix, bias and feet at a pose and velocity: recursive Newton-Euler and composite bodies, leg by leg.
 
     The bias is the force that keeps all generalised accelerations zero; the linear one is that in world axes, so that
@@ -108,7 +116,7 @@ def star(robot: Robot, armature: Number, pose: Pose, v: Motion) -> Star:
     twist = twist + spin_base.cross(Vector(box[0] * spin_base.x, box[1] * spin_base.y, box[2] * spin_base.z))
     feet = tuple(a.cross(start - o) for a, o in zip(axes, origins, strict=True))
     mass = Mass((_composite(robot, links, centres),), tuple(columns), _leg_block(axes, origins, columns, armature))  # pyright: ignore
-    return Star(mass, Motion((Spatial(wrench, twist),), tuple(leg_bias)), tuple(joints), feet)  # pyright: ignore
+    return Tree(mass, Motion((Spatial(wrench, twist),), tuple(leg_bias)), tuple(joints), feet)  # pyright: ignore
 
 
 def _sum(vectors) -> Vector:
@@ -132,8 +140,14 @@ def _composite(robot: Robot, links: list[Link], centres: list[Vector]) -> Inerti
     for link, c in zip(links, centres, strict=True):
         d, m, extra = link.direction, link.mass, link.along - link.across
         round_ = link.across + m * c.dot(c)
-        parts = [(d.x, d.x, c.x, c.x), (d.y, d.y, c.y, c.y), (d.z, d.z, c.z, c.z),
-                 (d.x, d.y, c.x, c.y), (d.x, d.z, c.x, c.z), (d.y, d.z, c.y, c.z)]  # fmt: skip
+        parts = [
+            (d.x, d.x, c.x, c.x),
+            (d.y, d.y, c.y, c.y),
+            (d.z, d.z, c.z, c.z),
+            (d.x, d.y, c.x, c.y),
+            (d.x, d.z, c.x, c.z),
+            (d.y, d.z, c.y, c.z),
+        ]
         for k, (d1, d2, c1, c2) in enumerate(parts):
             entries[k] = entries[k] + extra * d1 * d2 - m * c1 * c2 + (round_ if k < 3 else 0.0)
     totals = [jnp.sum(entry, axis=-1, keepdims=True) for entry in entries]

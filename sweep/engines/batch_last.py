@@ -1,12 +1,12 @@
 """Batch a function of one rollout along the last axis: neighbouring numbers in memory are neighbouring rollouts.
 
 `jax.vmap` puts the batch first: a foot's three coordinates then lie side by side, and neither a CPU's vector units nor
-a GPU's memory can take many rollouts at a time. `lanes` goes through the same program operation by operation and keeps
-the batch last. Products of small matrices become sums of products. What it has no rule for, `jax.vmap` does.
+a GPU's memory can take many rollouts at a time. `batch_last_vmap` goes through the same program operation by operation
+and keeps the batch last. Products of small matrices become sums of products. What it has no rule for, `jax.vmap` does.
 
 A compiler for a CPU merges a value into every loop that uses it and works it out again in each. In a long program
 that multiplies: it made a physics step twelve times as slow. So a value that is used more than once is kept in memory
-where working it out again would take `kept_from` operations or more.
+where working it out again would take `reuse_from` operations or more.
 """
 
 from collections import Counter
@@ -37,7 +37,7 @@ COST = {"convert_element_type": 0, "copy": 0, "div": 8, "sqrt": 8, "rsqrt": 8, "
         "acos": 20, "pow": 20, "exp": 20, "log": 20}  # of an operation, where it is not 1  # fmt: skip
 
 
-class Lane(NamedTuple):
+class Operand(NamedTuple):
     """A value of the program: with a last axis over the batch, or the same for all of it."""
 
     value: Any
@@ -49,10 +49,10 @@ class Batch(NamedTuple):
     """What is the same in the whole program."""
 
     size: int
-    kept_from: int
+    reuse_from: int
 
 
-def lanes(function: Callable, in_axes: Sequence[Any], kept_from: int) -> Callable:
+def batch_last_vmap(function: Callable, in_axes: Sequence[Any], reuse_from: int) -> Callable:
     """`function` of one rollout, over a batch that is the last axis of all results.
 
     `in_axes` holds for every argument None (the same for the whole batch), -1, or a tree of its structure whose leaves
@@ -62,12 +62,12 @@ def lanes(function: Callable, in_axes: Sequence[Any], kept_from: int) -> Callabl
     def batched(*args: Any) -> Any:
         flat, tree = jax.tree.flatten(args)
         axes = [axis for arg, given in zip(args, in_axes, strict=True) for axis in _leaf_axes(arg, given)]
-        inputs = [Lane(jnp.asarray(x), axis is not None) for x, axis in zip(flat, axes, strict=True)]
+        inputs = [Operand(jnp.asarray(x), axis is not None) for x, axis in zip(flat, axes, strict=True)]
         size = next(x.value.shape[-1] for x in inputs if x.batched)
         one = [jax.ShapeDtypeStruct(x.value.shape[: x.value.ndim - x.batched], x.value.dtype) for x in inputs]
         trace = jax.make_jaxpr(lambda *leaves: function(*jax.tree.unflatten(tree, leaves)), return_shape=True)
         program, shape = trace(*one)
-        outputs = _evaluate(program, inputs, Batch(size, kept_from))
+        outputs = _evaluate(program, inputs, Batch(size, reuse_from))
         return jax.tree.unflatten(jax.tree.structure(shape), [_spread(out, size) for out in outputs])
 
     return batched
@@ -79,31 +79,31 @@ def _leaf_axes(arg: Any, given: Any) -> list[int | None]:
     return jax.tree.leaves(given, is_leaf=lambda x: x is None)
 
 
-def _spread(x: Lane, size: int) -> Array:
+def _spread(x: Operand, size: int) -> Array:
     """The value with its last axis over the batch."""
     value = jnp.asarray(x.value)
     return value if x.batched else jnp.broadcast_to(value[..., None], (*value.shape, size))
 
 
-def _evaluate(program: ClosedJaxpr, inputs: Sequence[Lane], batch: Batch) -> list[Lane]:
+def _evaluate(program: ClosedJaxpr, inputs: Sequence[Operand], batch: Batch) -> list[Operand]:
     """Results of `program` on `inputs`."""
     jaxpr = program.jaxpr
-    known: dict[Any, Lane] = {}
+    known: dict[Any, Operand] = {}
     read_by = [*(eqn.invars for eqn in jaxpr.eqns), jaxpr.outvars]
     uses = Counter(atom for atoms in read_by for atom in atoms if not isinstance(atom, core.Literal))
 
-    def read(atom: Any) -> Lane:
-        return Lane(atom.val, False) if isinstance(atom, core.Literal) else known[atom]
+    def read(atom: Any) -> Operand:
+        return Operand(atom.val, False) if isinstance(atom, core.Literal) else known[atom]
 
-    def write(atom: Any, lane: Lane) -> None:
-        if lane.batched and lane.cost >= batch.kept_from and uses[atom] > 1:
-            lane = Lane(lax.optimization_barrier(lane.value), True)
-        known[atom] = lane
+    def write(atom: Any, operand: Operand) -> None:
+        if operand.batched and operand.cost >= batch.reuse_from and uses[atom] > 1:
+            operand = Operand(lax.optimization_barrier(operand.value), True)
+        known[atom] = operand
 
     for atom, value in zip(jaxpr.constvars, program.consts, strict=True):
-        write(atom, Lane(value, False))
-    for atom, lane in zip(jaxpr.invars, inputs, strict=True):
-        write(atom, lane)
+        write(atom, Operand(value, False))
+    for atom, operand in zip(jaxpr.invars, inputs, strict=True):
+        write(atom, operand)
     for eqn in jaxpr.eqns:
         results = _apply(eqn, [read(atom) for atom in eqn.invars], batch)
         for atom, result in zip(eqn.outvars, results, strict=True):
@@ -111,7 +111,7 @@ def _evaluate(program: ClosedJaxpr, inputs: Sequence[Lane], batch: Batch) -> lis
     return [read(atom) for atom in jaxpr.outvars]
 
 
-def _apply(eqn: Any, args: list[Lane], batch: Batch) -> list[Lane]:
+def _apply(eqn: Any, args: list[Operand], batch: Batch) -> list[Operand]:
     """Results of one operation."""
     name, params, size = eqn.primitive.name, eqn.params, batch.size
     if name in CALLS:
@@ -137,11 +137,11 @@ def _apply(eqn: Any, args: list[Lane], batch: Batch) -> list[Lane]:
     return _results(batched(*[x.value for x in args]), True)
 
 
-def _results(out: Any, batched: bool, cost: int = 0) -> list[Lane]:
-    return [Lane(x, batched, cost) for x in (out if isinstance(out, list | tuple) else [out])]
+def _results(out: Any, batched: bool, cost: int = 0) -> list[Operand]:
+    return [Operand(x, batched, cost) for x in (out if isinstance(out, list | tuple) else [out])]
 
 
-def _elementwise(eqn: Any, args: list[Lane]) -> Any:
+def _elementwise(eqn: Any, args: list[Operand]) -> Any:
     """Operands of one rank and the batch; JAX lets single numbers stand beside arrays."""
     rank = max(jnp.ndim(x.value) - x.batched for x in args)
     whole = eqn.primitive.name in ("select_n", "clamp", "add_any")  # which do not stretch axes of length 1
@@ -159,7 +159,7 @@ def _elementwise(eqn: Any, args: list[Lane]) -> Any:
     return eqn.primitive.bind(*values, **eqn.params)
 
 
-def _scan(eqn: Any, args: list[Lane], batch: Batch) -> list[Lane]:
+def _scan(eqn: Any, args: list[Operand], batch: Batch) -> list[Operand]:
     """A loop over the first axis; all that it carries becomes batched."""
     program = eqn.params["jaxpr"]
     inner = program.jaxpr if isinstance(program, ClosedJaxpr) else program
@@ -171,17 +171,17 @@ def _scan(eqn: Any, args: list[Lane], batch: Batch) -> list[Lane]:
     consts, carry, xs = args[:n_consts], args[n_consts : n_consts + n_carry], args[n_consts + n_carry :]
 
     def body(state: list[Array], x: list[Array]) -> tuple[list[Array], list[Array]]:
-        here = [Lane(s, True) for s in state]
-        there = [Lane(v, lane.batched) for v, lane in zip(x, xs, strict=True)]
+        here = [Operand(s, True) for s in state]
+        there = [Operand(v, operand.batched) for v, operand in zip(x, xs, strict=True)]
         values = [_spread(v, batch.size) for v in _evaluate(_closed(program), [*consts, *here, *there], batch)]
         return values[:n_carry], values[n_carry:]
 
     loop = {key: eqn.params[key] for key in ("length", "reverse", "unroll")}
     last, ys = lax.scan(body, [_spread(x, batch.size) for x in carry], [x.value for x in xs], **loop)
-    return [Lane(x, True) for x in (*last, *ys)]
+    return [Operand(x, True) for x in (*last, *ys)]
 
 
-def _cond(eqn: Any, args: list[Lane], batch: Batch) -> list[Lane]:
+def _cond(eqn: Any, args: list[Operand], batch: Batch) -> list[Operand]:
     """A choice that is the same for the whole batch."""
 
     def spread(branch: ClosedJaxpr) -> list[Array]:
@@ -198,33 +198,33 @@ def _closed(program: Any) -> ClosedJaxpr:
     return program if isinstance(program, ClosedJaxpr) else ClosedJaxpr(program, ())
 
 
-def _broadcast_in_dim(args: list[Lane], size: int, shape: tuple, broadcast_dimensions: tuple, **_: Any) -> Array:
+def _broadcast_in_dim(args: list[Operand], size: int, shape: tuple, broadcast_dimensions: tuple, **_: Any) -> Array:
     return lax.broadcast_in_dim(args[0].value, (*shape, size), (*broadcast_dimensions, len(shape)))
 
 
-def _reshape(args: list[Lane], size: int, new_sizes: tuple, **_: Any) -> Array:
+def _reshape(args: list[Operand], size: int, new_sizes: tuple, **_: Any) -> Array:
     return lax.reshape(args[0].value, (*new_sizes, size))
 
 
-def _transpose(args: list[Lane], size: int, permutation: tuple) -> Array:
+def _transpose(args: list[Operand], size: int, permutation: tuple) -> Array:
     return lax.transpose(args[0].value, (*permutation, len(permutation)))
 
 
-def _slice(args: list[Lane], size: int, start_indices: tuple, limit_indices: tuple, strides: tuple | None) -> Array:
+def _slice(args: list[Operand], size: int, start_indices: tuple, limit_indices: tuple, strides: tuple | None) -> Array:
     return lax.slice(args[0].value, (*start_indices, 0), (*limit_indices, size), strides and (*strides, 1))
 
 
-def _pad(args: list[Lane], size: int, padding_config: tuple) -> Array:
+def _pad(args: list[Operand], size: int, padding_config: tuple) -> Array:
     if args[1].batched:
         return NotImplemented
     return lax.pad(args[0].value, args[1].value, (*padding_config, (0, 0, 0)))
 
 
-def _concatenate(args: list[Lane], size: int, dimension: int) -> Array:
+def _concatenate(args: list[Operand], size: int, dimension: int) -> Array:
     return lax.concatenate([_spread(x, size) for x in args], dimension)
 
 
-def _dot_general(args: list[Lane], size: int, dimension_numbers: tuple, **_: Any) -> Array:
+def _dot_general(args: list[Operand], size: int, dimension_numbers: tuple, **_: Any) -> Array:
     """Products summed one after the other: the matrices are a few rows, the batch is long."""
     (contract_l, contract_r), (batch_l, batch_r) = dimension_numbers
     left, right = ((jnp.asarray(x.value) if x.batched else jnp.asarray(x.value)[..., None]) for x in args)
@@ -238,7 +238,9 @@ def _dot_general(args: list[Lane], size: int, dimension_numbers: tuple, **_: Any
     return jnp.sum(left * right, axis=tuple(range(len(contract_l))))
 
 
-def _gather(args: list[Lane], size: int, dimension_numbers: Any, slice_sizes: tuple, mode: Any, **rest: Any) -> Array:
+def _gather(
+    args: list[Operand], size: int, dimension_numbers: Any, slice_sizes: tuple, mode: Any, **rest: Any
+) -> Array:
     operand, indices = args
     dims = dimension_numbers
     if not operand.batched:
@@ -259,7 +261,7 @@ def _gather(args: list[Lane], size: int, dimension_numbers: Any, slice_sizes: tu
     return lax.gather(operand.value, index, numbers, (*slice_sizes, 1), mode=mode, **rest)
 
 
-def _scatter(put: Callable, args: list[Lane], size: int, dimension_numbers: Any, **rest: Any) -> Array:
+def _scatter(put: Callable, args: list[Operand], size: int, dimension_numbers: Any, **rest: Any) -> Array:
     operand, indices, updates = args
     if indices.batched:
         return NotImplemented

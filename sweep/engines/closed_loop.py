@@ -28,7 +28,7 @@ GRACE = 1.2  # a rollout is over at this multiple of its planned duration, finis
 LONGEST = 600.0  # s; a rollout that takes longer is cut off unfinished: absurd parameters must not hold up a batch
 
 
-class Pilot(NamedTuple):
+class ClosedLoop(NamedTuple):
     """Controller, sensors and figures of one rollout."""
 
     tracker: TrackerState
@@ -105,50 +105,68 @@ def free_state(qpos: Array, qvel: Array, count: int) -> FreeState:
     return FreeState(pose[:, :3], pose[:, 3:], motion[:, :3], rotate(pose[:, 3:], motion[:, 3:]))
 
 
-def embark(world: Case, belief: Case, plan: Plan, start: Start, energy: Array, key: Array) -> Pilot:
+def init(world: Case, belief: Case, plan: Plan, start: Start, energy: Array, key: Array) -> ClosedLoop:
     """Before the first tick."""
     free = free_state(start.qpos, start.qvel, len(world.obstacle.free_bodies))
     joints = start.qpos[JOINT_Q].reshape(N_LEGS, 3)
     rates = start.qvel[JOINT_V].reshape(N_LEGS, 3)
-    truth = Observation(start.qpos[:3], start.qpos[3:7], start.qvel[:3], start.qvel[3:6], joints, rates,
-                        jnp.zeros_like(joints), jnp.ones(N_LEGS, bool), free)  # fmt: skip
+    truth = Observation(
+        start.qpos[:3],
+        start.qpos[3:7],
+        start.qvel[:3],
+        start.qvel[3:6],
+        joints,
+        rates,
+        jnp.zeros_like(joints),
+        jnp.ones(N_LEGS, bool),
+        free,
+    )
     bias_key, key = jax.random.split(key)
     sensors = install(world.noise, bias_key, truth)
     feet = feet_in_world(world.robot, start.qpos[:3], start.qpos[3:7], joints)
     running = stream.begin(world, plan, start.qpos[:3], start.qpos[3:7], feet, free, energy)
-    return Pilot(tracker.init(belief, plan), sensors, running, truth, position_mode(world.drive, joints), key)
+    return ClosedLoop(tracker.init(belief, plan), sensors, running, truth, position_mode(world.drive, joints), key)
 
 
-def decide(
-    world: Case, belief: Case, plan: Plan, pilot: Pilot, tick: Array, period: float, quiet: bool
-) -> tuple[Pilot, Command]:
+def act(
+    world: Case, belief: Case, plan: Plan, loop: ClosedLoop, tick: Array, period: float, quiet: bool
+) -> tuple[ClosedLoop, Command]:
     """The controller's part of a tick; the drives then go linearly from the old reference to the new one."""
-    sensors, seen = pilot.sensors, pilot.seen
+    sensors, seen = loop.sensors, loop.seen
     if not quiet:
-        sensors, seen = observe(world.noise, sensors, seen, jax.random.fold_in(pilot.key, tick))
-    state, command = tracker.step(belief, plan, pilot.tracker, seen, period)
+        sensors, seen = observe(world.noise, sensors, seen, jax.random.fold_in(loop.key, tick))
+    state, command = tracker.step(belief, plan, loop.tracker, seen, period)
     servo = position_mode(world.drive, command.joints - seen.joint_error)
     if command.own is not None:
         owned, own = command.own
         own = own._replace(target=own.target - seen.joint_error)
         servo = Servo(*[jnp.where(owned, a, b) for a, b in zip(own, servo, strict=True)])
-    return pilot._replace(tracker=state, sensors=sensors, servo=servo), command
+    return loop._replace(tracker=state, sensors=sensors, servo=servo), command
 
 
 def measure(
     world: Case,
     plan: Plan,
     limits: Thresholds,
-    pilot: Pilot,
+    loop: ClosedLoop,
     command: Command,
     tick: Tick,
     number: Array,
     period: float,
-) -> Pilot:
+) -> ClosedLoop:
     """The metrics' part of a tick. A rollout that has finished, or had its time, is over."""
-    running = stream.update(world, plan, limits, pilot.tracker, command, pilot.running, tick, number, period)
+    running = stream.update(world, plan, limits, loop.tracker, command, loop.running, tick, number, period)
     late = running.time >= GRACE * jnp.sum(plan.duration)
-    running = running._replace(over=running.over | pilot.tracker.finished | late)
-    truth = Observation(tick.position, tick.quat, tick.velocity, tick.spin, tick.angles, tick.rates,
-                        jnp.zeros_like(command.joints), tick.loaded, tick.free)  # fmt: skip
-    return pilot._replace(running=running, seen=truth)
+    running = running._replace(over=running.over | loop.tracker.finished | late)
+    truth = Observation(
+        tick.position,
+        tick.quat,
+        tick.velocity,
+        tick.spin,
+        tick.angles,
+        tick.rates,
+        jnp.zeros_like(command.joints),
+        tick.loaded,
+        tick.free,
+    )
+    return loop._replace(running=running, seen=truth)

@@ -62,8 +62,8 @@ def precision(settings: EngineSettings) -> contextlib.AbstractContextManager:
     return jax.enable_x64(settings.precision == "float64")
 
 
-def kept_from() -> int:
-    """From how many operations on a value that is used again is kept, see `lanes`: a GPU's compiler knows itself."""
+def reuse_from() -> int:
+    """From how many operations on a value used again is kept by `batch_last_vmap`: a GPU's compiler knows itself."""
     return 8 if jax.default_backend() == "cpu" else NEVER
 
 

@@ -17,8 +17,8 @@ from sweep.dynamics import interface as dynamics
 from sweep.dynamics.step import State, rest
 from sweep.engines import batching, devices, physics, program_cache
 from sweep.engines.base import Figures, Trace
-from sweep.engines.batch_last import lanes
-from sweep.engines.closed_loop import GRACE, Pilot, decide, embark, is_quiet, measure, most_ticks, start_state
+from sweep.engines.batch_last import batch_last_vmap
+from sweep.engines.closed_loop import GRACE, ClosedLoop, act, init, is_quiet, measure, most_ticks, start_state
 from sweep.engines.settings import EngineSettings
 from sweep.metrics import stream
 from sweep.metrics.outcome import Thresholds
@@ -31,7 +31,7 @@ class Carry(NamedTuple):
     """One rollout between two control ticks."""
 
     state: State
-    pilot: Pilot
+    loop: ClosedLoop
 
 
 class Programs(NamedTuple):
@@ -78,7 +78,7 @@ class Mjx:
             for tick in range(0, most_ticks(plans, self.settings.control_period), self._chunk_ticks):
                 carry, _ = programs.chunk(world, belief, plans, carry, tick, None)
                 # on the host: among devices it would take their collective operations, which can hang
-                if np.all(np.asarray(carry.pilot.running.over)):
+                if np.all(np.asarray(carry.loop.running.over)):
                     break
             return {name: np.asarray(values) for name, values in programs.finish(world, plans, carry).items()}
 
@@ -92,7 +92,7 @@ class Mjx:
             for tick in range(0, most_ticks(plans, self.settings.control_period), self._chunk_ticks):
                 carry, record = programs.chunk(world, belief, plans, carry, tick, slot)
                 records.append(jax.tree.map(lambda x: np.asarray(x)[:, slot // local], record))
-                if bool(carry.pilot.running.over[slot]):
+                if bool(carry.loop.running.over[slot]):
                     break
             figures = {name: np.asarray(x)[slot] for name, x in programs.finish(world, plans, carry).items()}
         record = jax.tree.map(lambda *parts: np.concatenate(parts), *records)
@@ -151,7 +151,7 @@ class Mjx:
     def _chunk(self, axes: tuple[Case, Case], quiet: bool) -> Callable:
         """A second of the batch that a device has, of which the rollout in a slot may be recorded."""
         local = self.width // self._mesh.size
-        tick = lanes(partial(self._tick, quiet=quiet), (*_last(axes), -1, -1, None), devices.kept_from())
+        tick = batch_last_vmap(partial(self._tick, quiet=quiet), (*_last(axes), -1, -1, None), devices.reuse_from())
 
         def chunk(world: Case, belief: Case, plans: Plan, carry: Carry, first: Array, slot: Array | None) -> Any:
             world, belief, plans, carry = _batch_last((world, belief, plans, carry))
@@ -172,21 +172,21 @@ class Mjx:
         start = start_state(world, belief, plan)
         state = rest(self.topology, start.qpos)._replace(v=start.qvel)
         energy = self.physics.energy(world, state)
-        return plan, Carry(state, embark(world, belief, plan, start, energy, key))
+        return plan, Carry(state, init(world, belief, plan, start, energy, key))
 
     def _finish(self, world: Case, plan: Plan, carry: Carry) -> dict[str, Array]:
-        return stream.figures(world, plan, carry.pilot.running, carry.pilot.tracker.stage)
+        return stream.figures(world, plan, carry.loop.running, carry.loop.tracker.stage)
 
     def _tick(
         self, world: Case, belief: Case, plan: Plan, carry: Carry, tick: Array, quiet: bool
     ) -> tuple[Carry, dict[str, Array]]:
         period = self.settings.control_period
-        old = carry.pilot.servo
-        pilot, command = decide(world, belief, plan, carry.pilot, tick, period, quiet)
-        state, summary = self.physics.advance(world, carry.state, old, pilot.servo, tick)
-        pilot = measure(world, plan, self.limits, pilot, command, summary, tick, period)
-        record = batching.record(command, pilot.tracker, summary, state.q, state.v)
-        return Carry(state, pilot), record
+        old = carry.loop.servo
+        loop, command = act(world, belief, plan, carry.loop, tick, period, quiet)
+        state, summary = self.physics.advance(world, carry.state, old, loop.servo, tick)
+        loop = measure(world, plan, self.limits, loop, command, summary, tick, period)
+        record = batching.record(command, loop.tracker, summary, state.q, state.v)
+        return Carry(state, loop), record
 
 
 def _last(axes: Any) -> Any:

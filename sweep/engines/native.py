@@ -19,11 +19,11 @@ from sweep.engines import batching, devices
 from sweep.engines.base import Figures, Trace
 from sweep.engines.closed_loop import (
     GRACE,
-    Pilot,
+    ClosedLoop,
     Start,
-    decide,
-    embark,
+    act,
     free_state,
+    init,
     is_quiet,
     measure,
     most_ticks,
@@ -121,25 +121,25 @@ class Native:
             batch = Batch(models[0], self.width)
             batch.set_models(models)
             arrays = (*devices.as_arrays((world, belief)), devices.keys(streams))
-            plans, pilots, state = start(*arrays)
-            told = _gains(pilots.servo)
+            plans, loops, state = start(*arrays)
+            told = _gains(loops.servo)
             batch.reset()
             batch.qpos[:], batch.qvel[:] = (np.asarray(x) for x in state)
-            pilots, commands, controls = tick(*arrays[:2], plans, pilots, None, None, 0)
+            loops, commands, controls = tick(*arrays[:2], plans, loops, None, None, 0)
             records = []
             for k in range(most_ticks(plans, self.settings.control_period)):
                 if plans.flywheel is not None:
-                    told = _retune(batch, models, told, _gains(pilots.servo))
+                    told = _retune(batch, models, told, _gains(loops.servo))
                 steps = batch.rollout(self.substeps, np.asarray(controls, float), CONTROL, RECORD)
                 steps["broken"] = unbuilt | np.any(batch.warning[:, :, 0] > 0, axis=1)
                 if k == 0:  # derived fields are those before a step, hence the start's
-                    pilots = _with_energy(self._nominal, pilots, steps["energy"][:, 0].sum(axis=-1))
+                    loops = _with_energy(self._nominal, loops, steps["energy"][:, 0].sum(axis=-1))
                 if slot is not None:
-                    records.append(_record(commands, pilots, steps, slot))
-                pilots, commands, controls = tick(*arrays[:2], plans, pilots, commands, steps, k + 1)
-                if bool(np.all(pilots.running.over)):
+                    records.append(_record(commands, loops, steps, slot))
+                loops, commands, controls = tick(*arrays[:2], plans, loops, commands, steps, k + 1)
+                if bool(np.all(loops.running.over)):
                     break
-            return {name: np.asarray(values) for name, values in finish(arrays[0], plans, pilots).items()}, records
+            return {name: np.asarray(values) for name, values in finish(arrays[0], plans, loops).items()}, records
 
     def _models(self, world: Case) -> tuple[list[mujoco.MjModel], np.ndarray]:
         """Each row's model, and which rows cannot be built: absurd sizes, in whose place the nominal model runs."""
@@ -160,7 +160,7 @@ class Native:
         return native_model(world, self.settings.native_time_step, self.settings.solid)
 
     def _functions(self, world: Case, belief: Case) -> tuple[Callable, Callable, Callable]:
-        """Compiled `start`, `tick` (measure the last tick, decide the next) and `finish` over the batch."""
+        """Compiled `start`, `tick` (measure the last tick, act the next) and `finish` over the batch."""
         axes, quiet = devices.axes((world, belief)), is_quiet(world.noise)
         form = devices.form((world, belief)), quiet
         if form not in self._compiled:
@@ -170,28 +170,33 @@ class Native:
     def _compile(self, axes: tuple[Case, Case], quiet: bool) -> tuple[Callable, Callable, Callable]:
         period, n = self.settings.control_period, self.substeps
 
-        def start(world: Case, belief: Case, key: Array) -> tuple[Plan, Pilot, Start]:
+        def start(world: Case, belief: Case, key: Array) -> tuple[Plan, ClosedLoop, Start]:
             plan = belief.manoeuvre.plan(belief)
             state = start_state(world, belief, plan)
-            return plan, embark(world, belief, plan, state, jnp.zeros(()), key), state
+            return plan, init(world, belief, plan, state, jnp.zeros(()), key), state
 
-        def tick(world: Case, belief: Case, plan: Plan, pilot: Pilot, command: Command | None, steps: Any, k: Array):
+        def tick(
+            world: Case, belief: Case, plan: Plan, loop: ClosedLoop, command: Command | None, steps: Any, k: Array
+        ):
             if steps is not None and command is not None:
-                summary = self._summary(world, steps, (k - 1) * period, pilot.seen.free)
-                pilot = measure(world, plan, self.limits, pilot, command, summary, k - 1, period)
-            old = pilot.servo
-            pilot, command = decide(world, belief, plan, pilot, k, period, quiet)
-            told = towards(old, pilot.servo, (1 + jnp.arange(n))[:, None, None] / n)
+                summary = self._summary(world, steps, (k - 1) * period, loop.seen.free)
+                loop = measure(world, plan, self.limits, loop, command, summary, k - 1, period)
+            old = loop.servo
+            loop, command = act(world, belief, plan, loop, k, period, quiet)
+            told = towards(old, loop.servo, (1 + jnp.arange(n))[:, None, None] / n)
             torques = (told.stiffness * told.target + told.torque).reshape(n, N_JOINTS)
-            forces = self._outside(world, k * period, pilot.seen.free)
-            return pilot, command, jnp.concatenate([torques, forces], axis=1)
+            forces = self._outside(world, k * period, loop.seen.free)
+            return loop, command, jnp.concatenate([torques, forces], axis=1)
 
-        def finish(world: Case, plan: Plan, pilot: Pilot) -> dict[str, Array]:
-            return stream.figures(world, plan, pilot.running, pilot.tracker.stage)
+        def finish(world: Case, plan: Plan, loop: ClosedLoop) -> dict[str, Array]:
+            return stream.figures(world, plan, loop.running, loop.tracker.stage)
 
         over = (*axes, 0, 0, 0, 0, None)
-        return (jax.jit(jax.vmap(start, in_axes=(*axes, 0))), jax.jit(jax.vmap(tick, in_axes=over)),
-                jax.jit(jax.vmap(finish, in_axes=(axes[0], 0, 0))))  # fmt: skip
+        return (
+            jax.jit(jax.vmap(start, in_axes=(*axes, 0))),
+            jax.jit(jax.vmap(tick, in_axes=over)),
+            jax.jit(jax.vmap(finish, in_axes=(axes[0], 0, 0))),
+        )
 
     def _outside(self, world: Case, start: Array, free: FreeState) -> Float[Array, "n f"]:
         """Outside wrenches on all bodies in the tick's steps: force, then torque, world axes.
@@ -228,23 +233,37 @@ class Native:
         return Tick(
             torque_peak=jnp.max(jnp.abs(torque), axis=0).reshape(N_LEGS, 3),
             saturated=jnp.mean(effort >= 0.999 * limit, axis=0).reshape(N_LEGS, 3),
-            force=force, normal=normal, tangential=jnp.linalg.norm(force - normal[:, None] * normals, axis=-1),
-            loaded=last > 1.0, residual=jnp.zeros(()),  # the C solver reports no residual force
-            work=h * (jnp.sum(power) + jnp.sum(outside[:, 6:9] * steps["qvel"][:, :3])
-                      + jnp.sum(outside[:, outside.shape[1] - 6 * count :] * _twists(steps, count))),
+            force=force,
+            normal=normal,
+            tangential=jnp.linalg.norm(force - normal[:, None] * normals, axis=-1),
+            loaded=last > 1.0,
+            residual=jnp.zeros(()),  # the C solver reports no residual force
+            work=h
+            * (
+                jnp.sum(power)
+                + jnp.sum(outside[:, 6:9] * steps["qvel"][:, :3])
+                + jnp.sum(outside[:, outside.shape[1] - 6 * count :] * _twists(steps, count))
+            ),
             effort=h * jnp.sum(jnp.maximum(power, 0.0)),
             energy=jnp.where(steps["broken"], jnp.nan, energy),
-            position=qpos[:3], quat=qpos[3:7], velocity=qvel[:3], spin=qvel[3:6],
-            angles=qpos[JOINT_Q].reshape(N_LEGS, 3), rates=rate[-1].reshape(N_LEGS, 3),
-            centre_of_mass=steps["subtree_com"][-1, 1], joints=jnp.concatenate([links, feet[:, None]], axis=1),
-            bodies=poses(free), free=free,
-        )  # fmt: skip
+            position=qpos[:3],
+            quat=qpos[3:7],
+            velocity=qvel[:3],
+            spin=qvel[3:6],
+            angles=qpos[JOINT_Q].reshape(N_LEGS, 3),
+            rates=rate[-1].reshape(N_LEGS, 3),
+            centre_of_mass=steps["subtree_com"][-1, 1],
+            joints=jnp.concatenate([links, feet[:, None]], axis=1),
+            bodies=poses(free),
+            free=free,
+        )
 
 
 def _ahead(free: FreeState, time: Array) -> FreeState:
     """Free bodies that went on as they do for `time` (s)."""
-    return free._replace(position=free.position + time * free.velocity,
-                         quat=multiply(exponential(time * free.turn), free.quat))  # fmt: skip
+    return free._replace(
+        position=free.position + time * free.velocity, quat=multiply(exponential(time * free.turn), free.quat)
+    )
 
 
 def _twists(steps: dict[str, Array], count: int) -> Float[Array, "n 6k"]:
@@ -268,21 +287,23 @@ def _retune(batch: Batch, models: list[mujoco.MjModel], old: np.ndarray, new: np
     return new
 
 
-def _with_energy(world: Case, pilots: Pilot, start: np.ndarray) -> Pilot:
+def _with_energy(world: Case, loops: ClosedLoop, start: np.ndarray) -> ClosedLoop:
     """Energy is counted from that of the start."""
-    energy = jnp.asarray(start, pilots.running.time.dtype)
-    return pilots._replace(running=stream.with_energy(world, pilots.running, energy))
+    energy = jnp.asarray(start, loops.running.time.dtype)
+    return loops._replace(running=stream.with_energy(world, loops.running, energy))
 
 
-def _record(commands: Command, pilots: Pilot, steps: dict[str, np.ndarray], slot: int) -> dict[str, np.ndarray]:
+def _record(commands: Command, loops: ClosedLoop, steps: dict[str, np.ndarray], slot: int) -> dict[str, np.ndarray]:
     """What a trace keeps of a tick."""
     command = jax.tree.map(lambda x: np.asarray(x)[slot], commands)
     return {
-        "qpos": steps["qpos"][slot, -1], "qvel": steps["qvel"][slot, -1],
+        "qpos": steps["qpos"][slot, -1],
+        "qvel": steps["qvel"][slot, -1],
         "joint_target": command.joints.reshape(N_JOINTS),
         "joint_torque": np.abs(steps["actuator_force"][slot]).max(axis=0),
-        "foot_position": steps["site_xpos"][slot, -1, :6], "foot_target": command.target.feet,
+        "foot_position": steps["site_xpos"][slot, -1, :6],
+        "foot_target": command.target.feet,
         "foot_force": -steps["sensordata"][slot].reshape(-1, 6, 3).mean(axis=0),
         "base_target": np.concatenate([command.target.position, command.target.quat]),
-        "stage": np.asarray(pilots.tracker.stage)[slot],
-    }  # fmt: skip
+        "stage": np.asarray(loops.tracker.stage)[slot],
+    }

@@ -60,10 +60,13 @@ class Totals(NamedTuple):
         return Totals(
             tuple(jnp.maximum(peak, jnp.abs(u)) for peak, u in zip(self.torque_peak, report.torque, strict=True)),  # pyright: ignore
             tuple(a + b for a, b in zip(self.saturated, report.saturated, strict=True)),  # pyright: ignore
-            self.force + report.force, self.normal + report.normal, jnp.maximum(self.residual, report.residual),
+            self.force + report.force,
+            self.normal + report.normal,
+            jnp.maximum(self.residual, report.residual),
             reduce(add, report.power, self.power),
-            reduce(add, (jnp.maximum(p, 0.0) for p in report.power), self.effort), self.outside + report.outside,
-        )  # fmt: skip
+            reduce(add, (jnp.maximum(p, 0.0) for p in report.power), self.effort),
+            self.outside + report.outside,
+        )
 
 
 class Physics(NamedTuple):
@@ -100,16 +103,27 @@ class Physics(NamedTuple):
         force, normal = (1 / n) * totals.force, totals.normal / n
         along = force - normal * before.normal
         return Tick(
-            torque_peak=_by_joint(totals.torque_peak), saturated=_by_joint(totals.saturated) / n, force=force.array(),
-            normal=normal, tangential=jnp.sqrt(along.dot(along)), loaded=load > 1.0,
-            residual=totals.residual[0], work=h * (jnp.sum(totals.power) + totals.outside[0]),
-            effort=h * jnp.sum(totals.effort), energy=before.energy[0],
-            position=state.q[:3], quat=state.q[3:7], velocity=state.v[:3], spin=state.v[3:6],
-            angles=state.q[7:][legs].reshape(N_LEGS, 3), rates=state.v[6:][legs].reshape(N_LEGS, 3),
+            torque_peak=_by_joint(totals.torque_peak),
+            saturated=_by_joint(totals.saturated) / n,
+            force=force.array(),
+            normal=normal,
+            tangential=jnp.sqrt(along.dot(along)),
+            loaded=load > 1.0,
+            residual=totals.residual[0],
+            work=h * (jnp.sum(totals.power) + totals.outside[0]),
+            effort=h * jnp.sum(totals.effort),
+            energy=before.energy[0],
+            position=state.q[:3],
+            quat=state.q[3:7],
+            velocity=state.v[:3],
+            spin=state.v[3:6],
+            angles=state.q[7:][legs].reshape(N_LEGS, 3),
+            rates=state.v[6:][legs].reshape(N_LEGS, 3),
             centre_of_mass=before.centre_of_mass.array()[0],
-            joints=jnp.stack([joint.array() for joint in before.joints], axis=1), bodies=before.bodies,
+            joints=jnp.stack([joint.array() for joint in before.joints], axis=1),
+            bodies=before.bodies,
             free=free_state(state.q, state.v, before.bodies.position.shape[0]),
-        )  # fmt: skip
+        )
 
 
 def _nothing(world: Case, dtype: jnp.dtype) -> tuple[Totals, Array, Before]:

@@ -43,7 +43,7 @@ def programs(made_of: Any, devices: Sequence[Any], compiled: Callable[[], Sequen
         with unused():
             made = compiled()
     with contextlib.suppress(Exception):  # such as a full disk: what is made can run, and the next start makes it again
-        _keep(file, zlib.compress(pickle.dumps([serialize(part) for part in made]), level=1))
+        _store(file, zlib.compress(pickle.dumps([serialize(part) for part in made]), level=1))
     return made
 
 
@@ -92,7 +92,7 @@ def _load(file: Path, devices: Sequence[Any]) -> Sequence[Compiled] | None:
         return None
 
 
-def _keep(file: Path, content: bytes) -> None:
+def _store(file: Path, content: bytes) -> None:
     files.write_whole(file, content)
     for old in sorted(file.parent.glob("*.programs"), key=lambda f: f.stat().st_mtime)[:-MOST]:
         old.unlink(missing_ok=True)

@@ -38,17 +38,17 @@ def max_ball(
     ball, the hip stands over its rim. Starts from (3.1.22), exact for b = 0. Nan where there is no such ball.
     """
     l1, l2, hhat, b, k_f = jnp.broadcast_arrays(*map(jnp.asarray, (l1, l2, hhat, b, k_f)))
-    grip = 1 + k_f**2
+    steepness = 1 + k_f**2
 
     def residual(R: Array) -> Array:
         section = jnp.sqrt(R**2 - b**2 / 4)  # radius of the circle on which both feet of a side stand
-        above = (R + jnp.sqrt(R**2 - grip * b**2 / 4)) / grip  # height of the foothold over the ground
+        above = (R + jnp.sqrt(R**2 - steepness * b**2 / 4)) / steepness  # height of the foothold over the ground
         beside, up = k_f * above, above - R  # from the ball's centre: eta and zeta of the foothold
         return (beside + up * l2 / section - R) ** 2 + (above - beside * l2 / section - hhat) ** 2 - l1**2
 
     slack = (1 - k_f) ** 4 + 4
-    d1 = (((1 - k_f) ** 2 * (1 - k_f**2) + 4 * k_f) * l2 + 2 * grip * hhat) / slack
-    d2 = grip * ((hhat**2 + l2**2 - l1**2) * grip + 4 * k_f * l2 * hhat) / slack
+    d1 = (((1 - k_f) ** 2 * (1 - k_f**2) + 4 * k_f) * l2 + 2 * steepness * hhat) / slack
+    d2 = steepness * ((hhat**2 + l2**2 - l1**2) * steepness + 4 * k_f * l2 * hhat) / slack
     return MaxBall(newton(residual, d1 + jnp.sqrt(d1**2 - d2), steps=12))
 
 

@@ -58,9 +58,22 @@ METRIC = Metric(
     },
     (
         Cause("fell", "the base tilted beyond tilt_max_deg", "tilt_max_deg", "tilt_max_deg", 20.0, "deg"),
-        Cause("off_course", "the heading was off by more than heading_error_max_deg",
-              "heading_error_max_deg", "heading_error_max_deg", 5.0, "deg"),
-        Cause("goal_missed", "the base ended tilted by more than end_tilt_max_deg",
-              "end_tilt_deg", "end_tilt_max_deg", None, "deg", known="end"),
+        Cause(
+            "off_course",
+            "the heading was off by more than heading_error_max_deg",
+            "heading_error_max_deg",
+            "heading_error_max_deg",
+            5.0,
+            "deg",
+        ),
+        Cause(
+            "goal_missed",
+            "the base ended tilted by more than end_tilt_max_deg",
+            "end_tilt_deg",
+            "end_tilt_max_deg",
+            None,
+            "deg",
+            known="end",
+        ),
     ),
-)  # fmt: skip
+)

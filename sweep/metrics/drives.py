@@ -53,6 +53,14 @@ METRIC = Metric(
         **{f"saturation_share_{joint}": f"share of time at the torque limit of {joint} joints" for joint in JOINTS},
         "saturation_share_max": "largest of the three",
     },
-    (Cause("overload", "a kind of joint was saturated for more than saturation_share_max of the time",
-           "saturation_share_max", "saturation_share_max", 1.0, known="end"),),
-)  # fmt: skip
+    (
+        Cause(
+            "overload",
+            "a kind of joint was saturated for more than saturation_share_max of the time",
+            "saturation_share_max",
+            "saturation_share_max",
+            1.0,
+            known="end",
+        ),
+    ),
+)

@@ -36,6 +36,16 @@ METRIC = Metric(
     update,
     figures,
     {"feet_on_target": "feet that are at the end at the obstacle's face, of the body, where the plan has them"},
-    (Cause("goal_missed", "fewer feet than feet_on_target_min ended at their faces",
-           "feet_on_target", "feet_on_target_min", None, below=True, known="end", whole=True),),
-)  # fmt: skip
+    (
+        Cause(
+            "goal_missed",
+            "fewer feet than feet_on_target_min ended at their faces",
+            "feet_on_target",
+            "feet_on_target_min",
+            None,
+            below=True,
+            known="end",
+            whole=True,
+        ),
+    ),
+)

@@ -71,8 +71,12 @@ def figures(found: FreeBodies, at: Elapsed) -> dict[str, Array]:
 def _other(found: FreeBodies, k: int, time: Array) -> dict[str, Array]:
     """Of a body that the robot does not ride on."""
     speed = jnp.linalg.norm((found.place - found.tail)[k, :2]) / jnp.maximum(time - found.tail_time, 1e-9)
-    return {"x_m": found.place[k, 0], "y_m": found.place[k, 1], "speed_mps": speed,
-            "moved_m": jnp.linalg.norm((found.place - found.start)[k])}  # fmt: skip
+    return {
+        "x_m": found.place[k, 0],
+        "y_m": found.place[k, 1],
+        "speed_mps": speed,
+        "moved_m": jnp.linalg.norm((found.place - found.start)[k]),
+    }
 
 
 METRIC = Metric(
@@ -93,15 +97,41 @@ METRIC = Metric(
         "obstacle2_moved_m": "how far it ended from its start",
     },
     (
-        Cause("fell_off", "the base sank to less than ride_height_min_m over the centre of the body it rides on",
-              "ride_height_min_m", "ride_height_min_m", -1e3, "m", below=True),
-        Cause("obstacle_moved", "a free body went farther than obstacle_moved_max_m",
-              "obstacle_moved_m", "obstacle_moved_max_m", 1e3, "m"),
-        Cause("goal_missed", "the body that the robot rides on ended off its speed by more than "
-              "obstacle_speed_error_max_mps", "obstacle_speed_error_mps", "obstacle_speed_error_max_mps", None, "m/s",
-              known="end"),
-        Cause("goal_missed", "the body that the robot rides on went aside by more than obstacle_aside_max_m",
-              "obstacle_aside_max_m", "obstacle_aside_max_m", None, "m", known="end"),
+        Cause(
+            "fell_off",
+            "the base sank to less than ride_height_min_m over the centre of the body it rides on",
+            "ride_height_min_m",
+            "ride_height_min_m",
+            -1e3,
+            "m",
+            below=True,
+        ),
+        Cause(
+            "obstacle_moved",
+            "a free body went farther than obstacle_moved_max_m",
+            "obstacle_moved_m",
+            "obstacle_moved_max_m",
+            1e3,
+            "m",
+        ),
+        Cause(
+            "goal_missed",
+            "the body that the robot rides on ended off its speed by more than obstacle_speed_error_max_mps",
+            "obstacle_speed_error_mps",
+            "obstacle_speed_error_max_mps",
+            None,
+            "m/s",
+            known="end",
+        ),
+        Cause(
+            "goal_missed",
+            "the body that the robot rides on went aside by more than obstacle_aside_max_m",
+            "obstacle_aside_max_m",
+            "obstacle_aside_max_m",
+            None,
+            "m",
+            known="end",
+        ),
     ),
     applies=lambda case: bool(case.obstacle.free_bodies),
-)  # fmt: skip
+)

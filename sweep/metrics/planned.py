@@ -68,9 +68,14 @@ class Swing(NamedTuple):
 
 
 def left(
-    case: Case, bodies: Bodies, stance: Stance, joints: Float[Array, "6 3"], rates: Float[Array, "6 3"],
-    shortfall: Array, swing: Swing,
-) -> Margins:  # fmt: skip
+    case: Case,
+    bodies: Bodies,
+    stance: Stance,
+    joints: Float[Array, "6 3"],
+    rates: Float[Array, "6 3"],
+    shortfall: Array,
+    swing: Swing,
+) -> Margins:
     """What a stance leaves among `bodies`; joint angles (rad), their rates (rad/s), reach that is lacking (m)."""
     robot, obstacle = case.robot, case.obstacle
     solid = obstacle.solids(bodies)

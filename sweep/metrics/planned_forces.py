@@ -15,7 +15,7 @@ def figures(found: None, at: Elapsed) -> dict[str, Array]:
 
 def imbalance(plan: Plan) -> Float[Array, " s"]:
     """What planned forces leave of the weight in each stage; nothing where none are planned."""
-    return jnp.zeros_like(plan.duration) if plan.grip is None else plan.grip.imbalance
+    return jnp.zeros_like(plan.duration) if plan.feedforward is None else plan.feedforward.imbalance
 
 
 METRIC = Metric(
@@ -26,6 +26,14 @@ METRIC = Metric(
         "imbalance_max": "largest part of the weight that planned forces leave unheld",
         "infeasible_stage": "the stage in which they do",
     },
-    (Cause("infeasible", "no forces within the believed friction and torque limit hold a planned stance",
-           "imbalance_max", "imbalance_max", 0.01, known="start"),),
-)  # fmt: skip
+    (
+        Cause(
+            "infeasible",
+            "no forces within the believed friction and torque limit hold a planned stance",
+            "imbalance_max",
+            "imbalance_max",
+            0.01,
+            known="start",
+        ),
+    ),
+)

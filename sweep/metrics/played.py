@@ -11,11 +11,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from sweep.controllers import forces, tracker
+from sweep.controllers.ball_state import UP
 from sweep.controllers.frames import to_world
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import Plan, Stance
 from sweep.controllers.posture import feet_in_world, mass_centre
-from sweep.controllers.riding import UP
 from sweep.controllers.support import MEASURED
 from sweep.controllers.tracker import TrackerState
 from sweep.core.rotations import exponential, multiply, rotate
@@ -52,8 +52,17 @@ def play(case: Case, plan: Plan, period: float, ticks: int) -> Played:
     state = tracker.init(case, plan)
     still, joints = jnp.zeros(3), state.joints
     centre = plan.start.position + rotate(plan.start.quat, mass_centre(case.robot, joints)) - free.position[0]
-    seen = Observation(plan.start.position, plan.start.quat, still, still, joints, jnp.zeros((6, 3)),
-                       jnp.zeros((6, 3)), jnp.ones(6, bool), free)  # fmt: skip
+    seen = Observation(
+        plan.start.position,
+        plan.start.quat,
+        still,
+        still,
+        joints,
+        jnp.zeros((6, 3)),
+        jnp.zeros((6, 3)),
+        jnp.ones(6, bool),
+        free,
+    )
 
     def tick(carry: tuple, _: None) -> tuple[tuple, Played]:
         state, seen, roll = carry

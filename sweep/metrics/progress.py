@@ -73,7 +73,15 @@ METRIC = Metric(
     },
     (
         Cause("stalled", "the plan was not finished", "finished", "", 1.0, below=True, known="end"),
-        Cause("goal_missed", "progress to the goal stayed below progress_min",
-              "progress", "progress_min", None, below=True, known="end", scale=0.1),
+        Cause(
+            "goal_missed",
+            "progress to the goal stayed below progress_min",
+            "progress",
+            "progress_min",
+            None,
+            below=True,
+            known="end",
+            scale=0.1,
+        ),
     ),
-)  # fmt: skip
+)

@@ -26,6 +26,14 @@ METRIC = Metric(
     update,
     figures,
     {"reach_shortfall_max_m": "largest distance of a foot target beyond its leg's reach"},
-    (Cause("unreachable", "a foot target was out of the leg's reach by more than reach_shortfall_max_m",
-           "reach_shortfall_max_m", "reach_shortfall_max_m", 5e-3, "m"),),
-)  # fmt: skip
+    (
+        Cause(
+            "unreachable",
+            "a foot target was out of the leg's reach by more than reach_shortfall_max_m",
+            "reach_shortfall_max_m",
+            "reach_shortfall_max_m",
+            5e-3,
+            "m",
+        ),
+    ),
+)

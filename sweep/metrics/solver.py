@@ -83,11 +83,30 @@ METRIC = Metric(
     },
     (
         Cause("not_finite", "a number was not finite", "finite", "", 1.0, below=True, doubt=True),
-        Cause("solver", "the contact solver left more than solver_residual_max of the weight unexplained",
-              "solver_residual_over_weight", "solver_residual_max", 2.0, doubt=True),
-        Cause("unsettled", "the contact solver was unsettled for more than solver_unsettled_share_max of the time",
-              "solver_unsettled_share", "solver_unsettled_share_max", 0.005, known="end", doubt=True),
-        Cause("energy", "mechanical energy grew beyond the drives' work by more than energy_gain_ratio_max",
-              "energy_gain_ratio", "energy_gain_ratio_max", 0.005, doubt=True),
+        Cause(
+            "solver",
+            "the contact solver left more than solver_residual_max of the weight unexplained",
+            "solver_residual_over_weight",
+            "solver_residual_max",
+            2.0,
+            doubt=True,
+        ),
+        Cause(
+            "unsettled",
+            "the contact solver was unsettled for more than solver_unsettled_share_max of the time",
+            "solver_unsettled_share",
+            "solver_unsettled_share_max",
+            0.005,
+            known="end",
+            doubt=True,
+        ),
+        Cause(
+            "energy",
+            "mechanical energy grew beyond the drives' work by more than energy_gain_ratio_max",
+            "energy_gain_ratio",
+            "energy_gain_ratio_max",
+            0.005,
+            doubt=True,
+        ),
     ),
-)  # fmt: skip
+)

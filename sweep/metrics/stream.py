@@ -34,9 +34,14 @@ def timed(world: Case) -> tuple[Cause, ...]:
 
 
 def begin(
-    world: Case, plan: Plan, position: Float[Array, " 3"], quat: Float[Array, " 4"], feet: Float[Array, "6 3"],
-    free: FreeState, energy: Float[Array, ""],
-) -> Running:  # fmt: skip
+    world: Case,
+    plan: Plan,
+    position: Float[Array, " 3"],
+    quat: Float[Array, " 4"],
+    feet: Float[Array, "6 3"],
+    free: FreeState,
+    energy: Float[Array, ""],
+) -> Running:
     """Nothing has happened yet; `feet` are where they really are, `energy` that of the start (J)."""
     start = Begin(world, plan, position, quat, feet, free, energy)
     dtype, n = plan.duration.dtype, len(timed(world))
@@ -58,13 +63,31 @@ def with_energy(world: Case, running: Running, energy: Array) -> Running:
 
 
 def update(
-    world: Case, plan: Plan, limits: Thresholds, state: TrackerState, command: Command, running: Running, tick: Tick,
-    number: Array, period: float,
-) -> Running:  # fmt: skip
+    world: Case,
+    plan: Plan,
+    limits: Thresholds,
+    state: TrackerState,
+    command: Command,
+    running: Running,
+    tick: Tick,
+    number: Array,
+    period: float,
+) -> Running:
     """Control tick `number` on, which all rollouts share. `limits` only say when the moment of a cause is noted."""
     time = running.time + period
-    now = Moment(world, plan, state.stage, command.phase, state.finished, state.position, command.target,
-                 command.shortfall, tick, period, time)  # fmt: skip
+    now = Moment(
+        world,
+        plan,
+        state.stage,
+        command.phase,
+        state.finished,
+        state.position,
+        command.target,
+        command.shortfall,
+        tick,
+        period,
+        time,
+    )
     states = tuple(_updated(m, s, now, number) for m, s in zip(metrics.of(world), running.states, strict=True))
     found = _figures(Elapsed(world, plan, time, state.stage), states)
     crossed = jnp.stack([cause.holds(found[cause.figure], limit_of(cause, limits)) for cause in timed(world)])

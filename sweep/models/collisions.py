@@ -37,8 +37,9 @@ def collide(spec: mujoco.MjSpec, case: Case, links: tuple[str, ...]) -> None:
         half = f"outer_thigh{leg}"
         _add_capsule(thigh, half, _end(thigh) / 2, _end(thigh), case, contype=0, conaffinity=0)
         # as a pair, since a body and its child do not collide otherwise
-        spec.add_pair(geomname1="base", geomname2=f"{half}_solid", friction=[friction, friction, 0.005, 1e-4, 1e-4],
-                      **STIFF)  # fmt: skip
+        spec.add_pair(
+            geomname1="base", geomname2=f"{half}_solid", friction=[friction, friction, 0.005, 1e-4, 1e-4], **STIFF
+        )
         for inner, outer in zip(bodies, bodies[2:], strict=False):
             spec.add_exclude(bodyname1=inner, bodyname2=outer)
 
@@ -46,8 +47,16 @@ def collide(spec: mujoco.MjSpec, case: Case, links: tuple[str, ...]) -> None:
 def _add_capsule(
     body: mujoco.MjsBody, name: str, start: np.ndarray, end: np.ndarray, case: Case, **how: object
 ) -> None:
-    body.add_geom(name=f"{name}_solid", type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[*start, *end], mass=0.0,
-                  size=[case.robot.link_radius, 0, 0], group=COLLIDING, rgba=[0, 0, 0, 0], **how)  # fmt: skip
+    body.add_geom(
+        name=f"{name}_solid",
+        type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+        fromto=[*start, *end],
+        mass=0.0,
+        size=[case.robot.link_radius, 0, 0],
+        group=COLLIDING,
+        rgba=[0, 0, 0, 0],
+        **how,
+    )
 
 
 def _end(body: mujoco.MjsBody) -> np.ndarray:

@@ -96,7 +96,7 @@ def to_body(place: Float[Array, "n 3"], body: Int[Array, " n"], bodies: Bodies) 
     return _own(Vector.of(place), body, _frames(bodies)).array()
 
 
-def approach(
+def contact_geometry(
     contact: Contact, surface: Surface, anchors: Anchors, point: Vector, frames: Frames
 ) -> tuple[Geometry, Vector]:
     """Contact geometry at the start of a step, and the anchors; world axes.
@@ -113,7 +113,7 @@ def approach(
     gap = place - point
     stretch = gap - gap.dot(normal) * normal
     damping = contact.damping if surface.damping is None else contact.damping + surface.damping
-    return Geometry(surface.depth, normal, stretch, contact.friction * surface.grip, damping), place
+    return Geometry(surface.depth, normal, stretch, contact.friction * surface.friction_scale, damping), place
 
 
 def contact_forces(contact: Contact, geometry: Geometry, velocity: Vector, h: float) -> Forces:
@@ -150,7 +150,7 @@ def contact_slope(contact: Contact, geometry: Geometry, forces: Forces, h: float
     return Matrix(*(a * n + b * t + along(k, round_) for k, (a, b) in enumerate(zip(along_n, along_t, strict=True))))
 
 
-def settle(
+def update_anchors(
     contact: Contact,
     surface: Surface,
     point: Vector,

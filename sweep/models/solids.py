@@ -160,10 +160,14 @@ class _Convex(ABC):
         a, b = self.inward(a), self.inward(b)
         at, apart = least_along(self.signed, a, b)
         along = (b - a) / _length(b - a)[:, None]
-        axes = jnp.stack([
-            *[jnp.broadcast_to(plane, a.shape) for plane in self.planes(a.dtype)], *self.rays(a), *self.rays(b),
-            *self.crosses(along, at),
-        ])  # fmt: skip
+        axes = jnp.stack(
+            [
+                *[jnp.broadcast_to(plane, a.shape) for plane in self.planes(a.dtype)],
+                *self.rays(a),
+                *self.rays(b),
+                *self.crosses(along, at),
+            ]
+        )
         one, other = _dot(axes, a), _dot(axes, b)
         parted = self._separation(axes, jnp.minimum(one, other), jnp.maximum(one, other))
         return jnp.where(apart > 0, apart, jnp.max(parted, axis=0))
@@ -253,8 +257,9 @@ class Cylinder(_Convex):
         side = jnp.where(at[:, 2] < 0, -1.0, 1.0)
         clamped = jnp.clip(at[:, 2], -self.half, self.half)
         distance = _length(at[:, :2])[:, None]
-        outer = jnp.concatenate([at[:, :2] * jnp.maximum(1 - self.radius / distance, 0.0),
-                                 (at[:, 2] - clamped)[:, None]], axis=1)  # fmt: skip
+        outer = jnp.concatenate(
+            [at[:, :2] * jnp.maximum(1 - self.radius / distance, 0.0), (at[:, 2] - clamped)[:, None]], axis=1
+        )
         axes = [outer, jnp.cross(np.array([0, 0, 1], along.dtype), along)]
         radial = at[:, :2] / distance
         for _ in range(RIM_STEPS):

@@ -34,8 +34,10 @@ def edges(values: np.ndarray) -> np.ndarray:
 
 def not_below_zero(ax: Axes) -> None:
     """End both axes at zero where what is drawn does not go below it: a friction of -0.05 would be nonsense."""
-    for low, start, set_limit in ((ax.dataLim.x0, ax.get_xlim()[0], ax.set_xlim),
-                                  (ax.dataLim.y0, ax.get_ylim()[0], ax.set_ylim)):  # fmt: skip
+    for low, start, set_limit in (
+        (ax.dataLim.x0, ax.get_xlim()[0], ax.set_xlim),
+        (ax.dataLim.y0, ax.get_ylim()[0], ax.set_ylim),
+    ):
         if low >= 0 > start:
             set_limit(0)
 

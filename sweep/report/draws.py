@@ -109,8 +109,10 @@ def draw(results: Results) -> Figure:
     pair(axes["pair"], results, columns)
     if "margin" in axes:
         margins(axes["margin"], results, columns[0])
-    handles = [Line2D([], [], color=colour(kind), marker="o", label=f"{kind.replace('_', ' ')} ({len(part)})")
-               for kind, part in kinds(rows)]  # fmt: skip
+    handles = [
+        Line2D([], [], color=colour(kind), marker="o", label=f"{kind.replace('_', ' ')} ({len(part)})")
+        for kind, part in kinds(rows)
+    ]
     figure.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 5), fontsize=8)
     figure.suptitle(f"{results.name}: {pooled(rows, results.exp)}", fontsize=10)
     return figure

@@ -22,7 +22,7 @@ from sweep.core.expressions import column
 from sweep.core.files import write_whole
 from sweep.core.parameters import InputError
 from sweep.metrics.outcome import FAILURES
-from sweep.report import limits, mesh
+from sweep.report import limits, refined_cells
 from sweep.report.cells import Cells, edges, mark_values
 from sweep.report.labels import CAUSE_COLOURS, CAUSE_HATCHES, INVALID, SUCCESS, heading, with_value
 from sweep.runs import refine
@@ -70,7 +70,7 @@ def success_map(rows: pd.DataFrame, stored: Mapping[str, Any], chosen: tuple[str
         mark_values(ax, cells)
         text = str(pooled(panel, exp)).replace(" (", "\n(", 1)
         if guessed:  # the share of rollouts that succeed says nothing where they were placed near the boundary
-            mesh.draw(ax, exp, panel, x, y, cells)
+            refined_cells.draw(ax, exp, panel, x, y, cells)
             text = f"{panel['known'].sum()} rollouts (dots); each cell as its corners"
         ax.set_title("\n".join([*title, text]), fontsize=8)
         ax.set_xlabel(heading(x, exp))

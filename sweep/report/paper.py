@@ -116,9 +116,12 @@ def quoted(results: Results) -> Iterator[Number]:
     """Every number of the bundle's text, and those that a text about the study is likely to need."""
     rows, start = results.rows, prefix(results)
     one, valid = pooled(rows, results.exp), 'outcome != "invalid"'
-    for name, count, where in (("Rollouts", one.total, None), ("Valid", one.valid, valid),
-                               ("Success", one.success, 'outcome == "success"'),
-                               ("Invalid", one.invalid, 'outcome == "invalid"')):  # fmt: skip
+    for name, count, where in (
+        ("Rollouts", one.total, None),
+        ("Valid", one.valid, valid),
+        ("Success", one.success, 'outcome == "success"'),
+        ("Invalid", one.invalid, 'outcome == "invalid"'),
+    ):
         yield Number(start + name, count, str(count), "number of rows", where)
     share = 'share of outcome == "success"'
     yield _percent(start + "Rate", one.share, share, valid)

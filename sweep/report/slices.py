@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from sweep.analysis.intervals import anytime, wilson
 from sweep.analysis.stats import binned, rates
 from sweep.metrics.outcome import FAILURES
-from sweep.report import limits, mesh
+from sweep.report import limits, refined_cells
 from sweep.report.cells import Cells, mark_values
 from sweep.report.labels import axis_words, heading, with_value
 from sweep.report.maps import categories, legend, paint, split
@@ -115,7 +115,7 @@ def draw(results: Results, chosen: Slice) -> Figure:
                 paint(ax, values, cells, cmap="cividis", vmin=0, vmax=1)
             word = {"low": "lower end", "share": "rate of success", "high": "upper end"}.get(kind, "")
             if chosen.refined:
-                mesh.draw(ax, results.exp, panel, x, y, cells)
+                refined_cells.draw(ax, results.exp, panel, x, y, cells)
             ax.set_title(", ".join([*title, word] if word else title), fontsize=9)
             mark_values(ax, cells)
             limits.draw(ax, results.exp, panel, x, y, cells)

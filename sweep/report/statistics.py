@@ -27,8 +27,8 @@ def sections(
     note = "; most were run next to the boundary, so this is not the region's share" if exp.study.refined else ""
     every = pooled(rows, exp)
     yield "Rate of success", f"{every}{note}{'; ' if copies else ''}{copies}"
-    star = bool(numbers) and exp.study.design.grid == "one_at_a_time"
-    if star:
+    one_at_a_time = bool(numbers) and exp.study.design.grid == "one_at_a_time"
+    if one_at_a_time:
         yield "Rate along each axis, the others nominal (Wilson, 95 %)", sensitivity.along(rows, exp)
     elif drawn and exp.study.design.kind != "morris":
         yield "Share of the draws that succeeds (Clopper-Pearson, or by scrambles)", sensitivity.volume(rows, exp)
@@ -37,7 +37,7 @@ def sections(
     if exp.study.refined:
         yield "Refinement", "\n".join(map(str, refine.refined(exp, rows)))
     whole = refine.painted(exp, rows) if exp.study.resolution else rows
-    if numbers and not several and not star:
+    if numbers and not several and not one_at_a_time:
         found = sensitivity.grid_volume(whole, exp)
         share, low, high = map(percent, (found.share, found.low, found.high))
         invalid = f"{found.invalid} rollouts invalid ({percent(every.invalid_share)}), which may be either"
@@ -52,8 +52,10 @@ def sections(
         yield title, sensitivity.tolerance(rows, exp, level)
     if len(drawn) and {"success", "failure"} <= set(rows["outcome"]):
         yield "Regional sensitivity: which draws fail", sensitivity.regional(rows, exp)
-    ways = {"saltelli": ("Sobol indices", sensitivity.sobol_indices),
-            "morris": ("Elementary effects (Morris)", sensitivity.elementary_effects)}  # fmt: skip
+    ways = {
+        "saltelli": ("Sobol indices", sensitivity.sobol_indices),
+        "morris": ("Elementary effects (Morris)", sensitivity.elementary_effects),
+    }
     if exp.study.design.kind in ways and drawn:
         title, function = ways[exp.study.design.kind]
         try:

@@ -116,8 +116,9 @@ def _own(folder: Path, path: Path) -> Entry | None:
     except (OSError, ValueError, KeyError, TypeError, pa.ArrowException):
         return None
     name = f"{store.PARTS}/{path.name}"
-    return Entry(name, len(content), sha256, tuple(about["batches"]), about["study"], about["labels"],
-                 tuple(about["run_ids"]))  # fmt: skip
+    return Entry(
+        name, len(content), sha256, tuple(about["batches"]), about["study"], about["labels"], tuple(about["run_ids"])
+    )
 
 
 def _fits(folder: Path, found: Entry, kept: Sequence[Entry], planned: pd.DataFrame | None) -> bool:

@@ -233,7 +233,7 @@ def table(
     """
     listed, drawn = [a for a in axes if a.values is not None], [a for a in axes if a.distribution]
     if grid is None:
-        grid = _star(listed, nominal) if listed and design.grid == "one_at_a_time" else _grid(listed)
+        grid = _one_at_a_time(listed, nominal) if listed and design.grid == "one_at_a_time" else _grid(listed)
     shares = shares_of(axes, design, seed)
     draws = {a.name: a.distribution.quantile(shares[:, i]) for i, a in enumerate(drawn) if a.distribution}
     size, count = len(grid), max(len(shares), 1)
@@ -262,7 +262,7 @@ def _grid(axes: list[Axis]) -> pd.DataFrame:
     return pd.DataFrame(columns, index=range(math.prod(lengths)))
 
 
-def _star(axes: list[Axis], nominal: Callable[[str], Any]) -> pd.DataFrame:
+def _one_at_a_time(axes: list[Axis], nominal: Callable[[str], Any]) -> pd.DataFrame:
     """The values of one leading axis after the other, the rest at their nominal numbers."""
     centre = {a.name: a.nominal_number(nominal) for a in axes}
     arms = [_grid([a for a in axes if leader.name in (a.name, a.along)]) for leader in axes if leader.along is None]

@@ -47,8 +47,11 @@ def text(name: str) -> str:
 
 def page() -> str:
     """All of them, as Markdown."""
-    parts = ["# Parameters", "Any of them is set by `group.name=value`, in a study as well as on the command line. "
-             "The list is made by `sweep describe`."]  # fmt: skip
+    parts = [
+        "# Parameters",
+        "Any of them is set by `group.name=value`, in a study as well as on the command line. "
+        "The list is made by `sweep describe`.",
+    ]
     for group, own in classes().items():
         parts += [f"## {group}", *(section(group, cls) for cls in own)]
     return "\n\n".join(parts) + "\n"
@@ -79,10 +82,19 @@ def parameters(cls: type) -> Iterator[dict[str, str]]:
         if field.name == "kind" or (role is None and not isinstance(field.default, str | int | float | bool)):
             continue
         unit = field.metadata.get("unit", "")
-        allowed = {"choice": lambda f: ", ".join(f.metadata["options"]), "quantity": bounds_text, "count": bounds_text,
-                   "flag": lambda f: "true, false"}  # fmt: skip
-        yield {"parameter": field.name, "default": default(field), "unit": "" if unit == "-" else unit,
-               "allowed": allowed[role](field) if role else "", "meaning": meanings.get(field.name, "")}  # fmt: skip
+        allowed = {
+            "choice": lambda f: ", ".join(f.metadata["options"]),
+            "quantity": bounds_text,
+            "count": bounds_text,
+            "flag": lambda f: "true, false",
+        }
+        yield {
+            "parameter": field.name,
+            "default": default(field),
+            "unit": "" if unit == "-" else unit,
+            "allowed": allowed[role](field) if role else "",
+            "meaning": meanings.get(field.name, ""),
+        }
 
 
 def default(field: "dataclasses.Field[Any]") -> str:

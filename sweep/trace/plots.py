@@ -15,7 +15,7 @@ from sweep.core.parameters import InputError
 from sweep.engines.base import Trace
 from sweep.formulas import stepping
 from sweep.models.legs import N_LEGS
-from sweep.trace.held import measured, planned
+from sweep.trace.contact_forces import measured, planned
 from sweep.trace.layout import LEG_COLORS
 from sweep.trace.sampling import KINDS, base_pose, joint_angle, mass_centres
 

@@ -7,7 +7,7 @@ import pytest
 
 from sweep.controllers import flywheel, tracker
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import BALANCE, LEVEL, LOCKED
+from sweep.controllers.plan import BALANCE, LEVELLING, LOCKED
 from sweep.controllers.posture import foot_positions, mass_centre
 from sweep.core.rotations import rotate
 from sweep.models.obstacles.surface import no_bodies
@@ -102,9 +102,9 @@ def test_balancing_torque():
 
 
 def test_levelling_damps_and_returns():
-    joints = order(LEVEL)[1].angles
-    (_, rest), _ = order(LEVEL)
-    (_, turned), _ = order(LEVEL, angles=joints.at[2, 1].add(0.2), rates=jnp.zeros((6, 3)).at[2, 1].set(1.0))
+    joints = order(LEVELLING)[1].angles
+    (_, rest), _ = order(LEVELLING)
+    (_, turned), _ = order(LEVELLING, angles=joints.at[2, 1].add(0.2), rates=jnp.zeros((6, 3)).at[2, 1].set(1.0))
     weight = float(flywheel.weight(CASE.robot))
     expected = -6.25 * 0.2 - 10.067 - weight * (np.cos(0.2) - 1)
     assert float(turned.torque[2, 1] - rest.torque[2, 1]) == pytest.approx(expected, rel=1e-3)

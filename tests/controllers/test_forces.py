@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from sweep.controllers.forces import Bounds, Pose, distribute, joint_torque, pose
+from sweep.controllers.forces import Bounds, StaticPose, distribute, joint_torque, pose
 from sweep.controllers.manoeuvres.walking.walk import Stand
 from sweep.controllers.plan import Stance
 from sweep.controllers.tracker import joint_targets
@@ -28,7 +28,7 @@ UPRIGHT = (0.5**0.5, 0.0, -(0.5**0.5), 0.0)  # x_r up
 FACES = 48  # of the pyramid that takes the place of a cone: 0.2 % narrower or wider
 
 
-def standing(seed: int) -> Pose:
+def standing(seed: int) -> StaticPose:
     """On the floor, a corner or a pole, some feet in the air."""
     u = np.random.default_rng(seed).uniform
     along = np.repeat([-u(0.35, 0.6), u(-0.2, 0.2), u(0.35, 0.6)], 2) + u(-0.05, 0.05, 6)
@@ -53,7 +53,7 @@ def standing(seed: int) -> Pose:
     return pose(ROBOT, stance, jnp.asarray(normal, float), jnp.asarray(stands))
 
 
-def least_by_program(p: Pose, bounds: Bounds, least: str) -> float:
+def least_by_program(p: StaticPose, bounds: Bounds, least: str) -> float:
     """The same by a linear program over pyramids, for the friction by bisection; inf where nothing holds."""
     if least != "friction":
         return _program(p, bounds, least)
@@ -67,7 +67,7 @@ def least_by_program(p: Pose, bounds: Bounds, least: str) -> float:
     return high
 
 
-def _program(p: Pose, bounds: Bounds, least: str) -> float:
+def _program(p: StaticPose, bounds: Bounds, least: str) -> float:
     weight = float(p.weight)
     rows, right, balance = [], [], np.zeros((6, 19))
     angles = np.arange(FACES) * 2 * np.pi / FACES
@@ -114,14 +114,16 @@ def test_forces_ask_for_hardly_more_than_a_linear_program_finds(least):
     assert np.all(np.asarray(found.torque)[holds] <= 200.0 * 1.001)
 
 
-def on_a_corner(psi: float, eps: float) -> Pose:
+def on_a_corner(psi: float, eps: float) -> StaticPose:
     """Four feet of monograph 2.1 on walls at 2 psi, the pairs 1 m apart, the mass centre eps m off."""
     feet = np.zeros((6, 3))
     feet[:4] = [[SIDE[i] * 0.35, -eps, 0.5 if i < 2 else -0.5] for i in range(4)]
     normal = np.stack([SIDE * np.cos(psi), np.full(6, np.sin(psi)), np.zeros(6)], -1)
     zero = jnp.zeros((6, 3))
     stands = jnp.asarray([True] * 4 + [False] * 2)
-    return Pose(jnp.asarray(feet, float), jnp.asarray(normal, float), stands, jnp.zeros((6, 3, 3)), zero, jnp.ones(()))
+    return StaticPose(
+        jnp.asarray(feet, float), jnp.asarray(normal, float), stands, jnp.zeros((6, 3, 3)), zero, jnp.ones(())
+    )
 
 
 LEAST_NORMAL = jax.jit(lambda p, k: distribute(p, Bounds(k, 1.0, most_normal=20.0), "normal"))

@@ -9,7 +9,7 @@ import numpy as np
 from sweep.dynamics import interface, tree
 from sweep.dynamics.step import from_state, rest, step, to_state
 from sweep.engines import batching, devices
-from sweep.engines.batch_last import lanes
+from sweep.engines.batch_last import batch_last_vmap
 from sweep.models.case import Case
 from sweep.models.drive import position_mode
 
@@ -53,7 +53,7 @@ def simulate(
                        before.energy[0], report.residual[0], work)  # fmt: skip
 
     axes = jax.tree.map(lambda x: -1 if np.ndim(x) else None, case)
-    batch = lanes(one, (axes, -1, None), devices.kept_from())
+    batch = batch_last_vmap(one, (axes, -1, None), devices.reuse_from())
 
     def run(case, states, references):
         return jax.lax.scan(lambda s, r: batch(case, s, r), states, references)

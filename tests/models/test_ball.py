@@ -19,7 +19,7 @@ from sweep.models.scene import GRAVITY
 from sweep.study.config import compose
 
 STEP, SECONDS, FALL, PERIOD = 2e-3, 2.0, 1.0, 0.4
-LEVEL = jnp.array([1.0, 0, 0, 0])
+UPRIGHT = jnp.array([1.0, 0, 0, 0])
 BALL_AT, BALL_MOVES = slice(25, 28), slice(24, 27)  # in q and v
 ROLLS, SLIDES, SPINS, RESTS, FALLS, ON_ICE = range(6)
 SPEED, SPIN, ARM = 0.3, 0.2, 4e-3
@@ -44,7 +44,7 @@ def history(nominal):
     t = np.arange(0, SECONDS, STEP)
     shift = (0.5 - 0.5 * np.cos(2 * np.pi * t / PERIOD))[:, None] * np.array([0.05, 0.03, 0.03])
     place = jnp.array([0.0, 0.0, 1.11])
-    references = jax.vmap(lambda s: joint_targets(robot, Stance(feet, place + s, LEVEL))[0])(jnp.asarray(shift))
+    references = jax.vmap(lambda s: joint_targets(robot, Stance(feet, place + s, UPRIGHT))[0])(jnp.asarray(shift))
     q, v = np.zeros((6, 32)), np.zeros((6, 30))
     q[:, 3] = q[:, 28] = 1.0
     q[:, 7:25] = np.ravel(references[0])

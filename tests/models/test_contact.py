@@ -13,12 +13,12 @@ from sweep.models.contact import (
     Anchors,
     Contact,
     Geometry,
-    approach,
     contact_forces,
+    contact_geometry,
     contact_slope,
-    settle,
     to_body,
     to_world,
+    update_anchors,
 )
 from sweep.models.obstacles.plane import Plane
 from sweep.models.obstacles.surface import Bodies, no_bodies, poses
@@ -84,10 +84,10 @@ def test_dragged_anchor_holds_just_the_limit():
     surface = Plane().surface(point, (-1,), NOWHERE)
     foot, passing = Vector.of(point), Vector.of(velocity)
     anchors = Anchors(Vector.of(jnp.array([[-0.01, 0.0, 0.0]])), jnp.array([True]), surface.face)
-    geometry, place = approach(CONTACT, surface, anchors, foot, ())
+    geometry, place = contact_geometry(CONTACT, surface, anchors, foot, ())
     forces = contact_forces(CONTACT, geometry, passing, H)
     assert forces.slipping[0]
-    after = settle(CONTACT, surface, foot, (), place, forces, passing, H)
+    after = update_anchors(CONTACT, surface, foot, (), place, forces, passing, H)
     moved = point + H * velocity
     stretch = np.asarray(after.place.array() - moved)[0, :2]
     assert CONTACT.stiffness * np.linalg.norm(stretch) == pytest.approx(0.7 * float(forces.normal[0]), rel=1e-5)

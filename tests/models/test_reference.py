@@ -16,7 +16,7 @@ import pytest
 from sweep.dynamics import interface, tree
 from sweep.dynamics.step import from_state, rest, step, to_state
 from sweep.engines import batching, devices
-from sweep.engines.batch_last import lanes
+from sweep.engines.batch_last import batch_last_vmap
 from sweep.engines.native import native_model
 from sweep.models.drive import position_mode
 from sweep.models.obstacles import PoleLedge
@@ -53,7 +53,7 @@ def largest_error(recorded, case, width: int, seconds: float) -> np.ndarray:
         servo = position_mode(case.drive, reference)
         return to_state(step(tree.of(case), case, limits, from_state(state), servo, TICK / 2, 2)[0])
 
-    batch = lanes(one, (-1, None), devices.kept_from())
+    batch = batch_last_vmap(one, (-1, None), devices.reuse_from())
 
     def substep(states, reference):
         return batch(states, reference), None

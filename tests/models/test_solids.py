@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from slab import Slab
 
-from sweep.engines.batch_last import lanes
+from sweep.engines.batch_last import batch_last_vmap
 from sweep.models.obstacles import Ball, Beam, Corner, Plane, PoleLedge
 from sweep.models.obstacles.geoms import shape
 from sweep.models.obstacles.surface import Bodies
@@ -152,7 +152,7 @@ def test_distances_batch_in_any_precision_and_have_derivatives(name):
     with jax.enable_x64(True):
         double = ours(obstacle, bodies, capsules, boxes)
     last = [np.moveaxis(x, 0, -1) for x in (*capsules, *boxes)]
-    batched = jax.jit(lanes(partial(distances, obstacle, bodies), (-1,) * 5, 64))(*map(jnp.asarray, last))
+    batched = jax.jit(batch_last_vmap(partial(distances, obstacle, bodies), (-1,) * 5, 64))(*map(jnp.asarray, last))
     for one, other in zip(double, batched, strict=True):
         assert np.asarray(other) == pytest.approx(one, abs=1e-5)
     poses = tuple(jnp.asarray(x) for x in (*capsules, *boxes))

@@ -10,7 +10,7 @@ from sweep.dynamics import interface as dynamics
 from sweep.dynamics import mjx as mjx_dynamics
 from sweep.dynamics.step import from_state, rest, step
 from sweep.engines import batching, devices
-from sweep.engines.batch_last import lanes
+from sweep.engines.batch_last import batch_last_vmap
 from sweep.engines.native import native_model
 from sweep.models.drive import Servo, position_mode
 from sweep.study.config import compose
@@ -37,7 +37,7 @@ def one_step():
         moving, report = step(smooth, CASE, limits, from_state(rest(top, q)), _order(torque), H, 3)
         return report.torque[BETA_3[1]][BETA_3[0]], jnp.stack(moving.motion.leg, axis=-1)
 
-    torques, rates = jax.jit(lanes(run, (-1,), devices.kept_from()))(jnp.array(TORQUES))
+    torques, rates = jax.jit(batch_last_vmap(run, (-1,), devices.reuse_from()))(jnp.array(TORQUES))
     return {torque: (np.asarray(torques)[k], np.asarray(rates)[..., k]) for k, torque in enumerate(TORQUES)}
 
 

@@ -7,7 +7,7 @@ from sweep.controllers.manoeuvres.climbing.corner import CornerClimb
 from sweep.controllers.manoeuvres.climbing.corner_roof import CornerFull, CornerRoof
 from sweep.controllers.manoeuvres.climbing.pole import PoleClimb
 from sweep.controllers.manoeuvres.climbing.pole_descent import PoleDescent
-from sweep.controllers.manoeuvres.climbing.pole_ledge import PoleLedge
+from sweep.controllers.manoeuvres.climbing.pole_ledge import PoleToLedge
 from sweep.controllers.manoeuvres.climbing.pole_return import PoleReturn
 from sweep.controllers.manoeuvres.climbing.pole_round import PoleRound
 from sweep.controllers.manoeuvres.climbing.pole_top import PoleTop
@@ -22,7 +22,7 @@ MANOEUVRES = {
     "walk_kerb": WalkKerb,
     "pole_climb": PoleClimb,
     "pole_top": PoleTop,
-    "pole_ledge": PoleLedge,
+    "pole_ledge": PoleToLedge,
     "pole_descent": PoleDescent,
     "pole_return": PoleReturn,
     "pole_round": PoleRound,

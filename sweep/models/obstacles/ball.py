@@ -34,8 +34,9 @@ class Ball:
     def add_to(self, spec: mujoco.MjSpec, friction: float) -> None:
         """Floor and ball."""
         inertia = np.asarray(self.leaves()["body_inertia"]["ball"], float)
-        body = spec.worldbody.add_body(name="ball", pos=[0, 0, self.radius], ipos=[0, 0, 0], explicitinertial=True,
-                                       mass=self.mass, inertia=inertia)  # fmt: skip
+        body = spec.worldbody.add_body(
+            name="ball", pos=[0, 0, self.radius], ipos=[0, 0, 0], explicitinertial=True, mass=self.mass, inertia=inertia
+        )
         body.add_freejoint(name="ball")
         body.add_site(name="ball")
         resistance = [friction * self.floor_grip, self.spinning_friction, self.rolling_friction]
@@ -82,6 +83,6 @@ class Ball:
             normal=jnp.where(on_ball[:, None], offset / distance[:, None], up),
             face=jnp.where(on_ball, BALL, FLOOR).astype(jnp.int32),
             body=jnp.where(on_ball, 0, -1).astype(jnp.int32),
-            grip=jnp.where(own, jnp.asarray(self.floor_grip, dtype), 1.0),
+            friction_scale=jnp.where(own, jnp.asarray(self.floor_grip, dtype), 1.0),
             rolling=Rolling(rolls * radius, rolls * self.rolling_friction, rolls * self.spinning_friction),
         )

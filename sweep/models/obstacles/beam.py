@@ -30,11 +30,16 @@ class Beam(Fixed):
         ledges = (("near_ledge", LEDGE_HALF), ("far_ledge", -self.length - LEDGE_HALF))
         return (
             HalfSpace(name="floor", normal=(0.0, 0.0, 1.0)),
-            *[Box(name=name, position=(0.0, y, half), half=(LEDGE_HALF, LEDGE_HALF, half), colour=SOIL)
-              for name, y in ledges],
-            Box(name="beam", position=(0.0, -length, self.height - thickness),
-                half=(self.width / 2, length + 2 * FOOT_RADIUS, thickness)),
-        )  # fmt: skip
+            *[
+                Box(name=name, position=(0.0, y, half), half=(LEDGE_HALF, LEDGE_HALF, half), colour=SOIL)
+                for name, y in ledges
+            ],
+            Box(
+                name="beam",
+                position=(0.0, -length, self.height - thickness),
+                half=(self.width / 2, length + 2 * FOOT_RADIUS, thickness),
+            ),
+        )
 
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: Bodies) -> Surface:
         """A solid's depth is the least over its faces; of four solids the deepest counts.

@@ -48,8 +48,9 @@ def shape(spec: mujoco.MjSpec, solid: Solid, name: str, margin: float = 0.0) -> 
             polygon = np.asarray(solid.polygon, float)
             centre = np.mean(polygon, axis=0)
             sides = _inset(polygon - centre, margin)
-            spec.add_mesh(name=name, uservert=[c for x, y in sides for z in (0.0, solid.height - margin)
-                                               for c in (x, y, z)])  # fmt: skip
+            spec.add_mesh(
+                name=name, uservert=[c for x, y in sides for z in (0.0, solid.height - margin) for c in (x, y, z)]
+            )
             place = _place(solid)
             turn = np.eye(3) if solid.rotation is None else np.asarray(solid.rotation, float)
             return {**place, "type": kinds.mjGEOM_MESH, "meshname": name, "pos": place["pos"] + turn @ [*centre, 0.0]}
@@ -63,8 +64,14 @@ def add_rolling(world: mujoco.MjsBody, body: mujoco.MjsBody, radius: float, resi
     MuJoCo softens rolling friction by (slide/roll)^2, and with the impedance of the feet it would be viscous below
     25 mm/s.
     """
-    rolling = {**_colliding(0.0), "contype": 2, "conaffinity": 2, "condim": 6, "friction": resistance,
-               "solimp": [0.9999, 0.9999, 0.001, 0.5, 2.0]}  # fmt: skip
+    rolling = {
+        **_colliding(0.0),
+        "contype": 2,
+        "conaffinity": 2,
+        "condim": 6,
+        "friction": resistance,
+        "solimp": [0.9999, 0.9999, 0.001, 0.5, 2.0],
+    }
     body.add_geom(name="ball_rolling", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0, 0], **rolling)
     world.add_geom(name="floor_rolling", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.1], **rolling)
 
@@ -76,8 +83,15 @@ def add_touching(
 
     With its own friction and damping: the impedance of the feet lets bodies rebound with most of their speed.
     """
-    spec.add_pair(name=f"{one}_{other}", geomname1=one, geomname2=other, condim=3, friction=[friction] * 2 + [0.0] * 3,
-                  solref=[time, damping_ratio], solimp=STIFF["solimp"])  # fmt: skip
+    spec.add_pair(
+        name=f"{one}_{other}",
+        geomname1=one,
+        geomname2=other,
+        condim=3,
+        friction=[friction] * 2 + [0.0] * 3,
+        solref=[time, damping_ratio],
+        solimp=STIFF["solimp"],
+    )
 
 
 def _look(solid: Solid) -> dict[str, Any]:

@@ -59,7 +59,7 @@ class Surface(NamedTuple):
     normal: Float[Array, "n 3"]  # outward
     face: Int[Array, " n"]  # which face: a change of face drops the anchor
     body: Int[Array, " n"]  # index of the free body that owns the face, -1 for the fixed world
-    grip: Float[Array, " n"]  # multiplies the friction coefficient, 1 on ordinary ground
+    friction_scale: Float[Array, " n"]  # multiplies the friction coefficient, 1 on ordinary ground
     rolling: Rolling | None = None  # None where nothing rolls
     damping: Float[Array, " n"] | None = None  # N s/m, added to that of the contact; None where there is no more
 

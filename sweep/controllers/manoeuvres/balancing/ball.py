@@ -12,12 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from sweep.controllers.frames import fixed, koenig
-from sweep.controllers.gaits import TRIPOD
-from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
-from sweep.controllers.observation import Observation
-from sweep.controllers.plan import CYCLE_A, KEEP, REGRIP, Plan, Stage, Stance, assemble, swing_progress
-from sweep.controllers.riding import (
+from sweep.controllers.ball_state import (
     UP,
     angular_momentum,
     base_move,
@@ -27,6 +22,11 @@ from sweep.controllers.riding import (
     over_ball,
     towards,
 )
+from sweep.controllers.frames import fixed, koenig
+from sweep.controllers.gaits import TRIPOD
+from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
+from sweep.controllers.observation import Observation
+from sweep.controllers.plan import CYCLE_A, KEEP, REGRIP, Plan, Stage, Stance, assemble, swing_progress
 from sweep.controllers.tracker import Guidance, TrackerState
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import conjugate, rotate
@@ -36,7 +36,7 @@ from sweep.models.legs import LEGS
 from sweep.models.obstacles.ball import Ball
 from sweep.models.robot import Robot, total_mass
 
-LEVEL = (1.0, 0.0, 0.0, 0.0)
+UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 CENTRING = 4  # Newton's iterations that put the mass centre over the ball's
 CHI_ITERATIONS = 3  # of (3.1.10)
 FASTEST = 0.4  # m/s, of the base in the law of every tick
@@ -79,7 +79,7 @@ def perch(belief: Case, manoeuvre: "Perching") -> Perch:
     circle = manoeuvre.circle_ratio * radius
     feet = footholds(radius, circle, manoeuvre.chord_ratio * circle, 0.0) * (1 - manoeuvre.deepening / radius)
     above = jnp.asarray(UP) * (radius + manoeuvre.height_ratio * length)
-    return Perch(feet, _balanced(belief.robot, Stance(feet, above, jnp.array(LEVEL))))
+    return Perch(feet, _balanced(belief.robot, Stance(feet, above, jnp.array(UPRIGHT))))
 
 
 @jax.jit  # for plans outside a compiled program
@@ -94,7 +94,7 @@ def _balanced(robot: Robot, stance: Stance) -> Float[Array, " 3"]:
 def on_ball(belief: Case, perched: Perch) -> Stance:
     """The perch in the world, before anything moves."""
     centre = jnp.asarray(UP) * belief.on(Ball).radius
-    return Stance(perched.feet + centre, perched.position + centre, jnp.array(LEVEL))
+    return Stance(perched.feet + centre, perched.position + centre, jnp.array(UPRIGHT))
 
 
 class BalanceMemory(NamedTuple):
@@ -198,7 +198,7 @@ class BallBalance:
         momentum = memory.momentum + share * (angular_momentum(robot, belief.on(Ball), seen) - memory.momentum)
         wanted = self.momentum_gain * towards(momentum, total_mass(robot)) - self.place_gain * free.position[0, :2]
         wanted = jnp.clip(wanted, -self.reach, self.reach)
-        stance = Stance(rotate(free.quat, state.feet), memory.place, jnp.array(LEVEL))
+        stance = Stance(rotate(free.quat, state.feet), memory.place, jnp.array(UPRIGHT))
         off = wanted - centre_of_mass(robot, stance)[:2]
         move = base_move(robot, measured_stance(robot, seen), off)  # as commanded, legs may be out of reach
         step = jnp.minimum(1.0, period / self.lag) * move
@@ -327,6 +327,6 @@ class BallDrive:
         position = perched.at[:2].add(wanted)
         free = jnp.array([1.0 if self.compensate == "both" else 0.0, 1.0])
         for _ in range(CHI_ITERATIONS):
-            off = wanted - centre_of_mass(robot, Stance(feet, position, jnp.array(LEVEL)))[:2]
+            off = wanted - centre_of_mass(robot, Stance(feet, position, jnp.array(UPRIGHT)))[:2]
             position = position.at[:2].add(heavier * free * off)
         return position

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from sweep.controllers.gaits import TRIPOD, Step, centre_offsets, regular_steps
 from sweep.controllers.manoeuvres.climbing.pole import TOWARDS, point
 from sweep.controllers.manoeuvres.goals import ARRIVED, UPRIGHT
-from sweep.controllers.plan import BALANCE, CYCLE_B, LEVEL, LOCKED, SMOOTH, Gains, Plan, Stage, Stance, assemble
+from sweep.controllers.plan import BALANCE, CYCLE_B, LEVELLING, LOCKED, SMOOTH, Gains, Plan, Stage, Stance, assemble
 from sweep.controllers.tracker import joint_targets
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.formulas import stepping
@@ -33,7 +33,7 @@ LEVEL_LEGS = {3: np.array([0.0, np.pi / 2, 0.0]), 4: np.array([0.0, np.pi / 2, n
 FORWARD = (0.0, -1.0, 0.0)
 
 
-class Site(NamedTuple):
+class BeamSite(NamedTuple):
     """What the stages are made of."""
 
     robot: Robot
@@ -101,19 +101,19 @@ class BeamWalk:
         """Stand, `steps` swings with the body's way between them, a last swing that closes the stance, stand."""
         site = self.site(belief)
         start = -belief.robot.body_length / 2 - 2 * site.step.landing
-        stages = [Stage("stand", STAND, posture=LEVEL_LEGS, flywheel=self.mode(LEVEL))]
+        stages = [Stage("stand", STAND, posture=LEVEL_LEGS, flywheel=self.mode(LEVELLING))]
         stages += self.diagonal(site, start, 2 * site.step.landing)
-        stages.append(Stage("halt", STAND, flywheel=self.mode(LEVEL)))
+        stages.append(Stage("halt", STAND, flywheel=self.mode(LEVELLING)))
         feet = jnp.where(OUT[:, None], site.legs_out(start), site.feet(start, site.track / 2))
         stance = Stance(feet, site.base(start), jnp.array(TOWARDS))
         return assemble(stance, stages, self.patience, self.gains(belief), steered=True)
 
-    def site(self, belief: Case) -> Site:
+    def site(self, belief: Case) -> BeamSite:
         """From what is believed."""
         length = belief.robot.body_length
         step = Step(self.half_step_ratio * length, self.lift_ratio * length, stepping.swing_time(self.rate))
         track = belief.on(Beam).width - 2 * self.inset
-        return Site(belief.robot, belief.on(Beam).height, self.height_ratio * length, track, self.deepening, step)
+        return BeamSite(belief.robot, belief.on(Beam).height, self.height_ratio * length, track, self.deepening, step)
 
     def gains(self, belief: Case) -> Gains:
         """Feedback of the flywheel."""
@@ -123,7 +123,7 @@ class BeamWalk:
         """Of the flywheel, unless it is off."""
         return wanted if self.flywheel == "on" else LOCKED
 
-    def diagonal(self, site: Site, start: Array | float, way: Array | float) -> list[Stage]:
+    def diagonal(self, site: BeamSite, start: Array | float, way: Array | float) -> list[Stage]:
         """2.6.2: pairs swing in turn to stand `way` (m) ahead of their hips, and the body follows.
 
         While a pair swings the centre of mass is over the line of the other two feet: these are abreast of their
@@ -138,7 +138,11 @@ class BeamWalk:
             stages += [
                 site.swing(name, pair, goal, flywheel=self.mode(BALANCE)),
                 Stage(
-                    f"{k + 1}.body", 2 * site.step.time, position=site.base(y), pace=SMOOTH, flywheel=self.mode(LEVEL)
+                    f"{k + 1}.body",
+                    2 * site.step.time,
+                    position=site.base(y),
+                    pace=SMOOTH,
+                    flywheel=self.mode(LEVELLING),
                 ),
             ]
         last, goal = DIAGONALS[self.steps % 2], site.feet(y, site.track / 2)
@@ -174,7 +178,7 @@ class BeamCross(BeamWalk):
             *rebuild(site, reach, site.track, self.transfer_lift, "narrow"),
             *self.spread(site, reach),
             *self.diagonal(site, reach, (reach - far) / self.steps),
-            Stage("rest", STAND, flywheel=self.mode(LEVEL)),
+            Stage("rest", STAND, flywheel=self.mode(LEVELLING)),
             *self.fold(site, far),
             *rebuild(site, far, self.wide_track, self.transfer_lift, "wide"),
         ]
@@ -183,7 +187,7 @@ class BeamCross(BeamWalk):
         stages += [replace(stage, name=f"depart.{stage.name}") for stage in departure]
         return assemble(start, [*stages, Stage("halt", STAND)], self.patience, self.gains(belief), steered=True)
 
-    def walk_up(self, site: Site, y: Array | float) -> tuple[Stance, list[Stage]]:
+    def walk_up(self, site: BeamSite, y: Array | float) -> tuple[Stance, list[Stage]]:
         """By tripod to where the base is at y, the feet then abreast of the hips."""
         site, forward = self.walking(site), jnp.array(FORWARD)
         step = site.step
@@ -198,21 +202,21 @@ class BeamCross(BeamWalk):
             stages.append(site.swing(name, legs, goal))
         return start, stages
 
-    def walking(self, site: Site) -> Site:
+    def walking(self, site: BeamSite) -> BeamSite:
         """With the step of the tripods."""
         return site._replace(step=site.step._replace(half_length=self.walk_step_ratio * site.robot.body_length))
 
-    def tripods(self, site: Site, start: Stance, number: int) -> list[Stage]:
+    def tripods(self, site: BeamSite, start: Stance, number: int) -> list[Stage]:
         """Regular swings on the wide track."""
         centres = site.feet(0.0, self.wide_track / 2) - site.base(0.0)
         return regular_steps(TRIPOD, site.step, start, centres, jnp.array(FORWARD), number, 0.0)
 
-    def spread(self, site: Site, y: Array | float) -> list[Stage]:
+    def spread(self, site: BeamSite, y: Array | float) -> list[Stage]:
         """2.6.1: the middle legs are lifted, led outward and straightened."""
         raised, out = self.on_the_way(site, y)
         return [*postures(site, "out", (raised, out)), Stage("out.3", site.step.time, posture=LEVEL_LEGS)]
 
-    def fold(self, site: Site, y: Array | float) -> list[Stage]:
+    def fold(self, site: BeamSite, y: Array | float) -> list[Stage]:
         """2.6.3: back on to the narrow track, the same way."""
         raised, out = self.on_the_way(site, y)
         feet = site.feet(y, site.track / 2)
@@ -220,14 +224,14 @@ class BeamCross(BeamWalk):
         down = Stage("down.3", site.step.time, goal, posture=chosen(site.angles(y, feet), MIDDLE))
         return [*postures(site, "down", (out, raised)), down]
 
-    def on_the_way(self, site: Site, y: Array | float) -> tuple[Array, Array]:
+    def on_the_way(self, site: BeamSite, y: Array | float) -> tuple[Array, Array]:
         """Joint angles (6, 3) with the feet lifted from the narrow track, and half bent outside of the hips."""
         lifted = site.feet(y, site.track / 2) + jnp.array([0.0, 0.0, 1.0]) * self.transfer_lift
         reach = site.robot.thigh + site.robot.shin
         return site.angles(y, lifted), site.beside_hips(0.5 * reach, 0.25 * reach)
 
 
-def rebuild(site: Site, y: Array | float, track: Array | float, lift: Array | float, name: str) -> list[Stage]:
+def rebuild(site: BeamSite, y: Array | float, track: Array | float, lift: Array | float, name: str) -> list[Stage]:
     """2.6.1 and 2.6.3: one tripod after the other goes over to another track, in planes across the body.
 
     The foot passes below its hip, where alpha is not defined by its place: it goes there in joint space.
@@ -242,7 +246,7 @@ def rebuild(site: Site, y: Array | float, track: Array | float, lift: Array | fl
     return stages
 
 
-def postures(site: Site, name: str, angles: Sequence[Array]) -> list[Stage]:
+def postures(site: BeamSite, name: str, angles: Sequence[Array]) -> list[Stage]:
     """The middle legs go through postures."""
     return [Stage(f"{name}.{k}", site.step.time, posture=chosen(a, MIDDLE)) for k, a in enumerate(angles, start=1)]
 

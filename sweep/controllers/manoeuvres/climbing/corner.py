@@ -28,7 +28,7 @@ RISING = OUTWARD + UP
 SLANTED = OUTWARD + 0.9 * UP
 
 
-class Site(NamedTuple):
+class CornerSite(NamedTuple):
     """What the stages are made of (m)."""
 
     length: Array | float  # a_r
@@ -99,11 +99,11 @@ class OnCorner(PlannedForces):
 
     needs = (Corner,)
 
-    def site(self, belief: Case) -> Site:
+    def site(self, belief: Case) -> CornerSite:
         """What is believed of the robot and of the corner."""
         a_r = belief.robot.body_length
         track = self.track_ratio * a_r
-        return Site(
+        return CornerSite(
             length=a_r,
             track=track,
             floor_track=self.floor_track_ratio * a_r,
@@ -118,7 +118,7 @@ class OnCorner(PlannedForces):
     def assembled(self, belief: Case, start: Stance, stages: list[Stage]) -> Plan:
         """The plan with rests before its stages, and its forces."""
         plan = assemble(start, [Stage("stand", STAND), *self.loading(stages), Stage("halt", STAND)], self.patience)
-        return self.gripped(belief, plan)
+        return self.with_feedforward(belief, plan)
 
 
 @parameters
@@ -153,14 +153,14 @@ class CornerClimb(OnCorner):
         return self.assembled(belief, start, [*stages, *gallop(site, feet, rise, self.cycles)])
 
 
-def climb(site: Site, entry: Entry) -> tuple[Stance, list[Stage], dict]:
+def climb(site: CornerSite, entry: Entry) -> tuple[Stance, list[Stage], dict]:
     """2.4.1 to 2.4.8: from the floor to where the gallop starts, with the feet's heights then."""
     start, on, feet = get_on(site, entry)
     spread, feet = spread_out(site, feet)
     return start, [*on, *spread], feet
 
 
-def get_on(site: Site, entry: Entry) -> tuple[Stance, list[Stage], dict]:
+def get_on(site: CornerSite, entry: Entry) -> tuple[Stance, list[Stage], dict]:
     """2.4.1 to 2.4.5: the base pitches up, its front edge on a vertical line, its rear edge on a level one.
 
     The feet's heights on the wall are returned beside the stages, by pair.
@@ -193,7 +193,7 @@ def get_on(site: Site, entry: Entry) -> tuple[Stance, list[Stage], dict]:
     return start, stages, {FRONT: front + entry.higher * x, MIDDLE: middle, REAR: rear}
 
 
-def spread_out(site: Site, feet: dict) -> tuple[list[Stage], dict]:
+def spread_out(site: CornerSite, feet: dict) -> tuple[list[Stage], dict]:
     """2.4.6 and 2.4.8: rear feet up, the middle ones out of their way first."""
     feet = dict(feet)
     feet[REAR] = feet[FRONT] - site.span
@@ -205,7 +205,7 @@ def spread_out(site: Site, feet: dict) -> tuple[list[Stage], dict]:
     return stages, feet
 
 
-def gallop(site: Site, feet: dict, rise: Array | float, cycles: int) -> list[Stage]:
+def gallop(site: CornerSite, feet: dict, rise: Array | float, cycles: int) -> list[Stage]:
     """2.4.2, end: the middle feet go near the pair that swings next, up with the base and down again.
 
     The feet's heights are `rise` (m) more after all cycles, and the middle ones' those of the rear ones and `near`.

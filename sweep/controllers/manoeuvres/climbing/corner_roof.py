@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 
 from sweep.controllers.gaits import TRIPOD
 from sweep.controllers.manoeuvres.climbing import corner
-from sweep.controllers.manoeuvres.climbing.corner import FRONT, MIDDLE, REAR, OnCorner, Site, climb, gallop
+from sweep.controllers.manoeuvres.climbing.corner import FRONT, MIDDLE, REAR, CornerSite, OnCorner, climb, gallop
 from sweep.controllers.manoeuvres.climbing.pole import curves, pair, point
 from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.plan import CYCLE_B_SMOOTH, SMOOTH, Plan, Stage, Stance
@@ -45,7 +45,7 @@ class Roof(NamedTuple):
     ahead: float  # of the corner's edge
 
 
-class Pose(NamedTuple):
+class BasePose(NamedTuple):
     """Of the base: its centre, in the same unit, and its pitch (deg)."""
 
     ahead: float  # of the corner's edge
@@ -57,7 +57,7 @@ class Event(NamedTuple):
     """A swing of a pair, or a move of the base alone."""
 
     name: str
-    base: Pose  # at the end
+    base: BasePose  # at the end
     legs: tuple[int, int] | None = None
     to: Wall | Roof | None = None
     # control points of the swing's curve, from the place that is left and from the new one: out, ahead, up
@@ -73,25 +73,25 @@ class Way(NamedTuple):
 
 
 EVENTS: tuple[Event, ...] = (
-    Event("roof.middle.up", Pose(-0.2071, -0.7058, 89.99), MIDDLE, Wall(0.2809, -0.5545),
+    Event("roof.middle.up", BasePose(-0.2071, -0.7058, 89.99), MIDDLE, Wall(0.2809, -0.5545),
           leave=(0.0378, -0.1634, 0.0672), land=(0.2330, -0.1864, 0.1207)),
-    Event("roof.front.on", Pose(-0.1731, -0.6335, 84.28), FRONT, Roof(0.4436, 0.4695),
+    Event("roof.front.on", BasePose(-0.1731, -0.6335, 84.28), FRONT, Roof(0.4436, 0.4695),
           leave=(0.1607, -0.0544, 0.1179), land=(-0.0012, 0.0098, 0.1530)),
-    Event("roof.middle.near", Pose(-0.2090, -0.4740, 73.87), MIDDLE, Wall(0.4096, -0.4067),
+    Event("roof.middle.near", BasePose(-0.2090, -0.4740, 73.87), MIDDLE, Wall(0.4096, -0.4067),
           leave=(0.1250, -0.1452, 0.0305), land=(0.1782, -0.2103, 0.1374)),
-    Event("roof.rear.up", Pose(-0.2387, -0.3106, 68.82), REAR, Wall(0.3006, -0.4746),
+    Event("roof.rear.up", BasePose(-0.2387, -0.3106, 68.82), REAR, Wall(0.3006, -0.4746),
           leave=(0.1443, -0.0995, 0.1076), land=(0.1758, -0.0928, 0.1389)),
-    Event("roof.pitch", Pose(-0.1467, 0.0545, 48.80)),
-    Event("roof.middle.higher", Pose(-0.0584, 0.2997, 49.22), MIDDLE, Wall(0.3000, -0.1242),
+    Event("roof.pitch", BasePose(-0.1467, 0.0545, 48.80)),
+    Event("roof.middle.higher", BasePose(-0.0584, 0.2997, 49.22), MIDDLE, Wall(0.3000, -0.1242),
           leave=(0.1685, -0.1182, 0.1383), land=(0.1284, -0.0878, 0.1407)),
-    Event("roof.middle.on", Pose(-0.0176, 0.3644, 49.40), MIDDLE, Roof(0.3762, 0.4100),
+    Event("roof.middle.on", BasePose(-0.0176, 0.3644, 49.40), MIDDLE, Roof(0.3762, 0.4100),
           leave=(0.1607, -0.0741, 0.1658), land=(0.1773, -0.1716, 0.1473)),
-    Event("roof.front.ahead", Pose(0.0092, 0.3327, 48.96), FRONT, Roof(0.3842, 0.6512),
+    Event("roof.front.ahead", BasePose(0.0092, 0.3327, 48.96), FRONT, Roof(0.3842, 0.6512),
           leave=(0.0712, -0.0122, 0.1840), land=(0.1740, -0.1702, 0.1413)),
-    Event("roof.middle.ahead", Pose(0.5726, 0.4494, 28.76), MIDDLE, Roof(0.4177, 0.4536),
+    Event("roof.middle.ahead", BasePose(0.5726, 0.4494, 28.76), MIDDLE, Roof(0.4177, 0.4536),
           leave=(0.0894, -0.0580, 0.1706), land=(0.2114, -0.1819, 0.1686)),
-    Event("roof.over", Pose(0.6773, 0.3456, 14.62)),
-    Event("roof.rear.on", Pose(0.5160, 0.4950, 0.00), REAR, Roof(0.2677, 0.3093),
+    Event("roof.over", BasePose(0.6773, 0.3456, 14.62)),
+    Event("roof.rear.on", BasePose(0.5160, 0.4950, 0.00), REAR, Roof(0.2677, 0.3093),
           leave=(0.7280, 0.4303, 0.0318), land=(-0.0062, -0.6438, 0.2593)),
 )  # fmt: skip
 WAY = Way(corner.ENTRY, EVENTS)
@@ -119,7 +119,7 @@ class CornerRoof(OnCorner):
         """The numbers of the whole way."""
         return WAY
 
-    def ascend(self, belief: Case, way: Way = WAY) -> tuple[Site, Stance, list[Stage]]:
+    def ascend(self, belief: Case, way: Way = WAY) -> tuple[CornerSite, Stance, list[Stage]]:
         """Climb until the front feet are below the edge, and get over it.
 
         Raises `InputError` where the house is too low, or too high for the cycles, by plain numbers; rows in which
@@ -167,14 +167,14 @@ class CornerFull(CornerRoof):
         return self.assembled(belief, start, [*stages, *on])
 
 
-def below_edge(site: Site, top: Array | float) -> dict:
+def below_edge(site: CornerSite, top: Array | float) -> dict:
     """Heights of the pairs where the gallop ends."""
     front = top - BELOW * site.length
     rear = front - site.span
     return {FRONT: front, MIDDLE: rear + site.near, REAR: rear}
 
 
-def over_edge(site: Site, belief: Case, events: Sequence[Event]) -> list[Stage]:
+def over_edge(site: CornerSite, belief: Case, events: Sequence[Event]) -> list[Stage]:
     """2.4.3: the events, from the end of the gallop on."""
     feet = {legs: site.on_wall(legs, height) for legs, height in below_edge(site, belief.on(Corner).height).items()}
     unit, pitch, stages = leg_unit(belief.robot), 90.0, []
@@ -203,7 +203,7 @@ def spot(belief: Case, legs: tuple[int, int], to: Wall | Roof) -> dict[int, Arra
     return pair(legs, aside, -aside / jnp.tan(belief.on(Corner).half_angle), top + to.above * unit)
 
 
-def walk_on(site: Site, belief: Case, steps: int, way: Array | float, ahead: Array | float) -> list[Stage]:
+def walk_on(site: CornerSite, belief: Case, steps: int, way: Array | float, ahead: Array | float) -> list[Stage]:
     """Swings by tripod, in each of which the base goes `way` (m) on, from `ahead` of the corner's edge.
 
     Where the roof is narrow, so are the tracks. In the first two the feet go beside their hips and the base rests:
@@ -223,7 +223,7 @@ def walk_on(site: Site, belief: Case, steps: int, way: Array | float, ahead: Arr
     return stages
 
 
-def on_roof(site: Site, belief: Case, leg: int, y: Array | float) -> Float[Array, " 3"]:
+def on_roof(site: CornerSite, belief: Case, leg: int, y: Array | float) -> Float[Array, " 3"]:
     """A foothold beside a hip at `y` (m), or as far back as the roof is wide enough."""
     slope, brink = jnp.tan(belief.on(Corner).half_angle), BRINK * site.length
     y = jnp.minimum(y, -brink - NARROWEST * site.length / slope)

@@ -43,13 +43,13 @@ AHEAD = {MIDDLE: (0.25, 1.0), REAR: (0.1, 0.0)}
 BELOW = {FRONT: 0.5, MIDDLE: 4.0, REAR: 4.0}
 
 
-class Site(NamedTuple):
+class PoleSite(NamedTuple):
     """What the stages are made of (m)."""
 
     length: Array | float  # a_r
     radius: Array | float  # r
     top: Array | float  # h, of the pole
-    grip: Array | float  # x_f, the feet's distance from the pole's axis: r less the deepening
+    foot_radius: Array | float  # x_f, the feet's distance from the pole's axis: r less the deepening
     track: Array | float  # of a foot on the floor from the plane x = 0
     clearance: Array | float  # d, of the base above the floor
     standoff: Array | float  # d_c, of the vertical base from the pole's axis
@@ -78,7 +78,7 @@ class Site(NamedTuple):
         """
         reach = self.length / 2 - self.step.landing
         offset = {FRONT: reach, MIDDLE: 0.0, REAR: -reach}[legs]
-        return pair(legs, jnp.sqrt(self.grip**2 - jnp.asarray(ahead) ** 2), ahead, height + offset)
+        return pair(legs, jnp.sqrt(self.foot_radius**2 - jnp.asarray(ahead) ** 2), ahead, height + offset)
 
 
 @parameters
@@ -115,17 +115,25 @@ class PoleClimb(PlannedForces):
 
     needs = (PoleLedge,)
 
-    def site(self, belief: Case) -> Site:
+    def site(self, belief: Case) -> PoleSite:
         """What is believed of the robot and of the pole."""
         length, pole = belief.robot.body_length, belief.on(PoleLedge)
         step = Step(self.half_step_ratio * length, self.lift_ratio * length, stepping.swing_time(self.rate))
         track = belief.robot.body_width / 2 + self.spread_ratio * length
-        return Site(length, pole.radius, pole.height, pole.radius - self.deepening, track, self.height_ratio * length,
-                    pole.radius + self.gap_ratio * length, (self.front_ahead, self.front_ahead_slope),
-                    step)  # fmt: skip
+        return PoleSite(
+            length,
+            pole.radius,
+            pole.height,
+            pole.radius - self.deepening,
+            track,
+            self.height_ratio * length,
+            pole.radius + self.gap_ratio * length,
+            (self.front_ahead, self.front_ahead_slope),
+            step,
+        )
 
     def climb(
-        self, site: Site, belief: Case, rise: Array | float, gap: Array | float = 0.0
+        self, site: PoleSite, belief: Case, rise: Array | float, gap: Array | float = 0.0
     ) -> tuple[Stance, list[Stage]]:
         """Stand, approach, get on, shift the feet up, and gallop by `rise` (m) a swing; `gap` as in `approach`."""
         start, walk = approach(site, belief, self.steps, gap)
@@ -139,7 +147,7 @@ class PoleClimb(PlannedForces):
     def assembled(self, belief: Case, start: Stance, stages: list[Stage]) -> Plan:
         """The plan, with its forces if they are planned."""
         plan = assemble(start, [*stages, Stage("halt", STAND)], self.patience)
-        return self.gripped(belief, plan) if self.forces == "planned" else plan
+        return self.with_feedforward(belief, plan) if self.forces == "planned" else plan
 
     def plan(self, belief: Case) -> Plan:
         """Climb, halt."""
@@ -148,7 +156,7 @@ class PoleClimb(PlannedForces):
         return self.assembled(belief, start, stages)
 
 
-def approach(site: Site, belief: Case, steps: int, gap: Array | float = 0.0) -> tuple[Stance, list[Stage]]:
+def approach(site: PoleSite, belief: Case, steps: int, gap: Array | float = 0.0) -> tuple[Stance, list[Stage]]:
     """`steps` swings by tripod up to the pole, then a swing of each tripod to the places of (2.3.1).
 
     The base walks up to `gap` (m) before where it gets on, and goes the rest while the feet go to their places.
@@ -171,7 +179,7 @@ def approach(site: Site, belief: Case, steps: int, gap: Array | float = 0.0) -> 
     return start, stages
 
 
-def get_on(site: Site) -> list[Stage]:
+def get_on(site: PoleSite) -> list[Stage]:
     """2.3.2: front feet to the pole, rear feet nearer to it, middle feet to the pole, front feet up, rear feet to it.
 
     The base's front edge goes up a vertical line at d_c from the axis, its rear edge along a horizontal one at d above
@@ -202,7 +210,7 @@ def get_on(site: Site) -> list[Stage]:
     return stages
 
 
-def off_floor(site: Site, start: dict[int, Array], end: dict[int, Array]) -> dict[int, Array]:
+def off_floor(site: PoleSite, start: dict[int, Array], end: dict[int, Array]) -> dict[int, Array]:
     """Guides of swings from the floor to the pole: straight up from the floor, from the side on to the pole.
 
     The printed flat cycle drags a foot along the floor where the base hangs lower than planned.
@@ -211,7 +219,7 @@ def off_floor(site: Site, start: dict[int, Array], end: dict[int, Array]) -> dic
     return curves(start, end, site.length * up, site.length * out)
 
 
-def shift_up(site: Site) -> list[Stage]:
+def shift_up(site: PoleSite) -> list[Stage]:
     """2.3.2 from t_5: middle and rear feet go up to where the gallop starts, the base rests."""
     return [
         Stage(name, site.step.time, site.on_pole(legs, 0.0, site.upright), CYCLE_A, site.step.height, OUTWARD)
@@ -219,7 +227,7 @@ def shift_up(site: Site) -> list[Stage]:
     ]
 
 
-def gallop(site: Site, cycles: int, rise: Array | float) -> list[Stage]:
+def gallop(site: PoleSite, cycles: int, rise: Array | float) -> list[Stage]:
     """2.3.1: front, middle and rear feet go up in their turns by three times what the base goes up in each swing."""
     stages = []
     for k in range(3 * cycles):

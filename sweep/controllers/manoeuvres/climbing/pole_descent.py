@@ -1,7 +1,7 @@
 """From a ledge over a pole's top down to the floor: the way up, backwards in time (monograph, end of 2.3)."""
 
 from sweep.controllers.manoeuvres.climbing.pole import STAND
-from sweep.controllers.manoeuvres.climbing.pole_ledge import PoleLedge
+from sweep.controllers.manoeuvres.climbing.pole_ledge import PoleToLedge
 from sweep.controllers.plan import Plan, Stage, assemble
 from sweep.controllers.symmetry import reversed_in_time
 from sweep.core.parameters import choice, parameters
@@ -9,10 +9,10 @@ from sweep.models.case import Case
 
 
 @parameters
-class PoleDescent(PoleLedge):
+class PoleDescent(PoleToLedge):
     """From the ledge behind a pole over its top and down it.
 
-    The way of `PoleLedge` reversed: backwards by tripod to the pole, over its top, down it, and away by tripod.
+    The way of `PoleToLedge` reversed: backwards by tripod to the pole, over its top, down it, and away by tripod.
 
     Forces are planned for the reversed plan, not reversed: the weight does not change its direction.
     """
@@ -23,4 +23,4 @@ class PoleDescent(PoleLedge):
         """From the ledge to the floor."""
         start, stages = self.way(belief, self.table)
         down = reversed_in_time(assemble(start, [*stages, Stage("halt", STAND)], self.patience))
-        return self.gripped(belief, down) if self.forces == "planned" else down
+        return self.with_feedforward(belief, down) if self.forces == "planned" else down

@@ -36,7 +36,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.controllers.gaits import TRIPOD, centre_offsets, regular_steps
-from sweep.controllers.manoeuvres.climbing.pole import FRONT, MIDDLE, REAR, TOWARDS, Site, pair, point
+from sweep.controllers.manoeuvres.climbing.pole import FRONT, MIDDLE, REAR, TOWARDS, PoleSite, pair, point
 from sweep.controllers.manoeuvres.climbing.pole_top import EASED, TOP, Footholds, PoleTop, lofted, on_disc
 from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.plan import CYCLE_B, Plan, Stage, Stance
@@ -113,7 +113,7 @@ WAYS = {"level": LEVEL, "above": ABOVE, "below": BELOW}
 
 
 @parameters
-class PoleLedge(PoleTop):
+class PoleToLedge(PoleTop):
     """By tripod to the pole, up it, over its top on to the ledge, and away by tripod."""
 
     goal: ClassVar = UPRIGHT
@@ -138,17 +138,17 @@ class PoleLedge(PoleTop):
         return self.assembled(belief, *self.way(belief, table or self.table))
 
 
-def beyond(site: Site, way: float, height: Array | float) -> Float[Array, " 3"]:
+def beyond(site: PoleSite, way: float, height: Array | float) -> Float[Array, " 3"]:
     """A point (m) in the plane x = 0, `way` (a_r) beyond the ledge's edge."""
     return point(0.0, -site.radius - way * site.length, height)
 
 
-def on_ledge(site: Site, ledge: Array | float, legs: tuple[int, int], place: tuple[float, float]) -> Footholds:
+def on_ledge(site: PoleSite, ledge: Array | float, legs: tuple[int, int], place: tuple[float, float]) -> Footholds:
     """Footholds of a pair on the ledge, aside (r) and beyond its edge (a_r)."""
     return pair(legs, place[0] * site.radius, -site.radius - place[1] * site.length, ledge)
 
 
-def cross(site: Site, belief: Case, moves: Sequence[Move]) -> list[Stage]:
+def cross(site: PoleSite, belief: Case, moves: Sequence[Move]) -> list[Stage]:
     """Stages from the top on to the ledge; the feet begin at `TOP`, the base level. Measured by `leg_unit`s."""
     ledge, site = belief.on(pole_ledge.PoleLedge).ledge_height, site._replace(length=leg_unit(belief.robot))
     at = {legs: on_disc(site, legs, TOP[legs]) for legs in (FRONT, MIDDLE, REAR)}
@@ -167,7 +167,7 @@ def cross(site: Site, belief: Case, moves: Sequence[Move]) -> list[Stage]:
     return stages
 
 
-def walk_away(site: Site, belief: Case, ledge: Array | float, steps: int) -> tuple[list[Stage], list[Stage]]:
+def walk_away(site: PoleSite, belief: Case, ledge: Array | float, steps: int) -> tuple[list[Stage], list[Stage]]:
     """The feet to where a tripod gait may start, and `steps` swings of it on the ledge."""
     step, forward, quat = site.step, jnp.array([0.0, -1.0, 0.0]), jnp.array(TOWARDS)
     spread = site.track - belief.robot.body_width / 2

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array
 
 from sweep.controllers.gaits import GALLOP
-from sweep.controllers.manoeuvres.climbing.pole import STAND, PoleClimb, Site, point
+from sweep.controllers.manoeuvres.climbing.pole import STAND, PoleClimb, PoleSite, point
 from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.plan import CYCLE_B, Plan, Stage, Stance, assemble, moved
 from sweep.controllers.symmetry import joined, last_stance, mirrored, reversed_in_time
@@ -54,7 +54,7 @@ class PoleRound(PoleClimb):
         return plan if self.side == "left" else mirrored(plan, np.array([1.0, 0.0, 0.0]))
 
 
-def half_way_round(site: Site, start: Stance) -> list[Stage]:
+def half_way_round(site: PoleSite, start: Stance) -> list[Stage]:
     """2.3.6: pairs of feet go round the pole by `STEP` in their turns, while the base goes round it evenly.
 
     Printed for tripods. The three feet that stay then press unevenly, since the base turns a little while only three

@@ -29,7 +29,7 @@ from sweep.controllers.manoeuvres.climbing.pole import (
     OUTWARD,
     REAR,
     PoleClimb,
-    Site,
+    PoleSite,
     curves,
     pair,
     point,
@@ -61,7 +61,7 @@ class PoleTop(PoleClimb):
     kind: str = choice("pole_top", "pole_top")
     cycles: int = count(2, at_least=1, at_most=100)  # of the gallop, all alike, of about 3 x* each
 
-    def ascend(self, site: Site, belief: Case) -> tuple[Stance, list[Stage]]:
+    def ascend(self, site: PoleSite, belief: Case) -> tuple[Stance, list[Stage]]:
         """Climb until the base's front edge is x* below the top, and go on to the top."""
         below = site.top - site.step.landing - site.length / 2  # zeta_O(t_1) of 2.3.3
         start, climb = self.climb(site, belief, (below - site.upright) / (3 * self.cycles))
@@ -76,31 +76,33 @@ class PoleTop(PoleClimb):
         return self.assembled(belief, start, stages)
 
 
-def on_side(site: Site, legs: tuple[int, int], place: tuple[float, float], grip: Array | float) -> Footholds:
-    """Footholds of a pair on the pole's side, `grip` (m) from its axis."""
+def on_side(site: PoleSite, legs: tuple[int, int], place: tuple[float, float], foot_radius: Array | float) -> Footholds:
+    """Footholds of a pair on the pole's side, `foot_radius` (m) from its axis."""
     ahead, height = place[0] * site.radius, site.top + place[1] * site.length
-    return pair(legs, jnp.sqrt(jnp.asarray(grip) ** 2 - ahead**2), ahead, height)
+    return pair(legs, jnp.sqrt(jnp.asarray(foot_radius) ** 2 - ahead**2), ahead, height)
 
 
-def on_disc(site: Site, legs: tuple[int, int], place: tuple[float, float]) -> Footholds:
+def on_disc(site: PoleSite, legs: tuple[int, int], place: tuple[float, float]) -> Footholds:
     """Footholds of a pair on the pole's top."""
     return pair(legs, place[0] * site.radius, place[1] * site.radius, site.top)
 
 
-def centre(site: Site, ahead: float, above: float) -> Float[Array, " 3"]:
+def centre(site: PoleSite, ahead: float, above: float) -> Float[Array, " 3"]:
     """The base's centre (m)."""
     return point(0.0, ahead * site.length, site.top + above * site.length)
 
 
-def lofted(site: Site, start: Footholds, end: Footholds, first: tuple, last: tuple) -> dict[int, Float[Array, "2 3"]]:
+def lofted(
+    site: PoleSite, start: Footholds, end: Footholds, first: tuple, last: tuple
+) -> dict[int, Float[Array, "2 3"]]:
     """Guides of swings: `first` from where they start and `last` from where they land, outward, ahead and up in a_r."""
     return curves(start, end, site.length * jnp.array(first), site.length * jnp.array(last))
 
 
-def to_the_edge(site: Site) -> list[Stage]:
+def to_the_edge(site: PoleSite) -> list[Stage]:
     """2.3.3 until t_4: the feet spread round the pole while the base comes up."""
-    front, middle, rear = (on_side(site, legs, EDGE[legs], site.grip) for legs in (FRONT, MIDDLE, REAR))
-    below = on_side(site, MIDDLE, BELOW_EDGE, site.grip)
+    front, middle, rear = (on_side(site, legs, EDGE[legs], site.foot_radius) for legs in (FRONT, MIDDLE, REAR))
+    below = on_side(site, MIDDLE, BELOW_EDGE, site.foot_radius)
     gallop_end = site.on_pole(REAR, 0.0, site.top - site.step.landing - site.length / 2)
     past_middle = lofted(site, gallop_end, rear, (0.3, 0.22, 0.385), (0.18, -0.13, -0.05))
     past_front = lofted(site, below, middle, (0.19, 0.0, 0.15), (0.08, 0.0, -0.2))
@@ -117,16 +119,16 @@ def to_the_edge(site: Site) -> list[Stage]:
     return stages
 
 
-def over_the_edge(site: Site) -> list[Stage]:
+def over_the_edge(site: PoleSite) -> list[Stage]:
     """2.3.3 from t_4 to t_5: the base goes over the edge and turns nearly level, the front feet go to the top."""
-    side, front = on_side(site, FRONT, EDGE[FRONT], site.grip), on_disc(site, FRONT, TOP[FRONT])
+    side, front = on_side(site, FRONT, EDGE[FRONT], site.foot_radius), on_disc(site, FRONT, TOP[FRONT])
     turn = Stage("over.front", 2 * site.step.time, front, CYCLE_B, position=centre(site, 0.019, 0.36),
                  turn=point(np.pi / 2 - SLOPE, 0.0, 0.0), pace=SMOOTH, pivot=centre(site, -0.09, 0.0), arc=np.pi / 2,
                  guides=lofted(site, side, front, (0.15, 0.0, 0.2), (0.0, 0.0, 0.2)))  # fmt: skip
     return [Stage("edge.hold", 0.3), turn]
 
 
-def on_top(site: Site, held: bool) -> list[Stage]:
+def on_top(site: PoleSite, held: bool) -> list[Stage]:
     """2.3.3 from t_5 on: middle and rear feet to the top, the base level, middle feet abreast of its centre.
 
     Feet that are `held` by planned forces need not be pressed less first.

@@ -17,7 +17,7 @@ from sweep.models.legs import LEGS
 from sweep.models.obstacles.plane import Plane
 
 STAND = 0.5  # s, before the first and after the last step
-LEVEL = (1.0, 0.0, 0.0, 0.0)
+UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 
 
 @parameters
@@ -76,7 +76,7 @@ def standing(belief: Case, spread: Array | float, height: Array | float) -> tupl
     """A stance over the origin of level ground, and its feet relative to the base (m)."""
     centres = foot_centres(belief.robot, spread, height)
     position = jnp.array([0.0, 0.0, 1.0]) * height
-    return Stance(position + centres, position, jnp.array(LEVEL)), centres
+    return Stance(position + centres, position, jnp.array(UPRIGHT)), centres
 
 
 def on_ground(plan: Plan, belief: Case) -> Plan:

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sweep.controllers.grip import between
+from sweep.controllers.feedforward import between
 from sweep.engines.base import Trace
 from sweep.metrics.metric import LOADED
 from sweep.models.obstacles.surface import fixed_surface
@@ -15,19 +15,19 @@ from sweep.models.robot import total_mass
 from sweep.models.scene import GRAVITY
 
 
-class Hold(NamedTuple):
+class ContactForces(NamedTuple):
     """Forces of the feet over F frames."""
 
     normal: np.ndarray  # (F, 6), in the robot's weights
     friction: np.ndarray  # (F, 6), tangential over normal force; nan below a load of `LOADED`
 
 
-def measured(trace: Trace) -> Hold:
+def measured(trace: Trace) -> ContactForces:
     """What the fixed surfaces of the world did."""
-    return _hold(trace, trace.foot_force)
+    return _contact_forces(trace, trace.foot_force)
 
 
-def planned(trace: Trace) -> Hold | None:
+def planned(trace: Trace) -> ContactForces | None:
     """What was planned for the same moments; nothing where no forces were."""
     plan, force = jax.jit(_plan)(trace.belief)
     if force is None:
@@ -37,15 +37,15 @@ def planned(trace: Trace) -> Hold | None:
     tick = trace.time[1] - trace.time[0]
     phase = np.clip((trace.time - trace.time[first] + tick) / np.asarray(plan.duration)[trace.stage], 0, 1)
     force = jax.vmap(partial(between, force))(jnp.asarray(trace.stage), jnp.asarray(phase, float))
-    return _hold(trace, np.asarray(force))
+    return _contact_forces(trace, np.asarray(force))
 
 
 def _plan(belief):
     plan = belief.manoeuvre.plan(belief)
-    return plan, None if plan.grip is None else belief.manoeuvre.course(belief, plan).force
+    return plan, None if plan.feedforward is None else belief.manoeuvre.course(belief, plan).force
 
 
-def _hold(trace: Trace, force: np.ndarray) -> Hold:
+def _contact_forces(trace: Trace, force: np.ndarray) -> ContactForces:
     """`force` (F, 6, 3) in parts normal and tangential to the surface nearest to each foot."""
     feet = trace.foot_position.reshape(-1, 3).astype(np.float32)
     surface = fixed_surface(trace.world.obstacle, feet)
@@ -53,4 +53,4 @@ def _hold(trace: Trace, force: np.ndarray) -> Hold:
     normal = np.sum(force * normals, axis=-1)
     tangential = np.linalg.norm(force - normal[..., None] * normals, axis=-1)
     friction = np.where(normal > LOADED, tangential / np.maximum(normal, LOADED), np.nan)
-    return Hold(normal / (GRAVITY * total_mass(trace.world.robot)), friction)
+    return ContactForces(normal / (GRAVITY * total_mass(trace.world.robot)), friction)

@@ -1,11 +1,11 @@
-"""`lanes` against `jax.vmap` on what controllers, physics and metrics are made of."""
+"""`batch_last_vmap` against `jax.vmap` on what controllers, physics and metrics are made of."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sweep.engines.batch_last import lanes
+from sweep.engines.batch_last import batch_last_vmap
 
 B = 5
 TABLE = np.array([2, 0, 1])
@@ -44,15 +44,15 @@ def derivatives(x, m, k, shared):
     return jax.grad(lambda s: jnp.sum(s * shared) + jnp.sum(s * x))(x), jax.jvp(jnp.linalg.norm, (m,), (m**2,))
 
 
-@pytest.mark.parametrize("kept_from", [1, 1 << 40])
+@pytest.mark.parametrize("reuse_from", [1, 1 << 40])
 @pytest.mark.parametrize("function", [arithmetic, algebra, shapes, indices, loops, derivatives])
-def test_equals_vmap(function, kept_from):
+def test_equals_vmap(function, reuse_from):
     rng = np.random.default_rng(0)
     args = (rng.normal(size=(3, B)), rng.normal(size=(3, 3, B)), rng.integers(0, 3, B), rng.normal(size=3))
     args = tuple(jnp.asarray(a) for a in args)
     axes = (-1, -1, -1, None)
     expected = jax.jit(jax.vmap(function, axes, -1))(*args)
-    given = jax.jit(lanes(function, axes, kept_from))(*args)
+    given = jax.jit(batch_last_vmap(function, axes, reuse_from))(*args)
     assert jax.tree.structure(given) == jax.tree.structure(expected)
     for a, b in zip(jax.tree.leaves(given), jax.tree.leaves(expected), strict=True):
         assert a.dtype == b.dtype
@@ -61,7 +61,7 @@ def test_equals_vmap(function, kept_from):
 
 def test_a_not_finite_rollout_touches_no_other():
     x = jnp.ones((3, B)).at[1, 2].set(jnp.nan)
-    out = lanes(lambda x: jnp.sum(jnp.sqrt(x) @ jnp.eye(3)) * x, (-1,), 1)(x)
+    out = batch_last_vmap(lambda x: jnp.sum(jnp.sqrt(x) @ jnp.eye(3)) * x, (-1,), 1)(x)
     assert np.all(np.isnan(out[:, 2]))
     assert np.all(np.isfinite(np.delete(out, 2, axis=1)))
 
@@ -81,7 +81,7 @@ def test_no_operation_moves_the_batch():
             jnp.max(m, axis=0),
         )
 
-    program = jax.make_jaxpr(lanes(function, (-1, -1), 1))(jnp.ones((3, B)), jnp.ones((3, 3, B)))
+    program = jax.make_jaxpr(batch_last_vmap(function, (-1, -1), 1))(jnp.ones((3, B)), jnp.ones((3, 3, B)))
     results = [(eqn.primitive.name, out.aval.shape) for eqn in program.jaxpr.eqns for out in eqn.outvars]
     assert {"gather", "scatter", "scatter-add", "transpose"} <= {name for name, _ in results}
     assert not [result for result in results if B in result[1][:-1]]

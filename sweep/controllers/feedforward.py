@@ -9,34 +9,40 @@ from jaxtyping import Array, Float, Int
 
 from sweep.controllers.frames import to_frame
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import Grip, Plan
+from sweep.controllers.plan import Feedforward, Plan
 from sweep.controllers.posture import feet_in_world
 from sweep.models.obstacles.surface import FreeState
 from sweep.models.robot import Robot
 
 
 def anchored(
-    robot: Robot, plan: Plan, grip: Grip, stage: Int[Array, ""], feet: Array, seen: Observation, free: FreeState,
+    robot: Robot,
+    plan: Plan,
+    feedforward: Feedforward,
+    stage: Int[Array, ""],
+    feet: Array,
+    seen: Observation,
+    free: FreeState,
     period: float,
-) -> Float[Array, "6 3"]:  # fmt: skip
+) -> Float[Array, "6 3"]:
     """The footholds `feet` (m, in the stage's frames of the bodies as in `free`) a tick of `period` s later.
 
     Those of loaded standing feet follow the feet.
     """
     real = to_frame(feet_in_world(robot, seen.position, seen.quat, seen.angles), plan.foot_frame[stage], free)
-    share = jnp.where(seen.loaded & ~plan.swing[stage], jnp.minimum(1.0, period / grip.anchoring), 0.0)
+    share = jnp.where(seen.loaded & ~plan.swing[stage], jnp.minimum(1.0, period / feedforward.anchoring), 0.0)
     return feet + share[:, None] * (real - feet)
 
 
-def creep(plan: Plan, grip: Grip, stage: Int[Array, ""], clock: Float[Array, ""]) -> Float[Array, "6 3"]:
+def creep(plan: Plan, feedforward: Feedforward, stage: Int[Array, ""], clock: Float[Array, ""]) -> Float[Array, "6 3"]:
     """How far (m) swinging feet go on inwards while the stage waits for their touchdown."""
     late = jnp.maximum(clock - plan.duration[stage], 0.0)
-    return jnp.where(plan.swing[stage][:, None], grip.creep * late * grip.inward[stage], 0.0)
+    return jnp.where(plan.swing[stage][:, None], feedforward.creep * late * feedforward.inward[stage], 0.0)
 
 
-def offset(grip: Grip, stage: Int[Array, ""], phase: Float[Array, ""]) -> Float[Array, "6 3"]:
+def offset(feedforward: Feedforward, stage: Int[Array, ""], phase: Float[Array, ""]) -> Float[Array, "6 3"]:
     """Planned offset of the targets (rad)."""
-    return between(grip.offset, stage, phase)
+    return between(feedforward.offset, stage, phase)
 
 
 def between(moments: Float[Array, "s k 6 3"], stage: Int[Array, ""], phase: Float[Array, ""]) -> Float[Array, "6 3"]:
