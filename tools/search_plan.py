@@ -5,11 +5,13 @@
 
 The draws are a study's points, known to the planner; those of the study's next seed are not searched on and tell
 whether what was found holds. A manoeuvre that can be searched has a `table` of named tuples, and a `plan` that takes
-another one in its place; any number in it can be freed. Margins are those of `sweep.metrics.planned`.
+another one in its place; any number in it can be freed. Margins are those of `sweep.metrics.planned`; plans on free
+bodies are played through by the tracker (`sweep.metrics.played`), with a ball where it rolls to.
 """
 
 import argparse
 import json
+import math
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -24,9 +26,11 @@ import numpy as np
 import pandas as pd
 
 from sweep.controllers import forces
-from sweep.controllers.tracker import Guided
+from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError
+from sweep.metrics import played
 from sweep.metrics.planned import holding, margins
+from sweep.metrics.played import by_stage, play
 from sweep.models.case import Case, Manoeuvre
 from sweep.study.config import Experiment, compose
 from sweep.study.study import is_static, parameter_columns, points, world_and_belief
@@ -46,6 +50,7 @@ NEED = {
 }
 # deviations that count alike
 UNIT = {"rate": 1.0, "friction": 0.02, "torque": 10.0, "balance": 0.001}  # others 0.01 m
+PERIOD, TIMES = 0.04, 1.05  # s, of a tick in which a plan on free bodies is played; its time, with that of waiting
 FRICTION = 2.5  # that forces may use, so that what is lacking is known where the believed one is too little
 
 
@@ -105,14 +110,16 @@ def draws(exp: Experiment, seed: int) -> Case:
 
 
 def judge(
-    case: Case, names: Sequence[str], patterns: Sequence[str], moments: int, least_normal: float | None
+    case: Case, plan: Plan, patterns: Sequence[str], moments: int, least_normal: float | None
 ) -> tuple[list[str], Callable[[Case, Table], dict[str, jax.Array]]]:
     """The stages to be judged, and for a belief and a table what is left at their worst moment: margins of (S,)."""
+    names = plan.names
     chosen = [
         k for k, name in enumerate(names) if any(fnmatchcase(name, p) for p in patterns) and not name.endswith(".load")
     ]  # rests, in poses that others begin and end with
     number, phases = jnp.array(chosen), jnp.linspace(0, 1, moments)
     knots = jnp.linspace(0, 1, 3)
+    ticks = math.ceil(TIMES * float(np.sum(plan.duration)) / PERIOD)
 
     def worst(function: Callable, at: jax.Array) -> dict[str, jax.Array]:
         seen = jax.vmap(lambda k: jax.vmap(lambda u: function(k, u))(at))(number)
@@ -121,6 +128,14 @@ def judge(
     def left(belief: Case, table: Table) -> dict[str, jax.Array]:
         manoeuvre = cast(Tabled, belief.manoeuvre)
         plan = manoeuvre.plan(belief) if table is None else manoeuvre.plan(belief, table)
+        if case.obstacle.free_bodies:
+            seen = play(belief, plan, PERIOD, ticks)
+            found = by_stage(seen, len(names))._asdict()
+            if least_normal is not None:
+                bounds = forces.Bounds(FRICTION, belief.drive.torque_limit, least_normal)
+                held = played.holding(belief, seen, bounds, len(names))
+                found |= {key: jnp.min(value, axis=1) for key, value in held._asdict().items()}
+            return {key: value[number] for key, value in found.items()}
         found = worst(lambda k, u: margins(belief, plan, k, u), phases)
         if least_normal is not None:
             bounds = forces.Bounds(FRICTION, manoeuvre.torque_share * belief.drive.torque_limit, least_normal)
@@ -146,17 +161,22 @@ def show(stages: Sequence[str], found: Mapping[str, np.ndarray], whole: bool) ->
 def check(given: argparse.Namespace) -> int:
     """Print what the plan keeps, over the study's draws."""
     exp = compose(given.overrides)
-    if isinstance(exp.case.manoeuvre, Guided):
-        raise InputError(f"scenario = {exp.scenario} has no plan to check: it follows what is measured")
     table = (
         changed(cast(Tabled, exp.case.manoeuvre).table, json.loads(given.start.read_text())) if given.start else None
     )
-    names = jax.eval_shape(lambda case: case.manoeuvre.plan(case), exp.case).names
-    stages, left = judge(exp.case, names, given.stages, given.moments, given.least_normal)
+    plan = jax.jit(lambda case: case.manoeuvre.plan(case))(exp.case)
+    stages, left = judge(exp.case, plan, given.stages, given.moments, given.least_normal)
     many = draws(exp, exp.study.seed)
     found = jax.jit(lambda cases: jax.lax.map(lambda case: left(case, table), cases, batch_size=8))(many)
     show(stages, {key: np.asarray(value) for key, value in found.items()}, True)
     return 0
+
+
+def needed(text: str) -> tuple[str, str, float]:
+    """A margin, the pattern of the stages that need it, and how much of it they do."""
+    name, _, value = text.partition("=")
+    margin, _, pattern = name.partition("@")
+    return margin, pattern or "*", float(value)
 
 
 def search(given: argparse.Namespace) -> int:
@@ -169,9 +189,10 @@ def search(given: argparse.Namespace) -> int:
     pairs = [(p.rpartition("=")[0], float(p.rpartition("=")[2])) for p in given.free]
     steps = {name: step for name in at for pattern, step in pairs if fnmatchcase(name, pattern)}
     free, scale = list(steps), np.array(list(steps.values()))
-    need = NEED | {p.partition("=")[0]: float(p.partition("=")[2]) for p in given.need}
-    names = jax.eval_shape(lambda case: case.manoeuvre.plan(case), exp.case).names
-    stages, left = judge(exp.case, names, given.stages, given.moments, given.least_normal)
+    need = [*((key, "*", value) for key, value in NEED.items()), *map(needed, given.need)]
+    plan = jax.jit(lambda case: case.manoeuvre.plan(case))(exp.case)
+    stages, left = judge(exp.case, plan, given.stages, given.moments, given.least_normal)
+    first = jnp.array([at[name] for name in free])
     seen, unseen = (draws(exp, exp.study.seed + k) for k in (0, 1))
 
     def over(cases: Case, x: jax.Array) -> dict[str, jax.Array]:
@@ -180,17 +201,19 @@ def search(given: argparse.Namespace) -> int:
 
     def score(x: jax.Array) -> jax.Array:
         """Squares of what is lacking to the needs, in the worst draw of every stage."""
-        total = 0.0
+        total = given.stay * jnp.sum(((x - first) / scale) ** 2)
         for key, value in over(seen, x).items():
-            if key in need:
-                lack = (need[key] - jnp.min(value, axis=0)) / UNIT.get(key, 0.01)
-                total += jnp.sum(jnp.where(jnp.isnan(lack), 1e3, jnp.maximum(lack, 0.0)) ** 2)
+            aims = [{stage: aim for stage in stages if fnmatchcase(stage, p)} for k, p, aim in need if k == key]
+            aim = {stage: value for found in aims for stage, value in found.items()}  # the last one counts
+            wanted = jnp.array([aim.get(stage, -jnp.inf) for stage in stages])
+            lack = (wanted - jnp.min(value, axis=0)) / UNIT.get(key, 0.01)
+            total += jnp.sum(jnp.where(jnp.isnan(lack), 1e3, jnp.maximum(lack, 0.0)) ** 2)
         return jnp.asarray(total)
 
     scores, tell = jax.jit(jax.vmap(score)), jax.jit(over)
     x = np.array([at[name] for name in free])
-    first = float(scores(jnp.tile(jnp.asarray(x), (given.population, 1)))[0])  # all calls have one shape
-    print(f"{len(free)} numbers, {len(stages)} stages, score {first:.4g}", flush=True)
+    begins = float(scores(jnp.tile(jnp.asarray(x), (given.population, 1)))[0])  # all calls have one shape
+    print(f"{len(free)} numbers, {len(stages)} stages, score {begins:.4g}", flush=True)
     told = {
         "popsize": given.population,
         "seed": given.seed,
@@ -229,7 +252,10 @@ def main(argv: list[str] | None = None) -> int:
         sub.add_argument("--start", type=Path, help="numbers found before, JSON")
         if name == "search":
             sub.add_argument("--free", nargs="+", required=True, metavar="PATTERN=STEP", help="numbers, first step")
-            sub.add_argument("--need", nargs="+", default=[], metavar="MARGIN=VALUE", help="in m, rad/s or pure")
+            sub.add_argument("--need", nargs="+", default=[], metavar="MARGIN[@STAGES]=VALUE", help="in m, rad/s")
+            sub.add_argument(
+                "--stay", type=float, default=0.0, help="what a number costs that is a first step away (0)"
+            )
             sub.add_argument("--population", type=int, default=24)
             sub.add_argument("--minutes", type=float, default=10)
             sub.add_argument("--seed", type=int, default=1, help="of the search")

@@ -7,9 +7,11 @@ which the foot really stands: 1 mm off is a force as large as the robot's weight
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from sweep.controllers.frames import to_frame
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import Feedforward, Plan
 from sweep.controllers.posture import feet_in_world
+from sweep.models.obstacles.surface import FreeState
 from sweep.models.robot import Robot
 
 
@@ -20,10 +22,14 @@ def anchored(
     stage: Int[Array, ""],
     feet: Array,
     seen: Observation,
+    free: FreeState,
     period: float,
 ) -> Float[Array, "6 3"]:
-    """The footholds `feet` (m) a tick of `period` s later: those of loaded standing feet follow the feet."""
-    real = feet_in_world(robot, seen.position, seen.quat, seen.angles)
+    """The footholds `feet` (m, in the stage's frames of the bodies as in `free`) a tick of `period` s later.
+
+    Those of loaded standing feet follow the feet.
+    """
+    real = to_frame(feet_in_world(robot, seen.position, seen.quat, seen.angles), plan.foot_frame[stage], free)
     share = jnp.where(seen.loaded & ~plan.swing[stage], jnp.minimum(1.0, period / feedforward.anchoring), 0.0)
     return feet + share[:, None] * (real - feet)
 

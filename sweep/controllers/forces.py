@@ -14,13 +14,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from sweep.controllers.plan import Feedforward, Plan, Stage, Stance, begins, reference
+from sweep.controllers.frames import to_world
+from sweep.controllers.plan import Feedforward, Plan, Stage, Stance, begins, reference, stance_to_world
 from sweep.controllers.posture import foot_positions, mass_centre
 from sweep.controllers.tracker import joint_targets
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.core.rotations import rotate
 from sweep.models.case import Case
-from sweep.models.obstacles.surface import fixed_surface
+from sweep.models.obstacles.surface import free_start, poses
 from sweep.models.robot import Robot, total_mass
 from sweep.models.scene import GRAVITY
 
@@ -224,10 +225,11 @@ class Course(NamedTuple):
 def moment(
     belief: Case, plan: Plan, bounds: Bounds, least: Effort, stage: Int[Array, ""], u: Float[Array, ""]
 ) -> tuple[StaticPose, Forces]:
-    """The pose at phase `u` of a stage as planned, and the best forces there by itself."""
+    """The pose at phase `u` of a stage as planned, bodies as they start, and the best forces there by itself."""
     feet, position = begins(plan, stage)
-    stance = reference(plan, stage, u, feet, position)
-    here = pose(belief.robot, stance, surface_normals(belief, feet), ~plan.swing[stage])
+    frames = plan.foot_frame[stage], plan.base_frame[stage]
+    stance = stance_to_world(reference(plan, stage, u, feet, position), *frames, free_start(belief.obstacle))
+    here = pose(belief.robot, stance, surface_normals(belief, feet, plan.foot_frame[stage]), ~plan.swing[stage])
     return here, distribute(here, bounds, least)
 
 
@@ -251,9 +253,10 @@ def along(belief: Case, plan: Plan, bounds: Bounds, least: Effort) -> Course:
     return Course(force, jax.vmap(jax.vmap(joint_torque))(poses, force), planned)
 
 
-def surface_normals(belief: Case, feet: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
-    """Outward normals of the believed obstacle at footholds."""
-    return fixed_surface(belief.obstacle, feet).normal
+def surface_normals(belief: Case, feet: Float[Array, "6 3"], frame: Int[Array, " 6"]) -> Float[Array, "6 3"]:
+    """Outward normals (world axes) of the believed obstacle, its bodies as they start, at footholds in some frames."""
+    free = free_start(belief.obstacle)
+    return belief.obstacle.surface(to_world(feet, frame, free), (-1,) * 6, poses(free)).normal
 
 
 @parameters
@@ -284,7 +287,7 @@ class PlannedForces:
     def with_feedforward(self, belief: Case, plan: Plan) -> Plan:
         """`plan` with its `course` as offsets of what the believed drives are told (`Feedforward`)."""
         course = self.course(belief, plan)
-        inward = -jax.vmap(lambda feet: surface_normals(belief, feet))(plan.foothold)
+        inward = -jax.vmap(lambda *feet: surface_normals(belief, *feet))(plan.foothold, plan.foot_frame)
         offset = course.torque / belief.drive.stiffness
         told = (jnp.asarray(x, float) for x in (self.creep, self.anchoring))
         return replace(plan, feedforward=Feedforward(offset, jnp.max(course.planned.imbalance, axis=-1), inward, *told))

@@ -1,25 +1,54 @@
-"""Frames in which a plan's targets live: the world's, and two that go with the obstacle's first free body."""
+"""Frames in which a plan's targets live: the world's, and two that go with each of the obstacle's free bodies."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from sweep.core.rotations import conjugate, rotate
+from sweep.core.rotations import conjugate, multiply, rotate
 from sweep.models.obstacles.surface import FreeState
 
-WORLD, KOENIG, FIXED = range(3)  # the body's centre with the world's axes is its Koenig frame; FIXED has its own axes
+WORLD = 0
+
+
+def koenig(body: int) -> int:
+    """The Koenig frame of free body number `body`: its centre, with the world's axes."""
+    return 1 + 2 * body
+
+
+def fixed(body: int) -> int:
+    """The frame of free body number `body` itself: its centre, with its own axes."""
+    return 2 + 2 * body
 
 
 def to_world(points: Float[Array, "n 3"], frame: Int[Array, " n"], free: FreeState) -> Float[Array, "n 3"]:
-    """Points (m), each in its own frame of the body as it is in `free`."""
-    if not free.position.shape[0]:
-        return points
-    turned = jnp.where((frame == FIXED)[:, None], rotate(free.quat[:1], points), points)
-    return turned + (frame != WORLD)[:, None] * free.position[0]
+    """Points (m), each in its own frame of the bodies as they are in `free`."""
+    turned, shift = points, jnp.zeros_like(points)
+    for k in range(free.position.shape[0]):
+        turned = jnp.where((frame == fixed(k))[:, None], rotate(free.quat[k : k + 1], points), turned)
+        shift = shift + _goes_with(frame, k)[:, None] * free.position[k]
+    return turned + shift if free.position.shape[0] else points
 
 
 def to_frame(points: Float[Array, "n 3"], frame: Int[Array, " n"], free: FreeState) -> Float[Array, "n 3"]:
     """The inverse of `to_world`."""
-    if not free.position.shape[0]:
-        return points
-    offset = points - (frame != WORLD)[:, None] * free.position[0]
-    return jnp.where((frame == FIXED)[:, None], rotate(conjugate(free.quat[:1]), offset), offset)
+    for k in range(free.position.shape[0]):
+        points = points - _goes_with(frame, k)[:, None] * free.position[k]
+        points = jnp.where((frame == fixed(k))[:, None], rotate(conjugate(free.quat[k : k + 1]), points), points)
+    return points
+
+
+def attitude_to_world(quat: Float[Array, " 4"], frame: Int[Array, ""], free: FreeState) -> Float[Array, " 4"]:
+    """An attitude that is given in a frame; only a body's own axes turn it."""
+    for k in range(free.position.shape[0]):
+        quat = jnp.where(frame == fixed(k), multiply(free.quat[k], quat), quat)
+    return quat
+
+
+def attitude_to_frame(quat: Float[Array, " 4"], frame: Int[Array, ""], free: FreeState) -> Float[Array, " 4"]:
+    """The inverse of `attitude_to_world`."""
+    for k in range(free.position.shape[0]):
+        quat = jnp.where(frame == fixed(k), multiply(conjugate(free.quat[k]), quat), quat)
+    return quat
+
+
+def _goes_with(frame: Int[Array, " n"], body: int) -> Array:
+    return (frame == koenig(body)) | (frame == fixed(body))

@@ -14,14 +14,19 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from sweep.controllers.frames import WORLD
+from sweep.controllers.frames import WORLD, attitude_to_frame, attitude_to_world, to_frame, to_world
+from sweep.controllers.support import Support
 from sweep.core.rotations import exponential, multiply, rotate
 from sweep.formulas import stepping
 from sweep.models.legs import LEGS
+from sweep.models.obstacles.surface import FreeState
 
 CYCLE_A, CYCLE_B, CYCLE_B_SMOOTH, HALF_ELLIPSE = range(4)  # swings; the third spends its way by lambda_1
 LOCKED, LEVELLING, BALANCE = range(3)  # middle legs: as planned; as a flywheel that comes to rest, or that balances
 STEADY, SMOOTH, ELLIPTIC = range(3)  # how a body path is spent: by its rates, by lambda_1, as the half-ellipse swing
+# How a stage begins: with footholds and base shifted by the base's error; from the feet's measured places, at their
+# commanded depth or pressed as far beyond them as the stage says; or just from what was commanded.
+REZERO, REGRIP, PRESS, KEEP = "rezero", "regrip", "press", "keep"
 
 
 class Stance(NamedTuple):
@@ -49,7 +54,7 @@ class Stage:
     pace: int = STEADY
     rates: tuple[float, float] = (1.0, 1.0)  # of a steady pace at the stage's start and end, in units of its mean
     pivot: Array | None = None  # m, centre of the ellipse that the base goes along
-    arc: float = 0.0  # rad, how far it goes along the ellipse, below pi; 0 is straight on
+    arc: Array | float = 0.0  # rad, how far it goes along the ellipse, below pi; 0 is straight on
     # control points (2, 3) (m, world) of a leg's swing along a cubic Bezier curve, which leaves towards the first and
     # lands from the second: for swings over edges, in place of `height` and `plane`
     guides: Mapping[int, Array] = field(default_factory=dict)
@@ -58,7 +63,11 @@ class Stage:
     posture: Mapping[int, Array | np.ndarray] = field(default_factory=dict)
     flywheel: int = LOCKED
     foot_frames: tuple[int, ...] = (WORLD,) * 6  # in which each foot stands or swings, see frames.py
-    base_frame: int = WORLD  # of its place; the base's attitude is always the world's
+    base_frame: int = WORLD  # of its place; a body's own axes turn its attitude, too
+    support: tuple[Support, ...] = ()  # of every free body; none is said of those that are where they are seen
+    onset: str = REZERO
+    # m, by how much feet on a free body are commanded beyond where they are measured: into it, and to the middle plane
+    press: tuple[Array | float, Array | float] = (0.0, 0.0)
 
 
 class Posture(NamedTuple):
@@ -122,23 +131,28 @@ class Plan:
     arc: Float[Array, " s"]
     foot_frame: Int[Array, "s 6"]
     base_frame: Int[Array, " s"]
+    press: Float[Array, "s 2"]  # m
     patience: Float[Array, ""]  # s, that a stage waits for its swing feet to touch down
+    support: Support | None = None  # leading axes (s, k); None where all bodies are where they are seen
+    ease: Float[Array, ""] | None = None  # s, in which feet go over to where a stage takes them; None: at once
     posture: Posture | None = None
     flywheel: Flywheel | None = None
     feedforward: Feedforward | None = None
     # whether errors are taken back in the plane, with the heading's
     steered: bool = field(default=False, metadata={"static": True})
-    # How a stage begins: from footholds and base shifted by the base's error (rezero), from the feet's measured
-    # places at their commanded depth (regrip), or just from what was commanded (keep).
-    onset: str = field(default="rezero", metadata={"static": True})
+    onset: tuple[str, ...] = field(default=(), metadata={"static": True})  # of each stage
 
 
 def assemble(
     start: Stance, stages: Sequence[Stage], patience: Array | float, gains: Gains | None = None, steered: bool = False,
-    onset: str = "rezero",
+    ease: Array | float | None = None, free: FreeState | None = None,
 ) -> Plan:  # fmt: skip
-    """The table of `stages` from the stance `start` (world axes) on; `gains` are those of the flywheel, if any."""
-    feet, position, quat = start
+    """The table of `stages` from the stance `start` (world axes) on; `gains` are those of the flywheel, if any.
+
+    Where free bodies are as in `free` at the start, what no stage moves is kept in the first stage's frames.
+    """
+    frames = jnp.asarray(stages[0].foot_frames, jnp.int32), jnp.int32(stages[0].base_frame)
+    feet, position, quat = start if free is None else stance_to_frame(start, *frames, free)
     rows = []
     for stage in stages:
         swing = jnp.array([leg in stage.swing for leg in LEGS])
@@ -158,14 +172,27 @@ def assemble(
             "turn": turn, "pace": jnp.int32(stage.pace), "rates": jnp.asarray(stage.rates, float),
             "pivot": pivot, "arc": jnp.asarray(stage.arc, float),
             "foot_frame": jnp.asarray(stage.foot_frames, jnp.int32), "base_frame": jnp.int32(stage.base_frame),
+            "press": jnp.stack([jnp.asarray(depth, float) for depth in stage.press]),
         })  # fmt: skip
         quat = quat if stage.turn is None else multiply(exponential(turn), quat)
     table = {key: jnp.stack([row[key] for row in rows]) for key in rows[0]}
     names = tuple(stage.name for stage in stages)
     mode = jnp.array([stage.flywheel for stage in stages], jnp.int32)
     flywheel = None if gains is None else Flywheel(mode, jax.tree.map(lambda x: jnp.asarray(x, float), gains))
+    onset, ease = tuple(stage.onset for stage in stages), None if ease is None else jnp.asarray(ease, float)
     return Plan(names=names, start=start, patience=jnp.asarray(patience, float), posture=_postures(stages),
-                flywheel=flywheel, feedforward=None, steered=steered, onset=onset, **table)  # fmt: skip
+                flywheel=flywheel, feedforward=None, steered=steered, onset=onset, support=_supports(stages), ease=ease,
+                **table)  # fmt: skip
+
+
+def _supports(stages: Sequence[Stage]) -> Support | None:
+    """How free bodies are meant to move, where a stage says anything of it."""
+    count = max(len(stage.support) for stage in stages)
+    if not count:
+        return None
+    rows = [[Support(*map(jnp.asarray, each)) for each in stage.support or (Support(),) * count] for stage in stages]
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves).reshape(len(rows), count, *leaves[0].shape),
+                        *[each for row in rows for each in row])  # fmt: skip
 
 
 def _postures(stages: Sequence[Stage]) -> Posture | None:
@@ -197,6 +224,18 @@ def moved(plan: Plan, quat: Float[Array, " 4"], by: Float[Array, " 3"]) -> Plan:
     return replace(plan, start=start, foothold=point(plan.foothold), plane=vector(plan.plane),
                    guides=point(plan.guides), quat=turned, position=point(plan.position), pivot=point(plan.pivot),
                    turn=vector(plan.turn))  # fmt: skip
+
+
+def stance_to_world(stance: Stance, feet: Int[Array, " 6"], base: Int[Array, ""], free: FreeState) -> Stance:
+    """A stance whose feet and base are in the given frames."""
+    position = to_world(stance.position[None], base[None], free)[0]
+    return Stance(to_world(stance.feet, feet, free), position, attitude_to_world(stance.quat, base, free))
+
+
+def stance_to_frame(stance: Stance, feet: Int[Array, " 6"], base: Int[Array, ""], free: FreeState) -> Stance:
+    """The inverse of `stance_to_world`."""
+    position = to_frame(stance.position[None], base[None], free)[0]
+    return Stance(to_frame(stance.feet, feet, free), position, attitude_to_frame(stance.quat, base, free))
 
 
 def path_length(plan: Plan) -> Float[Array, ""]:
@@ -249,16 +288,19 @@ def begins(plan: Plan, stage: Int[Array, ""]) -> tuple[Float[Array, "6 3"], Floa
     return feet, jnp.where(stage > 0, plan.position[before], plan.start.position)
 
 
-def reference(plan: Plan, stage: Int[Array, ""], u: Float[Array, ""], feet: Array, position: Array) -> Stance:
-    """What stage number `stage` wants at phase u (0 to 1), having begun with `feet` (6, 3) and base `position`."""
+def swings(plan: Plan, stage: Int[Array, ""], u: Float[Array, ""], feet: Array, goal: Array) -> Float[Array, "6 3"]:
+    """Feet at phase u (0 to 1) of stage number `stage`: those that swing on their way from `feet` to `goal`."""
     share, height = swing_progress(plan.cycle[stage], plan.carry[stage], u)
-    goal = plan.foothold[stage]
     lift = stepping.lift_direction(goal - feet, plan.plane[stage])
     along = feet + share * (goal - feet) + plan.height[stage] * height * lift
     curve = along_guides(feet, plan.guides[stage], goal, share)
     along = jnp.where(plan.guided[stage][:, None], curve, along)
-    swinging = jnp.where(plan.swing[stage][:, None], along, feet)
+    return jnp.where(plan.swing[stage][:, None], along, feet)
+
+
+def reference(plan: Plan, stage: Int[Array, ""], u: Float[Array, ""], feet: Array, position: Array) -> Stance:
+    """What stage number `stage` wants at phase u (0 to 1), having begun with `feet` (6, 3) and base `position`."""
     done = pace_progress(plan.pace[stage], plan.rates[stage], u)
     quat = multiply(exponential(done * plan.turn[stage]), plan.quat[stage])
     centre = along_arc(position, plan.position[stage], plan.pivot[stage], plan.arc[stage], done)
-    return Stance(swinging, centre, quat)
+    return Stance(swings(plan, stage, u, feet, plan.foothold[stage]), centre, quat)

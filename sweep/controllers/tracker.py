@@ -1,6 +1,5 @@
 """The controller: follows a plan stage by stage, and turns feet and base into joint targets (monograph 1.3, 1.4)."""
 
-from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
@@ -8,19 +7,26 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from sweep.controllers import feedforward, flywheel
-from sweep.controllers.frames import to_frame, to_world
+from sweep.controllers import feedforward, flywheel, onset, support
+from sweep.controllers.frames import to_world
 from sweep.controllers.observation import Observation
 from sweep.controllers.observer import Observer, followed
-from sweep.controllers.plan import BALANCE, Plan, Posture, Stance, reference
+from sweep.controllers.plan import BALANCE, REZERO, Plan, Posture, Stance, reference, stance_to_frame, stance_to_world
 from sweep.controllers.posture import feet_in_world
-from sweep.core.rotations import conjugate, exponential, heading, logarithm, multiply, rotate
+from sweep.core.rotations import conjugate, exponential, logarithm, multiply, rotate
 from sweep.formulas import leg, stepping
-from sweep.models.case import Case
+from sweep.models.case import Case, Riding
 from sweep.models.drive import Servo
-from sweep.models.obstacles.surface import FreeState, free_start, poses
+from sweep.models.obstacles.surface import FreeState, free_start
 from sweep.models.robot import Robot
 from sweep.models.scene import mount_yaw, mounts
+
+
+class Slack(NamedTuple):
+    """Feet that go over to where a stage takes them to stand. World axes."""
+
+    command: Float[Array, "6 3"]  # m, feet in the last tick, from the origins of their frames
+    left: Float[Array, "6 3"]  # m, from where they stand to where they were commanded before the stage
 
 
 class TrackerState(NamedTuple):
@@ -37,7 +43,10 @@ class TrackerState(NamedTuple):
     finished: Bool[Array, ""]
     goal: Float[Array, "6 3"]  # m, footholds at the end of the stage, in its frames, of a guided manoeuvre
     memory: Any  # of a guided manoeuvre
-    observer: Observer | None  # of the obstacle's free bodies, of such a manoeuvre
+    observer: Observer | None  # of the obstacle's free bodies, of a manoeuvre on them
+    slack: Slack | None  # in a plan that eases feet over
+    free: FreeState | None  # as seen when the stage began, in a plan that means free bodies to move
+    told: Stance | None  # in the last tick, in the stage's frames, of a manoeuvre with events
 
 
 class Guidance(NamedTuple):
@@ -72,8 +81,6 @@ def joint_targets(robot: Robot, stance: Stance) -> tuple[Float[Array, "6 3"], Fl
 class Guided(Protocol):
     """A manoeuvre whose stages are re-derived from what is measured."""
 
-    observer: Array | float  # s, time constant in which the free bodies' measured poses are taken over
-
     def memory(self, belief: Case, plan: Plan) -> Any:
         """What its feedback remembers, at the start."""
         ...
@@ -85,6 +92,15 @@ class Guided(Protocol):
         ...
 
 
+@runtime_checkable
+class Eventful(Protocol):
+    """A manoeuvre whose stages may be over before their time; `duration` is then the longest that they take."""
+
+    def ends(self, belief: Case, plan: Plan, state: TrackerState, seen: Observation) -> Bool[Array, ""]:
+        """Whether what the stage waits for has come."""
+        ...
+
+
 def init(belief: Case, plan: Plan) -> TrackerState:
     """At the plan's start, standing as it wants."""
     zero = jnp.zeros((), plan.duration.dtype)
@@ -92,20 +108,23 @@ def init(belief: Case, plan: Plan) -> TrackerState:
     free = free_start(belief.obstacle)
     joints, _ = joint_targets(belief.robot, plan.start)
     memory = manoeuvre.memory(belief, plan) if isinstance(manoeuvre, Guided) else None
-    feet = to_frame(plan.start.feet, plan.foot_frame[0], free)
+    start = stance_to_frame(plan.start, plan.foot_frame[0], plan.base_frame[0], free)
     return TrackerState(
         stage=jnp.int32(0),
         clock=zero,
-        feet=feet,
-        position=_place(to_frame, plan.start.position, plan.base_frame[0], free),
+        feet=start.feet,
+        position=start.position,
         error=jnp.zeros(3, zero.dtype),
         turn=jnp.zeros(3, zero.dtype),
         joints=joints,
         origin=joints,
         finished=jnp.asarray(False),
-        goal=feet,
+        goal=start.feet,
         memory=memory,
-        observer=None if memory is None else Observer(free, free),
+        observer=Observer(free, free) if isinstance(manoeuvre, Riding) else None,
+        slack=None if plan.ease is None else Slack(start.feet, jnp.zeros_like(start.feet)),
+        free=None if plan.support is None else free,
+        told=start if isinstance(manoeuvre, Eventful) else None,
     )
 
 
@@ -114,22 +133,30 @@ def step(
 ) -> tuple[TrackerState, Command]:
     """One control tick of `period` seconds."""
     old, manoeuvre = state, belief.manoeuvre
-    if isinstance(manoeuvre, Guided) and state.observer is not None:
+    if isinstance(manoeuvre, Riding) and state.observer is not None:
         observer = followed(state.observer, seen.free, manoeuvre.observer, period)
         state, seen = state._replace(observer=observer), seen._replace(free=observer.second)
     state = _advance(belief, plan, state._replace(clock=state.clock + period), seen, period)
+    free = bodies(plan, state, seen.free)
     if plan.feedforward is not None:
-        state = state._replace(
-            feet=feedforward.anchored(belief.robot, plan, plan.feedforward, state.stage, state.feet, seen, period)
-        )
+        here = plan, plan.feedforward, state.stage
+        state = state._replace(feet=feedforward.anchored(belief.robot, *here, state.feet, seen, free, period))
     phase = jnp.clip(state.clock / plan.duration[state.stage], 0.0, 1.0)
+    begins = (state.stage != old.stage) | ((old.stage == 0) & (old.clock == 0))
     if isinstance(manoeuvre, Guided):
-        begins = (state.stage != old.stage) | ((old.stage == 0) & (old.clock == 0))
         wanted, goal, memory = manoeuvre.guide(belief, plan, state, seen, begins, period)
         state = state._replace(goal=goal, memory=memory)
     else:
         wanted = reference(plan, state.stage, phase, state.feet, state.position)
-    target = _in_world(plan, state, wanted, phase, seen.free)
+    if old.told is not None:
+        state = _from_told(plan, old.stage, old.told, state, wanted, begins, free)
+    target = _in_world(plan, state, wanted, phase, free)
+    if state.slack is not None and plan.ease is not None:
+        eased = _eased(plan, state.slack, old.stage, state, begins, target.feet, free)
+        state, target = state._replace(slack=eased[0]), target._replace(feet=eased[1])
+    if state.told is not None:
+        frames = plan.foot_frame[state.stage], plan.base_frame[state.stage]
+        state = state._replace(told=stance_to_frame(target, *frames, free))
     if plan.feedforward is not None:
         target = target._replace(feet=target.feet + feedforward.creep(plan, plan.feedforward, state.stage, state.clock))
     joints, shortfall = joint_targets(belief.robot, target)
@@ -162,19 +189,41 @@ def _posed(posture: Posture, state: TrackerState, phase: Array) -> Float[Array, 
 
 
 def _in_world(plan: Plan, state: TrackerState, wanted: Stance, phase: Array, free: FreeState) -> Stance:
-    """What the stage wants, with the free body where it is seen.
+    """What the stage wants, with the free bodies as they are seen, or meant to be.
 
     The body error that the stage began with fades out, unless two feet carry.
     """
     stage = state.stage
     left = jnp.where(_balancing(plan, stage), 1.0, 1 - phase)
-    feet = to_world(wanted.feet, plan.foot_frame[stage], free)
-    position = _place(to_world, wanted.position, plan.base_frame[stage], free) + left * state.error
-    return Stance(feet, position, multiply(exponential(left * state.turn), wanted.quat))
+    feet, position, quat = stance_to_world(wanted, plan.foot_frame[stage], plan.base_frame[stage], free)
+    return Stance(feet, position + left * state.error, multiply(exponential(left * state.turn), quat))
 
 
-def _place(convert: Callable, point: Array, frame: Array, free: FreeState) -> Float[Array, " 3"]:
-    return convert(point[None], frame[None], free)[0]
+def _from_told(
+    plan: Plan, before: Array, told: Stance, state: TrackerState, wanted: Stance, begins: Array, free: FreeState
+) -> TrackerState:
+    """The base goes over from where it was told to be to what a stage wants that begins elsewhere.
+
+    As the error of one that is rezeroed does, which is measured.
+    """
+    stage = state.stage
+    was = stance_to_world(told, plan.foot_frame[before], plan.base_frame[before], free)
+    now = stance_to_world(wanted, plan.foot_frame[stage], plan.base_frame[stage], free)
+    takes = begins & ~jnp.asarray(np.array(plan.onset) == REZERO)[stage]
+    return state._replace(
+        error=jnp.where(takes, was.position - now.position, state.error),
+        turn=jnp.where(takes, logarithm(multiply(was.quat, conjugate(now.quat))), state.turn),
+    )
+
+
+def _eased(
+    plan: Plan, slack: Slack, before: Array, state: TrackerState, begins: Array, feet: Array, free: FreeState
+) -> tuple[Slack, Float[Array, "6 3"]]:
+    """Feet (m) on their way to where the stage takes them to stand: a jump would have the drives kick."""
+    was, now = (to_world(jnp.zeros((6, 3)), plan.foot_frame[stage], free) for stage in (before, state.stage))
+    left = jnp.where(begins, slack.command + was - feet, slack.left)
+    feet = feet + jnp.clip(1 - state.clock / plan.ease, 0.0, 1.0) * left  # pyright: ignore[reportOperatorIssue]
+    return Slack(feet - now, left), feet
 
 
 def _balancing(plan: Plan, stage: Int[Array, ""]) -> Bool[Array, ""] | bool:
@@ -185,70 +234,53 @@ def _balancing(plan: Plan, stage: Int[Array, ""]) -> Bool[Array, ""] | bool:
 def _advance(belief: Case, plan: Plan, state: TrackerState, seen: Observation, period: float) -> TrackerState:
     """Go on to the next stage when time is up and every swinging foot has touched down, or patience has run out.
 
-    The next stage starts from the commanded footholds, not the reached ones: that keeps the pressure on the ground.
-    With the onset `rezero` feet and body are shifted and turned together by the measured error of the body's place and
-    attitude, which strains nothing, and the body's part of it then fades: without this, errors add up from stage to
-    stage.
+    A manoeuvre with events may end it earlier, wherever feet and base have come by then.
     """
-    stage = state.stage
+    stage, manoeuvre = state.stage, belief.manoeuvre
     over = state.clock - plan.duration[stage]
     landed = jnp.all(seen.loaded | ~plan.swing[stage])
     ends = (over >= 0) & (landed | (over >= plan.patience)) & ~state.finished
+    goal = state.goal if isinstance(manoeuvre, Guided) else plan.foothold[stage]
+    wanted = multiply(exponential(plan.turn[stage]), plan.quat[stage])
+    reached = Stance(jnp.where(plan.swing[stage][:, None], goal, state.feet), plan.position[stage], wanted)
+    if isinstance(manoeuvre, Eventful) and state.told is not None:
+        ends = ends | (manoeuvre.ends(belief, plan, state, seen) & ~state.finished)
+        early = (over < 0) & plan.swing[stage][:, None]
+        reached = Stance(jnp.where(early, state.told.feet, reached.feet), *state.told[1:])
     last = stage == plan.duration.shape[0] - 1
     following = jnp.where(last, stage, stage + 1)
-    planned = _place(to_world, plan.position[stage], plan.base_frame[stage], seen.free)
-    goal = state.goal if isinstance(belief.manoeuvre, Guided) else plan.foothold[stage]
-    feet = to_world(jnp.where(plan.swing[stage][:, None], goal, state.feet), plan.foot_frame[stage], seen.free)
+    meant = bodies(plan, state, seen.free)
+    ended = stance_to_world(reached, plan.foot_frame[stage], plan.base_frame[stage], meant)
     if plan.feedforward is not None:
-        feet = feet + feedforward.creep(plan, plan.feedforward, stage, state.clock)
-    error, turn = jnp.zeros_like(planned), state.turn
-    if plan.onset == "rezero":
-        feet, error, turn = _with_error(plan, state, seen, feet, planned)
-    elif plan.onset == "regrip":
-        feet = _regripped(belief, feet, seen)
+        ended = ended._replace(feet=ended.feet + feedforward.creep(plan, plan.feedforward, stage, state.clock))
+    begun = onset.begun(belief, plan, following, ended, seen)
+    if plan.flywheel is not None:  # tilted about two feet, it sees nothing of where they are: the error before holds on
+        known = onset.Begun(ended.feet, state.error, state.turn)
+        begun = jax.tree.map(lambda a, b: jnp.where(_balancing(plan, stage), a, b), known, begun)
+    frames, free = (plan.foot_frame[following], plan.base_frame[following]), seen.free
+    starts = stance_to_frame(ended._replace(feet=begun.feet), *frames, free)
+    if plan.support is not None:
+        free = support.begun(jax.tree.map(lambda x: x[following], plan.support), meant, free)
+        starts = starts._replace(position=stance_to_frame(ended, *frames, free).position)
     shifted = state._replace(
         stage=following,
-        clock=jnp.where(last, state.clock, jnp.minimum(over, period)),
-        feet=to_frame(feet, plan.foot_frame[following], seen.free),
-        position=_place(to_frame, planned, plan.base_frame[following], seen.free),
-        error=error,
-        turn=turn,
+        clock=jnp.where(last, state.clock, jnp.minimum(jnp.maximum(over, 0.0), period)),
+        feet=starts.feet,
+        position=starts.position,
+        error=begun.error,
+        turn=begun.turn,
         origin=state.joints,
         finished=last,
+        free=None if state.free is None else free,
     )
     hold = last | ~ends
     kept = state._replace(finished=state.finished | (ends & last))
     return jax.tree.map(lambda a, b: jnp.where(hold, a, b), kept, shifted)
 
 
-def _regripped(belief: Case, commanded: Float[Array, "6 3"], seen: Observation) -> Float[Array, "6 3"]:
-    """Feet where they are measured along the surface, and as deep as they were commanded.
-
-    Also those that have not touched down yet: they are about to, as far off as the base is, which would otherwise be
-    handed on from step to step.
-    """
-    measured = feet_in_world(belief.robot, seen.position, seen.quat, seen.angles)
-    normal = belief.obstacle.surface(measured, (-1,) * 6, poses(seen.free)).normal
-    return measured + jnp.sum((commanded - measured) * normal, axis=-1, keepdims=True) * normal
-
-
-def _with_error(
-    plan: Plan, state: TrackerState, seen: Observation, feet: Array, planned: Array
-) -> tuple[Array, Array, Array]:
-    """Feet moved with the body's error at the end of the stage, and that error of its place (m) and attitude (rad).
-
-    In a plan that is steered only its parts in the plane count: taken up by the standing feet and not by those that
-    land, the others would put the diagonals at different heights. A robot that balanced on two feet has tilted about
-    them: what it sees says nothing of where they are, and the error that it knew before holds on.
-    """
-    error = seen.position - planned
-    wanted = multiply(exponential(plan.turn[state.stage]), plan.quat[state.stage])
-    off = multiply(seen.quat, conjugate(wanted))
-    turn = logarithm(off)
-    if plan.steered:
-        error, turn = error.at[2].set(0.0), jnp.zeros(3).at[2].set(heading(off))
-    moved = planned + error + rotate(exponential(turn)[None], feet - planned)
-    if plan.feedforward is not None:  # feet that are anchored where they are need not be moved
-        moved = feet
-    known = _balancing(plan, state.stage)
-    return jnp.where(known, feet, moved), jnp.where(known, state.error, error), jnp.where(known, state.turn, turn)
+def bodies(plan: Plan, state: TrackerState, seen: FreeState) -> FreeState:
+    """Free bodies as the stage has them: as they are seen, or meant to be."""
+    if plan.support is None or state.free is None:
+        return seen
+    here = jax.tree.map(lambda x: x[state.stage], plan.support)
+    return support.meant(here, state.free, seen, state.clock, plan.duration[state.stage])

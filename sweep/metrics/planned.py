@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from sweep.controllers import forces
 from sweep.controllers.plan import Plan, Stance, begins, reference
@@ -14,7 +14,7 @@ from sweep.formulas import stepping
 from sweep.metrics.geometry import base_gap, leg_gap, links_beyond_foot, support_margin
 from sweep.models import solids
 from sweep.models.case import Case
-from sweep.models.obstacles.surface import fixed_surface, no_bodies, poses
+from sweep.models.obstacles.surface import Bodies, Surface, no_bodies, poses
 from sweep.models.robot import half_size
 
 MID_SWING = 0.05  # m from both ends of a swing, beyond which a foot has to be off the obstacle
@@ -46,24 +46,53 @@ class Holding(NamedTuple):
 
 def margins(case: Case, plan: Plan, stage: Int[Array, ""], u: Float[Array, ""]) -> Margins:
     """At phase `u` of a stage, feet and base where the stages before have planned them. For obstacles that rest."""
-    robot, obstacle = case.robot, case.obstacle
     stance, joints, shortfall = posed(case, plan, stage, u)
-    solid = obstacle.solids(poses(no_bodies()))
-    rotation = matrix(stance.quat)
-    base = stance.position, rotation, half_size(robot)
+    starts, _ = begins(plan, stage)
+    _, later, _ = posed(case, plan, stage, u + jnp.where(u > 0.5, -JOINTS_AT, JOINTS_AT))
+    rates = turn(joints, later) / (JOINTS_AT * plan.duration[stage])
+    goes = Swing(plan.swing[stage], starts, plan.foothold[stage])
+    return left(case, poses(no_bodies()), stance, joints, rates, shortfall, goes)
+
+
+def turn(joints: Float[Array, "6 3"], later: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
+    """How far joints have turned (rad), the shorter way round."""
+    return jnp.mod(later - joints + jnp.pi, 2 * jnp.pi) - jnp.pi
+
+
+class Swing(NamedTuple):
+    """Which feet swing in a stage, and from where to where (m, world axes)."""
+
+    swings: Bool[Array, " 6"]
+    starts: Float[Array, "6 3"]
+    goal: Float[Array, "6 3"]
+
+
+def left(
+    case: Case,
+    bodies: Bodies,
+    stance: Stance,
+    joints: Float[Array, "6 3"],
+    rates: Float[Array, "6 3"],
+    shortfall: Array,
+    swing: Swing,
+) -> Margins:
+    """What a stance leaves among `bodies`; joint angles (rad), their rates (rad/s), reach that is lacking (m)."""
+    robot, obstacle = case.robot, case.obstacle
+    solid = obstacle.solids(bodies)
+    base = stance.position, matrix(stance.quat), half_size(robot)
     points = leg_points(robot, joints)
     legs = stance.position + rotate(stance.quat[None, None], points)
     foot = legs[:, -1]
     to_links = solids.distance_to_segments(solid, *links_beyond_foot(legs, robot.link_radius))
     stretch = jnp.linalg.norm(points[:, -1] - points[:, -3], axis=-1)  # from the knee's joint's other end
     reach = jnp.minimum(robot.thigh + robot.shin - stretch, stretch - jnp.abs(robot.thigh - robot.shin)) - shortfall
-    starts, _ = begins(plan, stage)
-    goes = jnp.minimum(*(jnp.linalg.norm(foot - at, axis=-1) for at in (starts, plan.foothold[stage]))) > MID_SWING
-    above = jnp.where(goes & plan.swing[stage], -fixed_surface(obstacle, foot).depth, jnp.inf)
-    _, later, _ = posed(case, plan, stage, u + jnp.where(u > 0.5, -JOINTS_AT, JOINTS_AT))
-    turn = jnp.abs(jnp.mod(later - joints + jnp.pi, 2 * jnp.pi) - jnp.pi)
-    stands, under = ~plan.swing[stage], fixed_surface(obstacle, starts)
-    inside = fixed_surface(obstacle, starts - AROUND * under.normal).depth
+
+    def surface(at: Array) -> Surface:
+        return obstacle.surface(at, (-1,) * 6, bodies)
+
+    goes = jnp.minimum(*(jnp.linalg.norm(foot - at, axis=-1) for at in (swing.starts, swing.goal))) > MID_SWING
+    above = jnp.where(goes & swing.swings, -surface(foot).depth, jnp.inf)
+    inside = surface(swing.starts - AROUND * surface(swing.starts).normal).depth
     centre = stance.position + rotate(stance.quat, mass_centre(robot, joints))
     return Margins(
         base=solids.distance_to_box(solid, *base),
@@ -72,9 +101,9 @@ def margins(case: Case, plan: Plan, stage: Int[Array, ""], u: Float[Array, ""]) 
         body=base_gap(legs, *base) - robot.link_radius,
         reach=jnp.min(reach),
         swing=jnp.min(above),
-        edge=jnp.min(jnp.where(stands, inside, AROUND)),
-        support=support_margin(stance.feet[:, :2], stands, centre[:2]),
-        rate=-jnp.max(turn) / (JOINTS_AT * plan.duration[stage]),
+        edge=jnp.min(jnp.where(swing.swings, AROUND, inside)),
+        support=support_margin(stance.feet[:, :2], ~swing.swings, centre[:2]),
+        rate=-jnp.max(jnp.abs(rates)),
     )
 
 

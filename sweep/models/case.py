@@ -1,7 +1,7 @@
 """One experiment's parameters. A rollout has two: the world that is simulated, the belief that is planned with."""
 
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from jaxtyping import Array
 
@@ -43,8 +43,14 @@ class Manoeuvre(Protocol):
         ...
 
 
-class Riding(Manoeuvre, Protocol):
-    """What the robot does on a free body."""
+@runtime_checkable
+class Riding(Protocol):
+    """A manoeuvre on free bodies has these members besides."""
+
+    @property
+    def observer(self) -> Array | float:
+        """Time constant (s) in which their measured poses are taken over."""
+        ...
 
     def obstacle_speed(self, duration: Array) -> Array:
         """The speed (m/s) that the body is meant to have at the end of a plan of `duration` (s)."""

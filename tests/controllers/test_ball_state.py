@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from sweep.controllers.ball_state import angular_momentum, centre_of_mass, follow_up, footholds, over_ball
-from sweep.controllers.frames import FIXED, KOENIG, WORLD, to_frame, to_world
+from sweep.controllers.frames import WORLD, attitude_to_frame, attitude_to_world, fixed, koenig, to_frame, to_world
 from sweep.controllers.manoeuvres.balancing.ball import on_ball, perch
 from sweep.controllers.observation import Observation
-from sweep.core.rotations import exponential, rotate
+from sweep.core.rotations import exponential, multiply, rotate
 from sweep.engines.closed_loop import free_state, start_state
 from sweep.formulas.mass_centre import ball_jacobian
 from sweep.models import scene
@@ -27,16 +27,22 @@ def perched():
     return perch(CASE, CASE.manoeuvre)
 
 
-def test_frames_go_with_the_body():
-    turn = exponential(jnp.array([[0.3, -0.2, 0.5]]))
-    still = jnp.zeros((1, 3))
-    free = FreeState(jnp.array([[1.0, 2.0, 0.8]]), turn, still, still)
-    point, frames = jnp.array([0.1, -0.2, 0.7]), jnp.array([WORLD, KOENIG, FIXED])
-    seen = to_world(jnp.stack([point] * 3), frames, free)
+def test_frames_go_with_their_bodies():
+    turn = exponential(jnp.array([[0.3, -0.2, 0.5], [0.1, 0.4, -0.3]]))
+    still = jnp.zeros((2, 3))
+    free = FreeState(jnp.array([[1.0, 2.0, 0.8], [-3.0, 0.0, 0.5]]), turn, still, still)
+    point, frames = jnp.array([0.1, -0.2, 0.7]), jnp.array([WORLD, koenig(0), fixed(0), koenig(1), fixed(1)])
+    seen = to_world(jnp.stack([point] * 5), frames, free)
     np.testing.assert_allclose(seen[0], point, atol=1e-6)
-    np.testing.assert_allclose(seen[1], point + free.position[0], atol=1e-6)
-    np.testing.assert_allclose(seen[2], rotate(turn[0], point) + free.position[0], atol=1e-6)
-    np.testing.assert_allclose(to_frame(seen, frames, free), jnp.stack([point] * 3), atol=1e-6)
+    for k in range(2):
+        np.testing.assert_allclose(seen[1 + 2 * k], point + free.position[k], atol=1e-6)
+        np.testing.assert_allclose(seen[2 + 2 * k], rotate(turn[k], point) + free.position[k], atol=1e-6)
+    np.testing.assert_allclose(to_frame(seen, frames, free), jnp.stack([point] * 5), atol=1e-6)
+    quat = exponential(jnp.array([0.2, 0.1, 0.0]))
+    for frame, wanted in ((koenig(1), quat), (fixed(1), multiply(turn[1], quat))):
+        there = attitude_to_world(quat, jnp.asarray(frame), free)
+        np.testing.assert_allclose(there, wanted, atol=1e-6)
+        np.testing.assert_allclose(attitude_to_frame(there, jnp.asarray(frame), free), quat, atol=1e-6)
 
 
 def test_mass_centre_is_over_the_ball(perched):

@@ -9,7 +9,7 @@ import pytest
 
 from sweep.controllers import tracker
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import Stance
+from sweep.controllers.plan import REGRIP, Stance
 from sweep.core.rotations import exponential, logarithm, rotate
 from sweep.models.obstacles.surface import no_bodies
 from sweep.study.config import compose
@@ -108,7 +108,7 @@ def test_attitude_error_turns_feet_and_body_and_fades(follow, plan):
 
 def test_regripped_feet_stand_where_they_are(plan):
     """Also those that have not touched down: base and feet all being 5 mm ahead strains nothing, and must not."""
-    gripping, ahead = replace(plan, onset="regrip"), jnp.array([5e-3, 0.0, 0.0])
+    gripping, ahead = replace(plan, onset=(REGRIP,) * len(plan.names)), jnp.array([5e-3, 0.0, 0.0])
 
     @jax.jit
     def second_stage():

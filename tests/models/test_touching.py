@@ -2,12 +2,14 @@
 
 import dataclasses
 
+import mujoco
 import numpy as np
 import pytest
 from simulation import simulate
 from touching import Rod, TwoBalls
 
 from sweep.models.contact import Contact
+from sweep.models.obstacles.geoms import add_touching
 from sweep.models.scene import GRAVITY
 from sweep.study.config import compose
 
@@ -91,3 +93,25 @@ def test_rod_holds_and_slides_at_its_friction(rod):
     assert moved[:, 0].max() < 1e-3
     assert moved[-1, 1] > 0.1
     assert rod.residual.max() < 1.0
+
+
+@pytest.mark.parametrize("ratio", [1.0, 0.1])
+def test_pairs_in_c_rebound_as_their_damping_says(ratio):
+    """Two balls, without weight, that nothing else lets meet."""
+    spec = mujoco.MjSpec()
+    spec.option.gravity, spec.option.timestep = [0, 0, 0], STEP
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    for name, x in (("one", 0.0), ("other", 1.05)):
+        body = spec.worldbody.add_body(name=name, pos=[x, 0, 0])
+        body.add_freejoint()
+        body.add_geom(
+            name=name, type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.5, 0, 0], mass=100.0, contype=0, conaffinity=0
+        )
+    add_touching(spec, "one", "other", 0.5, ratio)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    data.qvel[0] = SPEED
+    mujoco.mj_step(model, data, round(SECONDS / STEP))
+    assert data.qvel[0] + data.qvel[6] == pytest.approx(SPEED, abs=1e-6)
+    left = np.exp(-np.pi * ratio / np.sqrt(1 - ratio**2)) if ratio < 1 else 0.0
+    assert (data.qvel[6] - data.qvel[0]) / SPEED == pytest.approx(left, abs=0.15)

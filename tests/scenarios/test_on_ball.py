@@ -88,3 +88,12 @@ def test_fewer_pushes_drive_slower():
     rows = outcomes(["scenario=ball_drive", "engine=native", "manoeuvre.steps=40", "manoeuvre.push_every=4"])
     assert rows["outcome"].tolist() == ["success"]
     assert 0.10 < rows["obstacle_speed_mps"][0] < 0.12
+
+
+@pytest.mark.parametrize("engine", ["native", "mjx"])
+def test_it_comes_down_from_a_ball(engine):
+    """Which stays where it was brought to rest."""
+    rows = outcomes(["scenario=ball_descend", f"engine={engine}"])
+    assert rows["outcome"].tolist() == ["success"], rows["cause"]
+    assert 0.3 < rows["obstacle_x_m"][0] < 0.6
+    assert rows["leg_gap_min_m"][0] > 0

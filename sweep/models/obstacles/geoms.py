@@ -76,6 +76,24 @@ def add_rolling(world: mujoco.MjsBody, body: mujoco.MjsBody, radius: float, resi
     world.add_geom(name="floor_rolling", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.1], **rolling)
 
 
+def add_touching(
+    spec: mujoco.MjSpec, one: str, other: str, friction: float, damping_ratio: float, time: float = 0.004
+) -> None:
+    """How geoms of two bodies, or of a body and the world, meet whatever else they feel.
+
+    With its own friction and damping: the impedance of the feet lets bodies rebound with most of their speed.
+    """
+    spec.add_pair(
+        name=f"{one}_{other}",
+        geomname1=one,
+        geomname2=other,
+        condim=3,
+        friction=[friction] * 2 + [0.0] * 3,
+        solref=[time, damping_ratio],
+        solimp=STIFF["solimp"],
+    )
+
+
 def _look(solid: Solid) -> dict[str, Any]:
     match solid:
         case HalfSpace():

@@ -6,7 +6,7 @@ are stiff: feet that follow its measured attitude as it comes, 1 mrad off at eve
 Therefore the pose goes through an observer, which steady rolling passes without lag.
 """
 
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -22,11 +22,11 @@ from sweep.controllers.ball_state import (
     over_ball,
     towards,
 )
-from sweep.controllers.frames import FIXED, KOENIG
+from sweep.controllers.frames import fixed, koenig
 from sweep.controllers.gaits import TRIPOD
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import CYCLE_A, Plan, Stage, Stance, assemble, swing_progress
+from sweep.controllers.plan import CYCLE_A, KEEP, REGRIP, Plan, Stage, Stance, assemble, swing_progress
 from sweep.controllers.tracker import Guidance, TrackerState
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import conjugate, rotate
@@ -49,7 +49,31 @@ class Perch(NamedTuple):
     position: Float[Array, " 3"]  # of the base, with the mass centre over the ball's
 
 
-def perch(belief: Case, manoeuvre: "BallBalance | BallDrive") -> Perch:
+class Perching(Protocol):
+    """A manoeuvre on top of a ball has these numbers."""
+
+    @property
+    def circle_ratio(self) -> float:
+        """d_1 (R)."""
+        ...
+
+    @property
+    def chord_ratio(self) -> float:
+        """d_2 (d_1)."""
+        ...
+
+    @property
+    def height_ratio(self) -> float:
+        """Of the base over the ball's top (a_r)."""
+        ...
+
+    @property
+    def deepening(self) -> float:
+        """Epsilon, feet inside the ball (m)."""
+        ...
+
+
+def perch(belief: Case, manoeuvre: "Perching") -> Perch:
     """Feet on their circle, the base level over the ball."""
     radius, length = belief.on(Ball).radius, belief.robot.body_length
     circle = manoeuvre.circle_ratio * radius
@@ -96,20 +120,19 @@ class BallBalance:
 
     goal: ClassVar = {**ON_ITS_FEET, "obstacle_speed_error_max_mps": 0.01}
     kind: str = choice("ball_balance", "ball_balance")
-    law: str = choice("manoeuvre", "manoeuvre", "tick", "none")  # how the body is moved to balance the ball: see above
-    stages: int = count(30, at_least=1, at_most=500)  # how many are planned, of T each
-    period: float = quantity(2.0, "s", above=0, at_most=20)  # T, time of a stage
+    law: str = choice("manoeuvre", "manoeuvre", "tick", "none")
+    stages: int = count(30, at_least=1, at_most=500)  # of T each
+    period: float = quantity(2.0, "s", above=0, at_most=20)  # T
     rest: float = quantity(0.0, "s", at_least=0)  # Delta, at the end of T
     offset: float = quantity(0.03, "m")  # of the body ahead of its balanced place, at the start
     offset_aside: float = quantity(0.0, "m")  # the same to the left
-    momentum_gain: float = quantity(1.5, "1/s", at_least=0)  # of the ball's angular momentum, in the law of every tick
-    # of the way back to where the ball started, in the law of every tick
+    momentum_gain: float = quantity(1.5, "1/s", at_least=0)
     place_gain: float = quantity(0.2, "-", at_least=0)
     smoothing: float = quantity(0.05, "s", at_least=0)  # of K_S in the law of every tick
     lag: float = quantity(0.1, "s", above=0)  # in which the mass centre goes to where that law wants it
     reach: float = quantity(0.12, "m", above=0)  # at most so far does that law lean
-    circle_ratio: float = quantity(0.613, "R", above=0, at_most=1)  # d_1, radius of the circle of footholds on the ball
-    chord_ratio: float = quantity(0.7, "d_1", above=0, at_most=1)  # d_2, of the front and rear feet from its middle
+    circle_ratio: float = quantity(0.613, "R", above=0, at_most=1)  # d_1
+    chord_ratio: float = quantity(0.7, "d_1", above=0, at_most=1)  # d_2
     height_ratio: float = quantity(0.257, "a_r", above=0, at_most=2)  # of the base over the ball's top
     deepening: float = quantity(5e-4, "m", at_least=0, at_most=0.05)  # epsilon, feet inside the ball
     observer: float = quantity(0.1, "s", at_least=0)  # in which the ball's measured pose is taken over; 0: at once
@@ -127,11 +150,16 @@ class BallBalance:
         perched = perched._replace(position=perched.position.at[:2].add(off))
         stages = [
             Stage(
-                f"balance{k + 1}", self.period, position=perched.position, foot_frames=(FIXED,) * 6, base_frame=KOENIG
+                f"balance{k + 1}",
+                self.period,
+                position=perched.position,
+                foot_frames=(fixed(0),) * 6,
+                base_frame=koenig(0),
+                onset=KEEP,
             )
             for k in range(self.stages)
         ]
-        return assemble(on_ball(belief, perched), stages, 0.0, onset="keep")
+        return assemble(on_ball(belief, perched), stages, 0.0)
 
     def memory(self, belief: Case, plan: Plan) -> BalanceMemory:
         """The base where the plan starts."""
@@ -185,8 +213,6 @@ class DriveMemory(NamedTuple):
     aside: Float[Array, ""]  # m, delta r^(3) to the left
     aside_before: Float[Array, ""]  # m, of the last step
     way: Float[Array, ""]  # m, of the ball to the left when the step began
-    feet: Float[Array, "6 3"]  # m, commanded in the last tick, Koenig frame
-    slack: Float[Array, "6 3"]  # m, from there to where the step takes them to stand when it begins
 
 
 @parameters
@@ -211,21 +237,20 @@ class BallDrive:
 
     goal: ClassVar = {"obstacle_speed_error_max_mps": 0.0065, "obstacle_aside_max_m": 0.02}
     kind: str = choice("ball_drive", "ball_drive")
-    steps: int = count(50, at_least=1, at_most=500)  # how many are made, in turn by either tripod
-    step_time: float = quantity(1.2, "s", above=0, at_most=20)  # T, time of a step
-    speed: float = quantity(0.13, "m/s")  # v_d, at which the ball is to roll
-    # k_v, how far the mass centre is pushed ahead for each m/s that the ball is too slow
-    speed_gain: float = quantity(0.4, "s", at_least=0)
-    push_every: int = count(1, at_least=1)  # steps from one push ahead to the next
-    push_max: float = quantity(0.06, "m", at_least=0)  # largest push of the mass centre ahead or back
-    aside_gain: float = quantity(0.2, "-", at_least=0)  # k_1, of how far the ball is aside now
-    aside_gain_before: float = quantity(0.15, "-", at_least=0)  # k_2, of how far it was aside a step before
-    compensate: str = choice("both", "both", "aside")  # ways in which the mass centre is kept in place while legs swing
+    steps: int = count(50, at_least=1, at_most=500)
+    step_time: float = quantity(1.2, "s", above=0, at_most=20)  # T
+    speed: float = quantity(0.13, "m/s")  # v_d
+    speed_gain: float = quantity(0.4, "s", at_least=0)  # k_v
+    push_every: int = count(1, at_least=1)  # steps
+    push_max: float = quantity(0.06, "m", at_least=0)
+    aside_gain: float = quantity(0.2, "-", at_least=0)  # k_1
+    aside_gain_before: float = quantity(0.15, "-", at_least=0)  # k_2
+    compensate: str = choice("both", "both", "aside")
     place: float = quantity(1e6, "m")  # x of the ball's centre at which it stops
-    brake: float = quantity(0.2, "1/s", above=0)  # wanted speed for each metre that is left to `place`, at most
-    lift_ratio: float = quantity(0.03, "a_r", above=0, at_most=0.5)  # d_y, how high a swinging foot is lifted
-    circle_ratio: float = quantity(0.613, "R", above=0, at_most=1)  # d_1, radius of the circle of footholds on the ball
-    chord_ratio: float = quantity(0.7, "d_1", above=0, at_most=1)  # d_2, of the front and rear feet from its middle
+    brake: float = quantity(0.2, "1/s", above=0)
+    lift_ratio: float = quantity(0.03, "a_r", above=0, at_most=0.5)  # d_y
+    circle_ratio: float = quantity(0.613, "R", above=0, at_most=1)  # d_1
+    chord_ratio: float = quantity(0.7, "d_1", above=0, at_most=1)  # d_2
     height_ratio: float = quantity(0.257, "a_r", above=0, at_most=2)  # of the base over the ball's top
     deepening: float = quantity(5e-4, "m", at_least=0, at_most=0.05)  # epsilon, feet inside the ball
     observer: float = quantity(0.1, "s", at_least=0)  # in which the ball's measured pose is taken over; 0: at once
@@ -239,30 +264,25 @@ class BallDrive:
         return jnp.where(self.speed * duration > self.place, 0.0, self.speed)
 
     def plan(self, belief: Case) -> Plan:
-        """Tripods in turn; standing feet on the ball's axes, swinging ones in its Koenig frame."""
+        """Steps in turn."""
         perched = perch(belief, self)
+        return assemble(on_ball(belief, perched), self.steps_of(perched, "step"), self.patience, ease=self.ease)
+
+    def steps_of(self, perched: Perch, name: str) -> list[Stage]:
+        """Tripods in turn; standing feet on the ball's axes, swinging ones in its Koenig frame."""
         stages = []
         for k in range(self.steps):
             legs = TRIPOD[k % 2]
             swing = {leg: perched.feet[leg - 1] for leg in legs}
-            frames = tuple(KOENIG if leg in legs else FIXED for leg in LEGS)
-            stages.append(
-                Stage(
-                    f"step{k + 1}",
-                    self.step_time,
-                    swing,
-                    CYCLE_A,
-                    position=perched.position,
-                    foot_frames=frames,
-                    base_frame=KOENIG,
-                )
-            )
-        return assemble(on_ball(belief, perched), stages, self.patience, onset="regrip")
+            frames = tuple(koenig(0) if leg in legs else fixed(0) for leg in LEGS)
+            stages.append(Stage(f"{name}{k + 1}", self.step_time, swing, CYCLE_A, position=perched.position,
+                                foot_frames=frames, base_frame=koenig(0), onset=REGRIP))  # fmt: skip
+        return stages
 
     def memory(self, belief: Case, plan: Plan) -> DriveMemory:
         """Nothing pushed yet."""
-        zero, feet = jnp.zeros(()), perch(belief, self).feet
-        return DriveMemory(zero, zero, zero, zero, feet, jnp.zeros_like(feet))
+        zero = jnp.zeros(())
+        return DriveMemory(zero, zero, zero, zero)
 
     def guide(
         self, belief: Case, plan: Plan, state: TrackerState, seen: Observation, begins: Bool[Array, ""], period: float
@@ -281,9 +301,6 @@ class BallDrive:
         aside = memory.aside_before + blend**2 * (3 - 2 * blend) * (memory.aside - memory.aside_before)
         pulse = memory.push * stabilise_delta(self.step_time, 0.0, state.clock).pulse
         position = self._compensated(belief, plan.position[state.stage], feet, pulse, aside)
-        memory = memory._replace(slack=jnp.where(begins, memory.feet - feet, memory.slack))
-        feet = feet + jnp.clip(1 - state.clock / self.ease, 0.0, 1.0) * memory.slack
-        memory = memory._replace(feet=feet)
         feet = jnp.where(swings, feet, rotate(conjugate(seen.free.quat), feet))
         return Guidance(Stance(feet, position, plan.quat[state.stage]), goal, memory)
 

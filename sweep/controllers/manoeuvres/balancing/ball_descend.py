@@ -1,0 +1,201 @@
+"""From a free ball down to the floor ahead of it (monograph 3.4.2).
+
+Until the front feet stand on the floor, base and feet go with the ball as it is seen; then it is meant to come to rest,
+and feet on it push it there: from where it is seen when each stage begins, and while the robot leaves it from where it
+was meant to be, or the base would follow a ball that rolls away. All numbers of `TABLE` but the order of its stages
+were searched for together, by true distances and with the ball where it rolls to (`tools/search_plan.py`).
+"""
+
+import math
+from collections.abc import Mapping
+from typing import ClassVar
+
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from sweep.controllers.frames import fixed, koenig
+from sweep.controllers.manoeuvres.balancing.ball import BallDrive, on_ball, perch
+from sweep.controllers.manoeuvres.balancing.beside_ball import (
+    FRONT,
+    MIDDLE,
+    ON_FLOOR,
+    REAR,
+    Held,
+    Move,
+    Pose,
+    refuse,
+    stages,
+)
+from sweep.controllers.manoeuvres.balancing.parts import InParts, Steps
+from sweep.controllers.manoeuvres.goals import UPRIGHT
+from sweep.controllers.plan import Plan, Stage, assemble
+from sweep.controllers.support import MEASURED, RESTS, STAYS
+from sweep.controllers.tracker import Guided
+from sweep.core.parameters import choice, count, parameters, quantity
+from sweep.models.case import Case
+from sweep.models.legs import LEGS
+from sweep.models.obstacles.ball import Ball
+
+STILL = (0.0, 0.0)
+
+TABLE = (
+    Move("lower", 0.3, Pose(90.0, 1.332, 0.071), rates=(0.0, 1.0)),
+    Move("rear", 0.7, Pose(90.0, 1.196, 0.14), REAR, place=(0.75, 72.0), lift=0.08, plane=(0.5, 0.0, 1.0)),
+    Move("middle", 0.7, Pose(90.0, 1.325, 0.081), MIDDLE, place=(0.655, 97.0), lift=0.08, plane=(0.5, 0.0, 1.0)),
+    Move("front", 0.7, Pose(90.7, 1.105, -0.034), FRONT, place=(0.597, 157.9), lift=0.08, plane=(0.5, 0.0, 1.0)),
+    Move("turn", 0.35, Pose(104.0, 1.104, 0.135)),
+    Move(
+        "middle2", 0.6, Pose(122.0, 1.128, 0.087), MIDDLE, place=(0.767, 148.4), lift=0.212, plane=(0.241, 0.429, 0.791)
+    ),
+    Move("grip", 0.25, Pose(128.0, 1.131, 0.0)),
+    Move(
+        "front2",
+        0.8,
+        Pose(150.0, 1.087, 0.165),
+        FRONT,
+        ON_FLOOR,
+        place=(0.718, 1.573),
+        lift=0.131,
+        plane=(0.768, 0.49, 0.406),
+        rates=(1.0, 0.5),
+    ),
+    Move("brake", 0.9, Pose(150.0, 1.086, 0.275), rates=(1.0, 0.0), support=RESTS),
+    Move("hold", 0.4, Pose(150.0, 1.079, 0.251), support=RESTS),
+    Move(
+        "rear2",
+        0.8,
+        Pose(150.0, 1.088, 0.416),
+        REAR,
+        place=(0.647, 106.4),
+        lift=0.125,
+        plane=(0.5, 1.0, 0.8),
+        support=RESTS,
+    ),
+    Move("down", 1.5, Pose(141.2, 1.1, 0.686), rates=STILL, support=RESTS),
+    Move(
+        "middle3",
+        0.8,
+        Pose(147.0, 1.068, 0.778),
+        MIDDLE,
+        ON_FLOOR,
+        place=(0.581, 1.142),
+        lift=0.123,
+        plane=(1.355, -0.505, 0.06),
+        support=RESTS,
+    ),
+    Move(
+        "rear3",
+        0.8,
+        Pose(146.1, 1.076, 0.813),
+        REAR,
+        place=(0.706, 164.1),
+        lift=0.229,
+        plane=(0.037, 1.188, 1.421),
+        support=RESTS,
+    ),
+    Move(
+        "middle4",
+        0.8,
+        Pose(145.9, 1.074, 0.777),
+        MIDDLE,
+        ON_FLOOR,
+        place=(0.568, 1.417),
+        lift=0.06,
+        plane=(0.0, 0.0, 1.0),
+        support=RESTS,
+    ),
+    Move(
+        "front3",
+        0.8,
+        Pose(153.1, 1.1, 0.689),
+        FRONT,
+        ON_FLOOR,
+        place=(0.708, 2.067),
+        lift=0.219,
+        plane=(0.189, -0.417, 0.77),
+        support=RESTS,
+    ),
+    Move("level", 2.0, Pose(90.0, -0.278, 1.885), rates=STILL, support=STAYS),
+    Move(
+        "rear4",
+        0.8,
+        Pose(90.0, -0.293, 1.71),
+        REAR,
+        ON_FLOOR,
+        place=(0.455, 1.109),
+        lift=0.152,
+        plane=(1.109, 1.619, 0.361),
+        support=STAYS,
+    ),
+)
+
+
+@parameters
+class BallDescend(InParts):
+    """From standing on a free ball down to the floor ahead. Stages and their numbers are `TABLE`.
+
+    A ball that rolls is stopped first, by steps of tripods as in `ball_drive`, as many of `calm` as it needs.
+    """
+
+    goal: ClassVar = {**UPRIGHT, "obstacle_speed_error_max_mps": 0.01}
+    kind: str = choice("ball_descend", "ball_descend")
+    rate: float = quantity(1.0, "-", above=0, at_most=10)  # of the way to the floor, over that of `TABLE`
+    calm: int = count(10, at_least=1, at_most=100)  # steps at most
+    calm_speed: float = quantity(0.01, "m/s", above=0)  # of a ball that is calm
+    rest: float = quantity(2.0, "s", above=0)  # on the floor, in the end
+    circle_ratio: float = quantity(0.613, "R", above=0, at_most=1)  # d_1 of the feet on top
+    chord_ratio: float = quantity(0.7, "d_1", above=0, at_most=1)  # d_2
+    height_ratio: float = quantity(0.257, "a_r", above=0, at_most=2)  # of the base over the ball's top
+    deepening: float = quantity(5e-4, "m", at_least=0, at_most=0.05)  # epsilon, feet inside ball and floor
+    press: float = quantity(1.4e-3, "m", at_least=0, at_most=0.05)  # feet on the ball deeper than they are measured
+    squeeze: float = quantity(3.5e-3, "m", at_least=0, at_most=0.05)  # the same to the middle
+    observer: float = quantity(0.1, "s", at_least=0)  # in which the ball's measured pose is taken over; 0: at once
+    ease: float = quantity(0.15, "s", above=0)  # in which feet go over to where they are measured
+    patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
+
+    needs = (Ball,)
+
+    @property
+    def table(self) -> tuple[Move, ...]:
+        """The numbers of its plan."""
+        return TABLE
+
+    def obstacle_speed(self, duration: Array) -> Array:
+        """The ball is to stand (m/s)."""
+        return jnp.zeros_like(duration)
+
+    def plan(self, belief: Case, table: tuple[Move, ...] | None = None) -> Plan:
+        """Calm the ball, come down, rest.
+
+        Raises `InputError` where the feet do not reach the ball, by plain numbers.
+        """
+        refuse(belief, lambda: on_ball(belief, perch(belief, self)))
+        ball, perched = belief.on(Ball), perch(belief, self)
+        stand = dict.fromkeys(LEGS, fixed(0))
+        moves = [
+            move._replace(time=move.time / self.rate) if move.support.mode == MEASURED else move
+            for move in (self.table if table is None else table)
+        ]
+        on_top = Pose(90.0, perched.position[2] / ball.radius, perched.position[0] / ball.radius)
+        held = Held(self.deepening, (self.press, self.squeeze))
+        down = stages(ball, moves, on_top, stand, held)
+        last = down[-1]
+        halt = Stage("rest", self.rest, foot_frames=(koenig(0),) * 6, base_frame=koenig(0), support=(STAYS,),
+                     onset=last.onset, press=last.press)  # fmt: skip
+        return assemble(
+            on_ball(belief, perched),
+            [*self.calming.steps_of(perched, "calm"), *down, halt],
+            self.patience,
+            ease=self.ease,
+        )
+
+    @property
+    def calming(self) -> BallDrive:
+        """The steps that stop the ball."""
+        return BallDrive(steps=self.calm, speed=0.0, circle_ratio=self.circle_ratio, chord_ratio=self.chord_ratio,
+                         height_ratio=self.height_ratio, deepening=self.deepening)  # fmt: skip
+
+    @property
+    def parts(self) -> Mapping[str, Guided]:
+        """The calming steps."""
+        return {"calm": Steps(self.calming, self.calm_speed, math.inf)}

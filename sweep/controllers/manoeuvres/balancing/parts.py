@@ -1,0 +1,81 @@
+"""Manoeuvres in parts: some stages follow laws of their own, known by how their names begin, the others the plan."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool
+
+from sweep.controllers.manoeuvres.balancing.ball import BallDrive, DriveMemory
+from sweep.controllers.observation import Observation
+from sweep.controllers.plan import Plan, reference
+from sweep.controllers.tracker import Eventful, Guidance, Guided, TrackerState
+from sweep.models.case import Case
+
+
+def here(plan: Plan, name: str, state: TrackerState) -> Bool[Array, ""]:
+    """Whether the stage is one of those whose names begin so."""
+    return jnp.asarray(np.array([stage.startswith(name) for stage in plan.names]))[state.stage]
+
+
+class InParts(ABC):
+    """Guided in the stages of its parts, and as planned in the others."""
+
+    @property
+    @abstractmethod
+    def parts(self) -> Mapping[str, Guided]:
+        """Its laws, by how the names of their stages begin."""
+
+    def memory(self, belief: Case, plan: Plan) -> dict[str, Any]:
+        """Of each part."""
+        return {name: part.memory(belief, plan) for name, part in self.parts.items()}
+
+    def guide(
+        self, belief: Case, plan: Plan, state: TrackerState, seen: Observation, begins: Bool[Array, ""], period: float
+    ) -> Guidance:
+        """By the part whose stage it is."""
+        stage = state.stage
+        phase = jnp.clip(state.clock / plan.duration[stage], 0.0, 1.0)
+        wanted, goal = reference(plan, stage, phase, state.feet, state.position), plan.foothold[stage]
+        memory = dict(state.memory)
+        for name, part in self.parts.items():
+            told = part.guide(belief, plan, state._replace(memory=state.memory[name]), seen, begins, period)
+            now, before = here(plan, name, state), (wanted, goal, state.memory[name])
+            wanted, goal, memory[name] = jax.tree.map(lambda a, b, now=now: jnp.where(now, a, b), tuple(told), before)
+        return Guidance(wanted, goal, memory)
+
+    def ends(self, belief: Case, plan: Plan, state: TrackerState, seen: Observation) -> Bool[Array, ""]:
+        """Where the part says so whose stage it is."""
+        over = jnp.asarray(False)
+        for name, part in self.parts.items():
+            if isinstance(part, Eventful):
+                own = state._replace(memory=state.memory[name])
+                over = over | (here(plan, name, state) & part.ends(belief, plan, own, seen))
+        return over
+
+
+class Steps(NamedTuple):
+    """Tripods on a ball until it is calm, and where it is to be; as many as it needs."""
+
+    drive: BallDrive
+    calm: Array | float  # m/s
+    within: Array | float  # m, of the drive's place
+
+    def memory(self, belief: Case, plan: Plan) -> DriveMemory:
+        """Of the drive."""
+        return self.drive.memory(belief, plan)
+
+    def guide(
+        self, belief: Case, plan: Plan, state: TrackerState, seen: Observation, begins: Bool[Array, ""], period: float
+    ) -> Guidance:
+        """By the drive's law."""
+        return self.drive.guide(belief, plan, state, seen, begins, period)
+
+    def ends(self, belief: Case, plan: Plan, state: TrackerState, seen: Observation) -> Bool[Array, ""]:
+        """No step is begun where the ball needs none."""
+        begins = state.clock < 0.05 * plan.duration[state.stage]
+        near = jnp.abs(seen.free.position[0, 0] - self.drive.place) < self.within
+        return begins & near & (jnp.linalg.norm(seen.free.velocity[0]) < self.calm)

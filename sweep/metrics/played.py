@@ -1,0 +1,133 @@
+"""A plan on free bodies without physics: played through by its own tracker, which is told that all goes as it commands.
+
+Bodies go as they are meant to. A ball that is followed where it is seen rolls as the angular momentum of robot and ball
+about its lowest point has it, links counted as mass points; it stays where it is while feet stand on the floor, too.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from sweep.controllers import forces, tracker
+from sweep.controllers.ball_state import UP
+from sweep.controllers.frames import to_world
+from sweep.controllers.observation import Observation
+from sweep.controllers.plan import Plan, Stance
+from sweep.controllers.posture import feet_in_world, mass_centre
+from sweep.controllers.support import MEASURED
+from sweep.controllers.tracker import TrackerState
+from sweep.core.rotations import exponential, multiply, rotate
+from sweep.formulas.ball import GRAVITY, ROLLING
+from sweep.metrics.planned import Holding, Margins, Swing, left, turn
+from sweep.models.case import Case
+from sweep.models.obstacles.ball import Ball
+from sweep.models.obstacles.surface import FreeState, free_start, poses
+from sweep.models.robot import total_mass
+
+SHARES = (0.1, 0.5, 0.95)  # of a stage, at which forces are planned
+
+
+class Played(NamedTuple):
+    """By tick."""
+
+    stage: Int[Array, " t"]
+    margins: Margins
+    free: FreeState
+    stance: Stance
+    stands: Bool[Array, "t 6"]
+
+
+class Roll(NamedTuple):
+    """Of a ball: angular momentum about its lowest point, as K = up x this; the robot's mass centre from its centre."""
+
+    momentum: Float[Array, " 2"]  # kg m^2/s
+    centre: Float[Array, " 3"]  # m
+
+
+def play(case: Case, plan: Plan, period: float, ticks: int) -> Played:
+    """The plan of `case`, which is its own world and belief, in `ticks` of `period` s."""
+    free = free_start(case.obstacle)
+    state = tracker.init(case, plan)
+    still, joints = jnp.zeros(3), state.joints
+    centre = plan.start.position + rotate(plan.start.quat, mass_centre(case.robot, joints)) - free.position[0]
+    seen = Observation(
+        plan.start.position,
+        plan.start.quat,
+        still,
+        still,
+        joints,
+        jnp.zeros((6, 3)),
+        jnp.zeros((6, 3)),
+        jnp.ones(6, bool),
+        free,
+    )
+
+    def tick(carry: tuple, _: None) -> tuple[tuple, Played]:
+        state, seen, roll = carry
+        state, command = tracker.step(case, plan, state, seen, period)
+        position, quat = command.target.position, command.target.quat
+        rates = turn(seen.angles, command.joints) / period
+        stage, free = state.stage, tracker.bodies(plan, state, seen.free)
+        starts, goal = (to_world(feet, plan.foot_frame[stage], free) for feet in (state.feet, state.goal))
+        swing = Swing(plan.swing[stage], starts, goal)
+        now = left(case, poses(free), command.target, command.joints, rates, command.shortfall, swing)
+        feet = feet_in_world(case.robot, position, quat, command.joints)
+        on_floor = jnp.any(~swing.swings & (case.obstacle.surface(feet, (-1,) * 6, poses(free)).body < 0))
+        at = position + rotate(quat, mass_centre(case.robot, command.joints))
+        roll, then = _rolled(case, plan, state, roll, free, at - free.position[0], on_floor, period)
+        velocity = (position - seen.position) / period
+        seen = seen._replace(position=position, quat=quat, velocity=velocity, angles=command.joints, free=then)
+        return (state, seen, roll), Played(stage, now, free, command.target, ~swing.swings)
+
+    _, found = jax.lax.scan(tick, (state, seen, Roll(jnp.zeros(2), centre)), None, length=ticks)
+    return found
+
+
+def _rolled(
+    case: Case, plan: Plan, state: TrackerState, roll: Roll, free: FreeState, centre: Array, on_floor: Array, h: float
+) -> tuple[Roll, FreeState]:
+    """The ball `h` s later, with the robot's mass centre at `centre` (m) from its own.
+
+    K = up x k, k = 7/5 M R v + m ((z + R)(v + u) - x u_z), where the mass centre moves by u over the ball and lies x
+    ahead and z above; k changes by m (g x + u_z v).
+    """
+    assert isinstance(case.obstacle, Ball)
+    ball, mass = case.obstacle, total_mass(case.robot)
+    u = (centre - roll.centre) / h
+    v = free.velocity[0, :2]
+    above = centre[2] + ball.radius
+    inertia = ROLLING * ball.mass * ball.radius + mass * above
+    own = mass * (above * u[:2] - u[2] * centre[:2])
+    follows = jnp.asarray(True) if plan.support is None else jnp.asarray(plan.support.mode)[state.stage, 0] == MEASURED
+    momentum = roll.momentum + h * mass * (GRAVITY * centre[:2] + u[2] * v)
+    rolls = (momentum - own) / inertia
+    meant = jnp.where(follows, 0.0, v)
+    v = jnp.where(follows & ~on_floor, rolls, meant)
+    velocity = jnp.append(v, 0.0)
+    turn = jnp.cross(jnp.asarray(UP), velocity) / ball.radius
+    moved = jnp.where(follows, h * velocity, 0.0)
+    turned = jnp.where(follows, h * turn, 0.0)
+    then = FreeState(free.position + moved, multiply(exponential(turned)[None], free.quat), velocity[None], turn[None])
+    return Roll(inertia * v + own, centre), then
+
+
+def holding(case: Case, found: Played, bounds: forces.Bounds, stages: int) -> Holding:
+    """What the forces of least friction within `bounds` leave at `SHARES` of every stage, standing still (S, 3)."""
+    ticks = jnp.arange(found.stage.shape[0])
+    first, last = (of(ticks, found.stage, stages) for of in (jax.ops.segment_min, jax.ops.segment_max))
+    at = jnp.clip(first[:, None] + jnp.asarray(SHARES) * (last - first)[:, None], 0, len(ticks) - 1).astype(jnp.int32)
+
+    def one(tick: Array) -> Holding:
+        stance, free, stands = jax.tree.map(lambda x: x[tick], (found.stance, found.free, found.stands))
+        normal = case.obstacle.surface(stance.feet, (-1,) * 6, poses(free)).normal
+        held = forces.distribute(forces.pose(case.robot, stance, normal, stands), bounds, "friction")
+        return Holding(case.contact.friction - held.friction, case.drive.torque_limit - held.torque, -held.imbalance)
+
+    return jax.vmap(jax.vmap(one))(at)
+
+
+def by_stage(found: Played, stages: int) -> Margins:
+    """The least of every stage (S,); infinite where none was played."""
+    return jax.tree.map(lambda x: jax.ops.segment_min(x, found.stage, stages), found.margins)
