@@ -8,7 +8,6 @@ from jaxtyping import Array, Float
 from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment
 from sweep.models.case import Riding
 
-MOST = 2  # bodies that have columns
 TAIL = 12.0  # s, before the planned end, over which the obstacle's final speed is taken
 
 
@@ -60,22 +59,6 @@ def figures(found: FreeBodies, at: Elapsed) -> dict[str, Array]:
         "obstacle_aside_max_m": found.aside,
         "obstacle_speed_mps": speed,
         "obstacle_speed_error_mps": jnp.abs(speed - aim),
-        **{
-            f"obstacle{k + 1}_{name}": value
-            for k in range(1, min(MOST, found.place.shape[0]))
-            for name, value in _other(found, k, at.time).items()
-        },
-    }
-
-
-def _other(found: FreeBodies, k: int, time: Array) -> dict[str, Array]:
-    """Of a body that the robot does not ride on."""
-    speed = jnp.linalg.norm((found.place - found.tail)[k, :2]) / jnp.maximum(time - found.tail_time, 1e-9)
-    return {
-        "x_m": found.place[k, 0],
-        "y_m": found.place[k, 1],
-        "speed_mps": speed,
-        "moved_m": jnp.linalg.norm((found.place - found.start)[k]),
     }
 
 
@@ -91,10 +74,6 @@ METRIC = Metric(
         "obstacle_aside_max_m": "the farthest that it was sideways of the x axis",
         "obstacle_speed_mps": f"its mean speed over the last {TAIL:g} s",
         "obstacle_speed_error_mps": "difference of that from the speed that the manoeuvre aims at",
-        "obstacle2_x_m": "where the obstacle's second free body ended, along the world's x axis",
-        "obstacle2_y_m": "the same along y",
-        "obstacle2_speed_mps": f"its mean speed over the last {TAIL:g} s",
-        "obstacle2_moved_m": "how far it ended from its start",
     },
     (
         Cause(

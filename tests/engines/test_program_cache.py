@@ -123,7 +123,7 @@ def made_of(monkeypatch, settings=(), limits=(), case=CASE, vary=False, slot=Non
     engine = Mjx(EngineSettings(width=2, **dict(settings)), case, case, Thresholds(**dict(limits)))
     world = dataclasses.replace(case, contact=dataclasses.replace(case.contact, friction=np.ones(2) if vary else 1.0))
     with jax.enable_x64(engine.settings.precision == "float64"):
-        engine._prepare(world, case, np.zeros(2, int), slot)
+        engine._prepare(world, case, np.zeros(2, int), slot, None)
     return asked[0]
 
 

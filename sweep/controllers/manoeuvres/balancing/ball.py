@@ -120,19 +120,20 @@ class BallBalance:
 
     goal: ClassVar = {**ON_ITS_FEET, "obstacle_speed_error_max_mps": 0.01}
     kind: str = choice("ball_balance", "ball_balance")
-    law: str = choice("manoeuvre", "manoeuvre", "tick", "none")
-    stages: int = count(30, at_least=1, at_most=500)  # of T each
-    period: float = quantity(2.0, "s", above=0, at_most=20)  # T
+    law: str = choice("manoeuvre", "manoeuvre", "tick", "none")  # how the body is moved to balance the ball: see above
+    stages: int = count(30, at_least=1, at_most=500)  # how many are planned, of T each
+    period: float = quantity(2.0, "s", above=0, at_most=20)  # T, time of a stage
     rest: float = quantity(0.0, "s", at_least=0)  # Delta, at the end of T
     offset: float = quantity(0.03, "m")  # of the body ahead of its balanced place, at the start
     offset_aside: float = quantity(0.0, "m")  # the same to the left
-    momentum_gain: float = quantity(1.5, "1/s", at_least=0)
+    momentum_gain: float = quantity(1.5, "1/s", at_least=0)  # of the ball's angular momentum, in the law of every tick
+    # of the way back to where the ball started, in the law of every tick
     place_gain: float = quantity(0.2, "-", at_least=0)
     smoothing: float = quantity(0.05, "s", at_least=0)  # of K_S in the law of every tick
     lag: float = quantity(0.1, "s", above=0)  # in which the mass centre goes to where that law wants it
     reach: float = quantity(0.12, "m", above=0)  # at most so far does that law lean
-    circle_ratio: float = quantity(0.613, "R", above=0, at_most=1)  # d_1
-    chord_ratio: float = quantity(0.7, "d_1", above=0, at_most=1)  # d_2
+    circle_ratio: float = quantity(0.613, "R", above=0, at_most=1)  # d_1, radius of the circle of footholds on the ball
+    chord_ratio: float = quantity(0.7, "d_1", above=0, at_most=1)  # d_2, of the front and rear feet from its middle
     height_ratio: float = quantity(0.257, "a_r", above=0, at_most=2)  # of the base over the ball's top
     deepening: float = quantity(5e-4, "m", at_least=0, at_most=0.05)  # epsilon, feet inside the ball
     observer: float = quantity(0.1, "s", at_least=0)  # in which the ball's measured pose is taken over; 0: at once
@@ -237,20 +238,21 @@ class BallDrive:
 
     goal: ClassVar = {"obstacle_speed_error_max_mps": 0.0065, "obstacle_aside_max_m": 0.02}
     kind: str = choice("ball_drive", "ball_drive")
-    steps: int = count(50, at_least=1, at_most=500)
-    step_time: float = quantity(1.2, "s", above=0, at_most=20)  # T
-    speed: float = quantity(0.13, "m/s")  # v_d
-    speed_gain: float = quantity(0.4, "s", at_least=0)  # k_v
-    push_every: int = count(1, at_least=1)  # steps
-    push_max: float = quantity(0.06, "m", at_least=0)
-    aside_gain: float = quantity(0.2, "-", at_least=0)  # k_1
-    aside_gain_before: float = quantity(0.15, "-", at_least=0)  # k_2
-    compensate: str = choice("both", "both", "aside")
+    steps: int = count(50, at_least=1, at_most=500)  # how many are made, in turn by either tripod
+    step_time: float = quantity(1.2, "s", above=0, at_most=20)  # T, time of a step
+    speed: float = quantity(0.13, "m/s")  # v_d, at which the ball is to roll
+    # k_v, how far the mass centre is pushed ahead for each m/s that the ball is too slow
+    speed_gain: float = quantity(0.4, "s", at_least=0)
+    push_every: int = count(1, at_least=1)  # steps from one push ahead to the next
+    push_max: float = quantity(0.06, "m", at_least=0)  # largest push of the mass centre ahead or back
+    aside_gain: float = quantity(0.2, "-", at_least=0)  # k_1, of how far the ball is aside now
+    aside_gain_before: float = quantity(0.15, "-", at_least=0)  # k_2, of how far it was aside a step before
+    compensate: str = choice("both", "both", "aside")  # ways in which the mass centre is kept in place while legs swing
     place: float = quantity(1e6, "m")  # x of the ball's centre at which it stops
-    brake: float = quantity(0.2, "1/s", above=0)
-    lift_ratio: float = quantity(0.03, "a_r", above=0, at_most=0.5)  # d_y
-    circle_ratio: float = quantity(0.613, "R", above=0, at_most=1)  # d_1
-    chord_ratio: float = quantity(0.7, "d_1", above=0, at_most=1)  # d_2
+    brake: float = quantity(0.2, "1/s", above=0)  # wanted speed for each metre that is left to `place`, at most
+    lift_ratio: float = quantity(0.03, "a_r", above=0, at_most=0.5)  # d_y, how high a swinging foot is lifted
+    circle_ratio: float = quantity(0.613, "R", above=0, at_most=1)  # d_1, radius of the circle of footholds on the ball
+    chord_ratio: float = quantity(0.7, "d_1", above=0, at_most=1)  # d_2, of the front and rear feet from its middle
     height_ratio: float = quantity(0.257, "a_r", above=0, at_most=2)  # of the base over the ball's top
     deepening: float = quantity(5e-4, "m", at_least=0, at_most=0.05)  # epsilon, feet inside the ball
     observer: float = quantity(0.1, "s", at_least=0)  # in which the ball's measured pose is taken over; 0: at once

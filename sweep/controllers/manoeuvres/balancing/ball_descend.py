@@ -144,7 +144,7 @@ class BallDescend(InParts):
     calm_speed: float = quantity(0.01, "m/s", above=0)  # of a ball that is calm
     rest: float = quantity(2.0, "s", above=0)  # on the floor, in the end
     circle_ratio: float = quantity(0.613, "R", above=0, at_most=1)  # d_1 of the feet on top
-    chord_ratio: float = quantity(0.7, "d_1", above=0, at_most=1)  # d_2
+    chord_ratio: float = quantity(0.7, "d_1", above=0, at_most=1)  # d_2, of the front and rear feet from its middle
     height_ratio: float = quantity(0.257, "a_r", above=0, at_most=2)  # of the base over the ball's top
     deepening: float = quantity(5e-4, "m", at_least=0, at_most=0.05)  # epsilon, feet inside ball and floor
     press: float = quantity(1.4e-3, "m", at_least=0, at_most=0.05)  # feet on the ball deeper than they are measured

@@ -93,6 +93,7 @@ class OnCorner(PlannedForces):
     # half the distance between the feet on the floor
     floor_track_ratio: float = quantity(0.44, "a_r", above=0, at_most=1)
     span_ratio: float = quantity(1.3, "a_r", above=0, at_most=3)  # from the rear to the front feet on the wall
+    # from the middle feet to the pair that swings next, along the wall
     near_ratio: float = quantity(0.24, "a_r", above=0, at_most=1)
     height_ratio: float = quantity(0.5, "a_r", above=0, at_most=2)  # zeta_f, of the base above the floor
     # d_x, half of what a foot moves ahead in a swing

@@ -121,9 +121,10 @@ class OnPole(PlannedForces):
 
     steps: int = count(4, at_least=0, at_most=100)  # swings of the approach, 2 x* each
     cycles: int = count(3, at_least=0, at_most=100)  # of the gallop, 3 x* each
-    half_step_ratio: float = quantity(0.1, "a_r", above=0, at_most=0.5)  # d_x
-    lift_ratio: float = quantity(0.03, "a_r", above=0, at_most=0.5)  # d_y
-    height_ratio: float = quantity(0.5, "a_r", above=0, at_most=2)  # d
+    # d_x, half of what a foot moves ahead in a swing
+    half_step_ratio: float = quantity(0.1, "a_r", above=0, at_most=0.5)
+    lift_ratio: float = quantity(0.03, "a_r", above=0, at_most=0.5)  # d_y, how high a swinging foot is lifted
+    height_ratio: float = quantity(0.5, "a_r", above=0, at_most=2)  # d, of the base above the floor
     gap_ratio: float = quantity(0.07, "a_r", at_least=0, at_most=2)  # d_c - r
     spread_ratio: float = quantity(0.175, "a_r", above=0, at_most=1)  # of feet on the floor from their hips, sideways
     # How far in front of the pole's axis the front feet first touch it, and how much more for every a_r by which r
@@ -131,10 +132,12 @@ class OnPole(PlannedForces):
     # touches it at the angle psi in front of its side needs a friction of tan(psi) to stay there (2.1): farther ahead
     # than shins need is no better.
     front_ahead: float = quantity(0.47, "r", at_least=0, at_most=1)
+    # by how much more for each a_r that the pole's radius is above 0.4 a_r
     front_ahead_slope: float = quantity(1.5, "r/a_r", at_least=0, at_most=10)
-    rate: float = quantity(3.0, "rad/s", above=0, at_most=20)  # varpi
+    rate: float = quantity(3.0, "rad/s", above=0, at_most=20)  # varpi, of the swings, whose time t* it gives
     deepening: float = quantity(5e-3, "m", at_least=0, at_most=0.05)  # epsilon, footholds inside the pole
     patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
+    # what presses feet on: footholds inside the pole, or forces planned for every stance
     forces: str = choice("deepening", "deepening", "planned")
 
     needs = (PoleLedge,)
