@@ -116,14 +116,14 @@ def test_nothing_is_kept_of_sources_written_since_the_start(folder, monkeypatch)
     assert not list(folder.glob("*.programs"))
 
 
-def made_of(monkeypatch, settings=(), limits=(), case=CASE, vary=False, slot=None) -> str:
+def made_of(monkeypatch, settings=(), limits=(), case=CASE, vary=False, slots=None) -> str:
     """What an engine says that its programs depend on."""
     asked = []
     monkeypatch.setattr(program_cache, "programs", lambda parts, *_: asked.append(repr(parts)) or (None,) * 3)
     engine = Mjx(EngineSettings(width=2, **dict(settings)), case, case, Thresholds(**dict(limits)))
     world = dataclasses.replace(case, contact=dataclasses.replace(case.contact, friction=np.ones(2) if vary else 1.0))
     with jax.enable_x64(engine.settings.precision == "float64"):
-        engine._prepare(world, case, np.zeros(2, int), slot, None)
+        engine._prepare(world, case, np.zeros(2, int), slots, None)
     return asked[0]
 
 
@@ -135,7 +135,7 @@ MJX = {"settings": {"dynamics": "mjx"}}
 DIFFERENT = {
     "steps of the solver": {"settings": {"iterations": 3}}, "time step": {"settings": {"time_step": 1e-3}},
     "precision": {"settings": {"precision": "float64"}}, "limits": {"limits": {"tilt_max_deg": 21.0}},
-    "dynamics": MJX, "what varies": {"vary": True}, "a recorded slot": {"slot": 0},
+    "dynamics": MJX, "what varies": {"vary": True}, "a recorded slot": {"slots": np.zeros(1, int)},
     "links": {"case": changed("robot", legs="three_link", coxa=0.05)},
     "noise": {"case": changed("noise", position_noise=1e-3)},
     "length of the walk": {"case": changed("manoeuvre", steps=3)},
