@@ -20,6 +20,7 @@ SCENARIOS = (
     "walk_tripod",
     "walk_gallop",
     "walk_slope",
+    "walk_kerb",
     "hexagon_waypoints",
     "stand_push",
     "pole_climb",
@@ -31,6 +32,7 @@ SCENARIOS = (
     "pole_ledge_below",
     "ball_balance",
     "ball_drive",
+    "ball_descend",
     "corner_full",
 )
 
