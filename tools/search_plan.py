@@ -6,7 +6,8 @@
 The draws are a study's points, known to the planner; those of the study's next seed are not searched on and tell
 whether what was found holds. A manoeuvre that can be searched has a `table` of named tuples, and a `plan` that takes
 another one in its place; any number in it can be freed. Margins are those of `sweep.metrics.planned`; plans on free
-bodies are played through by the tracker (`sweep.metrics.played`), with a ball where it rolls to.
+bodies are played through by the tracker (`sweep.metrics.played`), with a ball where it rolls to. Feet are where they
+are commanded: where that is inside the obstacle by a `deepening`, real links are about as much farther out.
 """
 
 import argparse
