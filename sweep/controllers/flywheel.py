@@ -8,7 +8,7 @@ from jaxtyping import Array, Bool, Float, Int
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import BALANCE, LOCKED, Flywheel, Plan
 from sweep.controllers.posture import mass_centre
-from sweep.core.rotations import rotate
+from sweep.core.rotations import rotate, wrapped
 from sweep.models.drive import Servo
 from sweep.models.robot import Robot
 from sweep.models.scene import GRAVITY
@@ -33,10 +33,10 @@ def order(
     place, velocity = centre_of_mass(robot, seen)
     balance = -(gains.c1 * ((place - plan.position[stage]) @ left) + gains.c2 * (velocity @ left)) / 2
     angle = seen.angles[RIGHT]
-    level = gains.c5 * _wrapped(angle - jnp.pi / 2) - gains.c6 * seen.rates[RIGHT]
+    level = gains.c5 * wrapped(angle - jnp.pi / 2) - gains.c6 * seen.rates[RIGHT]
     torque = jnp.where(wheel.mode[stage] == BALANCE, balance, level) - weight(robot) * jnp.sin(angle)
     zeros = jnp.zeros_like(seen.angles)
-    along = seen.angles[LEFT] + _wrapped(angle - seen.angles[LEFT])
+    along = seen.angles[LEFT] + wrapped(angle - seen.angles[LEFT])
     servo = Servo(
         target=seen.angles.at[LEFT].set(along),
         stiffness=zeros.at[LEFT].set(-gains.c3),
@@ -56,8 +56,3 @@ def centre_of_mass(robot: Robot, seen: Observation) -> tuple[Float[Array, " 3"],
     arm, change = jax.jvp(lambda angles: mass_centre(robot, angles), (seen.angles,), (seen.rates,))
     place = seen.position + rotate(seen.quat, arm)
     return place, seen.velocity + rotate(seen.quat, jnp.cross(seen.spin, arm) + change)
-
-
-def _wrapped(angle: Array) -> Array:
-    """The same angle between -pi and pi."""
-    return jnp.mod(angle + jnp.pi, 2 * jnp.pi) - jnp.pi

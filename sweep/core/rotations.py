@@ -52,3 +52,8 @@ def matrix(quat: Float[Array, "*b 4"]) -> Float[Array, "*b 3 3"]:
     """Rotation matrix; its columns are the body's axes in the world."""
     axes = [rotate(quat, jnp.broadcast_to(axis, quat[..., 1:].shape)) for axis in jnp.eye(3, dtype=quat.dtype)]
     return jnp.stack(axes, axis=-1)
+
+
+def wrapped(angle: Float[Array, "*b"]) -> Float[Array, "*b"]:
+    """The same angle (rad) between -pi and pi."""
+    return jnp.mod(angle + jnp.pi, 2 * jnp.pi) - jnp.pi

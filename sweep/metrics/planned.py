@@ -9,7 +9,7 @@ from sweep.controllers import forces
 from sweep.controllers.plan import Plan, Stance, begins, reference
 from sweep.controllers.posture import feet_in_world, leg_points, mass_centre
 from sweep.controllers.tracker import joint_targets
-from sweep.core.rotations import matrix, rotate
+from sweep.core.rotations import matrix, rotate, wrapped
 from sweep.formulas import stepping
 from sweep.metrics.geometry import base_gap, leg_gap, links_beyond_foot, support_margin
 from sweep.models import solids
@@ -49,14 +49,9 @@ def margins(case: Case, plan: Plan, stage: Int[Array, ""], u: Float[Array, ""]) 
     stance, joints, shortfall = posed(case, plan, stage, u)
     starts, _ = begins(plan, stage)
     _, later, _ = posed(case, plan, stage, u + jnp.where(u > 0.5, -JOINTS_AT, JOINTS_AT))
-    rates = turn(joints, later) / (JOINTS_AT * plan.duration[stage])
+    rates = wrapped(later - joints) / (JOINTS_AT * plan.duration[stage])
     goes = Swing(plan.swing[stage], starts, plan.foothold[stage])
     return left(case, poses(no_bodies()), stance, joints, rates, shortfall, goes)
-
-
-def turn(joints: Float[Array, "6 3"], later: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
-    """How far joints have turned (rad), the shorter way round."""
-    return jnp.mod(later - joints + jnp.pi, 2 * jnp.pi) - jnp.pi
 
 
 class Swing(NamedTuple):

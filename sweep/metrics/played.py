@@ -18,9 +18,9 @@ from sweep.controllers.plan import Plan, Stance
 from sweep.controllers.posture import feet_in_world, mass_centre
 from sweep.controllers.support import MEASURED
 from sweep.controllers.tracker import TrackerState
-from sweep.core.rotations import exponential, multiply, rotate
+from sweep.core.rotations import exponential, multiply, rotate, wrapped
 from sweep.formulas.ball import GRAVITY, ROLLING
-from sweep.metrics.planned import Holding, Margins, Swing, left, turn
+from sweep.metrics.planned import Holding, Margins, Swing, left
 from sweep.models.case import Case
 from sweep.models.obstacles.ball import Ball
 from sweep.models.obstacles.surface import FreeState, free_start, poses
@@ -68,7 +68,7 @@ def play(case: Case, plan: Plan, period: float, ticks: int) -> Played:
         state, seen, roll = carry
         state, command = tracker.step(case, plan, state, seen, period)
         position, quat = command.target.position, command.target.quat
-        rates = turn(seen.angles, command.joints) / period
+        rates = wrapped(command.joints - seen.angles) / period
         stage, free = state.stage, tracker.bodies(plan, state, seen.free)
         starts, goal = (to_world(feet, plan.foot_frame[stage], free) for feet in (state.feet, state.goal))
         swing = Swing(plan.swing[stage], starts, goal)

@@ -6,7 +6,7 @@ are stiff: feet that follow its measured attitude as it comes, 1 mrad off at eve
 Therefore the pose goes through an observer, which steady rolling passes without lag.
 """
 
-from typing import ClassVar, NamedTuple, Protocol
+from typing import ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -49,31 +49,20 @@ class Perch(NamedTuple):
     position: Float[Array, " 3"]  # of the base, with the mass centre over the ball's
 
 
-class Perching(Protocol):
-    """A manoeuvre on top of a ball has these numbers."""
+@parameters
+class OnBall:
+    """What manoeuvres on top of a ball have in common. Ratios are to the length a_r, if not said otherwise."""
 
-    @property
-    def circle_ratio(self) -> float:
-        """d_1 (R)."""
-        ...
+    circle_ratio: float = quantity(0.613, "R", above=0, at_most=1)  # d_1, radius of the circle of footholds on the ball
+    chord_ratio: float = quantity(0.7, "d_1", above=0, at_most=1)  # d_2, of the front and rear feet from its middle
+    height_ratio: float = quantity(0.257, "a_r", above=0, at_most=2)  # of the base over the ball's top
+    deepening: float = quantity(5e-4, "m", at_least=0, at_most=0.05)  # epsilon, feet inside the ball
+    observer: float = quantity(0.1, "s", at_least=0)  # in which the ball's measured pose is taken over; 0: at once
 
-    @property
-    def chord_ratio(self) -> float:
-        """d_2 (d_1)."""
-        ...
-
-    @property
-    def height_ratio(self) -> float:
-        """Of the base over the ball's top (a_r)."""
-        ...
-
-    @property
-    def deepening(self) -> float:
-        """Epsilon, feet inside the ball (m)."""
-        ...
+    needs = (Ball,)
 
 
-def perch(belief: Case, manoeuvre: "Perching") -> Perch:
+def perch(belief: Case, manoeuvre: OnBall) -> Perch:
     """Feet on their circle, the base level over the ball."""
     radius, length = belief.on(Ball).radius, belief.robot.body_length
     circle = manoeuvre.circle_ratio * radius
@@ -107,7 +96,7 @@ class BalanceMemory(NamedTuple):
 
 
 @parameters
-class BallBalance:
+class BallBalance(OnBall):
     """Stand on a ball, stop it and put the mass centre over it by moving the body. Ratios are to the length a_r.
 
     Two laws. `manoeuvre` plans every `period` T from what is measured then: base = start + D^-1 (-x) delta(tau)
@@ -132,13 +121,6 @@ class BallBalance:
     smoothing: float = quantity(0.05, "s", at_least=0)  # of K_S in the law of every tick
     lag: float = quantity(0.1, "s", above=0)  # in which the mass centre goes to where that law wants it
     reach: float = quantity(0.12, "m", above=0)  # at most so far does that law lean
-    circle_ratio: float = quantity(0.613, "R", above=0, at_most=1)  # d_1, radius of the circle of footholds on the ball
-    chord_ratio: float = quantity(0.7, "d_1", above=0, at_most=1)  # d_2, of the front and rear feet from its middle
-    height_ratio: float = quantity(0.257, "a_r", above=0, at_most=2)  # of the base over the ball's top
-    deepening: float = quantity(5e-4, "m", at_least=0, at_most=0.05)  # epsilon, feet inside the ball
-    observer: float = quantity(0.1, "s", at_least=0)  # in which the ball's measured pose is taken over; 0: at once
-
-    needs = (Ball,)
 
     def obstacle_speed(self, duration: Array) -> Array:
         """The ball is to stand (m/s)."""
@@ -217,7 +199,7 @@ class DriveMemory(NamedTuple):
 
 
 @parameters
-class BallDrive:
+class BallDrive(OnBall):
     """Walk on a ball by tripod so that it rolls along x at `speed`, and stop at `place`. Ratios are to the length a_r.
 
     Each step, monograph 3.1.2: the mass centre is pushed ahead by k_v (v_d - v_e) delta'(tau) (3.1.8), every
@@ -251,15 +233,8 @@ class BallDrive:
     place: float = quantity(1e6, "m")  # x of the ball's centre at which it stops
     brake: float = quantity(0.2, "1/s", above=0)  # wanted speed for each metre that is left to `place`, at most
     lift_ratio: float = quantity(0.03, "a_r", above=0, at_most=0.5)  # d_y, how high a swinging foot is lifted
-    circle_ratio: float = quantity(0.613, "R", above=0, at_most=1)  # d_1, radius of the circle of footholds on the ball
-    chord_ratio: float = quantity(0.7, "d_1", above=0, at_most=1)  # d_2, of the front and rear feet from its middle
-    height_ratio: float = quantity(0.257, "a_r", above=0, at_most=2)  # of the base over the ball's top
-    deepening: float = quantity(5e-4, "m", at_least=0, at_most=0.05)  # epsilon, feet inside the ball
-    observer: float = quantity(0.1, "s", at_least=0)  # in which the ball's measured pose is taken over; 0: at once
     ease: float = quantity(0.1, "s", above=0)  # in which feet go over to where they are measured
     patience: float = quantity(0.0, "s", at_least=0)  # longest wait for a touchdown, while the ball rolls on below
-
-    needs = (Ball,)
 
     def obstacle_speed(self, duration: Array) -> Array:
         """What the ball is to do at the end of `duration` (s): stand, where it gets to its place (m/s)."""

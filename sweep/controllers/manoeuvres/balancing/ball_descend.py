@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from sweep.controllers.frames import fixed, koenig
-from sweep.controllers.manoeuvres.balancing.ball import BallDrive, on_ball, perch
+from sweep.controllers.manoeuvres.balancing.ball import BallDrive, OnBall, on_ball, perch
 from sweep.controllers.manoeuvres.balancing.beside_ball import (
     FRONT,
     MIDDLE,
@@ -131,7 +131,7 @@ TABLE = (
 
 
 @parameters
-class BallDescend(InParts):
+class BallDescend(OnBall, InParts):
     """From standing on a free ball down to the floor ahead. Stages and their numbers are `TABLE`.
 
     A ball that rolls is stopped first, by steps of tripods as in `ball_drive`, as many of `calm` as it needs.
@@ -143,17 +143,10 @@ class BallDescend(InParts):
     calm: int = count(10, at_least=1, at_most=100)  # steps at most
     calm_speed: float = quantity(0.01, "m/s", above=0)  # of a ball that is calm
     rest: float = quantity(2.0, "s", above=0)  # on the floor, in the end
-    circle_ratio: float = quantity(0.613, "R", above=0, at_most=1)  # d_1 of the feet on top
-    chord_ratio: float = quantity(0.7, "d_1", above=0, at_most=1)  # d_2, of the front and rear feet from its middle
-    height_ratio: float = quantity(0.257, "a_r", above=0, at_most=2)  # of the base over the ball's top
-    deepening: float = quantity(5e-4, "m", at_least=0, at_most=0.05)  # epsilon, feet inside ball and floor
     press: float = quantity(1.4e-3, "m", at_least=0, at_most=0.05)  # feet on the ball deeper than they are measured
     squeeze: float = quantity(3.5e-3, "m", at_least=0, at_most=0.05)  # the same to the middle
-    observer: float = quantity(0.1, "s", at_least=0)  # in which the ball's measured pose is taken over; 0: at once
     ease: float = quantity(0.15, "s", above=0)  # in which feet go over to where they are measured
     patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
-
-    needs = (Ball,)
 
     @property
     def table(self) -> tuple[Move, ...]:

@@ -83,7 +83,7 @@ def pitch(pose: Pose) -> Array:
     return jnp.radians(jnp.asarray(pose.elevation, float) - 90)
 
 
-def on_ball(ball: Ball, leg: int, aside: Array | float, elevation: Array | float) -> Float[Array, " 3"]:
+def point_on(ball: Ball, leg: int, aside: Array | float, elevation: Array | float) -> Float[Array, " 3"]:
     """A point (m) of the ball's surface, `aside` (R) from the middle plane on the leg's side, at an elevation (deg)."""
     angle, out = jnp.radians(jnp.asarray(elevation, float)), jnp.asarray(aside, float)
     round_ = jnp.sqrt(1 - out**2)
@@ -94,7 +94,7 @@ def foothold(ball: Ball, leg: int, move: Move, deepening: Array | float) -> Floa
     """Where a move takes a leg's foot (m)."""
     aside, other = move.place
     if move.where == ON_BALL:
-        return on_ball(ball, leg, aside, other) * (1 - deepening / ball.radius)
+        return point_on(ball, leg, aside, other) * (1 - deepening / ball.radius)
     out, ahead = jnp.asarray(aside, float) * ball.radius, jnp.asarray(other, float) * ball.radius
     return jnp.stack([ahead, SIDE[leg - 1] * out, -ball.radius - jnp.asarray(deepening, float)])
 
