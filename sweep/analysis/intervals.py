@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-CONFIDENCE = 0.95  # of confidence
+CONFIDENCE = 0.95
 
 
 class Interval(NamedTuple):

@@ -14,6 +14,12 @@ from sweep.study.study import parameter_columns
 RANDOM = tuple(f.name for f in dataclasses.fields(Noise) if f.name.endswith(("_noise", "_bias")))  # drawn in a rollout
 
 
+def some(number: int, most: int) -> np.ndarray:
+    """Places among `number`, in order: all, or `most` of them at random, every time the same."""
+    every = np.arange(number)
+    return every if number <= most else np.sort(np.random.default_rng(0).choice(every, most, replace=False))
+
+
 def copies(rows: pd.DataFrame, exp: Experiment) -> np.ndarray:
     """Which rows repeat an earlier one: replicates of a point whose noise is all zero, so that they cannot differ."""
     if exp.study.replicates < 2:

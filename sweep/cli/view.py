@@ -148,9 +148,7 @@ def fresh(what: list[str], beside: list[str]) -> tuple[Results, list[Shown]]:
         "rollouts": len(rows),
         "stages": stages,
         "devices": [device(exp.settings)],
-        "code": provenance.code_version(),
-        "commit": provenance.commit(),
-        "versions": provenance.versions(),
+        **provenance.made_with(),
     }
     table = pd.DataFrame(rows).infer_objects().reset_index(drop=True)
     return Results(Path(exp.scenario), about, exp, table, None, len(rows)), shown

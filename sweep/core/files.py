@@ -1,8 +1,10 @@
 """Files that appear whole or not at all, and the digests that tell whether they stayed as they were written."""
 
+import base64
 import hashlib
 import os
 import socket
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -31,6 +33,16 @@ def write_whole(path: Path, content: bytes | Callable[[Path], object]) -> None:
         raise Fault(f"{path} cannot be written: {reason(error)}") from None
     finally:
         hidden.unlink(missing_ok=True)
+
+
+def as_text(content: bytes) -> str:
+    """Bytes as text: deflated, in base64."""
+    return base64.b64encode(zlib.compress(content, 9)).decode()
+
+
+def from_text(text: str) -> bytes:
+    """Bytes from their text."""
+    return zlib.decompress(base64.b64decode(text))
 
 
 def append(path: Path, line: str) -> None:

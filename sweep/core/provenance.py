@@ -7,6 +7,7 @@ import platform
 import subprocess
 from importlib import metadata
 from pathlib import Path
+from typing import Any
 
 from sweep.core import project
 from sweep.core.start import STARTED
@@ -112,6 +113,11 @@ def _said(tree: ast.Module) -> tuple[str, list[ast.AST]]:
 def versions() -> dict[str, str]:
     """Versions of the libraries that a rollout's numbers depend on."""
     return {name: metadata.version(name) for name in LIBRARIES}
+
+
+def made_with() -> dict[str, Any]:
+    """What a study's rows are made with, as it is stored beside them."""
+    return {"code": code_version(), "commit": commit(), "versions": versions()}
 
 
 @functools.cache

@@ -33,6 +33,11 @@ class Trace:
     figures: dict[str, Any]  # the row's figures, as `run` gives them
 
 
+def same_bits(a: Any, b: Any) -> bool:
+    """Whether two figures are the same to the last bit; all that is not a number is the same."""
+    return bool(np.array_equal(np.asarray(a, dtype=float), np.asarray(b, dtype=float), equal_nan=True))
+
+
 class Engine(Protocol):
     """A compiled simulation of one scenario; parameters come as data."""
 

@@ -94,6 +94,12 @@ def classify(figures: Mapping[str, np.ndarray], limits: Thresholds, stages: Sequ
     }
 
 
+def classify_one(figures: Mapping[str, Any], limits: Thresholds, stages: Sequence[str]) -> dict[str, Any]:
+    """The labels of a single rollout, whose figures are plain numbers."""
+    row = {name: np.asarray([value], dtype=float) for name, value in figures.items()}
+    return {name: values[0] for name, values in classify(row, limits, stages).items()}
+
+
 def why(row: Mapping[str, Any], limits: Thresholds) -> str:
     """The cause of a row in words, with the figure and its threshold; empty for a success."""
     for cause in CAUSES:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from sweep.analysis.sample import some
 from sweep.report.exhibits import judged_first
 from sweep.report.labels import heading, unit_of
 from sweep.report.tables import text
@@ -58,9 +59,7 @@ def extremes(results: Results) -> Iterator[tuple[int, str]]:
 
 def spread(results: Results) -> Iterator[tuple[int, str]]:
     """All rows, or a sample, each as far as can be from those before it."""
-    every = np.arange(len(results.rows))
-    if len(every) > MANY:
-        every = np.sort(np.random.default_rng(0).choice(every, MANY, replace=False))
+    every = some(len(results.rows), MANY)
     yield from ((int(every[k]), "far from the others") for k in distant(places(results)[every]))
 
 

@@ -21,7 +21,7 @@ from sweep.analysis.sample import pooled
 from sweep.core.errors import InputError
 from sweep.metrics.outcome import MEANING
 from sweep.report.cells import not_below_zero
-from sweep.report.labels import CAUSE_COLOURS, axis_words, heading
+from sweep.report.labels import CAUSE_COLOURS, axis_words, heading, kind_of
 from sweep.runs.results import Results
 from sweep.study.columns import LABELS
 
@@ -79,7 +79,7 @@ def caption(results: Results) -> str:
 
 def kinds(rows: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
     """Successes, then each cause, the most frequent first: rarer ones are drawn over them."""
-    kind = rows["cause"].astype(object).where(rows["outcome"] != "success", "success")
+    kind = kind_of(rows)
     order = sorted(kind.unique(), key=lambda one: (one != "success", -int((kind == one).sum())))
     for one in order:
         yield str(one), rows[(kind == one).to_numpy()]

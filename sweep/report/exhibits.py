@@ -55,8 +55,9 @@ def drawn(results: Results) -> Iterator[Exhibit]:
 def histories(results: Results) -> Iterator[Exhibit]:
     """What was kept over time."""
     if overlay.shown(results):
-        table, caption = overlay.data(results), overlay.caption(results)
-        yield Exhibit("histories", "Over time", caption, table, lambda: overlay.draw(results))
+        kept = overlay.samples(results)
+        table, caption = overlay.data(results, kept), overlay.caption(results, kept)
+        yield Exhibit("histories", "Over time", caption, table, lambda: overlay.draw(results, kept, table))
 
 
 def maps(results: Results) -> Iterator[Exhibit]:

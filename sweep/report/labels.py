@@ -1,6 +1,9 @@
 """Words and units for columns, colours for outcomes."""
 
-from sweep.metrics.outcome import DOUBTS, FAILURES
+import pandas as pd
+
+from sweep.metrics import outcome
+from sweep.metrics.outcome import DOUBTS, FAILURES, MEANING
 from sweep.study.config import Experiment
 from sweep.study.designs import Axis
 from sweep.study.study import unit
@@ -14,6 +17,16 @@ CAUSE_COLOURS = {cause: COLOURS[i % len(COLOURS)] for i, cause in enumerate(FAIL
 CAUSE_HATCHES = {cause: HATCHES[i % len(HATCHES)] for i, cause in enumerate(FAILURES)}
 CAUSE_COLOURS |= dict.fromkeys(DOUBTS, INVALID)
 CAUSE_HATCHES |= {doubt: "/" * (i + 2) for i, doubt in enumerate(DOUBTS)}
+
+
+def kind_of(rows: pd.DataFrame) -> pd.Series:
+    """What came of each row: `success`, or the cause."""
+    return rows["cause"].astype(object).where(rows["outcome"] != outcome.SUCCESS, outcome.SUCCESS).astype(str)
+
+
+def meaning(kind: str) -> str:
+    """A cause, or success, in a sentence."""
+    return MEANING.get(kind, "no cause of failure or distrust was met")
 
 
 def name_and_unit(column: str) -> tuple[str, str]:

@@ -29,17 +29,16 @@ def samples(results: Results) -> pd.DataFrame:
     return kept.merge(results.rows[[*keys, "outcome"]], on=keys)
 
 
-def data(results: Results) -> pd.DataFrame:
-    """Quantiles of every column at every moment among the rollouts of an outcome that are still under way."""
-    long = samples(results).melt(["outcome", "time_s"], list(results.exp.study.keep), "column")
+def data(results: Results, kept: pd.DataFrame) -> pd.DataFrame:
+    """Of the `samples` quantiles of every column at every moment, among an outcome's rollouts still under way."""
+    long = kept.melt(["outcome", "time_s"], list(results.exp.study.keep), "column")
     found = long.groupby(["column", "outcome", "time_s"], sort=False)["value"]
     parts = {"low": found.quantile(LOW), "median": found.median(), "high": found.quantile(HIGH)}
     return pd.DataFrame({**parts, "rollouts": found.count()}).reset_index()
 
 
-def caption(results: Results) -> str:
-    """The figure in words."""
-    kept = samples(results)
+def caption(results: Results, kept: pd.DataFrame) -> str:
+    """The figure of the `samples` in words."""
     rollouts = len(kept[identity(kept.columns)].drop_duplicates())
     return (
         f"Over time: {rollouts} of {len(results.rows)} rollouts, a thin line each (at most {LINES} of an outcome), "
@@ -47,10 +46,9 @@ def caption(results: Results) -> str:
     )
 
 
-def draw(results: Results) -> Figure:
-    """A panel for each column."""
+def draw(results: Results, kept: pd.DataFrame, quantiles: pd.DataFrame) -> Figure:
+    """A panel for each column: the `samples`, and the `data` of them."""
     columns = results.exp.study.keep[:PANELS]
-    kept, quantiles = samples(results), data(results)
     figure = Figure(figsize=(7.2, 1.2 + 1.9 * len(columns)), layout="constrained")
     spots = figure.subplots(len(columns), 1, sharex=True, squeeze=False)[:, 0]
     for name, ax in zip(columns, spots, strict=True):

@@ -11,8 +11,8 @@ import pandas as pd
 
 from sweep.core.files import write_whole
 from sweep.engines import devices
-from sweep.engines.base import Trace
-from sweep.metrics.outcome import classify
+from sweep.engines.base import Trace, same_bits
+from sweep.metrics.outcome import classify_one
 from sweep.runs import batches, store
 from sweep.runs.results import Results
 from sweep.study.config import Experiment
@@ -61,9 +61,7 @@ def again(
         traces = engine.traces(task.world, task.belief, task.streams, every)
         for _, row in part.iterrows():
             trace = traces[row["slot"]]
-            figures = {name: np.asarray([value], dtype=float) for name, value in trace.figures.items()}
-            labels = classify(figures, exp.thresholds, engine.stages)
-            yield row, trace, {name: values[0] for name, values in labels.items()}
+            yield row, trace, classify_one(trace.figures, exp.thresholds, engine.stages)
 
 
 def laid_out(rows: pd.DataFrame, widest: int) -> pd.DataFrame:
@@ -90,7 +88,7 @@ def keep(folder: Path, row: pd.Series, trace: Trace) -> None:
 
 def content(row: pd.Series, trace: Trace) -> dict[str, Any]:
     """What is kept of the replay of `row`."""
-    same = [name for name, value in trace.figures.items() if name in row and equal(row[name], value)]
+    same = [name for name, value in trace.figures.items() if name in row and same_bits(row[name], value)]
     return {
         **motion(trace),
         "bodies": bodies(trace.model),
@@ -121,8 +119,3 @@ def kept(results: Results) -> Iterator[tuple[int, dict[str, Any]]]:
 def path(folder: Path, row: pd.Series) -> Path:
     """Where the replay of a row is, or would be."""
     return folder / REPLAYS / f"{row['run_id']}-{row['point_id']}.json"
-
-
-def equal(a: Any, b: Any) -> bool:
-    """Whether two figures are the same to the last bit."""
-    return bool(np.array_equal(np.asarray(a, dtype=float), np.asarray(b, dtype=float), equal_nan=True))

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from sweep.metrics.outcome import MEANING, SUCCESS
+from sweep.metrics.outcome import SUCCESS
+from sweep.report.labels import kind_of, meaning
 from sweep.report.tables import BOOKKEEPING
 from sweep.runs import batches
 from sweep.runs.results import Results
@@ -31,13 +32,13 @@ class Typical:
     @property
     def meaning(self) -> str:
         """The kind in a sentence."""
-        return MEANING.get(self.kind, "no cause of failure or distrust was met")
+        return meaning(self.kind)
 
 
 def typical(results: Results) -> Iterator[Typical]:
     """The medoid of each cause, then that of the successes: least distant from all others in standardised figures."""
     rows = results.rows
-    kinds = rows["cause"].where(rows["outcome"] != SUCCESS, SUCCESS)
+    kinds = kind_of(rows)
     columns = [c for c in figure_columns(rows) if c not in BOOKKEEPING and rows[c].dtype.kind == "f"]
     for kind in [*results.causes_seen, SUCCESS]:
         own = rows[(kinds == kind).to_numpy()]
@@ -72,7 +73,7 @@ def draw(results: Results) -> list[Path]:
     They run in a batch of their own, so that a study of wide batches can be pictured anywhere. A rollout that ends
     otherwise in it gets no picture, and a line on the standard error. Raises `InputError` without OpenGL.
     """
-    from sweep.metrics.outcome import classify
+    from sweep.metrics.outcome import classify_one
     from sweep.trace.frames import write_strip
     from sweep.trace.sampling import at_times
 
@@ -84,11 +85,9 @@ def draw(results: Results) -> list[Path]:
         exp = batches.with_room_for_delay(results.exp, results.rows)
         task = batches.batch(exp, rows)
         engine = batches.make_engine(exp, batches.nominal(exp, rows, len(own)))
-        for slot, one in enumerate(own):
-            trace = engine.trace(task.world, task.belief, task.streams, slot)
-            figures = {k: np.asarray([v], dtype=float) for k, v in trace.figures.items()}
-            labels = classify(figures, exp.thresholds, engine.stages)
-            if (labels["outcome"][0], labels["cause"][0]) != (one.row["outcome"], one.row["cause"]):
+        for one, trace in zip(own, engine.traces(task.world, task.belief, task.streams, 1), strict=True):
+            labels = classify_one(trace.figures, exp.thresholds, engine.stages)
+            if (labels["outcome"], labels["cause"]) != (one.row["outcome"], one.row["cause"]):
                 print(f"sweep: no picture of {one.row['point_id']}: here it ends otherwise", file=sys.stderr)
                 continue
             end = np.fmin(one.row["t_cause_s"] + AFTER, trace.time[-1])

@@ -336,11 +336,9 @@ def _plan_of(folder: Path, version: str) -> Job:
 
 def describe(job: Job, found: Found) -> None:
     """Write study.yaml."""
-    store.write_study(job.folder, {
-        "config": job.exp.values, "rollouts": len(job.table) + job.unplanned, "labels": job.labels,
-        "stages": found.stages, "devices": found.devices, "code": provenance.code_version(),
-        "commit": provenance.commit(), "versions": provenance.versions(),
-    })  # fmt: skip
+    about = {"config": job.exp.values, "rollouts": len(job.table) + job.unplanned, "labels": job.labels}
+    there = {"stages": found.stages, "devices": found.devices, **provenance.made_with()}
+    store.write_study(job.folder, about | there)
 
 
 def simulate(exp: Experiment, engine: Engine, rows: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame | None]:

@@ -5,13 +5,12 @@ stage. Columns are differences from frame to frame, each as all its low bytes an
 to a third; forces and stages have no high bytes.
 """
 
-import base64
-import zlib
 from typing import Any
 
 import mujoco
 import numpy as np
 
+from sweep.core.files import as_text, from_text
 from sweep.engines.base import Trace
 from sweep.models.scene import JOINTS, LEGS
 from sweep.trace.sampling import BASE, finite_frames
@@ -57,7 +56,7 @@ def motion(trace: Trace) -> dict[str, Any]:
 def thinned(kept: dict[str, Any], every: int) -> dict[str, Any]:
     """A motion with one in `every` of its frames, and one at least; a page shows a cubic through them."""
     frames, columns = kept["frames"], len(kept["scales"])
-    content = zlib.decompress(base64.b64decode(kept["states"]))
+    content = from_text(kept["states"])
     states = read_planes(content[: 2 * frames * columns], frames, np.dtype(np.int16))
     small = read_planes(content[2 * frames * columns :], frames, np.dtype(np.int8))
     every = min(every, frames)
@@ -72,7 +71,7 @@ def thinned(kept: dict[str, Any], every: int) -> dict[str, Any]:
 
 def packed(states: np.ndarray, small: np.ndarray) -> str:
     """Whole numbers of two bytes and of one as text."""
-    return base64.b64encode(zlib.compress(planes(states) + planes(small), 9)).decode()
+    return as_text(planes(states) + planes(small))
 
 
 def planes(values: np.ndarray) -> bytes:

@@ -6,17 +6,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 from matplotlib.backend_bases import FigureCanvasBase
 from tabulate import tabulate
 
 from sweep.core.parameters import InputError
 from sweep.core.waiting import waiting
-from sweep.engines.base import Trace
+from sweep.engines.base import Trace, same_bits
 from sweep.engines.run_id import device, run_id
 from sweep.engines.settings import EngineSettings
-from sweep.metrics.outcome import classify
+from sweep.metrics.outcome import classify_one
 from sweep.runs import store
 from sweep.runs.batches import make_engine, nominal, with_room_for_delay
 from sweep.runs.runner import load_point
@@ -86,10 +85,7 @@ def replay(folder: Path, point: str) -> Replay:
     start = nominal(exp, table.loc[table["batch"] == row["batch"]], len(task.streams))
     engine = make_engine(exp, start)
     trace = engine.trace(task.world, task.belief, task.streams, slot)
-    labels = classify(
-        {k: np.asarray([v], dtype=float) for k, v in trace.figures.items()}, exp.thresholds, engine.stages
-    )
-    again = {**{name: values[0] for name, values in labels.items()}, **trace.figures}
+    again = {**classify_one(trace.figures, exp.thresholds, engine.stages), **trace.figures}
     values = {name: row[name] for name in (*parameter_columns(table), "replicate", "stream")}
     other_run = None
     if str(row["run_id"]) != run_id(task.settings):
@@ -102,7 +98,7 @@ def comparison(result: Replay) -> str:
     """The stored outcome beside the new one, and the figures that differ."""
     stored, again = result.stored, result.again
     figures = [name for name in result.trace.figures if name in stored]
-    changed = [name for name in figures if not _equal(stored[name], again[name])]
+    changed = [name for name in figures if not same_bits(stored[name], again[name])]
     rows = [(name, _shown(stored[name]), _shown(again[name])) for name in (*LABELS[:4], *changed)]
     lines = [
         f"point {stored['point_id']}",
@@ -121,10 +117,6 @@ def plot_path(output: Path, name: str, alone: bool) -> Path:
 
 def _shown(value: Any) -> str:
     return value if isinstance(value, str) else f"{value:.9g}"
-
-
-def _equal(a: Any, b: Any) -> bool:
-    return bool(np.array_equal(np.asarray(a, dtype=float), np.asarray(b, dtype=float), equal_nan=True))
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -10,7 +10,7 @@ import pytest
 from sweep.core.errors import InputError
 from sweep.engines import make
 from sweep.engines.native import native_model
-from sweep.metrics.outcome import classify
+from sweep.metrics.outcome import classify_one
 from sweep.study.config import compose
 from sweep.study.study import points
 
@@ -66,9 +66,8 @@ def rolled_out(exp, solid):
     """Outcome, cause and stage, and the trace of the nominal rollout."""
     engine = make(dataclasses.replace(exp.settings, solid=solid), exp.case, exp.case, exp.thresholds)
     trace = engine.trace(exp.case, exp.case, np.zeros(1, int), 0)
-    figures = {name: np.asarray([value], float) for name, value in trace.figures.items()}
-    labels = classify(figures, exp.thresholds, engine.stages)
-    return [labels[name][0] for name in ("outcome", "cause", "stage")], trace
+    labels = classify_one(trace.figures, exp.thresholds, engine.stages)
+    return [labels[name] for name in ("outcome", "cause", "stage")], trace
 
 
 @pytest.mark.slow

@@ -157,7 +157,7 @@ def image(one: Typical) -> str:
     """Its picture as a data URL; empty where there is none."""
     if not one.picture.exists():
         return ""
-    return "data:image/png;base64," + base64.b64encode(one.picture.read_bytes()).decode()
+    return address(one.picture.read_bytes())
 
 
 def table(rows: pd.DataFrame, exp: Experiment) -> Markup:
@@ -186,8 +186,12 @@ def png(figure: Figure, title: str) -> Markup:
     content, small = io.BytesIO(), io.BytesIO()
     figure.savefig(content, format="png", dpi=DPI)
     Image.open(content).convert("RGB").quantize(64).save(small, "png", optimize=True)
-    address = f"data:image/png;base64,{base64.b64encode(small.getvalue()).decode()}"
-    return Markup('<img src="{}" alt="{}">').format(address, title)
+    return Markup('<img src="{}" alt="{}">').format(address(small.getvalue()), title)
+
+
+def address(picture: bytes) -> str:
+    """A PNG as a data URL."""
+    return f"data:image/png;base64,{base64.b64encode(picture).decode()}"
 
 
 _numbers = itertools.count()

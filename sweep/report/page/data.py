@@ -4,18 +4,27 @@
 of its point id; then each column as whole numbers of two bytes, all the low bytes before all the high ones.
 """
 
-import base64
 import json
-import zlib
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from sweep.analysis.sample import some
+from sweep.core.files import as_text
 from sweep.metrics.outcome import DOUBTS, MEANING
 from sweep.report import limits
 from sweep.report.exhibits import judged_first, thresholds
-from sweep.report.labels import CAUSE_COLOURS, CAUSE_HATCHES, SUCCESS, axis_words, name_and_unit, unit_of
+from sweep.report.labels import (
+    CAUSE_COLOURS,
+    CAUSE_HATCHES,
+    SUCCESS,
+    axis_words,
+    kind_of,
+    meaning,
+    name_and_unit,
+    unit_of,
+)
 from sweep.runs import refine
 from sweep.runs.results import Results
 from sweep.study.study import side_and_path
@@ -52,9 +61,7 @@ def data(results: Results, chosen: tuple[str, ...] = ()) -> dict[str, Any]:
     ]
     stages = [*results.stages, *sorted(set(rows["stage"].astype(str)) - {*results.stages, ""})]
     kind = codes_of(rows, kinds).astype(np.uint8)
-    stage = pd.Index(stages).get_indexer(pd.Index(rows["stage"].astype(str))).astype(np.uint8) + np.uint8(
-        1
-    )  # 0: there is none
+    stage = 1 + pd.Index(stages).get_indexer(pd.Index(rows["stage"].astype(str)))  # 0: there is none
     ids = b"".join(bytes.fromhex(f"{one[:DIGITS]:0<{DIGITS}}") for one in rows["point_id"])
     blocks = [kind.tobytes(), stage.astype(np.uint8).tobytes(), ids, *(block for _, block in coded)]
     return {
@@ -66,7 +73,7 @@ def data(results: Results, chosen: tuple[str, ...] = ()) -> dict[str, Any]:
         "stages": stages,
         "columns": columns,
         "digits": DIGITS,
-        "block": packed(b"".join(blocks)),
+        "block": as_text(b"".join(blocks)),
         "one_at_a_time": results.one_at_a_time,
         "start": [c for c in (*chosen, *first_axes(results)) if c in (*axes, *figures)][:2],
         "theory": list(curves(results, rows)),
@@ -77,13 +84,7 @@ def data(results: Results, chosen: tuple[str, ...] = ()) -> dict[str, Any]:
 
 def sampled(number: int) -> np.ndarray:
     """Places of the rows that a page holds of `number`: all, or some drawn at random where they are too many."""
-    every = np.arange(number)
-    return every if number <= ROWS else np.sort(np.random.default_rng(0).choice(every, SAMPLE, replace=False))
-
-
-def packed(content: bytes) -> str:
-    """Bytes as text."""
-    return base64.b64encode(zlib.compress(content, 9)).decode()
+    return some(number, SAMPLE if number > ROWS else number)
 
 
 def as_json(content: Any) -> str:
@@ -106,11 +107,6 @@ def plain(content: Any) -> Any:
     return content
 
 
-def kind_of(rows: pd.DataFrame) -> pd.Series:
-    """`success`, or the cause."""
-    return rows["cause"].astype(object).where(rows["outcome"] != "success", "success").astype(str)
-
-
 def codes_of(rows: pd.DataFrame, kinds: list[dict[str, Any]]) -> np.ndarray:
     """The place of each row's kind among `kinds`."""
     return pd.Index([one["key"] for one in kinds]).get_indexer(pd.Index(kind_of(rows)))
@@ -124,7 +120,7 @@ def kinds_of(results: Results) -> list[dict[str, Any]]:
         {
             "key": name,
             "label": name.replace("_", " ") or "no cause",
-            "meaning": MEANING.get(name, "no cause of failure or distrust was met" if name == "success" else ""),
+            "meaning": meaning(name) if name in known else "",
             "count": int(counts[name]),
             "colour": SUCCESS if name == "success" else CAUSE_COLOURS.get(name, "#7F7F7F"),
             "pattern": CAUSE_HATCHES.get(name, ""),
@@ -204,7 +200,11 @@ def refined_cells(results: Results) -> dict[str, Any] | None:
             found.append(np.stack([place[tuple(corner.T)] for corner in corners], axis=1))
     cells = np.concatenate(found) if found else np.zeros((0, 4), int)
     cells = cells[(cells >= 0).all(axis=1)]
-    return {"axes": [axis.column for axis in axes], "cells": len(cells), "block": packed(cells.astype("<i4").tobytes())}
+    return {
+        "axes": [axis.column for axis in axes],
+        "cells": len(cells),
+        "block": as_text(cells.astype("<i4").tobytes()),
+    }
 
 
 def densities(results: Results, kinds: list[dict[str, Any]]) -> Any:
@@ -221,7 +221,7 @@ def densities(results: Results, kinds: list[dict[str, Any]]) -> Any:
             "high": high,
             "x_ends": x_ends,
             "y_ends": y_ends,
-            "block": packed(counts.astype("<u4").view(np.uint8).reshape(-1, 4).T.tobytes()),
+            "block": as_text(counts.astype("<u4").view(np.uint8).reshape(-1, 4).T.tobytes()),
         }
 
 

@@ -247,6 +247,27 @@ export function mapView(app) {
   };
 
   /**
+   * A ring that stands out from whatever is under it.
+   * @param {CanvasRenderingContext2D} pen
+   * @param {[number, number]} spot
+   * @param {number} size
+   * @param {string} colour
+   * @param {[number, number]} widths of what is around it, and its own
+   */
+  const drawRing = (pen, [u, v], size, colour, [around, own]) => {
+    for (const [stroke, width] of /** @type {[string, number][]} */ ([
+      [app.theme().panel, around],
+      [colour, own],
+    ])) {
+      pen.strokeStyle = stroke;
+      pen.lineWidth = width;
+      pen.beginPath();
+      pen.arc(u, v, size, 0, 2 * Math.PI);
+      pen.stroke();
+    }
+  };
+
+  /**
    * Rings around rollouts that have a replay.
    * @param {CanvasRenderingContext2D} pen
    * @param {Places} here
@@ -258,17 +279,7 @@ export function mapView(app) {
     here.rows.forEach((row, k) => {
       if (!table.replayed.has(row) || done.has(row) || !state.mask[row]) return;
       done.add(row);
-      const [u, v] = spotOf(here, k, area);
-      for (const [colour, width] of /** @type {[string, number][]} */ ([
-        [app.theme().panel, 3.4],
-        [app.theme().ink, 1.3],
-      ])) {
-        pen.strokeStyle = colour;
-        pen.lineWidth = width;
-        pen.beginPath();
-        pen.arc(u, v, size, 0, 2 * Math.PI);
-        pen.stroke();
-      }
+      drawRing(pen, spotOf(here, k, area), size, app.theme().ink, [3.4, 1.3]);
     });
   };
 
@@ -300,17 +311,7 @@ export function mapView(app) {
     ])) {
       const k = row < 0 ? -1 : here.rows.indexOf(row);
       if (k < 0) continue;
-      const [u, v] = spotOf(here, k, area);
-      for (const [colour, width] of /** @type {[string, number][]} */ ([
-        [app.theme().panel, 4],
-        [app.theme().accent, 2],
-      ])) {
-        pen.strokeStyle = colour;
-        pen.lineWidth = width;
-        pen.beginPath();
-        pen.arc(u, v, size, 0, 2 * Math.PI);
-        pen.stroke();
-      }
+      drawRing(pen, spotOf(here, k, area), size, app.theme().accent, [4, 2]);
     }
   };
 
