@@ -116,8 +116,7 @@ class Native:
             return np.stack([np.asarray(columns[name](parts)) for name in watch.columns], axis=-1)
 
         figures, records = self._simulate(world, belief, streams, slots, watch.every)
-        samples = [chosen(record) for record in records]
-        return figures, np.stack(samples) if samples else np.zeros((0, len(slots), len(watch.columns)))
+        return figures, np.stack([chosen(record) for record in records])
 
     def trace(self, world: Case, belief: Case, streams: np.ndarray, slot: int) -> Trace:
         """The rollout in `slot`."""
@@ -161,6 +160,8 @@ class Native:
                 loops, commands, controls = tick(*arrays[:2], plans, loops, commands, steps, k + 1)
                 if bool(np.all(loops.running.over)):
                     break
+            if slots is not None and not records:  # all ended before the first sample, which has the form of none
+                records.append(_record(commands, loops, steps, slots))
             return {name: np.asarray(values) for name, values in finish(arrays[0], plans, loops).items()}, records
 
     def _models(self, world: Case) -> tuple[list[mujoco.MjModel], np.ndarray]:
@@ -182,7 +183,7 @@ class Native:
         return native_model(world, self.settings.native_time_step, self.settings.solid)
 
     def _functions(self, world: Case, belief: Case) -> tuple[Callable, Callable, Callable]:
-        """Compiled `start`, `tick` (measure the last tick, act the next) and `finish` over the batch."""
+        """Compiled `start`, `tick` (measure the last tick, act in the next) and `finish` over the batch."""
         axes, quiet = devices.axes((world, belief)), is_quiet(world.noise)
         form = devices.form((world, belief)), quiet
         if form not in self._compiled:

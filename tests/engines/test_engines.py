@@ -202,3 +202,4 @@ def test_all_rollouts_of_a_batch_are_recorded_as_one_is(name, mjx, world, nomina
     for field in ("qpos", "foot_force", "joint_torque", "stage"):
         assert np.array_equal(getattr(again, field), getattr(one, field)[24::25]), field
     assert all(np.array_equal(again.figures[k], one.figures[k], equal_nan=True) for k in one.figures)
+    assert not len(engine.traces(*cases, streams, 10**6)[slot].time)  # not one sample is due
