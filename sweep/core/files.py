@@ -5,7 +5,7 @@ import hashlib
 import os
 import socket
 import zlib
-from collections.abc import Callable
+from collections.abc import Buffer, Callable
 from pathlib import Path
 
 from sweep.core.errors import Fault, InputError
@@ -86,6 +86,6 @@ def reason(error: OSError) -> str:
     return os.strerror(error.errno) if error.errno else str(error).splitlines()[0]
 
 
-def digest(content: bytes) -> str:
+def digest(content: Buffer) -> str:
     """SHA-256 (64 hexadecimal digits), as `sha256sum` gives it."""
     return hashlib.sha256(content).hexdigest()

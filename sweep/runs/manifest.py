@@ -5,7 +5,7 @@ entry to the command, so that one whose command died or went on without it can d
 """
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Buffer, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -28,10 +28,11 @@ class Entry:
     labels: str = ""  # digest of the thresholds that the rows were judged by
     run_ids: tuple[str, ...] = ()
 
-    def problem(self, content: bytes) -> str | None:
+    def problem(self, content: Buffer) -> str | None:
         """What is wrong with the file, if anything is."""
-        if len(content) != self.length:
-            return f"{len(content)} bytes instead of {self.length}"
+        length = memoryview(content).nbytes
+        if length != self.length:
+            return f"{length} bytes instead of {self.length}"
         return None if files.digest(content) == self.sha256 else "its content has changed"
 
 

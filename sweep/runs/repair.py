@@ -98,13 +98,13 @@ def _planned(folder: Path, listed: Sequence[Entry]) -> pd.DataFrame | None:
     path = folder / store.POINTS
     if not path.exists() or not any(e.file == store.POINTS and not _problem(folder, e) for e in listed):
         return None
-    planned = pd.read_parquet(path)
+    planned = pq.read_table(store.content_of(path)).to_pandas()
     return planned if {b for e in listed for b in e.batches} <= set(planned["batch"]) else None
 
 
 def _problem(folder: Path, entry: Entry) -> str | None:
     try:
-        return entry.problem((folder / entry.file).read_bytes())
+        return entry.problem(store.content_of(folder / entry.file))
     except OSError as error:
         return files.reason(error)
 
@@ -124,11 +124,11 @@ def _is_beside(entry: Entry) -> bool:
 def _own(folder: Path, path: Path) -> Entry | None:
     """What a part that is not listed says of itself; None where it is not one, or not as it was written."""
     try:
-        content = path.read_bytes()
+        content = store.content_of(path)
         sha256 = files.digest(content)
         if not path.stem.endswith(f"-{sha256[:12]}"):
             return None
-        about = json.loads(pq.read_schema(pa.BufferReader(content)).metadata[store.ABOUT])
+        about = json.loads(pq.read_schema(content).metadata[store.ABOUT])
     except (OSError, ValueError, KeyError, TypeError, pa.ArrowException):
         return None
     name = f"{path.parent.name}/{path.name}"

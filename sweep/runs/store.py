@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import os
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -106,10 +107,19 @@ def read_points(folder: Path) -> pd.DataFrame:
     path = folder / POINTS
     if not path.exists():
         return pd.DataFrame()
-    content = path.read_bytes()
+    content = content_of(path)
     if not any(entry.file == POINTS and not entry.problem(content) for entry in manifest.read(folder)):
         raise Damaged(f"{path} is damaged: `sweep run` as before mends it")
-    return pq.read_table(pa.BufferReader(content)).to_pandas()
+    return pq.read_table(content).to_pandas()
+
+
+def content_of(path: Path) -> pa.Buffer:
+    """The bytes of a file, held by Arrow. Raises `OSError`.
+
+    Of bytes held by Python a thread of Arrow may let go while the interpreter ends, which then aborts.
+    """
+    with pa.OSFile(os.fspath(path)) as file:
+        return file.read_buffer()
 
 
 def _to_parquet(table: pa.Table, about: Mapping[str, Any]) -> bytes:
@@ -181,13 +191,13 @@ def read_table(folder: Path, entry: Entry, columns: list[str] | None = None) -> 
     """As `read_part`, in Arrow's form; of all columns or of some."""
     path = folder / entry.file
     try:
-        content = path.read_bytes()
+        content = content_of(path)
         problem = entry.problem(content)
     except OSError as error:
-        content, problem = b"", files.reason(error)
-    if problem:
+        content, problem = None, files.reason(error)
+    if content is None or problem:
         raise InputError(f"{path} is damaged ({problem}): `sweep run` as before simulates it again")
-    return pq.read_table(pa.BufferReader(content), columns=columns)
+    return pq.read_table(content, columns=columns)
 
 
 def read_rows(folder: Path) -> pd.DataFrame:
