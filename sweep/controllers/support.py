@@ -6,11 +6,12 @@ is to push a body must go ahead of it. The frames of such a stage are those of t
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from sweep.core.rotations import conjugate, exponential, logarithm, multiply
+from sweep.core.rotations import about_vertical, conjugate, exponential, heading, logarithm, multiply
 from sweep.formulas import stepping
 from sweep.models.obstacles.surface import FreeState
 
@@ -75,6 +76,18 @@ def meant(support: Support, start: FreeState, seen: FreeState, clock: Array, dur
         return jnp.select([mode == k for k in range(KEPT)], parts[:KEPT], parts[KEPT])
 
     return FreeState(*[chosen(*parts) for parts in zip(seen, to_velocity, to_pose, together, kept, strict=True)])
+
+
+def floating(meant: FreeState, seen: FreeState) -> FreeState:
+    """Free bodies as they are `meant` to be in the plane; water carries them: height and tilt are as they are seen."""
+    ahead = jax.vmap(heading)(multiply(meant.quat, conjugate(seen.quat)))
+    upright = np.array([0.0, 0.0, 1.0], np.float32)
+    return FreeState(
+        jnp.where(upright > 0, seen.position, meant.position),
+        multiply(jax.vmap(about_vertical)(ahead), seen.quat),
+        jnp.where(upright > 0, seen.velocity, meant.velocity),
+        jnp.where(upright > 0, meant.turn, seen.turn),
+    )
 
 
 def begun(support: Support, meant: FreeState, seen: FreeState) -> FreeState:

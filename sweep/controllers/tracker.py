@@ -283,4 +283,5 @@ def bodies(plan: Plan, state: TrackerState, seen: FreeState) -> FreeState:
     if plan.support is None or state.free is None:
         return seen
     here = jax.tree.map(lambda x: x[state.stage], plan.support)
-    return support.meant(here, state.free, seen, state.clock, plan.duration[state.stage])
+    meant = support.meant(here, state.free, seen, state.clock, plan.duration[state.stage])
+    return support.floating(meant, seen) if plan.afloat else meant

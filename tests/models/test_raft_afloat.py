@@ -70,7 +70,7 @@ def nominal():
 def history(nominal):
     """Rafts side by side; on one a robot stands, beside the others it falls and never lands."""
     push, (sizes, tilts) = coasting(), boxes()
-    rows = [UNDAMPED, {"drag": 0.0, "viscosity": 150.0}, UNDAMPED, {"drag": 500.0, "viscosity": 20.0},
+    rows = [UNDAMPED, {"drag": 0.0, "viscosity": 5000.0}, UNDAMPED, {"drag": 500.0, "viscosity": 20.0},
             {**BANK, "impact_damping": 0.0}, BANK, {"drag": 5e4, "viscosity": 5e4}]  # fmt: skip
     rows += [{"density": push["density"], "viscosity": 0.0}] * len(OFFSETS)
     rows += [{name: float(x[k]) for name, x in sizes.items()} | {"viscosity": 5.0} for k in range(len(tilts))]
@@ -138,7 +138,7 @@ def test_it_heaves_for_ever_without_drag(history):
 
 def test_small_motions_are_those_of_the_linear_raft(history):
     """Periods and damping, over five periods of pitch: a period off by 1 % would show thirty times as much."""
-    words = formula(Raft(drag=0.0, viscosity=150.0))
+    words = formula(Raft(drag=0.0, viscosity=5000.0))
     mass = np.concatenate([np.full(3, words.M), np.asarray(words.J)])
     motion = np.zeros((12, 12))
     motion[:6, 6:], motion[6:] = np.eye(6), np.asarray(raft_linear(words).matrix) / mass[:, None]
