@@ -47,6 +47,7 @@ class Raft:
     side_grip: float = quantity(0.3, "-", at_least=0)  # the same of the raft's sides and the banks
     impact_damping: float = quantity(1.0, "-", at_least=0)  # of raft and bank, over the critical
     gap: float = quantity(0.003, "m", at_least=0)  # of the raft to the near bank at the start
+    laden: float = quantity(0.0, "kg", at_least=0)  # under which it floats at the start: of what is put on it then
     mooring: float = quantity(0.0, "N/m", at_least=0)  # of ropes that hold the raft where it starts; 0: none
 
     free_bodies = ("raft",)
@@ -101,7 +102,7 @@ class Raft:
     def start(self) -> FreeState:
         """Afloat and at rest."""
         half, still = self.half, jnp.zeros((1, 3))
-        x, z = half[0] + self.gap, half[2] - self.draught() - self.bank_height
+        x, z = half[0] + self.gap, half[2] - self.draught(self.laden) - self.bank_height
         return FreeState(jnp.stack([x, jnp.zeros_like(x), z])[None], jnp.array([[1.0, 0.0, 0.0, 0.0]]), still, still)
 
     def solids(self, bodies: Bodies) -> tuple[Solid, ...]:

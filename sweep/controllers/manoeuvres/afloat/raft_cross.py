@@ -18,7 +18,7 @@ from sweep.controllers.manoeuvres.afloat.statics import refuse
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import CYCLE_B_SMOOTH, REGRIP, Plan, Stage, Stance, assemble
-from sweep.controllers.support import STAYS, TO_POSE, TO_VELOCITY, Support
+from sweep.controllers.support import ALONGSIDE, STAYS, TO_VELOCITY, Support
 from sweep.controllers.tracker import TrackerState
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import rotate
@@ -243,7 +243,7 @@ class Way:
             self.frames[leg] = fixed(0) if on == DECK else WORLD
         where = DECK if moored is None and any(self.frames.values()) else (FAR if self.far else NEAR)
         if support is None:
-            support = Support() if moored is None else Support(TO_POSE, position=self.berth(moored))
+            support = Support() if moored is None else Support(ALONGSIDE, position=self.berth(moored))
         return Stage(
             prefix + move.name, self.how.swing if time is None else time, swing, CYCLE_B_SMOOTH,
             self.how.lift_ratio * self.length, position=self.base(where, move.base, ratio), rates=(0.0, 0.0),
@@ -252,9 +252,9 @@ class Way:
         )  # fmt: skip
 
     def berth(self, bank: int) -> Float[Array, " 3"]:
-        """The raft's place along a bank, 0 the near one (m); its height is as it comes."""
+        """The raft's place along a bank, 0 the near one (m), wherever along it."""
         x = (1 - bank) * self.raft.length / 2 + bank * (self.raft.water_width - self.raft.length / 2)
-        return jnp.stack([jnp.asarray(x, float), jnp.zeros(()), jnp.zeros(())])
+        return jnp.array([1.0, 0.0, 0.0]) * x
 
     def pushing(self, move: Move) -> Stage:
         """Raft and robot gain speed at a constant force, with the turn that a push beside the middle gives."""
@@ -273,6 +273,6 @@ class Way:
             self.stage(reach, ratio=squat),
         ]
         for k in range(self.how.pulls):
-            berth = Support(TO_POSE, position=self.berth(1))
+            berth = Support(ALONGSIDE, position=self.berth(1))
             out.append(self.stage(Move(f"pull{k + 1}", reach.base), time=self.how.pull, ratio=squat, support=berth))
         return out
