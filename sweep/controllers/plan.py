@@ -141,11 +141,13 @@ class Plan:
     # whether errors are taken back in the plane, with the heading's
     steered: bool = field(default=False, metadata={"static": True})
     onset: tuple[str, ...] = field(default=(), metadata={"static": True})  # of each stage
+    # whether water carries the free bodies: height and tilt are then as they are seen, whatever a stage means
+    afloat: bool = field(default=False, metadata={"static": True})
 
 
 def assemble(
     start: Stance, stages: Sequence[Stage], patience: Array | float, gains: Gains | None = None, steered: bool = False,
-    ease: Array | float | None = None, free: FreeState | None = None,
+    ease: Array | float | None = None, free: FreeState | None = None, afloat: bool = False,
 ) -> Plan:  # fmt: skip
     """The table of `stages` from the stance `start` (world axes) on; `gains` are those of the flywheel, if any.
 
@@ -182,7 +184,7 @@ def assemble(
     onset, ease = tuple(stage.onset for stage in stages), None if ease is None else jnp.asarray(ease, float)
     return Plan(names=names, start=start, patience=jnp.asarray(patience, float), posture=_postures(stages),
                 flywheel=flywheel, feedforward=None, steered=steered, onset=onset, support=_supports(stages), ease=ease,
-                **table)  # fmt: skip
+                afloat=afloat, **table)  # fmt: skip
 
 
 def _supports(stages: Sequence[Stage]) -> Support | None:

@@ -6,17 +6,19 @@ is to push a body must go ahead of it. The frames of such a stage are those of t
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from sweep.core.rotations import conjugate, exponential, logarithm, multiply
+from sweep.core.rotations import about_vertical, conjugate, exponential, heading, logarithm, multiply
 from sweep.formulas import stepping
 from sweep.models.obstacles.surface import FreeState
 
 # a body is: where it is seen; going over to a velocity; going to a pose; rolling along with the others; held where it
-# was meant to be when the stage before ended
-MEASURED, TO_VELOCITY, TO_POSE, TOGETHER, KEPT = range(5)
+# was meant to be when the stage before ended; one that floats: going to a pose, but along the world's y axis and in
+# height where it is
+MEASURED, TO_VELOCITY, TO_POSE, TOGETHER, KEPT, ALONGSIDE = range(6)
 STILL, LEVEL = np.zeros(3, np.float32), np.array([1, 0, 0, 0], np.float32)
 
 
@@ -75,6 +77,27 @@ def meant(support: Support, start: FreeState, seen: FreeState, clock: Array, dur
         return jnp.select([mode == k for k in range(KEPT)], parts[:KEPT], parts[KEPT])
 
     return FreeState(*[chosen(*parts) for parts in zip(seen, to_velocity, to_pose, together, kept, strict=True)])
+
+
+def placed(support: Support, start: FreeState) -> Support:
+    """`support` with bodies that go alongside as ones that go to a pose, which is found at the `start` of the stage."""
+    alongside = jnp.asarray(support.mode) == ALONGSIDE
+    kept = alongside[..., None] & (np.arange(3) > 0)
+    return support._replace(
+        mode=jnp.where(alongside, TO_POSE, support.mode), position=jnp.where(kept, start.position, support.position)
+    )
+
+
+def floating(meant: FreeState, seen: FreeState) -> FreeState:
+    """Free bodies as they are `meant` to be in the plane; water carries them: height and tilt are as they are seen."""
+    ahead = jax.vmap(heading)(multiply(meant.quat, conjugate(seen.quat)))
+    upright = np.array([0.0, 0.0, 1.0], np.float32)
+    return FreeState(
+        jnp.where(upright > 0, seen.position, meant.position),
+        multiply(jax.vmap(about_vertical)(ahead), seen.quat),
+        jnp.where(upright > 0, seen.velocity, meant.velocity),
+        jnp.where(upright > 0, meant.turn, seen.turn),
+    )
 
 
 def begun(support: Support, meant: FreeState, seen: FreeState) -> FreeState:

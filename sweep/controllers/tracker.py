@@ -283,4 +283,7 @@ def bodies(plan: Plan, state: TrackerState, seen: FreeState) -> FreeState:
     if plan.support is None or state.free is None:
         return seen
     here = jax.tree.map(lambda x: x[state.stage], plan.support)
-    return support.meant(here, state.free, seen, state.clock, plan.duration[state.stage])
+    if not plan.afloat:
+        return support.meant(here, state.free, seen, state.clock, plan.duration[state.stage])
+    here = support.placed(here, state.free)
+    return support.floating(support.meant(here, state.free, seen, state.clock, plan.duration[state.stage]), seen)

@@ -1,7 +1,8 @@
 """A plan on free bodies without physics: played through by its own tracker, which is told that all goes as it commands.
 
 Bodies go as they are meant to. A ball that is followed where it is seen rolls as the angular momentum of robot and ball
-about its lowest point has it, links counted as mass points; it stays where it is while feet stand on the floor, too.
+about its lowest point has it, links counted as mass points; it stays where it is while feet stand on the floor, too. A
+raft that is followed where it is seen coasts, by the drag of its front, as far as the other bank.
 """
 
 from typing import NamedTuple
@@ -23,6 +24,7 @@ from sweep.formulas.ball import GRAVITY, ROLLING
 from sweep.metrics.planned import Holding, Margins, Swing, left
 from sweep.models.case import Case
 from sweep.models.obstacles.ball import Ball
+from sweep.models.obstacles.raft import Raft
 from sweep.models.obstacles.surface import FreeState, free_start, poses
 from sweep.models.robot import total_mass
 
@@ -93,6 +95,10 @@ def _rolled(
     K = up x k, k = 7/5 M R v + m ((z + R)(v + u) - x u_z), where the mass centre moves by u over the ball and lies x
     ahead and z above; k changes by m (g x + u_z v).
     """
+    follows = jnp.asarray(True) if plan.support is None else jnp.asarray(plan.support.mode)[state.stage, 0] == MEASURED
+    if isinstance(case.obstacle, Raft):
+        coasts = _coasted(case.obstacle, total_mass(case.robot), free, h)
+        return roll, jax.tree.map(lambda a, b: jnp.where(follows, a, b), coasts, free)
     assert isinstance(case.obstacle, Ball)
     ball, mass = case.obstacle, total_mass(case.robot)
     u = (centre - roll.centre) / h
@@ -100,7 +106,6 @@ def _rolled(
     above = centre[2] + ball.radius
     inertia = ROLLING * ball.mass * ball.radius + mass * above
     own = mass * (above * u[:2] - u[2] * centre[:2])
-    follows = jnp.asarray(True) if plan.support is None else jnp.asarray(plan.support.mode)[state.stage, 0] == MEASURED
     momentum = roll.momentum + h * mass * (GRAVITY * centre[:2] + u[2] * v)
     rolls = (momentum - own) / inertia
     meant = jnp.where(follows, 0.0, v)
@@ -111,6 +116,18 @@ def _rolled(
     turned = jnp.where(follows, h * turn, 0.0)
     then = FreeState(free.position + moved, multiply(exponential(turned)[None], free.quat), velocity[None], turn[None])
     return Roll(inertia * v + own, centre), then
+
+
+def _coasted(raft: Raft, load: Array | float, free: FreeState, h: float) -> FreeState:
+    """A raft under a load (kg) that nothing pushes, `h` s later."""
+    speed = free.velocity[0, 0]
+    slows = raft.drag * raft.width * raft.draught(load) / (raft.mass + load) * jnp.abs(speed) * speed
+    place, along = free.position[0, 0] + h * speed, jnp.array([1.0, 0.0, 0.0])
+    there = place > raft.water_width - raft.length / 2
+    ahead = jnp.where(there, 0.0, speed - h * slows)
+    return free._replace(
+        position=free.position + jnp.where(there, 0.0, h * speed) * along, velocity=(ahead * along)[None]
+    )
 
 
 def holding(case: Case, found: Played, bounds: forces.Bounds, stages: int) -> Holding:

@@ -1,5 +1,7 @@
 """Manoeuvres: parameters and the plan that follows from them and from what is believed of the world."""
 
+from sweep.controllers.manoeuvres.afloat.raft_cross import RaftCross
+from sweep.controllers.manoeuvres.afloat.raft_stand import RaftStand
 from sweep.controllers.manoeuvres.balancing.ball import BallBalance, BallDrive
 from sweep.controllers.manoeuvres.balancing.ball_descend import BallDescend
 from sweep.controllers.manoeuvres.balancing.beam import BeamCross, BeamWalk
@@ -34,4 +36,6 @@ MANOEUVRES = {
     "ball_balance": BallBalance,
     "ball_drive": BallDrive,
     "ball_descend": BallDescend,
+    "raft_cross": RaftCross,
+    "raft_stand": RaftStand,
 }

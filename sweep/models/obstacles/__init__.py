@@ -6,5 +6,14 @@ from sweep.models.obstacles.corner import Corner
 from sweep.models.obstacles.kerb import Kerb
 from sweep.models.obstacles.plane import Plane
 from sweep.models.obstacles.pole_ledge import PoleLedge
+from sweep.models.obstacles.raft import Raft
 
-OBSTACLES = {"ball": Ball, "beam": Beam, "corner": Corner, "kerb": Kerb, "plane": Plane, "pole_ledge": PoleLedge}
+OBSTACLES = {
+    "ball": Ball,
+    "beam": Beam,
+    "corner": Corner,
+    "kerb": Kerb,
+    "plane": Plane,
+    "pole_ledge": PoleLedge,
+    "raft": Raft,
+}

@@ -1,0 +1,70 @@
+"""Standing and walking about on a raft: how far from its middle a robot may go (monograph 4.1.25-4.1.28)."""
+
+from typing import ClassVar
+
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from sweep.controllers.frames import fixed
+from sweep.controllers.manoeuvres.afloat.statics import refuse
+from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
+from sweep.controllers.manoeuvres.walking.walk import standing
+from sweep.controllers.plan import CYCLE_B_SMOOTH, REGRIP, Plan, Stage, Stance, assemble
+from sweep.core.parameters import choice, count, parameters, quantity
+from sweep.models.case import Case
+from sweep.models.obstacles.raft import Raft
+
+TRIPODS = ((1, 4, 5), (2, 3, 6))
+DECK = (fixed(0),) * 6
+
+
+@parameters
+class RaftStand:
+    """From the raft's middle to a place beside it by tripods, and standing there. Ratios are to the body length a_r."""
+
+    goal: ClassVar = ON_ITS_FEET
+    kind: str = choice("raft_stand", "raft_stand")
+    ahead: float = quantity(0.5, "m")  # of the raft's middle, where the robot stands in the end
+    aside: float = quantity(0.0, "m")  # the same to the left
+    steps: int = count(6, at_least=2, at_most=40)  # swings of a tripod to there
+    rest: float = quantity(4.0, "s", above=0)  # standing there
+    height_ratio: float = quantity(0.5, "a_r", above=0, at_most=2)  # d, hips above the deck
+    spread_ratio: float = quantity(0.3, "a_r", at_least=0, at_most=2)  # feet out from the hips
+    lift_ratio: float = quantity(0.06, "a_r", above=0, at_most=0.5)  # of a swing
+    swing: float = quantity(0.8, "s", above=0, at_most=10)  # a swing's time
+    deepening: float = quantity(1e-3, "m", at_least=0, at_most=0.05)  # footholds below the deck
+    observer: float = quantity(0.0, "s", at_least=0)  # time constant in which the raft's measured pose is taken over
+    ease: float = quantity(0.15, "s", above=0)  # in which feet go over to where they are measured
+    patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
+
+    needs = (Raft,)
+
+    def obstacle_speed(self, duration: Array) -> Array:
+        """The raft is to rest (m/s)."""
+        return jnp.zeros_like(duration)
+
+    def plan(self, belief: Case) -> Plan:
+        """Stand, walk, stand.
+
+        Raises `InputError` where the raft would capsize or sink under the robot in the middle, by plain numbers.
+        """
+        raft, length = belief.on(Raft), belief.robot.body_length
+        refuse(belief, (0.0, 0.0))
+        free = raft.start()
+        stance, centres = standing(belief, self.spread_ratio * length, self.height_ratio * length)
+        deck = free.position[0] + jnp.array([0.0, 0.0, 1.0]) * raft.half[2]
+        start = Stance(deck + stance.feet, deck + stance.position, stance.quat)
+        way = jnp.stack([jnp.asarray(x, float) for x in (self.ahead, self.aside, 0.0)])
+        over, down = jnp.array([0.0, 0.0, 1.0]), jnp.array([0.0, 0.0, -1.0]) * self.deepening
+        base = stance.position + raft.half[2] * over
+        stages = [Stage("stand", 1.0, position=base, onset=REGRIP, foot_frames=DECK, base_frame=fixed(0))]
+        for k in range(self.steps + 1):
+            base = base + way / self.steps if k < self.steps else base
+            ahead = way / self.steps / 2 if k < self.steps - 1 else jnp.zeros(3)
+            swing = {leg: base + centres[leg - 1] + ahead + down for leg in TRIPODS[k % 2]}
+            stages.append(
+                Stage(f"walk.{k + 1}", self.swing, swing, CYCLE_B_SMOOTH, self.lift_ratio * length, position=base,
+                      rates=(0.0, 0.0), onset=REGRIP, foot_frames=DECK, base_frame=fixed(0))
+            )  # fmt: skip
+        stages.append(Stage("rest", self.rest, onset=REGRIP, foot_frames=DECK, base_frame=fixed(0)))
+        return assemble(start, stages, self.patience, ease=self.ease, free=free, afloat=True)

@@ -1,0 +1,46 @@
+"""Whether a raft carries its robot: monograph 4.1.1."""
+
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from sweep.core.errors import InputError
+from sweep.formulas.raft_statics import raft_equilibrium
+from sweep.models.case import Case
+from sweep.models.obstacles.raft import CORNERS, GRAVITY, WATER_DENSITY, Raft
+from sweep.models.robot import total_mass
+
+
+def loaded(belief: Case, offset: Sequence[Array | float], height: Array | float) -> tuple[Array, Array]:
+    """Least freeboard of the deck's corners, and least draught of the bottom's (m); nan where it capsizes.
+
+    With the robot's mass centre `offset` (m) from the raft's middle, `height` (m) over its deck.
+    """
+    raft, load = belief.on(Raft), total_mass(belief.robot)
+    a, b, d = raft.half
+    mass = raft.mass + load
+    place = load / mass * jnp.stack([jnp.asarray(x, float) for x in (*offset, d + height)])
+    rest = raft_equilibrium(GRAVITY * mass, place, a, b, d, WATER_DENSITY * GRAVITY)
+    corners = jnp.stack([x * a * rest.a31 + y * b * rest.a32 for x, y in CORNERS])
+    over = d * rest.a33 - rest.depth
+    return over + jnp.min(corners), 2 * d * rest.a33 - over - jnp.max(corners)
+
+
+def refuse(belief: Case, offset: Sequence[float]) -> None:
+    """Raise `InputError` where a raft of plain numbers capsizes or sinks, the robot `offset` (m) from its middle."""
+    if not all(isinstance(x, float) for x in jax.tree.leaves((belief.robot, belief.obstacle, belief.manoeuvre))):
+        return
+    with jax.ensure_compile_time_eval():
+        freeboard, draught = (float(np.asarray(x)) for x in loaded(belief, offset, 0.5 * belief.robot.body_length))
+    if freeboard > 0 and draught > 0:
+        return
+    ends = "capsizes" if np.isnan(freeboard) else f"has a corner {-1e3 * freeboard:.0f} mm under water"
+    if freeboard > 0:
+        ends = f"lifts a corner {-1e3 * draught:.0f} mm out of the water"
+    raise InputError(
+        f"obstacle.density = {belief.on(Raft).density:g} is not allowed: the raft {ends} under the robot of "
+        f"{total_mass(belief.robot):g} kg, {offset[0]:.2f} m ahead and {offset[1]:.2f} m aside of its middle"
+    )

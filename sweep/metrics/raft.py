@@ -1,0 +1,131 @@
+"""What a raft does under its robot: how it lies in the water, how fast it leaves and comes, what slips on its deck."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from sweep.core.rotations import heading, rotate
+from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment
+from sweep.models.contact import to_body
+from sweep.models.obstacles.raft import CORNERS, Raft
+
+PUSHES, ARRIVES = "push", "wait"  # how the stages begin in which a robot casts off, and comes to the other bank
+
+
+class Afloat(NamedTuple):
+    """Least freeboard and draught of its corners (m), tilt (rad), motion; where feet took hold of the deck."""
+
+    freeboard: Float[Array, ""]
+    draught: Float[Array, ""]
+    tilt: Float[Array, ""]
+    pushed: Float[Array, ""]  # m/s
+    arrived: Float[Array, ""]  # m/s
+    turned: Float[Array, ""]  # rad
+    place: Float[Array, "6 3"]  # m, raft's axes
+    holds: Bool[Array, " 6"]
+    slip: Float[Array, ""]  # m
+
+
+def begin(start: Begin) -> Afloat:
+    """Nothing stands on it yet."""
+    far, zero = jnp.full((), jnp.inf, start.feet.dtype), jnp.zeros((), start.feet.dtype)
+    return Afloat(far, far, zero, zero, zero, zero, jnp.zeros_like(start.feet), jnp.zeros(6, bool), zero)
+
+
+def update(so_far: Afloat, now: Moment) -> Afloat:
+    """A foot slips on the deck from where it was first loaded there after its swing."""
+    raft, tick = now.world.obstacle, now.tick
+    assert isinstance(raft, Raft)
+    free, feet = tick.free, tick.joints[:, -1]
+    half = raft.half * jnp.array([[x, y, 1.0] for x, y in CORNERS])
+    quat = jnp.broadcast_to(free.quat[0], (4, 4))
+    deck, bottom = (
+        free.position[0, 2] + rotate(quat, half * jnp.array([1.0, 1.0, side]))[:, 2] + raft.bank_height
+        for side in (1.0, -1.0)
+    )
+    up = rotate(free.quat[0], jnp.array([0.0, 0.0, 1.0], feet.dtype))
+    during = {
+        word: jnp.asarray(np.array([name.startswith(word) for name in now.plan.names]))[now.stage]
+        for word in (PUSHES, ARRIVES)
+    }
+    speed = free.velocity[0, 0]
+    body = raft.surface(feet, (-1,) * 6, tick.bodies).body
+    swings = now.plan.swing[now.stage] & ~now.finished
+    on_deck = tick.loaded & (body == 0) & (~swings | (now.phase > 0.5))
+    here = to_body(feet, jnp.zeros(6, jnp.int32), tick.bodies)
+    holds = (so_far.holds & ~swings & (body == 0)) | on_deck
+    place = jnp.where((so_far.holds & holds)[:, None], so_far.place, here)
+    slip = jnp.max(jnp.where(holds & tick.loaded, jnp.linalg.norm(here - place, axis=-1), 0.0))
+    return Afloat(
+        freeboard=jnp.minimum(so_far.freeboard, jnp.min(deck)),
+        draught=jnp.minimum(so_far.draught, -jnp.max(bottom)),
+        tilt=jnp.maximum(so_far.tilt, jnp.arccos(jnp.clip(up[2], -1.0, 1.0))),
+        pushed=jnp.where(during[PUSHES], speed, so_far.pushed),
+        arrived=jnp.where(during[ARRIVES], speed, so_far.arrived),
+        turned=jnp.where(during[ARRIVES], heading(free.quat[0]), so_far.turned),
+        place=place,
+        holds=holds,
+        slip=jnp.maximum(so_far.slip, slip),
+    )
+
+
+def figures(found: Afloat, at: Elapsed) -> dict[str, Array]:
+    """See `METRIC`."""
+    return {
+        "freeboard_min_m": found.freeboard,
+        "draught_min_m": found.draught,
+        "raft_tilt_max_rad": found.tilt,
+        "push_speed_mps": found.pushed,
+        "arrival_speed_mps": found.arrived,
+        "arrival_turn_rad": found.turned,
+        "deck_slip_max_m": found.slip,
+    }
+
+
+METRIC = Metric(
+    begin,
+    update,
+    figures,
+    {
+        "freeboard_min_m": "least height of the corners of a raft's deck over the water",
+        "draught_min_m": "least depth of the corners of its bottom",
+        "raft_tilt_max_rad": "largest angle of its deck to the level",
+        "push_speed_mps": "its speed across the water at the end of the push",
+        "arrival_speed_mps": "the same when it came to the other bank",
+        "arrival_turn_rad": "how far it had turned about the vertical by then",
+        "deck_slip_max_m": "largest distance of a loaded foot on its deck from where it took hold",
+    },
+    (
+        Cause(
+            "awash",
+            "a corner of the raft's deck came lower over the water than freeboard_min_m",
+            "freeboard_min_m",
+            "freeboard_min_m",
+            0.0,
+            "m",
+            below=True,
+            scale=0.02,
+        ),
+        Cause(
+            "lifted",
+            "a corner of the raft's bottom came out of the water, or nearer to it than draught_min_m",
+            "draught_min_m",
+            "draught_min_m",
+            0.0,
+            "m",
+            below=True,
+            scale=0.02,
+        ),
+        Cause(
+            "slipped_on_deck",
+            "a foot on the raft's deck slipped beyond deck_slip_max_m",
+            "deck_slip_max_m",
+            "deck_slip_max_m",
+            1e3,
+            "m",
+        ),
+    ),
+    applies=lambda case: isinstance(case.obstacle, Raft),
+)

@@ -1,0 +1,168 @@
+"""A raft on still water between two banks: monograph 4.1 to 4.3.
+
+World axes: x across the water from the near bank, which ends at x = 0, to the far one; z = 0 is the level of the banks.
+The water acts on the raft only, by the exact buoyancy of 4.1.1 and the drag of 4.1.2: it is no surface to stand on.
+"""
+
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from jaxtyping import Array, Float
+
+from sweep.core.parameters import choice, parameters, quantity
+from sweep.core.rotations import logarithm, matrix
+from sweep.formulas.drag import raft_drag
+from sweep.formulas.raft_statics import buoyancy
+from sweep.models.obstacles.geoms import DRAWN, add_solids, add_touching
+from sweep.models.obstacles.surface import Bodies, FreeState, Surface, own_axes
+from sweep.models.solids import SOIL, Box, Solid
+
+NEAR, FAR = range(2)
+RAFT = 8  # the numbers of its faces are around this, those of the banks below
+WATER_DENSITY, GRAVITY = 1000.0, 9.81  # kg/m^3, m/s^2
+SHORE = 4.0  # m, of each bank that is drawn; its surface has no end
+STIFFNESS = 1e6  # N/m, of the contact that `impact_damping` is a share of the critical damping of
+CORNERS = tuple((x, y) for x in (-1, 1) for y in (-1, 1))
+WATER = (0.25, 0.5, 0.75, 0.45)
+
+
+@parameters
+class Raft:
+    """A floating box, 3 by 2 by 0.2 of a_r in the proportions of 4.4, whose deck is level with the banks under a robot.
+
+    At the start it rests, `gap` from the near bank.
+    """
+
+    kind: str = choice("raft", "raft")
+    length: float = quantity(3.15, "m", above=0)  # 2 a, across the water
+    width: float = quantity(2.1, "m", above=0)  # 2 b, along the banks
+    thickness: float = quantity(0.21, "m", above=0)  # 2 d
+    density: float = quantity(300.0, "kg/m^3", above=0)  # of the raft; that of water is 1000
+    water_width: float = quantity(5.46, "m", above=0)  # S, between the banks
+    bank_height: float = quantity(0.1445, "m")  # of the banks over the water
+    drag: float = quantity(500.0, "N*s^2/m^4", at_least=0)  # kappa_1, of water against a side's normal velocity
+    viscosity: float = quantity(0.25, "N*s/m^3", at_least=0)  # kappa, of water along the bottom
+    current: float = quantity(0.0, "m/s")  # of the water along the banks
+    bank_grip: float = quantity(1.0, "-", at_least=0)  # multiplies the friction coefficient of feet on the banks
+    side_grip: float = quantity(0.3, "-", at_least=0)  # the same of the raft's sides and the banks
+    impact_damping: float = quantity(1.0, "-", at_least=0)  # of raft and bank, over the critical
+    gap: float = quantity(0.003, "m", at_least=0)  # of the raft to the near bank at the start
+    laden: float = quantity(0.0, "kg", at_least=0)  # under which it floats at the start: of what is put on it then
+    mooring: float = quantity(0.0, "N/m", at_least=0)  # of ropes that hold the raft where it starts; 0: none
+
+    free_bodies = ("raft",)
+    contact_sites = tuple((f"edge{k}", 0) for k in range(4))
+
+    @property
+    def half(self) -> Float[Array, " 3"]:
+        """a, b, d (m)."""
+        return 0.5 * jnp.stack([jnp.asarray(x, float) for x in (self.length, self.width, self.thickness)])
+
+    @property
+    def mass(self) -> Array | float:
+        """M (kg)."""
+        return self.density * self.length * self.width * self.thickness
+
+    def draught(self, load: Array | float = 0.0) -> Array | float:
+        """How deep the level raft is in the water (m) with a load (kg) on it."""
+        return (self.mass + load) / (WATER_DENSITY * self.length * self.width)
+
+    def add_to(self, spec: mujoco.MjSpec, friction: float) -> None:
+        """Banks, raft and a picture of the water."""
+        leaves = self.leaves()
+        inertia = np.asarray(leaves["body_inertia"]["raft"], float)
+        body = spec.worldbody.add_body(
+            name="raft", pos=np.asarray(self.start().position[0]), ipos=[0, 0, 0], explicitinertial=True,
+            mass=float(self.mass), inertia=inertia,
+        )  # fmt: skip
+        body.add_freejoint(name="raft")
+        for name, _ in self.contact_sites:
+            body.add_site(name=name, pos=np.asarray(leaves["site_pos"][name], float))
+        *banks, deck = self.solids(own_axes(1))
+        add_solids(spec, banks, friction * self.bank_grip)
+        add_solids(spec, [deck], friction, self.free_bodies)
+        for bank in banks:
+            add_touching(spec, bank.name, deck.name, friction * self.side_grip, self.impact_damping)
+        spec.worldbody.add_geom(
+            name="water", type=mujoco.mjtGeom.mjGEOM_BOX, size=[self.water_width / 2, SHORE / 2, 1e-3], rgba=WATER,
+            pos=[self.water_width / 2, 0, -self.bank_height], contype=0, conaffinity=0, group=DRAWN,
+        )  # fmt: skip
+
+    def leaves(self) -> dict[str, dict[str, Array]]:
+        """Mass and inertia of a homogeneous box, and the middles of its upright edges."""
+        half, mass = self.half, jnp.asarray(self.mass)
+        sides = half * jnp.array([1.0, 1.0, 0.0])
+        sites = zip(self.contact_sites, CORNERS, strict=True)
+        return {
+            "body_mass": {"raft": mass},
+            "body_inertia": {"raft": mass / 3 * (jnp.sum(half**2) - half**2)},
+            "site_pos": {name: sides * jnp.array([*corner, 0.0]) for (name, _), corner in sites},
+        }
+
+    def start(self) -> FreeState:
+        """Afloat and at rest."""
+        half, still = self.half, jnp.zeros((1, 3))
+        x, z = half[0] + self.gap, half[2] - self.draught(self.laden) - self.bank_height
+        return FreeState(jnp.stack([x, jnp.zeros_like(x), z])[None], jnp.array([[1.0, 0.0, 0.0, 0.0]]), still, still)
+
+    def solids(self, bodies: Bodies) -> tuple[Solid, ...]:
+        """The banks end where no robot comes."""
+        bank = {"half": (SHORE / 2, SHORE / 2, 0.5), "colour": SOIL}
+        return (
+            Box(name="near_bank", position=(-SHORE / 2, 0.0, -0.5), **bank),
+            Box(name="far_bank", position=(self.water_width + SHORE / 2, 0.0, -0.5), **bank),
+            Box(name="deck", position=bodies.position[0], rotation=bodies.rotation[0], body=0,
+                half=(self.length / 2, self.width / 2, self.thickness / 2)),
+        )  # fmt: skip
+
+    def load(self, free: FreeState) -> Float[Array, "1 6"]:
+        """Buoyancy, drag against the water as it flows, and the ropes.
+
+        The bottom is taken to be wet all over, and the deck to be dry.
+        """
+        a, b, d = self.half
+        rotation, place = matrix(free.quat[0]), free.position[0]
+        depth = -self.bank_height - place[2]
+        lift = buoyancy(rotation[2], depth, a, b, d, WATER_DENSITY * GRAVITY)
+        flow = free.velocity[0] - self.current * jnp.array([0.0, 1.0, 0.0])
+        waterline = jnp.clip(depth, -d, d)
+        drag = raft_drag(rotation.T @ flow, rotation.T @ free.turn[0], a, b, d, waterline, self.viscosity, self.drag)
+        ropes = self._ropes(free)
+        force, torque = rotation @ (lift.F + drag.R), rotation @ (lift.M + drag.N)
+        return jnp.concatenate([force, torque])[None] + ropes
+
+    def _ropes(self, free: FreeState) -> Float[Array, " 6"]:
+        """They hold the raft's place and heading, critically damped."""
+        a, b, _ = self.half
+        start, damping = self.start(), 2 * jnp.sqrt(self.mooring * self.mass)
+        heading = jnp.array([0.0, 0.0, 1.0]) * (a**2 + b**2) / 3
+        plane = jnp.array([1.0, 1.0, 0.0])
+        force = self.mooring * (free.position[0] - start.position[0]) + damping * free.velocity[0]
+        torque = self.mooring * logarithm(free.quat[0]) + damping * free.turn[0]
+        return -jnp.concatenate([plane * force, heading * torque])
+
+    def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: Bodies) -> Surface:
+        """Banks or raft, whichever is deeper, by the nearest face of each; the raft's edges feel the banks' walls."""
+        dtype, own = points.dtype, np.array(owner) >= 0
+        half = self.half.astype(dtype)
+        beyond = jnp.stack([-points[:, 0], points[:, 0] - self.water_width], axis=-1)  # of each wall
+        bank = jnp.argmax(beyond, axis=-1)  # NEAR or FAR
+        wall, over = jnp.max(beyond, axis=-1), -points[:, 2]
+        sided = own | (wall <= over)
+        inside = jnp.minimum(wall, jnp.where(own, wall, over))
+        to_water = jnp.where(bank == NEAR, 1.0, -1.0)[:, None] * jnp.array([1.0, 0.0, 0.0], dtype)
+        up = jnp.array([0.0, 0.0, 1.0], dtype)
+
+        local = (points - bodies.position[0]) @ bodies.rotation[0]
+        within = half - jnp.abs(local)
+        side = (jnp.arange(3) == jnp.argmin(within, axis=-1)[:, None]) * jnp.sign(local)  # outward, own axes
+        outward, depth = side @ bodies.rotation[0].T, jnp.min(within, axis=-1)
+        on_raft = ~own & (depth > inside)
+        return Surface(
+            depth=jnp.where(on_raft, depth, inside),
+            normal=jnp.where(on_raft[:, None], outward, jnp.where(sided[:, None], to_water, up)),
+            face=jnp.where(on_raft, RAFT + side @ jnp.array([2.0, 3.0, 1.0]), 2 * bank + sided).astype(jnp.int32),
+            body=jnp.where(on_raft, 0, -1).astype(jnp.int32),
+            friction_scale=jnp.where(own, self.side_grip, jnp.where(on_raft, 1.0, self.bank_grip)).astype(dtype),
+            damping=own * 2 * self.impact_damping * jnp.sqrt(STIFFNESS * self.mass / 2),
+        )

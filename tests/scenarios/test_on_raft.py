@@ -1,0 +1,51 @@
+"""Across water on a raft, and standing on one: speeds of monograph 4.3, and where statics says that it goes under."""
+
+import numpy as np
+import pytest
+from test_on_ball import outcomes
+
+from sweep.core.errors import InputError
+from sweep.formulas import evaluate
+from sweep.study.config import compose
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        (["obstacle.density=990"], "corner .* mm under water under the robot of 16 kg"),
+        (["obstacle.thickness=2", "obstacle.width=1", "obstacle.density=500"], "capsizes under the robot"),
+        (["robot.body_mass=1000", "obstacle.density=500", "obstacle.length=1.6"], "obstacle.density = 500 is not"),
+    ],
+)
+def test_a_raft_that_does_not_carry_its_robot_is_refused(changes, words):
+    exp = compose(["scenario=raft_cross", *changes])
+    with pytest.raises(InputError, match=words):
+        exp.case.manoeuvre.plan(exp.case)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ["mjx", "native"])
+def test_it_crosses(engine):
+    """As fast as (4.3) has it after the push, and at the other bank; nothing slips on the deck, no legs meet."""
+    rows = outcomes(["scenario=raft_cross", f"engine={engine}"])
+    assert rows["outcome"].tolist() == ["success"], rows["cause"]
+    assert rows["push_speed_mps"][0] == pytest.approx(0.144, abs=0.005)
+    assert rows["arrival_speed_mps"][0] == pytest.approx(0.1, abs=0.01)
+    assert rows["deck_slip_max_m"][0] < 0.015
+    assert rows["leg_gap_min_m"][0] > 0.01
+
+
+@pytest.mark.slow
+def test_statics_says_how_far_it_may_go():
+    """A heavy robot on a moored raft that floats deep: short of (4.1.28) the deck stays dry, beyond it does not."""
+    load, width, length, thickness, mass = 76.0, 2.1, 3.15, 0.21, 900 * 2.1 * 3.15 * 0.21
+    freeboard = thickness * 0.1 - load / (1000 * width * length)
+    limit = evaluate("raft_offset_limit", {
+        "tilt": freeboard / (length / 2), "P": 9.81 * (mass + load), "P_r": 9.81 * load,
+        "z_s": load / (mass + load) * (thickness / 2 + 0.525), "a": length / 2, "b": width / 2, "d": thickness / 2,
+    })["delta_x"]  # fmt: skip
+    assert 0.2 < limit < 0.8
+    overrides = ["scenario=raft_stand", "engine=native", "robot.body_mass=70", f"obstacle.laden={load}"]
+    rows = outcomes(overrides, 2, manoeuvre={"ahead": limit * np.array([0.8, 1.1])})
+    assert rows["outcome"].tolist() == ["success", "failure"], rows["cause"]
+    assert rows["cause"][1] == "awash"
