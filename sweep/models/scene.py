@@ -88,8 +88,8 @@ def compile_model(case: Case, geoms: bool = True) -> mujoco.MjModel:
     """
     spec = describe(case, geoms)
     if not geoms:
-        for geom in list(spec.geoms):
-            spec.delete(geom)
+        for part in [*spec.pairs, *spec.geoms]:
+            spec.delete(part)
     return spec.compile()
 
 

@@ -4,7 +4,16 @@ from sweep.models.obstacles.ball import Ball
 from sweep.models.obstacles.beam import Beam
 from sweep.models.obstacles.corner import Corner
 from sweep.models.obstacles.kerb import Kerb
+from sweep.models.obstacles.ladder import Ladder
 from sweep.models.obstacles.plane import Plane
 from sweep.models.obstacles.pole_ledge import PoleLedge
 
-OBSTACLES = {"ball": Ball, "beam": Beam, "corner": Corner, "kerb": Kerb, "plane": Plane, "pole_ledge": PoleLedge}
+OBSTACLES = {
+    "ball": Ball,
+    "beam": Beam,
+    "corner": Corner,
+    "kerb": Kerb,
+    "ladder": Ladder,
+    "plane": Plane,
+    "pole_ledge": PoleLedge,
+}
