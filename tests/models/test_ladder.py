@@ -110,8 +110,9 @@ def test_feet_feel_rungs_rails_wall_and_ledge(nominal):
     bodies = ladder.leaning()
     own = np.array([[0.3, 0.0, 0.0], [ladder.width / 2 + 0.001, 0.5, 0.0]])
     own[0, 1] = float(ladder.centre) - 3 * ladder.rung_step + 1e-3  # 1 mm under the third rung's top
-    points = np.concatenate([np.asarray(bodies.position[0]) + own @ np.asarray(bodies.rotation[0]).T,
-                             [[0.0, -1e-3, 1.0], [0.0, -0.3, ladder.ledge_height - 1e-3], [0.0, 2.0, -1e-3]]])  # fmt: skip
+    others = [[0.0, -1e-3, 1.0], [0.0, -0.3, ladder.ledge_height - 1e-3], [0.0, 2.0, -1e-3]]
+    on_it = np.asarray(bodies.position[0]) + own @ np.asarray(bodies.rotation[0]).T
+    points = np.concatenate([on_it, others])
     surface = ladder.surface(jnp.asarray(points), (-1,) * 5, bodies)
     np.testing.assert_allclose(surface.depth, 1e-3, atol=1e-6)
     sin, cos = np.sin(ladder.lean), np.cos(ladder.lean)

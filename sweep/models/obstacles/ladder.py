@@ -45,7 +45,7 @@ class Ladder:
     rungs: int = count(6, at_least=1, at_most=30)
     # from the top of one rung to the next one's, and from the rails' lower ends to the first
     rung_step: float = quantity(0.42, "m", above=0)
-    width: float = quantity(1.24, "m", above=0)  # between the rails
+    width: float = quantity(1.6, "m", above=0)  # between the rails
     rail_breadth: float = quantity(0.04, "m", above=0)  # of a rail, across the ladder
     rail_depth: float = quantity(0.08, "m", above=0)  # of a rail, out of the ladder's plane
     rung_height: float = quantity(0.04, "m", above=0)  # of a rung, along the rails
