@@ -33,6 +33,7 @@ from sweep.metrics import played
 from sweep.metrics.planned import holding, margins
 from sweep.metrics.played import by_stage, play
 from sweep.models.case import Case, Manoeuvre
+from sweep.models.obstacles.ball import Ball
 from sweep.study.config import Experiment, compose
 from sweep.study.study import is_static, parameter_columns, points, world_and_belief
 
@@ -129,7 +130,7 @@ def judge(
     def left(belief: Case, table: Table) -> dict[str, jax.Array]:
         manoeuvre = cast(Tabled, belief.manoeuvre)
         plan = manoeuvre.plan(belief) if table is None else manoeuvre.plan(belief, table)
-        if case.obstacle.free_bodies:
+        if isinstance(case.obstacle, Ball):
             seen = play(belief, plan, PERIOD, ticks)
             found = by_stage(seen, len(names))._asdict()
             if least_normal is not None:

@@ -34,6 +34,7 @@ SLACK = np.array([1e12] * 12 + list(np.geomspace(0.05, 0.01, 40)), np.float32)
 LENGTHS = (1.0, 0.7, 0.5, 0.3, 0.15, 0.07, 0.03, 0.01)  # of a Newton step, of which the longest that fits is taken
 FOCUS = 8.0  # weight of the pressed bounds against all others
 KEEP = 0.2  # of the room to a bound that a step has to leave
+MOVES = 1e-5  # m and rad, of a base that does: more than single precision makes of changing frames
 KNOTS = 5  # moments of a stage for which forces are planned
 
 
@@ -226,9 +227,9 @@ def moment(
     belief: Case, plan: Plan, bounds: Bounds, least: Effort, stage: Int[Array, ""], u: Float[Array, ""]
 ) -> tuple[StaticPose, Forces]:
     """The pose at phase `u` of a stage as planned, bodies as they start, and the best forces there by itself."""
-    feet, position = begins(plan, stage)
-    frames = plan.foot_frame[stage], plan.base_frame[stage]
-    stance = stance_to_world(reference(plan, stage, u, feet, position), *frames, free_start(belief.obstacle))
+    free, frames = free_start(belief.obstacle), (plan.foot_frame[stage], plan.base_frame[stage])
+    feet, position = begins(plan, stage, free)
+    stance = stance_to_world(reference(plan, stage, u, feet, position), *frames, free)
     here = pose(belief.robot, stance, surface_normals(belief, feet, plan.foot_frame[stage]), ~plan.swing[stage])
     return here, distribute(here, bounds, least)
 
@@ -239,14 +240,13 @@ def along(belief: Case, plan: Plan, bounds: Bounds, least: Effort) -> Course:
     In a stage in which nothing moves, load goes evenly from the forces before it to those after it: so that feet that
     are to swing carry nothing when they do.
     """
-    base = jnp.concatenate([plan.start.position[None], plan.position[:-1]])
     number, phases = jnp.arange(plan.duration.shape[0]), jnp.linspace(0.0, 1.0, KNOTS)
-
+    _, base = jax.vmap(lambda s: begins(plan, s, free_start(belief.obstacle)))(number)
     poses, planned = jax.vmap(lambda s: jax.vmap(lambda u: moment(belief, plan, bounds, least, s, u))(phases))(number)
     force = planned.force
     before = jnp.concatenate([force[:1, 0], force[:-1, -1]])[:, None]
     after = jnp.concatenate([force[1:, 0], force[-1:, -1]])[:, None]
-    moves = jnp.linalg.norm(plan.position - base, axis=-1) + jnp.linalg.norm(plan.turn, axis=-1) > 1e-6
+    moves = jnp.linalg.norm(plan.position - base, axis=-1) + jnp.linalg.norm(plan.turn, axis=-1) > MOVES
     rests = ~jnp.any(plan.swing, axis=-1) & ~moves
     share = phases[:, None, None]
     force = jnp.where(rests[:, None, None, None], (1 - share) * before + share * after, force)
@@ -272,8 +272,14 @@ class PlannedForces:
     anchoring: float = quantity(0.01, "s", above=0)  # in which footholds follow the feet
 
     def loading(self, stages: Sequence[Stage]) -> list[Stage]:
-        """`stages` with a rest before each of them, in which load goes off the feet that are to swing."""
-        return [s for stage in stages for s in (Stage(f"{stage.name}.load", self.load_time), stage)]
+        """`stages` with a rest before each of them, in which load goes off the feet that are to swing.
+
+        A rest is in the frames of the stage before it.
+        """
+        before = [Stage("", 0.0), *stages]
+        return [s for last, stage in zip(before, stages, strict=False) for s in (
+            Stage(f"{stage.name}.load", self.load_time, foot_frames=last.foot_frames, base_frame=last.base_frame), stage
+        )]  # fmt: skip
 
     def course(self, belief: Case, plan: Plan) -> Course:
         """The forces of least `effort` along `plan`."""

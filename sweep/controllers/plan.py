@@ -151,12 +151,17 @@ def assemble(
 ) -> Plan:  # fmt: skip
     """The table of `stages` from the stance `start` (world axes) on; `gains` are those of the flywheel, if any.
 
-    Where free bodies are as in `free` at the start, what no stage moves is kept in the first stage's frames.
+    Where free bodies are as in `free` at the start, what no stage moves stays where it is in the world, whatever the
+    frames of the stages; without them it stays as it is in the frames.
     """
-    frames = jnp.asarray(stages[0].foot_frames, jnp.int32), jnp.int32(stages[0].base_frame)
-    feet, position, quat = start if free is None else stance_to_frame(start, *frames, free)
-    rows = []
+    rows, (feet, position, quat) = [], start
+    before = Stage("start", 0.0)
     for stage in stages:
+        if free is not None and _moves_frames(before, stage):
+            was, now = ((jnp.array(s.foot_frames, jnp.int32), jnp.int32(s.base_frame)) for s in (before, stage))
+            world = stance_to_world(Stance(feet, position, quat), *was, free)
+            feet, position, quat = stance_to_frame(world, *now, free)
+        before = stage
         swing = jnp.array([leg in stage.swing for leg in LEGS])
         guides, guided = jnp.zeros((6, 2, 3)), jnp.array([leg in stage.guides for leg in LEGS])
         for leg, foothold in stage.swing.items():
@@ -185,6 +190,12 @@ def assemble(
     return Plan(names=names, start=start, patience=jnp.asarray(patience, float), posture=_postures(stages),
                 flywheel=flywheel, feedforward=None, steered=steered, onset=onset, support=_supports(stages), ease=ease,
                 afloat=afloat, **table)  # fmt: skip
+
+
+def _moves_frames(before: Stage, stage: Stage) -> bool:
+    """Whether the base, or a foot that does not swing, goes over to another frame."""
+    feet = zip(LEGS, before.foot_frames, stage.foot_frames, strict=True)
+    return before.base_frame != stage.base_frame or any(a != b and leg not in stage.swing for leg, a, b in feet)
 
 
 def _supports(stages: Sequence[Stage]) -> Support | None:
@@ -283,11 +294,16 @@ def along_guides(start: Array, guides: Float[Array, "*b 2 3"], end: Array, share
     return rest**3 * start + 3 * rest**2 * share * near + 3 * rest * share**2 * far + share**3 * end
 
 
-def begins(plan: Plan, stage: Int[Array, ""]) -> tuple[Float[Array, "6 3"], Float[Array, " 3"]]:
-    """Where feet and base (m) are when a stage begins, had all gone as planned; in the frames of the one before."""
+def begins(plan: Plan, stage: Int[Array, ""], free: FreeState) -> tuple[Float[Array, "6 3"], Float[Array, " 3"]]:
+    """Where feet and base (m) are in a stage's frames when it begins, had all gone as planned with bodies as `free`."""
     before = jnp.maximum(stage - 1, 0)
     feet = jnp.where(stage > 0, plan.foothold[before], plan.start.feet)
-    return feet, jnp.where(stage > 0, plan.position[before], plan.start.position)
+    position = jnp.where(stage > 0, plan.position[before], plan.start.position)
+    frames = plan.foot_frame[before], plan.base_frame[before]
+    stance = Stance(feet, position, plan.quat[before])
+    stance = jax.tree.map(lambda a, b: jnp.where(stage > 0, a, b), stance_to_world(stance, *frames, free), stance)
+    stance = stance_to_frame(stance, plan.foot_frame[stage], plan.base_frame[stage], free)
+    return stance.feet, stance.position
 
 
 def swings(plan: Plan, stage: Int[Array, ""], u: Float[Array, ""], feet: Array, goal: Array) -> Float[Array, "6 3"]:

@@ -1,17 +1,19 @@
 """New plans out of old ones: backwards in time, in a mirror, one after the other.
 
-For plans of feet alone in the world's frame: without postures, flywheel or planned forces.
+For plans of feet alone: without postures, flywheel or planned forces; mirrored and joined ones in the world's frame.
 """
 
 from dataclasses import fields, replace
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from sweep.controllers.plan import Plan, Stance
+from sweep.controllers.plan import Plan, Stance, begins, stance_to_world
 from sweep.core.rotations import exponential, multiply
+from sweep.models.obstacles.surface import FreeState, no_bodies
 
 BACK = "back."  # put before the names of stages that run backwards in time
 OTHER_SIDE = np.array([1, 0, 3, 2, 5, 4])  # index of each leg's partner on the robot's other side
@@ -22,27 +24,30 @@ def last_stance(plan: Plan) -> Stance:
     return Stance(plan.foothold[-1], plan.position[-1], multiply(exponential(plan.turn[-1]), plan.quat[-1]))
 
 
-def reversed_in_time(plan: Plan) -> Plan:
+def reversed_in_time(plan: Plan, free: FreeState | None = None) -> Plan:
     """The way back: it starts at the plan's last stance, and at time T - t it wants what the plan wants at t.
+
+    Free bodies are as in `free`, and stay there.
 
     Every step cycle, pace and path of the vocabulary is its own reversal but for its ends, so that a stage goes back
     by the same swings, from its footholds to those of the stage before. Applied twice, it gives the plan again.
     """
-    feet = jnp.concatenate([plan.start.feet[None], plan.foothold])
-    position = jnp.concatenate([plan.start.position[None], plan.position])
+    free = no_bodies() if free is None else free
+    feet, position = jax.vmap(lambda stage: begins(plan, stage, free))(jnp.arange(len(plan.names)))
     turned = multiply(exponential(plan.turn), plan.quat)  # the base's attitude at the end of each stage
 
     def back(array: Array) -> Array:
         return jnp.flip(array, axis=0)
 
-    unchanged = ("duration", "swing", "guided", "cycle", "height", "plane", "carry", "pace", "pivot", "arc")
+    unchanged = ("duration", "swing", "guided", "cycle", "height", "plane", "carry", "pace", "pivot", "arc",
+                 "foot_frame", "base_frame")  # fmt: skip
     table: dict[str, Any] = {name: back(getattr(plan, name)) for name in unchanged}
     return replace(
         plan,
         names=tuple(name.removeprefix(BACK) if name.startswith(BACK) else BACK + name for name in plan.names[::-1]),
-        start=last_stance(plan),
-        foothold=back(feet[:-1]),
-        position=back(position[:-1]),
+        start=stance_to_world(last_stance(plan), plan.foot_frame[-1], plan.base_frame[-1], free),
+        foothold=back(feet),
+        position=back(position),
         quat=back(turned),
         turn=back(-plan.turn),
         rates=back(jnp.flip(plan.rates, axis=1)),

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from sweep.controllers import feedforward, flywheel, onset, support
-from sweep.controllers.frames import to_world
+from sweep.controllers.frames import attitude_to_world, to_world
 from sweep.controllers.observation import Observation
 from sweep.controllers.observer import Observer, followed
 from sweep.controllers.plan import BALANCE, REZERO, Plan, Posture, Stance, reference, stance_to_frame, stance_to_world
@@ -262,6 +262,11 @@ def _advance(belief: Case, plan: Plan, state: TrackerState, seen: Observation, p
     if plan.support is not None:
         free = support.begun(jax.tree.map(lambda x: x[following], plan.support), meant, free)
         starts = starts._replace(position=stance_to_frame(ended, *frames, free).position)
+    if free.position.shape[0]:  # what is left to the attitude of another frame fades as the error does
+        wanted = attitude_to_world(plan.quat[following], frames[1], free)
+        left = logarithm(multiply(exponential(begun.turn), multiply(ended.quat, conjugate(wanted))))
+        stays = plan.base_frame[stage] == plan.base_frame[following]
+        begun = begun._replace(turn=jnp.where(stays, begun.turn, left))
     shifted = state._replace(
         stage=following,
         clock=jnp.where(last, state.clock, jnp.minimum(jnp.maximum(over, 0.0), period)),

@@ -6,7 +6,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from sweep.controllers import forces
-from sweep.controllers.plan import Plan, Stance, begins, reference
+from sweep.controllers.frames import to_world
+from sweep.controllers.plan import Plan, Stance, begins, reference, stance_to_world
 from sweep.controllers.posture import feet_in_world, leg_points, mass_centre
 from sweep.controllers.tracker import joint_targets
 from sweep.core.rotations import matrix, rotate, wrapped
@@ -14,7 +15,7 @@ from sweep.formulas import stepping
 from sweep.metrics.geometry import base_gap, leg_gap, links_beyond_foot, support_margin
 from sweep.models import solids
 from sweep.models.case import Case
-from sweep.models.obstacles.surface import Bodies, Surface, no_bodies, poses
+from sweep.models.obstacles.surface import Bodies, Surface, free_start, poses
 from sweep.models.robot import half_size
 
 MID_SWING = 0.05  # m from both ends of a swing, beyond which a foot has to be off the obstacle
@@ -45,13 +46,16 @@ class Holding(NamedTuple):
 
 
 def margins(case: Case, plan: Plan, stage: Int[Array, ""], u: Float[Array, ""]) -> Margins:
-    """At phase `u` of a stage, feet and base where the stages before have planned them. For obstacles that rest."""
+    """At phase `u` of a stage, feet and base where the stages before have planned them, free bodies as they start."""
+    free = free_start(case.obstacle)
     stance, joints, shortfall = posed(case, plan, stage, u)
-    starts, _ = begins(plan, stage)
+    starts, goal = (
+        to_world(feet, plan.foot_frame[stage], free) for feet in (begins(plan, stage, free)[0], plan.foothold[stage])
+    )
     _, later, _ = posed(case, plan, stage, u + jnp.where(u > 0.5, -JOINTS_AT, JOINTS_AT))
     rates = wrapped(later - joints) / (JOINTS_AT * plan.duration[stage])
-    goes = Swing(plan.swing[stage], starts, plan.foothold[stage])
-    return left(case, poses(no_bodies()), stance, joints, rates, shortfall, goes)
+    goes = Swing(plan.swing[stage], starts, goal)
+    return left(case, poses(free), stance, joints, rates, shortfall, goes)
 
 
 class Swing(NamedTuple):
@@ -109,14 +113,15 @@ def holding(case: Case, plan: Plan, stage: Int[Array, ""], u: Float[Array, ""], 
 
 
 def posed(case: Case, plan: Plan, stage: Array, u: Array) -> tuple[Stance, Float[Array, "6 3"], Float[Array, " 6"]]:
-    """The stance at phase `u` of a stage, its joint angles (rad) and how far each foot is out of reach (m)."""
-    robot = case.robot
-    stance = reference(plan, stage, u, *begins(plan, stage))
+    """The stance at phase `u` of a stage (world axes), its joint angles (rad), each foot's lack of reach (m)."""
+    robot, free = case.robot, free_start(case.obstacle)
+    stance = reference(plan, stage, u, *begins(plan, stage, free))
+    stance = stance_to_world(stance, plan.foot_frame[stage], plan.base_frame[stage], free)
     joints, shortfall = joint_targets(robot, stance)
     if plan.posture is None:
         return stance, joints, shortfall
     before = jnp.maximum(stage - 1, 0)
-    origin, _ = joint_targets(robot, reference(plan, before, jnp.ones(()), *begins(plan, before)))
+    origin, _ = joint_targets(robot, reference(plan, before, jnp.ones(()), *begins(plan, before, free)))
     origin = jnp.where(plan.posture.held[before][:, None], plan.posture.joints[before], origin)
     held = plan.posture.held[stage]
     way = stepping.lambda_1(u, 0.0, 1.0)[0] * (plan.posture.joints[stage] - origin)

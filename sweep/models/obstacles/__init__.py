@@ -4,6 +4,7 @@ from sweep.models.obstacles.ball import Ball
 from sweep.models.obstacles.beam import Beam
 from sweep.models.obstacles.corner import Corner
 from sweep.models.obstacles.kerb import Kerb
+from sweep.models.obstacles.ladder import Ladder
 from sweep.models.obstacles.plane import Plane
 from sweep.models.obstacles.pole_ledge import PoleLedge
 from sweep.models.obstacles.raft import Raft
@@ -13,6 +14,7 @@ OBSTACLES = {
     "beam": Beam,
     "corner": Corner,
     "kerb": Kerb,
+    "ladder": Ladder,
     "plane": Plane,
     "pole_ledge": PoleLedge,
     "raft": Raft,

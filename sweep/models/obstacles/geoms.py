@@ -130,6 +130,10 @@ def _inset(polygon: np.ndarray, margin: float) -> np.ndarray:
     return np.linalg.solve(normals, offsets[..., None])[..., 0]
 
 
+def invisible() -> dict[str, Any]:
+    """Options of a geom that only collides."""
+    return {"rgba": [0, 0, 0, 0], "group": COLLIDING, "mass": 0.0}
+
+
 def _colliding(friction: float) -> dict:
-    invisible = {"rgba": [0, 0, 0, 0], "group": COLLIDING, "mass": 0.0}
-    return {"contype": 0, "conaffinity": 1, "friction": [friction, 0.005, 1e-4], **STIFF, **invisible}
+    return {"contype": 0, "conaffinity": 1, "friction": [friction, 0.005, 1e-4], **STIFF, **invisible()}

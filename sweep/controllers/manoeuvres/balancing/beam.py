@@ -12,7 +12,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.controllers.gaits import TRIPOD, Step, centre_offsets, regular_steps
-from sweep.controllers.manoeuvres.climbing.pole import TOWARDS, point
+from sweep.controllers.manoeuvres.climbing.pole import point
+from sweep.controllers.manoeuvres.climbing.walking import TOWARDS
 from sweep.controllers.manoeuvres.goals import ARRIVED, UPRIGHT
 from sweep.controllers.plan import BALANCE, CYCLE_B, LEVELLING, LOCKED, SMOOTH, Gains, Plan, Stage, Stance, assemble
 from sweep.controllers.tracker import joint_targets

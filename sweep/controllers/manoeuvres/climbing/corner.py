@@ -12,7 +12,8 @@ from jaxtyping import Array
 
 from sweep.controllers.forces import PlannedForces
 from sweep.controllers.gaits import GALLOP, Step
-from sweep.controllers.manoeuvres.climbing.pole import OUTWARD, TOWARDS, UP, pair, point
+from sweep.controllers.manoeuvres.climbing.pole import OUTWARD, UP, pair, point
+from sweep.controllers.manoeuvres.climbing.walking import TOWARDS
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
 from sweep.controllers.plan import CYCLE_B_SMOOTH, SMOOTH, Plan, Stage, Stance, assemble
 from sweep.core.parameters import choice, count, parameters, quantity

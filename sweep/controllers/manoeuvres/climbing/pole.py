@@ -12,21 +12,18 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.controllers.forces import PlannedForces
-from sweep.controllers.gaits import GALLOP, TRIPOD, Step, centre_offsets, regular_steps
+from sweep.controllers.gaits import GALLOP, Step
+from sweep.controllers.manoeuvres.climbing.walking import walk_up
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
 from sweep.controllers.plan import CYCLE_A, CYCLE_B, Plan, Stage, Stance, assemble
-from sweep.controllers.posture import foot_centres
 from sweep.core.parameters import choice, count, parameters, quantity
-from sweep.core.rotations import rotate
 from sweep.formulas import stepping
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
-from sweep.models.legs import LEGS
 from sweep.models.obstacles.pole_ledge import PoleLedge
 
 STAND = 0.5  # s, before the first and after the last swing
 FRONT, MIDDLE, REAR = GALLOP
-TOWARDS = (0.5**0.5, 0.0, 0.0, -(0.5**0.5))  # base to world: x_r along -y, z_r up
 OUTWARD = SIDE[:, None] * np.array([1.0, 0.0, 0.0])  # (6, 3), e_n of (2.3.2)
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -201,22 +198,9 @@ def approach(site: PoleSite, belief: Case, steps: int, gap: Array | float = 0.0)
 
     The base walks up to `gap` (m) before where it gets on, and goes the rest while the feet go to their places.
     """
-    step, forward, quat = site.step, jnp.array([0.0, -1.0, 0.0]), jnp.array(TOWARDS)
-    spread = site.track - belief.robot.body_width / 2
-    centres = rotate(quat[None], foot_centres(belief.robot, spread, site.crossing[2]))
     arrival = site.crossing + point(0.0, site.length / 2, 0.0)
-    position = arrival - (gap + 2 * step.landing * steps) * forward
-    offsets = centre_offsets(TRIPOD, step)
-    feet = position + centres + jnp.stack([offsets[leg] * forward for leg in LEGS])
-    start = Stance(feet, position, quat)
-    stages = regular_steps(TRIPOD, step, start, centres, forward, steps, 0.0)
     places = {leg: place for legs in GALLOP for leg, place in site.on_floor(legs).items()}
-    for k, legs in enumerate(TRIPOD):
-        centre = arrival - (1 - k) * gap / 2 * forward
-        name = f"place.{'-'.join(map(str, legs))}"
-        stages.append(Stage(name, step.time, {leg: places[leg] for leg in legs}, CYCLE_B, step.height,
-                            position=centre))  # fmt: skip
-    return start, stages
+    return walk_up(belief, site.step, arrival, site.track - belief.robot.body_width / 2, places, steps, gap)
 
 
 def get_on(site: PoleSite) -> list[Stage]:

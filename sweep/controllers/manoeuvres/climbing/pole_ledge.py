@@ -29,22 +29,18 @@ What differs from the print, and why:
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import ClassVar, NamedTuple
 
-import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sweep.controllers.gaits import TRIPOD, centre_offsets, regular_steps
-from sweep.controllers.manoeuvres.climbing.pole import FRONT, MIDDLE, REAR, TOWARDS, PoleSite, pair, point
-from sweep.controllers.manoeuvres.climbing.pole_top import EASED, TOP, Footholds, PoleTop, lofted, on_disc
+from sweep.controllers.manoeuvres.climbing import walking
+from sweep.controllers.manoeuvres.climbing.pole import FRONT, MIDDLE, REAR, PoleSite, pair, point
+from sweep.controllers.manoeuvres.climbing.pole_top import TOP, Footholds, PoleTop, lofted, on_disc
 from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.plan import CYCLE_B, Plan, Stage, Stance
-from sweep.controllers.posture import foot_centres, leg_unit
+from sweep.controllers.posture import leg_unit
 from sweep.core.parameters import choice, count, parameters
-from sweep.core.rotations import rotate
 from sweep.models.case import Case
-from sweep.models.legs import LEGS
 from sweep.models.obstacles import pole_ledge
 
 ON_TOP, ON_LEDGE = "top", "ledge"
@@ -162,23 +158,13 @@ def cross(site: PoleSite, belief: Case, moves: Sequence[Move]) -> list[Stage]:
             at[move.legs] = swing
         base = beyond(site, move.base[0], site.top + move.base[1] * site.length)
         stages.append(Stage(f"ledge.{move.name}", move.time * site.step.time, swing, CYCLE_B, position=base,
-                            turn=point(move.pitch - pitch, 0.0, 0.0), rates=EASED, guides=guides))  # fmt: skip
+                            turn=point(move.pitch - pitch, 0.0, 0.0), rates=walking.EASED, guides=guides))  # fmt: skip
         pitch = move.pitch
     return stages
 
 
 def walk_away(site: PoleSite, belief: Case, ledge: Array | float, steps: int) -> tuple[list[Stage], list[Stage]]:
     """The feet to where a tripod gait may start, and `steps` swings of it on the ledge."""
-    step, forward, quat = site.step, jnp.array([0.0, -1.0, 0.0]), jnp.array(TOWARDS)
     spread = site.track - belief.robot.body_width / 2
-    centres = rotate(quat[None], foot_centres(belief.robot, spread, site.clearance))
-    position = beyond(site, 0.75, ledge + site.clearance)
-    offsets = centre_offsets(TRIPOD, step)
-    feet = position + centres + jnp.stack([offsets[leg] * forward for leg in LEGS])
-    stages = []
-    for legs in TRIPOD:
-        name = f"away.{'-'.join(map(str, legs))}"
-        stages.append(Stage(name, 1.5 * step.time, {leg: feet[leg - 1] for leg in legs}, CYCLE_B, 2 * step.height,
-                            position=position, rates=EASED))  # fmt: skip
-    walk = regular_steps(TRIPOD, step, Stance(feet, position, quat), centres, forward, steps, 0.0)
-    return stages, [replace(stage, name=f"away.{stage.name}") for stage in walk]
+    return walking.walk_away(belief, site.step, beyond(site, 0.75, ledge + site.clearance), spread, site.clearance,
+                             steps)  # fmt: skip

@@ -34,6 +34,7 @@ from sweep.controllers.manoeuvres.climbing.pole import (
     pair,
     point,
 )
+from sweep.controllers.manoeuvres.climbing.walking import EASED
 from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.plan import CYCLE_B, SMOOTH, Plan, Stage, Stance
 from sweep.core.parameters import choice, count, parameters
@@ -49,7 +50,6 @@ BELOW_EDGE = (0.0, -0.355)  # where the middle feet wait for the rear ones
 # sides when it pitches down to a lower ledge
 TOP = {FRONT: (0.625, -((RIM**2 - 0.625**2) ** 0.5)), MIDDLE: (RIM, 0.0), REAR: (0.7, (RIM**2 - 0.7**2) ** 0.5)}
 PROPPED = (0.864, 0.077)  # where the middle feet stand while the rear ones come up
-EASED = (0.0, 0.0)  # rates of a path of the base that starts and ends at rest, as swings do
 
 type Footholds = dict[int, Array]
 

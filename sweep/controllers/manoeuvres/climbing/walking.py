@@ -1,0 +1,72 @@
+"""To an obstacle and away from it by tripod, along -y."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from sweep.controllers.gaits import TRIPOD, Step, centre_offsets, regular_steps
+from sweep.controllers.plan import CYCLE_B, Stage, Stance
+from sweep.controllers.posture import foot_centres
+from sweep.core.rotations import rotate
+from sweep.models.case import Case
+from sweep.models.legs import LEGS
+
+TOWARDS = (0.5**0.5, 0.0, 0.0, -(0.5**0.5))  # base to world: x_r along -y, z_r up
+FORWARD = np.array([0.0, -1.0, 0.0])
+EASED = (0.0, 0.0)  # rates of a path of the base that starts and ends at rest, as swings do
+
+
+def centres(belief: Case, spread: Array | float, height: Array | float) -> Float[Array, "6 3"]:
+    """Feet `spread` (m) out from the hips and `height` (m) below them, as seen from the base, world axes."""
+    return rotate(jnp.array(TOWARDS)[None], foot_centres(belief.robot, spread, height))
+
+
+def walk_up(
+    belief: Case,
+    step: Step,
+    arrival: Float[Array, " 3"],
+    spread: Array | float,
+    places: Mapping[int, Array],
+    steps: int,
+    gap: Array | float = 0.0,
+) -> tuple[Stance, list[Stage]]:
+    """`steps` swings by tripod, then a swing of each tripod to `places` (m) by leg.
+
+    The base walks up to `gap` (m) before where it arrives, and goes the rest while the feet go to their places.
+    """
+    forward, home = jnp.array(FORWARD), centres(belief, spread, arrival[2])
+    position = arrival - (gap + 2 * step.landing * steps) * forward
+    offsets = centre_offsets(TRIPOD, step)
+    feet = position + home + jnp.stack([offsets[leg] * forward for leg in LEGS])
+    start = Stance(feet, position, jnp.array(TOWARDS))
+    stages = regular_steps(TRIPOD, step, start, home, forward, steps, 0.0)
+    for k, legs in enumerate(TRIPOD):
+        centre = arrival - (1 - k) * gap / 2 * forward
+        name = f"place.{'-'.join(map(str, legs))}"
+        stages.append(Stage(name, step.time, {leg: places[leg] for leg in legs}, CYCLE_B, step.height,
+                            position=centre))  # fmt: skip
+    return start, stages
+
+
+def walk_away(
+    belief: Case,
+    step: Step,
+    position: Float[Array, " 3"],
+    spread: Array | float,
+    clearance: Array | float,
+    steps: int,
+) -> tuple[list[Stage], list[Stage]]:
+    """The feet to where a tripod gait may start, the base at `position` (m), and `steps` swings of it."""
+    forward, home = jnp.array(FORWARD), centres(belief, spread, clearance)
+    offsets = centre_offsets(TRIPOD, step)
+    feet = position + home + jnp.stack([offsets[leg] * forward for leg in LEGS])
+    stages = []
+    for legs in TRIPOD:
+        name = f"away.{'-'.join(map(str, legs))}"
+        stages.append(Stage(name, 1.5 * step.time, {leg: feet[leg - 1] for leg in legs}, CYCLE_B, 2 * step.height,
+                            position=position, rates=EASED))  # fmt: skip
+    walk = regular_steps(TRIPOD, step, Stance(feet, position, jnp.array(TOWARDS)), home, forward, steps, 0.0)
+    return stages, [replace(stage, name=f"away.{stage.name}") for stage in walk]

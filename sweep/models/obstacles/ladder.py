@@ -1,0 +1,200 @@
+"""A ladder that leans on the wall of a ledge and is held by friction alone (monograph 2.5).
+
+World axes: the wall is the plane y = 0, the ledge behind it, and the ladder's plane is parallel to x. The ladder's own
+axes: x as the world's, y down along its rails, z out of its plane, away from the wall; they are the world's where it
+lies flat on the floor. The book's xi, eta, zeta are x, y, z; its e_l is -y and its e_n is z of the ladder.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from jaxtyping import Array, Float
+
+from sweep.core.errors import InputError
+from sweep.core.parameters import choice, count, parameters, quantity
+from sweep.core.rotations import matrix
+from sweep.models.obstacles.geoms import add_solids, add_touching, invisible
+from sweep.models.obstacles.surface import FOOT_RADIUS, Bodies, FreeState, Surface, own_axes
+from sweep.models.solids import SOIL, Box, HalfSpace, Solid
+
+FLOOR, WALL, LEDGE, BARS = range(4)  # faces; each bar has six from BARS on
+EXTENT = 1.5  # m, half of how far the ledge reaches back
+SIDES = (-1.0, 1.0)
+
+
+class Bars(NamedTuple):
+    """What the ladder is made of: its two rails, then its rungs from the lowest up, in its own axes."""
+
+    centre: Float[Array, "n 3"]  # m, from the mass centre
+    half: Float[Array, "n 3"]  # m
+
+
+@parameters
+class Ladder:
+    """A ladder of 25 kg with six rungs that leans at 75 degrees on a ledge 2.5 a_r high, free to slide and to turn.
+
+    Its lower ends touch the floor and its upper ends the wall. At the start it hangs free of both and falls."""
+
+    kind: str = choice("ladder", "ladder")
+    ledge_height: float = quantity(2.625, "m", above=0)  # h1, of the ledge above the floor
+    length: float = quantity(2.625, "m", above=0)  # l, of the rails
+    lean: float = quantity(1.3089969389957472, "rad", at_least=0.5, at_most=1.55)  # phi, of the ladder and the floor
+    mass: float = quantity(25.0, "kg", above=0)
+    rungs: int = count(6, at_least=1, at_most=30)
+    # from the top of one rung to the next one's, and from the rails' lower ends to the first
+    rung_step: float = quantity(0.42, "m", above=0)
+    width: float = quantity(1.6, "m", above=0)  # between the rails
+    rail_breadth: float = quantity(0.04, "m", above=0)  # of a rail, across the ladder
+    rail_depth: float = quantity(0.08, "m", above=0)  # of a rail, out of the ladder's plane
+    rung_height: float = quantity(0.04, "m", above=0)  # of a rung, along the rails
+    rung_depth: float = quantity(0.06, "m", above=0)  # of a rung, out of the ladder's plane
+    floor_grip: float = quantity(1.0, "-", at_least=0)  # multiplies the friction coefficient of ladder and floor
+    wall_grip: float = quantity(1.0, "-", at_least=0)  # the same of ladder and wall
+    gap: float = quantity(4e-3, "m", at_least=0, at_most=0.1)  # to floor and wall at the start
+
+    free_bodies = ("ladder",)
+    contact_sites = (("lower_right", 0), ("lower_left", 0), ("upper_right", 0), ("upper_left", 0))
+
+    @property
+    def centre(self) -> Array | float:
+        """Mass centre (m), along the rails from their lower ends."""
+        rails, rungs = self._volumes()
+        middle = (0.5 + 0.5 * self.rungs) * self.rung_step - self.rung_height / 2
+        return (rails * self.length / 2 + rungs * middle) / (rails + rungs)
+
+    def _volumes(self) -> tuple[Array | float, Array | float]:
+        """Of rails and of rungs (m^3)."""
+        rails = 2 * self.length * self.rail_breadth * self.rail_depth
+        return rails, self.rungs * self.width * self.rung_height * self.rung_depth
+
+    def bars(self) -> Bars:
+        """Rails and rungs."""
+        aside = (self.width + self.rail_breadth) / 2
+        rail = _row(self.rail_breadth / 2, self.length / 2, self.rail_depth / 2)
+        rung = _row(self.width / 2, self.rung_height / 2, self.rung_depth / 2)
+        middles = [_row(side * aside, self.centre - self.length / 2, 0.0) for side in SIDES]
+        tops = [self.centre - k * self.rung_step + self.rung_height / 2 for k in range(1, self.rungs + 1)]
+        return Bars(
+            jnp.stack([*middles, *(_row(0.0, top, 0.0) for top in tops)]), jnp.stack([rail] * 2 + [rung] * self.rungs)
+        )
+
+    def add_to(self, spec: mujoco.MjSpec, friction: float) -> None:
+        """Floor, ledge and ladder, whose corners meet them by geoms of their own."""
+        values = self.leaves()
+        body = spec.worldbody.add_body(name="ladder", explicitinertial=True, mass=float(self.mass), ipos=[0, 0, 0],
+                                       inertia=np.asarray(values["body_inertia"]["ladder"], float))  # fmt: skip
+        body.add_freejoint(name="ladder")
+        add_solids(spec, self.solids(own_axes(1)), friction, self.free_bodies)
+        for name, _ in self.contact_sites:
+            place = np.asarray(values["site_pos"][name], float)
+            body.add_site(name=name, pos=place)
+            body.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_SPHERE, pos=place, size=[FOOT_RADIUS, 0, 0],
+                          contype=0, conaffinity=0, **invisible())  # fmt: skip
+            for other, grip in (("floor", self.floor_grip), ("ledge", self.wall_grip)):
+                add_touching(spec, name, f"{other}_contact", float(friction * grip), 1.0)
+
+    def check(self) -> None:
+        """Raise `InputError` where the upper ends do not meet the wall, or rungs have no room, by plain numbers."""
+        reach = self.length * np.sin(self.lean)
+        if reach >= self.ledge_height:
+            raise InputError(
+                f"obstacle.length = {self.length:g} is not allowed: leaning it reaches {reach:.3f} m up, and the wall "
+                f"obstacle.ledge_height = {self.ledge_height:g}"
+            )
+        if self.rungs * self.rung_step > self.length:
+            raise InputError(
+                f"obstacle.rungs = {self.rungs} is not allowed: with obstacle.rung_step = {self.rung_step:g} at most "
+                f"{int(self.length / self.rung_step)}, which obstacle.length = {self.length:g} has room for"
+            )
+
+    def leaves(self) -> dict[str, dict[str, Array]]:
+        """Mass, inertia of homogeneous bars, and the edges of the rails that touch."""
+        bars = self.bars()
+        volume = jnp.prod(bars.half, axis=-1)
+        mass = self.mass * volume / jnp.sum(volume)
+        squares = bars.half**2 / 3 + bars.centre**2
+        inertia = jnp.sum(mass[:, None] * (jnp.sum(squares, axis=-1, keepdims=True) - squares), axis=0)
+        ends = {"lower": self.centre, "upper": self.centre - self.length}
+        aside, inner = (self.width + self.rail_breadth) / 2, -self.rail_depth / 2
+        sites = {f"{end}_{side}": _row(sign * aside, y, inner)
+                 for end, y in ends.items() for side, sign in zip(("right", "left"), SIDES, strict=True)}  # fmt: skip
+        return {
+            "body_mass": {"ladder": jnp.asarray(self.mass)},
+            "body_inertia": {"ladder": inertia},
+            "site_pos": sites,
+        }
+
+    def start(self) -> FreeState:
+        """At rest, `gap` away from floor and wall."""
+        lean, edge = jnp.asarray(self.lean), self.rail_depth / 2
+        sin, cos, zero = jnp.sin(lean), jnp.cos(lean), jnp.zeros_like(lean)
+        y = self.gap + (self.length - self.centre) * cos + edge * sin
+        z = self.gap + self.centre * sin + edge * cos
+        quat = jnp.stack([jnp.cos(lean / 2), -jnp.sin(lean / 2), zero, zero])
+        return FreeState(_row(0.0, y, z)[None], quat[None], jnp.zeros((1, 3)), jnp.zeros((1, 3)))
+
+    def leaning(self) -> Bodies:
+        """Where the ladder starts."""
+        start = self.start()
+        return Bodies(start.position, matrix(start.quat))
+
+    def solids(self, bodies: Bodies) -> tuple[Solid, ...]:
+        """The ledge ends where no robot comes."""
+        bars, ledge = self.bars(), self.ledge_height / 2
+        place = bodies.position[0] + bars.centre @ bodies.rotation[0].T
+        names = ("rail_right", "rail_left", *(f"rung{k}" for k in range(1, self.rungs + 1)))
+        boxes = (
+            Box(name=name, position=place[k], rotation=bodies.rotation[0], half=bars.half[k], body=0)
+            for k, name in enumerate(names)
+        )
+        return (
+            HalfSpace(name="floor", normal=(0.0, 0.0, 1.0)),
+            Box(name="ledge", position=(0.0, -EXTENT, ledge), half=(2.0, EXTENT, ledge), colour=SOIL),
+            *boxes,
+        )
+
+    def load(self, free: FreeState) -> None:
+        """Nothing beside weight and contact."""
+
+    def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: Bodies) -> Surface:
+        """A solid's depth is the least over its faces; of floor, ledge and bars the deepest counts.
+
+        The ladder's own corners feel floor and wall.
+        """
+        own, dtype = np.array(owner) >= 0, points.dtype
+        bars = Bars(*(x.astype(dtype) for x in self.bars()))
+        _, y, z = points.T
+        up, out = jnp.array([0.0, 0.0, 1.0], dtype), jnp.array([0.0, 1.0, 0.0], dtype)
+        above = self.ledge_height - z
+        ledge = jnp.where(own, -y, jnp.minimum(-y, above))
+        turned = (points - bodies.position[0]) @ bodies.rotation[0]
+        offset = turned[:, None] - bars.centre
+        inside = bars.half - jnp.abs(offset)  # (n, bars, axes)
+        bar = jnp.argmax(jnp.min(inside, axis=-1), axis=-1)
+        offset, inside = (jnp.take_along_axis(x, bar[:, None, None], axis=1)[:, 0] for x in (offset, inside))
+        axis = jnp.argmin(inside, axis=-1)
+        side = jnp.where(jnp.take_along_axis(offset, axis[:, None], axis=-1)[:, 0] < 0, -1.0, 1.0).astype(dtype)
+        solids = jnp.stack([-z, ledge, jnp.where(own, -jnp.inf, jnp.min(inside, axis=-1))])
+        solid = jnp.argmax(solids, axis=0)
+        on_wall = own | (-y <= above)
+        face = jnp.select(
+            [solid == 0, (solid == 1) & on_wall, solid == 1], [FLOOR, WALL, LEDGE],
+            BARS + 6 * bar + 2 * axis + (side > 0),
+        )  # fmt: skip
+        of_bar = side[:, None] * bodies.rotation[0].T[axis]
+        pick = face[:, None]
+        normal = jnp.where(pick >= BARS, of_bar, jnp.where(pick == WALL, out, up))
+        grip = jnp.where(face == WALL, self.wall_grip, self.floor_grip)
+        return Surface(
+            depth=jnp.max(solids, axis=0),
+            normal=normal,
+            face=face.astype(jnp.int32),
+            body=jnp.where(face >= BARS, 0, -1).astype(jnp.int32),
+            friction_scale=jnp.where(own, grip, 1.0).astype(dtype),
+        )
+
+
+def _row(*numbers: Array | float) -> Array:
+    return jnp.stack([jnp.asarray(x, float) for x in numbers])
