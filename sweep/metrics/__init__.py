@@ -2,6 +2,7 @@
 
 from sweep.metrics import (
     attitude,
+    calibration,
     clearance,
     drives,
     footholds,
@@ -31,6 +32,7 @@ METRICS: tuple[Metric, ...] = tuple(
         footholds,
         support,
         load,
+        calibration,
         solver,
     )
 )
