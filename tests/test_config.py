@@ -13,7 +13,8 @@ from sweep.study.config import compose, composed, experiment
 
 TOGETHER = ("obstacle", "manoeuvre")  # which have to fit
 CHOICES = [f"{group}={name}" for group in GROUPS if group not in TOGETHER for name in choices(group)]
-SHARED = ("pole_sizes", "pole_unknown_sizes", "ball_sizes", "ball_unknown")  # called after their scenario
+# called after their scenario
+SHARED = ("pole_sizes", "pole_unknown_sizes", "pole_calibration", "ball_sizes", "ball_unknown")
 
 
 @pytest.mark.parametrize("choice", CHOICES)

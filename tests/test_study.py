@@ -173,3 +173,13 @@ def test_a_side_by_its_old_name_is_read_and_noted(capsys):
         compose(["+study.axes.f={path: contact.friction, on: world, side: world, values: [0.5]}"])
     as_yaml_reads_it = {"f": {"path": "contact.friction", True: "world", "values": [0.5]}}
     assert parse_axes(as_yaml_reads_it) == exp.study.axes
+
+
+def test_rows_that_use_nothing_of_control_keep_the_ids_of_before_there_was_any():
+    axis = "+study.axes.calibrate={path: control.calibrate, values: [none, sizes]}"
+    _, plain = table_of("study=ci_smoke")
+    _, both = table_of("study=ci_smoke", axis)
+    stored = pd.read_parquet("tests/data/ci_smoke/points.parquet")
+    assert plain["point_id"].tolist() == stored["point_id"].tolist()
+    assert both.loc[both["control.calibrate"] == "none", "point_id"].tolist() == plain["point_id"].tolist()
+    assert both["point_id"].nunique() == 2 * plain["point_id"].nunique()

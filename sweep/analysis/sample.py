@@ -1,6 +1,7 @@
 """What may be pooled: copies of a rollout are no evidence, and only a sample of something has an interval."""
 
 import dataclasses
+from operator import attrgetter
 
 import numpy as np
 import pandas as pd
@@ -11,7 +12,11 @@ from sweep.controllers.observation import Noise
 from sweep.study.config import Experiment
 from sweep.study.study import parameter_columns
 
-RANDOM = tuple(f.name for f in dataclasses.fields(Noise) if f.name.endswith(("_noise", "_bias")))  # drawn in a rollout
+# what draws errors in a rollout, and what it is where it draws none
+RANDOM: dict[str, float | str] = {
+    f"noise.{f.name}": 0 for f in dataclasses.fields(Noise) if f.name.endswith(("_noise", "_bias"))
+}
+RANDOM["control.calibrate"] = "none"
 
 
 def some(number: int, most: int) -> np.ndarray:
@@ -21,13 +26,13 @@ def some(number: int, most: int) -> np.ndarray:
 
 
 def copies(rows: pd.DataFrame, exp: Experiment) -> np.ndarray:
-    """Which rows repeat an earlier one: replicates of a point whose noise is all zero, so that they cannot differ."""
+    """Which rows repeat an earlier one: replicates of a point that draws no errors, so that they cannot differ."""
     if exp.study.replicates < 2:
         return np.zeros(len(rows), dtype=bool)
     random = np.zeros(len(rows), dtype=bool)
-    for name in RANDOM:
-        column = next((c for c in (f"world.noise.{name}", f"noise.{name}") if c in rows), None)
-        random |= (rows[column] if column else getattr(exp.case.noise, name)) != 0
+    for path, none in RANDOM.items():
+        column = next((c for c in (f"world.{path}", path) if c in rows), None)
+        random |= (rows[column] if column else attrgetter(path)(exp.case)) != none
     points = rows[parameter_columns(rows)].assign(draw=rows["replicate"] // exp.study.replicates)
     return points.duplicated().to_numpy() & ~random
 

@@ -27,30 +27,38 @@ class Observation(NamedTuple):
     free: FreeState
 
 
+class Biases(NamedTuple):
+    """Constant errors of what is measured of the robot in a rollout."""
+
+    position: Float[Array, " 3"]  # m
+    turn: Float[Array, " 3"]  # rad
+    velocity: Float[Array, " 3"]  # m/s
+    joint: Float[Array, "6 3"]  # rad
+
+
 class Sensors(NamedTuple):
     """A rollout's biases and the last true observations, newest first."""
 
-    position_bias: Float[Array, " 3"]
-    turn_bias: Float[Array, " 3"]
-    velocity_bias: Float[Array, " 3"]
-    joint_bias: Float[Array, "6 3"]
+    bias: Biases
     free_bias: Float[Array, "k 4 3"]  # of position, orientation, velocity and turning
     past: Observation  # leaves (delay_buffer + 1, ...)
 
 
-def install(noise: Noise, key: Array, truth: Observation) -> Sensors:
-    """Draw the biases of one rollout; before its start everything was as `truth`."""
+def biases(noise: Noise, key: Array) -> Biases:
+    """Draw those of one rollout."""
     keys = jax.random.split(key, 4)
-    dtype = truth.position.dtype
     shapes = ((3,), (3,), (3,), (6, 3))
     sizes = (noise.position_bias, noise.orientation_bias, noise.velocity_bias, noise.joint_bias)
-    position, turn, velocity, joint = (
-        size * jax.random.normal(k, shape, dtype) for k, size, shape in zip(keys, sizes, shapes, strict=True)
-    )
+    draws = zip(keys, sizes, shapes, strict=True)
+    return Biases(*(size * jax.random.normal(k, shape, float) for k, size, shape in draws))
+
+
+def install(noise: Noise, key: Array, truth: Observation) -> Sensors:
+    """The biases that `key` draws; before the rollout's start everything was as `truth`."""
     sizes = (noise.body_position_bias, noise.body_orientation_bias, noise.body_velocity_bias, noise.body_turn_bias)
     free = _scatter(jax.random.fold_in(key, FREE), sizes, truth.free)
     past = jax.tree.map(lambda x: jnp.broadcast_to(x, (noise.delay_buffer + 1, *x.shape)), truth)
-    return Sensors(position, turn, velocity, joint, free, past)
+    return Sensors(biases(noise, key), free, past)
 
 
 def observe(noise: Noise, sensors: Sensors, truth: Observation, key: Array) -> tuple[Sensors, Observation]:
@@ -65,12 +73,12 @@ def observe(noise: Noise, sensors: Sensors, truth: Observation, key: Array) -> t
     error = sensors.free_bias + _scatter(jax.random.fold_in(key, FREE), sizes, free)
     dtype = truth.position.dtype
     draw = jax.random.normal(key, (27,), dtype)
-    joint_error = sensors.joint_bias + noise.joint_noise * draw[9:].reshape(6, 3)
-    turn = sensors.turn_bias + noise.orientation_noise * draw[3:6]
+    joint_error = sensors.bias.joint + noise.joint_noise * draw[9:].reshape(6, 3)
+    turn = sensors.bias.turn + noise.orientation_noise * draw[3:6]
     seen = seen._replace(
-        position=seen.position + sensors.position_bias + noise.position_noise * draw[:3],
+        position=seen.position + sensors.bias.position + noise.position_noise * draw[:3],
         quat=multiply(exponential(turn), seen.quat),
-        velocity=seen.velocity + sensors.velocity_bias + noise.velocity_noise * draw[6:9],
+        velocity=seen.velocity + sensors.bias.velocity + noise.velocity_noise * draw[6:9],
         angles=seen.angles + joint_error,
         joint_error=joint_error,
         free=FreeState(

@@ -1,5 +1,6 @@
 """What both engines do once a control tick: observe, command, measure. Pure functions of one rollout."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import jax
@@ -8,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.controllers import tracker
+from sweep.controllers.calibration import Learned
 from sweep.controllers.observation import Observation, Sensors, install, observe
 from sweep.controllers.plan import Plan, Stance
 from sweep.controllers.posture import feet_in_world
@@ -37,6 +39,7 @@ class ClosedLoop(NamedTuple):
     seen: Observation  # the truth at the end of the last tick
     servo: Servo  # what the drives were told last
     key: Array
+    learned: Learned | None  # where the robot finds out what it believes
 
 
 class Start(NamedTuple):
@@ -105,8 +108,10 @@ def free_state(qpos: Array, qvel: Array, count: int) -> FreeState:
     return FreeState(pose[:, :3], pose[:, 3:], motion[:, :3], rotate(pose[:, 3:], motion[:, 3:]))
 
 
-def init(world: Case, belief: Case, plan: Plan, start: Start, energy: Array, key: Array) -> ClosedLoop:
-    """Before the first tick."""
+def init(
+    world: Case, belief: Case, plan: Plan, start: Start, energy: Array, key: Array, learned: Learned | None
+) -> ClosedLoop:
+    """Before the first tick; `belief` holds what was learned already."""
     free = free_state(start.qpos, start.qvel, len(world.obstacle.free_bodies))
     joints = start.qpos[JOINT_Q].reshape(N_LEGS, 3)
     rates = start.qvel[JOINT_V].reshape(N_LEGS, 3)
@@ -124,15 +129,21 @@ def init(world: Case, belief: Case, plan: Plan, start: Start, energy: Array, key
     bias_key, key = jax.random.split(key)
     sensors = install(world.noise, bias_key, truth)
     feet = feet_in_world(world.robot, start.qpos[:3], start.qpos[3:7], joints)
-    running = stream.begin(world, plan, start.qpos[:3], start.qpos[3:7], feet, free, energy)
-    return ClosedLoop(tracker.init(belief, plan), sensors, running, truth, position_mode(world.drive, joints), key)
+    running = stream.begin(world, plan, start.qpos[:3], start.qpos[3:7], feet, free, energy, learned)
+    servo = position_mode(world.drive, joints)
+    return ClosedLoop(tracker.init(belief, plan), sensors, running, truth, servo, key, learned)
+
+
+def informed(belief: Case, learned: Learned | None) -> Case:
+    """What is believed with what was learned."""
+    return belief if learned is None else replace(belief, robot=learned.robot)
 
 
 def act(
     world: Case, belief: Case, plan: Plan, loop: ClosedLoop, tick: Array, period: float, quiet: bool
 ) -> tuple[ClosedLoop, Command]:
     """The controller's part of a tick; the drives then go linearly from the old reference to the new one."""
-    sensors, seen = loop.sensors, loop.seen
+    sensors, seen, belief = loop.sensors, loop.seen, informed(belief, loop.learned)
     if not quiet:
         sensors, seen = observe(world.noise, sensors, seen, jax.random.fold_in(loop.key, tick))
     state, command = tracker.step(belief, plan, loop.tracker, seen, period)

@@ -19,6 +19,7 @@ from sweep.engines import batching, devices, physics, program_cache
 from sweep.engines.base import Figures, Trace
 from sweep.engines.batch_last import batch_last_vmap
 from sweep.engines.closed_loop import GRACE, ClosedLoop, act, init, is_quiet, measure, most_ticks, start_state
+from sweep.engines.prelude import check, prepared
 from sweep.engines.settings import EngineSettings
 from sweep.engines.states import Watch, offered
 from sweep.metrics import stream
@@ -59,6 +60,7 @@ class Mjx:
             self.topology = dynamics.topology(world)
             self.physics = physics.make(settings, self.topology)
             plan = batching.nominal_plan(belief)
+            check(world, belief, plan)
             self.stages = plan.names
             self.duration = float(GRACE * np.sum(plan.duration))
         self._nominal = world, belief
@@ -215,11 +217,11 @@ class Mjx:
         return chunk
 
     def _start(self, world: Case, belief: Case, key: Array) -> tuple[Plan, Carry]:
-        plan = belief.manoeuvre.plan(belief)
+        belief, plan, learned = prepared(world, belief, key)
         start = start_state(world, belief, plan)
         state = rest(self.topology, start.qpos)._replace(v=start.qvel)
         energy = self.physics.energy(world, state)
-        return plan, Carry(state, init(world, belief, plan, start, energy, key))
+        return plan, Carry(state, init(world, belief, plan, start, energy, key, learned))
 
     def _finish(self, world: Case, plan: Plan, carry: Carry) -> dict[str, Array]:
         return stream.figures(world, plan, carry.loop.running, carry.loop.tracker.stage)

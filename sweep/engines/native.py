@@ -29,6 +29,7 @@ from sweep.engines.closed_loop import (
     most_ticks,
     start_state,
 )
+from sweep.engines.prelude import check, prepared
 from sweep.engines.settings import EngineSettings
 from sweep.engines.states import Watch, offered
 from sweep.metrics import stream
@@ -91,6 +92,7 @@ class Native:
         self.devices = 1  # threads share it
         self.width = settings.width or devices.NATIVE_WIDTH
         plan = batching.nominal_plan(belief)
+        check(world, belief, plan)
         self.stages = plan.names
         self.duration = float(GRACE * np.sum(plan.duration))
         self._compiled: dict[Any, tuple[Callable, Callable, Callable]] = {}
@@ -194,9 +196,9 @@ class Native:
         period, n = self.settings.control_period, self.substeps
 
         def start(world: Case, belief: Case, key: Array) -> tuple[Plan, ClosedLoop, Start]:
-            plan = belief.manoeuvre.plan(belief)
+            belief, plan, learned = prepared(world, belief, key)
             state = start_state(world, belief, plan)
-            return plan, init(world, belief, plan, state, jnp.zeros(()), key), state
+            return plan, init(world, belief, plan, state, jnp.zeros(()), key, learned), state
 
         def tick(
             world: Case, belief: Case, plan: Plan, loop: ClosedLoop, command: Command | None, steps: Any, k: Array

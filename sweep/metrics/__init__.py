@@ -2,6 +2,7 @@
 
 from sweep.metrics import (
     attitude,
+    calibration,
     clearance,
     drives,
     footholds,
@@ -33,6 +34,7 @@ METRICS: tuple[Metric, ...] = tuple(
         footholds,
         support,
         load,
+        calibration,
         solver,
     )
 )

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from sweep import metrics
+from sweep.controllers.calibration import Learned
 from sweep.controllers.plan import Plan
 from sweep.controllers.tracker import Command, TrackerState
 from sweep.metrics import solver
@@ -41,9 +42,10 @@ def begin(
     feet: Float[Array, "6 3"],
     free: FreeState,
     energy: Float[Array, ""],
+    learned: Learned | None,
 ) -> Running:
     """Nothing has happened yet; `feet` are where they really are, `energy` that of the start (J)."""
-    start = Begin(world, plan, position, quat, feet, free, energy)
+    start = Begin(world, plan, position, quat, feet, free, energy, learned)
     dtype, n = plan.duration.dtype, len(timed(world))
     return Running(
         time=jnp.zeros((), dtype),

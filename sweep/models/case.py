@@ -7,6 +7,7 @@ from jaxtyping import Array
 
 from sweep.core.parameters import parameters
 from sweep.models.contact import Contact
+from sweep.models.control import Control
 from sweep.models.disturbance import Execution
 from sweep.models.drive import Drive
 from sweep.models.noise import Noise
@@ -68,6 +69,7 @@ class Case:
     manoeuvre: Manoeuvre
     noise: Noise
     execution: Execution
+    control: Control = Control()
 
     def on[T: Obstacle](self, kind: type[T]) -> T:
         """The obstacle, which is of the `kind` that the manoeuvre needs."""

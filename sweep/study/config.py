@@ -29,6 +29,7 @@ from sweep.engines.settings import EngineSettings
 from sweep.metrics.outcome import Thresholds, thresholds
 from sweep.models.case import Case
 from sweep.models.contact import Contact
+from sweep.models.control import Control
 from sweep.models.disturbance import Execution
 from sweep.models.drive import Drive
 from sweep.models.noise import Noise
@@ -46,6 +47,7 @@ GROUPS: dict[str, type] = {
     "contact": Contact,
     "noise": Noise,
     "execution": Execution,
+    "control": Control,
     "engine": EngineSettings,
     "outcome": Thresholds,
 }
@@ -76,6 +78,7 @@ class ExperimentSchema:
     manoeuvre: Any = None
     noise: Any = None
     execution: Any = None
+    control: Any = None
     engine: Any = None
     outcome: Any = None
     cluster: Any = None
@@ -206,6 +209,7 @@ def experiment(values: Mapping[str, Any]) -> Experiment:
     for key in values:
         if key not in SCHEMA:
             raise InputError(f"{key} is unknown{suggest(str(key), SCHEMA)}")
+    values = {"control": {}, **values}  # which rows of before it was there have at its defaults
     for group in (*GROUPS, *KINDS, "scenario", "study"):
         if not isinstance(values.get(group), Mapping):
             raise InputError(f"{group} = {values.get(group)} is not allowed: `sweep list` shows the choices")

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from sweep.models.case import Case
+from sweep.models.control import Control
 from sweep.study.designs import SIDES
 
 DIGITS = 12  # of a number that count
@@ -23,7 +24,8 @@ def point_ids(table: pd.DataFrame, case: Case) -> np.ndarray:
     """Hash (16 hexadecimal digits) of all physical inputs of every row and its replicate.
 
     The sum over all inputs of a hash of name and value, so that it is the same whether an input is varied or
-    nominal. How a row is simulated plays no part.
+    nominal. How a row is simulated plays no part. Of `control` only what is not as by default counts: where it is off,
+    the ids are those of before there was any.
     """
     groups = {f.name for f in dataclasses.fields(case)}
     nominal = {f"{side}.{path}": value for side in SIDES for path, value in _flat(case, "")}
@@ -36,6 +38,8 @@ def point_ids(table: pd.DataFrame, case: Case) -> np.ndarray:
             varied |= {f"{side}.{column}": column for side in SIDES}
     parts = [_hashes(key, np.asarray([value])) for key, value in nominal.items() if key not in varied]
     parts += [_hashes(key, table[column].to_numpy()) for key, column in varied.items()]
+    for path, value in _flat(Control(), "control"):
+        parts += [-_hashes(f"{side}.{path}", np.asarray([value])) for side in SIDES]
     parts.append(_hashes("replicate", table["replicate"].to_numpy()))
     total = np.zeros(len(table), np.uint64)
     for part in parts:

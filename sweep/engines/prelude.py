@@ -1,0 +1,91 @@
+"""What comes before a rollout: the robot calibrates itself, if it does, and plans by what it believes then.
+
+Calibration is not simulated: with drives soft enough every foot stays where it stands while the base goes its way, so
+that joint angles follow from the true sizes. `bench/calibration.py` compares that with physics.
+"""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from sweep.controllers import calibration
+from sweep.controllers.calibration import HEIGHT, MOVES, Ground, Learned, Measured
+from sweep.controllers.observation import biases
+from sweep.controllers.plan import Plan, Stance
+from sweep.controllers.posture import feet_in_world
+from sweep.controllers.tracker import joint_targets
+from sweep.core.errors import InputError
+from sweep.core.rotations import exponential, multiply
+from sweep.engines.closed_loop import Start, informed, start_state
+from sweep.models.case import Case
+from sweep.models.legs import JOINT_Q, N_LEGS
+from sweep.models.obstacles.surface import Surface, free_start, poses
+
+LEVEL = 5e-3  # m, within which feet are on one plane: footholds may lie below it
+FLAT = 1e-5  # within which ground is the floor, z = 0
+ERRORS = 1  # folded into a rollout's key to draw the errors of calibration
+
+
+def prepared(world: Case, belief: Case, key: Array) -> tuple[Case, Plan, Learned | None]:
+    """What is believed from the start on, the plan that follows, what was learned for it; `key` is the rollout's."""
+    plan = belief.manoeuvre.plan(belief)
+    if world.control.calibrate == "none":
+        return belief, plan, None
+    seen = measured(world, start_state(world, belief, plan), key)
+    learned = calibration.estimate(world.control, belief.noise, belief.robot, _ground(belief, plan), seen)
+    belief = informed(belief, learned)
+    return belief, belief.manoeuvre.plan(belief), learned
+
+
+def check(world: Case, belief: Case, plan: Plan) -> None:
+    """Raises `InputError` where a robot is to calibrate itself that does not start with all feet on one plane."""
+    if world.control.calibrate == "none":
+        return
+    feet, surface = plan.start.feet, _under(belief, plan)
+    down = feet + surface.depth[:, None] * surface.normal
+    even = jnp.abs((down - down[0]) @ surface.normal[0]) < LEVEL
+    if not bool(jnp.all(even & (jnp.abs(surface.depth) < LEVEL) & (surface.body < 0))):
+        kinds = f"manoeuvre = {belief.manoeuvre.kind} on obstacle = {belief.obstacle.kind}"
+        asked = f"control.calibrate = {world.control.calibrate} is not allowed"
+        raise InputError(f"{asked}: {kinds} does not start with all feet on the floor")
+
+
+def _under(belief: Case, plan: Plan) -> Surface:
+    """What is believed to be under the feet at the start."""
+    return belief.obstacle.surface(plan.start.feet, (-1,) * N_LEGS, poses(free_start(belief.obstacle)))
+
+
+def _ground(belief: Case, plan: Plan) -> Ground:
+    surface, foot = _under(belief, plan), plan.start.feet[0]
+    normal = surface.normal[0]
+    point = foot + surface.depth[0] * normal
+    return Ground(point, normal, (jnp.abs(point[2]) > FLAT) | (normal[2] < 1 - FLAT))
+
+
+def measured(world: Case, start: Start, key: Array) -> Measured:
+    """What the sensors of a rollout say of the poses, their biases those of its key.
+
+    The feet come down to the ground where the robot starts, and slip a little from pose to pose. A foot that a pose
+    puts out of reach does not stand.
+    """
+    control, noise = world.control, world.noise
+    quat = start.qpos[3:7]
+    feet = feet_in_world(world.robot, start.qpos[:3], quat, start.qpos[JOINT_Q].reshape(N_LEGS, 3))
+    ground = world.obstacle.surface(feet, (-1,) * N_LEGS, poses(free_start(world.obstacle)))
+    feet = feet + ground.depth[:, None] * ground.normal
+    bias = biases(noise, jax.random.split(key)[0])
+    slips, draws = (jax.random.normal(k, (len(MOVES), n), float) for k, n in
+                    zip(jax.random.split(jax.random.fold_in(key, ERRORS)), (18, 24), strict=True))  # fmt: skip
+    slips = slips.reshape(-1, N_LEGS, 3)
+    up = jnp.sum(slips * ground.normal, axis=-1, keepdims=True) * ground.normal
+    feet = feet + control.slip * (slips - up) + HEIGHT * up
+    position, turned = calibration.poses(control, Stance(feet[0], start.qpos[:3], quat))
+    angles, shortfall = jax.vmap(joint_targets, (None, 0))(world.robot, Stance(feet, position, turned))
+    draws = draws / jnp.sqrt(control.samples)
+    turn = bias.turn + noise.orientation_noise * draws[:, 3:6]
+    return Measured(
+        position + bias.position + noise.position_noise * draws[:, :3],
+        multiply(exponential(turn), turned),
+        angles + bias.joint + noise.joint_noise * draws[:, 6:].reshape(-1, N_LEGS, 3),
+        shortfall <= 0,
+    )

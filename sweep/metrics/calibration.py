@@ -1,0 +1,40 @@
+"""What the robot has learned of its sizes before it planned, and how sure it is."""
+
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from sweep.controllers.calibration import Learned, names
+from sweep.metrics.metric import Begin, Elapsed, Metric
+
+SIZES = {
+    "body_length": "the body's length",
+    "body_width": "the body's width",
+    "mount_radius": "the radius that the legs are mounted at",
+    "coxa": "the coxae",
+    "thigh": "the thighs",
+    "shin": "the shins",
+}
+
+
+def begin(start: Begin) -> Learned:
+    """What was learned does not change."""
+    assert start.learned is not None  # since it applies
+    return start.learned
+
+
+def figures(found: Learned, at: Elapsed) -> dict[str, Array]:
+    """See `METRIC`."""
+    sizes = names(at.world.robot)
+    own = {f"learned_{name}_m": jnp.asarray(getattr(found.robot, name)) for name in sizes}
+    deviations = jnp.sqrt(jnp.diagonal(found.covariance))
+    return own | {f"learned_{name}_sd_m": own[f"learned_{name}_m"] * deviations[k] for k, name in enumerate(sizes)}
+
+
+METRIC = Metric(
+    begin,
+    lambda so_far, now: so_far,
+    figures,
+    {f"learned_{name}_m": f"{what}, as calibration has found" for name, what in SIZES.items()}
+    | {f"learned_{name}_sd_m": f"standard deviation of that for {what}" for name, what in SIZES.items()},
+    applies=lambda case: case.control.calibrate == "sizes",
+)

@@ -1,0 +1,21 @@
+"""What the robot finds out by itself, beside following its plan."""
+
+from sweep.core.parameters import choice, parameters, quantity
+
+
+@parameters
+class Control:
+    """What the robot finds out by itself, all off by default.
+
+    It belongs to what is simulated, as sensors do: it is read from the world's side.
+    """
+
+    # what the robot measures of itself before it plans, moving its base through a few poses where it stands
+    calibrate: str = choice("none", "none", "sizes")
+    shift: float = quantity(0.1, "m", above=0, at_most=1)  # by how much calibration moves the base along each axis
+    turn: float = quantity(0.175, "rad", above=0, at_most=1)  # by how much it turns the base about each axis
+    samples: float = quantity(50.0, "ticks", at_least=1)  # over how many measurements of a pose it takes the mean
+    # deviation of each believed size, relative: what calibration takes for possible before it measures
+    size_error: float = quantity(0.012, "-", above=0, at_most=0.2)
+    # deviation of each standing foot's place along the ground from pose to pose of the calibration
+    slip: float = quantity(0.001, "m", above=0, at_most=0.1)
