@@ -14,6 +14,8 @@ class EngineSettings:
     time_step: float = quantity(2e-3, "s", above=0, at_most=0.01)  # a physics step of mjx
     native_time_step: float = quantity(1e-3, "s", above=0, at_most=0.01)  # its contact solver fails at 2 ms
     # between two orders of the controller: a whole number of physics steps
+    # the closed loop of mjx: fused by this package's own compiler, by XLA, or fused on a CPU wherever that has a rule
+    compiler: str = choice("auto", "auto", "xla", "fused")
     control_period: float = quantity(4e-3, "s", above=0, at_most=0.05)
     iterations: int = count(2, at_least=1, at_most=20)  # of the implicit contact step
     precision: str = choice("float32", "float32", "float64")  # of all numbers of mjx and of the controller
