@@ -413,9 +413,9 @@ def compiled(text: str, target: llvm.TargetMachine) -> bytes:
     return target.emit_object(module)
 
 
-def loaded(code: bytes, target: llvm.TargetMachine) -> tuple[llvm.ExecutionEngine, int]:
-    """The address of `run`, and what keeps it."""
-    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), target)
-    engine.add_object_file(llvm.ObjectFileRef.from_data(code))
-    engine.finalize_object()
-    return engine, engine.get_function_address("run")
+def loaded(code: bytes, target: llvm.TargetMachine) -> tuple[Any, int]:
+    """What keeps `run` in this process, and its address."""
+    jit = llvm.create_lljit_compiler(target, use_jit_link=True, suppress_errors=False)
+    library = llvm.JITLibraryBuilder().add_object_img(code).export_symbol("run").add_current_process()
+    kept = library.link(jit, "rollouts")
+    return (jit, kept), kept["run"]
