@@ -3,12 +3,11 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Array
 
 from sweep.controllers.plan import Plan
-from sweep.engines.fused.kernel import Code, Kernel, Tiles
+from sweep.engines.fused.kernel import Kernel, Tiles
 from sweep.engines.states import Watch, offered
 from sweep.models.case import Case
 

@@ -1,5 +1,6 @@
 """The primary engine: controller, physics and metrics of a batch fused in one scan; CPU and GPU alike."""
 
+import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -13,12 +14,14 @@ from jax.stages import Compiled
 from jaxtyping import Array
 
 from sweep.controllers.plan import Plan
+from sweep.core.errors import InputError
 from sweep.dynamics import interface as dynamics
 from sweep.dynamics.step import State, rest
 from sweep.engines import batching, devices, physics, program_cache
 from sweep.engines.base import Figures, Trace
 from sweep.engines.batch_last import batch_last_vmap
 from sweep.engines.closed_loop import GRACE, ClosedLoop, act, init, is_quiet, measure, most_ticks, start_state
+from sweep.engines.fused.interpret import Unsupported
 from sweep.engines.fused.kernel import Code, Kernel
 from sweep.engines.fused.kernel import compiled as fused
 from sweep.engines.fused_loop import Fused
@@ -71,7 +74,7 @@ class Mjx:
             self.stages = plan.names
             self.duration = float(GRACE * np.sum(plan.duration))
         self._nominal = world, belief
-        self._programs: dict[Any, Programs] = {}
+        self._programs: dict[Any, Programs | Fused] = {}
 
     def rollout_bytes(self) -> int:
         """See `Engine`; nothing is compiled for it."""
@@ -107,8 +110,7 @@ class Mjx:
         That is one in `every` ticks: all there is of them, or what is to be watched. Room is made for `most` slots.
         """
         with devices.precision(self.settings):
-            kept, places = self._kept(slots, min(self._local, most))
-            (world, belief, keys), programs = self._prepare(world, belief, streams, kept, watch)
+            (world, belief, keys), programs, kept, places = self._prepare(world, belief, streams, slots, most, watch)
             plans, carry = programs.start(world, belief, keys)
             records = []
             for tick in range(0, most_ticks(plans, self.settings.control_period), self._chunk_ticks):
@@ -157,10 +159,11 @@ class Mjx:
         return max(1, round(CHUNK / self.settings.control_period))
 
     def _prepare(
-        self, world: Case, belief: Case, streams: np.ndarray, kept: Any, watch: Watch | None
-    ) -> tuple[tuple[Case, Case, Array], Programs | Fused]:
-        """Arguments as arrays of the right type, and the programs for their batch axes; `kept` is recorded."""
+        self, world: Case, belief: Case, streams: np.ndarray, slots: np.ndarray | None, most: int, watch: Watch | None
+    ) -> tuple[tuple[Case, Case, Array], Programs | Fused, Any, np.ndarray | None]:
+        """Arguments as arrays of the right type, and the programs for their batch axes; what is recorded, and where."""
         batching.check(streams, self.width)
+        kept, places = self._kept(slots, min(self._local, most))
         quiet = is_quiet(world.noise)
         recorded = None if kept is None or self.fused else (kept.shape, watch and watch.columns)
         form = devices.form((world, belief)), quiet, recorded
@@ -168,9 +171,22 @@ class Mjx:
         if form not in self._programs:
             compiled = partial(self._compile, arrays, quiet, kept, watch)
             made_of, on = (form, *self._made_of), list(self._mesh.devices.flat)
-            self._programs[form] = self._ready(*program_cache.programs(made_of, on, compiled))
+            try:
+                self._programs[form] = self._ready(*program_cache.programs(made_of, on, compiled))
+            except Unsupported as missing:
+                self._give_up(missing)
+                return self._prepare(world, belief, streams, slots, most, watch)
         programs = self._programs[form]
-        return arrays, programs._replace(watch=watch) if isinstance(programs, Fused) else programs
+        programs = programs._replace(watch=watch) if isinstance(programs, Fused) else programs
+        return arrays, programs, kept, places
+
+    def _give_up(self, missing: Unsupported) -> None:
+        """Leave the closed loop to XLA, and say so. Raises `InputError` where it was to be fused."""
+        why = f"the fused compiler has no rule for {missing}"
+        if self.settings.compiler == "fused":
+            raise InputError(f"engine.compiler = fused is not allowed here: {why}") from missing
+        print(f"sweep: XLA compiles the closed loop: {why}", file=sys.stderr)
+        self.fused = False
 
     def _ready(self, start: Compiled, chunk: Compiled | Code, finish: Compiled) -> Programs | Fused:
         if not isinstance(chunk, Code):
@@ -223,7 +239,12 @@ class Mjx:
         world, belief, _ = arrays
         case = jax.tree.map(lambda x: one(x, x.ndim), (world, belief))
         plan, carry = jax.tree.map(lambda x: one(x, 1), batch)
-        return fused(lambda given, carry, k: self._tick(*given, carry, k, quiet), (*case, plan), carry)
+
+        def ticks(given: tuple[Case, Case, Plan], carry: Carry, k: Array) -> tuple[Carry, dict[str, Array]]:
+            world, belief, plan = given
+            return self._tick(world, belief, plan, carry, k, quiet)
+
+        return fused(ticks, (*case, plan), carry)
 
     def _chunk(self, axes: tuple[Case, Case], quiet: bool, watch: Watch | None) -> Callable:
         """A second of the batch that a device has, of which some rollouts may be recorded: columns, or all there is."""
@@ -270,9 +291,9 @@ class Mjx:
 
 def _fused(settings: EngineSettings, dynamics: str) -> bool:
     """Whether this package's own compiler makes the closed loop."""
-    if settings.compiler != "auto":
-        return settings.compiler == "fused"
-    return jax.default_backend() == "cpu" and dynamics == "arrowhead"
+    if settings.compiler == "fused" and jax.default_backend() != "cpu":
+        raise InputError(f"engine.compiler = fused is not allowed on a {jax.default_backend()}: auto or xla")
+    return settings.compiler != "xla" and jax.default_backend() == "cpu" and dynamics == "arrowhead"
 
 
 def _last(axes: Any) -> Any:

@@ -86,7 +86,9 @@ def _load(file: Path, devices: Sequence[Any]) -> Sequence[Any] | None:
     try:
         files.own(file)
         parts = pickle.loads(zlib.decompress(file.read_bytes()))
-        return [part if isinstance(part, Code) else deserialize_and_load(*part, execution_devices=devices) for part in parts]
+        return [
+            part if isinstance(part, Code) else deserialize_and_load(*part, execution_devices=devices) for part in parts
+        ]
     except InputError:
         raise
     except Exception:  # not there, cut short, or not for these devices after all

@@ -14,23 +14,23 @@ import jax
 import numpy as np
 from jax.extend import core
 
-from sweep.engines.fused import maths
-from sweep.engines.fused.operations import COMPARE, fold, simplified
-from sweep.engines.fused.program import LEGS, Branch, Loop, Node, Program, Region, Store, value_of
+from sweep.engines.fused import maths, randomness
+from sweep.engines.fused.operations import fold, simplified
+from sweep.engines.fused.program import LEGS, Branch, Node, Program, Region, Store, value_of
 
 CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "core_call": "call_jaxpr", "checkpoint": "jaxpr",
          "custom_jvp_call": "call_jaxpr", "custom_vjp_call": "call_jaxpr"}  # fmt: skip
 ELEMENTWISE = frozenset("""
-    abs add and ceil div eq floor ge gt is_finite le lt max min mul ne neg not or pow rem round shift_left
+    abs add and ceil div eq floor ge gt is_finite le lt max min mul ne neg not or pow round shift_left
     shift_right_arithmetic shift_right_logical sqrt sub xor bitcast_convert_type
 """.split())  # fmt: skip  # noqa: SIM905
-ALIAS = {"random_wrap": None, "random_unwrap": None, "stop_gradient": None, "copy": None, "optimization_barrier": None, "add_any": "add"}
+ALIAS = {"stop_gradient": None, "copy": None, "optimization_barrier": None, "add_any": "add"}
 REDUCTIONS = {"reduce_sum": "add", "reduce_max": "max", "reduce_min": "min", "reduce_and": "and", "reduce_or": "or",
               "reduce_prod": "mul"}  # fmt: skip
 UNROLLED = 1000  # operations up to which a loop is written out
 CHAIN = 64  # places that a number may be chosen from, where it is not in memory
 
-Array = np.ndarray  # of nodes
+Array = Any  # of NumPy, of nodes
 
 
 class Unsupported(Exception):
@@ -48,7 +48,10 @@ class Interpreter:
         known: dict[Any, Array] = {}
 
         def read(atom: Any) -> Array:
-            return self.constant(np.asarray(atom.val, atom.aval.dtype)) if isinstance(atom, core.Literal) else known[atom]
+            if isinstance(atom, core.Literal):
+                aval: Any = atom.aval
+                return self.constant(np.asarray(atom.val, aval.dtype))
+            return known[atom]
 
         known |= zip(jaxpr.constvars, (self.constant(x) for x in consts), strict=True)
         known |= zip(jaxpr.invars, args, strict=True)
@@ -82,16 +85,16 @@ class Interpreter:
             return [rule(self, *args, out=out, **params)]
         single = all(v.aval.dtype == np.float32 for v in eqn.invars)
         if expansion := maths.EXPANSIONS.get(name) or (single and maths.SINGLE.get(name)):
-            return self.expand(expansion, args, eqn)
+            return [self.written(expansion, args, [v.aval.dtype for v in eqn.invars])]
         if name in maths.SINGLE:
             return [self.lift(name, args, out.dtype.name)]
         raise Unsupported(name)
 
-    def expand(self, function: Callable, args: list[Array], eqn: Any) -> list[Array]:
+    def written(self, function: Callable, args: Sequence[Array], dtypes: Sequence[Any]) -> Array:
         """What `function` gives, which is written in other primitives."""
-        shapes = [jax.ShapeDtypeStruct(x.shape, v.aval.dtype) for x, v in zip(args, eqn.invars, strict=True)]
+        shapes = [jax.ShapeDtypeStruct(x.shape, dtype) for x, dtype in zip(args, dtypes, strict=True)]
         traced = jax.make_jaxpr(function)(*shapes)
-        return self.evaluate(traced.jaxpr, traced.consts, args)
+        return self.evaluate(traced.jaxpr, traced.consts, args)[0]
 
     # arithmetic
 
@@ -108,11 +111,11 @@ class Interpreter:
 
     def lift(self, name: str, args: Sequence[Array], dtype: str) -> Array:
         """An operation number by number, for the legs at once along an axis of theirs."""
-        whole = list(np.broadcast_arrays(*args)) if len(args) > 1 else list(args)
+        whole: list[Array] = list(np.broadcast_arrays(*args)) if len(args) > 1 else list(args)
         shape = whole[0].shape
         axis = next((a for a in range(len(shape)) if shape[a] == LEGS and self._over_legs(whole, a)), None)
         if axis is None:
-            return _filled(shape, lambda at: self.op(name, dtype, *[x[at] for x in whole]))
+            return _filled(shape, lambda at: self.op(name, dtype, *(x[at] for x in whole)))
         whole = [np.moveaxis(x, axis, -1) for x in whole]
         result = np.empty(whole[0].shape, object)
         for at in np.ndindex(result.shape[:-1]):
@@ -162,7 +165,11 @@ class Interpreter:
             return None
         if first.op == "part":
             whole = first.args[0]
-            return whole if all(x.op == "part" and x.args[0] is whole and x.extra == k for k, x in enumerate(row)) else None
+            return (
+                whole
+                if all(x.op == "part" and x.args[0] is whole and x.extra == k for k, x in enumerate(row))
+                else None
+            )
         if first.op == "const":
             same = all(x.op == "const" for x in row)
             return self.program.const(tuple(value_of(x) for x in row), first.dtype) if same else None
@@ -192,7 +199,11 @@ class Interpreter:
             if any(one is None for one in found):
                 return self._fold(name, list(row.ravel()))
             whole = self._fold(name, [one[0] for one in found if one is not None])
-            return self.program.node("over_legs", (whole,), whole.dtype, name, leg=False) if whole.leg else self._fold(name, [whole] * LEGS)
+            return (
+                self.program.node("over_legs", (whole,), whole.dtype, name, leg=False)
+                if whole.leg
+                else self._fold(name, [whole] * LEGS)
+            )
 
         return _filled(shape, total)
 
@@ -246,7 +257,11 @@ class Interpreter:
         """Have an array put into memory; what is there already is left."""
         if region is None:
             return
-        rows = np.moveaxis(np.arange(x.size).reshape(x.shape), 0, -1).reshape(-1, LEGS) if x.ndim and x.shape[0] == LEGS else ()
+        rows = (
+            np.moveaxis(np.arange(x.size).reshape(x.shape), 0, -1).reshape(-1, LEGS)
+            if x.ndim and x.shape[0] == LEGS
+            else ()
+        )
         done = set()
         for row in rows:
             if (leg := self._leg(x.ravel()[row])) is not None and leg.leg and leg.op not in ("load", "gather"):
@@ -257,7 +272,7 @@ class Interpreter:
             if k not in done and not unchanged:
                 items.append(Store(region, k, node))
 
-    def loaded(self, region: Region | None, shape: tuple, depth: int) -> Array:
+    def loaded(self, region: Any, shape: tuple, depth: int) -> Array:
         """An array in memory, as it is in the block at `depth`."""
         at = np.arange(math.prod(shape)).reshape(shape)
         return _filled(shape, lambda i: self.load(region, int(at[i]), depth))
@@ -266,7 +281,7 @@ class Interpreter:
         """A number in memory, as it is in the block at `depth`."""
         return self.program.node("load", (), region.dtype, (region, index, depth, 0), leg=False)
 
-    def _looked_up(self, region: Region | None, shape: tuple, count: Node) -> Array:
+    def _looked_up(self, region: Any, shape: tuple, count: Node) -> Array:
         size = math.prod(shape)
         place = self.op("mul", "int32", count, self.program.const(size, "int32"))
         at = np.arange(size).reshape(shape)
@@ -323,12 +338,12 @@ class Interpreter:
         moving = [d for d, s in enumerate(starts) if s.op != "const"]
         known = tuple(slice(0, None) if d in moving else slice(int(value_of(s)), int(value_of(s)) + sizes[d])
                       for d, s in enumerate(starts))  # fmt: skip
-        if not moving:
-            return x[known]
+        if not moving or not math.prod(sizes):
+            return x[known][tuple(slice(0, n) for n in sizes)]
         strides = [math.prod(x.shape[d + 1 :]) for d in range(x.ndim)]
         if (memory := self._memory(x)) is not None:
             region, first, depth = memory
-            place = None
+            place: Any = None
             for d in moving:
                 term = self.op("mul", "int32", starts[d], self.program.const(strides[d], "int32"))
                 place = term if place is None else self.op("add", "int32", place, term)
@@ -401,7 +416,8 @@ def _integer_pow(self: Interpreter, x: Array, out: Any, y: int, **_: Any) -> Arr
     dtype = out.dtype.name
     if y == 0:
         return np.broadcast_to(self.constant(np.ones((), dtype)), x.shape)
-    result, power = None, x
+    result: Any = None
+    power = x
     for bit in bin(abs(y))[:1:-1]:
         if bit == "1":
             result = power if result is None else self.lift("mul", [result, power], dtype)
@@ -420,14 +436,18 @@ def _polynomial(self: Interpreter, x: Array, *coefficients: Array, out: Any, **_
     return total
 
 
-def _broadcast_in_dim(self: Interpreter, x: Array, *_: Any, out: Any, shape: tuple, broadcast_dimensions: tuple, **__: Any) -> Array:
+def _broadcast_in_dim(
+    self: Interpreter, x: Array, *_: Any, out: Any, shape: tuple, broadcast_dimensions: tuple, **__: Any
+) -> Array:
     index = [1] * len(shape)
     for d, n in zip(broadcast_dimensions, x.shape, strict=True):
         index[d] = n
     return np.broadcast_to(x.reshape(index), shape)
 
 
-def _slice(self: Interpreter, x: Array, out: Any, start_indices: tuple, limit_indices: tuple, strides: tuple | None) -> Array:
+def _slice(
+    self: Interpreter, x: Array, out: Any, start_indices: tuple, limit_indices: tuple, strides: tuple | None
+) -> Array:
     steps = strides or (1,) * x.ndim
     return x[tuple(map(slice, start_indices, limit_indices, steps))]
 
@@ -439,6 +459,12 @@ def _pad(self: Interpreter, x: Array, value: Array, out: Any, padding_config: tu
     result[tuple(slice(low, low + (n - 1) * (inner + 1) + 1 if n else low, inner + 1)
                  for (low, _, inner), n in zip(padding_config, x.shape, strict=True))] = x  # fmt: skip
     return result
+
+
+def _iota(self: Interpreter, *_: Any, out: Any, dimension: int, **__: Any) -> Array:
+    return self.constant(np.moveaxis(np.broadcast_to(
+        np.arange(out.shape[dimension], dtype=out.dtype), (*np.delete(out.shape, dimension), out.shape[dimension])
+    ), -1, dimension))  # fmt: skip
 
 
 def _dot_general(self: Interpreter, a: Array, b: Array, out: Any, dimension_numbers: tuple, **_: Any) -> Array:
@@ -463,7 +489,9 @@ def _argmax(better: str) -> Callable:
             if x.flat[0].dtype == "bool":
                 here = self.lift("and", [rows[k], self.lift("not", [best], "bool")], "bool")
             else:  # the first NaN wins
-                nan = self.lift("and", [self.lift("ne", [rows[k], rows[k]], "bool"), self.lift("eq", [best, best], "bool")], "bool")
+                nan = self.lift(
+                    "and", [self.lift("ne", [rows[k], rows[k]], "bool"), self.lift("eq", [best, best], "bool")], "bool"
+                )
                 here = self.lift("or", [self.lift(better, [rows[k], best], "bool"), nan], "bool")
             best = self.lift("select", [here, rows[k], best], x.flat[0].dtype)
             index = self.lift("select", [here, self.constant(np.asarray(k, out.dtype)), index], out.dtype.name)
@@ -506,7 +534,14 @@ def _dynamic_update_slice(self: Interpreter, x: Array, update: Array, *starts: A
 
 
 def _gather(
-    self: Interpreter, x: Array, indices: Array, out: Any, dimension_numbers: Any, slice_sizes: tuple, mode: Any, **rest: Any
+    self: Interpreter,
+    x: Array,
+    indices: Array,
+    out: Any,
+    dimension_numbers: Any,
+    slice_sizes: tuple,
+    mode: Any,
+    **rest: Any,
 ) -> Array:
     dims = dimension_numbers
     batch = [d for d in range(len(out.shape)) if d not in dims.offset_dims]
@@ -526,9 +561,19 @@ def _gather(
                     ok = self.op(test, "bool", s, self.program.const(edge, s.dtype))
                     inside = self.op("and", "bool", inside, ok)
             fill = rest.get("fill_value")
-            empty = np.nan if np.issubdtype(out.dtype, np.floating) else np.iinfo(out.dtype).min if out.dtype != bool else True
+            empty = (
+                np.nan
+                if np.issubdtype(out.dtype, np.floating)
+                else np.iinfo(out.dtype).min
+                if out.dtype != bool
+                else True
+            )
             fill = self.constant(np.asarray(empty if fill is None else fill, out.dtype))
-            found = self.lift("select", [np.full(found.shape, inside, object), found, np.broadcast_to(fill, found.shape)], out.dtype.name)
+            found = self.lift(
+                "select",
+                [np.full(found.shape, inside, object), found, np.broadcast_to(fill, found.shape)],
+                out.dtype.name,
+            )
         place: list[Any] = [slice(None)] * len(out.shape)
         for d, i in zip(batch, at, strict=True):
             place[d] = i
@@ -538,7 +583,14 @@ def _gather(
 
 def _scatter(combine: str | None) -> Callable:
     def rule(
-        self: Interpreter, x: Array, indices: Array, updates: Array, out: Any, dimension_numbers: Any, mode: Any, **_: Any
+        self: Interpreter,
+        x: Array,
+        indices: Array,
+        updates: Array,
+        out: Any,
+        dimension_numbers: Any,
+        mode: Any,
+        **_: Any,
     ) -> Array:
         dims = dimension_numbers
         if dims.operand_batching_dims:
@@ -609,9 +661,7 @@ RULES: dict[str, Callable] = {
     "pad": _pad,
     "concatenate": lambda self, *xs, out, dimension: np.concatenate(xs, dimension),
     "stack": lambda self, *xs, out, axis: _stacked(xs, axis),
-    "iota": lambda self, *_, out, dimension, **__: self.constant(
-        np.broadcast_to(np.arange(out.shape[dimension]).reshape([-1 if d == dimension else 1 for d in range(len(out.shape))]), out.shape).astype(out.dtype)
-    ),
+    "iota": _iota,
     "dot_general": _dot_general,
     "argmax": _argmax("gt"),
     "argmin": _argmax("lt"),
@@ -624,5 +674,5 @@ RULES: dict[str, Callable] = {
     "gather": _gather,
     "scatter": _scatter(None),
     "scatter-add": _scatter("add"),
+    **randomness.rules(Unsupported),
 }  # fmt: skip
-assert COMPARE

@@ -41,9 +41,7 @@ class Code(NamedTuple):
     scratch: int  # bytes that a thread needs
 
 
-def compiled(
-    function: Callable[[Any, Any, Array], tuple[Any, dict[str, Array]]], given: Any, carried: Any
-) -> Code:
+def compiled(function: Callable[[Any, Any, Array], tuple[Any, dict[str, Array]]], given: Any, carried: Any) -> Code:
     """The ticks `function(given, carried, number) -> (carried, record)` of one rollout, for trees of arrays like these.
 
     Raises `Unsupported`.
@@ -115,7 +113,7 @@ class Kernel:
         recorded = self.code.recorded
         size = max((leaf.place + -(-leaf.size // ALIGN) * ALIGN for leaf in recorded.values()), default=ALIGN)
         wanted = sorted(set(() if slots is None else (slots // LANES).tolist()))
-        told = {tile: _aligned(ticks, size) for tile in wanted}
+        told: dict[Any, np.ndarray] = {tile: _aligned(ticks, size) for tile in wanted}
 
         def work(tiles_of_one: range) -> None:
             scratch, nowhere = _aligned(1, self.code.scratch), _aligned(1, size)
@@ -135,7 +133,10 @@ class Kernel:
     def leave(self, tiles: "Tiles") -> Any:
         """What is carried, (width, ...) each."""
         like, tree = jax.tree.flatten(tiles.like)
-        found = [_got(tiles.memory, leaf).reshape(len(tiles.memory) * LANES, *leaf.shape)[: tiles.width] for leaf in self.code.carried]
+        found = [
+            _got(tiles.memory, leaf).reshape(len(tiles.memory) * LANES, *leaf.shape)[: tiles.width]
+            for leaf in self.code.carried
+        ]
         return jax.tree.unflatten(tree, [_keyed(jnp.asarray(x), one) for x, one in zip(found, like, strict=True)])
 
 

@@ -62,6 +62,7 @@ class Printer:
                 f"  ret void\n}}\n")  # fmt: skip
 
     def fresh(self) -> str:
+        """A name that is not taken."""
         self._fresh += 1
         return f"%v{self._fresh}"
 
@@ -72,6 +73,7 @@ class Printer:
         return name
 
     def start(self, label: str) -> None:
+        """Begin a basic block."""
         self.lines.append(f"{label}:")
         self.label = label
 
@@ -109,7 +111,7 @@ class Printer:
         self._fresh += 1
         name = f"B{self._fresh}"
         index = self.value(branch.index)
-        first = self.emit(f"extractelement {self.type(branch.index.dtype)} {index}, i32 0")
+        first = self.emit(f"extractelement {self.vector(branch.index.dtype)} {index}, i32 0")
         scalar = TYPES[branch.index.dtype]
         cases = " ".join(f"{scalar} {k}, label %{name}_{k}" for k in range(1, len(plans) - 1)) if len(plans) > 2 else ""
         low = self.emit(f"icmp sle {scalar} {first}, 0") if scalar != "i1" else self.emit(f"xor i1 {first}, true")
@@ -128,7 +130,7 @@ class Printer:
         for node in turn.nodes:
             if node.op == "pack":
                 for k, x in enumerate(node.args):
-                    self._put(self.value(x), node.dtype, "%scratch", str(self._slot(node) + k * row("float64")))
+                    self._put(self.value(x), node.dtype, "%scratch", str(self.slot(node) + k * row("float64")))
             else:
                 self.names[node.number] = self._work(node, [self.value(x) if not x.leg else "" for x in node.args])
 
@@ -144,25 +146,31 @@ class Printer:
         for k, node in enumerate(sums):
             first = FIRST[node.extra]
             if not np.issubdtype(node.dtype, np.floating) and not isinstance(first, bool):
-                first = {"add": 0, "mul": 1, "max": np.iinfo(node.dtype).min, "min": np.iinfo(node.dtype).max}[node.extra]
+                first = {"add": 0, "mul": 1, "max": np.iinfo(node.dtype).min, "min": np.iinfo(node.dtype).max}[
+                    node.extra
+                ]
             start = self.literal(np.asarray(first, node.dtype))
-            totals.append(self.emit(f"phi {self.type(node.dtype)} [{start}, %{before}], [%{name}_s{k}, %{name}]"))
+            totals.append(self.emit(f"phi {self.vector(node.dtype)} [{start}, %{before}], [%{name}_s{k}, %{name}]"))
         for node in turn.nodes:
             if node.op == "over_legs":
                 k = sums.index(node)
                 total = self.arithmetic(node.extra, node.dtype, [totals[k], leg.value(node.args[0])], [node.dtype] * 2)
-                self.emit(f"select i1 true, {self.type(node.dtype)} {total}, {self.type(node.dtype)} {total}", f"%{name}_s{k}")
+                self.emit(
+                    f"select i1 true, {self.vector(node.dtype)} {total}, {self.vector(node.dtype)} {total}",
+                    f"%{name}_s{k}",
+                )
                 self.names[node.number] = f"%{name}_s{k}"
                 continue
             value = leg.here[node.number] = self._work(node, [leg.value(x) for x in node.args], leg)
             if node.number in self.slots.of:
-                self._put(value, node.dtype, "%scratch", leg.offset(row("float64"), self._slot(node)))
+                self._put(value, node.dtype, "%scratch", leg.offset(row("float64"), self.slot(node)))
         self.emit(f"add i64 %{name}_k, 1", f"%{name}_n")
         self.emit(f"icmp eq i64 %{name}_n, {LEGS}", f"%{name}_c")
         self.lines.append(f"br i1 %{name}_c, label %{name}_x, label %{name}")
         self.start(f"{name}_x")
 
-    def _slot(self, node: Node) -> int:
+    def slot(self, node: Node) -> int:
+        """Where the legs' values of a node are kept, in bytes."""
         return self.slots.of[node.number] * LEGS * row("float64")
 
     # memory
@@ -195,22 +203,23 @@ class Printer:
         if node.op == "load":
             region, index, _, step = node.extra
             base, place = self.base(region)
-            return self._get(region.dtype, base, str(place + (index + k * step) * row(region.dtype)))
-        return self._get(node.dtype, "%scratch", str(self._slot(node) + k * row("float64")))
+            return self.get(region.dtype, base, str(place + (index + k * step) * row(region.dtype)))
+        return self.get(node.dtype, "%scratch", str(self.slot(node) + k * row("float64")))
 
     def _put(self, value: str, dtype: str, base: str, offset: str) -> None:
         at = self.emit(f"getelementptr i8, ptr {base}, i64 {offset}")
         if dtype == "bool":
             value = self.emit(f"zext <{LANES} x i1> {value} to <{LANES} x i8>")
-        stored = f"<{LANES} x i8>" if dtype == "bool" else self.type(dtype)
+        stored = f"<{LANES} x i8>" if dtype == "bool" else self.vector(dtype)
         self.lines.append(f"store {stored} {value}, ptr {at}, align {min(64, row(dtype))}")
 
-    def _get(self, dtype: str, base: str, offset: str, name: str | None = None) -> str:
+    def get(self, dtype: str, base: str, offset: str, name: str | None = None) -> str:
+        """A number from memory, `offset` bytes from a pointer."""
         at = self.emit(f"getelementptr i8, ptr {base}, i64 {offset}")
         if dtype == "bool":
             found = self.emit(f"load <{LANES} x i8>, ptr {at}, align {LANES}")
             return self.emit(f"icmp ne <{LANES} x i8> {found}, zeroinitializer", name)
-        return self.emit(f"load {self.type(dtype)}, ptr {at}, align {min(64, row(dtype))}", name)
+        return self.emit(f"load {self.vector(dtype)}, ptr {at}, align {min(64, row(dtype))}", name)
 
     def gather(self, node: Node, place: str, offset: str) -> str:
         """From a place of each rollout's own, `offset` bytes further on."""
@@ -229,15 +238,19 @@ class Printer:
         vector = f"<{LANES} x {kept}>"
         self.declared.add(f"declare {vector} {function}(<{LANES} x ptr>, i32, <{LANES} x i1>, {vector})")
         every = self.splat("i1", "true")
-        found = self.emit(f"call {vector} {function}(<{LANES} x ptr> {where}, i32 1, <{LANES} x i1> {every}, {vector} poison)")
+        found = self.emit(
+            f"call {vector} {function}(<{LANES} x ptr> {where}, i32 1, <{LANES} x i1> {every}, {vector} poison)"
+        )
         return self.emit(f"icmp ne {vector} {found}, zeroinitializer") if region.dtype == "bool" else found
 
     # values
 
-    def type(self, dtype: str) -> str:
+    def vector(self, dtype: str) -> str:
+        """LLVM's name for a number in all lanes."""
         return f"<{LANES} x {TYPES[dtype]}>"
 
     def splat(self, kind: str, value: Any) -> str:
+        """A constant vector of one value."""
         return "<" + ", ".join([f"{kind} {value}"] * LANES) + ">"
 
     def literal(self, value: Any) -> str:
@@ -260,7 +273,7 @@ class Printer:
             case "load":
                 region, index, _, _ = node.extra
                 base, place = self.base(region)
-                return self._get(region.dtype, base, str(place + index * row(region.dtype)))
+                return self.get(region.dtype, base, str(place + index * row(region.dtype)))
             case "gather":
                 region, index, _, step = node.extra
                 _, place = self.base(region)
@@ -278,26 +291,28 @@ class Printer:
     def _whole(self, number: str) -> str:
         short = self.emit(f"trunc i64 {number} to i32")
         one = self.emit(f"insertelement <{LANES} x i32> poison, i32 {short}, i32 0")
-        return self.emit(f"shufflevector <{LANES} x i32> {one}, <{LANES} x i32> poison, <{LANES} x i32> zeroinitializer")
+        return self.emit(
+            f"shufflevector <{LANES} x i32> {one}, <{LANES} x i32> poison, <{LANES} x i32> zeroinitializer"
+        )
 
     def call(self, name: str, dtype: str, args: Sequence[str], extra: str = "") -> str:
         """One of LLVM's own functions."""
         kind = {"float": "f32", "double": "f64"}.get(TYPES[dtype], TYPES[dtype])
-        vector, function = self.type(dtype), f"@llvm.{name}.v{LANES}{kind}"
+        vector, function = self.vector(dtype), f"@llvm.{name}.v{LANES}{kind}"
         self.declared.add(f"declare {vector} {function}({', '.join([vector] * len(args))}{', i1' if extra else ''})")
         return self.emit(f"call {vector} {function}({', '.join(f'{vector} {x}' for x in args)}{extra})")
 
     def arithmetic(self, op: str, dtype: str, args: list[str], kinds: Sequence[str]) -> str:
         """An operation on vectors."""
-        of, vector = kinds[-1], self.type(kinds[-1])
+        of, vector = kinds[-1], self.vector(kinds[-1])
         floating = np.issubdtype(of, np.floating)
         match op:
             case "select":
-                return self.emit(f"select {self.type('bool')} {args[0]}, {vector} {args[1]}, {vector} {args[2]}")
+                return self.emit(f"select {self.vector('bool')} {args[0]}, {vector} {args[1]}, {vector} {args[2]}")
             case "convert":
                 return self._convert(args[0], of, dtype)
             case "bitcast_convert_type":
-                return self.emit(f"bitcast {vector} {args[0]} to {self.type(dtype)}")
+                return self.emit(f"bitcast {vector} {args[0]} to {self.vector(dtype)}")
             case "is_finite":
                 size = self.call("fabs", of, args)
                 return self.emit(f"fcmp olt {vector} {size}, {self.literal(np.asarray(np.inf, of))}")
@@ -311,9 +326,9 @@ class Printer:
             case "max" | "min" if floating:  # NaN if either is, as the first operand or by the comparison
                 test = "ogt" if op == "max" else "olt"
                 better = self.emit(f"fcmp {test} {vector} {args[0]}, {args[1]}")
-                chosen = self.emit(f"select {self.type('bool')} {better}, {vector} {args[0]}, {vector} {args[1]}")
+                chosen = self.emit(f"select {self.vector('bool')} {better}, {vector} {args[0]}, {vector} {args[1]}")
                 nan = self.emit(f"fcmp uno {vector} {args[0]}, {args[0]}")
-                return self.emit(f"select {self.type('bool')} {nan}, {vector} {args[0]}, {vector} {chosen}")
+                return self.emit(f"select {self.vector('bool')} {nan}, {vector} {args[0]}, {vector} {chosen}")
             case "max" | "min":
                 sign = "u" if of.startswith("u") or of == "bool" else "s"
                 return self.call(f"{sign}{op}", of, args)
@@ -330,9 +345,9 @@ class Printer:
         return self.emit(f"{unsigned.get(WHOLE[op], WHOLE[op])} {vector} {args[0]}, {args[1]}")
 
     def _convert(self, value: str, old: str, new: str) -> str:
-        a, b = self.type(old), self.type(new)
+        a, b = self.vector(old), self.vector(new)
         was, to = np.dtype(old), np.dtype(new)
-        if to == bool:
+        if to.kind == "b":
             test = "fcmp une" if was.kind == "f" else "icmp ne"
             return self.emit(f"{test} {a} {value}, zeroinitializer")
         if was.kind == "f" and to.kind == "f":
@@ -347,7 +362,7 @@ class Printer:
         if TYPES[old] == TYPES[new]:
             return value
         wider = "sext" if was.kind == "i" else "zext"
-        return self.emit(f"{wider if was == bool or to.itemsize > was.itemsize else 'trunc'} {a} {value} to {b}")
+        return self.emit(f"{wider if was.kind == 'b' or to.itemsize > was.itemsize else 'trunc'} {a} {value} to {b}")
 
 
 class Leg:
@@ -380,15 +395,15 @@ class Leg:
             value = printer.literal(values[-1])
             for k in range(LEGS - 2, -1, -1):
                 test = self._is(k)
-                kind = printer.type(node.dtype)
+                kind = printer.vector(node.dtype)
                 value = printer.emit(f"select i1 {test}, {kind} {printer.literal(values[k])}, {kind} {value}")
             return value
         if node.op == "load":
             region, index, _, step = node.extra
             base, place = printer.base(region)
             size = row(region.dtype)
-            return printer._get(region.dtype, base, self.offset(step * size, place + index * size))
-        return printer._get(node.dtype, "%scratch", self.offset(row("float64"), printer._slot(node)))
+            return printer.get(region.dtype, base, self.offset(step * size, place + index * size))
+        return printer.get(node.dtype, "%scratch", self.offset(row("float64"), printer.slot(node)))
 
     def _is(self, k: int) -> str:
         key = -1 - k

@@ -17,6 +17,10 @@ ATAN = (0.9999999976, -0.3333328364, 0.1999826587, -0.1426193135, 0.1094202159, 
 EXP = (1.0, 1.000000036, 0.4999999208, 0.166664201, 0.04166822621, 0.008374822042, 0.0013836829)  # to ln(2)/2
 LOG = (1.0, -0.4999998829, 0.3333332602, -0.2500158657, 0.2000196718, -0.1660901136, 0.1418185768, -0.1324349502,
        0.1290453789, -0.07620890799)  # of log(1 + x)/x, from 1/sqrt(2) - 1 to sqrt(2) - 1  # fmt: skip
+NEAR = (1.50140941, 0.246640727, -0.00417768164, -0.00125372503, 0.00021858087, -4.39150654e-06, -3.5233877e-06,
+        3.43273939e-07, 2.81022636e-08)  # fmt: skip
+FAR = (2.83297682, 1.00167406, 0.00943887047, -0.0076224613, 0.00573950773, -0.00367342844, 0.00134934322,
+       0.000100950558, -0.000200214257)  # fmt: skip
 QUARTER = (1.5703125, 4.837512969970703e-4, 7.549790126404332e-8)  # pi/2 in parts of few digits
 LN2 = (0.693359375, -2.12194440e-4)
 PI, HALF_PI = 3.14159265358979, 1.57079632679490
@@ -108,12 +112,32 @@ def log(x: Array) -> Array:
     return jnp.where(x < jnp.inf, value, x)
 
 
+def erf_inv(x: Array) -> Array:
+    """The inverse of the error function, by Giles' two polynomials (2010)."""
+    tail = -log((1.0 - x) * (1.0 + x))
+    value = jnp.where(tail < 5.0, _sum(NEAR, tail - 2.5), _sum(FAR, jnp.sqrt(tail) - 3.0))
+    return jnp.where(jnp.abs(x) == 1.0, x * jnp.inf, x * value)
+
+
+def rem(x: Array, y: Array) -> Array:
+    """What is left of x by whole y, of the sign of x; for quotients of some thousand."""
+    rest = x - jnp.trunc(x / y) * y
+    size = jnp.where(x < 0, -jnp.abs(y), jnp.abs(y))
+    rest = jnp.where(rest * x < 0, rest + size, rest)
+    return jnp.where(jnp.abs(rest) >= jnp.abs(y), rest - size, rest)
+
+
 def sign(x: Array) -> Array:
     """-1, 0 or 1."""
     return jnp.where(x > 0, jnp.ones_like(x), jnp.where(x < 0, -jnp.ones_like(x), x))
 
 
+def log1p(x: Array) -> Array:
+    """The natural logarithm of 1 + x."""
+    return log(1.0 + x)
+
+
 SINGLE: dict[str, Callable] = {
-    "sin": sin, "cos": cos, "tan": tan, "atan2": atan2, "acos": acos, "asin": asin, "atan": atan, "exp": exp, "log": log,
-}  # fmt: skip
+    f.__name__: f for f in (sin, cos, tan, atan2, acos, asin, atan, exp, log, log1p, erf_inv, rem)
+}
 EXPANSIONS: dict[str, Callable] = {"sign": sign}

@@ -10,9 +10,11 @@ from sweep.engines.fused.program import Node, value_of
 COMPARE = {"eq": np.equal, "ne": np.not_equal, "lt": np.less, "le": np.less_equal, "gt": np.greater,
            "ge": np.greater_equal}  # fmt: skip
 NUMPY: dict[str, Callable] = {
-    **COMPARE, "add": np.add, "sub": np.subtract, "mul": np.multiply, "max": np.maximum, "min": np.minimum,
-    "neg": np.negative, "abs": np.abs, "sqrt": np.sqrt, "floor": np.floor, "ceil": np.ceil, "round": np.rint,
-    "is_finite": np.isfinite, "select": np.where, "pow": np.power, **{name: getattr(np, name) for name in ("sin", "cos", "tan", "exp", "log")},
+    **COMPARE,
+    **{name: getattr(np, name) for name in ("sin", "cos", "tan", "exp", "log", "sqrt", "floor", "ceil", "log1p")},
+    "add": np.add, "sub": np.subtract, "mul": np.multiply, "max": np.maximum, "min": np.minimum,
+    "neg": np.negative, "abs": np.abs, "round": np.rint,
+    "is_finite": np.isfinite, "select": np.where, "pow": np.power,
     "acos": np.arccos, "asin": np.arcsin, "atan": np.arctan, "atan2": np.arctan2,
     "xor": np.bitwise_xor, "and": np.bitwise_and, "or": np.bitwise_or, "shift_left": np.left_shift,
     "shift_right_logical": np.right_shift, "shift_right_arithmetic": np.right_shift,

@@ -60,7 +60,7 @@ def plan(block: Block, needed: set[int]) -> Plan:
             made.inner[len(made.steps)] = [plan(item.body, needed)]
         elif isinstance(item, Branch):
             made.inner[len(made.steps)] = [plan(b, needed) for b in item.blocks]
-        if item is not None and not (isinstance(item, Store) and item.value is None):
+        if item is not None:
             made.steps.append(item)
     made.steps.extend(block.stores)
     return made
@@ -72,18 +72,13 @@ def _turns(nodes: list[Node]) -> Iterator[Turn]:
     for node in nodes:
         if node.op in ANEW and (node.leg or node.op == "const"):
             continue
-        number = 1 if node.leg and node.op != "pack" else 0
+        number = 1 if (node.leg and node.op != "pack") or node.op == "over_legs" else 0
         for arg in node.args:
             if (at := here.get(arg.number)) is None:
                 continue
-            if node.op == "over_legs" or (node.leg and node.op != "pack"):
-                after = at if arg.leg and arg.op not in ("pack",) and arg.op != "over_legs" else at + 1 + at % 2
-            else:
-                after = at + at % 2
-            number = max(number, after)
-        if node.op == "over_legs":
-            number = max(number, 1)
-            number += 1 - number % 2
+            if number % 2 and not (arg.leg and arg.op != "pack"):
+                at += 1  # a loop comes after what is plain; a sum over the legs is there when its own loop is over
+            number = max(number, at + (at + number) % 2)
         here[node.number] = number
         turns.setdefault(number, Turn(number % 2 == 1)).nodes.append(node)
     for number in sorted(turns):
@@ -122,53 +117,34 @@ def slots(top: Plan) -> Slots:
 
 
 def _assign(one: Plan, found: Slots) -> None:
-    last: dict[int, int] = {}  # step after which a value of this block is not needed
-    outside: dict[int, int] = {}
+    own = {node.number for step in one.steps if isinstance(step, Turn) for node in step.nodes}
+    last: dict[int, int] = {}  # step that is the last to read a value of this block
+    for at, step in enumerate(one.steps):
+        last |= {number: at for number in _read(step, one.inner.get(at, [])) if number in own}
+    done: dict[int, list[int]] = {}
+    for number, at in last.items():
+        done.setdefault(at, []).append(number)
     for at, step in enumerate(one.steps):
         if isinstance(step, Turn):
-            home = {n.number for n in step.nodes} if step.legs else set()
-            for node in step.nodes:
-                for arg in node.args:
-                    if arg.leg and arg.op not in ANEW and arg.number not in home:
-                        last[arg.number] = at
-        else:
-            for node in _leg_uses(step, one.inner.get(at, [])):
-                last[node.number] = at
-    for at, step in enumerate(one.steps):
-        made = []
-        if isinstance(step, Turn):
-            for node in step.nodes:
-                if node.leg and node.number in last:
-                    found.of[node.number] = found.take()
-                    made.append(node.number)
+            found.of |= {node.number: found.take() for node in step.nodes if node.number in last}
         for inner in one.inner.get(at, []):
             _assign(inner, found)
-        for number, end in last.items():
-            if end == at and number in found.of and number not in outside and _is_here(one, number):
-                found.free.append(found.of[number])
-    del outside
+        found.free.extend(found.of[number] for number in done.get(at, []))
 
 
-def _is_here(one: Plan, number: int) -> bool:
-    if not hasattr(one, "_own"):
-        one._own = {n.number for s in one.steps if isinstance(s, Turn) for n in s.nodes}  # pyright: ignore
-    return number in one._own  # pyright: ignore
-
-
-def _leg_uses(step: Any, inner: list[Plan]) -> Iterator[Node]:
+def _read(step: Any, inner: list[Plan]) -> Iterator[int]:
+    """Numbers of the values of legs that a step, or what is in it, reads from memory."""
     if isinstance(step, Store):
-        if step.value.leg and step.value.op not in ANEW:
-            yield step.value
-        return
+        args = [step.value]
+    elif isinstance(step, Turn):
+        here = {node.number for node in step.nodes} if step.legs else set()
+        args = [arg for node in step.nodes for arg in node.args if arg.number not in here]
+    else:
+        args = []
+    yield from (arg.number for arg in args if arg.leg and arg.op not in ANEW)
     for one in inner:
-        for at, s in enumerate(one.steps):
-            if isinstance(s, Turn):
-                for node in s.nodes:
-                    for arg in node.args:
-                        if arg.leg and arg.op not in ANEW:
-                            yield arg
-            else:
-                yield from _leg_uses(s, one.inner.get(at, []))
+        for at, each in enumerate(one.steps):
+            yield from _read(each, one.inner.get(at, []))
 
 
 def regions(one: Plan) -> set[Region]:
