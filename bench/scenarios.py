@@ -76,7 +76,7 @@ def speed(name: str, width: int) -> str:
     world = replace(case, contact=replace(case.contact, friction=np.linspace(0.6, 1.0, settings.width)))
     with program_cache.unused():
         start = time.perf_counter()
-        (world, belief, keys), programs = engine._prepare(world, case, np.zeros(settings.width, int), None, None)
+        (world, belief, keys), programs, *_ = engine._prepare(world, case, np.zeros(settings.width, int), None, 1, None)
         compiled = time.perf_counter() - start
     plans, carry = programs.start(world, belief, keys)
     walls = []

@@ -15,7 +15,7 @@ from sweep.core.start import STARTED
 ROOT = Path(__file__).parents[1]
 WORKER = ("sweep.runs.runner",)  # what it imports can change a row
 PROGRAMS = ("sweep.engines", "sweep.controllers.manoeuvres")  # what they import can change a compiled program
-LIBRARIES = ("mujoco", "mujoco-mjx", "jax", "jaxlib", "numpy", "scipy", "SALib")
+LIBRARIES = ("mujoco", "mujoco-mjx", "jax", "jaxlib", "llvmlite", "numpy", "scipy", "SALib")
 CPU_INFO = Path("/proc/cpuinfo")
 
 

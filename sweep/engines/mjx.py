@@ -1,5 +1,6 @@
 """The primary engine: controller, physics and metrics of a batch fused in one scan; CPU and GPU alike."""
 
+import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -13,12 +14,17 @@ from jax.stages import Compiled
 from jaxtyping import Array
 
 from sweep.controllers.plan import Plan
+from sweep.core.errors import InputError
 from sweep.dynamics import interface as dynamics
 from sweep.dynamics.step import State, rest
 from sweep.engines import batching, devices, physics, program_cache
 from sweep.engines.base import Figures, Trace
 from sweep.engines.batch_last import batch_last_vmap
 from sweep.engines.closed_loop import GRACE, ClosedLoop, act, init, is_quiet, measure, most_ticks, start_state
+from sweep.engines.fused.interpret import Unsupported
+from sweep.engines.fused.kernel import Code, Kernel
+from sweep.engines.fused.kernel import compiled as fused
+from sweep.engines.fused_loop import Fused
 from sweep.engines.prelude import check, prepared
 from sweep.engines.settings import EngineSettings
 from sweep.engines.states import Watch, offered
@@ -35,13 +41,18 @@ class Carry(NamedTuple):
     state: State
     loop: ClosedLoop
 
+    @property
+    def over(self) -> Array:
+        """Whether nothing is to come."""
+        return self.loop.running.over
+
 
 class Programs(NamedTuple):
     """What a batch runs through, compiled."""
 
-    start: Callable[[Case, Case, Array], tuple[Plan, Carry]]
-    chunk: Callable[[Case, Case, Plan, Carry, int, Array | None], tuple[Carry, Any]]
-    finish: Callable[[Case, Plan, Carry], dict[str, Array]]
+    start: Callable[[Case, Case, Array], tuple[Plan, Any]]
+    chunk: Callable[[Case, Case, Plan, Any, int, Any], tuple[Any, Any]]
+    finish: Callable[[Case, Plan, Any], dict[str, Array]]
 
 
 class Mjx:
@@ -56,6 +67,7 @@ class Mjx:
         self.width = settings.width or devices.default_width()
         self._mesh = devices.mesh(self.width)
         self.devices = jax.device_count()
+        self.fused = _fused(settings, self.dynamics)
         with devices.precision(settings):
             self.topology = dynamics.topology(world)
             self.physics = physics.make(settings, self.topology)
@@ -64,7 +76,7 @@ class Mjx:
             self.stages = plan.names
             self.duration = float(GRACE * np.sum(plan.duration))
         self._nominal = world, belief
-        self._programs: dict[Any, Programs] = {}
+        self._programs: dict[Any, Programs | Fused] = {}
 
     def rollout_bytes(self) -> int:
         """See `Engine`; nothing is compiled for it."""
@@ -100,8 +112,7 @@ class Mjx:
         That is one in `every` ticks: all there is of them, or what is to be watched. Room is made for `most` slots.
         """
         with devices.precision(self.settings):
-            kept, places = (None, slots) if slots is None else self._kept(slots, min(self._local, most))
-            (world, belief, keys), programs = self._prepare(world, belief, streams, kept, watch)
+            (world, belief, keys), programs, kept, places = self._prepare(world, belief, streams, slots, most, watch)
             plans, carry = programs.start(world, belief, keys)
             records = []
             for tick in range(0, most_ticks(plans, self.settings.control_period), self._chunk_ticks):
@@ -109,7 +120,7 @@ class Mjx:
                 first = (every - 1 - tick) % every
                 records.append(jax.tree.map(lambda x, first=first: np.asarray(x)[first::every][:, places], record))
                 # on the host: among devices it would take their collective operations, which can hang
-                over = np.asarray(carry.loop.running.over)
+                over = np.asarray(carry.over)
                 if np.all(over if slots is None or watch else over[slots]):
                     break
             figures = programs.finish(world, plans, carry).items()
@@ -134,8 +145,10 @@ class Mjx:
         """Rollouts of a device."""
         return self.width // self._mesh.size
 
-    def _kept(self, slots: np.ndarray, room: int) -> tuple[Array, np.ndarray]:
+    def _kept(self, slots: np.ndarray | None, room: int) -> tuple[Any, np.ndarray | None]:
         """What each device records, as `room` places among its rollouts, and where `slots` are among all of these."""
+        if slots is None or self.fused:
+            return slots, None if slots is None else np.arange(len(slots))
         local, places = np.zeros((self._mesh.size, room), np.int32), np.zeros(len(slots), int)
         for device in range(self._mesh.size):
             mine = np.flatnonzero(slots // self._local == device)
@@ -148,30 +161,51 @@ class Mjx:
         return max(1, round(CHUNK / self.settings.control_period))
 
     def _prepare(
-        self, world: Case, belief: Case, streams: np.ndarray, kept: Array | None, watch: Watch | None
-    ) -> tuple[tuple[Case, Case, Array], Programs]:
-        """Arguments as arrays of the right type, and the programs for their batch axes; `kept` is recorded."""
+        self, world: Case, belief: Case, streams: np.ndarray, slots: np.ndarray | None, most: int, watch: Watch | None
+    ) -> tuple[tuple[Case, Case, Array], Programs | Fused, Any, np.ndarray | None]:
+        """Arguments as arrays of the right type, and the programs for their batch axes; what is recorded, and where."""
         batching.check(streams, self.width)
+        kept, places = self._kept(slots, min(self._local, most))
         quiet = is_quiet(world.noise)
-        recorded = None if kept is None else (kept.shape, watch and watch.columns)
+        recorded = None if kept is None or self.fused else (kept.shape, watch and watch.columns)
         form = devices.form((world, belief)), quiet, recorded
         arrays = devices.spread((*devices.as_arrays((world, belief)), devices.keys(streams)), self._mesh)
         if form not in self._programs:
             compiled = partial(self._compile, arrays, quiet, kept, watch)
             made_of, on = (form, *self._made_of), list(self._mesh.devices.flat)
-            self._programs[form] = Programs(*program_cache.programs(made_of, on, compiled))
-        return arrays, self._programs[form]
+            try:
+                self._programs[form] = self._ready(*program_cache.programs(made_of, on, compiled))
+            except Unsupported as missing:
+                self._give_up(missing)
+                return self._prepare(world, belief, streams, slots, most, watch)
+        programs = self._programs[form]
+        programs = programs._replace(watch=watch) if isinstance(programs, Fused) else programs
+        return arrays, programs, kept, places
+
+    def _give_up(self, missing: Unsupported) -> None:
+        """Leave the closed loop to XLA, and say so. Raises `InputError` where it was to be fused."""
+        why = f"the fused compiler has no rule for {missing}"
+        if self.settings.compiler == "fused":
+            raise InputError(f"engine.compiler = fused is not allowed here: {why}") from missing
+        print(f"sweep: XLA compiles the closed loop: {why}", file=sys.stderr)
+        self.fused = False
+
+    def _ready(self, start: Compiled, chunk: Compiled | Code, finish: Compiled) -> Programs | Fused:
+        if not isinstance(chunk, Code):
+            return Programs(start, chunk, finish)
+        spread = partial(devices.spread, over=self._mesh)
+        return Fused(start, Kernel(chunk), finish, self._chunk_ticks, self.width, spread, None)
 
     @property
     def _made_of(self) -> tuple:
         """All that the programs depend on beside the form of their arguments; MJX's dynamics hold the nominal model."""
         top = self.topology
         model = dynamics.saved(top.model) if self.dynamics == "mjx" else None
-        return self.settings, self.limits, self.width, self.dynamics, top.names, top.owner, model
+        return self.settings, self.limits, self.width, self.dynamics, self.fused, top.names, top.owner, model
 
     def _compile(
         self, arrays: tuple[Case, Case, Array], quiet: bool, kept: Array | None, watch: Watch | None
-    ) -> tuple[Compiled, Compiled, Compiled]:
+    ) -> tuple[Compiled, Compiled | Code, Compiled]:
         """The programs over batches like `arrays`, split over the devices.
 
         They are compiled side by side: the compiler needs no Python, which traces the next one meanwhile.
@@ -190,10 +224,29 @@ class Mjx:
             begin = jax.jit(start, compiler_options=devices.plan_options()).lower(*arrays)
             started = pool.submit(begin.compile)
             plans, carry = devices.split(begin.out_info, self._mesh)
-            go_on = jax.jit(chunk, donate_argnums=3)
-            chunked = pool.submit(go_on.lower(world, belief, plans, carry, 0, kept).compile)
+            if self.fused:
+                chunked = self._fuse(arrays, begin.out_info, quiet)
+            else:
+                go_on = jax.jit(chunk, donate_argnums=3)
+                chunked = pool.submit(go_on.lower(world, belief, plans, carry, 0, kept).compile)
             finished = jax.jit(finish).lower(world, plans, carry).compile()
-            return started.result(), chunked.result(), finished
+            return started.result(), chunked if isinstance(chunked, Code) else chunked.result(), finished
+
+    def _fuse(self, arrays: tuple[Case, Case, Array], batch: Any, quiet: bool) -> Code:
+        """The ticks of one rollout of a batch of such form."""
+
+        def one(x: Any, axes: int) -> jax.ShapeDtypeStruct:
+            return jax.ShapeDtypeStruct(x.shape[axes:], x.dtype)
+
+        world, belief, _ = arrays
+        case = jax.tree.map(lambda x: one(x, x.ndim), (world, belief))
+        plan, carry = jax.tree.map(lambda x: one(x, 1), batch)
+
+        def ticks(given: tuple[Case, Case, Plan], carry: Carry, k: Array) -> tuple[Carry, dict[str, Array]]:
+            world, belief, plan = given
+            return self._tick(world, belief, plan, carry, k, quiet)
+
+        return fused(ticks, (*case, plan), carry)
 
     def _chunk(self, axes: tuple[Case, Case], quiet: bool, watch: Watch | None) -> Callable:
         """A second of the batch that a device has, of which some rollouts may be recorded: columns, or all there is."""
@@ -236,6 +289,13 @@ class Mjx:
         loop = measure(world, plan, self.limits, loop, command, summary, tick, period)
         record = batching.record(command, loop.tracker, summary, state.q, state.v)
         return Carry(state, loop), record
+
+
+def _fused(settings: EngineSettings, dynamics: str) -> bool:
+    """Whether this package's own compiler makes the closed loop."""
+    if settings.compiler == "fused" and jax.default_backend() != "cpu":
+        raise InputError(f"engine.compiler = fused is not allowed on a {jax.default_backend()}: auto or xla")
+    return settings.compiler != "xla" and jax.default_backend() == "cpu" and dynamics == "arrowhead"
 
 
 def _last(axes: Any) -> Any:

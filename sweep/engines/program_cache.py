@@ -22,12 +22,13 @@ from jax.stages import Compiled
 
 from sweep.core import files, provenance
 from sweep.core.errors import InputError
+from sweep.engines.fused.kernel import Code
 
 MOST = 200  # files, of about a MB each
 _jax_settings = threading.RLock()
 
 
-def programs(made_of: Any, devices: Sequence[Any], compiled: Callable[[], Sequence[Compiled]]) -> Sequence[Compiled]:
+def programs(made_of: Any, devices: Sequence[Any], compiled: Callable[[], Sequence[Any]]) -> Sequence[Any]:
     """What `compiled` gives for `devices`, or gave in an earlier process.
 
     The text of `made_of`, the code of this package, its libraries' versions, JAX's settings and the devices' kind have
@@ -43,7 +44,7 @@ def programs(made_of: Any, devices: Sequence[Any], compiled: Callable[[], Sequen
         with unused():
             made = compiled()
     with contextlib.suppress(Exception):  # such as a full disk: what is made can run, and the next start makes it again
-        _store(file, zlib.compress(pickle.dumps([serialize(part) for part in made]), level=1))
+        _store(file, zlib.compress(pickle.dumps([_saved(part) for part in made]), level=1))
     return made
 
 
@@ -81,15 +82,21 @@ def _key(made_of: Any, devices: Sequence[Any]) -> str:
     ).hexdigest()
 
 
-def _load(file: Path, devices: Sequence[Any]) -> Sequence[Compiled] | None:
+def _load(file: Path, devices: Sequence[Any]) -> Sequence[Any] | None:
     try:
         files.own(file)
         parts = pickle.loads(zlib.decompress(file.read_bytes()))
-        return [deserialize_and_load(*part, execution_devices=devices) for part in parts]
+        return [
+            part if isinstance(part, Code) else deserialize_and_load(*part, execution_devices=devices) for part in parts
+        ]
     except InputError:
         raise
     except Exception:  # not there, cut short, or not for these devices after all
         return None
+
+
+def _saved(part: Compiled | Code) -> Any:
+    return part if isinstance(part, Code) else serialize(part)
 
 
 def _store(file: Path, content: bytes) -> None:

@@ -13,6 +13,8 @@ class EngineSettings:
     dynamics: str = choice("auto", "auto", "arrowhead", "mjx")
     time_step: float = quantity(2e-3, "s", above=0, at_most=0.01)  # a physics step of mjx
     native_time_step: float = quantity(1e-3, "s", above=0, at_most=0.01)  # its contact solver fails at 2 ms
+    # of the closed loop of mjx: XLA, this package's own for a CPU (fused), or that wherever it has a rule for all
+    compiler: str = choice("auto", "auto", "xla", "fused")
     # between two orders of the controller: a whole number of physics steps
     control_period: float = quantity(4e-3, "s", above=0, at_most=0.05)
     iterations: int = count(2, at_least=1, at_most=20)  # of the implicit contact step
@@ -24,3 +26,5 @@ class EngineSettings:
         """Raises `InputError` where an engine cannot do what is asked."""
         if self.solid and self.name != "native":
             raise InputError("engine.solid = True is not allowed: false, or engine=native (elsewhere only feet touch)")
+        if self.compiler == "fused" and self.dynamics == "mjx":
+            raise InputError("engine.compiler = fused is not allowed with engine.dynamics = mjx: auto or xla")

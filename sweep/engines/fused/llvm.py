@@ -1,0 +1,436 @@
+"""The program as LLVM's assembly, rollouts in the lanes of vectors, and its compilation for this processor.
+
+No operation is reordered and none made less exact: only a product and the sum that takes it may be one rounding. So a
+rollout's numbers depend neither on the rollouts beside it nor on how many there are.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import llvmlite.binding as llvm
+import numpy as np
+
+from sweep.engines.fused.program import LEGS, Branch, Loop, Node, Region, Store, value_of
+from sweep.engines.fused.schedule import Plan, Slots, Turn, regions
+
+LANES = 16
+ALIGN = 64  # bytes
+TYPES = {"float32": "float", "float64": "double", "int32": "i32", "uint32": "i32", "int64": "i64", "uint64": "i64",
+         "bool": "i1", "int8": "i8", "uint8": "i8"}  # fmt: skip
+FLOAT_COMPARE = {"eq": "oeq", "ne": "une", "lt": "olt", "le": "ole", "gt": "ogt", "ge": "oge"}
+FLOAT = {"add": "fadd contract", "sub": "fsub contract", "mul": "fmul contract", "div": "fdiv", "rem": "frem"}
+WHOLE = {"add": "add", "sub": "sub", "mul": "mul", "div": "sdiv", "rem": "srem", "and": "and", "or": "or", "xor": "xor",
+         "shift_left": "shl", "shift_right_logical": "lshr", "shift_right_arithmetic": "ashr"}  # fmt: skip
+INTRINSICS = {"sqrt": "sqrt", "floor": "floor", "ceil": "ceil", "round": "roundeven", "sin": "sin", "cos": "cos",
+              "tan": "tan", "exp": "exp", "log": "log", "pow": "pow", "acos": "acos", "asin": "asin", "atan": "atan",
+              "atan2": "atan2"}  # fmt: skip
+FIRST = {"add": -0.0, "mul": 1, "max": -np.inf, "min": np.inf, "and": True, "or": False}  # of a reduction over the legs
+
+
+def row(dtype: str) -> int:
+    """Bytes of a number's lanes in memory."""
+    return LANES * np.dtype(dtype).itemsize
+
+
+class Printer:
+    """The text of a function `run(rollouts, scratch, record, stride, first, ticks)`.
+
+    `record` goes on by `stride` bytes each tick; `first` is the number of the first tick.
+    """
+
+    def __init__(self, top: Plan, slots: Slots):
+        self.lines: list[str] = []
+        self.label = "entry"
+        self.declared: set[str] = set()
+        self.slots = slots
+        self.names: dict[int, str] = {}
+        self.counts: dict[int, str] = {}  # of the loops that are open, by depth
+        self._fresh = 0
+        self.scratch = slots.count * LEGS * row("float64")
+        self.places: dict[Region, int] = {}
+        for region in sorted((r for r in regions(top) if r.place < 0), key=id):
+            self.places[region] = self.scratch
+            self.scratch += -(-region.size * row(region.dtype) // ALIGN) * ALIGN
+        self._plan(top)
+
+    def text(self, triple: str) -> str:
+        """The module."""
+        body = "\n".join(f"  {line}" if not line.endswith(":") else line for line in self.lines)
+        head = "define void @run(ptr noalias %rollouts, ptr noalias %scratch, ptr noalias %record, i64 %stride, "
+        declared = "\n".join(sorted(self.declared))
+        return (f'target triple = "{triple}"\n{declared}\n{head}i64 %first, i64 %ticks) {{\nentry:\n{body}\n'
+                f"  ret void\n}}\n")  # fmt: skip
+
+    def fresh(self) -> str:
+        """A name that is not taken."""
+        self._fresh += 1
+        return f"%v{self._fresh}"
+
+    def emit(self, text: str, name: str | None = None) -> str:
+        """A line that gives a value its name."""
+        name = name or self.fresh()
+        self.lines.append(f"{name} = {text}")
+        return name
+
+    def start(self, label: str) -> None:
+        """Begin a basic block."""
+        self.lines.append(f"{label}:")
+        self.label = label
+
+    # blocks
+
+    def _plan(self, one: Plan) -> None:
+        for at, step in enumerate(one.steps):
+            if isinstance(step, Turn):
+                (self._legs if step.legs else self._plain)(step)
+            elif isinstance(step, Store):
+                self._store(step)
+            elif isinstance(step, Loop):
+                self._loop(step, one.inner[at][0])
+            elif isinstance(step, Branch):
+                self._branch(step, one.inner[at])
+
+    def _loop(self, loop: Loop, body: Plan) -> None:
+        self._fresh += 1
+        name, before = f"L{self._fresh}", self.label
+        self.lines.append(f"br label %{name}")
+        self.start(name)
+        count, following = f"%{name}_k", f"%{name}_n"
+        at = len(self.lines)
+        self.lines.append("")
+        self.counts[body.block.depth] = count
+        self._plan(body)
+        length = "%ticks" if loop.length is None else str(loop.length)
+        self.emit(f"add i64 {count}, 1", following)
+        self.emit(f"icmp eq i64 {following}, {length}", f"%{name}_c")
+        self.lines[at] = f"{count} = phi i64 [0, %{before}], [{following}, %{self.label}]"
+        self.lines.append(f"br i1 %{name}_c, label %{name}_x, label %{name}")
+        self.start(f"{name}_x")
+
+    def _branch(self, branch: Branch, plans: Sequence[Plan]) -> None:
+        self._fresh += 1
+        name = f"B{self._fresh}"
+        index = self.value(branch.index)
+        first = self.emit(f"extractelement {self.vector(branch.index.dtype)} {index}, i32 0")
+        scalar = TYPES[branch.index.dtype]
+        cases = " ".join(f"{scalar} {k}, label %{name}_{k}" for k in range(1, len(plans) - 1)) if len(plans) > 2 else ""
+        low = self.emit(f"icmp sle {scalar} {first}, 0") if scalar != "i1" else self.emit(f"xor i1 {first}, true")
+        self.lines.append(f"br i1 {low}, label %{name}_0, label %{name}_s")
+        self.start(f"{name}_s")
+        self.lines.append(f"switch {scalar} {first}, label %{name}_{len(plans) - 1} [{cases}]")
+        for k, one in enumerate(plans):
+            self.start(f"{name}_{k}")
+            names = dict(self.names)
+            self._plan(one)
+            self.names = names
+            self.lines.append(f"br label %{name}_x")
+        self.start(f"{name}_x")
+
+    def _plain(self, turn: Turn) -> None:
+        for node in turn.nodes:
+            if node.op == "pack":
+                for k, x in enumerate(node.args):
+                    self._put(self.value(x), node.dtype, "%scratch", str(self.slot(node) + k * row("float64")))
+            else:
+                self.names[node.number] = self._work(node, [self.value(x) if not x.leg else "" for x in node.args])
+
+    def _legs(self, turn: Turn) -> None:
+        self._fresh += 1
+        name, before = f"T{self._fresh}", self.label
+        leg = Leg(self, f"%{name}_k")
+        sums = [n for n in turn.nodes if n.op == "over_legs"]
+        self.lines.append(f"br label %{name}")
+        self.start(name)
+        self.lines.append(f"%{name}_k = phi i64 [0, %{before}], [%{name}_n, %{name}]")
+        totals = []
+        for k, node in enumerate(sums):
+            first = FIRST[node.extra]
+            if not np.issubdtype(node.dtype, np.floating) and not isinstance(first, bool):
+                first = {"add": 0, "mul": 1, "max": np.iinfo(node.dtype).min, "min": np.iinfo(node.dtype).max}[
+                    node.extra
+                ]
+            start = self.literal(np.asarray(first, node.dtype))
+            totals.append(self.emit(f"phi {self.vector(node.dtype)} [{start}, %{before}], [%{name}_s{k}, %{name}]"))
+        for node in turn.nodes:
+            if node.op == "over_legs":
+                k = sums.index(node)
+                total = self.arithmetic(node.extra, node.dtype, [totals[k], leg.value(node.args[0])], [node.dtype] * 2)
+                self.emit(
+                    f"select i1 true, {self.vector(node.dtype)} {total}, {self.vector(node.dtype)} {total}",
+                    f"%{name}_s{k}",
+                )
+                self.names[node.number] = f"%{name}_s{k}"
+                continue
+            value = leg.here[node.number] = self._work(node, [leg.value(x) for x in node.args], leg)
+            if node.number in self.slots.of:
+                self._put(value, node.dtype, "%scratch", leg.offset(row("float64"), self.slot(node)))
+        self.emit(f"add i64 %{name}_k, 1", f"%{name}_n")
+        self.emit(f"icmp eq i64 %{name}_n, {LEGS}", f"%{name}_c")
+        self.lines.append(f"br i1 %{name}_c, label %{name}_x, label %{name}")
+        self.start(f"{name}_x")
+
+    def slot(self, node: Node) -> int:
+        """Where the legs' values of a node are kept, in bytes."""
+        return self.slots.of[node.number] * LEGS * row("float64")
+
+    # memory
+
+    def base(self, region: Region) -> tuple[str, int]:
+        """Pointer and bytes from there to a region."""
+        if region in self.places:
+            return "%scratch", self.places[region]
+        return "%rollouts", region.place
+
+    def _store(self, store: Store) -> None:
+        region, value = store.region, store.value
+        base, place = self.base(region)
+        size = row(region.dtype)
+        if region.record:
+            count = self.counts[1]
+            moved = self.emit(f"mul i64 {count}, %stride")
+            base = self.emit(f"getelementptr i8, ptr %record, i64 {moved}")
+        if not value.leg:
+            self._put(self.value(value), region.dtype, base, str(place + store.index * size))
+            return
+        for k in range(LEGS):
+            one = self.part(value, k)
+            self._put(one, region.dtype, base, str(place + (store.index + k * store.step) * size))
+
+    def part(self, node: Node, k: int) -> str:
+        """One leg's of a value for all."""
+        if node.op == "const":
+            return self.literal(value_of(node)[k])
+        if node.op == "load":
+            region, index, _, step = node.extra
+            base, place = self.base(region)
+            return self.get(region.dtype, base, str(place + (index + k * step) * row(region.dtype)))
+        return self.get(node.dtype, "%scratch", str(self.slot(node) + k * row("float64")))
+
+    def _put(self, value: str, dtype: str, base: str, offset: str) -> None:
+        at = self.emit(f"getelementptr i8, ptr {base}, i64 {offset}")
+        if dtype == "bool":
+            value = self.emit(f"zext <{LANES} x i1> {value} to <{LANES} x i8>")
+        stored = f"<{LANES} x i8>" if dtype == "bool" else self.vector(dtype)
+        self.lines.append(f"store {stored} {value}, ptr {at}, align {min(64, row(dtype))}")
+
+    def get(self, dtype: str, base: str, offset: str, name: str | None = None) -> str:
+        """A number from memory, `offset` bytes from a pointer."""
+        at = self.emit(f"getelementptr i8, ptr {base}, i64 {offset}")
+        if dtype == "bool":
+            found = self.emit(f"load <{LANES} x i8>, ptr {at}, align {LANES}")
+            return self.emit(f"icmp ne <{LANES} x i8> {found}, zeroinitializer", name)
+        return self.emit(f"load {self.vector(dtype)}, ptr {at}, align {min(64, row(dtype))}", name)
+
+    def gather(self, node: Node, place: str, offset: str) -> str:
+        """From a place of each rollout's own, `offset` bytes further on."""
+        region = node.extra[0]
+        base, _ = self.base(region)
+        size, wide = row(region.dtype), f"<{LANES} x i64>"
+        lanes = ", ".join(f"i64 {k * np.dtype(region.dtype).itemsize}" for k in range(LANES))
+        far = self.emit(f"sext <{LANES} x i32> {place} to {wide}")
+        moved = self.emit(f"mul {wide} {far}, {self.splat('i64', size)}")
+        moved = self.emit(f"add {wide} {moved}, <{lanes}>")
+        start = self.emit(f"getelementptr i8, ptr {base}, i64 {offset}")
+        where = self.emit(f"getelementptr i8, ptr {start}, {wide} {moved}")
+        kept = "i8" if region.dtype == "bool" else TYPES[region.dtype]
+        short = {"float": "f32", "double": "f64"}.get(kept, kept)
+        function = f"@llvm.masked.gather.v{LANES}{short}.v{LANES}p0"
+        vector = f"<{LANES} x {kept}>"
+        self.declared.add(f"declare {vector} {function}(<{LANES} x ptr>, i32, <{LANES} x i1>, {vector})")
+        every = self.splat("i1", "true")
+        found = self.emit(
+            f"call {vector} {function}(<{LANES} x ptr> {where}, i32 1, <{LANES} x i1> {every}, {vector} poison)"
+        )
+        return self.emit(f"icmp ne {vector} {found}, zeroinitializer") if region.dtype == "bool" else found
+
+    # values
+
+    def vector(self, dtype: str) -> str:
+        """LLVM's name for a number in all lanes."""
+        return f"<{LANES} x {TYPES[dtype]}>"
+
+    def splat(self, kind: str, value: Any) -> str:
+        """A constant vector of one value."""
+        return "<" + ", ".join([f"{kind} {value}"] * LANES) + ">"
+
+    def literal(self, value: Any) -> str:
+        """A constant in all lanes."""
+        value = np.asarray(value)
+        kind = TYPES[value.dtype.name]
+        if value.dtype == bool:
+            return self.splat(kind, "true" if value else "false")
+        if value.dtype.kind == "f":
+            return self.splat(kind, f"0x{np.float64(value).view(np.uint64):016X}")
+        return self.splat(kind, int(value))
+
+    def value(self, node: Node) -> str:
+        """A plain value."""
+        return self.literal(value_of(node)) if node.op == "const" else self.names[node.number]
+
+    def _work(self, node: Node, args: list[str], leg: "Leg | None" = None) -> str:
+        """A node from its operands."""
+        match node.op:
+            case "load":
+                region, index, _, _ = node.extra
+                base, place = self.base(region)
+                return self.get(region.dtype, base, str(place + index * row(region.dtype)))
+            case "gather":
+                region, index, _, step = node.extra
+                _, place = self.base(region)
+                offset = place + index * row(region.dtype)
+                at = leg.offset(step * row(region.dtype), offset) if leg and node.leg else str(offset)
+                return self.gather(node, args[0], at)
+            case "part":
+                return self.part(node.args[0], node.extra)
+            case "count":
+                return self._whole(self.counts[node.extra])
+            case "tick":
+                return self._whole(self.emit(f"add i64 {self.counts[1]}, %first"))
+        return self.arithmetic(node.op, node.dtype, args, [x.dtype for x in node.args])
+
+    def _whole(self, number: str) -> str:
+        short = self.emit(f"trunc i64 {number} to i32")
+        one = self.emit(f"insertelement <{LANES} x i32> poison, i32 {short}, i32 0")
+        return self.emit(
+            f"shufflevector <{LANES} x i32> {one}, <{LANES} x i32> poison, <{LANES} x i32> zeroinitializer"
+        )
+
+    def call(self, name: str, dtype: str, args: Sequence[str], extra: str = "") -> str:
+        """One of LLVM's own functions."""
+        kind = {"float": "f32", "double": "f64"}.get(TYPES[dtype], TYPES[dtype])
+        vector, function = self.vector(dtype), f"@llvm.{name}.v{LANES}{kind}"
+        self.declared.add(f"declare {vector} {function}({', '.join([vector] * len(args))}{', i1' if extra else ''})")
+        return self.emit(f"call {vector} {function}({', '.join(f'{vector} {x}' for x in args)}{extra})")
+
+    def arithmetic(self, op: str, dtype: str, args: list[str], kinds: Sequence[str]) -> str:
+        """An operation on vectors."""
+        of, vector = kinds[-1], self.vector(kinds[-1])
+        floating = np.issubdtype(of, np.floating)
+        match op:
+            case "select":
+                return self.emit(f"select {self.vector('bool')} {args[0]}, {vector} {args[1]}, {vector} {args[2]}")
+            case "convert":
+                return self._convert(args[0], of, dtype)
+            case "bitcast_convert_type":
+                return self.emit(f"bitcast {vector} {args[0]} to {self.vector(dtype)}")
+            case "is_finite":
+                size = self.call("fabs", of, args)
+                return self.emit(f"fcmp olt {vector} {size}, {self.literal(np.asarray(np.inf, of))}")
+            case "not":
+                ones = self.splat(TYPES[of], "true" if of == "bool" else -1)
+                return self.emit(f"xor {vector} {args[0]}, {ones}")
+            case "neg":
+                return self.emit(f"fneg {vector} {args[0]}" if floating else f"sub {vector} zeroinitializer, {args[0]}")
+            case "abs":
+                return self.call("fabs", of, args) if floating else self.call("abs", of, args, ", i1 false")
+            case "max" | "min" if floating:  # NaN if either is, as the first operand or by the comparison
+                test = "ogt" if op == "max" else "olt"
+                better = self.emit(f"fcmp {test} {vector} {args[0]}, {args[1]}")
+                chosen = self.emit(f"select {self.vector('bool')} {better}, {vector} {args[0]}, {vector} {args[1]}")
+                nan = self.emit(f"fcmp uno {vector} {args[0]}, {args[0]}")
+                return self.emit(f"select {self.vector('bool')} {nan}, {vector} {args[0]}, {vector} {chosen}")
+            case "max" | "min":
+                sign = "u" if of.startswith("u") or of == "bool" else "s"
+                return self.call(f"{sign}{op}", of, args)
+            case _ if op in FLOAT_COMPARE and floating:
+                return self.emit(f"fcmp {FLOAT_COMPARE[op]} {vector} {args[0]}, {args[1]}")
+            case _ if op in FLOAT_COMPARE:
+                sign = "" if op in ("eq", "ne") else "u" if of.startswith("u") or of == "bool" else "s"
+                return self.emit(f"icmp {sign}{op} {vector} {args[0]}, {args[1]}")
+            case _ if op in INTRINSICS and floating:
+                return self.call(INTRINSICS[op], of, args)
+            case _ if floating:
+                return self.emit(f"{FLOAT[op]} {vector} {args[0]}, {args[1]}")
+        unsigned = {"sdiv": "udiv", "srem": "urem"} if of.startswith("u") else {}
+        return self.emit(f"{unsigned.get(WHOLE[op], WHOLE[op])} {vector} {args[0]}, {args[1]}")
+
+    def _convert(self, value: str, old: str, new: str) -> str:
+        a, b = self.vector(old), self.vector(new)
+        was, to = np.dtype(old), np.dtype(new)
+        if to.kind == "b":
+            test = "fcmp une" if was.kind == "f" else "icmp ne"
+            return self.emit(f"{test} {a} {value}, zeroinitializer")
+        if was.kind == "f" and to.kind == "f":
+            return self.emit(f"{'fpext' if to.itemsize > was.itemsize else 'fptrunc'} {a} {value} to {b}")
+        if was.kind == "f":
+            kind, whole = {"float": "f32", "double": "f64"}[TYPES[old]], TYPES[new]
+            name = f"@llvm.fpto{'u' if to.kind == 'u' else 's'}i.sat.v{LANES}{whole}.v{LANES}{kind}"
+            self.declared.add(f"declare {b} {name}({a})")
+            return self.emit(f"call {b} {name}({a} {value})")
+        if to.kind == "f":
+            return self.emit(f"{'sitofp' if was.kind == 'i' else 'uitofp'} {a} {value} to {b}")
+        if TYPES[old] == TYPES[new]:
+            return value
+        wider = "sext" if was.kind == "i" else "zext"
+        return self.emit(f"{wider if was.kind == 'b' or to.itemsize > was.itemsize else 'trunc'} {a} {value} to {b}")
+
+
+class Leg:
+    """Values inside a loop over the legs."""
+
+    def __init__(self, printer: Printer, count: str):
+        self.printer, self.count = printer, count
+        self.here: dict[int, str] = {}
+        self.steps: dict[int, str] = {}
+
+    def offset(self, step: int, start: int) -> str:
+        """Bytes to this leg's number."""
+        if step not in self.steps:
+            self.steps[step] = self.printer.emit(f"mul i64 {self.count}, {step}")
+        return self.printer.emit(f"add i64 {self.steps[step]}, {start}")
+
+    def value(self, node: Node) -> str:
+        """A value of this leg, or a plain one."""
+        printer = self.printer
+        if not node.leg:
+            return printer.value(node)
+        if node.number not in self.here:
+            self.here[node.number] = self._found(node)
+        return self.here[node.number]
+
+    def _found(self, node: Node) -> str:
+        printer = self.printer
+        if node.op == "const":
+            values = value_of(node)
+            value = printer.literal(values[-1])
+            for k in range(LEGS - 2, -1, -1):
+                test = self._is(k)
+                kind = printer.vector(node.dtype)
+                value = printer.emit(f"select i1 {test}, {kind} {printer.literal(values[k])}, {kind} {value}")
+            return value
+        if node.op == "load":
+            region, index, _, step = node.extra
+            base, place = printer.base(region)
+            size = row(region.dtype)
+            return printer.get(region.dtype, base, self.offset(step * size, place + index * size))
+        return printer.get(node.dtype, "%scratch", self.offset(row("float64"), printer.slot(node)))
+
+    def _is(self, k: int) -> str:
+        key = -1 - k
+        if key not in self.steps:
+            self.steps[key] = self.printer.emit(f"icmp eq i64 {self.count}, {k}")
+        return self.steps[key]
+
+
+def machine() -> llvm.TargetMachine:
+    """This processor."""
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    features = llvm.get_host_cpu_features().flatten()
+    target = llvm.Target.from_default_triple()
+    return target.create_target_machine(llvm.get_host_cpu_name(), features, opt=2, codemodel="default", jit=True)
+
+
+def compiled(text: str, target: llvm.TargetMachine) -> bytes:
+    """Machine code of a module, as an object file."""
+    module = llvm.parse_assembly(text)
+    module.verify()
+    return target.emit_object(module)
+
+
+def loaded(code: bytes, target: llvm.TargetMachine) -> tuple[Any, int]:
+    """What keeps `run` in this process, and its address."""
+    jit = llvm.create_lljit_compiler(target, use_jit_link=True, suppress_errors=False)
+    library = llvm.JITLibraryBuilder().add_object_img(code).export_symbol("run").add_current_process()
+    kept = library.link(jit, "rollouts")
+    return (jit, kept), kept["run"]

@@ -1,0 +1,79 @@
+"""What operations on numbers do to constants, and which of them need not be done."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from sweep.engines.fused.program import Node, value_of
+
+COMPARE = {"eq": np.equal, "ne": np.not_equal, "lt": np.less, "le": np.less_equal, "gt": np.greater,
+           "ge": np.greater_equal}  # fmt: skip
+NUMPY: dict[str, Callable] = {
+    **COMPARE,
+    **{name: getattr(np, name) for name in ("sin", "cos", "tan", "exp", "log", "sqrt", "floor", "ceil", "log1p")},
+    "add": np.add, "sub": np.subtract, "mul": np.multiply, "max": np.maximum, "min": np.minimum,
+    "neg": np.negative, "abs": np.abs, "round": np.rint,
+    "is_finite": np.isfinite, "select": np.where, "pow": np.power,
+    "acos": np.arccos, "asin": np.arcsin, "atan": np.arctan, "atan2": np.arctan2,
+    "xor": np.bitwise_xor, "and": np.bitwise_and, "or": np.bitwise_or, "shift_left": np.left_shift,
+    "shift_right_logical": np.right_shift, "shift_right_arithmetic": np.right_shift,
+}  # fmt: skip
+
+
+def fold(name: str, dtype: str, values: Sequence[Any]) -> Any:
+    """The result of an operation on constants."""
+    with np.errstate(all="ignore"):
+        match name:
+            case "convert":
+                result = np.asarray(values[0]).astype(dtype)
+            case "not":
+                result = np.logical_not(values[0]) if dtype == "bool" else np.invert(values[0])
+            case "bitcast_convert_type":
+                result = np.asarray(values[0]).view(dtype)
+            case "div":
+                whole = np.issubdtype(dtype, np.integer)
+                result = np.trunc(np.divide(*values)) if whole else np.divide(*values)
+            case "rem":
+                result = np.fmod(*values)
+            case _:
+                result = NUMPY[name](*values)
+    return np.asarray(result, dtype)
+
+
+def simplified(name: str, args: Sequence[Node]) -> Node | None:
+    """An operand that the result equals, if one is plain to see. Zero times a number counts as zero, of NaN too."""
+    known = [_plain(x) for x in args]
+    match name, known:
+        case ("add", [_, value]) | ("sub", [_, value]) if value == 0 and value is not None:
+            return args[0]
+        case "add", [value, _] if value == 0 and value is not None:
+            return args[1]
+        case ("mul", [_, value]) | ("div", [_, value]) if value == 1 and value is not None:
+            return args[0]
+        case "mul", [value, _] if value == 1 and value is not None:
+            return args[1]
+        case "mul", [_, value] if value == 0 and value is not None:
+            return args[1]
+        case "mul", [value, _] if value == 0 and value is not None:
+            return args[0]
+        case ("and" | "or" | "max" | "min", _) if args[0] is args[1]:
+            return args[0]
+        case "and", [value, _] if isinstance(value, np.bool_):
+            return args[1] if value else args[0]
+        case "and", [_, value] if isinstance(value, np.bool_):
+            return args[0] if value else args[1]
+        case "or", [value, _] if isinstance(value, np.bool_):
+            return args[0] if value else args[1]
+        case "or", [_, value] if isinstance(value, np.bool_):
+            return args[1] if value else args[0]
+        case "select", [_, _, _] if args[1] is args[2]:
+            return args[1]
+        case "select", [value, _, _] if isinstance(value, np.bool_):
+            return args[1] if value else args[2]
+    return None
+
+
+def _plain(node: Node) -> Any:
+    """The number of a constant that is the same for all legs."""
+    return value_of(node) if node.op == "const" and not node.leg else None

@@ -1,0 +1,156 @@
+"""Operations on single numbers of a rollout, as a graph without repetitions, in blocks: the program, loops, branches.
+
+Six numbers that the same operation gives for the six legs are one node, of which `part` takes one leg's; that holds for
+inputs and tables too. An operation stands in the outermost block that has its operands: what does not change in a loop
+is worked out before it.
+"""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+LEGS = 6
+PINNED = frozenset(("load", "gather", "count"))  # of memory that changes, or of one loop: stay in their block
+
+
+class Node:
+    """A number, or one for each leg."""
+
+    __slots__ = ("args", "block", "dtype", "extra", "leg", "number", "op")
+
+    def __init__(
+        self, op: str, args: tuple["Node", ...], extra: Any, dtype: str, leg: bool, number: int, block: "Block"
+    ):
+        self.op, self.args, self.extra, self.dtype, self.leg, self.number = op, args, extra, dtype, leg, number
+        self.block = block
+
+
+@dataclass(eq=False)
+class Region:
+    """Numbers in memory, each of them a row of lanes: an input, what a loop carries, a result."""
+
+    size: int
+    dtype: str
+    depth: int  # of the block in which it does not change
+    place: int = -1  # bytes from the start of the rollouts' memory, where it is an input or a result
+    record: bool = False  # in a memory of each tick's own
+
+
+@dataclass(eq=False)
+class Store:
+    """Put a value into memory, when all of its block is worked out; at a loop's counter times `step` where that is."""
+
+    region: Region
+    index: int
+    value: Node
+    step: int = 0
+
+
+@dataclass(eq=False)
+class Block:
+    """Nodes, loops and branches in order, then stores."""
+
+    depth: int
+    items: list[Any] = field(default_factory=list)
+    stores: list[Store] = field(default_factory=list)
+    known: dict[Any, Node] = field(default_factory=dict)
+    held: bool = False  # nothing leaves it: it may not be run at all
+
+
+@dataclass(eq=False)
+class Loop:
+    """A block run `length` times; None: as often as the caller says."""
+
+    length: int | None
+    body: Block
+
+
+@dataclass(eq=False)
+class Branch:
+    """The block that `index`, the same for all rollouts, chooses."""
+
+    index: Node
+    blocks: list[Block]
+
+
+class Program:
+    """A program that is being written: the blocks from the outermost to the one that grows."""
+
+    def __init__(self) -> None:
+        self.blocks = [Block(0)]
+        self._number = 0
+
+    @property
+    def top(self) -> Block:
+        """The outermost block."""
+        return self.blocks[0]
+
+    def node(self, op: str, args: Sequence[Node], dtype: str, extra: Any = None, leg: bool | None = None) -> Node:
+        """The node of an operation, the one that there is where it has been met before."""
+        args = tuple(args)
+        leg = any(x.leg for x in args) if leg is None else leg
+        key = op, tuple(x.number for x in args), dtype, extra
+        for block in self.blocks:
+            if key in block.known:
+                return block.known[key]
+        depth = max((x.block.depth for x in args), default=0)
+        if op in ("load", "gather"):
+            depth = max(depth, extra[2])
+        elif op in ("count", "tick"):
+            depth = extra
+        for block in reversed(self.blocks):
+            if block.held and op != "const":
+                depth = max(depth, block.depth)
+                break
+        home = self.blocks[depth]
+        made = Node(op, args, extra, dtype, leg, self._number, home)
+        self._number += 1
+        home.known[key] = made
+        home.items.append(made)
+        return made
+
+    def const(self, value: Any, dtype: str) -> Node:
+        """A number, or a tuple of one for each leg."""
+        if isinstance(value, tuple):
+            if len({_bits(v, dtype) for v in value}) == 1:
+                value = value[0]
+            else:
+                bits = tuple(_bits(v, dtype) for v in value)
+                return self.node("const", (), dtype, bits, leg=True)
+        return self.node("const", (), dtype, _bits(value, dtype))
+
+    @contextmanager
+    def loop(self, length: int | None) -> Iterator[Block]:
+        """Inside, the program grows in a loop's body."""
+        body = Block(len(self.blocks))
+        self.blocks.append(body)
+        yield body
+        self.blocks.pop()
+        self.blocks[-1].items.append(Loop(length, body))
+
+    @contextmanager
+    def branch(self) -> Iterator[Block]:
+        """Inside, the program grows in a block that may not be run."""
+        block = Block(len(self.blocks), held=True)
+        self.blocks.append(block)
+        yield block
+        self.blocks.pop()
+
+    def add(self, item: Any) -> None:
+        """A loop, branch or store in the block that grows."""
+        self.blocks[-1].items.append(item)
+
+
+def _bits(value: Any, dtype: str) -> bytes:
+    """Tells -0 from 0 and one NaN from the next."""
+    return np.asarray(value, dtype).tobytes()
+
+
+def value_of(node: Node) -> Any:
+    """The number of a constant; an array of six where it has one for each leg."""
+    if isinstance(node.extra, tuple):
+        return np.frombuffer(b"".join(node.extra), node.dtype)
+    return np.frombuffer(node.extra, node.dtype)[0]

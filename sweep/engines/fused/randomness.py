@@ -1,0 +1,91 @@
+"""JAX's random numbers, to the last bit: Threefry-2x32 with 20 rounds (Salmon et al., 2011) on counters.
+
+A random key is one element of an array: the pair of its words.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, UInt32
+
+ROUNDS = ((13, 15, 26, 6), (17, 29, 16, 24))
+PARITY = 0x1BD11BDA
+
+
+def threefry(
+    key: UInt32[Array, " 2"], first: UInt32[Array, "..."], second: UInt32[Array, "..."]
+) -> tuple[Array, Array]:
+    """Two words for every counter of two words."""
+    words = (key[0], key[1], key[0] ^ key[1] ^ jnp.uint32(PARITY))
+    a, b = first + words[0], second + words[1]
+    for i in range(5):
+        for turn in ROUNDS[i % 2]:
+            a = a + b
+            b = ((b << jnp.uint32(turn)) | (b >> jnp.uint32(32 - turn))) ^ a
+        a, b = a + words[(i + 1) % 3], b + words[(i + 2) % 3] + jnp.uint32(i + 1)
+    return a, b
+
+
+def _counted(key: Array, count: int) -> tuple[Array, Array]:
+    return threefry(key, jnp.zeros(count, jnp.uint32), jnp.arange(count, dtype=jnp.uint32))
+
+
+def fold_in(key: Array, number: Array) -> Array:
+    """The words of a key for a number."""
+    return jnp.stack(threefry(key, jnp.uint32(0), number.astype(jnp.uint32)))
+
+
+def bits(key: Array, shape: tuple[int, ...]) -> Array:
+    """Words of 32 bits."""
+    a, b = _counted(key, int(np.prod(shape)))
+    return (a ^ b).reshape(shape)
+
+
+def split(key: Array, shape: tuple[int, ...]) -> Array:
+    """The words of as many keys, (*shape, 2)."""
+    return jnp.stack(_counted(key, int(np.prod(shape))), axis=-1).reshape((*shape, 2))
+
+
+def rules(unsupported: type[Exception]) -> dict[str, Callable]:
+    """Rules of an interpreter, for scalar keys."""
+
+    def written(function: Callable) -> Callable:
+        def rule(self: Any, keys: np.ndarray, *args: np.ndarray, out: Any, **params: Any) -> np.ndarray:
+            if keys.shape:
+                raise unsupported("random numbers of several keys at once")
+            return self.written(
+                lambda *xs: function(*xs, **params), [_words(keys), *args], ["uint32", *["uint32"] * len(args)]
+            )
+
+        return rule
+
+    def _bits(key: Array, bit_width: int, shape: tuple) -> Array:
+        if bit_width != 32:
+            raise unsupported(f"random words of {bit_width} bits")
+        return bits(key, shape)
+
+    wrap = written(lambda key, **params: split(key, params["shape"]))
+    folded = written(lambda key, number: fold_in(key, number))
+    return {
+        "random_wrap": lambda self, x, out, **_: _pairs(x),
+        "random_unwrap": lambda self, x, out, **_: _words(x),
+        "random_bits": written(_bits),
+        "random_split": lambda self, keys, out, **params: _pairs(wrap(self, keys, out=out, **params)),
+        "random_fold_in": lambda self, keys, number, out, **_: _pairs(folded(self, keys, number, out=out)),
+    }
+
+
+def _pairs(words: np.ndarray) -> np.ndarray:
+    keys = np.empty(words.shape[:-1], object)
+    for at in np.ndindex(keys.shape):
+        keys[at] = tuple(words[at])
+    return keys
+
+
+def _words(keys: np.ndarray) -> np.ndarray:
+    words = np.empty((*keys.shape, 2), object)
+    for at in np.ndindex(keys.shape):
+        words[at] = keys[at]
+    return words
