@@ -35,3 +35,25 @@ def ladder(
     slope = jnp.where(upright, 2 / f1, sin / jnp.where(upright, 1.0, cos))
     chi = f1 * (slope + f2) / (1 + f1 * f2)
     return Ladder(jnp.clip(chi, 0.0, 1.0), slope * f1 >= 1)
+
+
+class Lean(NamedTuple):
+    """The least angle at which the ladder stands."""
+
+    phi: Annotated[Float[Array, "..."], "rad"]
+
+
+@formula("monograph", "2.2.1-2.2.4")
+def ladder_lean(
+    f1: Annotated[Scalar, positive("", 1.0)],
+    f2: Annotated[Scalar, positive("", 1.0)],
+    chi: Annotated[Scalar, positive("", 1.0)],
+) -> Lean:
+    """How steep a ladder has to lean for a load on it to stay.
+
+    Least angle phi (rad) with friction f1 on the floor, f2 on the wall, and the load's weight at the share chi of the
+    length. `ladder` solved for phi: tan phi = chi (1/f1 + f2) - f2. At chi = 1 that is the theorem of 2.2, cot phi =
+    f1; a ladder of its own weight M under a robot of m at its top has chi = (m + M/2)/(m + M).
+    """
+    slope = chi * (1 / f1 + f2) - f2
+    return Lean(jnp.arctan(jnp.maximum(slope, 0.0)))

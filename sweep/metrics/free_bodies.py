@@ -12,13 +12,18 @@ TAIL = 12.0  # s, before the planned end, over which the obstacle's final speed 
 
 
 class FreeBodies(NamedTuple):
-    """Where they were, are, and were when the tail began (m) at a time (s); how far they went; the least height."""
+    """Where they were at the start, when the first stage ended, are, and were when the tail began (m) at a time (s).
+
+    How far they went since both; the least height.
+    """
 
     start: Float[Array, "k 3"]
+    settled: Float[Array, "k 3"]
     place: Float[Array, "k 3"]
     tail: Float[Array, "k 3"]
     tail_time: Float[Array, ""]
     moved: Float[Array, ""]
+    shifted: Float[Array, ""]
     aside: Float[Array, ""]
     ride_height: Float[Array, ""]
 
@@ -27,20 +32,23 @@ def begin(start: Begin) -> FreeBodies:
     """Nothing has moved."""
     place = start.free.position
     zero = jnp.zeros((), place.dtype)
-    return FreeBodies(place, place, place, zero, zero, zero, jnp.full((), jnp.inf, place.dtype))
+    return FreeBodies(place, place, place, place, zero, zero, zero, zero, jnp.full((), jnp.inf, place.dtype))
 
 
 def update(so_far: FreeBodies, now: Moment) -> FreeBodies:
     """Their ways from the start."""
     place = now.tick.free.position
     way = place - so_far.start
+    settled = jnp.where(now.stage == 0, place, so_far.settled)
     before_tail = now.time - now.period < jnp.sum(now.plan.duration) - TAIL
     return FreeBodies(
         start=so_far.start,
+        settled=settled,
         place=place,
         tail=jnp.where(before_tail, place, so_far.tail),
         tail_time=jnp.where(before_tail, now.time - now.period, so_far.tail_time),
         moved=jnp.maximum(so_far.moved, jnp.max(jnp.linalg.norm(way, axis=-1))),
+        shifted=jnp.maximum(so_far.shifted, jnp.max(jnp.linalg.norm(place - settled, axis=-1))),
         aside=jnp.maximum(so_far.aside, jnp.abs(way[0, 1])),
         ride_height=jnp.minimum(so_far.ride_height, now.tick.position[2] - place[0, 2]),
     )
@@ -53,6 +61,7 @@ def figures(found: FreeBodies, at: Elapsed) -> dict[str, Array]:
     aim = cast(Riding, at.world.manoeuvre).obstacle_speed(jnp.sum(at.plan.duration))
     return {
         "obstacle_moved_m": found.moved,
+        "obstacle_shift_m": found.shifted,
         "ride_height_min_m": found.ride_height,
         "obstacle_x_m": found.place[0, 0],
         "obstacle_y_m": found.place[0, 1],
@@ -68,6 +77,7 @@ METRIC = Metric(
     figures,
     {
         "obstacle_moved_m": "farthest that a free body of the obstacle was from its start",
+        "obstacle_shift_m": "the same from where it was when the plan's first stage ended",
         "ride_height_min_m": "least height of the base over the centre of the body that it rides on",
         "obstacle_x_m": "where that body ended, along the world's x axis",
         "obstacle_y_m": "the same along y",
@@ -91,6 +101,14 @@ METRIC = Metric(
             "obstacle_moved_m",
             "obstacle_moved_max_m",
             1e3,
+            "m",
+        ),
+        Cause(
+            "obstacle_shifted",
+            "a free body went farther than obstacle_shift_max_m from where it was when the plan's first stage ended",
+            "obstacle_shift_m",
+            "obstacle_shift_max_m",
+            None,
             "m",
         ),
         Cause(

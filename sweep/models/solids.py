@@ -55,14 +55,28 @@ class Solid(Protocol):
 
 def distance_to_segments(solids: Sequence[Solid], a: Float[Array, "n 3"], b: Float[Array, "n 3"]) -> Float[Array, " n"]:
     """Signed distance from the nearest of the solids to each segment, the centre line of a capsule."""
-    return jnp.min(jnp.stack([solid.to_segments(a, b) for solid in solids]), axis=0)
+    return _nearest(solids, lambda solid: solid.to_segments(a, b))
 
 
 def distance_to_box(
     solids: Sequence[Solid], centre: Float[Array, " 3"], rotation: Float[Array, "3 3"], half: Float[Array, " 3"]
 ) -> Float[Array, ""]:
     """Signed distance from the nearest of the solids to a box of half-sizes `half` along the columns of `rotation`."""
-    return jnp.min(jnp.stack([solid.to_box(centre, rotation, half) for solid in solids]))
+    return _nearest(solids, lambda solid: solid.to_box(centre, rotation, half))
+
+
+def _nearest(solids: Sequence[Solid], distance: Callable[[Solid], Array]) -> Array:
+    """The least distance; many boxes of a body are measured together, which compiles once."""
+    boxes = [solid for solid in solids if isinstance(solid, Box) and solid.body >= 0]
+    if len(boxes) < 2:
+        return jnp.min(jnp.stack([distance(solid) for solid in solids]), axis=0)
+    places = [jnp.stack([jnp.stack([*getattr(box, name)]) for box in boxes]) for name in ("position", "half")]
+    rotations = jnp.stack([jnp.eye(3) if box.rotation is None else box.rotation for box in boxes])
+    of_boxes: Callable = jax.vmap(
+        lambda at, half, turned: distance(Box(name="", position=at, half=half, rotation=turned))
+    )
+    others = [distance(solid) for solid in solids if not any(solid is box for box in boxes)]
+    return jnp.min(jnp.stack([*others, jnp.min(of_boxes(*places, rotations), axis=0)]), axis=0)
 
 
 def maths(x: Any) -> Any:

@@ -9,8 +9,9 @@ import numpy as np
 
 from sweep.controllers.feedforward import between
 from sweep.engines.base import Trace
+from sweep.engines.closed_loop import free_state
 from sweep.metrics.metric import LOADED
-from sweep.models.obstacles.surface import fixed_surface
+from sweep.models.obstacles.surface import Surface, poses
 from sweep.models.robot import total_mass
 from sweep.models.scene import GRAVITY
 
@@ -23,7 +24,7 @@ class ContactForces(NamedTuple):
 
 
 def measured(trace: Trace) -> ContactForces:
-    """What the fixed surfaces of the world did."""
+    """What the surfaces of the world did."""
     return _contact_forces(trace, trace.foot_force)
 
 
@@ -45,11 +46,20 @@ def _plan(belief):
     return plan, None if plan.feedforward is None else belief.manoeuvre.course(belief, plan).force
 
 
+def surfaces(trace: Trace, points: np.ndarray, frames: slice | np.ndarray = slice(None)) -> Surface:
+    """What is under `points` (F, n, 3) (m, world axes) in `frames`, the obstacle's bodies where they were."""
+    obstacle, count = trace.world.obstacle, len(trace.world.obstacle.free_bodies)
+
+    def under(points: jax.Array, qpos: jax.Array, qvel: jax.Array) -> Surface:
+        return obstacle.surface(points, (-1,) * points.shape[0], poses(free_state(qpos, qvel, count)))
+
+    moments = (np.asarray(x, np.float32) for x in (points, trace.qpos[frames], trace.qvel[frames]))
+    return jax.jit(jax.vmap(under))(*moments)
+
+
 def _contact_forces(trace: Trace, force: np.ndarray) -> ContactForces:
     """`force` (F, 6, 3) in parts normal and tangential to the surface nearest to each foot."""
-    feet = trace.foot_position.reshape(-1, 3).astype(np.float32)
-    surface = fixed_surface(trace.world.obstacle, feet)
-    normals = np.asarray(surface.normal, float).reshape(force.shape)
+    normals = np.asarray(surfaces(trace, trace.foot_position).normal, float)
     normal = np.sum(force * normals, axis=-1)
     tangential = np.linalg.norm(force - normal[..., None] * normals, axis=-1)
     friction = np.where(normal > LOADED, tangential / np.maximum(normal, LOADED), np.nan)

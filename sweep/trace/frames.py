@@ -18,8 +18,8 @@ from PIL import Image, ImageDraw, ImageFont
 from sweep.core.files import write_whole
 from sweep.core.parameters import InputError
 from sweep.engines.base import Trace
-from sweep.models.obstacles.surface import fixed_surface
 from sweep.trace.arrows import arrow_tips
+from sweep.trace.contact_forces import surfaces
 from sweep.trace.draw import ARRAYS, MODEL, NO_OPENGL
 from sweep.trace.sampling import at_rate, base_pose, evenly
 
@@ -147,11 +147,7 @@ def _hidden(trace: Trace, chosen: np.ndarray, distance: float, azimuth: float) -
     angle, slope = np.radians(azimuth), np.radians(ELEVATION)
     away = -np.array([np.cos(angle) * np.cos(slope), np.sin(angle) * np.cos(slope), np.sin(slope)])
     points = base_pose(trace)[chosen, None, :3] + distance * np.linspace(0.2, 1, 9)[:, None] * away
-    obstacle = trace.world.obstacle
-    if obstacle.free_bodies:  # seldom larger than the way to the camera, and not where they were
-        return 0
-    depth = fixed_surface(obstacle, points.reshape(-1, 3).astype(np.float32)).depth
-    return int(np.sum(np.asarray(depth) > 0))
+    return int(np.sum(np.asarray(surfaces(trace, points, chosen).depth) > 0))
 
 
 def _pictures(job: str, backend: str) -> Generator[np.ndarray, None, bool]:

@@ -101,3 +101,6 @@ def test_ladder_is_the_linear_programme(phi, f1, f2):
     holds = evaluate("ladder", {"phi": phi, "f1": f1, "f2": f2})
     assert holds["chi_max"] == pytest.approx(-best.fun, abs=1e-6)
     assert holds["holds_for_all"] == (np.cos(phi) > 0 and np.tan(phi) >= 1 / f1)
+    if 0 < holds["chi_max"] < 1 and np.cos(phi) > 0:
+        least = evaluate("ladder_lean", {"f1": f1, "f2": f2, "chi": holds["chi_max"]})
+        assert least["phi"] == pytest.approx(phi, abs=1e-5)

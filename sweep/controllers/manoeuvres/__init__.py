@@ -8,6 +8,7 @@ from sweep.controllers.manoeuvres.balancing.beam import BeamCross, BeamWalk
 from sweep.controllers.manoeuvres.climbing.corner import CornerClimb
 from sweep.controllers.manoeuvres.climbing.corner_roof import CornerFull, CornerRoof
 from sweep.controllers.manoeuvres.climbing.ladder import LadderClimb
+from sweep.controllers.manoeuvres.climbing.ladder_descend import LadderDescend
 from sweep.controllers.manoeuvres.climbing.pole import PoleClimb
 from sweep.controllers.manoeuvres.climbing.pole_descent import PoleDescent
 from sweep.controllers.manoeuvres.climbing.pole_ledge import PoleToLedge
@@ -32,6 +33,7 @@ MANOEUVRES = {
     "beam_walk": BeamWalk,
     "beam_cross": BeamCross,
     "ladder_climb": LadderClimb,
+    "ladder_descend": LadderDescend,
     "corner_climb": CornerClimb,
     "corner_roof": CornerRoof,
     "corner_full": CornerFull,

@@ -8,6 +8,7 @@ the ladder's own axes: a ladder that leans otherwise than believed is climbed wh
 from collections.abc import Sequence
 from typing import ClassVar, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -16,20 +17,24 @@ from sweep.controllers.forces import PlannedForces
 from sweep.controllers.frames import WORLD, fixed, to_frame, to_world
 from sweep.controllers.gaits import Step
 from sweep.controllers.manoeuvres.climbing.ladder_moves import ALONG, FLOOR, MOVES, PLACES, RUNG, Move
-from sweep.controllers.manoeuvres.climbing.pole import STAND
 from sweep.controllers.manoeuvres.climbing.walking import EASED, walk_away, walk_up
 from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.plan import CYCLE_B, Plan, Stage, assemble
 from sweep.controllers.posture import leg_unit
+from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.formulas import stepping
+from sweep.formulas.ladder import ladder as statics
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.ladder import Ladder
 from sweep.models.obstacles.surface import FreeState
+from sweep.models.robot import total_mass
+from sweep.models.scene import mounts
 
 OWN = fixed(0)  # the ladder's axes
+AWAY = 0.72  # leg units beyond the ledge's edge, of the base when it begins to walk away
 
 
 class LadderSite(NamedTuple):
@@ -39,6 +44,12 @@ class LadderSite(NamedTuple):
     free: FreeState  # the ladder as it starts
     unit: Array | float  # m, in which places are given: `leg_unit`
     deepening: Array | float  # m
+
+    @classmethod
+    def of(cls, belief: Case, deepening: Array | float) -> "LadderSite":
+        """As it is believed."""
+        ladder = belief.on(Ladder)
+        return cls(ladder, ladder.start(), leg_unit(belief.robot), deepening)
 
     @property
     def foot(self) -> Array:
@@ -82,7 +93,7 @@ class LadderClimb(PlannedForces):
 
     Stages and their numbers are `MOVES`. Feet hold on by planned forces. Ratios are to a_r."""
 
-    goal: ClassVar = UPRIGHT
+    goal: ClassVar = {**UPRIGHT, "obstacle_shift_max_m": 1e-3}
     kind: str = choice("ladder_climb", "ladder_climb")
     settle: float = quantity(1.5, "s", above=0, at_most=60)  # that the robot waits for the ladder to come to rest
     steps: int = count(2, at_least=0, at_most=100)  # swings of the approach, 2 x* each
@@ -109,15 +120,18 @@ class LadderClimb(PlannedForces):
         return jnp.zeros_like(duration)
 
     def plan(self, belief: Case, table: Sequence[Move] | None = None) -> Plan:
-        """Wait, walk up, climb, walk away, halt."""
-        plan = self.way(belief, self.table if table is None else table)
-        return self.with_feedforward(belief, plan)
+        """Wait, walk up, climb, walk away, halt.
+
+        Raises `InputError` where the ladder cannot be climbed, by plain numbers.
+        """
+        return self.with_feedforward(belief, self.way(belief, self.table if table is None else table))
 
     def way(self, belief: Case, moves: Sequence[Move]) -> Plan:
         """The plan but for its forces."""
+        refuse(belief, self.deepening, moves)
         ladder, robot = belief.on(Ladder), belief.robot
         length, unit = robot.body_length, leg_unit(robot)
-        site = LadderSite(ladder, ladder.start(), unit, self.deepening)
+        site = LadderSite.of(belief, self.deepening)
         step = Step(self.half_step_ratio * length, self.lift_ratio * length, stepping.swing_time(self.rate))
         height, spread = self.height_ratio * unit, self.spread_ratio * length
         first, *rest = moves
@@ -125,11 +139,56 @@ class LadderClimb(PlannedForces):
         places = {leg: _point(float(SIDE[leg - 1]) * aside * unit, site.foot + ahead * unit, 0.0)
                   for legs, (aside, ahead) in PLACES.items() for leg in legs}  # fmt: skip
         start, walk = walk_up(belief, step, arrival, spread, places, self.steps)
-        last = _point(0.0, -rest[-1].base[0] * unit, ladder.ledge_height + height)
+        last = _point(0.0, -AWAY * unit, ladder.ledge_height + height)
         settle, off = walk_away(belief, step, last, spread, height, self.steps_away)
         climb = stages(site, rest, places, step.time)
-        way = [Stage("settle", self.settle), *walk, *self.loading([*climb, *settle]), *off, Stage("halt", STAND)]
+        way = [Stage("settle", self.settle), *walk, *self.loading([*climb, *settle]), *off, Stage("halt", self.settle)]
         return assemble(start, way, self.patience, free=site.free)
+
+
+def refuse(belief: Case, deepening: Array | float, moves: Sequence[Move]) -> None:
+    """Raise `InputError`, by plain numbers, where the ladder slides, lacks rungs or is out of the legs' reach."""
+    ladder, robot, contact = belief.on(Ladder), belief.robot, belief.contact
+    if not all(isinstance(x, float) for x in jax.tree.leaves((robot, ladder, contact, deepening))):
+        return
+    ladder.check()
+    needs = max(move.rung for move in moves)
+    if ladder.rungs < needs:
+        raise InputError(f"obstacle.rungs = {ladder.rungs} is not allowed: the way up needs {needs}")
+    with jax.ensure_compile_time_eval():
+        grips = [contact.friction * grip for grip in (ladder.floor_grip, ladder.wall_grip)]
+        bears = float(statics(jnp.asarray(ladder.lean), *map(jnp.asarray, grips)).chi_max)
+        mass = float(total_mass(robot))
+        load = (mass + ladder.mass * ladder.centre / ladder.length) / (mass + ladder.mass)
+        if not bears >= load:
+            raise InputError(
+                f"obstacle.lean = {ladder.lean:g} is not allowed: with friction {grips[0]:g} on the floor and "
+                f"{grips[1]:g} on the wall the ladder slides under the robot at its top"
+            )
+        name, leg, lack = _worst_reach(belief, LadderSite.of(belief, deepening), moves)
+    if lack > 0:
+        raise InputError(
+            f"obstacle.ledge_height = {ladder.ledge_height:g} is not allowed with obstacle.length = {ladder.length:g} "
+            f"and obstacle.rung_step = {ladder.rung_step:g}: foot {leg} is {lack:.3f} m out of reach in climb.{name}"
+        )
+
+
+def _worst_reach(belief: Case, site: LadderSite, moves: Sequence[Move]) -> tuple[str, int, float]:
+    """The stage at whose end a foot is farthest out of reach, that foot, and how far (m), by plain numbers."""
+    robot, hips = belief.robot, np.asarray(mounts(belief.robot))
+    origin, turn = (np.asarray(x[0]) for x in site.ladder.leaning())
+    feet, worst = {}, ("", 0, -np.inf)
+    for move in moves[1:]:
+        base, pitch = np.asarray(site.base(move)), np.radians(move.pitch)
+        base = origin + turn @ base if move.over == ALONG else base
+        ahead = np.array([[0.0, -np.cos(pitch), np.sin(pitch)], [1.0, 0.0, 0.0], [0.0, np.sin(pitch), np.cos(pitch)]])
+        for leg in move.legs:
+            foot = np.asarray(site.place(leg, move))
+            feet[leg] = origin + turn @ foot if move.where == RUNG else foot
+        for leg, foot in feet.items():
+            lack = np.linalg.norm(foot - base - hips[leg - 1] @ ahead) - robot.thigh - robot.shin
+            worst = max(worst, (move.name, leg, float(lack)), key=lambda found: found[2])
+    return worst
 
 
 def stages(site: LadderSite, moves: Sequence[Move], places: dict[int, Array], time: Array | float) -> list[Stage]:

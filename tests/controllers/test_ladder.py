@@ -1,0 +1,80 @@
+"""The plan of a climb up a ladder: frames, reversal, distances, and what is refused."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from sweep.controllers.frames import WORLD, fixed
+from sweep.controllers.plan import Plan, Stance, begins, stance_to_world
+from sweep.controllers.symmetry import reversed_in_time
+from sweep.core.errors import InputError
+from sweep.core.rotations import exponential, matrix, multiply
+from sweep.metrics.planned import margins
+from sweep.study.config import compose
+
+CASE = compose(["scenario=ladder_climb"]).case
+FREE = CASE.obstacle.start()
+
+
+@pytest.fixture(scope="module")
+def plan() -> Plan:
+    return jax.jit(lambda: CASE.manoeuvre.way(CASE, CASE.manoeuvre.table))()
+
+
+@jax.jit
+def ends(plan: Plan) -> tuple[Stance, Stance]:
+    """Where every stage begins and ends, world axes."""
+
+    def one(k):
+        last = Stance(plan.foothold[k], plan.position[k], multiply(exponential(plan.turn[k]), plan.quat[k]))
+        both = Stance(*begins(plan, k, FREE), plan.quat[k]), last
+        return tuple(stance_to_world(stance, plan.foot_frame[k], plan.base_frame[k], FREE) for stance in both)
+
+    return jax.vmap(one)(jnp.arange(plan.duration.shape[0]))
+
+
+def same(one: Stance, other: Stance):
+    np.testing.assert_allclose(one.feet, other.feet, atol=1e-5)
+    np.testing.assert_allclose(one.position, other.position, atol=1e-5)
+    np.testing.assert_allclose(matrix(one.quat), matrix(other.quat), atol=1e-5)
+
+
+def test_stages_fit_together_where_frames_change(plan):
+    """From the world's frame to the ladder's and back: what one stage ends with, the next begins with."""
+    assert {WORLD, fixed(0)} == set(np.unique(plan.foot_frame)) == set(np.unique(plan.base_frame))
+    first, last = ends(plan)
+    same(Stance(*(x[1:] for x in first)), Stance(*(x[:-1] for x in last)))
+    same(Stance(*(x[0] for x in first)), plan.start)
+
+
+def test_backwards_it_goes_through_the_same_stances(plan):
+    first, last = ends(plan)
+    back_first, back_last = ends(reversed_in_time(plan, FREE))
+    same(Stance(*(x[::-1] for x in back_last)), first)
+    same(Stance(*(x[::-1] for x in back_first)), last)
+
+
+def test_it_keeps_clear_of_ladder_ledge_and_its_own_legs(plan):
+    number, phases = jnp.arange(len(plan.names)), jnp.linspace(0, 1, 9)
+    found = jax.jit(jax.vmap(jax.vmap(lambda k, u: margins(CASE, plan, k, u), (None, 0)), (0, None)))(number, phases)
+    assert found.legs.min() > 0.03
+    assert found.base.min() > 0.015
+    assert found.links.min() > -0.005  # as the judge allows
+    assert found.reach.min() > 0.01
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        (["obstacle.length=2.2", "obstacle.rung_step=0.36"], r"ledge_height = 2.625 .* out of reach in climb\."),
+        (["obstacle.ledge_height=3.0"], r"ledge_height = 3 .* out of reach in climb\."),
+        (["obstacle.rungs=4"], "obstacle.rungs = 4 is not allowed: the way up needs 5"),
+        (["obstacle.floor_grip=0.1"], r"obstacle.lean = 1.309 .* the ladder slides under the robot at its top"),
+        (["obstacle.length=2.8"], "obstacle.length = 2.8 is not allowed"),
+    ],
+)
+def test_ladders_that_cannot_be_climbed_are_refused(changes, said):
+    case = compose(["scenario=ladder_climb", *changes]).case
+    with pytest.raises(InputError, match=said):
+        case.manoeuvre.plan(case)
