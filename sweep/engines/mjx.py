@@ -12,21 +12,31 @@ from jax.sharding import PartitionSpec
 from jax.stages import Compiled
 from jaxtyping import Array
 
+from sweep.controllers.learned import newest
 from sweep.controllers.plan import Plan
 from sweep.dynamics import interface as dynamics
 from sweep.dynamics.step import State, rest
 from sweep.engines import batching, devices, physics, program_cache
 from sweep.engines.base import Figures, Trace
 from sweep.engines.batch_last import batch_last_vmap
-from sweep.engines.closed_loop import GRACE, ClosedLoop, act, init, is_quiet, measure, most_ticks, start_state
+from sweep.engines.closed_loop import (
+    CHUNK,
+    GRACE,
+    ClosedLoop,
+    act,
+    init,
+    is_quiet,
+    measure,
+    most_ticks,
+    start_state,
+    with_new_plan,
+)
 from sweep.engines.prelude import check, prepared
 from sweep.engines.settings import EngineSettings
 from sweep.engines.states import Watch, offered
 from sweep.metrics import stream
 from sweep.metrics.outcome import Thresholds
 from sweep.models.case import Case
-
-CHUNK = 1.0  # s of simulated time between two looks of the host
 
 
 class Carry(NamedTuple):
@@ -201,6 +211,8 @@ class Mjx:
         tick = batch_last_vmap(partial(self._tick, quiet=quiet), (*_last(axes), -1, -1, None), devices.reuse_from())
 
         def chunk(world: Case, belief: Case, plans: Plan, carry: Carry, first: Array, kept: Array | None) -> Any:
+            if self._nominal[0].control.replan != "never":
+                carry = carry._replace(loop=jax.vmap(with_new_plan, (axes[1], 0, 0))(belief, plans, carry.loop))
             world, belief, plans, carry = _batch_last((world, belief, plans, carry))
 
             def body(carry: Carry, k: Array) -> tuple[Carry, Any]:
@@ -224,6 +236,7 @@ class Mjx:
         return plan, Carry(state, init(world, belief, plan, start, energy, key, learned))
 
     def _finish(self, world: Case, plan: Plan, carry: Carry) -> dict[str, Array]:
+        plan = newest(plan, carry.loop.learned)
         return stream.figures(world, plan, carry.loop.running, carry.loop.tracker.stage)
 
     def _tick(

@@ -14,6 +14,7 @@ from sweep.metrics import (
     slip,
     solver,
     support,
+    touch,
 )
 from sweep.metrics.metric import Cause, Metric
 from sweep.models.case import Case
@@ -33,6 +34,7 @@ METRICS: tuple[Metric, ...] = tuple(
         support,
         load,
         calibration,
+        touch,
         solver,
     )
 )
