@@ -46,7 +46,7 @@ class Ground(NamedTuple):
     unsure: Bool[Array, ""]  # whether it may be higher and tilted: the floor is where the world's axes lie, it may not
 
 
-class Learned(NamedTuple):
+class Calibrated(NamedTuple):
     """What calibration has found."""
 
     robot: Robot  # as it is believed from now on
@@ -66,7 +66,7 @@ def poses(control: Control, start: Stance) -> tuple[Float[Array, "k 3"], Float[A
     return position, multiply(turns, exponential(control.turn * moves[:, 3:]))
 
 
-def estimate(control: Control, noise: Noise, robot: Robot, ground: Ground, seen: Measured) -> Learned:
+def estimate(control: Control, noise: Noise, robot: Robot, ground: Ground, seen: Measured) -> Calibrated:
     """The sizes that explain best what is measured.
 
     Beside them biases of the joints and of the base's pose, and the places of the feet, are unknown. Deviations of all
@@ -114,7 +114,7 @@ def estimate(control: Control, noise: Noise, robot: Robot, ground: Ground, seen:
     x, _ = jax.lax.scan(step, jnp.zeros_like(scale), None, length=ROUNDS)
     known = jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(normal_equations(x)[0]), True), identity[:, : len(sizes)])
     found = {name: getattr(robot, name) * (1 + control.size_error * x[k]) for k, name in enumerate(sizes)}
-    return Learned(replace(robot, **found), control.size_error**2 * known[: len(sizes)])
+    return Calibrated(replace(robot, **found), control.size_error**2 * known[: len(sizes)])
 
 
 def _tangents(normal: Float[Array, " 3"]) -> Float[Array, "2 3"]:

@@ -1,6 +1,5 @@
 """What both engines do once a control tick: observe, command, measure. Pure functions of one rollout."""
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import jax
@@ -9,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.controllers import tracker
-from sweep.controllers.calibration import Learned
+from sweep.controllers.learned import Learned, felt, informed, newest, replanned
 from sweep.controllers.observation import Observation, Sensors, install, observe
 from sweep.controllers.plan import Plan, Stance
 from sweep.controllers.posture import feet_in_world
@@ -26,6 +25,7 @@ from sweep.models.legs import JOINT_Q, JOINT_V, N_JOINTS, N_LEGS
 from sweep.models.noise import Noise
 from sweep.models.obstacles.surface import FreeState, free_start, poses
 
+CHUNK = 1.0  # s of simulated time between two looks of the host, and from plan to plan of who plans again
 GRACE = 1.2  # a rollout is over at this multiple of its planned duration, finished or not
 LONGEST = 600.0  # s; a rollout that takes longer is cut off unfinished: absurd parameters must not hold up a batch
 
@@ -134,25 +134,27 @@ def init(
     return ClosedLoop(tracker.init(belief, plan), sensors, running, truth, servo, key, learned)
 
 
-def informed(belief: Case, learned: Learned | None) -> Case:
-    """What is believed with what was learned."""
-    return belief if learned is None else replace(belief, robot=learned.robot)
+def with_new_plan(belief: Case, plan: Plan, loop: ClosedLoop) -> ClosedLoop:
+    """What is left of the way planned by what is known by now; `belief` and `plan` are those of the start."""
+    assert loop.learned is not None  # since there is something to plan by
+    return loop._replace(learned=replanned(belief, plan, loop.tracker.stage, loop.learned))
 
 
 def act(
     world: Case, belief: Case, plan: Plan, loop: ClosedLoop, tick: Array, period: float, quiet: bool
 ) -> tuple[ClosedLoop, Command]:
     """The controller's part of a tick; the drives then go linearly from the old reference to the new one."""
-    sensors, seen, belief = loop.sensors, loop.seen, informed(belief, loop.learned)
+    sensors, seen = loop.sensors, loop.seen
     if not quiet:
         sensors, seen = observe(world.noise, sensors, seen, jax.random.fold_in(loop.key, tick))
-    state, command = tracker.step(belief, plan, loop.tracker, seen, period)
+    state, followed, learned = felt(world, belief, plan, loop.tracker, loop.learned, seen, period)
+    state, command = tracker.step(informed(belief, learned), followed, state, seen, period)
     servo = position_mode(world.drive, command.joints - seen.joint_error)
     if command.own is not None:
         owned, own = command.own
         own = own._replace(target=own.target - seen.joint_error)
         servo = Servo(*[jnp.where(owned, a, b) for a, b in zip(own, servo, strict=True)])
-    return loop._replace(tracker=state, sensors=sensors, servo=servo), command
+    return loop._replace(tracker=state, sensors=sensors, servo=servo, learned=learned), command
 
 
 def measure(
@@ -166,7 +168,10 @@ def measure(
     period: float,
 ) -> ClosedLoop:
     """The metrics' part of a tick. A rollout that has finished, or had its time, is over."""
-    running = stream.update(world, plan, limits, loop.tracker, command, loop.running, tick, number, period)
+    plan = newest(plan, loop.learned)
+    running = stream.update(
+        world, plan, limits, loop.tracker, command, loop.running, loop.learned, tick, number, period
+    )
     late = running.time >= GRACE * jnp.sum(plan.duration)
     running = running._replace(over=running.over | loop.tracker.finished | late)
     truth = Observation(

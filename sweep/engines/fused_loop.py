@@ -30,6 +30,7 @@ class Fused(NamedTuple):
     begin: Callable
     kernel: Kernel
     end: Callable
+    again: Callable | None  # what plans again before each chunk, if any
     ticks: int  # of a chunk
     width: int
     spread: Callable  # over the devices, as `finish` was compiled for
@@ -44,6 +45,9 @@ class Fused(NamedTuple):
         self, world: Case, belief: Case, plans: Plan, carry: Going, tick: int, kept: np.ndarray | None
     ) -> tuple[Going, Any]:
         """Go on from `tick`; records of the rollouts `kept`, of all there is or of the columns watched."""
+        if self.again is not None:
+            moved = self.again(belief, plans, self.spread(self.kernel.leave(carry.tiles)))
+            carry = carry._replace(tiles=self.kernel.enter((world, belief, plans), moved, self.width))
         record = self.kernel.advance(carry.tiles, tick, self.ticks, kept)
         if record is None or self.watch is None:
             return carry, record

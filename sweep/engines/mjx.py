@@ -13,6 +13,7 @@ from jax.sharding import PartitionSpec
 from jax.stages import Compiled
 from jaxtyping import Array
 
+from sweep.controllers.learned import newest
 from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError
 from sweep.dynamics import interface as dynamics
@@ -20,7 +21,18 @@ from sweep.dynamics.step import State, rest
 from sweep.engines import batching, devices, physics, program_cache
 from sweep.engines.base import Figures, Trace
 from sweep.engines.batch_last import batch_last_vmap
-from sweep.engines.closed_loop import GRACE, ClosedLoop, act, init, is_quiet, measure, most_ticks, start_state
+from sweep.engines.closed_loop import (
+    CHUNK,
+    GRACE,
+    ClosedLoop,
+    act,
+    init,
+    is_quiet,
+    measure,
+    most_ticks,
+    start_state,
+    with_new_plan,
+)
 from sweep.engines.fused.interpret import Unsupported
 from sweep.engines.fused.kernel import Code, Kernel
 from sweep.engines.fused.kernel import compiled as fused
@@ -31,8 +43,6 @@ from sweep.engines.states import Watch, offered
 from sweep.metrics import stream
 from sweep.metrics.outcome import Thresholds
 from sweep.models.case import Case
-
-CHUNK = 1.0  # s of simulated time between two looks of the host
 
 
 class Carry(NamedTuple):
@@ -190,11 +200,13 @@ class Mjx:
         print(f"sweep: XLA compiles the closed loop: {why}", file=sys.stderr)
         self.fused = False
 
-    def _ready(self, start: Compiled, chunk: Compiled | Code, finish: Compiled) -> Programs | Fused:
+    def _ready(
+        self, start: Compiled, chunk: Compiled | Code, finish: Compiled, again: Compiled | None = None
+    ) -> Programs | Fused:
         if not isinstance(chunk, Code):
             return Programs(start, chunk, finish)
         spread = partial(devices.spread, over=self._mesh)
-        return Fused(start, Kernel(chunk), finish, self._chunk_ticks, self.width, spread, None)
+        return Fused(start, Kernel(chunk), finish, again, self._chunk_ticks, self.width, spread, None)
 
     @property
     def _made_of(self) -> tuple:
@@ -205,7 +217,7 @@ class Mjx:
 
     def _compile(
         self, arrays: tuple[Case, Case, Array], quiet: bool, kept: Array | None, watch: Watch | None
-    ) -> tuple[Compiled, Compiled | Code, Compiled]:
+    ) -> tuple[Compiled | Code, ...]:
         """The programs over batches like `arrays`, split over the devices.
 
         They are compiled side by side: the compiler needs no Python, which traces the next one meanwhile.
@@ -230,7 +242,12 @@ class Mjx:
                 go_on = jax.jit(chunk, donate_argnums=3)
                 chunked = pool.submit(go_on.lower(world, belief, plans, carry, 0, kept).compile)
             finished = jax.jit(finish).lower(world, plans, carry).compile()
-            return started.result(), chunked if isinstance(chunked, Code) else chunked.result(), finished
+            if not isinstance(chunked, Code):
+                return started.result(), chunked.result(), finished
+            if self._nominal[0].control.replan == "never":
+                return started.result(), chunked, finished
+            again = on_devices(_with_new_plan(axes[1]), in_specs=(specs[1], split, split), out_specs=split)
+            return started.result(), chunked, finished, jax.jit(again).lower(belief, plans, carry).compile()
 
     def _fuse(self, arrays: tuple[Case, Case, Array], batch: Any, quiet: bool) -> Code:
         """The ticks of one rollout of a batch of such form."""
@@ -254,6 +271,8 @@ class Mjx:
         tick = batch_last_vmap(partial(self._tick, quiet=quiet), (*_last(axes), -1, -1, None), devices.reuse_from())
 
         def chunk(world: Case, belief: Case, plans: Plan, carry: Carry, first: Array, kept: Array | None) -> Any:
+            if self._nominal[0].control.replan != "never":
+                carry = _with_new_plan(axes[1])(belief, plans, carry)
             world, belief, plans, carry = _batch_last((world, belief, plans, carry))
 
             def body(carry: Carry, k: Array) -> tuple[Carry, Any]:
@@ -277,6 +296,7 @@ class Mjx:
         return plan, Carry(state, init(world, belief, plan, start, energy, key, learned))
 
     def _finish(self, world: Case, plan: Plan, carry: Carry) -> dict[str, Array]:
+        plan = newest(plan, carry.loop.learned)
         return stream.figures(world, plan, carry.loop.running, carry.loop.tracker.stage)
 
     def _tick(
@@ -296,6 +316,15 @@ def _fused(settings: EngineSettings, dynamics: str) -> bool:
     if settings.compiler == "fused" and jax.default_backend() != "cpu":
         raise InputError(f"engine.compiler = fused is not allowed on a {jax.default_backend()}: auto or xla")
     return settings.compiler != "xla" and jax.default_backend() == "cpu" and dynamics == "arrowhead"
+
+
+def _with_new_plan(axes: Case) -> Callable[[Case, Plan, Carry], Carry]:
+    """Every rollout of a batch plans again; `axes` are those of what is believed."""
+
+    def one(belief: Case, plan: Plan, carry: Carry) -> Carry:
+        return carry._replace(loop=with_new_plan(belief, plan, carry.loop))
+
+    return jax.vmap(one, in_axes=(axes, 0, 0))
 
 
 def _last(axes: Any) -> Any:

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from mujoco.batch import Batch
 
+from sweep.controllers.learned import newest
 from sweep.controllers.plan import Plan
 from sweep.controllers.tracker import Command
 from sweep.core.errors import InputError
@@ -18,6 +19,7 @@ from sweep.core.rotations import exponential, multiply
 from sweep.engines import batching, devices
 from sweep.engines.base import Figures, Trace
 from sweep.engines.closed_loop import (
+    CHUNK,
     GRACE,
     ClosedLoop,
     Start,
@@ -28,6 +30,7 @@ from sweep.engines.closed_loop import (
     measure,
     most_ticks,
     start_state,
+    with_new_plan,
 )
 from sweep.engines.prelude import check, prepared
 from sweep.engines.settings import EngineSettings
@@ -43,6 +46,7 @@ from sweep.models.legs import JOINT_Q, JOINT_V, JOINTS, N_JOINTS, N_LEGS
 from sweep.models.obstacles.surface import FreeState, poses
 
 CONTROL = mujoco.mjtState.mjSTATE_CTRL.value | mujoco.mjtState.mjSTATE_XFRC_APPLIED.value
+Compiled = tuple[Callable, Callable, Callable, Callable | None]
 RECORD = ("qpos", "qvel", "actuator_force", "sensordata", "energy", "xpos", "xmat", "site_xpos", "subtree_com")
 
 
@@ -95,7 +99,7 @@ class Native:
         check(world, belief, plan)
         self.stages = plan.names
         self.duration = float(GRACE * np.sum(plan.duration))
-        self._compiled: dict[Any, tuple[Callable, Callable, Callable]] = {}
+        self._compiled: dict[Any, Compiled] = {}
 
     def rollout_bytes(self) -> None:
         """See `Engine`."""
@@ -139,7 +143,7 @@ class Native:
     ) -> tuple[Figures, list[dict[str, np.ndarray]]]:
         batching.check(streams, self.width)
         with devices.precision(self.settings):
-            start, tick, finish = self._functions(world, belief)
+            start, tick, finish, replan = self._functions(world, belief)
             models, unbuilt = self._models(world)
             batch = Batch(models[0], self.width)
             batch.set_models(models)
@@ -151,6 +155,8 @@ class Native:
             loops, commands, controls = tick(*arrays[:2], plans, loops, None, None, 0)
             records = []
             for k in range(most_ticks(plans, self.settings.control_period)):
+                if replan and k % round(CHUNK / self.settings.control_period) == 0:
+                    loops = replan(arrays[1], plans, loops)
                 if plans.flywheel is not None:
                     told = _retune(batch, models, told, _gains(loops.servo))
                 steps = batch.rollout(self.substeps, np.asarray(controls, float), CONTROL, RECORD)
@@ -184,15 +190,15 @@ class Native:
     def _model(self, world: Case) -> mujoco.MjModel:
         return native_model(world, self.settings.native_time_step, self.settings.solid)
 
-    def _functions(self, world: Case, belief: Case) -> tuple[Callable, Callable, Callable]:
-        """Compiled `start`, `tick` (measure the last tick, act in the next) and `finish` over the batch."""
+    def _functions(self, world: Case, belief: Case) -> Compiled:
+        """Compiled `start`, `tick` (measure the last tick, act in the next), `finish` and, if any, `replan`."""
         axes, quiet = devices.axes((world, belief)), is_quiet(world.noise)
         form = devices.form((world, belief)), quiet
         if form not in self._compiled:
             self._compiled[form] = self._compile(axes, quiet)
         return self._compiled[form]
 
-    def _compile(self, axes: tuple[Case, Case], quiet: bool) -> tuple[Callable, Callable, Callable]:
+    def _compile(self, axes: tuple[Case, Case], quiet: bool) -> Compiled:
         period, n = self.settings.control_period, self.substeps
 
         def start(world: Case, belief: Case, key: Array) -> tuple[Plan, ClosedLoop, Start]:
@@ -214,13 +220,15 @@ class Native:
             return loop, command, jnp.concatenate([torques, forces], axis=1)
 
         def finish(world: Case, plan: Plan, loop: ClosedLoop) -> dict[str, Array]:
-            return stream.figures(world, plan, loop.running, loop.tracker.stage)
+            return stream.figures(world, newest(plan, loop.learned), loop.running, loop.tracker.stage)
 
+        again = self._nominal.control.replan != "never"
         over = (*axes, 0, 0, 0, 0, None)
         return (
             jax.jit(jax.vmap(start, in_axes=(*axes, 0))),
             jax.jit(jax.vmap(tick, in_axes=over)),
             jax.jit(jax.vmap(finish, in_axes=(axes[0], 0, 0))),
+            jax.jit(jax.vmap(with_new_plan, in_axes=(axes[1], 0, 0))) if again else None,
         )
 
     def _outside(self, world: Case, start: Array, free: FreeState) -> Float[Array, "n f"]:

@@ -4,19 +4,22 @@ Calibration is not simulated: with drives soft enough every foot stays where it 
 that joint angles follow from the true sizes. `bench/calibration.py` compares that with physics.
 """
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from sweep.controllers import calibration
-from sweep.controllers.calibration import HEIGHT, MOVES, Ground, Learned, Measured
+from sweep.controllers import calibration, touch
+from sweep.controllers.calibration import HEIGHT, MOVES, Ground, Measured
+from sweep.controllers.learned import Learned
 from sweep.controllers.observation import biases
 from sweep.controllers.plan import Plan, Stance
 from sweep.controllers.posture import feet_in_world
 from sweep.controllers.tracker import joint_targets
 from sweep.core.errors import InputError
 from sweep.core.rotations import exponential, multiply
-from sweep.engines.closed_loop import Start, informed, start_state
+from sweep.engines.closed_loop import Start, start_state
 from sweep.models.case import Case
 from sweep.models.legs import JOINT_Q, N_LEGS
 from sweep.models.obstacles.surface import Surface, free_start, poses
@@ -28,17 +31,29 @@ ERRORS = 1  # folded into a rollout's key to draw the errors of calibration
 
 def prepared(world: Case, belief: Case, key: Array) -> tuple[Case, Plan, Learned | None]:
     """What is believed from the start on, the plan that follows, what was learned for it; `key` is the rollout's."""
-    plan = belief.manoeuvre.plan(belief)
-    if world.control.calibrate == "none":
+    plan, control = belief.manoeuvre.plan(belief), world.control
+    calibrated = None
+    if control.calibrate != "none":
+        seen = measured(world, start_state(world, belief, plan), key)
+        calibrated = calibration.estimate(control, belief.noise, belief.robot, _ground(belief, plan), seen)
+        belief = replace(belief, robot=calibrated.robot)
+        plan = belief.manoeuvre.plan(belief)
+    touched = None if control.touch == "none" else touch.untouched(control, belief.obstacle)
+    if calibrated is None and touched is None:
         return belief, plan, None
-    seen = measured(world, start_state(world, belief, plan), key)
-    learned = calibration.estimate(world.control, belief.noise, belief.robot, _ground(belief, plan), seen)
-    belief = informed(belief, learned)
-    return belief, belief.manoeuvre.plan(belief), learned
+    return belief, plan, Learned(calibrated, touched, None if control.replan == "never" else plan)
 
 
 def check(world: Case, belief: Case, plan: Plan) -> None:
-    """Raises `InputError` where a robot is to calibrate itself that does not start with all feet on one plane."""
+    """Raises `InputError` where `control` asks for what this robot cannot do.
+
+    To calibrate itself it has to start with all feet on one plane; it touches what rests, and plans again by that.
+    """
+    control, obstacle = world.control, belief.obstacle
+    if control.touch != "none" and obstacle.free_bodies:
+        raise InputError(f"control.touch = {control.touch} is not allowed: obstacle = {obstacle.kind} may move")
+    if control.replan != "never" and control.touch == "none":
+        raise InputError(f"control.replan = {control.replan} is not allowed: it needs control.touch = obstacle")
     if world.control.calibrate == "none":
         return
     feet, surface = plan.start.feet, _under(belief, plan)

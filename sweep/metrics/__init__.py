@@ -15,6 +15,7 @@ from sweep.metrics import (
     slip,
     solver,
     support,
+    touch,
 )
 from sweep.metrics.metric import Cause, Metric
 from sweep.models.case import Case
@@ -35,6 +36,7 @@ METRICS: tuple[Metric, ...] = tuple(
         support,
         load,
         calibration,
+        touch,
         solver,
     )
 )

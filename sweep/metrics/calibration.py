@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from sweep.controllers.calibration import Learned, names
+from sweep.controllers.calibration import Calibrated, names
 from sweep.metrics.metric import Begin, Elapsed, Metric
 
 SIZES = {
@@ -16,13 +16,14 @@ SIZES = {
 }
 
 
-def begin(start: Begin) -> Learned:
+def begin(start: Begin) -> Calibrated:
     """What was learned does not change."""
-    assert start.learned is not None  # since it applies
-    return start.learned
+    assert start.learned is not None
+    assert start.learned.calibrated is not None  # since it applies
+    return start.learned.calibrated
 
 
-def figures(found: Learned, at: Elapsed) -> dict[str, Array]:
+def figures(found: Calibrated, at: Elapsed) -> dict[str, Array]:
     """See `METRIC`."""
     sizes = names(at.world.robot)
     own = {f"learned_{name}_m": jnp.asarray(getattr(found.robot, name)) for name in sizes}

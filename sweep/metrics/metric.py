@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from sweep.controllers.calibration import Learned
+from sweep.controllers.learned import Learned
 from sweep.controllers.plan import Plan, Stance
 from sweep.core.parameters import quantity
 from sweep.models.case import Case
@@ -56,7 +56,7 @@ class Begin(NamedTuple):
     feet: Float[Array, "6 3"]  # m, where they really are
     free: FreeState
     energy: Float[Array, ""]  # J
-    learned: Learned | None = None  # where the robot has calibrated itself
+    learned: Learned | None = None  # where the robot finds out something
 
 
 class Moment(NamedTuple):
@@ -73,6 +73,7 @@ class Moment(NamedTuple):
     tick: Tick
     period: float  # s, of a tick
     time: Float[Array, ""]  # s, at its end
+    learned: Learned | None = None
 
 
 class Elapsed(NamedTuple):

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from sweep import metrics
-from sweep.controllers.calibration import Learned
+from sweep.controllers.learned import Learned
 from sweep.controllers.plan import Plan
 from sweep.controllers.tracker import Command, TrackerState
 from sweep.metrics import solver
@@ -71,6 +71,7 @@ def update(
     state: TrackerState,
     command: Command,
     running: Running,
+    learned: Learned | None,
     tick: Tick,
     number: Array,
     period: float,
@@ -89,6 +90,7 @@ def update(
         tick,
         period,
         time,
+        learned,
     )
     states = tuple(_updated(m, s, now, number) for m, s in zip(metrics.of(world), running.states, strict=True))
     found = _figures(Elapsed(world, plan, time, state.stage), states)

@@ -19,3 +19,12 @@ class Control:
     size_error: float = quantity(0.012, "-", above=0, at_most=0.2)
     # deviation of each standing foot's place along the ground from pose to pose of the calibration
     slip: float = quantity(0.001, "m", above=0, at_most=0.1)
+    # what the robot learns from where its feet come to stand: the sizes of the obstacle
+    touch: str = choice("none", "none", "obstacle")
+    # deviation of each believed size of the obstacle, relative: what touching takes for possible before it begins
+    obstacle_error: float = quantity(0.03, "-", above=0, at_most=0.2)
+    touch_error: float = quantity(0.002, "m", above=0, at_most=0.1)  # deviation of a touched place from the surface
+    # how fast a foot's command goes over to the surface that it has felt, or on in search of it
+    touch_speed: float = quantity(0.1, "m/s", at_least=0, at_most=1)
+    # when the robot plans what is left of its way anew, by what it has learned: never, or every simulated second
+    replan: str = choice("never", "never", "touched")

@@ -1,0 +1,78 @@
+"""What a robot has found out, and what it does with it: belief, footholds and plan as they are by now."""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Int
+
+from sweep.controllers import touch
+from sweep.controllers.calibration import Calibrated
+from sweep.controllers.observation import Observation
+from sweep.controllers.plan import Plan
+from sweep.controllers.touch import Touched
+from sweep.controllers.tracker import TrackerState
+from sweep.models.case import Case
+from sweep.models.obstacles.surface import fixed_surface
+
+
+class Learned(NamedTuple):
+    """What the robot has found out; None where it does not look."""
+
+    calibrated: Calibrated | None
+    touched: Touched | None
+    plan: Plan | None  # the newest, where it plans again
+
+
+def informed(belief: Case, learned: Learned | None) -> Case:
+    """What is believed with what was learned."""
+    if learned is None:
+        return belief
+    robot = belief.robot if learned.calibrated is None else learned.calibrated.robot
+    obstacle = belief.obstacle if learned.touched is None else learned.touched.obstacle
+    return replace(belief, robot=robot, obstacle=obstacle)
+
+
+def newest(plan: Plan, learned: Learned | None) -> Plan:
+    """The plan that is followed, where it began as `plan`."""
+    return plan if learned is None or learned.plan is None else learned.plan
+
+
+def felt(
+    world: Case,
+    belief: Case,
+    plan: Plan,
+    state: TrackerState,
+    learned: Learned | None,
+    seen: Observation,
+    period: float,
+) -> tuple[TrackerState, Plan, Learned | None]:
+    """Footholds, plan, and what is known, after a tick of touching. `belief` and `plan` are those of the start."""
+    if learned is None or learned.touched is None:
+        return state, newest(plan, learned), learned
+    depth = fixed_surface(belief.obstacle, plan.foothold[state.stage]).depth
+    robot, now = informed(belief, learned).robot, newest(plan, learned)
+    touched, moves = touch.felt(world.control, belief.noise, robot, now, depth, state, learned.touched, seen, period)
+    learned = learned._replace(touched=touched)
+    if plan.feedforward is not None:  # feet are anchored where they stand
+        return state, now, learned
+    swings = now.swing[state.stage][:, None]
+    here = (jnp.arange(now.duration.shape[0]) == state.stage)[:, None, None]
+    now = replace(now, foothold=now.foothold + jnp.where(here & swings, moves, 0.0))
+    return state._replace(feet=state.feet + jnp.where(swings, 0.0, moves)), now, learned
+
+
+def replanned(belief: Case, plan: Plan, stage: Int[Array, ""], learned: Learned) -> Learned:
+    """What is left of the way after `stage` planned by what is known; as it was where there is no such plan."""
+    old = newest(plan, learned)
+    known = informed(belief, learned)
+    fresh = replace(known.manoeuvre.plan(known), start=old.start)
+    there_is = jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(fresh)]))
+    later = there_is & (jnp.arange(plan.duration.shape[0]) > stage)
+
+    def chosen(a: Array, b: Array) -> Array:
+        staged = a.ndim and a.shape[0] == later.shape[0]
+        return jnp.where(later.reshape(-1, *[1] * (a.ndim - 1)), a, b) if staged else b
+
+    return learned._replace(plan=replace(jax.tree.map(chosen, fresh, old), start=old.start))

@@ -1,0 +1,119 @@
+"""Touch: what the places where feet come to stand tell of the obstacle, and where its surface is under them.
+
+A foot that has just come to stand is at the surface. How far inside or outside the believed surface it is, is one
+equation for the obstacle's sizes; recursive least squares take in one after the other.
+"""
+
+import dataclasses
+from dataclasses import replace
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from sweep.controllers.observation import Observation
+from sweep.controllers.plan import Plan
+from sweep.controllers.posture import feet_in_world
+from sweep.controllers.tracker import TrackerState
+from sweep.models.control import Control
+from sweep.models.legs import N_LEGS
+from sweep.models.noise import Noise
+from sweep.models.obstacles.surface import Obstacle, fixed_surface
+from sweep.models.robot import Robot
+
+REACH = 0.03  # m, how far a foot that finds no surface goes on beyond where it is planned
+
+
+class Touched(NamedTuple):
+    """What touching has told so far."""
+
+    obstacle: Obstacle  # as it is believed now
+    covariance: Float[Array, "n n"]  # of the sizes of `names`, in their units
+    felt: Bool[Array, " 6"]  # which feet have come to stand since they swung
+    left: Float[Array, " 6"]  # m, outwards, by which each foot's command is still to be moved; or has gone on inwards
+
+
+def names(obstacle: Obstacle | type[Obstacle]) -> tuple[str, ...]:
+    """The obstacle's sizes."""
+    fields = dataclasses.fields(obstacle)  # pyright: ignore[reportArgumentType]
+    return tuple(f.name for f in fields if f.metadata.get("role") == "quantity")
+
+
+def untouched(control: Control, obstacle: Obstacle) -> Touched:
+    """Before anything is touched: sizes as believed, all feet where they stand."""
+    sizes = _sizes(obstacle)
+    covariance = jnp.diag((control.obstacle_error * sizes) ** 2)
+    return Touched(_with(obstacle, sizes), covariance, jnp.ones(N_LEGS, bool), jnp.zeros(N_LEGS))
+
+
+def felt(
+    control: Control,
+    noise: Noise,
+    robot: Robot,
+    plan: Plan,
+    depth: Float[Array, " 6"],
+    state: TrackerState,
+    so_far: Touched,
+    seen: Observation,
+    period: float,
+) -> tuple[Touched, Float[Array, "6 3"]]:
+    """A tick of `period` seconds on: what is known, and by how much (m, world axes) footholds are to be moved.
+
+    Where sizes are uncertain, a foot is told to stand `depth` (m) inside the surface that it has felt, along whose
+    normal its command goes over; one that stands in the air, or has come to the end of its swing there, goes on
+    inwards. Along the surface it stays where it is. Footholds of swinging feet are moved from where they are planned,
+    those of the others from where they were told to be in the last tick.
+    """
+    stage = state.stage
+    places = feet_in_world(robot, seen.position, seen.quat, seen.angles)
+    sizes = _sizes(so_far.obstacle)
+
+    def inside(x: Array) -> Array:
+        return fixed_surface(_with(so_far.obstacle, x), places).depth
+
+    slopes = jax.jacfwd(inside)(sizes)
+    stands = ~plan.swing[stage]
+    uncertain = jnp.sum((slopes @ so_far.covariance) * slopes, axis=1) > 0
+    new = stands & seen.loaded & ~so_far.felt
+    variance = control.touch_error**2 + noise.position_noise**2 + noise.position_bias**2
+    sizes, covariance = _least_squares(sizes, so_far.covariance, inside(sizes), slopes, variance, new)
+    normal = fixed_surface(so_far.obstacle, places).normal
+    outwards = jnp.sum((places - state.feet) * normal, axis=1) - depth
+    late = ~stands & (state.clock >= plan.duration[stage])
+    left = jnp.where(stands | late, jnp.where(new & uncertain, outwards, so_far.left), 0.0)
+    has = stands & (so_far.felt | new)
+    step = control.touch_speed * period
+    follows = jnp.where(has & seen.loaded, jnp.clip(left, -step, step), 0.0)
+    searches = ((stands & ~has) | (late & ~seen.loaded)) & uncertain & (left > -REACH)
+    moved = follows - jnp.where(searches, step, 0.0)
+    left = jnp.where(searches, left - step, left - follows)
+    moves = jnp.where(late, left, moved)[:, None] * normal
+    return Touched(_with(so_far.obstacle, sizes), covariance, has, left), moves
+
+
+def _least_squares(
+    sizes: Float[Array, " n"],
+    covariance: Float[Array, "n n"],
+    inside: Float[Array, " m"],
+    slopes: Float[Array, "m n"],
+    variance: Array | float,
+    counts: Bool[Array, " m"],
+) -> tuple[Float[Array, " n"], Float[Array, "n n"]]:
+    """Sizes and their covariance after those of m points that count were found at the surface, one after the other."""
+    first = sizes
+    for k in range(N_LEGS):
+        slope = slopes[k]
+        spread = covariance @ slope
+        gain = jnp.where(counts[k], spread / (slope @ spread + variance), 0.0)
+        sizes = sizes - gain * (inside[k] + slope @ (sizes - first))
+        covariance = covariance - gain[:, None] * spread
+    return sizes, covariance
+
+
+def _sizes(obstacle: Obstacle) -> Float[Array, " n"]:
+    return jnp.stack([jnp.asarray(getattr(obstacle, name), float) for name in names(obstacle)])
+
+
+def _with(obstacle: Obstacle, sizes: Float[Array, " n"]) -> Obstacle:
+    return replace(obstacle, **{name: sizes[k] for k, name in enumerate(names(obstacle))})  # pyright: ignore

@@ -1,0 +1,55 @@
+"""What the robot has learned of the obstacle's sizes by touching it, and how sure it is at the end."""
+
+import dataclasses
+
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from sweep.controllers.touch import Touched, names
+from sweep.metrics.metric import Begin, Elapsed, Metric, Moment
+from sweep.models.obstacles import OBSTACLES
+from sweep.models.obstacles.surface import Obstacle
+
+
+def begin(start: Begin) -> Touched:
+    """Nothing is touched yet."""
+    return _of(start)
+
+
+def update(so_far: Touched, now: Moment) -> Touched:
+    """What is known by now."""
+    return _of(now)
+
+
+def _of(at: Begin | Moment) -> Touched:
+    assert at.learned is not None
+    assert at.learned.touched is not None  # since it applies
+    return at.learned.touched
+
+
+def figures(found: Touched, at: Elapsed) -> dict[str, Array]:
+    """See `METRIC`."""
+    deviations = jnp.sqrt(jnp.diagonal(found.covariance))
+    known = zip(units(at.world.obstacle).items(), deviations, strict=True)
+    parts = ({f"learned_{n}_{u}": jnp.asarray(getattr(found.obstacle, n)), f"learned_{n}_sd_{u}": d}
+             for (n, u), d in known)  # fmt: skip
+    return {name: value for part in parts for name, value in part.items()}
+
+
+def units(obstacle: Obstacle | type[Obstacle]) -> dict[str, str]:
+    """The sizes of an obstacle that can be learned, and their units."""
+    fields = {f.name: f for f in dataclasses.fields(obstacle)}  # pyright: ignore[reportArgumentType]
+    return {name: fields[name].metadata["unit"] for name in names(obstacle)}
+
+
+def _columns() -> dict[str, str]:
+    """Of the obstacles that rest."""
+    sizes = {(n, u) for cls in OBSTACLES.values() if cls.free_bodies == () for n, u in units(cls).items()}
+    told = {}
+    for name, unit in sorted(sizes):
+        told[f"learned_{name}_{unit}"] = f"the obstacle's {name.replace('_', ' ')}, as touching it has told"
+        told[f"learned_{name}_sd_{unit}"] = "standard deviation of that"
+    return told
+
+
+METRIC = Metric(begin, update, figures, _columns(), applies=lambda case: case.control.touch == "obstacle")

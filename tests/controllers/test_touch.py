@@ -1,0 +1,125 @@
+"""Touch: what feet on the obstacle tell of its sizes, where they are told to stand then, and the plan that follows."""
+
+import dataclasses
+from functools import cache
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from sweep.controllers import touch
+from sweep.controllers.learned import Learned, replanned
+from sweep.controllers.observation import Observation
+from sweep.controllers.plan import Stance, begins, reference
+from sweep.controllers.touch import Touched
+from sweep.controllers.tracker import init, joint_targets
+from sweep.core.errors import InputError
+from sweep.engines import make
+from sweep.models.obstacles.pole_ledge import PoleLedge
+from sweep.models.obstacles.surface import fixed_surface, no_bodies
+from sweep.study.config import compose
+
+PERIOD, DEEPENING = 4e-3, 5e-3
+CASE = compose(["scenario=pole_climb", "control.touch=obstacle", "control.replan=touched"]).case
+
+
+@cache
+def planned():
+    return jax.jit(lambda: CASE.manoeuvre.plan(CASE))()
+
+
+def seen(stance: Stance, loaded=True) -> Observation:
+    """The robot in a stance."""
+    angles, _ = joint_targets(CASE.robot, stance)
+    still = jnp.zeros(3)
+    return Observation(stance.position, stance.quat, still, still, angles, 0 * angles, 0 * angles,
+                       jnp.full(6, loaded), no_bodies())  # fmt: skip
+
+
+def on_pole(radius: float) -> tuple[int, Stance]:
+    """The first stage in which all legs are on the pole but those that swing, at its end; feet at its true surface."""
+    plan = planned()
+    stage = plan.names.index("up.middle")
+    stance = reference(plan, jnp.int32(stage), jnp.ones(()), *begins(plan, jnp.int32(stage)))
+    feet = stance.feet.at[:, :2].multiply(radius / jnp.linalg.norm(stance.feet[:, :2], axis=1)[:, None])
+    return stage, stance._replace(feet=feet)
+
+
+def walk_on(stage: int, stance: Stance, ticks: int, loaded=True):
+    """What is known, and the footholds told, after `ticks` in which no foot had been felt before."""
+    plan, state = planned(), untouched()._replace(felt=jnp.zeros(6, bool))
+    depth = fixed_surface(CASE.obstacle, plan.foothold[stage]).depth
+    now = seen(stance, loaded)
+    tracked = init(CASE, plan)._replace(stage=jnp.int32(stage), feet=plan.foothold[stage], clock=plan.duration[stage])
+    step = jax.jit(lambda s, t: touch.felt(CASE.control, CASE.noise, CASE.robot, plan, depth, t, s, now, PERIOD))
+    for _ in range(ticks):
+        state, moves = step(state, tracked)
+        from_where = jnp.where(plan.swing[stage][:, None], plan.foothold[stage], tracked.feet)
+        tracked = tracked._replace(feet=from_where + moves)
+    return state, tracked.feet
+
+
+def untouched() -> Touched:
+    return touch.untouched(CASE.control, CASE.obstacle)
+
+
+def from_axis(feet) -> np.ndarray:
+    return np.linalg.norm(np.asarray(feet)[:, :2], axis=1)
+
+
+def sizes(state: Touched) -> np.ndarray:
+    return np.array([getattr(state.obstacle, name) for name in touch.names(state.obstacle)])
+
+
+@pytest.mark.parametrize("radius", [0.40, 0.44])
+def test_feet_on_the_pole_tell_its_radius_and_nothing_else(radius):
+    stage, stance = on_pole(radius)
+    state, _ = walk_on(stage, stance, 3)
+    found, before = sizes(state), untouched()
+    np.testing.assert_allclose(found[0], radius, atol=2e-3)
+    assert abs(found[0] - radius) < 4 * np.sqrt(state.covariance[0, 0]) < 5e-3
+    np.testing.assert_array_equal(found[1:], sizes(before)[1:])
+    np.testing.assert_array_equal(state.covariance[1:, 1:], before.covariance[1:, 1:])
+
+
+def test_a_foot_is_told_to_stand_as_deep_as_planned_in_the_surface_that_it_felt():
+    radius = 0.41
+    stage, stance = on_pole(radius)
+    _, feet = walk_on(stage, stance, 100)
+    stands = ~np.asarray(planned().swing[stage])
+    np.testing.assert_allclose(from_axis(feet)[stands], radius - DEEPENING, atol=1e-4)
+
+
+def test_a_foot_in_the_air_goes_on_inwards_so_far_and_no_farther():
+    stage, stance = on_pole(0.43)
+    for ticks, way in ((10, 10 * PERIOD * CASE.control.touch_speed), (200, touch.REACH)):
+        _, feet = walk_on(stage, stance, ticks, loaded=False)
+        moved = from_axis(planned().foothold[stage]) - from_axis(feet)
+        np.testing.assert_allclose(moved, way, atol=PERIOD * CASE.control.touch_speed + 1e-6)
+
+
+def test_what_is_left_of_the_way_is_planned_for_the_pole_that_was_found():
+    plan, found = planned(), dataclasses.replace(CASE.on(PoleLedge), radius=0.43)
+    other = dataclasses.replace(CASE, obstacle=found)
+    stage = plan.names.index("on.front")
+    touched = untouched()._replace(obstacle=found)
+    again = jax.jit(lambda: replanned(CASE, plan, jnp.int32(stage), Learned(None, touched, plan)).plan)()
+    fresh = other.manoeuvre.plan(other)
+    np.testing.assert_array_equal(again.foothold[: stage + 1], plan.foothold[: stage + 1])
+    np.testing.assert_allclose(again.foothold[stage + 1 :], fresh.foothold[stage + 1 :], atol=1e-5)
+    np.testing.assert_allclose(again.position[stage + 1 :], fresh.position[stage + 1 :], atol=1e-5)
+    none = Learned(None, touched._replace(obstacle=dataclasses.replace(found, radius=jnp.nan)), plan)
+    kept = jax.jit(lambda: replanned(CASE, plan, jnp.int32(stage), none).plan)()
+    np.testing.assert_array_equal(kept.foothold, plan.foothold)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [(["scenario=ball_balance", "control.touch=obstacle"], "control.touch = obstacle is not allowed: obstacle = ball"),
+     (["scenario=walk_tripod", "control.replan=touched"], "control.replan = touched is not allowed: it needs")],
+)  # fmt: skip
+def test_what_a_robot_cannot_do_is_refused_in_one_line(overrides, message):
+    exp = compose([*overrides, "engine=native"])
+    with pytest.raises(InputError, match=message):
+        make(dataclasses.replace(exp.settings, width=1), exp.case, exp.case, exp.thresholds)
