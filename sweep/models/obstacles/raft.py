@@ -166,5 +166,5 @@ class Raft:
             face=jnp.where(on_raft, RAFT + side @ jnp.array([2.0, 3.0, 1.0]), 2 * bank + sided).astype(jnp.int32),
             body=jnp.where(on_raft, 0, -1).astype(jnp.int32),
             friction_scale=jnp.where(own, self.side_grip, jnp.where(on_raft, 1.0, self.bank_grip)).astype(dtype),
-            damping=own * 2 * self.impact_damping * jnp.sqrt(STIFFNESS * self.mass / 2),
+            damping=jnp.asarray(own, dtype) * 2 * self.impact_damping * jnp.sqrt(STIFFNESS * self.mass / 2),
         )

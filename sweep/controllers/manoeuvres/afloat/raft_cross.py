@@ -17,7 +17,7 @@ from sweep.controllers.frames import WORLD, fixed
 from sweep.controllers.manoeuvres.afloat.statics import refuse
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import CYCLE_B_SMOOTH, REGRIP, Plan, Stage, Stance, assemble, reference
+from sweep.controllers.plan import CYCLE_B_SMOOTH, PRESS, REGRIP, Plan, Stage, Stance, assemble, reference
 from sweep.controllers.support import ALONGSIDE, STAYS, TO_VELOCITY, Support
 from sweep.controllers.tracker import Guidance, TrackerState
 from sweep.core.parameters import choice, count, parameters, quantity
@@ -268,8 +268,8 @@ class Way:
         return Stage(
             prefix + move.name, self.how.swing if time is None else time, swing, CYCLE_B_SMOOTH,
             self.how.lift_ratio * self.length, position=self.base(where, move.base, ratio), rates=(0.0, 0.0),
-            onset=REGRIP, foot_frames=tuple(self.frames.values()), base_frame=fixed(0) if where == DECK else WORLD,
-            support=(support,),
+            onset=PRESS, press=(self.how.deepening, 0.0), foot_frames=tuple(self.frames.values()),
+            base_frame=fixed(0) if where == DECK else WORLD, support=(support,),
         )  # fmt: skip
 
     def berth(self, bank: int) -> Float[Array, " 3"]:
@@ -281,8 +281,7 @@ class Way:
         """Raft and robot gain speed at a constant force, with the turn that a push beside the middle gives."""
         speed, turn = self.how.push * self.push.v0, self.how.push * self.push.w0
         to = Support(TO_VELOCITY, jnp.array([1.0, 0.0, 0.0]) * speed, jnp.array([0.0, 0.0, -1.0]) * turn)
-        stage = self.stage(move, time=self.mass * speed / self.how.force, support=to)
-        return stage
+        return self.stage(move, time=self.mass * speed / self.how.force, support=to)
 
     def reaching(self, moves: Sequence[Move]) -> list[Stage]:
         """Wait for the far bank, squat, front feet ashore, pull; the raft lies as it comes until then."""
