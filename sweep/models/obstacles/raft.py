@@ -23,6 +23,7 @@ WATER_DENSITY, GRAVITY = 1000.0, 9.81  # kg/m^3, m/s^2
 SHORE = 4.0  # m, of each bank that is drawn; its surface has no end
 STIFFNESS = 1e6  # N/m, of the contact that `impact_damping` is a share of the critical damping of
 CORNERS = tuple((x, y) for x in (-1, 1) for y in (-1, 1))
+WATER_DEPTH = 6.0  # m, that is drawn: what is translucent is drawn from far to near, by its middle
 WATER = (0.25, 0.5, 0.75, 0.45)
 
 
@@ -83,9 +84,10 @@ class Raft:
         add_solids(spec, [deck], friction, self.free_bodies)
         for bank in banks:
             add_touching(spec, bank.name, deck.name, friction * self.side_grip, self.impact_damping)
+        across, deep = self.water_width / 2, WATER_DEPTH / 2
         spec.worldbody.add_geom(
-            name="water", type=mujoco.mjtGeom.mjGEOM_BOX, size=[self.water_width / 2, SHORE / 2, 1e-3], rgba=WATER,
-            pos=[self.water_width / 2, 0, -self.bank_height], contype=0, conaffinity=0, group=DRAWN,
+            name="water", type=mujoco.mjtGeom.mjGEOM_BOX, size=[across, SHORE / 2, deep], rgba=WATER,
+            pos=[across, 0, -self.bank_height - deep], contype=0, conaffinity=0, group=DRAWN,
         )  # fmt: skip
 
     def leaves(self) -> dict[str, dict[str, Array]]:
@@ -164,5 +166,5 @@ class Raft:
             face=jnp.where(on_raft, RAFT + side @ jnp.array([2.0, 3.0, 1.0]), 2 * bank + sided).astype(jnp.int32),
             body=jnp.where(on_raft, 0, -1).astype(jnp.int32),
             friction_scale=jnp.where(own, self.side_grip, jnp.where(on_raft, 1.0, self.bank_grip)).astype(dtype),
-            damping=jnp.asarray(own * 2.0) * self.impact_damping * jnp.sqrt(STIFFNESS * self.mass / 2),
+            damping=jnp.asarray(own, dtype) * 2 * self.impact_damping * jnp.sqrt(STIFFNESS * self.mass / 2),
         )

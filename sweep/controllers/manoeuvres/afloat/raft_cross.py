@@ -17,9 +17,9 @@ from sweep.controllers.frames import WORLD, fixed
 from sweep.controllers.manoeuvres.afloat.statics import refuse
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import CYCLE_B_SMOOTH, REGRIP, Plan, Stage, Stance, assemble
+from sweep.controllers.plan import CYCLE_B_SMOOTH, PRESS, REGRIP, Plan, Stage, Stance, assemble, reference
 from sweep.controllers.support import ALONGSIDE, STAYS, TO_VELOCITY, Support
-from sweep.controllers.tracker import TrackerState
+from sweep.controllers.tracker import Guidance, TrackerState
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import rotate
 from sweep.formulas.crossing import Crossing, crossing
@@ -57,8 +57,8 @@ BOARD = (
     Move("a2", 0.0, A, (-0.375, 0.125, 0.625), "ndd"),
     Move("b2", 0.25, B, (-0.125, 0.375, 0.875), "ndd"),
     Move("a3", 0.4, A, (-0.125, 0.375, 0.875), "ndd"),
-    Move("ready", 0.475),
-    Move("push", 0.5),
+    Move("ready", 0.42),
+    Move("push", 0.46),
     Move("rear", 0.55, REAR, (0.12, 0.12), "dd"),
     Move("a4", 0.6, A, (0.12, 0.6, 1.1), "ddd"),
     Move("b3", 0.6, B, (0.1, 0.6, 1.1), "ddd"),
@@ -74,6 +74,7 @@ LAND = (
     Move("b3", 0.75, B, (0.375, 0.875, 1.375), "fff"),
     Move("a4", 0.875, A, (0.375, 0.875, 1.375), "fff"),
 )
+PATIENCE = 3.0  # times that of coasting, for which a raft that was pushed too little is waited for
 FIRST = -0.75  # of the base, before it boards
 
 
@@ -101,7 +102,7 @@ class RaftCross:
     lift_ratio: float = quantity(0.06, "a_r", above=0, at_most=0.5)  # of a swing, between bank and raft
     swing: float = quantity(0.8, "s", above=0, at_most=10)  # a swing's time
     landing: float = quantity(0.1, "m/s", above=0)  # v_eps, with which the raft is to meet the far bank
-    force: float = quantity(25.0, "N", above=0)  # of the push
+    force: float = quantity(15.0, "N", above=0)  # of the push
     push: float = quantity(1.0, "-", above=0, at_most=3)  # speed after the push, over that of (4.3)
     offset: float = quantity(0.0, "m")  # h, of the robot's way to the left of the raft's middle
     near: float = quantity(0.01, "m", above=0)  # gap to the far bank at which the wait is over
@@ -166,13 +167,33 @@ class RaftCross:
         inertia = mass * (a**2 + b**2) / 3
         return crossing(raft.water_width, raft.length, self.landing, mass, al2, inertia, inertia, self.offset)
 
+    def memory(self, belief: Case, plan: Plan) -> Float[Array, " 3"]:
+        """How far along the bank the raft has come, m; it is where the robot goes ashore."""
+        return jnp.zeros(3)
+
+    def guide(
+        self, belief: Case, plan: Plan, state: TrackerState, seen: Observation, begins: Bool[Array, ""], period: float
+    ) -> Guidance:
+        """As planned, but ashore beside the place where the raft has come to."""
+        stage = state.stage
+        lies = self._in(plan, state, "reach", "land.rise")
+        along = jnp.where(begins & lies, seen.free.position[0] * jnp.array([0.0, 1.0, 0.0]), state.memory)
+        frames = jnp.append(plan.foot_frame[stage], plan.base_frame[stage])
+        ashore = self._in(plan, state, "reach", "pull", "land", "leave", "halt") & (frames == WORLD)
+        shifts = jnp.where(ashore[:, None], along, 0.0)
+        goal, position = plan.foothold[stage] + shifts[:6], plan.position.at[stage].add(shifts[6])
+        phase = jnp.clip(state.clock / plan.duration[stage], 0.0, 1.0)
+        shifted = replace(plan, foothold=plan.foothold.at[stage].set(goal), position=position)
+        return Guidance(reference(shifted, stage, phase, state.feet, state.position), goal, along)
+
+    def _in(self, plan: Plan, state: TrackerState, *words: str) -> Bool[Array, ""]:
+        """Whether the stage's name begins with one of some words."""
+        return jnp.asarray(np.array([name.startswith(words) for name in plan.names]))[state.stage]
+
     def ends(self, belief: Case, plan: Plan, state: TrackerState, seen: Observation) -> Bool[Array, ""]:
         """The wait, as soon as the raft is there; a pull, when it lies along the bank."""
         gaps = far_gaps(belief.on(Raft), seen.free)
-        waits, pulls = (
-            jnp.asarray(np.array([name.startswith(word) for name in plan.names]))[state.stage]
-            for word in ("wait", "pull")
-        )
+        waits, pulls = self._in(plan, state, "wait"), self._in(plan, state, "pull")
         still = jnp.abs(seen.free.velocity[0, 0]) < self.close
         return (waits & (jnp.min(gaps) < self.near)) | (pulls & (jnp.max(gaps) < self.close) & still)
 
@@ -247,8 +268,8 @@ class Way:
         return Stage(
             prefix + move.name, self.how.swing if time is None else time, swing, CYCLE_B_SMOOTH,
             self.how.lift_ratio * self.length, position=self.base(where, move.base, ratio), rates=(0.0, 0.0),
-            onset=REGRIP, foot_frames=tuple(self.frames.values()), base_frame=fixed(0) if where == DECK else WORLD,
-            support=(support,),
+            onset=PRESS, press=(self.how.deepening, 0.0), foot_frames=tuple(self.frames.values()),
+            base_frame=fixed(0) if where == DECK else WORLD, support=(support,),
         )  # fmt: skip
 
     def berth(self, bank: int) -> Float[Array, " 3"]:
@@ -260,15 +281,14 @@ class Way:
         """Raft and robot gain speed at a constant force, with the turn that a push beside the middle gives."""
         speed, turn = self.how.push * self.push.v0, self.how.push * self.push.w0
         to = Support(TO_VELOCITY, jnp.array([1.0, 0.0, 0.0]) * speed, jnp.array([0.0, 0.0, -1.0]) * turn)
-        stage = self.stage(move, time=self.mass * speed / self.how.force, support=to)
-        return stage
+        return self.stage(move, time=self.mass * speed / self.how.force, support=to)
 
     def reaching(self, moves: Sequence[Move]) -> list[Stage]:
         """Wait for the far bank, squat, front feet ashore, pull; the raft lies as it comes until then."""
         self.far, squat = True, self.how.squat_ratio
         wait, down, reach = moves
         out = [
-            self.stage(wait, time=self.push.time),
+            self.stage(wait, time=PATIENCE * self.push.time),
             self.stage(down, time=1.0, ratio=squat),
             self.stage(reach, ratio=squat),
         ]
