@@ -27,9 +27,10 @@ def learned(*overrides):
     """Relative errors (robots, sizes) before and after calibration, and the covariance it claims."""
     case = compose([*STAND, *overrides]).case
     world = wrong(case, ROBOTS)
-    found = jax.jit(jax.vmap(lambda w, b, k: prelude.prepared(w, b, k)[2], in_axes=(devices.axes(world), None, 0)))(
-        devices.as_arrays(world), devices.as_arrays(case), devices.keys(np.arange(ROBOTS))
-    )
+    over = (devices.axes(world), None, 0)
+    calibrate = jax.vmap(lambda *of_one: prelude.prepared(*of_one)[2].calibrated, in_axes=over)
+    arrays = devices.as_arrays(world), devices.as_arrays(case), devices.keys(np.arange(ROBOTS))
+    found = jax.jit(calibrate)(*arrays)
     true = [getattr(world.robot, n) for n in names(case.robot)]
     pairs = [
         [np.asarray(getattr(r, n)) / t - 1 for n, t in zip(names(case.robot), true, strict=True)]
