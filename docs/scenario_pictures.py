@@ -34,6 +34,8 @@ SCENARIOS = (
     "ball_drive",
     "ball_descend",
     "corner_full",
+    "ladder_climb",
+    "ladder_descend",
 )
 
 
