@@ -36,6 +36,8 @@ SCENARIOS = (
     "corner_full",
     "raft_cross",
     "raft_stand",
+    "ladder_climb",
+    "ladder_descend",
 )
 
 
