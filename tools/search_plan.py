@@ -50,7 +50,7 @@ NEED = {
     "balance": -0.002,
 }
 # deviations that count alike
-UNIT = {"rate": 1.0, "friction": 0.02, "torque": 10.0, "balance": 0.001}  # others 0.01 m
+UNIT = {"rate": 1.0, "friction": 0.02, "torque": 10.0, "balance": 0.001, "speed": 0.02}  # others 0.01 m
 PERIOD, TIMES = 0.04, 1.05  # s, of a tick in which a plan on free bodies is played; its time, with that of waiting
 FRICTION = 2.5  # that forces may use, so that what is lacking is known where the believed one is too little
 
@@ -132,6 +132,8 @@ def judge(
         if case.obstacle.free_bodies:
             seen = play(belief, plan, PERIOD, ticks)
             found = by_stage(seen, len(names))._asdict()
+            speed = jnp.max(jnp.linalg.norm(seen.free.velocity, axis=-1), axis=1)
+            found["speed"] = -jax.ops.segment_max(speed, seen.stage, len(names))  # m/s, of the fastest body, negative
             if least_normal is not None:
                 bounds = forces.Bounds(FRICTION, belief.drive.torque_limit, least_normal)
                 held = played.holding(belief, seen, bounds, len(names))
