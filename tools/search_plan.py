@@ -133,6 +133,8 @@ def judge(
             seen = play(belief, plan, PERIOD, ticks)
             found = by_stage(seen, len(names))._asdict()
             speed = jnp.max(jnp.linalg.norm(seen.free.velocity, axis=-1), axis=1)
+            found["zmp"] = jax.ops.segment_min(played.zero_moment(seen, PERIOD), seen.stage, len(names))  # m
+            found["time"] = plan.duration  # s
             found["speed"] = -jax.ops.segment_max(speed, seen.stage, len(names))  # m/s, of the fastest body, negative
             if least_normal is not None:
                 bounds = forces.Bounds(FRICTION, belief.drive.torque_limit, least_normal)
