@@ -236,7 +236,7 @@ class BallDescend(OnBall, InParts):
                      onset=last.onset, press=last.press)  # fmt: skip
         return assemble(
             on_ball(belief, perched),
-            [*self.calming.steps_of(perched, "calm"), *down, halt],
+            [*self.calming.steps_of(perched, "calm", first=0.5), *down, halt],
             self.patience,
             ease=self.ease,
         )
