@@ -55,8 +55,8 @@ class Table(NamedTuple):
 TABLE = Table(
     top=(
         Move("lower", 0.3, Pose(90.0, 1.332, 0.071), rates=(0.0, 1.0)),
-        Move("middle", 0.7, Pose(90.0, 1.325, 0.081), MIDDLE, place=(0.655, 119.1), lift=0.08, plane=(0.5, 0.0, 1.0)),
         Move("rear", 0.7, Pose(90.0, 1.196, 0.14), REAR, place=(0.75, 94.1), lift=0.08, plane=(0.5, 0.0, 1.0)),
+        Move("middle", 0.7, Pose(90.0, 1.325, 0.081), MIDDLE, place=(0.655, 119.1), lift=0.08, plane=(0.5, 0.0, 1.0)),
         Move("front", 0.7, Pose(90.7, 1.105, -0.034), FRONT, place=(0.597, 180.0), lift=0.08, plane=(0.5, 0.0, 1.0)),
     ),
     down=(
