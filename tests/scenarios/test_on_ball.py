@@ -102,14 +102,6 @@ def test_it_comes_down_from_a_ball(engine):
 
 
 @pytest.mark.parametrize("engine", ["native", "mjx"])
-def test_it_comes_down_from_a_ball_that_rolls(engine):
-    """It begins in the middle of a step of its tripods, and stops the ball first."""
-    rows = outcomes(["scenario=ball_descend", f"engine={engine}"], obstacle={"speed": np.array([0.13])})
-    assert rows["outcome"].tolist() == ["success"], rows["cause"]
-    assert rows["obstacle_x_m"][0] > 0.6
-
-
-@pytest.mark.parametrize("engine", ["native", "mjx"])
 def test_it_drives_a_ball_aside(engine):
     """(3.3.7) gives the speed that its k_l is for, less what rolling friction takes in that time."""
     trial = compose(["scenario=ball_aside", f"engine={engine}"])
