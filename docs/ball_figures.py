@@ -1,5 +1,6 @@
 """Draws docs/figures/ball_*.png: figs. 3.1.4 to 3.1.6 of the monograph from our own runs (speed of the ball, and the
-robot over it), and how likely the robot stays on, from the rows of study=ball_noise.
+robot over it), the way down as in fig. 3.4.8, the ball driven aside as (3.3.7) has it, and how likely the robot stays
+on, from the rows of study=ball_noise.
 
 python docs/ball_figures.py [NAME ...]
 python docs/ball_figures.py ball_noise=results/ball_noise
@@ -13,12 +14,22 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from sweep import load
 from sweep.analysis.intervals import wilson
+from sweep.controllers.manoeuvres.balancing.ball_aside import BallAside, gain
+from sweep.controllers.manoeuvres.balancing.ball_descend import BallDescend
+from sweep.core.rotations import rotate
+from sweep.engines.base import Trace
+from sweep.formulas.ball import GRAVITY, ROLLING, lateral_mu
+from sweep.models.case import Case
+from sweep.models.obstacles.ball import Ball
+from sweep.models.robot import total_mass
 from sweep.runs.batches import Batch, make_engine
 from sweep.study.config import compose
 from sweep.trace.plots import PLOTS, save
+from sweep.trace.sampling import base_pose, mass_centres
 
 FIGURES = Path(__file__).parent / "figures"
 RUNS = {
@@ -26,6 +37,8 @@ RUNS = {
     "ball_offset": ["scenario=ball_balance", "manoeuvre.stages=4", "manoeuvre.offset=0.1"],
     "ball_each_step": ["scenario=ball_drive", "manoeuvre.steps=40"],
     "ball_every_fourth": ["scenario=ball_drive", "manoeuvre.steps=40", "manoeuvre.push_every=4"],
+    "ball_descend": ["scenario=ball_descend"],
+    "ball_aside": ["scenario=ball_aside", "manoeuvre.stops=3"],
 }
 
 
@@ -35,10 +48,77 @@ def draw(name: str) -> Path:
     one = Batch(replace(exp.settings, width=1), exp.case, exp.case, np.zeros(1, int))
     trace = make_engine(exp, one).trace(exp.case, exp.case, one.streams, 0)
     path = FIGURES / f"{name}.png"
-    save(PLOTS["ball"](trace), path)
+    match exp.case.manoeuvre:
+        case BallDescend():
+            figure = descent(trace)
+        case BallAside() as aside:
+            figure = driven_aside(trace, exp.case, aside)
+        case _:
+            figure = PLOTS["ball"](trace)
+    save(figure, path)
     wanted = ("obstacle_x_m", "obstacle_speed_mps", "obstacle_aside_max_m", "slip_max_m")
     print(path, {key: round(float(trace.figures[key]), 4) for key in wanted})
     return path
+
+
+def descent(trace: Trace) -> Figure:
+    """The curves of fig. 3.4.8, the mass centre's elevation phi seen from the ball's, and how feet are loaded."""
+    figure, axes = plt.subplots(4, 1, figsize=(8, 9), sharex=True, layout="constrained")
+    time, base, ball = trace.time, base_pose(trace), trace.qpos[:, -7:]
+    half = 0.5 * float(np.asarray(trace.world.robot.body_length))
+    for leg, colour in ((1, "C0"), (3, "C1"), (5, "C2")):
+        axes[0].plot(time, trace.foot_position[:, leg - 1, 2], colour, label=f"foot {leg}")
+        axes[3].plot(time, np.linalg.norm(trace.foot_force[:, leg - 1], axis=-1), colour)
+    for end, colour in ((1, "k"), (-1, "0.6")):
+        ahead = np.asarray(rotate(base[:, 3:7], np.array([end * half, 0.0, 0.0])))
+        axes[0].plot(time, base[:, 2] + ahead[:, 2], colour, label="base, front" if end > 0 else "base, rear")
+    axes[1].plot(time, trace.qvel[:, -6], "k")
+    over = mass_centres(trace, slice(None)) - ball[:, :3]
+    axes[2].plot(time, np.degrees(np.arctan2(over[:, 2], over[:, 0])), "k")
+    for ax, label in zip(
+        axes, ("height (m)", "speed of the ball (m/s)", "φ (deg)", "force on the foot (N)"), strict=True
+    ):
+        ax.set_ylabel(label)
+        ax.grid(alpha=0.3)
+    axes[0].legend(ncols=5, fontsize=8, loc="upper right")
+    axes[3].set_xlabel("time (s)")
+    return figure
+
+
+def driven_aside(trace: Trace, case: Case, aside: BallAside) -> Figure:
+    """Speed of the ball to the left, by momentum and rolling friction, and where the mass centre is over it."""
+    figure, axes = plt.subplots(2, 1, figsize=(8, 5), sharex=True, layout="constrained")
+    time = trace.time
+    over = (mass_centres(trace, slice(None)) - trace.qpos[:, -7:-4])[:, 1]
+    speeds = promised(time, case, aside)
+    axes[0].plot(time, 1e3 * trace.qvel[:, -5], "C0", label="ball")
+    axes[0].plot(time, 1e3 * speeds, "k--", lw=1, label="(3.3.7), with rolling friction")
+    axes[0].set_ylabel("speed to the left (mm/s)")
+    axes[0].legend(fontsize=8)
+    axes[1].plot(time, 1e3 * over, "C0")
+    axes[1].set(ylabel="mass centre (mm)", xlabel="time (s)")
+    for ax in axes:
+        ax.grid(alpha=0.3)
+    return figure
+
+
+def promised(time: np.ndarray, case: Case, aside: BallAside) -> np.ndarray:
+    """Speed of the ball (m/s) in the first stage: angular momentum about its lowest point, by weight and friction.
+
+    The mass centre goes by (3.3.7), and its height is the base's; friction against rolling turns with the speed.
+    """
+    ball, mass = case.on(Ball), float(total_mass(case.robot))
+    plan = aside.plan(case)
+    over = float(gain(case, plan, aside.period)) * aside.speed * np.asarray(lateral_mu(aside.period, time).mu)
+    height = ball.radius + float(plan.position[0, 2])
+    inertia = ROLLING * ball.mass * ball.radius + mass * height
+    own = mass * height * np.gradient(over, time)
+    friction = ball.rolling_friction * (ball.mass + mass) * GRAVITY
+    speeds, momentum = np.zeros(len(time)), 0.0
+    for k in range(1, len(time)):
+        momentum += (time[k] - time[k - 1]) * (mass * GRAVITY * over[k] - friction * np.sign(speeds[k - 1]))
+        speeds[k] = (momentum - own[k]) / inertia
+    return np.where(time < aside.period, speeds, np.nan)
 
 
 def draw_noise(rows: pd.DataFrame) -> Path:

@@ -51,7 +51,7 @@ NEED = {
     "balance": -0.002,
 }
 # deviations that count alike
-UNIT = {"rate": 1.0, "friction": 0.02, "torque": 10.0, "balance": 0.001}  # others 0.01 m
+UNIT = {"rate": 1.0, "friction": 0.02, "torque": 10.0, "balance": 0.001, "speed": 0.02}  # others 0.01 m
 PERIOD, TIMES = 0.04, 1.05  # s, of a tick in which a plan on free bodies is played; its time, with that of waiting
 FRICTION = 2.5  # that forces may use, so that what is lacking is known where the believed one is too little
 
@@ -121,7 +121,7 @@ def judge(
     ]  # rests, in poses that others begin and end with
     number, phases = jnp.array(chosen), jnp.linspace(0, 1, moments)
     knots = jnp.linspace(0, 1, 3)
-    ticks = math.ceil(TIMES * float(np.sum(plan.duration)) / PERIOD)
+    ticks = math.ceil(TIMES * float(np.sum(plan.duration[: chosen[-1] + 1])) / PERIOD)
 
     def worst(function: Callable, at: jax.Array) -> dict[str, jax.Array]:
         seen = jax.vmap(lambda k: jax.vmap(lambda u: function(k, u))(at))(number)
@@ -133,6 +133,10 @@ def judge(
         if isinstance(case.obstacle, Ball):
             seen = play(belief, plan, PERIOD, ticks)
             found = by_stage(seen, len(names))._asdict()
+            speed = jnp.max(jnp.linalg.norm(seen.free.velocity, axis=-1), axis=1)
+            found["zmp"] = jax.ops.segment_min(played.zero_moment(seen, PERIOD), seen.stage, len(names))  # m
+            found["time"] = plan.duration  # s
+            found["speed"] = -jax.ops.segment_max(speed, seen.stage, len(names))  # m/s, of the fastest body, negative
             if least_normal is not None:
                 bounds = forces.Bounds(FRICTION, belief.drive.torque_limit, least_normal)
                 held = played.holding(belief, seen, bounds, len(names))

@@ -21,6 +21,7 @@ from sweep.controllers.support import MEASURED
 from sweep.controllers.tracker import TrackerState
 from sweep.core.rotations import exponential, multiply, rotate, wrapped
 from sweep.formulas.ball import GRAVITY, ROLLING
+from sweep.metrics.geometry import support_margin
 from sweep.metrics.planned import Holding, Margins, Swing, left
 from sweep.models.case import Case
 from sweep.models.obstacles.ball import Ball
@@ -28,6 +29,7 @@ from sweep.models.obstacles.raft import Raft
 from sweep.models.obstacles.surface import FreeState, free_start, poses
 from sweep.models.robot import total_mass
 
+SMOOTH = 0.2  # s
 SHARES = (0.1, 0.5, 0.95)  # of a stage, at which forces are planned
 
 
@@ -39,6 +41,7 @@ class Played(NamedTuple):
     free: FreeState
     stance: Stance
     stands: Bool[Array, "t 6"]
+    centre: Float[Array, "t 3"]  # m, the robot's mass centre
 
 
 class Roll(NamedTuple):
@@ -81,7 +84,7 @@ def play(case: Case, plan: Plan, period: float, ticks: int) -> Played:
         roll, then = _rolled(case, plan, state, roll, free, at - free.position[0], on_floor, period)
         velocity = (position - seen.position) / period
         seen = seen._replace(position=position, quat=quat, velocity=velocity, angles=command.joints, free=then)
-        return (state, seen, roll), Played(stage, now, free, command.target, ~swing.swings)
+        return (state, seen, roll), Played(stage, now, free, command.target, ~swing.swings, at)
 
     _, found = jax.lax.scan(tick, (state, seen, Roll(jnp.zeros(2), centre)), None, length=ticks)
     return found
@@ -143,6 +146,23 @@ def holding(case: Case, found: Played, bounds: forces.Bounds, stages: int) -> Ho
         return Holding(case.contact.friction - held.friction, case.drive.torque_limit - held.torque, -held.imbalance)
 
     return jax.vmap(jax.vmap(one))(at)
+
+
+def zero_moment(found: Played, period: float) -> Float[Array, " t"]:
+    """How far (m) the zero-moment point is inside the standing feet's polygon, at height of their mean.
+
+    Of a mass centre that goes as commanded in the mean of `SMOOTH`: drives round off its jumps.
+    """
+    many = 2 * round(SMOOTH / period / 2) + 1
+    padded = jnp.pad(found.centre, ((many // 2 + 1, many // 2 + 1), (0, 0)), mode="edge")
+    mean = jax.vmap(lambda x: jnp.convolve(x, jnp.ones(many) / many, mode="valid"), 1, 1)(padded)
+    push = (mean[2:] - 2 * mean[1:-1] + mean[:-2]) / period**2
+
+    def inside(stance: Stance, stands: Array, centre: Array, push: Array) -> Array:
+        height = centre[2] - jnp.sum(stance.feet[:, 2] * stands) / jnp.maximum(jnp.sum(stands), 1)
+        return support_margin(stance.feet[:, :2], stands, centre[:2] - height * push[:2] / (GRAVITY + push[2]))
+
+    return jax.vmap(inside)(found.stance, found.stands, mean[1:-1], push)
 
 
 def by_stage(found: Played, stages: int) -> Margins:

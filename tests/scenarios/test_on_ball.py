@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from sweep.engines import make
+from sweep.formulas.ball import GRAVITY, ROLLING
 from sweep.metrics.outcome import classify
+from sweep.models.obstacles.ball import Ball
 from sweep.study.config import compose
 
 pytestmark = pytest.mark.slow
@@ -97,3 +99,18 @@ def test_it_comes_down_from_a_ball(engine):
     assert rows["outcome"].tolist() == ["success"], rows["cause"]
     assert 0.3 < rows["obstacle_x_m"][0] < 0.6
     assert rows["leg_gap_min_m"][0] > 0
+
+
+@pytest.mark.parametrize("engine", ["native", "mjx"])
+def test_it_drives_a_ball_aside(engine):
+    """(3.3.7) gives the speed that its k_l is for, less what rolling friction takes in that time."""
+    trial = compose(["scenario=ball_aside", f"engine={engine}"])
+    ball, aside = trial.case.on(Ball), trial.case.manoeuvre
+    simulation = make(replace(trial.settings, width=1), trial.case, trial.case, trial.thresholds)
+    trace = simulation.trace(trial.case, trial.case, np.zeros(1, int), 0)
+    after = (trace.time > aside.period + 0.1) & (trace.time < aside.period + aside.coast)
+    speed = trace.qvel[after, 25].mean()
+    lost = ball.rolling_friction * GRAVITY * aside.period / (ROLLING * ball.radius)
+    assert aside.speed - lost < speed < aside.speed
+    assert classify(trace.figures, trial.thresholds, simulation.stages)["outcome"] == "success"
+    assert trace.figures["slip_max_m"] < 0.005

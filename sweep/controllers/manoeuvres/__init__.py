@@ -3,6 +3,7 @@
 from sweep.controllers.manoeuvres.afloat.raft_cross import RaftCross
 from sweep.controllers.manoeuvres.afloat.raft_stand import RaftStand
 from sweep.controllers.manoeuvres.balancing.ball import BallBalance, BallDrive
+from sweep.controllers.manoeuvres.balancing.ball_aside import BallAside
 from sweep.controllers.manoeuvres.balancing.ball_descend import BallDescend
 from sweep.controllers.manoeuvres.balancing.beam import BeamCross, BeamWalk
 from sweep.controllers.manoeuvres.climbing.corner import CornerClimb
@@ -39,6 +40,7 @@ MANOEUVRES = {
     "corner_full": CornerFull,
     "ball_balance": BallBalance,
     "ball_drive": BallDrive,
+    "ball_aside": BallAside,
     "ball_descend": BallDescend,
     "raft_cross": RaftCross,
     "raft_stand": RaftStand,

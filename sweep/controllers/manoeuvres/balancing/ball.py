@@ -245,14 +245,19 @@ class BallDrive(OnBall):
         perched = perch(belief, self)
         return assemble(on_ball(belief, perched), self.steps_of(perched, "step"), self.patience, ease=self.ease)
 
-    def steps_of(self, perched: Perch, name: str) -> list[Stage]:
-        """Tripods in turn; standing feet on the ball's axes, swinging ones in its Koenig frame."""
+    def steps_of(self, perched: Perch, name: str, first: float = 1.0) -> list[Stage]:
+        """Tripods in turn; standing feet on the ball's axes, swinging ones in its Koenig frame.
+
+        The `first` takes a share of a step's time: half of it where the ball rolls already, and its feet start in the
+        middle of the way that they go with it.
+        """
         stages = []
         for k in range(self.steps):
             legs = TRIPOD[k % 2]
             swing = {leg: perched.feet[leg - 1] for leg in legs}
             frames = tuple(koenig(0) if leg in legs else fixed(0) for leg in LEGS)
-            stages.append(Stage(f"{name}{k + 1}", self.step_time, swing, CYCLE_A, position=perched.position,
+            time = self.step_time * (1.0 if k else first)
+            stages.append(Stage(f"{name}{k + 1}", time, swing, CYCLE_A, position=perched.position,
                                 foot_frames=frames, base_frame=koenig(0), onset=REGRIP))  # fmt: skip
         return stages
 
@@ -269,14 +274,15 @@ class BallDrive(OnBall):
         memory = jax.tree.map(lambda a, b: jnp.where(begins, a, b), planned, state.memory)
         swings = plan.swing[state.stage][:, None]
         goal = jnp.where(begins, jnp.where(swings, landing, state.feet), state.goal)
-        phase = jnp.clip(state.clock / self.step_time, 0.0, 1.0)
+        time = plan.duration[state.stage]
+        phase = jnp.clip(state.clock / time, 0.0, 1.0)
         share, height = swing_progress(plan.cycle[state.stage], jnp.zeros(()), phase)
         lift = height * self.lift_ratio * belief.robot.body_length
         on_way = over_ball(state.feet, goal, share, phase, lift)
         feet = jnp.where(swings, on_way, rotate(seen.free.quat, state.feet))
         blend = jnp.minimum(1.0, 2 * phase)
         aside = memory.aside_before + blend**2 * (3 - 2 * blend) * (memory.aside - memory.aside_before)
-        pulse = memory.push * stabilise_delta(self.step_time, 0.0, state.clock).pulse
+        pulse = memory.push * time / self.step_time * stabilise_delta(time, 0.0, state.clock).pulse  # as fast in any
         position = self._compensated(belief, plan.position[state.stage], feet, pulse, aside)
         feet = jnp.where(swings, feet, rotate(conjugate(seen.free.quat), feet))
         return Guidance(Stance(feet, position, plan.quat[state.stage]), goal, memory)
@@ -297,13 +303,21 @@ class BallDrive(OnBall):
         return planned, landing
 
     def _compensated(self, belief: Case, perched: Array, feet: Array, ahead: Array, aside: Array) -> Float[Array, " 3"]:
-        """The base (m, Koenig) that has the robot's mass centre at `ahead` and `aside` (m): iteration (3.1.10)."""
-        robot = belief.robot
-        heavier = total_mass(robot) / robot.body_mass
-        wanted = jnp.stack([ahead, aside])
-        position = perched.at[:2].add(wanted)
-        free = jnp.array([1.0 if self.compensate == "both" else 0.0, 1.0])
-        for _ in range(CHI_ITERATIONS):
-            off = wanted - centre_of_mass(robot, Stance(feet, position, jnp.array(UPRIGHT)))[:2]
-            position = position.at[:2].add(heavier * free * off)
-        return position
+        """The base (m, Koenig) that has the robot's mass centre at `ahead` and `aside` (m)."""
+        return compensated(belief.robot, perched, feet, jnp.stack([ahead, aside]), self.compensate == "both")
+
+
+def compensated(
+    robot: Robot, perched: Float[Array, " 3"], feet: Float[Array, "6 3"], wanted: Float[Array, " 2"], lengthwise: bool
+) -> Float[Array, " 3"]:
+    """The level base (m) that has the robot's mass centre over the plane at `wanted` (m), by (3.1.10).
+
+    From its balanced place `perched`; aside, and `lengthwise` too if told.
+    """
+    heavier = total_mass(robot) / robot.body_mass
+    position = perched.at[:2].add(wanted)
+    free = jnp.array([1.0 if lengthwise else 0.0, 1.0])
+    for _ in range(CHI_ITERATIONS):
+        off = wanted - centre_of_mass(robot, Stance(feet, position, jnp.array(UPRIGHT)))[:2]
+        position = position.at[:2].add(heavier * free * off)
+    return position

@@ -2,13 +2,15 @@
 
 Until the front feet stand on the floor, base and feet go with the ball as it is seen; then it is meant to come to rest,
 and feet on it push it there: from where it is seen when each stage begins, and while the robot leaves it from where it
-was meant to be, or the base would follow a ball that rolls away. All numbers of `TABLE` but the order of its stages
-were searched for together, by true distances and with the ball where it rolls to (`tools/search_plan.py`).
+was meant to be, or the base would follow a ball that rolls away. Feet are planned where they will be when the ball has
+come to rest, and put down short of it by the way that a ball of the believed mass has yet to roll, at the speed that
+(3.1.13) tells. All numbers of `TABLE` but the order of its stages were searched for together, by true distances and
+with the ball where it rolls to (`tools/search_plan.py`).
 """
 
 import math
 from collections.abc import Mapping
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array
@@ -18,6 +20,7 @@ from sweep.controllers.manoeuvres.balancing.ball import BallDrive, OnBall, on_ba
 from sweep.controllers.manoeuvres.balancing.beside_ball import (
     FRONT,
     MIDDLE,
+    ON_BALL,
     ON_FLOOR,
     REAR,
     Held,
@@ -29,105 +32,164 @@ from sweep.controllers.manoeuvres.balancing.beside_ball import (
 from sweep.controllers.manoeuvres.balancing.parts import InParts, Steps
 from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.plan import Plan, Stage, assemble
-from sweep.controllers.support import MEASURED, RESTS, STAYS
+from sweep.controllers.support import RESTS, STAYS
 from sweep.controllers.tracker import Guided
 from sweep.core.parameters import choice, count, parameters, quantity
+from sweep.formulas.ball import ball_omega
 from sweep.models.case import Case
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.ball import Ball
+from sweep.models.robot import total_mass
 
 STILL = (0.0, 0.0)
 
-TABLE = (
-    Move("lower", 0.3, Pose(90.0, 1.332, 0.071), rates=(0.0, 1.0)),
-    Move("rear", 0.7, Pose(90.0, 1.196, 0.14), REAR, place=(0.75, 72.0), lift=0.08, plane=(0.5, 0.0, 1.0)),
-    Move("middle", 0.7, Pose(90.0, 1.325, 0.081), MIDDLE, place=(0.655, 97.0), lift=0.08, plane=(0.5, 0.0, 1.0)),
-    Move("front", 0.7, Pose(90.7, 1.105, -0.034), FRONT, place=(0.597, 157.9), lift=0.08, plane=(0.5, 0.0, 1.0)),
-    Move("turn", 0.35, Pose(104.0, 1.104, 0.135)),
-    Move(
-        "middle2", 0.6, Pose(122.0, 1.128, 0.087), MIDDLE, place=(0.767, 148.4), lift=0.212, plane=(0.241, 0.429, 0.791)
+
+class Table(NamedTuple):
+    """Its moves. Places of feet are those where they are when the ball has come to rest."""
+
+    top: tuple[Move, ...]  # on top of the ball, to where coming down needs feet
+    down: tuple[Move, ...]  # with the ball, which rolls, to the front feet's touchdown
+    off: tuple[Move, ...]  # the ball stops, and is left
+
+
+TABLE = Table(
+    top=(
+        Move("lower", 0.3, Pose(90.0, 1.333, 0.061), rates=(0.0, 1.0)),
+        Move("rear", 0.7, Pose(90.0, 1.221, 0.104), REAR, place=(0.669, 95.3), lift=0.078, plane=(0.5, 0.0, 1.0)),
+        Move("middle", 0.7, Pose(90.0, 1.338, 0.096), MIDDLE, place=(0.655, 121.5), lift=0.079, plane=(0.5, 0.0, 1.0)),
+        Move("front", 0.7, Pose(90.3, 1.105, -0.039), FRONT, place=(0.603, 180.5), lift=0.08, plane=(0.5, 0.0, 1.0)),
     ),
-    Move("grip", 0.25, Pose(128.0, 1.131, 0.0)),
-    Move(
-        "front2",
-        0.8,
-        Pose(150.0, 1.087, 0.165),
-        FRONT,
-        ON_FLOOR,
-        place=(0.718, 1.573),
-        lift=0.131,
-        plane=(0.768, 0.49, 0.406),
-        rates=(1.0, 0.5),
+    down=(
+        Move("turn", 0.35, Pose(104.0, 1.102, 0.117)),
+        Move(
+            "middle2",
+            0.6,
+            Pose(122.0, 1.123, 0.072),
+            MIDDLE,
+            place=(0.754, 167.6),
+            lift=0.212,
+            plane=(0.241, 0.429, 0.791),
+        ),
+        Move("grip", 0.25, Pose(128.0, 1.137, 0.001)),
+        Move(
+            "front2",
+            0.8,
+            Pose(150.0, 1.086, 0.2),
+            FRONT,
+            ON_FLOOR,
+            place=(0.718, 1.421),
+            lift=0.13,
+            plane=(0.782, 0.46, 0.378),
+            rates=(1.0, 0.5),
+        ),
     ),
-    Move("brake", 0.9, Pose(150.0, 1.086, 0.275), rates=(1.0, 0.0), support=RESTS),
-    Move("hold", 0.4, Pose(150.0, 1.079, 0.251), support=RESTS),
-    Move(
-        "rear2",
-        0.8,
-        Pose(150.0, 1.088, 0.416),
-        REAR,
-        place=(0.647, 106.4),
-        lift=0.125,
-        plane=(0.5, 1.0, 0.8),
-        support=RESTS,
-    ),
-    Move("down", 1.5, Pose(141.2, 1.1, 0.686), rates=STILL, support=RESTS),
-    Move(
-        "middle3",
-        0.8,
-        Pose(147.0, 1.068, 0.778),
-        MIDDLE,
-        ON_FLOOR,
-        place=(0.581, 1.142),
-        lift=0.123,
-        plane=(1.355, -0.505, 0.06),
-        support=RESTS,
-    ),
-    Move(
-        "rear3",
-        0.8,
-        Pose(146.1, 1.076, 0.813),
-        REAR,
-        place=(0.706, 164.1),
-        lift=0.229,
-        plane=(0.037, 1.188, 1.421),
-        support=RESTS,
-    ),
-    Move(
-        "middle4",
-        0.8,
-        Pose(145.9, 1.074, 0.777),
-        MIDDLE,
-        ON_FLOOR,
-        place=(0.568, 1.417),
-        lift=0.06,
-        plane=(0.0, 0.0, 1.0),
-        support=RESTS,
-    ),
-    Move(
-        "front3",
-        0.8,
-        Pose(153.1, 1.1, 0.689),
-        FRONT,
-        ON_FLOOR,
-        place=(0.708, 2.067),
-        lift=0.219,
-        plane=(0.189, -0.417, 0.77),
-        support=RESTS,
-    ),
-    Move("level", 2.0, Pose(90.0, -0.278, 1.885), rates=STILL, support=STAYS),
-    Move(
-        "rear4",
-        0.8,
-        Pose(90.0, -0.293, 1.71),
-        REAR,
-        ON_FLOOR,
-        place=(0.455, 1.109),
-        lift=0.152,
-        plane=(1.109, 1.619, 0.361),
-        support=STAYS,
+    off=(
+        Move("brake", 0.9, Pose(150.0, 1.086, 0.275), rates=(1.0, 0.0), support=RESTS),
+        Move("hold", 0.4, Pose(150.0, 1.079, 0.251), support=RESTS),
+        Move(
+            "rear2",
+            0.8,
+            Pose(150.0, 1.088, 0.416),
+            REAR,
+            place=(0.647, 106.4),
+            lift=0.125,
+            plane=(0.5, 1.0, 0.8),
+            support=RESTS,
+        ),
+        Move("down", 1.5, Pose(141.2, 1.1, 0.686), rates=STILL, support=RESTS),
+        Move(
+            "middle3",
+            0.8,
+            Pose(147.0, 1.069, 0.773),
+            MIDDLE,
+            ON_FLOOR,
+            place=(0.563, 1.15),
+            lift=0.127,
+            plane=(1.357, -0.527, 0.071),
+            support=RESTS,
+        ),
+        Move(
+            "rear3",
+            0.8,
+            Pose(146.1, 1.068, 0.822),
+            REAR,
+            place=(0.706, 164.1),
+            lift=0.23,
+            plane=(0.052, 1.209, 1.414),
+            support=RESTS,
+        ),
+        Move(
+            "middle4",
+            0.8,
+            Pose(145.9, 1.075, 0.781),
+            MIDDLE,
+            ON_FLOOR,
+            place=(0.565, 1.415),
+            lift=0.06,
+            plane=(0.0, 0.0, 1.0),
+            support=RESTS,
+        ),
+        Move(
+            "front3",
+            0.8,
+            Pose(153.1, 1.1, 0.688),
+            FRONT,
+            ON_FLOOR,
+            place=(0.708, 2.067),
+            lift=0.219,
+            plane=(0.189, -0.417, 0.77),
+            support=RESTS,
+        ),
+        Move("level", 2.0, Pose(90.0, -0.278, 1.885), rates=STILL, support=STAYS),
+        Move(
+            "rear4",
+            0.8,
+            Pose(90.0, -0.293, 1.71),
+            REAR,
+            ON_FLOOR,
+            place=(0.455, 1.109),
+            lift=0.152,
+            plane=(1.109, 1.619, 0.361),
+            support=STAYS,
+        ),
     ),
 )
+
+
+def speed(belief: Case, table: Table, time: Array) -> Array:
+    """Of the ball (m/s) when the robot has come down so far in `time` (s), by monograph (3.1.13)."""
+    ball, pose = belief.on(Ball), table.down[-1].pose
+    way = jnp.radians(jnp.asarray(pose.elevation, float) - 90)
+    rate = -way / time
+    rolls = ball_omega(total_mass(belief.robot), ball.mass, ball.radius, pose.distance * ball.radius, jnp.pi / 2,
+                       jnp.pi / 2 - way, rate, 0.0)  # fmt: skip
+    return jnp.abs(rolls.omega) * ball.radius
+
+
+def led(belief: Case, table: Table, rate: Array | float) -> Table:
+    """The table with feet where they are to be put down, and with its times, at a `rate` of the way down.
+
+    At a constant rate down the ball is the faster the farther the mass centre has gone: as 1 - cos of the angle.
+    """
+    ball = belief.on(Ball)
+    time = sum(move.time for move in table.down) / jnp.asarray(rate, float)
+    fastest = speed(belief, table, time)
+    stops = 0.5 * fastest * table.off[0].time
+
+    def angle(move: Move) -> Array:
+        return jnp.radians(jnp.asarray(move.pose.elevation, float) - 90)
+
+    end = angle(table.down[-1])
+
+    def ahead(move: Move, at: Array | float) -> Move:
+        left = (end - jnp.sin(end)) - (at - jnp.sin(at))
+        turn = (stops + fastest * time / end * left / (1 - jnp.cos(end))) / ball.radius
+        aside, place = move.place
+        return move._replace(place=(aside, place - jnp.degrees(turn) if move.where == ON_BALL else place + turn))
+
+    top = tuple(ahead(move, 0.0) for move in table.top)
+    down = tuple(ahead(move._replace(time=move.time / rate), angle(move)) for move in table.down)
+    return Table(top, down, table.off)
 
 
 @parameters
@@ -139,7 +201,7 @@ class BallDescend(OnBall, InParts):
 
     goal: ClassVar = {**UPRIGHT, "obstacle_speed_error_max_mps": 0.01}
     kind: str = choice("ball_descend", "ball_descend")
-    rate: float = quantity(1.0, "-", above=0, at_most=10)  # of the way to the floor, over that of `TABLE`
+    rate: float = quantity(1.0, "-", above=0, at_most=10)  # of the way down to the floor, over that of `TABLE`
     calm: int = count(10, at_least=1, at_most=100)  # steps at most
     calm_speed: float = quantity(0.01, "m/s", above=0)  # of a ball that is calm
     rest: float = quantity(2.0, "s", above=0)  # on the floor, in the end
@@ -149,7 +211,7 @@ class BallDescend(OnBall, InParts):
     patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
 
     @property
-    def table(self) -> tuple[Move, ...]:
+    def table(self) -> Table:
         """The numbers of its plan."""
         return TABLE
 
@@ -157,7 +219,7 @@ class BallDescend(OnBall, InParts):
         """The ball is to stand (m/s)."""
         return jnp.zeros_like(duration)
 
-    def plan(self, belief: Case, table: tuple[Move, ...] | None = None) -> Plan:
+    def plan(self, belief: Case, table: Table | None = None) -> Plan:
         """Calm the ball, come down, rest.
 
         Raises `InputError` where the feet do not reach the ball, by plain numbers.
@@ -165,10 +227,7 @@ class BallDescend(OnBall, InParts):
         refuse(belief, lambda: on_ball(belief, perch(belief, self)))
         ball, perched = belief.on(Ball), perch(belief, self)
         stand = dict.fromkeys(LEGS, fixed(0))
-        moves = [
-            move._replace(time=move.time / self.rate) if move.support.mode == MEASURED else move
-            for move in (self.table if table is None else table)
-        ]
+        moves = [move for part in led(belief, table or self.table, self.rate) for move in part]
         on_top = Pose(90.0, perched.position[2] / ball.radius, perched.position[0] / ball.radius)
         held = Held(self.deepening, (self.press, self.squeeze))
         down = stages(ball, moves, on_top, stand, held)
@@ -177,7 +236,7 @@ class BallDescend(OnBall, InParts):
                      onset=last.onset, press=last.press)  # fmt: skip
         return assemble(
             on_ball(belief, perched),
-            [*self.calming.steps_of(perched, "calm"), *down, halt],
+            [*self.calming.steps_of(perched, "calm", first=0.5), *down, halt],
             self.patience,
             ease=self.ease,
         )

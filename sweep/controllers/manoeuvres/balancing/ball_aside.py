@@ -1,0 +1,91 @@
+"""Driving a free ball sideways, the robot standing on it (monograph 3.3.3)."""
+
+from typing import ClassVar, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from sweep.controllers.frames import fixed, koenig
+from sweep.controllers.manoeuvres.balancing.ball import OnBall, compensated, on_ball, perch
+from sweep.controllers.manoeuvres.goals import UPRIGHT
+from sweep.controllers.observation import Observation
+from sweep.controllers.plan import KEEP, Plan, Stage, Stance, assemble
+from sweep.controllers.tracker import Guidance, TrackerState
+from sweep.core.parameters import choice, count, parameters, quantity
+from sweep.core.rotations import rotate
+from sweep.formulas.ball import GRAVITY, ROLLING, lateral_mu
+from sweep.models.case import Case
+from sweep.models.obstacles.ball import Ball
+from sweep.models.robot import total_mass
+
+PLATEAU = 1.5  # integral of mu over T
+
+
+class AsideMemory(NamedTuple):
+    """Of a stage."""
+
+    push: Float[Array, ""]  # m, k_l (v_d - v_b) to the left
+
+
+@parameters
+class BallAside(OnBall):
+    """Drive a ball to the left at `speed`, coast, and stop it, all feet standing. Ratios are to the length a_r.
+
+    In a stage of T the mass centre goes aside by k_l (v_d - v_b) mu(tau), (3.3.7), and comes back. k_l follows from the
+    angular momentum of robot and ball about the ball's lowest point: so that one stage gives the speed that lacks. The
+    print moves the base so; what its feet take the mass centre aside while the ball rolls off below adds to the push,
+    and is taken back by (3.1.10) at every tick.
+    """
+
+    goal: ClassVar = {**UPRIGHT, "obstacle_speed_error_max_mps": 0.01}
+    kind: str = choice("ball_aside", "ball_aside")
+    speed: float = quantity(0.03, "m/s")  # v_d, to the left
+    period: float = quantity(2.0, "s", above=0, at_most=20)  # T, time of a stage
+    coast: float = quantity(0.5, "s", above=0)  # between driving and stopping
+    gain: float = quantity(1.0, "-", above=0)  # of k_l, over that by the angular momentum
+    stops: int = count(8, at_least=1, at_most=500)  # stages that stop the ball
+
+    def obstacle_speed(self, duration: Array) -> Array:
+        """The ball is to stand in the end (m/s)."""
+        return jnp.zeros_like(duration)
+
+    def plan(self, belief: Case) -> Plan:
+        """Drive, coast, stop; all feet stay."""
+        perched = perch(belief, self)
+        times = {"drive": self.period, "coast": self.coast}
+        times |= {f"stop{k + 1}": self.period for k in range(self.stops)}
+        stages = [
+            Stage(name, time, position=perched.position, foot_frames=(fixed(0),) * 6, base_frame=koenig(0), onset=KEEP)
+            for name, time in times.items()
+        ]
+        return assemble(on_ball(belief, perched), stages, 0.0)
+
+    def memory(self, belief: Case, plan: Plan) -> AsideMemory:
+        """Nothing pushed yet."""
+        return AsideMemory(jnp.zeros(()))
+
+    def guide(
+        self, belief: Case, plan: Plan, state: TrackerState, seen: Observation, begins: Bool[Array, ""], period: float
+    ) -> Guidance:
+        """The mass centre over the ball, and aside of it as the stage has planned where it began."""
+        stage = state.stage
+        wanted = jnp.where(stage == 0, self.speed, seen.free.velocity[0, 1])  # coasting, as it goes
+        wanted = jnp.where(stage > 1, 0.0, wanted)
+        push = self.gain * gain(belief, plan, self.period) * (wanted - seen.free.velocity[0, 1])
+        memory: AsideMemory = jax.tree.map(lambda a, b: jnp.where(begins, a, b), AsideMemory(push), state.memory)
+        aside = memory.push * lateral_mu(self.period, jnp.minimum(state.clock, self.period)).mu
+        feet = rotate(seen.free.quat, state.feet)
+        over = jnp.stack([jnp.zeros_like(aside), aside])
+        position = compensated(belief.robot, plan.position[stage], feet, over, lengthwise=True)
+        return Guidance(Stance(state.feet, position, plan.quat[stage]), state.feet, memory)
+
+
+def gain(belief: Case, plan: Plan, period: Array | float) -> Array:
+    """k_l (s): the mass centre aside by k_l (v_d - v_b) mu for T changes the ball's speed from v_b to v_d.
+
+    The mass centre's height is taken to be the base's.
+    """
+    ball, mass = belief.on(Ball), total_mass(belief.robot)
+    inertia = ROLLING * ball.mass * ball.radius + mass * (ball.radius + plan.position[0, 2])
+    return inertia / (PLATEAU * mass * GRAVITY * period)
