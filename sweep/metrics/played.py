@@ -4,7 +4,7 @@ Bodies go as they are meant to. A ball that is followed where it is seen rolls a
 about its lowest point has it, links counted as mass points; it stays where it is while feet stand on the floor, too.
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -27,6 +27,7 @@ from sweep.models.obstacles.surface import FreeState, free_start, poses
 from sweep.models.robot import total_mass
 
 SHARES = (0.1, 0.5, 0.95)  # of a stage, at which forces are planned
+SHORT = 1e-3  # s, before the end of a stage, at which there is a tick: feet begin the next one where they are then
 
 
 class Played(NamedTuple):
@@ -47,7 +48,7 @@ class Roll(NamedTuple):
 
 
 def play(case: Case, plan: Plan, period: float, ticks: int) -> Played:
-    """The plan of `case`, which is its own world and belief, in `ticks` of `period` s."""
+    """The plan of `case`, which is its own world and belief, in `ticks` of `period` s, or less to the end of a stage."""
     free = free_start(case.obstacle)
     state = tracker.init(case, plan)
     still, joints = jnp.zeros(3), state.joints
@@ -66,9 +67,11 @@ def play(case: Case, plan: Plan, period: float, ticks: int) -> Played:
 
     def tick(carry: tuple, _: None) -> tuple[tuple, Played]:
         state, seen, roll = carry
-        state, command = tracker.step(case, plan, state, seen, period)
+        remains = plan.duration[state.stage] - state.clock
+        h = jnp.where((remains > 2 * SHORT) & (remains <= period + SHORT), remains - SHORT, period)
+        state, command = tracker.step(case, plan, state, seen, cast(float, h))
         position, quat = command.target.position, command.target.quat
-        rates = wrapped(command.joints - seen.angles) / period
+        rates = wrapped(command.joints - seen.angles) / h
         stage, free = state.stage, tracker.bodies(plan, state, seen.free)
         starts, goal = (to_world(feet, plan.foot_frame[stage], free) for feet in (state.feet, state.goal))
         swing = Swing(plan.swing[stage], starts, goal)
@@ -76,8 +79,8 @@ def play(case: Case, plan: Plan, period: float, ticks: int) -> Played:
         feet = feet_in_world(case.robot, position, quat, command.joints)
         on_floor = jnp.any(~swing.swings & (case.obstacle.surface(feet, (-1,) * 6, poses(free)).body < 0))
         at = position + rotate(quat, mass_centre(case.robot, command.joints))
-        roll, then = _rolled(case, plan, state, roll, free, at - free.position[0], on_floor, period)
-        velocity = (position - seen.position) / period
+        roll, then = _rolled(case, plan, state, roll, free, at - free.position[0], on_floor, h)
+        velocity = (position - seen.position) / h
         seen = seen._replace(position=position, quat=quat, velocity=velocity, angles=command.joints, free=then)
         return (state, seen, roll), Played(stage, now, free, command.target, ~swing.swings)
 
@@ -86,7 +89,7 @@ def play(case: Case, plan: Plan, period: float, ticks: int) -> Played:
 
 
 def _rolled(
-    case: Case, plan: Plan, state: TrackerState, roll: Roll, free: FreeState, centre: Array, on_floor: Array, h: float
+    case: Case, plan: Plan, state: TrackerState, roll: Roll, free: FreeState, centre: Array, on_floor: Array, h: Array
 ) -> tuple[Roll, FreeState]:
     """The ball `h` s later, with the robot's mass centre at `centre` (m) from its own.
 

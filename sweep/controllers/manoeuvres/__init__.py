@@ -1,6 +1,7 @@
 """Manoeuvres: parameters and the plan that follows from them and from what is believed of the world."""
 
 from sweep.controllers.manoeuvres.balancing.ball import BallBalance, BallDrive
+from sweep.controllers.manoeuvres.balancing.ball_climb import BallClimb
 from sweep.controllers.manoeuvres.balancing.ball_descend import BallDescend
 from sweep.controllers.manoeuvres.balancing.beam import BeamCross, BeamWalk
 from sweep.controllers.manoeuvres.climbing.corner import CornerClimb
@@ -33,5 +34,6 @@ MANOEUVRES = {
     "corner_full": CornerFull,
     "ball_balance": BallBalance,
     "ball_drive": BallDrive,
+    "ball_climb": BallClimb,
     "ball_descend": BallDescend,
 }

@@ -1,0 +1,225 @@
+"""From the floor on to a free ball and to rest on its top (monograph 3.3.1, 3.3.2)."""
+
+import math
+from collections.abc import Mapping
+from typing import ClassVar, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from sweep.controllers.frames import WORLD
+from sweep.controllers.manoeuvres.balancing.ball import BallDrive, OnBall, perch
+from sweep.controllers.manoeuvres.balancing.ball_ride import RIDE, UP, Ride
+from sweep.controllers.manoeuvres.balancing.beside_ball import (
+    FRONT,
+    MIDDLE,
+    ON_FLOOR,
+    REAR,
+    Held,
+    Move,
+    Pose,
+    centre,
+    foothold,
+    refuse,
+    stages,
+)
+from sweep.controllers.manoeuvres.balancing.parts import InParts, Steps
+from sweep.controllers.manoeuvres.goals import UPRIGHT
+from sweep.controllers.plan import Plan, Stance, assemble
+from sweep.controllers.support import RESTS, TO_VELOCITY, Support
+from sweep.controllers.tracker import Guided
+from sweep.core.errors import InputError
+from sweep.core.parameters import choice, count, parameters, quantity
+from sweep.formulas.ball_reach import max_ball
+from sweep.models.case import Case
+from sweep.models.legs import LEGS
+from sweep.models.obstacles.ball import Ball
+
+STILL = (0.0, 0.0)
+
+
+class Table(NamedTuple):
+    """The numbers of the plan: where the feet start, moves up to the push, swings of the ride, moves on top."""
+
+    floor: tuple[tuple[float, float], ...]  # R, of rear, middle and front feet, see `Move.place`
+    level: Pose
+    prepare: tuple[Move, ...]
+    push: Move
+    ride: tuple[Move, ...]  # with places as if the base were on top
+    top: tuple[Move, ...]
+
+
+TABLE = Table(
+    floor=((0.536, -2.083), (0.536, -1.452), (0.536, -1.131)),
+    level=Pose(90.0, -0.286, -1.678),
+    prepare=(
+        Move(
+            "front",
+            0.8,
+            Pose(90.0, -0.286, -1.678),
+            FRONT,
+            place=(0.5956, 24.9642),
+            lift=0.1261,
+            plane=(-0.88, 0.9478, 0.219),
+            support=RESTS,
+        ),
+        Move("turn1", 0.55, Pose(68.9, 0.3605, -1.6167), rates=(0.0, 1.1), support=RESTS),
+        Move("turn2", 0.5, Pose(49.4, 0.8833, -1.231), support=RESTS),
+        Move("turn3", 0.55, Pose(30.7263, 1.0762, -0.8064), rates=(1.1, 0.0), support=RESTS),
+        Move(
+            "rear",
+            0.8,
+            Pose(31.6996, 1.077, -0.8144),
+            REAR,
+            ON_FLOOR,
+            place=(0.7953, -1.3822),
+            lift=0.0502,
+            plane=(-0.1847, -0.1994, 1.0513),
+            support=RESTS,
+        ),
+        Move(
+            "middle",
+            0.8,
+            Pose(32.1957, 1.0801, -0.7627),
+            MIDDLE,
+            ON_FLOOR,
+            place=(0.5307, -1.1173),
+            lift=0.0331,
+            plane=(0.0, 0.0, 1.0),
+            support=RESTS,
+        ),
+        Move(
+            "front2",
+            0.8,
+            Pose(32.1846, 1.078, -0.8102),
+            FRONT,
+            place=(0.6404, 62.396),
+            lift=0.071,
+            plane=(-0.5, 1.0, 0.8),
+            support=RESTS,
+        ),
+        Move(
+            "middle2",
+            0.8,
+            Pose(32.5262, 1.0846, -0.8143),
+            MIDDLE,
+            place=(0.8309, 6.7243),
+            lift=0.1468,
+            plane=(-0.7619, 1.0563, -0.2171),
+            support=RESTS,
+        ),
+        Move("grip", 0.32, Pose(32.8374, 1.0895, -0.7828), support=RESTS),
+        Move("lift", 1.5, Pose(31.8345, 1.0928, -0.4435), rates=STILL, support=RESTS),
+        Move(
+            "front3",
+            0.8,
+            Pose(31.5451, 1.0896, -0.4565),
+            FRONT,
+            place=(0.8, 77.2),
+            lift=0.1626,
+            plane=(-0.5, 1.0, 0.8),
+            support=RESTS,
+        ),
+        Move("grip2", 0.32, Pose(28.2564, 1.0815, -0.4248), support=RESTS),
+    ),
+    push=Move("push", 0.9, Pose(30.1, 1.0874, -0.2597), rates=(0.0, 2.0)),
+    ride=(
+        Move(
+            "rear3", 1.05, Pose(90.0, 1.078), REAR, place=(0.6237, 54.6168), lift=0.0915, plane=(0.0079, 0.5617, 0.5876)
+        ),
+        Move("middle3", 0.5, Pose(90.0, 1.078), MIDDLE, place=(0.6838, 89.6245), lift=0.068, plane=(0.0, 0.5, 1.0)),
+        Move(UP, 3.0, Pose(90.0, 1.078)),
+    ),
+    top=(
+        Move("middle4", 0.6, Pose(90.0, 1.078), MIDDLE, place=(0.613, 90.0), lift=0.0469, plane=(0.0, 0.5, 1.0)),
+        Move("rise", 0.5, Pose(90.0, 1.13, 0.06), rates=STILL),
+        Move("rear4", 0.6, Pose(90.0, 1.18, 0.06), REAR, place=(0.438, 61.5), lift=0.0738, plane=(0.0, 0.5, 1.0)),
+        Move("shift", 0.4, Pose(90.0, 1.21, -0.07), rates=STILL),
+        Move("front4", 0.6, Pose(90.0, 1.2414, -0.07), FRONT, place=(0.438, 118.5), lift=0.0597, plane=(0.0, 0.5, 1.0)),
+    ),
+)
+
+
+@parameters
+class BallClimb(OnBall, InParts):
+    """From the floor on to a free ball and to rest on its top. Stages and their numbers are `TABLE`."""
+
+    goal: ClassVar = {**UPRIGHT, "obstacle_speed_error_max_mps": 0.01, "obstacle_aside_max_m": 0.05}
+    kind: str = choice("ball_climb", "ball_climb")
+    calm: int = count(15, at_least=1, at_most=100)  # steps on top
+    push_speed: float = quantity(0.324, "m/s", above=0)  # v_*, of the ball after the push
+    gain: float = quantity(0.918, "-", above=0, at_most=2)  # of the rate (3.1.16)
+    most_rate: float = quantity(1.5, "rad/s", above=0)
+    centring: float = quantity(1.52, "s", above=0)
+    calm_speed: float = quantity(0.0, "m/s", at_least=0)  # of a ball that needs no further step
+    step_time: float = quantity(0.9, "s", above=0, at_most=20)  # of the steps on top
+    speed_gain: float = quantity(0.6, "s", at_least=0)  # k_v
+    aside_gain: float = quantity(0.4, "-", at_least=0)  # k_1
+    aside_gain_before: float = quantity(0.3, "-", at_least=0)  # k_2
+    press: float = quantity(1.6e-3, "m", at_least=0, at_most=0.05)  # feet on the ball deeper than they are measured
+    squeeze: float = quantity(3.2e-3, "m", at_least=0, at_most=0.05)  # the same to the middle
+    ease: float = quantity(0.15, "s", above=0)  # in which feet go over to where they are measured
+    patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
+
+    @property
+    def table(self) -> Table:
+        """The numbers of its plan."""
+        return TABLE
+
+    def obstacle_speed(self, duration: Array) -> Array:
+        """The ball is to stand (m/s)."""
+        return jnp.zeros_like(duration)
+
+    def plan(self, belief: Case, table: Table | None = None) -> Plan:
+        """Feet to the ball, base to its tangent, push, ride, stand on top, calm the ball.
+
+        Raises `InputError` where the ball is too large, or the feet do not reach the floor, by plain numbers.
+        """
+        ball, table = belief.on(Ball), table or self.table
+        self.refuse(belief)
+        refuse(belief, lambda: self.stance(ball, table))
+        held, stand = Held(self.deepening, (self.press, self.squeeze)), dict.fromkeys(LEGS, WORLD)
+        rolls = Support(TO_VELOCITY, jnp.zeros(3).at[0].set(self.push_speed),
+                        jnp.zeros(3).at[1].set(self.push_speed / ball.radius))  # fmt: skip
+        prepare = (*table.prepare, table.push._replace(support=rolls))
+        moves = stages(ball, prepare, table.level, stand, held)
+        moves += stages(ball, table.ride, table.push.pose, stand, held, RIDE)
+        moves += stages(ball, table.top, table.ride[-1].pose, stand, held)
+        calm = self.calming.steps_of(perch(belief, self), "calm")
+        return assemble(self.stance(ball, table), [*moves, *calm], self.patience, ease=self.ease)
+
+    def stance(self, ball: Ball, table: Table) -> Stance:
+        """Where the robot stands at the start."""
+        start, up = Move("", 0.0, table.level, where=ON_FLOOR), jnp.zeros(3).at[2].set(ball.radius)
+        feet = [foothold(ball, leg, start._replace(place=table.floor[(leg - 1) // 2]), self.deepening) for leg in LEGS]
+        return Stance(jnp.stack(feet) + up, centre(ball, table.level) + up, jnp.array([1.0, 0.0, 0.0, 0.0]))
+
+    def refuse(self, belief: Case) -> None:
+        """Raise `InputError` where the front feet do not reach so high that friction holds them: (3.1.18)-(3.1.22)."""
+        robot, radius = belief.robot, belief.on(Ball).radius
+        highest = 2 * (robot.thigh + robot.shin)  # of the front hips for which the ball may be largest
+        numbers = (robot.thigh, robot.shin, highest, robot.body_width, belief.contact.friction)
+        if not all(isinstance(x, float) for x in (*numbers, radius)):
+            return
+        with jax.ensure_compile_time_eval():
+            most = float(max_ball(*numbers).R)
+        if not radius <= most:
+            raise InputError(
+                f"obstacle.radius = {radius:g} is not allowed: at most {most:.2f} m can be climbed by legs of "
+                f"{robot.thigh:g} and {robot.shin:g} m at friction {numbers[-1]:g} (formula max_ball)"
+            )
+
+    @property
+    def calming(self) -> BallDrive:
+        """The steps that stop the ball."""
+        return BallDrive(steps=self.calm, speed=0.0, step_time=self.step_time, speed_gain=self.speed_gain,
+                         aside_gain=self.aside_gain, aside_gain_before=self.aside_gain_before,
+                         circle_ratio=self.circle_ratio, chord_ratio=self.chord_ratio,
+                         height_ratio=self.height_ratio, deepening=self.deepening)  # fmt: skip
+
+    @property
+    def parts(self) -> Mapping[str, Guided]:
+        """The ride up, and the calming steps."""
+        ride = Ride(self.gain, self.most_rate, self.centring)
+        return {RIDE: ride, "calm": Steps(self.calming, self.calm_speed, math.inf)}
