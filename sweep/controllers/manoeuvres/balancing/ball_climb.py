@@ -149,12 +149,12 @@ class BallClimb(OnBall, InParts):
 
     goal: ClassVar = {**UPRIGHT, "obstacle_speed_error_max_mps": 0.01, "obstacle_aside_max_m": 0.05}
     kind: str = choice("ball_climb", "ball_climb")
-    calm: int = count(15, at_least=1, at_most=100)  # steps on top
+    calm: int = count(15, at_least=1, at_most=100)  # steps on top, at most
     push_speed: float = quantity(0.324, "m/s", above=0)  # v_*, of the ball after the push
     gain: float = quantity(0.918, "-", above=0, at_most=2)  # of the rate (3.1.16)
-    most_rate: float = quantity(1.5, "rad/s", above=0)
-    centring: float = quantity(1.52, "s", above=0)
-    calm_speed: float = quantity(0.0, "m/s", at_least=0)  # of a ball that needs no further step
+    most_rate: float = quantity(1.5, "rad/s", above=0)  # of the ride, at most
+    centring: float = quantity(1.52, "s", above=0)  # in which the base goes on to the point of its tangent, in the ride
+    calm_speed: float = quantity(0.0, "m/s", at_least=0)  # of a ball that needs no further step; 0: all are made
     step_time: float = quantity(0.9, "s", above=0, at_most=20)  # of the steps on top
     speed_gain: float = quantity(0.6, "s", at_least=0)  # k_v
     aside_gain: float = quantity(0.4, "-", at_least=0)  # k_1
