@@ -168,7 +168,7 @@ class BallClimb(OnBall, InParts):
     aside_gain: float = quantity(0.4, "-", at_least=0)  # k_1
     aside_gain_before: float = quantity(0.3, "-", at_least=0)  # k_2
     press: float = quantity(1.6e-3, "m", at_least=0, at_most=0.05)  # feet on the ball deeper than they are measured
-    squeeze: float = quantity(3.2e-3, "m", at_least=0, at_most=0.05)  # the same to the middle
+    squeeze: float = quantity(3.8e-3, "m", at_least=0, at_most=0.05)  # the same to the middle
     ease: float = quantity(0.15, "s", above=0)  # in which feet go over to where they are measured
     patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
 
