@@ -66,14 +66,16 @@ def _regripped(belief: Case, commanded: Float[Array, "6 3"], seen: Observation) 
 def _pressed(
     belief: Case, commanded: Float[Array, "6 3"], press: Float[Array, " 2"], seen: Observation
 ) -> Float[Array, "6 3"]:
-    """Loaded feet on free bodies deeper than they are measured, and inward, to the base's middle plane.
+    """Feet on free bodies deeper than they are measured, and inward, to the base's middle plane; others are regripped.
 
-    The others are regripped: feet on the ground need not be squeezed, and one that hangs in the air would stay there.
+    Feet on the ground need not be squeezed. One that bears nothing for a moment is as deep as it was commanded: pressed
+    from where it hangs, it would stay in the air.
     """
     measured, normal, on_body = _measured(belief, seen)
     inward = -SIDE[:, None] * rotate(seen.quat, jnp.asarray(LEFT))
-    squeezed = measured - press[0] * normal + press[1] * inward
-    return jnp.where((on_body & seen.loaded)[:, None], squeezed, _regripped(belief, commanded, seen))
+    regripped = _regripped(belief, commanded, seen)
+    deep = jnp.where(seen.loaded[:, None], measured - press[0] * normal, regripped)
+    return jnp.where(on_body[:, None], deep + press[1] * inward, regripped)
 
 
 def _with_error(plan: Plan, ended: Stance, seen: Observation) -> Begun:

@@ -40,11 +40,12 @@ STILL = (0.0, 0.0)
 
 
 class Table(NamedTuple):
-    """The numbers of the plan: where the feet start, moves up to the push, swings of the ride, moves on top."""
+    """The numbers of the plan: where the feet start, moves to the ball and up to the push, the ride, moves on top."""
 
     floor: tuple[tuple[float, float], ...]  # R, of rear, middle and front feet, see `Move.place`
     level: Pose
-    prepare: tuple[Move, ...]
+    approach: tuple[Move, ...]  # the ball is not gripped yet
+    hold: tuple[Move, ...]
     push: Move
     ride: tuple[Move, ...]  # with places as if the base were on top
     top: tuple[Move, ...]
@@ -53,7 +54,7 @@ class Table(NamedTuple):
 TABLE = Table(
     floor=((0.536, -2.083), (0.536, -1.452), (0.536, -1.131)),
     level=Pose(90.0, -0.286, -1.678),
-    prepare=(
+    approach=(
         Move(
             "front",
             0.8,
@@ -109,7 +110,9 @@ TABLE = Table(
             plane=(-0.7619, 1.0563, -0.2171),
             support=RESTS,
         ),
-        Move("grip", 0.32, Pose(32.8374, 1.0879, -0.7857), support=RESTS),
+    ),
+    hold=(
+        Move("grip", 0.4, Pose(32.8374, 1.0879, -0.7857), rates=STILL, support=RESTS),
         Move("lift", 1.5, Pose(31.8345, 1.0928, -0.4435), rates=STILL, support=RESTS),
         Move(
             "front3",
@@ -121,7 +124,7 @@ TABLE = Table(
             plane=(-0.5, 1.0, 0.8),
             support=RESTS,
         ),
-        Move("grip2", 0.32, Pose(28.2564, 1.0794, -0.4208), support=RESTS),
+        Move("grip2", 0.6, Pose(28.2564, 1.0794, -0.4208), rates=STILL, support=RESTS),
     ),
     push=Move("push", 0.9, Pose(30.1, 1.081, -0.2636), rates=(0.0, 2.0)),
     ride=(
@@ -189,11 +192,12 @@ class BallClimb(OnBall, InParts):
         ball, table = belief.on(Ball), table or self.table
         self.refuse(belief)
         refuse(belief, lambda: self.stance(ball, table))
-        held, stand = Held(self.deepening, (self.press, self.squeeze)), dict.fromkeys(LEGS, WORLD)
+        touching, held = (Held(self.deepening, press) for press in ((0.0, 0.0), (self.press, self.squeeze)))
         rolls = Support(TO_VELOCITY, jnp.zeros(3).at[0].set(self.push_speed),
                         jnp.zeros(3).at[1].set(self.push_speed / ball.radius))  # fmt: skip
-        prepare = (*table.prepare, table.push._replace(support=rolls))
-        moves = stages(ball, prepare, table.level, stand, held)
+        stand, hold = dict.fromkeys(LEGS, WORLD), (*table.hold, table.push._replace(support=rolls))
+        moves = stages(ball, table.approach, table.level, stand, touching)
+        moves += stages(ball, hold, table.approach[-1].pose, stand, held)
         moves += stages(ball, table.ride, table.push.pose, stand, held, RIDE)
         moves += stages(ball, table.top, table.ride[-1].pose, stand, held)
         calm = self.calming.steps_of(perch(belief, self), "calm")
