@@ -26,7 +26,7 @@ from sweep.controllers.manoeuvres.balancing.beside_ball import (
 )
 from sweep.controllers.manoeuvres.balancing.parts import InParts, Steps
 from sweep.controllers.manoeuvres.goals import UPRIGHT
-from sweep.controllers.plan import Plan, Stance, assemble
+from sweep.controllers.plan import GRIP, Plan, Stance, assemble
 from sweep.controllers.support import RESTS, TO_VELOCITY, Support
 from sweep.controllers.tracker import Guided
 from sweep.core.errors import InputError
@@ -192,7 +192,7 @@ class BallClimb(OnBall, InParts):
         ball, table = belief.on(Ball), table or self.table
         self.refuse(belief)
         refuse(belief, lambda: self.stance(ball, table))
-        touching, held = (Held(self.deepening, press) for press in ((0.0, 0.0), (self.press, self.squeeze)))
+        touching, held = (Held(self.deepening, by, GRIP) for by in ((0.0, 0.0), (self.press, self.squeeze)))
         rolls = Support(TO_VELOCITY, jnp.zeros(3).at[0].set(self.push_speed),
                         jnp.zeros(3).at[1].set(self.push_speed / ball.radius))  # fmt: skip
         stand, hold = dict.fromkeys(LEGS, WORLD), (*table.hold, table.push._replace(support=rolls))
