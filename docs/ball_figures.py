@@ -1,6 +1,6 @@
-"""Draws docs/figures/ball_*.png: figs. 3.1.4 to 3.1.6 of the monograph from our own runs (speed of the ball, and the
-robot over it), the way down as in fig. 3.4.8, the ball driven aside as (3.3.7) has it, and how likely the robot stays
-on, from the rows of study=ball_noise.
+"""Draws docs/figures/ball_*.png: figs. 3.1.4 to 3.1.6, 3.3.8 and 3.4.8 of the monograph from our own runs (speed of the
+ball, and the robot over it; the way up and down), the ball driven aside as (3.3.7) has it, and how likely the robot
+stays on, from the rows of study=ball_noise.
 
 python docs/ball_figures.py [NAME ...]
 python docs/ball_figures.py ball_noise=results/ball_noise
@@ -10,6 +10,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
@@ -19,8 +20,9 @@ from matplotlib.figure import Figure
 from sweep import load
 from sweep.analysis.intervals import wilson
 from sweep.controllers.manoeuvres.balancing.ball_aside import BallAside, gain
+from sweep.controllers.manoeuvres.balancing.ball_climb import BallClimb
 from sweep.controllers.manoeuvres.balancing.ball_descend import BallDescend
-from sweep.core.rotations import rotate
+from sweep.core.rotations import matrix, rotate
 from sweep.engines.base import Trace
 from sweep.formulas.ball import GRAVITY, ROLLING, lateral_mu
 from sweep.models.case import Case
@@ -39,6 +41,7 @@ RUNS = {
     "ball_every_fourth": ["scenario=ball_drive", "manoeuvre.steps=40", "manoeuvre.push_every=4"],
     "ball_descend": ["scenario=ball_descend"],
     "ball_aside": ["scenario=ball_aside", "manoeuvre.stops=3"],
+    "ball_climb": ["scenario=ball_climb", "manoeuvre.calm=4"],
 }
 
 
@@ -51,6 +54,8 @@ def draw(name: str) -> Path:
     match exp.case.manoeuvre:
         case BallDescend():
             figure = descent(trace)
+        case BallClimb():
+            figure = draw_way(trace)
         case BallAside() as aside:
             figure = driven_aside(trace, exp.case, aside)
         case _:
@@ -119,6 +124,32 @@ def promised(time: np.ndarray, case: Case, aside: BallAside) -> np.ndarray:
         momentum += (time[k] - time[k - 1]) * (mass * GRAVITY * over[k] - friction * np.sign(speeds[k - 1]))
         speeds[k] = (momentum - own[k]) / inertia
     return np.where(time < aside.period, speeds, np.nan)
+
+
+def draw_way(trace: Trace) -> Figure:
+    """Fig. 3.3.8: heights of feet and of the base's ends, speed of the ball; where the base is on it; normal forces."""
+    robot, radius = trace.world.robot, trace.world.on(Ball).radius
+    position, quat, ball = trace.qpos[:, :3], trace.qpos[:, 3:7], trace.qpos[:, -7:-4]
+    nose = 0.5 * robot.body_length * np.asarray(matrix(jnp.asarray(quat)))[:, 2, 0]
+    off, out = position - ball, trace.foot_position - ball[:, None]
+    apart = np.linalg.norm(out, axis=-1, keepdims=True)
+    on_ball = apart - radius < trace.foot_position[..., 2:]
+    normal = np.sum(np.where(on_ball, out / apart, [0.0, 0.0, 1.0]) * trace.foot_force, axis=-1)
+    figure, (heights, place, forces) = plt.subplots(3, 1, figsize=(9, 8), sharex=True, layout="constrained")
+    for foot in (1, 3, 5):
+        heights.plot(trace.time, trace.foot_position[:, foot - 1, 2], lw=1, label=f"foot {foot}")
+        forces.plot(trace.time, normal[:, foot - 1], lw=1, label=f"foot {foot}")
+    heights.plot(trace.time, position[:, 2] + nose, "k", lw=1, label="front of the base")
+    heights.plot(trace.time, position[:, 2] - nose, "k--", lw=1, label="rear of the base")
+    heights.plot(trace.time, trace.qvel[:, -6], "r", label="speed of the ball (m/s)")
+    heights.set(ylabel="height (m)")
+    place.plot(trace.time, np.degrees(np.arctan2(off[:, 2], -off[:, 0])), label="place of the base")
+    place.plot(trace.time, 90 - np.degrees(np.arcsin(nose / (0.5 * robot.body_length))), label="tangent of the base")
+    place.set(ylabel="elevation (degrees)")
+    forces.set(ylabel="normal force (N)", xlabel="t (s)")
+    for axes in (heights, place, forces):
+        axes.legend(fontsize=8)
+    return figure
 
 
 def draw_noise(rows: pd.DataFrame) -> Path:

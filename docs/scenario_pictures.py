@@ -32,6 +32,7 @@ SCENARIOS = (
     "pole_ledge_below",
     "ball_balance",
     "ball_drive",
+    "ball_climb",
     "ball_descend",
     "corner_full",
     "raft_cross",

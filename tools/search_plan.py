@@ -121,7 +121,7 @@ def judge(
     ]  # rests, in poses that others begin and end with
     number, phases = jnp.array(chosen), jnp.linspace(0, 1, moments)
     knots = jnp.linspace(0, 1, 3)
-    ticks = math.ceil(TIMES * float(np.sum(plan.duration[: chosen[-1] + 1])) / PERIOD)
+    ticks = math.ceil(TIMES * float(np.sum(plan.duration[: chosen[-1] + 1])) / PERIOD) + len(names)
 
     def worst(function: Callable, at: jax.Array) -> dict[str, jax.Array]:
         seen = jax.vmap(lambda k: jax.vmap(lambda u: function(k, u))(at))(number)

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import KEEP, PRESS, REGRIP, REZERO, Plan, Stance
+from sweep.controllers.plan import GRIP, KEEP, PRESS, REGRIP, REZERO, Plan, Stance
 from sweep.controllers.posture import feet_in_world
 from sweep.core.rotations import conjugate, exponential, heading, logarithm, multiply, rotate
 from sweep.formulas.leg import SIDE
@@ -35,7 +35,8 @@ def begun(belief: Case, plan: Plan, following: Int[Array, ""], ended: Stance, se
     ways = {
         KEEP: lambda: Begun(ended.feet, zero, zero),
         REGRIP: lambda: Begun(_regripped(belief, ended.feet, seen), zero, zero),
-        PRESS: lambda: Begun(_pressed(belief, ended.feet, plan.press[following], seen), zero, zero),
+        PRESS: lambda: Begun(_pressed(belief, ended.feet, plan.press[following], seen, seen.loaded), zero, zero),
+        GRIP: lambda: Begun(_pressed(belief, ended.feet, plan.press[following], seen, jnp.ones(6, bool)), zero, zero),
         REZERO: lambda: _with_error(plan, ended, seen),
     }
     first, *others = sorted(set(plan.onset))
@@ -64,16 +65,18 @@ def _regripped(belief: Case, commanded: Float[Array, "6 3"], seen: Observation) 
 
 
 def _pressed(
-    belief: Case, commanded: Float[Array, "6 3"], press: Float[Array, " 2"], seen: Observation
+    belief: Case, commanded: Float[Array, "6 3"], press: Float[Array, " 2"], seen: Observation, held: Bool[Array, " 6"]
 ) -> Float[Array, "6 3"]:
-    """Loaded feet on free bodies deeper than they are measured, and inward, to the base's middle plane.
+    """Feet on free bodies, of those `held`, deeper than they are measured, and inward, to the base's middle plane.
 
-    The others are regripped: feet on the ground need not be squeezed, and one that hangs in the air would stay there.
+    The others are regripped: feet on the ground need not be squeezed. A foot that bears nothing is as deep as it was
+    commanded: pressed from where it hangs, it would stay in the air.
     """
     measured, normal, on_body = _measured(belief, seen)
     inward = -SIDE[:, None] * rotate(seen.quat, jnp.asarray(LEFT))
-    squeezed = measured - press[0] * normal + press[1] * inward
-    return jnp.where((on_body & seen.loaded)[:, None], squeezed, _regripped(belief, commanded, seen))
+    regripped = _regripped(belief, commanded, seen)
+    deep = jnp.where(seen.loaded[:, None], measured - press[0] * normal, regripped)
+    return jnp.where((on_body & held)[:, None], deep + press[1] * inward, regripped)
 
 
 def _with_error(plan: Plan, ended: Stance, seen: Observation) -> Begun:

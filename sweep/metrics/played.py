@@ -1,11 +1,12 @@
 """A plan on free bodies without physics: played through by its own tracker, which is told that all goes as it commands.
 
+Only feet that stand stay where they landed, on the ground or on a body, wherever they are pressed to.
 Bodies go as they are meant to. A ball that is followed where it is seen rolls as the angular momentum of robot and ball
 about its lowest point has it, links counted as mass points; it stays where it is while feet stand on the floor, too. A
 raft that is followed where it is seen coasts, by the drag of its front, as far as the other bank.
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -13,12 +14,12 @@ from jaxtyping import Array, Bool, Float, Int
 
 from sweep.controllers import forces, tracker
 from sweep.controllers.ball_state import UP
-from sweep.controllers.frames import to_world
+from sweep.controllers.frames import WORLD, fixed, to_frame, to_world
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import Plan, Stance
-from sweep.controllers.posture import feet_in_world, mass_centre
+from sweep.controllers.posture import mass_centre
 from sweep.controllers.support import MEASURED
-from sweep.controllers.tracker import TrackerState
+from sweep.controllers.tracker import TrackerState, joint_targets
 from sweep.core.rotations import exponential, multiply, rotate, wrapped
 from sweep.formulas.ball import GRAVITY, ROLLING
 from sweep.metrics.geometry import support_margin
@@ -31,6 +32,7 @@ from sweep.models.robot import total_mass
 
 SMOOTH = 0.2  # s
 SHARES = (0.1, 0.5, 0.95)  # of a stage, at which forces are planned
+SHORT = 1e-3  # s, before the end of a stage, at which there is a tick: feet begin the next one where they are then
 
 
 class Played(NamedTuple):
@@ -44,6 +46,13 @@ class Played(NamedTuple):
     centre: Float[Array, "t 3"]  # m, the robot's mass centre
 
 
+class Stood(NamedTuple):
+    """Feet where they landed."""
+
+    feet: Float[Array, "6 3"]  # m, in their frames
+    frame: Int[Array, " 6"]
+
+
 class Roll(NamedTuple):
     """Of a ball: angular momentum about its lowest point, as K = up x this; the robot's mass centre from its centre."""
 
@@ -52,10 +61,11 @@ class Roll(NamedTuple):
 
 
 def play(case: Case, plan: Plan, period: float, ticks: int) -> Played:
-    """The plan of `case`, which is its own world and belief, in `ticks` of `period` s."""
+    """Play the plan of `case`, its own world and belief, in `ticks` of `period` s, or less at the end of a stage."""
     free = free_start(case.obstacle)
     state = tracker.init(case, plan)
     still, joints = jnp.zeros(3), state.joints
+    stood = _standing(case, plan.start.feet, free)
     centre = plan.start.position + rotate(plan.start.quat, mass_centre(case.robot, joints)) - free.position[0]
     seen = Observation(
         plan.start.position,
@@ -70,28 +80,42 @@ def play(case: Case, plan: Plan, period: float, ticks: int) -> Played:
     )
 
     def tick(carry: tuple, _: None) -> tuple[tuple, Played]:
-        state, seen, roll = carry
-        state, command = tracker.step(case, plan, state, seen, period)
+        state, seen, stood, roll = carry
+        remains = plan.duration[state.stage] - state.clock
+        h = jnp.where((remains > 2 * SHORT) & (remains <= period + SHORT), remains - SHORT, period)
+        state, command = tracker.step(case, plan, state, seen, cast(float, h))
         position, quat = command.target.position, command.target.quat
-        rates = wrapped(command.joints - seen.angles) / period
         stage, free = state.stage, tracker.bodies(plan, state, seen.free)
-        starts, goal = (to_world(feet, plan.foot_frame[stage], free) for feet in (state.feet, state.goal))
-        swing = Swing(plan.swing[stage], starts, goal)
-        now = left(case, poses(free), command.target, command.joints, rates, command.shortfall, swing)
-        feet = feet_in_world(case.robot, position, quat, command.joints)
-        on_floor = jnp.any(~swing.swings & (case.obstacle.surface(feet, (-1,) * 6, poses(free)).body < 0))
-        at = position + rotate(quat, mass_centre(case.robot, command.joints))
-        roll, then = _rolled(case, plan, state, roll, free, at - free.position[0], on_floor, period)
-        velocity = (position - seen.position) / period
-        seen = seen._replace(position=position, quat=quat, velocity=velocity, angles=command.joints, free=then)
-        return (state, seen, roll), Played(stage, now, free, command.target, ~swing.swings, at)
+        swings = plan.swing[stage]
+        stood = jax.tree.map(lambda a, b: jnp.where(swings.reshape(-1, *[1] * (a.ndim - 1)), a, b),
+                             _standing(case, command.target.feet, free), stood)  # fmt: skip
+        feet = to_world(stood.feet, stood.frame, free)
+        joints = joint_targets(case.robot, command.target._replace(feet=feet))[0]
+        starts, goal = (to_world(at, plan.foot_frame[stage], free) for at in (state.feet, state.goal))
+        rates = wrapped(joints - seen.angles) / h
+        swing = Swing(swings, starts, goal)
+        now = left(case, poses(free), command.target, joints, rates, command.shortfall, swing)
+        on_floor = jnp.any(~swings & (stood.frame == WORLD))
+        at = position + rotate(quat, mass_centre(case.robot, joints))
+        roll, then = _rolled(case, plan, state, roll, free, at - free.position[0], on_floor, h)
+        velocity = (position - seen.position) / h
+        seen = seen._replace(position=position, quat=quat, velocity=velocity, angles=joints, free=then)
+        stance = command.target._replace(feet=feet)
+        return (state, seen, stood, roll), Played(stage, now, free, stance, ~swings, at)
 
-    _, found = jax.lax.scan(tick, (state, seen, Roll(jnp.zeros(2), centre)), None, length=ticks)
+    _, found = jax.lax.scan(tick, (state, seen, stood, Roll(jnp.zeros(2), centre)), None, length=ticks)
     return found
 
 
+def _standing(case: Case, feet: Float[Array, "6 3"], free: FreeState) -> Stood:
+    """Feet (m, world) as they would stand on what is nearest."""
+    body = case.obstacle.surface(feet, (-1,) * 6, poses(free)).body
+    frame = jnp.array([WORLD, *map(fixed, range(len(case.obstacle.free_bodies)))])[body + 1]
+    return Stood(to_frame(feet, frame, free), frame)
+
+
 def _rolled(
-    case: Case, plan: Plan, state: TrackerState, roll: Roll, free: FreeState, centre: Array, on_floor: Array, h: float
+    case: Case, plan: Plan, state: TrackerState, roll: Roll, free: FreeState, centre: Array, on_floor: Array, h: Array
 ) -> tuple[Roll, FreeState]:
     """The ball `h` s later, with the robot's mass centre at `centre` (m) from its own.
 

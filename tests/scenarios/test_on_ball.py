@@ -114,3 +114,12 @@ def test_it_drives_a_ball_aside(engine):
     assert aside.speed - lost < speed < aside.speed
     assert classify(trace.figures, trial.thresholds, simulation.stages)["outcome"] == "success"
     assert trace.figures["slip_max_m"] < 0.005
+
+
+@pytest.mark.parametrize("engine", ["native", "mjx"])
+def test_it_climbs_a_ball(engine):
+    """Which it pushes ahead first and brings to rest under it."""
+    rows = outcomes(["scenario=ball_climb", f"engine={engine}", "manoeuvre.calm=8"])
+    assert rows["outcome"].tolist() == ["success"], rows["cause"]
+    assert 0.3 < rows["obstacle_x_m"][0] < 0.45
+    assert rows["leg_gap_min_m"][0] > 0

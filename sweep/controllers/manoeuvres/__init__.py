@@ -4,6 +4,7 @@ from sweep.controllers.manoeuvres.afloat.raft_cross import RaftCross
 from sweep.controllers.manoeuvres.afloat.raft_stand import RaftStand
 from sweep.controllers.manoeuvres.balancing.ball import BallBalance, BallDrive
 from sweep.controllers.manoeuvres.balancing.ball_aside import BallAside
+from sweep.controllers.manoeuvres.balancing.ball_climb import BallClimb
 from sweep.controllers.manoeuvres.balancing.ball_descend import BallDescend
 from sweep.controllers.manoeuvres.balancing.beam import BeamCross, BeamWalk
 from sweep.controllers.manoeuvres.climbing.corner import CornerClimb
@@ -41,6 +42,7 @@ MANOEUVRES = {
     "ball_balance": BallBalance,
     "ball_drive": BallDrive,
     "ball_aside": BallAside,
+    "ball_climb": BallClimb,
     "ball_descend": BallDescend,
     "raft_cross": RaftCross,
     "raft_stand": RaftStand,

@@ -55,6 +55,7 @@ class Held(NamedTuple):
 
     deepening: Array | float  # of footholds inside ball and floor
     press: tuple[Array | float, Array | float]  # of feet that stand on the ball, see `Stage.press`
+    onset: str = PRESS  # or `GRIP`
 
 
 def refuse(belief: Case, start: Callable[[], Stance]) -> None:
@@ -112,7 +113,7 @@ def stages(
             prefix + move.name, move.time, swing, CYCLE_B, jnp.asarray(move.lift, float) * ball.radius,
             jnp.stack([jnp.stack([ahead, side * aside, up]) for side in SIDE]),
             position=centre(ball, move.pose), turn=jnp.stack([jnp.zeros_like(turn), turn, jnp.zeros_like(turn)]),
-            rates=move.rates, pivot=jnp.zeros(3), arc=jnp.abs(turn), support=(move.support,), onset=PRESS,
+            rates=move.rates, pivot=jnp.zeros(3), arc=jnp.abs(turn), support=(move.support,), onset=held.onset,
             press=held.press, base_frame=koenig(0),
             foot_frames=tuple(koenig(0) if leg in swing else stand[leg] for leg in LEGS),
         ))  # fmt: skip

@@ -1,0 +1,91 @@
+"""The ride up on a ball that rolls towards the robot's way (monograph 3.1.4, 3.3.2)."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from sweep.controllers.ball_state import centre_of_mass, measured_stance
+from sweep.controllers.manoeuvres.balancing.beside_ball import Pose, centre, pitch
+from sweep.controllers.observation import Observation
+from sweep.controllers.plan import Plan, Stance, swings
+from sweep.controllers.tracker import Guidance, TrackerState
+from sweep.core.rotations import exponential, logarithm, rotate
+from sweep.formulas.ball import GRAVITY, ROLLING, climbing_rate
+from sweep.models.case import Case
+from sweep.models.obstacles.ball import Ball
+from sweep.models.robot import total_mass
+
+RIDE, UP = "ride.", "up"
+
+
+class RideMemory(NamedTuple):
+    """How far the base has come."""
+
+    elevation: Float[Array, ""]  # rad, of its tangent
+    distance: Float[Array, ""]  # m, of its axis
+    ahead: Float[Array, ""]  # m, of its centre along the tangent
+    time: Float[Array, ""]  # s
+
+
+class Ride(NamedTuple):
+    """Up on a ball that rolls, at the rate that has it stop as the top is reached: (3.1.13)-(3.1.16) at every tick.
+
+    The plan's places are those of a base on top: feet go where these are by then, as far round the ball as the base is.
+    """
+
+    gain: Array | float  # of the rate
+    most: Array | float  # rad/s, of the rate
+    centring: Array | float  # s, over which the base goes to the tangent's point first
+
+    def memory(self, belief: Case, plan: Plan) -> RideMemory:
+        """Where the base is when the ride begins."""
+        first = [name.startswith(RIDE) for name in plan.names].index(True)
+        x, _, z = plan.position[first - 1]
+        elevation = 0.5 * np.pi + logarithm(plan.quat[first])[1]
+        sin, cos = jnp.sin(elevation), jnp.cos(elevation)
+        return RideMemory(elevation, z * sin - x * cos, x * sin + z * cos, jnp.zeros(()))
+
+    def guide(
+        self, belief: Case, plan: Plan, state: TrackerState, seen: Observation, begins: Bool[Array, ""], period: float
+    ) -> Guidance:
+        """The base goes up, and feet swing to places relative to it."""
+        ball, memory = belief.on(Ball), state.memory
+        distance, rate = memory.distance, self.rate(belief, seen)
+        share = jnp.minimum(1.0, memory.time / self.centring)
+        share = share**2 * (3 - 2 * share)
+        forward = jnp.clip(distance * rate * (1 - share), 0.0, -4 * jnp.minimum(memory.ahead, 0.0))
+        turning = jnp.maximum(0.0, rate - forward / distance)
+        elevation = jnp.minimum(0.5 * np.pi, memory.elevation + turning * period)
+        memory = RideMemory(elevation, distance, memory.ahead + forward * period, memory.time + period)
+        pose = Pose(jnp.degrees(elevation), distance / ball.radius, memory.ahead / ball.radius)
+        round_ = about_aside(pitch(pose) + memory.ahead / distance)
+        goal = jnp.where(plan.swing[state.stage][:, None], rotate(round_[None], plan.foothold[state.stage]), state.feet)
+        phase = jnp.clip(state.clock / plan.duration[state.stage], 0.0, 1.0)
+        feet = swings(plan, state.stage, phase, state.feet, goal)
+        return Guidance(Stance(feet, centre(ball, pose), about_aside(pitch(pose))), goal, memory)
+
+    def rate(self, belief: Case, seen: Observation) -> Float[Array, ""]:
+        """(3.1.16), rad/s, of the mass centre where it is measured; none beyond the top."""
+        ball, robot = belief.on(Ball), belief.robot
+        off = centre_of_mass(robot, measured_stance(robot, seen)) - seen.free.position[0]
+        elevation = jnp.arctan2(off[2], -off[0])
+        omega = jnp.maximum(seen.free.turn[0, 1], 0.0)
+        p = total_mass(robot) * jnp.hypot(off[0], off[2]) / (ball.radius * (ROLLING * ball.mass + total_mass(robot)))
+        effort = jnp.log((1 + p) / (1 + p * jnp.sin(jnp.minimum(elevation, 0.5 * np.pi))))
+        enough = (omega * ball.radius) ** 2 > 4 * effort**2 * ball.radius * GRAVITY
+        root = climbing_rate(jnp.where(enough, omega, 10.0), effort, ball.radius)
+        fastest = omega / (2 * jnp.maximum(effort, 1e-6))
+        wanted = jnp.minimum(self.gain * jnp.where(enough, root, fastest), self.most)
+        return jnp.where(elevation > 0.5 * np.pi, 0.0, wanted)
+
+    def ends(self, belief: Case, plan: Plan, state: TrackerState, seen: Observation) -> Bool[Array, ""]:
+        """On top, in the last stage."""
+        last = jnp.asarray(plan.names.index(RIDE + UP))
+        return (state.stage == last) & (state.memory.elevation >= 0.5 * np.pi - 1e-4)
+
+
+def about_aside(angle: Array) -> Float[Array, " 4"]:
+    """Rotation by `angle` (rad) about y: nose down."""
+    return exponential(jnp.zeros(3).at[1].set(angle))
