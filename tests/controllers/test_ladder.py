@@ -29,7 +29,8 @@ def ends(plan: Plan) -> tuple[Stance, Stance]:
     def one(k):
         last = Stance(plan.foothold[k], plan.position[k], multiply(exponential(plan.turn[k]), plan.quat[k]))
         both = Stance(*begins(plan, k, FREE), plan.quat[k]), last
-        return tuple(stance_to_world(stance, plan.foot_frame[k], plan.base_frame[k], FREE) for stance in both)
+        first, last = (stance_to_world(each, plan.foot_frame[k], plan.base_frame[k], FREE) for each in both)
+        return first, last
 
     return jax.vmap(one)(jnp.arange(plan.duration.shape[0]))
 
@@ -55,6 +56,7 @@ def test_backwards_it_goes_through_the_same_stances(plan):
     same(Stance(*(x[::-1] for x in back_first)), last)
 
 
+@pytest.mark.slow
 def test_it_keeps_clear_of_ladder_ledge_and_its_own_legs(plan):
     number, phases = jnp.arange(len(plan.names)), jnp.linspace(0, 1, 9)
     found = jax.jit(jax.vmap(jax.vmap(lambda k, u: margins(CASE, plan, k, u), (None, 0)), (0, None)))(number, phases)
