@@ -75,7 +75,7 @@ def descent(trace: Trace) -> Figure:
         axes[0].plot(time, trace.foot_position[:, leg - 1, 2], colour, label=f"foot {leg}")
         axes[3].plot(time, np.linalg.norm(trace.foot_force[:, leg - 1], axis=-1), colour)
     for end, colour in ((1, "k"), (-1, "0.6")):
-        ahead = np.asarray(rotate(base[:, 3:7], np.array([end * half, 0.0, 0.0])))
+        ahead = np.asarray(rotate(jnp.asarray(base[:, 3:7]), jnp.array([end * half, 0.0, 0.0])))
         axes[0].plot(time, base[:, 2] + ahead[:, 2], colour, label="base, front" if end > 0 else "base, rear")
     axes[1].plot(time, trace.qvel[:, -6], "k")
     over = mass_centres(trace, slice(None)) - ball[:, :3]
@@ -114,7 +114,7 @@ def promised(time: np.ndarray, case: Case, aside: BallAside) -> np.ndarray:
     """
     ball, mass = case.on(Ball), float(total_mass(case.robot))
     plan = aside.plan(case)
-    over = float(gain(case, plan, aside.period)) * aside.speed * np.asarray(lateral_mu(aside.period, time).mu)
+    over = float(gain(case, plan, aside.period)) * aside.speed * np.asarray(lateral_mu(aside.period, jnp.asarray(time)).mu)
     height = ball.radius + float(plan.position[0, 2])
     inertia = ROLLING * ball.mass * ball.radius + mass * height
     own = mass * height * np.gradient(over, time)

@@ -145,7 +145,7 @@ def _rolled(
     return Roll(inertia * v + own, centre), then
 
 
-def _coasted(raft: Raft, load: Array | float, free: FreeState, h: float) -> FreeState:
+def _coasted(raft: Raft, load: Array | float, free: FreeState, h: Array) -> FreeState:
     """A raft under a load (kg) that nothing pushes, `h` s later."""
     speed = free.velocity[0, 0]
     slows = raft.drag * raft.width * raft.draught(load) / (raft.mass + load) * jnp.abs(speed) * speed
