@@ -114,7 +114,9 @@ def promised(time: np.ndarray, case: Case, aside: BallAside) -> np.ndarray:
     """
     ball, mass = case.on(Ball), float(total_mass(case.robot))
     plan = aside.plan(case)
-    over = float(gain(case, plan, aside.period)) * aside.speed * np.asarray(lateral_mu(aside.period, jnp.asarray(time)).mu)
+    over = (
+        float(gain(case, plan, aside.period)) * aside.speed * np.asarray(lateral_mu(aside.period, jnp.asarray(time)).mu)
+    )
     height = ball.radius + float(plan.position[0, 2])
     inertia = ROLLING * ball.mass * ball.radius + mass * height
     own = mass * height * np.gradient(over, time)

@@ -14,7 +14,17 @@ from sweep.study.config import compose, composed, experiment
 TOGETHER = ("obstacle", "manoeuvre")  # which have to fit
 CHOICES = [f"{group}={name}" for group in GROUPS if group not in TOGETHER for name in choices(group)]
 # called after their scenario
-SHARED = ("pole_sizes", "pole_unknown_sizes", "pole_calibration", "pole_learning", "ball_sizes", "ball_unknown")
+SHARED = (
+    "pole_sizes",
+    "pole_unknown_sizes",
+    "pole_calibration",
+    "pole_learning",
+    "ball_sizes",
+    "ball_unknown",
+    "ladder_sizes",
+    "ladder_unknown",
+    "ladder_noise",
+)
 
 
 @pytest.mark.parametrize("choice", CHOICES)

@@ -41,7 +41,7 @@ def on_pole(radius: float) -> tuple[int, Stance]:
     """The first stage in which all legs are on the pole but those that swing, at its end; feet at its true surface."""
     plan = planned()
     stage = plan.names.index("up.middle")
-    stance = reference(plan, jnp.int32(stage), jnp.ones(()), *begins(plan, jnp.int32(stage)))
+    stance = reference(plan, jnp.int32(stage), jnp.ones(()), *begins(plan, jnp.int32(stage), no_bodies()))
     feet = stance.feet.at[:, :2].multiply(radius / jnp.linalg.norm(stance.feet[:, :2], axis=1)[:, None])
     return stage, stance._replace(feet=feet)
 

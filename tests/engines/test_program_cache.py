@@ -120,10 +120,12 @@ def made_of(monkeypatch, settings=(), limits=(), case=CASE, vary=False, slots=No
     """What an engine says that its programs depend on."""
     asked = []
     monkeypatch.setattr(program_cache, "programs", lambda parts, *_: asked.append(repr(parts)) or (None,) * 3)
-    engine = Mjx(EngineSettings(width=2, **dict(settings)), case, case, Thresholds(**dict(limits)))
+    engine = Mjx(
+        EngineSettings(**{"width": 2, "compiler": "xla", **dict(settings)}), case, case, Thresholds(**dict(limits))
+    )
     world = dataclasses.replace(case, contact=dataclasses.replace(case.contact, friction=np.ones(2) if vary else 1.0))
     with jax.enable_x64(engine.settings.precision == "float64"):
-        engine._prepare(world, case, np.zeros(2, int), slots, None)
+        engine._prepare(world, case, np.zeros(2, int), slots, 1, None)
     return asked[0]
 
 
@@ -135,7 +137,7 @@ MJX = {"settings": {"dynamics": "mjx"}}
 DIFFERENT = {
     "steps of the solver": {"settings": {"iterations": 3}}, "time step": {"settings": {"time_step": 1e-3}},
     "precision": {"settings": {"precision": "float64"}}, "limits": {"limits": {"tilt_max_deg": 21.0}},
-    "dynamics": MJX, "what varies": {"vary": True}, "a recorded slot": {"slots": np.zeros(1, int)},
+    "dynamics": MJX, "what varies": {"vary": True}, "a recorded slot": {"slots": np.zeros(1, int)}, "the compiler": {"settings": {"compiler": "fused"}},
     "links": {"case": changed("robot", legs="three_link", coxa=0.05)},
     "noise": {"case": changed("noise", position_noise=1e-3)},
     "length of the walk": {"case": changed("manoeuvre", steps=3)},

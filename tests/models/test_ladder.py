@@ -59,8 +59,10 @@ def test_it_holds_and_slides_at_its_friction(history):
 
 
 def test_it_rests_still_after_it_has_fallen_on_its_edges(history):
-    creep = history.q[-1, RESTS, PLACE] - history.q[round(1.5 / STEP), RESTS, PLACE]
-    assert np.linalg.norm(creep) < (SECONDS - 1.5) * 1e-6
+    """By the slope of its way: single precision lets it jitter by some micrometres."""
+    way = history.q[round(1.5 / STEP) :, RESTS, PLACE].astype(float)
+    creep, _ = np.polyfit(STEP * np.arange(len(way)), way, 1)
+    assert np.linalg.norm(creep) < 1e-6
 
 
 def test_its_energy_never_rises(history, nominal):

@@ -41,8 +41,8 @@ class Ladder:
     ledge_height: float = quantity(2.625, "m", above=0)  # h1, of the ledge above the floor
     length: float = quantity(2.625, "m", above=0)  # l, of the rails
     lean: float = quantity(1.3089969389957472, "rad", at_least=0.5, at_most=1.55)  # phi, of the ladder and the floor
-    mass: float = quantity(25.0, "kg", above=0)
-    rungs: int = count(6, at_least=1, at_most=30)
+    mass: float = quantity(25.0, "kg", above=0)  # of rails and rungs together
+    rungs: int = count(6, at_least=1, at_most=30)  # between the two rails
     # from the top of one rung to the next one's, and from the rails' lower ends to the first
     rung_step: float = quantity(0.42, "m", above=0)
     width: float = quantity(1.6, "m", above=0)  # between the rails

@@ -37,7 +37,7 @@ class Raft:
     kind: str = choice("raft", "raft")
     length: float = quantity(3.15, "m", above=0)  # 2 a, across the water
     width: float = quantity(2.1, "m", above=0)  # 2 b, along the banks
-    thickness: float = quantity(0.21, "m", above=0)  # 2 d
+    thickness: float = quantity(0.21, "m", above=0)  # 2 d, of the box that floats
     density: float = quantity(300.0, "kg/m^3", above=0)  # of the raft; that of water is 1000
     water_width: float = quantity(5.46, "m", above=0)  # S, between the banks
     bank_height: float = quantity(0.1445, "m")  # of the banks over the water

@@ -107,7 +107,7 @@ class RaftCross:
     offset: float = quantity(0.0, "m")  # h, of the robot's way to the left of the raft's middle
     near: float = quantity(0.01, "m", above=0)  # gap to the far bank at which the wait is over
     close: float = quantity(0.02, "m", above=0)  # largest gap that the robot steps over
-    pulls: int = count(5, at_least=1, at_most=10)  # at most
+    pulls: int = count(5, at_least=1, at_most=10)  # of the raft to the bank, at most
     pull: float = quantity(4.0, "s", above=0)  # time of one
     deepening: float = quantity(1e-3, "m", at_least=0, at_most=0.05)  # footholds below the surface
     observer: float = quantity(0.0, "s", at_least=0)  # time constant in which the raft's measured pose is taken over

@@ -27,7 +27,7 @@ class RaftStand:
     ahead: float = quantity(0.5, "m")  # of the raft's middle, where the robot stands in the end
     aside: float = quantity(0.0, "m")  # the same to the left
     steps: int = count(6, at_least=2, at_most=40)  # swings of a tripod to there
-    rest: float = quantity(4.0, "s", above=0)  # standing there
+    rest: float = quantity(4.0, "s", above=0)  # standing there, in the end
     height_ratio: float = quantity(0.5, "a_r", above=0, at_most=2)  # d, hips above the deck
     spread_ratio: float = quantity(0.3, "a_r", at_least=0, at_most=2)  # feet out from the hips
     lift_ratio: float = quantity(0.06, "a_r", above=0, at_most=0.5)  # of a swing

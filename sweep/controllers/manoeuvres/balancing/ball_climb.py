@@ -167,9 +167,9 @@ class BallClimb(OnBall, InParts):
     centring: float = quantity(1.52, "s", above=0)  # in which the base goes on to the point of its tangent, in the ride
     calm_speed: float = quantity(0.0, "m/s", at_least=0)  # of a ball that needs no further step; 0: all are made
     step_time: float = quantity(0.9, "s", above=0, at_most=20)  # of the steps on top
-    speed_gain: float = quantity(0.6, "s", at_least=0)  # k_v
-    aside_gain: float = quantity(0.4, "-", at_least=0)  # k_1
-    aside_gain_before: float = quantity(0.3, "-", at_least=0)  # k_2
+    speed_gain: float = quantity(0.6, "s", at_least=0)  # k_v, of pushes that stop the ball
+    aside_gain: float = quantity(0.4, "-", at_least=0)  # k_1, of how far the ball is aside now
+    aside_gain_before: float = quantity(0.3, "-", at_least=0)  # k_2, of how far it was aside a step before
     press: float = quantity(1.6e-3, "m", at_least=0, at_most=0.05)  # feet on the ball deeper than they are measured
     squeeze: float = quantity(3.8e-3, "m", at_least=0, at_most=0.05)  # the same to the middle
     ease: float = quantity(0.15, "s", above=0)  # in which feet go over to where they are measured
