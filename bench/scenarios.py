@@ -1,7 +1,8 @@
 """How fast scenarios are simulated, free bodies among them: simulated seconds in the middle of a batch.
 
 To run: `python bench/scenarios.py [WIDTH [NAME...]]`, from a checkout. Friction varies over the batch. `two_balls` is
-`ball_balance` beside a second ball that the first one may touch.
+`ball_balance` beside a second ball that the first one may touch. Overrides follow a name's comma:
+`walk_tripod,engine.compiler=xla`.
 """
 
 import sys
@@ -69,9 +70,10 @@ class TwoBalls(Ball):
 
 def speed(name: str, width: int) -> str:
     """Physics steps a second of a batch of `width` rollouts (0: the device's best)."""
-    exp = compose([f"scenario={'ball_balance' if name == 'two_balls' else name}"])
+    scenario, *overrides = name.split(",")
+    exp = compose([f"scenario={'ball_balance' if scenario == 'two_balls' else scenario}", *overrides])
     settings = replace(exp.settings, width=width or devices.default_width())
-    case = replace(exp.case, obstacle=TwoBalls()) if name == "two_balls" else exp.case
+    case = replace(exp.case, obstacle=TwoBalls()) if scenario == "two_balls" else exp.case
     engine = Mjx(settings, case, case, exp.thresholds)
     world = replace(case, contact=replace(case.contact, friction=np.linspace(0.6, 1.0, settings.width)))
     with program_cache.unused():

@@ -39,7 +39,8 @@ def base_move(robot: Robot, stance: Stance, wanted: Float[Array, " 2"]) -> Float
 
     None where a leg is at its full length, at which nothing can be said of how the mass centre follows.
     """
-    move = jnp.linalg.solve(follow_up(robot, stance), wanted)
+    (a, b), (c, d) = follow_up(robot, stance)
+    move = jnp.stack([d * wanted[0] - b * wanted[1], a * wanted[1] - c * wanted[0]]) / (a * d - b * c)
     return jnp.where(jnp.all(jnp.isfinite(move)), move, 0.0)
 
 

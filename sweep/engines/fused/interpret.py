@@ -577,7 +577,8 @@ def _gather(
         place: list[Any] = [slice(None)] * len(out.shape)
         for d, i in zip(batch, at, strict=True):
             place[d] = i
-        result[tuple(place)] = found.reshape([found.shape[d] for d in kept])
+        found = found.reshape([found.shape[d] for d in kept])
+        result[tuple(place)] = found if found.ndim else found[()]
     return result
 
 

@@ -140,4 +140,4 @@ def log1p(x: Array) -> Array:
 SINGLE: dict[str, Callable] = {
     f.__name__: f for f in (sin, cos, tan, atan2, acos, asin, atan, exp, log, log1p, erf_inv, rem)
 }
-EXPANSIONS: dict[str, Callable] = {"sign": sign}
+EXPANSIONS: dict[str, Callable] = {"sign": sign, "one_minus_square": lambda x: (1.0 - x) * (1.0 + x)}
