@@ -137,7 +137,8 @@ MJX = {"settings": {"dynamics": "mjx"}}
 DIFFERENT = {
     "steps of the solver": {"settings": {"iterations": 3}}, "time step": {"settings": {"time_step": 1e-3}},
     "precision": {"settings": {"precision": "float64"}}, "limits": {"limits": {"tilt_max_deg": 21.0}},
-    "dynamics": MJX, "what varies": {"vary": True}, "a recorded slot": {"slots": np.zeros(1, int)}, "the compiler": {"settings": {"compiler": "fused"}},
+    "dynamics": MJX, "what varies": {"vary": True}, "a recorded slot": {"slots": np.zeros(1, int)},
+    "the compiler": {"settings": {"compiler": "fused"}},
     "links": {"case": changed("robot", legs="three_link", coxa=0.05)},
     "noise": {"case": changed("noise", position_noise=1e-3)},
     "length of the walk": {"case": changed("manoeuvre", steps=3)},
