@@ -21,7 +21,7 @@ class Going(NamedTuple):
     @property
     def over(self) -> np.ndarray:
         """Which rollouts are."""
-        return self.kernel.leave(self.tiles).loop.running.over
+        return self.kernel.look(self.tiles, lambda carried: carried.loop.running.over)
 
 
 class Fused(NamedTuple):
@@ -46,8 +46,7 @@ class Fused(NamedTuple):
     ) -> tuple[Going, Any]:
         """Go on from `tick`; records of the rollouts `kept`, of all there is or of the columns watched."""
         if self.again is not None:
-            moved = self.again(belief, plans, self.spread(self.kernel.leave(carry.tiles)))
-            carry = carry._replace(tiles=self.kernel.enter((world, belief, plans), moved, self.width))
+            self.kernel.resume(carry.tiles, self.again(belief, plans, self.spread(self.kernel.leave(carry.tiles))))
         record = self.kernel.advance(carry.tiles, tick, self.ticks, kept)
         if record is None or self.watch is None:
             return carry, record

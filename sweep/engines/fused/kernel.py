@@ -86,7 +86,7 @@ def _laid_out(shapes: Sequence[Any], start: int) -> tuple[list[Leaf], int]:
     leaves = []
     for x in shapes:
         leaves.append(Leaf(start, tuple(x.shape), np.dtype(x.dtype).name))
-        start += -(-leaves[-1].size // ALIGN) * ALIGN
+        start += llvm.rounded(leaves[-1].size)
     return leaves, start
 
 
@@ -101,17 +101,19 @@ class Kernel:
 
     def enter(self, given: Any, carried: Any, width: int) -> "Tiles":
         """The memory of `width` rollouts. Leaves with one axis more than the program's differ among them."""
-        leaves = [*self.code.given, *self.code.carried]
-        size = leaves[-1].place + -(-leaves[-1].size // ALIGN) * ALIGN
-        memory = _aligned(-(-width // LANES), size)
-        for leaf, values in zip(leaves, jax.tree.leaves(words((given, carried))), strict=True):
-            _put(memory, leaf, np.asarray(values), width)
-        return Tiles(memory, width, carried)
+        tiles = Tiles(_aligned(-(-width // LANES), _end(self.code.carried)), width, carried)
+        _put_all(tiles, self.code.given, given)
+        self.resume(tiles, carried)
+        return tiles
+
+    def resume(self, tiles: "Tiles", carried: Any) -> None:
+        """Go on from another state."""
+        _put_all(tiles, self.code.carried, carried)
 
     def advance(self, tiles: "Tiles", first: int, ticks: int, slots: np.ndarray | None) -> dict[str, np.ndarray] | None:
         """Go on by `ticks`. Records (ticks, slots, ...) of the rollouts in `slots`."""
         recorded = self.code.recorded
-        size = max((leaf.place + -(-leaf.size // ALIGN) * ALIGN for leaf in recorded.values()), default=ALIGN)
+        size = _end([*recorded.values()])
         wanted = sorted(set(() if slots is None else (slots // LANES).tolist()))
         told: dict[Any, np.ndarray] = {tile: _aligned(ticks, size) for tile in wanted}
 
@@ -133,11 +135,16 @@ class Kernel:
     def leave(self, tiles: "Tiles") -> Any:
         """What is carried, (width, ...) each."""
         like, tree = jax.tree.flatten(tiles.like)
-        found = [
-            _got(tiles.memory, leaf).reshape(len(tiles.memory) * LANES, *leaf.shape)[: tiles.width]
-            for leaf in self.code.carried
-        ]
-        return jax.tree.unflatten(tree, [_keyed(jnp.asarray(x), one) for x, one in zip(found, like, strict=True)])
+        found = [jnp.asarray(self._rows(tiles, leaf)) for leaf in self.code.carried]
+        return jax.tree.unflatten(tree, [_keyed(x, one) for x, one in zip(found, like, strict=True)])
+
+    def look(self, tiles: "Tiles", which: Callable[[Any], int]) -> np.ndarray:
+        """The array (width, ...) that `which` picks of what is carried, without the others."""
+        tree = jax.tree.structure(tiles.like)
+        return self._rows(tiles, self.code.carried[which(jax.tree.unflatten(tree, range(tree.num_leaves)))])
+
+    def _rows(self, tiles: "Tiles", leaf: Leaf) -> np.ndarray:
+        return _got(tiles.memory, leaf).reshape(len(tiles.memory) * LANES, *leaf.shape)[: tiles.width]
 
 
 class Tiles(NamedTuple):
@@ -155,14 +162,25 @@ def _aligned(rows: int, size: int) -> np.ndarray:
     return raw[start : start + rows * size].reshape(rows, size)
 
 
+def _end(leaves: Sequence[Leaf]) -> int:
+    """Bytes up to where arrays end that lie one after the other."""
+    return max((leaf.place + llvm.rounded(leaf.size) for leaf in leaves), default=ALIGN)
+
+
+def _put_all(tiles: Tiles, leaves: Sequence[Leaf], tree: Any) -> None:
+    for leaf, values in zip(leaves, jax.tree.leaves(words(tree)), strict=True):
+        _put(tiles.memory, leaf, np.asarray(values), tiles.width)
+
+
 def _put(memory: np.ndarray, leaf: Leaf, values: np.ndarray, width: int) -> None:
     """Values of a batch, or one for all of it; the last tile's idle lanes repeat the last rollout."""
     tiles, count = len(memory), int(np.prod(leaf.shape))
     if values.ndim > len(leaf.shape):
         lanes = np.minimum(np.arange(tiles * LANES), width - 1)
         values = values.reshape(width, count)[lanes].reshape(tiles, LANES, count).transpose(0, 2, 1)
-    values = np.ascontiguousarray(np.broadcast_to(values.reshape(values.shape if values.ndim == 3 else (1, count, 1)),
-                                                  (tiles, count, LANES)), leaf.dtype)  # fmt: skip
+    else:
+        values = np.broadcast_to(values.reshape(1, count, 1), (tiles, count, LANES))
+    values = np.ascontiguousarray(values, leaf.dtype)
     memory[:, leaf.place : leaf.place + leaf.size] = values.reshape(tiles, -1).view(np.uint8)
 
 

@@ -32,6 +32,11 @@ def row(dtype: str) -> int:
     return LANES * np.dtype(dtype).itemsize
 
 
+def rounded(size: int) -> int:
+    """Bytes after which memory is aligned again."""
+    return -(-size // ALIGN) * ALIGN
+
+
 class Printer:
     """The text of a function `run(rollouts, scratch, record, stride, first, ticks)`.
 
@@ -50,7 +55,7 @@ class Printer:
         self.places: dict[Region, int] = {}
         for region in sorted((r for r in regions(top) if r.place < 0), key=id):
             self.places[region] = self.scratch
-            self.scratch += -(-region.size * row(region.dtype) // ALIGN) * ALIGN
+            self.scratch += rounded(region.size * row(region.dtype))
         self._plan(top)
 
     def text(self, triple: str) -> str:
