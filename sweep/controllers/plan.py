@@ -295,6 +295,11 @@ def along_guides(start: Array, guides: Float[Array, "*b 2 3"], end: Array, share
     return rest**3 * start + 3 * rest**2 * share * near + 3 * rest * share**2 * far + share**3 * end
 
 
+def named(plan: Plan, stage: Int[Array, ""], *beginnings: str) -> Bool[Array, ""]:
+    """Whether the stage's name begins with one of these."""
+    return jnp.asarray(np.array([name.startswith(beginnings) for name in plan.names]))[stage]
+
+
 def begins(plan: Plan, stage: Int[Array, ""], free: FreeState) -> tuple[Float[Array, "6 3"], Float[Array, " 3"]]:
     """Where feet and base (m) are in a stage's frames when it begins, had all gone as planned with bodies as `free`."""
     before = jnp.maximum(stage - 1, 0)

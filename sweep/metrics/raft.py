@@ -3,9 +3,9 @@
 from typing import NamedTuple
 
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from sweep.controllers.plan import named
 from sweep.core.rotations import heading, rotate
 from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment
 from sweep.models.contact import to_body
@@ -46,10 +46,7 @@ def update(so_far: Afloat, now: Moment) -> Afloat:
         for side in (1.0, -1.0)
     )
     up = rotate(free.quat[0], jnp.array([0.0, 0.0, 1.0], feet.dtype))
-    during = {
-        word: jnp.asarray(np.array([name.startswith(word) for name in now.plan.names]))[now.stage]
-        for word in (PUSHES, ARRIVES)
-    }
+    during = {word: named(now.plan, now.stage, word) for word in (PUSHES, ARRIVES)}
     speed = free.velocity[0, 0]
     body = raft.surface(feet, (-1,) * 6, tick.bodies).body
     swings = now.plan.swing[now.stage] & ~now.finished

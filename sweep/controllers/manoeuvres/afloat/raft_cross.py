@@ -10,14 +10,14 @@ from dataclasses import replace
 from typing import ClassVar, NamedTuple
 
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from sweep.controllers.frames import WORLD, fixed
+from sweep.controllers.gaits import GALLOP, TRIPOD
 from sweep.controllers.manoeuvres.afloat.statics import refuse
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import CYCLE_B_SMOOTH, PRESS, REGRIP, Plan, Stage, Stance, assemble, reference
+from sweep.controllers.plan import CYCLE_B_SMOOTH, PRESS, REGRIP, Plan, Stage, Stance, assemble, named, reference
 from sweep.controllers.support import ALONGSIDE, STAYS, TO_VELOCITY, Support
 from sweep.controllers.tracker import Guidance, TrackerState
 from sweep.core.parameters import choice, count, parameters, quantity
@@ -30,9 +30,8 @@ from sweep.models.obstacles.raft import Raft
 from sweep.models.obstacles.surface import FreeState
 from sweep.models.robot import total_mass
 
-REAR, MIDDLE, FRONT = (1, 2), (3, 4), (5, 6)
-TRIPODS = ((1, 4, 5), (2, 3, 6))
-A, B = TRIPODS
+FRONT, _, REAR = GALLOP
+A, B = TRIPOD
 NEAR, DECK, FAR = "n", "d", "f"
 UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 HIPS = (-0.5, -0.5, 0.0, 0.0, 0.5, 0.5)  # a_r, ahead of the base's centre
@@ -176,24 +175,20 @@ class RaftCross:
     ) -> Guidance:
         """As planned, but ashore beside the place where the raft has come to."""
         stage = state.stage
-        lies = self._in(plan, state, "reach", "land.rise")
+        lies = named(plan, stage, "reach", "land.rise")
         along = jnp.where(begins & lies, seen.free.position[0] * jnp.array([0.0, 1.0, 0.0]), state.memory)
         frames = jnp.append(plan.foot_frame[stage], plan.base_frame[stage])
-        ashore = self._in(plan, state, "reach", "pull", "land", "leave", "halt") & (frames == WORLD)
+        ashore = named(plan, stage, "reach", "pull", "land", "leave", "halt") & (frames == WORLD)
         shifts = jnp.where(ashore[:, None], along, 0.0)
         goal, position = plan.foothold[stage] + shifts[:6], plan.position.at[stage].add(shifts[6])
         phase = jnp.clip(state.clock / plan.duration[stage], 0.0, 1.0)
         shifted = replace(plan, foothold=plan.foothold.at[stage].set(goal), position=position)
         return Guidance(reference(shifted, stage, phase, state.feet, state.position), goal, along)
 
-    def _in(self, plan: Plan, state: TrackerState, *words: str) -> Bool[Array, ""]:
-        """Whether the stage's name begins with one of some words."""
-        return jnp.asarray(np.array([name.startswith(words) for name in plan.names]))[state.stage]
-
     def ends(self, belief: Case, plan: Plan, state: TrackerState, seen: Observation) -> Bool[Array, ""]:
         """The wait, as soon as the raft is there; a pull, when it lies along the bank."""
         gaps = far_gaps(belief.on(Raft), seen.free)
-        waits, pulls = self._in(plan, state, "wait"), self._in(plan, state, "pull")
+        waits, pulls = named(plan, state.stage, "wait"), named(plan, state.stage, "pull")
         still = jnp.abs(seen.free.velocity[0, 0]) < self.close
         return (waits & (jnp.min(gaps) < self.near)) | (pulls & (jnp.max(gaps) < self.close) & still)
 
@@ -212,7 +207,7 @@ def tripods(base: Array | float, count: int, stride: Array | float, on: str) -> 
     moves = []
     for k in range(count + (count > 0)):
         base = base + stride if k < count else base
-        legs, ahead = TRIPODS[k % 2], stride / 2 if k < count - 1 else 0.0
+        legs, ahead = TRIPOD[k % 2], stride / 2 if k < count - 1 else 0.0
         places = tuple(base + HIPS[leg - 1] + ahead for leg in legs)
         moves.append(Move(f"{k + 1}", base, legs, places, 3 * on))  # pyright: ignore
     return moves

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.controllers.frames import WORLD, fixed, koenig
+from sweep.controllers.gaits import GALLOP
 from sweep.controllers.plan import CYCLE_B, PRESS, Stage, Stance
 from sweep.controllers.support import Support
 from sweep.controllers.tracker import joint_targets
@@ -22,7 +23,7 @@ from sweep.models.case import Case
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.ball import Ball
 
-REAR, MIDDLE, FRONT = (1, 2), (3, 4), (5, 6)
+FRONT, MIDDLE, REAR = GALLOP
 ON_BALL, ON_FLOOR = "ball", "floor"
 FREE = Support()  # the ball is where it is measured
 

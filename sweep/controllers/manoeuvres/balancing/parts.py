@@ -6,19 +6,13 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool
 
 from sweep.controllers.manoeuvres.balancing.ball import BallDrive, DriveMemory
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import Plan, reference
+from sweep.controllers.plan import Plan, named, reference
 from sweep.controllers.tracker import Eventful, Guidance, Guided, TrackerState
 from sweep.models.case import Case
-
-
-def here(plan: Plan, name: str, state: TrackerState) -> Bool[Array, ""]:
-    """Whether the stage is one of those whose names begin so."""
-    return jnp.asarray(np.array([stage.startswith(name) for stage in plan.names]))[state.stage]
 
 
 class InParts(ABC):
@@ -43,7 +37,7 @@ class InParts(ABC):
         memory = dict(state.memory)
         for name, part in self.parts.items():
             told = part.guide(belief, plan, state._replace(memory=state.memory[name]), seen, begins, period)
-            now, before = here(plan, name, state), (wanted, goal, state.memory[name])
+            now, before = named(plan, stage, name), (wanted, goal, state.memory[name])
             wanted, goal, memory[name] = jax.tree.map(lambda a, b, now=now: jnp.where(now, a, b), tuple(told), before)
         return Guidance(wanted, goal, memory)
 
@@ -53,7 +47,7 @@ class InParts(ABC):
         for name, part in self.parts.items():
             if isinstance(part, Eventful):
                 own = state._replace(memory=state.memory[name])
-                over = over | (here(plan, name, state) & part.ends(belief, plan, own, seen))
+                over = over | (named(plan, state.stage, name) & part.ends(belief, plan, own, seen))
         return over
 
 
