@@ -101,7 +101,8 @@ class RaftCross:
     lift_ratio: float = quantity(0.06, "a_r", above=0, at_most=0.5)  # of a swing, between bank and raft
     swing: float = quantity(0.8, "s", above=0, at_most=10)  # a swing's time
     landing: float = quantity(0.1, "m/s", above=0)  # v_eps, with which the raft is to meet the far bank
-    force: float = quantity(15.0, "N", above=0)  # of the push
+    force: float = quantity(15.0, "N", above=0)  # of the push, at least
+    push_ratio: float = quantity(0.3, "a_r", above=0, at_most=1)  # way on which the raft gains its speed, at most
     push: float = quantity(1.0, "-", above=0, at_most=3)  # speed after the push, over that of (4.3)
     offset: float = quantity(0.0, "m")  # h, of the robot's way to the left of the raft's middle
     near: float = quantity(0.01, "m", above=0)  # gap to the far bank at which the wait is over
@@ -273,10 +274,14 @@ class Way:
         return jnp.array([1.0, 0.0, 0.0]) * x
 
     def pushing(self, move: Move) -> Stage:
-        """Raft and robot gain speed at a constant force, with the turn that a push beside the middle gives."""
+        """Raft and robot gain speed at a constant force, with the turn that a push beside the middle gives.
+
+        Heavy or fast ones are pushed harder: the rear feet stay on the bank meanwhile.
+        """
         speed, turn = self.how.push * self.push.v0, self.how.push * self.push.w0
+        force = jnp.maximum(self.how.force, self.mass * speed**2 / (2 * self.how.push_ratio * self.length))
         to = Support(TO_VELOCITY, jnp.array([1.0, 0.0, 0.0]) * speed, jnp.array([0.0, 0.0, -1.0]) * turn)
-        return self.stage(move, time=self.mass * speed / self.how.force, support=to)
+        return self.stage(move, time=self.mass * speed / force, support=to)
 
     def reaching(self, moves: Sequence[Move]) -> list[Stage]:
         """Wait for the far bank, squat, front feet ashore, pull; the raft lies as it comes until then."""

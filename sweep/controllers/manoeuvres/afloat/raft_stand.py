@@ -31,7 +31,7 @@ class RaftStand:
     height_ratio: float = quantity(0.5, "a_r", above=0, at_most=2)  # d, hips above the deck
     spread_ratio: float = quantity(0.3, "a_r", at_least=0, at_most=2)  # feet out from the hips
     lift_ratio: float = quantity(0.06, "a_r", above=0, at_most=0.5)  # of a swing
-    swing: float = quantity(0.8, "s", above=0, at_most=10)  # a swing's time
+    swing: float = quantity(1.3, "s", above=0, at_most=10)  # a swing's time
     deepening: float = quantity(1e-3, "m", at_least=0, at_most=0.05)  # footholds below the deck
     observer: float = quantity(0.0, "s", at_least=0)  # time constant in which the raft's measured pose is taken over
     ease: float = quantity(0.15, "s", above=0)  # in which feet go over to where they are measured
