@@ -109,7 +109,7 @@ def describe(case: Case, geoms: bool = True) -> mujoco.MjSpec:
     _set_inertia(base, "base", values)
     if geoms:
         half = [robot.body_length / 2, robot.body_width / 2, robot.body_height / 2]
-        base.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=half, rgba=(0.35, 0.35, 0.4, 0.9), **_DRAWING)
+        base.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=half, rgba=(0.35, 0.35, 0.4, 1.0), **_DRAWING)
     for leg in LEGS:
         _add_leg(spec, base, case, leg, values, geoms)
     case.obstacle.add_to(spec, float(case.contact.friction))
