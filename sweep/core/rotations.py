@@ -3,6 +3,8 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+IDENTITY = (1.0, 0.0, 0.0, 0.0)
+
 
 def rotate(quat: Float[Array, "*b 4"], v: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
     """`v` turned from body to world axes."""

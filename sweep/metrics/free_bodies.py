@@ -1,12 +1,12 @@
 """What the obstacle's free bodies do; the first one is that on which the robot rides."""
 
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment
-from sweep.models.case import Riding
+from sweep.models.case import Driving
 
 TAIL = 12.0  # s, before the planned end, over which the obstacle's final speed is taken
 
@@ -58,7 +58,8 @@ def figures(found: FreeBodies, at: Elapsed) -> dict[str, Array]:
     """See `METRIC`."""
     along = (found.place - found.tail)[0, :2] / jnp.maximum(at.time - found.tail_time, 1e-9)
     speed = jnp.linalg.norm(along)
-    aim = cast(Riding, at.world.manoeuvre).obstacle_speed(jnp.sum(at.plan.duration))
+    manoeuvre = at.world.manoeuvre
+    aim = manoeuvre.obstacle_speed(jnp.sum(at.plan.duration)) if isinstance(manoeuvre, Driving) else 0.0
     return {
         "obstacle_moved_m": found.moved,
         "obstacle_shift_m": found.shifted,
@@ -83,7 +84,7 @@ METRIC = Metric(
         "obstacle_y_m": "the same along y",
         "obstacle_aside_max_m": "the farthest that it was sideways of the x axis",
         "obstacle_speed_mps": f"its mean speed over the last {TAIL:g} s",
-        "obstacle_speed_error_mps": "difference of that from the speed that the manoeuvre aims at",
+        "obstacle_speed_error_mps": "difference of that from the speed that the manoeuvre aims at, if not at rest",
     },
     (
         Cause(

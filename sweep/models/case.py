@@ -46,12 +46,17 @@ class Manoeuvre(Protocol):
 
 @runtime_checkable
 class Riding(Protocol):
-    """A manoeuvre on free bodies has these members besides."""
+    """A manoeuvre on free bodies has this member besides."""
 
     @property
     def observer(self) -> Array | float:
         """Time constant (s) in which their measured poses are taken over."""
         ...
+
+
+@runtime_checkable
+class Driving(Protocol):
+    """A manoeuvre that does not leave the free body at rest."""
 
     def obstacle_speed(self, duration: Array) -> Array:
         """The speed (m/s) that the body is meant to have at the end of a plan of `duration` (s)."""

@@ -222,10 +222,6 @@ class Ashore(Stand):
     needs = (Raft,)
     observer = 0.0
 
-    def obstacle_speed(self, duration):
-        """See `Riding`."""
-        return 0.0 * duration
-
     def plan(self, belief: Case) -> Plan:
         """See `Stand`."""
         start, _ = standing(belief, 0.3, 0.525)

@@ -21,7 +21,7 @@ from sweep.controllers.plan import CYCLE_B_SMOOTH, PRESS, REGRIP, Plan, Stage, S
 from sweep.controllers.support import ALONGSIDE, STAYS, TO_VELOCITY, Support
 from sweep.controllers.tracker import Guidance, TrackerState
 from sweep.core.parameters import choice, count, parameters, quantity
-from sweep.core.rotations import rotate
+from sweep.core.rotations import IDENTITY, rotate
 from sweep.formulas.crossing import Crossing, crossing
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
@@ -33,7 +33,6 @@ from sweep.models.robot import total_mass
 FRONT, _, REAR = GALLOP
 A, B = TRIPOD
 NEAR, DECK, FAR = "n", "d", "f"
-UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 HIPS = (-0.5, -0.5, 0.0, 0.0, 0.5, 0.5)  # a_r, ahead of the base's centre
 
 
@@ -121,10 +120,6 @@ class RaftCross:
         """The numbers of its plan."""
         return Tables()
 
-    def obstacle_speed(self, duration: Array) -> Array:
-        """The raft is left behind (m/s)."""
-        return jnp.zeros_like(duration)
-
     def plan(self, belief: Case, table: Tables | None = None) -> Plan:
         """The whole way.
 
@@ -138,7 +133,7 @@ class RaftCross:
         start = Stance(
             jnp.stack([way.foot(NEAR, leg, first + HIPS[leg - 1], 0.0) for leg in LEGS]),
             way.base(NEAR, first),
-            jnp.array(UPRIGHT),
+            jnp.array(IDENTITY),
         )
         names = [move.name for move in tables.board]
         cast_off = names.index("push")

@@ -3,7 +3,6 @@
 from typing import ClassVar
 
 import jax.numpy as jnp
-from jaxtyping import Array
 
 from sweep.controllers.frames import fixed
 from sweep.controllers.manoeuvres.afloat.statics import refuse
@@ -38,10 +37,6 @@ class RaftStand:
     patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
 
     needs = (Raft,)
-
-    def obstacle_speed(self, duration: Array) -> Array:
-        """The raft is to rest (m/s)."""
-        return jnp.zeros_like(duration)
 
     def plan(self, belief: Case) -> Plan:
         """Stand, walk, stand.

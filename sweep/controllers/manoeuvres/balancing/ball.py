@@ -29,14 +29,13 @@ from sweep.controllers.observation import Observation
 from sweep.controllers.plan import CYCLE_A, KEEP, REGRIP, Plan, Stage, Stance, assemble, swing_progress
 from sweep.controllers.tracker import Guidance, TrackerState
 from sweep.core.parameters import choice, count, parameters, quantity
-from sweep.core.rotations import conjugate, rotate
+from sweep.core.rotations import IDENTITY, conjugate, rotate
 from sweep.formulas.ball import stabilise_delta
 from sweep.models.case import Case
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.ball import Ball
 from sweep.models.robot import Robot, total_mass
 
-UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 CENTRING = 4  # Newton's iterations that put the mass centre over the ball's
 CHI_ITERATIONS = 3  # of (3.1.10)
 FASTEST = 0.4  # m/s, of the base in the law of every tick
@@ -68,7 +67,7 @@ def perch(belief: Case, manoeuvre: OnBall) -> Perch:
     circle = manoeuvre.circle_ratio * radius
     feet = footholds(radius, circle, manoeuvre.chord_ratio * circle, 0.0) * (1 - manoeuvre.deepening / radius)
     above = jnp.asarray(UP) * (radius + manoeuvre.height_ratio * length)
-    return Perch(feet, _balanced(belief.robot, Stance(feet, above, jnp.array(UPRIGHT))))
+    return Perch(feet, _balanced(belief.robot, Stance(feet, above, jnp.array(IDENTITY))))
 
 
 @jax.jit  # for plans outside a compiled program
@@ -83,7 +82,7 @@ def _balanced(robot: Robot, stance: Stance) -> Float[Array, " 3"]:
 def on_ball(belief: Case, perched: Perch) -> Stance:
     """The perch in the world, before anything moves."""
     centre = jnp.asarray(UP) * belief.on(Ball).radius
-    return Stance(perched.feet + centre, perched.position + centre, jnp.array(UPRIGHT))
+    return Stance(perched.feet + centre, perched.position + centre, jnp.array(IDENTITY))
 
 
 class BalanceMemory(NamedTuple):
@@ -121,10 +120,6 @@ class BallBalance(OnBall):
     smoothing: float = quantity(0.05, "s", at_least=0)  # of K_S in the law of every tick
     lag: float = quantity(0.1, "s", above=0)  # in which the mass centre goes to where that law wants it
     reach: float = quantity(0.12, "m", above=0)  # at most so far does that law lean
-
-    def obstacle_speed(self, duration: Array) -> Array:
-        """The ball is to stand (m/s)."""
-        return jnp.zeros_like(duration)
 
     def plan(self, belief: Case) -> Plan:
         """One stage each T; all feet stay."""
@@ -181,7 +176,7 @@ class BallBalance(OnBall):
         momentum = memory.momentum + share * (angular_momentum(robot, belief.on(Ball), seen) - memory.momentum)
         wanted = self.momentum_gain * towards(momentum, total_mass(robot)) - self.place_gain * free.position[0, :2]
         wanted = jnp.clip(wanted, -self.reach, self.reach)
-        stance = Stance(rotate(free.quat, state.feet), memory.place, jnp.array(UPRIGHT))
+        stance = Stance(rotate(free.quat, state.feet), memory.place, jnp.array(IDENTITY))
         off = wanted - centre_of_mass(robot, stance)[:2]
         move = base_move(robot, measured_stance(robot, seen), off)  # as commanded, legs may be out of reach
         step = jnp.minimum(1.0, period / self.lag) * move
@@ -318,6 +313,6 @@ def compensated(
     position = perched.at[:2].add(wanted)
     free = jnp.array([1.0 if lengthwise else 0.0, 1.0])
     for _ in range(CHI_ITERATIONS):
-        off = wanted - centre_of_mass(robot, Stance(feet, position, jnp.array(UPRIGHT)))[:2]
+        off = wanted - centre_of_mass(robot, Stance(feet, position, jnp.array(IDENTITY)))[:2]
         position = position.at[:2].add(heavier * free * off)
     return position

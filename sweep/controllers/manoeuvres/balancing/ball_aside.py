@@ -46,10 +46,6 @@ class BallAside(OnBall):
     gain: float = quantity(1.0, "-", above=0)  # of k_l, over that by the angular momentum
     stops: int = count(8, at_least=1, at_most=500)  # stages that stop the ball
 
-    def obstacle_speed(self, duration: Array) -> Array:
-        """The ball is to stand in the end (m/s)."""
-        return jnp.zeros_like(duration)
-
     def plan(self, belief: Case) -> Plan:
         """Drive, coast, stop; all feet stay."""
         perched = perch(belief, self)

@@ -1,21 +1,22 @@
 """From the floor on to a free ball and to rest on its top (monograph 3.3.1, 3.3.2)."""
 
-import math
 from collections.abc import Mapping
 from typing import ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
 
 from sweep.controllers.frames import WORLD
-from sweep.controllers.manoeuvres.balancing.ball import BallDrive, OnBall, perch
+from sweep.controllers.manoeuvres.balancing.ball import perch
 from sweep.controllers.manoeuvres.balancing.ball_ride import RIDE, UP, Ride
 from sweep.controllers.manoeuvres.balancing.beside_ball import (
+    CALM,
     FRONT,
     MIDDLE,
     ON_FLOOR,
     REAR,
+    STILL,
+    BesideBall,
     Held,
     Move,
     Pose,
@@ -24,19 +25,17 @@ from sweep.controllers.manoeuvres.balancing.beside_ball import (
     refuse,
     stages,
 )
-from sweep.controllers.manoeuvres.balancing.parts import InParts, Steps
 from sweep.controllers.manoeuvres.goals import UPRIGHT
-from sweep.controllers.plan import GRIP, Plan, Stance, assemble
+from sweep.controllers.plan import GRIP, Plan, Stage, Stance, assemble
 from sweep.controllers.support import RESTS, TO_VELOCITY, Support
 from sweep.controllers.tracker import Guided
 from sweep.core.errors import InputError
-from sweep.core.parameters import choice, count, parameters, quantity
+from sweep.core.parameters import choice, parameters, quantity
+from sweep.core.rotations import IDENTITY
 from sweep.formulas.ball_reach import max_ball
 from sweep.models.case import Case
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.ball import Ball
-
-STILL = (0.0, 0.0)
 
 
 class Table(NamedTuple):
@@ -155,41 +154,34 @@ TABLE = Table(
 
 
 @parameters
-class BallClimb(OnBall, InParts):
+class BallClimb(BesideBall):
     """From the floor on to a free ball and to rest on its top. Stages and their numbers are `TABLE`."""
 
     goal: ClassVar = {**UPRIGHT, "obstacle_speed_error_max_mps": 0.01, "obstacle_aside_max_m": 0.05}
     kind: str = choice("ball_climb", "ball_climb")
-    calm: int = count(15, at_least=1, at_most=100)  # steps on top, at most
+    calm_speed: float = quantity(0.0, "m/s", at_least=0)  # of a ball that needs no further step; 0: all are made
     push_speed: float = quantity(0.324, "m/s", above=0)  # v_*, of the ball after the push
     gain: float = quantity(0.918, "-", above=0, at_most=2)  # of the rate (3.1.16)
     most_rate: float = quantity(1.5, "rad/s", above=0)  # of the ride, at most
     centring: float = quantity(1.52, "s", above=0)  # in which the base goes on to the point of its tangent, in the ride
-    calm_speed: float = quantity(0.0, "m/s", at_least=0)  # of a ball that needs no further step; 0: all are made
-    step_time: float = quantity(0.9, "s", above=0, at_most=20)  # of the steps on top
-    speed_gain: float = quantity(0.6, "s", at_least=0)  # k_v, of pushes that stop the ball
-    aside_gain: float = quantity(0.4, "-", at_least=0)  # k_1, of how far the ball is aside now
-    aside_gain_before: float = quantity(0.3, "-", at_least=0)  # k_2, of how far it was aside a step before
-    press: float = quantity(1.6e-3, "m", at_least=0, at_most=0.05)  # feet on the ball deeper than they are measured
-    squeeze: float = quantity(3.8e-3, "m", at_least=0, at_most=0.05)  # the same to the middle
-    ease: float = quantity(0.15, "s", above=0)  # in which feet go over to where they are measured
-    patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
 
     @property
     def table(self) -> Table:
         """The numbers of its plan."""
         return TABLE
 
-    def obstacle_speed(self, duration: Array) -> Array:
-        """The ball is to stand (m/s)."""
-        return jnp.zeros_like(duration)
-
     def plan(self, belief: Case, table: Table | None = None) -> Plan:
         """Feet to the ball, base to its tangent, push, ride, stand on top, calm the ball.
 
         Raises `InputError` where the ball is too large, or the feet do not reach the floor, by plain numbers.
         """
-        ball, table = belief.on(Ball), table or self.table
+        start, up = self.way_up(belief, table or self.table)
+        calm = self.calming.steps_of(perch(belief, self), CALM)
+        return assemble(start, [*up, *calm], self.patience, ease=self.ease)
+
+    def way_up(self, belief: Case, table: Table) -> tuple[Stance, list[Stage]]:
+        """Where the robot stands at the start, and the stages to where the ball is to be calmed; see `plan`."""
+        ball = belief.on(Ball)
         self.refuse(belief)
         refuse(belief, lambda: self.stance(ball, table))
         touching, held = (Held(self.deepening, by, GRIP) for by in ((0.0, 0.0), (self.press, self.squeeze)))
@@ -200,14 +192,13 @@ class BallClimb(OnBall, InParts):
         moves += stages(ball, hold, table.approach[-1].pose, stand, held)
         moves += stages(ball, table.ride, table.push.pose, stand, held, RIDE)
         moves += stages(ball, table.top, table.ride[-1].pose, stand, held)
-        calm = self.calming.steps_of(perch(belief, self), "calm")
-        return assemble(self.stance(ball, table), [*moves, *calm], self.patience, ease=self.ease)
+        return self.stance(ball, table), moves
 
     def stance(self, ball: Ball, table: Table) -> Stance:
         """Where the robot stands at the start."""
         start, up = Move("", 0.0, table.level, where=ON_FLOOR), jnp.zeros(3).at[2].set(ball.radius)
         feet = [foothold(ball, leg, start._replace(place=table.floor[(leg - 1) // 2]), self.deepening) for leg in LEGS]
-        return Stance(jnp.stack(feet) + up, centre(ball, table.level) + up, jnp.array([1.0, 0.0, 0.0, 0.0]))
+        return Stance(jnp.stack(feet) + up, centre(ball, table.level) + up, jnp.array(IDENTITY))
 
     def refuse(self, belief: Case) -> None:
         """Raise `InputError` where the front feet do not reach so high that friction holds them: (3.1.18)-(3.1.22)."""
@@ -225,15 +216,6 @@ class BallClimb(OnBall, InParts):
             )
 
     @property
-    def calming(self) -> BallDrive:
-        """The steps that stop the ball."""
-        return BallDrive(steps=self.calm, speed=0.0, step_time=self.step_time, speed_gain=self.speed_gain,
-                         aside_gain=self.aside_gain, aside_gain_before=self.aside_gain_before,
-                         circle_ratio=self.circle_ratio, chord_ratio=self.chord_ratio,
-                         height_ratio=self.height_ratio, deepening=self.deepening)  # fmt: skip
-
-    @property
     def parts(self) -> Mapping[str, Guided]:
         """The ride up, and the calming steps."""
-        ride = Ride(self.gain, self.most_rate, self.centring)
-        return {RIDE: ride, "calm": Steps(self.calming, self.calm_speed, math.inf)}
+        return {RIDE: Ride(self.gain, self.most_rate, self.centring), **super().parts}

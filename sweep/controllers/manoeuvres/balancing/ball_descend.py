@@ -8,40 +8,37 @@ come to rest, and put down short of it by the way that a ball of the believed ma
 with the ball where it rolls to (`tools/search_plan.py`).
 """
 
-import math
-from collections.abc import Mapping
 from typing import ClassVar, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array
 
 from sweep.controllers.frames import fixed, koenig
-from sweep.controllers.manoeuvres.balancing.ball import BallDrive, OnBall, on_ball, perch
+from sweep.controllers.manoeuvres.balancing.ball import on_ball, perch
 from sweep.controllers.manoeuvres.balancing.beside_ball import (
+    CALM,
     FRONT,
     MIDDLE,
     ON_BALL,
     ON_FLOOR,
     REAR,
+    STILL,
+    BesideBall,
     Held,
     Move,
     Pose,
     refuse,
     stages,
 )
-from sweep.controllers.manoeuvres.balancing.parts import InParts, Steps
 from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.plan import Plan, Stage, assemble
 from sweep.controllers.support import RESTS, STAYS
-from sweep.controllers.tracker import Guided
-from sweep.core.parameters import choice, count, parameters, quantity
+from sweep.core.parameters import choice, parameters, quantity
 from sweep.formulas.ball import ball_omega
 from sweep.models.case import Case
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.ball import Ball
 from sweep.models.robot import total_mass
-
-STILL = (0.0, 0.0)
 
 
 class Table(NamedTuple):
@@ -60,60 +57,60 @@ TABLE = Table(
         Move("front", 0.7, Pose(90.3, 1.105, -0.039), FRONT, place=(0.603, 180.5), lift=0.08, plane=(0.5, 0.0, 1.0)),
     ),
     down=(
-        Move("turn", 0.35, Pose(104.0, 1.102, 0.117)),
+        Move("turn", 0.35, Pose(104.2, 1.102, 0.117)),
         Move(
             "middle2",
             0.6,
-            Pose(122.0, 1.123, 0.072),
+            Pose(119.5, 1.123, 0.072),
             MIDDLE,
-            place=(0.754, 167.6),
+            place=(0.804, 168.6),
             lift=0.212,
             plane=(0.241, 0.429, 0.791),
         ),
-        Move("grip", 0.25, Pose(128.0, 1.137, 0.001)),
+        Move("grip", 0.25, Pose(127.5, 1.121, 0.008)),
         Move(
             "front2",
             0.8,
-            Pose(150.0, 1.086, 0.2),
+            Pose(151.4, 1.086, 0.2),
             FRONT,
             ON_FLOOR,
-            place=(0.718, 1.421),
+            place=(0.716, 1.453),
             lift=0.13,
-            plane=(0.782, 0.46, 0.378),
+            plane=(0.851, 0.489, 0.433),
             rates=(1.0, 0.5),
         ),
     ),
     off=(
-        Move("brake", 0.9, Pose(150.0, 1.086, 0.275), rates=(1.0, 0.0), support=RESTS),
-        Move("hold", 0.4, Pose(150.0, 1.079, 0.251), support=RESTS),
+        Move("brake", 0.9, Pose(152.0, 1.086, 0.253), rates=(1.0, 0.0), support=RESTS),
+        Move("hold", 0.4, Pose(148.7, 1.089, 0.262), support=RESTS),
         Move(
             "rear2",
             0.8,
-            Pose(150.0, 1.088, 0.416),
+            Pose(148.7, 1.082, 0.437),
             REAR,
-            place=(0.647, 106.4),
+            place=(0.621, 108.8),
             lift=0.125,
             plane=(0.5, 1.0, 0.8),
             support=RESTS,
         ),
-        Move("down", 1.5, Pose(141.2, 1.1, 0.686), rates=STILL, support=RESTS),
+        Move("down", 1.5, Pose(139.3, 1.074, 0.715), rates=STILL, support=RESTS),
         Move(
             "middle3",
             0.8,
-            Pose(147.0, 1.069, 0.773),
+            Pose(149.4, 1.071, 0.74),
             MIDDLE,
             ON_FLOOR,
-            place=(0.563, 1.15),
-            lift=0.127,
-            plane=(1.357, -0.527, 0.071),
+            place=(0.528, 1.177),
+            lift=0.112,
+            plane=(1.286, -0.414, 0.174),
             support=RESTS,
         ),
         Move(
             "rear3",
             0.8,
-            Pose(146.1, 1.068, 0.822),
+            Pose(145.7, 1.076, 0.833),
             REAR,
-            place=(0.706, 164.1),
+            place=(0.707, 168.4),
             lift=0.23,
             plane=(0.052, 1.209, 1.414),
             support=RESTS,
@@ -121,10 +118,10 @@ TABLE = Table(
         Move(
             "middle4",
             0.8,
-            Pose(145.9, 1.075, 0.781),
+            Pose(148.6, 1.103, 0.806),
             MIDDLE,
             ON_FLOOR,
-            place=(0.565, 1.415),
+            place=(0.565, 1.463),
             lift=0.06,
             plane=(0.0, 0.0, 1.0),
             support=RESTS,
@@ -132,7 +129,7 @@ TABLE = Table(
         Move(
             "front3",
             0.8,
-            Pose(153.1, 1.1, 0.688),
+            Pose(152.7, 1.084, 0.671),
             FRONT,
             ON_FLOOR,
             place=(0.708, 2.067),
@@ -140,7 +137,7 @@ TABLE = Table(
             plane=(0.189, -0.417, 0.77),
             support=RESTS,
         ),
-        Move("level", 2.0, Pose(90.0, -0.278, 1.885), rates=STILL, support=STAYS),
+        Move("level", 2.0, Pose(90.0, -0.287, 1.882), rates=STILL, support=STAYS),
         Move(
             "rear4",
             0.8,
@@ -193,61 +190,41 @@ def led(belief: Case, table: Table, rate: Array | float) -> Table:
 
 
 @parameters
-class BallDescend(OnBall, InParts):
+class BallDescend(BesideBall):
     """From standing on a free ball down to the floor ahead. Stages and their numbers are `TABLE`.
 
-    A ball that rolls is stopped first, by steps of tripods as in `ball_drive`, as many of `calm` as it needs.
+    A ball that rolls is stopped first.
     """
 
     goal: ClassVar = {**UPRIGHT, "obstacle_speed_error_max_mps": 0.01}
     kind: str = choice("ball_descend", "ball_descend")
     rate: float = quantity(1.0, "-", above=0, at_most=10)  # of the way down to the floor, over that of `TABLE`
-    calm: int = count(10, at_least=1, at_most=100)  # steps at most
-    calm_speed: float = quantity(0.01, "m/s", above=0)  # of a ball that is calm
-    rest: float = quantity(2.0, "s", above=0)  # on the floor, in the end
-    press: float = quantity(1.4e-3, "m", at_least=0, at_most=0.05)  # feet on the ball deeper than they are measured
-    squeeze: float = quantity(3.5e-3, "m", at_least=0, at_most=0.05)  # the same to the middle
-    ease: float = quantity(0.15, "s", above=0)  # in which feet go over to where they are measured
-    patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
+    rest: float = quantity(3.5, "s", above=0)  # on the floor, in the end
 
     @property
     def table(self) -> Table:
         """The numbers of its plan."""
         return TABLE
 
-    def obstacle_speed(self, duration: Array) -> Array:
-        """The ball is to stand (m/s)."""
-        return jnp.zeros_like(duration)
-
     def plan(self, belief: Case, table: Table | None = None) -> Plan:
         """Calm the ball, come down, rest.
 
         Raises `InputError` where the feet do not reach the ball, by plain numbers.
         """
+        perched = perch(belief, self)
         refuse(belief, lambda: on_ball(belief, perch(belief, self)))
+        calm = self.calming.steps_of(perched, CALM, first=0.5)
+        down = self.way_down(belief, table or self.table)
+        return assemble(on_ball(belief, perched), [*calm, *down], self.patience, ease=self.ease)
+
+    def way_down(self, belief: Case, table: Table) -> list[Stage]:
+        """From the perch to a rest on the floor, in the end in the frame of a ball that is not to move."""
         ball, perched = belief.on(Ball), perch(belief, self)
-        stand = dict.fromkeys(LEGS, fixed(0))
-        moves = [move for part in led(belief, table or self.table, self.rate) for move in part]
+        moves = [move for part in led(belief, table, self.rate) for move in part]
         on_top = Pose(90.0, perched.position[2] / ball.radius, perched.position[0] / ball.radius)
         held = Held(self.deepening, (self.press, self.squeeze))
-        down = stages(ball, moves, on_top, stand, held)
+        down = stages(ball, moves, on_top, dict.fromkeys(LEGS, fixed(0)), held)
         last = down[-1]
         halt = Stage("rest", self.rest, foot_frames=(koenig(0),) * 6, base_frame=koenig(0), support=(STAYS,),
                      onset=last.onset, press=last.press)  # fmt: skip
-        return assemble(
-            on_ball(belief, perched),
-            [*self.calming.steps_of(perched, "calm", first=0.5), *down, halt],
-            self.patience,
-            ease=self.ease,
-        )
-
-    @property
-    def calming(self) -> BallDrive:
-        """The steps that stop the ball."""
-        return BallDrive(steps=self.calm, speed=0.0, circle_ratio=self.circle_ratio, chord_ratio=self.chord_ratio,
-                         height_ratio=self.height_ratio, deepening=self.deepening)  # fmt: skip
-
-    @property
-    def parts(self) -> Mapping[str, Guided]:
-        """The calming steps."""
-        return {"calm": Steps(self.calming, self.calm_speed, math.inf)}
+        return [*down, halt]

@@ -4,7 +4,8 @@ World axes as in `ball`: the robot faces x. Places are seen from the ball's cent
 its radius R.
 """
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import jax
@@ -14,10 +15,13 @@ from jaxtyping import Array, Float
 
 from sweep.controllers.frames import WORLD, fixed, koenig
 from sweep.controllers.gaits import GALLOP
+from sweep.controllers.manoeuvres.balancing.ball import BallDrive, OnBall
+from sweep.controllers.manoeuvres.balancing.parts import InParts, Steps
 from sweep.controllers.plan import CYCLE_B, PRESS, Stage, Stance
 from sweep.controllers.support import Support
-from sweep.controllers.tracker import joint_targets
+from sweep.controllers.tracker import Guided, joint_targets
 from sweep.core.errors import InputError
+from sweep.core.parameters import count, parameters, quantity
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
 from sweep.models.legs import LEGS
@@ -26,6 +30,8 @@ from sweep.models.obstacles.ball import Ball
 FRONT, MIDDLE, REAR = GALLOP
 ON_BALL, ON_FLOOR = "ball", "floor"
 FREE = Support()  # the ball is where it is measured
+STILL = (0.0, 0.0)  # rates of a base that starts and ends at rest
+CALM = "calm"  # how the names of steps that stop the ball begin
 
 
 class Pose(NamedTuple):
@@ -57,6 +63,38 @@ class Held(NamedTuple):
     deepening: Array | float  # of footholds inside ball and floor
     press: tuple[Array | float, Array | float]  # of feet that stand on the ball, see `Stage.press`
     onset: str = PRESS  # or `GRIP`
+
+
+@parameters
+class BesideBall(OnBall, InParts):
+    """What manoeuvres between a free ball and the floor have in common: their grip, and steps that stop the ball.
+
+    These are tripods of `ball_drive` at v_d = 0, as many of `calm` as the ball needs.
+    """
+
+    calm: int = count(15, at_least=1, at_most=100)  # steps at most
+    calm_speed: float = quantity(0.01, "m/s", at_least=0)  # of a ball that needs no further step; 0: all are made
+    step_time: float = quantity(0.9, "s", above=0, at_most=20)  # of these steps
+    speed_gain: float = quantity(0.6, "s", at_least=0)  # k_v, of pushes that stop the ball
+    aside_gain: float = quantity(0.4, "-", at_least=0)  # k_1, of how far the ball is aside now
+    aside_gain_before: float = quantity(0.3, "-", at_least=0)  # k_2, of how far it was aside a step before
+    press: float = quantity(1.6e-3, "m", at_least=0, at_most=0.05)  # feet on the ball deeper than they are measured
+    squeeze: float = quantity(3.8e-3, "m", at_least=0, at_most=0.05)  # the same to the middle
+    ease: float = quantity(0.15, "s", above=0)  # in which feet go over to where they are measured
+    patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
+
+    @property
+    def calming(self) -> BallDrive:
+        """The steps that stop the ball."""
+        return BallDrive(steps=self.calm, speed=0.0, step_time=self.step_time, speed_gain=self.speed_gain,
+                         aside_gain=self.aside_gain, aside_gain_before=self.aside_gain_before,
+                         circle_ratio=self.circle_ratio, chord_ratio=self.chord_ratio,
+                         height_ratio=self.height_ratio, deepening=self.deepening)  # fmt: skip
+
+    @property
+    def parts(self) -> Mapping[str, Guided]:
+        """The calming steps."""
+        return {CALM: Steps(self.calming, self.calm_speed, math.inf)}
 
 
 def refuse(belief: Case, start: Callable[[], Stance]) -> None:

@@ -115,10 +115,6 @@ class LadderClimb(PlannedForces):
         """The numbers of the way up."""
         return MOVES
 
-    def obstacle_speed(self, duration: Array) -> Array:
-        """The ladder is to stand (m/s)."""
-        return jnp.zeros_like(duration)
-
     def plan(self, belief: Case, table: Sequence[Move] | None = None) -> Plan:
         """Wait, walk up, climb, walk away, halt.
 

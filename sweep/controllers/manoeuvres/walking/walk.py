@@ -10,14 +10,13 @@ from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
 from sweep.controllers.plan import Plan, Stage, Stance, assemble, moved
 from sweep.controllers.posture import foot_centres
 from sweep.core.parameters import choice, count, parameters, quantity
-from sweep.core.rotations import exponential
+from sweep.core.rotations import IDENTITY, exponential
 from sweep.formulas import stepping
 from sweep.models.case import Case
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.plane import Plane
 
 STAND = 0.5  # s, before the first and after the last step
-UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 
 
 @parameters
@@ -77,7 +76,7 @@ def standing(belief: Case, spread: Array | float, height: Array | float) -> tupl
     """A stance over the origin of level ground, and its feet relative to the base (m)."""
     centres = foot_centres(belief.robot, spread, height)
     position = jnp.array([0.0, 0.0, 1.0]) * height
-    return Stance(position + centres, position, jnp.array(UPRIGHT)), centres
+    return Stance(position + centres, position, jnp.array(IDENTITY)), centres
 
 
 def on_ground(plan: Plan, belief: Case) -> Plan:
