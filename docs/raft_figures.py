@@ -1,4 +1,4 @@
-"""Draws docs/figures/raft_crossing.png: fig. 4.4.1 of the monograph from a run of our own, pushed 0.1 m beside the middle.
+"""Draws docs/figures/raft_crossing.png: fig. 4.4.1 of the monograph from our own run, pushed 0.1 m beside the middle.
 
 python docs/raft_figures.py
 """

@@ -17,7 +17,7 @@ from sweep.controllers.gaits import GALLOP, TRIPOD
 from sweep.controllers.manoeuvres.afloat.statics import refuse
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import CYCLE_B_SMOOTH, PRESS, REGRIP, Plan, Stage, Stance, assemble, named, reference
+from sweep.controllers.plan import CYCLE_B_SMOOTH, REGRIP, Plan, Stage, Stance, assemble, named, reference
 from sweep.controllers.support import ALONGSIDE, STAYS, TO_VELOCITY, Support
 from sweep.controllers.tracker import Guidance, TrackerState
 from sweep.core.parameters import choice, count, parameters, quantity
@@ -33,6 +33,7 @@ from sweep.models.robot import total_mass
 FRONT, _, REAR = GALLOP
 A, B = TRIPOD
 NEAR, DECK, FAR = "n", "d", "f"
+BOARDING = "board."  # how the names of stages begin in which the rear feet come to where they push
 HIPS = (-0.5, -0.5, 0.0, 0.0, 0.5, 0.5)  # a_r, ahead of the base's centre
 
 
@@ -109,6 +110,7 @@ class RaftCross:
     pulls: int = count(5, at_least=1, at_most=10)  # of the raft to the bank, at most
     pull: float = quantity(4.0, "s", above=0)  # time of one
     deepening: float = quantity(1e-3, "m", at_least=0, at_most=0.05)  # footholds below the surface
+    bracing: float = quantity(3e-3, "m", at_least=0, at_most=0.05)  # the same of the feet that push, beyond this
     observer: float = quantity(0.0, "s", at_least=0)  # time constant in which the raft's measured pose is taken over
     ease: float = quantity(0.15, "s", above=0)  # in which feet go over to where they are measured
     patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
@@ -143,7 +145,7 @@ class RaftCross:
         stages = [
             Stage("stand", 0.5, onset=REGRIP),
             *way.stages(tripods(first, self.approach, self.stride_ratio, NEAR), "approach.", 0),
-            *way.stages(tables.board[:cast_off], "board.", 0),
+            *way.stages(tables.board[:cast_off], BOARDING, 0),
             way.pushing(tables.board[cast_off]),
             *way.stages(tables.board[cast_off + 1 :], "aboard."),
             *way.stages(tripods(ashore, self.steps, over, DECK), "walk."),
@@ -251,7 +253,8 @@ class Way:
         """Of a move."""
         swing = {}
         for leg, x, on in zip(move.legs, move.places, move.on, strict=True):
-            swing[leg] = self.foot(on, leg, x, self.how.deepening)
+            brace = self.how.bracing if prefix == BOARDING and leg in REAR else 0.0
+            swing[leg] = self.foot(on, leg, x, self.how.deepening + brace)
             self.frames[leg] = fixed(0) if on == DECK else WORLD
         where = DECK if moored is None and any(self.frames.values()) else (FAR if self.far else NEAR)
         if support is None:
@@ -259,7 +262,7 @@ class Way:
         return Stage(
             prefix + move.name, self.how.swing if time is None else time, swing, CYCLE_B_SMOOTH,
             self.how.lift_ratio * self.length, position=self.base(where, move.base, ratio), rates=(0.0, 0.0),
-            onset=PRESS, press=(self.how.deepening, 0.0), foot_frames=tuple(self.frames.values()),
+            onset=REGRIP, foot_frames=tuple(self.frames.values()),
             base_frame=fixed(0) if where == DECK else WORLD, support=(support,),
         )  # fmt: skip
 
