@@ -64,10 +64,13 @@ def felt(
 
 
 def replanned(belief: Case, plan: Plan, stage: Int[Array, ""], learned: Learned) -> Learned:
-    """What is left of the way after `stage` planned by what is known; as it was where there is no such plan."""
+    """What is left of the way after `stage` planned by what is known; as it was where there is no such plan.
+
+    Planned forces stay: they are dear to work out, and sizes that differ by a per cent change them by about as much.
+    """
     old = newest(plan, learned)
     known = informed(belief, learned)
-    fresh = replace(known.manoeuvre.plan(known), start=old.start)
+    fresh = replace(known.manoeuvre.plan(known), start=old.start, feedforward=old.feedforward)
     there_is = jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(fresh)]))
     later = there_is & (jnp.arange(plan.duration.shape[0]) > stage)
 
