@@ -51,16 +51,18 @@ def felt(
     """Footholds, plan, and what is known, after a tick of touching. `belief` and `plan` are those of the start."""
     if learned is None or learned.touched is None:
         return state, newest(plan, learned), learned
-    depth = fixed_surface(belief.obstacle, plan.foothold[state.stage]).depth
+    ground = fixed_surface(belief.obstacle, plan.foothold[state.stage])
     robot, now = informed(belief, learned).robot, newest(plan, learned)
-    touched, moves = touch.felt(world.control, belief.noise, robot, now, depth, state, learned.touched, seen, period)
-    learned = learned._replace(touched=touched)
-    if plan.feedforward is not None:  # feet are anchored where they stand
-        return state, now, learned
-    swings = now.swing[state.stage][:, None]
+    known = world.control, belief.noise, robot, now, ground
+    touched, moves, searches = touch.felt(*known, state, learned.touched, seen, period)
+    swings = now.swing[state.stage]
     here = (jnp.arange(now.duration.shape[0]) == state.stage)[:, None, None]
-    now = replace(now, foothold=now.foothold + jnp.where(here & swings, moves, 0.0))
-    return state._replace(feet=state.feet + jnp.where(swings, 0.0, moves)), now, learned
+    foothold = now.foothold + jnp.where(here & swings[:, None], moves, 0.0)
+    patience = jnp.where(jnp.any(searches & swings), jnp.inf, now.patience)
+    # with planned forces, those that bear load are anchored where they stand
+    goes = ~swings if plan.feedforward is None else ~swings & ~seen.loaded
+    state = state._replace(feet=state.feet + jnp.where(goes[:, None], moves, 0.0))
+    return state, replace(now, foothold=foothold, patience=patience), learned._replace(touched=touched)
 
 
 def replanned(belief: Case, plan: Plan, stage: Int[Array, ""], learned: Learned) -> Learned:
