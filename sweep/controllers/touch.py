@@ -60,7 +60,7 @@ def felt(
     seen: Observation,
     period: float,
 ) -> tuple[Touched, Float[Array, "6 3"], Bool[Array, " 6"]]:
-    """A tick of `period` seconds on: what is known, by how much (m, world axes) footholds are to be moved, who searches.
+    """A tick of `period` seconds on: what is known, how far footholds are to be moved (m, world axes), who searches.
 
     `ground` is what was believed to be at the stage's footholds when they were first planned: of its face a foot is
     taken to be, as deep in it as planned. Where sizes are uncertain, a foot is told to stand so deep inside the surface
@@ -94,7 +94,8 @@ def felt(
     searches = ((stands & ~has) | (late & ~seen.loaded)) & uncertain & (left > -REACH)
     told = feet_in_world(robot, seen.position, seen.quat, state.joints)
     pressed = jnp.sum((places - told) * normal, axis=1) - ground.depth
-    yields = jnp.where(comes & seen.loaded & uncertain, jnp.maximum(YIELD / (1 + noise.delay) * pressed, -left), 0.0)
+    back = jnp.maximum(YIELD / (1 + noise.delay) * pressed, -jnp.maximum(left, 0.0))  # to where it was planned, at most
+    yields = jnp.where(comes & seen.loaded & uncertain, back, 0.0)
     moved = follows - jnp.where(searches, step, 0.0)
     left = jnp.where(searches, left - step, left - follows + yields)
     moves = jnp.where(stands, moved, left)[:, None] * normal
