@@ -10,7 +10,7 @@ from jaxtyping import Array, Int
 from sweep.controllers import touch
 from sweep.controllers.calibration import Calibrated
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import Plan
+from sweep.controllers.plan import Plan, Shift
 from sweep.controllers.touch import Touched
 from sweep.controllers.tracker import TrackerState
 from sweep.models.case import Case
@@ -56,13 +56,12 @@ def felt(
     known = world.control, belief.noise, robot, now, ground
     touched, moves, searches = touch.felt(*known, state, learned.touched, seen, period)
     swings = now.swing[state.stage]
-    here = (jnp.arange(now.duration.shape[0]) == state.stage)[:, None, None]
-    foothold = now.foothold + jnp.where(here & swings[:, None], moves, 0.0)
+    shift = Shift(state.stage, jnp.where(swings[:, None], moves, 0.0))
     patience = jnp.where(jnp.any(searches & swings), jnp.inf, now.patience)
     # with planned forces, those that bear load are anchored where they stand
     goes = ~swings if plan.feedforward is None else ~swings & ~seen.loaded
     state = state._replace(feet=state.feet + jnp.where(goes[:, None], moves, 0.0))
-    return state, replace(now, foothold=foothold, patience=patience), learned._replace(touched=touched)
+    return state, replace(now, shift=shift, patience=patience), learned._replace(touched=touched)
 
 
 def replanned(belief: Case, plan: Plan, stage: Int[Array, ""], learned: Learned) -> Learned:
