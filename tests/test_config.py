@@ -19,6 +19,8 @@ SHARED = (
     "pole_unknown_sizes",
     "pole_calibration",
     "pole_learning",
+    "any_unknown_robot",
+    "any_robustness",
     "ball_sizes",
     "ball_unknown",
     "ladder_sizes",

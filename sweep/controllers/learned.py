@@ -10,7 +10,7 @@ from jaxtyping import Array, Int
 from sweep.controllers import touch
 from sweep.controllers.calibration import Calibrated
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import Plan
+from sweep.controllers.plan import Plan, Shift
 from sweep.controllers.touch import Touched
 from sweep.controllers.tracker import TrackerState
 from sweep.models.case import Case
@@ -51,23 +51,27 @@ def felt(
     """Footholds, plan, and what is known, after a tick of touching. `belief` and `plan` are those of the start."""
     if learned is None or learned.touched is None:
         return state, newest(plan, learned), learned
-    depth = fixed_surface(belief.obstacle, plan.foothold[state.stage]).depth
+    ground = fixed_surface(belief.obstacle, plan.foothold[state.stage])
     robot, now = informed(belief, learned).robot, newest(plan, learned)
-    touched, moves = touch.felt(world.control, belief.noise, robot, now, depth, state, learned.touched, seen, period)
-    learned = learned._replace(touched=touched)
-    if plan.feedforward is not None:  # feet are anchored where they stand
-        return state, now, learned
-    swings = now.swing[state.stage][:, None]
-    here = (jnp.arange(now.duration.shape[0]) == state.stage)[:, None, None]
-    now = replace(now, foothold=now.foothold + jnp.where(here & swings, moves, 0.0))
-    return state._replace(feet=state.feet + jnp.where(swings, 0.0, moves)), now, learned
+    known = world.control, belief.noise, robot, now, ground
+    touched, moves, searches = touch.felt(*known, state, learned.touched, seen, period)
+    swings = now.swing[state.stage]
+    shift = Shift(state.stage, jnp.where(swings[:, None], moves, 0.0))
+    patience = jnp.where(jnp.any(searches & swings), jnp.inf, now.patience)
+    # with planned forces, those that bear load are anchored where they stand
+    goes = ~swings if plan.feedforward is None else ~swings & ~seen.loaded
+    state = state._replace(feet=state.feet + jnp.where(goes[:, None], moves, 0.0))
+    return state, replace(now, shift=shift, patience=patience), learned._replace(touched=touched)
 
 
 def replanned(belief: Case, plan: Plan, stage: Int[Array, ""], learned: Learned) -> Learned:
-    """What is left of the way after `stage` planned by what is known; as it was where there is no such plan."""
+    """What is left of the way after `stage` planned by what is known; as it was where there is no such plan.
+
+    Planned forces stay: they are dear to work out, and sizes that differ by a per cent change them by about as much.
+    """
     old = newest(plan, learned)
     known = informed(belief, learned)
-    fresh = replace(known.manoeuvre.plan(known), start=old.start)
+    fresh = replace(known.manoeuvre.plan(known), start=old.start, feedforward=old.feedforward)
     there_is = jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(fresh)]))
     later = there_is & (jnp.arange(plan.duration.shape[0]) > stage)
 

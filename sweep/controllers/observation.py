@@ -4,13 +4,14 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from sweep.core.rotations import exponential, multiply
 from sweep.models.noise import Noise
 from sweep.models.obstacles.surface import FreeState
 
-FREE = 1  # folded into a key to draw errors of the free bodies
+FREE, LOAD = 1, 2  # folded into a key to draw errors of the free bodies, and of the feet's load
 
 
 class Observation(NamedTuple):
@@ -25,6 +26,7 @@ class Observation(NamedTuple):
     joint_error: Float[Array, "6 3"]  # rad, measured minus true joint angle: what the drives' feedback suffers
     loaded: Bool[Array, " 6"]  # which feet carry load
     free: FreeState
+    load: Float[Array, " 6"] | float = np.inf  # N, on each foot, along the normal
 
 
 class Biases(NamedTuple):
@@ -34,6 +36,7 @@ class Biases(NamedTuple):
     turn: Float[Array, " 3"]  # rad
     velocity: Float[Array, " 3"]  # m/s
     joint: Float[Array, "6 3"]  # rad
+    load: Float[Array, " 6"]  # N
 
 
 class Sensors(NamedTuple):
@@ -50,7 +53,8 @@ def biases(noise: Noise, key: Array) -> Biases:
     shapes = ((3,), (3,), (3,), (6, 3))
     sizes = (noise.position_bias, noise.orientation_bias, noise.velocity_bias, noise.joint_bias)
     draws = zip(keys, sizes, shapes, strict=True)
-    return Biases(*(size * jax.random.normal(k, shape, float) for k, size, shape in draws))
+    load = noise.load_bias * jax.random.normal(jax.random.fold_in(key, LOAD), (6,), float)
+    return Biases(*(size * jax.random.normal(k, shape, float) for k, size, shape in draws), load)
 
 
 def install(noise: Noise, key: Array, truth: Observation) -> Sensors:
@@ -64,16 +68,18 @@ def install(noise: Noise, key: Array, truth: Observation) -> Sensors:
 def observe(noise: Noise, sensors: Sensors, truth: Observation, key: Array) -> tuple[Sensors, Observation]:
     """Delayed, biased and noisy view of `truth`; joint errors act in the drives and are not delayed."""
     past = jax.tree.map(lambda new, old: jnp.concatenate([new[None], old[:-1]]), truth, sensors.past)
-    late, free_late = (
-        jnp.clip(jnp.round(delay).astype(jnp.int32), 0, noise.delay_buffer) for delay in (noise.delay, noise.body_delay)
+    late, free_late, load_late = (
+        jnp.clip(jnp.round(delay).astype(jnp.int32), 0, noise.delay_buffer)
+        for delay in (noise.delay, noise.body_delay, noise.delay + noise.load_delay)
     )
     seen = jax.tree.map(lambda x: x[late], past)
     free = jax.tree.map(lambda x: x[free_late], past.free)
+    load = past.load[load_late] + sensors.bias.load
     sizes = (noise.body_position_noise, noise.body_orientation_noise, noise.body_velocity_noise, noise.body_turn_noise)
     error = sensors.free_bias + _scatter(jax.random.fold_in(key, FREE), sizes, free)
     dtype = truth.position.dtype
-    draw = jax.random.normal(key, (27,), dtype)
-    joint_error = sensors.bias.joint + noise.joint_noise * draw[9:].reshape(6, 3)
+    draw = jax.random.normal(key, (33,), dtype)
+    joint_error = sensors.bias.joint + noise.joint_noise * draw[9:27].reshape(6, 3)
     turn = sensors.bias.turn + noise.orientation_noise * draw[3:6]
     seen = seen._replace(
         position=seen.position + sensors.bias.position + noise.position_noise * draw[:3],
@@ -81,6 +87,7 @@ def observe(noise: Noise, sensors: Sensors, truth: Observation, key: Array) -> t
         velocity=seen.velocity + sensors.bias.velocity + noise.velocity_noise * draw[6:9],
         angles=seen.angles + joint_error,
         joint_error=joint_error,
+        load=load + noise.load_noise * draw[27:],
         free=FreeState(
             free.position + error[:, 0],
             multiply(exponential(error[:, 1]), free.quat),

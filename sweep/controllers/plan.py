@@ -107,6 +107,13 @@ class Feedforward(NamedTuple):
     anchoring: Float[Array, ""]  # s, in which the foothold of a loaded foot follows the place where it really is
 
 
+class Shift(NamedTuple):
+    """By how much the footholds of a stage are elsewhere than they were planned."""
+
+    stage: Int[Array, ""]
+    by: Float[Array, "6 3"]  # m
+
+
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Plan:
@@ -139,6 +146,7 @@ class Plan:
     posture: Posture | None = None
     flywheel: Flywheel | None = None
     feedforward: Feedforward | None = None
+    shift: Shift | None = None
     # whether errors are taken back in the plane, with the heading's
     steered: bool = field(default=False, metadata={"static": True})
     onset: tuple[str, ...] = field(default=(), metadata={"static": True})  # of each stage
@@ -312,6 +320,12 @@ def begins(plan: Plan, stage: Int[Array, ""], free: FreeState) -> tuple[Float[Ar
     return stance.feet, stance.position
 
 
+def goal(plan: Plan, stage: Int[Array, ""]) -> Float[Array, "6 3"]:
+    """Where feet are to stand at the end of a stage (m), in its frames."""
+    planned = plan.foothold[stage]
+    return planned if plan.shift is None else planned + jnp.where(stage == plan.shift.stage, plan.shift.by, 0.0)
+
+
 def swings(plan: Plan, stage: Int[Array, ""], u: Float[Array, ""], feet: Array, goal: Array) -> Float[Array, "6 3"]:
     """Feet at phase u (0 to 1) of stage number `stage`: those that swing on their way from `feet` to `goal`."""
     share, height = swing_progress(plan.cycle[stage], plan.carry[stage], u)
@@ -327,4 +341,4 @@ def reference(plan: Plan, stage: Int[Array, ""], u: Float[Array, ""], feet: Arra
     done = pace_progress(plan.pace[stage], plan.rates[stage], u)
     quat = multiply(exponential(done * plan.turn[stage]), plan.quat[stage])
     centre = along_arc(position, plan.position[stage], plan.pivot[stage], plan.arc[stage], done)
-    return Stance(swings(plan, stage, u, feet, plan.foothold[stage]), centre, quat)
+    return Stance(swings(plan, stage, u, feet, goal(plan, stage)), centre, quat)

@@ -93,7 +93,7 @@ def mirrored(plan: Plan, normal: Float[np.ndarray, " 3"]) -> Plan:
 def joined(first: Plan, *others: Plan) -> Plan:
     """The plans one after the other; each should start in the stance in which the one before it ends."""
     plans = (first, *others)
-    whole = ("start", "patience", "posture", "flywheel", "feedforward", "support", "ease")
+    whole = ("start", "patience", "posture", "flywheel", "feedforward", "support", "ease", "shift")
     arrays = [f.name for f in fields(Plan) if f.name not in whole and not f.metadata.get("static")]
     table: dict[str, Any] = {name: jnp.concatenate([getattr(plan, name) for plan in plans]) for name in arrays}
     onset = tuple(onset for plan in plans for onset in plan.onset)

@@ -19,10 +19,12 @@ from sweep.controllers.tracker import TrackerState
 from sweep.models.control import Control
 from sweep.models.legs import N_LEGS
 from sweep.models.noise import Noise
-from sweep.models.obstacles.surface import Obstacle, fixed_surface
+from sweep.models.obstacles.surface import Obstacle, Surface, fixed_surface
 from sweep.models.robot import Robot
 
-REACH = 0.03  # m, how far a foot that finds no surface goes on beyond where it is planned
+REACH = 0.04  # m, how far a foot that finds no surface goes on beyond where it is planned
+COMING = 0.5  # of a swing, from where on a foot that bears load has landed
+YIELD = 0.5  # of what presses a foot too much as it lands, by which it yields in a tick
 
 
 class Touched(NamedTuple):
@@ -52,25 +54,29 @@ def felt(
     noise: Noise,
     robot: Robot,
     plan: Plan,
-    depth: Float[Array, " 6"],
+    ground: Surface,
     state: TrackerState,
     so_far: Touched,
     seen: Observation,
     period: float,
-) -> tuple[Touched, Float[Array, "6 3"]]:
-    """A tick of `period` seconds on: what is known, and by how much (m, world axes) footholds are to be moved.
+) -> tuple[Touched, Float[Array, "6 3"], Bool[Array, " 6"]]:
+    """A tick of `period` seconds on: what is known, how far footholds are to be moved (m, world axes), who searches.
 
-    Where sizes are uncertain, a foot is told to stand `depth` (m) inside the surface that it has felt, along whose
-    normal its command goes over; one that stands in the air, or has come to the end of its swing there, goes on
-    inwards. Along the surface it stays where it is. Footholds of swinging feet are moved from where they are planned,
-    those of the others from where they were told to be in the last tick.
+    `ground` is what was believed to be at the stage's footholds when they were first planned: of its face a foot is
+    taken to be, as deep in it as planned. Where sizes are uncertain, a foot is told to stand so deep inside the surface
+    that it has felt, along whose normal its command goes over; one that lands before its swing is over yields by what
+    it is pressed more; one that has come to the end of its swing in the air, or stands there, goes on inwards. Along
+    the surface it stays where it is. Footholds of swinging feet are moved from where they are planned, those of the
+    others from where they were told to be in the last tick.
     """
-    stage = state.stage
+    stage, normal = state.stage, ground.normal
     places = feet_in_world(robot, seen.position, seen.quat, seen.angles)
+    out = jnp.sum((places - plan.foothold[stage]) * normal, axis=1)
     sizes = _sizes(so_far.obstacle)
 
     def inside(x: Array) -> Array:
-        return fixed_surface(_with(so_far.obstacle, x), places).depth
+        """Taken at the planned depth: deep inside what is believed another face may be nearer."""
+        return fixed_surface(_with(so_far.obstacle, x), places - out[:, None] * normal).depth - out
 
     slopes = jax.jacfwd(inside)(sizes)
     stands = ~plan.swing[stage]
@@ -78,18 +84,22 @@ def felt(
     new = stands & seen.loaded & ~so_far.felt
     variance = control.touch_error**2 + noise.position_noise**2 + noise.position_bias**2
     sizes, covariance = _least_squares(sizes, so_far.covariance, inside(sizes), slopes, variance, new)
-    normal = fixed_surface(so_far.obstacle, places).normal
-    outwards = jnp.sum((places - state.feet) * normal, axis=1) - depth
-    late = ~stands & (state.clock >= plan.duration[stage])
-    left = jnp.where(stands | late, jnp.where(new & uncertain, outwards, so_far.left), 0.0)
+    outwards = jnp.sum((places - state.feet) * normal, axis=1) - ground.depth
+    comes = ~stands & (state.clock >= COMING * plan.duration[stage])
+    left = jnp.where(stands | comes, jnp.where(new & uncertain, outwards, so_far.left), 0.0)
     has = stands & (so_far.felt | new)
     step = control.touch_speed * period
     follows = jnp.where(has & seen.loaded, jnp.clip(left, -step, step), 0.0)
+    late = comes & (state.clock >= plan.duration[stage])
     searches = ((stands & ~has) | (late & ~seen.loaded)) & uncertain & (left > -REACH)
+    told = feet_in_world(robot, seen.position, seen.quat, state.joints)
+    pressed = jnp.sum((places - told) * normal, axis=1) - ground.depth
+    back = jnp.maximum(YIELD / (1 + noise.delay) * pressed, -jnp.maximum(left, 0.0))  # to where it was planned, at most
+    yields = jnp.where(comes & seen.loaded & uncertain, back, 0.0)
     moved = follows - jnp.where(searches, step, 0.0)
-    left = jnp.where(searches, left - step, left - follows)
-    moves = jnp.where(late, left, moved)[:, None] * normal
-    return Touched(_with(so_far.obstacle, sizes), covariance, has, left), moves
+    left = jnp.where(searches, left - step, left - follows + yields)
+    moves = jnp.where(stands, moved, left)[:, None] * normal
+    return Touched(_with(so_far.obstacle, sizes), covariance, has, left), moves, searches
 
 
 def _least_squares(

@@ -11,7 +11,17 @@ from sweep.controllers import feedforward, flywheel, onset, support
 from sweep.controllers.frames import attitude_to_world, to_world
 from sweep.controllers.observation import Observation
 from sweep.controllers.observer import Observer, followed
-from sweep.controllers.plan import BALANCE, REZERO, Plan, Posture, Stance, reference, stance_to_frame, stance_to_world
+from sweep.controllers.plan import (
+    BALANCE,
+    REZERO,
+    Plan,
+    Posture,
+    Stance,
+    goal,
+    reference,
+    stance_to_frame,
+    stance_to_world,
+)
 from sweep.controllers.posture import feet_in_world
 from sweep.core.rotations import conjugate, exponential, logarithm, multiply, rotate
 from sweep.formulas import leg, stepping
@@ -144,8 +154,8 @@ def step(
     phase = jnp.clip(state.clock / plan.duration[state.stage], 0.0, 1.0)
     begins = (state.stage != old.stage) | ((old.stage == 0) & (old.clock == 0))
     if isinstance(manoeuvre, Guided):
-        wanted, goal, memory = manoeuvre.guide(belief, plan, state, seen, begins, period)
-        state = state._replace(goal=goal, memory=memory)
+        wanted, to, memory = manoeuvre.guide(belief, plan, state, seen, begins, period)
+        state = state._replace(goal=to, memory=memory)
     else:
         wanted = reference(plan, state.stage, phase, state.feet, state.position)
     if old.told is not None:
@@ -240,9 +250,9 @@ def _advance(belief: Case, plan: Plan, state: TrackerState, seen: Observation, p
     over = state.clock - plan.duration[stage]
     landed = jnp.all(seen.loaded | ~plan.swing[stage])
     ends = (over >= 0) & (landed | (over >= plan.patience)) & ~state.finished
-    goal = state.goal if isinstance(manoeuvre, Guided) else plan.foothold[stage]
+    to = state.goal if isinstance(manoeuvre, Guided) else goal(plan, stage)
     wanted = multiply(exponential(plan.turn[stage]), plan.quat[stage])
-    reached = Stance(jnp.where(plan.swing[stage][:, None], goal, state.feet), plan.position[stage], wanted)
+    reached = Stance(jnp.where(plan.swing[stage][:, None], to, state.feet), plan.position[stage], wanted)
     if isinstance(manoeuvre, Eventful) and state.told is not None:
         ends = ends | (manoeuvre.ends(belief, plan, state, seen) & ~state.finished)
         early = (over < 0) & plan.swing[stage][:, None]

@@ -125,6 +125,7 @@ def init(
         jnp.zeros_like(joints),
         jnp.ones(N_LEGS, bool),
         free,
+        jnp.full(N_LEGS, jnp.inf),
     )
     bias_key, key = jax.random.split(key)
     sensors = install(world.noise, bias_key, truth)
@@ -147,6 +148,7 @@ def act(
     sensors, seen = loop.sensors, loop.seen
     if not quiet:
         sensors, seen = observe(world.noise, sensors, seen, jax.random.fold_in(loop.key, tick))
+    seen = seen._replace(loaded=seen.load > world.control.load_threshold)
     state, followed, learned = felt(world, belief, plan, loop.tracker, loop.learned, seen, period)
     state, command = tracker.step(informed(belief, learned), followed, state, seen, period)
     servo = position_mode(world.drive, command.joints - seen.joint_error)
@@ -184,5 +186,6 @@ def measure(
         jnp.zeros_like(command.joints),
         tick.loaded,
         tick.free,
+        tick.load,
     )
     return loop._replace(running=running, seen=truth)

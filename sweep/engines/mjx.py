@@ -247,7 +247,8 @@ class Mjx:
             if self._nominal[0].control.replan == "never":
                 return started.result(), chunked, finished
             again = on_devices(_with_new_plan(axes[1]), in_specs=(specs[1], split, split), out_specs=split)
-            return started.result(), chunked, finished, jax.jit(again).lower(belief, plans, carry).compile()
+            again = jax.jit(again, compiler_options=devices.plan_options()).lower(belief, plans, carry)
+            return started.result(), chunked, finished, again.compile()
 
     def _fuse(self, arrays: tuple[Case, Case, Array], batch: Any, quiet: bool) -> Code:
         """The ticks of one rollout of a batch of such form."""

@@ -269,7 +269,7 @@ class Native:
             force=force,
             normal=normal,
             tangential=jnp.linalg.norm(force - normal[:, None] * normals, axis=-1),
-            loaded=last > 1.0,
+            load=last,
             residual=jnp.zeros(()),  # the C solver reports no residual force
             work=h
             * (

@@ -108,7 +108,7 @@ class Physics(NamedTuple):
             force=force.array(),
             normal=normal,
             tangential=jnp.sqrt(along.dot(along)),
-            loaded=load > 1.0,
+            load=load,
             residual=totals.residual[0],
             work=h * (jnp.sum(totals.power) + totals.outside[0]),
             effort=h * jnp.sum(totals.effort),

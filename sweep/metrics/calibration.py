@@ -27,8 +27,8 @@ def figures(found: Calibrated, at: Elapsed) -> dict[str, Array]:
     """See `METRIC`."""
     sizes = names(at.world.robot)
     own = {f"learned_{name}_m": jnp.asarray(getattr(found.robot, name)) for name in sizes}
-    deviations = jnp.sqrt(jnp.diagonal(found.covariance))
-    return own | {f"learned_{name}_sd_m": own[f"learned_{name}_m"] * deviations[k] for k, name in enumerate(sizes)}
+    deviations = {name: jnp.sqrt(found.covariance[k, k]) for k, name in enumerate(sizes)}
+    return own | {f"learned_{name}_sd_m": own[f"learned_{name}_m"] * deviations[name] for name in sizes}
 
 
 METRIC = Metric(

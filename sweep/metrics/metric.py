@@ -21,6 +21,9 @@ from sweep.models.obstacles.surface import Bodies, FreeState
 LOADED = 5.0  # N, from which a foot carries load and its friction demand means something
 
 
+LOADED = 1.0  # N, from which a foot carries load
+
+
 class Tick(NamedTuple):
     """What an engine reports of one control tick. World axes; L links a leg, k free bodies."""
 
@@ -29,7 +32,7 @@ class Tick(NamedTuple):
     force: Float[Array, "6 3"]  # N, mean, on the feet
     normal: Float[Array, " 6"]  # N, mean
     tangential: Float[Array, " 6"]  # N, size of the mean
-    loaded: Bool[Array, " 6"]  # at the end
+    load: Float[Array, " 6"]  # N, normal, at the end
     residual: Float[Array, ""]  # N, largest of the solver
     work: Float[Array, ""]  # J, of drives and pushes
     effort: Float[Array, ""]  # J, positive drive work only
@@ -44,6 +47,11 @@ class Tick(NamedTuple):
     joints: Float[Array, "6 k 3"]  # m, along each leg: hip, ..., knee, foot
     bodies: Bodies
     free: FreeState
+
+    @property
+    def loaded(self) -> Bool[Array, " 6"]:
+        """Which feet carry load."""
+        return self.load > LOADED
 
 
 class Begin(NamedTuple):

@@ -29,10 +29,9 @@ def _of(at: Begin | Moment) -> Touched:
 
 def figures(found: Touched, at: Elapsed) -> dict[str, Array]:
     """See `METRIC`."""
-    deviations = jnp.sqrt(jnp.diagonal(found.covariance))
-    known = zip(units(at.world.obstacle).items(), deviations, strict=True)
-    parts = ({f"learned_{n}_{u}": jnp.asarray(getattr(found.obstacle, n)), f"learned_{n}_sd_{u}": d}
-             for (n, u), d in known)  # fmt: skip
+    parts = ({f"learned_{n}_{u}": jnp.asarray(getattr(found.obstacle, n)),
+              f"learned_{n}_sd_{u}": jnp.sqrt(found.covariance[k, k])}
+             for k, (n, u) in enumerate(units(at.world.obstacle).items()))  # fmt: skip
     return {name: value for part in parts for name, value in part.items()}
 
 

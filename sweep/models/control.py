@@ -19,6 +19,8 @@ class Control:
     size_error: float = quantity(0.012, "-", above=0, at_most=0.2)
     # deviation of each standing foot's place along the ground from pose to pose of the calibration
     slip: float = quantity(0.001, "m", above=0, at_most=0.1)
+    # measured load from which on a foot counts as standing, whatever is learned: above what noise shows in the air
+    load_threshold: float = quantity(1.0, "N", above=0, at_most=1000)
     # what the robot learns from where its feet come to stand: the sizes of the obstacle
     touch: str = choice("none", "none", "obstacle")
     # deviation of each believed size of the obstacle, relative: what touching takes for possible before it begins

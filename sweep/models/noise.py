@@ -23,6 +23,10 @@ class Noise:
     joint_bias: float = quantity(0.0, "rad", at_least=0)  # deviation of the constant error of each joint's zero
     # control ticks by which what is measured of the robot comes late
     delay: float = quantity(0.0, "ticks", at_least=0, at_most=50)
+    # deviation of the measured load on each foot, at every tick: of a switch's threshold, or told from joint torques
+    load_noise: float = quantity(0.0, "N", at_least=0)
+    load_bias: float = quantity(0.0, "N", at_least=0)  # deviation of its constant error
+    load_delay: float = quantity(0.0, "ticks", at_least=0, at_most=50)  # by which it comes later than the rest
     # of the measured positions of the obstacle's free bodies, at every tick
     body_position_noise: float = quantity(0.0, "m", at_least=0)
     body_position_bias: float = quantity(0.0, "m", at_least=0)  # deviation of their constant error
@@ -37,4 +41,4 @@ class Noise:
     body_turn_bias: float = quantity(0.0, "rad/s", at_least=0)  # deviation of their constant error
     # control ticks by which what is measured of free bodies comes late
     body_delay: float = quantity(0.0, "ticks", at_least=0, at_most=50)
-    delay_buffer: int = count(0, at_most=50)  # room for the longest delay of a study, set by the runner
+    delay_buffer: int = count(0, at_most=100)  # room for the longest delay of a study, set by the runner

@@ -57,8 +57,12 @@ def forget_engine() -> None:
 
 def with_room_for_delay(exp: Experiment, table: pd.DataFrame) -> Experiment:
     """The noise model's buffer, long enough for every point of `table`."""
-    columns = [c for c in table.columns if side_and_path(c)[1] in ("noise.delay", "noise.body_delay")]
-    longest = max([exp.case.noise.delay, exp.case.noise.body_delay, *(table[c].max() for c in columns)])
+
+    def longest_of(name: str) -> float:
+        columns = [c for c in table.columns if side_and_path(c)[1] == f"noise.{name}"]
+        return max([getattr(exp.case.noise, name), *(table[c].max() for c in columns)])
+
+    longest = max(longest_of("delay") + longest_of("load_delay"), longest_of("body_delay"))
     room = max(math.ceil(longest), exp.case.noise.delay_buffer)
     return replace(exp, case=assign(exp.case, "noise.delay_buffer", room))
 

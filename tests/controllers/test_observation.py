@@ -19,7 +19,7 @@ FREE = FreeState(jnp.zeros((1, 3)), jnp.array([[1.0, 0, 0, 0]]), jnp.zeros((1, 3
 def truth(x: float) -> Observation:
     level, still, joints = jnp.array([1.0, 0, 0, 0]), jnp.zeros(3), jnp.zeros((6, 3))
     return Observation(jnp.full(3, float(x)), level, jnp.full(3, -float(x)), still, joints, joints, joints,
-                       jnp.arange(6) < x, FREE)  # fmt: skip
+                       jnp.arange(6) < x, FREE, jnp.full(6, float(x)))  # fmt: skip
 
 
 def watch(noise: Noise, key=KEY, ticks: int = 8) -> list[Observation]:
@@ -61,6 +61,9 @@ def test_biases_stay_and_noise_does_not():
     np.testing.assert_allclose(biased, np.broadcast_to(biased[0], biased.shape), atol=1e-6)
     noisy = np.array([s.velocity + k for k, s in enumerate(watch(Noise(velocity_noise=0.5)), start=1)])
     assert len(np.unique(noisy)) == noisy.size
+    load = np.array([s.load - k for k, s in enumerate(watch(Noise(load_bias=3.0)), start=1)])
+    np.testing.assert_allclose(load, np.broadcast_to(load[0], load.shape), atol=1e-5)
+    assert 1 < np.std(load[0]) < 6
 
 
 @pytest.mark.parametrize(
@@ -70,6 +73,7 @@ def test_biases_stay_and_noise_does_not():
         ("velocity", lambda s: s.velocity),
         ("joint", lambda s: s.joint_error),
         ("orientation", lambda s: 2 * s.quat[1:]),
+        ("load", lambda s: s.load),
         ("body_position", lambda s: s.free.position),
         ("body_orientation", lambda s: 2 * s.free.quat[:, 1:]),
         ("body_velocity", lambda s: s.free.velocity),
@@ -91,13 +95,14 @@ def test_another_key_sees_otherwise():
     assert not np.array_equal(a, c)
 
 
-def test_the_robot_and_the_bodies_have_delays_of_their_own():
+def test_the_robot_its_feet_and_the_bodies_have_delays_of_their_own():
     def late(k):
         return truth(k)._replace(free=FREE._replace(position=jnp.full((1, 3), float(k))))
 
-    noise = Noise(delay=1.0, body_delay=3.0, delay_buffer=4)
+    noise = Noise(delay=1.0, load_delay=2.0, body_delay=4.0, delay_buffer=4)
     sensors = install(noise, KEY, late(0))
     for k in range(1, 9):
         sensors, seen = observe(noise, sensors, late(k), KEY)
         assert float(seen.position[0]) == pytest.approx(max(k - 1, 0))
-        assert float(seen.free.position[0, 0]) == pytest.approx(max(k - 3, 0))
+        assert float(seen.free.position[0, 0]) == pytest.approx(max(k - 4, 0))
+        np.testing.assert_allclose(seen.load, max(k - 3, 0))

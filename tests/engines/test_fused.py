@@ -193,3 +193,12 @@ def test_what_cannot_be_fused_is_left_to_xla_with_a_word_or_refused(monkeypatch,
     engine._give_up(Unsupported("sort"))
     assert "XLA compiles the closed loop: the fused compiler has no rule for sort" in capsys.readouterr().err
     assert not engine.fused
+
+
+@pytest.mark.slow
+def test_a_robot_that_learns_is_fused_too():
+    exp = compose(["scenario=walk_kerb", "manoeuvre.steps=2", "control=learn"])
+    world = replace(exp.case, obstacle=replace(exp.case.obstacle, height=np.array([0.095, 0.105])))
+    engine = Mjx(EngineSettings(width=2, compiler="fused"), exp.case, exp.case)
+    figures = engine.run(world, exp.case, np.arange(2))
+    np.testing.assert_allclose(figures["learned_height_m"], [0.095, 0.105], atol=1e-3)
