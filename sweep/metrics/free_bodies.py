@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment
 from sweep.models.case import Driving
 
-TAIL = 12.0  # s, before the planned end, over which the obstacle's final speed is taken
+TAIL = 12.0  # s of the plan, its last, over which the obstacle's final speed is taken
 
 
 class FreeBodies(NamedTuple):
@@ -40,7 +40,9 @@ def update(so_far: FreeBodies, now: Moment) -> FreeBodies:
     place = now.tick.free.position
     way = place - so_far.start
     settled = jnp.where(now.stage == 0, place, so_far.settled)
-    before_tail = now.time - now.period < jnp.sum(now.plan.duration) - TAIL
+    duration = now.plan.duration
+    later = jnp.sum(jnp.where(jnp.arange(len(duration)) > now.stage, duration, 0.0))
+    before_tail = later + (1 - now.phase) * duration[now.stage] > TAIL  # stages may end before their time
     return FreeBodies(
         start=so_far.start,
         settled=settled,

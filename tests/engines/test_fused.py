@@ -124,6 +124,14 @@ def test_arrays_are_moved_about_and_summed_as_jax_does(seed):
         np.testing.assert_allclose(values, xla[name], rtol=1e-4, atol=1e-3, err_msg=name)
 
 
+def test_a_place_in_a_long_table_of_constants():
+    """Such as which of a plan's stages follow a law of their own: as many choices as there are runs of the same."""
+    table = np.repeat([0.5, 2.0, 0.5, -1.0], [70, 1, 40, 9]).astype(np.float32)
+    places = jnp.array([0, 69, 70, 71, 119])
+    fused, _ = both(lambda k: {"found": jnp.asarray(table)[k]}, places)
+    np.testing.assert_array_equal(fused["found"], table[places])
+
+
 def test_places_that_depend_on_the_rollout_and_loops():
     def walked(table, index):
         k = index[0].astype(jnp.int32)

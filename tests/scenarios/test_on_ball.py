@@ -102,6 +102,19 @@ def test_it_comes_down_from_a_ball(engine):
 
 
 @pytest.mark.parametrize("engine", ["native", "mjx"])
+def test_it_gets_over_a_ball(engine):
+    """2 m along with it, and walks away from it."""
+    trial = compose(["scenario=ball_over", f"engine={engine}"])
+    simulation = make(replace(trial.settings, width=1), trial.case, trial.case, trial.thresholds)
+    trace = simulation.trace(trial.case, trial.case, np.zeros(1, int), 0)
+    assert classify(trace.figures, trial.thresholds, simulation.stages)["outcome"] == "success"
+    begins = {name: np.flatnonzero(trace.stage == k) for k, name in enumerate(trace.stages)}
+    base, ball = trace.qpos[:, 0], trace.qpos[:, -7]
+    assert ball[begins["lower"][0]] - ball[begins["calm1"][0]] == pytest.approx(2.0, abs=0.05)
+    assert base[-1] - base[begins["rest"][-1]] > 0.6
+
+
+@pytest.mark.parametrize("engine", ["native", "mjx"])
 def test_it_drives_a_ball_aside(engine):
     """(3.3.7) gives the speed that its k_l is for, less what rolling friction takes in that time."""
     trial = compose(["scenario=ball_aside", f"engine={engine}"])

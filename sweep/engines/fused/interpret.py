@@ -7,7 +7,7 @@ too. What has no rule raises `Unsupported`.
 
 import math
 from collections.abc import Callable, Sequence
-from itertools import product
+from itertools import pairwise, product
 from typing import Any
 
 import jax
@@ -316,7 +316,7 @@ class Interpreter:
         if len(cases) == 2 and (not index.size or index.flat[0].dtype == "bool"):
             return self.lift("select", [index, cases[1], cases[0]], dtype)
         result = cases[-1]
-        for k in reversed(range(len(cases) - 1)):
+        for k in reversed(_ends(cases)):
             first = self.lift("le", [index, self.constant(np.int32(k))], "bool")
             result = self.lift("select", [first, cases[k], result], dtype)
         return result
@@ -352,16 +352,13 @@ class Interpreter:
             return _filled(at.shape, lambda i: self.program.node(
                 "gather", (place,), region.dtype, (region, first + int(at[i]), depth, 0), leg=False))  # fmt: skip
         x = x[known]
-        if math.prod(last[d] + 1 for d in moving) > CHAIN:
-            raise Unsupported("a choice among many numbers that are not in memory")
+        many = 1
         for d in moving:
             windows = [np.take(x, range(k, k + sizes[d]), axis=d) for k in range(last[d] + 1)]
-            index = np.full(windows[0].shape, starts[d], object)
-            result = windows[-1]
-            for k in reversed(range(last[d])):
-                here = self.lift("eq", [index, self.constant(np.int32(k))], "bool")
-                result = self.lift("select", [here, windows[k], result], result.flat[0].dtype)
-            x = result
+            many *= len(_ends(windows)) + 1
+            if many > CHAIN:
+                raise Unsupported("a choice among many numbers that are not in memory")
+            x = self.choose(np.full(windows[0].shape, starts[d], object), windows)
         return x
 
     def _within(self, start: Node, most: int) -> Node:
@@ -376,6 +373,13 @@ def uniform(node: Node) -> bool:
     return node.op in ("const", "count", "tick") or (
         bool(node.args) and node.op not in ("gather", "pack") and all(uniform(x) for x in node.args)
     )
+
+
+def _ends(cases: Sequence[Array]) -> list[int]:
+    """The last of every run of cases that are the same, but for that of the very last."""
+    return [
+        k for k, (a, b) in enumerate(pairwise(cases)) if any(x is not y for x, y in zip(a.flat, b.flat, strict=True))
+    ]
 
 
 def _filled(shape: tuple, at: Callable[[tuple], Any]) -> Array:

@@ -1,7 +1,8 @@
-"""To an obstacle and away from it by tripod, along -y."""
+"""To an obstacle and away from it by tripod, along -y if not said otherwise."""
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -10,18 +11,30 @@ from jaxtyping import Array, Float
 from sweep.controllers.gaits import TRIPOD, Step, centre_offsets, regular_steps
 from sweep.controllers.plan import CYCLE_B, Stage, Stance
 from sweep.controllers.posture import foot_centres
-from sweep.core.rotations import rotate
+from sweep.core.rotations import IDENTITY, rotate
 from sweep.models.case import Case
 from sweep.models.legs import LEGS
 
+
+class Facing(NamedTuple):
+    """Which way a robot looks and walks."""
+
+    quat: tuple[float, float, float, float]  # base to world
+    forward: tuple[float, float, float]
+
+
 TOWARDS = (0.5**0.5, 0.0, 0.0, -(0.5**0.5))  # base to world: x_r along -y, z_r up
-FORWARD = np.array([0.0, -1.0, 0.0])
+ALONG_Y = Facing(TOWARDS, (0.0, -1.0, 0.0))
+FORWARD = np.array(ALONG_Y.forward)
+AHEAD = Facing(IDENTITY, (1.0, 0.0, 0.0))
 EASED = (0.0, 0.0)  # rates of a path of the base that starts and ends at rest, as swings do
 
 
-def centres(belief: Case, spread: Array | float, height: Array | float) -> Float[Array, "6 3"]:
+def centres(
+    belief: Case, spread: Array | float, height: Array | float, facing: Facing = ALONG_Y
+) -> Float[Array, "6 3"]:
     """Feet `spread` (m) out from the hips and `height` (m) below them, as seen from the base, world axes."""
-    return rotate(jnp.array(TOWARDS)[None], foot_centres(belief.robot, spread, height))
+    return rotate(jnp.array(facing.quat)[None], foot_centres(belief.robot, spread, height))
 
 
 def walk_up(
@@ -58,9 +71,10 @@ def walk_away(
     spread: Array | float,
     clearance: Array | float,
     steps: int,
+    facing: Facing = ALONG_Y,
 ) -> tuple[list[Stage], list[Stage]]:
     """The feet to where a tripod gait may start, the base at `position` (m), and `steps` swings of it."""
-    forward, home = jnp.array(FORWARD), centres(belief, spread, clearance)
+    forward, home = jnp.array(facing.forward), centres(belief, spread, clearance, facing)
     offsets = centre_offsets(TRIPOD, step)
     feet = position + home + jnp.stack([offsets[leg] * forward for leg in LEGS])
     stages = []
@@ -68,5 +82,5 @@ def walk_away(
         name = f"away.{'-'.join(map(str, legs))}"
         stages.append(Stage(name, 1.5 * step.time, {leg: feet[leg - 1] for leg in legs}, CYCLE_B, 2 * step.height,
                             position=position, rates=EASED))  # fmt: skip
-    walk = regular_steps(TRIPOD, step, Stance(feet, position, jnp.array(TOWARDS)), home, forward, steps, 0.0)
+    walk = regular_steps(TRIPOD, step, Stance(feet, position, jnp.array(facing.quat)), home, forward, steps, 0.0)
     return stages, [replace(stage, name=f"away.{stage.name}") for stage in walk]

@@ -1,0 +1,110 @@
+"""Over a free ball: up on to it, along with it, down from it and away (monograph 3.4)."""
+
+from collections.abc import Mapping
+from dataclasses import fields, replace
+from typing import ClassVar, NamedTuple
+
+from sweep.controllers.frames import koenig
+from sweep.controllers.gaits import Step
+from sweep.controllers.manoeuvres.balancing import ball_climb, ball_descend
+from sweep.controllers.manoeuvres.balancing.ball import BallDrive, perch
+from sweep.controllers.manoeuvres.balancing.ball_climb import BallClimb
+from sweep.controllers.manoeuvres.balancing.ball_descend import BallDescend
+from sweep.controllers.manoeuvres.balancing.beside_ball import CALM, MIDDLE, STILL, BesideBall, centre
+from sweep.controllers.manoeuvres.balancing.parts import Steps
+from sweep.controllers.manoeuvres.climbing.walking import AHEAD, centres, walk_away
+from sweep.controllers.manoeuvres.goals import UPRIGHT
+from sweep.controllers.plan import CYCLE_B, Plan, Stage, assemble
+from sweep.controllers.support import STAYS
+from sweep.controllers.tracker import Guided
+from sweep.core.parameters import choice, count, parameters, quantity
+from sweep.formulas import stepping
+from sweep.models.case import Case
+from sweep.models.obstacles.ball import Ball
+
+DRIVE = "drive"
+
+
+class Tables(NamedTuple):
+    """Of the way up and of the way down."""
+
+    up: ball_climb.Table
+    down: ball_descend.Table
+
+
+@parameters
+class BallOver(BesideBall):
+    """On to a free ball as by `BallClimb`, along with it as by `BallDrive`, down as by `BallDescend`; away by tripod.
+
+    Ratios are to the body's length a_r.
+    """
+
+    goal: ClassVar = {**UPRIGHT, "obstacle_speed_error_max_mps": 0.01}
+    kind: str = choice("ball_over", "ball_over")
+    speed: float = quantity(0.13, "m/s", above=0)  # v_d, of the ball on its way
+    place: float = quantity(2.37, "m")  # x of the ball's centre where the robot comes down; it is on top near 0.37
+    near: float = quantity(0.05, "m", above=0)  # to that place, of a ball that is calm
+    drive: int = count(35, at_least=1, at_most=500)  # steps on the ball on its way, at most
+    away: int = count(4, at_least=1, at_most=200)  # swings by tripod on the floor
+    half_step_ratio: float = quantity(0.1, "a_r", above=0, at_most=0.5)  # d_x, half of what a foot moves ahead in those
+    lift_ratio: float = quantity(0.05, "a_r", above=0, at_most=0.5)  # d_y, how high it is lifted
+    hips_ratio: float = quantity(0.5, "a_r", above=0, at_most=2)  # d, hips above the floor then
+    spread_ratio: float = quantity(0.3, "a_r", at_least=0, at_most=2)  # feet out from the hips then
+    turning: float = quantity(3.0, "rad/s", above=0, at_most=20)  # varpi, of those swings, whose time t* it gives
+
+    @property
+    def table(self) -> Tables:
+        """The numbers of its plan."""
+        return Tables(self.up.table, self.down.table)
+
+    @property
+    def up(self) -> BallClimb:
+        """The way up."""
+        return BallClimb(**self._common)
+
+    @property
+    def down(self) -> BallDescend:
+        """The way down."""
+        return BallDescend(**self._common)
+
+    @property
+    def _common(self) -> dict:
+        return {field.name: getattr(self, field.name) for field in fields(BesideBall)}
+
+    @property
+    def driving(self) -> BallDrive:
+        """The steps that roll the ball to its place."""
+        return BallDrive(steps=self.drive, speed=self.speed, place=self.place, circle_ratio=self.circle_ratio,
+                         chord_ratio=self.chord_ratio, height_ratio=self.height_ratio,
+                         deepening=self.deepening)  # fmt: skip
+
+    @property
+    def parts(self) -> Mapping[str, Guided]:
+        """The ride up, calming steps, and those along."""
+        return {**self.up.parts, DRIVE: Steps(self.driving, self.calm_speed, self.near)}
+
+    def plan(self, belief: Case, table: Tables | None = None) -> Plan:
+        """Up, calm, along, down, away.
+
+        Raises `InputError` where the ball is too large, or the feet do not reach the floor, by plain numbers.
+        """
+        tables, perched = table or self.table, perch(belief, self)
+        start, up = self.up.way_up(belief, tables.up)
+        calm = self.calming.steps_of(perched, CALM)
+        along = self.driving.steps_of(perched, DRIVE)
+        down = self.down.way_down(belief, tables.down)
+        away = self.leaving(belief, tables.down)
+        return assemble(start, [*up, *calm, *along, *down, *away], self.patience, ease=self.ease)
+
+    def leaving(self, belief: Case, table: ball_descend.Table) -> list[Stage]:
+        """By tripod, once the middle feet are under their hips; in the frame of a ball that is not to move."""
+        radius, length = belief.on(Ball).radius, belief.robot.body_length
+        height, spread = self.hips_ratio * length, self.spread_ratio * length
+        position = centre(belief.on(Ball), table.off[-1].pose).at[2].set(height - radius)
+        step = Step(self.half_step_ratio * length, self.lift_ratio * length, stepping.swing_time(self.turning))
+        under = position + centres(belief, spread, height, AHEAD)
+        first = Stage("away.3-4", 1.0, {leg: under[leg - 1] for leg in MIDDLE}, CYCLE_B, 2 * step.height,
+                      position=position, rates=STILL)  # fmt: skip
+        ready, walk = walk_away(belief, step, position, spread, height, self.away, AHEAD)
+        frames = {"foot_frames": (koenig(0),) * 6, "base_frame": koenig(0), "support": (STAYS,)}
+        return [replace(stage, **frames) for stage in (first, *ready, *walk, Stage("halt", 1.0))]

@@ -1,0 +1,29 @@
+"""What free bodies did, of ways that are given."""
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import jax.numpy as jnp
+import pytest
+
+from sweep.metrics import free_bodies
+from sweep.models.obstacles.surface import FreeState
+
+
+def moment(time: float, stage: int, phase: float, duration: list[float]) -> Any:
+    """A ball that goes along x at 0.1 m/s, in a stage of a plan."""
+    still = jnp.zeros((1, 3))
+    free = FreeState(still.at[0, 0].set(0.1 * time), jnp.array([[1.0, 0.0, 0.0, 0.0]]), still, still)
+    tick = SimpleNamespace(free=free, position=jnp.zeros(3))
+    plan = SimpleNamespace(duration=jnp.array(duration))
+    return SimpleNamespace(tick=tick, stage=stage, phase=phase, plan=plan, time=time, period=0.01)
+
+
+def test_the_final_speed_is_told_although_a_stage_ends_before_its_time():
+    duration = [100.0, 14.0]
+    found = free_bodies.begin(cast(Any, moment(0.0, 0, 0.0, duration).tick))
+    for stage, time in ((0, 1.0), *((1, 1.0 + k) for k in range(15))):
+        found = free_bodies.update(found, moment(time, stage, (time - 1) / 14, duration))
+    world = SimpleNamespace(manoeuvre=None)
+    at = SimpleNamespace(world=world, time=15.0, plan=SimpleNamespace(duration=jnp.array(duration)))
+    assert free_bodies.figures(found, cast(Any, at))["obstacle_speed_mps"] == pytest.approx(0.1, rel=0.01)
