@@ -33,6 +33,7 @@ from sweep.engines.closed_loop import (
     start_state,
     with_new_plan,
 )
+from sweep.engines.fused import launch
 from sweep.engines.fused.interpret import Unsupported
 from sweep.engines.fused.kernel import Code, Kernel
 from sweep.engines.fused.kernel import compiled as fused
@@ -151,13 +152,18 @@ class Mjx:
         return batching.to_traces((world, belief), slots, figures, records, self.stages, tick, every)
 
     @property
+    def _by_host(self) -> bool:
+        """Whether the closed loop goes on outside of XLA's programs."""
+        return self.fused and jax.default_backend() == "cpu"
+
+    @property
     def _local(self) -> int:
         """Rollouts of a device."""
         return self.width // self._mesh.size
 
     def _kept(self, slots: np.ndarray | None, room: int) -> tuple[Any, np.ndarray | None]:
         """What each device records, as `room` places among its rollouts, and where `slots` are among all of these."""
-        if slots is None or self.fused:
+        if slots is None or self._by_host:
             return slots, None if slots is None else np.arange(len(slots))
         local, places = np.zeros((self._mesh.size, room), np.int32), np.zeros(len(slots), int)
         for device in range(self._mesh.size):
@@ -177,7 +183,7 @@ class Mjx:
         batching.check(streams, self.width)
         kept, places = self._kept(slots, min(self._local, most))
         quiet = is_quiet(world.noise)
-        recorded = None if kept is None or self.fused else (kept.shape, watch and watch.columns)
+        recorded = None if kept is None or self._by_host else (kept.shape, watch and watch.columns)
         form = devices.form((world, belief)), quiet, recorded
         arrays = devices.spread((*devices.as_arrays((world, belief)), devices.keys(streams)), self._mesh)
         if form not in self._programs:
@@ -228,17 +234,18 @@ class Mjx:
         on_devices = partial(jax.shard_map, mesh=self._mesh, check_vma=False)
         start = on_devices(jax.vmap(self._start, in_axes=(*axes, 0)), in_specs=(*specs, split), out_specs=split)
         recorded = (split, PartitionSpec(None, devices.BATCH))
-        chunk = self._chunk(axes, quiet, watch)
-        chunk = on_devices(chunk, in_specs=(*specs, split, split, whole, split), out_specs=recorded)
         finish = jax.vmap(self._finish, in_axes=(axes[0], 0, 0))
         finish = on_devices(finish, in_specs=(specs[0], split, split), out_specs=split)
         with ThreadPoolExecutor() as pool:
             begin = jax.jit(start, compiler_options=devices.plan_options()).lower(*arrays)
             started = pool.submit(begin.compile)
             plans, carry = devices.split(begin.out_info, self._mesh)
-            if self.fused:
-                chunked = self._fuse(arrays, begin.out_info, quiet)
+            if self._by_host:
+                chunked = fused(self._ticks(quiet), *_one(arrays, begin.out_info))
             else:
+                make = self._fused_chunk if self.fused else self._chunk
+                chunk = make(arrays, begin.out_info, quiet, kept, watch)
+                chunk = on_devices(chunk, in_specs=(*specs, split, split, whole, split), out_specs=recorded)
                 go_on = jax.jit(chunk, donate_argnums=3)
                 chunked = pool.submit(go_on.lower(world, belief, plans, carry, 0, kept).compile)
             finished = jax.jit(finish).lower(world, plans, carry).compile()
@@ -249,24 +256,41 @@ class Mjx:
             again = on_devices(_with_new_plan(axes[1]), in_specs=(specs[1], split, split), out_specs=split)
             return started.result(), chunked, finished, jax.jit(again).lower(belief, plans, carry).compile()
 
-    def _fuse(self, arrays: tuple[Case, Case, Array], batch: Any, quiet: bool) -> Code:
-        """The ticks of one rollout of a batch of such form."""
+    def _ticks(self, quiet: bool) -> Callable:
+        """A tick of one rollout, for a compiler of this package."""
 
-        def one(x: Any, axes: int) -> jax.ShapeDtypeStruct:
-            return jax.ShapeDtypeStruct(x.shape[axes:], x.dtype)
-
-        world, belief, _ = arrays
-        case = jax.tree.map(lambda x: one(x, x.ndim), (world, belief))
-        plan, carry = jax.tree.map(lambda x: one(x, 1), batch)
-
-        def ticks(given: tuple[Case, Case, Plan], carry: Carry, k: Array) -> tuple[Carry, dict[str, Array]]:
+        def tick(given: tuple[Case, Case, Plan], carry: Carry, k: Array) -> tuple[Carry, dict[str, Array]]:
             world, belief, plan = given
             return self._tick(world, belief, plan, carry, k, quiet)
 
-        return fused(ticks, (*case, plan), carry)
+        return tick
 
-    def _chunk(self, axes: tuple[Case, Case], quiet: bool, watch: Watch | None) -> Callable:
+    def _fused_chunk(
+        self, arrays: tuple[Case, Case, Array], batch: Any, quiet: bool, kept: Array | None, watch: Watch | None
+    ) -> Callable:
+        """A second of the batch that a GPU has, as one kernel; see `_chunk`."""
+        room = 0 if kept is None else len(kept) // self._mesh.size
+        code = launch.compiled(
+            self._ticks(quiet), *_one(arrays, batch), lambda carry: carry.over, self._chunk_ticks, room
+        )
+        columns = offered(self._nominal[0])
+
+        def chunk(world: Case, belief: Case, plans: Plan, carry: Carry, first: Array, kept: Array | None) -> Any:
+            if self._nominal[0].control.replan != "never":
+                carry = _with_new_plan(devices.axes(arrays[1]))(belief, plans, carry)
+            carry, record = launch.run(code, (world, belief, plans), carry, first, kept)
+            if watch is None or record is None:
+                return carry, record
+            last = {name: jnp.moveaxis(x, (0, 1), (-2, -1)) for name, x in record.items()}
+            return carry, jnp.stack([columns[name](last) for name in watch.columns], axis=-1)
+
+        return chunk
+
+    def _chunk(
+        self, arrays: tuple[Case, Case, Array], batch: Any, quiet: bool, kept: Array | None, watch: Watch | None
+    ) -> Callable:
         """A second of the batch that a device has, of which some rollouts may be recorded: columns, or all there is."""
+        axes = devices.axes(arrays[:2])
         columns = offered(self._nominal[0])
         tick = batch_last_vmap(partial(self._tick, quiet=quiet), (*_last(axes), -1, -1, None), devices.reuse_from())
 
@@ -313,9 +337,18 @@ class Mjx:
 
 def _fused(settings: EngineSettings, dynamics: str) -> bool:
     """Whether this package's own compiler makes the closed loop."""
-    if settings.compiler == "fused" and jax.default_backend() != "cpu":
-        raise InputError(f"engine.compiler = fused is not allowed on a {jax.default_backend()}: auto or xla")
-    return settings.compiler != "xla" and jax.default_backend() == "cpu" and dynamics == "arrowhead"
+    return settings.compiler != "xla" and jax.default_backend() in ("cpu", "gpu") and dynamics == "arrowhead"
+
+
+def _one(arrays: tuple[Case, Case, Array], batch: tuple[Plan, Carry]) -> tuple[tuple[Case, Case, Plan], Carry]:
+    """The form of what a rollout is given, and of what it carries on."""
+
+    def one(x: Any, axes: int) -> jax.ShapeDtypeStruct:
+        return jax.ShapeDtypeStruct(x.shape[axes:], x.dtype)
+
+    world, belief = jax.tree.map(lambda x: one(x, x.ndim), arrays[:2])
+    plan, carry = jax.tree.map(lambda x: one(x, 1), batch)
+    return (world, belief, plan), carry
 
 
 def _with_new_plan(axes: Case) -> Callable[[Case, Plan, Carry], Carry]:
