@@ -94,10 +94,9 @@ class Printer(Text):
     # blocks
 
     def _block(self, block: Block) -> None:
-        for item in block.items:
+        for item in _depth_first(block, self.needed):
             if isinstance(item, Node):
-                if item.number in self.needed and item.op not in ("const", "load"):
-                    self.names[item.number] = self._work(item)
+                self.names[item.number] = self._work(item)
             elif isinstance(item, Store):
                 self._stores([item])
             elif isinstance(item, Loop):
@@ -369,6 +368,41 @@ class Printer(Text):
     def extreme(self, op: str, dtype: str, args: list[str]) -> str:
         """The greater or lesser of two; NaN if either is."""
         return self.call("maximum" if op == "max" else "minimum", dtype, args)
+
+
+def _depth_first(block: Block, needed: set[int]) -> Iterator[Any]:
+    """What is to be done, a value soon before it is used: few are alive at a time."""
+    straight: dict[int, Node] = {}
+    for item in [*block.items, None]:
+        if isinstance(item, Node):
+            if item.number in needed and item.op not in ("const", "load"):
+                straight[item.number] = item
+            continue
+        yield from _ordered(straight)
+        straight = {}
+        if item is not None:
+            yield item
+
+
+def _ordered(nodes: dict[int, Node]) -> Iterator[Node]:
+    inner = {arg.number for node in nodes.values() for arg in node.args}
+    size: dict[int, int] = {}
+    for node in nodes.values():
+        size[node.number] = 1 + sum(size.get(arg.number, 0) for arg in node.args)
+    done: set[int] = set()
+    for root in nodes.values():
+        pending = [root] if root.number not in inner else []
+        while pending:
+            node = pending[-1]
+            if node.number in done:
+                pending.pop()
+                continue
+            left = [x for x in node.args if x.number in nodes and x.number not in done]
+            if left:
+                pending.extend(sorted(left, key=lambda x: size[x.number]))
+                continue
+            done.add(node.number)
+            yield pending.pop()
 
 
 def _stores(block: Block) -> Iterator[Store]:
