@@ -187,22 +187,22 @@ class Mjx:
         form = devices.form((world, belief)), quiet, recorded
         arrays = devices.spread((*devices.as_arrays((world, belief)), devices.keys(streams)), self._mesh)
         if form not in self._programs:
-            compiled = partial(self._compile, arrays, quiet, kept, watch)
+            compiled = partial(self._compiled, arrays, quiet, kept, watch)
             made_of, on = (form, *self._made_of), list(self._mesh.devices.flat)
-            try:
-                self._programs[form] = self._ready(*program_cache.programs(made_of, on, compiled))
-            except Unsupported as missing:
-                self._give_up(missing)
+            parts = program_cache.programs(made_of, on, compiled)
+            if isinstance(parts[0], str):
+                self._give_up(parts[0])
                 return self._prepare(world, belief, streams, slots, most, watch)
+            self._programs[form] = self._ready(*parts)
         programs = self._programs[form]
         programs = programs._replace(watch=watch) if isinstance(programs, Fused) else programs
         return arrays, programs, kept, places
 
-    def _give_up(self, missing: Unsupported) -> None:
+    def _give_up(self, missing: str) -> None:
         """Leave the closed loop to XLA, and say so. Raises `InputError` where it was to be fused."""
         why = f"the fused compiler has no rule for {missing}"
         if self.settings.compiler == "fused":
-            raise InputError(f"engine.compiler = fused is not allowed here: {why}") from missing
+            raise InputError(f"engine.compiler = fused is not allowed here: {why}")
         print(f"sweep: XLA compiles the closed loop: {why}", file=sys.stderr)
         self.fused = False
 
@@ -220,6 +220,13 @@ class Mjx:
         top = self.topology
         model = dynamics.saved(top.model) if self.dynamics == "mjx" else None
         return self.settings, self.limits, self.width, self.dynamics, self.fused, top.names, top.owner, model
+
+    def _compiled(self, *of: Any) -> tuple[Compiled | Code | str, ...]:
+        """See `_compile`; or what the fused compiler has no rule for, so that this is kept as well."""
+        try:
+            return self._compile(*of)
+        except Unsupported as missing:
+            return (str(missing),)
 
     def _compile(
         self, arrays: tuple[Case, Case, Array], quiet: bool, kept: Array | None, watch: Watch | None
