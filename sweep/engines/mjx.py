@@ -253,7 +253,8 @@ class Mjx:
                 make = self._fused_chunk if self.fused else self._chunk
                 chunk = make(arrays, begin.out_info, quiet, kept, watch)
                 chunk = on_devices(chunk, in_specs=(*specs, split, split, whole, split), out_specs=recorded)
-                go_on = jax.jit(chunk, donate_argnums=3)
+                options = launch.OPTIONS if self.fused else None
+                go_on = jax.jit(chunk, donate_argnums=3, compiler_options=options)
                 chunked = pool.submit(go_on.lower(world, belief, plans, carry, 0, kept).compile)
             finished = jax.jit(finish).lower(world, plans, carry).compile()
             if not isinstance(chunked, Code):

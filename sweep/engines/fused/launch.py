@@ -15,6 +15,8 @@ from sweep.engines.fused.trace import Leaf, keyed, traced, words
 BLOCK = cuda.LANES * cuda.WARPS  # rollouts
 TARGET = "__gpu$xla.gpu.ptx"  # XLA's own call of a kernel; a handler of its typed interface could launch it as well
 
+OPTIONS = {"xla_gpu_graph_min_graph_size": 1 << 30}  # XLA's graphs of kernels do not take one with operands that change
+
 
 class Ptx(NamedTuple):
     """A compiled program, and where its arrays lie in the memory of rollouts."""
