@@ -7,8 +7,6 @@ depend neither on the rollouts beside it nor on how many there are.
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-import llvmlite.binding as llvm
-
 from sweep.engines.fused.interpret import Unsupported
 from sweep.engines.fused.program import LEGS, Block, Branch, Loop, Node, Region, Store, value_of
 from sweep.engines.fused.text import INTRINSICS, TYPES, Text
@@ -47,12 +45,12 @@ class Printer(Text):
         """Numbers of a rollout's state, with those that are looked up by place."""
         return self.sizes[1] + sum(r.size for r in self.scratch)
 
-    def text(self, triple: str) -> str:
+    def text(self) -> str:
         """The module."""
         body, words = self.body(), ", ".join(f"ptr noalias {x}" for x in ("readonly %given_", "readonly %first_",
                                           "readonly %kept_", "%state_", "%record_"))  # fmt: skip
         return "\n".join([
-            f'target triple = "{triple}"', *sorted(self.declared), *self.tables,
+            'target triple = "nvptx64-nvidia-cuda"', *sorted(self.declared), *self.tables,
             f"define ptx_kernel void @run({words}) {{\nentry:\n{body}\n  ret void\n}}",
             "!nvvm.annotations = !{!0}",
             f'!0 = !{{ptr @run, !"maxntidx", i32 {32 * WARPS}, !"minctasm", i32 1}}', "",
@@ -448,13 +446,9 @@ def _rows(top: Block, needed: set[int]) -> tuple[dict[Place, tuple[int, int, int
 
 
 def compiled(text: str) -> str:
-    """PTX of a module, which any GPU from Ampere on takes."""
-    llvm.initialize_all_targets()
-    llvm.initialize_all_asmprinters()
-    target = llvm.Target.from_triple(TRIPLE).create_target_machine("sm_80", "+ptx78", opt=3)
-    module = llvm.parse_assembly(text)
-    module.verify()
-    return target.emit_assembly(module)
-
-
-TRIPLE = "nvptx64-nvidia-cuda"
+    """PTX of a module. Raises `Unsupported` where LLVM cannot make it."""
+    asked = [sys.executable, "-P", str(Path(__file__).with_name("nvptx.py"))]
+    done = subprocess.run(asked, input=text, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise Unsupported((done.stderr.strip().splitlines() or ["what ends LLVM"])[-1])
+    return done.stdout

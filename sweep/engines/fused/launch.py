@@ -49,7 +49,7 @@ def compiled(
     flag = program.carried[over(jax.tree.unflatten(tree, range(tree.num_leaves)))].place
     sizes = _end(program.given), _end(program.carried), _end([*program.recorded.values()])
     printed = cuda.Printer(program.top, schedule.used(program.top), sizes, ticks, flag, room)
-    text = cuda.compiled(printed.text(cuda.TRIPLE))
+    text = cuda.compiled(printed.text())
     return Ptx(text, program.given, program.carried, program.recorded, printed.words, ticks, room)
 
 
