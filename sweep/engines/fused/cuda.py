@@ -4,7 +4,10 @@ What the legs share is worked out by each of them. Sums over the legs are in one
 depend neither on the rollouts beside it nor on how many there are.
 """
 
+import subprocess
+import sys
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 from sweep.engines.fused.interpret import Unsupported
