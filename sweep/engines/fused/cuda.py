@@ -50,8 +50,8 @@ class Printer(Text):
 
     def text(self) -> str:
         """The module."""
-        body, words = self.body(), ", ".join(f"ptr noalias {x}" for x in ("readonly %given_", "readonly %first_",
-                                          "readonly %kept_", "%state_", "%record_"))  # fmt: skip
+        told = ["readonly %kept_", "%record_"] if self.room else []
+        body, words = self.body(), ", ".join(f"ptr noalias {x}" for x in ("readonly %given_", "readonly %first_", "%state_", *told))  # fmt: skip
         return "\n".join([
             'target triple = "nvptx64-nvidia-cuda"', *sorted(self.declared), *self.tables,
             f"define ptx_kernel void @run({words}) {{\nentry:\n{body}\n  ret void\n}}",
