@@ -344,8 +344,12 @@ class Mjx:
 
 
 def _fused(settings: EngineSettings, dynamics: str) -> bool:
-    """Whether this package's own compiler makes the closed loop."""
-    return settings.compiler != "xla" and jax.default_backend() in ("cpu", "gpu") and dynamics == "arrowhead"
+    """Whether this package's own compiler makes the closed loop: on a CPU by itself, on a GPU where it is asked for."""
+    device = jax.default_backend()
+    if settings.compiler == "fused" and device not in ("cpu", "gpu"):
+        raise InputError(f"engine.compiler = fused is not allowed on a {device}: auto or xla")
+    asked = settings.compiler == "fused" or (settings.compiler == "auto" and device == "cpu")
+    return asked and dynamics == "arrowhead"
 
 
 def _one(arrays: tuple[Case, Case, Array], batch: tuple[Plan, Carry]) -> tuple[tuple[Case, Case, Plan], Carry]:

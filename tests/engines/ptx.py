@@ -1,9 +1,12 @@
-"""What a kernel of PTX does, without a GPU: all its threads side by side in NumPy, which have to branch alike."""
+"""What a kernel of PTX does, without a GPU: warp by warp in NumPy, the threads of each branching alike."""
 
 import re
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
+
+from sweep.engines.fused import cuda
 
 FLOAT_TESTS = {"eq": "a == b", "ne": "(a != b) & ~odd", "lt": "a < b", "le": "a <= b", "gt": "a > b", "ge": "a >= b",
                "nan": "odd", "num": "~odd"}  # fmt: skip
@@ -122,7 +125,8 @@ class Kernel:
             function = {"rni": "np.rint", "rmi": "np.floor", "rpi": "np.ceil", "rzi": "np.trunc"}[kinds[0]]
             return f"{function}({a})"
         if was == "f32":
-            return f"np.nan_to_num(np.clip(np.trunc(np.float64({a})), -2.0**31, 2.0**32 - 1)).astype(np.int64).astype(np.{TYPES[to]})"
+            whole = f"np.nan_to_num(np.clip(np.trunc(np.float64({a})), -2.0**31, 2.0**32 - 1))"
+            return f"{whole}.astype(np.int64).astype(np.{TYPES[to]})"
         return f"np.asarray({a}).astype(np.{TYPES[to]})"
 
     def _read(self, arg: str, kind: str) -> str:
@@ -139,23 +143,21 @@ class Kernel:
 
     def run(self, operands: list[np.ndarray], blocks: int, threads: int) -> None:
         """Change operands as the kernel does."""
-        memory = Memory([*operands], self.tables, blocks, threads)
-        registers: dict[str, Any] = {}
-        label: str | None = "entry"
-        with np.errstate(all="ignore"):
-            while label is not None:
-                label = self.code[label](registers, memory)
+        for warp in range(blocks * threads // 32):
+            memory, registers = Memory(operands, self.tables, warp, threads), {}
+            label: str | None = "entry"
+            with np.errstate(all="ignore"):
+                while label is not None:
+                    label = self.code[label](registers, memory)
 
 
 class Memory:
     """Operands, and what threads of a warp tell each other."""
 
-    def __init__(self, operands: list[np.ndarray], tables: dict, blocks: int, threads: int):
+    def __init__(self, operands: list[np.ndarray], tables: dict, warp: int, threads: int):
         self.words = {k: x.reshape(-1).view(np.uint32) for k, x in enumerate(operands)} | dict(tables.values())
-        count = blocks * threads
-        self.tid = np.arange(count, dtype=np.uint32) % threads
-        self.ctaid = np.arange(count, dtype=np.uint32) // threads
-        self.first = np.arange(count) // 32 * 32
+        thread = 32 * warp + np.arange(32, dtype=np.uint32)
+        self.tid, self.ctaid = thread % threads, thread // threads
 
     def at(self, address: Any) -> tuple[np.ndarray, np.ndarray]:
         """Words of an operand, and which."""
@@ -172,12 +174,18 @@ class Memory:
 
     def shuffled(self, value: Any, lane: Any) -> np.ndarray:
         """What other lanes have."""
-        return np.broadcast_to(value, self.tid.shape)[self.first + lane]
+        return np.broadcast_to(value, self.tid.shape)[lane]
 
-    def every(self, test: Any) -> np.ndarray:
+    def every(self, test: Any) -> bool:
         """Whether it holds in all lanes of the warp."""
-        test = np.broadcast_to(test, self.tid.shape)
-        return np.repeat(test.reshape(-1, 32).all(axis=1), 32)
+        return bool(np.all(test))
+
+
+def call(code: Any, operands: Any, tiles: int) -> list[Any]:
+    """As `launch.call`."""
+    changed = [np.array(x) for x in operands]
+    Kernel(code.text).run(changed, tiles // cuda.WARPS, 32 * cuda.WARPS)
+    return [jnp.asarray(changed[k]) for k in ([2] if len(changed) == 3 else [2, 4])]
 
 
 def told(test: Any) -> bool:

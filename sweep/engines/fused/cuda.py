@@ -23,9 +23,10 @@ Place = tuple[Region, int]  # a number, or six that are a number of each leg's
 
 
 class Printer(Text):
-    """The text of a kernel `run(given, first, kept, state, record)`; `ticks` in one launch, fewer where `over`.
+    """The text of a kernel `run(given, first, state)`, or with `kept` and `record`; `ticks` in one launch.
 
-    `given` and `state` are tiles. Where `record` is told, `kept` has for each rollout where among those it is, or -1.
+    `given` and `state` are tiles. `kept` has for each rollout where it is among the `room` that are recorded, or -1.
+    Where none is recorded, a warp whose rollouts are all `over` leaves them as they are.
     """
 
     def __init__(self, top: Block, needed: set[int], sizes: tuple[int, int, int], ticks: int, over: int, room: int):
@@ -51,10 +52,10 @@ class Printer(Text):
     def text(self) -> str:
         """The module."""
         told = ["readonly %kept_", "%record_"] if self.room else []
-        body, words = self.body(), ", ".join(f"ptr noalias {x}" for x in ("readonly %given_", "readonly %first_", "%state_", *told))  # fmt: skip
+        operands = ", ".join(f"ptr noalias {x}" for x in ("readonly %given_", "readonly %first_", "%state_", *told))
         return "\n".join([
             'target triple = "nvptx64-nvidia-cuda"', *sorted(self.declared), *self.tables,
-            f"define ptx_kernel void @run({words}) {{\nentry:\n{body}\n  ret void\n}}",
+            f"define ptx_kernel void @run({operands}) {{\nentry:\n{self.body()}\n  ret void\n}}",
             "!nvvm.annotations = !{!0}",
             f'!0 = !{{ptr @run, !"maxntidx", i32 {32 * WARPS}, !"minctasm", i32 1}}', "",
         ])  # fmt: skip

@@ -15,7 +15,7 @@ from sweep.engines.fused.trace import Leaf, keyed, traced, words
 BLOCK = cuda.LANES * cuda.WARPS  # rollouts
 TARGET = "__gpu$xla.gpu.ptx"  # XLA's own call of a kernel; a handler of its typed interface could launch it as well
 
-OPTIONS = {"xla_gpu_graph_min_graph_size": 1 << 30}  # XLA's graphs of kernels do not take one with operands that change
+OPTIONS = {"xla_gpu_graph_min_graph_size": 1 << 30}  # no graphs of kernels, from which one long kernel gains nothing
 
 
 class Ptx(NamedTuple):
@@ -68,7 +68,7 @@ def run(code: Ptx, given: Any, carried: Any, first: Array, kept: Int[Array, " ro
         numbers = _end([*code.recorded.values()])
         record = jnp.zeros((code.ticks, code.room, numbers), jnp.uint32)
         operands += [jnp.where(places < code.room, places, -1), record]
-    moved, *record = _call(code, operands, tiles)
+    moved, *record = call(code, operands, tiles)
     rows = moved.transpose(0, 2, 1).reshape(tiles * cuda.LANES, code.words)[:width]
     after = [keyed(_got(rows, leaf), x) for leaf, x in zip(code.carried, like, strict=True)]
     after = jax.tree.unflatten(tree, after)
@@ -78,15 +78,16 @@ def run(code: Ptx, given: Any, carried: Any, first: Array, kept: Int[Array, " ro
     return after, {name: _got(record, leaf) for name, leaf in code.recorded.items()}
 
 
-def _call(code: Ptx, operands: Sequence[Array], tiles: int) -> Sequence[Array]:
+def call(code: Ptx, operands: Sequence[Array], tiles: int) -> Sequence[Array]:
+    """The operands that the kernel changes: state, and records where there are any."""
     changed = [2] if len(operands) == 3 else [2, 4]
     one, wide = np.int32(1), np.int32(32 * cuda.WARPS)
-    call = jax.ffi.ffi_call(
+    kernel = jax.ffi.ffi_call(
         TARGET,
         [jax.ShapeDtypeStruct(operands[k].shape, operands[k].dtype) for k in changed],
         input_output_aliases={k: n for n, k in enumerate(changed)},
     )
-    return call(*operands, name="run", kernel_type="ptx", kernel_data=code.text, grid_x=np.int32(tiles // cuda.WARPS),
+    return kernel(*operands, name="run", kernel_type="ptx", kernel_data=code.text, grid_x=np.int32(tiles // cuda.WARPS),
                 grid_y=one, grid_z=one, block_x=wide, block_y=one, block_z=one, shared_mem_bytes=np.int32(0),
                 output_indices=tuple(np.int32(len(operands) + n) for n in range(len(changed))))  # fmt: skip
 
