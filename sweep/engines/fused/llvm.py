@@ -39,7 +39,8 @@ class Printer(Text):
         self.slots = slots
         self.names: dict[int, str] = {}
         self.counts: dict[int, str] = {}  # of the loops that are open, by depth
-        self.scratch = slots.count * LEGS * row("float64")
+        self.row = LANES * slots.size
+        self.scratch = rounded(slots.count * LEGS * self.row)
         self.places: dict[Region, int] = {}
         for region in sorted((r for r in regions(top) if r.place < 0), key=id):
             self.places[region] = self.scratch
@@ -106,7 +107,7 @@ class Printer(Text):
         for node in turn.nodes:
             if node.op == "pack":
                 for k, x in enumerate(node.args):
-                    self._put(self.value(x), node.dtype, "%scratch", str(self.slot(node) + k * row("float64")))
+                    self._put(self.value(x), node.dtype, "%scratch", str(self.slot(node) + k * self.row))
             else:
                 self.names[node.number] = self._work(node, [self.value(x) if not x.leg else "" for x in node.args])
 
@@ -139,7 +140,7 @@ class Printer(Text):
                 continue
             value = leg.here[node.number] = self._work(node, [leg.value(x) for x in node.args], leg)
             if node.number in self.slots.of:
-                self._put(value, node.dtype, "%scratch", leg.offset(row("float64"), self.slot(node)))
+                self._put(value, node.dtype, "%scratch", leg.offset(self.row, self.slot(node)))
         self.emit(f"add i64 %{name}_k, 1", f"%{name}_n")
         self.emit(f"icmp eq i64 %{name}_n, {LEGS}", f"%{name}_c")
         self.lines.append(f"br i1 %{name}_c, label %{name}_x, label %{name}")
@@ -147,7 +148,7 @@ class Printer(Text):
 
     def slot(self, node: Node) -> int:
         """Where the legs' values of a node are kept, in bytes."""
-        return self.slots.of[node.number] * LEGS * row("float64")
+        return self.slots.of[node.number] * LEGS * self.row
 
     # memory
 
@@ -180,7 +181,7 @@ class Printer(Text):
             region, index, _, step = node.extra
             base, place = self.base(region)
             return self.get(region.dtype, base, str(place + (index + k * step) * row(region.dtype)))
-        return self.get(node.dtype, "%scratch", str(self.slot(node) + k * row("float64")))
+        return self.get(node.dtype, "%scratch", str(self.slot(node) + k * self.row))
 
     def _put(self, value: str, dtype: str, base: str, offset: str) -> None:
         at = self.emit(f"getelementptr i8, ptr {base}, i64 {offset}")
@@ -292,7 +293,7 @@ class Leg:
             base, place = printer.base(region)
             size = row(region.dtype)
             return printer.get(region.dtype, base, self.offset(step * size, place + index * size))
-        return printer.get(node.dtype, "%scratch", self.offset(row("float64"), printer.slot(node)))
+        return printer.get(node.dtype, "%scratch", self.offset(printer.row, printer.slot(node)))
 
     def _is(self, k: int) -> str:
         key = -1 - k
