@@ -24,8 +24,10 @@ class Kernel:
 
     def __init__(self, text: str):
         self.tables = {}
-        for k, (name, values) in enumerate(re.findall(r"(table\d+)\[\d+\] = \{(.*?)\}", text)):
-            self.tables[name] = (100 + k, np.array([int(v) for v in values.split(",")], np.uint8).view(np.uint32))
+        for k, (name, size, values) in enumerate(re.findall(r"(table\d+)\[(\d+)\] = \{(.*?)\}", text)):
+            given = np.zeros(int(size), np.uint8)  # zeros at the end may be left out
+            given[: values.count(",") + 1] = [int(v) for v in values.split(",")]
+            self.tables[name] = (100 + k, given.view(np.uint32))
         body = text[text.index("{\n", text.index(".entry")) + 2 : text.rindex("}")]
         lines, label, self.blocks = [], "entry", {}
         for raw in body.splitlines():
