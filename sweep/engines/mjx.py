@@ -33,6 +33,7 @@ from sweep.engines.closed_loop import (
     start_state,
     with_new_plan,
 )
+from sweep.engines.fused import launch
 from sweep.engines.fused.interpret import Unsupported
 from sweep.engines.fused.kernel import Code, Kernel
 from sweep.engines.fused.kernel import compiled as fused
@@ -151,13 +152,18 @@ class Mjx:
         return batching.to_traces((world, belief), slots, figures, records, self.stages, tick, every)
 
     @property
+    def _by_host(self) -> bool:
+        """Whether the closed loop goes on outside of XLA's programs."""
+        return self.fused and jax.default_backend() == "cpu"
+
+    @property
     def _local(self) -> int:
         """Rollouts of a device."""
         return self.width // self._mesh.size
 
     def _kept(self, slots: np.ndarray | None, room: int) -> tuple[Any, np.ndarray | None]:
         """What each device records, as `room` places among its rollouts, and where `slots` are among all of these."""
-        if slots is None or self.fused:
+        if slots is None or self._by_host:
             return slots, None if slots is None else np.arange(len(slots))
         local, places = np.zeros((self._mesh.size, room), np.int32), np.zeros(len(slots), int)
         for device in range(self._mesh.size):
@@ -177,26 +183,26 @@ class Mjx:
         batching.check(streams, self.width)
         kept, places = self._kept(slots, min(self._local, most))
         quiet = is_quiet(world.noise)
-        recorded = None if kept is None or self.fused else (kept.shape, watch and watch.columns)
+        recorded = None if kept is None or self._by_host else (kept.shape, watch and watch.columns)
         form = devices.form((world, belief)), quiet, recorded
         arrays = devices.spread((*devices.as_arrays((world, belief)), devices.keys(streams)), self._mesh)
         if form not in self._programs:
-            compiled = partial(self._compile, arrays, quiet, kept, watch)
+            compiled = partial(self._compiled, arrays, quiet, kept, watch)
             made_of, on = (form, *self._made_of), list(self._mesh.devices.flat)
-            try:
-                self._programs[form] = self._ready(*program_cache.programs(made_of, on, compiled))
-            except Unsupported as missing:
-                self._give_up(missing)
+            parts = program_cache.programs(made_of, on, compiled)
+            if isinstance(parts[0], str):
+                self._give_up(parts[0])
                 return self._prepare(world, belief, streams, slots, most, watch)
+            self._programs[form] = self._ready(*parts)
         programs = self._programs[form]
         programs = programs._replace(watch=watch) if isinstance(programs, Fused) else programs
         return arrays, programs, kept, places
 
-    def _give_up(self, missing: Unsupported) -> None:
+    def _give_up(self, missing: str) -> None:
         """Leave the closed loop to XLA, and say so. Raises `InputError` where it was to be fused."""
         why = f"the fused compiler has no rule for {missing}"
         if self.settings.compiler == "fused":
-            raise InputError(f"engine.compiler = fused is not allowed here: {why}") from missing
+            raise InputError(f"engine.compiler = fused is not allowed here: {why}")
         print(f"sweep: XLA compiles the closed loop: {why}", file=sys.stderr)
         self.fused = False
 
@@ -215,6 +221,13 @@ class Mjx:
         model = dynamics.saved(top.model) if self.dynamics == "mjx" else None
         return self.settings, self.limits, self.width, self.dynamics, self.fused, top.names, top.owner, model
 
+    def _compiled(self, *of: Any) -> tuple[Compiled | Code | str, ...]:
+        """See `_compile`; or what the fused compiler has no rule for, so that this is kept as well."""
+        try:
+            return self._compile(*of)
+        except Unsupported as missing:
+            return (str(missing),)
+
     def _compile(
         self, arrays: tuple[Case, Case, Array], quiet: bool, kept: Array | None, watch: Watch | None
     ) -> tuple[Compiled | Code, ...]:
@@ -228,18 +241,20 @@ class Mjx:
         on_devices = partial(jax.shard_map, mesh=self._mesh, check_vma=False)
         start = on_devices(jax.vmap(self._start, in_axes=(*axes, 0)), in_specs=(*specs, split), out_specs=split)
         recorded = (split, PartitionSpec(None, devices.BATCH))
-        chunk = self._chunk(axes, quiet, watch)
-        chunk = on_devices(chunk, in_specs=(*specs, split, split, whole, split), out_specs=recorded)
         finish = jax.vmap(self._finish, in_axes=(axes[0], 0, 0))
         finish = on_devices(finish, in_specs=(specs[0], split, split), out_specs=split)
         with ThreadPoolExecutor() as pool:
             begin = jax.jit(start, compiler_options=devices.plan_options()).lower(*arrays)
             started = pool.submit(begin.compile)
             plans, carry = devices.split(begin.out_info, self._mesh)
-            if self.fused:
-                chunked = self._fuse(arrays, begin.out_info, quiet)
+            if self._by_host:
+                chunked = fused(self._ticks(quiet), *_one(arrays, begin.out_info))
             else:
-                go_on = jax.jit(chunk, donate_argnums=3)
+                make = self._fused_chunk if self.fused else self._chunk
+                chunk = make(arrays, begin.out_info, quiet, kept, watch)
+                chunk = on_devices(chunk, in_specs=(*specs, split, split, whole, split), out_specs=recorded)
+                options = launch.OPTIONS if self.fused else None
+                go_on = jax.jit(chunk, donate_argnums=3, compiler_options=options)
                 chunked = pool.submit(go_on.lower(world, belief, plans, carry, 0, kept).compile)
             finished = jax.jit(finish).lower(world, plans, carry).compile()
             if not isinstance(chunked, Code):
@@ -250,24 +265,41 @@ class Mjx:
             again = jax.jit(again, compiler_options=devices.plan_options()).lower(belief, plans, carry)
             return started.result(), chunked, finished, again.compile()
 
-    def _fuse(self, arrays: tuple[Case, Case, Array], batch: Any, quiet: bool) -> Code:
-        """The ticks of one rollout of a batch of such form."""
+    def _ticks(self, quiet: bool) -> Callable:
+        """A tick of one rollout, for a compiler of this package."""
 
-        def one(x: Any, axes: int) -> jax.ShapeDtypeStruct:
-            return jax.ShapeDtypeStruct(x.shape[axes:], x.dtype)
-
-        world, belief, _ = arrays
-        case = jax.tree.map(lambda x: one(x, x.ndim), (world, belief))
-        plan, carry = jax.tree.map(lambda x: one(x, 1), batch)
-
-        def ticks(given: tuple[Case, Case, Plan], carry: Carry, k: Array) -> tuple[Carry, dict[str, Array]]:
+        def tick(given: tuple[Case, Case, Plan], carry: Carry, k: Array) -> tuple[Carry, dict[str, Array]]:
             world, belief, plan = given
             return self._tick(world, belief, plan, carry, k, quiet)
 
-        return fused(ticks, (*case, plan), carry)
+        return tick
 
-    def _chunk(self, axes: tuple[Case, Case], quiet: bool, watch: Watch | None) -> Callable:
+    def _fused_chunk(
+        self, arrays: tuple[Case, Case, Array], batch: Any, quiet: bool, kept: Array | None, watch: Watch | None
+    ) -> Callable:
+        """A second of the batch that a GPU has, as one kernel; see `_chunk`."""
+        room = 0 if kept is None else len(kept) // self._mesh.size
+        code = launch.compiled(
+            self._ticks(quiet), *_one(arrays, batch), lambda carry: carry.over, self._chunk_ticks, room
+        )
+        columns = offered(self._nominal[0])
+
+        def chunk(world: Case, belief: Case, plans: Plan, carry: Carry, first: Array, kept: Array | None) -> Any:
+            if self._nominal[0].control.replan != "never":
+                carry = _with_new_plan(devices.axes(arrays[1]))(belief, plans, carry)
+            carry, record = launch.run(code, (world, belief, plans), carry, first, kept)
+            if watch is None or record is None:
+                return carry, record
+            last = {name: jnp.moveaxis(x, (0, 1), (-2, -1)) for name, x in record.items()}
+            return carry, jnp.stack([columns[name](last) for name in watch.columns], axis=-1)
+
+        return chunk
+
+    def _chunk(
+        self, arrays: tuple[Case, Case, Array], batch: Any, quiet: bool, kept: Array | None, watch: Watch | None
+    ) -> Callable:
         """A second of the batch that a device has, of which some rollouts may be recorded: columns, or all there is."""
+        axes = devices.axes(arrays[:2])
         columns = offered(self._nominal[0])
         tick = batch_last_vmap(partial(self._tick, quiet=quiet), (*_last(axes), -1, -1, None), devices.reuse_from())
 
@@ -313,10 +345,23 @@ class Mjx:
 
 
 def _fused(settings: EngineSettings, dynamics: str) -> bool:
-    """Whether this package's own compiler makes the closed loop."""
-    if settings.compiler == "fused" and jax.default_backend() != "cpu":
-        raise InputError(f"engine.compiler = fused is not allowed on a {jax.default_backend()}: auto or xla")
-    return settings.compiler != "xla" and jax.default_backend() == "cpu" and dynamics == "arrowhead"
+    """Whether this package's own compiler makes the closed loop: on a CPU by itself, on a GPU where it is asked for."""
+    device = jax.default_backend()
+    if settings.compiler == "fused" and device not in ("cpu", "gpu"):
+        raise InputError(f"engine.compiler = fused is not allowed on a {device}: auto or xla")
+    asked = settings.compiler == "fused" or (settings.compiler == "auto" and device == "cpu")
+    return asked and dynamics == "arrowhead"
+
+
+def _one(arrays: tuple[Case, Case, Array], batch: tuple[Plan, Carry]) -> tuple[tuple[Case, Case, Plan], Carry]:
+    """The form of what a rollout is given, and of what it carries on."""
+
+    def one(x: Any, axes: int) -> jax.ShapeDtypeStruct:
+        return jax.ShapeDtypeStruct(x.shape[axes:], x.dtype)
+
+    world, belief = jax.tree.map(lambda x: one(x, x.ndim), arrays[:2])
+    plan, carry = jax.tree.map(lambda x: one(x, 1), batch)
+    return (world, belief, plan), carry
 
 
 def _with_new_plan(axes: Case) -> Callable[[Case, Plan, Carry], Carry]:

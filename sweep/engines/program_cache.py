@@ -87,7 +87,8 @@ def _load(file: Path, devices: Sequence[Any]) -> Sequence[Any] | None:
         files.own(file)
         parts = pickle.loads(zlib.decompress(file.read_bytes()))
         return [
-            part if isinstance(part, Code) else deserialize_and_load(*part, execution_devices=devices) for part in parts
+            part if isinstance(part, Code | str) else deserialize_and_load(*part, execution_devices=devices)
+            for part in parts
         ]
     except InputError:
         raise
@@ -95,8 +96,8 @@ def _load(file: Path, devices: Sequence[Any]) -> Sequence[Any] | None:
         return None
 
 
-def _saved(part: Compiled | Code) -> Any:
-    return part if isinstance(part, Code) else serialize(part)
+def _saved(part: Compiled | Code | str) -> Any:
+    return part if isinstance(part, Code | str) else serialize(part)
 
 
 def _store(file: Path, content: bytes) -> None:

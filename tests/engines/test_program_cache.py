@@ -13,6 +13,7 @@ import pytest
 from sweep.core import files, provenance
 from sweep.core.errors import InputError
 from sweep.engines import devices, program_cache
+from sweep.engines.fused.interpret import Unsupported
 from sweep.engines.mjx import Mjx
 from sweep.engines.settings import EngineSettings
 from sweep.metrics.outcome import Thresholds
@@ -151,6 +152,21 @@ def test_an_engines_programs_depend_on_all_that_shapes_them_and_on_no_swept_numb
     texts["nominal"] = made_of(monkeypatch)
     assert len(set(texts.values())) == len(texts)
     assert made_of(monkeypatch, case=changed("robot", body_mass=11.0)) == texts["nominal"]
+
+
+def test_what_has_no_rule_is_traced_once(folder, monkeypatch):
+    traced = []
+
+    def none(*_):
+        traced.append(1)
+        raise Unsupported("sort")
+
+    monkeypatch.setattr(Mjx, "_compile", none)
+    for _ in range(2):
+        engine = Mjx(EngineSettings(width=1, compiler="fused"), CASE, CASE)
+        with pytest.raises(InputError, match="no rule for sort"):
+            engine.run(CASE, CASE, np.arange(1))
+    assert len(traced) == 1
 
 
 @pytest.mark.parametrize("what", ["folder", "programs"])

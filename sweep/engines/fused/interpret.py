@@ -361,6 +361,25 @@ class Interpreter:
             x = self.choose(np.full(windows[0].shape, starts[d], object), windows)
         return x
 
+    def put(self, x: Array, update: Array, starts: dict[int, Node], combine: str | None) -> None:
+        """Put `update` into `x` where it begins at `starts`, on other axes at 0; nothing where it would not fit."""
+        ranges = []
+        for d, (n, m) in enumerate(zip(x.shape, update.shape, strict=True)):
+            start = starts.get(d)
+            fixed = 0 if start is None else int(value_of(start)) if start.op == "const" else None
+            ranges.append([k for k in range(n - m + 1) if fixed in (None, k)])
+        for place in product(*ranges):
+            here = None
+            for d, start in starts.items():
+                if start.op != "const":
+                    same = self.op("eq", "bool", start, self.program.const(place[d], start.dtype))
+                    here = same if here is None else self.op("and", "bool", here, same)
+            window = tuple(slice(k, k + m) for k, m in zip(place, update.shape, strict=True))
+            dtype = x.flat[0].dtype
+            new = update if combine is None else self.lift(combine, [x[window], update], dtype)
+            x[window] = new if here is None else self.lift(
+                "select", [np.full(update.shape, here, object), new, x[window]], dtype)  # fmt: skip
+
     def _within(self, start: Node, most: int) -> Node:
         if start.dtype != "int32":
             start = self.op("convert", "int32", start)
@@ -520,20 +539,9 @@ def _dynamic_slice(self: Interpreter, x: Array, *starts: Array, out: Any, slice_
 
 
 def _dynamic_update_slice(self: Interpreter, x: Array, update: Array, *starts: Array, out: Any) -> Array:
-    result = x
-    firsts = [self._within(s[()], n - m) for s, n, m in zip(starts, x.shape, update.shape, strict=True)]
     result = x.copy()
-    ranges = [range(int(value_of(f)), int(value_of(f)) + 1) if f.op == "const" else range(n - m + 1)
-              for f, n, m in zip(firsts, x.shape, update.shape, strict=True)]  # fmt: skip
-    for place in product(*ranges):
-        here = None
-        for f, k in zip(firsts, place, strict=True):
-            if f.op != "const":
-                at = self.op("eq", "bool", f, self.program.const(k, "int32"))
-                here = at if here is None else self.op("and", "bool", here, at)
-        window = tuple(slice(k, k + m) for k, m in zip(place, update.shape, strict=True))
-        result[window] = update if here is None else self.lift(
-            "select", [np.full(update.shape, here, object), update, result[window]], out.dtype.name)  # fmt: skip
+    within = [self._within(s[()], n - m) for s, n, m in zip(starts, x.shape, update.shape, strict=True)]
+    self.put(result, update, dict(enumerate(within)), None)
     return result
 
 
@@ -615,23 +623,7 @@ def _scatter(combine: str | None) -> Callable:
             starts = {d: indices[(*at, k)] for k, d in enumerate(dims.scatter_dims_to_operand_dims)}
             if "CLIP" in str(mode):
                 starts = {d: self._within(s, x.shape[d] - sizes[d]) for d, s in starts.items()}
-            ranges = []
-            for d in range(x.ndim):
-                s = starts.get(d)
-                fixed = 0 if s is None else int(value_of(s)) if s.op == "const" else None
-                ranges.append(range(x.shape[d] - sizes[d] + 1) if fixed is None else [fixed])
-            for place in product(*ranges):
-                if any(k < 0 or k + m > n for k, m, n in zip(place, sizes, x.shape, strict=True)):
-                    continue
-                here = None
-                for d, s in starts.items():
-                    if s.op != "const":
-                        same = self.op("eq", "bool", s, self.program.const(place[d], s.dtype))
-                        here = same if here is None else self.op("and", "bool", here, same)
-                window = tuple(slice(k, k + m) for k, m in zip(place, sizes, strict=True))
-                new = update if combine is None else self.lift(combine, [result[window], update], out.dtype.name)
-                result[window] = new if here is None else self.lift(
-                    "select", [np.full(sizes, here, object), new, result[window]], out.dtype.name)  # fmt: skip
+            self.put(result, update, starts, combine)
         return result
 
     return rule

@@ -12,81 +12,42 @@ import numpy as np
 from jaxtyping import Array
 
 from sweep.engines.fused import llvm, schedule
-from sweep.engines.fused.interpret import Interpreter
-from sweep.engines.fused.program import Program, Region
+from sweep.engines.fused.trace import Leaf, keyed, traced, words
 
 LANES, ALIGN = llvm.LANES, llvm.ALIGN
-
-
-class Leaf(NamedTuple):
-    """Where an array of each rollout lies in a tile's memory."""
-
-    place: int  # bytes from the start
-    shape: tuple[int, ...]
-    dtype: str
-
-    @property
-    def size(self) -> int:
-        """Bytes, of all lanes."""
-        return int(np.prod(self.shape)) * llvm.row(self.dtype)
 
 
 class Code(NamedTuple):
     """A compiled program, as it is kept."""
 
     machine: bytes
-    given: list[Leaf]  # what does not change
-    carried: list[Leaf]  # what goes on from tick to tick
-    recorded: dict[str, Leaf]  # of each tick, in a memory of its own
+    given: list[Leaf]
+    carried: list[Leaf]
+    recorded: dict[str, Leaf]
     scratch: int  # bytes that a thread needs
 
 
 def compiled(function: Callable[[Any, Any, Array], tuple[Any, dict[str, Array]]], given: Any, carried: Any) -> Code:
-    """The ticks `function(given, carried, number) -> (carried, record)` of one rollout, for trees of arrays like these.
-
-    Raises `Unsupported`.
-    """
-    (first, tree), (second, other) = jax.tree.flatten(given), jax.tree.flatten(carried)
-    n = len(first)
-
-    def flat(*leaves: Array) -> Any:
-        before = jax.tree.unflatten(tree, leaves[:n])
-        now = jax.tree.unflatten(other, [_keyed(x, like) for x, like in zip(leaves[n:-1], second, strict=True)])
-        moved, record = function(before, now, leaves[-1])
-        return jax.tree.leaves(words(moved)), record
-
-    shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in words([*first, *second])]
-    traced, (_, record) = jax.make_jaxpr(flat, return_shape=True)(*shapes, jax.ShapeDtypeStruct((), jnp.int32))
-    constant, size = _laid_out(shapes[:n], 0)
-    moving, _ = _laid_out(shapes[n:], size)
-    names = sorted(record)  # as JAX flattens them
-    recorded, _ = _laid_out([record[name] for name in names], 0)
-
-    program = Program()
-    interpreter = Interpreter(program)
-    regions = [[Region(int(np.prod(x.shape)), x.dtype, depth, x.place, told) for x in leaves]
-               for leaves, depth, told in ((constant, 0, False), (moving, 1, False), (recorded, 1, True))]  # fmt: skip
-    with program.loop(None) as body:
-        tick = np.full((), program.node("tick", (), "int32", 1), object)
-        inputs = [interpreter.loaded(region, leaf.shape, region.depth)
-                  for group, leaves in zip(regions[:2], (constant, moving), strict=True)
-                  for region, leaf in zip(group, leaves, strict=True)]  # fmt: skip
-        results = interpreter.evaluate(traced.jaxpr, traced.consts, [*inputs, tick])
-        for region, value in zip((*regions[1], *regions[2]), results, strict=True):
-            interpreter.save(region, value, body.stores)
+    """See `traced`; what is given and carried share a memory, in bytes."""
+    program = traced(function, given, carried, _laid_out, together=True)
     plan = schedule.plan(program.top, schedule.used(program.top))
     printed = llvm.Printer(plan, schedule.slots(plan))
     target = llvm.machine()
     machine = llvm.compiled(printed.text(target.triple), target)
-    return Code(machine, constant, moving, dict(zip(names, recorded, strict=True)), printed.scratch)
+    return Code(machine, program.given, program.carried, program.recorded, printed.scratch)
+
+
+def _size(leaf: Leaf) -> int:
+    """Bytes, of all lanes."""
+    return leaf.count * llvm.row(leaf.dtype)
 
 
 def _laid_out(shapes: Sequence[Any], start: int) -> tuple[list[Leaf], int]:
-    """Arrays one after the other in memory, and where the last ends."""
+    """Arrays one after the other in memory, in bytes, and where the last ends."""
     leaves = []
     for x in shapes:
         leaves.append(Leaf(start, tuple(x.shape), np.dtype(x.dtype).name))
-        start += llvm.rounded(leaves[-1].size)
+        start += llvm.rounded(_size(leaves[-1]))
     return leaves, start
 
 
@@ -136,7 +97,7 @@ class Kernel:
         """What is carried, (width, ...) each."""
         like, tree = jax.tree.flatten(tiles.like)
         found = [jnp.asarray(self._rows(tiles, leaf)) for leaf in self.code.carried]
-        return jax.tree.unflatten(tree, [_keyed(x, one) for x, one in zip(found, like, strict=True)])
+        return jax.tree.unflatten(tree, [keyed(x, one) for x, one in zip(found, like, strict=True)])
 
     def look(self, tiles: "Tiles", which: Callable[[Any], int]) -> np.ndarray:
         """The array (width, ...) that `which` picks of what is carried, without the others."""
@@ -164,7 +125,7 @@ def _aligned(rows: int, size: int) -> np.ndarray:
 
 def _end(leaves: Sequence[Leaf]) -> int:
     """Bytes up to where arrays end that lie one after the other."""
-    return max((leaf.place + llvm.rounded(leaf.size) for leaf in leaves), default=ALIGN)
+    return max((leaf.place + llvm.rounded(_size(leaf)) for leaf in leaves), default=ALIGN)
 
 
 def _put_all(tiles: Tiles, leaves: Sequence[Leaf], tree: Any) -> None:
@@ -174,37 +135,18 @@ def _put_all(tiles: Tiles, leaves: Sequence[Leaf], tree: Any) -> None:
 
 def _put(memory: np.ndarray, leaf: Leaf, values: np.ndarray, width: int) -> None:
     """Values of a batch, or one for all of it; the last tile's idle lanes repeat the last rollout."""
-    tiles, count = len(memory), int(np.prod(leaf.shape))
+    tiles, count = len(memory), leaf.count
     if values.ndim > len(leaf.shape):
         lanes = np.minimum(np.arange(tiles * LANES), width - 1)
         values = values.reshape(width, count)[lanes].reshape(tiles, LANES, count).transpose(0, 2, 1)
     else:
         values = np.broadcast_to(values.reshape(1, count, 1), (tiles, count, LANES))
     values = np.ascontiguousarray(values, leaf.dtype)
-    memory[:, leaf.place : leaf.place + leaf.size] = values.reshape(tiles, -1).view(np.uint8)
+    memory[:, leaf.place : leaf.place + _size(leaf)] = values.reshape(tiles, -1).view(np.uint8)
 
 
 def _got(memory: np.ndarray, leaf: Leaf) -> np.ndarray:
     """Values (rows of memory, lanes, ...)."""
-    rows, count = len(memory), int(np.prod(leaf.shape))
-    values = np.ascontiguousarray(memory[:, leaf.place : leaf.place + leaf.size]).view(leaf.dtype)
+    rows, count = len(memory), leaf.count
+    values = np.ascontiguousarray(memory[:, leaf.place : leaf.place + _size(leaf)]).view(leaf.dtype)
     return values.reshape(rows, count, LANES).transpose(0, 2, 1).reshape(rows, LANES, *leaf.shape)
-
-
-def words(tree: Any) -> Any:
-    """Arrays, or their shapes, with random keys as the words that they are."""
-
-    def one(x: Any) -> Any:
-        if not _is_key(x):
-            return x
-        return jax.eval_shape(jax.random.key_data, x) if isinstance(x, jax.ShapeDtypeStruct) else jax.random.key_data(x)
-
-    return jax.tree.map(one, tree)
-
-
-def _keyed(x: Array, like: Any) -> Array:
-    return jax.random.wrap_key_data(x) if _is_key(like) else x
-
-
-def _is_key(x: Any) -> bool:
-    return jnp.issubdtype(x.dtype, jax.dtypes.prng_key)

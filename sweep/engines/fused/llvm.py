@@ -1,7 +1,6 @@
 """The program as LLVM's assembly, rollouts in the lanes of vectors, and its compilation for this processor.
 
-No operation is reordered and none made less exact: only a product and the sum that takes it may be one rounding. So a
-rollout's numbers depend neither on the rollouts beside it nor on how many there are.
+A rollout's numbers depend neither on the rollouts beside it nor on how many there are.
 """
 
 from collections.abc import Sequence
@@ -12,18 +11,10 @@ import numpy as np
 
 from sweep.engines.fused.program import LEGS, Branch, Loop, Node, Region, Store, value_of
 from sweep.engines.fused.schedule import Plan, Slots, Turn, regions
+from sweep.engines.fused.text import TYPES, Text
 
 LANES = 16
 ALIGN = 64  # bytes
-TYPES = {"float32": "float", "float64": "double", "int32": "i32", "uint32": "i32", "int64": "i64", "uint64": "i64",
-         "bool": "i1", "int8": "i8", "uint8": "i8"}  # fmt: skip
-FLOAT_COMPARE = {"eq": "oeq", "ne": "une", "lt": "olt", "le": "ole", "gt": "ogt", "ge": "oge"}
-FLOAT = {"add": "fadd contract", "sub": "fsub contract", "mul": "fmul contract", "div": "fdiv", "rem": "frem"}
-WHOLE = {"add": "add", "sub": "sub", "mul": "mul", "div": "sdiv", "rem": "srem", "and": "and", "or": "or", "xor": "xor",
-         "shift_left": "shl", "shift_right_logical": "lshr", "shift_right_arithmetic": "ashr"}  # fmt: skip
-INTRINSICS = {"sqrt": "sqrt", "floor": "floor", "ceil": "ceil", "round": "roundeven", "sin": "sin", "cos": "cos",
-              "tan": "tan", "exp": "exp", "log": "log", "pow": "pow", "acos": "acos", "asin": "asin", "atan": "atan",
-              "atan2": "atan2"}  # fmt: skip
 FIRST = {"add": -0.0, "mul": 1, "max": -np.inf, "min": np.inf, "and": True, "or": False}  # of a reduction over the legs
 
 
@@ -37,21 +28,19 @@ def rounded(size: int) -> int:
     return -(-size // ALIGN) * ALIGN
 
 
-class Printer:
+class Printer(Text):
     """The text of a function `run(rollouts, scratch, record, stride, first, ticks)`.
 
     `record` goes on by `stride` bytes each tick; `first` is the number of the first tick.
     """
 
     def __init__(self, top: Plan, slots: Slots):
-        self.lines: list[str] = []
-        self.label = "entry"
-        self.declared: set[str] = set()
+        super().__init__(LANES)
         self.slots = slots
         self.names: dict[int, str] = {}
         self.counts: dict[int, str] = {}  # of the loops that are open, by depth
-        self._fresh = 0
-        self.scratch = slots.count * LEGS * row("float64")
+        self.row = LANES * slots.size
+        self.scratch = rounded(slots.count * LEGS * self.row)
         self.places: dict[Region, int] = {}
         for region in sorted((r for r in regions(top) if r.place < 0), key=id):
             self.places[region] = self.scratch
@@ -60,27 +49,10 @@ class Printer:
 
     def text(self, triple: str) -> str:
         """The module."""
-        body = "\n".join(f"  {line}" if not line.endswith(":") else line for line in self.lines)
         head = "define void @run(ptr noalias %rollouts, ptr noalias %scratch, ptr noalias %record, i64 %stride, "
         declared = "\n".join(sorted(self.declared))
-        return (f'target triple = "{triple}"\n{declared}\n{head}i64 %first, i64 %ticks) {{\nentry:\n{body}\n'
+        return (f'target triple = "{triple}"\n{declared}\n{head}i64 %first, i64 %ticks) {{\nentry:\n{self.body()}\n'
                 f"  ret void\n}}\n")  # fmt: skip
-
-    def fresh(self) -> str:
-        """A name that is not taken."""
-        self._fresh += 1
-        return f"%v{self._fresh}"
-
-    def emit(self, text: str, name: str | None = None) -> str:
-        """A line that gives a value its name."""
-        name = name or self.fresh()
-        self.lines.append(f"{name} = {text}")
-        return name
-
-    def start(self, label: str) -> None:
-        """Begin a basic block."""
-        self.lines.append(f"{label}:")
-        self.label = label
 
     # blocks
 
@@ -135,7 +107,7 @@ class Printer:
         for node in turn.nodes:
             if node.op == "pack":
                 for k, x in enumerate(node.args):
-                    self._put(self.value(x), node.dtype, "%scratch", str(self.slot(node) + k * row("float64")))
+                    self._put(self.value(x), node.dtype, "%scratch", str(self.slot(node) + k * self.row))
             else:
                 self.names[node.number] = self._work(node, [self.value(x) if not x.leg else "" for x in node.args])
 
@@ -168,7 +140,7 @@ class Printer:
                 continue
             value = leg.here[node.number] = self._work(node, [leg.value(x) for x in node.args], leg)
             if node.number in self.slots.of:
-                self._put(value, node.dtype, "%scratch", leg.offset(row("float64"), self.slot(node)))
+                self._put(value, node.dtype, "%scratch", leg.offset(self.row, self.slot(node)))
         self.emit(f"add i64 %{name}_k, 1", f"%{name}_n")
         self.emit(f"icmp eq i64 %{name}_n, {LEGS}", f"%{name}_c")
         self.lines.append(f"br i1 %{name}_c, label %{name}_x, label %{name}")
@@ -176,7 +148,7 @@ class Printer:
 
     def slot(self, node: Node) -> int:
         """Where the legs' values of a node are kept, in bytes."""
-        return self.slots.of[node.number] * LEGS * row("float64")
+        return self.slots.of[node.number] * LEGS * self.row
 
     # memory
 
@@ -209,7 +181,7 @@ class Printer:
             region, index, _, step = node.extra
             base, place = self.base(region)
             return self.get(region.dtype, base, str(place + (index + k * step) * row(region.dtype)))
-        return self.get(node.dtype, "%scratch", str(self.slot(node) + k * row("float64")))
+        return self.get(node.dtype, "%scratch", str(self.slot(node) + k * self.row))
 
     def _put(self, value: str, dtype: str, base: str, offset: str) -> None:
         at = self.emit(f"getelementptr i8, ptr {base}, i64 {offset}")
@@ -250,24 +222,6 @@ class Printer:
 
     # values
 
-    def vector(self, dtype: str) -> str:
-        """LLVM's name for a number in all lanes."""
-        return f"<{LANES} x {TYPES[dtype]}>"
-
-    def splat(self, kind: str, value: Any) -> str:
-        """A constant vector of one value."""
-        return "<" + ", ".join([f"{kind} {value}"] * LANES) + ">"
-
-    def literal(self, value: Any) -> str:
-        """A constant in all lanes."""
-        value = np.asarray(value)
-        kind = TYPES[value.dtype.name]
-        if value.dtype == bool:
-            return self.splat(kind, "true" if value else "false")
-        if value.dtype.kind == "f":
-            return self.splat(kind, f"0x{np.float64(value).view(np.uint64):016X}")
-        return self.splat(kind, int(value))
-
     def value(self, node: Node) -> str:
         """A plain value."""
         return self.literal(value_of(node)) if node.op == "const" else self.names[node.number]
@@ -299,75 +253,6 @@ class Printer:
         return self.emit(
             f"shufflevector <{LANES} x i32> {one}, <{LANES} x i32> poison, <{LANES} x i32> zeroinitializer"
         )
-
-    def call(self, name: str, dtype: str, args: Sequence[str], extra: str = "") -> str:
-        """One of LLVM's own functions."""
-        kind = {"float": "f32", "double": "f64"}.get(TYPES[dtype], TYPES[dtype])
-        vector, function = self.vector(dtype), f"@llvm.{name}.v{LANES}{kind}"
-        self.declared.add(f"declare {vector} {function}({', '.join([vector] * len(args))}{', i1' if extra else ''})")
-        return self.emit(f"call {vector} {function}({', '.join(f'{vector} {x}' for x in args)}{extra})")
-
-    def arithmetic(self, op: str, dtype: str, args: list[str], kinds: Sequence[str]) -> str:
-        """An operation on vectors."""
-        of, vector = kinds[-1], self.vector(kinds[-1])
-        floating = np.issubdtype(of, np.floating)
-        match op:
-            case "select":
-                return self.emit(f"select {self.vector('bool')} {args[0]}, {vector} {args[1]}, {vector} {args[2]}")
-            case "convert":
-                return self._convert(args[0], of, dtype)
-            case "bitcast_convert_type":
-                return self.emit(f"bitcast {vector} {args[0]} to {self.vector(dtype)}")
-            case "is_finite":
-                size = self.call("fabs", of, args)
-                return self.emit(f"fcmp olt {vector} {size}, {self.literal(np.asarray(np.inf, of))}")
-            case "not":
-                ones = self.splat(TYPES[of], "true" if of == "bool" else -1)
-                return self.emit(f"xor {vector} {args[0]}, {ones}")
-            case "neg":
-                return self.emit(f"fneg {vector} {args[0]}" if floating else f"sub {vector} zeroinitializer, {args[0]}")
-            case "abs":
-                return self.call("fabs", of, args) if floating else self.call("abs", of, args, ", i1 false")
-            case "max" | "min" if floating:  # NaN if either is, as the first operand or by the comparison
-                test = "ogt" if op == "max" else "olt"
-                better = self.emit(f"fcmp {test} {vector} {args[0]}, {args[1]}")
-                chosen = self.emit(f"select {self.vector('bool')} {better}, {vector} {args[0]}, {vector} {args[1]}")
-                nan = self.emit(f"fcmp uno {vector} {args[0]}, {args[0]}")
-                return self.emit(f"select {self.vector('bool')} {nan}, {vector} {args[0]}, {vector} {chosen}")
-            case "max" | "min":
-                sign = "u" if of.startswith("u") or of == "bool" else "s"
-                return self.call(f"{sign}{op}", of, args)
-            case _ if op in FLOAT_COMPARE and floating:
-                return self.emit(f"fcmp {FLOAT_COMPARE[op]} {vector} {args[0]}, {args[1]}")
-            case _ if op in FLOAT_COMPARE:
-                sign = "" if op in ("eq", "ne") else "u" if of.startswith("u") or of == "bool" else "s"
-                return self.emit(f"icmp {sign}{op} {vector} {args[0]}, {args[1]}")
-            case _ if op in INTRINSICS and floating:
-                return self.call(INTRINSICS[op], of, args)
-            case _ if floating:
-                return self.emit(f"{FLOAT[op]} {vector} {args[0]}, {args[1]}")
-        unsigned = {"sdiv": "udiv", "srem": "urem"} if of.startswith("u") else {}
-        return self.emit(f"{unsigned.get(WHOLE[op], WHOLE[op])} {vector} {args[0]}, {args[1]}")
-
-    def _convert(self, value: str, old: str, new: str) -> str:
-        a, b = self.vector(old), self.vector(new)
-        was, to = np.dtype(old), np.dtype(new)
-        if to.kind == "b":
-            test = "fcmp une" if was.kind == "f" else "icmp ne"
-            return self.emit(f"{test} {a} {value}, zeroinitializer")
-        if was.kind == "f" and to.kind == "f":
-            return self.emit(f"{'fpext' if to.itemsize > was.itemsize else 'fptrunc'} {a} {value} to {b}")
-        if was.kind == "f":
-            kind, whole = {"float": "f32", "double": "f64"}[TYPES[old]], TYPES[new]
-            name = f"@llvm.fpto{'u' if to.kind == 'u' else 's'}i.sat.v{LANES}{whole}.v{LANES}{kind}"
-            self.declared.add(f"declare {b} {name}({a})")
-            return self.emit(f"call {b} {name}({a} {value})")
-        if to.kind == "f":
-            return self.emit(f"{'sitofp' if was.kind == 'i' else 'uitofp'} {a} {value} to {b}")
-        if TYPES[old] == TYPES[new]:
-            return value
-        wider = "sext" if was.kind == "i" else "zext"
-        return self.emit(f"{wider if was.kind == 'b' or to.itemsize > was.itemsize else 'trunc'} {a} {value} to {b}")
 
 
 class Leg:
@@ -408,7 +293,7 @@ class Leg:
             base, place = printer.base(region)
             size = row(region.dtype)
             return printer.get(region.dtype, base, self.offset(step * size, place + index * size))
-        return printer.get(node.dtype, "%scratch", self.offset(row("float64"), printer.slot(node)))
+        return printer.get(node.dtype, "%scratch", self.offset(printer.row, printer.slot(node)))
 
     def _is(self, k: int) -> str:
         key = -1 - k

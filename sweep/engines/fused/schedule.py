@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
 from sweep.engines.fused.program import Block, Branch, Loop, Node, Region, Store
 
 ANEW = frozenset(("const", "load"))  # worked out again wherever it is needed
@@ -32,11 +34,12 @@ class Plan:
 
 @dataclass(eq=False)
 class Slots:
-    """Where values of legs are kept, by number of node; `count` slots in all, each of six rows of lanes."""
+    """Where values of legs are kept, by number of node; `count` slots, each of six rows of lanes of `size` bytes."""
 
     of: dict[int, int] = field(default_factory=dict)
     free: list[int] = field(default_factory=list)
     count: int = 0
+    size: int = 4
 
     def take(self) -> int:
         """A slot that is free."""
@@ -126,7 +129,9 @@ def _assign(one: Plan, found: Slots) -> None:
         done.setdefault(at, []).append(number)
     for at, step in enumerate(one.steps):
         if isinstance(step, Turn):
-            found.of |= {node.number: found.take() for node in step.nodes if node.number in last}
+            kept = [node for node in step.nodes if node.number in last]
+            found.of |= {node.number: found.take() for node in kept}
+            found.size = max(found.size, *(np.dtype(node.dtype).itemsize for node in kept), 0)
         for inner in one.inner.get(at, []):
             _assign(inner, found)
         found.free.extend(found.of[number] for number in done.get(at, []))

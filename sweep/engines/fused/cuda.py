@@ -1,0 +1,458 @@
+"""The program as PTX, for NVIDIA's GPUs: a lane of a warp for each leg, five rollouts in a warp, all ticks in a kernel.
+
+What the legs share is worked out by each of them. Sums over the legs are in one order, so that a rollout's numbers
+depend neither on the rollouts beside it nor on how many there are.
+"""
+
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from sweep.engines.fused.interpret import Unsupported
+from sweep.engines.fused.program import LEGS, Block, Branch, Loop, Node, Region, Store, value_of
+from sweep.engines.fused.text import INTRINSICS, TYPES, Text
+
+LANES = 32 // LEGS  # rollouts of a warp, which are a tile in memory; two lanes do again what others do
+WARPS = 8  # of a block: as many as registers allow
+ROW = 4 * LANES  # bytes of a number's rollouts in memory
+EVERY = "i32 -1"  # lane
+NATIVE = {"sqrt", "floor", "ceil", "round"}
+Place = tuple[Region, int]  # a number, or six that are a number of each leg's
+
+
+class Printer(Text):
+    """The text of a kernel `run(given, first, state)`, or with `kept` and `record`; `ticks` in one launch.
+
+    `given` and `state` are tiles. `kept` has for each rollout where it is among the `room` that are recorded, or -1.
+    Where none is recorded, a warp whose rollouts are all `over` leaves them as they are.
+    """
+
+    def __init__(self, top: Block, needed: set[int], sizes: tuple[int, int, int], ticks: int, over: int, room: int):
+        super().__init__(1)
+        self.needed, self.sizes, self.ticks, self.over, self.room = needed, sizes, ticks, over, room
+        self.names: dict[int, str] = {}
+        self.found: dict[Any, str] = {}  # in this basic block
+        self.counts: dict[int, str] = {}
+        self.tables: list[str] = []
+        self.here: dict[Place, str] = {}  # what numbers of inner memory are now
+        self.rows, self.inner = _rows(top, needed)
+        self.scratch: dict[Region, int] = {}
+        for region in self.inner:
+            self.scratch[region] = self.sizes[1] + sum(r.size for r in self.scratch)
+        self._head()
+        self._block(top)
+
+    @property
+    def words(self) -> int:
+        """Numbers of a rollout's state, with those that are looked up by place."""
+        return self.sizes[1] + sum(r.size for r in self.scratch)
+
+    def text(self) -> str:
+        """The module."""
+        told = ["readonly %kept_", "%record_"] if self.room else []
+        operands = ", ".join(f"ptr noalias {x}" for x in ("readonly %given_", "readonly %first_", "%state_", *told))
+        return "\n".join([
+            'target triple = "nvptx64-nvidia-cuda"', *sorted(self.declared), *self.tables,
+            f"define ptx_kernel void @run({operands}) {{\nentry:\n{self.body()}\n  ret void\n}}",
+            "!nvvm.annotations = !{!0}",
+            f'!0 = !{{ptr @run, !"maxntidx", i32 {32 * WARPS}, !"minctasm", i32 1}}', "",
+        ])  # fmt: skip
+
+    def _nvvm(self, name: str, kind: str, *args: str) -> str:
+        """What only this processor does."""
+        self.declared.add(f"declare {kind} @llvm.nvvm.{name}({', '.join(x.split()[0] for x in args)})")
+        call = f"call {kind} @llvm.nvvm.{name}({', '.join(args)})"
+        if kind != "void":
+            return self.emit(call)
+        self.lines.append(call)
+        return ""
+
+    def _head(self) -> None:
+        """Which leg of which rollout this lane is for."""
+        thread = self._nvvm("read.ptx.sreg.tid.x", "i32")
+        block = self._nvvm("read.ptx.sreg.ctaid.x", "i32")
+        lane, warp = self.emit(f"and i32 {thread}, 31"), self.emit(f"lshr i32 {thread}, 5")
+        group = self.emit(f"udiv i32 {lane}, {LEGS}")
+        beyond = self.emit(f"icmp ugt i32 {group}, {LANES - 1}")
+        group = self.emit(f"select i1 {beyond}, i32 {LANES - 1}, i32 {group}")
+        leg = self.emit(f"urem i32 {lane}, {LEGS}", "%leg")
+        base = self.emit(f"mul i32 {group}, {LEGS}", "%base")
+        across = self.emit(f"urem i32 {self.emit(f'add i32 {leg}, 3')}, {LEGS}")
+        self.emit(f"add i32 {base}, {across}", "%across")
+        tile = self.emit(f"add i32 {self.emit(f'mul i32 {block}, {WARPS}')}, {warp}")
+        own = self.emit(f"zext i32 {self.emit(f'mul i32 {group}, 4')} to i64")
+        wide = self.emit(f"zext i32 {tile} to i64")
+        for name, words in (("given", self.sizes[0]), ("state", self.words)):
+            offset = self.emit(f"add i64 {self.emit(f'mul i64 {wide}, {words * ROW}')}, {own}")
+            self.emit(f"getelementptr i8, ptr %{name}_, i64 {offset}", f"%{name}")
+        self.emit("load i32, ptr %first_", "%first")
+        if self.room:
+            rollout = self.emit(f"add i32 {self.emit(f'mul i32 {tile}, {LANES}')}, {group}")
+            at = self.emit(f"getelementptr i32, ptr %kept_, i32 {rollout}")
+            self.emit(f"load i32, ptr {at}", "%kept")
+
+    # blocks
+
+    def _block(self, block: Block) -> None:
+        for item in _depth_first(block, self.needed):
+            if isinstance(item, Node):
+                self.names[item.number] = self._work(item)
+            elif isinstance(item, Store):
+                self._stores([item])
+            elif isinstance(item, Loop):
+                self._ticks(item) if item.length is None else self._loop(item)
+            else:
+                self._branch(item)
+        self._stores(block.stores)
+
+    def _start(self, label: str) -> None:
+        self.start(label)
+        self.found = {}
+
+    def _ticks(self, loop: Loop) -> None:
+        """All ticks; warps of a block go side by side, since they share what holds their instructions."""
+        before = self.label
+        self.lines.append("br label %tick")
+        self._start("tick")
+        self.lines.append(f"%k = phi i32 [0, %{before}], [%next, %done]")
+        self.counts[loop.body.depth] = "%k"
+        self._together()
+        if not self.room:
+            over = self.emit(f"icmp ne i32 {self._get('%state', self.over * ROW, 'i32')}, 0")
+            every = self._nvvm("vote.all.sync", "i1", EVERY, f"i1 {over}")
+            self.lines.append(f"br i1 {every}, label %done, label %go")
+            self._start("go")
+        self._block(loop.body)
+        self.lines.append("br label %done")
+        self._start("done")
+        self.emit("add i32 %k, 1", "%next")
+        more = self.emit(f"icmp ult i32 %next, {self.ticks}")
+        self.lines.append(f"br i1 {more}, label %tick, label %end")
+        self._start("end")
+
+    def _together(self) -> None:
+        self._nvvm("barrier0", "void")
+
+    def _loop(self, loop: Loop) -> None:
+        self._fresh += 1
+        name, before, at = f"L{self._fresh}", self.label, len(self.lines) + 2
+        self.lines.append(f"br label %{name}")
+        self._start(name)
+        count, following = f"%{name}_k", f"%{name}_n"
+        moving = [place for place in self._changed(loop.body) if place in self.here]
+        old = {place: self.here[place] for place in moving}
+        self.here |= {place: f"%{name}_{k}" for k, place in enumerate(moving)}
+        self.counts[loop.body.depth] = count
+        self._block(loop.body)
+        self.emit(f"add i32 {count}, 1", following)
+        again = self.emit(f"icmp ult i32 {following}, {loop.length}")
+        phis = [f"{count} = phi i32 [0, %{before}], [{following}, %{self.label}]"]
+        for k, place in enumerate(moving):
+            kind = TYPES[place[0].dtype]
+            phis.append(f"%{name}_{k} = phi {kind} [{old[place]}, %{before}], [{self.here[place]}, %{self.label}]")
+        self.lines[at:at] = phis
+        self.lines.append(f"br i1 {again}, label %{name}, label %{name}_x")
+        self._start(f"{name}_x")
+
+    def _branch(self, branch: Branch) -> None:
+        self._fresh += 1
+        name, index, kind = f"B{self._fresh}", self.value(branch.index), TYPES[branch.index.dtype]
+        count = len(branch.blocks)
+        test = f"icmp slt {kind}" if kind != "i1" else "icmp ult i1"
+        low = index if kind == "i1" else self.call("smax", branch.index.dtype, [index, "0"])
+        high = self.emit(f"{test} {low}, {count - 1 if kind != 'i1' else 'true'}")
+        within = self.emit(f"select i1 {high}, {kind} {low}, {kind} {count - 1 if kind != 'i1' else 'true'}")
+        cases = " ".join(f"{kind} {k if kind != 'i1' else 'false'}, label %{name}_{k}" for k in range(count - 1))
+        self.lines.append(f"switch {kind} {within}, label %{name}_{count - 1} [{cases}]")
+        before, ends = dict(self.here), []
+        for k, block in enumerate(branch.blocks):
+            self._start(f"{name}_{k}")
+            self.here = dict(before)
+            self._block(block)
+            ends.append((self.label, self.here))
+            self.lines.append(f"br label %{name}_x")
+        self._start(f"{name}_x")
+        self.here = before
+        for place in {place: None for _, here in ends for place in here if here[place] != before.get(place)}:
+            values = ", ".join(f"[{here.get(place, 'poison')}, %{label}]" for label, here in ends)
+            self.here[place] = self.emit(f"phi {TYPES[place[0].dtype]} {values}")
+
+    def _changed(self, block: Block) -> Iterator[Place]:
+        """What a block stores in inner memory, each once."""
+        found: dict[Place, None] = {}
+        for store in _stores(block):
+            if store.region.place < 0 and store.region not in self.scratch:
+                found |= dict.fromkeys([self._place(store.region, store.index)])
+        yield from found
+
+    # memory
+
+    def _place(self, region: Region, index: int) -> Place:
+        return region, self.rows.get((region, index), (index, 0, 0))[0]
+
+    def _stores(self, stores: Sequence[Store]) -> None:
+        """Put values away, all of which are worked out before."""
+        values = [(store, self.value(store.value)) for store in stores]
+        told = [pair for pair in values if pair[0].region.record]
+        if told:
+            self._tell(told)
+        outer = [pair for pair in values if self._is_outer(pair[0].region) and not pair[0].region.record]
+        if outer:
+            self._nvvm("bar.warp.sync", "void", EVERY)
+        for store, value in values:
+            if not self._is_outer(store.region):
+                self._set(store, value)
+        for store, value in outer:
+            offset = (self._start_of(store.region) + store.index) * ROW
+            self._put(self._leg("%state", store.step) if store.value.leg else "%state", offset, store.region, value)
+        if outer:
+            self._nvvm("bar.warp.sync", "void", EVERY)
+            self.found = {key: x for key, x in self.found.items() if not isinstance(key, tuple)}
+
+    def _set(self, store: Store, value: str) -> None:
+        place = self._place(store.region, store.index)
+        row = self.rows.get((store.region, store.index))
+        if row and not store.value.leg:
+            kind = TYPES[store.region.dtype]
+            here = self.emit(f"icmp eq i32 %leg, {row[2]}")
+            value = self.emit(f"select i1 {here}, {kind} {value}, {kind} {self.here.get(place, 'poison')}")
+        self.here[place] = value
+
+    def _tell(self, told: Sequence[tuple[Store, str]]) -> None:
+        self._fresh += 1
+        name = f"R{self._fresh}"
+        kept = self.emit("icmp sge i32 %kept, 0")
+        self.lines.append(f"br i1 {kept}, label %{name}, label %{name}_x")
+        self._start(name)
+        row = self.emit(f"add i32 {self.emit(f'mul i32 %k, {self.room}')}, %kept")
+        start = self.emit(f"mul i64 {self.emit(f'zext i32 {row} to i64')}, {4 * self.sizes[2]}")
+        base = self.emit(f"getelementptr i8, ptr %record_, i64 {start}")
+        for store, value in told:
+            at = base
+            if store.value.leg:
+                offset = self.emit(f"mul i32 %leg, {4 * store.step}")
+                at = self.emit(f"getelementptr i8, ptr {base}, i32 {offset}")
+            self._put(at, 4 * (store.region.place + store.index), store.region, value)
+        self.lines.append(f"br label %{name}_x")
+        self._start(f"{name}_x")
+
+    def _is_outer(self, region: Region) -> bool:
+        return region.place >= 0 or region in self.scratch
+
+    def _start_of(self, region: Region) -> int:
+        return self.scratch.get(region, region.place)
+
+    def _base(self, region: Region) -> str:
+        return "%given" if region.place >= 0 and region.depth == 0 else "%state"
+
+    def _leg(self, base: str, step: int) -> str:
+        """Where this leg's number is that is `step` numbers after the one of the leg before."""
+        key = f"{base} {step}"
+        if key not in self.found:
+            offset = self.emit(f"mul i32 %leg, {step * ROW}")
+            self.found[key] = self.emit(f"getelementptr i8, ptr {base}, i32 {offset}")
+        return self.found[key]
+
+    def _get(self, base: str, offset: int | str, kind: str) -> str:
+        at = self.emit(f"getelementptr i8, ptr {base}, i32 {offset}")
+        return self.emit(f"load {kind}, ptr {at}, align 4")
+
+    def _put(self, base: str, offset: int, region: Region, value: str) -> None:
+        at = self.emit(f"getelementptr i8, ptr {base}, i32 {offset}")
+        kind = TYPES[region.dtype]
+        if kind == "i1":
+            kind, value = "i32", self.emit(f"zext i1 {value} to i32")
+        self.lines.append(f"store {kind} {value}, ptr {at}, align 4")
+
+    def _read(self, region: Region, base: str, offset: int | str) -> str:
+        kind = TYPES[region.dtype]
+        if kind not in ("i1", "i32", "float"):
+            raise Unsupported(f"{region.dtype} on a GPU")
+        if kind != "i1":
+            return self._get(base, offset, kind)
+        return self.emit(f"icmp ne i32 {self._get(base, offset, 'i32')}, 0")
+
+    # values
+
+    def value(self, node: Node) -> str:
+        """A value, of this lane's leg where it is one of legs."""
+        if node.op == "const" and not node.leg:
+            return self.literal(value_of(node))
+        if node.op not in ("const", "load"):
+            return self.names[node.number]
+        if node.op == "load" and not self._is_outer(node.extra[0]):
+            return self._now(node)
+        key = node.number, "memory"
+        if key not in self.found:
+            self.found[key] = self._table(node) if node.op == "const" else self._load(node)
+        return self.found[key]
+
+    def _now(self, node: Node) -> str:
+        """A number of inner memory, which is no memory here."""
+        region, index, _, _ = node.extra
+        value = self.here[self._place(region, index)]
+        row = self.rows.get((region, index))
+        return self._shuffled(value, region.dtype, self._lane(row[2])) if row and not node.leg else value
+
+    def _load(self, node: Node) -> str:
+        region, index, _, step = node.extra
+        base = self._base(region)
+        offset = (self._start_of(region) + index) * ROW
+        return self._read(region, self._leg(base, step) if node.leg else base, offset)
+
+    def _table(self, node: Node) -> str:
+        values, kind = value_of(node), TYPES[node.dtype]
+        if kind == "i1":
+            bits = sum(1 << k for k, x in enumerate(values) if x)
+            return self.emit(f"trunc i32 {self.emit(f'lshr i32 {bits}, %leg')} to i1")
+        name = f"@table{len(self.tables)}"
+        listed = ", ".join(f"{kind} {self.literal(x)}" for x in values)
+        self.tables.append(f"{name} = private addrspace(4) constant [{LEGS} x {kind}] [{listed}]")
+        at = self.emit(f"getelementptr {kind}, ptr addrspace(4) {name}, i32 %leg")
+        return self.emit(f"load {kind}, ptr addrspace(4) {at}")
+
+    def _lane(self, leg: int) -> str:
+        key = f"lane {leg}"
+        if leg and key not in self.found:
+            self.found[key] = self.emit(f"add i32 %base, {leg}")
+        return self.found[key] if leg else "%base"
+
+    def _shuffled(self, value: str, dtype: str, lane: str) -> str:
+        """The value that another lane has."""
+        kind = TYPES[dtype]
+        if kind == "i1":
+            wide = self.emit(f"zext i1 {value} to i32")
+            moved = self._nvvm("shfl.sync.idx.i32", "i32", EVERY, f"i32 {wide}", f"i32 {lane}", "i32 31")
+            return self.emit(f"icmp ne i32 {moved}, 0")
+        short = {"float": "f32"}.get(kind, kind)
+        return self._nvvm(f"shfl.sync.idx.{short}", kind, EVERY, f"{kind} {value}", f"i32 {lane}", "i32 31")
+
+    def _over_legs(self, node: Node) -> str:
+        """Opposite legs first, then the three pairs in order."""
+        value, kinds = self.value(node.args[0]), [node.dtype] * 2
+        pair = self.arithmetic(node.extra, node.dtype, [value, self._shuffled(value, node.dtype, "%across")], kinds)
+        total = self._shuffled(pair, node.dtype, self._lane(0))
+        for k in (1, 2):
+            one = self._shuffled(pair, node.dtype, self._lane(k))
+            total = self.arithmetic(node.extra, node.dtype, [total, one], kinds)
+        return total
+
+    def _work(self, node: Node) -> str:
+        """A node from its operands."""
+        match node.op:
+            case "gather":
+                region, index, _, step = node.extra
+                base = self._base(region)
+                place = self.emit(f"mul i32 {self.value(node.args[0])}, {ROW}")
+                offset = self.emit(f"add i32 {place}, {(self._start_of(region) + index) * ROW}")
+                return self._read(region, self._leg(base, step) if node.leg else base, offset)
+            case "part":
+                whole = node.args[0]
+                return self._shuffled(self.value(whole), whole.dtype, self._lane(node.extra))
+            case "pack":
+                value, kind = self.value(node.args[-1]), TYPES[node.dtype]
+                for k in range(LEGS - 2, -1, -1):
+                    here = self.emit(f"icmp eq i32 %leg, {k}")
+                    value = self.emit(f"select i1 {here}, {kind} {self.value(node.args[k])}, {kind} {value}")
+                return value
+            case "over_legs":
+                return self._over_legs(node)
+            case "count":
+                return self.counts[node.extra]
+            case "tick":
+                return self.emit("add i32 %k, %first")
+        if node.op in INTRINSICS and node.op not in NATIVE:
+            raise Unsupported(f"{node.op} of {node.dtype} on a GPU")
+        return self.arithmetic(node.op, node.dtype, [self.value(x) for x in node.args], [x.dtype for x in node.args])
+
+    def extreme(self, op: str, dtype: str, args: list[str]) -> str:
+        """The greater or lesser of two; NaN if either is."""
+        return self.call("maximum" if op == "max" else "minimum", dtype, args)
+
+
+def _depth_first(block: Block, needed: set[int]) -> Iterator[Any]:
+    """What is to be done, a value soon before it is used: few are alive at a time."""
+    straight: dict[int, Node] = {}
+    for item in [*block.items, None]:
+        if isinstance(item, Node):
+            if item.number in needed and item.op not in ("const", "load"):
+                straight[item.number] = item
+            continue
+        yield from _ordered(straight)
+        straight = {}
+        if item is not None:
+            yield item
+
+
+def _ordered(nodes: dict[int, Node]) -> Iterator[Node]:
+    inner = {arg.number for node in nodes.values() for arg in node.args}
+    size: dict[int, int] = {}
+    for node in nodes.values():
+        size[node.number] = 1 + sum(size.get(arg.number, 0) for arg in node.args)
+    done: set[int] = set()
+    for root in nodes.values():
+        pending = [root] if root.number not in inner else []
+        while pending:
+            node = pending[-1]
+            if node.number in done:
+                pending.pop()
+                continue
+            left = [x for x in node.args if x.number in nodes and x.number not in done]
+            if left:
+                pending.extend(sorted(left, key=lambda x: size[x.number]))
+                continue
+            done.add(node.number)
+            yield pending.pop()
+
+
+def _stores(block: Block) -> Iterator[Store]:
+    for item in block.items:
+        if isinstance(item, Store):
+            yield item
+        elif isinstance(item, Loop):
+            yield from _stores(item.body)
+        elif isinstance(item, Branch):
+            for inner in item.blocks:
+                yield from _stores(inner)
+    yield from block.stores
+
+
+def _nodes(block: Block) -> Iterator[Node]:
+    for item in block.items:
+        if isinstance(item, Node):
+            yield item
+        elif isinstance(item, Loop):
+            yield from _nodes(item.body)
+        elif isinstance(item, Branch):
+            for inner in item.blocks:
+                yield from _nodes(inner)
+
+
+def _rows(top: Block, needed: set[int]) -> tuple[dict[Place, tuple[int, int, int]], list[Region]]:
+    """Of inner memory, the numbers that are always read and written as six of the legs: (first, step, which).
+
+    And the regions that have to be memory, since they are looked up by place or read in other rows than written.
+    """
+    rows: dict[Place, tuple[int, int, int]] = {}
+    memory: dict[Region, None] = {}
+    loads = [x for x in _nodes(top) if x.number in needed and x.op in ("load", "gather")]
+    uses = [(x.extra[0], x.extra[1], x.extra[3]) for x in loads if x.op == "load" and x.leg]
+    uses += [(s.region, s.index, s.step) for s in _stores(top) if s.value.leg]
+    memory |= {x.extra[0]: None for x in loads if x.op == "gather" and x.extra[0].place < 0}
+    for region, index, step in uses:
+        if region.place < 0:
+            for k in range(LEGS):
+                if rows.setdefault((region, index + k * step), (index, step, k)) != (index, step, k):
+                    memory[region] = None
+    return {place: row for place, row in rows.items() if place[0] not in memory}, list(memory)
+
+
+def compiled(text: str) -> str:
+    """PTX of a module. Raises `Unsupported` where LLVM cannot make it."""
+    asked = [sys.executable, "-P", str(Path(__file__).with_name("nvptx.py"))]
+    done = subprocess.run(asked, input=text, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise Unsupported((done.stderr.strip().splitlines() or ["what ends LLVM"])[-1])
+    return done.stdout

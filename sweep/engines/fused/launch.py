@@ -1,0 +1,132 @@
+"""A batch through a fused kernel on a GPU, within a program of XLA's, which has the memory and the devices."""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Int, UInt32
+
+from sweep.engines.fused import cuda, schedule
+from sweep.engines.fused.trace import Leaf, keyed, traced, words
+
+BLOCK = cuda.LANES * cuda.WARPS  # rollouts
+TARGET = "__gpu$xla.gpu.ptx"  # XLA's own call of a kernel; a handler of its typed interface could launch it as well
+
+OPTIONS = {"xla_gpu_graph_min_graph_size": 1 << 30}  # no graphs of kernels, from which one long kernel gains nothing
+
+
+class Ptx(NamedTuple):
+    """A compiled program, and where its arrays lie in the memory of rollouts."""
+
+    text: str
+    given: list[Leaf]
+    carried: list[Leaf]
+    recorded: dict[str, Leaf]
+    words: int  # of what is carried, and of the kernel's own
+    ticks: int
+    room: int  # for rollouts that are recorded
+
+
+def compiled(
+    function: Callable[[Any, Any, Array], tuple[Any, dict[str, Array]]],
+    given: Any,
+    carried: Any,
+    over: Callable[[Any], Any],
+    ticks: int,
+    room: int,
+) -> Ptx:
+    """See `traced`. `over` picks the array of what is carried that tells a rollout without anything to come."""
+
+    def told(given: Any, carried: Any, number: Array) -> tuple[Any, dict[str, Array]]:
+        carried, record = function(given, carried, number)
+        return carried, record if room else {}
+
+    program = traced(told, given, carried, _laid_out, together=False)
+    tree = jax.tree.structure(carried)
+    flag = program.carried[over(jax.tree.unflatten(tree, range(tree.num_leaves)))].place
+    sizes = _end(program.given), _end(program.carried), _end([*program.recorded.values()])
+    printed = cuda.Printer(program.top, schedule.used(program.top), sizes, ticks, flag, room)
+    text = cuda.compiled(printed.text())
+    return Ptx(text, program.given, program.carried, program.recorded, printed.words, ticks, room)
+
+
+def run(code: Ptx, given: Any, carried: Any, first: Array, kept: Int[Array, " room"] | None) -> tuple[Any, Any]:
+    """What is carried after all ticks from `first` on, and records (ticks, room, ...) of the rollouts `kept`.
+
+    Leaves of `given` may be the same for all rollouts.
+    """
+    like, tree = jax.tree.flatten(carried)
+    width = len(like[0])
+    tiles = _tiles(width)
+    state = _packed(code.carried, like, width, code.words)
+    operands = [_packed(code.given, jax.tree.leaves(given), width, _end(code.given)), jnp.int32(first), state]
+    if kept is not None:
+        places = jnp.full(tiles * cuda.LANES, code.room, jnp.int32).at[kept].min(jnp.arange(code.room, dtype=jnp.int32))
+        numbers = _end([*code.recorded.values()])
+        record = jnp.zeros((code.ticks, code.room, numbers), jnp.uint32)
+        operands += [jnp.where(places < code.room, places, -1), record]
+    moved, *record = call(code, operands, tiles)
+    rows = moved.transpose(0, 2, 1).reshape(tiles * cuda.LANES, code.words)[:width]
+    after = [keyed(_got(rows, leaf), x) for leaf, x in zip(code.carried, like, strict=True)]
+    after = jax.tree.unflatten(tree, after)
+    if kept is None:
+        return after, None
+    record = record[0][:, places[kept]]
+    return after, {name: _got(record, leaf) for name, leaf in code.recorded.items()}
+
+
+def call(code: Ptx, operands: Sequence[Array], tiles: int) -> Sequence[Array]:
+    """The operands that the kernel changes: state, and records where there are any."""
+    changed = [2] if len(operands) == 3 else [2, 4]
+    one, wide = np.int32(1), np.int32(32 * cuda.WARPS)
+    kernel = jax.ffi.ffi_call(
+        TARGET,
+        [jax.ShapeDtypeStruct(operands[k].shape, operands[k].dtype) for k in changed],
+        input_output_aliases={k: n for n, k in enumerate(changed)},
+    )
+    return kernel(*operands, name="run", kernel_type="ptx", kernel_data=code.text, grid_x=np.int32(tiles // cuda.WARPS),
+                grid_y=one, grid_z=one, block_x=wide, block_y=one, block_z=one, shared_mem_bytes=np.int32(0),
+                output_indices=tuple(np.int32(len(operands) + n) for n in range(len(changed))))  # fmt: skip
+
+
+def _laid_out(shapes: Sequence[Any], start: int) -> tuple[list[Leaf], int]:
+    """Arrays one after the other, each number a word."""
+    leaves = []
+    for x in shapes:
+        leaves.append(Leaf(start, tuple(x.shape), np.dtype(x.dtype).name))
+        start += leaves[-1].count
+    return leaves, start
+
+
+def _tiles(width: int) -> int:
+    return -(-width // BLOCK) * cuda.WARPS
+
+
+def _end(leaves: Sequence[Leaf]) -> int:
+    return max((leaf.place + leaf.count for leaf in leaves), default=1)
+
+
+def _packed(
+    leaves: Sequence[Leaf], values: Sequence[Array], width: int, size: int
+) -> UInt32[Array, "tiles size lanes"]:
+    """Arrays of a batch as tiles of rollouts; those beyond its width repeat the last."""
+    rollouts = _tiles(width) * cuda.LANES
+
+    def column(x: Array, leaf: Leaf) -> Array:
+        bits = x.astype(jnp.uint32) if x.dtype == bool else lax.bitcast_convert_type(x, jnp.uint32)
+        rows = width if x.ndim > len(leaf.shape) else 1
+        return jnp.broadcast_to(bits.reshape(rows, leaf.count), (width, leaf.count))
+
+    columns = [column(x, leaf) for x, leaf in zip(words(list(values)), leaves, strict=True)]
+    columns.append(jnp.zeros((width, size - sum(x.shape[1] for x in columns)), jnp.uint32))
+    rows = jnp.pad(jnp.concatenate(columns, axis=1), ((0, rollouts - width), (0, 0)), mode="edge")
+    return rows.reshape(-1, cuda.LANES, size).transpose(0, 2, 1)
+
+
+def _got(rows: UInt32[Array, "*batch numbers"], leaf: Leaf) -> Array:
+    """An array from the last axis of memory."""
+    bits = rows[..., leaf.place : leaf.place + leaf.count].reshape(*rows.shape[:-1], *leaf.shape)
+    return bits != 0 if leaf.dtype == "bool" else lax.bitcast_convert_type(bits, leaf.dtype)

@@ -1,0 +1,99 @@
+"""The program of one rollout's ticks from the function that JAX traces, and where its arrays lie in memory."""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from sweep.engines.fused.interpret import Interpreter
+from sweep.engines.fused.program import Block, Program, Region
+
+
+class Leaf(NamedTuple):
+    """Where an array of each rollout lies in memory: its first number, and what follows it in order."""
+
+    place: int
+    shape: tuple[int, ...]
+    dtype: str
+
+    @property
+    def count(self) -> int:
+        """Numbers."""
+        return int(np.prod(self.shape))
+
+
+class Traced(NamedTuple):
+    """A program, and its arrays."""
+
+    top: Block
+    given: list[Leaf]  # what does not change
+    carried: list[Leaf]  # what goes on from tick to tick
+    recorded: dict[str, Leaf]  # of each tick, in a memory of its own
+
+
+Layout = Callable[[Sequence[Any], int], tuple[list[Leaf], int]]  # arrays one after the other, and where the last ends
+
+
+def traced(
+    function: Callable[[Any, Any, Array], tuple[Any, dict[str, Array]]],
+    given: Any,
+    carried: Any,
+    layout: Layout,
+    together: bool,
+) -> Traced:
+    """The ticks `function(given, carried, number) -> (carried, record)` of one rollout, for trees of arrays like these.
+
+    `together`: what is given and what is carried share a memory. Raises `Unsupported`.
+    """
+    (first, tree), (second, other) = jax.tree.flatten(given), jax.tree.flatten(carried)
+    n = len(first)
+
+    def flat(*leaves: Array) -> Any:
+        before = jax.tree.unflatten(tree, leaves[:n])
+        now = jax.tree.unflatten(other, [keyed(x, like) for x, like in zip(leaves[n:-1], second, strict=True)])
+        moved, record = function(before, now, leaves[-1])
+        return jax.tree.leaves(words(moved)), record
+
+    shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in words([*first, *second])]
+    jaxpr, (_, record) = jax.make_jaxpr(flat, return_shape=True)(*shapes, jax.ShapeDtypeStruct((), jnp.int32))
+    constant, size = layout(shapes[:n], 0)
+    moving, _ = layout(shapes[n:], size if together else 0)
+    names = sorted(record)  # as JAX flattens them
+    recorded, _ = layout([record[name] for name in names], 0)
+
+    program = Program()
+    interpreter = Interpreter(program)
+    regions = [[Region(x.count, x.dtype, depth, x.place, told) for x in leaves]
+               for leaves, depth, told in ((constant, 0, False), (moving, 1, False), (recorded, 1, True))]  # fmt: skip
+    with program.loop(None) as body:
+        tick = np.full((), program.node("tick", (), "int32", 1), object)
+        inputs = [interpreter.loaded(region, leaf.shape, region.depth)
+                  for group, leaves in zip(regions[:2], (constant, moving), strict=True)
+                  for region, leaf in zip(group, leaves, strict=True)]  # fmt: skip
+        results = interpreter.evaluate(jaxpr.jaxpr, jaxpr.consts, [*inputs, tick])
+        for region, value in zip((*regions[1], *regions[2]), results, strict=True):
+            interpreter.save(region, value, body.stores)
+    return Traced(program.top, constant, moving, dict(zip(names, recorded, strict=True)))
+
+
+def words(tree: Any) -> Any:
+    """Arrays, or their shapes, with random keys as the words that they are."""
+
+    def one(x: Any) -> Any:
+        if not _is_key(x):
+            return x
+        return jax.eval_shape(jax.random.key_data, x) if isinstance(x, jax.ShapeDtypeStruct) else jax.random.key_data(x)
+
+    return jax.tree.map(one, tree)
+
+
+def keyed(x: Array, like: Any) -> Array:
+    """Words as a random key, where it is like one."""
+    return jax.random.wrap_key_data(x) if _is_key(like) else x
+
+
+def _is_key(x: Any) -> bool:
+    return jnp.issubdtype(x.dtype, jax.dtypes.prng_key)

@@ -1,0 +1,142 @@
+"""The fused compiler for GPUs: its kernels in NumPy beside XLA and the CPU's, and on a GPU where there is one."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import ptx  # beside this file
+import pytest
+
+from sweep.core.errors import InputError
+from sweep.engines.fused import launch
+from sweep.engines.fused.interpret import Unsupported
+from sweep.engines.mjx import Mjx
+from sweep.engines.settings import EngineSettings
+from sweep.study.config import compose
+
+WIDTH = launch.BLOCK
+
+
+@pytest.fixture(autouse=True)
+def without_a_gpu(monkeypatch):
+    if jax.default_backend() != "gpu":
+        monkeypatch.setattr(launch, "call", ptx.call)
+
+
+def both(function, *batch):
+    """What `function` of one rollout records for a batch, by a kernel and by XLA."""
+    one = [jax.ShapeDtypeStruct(x.shape[1:], x.dtype) for x in batch]
+    state = [jax.ShapeDtypeStruct((), jnp.bool)]
+    code = launch.compiled(lambda given, carried, k: (carried, function(*given)), one, state, lambda x: x[0], 1, WIDTH)
+    every = jnp.arange(WIDTH)
+    _, record = launch.run(code, list(batch), [jnp.zeros(WIDTH, bool)], jnp.int32(0), every)
+    return {name: x[0] for name, x in record.items()}, jax.vmap(function)(*batch)
+
+
+def some(*shape: int, seed: int = 0) -> jax.Array:
+    return jnp.asarray(np.random.default_rng(seed).uniform(-3, 3, (WIDTH, *shape)), jnp.float32)
+
+
+def test_legs_in_lanes_are_moved_about_and_summed_as_jax_does():
+    def moved(x, m):
+        legs = jnp.einsum("lij,lj->li", m, x)
+        swapped = legs[jnp.array([1, 2, 3, 4, 5, 0])]
+        total = jnp.sum(jnp.cross(legs, swapped), axis=0)
+        return {
+            "legs": legs,
+            "total": total,
+            "most": jnp.max(legs, axis=0),
+            "flat": jnp.concatenate([total, legs.ravel()])[3:].reshape(6, 3) @ total,
+            "best": jnp.argmin(legs[:, 0]),
+            "any": jnp.any(legs > 2, axis=0),
+            "set": legs.at[:, 1].set(total[0]),
+        }
+
+    kernel, xla = both(moved, some(6, 3), some(6, 3, 3, seed=1))
+    for name, values in kernel.items():
+        np.testing.assert_allclose(values, xla[name], rtol=1e-4, atol=1e-3, err_msg=name)
+
+
+def test_loops_branches_and_places_that_depend_on_the_rollout():
+    def walked(table, index):
+        k = index.astype(jnp.int32)
+
+        def body(carry, i):
+            feet, force = carry
+            force = 0.5 * force + jnp.sin(feet) * jnp.sum(feet[:, 0]) + table[k, 0] + i
+            return (feet + 0.01 * force, force), None
+
+        (feet, force), _ = jax.lax.scan(body, (jnp.outer(table[:, 1], table[0]), jnp.zeros((6, 6))), jnp.arange(40.0))
+        chosen = jax.lax.cond(k > 1, lambda: feet[0], lambda: force[3])
+        return {"row": table[k], "feet": feet, "chosen": chosen, "put": table.at[k, 0].set(9.0)}
+
+    kernel, xla = both(walked, 0.1 * some(6, 6), jnp.arange(WIDTH, dtype=jnp.float32) % 6)
+    for name, values in kernel.items():
+        np.testing.assert_allclose(values, xla[name], rtol=1e-4, atol=1e-4, err_msg=name)
+
+
+def test_not_a_number_stays_one_and_random_numbers_are_those_of_jax():
+    def drawn(x, words):
+        bits = jax.random.bits(jax.random.fold_in(jax.random.wrap_key_data(words), 7), (3,))
+        return {"most": jnp.max(x), "least": jnp.min(x), "finite": jnp.isfinite(x), "bits": bits, "log": jnp.log(x)}
+
+    x = some(3).at[0, 1].set(jnp.nan).at[1, 0].set(jnp.inf).at[2, 2].set(0.0)
+    kernel, xla = both(drawn, x, jax.random.key_data(jax.random.split(jax.random.key(3), WIDTH)))
+    for name, values in kernel.items():
+        np.testing.assert_allclose(values, xla[name], rtol=1e-6, err_msg=name)
+
+
+def test_rollouts_go_on_until_all_of_their_warp_are_over():
+    def counted(given, carried, k):
+        count, over = carried
+        return (count + 1, over | (count + 1 >= given)), {}
+
+    like = (jax.ShapeDtypeStruct((), jnp.int32), jax.ShapeDtypeStruct((), jnp.bool))
+    code = launch.compiled(counted, like[0], like, lambda x: x[1], 6, 0)
+    ends = jnp.where(jnp.arange(7) < 5, 3, 9)  # a warp has five rollouts
+    (count, over), _ = launch.run(code, ends, (jnp.zeros(7, jnp.int32), jnp.zeros(7, bool)), jnp.int32(0), None)
+    assert count.tolist() == [3] * 5 + [6] * 2
+    assert over.tolist() == [True] * 5 + [False] * 2
+
+
+def test_what_a_gpu_has_no_rule_for_is_named():
+    with jax.enable_x64(True), pytest.raises(Unsupported, match="float64 on a GPU"):
+        both(lambda x: {"x": 2 * x}, some(3).astype(jnp.float64))
+
+
+def test_a_walk_is_that_of_the_cpu(monkeypatch):
+    exp = compose(["scenario=walk_tripod", "manoeuvre.steps=1"])
+    engine = Mjx(replace(exp.settings, width=WIDTH, compiler="fused"), exp.case, exp.case)
+    world = replace(exp.case, contact=replace(exp.case.contact, friction=np.linspace(0.1, 1.0, WIDTH)))
+    (world, belief, keys), program, *_ = engine._prepare(world, exp.case, np.arange(WIDTH), None, 1, None)
+    given, tick = (world, belief, program.start(world, belief, keys)[0]), engine._ticks(quiet=True)
+    _, carry = program.begin(world, belief, keys)
+    one = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:] if x.ndim else (), x.dtype), (given, carry))
+    code = launch.compiled(tick, *one, lambda carry: carry.over, 2, WIDTH)
+    gpu, _ = launch.run(code, given, carry, jnp.int32(0), jnp.arange(WIDTH))
+    _, going = program.start(world, belief, keys)
+    program.kernel.advance(going.tiles, 0, 2, None)
+    cpu = program.kernel.leave(going.tiles)
+    for name, step in (("q", 1e-6), ("v", 1e-3)):
+        np.testing.assert_allclose(getattr(gpu.state, name), getattr(cpu.state, name), atol=step, err_msg=name)
+
+
+@pytest.mark.skipif(jax.default_backend() != "gpu", reason="needs an NVIDIA GPU")
+def test_rollouts_on_a_gpu_are_those_of_xla():
+    exp = compose(["scenario=walk_tripod", "manoeuvre.steps=2"])
+    world = replace(exp.case, contact=replace(exp.case.contact, friction=np.linspace(0.05, 1.0, 20)))
+
+    def figures(compiler):
+        return Mjx(EngineSettings(width=20, compiler=compiler), exp.case, exp.case).run(world, exp.case, np.arange(20))
+
+    fused, xla = figures("fused"), figures("xla")
+    for name in ("distance_m", "duration_s", "tilt_max_deg", "torque_peak_alpha_nm"):
+        np.testing.assert_allclose(fused[name], xla[name], rtol=0.02, atol=2e-3, err_msg=name)
+
+
+def test_no_other_device_is_fused_for(monkeypatch):
+    monkeypatch.setattr(jax, "default_backend", lambda: "tpu")
+    exp = compose(["scenario=walk_tripod"])
+    with pytest.raises(InputError, match=r"engine\.compiler = fused is not allowed on a tpu"):
+        Mjx(EngineSettings(width=1, compiler="fused"), exp.case, exp.case)
