@@ -1,4 +1,4 @@
-"""Before a GPU's text is printed: an order in which few values are alive, and which numbers of inner memory are legs'."""
+"""Before a GPU's text is printed: an order in which few values are alive, and which numbers inside it are legs'."""
 
 from collections.abc import Iterator
 from typing import Any
