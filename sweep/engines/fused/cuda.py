@@ -10,8 +10,10 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from sweep.engines.fused import lanes
 from sweep.engines.fused.interpret import Unsupported
-from sweep.engines.fused.program import LEGS, Block, Branch, Loop, Node, Region, Store, value_of
+from sweep.engines.fused.lanes import Place
+from sweep.engines.fused.program import LEGS, Block, Branch, Loop, Node, Region, Store, inside, value_of
 from sweep.engines.fused.text import INTRINSICS, TYPES, Text
 
 LANES = 32 // LEGS  # rollouts of a warp, which are a tile in memory; two lanes do again what others do
@@ -19,7 +21,6 @@ WARPS = 8  # of a block: as many as registers allow
 ROW = 4 * LANES  # bytes of a number's rollouts in memory
 EVERY = "i32 -1"  # lane
 NATIVE = {"sqrt", "floor", "ceil", "round"}
-Place = tuple[Region, int]  # a number, or six that are a number of each leg's
 
 
 class Printer(Text):
@@ -37,7 +38,7 @@ class Printer(Text):
         self.counts: dict[int, str] = {}
         self.tables: list[str] = []
         self.here: dict[Place, str] = {}  # what numbers of inner memory are now
-        self.rows, self.inner = _rows(top, needed)
+        self.rows, self.inner = lanes.rows(top, needed)
         self.scratch: dict[Region, int] = {}
         for region in self.inner:
             self.scratch[region] = self.sizes[1] + sum(r.size for r in self.scratch)
@@ -96,7 +97,7 @@ class Printer(Text):
     # blocks
 
     def _block(self, block: Block) -> None:
-        for item in _depth_first(block, self.needed):
+        for item in lanes.depth_first(block, self.needed):
             if isinstance(item, Node):
                 self.names[item.number] = self._work(item)
             elif isinstance(item, Store):
@@ -182,8 +183,8 @@ class Printer(Text):
     def _changed(self, block: Block) -> Iterator[Place]:
         """What a block stores in inner memory, each once."""
         found: dict[Place, None] = {}
-        for store in _stores(block):
-            if store.region.place < 0 and store.region not in self.scratch:
+        for store in inside(block):
+            if isinstance(store, Store) and not self._is_outer(store.region):
                 found |= dict.fromkeys([self._place(store.region, store.index)])
         yield from found
 
@@ -370,83 +371,6 @@ class Printer(Text):
     def extreme(self, op: str, dtype: str, args: list[str]) -> str:
         """The greater or lesser of two; NaN if either is."""
         return self.call("maximum" if op == "max" else "minimum", dtype, args)
-
-
-def _depth_first(block: Block, needed: set[int]) -> Iterator[Any]:
-    """What is to be done, a value soon before it is used: few are alive at a time."""
-    straight: dict[int, Node] = {}
-    for item in [*block.items, None]:
-        if isinstance(item, Node):
-            if item.number in needed and item.op not in ("const", "load"):
-                straight[item.number] = item
-            continue
-        yield from _ordered(straight)
-        straight = {}
-        if item is not None:
-            yield item
-
-
-def _ordered(nodes: dict[int, Node]) -> Iterator[Node]:
-    inner = {arg.number for node in nodes.values() for arg in node.args}
-    size: dict[int, int] = {}
-    for node in nodes.values():
-        size[node.number] = 1 + sum(size.get(arg.number, 0) for arg in node.args)
-    done: set[int] = set()
-    for root in nodes.values():
-        pending = [root] if root.number not in inner else []
-        while pending:
-            node = pending[-1]
-            if node.number in done:
-                pending.pop()
-                continue
-            left = [x for x in node.args if x.number in nodes and x.number not in done]
-            if left:
-                pending.extend(sorted(left, key=lambda x: size[x.number]))
-                continue
-            done.add(node.number)
-            yield pending.pop()
-
-
-def _stores(block: Block) -> Iterator[Store]:
-    for item in block.items:
-        if isinstance(item, Store):
-            yield item
-        elif isinstance(item, Loop):
-            yield from _stores(item.body)
-        elif isinstance(item, Branch):
-            for inner in item.blocks:
-                yield from _stores(inner)
-    yield from block.stores
-
-
-def _nodes(block: Block) -> Iterator[Node]:
-    for item in block.items:
-        if isinstance(item, Node):
-            yield item
-        elif isinstance(item, Loop):
-            yield from _nodes(item.body)
-        elif isinstance(item, Branch):
-            for inner in item.blocks:
-                yield from _nodes(inner)
-
-
-def _rows(top: Block, needed: set[int]) -> tuple[dict[Place, tuple[int, int, int]], list[Region]]:
-    """Of inner memory, the numbers that are always read and written as six of the legs: (first, step, which).
-
-    And the regions that have to be memory, since they are looked up by place or read in other rows than written.
-    """
-    rows: dict[Place, tuple[int, int, int]] = {}
-    memory: dict[Region, None] = {}
-    loads = [x for x in _nodes(top) if x.number in needed and x.op in ("load", "gather")]
-    uses = [(x.extra[0], x.extra[1], x.extra[3]) for x in loads if x.op == "load" and x.leg]
-    uses += [(s.region, s.index, s.step) for s in _stores(top) if s.value.leg]
-    memory |= {x.extra[0]: None for x in loads if x.op == "gather" and x.extra[0].place < 0}
-    for region, index, step in uses:
-        if region.place < 0:
-            for k in range(LEGS):
-                if rows.setdefault((region, index + k * step), (index, step, k)) != (index, step, k):
-                    memory[region] = None
-    return {place: row for place, row in rows.items() if place[0] not in memory}, list(memory)
 
 
 def compiled(text: str) -> str:

@@ -14,7 +14,6 @@ from sweep.engines.fused.trace import Leaf, keyed, traced, words
 
 BLOCK = cuda.LANES * cuda.WARPS  # rollouts
 TARGET = "__gpu$xla.gpu.ptx"  # XLA's own call of a kernel; a handler of its typed interface could launch it as well
-
 OPTIONS = {"xla_gpu_graph_min_graph_size": 1 << 30}  # no graphs of kernels, from which one long kernel gains nothing
 
 

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 LEGS = 6
-PINNED = frozenset(("load", "gather", "count"))  # of memory that changes, or of one loop: stay in their block
 
 
 class Node:
@@ -74,6 +73,14 @@ class Branch:
 
     index: Node
     blocks: list[Block]
+
+
+def inside(block: Block) -> Iterator[Any]:
+    """All that is in a block, and in the blocks in it."""
+    for item in [*block.items, *block.stores]:
+        yield item
+        for inner in [item.body] if isinstance(item, Loop) else item.blocks if isinstance(item, Branch) else ():
+            yield from inside(inner)
 
 
 class Program:

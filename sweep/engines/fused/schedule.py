@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from sweep.engines.fused.program import Block, Branch, Loop, Node, Region, Store
+from sweep.engines.fused.program import Block, Branch, Loop, Node, Region, Store, inside
 
 ANEW = frozenset(("const", "load"))  # worked out again wherever it is needed
 
@@ -101,15 +101,11 @@ def used(block: Block) -> set[int]:
 
 
 def _roots(block: Block) -> Iterator[Node]:
-    for item in [*block.items, *block.stores]:
+    for item in inside(block):
         if isinstance(item, Store):
             yield item.value
-        elif isinstance(item, Loop):
-            yield from _roots(item.body)
         elif isinstance(item, Branch):
             yield item.index
-            for b in item.blocks:
-                yield from _roots(b)
 
 
 def slots(top: Plan) -> Slots:
