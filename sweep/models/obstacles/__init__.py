@@ -6,6 +6,7 @@ from sweep.models.obstacles.corner import Corner
 from sweep.models.obstacles.kerb import Kerb
 from sweep.models.obstacles.ladder import Ladder
 from sweep.models.obstacles.plane import Plane
+from sweep.models.obstacles.ledges import Ledges
 from sweep.models.obstacles.pole_ledge import PoleLedge
 from sweep.models.obstacles.raft import Raft
 
@@ -15,6 +16,7 @@ OBSTACLES = {
     "corner": Corner,
     "kerb": Kerb,
     "ladder": Ladder,
+    "ledges": Ledges,
     "plane": Plane,
     "pole_ledge": PoleLedge,
     "raft": Raft,

@@ -1,0 +1,264 @@
+"""From a ledge on to a ball that leans on it, with the ball to the far ledge, and off (monograph 3.2).
+
+World axes as in `Ledges`: the robot faces x. The way off is the way on backwards in time, seen in a mirror. While a
+foot stands on a ledge the ball is meant to rest: feet that followed it as it is seen would let it go where it drifts.
+The mass centre stays between the ledge's edge and the ball's centre, so that the ball is pressed to the wall.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import ClassVar, NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from sweep.controllers.frames import WORLD, fixed, koenig
+from sweep.controllers.gaits import GALLOP
+from sweep.controllers.manoeuvres.balancing.ball import UPRIGHT as LEVEL
+from sweep.controllers.manoeuvres.balancing.ball import BallDrive, DriveMemory, OnBall, perch
+from sweep.controllers.manoeuvres.balancing.beside_ball import refuse
+from sweep.controllers.manoeuvres.balancing.parts import InParts
+from sweep.controllers.manoeuvres.goals import UPRIGHT
+from sweep.controllers.observation import Observation
+from sweep.controllers.plan import CYCLE_B, PRESS, Plan, Stage, Stance, assemble
+from sweep.controllers.support import RESTS, Support
+from sweep.controllers.tracker import Guidance, Guided, TrackerState
+from sweep.core.parameters import choice, count, parameters, quantity
+from sweep.formulas.leg import SIDE
+from sweep.models.case import Case
+from sweep.models.legs import LEGS
+from sweep.models.obstacles.ledges import Ledges
+
+PAIRS = dict(zip(("front", "middle", "rear"), GALLOP, strict=True))
+OTHER = {"front": "rear", "middle": "middle", "rear": "front"}  # of each pair, seen in the mirror
+BALL, LEDGE = "ball", "ledge"
+ROLLS = "roll"
+
+
+class Place(NamedTuple):
+    """Of a pair of feet: on the ball from its centre, in units of R; on a ledge from its edge, in those of a_r."""
+
+    on: str
+    ahead: Array | float
+    aside: Array | float
+
+    @property
+    def mirrored(self) -> "Place":
+        """The same seen from the other ledge."""
+        return self._replace(ahead=-self.ahead)
+
+
+class Move(NamedTuple):
+    """A stage: the base goes somewhere, and a pair of feet, or none, to a place."""
+
+    name: str
+    time: Array | float  # s
+    base: tuple[Array | float, Array | float]  # R ahead of the ball's centre; a_r over the mean of ledge and ball's top
+    pair: str = ""
+    place: Place = Place(BALL, 0.0, 0.0)
+    lift: Array | float = 0.1  # a_r
+    plane: tuple[float, float, float] = (0.0, 0.25, 1.0)  # of the lift: ahead, aside, up
+
+
+class Stand(NamedTuple):
+    """Where base and feet are."""
+
+    base: tuple[Array | float, Array | float]  # see `Move`
+    feet: Mapping[str, Place]
+
+
+class Table(NamedTuple):
+    """The numbers of the way on to the ball."""
+
+    start: Stand
+    moves: tuple[Move, ...]
+
+
+TABLE = Table(
+    start=Stand(
+        base=(-1.725, 0.371),
+        feet={
+            "rear": Place(LEDGE, -0.876, 0.4286),
+            "middle": Place(LEDGE, -0.5714, 0.4286),
+            "front": Place(LEDGE, -0.0762, 0.4286),
+        },
+    ),
+    moves=(
+        Move("lean", 0.5, (-1.625, 0.371)),
+        Move("middle", 0.8, (-1.625, 0.371), "middle", Place(LEDGE, -0.1143, 0.4762)),
+        Move("lean2", 0.5, (-1.5, 0.371)),
+        Move("front", 0.8, (-1.5, 0.371), "front", Place(BALL, -0.25, 0.525)),
+        Move("on", 1.4, (-1.0, 0.371)),
+        Move("rear", 0.8, (-1.0, 0.371), "rear", Place(LEDGE, -0.2857, 0.381)),
+        Move("on2", 0.5, (-0.875, 0.371)),
+        Move("middle2", 0.8, (-0.875, 0.371), "middle", Place(BALL, -0.425, 0.5625)),
+        Move("on3", 0.5, (-0.6875, 0.371)),
+        Move("front2", 0.8, (-0.6875, 0.371), "front", Place(BALL, 0.429, 0.4375)),
+        Move("on4", 0.5, (-0.525, 0.371)),
+        Move("middle3", 0.8, (-0.525, 0.371), "middle", Place(BALL, -0.3125, 0.6)),
+        Move("on5", 0.9, (-0.175, 0.371)),
+        Move("rear2", 0.8, (-0.175, 0.371), "rear", Place(BALL, -0.429, 0.4375)),
+        Move("up", 0.5, (-0.125, 0.371)),
+        Move("middle4", 0.8, (-0.125, 0.371), "middle", Place(BALL, 0.0, 0.6125)),
+    ),
+)
+
+
+class Docking(NamedTuple):
+    """Steps that roll the ball to the far wall, as many as it needs."""
+
+    drive: BallDrive
+    speed: Array | float  # m/s, at the wall
+    near: Array | float  # m, that may be left to the wall
+
+    def memory(self, belief: Case, plan: Plan) -> DriveMemory:
+        """Of the drive."""
+        return self.drive.memory(belief, plan)
+
+    def guide(
+        self, belief: Case, plan: Plan, state: TrackerState, seen: Observation, begins: Bool[Array, ""], period: float
+    ) -> Guidance:
+        """By the drive's law, to a place so far behind the wall that its speed is left there."""
+        place = there(belief.on(Ledges)) + self.speed / self.drive.brake
+        return replace(self.drive, place=place).guide(belief, plan, state, seen, begins, period)
+
+    def ends(self, belief: Case, plan: Plan, state: TrackerState, seen: Observation) -> Bool[Array, ""]:
+        """No step is begun where the ball is at the wall."""
+        begins = state.clock < 0.05 * plan.duration[state.stage]
+        return begins & (seen.free.position[0, 0] > there(belief.on(Ledges)) - self.near)
+
+
+def there(ledges: Ledges) -> Array | float:
+    """x (m) of the ball's centre at the far wall."""
+    return ledges.width - ledges.radius
+
+
+@parameters
+class BallLedges(OnBall, InParts):
+    """From ledge to ledge with a ball. Stages and their numbers are `TABLE`."""
+
+    goal: ClassVar = UPRIGHT
+    kind: str = choice("ball_ledges", "ball_ledges")
+    steps: int = count(40, at_least=1, at_most=200)  # that roll the ball, at most
+    step_time: float = quantity(1.2, "s", above=0, at_most=20)  # of these
+    speed: float = quantity(0.13, "m/s", above=0)  # of the ball on its way
+    speed_gain: float = quantity(0.3, "s", at_least=0)  # k_v, of `ball_drive`
+    docking: float = quantity(0.03, "m/s", above=0)  # of the ball as it comes to the far wall
+    near: float = quantity(4e-3, "m", above=0)  # left to the wall by a ball that is there
+    height_ratio: float = quantity(0.28, "a_r", above=0, at_most=2)  # of the base over the ball's top
+    deepening: float = quantity(1e-3, "m", at_least=0, at_most=0.05)  # footholds inside ball and ledges
+    press: float = quantity(1e-3, "m", at_least=0, at_most=0.05)  # feet on the ball deeper than they are measured
+    squeeze: float = quantity(1.5e-3, "m", at_least=0, at_most=0.05)  # the same to the middle
+    ease: float = quantity(0.15, "s", above=0)  # in which feet go over to where they are measured
+    patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
+
+    needs = (Ledges,)
+
+    @property
+    def table(self) -> Table:
+        """The numbers of its plan."""
+        return TABLE
+
+    def obstacle_speed(self, duration: Array) -> Array:
+        """The ball is left at the far ledge (m/s)."""
+        return jnp.zeros_like(duration)
+
+    def plan(self, belief: Case, table: Table | None = None) -> Plan:
+        """On to the ball, over to the other ledge, off.
+
+        Raises `InputError` where a foot is out of reach at the start, by plain numbers.
+        """
+        table = table or self.table
+        refuse(belief, lambda: Way(belief, self, table.start).stance)
+        way = Way(belief, self, table.start)
+        start = way.stance
+        stages = [way.stage(Move("stand", 0.5, table.start.base))]
+        stages += [way.stage(move, "on.") for move in table.moves]
+        stages += self.drive.steps_of(perch(belief, self), ROLLS)
+        way.far = True
+        stages += [way.stage(move, "off.") for move in off(table)]
+        return assemble(start, [*stages, way.stage(Move("halt", 1.0, seen_from_far(table.start).base))],
+                        self.patience, ease=self.ease)  # fmt: skip
+
+    @property
+    def drive(self) -> BallDrive:
+        """The steps that roll the ball."""
+        return BallDrive(steps=self.steps, speed=self.speed, step_time=self.step_time, speed_gain=self.speed_gain,
+                         circle_ratio=self.circle_ratio, chord_ratio=self.chord_ratio, height_ratio=self.height_ratio,
+                         deepening=self.deepening)  # fmt: skip
+
+    @property
+    def parts(self) -> Mapping[str, Guided]:
+        """The steps."""
+        return {ROLLS: Docking(self.drive, self.docking, self.near)}
+
+
+def seen_from_far(stand: Stand) -> Stand:
+    """The same at the far ledge: in the mirror between the ledges."""
+    places = {pair: stand.feet[OTHER[pair]].mirrored for pair in PAIRS}
+    return Stand((-stand.base[0], stand.base[1]), places)
+
+
+def off(table: Table) -> list[Move]:
+    """From the ball to the far ledge: the way on to it backwards in time, in the mirror."""
+    feet, stands = dict(table.start.feet), [table.start]
+    for move in table.moves:
+        feet |= {move.pair: move.place} if move.pair else {}
+        stands.append(Stand(move.base, dict(feet)))
+    back = []
+    for move, stand in zip(reversed(table.moves), reversed(stands[:-1]), strict=True):
+        there, pair = seen_from_far(stand), OTHER.get(move.pair, "")
+        ahead, aside, up = move.plane
+        back.append(Move(move.name, move.time, there.base, pair, there.feet[pair] if pair else move.place, move.lift,
+                         (-ahead, aside, up)))  # fmt: skip
+    return back
+
+
+class Way:
+    """Places and stages of a crossing; where feet stand is kept while stages are made."""
+
+    def __init__(self, belief: Case, how: BallLedges, start: Stand):
+        self.ledges, self.how, self.length = belief.on(Ledges), how, belief.robot.body_length
+        self.far = False  # the ledge that is meant
+        self.frames = {leg: WORLD for pair in PAIRS.values() for leg in pair}
+        centre = self.ledges.start().position[0]
+        feet = {leg: self.foot(leg, start.feet[pair]) for pair, legs in PAIRS.items() for leg in legs}
+        aside = jnp.array([0.0, 1.0, 0.0]) * centre[1]
+        self.stance = Stance(
+            jnp.stack([feet[leg] for leg in LEGS]) + aside, self.base(start.base) + centre, jnp.array(LEVEL)
+        )
+
+    def base(self, place: tuple[Array | float, Array | float]) -> Float[Array, " 3"]:
+        """The base's centre, from the ball's (m)."""
+        ahead, above = place
+        z = 0.5 * self.ledges.height + above * self.length
+        x = jnp.asarray(ahead * self.ledges.radius, float)
+        return jnp.stack([x, jnp.zeros_like(x), jnp.asarray(z, float)])
+
+    def foot(self, leg: int, place: Place) -> Float[Array, " 3"]:
+        """A foothold (m), from the ball's centre or in the world."""
+        on, ahead, aside = place
+        ball, deep = self.ledges.radius, self.how.deepening
+        if on == LEDGE:
+            edge = self.ledges.width if self.far else 0.0
+            parts = (edge + ahead * self.length, SIDE[leg - 1] * aside * self.length, self.ledges.height - deep)
+            return jnp.stack([jnp.asarray(x, float) for x in parts])
+        x, y = (jnp.asarray(part, float) for part in (ahead, SIDE[leg - 1] * aside))
+        return (ball - deep) * jnp.stack([x, y, jnp.sqrt(1 - x**2 - y**2)])
+
+    def stage(self, move: Move, prefix: str = "") -> Stage:
+        """Of a move; the ball is meant to rest while a foot stands on a ledge."""
+        legs = PAIRS.get(move.pair, ())
+        swing = {leg: self.foot(leg, move.place) for leg in legs}
+        lands = WORLD if move.place.on == LEDGE else koenig(0)
+        frames = self.frames | dict.fromkeys(legs, lands)
+        ashore = any(self.frames[leg] == WORLD for leg in LEGS if leg not in legs)
+        self.frames |= dict.fromkeys(legs, WORLD if lands == WORLD else fixed(0))
+        ahead, aside, up = move.plane
+        plane = jnp.array([[ahead, side * aside, up] for side in SIDE])
+        return Stage(
+            prefix + move.name, move.time, swing, CYCLE_B, move.lift * self.length, plane,
+            position=self.base(move.base), rates=(0.0, 0.0), base_frame=koenig(0),
+            foot_frames=tuple(frames[leg] for leg in LEGS), support=(RESTS if ashore else Support(),), onset=PRESS,
+            press=(self.how.press, self.how.squeeze),
+        )  # fmt: skip
