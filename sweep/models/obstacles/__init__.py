@@ -5,8 +5,8 @@ from sweep.models.obstacles.beam import Beam
 from sweep.models.obstacles.corner import Corner
 from sweep.models.obstacles.kerb import Kerb
 from sweep.models.obstacles.ladder import Ladder
-from sweep.models.obstacles.plane import Plane
 from sweep.models.obstacles.ledges import Ledges
+from sweep.models.obstacles.plane import Plane
 from sweep.models.obstacles.pole_ledge import PoleLedge
 from sweep.models.obstacles.raft import Raft
 

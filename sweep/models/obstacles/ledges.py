@@ -56,13 +56,17 @@ class Ledges(Ball):
         far = Box(name="far_ledge", position=(self.width + DEPTH / 2, 0.0, half[2]), half=half, colour=SOIL)
         return *super().solids(bodies), near, far
 
+    def beyond(self, points: Float[Array, "n 3"]) -> Float[Array, "n 2"]:
+        """How far points are behind the near wall and the far one (m)."""
+        return jnp.stack([-points[:, 0], points[:, 0] - self.width], axis=-1)
+
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: Bodies) -> Surface:
         """Floor, ball or a ledge, whichever is deepest; the ball's centre feels the floor, and a second time a wall."""
         lies = super().surface(points, owner, bodies)
         assert lies.rolling is not None
         dtype, own = points.dtype, np.array(owner) >= 0
         beside = np.cumsum(own) == 2
-        beyond = jnp.stack([-points[:, 0], points[:, 0] - self.width], axis=-1)
+        beyond = self.beyond(points)
         far, wall = jnp.argmax(beyond, axis=-1), jnp.max(beyond, axis=-1)
         over = self.height - points[:, 2]
         sided = beside | (wall <= over)

@@ -78,28 +78,25 @@ TABLE = Table(
     start=Stand(
         base=(-1.725, 0.371),
         feet={
-            "rear": Place(LEDGE, -0.876, 0.4286),
-            "middle": Place(LEDGE, -0.5714, 0.4286),
+            "rear": Place(LEDGE, -1.0476, 0.4286),
+            "middle": Place(LEDGE, -0.381, 0.4286),
             "front": Place(LEDGE, -0.0762, 0.4286),
         },
     ),
     moves=(
-        Move("lean", 0.5, (-1.625, 0.371)),
-        Move("middle", 0.8, (-1.625, 0.371), "middle", Place(LEDGE, -0.1143, 0.4762)),
-        Move("lean2", 0.5, (-1.5, 0.371)),
-        Move("front", 0.8, (-1.5, 0.371), "front", Place(BALL, -0.25, 0.525)),
-        Move("on", 1.4, (-1.0, 0.371)),
-        Move("rear", 0.8, (-1.0, 0.371), "rear", Place(LEDGE, -0.2857, 0.381)),
-        Move("on2", 0.5, (-0.875, 0.371)),
-        Move("middle2", 0.8, (-0.875, 0.371), "middle", Place(BALL, -0.425, 0.5625)),
-        Move("on3", 0.5, (-0.6875, 0.371)),
-        Move("front2", 0.8, (-0.6875, 0.371), "front", Place(BALL, 0.429, 0.4375)),
-        Move("on4", 0.5, (-0.525, 0.371)),
-        Move("middle3", 0.8, (-0.525, 0.371), "middle", Place(BALL, -0.3125, 0.6)),
-        Move("on5", 0.9, (-0.175, 0.371)),
-        Move("rear2", 0.8, (-0.175, 0.371), "rear", Place(BALL, -0.429, 0.4375)),
-        Move("up", 0.5, (-0.125, 0.371)),
-        Move("middle4", 0.8, (-0.125, 0.371), "middle", Place(BALL, 0.0, 0.6125)),
+        Move("front", 0.8, (-1.725, 0.371), "front", Place(BALL, -0.25, 0.525)),
+        Move("on", 1.3, (-1.25, 0.371)),
+        Move("middle", 0.8, (-1.25, 0.371), "middle", Place(LEDGE, -0.0952, 0.4762)),
+        Move("on2", 0.9, (-0.94, 0.371)),
+        Move("rear", 0.8, (-0.94, 0.371), "rear", Place(LEDGE, -0.3333, 0.4)),
+        Move("middle2", 0.8, (-0.9, 0.371), "middle", Place(BALL, -0.5625, 0.56)),
+        Move("on3", 0.5, (-0.75, 0.371)),
+        Move("front2", 0.8, (-0.75, 0.371), "front", Place(BALL, 0.429, 0.4375)),
+        Move("on4", 1.0, (-0.4, 0.371)),
+        Move("middle3", 0.8, (-0.4, 0.371), "middle", Place(BALL, -0.1875, 0.6125)),
+        Move("on5", 1.0, (-0.04, 0.371)),
+        Move("rear2", 0.8, (-0.04, 0.371), "rear", Place(BALL, -0.429, 0.4375)),
+        Move("middle4", 0.8, (0.0, 0.371), "middle", Place(BALL, 0.0, 0.6125)),
     ),
 )
 
@@ -139,7 +136,7 @@ class BallLedges(OnBall, InParts):
 
     goal: ClassVar = UPRIGHT
     kind: str = choice("ball_ledges", "ball_ledges")
-    steps: int = count(40, at_least=1, at_most=200)  # that roll the ball, at most
+    steps: int = count(28, at_least=1, at_most=200)  # that roll the ball, at most
     step_time: float = quantity(1.2, "s", above=0, at_most=20)  # of these
     speed: float = quantity(0.13, "m/s", above=0)  # of the ball on its way
     speed_gain: float = quantity(0.3, "s", at_least=0)  # k_v, of `ball_drive`
