@@ -9,6 +9,7 @@ from sweep.models.obstacles.ledges import Ledges
 from sweep.models.obstacles.plane import Plane
 from sweep.models.obstacles.pole_ledge import PoleLedge
 from sweep.models.obstacles.raft import Raft
+from sweep.models.obstacles.two_balls import TwoBalls
 
 OBSTACLES = {
     "ball": Ball,
@@ -20,4 +21,5 @@ OBSTACLES = {
     "plane": Plane,
     "pole_ledge": PoleLedge,
     "raft": Raft,
+    "two_balls": TwoBalls,
 }

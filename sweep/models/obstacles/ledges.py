@@ -37,9 +37,6 @@ class Ledges(Ball):
     def add_to(self, spec: mujoco.MjSpec, friction: float) -> None:
         """Floor, ball and ledges."""
         super().add_to(spec, friction)
-        body = spec.body("ball")
-        body.pos = np.asarray(self.start().position[0])
-        body.add_site(name="beside")
         for name in ("near_ledge", "far_ledge"):
             add_touching(spec, name, "ball", friction * self.wall_grip, self.impact_damping)
 

@@ -29,8 +29,8 @@ from sweep.models.case import Case
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.ledges import Ledges
 
-PAIRS = dict(zip(("front", "middle", "rear"), GALLOP, strict=True))
-OTHER = {"front": "rear", "middle": "middle", "rear": "front"}  # of each pair, seen in the mirror
+PAIRS: Mapping[str, tuple[int, int]] = dict(zip(("front", "middle", "rear"), GALLOP, strict=True))
+OTHER: Mapping[str, str] = {"front": "rear", "middle": "middle", "rear": "front"}  # of each pair, seen in the mirror
 BALL, LEDGE = "ball", "ledge"
 ROLLS = "roll"
 
@@ -94,8 +94,8 @@ TABLE = Table(
         Move("front2", 0.8, (-0.75, 0.371), "front", Place(BALL, 0.429, 0.4375)),
         Move("on4", 1.0, (-0.4, 0.371)),
         Move("middle3", 0.8, (-0.4, 0.371), "middle", Place(BALL, -0.1875, 0.6125)),
-        Move("on5", 1.0, (-0.04, 0.371)),
-        Move("rear2", 0.8, (-0.04, 0.371), "rear", Place(BALL, -0.429, 0.4375)),
+        Move("on5", 1.0, (0.04, 0.371)),
+        Move("rear2", 0.8, (0.04, 0.371), "rear", Place(BALL, -0.429, 0.4375)),
         Move("middle4", 0.8, (0.0, 0.371), "middle", Place(BALL, 0.0, 0.6125)),
     ),
 )
