@@ -12,59 +12,22 @@ from typing import ClassVar, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from sweep.controllers.frames import WORLD, fixed, koenig
-from sweep.controllers.gaits import GALLOP
-from sweep.controllers.manoeuvres.balancing.ball import UPRIGHT as LEVEL
+from sweep.controllers.frames import WORLD
 from sweep.controllers.manoeuvres.balancing.ball import BallDrive, DriveMemory, OnBall, perch
 from sweep.controllers.manoeuvres.balancing.beside_ball import refuse
+from sweep.controllers.manoeuvres.balancing.by_pairs import LEDGE, OTHER, PAIRS, Move, Place, Stand, Way
 from sweep.controllers.manoeuvres.balancing.parts import InParts
 from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import CYCLE_B, PRESS, Plan, Stage, Stance, assemble
+from sweep.controllers.plan import Plan, assemble
 from sweep.controllers.support import RESTS, Support
 from sweep.controllers.tracker import Guidance, Guided, TrackerState
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
-from sweep.models.legs import LEGS
 from sweep.models.obstacles.ledges import Ledges
 
-PAIRS: Mapping[str, tuple[int, int]] = dict(zip(("front", "middle", "rear"), GALLOP, strict=True))
-OTHER: Mapping[str, str] = {"front": "rear", "middle": "middle", "rear": "front"}  # of each pair, seen in the mirror
-BALL, LEDGE = "ball", "ledge"
 ROLLS = "roll"
-
-
-class Place(NamedTuple):
-    """Of a pair of feet: on the ball from its centre, in units of R; on a ledge from its edge, in those of a_r."""
-
-    on: str
-    ahead: Array | float
-    aside: Array | float
-
-    @property
-    def mirrored(self) -> "Place":
-        """The same seen from the other ledge."""
-        return self._replace(ahead=-self.ahead)
-
-
-class Move(NamedTuple):
-    """A stage: the base goes somewhere, and a pair of feet, or none, to a place."""
-
-    name: str
-    time: Array | float  # s
-    base: tuple[Array | float, Array | float]  # R ahead of the ball's centre; a_r over the mean of ledge and ball's top
-    pair: str = ""
-    place: Place = Place(BALL, 0.0, 0.0)
-    lift: Array | float = 0.1  # a_r
-    plane: tuple[float, float, float] = (0.0, 0.25, 1.0)  # of the lift: ahead, aside, up
-
-
-class Stand(NamedTuple):
-    """Where base and feet are."""
-
-    base: tuple[Array | float, Array | float]  # see `Move`
-    feet: Mapping[str, Place]
 
 
 class Table(NamedTuple):
@@ -84,19 +47,19 @@ TABLE = Table(
         },
     ),
     moves=(
-        Move("front", 0.8, (-1.725, 0.371), "front", Place(BALL, -0.25, 0.525)),
+        Move("front", 0.8, (-1.725, 0.371), "front", Place(0, -0.25, 0.525)),
         Move("on", 1.3, (-1.25, 0.371)),
         Move("middle", 0.8, (-1.25, 0.371), "middle", Place(LEDGE, -0.0952, 0.4762)),
         Move("on2", 0.9, (-0.94, 0.371)),
         Move("rear", 1.0, (-0.94, 0.371), "rear", Place(LEDGE, -0.3333, 0.4)),
-        Move("middle2", 0.8, (-0.9, 0.371), "middle", Place(BALL, -0.5625, 0.56)),
+        Move("middle2", 0.8, (-0.9, 0.371), "middle", Place(0, -0.5625, 0.56)),
         Move("on3", 0.5, (-0.75, 0.371)),
-        Move("front2", 1.0, (-0.75, 0.371), "front", Place(BALL, 0.429, 0.4375)),
+        Move("front2", 1.0, (-0.75, 0.371), "front", Place(0, 0.429, 0.4375)),
         Move("on4", 1.0, (-0.4, 0.371)),
-        Move("middle3", 0.8, (-0.4, 0.371), "middle", Place(BALL, -0.1875, 0.6125)),
+        Move("middle3", 0.8, (-0.4, 0.371), "middle", Place(0, -0.1875, 0.6125)),
         Move("on5", 1.0, (0.04, 0.371)),
-        Move("rear2", 1.3, (0.04, 0.371), "rear", Place(BALL, -0.429, 0.4375)),
-        Move("middle4", 0.8, (0.0, 0.371), "middle", Place(BALL, 0.0, 0.6125)),
+        Move("rear2", 1.3, (0.04, 0.371), "rear", Place(0, -0.429, 0.4375)),
+        Move("middle4", 0.8, (0.0, 0.371), "middle", Place(0, 0.0, 0.6125)),
     ),
 )
 
@@ -166,9 +129,9 @@ class BallLedges(OnBall, InParts):
         Raises `InputError` where a foot is out of reach at the start, by plain numbers.
         """
         table = table or self.table
-        refuse(belief, lambda: Way(belief, self, table.start).stance)
-        way = Way(belief, self, table.start)
-        start = way.stance
+        way, centre = BetweenLedges(belief, self), belief.on(Ledges).start().position[0]
+        refuse(belief, lambda: way.stance(table.start, belief.on(Ledges).start().position[0]))
+        start = way.stance(table.start, centre)
         stages = [way.stage(Move("stand", 0.5, table.start.base))]
         stages += [way.stage(move, "on.") for move in table.moves]
         stages += self.drive.steps_of(perch(belief, self), ROLLS)
@@ -192,7 +155,7 @@ class BallLedges(OnBall, InParts):
 
 def seen_from_far(stand: Stand) -> Stand:
     """The same at the far ledge: in the mirror between the ledges."""
-    places = {pair: stand.feet[OTHER[pair]].mirrored for pair in PAIRS}
+    places = {pair: place._replace(ahead=-place.ahead) for pair, place in ((p, stand.feet[OTHER[p]]) for p in PAIRS)}
     return Stand((-stand.base[0], stand.base[1]), places)
 
 
@@ -211,51 +174,31 @@ def off(table: Table) -> list[Move]:
     return back
 
 
-class Way:
-    """Places and stages of a crossing; where feet stand is kept while stages are made."""
+class BetweenLedges(Way):
+    """From the near ledge, and to the far one."""
 
-    def __init__(self, belief: Case, how: BallLedges, start: Stand):
-        self.ledges, self.how, self.length = belief.on(Ledges), how, belief.robot.body_length
-        self.far = False  # the ledge that is meant
-        self.frames = {leg: WORLD for pair in PAIRS.values() for leg in pair}
-        centre = self.ledges.start().position[0]
-        feet = {leg: self.foot(leg, start.feet[pair]) for pair, legs in PAIRS.items() for leg in legs}
-        aside = jnp.array([0.0, 1.0, 0.0]) * centre[1]
-        self.stance = Stance(
-            jnp.stack([feet[leg] for leg in LEGS]) + aside, self.base(start.base) + centre, jnp.array(LEVEL)
+    far = False  # which ledge is meant
+
+    def above(self, height: Array | float) -> Array | float:
+        """From the mean of ledge and ball's top."""
+        return 0.5 * self.ledges.height + height * self.length
+
+    def ashore(self, leg: int, place: Place) -> Float[Array, " 3"]:
+        """From the edge."""
+        edge = self.ledges.width if self.far else 0.0
+        place_ = (
+            edge + place.ahead * self.length,
+            SIDE[leg - 1] * place.aside * self.length,
+            self.ledges.height - self.how.deepening,
         )
+        return jnp.stack([jnp.asarray(x, float) for x in place_])
 
-    def base(self, place: tuple[Array | float, Array | float]) -> Float[Array, " 3"]:
-        """The base's centre, from the ball's (m)."""
-        ahead, above = place
-        z = 0.5 * self.ledges.height + above * self.length
-        x = jnp.asarray(ahead * self.ledges.radius, float)
-        return jnp.stack([x, jnp.zeros_like(x), jnp.asarray(z, float)])
+    def supports(self) -> tuple[Support, ...]:
+        """The ball is meant to rest while a foot stands on a ledge."""
+        return (RESTS if WORLD in self.frames.values() else Support(),)
 
-    def foot(self, leg: int, place: Place) -> Float[Array, " 3"]:
-        """A foothold (m), from the ball's centre or in the world."""
-        on, ahead, aside = place
-        ball, deep = self.ledges.radius, self.how.deepening
-        if on == LEDGE:
-            edge = self.ledges.width if self.far else 0.0
-            parts = (edge + ahead * self.length, SIDE[leg - 1] * aside * self.length, self.ledges.height - deep)
-            return jnp.stack([jnp.asarray(x, float) for x in parts])
-        x, y = (jnp.asarray(part, float) for part in (ahead, SIDE[leg - 1] * aside))
-        return (ball - deep) * jnp.stack([x, y, jnp.sqrt(1 - x**2 - y**2)])
-
-    def stage(self, move: Move, prefix: str = "") -> Stage:
-        """Of a move; the ball is meant to rest while a foot stands on a ledge."""
-        legs = PAIRS.get(move.pair, ())
-        swing = {leg: self.foot(leg, move.place) for leg in legs}
-        lands = WORLD if move.place.on == LEDGE else koenig(0)
-        frames = self.frames | dict.fromkeys(legs, lands)
-        ashore = any(self.frames[leg] == WORLD for leg in LEGS if leg not in legs)
-        self.frames |= dict.fromkeys(legs, WORLD if lands == WORLD else fixed(0))
-        ahead, aside, up = move.plane
-        plane = jnp.array([[ahead, side * aside, up] for side in SIDE])
-        return Stage(
-            prefix + move.name, move.time, swing, CYCLE_B, move.lift * self.length, plane,
-            position=self.base(move.base), rates=(0.0, 0.0), base_frame=koenig(0),
-            foot_frames=tuple(frames[leg] for leg in LEGS), support=(RESTS if ashore else Support(),), onset=PRESS,
-            press=(self.how.press, self.how.squeeze),
-        )  # fmt: skip
+    @property
+    def ledges(self) -> Ledges:
+        """The obstacle."""
+        assert isinstance(self.obstacle, Ledges)
+        return self.obstacle
