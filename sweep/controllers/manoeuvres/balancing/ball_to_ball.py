@@ -1,0 +1,219 @@
+"""From one free ball to another (monograph 3.5): roll the first to the second, go over, come to rest on it.
+
+World axes as in `TwoBalls`: the robot faces x. While feet stand on both balls these are meant to roll together, as they
+do in the mean, and feet on the second press it to the first: (3.5.2).
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import ClassVar, NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from sweep.controllers.frames import fixed
+from sweep.controllers.manoeuvres.balancing.ball import BallDrive, DriveMemory, OnBall, on_ball, perch
+from sweep.controllers.manoeuvres.balancing.ball_ride import about_aside
+from sweep.controllers.manoeuvres.balancing.by_pairs import Move, Place, Way
+from sweep.controllers.manoeuvres.balancing.parts import InParts, OfBall, Steps
+from sweep.controllers.manoeuvres.goals import UPRIGHT
+from sweep.controllers.observation import Observation
+from sweep.controllers.plan import Plan, assemble, reference
+from sweep.controllers.support import TOGETHER, Support
+from sweep.controllers.tracker import Guidance, Guided, TrackerState, bodies
+from sweep.core.parameters import choice, count, parameters, quantity
+from sweep.core.rotations import conjugate, rotate
+from sweep.models.case import Case
+from sweep.models.legs import LEGS
+from sweep.models.obstacles.surface import FreeState
+from sweep.models.obstacles.two_balls import TwoBalls
+
+ROLLS, OVER, CALM = "roll", "over.", "calm"
+
+
+class Table(NamedTuple):
+    """The numbers of the way from ball to ball: the base is told from the first ball, then from the second."""
+
+    first: tuple[Move, ...]
+    second: tuple[Move, ...]
+
+
+TABLE = Table(
+    first=(
+        Move("squat", 0.7, (0.152, 0.06)),
+        Move("lean", 0.5, (0.2663, 0.06)),
+        Move("rear", 0.76, (0.2663, 0.06), "rear", Place(0, -0.0869, 0.45)),
+        Move("middle", 0.76, (0.2301, 0.06), "middle", Place(0, 0.3821, 0.6083)),
+        Move("front", 0.76, (0.168, 0.06), "front", Place(1, -0.4131, 0.5071)),
+        Move("ahead", 1.9, (0.6194, 0.06)),
+        Move("rear2", 0.76, (0.6194, 0.06), "rear", Place(0, 0.4583, 0.419)),
+        Move("ahead2", 1.2, (0.8754, 0.06)),
+        Move("middle2", 0.76, (0.8754, 0.06), "middle", Place(1, -0.6155, 0.544)),
+    ),
+    second=(
+        Move("front2", 0.76, (-0.9715, 0.06), "front", Place(1, -0.1155, 0.4714)),
+        Move("ahead3", 1.2, (-0.5875, 0.06)),
+        Move("middle3", 0.76, (-0.5875, 0.06), "middle", Place(1, -0.3583, 0.5679)),
+        Move("ahead4", 0.7, (-0.4329, 0.06)),
+        Move("front3", 0.76, (-0.4329, 0.06), "front", Place(1, 0.3214, 0.4655)),
+        Move("ahead5", 1.24, (-0.1138, 0.06)),
+        Move("rear3", 0.76, (-0.1138, 0.06), "rear", Place(1, -0.525, 0.3607)),
+        Move("middle4", 0.76, (-0.1598, 0.06), "middle", Place(1, 0.0286, 0.6107)),
+    ),
+)
+
+
+def apart(balls: TwoBalls, free: FreeState) -> Float[Array, ""]:
+    """delta, how far the balls are from each other along x (m)."""
+    return free.position[1, 0] - free.position[0, 0] - 2 * balls.radius
+
+
+class Docking(NamedTuple):
+    """Steps that roll the first ball to the second, until they touch."""
+
+    drive: BallDrive
+    speed: Array | float  # m/s, as it comes there
+
+    def memory(self, belief: Case, plan: Plan) -> DriveMemory:
+        """Of the drive."""
+        return self.drive.memory(belief, plan)
+
+    def guide(
+        self, belief: Case, plan: Plan, state: TrackerState, seen: Observation, begins: Bool[Array, ""], period: float
+    ) -> Guidance:
+        """By the drive's law, to a place so far behind the second ball that its speed is left there."""
+        place = seen.free.position[0, 0] + apart(belief.on(TwoBalls), seen.free) + self.speed / self.drive.brake
+        told = OfBall(replace(self.drive, place=place), 0)
+        return told.guide(belief, plan, state, seen, begins, period)
+
+    def ends(self, belief: Case, plan: Plan, state: TrackerState, seen: Observation) -> Bool[Array, ""]:
+        """No step is begun where the balls touch."""
+        begins = state.clock < 0.05 * plan.duration[state.stage]
+        return begins & (apart(belief.on(TwoBalls), seen.free) < 4e-3)
+
+
+class ClosingMemory(NamedTuple):
+    """Of a stage."""
+
+    gap: Float[Array, ""]  # m, delta as the stage began
+
+
+class Closing(NamedTuple):
+    """As planned, but feet on the second ball go on with it to the first, and press it there: after (3.5.2).
+
+    The print turns them by the way over R_n; the ball rolls it over R.
+    """
+
+    press: Array | float  # epsilon, m
+
+    def memory(self, belief: Case, plan: Plan) -> ClosingMemory:
+        """Not begun."""
+        return ClosingMemory(jnp.zeros(()))
+
+    def guide(
+        self, belief: Case, plan: Plan, state: TrackerState, seen: Observation, begins: Bool[Array, ""], period: float
+    ) -> Guidance:
+        """The stage's own stance, with the feet moved."""
+        stage, balls = state.stage, belief.on(TwoBalls)
+        gap = jnp.clip(apart(balls, seen.free), 0.0, FARTHEST)
+        memory: ClosingMemory = state.memory
+        gap = jnp.where(begins, gap, memory.gap)
+        phase = jnp.clip(state.clock / plan.duration[stage], 0.0, 1.0)
+        wanted = reference(plan, stage, phase, state.feet, state.position)
+        assert plan.support is not None
+        both = jnp.asarray(plan.support.mode)[stage, 0] == TOGETHER
+        way = jnp.where(both, phase * (gap + self.press), 0.0)
+        quat = bodies(plan, state, seen.free).quat[1:]
+        turned = rotate(about_aside(-way / balls.radius)[None], rotate(quat, wanted.feet))
+        moved = rotate(conjugate(quat), turned - way * jnp.array([1.0, 0.0, 0.0]))
+        stands = (plan.foot_frame[stage] == fixed(1))[:, None]
+        return Guidance(wanted._replace(feet=jnp.where(stands, moved, wanted.feet)), plan.foothold[stage],
+                        ClosingMemory(gap))  # fmt: skip
+
+
+FARTHEST = 0.02  # m, that a stage closes
+
+
+@parameters
+class BallToBall(OnBall, InParts):
+    """From one ball to another. Stages and their numbers are `TABLE`."""
+
+    goal: ClassVar = UPRIGHT
+    kind: str = choice("ball_to_ball", "ball_to_ball")
+    steps: int = count(20, at_least=1, at_most=200)  # that roll the first ball, at most
+    step_time: float = quantity(1.2, "s", above=0, at_most=20)  # of these
+    speed: float = quantity(0.1, "m/s", above=0)  # of the ball on its way
+    speed_gain: float = quantity(0.6, "s", at_least=0)  # k_v, of `ball_drive`
+    docking: float = quantity(0.03, "m/s", above=0)  # of the ball as it comes to the other one
+    closing: float = quantity(7e-4, "m", at_least=0, at_most=0.05)  # epsilon, by which the balls are pressed together
+    calm: int = count(12, at_least=1, at_most=100)  # steps on the second ball, at most
+    calm_speed: float = quantity(0.0, "m/s", at_least=0)  # of a ball that needs no further step; 0: all are made
+    height_ratio: float = quantity(0.2, "a_r", above=0, at_most=2)  # of the base over the ball's top
+    deepening: float = quantity(1e-3, "m", at_least=0, at_most=0.05)  # footholds inside the balls
+    press: float = quantity(1.3e-3, "m", at_least=0, at_most=0.05)  # feet deeper than they are measured
+    squeeze: float = quantity(1.7e-3, "m", at_least=0, at_most=0.05)  # the same to the middle
+    ease: float = quantity(0.15, "s", above=0)  # in which feet go over to where they are measured
+    patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
+
+    needs = (TwoBalls,)
+
+    @property
+    def table(self) -> Table:
+        """The numbers of its plan."""
+        return TABLE
+
+    def obstacle_speed(self, duration: Array) -> Array:
+        """The first ball is left to itself (m/s)."""
+        return jnp.zeros_like(duration)
+
+    def plan(self, belief: Case, table: Table | None = None) -> Plan:
+        """Roll, go over, calm the second ball."""
+        table, perched = table or self.table, perch(belief, self)
+        way = BetweenBalls(belief, self)
+        stages = self.rolling.steps_of(perched, ROLLS, first=0.5)
+        way.frames |= dict.fromkeys(LEGS, fixed(0))
+        stages += [way.stage(move, OVER) for move in table.first]
+        way.ball = 1
+        stages += [way.stage(move, OVER) for move in table.second]
+        stages += OfBall(self.calming, 1).stages(self.calming.steps_of(perched, CALM))
+        return assemble(on_ball(belief, perched), stages, self.patience, ease=self.ease)
+
+    @property
+    def rolling(self) -> BallDrive:
+        """The steps that roll the first ball."""
+        return BallDrive(steps=self.steps, speed=self.speed, step_time=self.step_time, speed_gain=self.speed_gain,
+                         circle_ratio=self.circle_ratio, chord_ratio=self.chord_ratio, height_ratio=self.height_ratio,
+                         deepening=self.deepening)  # fmt: skip
+
+    @property
+    def calming(self) -> BallDrive:
+        """The steps that stop the second one."""
+        return BallDrive(steps=self.calm, speed=0.0, step_time=0.9, speed_gain=0.6, aside_gain=0.4,
+                         aside_gain_before=0.3, circle_ratio=self.circle_ratio, chord_ratio=self.chord_ratio,
+                         height_ratio=self.height_ratio, deepening=self.deepening)  # fmt: skip
+
+    @property
+    def parts(self) -> Mapping[str, Guided]:
+        """Steps, the way over, steps."""
+        return {
+            ROLLS: Docking(self.rolling, self.docking),
+            OVER: Closing(self.closing),
+            CALM: OfBall(Steps(self.calming, self.calm_speed, jnp.inf), 1),
+        }
+
+
+class BetweenBalls(Way):
+    """From the first to the second."""
+
+    def above(self, height: Array | float) -> Array | float:
+        """From a ball's top."""
+        return self.obstacle.radius + height * self.length
+
+    def ashore(self, leg: int, place: Place) -> Float[Array, " 3"]:
+        """There is no ledge."""
+        raise AssertionError
+
+    def supports(self) -> tuple[Support, ...]:
+        """The balls are meant to roll together while feet stand on both."""
+        both = {fixed(0), fixed(1)} <= set(self.frames.values())
+        return (Support(TOGETHER) if both else Support(),) * 2
