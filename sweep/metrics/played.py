@@ -2,8 +2,8 @@
 
 Only feet that stand stay where they landed, on the ground or on a body, wherever they are pressed to.
 Bodies go as they are meant to. A ball that is followed where it is seen rolls as the angular momentum of robot and ball
-about its lowest point has it, links counted as mass points; it stays where it is at a wall, and while feet stand on the
-floor, too. A raft that is followed where it is seen coasts, by the drag of its front, as far as the other bank.
+about its lowest point has it, links counted as mass points; it stays where it is while feet stand on the floor, too. A
+raft that is followed where it is seen coasts, by the drag of its front, as far as the other bank.
 """
 
 from typing import NamedTuple, cast
@@ -26,7 +26,6 @@ from sweep.metrics.geometry import support_margin
 from sweep.metrics.planned import Holding, Margins, Swing, left
 from sweep.models.case import Case
 from sweep.models.obstacles.ball import Ball
-from sweep.models.obstacles.ledges import Ledges
 from sweep.models.obstacles.raft import Raft
 from sweep.models.obstacles.surface import FreeState, free_start, poses
 from sweep.models.robot import total_mass
@@ -138,9 +137,6 @@ def _rolled(
     rolls = (momentum - own) / inertia
     meant = jnp.where(follows, 0.0, v)
     v = jnp.where(follows & ~on_floor, rolls, meant)
-    if isinstance(ball, Ledges):
-        past = ball.beyond(free.position + h * jnp.append(v, 0.0)) + ball.radius
-        v = jnp.where(jnp.any(past > 0), 0.0, v)
     velocity = jnp.append(v, 0.0)
     turn = jnp.cross(jnp.asarray(UP), velocity) / ball.radius
     moved = jnp.where(follows, h * velocity, 0.0)
