@@ -55,12 +55,12 @@ TABLE = Table(
         Move("middle2", 0.8, (-0.8456, 0.4418), "middle", Place(0, -0.3444, 0.5349), 0.1187, (0.176, -1.012, 1.145)),
         Move("on3", 0.5, (-0.9631, 0.3807)),
         Move("front2", 1, (-0.75, 0.3898), "front", Place(0, 0.429, 0.4375), 0.169, (1.211, 0.771, 1)),
-        Move("on4", 1, (-0.4, 0.3117)),
+        Move("on4", 1.3, (-0.4, 0.3117)),
         Move("middle3", 0.8, (-0.4, 0.3638), "middle", Place(0, -0.1811, 0.7018), 0.1103, (0.122, -0.509, 2.257)),
-        Move("on5", 1, (-0.0096, 0.5141)),
+        Move("on5", 2.0, (-0.0096, 0.5141)),
         Move("rear2", 1.3, (-0.0139, 0.5106), "rear", Place(0, -0.429, 0.4375), 0.0641, (0.162, 0.236, 1)),
         Move("middle4", 0.8, (-0.0283, 0.4925), "middle", Place(0, 0, 0.6125), 0.1658, (0.5, -0.739, 2.071)),
-        Move("lower", 0.6, (0.0, 0.356)),
+        Move("lower", 0.8, (0.0, 0.376)),
     ),
 )
 
@@ -71,6 +71,7 @@ class Docking(NamedTuple):
     drive: BallDrive
     speed: Array | float  # m/s, at the wall
     near: Array | float  # m, that may be left to the wall
+    calm: Array | float  # m/s, of a ball that rests there
 
     def memory(self, belief: Case, plan: Plan) -> DriveMemory:
         """Of the drive."""
@@ -84,9 +85,10 @@ class Docking(NamedTuple):
         return replace(self.drive, place=place).guide(belief, plan, state, seen, begins, period)
 
     def ends(self, belief: Case, plan: Plan, state: TrackerState, seen: Observation) -> Bool[Array, ""]:
-        """No step is begun where the ball is at the wall."""
-        begins = state.clock < 0.05 * plan.duration[state.stage]
-        return begins & (seen.free.position[0, 0] > there(belief.on(Ledges)) - self.near)
+        """No step is begun where the ball rests at the wall."""
+        begins, ball = state.clock < 0.05 * plan.duration[state.stage], seen.free
+        left = there(belief.on(Ledges)) - ball.position[0, 0]
+        return begins & (left < self.near) & (jnp.linalg.norm(ball.velocity[0]) < self.calm)
 
 
 def there(ledges: Ledges) -> Array | float:
@@ -100,13 +102,15 @@ class BallLedges(OnBall, InParts):
 
     goal: ClassVar = UPRIGHT
     kind: str = choice("ball_ledges", "ball_ledges")
-    steps: int = count(28, at_least=1, at_most=200)  # that roll the ball, at most
+    steps: int = count(34, at_least=1, at_most=200)  # that roll the ball, at most
     step_time: float = quantity(1.2, "s", above=0, at_most=20)  # of these
-    speed: float = quantity(0.13, "m/s", above=0)  # of the ball on its way
+    speed: float = quantity(0.1, "m/s", above=0)  # of the ball on its way
     speed_gain: float = quantity(0.3, "s", at_least=0)  # k_v, of `ball_drive`
-    docking: float = quantity(0.03, "m/s", above=0)  # of the ball as it comes to the far wall
+    brake: float = quantity(0.12, "1/s", above=0)  # wanted speed for each metre that is left, at most
+    docking: float = quantity(0.02, "m/s", above=0)  # of the ball as it comes to the far wall
+    calm_speed: float = quantity(0.01, "m/s", above=0)  # of a ball that rests there
     near: float = quantity(4e-3, "m", above=0)  # left to the wall by a ball that is there
-    height_ratio: float = quantity(0.28, "a_r", above=0, at_most=2)  # of the base over the ball's top
+    height_ratio: float = quantity(0.3, "a_r", above=0, at_most=2)  # of the base over the ball's top
     deepening: float = quantity(1e-3, "m", at_least=0, at_most=0.05)  # footholds inside ball and ledges
     press: float = quantity(1e-3, "m", at_least=0, at_most=0.05)  # feet on the ball deeper than they are measured
     squeeze: float = quantity(1.5e-3, "m", at_least=0, at_most=0.05)  # the same to the middle
@@ -145,13 +149,13 @@ class BallLedges(OnBall, InParts):
     def drive(self) -> BallDrive:
         """The steps that roll the ball."""
         return BallDrive(steps=self.steps, speed=self.speed, step_time=self.step_time, speed_gain=self.speed_gain,
-                         circle_ratio=self.circle_ratio, chord_ratio=self.chord_ratio, height_ratio=self.height_ratio,
-                         deepening=self.deepening)  # fmt: skip
+                         brake=self.brake, circle_ratio=self.circle_ratio, chord_ratio=self.chord_ratio,
+                         height_ratio=self.height_ratio, deepening=self.deepening)  # fmt: skip
 
     @property
     def parts(self) -> Mapping[str, Guided]:
         """The steps."""
-        return {ROLLS: Docking(self.drive, self.docking, self.near)}
+        return {ROLLS: Docking(self.drive, self.docking, self.near, self.calm_speed)}
 
 
 def seen_from_far(stand: Stand) -> Stand:

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from sweep.controllers.frames import WORLD, fixed, koenig
 from sweep.controllers.gaits import GALLOP
 from sweep.controllers.manoeuvres.balancing.ball import UPRIGHT
-from sweep.controllers.plan import CYCLE_B, PRESS, Stage, Stance
+from sweep.controllers.plan import CYCLE_B, GRIP, Stage, Stance
 from sweep.controllers.support import Support
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
@@ -127,7 +127,7 @@ class Way(ABC):
         return Stage(
             prefix + move.name, move.time, swing, CYCLE_B, move.lift * self.length, plane,
             position=self.base(move.base), rates=(0.0, 0.0), base_frame=koenig(self.ball),
-            foot_frames=tuple(frames[leg] for leg in LEGS), support=supports, onset=PRESS,
+            foot_frames=tuple(frames[leg] for leg in LEGS), support=supports, onset=GRIP,
             press=(self.how.press, self.how.squeeze),
         )  # fmt: skip
 
