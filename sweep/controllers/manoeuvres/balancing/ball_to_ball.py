@@ -8,19 +8,25 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import ClassVar, NamedTuple
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from sweep.controllers.ball_state import centre_of_mass
 from sweep.controllers.frames import fixed
+from sweep.controllers.manoeuvres.balancing.ball import UPRIGHT as LEVEL
 from sweep.controllers.manoeuvres.balancing.ball import BallDrive, DriveMemory, OnBall, on_ball, perch
 from sweep.controllers.manoeuvres.balancing.ball_ride import about_aside
 from sweep.controllers.manoeuvres.balancing.by_pairs import Move, Place, Way
 from sweep.controllers.manoeuvres.balancing.parts import InParts, OfBall, Steps
 from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import Plan, assemble, reference
+from sweep.controllers.plan import Plan, Stage, Stance, assemble, reference
+from sweep.controllers.posture import leg_points
 from sweep.controllers.support import TOGETHER, Support
-from sweep.controllers.tracker import Guidance, Guided, TrackerState, bodies
+from sweep.controllers.tracker import Guidance, Guided, TrackerState, bodies, joint_targets
+from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import conjugate, rotate
 from sweep.models.case import Case
@@ -103,6 +109,7 @@ class Closing(NamedTuple):
     """
 
     press: Array | float  # epsilon, m
+    straight: Array | float  # share of its length, of a leg that is too straight
 
     def memory(self, belief: Case, plan: Plan) -> ClosingMemory:
         """Not begun."""
@@ -128,6 +135,13 @@ class Closing(NamedTuple):
         return Guidance(wanted._replace(feet=jnp.where(stands, moved, wanted.feet)), plan.foothold[stage],
                         ClosingMemory(gap))  # fmt: skip
 
+    def ends(self, belief: Case, plan: Plan, state: TrackerState, seen: Observation) -> Bool[Array, ""]:
+        """The base goes no farther where a leg that stands gets too straight; the next pair is moved then."""
+        robot, goes = belief.robot, ~jnp.any(plan.swing[state.stage])
+        points = leg_points(robot, seen.angles)
+        stretch = jnp.linalg.norm(points[:, -1] - points[:, -3], axis=-1)
+        return goes & jnp.any(seen.loaded & (stretch > self.straight * (robot.thigh + robot.shin)))
+
 
 FARTHEST = 0.02  # m, that a stage closes
 
@@ -151,6 +165,9 @@ class BallToBall(OnBall, InParts):
     press: float = quantity(1.3e-3, "m", at_least=0, at_most=0.05)  # feet deeper than they are measured
     squeeze: float = quantity(1.7e-3, "m", at_least=0, at_most=0.05)  # the same to the middle
     ease: float = quantity(0.15, "s", above=0)  # in which feet go over to where they are measured
+    spare: float = quantity(0.02, "m")  # of the mass centre between the feet that stand, at least, when it is planned
+    # of a standing leg's thigh and shin: straighter, the base goes no farther
+    straight: float = quantity(0.985, "-", above=0, at_most=1)
     patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
 
     needs = (TwoBalls,)
@@ -165,15 +182,24 @@ class BallToBall(OnBall, InParts):
         return jnp.zeros_like(duration)
 
     def plan(self, belief: Case, table: Table | None = None) -> Plan:
-        """Roll, go over, calm the second ball."""
+        """Roll, go over, calm the second ball.
+
+        Raises `InputError` where a foot does not reach, or the mass centre is not between the feet that stand, by plain
+        numbers.
+        """
         table, perched = table or self.table, perch(belief, self)
-        way = BetweenBalls(belief, self)
-        stages = self.rolling.steps_of(perched, ROLLS, first=0.5)
-        way.frames |= dict.fromkeys(LEGS, fixed(0))
-        stages += [way.stage(move, OVER) for move in table.first]
-        way.ball = 1
-        stages += [way.stage(move, OVER) for move in table.second]
-        stages += OfBall(self.calming, 1).stages(self.calming.steps_of(perched, CALM))
+        numbers = jax.tree.leaves((belief.robot, belief.obstacle, belief.manoeuvre))
+        if all(isinstance(x, float) for x in numbers):
+            with jax.ensure_compile_time_eval():
+                way = BetweenBalls(belief, self)
+                way.over(table)
+                way.refuse(self.spare)
+        second = OfBall(self.calming, 1)
+        stages = [
+            *self.rolling.steps_of(perched, ROLLS),
+            *BetweenBalls(belief, self).over(table),
+            *second.stages(self.calming.steps_of(perched, CALM)),
+        ]
         return assemble(on_ball(belief, perched), stages, self.patience, ease=self.ease)
 
     @property
@@ -195,13 +221,20 @@ class BallToBall(OnBall, InParts):
         """Steps, the way over, steps."""
         return {
             ROLLS: Docking(self.rolling, self.docking),
-            OVER: Closing(self.closing),
+            OVER: Closing(self.closing, self.straight),
             CALM: OfBall(Steps(self.calming, self.calm_speed, jnp.inf), 1),
         }
 
 
 class BetweenBalls(Way):
-    """From the first to the second."""
+    """From the first ball to the second, as if they stood still, touching."""
+
+    def __init__(self, belief: Case, how: "BallToBall"):
+        super().__init__(belief, how)
+        self.belief = belief
+        self.frames = dict.fromkeys(LEGS, fixed(0))
+        self.feet = perch(belief, how).feet  # from the first ball's centre (m)
+        self.checked: list[Checked] = []
 
     def above(self, height: Array | float) -> Array | float:
         """From a ball's top."""
@@ -215,3 +248,45 @@ class BetweenBalls(Way):
         """The balls are meant to roll together while feet stand on both."""
         both = {fixed(0), fixed(1)} <= set(self.frames.values())
         return (Support(TOGETHER) if both else Support(),) * 2
+
+    def stage(self, move: Move, prefix: str = "") -> Stage:
+        """Of a move; what is to be checked of its end is kept."""
+        stage = super().stage(move, prefix)
+        between = 2 * self.obstacle.radius * jnp.array([1.0, 0.0, 0.0])
+        for leg, foothold in stage.swing.items():
+            self.feet = self.feet.at[leg - 1].set(foothold + move.place.on * between)
+        assert stage.position is not None
+        stance = Stance(self.feet, stage.position + self.ball * between, jnp.array(LEVEL))
+        swings = np.array([leg in stage.swing for leg in LEGS])
+        ahead = centre_of_mass(self.belief.robot, stance)[0]
+        stands = jnp.where(swings, jnp.nan, self.feet[:, 0])
+        inside = jnp.minimum(ahead - jnp.nanmin(stands), jnp.nanmax(stands) - ahead)
+        self.checked.append(Checked(stage.name, joint_targets(self.belief.robot, stance)[1], inside))
+        return stage
+
+    def over(self, table: Table) -> list[Stage]:
+        """From ball to ball."""
+        stages = [self.stage(move, OVER) for move in table.first]
+        self.ball = 1
+        return stages + [self.stage(move, OVER) for move in table.second]
+
+    def refuse(self, spare: Array | float) -> None:
+        """Raise `InputError` where a foot is out of reach, or the mass centre not `spare` m between standing feet."""
+        kind = self.belief.manoeuvre.kind
+        for name, shortfall, inside in self.checked:
+            if not (most := float(jnp.max(shortfall))) <= 0:
+                leg = int(jnp.argmax(shortfall)) + 1
+                raise InputError(f"{kind}: foot {leg} is {most:.3f} m out of reach at the end of stage {name}")
+            if not (left := float(inside)) >= spare:
+                raise InputError(
+                    f"{kind}: the mass centre is {left:.3f} m between the feet that stand in stage {name}: "
+                    f"at least manoeuvre.spare = {spare:g}"
+                )
+
+
+class Checked(NamedTuple):
+    """Of the end of a stage."""
+
+    name: str
+    shortfall: Float[Array, " 6"]  # m, of each foot's reach
+    inside: Float[Array, ""]  # m, of the mass centre between the feet that stand, along the way
