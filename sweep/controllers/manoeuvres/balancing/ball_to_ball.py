@@ -49,11 +49,11 @@ TABLE = Table(
         Move("squat", 0.7, (0.152, 0.06)),
         Move("lean", 0.5, (0.2663, 0.06)),
         Move("rear", 0.76, (0.2663, 0.06), "rear", Place(0, -0.0869, 0.45)),
-        Move("middle", 0.76, (0.2301, 0.06), "middle", Place(0, 0.3821, 0.6083)),
+        Move("middle", 1.0, (0.2301, 0.06), "middle", Place(0, 0.3821, 0.6083)),
         Move("front", 0.76, (0.168, 0.06), "front", Place(1, -0.4131, 0.5071)),
-        Move("ahead", 2.0, (0.98, 0.06)),
-        Move("rear2", 0.76, (0.98, 0.06), "rear", Place(0, 0.4583, 0.419)),
-        Move("middle2", 0.76, (1.0, 0.06), "middle", Place(1, -0.6155, 0.544)),
+        Move("ahead", 2.0, (0.95, 0.06)),
+        Move("rear2", 0.76, (0.95, 0.06), "rear", Place(0, 0.4583, 0.419)),
+        Move("middle2", 0.76, (0.95, 0.06), "middle", Place(1, -0.6155, 0.544)),
     ),
     second=(
         Move("front2", 0.76, (-1.15, 0.06), "front", Place(1, -0.1155, 0.4714)),
@@ -157,7 +157,7 @@ class BallToBall(OnBall, InParts):
     speed: float = quantity(0.1, "m/s", above=0)  # of the ball on its way
     speed_gain: float = quantity(0.6, "s", at_least=0)  # k_v, of `ball_drive`
     docking: float = quantity(0.03, "m/s", above=0)  # of the ball as it comes to the other one
-    closing: float = quantity(7e-4, "m", at_least=0, at_most=0.05)  # epsilon, by which the balls are pressed together
+    closing: float = quantity(2e-3, "m", at_least=0, at_most=0.05)  # epsilon, by which the balls are pressed together
     calm: int = count(12, at_least=1, at_most=100)  # steps on the second ball, at most
     calm_speed: float = quantity(0.0, "m/s", at_least=0)  # of a ball that needs no further step; 0: all are made
     height_ratio: float = quantity(0.2, "a_r", above=0, at_most=2)  # of the base over the ball's top
