@@ -15,7 +15,6 @@ from jaxtyping import Array, Bool, Float
 
 from sweep.controllers.ball_state import centre_of_mass
 from sweep.controllers.frames import fixed
-from sweep.controllers.manoeuvres.balancing.ball import UPRIGHT as LEVEL
 from sweep.controllers.manoeuvres.balancing.ball import BallDrive, DriveMemory, OnBall, on_ball, perch
 from sweep.controllers.manoeuvres.balancing.ball_ride import about_aside
 from sweep.controllers.manoeuvres.balancing.by_pairs import Move, Place, Way
@@ -24,7 +23,7 @@ from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import Plan, Stage, Stance, assemble, reference
 from sweep.controllers.posture import leg_points
-from sweep.controllers.support import TOGETHER, Support
+from sweep.controllers.support import LEVEL, TOGETHER, Support
 from sweep.controllers.tracker import Guidance, Guided, TrackerState, bodies, joint_targets
 from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, parameters, quantity
@@ -256,7 +255,7 @@ class BetweenBalls(Way):
         for leg, foothold in stage.swing.items():
             self.feet = self.feet.at[leg - 1].set(foothold + move.place.on * between)
         assert stage.position is not None
-        stance = Stance(self.feet, stage.position + self.ball * between, jnp.array(LEVEL))
+        stance = Stance(self.feet, stage.position + self.ball * between, jnp.asarray(LEVEL))
         swings = np.array([leg in stage.swing for leg in LEGS])
         ahead = centre_of_mass(self.belief.robot, stance)[0]
         stands = jnp.where(swings, jnp.nan, self.feet[:, 0])

@@ -13,9 +13,8 @@ from jaxtyping import Array, Float
 
 from sweep.controllers.frames import WORLD, fixed, koenig
 from sweep.controllers.gaits import GALLOP
-from sweep.controllers.manoeuvres.balancing.ball import UPRIGHT
 from sweep.controllers.plan import CYCLE_B, GRIP, Stage, Stance
-from sweep.controllers.support import Support
+from sweep.controllers.support import LEVEL, Support
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
 from sweep.models.legs import LEGS
@@ -99,7 +98,7 @@ class Way(ABC):
         shifts = {leg: centre * jnp.array([0.0, 1.0, 0.0]) if frame == WORLD else centre
                   for leg, frame in self.frames.items()}  # fmt: skip
         return Stance(
-            jnp.stack([feet[leg] + shifts[leg] for leg in LEGS]), self.base(stand.base) + centre, jnp.array(UPRIGHT)
+            jnp.stack([feet[leg] + shifts[leg] for leg in LEGS]), self.base(stand.base) + centre, jnp.asarray(LEVEL)
         )
 
     def base(self, place: tuple[Array | float, Array | float]) -> Float[Array, " 3"]:
