@@ -106,8 +106,8 @@ class BallLedges(OnBall, InParts):
     step_time: float = quantity(1.2, "s", above=0, at_most=20)  # of these
     speed: float = quantity(0.1, "m/s", above=0)  # of the ball on its way
     speed_gain: float = quantity(0.3, "s", at_least=0)  # k_v, of `ball_drive`
-    brake: float = quantity(0.12, "1/s", above=0)  # wanted speed for each metre that is left, at most
-    docking: float = quantity(0.02, "m/s", above=0)  # of the ball as it comes to the far wall
+    brake: float = quantity(0.1, "1/s", above=0)  # wanted speed for each metre that is left, at most
+    docking: float = quantity(0.015, "m/s", above=0)  # of the ball as it comes to the far wall
     calm_speed: float = quantity(0.01, "m/s", above=0)  # of a ball that rests there
     near: float = quantity(4e-3, "m", above=0)  # left to the wall by a ball that is there
     height_ratio: float = quantity(0.3, "a_r", above=0, at_most=2)  # of the base over the ball's top
