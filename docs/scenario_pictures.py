@@ -34,6 +34,8 @@ SCENARIOS = (
     "ball_drive",
     "ball_climb",
     "ball_descend",
+    "ball_ledges",
+    "ball_to_ball",
     "corner_full",
     "raft_cross",
     "raft_stand",

@@ -130,7 +130,7 @@ def judge(
     def left(belief: Case, table: Table) -> dict[str, jax.Array]:
         manoeuvre = cast(Tabled, belief.manoeuvre)
         plan = manoeuvre.plan(belief) if table is None else manoeuvre.plan(belief, table)
-        if isinstance(case.obstacle, Ball):
+        if type(case.obstacle) is Ball:  # what leans on something, or on another ball, is taken to rest
             seen = play(belief, plan, PERIOD, ticks)
             found = by_stage(seen, len(names))._asdict()
             speed = jnp.max(jnp.linalg.norm(seen.free.velocity, axis=-1), axis=1)

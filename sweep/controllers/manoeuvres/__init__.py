@@ -6,7 +6,9 @@ from sweep.controllers.manoeuvres.balancing.ball import BallBalance, BallDrive
 from sweep.controllers.manoeuvres.balancing.ball_aside import BallAside
 from sweep.controllers.manoeuvres.balancing.ball_climb import BallClimb
 from sweep.controllers.manoeuvres.balancing.ball_descend import BallDescend
+from sweep.controllers.manoeuvres.balancing.ball_ledges import BallLedges
 from sweep.controllers.manoeuvres.balancing.ball_over import BallOver
+from sweep.controllers.manoeuvres.balancing.ball_to_ball import BallToBall
 from sweep.controllers.manoeuvres.balancing.beam import BeamCross, BeamWalk
 from sweep.controllers.manoeuvres.climbing.corner import CornerClimb
 from sweep.controllers.manoeuvres.climbing.corner_roof import CornerFull, CornerRoof
@@ -46,6 +48,8 @@ MANOEUVRES = {
     "ball_climb": BallClimb,
     "ball_descend": BallDescend,
     "ball_over": BallOver,
+    "ball_ledges": BallLedges,
+    "ball_to_ball": BallToBall,
     "raft_cross": RaftCross,
     "raft_stand": RaftStand,
 }

@@ -5,9 +5,11 @@ from sweep.models.obstacles.beam import Beam
 from sweep.models.obstacles.corner import Corner
 from sweep.models.obstacles.kerb import Kerb
 from sweep.models.obstacles.ladder import Ladder
+from sweep.models.obstacles.ledges import Ledges
 from sweep.models.obstacles.plane import Plane
 from sweep.models.obstacles.pole_ledge import PoleLedge
 from sweep.models.obstacles.raft import Raft
+from sweep.models.obstacles.two_balls import TwoBalls
 
 OBSTACLES = {
     "ball": Ball,
@@ -15,7 +17,9 @@ OBSTACLES = {
     "corner": Corner,
     "kerb": Kerb,
     "ladder": Ladder,
+    "ledges": Ledges,
     "plane": Plane,
     "pole_ledge": PoleLedge,
     "raft": Raft,
+    "two_balls": TwoBalls,
 }

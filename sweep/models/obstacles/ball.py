@@ -32,16 +32,20 @@ class Ball:
     contact_sites = (("ball", 0),)
 
     def add_to(self, spec: mujoco.MjSpec, friction: float) -> None:
-        """Floor and ball."""
-        inertia = np.asarray(self.leaves()["body_inertia"]["ball"], float)
-        body = spec.worldbody.add_body(
-            name="ball", pos=[0, 0, self.radius], ipos=[0, 0, 0], explicitinertial=True, mass=self.mass, inertia=inertia
-        )
-        body.add_freejoint(name="ball")
-        body.add_site(name="ball")
+        """Floor, and what is free: balls."""
+        leaves, bodies = self.leaves(), []
+        for name, place in zip(self.free_bodies, np.asarray(self.start().position, float), strict=True):
+            mass, inertia = (np.asarray(leaves[field][name], float) for field in ("body_mass", "body_inertia"))
+            body = spec.worldbody.add_body(
+                name=name, pos=place, ipos=[0, 0, 0], explicitinertial=True, mass=float(mass), inertia=inertia
+            )
+            body.add_freejoint(name=name)
+            bodies.append(body)
+        for name, body in self.contact_sites:
+            bodies[body].add_site(name=name)
         resistance = [friction * self.floor_grip, self.spinning_friction, self.rolling_friction]
-        add_solids(spec, self.solids(own_axes(1)), friction, self.free_bodies)
-        add_rolling(spec.worldbody, body, self.radius, resistance)
+        add_solids(spec, self.solids(own_axes(len(bodies))), friction, self.free_bodies)
+        add_rolling(spec.worldbody, bodies, self.radius, resistance)
 
     def leaves(self) -> dict[str, dict[str, Array]]:
         """Mass and inertia."""

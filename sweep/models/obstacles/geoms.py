@@ -57,22 +57,26 @@ def shape(spec: mujoco.MjSpec, solid: Solid, name: str, margin: float = 0.0) -> 
     raise TypeError(f"no geom has the shape of a {type(solid).__name__}")
 
 
-def add_rolling(world: mujoco.MjsBody, body: mujoco.MjsBody, radius: float, resistance: Sequence[float]) -> None:
-    """How a ball lies on the floor z = 0, with its own sliding, spinning, rolling friction.
+def add_rolling(
+    world: mujoco.MjsBody, balls: Sequence[mujoco.MjsBody], radius: float, resistance: Sequence[float]
+) -> None:
+    """How balls lie on the floor z = 0, with its own sliding, spinning, rolling friction.
 
-    Ball and floor meet in geoms of their own, which have their full size and which feet do not feel. They are stiff:
+    Balls and floor meet in geoms of their own, which have their full size and which feet do not feel. They are stiff:
     MuJoCo softens rolling friction by (slide/roll)^2, and with the impedance of the feet it would be viscous below
     25 mm/s.
     """
     rolling = {
         **_colliding(0.0),
         "contype": 2,
-        "conaffinity": 2,
+        "conaffinity": 0,
         "condim": 6,
         "friction": resistance,
         "solimp": [0.9999, 0.9999, 0.001, 0.5, 2.0],
     }
-    body.add_geom(name="ball_rolling", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0, 0], **rolling)
+    for ball in balls:
+        ball.add_geom(name=f"{ball.name}_rolling", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0, 0], **rolling)
+    rolling |= {"contype": 0, "conaffinity": 2}
     world.add_geom(name="floor_rolling", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.1], **rolling)
 
 

@@ -1,16 +1,18 @@
 """Manoeuvres in parts: some stages follow laws of their own, known by how their names begin, the others the plan."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
+from sweep.controllers.frames import koenig
 from sweep.controllers.manoeuvres.balancing.ball import BallDrive, DriveMemory
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import Plan, named, reference
+from sweep.controllers.plan import Plan, Stage, named, reference
 from sweep.controllers.tracker import Eventful, Guidance, Guided, TrackerState
 from sweep.models.case import Case
 
@@ -73,3 +75,35 @@ class Steps(NamedTuple):
         begins = state.clock < 0.05 * plan.duration[state.stage]
         near = jnp.abs(seen.free.position[0, 0] - self.drive.place) < self.within
         return begins & near & (jnp.linalg.norm(seen.free.velocity[0]) < self.calm)
+
+
+class OfBall(NamedTuple):
+    """A law for the only ball, on one of several."""
+
+    law: Any  # Guided, and Eventful where it ends stages
+    ball: int
+
+    def memory(self, belief: Case, plan: Plan) -> Any:
+        """Of the law."""
+        return self.law.memory(belief, plan)
+
+    def guide(
+        self, belief: Case, plan: Plan, state: TrackerState, seen: Observation, begins: Bool[Array, ""], period: float
+    ) -> Guidance:
+        """As if there were no other."""
+        return self.law.guide(belief, plan, state, self._seen(seen), begins, period)
+
+    def ends(self, belief: Case, plan: Plan, state: TrackerState, seen: Observation) -> Bool[Array, ""]:
+        """As if there were no other."""
+        return self.law.ends(belief, plan, state, self._seen(seen))
+
+    def stages(self, of_only: Sequence[Stage]) -> list[Stage]:
+        """Stages on the only ball, on this one."""
+        by = koenig(self.ball) - koenig(0)
+        return [
+            replace(stage, foot_frames=tuple(f + by for f in stage.foot_frames), base_frame=stage.base_frame + by)
+            for stage in of_only
+        ]
+
+    def _seen(self, seen: Observation) -> Observation:
+        return seen._replace(free=jax.tree.map(lambda x: x[self.ball : self.ball + 1], seen.free))

@@ -1,0 +1,81 @@
+"""What the crossing with a ball from ledge to ledge is checked for: monograph 3.2.2, 3.2.3."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from sweep.controllers.plan import named
+from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment
+from sweep.models.obstacles.ledges import Ledges
+
+ON, OFF = "on.", "off."  # how the stages begin in which a robot goes on to the ball, and off it
+THERE = 4e-3  # m, of a ball that has come to the far wall
+
+
+class Crossing(NamedTuple):
+    """How far the mass centre was past the ball's centre (m), whether the ball came, and how fast (m/s)."""
+
+    past: Float[Array, ""]
+    arrived: Bool[Array, ""]
+    docking: Float[Array, ""]
+
+
+def begin(start: Begin) -> Crossing:
+    """Before it."""
+    zero = jnp.zeros((), start.feet.dtype)
+    return Crossing(jnp.full_like(zero, -jnp.inf), jnp.zeros((), bool), zero)
+
+
+def update(so_far: Crossing, now: Moment) -> Crossing:
+    """The far wall is asked for once."""
+    ledges, tick = now.world.obstacle, now.tick
+    assert isinstance(ledges, Ledges)
+    ball, speed = tick.free.position[0], tick.free.velocity[0, 0]
+    ahead = tick.centre_of_mass[0] - ball[0]
+    past = jnp.where(
+        named(now.plan, now.stage, ON), ahead, jnp.where(named(now.plan, now.stage, OFF), -ahead, -jnp.inf)
+    )
+    there = ledges.width - ledges.radius - ball[0] < THERE
+    return Crossing(
+        past=jnp.maximum(so_far.past, past),
+        arrived=so_far.arrived | there,
+        docking=jnp.where(so_far.arrived | ~there, so_far.docking, speed),
+    )
+
+
+def figures(found: Crossing, at: Elapsed) -> dict[str, Array]:
+    """See `METRIC`."""
+    return {"past_centre_max_m": found.past, "docking_speed_mps": found.docking}
+
+
+METRIC = Metric(
+    begin,
+    update,
+    figures,
+    {
+        "past_centre_max_m": "farthest that the robot's mass centre was beyond the ball's, seen from the ledge that "
+        "it leaves, or comes to",
+        "docking_speed_mps": f"speed of the ball when it first was within {1e3 * THERE:g} mm of the far wall",
+    },
+    (
+        Cause(
+            "rolled_off",
+            "the mass centre went farther beyond the ball's than past_centre_max_m: the ball may roll off its wall",
+            "past_centre_max_m",
+            "past_centre_max_m",
+            None,
+            "m",
+        ),
+        Cause(
+            "goal_missed",
+            "the ball came to the far wall faster than docking_speed_max_mps",
+            "docking_speed_mps",
+            "docking_speed_max_mps",
+            None,
+            "m/s",
+            known="end",
+        ),
+    ),
+    applies=lambda case: isinstance(case.obstacle, Ledges),
+)

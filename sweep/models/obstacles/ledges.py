@@ -1,0 +1,85 @@
+"""A free ball between two ledges of equal height, leaning on the wall of the near one (monograph 3.2).
+
+World axes: x across the gap between the ledges, whose near wall is x = 0; z = 0 is the floor that the ball lies on.
+"""
+
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from jaxtyping import Array, Float
+
+from sweep.core.parameters import choice, parameters, quantity
+from sweep.models.obstacles.ball import Ball
+from sweep.models.obstacles.geoms import add_touching
+from sweep.models.obstacles.surface import Bodies, FreeState, Rolling, Surface
+from sweep.models.solids import SOIL, Box, Solid
+
+FLOOR, BALL, NEAR_TOP, NEAR_WALL, FAR_TOP, FAR_WALL = range(6)
+DEPTH, BREADTH = 4.0, 4.0  # m, of the ledges that are drawn; their surface has no end
+STIFFNESS = 1e6  # N/m, of the contact that `impact_damping` is a share of the critical damping of
+
+
+@parameters
+class Ledges(Ball):
+    """A ball of 100 kg between ledges that are a tenth lower than its top; at the start it rests at the near wall."""
+
+    kind: str = choice("ledges", "ledges")
+    radius: float = quantity(0.8, "m", above=0)  # R, of the ball
+    height: float = quantity(1.44, "m", above=0)  # of the ledges over the floor
+    width: float = quantity(3.6, "m", above=0)  # from wall to wall
+    gap: float = quantity(0.0, "m", at_least=0)  # from the ball to the near wall, at the start
+    offset: float = quantity(0.0, "m")  # of the ball's centre to the left, at the start
+    wall_grip: float = quantity(1.0, "-", at_least=0)  # multiplies the friction coefficient of ball and wall
+    impact_damping: float = quantity(1.0, "-", at_least=0)  # of ball and wall, over the critical
+
+    contact_sites = (("ball", 0), ("beside", 0))
+
+    def add_to(self, spec: mujoco.MjSpec, friction: float) -> None:
+        """Floor, ball and ledges."""
+        super().add_to(spec, friction)
+        for name in ("near_ledge", "far_ledge"):
+            add_touching(spec, name, "ball", friction * self.wall_grip, self.impact_damping)
+
+    def start(self) -> FreeState:
+        """Beside the near wall."""
+        free = super().start()
+        place = jnp.stack([jnp.asarray(x, float) for x in (self.radius + self.gap, self.offset, 0.0)])
+        return free._replace(position=free.position + place)
+
+    def solids(self, bodies: Bodies) -> tuple[Solid, ...]:
+        """The ledges end where no robot comes."""
+        half = (DEPTH / 2, BREADTH / 2, self.height / 2)
+        near = Box(name="near_ledge", position=(-DEPTH / 2, 0.0, half[2]), half=half, colour=SOIL)
+        far = Box(name="far_ledge", position=(self.width + DEPTH / 2, 0.0, half[2]), half=half, colour=SOIL)
+        return *super().solids(bodies), near, far
+
+    def beyond(self, points: Float[Array, "n 3"]) -> Float[Array, "n 2"]:
+        """How far points are behind the near wall and the far one (m)."""
+        return jnp.stack([-points[:, 0], points[:, 0] - self.width], axis=-1)
+
+    def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: Bodies) -> Surface:
+        """Floor, ball or a ledge, whichever is deepest; the ball's centre feels the floor, and a second time a wall."""
+        lies = super().surface(points, owner, bodies)
+        assert lies.rolling is not None
+        dtype, own = points.dtype, np.array(owner) >= 0
+        beside = np.cumsum(own) == 2
+        beyond = self.beyond(points)
+        far, wall = jnp.argmax(beyond, axis=-1), jnp.max(beyond, axis=-1)
+        over = self.height - points[:, 2]
+        sided = beside | (wall <= over)
+        inside = jnp.where(beside, wall + self.radius, jnp.where(own, -jnp.inf, jnp.minimum(wall, over)))
+        ledge = beside | (inside > lies.depth)
+        outward = jnp.where(far == 0, 1.0, -1.0)[:, None] * jnp.array([1.0, 0.0, 0.0], dtype)
+        normal = jnp.where(sided[:, None], outward, jnp.array([0.0, 0.0, 1.0], dtype))
+        face = (NEAR_TOP + 2 * far + sided).astype(jnp.int32)
+        damping = 2 * self.impact_damping * jnp.sqrt(STIFFNESS * self.mass)
+        rolls = jnp.where(beside, 0.0, 1.0).astype(dtype)
+        return Surface(
+            depth=jnp.where(ledge, inside, lies.depth),
+            normal=jnp.where(ledge[:, None], normal, lies.normal),
+            face=jnp.where(ledge, face, lies.face),
+            body=jnp.where(ledge, -1, lies.body),
+            friction_scale=jnp.where(beside, jnp.asarray(self.wall_grip, dtype), lies.friction_scale),
+            rolling=Rolling(lies.rolling.radius, rolls * lies.rolling.roll, rolls * lies.rolling.spin),
+            damping=jnp.asarray(beside, dtype) * damping,
+        )

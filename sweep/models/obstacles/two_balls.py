@@ -1,0 +1,77 @@
+"""Two equal free balls on the floor, one before the other (monograph 3.5).
+
+World axes: x from the first ball, on which the robot stands, to the second; z = 0 is the floor.
+"""
+
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from jaxtyping import Array, Float
+
+from sweep.core.parameters import choice, parameters, quantity
+from sweep.models.obstacles.ball import BALL, Ball
+from sweep.models.obstacles.geoms import add_touching
+from sweep.models.obstacles.surface import Bodies, FreeState, Rolling, Surface
+from sweep.models.solids import Solid, Sphere
+
+SECOND = BALL + 1
+STIFFNESS = 1e6  # N/m, of the contact that `impact_damping` is a share of the critical damping of
+
+
+@parameters
+class TwoBalls(Ball):
+    """Balls of 400 kg and 0.8 a_r; at the start the first one rests, or rolls, at the origin."""
+
+    kind: str = choice("two_balls", "two_balls")
+    mass: float = quantity(400.0, "kg", above=0)  # M, of each
+    gap: float = quantity(0.5, "m", at_least=0)  # between the balls, at the start
+    offset: float = quantity(0.0, "m")  # of the second ball to the left, at the start
+    ball_grip: float = quantity(1.0, "-", at_least=0)  # multiplies the friction coefficient of ball and ball
+    impact_damping: float = quantity(1.0, "-", at_least=0)  # of ball and ball, over the critical
+
+    free_bodies = ("ball", "second_ball")
+    contact_sites = (("ball", 0), ("second_ball", 1), ("between", 1))
+
+    def add_to(self, spec: mujoco.MjSpec, friction: float) -> None:
+        """Floor and balls."""
+        super().add_to(spec, friction)
+        add_touching(spec, "ball", "second_ball", friction * self.ball_grip, self.impact_damping)
+
+    def leaves(self) -> dict[str, dict[str, Array]]:
+        """Mass and inertia."""
+        return {field: dict.fromkeys(self.free_bodies, of["ball"]) for field, of in super().leaves().items()}
+
+    def start(self) -> FreeState:
+        """The second one rests."""
+        first = super().start()
+        still, ahead = jnp.zeros((1, 3)), 2 * self.radius + self.gap
+        place = jnp.stack([jnp.asarray(x, float) for x in (ahead, self.offset, self.radius)])[None]
+        second = FreeState(place, first.quat, still, still)
+        return FreeState(*[jnp.concatenate(both) for both in zip(first, second, strict=True)])
+
+    def solids(self, bodies: Bodies) -> tuple[Solid, ...]:
+        """Floor and balls."""
+        second = Sphere(name="second_ball", radius=self.radius, centre=bodies.position[1], body=1)
+        return *super().solids(bodies), second
+
+    def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: Bodies) -> Surface:
+        """Floor or a ball, whichever is deepest; the second ball's centre feels the floor, and then the first ball."""
+        one = super().surface(points, owner, bodies)
+        assert one.rolling is not None
+        dtype, own = points.dtype, np.array(owner) >= 0
+        between = np.cumsum(np.array(owner) == 1) == 2
+        radius = jnp.asarray(self.radius, dtype)
+        offset = points - jnp.where(between[:, None], bodies.position[0], bodies.position[1])
+        distance = jnp.sqrt(jnp.sum(offset**2, axis=-1) + 1e-12)
+        inside = jnp.where(between, 2 * radius, radius) - distance
+        other = between | (~own & (inside > one.depth))
+        rolls = jnp.where(between, 0.0, 1.0).astype(dtype)
+        return Surface(
+            depth=jnp.where(other, inside, one.depth),
+            normal=jnp.where(other[:, None], offset / distance[:, None], one.normal),
+            face=jnp.where(other, jnp.where(between, BALL, SECOND), one.face).astype(jnp.int32),
+            body=jnp.where(other, jnp.where(between, 0, 1), one.body).astype(jnp.int32),
+            friction_scale=jnp.where(between, jnp.asarray(self.ball_grip, dtype), one.friction_scale),
+            rolling=Rolling(one.rolling.radius, rolls * one.rolling.roll, rolls * one.rolling.spin),
+            damping=jnp.asarray(between, dtype) * 2 * self.impact_damping * jnp.sqrt(STIFFNESS * self.mass / 2),
+        )
