@@ -5,16 +5,18 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Int
+from jaxtyping import Array, Float, Int
 
 from sweep.controllers import touch
 from sweep.controllers.calibration import Calibrated
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import Plan, Shift
+from sweep.controllers.plan import Plan, Shift, Stance
 from sweep.controllers.touch import Touched
-from sweep.controllers.tracker import TrackerState
+from sweep.controllers.tracker import TrackerState, joint_targets
+from sweep.core.rotations import exponential, multiply
 from sweep.models.case import Case
 from sweep.models.obstacles.surface import fixed_surface
+from sweep.models.robot import Robot
 
 
 class Learned(NamedTuple):
@@ -23,6 +25,8 @@ class Learned(NamedTuple):
     calibrated: Calibrated | None
     touched: Touched | None
     plan: Plan | None  # the newest, where it plans again
+    # m, by how much what is left of it leaves the legs' reach; infinite where there is no plan for what is known
+    shortfall: Float[Array, ""] | None = None
 
 
 def informed(belief: Case, learned: Learned | None) -> Case:
@@ -73,10 +77,20 @@ def replanned(belief: Case, plan: Plan, stage: Int[Array, ""], learned: Learned)
     known = informed(belief, learned)
     fresh = replace(known.manoeuvre.plan(known), start=old.start, feedforward=old.feedforward)
     there_is = jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(fresh)]))
-    later = there_is & (jnp.arange(plan.duration.shape[0]) > stage)
+    left = jnp.arange(plan.duration.shape[0]) > stage
+    shortfall = jnp.where(there_is, jnp.max(jnp.where(left, _shortfall(known.robot, fresh), 0.0)), jnp.inf)
+    later = there_is & left
 
     def chosen(a: Array, b: Array) -> Array:
         staged = a.ndim and a.shape[0] == later.shape[0]
         return jnp.where(later.reshape(-1, *[1] * (a.ndim - 1)), a, b) if staged else b
 
-    return learned._replace(plan=replace(jax.tree.map(chosen, fresh, old), start=old.start))
+    newer = replace(jax.tree.map(chosen, fresh, old), start=old.start)
+    return learned._replace(plan=newer, shortfall=shortfall)
+
+
+def _shortfall(robot: Robot, plan: Plan) -> Float[Array, " s"]:
+    """How far the worst foot is out of reach (m) at the end of each stage, nothing being free to move."""
+    quat = multiply(exponential(plan.turn), plan.quat)
+    short = jax.vmap(lambda *stance: joint_targets(robot, Stance(*stance))[1])(plan.foothold, plan.position, quat)
+    return jnp.max(short if plan.posture is None else jnp.where(plan.posture.held, 0.0, short), axis=1)

@@ -41,7 +41,8 @@ def prepared(world: Case, belief: Case, key: Array) -> tuple[Case, Plan, Learned
     touched = None if control.touch == "none" else touch.untouched(control, belief.obstacle)
     if calibrated is None and touched is None:
         return belief, plan, None
-    return belief, plan, Learned(calibrated, touched, None if control.replan == "never" else plan)
+    again = (None, None) if control.replan == "never" else (plan, jnp.zeros(()))
+    return belief, plan, Learned(calibrated, touched, *again)
 
 
 def check(world: Case, belief: Case, plan: Plan) -> None:

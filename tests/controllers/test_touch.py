@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from sweep.controllers import touch
+from sweep.controllers.calibration import Calibrated
 from sweep.controllers.learned import Learned, replanned
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import Stance, begins, reference
@@ -104,14 +105,24 @@ def test_what_is_left_of_the_way_is_planned_for_the_pole_that_was_found():
     other = dataclasses.replace(CASE, obstacle=found)
     stage = plan.names.index("on.front")
     touched = untouched()._replace(obstacle=found)
-    again = jax.jit(lambda: replanned(CASE, plan, jnp.int32(stage), Learned(None, touched, plan)).plan)()
+    learned = jax.jit(lambda: replanned(CASE, plan, jnp.int32(stage), Learned(None, touched, plan)))()
+    again = learned.plan
+    assert float(learned.shortfall) == 0
     fresh = other.manoeuvre.plan(other)
     np.testing.assert_array_equal(again.foothold[: stage + 1], plan.foothold[: stage + 1])
     np.testing.assert_allclose(again.foothold[stage + 1 :], fresh.foothold[stage + 1 :], atol=1e-5)
     np.testing.assert_allclose(again.position[stage + 1 :], fresh.position[stage + 1 :], atol=1e-5)
     none = Learned(None, touched._replace(obstacle=dataclasses.replace(found, radius=jnp.nan)), plan)
-    kept = jax.jit(lambda: replanned(CASE, plan, jnp.int32(stage), none).plan)()
-    np.testing.assert_array_equal(kept.foothold, plan.foothold)
+    kept = jax.jit(lambda: replanned(CASE, plan, jnp.int32(stage), none))()
+    np.testing.assert_array_equal(kept.plan.foothold, plan.foothold)
+    assert float(kept.shortfall) == np.inf
+
+
+def test_a_plan_out_of_reach_is_told_as_soon_as_it_is_made():
+    plan, stage = planned(), jnp.int32(planned().names.index("on.front"))
+    small = Calibrated(dataclasses.replace(CASE.robot, shin=0.2), jnp.zeros((4, 4)))
+    learned = jax.jit(lambda: replanned(CASE, plan, stage, Learned(small, untouched(), plan)))()
+    assert 0.005 < float(learned.shortfall) < 0.5
 
 
 @pytest.mark.parametrize(
