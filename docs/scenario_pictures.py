@@ -34,6 +34,7 @@ SCENARIOS = (
     "ball_drive",
     "ball_climb",
     "ball_descend",
+    "ball_over",
     "corner_full",
     "raft_cross",
     "raft_stand",
