@@ -22,6 +22,7 @@ from sweep.analysis.intervals import wilson
 from sweep.controllers.manoeuvres.balancing.ball_aside import BallAside, gain
 from sweep.controllers.manoeuvres.balancing.ball_climb import BallClimb
 from sweep.controllers.manoeuvres.balancing.ball_descend import BallDescend
+from sweep.controllers.manoeuvres.balancing.ball_over import BallOver
 from sweep.core.rotations import matrix, rotate
 from sweep.engines.base import Trace
 from sweep.formulas.ball import GRAVITY, ROLLING, lateral_mu
@@ -40,6 +41,7 @@ RUNS = {
     "ball_each_step": ["scenario=ball_drive", "manoeuvre.steps=40"],
     "ball_every_fourth": ["scenario=ball_drive", "manoeuvre.steps=40", "manoeuvre.push_every=4"],
     "ball_descend": ["scenario=ball_descend"],
+    "ball_over": ["scenario=ball_over"],
     "ball_aside": ["scenario=ball_aside", "manoeuvre.stops=3"],
     "ball_climb": ["scenario=ball_climb", "manoeuvre.calm=4"],
 }
@@ -52,7 +54,7 @@ def draw(name: str) -> Path:
     trace = make_engine(exp, one).trace(exp.case, exp.case, one.streams, 0)
     path = FIGURES / f"{name}.png"
     match exp.case.manoeuvre:
-        case BallDescend():
+        case BallDescend() | BallOver():
             figure = descent(trace)
         case BallClimb():
             figure = draw_way(trace)

@@ -36,6 +36,7 @@ SCENARIOS = (
     "ball_descend",
     "ball_ledges",
     "ball_to_ball",
+    "ball_over",
     "corner_full",
     "raft_cross",
     "raft_stand",

@@ -110,7 +110,7 @@ def test_it_gets_over_a_ball(engine):
     assert classify(trace.figures, trial.thresholds, simulation.stages)["outcome"] == "success"
     begins = {name: np.flatnonzero(trace.stage == k) for k, name in enumerate(trace.stages)}
     base, ball = trace.qpos[:, 0], trace.qpos[:, -7]
-    assert ball[begins["lower"][0]] - ball[begins["calm1"][0]] == pytest.approx(2.0, abs=0.05)
+    assert ball[begins["lower"][0]] - ball[begins["calm1"][0]] == pytest.approx(2.0, abs=0.1)
     assert base[-1] - base[begins["rest"][-1]] > 0.6
 
 

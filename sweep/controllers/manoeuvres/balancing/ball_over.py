@@ -43,8 +43,9 @@ class BallOver(BesideBall):
     kind: str = choice("ball_over", "ball_over")
     speed: float = quantity(0.13, "m/s", above=0)  # v_d, of the ball on its way
     place: float = quantity(2.37, "m")  # x of the ball's centre where the robot comes down; it is on top near 0.37
-    near: float = quantity(0.05, "m", above=0)  # to that place, of a ball that is calm
-    drive: int = count(35, at_least=1, at_most=500)  # steps on the ball on its way, at most
+    brake: float = quantity(0.15, "1/s", above=0)  # wanted speed for each metre that is left to that place, at most
+    near: float = quantity(0.1, "m", above=0)  # to that place, of a ball that is calm
+    drive: int = count(50, at_least=1, at_most=500)  # steps on the ball on its way, at most
     away: int = count(4, at_least=1, at_most=200)  # swings by tripod on the floor
     half_step_ratio: float = quantity(0.1, "a_r", above=0, at_most=0.5)  # d_x, half of what a foot moves ahead in those
     lift_ratio: float = quantity(0.05, "a_r", above=0, at_most=0.5)  # d_y, how high it is lifted
@@ -73,10 +74,8 @@ class BallOver(BesideBall):
 
     @property
     def driving(self) -> BallDrive:
-        """The steps that roll the ball to its place."""
-        return BallDrive(steps=self.drive, speed=self.speed, place=self.place, circle_ratio=self.circle_ratio,
-                         chord_ratio=self.chord_ratio, height_ratio=self.height_ratio,
-                         deepening=self.deepening)  # fmt: skip
+        """The steps that roll the ball to its place, with the gains of those that stop it."""
+        return replace(self.calming, steps=self.drive, speed=self.speed, place=self.place, brake=self.brake)
 
     @property
     def parts(self) -> Mapping[str, Guided]:
@@ -100,8 +99,9 @@ class BallOver(BesideBall):
         """By tripod, once the middle feet are under their hips; in the frame of a ball that is not to move."""
         radius, length = belief.on(Ball).radius, belief.robot.body_length
         height, spread = self.hips_ratio * length, self.spread_ratio * length
-        position = centre(belief.on(Ball), table.off[-1].pose).at[2].set(height - radius)
         step = Step(self.half_step_ratio * length, self.lift_ratio * length, stepping.swing_time(self.turning))
+        stood = centre(belief.on(Ball), table.off[-1].pose)
+        position = stood.at[0].add(step.half_length).at[2].set(height - radius)  # so far that no leg hits the ball
         under = position + centres(belief, spread, height, AHEAD)
         first = Stage("away.3-4", 1.0, {leg: under[leg - 1] for leg in MIDDLE}, CYCLE_B, 2 * step.height,
                       position=position, rates=STILL)  # fmt: skip
