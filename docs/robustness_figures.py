@@ -21,6 +21,8 @@ ERRORS = {  # what a line of the table is called, and how its numbers are told
     "noise.orientation_bias": ("bias of it, mrad", 1000),
     "noise.joint_bias": ("bias of every joint angle, mrad", 1000),
     "noise.delay": ("delay, ms", 4),
+    "noise.load_noise": ("noise of the measured load on feet, N", 1),
+    "noise.load_delay": ("delay of it, beyond the rest, ms", 4),
     "world.contact.friction": ("friction, believed to be 1", 1),
     "world.execution.torque_scale": ("torque limit, % of the believed one", 100),
 }
