@@ -35,7 +35,6 @@ SCENARIOS = (
     "ball_climb",
     "ball_descend",
     "ball_ledges",
-    "ball_to_ball",
     "ball_over",
     "corner_full",
     "raft_cross",
