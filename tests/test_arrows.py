@@ -19,6 +19,7 @@ FILES_BELOW_RUNS = {
     "sweep.core.waiting",
     "sweep.core.provenance",
     "sweep.engines.devices",
+    "sweep.engines.fused.cuda",
     "sweep.engines.program_cache",
     "sweep.study.config",
     "sweep.study.study",

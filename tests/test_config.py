@@ -23,6 +23,9 @@ SHARED = (
     "any_robustness",
     "ball_sizes",
     "ball_unknown",
+    "ball_unknown_small",
+    "ball_mass_unknown",
+    "ball_way_noise",
     "ladder_sizes",
     "ladder_unknown",
     "ladder_noise",
@@ -59,6 +62,8 @@ def test_a_manoeuvre_on_an_obstacle_that_it_is_not_for_is_refused_in_one_line():
     walks = ("tripod", "gallop", "walk", "stand", "waypoints")
     ground = set(itertools.product(walks, ("flat", "slope", "plane")))
     others = {(name, part) for name in values["manoeuvre"] for part in name.split("_") if part in values["obstacle"]}
+    others -= {("ball_ledges", "ball"), ("ball_to_ball", "ball")}
+    others |= {("ball_to_ball", "two_balls")}
     others |= {(name, "pole_ledge") for name, on in others if on == "pole"}
     assert fits == ground | others
 

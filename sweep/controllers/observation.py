@@ -53,8 +53,9 @@ def biases(noise: Noise, key: Array) -> Biases:
     shapes = ((3,), (3,), (3,), (6, 3))
     sizes = (noise.position_bias, noise.orientation_bias, noise.velocity_bias, noise.joint_bias)
     draws = zip(keys, sizes, shapes, strict=True)
+    position, turn, velocity, joint = (size * jax.random.normal(k, shape, float) for k, size, shape in draws)
     load = noise.load_bias * jax.random.normal(jax.random.fold_in(key, LOAD), (6,), float)
-    return Biases(*(size * jax.random.normal(k, shape, float) for k, size, shape in draws), load)
+    return Biases(position, turn, velocity, joint, load)
 
 
 def install(noise: Noise, key: Array, truth: Observation) -> Sensors:

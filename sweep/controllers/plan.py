@@ -197,8 +197,8 @@ def assemble(
     flywheel = None if gains is None else Flywheel(mode, jax.tree.map(lambda x: jnp.asarray(x, float), gains))
     onset, ease = tuple(stage.onset for stage in stages), None if ease is None else jnp.asarray(ease, float)
     return Plan(names=names, start=start, patience=jnp.asarray(patience, float), posture=_postures(stages),
-                flywheel=flywheel, feedforward=None, steered=steered, onset=onset, support=_supports(stages), ease=ease,
-                afloat=afloat, **table)  # fmt: skip
+                flywheel=flywheel, feedforward=None, shift=None, steered=steered, onset=onset,
+                support=_supports(stages), ease=ease, afloat=afloat, **table)  # fmt: skip
 
 
 def _moves_frames(before: Stage, stage: Stage) -> bool:

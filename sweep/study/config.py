@@ -34,6 +34,7 @@ from sweep.models.disturbance import Execution
 from sweep.models.drive import Drive
 from sweep.models.noise import Noise
 from sweep.models.obstacles import OBSTACLES
+from sweep.models.obstacles.surface import Obstacle
 from sweep.models.robot import Robot
 from sweep.study import sources
 from sweep.study.clusters import CLUSTERS, Cluster
@@ -222,7 +223,7 @@ def experiment(values: Mapping[str, Any]) -> Experiment:
         parts[group] = build(kinds[kind], values[group], group)
     cluster = parts.pop("cluster")
     case = Case(**parts)
-    if not isinstance(case.obstacle, case.manoeuvre.needs):
+    if _asked_for(case.obstacle) not in case.manoeuvre.needs:
         needed = " or ".join(kind for kind, cls in OBSTACLES.items() if cls in case.manoeuvre.needs)
         kinds = f"obstacle.kind = {case.obstacle.kind} is not allowed: manoeuvre.kind = {case.manoeuvre.kind}"
         raise InputError(f"{kinds} needs {needed}")
@@ -239,6 +240,12 @@ def experiment(values: Mapping[str, Any]) -> Experiment:
         parameter(theory.of, case, settings)
         theory.numbers(lambda path: nominal(path, case, settings))
     return Experiment(scenario["name"], case, settings, limits, cluster, study, values["out"], dict(values))
+
+
+def _asked_for(obstacle: Obstacle) -> type | None:
+    """The nearest class of an obstacle that manoeuvres ask for: a ball between ledges is no ball to climb from the floor."""
+    asked = {cls for manoeuvre in MANOEUVRES.values() for cls in manoeuvre.needs}
+    return next((cls for cls in type(obstacle).__mro__ if cls in asked), None)
 
 
 def _names(cls: type) -> tuple[str, ...]:

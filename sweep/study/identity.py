@@ -10,9 +10,11 @@ import pandas as pd
 
 from sweep.models.case import Case
 from sweep.models.control import Control
+from sweep.models.noise import Noise
 from sweep.study.designs import SIDES
 
 DIGITS = 12  # of a number that count
+LATER = ("noise.load_noise", "noise.load_bias", "noise.load_delay")  # inputs that rows of before had at their defaults
 
 
 def streams(seed: int, replicates: int) -> np.ndarray:
@@ -24,8 +26,8 @@ def point_ids(table: pd.DataFrame, case: Case) -> np.ndarray:
     """Hash (16 hexadecimal digits) of all physical inputs of every row and its replicate.
 
     The sum over all inputs of a hash of name and value, so that it is the same whether an input is varied or
-    nominal. How a row is simulated plays no part. Of `control` only what is not as by default counts: where it is off,
-    the ids are those of before there was any.
+    nominal. How a row is simulated plays no part. Of `control` and of errors of the feet's load only what is not as by
+    default counts: where they are off, the ids are those of before there were any.
     """
     groups = {f.name for f in dataclasses.fields(case)}
     nominal = {f"{side}.{path}": value for side in SIDES for path, value in _flat(case, "")}
@@ -38,7 +40,8 @@ def point_ids(table: pd.DataFrame, case: Case) -> np.ndarray:
             varied |= {f"{side}.{column}": column for side in SIDES}
     parts = [_hashes(key, np.asarray([value])) for key, value in nominal.items() if key not in varied]
     parts += [_hashes(key, table[column].to_numpy()) for key, column in varied.items()]
-    for path, value in _flat(Control(), "control"):
+    later = [(path, value) for path, value in _flat(Noise(), "noise") if path in LATER]
+    for path, value in [*_flat(Control(), "control"), *later]:
         parts += [-_hashes(f"{side}.{path}", np.asarray([value])) for side in SIDES]
     parts.append(_hashes("replicate", table["replicate"].to_numpy()))
     total = np.zeros(len(table), np.uint64)

@@ -103,7 +103,7 @@ class BallLedges(OnBall, InParts):
     goal: ClassVar = {**UPRIGHT, "docking_speed_max_mps": 0.04, "past_centre_max_m": 0.02}
     kind: str = choice("ball_ledges", "ball_ledges")
     steps: int = count(34, at_least=1, at_most=200)  # that roll the ball, at most
-    step_time: float = quantity(1.2, "s", above=0, at_most=20)  # of these
+    step_time: float = quantity(1.2, "s", above=0, at_most=20)  # of these steps
     speed: float = quantity(0.1, "m/s", above=0)  # of the ball on its way
     speed_gain: float = quantity(0.3, "s", at_least=0)  # k_v, of `ball_drive`
     brake: float = quantity(0.1, "1/s", above=0)  # wanted speed for each metre that is left, at most
