@@ -243,7 +243,7 @@ def experiment(values: Mapping[str, Any]) -> Experiment:
 
 
 def _asked_for(obstacle: Obstacle) -> type | None:
-    """The nearest class of an obstacle that manoeuvres ask for: a ball between ledges is no ball to climb from the floor."""
+    """The nearest class of an obstacle that manoeuvres ask for: a ball between ledges is no ball on a floor."""
     asked = {cls for manoeuvre in MANOEUVRES.values() for cls in manoeuvre.needs}
     return next((cls for cls in type(obstacle).__mro__ if cls in asked), None)
 
