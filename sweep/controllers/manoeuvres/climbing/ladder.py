@@ -34,6 +34,8 @@ from sweep.models.robot import total_mass
 from sweep.models.scene import mounts
 
 OWN = fixed(0)  # the ladder's axes
+THIRD, TOP = 3.0, 6.47  # places of the base along the ladder: rungs; the ledge nominally
+GAP = 0.15  # leg units, that the base still has to go when the feet take their places before the ladder
 AWAY = 0.72  # leg units beyond the ledge's edge, of the base when it begins to walk away
 
 
@@ -71,11 +73,20 @@ class LadderSite(NamedTuple):
         """The ladder's own y at a height along it, in rungs; whole ones at their tops."""
         return self.ladder.centre - rungs * self.ladder.rung_step
 
+    def along(self, place: Array | float) -> Array | float:
+        """The ladder's own y of the base: in rungs up to the third, from there evenly to `TOP` at the ledge's height.
+
+        So it goes with the ledge the more, the more feet stand there, however high the ledge is over the rungs.
+        """
+        ledge = self.ladder.ledge_height / jnp.sin(jnp.asarray(self.ladder.lean))
+        rungs, above = jnp.minimum(place, THIRD), jnp.maximum(place - THIRD, 0.0) / (TOP - THIRD)
+        return self.up(rungs) - above * (ledge - THIRD * self.ladder.rung_step)
+
     def base(self, move: Move) -> Float[Array, " 3"]:
         """Where the base goes (m), in the axes of its frame."""
         one, other = move.base
         if move.over == ALONG:
-            return _point(0.0, self.up(one), other * self.unit)
+            return _point(0.0, self.along(one), other * self.unit)
         return _point(0.0, -one * self.unit, self.ladder.ledge_height + other * self.unit)
 
     def guides(self, leg: int, move: Move, start: Array, goal: Array) -> Float[Array, "2 3"]:
@@ -138,7 +149,7 @@ class LadderClimb(PlannedForces):
         arrival = _point(0.0, site.foot + first.base[1] * unit, first.base[0] * unit)
         places = {leg: _point(float(SIDE[leg - 1]) * aside * unit, site.foot + ahead * unit, 0.0)
                   for legs, (aside, ahead) in PLACES.items() for leg in legs}  # fmt: skip
-        start, walk = walk_up(belief, step, arrival, spread, places, self.steps)
+        start, walk = walk_up(belief, step, arrival, spread, places, self.steps, GAP * unit)
         last = _point(0.0, -AWAY * unit, ladder.ledge_height + height)
         settle, off = walk_away(belief, step, last, spread, height, self.steps_away)
         climb = stages(site, rest, places, step.time)
@@ -179,7 +190,7 @@ def _worst_reach(belief: Case, site: LadderSite, moves: Sequence[Move]) -> tuple
     origin, turn = (np.asarray(x[0]) for x in site.ladder.leaning())
     feet, worst = {}, ("", 0, -np.inf)
     for move in moves[1:]:
-        base, pitch = np.asarray(site.base(move)), np.radians(move.pitch)
+        base, pitch = np.asarray(site.base(move)), move.pitch * site.ladder.lean
         base = origin + turn @ base if move.over == ALONG else base
         ahead = np.array([[0.0, -np.cos(pitch), np.sin(pitch)], [1.0, 0.0, 0.0], [0.0, np.sin(pitch), np.cos(pitch)]])
         for leg in move.legs:
@@ -204,7 +215,7 @@ def stages(site: LadderSite, moves: Sequence[Move], places: dict[int, Array], ti
             at[leg] = swing[leg] = site.place(leg, move)
             guides[leg] = site.guides(leg, move, start, swing[leg])
             stand[leg] = frame
-        turn = jnp.radians(jnp.asarray(pitch - move.pitch, float))
+        turn = jnp.asarray((pitch - move.pitch) * site.ladder.lean, float)
         out.append(Stage(f"climb.{move.name}", move.time * time, swing, CYCLE_B, position=site.base(move),
                          turn=_point(turn, 0.0, 0.0), rates=EASED, guides=guides,
                          foot_frames=tuple(stand[leg] for leg in LEGS),
