@@ -28,7 +28,7 @@ from sweep.formulas.ladder import ladder as statics
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
 from sweep.models.legs import LEGS
-from sweep.models.obstacles.ladder import Ladder
+from sweep.models.obstacles.ladder import Ladder, point
 from sweep.models.obstacles.surface import FreeState
 from sweep.models.robot import total_mass
 from sweep.models.scene import mounts
@@ -64,10 +64,10 @@ class LadderSite(NamedTuple):
         aside, other = move.place
         x = float(SIDE[leg - 1]) * aside * self.unit
         if move.where == RUNG:
-            return _point(x, self.up(move.rung) + self.deepening, other * self.ladder.rung_depth)
+            return point(x, self.up(move.rung) + self.deepening, other * self.ladder.rung_depth)
         if move.where == FLOOR:
-            return _point(x, self.foot + other * self.unit, -self.deepening)
-        return _point(x, -other * self.unit, self.ladder.ledge_height - self.deepening)
+            return point(x, self.foot + other * self.unit, -self.deepening)
+        return point(x, -other * self.unit, self.ladder.ledge_height - self.deepening)
 
     def up(self, rungs: Array | float) -> Array | float:
         """The ladder's own y at a height along it, in rungs; whole ones at their tops."""
@@ -86,8 +86,8 @@ class LadderSite(NamedTuple):
         """Where the base goes (m), in the axes of its frame."""
         one, other = move.base
         if move.over == ALONG:
-            return _point(0.0, self.along(one), other * self.unit)
-        return _point(0.0, -one * self.unit, self.ladder.ledge_height + other * self.unit)
+            return point(0.0, self.along(one), other * self.unit)
+        return point(0.0, -one * self.unit, self.ladder.ledge_height + other * self.unit)
 
     def guides(self, leg: int, move: Move, start: Array, goal: Array) -> Float[Array, "2 3"]:
         """Control points (m) of a swing, in the axes of its goal."""
@@ -146,11 +146,11 @@ class LadderClimb(PlannedForces):
         step = Step(self.half_step_ratio * length, self.lift_ratio * length, stepping.swing_time(self.rate))
         height, spread = self.height_ratio * unit, self.spread_ratio * length
         first, *rest = moves
-        arrival = _point(0.0, site.foot + first.base[1] * unit, first.base[0] * unit)
-        places = {leg: _point(float(SIDE[leg - 1]) * aside * unit, site.foot + ahead * unit, 0.0)
+        arrival = point(0.0, site.foot + first.base[1] * unit, first.base[0] * unit)
+        places = {leg: point(float(SIDE[leg - 1]) * aside * unit, site.foot + ahead * unit, 0.0)
                   for legs, (aside, ahead) in PLACES.items() for leg in legs}  # fmt: skip
         start, walk = walk_up(belief, step, arrival, spread, places, self.steps, GAP * unit)
-        last = _point(0.0, -AWAY * unit, ladder.ledge_height + height)
+        last = point(0.0, -AWAY * unit, ladder.ledge_height + height)
         settle, off = walk_away(belief, step, last, spread, height, self.steps_away)
         climb = stages(site, rest, places, step.time)
         way = [Stage("settle", self.settle), *walk, *self.loading([*climb, *settle]), *off, Stage("halt", self.settle)]
@@ -217,12 +217,8 @@ def stages(site: LadderSite, moves: Sequence[Move], places: dict[int, Array], ti
             stand[leg] = frame
         turn = jnp.asarray((pitch - move.pitch) * site.ladder.lean, float)
         out.append(Stage(f"climb.{move.name}", move.time * time, swing, CYCLE_B, position=site.base(move),
-                         turn=_point(turn, 0.0, 0.0), rates=EASED, guides=guides,
+                         turn=point(turn, 0.0, 0.0), rates=EASED, guides=guides,
                          foot_frames=tuple(stand[leg] for leg in LEGS),
                          base_frame=OWN if move.over == ALONG else WORLD))  # fmt: skip
         pitch = move.pitch
     return out
-
-
-def _point(x: Array | float, y: Array | float, z: Array | float) -> Float[Array, " 3"]:
-    return jnp.stack([jnp.asarray(value, float) for value in (x, y, z)])
