@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from sweep.controllers.forces import PlannedForces
+from sweep.controllers.forces import LAST, PlannedForces
 from sweep.controllers.frames import WORLD, fixed, to_frame, to_world
 from sweep.controllers.gaits import Step
 from sweep.controllers.manoeuvres.climbing.ladder_moves import ALONG, FLOOR, MOVES, PLACES, RUNG, Move
@@ -34,7 +34,7 @@ from sweep.models.robot import total_mass
 from sweep.models.scene import mounts
 
 OWN = fixed(0)  # the ladder's axes
-THIRD, TOP = 3.0, 6.47  # places of the base along the ladder: rungs; the ledge nominally
+TOP = 6.47  # rungs, of the ledge along the nominal ladder
 GAP = 0.15  # leg units, that the base still has to go when the feet take their places before the ladder
 AWAY = 0.72  # leg units beyond the ledge's edge, of the base when it begins to walk away
 
@@ -73,21 +73,19 @@ class LadderSite(NamedTuple):
         """The ladder's own y at a height along it, in rungs; whole ones at their tops."""
         return self.ladder.centre - rungs * self.ladder.rung_step
 
-    def along(self, place: Array | float) -> Array | float:
-        """The ladder's own y of the base: in rungs up to the third, from there evenly to `TOP` at the ledge's height.
-
-        So it goes with the ledge the more, the more feet stand there, however high the ledge is over the rungs.
-        """
-        ledge = self.ladder.ledge_height / jnp.sin(jnp.asarray(self.ladder.lean))
-        rungs, above = jnp.minimum(place, THIRD), jnp.maximum(place - THIRD, 0.0) / (TOP - THIRD)
-        return self.up(rungs) - above * (ledge - THIRD * self.ladder.rung_step)
+    @property
+    def excess(self) -> Array | float:
+        """By how much (m, along the ladder) the ledge is farther up than `TOP` rungs."""
+        return self.ladder.ledge_height / jnp.sin(jnp.asarray(self.ladder.lean)) - TOP * self.ladder.rung_step
 
     def base(self, move: Move) -> Float[Array, " 3"]:
-        """Where the base goes (m), in the axes of its frame."""
+        """Where the base goes (m), in the axes of its frame: over the ledge along its own axis, short of following."""
         one, other = move.base
         if move.over == ALONG:
-            return point(0.0, self.along(one), other * self.unit)
-        return point(0.0, -one * self.unit, self.ladder.ledge_height + other * self.unit)
+            return point(0.0, self.up(one) - move.follow * self.excess, other * self.unit)
+        back, pitch = (1 - move.follow) * self.excess, jnp.asarray(move.pitch * self.ladder.lean)
+        y, z = back * jnp.cos(pitch) - one * self.unit, other * self.unit - back * jnp.sin(pitch)
+        return point(0.0, y, self.ladder.ledge_height + z)
 
     def guides(self, leg: int, move: Move, start: Array, goal: Array) -> Float[Array, "2 3"]:
         """Control points (m) of a swing, in the axes of its goal."""
@@ -116,6 +114,7 @@ class LadderClimb(PlannedForces):
     rate: float = quantity(3.0, "rad/s", above=0, at_most=20)  # varpi, of the swings, whose time t* it gives
     deepening: float = quantity(5e-4, "m", at_least=0, at_most=0.05)  # of footholds, inside
     patience: float = quantity(0.5, "s", at_least=0)  # longest wait for a touchdown
+    slack: float = quantity(0.2, "-", at_least=LAST, at_most=2)  # of planned forces, see `PlannedForces`
     load_time: float = quantity(0.3, "s", above=0, at_most=10)  # for load to go from foot to foot before a swing
     observer: float = quantity(0.1, "s", at_least=0, at_most=10)  # in which the measured ladder is taken over
 
