@@ -29,8 +29,10 @@ Effort = Literal["friction", "torque", "normal"]
 _BOUND: dict[Effort, str] = {"friction": "friction", "torque": "torque", "normal": "most_normal"}
 
 ROUND_STEPS = 2  # Newton steps of a round
-# By how much each round's level lies above the largest effort: first no level, from no balance to the first centre.
-SLACK = np.array([1e12] * 12 + list(np.geomspace(0.05, 0.01, 40)), np.float32)
+# By how much each round's level lies above the largest effort: first no level, from no balance to the first centre. In
+# the last one by `LAST`, if `Bounds` says nothing else.
+LAST = 0.01
+SLACK = np.array([1e12] * 12 + list(np.geomspace(5 * LAST, LAST, 40)), np.float32)
 LENGTHS = (1.0, 0.7, 0.5, 0.3, 0.15, 0.07, 0.03, 0.01)  # of a Newton step, of which the longest that fits is taken
 FOCUS = 8.0  # weight of the pressed bounds against all others
 KEEP = 0.2  # of the room to a bound that a step has to leave
@@ -56,6 +58,8 @@ class Bounds(NamedTuple):
     torque: Array | float  # N m, of a joint
     least_normal: Array | float = 0.0  # N
     most_normal: Array | float = 1e4  # N
+    # share of the effort that the level above it is away: the more, the farther are forces from all other bounds
+    slack: Array | float = LAST
 
 
 class Forces(NamedTuple):
@@ -91,8 +95,8 @@ def distribute(pose: StaticPose, bounds: Bounds, least: Effort) -> Forces:
 
     The method of centres: a level is set a little above the largest effort, Newton's method takes the forces towards
     the point that is farthest, in the logarithmic sense, from the level and all bounds, and so on with ever less room.
-    The effort ends within some 3 % of the least possible one. What is left of the weight (`imbalance`) stays below
-    1 % where forces within the bounds exist, and above it where there are none.
+    With the least `slack` the effort ends within some 3 % of the least possible one. What is left of the weight
+    (`imbalance`) stays below 1 % where forces within the bounds exist, and above it where there are none.
     """
     scaled = _Scaled.of(pose)
     start = Bounds(
@@ -109,7 +113,7 @@ def distribute(pose: StaticPose, bounds: Bounds, least: Effort) -> Forces:
         return jax.lax.fori_loop(0, ROUND_STEPS, lambda _, f: scaled.towards_centre(f, lower, least), force), None
 
     first = scaled.first(levels)
-    force, _ = jax.lax.scan(one_round, first, jnp.asarray(SLACK, first.dtype))
+    force, _ = jax.lax.scan(one_round, first, jnp.asarray(SLACK, first.dtype) * (bounds.slack / LAST))
     sound = jnp.all(jnp.isfinite(force))  # far from any solution Newton's method may break down
     force = jnp.where(sound, force, 0.0)
     efforts = {name: jnp.max(scaled.effort(force, name)) for name in _BOUND}
@@ -268,6 +272,8 @@ class PlannedForces:
     friction_share: float = quantity(1.0, "-", above=0, at_most=1)  # of the believed friction, planned with at most
     torque_share: float = quantity(0.85, "-", above=0, at_most=1)  # of the believed drives' limit
     least_normal: float = quantity(8.0, "N", at_least=0)  # force of a standing foot
+    # share of the effort by which forces may ask for more than it, to keep away from all other bounds
+    slack: float = quantity(LAST, "-", at_least=LAST, at_most=2)
     creep: float = quantity(0.0125, "m/s", at_least=0)  # inwards, of a foot that has missed the surface
     anchoring: float = quantity(0.01, "s", above=0)  # in which footholds follow the feet
 
@@ -287,6 +293,7 @@ class PlannedForces:
             self.friction_share * belief.contact.friction,
             self.torque_share * belief.drive.torque_limit,
             self.least_normal,
+            slack=self.slack,
         )
         return along(belief, plan, bounds, cast(Effort, self.effort))
 

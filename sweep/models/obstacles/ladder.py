@@ -72,12 +72,12 @@ class Ladder:
     def bars(self) -> Bars:
         """Rails and rungs."""
         aside = (self.width + self.rail_breadth) / 2
-        rail = _row(self.rail_breadth / 2, self.length / 2, self.rail_depth / 2)
-        rung = _row(self.width / 2, self.rung_height / 2, self.rung_depth / 2)
-        middles = [_row(side * aside, self.centre - self.length / 2, 0.0) for side in SIDES]
+        rail = point(self.rail_breadth / 2, self.length / 2, self.rail_depth / 2)
+        rung = point(self.width / 2, self.rung_height / 2, self.rung_depth / 2)
+        middles = [point(side * aside, self.centre - self.length / 2, 0.0) for side in SIDES]
         tops = [self.centre - k * self.rung_step + self.rung_height / 2 for k in range(1, self.rungs + 1)]
         return Bars(
-            jnp.stack([*middles, *(_row(0.0, top, 0.0) for top in tops)]), jnp.stack([rail] * 2 + [rung] * self.rungs)
+            jnp.stack([*middles, *(point(0.0, top, 0.0) for top in tops)]), jnp.stack([rail] * 2 + [rung] * self.rungs)
         )
 
     def add_to(self, spec: mujoco.MjSpec, friction: float) -> None:
@@ -118,7 +118,7 @@ class Ladder:
         inertia = jnp.sum(mass[:, None] * (jnp.sum(squares, axis=-1, keepdims=True) - squares), axis=0)
         ends = {"lower": self.centre, "upper": self.centre - self.length}
         aside, inner = (self.width + self.rail_breadth) / 2, -self.rail_depth / 2
-        sites = {f"{end}_{side}": _row(sign * aside, y, inner)
+        sites = {f"{end}_{side}": point(sign * aside, y, inner)
                  for end, y in ends.items() for side, sign in zip(("right", "left"), SIDES, strict=True)}  # fmt: skip
         return {
             "body_mass": {"ladder": jnp.asarray(self.mass)},
@@ -133,7 +133,7 @@ class Ladder:
         y = self.gap + (self.length - self.centre) * cos + edge * sin
         z = self.gap + self.centre * sin + edge * cos
         quat = jnp.stack([jnp.cos(lean / 2), -jnp.sin(lean / 2), zero, zero])
-        return FreeState(_row(0.0, y, z)[None], quat[None], jnp.zeros((1, 3)), jnp.zeros((1, 3)))
+        return FreeState(point(0.0, y, z)[None], quat[None], jnp.zeros((1, 3)), jnp.zeros((1, 3)))
 
     def leaning(self) -> Bodies:
         """Where the ladder starts."""
@@ -196,5 +196,6 @@ class Ladder:
         )
 
 
-def _row(*numbers: Array | float) -> Array:
-    return jnp.stack([jnp.asarray(x, float) for x in numbers])
+def point(x: Array | float, y: Array | float, z: Array | float) -> Float[Array, " 3"]:
+    """Numbers, some of them perhaps arrays, as one."""
+    return jnp.stack([jnp.asarray(value, float) for value in (x, y, z)])

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from sweep.controllers.forces import PlannedForces
+from sweep.controllers.forces import LAST, PlannedForces
 from sweep.controllers.frames import WORLD, fixed, to_frame, to_world
 from sweep.controllers.gaits import Step
 from sweep.controllers.manoeuvres.climbing.ladder_moves import ALONG, FLOOR, MOVES, PLACES, RUNG, Move
@@ -28,12 +28,14 @@ from sweep.formulas.ladder import ladder as statics
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
 from sweep.models.legs import LEGS
-from sweep.models.obstacles.ladder import Ladder
+from sweep.models.obstacles.ladder import Ladder, point
 from sweep.models.obstacles.surface import FreeState
 from sweep.models.robot import total_mass
 from sweep.models.scene import mounts
 
 OWN = fixed(0)  # the ladder's axes
+TOP = 6.47  # rungs, of the ledge along the nominal ladder
+GAP = 0.15  # leg units, that the base still has to go when the feet take their places before the ladder
 AWAY = 0.72  # leg units beyond the ledge's edge, of the base when it begins to walk away
 
 
@@ -62,21 +64,28 @@ class LadderSite(NamedTuple):
         aside, other = move.place
         x = float(SIDE[leg - 1]) * aside * self.unit
         if move.where == RUNG:
-            return _point(x, self.up(move.rung) + self.deepening, other * self.ladder.rung_depth)
+            return point(x, self.up(move.rung) + self.deepening, other * self.ladder.rung_depth)
         if move.where == FLOOR:
-            return _point(x, self.foot + other * self.unit, -self.deepening)
-        return _point(x, -other * self.unit, self.ladder.ledge_height - self.deepening)
+            return point(x, self.foot + other * self.unit, -self.deepening)
+        return point(x, -other * self.unit, self.ladder.ledge_height - self.deepening)
 
     def up(self, rungs: Array | float) -> Array | float:
         """The ladder's own y at a height along it, in rungs; whole ones at their tops."""
         return self.ladder.centre - rungs * self.ladder.rung_step
 
+    @property
+    def excess(self) -> Array | float:
+        """By how much (m, along the ladder) the ledge is farther up than `TOP` rungs."""
+        return self.ladder.ledge_height / jnp.sin(jnp.asarray(self.ladder.lean)) - TOP * self.ladder.rung_step
+
     def base(self, move: Move) -> Float[Array, " 3"]:
-        """Where the base goes (m), in the axes of its frame."""
+        """Where the base goes (m), in the axes of its frame: over the ledge along its own axis, short of following."""
         one, other = move.base
         if move.over == ALONG:
-            return _point(0.0, self.up(one), other * self.unit)
-        return _point(0.0, -one * self.unit, self.ladder.ledge_height + other * self.unit)
+            return point(0.0, self.up(one) - move.follow * self.excess, other * self.unit)
+        back, pitch = (1 - move.follow) * self.excess, jnp.asarray(move.pitch * self.ladder.lean)
+        y, z = back * jnp.cos(pitch) - one * self.unit, other * self.unit - back * jnp.sin(pitch)
+        return point(0.0, y, self.ladder.ledge_height + z)
 
     def guides(self, leg: int, move: Move, start: Array, goal: Array) -> Float[Array, "2 3"]:
         """Control points (m) of a swing, in the axes of its goal."""
@@ -105,6 +114,7 @@ class LadderClimb(PlannedForces):
     rate: float = quantity(3.0, "rad/s", above=0, at_most=20)  # varpi, of the swings, whose time t* it gives
     deepening: float = quantity(5e-4, "m", at_least=0, at_most=0.05)  # of footholds, inside
     patience: float = quantity(0.5, "s", at_least=0)  # longest wait for a touchdown
+    slack: float = quantity(0.2, "-", at_least=LAST, at_most=2)  # of planned forces, see `PlannedForces`
     load_time: float = quantity(0.3, "s", above=0, at_most=10)  # for load to go from foot to foot before a swing
     observer: float = quantity(0.1, "s", at_least=0, at_most=10)  # in which the measured ladder is taken over
 
@@ -131,11 +141,11 @@ class LadderClimb(PlannedForces):
         step = Step(self.half_step_ratio * length, self.lift_ratio * length, stepping.swing_time(self.rate))
         height, spread = self.height_ratio * unit, self.spread_ratio * length
         first, *rest = moves
-        arrival = _point(0.0, site.foot + first.base[1] * unit, first.base[0] * unit)
-        places = {leg: _point(float(SIDE[leg - 1]) * aside * unit, site.foot + ahead * unit, 0.0)
+        arrival = point(0.0, site.foot + first.base[1] * unit, first.base[0] * unit)
+        places = {leg: point(float(SIDE[leg - 1]) * aside * unit, site.foot + ahead * unit, 0.0)
                   for legs, (aside, ahead) in PLACES.items() for leg in legs}  # fmt: skip
-        start, walk = walk_up(belief, step, arrival, spread, places, self.steps)
-        last = _point(0.0, -AWAY * unit, ladder.ledge_height + height)
+        start, walk = walk_up(belief, step, arrival, spread, places, self.steps, GAP * unit)
+        last = point(0.0, -AWAY * unit, ladder.ledge_height + height)
         settle, off = walk_away(belief, step, last, spread, height, self.steps_away)
         climb = stages(site, rest, places, step.time)
         way = [Stage("settle", self.settle), *walk, *self.loading([*climb, *settle]), *off, Stage("halt", self.settle)]
@@ -175,7 +185,7 @@ def _worst_reach(belief: Case, site: LadderSite, moves: Sequence[Move]) -> tuple
     origin, turn = (np.asarray(x[0]) for x in site.ladder.leaning())
     feet, worst = {}, ("", 0, -np.inf)
     for move in moves[1:]:
-        base, pitch = np.asarray(site.base(move)), np.radians(move.pitch)
+        base, pitch = np.asarray(site.base(move)), move.pitch * site.ladder.lean
         base = origin + turn @ base if move.over == ALONG else base
         ahead = np.array([[0.0, -np.cos(pitch), np.sin(pitch)], [1.0, 0.0, 0.0], [0.0, np.sin(pitch), np.cos(pitch)]])
         for leg in move.legs:
@@ -200,14 +210,10 @@ def stages(site: LadderSite, moves: Sequence[Move], places: dict[int, Array], ti
             at[leg] = swing[leg] = site.place(leg, move)
             guides[leg] = site.guides(leg, move, start, swing[leg])
             stand[leg] = frame
-        turn = jnp.radians(jnp.asarray(pitch - move.pitch, float))
+        turn = jnp.asarray((pitch - move.pitch) * site.ladder.lean, float)
         out.append(Stage(f"climb.{move.name}", move.time * time, swing, CYCLE_B, position=site.base(move),
-                         turn=_point(turn, 0.0, 0.0), rates=EASED, guides=guides,
+                         turn=point(turn, 0.0, 0.0), rates=EASED, guides=guides,
                          foot_frames=tuple(stand[leg] for leg in LEGS),
                          base_frame=OWN if move.over == ALONG else WORLD))  # fmt: skip
         pitch = move.pitch
     return out
-
-
-def _point(x: Array | float, y: Array | float, z: Array | float) -> Float[Array, " 3"]:
-    return jnp.stack([jnp.asarray(value, float) for value in (x, y, z)])
