@@ -11,12 +11,11 @@ from jaxtyping import Array, Float
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.models.obstacles.ball import Ball
 from sweep.models.obstacles.geoms import add_touching
-from sweep.models.obstacles.surface import Bodies, FreeState, Rolling, Surface
+from sweep.models.obstacles.surface import Bodies, FreeState, Rolling, Surface, critical_damping
 from sweep.models.solids import SOIL, Box, Solid
 
 FLOOR, BALL, NEAR_TOP, NEAR_WALL, FAR_TOP, FAR_WALL = range(6)
 DEPTH, BREADTH = 4.0, 4.0  # m, of the ledges that are drawn; their surface has no end
-STIFFNESS = 1e6  # N/m, of the contact that `impact_damping` is a share of the critical damping of
 
 
 @parameters
@@ -72,7 +71,6 @@ class Ledges(Ball):
         outward = jnp.where(far == 0, 1.0, -1.0)[:, None] * jnp.array([1.0, 0.0, 0.0], dtype)
         normal = jnp.where(sided[:, None], outward, jnp.array([0.0, 0.0, 1.0], dtype))
         face = (NEAR_TOP + 2 * far + sided).astype(jnp.int32)
-        damping = 2 * self.impact_damping * jnp.sqrt(STIFFNESS * self.mass)
         rolls = jnp.where(beside, 0.0, 1.0).astype(dtype)
         return Surface(
             depth=jnp.where(ledge, inside, lies.depth),
@@ -81,5 +79,5 @@ class Ledges(Ball):
             body=jnp.where(ledge, -1, lies.body),
             friction_scale=jnp.where(beside, jnp.asarray(self.wall_grip, dtype), lies.friction_scale),
             rolling=Rolling(lies.rolling.radius, rolls * lies.rolling.roll, rolls * lies.rolling.spin),
-            damping=jnp.asarray(beside, dtype) * damping,
+            damping=jnp.asarray(beside, dtype) * self.impact_damping * critical_damping(self.mass),
         )

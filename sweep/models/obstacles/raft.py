@@ -14,14 +14,13 @@ from sweep.core.rotations import logarithm, matrix
 from sweep.formulas.drag import raft_drag
 from sweep.formulas.raft_statics import buoyancy
 from sweep.models.obstacles.geoms import DRAWN, add_solids, add_touching
-from sweep.models.obstacles.surface import Bodies, FreeState, Surface, own_axes
+from sweep.models.obstacles.surface import Bodies, FreeState, Surface, critical_damping, own_axes
 from sweep.models.solids import SOIL, Box, Solid
 
 NEAR, FAR = range(2)
 RAFT = 8  # the numbers of its faces are around this, those of the banks below
 WATER_DENSITY, GRAVITY = 1000.0, 9.81  # kg/m^3, m/s^2
 SHORE = 4.0  # m, of each bank that is drawn; its surface has no end
-STIFFNESS = 1e6  # N/m, of the contact that `impact_damping` is a share of the critical damping of
 CORNERS = tuple((x, y) for x in (-1, 1) for y in (-1, 1))
 WATER_DEPTH = 6.0  # m, that is drawn: what is translucent is drawn from far to near, by its middle
 WATER = (0.25, 0.5, 0.75, 0.45)
@@ -166,5 +165,5 @@ class Raft:
             face=jnp.where(on_raft, RAFT + side @ jnp.array([2.0, 3.0, 1.0]), 2 * bank + sided).astype(jnp.int32),
             body=jnp.where(on_raft, 0, -1).astype(jnp.int32),
             friction_scale=jnp.where(own, self.side_grip, jnp.where(on_raft, 1.0, self.bank_grip)).astype(dtype),
-            damping=jnp.asarray(own, dtype) * 2 * self.impact_damping * jnp.sqrt(STIFFNESS * self.mass / 2),
+            damping=jnp.asarray(own, dtype) * self.impact_damping * critical_damping(self.mass / 2),
         )

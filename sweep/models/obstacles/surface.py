@@ -10,6 +10,7 @@ from jaxtyping import Array, Float, Int
 from sweep.core.rotations import matrix
 from sweep.models.solids import Solid
 
+STIFFNESS = 1e6  # N/m, of the contact that an obstacle's `impact_damping` is a share of the critical damping of
 FOOT_RADIUS = 1e-3  # m, of the native engine's spheres: a larger one rolls under the drives and drifts
 
 
@@ -127,3 +128,8 @@ def free_start(obstacle: Obstacle) -> FreeState:
 def fixed_surface(obstacle: Obstacle, points: Float[Array, "n 3"] | np.ndarray) -> Surface:
     """What is under points (m, world axes) that belong to no free body, of an obstacle that has none."""
     return obstacle.surface(jnp.asarray(points), (-1,) * points.shape[0], poses(no_bodies()))
+
+
+def critical_damping(mass: Array | float) -> Array:
+    """Of a contact (N s/m) whose bodies move as one of `mass` (kg) against something fixed."""
+    return 2 * jnp.sqrt(STIFFNESS * mass)

@@ -11,11 +11,10 @@ from jaxtyping import Array, Float
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.models.obstacles.ball import BALL, Ball
 from sweep.models.obstacles.geoms import add_touching
-from sweep.models.obstacles.surface import Bodies, FreeState, Rolling, Surface
+from sweep.models.obstacles.surface import Bodies, FreeState, Rolling, Surface, critical_damping
 from sweep.models.solids import Solid, Sphere
 
 SECOND = BALL + 1
-STIFFNESS = 1e6  # N/m, of the contact that `impact_damping` is a share of the critical damping of
 
 
 @parameters
@@ -73,5 +72,5 @@ class TwoBalls(Ball):
             body=jnp.where(other, jnp.where(between, 0, 1), one.body).astype(jnp.int32),
             friction_scale=jnp.where(between, jnp.asarray(self.ball_grip, dtype), one.friction_scale),
             rolling=Rolling(one.rolling.radius, rolls * one.rolling.roll, rolls * one.rolling.spin),
-            damping=jnp.asarray(between, dtype) * 2 * self.impact_damping * jnp.sqrt(STIFFNESS * self.mass / 2),
+            damping=jnp.asarray(between, dtype) * self.impact_damping * critical_damping(self.mass / 2),
         )

@@ -5,6 +5,7 @@ from typing import ClassVar
 import jax.numpy as jnp
 
 from sweep.controllers.frames import fixed
+from sweep.controllers.gaits import TRIPOD
 from sweep.controllers.manoeuvres.afloat.statics import refuse
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
 from sweep.controllers.manoeuvres.walking.walk import standing
@@ -13,7 +14,6 @@ from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.models.case import Case
 from sweep.models.obstacles.raft import Raft
 
-TRIPODS = ((1, 4, 5), (2, 3, 6))
 DECK = (fixed(0),) * 6
 
 
@@ -56,7 +56,7 @@ class RaftStand:
         for k in range(self.steps + 1):
             base = base + way / self.steps if k < self.steps else base
             ahead = way / self.steps / 2 if k < self.steps - 1 else jnp.zeros(3)
-            swing = {leg: base + centres[leg - 1] + ahead + down for leg in TRIPODS[k % 2]}
+            swing = {leg: base + centres[leg - 1] + ahead + down for leg in TRIPOD[k % 2]}
             stages.append(
                 Stage(f"walk.{k + 1}", self.swing, swing, CYCLE_B_SMOOTH, self.lift_ratio * length, position=base,
                       rates=(0.0, 0.0), onset=REGRIP, foot_frames=DECK, base_frame=fixed(0))

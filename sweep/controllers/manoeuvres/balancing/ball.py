@@ -6,7 +6,7 @@ are stiff: feet that follow its measured attitude as it comes, 1 mrad off at eve
 Therefore the pose goes through an observer, which steady rolling passes without lag.
 """
 
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -59,6 +59,11 @@ class OnBall:
     observer: float = quantity(0.1, "s", at_least=0)  # in which the ball's measured pose is taken over; 0: at once
 
     needs = (Ball,)
+
+    def driven(self, **how: Any) -> "BallDrive":
+        """Steps of `ball_drive` on the same footholds, with parameters of their own."""
+        return BallDrive(circle_ratio=self.circle_ratio, chord_ratio=self.chord_ratio,
+                         height_ratio=self.height_ratio, deepening=self.deepening, **how)  # fmt: skip
 
 
 def perch(belief: Case, manoeuvre: OnBall) -> Perch:

@@ -16,7 +16,7 @@ from sweep.controllers.frames import WORLD
 from sweep.controllers.manoeuvres.balancing.ball import BallDrive, DriveMemory, OnBall, perch
 from sweep.controllers.manoeuvres.balancing.beside_ball import refuse
 from sweep.controllers.manoeuvres.balancing.by_pairs import LEDGE, OTHER, PAIRS, Move, Place, Stand, Way
-from sweep.controllers.manoeuvres.balancing.parts import InParts
+from sweep.controllers.manoeuvres.balancing.parts import InParts, has_just_begun
 from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import Plan, assemble
@@ -86,9 +86,9 @@ class Docking(NamedTuple):
 
     def ends(self, belief: Case, plan: Plan, state: TrackerState, seen: Observation) -> Bool[Array, ""]:
         """No step is begun where the ball rests at the wall."""
-        begins, ball = state.clock < 0.05 * plan.duration[state.stage], seen.free
-        left = there(belief.on(Ledges)) - ball.position[0, 0]
-        return begins & (left < self.near) & (jnp.linalg.norm(ball.velocity[0]) < self.calm)
+        left = there(belief.on(Ledges)) - seen.free.position[0, 0]
+        rests = jnp.linalg.norm(seen.free.velocity[0]) < self.calm
+        return has_just_begun(plan, state) & (left < self.near) & rests
 
 
 def there(ledges: Ledges) -> Array | float:
@@ -124,10 +124,6 @@ class BallLedges(OnBall, InParts):
         """The numbers of its plan."""
         return TABLE
 
-    def obstacle_speed(self, duration: Array) -> Array:
-        """The ball is left at the far ledge (m/s)."""
-        return jnp.zeros_like(duration)
-
     def plan(self, belief: Case, table: Table | None = None) -> Plan:
         """On to the ball, over to the other ledge, off.
 
@@ -148,9 +144,8 @@ class BallLedges(OnBall, InParts):
     @property
     def drive(self) -> BallDrive:
         """The steps that roll the ball."""
-        return BallDrive(steps=self.steps, speed=self.speed, step_time=self.step_time, speed_gain=self.speed_gain,
-                         brake=self.brake, circle_ratio=self.circle_ratio, chord_ratio=self.chord_ratio,
-                         height_ratio=self.height_ratio, deepening=self.deepening)  # fmt: skip
+        return self.driven(steps=self.steps, speed=self.speed, step_time=self.step_time, speed_gain=self.speed_gain,
+                           brake=self.brake)  # fmt: skip
 
     @property
     def parts(self) -> Mapping[str, Guided]:

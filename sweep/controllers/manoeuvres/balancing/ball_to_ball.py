@@ -18,7 +18,7 @@ from sweep.controllers.frames import fixed
 from sweep.controllers.manoeuvres.balancing.ball import BallDrive, DriveMemory, OnBall, on_ball, perch
 from sweep.controllers.manoeuvres.balancing.ball_ride import about_aside
 from sweep.controllers.manoeuvres.balancing.by_pairs import Move, Place, Way
-from sweep.controllers.manoeuvres.balancing.parts import InParts, OfBall, Steps
+from sweep.controllers.manoeuvres.balancing.parts import InParts, OfBall, Steps, has_just_begun
 from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import Plan, Stage, Stance, assemble, reference
@@ -91,8 +91,7 @@ class Docking(NamedTuple):
 
     def ends(self, belief: Case, plan: Plan, state: TrackerState, seen: Observation) -> Bool[Array, ""]:
         """No step is begun where the balls touch."""
-        begins = state.clock < 0.05 * plan.duration[state.stage]
-        return begins & (apart(belief.on(TwoBalls), seen.free) < 4e-3)
+        return has_just_begun(plan, state) & (apart(belief.on(TwoBalls), seen.free) < 4e-3)
 
 
 class ClosingMemory(NamedTuple):
@@ -176,10 +175,6 @@ class BallToBall(OnBall, InParts):
         """The numbers of its plan."""
         return TABLE
 
-    def obstacle_speed(self, duration: Array) -> Array:
-        """The first ball is left to itself (m/s)."""
-        return jnp.zeros_like(duration)
-
     def plan(self, belief: Case, table: Table | None = None) -> Plan:
         """Roll, go over, calm the second ball.
 
@@ -204,16 +199,13 @@ class BallToBall(OnBall, InParts):
     @property
     def rolling(self) -> BallDrive:
         """The steps that roll the first ball."""
-        return BallDrive(steps=self.steps, speed=self.speed, step_time=self.step_time, speed_gain=self.speed_gain,
-                         circle_ratio=self.circle_ratio, chord_ratio=self.chord_ratio, height_ratio=self.height_ratio,
-                         deepening=self.deepening)  # fmt: skip
+        return self.driven(steps=self.steps, speed=self.speed, step_time=self.step_time, speed_gain=self.speed_gain)
 
     @property
     def calming(self) -> BallDrive:
         """The steps that stop the second one."""
-        return BallDrive(steps=self.calm, speed=0.0, step_time=0.9, speed_gain=0.6, aside_gain=0.4,
-                         aside_gain_before=0.3, circle_ratio=self.circle_ratio, chord_ratio=self.chord_ratio,
-                         height_ratio=self.height_ratio, deepening=self.deepening)  # fmt: skip
+        return self.driven(steps=self.calm, speed=0.0, step_time=0.9, speed_gain=0.6, aside_gain=0.4,
+                           aside_gain_before=0.3)  # fmt: skip
 
     @property
     def parts(self) -> Mapping[str, Guided]:

@@ -17,7 +17,7 @@ from sweep.controllers.frames import WORLD, fixed, koenig
 from sweep.controllers.gaits import GALLOP
 from sweep.controllers.manoeuvres.balancing.ball import BallDrive, OnBall
 from sweep.controllers.manoeuvres.balancing.parts import InParts, Steps
-from sweep.controllers.plan import CYCLE_B, PRESS, Stage, Stance
+from sweep.controllers.plan import CYCLE_B, PRESS, Stage, Stance, by_side
 from sweep.controllers.support import Support
 from sweep.controllers.tracker import Guided, joint_targets
 from sweep.core.errors import InputError
@@ -86,10 +86,8 @@ class BesideBall(OnBall, InParts):
     @property
     def calming(self) -> BallDrive:
         """The steps that stop the ball."""
-        return BallDrive(steps=self.calm, speed=0.0, step_time=self.step_time, speed_gain=self.speed_gain,
-                         aside_gain=self.aside_gain, aside_gain_before=self.aside_gain_before,
-                         circle_ratio=self.circle_ratio, chord_ratio=self.chord_ratio,
-                         height_ratio=self.height_ratio, deepening=self.deepening)  # fmt: skip
+        return self.driven(steps=self.calm, speed=0.0, step_time=self.step_time, speed_gain=self.speed_gain,
+                           aside_gain=self.aside_gain, aside_gain_before=self.aside_gain_before)  # fmt: skip
 
     @property
     def parts(self) -> Mapping[str, Guided]:
@@ -147,11 +145,10 @@ def stages(
     for move in moves:
         turn = pitch(move.pose) - pitch(before)
         swing = {leg: foothold(ball, leg, move, held.deepening) for leg in move.legs or ()}
-        ahead, aside, up = (jnp.asarray(x, float) for x in move.plane)
         out.append(Stage(
             prefix + move.name, move.time, swing, CYCLE_B, jnp.asarray(move.lift, float) * ball.radius,
-            jnp.stack([jnp.stack([ahead, side * aside, up]) for side in SIDE]),
-            position=centre(ball, move.pose), turn=jnp.stack([jnp.zeros_like(turn), turn, jnp.zeros_like(turn)]),
+            by_side(move.plane), position=centre(ball, move.pose),
+            turn=jnp.stack([jnp.zeros_like(turn), turn, jnp.zeros_like(turn)]),
             rates=move.rates, pivot=jnp.zeros(3), arc=jnp.abs(turn), support=(move.support,), onset=held.onset,
             press=held.press, base_frame=koenig(0),
             foot_frames=tuple(koenig(0) if leg in swing else stand[leg] for leg in LEGS),

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from sweep.controllers.frames import WORLD, fixed, koenig
 from sweep.controllers.gaits import GALLOP
-from sweep.controllers.plan import CYCLE_B, GRIP, Stage, Stance
+from sweep.controllers.plan import CYCLE_B, GRIP, Stage, Stance, by_side
 from sweep.controllers.support import LEVEL, Support
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
@@ -121,10 +121,8 @@ class Way(ABC):
         self.frames = {leg: frame for leg, frame in self.frames.items() if leg not in legs}
         supports = self.supports()
         self.frames |= dict.fromkeys(legs, self._stands(move.place.on))
-        ahead, aside, up = move.plane
-        plane = jnp.stack([jnp.stack([jnp.asarray(x, float) for x in (ahead, side * aside, up)]) for side in SIDE])
         return Stage(
-            prefix + move.name, move.time, swing, CYCLE_B, move.lift * self.length, plane,
+            prefix + move.name, move.time, swing, CYCLE_B, move.lift * self.length, by_side(move.plane),
             position=self.base(move.base), rates=(0.0, 0.0), base_frame=koenig(self.ball),
             foot_frames=tuple(frames[leg] for leg in LEGS), support=supports, onset=GRIP,
             press=(self.how.press, self.how.squeeze),

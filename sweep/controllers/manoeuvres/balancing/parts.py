@@ -53,6 +53,11 @@ class InParts(ABC):
         return over
 
 
+def has_just_begun(plan: Plan, state: TrackerState) -> Bool[Array, ""]:
+    """Whether the stage is a step that may still be left out."""
+    return state.clock < 0.05 * plan.duration[state.stage]
+
+
 class Steps(NamedTuple):
     """Tripods on a ball until it is calm, and where it is to be; as many as it needs."""
 
@@ -72,9 +77,8 @@ class Steps(NamedTuple):
 
     def ends(self, belief: Case, plan: Plan, state: TrackerState, seen: Observation) -> Bool[Array, ""]:
         """No step is begun where the ball needs none."""
-        begins = state.clock < 0.05 * plan.duration[state.stage]
         near = jnp.abs(seen.free.position[0, 0] - self.drive.place) < self.within
-        return begins & near & (jnp.linalg.norm(seen.free.velocity[0]) < self.calm)
+        return has_just_begun(plan, state) & near & (jnp.linalg.norm(seen.free.velocity[0]) < self.calm)
 
 
 class OfBall(NamedTuple):
