@@ -194,6 +194,7 @@ class DriveMemory(NamedTuple):
 
     push: Float[Array, ""]  # m, k_v (v_d - v_e), and what was always missing
     missing: Float[Array, ""]  # m, of that: the sum over the steps so far
+    ahead: Float[Array, ""]  # m, of the ball when the step began
     aside: Float[Array, ""]  # m, delta r^(3) to the left
     aside_before: Float[Array, ""]  # m, of the last step
     way: Float[Array, ""]  # m, of the ball to the left when the step began
@@ -268,7 +269,7 @@ class BallDrive(OnBall):
     def memory(self, belief: Case, plan: Plan) -> DriveMemory:
         """Nothing pushed yet."""
         zero = jnp.zeros(())
-        return DriveMemory(zero, zero, zero, zero, zero)
+        return DriveMemory(zero, zero, zero, zero, zero, zero)
 
     def guide(
         self, belief: Case, plan: Plan, state: TrackerState, seen: Observation, begins: Bool[Array, ""], period: float
@@ -297,7 +298,8 @@ class BallDrive(OnBall):
         place, speed = seen.free.position[0], seen.free.velocity[0, 0]
         wanted = jnp.minimum(self.speed, self.brake * (self.place - place[0]))
         pushes = state.stage % self.push_every == 0
-        missing = memory.missing + jnp.where(pushes, self.speed_integral * (wanted - speed), 0.0)
+        went = jnp.where(state.stage == 0, speed, (place[0] - memory.ahead) / self.step_time)  # within a step it varies
+        missing = memory.missing + jnp.where(pushes, self.speed_integral * (wanted - went), 0.0)
         missing = jnp.clip(missing, -self.push_max, self.push_max)
         push = jnp.clip(self.speed_gain * (wanted - speed) + missing, -self.push_max, self.push_max)
         push = jnp.where(pushes, push, 0.0)
@@ -306,7 +308,9 @@ class BallDrive(OnBall):
         turn = self.step_time * speed / (2 * ball.radius)
         circle = self.circle_ratio * ball.radius
         landing = footholds(ball.radius, circle, self.chord_ratio * circle, turn) * (1 - self.deepening / ball.radius)
-        planned = memory._replace(push=push, missing=missing, aside=aside, aside_before=memory.aside, way=place[1])
+        planned = memory._replace(
+            push=push, missing=missing, ahead=place[0], aside=aside, aside_before=memory.aside, way=place[1]
+        )
         return planned, landing
 
     def _compensated(self, belief: Case, perched: Array, feet: Array, ahead: Array, aside: Array) -> Float[Array, " 3"]:
