@@ -26,7 +26,7 @@ class Control:
     # deviation of each believed size of the obstacle, relative: what touching takes for possible before it begins
     obstacle_error: float = quantity(0.03, "-", above=0, at_most=0.2)
     # deviations by which heights of the obstacle are planned for as larger, as long as they are uncertain
-    caution: float = quantity(0.3, "-", at_least=0, at_most=3)
+    caution: float = quantity(0.1, "-", at_least=0, at_most=3)
     touch_error: float = quantity(0.002, "m", above=0, at_most=0.1)  # deviation of a touched place from the surface
     # how fast a foot's command goes over to the surface that it has felt, or on in search of it
     touch_speed: float = quantity(0.1, "m/s", at_least=0, at_most=1)
