@@ -1,10 +1,13 @@
-"""Draws docs/figures/robustness_*.png and prints the tables of docs/robustness.md from the folders of both studies.
+"""Draws docs/figures/robustness_*.png and prints the tables of docs/robustness.md from the folders of its studies.
 
 python docs/robustness_figures.py results/robustness_walk results/robustness_pole
+python docs/robustness_figures.py --bounds results/*_robustness results/*_robustness_learn
 """
 
 import sys
 from pathlib import Path
+
+import pandas as pd
 
 from sweep.analysis import sensitivity
 from sweep.report.exhibits import effects
@@ -24,8 +27,24 @@ ERRORS = {  # what a line of the table is called, and how its numbers are told
     "noise.load_noise": ("noise of the measured load on feet, N", 1),
     "noise.load_delay": ("delay of it, beyond the rest, ms", 4),
     "world.contact.friction": ("friction, believed to be 1", 1),
+    "axis.friction": ("friction, beside what is believed, %", 100),
     "world.execution.torque_scale": ("torque limit, % of the believed one", 100),
 }
+BOUNDS = {  # columns of the table of bounds: title, unit in which an error is told, value without it
+    "axis.size_error": ("sizes, masses, %", 100, 0.0),
+    "noise.position_noise": ("position, noise, mm", 1000, 0.0),
+    "noise.position_bias": ("bias, mm", 1000, 0.0),
+    "noise.orientation_noise": ("attitude, noise, mrad", 1000, 0.0),
+    "noise.orientation_bias": ("bias, mrad", 1000, 0.0),
+    "noise.joint_bias": ("joints, bias, mrad", 1000, 0.0),
+    "noise.delay": ("delay, ms", 4, 0.0),
+    "noise.load_noise": ("load, noise, N", 1, 0.0),
+    "noise.load_delay": ("delay, ms", 4, 0.0),
+    "axis.friction": ("friction less by, %", 100, 0.0),
+    "world.execution.torque_scale": ("torque limit less by, %", 100, 1.0),
+}
+WANTED = 0.9  # share of rollouts that are to succeed
+RATES = Path(__file__).parent / "examples" / "robustness_rates.csv"
 
 
 def table(found: Results) -> str:
@@ -43,7 +62,41 @@ def table(found: Results) -> str:
     return "\n".join(lines)
 
 
+def bound(rates: pd.DataFrame, scale: float, nominal: float) -> str:
+    """How large an error may be for `WANTED`: surely so much, surely not so much, by the Wilson intervals.
+
+    Errors in between are not told apart from it by the draws.
+    """
+    rates = rates.assign(error=(scale * (rates["value"] - nominal)).abs().round(6)).sort_values("error")
+    surely = rates["low"].ge(WANTED).cummin()
+    never = rates["high"].lt(WANTED)
+    least = rates["error"][surely].max() if surely.any() else 0.0
+    most = rates["error"][never & (rates["error"] > least)]
+    return f"{least:.4g} … {most.min():.4g}" if len(most) else f"{least:.4g} …"
+
+
+def bounds(folders: list[str]) -> None:
+    """Print the table of bounds of all these studies, and keep their rates in `RATES`."""
+    print("| | robot | " + " | ".join(title for title, *_ in BOUNDS.values()) + " |")
+    print("|:--|:--|" + ":--|" * len(BOUNDS))
+    kept = []
+    for folder in folders:
+        found = results.read(Path(folder))
+        control = found.exp.case.control
+        learns = "learns" if control.touch != "none" else "calibrates" if control.calibrate != "none" else "believes"
+        rates = sensitivity.along(found.rows, found.exp)
+        cells = [bound(rates[rates["axis"] == axis], *how) for axis, (_, *how) in BOUNDS.items()]
+        print(f"| `{found.exp.scenario}` | {learns} | " + " | ".join(cells) + " |")
+        kept.append(rates.assign(scenario=found.exp.scenario, robot=learns, commit=found.stored["commit"]))
+    table = pd.concat(kept)
+    first = ["scenario", "robot", "axis", "value"]
+    table[first + [c for c in table if c not in first]].to_csv(RATES, index=False, float_format="%.4g")
+
+
 if __name__ == "__main__":
+    if sys.argv[1] == "--bounds":
+        bounds(sys.argv[2:])
+        sys.exit()
     for folder in sys.argv[1:]:
         study = results.read(Path(folder))
         (exhibit,) = effects(study)

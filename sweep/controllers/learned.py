@@ -30,11 +30,11 @@ class Learned(NamedTuple):
 
 
 def informed(belief: Case, learned: Learned | None) -> Case:
-    """What is believed with what was learned."""
+    """What is believed with what was learned, to plan and act by."""
     if learned is None:
         return belief
     robot = belief.robot if learned.calibrated is None else learned.calibrated.robot
-    obstacle = belief.obstacle if learned.touched is None else learned.touched.obstacle
+    obstacle = belief.obstacle if learned.touched is None else touch.planned_for(learned.touched)
     return replace(belief, robot=robot, obstacle=obstacle)
 
 

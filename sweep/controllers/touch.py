@@ -13,17 +13,20 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import Plan
+from sweep.controllers.plan import Plan, Stance
 from sweep.controllers.posture import feet_in_world
 from sweep.controllers.tracker import TrackerState
 from sweep.models.control import Control
 from sweep.models.legs import N_LEGS
 from sweep.models.noise import Noise
+from sweep.models.obstacles.fixed import Fixed
 from sweep.models.obstacles.surface import Obstacle, Surface, fixed_surface
 from sweep.models.robot import Robot
 
 REACH = 0.04  # m, how far a foot that finds no surface goes on beyond where it is planned
 COMING = 0.5  # of a swing, from where on a foot that bears load has landed
+DOUBT = 4.0  # deviations of what is measured on a foot in the air that do not yet make it stand
+TOO_FAR = 0.002  # m, that a foot in search of the surface may go on before it is told of the load on it
 YIELD = 0.5  # of what presses a foot too much as it lands, by which it yields in a tick
 
 
@@ -34,6 +37,7 @@ class Touched(NamedTuple):
     covariance: Float[Array, "n n"]  # of the sizes of `names`, in their units
     felt: Bool[Array, " 6"]  # which feet have come to stand since they swung
     left: Float[Array, " 6"]  # m, outwards, by which each foot's command is still to be moved; or has gone on inwards
+    caution: Float[Array, ""]  # deviations, see `planned_for`
 
 
 def names(obstacle: Obstacle | type[Obstacle]) -> tuple[str, ...]:
@@ -46,7 +50,43 @@ def untouched(control: Control, obstacle: Obstacle) -> Touched:
     """Before anything is touched: sizes as believed, all feet where they stand."""
     sizes = _sizes(obstacle)
     covariance = jnp.diag((control.obstacle_error * sizes) ** 2)
-    return Touched(_with(obstacle, sizes), covariance, jnp.ones(N_LEGS, bool), jnp.zeros(N_LEGS))
+    caution = jnp.asarray(control.caution, float)
+    return Touched(_with(obstacle, sizes), covariance, jnp.ones(N_LEGS, bool), jnp.zeros(N_LEGS), caution)
+
+
+def threshold(control: Control, noise: Noise) -> Array | float:
+    """Measured load (N) from which on a foot stands."""
+    return control.load_threshold + DOUBT * jnp.sqrt(jnp.square(noise.load_noise) + jnp.square(noise.load_bias))
+
+
+def standing(
+    control: Control,
+    noise: Noise,
+    robot: Robot,
+    start: Stance,
+    so_far: Touched,
+    position: Float[Array, "3"],
+    quat: Float[Array, "4"],
+    angles: Float[Array, "6 3"],
+) -> Touched:
+    """What is known when feet at the places of `start` stand, seen with these joint angles (rad) and base (m)."""
+    places = feet_in_world(robot, position, quat, angles)
+    ground = fixed_surface(so_far.obstacle, start.feet)
+    out = jnp.sum((places - start.feet) * ground.normal, axis=1)
+    return _known(so_far, places, out, ground.normal, _variance(control, noise), jnp.ones(N_LEGS, bool))[0]
+
+
+def planned_for(touched: Touched) -> Obstacle:
+    """The obstacle to plan for: heights that are uncertain somewhat larger than they probably are.
+
+    A foot that comes down on what is lower than planned goes on in search of it; where it is higher, links touch its
+    edge before a foot can tell.
+    """
+    heights = touched.obstacle.heights if isinstance(touched.obstacle, Fixed) else ()
+    known = names(touched.obstacle)
+    deviation = jnp.sqrt(jnp.maximum(jnp.diagonal(touched.covariance), 0.0))
+    more = jnp.array([name in heights for name in known]) * touched.caution * deviation
+    return _with(touched.obstacle, _sizes(touched.obstacle) + more)
 
 
 def felt(
@@ -65,25 +105,17 @@ def felt(
     `ground` is what was believed to be at the stage's footholds when they were first planned: of its face a foot is
     taken to be, as deep in it as planned. Where sizes are uncertain, a foot is told to stand so deep inside the surface
     that it has felt, along whose normal its command goes over; one that lands before its swing is over yields by what
-    it is pressed more; one that has come to the end of its swing in the air, or stands there, goes on inwards. Along
-    the surface it stays where it is. Footholds of swinging feet are moved from where they are planned, those of the
-    others from where they were told to be in the last tick.
+    it is pressed more; one that has come to the end of its swing in the air, or stands there, goes on inwards, once a
+    load would be known of, and no faster than that allows. Along the surface it stays where it is. Footholds of
+    swinging feet are moved from where they are planned, those of the others from where they were told to be in the
+    last tick.
     """
     stage, normal = state.stage, ground.normal
     places = feet_in_world(robot, seen.position, seen.quat, seen.angles)
     out = jnp.sum((places - plan.foothold[stage]) * normal, axis=1)
-    sizes = _sizes(so_far.obstacle)
-
-    def inside(x: Array) -> Array:
-        """Taken at the planned depth: deep inside what is believed another face may be nearer."""
-        return fixed_surface(_with(so_far.obstacle, x), places - out[:, None] * normal).depth - out
-
-    slopes = jax.jacfwd(inside)(sizes)
     stands = ~plan.swing[stage]
-    uncertain = jnp.sum((slopes @ so_far.covariance) * slopes, axis=1) > 0
     new = stands & seen.loaded & ~so_far.felt
-    variance = control.touch_error**2 + noise.position_noise**2 + noise.position_bias**2
-    sizes, covariance = _least_squares(sizes, so_far.covariance, inside(sizes), slopes, variance, new)
+    known, uncertain = _known(so_far, places, out, normal, _variance(control, noise), new)
     outwards = jnp.sum((places - state.feet) * normal, axis=1) - ground.depth
     comes = ~stands & (state.clock >= COMING * plan.duration[stage])
     left = jnp.where(stands | comes, jnp.where(new & uncertain, outwards, so_far.left), 0.0)
@@ -92,14 +124,46 @@ def felt(
     follows = jnp.where(has & seen.loaded, jnp.clip(left, -step, step), 0.0)
     late = comes & (state.clock >= plan.duration[stage])
     searches = ((stands & ~has) | (late & ~seen.loaded)) & uncertain & (left > -REACH)
+    untold = (noise.delay + noise.load_delay) * period  # s, for which a foot stands before that is known
+    goes_on = searches & (stands | (state.clock >= plan.duration[stage] + untold))
+    onwards = jnp.where(goes_on, jnp.minimum(step, TOO_FAR * period / jnp.maximum(untold, period)), 0.0)
     told = feet_in_world(robot, seen.position, seen.quat, state.joints)
     pressed = jnp.sum((places - told) * normal, axis=1) - ground.depth
     back = jnp.maximum(YIELD / (1 + noise.delay) * pressed, -jnp.maximum(left, 0.0))  # to where it was planned, at most
-    yields = jnp.where(comes & seen.loaded & uncertain, back, 0.0)
-    moved = follows - jnp.where(searches, step, 0.0)
-    left = jnp.where(searches, left - step, left - follows + yields)
+    yields = jnp.where(comes & ~late & seen.loaded & uncertain, back, 0.0)
+    moved = follows - onwards
+    left = jnp.where(searches, left - onwards, left - follows + yields)
     moves = jnp.where(stands, moved, left)[:, None] * normal
-    return Touched(_with(so_far.obstacle, sizes), covariance, has, left), moves, searches
+    return known._replace(felt=has, left=left), moves, searches
+
+
+def _variance(control: Control, noise: Noise) -> Array | float:
+    """Of a touched place off the surface (m^2)."""
+    return control.touch_error**2 + noise.position_noise**2 + noise.position_bias**2
+
+
+def _known(
+    so_far: Touched,
+    places: Float[Array, "6 3"],
+    out: Float[Array, " 6"],
+    normal: Float[Array, "6 3"],
+    variance: Array | float,
+    counts: Bool[Array, " 6"],
+) -> tuple[Touched, Bool[Array, " 6"]]:
+    """Sizes after those feet that count were found at the surface, and at which feet it was uncertain.
+
+    `places` are outside of where they are planned by `out` (m) along the normal.
+    """
+    sizes = _sizes(so_far.obstacle)
+
+    def inside(x: Array) -> Array:
+        """Taken at the planned depth: deep inside what is believed another face may be nearer."""
+        return fixed_surface(_with(so_far.obstacle, x), places - out[:, None] * normal).depth - out
+
+    slopes = jax.jacfwd(inside)(sizes)
+    uncertain = jnp.sum((slopes @ so_far.covariance) * slopes, axis=1) > 0
+    sizes, covariance = _least_squares(sizes, so_far.covariance, inside(sizes), slopes, variance, counts)
+    return so_far._replace(obstacle=_with(so_far.obstacle, sizes), covariance=covariance), uncertain
 
 
 def _least_squares(

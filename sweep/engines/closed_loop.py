@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from sweep.controllers import tracker
+from sweep.controllers import touch, tracker
 from sweep.controllers.learned import Learned, felt, informed, newest, replanned
 from sweep.controllers.observation import Observation, Sensors, install, observe
 from sweep.controllers.plan import Plan, Stance
@@ -148,7 +148,7 @@ def act(
     sensors, seen = loop.sensors, loop.seen
     if not quiet:
         sensors, seen = observe(world.noise, sensors, seen, jax.random.fold_in(loop.key, tick))
-    seen = seen._replace(loaded=seen.load > world.control.load_threshold)
+    seen = seen._replace(loaded=seen.load > touch.threshold(world.control, belief.noise))
     state, followed, learned = felt(world, belief, plan, loop.tracker, loop.learned, seen, period)
     state, command = tracker.step(informed(belief, learned), followed, state, seen, period)
     servo = position_mode(world.drive, command.joints - seen.joint_error)

@@ -4,15 +4,13 @@ Calibration is not simulated: with drives soft enough every foot stays where it 
 that joint angles follow from the true sizes. `bench/calibration.py` compares that with physics.
 """
 
-from dataclasses import replace
-
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
 from sweep.controllers import calibration, touch
 from sweep.controllers.calibration import HEIGHT, MOVES, Ground, Measured
-from sweep.controllers.learned import Learned
+from sweep.controllers.learned import Learned, informed
 from sweep.controllers.observation import biases
 from sweep.controllers.plan import Plan, Stance
 from sweep.controllers.posture import feet_in_world
@@ -32,17 +30,23 @@ ERRORS = 1  # folded into a rollout's key to draw the errors of calibration
 def prepared(world: Case, belief: Case, key: Array) -> tuple[Case, Plan, Learned | None]:
     """What is believed from the start on, the plan that follows, what was learned for it; `key` is the rollout's."""
     plan, control = belief.manoeuvre.plan(belief), world.control
-    calibrated = None
-    if control.calibrate != "none":
-        seen = measured(world, start_state(world, belief, plan), key)
-        calibrated = calibration.estimate(control, belief.noise, belief.robot, _ground(belief, plan), seen)
-        belief = replace(belief, robot=calibrated.robot)
-        plan = belief.manoeuvre.plan(belief)
-    touched = None if control.touch == "none" else touch.untouched(control, belief.obstacle)
-    if calibrated is None and touched is None:
+    if control.calibrate == "none" and control.touch == "none":
         return belief, plan, None
-    again = (None, None) if control.replan == "never" else (plan, jnp.zeros(()))
-    return belief, plan, Learned(calibrated, touched, *again)
+    seen = measured(world, start_state(world, belief, plan), key)
+    learned = Learned(None, None, None)
+    if control.calibrate != "none":
+        calibrated = calibration.estimate(control, belief.noise, belief.robot, _ground(belief, plan), seen)
+        learned = learned._replace(calibrated=calibrated)
+    if control.touch != "none":
+        at_first = seen.position[0], seen.quat[0], seen.angles[0]
+        robot, nothing = informed(belief, learned).robot, touch.untouched(control, belief.obstacle)
+        touched = touch.standing(control, belief.noise, robot, plan.start, nothing, *at_first)
+        learned = learned._replace(touched=touched)
+    belief = informed(belief, learned)
+    plan = belief.manoeuvre.plan(belief)
+    if control.replan != "never":
+        learned = learned._replace(plan=plan, shortfall=jnp.zeros(()))
+    return belief, plan, learned
 
 
 def check(world: Case, belief: Case, plan: Plan) -> None:

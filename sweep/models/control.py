@@ -19,12 +19,14 @@ class Control:
     size_error: float = quantity(0.012, "-", above=0, at_most=0.2)
     # deviation of each standing foot's place along the ground from pose to pose of the calibration
     slip: float = quantity(0.001, "m", above=0, at_most=0.1)
-    # measured load from which on a foot counts as standing, whatever is learned: above what noise shows in the air
+    # measured load from which on a foot counts as standing, whatever is learned; as noise needs, it is higher
     load_threshold: float = quantity(1.0, "N", above=0, at_most=1000)
     # what the robot learns from where its feet come to stand: the sizes of the obstacle
     touch: str = choice("none", "none", "obstacle")
     # deviation of each believed size of the obstacle, relative: what touching takes for possible before it begins
     obstacle_error: float = quantity(0.03, "-", above=0, at_most=0.2)
+    # deviations by which heights of the obstacle are planned for as larger, as long as they are uncertain
+    caution: float = quantity(0.1, "-", at_least=0, at_most=3)
     touch_error: float = quantity(0.002, "m", above=0, at_most=0.1)  # deviation of a touched place from the surface
     # how fast a foot's command goes over to the surface that it has felt, or on in search of it
     touch_speed: float = quantity(0.1, "m/s", at_least=0, at_most=1)

@@ -17,6 +17,7 @@ from sweep.controllers.touch import Touched
 from sweep.controllers.tracker import init, joint_targets
 from sweep.core.errors import InputError
 from sweep.engines import make
+from sweep.models.noise import Noise
 from sweep.models.obstacles.pole_ledge import PoleLedge
 from sweep.models.obstacles.surface import fixed_surface, no_bodies
 from sweep.study.config import compose
@@ -47,13 +48,13 @@ def on_pole(radius: float) -> tuple[int, Stance]:
     return stage, stance._replace(feet=feet)
 
 
-def walk_on(stage: int, stance: Stance, ticks: int, loaded=True):
+def walk_on(stage: int, stance: Stance, ticks: int, loaded=True, noise=CASE.noise):
     """What is known, and the footholds told, after `ticks` in which no foot had been felt before."""
     plan, state = planned(), untouched()._replace(felt=jnp.zeros(6, bool))
     ground = fixed_surface(CASE.obstacle, plan.foothold[stage])
     now = seen(stance, loaded)
     tracked = init(CASE, plan)._replace(stage=jnp.int32(stage), feet=plan.foothold[stage], clock=plan.duration[stage])
-    step = jax.jit(lambda s, t: touch.felt(CASE.control, CASE.noise, CASE.robot, plan, ground, t, s, now, PERIOD))
+    step = jax.jit(lambda s, t: touch.felt(CASE.control, noise, CASE.robot, plan, ground, t, s, now, PERIOD))
     for _ in range(ticks):
         state, moves, _ = step(state, tracked)
         from_where = jnp.where(plan.swing[stage][:, None], plan.foothold[stage], tracked.feet)
@@ -98,6 +99,41 @@ def test_a_foot_in_the_air_goes_on_inwards_so_far_and_no_farther():
         _, feet = walk_on(stage, stance, ticks, loaded=False)
         moved = from_axis(planned().foothold[stage]) - from_axis(feet)
         np.testing.assert_allclose(moved, way, atol=1.01 * PERIOD * CASE.control.touch_speed)
+
+
+def test_a_foot_that_is_told_late_of_its_load_goes_on_no_faster_than_that_allows():
+    stage, stance = on_pole(0.43)
+    late, ticks = 20.0, 50
+    _, feet = walk_on(stage, stance, ticks, loaded=False, noise=Noise(load_delay=late))
+    moved = from_axis(planned().foothold[stage]) - from_axis(feet)
+    stands = ~np.asarray(planned().swing[stage])
+    np.testing.assert_allclose(moved[stands], ticks / late * touch.TOO_FAR, rtol=0.01)
+    np.testing.assert_allclose(moved[~stands], 0, atol=1e-6)  # the load of those that land now is not known of yet
+
+
+def test_what_a_sensor_shows_in_the_air_makes_no_foot_stand():
+    assert float(touch.threshold(CASE.control, CASE.noise)) == CASE.control.load_threshold
+    rng = np.random.default_rng(0)
+    noise = Noise(load_noise=3.0, load_bias=4.0)
+    shown = 4 * rng.standard_normal(10_000) + 3 * rng.standard_normal(10_000)
+    assert np.mean(shown > touch.threshold(CASE.control, noise)) < 1e-3
+
+
+def test_heights_are_planned_for_as_larger_until_a_foot_stands_there():
+    nothing, pole = untouched(), CASE.on(PoleLedge)
+    more = CASE.control.caution * CASE.control.obstacle_error
+    wary = touch.planned_for(nothing)
+    np.testing.assert_allclose(wary.height, pole.height * (1 + more), rtol=1e-6)
+    np.testing.assert_allclose(wary.radius, pole.radius, rtol=1e-6)
+    top = 1.01 * pole.height  # on which a robot stands that believes in the one above
+    feet = jnp.stack([0.2 * jnp.cos(jnp.arange(6.0)), 0.2 * jnp.sin(jnp.arange(6.0)), jnp.full(6, pole.height)], axis=1)
+    start = Stance(feet, jnp.array([0.0, 0.0, pole.height + 0.3]), jnp.array([1.0, 0.0, 0.0, 0.0]))
+    up = jnp.array([0.0, 0.0, top - pole.height])
+    true = start._replace(feet=start.feet + up, position=start.position + up)
+    angles, short = joint_targets(CASE.robot, true)
+    found = touch.standing(CASE.control, CASE.noise, CASE.robot, start, nothing, true.position, true.quat, angles)
+    assert float(short.max()) == 0
+    np.testing.assert_allclose(touch.planned_for(found).height, top, atol=1e-3)
 
 
 def test_what_is_left_of_the_way_is_planned_for_the_pole_that_was_found():

@@ -1,5 +1,7 @@
 """The vertical corner of a house with a flat roof (monograph 2.4)."""
 
+from typing import ClassVar
+
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -19,6 +21,7 @@ class Corner(Fixed):
 
     Two walls that meet in the world's z axis and open towards -y, symmetric about the plane x = 0."""
 
+    heights: ClassVar = ("height",)
     kind: str = choice("corner", "corner")
     half_angle: float = quantity(np.pi / 4, "rad", at_least=0.2, at_most=1.5)  # psi, of the house between its walls
     height: float = quantity(2.3, "m", above=0)  # h, of the house above the floor

@@ -1,6 +1,7 @@
 """What obstacles have in common that never move."""
 
 from abc import ABC, abstractmethod
+from typing import ClassVar
 
 import mujoco
 from jaxtyping import Array, Float
@@ -14,6 +15,7 @@ class Fixed(ABC):
     """An obstacle without free bodies: a kind, sizes, solids and a surface are all that it needs to say."""
 
     free_bodies: tuple[str, ...] = ()
+    heights: ClassVar[tuple[str, ...]] = ()  # sizes of it that say how high something is where feet are set down
     contact_sites: tuple[tuple[str, int], ...] = ()
 
     @abstractmethod

@@ -1,5 +1,7 @@
 """A vertical pole on the floor and a ledge behind it (monograph 2.3)."""
 
+from typing import ClassVar
+
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -15,6 +17,7 @@ FLOOR, SIDE, TOP, LEDGE, WALL = range(5)
 class PoleLedge(Fixed):
     """Pole along the world's z axis; the ledge fills y < -radius, z < ledge_height."""
 
+    heights: ClassVar = ("height", "ledge_height")
     kind: str = choice("pole_ledge", "pole_ledge")
     radius: float = quantity(0.42, "m", above=0)  # r, of the pole
     height: float = quantity(2.286660689865613, "m", above=0)  # h, of the pole above the floor

@@ -192,7 +192,9 @@ class BallBalance(OnBall):
 class DriveMemory(NamedTuple):
     """Of a step."""
 
-    push: Float[Array, ""]  # m, k_v (v_d - v_e)
+    push: Float[Array, ""]  # m, k_v (v_d - v_e), and what was always missing
+    missing: Float[Array, ""]  # m, of that: the sum over the steps so far
+    ahead: Float[Array, ""]  # m, of the ball when the step began
     aside: Float[Array, ""]  # m, delta r^(3) to the left
     aside_before: Float[Array, ""]  # m, of the last step
     way: Float[Array, ""]  # m, of the ball to the left when the step began
@@ -215,6 +217,7 @@ class BallDrive(OnBall):
       much as the push itself.
     - T of alpha is the time of a stance, which is that of one step.
     - Changes of the lateral move are spread over half a step, and the push is limited.
+    - Rolling friction leaves the ball slower than v_d, a heavy one most: `speed_integral` adds up what is missing.
     - To stop, v_d is at most `brake` times the distance to `place`.
     """
 
@@ -225,6 +228,8 @@ class BallDrive(OnBall):
     speed: float = quantity(0.13, "m/s")  # v_d, at which the ball is to roll
     # k_v, how far the mass centre is pushed ahead for each m/s that the ball is too slow
     speed_gain: float = quantity(0.4, "s", at_least=0)
+    # how far more it is pushed at all later steps for each m/s that it is too slow at one: 0 in the book
+    speed_integral: float = quantity(0.0, "s", at_least=0)
     push_every: int = count(1, at_least=1)  # steps from one push ahead to the next
     push_max: float = quantity(0.06, "m", at_least=0)  # largest push of the mass centre ahead or back
     aside_gain: float = quantity(0.2, "-", at_least=0)  # k_1, of how far the ball is aside now
@@ -264,7 +269,7 @@ class BallDrive(OnBall):
     def memory(self, belief: Case, plan: Plan) -> DriveMemory:
         """Nothing pushed yet."""
         zero = jnp.zeros(())
-        return DriveMemory(zero, zero, zero, zero)
+        return DriveMemory(zero, zero, zero, zero, zero, zero)
 
     def guide(
         self, belief: Case, plan: Plan, state: TrackerState, seen: Observation, begins: Bool[Array, ""], period: float
@@ -292,14 +297,20 @@ class BallDrive(OnBall):
         ball, memory = belief.on(Ball), state.memory
         place, speed = seen.free.position[0], seen.free.velocity[0, 0]
         wanted = jnp.minimum(self.speed, self.brake * (self.place - place[0]))
-        push = jnp.clip(self.speed_gain * (wanted - speed), -self.push_max, self.push_max)
-        push = jnp.where(state.stage % self.push_every == 0, push, 0.0)
+        pushes = state.stage % self.push_every == 0
+        went = jnp.where(state.stage == 0, speed, (place[0] - memory.ahead) / self.step_time)  # within a step it varies
+        missing = memory.missing + jnp.where(pushes, self.speed_integral * (wanted - went), 0.0)
+        missing = jnp.clip(missing, -self.push_max, self.push_max)
+        push = jnp.clip(self.speed_gain * (wanted - speed) + missing, -self.push_max, self.push_max)
+        push = jnp.where(pushes, push, 0.0)
         before = jnp.where(state.stage == 0, place[1], memory.way)
         aside = self.aside_gain_before * before - self.aside_gain * place[1]
         turn = self.step_time * speed / (2 * ball.radius)
         circle = self.circle_ratio * ball.radius
         landing = footholds(ball.radius, circle, self.chord_ratio * circle, turn) * (1 - self.deepening / ball.radius)
-        planned = memory._replace(push=push, aside=aside, aside_before=memory.aside, way=place[1])
+        planned = memory._replace(
+            push=push, missing=missing, ahead=place[0], aside=aside, aside_before=memory.aside, way=place[1]
+        )
         return planned, landing
 
     def _compensated(self, belief: Case, perched: Array, feet: Array, ahead: Array, aside: Array) -> Float[Array, " 3"]:
