@@ -32,6 +32,7 @@ ERRORS = {  # what a line of the table is called, and how its numbers are told
 }
 BOUNDS = {  # columns of the table of bounds: title, unit in which an error is told, value without it
     "axis.size_error": ("sizes, masses, %", 100, 0.0),
+    "axis.ground_error": ("ground, %", 100, 0.0),
     "noise.position_noise": ("position, noise, mm", 1000, 0.0),
     "noise.position_bias": ("bias, mm", 1000, 0.0),
     "noise.orientation_noise": ("attitude, noise, mrad", 1000, 0.0),
