@@ -85,6 +85,12 @@ def test_it_drives_and_stops_the_ball(engine):
     assert rows["obstacle_aside_max_m"].max() < 0.02
 
 
+def test_what_a_heavy_ball_lacks_of_its_speed_adds_up():
+    for gain, speed in ((0.0, 0.108), (0.05, 0.125)):
+        asked = ["scenario=ball_drive", "obstacle.mass=400", f"manoeuvre.speed_integral={gain}"]
+        assert outcomes(asked)["obstacle_speed_mps"][0] == pytest.approx(speed, abs=0.002)
+
+
 def test_fewer_pushes_drive_slower():
     """Fig. 3.1.6: between pushes rolling friction takes speed."""
     rows = outcomes(["scenario=ball_drive", "engine=native", "manoeuvre.steps=40", "manoeuvre.push_every=4"])
