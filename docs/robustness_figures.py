@@ -86,7 +86,8 @@ def bounds(folders: list[str]) -> None:
         control = found.exp.case.control
         learns = "learns" if control.touch != "none" else "calibrates" if control.calibrate != "none" else "believes"
         rates = sensitivity.along(found.rows, found.exp)
-        cells = [bound(rates[rates["axis"] == axis], *how) for axis, (_, *how) in BOUNDS.items()]
+        along = dict(list(rates.groupby("axis")))
+        cells = [bound(along[axis], *how) if axis in along else "" for axis, (_, *how) in BOUNDS.items()]
         print(f"| `{found.exp.scenario}` | {learns} | " + " | ".join(cells) + " |")
         kept.append(rates.assign(scenario=found.exp.scenario, robot=learns, commit=found.stored["commit"]))
     table = pd.concat(kept)
