@@ -6,7 +6,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from sweep.engines.fused import cuda
+from sweep.engines.fused import cuda, launch
 
 FLOAT_TESTS = {"eq": "a == b", "ne": "(a != b) & ~odd", "lt": "a < b", "le": "a <= b", "gt": "a > b", "ge": "a >= b",
                "nan": "odd", "num": "~odd"}  # fmt: skip
@@ -98,7 +98,7 @@ class Kernel:
             return f"m.shuffled({self._read(args[1], 'b32')}, {self._read(args[2], 's32')})"
         if name == "vote":
             return f"m.every({self._read(args[1], 'pred')})"
-        if name == "mov" and args[1] in ("%tid.x", "%ctaid.x"):
+        if name == "mov" and args[1] in ("%tid.x", "%ctaid.x", "%nctaid.x"):
             return f"m.{args[1][1:-2]}"
         if name == "mov" and args[1] in self.tables:
             return f"np.int64({self.tables[args[1]][0]} << {PAGE})"
@@ -146,7 +146,7 @@ class Kernel:
     def run(self, operands: list[np.ndarray], blocks: int, threads: int) -> None:
         """Change operands as the kernel does."""
         for warp in range(blocks * threads // 32):
-            memory, registers = Memory(operands, self.tables, warp, threads), {}
+            memory, registers = Memory(operands, self.tables, warp, threads, blocks), {}
             label: str | None = "entry"
             with np.errstate(all="ignore"):
                 while label is not None:
@@ -156,10 +156,11 @@ class Kernel:
 class Memory:
     """Operands, and what threads of a warp tell each other."""
 
-    def __init__(self, operands: list[np.ndarray], tables: dict, warp: int, threads: int):
+    def __init__(self, operands: list[np.ndarray], tables: dict, warp: int, threads: int, blocks: int):
         self.words = {k: x.reshape(-1).view(np.uint32) for k, x in enumerate(operands)} | dict(tables.values())
         thread = 32 * warp + np.arange(32, dtype=np.uint32)
         self.tid, self.ctaid = thread % threads, thread // threads
+        self.nctaid = np.full(32, blocks, np.uint32)
 
     def at(self, address: Any) -> tuple[np.ndarray, np.ndarray]:
         """Words of an operand, and which."""
@@ -186,7 +187,7 @@ class Memory:
 def call(code: Any, operands: Any, tiles: int) -> list[Any]:
     """As `launch.call`."""
     changed = [np.array(x) for x in operands]
-    Kernel(code.text).run(changed, tiles // cuda.WARPS, 32 * cuda.WARPS)
+    Kernel(code.text).run(changed, launch.blocks(tiles), 32 * cuda.WARPS)
     return [jnp.asarray(changed[k]) for k in ([2] if len(changed) == 3 else [2, 4])]
 
 

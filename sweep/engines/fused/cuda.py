@@ -6,19 +6,21 @@ depend neither on the rollouts beside it nor on how many there are.
 
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from sweep.engines.fused import lanes
 from sweep.engines.fused.interpret import Unsupported
-from sweep.engines.fused.lanes import Place
-from sweep.engines.fused.program import LEGS, Block, Branch, Loop, Node, Region, Store, inside, value_of
+from sweep.engines.fused.lanes import ANEW, Part, Place
+from sweep.engines.fused.program import LEGS, Block, Branch, Loop, Node, Region, Store, value_of
 from sweep.engines.fused.text import INTRINSICS, TYPES, Text
 
 LANES = 32 // LEGS  # rollouts of a warp, which are a tile in memory; two lanes do again what others do
 WARPS = 8  # of a block: as many as registers allow
 ROW = 4 * LANES  # bytes of a number's rollouts in memory
+PART = 4000  # operations whose instructions a multiprocessor holds
+TURNS = 4  # tiles at most that a warp takes through a part, one after the other
 EVERY = "i32 -1"  # lane
 NATIVE = {"sqrt", "floor", "ceil", "round"}
 
@@ -39,21 +41,24 @@ class Printer(Text):
         self.tables: list[str] = []
         self.here: dict[Place, str] = {}  # what numbers of inner memory are now
         self.rows, self.inner = lanes.rows(top, needed)
+        self.words = sizes[1]  # numbers of a rollout's state, then those that are looked up by place, then what is kept
         self.scratch: dict[Region, int] = {}
         for region in self.inner:
-            self.scratch[region] = self.sizes[1] + sum(r.size for r in self.scratch)
+            self.scratch[region] = self.words
+            self.words += region.size
+        self.kept: dict[int | Place, tuple[int, str, bool]] = {}  # values of one part for the next ones, where
+        (loop,) = (item for item in top.items if isinstance(item, Loop))
+        before = [item for item in lanes.depth_first(top, needed) if item is not loop]
+        flag = next((s.region for s in loop.body.stores if s.region.place == over and not s.region.record), None)
+        parts = [Part(before, top.stores), *lanes.parts(loop.body, needed, PART, flag)]
+        self._keep(parts)
         self._head()
-        self._block(top)
-
-    @property
-    def words(self) -> int:
-        """Numbers of a rollout's state, with those that are looked up by place."""
-        return self.sizes[1] + sum(r.size for r in self.scratch)
+        self._ticks(*parts)
 
     def text(self) -> str:
         """The module."""
         told = ["readonly %kept_", "%record_"] if self.room else []
-        operands = ", ".join(f"ptr noalias {x}" for x in ("readonly %given_", "readonly %first_", "%state_", *told))
+        operands = ", ".join(f"ptr noalias {x}" for x in ("readonly %given_", "readonly %begin_", "%state_", *told))
         return "\n".join([
             'target triple = "nvptx64-nvidia-cuda"', *sorted(self.declared), *self.tables,
             f"define ptx_kernel void @run({operands}) {{\nentry:\n{self.body()}\n  ret void\n}}",
@@ -61,12 +66,12 @@ class Printer(Text):
             f'!0 = !{{ptr @run, !"maxntidx", i32 {32 * WARPS}, !"minctasm", i32 1}}', "",
         ])  # fmt: skip
 
-    def _nvvm(self, name: str, kind: str, *args: str) -> str:
+    def _nvvm(self, name: str, kind: str, *args: str, to: str | None = None) -> str:
         """What only this processor does."""
         self.declared.add(f"declare {kind} @llvm.nvvm.{name}({', '.join(x.split()[0] for x in args)})")
         call = f"call {kind} @llvm.nvvm.{name}({', '.join(args)})"
         if kind != "void":
-            return self.emit(call)
+            return self.emit(call, to)
         self.lines.append(call)
         return ""
 
@@ -74,67 +79,101 @@ class Printer(Text):
         """Which leg of which rollout this lane is for."""
         thread = self._nvvm("read.ptx.sreg.tid.x", "i32")
         block = self._nvvm("read.ptx.sreg.ctaid.x", "i32")
+        self._nvvm("read.ptx.sreg.nctaid.x", "i32", to="%grid")
         lane, warp = self.emit(f"and i32 {thread}, 31"), self.emit(f"lshr i32 {thread}, 5")
         group = self.emit(f"udiv i32 {lane}, {LEGS}")
         beyond = self.emit(f"icmp ugt i32 {group}, {LANES - 1}")
-        group = self.emit(f"select i1 {beyond}, i32 {LANES - 1}, i32 {group}")
+        group = self.emit(f"select i1 {beyond}, i32 {LANES - 1}, i32 {group}", "%group")
         leg = self.emit(f"urem i32 {lane}, {LEGS}", "%leg")
         base = self.emit(f"mul i32 {group}, {LEGS}", "%base")
         across = self.emit(f"urem i32 {self.emit(f'add i32 {leg}, 3')}, {LEGS}")
         self.emit(f"add i32 {base}, {across}", "%across")
-        tile = self.emit(f"add i32 {self.emit(f'mul i32 {block}, {WARPS}')}, {warp}")
-        own = self.emit(f"zext i32 {self.emit(f'mul i32 {group}, 4')} to i64")
-        wide = self.emit(f"zext i32 {tile} to i64")
-        for name, words in (("given", self.sizes[0]), ("state", self.words)):
-            offset = self.emit(f"add i64 {self.emit(f'mul i64 {wide}, {words * ROW}')}, {own}")
-            self.emit(f"getelementptr i8, ptr %{name}_, i64 {offset}", f"%{name}")
-        self.emit("load i32, ptr %first_", "%first")
-        if self.room:
-            rollout = self.emit(f"add i32 {self.emit(f'mul i32 {tile}, {LANES}')}, {group}")
-            at = self.emit(f"getelementptr i32, ptr %kept_, i32 {rollout}")
-            self.emit(f"load i32, ptr {at}", "%kept")
+        self.emit(f"add i32 {self.emit(f'mul i32 {block}, {WARPS}')}, {warp}", "%tile")
+        self.emit("load i32, ptr %begin_", "%first")
+        self.emit(f"load i32, ptr {self.emit('getelementptr i8, ptr %begin_, i32 4')}", "%tiles")
 
     # blocks
 
-    def _block(self, block: Block) -> None:
-        for item in lanes.depth_first(block, self.needed):
+    def _items(self, items: Iterable[Any]) -> None:
+        for item in items:
             if isinstance(item, Node):
-                self.names[item.number] = self._work(item)
+                if item.op not in ANEW:
+                    self.names[item.number] = self._work(item)
             elif isinstance(item, Store):
                 self._stores([item])
             elif isinstance(item, Loop):
-                self._ticks(item) if item.length is None else self._loop(item)
+                self._loop(item)
             else:
                 self._branch(item)
+
+    def _block(self, block: Block) -> None:
+        self._items(lanes.depth_first(block, self.needed))
         self._stores(block.stores)
 
     def _start(self, label: str) -> None:
         self.start(label)
         self.found = {}
 
-    def _ticks(self, loop: Loop) -> None:
-        """All ticks; warps of a block go side by side, since they share what holds their instructions."""
-        before = self.label
+    def _keep(self, parts: Sequence[Part]) -> None:
+        """Find room for what a part has to hand on."""
+        home: dict[int | Place, int] = {}
+        for k, part in enumerate(parts):
+            for node in lanes.operands(part, self.needed):
+                if node.op == "load" and not self._is_outer(node.extra[0]):
+                    key, leg = (place := self._place(*node.extra[:2])), place in self.rows
+                elif node.op not in ANEW:
+                    key, leg = node.number, node.leg
+                else:
+                    continue
+                if home.get(key, k) < k and key not in self.kept:
+                    self.kept[key] = self.words, node.dtype, leg
+                    self.words += LEGS if leg else 1
+            home |= {item.number: k for item in part.items if isinstance(item, Node)}
+            home |= dict.fromkeys(self._changed(part.items), k)
+
+    def _ticks(self, before: Part, *parts: Part) -> None:
+        """All ticks, part by part: a block's rollouts go through one part before they go through the next.
+
+        So instructions are fetched once for all of them.
+        """
+        self._part("P", before)
+        at, entered = len(self.lines) + 2, self.label
         self.lines.append("br label %tick")
         self._start("tick")
-        self.lines.append(f"%k = phi i32 [0, %{before}], [%next, %done]")
-        self.counts[loop.body.depth] = "%k"
-        self._together()
-        if not self.room:
-            over = self.emit(f"icmp ne i32 {self._get('%state', self.over * ROW, 'i32')}, 0")
-            every = self._nvvm("vote.all.sync", "i1", EVERY, f"i1 {over}")
-            self.lines.append(f"br i1 {every}, label %done, label %go")
-            self._start("go")
-        self._block(loop.body)
-        self.lines.append("br label %done")
-        self._start("done")
+        for k, part in enumerate(parts):
+            self._part(f"P{k}", part)
+        self.lines.insert(at, f"%k = phi i32 [0, %{entered}], [%next, %{self.label}]")
         self.emit("add i32 %k, 1", "%next")
         more = self.emit(f"icmp ult i32 %next, {self.ticks}")
         self.lines.append(f"br i1 {more}, label %tick, label %end")
         self._start("end")
 
-    def _together(self) -> None:
+    def _part(self, name: str, part: Part) -> None:
+        """A part for one of this warp's tiles after the other; warps of a block go side by side."""
+        at, entered = len(self.lines) + 2, self.label
+        self.lines.append(f"br label %{name}")
+        self._start(name)
         self._nvvm("barrier0", "void")
+        self.tile, self.names, self.here = f"%{name}_t", {}, {}
+        tile = self.emit(f"zext i32 {self.tile} to i64")
+        own = self.emit(f"zext i32 {self.emit('mul i32 %group, 4')} to i64")
+        for base, words in (("given", self.sizes[0]), ("state", self.words)):
+            offset = self.emit(f"add i64 {self.emit(f'mul i64 {tile}, {words * ROW}')}, {own}")
+            setattr(self, base, self.emit(f"getelementptr i8, ptr %{base}_, i64 {offset}"))
+        if not self.room:
+            over = self.emit(f"icmp ne i32 {self._get(self.state, self.over * ROW, 'i32')}, 0")
+            every = self._nvvm("vote.all.sync", "i1", EVERY, f"i1 {over}")
+            self.lines.append(f"br i1 {every}, label %{name}_d, label %{name}_g")
+            self._start(f"{name}_g")
+        self._items(part.items)
+        self._stores(part.stores, hand_on=True)
+        self.lines.append(f"br label %{name}_d")
+        self._start(f"{name}_d")
+        following = self.emit(f"add i32 {self.tile}, {self.emit(f'mul i32 %grid, {WARPS}')}")
+        self.lines.insert(at, f"{self.tile} = phi i32 [%tile, %{entered}], [{following}, %{name}_d]")
+        more = self.emit(f"icmp ult i32 {following}, %tiles")
+        self.lines.append(f"br i1 {more}, label %{name}, label %{name}_x")
+        self._start(f"{name}_x")
 
     def _loop(self, loop: Loop) -> None:
         self._fresh += 1
@@ -142,7 +181,7 @@ class Printer(Text):
         self.lines.append(f"br label %{name}")
         self._start(name)
         count, following = f"%{name}_k", f"%{name}_n"
-        moving = [place for place in self._changed(loop.body) if place in self.here]
+        moving = [place for place in self._changed([*loop.body.items, *loop.body.stores]) if place in self.here]
         old = {place: self.here[place] for place in moving}
         self.here |= {place: f"%{name}_{k}" for k, place in enumerate(moving)}
         self.counts[loop.body.depth] = count
@@ -180,12 +219,13 @@ class Printer(Text):
             values = ", ".join(f"[{here.get(place, 'poison')}, %{label}]" for label, here in ends)
             self.here[place] = self.emit(f"phi {TYPES[place[0].dtype]} {values}")
 
-    def _changed(self, block: Block) -> Iterator[Place]:
-        """What a block stores in inner memory, each once."""
+    def _changed(self, items: Iterable[Any]) -> Iterator[Place]:
+        """What is stored in inner memory, each once."""
         found: dict[Place, None] = {}
-        for store in inside(block):
-            if isinstance(store, Store) and not self._is_outer(store.region):
-                found |= dict.fromkeys([self._place(store.region, store.index)])
+        for item in items:
+            for store in (item, *lanes.within(item)):
+                if isinstance(store, Store) and not self._is_outer(store.region):
+                    found |= dict.fromkeys([self._place(store.region, store.index)])
         yield from found
 
     # memory
@@ -193,24 +233,36 @@ class Printer(Text):
     def _place(self, region: Region, index: int) -> Place:
         return region, self.rows.get((region, index), (index, 0, 0))[0]
 
-    def _stores(self, stores: Sequence[Store]) -> None:
-        """Put values away, all of which are worked out before."""
+    def _stores(self, stores: Sequence[Store], hand_on: bool = False) -> None:
+        """Put values away, all of which are worked out before; with those that another part asks for."""
         values = [(store, self.value(store.value)) for store in stores]
         told = [pair for pair in values if pair[0].region.record]
         if told:
             self._tell(told)
         outer = [pair for pair in values if self._is_outer(pair[0].region) and not pair[0].region.record]
-        if outer:
+        kept = [(self.kept[key], x) for key, x in (*self.names.items(), *self.here.items()) if key in self.kept]
+        if outer or hand_on:
             self._nvvm("bar.warp.sync", "void", EVERY)
         for store, value in values:
             if not self._is_outer(store.region):
                 self._set(store, value)
         for store, value in outer:
             offset = (self._start_of(store.region) + store.index) * ROW
-            self._put(self._leg("%state", store.step) if store.value.leg else "%state", offset, store.region, value)
-        if outer:
+            base = self._leg(self.state, store.step) if store.value.leg else self.state
+            self._put(base, offset, store.region.dtype, value)
+        for (word, dtype, leg), value in kept if hand_on else ():
+            self._put(self._leg(self.state, 1) if leg else self.state, word * ROW, dtype, value)
+        if outer or hand_on:
             self._nvvm("bar.warp.sync", "void", EVERY)
             self.found = {key: x for key, x in self.found.items() if not isinstance(key, tuple)}
+
+    def _handed_on(self, key: int | Place) -> str:
+        """What an earlier part has worked out."""
+        if (key, "kept") not in self.found:
+            word, dtype, leg = self.kept[key]
+            base = self._leg(self.state, 1) if leg else self.state
+            self.found[key, "kept"] = self._read(dtype, base, word * ROW)
+        return self.found[key, "kept"]
 
     def _set(self, store: Store, value: str) -> None:
         place = self._place(store.region, store.index)
@@ -224,10 +276,12 @@ class Printer(Text):
     def _tell(self, told: Sequence[tuple[Store, str]]) -> None:
         self._fresh += 1
         name = f"R{self._fresh}"
-        kept = self.emit("icmp sge i32 %kept, 0")
+        rollout = self.emit(f"add i32 {self.emit(f'mul i32 {self.tile}, {LANES}')}, %group")
+        place = self.emit(f"load i32, ptr {self.emit(f'getelementptr i32, ptr %kept_, i32 {rollout}')}")
+        kept = self.emit(f"icmp sge i32 {place}, 0")
         self.lines.append(f"br i1 {kept}, label %{name}, label %{name}_x")
         self._start(name)
-        row = self.emit(f"add i32 {self.emit(f'mul i32 %k, {self.room}')}, %kept")
+        row = self.emit(f"add i32 {self.emit(f'mul i32 %k, {self.room}')}, {place}")
         start = self.emit(f"mul i64 {self.emit(f'zext i32 {row} to i64')}, {4 * self.sizes[2]}")
         base = self.emit(f"getelementptr i8, ptr %record_, i64 {start}")
         for store, value in told:
@@ -235,7 +289,7 @@ class Printer(Text):
             if store.value.leg:
                 offset = self.emit(f"mul i32 %leg, {4 * store.step}")
                 at = self.emit(f"getelementptr i8, ptr {base}, i32 {offset}")
-            self._put(at, 4 * (store.region.place + store.index), store.region, value)
+            self._put(at, 4 * (store.region.place + store.index), store.region.dtype, value)
         self.lines.append(f"br label %{name}_x")
         self._start(f"{name}_x")
 
@@ -246,7 +300,7 @@ class Printer(Text):
         return self.scratch.get(region, region.place)
 
     def _base(self, region: Region) -> str:
-        return "%given" if region.place >= 0 and region.depth == 0 else "%state"
+        return self.given if region.place >= 0 and region.depth == 0 else self.state
 
     def _leg(self, base: str, step: int) -> str:
         """Where this leg's number is that is `step` numbers after the one of the leg before."""
@@ -260,17 +314,17 @@ class Printer(Text):
         at = self.emit(f"getelementptr i8, ptr {base}, i32 {offset}")
         return self.emit(f"load {kind}, ptr {at}, align 4")
 
-    def _put(self, base: str, offset: int, region: Region, value: str) -> None:
+    def _put(self, base: str, offset: int, dtype: str, value: str) -> None:
         at = self.emit(f"getelementptr i8, ptr {base}, i32 {offset}")
-        kind = TYPES[region.dtype]
+        kind = TYPES[dtype]
         if kind == "i1":
             kind, value = "i32", self.emit(f"zext i1 {value} to i32")
         self.lines.append(f"store {kind} {value}, ptr {at}, align 4")
 
-    def _read(self, region: Region, base: str, offset: int | str) -> str:
-        kind = TYPES[region.dtype]
+    def _read(self, dtype: str, base: str, offset: int | str) -> str:
+        kind = TYPES[dtype]
         if kind not in ("i1", "i32", "float"):
-            raise Unsupported(f"{region.dtype} on a GPU")
+            raise Unsupported(f"{dtype} on a GPU")
         if kind != "i1":
             return self._get(base, offset, kind)
         return self.emit(f"icmp ne i32 {self._get(base, offset, 'i32')}, 0")
@@ -281,19 +335,21 @@ class Printer(Text):
         """A value, of this lane's leg where it is one of legs."""
         if node.op == "const" and not node.leg:
             return self.literal(value_of(node))
-        if node.op not in ("const", "load"):
-            return self.names[node.number]
+        if node.op not in ANEW:
+            return self.names.get(node.number) or self._handed_on(node.number)
         if node.op == "load" and not self._is_outer(node.extra[0]):
             return self._now(node)
         key = node.number, "memory"
         if key not in self.found:
-            self.found[key] = self._table(node) if node.op == "const" else self._load(node)
+            again = {"const": self._table, "load": self._load, "tick": self._tick}
+            self.found[key] = again[node.op](node)
         return self.found[key]
 
     def _now(self, node: Node) -> str:
         """A number of inner memory, which is no memory here."""
         region, index, _, _ = node.extra
-        value = self.here[self._place(region, index)]
+        place = self._place(region, index)
+        value = self.here.get(place) or self._handed_on(place)
         row = self.rows.get((region, index))
         return self._shuffled(value, region.dtype, self._lane(row[2])) if row and not node.leg else value
 
@@ -301,7 +357,10 @@ class Printer(Text):
         region, index, _, step = node.extra
         base = self._base(region)
         offset = (self._start_of(region) + index) * ROW
-        return self._read(region, self._leg(base, step) if node.leg else base, offset)
+        return self._read(region.dtype, self._leg(base, step) if node.leg else base, offset)
+
+    def _tick(self, _: Node) -> str:
+        return self.emit("add i32 %k, %first")
 
     def _table(self, node: Node) -> str:
         values, kind = value_of(node), TYPES[node.dtype]
@@ -348,7 +407,7 @@ class Printer(Text):
                 base = self._base(region)
                 place = self.emit(f"mul i32 {self.value(node.args[0])}, {ROW}")
                 offset = self.emit(f"add i32 {place}, {(self._start_of(region) + index) * ROW}")
-                return self._read(region, self._leg(base, step) if node.leg else base, offset)
+                return self._read(region.dtype, self._leg(base, step) if node.leg else base, offset)
             case "part":
                 whole = node.args[0]
                 return self._shuffled(self.value(whole), whole.dtype, self._lane(node.extra))
@@ -362,8 +421,6 @@ class Printer(Text):
                 return self._over_legs(node)
             case "count":
                 return self.counts[node.extra]
-            case "tick":
-                return self.emit("add i32 %k, %first")
         if node.op in INTRINSICS and node.op not in NATIVE:
             raise Unsupported(f"{node.op} of {node.dtype} on a GPU")
         return self.arithmetic(node.op, node.dtype, [self.value(x) for x in node.args], [x.dtype for x in node.args])

@@ -1,12 +1,20 @@
-"""Before a GPU's text is printed: an order in which few values are alive, and which numbers inside it are legs'."""
+"""Before a GPU's text is printed: an order in which few values are alive, parts, and which numbers are legs'."""
 
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
-from sweep.engines.fused.program import LEGS, Block, Node, Region, Store, inside
+from sweep.engines.fused.program import LEGS, Block, Branch, Loop, Node, Region, Store, inside
 
+ANEW = frozenset(("const", "load", "tick"))  # worked out again wherever it is needed
 LARGE = 1 << 30  # operations of a value, those of a shared operand counted for each use
 Place = tuple[Region, int]  # a number, or six that are a number of each leg's
+
+
+class Part(NamedTuple):
+    """A part of a block: what is to be done in order, then stores."""
+
+    items: list[Any]
+    stores: list[Store]
 
 
 def depth_first(block: Block, needed: set[int]) -> Iterator[Any]:
@@ -65,3 +73,68 @@ def rows(top: Block, needed: set[int]) -> tuple[dict[Place, tuple[int, int, int]
                 if rows.setdefault((region, index + k * step), (index, step, k)) != (index, step, k):
                     memory[region] = None
     return {place: row for place, row in rows.items() if place[0] not in memory}, list(memory)
+
+
+def parts(block: Block, needed: set[int], most: int, last: Region | None) -> list[Part]:
+    """A block in parts of `most` operations, or of one loop or branch; what a loop begins with stays with it.
+
+    A result is put into memory as soon as it is there and nothing asks any more for what was there; `last` at the end.
+    """
+    made = [Part(items, []) for items in _cut(block, needed, most)]
+    home = {item.number: k for k, part in enumerate(made) for item in part.items if isinstance(item, Node)}
+    asked: dict[Any, int] = {}  # the last part that reads a place, or by place somewhere in a region
+    for k, part in enumerate(made):
+        for node in operands(part, needed):
+            asked |= dict.fromkeys(_places(node), k)
+    late = [store for store in block.stores if store.region is last or store.value.op == "load"]
+    for store in late:
+        asked |= dict.fromkeys(_places(store.value), len(made) - 1)
+    for store in block.stores:
+        places = [(store.region, store.index + k * store.step) for k in (range(LEGS) if store.value.leg else (0,))]
+        free = max(asked.get(place, 0) for place in (*places, store.region))
+        k = len(made) - 1 if store in late else max(free, home.get(store.value.number, 0))
+        made[k].stores.append(store)
+    return made
+
+
+def _cut(block: Block, needed: set[int], most: int) -> list[list[Any]]:
+    cut: list[list[Any]] = [[]]
+    size, begun = 0, []
+    for item in depth_first(block, needed):
+        if isinstance(item, Store):  # of what a loop begins with: there may be operations between it and the loop
+            begun.append(item)
+            continue
+        count = 1 + sum(x.number in needed for x in within(item) if isinstance(x, Node) and x.op not in ANEW)
+        if size and size + count > most:
+            cut.append([])
+            size = 0
+        cut[-1] += [*begun, item] if isinstance(item, Loop) else [item]
+        size, begun = size + count, [] if isinstance(item, Loop) else begun
+    return cut
+
+
+def within(item: Any) -> Iterator[Any]:
+    """All that is in a loop or branch."""
+    for block in [item.body] if isinstance(item, Loop) else item.blocks if isinstance(item, Branch) else ():
+        yield from inside(block)
+
+
+def operands(part: Part, needed: set[int]) -> Iterator[Node]:
+    """What all of a part is worked out from, inner blocks with it."""
+    for one in [*part.items, *part.stores]:
+        for item in (one, *within(one)):
+            if isinstance(item, Node) and item.number in needed:
+                yield from (item, *item.args) if item.op == "gather" else item.args
+            elif isinstance(item, Store):
+                yield item.value
+            elif isinstance(item, Branch):
+                yield item.index
+
+
+def _places(node: Node) -> list[Any]:
+    if node.op not in ("load", "gather"):
+        return []
+    region, index, _, step = node.extra
+    return (
+        [region] if node.op == "gather" else [(region, index + k * step) for k in (range(LEGS) if node.leg else (0,))]
+    )

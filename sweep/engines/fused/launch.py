@@ -61,7 +61,8 @@ def run(code: Ptx, given: Any, carried: Any, first: Array, kept: Int[Array, " ro
     width = len(like[0])
     tiles = _tiles(width)
     state = _packed(code.carried, like, width, code.words)
-    operands = [_packed(code.given, jax.tree.leaves(given), width, _end(code.given)), jnp.int32(first), state]
+    begin = jnp.stack([jnp.int32(first), jnp.int32(tiles)])
+    operands = [_packed(code.given, jax.tree.leaves(given), width, _end(code.given)), begin, state]
     if kept is not None:
         places = jnp.full(tiles * cuda.LANES, code.room, jnp.int32).at[kept].min(jnp.arange(code.room, dtype=jnp.int32))
         numbers = _end([*code.recorded.values()])
@@ -86,9 +87,16 @@ def call(code: Ptx, operands: Sequence[Array], tiles: int) -> Sequence[Array]:
         [jax.ShapeDtypeStruct(operands[k].shape, operands[k].dtype) for k in changed],
         input_output_aliases={k: n for n, k in enumerate(changed)},
     )
-    return kernel(*operands, name="run", kernel_type="ptx", kernel_data=code.text, grid_x=np.int32(tiles // cuda.WARPS),
+    return kernel(*operands, name="run", kernel_type="ptx", kernel_data=code.text, grid_x=np.int32(blocks(tiles)),
                 grid_y=one, grid_z=one, block_x=wide, block_y=one, block_z=one, shared_mem_bytes=np.int32(0),
                 output_indices=tuple(np.int32(len(operands) + n) for n in range(len(changed))))  # fmt: skip
+
+
+def blocks(tiles: int) -> int:
+    """Of a launch: at most `TURNS` tiles for each warp, the same number for each multiprocessor."""
+    blocks = tiles // cuda.WARPS
+    cores = getattr(jax.devices()[0], "core_count", None) or 1
+    return min(blocks, cores * -(-blocks // (cores * cuda.TURNS)))
 
 
 def _laid_out(shapes: Sequence[Any], start: int) -> tuple[list[Leaf], int]:
