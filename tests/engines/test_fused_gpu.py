@@ -1,6 +1,7 @@
 """The fused compiler for GPUs: its kernels in NumPy beside XLA and the CPU's, and on a GPU where there is one."""
 
 from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -9,7 +10,7 @@ import ptx  # beside this file
 import pytest
 
 from sweep.core.errors import InputError
-from sweep.engines.fused import launch
+from sweep.engines.fused import cuda, launch
 from sweep.engines.fused.interpret import Unsupported
 from sweep.engines.mjx import Mjx
 from sweep.engines.settings import EngineSettings
@@ -98,6 +99,38 @@ def test_rollouts_go_on_until_all_of_their_warp_are_over():
     (count, over), _ = launch.run(code, ends, (jnp.zeros(7, jnp.int32), jnp.zeros(7, bool)), jnp.int32(0), None)
     assert count.tolist() == [3] * 5 + [6] * 2
     assert over.tolist() == [True] * 5 + [False] * 2
+
+
+def test_parts_hand_on_what_they_have_worked_out_whatever_the_number_of_tiles_of_a_warp(monkeypatch):
+    def ticked(given, carried, k):
+        feet, total, over = carried
+        pressed = jnp.cos(feet) * given[0]  # of the old feet, before and after a loop and a sum
+        most = jnp.max(feet)
+        feet, _ = jax.lax.scan(lambda x, i: (0.5 * x + jnp.sin(x @ given) + 0.1 * i, None), feet + k, jnp.arange(9.0))
+        total = total + jnp.sum(pressed * feet) + most
+        return (pressed[:, ::-1] - total, total, over | (total > 1e9)), {"total": total, "old": carried[0]}
+
+    width = WIDTH + 3
+    given = jnp.asarray(np.random.default_rng(0).uniform(-0.2, 0.2, (width, 3, 3)), jnp.float32)
+    feet = jnp.asarray(np.random.default_rng(1).uniform(-1, 1, (width, 6, 3)), jnp.float32)
+    carried = feet, jnp.zeros(width), jnp.zeros(width, bool)
+    one = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), (given, carried))
+
+    def run(part, turns):
+        monkeypatch.setattr(cuda, "PART", part)
+        monkeypatch.setattr(cuda, "TURNS", turns)
+        code = launch.compiled(ticked, *one, lambda carried: carried[2], 2, WIDTH)
+        return launch.run(code, given, carried, jnp.int32(3), jnp.arange(WIDTH))
+
+    whole, xla = run(10**6, 1), carried
+    for k in (3, 4):
+        xla, record = jax.vmap(ticked, (0, 0, None))(given, xla, jnp.int32(k))
+    jax.tree.map(np.testing.assert_array_equal, whole, run(10**6, 2))
+    for part in (7, 40):  # between parts a product and its sum are two roundings
+        jax.tree.map(partial(np.testing.assert_allclose, rtol=1e-4, atol=1e-5), whole, run(part, 2))
+    for a, b in zip(whole[0], xla, strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-3)
+    np.testing.assert_allclose(whole[1]["old"][1], record["old"][:WIDTH], rtol=1e-3, atol=1e-3)
 
 
 def test_what_a_gpu_has_no_rule_for_is_named():
