@@ -25,7 +25,7 @@ def both(function, *batch):
     code = kernel.compiled(lambda given, carried, k: (carried, function(*given)), one, [jnp.zeros(())])
     program = kernel.Kernel(code)
     tiles = program.enter(list(batch), [jnp.zeros(WIDTH)], WIDTH)
-    record = program.advance(tiles, 0, 1, np.arange(WIDTH))
+    record = tiles.advance(0, 1, np.arange(WIDTH))
     assert record is not None
     return {name: x[0] for name, x in record.items()}, jax.vmap(function)(*batch)
 

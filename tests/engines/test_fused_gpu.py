@@ -149,8 +149,8 @@ def test_a_walk_is_that_of_the_cpu(monkeypatch):
     code = launch.compiled(tick, *one, lambda carry: carry.over, 2, WIDTH)
     gpu, _ = launch.run(code, given, carry, jnp.int32(0), jnp.arange(WIDTH))
     _, going = program.start(world, belief, keys)
-    program.kernel.advance(going.tiles, 0, 2, None)
-    cpu = program.kernel.leave(going.tiles)
+    going.tiles.advance(0, 2)
+    cpu = going.tiles.leave()
     for name, step in (("q", 1e-6), ("v", 1e-3)):
         np.testing.assert_allclose(getattr(gpu.state, name), getattr(cpu.state, name), atol=step, err_msg=name)
 

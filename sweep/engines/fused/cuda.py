@@ -37,6 +37,7 @@ class Printer(Text):
         self.needed, self.sizes, self.ticks, self.over, self.room = needed, sizes, ticks, over, room
         self.names: dict[int, str] = {}
         self.found: dict[Any, str] = {}  # in this basic block
+        self.tile = self.given = self.state = ""  # of this part
         self.counts: dict[int, str] = {}
         self.tables: list[str] = []
         self.here: dict[Place, str] = {}  # what numbers of inner memory are now
@@ -159,7 +160,8 @@ class Printer(Text):
         own = self.emit(f"zext i32 {self.emit('mul i32 %group, 4')} to i64")
         for base, words in (("given", self.sizes[0]), ("state", self.words)):
             offset = self.emit(f"add i64 {self.emit(f'mul i64 {tile}, {words * ROW}')}, {own}")
-            setattr(self, base, self.emit(f"getelementptr i8, ptr %{base}_, i64 {offset}"))
+            self.emit(f"getelementptr i8, ptr %{base}_, i64 {offset}", f"%{name}_{base}")
+        self.given, self.state = f"%{name}_given", f"%{name}_state"
         if not self.room:
             over = self.emit(f"icmp ne i32 {self._get(self.state, self.over * ROW, 'i32')}, 0")
             every = self._nvvm("vote.all.sync", "i1", EVERY, f"i1 {over}")

@@ -27,6 +27,7 @@ ELEMENTWISE = frozenset("""
 ALIAS = {"stop_gradient": None, "copy": None, "optimization_barrier": None, "add_any": "add"}
 REDUCTIONS = {"reduce_sum": "add", "reduce_max": "max", "reduce_min": "min", "reduce_and": "and", "reduce_or": "or",
               "reduce_prod": "mul"}  # fmt: skip
+EMPTY = {"add": 0, "mul": 1, "or": False, "and": True, "max": -np.inf, "min": np.inf}  # of no numbers at all
 UNROLLED = 1000  # operations up to which a loop is written out
 CHAIN = 64  # places that a number may be chosen from, where it is not in memory
 
@@ -80,7 +81,7 @@ class Interpreter:
         if name in ELEMENTWISE or name in ALIAS:
             return [self.lift(ALIAS.get(name) or name, args, out.dtype.name)]
         if name in REDUCTIONS:
-            return [self.reduce(REDUCTIONS[name], args[0], params["axes"])]
+            return [self.reduce(REDUCTIONS[name], args[0], params["axes"], out.dtype)]
         if rule := RULES.get(name):
             return [rule(self, *args, out=out, **params)]
         single = all(v.aval.dtype == np.float32 for v in eqn.invars)
@@ -182,9 +183,11 @@ class Interpreter:
             return self.program.node(first.op, first.args, first.dtype, (region, index, depth, step), leg=True)
         return None
 
-    def reduce(self, name: str, x: Array, axes: Sequence[int]) -> Array:
+    def reduce(self, name: str, x: Array, axes: Sequence[int], dtype: Any) -> Array:
         """Along `axes`, in order; over the legs last."""
         kept = [d for d in range(x.ndim) if d not in axes]
+        if not x.size:
+            return self.constant(np.full([x.shape[d] for d in kept], EMPTY[name], dtype))
         rows = np.transpose(x, (*kept, *axes))
         legs = next((k for k, a in enumerate(axes) if x.shape[a] == LEGS and self._over_legs([x], a)), None)
         if legs is not None:
@@ -500,7 +503,7 @@ def _dot_general(self: Interpreter, a: Array, b: Array, out: Any, dimension_numb
     a = a.reshape((*a.shape[: n + len(free_a)], *[1] * len(free_b), *a.shape[a.ndim - m :]))
     b = b.reshape((*b.shape[:n], *[1] * len(free_a), *b.shape[n:]))
     products = self.lift("mul", [a, b], out.dtype.name)
-    return self.reduce("add", products, tuple(range(products.ndim - m, products.ndim)))
+    return self.reduce("add", products, tuple(range(products.ndim - m, products.ndim)), out.dtype)
 
 
 def _argmax(better: str) -> Callable:
