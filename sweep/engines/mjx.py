@@ -265,7 +265,7 @@ class Mjx:
         """A second of the batch that a GPU has, as one kernel; see `_chunk`."""
         room = 0 if kept is None else len(kept) // self._mesh.size
         code = launch.compiled(
-            self._ticks(quiet), *of_one(arrays, batch), lambda carry: carry.over, self._chunk_ticks, room
+            self._ticks(quiet), *of_one(arrays, batch), lambda carry: carry.over, self._chunk_ticks, room, self._local
         )
         columns = offered(self._nominal[0])
 
