@@ -103,13 +103,22 @@ def test_rollouts_go_on_until_all_of_their_warp_are_over():
 
 
 def test_parts_hand_on_what_they_have_worked_out_however_many_rollouts_a_block_has(monkeypatch):
+    def between(feet, given):
+        some = jax.lax.scan(lambda x, i: (jnp.cos(given @ x) + x, None), given, jnp.arange(30.0))[0]
+        return jnp.sum(some @ some) + jnp.min(feet[0] - feet[3])
+
     def ticked(given, carried, k):
         feet, total, over = carried
         pressed = jnp.cos(feet) * given[0]  # of the old feet, before and after a loop and a sum
         most = jnp.max(feet)
         feet, _ = jax.lax.scan(lambda x, i: (0.5 * x + jnp.sin(x @ given) + 0.1 * i, None), feet + k, jnp.arange(9.0))
         total = total + jnp.sum(pressed * feet) + most
-        return (pressed[:, ::-1] - total, total, over | (total > 1e9)), {"total": total, "old": carried[0]}
+        near = jax.lax.cond(k % 2 == 0, lambda: between(feet, given), lambda: total)
+        return (pressed[:, ::-1] - total, total, over | (total > 1e9)), {
+            "total": total,
+            "old": carried[0],
+            "near": near,
+        }
 
     width = WIDTH + 3
     given = jnp.asarray(np.random.default_rng(0).uniform(-0.2, 0.2, (width, 3, 3)), jnp.float32)
@@ -129,7 +138,8 @@ def test_parts_hand_on_what_they_have_worked_out_however_many_rollouts_a_block_h
         xla, record = jax.vmap(ticked, (0, 0, None))(given, xla, jnp.int32(k))
     for a, b in zip(parts[0], xla, strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-3)
-    np.testing.assert_allclose(parts[1]["old"][1], record["old"][:WIDTH], rtol=1e-3, atol=1e-3)
+    for name, values in record.items():
+        np.testing.assert_allclose(parts[1][name][1], values[:WIDTH], rtol=1e-3, atol=1e-3, err_msg=name)
 
 
 def test_what_a_gpu_has_no_rule_for_is_named():

@@ -51,7 +51,8 @@ class Printer(Text):
         for region in self.inner:
             self.scratch[region] = self.words
             self.words += region.size
-        self.kept: dict[int | Place, tuple[int, str, bool]] = {}  # values of one part for the next ones, where
+        self.kept: dict[int | Place, tuple[int, Node, bool]] = {}  # values of one part for the next ones, where
+        self.home: dict[int | Place, Part] = {}
         (loop,) = (item for item in top.items if isinstance(item, Loop))
         before = [item for item in lanes.depth_first(top, needed) if item is not loop]
         flag = next((s.region for s in loop.body.stores if s.region.place == over and not s.region.record), None)
@@ -124,8 +125,7 @@ class Printer(Text):
 
     def _keep(self, parts: Sequence[Part]) -> None:
         """Find room for what a part has to hand on."""
-        home: dict[int | Place, int] = {}
-        for k, part in enumerate(parts):
+        for part in parts:
             for node in lanes.operands(part, self.needed):
                 if node.op == "load" and not self._is_outer(node.extra[0]):
                     key, leg = (place := self._row(*node.extra[:2])[0]), place in self.rows
@@ -133,11 +133,11 @@ class Printer(Text):
                     key, leg = node.number, node.leg
                 else:
                     continue
-                if home.get(key, k) < k and key not in self.kept:
-                    self.kept[key] = self.words, node.dtype, leg
+                if self.home.get(key, part) is not part and key not in self.kept:
+                    self.kept[key] = self.words, node, leg
                     self.words += LEGS if leg else 1
-            home |= {item.number: k for item in part.items if isinstance(item, Node)}
-            home |= dict.fromkeys(self._changed(part.items), k)
+            self.home |= {item.number: part for item in part.items if isinstance(item, Node)}
+            self.home |= dict.fromkeys(self._changed(part.items), part)
 
     def _ticks(self, before: Part, *parts: Part) -> None:
         """All ticks, part by part: a block's rollouts go through one before they go through the next."""
@@ -238,9 +238,9 @@ class Printer(Text):
             self.here[place] = self.emit(f"phi {TYPES[place[0].dtype]} {values}")
 
     def _changed(self, items: Iterable[Any]) -> Iterator[Place]:
-        """Rows of inner memory in which something is stored, each once."""
+        """Places in inner memory where something is stored, each once."""
         stores = (x for item in items for x in (item, *lanes.within(item)) if isinstance(x, Store))
-        yield from dict.fromkeys(self._row(x.region, x.index)[0] for x in stores if not self._is_outer(x.region))
+        yield from dict.fromkeys(self._place(x.region, x.index) for x in stores if not self._is_outer(x.region))
 
     # memory
 
@@ -275,28 +275,25 @@ class Printer(Text):
             self.found = {key: x for key, x in self.found.items() if not isinstance(key, tuple)}
 
     def _handing(self, part: Part) -> Iterator[tuple[int, int, str, str]]:
-        """What this part hands on: where, the step from leg to leg, and what."""
-        nodes = {item.number: item for item in part.items if isinstance(item, Node)}
-        changed = {*self._changed(part.items)}
-        for key, (word, dtype, leg) in self.kept.items():
-            if isinstance(key, int) and key in nodes:
-                values = [self.value(x) for x in (self.alone.of(nodes[key]) if self.alone else [nodes[key]])]
-            elif key in changed:
-                region, first = key
-                step = self.rows[key][1] if leg and self.alone else 0
-                places = [(region, first + k * step) for k in (range(LEGS) if step else (0,))]
-                values = [self.here[place] for place in places]
-            else:
+        """What this part hands on: where, the step from leg to leg, its type and value."""
+        for key, (word, node, leg) in self.kept.items():
+            if self.home[key] is not part:
                 continue
+            if isinstance(key, int):
+                values = [self.value(x) for x in (self.alone.of(node) if self.alone else [node])]
+            else:
+                region, first = key
+                step = self.rows[key][1] if leg else 0
+                values = [self.here[region, first + k * step] for k in (range(LEGS) if leg and self.alone else (0,))]
             for k, value in enumerate(values):
-                yield word + k, 1 if leg and not self.alone else 0, dtype, value
+                yield word + k, 1 if leg and not self.alone else 0, node.dtype, value
 
     def _handed_on(self, key: int | Place, leg: int | None = None) -> str:
         """What an earlier part has worked out, for this lane or for a leg."""
         if (key, leg) not in self.found:
-            word, dtype, legs = self.kept[key]
+            word, node, legs = self.kept[key]
             base = self._leg(self.state, 1) if legs and leg is None else self.state
-            self.found[key, leg] = self._read(dtype, base, (word + (leg or 0)) * self.row)
+            self.found[key, leg] = self._read(node.dtype, base, (word + (leg or 0)) * self.row)
         return self.found[key, leg]
 
     def _set(self, store: Store, value: str) -> None:

@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 from sweep.engines.fused.program import LEGS, Block, Branch, Loop, Node, Region, Store, inside
 
 ANEW = frozenset(("const", "load", "tick"))  # worked out again wherever it is needed
-ALONE = 10_000  # operations of a branch up to which a thread does those of all legs
 LARGE = 1 << 30  # operations of a value, those of a shared operand counted for each use
 Place = tuple[Region, int]  # a number, or six that are a number of each leg's
 
@@ -107,16 +106,17 @@ def _cut(block: Block, needed: set[int]) -> list[Part]:
         elif isinstance(item, Loop):
             made += [Part([*begun, item], [], True), Part([], [], False)]
             begun = []
-        elif isinstance(item, Branch) and _is_large(item, needed):
+        elif isinstance(item, Branch) and _of_legs(item, needed):
             made += [Part([item], [], True), Part([], [], False)]
         else:
             made[-1].items.append(item)
     return made
 
 
-def _is_large(branch: Branch, needed: set[int]) -> bool:
+def _of_legs(branch: Branch, needed: set[int]) -> bool:
+    """Whether most of it is one operation for the legs."""
     nodes = [x for x in within(branch) if isinstance(x, Node) and x.number in needed and x.op not in ANEW]
-    return sum(LEGS if x.leg else 1 for x in nodes) > ALONE or any(isinstance(x, Loop) for x in within(branch))
+    return 2 * sum(x.leg for x in nodes) > len(nodes)
 
 
 def within(item: Any) -> Iterator[Any]:
@@ -175,9 +175,12 @@ class Alone:
         return Node(op, tuple(args), extra, like.dtype, False, (like.number, k), like.block)
 
     def _item(self, item: Any, needed: set[int]) -> list[Any]:
+        if isinstance(item, Store):
+            return self._store(item)
+        if isinstance(item, Loop):
+            return [Loop(item.length, self._block(item.body, needed))]
         if isinstance(item, Branch):
-            blocks = [self._block(block, needed) for block in item.blocks]
-            return [Branch(self.of(item.index)[0], blocks)]
+            return [Branch(self.of(item.index)[0], [self._block(block, needed) for block in item.blocks])]
         args = [self.of(x) for x in item.args]
         match item.op:
             case "pack":
