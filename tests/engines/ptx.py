@@ -15,7 +15,7 @@ BINARY = {"add": "a + b", "sub": "a - b", "mul": "a * b", "div": "a / b", "max":
           "shl": "np.left_shift(a, b)", "shr": "np.right_shift(a, b)", "rem": "np.fmod(a, b)"}  # fmt: skip
 UNARY = {"neg": "-a", "abs": "np.abs(a)", "sqrt": "np.sqrt(a)", "rcp": "one / a", "not": "~a", "mov": "a"}
 TYPES = {"f32": "float32", "s32": "int32", "u32": "uint32", "b32": "uint32", "s64": "int64", "u64": "int64",
-         "b64": "int64", "pred": "bool"}  # fmt: skip
+         "b64": "int64", "b16": "uint32", "u16": "uint32", "s16": "int32", "pred": "bool"}  # fmt: skip
 PAGE = 40  # bits of an address within an operand
 
 
