@@ -11,7 +11,7 @@ from jaxtyping import Array
 
 from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError
-from sweep.engines.fused.interpret import Unsupported
+from sweep.engines.fused.arrays import Unsupported
 from sweep.engines.fused.kernel import Kernel, Tiles
 from sweep.engines.settings import EngineSettings
 from sweep.engines.states import Watch, offered

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from sweep.core.errors import InputError
 from sweep.engines.fused import kernel
-from sweep.engines.fused.interpret import Unsupported
+from sweep.engines.fused.arrays import Unsupported
 from sweep.engines.mjx import Mjx
 from sweep.engines.native import Native
 from sweep.engines.settings import EngineSettings

@@ -10,7 +10,7 @@ import pytest
 
 from sweep.core.errors import InputError
 from sweep.engines.fused import launch
-from sweep.engines.fused.interpret import Unsupported
+from sweep.engines.fused.arrays import Unsupported
 from sweep.engines.mjx import Mjx
 from sweep.engines.settings import EngineSettings
 from sweep.study.config import compose

@@ -13,7 +13,7 @@ import pytest
 from sweep.core import files, provenance
 from sweep.core.errors import InputError
 from sweep.engines import devices, fused_loop, program_cache
-from sweep.engines.fused.interpret import Unsupported
+from sweep.engines.fused.arrays import Unsupported
 from sweep.engines.mjx import Mjx
 from sweep.engines.settings import EngineSettings
 from sweep.metrics.outcome import Thresholds

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from sweep.engines.fused import lanes
-from sweep.engines.fused.interpret import Unsupported
+from sweep.engines.fused.arrays import Unsupported
 from sweep.engines.fused.lanes import ANEW, Part, Place
 from sweep.engines.fused.program import LEGS, Block, Branch, Loop, Node, Region, Store, value_of
 from sweep.engines.fused.text import INTRINSICS, TYPES, Text
