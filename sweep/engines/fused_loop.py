@@ -1,27 +1,32 @@
 """The closed loop as fused kernels: programs of the form of XLA's, between a start and a finish that stay with XLA."""
 
+import functools
+import sys
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Array
 
 from sweep.controllers.plan import Plan
+from sweep.core.errors import InputError
+from sweep.engines.fused.arrays import Unsupported
 from sweep.engines.fused.kernel import Kernel, Tiles
+from sweep.engines.settings import EngineSettings
 from sweep.engines.states import Watch, offered
 from sweep.models.case import Case
 
 
 class Going(NamedTuple):
-    """A batch in the kernel's memory."""
+    """A batch in a kernel's memory."""
 
     tiles: Tiles
-    kernel: Kernel
 
     @property
     def over(self) -> np.ndarray:
         """Which rollouts are."""
-        return self.kernel.look(self.tiles, lambda carried: carried.loop.running.over)
+        return self.tiles.look(lambda carried: carried.loop.running.over)
 
 
 class Fused(NamedTuple):
@@ -39,15 +44,15 @@ class Fused(NamedTuple):
     def start(self, world: Case, belief: Case, keys: Array) -> tuple[Plan, Going]:
         """Plans, and the batch before its first tick."""
         plans, carry = self.begin(world, belief, keys)
-        return plans, Going(self.kernel.enter((world, belief, plans), carry, self.width), self.kernel)
+        return plans, Going(self.kernel.enter((world, belief, plans), carry, self.width))
 
     def chunk(
         self, world: Case, belief: Case, plans: Plan, carry: Going, tick: int, kept: np.ndarray | None
     ) -> tuple[Going, Any]:
         """Go on from `tick`; records of the rollouts `kept`, of all there is or of the columns watched."""
         if self.again is not None:
-            self.kernel.resume(carry.tiles, self.again(belief, plans, self.spread(self.kernel.leave(carry.tiles))))
-        record = self.kernel.advance(carry.tiles, tick, self.ticks, kept)
+            carry.tiles.change(lambda carried: carried, self.again(belief, plans, self.spread(carry.tiles.leave())))
+        record = carry.tiles.advance(tick, self.ticks, kept)
         if record is None or self.watch is None:
             return carry, record
         last = {name: np.moveaxis(x, (0, 1), (-2, -1)) for name, x in record.items()}
@@ -56,4 +61,36 @@ class Fused(NamedTuple):
 
     def finish(self, world: Case, plans: Plan, carry: Going) -> dict[str, Array]:
         """Figures."""
-        return self.end(world, plans, self.spread(self.kernel.leave(carry.tiles)))
+        return self.end(world, plans, self.spread(carry.tiles.leave()))
+
+
+def of_one(arrays: tuple[Case, Case, Array], batch: Any) -> tuple[tuple[Case, Case, Plan], Any]:
+    """The form of what a rollout is given, and of what it carries on; a `batch` has plans and the latter."""
+
+    def one(x: Any, axes: int) -> jax.ShapeDtypeStruct:
+        return jax.ShapeDtypeStruct(x.shape[axes:], x.dtype)
+
+    world, belief = jax.tree.map(lambda x: one(x, x.ndim), arrays[:2])
+    plan, carry = jax.tree.map(lambda x: one(x, 1), batch)
+    return (world, belief, plan), carry
+
+
+def or_what_is_missing(compiled: Callable[..., tuple]) -> Callable[..., tuple]:
+    """The same; or what the fused compiler has no rule for, so that this can be kept as well."""
+
+    @functools.wraps(compiled)
+    def tried(*of: Any) -> tuple:
+        try:
+            return compiled(*of)
+        except Unsupported as missing:
+            return (str(missing),)
+
+    return tried
+
+
+def give_up(settings: EngineSettings, missing: str) -> None:
+    """Say that XLA compiles the closed loop. Raises `InputError` where it was to be fused."""
+    why = f"the fused compiler has no rule for {missing}"
+    if settings.compiler == "fused":
+        raise InputError(f"engine.compiler = fused is not allowed here: {why}")
+    print(f"sweep: XLA compiles the closed loop: {why}", file=sys.stderr)

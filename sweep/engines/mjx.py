@@ -1,6 +1,5 @@
 """The primary engine: controller, physics and metrics of a batch fused in one scan; CPU and GPU alike."""
 
-import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -18,7 +17,7 @@ from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError
 from sweep.dynamics import interface as dynamics
 from sweep.dynamics.step import State, rest
-from sweep.engines import batching, devices, physics, program_cache
+from sweep.engines import batching, devices, fused_loop, physics, program_cache
 from sweep.engines.base import Figures, Trace
 from sweep.engines.batch_last import batch_last_vmap
 from sweep.engines.closed_loop import (
@@ -34,10 +33,9 @@ from sweep.engines.closed_loop import (
     with_new_plan,
 )
 from sweep.engines.fused import launch
-from sweep.engines.fused.interpret import Unsupported
 from sweep.engines.fused.kernel import Code, Kernel
 from sweep.engines.fused.kernel import compiled as fused
-from sweep.engines.fused_loop import Fused
+from sweep.engines.fused_loop import Fused, of_one
 from sweep.engines.prelude import check, prepared
 from sweep.engines.settings import EngineSettings
 from sweep.engines.states import Watch, offered
@@ -187,24 +185,17 @@ class Mjx:
         form = devices.form((world, belief)), quiet, recorded
         arrays = devices.spread((*devices.as_arrays((world, belief)), devices.keys(streams)), self._mesh)
         if form not in self._programs:
-            compiled = partial(self._compiled, arrays, quiet, kept, watch)
+            compiled = partial(self._compile, arrays, quiet, kept, watch)
             made_of, on = (form, *self._made_of), list(self._mesh.devices.flat)
             parts = program_cache.programs(made_of, on, compiled)
             if isinstance(parts[0], str):
-                self._give_up(parts[0])
+                fused_loop.give_up(self.settings, parts[0])
+                self.fused = False
                 return self._prepare(world, belief, streams, slots, most, watch)
             self._programs[form] = self._ready(*parts)
         programs = self._programs[form]
         programs = programs._replace(watch=watch) if isinstance(programs, Fused) else programs
         return arrays, programs, kept, places
-
-    def _give_up(self, missing: str) -> None:
-        """Leave the closed loop to XLA, and say so. Raises `InputError` where it was to be fused."""
-        why = f"the fused compiler has no rule for {missing}"
-        if self.settings.compiler == "fused":
-            raise InputError(f"engine.compiler = fused is not allowed here: {why}")
-        print(f"sweep: XLA compiles the closed loop: {why}", file=sys.stderr)
-        self.fused = False
 
     def _ready(
         self, start: Compiled, chunk: Compiled | Code, finish: Compiled, again: Compiled | None = None
@@ -221,13 +212,7 @@ class Mjx:
         model = dynamics.saved(top.model) if self.dynamics == "mjx" else None
         return self.settings, self.limits, self.width, self.dynamics, self.fused, top.names, top.owner, model
 
-    def _compiled(self, *of: Any) -> tuple[Compiled | Code | str, ...]:
-        """See `_compile`; or what the fused compiler has no rule for, so that this is kept as well."""
-        try:
-            return self._compile(*of)
-        except Unsupported as missing:
-            return (str(missing),)
-
+    @fused_loop.or_what_is_missing
     def _compile(
         self, arrays: tuple[Case, Case, Array], quiet: bool, kept: Array | None, watch: Watch | None
     ) -> tuple[Compiled | Code, ...]:
@@ -248,7 +233,7 @@ class Mjx:
             started = pool.submit(begin.compile)
             plans, carry = devices.split(begin.out_info, self._mesh)
             if self._by_host:
-                chunked = fused(self._ticks(quiet), *_one(arrays, begin.out_info))
+                chunked = fused(self._ticks(quiet), *of_one(arrays, begin.out_info))
             else:
                 make = self._fused_chunk if self.fused else self._chunk
                 chunk = make(arrays, begin.out_info, quiet, kept, watch)
@@ -280,7 +265,7 @@ class Mjx:
         """A second of the batch that a GPU has, as one kernel; see `_chunk`."""
         room = 0 if kept is None else len(kept) // self._mesh.size
         code = launch.compiled(
-            self._ticks(quiet), *_one(arrays, batch), lambda carry: carry.over, self._chunk_ticks, room
+            self._ticks(quiet), *of_one(arrays, batch), lambda carry: carry.over, self._chunk_ticks, room, self._local
         )
         columns = offered(self._nominal[0])
 
@@ -351,17 +336,6 @@ def _fused(settings: EngineSettings, dynamics: str) -> bool:
         raise InputError(f"engine.compiler = fused is not allowed on a {device}: auto or xla")
     asked = settings.compiler == "fused" or (settings.compiler == "auto" and device == "cpu")
     return asked and dynamics == "arrowhead"
-
-
-def _one(arrays: tuple[Case, Case, Array], batch: tuple[Plan, Carry]) -> tuple[tuple[Case, Case, Plan], Carry]:
-    """The form of what a rollout is given, and of what it carries on."""
-
-    def one(x: Any, axes: int) -> jax.ShapeDtypeStruct:
-        return jax.ShapeDtypeStruct(x.shape[axes:], x.dtype)
-
-    world, belief = jax.tree.map(lambda x: one(x, x.ndim), arrays[:2])
-    plan, carry = jax.tree.map(lambda x: one(x, 1), batch)
-    return (world, belief, plan), carry
 
 
 def _with_new_plan(axes: Case) -> Callable[[Case, Plan, Carry], Carry]:

@@ -2,13 +2,14 @@
 
 import warnings
 from collections.abc import Callable
-from typing import Any
+from functools import partial
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 from mujoco.batch import Batch
 
 from sweep.controllers.learned import newest
@@ -16,7 +17,7 @@ from sweep.controllers.plan import Plan
 from sweep.controllers.tracker import Command
 from sweep.core.errors import InputError
 from sweep.core.rotations import exponential, multiply
-from sweep.engines import batching, devices
+from sweep.engines import batching, devices, fused_loop, program_cache
 from sweep.engines.base import Figures, Trace
 from sweep.engines.closed_loop import (
     CHUNK,
@@ -32,6 +33,8 @@ from sweep.engines.closed_loop import (
     start_state,
     with_new_plan,
 )
+from sweep.engines.fused import kernel
+from sweep.engines.fused.kernel import Code, Kernel, Tiles
 from sweep.engines.prelude import check, prepared
 from sweep.engines.settings import EngineSettings
 from sweep.engines.states import Watch, offered
@@ -46,8 +49,81 @@ from sweep.models.legs import JOINT_Q, JOINT_V, JOINTS, N_JOINTS, N_LEGS
 from sweep.models.obstacles.surface import FreeState, poses
 
 CONTROL = mujoco.mjtState.mjSTATE_CTRL.value | mujoco.mjtState.mjSTATE_XFRC_APPLIED.value
-Compiled = tuple[Callable, Callable, Callable, Callable | None]
-RECORD = ("qpos", "qvel", "actuator_force", "sensordata", "energy", "xpos", "xmat", "site_xpos", "subtree_com")
+RECORD = ("qpos", "qvel", "actuator_force", "sensordata", "energy", "xpos", "site_xpos", "subtree_com")
+
+
+class Steps(NamedTuple):
+    """What C MuJoCo records of a tick's n physics steps; places are those before the last one."""
+
+    qpos: Float[Array, "n q"]
+    qvel: Float[Array, "n v"]
+    actuator_force: Float[Array, "n 18"]
+    foot_force: Float[Array, "n 18"]  # of the feet on the ground
+    energy: Float[Array, ""]
+    links: Float[Array, "l 3"]  # where the legs' links begin
+    feet: Float[Array, "6 3"]
+    centre_of_mass: Float[Array, " 3"]
+    broken: Bool[Array, ""]
+
+
+class Orders(NamedTuple):
+    """What C MuJoCo is told for a tick's n physics steps; wrenches are force, then torque, world axes."""
+
+    torques: Float[Array, "n 18"]  # beside those of stiffness and damping (N m)
+    push: Float[Array, "n 3"]  # at the base (N)
+    loads: Float[Array, "n w"]  # wrenches on the obstacle's free bodies
+
+
+class Between(NamedTuple):
+    """One rollout between controller and physics."""
+
+    loop: ClosedLoop
+    command: Command
+    steps: Steps
+    orders: Orders
+
+
+class Programs(NamedTuple):
+    """What a batch runs through, compiled."""
+
+    start: Callable[[Case, Case, Array], tuple[Plan, Between, Start]]
+    tick: Kernel | Callable[[Any, Between, int], Between]
+    finish: Callable[[Case, Plan, ClosedLoop], dict[str, Array]]
+    replan: Callable[[Case, Plan, ClosedLoop], ClosedLoop] | None = None
+
+    def enter(self, given: Any, carried: Between, width: int) -> "Tiles | ByXla":
+        """A batch that goes through ticks."""
+        if isinstance(self.tick, Kernel):
+            return self.tick.enter(given, carried, width)
+        return ByXla(partial(self.tick, given), carried)
+
+
+class ByXla:
+    """A batch that goes through ticks of XLA's, see `Tiles`."""
+
+    def __init__(self, tick: Callable[[Between, int], Between], carried: Between):
+        self._tick, self._carried = tick, carried
+
+    def change(self, which: Callable[[Any], Any], tree: Any) -> None:
+        """Go on with other values of what `which` picks."""
+        leaves, form = jax.tree.flatten(self._carried)
+        places = jax.tree.leaves(which(jax.tree.unflatten(form, range(len(leaves)))))
+        for place, x in zip(places, jax.tree.leaves(tree), strict=True):
+            leaves[place] = jnp.asarray(x, leaves[place].dtype)
+        self._carried = jax.tree.unflatten(form, leaves)
+
+    def advance(self, first: int, ticks: int) -> None:
+        """Go on by `ticks`."""
+        for k in range(first, first + ticks):
+            self._carried = self._tick(self._carried, k)
+
+    def leave(self) -> Between:
+        """What is carried."""
+        return self._carried
+
+    def look(self, which: Callable[[Any], Any]) -> Any:
+        """What `which` picks."""
+        return jax.tree.map(np.asarray, which(self._carried))
 
 
 def native_model(case: Case, time_step: float, solid: bool = False) -> mujoco.MjModel:
@@ -99,7 +175,8 @@ class Native:
         check(world, belief, plan)
         self.stages = plan.names
         self.duration = float(GRACE * np.sum(plan.duration))
-        self._compiled: dict[Any, Compiled] = {}
+        self.fused = settings.compiler != "xla"
+        self._programs: dict[Any, Programs] = {}
 
     def rollout_bytes(self) -> None:
         """See `Engine`."""
@@ -143,34 +220,42 @@ class Native:
     ) -> tuple[Figures, list[dict[str, np.ndarray]]]:
         batching.check(streams, self.width)
         with devices.precision(self.settings):
-            start, tick, finish, replan = self._functions(world, belief)
             models, unbuilt = self._models(world)
+            quiet = is_quiet(world.noise)
+            (world, belief), keys = devices.as_arrays((world, belief)), devices.keys(streams)
+            programs = self._prepare((world, belief, keys), quiet)
             batch = Batch(models[0], self.width)
             batch.set_models(models)
-            arrays = (*devices.as_arrays((world, belief)), devices.keys(streams))
-            plans, loops, state = start(*arrays)
-            told = _gains(loops.servo)
+            plans, between, state = programs.start(world, belief, keys)
+            told = _gains(between.loop.servo)
             batch.reset()
             batch.qpos[:], batch.qvel[:] = (np.asarray(x) for x in state)
-            loops, commands, controls = tick(*arrays[:2], plans, loops, None, None, 0)
-            records = []
+            going = programs.enter((world, belief, plans), between, self.width)
+            controls = np.zeros((self.width, self.substeps, N_JOINTS + 6 * models[0].nbody))
+            steps, records = None, []
             for k in range(most_ticks(plans, self.settings.control_period)):
-                if replan and k % round(CHUNK / self.settings.control_period) == 0:
-                    loops = replan(arrays[1], plans, loops)
+                if programs.replan and k % round(CHUNK / self.settings.control_period) == 0:
+                    going.change(_loop, programs.replan(belief, plans, going.leave().loop))
                 if plans.flywheel is not None:
-                    told = _retune(batch, models, told, _gains(loops.servo))
-                steps = batch.rollout(self.substeps, np.asarray(controls, float), CONTROL, RECORD)
-                steps["broken"] = unbuilt | np.any(batch.warning[:, :, 0] > 0, axis=1)
+                    told = _retune(batch, models, told, _gains(going.look(lambda between: between.loop.servo)))
+                controls = _ordered(controls, *going.look(_orders))
+                steps = batch.rollout(self.substeps, controls, CONTROL, RECORD, out=steps)
                 if k == 0:  # derived fields are those before a step, hence the start's
-                    loops = _with_energy(self._nominal, loops, steps["energy"][:, 0].sum(axis=-1))
+                    energy = steps["energy"][:, 0].sum(axis=-1)
+                    going.change(_loop, _with_energy(self._nominal, going.leave().loop, energy))
                 if slots is not None and (k + 1) % every == 0:
-                    records.append(_record(commands, loops, steps, slots))
-                loops, commands, controls = tick(*arrays[:2], plans, loops, commands, steps, k + 1)
-                if bool(np.all(loops.running.over)):
+                    records.append(_record(going, steps, slots))
+                broken = unbuilt | np.any(batch.warning[:, :, 0] > 0, axis=1)
+                going.change(lambda between: between.steps, self._steps(steps, broken))
+                going.advance(k + 1, 1)
+                if np.all(going.look(lambda between: between.loop.running.over)):
                     break
-            if slots is not None and not records:  # all ended before the first sample, which has the form of none
-                records.append(_record(commands, loops, steps, slots))
-            return {name: np.asarray(values) for name, values in finish(arrays[0], plans, loops).items()}, records
+            if (
+                slots is not None and steps and not records
+            ):  # all ended before the first sample, which has the form of none
+                records.append(_record(going, steps, slots))
+            figures = programs.finish(world, plans, going.leave().loop)
+            return {name: np.asarray(values) for name, values in figures.items()}, records
 
     def _models(self, world: Case) -> tuple[list[mujoco.MjModel], np.ndarray]:
         """Each row's model, and which rows cannot be built: absurd sizes, in whose place the nominal model runs."""
@@ -190,79 +275,114 @@ class Native:
     def _model(self, world: Case) -> mujoco.MjModel:
         return native_model(world, self.settings.native_time_step, self.settings.solid)
 
-    def _functions(self, world: Case, belief: Case) -> Compiled:
-        """Compiled `start`, `tick` (measure the last tick, act in the next), `finish` and, if any, `replan`."""
-        axes, quiet = devices.axes((world, belief)), is_quiet(world.noise)
-        form = devices.form((world, belief)), quiet
-        if form not in self._compiled:
-            self._compiled[form] = self._compile(axes, quiet)
-        return self._compiled[form]
+    def _prepare(self, arrays: tuple[Case, Case, Array], quiet: bool) -> Programs:
+        """The programs for the batch axes of `arrays`."""
+        form = devices.form(arrays[:2]), quiet
+        if form not in self._programs:
+            made_of = "native", form, self.settings, self.limits, self.width, self.fused
+            parts = program_cache.programs(made_of, jax.devices()[:1], lambda: self._compile(arrays, quiet))
+            if isinstance(parts[0], str):
+                fused_loop.give_up(self.settings, parts[0])
+                self.fused = False
+                return self._prepare(arrays, quiet)
+            start, tick, *rest = parts
+            self._programs[form] = Programs(start, Kernel(tick) if isinstance(tick, Code) else tick, *rest)
+        return self._programs[form]
 
-    def _compile(self, axes: tuple[Case, Case], quiet: bool) -> Compiled:
-        period, n = self.settings.control_period, self.substeps
+    @fused_loop.or_what_is_missing
+    def _compile(self, arrays: tuple[Case, Case, Array], quiet: bool) -> tuple[Any, ...]:
+        world, belief, _ = arrays
+        axes, period = devices.axes((world, belief)), self.settings.control_period
 
-        def start(world: Case, belief: Case, key: Array) -> tuple[Plan, ClosedLoop, Start]:
-            belief, plan, learned = prepared(world, belief, key)
-            state = start_state(world, belief, plan)
-            return plan, init(world, belief, plan, state, jnp.zeros(()), key, learned), state
+        def start(world: Case, belief: Case, key: Array) -> tuple[Plan, Between, Start]:
+            known, plan, learned = prepared(world, belief, key)
+            state = start_state(world, known, plan)
+            loop = init(world, known, plan, state, jnp.zeros(()), key, learned)
+            return plan, self._acted(world, belief, plan, loop, self._nothing(state), jnp.int32(0), quiet), state
 
-        def tick(
-            world: Case, belief: Case, plan: Plan, loop: ClosedLoop, command: Command | None, steps: Any, k: Array
-        ):
-            if steps is not None and command is not None:
-                summary = self._summary(world, steps, (k - 1) * period, loop.seen.free)
-                loop = measure(world, plan, self.limits, loop, command, summary, k - 1, period)
-            old = loop.servo
-            loop, command = act(world, belief, plan, loop, k, period, quiet)
-            told = towards(old, loop.servo, (1 + jnp.arange(n))[:, None, None] / n)
-            torques = (told.stiffness * told.target + told.torque).reshape(n, N_JOINTS)
-            forces = self._outside(world, k * period, loop.seen.free)
-            return loop, command, jnp.concatenate([torques, forces], axis=1)
+        def tick(given: tuple[Case, Case, Plan], now: Between, k: Array) -> tuple[Between, dict[str, Array]]:
+            world, belief, plan = given
+            summary = self._summary(world, now.steps, (k - 1) * period, now.loop.seen.free)
+            loop = measure(world, plan, self.limits, now.loop, now.command, summary, k - 1, period)
+            return self._acted(world, belief, plan, loop, now.steps, k, quiet), {}
 
         def finish(world: Case, plan: Plan, loop: ClosedLoop) -> dict[str, Array]:
             return stream.figures(world, newest(plan, loop.learned), loop.running, loop.tracker.stage)
 
-        again = self._nominal.control.replan != "never"
-        over = (*axes, 0, 0, 0, 0, None)
+        begin = jax.jit(jax.vmap(start, in_axes=(*axes, 0))).lower(*arrays)
+        plans, between, _ = begin.out_info
+        if self.fused:
+            ticks = kernel.compiled(tick, *fused_loop.of_one(arrays, (plans, between)))
+        else:
+            rows = jax.vmap(lambda *of: tick(*of)[0], in_axes=((*axes, 0), 0, None))
+            ticks = jax.jit(rows).lower((world, belief, plans), between, 0).compile()
+        finished = jax.jit(jax.vmap(finish, in_axes=(axes[0], 0, 0))).lower(world, plans, between.loop)
+        again = jax.jit(jax.vmap(with_new_plan, in_axes=(axes[1], 0, 0)))
+        replans = self._nominal.control.replan != "never"
+        replan = [again.lower(belief, plans, between.loop).compile()] if replans else []
+        return begin.compile(), ticks, finished.compile(), *replan
+
+    def _acted(
+        self, world: Case, belief: Case, plan: Plan, loop: ClosedLoop, steps: Steps, tick: Array, quiet: bool
+    ) -> Between:
+        """The controller's part of a tick, and what follows for the physics."""
+        n, period, old = self.substeps, self.settings.control_period, loop.servo
+        loop, command = act(world, belief, plan, loop, tick, period, quiet)
+        told = towards(old, loop.servo, (1 + jnp.arange(n))[:, None, None] / n)
+        torques = (told.stiffness * told.target + told.torque).reshape(n, N_JOINTS)
+        return Between(loop, command, steps, Orders(torques, *self._outside(world, tick * period, loop.seen.free)))
+
+    def _nothing(self, start: Start) -> Steps:
+        """Before the first physics step."""
+        n, links = self.substeps, N_LEGS * len(scene.links(self._nominal.robot))
+        qpos, qvel, forces = jnp.tile(start.qpos, (n, 1)), jnp.tile(start.qvel, (n, 1)), jnp.zeros((n, N_JOINTS))
+        links, feet, centre = jnp.zeros((links, 3)), jnp.zeros((N_LEGS, 3)), jnp.zeros(3)
+        return Steps(qpos, qvel, forces, forces, jnp.zeros(()), links, feet, centre, jnp.zeros((), bool))
+
+    def _steps(self, steps: dict[str, np.ndarray], broken: np.ndarray) -> tuple[np.ndarray, ...]:
+        """`Steps` of a batch, from its record."""
+        links = N_LEGS * len(scene.links(self._nominal.robot))
         return (
-            jax.jit(jax.vmap(start, in_axes=(*axes, 0))),
-            jax.jit(jax.vmap(tick, in_axes=over)),
-            jax.jit(jax.vmap(finish, in_axes=(axes[0], 0, 0))),
-            jax.jit(jax.vmap(with_new_plan, in_axes=(axes[1], 0, 0))) if again else None,
+            steps["qpos"],
+            steps["qvel"],
+            steps["actuator_force"],
+            steps["sensordata"],
+            steps["energy"][:, -1].sum(axis=-1),
+            steps["xpos"][:, -1, 2 : 2 + links],
+            steps["site_xpos"][:, -1, :N_LEGS],
+            steps["subtree_com"][:, -1, 1],
+            broken,
         )
 
-    def _outside(self, world: Case, start: Array, free: FreeState) -> Float[Array, "n f"]:
-        """Outside wrenches on all bodies in the tick's steps: force, then torque, world axes.
+    def _outside(self, world: Case, start: Array, free: FreeState) -> tuple[Float[Array, "n 3"], Float[Array, "n w"]]:
+        """The push, and the wrenches on the obstacle's free bodies, in the tick's steps.
 
-        The obstacle's loads are those of its bodies moved on from the tick's start, `free`, as fast as they are there.
+        The latter are those of the bodies moved on from the tick's start, `free`, as fast as they are there.
         """
         ahead = self.settings.native_time_step * jnp.arange(self.substeps)
         push = jax.vmap(lambda t: batching.execution_limits(world, t).push)(start + ahead)
-        robot, count = 2 + N_LEGS * len(scene.links(world.robot)), len(world.obstacle.free_bodies)
-        forces = jnp.zeros((self.substeps, 6 * (robot + count))).at[:, 6:9].set(push)
-        if not count:
-            return forces
-        load = jax.vmap(lambda t: world.obstacle.load(_ahead(free, t)))(ahead)
-        return forces if load is None else forces.at[:, 6 * robot :].set(load.reshape(self.substeps, -1))
+        loads = jnp.zeros((self.substeps, 6 * len(world.obstacle.free_bodies)))
+        if loads.size and (load := jax.vmap(lambda t: world.obstacle.load(_ahead(free, t)))(ahead)) is not None:
+            loads = load.reshape(loads.shape)
+        return push, loads
 
-    def _summary(self, world: Case, steps: dict[str, Array], start: Array, before: FreeState) -> Tick:
-        """What the metrics want of a tick; `steps` hold the records of its physics steps, `before` free bodies then."""
+    def _summary(self, world: Case, steps: Steps, start: Array, before: FreeState) -> Tick:
+        """What the metrics want of a tick; free bodies were `before` it."""
         h, drive = self.settings.native_time_step, world.drive
-        rate = steps["qvel"][:, JOINT_V]
-        torque = steps["actuator_force"] - drive.back_emf * rate
-        effort = jnp.abs(steps["actuator_force"])
+        rate = steps.qvel[:, JOINT_V]
+        torque = steps.actuator_force - drive.back_emf * rate
+        effort = jnp.abs(steps.actuator_force)
         limit = world.execution.torque_scale * drive.torque_limit
         power = torque * rate
-        outside, count = self._outside(world, start, before), len(world.obstacle.free_bodies)
-        force = -jnp.mean(steps["sensordata"].reshape(-1, 6, 3), axis=0)
-        qpos, qvel = steps["qpos"][-1], steps["qvel"][-1]
+        push, loads = self._outside(world, start, before)
+        count = len(world.obstacle.free_bodies)
+        force = -jnp.mean(steps.foot_force.reshape(-1, N_LEGS, 3), axis=0)
+        qpos, qvel = steps.qpos[-1], steps.qvel[-1]
         free = free_state(qpos, qvel, count)
-        feet = steps["site_xpos"][-1, :6]
-        normals = world.obstacle.surface(feet, (-1,) * 6, poses(free)).normal
+        normals = world.obstacle.surface(steps.feet, (-1,) * N_LEGS, poses(free)).normal
         normal = jnp.sum(force * normals, axis=-1)
-        last = -jnp.sum(steps["sensordata"][-1].reshape(N_LEGS, 3) * normals, axis=-1)
-        links = steps["xpos"][-1, 2 : 2 + N_LEGS * len(scene.links(world.robot))].reshape(N_LEGS, -1, 3)
-        energy = jnp.sum(steps["energy"][-1])
+        last = -jnp.sum(steps.foot_force[-1].reshape(N_LEGS, 3) * normals, axis=-1)
+        outside = jnp.sum(push * steps.qvel[:, :3]) + jnp.sum(loads * _twists(steps, count))
         return Tick(
             torque_peak=jnp.max(jnp.abs(torque), axis=0).reshape(N_LEGS, 3),
             saturated=jnp.mean(effort >= 0.999 * limit, axis=0).reshape(N_LEGS, 3),
@@ -271,25 +391,35 @@ class Native:
             tangential=jnp.linalg.norm(force - normal[:, None] * normals, axis=-1),
             load=last,
             residual=jnp.zeros(()),  # the C solver reports no residual force
-            work=h
-            * (
-                jnp.sum(power)
-                + jnp.sum(outside[:, 6:9] * steps["qvel"][:, :3])
-                + jnp.sum(outside[:, outside.shape[1] - 6 * count :] * _twists(steps, count))
-            ),
+            work=h * (jnp.sum(power) + outside),
             effort=h * jnp.sum(jnp.maximum(power, 0.0)),
-            energy=jnp.where(steps["broken"], jnp.nan, energy),
+            energy=jnp.where(steps.broken, jnp.nan, steps.energy),
             position=qpos[:3],
             quat=qpos[3:7],
             velocity=qvel[:3],
             spin=qvel[3:6],
             angles=qpos[JOINT_Q].reshape(N_LEGS, 3),
             rates=rate[-1].reshape(N_LEGS, 3),
-            centre_of_mass=steps["subtree_com"][-1, 1],
-            joints=jnp.concatenate([links, feet[:, None]], axis=1),
+            centre_of_mass=steps.centre_of_mass,
+            joints=jnp.concatenate([steps.links.reshape(N_LEGS, -1, 3), steps.feet[:, None]], axis=1),
             bodies=poses(free),
             free=free,
         )
+
+
+def _loop(between: Between) -> ClosedLoop:
+    return between.loop
+
+
+def _orders(between: Between) -> Orders:
+    return between.orders
+
+
+def _ordered(controls: np.ndarray, torques: np.ndarray, push: np.ndarray, loads: np.ndarray) -> np.ndarray:
+    """Controls, then outside wrenches on all bodies: the world, the robot from its base on, free bodies last."""
+    controls[..., :N_JOINTS], controls[..., N_JOINTS + 6 : N_JOINTS + 9] = torques, push
+    controls[..., controls.shape[-1] - loads.shape[-1] :] = loads
+    return controls
 
 
 def _ahead(free: FreeState, time: Array) -> FreeState:
@@ -299,10 +429,10 @@ def _ahead(free: FreeState, time: Array) -> FreeState:
     )
 
 
-def _twists(steps: dict[str, Array], count: int) -> Float[Array, "n 6k"]:
+def _twists(steps: Steps, count: int) -> Float[Array, "n 6k"]:
     """Velocities and rates of turning of the free bodies after each step, world axes."""
-    free = jax.vmap(lambda q, v: free_state(q, v, count))(steps["qpos"], steps["qvel"])
-    return jnp.concatenate([free.velocity, free.turn], axis=-1).reshape(len(steps["qpos"]), 6 * count)
+    free = jax.vmap(lambda q, v: free_state(q, v, count))(steps.qpos, steps.qvel)
+    return jnp.concatenate([free.velocity, free.turn], axis=-1).reshape(len(steps.qpos), 6 * count)
 
 
 def _gains(servo: Servo) -> Float[np.ndarray, "b 18 2"]:
@@ -326,19 +456,18 @@ def _with_energy(world: Case, loops: ClosedLoop, start: np.ndarray) -> ClosedLoo
     return loops._replace(running=stream.with_energy(world, loops.running, energy))
 
 
-def _record(
-    commands: Command, loops: ClosedLoop, steps: dict[str, np.ndarray], slots: np.ndarray
-) -> dict[str, np.ndarray]:
+def _record(going: Tiles | ByXla, steps: dict[str, np.ndarray], slots: np.ndarray) -> dict[str, np.ndarray]:
     """What is kept of a tick of the rollouts in `slots`."""
-    command, n = jax.tree.map(lambda x: np.asarray(x)[slots], commands), len(slots)
+    told = going.look(lambda b: (b.command.joints, b.command.target, b.loop.tracker.stage))
+    (joints, target, stage), n = jax.tree.map(lambda x: x[slots], told), len(slots)
     return {
         "qpos": steps["qpos"][slots, -1],
         "qvel": steps["qvel"][slots, -1],
-        "joint_target": command.joints.reshape(n, N_JOINTS),
+        "joint_target": joints.reshape(n, N_JOINTS),
         "joint_torque": np.abs(steps["actuator_force"][slots]).max(axis=1),
-        "foot_position": steps["site_xpos"][slots, -1, :6],
-        "foot_target": command.target.feet,
-        "foot_force": -steps["sensordata"][slots].reshape(n, -1, 6, 3).mean(axis=1),
-        "base_target": np.concatenate([command.target.position, command.target.quat], axis=-1),
-        "stage": np.asarray(loops.tracker.stage)[slots],
+        "foot_position": steps["site_xpos"][slots, -1, :N_LEGS],
+        "foot_target": target.feet,
+        "foot_force": -steps["sensordata"][slots].reshape(n, -1, N_LEGS, 3).mean(axis=1),
+        "base_target": np.concatenate([target.position, target.quat], axis=-1),
+        "stage": stage,
     }

@@ -4,6 +4,7 @@
 model that depend on parameters, under vmap, so that sizes and masses are swept without compiling anything again.
 """
 
+import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
@@ -81,6 +82,9 @@ def leaves(case: Case) -> dict[str, dict[str, Array]]:
     return out
 
 
+_leaves = jax.jit(leaves)  # a row of a table of cases would take 50 times as long operation by operation
+
+
 def compile_model(case: Case, geoms: bool = True) -> mujoco.MjModel:
     """The model of one case with plain numbers; without `geoms` only what the smooth dynamics need.
 
@@ -103,7 +107,7 @@ def describe(case: Case, geoms: bool = True) -> mujoco.MjSpec:
     spec.option.gravity = [0, 0, -GRAVITY]
     spec.memory = 4 << 20
     _add_looks(spec)
-    values = leaves(case)
+    values = jax.tree.map(np.asarray, _leaves(case))
     base = spec.worldbody.add_body(name="base")
     base.add_freejoint(name="root")
     _set_inertia(base, "base", values)
@@ -156,11 +160,11 @@ def _add_looks(spec: mujoco.MjSpec) -> None:
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "ball"
 
 
-def _set_inertia(body: mujoco.MjsBody, name: str, values: dict[str, dict[str, Array]]) -> None:
+def _set_inertia(body: mujoco.MjsBody, name: str, values: dict[str, dict[str, np.ndarray]]) -> None:
     body.explicitinertial = True
     body.mass = float(values["body_mass"][name])
     body.inertia = np.asarray(values["body_inertia"][name], float)
-    body.ipos = np.asarray(values["body_ipos"].get(name, jnp.zeros(3)), float)
+    body.ipos = np.asarray(values["body_ipos"].get(name, np.zeros(3)), float)
 
 
 def _add_leg(
@@ -168,7 +172,7 @@ def _add_leg(
     base: mujoco.MjsBody,
     case: Case,
     leg: int,
-    values: dict[str, dict[str, Array]],
+    values: dict[str, dict[str, np.ndarray]],
     geoms: bool,
 ) -> None:
     """Bodies, hinges, drives and the foot of one leg."""

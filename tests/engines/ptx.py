@@ -15,7 +15,7 @@ BINARY = {"add": "a + b", "sub": "a - b", "mul": "a * b", "div": "a / b", "max":
           "shl": "np.left_shift(a, b)", "shr": "np.right_shift(a, b)", "rem": "np.fmod(a, b)"}  # fmt: skip
 UNARY = {"neg": "-a", "abs": "np.abs(a)", "sqrt": "np.sqrt(a)", "rcp": "one / a", "not": "~a", "mov": "a"}
 TYPES = {"f32": "float32", "s32": "int32", "u32": "uint32", "b32": "uint32", "s64": "int64", "u64": "int64",
-         "b64": "int64", "pred": "bool"}  # fmt: skip
+         "b64": "int64", "b16": "uint32", "u16": "uint32", "s16": "int32", "pred": "bool"}  # fmt: skip
 PAGE = 40  # bits of an address within an operand
 
 
@@ -29,14 +29,18 @@ class Kernel:
             given[: values.count(",") + 1] = [int(v) for v in values.split(",")]
             self.tables[name] = (100 + k, given.view(np.uint32))
         body = text[text.index("{\n", text.index(".entry")) + 2 : text.rindex("}")]
-        lines, label, self.blocks = [], "entry", {}
+        lines, label, self.blocks, self.stops = [], "entry", {}, 0
         for raw in body.splitlines():
             line = raw.split("//")[0].strip()
             if line.endswith(":"):
                 self.blocks[label] = [*lines, f"return '{line[:-1]}'"]
                 lines, label = [], line[:-1]
             elif line and not line.startswith("."):
-                lines.extend(self._line(line.rstrip(";")))
+                for one in self._line(line.rstrip(";")):
+                    if one.endswith(":"):
+                        self.blocks[label], lines, label = lines, [], one[:-1]
+                    else:
+                        lines.append(one)
         self.blocks[label] = lines
         self.code = {name: self._compiled(name, lines) for name, lines in self.blocks.items()}
 
@@ -57,8 +61,11 @@ class Kernel:
             return [f"return '{args[0]}'"]
         if name == "ret":
             return ["return None"]
-        if name == "bar":
-            return []
+        if name in ("bar", "barrier"):
+            if kinds[0] == "warp":
+                return []
+            self.stops += 1
+            return [f"return 'stop {self.stops}'", f"stop {self.stops}:"]
         kind = kinds[-1] if kinds else ""
         if name in ("ld", "st"):
             return self._memory(name, kinds, args)
@@ -145,21 +152,28 @@ class Kernel:
 
     def run(self, operands: list[np.ndarray], blocks: int, threads: int) -> None:
         """Change operands as the kernel does."""
-        for warp in range(blocks * threads // 32):
-            memory, registers = Memory(operands, self.tables, warp, threads), {}
-            label: str | None = "entry"
+        for block in range(blocks):
+            warps = [(Memory(operands, self.tables, block, warp, threads), {}) for warp in range(threads // 32)]
+            labels: list[str | None] = ["entry"] * len(warps)
             with np.errstate(all="ignore"):
-                while label is not None:
-                    label = self.code[label](registers, memory)
+                while any(labels):
+                    labels = [self._on(label, *warp) for label, warp in zip(labels, warps, strict=True)]
+
+    def _on(self, label: str | None, memory: "Memory", registers: dict) -> str | None:
+        """One warp up to where it waits for the others."""
+        while label is not None:
+            label = self.code[label](registers, memory)
+            if label and label.startswith("stop"):
+                break
+        return label
 
 
 class Memory:
     """Operands, and what threads of a warp tell each other."""
 
-    def __init__(self, operands: list[np.ndarray], tables: dict, warp: int, threads: int):
+    def __init__(self, operands: list[np.ndarray], tables: dict, block: int, warp: int, threads: int):
         self.words = {k: x.reshape(-1).view(np.uint32) for k, x in enumerate(operands)} | dict(tables.values())
-        thread = 32 * warp + np.arange(32, dtype=np.uint32)
-        self.tid, self.ctaid = thread % threads, thread // threads
+        self.tid, self.ctaid = 32 * warp + np.arange(32, dtype=np.uint32), np.full(32, block, np.uint32)
 
     def at(self, address: Any) -> tuple[np.ndarray, np.ndarray]:
         """Words of an operand, and which."""
@@ -183,10 +197,10 @@ class Memory:
         return bool(np.all(test))
 
 
-def call(code: Any, operands: Any, tiles: int) -> list[Any]:
+def call(code: Any, operands: Any) -> list[Any]:
     """As `launch.call`."""
     changed = [np.array(x) for x in operands]
-    Kernel(code.text).run(changed, tiles // cuda.WARPS, 32 * cuda.WARPS)
+    Kernel(code.text).run(changed, len(operands[0]), 32 * cuda.WARPS)
     return [jnp.asarray(changed[k]) for k in ([2] if len(changed) == 3 else [2, 4])]
 
 

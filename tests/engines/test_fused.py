@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 
 from sweep.core.errors import InputError
 from sweep.engines.fused import kernel
-from sweep.engines.fused.interpret import Unsupported
+from sweep.engines.fused.arrays import Unsupported
 from sweep.engines.mjx import Mjx
+from sweep.engines.native import Native
 from sweep.engines.settings import EngineSettings
 from sweep.study.config import compose
 
@@ -25,7 +26,7 @@ def both(function, *batch):
     code = kernel.compiled(lambda given, carried, k: (carried, function(*given)), one, [jnp.zeros(())])
     program = kernel.Kernel(code)
     tiles = program.enter(list(batch), [jnp.zeros(WIDTH)], WIDTH)
-    record = program.advance(tiles, 0, 1, np.arange(WIDTH))
+    record = tiles.advance(0, 1, np.arange(WIDTH))
     assert record is not None
     return {name: x[0] for name, x in record.items()}, jax.vmap(function)(*batch)
 
@@ -189,7 +190,7 @@ def test_a_rollouts_bits_depend_neither_on_its_neighbours_nor_on_their_number(wa
         np.testing.assert_array_equal(values, whole[name][16:19], err_msg=name)
 
 
-def test_what_cannot_be_fused_is_left_to_xla_with_a_word_or_refused(monkeypatch, capsys):
+def test_what_cannot_be_fused_is_refused_where_it_was_to_be(monkeypatch):
     monkeypatch.setattr("sweep.engines.fused.interpret.ELEMENTWISE", frozenset())
     exp = compose(["scenario=walk_tripod", "manoeuvre.steps=1"])
     engine = Mjx(EngineSettings(width=1, compiler="fused"), exp.case, exp.case)
@@ -197,10 +198,28 @@ def test_what_cannot_be_fused_is_left_to_xla_with_a_word_or_refused(monkeypatch,
         engine.run(exp.case, exp.case, np.arange(1))
     with pytest.raises(InputError, match=r"not allowed with engine\.dynamics = mjx"):
         EngineSettings(compiler="fused", dynamics="mjx")
-    engine = Mjx(EngineSettings(width=1), exp.case, exp.case)
-    engine._give_up("sort")
+
+
+def test_under_native_the_controller_is_that_of_xla_which_takes_what_has_no_rule(monkeypatch, capsys):
+    exp = compose(["scenario=walk_tripod", "manoeuvre.steps=1", "engine=native"])
+    world = replace(exp.case, contact=replace(exp.case.contact, friction=np.array([0.6, 0.8, 1.0])))
+
+    def figures():
+        engine = Native(replace(exp.settings, width=3), exp.case, exp.case, exp.thresholds)
+        return engine.run(world, exp.case, np.arange(3)), engine.fused
+
+    def without(*_):
+        raise Unsupported("sort")
+
+    fused, by_itself = figures()
+    monkeypatch.setattr("sweep.engines.fused.kernel.compiled", without)
+    monkeypatch.setattr("sweep.engines.program_cache._folder", lambda: None)
+    xla, still = figures()
+    assert by_itself
+    assert not still
     assert "XLA compiles the closed loop: the fused compiler has no rule for sort" in capsys.readouterr().err
-    assert not engine.fused
+    for name in ("distance_m", "duration_s", "tilt_max_deg", "torque_peak_alpha_nm", "energy_j"):
+        np.testing.assert_allclose(fused[name], xla[name], rtol=1e-3, atol=1e-4, err_msg=name)
 
 
 @pytest.mark.slow

@@ -10,7 +10,7 @@ import pytest
 
 from sweep.core.errors import InputError
 from sweep.engines.fused import launch
-from sweep.engines.fused.interpret import Unsupported
+from sweep.engines.fused.arrays import Unsupported
 from sweep.engines.mjx import Mjx
 from sweep.engines.settings import EngineSettings
 from sweep.study.config import compose
@@ -28,7 +28,9 @@ def both(function, *batch):
     """What `function` of one rollout records for a batch, by a kernel and by XLA."""
     one = [jax.ShapeDtypeStruct(x.shape[1:], x.dtype) for x in batch]
     state = [jax.ShapeDtypeStruct((), jnp.bool)]
-    code = launch.compiled(lambda given, carried, k: (carried, function(*given)), one, state, lambda x: x[0], 1, WIDTH)
+    code = launch.compiled(
+        lambda given, carried, k: (carried, function(*given)), one, state, lambda x: x[0], 1, WIDTH, WIDTH
+    )
     every = jnp.arange(WIDTH)
     _, record = launch.run(code, list(batch), [jnp.zeros(WIDTH, bool)], jnp.int32(0), every)
     return {name: x[0] for name, x in record.items()}, jax.vmap(function)(*batch)
@@ -93,11 +95,51 @@ def test_rollouts_go_on_until_all_of_their_warp_are_over():
         return (count + 1, over | (count + 1 >= given)), {}
 
     like = (jax.ShapeDtypeStruct((), jnp.int32), jax.ShapeDtypeStruct((), jnp.bool))
-    code = launch.compiled(counted, like[0], like, lambda x: x[1], 6, 0)
-    ends = jnp.where(jnp.arange(7) < 5, 3, 9)  # a warp has five rollouts
-    (count, over), _ = launch.run(code, ends, (jnp.zeros(7, jnp.int32), jnp.zeros(7, bool)), jnp.int32(0), None)
-    assert count.tolist() == [3] * 5 + [6] * 2
-    assert over.tolist() == [True] * 5 + [False] * 2
+    code = launch.compiled(counted, like[0], like, lambda x: x[1], 6, 0, 34)
+    ends = jnp.where(jnp.arange(34) < 32, 3, 9)  # a warp has 32 rollouts
+    (count, over), _ = launch.run(code, ends, (jnp.zeros(34, jnp.int32), jnp.zeros(34, bool)), jnp.int32(0), None)
+    assert count.tolist() == [3] * 32 + [6] * 2
+    assert over.tolist() == [True] * 32 + [False] * 2
+
+
+def test_parts_hand_on_what_they_have_worked_out_however_many_rollouts_a_block_has(monkeypatch):
+    def between(feet, given):
+        some = jax.lax.scan(lambda x, i: (jnp.cos(given @ x) + x, None), given, jnp.arange(30.0))[0]
+        return jnp.sum(some @ some) + jnp.min(feet[0] - feet[3])
+
+    def ticked(given, carried, k):
+        feet, total, over = carried
+        pressed = jnp.cos(feet) * given[0]  # of the old feet, before and after a loop and a sum
+        most = jnp.max(feet)
+        feet, _ = jax.lax.scan(lambda x, i: (0.5 * x + jnp.sin(x @ given) + 0.1 * i, None), feet + k, jnp.arange(9.0))
+        total = total + jnp.sum(pressed * feet) + most
+        near = jax.lax.cond(k % 2 == 0, lambda: between(feet, given), lambda: total)
+        return (pressed[:, ::-1] - total, total, over | (total > 1e9)), {
+            "total": total,
+            "old": carried[0],
+            "near": near,
+        }
+
+    width = WIDTH + 3
+    given = jnp.asarray(np.random.default_rng(0).uniform(-0.2, 0.2, (width, 3, 3)), jnp.float32)
+    feet = jnp.asarray(np.random.default_rng(1).uniform(-1, 1, (width, 6, 3)), jnp.float32)
+    carried = feet, jnp.zeros(width), jnp.zeros(width, bool)
+    one = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), (given, carried))
+
+    def run(turns):
+        monkeypatch.setattr(launch, "TURNS", turns)
+        code = launch.compiled(ticked, *one, lambda carried: carried[2], 2, WIDTH, width)
+        assert code.rollouts == turns * WIDTH
+        return launch.run(code, given, carried, jnp.int32(3), jnp.arange(WIDTH))
+
+    parts, xla = run(1), carried
+    jax.tree.map(np.testing.assert_array_equal, parts, run(2))
+    for k in (3, 4):
+        xla, record = jax.vmap(ticked, (0, 0, None))(given, xla, jnp.int32(k))
+    for a, b in zip(parts[0], xla, strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-3)
+    for name, values in record.items():
+        np.testing.assert_allclose(parts[1][name][1], values[:WIDTH], rtol=1e-3, atol=1e-3, err_msg=name)
 
 
 def test_what_a_gpu_has_no_rule_for_is_named():
@@ -113,11 +155,11 @@ def test_a_walk_is_that_of_the_cpu(monkeypatch):
     given, tick = (world, belief, program.start(world, belief, keys)[0]), engine._ticks(quiet=True)
     _, carry = program.begin(world, belief, keys)
     one = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:] if x.ndim else (), x.dtype), (given, carry))
-    code = launch.compiled(tick, *one, lambda carry: carry.over, 2, WIDTH)
+    code = launch.compiled(tick, *one, lambda carry: carry.over, 2, WIDTH, WIDTH)
     gpu, _ = launch.run(code, given, carry, jnp.int32(0), jnp.arange(WIDTH))
     _, going = program.start(world, belief, keys)
-    program.kernel.advance(going.tiles, 0, 2, None)
-    cpu = program.kernel.leave(going.tiles)
+    going.tiles.advance(0, 2)
+    cpu = going.tiles.leave()
     for name, step in (("q", 1e-6), ("v", 1e-3)):
         np.testing.assert_allclose(getattr(gpu.state, name), getattr(cpu.state, name), atol=step, err_msg=name)
 

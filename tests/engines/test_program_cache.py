@@ -12,8 +12,8 @@ import pytest
 
 from sweep.core import files, provenance
 from sweep.core.errors import InputError
-from sweep.engines import devices, program_cache
-from sweep.engines.fused.interpret import Unsupported
+from sweep.engines import devices, fused_loop, program_cache
+from sweep.engines.fused.arrays import Unsupported
 from sweep.engines.mjx import Mjx
 from sweep.engines.settings import EngineSettings
 from sweep.metrics.outcome import Thresholds
@@ -161,7 +161,7 @@ def test_what_has_no_rule_is_traced_once(folder, monkeypatch):
         traced.append(1)
         raise Unsupported("sort")
 
-    monkeypatch.setattr(Mjx, "_compile", none)
+    monkeypatch.setattr(Mjx, "_compile", fused_loop.or_what_is_missing(none))
     for _ in range(2):
         engine = Mjx(EngineSettings(width=1, compiler="fused"), CASE, CASE)
         with pytest.raises(InputError, match="no rule for sort"):

@@ -11,6 +11,7 @@ from dense import dense
 from slab import Slab
 
 from sweep.core.errors import InputError
+from sweep.core.parameters import parameters
 from sweep.dynamics import interface, tree
 from sweep.dynamics.step import from_state, rest, step, to_state
 from sweep.engines import batching
@@ -114,8 +115,10 @@ def test_momentum_goes_where_forces_send_it(name):
 
 
 def test_frame_of_a_free_body_is_at_its_mass_centre():
-    @dataclasses.dataclass(frozen=True)
+    @parameters
     class Lopsided(Slab):
+        """Its frame is elsewhere."""
+
         def add_to(self, spec, friction):
             super().add_to(spec, friction)
             spec.body("slab").ipos = [0, 0, 0.1]

@@ -1,24 +1,25 @@
-"""The program as PTX, for NVIDIA's GPUs: a lane of a warp for each leg, five rollouts in a warp, all ticks in a kernel.
+"""The program as PTX, for NVIDIA's GPUs: all ticks in a kernel, of which a block of threads has some rollouts.
 
-What the legs share is worked out by each of them. Sums over the legs are in one order, so that a rollout's numbers
-depend neither on the rollouts beside it nor on how many there are.
+Loops, such as those of physics, have a lane of a warp for each leg and five rollouts in a warp; what the legs share is
+worked out by each lane. The parts between them, of which legs have less, have a thread for each rollout. What one part
+hands on lies in memory. Sums over the legs are in one order, so that a rollout's numbers depend neither on the
+rollouts beside it nor on how many there are.
 """
 
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from sweep.engines.fused import lanes
-from sweep.engines.fused.interpret import Unsupported
-from sweep.engines.fused.lanes import Place
-from sweep.engines.fused.program import LEGS, Block, Branch, Loop, Node, Region, Store, inside, value_of
+from sweep.engines.fused.arrays import Unsupported
+from sweep.engines.fused.lanes import ANEW, Part, Place
+from sweep.engines.fused.program import LEGS, Block, Branch, Loop, Node, Region, Store, value_of
 from sweep.engines.fused.text import INTRINSICS, TYPES, Text
 
-LANES = 32 // LEGS  # rollouts of a warp, which are a tile in memory; two lanes do again what others do
+LANES = 32 // LEGS  # rollouts of a warp where legs have lanes; two lanes do again what others do
 WARPS = 8  # of a block: as many as registers allow
-ROW = 4 * LANES  # bytes of a number's rollouts in memory
 EVERY = "i32 -1"  # lane
 NATIVE = {"sqrt", "floor", "ceil", "round"}
 
@@ -30,25 +31,35 @@ class Printer(Text):
     Where none is recorded, a warp whose rollouts are all `over` leaves them as they are.
     """
 
-    def __init__(self, top: Block, needed: set[int], sizes: tuple[int, int, int], ticks: int, over: int, room: int):
+    def __init__(
+        self, top: Block, needed: set[int], sizes: tuple[int, int, int], ticks: int, over: int, room: int, turns: int
+    ):
         super().__init__(1)
         self.needed, self.sizes, self.ticks, self.over, self.room = needed, sizes, ticks, over, room
-        self.names: dict[int, str] = {}
+        self.rollouts = LANES * WARPS * turns  # of a block
+        self.row = 4 * self.rollouts  # bytes of a number's rollouts in memory
+        self.names: dict[Any, str] = {}
         self.found: dict[Any, str] = {}  # in this basic block
+        self.rollout = self.given = self.state = ""  # of this part
+        self.alone: lanes.Alone | None = None  # this part, where each thread has a rollout
         self.counts: dict[int, str] = {}
         self.tables: list[str] = []
         self.here: dict[Place, str] = {}  # what numbers of inner memory are now
         self.rows, self.inner = lanes.rows(top, needed)
+        self.words = sizes[1]  # numbers of a rollout's state, then those that are looked up by place, then what is kept
         self.scratch: dict[Region, int] = {}
         for region in self.inner:
-            self.scratch[region] = self.sizes[1] + sum(r.size for r in self.scratch)
+            self.scratch[region] = self.words
+            self.words += region.size
+        self.kept: dict[int | Place, tuple[int, Node, bool]] = {}  # values of one part for the next ones, where
+        self.home: dict[int | Place, Part] = {}
+        (loop,) = (item for item in top.items if isinstance(item, Loop))
+        before = [item for item in lanes.depth_first(top, needed) if item is not loop]
+        flag = next((s.region for s in loop.body.stores if s.region.place == over and not s.region.record), None)
+        parts = [Part(before, top.stores, False), *lanes.parts(loop.body, needed, flag)]
+        self._keep(parts)
         self._head()
-        self._block(top)
-
-    @property
-    def words(self) -> int:
-        """Numbers of a rollout's state, with those that are looked up by place."""
-        return self.sizes[1] + sum(r.size for r in self.scratch)
+        self._ticks(*parts)
 
     def text(self) -> str:
         """The module."""
@@ -61,20 +72,20 @@ class Printer(Text):
             f'!0 = !{{ptr @run, !"maxntidx", i32 {32 * WARPS}, !"minctasm", i32 1}}', "",
         ])  # fmt: skip
 
-    def _nvvm(self, name: str, kind: str, *args: str) -> str:
+    def _nvvm(self, name: str, kind: str, *args: str, to: str | None = None) -> str:
         """What only this processor does."""
         self.declared.add(f"declare {kind} @llvm.nvvm.{name}({', '.join(x.split()[0] for x in args)})")
         call = f"call {kind} @llvm.nvvm.{name}({', '.join(args)})"
         if kind != "void":
-            return self.emit(call)
+            return self.emit(call, to)
         self.lines.append(call)
         return ""
 
     def _head(self) -> None:
-        """Which leg of which rollout this lane is for."""
-        thread = self._nvvm("read.ptx.sreg.tid.x", "i32")
-        block = self._nvvm("read.ptx.sreg.ctaid.x", "i32")
-        lane, warp = self.emit(f"and i32 {thread}, 31"), self.emit(f"lshr i32 {thread}, 5")
+        """Which leg of which rollout this lane is for, and which rollouts this block has."""
+        thread = self._nvvm("read.ptx.sreg.tid.x", "i32", to="%thread")
+        block = self._nvvm("read.ptx.sreg.ctaid.x", "i32", to="%block")
+        lane, warp = self.emit(f"and i32 {thread}, 31"), self.emit(f"lshr i32 {thread}, 5", "%warp")
         group = self.emit(f"udiv i32 {lane}, {LEGS}")
         beyond = self.emit(f"icmp ugt i32 {group}, {LANES - 1}")
         group = self.emit(f"select i1 {beyond}, i32 {LANES - 1}, i32 {group}")
@@ -82,59 +93,105 @@ class Printer(Text):
         base = self.emit(f"mul i32 {group}, {LEGS}", "%base")
         across = self.emit(f"urem i32 {self.emit(f'add i32 {leg}, 3')}, {LEGS}")
         self.emit(f"add i32 {base}, {across}", "%across")
-        tile = self.emit(f"add i32 {self.emit(f'mul i32 {block}, {WARPS}')}, {warp}")
-        own = self.emit(f"zext i32 {self.emit(f'mul i32 {group}, 4')} to i64")
-        wide = self.emit(f"zext i32 {tile} to i64")
+        self.emit(f"add i32 {self.emit(f'mul i32 {warp}, {LANES}')}, {group}", "%own")
+        wide = self.emit(f"zext i32 {block} to i64")
         for name, words in (("given", self.sizes[0]), ("state", self.words)):
-            offset = self.emit(f"add i64 {self.emit(f'mul i64 {wide}, {words * ROW}')}, {own}")
-            self.emit(f"getelementptr i8, ptr %{name}_, i64 {offset}", f"%{name}")
+            self.emit(
+                f"getelementptr i8, ptr %{name}_, i64 {self.emit(f'mul i64 {wide}, {words * self.row}')}", f"%{name}"
+            )
         self.emit("load i32, ptr %first_", "%first")
-        if self.room:
-            rollout = self.emit(f"add i32 {self.emit(f'mul i32 {tile}, {LANES}')}, {group}")
-            at = self.emit(f"getelementptr i32, ptr %kept_, i32 {rollout}")
-            self.emit(f"load i32, ptr {at}", "%kept")
 
     # blocks
 
-    def _block(self, block: Block) -> None:
-        for item in lanes.depth_first(block, self.needed):
+    def _items(self, items: Iterable[Any]) -> None:
+        for item in items:
             if isinstance(item, Node):
-                self.names[item.number] = self._work(item)
+                if item.op not in ANEW:
+                    self.names[item.number] = self._work(item)
             elif isinstance(item, Store):
                 self._stores([item])
             elif isinstance(item, Loop):
-                self._ticks(item) if item.length is None else self._loop(item)
+                self._loop(item)
             else:
                 self._branch(item)
+
+    def _block(self, block: Block) -> None:
+        self._items(block.items if self.alone else lanes.depth_first(block, self.needed))
         self._stores(block.stores)
 
     def _start(self, label: str) -> None:
         self.start(label)
         self.found = {}
 
-    def _ticks(self, loop: Loop) -> None:
-        """All ticks; warps of a block go side by side, since they share what holds their instructions."""
-        before = self.label
+    def _keep(self, parts: Sequence[Part]) -> None:
+        """Find room for what a part has to hand on."""
+        for part in parts:
+            for node in lanes.operands(part, self.needed):
+                if node.op == "load" and not self._is_outer(node.extra[0]):
+                    key, leg = (place := self._row(*node.extra[:2])[0]), place in self.rows
+                elif node.op not in ANEW:
+                    key, leg = node.number, node.leg
+                else:
+                    continue
+                if self.home.get(key, part) is not part and key not in self.kept:
+                    self.kept[key] = self.words, node, leg
+                    self.words += LEGS if leg else 1
+            self.home |= {item.number: part for item in part.items if isinstance(item, Node)}
+            self.home |= dict.fromkeys(self._changed(part.items), part)
+
+    def _ticks(self, before: Part, *parts: Part) -> None:
+        """All ticks, part by part: a block's rollouts go through one before they go through the next."""
+        self._part("P", before)
+        at, entered = len(self.lines) + 2, self.label
         self.lines.append("br label %tick")
         self._start("tick")
-        self.lines.append(f"%k = phi i32 [0, %{before}], [%next, %done]")
-        self.counts[loop.body.depth] = "%k"
-        self._together()
-        if not self.room:
-            over = self.emit(f"icmp ne i32 {self._get('%state', self.over * ROW, 'i32')}, 0")
-            every = self._nvvm("vote.all.sync", "i1", EVERY, f"i1 {over}")
-            self.lines.append(f"br i1 {every}, label %done, label %go")
-            self._start("go")
-        self._block(loop.body)
-        self.lines.append("br label %done")
-        self._start("done")
+        for k, part in enumerate(parts):
+            self._part(f"P{k}", part)
+        self.lines.insert(at, f"%k = phi i32 [0, %{entered}], [%next, %{self.label}]")
         self.emit("add i32 %k, 1", "%next")
         more = self.emit(f"icmp ult i32 %next, {self.ticks}")
         self.lines.append(f"br i1 {more}, label %tick, label %end")
         self._start("end")
 
-    def _together(self) -> None:
-        self._nvvm("barrier0", "void")
+    def _part(self, name: str, part: Part) -> None:
+        """A part for all rollouts of this block, some at a time; warps go side by side: they share instructions."""
+        size = LANES * WARPS if part.together else 32 * WARPS
+        turns, ragged = -(-self.rollouts // size), self.rollouts % size > 0
+        if not part.together:
+            self._nvvm("barrier0", "void")
+        at, entered = len(self.lines) + 2, self.label
+        self.lines.append(f"br label %{name}")
+        self._start(name)
+        if part.together:
+            self._nvvm("barrier0", "void")
+        self.names, self.here = {}, {}
+        start, idle = self.emit(f"mul i32 %{name}_t, {size}"), "false"
+        self.rollout = self.emit(f"add i32 {start}, {'%own' if part.together else '%thread'}")
+        if ragged:
+            idle = self.emit(
+                f"icmp uge i32 {self.emit(f'add i32 {start}, {self.emit("shl i32 %warp, 5")}')}, {self.rollouts}"
+            )
+            self.rollout = self.call("umin", "int32", [self.rollout, str(self.rollouts - 1)])
+        bytes_ = self.emit(f"zext i32 {self.emit(f'shl i32 {self.rollout}, 2')} to i64")
+        self.given, self.state = (
+            self.emit(f"getelementptr i8, ptr %{base}, i64 {bytes_}") for base in ("given", "state")
+        )
+        if not self.room:
+            over = self.emit(f"icmp ne i32 {self._get(self.state, self.over * self.row, 'i32')}, 0")
+            every = self._nvvm("vote.all.sync", "i1", EVERY, f"i1 {over}")
+            idle = self.emit(f"or i1 {idle}, {every}") if ragged else every
+        self.lines.append(f"br i1 {idle}, label %{name}_d, label %{name}_g")
+        self._start(f"{name}_g")
+        self.alone = None if part.together else lanes.Alone(part, self.needed)
+        self._items((self.alone or part).items)
+        self._stores((self.alone or part).stores, part)
+        self.lines.append(f"br label %{name}_d")
+        self._start(f"{name}_d")
+        following = self.emit(f"add i32 %{name}_t, 1")
+        self.lines.insert(at, f"%{name}_t = phi i32 [0, %{entered}], [{following}, %{name}_d]")
+        more = self.emit(f"icmp ult i32 {following}, {turns}")
+        self.lines.append(f"br i1 {more}, label %{name}, label %{name}_x")
+        self._start(f"{name}_x")
 
     def _loop(self, loop: Loop) -> None:
         self._fresh += 1
@@ -142,7 +199,7 @@ class Printer(Text):
         self.lines.append(f"br label %{name}")
         self._start(name)
         count, following = f"%{name}_k", f"%{name}_n"
-        moving = [place for place in self._changed(loop.body) if place in self.here]
+        moving = [place for place in self._changed([*loop.body.items, *loop.body.stores]) if place in self.here]
         old = {place: self.here[place] for place in moving}
         self.here |= {place: f"%{name}_{k}" for k, place in enumerate(moving)}
         self.counts[loop.body.depth] = count
@@ -180,54 +237,83 @@ class Printer(Text):
             values = ", ".join(f"[{here.get(place, 'poison')}, %{label}]" for label, here in ends)
             self.here[place] = self.emit(f"phi {TYPES[place[0].dtype]} {values}")
 
-    def _changed(self, block: Block) -> Iterator[Place]:
-        """What a block stores in inner memory, each once."""
-        found: dict[Place, None] = {}
-        for store in inside(block):
-            if isinstance(store, Store) and not self._is_outer(store.region):
-                found |= dict.fromkeys([self._place(store.region, store.index)])
-        yield from found
+    def _changed(self, items: Iterable[Any]) -> Iterator[Place]:
+        """Places in inner memory where something is stored, each once."""
+        stores = (x for item in items for x in (item, *lanes.within(item)) if isinstance(x, Store))
+        yield from dict.fromkeys(self._place(x.region, x.index) for x in stores if not self._is_outer(x.region))
 
     # memory
 
-    def _place(self, region: Region, index: int) -> Place:
-        return region, self.rows.get((region, index), (index, 0, 0))[0]
+    def _row(self, region: Region, index: int) -> tuple[Place, int]:
+        """Where the first leg's number is in the row of a place in inner memory, and which leg's that place is."""
+        first, _, leg = self.rows.get((region, index), (index, 0, 0))
+        return (region, first), leg
 
-    def _stores(self, stores: Sequence[Store]) -> None:
-        """Put values away, all of which are worked out before."""
+    def _place(self, region: Region, index: int) -> Place:
+        return (region, index) if self.alone else self._row(region, index)[0]
+
+    def _stores(self, stores: Sequence[Store], part: Part | None = None) -> None:
+        """Put values away, all of which are worked out before; at the end of a part, with those that others ask for."""
         values = [(store, self.value(store.value)) for store in stores]
         told = [pair for pair in values if pair[0].region.record]
         if told:
             self._tell(told)
         outer = [pair for pair in values if self._is_outer(pair[0].region) and not pair[0].region.record]
-        if outer:
+        handed = [*self._handing(part)] if part else []
+        if outer or handed:
             self._nvvm("bar.warp.sync", "void", EVERY)
         for store, value in values:
             if not self._is_outer(store.region):
                 self._set(store, value)
         for store, value in outer:
-            offset = (self._start_of(store.region) + store.index) * ROW
-            self._put(self._leg("%state", store.step) if store.value.leg else "%state", offset, store.region, value)
-        if outer:
+            word = self._start_of(store.region) + store.index
+            self._put_word(word, store.step if store.value.leg else 0, store.region.dtype, value)
+        for word, step, dtype, value in handed:
+            self._put_word(word, step, dtype, value)
+        if outer or handed:
             self._nvvm("bar.warp.sync", "void", EVERY)
             self.found = {key: x for key, x in self.found.items() if not isinstance(key, tuple)}
 
+    def _handing(self, part: Part) -> Iterator[tuple[int, int, str, str]]:
+        """What this part hands on: where, the step from leg to leg, its type and value."""
+        for key, (word, node, leg) in self.kept.items():
+            if self.home[key] is not part:
+                continue
+            if isinstance(key, int):
+                values = [self.value(x) for x in (self.alone.of(node) if self.alone else [node])]
+            else:
+                region, first = key
+                step = self.rows[key][1] if leg else 0
+                values = [self.here[region, first + k * step] for k in (range(LEGS) if leg and self.alone else (0,))]
+            for k, value in enumerate(values):
+                yield word + k, 1 if leg and not self.alone else 0, node.dtype, value
+
+    def _handed_on(self, key: int | Place, leg: int | None = None) -> str:
+        """What an earlier part has worked out, for this lane or for a leg."""
+        if (key, leg) not in self.found:
+            word, node, legs = self.kept[key]
+            base = self._leg(self.state, 1) if legs and leg is None else self.state
+            self.found[key, leg] = self._read(node.dtype, base, (word + (leg or 0)) * self.row)
+        return self.found[key, leg]
+
     def _set(self, store: Store, value: str) -> None:
-        place = self._place(store.region, store.index)
-        row = self.rows.get((store.region, store.index))
-        if row and not store.value.leg:
+        place, row = self._place(store.region, store.index), self.rows.get((store.region, store.index))
+        if row and not store.value.leg and not self.alone:
             kind = TYPES[store.region.dtype]
             here = self.emit(f"icmp eq i32 %leg, {row[2]}")
             value = self.emit(f"select i1 {here}, {kind} {value}, {kind} {self.here.get(place, 'poison')}")
         self.here[place] = value
 
     def _tell(self, told: Sequence[tuple[Store, str]]) -> None:
+        """Record, where any rollout of this warp is to be; the others go to a last place that nobody reads."""
         self._fresh += 1
         name = f"R{self._fresh}"
-        kept = self.emit("icmp sge i32 %kept, 0")
-        self.lines.append(f"br i1 {kept}, label %{name}, label %{name}_x")
+        number = self.emit(f"add i32 {self.emit(f'mul i32 %block, {self.rollouts}')}, {self.rollout}")
+        place = self.emit(f"load i32, ptr {self.emit(f'getelementptr i32, ptr %kept_, i32 {number}')}")
+        none = self._nvvm("vote.all.sync", "i1", EVERY, f"i1 {self.emit(f'icmp eq i32 {place}, {self.room}')}")
+        self.lines.append(f"br i1 {none}, label %{name}_x, label %{name}")
         self._start(name)
-        row = self.emit(f"add i32 {self.emit(f'mul i32 %k, {self.room}')}, %kept")
+        row = self.emit(f"add i32 {self.emit(f'mul i32 %k, {self.room + 1}')}, {place}")
         start = self.emit(f"mul i64 {self.emit(f'zext i32 {row} to i64')}, {4 * self.sizes[2]}")
         base = self.emit(f"getelementptr i8, ptr %record_, i64 {start}")
         for store, value in told:
@@ -235,7 +321,7 @@ class Printer(Text):
             if store.value.leg:
                 offset = self.emit(f"mul i32 %leg, {4 * store.step}")
                 at = self.emit(f"getelementptr i8, ptr {base}, i32 {offset}")
-            self._put(at, 4 * (store.region.place + store.index), store.region, value)
+            self._put(at, 4 * (store.region.place + store.index), store.region.dtype, value)
         self.lines.append(f"br label %{name}_x")
         self._start(f"{name}_x")
 
@@ -246,13 +332,13 @@ class Printer(Text):
         return self.scratch.get(region, region.place)
 
     def _base(self, region: Region) -> str:
-        return "%given" if region.place >= 0 and region.depth == 0 else "%state"
+        return self.given if region.place >= 0 and region.depth == 0 else self.state
 
     def _leg(self, base: str, step: int) -> str:
         """Where this leg's number is that is `step` numbers after the one of the leg before."""
         key = f"{base} {step}"
         if key not in self.found:
-            offset = self.emit(f"mul i32 %leg, {step * ROW}")
+            offset = self.emit(f"mul i32 %leg, {step * self.row}")
             self.found[key] = self.emit(f"getelementptr i8, ptr {base}, i32 {offset}")
         return self.found[key]
 
@@ -260,17 +346,21 @@ class Printer(Text):
         at = self.emit(f"getelementptr i8, ptr {base}, i32 {offset}")
         return self.emit(f"load {kind}, ptr {at}, align 4")
 
-    def _put(self, base: str, offset: int, region: Region, value: str) -> None:
+    def _put(self, base: str, offset: int, dtype: str, value: str) -> None:
         at = self.emit(f"getelementptr i8, ptr {base}, i32 {offset}")
-        kind = TYPES[region.dtype]
+        kind = TYPES[dtype]
         if kind == "i1":
             kind, value = "i32", self.emit(f"zext i1 {value} to i32")
         self.lines.append(f"store {kind} {value}, ptr {at}, align 4")
 
-    def _read(self, region: Region, base: str, offset: int | str) -> str:
-        kind = TYPES[region.dtype]
+    def _put_word(self, word: int, step: int, dtype: str, value: str) -> None:
+        """A number of this rollout's state, or with a step this leg's."""
+        self._put(self._leg(self.state, step) if step else self.state, word * self.row, dtype, value)
+
+    def _read(self, dtype: str, base: str, offset: int | str) -> str:
+        kind = TYPES[dtype]
         if kind not in ("i1", "i32", "float"):
-            raise Unsupported(f"{region.dtype} on a GPU")
+            raise Unsupported(f"{dtype} on a GPU")
         if kind != "i1":
             return self._get(base, offset, kind)
         return self.emit(f"icmp ne i32 {self._get(base, offset, 'i32')}, 0")
@@ -281,27 +371,36 @@ class Printer(Text):
         """A value, of this lane's leg where it is one of legs."""
         if node.op == "const" and not node.leg:
             return self.literal(value_of(node))
-        if node.op not in ("const", "load"):
-            return self.names[node.number]
+        if node.op == "handed_on":
+            return self._handed_on(*node.extra)
+        if node.op not in ANEW:
+            return self.names.get(node.number) or self._handed_on(node.number)
         if node.op == "load" and not self._is_outer(node.extra[0]):
             return self._now(node)
         key = node.number, "memory"
         if key not in self.found:
-            self.found[key] = self._table(node) if node.op == "const" else self._load(node)
+            again = {"const": self._table, "load": self._load, "tick": self._tick}
+            self.found[key] = again[node.op](node)
         return self.found[key]
 
     def _now(self, node: Node) -> str:
         """A number of inner memory, which is no memory here."""
         region, index, _, _ = node.extra
-        value = self.here[self._place(region, index)]
-        row = self.rows.get((region, index))
-        return self._shuffled(value, region.dtype, self._lane(row[2])) if row and not node.leg else value
+        (first, leg), there = self._row(region, index), self._place(region, index)
+        if self.alone:
+            return self.here.get(there) or self._handed_on(first, leg)
+        value = self.here.get(there) or self._handed_on(first)
+        whole = node.leg or (region, index) not in self.rows
+        return value if whole else self._shuffled(value, region.dtype, self._lane(leg))
 
     def _load(self, node: Node) -> str:
         region, index, _, step = node.extra
         base = self._base(region)
-        offset = (self._start_of(region) + index) * ROW
-        return self._read(region, self._leg(base, step) if node.leg else base, offset)
+        offset = (self._start_of(region) + index) * self.row
+        return self._read(region.dtype, self._leg(base, step) if node.leg else base, offset)
+
+    def _tick(self, _: Node) -> str:
+        return self.emit("add i32 %k, %first")
 
     def _table(self, node: Node) -> str:
         values, kind = value_of(node), TYPES[node.dtype]
@@ -346,9 +445,9 @@ class Printer(Text):
             case "gather":
                 region, index, _, step = node.extra
                 base = self._base(region)
-                place = self.emit(f"mul i32 {self.value(node.args[0])}, {ROW}")
-                offset = self.emit(f"add i32 {place}, {(self._start_of(region) + index) * ROW}")
-                return self._read(region, self._leg(base, step) if node.leg else base, offset)
+                place = self.emit(f"mul i32 {self.value(node.args[0])}, {self.row}")
+                offset = self.emit(f"add i32 {place}, {(self._start_of(region) + index) * self.row}")
+                return self._read(region.dtype, self._leg(base, step) if node.leg else base, offset)
             case "part":
                 whole = node.args[0]
                 return self._shuffled(self.value(whole), whole.dtype, self._lane(node.extra))
@@ -362,8 +461,6 @@ class Printer(Text):
                 return self._over_legs(node)
             case "count":
                 return self.counts[node.extra]
-            case "tick":
-                return self.emit("add i32 %k, %first")
         if node.op in INTRINSICS and node.op not in NATIVE:
             raise Unsupported(f"{node.op} of {node.dtype} on a GPU")
         return self.arithmetic(node.op, node.dtype, [self.value(x) for x in node.args], [x.dtype for x in node.args])

@@ -52,68 +52,86 @@ def _laid_out(shapes: Sequence[Any], start: int) -> tuple[list[Leaf], int]:
 
 
 class Kernel:
-    """A program in this process, and the batch that goes through it."""
+    """A program in this process."""
 
     def __init__(self, code: Code):
         self.code = code
         self._kept, address = llvm.loaded(code.machine, llvm.machine())
-        self._run = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 3, *[ctypes.c_int64] * 3)(address)
-        self._threads = len(os.sched_getaffinity(0))
+        self.run = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 3, *[ctypes.c_int64] * 3)(address)
 
     def enter(self, given: Any, carried: Any, width: int) -> "Tiles":
         """The memory of `width` rollouts. Leaves with one axis more than the program's differ among them."""
-        tiles = Tiles(_aligned(-(-width // LANES), _end(self.code.carried)), width, carried)
-        _put_all(tiles, self.code.given, given)
-        self.resume(tiles, carried)
+        tiles = Tiles(self, width, carried)
+        tiles.put(self.code.given, given)
+        tiles.put(self.code.carried, carried)
         return tiles
 
-    def resume(self, tiles: "Tiles", carried: Any) -> None:
-        """Go on from another state."""
-        _put_all(tiles, self.code.carried, carried)
 
-    def advance(self, tiles: "Tiles", first: int, ticks: int, slots: np.ndarray | None) -> dict[str, np.ndarray] | None:
+class Tiles:
+    """A batch that goes through a program. `which` picks arrays of what is carried, or trees of them."""
+
+    def __init__(self, kernel: Kernel, width: int, like: Any):
+        self.code, self._run, self.width, self._like = kernel.code, kernel.run, width, like
+        self.memory = _aligned(-(-width // LANES), _end(self.code.carried))
+        tree = jax.tree.structure(like)
+        self._places = jax.tree.unflatten(tree, range(tree.num_leaves))
+        rooms = range(min(len(os.sched_getaffinity(0)), len(self.memory)))
+        self._scratch = [_aligned(1, self.code.scratch) for _ in rooms]
+
+    def put(self, leaves: Sequence[Leaf], tree: Any) -> None:
+        """Values of a batch, or one for all of it; the last tile's idle lanes repeat the last rollout."""
+        for leaf, given in zip(leaves, jax.tree.leaves(words(tree)), strict=True):
+            values, whole = np.asarray(given), _within(self.memory, leaf)
+            if values.ndim == len(leaf.shape):
+                whole[...] = values.reshape(1, leaf.count, 1)
+                continue
+            full, rest = divmod(self.width, LANES)
+            rows = values.reshape(self.width, leaf.count)
+            whole[:full] = rows[: full * LANES].reshape(full, LANES, leaf.count).transpose(0, 2, 1)
+            if rest:
+                whole[full, :, :rest], whole[full, :, rest:] = rows[-rest:].T, rows[-1][:, None]
+
+    def change(self, which: Callable[[Any], Any], tree: Any) -> None:
+        """Go on with other values of what `which` picks."""
+        self.put([self.code.carried[place] for place in jax.tree.leaves(which(self._places))], tree)
+
+    def advance(self, first: int, ticks: int, slots: np.ndarray | None = None) -> dict[str, np.ndarray] | None:
         """Go on by `ticks`. Records (ticks, slots, ...) of the rollouts in `slots`."""
         recorded = self.code.recorded
         size = _end([*recorded.values()])
         wanted = sorted(set(() if slots is None else (slots // LANES).tolist()))
         told: dict[Any, np.ndarray] = {tile: _aligned(ticks, size) for tile in wanted}
 
-        def work(tiles_of_one: range) -> None:
-            scratch, nowhere = _aligned(1, self.code.scratch), _aligned(1, size)
-            for tile in tiles_of_one:
+        def work(thread: int, threads: int) -> None:
+            scratch, nowhere = self._scratch[thread], _aligned(1, size)
+            for tile in range(thread, len(self.memory), threads):
                 into = told.get(tile)
                 record, stride = (nowhere, 0) if into is None else (into, size)
-                self._run(tiles.memory[tile].ctypes.data, scratch.ctypes.data, record.ctypes.data, stride, first, ticks)
+                self._run(self.memory[tile].ctypes.data, scratch.ctypes.data, record.ctypes.data, stride, first, ticks)
 
-        count = len(tiles.memory)
-        with ThreadPoolExecutor(self._threads) as pool:
-            list(pool.map(work, [range(k, count, self._threads) for k in range(min(self._threads, count))]))
+        if (threads := len(self._scratch) if ticks > 1 else 1) > 1:
+            with ThreadPoolExecutor(threads) as pool:
+                list(pool.map(work, range(threads), [threads] * threads))
+        else:
+            work(0, 1)
         if slots is None:
             return None
         rows = {name: {tile: _got(told[tile], leaf) for tile in wanted} for name, leaf in recorded.items()}
         return {name: np.stack([of[k // LANES][:, k % LANES] for k in slots], axis=1) for name, of in rows.items()}
 
-    def leave(self, tiles: "Tiles") -> Any:
+    def leave(self) -> Any:
         """What is carried, (width, ...) each."""
-        like, tree = jax.tree.flatten(tiles.like)
-        found = [jnp.asarray(self._rows(tiles, leaf)) for leaf in self.code.carried]
-        return jax.tree.unflatten(tree, [keyed(x, one) for x, one in zip(found, like, strict=True)])
+        found = jax.tree.map(jnp.asarray, self.look(lambda carried: carried))
+        return jax.tree.map(keyed, found, self._like)
 
-    def look(self, tiles: "Tiles", which: Callable[[Any], int]) -> np.ndarray:
-        """The array (width, ...) that `which` picks of what is carried, without the others."""
-        tree = jax.tree.structure(tiles.like)
-        return self._rows(tiles, self.code.carried[which(jax.tree.unflatten(tree, range(tree.num_leaves)))])
+    def look(self, which: Callable[[Any], Any]) -> Any:
+        """What `which` picks, (width, ...) each, without the others."""
 
-    def _rows(self, tiles: "Tiles", leaf: Leaf) -> np.ndarray:
-        return _got(tiles.memory, leaf).reshape(len(tiles.memory) * LANES, *leaf.shape)[: tiles.width]
+        def rows(place: int) -> np.ndarray:
+            leaf = self.code.carried[place]
+            return np.array(_got(self.memory, leaf).reshape(len(self.memory) * LANES, *leaf.shape)[: self.width])
 
-
-class Tiles(NamedTuple):
-    """A batch in memory."""
-
-    memory: np.ndarray  # (tiles, bytes)
-    width: int
-    like: Any  # what is carried, as it was at first
+        return jax.tree.map(rows, which(self._places))
 
 
 def _aligned(rows: int, size: int) -> np.ndarray:
@@ -128,25 +146,12 @@ def _end(leaves: Sequence[Leaf]) -> int:
     return max((leaf.place + llvm.rounded(_size(leaf)) for leaf in leaves), default=ALIGN)
 
 
-def _put_all(tiles: Tiles, leaves: Sequence[Leaf], tree: Any) -> None:
-    for leaf, values in zip(leaves, jax.tree.leaves(words(tree)), strict=True):
-        _put(tiles.memory, leaf, np.asarray(values), tiles.width)
-
-
-def _put(memory: np.ndarray, leaf: Leaf, values: np.ndarray, width: int) -> None:
-    """Values of a batch, or one for all of it; the last tile's idle lanes repeat the last rollout."""
-    tiles, count = len(memory), leaf.count
-    if values.ndim > len(leaf.shape):
-        lanes = np.minimum(np.arange(tiles * LANES), width - 1)
-        values = values.reshape(width, count)[lanes].reshape(tiles, LANES, count).transpose(0, 2, 1)
-    else:
-        values = np.broadcast_to(values.reshape(1, count, 1), (tiles, count, LANES))
-    values = np.ascontiguousarray(values, leaf.dtype)
-    memory[:, leaf.place : leaf.place + _size(leaf)] = values.reshape(tiles, -1).view(np.uint8)
+def _within(memory: np.ndarray, leaf: Leaf) -> np.ndarray:
+    """An array in memory (rows of memory, numbers, lanes)."""
+    found = memory[:, leaf.place : leaf.place + _size(leaf)].view(leaf.dtype)
+    return found.reshape(len(memory), leaf.count, LANES)
 
 
 def _got(memory: np.ndarray, leaf: Leaf) -> np.ndarray:
     """Values (rows of memory, lanes, ...)."""
-    rows, count = len(memory), leaf.count
-    values = np.ascontiguousarray(memory[:, leaf.place : leaf.place + _size(leaf)]).view(leaf.dtype)
-    return values.reshape(rows, count, LANES).transpose(0, 2, 1).reshape(rows, LANES, *leaf.shape)
+    return _within(memory, leaf).transpose(0, 2, 1).reshape(len(memory), LANES, *leaf.shape)

@@ -12,7 +12,8 @@ from jaxtyping import Array, Int, UInt32
 from sweep.engines.fused import cuda, schedule
 from sweep.engines.fused.trace import Leaf, keyed, traced, words
 
-BLOCK = cuda.LANES * cuda.WARPS  # rollouts
+BLOCK = cuda.LANES * cuda.WARPS  # rollouts that a block of threads has at least
+TURNS = 25  # times as many that it has at most
 TARGET = "__gpu$xla.gpu.ptx"  # XLA's own call of a kernel; a handler of its typed interface could launch it as well
 OPTIONS = {"xla_gpu_graph_min_graph_size": 1 << 30}  # no graphs of kernels, from which one long kernel gains nothing
 
@@ -27,6 +28,7 @@ class Ptx(NamedTuple):
     words: int  # of what is carried, and of the kernel's own
     ticks: int
     room: int  # for rollouts that are recorded
+    rollouts: int  # of a block of threads
 
 
 def compiled(
@@ -36,8 +38,12 @@ def compiled(
     over: Callable[[Any], Any],
     ticks: int,
     room: int,
+    width: int,
 ) -> Ptx:
-    """See `traced`. `over` picks the array of what is carried that tells a rollout without anything to come."""
+    """See `traced`. `over` picks the array of what is carried that tells a rollout without anything to come.
+
+    Blocks have as many rollouts as make use of all multiprocessors, of a batch of `width`.
+    """
 
     def told(given: Any, carried: Any, number: Array) -> tuple[Any, dict[str, Array]]:
         carried, record = function(given, carried, number)
@@ -47,9 +53,9 @@ def compiled(
     tree = jax.tree.structure(carried)
     flag = program.carried[over(jax.tree.unflatten(tree, range(tree.num_leaves)))].place
     sizes = _end(program.given), _end(program.carried), _end([*program.recorded.values()])
-    printed = cuda.Printer(program.top, schedule.used(program.top), sizes, ticks, flag, room)
-    text = cuda.compiled(printed.text())
-    return Ptx(text, program.given, program.carried, program.recorded, printed.words, ticks, room)
+    printed = cuda.Printer(program.top, schedule.used(program.top), sizes, ticks, flag, room, _turns(width))
+    text, blocks = cuda.compiled(printed.text()), printed.rollouts
+    return Ptx(text, program.given, program.carried, program.recorded, printed.words, ticks, room, blocks)
 
 
 def run(code: Ptx, given: Any, carried: Any, first: Array, kept: Int[Array, " room"] | None) -> tuple[Any, Any]:
@@ -59,16 +65,20 @@ def run(code: Ptx, given: Any, carried: Any, first: Array, kept: Int[Array, " ro
     """
     like, tree = jax.tree.flatten(carried)
     width = len(like[0])
-    tiles = _tiles(width)
-    state = _packed(code.carried, like, width, code.words)
-    operands = [_packed(code.given, jax.tree.leaves(given), width, _end(code.given)), jnp.int32(first), state]
+    state = _packed(code, code.carried, like, width, code.words)
+    operands = [
+        _packed(code, code.given, jax.tree.leaves(given), width, _end(code.given)),
+        jnp.asarray(first, jnp.int32),
+        state,
+    ]
+    places = jnp.zeros(0, jnp.int32)
     if kept is not None:
-        places = jnp.full(tiles * cuda.LANES, code.room, jnp.int32).at[kept].min(jnp.arange(code.room, dtype=jnp.int32))
+        places = jnp.full(state.shape[0] * code.rollouts, code.room, jnp.int32)
+        places = places.at[kept].min(jnp.arange(code.room, dtype=jnp.int32))
         numbers = _end([*code.recorded.values()])
-        record = jnp.zeros((code.ticks, code.room, numbers), jnp.uint32)
-        operands += [jnp.where(places < code.room, places, -1), record]
-    moved, *record = call(code, operands, tiles)
-    rows = moved.transpose(0, 2, 1).reshape(tiles * cuda.LANES, code.words)[:width]
+        operands += [places, jnp.zeros((code.ticks, code.room + 1, numbers), jnp.uint32)]
+    moved, *record = call(code, operands)
+    rows = moved.transpose(0, 2, 1).reshape(-1, code.words)[:width]
     after = [keyed(_got(rows, leaf), x) for leaf, x in zip(code.carried, like, strict=True)]
     after = jax.tree.unflatten(tree, after)
     if kept is None:
@@ -77,7 +87,7 @@ def run(code: Ptx, given: Any, carried: Any, first: Array, kept: Int[Array, " ro
     return after, {name: _got(record, leaf) for name, leaf in code.recorded.items()}
 
 
-def call(code: Ptx, operands: Sequence[Array], tiles: int) -> Sequence[Array]:
+def call(code: Ptx, operands: Sequence[Array]) -> Sequence[Array]:
     """The operands that the kernel changes: state, and records where there are any."""
     changed = [2] if len(operands) == 3 else [2, 4]
     one, wide = np.int32(1), np.int32(32 * cuda.WARPS)
@@ -86,9 +96,15 @@ def call(code: Ptx, operands: Sequence[Array], tiles: int) -> Sequence[Array]:
         [jax.ShapeDtypeStruct(operands[k].shape, operands[k].dtype) for k in changed],
         input_output_aliases={k: n for n, k in enumerate(changed)},
     )
-    return kernel(*operands, name="run", kernel_type="ptx", kernel_data=code.text, grid_x=np.int32(tiles // cuda.WARPS),
+    return kernel(*operands, name="run", kernel_type="ptx", kernel_data=code.text, grid_x=np.int32(len(operands[0])),
                 grid_y=one, grid_z=one, block_x=wide, block_y=one, block_z=one, shared_mem_bytes=np.int32(0),
                 output_indices=tuple(np.int32(len(operands) + n) for n in range(len(changed))))  # fmt: skip
+
+
+def _turns(width: int) -> int:
+    """Times `BLOCK` rollouts that a block has, so that every multiprocessor has one block."""
+    cores = getattr(jax.devices()[0], "core_count", None) or 1
+    return min(TURNS, -(-width // (cores * BLOCK)))
 
 
 def _laid_out(shapes: Sequence[Any], start: int) -> tuple[list[Leaf], int]:
@@ -100,19 +116,15 @@ def _laid_out(shapes: Sequence[Any], start: int) -> tuple[list[Leaf], int]:
     return leaves, start
 
 
-def _tiles(width: int) -> int:
-    return -(-width // BLOCK) * cuda.WARPS
-
-
 def _end(leaves: Sequence[Leaf]) -> int:
     return max((leaf.place + leaf.count for leaf in leaves), default=1)
 
 
 def _packed(
-    leaves: Sequence[Leaf], values: Sequence[Array], width: int, size: int
-) -> UInt32[Array, "tiles size lanes"]:
-    """Arrays of a batch as tiles of rollouts; those beyond its width repeat the last."""
-    rollouts = _tiles(width) * cuda.LANES
+    code: Ptx, leaves: Sequence[Leaf], values: Sequence[Array], width: int, size: int
+) -> UInt32[Array, "blocks size rollouts"]:
+    """Arrays of a batch, those of each block together; rollouts beyond its width repeat the last."""
+    rollouts = -(-width // code.rollouts) * code.rollouts
 
     def column(x: Array, leaf: Leaf) -> Array:
         bits = x.astype(jnp.uint32) if x.dtype == bool else lax.bitcast_convert_type(x, jnp.uint32)
@@ -122,7 +134,7 @@ def _packed(
     columns = [column(x, leaf) for x, leaf in zip(words(list(values)), leaves, strict=True)]
     columns.append(jnp.zeros((width, size - sum(x.shape[1] for x in columns)), jnp.uint32))
     rows = jnp.pad(jnp.concatenate(columns, axis=1), ((0, rollouts - width), (0, 0)), mode="edge")
-    return rows.reshape(-1, cuda.LANES, size).transpose(0, 2, 1)
+    return rows.reshape(-1, code.rollouts, size).transpose(0, 2, 1)
 
 
 def _got(rows: UInt32[Array, "*batch numbers"], leaf: Leaf) -> Array:

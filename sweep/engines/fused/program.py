@@ -21,7 +21,7 @@ class Node:
     __slots__ = ("args", "block", "dtype", "extra", "leg", "number", "op")
 
     def __init__(
-        self, op: str, args: tuple["Node", ...], extra: Any, dtype: str, leg: bool, number: int, block: "Block"
+        self, op: str, args: tuple["Node", ...], extra: Any, dtype: str, leg: bool, number: Any, block: "Block"
     ):
         self.op, self.args, self.extra, self.dtype, self.leg, self.number = op, args, extra, dtype, leg, number
         self.block = block

@@ -1,5 +1,6 @@
 """The program of one rollout's ticks from the function that JAX traces, and where its arrays lie in memory."""
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -22,7 +23,7 @@ class Leaf(NamedTuple):
     @property
     def count(self) -> int:
         """Numbers."""
-        return int(np.prod(self.shape))
+        return math.prod(self.shape)
 
 
 class Traced(NamedTuple):
@@ -96,4 +97,4 @@ def keyed(x: Array, like: Any) -> Array:
 
 
 def _is_key(x: Any) -> bool:
-    return jnp.issubdtype(x.dtype, jax.dtypes.prng_key)
+    return not isinstance(x.dtype, np.dtype) and jnp.issubdtype(x.dtype, jax.dtypes.prng_key)

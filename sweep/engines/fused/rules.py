@@ -1,0 +1,253 @@
+"""Rules for JAX's primitives, but for those that are one operation for each number.
+
+A rule is a function of the program's arrays, the operands and the primitive's parameters.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from sweep.engines.fused import randomness
+from sweep.engines.fused.arrays import Array, Arrays, Unsupported, along, stacked
+
+
+def _convert(self: Arrays, x: Array, out: Any, **_: Any) -> Array:
+    return x if not x.size or x.flat[0].dtype == out.dtype.name else self.lift("convert", [x], out.dtype.name)
+
+
+def _integer_pow(self: Arrays, x: Array, out: Any, y: int, **_: Any) -> Array:
+    dtype = out.dtype.name
+    if y == 0:
+        return np.broadcast_to(self.constant(np.ones((), dtype)), x.shape)
+    result: Any = None
+    power = x
+    for bit in bin(abs(y))[:1:-1]:
+        if bit == "1":
+            result = power if result is None else self.lift("mul", [result, power], dtype)
+        power = self.lift("mul", [power, power], dtype)
+    return result if y > 0 else self.lift("div", [self.constant(np.ones((), dtype)), result], dtype)
+
+
+def _clamp(self: Arrays, low: Array, x: Array, high: Array, out: Any, **_: Any) -> Array:
+    return self.lift("min", [self.lift("max", [x, low], out.dtype.name), high], out.dtype.name)
+
+
+def _polynomial(self: Arrays, x: Array, *coefficients: Array, out: Any, **_: Any) -> Array:
+    total = np.broadcast_to(coefficients[-1], x.shape)
+    for c in reversed(coefficients[:-1]):
+        total = self.lift("add", [self.lift("mul", [total, x], out.dtype.name), c], out.dtype.name)
+    return total
+
+
+def _broadcast_in_dim(
+    self: Arrays, x: Array, *_: Any, out: Any, shape: tuple, broadcast_dimensions: tuple, **__: Any
+) -> Array:
+    index = [1] * len(shape)
+    for d, n in zip(broadcast_dimensions, x.shape, strict=True):
+        index[d] = n
+    return np.broadcast_to(x.reshape(index), shape)
+
+
+def _slice(
+    self: Arrays, x: Array, out: Any, start_indices: tuple, limit_indices: tuple, strides: tuple | None
+) -> Array:
+    steps = strides or (1,) * x.ndim
+    return x[tuple(map(slice, start_indices, limit_indices, steps))]
+
+
+def _pad(self: Arrays, x: Array, value: Array, out: Any, padding_config: tuple) -> Array:
+    if any(low < 0 or high < 0 for low, high, _ in padding_config):
+        raise Unsupported("pad by less than nothing")
+    result = np.full(out.shape, value[()], object)
+    result[tuple(slice(low, low + (n - 1) * (inner + 1) + 1 if n else low, inner + 1)
+                 for (low, _, inner), n in zip(padding_config, x.shape, strict=True))] = x  # fmt: skip
+    return result
+
+
+def _iota(self: Arrays, *_: Any, out: Any, dimension: int, **__: Any) -> Array:
+    return self.constant(np.moveaxis(np.broadcast_to(
+        np.arange(out.shape[dimension], dtype=out.dtype), (*np.delete(out.shape, dimension), out.shape[dimension])
+    ), -1, dimension))  # fmt: skip
+
+
+def _dot_general(self: Arrays, a: Array, b: Array, out: Any, dimension_numbers: tuple, **_: Any) -> Array:
+    (of_a, of_b), (batch_a, batch_b) = dimension_numbers
+    free_a = [d for d in range(a.ndim) if d not in (*of_a, *batch_a)]
+    free_b = [d for d in range(b.ndim) if d not in (*of_b, *batch_b)]
+    a = np.transpose(a, (*batch_a, *free_a, *of_a))
+    b = np.transpose(b, (*batch_b, *free_b, *of_b))
+    n, m = len(batch_a), len(of_a)
+    a = a.reshape((*a.shape[: n + len(free_a)], *[1] * len(free_b), *a.shape[a.ndim - m :]))
+    b = b.reshape((*b.shape[:n], *[1] * len(free_a), *b.shape[n:]))
+    products = self.lift("mul", [a, b], out.dtype.name)
+    return self.reduce("add", products, tuple(range(products.ndim - m, products.ndim)), out.dtype)
+
+
+def _argmax(better: str) -> Callable:
+    def rule(self: Arrays, x: Array, out: Any, axes: tuple, **_: Any) -> Array:
+        (axis,) = axes
+        rows = along(x, axis)
+        best, index = rows[0], np.broadcast_to(self.constant(np.zeros((), out.dtype)), rows[0].shape)
+        for k in range(1, len(rows)):
+            if x.flat[0].dtype == "bool":
+                here = self.lift("and", [rows[k], self.lift("not", [best], "bool")], "bool")
+            else:  # the first NaN wins
+                nan = self.lift(
+                    "and", [self.lift("ne", [rows[k], rows[k]], "bool"), self.lift("eq", [best, best], "bool")], "bool"
+                )
+                here = self.lift("or", [self.lift(better, [rows[k], best], "bool"), nan], "bool")
+            best = self.lift("select", [here, rows[k], best], x.flat[0].dtype)
+            index = self.lift("select", [here, self.constant(np.asarray(k, out.dtype)), index], out.dtype.name)
+        return index
+
+    return rule
+
+
+def _cumulative(name: str) -> Callable:
+    def rule(self: Arrays, x: Array, out: Any, axis: int, reverse: bool) -> Array:
+        rows = along(x, axis)
+        rows = rows[::-1] if reverse else rows
+        for k in range(1, len(rows)):
+            rows[k] = self.lift(name, [rows[k - 1], rows[k]], out.dtype.name)
+        return np.moveaxis(stacked(rows[::-1] if reverse else rows), 0, axis)
+
+    return rule
+
+
+def _dynamic_slice(self: Arrays, x: Array, *starts: Array, out: Any, slice_sizes: tuple) -> Array:
+    return self.pick(x, [s[()] for s in starts], slice_sizes)
+
+
+def _dynamic_update_slice(self: Arrays, x: Array, update: Array, *starts: Array, out: Any) -> Array:
+    result = x.copy()
+    within = [self.within(s[()], n - m) for s, n, m in zip(starts, x.shape, update.shape, strict=True)]
+    self.put(result, update, dict(enumerate(within)), None)
+    return result
+
+
+def _gather(
+    self: Arrays,
+    x: Array,
+    indices: Array,
+    out: Any,
+    dimension_numbers: Any,
+    slice_sizes: tuple,
+    mode: Any,
+    fill_value: Any = None,
+    **_: Any,
+) -> Array:
+    dims = dimension_numbers
+    batch = [d for d in range(len(out.shape)) if d not in dims.offset_dims]
+    kept = [d for d in range(x.ndim) if d not in (*dims.collapsed_slice_dims, *dims.operand_batching_dims)]
+    result = np.empty(out.shape, object)
+    for at in np.ndindex(*[out.shape[d] for d in batch]):
+        starts = [self.program.const(0, "int32")] * x.ndim
+        for k, d in enumerate(dims.start_index_map):
+            starts[d] = indices[(*at, k)]
+        for d, i in zip(dims.operand_batching_dims, dims.start_indices_batching_dims, strict=True):
+            starts[d] = self.program.const(at[i], "int32")
+        found = self.pick(x, starts, slice_sizes)
+        if "FILL" in str(mode):
+            inside = self.program.const(True, "bool")
+            for s, n, size in zip(starts, x.shape, slice_sizes, strict=True):
+                for test, edge in (("ge", 0), ("le", n - size)):
+                    ok = self.op(test, "bool", s, self.program.const(edge, s.dtype))
+                    inside = self.op("and", "bool", inside, ok)
+            fill = self.constant(np.asarray(_fill(out.dtype) if fill_value is None else fill_value, out.dtype))
+            cases = [np.full(found.shape, inside, object), found, np.broadcast_to(fill, found.shape)]
+            found = self.lift("select", cases, out.dtype.name)
+        place: list[Any] = [slice(None)] * len(out.shape)
+        for d, i in zip(batch, at, strict=True):
+            place[d] = i
+        found = found.reshape([found.shape[d] for d in kept])
+        result[tuple(place)] = found if found.ndim else found[()]
+    return result
+
+
+def _fill(dtype: np.dtype) -> Any:
+    """What JAX gives for a place outside."""
+    if dtype.kind == "f":
+        return np.nan
+    return True if dtype.kind == "b" else np.iinfo(dtype).min
+
+
+def _scatter(combine: str | None) -> Callable:
+    def rule(
+        self: Arrays,
+        x: Array,
+        indices: Array,
+        updates: Array,
+        out: Any,
+        dimension_numbers: Any,
+        mode: Any,
+        **_: Any,
+    ) -> Array:
+        dims = dimension_numbers
+        if dims.operand_batching_dims:
+            raise Unsupported("scatter over batches")
+        batch = [d for d in range(updates.ndim) if d not in dims.update_window_dims]
+        windows = [d for d in range(x.ndim) if d not in dims.inserted_window_dims]
+        result = x.copy()
+        for at in np.ndindex(*[updates.shape[d] for d in batch]):
+            pick: list[Any] = [slice(None)] * updates.ndim
+            for d, i in zip(batch, at, strict=True):
+                pick[d] = i
+            update = updates[(*pick, ...)]
+            sizes = [1] * x.ndim
+            for d, n in zip(windows, update.shape, strict=True):
+                sizes[d] = n
+            update = update.reshape(sizes)
+            starts = {d: indices[(*at, k)] for k, d in enumerate(dims.scatter_dims_to_operand_dims)}
+            if "CLIP" in str(mode):
+                starts = {d: self.within(s, x.shape[d] - sizes[d]) for d, s in starts.items()}
+            self.put(result, update, starts, combine)
+        return result
+
+    return rule
+
+
+def _unstack(args: list[Array], eqn: Any) -> list[Array]:
+    return along(args[0], eqn.params["axis"])
+
+
+def _split(args: list[Array], eqn: Any) -> list[Array]:
+    return np.split(args[0], np.cumsum(eqn.params["sizes"])[:-1], eqn.params["axis"])
+
+
+MANY: dict[str, Callable] = {"unstack": _unstack, "split": _split}
+RULES: dict[str, Callable] = {
+    "convert_element_type": _convert,
+    "integer_pow": _integer_pow,
+    "square": lambda self, x, out, **_: self.lift("mul", [x, x], out.dtype.name),
+    "rsqrt": lambda self, x, out, **_: self.lift(
+        "div", [self.constant(np.ones((), out.dtype)), self.lift("sqrt", [x], out.dtype.name)], out.dtype.name
+    ),
+    "clamp": _clamp,
+    "polynomial": _polynomial,
+    "select_n": lambda self, index, *cases, out: self.choose(np.broadcast_to(index, out.shape), cases),
+    "broadcast_in_dim": _broadcast_in_dim,
+    "reshape": lambda self, x, *_, out, **__: x.reshape(out.shape),
+    "squeeze": lambda self, x, out, **_: x.reshape(out.shape),
+    "expand_dims": lambda self, x, out, **_: x.reshape(out.shape),
+    "transpose": lambda self, x, out, permutation: np.transpose(x, permutation),
+    "rev": lambda self, x, out, dimensions: np.flip(x, dimensions),
+    "slice": _slice,
+    "pad": _pad,
+    "concatenate": lambda self, *xs, out, dimension: np.concatenate(xs, dimension),
+    "stack": lambda self, *xs, out, axis: stacked(xs, axis),
+    "iota": _iota,
+    "dot_general": _dot_general,
+    "argmax": _argmax("gt"),
+    "argmin": _argmax("lt"),
+    "cumsum": _cumulative("add"),
+    "cumprod": _cumulative("mul"),
+    "cummax": _cumulative("max"),
+    "cummin": _cumulative("min"),
+    "dynamic_slice": _dynamic_slice,
+    "dynamic_update_slice": _dynamic_update_slice,
+    "gather": _gather,
+    "scatter": _scatter(None),
+    "scatter-add": _scatter("add"),
+    **randomness.rules(Unsupported),
+}  # fmt: skip
