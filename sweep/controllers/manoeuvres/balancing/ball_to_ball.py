@@ -47,23 +47,23 @@ class Table(NamedTuple):
 
 TABLE = Table(
     first=(
-        Move("squat", 0.7, (0.12, 0.245)),
-        Move("middle", 0.76, (0.038, 0.309), "middle", Place(0, 0.126, 0.757), 0.099, (-0.006, 0.394, 1)),
-        Move("front", 0.76, (-0.001, 0.318), "front", Place(0, 0.616, 0.579), 0.114, (-0.605, 0.283, 1)),
-        Move("lean", 0.6, (0.274, 0.226)),
-        Move("rear", 0.76, (0.361, 0.154), "rear", Place(0, -0.121, 0.721), 0.089, (-0.004, 0.496, 1)),
-        Move("middle2", 0.76, (0.266, 0.163), "middle", Place(0, 0.443, 0.711), 0.119, (0.006, 0.509, 1)),
-        Move("front2", 0.76, (0.207, 0.137), "front", Place(1, -0.457, 0.567), 0.444, (0.059, 0.657, 1)),
+        Move("squat", 0.7, (0.118, 0.256)),
+        Move("middle", 0.76, (0.038, 0.309), "middle", Place(0, 0.126, 0.758), 0.098, (-0.012, 0.399, 1)),
+        Move("front", 0.76, (0, 0.318), "front", Place(0, 0.617, 0.58), 0.114, (-0.605, 0.281, 1)),
+        Move("lean", 0.6, (0.272, 0.226)),
+        Move("rear", 0.76, (0.361, 0.154), "rear", Place(0, -0.121, 0.722), 0.089, (-0.007, 0.491, 1)),
+        Move("middle2", 0.76, (0.266, 0.163), "middle", Place(0, 0.44, 0.713), 0.12, (0.002, 0.512, 1)),
+        Move("front2", 1, (0.207, 0.136), "front", Place(1, -0.457, 0.566), 0.445, (0.07, 0.692, 1)),
         Move("ahead", 2, (0.899, 0.06)),
-        Move("rear2", 0.76, (0.95, 0.06), "rear", Place(0, 0.326, 0.516), 0.12, (-0.01, -0.011, 1)),
-        Move("middle3", 0.76, (0.899, 0.111), "middle", Place(1, -0.591, 0.568), 0.289, (-0.498, 0.803, 1)),
+        Move("rear2", 0.76, (0.95, 0.06), "rear", Place(0, 0.337, 0.509), 0.12, (-0.016, -0.003, 1)),
+        Move("middle3", 0.76, (0.899, 0.111), "middle", Place(1, -0.592, 0.568), 0.287, (-0.496, 0.803, 1)),
     ),
     second=(
-        Move("front3", 0.76, (-1.143, 0.077), "front", Place(1, -0.105, 0.648), 0.149, (1.263, 0.813, 1)),
+        Move("front3", 0.76, (-1.142, 0.077), "front", Place(1, -0.105, 0.648), 0.149, (1.263, 0.813, 1)),
         Move("ahead2", 1.2, (-0.641, 0.14)),
         Move("middle4", 0.76, (-0.62, 0.125), "middle", Place(1, -0.352, 0.701), 0.145, (1.067, 2.063, 1)),
         Move("front4", 0.76, (-0.682, 0.159), "front", Place(1, 0.342, 0.536), 0.115, (0.134, 1.403, 1)),
-        Move("ahead3", 1.6, (-0.161, 0.132)),
+        Move("ahead3", 1.6, (-0.168, 0.128)),
         Move("rear3", 0.76, (-0.134, 0.155), "rear", Place(1, -0.558, 0.673), 0.145, (1.486, 0.937, 1)),
         Move("middle5", 0.76, (-0.171, 0.086), "middle", Place(1, 0.011, 0.68), 0.131, (-1.913, 1.59, 1)),
     ),
@@ -152,7 +152,7 @@ FARTHEST = 0.02  # m, that a stage closes
 class BallToBall(OnBall, InParts):
     """From one ball to another. Stages and their numbers are `TABLE`."""
 
-    goal: ClassVar = UPRIGHT
+    goal: ClassVar = {**UPRIGHT, "second_ball_speed_max_mps": 0.01}
     kind: str = choice("ball_to_ball", "ball_to_ball")
     steps: int = count(20, at_least=1, at_most=200)  # that roll the first ball, at most
     step_time: float = quantity(1.2, "s", above=0, at_most=20)  # of these steps
@@ -163,7 +163,7 @@ class BallToBall(OnBall, InParts):
     finish: str = choice("ball", "ball", "floor")  # where: at rest on the second ball, or down from it as `BallDescend`
     calm: int = count(12, at_least=1, at_most=100)  # steps on the second ball, at most
     calm_speed: float = quantity(0.0, "m/s", at_least=0)  # of a ball that needs no further step; 0: all are made
-    height_ratio: float = quantity(0.2, "a_r", above=0, at_most=2)  # of the base over the ball's top
+    height_ratio: float = quantity(0.23, "a_r", above=0, at_most=2)  # of the base over the ball's top
     deepening: float = quantity(1e-3, "m", at_least=0, at_most=0.05)  # footholds inside the balls
     press: float = quantity(1.3e-3, "m", at_least=0, at_most=0.05)  # feet deeper than they are measured
     squeeze: float = quantity(1.7e-3, "m", at_least=0, at_most=0.05)  # the same to the middle

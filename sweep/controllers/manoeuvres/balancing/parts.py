@@ -109,8 +109,12 @@ class OfBall(NamedTuple):
             return frame if frame == WORLD else frame + koenig(self.ball) - koenig(0)
 
         return [
-            replace(stage, foot_frames=tuple(map(of, stage.foot_frames)), base_frame=of(stage.base_frame),
-                    support=(Support(),) * self.ball + stage.support if stage.support else ())  # fmt: skip
+            replace(
+                stage,
+                foot_frames=tuple(map(of, stage.foot_frames)),
+                base_frame=of(stage.base_frame),
+                support=(Support(),) * self.ball + stage.support if stage.support else (),
+            )
             for stage in of_only
         ]
 
