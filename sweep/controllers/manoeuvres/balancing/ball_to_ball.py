@@ -154,7 +154,7 @@ class BallToBall(OnBall, InParts):
 
     goal: ClassVar = {**UPRIGHT, "second_ball_speed_max_mps": 0.01}
     kind: str = choice("ball_to_ball", "ball_to_ball")
-    steps: int = count(20, at_least=1, at_most=200)  # that roll the first ball, at most
+    steps: int = count(40, at_least=1, at_most=200)  # that roll the first ball, at most
     step_time: float = quantity(1.2, "s", above=0, at_most=20)  # of these steps
     speed: float = quantity(0.1, "m/s", above=0)  # of the ball on its way
     speed_gain: float = quantity(0.6, "s", at_least=0)  # k_v, of `ball_drive`
