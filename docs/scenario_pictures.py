@@ -36,6 +36,7 @@ SCENARIOS = (
     "ball_descend",
     "ball_ledges",
     "ball_over",
+    "ball_to_ball",
     "corner_full",
     "raft_cross",
     "raft_stand",

@@ -18,6 +18,7 @@ from sweep.metrics import (
     solver,
     support,
     touch,
+    two_balls,
 )
 from sweep.metrics.metric import Cause, Metric
 from sweep.models.case import Case
@@ -35,6 +36,7 @@ METRICS: tuple[Metric, ...] = tuple(
         free_bodies,
         raft,
         ledges,
+        two_balls,
         drives,
         footholds,
         support,

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment
+from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment, time_left
 from sweep.models.case import Driving
 
 TAIL = 12.0  # s of the plan, its last, over which the obstacle's final speed is taken
@@ -40,9 +40,7 @@ def update(so_far: FreeBodies, now: Moment) -> FreeBodies:
     place = now.tick.free.position
     way = place - so_far.start
     settled = jnp.where(now.stage == 0, place, so_far.settled)
-    duration = now.plan.duration
-    later = jnp.sum(jnp.where(jnp.arange(len(duration)) > now.stage, duration, 0.0))
-    before_tail = later + (1 - now.phase) * duration[now.stage] > TAIL  # stages may end before their time
+    before_tail = time_left(now) > TAIL
     return FreeBodies(
         start=so_far.start,
         settled=settled,

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
@@ -82,6 +83,13 @@ class Moment(NamedTuple):
     period: float  # s, of a tick
     time: Float[Array, ""]  # s, at its end
     learned: Learned | None = None
+
+
+def time_left(now: Moment) -> Float[Array, ""]:
+    """Of the plan (s), whose stages may have ended before their time."""
+    duration = now.plan.duration
+    later = jnp.sum(jnp.where(jnp.arange(len(duration)) > now.stage, duration, 0.0))
+    return later + (1 - now.phase) * duration[now.stage]
 
 
 class Elapsed(NamedTuple):

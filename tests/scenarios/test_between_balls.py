@@ -1,12 +1,16 @@
-"""From ball to ball: what is where, what plans are refused, and how feet on the second ball close the gap: (3.5.2)."""
+"""From ball to ball: what is where, what plans are refused, how stages end, how feet close the gap: (3.5.2), 3.5.3."""
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from test_on_ball import outcomes
 
 from sweep.controllers import tracker
-from sweep.controllers.manoeuvres.balancing.ball_to_ball import OVER, Closing
+from sweep.controllers.frames import WORLD
+from sweep.controllers.manoeuvres.balancing.ball import BallDrive
+from sweep.controllers.manoeuvres.balancing.ball_to_ball import OVER, Closing, Docking
 from sweep.controllers.observation import Observation
+from sweep.controllers.support import MEASURED
 from sweep.core.errors import InputError
 from sweep.models.obstacles.surface import poses
 from sweep.models.obstacles.two_balls import TwoBalls
@@ -30,7 +34,7 @@ def test_balls_and_feet_feel_floor_and_balls():
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ("robot.thigh=0.4", r"ball_to_ball: foot \d is .* m out of reach at the end of stage over.front"),
+        ("robot.thigh=0.4", r"ball_to_ball: foot \d is .* m out of reach at the end of stage over"),
         ("manoeuvre.spare=0.3", "ball_to_ball: the mass centre is .* between the feet that stand in stage over"),
     ],
 )
@@ -38,6 +42,54 @@ def test_plans_that_cannot_be_are_refused(change, words):
     exp = compose(["scenario=ball_to_ball", change])
     with pytest.raises(InputError, match=words):
         exp.case.manoeuvre.plan(exp.case)
+
+
+def at_start(plan, free, joints=0.0):
+    """The robot as the plan has it at the start, at rest, all joints at an angle (rad)."""
+    still, joints = jnp.zeros(3), jnp.full((6, 3), joints)
+    return Observation(plan.start.position, plan.start.quat, still, still, joints, 0 * joints, 0 * joints,
+                       jnp.ones(6, bool), free)  # fmt: skip
+
+
+@pytest.mark.parametrize(("gap", "over"), [(0.003, True), (0.005, False)])
+def test_no_step_is_begun_where_the_balls_touch(gap, over):
+    """Check 1."""
+    case = compose(["scenario=ball_to_ball", f"obstacle.gap={gap}"]).case
+    plan = case.manoeuvre.plan(case)
+    state, seen = tracker.init(case, plan), at_start(plan, case.on(TwoBalls).start())
+    assert bool(Docking(BallDrive(), 0.03).ends(case, plan, state, seen)) is over
+    late = state._replace(clock=0.5 * plan.duration[0])
+    assert not bool(Docking(BallDrive(), 0.03).ends(case, plan, late, seen))
+
+
+@pytest.mark.parametrize(("knees", "over"), [(0.0, True), (1.0, False)])
+def test_the_base_goes_no_farther_on_a_straight_leg(knees, over):
+    """Check 4."""
+    case = compose(["scenario=ball_to_ball", "obstacle.gap=0"]).case
+    plan = case.manoeuvre.plan(case)
+    seen, state = at_start(plan, case.on(TwoBalls).start(), knees), tracker.init(case, plan)
+    ahead, front = (jnp.int32(plan.names.index(OVER + name)) for name in ("ahead", "front2"))
+    assert bool(Closing(0.0, 0.985).ends(case, plan, state._replace(stage=ahead), seen)) is over
+    assert not bool(Closing(0.0, 0.985).ends(case, plan, state._replace(stage=front), seen))
+
+
+def test_the_way_down_is_told_from_the_second_ball():
+    """Feet on the floor stay in the world; the first ball is where it is seen."""
+    case = compose(["scenario=ball_to_ball", "manoeuvre.finish=floor"]).case
+    plan = case.manoeuvre.plan(case)
+    lone = compose(["scenario=ball_descend"]).case
+    down = lone.manoeuvre.plan(lone)
+    for name in ("turn", "down", "rest"):
+        here, there = plan.names.index(name), down.names.index(name)
+        wanted = np.asarray(down.foot_frame[there])
+        assert np.asarray(plan.foot_frame[here]).tolist() == np.where(wanted == WORLD, WORLD, wanted + 2).tolist()
+        assert np.asarray(plan.support.mode[here]).tolist() == [MEASURED, int(down.support.mode[there, 0])]
+
+
+def test_the_second_ball_may_roll_at_the_start():
+    free = TwoBalls(second_speed=0.1).start()
+    assert np.asarray(free.velocity) == pytest.approx(np.array([[0, 0, 0], [0.1, 0, 0]]))
+    assert np.asarray(free.turn) == pytest.approx(np.array([[0, 0, 0], [0, 0.1 / 0.84, 0]]), abs=1e-7)
 
 
 def test_feet_on_the_second_ball_close_the_gap():
@@ -51,10 +103,7 @@ def test_feet_on_the_second_ball_close_the_gap():
     state = state._replace(
         stage=jnp.int32(stage), clock=plan.duration[stage], feet=feet, memory=Closing(press, 1.0).memory(case, plan)
     )
-    still = jnp.zeros(3)
-    stance = plan.start
-    joints = jnp.zeros((6, 3))
-    seen = Observation(stance.position, stance.quat, still, still, joints, joints, joints, jnp.ones(6, bool), free)
+    seen = at_start(plan, free)
     told = Closing(press, 1.0).guide(case, plan, state, seen, jnp.asarray(True), 0.004)
     radius, way = case.on(TwoBalls).radius, gap + press
     eta, zeta = -np.asarray(feet)[4:, 0], np.asarray(feet)[4:, 2]
@@ -62,3 +111,18 @@ def test_feet_on_the_second_ball_close_the_gap():
     wanted = np.stack([-(way + round_ * np.cos(angle - way / radius)), round_ * np.sin(angle - way / radius)], axis=-1)
     assert np.asarray(told.stance.feet)[4:, ::2] == pytest.approx(wanted, abs=1e-6)
     assert np.asarray(told.stance.feet)[:4] == pytest.approx(np.asarray(feet)[:4], abs=1e-7)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ["mjx", "native"])
+@pytest.mark.parametrize("finish", ["ball", "floor"])
+def test_it_goes_from_ball_to_ball(engine, finish):
+    """They meet, stay together, and are at rest in the end; legs keep apart, and clear of the balls."""
+    rows = outcomes(["scenario=ball_to_ball", f"engine={engine}", f"manoeuvre.finish={finish}"])
+    assert rows["outcome"].tolist() == ["success"], rows["cause"]
+    assert 0.02 < rows["meeting_speed_mps"][0] < 0.1
+    assert rows["balls_apart_max_m"][0] < 0.02
+    assert rows["second_ball_speed_mps"][0] < 0.002
+    assert rows["leg_gap_min_m"][0] > 0.015
+    assert rows["clearance_min_m"][0] > 0
+    assert rows["slip_max_m"][0] < (0.03 if finish == "ball" else 0.06)

@@ -25,6 +25,7 @@ class TwoBalls(Ball):
     mass: float = quantity(400.0, "kg", above=0)  # M, of each
     gap: float = quantity(0.5, "m", at_least=0)  # between the balls, at the start
     offset: float = quantity(0.0, "m")  # of the second ball to the left, at the start
+    second_speed: float = quantity(0.0, "m/s")  # of the second ball along x, rolling, at the start
     ball_grip: float = quantity(1.0, "-", at_least=0)  # multiplies the friction coefficient of ball and ball
     impact_damping: float = quantity(1.0, "-", at_least=0)  # of ball and ball, over the critical
 
@@ -41,11 +42,13 @@ class TwoBalls(Ball):
         return {field: dict.fromkeys(self.free_bodies, of["ball"]) for field, of in super().leaves().items()}
 
     def start(self) -> FreeState:
-        """The second one rests."""
+        """Both at rest or rolling without slip."""
         first = super().start()
-        still, ahead = jnp.zeros((1, 3)), 2 * self.radius + self.gap
+        ahead = 2 * self.radius + self.gap
         place = jnp.stack([jnp.asarray(x, float) for x in (ahead, self.offset, self.radius)])[None]
-        second = FreeState(place, first.quat, still, still)
+        velocity = self.second_speed * jnp.array([[1.0, 0.0, 0.0]])
+        turn = self.second_speed / self.radius * jnp.array([[0.0, 1.0, 0.0]])
+        second = FreeState(place, first.quat, velocity, turn)
         return FreeState(*[jnp.concatenate(both) for both in zip(first, second, strict=True)])
 
     def solids(self, bodies: Bodies) -> tuple[Solid, ...]:

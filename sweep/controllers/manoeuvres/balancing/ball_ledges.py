@@ -60,7 +60,7 @@ TABLE = Table(
         Move("on5", 2.0, (-0.0096, 0.5141)),
         Move("rear2", 1.3, (-0.0139, 0.5106), "rear", Place(0, -0.429, 0.4375), 0.0641, (0.162, 0.236, 1)),
         Move("middle4", 0.8, (-0.0283, 0.4925), "middle", Place(0, 0, 0.6125), 0.1658, (0.5, -0.739, 2.071)),
-        Move("lower", 0.8, (0.0, 0.376)),
+        Move("lower", 0.8, (0.0, 0.416)),
     ),
 )
 
@@ -110,7 +110,7 @@ class BallLedges(OnBall, InParts):
     docking: float = quantity(0.015, "m/s", above=0)  # of the ball as it comes to the far wall
     calm_speed: float = quantity(0.01, "m/s", above=0)  # of a ball that rests there
     near: float = quantity(4e-3, "m", above=0)  # left to the wall by a ball that is there
-    height_ratio: float = quantity(0.3, "a_r", above=0, at_most=2)  # of the base over the ball's top
+    height_ratio: float = quantity(0.34, "a_r", above=0, at_most=2)  # of the base over the ball's top
     deepening: float = quantity(1e-3, "m", at_least=0, at_most=0.05)  # footholds inside ball and ledges
     press: float = quantity(1e-3, "m", at_least=0, at_most=0.05)  # feet on the ball deeper than they are measured
     squeeze: float = quantity(1.5e-3, "m", at_least=0, at_most=0.05)  # the same to the middle

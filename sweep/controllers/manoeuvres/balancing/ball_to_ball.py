@@ -1,4 +1,4 @@
-"""From one free ball to another (monograph 3.5): roll the first to the second, go over, come to rest on it.
+"""From one free ball to another (monograph 3.5): roll the first to the second, go over, come to rest on it, go down.
 
 World axes as in `TwoBalls`: the robot faces x. While feet stand on both balls these are meant to roll together, as they
 do in the mean, and feet on the second press it to the first: (3.5.2).
@@ -16,9 +16,11 @@ from jaxtyping import Array, Bool, Float
 from sweep.controllers.ball_state import centre_of_mass
 from sweep.controllers.frames import fixed
 from sweep.controllers.manoeuvres.balancing.ball import BallDrive, DriveMemory, OnBall, on_ball, perch
+from sweep.controllers.manoeuvres.balancing.ball_descend import BallDescend
 from sweep.controllers.manoeuvres.balancing.ball_ride import about_aside
+from sweep.controllers.manoeuvres.balancing.beside_ball import CALM
 from sweep.controllers.manoeuvres.balancing.by_pairs import Move, Place, Way
-from sweep.controllers.manoeuvres.balancing.parts import InParts, OfBall, Steps, has_just_begun
+from sweep.controllers.manoeuvres.balancing.parts import InParts, OfBall, has_just_begun
 from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import Plan, Stage, Stance, assemble, reference
@@ -33,7 +35,7 @@ from sweep.models.legs import LEGS
 from sweep.models.obstacles.surface import FreeState
 from sweep.models.obstacles.two_balls import TwoBalls
 
-ROLLS, OVER, CALM = "roll", "over.", "calm"
+ROLLS, OVER = "roll", "over."
 
 
 class Table(NamedTuple):
@@ -45,23 +47,25 @@ class Table(NamedTuple):
 
 TABLE = Table(
     first=(
-        Move("squat", 0.7, (0.1689, 0.1395)),
-        Move("lean", 0.5, (0.2835, 0.1137)),
-        Move("rear", 0.76, (0.3021, 0.1111), "rear", Place(0, -0.1372, 0.7882), 0.0738, (-0.287, 0.732, 1)),
-        Move("middle", 1, (0.1883, 0.0759), "middle", Place(0, 0.4716, 0.5961), 0.1477, (-0.693, -0.545, 1)),
-        Move("front", 0.76, (0.1942, 0.1464), "front", Place(1, -0.4448, 0.5947), 0.5018, (-0.272, 0.134, 1)),
-        Move("ahead", 2, (0.9775, 0.0449)),
-        Move("rear2", 0.76, (0.9504, 0.0343), "rear", Place(0, 0.4824, 0.5028), 0.397, (1.068, 0.619, 1)),
-        Move("middle2", 0.76, (0.9811, 0.1103), "middle", Place(1, -0.6004, 0.5642), 0.288, (-1.295, 1.367, 1)),
+        Move("squat", 0.7, (0.118, 0.256)),
+        Move("middle", 0.76, (0.038, 0.309), "middle", Place(0, 0.126, 0.758), 0.098, (-0.012, 0.399, 1)),
+        Move("front", 0.76, (0, 0.318), "front", Place(0, 0.617, 0.58), 0.114, (-0.605, 0.281, 1)),
+        Move("lean", 0.6, (0.272, 0.226)),
+        Move("rear", 0.76, (0.361, 0.154), "rear", Place(0, -0.121, 0.722), 0.089, (-0.007, 0.491, 1)),
+        Move("middle2", 0.76, (0.266, 0.163), "middle", Place(0, 0.44, 0.713), 0.12, (0.002, 0.512, 1)),
+        Move("front2", 0.76, (0.207, 0.136), "front", Place(1, -0.457, 0.566), 0.445, (0.07, 0.692, 1)),
+        Move("ahead", 2, (0.899, 0.06)),
+        Move("rear2", 0.76, (0.95, 0.06), "rear", Place(0, 0.337, 0.509), 0.12, (-0.016, -0.003, 1)),
+        Move("middle3", 0.76, (0.899, 0.111), "middle", Place(1, -0.592, 0.568), 0.287, (-0.496, 0.803, 1)),
     ),
     second=(
-        Move("front2", 0.76, (-1.142, 0.0556), "front", Place(1, -0.1047, 0.6481), 0.1508, (1.262, 0.818, 1)),
-        Move("ahead3", 1.2, (-0.641, 0.1391)),
-        Move("middle3", 0.76, (-0.6204, 0.1253), "middle", Place(1, -0.3437, 0.6985), 0.1452, (1.062, 2.075, 1)),
-        Move("front3", 0.76, (-0.683, 0.1593), "front", Place(1, 0.3408, 0.5366), 0.1146, (0.141, 1.406, 1)),
-        Move("ahead4", 1.6, (-0.1034, 0.1346)),
-        Move("rear3", 0.76, (-0.0972, 0.1551), "rear", Place(1, -0.5324, 0.6543), 0.1138, (1.561, 0.664, 1)),
-        Move("middle4", 0.76, (-0.1712, 0.085), "middle", Place(1, 0.0118, 0.6789), 0.1316, (-1.908, 1.592, 1)),
+        Move("front3", 0.76, (-1.142, 0.077), "front", Place(1, -0.105, 0.648), 0.149, (1.263, 0.813, 1)),
+        Move("ahead2", 1.2, (-0.641, 0.14)),
+        Move("middle4", 0.76, (-0.62, 0.125), "middle", Place(1, -0.352, 0.701), 0.145, (1.067, 2.063, 1)),
+        Move("front4", 0.76, (-0.682, 0.159), "front", Place(1, 0.342, 0.536), 0.115, (0.134, 1.403, 1)),
+        Move("ahead3", 1.6, (-0.168, 0.128)),
+        Move("rear3", 0.76, (-0.134, 0.155), "rear", Place(1, -0.558, 0.673), 0.145, (1.486, 0.937, 1)),
+        Move("middle5", 0.76, (-0.171, 0.086), "middle", Place(1, 0.011, 0.68), 0.131, (-1.913, 1.59, 1)),
     ),
 )
 
@@ -148,17 +152,18 @@ FARTHEST = 0.02  # m, that a stage closes
 class BallToBall(OnBall, InParts):
     """From one ball to another. Stages and their numbers are `TABLE`."""
 
-    goal: ClassVar = UPRIGHT
+    goal: ClassVar = {**UPRIGHT, "second_ball_speed_max_mps": 0.01}
     kind: str = choice("ball_to_ball", "ball_to_ball")
-    steps: int = count(20, at_least=1, at_most=200)  # that roll the first ball, at most
+    steps: int = count(40, at_least=1, at_most=200)  # that roll the first ball, at most
     step_time: float = quantity(1.2, "s", above=0, at_most=20)  # of these steps
     speed: float = quantity(0.1, "m/s", above=0)  # of the ball on its way
     speed_gain: float = quantity(0.6, "s", at_least=0)  # k_v, of `ball_drive`
     docking: float = quantity(0.03, "m/s", above=0)  # of the ball as it comes to the other one
     closing: float = quantity(2e-3, "m", at_least=0, at_most=0.05)  # epsilon, by which the balls are pressed together
+    finish: str = choice("ball", "ball", "floor")  # where: at rest on the second ball, or down from it as `BallDescend`
     calm: int = count(12, at_least=1, at_most=100)  # steps on the second ball, at most
     calm_speed: float = quantity(0.0, "m/s", at_least=0)  # of a ball that needs no further step; 0: all are made
-    height_ratio: float = quantity(0.2, "a_r", above=0, at_most=2)  # of the base over the ball's top
+    height_ratio: float = quantity(0.23, "a_r", above=0, at_most=2)  # of the base over the ball's top
     deepening: float = quantity(1e-3, "m", at_least=0, at_most=0.05)  # footholds inside the balls
     press: float = quantity(1.3e-3, "m", at_least=0, at_most=0.05)  # feet deeper than they are measured
     squeeze: float = quantity(1.7e-3, "m", at_least=0, at_most=0.05)  # the same to the middle
@@ -188,11 +193,13 @@ class BallToBall(OnBall, InParts):
                 way = BetweenBalls(belief, self)
                 way.over(table)
                 way.refuse(self.spare)
-        second = OfBall(self.calming, 1)
+        down = self.down
+        calm = down.calming.steps_of(perch(belief, down), CALM)
+        off = down.way_down(belief, down.table) if self.finish == "floor" else []
         stages = [
             *self.rolling.steps_of(perched, ROLLS),
             *BetweenBalls(belief, self).over(table),
-            *second.stages(self.calming.steps_of(perched, CALM)),
+            *OfBall(down, 1).stages([*calm, *off]),
         ]
         return assemble(on_ball(belief, perched), stages, self.patience, ease=self.ease)
 
@@ -202,10 +209,9 @@ class BallToBall(OnBall, InParts):
         return self.driven(steps=self.steps, speed=self.speed, step_time=self.step_time, speed_gain=self.speed_gain)
 
     @property
-    def calming(self) -> BallDrive:
-        """The steps that stop the second one."""
-        return self.driven(steps=self.calm, speed=0.0, step_time=0.9, speed_gain=0.6, aside_gain=0.4,
-                           aside_gain_before=0.3)  # fmt: skip
+    def down(self) -> BallDescend:
+        """The steps that stop the second ball, and the way down from it."""
+        return BallDescend(calm=self.calm, calm_speed=self.calm_speed)
 
     @property
     def parts(self) -> Mapping[str, Guided]:
@@ -213,7 +219,7 @@ class BallToBall(OnBall, InParts):
         return {
             ROLLS: Docking(self.rolling, self.docking),
             OVER: Closing(self.closing, self.straight),
-            CALM: OfBall(Steps(self.calming, self.calm_speed, jnp.inf), 1),
+            **{name: OfBall(law, 1) for name, law in self.down.parts.items()},
         }
 
 

@@ -9,10 +9,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
-from sweep.controllers.frames import koenig
+from sweep.controllers.frames import WORLD, koenig
 from sweep.controllers.manoeuvres.balancing.ball import BallDrive, DriveMemory
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import Plan, Stage, named, reference
+from sweep.controllers.support import Support
 from sweep.controllers.tracker import Eventful, Guidance, Guided, TrackerState
 from sweep.models.case import Case
 
@@ -103,9 +104,17 @@ class OfBall(NamedTuple):
 
     def stages(self, of_only: Sequence[Stage]) -> list[Stage]:
         """Stages on the only ball, on this one."""
-        by = koenig(self.ball) - koenig(0)
+
+        def of(frame: int) -> int:
+            return frame if frame == WORLD else frame + koenig(self.ball) - koenig(0)
+
         return [
-            replace(stage, foot_frames=tuple(f + by for f in stage.foot_frames), base_frame=stage.base_frame + by)
+            replace(
+                stage,
+                foot_frames=tuple(map(of, stage.foot_frames)),
+                base_frame=of(stage.base_frame),
+                support=(Support(),) * self.ball + stage.support if stage.support else (),
+            )
             for stage in of_only
         ]
 

@@ -1,0 +1,88 @@
+"""How one ball came to the other, whether they stayed together, and how the second one ended: monograph 3.5.2."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from sweep.controllers.plan import named
+from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment, time_left
+from sweep.models.obstacles.two_balls import TwoBalls
+
+OVER = "over."  # how the stages begin in which a robot goes over
+NEAR = 4e-3  # m, between balls that touch
+TAIL = 3.0  # s of the plan, its last, over which the final speed is taken
+
+
+class Balls(NamedTuple):
+    """Whether they met, and how fast (m/s); how far apart they were (m); the second, and when its tail began (m, s)."""
+
+    met: Bool[Array, ""]
+    meeting: Float[Array, ""]
+    apart: Float[Array, ""]
+    place: Float[Array, " 3"]
+    tail: Float[Array, " 3"]
+    tail_time: Float[Array, ""]
+
+
+def begin(start: Begin) -> Balls:
+    """Before they meet."""
+    place = start.free.position[1]
+    zero = jnp.zeros((), place.dtype)
+    return Balls(jnp.zeros((), bool), zero, zero, place, place, zero)
+
+
+def update(so_far: Balls, now: Moment) -> Balls:
+    """Meeting is asked for once."""
+    balls, free = now.world.obstacle, now.tick.free
+    assert isinstance(balls, TwoBalls)
+    apart = jnp.linalg.norm(free.position[1] - free.position[0]) - 2 * balls.radius
+    speed = free.velocity[0, 0] - free.velocity[1, 0]
+    both = named(now.plan, now.stage, OVER)
+    before_tail = time_left(now) > TAIL
+    return Balls(
+        met=so_far.met | (apart < NEAR),
+        meeting=jnp.where(so_far.met | (apart >= NEAR), so_far.meeting, speed),
+        apart=jnp.maximum(so_far.apart, jnp.where(both, apart, 0.0)),
+        place=free.position[1],
+        tail=jnp.where(before_tail, free.position[1], so_far.tail),
+        tail_time=jnp.where(before_tail, now.time - now.period, so_far.tail_time),
+    )
+
+
+def figures(found: Balls, at: Elapsed) -> dict[str, Array]:
+    """See `METRIC`."""
+    way = jnp.linalg.norm((found.place - found.tail)[:2])
+    return {
+        "meeting_speed_mps": found.meeting,
+        "balls_apart_max_m": found.apart,
+        "second_ball_x_m": found.place[0],
+        "second_ball_y_m": found.place[1],
+        "second_ball_speed_mps": way / jnp.maximum(at.time - found.tail_time, 1e-9),
+    }
+
+
+METRIC = Metric(
+    begin,
+    update,
+    figures,
+    {
+        "meeting_speed_mps": f"speed of one ball to the other when they first were within {1e3 * NEAR:g} mm",
+        "balls_apart_max_m": "farthest that they were from each other while the robot went over",
+        "second_ball_x_m": "where the second one ended, along the world's x axis",
+        "second_ball_y_m": "the same along y",
+        "second_ball_speed_mps": f"its mean speed over the last {TAIL:g} s",
+    },
+    (
+        Cause(
+            "goal_missed",
+            "the second ball ended faster than second_ball_speed_max_mps",
+            "second_ball_speed_mps",
+            "second_ball_speed_max_mps",
+            None,
+            "m/s",
+            known="end",
+        ),
+    ),
+    applies=lambda case: isinstance(case.obstacle, TwoBalls),
+)
