@@ -81,13 +81,14 @@ def descent(trace: Trace) -> Figure:
         axes[0].plot(time, base[:, 2] + ahead[:, 2], colour, label="base, front" if end > 0 else "base, rear")
     axes[1].plot(time, trace.qvel[:, -6], "k")
     over = mass_centres(trace, slice(None)) - ball[:, :3]
-    axes[2].plot(time, np.degrees(np.arctan2(over[:, 2], over[:, 0])), "k")
+    phi = np.degrees(np.arctan2(over[:, 2], over[:, 0]))
+    axes[2].plot(time, np.mod(phi + 90, 360) - 90, "k")  # no jump on the ball's near side
     for ax, label in zip(
         axes, ("height (m)", "speed of the ball (m/s)", "φ (deg)", "force on the foot (N)"), strict=True
     ):
         ax.set_ylabel(label)
         ax.grid(alpha=0.3)
-    axes[0].legend(ncols=5, fontsize=8, loc="upper right")
+    axes[0].legend(ncols=5, fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     axes[3].set_xlabel("time (s)")
     return figure
 

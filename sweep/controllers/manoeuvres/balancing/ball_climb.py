@@ -73,7 +73,7 @@ TABLE = Table(
             Pose(31.6996, 1.0887, -0.7902),
             REAR,
             ON_FLOOR,
-            place=(0.7661, -1.3739),
+            place=(0.7661, -1.395),
             lift=0.0339,
             plane=(-0.1808, -0.1877, 1.0516),
             support=RESTS,
@@ -81,7 +81,7 @@ TABLE = Table(
         Move(
             "middle",
             0.8,
-            Pose(32.1957, 1.0798, -0.7802),
+            Pose(32.1957, 1.086, -0.7802),
             MIDDLE,
             ON_FLOOR,
             place=(0.516, -1.1311),
@@ -92,7 +92,7 @@ TABLE = Table(
         Move(
             "front2",
             0.8,
-            Pose(32.1846, 1.0734, -0.8167),
+            Pose(32.1846, 1.089, -0.8167),
             FRONT,
             place=(0.637, 62.5141),
             lift=0.0782,
@@ -102,9 +102,9 @@ TABLE = Table(
         Move(
             "middle2",
             0.8,
-            Pose(32.5262, 1.0813, -0.8117),
+            Pose(32.5262, 1.085, -0.8117),
             MIDDLE,
-            place=(0.7919, 7.3475),
+            place=(0.81, 4.2),
             lift=0.141,
             plane=(-0.7619, 1.0563, -0.2171),
             support=RESTS,
@@ -118,7 +118,7 @@ TABLE = Table(
             0.8,
             Pose(31.5451, 1.0913, -0.4577),
             FRONT,
-            place=(0.7782, 77.439),
+            place=(0.799, 76.0),
             lift=0.16,
             plane=(-0.5, 1.0, 0.8),
             support=RESTS,
@@ -127,9 +127,7 @@ TABLE = Table(
     ),
     push=Move("push", 0.9, Pose(30.1, 1.081, -0.2636), rates=(0.0, 2.0)),
     ride=(
-        Move(
-            "rear3", 1.05, Pose(90.0, 1.078), REAR, place=(0.5365, 52.2275), lift=0.0794, plane=(0.0079, 0.5617, 0.5876)
-        ),
+        Move("rear3", 1.05, Pose(90.0, 1.078), REAR, place=(0.5365, 52.0), lift=0.0794, plane=(0.0079, 0.5617, 0.5876)),
         Move("middle3", 0.5, Pose(90.0, 1.078), MIDDLE, place=(0.6899, 89.6245), lift=0.0733, plane=(0.0, 0.5, 1.0)),
         Move(UP, 3.0, Pose(90.0, 1.078)),
     ),
@@ -184,7 +182,8 @@ class BallClimb(BesideBall):
         ball = belief.on(Ball)
         self.refuse(belief)
         refuse(belief, lambda: self.stance(ball, table))
-        touching, held = (Held(self.deepening, by, GRIP) for by in ((0.0, 0.0), (self.press, self.squeeze)))
+        touching = Held(self.deepening, (0.0, 0.0), GRIP)
+        held = Held(self.deepening + self.press, (self.press, self.squeeze), GRIP)
         rolls = Support(TO_VELOCITY, jnp.zeros(3).at[0].set(self.push_speed),
                         jnp.zeros(3).at[1].set(self.push_speed / ball.radius))  # fmt: skip
         stand, hold = dict.fromkeys(LEGS, WORLD), (*table.hold, table.push._replace(support=rolls))

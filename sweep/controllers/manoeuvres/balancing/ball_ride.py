@@ -61,9 +61,10 @@ class Ride(NamedTuple):
         memory = RideMemory(elevation, distance, memory.ahead + forward * period, memory.time + period)
         pose = Pose(jnp.degrees(elevation), distance / ball.radius, memory.ahead / ball.radius)
         round_ = about_aside(pitch(pose) + memory.ahead / distance)
-        goal = jnp.where(plan.swing[state.stage][:, None], rotate(round_[None], plan.foothold[state.stage]), state.feet)
-        phase = jnp.clip(state.clock / plan.duration[state.stage], 0.0, 1.0)
-        feet = swings(plan, state.stage, phase, state.feet, goal)
+        swing, phase = plan.swing[state.stage][:, None], state.clock / plan.duration[state.stage]
+        goal = jnp.where(swing, rotate(round_[None], plan.foothold[state.stage]), state.feet)
+        goal = jnp.where(phase < 1, goal, state.goal)  # late feet stay, or they would meet those ahead of them
+        feet = swings(plan, state.stage, jnp.clip(phase, 0.0, 1.0), state.feet, goal)
         return Guidance(Stance(feet, centre(ball, pose), about_aside(pitch(pose))), goal, memory)
 
     def rate(self, belief: Case, seen: Observation) -> Float[Array, ""]:
