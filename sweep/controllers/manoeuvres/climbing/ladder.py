@@ -78,13 +78,19 @@ class LadderSite(NamedTuple):
         """By how much (m, along the ladder) the ledge is farther up than `TOP` rungs."""
         return self.ladder.ledge_height / jnp.sin(jnp.asarray(self.ladder.lean)) - TOP * self.ladder.rung_step
 
+    def pitch(self, move: Move) -> Array | float:
+        """Of the base (rad), nose up."""
+        return (move.pitch + move.follow[2] * self.excess / self.unit) * self.ladder.lean
+
     def base(self, move: Move) -> Float[Array, " 3"]:
-        """Where the base goes (m), in the axes of its frame: over the ledge along its own axis, short of following."""
+        """Where the base goes (m), in the axes of its frame."""
         one, other = move.base
+        ahead, out = (share * self.excess for share in move.follow[:2])
         if move.over == ALONG:
-            return point(0.0, self.up(one) - move.follow * self.excess, other * self.unit)
-        back, pitch = (1 - move.follow) * self.excess, jnp.asarray(move.pitch * self.ladder.lean)
-        y, z = back * jnp.cos(pitch) - one * self.unit, other * self.unit - back * jnp.sin(pitch)
+            return point(0.0, self.up(one) - ahead, other * self.unit + out)
+        pitch = jnp.asarray(self.pitch(move))
+        back, sin, cos = self.excess - ahead, jnp.sin(pitch), jnp.cos(pitch)
+        y, z = back * cos + out * sin - one * self.unit, out * cos - back * sin + other * self.unit
         return point(0.0, y, self.ladder.ledge_height + z)
 
     def guides(self, leg: int, move: Move, start: Array, goal: Array) -> Float[Array, "2 3"]:
@@ -115,6 +121,7 @@ class LadderClimb(PlannedForces):
     deepening: float = quantity(5e-4, "m", at_least=0, at_most=0.05)  # of footholds, inside
     patience: float = quantity(0.5, "s", at_least=0)  # longest wait for a touchdown
     slack: float = quantity(0.2, "-", at_least=LAST, at_most=2)  # of planned forces, see `PlannedForces`
+    least_normal: float = quantity(12.0, "N", at_least=0)  # force of a standing foot
     load_time: float = quantity(0.3, "s", above=0, at_most=10)  # for load to go from foot to foot before a swing
     observer: float = quantity(0.1, "s", at_least=0, at_most=10)  # in which the measured ladder is taken over
 
@@ -185,7 +192,7 @@ def _worst_reach(belief: Case, site: LadderSite, moves: Sequence[Move]) -> tuple
     origin, turn = (np.asarray(x[0]) for x in site.ladder.leaning())
     feet, worst = {}, ("", 0, -np.inf)
     for move in moves[1:]:
-        base, pitch = np.asarray(site.base(move)), move.pitch * site.ladder.lean
+        base, pitch = np.asarray(site.base(move)), np.asarray(site.pitch(move))
         base = origin + turn @ base if move.over == ALONG else base
         ahead = np.array([[0.0, -np.cos(pitch), np.sin(pitch)], [1.0, 0.0, 0.0], [0.0, np.sin(pitch), np.cos(pitch)]])
         for leg in move.legs:
@@ -210,10 +217,9 @@ def stages(site: LadderSite, moves: Sequence[Move], places: dict[int, Array], ti
             at[leg] = swing[leg] = site.place(leg, move)
             guides[leg] = site.guides(leg, move, start, swing[leg])
             stand[leg] = frame
-        turn = jnp.asarray((pitch - move.pitch) * site.ladder.lean, float)
+        turn, pitch = jnp.asarray(pitch - site.pitch(move), float), site.pitch(move)
         out.append(Stage(f"climb.{move.name}", move.time * time, swing, CYCLE_B, position=site.base(move),
                          turn=point(turn, 0.0, 0.0), rates=EASED, guides=guides,
                          foot_frames=tuple(stand[leg] for leg in LEGS),
                          base_frame=OWN if move.over == ALONG else WORLD))  # fmt: skip
-        pitch = move.pitch
     return out
