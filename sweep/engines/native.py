@@ -227,7 +227,7 @@ class Native:
             batch = Batch(models[0], self.width)
             batch.set_models(models)
             plans, between, state = programs.start(world, belief, keys)
-            told = _gains(between.loop.servo)
+            told = np.full((self.width, N_JOINTS, 2), np.nan)  # models are built for a mode that may be another one
             batch.reset()
             batch.qpos[:], batch.qvel[:] = (np.asarray(x) for x in state)
             going = programs.enter((world, belief, plans), between, self.width)

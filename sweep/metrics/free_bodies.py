@@ -46,7 +46,7 @@ def update(so_far: FreeBodies, now: Moment) -> FreeBodies:
         settled=settled,
         place=place,
         tail=jnp.where(before_tail, place, so_far.tail),
-        tail_time=jnp.where(before_tail, now.time - now.period, so_far.tail_time),
+        tail_time=jnp.where(before_tail, now.time, so_far.tail_time),
         moved=jnp.maximum(so_far.moved, jnp.max(jnp.linalg.norm(way, axis=-1))),
         shifted=jnp.maximum(so_far.shifted, jnp.max(jnp.linalg.norm(place - settled, axis=-1))),
         aside=jnp.maximum(so_far.aside, jnp.abs(way[0, 1])),

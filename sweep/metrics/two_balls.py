@@ -46,7 +46,7 @@ def update(so_far: Balls, now: Moment) -> Balls:
         apart=jnp.maximum(so_far.apart, jnp.where(both, apart, 0.0)),
         place=free.position[1],
         tail=jnp.where(before_tail, free.position[1], so_far.tail),
-        tail_time=jnp.where(before_tail, now.time - now.period, so_far.tail_time),
+        tail_time=jnp.where(before_tail, now.time, so_far.tail_time),
     )
 
 
