@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+from jax.stages import Compiled
 from jaxtyping import Array
 
 from sweep.controllers.plan import Plan
@@ -35,7 +36,7 @@ class Fused(NamedTuple):
     begin: Callable
     kernel: Kernel
     end: Callable
-    again: Callable | None  # what plans again before each chunk, if any
+    again: Compiled | None  # what plans again before each chunk, if any
     ticks: int  # of a chunk
     width: int
     spread: Callable  # over the devices, as `finish` was compiled for
@@ -51,7 +52,9 @@ class Fused(NamedTuple):
     ) -> tuple[Going, Any]:
         """Go on from `tick`; records of the rollouts `kept`, of all there is or of the columns watched."""
         if self.again is not None:
-            carry.tiles.change(lambda carried: carried, self.again(belief, plans, self.spread(carry.tiles.leave())))
+            given = belief, plans, carry.tiles.leave()
+            given = jax.device_put(given, self.again.input_shardings[0])  # arrays of nothing are not split
+            carry.tiles.change(lambda carried: carried, self.again(*given))
         record = carry.tiles.advance(tick, self.ticks, kept)
         if record is None or self.watch is None:
             return carry, record
