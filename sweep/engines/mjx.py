@@ -187,9 +187,7 @@ class Mjx:
         if form not in self._programs:
             compiled = partial(self._compile, arrays, quiet, kept, watch)
             made_of, on = (form, *self._made_of), list(self._mesh.devices.flat)
-            # a start that calibrates or touches, read again from the cache, ends the process
-            learns = {self._nominal[0].control.calibrate, self._nominal[0].control.touch} != {"none"}
-            parts = compiled() if learns else program_cache.programs(made_of, on, compiled)
+            parts = program_cache.programs(made_of, on, compiled)
             if isinstance(parts[0], str):
                 fused_loop.give_up(self.settings, parts[0])
                 self.fused = False

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import numpy as np
 from jax.experimental.compilation_cache.compilation_cache import reset_cache
 from jax.experimental.serialize_executable import deserialize_and_load, serialize
 from jax.stages import Compiled
@@ -85,7 +86,10 @@ def _key(made_of: Any, devices: Sequence[Any]) -> str:
 def _load(file: Path, devices: Sequence[Any]) -> Sequence[Any] | None:
     try:
         files.own(file)
-        parts = pickle.loads(zlib.decompress(file.read_bytes()))
+        content = zlib.decompress(file.read_bytes())
+        if b"lapack_" in content:  # whose functions JAX looks up when it first lowers a call of one, and not before
+            jax.jit(jax.lax.linalg.cholesky).lower(np.eye(1))
+        parts = pickle.loads(content)
         return [
             part if isinstance(part, Code | str) else deserialize_and_load(*part, execution_devices=devices)
             for part in parts

@@ -222,7 +222,6 @@ def test_under_native_the_controller_is_that_of_xla_which_takes_what_has_no_rule
         np.testing.assert_allclose(fused[name], xla[name], rtol=1e-3, atol=1e-4, err_msg=name)
 
 
-@pytest.mark.slow
 def test_a_robot_that_learns_is_fused_too():
     exp = compose(["scenario=walk_kerb", "manoeuvre.steps=2", "control=learn"])
     world = replace(exp.case, obstacle=replace(exp.case.obstacle, height=np.array([0.095, 0.105])))

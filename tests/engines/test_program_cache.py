@@ -3,7 +3,10 @@
 import contextlib
 import dataclasses
 import os
+import subprocess
+import sys
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -61,6 +64,19 @@ def test_what_one_process_compiled_the_next_loads(folder):
     np.testing.assert_array_equal(first, again)
     np.testing.assert_array_equal(again, 2 * X)
     assert compiler.times == 1
+
+
+def test_a_program_that_calls_lapack_runs_where_nothing_else_has_called_it(tmp_path):
+    code = """if True:
+        import sys, jax, jax.numpy as jnp
+        from sweep.engines import program_cache
+        jax.config.update("jax_compilation_cache_dir", sys.argv[1])
+        compiled = lambda: print("anew") or [jax.jit(jnp.linalg.cholesky).lower(jnp.eye(2)).compile()]
+        (program,) = program_cache.programs("cholesky", jax.devices()[:1], compiled)
+        print(program(4 * jnp.eye(2))[1, 1])
+    """
+    run = partial(subprocess.run, [sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True)
+    assert [run(check=True).stdout.split() for _ in range(2)] == [["anew", "2.0"], ["2.0"]]
 
 
 @pytest.mark.parametrize("change", ["made of", "code", "compiler flags", "JAX's settings"])
