@@ -115,6 +115,9 @@ def test_extending_a_study_keeps_membership_and_slots():
 def test_the_delay_buffer_has_room_for_the_longest_delay():
     exp, table = table_of("+study.axes.d={path: noise.delay, side: world, values: [0.0, 2.5]}")
     assert with_room_for_delay(exp, table).case.noise.delay_buffer == 3
+    columns = "world.noise.delay", "world.noise.load_delay"
+    table = pd.DataFrame([(0.0, 7.0), (5.0, 0.0), (4.0, 4.0)], columns=columns)
+    assert with_room_for_delay(exp, table).case.noise.delay_buffer == 8
 
 
 def test_points_from_a_file_take_the_place_of_the_grid(tmp_path):

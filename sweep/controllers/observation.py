@@ -1,6 +1,6 @@
 """What the controller is told of the state: bias, noise and delay."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -69,13 +69,14 @@ def install(noise: Noise, key: Array, truth: Observation) -> Sensors:
 def observe(noise: Noise, sensors: Sensors, truth: Observation, key: Array) -> tuple[Sensors, Observation]:
     """Delayed, biased and noisy view of `truth`; joint errors act in the drives and are not delayed."""
     past = jax.tree.map(lambda new, old: jnp.concatenate([new[None], old[:-1]]), truth, sensors.past)
-    late, free_late, load_late = (
-        jnp.clip(jnp.round(delay).astype(jnp.int32), 0, noise.delay_buffer)
-        for delay in (noise.delay, noise.body_delay, noise.delay + noise.load_delay)
-    )
-    seen = jax.tree.map(lambda x: x[late], past)
-    free = jax.tree.map(lambda x: x[free_late], past.free)
-    load = past.load[load_late] + sensors.bias.load
+
+    def delayed(delay: Array | float, new: Any, old: Any) -> Any:
+        late = jnp.clip(jnp.round(delay).astype(jnp.int32), 0, noise.delay_buffer)
+        return jax.tree.map(lambda now, before: jnp.where(late == 0, now, before[jnp.maximum(late - 1, 0)]), new, old)
+
+    seen = delayed(noise.delay, truth, sensors.past)
+    free = delayed(noise.body_delay, truth.free, sensors.past.free)
+    load = delayed(noise.delay + noise.load_delay, truth.load, sensors.past.load) + sensors.bias.load
     sizes = (noise.body_position_noise, noise.body_orientation_noise, noise.body_velocity_noise, noise.body_turn_noise)
     error = sensors.free_bias + _scatter(jax.random.fold_in(key, FREE), sizes, free)
     dtype = truth.position.dtype

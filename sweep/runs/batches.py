@@ -58,11 +58,11 @@ def forget_engine() -> None:
 def with_room_for_delay(exp: Experiment, table: pd.DataFrame) -> Experiment:
     """The noise model's buffer, long enough for every point of `table`."""
 
-    def longest_of(name: str) -> float:
+    def of(name: str) -> Any:
         columns = [c for c in table.columns if side_and_path(c)[1] == f"noise.{name}"]
-        return max([getattr(exp.case.noise, name), *(table[c].max() for c in columns)])
+        return table[columns].max(axis=1) if columns else getattr(exp.case.noise, name)
 
-    longest = max(longest_of("delay") + longest_of("load_delay"), longest_of("body_delay"))
+    longest = np.max(np.maximum(of("delay") + of("load_delay"), of("body_delay")))
     room = max(math.ceil(longest), exp.case.noise.delay_buffer)
     return replace(exp, case=assign(exp.case, "noise.delay_buffer", room))
 

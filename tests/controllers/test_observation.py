@@ -9,6 +9,7 @@ import pytest
 
 from sweep.controllers.observation import Observation, install, observe
 from sweep.engines.closed_loop import is_quiet
+from sweep.engines.fused.trace import Leaf, traced
 from sweep.models.noise import Noise
 from sweep.models.obstacles.surface import FreeState
 
@@ -53,6 +54,21 @@ def test_a_longer_buffer_changes_nothing():
     one, other = (watch(Noise(delay=2.0, delay_buffer=n, position_noise=0.01)) for n in (2, 5))
     for a, b in zip(one, other, strict=True):
         assert np.array_equal(a.position, b.position)
+
+
+def test_the_longest_delay_that_may_be_asked_for_can_be_fused():
+    noise = Noise(delay=50.0, load_delay=50.0, delay_buffer=100)
+
+    def tick(given, sensors, _):
+        sensors, seen = observe(dataclasses.replace(noise, delay=given[0]), sensors, truth(2), given[1])
+        return sensors, {"load": jnp.asarray(seen.load)}
+
+    one, sensors = jax.eval_shape(lambda: ((jnp.zeros(()), KEY), install(noise, KEY, truth(0))))
+
+    def somewhere(arrays, _):
+        return [Leaf(0, x.shape, np.dtype(x.dtype).name) for x in arrays], 0
+
+    traced(tick, one, sensors, somewhere, together=False)  # else it raises `Unsupported`
 
 
 def test_biases_stay_and_noise_does_not():
