@@ -5,14 +5,14 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment, time_left
+from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment, Tail
 from sweep.models.case import Driving
 
 TAIL = 12.0  # s of the plan, its last, over which the obstacle's final speed is taken
 
 
 class FreeBodies(NamedTuple):
-    """Where they were at the start, when the first stage ended, are, and were when the tail began (m) at a time (s).
+    """Where they were at the start, when the first stage ended, are, and were before (m).
 
     How far they went since both; the least height.
     """
@@ -20,8 +20,7 @@ class FreeBodies(NamedTuple):
     start: Float[Array, "k 3"]
     settled: Float[Array, "k 3"]
     place: Float[Array, "k 3"]
-    tail: Float[Array, "k 3"]
-    tail_time: Float[Array, ""]
+    tail: Tail
     moved: Float[Array, ""]
     shifted: Float[Array, ""]
     aside: Float[Array, ""]
@@ -32,7 +31,7 @@ def begin(start: Begin) -> FreeBodies:
     """Nothing has moved."""
     place = start.free.position
     zero = jnp.zeros((), place.dtype)
-    return FreeBodies(place, place, place, place, zero, zero, zero, zero, jnp.full((), jnp.inf, place.dtype))
+    return FreeBodies(place, place, place, Tail(place, zero), zero, zero, zero, jnp.full((), jnp.inf, place.dtype))
 
 
 def update(so_far: FreeBodies, now: Moment) -> FreeBodies:
@@ -40,13 +39,11 @@ def update(so_far: FreeBodies, now: Moment) -> FreeBodies:
     place = now.tick.free.position
     way = place - so_far.start
     settled = jnp.where(now.stage == 0, place, so_far.settled)
-    before_tail = time_left(now) > TAIL
     return FreeBodies(
         start=so_far.start,
         settled=settled,
         place=place,
-        tail=jnp.where(before_tail, place, so_far.tail),
-        tail_time=jnp.where(before_tail, now.time, so_far.tail_time),
+        tail=so_far.tail.later(now, place, TAIL),
         moved=jnp.maximum(so_far.moved, jnp.max(jnp.linalg.norm(way, axis=-1))),
         shifted=jnp.maximum(so_far.shifted, jnp.max(jnp.linalg.norm(place - settled, axis=-1))),
         aside=jnp.maximum(so_far.aside, jnp.abs(way[0, 1])),
@@ -56,8 +53,7 @@ def update(so_far: FreeBodies, now: Moment) -> FreeBodies:
 
 def figures(found: FreeBodies, at: Elapsed) -> dict[str, Array]:
     """See `METRIC`."""
-    along = (found.place - found.tail)[0, :2] / jnp.maximum(at.time - found.tail_time, 1e-9)
-    speed = jnp.linalg.norm(along)
+    speed = jnp.linalg.norm(found.tail.velocity(found.place, at.time)[0, :2])
     manoeuvre = at.world.manoeuvre
     aim = manoeuvre.obstacle_speed(jnp.sum(at.plan.duration)) if isinstance(manoeuvre, Driving) else 0.0
     return {

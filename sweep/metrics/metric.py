@@ -92,6 +92,22 @@ def time_left(now: Moment) -> Float[Array, ""]:
     return later + (1 - now.phase) * duration[now.stage]
 
 
+class Tail(NamedTuple):
+    """Where things were (m), and when (s), as the last part of the plan began."""
+
+    place: Float[Array, "*k 3"]
+    time: Float[Array, ""]
+
+    def later(self, now: Moment, place: Float[Array, "*k 3"], length: float) -> "Tail":
+        """The same a tick on; the part lasts `length` seconds of the plan."""
+        before = time_left(now) > length
+        return Tail(jnp.where(before, place, self.place), jnp.where(before, now.time, self.time))
+
+    def velocity(self, place: Float[Array, "*k 3"], time: Array) -> Float[Array, "*k 3"]:
+        """Mean (m/s) since then."""
+        return (place - self.place) / jnp.maximum(time - self.time, 1e-9)
+
+
 class Elapsed(NamedTuple):
     """A rollout as far as it has come."""
 

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from sweep.controllers.plan import named
-from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment, time_left
+from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment, Tail
 from sweep.models.obstacles.two_balls import TwoBalls
 
 OVER = "over."  # how the stages begin in which a robot goes over
@@ -15,21 +15,20 @@ TAIL = 3.0  # s of the plan, its last, over which the final speed is taken
 
 
 class Balls(NamedTuple):
-    """Whether they met, and how fast (m/s); how far apart they were (m); the second, and when its tail began (m, s)."""
+    """Whether they met, and how fast (m/s); how far apart they were (m); the second one's place (m), now and before."""
 
     met: Bool[Array, ""]
     meeting: Float[Array, ""]
     apart: Float[Array, ""]
     place: Float[Array, " 3"]
-    tail: Float[Array, " 3"]
-    tail_time: Float[Array, ""]
+    tail: Tail
 
 
 def begin(start: Begin) -> Balls:
     """Before they meet."""
     place = start.free.position[1]
     zero = jnp.zeros((), place.dtype)
-    return Balls(jnp.zeros((), bool), zero, zero, place, place, zero)
+    return Balls(jnp.zeros((), bool), zero, zero, place, Tail(place, zero))
 
 
 def update(so_far: Balls, now: Moment) -> Balls:
@@ -39,26 +38,23 @@ def update(so_far: Balls, now: Moment) -> Balls:
     apart = jnp.linalg.norm(free.position[1] - free.position[0]) - 2 * balls.radius
     speed = free.velocity[0, 0] - free.velocity[1, 0]
     both = named(now.plan, now.stage, OVER)
-    before_tail = time_left(now) > TAIL
     return Balls(
         met=so_far.met | (apart < NEAR),
         meeting=jnp.where(so_far.met | (apart >= NEAR), so_far.meeting, speed),
         apart=jnp.maximum(so_far.apart, jnp.where(both, apart, 0.0)),
         place=free.position[1],
-        tail=jnp.where(before_tail, free.position[1], so_far.tail),
-        tail_time=jnp.where(before_tail, now.time, so_far.tail_time),
+        tail=so_far.tail.later(now, free.position[1], TAIL),
     )
 
 
 def figures(found: Balls, at: Elapsed) -> dict[str, Array]:
     """See `METRIC`."""
-    way = jnp.linalg.norm((found.place - found.tail)[:2])
     return {
         "meeting_speed_mps": found.meeting,
         "balls_apart_max_m": found.apart,
         "second_ball_x_m": found.place[0],
         "second_ball_y_m": found.place[1],
-        "second_ball_speed_mps": way / jnp.maximum(at.time - found.tail_time, 1e-9),
+        "second_ball_speed_mps": jnp.linalg.norm(found.tail.velocity(found.place, at.time)[:2]),
     }
 
 
