@@ -55,7 +55,7 @@ def felt(
     """Footholds, plan, and what is known, after a tick of touching. `belief` and `plan` are those of the start."""
     if learned is None or learned.touched is None:
         return state, newest(plan, learned), learned
-    ground = fixed_surface(belief.obstacle, plan.foothold[state.stage])
+    ground = fixed_surface(learned.touched.first, plan.foothold[state.stage])
     robot, now = informed(belief, learned).robot, newest(plan, learned)
     known = world.control, belief.noise, robot, now, ground
     touched, moves, searches = touch.felt(*known, state, learned.touched, seen, period)

@@ -34,6 +34,7 @@ class Touched(NamedTuple):
     """What touching has told so far."""
 
     obstacle: Obstacle  # as it is believed now
+    first: Obstacle  # as the first plan was made for
     covariance: Float[Array, "n n"]  # of the sizes of `names`, in their units
     felt: Bool[Array, " 6"]  # which feet have come to stand since they swung
     left: Float[Array, " 6"]  # m, outwards, by which each foot's command is still to be moved; or has gone on inwards
@@ -51,7 +52,8 @@ def untouched(control: Control, obstacle: Obstacle) -> Touched:
     sizes = _sizes(obstacle)
     covariance = jnp.diag((control.obstacle_error * sizes) ** 2)
     caution = jnp.asarray(control.caution, float)
-    return Touched(_with(obstacle, sizes), covariance, jnp.ones(N_LEGS, bool), jnp.zeros(N_LEGS), caution)
+    known = _with(obstacle, sizes)
+    return _to_plan(Touched(known, known, covariance, jnp.ones(N_LEGS, bool), jnp.zeros(N_LEGS), caution))
 
 
 def threshold(control: Control, noise: Noise) -> Array | float:
@@ -73,7 +75,7 @@ def standing(
     places = feet_in_world(robot, position, quat, angles)
     ground = fixed_surface(so_far.obstacle, start.feet)
     out = jnp.sum((places - start.feet) * ground.normal, axis=1)
-    return _known(so_far, places, out, ground.normal, _variance(control, noise), jnp.ones(N_LEGS, bool))[0]
+    return _to_plan(_known(so_far, places, out, ground.normal, _variance(control, noise), jnp.ones(N_LEGS, bool))[0])
 
 
 def planned_for(touched: Touched) -> Obstacle:
@@ -103,8 +105,8 @@ def felt(
 ) -> tuple[Touched, Float[Array, "6 3"], Bool[Array, " 6"]]:
     """A tick of `period` seconds on: what is known, how far footholds are to be moved (m, world axes), who searches.
 
-    `ground` is what was believed to be at the stage's footholds when they were first planned: of its face a foot is
-    taken to be, as deep in it as planned. Where sizes are uncertain, a foot is told to stand so deep inside the surface
+    `ground` is what the first plan was made for at the stage's footholds in it: of its face a foot is taken to be, as
+    deep in it as planned. Where sizes are uncertain, a foot is told to stand so deep inside the surface
     that it has felt, along whose normal its command goes over; one that lands before its swing is over yields by what
     it is pressed more; one that has come to the end of its swing in the air, or stands there, goes on inwards, once a
     load would be known of, and no faster than that allows. Along the surface it stays where it is. Footholds of
@@ -136,6 +138,11 @@ def felt(
     left = jnp.where(searches, left - onwards, left - follows + yields)
     moves = jnp.where(stands, moved, left)[:, None] * normal
     return known._replace(felt=has, left=left), moves, searches
+
+
+def _to_plan(touched: Touched) -> Touched:
+    """The same, from which the first plan is made."""
+    return touched._replace(first=planned_for(touched))
 
 
 def _variance(control: Control, noise: Noise) -> Array | float:

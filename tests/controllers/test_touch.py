@@ -10,13 +10,14 @@ import pytest
 
 from sweep.controllers import touch
 from sweep.controllers.calibration import Calibrated
-from sweep.controllers.learned import Learned, replanned
+from sweep.controllers.learned import Learned, felt, replanned
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import Stance, begins, reference
 from sweep.controllers.touch import Touched
 from sweep.controllers.tracker import init, joint_targets
 from sweep.core.errors import InputError
 from sweep.engines import make
+from sweep.engines.prelude import prepared
 from sweep.models.noise import Noise
 from sweep.models.obstacles.pole_ledge import PoleLedge
 from sweep.models.obstacles.surface import fixed_surface, no_bodies
@@ -91,6 +92,26 @@ def test_a_foot_is_told_to_stand_as_deep_as_planned_in_the_surface_that_it_felt(
     _, feet = walk_on(stage, stance, 100)
     stands = ~np.asarray(planned().swing[stage])
     np.testing.assert_allclose(from_axis(feet)[stands], radius - DEEPENING, atol=1e-4)
+
+
+def test_a_foot_that_finds_a_height_lower_than_cautiously_planned_stands_as_deep_in_it():
+    case = compose(["scenario=walk_kerb", "control=learn", "control.calibrate=none", "control.caution=2"]).case
+    _, plan, learned = prepared(case, case, jax.random.key(0))
+    stage = len(plan.names) - 1
+    higher = np.asarray(plan.foothold[stage] - case.manoeuvre.plan(case).foothold[stage])[:, 2]
+    assert np.all(higher > 2e-3)
+    stance = reference(plan, jnp.int32(stage), jnp.ones(()), *begins(plan, jnp.int32(stage), no_bodies()))
+    now = seen(stance._replace(feet=stance.feet.at[:, 2].set(case.obstacle.height)))
+    assert learned is not None
+    assert learned.touched is not None
+    learned = learned._replace(touched=learned.touched._replace(felt=jnp.zeros(6, bool)))
+    state = init(case, plan)._replace(stage=jnp.int32(stage), feet=plan.foothold[stage], clock=plan.duration[stage])
+    step = jax.jit(lambda s, known: felt(case, case, plan, s, known, now, PERIOD))
+    for _ in range(100):
+        state, _, learned = step(state, learned)
+    stands = ~np.asarray(plan.swing[stage])
+    lower = np.asarray(plan.foothold[stage] - state.feet)[:, 2]
+    np.testing.assert_allclose(lower[stands], higher[stands], atol=1e-4)
 
 
 def test_a_foot_in_the_air_goes_on_inwards_so_far_and_no_farther():
