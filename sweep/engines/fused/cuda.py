@@ -482,10 +482,9 @@ class Printer(Text):
             error = self.call("fma", "float32", [minus, near, ONE])
             self.found[b, "inverse"] = near, minus, self.call("fma", "float32", [near, error, near])
         near, minus, inverse = self.found[b, "inverse"]
-        first = quotient = self.emit(f"fmul float {a}, {near}")
-        for _ in range(2):
-            left = self.call("fma", "float32", [minus, quotient, a])
-            quotient = self.call("fma", "float32", [left, inverse, quotient])
+        first = self.emit(f"fmul float {a}, {near}")
+        left = self.call("fma", "float32", [minus, first, a])
+        quotient = self.call("fma", "float32", [left, inverse, first])
         odd = self.emit(f"fcmp uno float {quotient}, {quotient}")  # of 0, infinity and NaN
         return self.emit(f"select i1 {odd}, float {first}, float {quotient}")
 
