@@ -219,14 +219,8 @@ class Printer(Text):
 
     def _branch(self, branch: Branch) -> None:
         self._fresh += 1
-        name, index, kind = f"B{self._fresh}", self.value(branch.index), TYPES[branch.index.dtype]
-        count = len(branch.blocks)
-        test = f"icmp slt {kind}" if kind != "i1" else "icmp ult i1"
-        low = index if kind == "i1" else self.call("smax", branch.index.dtype, [index, "0"])
-        high = self.emit(f"{test} {low}, {count - 1 if kind != 'i1' else 'true'}")
-        within = self.emit(f"select i1 {high}, {kind} {low}, {kind} {count - 1 if kind != 'i1' else 'true'}")
-        cases = " ".join(f"{kind} {k if kind != 'i1' else 'false'}, label %{name}_{k}" for k in range(count - 1))
-        self.lines.append(f"switch {kind} {within}, label %{name}_{count - 1} [{cases}]")
+        name = f"B{self._fresh}"
+        self.switch(TYPES[branch.index.dtype], self.value(branch.index), name, len(branch.blocks))
         before, ends = dict(self.here), []
         for k, block in enumerate(branch.blocks):
             self._start(f"{name}_{k}")
