@@ -86,8 +86,7 @@ def planned_for(touched: Touched) -> Obstacle:
     """
     heights = touched.obstacle.heights if isinstance(touched.obstacle, Fixed) else ()
     known = names(touched.obstacle)
-    variance = jnp.sum(touched.covariance * jnp.eye(len(known)), axis=1)  # a diagonal is no operation of the fused loop
-    deviation = jnp.sqrt(jnp.maximum(variance, 0.0))
+    deviation = jnp.sqrt(jnp.maximum(jnp.diagonal(touched.covariance), 0.0))
     more = jnp.array([name in heights for name in known]) * touched.caution * deviation
     return _with(touched.obstacle, _sizes(touched.obstacle) + more)
 

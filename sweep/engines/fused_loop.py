@@ -33,13 +33,12 @@ class Going(NamedTuple):
 class Fused(NamedTuple):
     """What a batch runs through; `start` and `finish` are XLA's."""
 
-    begin: Callable
+    begin: Compiled
     kernel: Kernel
-    end: Callable
+    end: Compiled
     again: Compiled | None  # what plans again before each chunk, if any
     ticks: int  # of a chunk
     width: int
-    spread: Callable  # over the devices, as `finish` was compiled for
     watch: Watch | None
 
     def start(self, world: Case, belief: Case, keys: Array) -> tuple[Plan, Going]:
@@ -52,9 +51,7 @@ class Fused(NamedTuple):
     ) -> tuple[Going, Any]:
         """Go on from `tick`; records of the rollouts `kept`, of all there is or of the columns watched."""
         if self.again is not None:
-            given = belief, plans, carry.tiles.leave()
-            given = jax.device_put(given, self.again.input_shardings[0])  # arrays of nothing are not split
-            carry.tiles.change(lambda carried: carried, self.again(*given))
+            carry.tiles.change(lambda carried: carried, _split(self.again, belief, plans, carry.tiles.leave()))
         record = carry.tiles.advance(tick, self.ticks, kept)
         if record is None or self.watch is None:
             return carry, record
@@ -64,7 +61,12 @@ class Fused(NamedTuple):
 
     def finish(self, world: Case, plans: Plan, carry: Going) -> dict[str, Array]:
         """Figures."""
-        return self.end(world, plans, self.spread(carry.tiles.leave()))
+        return _split(self.end, world, plans, carry.tiles.leave())
+
+
+def _split(program: Compiled, *given: Any) -> Any:
+    """What a program gives, of arrays that are spread over the devices as it was compiled for."""
+    return program(*jax.device_put(given, program.input_shardings[0]))
 
 
 def of_one(arrays: tuple[Case, Case, Array], batch: Any) -> tuple[tuple[Case, Case, Plan], Any]:

@@ -202,8 +202,7 @@ class Mjx:
     ) -> Programs | Fused:
         if not isinstance(chunk, Code):
             return Programs(start, chunk, finish)
-        spread = partial(devices.spread, over=self._mesh)
-        return Fused(start, Kernel(chunk), finish, again, self._chunk_ticks, self.width, spread, None)
+        return Fused(start, Kernel(chunk), finish, again, self._chunk_ticks, self.width, None)
 
     @property
     def _made_of(self) -> tuple:

@@ -13,7 +13,8 @@ FLOAT_TESTS = {"eq": "a == b", "ne": "(a != b) & ~odd", "lt": "a < b", "le": "a 
 BINARY = {"add": "a + b", "sub": "a - b", "mul": "a * b", "div": "a / b", "max": "np.maximum(a, b)",
           "min": "np.minimum(a, b)", "and": "a & b", "or": "a | b", "xor": "a ^ b",
           "shl": "np.left_shift(a, b)", "shr": "np.right_shift(a, b)", "rem": "np.fmod(a, b)"}  # fmt: skip
-UNARY = {"neg": "-a", "abs": "np.abs(a)", "sqrt": "np.sqrt(a)", "rcp": "one / a", "not": "~a", "mov": "a"}
+UNARY = {"neg": "-a", "abs": "np.abs(a)", "sqrt": "np.sqrt(a)", "rcp": "one / a", "rsqrt": "one / np.sqrt(a)",
+         "not": "~a", "mov": "a"}  # fmt: skip
 TYPES = {"f32": "float32", "s32": "int32", "u32": "uint32", "b32": "uint32", "s64": "int64", "u64": "int64",
          "b64": "int64", "b16": "uint32", "u16": "uint32", "s16": "int32", "pred": "bool"}  # fmt: skip
 PAGE = 40  # bits of an address within an operand

@@ -118,6 +118,7 @@ def test_arrays_are_moved_about_and_summed_as_jax_does(seed):
             "best": jnp.argmin(legs[:, 0]),
             "set": legs.at[:, 1].set(total[0]),
             "order": jnp.cumsum(x, axis=0),
+            "diagonal": jnp.diagonal(m[0] @ m[1]),
         }
 
     fused, xla = both(moved, some(6, 3, seed=seed), some(6, 3, 3, seed=seed + 1))

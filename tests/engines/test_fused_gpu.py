@@ -89,6 +89,24 @@ def test_not_a_number_stays_one_and_random_numbers_are_those_of_jax():
         np.testing.assert_allclose(values, xla[name], rtol=1e-6, err_msg=name)
 
 
+def test_quotients_and_roots_are_rounded_as_ieee_has_it_and_keep_what_is_no_number():
+    def worked(a, b):
+        return {"quotient": a / b, "root": jnp.sqrt(b)}
+
+    odd = [0.0, -0.0, 1.0, -3.0, np.inf, -np.inf, np.nan, 1e-30, 1e30]
+    pairs = [(a, b) for a in odd for b in odd] + [(1.0, b) for b in (1e-40, 3e-39, 1e-37)]
+    pairs = np.resize(np.array(pairs, np.float32), (2, WIDTH, 3, 2))
+    pairs[1] = np.random.default_rng(0).lognormal(0, 20, pairs.shape[1:])
+    a, b = (np.concatenate(x, axis=1) for x in np.moveaxis(pairs, -1, 0))
+    kernel, _ = both(worked, jnp.asarray(a), jnp.asarray(b))
+    with np.errstate(all="ignore"):
+        quotient, root = a / b, np.sqrt(b)
+    tiny = [(x != 0) & (np.abs(x) < 2.0**-126) for x in (b, quotient)]
+    usual = ~(tiny[0] | tiny[1])
+    np.testing.assert_array_equal(kernel["quotient"][usual], quotient[usual])
+    np.testing.assert_array_equal(kernel["root"], root)
+
+
 def test_rollouts_go_on_until_all_of_their_warp_are_over():
     def counted(given, carried, k):
         count, over = carried

@@ -12,6 +12,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from sweep.engines.fused import lanes
 from sweep.engines.fused.arrays import Unsupported
 from sweep.engines.fused.lanes import ANEW, Part, Place
@@ -22,6 +24,7 @@ LANES = 32 // LEGS  # rollouts of a warp where legs have lanes; two lanes do aga
 WARPS = 8  # of a block: as many as registers allow
 EVERY = "i32 -1"  # lane
 NATIVE = {"sqrt", "floor", "ceil", "round"}
+ZERO, HALF, ONE = "0.0", "0.5", "1.0"
 
 
 class Printer(Text):
@@ -39,7 +42,7 @@ class Printer(Text):
         self.rollouts = LANES * WARPS * turns  # of a block
         self.row = 4 * self.rollouts  # bytes of a number's rollouts in memory
         self.names: dict[Any, str] = {}
-        self.found: dict[Any, str] = {}  # in this basic block
+        self.found: dict[Any, Any] = {}  # in this basic block
         self.rollout = self.given = self.state = ""  # of this part
         self.alone: lanes.Alone | None = None  # this part, where each thread has a rollout
         self.counts: dict[int, str] = {}
@@ -216,14 +219,8 @@ class Printer(Text):
 
     def _branch(self, branch: Branch) -> None:
         self._fresh += 1
-        name, index, kind = f"B{self._fresh}", self.value(branch.index), TYPES[branch.index.dtype]
-        count = len(branch.blocks)
-        test = f"icmp slt {kind}" if kind != "i1" else "icmp ult i1"
-        low = index if kind == "i1" else self.call("smax", branch.index.dtype, [index, "0"])
-        high = self.emit(f"{test} {low}, {count - 1 if kind != 'i1' else 'true'}")
-        within = self.emit(f"select i1 {high}, {kind} {low}, {kind} {count - 1 if kind != 'i1' else 'true'}")
-        cases = " ".join(f"{kind} {k if kind != 'i1' else 'false'}, label %{name}_{k}" for k in range(count - 1))
-        self.lines.append(f"switch {kind} {within}, label %{name}_{count - 1} [{cases}]")
+        name = f"B{self._fresh}"
+        self.switch(TYPES[branch.index.dtype], self.value(branch.index), name, len(branch.blocks))
         before, ends = dict(self.here), []
         for k, block in enumerate(branch.blocks):
             self._start(f"{name}_{k}")
@@ -464,6 +461,40 @@ class Printer(Text):
         if node.op in INTRINSICS and node.op not in NATIVE:
             raise Unsupported(f"{node.op} of {node.dtype} on a GPU")
         return self.arithmetic(node.op, node.dtype, [self.value(x) for x in node.args], [x.dtype for x in node.args])
+
+    def arithmetic(self, op: str, dtype: str, args: list[str], kinds: Sequence[str]) -> str:
+        """An operation; those that take several instructions without a branch, which would part this basic block."""
+        if dtype == "float32" and op == "div":
+            return self._quotient(*args)
+        return self._root(*args) if dtype == "float32" and op == "sqrt" else super().arithmetic(op, dtype, args, kinds)
+
+    def _quotient(self, a: str, b: str) -> str:
+        """a / b, rounded as IEEE has it where neither 1 / b nor the quotient is too large or small for its exponent."""
+        if (b, "inverse") not in self.found:
+            near = self._nvvm("rcp.approx.ftz.f", "float", f"float {b}")
+            minus = self.emit(f"fneg float {b}")
+            error = self.call("fma", "float32", [minus, near, ONE])
+            self.found[b, "inverse"] = near, minus, self.call("fma", "float32", [near, error, near])
+        near, minus, inverse = self.found[b, "inverse"]
+        first = self.emit(f"fmul float {a}, {near}")
+        left = self.call("fma", "float32", [minus, first, a])
+        quotient = self.call("fma", "float32", [left, inverse, first])
+        odd = self.emit(f"fcmp uno float {quotient}, {quotient}")  # of 0, infinity and NaN
+        return self.emit(f"select i1 {odd}, float {first}, float {quotient}")
+
+    def _root(self, x: str) -> str:
+        """The square root, rounded as IEEE has it: of a small number, from one 2^64 times as large."""
+        small = self.emit(f"fcmp olt float {x}, {self.literal(np.float32(2**-96))}")
+        scale = [self.literal(np.float32(2.0**k)) for k in (64, -32)]
+        up, down = (self.emit(f"select i1 {small}, float {by}, float {ONE}") for by in scale)
+        scaled = self.emit(f"fmul float {x}, {up}")
+        inverse = self._nvvm("rsqrt.approx.ftz.f", "float", f"float {scaled}")
+        root, half = self.emit(f"fmul float {scaled}, {inverse}"), self.emit(f"fmul float {inverse}, {HALF}")
+        left = self.call("fma", "float32", [self.emit(f"fneg float {root}"), root, scaled])
+        root = self.emit(f"fmul float {self.call('fma', 'float32', [left, half, root])}, {down}")
+        odd = self.emit(f"fcmp uno float {root}, {root}")  # of 0 and infinity as well
+        itself = self.emit(f"and i1 {odd}, {self.emit(f'fcmp oge float {x}, {ZERO}')}")
+        return self.emit(f"select i1 {itself}, float {x}, float {root}")
 
     def extreme(self, op: str, dtype: str, args: list[str]) -> str:
         """The greater or lesser of two; NaN if either is."""

@@ -13,7 +13,7 @@ from jax.extend import core
 
 from sweep.engines.fused import maths
 from sweep.engines.fused.arrays import Array, Arrays, Unsupported, filled, stacked
-from sweep.engines.fused.program import Branch, Node, Region
+from sweep.engines.fused.program import Branch, Node, Region, value_of
 from sweep.engines.fused.rules import MANY, RULES
 
 CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "core_call": "call_jaxpr", "checkpoint": "jaxpr",
@@ -132,6 +132,9 @@ class Interpreter(Arrays):
         """One of the branches where all rollouts go the same way, else all of them."""
         branches, (index, *operands) = eqn.params["branches"], args
         which = index[()]
+        if which.op == "const":
+            branch = branches[int(value_of(which))]
+            return self.evaluate(branch.jaxpr, branch.consts, operands)
         if not uniform(which):
             each = [self.evaluate(b.jaxpr, b.consts, operands) for b in branches]
             return [self.choose(index, list(values)) for values in zip(*each, strict=True)]

@@ -89,12 +89,7 @@ class Printer(Text):
         name = f"B{self._fresh}"
         index = self.value(branch.index)
         first = self.emit(f"extractelement {self.vector(branch.index.dtype)} {index}, i32 0")
-        scalar = TYPES[branch.index.dtype]
-        cases = " ".join(f"{scalar} {k}, label %{name}_{k}" for k in range(1, len(plans) - 1)) if len(plans) > 2 else ""
-        low = self.emit(f"icmp sle {scalar} {first}, 0") if scalar != "i1" else self.emit(f"xor i1 {first}, true")
-        self.lines.append(f"br i1 {low}, label %{name}_0, label %{name}_s")
-        self.start(f"{name}_s")
-        self.lines.append(f"switch {scalar} {first}, label %{name}_{len(plans) - 1} [{cases}]")
+        self.switch(TYPES[branch.index.dtype], first, name, len(plans))
         for k, one in enumerate(plans):
             self.start(f"{name}_{k}")
             names = dict(self.names)

@@ -165,6 +165,13 @@ def _gather(
     return result
 
 
+def _platform_index(self: Arrays, out: Any, platforms: tuple) -> Array:
+    """The way that any platform can go."""
+    if None not in platforms:
+        raise Unsupported("what is for some platforms alone")
+    return self.constant(np.asarray(platforms.index(None), out.dtype))
+
+
 def _fill(dtype: np.dtype) -> Any:
     """What JAX gives for a place outside."""
     if dtype.kind == "f":
@@ -247,6 +254,7 @@ RULES: dict[str, Callable] = {
     "dynamic_slice": _dynamic_slice,
     "dynamic_update_slice": _dynamic_update_slice,
     "gather": _gather,
+    "platform_index": _platform_index,
     "scatter": _scatter(None),
     "scatter-add": _scatter("add"),
     **randomness.rules(Unsupported),

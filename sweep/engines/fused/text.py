@@ -49,6 +49,14 @@ class Text:
         self.lines.append(f"{label}:")
         self.label = label
 
+    def switch(self, kind: str, index: str, name: str, count: int) -> None:
+        """Go on in the block of a number, of `name`_0, `name`_1, ...: the nearest of them."""
+        if kind != "i1":
+            below = self.emit(f"icmp slt {kind} {index}, 0")
+            index = self.emit(f"select i1 {below}, {kind} 0, {kind} {index}")
+        cases = " ".join(f"{kind} {k}, label %{name}_{k}" for k in range(count - 1))
+        self.lines.append(f"switch {kind} {index}, label %{name}_{count - 1} [{cases}]")
+
     def vector(self, dtype: str) -> str:
         """LLVM's name for a number in all lanes."""
         return TYPES[dtype] if self.lanes == 1 else f"<{self.lanes} x {TYPES[dtype]}>"
