@@ -138,7 +138,7 @@ TABLE = Table(
         Move(
             "front4",
             0.6,
-            Pose(90.0, 1.2068, 0.0228),
+            Pose(90.0, 1.17, 0.0228),
             FRONT,
             place=(0.438, 118.5),
             lift=0.0567,
@@ -162,6 +162,7 @@ class BallClimb(BesideBall):
     gain: float = quantity(0.918, "-", above=0, at_most=2)  # of the rate (3.1.16)
     most_rate: float = quantity(1.5, "rad/s", above=0)  # of the ride, at most
     centring: float = quantity(1.52, "s", above=0)  # in which the base goes on to the point of its tangent, in the ride
+    lean: float = quantity(2.5, "s", at_least=0)  # of the base against the ball's speed aside, in the ride
 
     @property
     def table(self) -> Table:
@@ -217,4 +218,4 @@ class BallClimb(BesideBall):
     @property
     def parts(self) -> Mapping[str, Guided]:
         """The ride up, and the calming steps."""
-        return {RIDE: Ride(self.gain, self.most_rate, self.centring), **super().parts}
+        return {RIDE: Ride(self.gain, self.most_rate, self.centring, self.lean), **super().parts}

@@ -129,7 +129,7 @@ TABLE = Table(
         Move(
             "front3",
             0.8,
-            Pose(151.9, 1.065, 0.676),
+            Pose(151.9, 1.074, 0.676),
             FRONT,
             ON_FLOOR,
             place=(0.724, 2.056),

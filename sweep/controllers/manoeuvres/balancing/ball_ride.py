@@ -18,6 +18,7 @@ from sweep.models.obstacles.ball import Ball
 from sweep.models.robot import total_mass
 
 RIDE, UP = "ride.", "up"
+LAG, FARTHEST = 0.3, 0.03  # s, in which the base leans aside, and how far at most (m)
 
 
 class RideMemory(NamedTuple):
@@ -26,26 +27,30 @@ class RideMemory(NamedTuple):
     elevation: Float[Array, ""]  # rad, of its tangent
     distance: Float[Array, ""]  # m, of its axis
     ahead: Float[Array, ""]  # m, of its centre along the tangent
+    aside: Float[Array, ""]  # m, of its centre to the left
     time: Float[Array, ""]  # s
 
 
 class Ride(NamedTuple):
     """Up on a ball that rolls, at the rate that has it stop as the top is reached: (3.1.13)-(3.1.16) at every tick.
 
+    Feet that slip more on one side than on the other have the ball roll aside; leaning the other way slows it down. Not
+    while the first feet step, which pass close to the next legs.
     The plan's places are those of a base on top: feet go where these are by then, as far round the ball as the base is.
     """
 
     gain: Array | float  # of the rate
     most: Array | float  # rad/s, of the rate
     centring: Array | float  # s, over which the base goes to the tangent's point first
+    lean: Array | float  # s, of the base against the ball's speed aside
 
     def memory(self, belief: Case, plan: Plan) -> RideMemory:
         """Where the base is when the ride begins."""
-        first = [name.startswith(RIDE) for name in plan.names].index(True)
+        first = _first(plan)
         x, _, z = plan.position[first - 1]
         elevation = 0.5 * np.pi + logarithm(plan.quat[first])[1]
         sin, cos = jnp.sin(elevation), jnp.cos(elevation)
-        return RideMemory(elevation, z * sin - x * cos, x * sin + z * cos, jnp.zeros(()))
+        return RideMemory(elevation, z * sin - x * cos, x * sin + z * cos, jnp.zeros(()), jnp.zeros(()))
 
     def guide(
         self, belief: Case, plan: Plan, state: TrackerState, seen: Observation, begins: Bool[Array, ""], period: float
@@ -58,14 +63,18 @@ class Ride(NamedTuple):
         forward = jnp.clip(distance * rate * (1 - share), 0.0, -4 * jnp.minimum(memory.ahead, 0.0))
         turning = jnp.maximum(0.0, rate - forward / distance)
         elevation = jnp.minimum(0.5 * np.pi, memory.elevation + turning * period)
-        memory = RideMemory(elevation, distance, memory.ahead + forward * period, memory.time + period)
+        lean = jnp.clip(-self.lean * seen.free.velocity[0, 1], -FARTHEST, FARTHEST)
+        lean = jnp.where(state.stage > _first(plan), lean, 0.0)
+        aside = memory.aside + jnp.minimum(1.0, period / LAG) * (lean - memory.aside)
+        memory = RideMemory(elevation, distance, memory.ahead + forward * period, aside, memory.time + period)
         pose = Pose(jnp.degrees(elevation), distance / ball.radius, memory.ahead / ball.radius)
         round_ = about_aside(pitch(pose) + memory.ahead / distance)
         swing, phase = plan.swing[state.stage][:, None], state.clock / plan.duration[state.stage]
         goal = jnp.where(swing, rotate(round_[None], plan.foothold[state.stage]), state.feet)
         goal = jnp.where(phase < 1, goal, state.goal)  # late feet stay, or they would meet those ahead of them
         feet = swings(plan, state.stage, jnp.clip(phase, 0.0, 1.0), state.feet, goal)
-        return Guidance(Stance(feet, centre(ball, pose), about_aside(pitch(pose))), goal, memory)
+        position = centre(ball, pose).at[1].set(aside)
+        return Guidance(Stance(feet, position, about_aside(pitch(pose))), goal, memory)
 
     def rate(self, belief: Case, seen: Observation) -> Float[Array, ""]:
         """(3.1.16), rad/s, of the mass centre where it is measured; none beyond the top."""
@@ -85,6 +94,11 @@ class Ride(NamedTuple):
         """On top, in the last stage."""
         last = jnp.asarray(plan.names.index(RIDE + UP))
         return (state.stage == last) & (state.memory.elevation >= 0.5 * np.pi - 1e-4)
+
+
+def _first(plan: Plan) -> int:
+    """Number of the ride's first stage."""
+    return [name.startswith(RIDE) for name in plan.names].index(True)
 
 
 def about_aside(angle: Array) -> Float[Array, " 4"]:
