@@ -25,7 +25,7 @@ def ball_approach(
     M: BallMass,
     R: BallRadius,
     rho: CentreDistance,
-    delta: Annotated[Scalar, positive("m", 0.5)],
+    delta: Annotated[Scalar, Input("m", 0.5, at_least=0)],
     t: Annotated[Scalar, positive("s", 48.0)],
     k_v: Annotated[Scalar, positive("s", 0.6)],
     f_s: Annotated[Scalar, Input("m", 4e-4, at_least=0)],
