@@ -6,6 +6,7 @@ from typing import Any
 from sweep.core.parameters import InputError, suggest
 from sweep.formulas import (  # noqa: F401  whose formulas are put among them as they are read
     ball,
+    ball_meeting,
     ball_reach,
     corner,
     crossing,

@@ -1,0 +1,90 @@
+"""Balls that meet: how fast one gets there, how it comes back, and the friction that keeps two of them where they are.
+
+Monograph 3.2 and 3.5 ask for it and give no equations; these follow from the laws of 3.1 and from statics.
+"""
+
+from typing import Annotated, NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from sweep.formulas.ball import GRAVITY, ROLLING, BallMass, BallRadius, CentreDistance, RobotMass
+from sweep.formulas.formula import Input, Scalar, formula, positive
+
+
+class Approach(NamedTuple):
+    """Speed that is wanted of the ball, and the time in which it gets there."""
+
+    v: Annotated[Float[Array, "..."], "m/s"]
+    tau: Annotated[Float[Array, "..."], "s"]
+
+
+@formula("monograph", "3.1.8", "3.5.1")
+def ball_approach(
+    m: RobotMass,
+    M: BallMass,
+    R: BallRadius,
+    rho: CentreDistance,
+    delta: Annotated[Scalar, Input("m", 0.5, at_least=0)],
+    t: Annotated[Scalar, positive("s", 48.0)],
+    k_v: Annotated[Scalar, positive("s", 0.6)],
+    f_s: Annotated[Scalar, Input("m", 4e-4, at_least=0)],
+) -> Approach:
+    """Least speed to ask for, that a ball comes as far as it shall in time.
+
+    By (3.1.8) the mass centre is k_v (v - v_b) ahead of the ball's in the mean, whose speed v_b then goes to
+    v - f_s (m + M)/(m k_v), f_s (m) being its rolling friction, with the time constant tau. So it goes `delta` in `t`.
+    """
+    tau = jnp.asarray((ROLLING * M * R + m * (R + rho)) / (m * GRAVITY * k_v))
+    mean = 1 + tau / t * jnp.expm1(-t / tau)
+    return Approach(delta / (t * mean) + f_s * (m + M) / (m * k_v), tau)
+
+
+class Impact(NamedTuple):
+    """What is left of the speed, and the speed at which feet land as far off as told."""
+
+    e: Annotated[Float[Array, "..."], ""]
+    v: Annotated[Float[Array, "..."], "m/s"]
+
+
+@formula("monograph", "3.2.2")
+def ball_impact(
+    zeta: Annotated[Scalar, Input("", 1.0, at_least=0)],
+    T: Annotated[Scalar, positive("s", 1.2)],
+    d: Annotated[Scalar, positive("m", 0.1)],
+) -> Impact:
+    """Rebound of a ball from a damped wall, and the speed at which feet that were about to land miss by d.
+
+    A spring and a damper of zeta times the critical damping push until they would pull: the ball comes back at e times
+    its speed v. Feet land where a ball that rolls on is after half of the step's time T; off by T (1 + e) v/2.
+    """
+    below, above = jnp.minimum(zeta, 1 - 1e-6), jnp.maximum(zeta, 1 + 1e-6)
+    phase = jnp.where(zeta < 1, jnp.arccos(below) / jnp.sqrt(1 - below**2), jnp.arccosh(above) / jnp.sqrt(above**2 - 1))
+    e = jnp.exp(-2 * zeta * phase)
+    return Impact(e, 2 * d / (T * (1 + e)))
+
+
+class Hold(NamedTuple):
+    """Friction of ball and ball."""
+
+    mu: Annotated[Float[Array, "..."], ""]
+
+
+@formula("monograph", "3.5.2", condition="T_1 must be above T_2: feet that press the balls together")
+def balls_hold(
+    M: BallMass,
+    R: BallRadius,
+    T_1: Annotated[Scalar, Input("N m", 40.0)],
+    T_2: Annotated[Scalar, Input("N m", -10.0)],
+    s: Annotated[Scalar, Input("m", 0.0, at_least=0)],
+    t: Annotated[Scalar, positive("s", 2.0)],
+) -> Hold:
+    """Least friction between two balls that touch, at which they roll no farther than told.
+
+    T_1 and T_2 are the moments of feet about the balls' lowest points, forward. Pressed together by
+    N = (T_1 - T_2)/(2 R) they roll as one, and slide on each other: 14/5 M R v' = T_1 + T_2 - mu (T_1 - T_2), so that
+    from rest they go s (m) in t (s).
+    """
+    presses = T_1 - T_2
+    left = jnp.abs(T_1 + T_2) - 4 * ROLLING * M * R * s / t**2
+    return Hold(jnp.where(presses > 0, jnp.maximum(left, 0.0) / presses, jnp.nan))
