@@ -31,6 +31,7 @@ def _drawn(estimate: FreeState, to: FreeState, time: Array | float, period: floa
     position = estimate.position + period * to.velocity
     quat = multiply(exponential(period * to.turn), estimate.quat)
     off = logarithm(multiply(to.quat, conjugate(quat)))
-    return to._replace(
-        position=position + share * (to.position - position), quat=multiply(exponential(share * off), quat)
-    )
+    quat = multiply(exponential(share * off), quat)
+    # rounded products of thousands of ticks lose their length, and with it the feet that stand on the body their place
+    quat = quat / jnp.linalg.norm(quat, axis=-1, keepdims=True)
+    return to._replace(position=position + share * (to.position - position), quat=quat)

@@ -9,8 +9,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
+from sweep.controllers.frames import to_frame, to_world
 from sweep.controllers.plan import Plan, Stance, begins, stance_to_world
 from sweep.core.rotations import exponential, multiply
 from sweep.models.obstacles.surface import FreeState, no_bodies
@@ -30,30 +31,43 @@ def reversed_in_time(plan: Plan, free: FreeState | None = None) -> Plan:
     Free bodies are as in `free`, and stay there.
 
     Every step cycle, pace and path of the vocabulary is its own reversal but for its ends, so that a stage goes back
-    by the same swings, from its footholds to those of the stage before. Applied twice, it gives the plan again.
+    by the same swings, from its footholds to those of the stage before, in the frames of these: a foot goes to where
+    it is to stand on a body as that is seen. Applied twice, it gives the plan again.
     """
     free = no_bodies() if free is None else free
-    feet, position = jax.vmap(lambda stage: begins(plan, stage, free))(jnp.arange(len(plan.names)))
+    starts, position = jax.vmap(lambda stage: begins(plan, stage, free))(jnp.arange(len(plan.names)))
+    frame = jnp.concatenate([plan.foot_frame[:1], plan.foot_frame[:-1]])  # of what a foot came from, and goes back to
+    feet, guides = (_in_frames(points, plan.foot_frame, frame, free) for points in (starts[:, :, None], plan.guides))
     turned = multiply(exponential(plan.turn), plan.quat)  # the base's attitude at the end of each stage
 
     def back(array: Array) -> Array:
         return jnp.flip(array, axis=0)
 
     unchanged = ("duration", "swing", "guided", "cycle", "height", "plane", "carry", "pace", "pivot", "arc",
-                 "foot_frame", "base_frame")  # fmt: skip
+                 "base_frame")  # fmt: skip
     table: dict[str, Any] = {name: back(getattr(plan, name)) for name in unchanged}
     return replace(
         plan,
         names=tuple(name.removeprefix(BACK) if name.startswith(BACK) else BACK + name for name in plan.names[::-1]),
         start=stance_to_world(last_stance(plan), plan.foot_frame[-1], plan.base_frame[-1], free),
-        foothold=back(feet),
+        foothold=back(feet[:, :, 0]),
+        foot_frame=back(frame),
         position=back(position),
         quat=back(turned),
         turn=back(-plan.turn),
         rates=back(jnp.flip(plan.rates, axis=1)),
-        guides=back(jnp.flip(plan.guides, axis=2)),
+        guides=back(jnp.flip(guides, axis=2)),
         **table,
     )
+
+
+def _in_frames(
+    points: Float[Array, "s 6 n 3"], frame: Int[Array, "s 6"], into: Int[Array, "s 6"], free: FreeState
+) -> Float[Array, "s 6 n 3"]:
+    """Points (m) of every stage and leg in other frames."""
+    flat = points.reshape(-1, 3)
+    old, new = (jnp.repeat(frames.reshape(-1), points.shape[2]) for frames in (frame, into))
+    return to_frame(to_world(flat, old, free), new, free).reshape(points.shape)
 
 
 def mirrored(plan: Plan, normal: Float[np.ndarray, " 3"]) -> Plan:

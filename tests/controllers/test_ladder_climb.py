@@ -11,6 +11,7 @@ from sweep.controllers.symmetry import reversed_in_time
 from sweep.core.errors import InputError
 from sweep.core.rotations import exponential, matrix, multiply
 from sweep.metrics.planned import margins
+from sweep.models.obstacles.surface import poses
 from sweep.study.config import compose
 
 CASE = compose(["scenario=ladder_climb"]).case
@@ -54,6 +55,19 @@ def test_backwards_it_goes_through_the_same_stances(plan):
     back_first, back_last = ends(reversed_in_time(plan, FREE))
     same(Stance(*(x[::-1] for x in back_last)), first)
     same(Stance(*(x[::-1] for x in back_first)), last)
+
+
+def test_up_and_down_feet_go_to_where_they_stand_in_its_frame(plan):
+    """A foothold on a ladder that has come to rest elsewhere is where the ladder is; one beside it is not."""
+    for way in (plan, reversed_in_time(plan, FREE)):
+        feet = ends(way)[1].feet
+        body = CASE.obstacle.surface(feet.reshape(-1, 3), (-1,) * (feet.size // 3), poses(FREE)).body.reshape(-1, 6)
+        swing = np.asarray(way.swing)
+        assert set(np.asarray(body[swing])) == {-1, 0}
+        np.testing.assert_array_equal(way.foot_frame[swing], np.where(body[swing] == 0, fixed(0), WORLD))
+    twice = reversed_in_time(way, FREE)
+    np.testing.assert_array_equal(twice.foot_frame, plan.foot_frame)
+    np.testing.assert_allclose(twice.guides[plan.guided], plan.guides[plan.guided], atol=1e-5)
 
 
 @pytest.mark.slow
