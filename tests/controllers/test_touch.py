@@ -19,6 +19,7 @@ from sweep.core.errors import InputError
 from sweep.engines import make
 from sweep.engines.prelude import prepared
 from sweep.models.noise import Noise
+from sweep.models.obstacles.kerb import Kerb
 from sweep.models.obstacles.pole_ledge import PoleLedge
 from sweep.models.obstacles.surface import fixed_surface, no_bodies
 from sweep.study.config import compose
@@ -101,7 +102,7 @@ def test_a_foot_that_finds_a_height_lower_than_cautiously_planned_stands_as_deep
     higher = np.asarray(plan.foothold[stage] - case.manoeuvre.plan(case).foothold[stage])[:, 2]
     assert np.all(higher > 2e-3)
     stance = reference(plan, jnp.int32(stage), jnp.ones(()), *begins(plan, jnp.int32(stage), no_bodies()))
-    now = seen(stance._replace(feet=stance.feet.at[:, 2].set(case.obstacle.height)))
+    now = seen(stance._replace(feet=stance.feet.at[:, 2].set(case.on(Kerb).height)))
     assert learned is not None
     assert learned.touched is not None
     learned = learned._replace(touched=learned.touched._replace(felt=jnp.zeros(6, bool)))
