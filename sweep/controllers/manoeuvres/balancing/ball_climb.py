@@ -26,7 +26,7 @@ from sweep.controllers.manoeuvres.balancing.beside_ball import (
     stages,
 )
 from sweep.controllers.manoeuvres.goals import UPRIGHT
-from sweep.controllers.plan import GRIP, Plan, Stage, Stance, assemble
+from sweep.controllers.plan import Plan, Stage, Stance, assemble
 from sweep.controllers.support import RESTS, TO_VELOCITY, Support
 from sweep.controllers.tracker import Guided
 from sweep.core.errors import InputError
@@ -183,8 +183,8 @@ class BallClimb(BesideBall):
         ball = belief.on(Ball)
         self.refuse(belief)
         refuse(belief, lambda: self.stance(ball, table))
-        touching = Held(self.deepening, (0.0, 0.0), GRIP)
-        held = Held(self.deepening + self.press, (self.press, self.squeeze), GRIP)
+        touching = Held(self.deepening, (0.0, 0.0))
+        held = Held(self.deepening + self.press, (self.press, self.squeeze))
         rolls = Support(TO_VELOCITY, jnp.zeros(3).at[0].set(self.push_speed),
                         jnp.zeros(3).at[1].set(self.push_speed / ball.radius))  # fmt: skip
         stand, hold = dict.fromkeys(LEGS, WORLD), (*table.hold, table.push._replace(support=rolls))

@@ -17,7 +17,7 @@ from sweep.controllers.frames import WORLD, fixed, koenig
 from sweep.controllers.gaits import GALLOP
 from sweep.controllers.manoeuvres.balancing.ball import BallDrive, OnBall
 from sweep.controllers.manoeuvres.balancing.parts import InParts, Steps
-from sweep.controllers.plan import CYCLE_B, PRESS, Stage, Stance, by_side
+from sweep.controllers.plan import CYCLE_B, GRIP, Stage, Stance, by_side
 from sweep.controllers.support import Support
 from sweep.controllers.tracker import Guided, joint_targets
 from sweep.core.errors import InputError
@@ -62,7 +62,6 @@ class Held(NamedTuple):
 
     deepening: Array | float  # of footholds inside ball and floor
     press: tuple[Array | float, Array | float]  # of feet that stand on the ball, see `Stage.press`
-    onset: str = PRESS  # or `GRIP`
 
 
 @parameters
@@ -149,7 +148,7 @@ def stages(
             prefix + move.name, move.time, swing, CYCLE_B, jnp.asarray(move.lift, float) * ball.radius,
             by_side(move.plane), position=centre(ball, move.pose),
             turn=jnp.stack([jnp.zeros_like(turn), turn, jnp.zeros_like(turn)]),
-            rates=move.rates, pivot=jnp.zeros(3), arc=jnp.abs(turn), support=(move.support,), onset=held.onset,
+            rates=move.rates, pivot=jnp.zeros(3), arc=jnp.abs(turn), support=(move.support,), onset=GRIP,
             press=held.press, base_frame=koenig(0),
             foot_frames=tuple(koenig(0) if leg in swing else stand[leg] for leg in LEGS),
         ))  # fmt: skip
