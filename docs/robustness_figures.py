@@ -77,22 +77,23 @@ def bound(rates: pd.DataFrame, scale: float, nominal: float) -> str:
 
 
 def bounds(folders: list[str]) -> None:
-    """Print the table of bounds of all these studies, and keep their rates in `RATES`."""
-    print("| | robot | " + " | ".join(title for title, *_ in BOUNDS.values()) + " |")
-    print("|:--|:--|" + ":--|" * len(BOUNDS))
-    kept = []
+    """Put these studies in `RATES`, in the place of others of the same scenario and robot; print all bounds."""
+    rates = pd.read_csv(RATES)
     for folder in folders:
         found = results.read(Path(folder))
         control = found.exp.case.control
         learns = "learns" if control.touch != "none" else "calibrates" if control.calibrate != "none" else "believes"
-        rates = sensitivity.along(found.rows, found.exp)
-        along = dict(list(rates.groupby("axis")))
+        same = (rates["scenario"] == found.exp.scenario) & (rates["robot"] == learns)
+        new = sensitivity.along(found.rows, found.exp)
+        new = new.assign(scenario=found.exp.scenario, robot=learns, commit=found.stored["commit"])
+        rates = pd.concat([rates[~same], new[rates.columns]])
+    rates.sort_values(["scenario", "robot"], kind="stable").to_csv(RATES, index=False, float_format="%.4g")
+    print("| | robot | " + " | ".join(title for title, *_ in BOUNDS.values()) + " |")
+    print("|:--|:--|" + ":--|" * len(BOUNDS))
+    for (scenario, robot), of_one in rates.groupby(["scenario", "robot"]):
+        along = dict(list(of_one.groupby("axis")))
         cells = [bound(along[axis], *how) if axis in along else "" for axis, (_, *how) in BOUNDS.items()]
-        print(f"| `{found.exp.scenario}` | {learns} | " + " | ".join(cells) + " |")
-        kept.append(rates.assign(scenario=found.exp.scenario, robot=learns, commit=found.stored["commit"]))
-    table = pd.concat(kept)
-    first = ["scenario", "robot", "axis", "value"]
-    table[first + [c for c in table if c not in first]].to_csv(RATES, index=False, float_format="%.4g")
+        print(f"| `{scenario}` | {robot} | " + " | ".join(cells) + " |")
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import GRIP, KEEP, PRESS, REGRIP, REZERO, Plan, Stance
+from sweep.controllers.plan import GRIP, KEEP, REGRIP, REZERO, Plan, Stance
 from sweep.controllers.posture import feet_in_world
 from sweep.core.rotations import conjugate, exponential, heading, logarithm, multiply, rotate
 from sweep.formulas.leg import SIDE
@@ -35,8 +35,7 @@ def begun(belief: Case, plan: Plan, following: Int[Array, ""], ended: Stance, se
     ways = {
         KEEP: lambda: Begun(ended.feet, zero, zero),
         REGRIP: lambda: Begun(_regripped(belief, ended.feet, seen), zero, zero),
-        PRESS: lambda: Begun(_pressed(belief, ended.feet, plan.press[following], seen, seen.loaded), zero, zero),
-        GRIP: lambda: Begun(_pressed(belief, ended.feet, plan.press[following], seen, jnp.ones(6, bool)), zero, zero),
+        GRIP: lambda: Begun(_gripped(belief, ended.feet, plan.press[following], seen), zero, zero),
         REZERO: lambda: _with_error(plan, ended, seen),
     }
     first, *others = sorted(set(plan.onset))
@@ -64,10 +63,10 @@ def _regripped(belief: Case, commanded: Float[Array, "6 3"], seen: Observation) 
     return measured + jnp.sum((commanded - measured) * normal, axis=-1, keepdims=True) * normal
 
 
-def _pressed(
-    belief: Case, commanded: Float[Array, "6 3"], press: Float[Array, " 2"], seen: Observation, held: Bool[Array, " 6"]
+def _gripped(
+    belief: Case, commanded: Float[Array, "6 3"], press: Float[Array, " 2"], seen: Observation
 ) -> Float[Array, "6 3"]:
-    """Feet on free bodies, of those `held`, deeper than they are measured, and inward, to the base's middle plane.
+    """Feet on free bodies deeper than they are measured, and inward, to the base's middle plane.
 
     The others are regripped: feet on the ground need not be squeezed. A foot that bears nothing is as deep as it was
     commanded: pressed from where it hangs, it would stay in the air.
@@ -76,7 +75,7 @@ def _pressed(
     inward = -SIDE[:, None] * rotate(seen.quat, jnp.asarray(LEFT))
     regripped = _regripped(belief, commanded, seen)
     deep = jnp.where(seen.loaded[:, None], measured - press[0] * normal, regripped)
-    return jnp.where((on_body & held)[:, None], deep + press[1] * inward, regripped)
+    return jnp.where(on_body[:, None], deep + press[1] * inward, regripped)
 
 
 def _with_error(plan: Plan, ended: Stance, seen: Observation) -> Begun:

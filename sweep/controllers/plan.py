@@ -26,9 +26,8 @@ CYCLE_A, CYCLE_B, CYCLE_B_SMOOTH, HALF_ELLIPSE = range(4)  # swings; the third s
 LOCKED, LEVELLING, BALANCE = range(3)  # middle legs: as planned; as a flywheel that comes to rest, or that balances
 STEADY, SMOOTH, ELLIPTIC = range(3)  # how a body path is spent: by its rates, by lambda_1, as the half-ellipse swing
 # How a stage begins: with footholds and base shifted by the base's error; from the feet's measured places, at their
-# commanded depth or pressed as far beyond them as the stage says, those that bear something or all on a body; or just
-# from what was commanded.
-REZERO, REGRIP, PRESS, GRIP, KEEP = "rezero", "regrip", "press", "grip", "keep"
+# commanded depth or, on a free body, pressed as far beyond them as the stage says; or just from what was commanded.
+REZERO, REGRIP, GRIP, KEEP = "rezero", "regrip", "grip", "keep"
 
 
 class Stance(NamedTuple):

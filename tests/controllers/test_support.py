@@ -11,7 +11,7 @@ from sweep.controllers import onset, tracker
 from sweep.controllers.frames import fixed, koenig
 from sweep.controllers.manoeuvres.balancing.ball import on_ball, perch
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import PRESS, Stage, Stance, assemble
+from sweep.controllers.plan import GRIP, Stage, Stance, assemble
 from sweep.controllers.support import (
     KEPT,
     MEASURED,
@@ -89,19 +89,19 @@ def standing():
                                jnp.ones(6, bool), free_start(CASE.obstacle))  # fmt: skip
 
 
-def test_loaded_feet_are_pressed_in_and_inward(standing):
-    """From where they are measured, however they were commanded; one in the air is brought down as commanded."""
+def test_feet_that_grip_are_pressed_in_and_inward(standing):
+    """From where they are measured, however they were commanded; one in the air comes down as deep as commanded."""
     stance, seen = standing
-    plan = assemble(stance, [Stage("a", 1.0), Stage("b", 1.0, onset=PRESS, press=(2e-3, 3e-3))], 0.0)
+    plan = assemble(stance, [Stage("a", 1.0), Stage("b", 1.0, onset=GRIP, press=(2e-3, 3e-3))], 0.0)
     told = stance._replace(feet=stance.feet + 0.01)
     hangs = seen._replace(loaded=jnp.arange(6) > 0)
     feet = onset.begun(CASE, plan, jnp.asarray(1), told, hangs).feet
     normal = (stance.feet - seen.free.position[0]) / jnp.linalg.norm(stance.feet - seen.free.position[0], axis=1)[
         :, None
     ]
-    wanted = stance.feet - 2e-3 * normal - 3e-3 * jnp.array([0.0, 1.0, 0.0]) * jnp.sign(stance.feet[:, 1:2])
-    np.testing.assert_allclose(feet[1:], wanted[1:], atol=1e-5)
-    np.testing.assert_allclose(feet[0] - stance.feet[0], jnp.sum(0.01 * normal[0]) * normal[0], atol=1e-5)
+    inward = -3e-3 * jnp.array([0.0, 1.0, 0.0]) * jnp.sign(stance.feet[:, 1:2])
+    depth = jnp.full(6, 2e-3).at[0].set(-jnp.sum(0.01 * normal[0]))
+    np.testing.assert_allclose(feet, stance.feet - depth[:, None] * normal + inward, atol=1e-5)
 
 
 class Waits:
@@ -116,7 +116,7 @@ class Waits:
 def test_an_event_ends_a_stage_and_the_next_goes_on_from_there(standing):
     """The ball goes along x at 0.1 m/s, the base over it and rising; one foot is in the air."""
     stance, seen = standing
-    frames = {"foot_frames": (koenig(0),) + (fixed(0),) * 5, "base_frame": koenig(0), "onset": PRESS}
+    frames = {"foot_frames": (koenig(0),) + (fixed(0),) * 5, "base_frame": koenig(0), "onset": GRIP}
     centre = seen.free.position[0]
     up, foot = stance.position - centre + jnp.array([0.0, 0.0, 0.2]), stance.feet[0] - centre
     stages = [Stage("wait", 4.0, {1: foot + jnp.array([0.0, 0.0, 0.2])}, position=up, support=(), **frames),
