@@ -61,5 +61,6 @@ def simulate(
     v = np.zeros((len(q), top.model.nv)) if v is None else v
     states = jax.vmap(lambda q, v: rest(top, q)._replace(v=v))(jnp.asarray(q), jnp.asarray(v, q.dtype))
     args = devices.as_arrays(case), jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), states), jnp.asarray(references)
-    _, history = jax.jit(run)(*args)
+    # run once, it is not worth the minute or two that optimising it takes
+    _, history = jax.jit(run, compiler_options={"xla_backend_optimization_level": 0})(*args)
     return History(*[np.moveaxis(np.asarray(x, float), -1, 1) for x in history])
