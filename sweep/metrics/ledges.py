@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from sweep.controllers.plan import named
 from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment
@@ -14,17 +14,17 @@ THERE = 4e-3  # m, of a ball that has come to the far wall
 
 
 class Crossing(NamedTuple):
-    """How far the mass centre was past the ball's centre (m), whether the ball came, and how fast (m/s)."""
+    """How far the mass centre was past the ball's centre, how near the ball came to the far wall (m), and how fast."""
 
     past: Float[Array, ""]
-    arrived: Bool[Array, ""]
-    docking: Float[Array, ""]
+    gap: Float[Array, ""]
+    docking: Float[Array, ""]  # m/s
 
 
 def begin(start: Begin) -> Crossing:
     """Before it."""
     zero = jnp.zeros((), start.feet.dtype)
-    return Crossing(jnp.full_like(zero, -jnp.inf), jnp.zeros((), bool), zero)
+    return Crossing(jnp.full_like(zero, -jnp.inf), jnp.full_like(zero, jnp.inf), zero)
 
 
 def update(so_far: Crossing, now: Moment) -> Crossing:
@@ -33,20 +33,19 @@ def update(so_far: Crossing, now: Moment) -> Crossing:
     assert isinstance(ledges, Ledges)
     ball, speed = tick.free.position[0], tick.free.velocity[0, 0]
     ahead = tick.centre_of_mass[0] - ball[0]
-    past = jnp.where(
-        named(now.plan, now.stage, ON), ahead, jnp.where(named(now.plan, now.stage, OFF), -ahead, -jnp.inf)
-    )
-    there = ledges.width - ledges.radius - ball[0] < THERE
+    leaves = named(now.plan, now.stage, OFF)
+    past = jnp.where(named(now.plan, now.stage, ON), ahead, jnp.where(leaves, -ahead, -jnp.inf))
+    gap = jnp.minimum(so_far.gap, jnp.where(leaves, jnp.inf, ledges.width - ledges.radius - ball[0]))
     return Crossing(
         past=jnp.maximum(so_far.past, past),
-        arrived=so_far.arrived | there,
-        docking=jnp.where(so_far.arrived | ~there, so_far.docking, speed),
+        gap=gap,
+        docking=jnp.where((so_far.gap >= THERE) & (gap < THERE), speed, so_far.docking),
     )
 
 
 def figures(found: Crossing, at: Elapsed) -> dict[str, Array]:
     """See `METRIC`."""
-    return {"past_centre_max_m": found.past, "docking_speed_mps": found.docking}
+    return {"past_centre_max_m": found.past, "docking_gap_m": found.gap, "docking_speed_mps": found.docking}
 
 
 METRIC = Metric(
@@ -56,6 +55,7 @@ METRIC = Metric(
     {
         "past_centre_max_m": "farthest that the robot's mass centre was beyond the ball's, seen from the ledge that "
         "it leaves, or comes to",
+        "docking_gap_m": "least distance of the ball from the far wall before the robot began to leave it",
         "docking_speed_mps": f"speed of the ball when it first was within {1e3 * THERE:g} mm of the far wall",
     },
     (
@@ -66,6 +66,15 @@ METRIC = Metric(
             "past_centre_max_m",
             None,
             "m",
+        ),
+        Cause(
+            "goal_missed",
+            "the ball stayed farther from the far wall than docking_gap_max_m when the robot left it",
+            "docking_gap_m",
+            "docking_gap_max_m",
+            None,
+            "m",
+            known="end",
         ),
         Cause(
             "goal_missed",

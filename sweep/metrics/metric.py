@@ -19,9 +19,6 @@ from sweep.core.parameters import quantity
 from sweep.models.case import Case
 from sweep.models.obstacles.surface import Bodies, FreeState
 
-LOADED = 5.0  # N, from which a foot carries load and its friction demand means something
-
-
 LOADED = 1.0  # N, from which a foot carries load
 
 

@@ -39,8 +39,18 @@ def test_it_goes_from_ledge_to_ledge(engine):
     """The mass centre stays between edge and ball's centre; the ball comes to within 4 mm at less than 0.04 m/s."""
     rows = outcomes(["scenario=ball_ledges", f"engine={engine}"])
     assert rows["outcome"].tolist() == ["success"], rows["cause"]
+    assert rows["docking_gap_m"][0] < 4e-3
     assert rows["docking_speed_mps"][0] < 0.04
     assert rows["past_centre_max_m"][0] < 0.01
     assert rows["leg_gap_min_m"][0] > 0.02
     assert rows["clearance_min_m"][0] > 0
     assert rows["slip_max_m"][0] < 0.03
+
+
+@pytest.mark.slow
+def test_a_ball_that_stays_short_of_the_far_wall_misses_the_goal():
+    """500 kg do not come there within the steps there are; the robot gets over all the same, which does not count."""
+    rows = outcomes(["scenario=ball_ledges", "obstacle.mass=500", "engine.iterations=8"])
+    assert rows["cause"].tolist() == ["goal_missed"]
+    assert 0.01 < rows["docking_gap_m"][0] < 0.1
+    assert rows["docking_speed_mps"][0] == 0

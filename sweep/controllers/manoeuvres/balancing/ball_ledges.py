@@ -100,7 +100,9 @@ def there(ledges: Ledges) -> Array | float:
 class BallLedges(OnBall, InParts):
     """From ledge to ledge with a ball. Stages and their numbers are `TABLE`."""
 
-    goal: ClassVar = {**UPRIGHT, "docking_speed_max_mps": 0.04, "past_centre_max_m": 0.02}
+    goal: ClassVar = {
+        **UPRIGHT, "docking_gap_max_m": 4e-3, "docking_speed_max_mps": 0.04, "past_centre_max_m": 0.02
+    }  # fmt: skip
     kind: str = choice("ball_ledges", "ball_ledges")
     steps: int = count(34, at_least=1, at_most=200)  # that roll the ball, at most
     step_time: float = quantity(1.2, "s", above=0, at_most=20)  # of these steps
