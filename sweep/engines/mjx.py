@@ -329,12 +329,11 @@ class Mjx:
 
 
 def _fused(settings: EngineSettings, dynamics: str) -> bool:
-    """Whether this package's own compiler makes the closed loop: on a CPU by itself, on a GPU where it is asked for."""
-    device = jax.default_backend()
-    if settings.compiler == "fused" and device not in ("cpu", "gpu"):
+    """Whether this package's own compiler makes the closed loop, as it does where it can."""
+    known = (device := jax.default_backend()) in ("cpu", "gpu")
+    if settings.compiler == "fused" and not known:
         raise InputError(f"engine.compiler = fused is not allowed on a {device}: auto or xla")
-    asked = settings.compiler == "fused" or (settings.compiler == "auto" and device == "cpu")
-    return asked and dynamics == "arrowhead"
+    return settings.compiler != "xla" and known and dynamics == "arrowhead"
 
 
 def _with_new_plan(axes: Case) -> Callable[[Case, Plan, Carry], Carry]:

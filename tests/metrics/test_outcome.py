@@ -15,8 +15,8 @@ from sweep.study.config import compose
 STAGES = ("stand", "walk", "halt")
 STRICT = Thresholds(slip_max_m=0.02, ride_height_min_m=0.5, obstacle_moved_max_m=3.0, saturation_share_max=0.5,
                     feet_on_target_min=6.0, end_tilt_max_deg=3.0, progress_min=0.9, obstacle_speed_error_max_mps=0.01,
-                    obstacle_aside_max_m=0.02, obstacle_shift_max_m=1e-3, past_centre_max_m=0.02, docking_gap_max_m=4e-3,
-                    docking_speed_max_mps=0.04, second_ball_speed_max_mps=0.01)  # fmt: skip
+                    obstacle_aside_max_m=0.02, obstacle_shift_max_m=1e-3, past_centre_max_m=0.02,
+                    docking_gap_max_m=4e-3, docking_speed_max_mps=0.04, second_ball_speed_max_mps=0.01)  # fmt: skip
 
 
 def label(limits=STRICT, **changes):
