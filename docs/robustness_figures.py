@@ -77,14 +77,14 @@ def bound(rates: pd.DataFrame, scale: float, nominal: float) -> str:
 
 
 def bounds(folders: list[str]) -> None:
-    """Put these studies in `RATES`, in the place of others of the same scenario and robot; print all bounds."""
+    """Put these studies in `RATES`, in the place of the same errors of a scenario and robot; print all bounds."""
     rates = pd.read_csv(RATES)
     for folder in folders:
         found = results.read(Path(folder))
         control = found.exp.case.control
         learns = "learns" if control.touch != "none" else "calibrates" if control.calibrate != "none" else "believes"
-        same = (rates["scenario"] == found.exp.scenario) & (rates["robot"] == learns)
         new = sensitivity.along(found.rows, found.exp)
+        same = (rates["scenario"] == found.exp.scenario) & (rates["robot"] == learns) & rates["axis"].isin(new["axis"])
         new = new.assign(scenario=found.exp.scenario, robot=learns, commit=found.stored["commit"])
         rates = pd.concat([rates[~same], new[rates.columns]])
     rates.sort_values(["scenario", "robot"], kind="stable").to_csv(RATES, index=False, float_format="%.4g")
