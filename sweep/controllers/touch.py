@@ -28,6 +28,7 @@ COMING = 0.5  # of a swing, from where on a foot that bears load has landed
 DOUBT = 4.0  # deviations of what is measured on a foot in the air that do not yet make it stand
 TOO_FAR = 0.002  # m, that a foot in search of the surface may go on before it is told of the load on it
 YIELD = 0.5  # of what presses a foot too much as it lands, by which it yields in a tick
+CLEAR = 0.005  # m, that a foot may land outside of the planned surface; farther out it is lifted, by as much
 
 
 class Touched(NamedTuple):
@@ -53,7 +54,7 @@ def untouched(control: Control, obstacle: Obstacle) -> Touched:
     covariance = jnp.diag((control.obstacle_error * sizes) ** 2)
     caution = jnp.asarray(control.caution, float)
     known = _with(obstacle, sizes)
-    return _to_plan(Touched(known, known, covariance, jnp.ones(N_LEGS, bool), jnp.zeros(N_LEGS), caution))
+    return Touched(known, known, covariance, jnp.ones(N_LEGS, bool), jnp.zeros(N_LEGS), caution)
 
 
 def threshold(control: Control, noise: Noise) -> Array | float:
@@ -75,7 +76,8 @@ def standing(
     places = feet_in_world(robot, position, quat, angles)
     ground = fixed_surface(so_far.obstacle, start.feet)
     out = jnp.sum((places - start.feet) * ground.normal, axis=1)
-    return _to_plan(_known(so_far, places, out, ground.normal, _variance(control, noise), jnp.ones(N_LEGS, bool))[0])
+    known, _ = _known(so_far, places, out, ground.normal, _variance(control, noise), jnp.ones(N_LEGS, bool))
+    return known._replace(first=planned_for(known))
 
 
 def planned_for(touched: Touched) -> Obstacle:
@@ -107,8 +109,9 @@ def felt(
     `ground` is what the first plan was made for at the stage's footholds in it: of its face a foot is taken to be, as
     deep in it as planned. Where sizes are uncertain, a foot is told to stand so deep inside the surface
     that it has felt, along whose normal its command goes over; one that lands before its swing is over yields by what
-    it is pressed more; one that has come to the end of its swing in the air, or stands there, goes on inwards, once a
-    load would be known of, and no faster than that allows. Along the surface it stays where it is. Footholds of
+    it is pressed more, or, far outside of where it was to land, goes on to its place above the surface that it has
+    met; one that has come to the end of its swing in the air, or stands there, goes on inwards, once a load would be
+    known of, and no faster than that allows. Along the surface it stays where it is. Footholds of
     swinging feet are moved from where they are planned, those of the others from where they were told to be in the
     last tick.
     """
@@ -130,18 +133,16 @@ def felt(
     goes_on = searches & (stands | (state.clock >= plan.duration[stage] + untold))
     onwards = jnp.where(goes_on, jnp.minimum(step, TOO_FAR * period / jnp.maximum(untold, period)), 0.0)
     told = feet_in_world(robot, seen.position, seen.quat, state.joints)
-    pressed = jnp.sum((places - told) * normal, axis=1) - ground.depth
-    back = jnp.maximum(YIELD / (1 + noise.delay) * pressed, -jnp.maximum(left, 0.0))  # to where it was planned, at most
-    yields = jnp.where(comes & ~late & seen.loaded & uncertain, back, 0.0)
+    strain = jnp.sum((places - told) * normal, axis=1)  # m, by which it is held outside of where it is told to be
+    pressed = YIELD / (1 + noise.delay) * (strain - ground.depth)
+    back = jnp.maximum(pressed, -jnp.maximum(left, 0.0))  # to where it was planned, at most
+    lifted = jnp.where(strain > 0, jnp.maximum(out + CLEAR - left, 0.0), 0.0)
+    early = comes & ~late & seen.loaded & uncertain
+    yields = jnp.where(early, jnp.where(out > ground.depth + CLEAR, lifted, back), 0.0)
     moved = follows - onwards
     left = jnp.where(searches, left - onwards, left - follows + yields)
     moves = jnp.where(stands, moved, left)[:, None] * normal
     return known._replace(felt=has, left=left), moves, searches
-
-
-def _to_plan(touched: Touched) -> Touched:
-    """The same, from which the first plan is made."""
-    return touched._replace(first=planned_for(touched))
 
 
 def _variance(control: Control, noise: Noise) -> Array | float:

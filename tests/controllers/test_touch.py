@@ -115,6 +115,26 @@ def test_a_foot_that_finds_a_height_lower_than_cautiously_planned_stands_as_deep
     np.testing.assert_allclose(lower[stands], higher[stands], atol=1e-4)
 
 
+@pytest.mark.parametrize(("radius", "pressed", "moved"), [
+    (0.44, 0.002, 0.02 + DEEPENING + touch.CLEAR),  # far outside of where the pole should be: lifted off the true one
+    (0.44, -0.002, 0),  # it is on its way
+    (0.424, DEEPENING + 0.002, touch.YIELD * 0.002),  # nearly where it should be: gives way to what presses it more
+    (0.424, -0.002, 0),
+])  # fmt: skip
+def test_a_foot_that_lands_early_gives_way_or_is_lifted_clear(radius, pressed, moved):
+    plan, (stage, stance) = planned(), on_pole(radius)
+    swings = np.asarray(plan.swing[stage])
+    told = seen(stance._replace(feet=stance.feet.at[:, :2].multiply(1 - pressed / radius)))
+    clock = 0.75 * plan.duration[stage]
+    state = init(CASE, plan)._replace(stage=jnp.int32(stage), feet=stance.feet, joints=told.angles, clock=clock)
+    ground = fixed_surface(CASE.obstacle, plan.foothold[stage])
+    rest = plan, ground, state, untouched(), seen(stance), PERIOD
+    known, moves, searches = touch.felt(CASE.control, CASE.noise, CASE.robot, *rest)
+    np.testing.assert_allclose(np.sum(moves * ground.normal, axis=1)[swings], moved, atol=2e-4)
+    assert not np.any(np.asarray(searches)[swings])
+    assert not np.any(np.asarray(known.felt)[swings])  # it has not come to stand
+
+
 def test_a_foot_in_the_air_goes_on_inwards_so_far_and_no_farther():
     stage, stance = on_pole(0.43)
     for ticks, way in ((10, 10 * PERIOD * CASE.control.touch_speed), (200, touch.REACH)):
