@@ -111,18 +111,19 @@ def felt(
     that it has felt, along whose normal its command goes over; one that lands before its swing is over yields by what
     it is pressed more, or, far outside of where it was to land, goes on to its place above the surface that it has
     met; one that has come to the end of its swing in the air, or stands there, goes on inwards, once a load would be
-    known of, and no faster than that allows. Along the surface it stays where it is. Footholds of
-    swinging feet are moved from where they are planned, those of the others from where they were told to be in the
-    last tick.
+    known of, and no faster than that allows. Along the surface it stays where it is. Legs that are held by their joints
+    do nothing of this, since footholds tell them nothing. Footholds of swinging feet are moved from where they are
+    planned, those of the others from where they were told to be in the last tick.
     """
     stage, normal = state.stage, ground.normal
     places = feet_in_world(robot, seen.position, seen.quat, seen.angles)
     out = jnp.sum((places - plan.foothold[stage]) * normal, axis=1)
-    stands = ~plan.swing[stage]
+    free = jnp.ones(N_LEGS, bool) if plan.posture is None else ~plan.posture.held[stage]
+    stands = free & ~plan.swing[stage]
     new = stands & seen.loaded & ~so_far.felt
     known, uncertain = _known(so_far, places, out, normal, _variance(control, noise), new)
     outwards = jnp.sum((places - state.feet) * normal, axis=1) - ground.depth
-    comes = ~stands & (state.clock >= COMING * plan.duration[stage])
+    comes = free & plan.swing[stage] & (state.clock >= COMING * plan.duration[stage])
     left = jnp.where(stands | comes, jnp.where(new & uncertain, outwards, so_far.left), 0.0)
     has = stands & (so_far.felt | new)
     step = control.touch_speed * period

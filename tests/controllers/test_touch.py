@@ -143,6 +143,23 @@ def test_a_foot_in_the_air_goes_on_inwards_so_far_and_no_farther():
         np.testing.assert_allclose(moved, way, atol=1.01 * PERIOD * CASE.control.touch_speed)
 
 
+def test_a_leg_that_is_held_by_its_joints_does_not_search():
+    case = compose(["scenario=beam_cross", "control.touch=obstacle"]).case
+    plan = case.manoeuvre.plan(case)
+    stage = plan.names.index("narrow.1-4-5.down")
+    stance = reference(plan, jnp.int32(stage), jnp.ones(()), *begins(plan, jnp.int32(stage), no_bodies()))
+    state = init(case, plan)._replace(stage=jnp.int32(stage), feet=plan.foothold[stage], clock=plan.duration[stage])
+    known = touch.untouched(case.control, case.obstacle)._replace(felt=jnp.zeros(6, bool))
+    ground = fixed_surface(case.obstacle, plan.foothold[stage])
+    rest = plan, ground, state, known, seen(stance, loaded=False), PERIOD
+    _, moves, searches = touch.felt(case.control, case.noise, case.robot, *rest)
+    assert plan.posture is not None
+    held = np.asarray(plan.posture.held[stage])
+    assert held.sum() == 3
+    np.testing.assert_array_equal(searches, ~held)
+    np.testing.assert_array_equal(np.any(moves != 0, axis=1), ~held)
+
+
 def test_a_foot_that_is_told_late_of_its_load_goes_on_no_faster_than_that_allows():
     stage, stance = on_pole(0.43)
     late, ticks = 20.0, 50
