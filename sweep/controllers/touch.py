@@ -5,6 +5,7 @@ equation for the obstacle's sizes; recursive least squares take in one after the
 """
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -20,7 +21,7 @@ from sweep.models.control import Control
 from sweep.models.legs import N_LEGS
 from sweep.models.noise import Noise
 from sweep.models.obstacles.fixed import Fixed
-from sweep.models.obstacles.surface import Obstacle, Surface, fixed_surface
+from sweep.models.obstacles.surface import Obstacle, Surface, fixed_surface, free_start, poses
 from sweep.models.robot import Robot
 
 REACH = 0.04  # m, how far a foot that finds no surface goes on beyond where it is planned
@@ -43,7 +44,9 @@ class Touched(NamedTuple):
 
 
 def names(obstacle: Obstacle | type[Obstacle]) -> tuple[str, ...]:
-    """The obstacle's sizes."""
+    """The obstacle's sizes that can be learned: of one that moves those that lying on the floor tells."""
+    if obstacle.free_bodies:  # pyright: ignore[reportAttributeAccessIssue]
+        return getattr(obstacle, "lying", ())
     fields = dataclasses.fields(obstacle)  # pyright: ignore[reportArgumentType]
     return tuple(f.name for f in fields if f.metadata.get("role") == "quantity")
 
@@ -78,6 +81,18 @@ def standing(
     out = jnp.sum((places - start.feet) * ground.normal, axis=1)
     known, _ = _known(so_far, places, out, ground.normal, _variance(control, noise), jnp.ones(N_LEGS, bool))
     return known._replace(first=planned_for(known))
+
+
+def lying(control: Control, noise: Noise, so_far: Touched, places: Float[Array, "k 3"]) -> Touched:
+    """What is known when the obstacle's free bodies lie on the floor with their centres at `places` (m)."""
+    bodies = poses(free_start(so_far.obstacle))._replace(position=places)
+    owner = tuple(range(len(so_far.obstacle.free_bodies)))
+
+    def inside(x: Array) -> Array:
+        return _with(so_far.obstacle, x).surface(places, owner, bodies).depth
+
+    variance = control.touch_error**2 + noise.body_position_noise**2 + noise.body_position_bias**2
+    return _taken_in(so_far, inside, variance, jnp.ones(len(owner), bool))[0]
 
 
 def planned_for(touched: Touched) -> Obstacle:
@@ -163,12 +178,22 @@ def _known(
 
     `places` are outside of where they are planned by `out` (m) along the normal.
     """
-    sizes = _sizes(so_far.obstacle)
 
     def inside(x: Array) -> Array:
         """Taken at the planned depth: deep inside what is believed another face may be nearer."""
         return fixed_surface(_with(so_far.obstacle, x), places - out[:, None] * normal).depth - out
 
+    return _taken_in(so_far, inside, variance, counts)
+
+
+def _taken_in(
+    so_far: Touched, inside: Callable[[Array], Array], variance: Array | float, counts: Bool[Array, " m"]
+) -> tuple[Touched, Bool[Array, " m"]]:
+    """Sizes after those points that count were found at the surface, and at which it was uncertain.
+
+    `inside` says how deep (m) in the surface they are by given sizes.
+    """
+    sizes = _sizes(so_far.obstacle)
     slopes = jax.jacfwd(inside)(sizes)
     uncertain = jnp.sum((slopes @ so_far.covariance) * slopes, axis=1) > 0
     sizes, covariance = _least_squares(sizes, so_far.covariance, inside(sizes), slopes, variance, counts)
@@ -185,7 +210,7 @@ def _least_squares(
 ) -> tuple[Float[Array, " n"], Float[Array, "n n"]]:
     """Sizes and their covariance after those of m points that count were found at the surface, one after the other."""
     first = sizes
-    for k in range(N_LEGS):
+    for k in range(slopes.shape[0]):
         slope = slopes[k]
         spread = covariance @ slope
         gain = jnp.where(counts[k], spread / (slope @ spread + variance), 0.0)

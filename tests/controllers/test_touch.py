@@ -17,11 +17,12 @@ from sweep.controllers.touch import Touched
 from sweep.controllers.tracker import init, joint_targets
 from sweep.core.errors import InputError
 from sweep.engines import make
-from sweep.engines.prelude import prepared
+from sweep.engines.prelude import places, prepared
 from sweep.models.noise import Noise
+from sweep.models.obstacles.ball import Ball
 from sweep.models.obstacles.kerb import Kerb
 from sweep.models.obstacles.pole_ledge import PoleLedge
-from sweep.models.obstacles.surface import fixed_surface, no_bodies
+from sweep.models.obstacles.surface import fixed_surface, free_start, no_bodies
 from sweep.study.config import compose
 
 PERIOD, DEEPENING = 4e-3, 5e-3
@@ -195,6 +196,24 @@ def test_heights_are_planned_for_as_larger_until_a_foot_stands_there():
     np.testing.assert_allclose(touch.planned_for(found).height, top, atol=1e-3)
 
 
+@pytest.mark.parametrize("scenario", ["ball_climb", "ball_to_ball", "ball_ledges"])
+def test_balls_tell_their_radius_by_how_high_they_lie(scenario):
+    belief = compose([f"scenario={scenario}", "control.touch=obstacle"]).case
+    larger = 1.01 * belief.on(Ball).radius
+    world = dataclasses.replace(belief, obstacle=dataclasses.replace(belief.on(Ball), radius=larger))
+    for bias in (0.0, 0.01):
+        key, noise = jax.random.key(3), Noise(body_position_bias=bias)
+        seen = places(dataclasses.replace(world, noise=noise), key)
+        np.testing.assert_allclose(seen, free_start(world.obstacle).position, atol=4 * bias + 1e-6)
+        nothing = touch.untouched(belief.control, belief.obstacle)
+        found = touch.lying(belief.control, noise, nothing, seen)
+        deviation = float(np.sqrt(found.covariance[0, 0]))
+        assert deviation > 0.5 * bias  # two balls tell as much twice
+        np.testing.assert_allclose(sizes(found), [larger], atol=4 * deviation if bias else 1e-4)
+    before = dataclasses.replace(found.obstacle, radius=belief.on(Ball).radius)
+    assert before == belief.obstacle
+
+
 def test_what_is_left_of_the_way_is_planned_for_the_pole_that_was_found():
     plan, found = planned(), dataclasses.replace(CASE.on(PoleLedge), radius=0.43)
     other = dataclasses.replace(CASE, obstacle=found)
@@ -222,7 +241,8 @@ def test_a_plan_out_of_reach_is_told_as_soon_as_it_is_made():
 
 @pytest.mark.parametrize(
     ("overrides", "message"),
-    [(["scenario=ball_balance", "control.touch=obstacle"], "control.touch = obstacle is not allowed: obstacle = ball"),
+    [(["scenario=raft_cross", "control.touch=obstacle"], "control.touch = obstacle is not allowed: obstacle = raft"),
+     (["scenario=ball_climb", "control=learn"], "control.replan = touched is not allowed: obstacle = ball may move"),
      (["scenario=walk_tripod", "control.replan=touched"], "control.replan = touched is not allowed: it needs")],
 )  # fmt: skip
 def test_what_a_robot_cannot_do_is_refused_in_one_line(overrides, message):
