@@ -53,7 +53,7 @@ def felt(
     period: float,
 ) -> tuple[TrackerState, Plan, Learned | None]:
     """Footholds, plan, and what is known, after a tick of touching. `belief` and `plan` are those of the start."""
-    if learned is None or learned.touched is None:
+    if learned is None or learned.touched is None or belief.obstacle.free_bodies:
         return state, newest(plan, learned), learned
     ground = fixed_surface(learned.touched.first, plan.foothold[state.stage])
     robot, now = informed(belief, learned).robot, newest(plan, learned)

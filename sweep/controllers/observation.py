@@ -40,11 +40,11 @@ class Biases(NamedTuple):
 
 
 class Sensors(NamedTuple):
-    """A rollout's biases and the last true observations, newest first."""
+    """A rollout's biases and the true observations before this one, newest first."""
 
     bias: Biases
     free_bias: Float[Array, "k 4 3"]  # of position, orientation, velocity and turning
-    past: Observation  # leaves (delay_buffer + 1, ...)
+    past: Observation  # leaves (delay_buffer, ...), at least one
 
 
 def biases(noise: Noise, key: Array) -> Biases:
@@ -58,12 +58,16 @@ def biases(noise: Noise, key: Array) -> Biases:
     return Biases(position, turn, velocity, joint, load)
 
 
+def free_biases(noise: Noise, key: Array, free: FreeState) -> Float[Array, "k 4 3"]:
+    """Those of the free bodies' position, orientation, velocity and turning."""
+    sizes = (noise.body_position_bias, noise.body_orientation_bias, noise.body_velocity_bias, noise.body_turn_bias)
+    return _scatter(jax.random.fold_in(key, FREE), sizes, free)
+
+
 def install(noise: Noise, key: Array, truth: Observation) -> Sensors:
     """The biases that `key` draws; before the rollout's start everything was as `truth`."""
-    sizes = (noise.body_position_bias, noise.body_orientation_bias, noise.body_velocity_bias, noise.body_turn_bias)
-    free = _scatter(jax.random.fold_in(key, FREE), sizes, truth.free)
-    past = jax.tree.map(lambda x: jnp.broadcast_to(x, (noise.delay_buffer + 1, *x.shape)), truth)
-    return Sensors(biases(noise, key), free, past)
+    past = jax.tree.map(lambda x: jnp.broadcast_to(x, (max(noise.delay_buffer, 1), *x.shape)), truth)
+    return Sensors(biases(noise, key), free_biases(noise, key, truth.free), past)
 
 
 def observe(noise: Noise, sensors: Sensors, truth: Observation, key: Array) -> tuple[Sensors, Observation]:

@@ -5,6 +5,7 @@ equation for the obstacle's sizes; recursive least squares take in one after the
 """
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -20,7 +21,7 @@ from sweep.models.control import Control
 from sweep.models.legs import N_LEGS
 from sweep.models.noise import Noise
 from sweep.models.obstacles.fixed import Fixed
-from sweep.models.obstacles.surface import Obstacle, Surface, fixed_surface
+from sweep.models.obstacles.surface import Obstacle, Surface, fixed_surface, free_start, poses
 from sweep.models.robot import Robot
 
 REACH = 0.04  # m, how far a foot that finds no surface goes on beyond where it is planned
@@ -28,6 +29,7 @@ COMING = 0.5  # of a swing, from where on a foot that bears load has landed
 DOUBT = 4.0  # deviations of what is measured on a foot in the air that do not yet make it stand
 TOO_FAR = 0.002  # m, that a foot in search of the surface may go on before it is told of the load on it
 YIELD = 0.5  # of what presses a foot too much as it lands, by which it yields in a tick
+CLEAR = 0.005  # m, that a foot may land outside of the planned surface; farther out it is lifted, by as much
 
 
 class Touched(NamedTuple):
@@ -42,7 +44,9 @@ class Touched(NamedTuple):
 
 
 def names(obstacle: Obstacle | type[Obstacle]) -> tuple[str, ...]:
-    """The obstacle's sizes."""
+    """The obstacle's sizes that can be learned: of one that moves those that lying on the floor tells."""
+    if obstacle.free_bodies:  # pyright: ignore[reportAttributeAccessIssue]
+        return getattr(obstacle, "lying", ())
     fields = dataclasses.fields(obstacle)  # pyright: ignore[reportArgumentType]
     return tuple(f.name for f in fields if f.metadata.get("role") == "quantity")
 
@@ -53,7 +57,7 @@ def untouched(control: Control, obstacle: Obstacle) -> Touched:
     covariance = jnp.diag((control.obstacle_error * sizes) ** 2)
     caution = jnp.asarray(control.caution, float)
     known = _with(obstacle, sizes)
-    return _to_plan(Touched(known, known, covariance, jnp.ones(N_LEGS, bool), jnp.zeros(N_LEGS), caution))
+    return Touched(known, known, covariance, jnp.ones(N_LEGS, bool), jnp.zeros(N_LEGS), caution)
 
 
 def threshold(control: Control, noise: Noise) -> Array | float:
@@ -75,7 +79,20 @@ def standing(
     places = feet_in_world(robot, position, quat, angles)
     ground = fixed_surface(so_far.obstacle, start.feet)
     out = jnp.sum((places - start.feet) * ground.normal, axis=1)
-    return _to_plan(_known(so_far, places, out, ground.normal, _variance(control, noise), jnp.ones(N_LEGS, bool))[0])
+    known, _ = _known(so_far, places, out, ground.normal, _variance(control, noise), jnp.ones(N_LEGS, bool))
+    return known._replace(first=planned_for(known))
+
+
+def lying(control: Control, noise: Noise, so_far: Touched, places: Float[Array, "k 3"]) -> Touched:
+    """What is known when the obstacle's free bodies lie on the floor with their centres at `places` (m)."""
+    bodies = poses(free_start(so_far.obstacle))._replace(position=places)
+    owner = tuple(range(len(so_far.obstacle.free_bodies)))
+
+    def inside(x: Array) -> Array:
+        return _with(so_far.obstacle, x).surface(places, owner, bodies).depth
+
+    variance = control.touch_error**2 + noise.body_position_noise**2 + noise.body_position_bias**2
+    return _taken_in(so_far, inside, variance, jnp.ones(len(owner), bool))[0]
 
 
 def planned_for(touched: Touched) -> Obstacle:
@@ -107,19 +124,21 @@ def felt(
     `ground` is what the first plan was made for at the stage's footholds in it: of its face a foot is taken to be, as
     deep in it as planned. Where sizes are uncertain, a foot is told to stand so deep inside the surface
     that it has felt, along whose normal its command goes over; one that lands before its swing is over yields by what
-    it is pressed more; one that has come to the end of its swing in the air, or stands there, goes on inwards, once a
-    load would be known of, and no faster than that allows. Along the surface it stays where it is. Footholds of
-    swinging feet are moved from where they are planned, those of the others from where they were told to be in the
-    last tick.
+    it is pressed more, or, far outside of where it was to land, goes on to its place above the surface that it has
+    met; one that has come to the end of its swing in the air, or stands there, goes on inwards, once a load would be
+    known of, and no faster than that allows. Along the surface it stays where it is. Legs that are held by their joints
+    do nothing of this, since footholds tell them nothing. Footholds of swinging feet are moved from where they are
+    planned, those of the others from where they were told to be in the last tick.
     """
     stage, normal = state.stage, ground.normal
     places = feet_in_world(robot, seen.position, seen.quat, seen.angles)
     out = jnp.sum((places - plan.foothold[stage]) * normal, axis=1)
-    stands = ~plan.swing[stage]
+    free = jnp.ones(N_LEGS, bool) if plan.posture is None else ~plan.posture.held[stage]
+    stands = free & ~plan.swing[stage]
     new = stands & seen.loaded & ~so_far.felt
     known, uncertain = _known(so_far, places, out, normal, _variance(control, noise), new)
     outwards = jnp.sum((places - state.feet) * normal, axis=1) - ground.depth
-    comes = ~stands & (state.clock >= COMING * plan.duration[stage])
+    comes = free & plan.swing[stage] & (state.clock >= COMING * plan.duration[stage])
     left = jnp.where(stands | comes, jnp.where(new & uncertain, outwards, so_far.left), 0.0)
     has = stands & (so_far.felt | new)
     step = control.touch_speed * period
@@ -130,18 +149,16 @@ def felt(
     goes_on = searches & (stands | (state.clock >= plan.duration[stage] + untold))
     onwards = jnp.where(goes_on, jnp.minimum(step, TOO_FAR * period / jnp.maximum(untold, period)), 0.0)
     told = feet_in_world(robot, seen.position, seen.quat, state.joints)
-    pressed = jnp.sum((places - told) * normal, axis=1) - ground.depth
-    back = jnp.maximum(YIELD / (1 + noise.delay) * pressed, -jnp.maximum(left, 0.0))  # to where it was planned, at most
-    yields = jnp.where(comes & ~late & seen.loaded & uncertain, back, 0.0)
+    strain = jnp.sum((places - told) * normal, axis=1)  # m, by which it is held outside of where it is told to be
+    pressed = YIELD / (1 + noise.delay) * (strain - ground.depth)
+    back = jnp.maximum(pressed, -jnp.maximum(left, 0.0))  # to where it was planned, at most
+    lifted = jnp.where(strain > 0, jnp.maximum(out + CLEAR - left, 0.0), 0.0)
+    early = comes & ~late & seen.loaded & uncertain
+    yields = jnp.where(early, jnp.where(out > ground.depth + CLEAR, lifted, back), 0.0)
     moved = follows - onwards
     left = jnp.where(searches, left - onwards, left - follows + yields)
     moves = jnp.where(stands, moved, left)[:, None] * normal
     return known._replace(felt=has, left=left), moves, searches
-
-
-def _to_plan(touched: Touched) -> Touched:
-    """The same, from which the first plan is made."""
-    return touched._replace(first=planned_for(touched))
 
 
 def _variance(control: Control, noise: Noise) -> Array | float:
@@ -161,12 +178,22 @@ def _known(
 
     `places` are outside of where they are planned by `out` (m) along the normal.
     """
-    sizes = _sizes(so_far.obstacle)
 
     def inside(x: Array) -> Array:
         """Taken at the planned depth: deep inside what is believed another face may be nearer."""
         return fixed_surface(_with(so_far.obstacle, x), places - out[:, None] * normal).depth - out
 
+    return _taken_in(so_far, inside, variance, counts)
+
+
+def _taken_in(
+    so_far: Touched, inside: Callable[[Array], Array], variance: Array | float, counts: Bool[Array, " m"]
+) -> tuple[Touched, Bool[Array, " m"]]:
+    """Sizes after those points that count were found at the surface, and at which it was uncertain.
+
+    `inside` says how deep (m) in the surface they are by given sizes.
+    """
+    sizes = _sizes(so_far.obstacle)
     slopes = jax.jacfwd(inside)(sizes)
     uncertain = jnp.sum((slopes @ so_far.covariance) * slopes, axis=1) > 0
     sizes, covariance = _least_squares(sizes, so_far.covariance, inside(sizes), slopes, variance, counts)
@@ -183,7 +210,7 @@ def _least_squares(
 ) -> tuple[Float[Array, " n"], Float[Array, "n n"]]:
     """Sizes and their covariance after those of m points that count were found at the surface, one after the other."""
     first = sizes
-    for k in range(N_LEGS):
+    for k in range(slopes.shape[0]):
         slope = slopes[k]
         spread = covariance @ slope
         gain = jnp.where(counts[k], spread / (slope @ spread + variance), 0.0)

@@ -6,12 +6,12 @@ that joint angles follow from the true sizes. `bench/calibration.py` compares th
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from sweep.controllers import calibration, touch
 from sweep.controllers.calibration import HEIGHT, MOVES, Ground, Measured
 from sweep.controllers.learned import Learned, informed
-from sweep.controllers.observation import biases
+from sweep.controllers.observation import biases, free_biases
 from sweep.controllers.plan import Plan, Stance
 from sweep.controllers.posture import feet_in_world
 from sweep.controllers.tracker import joint_targets
@@ -24,7 +24,7 @@ from sweep.models.obstacles.surface import Surface, free_start, poses
 
 LEVEL = 5e-3  # m, within which feet are on one plane: footholds may lie below it
 FLAT = 1e-5  # within which ground is the floor, z = 0
-ERRORS = 1  # folded into a rollout's key to draw the errors of calibration
+ERRORS, PLACES = 1, 2  # folded into a rollout's key to draw the errors of calibration, and of the bodies' places
 
 
 def prepared(world: Case, belief: Case, key: Array) -> tuple[Case, Plan, Learned | None]:
@@ -38,9 +38,12 @@ def prepared(world: Case, belief: Case, key: Array) -> tuple[Case, Plan, Learned
         calibrated = calibration.estimate(control, belief.noise, belief.robot, _ground(belief, plan), seen)
         learned = learned._replace(calibrated=calibrated)
     if control.touch != "none":
-        at_first = seen.position[0], seen.quat[0], seen.angles[0]
-        robot, nothing = informed(belief, learned).robot, touch.untouched(control, belief.obstacle)
-        touched = touch.standing(control, belief.noise, robot, plan.start, nothing, *at_first)
+        nothing = touch.untouched(control, belief.obstacle)
+        if belief.obstacle.free_bodies:
+            touched = touch.lying(control, belief.noise, nothing, places(world, key))
+        else:
+            robot, at_first = informed(belief, learned).robot, (seen.position[0], seen.quat[0], seen.angles[0])
+            touched = touch.standing(control, belief.noise, robot, plan.start, nothing, *at_first)
         learned = learned._replace(touched=touched)
     belief = informed(belief, learned)
     plan = belief.manoeuvre.plan(belief)
@@ -52,11 +55,15 @@ def prepared(world: Case, belief: Case, key: Array) -> tuple[Case, Plan, Learned
 def check(world: Case, belief: Case, plan: Plan) -> None:
     """Raises `InputError` where `control` asks for what this robot cannot do.
 
-    To calibrate itself it has to start with all feet on one plane; it touches what rests, and plans again by that.
+    To calibrate itself it has to start with all feet on one plane; it touches what rests, and plans again by that. Of
+    what moves only balls can be learned, as they lie.
     """
     control, obstacle = world.control, belief.obstacle
-    if control.touch != "none" and obstacle.free_bodies:
-        raise InputError(f"control.touch = {control.touch} is not allowed: obstacle = {obstacle.kind} may move")
+    learns = {"touch": control.touch != "none" and not touch.names(obstacle), "replan": control.replan != "never"}
+    for name, not_allowed in learns.items():
+        if not_allowed and obstacle.free_bodies:
+            asked = f"control.{name} = {getattr(control, name)} is not allowed"
+            raise InputError(f"{asked}: obstacle = {obstacle.kind} may move")
     if control.replan != "never" and control.touch == "none":
         raise InputError(f"control.replan = {control.replan} is not allowed: it needs control.touch = obstacle")
     if world.control.calibrate == "none":
@@ -80,6 +87,14 @@ def _ground(belief: Case, plan: Plan) -> Ground:
     normal = surface.normal[0]
     point = foot + surface.depth[0] * normal
     return Ground(point, normal, (jnp.abs(point[2]) > FLAT) | (normal[2] < 1 - FLAT))
+
+
+def places(world: Case, key: Array) -> Float[Array, "k 3"]:
+    """Where the sensors of a rollout see the obstacle's free bodies (m) before it begins."""
+    noise, free = world.noise, free_start(world.obstacle)
+    bias = free_biases(noise, jax.random.split(key)[0], free)[:, 0]
+    draws = jax.random.normal(jax.random.fold_in(key, PLACES), free.position.shape, float)
+    return free.position + bias + noise.body_position_noise / jnp.sqrt(world.control.samples) * draws
 
 
 def measured(world: Case, start: Start, key: Array) -> Measured:

@@ -42,8 +42,8 @@ def units(obstacle: Obstacle | type[Obstacle]) -> dict[str, str]:
 
 
 def _columns() -> dict[str, str]:
-    """Of the obstacles that rest."""
-    sizes = {(n, u) for cls in OBSTACLES.values() if cls.free_bodies == () for n, u in units(cls).items()}
+    """Of every obstacle."""
+    sizes = {(n, u) for cls in OBSTACLES.values() for n, u in units(cls).items()}
     told = {}
     for name, unit in sorted(sizes):
         told[f"learned_{name}_{unit}"] = f"the obstacle's {name.replace('_', ' ')}, as touching it has told"

@@ -21,7 +21,7 @@ class Control:
     slip: float = quantity(0.001, "m", above=0, at_most=0.1)
     # measured load from which on a foot counts as standing, whatever is learned; as noise needs, it is higher
     load_threshold: float = quantity(1.0, "N", above=0, at_most=1000)
-    # what the robot learns from where its feet come to stand: the sizes of the obstacle
+    # what the robot learns from where its feet come to stand, of balls from how high they lie: the obstacle's sizes
     touch: str = choice("none", "none", "obstacle")
     # deviation of each believed size of the obstacle, relative: what touching takes for possible before it begins
     obstacle_error: float = quantity(0.03, "-", above=0, at_most=0.2)

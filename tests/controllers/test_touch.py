@@ -17,11 +17,12 @@ from sweep.controllers.touch import Touched
 from sweep.controllers.tracker import init, joint_targets
 from sweep.core.errors import InputError
 from sweep.engines import make
-from sweep.engines.prelude import prepared
+from sweep.engines.prelude import places, prepared
 from sweep.models.noise import Noise
+from sweep.models.obstacles.ball import Ball
 from sweep.models.obstacles.kerb import Kerb
 from sweep.models.obstacles.pole_ledge import PoleLedge
-from sweep.models.obstacles.surface import fixed_surface, no_bodies
+from sweep.models.obstacles.surface import fixed_surface, free_start, no_bodies
 from sweep.study.config import compose
 
 PERIOD, DEEPENING = 4e-3, 5e-3
@@ -115,12 +116,49 @@ def test_a_foot_that_finds_a_height_lower_than_cautiously_planned_stands_as_deep
     np.testing.assert_allclose(lower[stands], higher[stands], atol=1e-4)
 
 
+@pytest.mark.parametrize(("radius", "pressed", "moved"), [
+    (0.44, 0.002, 0.02 + DEEPENING + touch.CLEAR),  # far outside of where the pole should be: lifted off the true one
+    (0.44, -0.002, 0),  # it is on its way
+    (0.424, DEEPENING + 0.002, touch.YIELD * 0.002),  # nearly where it should be: gives way to what presses it more
+    (0.424, -0.002, 0),
+])  # fmt: skip
+def test_a_foot_that_lands_early_gives_way_or_is_lifted_clear(radius, pressed, moved):
+    plan, (stage, stance) = planned(), on_pole(radius)
+    swings = np.asarray(plan.swing[stage])
+    told = seen(stance._replace(feet=stance.feet.at[:, :2].multiply(1 - pressed / radius)))
+    clock = 0.75 * plan.duration[stage]
+    state = init(CASE, plan)._replace(stage=jnp.int32(stage), feet=stance.feet, joints=told.angles, clock=clock)
+    ground = fixed_surface(CASE.obstacle, plan.foothold[stage])
+    rest = plan, ground, state, untouched(), seen(stance), PERIOD
+    known, moves, searches = touch.felt(CASE.control, CASE.noise, CASE.robot, *rest)
+    np.testing.assert_allclose(np.sum(moves * ground.normal, axis=1)[swings], moved, atol=2e-4)
+    assert not np.any(np.asarray(searches)[swings])
+    assert not np.any(np.asarray(known.felt)[swings])  # it has not come to stand
+
+
 def test_a_foot_in_the_air_goes_on_inwards_so_far_and_no_farther():
     stage, stance = on_pole(0.43)
     for ticks, way in ((10, 10 * PERIOD * CASE.control.touch_speed), (200, touch.REACH)):
         _, feet = walk_on(stage, stance, ticks, loaded=False)
         moved = from_axis(planned().foothold[stage]) - from_axis(feet)
         np.testing.assert_allclose(moved, way, atol=1.01 * PERIOD * CASE.control.touch_speed)
+
+
+def test_a_leg_that_is_held_by_its_joints_does_not_search():
+    case = compose(["scenario=beam_cross", "control.touch=obstacle"]).case
+    plan = case.manoeuvre.plan(case)
+    stage = plan.names.index("narrow.1-4-5.down")
+    stance = reference(plan, jnp.int32(stage), jnp.ones(()), *begins(plan, jnp.int32(stage), no_bodies()))
+    state = init(case, plan)._replace(stage=jnp.int32(stage), feet=plan.foothold[stage], clock=plan.duration[stage])
+    known = touch.untouched(case.control, case.obstacle)._replace(felt=jnp.zeros(6, bool))
+    ground = fixed_surface(case.obstacle, plan.foothold[stage])
+    rest = plan, ground, state, known, seen(stance, loaded=False), PERIOD
+    _, moves, searches = touch.felt(case.control, case.noise, case.robot, *rest)
+    assert plan.posture is not None
+    held = np.asarray(plan.posture.held[stage])
+    assert held.sum() == 3
+    np.testing.assert_array_equal(searches, ~held)
+    np.testing.assert_array_equal(np.any(moves != 0, axis=1), ~held)
 
 
 def test_a_foot_that_is_told_late_of_its_load_goes_on_no_faster_than_that_allows():
@@ -158,6 +196,24 @@ def test_heights_are_planned_for_as_larger_until_a_foot_stands_there():
     np.testing.assert_allclose(touch.planned_for(found).height, top, atol=1e-3)
 
 
+@pytest.mark.parametrize("scenario", ["ball_climb", "ball_to_ball", "ball_ledges"])
+def test_balls_tell_their_radius_by_how_high_they_lie(scenario):
+    belief = compose([f"scenario={scenario}", "control.touch=obstacle"]).case
+    larger = 1.01 * belief.on(Ball).radius
+    world = dataclasses.replace(belief, obstacle=dataclasses.replace(belief.on(Ball), radius=larger))
+    for bias in (0.0, 0.01):
+        key, noise = jax.random.key(3), Noise(body_position_bias=bias)
+        seen = places(dataclasses.replace(world, noise=noise), key)
+        np.testing.assert_allclose(seen, free_start(world.obstacle).position, atol=4 * bias + 1e-6)
+        nothing = touch.untouched(belief.control, belief.obstacle)
+        found = touch.lying(belief.control, noise, nothing, seen)
+        deviation = float(np.sqrt(found.covariance[0, 0]))
+        assert deviation > 0.5 * bias  # two balls tell as much twice
+        np.testing.assert_allclose(sizes(found), [larger], atol=4 * deviation if bias else 1e-4)
+    before = dataclasses.replace(found.obstacle, radius=belief.on(Ball).radius)
+    assert before == belief.obstacle
+
+
 def test_what_is_left_of_the_way_is_planned_for_the_pole_that_was_found():
     plan, found = planned(), dataclasses.replace(CASE.on(PoleLedge), radius=0.43)
     other = dataclasses.replace(CASE, obstacle=found)
@@ -185,7 +241,8 @@ def test_a_plan_out_of_reach_is_told_as_soon_as_it_is_made():
 
 @pytest.mark.parametrize(
     ("overrides", "message"),
-    [(["scenario=ball_balance", "control.touch=obstacle"], "control.touch = obstacle is not allowed: obstacle = ball"),
+    [(["scenario=raft_cross", "control.touch=obstacle"], "control.touch = obstacle is not allowed: obstacle = raft"),
+     (["scenario=ball_climb", "control=learn"], "control.replan = touched is not allowed: obstacle = ball may move"),
      (["scenario=walk_tripod", "control.replan=touched"], "control.replan = touched is not allowed: it needs")],
 )  # fmt: skip
 def test_what_a_robot_cannot_do_is_refused_in_one_line(overrides, message):

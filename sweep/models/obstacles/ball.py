@@ -1,5 +1,7 @@
 """A homogeneous ball that lies on the floor and is free to roll (monograph 3.1)."""
 
+from typing import ClassVar
+
 import jax.numpy as jnp
 import mujoco
 import numpy as np
@@ -28,6 +30,7 @@ class Ball:
     speed: float = quantity(0.0, "m/s")  # of its centre at the start, with which it rolls
     course: float = quantity(0.0, "rad")  # direction of that speed, from the world's x axis
 
+    lying: ClassVar = ("radius",)  # sizes that say how high the balls' centres are
     free_bodies = ("ball",)
     contact_sites = (("ball", 0),)
 
