@@ -20,14 +20,16 @@ from sweep.models.obstacles.surface import FreeState
 # height where it is
 MEASURED, TO_VELOCITY, TO_POSE, TOGETHER, KEPT, ALONGSIDE = range(6)
 STILL, LEVEL = np.zeros(3, np.float32), np.array([1, 0, 0, 0], np.float32)
+LOWEST = np.array([-np.inf, -np.inf, 0], np.float32)  # m/s, least velocity of what stands on a floor
 
 
 class Support(NamedTuple):
     """How a free body is meant to move from where it is seen when a stage begins; of a plan, over S stages, k bodies.
 
     To the velocity (with its rate of turning) that it has at the stage's end, at constant acceleration: monograph
-    (3.3.5), also to rest. To a pose, spent by lambda_1. Together: as the mean of all bodies has moved and turned. Kept:
-    not from where it is seen, so that it is pulled back there.
+    (3.3.5), also to rest. Not from one into the floor: a body that chatters on it falls for a step now and then, and
+    would be meant to go on and sink by millimetres. To a pose, spent by lambda_1. Together: as the mean of all bodies
+    has moved and turned. Kept: not from where it is seen, so that it is pulled back there.
     """
 
     mode: Int[Array, "*b"] | int = MEASURED
@@ -47,11 +49,12 @@ def meant(support: Support, start: FreeState, seen: FreeState, clock: Array, dur
     """
     time = jnp.minimum(clock, duration)
     share = time / duration
-    goes, turns = (then - now for then, now in ((support.velocity, start.velocity), (support.turn, start.turn)))
+    first = jnp.maximum(start.velocity, LOWEST)
+    goes, turns = (then - now for then, now in ((support.velocity, first), (support.turn, start.turn)))
     to_velocity = FreeState(
-        start.position + time * (start.velocity + 0.5 * share * goes),
+        start.position + time * (first + 0.5 * share * goes),
         multiply(exponential(time * (start.turn + 0.5 * share * turns)), start.quat),
-        start.velocity + share * goes,
+        first + share * goes,
         start.turn + share * turns,
     )
     done, rate = stepping.lambda_1(share, 0.0, 1.0)

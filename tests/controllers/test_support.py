@@ -62,6 +62,14 @@ def test_a_body_goes_over_to_a_velocity_from_where_it_is():
     np.testing.assert_allclose(late, x, atol=1e-6)
 
 
+def test_a_body_that_falls_for_a_moment_is_not_meant_to_sink():
+    falls = START._replace(velocity=START.velocity.at[:, 2].set(-0.01))
+    many = jax.tree.map(lambda *x: jnp.stack([jnp.asarray(each) for each in x]), RESTS, RESTS)
+    ends = meant(many, falls, NOW, jnp.asarray(TIME), jnp.asarray(TIME))
+    np.testing.assert_array_equal(ends.position[:, 2], START.position[:, 2])
+    np.testing.assert_array_equal(ends.velocity[:, 2], 0.0)
+
+
 def test_a_body_goes_to_a_pose_follows_or_rolls_with_the_others():
     goal = {"position": np.array([1.0, 0, 0]), "quat": np.asarray(exponential(jnp.array([0.0, 0.7, 0.0])))}
     x, angle, _ = moved(TO_POSE, TIME, **goal)

@@ -124,6 +124,8 @@ def test_it_gets_over_a_ball(engine):
     base, ball = trace.qpos[:, 0], trace.qpos[:, -7]
     assert ball[begins["lower"][0]] - ball[begins["calm1"][0]] == pytest.approx(2.0, abs=0.1)
     assert base[-1] - base[begins["rest"][-1]] > 0.6
+    bears = np.linalg.norm(trace.foot_force, axis=-1).max(axis=1) > 1.0
+    assert bears[begins["rest"][-1] :].all()  # it walks, and does not hop
 
 
 @pytest.mark.parametrize("engine", ["native", "mjx"])

@@ -14,7 +14,7 @@ from sweep.controllers.manoeuvres.balancing.beside_ball import CALM, MIDDLE, STI
 from sweep.controllers.manoeuvres.balancing.parts import Steps
 from sweep.controllers.manoeuvres.climbing.walking import AHEAD, centres, walk_away
 from sweep.controllers.manoeuvres.goals import UPRIGHT
-from sweep.controllers.plan import CYCLE_B, Plan, Stage, assemble
+from sweep.controllers.plan import CYCLE_B, REGRIP, Plan, Stage, assemble
 from sweep.controllers.support import STAYS
 from sweep.controllers.tracker import Guided
 from sweep.core.parameters import choice, count, parameters, quantity
@@ -106,5 +106,6 @@ class BallOver(BesideBall):
         first = Stage("away.3-4", 1.0, {leg: under[leg - 1] for leg in MIDDLE}, CYCLE_B, 2 * step.height,
                       position=position, rates=STILL)  # fmt: skip
         ready, walk = walk_away(belief, step, position, spread, height, self.away, AHEAD)
-        frames = {"foot_frames": (koenig(0),) * 6, "base_frame": koenig(0), "support": (STAYS,)}
-        return [replace(stage, **frames) for stage in (first, *ready, *walk, Stage("halt", 1.0))]
+        # regripped: footholds that go over within `ease` do not go with a base that is rezeroed at once, and it hops
+        how = {"foot_frames": (koenig(0),) * 6, "base_frame": koenig(0), "support": (STAYS,), "onset": REGRIP}
+        return [replace(stage, **how) for stage in (first, *ready, *walk, Stage("halt", 1.0))]
