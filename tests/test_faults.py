@@ -46,7 +46,7 @@ def test_an_interrupted_run_says_so_and_goes_on(tmp_path, whole):
     wait_for(tmp_path / "out", 2, process)
     process.send_signal(signal.SIGINT)
     _, error = process.communicate(timeout=60)
-    assert process.returncode == 130
+    assert process.returncode == 130, error
     one_line(error, "interrupted", "the same command finishes the rest")
     assert main(["run", *STUDY, f"out={tmp_path / 'out'}"]) == 0
     pd.testing.assert_frame_equal(content(tmp_path / "out"), whole)
