@@ -1,3 +1,5 @@
+import signal
+
 import jax
 import pytest
 from fake_engine import FakeEngine
@@ -9,6 +11,7 @@ from sweep.engines import devices
 from sweep.runs import batches
 
 devices.configure()  # before any test uses JAX: the CPU is split as for the command line
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it, and all that it starts
 
 
 @pytest.fixture(scope="module")
