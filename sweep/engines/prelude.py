@@ -59,11 +59,11 @@ def check(world: Case, belief: Case, plan: Plan) -> None:
     what moves only balls can be learned, as they lie.
     """
     control, obstacle = world.control, belief.obstacle
-    learns = {"touch": control.touch != "none" and not touch.names(obstacle), "replan": control.replan != "never"}
-    for name, not_allowed in learns.items():
-        if not_allowed and obstacle.free_bodies:
-            asked = f"control.{name} = {getattr(control, name)} is not allowed"
-            raise InputError(f"{asked}: obstacle = {obstacle.kind} may move")
+    moves = f"obstacle = {obstacle.kind} may move"
+    if control.touch != "none" and obstacle.free_bodies and not touch.names(obstacle):
+        raise InputError(f"control.touch = {control.touch} is not allowed: {moves}")
+    if control.replan != "never" and obstacle.free_bodies:
+        raise InputError(f"control.replan = {control.replan} is not allowed: {moves}")
     if control.replan != "never" and control.touch == "none":
         raise InputError(f"control.replan = {control.replan} is not allowed: it needs control.touch = obstacle")
     if world.control.calibrate == "none":

@@ -35,7 +35,7 @@ def update(so_far: Crossing, now: Moment) -> Crossing:
     ahead = tick.centre_of_mass[0] - ball[0]
     leaves = named(now.plan, now.stage, OFF)
     past = jnp.where(named(now.plan, now.stage, ON), ahead, jnp.where(leaves, -ahead, -jnp.inf))
-    gap = jnp.minimum(so_far.gap, jnp.where(leaves, jnp.inf, ledges.width - ledges.radius - ball[0]))
+    gap = jnp.minimum(so_far.gap, jnp.where(leaves, jnp.inf, ledges.at_far_wall - ball[0]))
     return Crossing(
         past=jnp.maximum(so_far.past, past),
         gap=gap,

@@ -45,6 +45,11 @@ class Ledges(Ball):
         place = jnp.stack([jnp.asarray(x, float) for x in (self.radius + self.gap, self.offset, 0.0)])
         return free._replace(position=free.position + place)
 
+    @property
+    def at_far_wall(self) -> Array | float:
+        """x (m) of the ball's centre there."""
+        return self.width - self.radius
+
     def solids(self, bodies: Bodies) -> tuple[Solid, ...]:
         """The ledges end where no robot comes."""
         half = (DEPTH / 2, BREADTH / 2, self.height / 2)

@@ -81,19 +81,14 @@ class Docking(NamedTuple):
         self, belief: Case, plan: Plan, state: TrackerState, seen: Observation, begins: Bool[Array, ""], period: float
     ) -> Guidance:
         """By the drive's law, to a place so far behind the wall that its speed is left there."""
-        place = there(belief.on(Ledges)) + self.speed / self.drive.brake
+        place = belief.on(Ledges).at_far_wall + self.speed / self.drive.brake
         return replace(self.drive, place=place).guide(belief, plan, state, seen, begins, period)
 
     def ends(self, belief: Case, plan: Plan, state: TrackerState, seen: Observation) -> Bool[Array, ""]:
         """No step is begun where the ball rests at the wall."""
-        left = there(belief.on(Ledges)) - seen.free.position[0, 0]
+        left = belief.on(Ledges).at_far_wall - seen.free.position[0, 0]
         rests = jnp.linalg.norm(seen.free.velocity[0]) < self.calm
         return has_just_begun(plan, state) & (left < self.near) & rests
-
-
-def there(ledges: Ledges) -> Array | float:
-    """x (m) of the ball's centre at the far wall."""
-    return ledges.width - ledges.radius
 
 
 @parameters
