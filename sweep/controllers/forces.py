@@ -206,7 +206,7 @@ class _Scaled(NamedTuple):
         scale = jnp.sqrt(jnp.diagonal(schur) + 1e-12)
         schur = schur / scale / scale[:, None] + 1e-6 * jnp.eye(6, dtype=force.dtype)
         short = self.left(force) - jnp.einsum("lij,lj->i", self.grasp, down)
-        direction = down + across @ (jnp.linalg.solve(schur, short / scale) / scale)
+        direction = down + across @ (_solved(schur, short / scale) / scale)
         now = self.room(force, bounds)
 
         def fits(length: Array) -> Array:
@@ -304,6 +304,15 @@ class PlannedForces:
         offset = course.torque / belief.drive.stiffness
         told = (jnp.asarray(x, float) for x in (self.creep, self.anchoring))
         return replace(plan, feedforward=Feedforward(offset, jnp.max(course.planned.imbalance, axis=-1), inward, *told))
+
+
+def _solved(m: Float[Array, "6 6"], right: Float[Array, " 6"]) -> Float[Array, " 6"]:
+    """m^-1 right of a positive definite m by its quarters, in arithmetic alone."""
+    first, cross, last = m[:3, :3], m[:3, 3:], m[3:, 3:]
+    inverse = _inverse_3x3(first)
+    force = inverse @ right[:3]
+    moment = _inverse_3x3(last - cross.T @ inverse @ cross) @ (right[3:] - cross.T @ force)
+    return jnp.concatenate([force - inverse @ cross @ moment, moment])
 
 
 def _inverse_3x3(m: Float[Array, "*b 3 3"]) -> Float[Array, "*b 3 3"]:
