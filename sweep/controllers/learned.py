@@ -10,13 +10,12 @@ from jaxtyping import Array, Float, Int
 from sweep.controllers import touch
 from sweep.controllers.calibration import Calibrated
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import Plan, Shift, Stance
+from sweep.controllers.plan import Plan, Shift, Stance, stance_to_world
 from sweep.controllers.touch import Touched
 from sweep.controllers.tracker import TrackerState, joint_targets
 from sweep.core.rotations import exponential, multiply
 from sweep.models.case import Case
-from sweep.models.obstacles.surface import fixed_surface
-from sweep.models.robot import Robot
+from sweep.models.obstacles.surface import free_start
 
 
 class Learned(NamedTuple):
@@ -53,9 +52,9 @@ def felt(
     period: float,
 ) -> tuple[TrackerState, Plan, Learned | None]:
     """Footholds, plan, and what is known, after a tick of touching. `belief` and `plan` are those of the start."""
-    if learned is None or learned.touched is None or belief.obstacle.free_bodies:
+    if learned is None or learned.touched is None or not touch.by_feet(belief.obstacle):
         return state, newest(plan, learned), learned
-    ground = fixed_surface(learned.touched.first, plan.foothold[state.stage])
+    ground = touch.planned_on(learned.touched, plan, state.stage)
     robot, now = informed(belief, learned).robot, newest(plan, learned)
     known = world.control, belief.noise, robot, now, ground
     touched, moves, searches = touch.felt(*known, state, learned.touched, seen, period)
@@ -78,7 +77,7 @@ def replanned(belief: Case, plan: Plan, stage: Int[Array, ""], learned: Learned)
     fresh = replace(known.manoeuvre.plan(known), start=old.start, feedforward=old.feedforward)
     there_is = jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(fresh)]))
     left = jnp.arange(plan.duration.shape[0]) > stage
-    shortfall = jnp.where(there_is, jnp.max(jnp.where(left, _shortfall(known.robot, fresh), 0.0)), jnp.inf)
+    shortfall = jnp.where(there_is, jnp.max(jnp.where(left, _shortfall(known, fresh), 0.0)), jnp.inf)
     later = there_is & left
 
     def chosen(a: Array, b: Array) -> Array:
@@ -89,8 +88,13 @@ def replanned(belief: Case, plan: Plan, stage: Int[Array, ""], learned: Learned)
     return learned._replace(plan=newer, shortfall=shortfall)
 
 
-def _shortfall(robot: Robot, plan: Plan) -> Float[Array, " s"]:
-    """How far the worst foot is out of reach (m) at the end of each stage, nothing being free to move."""
-    quat = multiply(exponential(plan.turn), plan.quat)
-    short = jax.vmap(lambda *stance: joint_targets(robot, Stance(*stance))[1])(plan.foothold, plan.position, quat)
-    return jnp.max(short if plan.posture is None else jnp.where(plan.posture.held, 0.0, short), axis=1)
+def _shortfall(belief: Case, plan: Plan) -> Float[Array, " s"]:
+    """How far the worst foot is out of reach (m) at the end of each stage, free bodies being where they start."""
+    free = free_start(belief.obstacle)
+    stances = Stance(plan.foothold, plan.position, multiply(exponential(plan.turn), plan.quat))
+
+    def short(stance: Stance, feet: Array, base: Array) -> Array:
+        return joint_targets(belief.robot, stance_to_world(stance, feet, base, free))[1]
+
+    out = jax.vmap(short)(stances, plan.foot_frame, plan.base_frame)
+    return jnp.max(out if plan.posture is None else jnp.where(plan.posture.held, 0.0, out), axis=1)

@@ -11,8 +11,9 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
+from sweep.controllers.frames import to_frame, to_world
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import Plan, Stance
 from sweep.controllers.posture import feet_in_world
@@ -20,8 +21,7 @@ from sweep.controllers.tracker import TrackerState
 from sweep.models.control import Control
 from sweep.models.legs import N_LEGS
 from sweep.models.noise import Noise
-from sweep.models.obstacles.fixed import Fixed
-from sweep.models.obstacles.surface import Obstacle, Surface, fixed_surface, free_start, poses
+from sweep.models.obstacles.surface import Bodies, Obstacle, Surface, free_start, poses
 from sweep.models.robot import Robot
 
 REACH = 0.04  # m, how far a foot that finds no surface goes on beyond where it is planned
@@ -44,11 +44,16 @@ class Touched(NamedTuple):
 
 
 def names(obstacle: Obstacle | type[Obstacle]) -> tuple[str, ...]:
-    """The obstacle's sizes that can be learned: of one that moves those that lying on the floor tells."""
+    """The obstacle's sizes that can be learned: of one that moves those that lying on the floor, or feet, tell."""
     if obstacle.free_bodies:  # pyright: ignore[reportAttributeAccessIssue]
-        return getattr(obstacle, "lying", ())
+        return getattr(obstacle, "lying", getattr(obstacle, "stood_on", ()))
     fields = dataclasses.fields(obstacle)  # pyright: ignore[reportArgumentType]
     return tuple(f.name for f in fields if f.metadata.get("role") == "quantity")
+
+
+def by_feet(obstacle: Obstacle) -> bool:
+    """Whether it is feet that tell these sizes."""
+    return not obstacle.free_bodies or hasattr(obstacle, "stood_on")
 
 
 def untouched(control: Control, obstacle: Obstacle) -> Touched:
@@ -77,15 +82,16 @@ def standing(
 ) -> Touched:
     """What is known when feet at the places of `start` stand, seen with these joint angles (rad) and base (m)."""
     places = feet_in_world(robot, position, quat, angles)
-    ground = fixed_surface(so_far.obstacle, start.feet)
+    ground = ground_at(so_far.obstacle, start.feet, _at_rest(so_far.first))
     out = jnp.sum((places - start.feet) * ground.normal, axis=1)
-    known, _ = _known(so_far, places, out, ground.normal, _variance(control, noise), jnp.ones(N_LEGS, bool))
+    variance = _variance(control, noise, so_far.obstacle)
+    known, _ = _known(so_far, places, out, ground.normal, variance, jnp.ones(N_LEGS, bool))
     return known._replace(first=planned_for(known))
 
 
 def lying(control: Control, noise: Noise, so_far: Touched, places: Float[Array, "k 3"]) -> Touched:
     """What is known when the obstacle's free bodies lie on the floor with their centres at `places` (m)."""
-    bodies = poses(free_start(so_far.obstacle))._replace(position=places)
+    bodies = _at_rest(so_far.obstacle)._replace(position=places)
     owner = tuple(range(len(so_far.obstacle.free_bodies)))
 
     def inside(x: Array) -> Array:
@@ -101,11 +107,22 @@ def planned_for(touched: Touched) -> Obstacle:
     A foot that comes down on what is lower than planned goes on in search of it; where it is higher, links touch its
     edge before a foot can tell.
     """
-    heights = touched.obstacle.heights if isinstance(touched.obstacle, Fixed) else ()
+    heights = getattr(touched.obstacle, "heights", ())
     known = names(touched.obstacle)
     deviation = jnp.sqrt(jnp.maximum(jnp.diagonal(touched.covariance), 0.0))
     more = jnp.array([name in heights for name in known]) * touched.caution * deviation
     return _with(touched.obstacle, _sizes(touched.obstacle) + more)
+
+
+def ground_at(obstacle: Obstacle, feet: Float[Array, "6 3"], bodies: Bodies) -> Surface:
+    """What is under the robot's feet (m, world axes) where the obstacle's free bodies are as in `bodies`."""
+    return obstacle.surface(feet, (-1,) * N_LEGS, bodies)
+
+
+def planned_on(so_far: Touched, plan: Plan, stage: Int[Array, ""]) -> Surface:
+    """What `plan`, the first one, was made for at a stage's footholds, free bodies as they start."""
+    feet = to_world(plan.foothold[stage], plan.foot_frame[stage], free_start(so_far.first))
+    return ground_at(so_far.first, feet, _at_rest(so_far.first))
 
 
 def felt(
@@ -119,26 +136,33 @@ def felt(
     seen: Observation,
     period: float,
 ) -> tuple[Touched, Float[Array, "6 3"], Bool[Array, " 6"]]:
-    """A tick of `period` seconds on: what is known, how far footholds are to be moved (m, world axes), who searches.
+    """A tick of `period` seconds on: what is known, how far footholds are to be moved (m, their frames), who searches.
 
-    `ground` is what the first plan was made for at the stage's footholds in it: of its face a foot is taken to be, as
-    deep in it as planned. Where sizes are uncertain, a foot is told to stand so deep inside the surface
-    that it has felt, along whose normal its command goes over; one that lands before its swing is over yields by what
-    it is pressed more, or, far outside of where it was to land, goes on to its place above the surface that it has
-    met; one that has come to the end of its swing in the air, or stands there, goes on inwards, once a load would be
-    known of, and no faster than that allows. Along the surface it stays where it is. Legs that are held by their joints
-    do nothing of this, since footholds tell them nothing. Footholds of swinging feet are moved from where they are
-    planned, those of the others from where they were told to be in the last tick.
+    `ground` is `planned_on` in this stage: of its face a foot is taken to be, as deep in it as planned. On a free
+    body all is worked out as if that were where it starts. Where sizes are uncertain, a foot is told to stand so deep
+    inside the surface that it has felt, along whose normal its command goes over; one that lands before its swing is
+    over yields by what it is pressed more, or, far outside of where it was to land, goes on to its place above the
+    surface that it has met; one that has come to the end of its swing in the air, or stands there, goes on inwards,
+    once a load would be known of, and no faster than that allows. Along the surface it stays where it is. Legs that
+    are held by their joints do nothing of this, since footholds tell them nothing. Footholds of swinging feet are
+    moved from where they are planned, those of the others from where they were told to be in the last tick.
     """
     stage, normal = state.stage, ground.normal
-    places = feet_in_world(robot, seen.position, seen.quat, seen.angles)
-    out = jnp.sum((places - plan.foothold[stage]) * normal, axis=1)
-    free = jnp.ones(N_LEGS, bool) if plan.posture is None else ~plan.posture.held[stage]
-    stands = free & ~plan.swing[stage]
+    frame, rest = plan.foot_frame[stage], free_start(so_far.first)
+    free = seen.free if state.observer is None else state.observer.second
+
+    def feet(angles: Array) -> Array:
+        places = feet_in_world(robot, seen.position, seen.quat, angles)
+        return to_world(to_frame(places, frame, free), frame, rest)
+
+    places, told, began = feet(seen.angles), feet(state.joints), to_world(state.feet, frame, rest)
+    out = jnp.sum((places - to_world(plan.foothold[stage], frame, rest)) * normal, axis=1)
+    goes = jnp.ones(N_LEGS, bool) if plan.posture is None else ~plan.posture.held[stage]
+    stands = goes & ~plan.swing[stage]
     new = stands & seen.loaded & ~so_far.felt
-    known, uncertain = _known(so_far, places, out, normal, _variance(control, noise), new)
-    outwards = jnp.sum((places - state.feet) * normal, axis=1) - ground.depth
-    comes = free & plan.swing[stage] & (state.clock >= COMING * plan.duration[stage])
+    known, uncertain = _known(so_far, places, out, normal, _variance(control, noise, so_far.obstacle), new)
+    outwards = jnp.sum((places - began) * normal, axis=1) - ground.depth
+    comes = goes & plan.swing[stage] & (state.clock >= COMING * plan.duration[stage])
     left = jnp.where(stands | comes, jnp.where(new & uncertain, outwards, so_far.left), 0.0)
     has = stands & (so_far.felt | new)
     step = control.touch_speed * period
@@ -148,7 +172,6 @@ def felt(
     untold = (noise.delay + noise.load_delay) * period  # s, for which a foot stands before that is known
     goes_on = searches & (stands | (state.clock >= plan.duration[stage] + untold))
     onwards = jnp.where(goes_on, jnp.minimum(step, TOO_FAR * period / jnp.maximum(untold, period)), 0.0)
-    told = feet_in_world(robot, seen.position, seen.quat, state.joints)
     strain = jnp.sum((places - told) * normal, axis=1)  # m, by which it is held outside of where it is told to be
     pressed = YIELD / (1 + noise.delay) * (strain - ground.depth)
     back = jnp.maximum(pressed, -jnp.maximum(left, 0.0))  # to where it was planned, at most
@@ -157,13 +180,20 @@ def felt(
     yields = jnp.where(early, jnp.where(out > ground.depth + CLEAR, lifted, back), 0.0)
     moved = follows - onwards
     left = jnp.where(searches, left - onwards, left - follows + yields)
-    moves = jnp.where(stands, moved, left)[:, None] * normal
+    axes = rest._replace(position=jnp.zeros_like(rest.position))
+    moves = to_frame(jnp.where(stands, moved, left)[:, None] * normal, frame, axes)
     return known._replace(felt=has, left=left), moves, searches
 
 
-def _variance(control: Control, noise: Noise) -> Array | float:
+def _variance(control: Control, noise: Noise, obstacle: Obstacle) -> Array | float:
     """Of a touched place off the surface (m^2)."""
-    return control.touch_error**2 + noise.position_noise**2 + noise.position_bias**2
+    own = control.touch_error**2 + noise.position_noise**2 + noise.position_bias**2
+    return own + noise.body_position_noise**2 + noise.body_position_bias**2 if obstacle.free_bodies else own
+
+
+def _at_rest(obstacle: Obstacle) -> Bodies:
+    """Its free bodies as they start."""
+    return poses(free_start(obstacle))
 
 
 def _known(
@@ -179,9 +209,11 @@ def _known(
     `places` are outside of where they are planned by `out` (m) along the normal.
     """
 
+    bodies = _at_rest(so_far.first)
+
     def inside(x: Array) -> Array:
         """Taken at the planned depth: deep inside what is believed another face may be nearer."""
-        return fixed_surface(_with(so_far.obstacle, x), places - out[:, None] * normal).depth - out
+        return ground_at(_with(so_far.obstacle, x), places - out[:, None] * normal, bodies).depth - out
 
     return _taken_in(so_far, inside, variance, counts)
 

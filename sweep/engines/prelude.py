@@ -39,7 +39,7 @@ def prepared(world: Case, belief: Case, key: Array) -> tuple[Case, Plan, Learned
         learned = learned._replace(calibrated=calibrated)
     if control.touch != "none":
         nothing = touch.untouched(control, belief.obstacle)
-        if belief.obstacle.free_bodies:
+        if not touch.by_feet(belief.obstacle):
             touched = touch.lying(control, belief.noise, nothing, places(world, key))
         else:
             robot, at_first = informed(belief, learned).robot, (seen.position[0], seen.quat[0], seen.angles[0])
@@ -62,7 +62,7 @@ def check(world: Case, belief: Case, plan: Plan) -> None:
     moves = f"obstacle = {obstacle.kind} may move"
     if control.touch != "none" and obstacle.free_bodies and not touch.names(obstacle):
         raise InputError(f"control.touch = {control.touch} is not allowed: {moves}")
-    if control.replan != "never" and obstacle.free_bodies:
+    if control.replan != "never" and not touch.by_feet(obstacle):
         raise InputError(f"control.replan = {control.replan} is not allowed: {moves}")
     if control.replan != "never" and control.touch == "none":
         raise InputError(f"control.replan = {control.replan} is not allowed: it needs control.touch = obstacle")

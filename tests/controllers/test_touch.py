@@ -10,19 +10,23 @@ import pytest
 
 from sweep.controllers import touch
 from sweep.controllers.calibration import Calibrated
+from sweep.controllers.frames import WORLD
 from sweep.controllers.learned import Learned, felt, replanned
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import Stance, begins, reference
+from sweep.controllers.observer import Observer
+from sweep.controllers.plan import Stance, begins, reference, stance_to_world
 from sweep.controllers.touch import Touched
 from sweep.controllers.tracker import init, joint_targets
 from sweep.core.errors import InputError
+from sweep.core.rotations import exponential, multiply
 from sweep.engines import make
 from sweep.engines.prelude import places, prepared
 from sweep.models.noise import Noise
 from sweep.models.obstacles.ball import Ball
 from sweep.models.obstacles.kerb import Kerb
+from sweep.models.obstacles.ladder import Ladder
 from sweep.models.obstacles.pole_ledge import PoleLedge
-from sweep.models.obstacles.surface import fixed_surface, free_start, no_bodies
+from sweep.models.obstacles.surface import free_start, no_bodies
 from sweep.study.config import compose
 
 PERIOD, DEEPENING = 4e-3, 5e-3
@@ -54,7 +58,7 @@ def on_pole(radius: float) -> tuple[int, Stance]:
 def walk_on(stage: int, stance: Stance, ticks: int, loaded=True, noise=CASE.noise):
     """What is known, and the footholds told, after `ticks` in which no foot had been felt before."""
     plan, state = planned(), untouched()._replace(felt=jnp.zeros(6, bool))
-    ground = fixed_surface(CASE.obstacle, plan.foothold[stage])
+    ground = touch.planned_on(untouched(), plan, jnp.int32(stage))
     now = seen(stance, loaded)
     tracked = init(CASE, plan)._replace(stage=jnp.int32(stage), feet=plan.foothold[stage], clock=plan.duration[stage])
     step = jax.jit(lambda s, t: touch.felt(CASE.control, noise, CASE.robot, plan, ground, t, s, now, PERIOD))
@@ -128,7 +132,7 @@ def test_a_foot_that_lands_early_gives_way_or_is_lifted_clear(radius, pressed, m
     told = seen(stance._replace(feet=stance.feet.at[:, :2].multiply(1 - pressed / radius)))
     clock = 0.75 * plan.duration[stage]
     state = init(CASE, plan)._replace(stage=jnp.int32(stage), feet=stance.feet, joints=told.angles, clock=clock)
-    ground = fixed_surface(CASE.obstacle, plan.foothold[stage])
+    ground = touch.planned_on(untouched(), plan, jnp.int32(stage))
     rest = plan, ground, state, untouched(), seen(stance), PERIOD
     known, moves, searches = touch.felt(CASE.control, CASE.noise, CASE.robot, *rest)
     np.testing.assert_allclose(np.sum(moves * ground.normal, axis=1)[swings], moved, atol=2e-4)
@@ -151,7 +155,7 @@ def test_a_leg_that_is_held_by_its_joints_does_not_search():
     stance = reference(plan, jnp.int32(stage), jnp.ones(()), *begins(plan, jnp.int32(stage), no_bodies()))
     state = init(case, plan)._replace(stage=jnp.int32(stage), feet=plan.foothold[stage], clock=plan.duration[stage])
     known = touch.untouched(case.control, case.obstacle)._replace(felt=jnp.zeros(6, bool))
-    ground = fixed_surface(case.obstacle, plan.foothold[stage])
+    ground = touch.planned_on(known, plan, jnp.int32(stage))
     rest = plan, ground, state, known, seen(stance, loaded=False), PERIOD
     _, moves, searches = touch.felt(case.control, case.noise, case.robot, *rest)
     assert plan.posture is not None
@@ -212,6 +216,31 @@ def test_balls_tell_their_radius_by_how_high_they_lie(scenario):
         np.testing.assert_allclose(sizes(found), [larger], atol=4 * deviation if bias else 1e-4)
     before = dataclasses.replace(found.obstacle, radius=belief.on(Ball).radius)
     assert before == belief.obstacle
+
+
+def test_feet_on_the_rungs_of_a_ladder_that_leans_otherwise_tell_their_step():
+    belief = compose(["scenario=ladder_climb", "control.touch=obstacle", "control.replan=touched"]).case
+    ladder = belief.on(Ladder)
+    other = dataclasses.replace(ladder, rung_step=1.01 * ladder.rung_step)
+    plan, true = (case.manoeuvre.way(case, case.manoeuvre.table)
+                  for case in (belief, dataclasses.replace(belief, obstacle=other)))  # fmt: skip
+    stage = plan.names.index("climb.front4.load")  # front feet on rung 3, middle ones on 2
+    leans = dataclasses.replace(other, lean=ladder.lean - 0.02).start()
+    stance = Stance(true.foothold[stage], true.position[stage], multiply(exponential(true.turn), true.quat)[stage])
+    now = seen(stance_to_world(stance, true.foot_frame[stage], true.base_frame[stage], leans))._replace(free=leans)
+    known = touch.untouched(belief.control, ladder)._replace(felt=jnp.zeros(6, bool))
+    state = init(belief, plan)._replace(stage=jnp.int32(stage), feet=plan.foothold[stage], clock=plan.duration[stage])
+    state = state._replace(observer=Observer(leans, leans))
+    ground = touch.planned_on(known, plan, jnp.int32(stage))
+    rest = belief.noise, belief.robot, plan, ground
+    found, moves, _ = touch.felt(belief.control, *rest, state, known, now, 1.0)
+    np.testing.assert_allclose(found.obstacle.rung_step, other.rung_step, atol=1e-3)
+    on_rungs = np.asarray(plan.foot_frame[stage]) != WORLD
+    assert on_rungs.sum() == 4
+    told = np.asarray(plan.foothold[stage] + moves - true.foothold[stage])[on_rungs]
+    deeper = [[0.0, belief.manoeuvre.deepening, 0.0]] * 4  # along the rails: by what they were seen to be off
+    np.testing.assert_allclose(told, deeper, atol=1e-5)
+    np.testing.assert_array_equal(moves[~on_rungs], 0)
 
 
 def test_what_is_left_of_the_way_is_planned_for_the_pole_that_was_found():

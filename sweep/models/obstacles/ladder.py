@@ -5,7 +5,7 @@ axes: x as the world's, y down along its rails, z out of its plane, away from th
 lies flat on the floor. The book's xi, eta, zeta are x, y, z; its e_l is -y and its e_n is z of the ladder.
 """
 
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax.numpy as jnp
 import mujoco
@@ -55,6 +55,7 @@ class Ladder:
     gap: float = quantity(4e-3, "m", at_least=0, at_most=0.1)  # to floor and wall at the start
 
     free_bodies = ("ladder",)
+    stood_on: ClassVar = ("rung_step", "length", "ledge_height")  # sizes that feet on rungs and ledge tell
     contact_sites = (("lower_right", 0), ("lower_left", 0), ("upper_right", 0), ("upper_left", 0))
 
     @property

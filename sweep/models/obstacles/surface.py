@@ -4,7 +4,6 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax.numpy as jnp
 import mujoco
-import numpy as np
 from jaxtyping import Array, Float, Int
 
 from sweep.core.rotations import matrix
@@ -123,11 +122,6 @@ class Moving(Obstacle, Protocol):
 def free_start(obstacle: Obstacle) -> FreeState:
     """Its free bodies at the start, where it has any."""
     return obstacle.start() if isinstance(obstacle, Moving) else no_bodies()
-
-
-def fixed_surface(obstacle: Obstacle, points: Float[Array, "n 3"] | np.ndarray) -> Surface:
-    """What is under points (m, world axes) that belong to no free body, of an obstacle that has none."""
-    return obstacle.surface(jnp.asarray(points), (-1,) * points.shape[0], poses(no_bodies()))
 
 
 def critical_damping(mass: Array | float) -> Array:
