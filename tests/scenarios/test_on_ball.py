@@ -14,14 +14,14 @@ from sweep.study.config import compose
 pytestmark = pytest.mark.slow
 
 
-def outcomes(overrides: list[str], width: int = 1, **groups: dict) -> dict[str, np.ndarray]:
-    """Figures and outcomes of `width` rollouts with some quantities of some groups changed."""
+def outcomes(overrides: list[str], width: int = 1, known: bool = True, **groups: dict) -> dict[str, np.ndarray]:
+    """Figures and outcomes of `width` rollouts with some quantities of some groups changed, known to the planner."""
     trial = compose(overrides)
     case = replace(
         trial.case, **{name: replace(getattr(trial.case, name), **values) for name, values in groups.items()}
     )
     simulation = make(replace(trial.settings, width=width), trial.case, trial.case, trial.thresholds)
-    figures = simulation.run(case, case, np.arange(width))
+    figures = simulation.run(case, case if known else trial.case, np.arange(width))
     return {**figures, **classify(figures, trial.thresholds, simulation.stages)}
 
 

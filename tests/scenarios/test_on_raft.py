@@ -6,6 +6,7 @@ from test_on_ball import outcomes
 
 from sweep.core.errors import InputError
 from sweep.formulas import evaluate
+from sweep.models.obstacles.raft import Raft
 from sweep.study.config import compose
 
 
@@ -42,6 +43,17 @@ def test_it_crosses(engine):
     assert rows["push_speed_mps"][0] == pytest.approx(0.144, abs=0.005)
     assert rows["arrival_speed_mps"][0] == pytest.approx(0.1, abs=0.01)
     assert rows["deck_slip_max_m"][0] < 0.015
+    assert rows["leg_gap_min_m"][0] > 0.01
+
+
+@pytest.mark.slow
+def test_it_lands_on_a_bank_that_is_nearer_than_believed():
+    """The raft, longer than believed too, meets it 60 mm early: the robot goes ashore there, and does not wait."""
+    belief = compose(["scenario=raft_cross"]).case.on(Raft)
+    obstacle = {"water_width": np.array([0.99 * belief.water_width]), "length": np.array([1.01 * belief.length])}
+    rows = outcomes(["scenario=raft_cross"], 1, known=False, obstacle=obstacle)
+    assert rows["outcome"].tolist() == ["success"], rows["cause"]
+    assert rows["duration_s"][0] < 45
     assert rows["leg_gap_min_m"][0] > 0.01
 
 

@@ -73,6 +73,7 @@ LAND = (
     Move("b3", 0.75, B, (0.375, 0.875, 1.375), "fff"),
     Move("a4", 0.875, A, (0.375, 0.875, 1.375), "fff"),
 )
+MARGIN = 0.1  # a_r, on both sides of an edge, that footholds leave out
 PATIENCE = 3.0  # times that of coasting, for which a raft that was pushed too little is waited for
 FIRST = -0.75  # of the base, before it boards
 
@@ -107,6 +108,7 @@ class RaftCross:
     offset: float = quantity(0.0, "m")  # h, of the robot's way to the left of the raft's middle
     near: float = quantity(0.01, "m", above=0)  # gap to the far bank at which the wait is over
     close: float = quantity(0.02, "m", above=0)  # largest gap that the robot steps over
+    slow: float = quantity(0.02, "m/s", above=0)  # a raft that is slower is still
     pulls: int = count(5, at_least=1, at_most=10)  # of the raft to the bank, at most
     pull: float = quantity(4.0, "s", above=0)  # time of one
     deepening: float = quantity(1e-3, "m", at_least=0, at_most=0.05)  # footholds below the surface
@@ -129,7 +131,7 @@ class RaftCross:
         """
         raft, tables = belief.on(Raft), self.table if table is None else table
         length = belief.robot.body_length
-        refuse(belief, (raft.length / 2 - 0.1 * length, self.offset))
+        refuse(belief, (raft.length / 2 - MARGIN * length, self.offset))
         way = Way(belief, self)
         first = FIRST - self.approach * self.stride_ratio
         start = Stance(
@@ -165,16 +167,22 @@ class RaftCross:
         return crossing(raft.water_width, raft.length, self.landing, mass, al2, inertia, inertia, self.offset)
 
     def memory(self, belief: Case, plan: Plan) -> Float[Array, " 3"]:
-        """How far along the bank the raft has come, m; it is where the robot goes ashore."""
+        """Where the robot goes ashore, m from where it was to.
+
+        Beside it, by how far the raft has come along the bank; and before it, where the raft met a bank before that.
+        """
         return jnp.zeros(3)
 
     def guide(
         self, belief: Case, plan: Plan, state: TrackerState, seen: Observation, begins: Bool[Array, ""], period: float
     ) -> Guidance:
-        """As planned, but ashore beside the place where the raft has come to."""
+        """As planned, but ashore at the place where the raft has come to."""
         stage = state.stage
         lies = named(plan, stage, "reach", "land.rise")
-        along = jnp.where(begins & lies, seen.free.position[0] * jnp.array([0.0, 1.0, 0.0]), state.memory)
+        gap = jnp.min(far_gaps(belief.on(Raft), seen.free))
+        short = jnp.where((gap > self.near) & (gap < MARGIN * belief.robot.body_length), gap, 0.0)
+        along = seen.free.position[0] * jnp.array([0.0, 1.0, 0.0]) - short * jnp.array([1.0, 0.0, 0.0])
+        along = jnp.where(begins & lies, along, state.memory)
         frames = jnp.append(plan.foot_frame[stage], plan.base_frame[stage])
         ashore = named(plan, stage, "reach", "pull", "land", "leave", "halt") & (frames == WORLD)
         shifts = jnp.where(ashore[:, None], along, 0.0)
@@ -184,11 +192,12 @@ class RaftCross:
         return Guidance(reference(shifted, stage, phase, state.feet, state.position), goal, along)
 
     def ends(self, belief: Case, plan: Plan, state: TrackerState, seen: Observation) -> Bool[Array, ""]:
-        """The wait, as soon as the raft is there; a pull, when it lies along the bank."""
-        gaps = far_gaps(belief.on(Raft), seen.free)
+        """The wait, as soon as the raft is there, or still before the bank; a pull, when it lies along the bank."""
+        gaps = far_gaps(belief.on(Raft), seen.free) + state.memory[0]
         waits, pulls = named(plan, state.stage, "wait"), named(plan, state.stage, "pull")
-        still = jnp.abs(seen.free.velocity[0, 0]) < self.close
-        return (waits & (jnp.min(gaps) < self.near)) | (pulls & (jnp.max(gaps) < self.close) & still)
+        still = jnp.abs(seen.free.velocity[0, 0]) < self.slow
+        met = (jnp.min(gaps) < self.near) | (still & (jnp.min(gaps) < MARGIN * belief.robot.body_length))
+        return (waits & met) | (pulls & (jnp.max(gaps) < self.close) & still)
 
 
 def far_gaps(raft: Raft, free: FreeState) -> Float[Array, " 2"]:
@@ -240,10 +249,11 @@ class Way:
         return jnp.stack([self.along(where, x), jnp.asarray(y, float), jnp.asarray(z, float)])
 
     def stages(self, moves: Sequence[Move], prefix: str, moored: int | None = None) -> list[Stage]:
-        """Of moves; the raft is held at the near bank (0), at the far one (1), or left alone."""
+        """Of moves; the raft is held at the near bank (0), at the far one (1), where it has come to, or left alone."""
         stages = [self.stage(move, prefix, moored) for move in moves]
         if moored is not None:  # once it is there it is kept: a hold that is taken anew at every step gives way
-            stages[1:] = [replace(stage, support=(STAYS,)) for stage in stages[1:]]
+            kept = slice(1 - moored, None)
+            stages[kept] = [replace(stage, support=(STAYS,)) for stage in stages[kept]]
         return stages
 
     def stage(
