@@ -1,4 +1,4 @@
-"""The joint servo: monograph (1.2.1)."""
+"""The joint servo: monograph (1.2.1), and how late its own feedback may be."""
 
 from typing import Annotated, NamedTuple
 
@@ -49,3 +49,30 @@ def servo(
     poles_re = jnp.stack(jnp.broadcast_arrays(fast, slow), axis=-1)
     poles_im = jnp.stack(jnp.broadcast_arrays(-imaginary, imaginary), axis=-1)
     return Servo(chi2, torque, poles_re, poles_im)
+
+
+class Delay(NamedTuple):
+    """The longest delay, and how fast the joint swings at it."""
+
+    delay: Annotated[Float[Array, "..."], "s"]
+    omega: Annotated[Float[Array, "..."], "rad/s"]
+
+
+@formula("monograph", "1.2.1", correction="not printed: that law with its own feedback late")
+def servo_delay(
+    J: Annotated[Scalar, positive("kg*m^2", 0.1187)],
+    stiffness: Annotated[Scalar, positive("N*m/rad", 45000.0)],
+    damping: Annotated[Scalar, Input("N*m*s/rad", 514.26, at_least=0)],
+    c_e: Annotated[Scalar, Input("N*m*s/rad", 10.0, at_least=0)],
+) -> Delay:
+    """How late a joint drive may know of its own joint before it swings by itself.
+
+    About an inertia J (by default of a shin in the air and its drive), unsaturated, the back-EMF c_e not being late:
+    J phi'' + c_e phi' + damping phi'(t - delay) + stiffness phi(t - delay) = 0. At the limit phi swings for ever at
+    omega, for which both parts, J omega^2 - i c_e omega and stiffness + i damping omega, are of the same size; the
+    delay is the angle between them over omega. Any delay longer than this lets it grow.
+    """
+    net = damping**2 - c_e**2
+    omega = jnp.sqrt((net + jnp.sqrt(net**2 + 4 * (J * stiffness) ** 2)) / 2) / J
+    angle = jnp.arctan2(damping * omega, stiffness) + jnp.arctan2(c_e, J * omega)
+    return Delay(angle / omega, omega)

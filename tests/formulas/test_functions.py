@@ -95,3 +95,18 @@ def test_the_page_lists_every_formula_with_its_equations():
     page = (Path(__file__).parents[2] / "docs" / "formulas.md").read_text()
     for formula in FORMULAS.values():
         assert any(f"| `{formula.name}` |" in line and formula.reference in line for line in page.splitlines())
+
+
+@pytest.mark.parametrize(("share", "grows"), [(0.95, False), (1.05, True)])
+def test_a_drive_swings_by_itself_where_its_feedback_is_later_than_told(share, grows):
+    inertia, stiffness, damping, back_emf, step = 0.12, 4.5e4, 514.26, 10.0, 1e-6
+    drive = {"J": inertia, "stiffness": stiffness, "damping": damping, "c_e": back_emf}
+    late = round(share * evaluate("servo_delay", drive)["delay"] / step)
+    angle, rate = np.zeros((2, 50_000))
+    angle[: late + 1] = 1e-3
+    for k in range(late, len(angle) - 1):
+        torque = -stiffness * angle[k - late] - damping * rate[k - late] - back_emf * rate[k]
+        rate[k + 1] = rate[k] + step * torque / inertia
+        angle[k + 1] = angle[k] + step * rate[k + 1]
+    half = len(angle) // 2
+    assert (np.abs(rate[half:]).max() > np.abs(rate[half // 2 : half]).max()) == grows
