@@ -19,7 +19,7 @@ from sweep.engines.closed_loop import start_state
 from sweep.formulas import evaluate
 from sweep.models.case import Case
 from sweep.models.drive import Drive
-from sweep.models.legs import JOINT_Q, JOINT_V, N_JOINTS
+from sweep.models.legs import JOINT_Q, JOINT_V
 from sweep.models.scene import compile_model
 from sweep.study.config import compose
 
@@ -72,7 +72,7 @@ def least_inertia(case: Case) -> float:
     mujoco.mj_forward(model, data)
     mass = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, mass)
-    return float(np.min(np.diag(mass)[JOINT_V][:N_JOINTS]))
+    return float(np.min(np.diag(mass)[JOINT_V]))
 
 
 def main() -> None:

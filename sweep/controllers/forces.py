@@ -14,14 +14,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from sweep.controllers.frames import to_world
+from sweep.controllers.frames import ground
 from sweep.controllers.plan import Feedforward, Plan, Stage, Stance, begins, reference, stance_to_world
 from sweep.controllers.posture import foot_positions, mass_centre
 from sweep.controllers.tracker import joint_targets
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.core.rotations import rotate
 from sweep.models.case import Case
-from sweep.models.obstacles.surface import free_start, poses
+from sweep.models.obstacles.surface import free_start
 from sweep.models.robot import Robot, total_mass
 from sweep.models.scene import GRAVITY
 
@@ -259,8 +259,7 @@ def along(belief: Case, plan: Plan, bounds: Bounds, least: Effort) -> Course:
 
 def surface_normals(belief: Case, feet: Float[Array, "6 3"], frame: Int[Array, " 6"]) -> Float[Array, "6 3"]:
     """Outward normals (world axes) of the believed obstacle, its bodies as they start, at footholds in some frames."""
-    free = free_start(belief.obstacle)
-    return belief.obstacle.surface(to_world(feet, frame, free), (-1,) * 6, poses(free)).normal
+    return ground(belief.obstacle, feet, frame).normal
 
 
 @parameters

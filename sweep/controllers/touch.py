@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from sweep.controllers import frames
 from sweep.controllers.frames import to_frame, to_world
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import Plan, Stance
@@ -82,7 +83,7 @@ def standing(
 ) -> Touched:
     """What is known when feet at the places of `start` stand, seen with these joint angles (rad) and base (m)."""
     places = feet_in_world(robot, position, quat, angles)
-    ground = ground_at(so_far.obstacle, start.feet, _at_rest(so_far.first))
+    ground = so_far.obstacle.surface(start.feet, (-1,) * N_LEGS, _at_rest(so_far.first))
     out = jnp.sum((places - start.feet) * ground.normal, axis=1)
     variance = _variance(control, noise, so_far.obstacle)
     known, _ = _known(so_far, places, out, ground.normal, variance, jnp.ones(N_LEGS, bool))
@@ -114,15 +115,9 @@ def planned_for(touched: Touched) -> Obstacle:
     return _with(touched.obstacle, _sizes(touched.obstacle) + more)
 
 
-def ground_at(obstacle: Obstacle, feet: Float[Array, "6 3"], bodies: Bodies) -> Surface:
-    """What is under the robot's feet (m, world axes) where the obstacle's free bodies are as in `bodies`."""
-    return obstacle.surface(feet, (-1,) * N_LEGS, bodies)
-
-
 def planned_on(so_far: Touched, plan: Plan, stage: Int[Array, ""]) -> Surface:
     """What `plan`, the first one, was made for at a stage's footholds, free bodies as they start."""
-    feet = to_world(plan.foothold[stage], plan.foot_frame[stage], free_start(so_far.first))
-    return ground_at(so_far.first, feet, _at_rest(so_far.first))
+    return frames.ground(so_far.first, plan.foothold[stage], plan.foot_frame[stage])
 
 
 def felt(
@@ -213,7 +208,8 @@ def _known(
 
     def inside(x: Array) -> Array:
         """Taken at the planned depth: deep inside what is believed another face may be nearer."""
-        return ground_at(_with(so_far.obstacle, x), places - out[:, None] * normal, bodies).depth - out
+        planned = places - out[:, None] * normal
+        return _with(so_far.obstacle, x).surface(planned, (-1,) * N_LEGS, bodies).depth - out
 
     return _taken_in(so_far, inside, variance, counts)
 
