@@ -142,6 +142,8 @@ def native_spec(case: Case, time_step: float, solid: bool = False) -> mujoco.MjS
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.impratio = 100
+    if not case.obstacle.free_bodies:  # legs share no joint until they load the same body
+        spec.option.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
     spec.option.iterations = 50
     spec.option.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
     drive, execution = case.drive, case.execution
