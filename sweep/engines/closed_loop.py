@@ -56,7 +56,7 @@ def is_quiet(noise: Noise) -> bool:
 
 def most_ticks(plans: Plan, period: float) -> int:
     """Control ticks of the longest rollout of a batch; a plan that is not finite has none, one too long is cut off."""
-    durations = np.asarray(jnp.sum(plans.duration, axis=-1), dtype=float)
+    durations = np.sum(np.asarray(plans.duration), axis=-1, dtype=float)
     longest = np.max(durations, initial=0.0, where=np.isfinite(durations))
     return int(np.ceil(min(GRACE * longest, LONGEST) / period))
 

@@ -83,7 +83,7 @@ class Mjx:
             plan = batching.nominal_plan(belief)
             check(world, belief, plan)
             self.stages = plan.names
-            self.duration = float(GRACE * np.sum(plan.duration))
+            self.duration = float(GRACE * np.sum(np.asarray(plan.duration)))
         self._nominal = world, belief
         self._programs: dict[Any, Programs | Fused] = {}
 

@@ -176,7 +176,7 @@ class Native:
         plan = batching.nominal_plan(belief)
         check(world, belief, plan)
         self.stages = plan.names
-        self.duration = float(GRACE * np.sum(plan.duration))
+        self.duration = float(GRACE * np.sum(np.asarray(plan.duration)))
         self.fused = settings.compiler != "xla"
         self._programs: dict[Any, Programs] = {}
 

@@ -7,7 +7,6 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
@@ -121,8 +120,7 @@ class Tiles:
 
     def leave(self) -> Any:
         """What is carried, (width, ...) each."""
-        found = jax.tree.map(jnp.asarray, self.look(lambda carried: carried))
-        return jax.tree.map(keyed, found, self._like)
+        return jax.tree.map(keyed, self.look(lambda carried: carried), self._like)
 
     def look(self, which: Callable[[Any], Any]) -> Any:
         """What `which` picks, (width, ...) each, without the others."""

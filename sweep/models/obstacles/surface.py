@@ -4,6 +4,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax.numpy as jnp
 import mujoco
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 from sweep.core.rotations import matrix
@@ -41,7 +42,7 @@ def no_bodies() -> FreeState:
 
 def own_axes(count: int) -> Bodies:
     """Of free bodies in their own axes."""
-    return Bodies(jnp.zeros((count, 3)), jnp.tile(jnp.eye(3), (count, 1, 1)))
+    return Bodies(jnp.zeros((count, 3)), jnp.asarray(np.tile(np.eye(3), (count, 1, 1))))
 
 
 class Rolling(NamedTuple):
