@@ -298,8 +298,7 @@ class PlannedForces:
 
     def with_feedforward(self, belief: Case, plan: Plan) -> Plan:
         """`plan` with its `course` as offsets of what the believed drives are told (`Feedforward`)."""
-        # XLA for a GPU works the plan out anew among its forces, and had two stages of a ladder's in wrong poses then.
-        course = self.course(belief, jax.lax.optimization_barrier(plan))
+        course = self.course(belief, plan)
         inward = -jax.vmap(lambda *feet: surface_normals(belief, *feet))(plan.foothold, plan.foot_frame)
         offset = course.torque / belief.drive.stiffness
         told = (jnp.asarray(x, float) for x in (self.creep, self.anchoring))

@@ -67,9 +67,17 @@ def reuse_from() -> int:
     return 8 if jax.default_backend() == "cpu" else NEVER
 
 
-def plan_options() -> dict[str, Any] | None:
-    """How plans are compiled: once run, they are not worth the 14 s that a GPU's compiler takes to time one variant."""
-    return {"xla_gpu_autotune_level": 0} if jax.default_backend() == "gpu" else None
+def plan_options(forces: bool) -> dict[str, Any]:
+    """How plans are compiled, with `forces` or without.
+
+    Once run, they are not worth the 14 s that a GPU's compiler takes to time one variant. What it fuses works a plan
+    out anew among its forces, and gave two stages of a ladder those of wrong poses; unfused they are right, and
+    compiled in a quarter of the time.
+    """
+    if jax.default_backend() != "gpu":
+        return {}
+    apart = {"xla_disable_hlo_passes": "fusion,multi_output_fusion,priority-fusion"} if forces else {}
+    return {"xla_gpu_autotune_level": 0, **apart}
 
 
 def default_width() -> int:

@@ -228,8 +228,8 @@ class Mjx:
         finish = jax.vmap(self._finish, in_axes=(axes[0], 0, 0))
         finish = on_devices(finish, in_specs=(specs[0], split, split), out_specs=split)
         with ThreadPoolExecutor() as pool:
-            begin = jax.jit(start, compiler_options=devices.plan_options()).lower(*arrays)
-            started = pool.submit(begin.compile)
+            begin = jax.jit(start).lower(*arrays)
+            started = pool.submit(begin.compile, devices.plan_options(begin.out_info[0].feedforward is not None))
             plans, carry = devices.split(begin.out_info, self._mesh)
             if self._by_host:
                 chunked = fused(self._ticks(quiet), *of_one(arrays, begin.out_info))
@@ -246,7 +246,7 @@ class Mjx:
             if self._nominal[0].control.replan == "never":
                 return started.result(), chunked, finished
             again = on_devices(_with_new_plan(axes[1]), in_specs=(specs[1], split, split), out_specs=split)
-            again = jax.jit(again, compiler_options=devices.plan_options()).lower(belief, plans, carry)
+            again = jax.jit(again, compiler_options=devices.plan_options(forces=False)).lower(belief, plans, carry)
             return started.result(), chunked, finished, again.compile()
 
     def _ticks(self, quiet: bool) -> Callable:

@@ -322,7 +322,8 @@ class Native:
         again = jax.jit(jax.vmap(with_new_plan, in_axes=(axes[1], 0, 0)))
         replans = self._nominal.control.replan != "never"
         replan = [again.lower(belief, plans, between.loop).compile()] if replans else []
-        return begin.compile(), ticks, finished.compile(), *replan
+        started = begin.compile(devices.plan_options(plans.feedforward is not None))
+        return started, ticks, finished.compile(), *replan
 
     def _acted(
         self, world: Case, belief: Case, plan: Plan, loop: ClosedLoop, steps: Steps, tick: Array, quiet: bool
