@@ -2,12 +2,16 @@
 
 python docs/robustness_figures.py results/robustness_walk results/robustness_pole
 python docs/robustness_figures.py --bounds results/*_robustness results/*_robustness_learn
+python docs/robustness_figures.py --rates      # docs/robustness_rates.md and its figures, from the rates that are kept
 """
 
 import sys
+from io import BytesIO
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import pandas as pd
+from PIL import Image
 
 from sweep.analysis import sensitivity
 from sweep.report.exhibits import effects
@@ -30,22 +34,30 @@ ERRORS = {  # what a line of the table is called, and how its numbers are told
     "axis.friction": ("friction, beside what is believed, %", 100),
     "world.execution.torque_scale": ("torque limit, % of the believed one", 100),
 }
-BOUNDS = {  # columns of the table of bounds: title, unit in which an error is told, value without it
-    "axis.size_error": ("sizes, masses, %", 100, 0.0),
-    "axis.ground_error": ("ground, %", 100, 0.0),
-    "noise.position_noise": ("position, noise, mm", 1000, 0.0),
-    "noise.position_bias": ("bias, mm", 1000, 0.0),
-    "noise.orientation_noise": ("attitude, noise, mrad", 1000, 0.0),
-    "noise.orientation_bias": ("bias, mrad", 1000, 0.0),
-    "noise.joint_bias": ("joints, bias, mrad", 1000, 0.0),
-    "noise.delay": ("delay, ms", 4, 0.0),
-    "noise.load_noise": ("load, noise, N", 1, 0.0),
-    "noise.load_delay": ("delay, ms", 4, 0.0),
-    "axis.friction": ("friction less by, %", 100, 0.0),
-    "world.execution.torque_scale": ("torque limit less by, %", 100, 1.0),
+BOUNDS = {  # columns of the table of bounds: title, title alone, unit in which an error is told, value without it
+    "axis.size_error": ("sizes, masses, %", "sizes, masses, %", 100, 0.0),
+    "axis.ground_error": ("ground, %", "ground, %", 100, 0.0),
+    "noise.position_noise": ("position, noise, mm", "position, noise, mm", 1000, 0.0),
+    "noise.position_bias": ("bias, mm", "position, bias, mm", 1000, 0.0),
+    "noise.orientation_noise": ("attitude, noise, mrad", "attitude, noise, mrad", 1000, 0.0),
+    "noise.orientation_bias": ("bias, mrad", "attitude, bias, mrad", 1000, 0.0),
+    "noise.joint_bias": ("joints, bias, mrad", "joints, bias, mrad", 1000, 0.0),
+    "noise.delay": ("delay, ms", "delay, ms", 4, 0.0),
+    "noise.load_noise": ("load, noise, N", "load, noise, N", 1, 0.0),
+    "noise.load_delay": ("delay, ms", "load, delay, ms", 4, 0.0),
+    "axis.friction": ("friction less by, %", "friction less by, %", 100, 0.0),
+    "world.execution.torque_scale": ("torque limit less by, %", "torque limit less by, %", 100, 1.0),
 }
+ROBOTS = {"believes": "#7F7F7F", "calibrates": "#009E73", "learns": "#0072B2"}
 WANTED = 0.9  # share of rollouts that are to succeed
 RATES = Path(__file__).parent / "examples" / "robustness_rates.csv"
+PAGE = """# Robustness, manoeuvre by manoeuvre
+
+    python docs/robustness_figures.py --rates
+
+What share succeeds with one kind of error at a time, 128 draws a value, with 95 % Wilson intervals: the rates behind
+the first table of [robustness](robustness.md), which says what was run. Dotted: nine of ten.
+"""
 
 
 def table(found: Results) -> str:
@@ -92,13 +104,52 @@ def bounds(folders: list[str]) -> None:
     print("|:--|:--|" + ":--|" * len(BOUNDS))
     for (scenario, robot), of_one in rates.groupby(["scenario", "robot"]):
         along = dict(list(of_one.groupby("axis")))
-        cells = [bound(along[axis], *how) if axis in along else "" for axis, (_, *how) in BOUNDS.items()]
+        cells = [bound(along[axis], *how) if axis in along else "" for axis, (_, _, *how) in BOUNDS.items()]
         print(f"| `{scenario}` | {robot} | " + " | ".join(cells) + " |")
+
+
+def page() -> None:
+    """The rates in `RATES` as docs/robustness_rates.md, a figure for each manoeuvre."""
+    parts = [PAGE]
+    for scenario, rates in pd.read_csv(RATES).groupby("scenario"):
+        draw_rates(rates, f"robustness_{scenario}")
+        parts.append(f"## {scenario}\n\n![rates of {scenario}](figures/robustness_{scenario}.png)\n")
+    (FIGURES.parent / "robustness_rates.md").write_text("\n".join(parts), encoding="utf-8")
+
+
+def draw_rates(rates: pd.DataFrame, name: str) -> None:
+    """A panel for each error: what shares succeed with it, with their 95 % intervals, of every robot."""
+    figure, panels = plt.subplots(2, len(BOUNDS) // 2, figsize=(15, 4.2), sharey=True, layout="constrained")
+    for panel, (axis, (_, title, scale, nominal)) in zip(panels.flat, BOUNDS.items(), strict=True):
+        along = rates[rates["axis"] == axis]
+        errors = (scale * (along["value"] - nominal)).abs().round(6)
+        for robot, of_one in along.assign(error=errors).sort_values("error").groupby("robot"):
+            colour = ROBOTS[str(robot)]
+            panel.fill_between(
+                of_one["error"], 100 * of_one["low"], 100 * of_one["high"], color=colour, alpha=0.2, lw=0
+            )
+            panel.plot(of_one["error"], 100 * of_one["share"], "o-", ms=3, lw=1.2, color=colour, label=robot)
+        panel.axhline(100 * WANTED, color="0.6", lw=0.6, ls=":")
+        panel.set_xscale("log")
+        told = sorted(errors.unique())
+        panel.set_xticks(told, [f"{error:g}" for error in told], fontsize=7)
+        panel.minorticks_off()
+        panel.set_title(title, fontsize=9)
+    panels[0, 0].set_ylim(-3, 103)
+    for panel in panels[:, 0]:
+        panel.set_ylabel("succeed, %")
+    panels[0, 0].legend(loc="lower left", fontsize=8)
+    figure.savefig(drawn := BytesIO(), dpi=80)
+    plt.close(figure)
+    Image.open(drawn).convert("RGB").quantize(32).save(FIGURES / f"{name}.png", optimize=True)
 
 
 if __name__ == "__main__":
     if sys.argv[1] == "--bounds":
         bounds(sys.argv[2:])
+        sys.exit()
+    if sys.argv[1] == "--rates":
+        page()
         sys.exit()
     for folder in sys.argv[1:]:
         study = results.read(Path(folder))
