@@ -5,7 +5,7 @@ of one quantity (friction used, joint torque, or normal force) is least, within 
 is a centre of the forces that do nearly as well, not their extreme: it changes smoothly with the pose.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Literal, NamedTuple, cast
 
@@ -28,11 +28,10 @@ from sweep.models.scene import GRAVITY
 Effort = Literal["friction", "torque", "normal"]
 _BOUND: dict[Effort, str] = {"friction": "friction", "torque": "torque", "normal": "most_normal"}
 
-ROUND_STEPS = 2  # Newton steps of a round
-# By how much each round's level lies above the largest effort: first no level, from no balance to the first centre. In
-# the last one by `LAST`, if `Bounds` says nothing else.
+# By how much the level of each Newton step lies above the largest effort, that before every second step: first no
+# level, from no balance to the first centre. In the end by `LAST`, if `Bounds` says nothing else.
 LAST = 0.01
-SLACK = np.array([1e12] * 12 + list(np.geomspace(5 * LAST, LAST, 40)), np.float32)
+SLACK = np.repeat(np.array([1e12] * 12 + list(np.geomspace(5 * LAST, LAST, 40)), np.float32), 2)
 LENGTHS = (1.0, 0.7, 0.5, 0.3, 0.15, 0.07, 0.03, 0.01)  # of a Newton step, of which the longest that fits is taken
 FOCUS = 8.0  # weight of the pressed bounds against all others
 KEEP = 0.2  # of the room to a bound that a step has to leave
@@ -60,6 +59,20 @@ class Bounds(NamedTuple):
     most_normal: Array | float = 1e4  # N
     # share of the effort that the level above it is away: the more, the farther are forces from all other bounds
     slack: Array | float = LAST
+
+
+class Sought(NamedTuple):
+    """What forces are planned for."""
+
+    pose: StaticPose
+    bounds: Bounds
+
+
+class Search(NamedTuple):
+    """How far the method of centres has come."""
+
+    force: Float[Array, "6 3"]  # weights
+    level: Float[Array, " 6"]  # bound of the effort, in weights
 
 
 class Forces(NamedTuple):
@@ -98,22 +111,39 @@ def distribute(pose: StaticPose, bounds: Bounds, least: Effort) -> Forces:
     With the least `slack` the effort ends within some 3 % of the least possible one. What is left of the weight
     (`imbalance`) stays below 1 % where forces within the bounds exist, and above it where there are none.
     """
+    sought = Sought(pose, Bounds(*(jnp.asarray(b, float) for b in bounds)))
+    return asked(pose, searched(least)(jax.tree.map(lambda x: x[None], sought))[0])
+
+
+def searched(least: Effort) -> Callable[[Sought], Float[Array, "n 6 3"]]:
+    """What finds forces in weights for n poses within bounds.
+
+    In a traced program it is one operation, which goes by the name of `SEARCHES`: this package's own compiler can take
+    its place, since poses have nothing to do with each other.
+    """
+    return _SEARCHED[least]
+
+
+def _by_xla(least: Effort) -> Callable[[Sought], Float[Array, "n 6 3"]]:
+    def one(sought: Sought) -> Array:
+        problem = _Problem.of(sought)
+        return jax.lax.fori_loop(0, len(SLACK), lambda k, s: problem.step(s, k, least), problem.nothing).force
+
+    def search(sought: Sought) -> Array:
+        return jax.vmap(one)(sought)
+
+    search.__name__ = f"forces_of_least_{least}"
+    return jax.jit(search)
+
+
+def step(least: Effort, sought: Sought, so_far: Search, number: Int[Array, ""]) -> Search:
+    """Newton step `number` of the search for one pose, the first of which takes nothing from `so_far`."""
+    return _Problem.of(sought).step(so_far, number, least)
+
+
+def asked(pose: StaticPose, force: Float[Array, "6 3"]) -> Forces:
+    """Forces in weights, and what they ask for."""
     scaled = _Scaled.of(pose)
-    start = Bounds(
-        bounds.friction,
-        bounds.torque / pose.weight,
-        bounds.least_normal / pose.weight,
-        bounds.most_normal / pose.weight,
-    )
-    levels = Bounds(*[jnp.broadcast_to(jnp.asarray(b, scaled.normal.dtype), (6,)) for b in start])
-
-    def one_round(force: Array, slack: Array) -> tuple[Array, None]:
-        level = (1 + slack) * jnp.max(scaled.effort(force, least))
-        lower = levels._replace(**{_BOUND[least]: jnp.minimum(level, getattr(levels, _BOUND[least]))})
-        return jax.lax.fori_loop(0, ROUND_STEPS, lambda _, f: scaled.towards_centre(f, lower, least), force), None
-
-    first = scaled.first(levels)
-    force, _ = jax.lax.scan(one_round, first, jnp.asarray(SLACK, first.dtype) * (bounds.slack / LAST))
     sound = jnp.all(jnp.isfinite(force))  # far from any solution Newton's method may break down
     force = jnp.where(sound, force, 0.0)
     efforts = {name: jnp.max(scaled.effort(force, name)) for name in _BOUND}
@@ -219,6 +249,44 @@ class _Scaled(NamedTuple):
         return force + length * direction
 
 
+class _Problem(NamedTuple):
+    """A pose, what forces have to keep to there, and how far the levels are away."""
+
+    scaled: _Scaled
+    bounds: Bounds  # of each foot, in weights
+    slack: Float[Array, ""]  # over `LAST`
+
+    @classmethod
+    def of(cls, sought: Sought) -> "_Problem":
+        (pose, bounds), scaled = sought, _Scaled.of(sought.pose)
+        start = Bounds(
+            bounds.friction,
+            bounds.torque / pose.weight,
+            bounds.least_normal / pose.weight,
+            bounds.most_normal / pose.weight,
+        )
+        each = Bounds(*[jnp.broadcast_to(jnp.asarray(b, scaled.normal.dtype), (6,)) for b in start])
+        return cls(scaled, each, jnp.asarray(bounds.slack / LAST, scaled.normal.dtype))
+
+    @property
+    def nothing(self) -> Search:
+        """Before the first step."""
+        return Search(jnp.zeros_like(self.scaled.normal), jnp.zeros_like(self.scaled.stands))
+
+    def step(self, so_far: Search, number: Array, least: Effort) -> Search:
+        """A Newton step."""
+        force = jnp.where(number == 0, self.scaled.first(self.bounds), so_far.force)
+        slack = jnp.asarray(SLACK, force.dtype)[number] * self.slack
+        above = (1 + slack) * jnp.max(self.scaled.effort(force, least))
+        level = jnp.where(number % 2 == 0, jnp.minimum(above, getattr(self.bounds, _BOUND[least])), so_far.level)
+        lower = self.bounds._replace(**{_BOUND[least]: level})
+        return Search(self.scaled.towards_centre(force, lower, least), level)
+
+
+_SEARCHED: dict[Effort, Callable[[Sought], Array]] = {least: _by_xla(least) for least in _BOUND}
+SEARCHES: dict[str, Effort] = {search.__name__: least for least, search in _SEARCHED.items()}
+
+
 class Course(NamedTuple):
     """Planned forces along a plan: S stages, `KNOTS` even moments of each."""
 
@@ -227,15 +295,12 @@ class Course(NamedTuple):
     planned: Forces  # the optimum of each moment by itself, leading axes (s, k)
 
 
-def moment(
-    belief: Case, plan: Plan, bounds: Bounds, least: Effort, stage: Int[Array, ""], u: Float[Array, ""]
-) -> tuple[StaticPose, Forces]:
-    """The pose at phase `u` of a stage as planned, bodies as they start, and the best forces there by itself."""
+def moment(belief: Case, plan: Plan, stage: Int[Array, ""], u: Float[Array, ""]) -> StaticPose:
+    """The pose at phase `u` of a stage as planned, bodies as they start."""
     free, frames = free_start(belief.obstacle), (plan.foot_frame[stage], plan.base_frame[stage])
     feet, position = begins(plan, stage, free)
     stance = stance_to_world(reference(plan, stage, u, feet, position), *frames, free)
-    here = pose(belief.robot, stance, surface_normals(belief, feet, plan.foot_frame[stage]), ~plan.swing[stage])
-    return here, distribute(here, bounds, least)
+    return pose(belief.robot, stance, surface_normals(belief, feet, plan.foot_frame[stage]), ~plan.swing[stage])
 
 
 def along(belief: Case, plan: Plan, bounds: Bounds, least: Effort) -> Course:
@@ -244,9 +309,13 @@ def along(belief: Case, plan: Plan, bounds: Bounds, least: Effort) -> Course:
     In a stage in which nothing moves, load goes evenly from the forces before it to those after it: so that feet that
     are to swing carry nothing when they do.
     """
-    number, phases = jnp.arange(plan.duration.shape[0]), jnp.linspace(0.0, 1.0, KNOTS)
+    stages = plan.duration.shape[0]
+    number, phases = jnp.arange(stages), jnp.linspace(0.0, 1.0, KNOTS)
     _, base = jax.vmap(lambda s: begins(plan, s, free_start(belief.obstacle)))(number)
-    poses, planned = jax.vmap(lambda s: jax.vmap(lambda u: moment(belief, plan, bounds, least, s, u))(phases))(number)
+    poses = jax.vmap(lambda k: moment(belief, plan, number[k // KNOTS], phases[k % KNOTS]))(jnp.arange(stages * KNOTS))
+    each = jax.tree.map(lambda b: jnp.broadcast_to(jnp.asarray(b, float), (stages * KNOTS, *jnp.shape(b))), bounds)
+    found = jax.vmap(asked)(poses, searched(least)(Sought(poses, each)))
+    poses, planned = jax.tree.map(lambda x: x.reshape(stages, KNOTS, *x.shape[1:]), (poses, found))
     force = planned.force
     before = jnp.concatenate([force[:1, 0], force[:-1, -1]])[:, None]
     after = jnp.concatenate([force[1:, 0], force[-1:, -1]])[:, None]

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.sharding import NamedSharding, PartitionSpec
+from jax.stages import Compiled
 from jaxtyping import Array
 
 from sweep.core import files
@@ -65,6 +66,11 @@ def precision(settings: EngineSettings) -> contextlib.AbstractContextManager:
 def reuse_from() -> int:
     """From how many operations on a value used again is kept by `batch_last_vmap`: a GPU's compiler knows itself."""
     return 8 if jax.default_backend() == "cpu" else NEVER
+
+
+def run(program: Compiled, *given: Any) -> Any:
+    """What a program gives, of arrays that are spread over the devices as it was compiled for."""
+    return program(*jax.device_put(given, program.input_shardings[0]))
 
 
 def plan_options(forces: bool) -> dict[str, Any]:

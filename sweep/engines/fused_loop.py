@@ -12,8 +12,10 @@ from jaxtyping import Array
 
 from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError
+from sweep.engines import devices
 from sweep.engines.fused.arrays import Unsupported
 from sweep.engines.fused.kernel import Kernel, Tiles
+from sweep.engines.planning import Planning
 from sweep.engines.settings import EngineSettings
 from sweep.engines.states import Watch, offered
 from sweep.models.case import Case
@@ -33,7 +35,7 @@ class Going(NamedTuple):
 class Fused(NamedTuple):
     """What a batch runs through; `start` and `finish` are XLA's."""
 
-    begin: Compiled
+    begin: Planning
     kernel: Kernel
     end: Compiled
     again: Compiled | None  # what plans again before each chunk, if any
@@ -51,7 +53,7 @@ class Fused(NamedTuple):
     ) -> tuple[Going, Any]:
         """Go on from `tick`; records of the rollouts `kept`, of all there is or of the columns watched."""
         if self.again is not None:
-            carry.tiles.change(lambda carried: carried, _split(self.again, belief, plans, carry.tiles.leave()))
+            carry.tiles.change(lambda carried: carried, devices.run(self.again, belief, plans, carry.tiles.leave()))
         record = carry.tiles.advance(tick, self.ticks, kept)
         if record is None or self.watch is None:
             return carry, record
@@ -61,12 +63,7 @@ class Fused(NamedTuple):
 
     def finish(self, world: Case, plans: Plan, carry: Going) -> dict[str, Array]:
         """Figures."""
-        return _split(self.end, world, plans, carry.tiles.leave())
-
-
-def _split(program: Compiled, *given: Any) -> Any:
-    """What a program gives, of arrays that are spread over the devices as it was compiled for."""
-    return program(*jax.device_put(given, program.input_shardings[0]))
+        return devices.run(self.end, world, plans, carry.tiles.leave())
 
 
 def of_one(arrays: tuple[Case, Case, Array], batch: Any) -> tuple[tuple[Case, Case, Plan], Any]:

@@ -17,7 +17,7 @@ from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError
 from sweep.dynamics import interface as dynamics
 from sweep.dynamics.step import State, rest
-from sweep.engines import batching, devices, fused_loop, physics, program_cache
+from sweep.engines import batching, devices, fused_loop, physics, planning, program_cache
 from sweep.engines.base import Figures, Trace
 from sweep.engines.batch_last import batch_last_vmap
 from sweep.engines.closed_loop import (
@@ -36,6 +36,7 @@ from sweep.engines.fused import launch
 from sweep.engines.fused.kernel import Code, Kernel
 from sweep.engines.fused.kernel import compiled as fused
 from sweep.engines.fused_loop import Fused, of_one
+from sweep.engines.planning import Planning
 from sweep.engines.prelude import check, prepared
 from sweep.engines.settings import EngineSettings
 from sweep.engines.states import Watch, offered
@@ -83,6 +84,7 @@ class Mjx:
             plan = batching.nominal_plan(belief)
             check(world, belief, plan)
             self.stages = plan.names
+            self._searches = plan.feedforward is not None
             self.duration = float(GRACE * np.sum(np.asarray(plan.duration)))
         self._nominal = world, belief
         self._programs: dict[Any, Programs | Fused] = {}
@@ -198,8 +200,15 @@ class Mjx:
         return arrays, programs, kept, places
 
     def _ready(
-        self, start: Compiled, chunk: Compiled | Code, finish: Compiled, again: Compiled | None = None
+        self,
+        before: Compiled,
+        search: Code | None,
+        after: Compiled | None,
+        chunk: Compiled | Code,
+        finish: Compiled,
+        again: Compiled | None = None,
     ) -> Programs | Fused:
+        start = Planning.of(before, search, after)
         if not isinstance(chunk, Code):
             return Programs(start, chunk, finish)
         return Fused(start, Kernel(chunk), finish, again, self._chunk_ticks, self.width, None)
@@ -214,7 +223,7 @@ class Mjx:
     @fused_loop.or_what_is_missing
     def _compile(
         self, arrays: tuple[Case, Case, Array], quiet: bool, kept: Array | None, watch: Watch | None
-    ) -> tuple[Compiled | Code, ...]:
+    ) -> tuple[Compiled | Code | None, ...]:
         """The programs over batches like `arrays`, split over the devices.
 
         They are compiled side by side: the compiler needs no Python, which traces the next one meanwhile.
@@ -223,13 +232,17 @@ class Mjx:
         axes, specs = devices.axes((world, belief)), devices.specs((world, belief))
         split, whole = PartitionSpec(devices.BATCH), PartitionSpec()
         on_devices = partial(jax.shard_map, mesh=self._mesh, check_vma=False)
-        start = on_devices(jax.vmap(self._start, in_axes=(*axes, 0)), in_specs=(*specs, split), out_specs=split)
+
+        def many(start: Callable, more: int) -> Callable:
+            batched = jax.vmap(start, in_axes=(*axes, *[0] * (1 + more)))
+            return on_devices(batched, in_specs=(*specs, *[split] * (1 + more)), out_specs=split)
+
         recorded = (split, PartitionSpec(None, devices.BATCH))
         finish = jax.vmap(self._finish, in_axes=(axes[0], 0, 0))
         finish = on_devices(finish, in_specs=(specs[0], split, split), out_specs=split)
         with ThreadPoolExecutor() as pool:
-            begin = jax.jit(start).lower(*arrays)
-            started = pool.submit(begin.compile, devices.plan_options(begin.out_info[0].feedforward is not None))
+            begin = planning.lowered(self._start, arrays, many, self._searches, self._by_host)
+            started = begin.compiled(pool)
             plans, carry = devices.split(begin.out_info, self._mesh)
             if self._by_host:
                 chunked = fused(self._ticks(quiet), *of_one(arrays, begin.out_info))
@@ -242,12 +255,12 @@ class Mjx:
                 chunked = pool.submit(go_on.lower(world, belief, plans, carry, 0, kept).compile)
             finished = jax.jit(finish).lower(world, plans, carry).compile()
             if not isinstance(chunked, Code):
-                return started.result(), chunked.result(), finished
+                return *started(), chunked.result(), finished
             if self._nominal[0].control.replan == "never":
-                return started.result(), chunked, finished
+                return *started(), chunked, finished
             again = on_devices(_with_new_plan(axes[1]), in_specs=(specs[1], split, split), out_specs=split)
             again = jax.jit(again, compiler_options=devices.plan_options(forces=False)).lower(belief, plans, carry)
-            return started.result(), chunked, finished, again.compile()
+            return *started(), chunked, finished, again.compile()
 
     def _ticks(self, quiet: bool) -> Callable:
         """A tick of one rollout, for a compiler of this package."""

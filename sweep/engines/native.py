@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -17,7 +18,7 @@ from sweep.controllers.plan import Plan
 from sweep.controllers.tracker import Command
 from sweep.core.errors import InputError
 from sweep.core.rotations import exponential, multiply
-from sweep.engines import batching, devices, fused_loop, program_cache
+from sweep.engines import batching, devices, fused_loop, planning, program_cache
 from sweep.engines.base import Figures, Trace
 from sweep.engines.closed_loop import (
     CHUNK,
@@ -35,6 +36,7 @@ from sweep.engines.closed_loop import (
 )
 from sweep.engines.fused import kernel
 from sweep.engines.fused.kernel import Code, Kernel, Tiles
+from sweep.engines.planning import Planning
 from sweep.engines.prelude import check, prepared
 from sweep.engines.settings import EngineSettings
 from sweep.engines.states import Watch, offered
@@ -176,6 +178,7 @@ class Native:
         plan = batching.nominal_plan(belief)
         check(world, belief, plan)
         self.stages = plan.names
+        self._searches = plan.feedforward is not None
         self.duration = float(GRACE * np.sum(np.asarray(plan.duration)))
         self.fused = settings.compiler != "xla"
         self._programs: dict[Any, Programs] = {}
@@ -287,7 +290,8 @@ class Native:
                 fused_loop.give_up(self.settings, parts[0])
                 self.fused = False
                 return self._prepare(arrays, quiet)
-            start, tick, *rest = parts
+            before, search, after, tick, *rest = parts
+            start = Planning.of(before, search, after)
             self._programs[form] = Programs(start, Kernel(tick) if isinstance(tick, Code) else tick, *rest)
         return self._programs[form]
 
@@ -311,7 +315,11 @@ class Native:
         def finish(world: Case, plan: Plan, loop: ClosedLoop) -> dict[str, Array]:
             return stream.figures(world, newest(plan, loop.learned), loop.running, loop.tracker.stage)
 
-        begin = jax.jit(jax.vmap(start, in_axes=(*axes, 0))).lower(*arrays)
+        def many(start: Callable, more: int) -> Callable:
+            return jax.vmap(start, in_axes=(*axes, *[0] * (1 + more)))
+
+        by_host = self.fused and jax.default_backend() == "cpu"
+        begin = planning.lowered(start, arrays, many, self._searches, by_host)
         plans, between, _ = begin.out_info
         if self.fused:
             ticks = kernel.compiled(tick, *fused_loop.of_one(arrays, (plans, between)))
@@ -322,8 +330,9 @@ class Native:
         again = jax.jit(jax.vmap(with_new_plan, in_axes=(axes[1], 0, 0)))
         replans = self._nominal.control.replan != "never"
         replan = [again.lower(belief, plans, between.loop).compile()] if replans else []
-        started = begin.compile(devices.plan_options(plans.feedforward is not None))
-        return started, ticks, finished.compile(), *replan
+        with ThreadPoolExecutor() as pool:
+            started = begin.compiled(pool)()
+        return *started, ticks, finished.compile(), *replan
 
     def _acted(
         self, world: Case, belief: Case, plan: Plan, loop: ClosedLoop, steps: Steps, tick: Array, quiet: bool

@@ -91,7 +91,7 @@ def _load(file: Path, devices: Sequence[Any]) -> Sequence[Any] | None:
             jax.jit(jax.lax.linalg.cholesky).lower(np.eye(1))
         parts = pickle.loads(content)
         return [
-            part if isinstance(part, Code | str) else deserialize_and_load(*part, execution_devices=devices)
+            part if isinstance(part, Code | str | None) else deserialize_and_load(*part, execution_devices=devices)
             for part in parts
         ]
     except InputError:
@@ -100,8 +100,8 @@ def _load(file: Path, devices: Sequence[Any]) -> Sequence[Any] | None:
         return None
 
 
-def _saved(part: Compiled | Code | str) -> Any:
-    return part if isinstance(part, Code | str) else serialize(part)
+def _saved(part: Compiled | Code | str | None) -> Any:
+    return part if isinstance(part, Code | str | None) else serialize(part)
 
 
 def _store(file: Path, content: bytes) -> None:

@@ -108,7 +108,7 @@ def left(
 
 def holding(case: Case, plan: Plan, stage: Int[Array, ""], u: Float[Array, ""], bounds: forces.Bounds) -> Holding:
     """What the forces of least friction within `bounds` leave at phase `u` of a stage."""
-    _, held = forces.moment(case, plan, bounds, "friction", stage, u)
+    held = forces.distribute(forces.moment(case, plan, stage, u), bounds, "friction")
     return Holding(case.contact.friction - held.friction, case.drive.torque_limit - held.torque, -held.imbalance)
 
 
