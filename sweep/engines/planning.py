@@ -113,9 +113,10 @@ def _nothing(force: Any) -> Search:
 
 
 def _apart(start: Start, arrays: tuple[Any, Any, Array]) -> tuple[Start, Start, Effort] | None:
-    """A start up to its search for forces, from there on, and which these are; None where there is not just one.
+    """A start up to its search for forces, from there on, and which these are.
 
-    The second takes, beside what the first does, what the first keeps for it and the forces.
+    The second takes, beside what the first does, what the first keeps for it and the forces. None where there is not
+    just one search, or all rollouts share it, which XLA does once.
     """
     one = jax.tree.map(lambda x: jax.ShapeDtypeStruct((), x.dtype), arrays)
     program, shape = jax.make_jaxpr(start, return_shape=True)(*one)
@@ -124,6 +125,12 @@ def _apart(start: Start, arrays: tuple[Any, Any, Array]) -> tuple[Start, Start, 
     if len(places) != 1:
         return None
     place, search, end = places[0], eqns[places[0]], program.jaxpr.outvars
+    differs = {x for x, given in zip(program.jaxpr.invars, jax.tree.leaves(arrays), strict=True) if given.ndim}
+    for eqn in eqns[:place]:
+        if _of(eqn) & differs:
+            differs.update(eqn.outvars)
+    if not _of(search) & differs:
+        return None
     made = {x for eqn in eqns[:place] for x in eqn.outvars}
     read = [*(x for eqn in eqns[place + 1 :] for x in eqn.invars), *end]
     kept = list(dict.fromkeys(x for x in read if not isinstance(x, Literal) and x in made))
@@ -152,5 +159,10 @@ def _needed(program: ClosedJaxpr) -> list[Any]:
     for eqn in reversed(program.jaxpr.eqns):
         if wanted.intersection(eqn.outvars):
             kept.append(eqn)
-            wanted.update(x for x in eqn.invars if not isinstance(x, Literal))
+            wanted |= _of(eqn)
     return kept[::-1]
+
+
+def _of(eqn: Any) -> set[Any]:
+    """The values that an operation works on."""
+    return {x for x in eqn.invars if not isinstance(x, Literal)}

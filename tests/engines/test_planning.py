@@ -44,3 +44,13 @@ def test_forces_are_those_that_xla_finds():
     np.testing.assert_array_equal(others["draw"], rest["draw"])
     np.testing.assert_allclose(others["lowest"][held], rest["lowest"][held], atol=2e-3)
     np.testing.assert_array_equal(others["bound"], arrays[0])
+
+
+def test_one_search_for_all_rollouts_is_left_to_xla():
+    arrays = jnp.linspace(0.02, 0.6, 3), jnp.array(0.4), jax.random.split(jax.random.key(3), 3)
+
+    def shared(world, belief, key):
+        return start(0.5, belief, jax.random.key(0)), world + jax.random.uniform(key)
+
+    assert planning.lowered(start, arrays, many, searches=True, by_host=True).search is not None
+    assert planning.lowered(shared, arrays, many, searches=True, by_host=True).search is None
