@@ -190,7 +190,9 @@ def assemble(
             "foot_frame": jnp.asarray(stage.foot_frames, jnp.int32), "base_frame": jnp.int32(stage.base_frame),
             "press": jnp.stack([jnp.asarray(depth, float) for depth in stage.press]),
         })  # fmt: skip
-        quat = quat if stage.turn is None else multiply(exponential(turn), quat)
+        if stage.turn is not None:
+            # a barrier, or the compiler writes out anew at every stage all turns before it
+            quat = jax.lax.optimization_barrier(multiply(exponential(turn), quat))
     table = {key: jnp.stack([row[key] for row in rows]) for key in rows[0]}
     names = tuple(stage.name for stage in stages)
     mode = jnp.array([stage.flywheel for stage in stages], jnp.int32)

@@ -1,5 +1,7 @@
 """What engines share in handling batches: batch axes, keys, precision, records of a traced rollout."""
 
+from functools import lru_cache
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -20,7 +22,16 @@ from sweep.models.legs import N_JOINTS, N_LEGS
 def nominal_plan(belief: Case) -> Plan:
     """The plan by plain numbers. Raises `InputError` where they admit none; a swept row is then invalid.
 
-    The compiler has the numbers as constants and works most of the plan out itself, sooner than operation by operation.
+    A process keeps the last one: layout and engine ask for the same.
+    """
+    return _nominal_plan(belief, jnp.zeros(()).dtype)
+
+
+@lru_cache(maxsize=1)
+def _nominal_plan(belief: Case, _: np.dtype) -> Plan:
+    """For JAX's float type of the moment.
+
+    The compiler has the belief as constants and works most of the plan out itself, sooner than operation by operation.
     """
     plan = jax.jit(lambda: belief.manoeuvre.plan(belief))()
     if not all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(plan)):
