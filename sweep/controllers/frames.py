@@ -4,8 +4,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from sweep.core.rotations import conjugate, multiply, rotate
-from sweep.models.legs import N_LEGS
-from sweep.models.obstacles.surface import FreeState, Obstacle, Surface, free_start, poses
+from sweep.models.obstacles.surface import FreeState, Obstacle, Surface, free_start, poses, under
 
 WORLD = 0
 
@@ -40,7 +39,7 @@ def to_frame(points: Float[Array, "n 3"], frame: Int[Array, " n"], free: FreeSta
 def ground(obstacle: Obstacle, feet: Float[Array, "6 3"], frame: Int[Array, " 6"]) -> Surface:
     """The obstacle at footholds (m) in some frames, its free bodies as they start."""
     free = free_start(obstacle)
-    return obstacle.surface(to_world(feet, frame, free), (-1,) * N_LEGS, poses(free))
+    return under(obstacle, to_world(feet, frame, free), poses(free))
 
 
 def attitude_to_world(quat: Float[Array, " 4"], frame: Int[Array, ""], free: FreeState) -> Float[Array, " 4"]:

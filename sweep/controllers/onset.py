@@ -13,7 +13,7 @@ from sweep.controllers.posture import feet_in_world
 from sweep.core.rotations import conjugate, exponential, heading, logarithm, multiply, rotate
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
-from sweep.models.obstacles.surface import poses
+from sweep.models.obstacles.surface import poses, under
 
 LEFT = np.array([0.0, 1.0, 0.0], np.float32)  # of the base
 
@@ -53,7 +53,7 @@ def _measured(belief: Case, seen: Observation) -> tuple[Array, Array, Bool[Array
     would otherwise be handed on from step to step.
     """
     feet = feet_in_world(belief.robot, seen.position, seen.quat, seen.angles)
-    surface = belief.obstacle.surface(feet, (-1,) * 6, poses(seen.free))
+    surface = under(belief.obstacle, feet, poses(seen.free))
     return feet, surface.normal, surface.body >= 0
 
 

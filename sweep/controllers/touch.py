@@ -22,7 +22,7 @@ from sweep.controllers.tracker import TrackerState
 from sweep.models.control import Control
 from sweep.models.legs import N_LEGS
 from sweep.models.noise import Noise
-from sweep.models.obstacles.surface import Bodies, Obstacle, Surface, free_start, poses
+from sweep.models.obstacles.surface import Bodies, Obstacle, Surface, free_start, poses, under
 from sweep.models.robot import Robot
 
 REACH = 0.04  # m, how far a foot that finds no surface goes on beyond where it is planned
@@ -83,7 +83,7 @@ def standing(
 ) -> Touched:
     """What is known when feet at the places of `start` stand, seen with these joint angles (rad) and base (m)."""
     places = feet_in_world(robot, position, quat, angles)
-    ground = so_far.obstacle.surface(start.feet, (-1,) * N_LEGS, _at_rest(so_far.first))
+    ground = under(so_far.obstacle, start.feet, _at_rest(so_far.first))
     out = jnp.sum((places - start.feet) * ground.normal, axis=1)
     variance = _variance(control, noise, so_far.obstacle)
     known, _ = _known(so_far, places, out, ground.normal, variance, jnp.ones(N_LEGS, bool))
@@ -209,7 +209,7 @@ def _known(
     def inside(x: Array) -> Array:
         """Taken at the planned depth: deep inside what is believed another face may be nearer."""
         planned = places - out[:, None] * normal
-        return _with(so_far.obstacle, x).surface(planned, (-1,) * N_LEGS, bodies).depth - out
+        return under(_with(so_far.obstacle, x), planned, bodies).depth - out
 
     return _taken_in(so_far, inside, variance, counts)
 

@@ -23,7 +23,7 @@ from sweep.models.disturbance import Execution
 from sweep.models.drive import Servo, position_mode
 from sweep.models.legs import JOINT_Q, JOINT_V, N_JOINTS, N_LEGS
 from sweep.models.noise import Noise
-from sweep.models.obstacles.surface import FreeState, free_start, poses
+from sweep.models.obstacles.surface import FreeState, free_start, poses, under
 
 CHUNK = 1.0  # s of simulated time between two looks of the host, and from plan to plan of who plans again
 GRACE = 1.2  # a rollout is over at this multiple of its planned duration, finished or not
@@ -72,7 +72,7 @@ def start_state(world: Case, belief: Case, plan: Plan) -> Start:
     joints, _ = joint_targets(belief.robot, plan.start)
     start = displaced(world.execution, plan.start)
     feet = feet_in_world(world.robot, start.position, start.quat, joints)
-    ground = world.obstacle.surface(feet, (-1,) * 6, poses(free))
+    ground = under(world.obstacle, feet, poses(free))
     along = jnp.array([0.0, 0.0, 1.0]) if world.obstacle.free_bodies else ground.normal[jnp.argmax(ground.depth)]
     slant = ground.normal @ along
     below = jnp.where(slant > 1e-3, ground.depth / jnp.maximum(slant, 1e-3), -jnp.inf)  # no wall stops a foot's descent

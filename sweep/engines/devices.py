@@ -77,8 +77,7 @@ def plan_options(forces: bool) -> dict[str, Any]:
     """How plans are compiled, with `forces` or without.
 
     Once run, they are not worth the 14 s that a GPU's compiler takes to time one variant. What it fuses works a plan
-    out anew among its forces, and gave two stages of a ladder those of wrong poses; unfused they are right, and
-    compiled in a quarter of the time.
+    out anew among its forces, and gave two stages of a ladder those of wrong poses; unfused they are right.
     """
     if jax.default_backend() != "gpu":
         return {}

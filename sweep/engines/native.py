@@ -48,7 +48,7 @@ from sweep.models.case import Case
 from sweep.models.collisions import collide
 from sweep.models.drive import Servo, towards
 from sweep.models.legs import JOINT_Q, JOINT_V, JOINTS, N_JOINTS, N_LEGS
-from sweep.models.obstacles.surface import FreeState, poses
+from sweep.models.obstacles.surface import FreeState, poses, under
 
 CONTROL = mujoco.mjtState.mjSTATE_CTRL.value | mujoco.mjtState.mjSTATE_XFRC_APPLIED.value
 RECORD = ("qpos", "qvel", "actuator_force", "sensordata", "energy", "xpos", "site_xpos", "subtree_com")
@@ -391,7 +391,7 @@ class Native:
         force = -jnp.mean(steps.foot_force.reshape(-1, N_LEGS, 3), axis=0)
         qpos, qvel = steps.qpos[-1], steps.qvel[-1]
         free = free_state(qpos, qvel, count)
-        normals = world.obstacle.surface(steps.feet, (-1,) * N_LEGS, poses(free)).normal
+        normals = under(world.obstacle, steps.feet, poses(free)).normal
         normal = jnp.sum(force * normals, axis=-1)
         last = -jnp.sum(steps.foot_force[-1].reshape(N_LEGS, 3) * normals, axis=-1)
         outside = jnp.sum(push * steps.qvel[:, :3]) + jnp.sum(loads * _twists(steps, count))

@@ -20,7 +20,7 @@ from sweep.core.rotations import exponential, multiply
 from sweep.engines.closed_loop import Start, start_state
 from sweep.models.case import Case
 from sweep.models.legs import JOINT_Q, N_LEGS
-from sweep.models.obstacles.surface import Surface, free_start, poses
+from sweep.models.obstacles.surface import Surface, free_start, poses, under
 
 LEVEL = 5e-3  # m, within which feet are on one plane: footholds may lie below it
 FLAT = 1e-5  # within which ground is the floor, z = 0
@@ -79,7 +79,7 @@ def check(world: Case, belief: Case, plan: Plan) -> None:
 
 def _under(belief: Case, plan: Plan) -> Surface:
     """What is believed to be under the feet at the start."""
-    return belief.obstacle.surface(plan.start.feet, (-1,) * N_LEGS, poses(free_start(belief.obstacle)))
+    return under(belief.obstacle, plan.start.feet, poses(free_start(belief.obstacle)))
 
 
 def _ground(belief: Case, plan: Plan) -> Ground:
@@ -106,7 +106,7 @@ def measured(world: Case, start: Start, key: Array) -> Measured:
     control, noise = world.control, world.noise
     quat = start.qpos[3:7]
     feet = feet_in_world(world.robot, start.qpos[:3], quat, start.qpos[JOINT_Q].reshape(N_LEGS, 3))
-    ground = world.obstacle.surface(feet, (-1,) * N_LEGS, poses(free_start(world.obstacle)))
+    ground = under(world.obstacle, feet, poses(free_start(world.obstacle)))
     feet = feet + ground.depth[:, None] * ground.normal
     bias = biases(noise, jax.random.split(key)[0])
     slips, draws = (jax.random.normal(k, (len(MOVES), n), float) for k, n in

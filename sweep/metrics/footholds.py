@@ -5,7 +5,7 @@ from jaxtyping import Array, Float
 
 from sweep.controllers.frames import to_world
 from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment
-from sweep.models.obstacles.surface import FreeState, poses
+from sweep.models.obstacles.surface import FreeState, poses, under
 
 # m, within which a foot that may hover, since others carry, is at a face: what a base off by 2 degrees makes of the
 # feet beside it, and half the height of a swing
@@ -28,7 +28,7 @@ def figures(found: Last, at: Elapsed) -> dict[str, Array]:
     """See `METRIC`."""
     feet, free = found
     target = to_world(at.plan.foothold[-1], at.plan.foot_frame[-1], free)
-    here, there = (at.world.obstacle.surface(p, (-1,) * 6, poses(free)) for p in (feet, target))
+    here, there = (under(at.world.obstacle, p, poses(free)) for p in (feet, target))
     hit = (here.face == there.face) & (here.body == there.body) & (here.depth > -AT_FACE)
     return {"feet_on_target": jnp.sum(hit).astype(jnp.int32)}
 

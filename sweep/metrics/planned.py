@@ -15,7 +15,7 @@ from sweep.formulas import stepping
 from sweep.metrics.geometry import base_gap, leg_gap, links_beyond_foot, support_margin
 from sweep.models import solids
 from sweep.models.case import Case
-from sweep.models.obstacles.surface import Bodies, Surface, free_start, poses
+from sweep.models.obstacles.surface import Bodies, Surface, free_start, poses, under
 from sweep.models.robot import half_size
 
 MID_SWING = 0.05  # m from both ends of a swing, beyond which a foot has to be off the obstacle
@@ -87,7 +87,7 @@ def left(
     reach = jnp.minimum(robot.thigh + robot.shin - stretch, stretch - jnp.abs(robot.thigh - robot.shin)) - shortfall
 
     def surface(at: Array) -> Surface:
-        return obstacle.surface(at, (-1,) * 6, bodies)
+        return under(obstacle, at, bodies)
 
     goes = jnp.minimum(*(jnp.linalg.norm(foot - at, axis=-1) for at in (swing.starts, swing.goal))) > MID_SWING
     above = jnp.where(goes & swing.swings, -surface(foot).depth, jnp.inf)

@@ -27,7 +27,7 @@ from sweep.metrics.planned import Holding, Margins, Swing, left
 from sweep.models.case import Case
 from sweep.models.obstacles.ball import Ball
 from sweep.models.obstacles.raft import Raft
-from sweep.models.obstacles.surface import FreeState, free_start, poses
+from sweep.models.obstacles.surface import FreeState, free_start, poses, under
 from sweep.models.robot import total_mass
 
 SMOOTH = 0.2  # s
@@ -109,7 +109,7 @@ def play(case: Case, plan: Plan, period: float, ticks: int) -> Played:
 
 def _standing(case: Case, feet: Float[Array, "6 3"], free: FreeState) -> Stood:
     """Feet (m, world) as they would stand on what is nearest."""
-    body = case.obstacle.surface(feet, (-1,) * 6, poses(free)).body
+    body = under(case.obstacle, feet, poses(free)).body
     frame = jnp.array([WORLD, *map(fixed, range(len(case.obstacle.free_bodies)))])[body + 1]
     return Stood(to_frame(feet, frame, free), frame)
 
@@ -165,7 +165,7 @@ def holding(case: Case, found: Played, bounds: forces.Bounds, stages: int) -> Ho
 
     def one(tick: Array) -> Holding:
         stance, free, stands = jax.tree.map(lambda x: x[tick], (found.stance, found.free, found.stands))
-        normal = case.obstacle.surface(stance.feet, (-1,) * 6, poses(free)).normal
+        normal = under(case.obstacle, stance.feet, poses(free)).normal
         held = forces.distribute(forces.pose(case.robot, stance, normal, stands), bounds, "friction")
         return Holding(case.contact.friction - held.friction, case.drive.torque_limit - held.torque, -held.imbalance)
 

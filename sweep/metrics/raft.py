@@ -10,6 +10,7 @@ from sweep.core.rotations import heading, rotate
 from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment
 from sweep.models.contact import to_body
 from sweep.models.obstacles.raft import CORNERS, Raft
+from sweep.models.obstacles.surface import under
 
 PUSHES, ARRIVES = "push", "wait"  # how the stages begin in which a robot casts off, and comes to the other bank
 
@@ -48,7 +49,7 @@ def update(so_far: Afloat, now: Moment) -> Afloat:
     up = rotate(free.quat[0], jnp.array([0.0, 0.0, 1.0], feet.dtype))
     during = {word: named(now.plan, now.stage, word) for word in (PUSHES, ARRIVES)}
     speed = free.velocity[0, 0]
-    body = raft.surface(feet, (-1,) * 6, tick.bodies).body
+    body = under(raft, feet, tick.bodies).body
     swings = now.plan.swing[now.stage] & ~now.finished
     on_deck = tick.loaded & (body == 0) & (~swings | (now.phase > 0.5))
     here = to_body(feet, jnp.zeros(6, jnp.int32), tick.bodies)

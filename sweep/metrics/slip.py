@@ -7,7 +7,7 @@ from jaxtyping import Array, Bool, Float
 
 from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment
 from sweep.models.contact import to_body, to_world
-from sweep.models.obstacles.surface import poses
+from sweep.models.obstacles.surface import poses, under
 
 
 class Slip(NamedTuple):
@@ -21,7 +21,7 @@ class Slip(NamedTuple):
 def begin(start: Begin) -> Slip:
     """No foot has been loaded yet."""
     bodies = poses(start.free)
-    body = start.world.obstacle.surface(start.feet, (-1,) * 6, bodies).body
+    body = under(start.world.obstacle, start.feet, bodies).body
     return Slip(to_body(start.feet, body, bodies), jnp.zeros(6, bool), jnp.zeros((), start.feet.dtype))
 
 
@@ -32,7 +32,7 @@ def update(so_far: Slip, now: Moment) -> Slip:
     """
     tick = now.tick
     feet = tick.joints[:, -1]
-    body = now.world.obstacle.surface(feet, (-1,) * 6, tick.bodies).body
+    body = under(now.world.obstacle, feet, tick.bodies).body
     swings = now.plan.swing[now.stage] & ~now.finished
     holds = jnp.where(swings, tick.loaded & (now.phase > 0.5), so_far.holds | tick.loaded)
     here = to_body(feet, body, tick.bodies)

@@ -11,7 +11,7 @@ from sweep.controllers.feedforward import between
 from sweep.engines.base import Trace
 from sweep.engines.closed_loop import free_state
 from sweep.metrics.metric import LOADED
-from sweep.models.obstacles.surface import Surface, poses
+from sweep.models.obstacles.surface import Surface, poses, under
 from sweep.models.robot import total_mass
 from sweep.models.scene import GRAVITY
 
@@ -50,11 +50,11 @@ def surfaces(trace: Trace, points: np.ndarray, frames: slice | np.ndarray = slic
     """What is under `points` (F, n, 3) (m, world axes) in `frames`, the obstacle's bodies where they were."""
     obstacle, count = trace.world.obstacle, len(trace.world.obstacle.free_bodies)
 
-    def under(points: jax.Array, qpos: jax.Array, qvel: jax.Array) -> Surface:
-        return obstacle.surface(points, (-1,) * points.shape[0], poses(free_state(qpos, qvel, count)))
+    def there(points: jax.Array, qpos: jax.Array, qvel: jax.Array) -> Surface:
+        return under(obstacle, points, poses(free_state(qpos, qvel, count)))
 
     moments = (np.asarray(x, np.float32) for x in (points, trace.qpos[frames], trace.qvel[frames]))
-    return jax.jit(jax.vmap(under))(*moments)
+    return jax.jit(jax.vmap(there))(*moments)
 
 
 def _contact_forces(trace: Trace, force: np.ndarray) -> ContactForces:

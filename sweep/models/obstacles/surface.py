@@ -125,6 +125,11 @@ def free_start(obstacle: Obstacle) -> FreeState:
     return obstacle.start() if isinstance(obstacle, Moving) else no_bodies()
 
 
+def under(obstacle: Obstacle, points: Float[Array, "n 3"], bodies: Bodies) -> Surface:
+    """The obstacle at points of the robot (m, world axes)."""
+    return obstacle.surface(points, (-1,) * points.shape[0], bodies)
+
+
 def critical_damping(mass: Array | float) -> Array:
     """Of a contact (N s/m) whose bodies move as one of `mass` (kg) against something fixed."""
     return 2 * jnp.sqrt(STIFFNESS * mass)
