@@ -10,6 +10,7 @@ from jaxtyping import Array
 from sweep.controllers.plan import Plan
 from sweep.controllers.tracker import Command, TrackerState
 from sweep.core.parameters import InputError
+from sweep.core.waiting import part
 from sweep.dynamics.step import Limits
 from sweep.engines.base import Figures, Trace
 from sweep.engines.settings import EngineSettings
@@ -33,7 +34,8 @@ def _nominal_plan(belief: Case, _: np.dtype) -> Plan:
 
     The compiler has the belief as constants and works most of the plan out itself, sooner than operation by operation.
     """
-    plan = jax.jit(lambda: belief.manoeuvre.plan(belief))()
+    with part("nominal plan"):
+        plan = jax.jit(lambda: belief.manoeuvre.plan(belief))()
     if not all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(plan)):
         kinds = f"manoeuvre = {belief.manoeuvre.kind} on obstacle = {belief.obstacle.kind}"
         raise InputError(f"{kinds} has no plan for the sizes given: a foothold or a path is out of the robot's reach")

@@ -8,25 +8,26 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.controllers import touch, tracker
-from sweep.controllers.learned import Learned, felt, informed, newest, replanned
+from sweep.controllers.learned import Learned, at_first, felt, informed, newest, replanned
 from sweep.controllers.observation import Observation, Sensors, install, observe
 from sweep.controllers.plan import Plan, Stance
 from sweep.controllers.posture import feet_in_world
 from sweep.controllers.tracker import Command, TrackerState, joint_targets
 from sweep.core.rotations import about_vertical, conjugate, multiply, rotate
 from sweep.metrics import stream
-from sweep.metrics.metric import Tick
+from sweep.metrics.metric import REST, Tick
 from sweep.metrics.outcome import Thresholds
 from sweep.metrics.stream import Running
-from sweep.models.case import Case
+from sweep.models.case import Case, Driving
 from sweep.models.disturbance import Execution
 from sweep.models.drive import Servo, position_mode
 from sweep.models.legs import JOINT_Q, JOINT_V, N_JOINTS, N_LEGS
 from sweep.models.noise import Noise
-from sweep.models.obstacles.surface import FreeState, free_start, poses, under
+from sweep.models.obstacles import surface
+from sweep.models.obstacles.surface import FreeState, Obstacle, free_start, poses, under
 
 CHUNK = 1.0  # s of simulated time between two looks of the host, and from plan to plan of who plans again
-GRACE = 1.2  # a rollout is over at this multiple of its planned duration, finished or not
+GRACE = 1.2  # a plan that is not finished at this multiple of its duration is given up
 LONGEST = 600.0  # s; a rollout that takes longer is cut off unfinished: absurd parameters must not hold up a batch
 
 
@@ -58,17 +59,17 @@ def most_ticks(plans: Plan, period: float) -> int:
     """Control ticks of the longest rollout of a batch; a plan that is not finite has none, one too long is cut off."""
     durations = np.sum(np.asarray(plans.duration), axis=-1, dtype=float)
     longest = np.max(durations, initial=0.0, where=np.isfinite(durations))
-    return int(np.ceil(min(GRACE * longest, LONGEST) / period))
+    return int(np.ceil((min(GRACE * longest, LONGEST) + REST) / period))
 
 
-def start_state(world: Case, belief: Case, plan: Plan) -> Start:
-    """The world at the start.
+def start_state(world: Case, belief: Case, plan: Plan, free: FreeState | None = None) -> Start:
+    """The world at the start, free bodies where the obstacle has them if not `free` says otherwise.
 
     The robot stands with the joint angles that it believes right, displaced as `execution` says, and lowered along the
     ground's normal (or raised) until its lowest foot touches; on free bodies it goes down upright, and rides along
     with them.
     """
-    free = free_start(world.obstacle)
+    free = free_start(world.obstacle) if free is None else free
     joints, _ = joint_targets(belief.robot, plan.start)
     start = displaced(world.execution, plan.start)
     feet = feet_in_world(world.robot, start.position, start.quat, joints)
@@ -128,11 +129,15 @@ def init(
         jnp.full(N_LEGS, jnp.inf),
     )
     bias_key, key = jax.random.split(key)
-    sensors = install(world.noise, bias_key, truth)
+    sensors = install(world.noise, bias_key, _by_landmarks(world.obstacle, truth))
     feet = feet_in_world(world.robot, start.qpos[:3], start.qpos[3:7], joints)
     running = stream.begin(world, plan, start.qpos[:3], start.qpos[3:7], feet, free, energy, learned)
     servo = position_mode(world.drive, joints)
     return ClosedLoop(tracker.init(belief, plan), sensors, running, truth, servo, key, learned)
+
+
+def _by_landmarks(obstacle: Obstacle, truth: Observation) -> Observation:
+    return truth._replace(free=surface.marked(obstacle, truth.free))
 
 
 def with_new_plan(belief: Case, plan: Plan, loop: ClosedLoop) -> ClosedLoop:
@@ -144,11 +149,15 @@ def with_new_plan(belief: Case, plan: Plan, loop: ClosedLoop) -> ClosedLoop:
 def act(
     world: Case, belief: Case, plan: Plan, loop: ClosedLoop, tick: Array, period: float, quiet: bool
 ) -> tuple[ClosedLoop, Command]:
-    """The controller's part of a tick; the drives then go linearly from the old reference to the new one."""
-    sensors, seen = loop.sensors, loop.seen
+    """The controller's part of a tick; the drives then go linearly from the old reference to the new one.
+
+    Free bodies are seen by their landmarks, and taken to be where those that are believed have these.
+    """
+    sensors, seen = loop.sensors, _by_landmarks(world.obstacle, loop.seen)
     if not quiet:
         sensors, seen = observe(world.noise, sensors, seen, jax.random.fold_in(loop.key, tick))
-    seen = seen._replace(loaded=seen.load > touch.threshold(world.control, belief.noise))
+    free = surface.placed(at_first(belief, loop.learned), seen.free)
+    seen = seen._replace(free=free, loaded=seen.load > touch.threshold(world.control, belief.noise))
     state, followed, learned = felt(world, belief, plan, loop.tracker, loop.learned, seen, period)
     state, command = tracker.step(informed(belief, learned), followed, state, seen, period)
     servo = position_mode(world.drive, command.joints - seen.joint_error)
@@ -169,13 +178,18 @@ def measure(
     number: Array,
     period: float,
 ) -> ClosedLoop:
-    """The metrics' part of a tick. A rollout that has finished, or had its time, is over."""
+    """The metrics' part of a tick. A rollout that has rested after its plan, or had its time, is over.
+
+    One that is to end in motion is over with its plan: nobody steps on.
+    """
     plan = newest(plan, loop.learned)
     running = stream.update(
         world, plan, limits, loop.tracker, command, loop.running, loop.learned, tick, number, period
     )
-    late = running.time >= GRACE * jnp.sum(plan.duration)
-    running = running._replace(over=running.over | loop.tracker.finished | late)
+    late = running.time - running.rested >= GRACE * jnp.sum(plan.duration)
+    rest = 0.0 if isinstance(world.manoeuvre, Driving) else REST
+    rested = loop.tracker.finished & (running.rested > rest - period / 2)
+    running = running._replace(over=running.over | rested | late)
     truth = Observation(
         tick.position,
         tick.quat,

@@ -1,4 +1,4 @@
-"""The closed loop as fused kernels: programs of the form of XLA's, between a start and a finish that stay with XLA."""
+"""The closed loop as fused kernels: programs of the form of XLA's, after a plan that stays with XLA."""
 
 import functools
 import sys
@@ -13,11 +13,12 @@ from jaxtyping import Array
 from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError
 from sweep.engines import devices
-from sweep.engines.fused.arrays import Unsupported
-from sweep.engines.fused.kernel import Kernel, Tiles
 from sweep.engines.planning import Planning
 from sweep.engines.settings import EngineSettings
 from sweep.engines.states import Watch, offered
+from sweep.fused import kernel
+from sweep.fused.arrays import Unsupported
+from sweep.fused.kernel import Kernel, Once, Tiles
 from sweep.models.case import Case
 
 
@@ -33,11 +34,11 @@ class Going(NamedTuple):
 
 
 class Fused(NamedTuple):
-    """What a batch runs through; `start` and `finish` are XLA's."""
+    """What a batch runs through."""
 
     begin: Planning
     kernel: Kernel
-    end: Compiled
+    end: Callable[..., dict[str, Array]]
     again: Compiled | None  # what plans again before each chunk, if any
     ticks: int  # of a chunk
     width: int
@@ -63,7 +64,7 @@ class Fused(NamedTuple):
 
     def finish(self, world: Case, plans: Plan, carry: Going) -> dict[str, Array]:
         """Figures."""
-        return devices.run(self.end, world, plans, carry.tiles.leave())
+        return self.end(world, plans, carry.tiles.leave())
 
 
 def of_one(arrays: tuple[Case, Case, Array], batch: Any) -> tuple[tuple[Case, Case, Plan], Any]:
@@ -75,6 +76,21 @@ def of_one(arrays: tuple[Case, Case, Array], batch: Any) -> tuple[tuple[Case, Ca
     world, belief = jax.tree.map(lambda x: one(x, x.ndim), arrays[:2])
     plan, carry = jax.tree.map(lambda x: one(x, 1), batch)
     return (world, belief, plan), carry
+
+
+def compiled_once(function: Callable[..., Any], given: Any, by_xla: Callable[[], Compiled]) -> Once | Compiled:
+    """A program that is run once a batch, of `given` shapes of a rollout; XLA's where it cannot be fused."""
+    try:
+        return kernel.compiled_once(function, *given)
+    except Unsupported:
+        return by_xla()
+
+
+def once(program: Once | Compiled, width: int) -> Callable[..., Any]:
+    """What a program that is run once gives for a batch of `width`."""
+    if isinstance(program, Once):
+        return functools.partial(program.loaded(), width)
+    return functools.partial(devices.run, program)
 
 
 def or_what_is_missing(compiled: Callable[..., tuple]) -> Callable[..., tuple]:

@@ -1,4 +1,4 @@
-"""The primary engine: controller, physics and metrics of a batch fused in one scan; CPU and GPU alike."""
+"""The primary engine: controller, physics and metrics of a tick in one program, by this package's compiler or XLA."""
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -12,10 +12,12 @@ from jax.sharding import PartitionSpec
 from jax.stages import Compiled
 from jaxtyping import Array
 
-from sweep.controllers.learned import newest
+from sweep.controllers.learned import Learned, informed, newest
 from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError
+from sweep.core.waiting import part
 from sweep.dynamics import interface as dynamics
+from sweep.dynamics.free_bodies import resting
 from sweep.dynamics.step import State, rest
 from sweep.engines import batching, devices, fused_loop, physics, planning, program_cache
 from sweep.engines.base import Figures, Trace
@@ -32,14 +34,14 @@ from sweep.engines.closed_loop import (
     start_state,
     with_new_plan,
 )
-from sweep.engines.fused import launch
-from sweep.engines.fused.kernel import Code, Kernel
-from sweep.engines.fused.kernel import compiled as fused
 from sweep.engines.fused_loop import Fused, of_one
 from sweep.engines.planning import Planning
 from sweep.engines.prelude import check, prepared
 from sweep.engines.settings import EngineSettings
 from sweep.engines.states import Watch, offered
+from sweep.fused import launch
+from sweep.fused.kernel import Code, Kernel, Once
+from sweep.fused.kernel import compiled as fused
 from sweep.metrics import stream
 from sweep.metrics.outcome import Thresholds
 from sweep.models.case import Case
@@ -204,14 +206,16 @@ class Mjx:
         before: Compiled,
         search: Code | None,
         after: Compiled | None,
+        stand: Once | None,
         chunk: Compiled | Code,
-        finish: Compiled,
+        finish: Compiled | Once,
         again: Compiled | None = None,
     ) -> Programs | Fused:
-        start = Planning.of(before, search, after)
+        start = Planning.of(before, search, after, stand)
         if not isinstance(chunk, Code):
-            return Programs(start, chunk, finish)
-        return Fused(start, Kernel(chunk), finish, again, self._chunk_ticks, self.width, None)
+            return Programs(start, chunk, finish)  # pyright: ignore[reportArgumentType]  # XLA's as well
+        end = fused_loop.once(finish, self.width)
+        return Fused(start, Kernel(chunk), end, again, self._chunk_ticks, self.width, None)
 
     @property
     def _made_of(self) -> tuple:
@@ -223,7 +227,7 @@ class Mjx:
     @fused_loop.or_what_is_missing
     def _compile(
         self, arrays: tuple[Case, Case, Array], quiet: bool, kept: Array | None, watch: Watch | None
-    ) -> tuple[Compiled | Code | None, ...]:
+    ) -> tuple[Compiled | Code | Once | None, ...]:
         """The programs over batches like `arrays`, split over the devices.
 
         They are compiled side by side: the compiler needs no Python, which traces the next one meanwhile.
@@ -238,29 +242,46 @@ class Mjx:
             return on_devices(batched, in_specs=(*specs, *[split] * (1 + more)), out_specs=split)
 
         recorded = (split, PartitionSpec(None, devices.BATCH))
-        finish = jax.vmap(self._finish, in_axes=(axes[0], 0, 0))
-        finish = on_devices(finish, in_specs=(specs[0], split, split), out_specs=split)
         with ThreadPoolExecutor() as pool:
-            begin = planning.lowered(self._start, arrays, many, self._searches, self._by_host)
-            started = begin.compiled(pool)
-            plans, carry = devices.split(begin.out_info, self._mesh)
+            batch, started = planning.begun(pool, self._plan, self._stand, arrays, many, self._searches, self._by_host)
+            plans, carry = devices.split(batch, self._mesh)
             if self._by_host:
-                chunked = fused(self._ticks(quiet), *of_one(arrays, begin.out_info))
+                with part("closed loop"):
+                    chunked = fused(self._ticks(quiet), *of_one(arrays, batch))
             else:
                 make = self._fused_chunk if self.fused else self._chunk
-                chunk = make(arrays, begin.out_info, quiet, kept, watch)
+                chunk = make(arrays, batch, quiet, kept, watch)
                 chunk = on_devices(chunk, in_specs=(*specs, split, split, whole, split), out_specs=recorded)
                 options = launch.OPTIONS if self.fused else None
                 go_on = jax.jit(chunk, donate_argnums=3, compiler_options=options)
                 chunked = pool.submit(go_on.lower(world, belief, plans, carry, 0, kept).compile)
-            finished = jax.jit(finish).lower(world, plans, carry).compile()
+            finished = self._compile_finish(arrays, batch, on_devices)
             if not isinstance(chunked, Code):
                 return *started(), chunked.result(), finished
             if self._nominal[0].control.replan == "never":
                 return *started(), chunked, finished
             again = on_devices(_with_new_plan(axes[1]), in_specs=(specs[1], split, split), out_specs=split)
-            again = jax.jit(again, compiler_options=devices.plan_options(forces=False)).lower(belief, plans, carry)
-            return *started(), chunked, finished, again.compile()
+            again = jax.jit(again, compiler_options=devices.plan_options(forces=False))
+            with part("new plan"):
+                replanned = again.lower(belief, plans, carry).compile()
+            return *started(), chunked, finished, replanned
+
+    def _compile_finish(
+        self, arrays: tuple[Case, Case, Array], batch: Any, on_devices: Callable[..., Callable]
+    ) -> Compiled | Once:
+        """See `_compile`."""
+        split = PartitionSpec(devices.BATCH)
+
+        def by_xla() -> Compiled:
+            finish = jax.vmap(self._finish, in_axes=(devices.axes(arrays[0]), 0, 0))
+            finish = on_devices(finish, in_specs=(devices.specs(arrays[0]), split, split), out_specs=split)
+            return jax.jit(finish).lower(arrays[0], *devices.split(batch, self._mesh)).compile()
+
+        with part("figures"):
+            if not self._by_host:
+                return by_xla()
+            (world, _, plan), carry = of_one(arrays, batch)
+            return fused_loop.compiled_once(self._finish, (world, plan, carry), by_xla)
 
     def _ticks(self, quiet: bool) -> Callable:
         """A tick of one rollout, for a compiler of this package."""
@@ -318,12 +339,20 @@ class Mjx:
 
         return chunk
 
-    def _start(self, world: Case, belief: Case, key: Array) -> tuple[Plan, Carry]:
-        belief, plan, learned = prepared(world, belief, key)
-        start = start_state(world, belief, plan)
+    @staticmethod
+    def _plan(world: Case, belief: Case, key: Array) -> tuple[Plan, Learned | None]:
+        return prepared(world, belief, key)[1:]
+
+    def _stand(self, world: Case, belief: Case, plan: Plan, learned: Learned | None, key: Array) -> Carry:
+        known = informed(belief, learned)
+        start = start_state(world, known, plan, resting(world))
         state = rest(self.topology, start.qpos)._replace(v=start.qvel)
         energy = self.physics.energy(world, state)
-        return plan, Carry(state, init(world, belief, plan, start, energy, key, learned))
+        return Carry(state, init(world, known, plan, start, energy, key, learned))
+
+    def _start(self, world: Case, belief: Case, key: Array) -> tuple[Plan, Carry]:
+        plan, learned = self._plan(world, belief, key)
+        return plan, self._stand(world, belief, plan, learned, key)
 
     def _finish(self, world: Case, plan: Plan, carry: Carry) -> dict[str, Array]:
         plan = newest(plan, carry.loop.learned)

@@ -10,14 +10,16 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
+from jax.stages import Compiled
 from jaxtyping import Array, Bool, Float
 from mujoco.batch import Batch
 
-from sweep.controllers.learned import newest
+from sweep.controllers.learned import Learned, informed, newest
 from sweep.controllers.plan import Plan
 from sweep.controllers.tracker import Command
 from sweep.core.errors import InputError
 from sweep.core.rotations import exponential, multiply
+from sweep.core.waiting import part
 from sweep.engines import batching, devices, fused_loop, planning, program_cache
 from sweep.engines.base import Figures, Trace
 from sweep.engines.closed_loop import (
@@ -34,12 +36,12 @@ from sweep.engines.closed_loop import (
     start_state,
     with_new_plan,
 )
-from sweep.engines.fused import kernel
-from sweep.engines.fused.kernel import Code, Kernel, Tiles
 from sweep.engines.planning import Planning
 from sweep.engines.prelude import check, prepared
 from sweep.engines.settings import EngineSettings
 from sweep.engines.states import Watch, offered
+from sweep.fused import kernel
+from sweep.fused.kernel import Code, Kernel, Tiles
 from sweep.metrics import stream
 from sweep.metrics.metric import Tick
 from sweep.metrics.outcome import Thresholds
@@ -88,7 +90,7 @@ class Between(NamedTuple):
 class Programs(NamedTuple):
     """What a batch runs through, compiled."""
 
-    start: Callable[[Case, Case, Array], tuple[Plan, Between, Start]]
+    start: Callable[[Case, Case, Array], tuple[Plan, tuple[Between, Start]]]
     tick: Kernel | Callable[[Any, Between, int], Between]
     finish: Callable[[Case, Plan, ClosedLoop], dict[str, Array]]
     replan: Callable[[Case, Plan, ClosedLoop], ClosedLoop] | None = None
@@ -231,7 +233,7 @@ class Native:
             programs = self._prepare((world, belief, keys), quiet)
             batch = Batch(models[0], self.width)
             batch.set_models(models)
-            plans, between, state = programs.start(world, belief, keys)
+            plans, (between, state) = programs.start(world, belief, keys)
             told = np.full((self.width, N_JOINTS, 2), np.nan)  # models are built for a mode that may be another one
             batch.reset()
             batch.qpos[:], batch.qvel[:] = (np.asarray(x) for x in state)
@@ -249,7 +251,7 @@ class Native:
                     energy = steps["energy"][:, 0].sum(axis=-1)
                     going.change(_loop, _with_energy(self._nominal, going.leave().loop, energy))
                 if slots is not None and (k + 1) % every == 0:
-                    records.append(_record(going, steps, slots))
+                    records.append(_record(world, going, steps, slots))
                 broken = unbuilt | np.any(batch.warning[:, :, 0] > 0, axis=1)
                 going.change(lambda between: between.steps, self._steps(steps, broken))
                 going.advance(k + 1, 1)
@@ -258,7 +260,7 @@ class Native:
             if (
                 slots is not None and steps and not records
             ):  # all ended before the first sample, which has the form of none
-                records.append(_record(going, steps, slots))
+                records.append(_record(world, going, steps, slots))
             figures = programs.finish(world, plans, going.leave().loop)
             return {name: np.asarray(values) for name, values in figures.items()}, records
 
@@ -290,9 +292,11 @@ class Native:
                 fused_loop.give_up(self.settings, parts[0])
                 self.fused = False
                 return self._prepare(arrays, quiet)
-            before, search, after, tick, *rest = parts
-            start = Planning.of(before, search, after)
-            self._programs[form] = Programs(start, Kernel(tick) if isinstance(tick, Code) else tick, *rest)
+            before, search, after, stand, tick, finish, *rest = parts
+            start = Planning.of(before, search, after, stand)
+            self._programs[form] = Programs(
+                start, Kernel(tick) if isinstance(tick, Code) else tick, fused_loop.once(finish, self.width), *rest
+            )
         return self._programs[form]
 
     @fused_loop.or_what_is_missing
@@ -300,11 +304,14 @@ class Native:
         world, belief, _ = arrays
         axes, period = devices.axes((world, belief)), self.settings.control_period
 
-        def start(world: Case, belief: Case, key: Array) -> tuple[Plan, Between, Start]:
-            known, plan, learned = prepared(world, belief, key)
+        def plan(world: Case, belief: Case, key: Array) -> tuple[Plan, Learned | None]:
+            return prepared(world, belief, key)[1:]
+
+        def stand(world: Case, belief: Case, plan: Plan, learned: Learned | None, key: Array) -> tuple[Between, Start]:
+            known = informed(belief, learned)
             state = start_state(world, known, plan)
             loop = init(world, known, plan, state, jnp.zeros(()), key, learned)
-            return plan, self._acted(world, belief, plan, loop, self._nothing(state), jnp.int32(0), quiet), state
+            return self._acted(world, belief, plan, loop, self._nothing(state), jnp.int32(0), quiet), state
 
         def tick(given: tuple[Case, Case, Plan], now: Between, k: Array) -> tuple[Between, dict[str, Array]]:
             world, belief, plan = given
@@ -319,20 +326,29 @@ class Native:
             return jax.vmap(start, in_axes=(*axes, *[0] * (1 + more)))
 
         by_host = self.fused and jax.default_backend() == "cpu"
-        begin = planning.lowered(start, arrays, many, self._searches, by_host)
-        plans, between, _ = begin.out_info
-        if self.fused:
-            ticks = kernel.compiled(tick, *fused_loop.of_one(arrays, (plans, between)))
-        else:
-            rows = jax.vmap(lambda *of: tick(*of)[0], in_axes=((*axes, 0), 0, None))
-            ticks = jax.jit(rows).lower((world, belief, plans), between, 0).compile()
-        finished = jax.jit(jax.vmap(finish, in_axes=(axes[0], 0, 0))).lower(world, plans, between.loop)
-        again = jax.jit(jax.vmap(with_new_plan, in_axes=(axes[1], 0, 0)))
-        replans = self._nominal.control.replan != "never"
-        replan = [again.lower(belief, plans, between.loop).compile()] if replans else []
         with ThreadPoolExecutor() as pool:
-            started = begin.compiled(pool)()
-        return *started, ticks, finished.compile(), *replan
+            batch, started = planning.begun(pool, plan, stand, arrays, many, self._searches, by_host)
+            plans, (between, _) = batch
+            with part("closed loop"):
+                if self.fused:
+                    ticks = kernel.compiled(tick, *fused_loop.of_one(arrays, (plans, between)))
+                else:
+                    rows = jax.vmap(lambda *of: tick(*of)[0], in_axes=((*axes, 0), 0, None))
+                    ticks = jax.jit(rows).lower((world, belief, plans), between, 0).compile()
+
+            def finish_by_xla() -> Compiled:
+                by_row = jax.jit(jax.vmap(finish, in_axes=(axes[0], 0, 0)))
+                return by_row.lower(world, plans, between.loop).compile()
+
+            with part("figures"):
+                (one, _, of_it), last = fused_loop.of_one(arrays, (plans, between))
+                given = one, of_it, last.loop
+                finished = fused_loop.compiled_once(finish, given, finish_by_xla) if by_host else finish_by_xla()
+            if self._nominal.control.replan == "never":
+                return *started(), ticks, finished
+            with part("new plan"):
+                again = jax.jit(jax.vmap(with_new_plan, in_axes=(axes[1], 0, 0))).lower(belief, plans, between.loop)
+                return *started(), ticks, finished, again.compile()
 
     def _acted(
         self, world: Case, belief: Case, plan: Plan, loop: ClosedLoop, steps: Steps, tick: Array, quiet: bool
@@ -382,7 +398,7 @@ class Native:
         """What the metrics want of a tick; free bodies were `before` it."""
         h, drive = self.settings.native_time_step, world.drive
         rate = steps.qvel[:, JOINT_V]
-        torque = steps.actuator_force - drive.back_emf * rate
+        torque = _torque(steps.actuator_force, rate, drive.back_emf)
         effort = jnp.abs(steps.actuator_force)
         limit = world.execution.torque_scale * drive.torque_limit
         power = torque * rate
@@ -405,6 +421,7 @@ class Native:
             residual=jnp.zeros(()),  # the C solver reports no residual force
             work=h * (jnp.sum(power) + outside),
             effort=h * jnp.sum(jnp.maximum(power, 0.0)),
+            power=jnp.mean(power, axis=0).reshape(N_LEGS, 3),
             energy=jnp.where(steps.broken, jnp.nan, steps.energy),
             position=qpos[:3],
             quat=qpos[3:7],
@@ -468,15 +485,24 @@ def _with_energy(world: Case, loops: ClosedLoop, start: np.ndarray) -> ClosedLoo
     return loops._replace(running=stream.with_energy(world, loops.running, energy))
 
 
-def _record(going: Tiles | ByXla, steps: dict[str, np.ndarray], slots: np.ndarray) -> dict[str, np.ndarray]:
+def _torque[A: (Array, np.ndarray)](effort: A, rate: A, back_emf: Any) -> A:
+    """At the joints (N m), of what servos exert: to C MuJoCo back-EMF is damping of the joint, no part of that."""
+    return effort - back_emf * rate
+
+
+def _record(
+    world: Case, going: Tiles | ByXla, steps: dict[str, np.ndarray], slots: np.ndarray
+) -> dict[str, np.ndarray]:
     """What is kept of a tick of the rollouts in `slots`."""
+    back_emf = np.broadcast_to(world.drive.back_emf, steps["qpos"].shape[:1])[slots, None, None]
+    torque = _torque(steps["actuator_force"][slots], steps["qvel"][slots][..., JOINT_V], back_emf)
     told = going.look(lambda b: (b.command.joints, b.command.target, b.loop.tracker.stage))
     (joints, target, stage), n = jax.tree.map(lambda x: x[slots], told), len(slots)
     return {
         "qpos": steps["qpos"][slots, -1],
         "qvel": steps["qvel"][slots, -1],
         "joint_target": joints.reshape(n, N_JOINTS),
-        "joint_torque": np.abs(steps["actuator_force"][slots]).max(axis=1),
+        "joint_torque": np.abs(torque).max(axis=1),
         "foot_position": steps["site_xpos"][slots, -1, :N_LEGS],
         "foot_target": target.feet,
         "foot_force": -steps["sensordata"][slots].reshape(n, -1, N_LEGS, 3).mean(axis=1),

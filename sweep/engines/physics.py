@@ -51,7 +51,7 @@ class Totals(NamedTuple):
     force: Vector
     normal: Array
     residual: Array
-    power: Array  # (l,)
+    power: Rates  # (l,)
     effort: Array  # (l,), of drives that drive
     outside: Array
 
@@ -63,7 +63,7 @@ class Totals(NamedTuple):
             self.force + report.force,
             self.normal + report.normal,
             jnp.maximum(self.residual, report.residual),
-            reduce(add, report.power, self.power),
+            each(add, self.power, report.power),
             reduce(add, (jnp.maximum(p, 0.0) for p in report.power), self.effort),
             self.outside + report.outside,
         )
@@ -110,8 +110,9 @@ class Physics(NamedTuple):
             tangential=jnp.sqrt(along.dot(along)),
             load=load,
             residual=totals.residual[0],
-            work=h * (jnp.sum(totals.power) + totals.outside[0]),
+            work=h * (jnp.sum(reduce(add, totals.power)) + totals.outside[0]),
             effort=h * jnp.sum(totals.effort),
+            power=_by_joint(totals.power) / n,
             energy=before.energy[0],
             position=state.q[:3],
             quat=state.q[3:7],
@@ -132,7 +133,7 @@ def _nothing(world: Case, dtype: jnp.dtype) -> tuple[Totals, Array, Before]:
     legs, base, three = Vector(leg, leg, leg), Vector(one, one, one), (leg, leg, leg)
     joints = (legs,) * (len(links(world.robot)) + 1)
     before = Before(legs, one, base, joints, Bodies(jnp.zeros((bodies, 3), dtype), jnp.zeros((bodies, 3, 3), dtype)))
-    return Totals(three, three, legs, leg, one, leg, leg, one), leg, before
+    return Totals(three, three, legs, leg, one, three, leg, one), leg, before
 
 
 def _by_joint(parts: Rates) -> Array:

@@ -1,11 +1,13 @@
-"""What comes before a batch's first tick, compiled; on a CPU the search for planned forces by this package's compiler.
+"""What comes before a batch's first tick, compiled: its plans, and how the robots stand when they begin with them.
 
-XLA takes twenty times as long for it. So the program of a start is taken apart where the search is: into one that ends
-with the poses, and one that begins with their forces.
+On a CPU this package's compiler makes what XLA takes long to compile or to run: how a robot stands, and the search for
+planned forces. Where that is, XLA's program of a plan is taken apart, into one that ends with the poses, and one that
+begins with their forces.
 """
 
 from collections.abc import Callable
 from concurrent.futures import Executor
+from contextlib import suppress
 from functools import cache, partial
 from typing import Any, NamedTuple
 
@@ -17,30 +19,40 @@ from jaxtyping import Array, Float
 
 from sweep.controllers import forces
 from sweep.controllers.forces import Bounds, Effort, Search, Sought, StaticPose
+from sweep.core.waiting import part
 from sweep.engines import devices
-from sweep.engines.fused import kernel
-from sweep.engines.fused.kernel import Code, Kernel
+from sweep.fused import kernel
+from sweep.fused.arrays import Unsupported
+from sweep.fused.kernel import Code, Kernel, Once
 from sweep.models.legs import N_LEGS
 
 Start = Callable[..., Any]  # of a rollout's world, belief and random key, and maybe more
+Parts = tuple[Compiled, Code | None, Compiled | None, Once | None]  # of `Planning`, as they are kept
 Many = Callable[[Start, int], Start]  # the same of a batch, for a start with so many arguments more
 SLICE = 1 << 16  # poses that the search has in memory at a time
 
 
 class Planning(NamedTuple):
-    """A compiled start: one program of XLA's, or two with the search between them."""
+    """A compiled start: a program of XLA's, or two with the search between them; then how a robot stands, if apart."""
 
     before: Compiled
     search: Kernel | None
     after: Compiled | None
+    stand: Callable[..., Any] | None
 
     @classmethod
-    def of(cls, before: Compiled, search: Code | None, after: Compiled | None) -> "Planning":
+    def of(cls, before: Compiled, search: Code | None, after: Compiled | None, stand: Once | None) -> "Planning":
         """From what is kept of it."""
-        return cls(before, search and Kernel(search), after)
+        return cls(before, search and Kernel(search), after, stand and stand.loaded())
 
-    def __call__(self, *args: Any) -> Any:
+    def __call__(self, world: Any, belief: Any, keys: Array) -> Any:
         """What a batch starts with."""
+        planned = self._planned(world, belief, keys)
+        if self.stand is None:
+            return planned
+        return planned[0], self.stand(len(keys), world, belief, *planned, keys)
+
+    def _planned(self, *args: Any) -> Any:
         if self.search is None or self.after is None:
             return self.before(*args)
         sought, kept = self.before(*args)
@@ -55,16 +67,54 @@ class Lowered(NamedTuple):
     options: dict[str, Any]
     search: Callable[[], Code] | None = None
 
-    def compiled(self, pool: Executor) -> Callable[[], tuple[Compiled, Code | None, Compiled | None]]:
+    def compiled(self, pool: Executor) -> Callable[[], Parts]:
         """Begins to compile; what it gives waits until that is done, for the parts of `Planning`."""
-        begun = [pool.submit(program.compile, self.options) for program in self.programs]
 
-        def parts() -> tuple[Compiled, Code | None, Compiled | None]:
+        def compiled(program: jax.stages.Lowered) -> Compiled:
+            with part("plan"):
+                return program.compile(self.options)
+
+        begun = [pool.submit(compiled, program) for program in self.programs]
+
+        def parts() -> Parts:
             search = self.search and self.search()
             before, *after = (program.result() for program in begun)
-            return before, search, after[0] if after else None
+            return before, search, after[0] if after else None, None
 
         return parts
+
+
+def begun(
+    pool: Executor,
+    plan: Start,
+    stand: Callable[..., Any],
+    arrays: tuple[Any, Any, Array],
+    many: Many,
+    searches: bool,
+    by_host: bool,
+) -> tuple[Any, Callable[[], Parts]]:
+    """Begins to compile what a batch like `arrays` starts with; its form, and what waits for the parts of `Planning`.
+
+    `plan` gives a plan and what was learned for it, of a rollout's world, belief and random key; of all these `stand`
+    gives what the rollout starts with.
+    """
+    if by_host:
+        found = lowered(plan, arrays, many, searches, by_host)
+        parts, width = found.compiled(pool), len(arrays[2])
+        world, belief, key = jax.tree.map(lambda x: jax.ShapeDtypeStruct((), x.dtype), arrays)
+        planned = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), found.out_info)
+        with suppress(Unsupported):  # or all is XLA's
+            code = kernel.compiled_once(stand, world, belief, *planned, key)
+            made = jax.eval_shape(stand, world, belief, *planned, key)
+            made = jax.tree.map(lambda x: jax.ShapeDtypeStruct((width, *x.shape), x.dtype), made)
+            return (found.out_info[0], made), lambda: (*parts()[:-1], code)
+
+    def start(world: Any, belief: Any, key: Array) -> Any:
+        planned = plan(world, belief, key)
+        return planned[0], stand(world, belief, *planned, key)
+
+    found = lowered(start, arrays, many, searches, by_host)
+    return found.out_info, found.compiled(pool)
 
 
 def lowered(start: Start, arrays: tuple[Any, Any, Array], many: Many, searches: bool, by_host: bool) -> Lowered:
@@ -90,7 +140,8 @@ def _search(least: Effort, leaves: tuple[jax.ShapeDtypeStruct, ...], tree: Any) 
         return forces.step(least, sought, so_far, number), {}
 
     sought = jax.tree.unflatten(tree, leaves)
-    return kernel.compiled(tick, sought, _nothing(sought.pose.arm))
+    with part("search for forces"):
+        return kernel.compiled(tick, sought, _nothing(sought.pose.arm))
 
 
 def _searched(search: Kernel, sought: Sought) -> Float[np.ndarray, "b n 6 3"]:

@@ -23,7 +23,7 @@ from jax.stages import Compiled
 
 from sweep.core import files, provenance
 from sweep.core.errors import InputError
-from sweep.engines.fused.kernel import Code
+from sweep.fused.kernel import Code, Once
 
 MOST = 200  # files, of about a MB each
 _jax_settings = threading.RLock()
@@ -91,7 +91,9 @@ def _load(file: Path, devices: Sequence[Any]) -> Sequence[Any] | None:
             jax.jit(jax.lax.linalg.cholesky).lower(np.eye(1))
         parts = pickle.loads(content)
         return [
-            part if isinstance(part, Code | str | None) else deserialize_and_load(*part, execution_devices=devices)
+            part
+            if isinstance(part, Code | Once | str | None)
+            else deserialize_and_load(*part, execution_devices=devices)
             for part in parts
         ]
     except InputError:
@@ -100,8 +102,8 @@ def _load(file: Path, devices: Sequence[Any]) -> Sequence[Any] | None:
         return None
 
 
-def _saved(part: Compiled | Code | str | None) -> Any:
-    return part if isinstance(part, Code | str | None) else serialize(part)
+def _saved(part: Compiled | Code | Once | str | None) -> Any:
+    return part if isinstance(part, Code | Once | str | None) else serialize(part)
 
 
 def _store(file: Path, content: bytes) -> None:

@@ -13,7 +13,7 @@ class EngineSettings:
     dynamics: str = choice("auto", "auto", "arrowhead", "mjx")
     time_step: float = quantity(2e-3, "s", above=0, at_most=0.01)  # a physics step of mjx
     native_time_step: float = quantity(1e-3, "s", above=0, at_most=0.01)  # its contact solver fails at 2 ms
-    # of the closed loop: XLA, this package's own (fused), or that on a CPU wherever it has a rule for all
+    # of the closed loop: XLA, this package's own (fused), or that, on CPU and GPU, wherever it has a rule for all
     compiler: str = choice("auto", "auto", "xla", "fused")
     # between two orders of the controller: a whole number of physics steps
     control_period: float = quantity(4e-3, "s", above=0, at_most=0.05)

@@ -6,7 +6,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from sweep.engines.fused import cuda
+from sweep.fused import cuda
 
 FLOAT_TESTS = {"eq": "a == b", "ne": "(a != b) & ~odd", "lt": "a < b", "le": "a <= b", "gt": "a > b", "ge": "a >= b",
                "nan": "odd", "num": "~odd"}  # fmt: skip

@@ -9,10 +9,10 @@ import ptx  # beside this file
 import pytest
 
 from sweep.core.errors import InputError
-from sweep.engines.fused import launch
-from sweep.engines.fused.arrays import Unsupported
 from sweep.engines.mjx import Mjx
 from sweep.engines.settings import EngineSettings
+from sweep.fused import launch
+from sweep.fused.arrays import Unsupported
 from sweep.study.config import compose
 
 WIDTH = launch.BLOCK

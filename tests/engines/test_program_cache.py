@@ -16,9 +16,9 @@ import pytest
 from sweep.core import files, provenance
 from sweep.core.errors import InputError
 from sweep.engines import devices, fused_loop, program_cache
-from sweep.engines.fused.arrays import Unsupported
 from sweep.engines.mjx import Mjx
 from sweep.engines.settings import EngineSettings
+from sweep.fused.arrays import Unsupported
 from sweep.metrics.outcome import Thresholds
 from sweep.study.config import compose
 
@@ -136,7 +136,7 @@ def test_nothing_is_kept_of_sources_written_since_the_start(folder, monkeypatch)
 def made_of(monkeypatch, settings=(), limits=(), case=CASE, vary=False, slots=None) -> str:
     """What an engine says that its programs depend on."""
     asked = []
-    monkeypatch.setattr(program_cache, "programs", lambda parts, *_: asked.append(repr(parts)) or (None,) * 5)
+    monkeypatch.setattr(program_cache, "programs", lambda parts, *_: asked.append(repr(parts)) or (None,) * 6)
     engine = Mjx(
         EngineSettings(**{"width": 2, "compiler": "xla", **dict(settings)}), case, case, Thresholds(**dict(limits))
     )

@@ -14,7 +14,8 @@ from sweep.metrics.outcome import classify_one
 from sweep.study.config import compose
 from sweep.study.study import points
 
-FAIL = {"beam_no_flywheel"}  # as it is meant to
+OWN = frozenset({"inner_thigh", "outer_shin"})  # of a leg
+FAIL = {"beam_no_flywheel", "ladder_climb", "ladder_descend"}  # the first as it is meant to
 FILES = (files("sweep.conf") / "scenario").iterdir()
 SCENARIOS = sorted({file.name.removesuffix(".yaml") for file in FILES} - FAIL)
 
@@ -39,18 +40,44 @@ def test_a_base_in_a_solid_is_pushed_out():
 
 @pytest.mark.parametrize("robot", ["base", "three_link"])
 def test_legs_meet_each_other_and_their_own_base_but_no_neighbours(robot):
-    """Knees folded all the way in lay shins over the base; straight legs meet nothing."""
+    """Knees folded all the way in lay shins on thighs and over the base; straight legs meet nothing."""
     model = native_model(compose([f"robot={robot}"]).case, 1e-3, solid=True)
-    straight = np.tile([0.0, np.pi / 2, 0.0], 6)
+    straight = np.tile([0.0, np.pi / 2, 0.0, 0.0, np.pi / 2, np.pi], 3)  # at 0 left knees are folded
     assert not touching(model, [0, 0, 3], straight)
+    assert frozenset({"inner_thigh2_solid", "outer_shin2_solid"}) in touching(
+        model, [0, 0, 3], [0.0, np.pi / 2, 0.0] * 6
+    )
     rng = np.random.default_rng(0)
     met = set().union(*(touching(model, [0, 0, 3], rng.uniform(-3, 3, 18)) for _ in range(500)))
     kinds = {frozenset(name.rstrip("_solid0123456789") for name in pair) for pair in met}
-    assert {frozenset({"base", "shin"}), frozenset({"thigh"}), frozenset({"thigh", "shin"}), frozenset({"shin"}),
-            frozenset({"base", "outer_thigh"})} <= kinds  # fmt: skip
+    assert {frozenset({"inner_base", "shin"}), frozenset({"thigh"}), frozenset({"thigh", "shin"}), frozenset({"shin"}),
+            frozenset({"inner_base", "outer_thigh"}), OWN} <= kinds  # fmt: skip
     for pair in met:
-        legs = {name.removesuffix("_solid")[-1] for name in pair if name != "base"}
-        assert "base" in pair or len(legs) == 2, pair
+        legs = {name.removesuffix("_solid")[-1] for name in pair if name != "inner_base"}
+        own = {name.rstrip("_solid0123456789") for name in pair} == OWN
+        assert "inner_base" in pair or len(legs) == 2 - own, pair
+
+
+def test_a_shin_meets_the_rung_that_its_foot_is_on():
+    """The foot of leg 4 is on the top of rung 3, 20 mm from the edge that its shin goes out over, its knee below."""
+    case = compose(["scenario=ladder_climb"]).case
+    ladder, data = case.obstacle, mujoco.MjData(model := native_model(case, 1e-3, solid=True))
+    angles = np.zeros((6, 3))
+    angles[:, 1:] = [2.4, -1.5]
+    data.qpos[:3], data.qpos[7:25] = [0, 0, 3], angles.ravel()
+    mujoco.mj_forward(model, data)
+    knee, foot = data.body("shin4").xpos, data.site("foot4").xpos
+    towards = (knee - foot) / np.linalg.norm(knee - foot)
+    assert towards[2] < -0.3
+    out = np.sign(towards[1])
+    turn = np.array([[out, 0, 0], [0, 0, out], [0, -1, 0]])  # the ladder's rails are upright, its front faces the knee
+    top = [0.3, float(ladder.centre) - 3 * ladder.rung_step, ladder.rung_depth / 2 - 0.02]
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, turn.ravel())
+    data.qpos[25:28], data.qpos[28:32] = foot - turn @ top, quat
+    mujoco.mj_forward(model, data)
+    met = {frozenset(model.geom(int(g)).name for g in c.geom): c.dist for c in data.contact}
+    assert met[frozenset({"pin4_solid", "rung3"})] < -0.005
 
 
 def test_only_native_can_be_solid():

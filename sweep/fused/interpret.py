@@ -11,10 +11,10 @@ import jax
 import numpy as np
 from jax.extend import core
 
-from sweep.engines.fused import maths
-from sweep.engines.fused.arrays import Array, Arrays, Unsupported, filled, stacked
-from sweep.engines.fused.program import Branch, Node, Region, value_of
-from sweep.engines.fused.rules import MANY, RULES
+from sweep.fused import maths
+from sweep.fused.arrays import Array, Arrays, Unsupported, filled, stacked
+from sweep.fused.program import At, Branch, Node, Region, value_of
+from sweep.fused.rules import MANY, RULES
 
 CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "core_call": "call_jaxpr", "checkpoint": "jaxpr",
          "custom_jvp_call": "call_jaxpr", "custom_vjp_call": "call_jaxpr"}  # fmt: skip
@@ -126,7 +126,7 @@ class Interpreter(Arrays):
         return filled(shape, lambda i: self._gathered(region, int(at[i]), place))
 
     def _gathered(self, region: Region, index: int, place: Node) -> Node:
-        return self.program.node("gather", (place,), region.dtype, (region, index, region.depth, 0), leg=False)
+        return self.program.node("gather", (place,), region.dtype, At(region, index, region.depth, 0), leg=False)
 
     def cond(self, args: list[Array], eqn: Any) -> list[Array]:
         """One of the branches where all rollouts go the same way, else all of them."""

@@ -1,22 +1,29 @@
 """Operations on single numbers of a rollout, as a graph without repetitions, in blocks: the program, loops, branches.
 
-Six numbers that the same operation gives for the six legs are one node, of which `part` takes one leg's; that holds for
-inputs and tables too. An operation stands in the outermost block that has its operands: what does not change in a loop
-is worked out before it.
+A program has a group, such as a robot's six legs. As many numbers that the same operation gives for the legs are one
+node, of which `part` takes one leg's; that holds for inputs and tables too. An operation stands in the outermost block
+that has its operands: what does not change in a loop is worked out before it.
 """
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-LEGS = 6
+
+class At(NamedTuple):
+    """Where a number lies that an operation reads from memory, or the numbers of all legs."""
+
+    region: "Region"
+    index: int  # of the number, of the first leg's
+    depth: int  # of the block in which it is as it is read
+    step: int  # from leg to leg; 0 for a number of no leg's
 
 
 class Node:
-    """A number, or one for each leg."""
+    """A number, or one for each leg. What `extra` is depends on the operation: see docs/compiler.md."""
 
     __slots__ = ("args", "block", "dtype", "extra", "leg", "number", "op")
 
@@ -86,7 +93,10 @@ def inside(block: Block) -> Iterator[Any]:
 class Program:
     """A program that is being written: the blocks from the outermost to the one that grows."""
 
-    def __init__(self) -> None:
+    def __init__(self, group: int) -> None:
+        if group < 2:
+            raise ValueError(f"a group of {group}: at least 2")
+        self.group = group
         self.blocks = [Block(0)]
         self._number = 0
 
@@ -105,7 +115,7 @@ class Program:
                 return block.known[key]
         depth = max((x.block.depth for x in args), default=0)
         if op in ("load", "gather"):
-            depth = max(depth, extra[2])
+            depth = max(depth, extra.depth)
         elif op in ("count", "tick"):
             depth = extra
         for block in reversed(self.blocks):

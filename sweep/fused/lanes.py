@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
-from sweep.engines.fused.program import LEGS, Block, Branch, Loop, Node, Region, Store, inside
+from sweep.fused.program import At, Block, Branch, Loop, Node, Region, Store, inside
 
 ANEW = frozenset(("const", "load", "tick"))  # worked out again wherever it is needed
 LARGE = 1 << 30  # operations of a value, those of a shared operand counted for each use
@@ -53,7 +53,7 @@ def _ordered(nodes: dict[int, Node]) -> Iterator[Node]:
             yield pending.pop()
 
 
-def rows(top: Block, needed: set[int]) -> tuple[dict[Place, tuple[int, int, int]], list[Region]]:
+def rows(top: Block, needed: set[int], group: int) -> tuple[dict[Place, tuple[int, int, int]], list[Region]]:
     """Of inner memory, the numbers that are always read and written as six of the legs: (first, step, which).
 
     And the regions that have to be memory, since they are looked up by place or read in other rows than written.
@@ -70,13 +70,13 @@ def rows(top: Block, needed: set[int]) -> tuple[dict[Place, tuple[int, int, int]
             memory[x.extra[0]] = None
     for region, index, step in uses:
         if region.place < 0:
-            for k in range(LEGS):
+            for k in range(group):
                 if rows.setdefault((region, index + k * step), (index, step, k)) != (index, step, k):
                     memory[region] = None
     return {place: row for place, row in rows.items() if place[0] not in memory}, list(memory)
 
 
-def parts(block: Block, needed: set[int], last: Region | None) -> list[Part]:
+def parts(block: Block, needed: set[int], last: Region | None, group: int) -> list[Part]:
     """A block in parts: its loops, and what is between them.
 
     A result is put into memory as soon as it is there and nothing asks any more for what was there; `last` at the end.
@@ -86,12 +86,12 @@ def parts(block: Block, needed: set[int], last: Region | None) -> list[Part]:
     asked: dict[Any, int] = {}  # the last part that reads a place, or by place somewhere in a region
     for k, part in enumerate(made):
         for node in operands(part, needed):
-            asked |= dict.fromkeys(_places(node), k)
+            asked |= dict.fromkeys(_places(node, group), k)
     late = [store for store in block.stores if store.region is last or store.value.op == "load"]
     for store in late:
-        asked |= dict.fromkeys(_places(store.value), len(made) - 1)
+        asked |= dict.fromkeys(_places(store.value, group), len(made) - 1)
     for store in block.stores:
-        places = [(store.region, store.index + k * store.step) for k in (range(LEGS) if store.value.leg else (0,))]
+        places = [(store.region, store.index + k * store.step) for k in (range(group) if store.value.leg else (0,))]
         free = max(asked.get(place, 0) for place in (*places, store.region))
         k = len(made) - 1 if store in late else max(free, home.get(store.value.number, 0))
         made[k].stores.append(store)
@@ -137,19 +137,20 @@ def operands(part: Part, needed: set[int]) -> Iterator[Node]:
                 yield item.index
 
 
-def _places(node: Node) -> list[Any]:
+def _places(node: Node, group: int) -> list[Any]:
     if node.op not in ("load", "gather"):
         return []
     region, index, _, step = node.extra
-    return (
-        [region] if node.op == "gather" else [(region, index + k * step) for k in (range(LEGS) if node.leg else (0,))]
-    )
+    if node.op == "gather":
+        return [region]
+    return [(region, index + k * step) for k in (range(group) if node.leg else (0,))]
 
 
 class Alone:
-    """A part without legs: what was one operation for them is six."""
+    """A part without legs: what was one operation for them is as many as there are legs."""
 
-    def __init__(self, part: Part, needed: set[int]):
+    def __init__(self, part: Part, needed: set[int], group: int):
+        self.group = group
         self.made: dict[int, list[Node]] = {}
         self.items = [x for item in part.items for x in self._item(item, needed)]
         self.stores = [x for store in part.stores for x in self._store(store)]
@@ -163,9 +164,9 @@ class Alone:
                 case "const":
                     extras = list(node.extra)
                 case "load":
-                    extras = _each(node.extra)
+                    extras = _each(node.extra, self.group)
                 case _:  # of another part
-                    extras = [(node.number, k) for k in range(LEGS)]
+                    extras = [(node.number, k) for k in range(self.group)]
             op = node.op if node.op in ANEW else "handed_on"
             self.made[node.number] = [self._node(node, op, (), extra, k) for k, extra in enumerate(extras)]
         return self.made[node.number]
@@ -189,16 +190,19 @@ class Alone:
             case "part":
                 self.made[item.number] = [args[0][item.extra]]
                 return []
-            case "over_legs":  # opposite legs first, then the three pairs in order
-                x, made = args[0], []
-                for k in range(LEGS // 2):
-                    made.append(self._node(item, item.extra, (x[k], x[k + 3]), None, k))
-                for k in (1, 2):
-                    made.append(self._node(item, item.extra, (made[0 if k == 1 else -1], made[k]), None, k + 2))
+            case "over_legs":  # opposite legs first, then the pairs in order
+                x, made, half = args[0], [], self.group // 2
+                for k in range(half):
+                    made.append(self._node(item, item.extra, (x[k], x[k + half]), None, k))
+                for k in range(1, half):
+                    pair = made[0 if k == 1 else -1], made[k]
+                    made.append(self._node(item, item.extra, pair, None, k + half - 1))
                 self.made[item.number] = made[-1:]
                 return made
-        legs = range(LEGS) if item.leg else [0]
-        extras = _each(item.extra) if item.op == "gather" and item.leg else [item.extra] * LEGS
+        legs = range(self.group) if item.leg else [0]
+        extras = [item.extra] * self.group
+        if item.op == "gather" and item.leg:
+            extras = _each(item.extra, self.group)
         made = [self._node(item, item.op, [x[k % len(x)] for x in args], extras[k], k) for k in legs]
         self.made[item.number] = made
         return made
@@ -213,7 +217,7 @@ class Alone:
         return [Store(store.region, store.index + k * store.step, x) for k, x in enumerate(self.of(store.value))]
 
 
-def _each(extra: tuple[Region, int, int, int]) -> list[tuple[Region, int, int, int]]:
+def _each(extra: At, group: int) -> list[At]:
     """Where each leg's number is."""
     region, index, depth, step = extra
-    return [(region, index + k * step, depth, 0) for k in range(LEGS)]
+    return [At(region, index + k * step, depth, 0) for k in range(group)]

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from sweep.engines.fused.program import Node, value_of
+from sweep.fused.program import Node, value_of
 
 COMPARE = {"eq": np.equal, "ne": np.not_equal, "lt": np.less, "le": np.less_equal, "gt": np.greater,
            "ge": np.greater_equal}  # fmt: skip
@@ -42,7 +42,7 @@ def fold(name: str, dtype: str, values: Sequence[Any]) -> Any:
 
 
 def simplified(name: str, args: Sequence[Node]) -> Node | None:
-    """An operand that the result equals, if one is plain to see. Zero times a number counts as zero, of NaN too."""
+    """An operand that the result equals, if one is plain to see: to the bit but for the sign of zero, of NaN too."""
     known = [_plain(x) for x in args]
     match name, known:
         case ("add", [_, value]) | ("sub", [_, value]) if value == 0 and value is not None:
@@ -53,9 +53,9 @@ def simplified(name: str, args: Sequence[Node]) -> Node | None:
             return args[0]
         case "mul", [value, _] if value == 1 and value is not None:
             return args[1]
-        case "mul", [_, value] if value == 0 and value is not None:
+        case "mul", [_, value] if value == 0 and value is not None and _finite(args[0]):
             return args[1]
-        case "mul", [value, _] if value == 0 and value is not None:
+        case "mul", [value, _] if value == 0 and value is not None and _finite(args[1]):
             return args[0]
         case ("and" | "or" | "max" | "min", _) if args[0] is args[1]:
             return args[0]
@@ -72,6 +72,20 @@ def simplified(name: str, args: Sequence[Node]) -> Node | None:
         case "select", [value, _, _] if isinstance(value, np.bool_):
             return args[1] if value else args[2]
     return None
+
+
+def _finite(node: Node) -> bool:
+    """Whether it is plain to see that a number is neither infinite nor NaN, whatever the rollout."""
+    if not np.issubdtype(node.dtype, np.floating):
+        return True
+    match node.op:
+        case "const":
+            return bool(np.all(np.isfinite(value_of(node))))
+        case "convert":
+            return not np.issubdtype(node.args[0].dtype, np.floating)
+        case "select":
+            return _finite(node.args[1]) and _finite(node.args[2])
+    return False
 
 
 def _plain(node: Node) -> Any:

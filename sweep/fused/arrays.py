@@ -1,19 +1,20 @@
 """Operations on arrays of numbers, number by number, and for the legs at once where one operation gives all six.
 
 An array is a NumPy array of nodes of the same shape; moving numbers about is NumPy's own indexing of it and makes no
-operation. Where an axis of six holds what one operation gives for the legs, the operation on it is one for the legs
-too.
+operation. Where an axis as long as the group holds what one operation gives for the legs, the operation on it is one
+for the legs too.
 """
 
 import math
 from collections.abc import Callable, Sequence
+from functools import reduce
 from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
 
-from sweep.engines.fused.operations import fold, simplified
-from sweep.engines.fused.program import LEGS, Node, Program, Region, Store, value_of
+from sweep.fused.operations import fold, simplified
+from sweep.fused.program import At, Node, Program, Region, Store, value_of
 
 EMPTY = {"add": 0, "mul": 1, "or": False, "and": True, "max": -np.inf, "min": np.inf}  # of no numbers at all
 CHAIN = 64  # places that a number may be chosen from, where it is not in memory
@@ -29,7 +30,7 @@ class Arrays:
     """Arrays of a `Program` that is being written."""
 
     def __init__(self, program: Program):
-        self.program = program
+        self.program, self.group = program, program.group
 
     def constant(self, value: Any) -> Array:
         """An array of constants."""
@@ -51,7 +52,7 @@ class Arrays:
         """An operation number by number, for the legs at once along an axis of theirs."""
         whole: list[Array] = list(np.broadcast_arrays(*args)) if len(args) > 1 else list(args)
         shape = whole[0].shape
-        axis = next((a for a in range(len(shape)) if shape[a] == LEGS and self._over_legs(whole, a)), None)
+        axis = next((a for a in range(len(shape)) if shape[a] == self.group and self._over_legs(whole, a)), None)
         if axis is None:
             return filled(shape, lambda at: self.op(name, dtype, *(x[at] for x in whole)))
         whole = [np.moveaxis(x, axis, -1) for x in whole]
@@ -59,7 +60,7 @@ class Arrays:
         for at in np.ndindex(result.shape[:-1]):
             rows = [x[at] for x in whole]
             if (legs := self._legs(rows)) is None:
-                for k in range(LEGS):
+                for k in range(self.group):
                     result[(*at, k)] = self.op(name, dtype, *[row[k] for row in rows])
             else:
                 result[at] = self.parts(self.op(name, dtype, *legs))
@@ -71,15 +72,15 @@ class Arrays:
         if not x.size:
             return self.constant(np.full([x.shape[d] for d in kept], EMPTY[name], dtype))
         rows = np.transpose(x, (*kept, *axes))
-        legs = next((k for k, a in enumerate(axes) if x.shape[a] == LEGS and self._over_legs([x], a)), None)
-        if legs is not None:
-            rows = np.moveaxis(rows, len(kept) + legs, -1)
+        legs = next((k for k, a in enumerate(axes) if x.shape[a] == self.group and self._over_legs([x], a)), None)
         shape = tuple(x.shape[d] for d in kept)
+        if legs is None:  # maybe for the legs at once, along an axis that is kept
+            parts = along(rows.reshape(*shape, -1), -1)
+            return reduce(lambda total, one: self.lift(name, [total, one], np.dtype(dtype).name), parts)
+        rows = np.moveaxis(rows, len(kept) + legs, -1)
 
         def total(at: tuple) -> Node:
-            row = rows[at].reshape(-1, LEGS) if legs is not None else rows[at].reshape(-1)
-            if legs is None:
-                return self._fold(name, list(row))
+            row = rows[at].reshape(-1, self.group)
             found = [self._legs([six]) for six in row]
             if any(one is None for one in found):
                 return self._fold(name, list(row.ravel()))
@@ -87,7 +88,7 @@ class Arrays:
             return (
                 self.program.node("over_legs", (whole,), whole.dtype, name, leg=False)
                 if whole.leg
-                else self._fold(name, [whole] * LEGS)
+                else self._fold(name, [whole] * self.group)
             )
 
         return filled(shape, total)
@@ -114,22 +115,22 @@ class Arrays:
     def parts(self, node: Node) -> list[Node]:
         """What a node gives for each leg."""
         if not node.leg:
-            return [node] * LEGS
+            return [node] * self.group
         if node.op == "const":
             return [self.program.const(value, node.dtype) for value in value_of(node)]
         if node.op in ("load", "gather"):
             region, index, depth, step = node.extra
-            places = [(region, index + k * step, depth, 0) for k in range(LEGS)]
+            places = [At(region, index + k * step, depth, 0) for k in range(self.group)]
             return [self.program.node(node.op, node.args, node.dtype, place, leg=False) for place in places]
-        return [self.program.node("part", (node,), node.dtype, k, leg=False) for k in range(LEGS)]
+        return [self.program.node("part", (node,), node.dtype, k, leg=False) for k in range(self.group)]
 
     def _over_legs(self, arrays: Sequence[Array], axis: int) -> bool:
         """Whether the first row along `axis` is one for the legs."""
-        rows = [np.moveaxis(x, axis, -1).reshape(-1, LEGS) for x in arrays]
+        rows = [np.moveaxis(x, axis, -1).reshape(-1, self.group) for x in arrays]
         return bool(rows[0].size) and self._legs([row[0] for row in rows]) is not None
 
     def _legs(self, rows: Sequence[Array]) -> list[Node] | None:
-        """Rows of six numbers as nodes for the legs; None where that saves nothing."""
+        """Rows of a number for each leg as nodes for the legs; None where that saves nothing."""
         found = [self._leg(row) for row in rows]
         if not any(x is not None and x.leg for x in found):
             return None
@@ -141,7 +142,7 @@ class Arrays:
         return self.program.node("pack", tuple(row), row[0].dtype, leg=True)
 
     def _leg(self, row: Array) -> Node | None:
-        """One node for six numbers: the same for all, parts of one, or alike in memory."""
+        """One node for a row: the same for all, parts of one, or alike in memory."""
         first, second = row[0], row[1]
         if all(x is first for x in row):
             return first
@@ -161,16 +162,16 @@ class Arrays:
             region, index, depth, _ = first.extra
             step = second.extra[1] - index
             for k, x in enumerate(row):
-                if x.op != first.op or x.args != first.args or x.extra != (region, index + k * step, depth, 0):
+                if x.op != first.op or x.args != first.args or x.extra != At(region, index + k * step, depth, 0):
                     return None
-            return self.program.node(first.op, first.args, first.dtype, (region, index, depth, step), leg=True)
+            return self.program.node(first.op, first.args, first.dtype, At(region, index, depth, step), leg=True)
         return None
 
     # memory
 
     def load(self, region: Region, index: int, depth: int) -> Node:
         """A number in memory, as it is in the block at `depth`."""
-        return self.program.node("load", (), region.dtype, (region, index, depth, 0), leg=False)
+        return self.program.node("load", (), region.dtype, At(region, index, depth, 0), leg=False)
 
     def loaded(self, region: Any, shape: tuple, depth: int) -> Array:
         """An array in memory, as it is in the block at `depth`."""
@@ -182,8 +183,8 @@ class Arrays:
         if region is None:
             return
         rows = (
-            np.moveaxis(np.arange(x.size).reshape(x.shape), 0, -1).reshape(-1, LEGS)
-            if x.ndim and x.shape[0] == LEGS
+            np.moveaxis(np.arange(x.size).reshape(x.shape), 0, -1).reshape(-1, self.group)
+            if x.ndim and x.shape[0] == self.group
             else ()
         )
         done = set()
@@ -201,7 +202,7 @@ class Arrays:
         if not x.size or x.flat[0].op != "load":
             return None
         region, first, depth, _ = x.flat[0].extra
-        lies = all(n.op == "load" and n.extra == (region, first + k, depth, 0) for k, n in enumerate(x.flat))
+        lies = all(n.op == "load" and n.extra == At(region, first + k, depth, 0) for k, n in enumerate(x.flat))
         return (region, first, depth) if lies else None
 
     # where the place depends on the rollout
@@ -225,7 +226,7 @@ class Arrays:
             at = np.arange(x.size).reshape(x.shape)[known]
             at = at[tuple(slice(0, sizes[d]) for d in range(x.ndim))]
             return filled(at.shape, lambda i: self.program.node(
-                "gather", (place,), region.dtype, (region, first + int(at[i]), depth, 0), leg=False))  # fmt: skip
+                "gather", (place,), region.dtype, At(region, first + int(at[i]), depth, 0), leg=False))  # fmt: skip
         x = x[known]
         many = 1
         for d in moving:

@@ -9,10 +9,10 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Int, UInt32
 
-from sweep.engines.fused import cuda, schedule
-from sweep.engines.fused.trace import Leaf, keyed, traced, words
+from sweep.fused import cuda, schedule
+from sweep.fused.trace import GROUP, Leaf, keyed, traced, words
 
-BLOCK = cuda.LANES * cuda.WARPS  # rollouts that a block of threads has at least
+BLOCK = cuda.lanes_of(GROUP) * cuda.WARPS  # rollouts that a block of threads has at least, of robots
 TURNS = 25  # times as many that it has at most
 TARGET = "__gpu$xla.gpu.ptx"  # XLA's own call of a kernel; a handler of its typed interface could launch it as well
 OPTIONS = {"xla_gpu_graph_min_graph_size": 1 << 30}  # no graphs of kernels, from which one long kernel gains nothing
@@ -39,6 +39,7 @@ def compiled(
     ticks: int,
     room: int,
     width: int,
+    group: int = GROUP,
 ) -> Ptx:
     """See `traced`. `over` picks the array of what is carried that tells a rollout without anything to come.
 
@@ -49,11 +50,13 @@ def compiled(
         carried, record = function(given, carried, number)
         return carried, record if room else {}
 
-    program = traced(told, given, carried, _laid_out, together=False)
+    program = traced(told, given, carried, _laid_out, together=False, group=group)
     tree = jax.tree.structure(carried)
     flag = program.carried[over(jax.tree.unflatten(tree, range(tree.num_leaves)))].place
     sizes = _end(program.given), _end(program.carried), _end([*program.recorded.values()])
-    printed = cuda.Printer(program.top, schedule.used(program.top), sizes, ticks, flag, room, _turns(width))
+    printed = cuda.Printer(
+        program.top, schedule.used(program.top), sizes, ticks, flag, room, _turns(width, group), group
+    )
     text, blocks = cuda.compiled(printed.text()), printed.rollouts
     return Ptx(text, program.given, program.carried, program.recorded, printed.words, ticks, room, blocks)
 
@@ -101,10 +104,10 @@ def call(code: Ptx, operands: Sequence[Array]) -> Sequence[Array]:
                 output_indices=tuple(np.int32(len(operands) + n) for n in range(len(changed))))  # fmt: skip
 
 
-def _turns(width: int) -> int:
-    """Times `BLOCK` rollouts that a block has, so that every multiprocessor has one block."""
+def _turns(width: int, group: int) -> int:
+    """Times the least rollouts that a block has, so that every multiprocessor has one block."""
     cores = getattr(jax.devices()[0], "core_count", None) or 1
-    return min(TURNS, -(-width // (cores * BLOCK)))
+    return min(TURNS, -(-width // (cores * cuda.lanes_of(group) * cuda.WARPS)))
 
 
 def _laid_out(shapes: Sequence[Any], start: int) -> tuple[list[Leaf], int]:

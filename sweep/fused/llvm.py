@@ -9,9 +9,9 @@ from typing import Any
 import llvmlite.binding as llvm
 import numpy as np
 
-from sweep.engines.fused.program import LEGS, Branch, Loop, Node, Region, Store, value_of
-from sweep.engines.fused.schedule import Plan, Slots, Turn, regions
-from sweep.engines.fused.text import TYPES, Text
+from sweep.fused.program import Branch, Loop, Node, Region, Store, value_of
+from sweep.fused.schedule import Plan, Slots, Turn, regions
+from sweep.fused.text import TYPES, Text
 
 LANES = 16
 ALIGN = 64  # bytes
@@ -34,13 +34,14 @@ class Printer(Text):
     `record` goes on by `stride` bytes each tick; `first` is the number of the first tick.
     """
 
-    def __init__(self, top: Plan, slots: Slots):
+    def __init__(self, top: Plan, slots: Slots, group: int):
         super().__init__(LANES)
+        self.group = group
         self.slots = slots
         self.names: dict[int, str] = {}
         self.counts: dict[int, str] = {}  # of the loops that are open, by depth
         self.row = LANES * slots.size
-        self.scratch = rounded(slots.count * LEGS * self.row)
+        self.scratch = rounded(slots.count * self.group * self.row)
         self.places: dict[Region, int] = {}
         for region in sorted((r for r in regions(top) if r.place < 0), key=id):
             self.places[region] = self.scratch
@@ -137,13 +138,13 @@ class Printer(Text):
             if node.number in self.slots.of:
                 self._put(value, node.dtype, "%scratch", leg.offset(self.row, self.slot(node)))
         self.emit(f"add i64 %{name}_k, 1", f"%{name}_n")
-        self.emit(f"icmp eq i64 %{name}_n, {LEGS}", f"%{name}_c")
+        self.emit(f"icmp eq i64 %{name}_n, {self.group}", f"%{name}_c")
         self.lines.append(f"br i1 %{name}_c, label %{name}_x, label %{name}")
         self.start(f"{name}_x")
 
     def slot(self, node: Node) -> int:
         """Where the legs' values of a node are kept, in bytes."""
-        return self.slots.of[node.number] * LEGS * self.row
+        return self.slots.of[node.number] * self.group * self.row
 
     # memory
 
@@ -164,7 +165,7 @@ class Printer(Text):
         if not value.leg:
             self._put(self.value(value), region.dtype, base, str(place + store.index * size))
             return
-        for k in range(LEGS):
+        for k in range(self.group):
             one = self.part(value, k)
             self._put(one, region.dtype, base, str(place + (store.index + k * store.step) * size))
 
@@ -278,7 +279,7 @@ class Leg:
         if node.op == "const":
             values = value_of(node)
             value = printer.literal(values[-1])
-            for k in range(LEGS - 2, -1, -1):
+            for k in range(printer.group - 2, -1, -1):
                 test = self._is(k)
                 kind = printer.vector(node.dtype)
                 value = printer.emit(f"select i1 {test}, {kind} {printer.literal(values[k])}, {kind} {value}")
@@ -297,13 +298,13 @@ class Leg:
         return self.steps[key]
 
 
-def machine() -> llvm.TargetMachine:
-    """This processor."""
+def machine(effort: int = 2) -> llvm.TargetMachine:
+    """This processor, as LLVM compiles for it with more or less `effort`, 0 to 3: none for what is run once."""
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     features = llvm.get_host_cpu_features().flatten()
     target = llvm.Target.from_default_triple()
-    return target.create_target_machine(llvm.get_host_cpu_name(), features, opt=2, codemodel="default", jit=True)
+    return target.create_target_machine(llvm.get_host_cpu_name(), features, opt=effort, codemodel="default", jit=True)
 
 
 def compiled(text: str, target: llvm.TargetMachine) -> bytes:

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from sweep.engines.fused import randomness
-from sweep.engines.fused.arrays import Array, Arrays, Unsupported, along, stacked
+from sweep.fused import randomness
+from sweep.fused.arrays import Array, Arrays, Unsupported, along, stacked
 
 
 def _convert(self: Arrays, x: Array, out: Any, **_: Any) -> Array:

@@ -14,13 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from sweep.engines.fused import lanes
-from sweep.engines.fused.arrays import Unsupported
-from sweep.engines.fused.lanes import ANEW, Part, Place
-from sweep.engines.fused.program import LEGS, Block, Branch, Loop, Node, Region, Store, value_of
-from sweep.engines.fused.text import INTRINSICS, TYPES, Text
+from sweep.fused import lanes
+from sweep.fused.arrays import Unsupported
+from sweep.fused.lanes import ANEW, Part, Place
+from sweep.fused.program import Block, Branch, Loop, Node, Region, Store, value_of
+from sweep.fused.text import INTRINSICS, TYPES, Text
 
-LANES = 32 // LEGS  # rollouts of a warp where legs have lanes; two lanes do again what others do
+THREADS = 32  # of a warp
 WARPS = 8  # of a block: as many as registers allow
 EVERY = "i32 -1"  # lane
 NATIVE = {"sqrt", "floor", "ceil", "round"}
@@ -35,11 +35,20 @@ class Printer(Text):
     """
 
     def __init__(
-        self, top: Block, needed: set[int], sizes: tuple[int, int, int], ticks: int, over: int, room: int, turns: int
+        self,
+        top: Block,
+        needed: set[int],
+        sizes: tuple[int, int, int],
+        ticks: int,
+        over: int,
+        room: int,
+        turns: int,
+        group: int,
     ):
         super().__init__(1)
+        self.group, self.beside = group, lanes_of(group)
         self.needed, self.sizes, self.ticks, self.over, self.room = needed, sizes, ticks, over, room
-        self.rollouts = LANES * WARPS * turns  # of a block
+        self.rollouts = self.beside * WARPS * turns  # of a block
         self.row = 4 * self.rollouts  # bytes of a number's rollouts in memory
         self.names: dict[Any, str] = {}
         self.found: dict[Any, Any] = {}  # in this basic block
@@ -48,7 +57,7 @@ class Printer(Text):
         self.counts: dict[int, str] = {}
         self.tables: list[str] = []
         self.here: dict[Place, str] = {}  # what numbers of inner memory are now
-        self.rows, self.inner = lanes.rows(top, needed)
+        self.rows, self.inner = lanes.rows(top, needed, group)
         self.words = sizes[1]  # numbers of a rollout's state, then those that are looked up by place, then what is kept
         self.scratch: dict[Region, int] = {}
         for region in self.inner:
@@ -59,7 +68,7 @@ class Printer(Text):
         (loop,) = (item for item in top.items if isinstance(item, Loop))
         before = [item for item in lanes.depth_first(top, needed) if item is not loop]
         flag = next((s.region for s in loop.body.stores if s.region.place == over and not s.region.record), None)
-        parts = [Part(before, top.stores, False), *lanes.parts(loop.body, needed, flag)]
+        parts = [Part(before, top.stores, False), *lanes.parts(loop.body, needed, flag, group)]
         self._keep(parts)
         self._head()
         self._ticks(*parts)
@@ -89,14 +98,14 @@ class Printer(Text):
         thread = self._nvvm("read.ptx.sreg.tid.x", "i32", to="%thread")
         block = self._nvvm("read.ptx.sreg.ctaid.x", "i32", to="%block")
         lane, warp = self.emit(f"and i32 {thread}, 31"), self.emit(f"lshr i32 {thread}, 5", "%warp")
-        group = self.emit(f"udiv i32 {lane}, {LEGS}")
-        beyond = self.emit(f"icmp ugt i32 {group}, {LANES - 1}")
-        group = self.emit(f"select i1 {beyond}, i32 {LANES - 1}, i32 {group}")
-        leg = self.emit(f"urem i32 {lane}, {LEGS}", "%leg")
-        base = self.emit(f"mul i32 {group}, {LEGS}", "%base")
-        across = self.emit(f"urem i32 {self.emit(f'add i32 {leg}, 3')}, {LEGS}")
+        group = self.emit(f"udiv i32 {lane}, {self.group}")
+        beyond = self.emit(f"icmp ugt i32 {group}, {self.beside - 1}")
+        group = self.emit(f"select i1 {beyond}, i32 {self.beside - 1}, i32 {group}")
+        leg = self.emit(f"urem i32 {lane}, {self.group}", "%leg")
+        base = self.emit(f"mul i32 {group}, {self.group}", "%base")
+        across = self.emit(f"urem i32 {self.emit(f'add i32 {leg}, {self.group // 2}')}, {self.group}")
         self.emit(f"add i32 {base}, {across}", "%across")
-        self.emit(f"add i32 {self.emit(f'mul i32 {warp}, {LANES}')}, {group}", "%own")
+        self.emit(f"add i32 {self.emit(f'mul i32 {warp}, {self.beside}')}, {group}", "%own")
         wide = self.emit(f"zext i32 {block} to i64")
         for name, words in (("given", self.sizes[0]), ("state", self.words)):
             self.emit(
@@ -138,7 +147,7 @@ class Printer(Text):
                     continue
                 if self.home.get(key, part) is not part and key not in self.kept:
                     self.kept[key] = self.words, node, leg
-                    self.words += LEGS if leg else 1
+                    self.words += self.group if leg else 1
             self.home |= {item.number: part for item in part.items if isinstance(item, Node)}
             self.home |= dict.fromkeys(self._changed(part.items), part)
 
@@ -158,7 +167,7 @@ class Printer(Text):
 
     def _part(self, name: str, part: Part) -> None:
         """A part for all rollouts of this block, some at a time; warps go side by side: they share instructions."""
-        size = LANES * WARPS if part.together else 32 * WARPS
+        size = self.beside * WARPS if part.together else 32 * WARPS
         turns, ragged = -(-self.rollouts // size), self.rollouts % size > 0
         if not part.together:
             self._nvvm("barrier0", "void")
@@ -185,7 +194,7 @@ class Printer(Text):
             idle = self.emit(f"or i1 {idle}, {every}") if ragged else every
         self.lines.append(f"br i1 {idle}, label %{name}_d, label %{name}_g")
         self._start(f"{name}_g")
-        self.alone = None if part.together else lanes.Alone(part, self.needed)
+        self.alone = None if part.together else lanes.Alone(part, self.needed, self.group)
         self._items((self.alone or part).items)
         self._stores((self.alone or part).stores, part)
         self.lines.append(f"br label %{name}_d")
@@ -281,7 +290,9 @@ class Printer(Text):
             else:
                 region, first = key
                 step = self.rows[key][1] if leg else 0
-                values = [self.here[region, first + k * step] for k in (range(LEGS) if leg and self.alone else (0,))]
+                values = [
+                    self.here[region, first + k * step] for k in (range(self.group) if leg and self.alone else (0,))
+                ]
             for k, value in enumerate(values):
                 yield word + k, 1 if leg and not self.alone else 0, node.dtype, value
 
@@ -406,7 +417,7 @@ class Printer(Text):
             return self.emit(f"trunc i32 {self.emit(f'lshr i32 {bits}, %leg')} to i1")
         name = f"@table{len(self.tables)}"
         listed = ", ".join(f"{kind} {self.literal(x)}" for x in values)
-        self.tables.append(f"{name} = private addrspace(4) constant [{LEGS} x {kind}] [{listed}]")
+        self.tables.append(f"{name} = private addrspace(4) constant [{self.group} x {kind}] [{listed}]")
         at = self.emit(f"getelementptr {kind}, ptr addrspace(4) {name}, i32 %leg")
         return self.emit(f"load {kind}, ptr addrspace(4) {at}")
 
@@ -427,11 +438,11 @@ class Printer(Text):
         return self._nvvm(f"shfl.sync.idx.{short}", kind, EVERY, f"{kind} {value}", f"i32 {lane}", "i32 31")
 
     def _over_legs(self, node: Node) -> str:
-        """Opposite legs first, then the three pairs in order."""
+        """Opposite legs first, then the pairs in order."""
         value, kinds = self.value(node.args[0]), [node.dtype] * 2
         pair = self.arithmetic(node.extra, node.dtype, [value, self._shuffled(value, node.dtype, "%across")], kinds)
         total = self._shuffled(pair, node.dtype, self._lane(0))
-        for k in (1, 2):
+        for k in range(1, self.group // 2):
             one = self._shuffled(pair, node.dtype, self._lane(k))
             total = self.arithmetic(node.extra, node.dtype, [total, one], kinds)
         return total
@@ -450,7 +461,7 @@ class Printer(Text):
                 return self._shuffled(self.value(whole), whole.dtype, self._lane(node.extra))
             case "pack":
                 value, kind = self.value(node.args[-1]), TYPES[node.dtype]
-                for k in range(LEGS - 2, -1, -1):
+                for k in range(self.group - 2, -1, -1):
                     here = self.emit(f"icmp eq i32 %leg, {k}")
                     value = self.emit(f"select i1 {here}, {kind} {self.value(node.args[k])}, {kind} {value}")
                 return value
@@ -499,6 +510,16 @@ class Printer(Text):
     def extreme(self, op: str, dtype: str, args: list[str]) -> str:
         """The greater or lesser of two; NaN if either is."""
         return self.call("maximum" if op == "max" else "minimum", dtype, args)
+
+
+def lanes_of(group: int) -> int:
+    """Rollouts of a warp where legs have lanes; the lanes that are left do again what others do.
+
+    Raises `Unsupported` where the legs have no opposite ones, or a warp too few lanes.
+    """
+    if group % 2 or not 0 < group <= THREADS:
+        raise Unsupported(f"a group of {group} on a GPU")
+    return THREADS // group
 
 
 def compiled(text: str) -> str:

@@ -9,8 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from sweep.engines.fused.interpret import Interpreter
-from sweep.engines.fused.program import Block, Program, Region
+from sweep.fused.interpret import Interpreter
+from sweep.fused.program import Block, Program, Region
+
+GROUP = 6  # of a robot: its legs
 
 
 class Leaf(NamedTuple):
@@ -44,10 +46,12 @@ def traced(
     carried: Any,
     layout: Layout,
     together: bool,
+    group: int,
 ) -> Traced:
     """The ticks `function(given, carried, number) -> (carried, record)` of one rollout, for trees of arrays like these.
 
-    `together`: what is given and what is carried share a memory. Raises `Unsupported`.
+    `together`: what is given and what is carried share a memory. `group`: how many numbers are one operation's, see
+    `program`. Raises `Unsupported`.
     """
     (first, tree), (second, other) = jax.tree.flatten(given), jax.tree.flatten(carried)
     n = len(first)
@@ -65,7 +69,7 @@ def traced(
     names = sorted(record)  # as JAX flattens them
     recorded, _ = layout([record[name] for name in names], 0)
 
-    program = Program()
+    program = Program(group)
     interpreter = Interpreter(program)
     regions = [[Region(x.count, x.dtype, depth, x.place, told) for x in leaves]
                for leaves, depth, told in ((constant, 0, False), (moving, 1, False), (recorded, 1, True))]  # fmt: skip
@@ -84,7 +88,7 @@ def words(tree: Any) -> Any:
     """Arrays, or their shapes, with random keys as the words that they are."""
 
     def one(x: Any) -> Any:
-        if not _is_key(x):
+        if not is_key(x):
             return x
         return jax.eval_shape(jax.random.key_data, x) if isinstance(x, jax.ShapeDtypeStruct) else jax.random.key_data(x)
 
@@ -93,8 +97,9 @@ def words(tree: Any) -> Any:
 
 def keyed(x: Array, like: Any) -> Array:
     """Words as a random key, where it is like one."""
-    return jax.random.wrap_key_data(x) if _is_key(like) else x
+    return jax.random.wrap_key_data(x) if is_key(like) else x
 
 
-def _is_key(x: Any) -> bool:
+def is_key(x: Any) -> bool:
+    """Whether an array, or its shape, is of random keys."""
     return not isinstance(x.dtype, np.dtype) and jnp.issubdtype(x.dtype, jax.dtypes.prng_key)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from sweep.engines.fused.program import Block, Branch, Loop, Node, Region, Store, inside
+from sweep.fused.program import Block, Branch, Loop, Node, Region, Store, inside
 
 ANEW = frozenset(("const", "load"))  # worked out again wherever it is needed
 

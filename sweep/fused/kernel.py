@@ -8,10 +8,11 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+from jax.extend.core import Literal
 from jaxtyping import Array
 
-from sweep.engines.fused import llvm, schedule
-from sweep.engines.fused.trace import Leaf, keyed, traced, words
+from sweep.fused import llvm, schedule
+from sweep.fused.trace import GROUP, Leaf, Traced, is_key, traced, words
 
 LANES, ALIGN = llvm.LANES, llvm.ALIGN
 
@@ -24,16 +25,60 @@ class Code(NamedTuple):
     carried: list[Leaf]
     recorded: dict[str, Leaf]
     scratch: int  # bytes that a thread needs
+    form: Any  # the tree of what is carried, True where that is a random key
 
 
-def compiled(function: Callable[[Any, Any, Array], tuple[Any, dict[str, Array]]], given: Any, carried: Any) -> Code:
-    """See `traced`; what is given and carried share a memory, in bytes."""
-    program = traced(function, given, carried, _laid_out, together=True)
+Tick = Callable[[Any, Any, Array], tuple[Any, dict[str, Array]]]  # of a rollout: given, carried, number
+
+
+def printed(function: Tick, given: Any, carried: Any, group: int = GROUP) -> tuple[Traced, llvm.Printer]:
+    """A program, and its text as LLVM's assembly; see `traced`. What is given and carried share a memory, in bytes."""
+    program = traced(function, given, carried, _laid_out, together=True, group=group)
     plan = schedule.plan(program.top, schedule.used(program.top))
-    printed = llvm.Printer(plan, schedule.slots(plan))
-    target = llvm.machine()
-    machine = llvm.compiled(printed.text(target.triple), target)
-    return Code(machine, program.given, program.carried, program.recorded, printed.scratch)
+    return program, llvm.Printer(plan, schedule.slots(plan), group)
+
+
+def compiled(function: Tick, given: Any, carried: Any, group: int = GROUP, effort: int = 2) -> Code:
+    """See `printed`, and `llvm.machine`."""
+    program, text = printed(function, given, carried, group)
+    target = llvm.machine(effort)
+    machine = llvm.compiled(text.text(target.triple), target)
+    form = jax.tree.map(is_key, carried)
+    return Code(machine, program.given, program.carried, program.recorded, text.scratch, form)
+
+
+class Once(NamedTuple):
+    """A compiled program that is run once, as it is kept."""
+
+    code: Code
+    form: Any  # the tree of what it gives: -1, or the place of what is given and handed on as it is
+
+    def loaded(self) -> Callable[..., Any]:
+        """A function of how many rollouts a batch has, and of what is given."""
+        kernel = Kernel(self.code)
+
+        def run(width: int, *given: Any) -> Any:
+            leaves = [_of_all(x, leaf, width) for x, leaf in zip(jax.tree.leaves(given), self.code.given, strict=True)]
+            made = iter(kernel.once(given, width))
+            return jax.tree.map(lambda place: next(made) if place < 0 else leaves[place], self.form)
+
+        return run
+
+
+def compiled_once(function: Callable[..., Any], *given: Any) -> Once:
+    """A program that is run once. `given` are shapes, or arrays of one rollout. Raises `Unsupported`.
+
+    What it hands on as it is goes round the kernel.
+    """
+    jaxpr, made = jax.make_jaxpr(function, return_shape=True)(*given)
+    places = {x: k for k, x in enumerate(jaxpr.jaxpr.invars)}
+    passed = [-1 if isinstance(x, Literal) else places.get(x, -1) for x in jaxpr.jaxpr.outvars]
+
+    def tick(given: Any, _: Any, number: Array) -> tuple[list[Array], dict[str, Array]]:
+        return [x for x, k in zip(jax.tree.leaves(function(*given)), passed, strict=True) if k < 0], {}
+
+    new = [x for x, k in zip(jax.tree.leaves(made), passed, strict=True) if k < 0]
+    return Once(compiled(tick, given, new, effort=0), jax.tree.unflatten(jax.tree.structure(made), passed))
 
 
 def _size(leaf: Leaf) -> int:
@@ -60,19 +105,27 @@ class Kernel:
 
     def enter(self, given: Any, carried: Any, width: int) -> "Tiles":
         """The memory of `width` rollouts. Leaves with one axis more than the program's differ among them."""
-        tiles = Tiles(self, width, carried)
+        tiles = Tiles(self, width)
         tiles.put(self.code.given, given)
         tiles.put(self.code.carried, carried)
         return tiles
+
+    def once(self, given: Any, width: int) -> Any:
+        """What one tick makes of what is `given`, whatever was carried before."""
+        tiles = Tiles(self, width)
+        tiles.put(self.code.given, given)
+        tiles.advance(0, 1)
+        return tiles.leave()
 
 
 class Tiles:
     """A batch that goes through a program. `which` picks arrays of what is carried, or trees of them."""
 
-    def __init__(self, kernel: Kernel, width: int, like: Any):
-        self.code, self._run, self.width, self._like = kernel.code, kernel.run, width, like
+    def __init__(self, kernel: Kernel, width: int):
+        self.code, self.width = kernel.code, width
+        self._kernel = kernel  # whose machine code is gone when nobody holds it
         self.memory = _aligned(-(-width // LANES), _end(self.code.carried))
-        tree = jax.tree.structure(like)
+        tree = jax.tree.structure(self.code.form)
         self._places = jax.tree.unflatten(tree, range(tree.num_leaves))
         rooms = range(min(len(os.sched_getaffinity(0)), len(self.memory)))
         self._scratch = [_aligned(1, self.code.scratch) for _ in rooms]
@@ -102,11 +155,11 @@ class Tiles:
         told: dict[Any, np.ndarray] = {tile: _aligned(ticks, size) for tile in wanted}
 
         def work(thread: int, threads: int) -> None:
-            scratch, nowhere = self._scratch[thread], _aligned(1, size)
+            run, scratch, nowhere = self._kernel.run, self._scratch[thread], _aligned(1, size)
             for tile in range(thread, len(self.memory), threads):
                 into = told.get(tile)
                 record, stride = (nowhere, 0) if into is None else (into, size)
-                self._run(self.memory[tile].ctypes.data, scratch.ctypes.data, record.ctypes.data, stride, first, ticks)
+                run(self.memory[tile].ctypes.data, scratch.ctypes.data, record.ctypes.data, stride, first, ticks)
 
         if (threads := len(self._scratch) if ticks > 1 else 1) > 1:
             with ThreadPoolExecutor(threads) as pool:
@@ -120,7 +173,8 @@ class Tiles:
 
     def leave(self) -> Any:
         """What is carried, (width, ...) each."""
-        return jax.tree.map(keyed, self.look(lambda carried: carried), self._like)
+        rows = self.look(lambda carried: carried)
+        return jax.tree.map(lambda x, key: jax.random.wrap_key_data(x) if key else x, rows, self.code.form)
 
     def look(self, which: Callable[[Any], Any]) -> Any:
         """What `which` picks, (width, ...) each, without the others."""
@@ -137,6 +191,11 @@ def _aligned(rows: int, size: int) -> np.ndarray:
     raw = np.zeros(rows * size + ALIGN, np.uint8)
     start = -raw.ctypes.data % ALIGN
     return raw[start : start + rows * size].reshape(rows, size)
+
+
+def _of_all(x: Any, leaf: Leaf, width: int) -> Any:
+    """What differs among rollouts, or is one for all, as the former."""
+    return np.broadcast_to(x, (width, *leaf.shape)) if not is_key(x) and np.ndim(x) == len(leaf.shape) else x
 
 
 def _end(leaves: Sequence[Leaf]) -> int:

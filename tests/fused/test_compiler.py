@@ -1,0 +1,246 @@
+"""The fused compiler against XLA: single operations, loops and branches, groups, and the page that tells of it."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sweep.fused import kernel
+from sweep.fused.arrays import Unsupported
+from sweep.fused.program import Node, inside
+
+PAGE = Path(__file__).parents[2] / "docs/compiler.md"
+WIDTH = 5
+
+
+def both(function, *batch, group=6):
+    """What `function` of one rollout records for a batch, fused and by XLA."""
+    one = [jax.ShapeDtypeStruct(x.shape[1:], x.dtype) for x in batch]
+    code = kernel.compiled(lambda given, carried, k: (carried, function(*given)), one, [jnp.zeros(())], group)
+    program = kernel.Kernel(code)
+    tiles = program.enter(list(batch), [jnp.zeros(WIDTH)], WIDTH)
+    record = tiles.advance(0, 1, np.arange(WIDTH))
+    assert record is not None
+    return {name: x[0] for name, x in record.items()}, jax.vmap(function)(*batch)
+
+
+def some(*shape: int, seed: int = 0) -> jax.Array:
+    return jnp.asarray(np.random.default_rng(seed).uniform(-3, 3, (WIDTH, *shape)), jnp.float32)
+
+
+EXACT = {
+    "sin": np.sin,
+    "cos": np.cos,
+    "tan": np.tan,
+    "acos": lambda x: np.arccos(x / 4),
+    "asin": lambda x: np.arcsin(x / 4),
+    "atan2": lambda x: np.arctan2(x, x[:, ::-1] - 1),
+    "exp": lambda x: np.exp(8 * x),
+    "log": lambda x: np.log(np.abs(x)),
+    "rem": lambda x: np.fmod(x, 0.75),
+}
+
+
+def test_functions_that_vector_units_lack_are_good_to_three_units_in_the_last_place():
+    def of(x):
+        return {
+            "sin": jnp.sin(x),
+            "cos": jnp.cos(x),
+            "tan": jnp.tan(x),
+            "acos": jnp.arccos(x / 4),
+            "asin": jnp.arcsin(x / 4),
+            "atan2": jnp.arctan2(x, x[::-1] - 1),
+            "exp": jnp.exp(8 * x),
+            "log": jnp.log(jnp.abs(x)),
+            "rem": jnp.fmod(x, jnp.float32(0.75)),
+        }
+
+    x = some(9)
+    fused, _ = both(of, x)
+    for name, values in fused.items():
+        exact = EXACT[name](np.asarray(x, np.float64))
+        assert np.all(np.abs(values - exact) <= 3 * np.spacing(np.abs(exact).astype(np.float32)) + 2e-7), name
+
+
+def test_not_a_number_stays_one_and_infinities_are_kept():
+    x = jnp.array([[np.nan, 1.0], [1.0, np.nan], [np.inf, 1.0], [0.0, -0.0], [-np.inf, 2.0]], jnp.float32)
+    fused, xla = both(
+        lambda x: {
+            "max": jnp.max(x),
+            "min": jnp.min(x),
+            "sin": jnp.sin(x),
+            "sum": jnp.sum(x),
+            "at": jnp.argmax(x),
+            "sign": jnp.sign(x),
+            "sqrt": jnp.sqrt(x),
+            "finite": jnp.isfinite(x),
+            "log": jnp.log(x),
+        },
+        x,
+    )
+    for name, values in fused.items():
+        np.testing.assert_allclose(values, xla[name], rtol=1e-6, err_msg=name)
+
+
+def test_zero_times_what_is_no_number_is_none_as_by_xla():
+    """An outcome is invalid where NaN arrives: no product with a zero of a matrix may lose it on its way."""
+    eye, axis = np.eye(3, dtype=np.float32), np.array([0.0, 0.0, 1.0], np.float32)
+    x = np.ones((WIDTH, 3), np.float32)
+    x[[0, 1, 2], [0, 1, 2]] = np.nan, np.inf, -np.inf
+
+    def of(x):
+        return {
+            "product": 0.0 * x,
+            "turned": x * jnp.zeros(3),
+            "dot": jnp.asarray(axis) @ x,
+            "matrix": jnp.asarray(eye) @ x,
+            "cross": jnp.cross(x, jnp.asarray(axis)),
+            "of the legs": jnp.sum(jnp.zeros((6, 1)) * x, axis=0),
+            "counted": 0.0 * (x > 1).astype(jnp.float32) + 0.0 * jnp.where(x > 1, 2.0, 3.0),
+        }
+
+    fused, xla = both(of, jnp.asarray(x))
+    for name, values in fused.items():
+        np.testing.assert_array_equal(values, xla[name], err_msg=name)
+
+
+def test_a_batch_keeps_the_program_that_it_goes_through():
+    """In a process of its own, which ended in a segmentation fault."""
+    code = """if True:
+        import gc, jax, jax.numpy as jnp
+        from sweep.fused.kernel import Kernel, compiled
+        one = jnp.zeros(()) 
+        tiles = Kernel(compiled(lambda given, carried, k: (carried + given, {}), one, one)).enter(one + 2, one[None], 1)
+        gc.collect()
+        tiles.advance(0, 3)
+        print(tiles.leave())
+    """
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (0, "[6.]\n"), done.stderr
+
+
+def test_random_numbers_are_those_of_jax():
+    def drawn(words):
+        key = jax.random.wrap_key_data(words)
+        first, second = jax.random.split(jax.random.fold_in(key, 7))
+        return {"bits": jax.random.bits(first, (3, 2)), "normal": jax.random.normal(second, (4,))}
+
+    fused, xla = both(drawn, jax.random.key_data(jax.random.split(jax.random.key(3), WIDTH)))
+    np.testing.assert_array_equal(fused["bits"], xla["bits"])
+    np.testing.assert_allclose(fused["normal"], xla["normal"], rtol=1e-6)
+
+
+@given(st.integers(0, 1000))
+@settings(max_examples=5, deadline=None)
+def test_arrays_are_moved_about_and_summed_as_jax_does(seed):
+    def moved(x, m):
+        legs = jnp.einsum("lij,lj->li", m, x)  # leg by leg
+        swapped = legs[jnp.array([1, 2, 3, 4, 5, 0])]
+        total = jnp.sum(jnp.cross(legs, swapped), axis=0)
+        pairs = legs[jnp.array([0, 2])] - legs[jnp.array([2, 4])]
+        flat = jnp.concatenate([total, legs.ravel()])
+        return {
+            "legs": legs,
+            "total": total,
+            "pairs": pairs,
+            "max": jnp.max(legs, axis=0),
+            "flat": flat[3:].reshape(6, 3) @ total,
+            "best": jnp.argmin(legs[:, 0]),
+            "set": legs.at[:, 1].set(total[0]),
+            "order": jnp.cumsum(x, axis=0),
+            "diagonal": jnp.diagonal(m[0] @ m[1]),
+        }
+
+    fused, xla = both(moved, some(6, 3, seed=seed), some(6, 3, 3, seed=seed + 1))
+    for name, values in fused.items():
+        np.testing.assert_allclose(values, xla[name], rtol=1e-4, atol=1e-3, err_msg=name)
+
+
+def test_a_place_in_a_long_table_of_constants():
+    """Such as which of a plan's stages follow a law of their own: as many choices as there are runs of the same."""
+    table = np.repeat([0.5, 2.0, 0.5, -1.0], [70, 1, 40, 9]).astype(np.float32)
+    places = jnp.array([0, 69, 70, 71, 119])
+    fused, _ = both(lambda k: {"found": jnp.asarray(table)[k]}, places)
+    np.testing.assert_array_equal(fused["found"], table[places])
+
+
+def test_places_that_depend_on_the_rollout_and_loops():
+    def walked(table, index):
+        k = index[0].astype(jnp.int32)
+
+        def body(carry, i):
+            x, y = carry
+            return (y, jnp.sin(x) + 0.1 * table[k] + i), None
+
+        (x, y), _ = jax.lax.scan(body, (table[0], table[1]), jnp.arange(40.0))
+        chosen = jax.lax.cond(k > 1, lambda: x, lambda: y)
+        return {
+            "row": table[k],
+            "clipped": jax.lax.dynamic_slice(table, (k, 1), (3, 1)),
+            "x": x,
+            "y": y,
+            "chosen": chosen,
+            "put": table.at[k, 0].set(9.0),
+        }
+
+    index = jnp.array([[0.0], [1.0], [2.0], [3.0], [4.0]], jnp.float32)
+    fused, xla = both(walked, some(5, 6), index)
+    for name, values in fused.items():
+        np.testing.assert_allclose(values, xla[name], rtol=1e-5, atol=1e-5, err_msg=name)
+
+
+def test_what_has_no_rule_is_named():
+    with pytest.raises(Unsupported, match="sort"):
+        both(lambda x: {"x": jnp.sort(x)}, some(3))
+
+
+@pytest.mark.parametrize("group", [4, 8])
+def test_a_group_may_have_another_size(group):
+    """As that of a robot with four legs: one operation for all, the results those of XLA."""
+
+    def moved(x):
+        far = jnp.sqrt(jnp.sum(x * x, axis=-1))
+        return {"far": far, "most": jnp.max(far), "sum": jnp.sum(x, axis=0), "next": jnp.roll(x, 1, axis=0) * x}
+
+    x = some(group, 3)
+    fused, xla = both(moved, x, group=group)
+    for name, values in fused.items():
+        np.testing.assert_allclose(values, xla[name], rtol=1e-5, atol=1e-6, err_msg=name)
+    one = jax.ShapeDtypeStruct(x.shape[1:], x.dtype)
+    program, _ = kernel.printed(lambda given, carried, k: (carried, moved(given)), one, jnp.zeros(()), group)
+    roots = [n for n in inside(program.top) if isinstance(n, Node) and n.op == "sqrt"]
+    assert [n.leg for n in roots] == [True]
+
+
+def test_what_is_run_once_gives_a_tree_with_random_keys():
+    def of(x, key):
+        return {"twice": 2 * x, "keys": (jax.random.fold_in(key, 1), None), "same": (x, key)}
+
+    keys = jax.random.split(jax.random.key(1), WIDTH)
+    code = kernel.compiled_once(of, jnp.zeros(3), jax.random.key(0))
+    made = code.loaded()(WIDTH, jnp.ones(3), keys)
+    assert made["same"][1] is keys
+    np.testing.assert_array_equal(made["same"][0], np.ones((WIDTH, 3)))
+    np.testing.assert_array_equal(made["twice"], np.full((WIDTH, 3), 2.0))
+    expected = jax.vmap(lambda k: jax.random.fold_in(k, 1))(keys)
+    np.testing.assert_array_equal(*(jax.random.key_data(k) for k in (made["keys"][0], expected)))
+
+
+def test_the_pages_example_runs_and_its_operations_are_those_of_the_code(capsys):
+    text = PAGE.read_text(encoding="utf-8")
+    (sample,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    names = {}
+    exec(sample, names)
+    assert names["record"]["sum"].shape == (2, 1)
+    assert "define void @run" in capsys.readouterr().out
+    told = set(re.findall(r"^\| `(\w+)` \| .* \| .* \|$", text, re.MULTILINE))
+    with_extra = {n.op for n in inside(names["program"].top) if isinstance(n, Node) and n.extra is not None}
+    assert with_extra
+    assert with_extra <= told
