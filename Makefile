@@ -6,7 +6,11 @@ BIN := .venv/bin
 SCRIPT = @if npx --yes --package=$(1) $(2) --version >/dev/null 2>&1; then npx --yes --package=$(1) $(2) $(3); \
   else echo "npx has no $(1) here: the page's script is not checked by $(2)"; fi
 
-.PHONY: demo baseline test slow lint types docs setup clean
+# every Python that is supported and there, a pyenv's too
+PYTHONS = $(shell for v in 3.12 3.13; do for p in python$$v $$HOME/.pyenv/versions/$$v*/bin/python; do \
+  $$p -c '' 2>/dev/null && echo $$p && break; done; done)
+
+.PHONY: demo baseline test wheel slow slurm lint types docs setup clean
 
 demo: setup
 	rm -rf results/demo
@@ -19,6 +23,9 @@ baseline: setup  # what the demo is compared with: renew it when results are mea
 
 test: setup lint types
 	$(BIN)/pytest -n 2
+
+wheel: setup  # the wheel in an empty environment, run from an empty folder
+	jobs/wheel.sh $(or $(PYTHONS),$(PYTHON))
 
 slow: setup
 	$(BIN)/pytest -m slow
@@ -41,11 +48,11 @@ docs: setup  # build/site: all pages and the reference, links checked
 
 setup: .venv/.installed
 
-.venv/.installed: pyproject.toml constraints.txt
+.venv/.installed: pyproject.toml setup.py constraints.txt
 	@test -n "$(PYTHON)" || { echo "make: no Python 3.12 or 3.13 on the PATH; set PYTHON=/path/to/python3.12"; exit 1; }
 	$(PYTHON) -m venv .venv
 	$(BIN)/pip install -q -c constraints.txt -e '.[dev,docs]'
 	@touch $@
 
 clean:
-	rm -rf .venv build *.egg-info .pytest_cache .ruff_cache
+	rm -rf .venv build dist *.egg-info .pytest_cache .ruff_cache

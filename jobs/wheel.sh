@@ -1,0 +1,35 @@
+#!/usr/bin/env bash
+# What whoever installs the package gets: sdist and wheel (left in dist/), the wheel alone in an empty environment of
+# each Python that is named, and a newcomer's first commands in an empty folder. `make wheel` names the Pythons found.
+set -euo pipefail
+root=$(cd "$(dirname "$0")/.." && pwd)
+work=$(mktemp -d)
+trap 'rm -rf "$work"' EXIT
+unset PYTHONPATH VIRTUAL_ENV
+export MPLBACKEND=agg
+
+rm -rf "$root"/dist "$root"/*.egg-info  # a list of sources of builds before would hide what is not found
+"$root/.venv/bin/python" -m build --no-isolation --outdir "$root/dist" "$root" >"$work/build.log" || { cat "$work/build.log"; exit 1; }
+
+for python in "$@"; do
+  echo "== $("$python" --version): $(basename "$root"/dist/*.whl)"
+  rm -rf "$work/env" "$work/empty"
+  "$python" -m venv "$work/env"
+  mkdir "$work/empty"
+  cd "$work/empty"
+  "$work/env/bin/pip" install -q -c "$root/constraints.txt" "$root"/dist/*.whl
+  "$work/env/bin/pip" check
+  sweep() { "$work/env/bin/sweep" "$@"; }
+  sweep run scenario=walk_tripod
+  sweep run scenario=raft_cross
+  sweep init lab
+  cd lab
+  sweep run study=first
+  sweep report results/first
+  "$work/env/bin/python" -c '
+from sweep import load, run
+assert len(run("scenario=walk_tripod")) == 1
+assert len(load("results/first", "friction > 0.1")) > 8'
+  # which code rows are from is known away from a checkout too
+  [ ! -e "$root/.git" ] || grep -q "^commit: [0-9a-f'\"]" results/first/study.yaml
+done
