@@ -4,12 +4,12 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
+from sweep.core.constants import GRAVITY
 from sweep.core.vectors import Matrix, Vector
 from sweep.dynamics.spatial import Inertia, Motion, Pose, Spatial
 from sweep.models.case import Case
 from sweep.models.contact import Frames
-from sweep.models.obstacles.surface import Bodies, FreeState
-from sweep.models.scene import GRAVITY
+from sweep.models.obstacles.surface import Bodies, FreeState, free_start
 
 
 class FreeBodies(NamedTuple):
@@ -26,6 +26,15 @@ def kinematics(pose: Pose, to_base: Matrix) -> FreeBodies:
     frames = [(place.position, place.rotation()) for place in free]
     origins = [to_base @ (position - base.position) for position, _ in frames]
     return FreeBodies(origins, [to_base.times(rotation) for _, rotation in frames], frames)
+
+
+def resting(case: Case) -> FreeState:
+    """At the start: what lies on the floor has sunk in until the contact bears its weight, and does not bounce."""
+    free, obstacle = free_start(case.obstacle), case.obstacle
+    if not getattr(obstacle, "lying", ()):
+        return free
+    masses = jnp.stack([jnp.asarray(obstacle.leaves()["body_mass"][name]) for name in obstacle.free_bodies])
+    return free._replace(position=free.position.at[:, 2].add(-GRAVITY * masses / case.contact.stiffness))
 
 
 def inertias(case: Case, axes: list[Matrix]) -> list[Inertia]:

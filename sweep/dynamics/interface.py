@@ -1,4 +1,4 @@
-"""What the smooth dynamics of a tree_terms-shaped robot are: a mass matrix in blocks, bias forces, and its feet.
+"""What the smooth dynamics of a robot with legs on one base are: a mass matrix in blocks, bias forces, and its feet.
 
 Legs couple through the base only, so the mass matrix is kept as blocks and never as a full matrix. The obstacle's
 free bodies are rigid bodies of their own, see `free_bodies`.

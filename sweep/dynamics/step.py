@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from sweep.core.constants import GRAVITY
 from sweep.core.vectors import Matrix, Vector, total
 from sweep.dynamics import free_bodies, newton
 from sweep.dynamics.contacts import Arm, Contacts, arms, part
@@ -36,7 +37,6 @@ from sweep.models.contact import (
 from sweep.models.drive import Servo
 from sweep.models.legs import N_LEGS
 from sweep.models.obstacles.surface import Bodies, Surface
-from sweep.models.scene import GRAVITY
 
 STEP_LENGTHS = (1.0, 0.5, 0.2)
 
@@ -321,7 +321,7 @@ class _Problem(NamedTuple):
     def acting(self, trial: _Trial) -> _Acting:
         """Contact (1.2.2), rolling and clamped drives (1.2.1)."""
         laws = zip(self.contacts, trial.velocity, strict=True)
-        forces = tuple(contact_forces(self.case.contact, own.geometry, velocity, self.h) for own, velocity in laws)
+        forces = tuple(contact_forces(self.case.contact, own.geometry, velocity) for own, velocity in laws)
         moments = None
         if trial.turning is not None:
             sites = self.contacts[1]
@@ -384,7 +384,7 @@ class _Problem(NamedTuple):
     def _newton(self, acting: _Acting, right: Motion) -> Motion:
         """The direction at a velocity, with contact and clamp states as they are there."""
         slopes = [
-            contact_slope(self.case.contact, own.geometry, forces, self.h)
+            contact_slope(own.geometry, forces, self.h)
             for own, forces in zip(self.contacts, acting.forces, strict=True)
         ]
         rolling = None if acting.moments is None else acting.moments.slope.scaled(self.h)

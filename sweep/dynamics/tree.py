@@ -9,13 +9,14 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from sweep.core.constants import GRAVITY
 from sweep.core.vectors import Matrix, Number, Vector, symmetric
 from sweep.dynamics.interface import SmoothDynamics, Tree
 from sweep.dynamics.spatial import Inertia, Mass, Motion, Pose, Rates, Spatial
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
 from sweep.models.robot import Robot
-from sweep.models.scene import GRAVITY, mount_yaw, mounts
+from sweep.models.scene import mount_yaw, mounts
 
 
 class Link(NamedTuple):

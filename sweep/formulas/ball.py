@@ -11,10 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from sweep.core.constants import GRAVITY
 from sweep.formulas.formula import Input, Scalar, formula, positive
 
-GRAVITY = 9.81  # m/s^2
 ROLLING = 7 / 5  # ball's moment of inertia about the point of contact, in M R^2
+SPINNING = 2 / 5  # the same about its centre
 
 
 _TWICE = "the ball's M R^2 is counted twice by J_b + (m + M) R^2 with J_b = 7/5 M R^2"
@@ -223,6 +224,47 @@ def ball_turn(
     D, S = GRAVITY * height * jnp.sin(phi), (h + R) * jnp.sin(phi)
     approx = v**2 * (A + B) / D
     return Turn(approx * (1 + jnp.sqrt(1 - 4 * D * B * S / (v * (A + B)) ** 2)) / 2, approx)
+
+
+class Swerve(NamedTuple):
+    """Of a ball that is turned while the robot goes aside."""
+
+    rho_phi: Annotated[Float[Array, "..."], "m"]
+    omega_zeta: Annotated[Float[Array, "..."], "rad/s"]
+    gain: Annotated[Float[Array, "..."], "m/s/rad"]
+
+
+@formula(
+    "monograph",
+    "3.1.26-3.1.31",
+    correction="v_A x Q has the sign + in (3.1.26), by which C_4 = 0: rho_phi is not 2 R c_2/((h + 1)(C_1 + 4 c_2) "
+    "sin phi), and the ball does not slow down by (3.1.30); about the vertical its moment of inertia is 2/5 M R^2",
+    condition="phi must not be 0",
+)
+def ball_swerve(
+    m: RobotMass,
+    M: BallMass,
+    R: BallRadius,
+    h: Annotated[Scalar, positive("m", 0.3)],
+    phi: Annotated[Scalar, Input("rad", 0.2, above=-np.pi / 2, below=np.pi / 2)],
+    dphi: Annotated[Scalar, Input("rad/s", 0.5)],
+    v: Annotated[Scalar, positive("m/s", 0.5)],
+    J_r: Annotated[Scalar, Input("kg m^2", 1.0, at_least=0)],
+    J_zeta: Annotated[Scalar, Input("kg m^2", 1.5, at_least=0)],
+) -> Swerve:
+    """Turn of a rolling ball while the robot leans at a steady rate: radius, spin, gain of speed.
+
+    The ball's speed is v (m/s), the robot leans by phi (rad) to the inside, more by dphi (rad/s), and turns with the
+    ball's way. `h` (m) is the height of its mass centre over the ball, `J_r` and `J_zeta` (kg m^2) are its moments of
+    inertia along the ball's way and about the vertical. `rho_phi` (m) is the radius of that way, (3.1.33) with
+    g + dphi^2 R for g. `omega_zeta` (rad/s) is the spin that the robot's turning leaves to a ball that had none, to
+    first order in phi and without friction against it. `gain` (m/s for each rad of phi) is how the ball's speed grows.
+    """
+    height, unit = h / R + 1, m * R**2
+    C_1 = ROLLING * M / m + 1 + height * jnp.cos(phi)
+    c_2 = J_r / unit + height * jnp.cos(phi) + height**2
+    turning = height * (GRAVITY + dphi**2 * R) * jnp.sin(phi) / (v * C_1)
+    return Swerve(v / turning, -J_zeta * turning / (SPINNING * M * R**2), R * c_2 * turning / C_1)
 
 
 def _elevation(name: str, default: float) -> Input:

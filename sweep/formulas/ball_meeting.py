@@ -8,7 +8,8 @@ from typing import Annotated, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sweep.formulas.ball import GRAVITY, ROLLING, BallMass, BallRadius, CentreDistance, RobotMass
+from sweep.core.constants import GRAVITY
+from sweep.formulas.ball import ROLLING, BallMass, BallRadius, CentreDistance, RobotMass
 from sweep.formulas.formula import Input, Scalar, formula, positive
 
 

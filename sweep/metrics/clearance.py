@@ -6,10 +6,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.core.rotations import matrix
-from sweep.metrics.geometry import base_gap, leg_gap, links_beyond_foot
+from sweep.metrics.geometry import base_gap, capsules, fold_gap, leg_gap
 from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment
 from sweep.models.robot import half_size
-from sweep.models.solids import distance_to_box, distance_to_segments
+from sweep.models.solids import distance_to_box
 
 
 class Clearance(NamedTuple):
@@ -18,30 +18,36 @@ class Clearance(NamedTuple):
     obstacle: Float[Array, ""]
     legs: Float[Array, ""]
     base: Float[Array, ""]
+    fold: Float[Array, ""]
 
 
 def begin(start: Begin) -> Clearance:
     """Nothing is near."""
     far = jnp.full((), jnp.inf, start.feet.dtype)
-    return Clearance(far, far, far)
+    return Clearance(far, far, far, far)
 
 
 def update(so_far: Clearance, now: Moment) -> Clearance:
-    """Links are capsules; the shin up to a little from its foot, which stands."""
+    """Links are `capsules`; near joints, towards base and thigh, they begin, round, beyond."""
     tick, robot = now.tick, now.world.robot
-    base = tick.position, matrix(tick.quat), half_size(robot)
+    base = tick.position, matrix(tick.quat)
     solids = now.world.obstacle.solids(tick.bodies)
-    links = distance_to_segments(solids, *links_beyond_foot(tick.joints, robot.link_radius)) - robot.link_radius
+    links = capsules(tick.joints, robot).to(solids)
     return Clearance(
-        jnp.minimum(so_far.obstacle, jnp.minimum(jnp.min(links), distance_to_box(solids, *base))),
+        jnp.minimum(so_far.obstacle, jnp.minimum(jnp.min(links), distance_to_box(solids, *base, half_size(robot)))),
         jnp.minimum(so_far.legs, leg_gap(tick.joints[:, -3:]) - 2 * robot.link_radius),
-        jnp.minimum(so_far.base, base_gap(tick.joints, *base) - robot.link_radius),
+        jnp.minimum(so_far.base, base_gap(tick.joints, *base, robot)),
+        jnp.minimum(
+            so_far.fold,
+            fold_gap(tick.joints, robot.fork_ratio * robot.shin + robot.link_radius) - 2 * robot.link_radius,
+        ),
     )
 
 
 def figures(found: Clearance, at: Elapsed) -> dict[str, Array]:
     """See `METRIC`."""
-    return {"clearance_min_m": found.obstacle, "leg_gap_min_m": found.legs, "base_gap_min_m": found.base}
+    return {"clearance_min_m": found.obstacle, "leg_gap_min_m": found.legs, "base_gap_min_m": found.base,
+            "fold_gap_min_m": found.fold}  # fmt: skip
 
 
 METRIC = Metric(
@@ -52,7 +58,9 @@ METRIC = Metric(
         "clearance_min_m": "least distance of base and links to the obstacle, negative inside; links collide only "
         "with `engine=native engine.solid=true`",
         "leg_gap_min_m": "least distance between two legs",
-        "base_gap_min_m": "least distance of a leg's outer half to the base",
+        "base_gap_min_m": "least distance of a leg to the base between the hips, farther from its hip than "
+        "robot.hip_clearance",
+        "fold_gap_min_m": "least distance of a leg's thigh to its shin, farther from the knee than its fork is deep",
     },
     (
         Cause(
@@ -80,6 +88,16 @@ METRIC = Metric(
             "a leg came closer to the base than base_gap_min_m",
             "base_gap_min_m",
             "base_gap_min_m",
+            -5e-3,
+            "m",
+            below=True,
+            scale=0.02,
+        ),
+        Cause(
+            "folded",
+            "a leg's shin came closer to its thigh than fold_gap_min_m",
+            "fold_gap_min_m",
+            "fold_gap_min_m",
             -5e-3,
             "m",
             below=True,

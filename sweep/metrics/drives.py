@@ -1,4 +1,4 @@
-"""What the drives do: torques, how long they are at their limit, their work."""
+"""What the drives do: torques, how long they are at their limit, their work; angles, rates and power of the joints."""
 
 from typing import NamedTuple
 
@@ -11,27 +11,36 @@ JOINTS = ("alpha", "beta", "gamma")
 
 
 class Drives(NamedTuple):
-    """By kind of joint the largest torque (N m) and the time at the limit (s); the positive work (J)."""
+    """By kind of joint the largest torque (N m) and the time at the limit (s); the positive work (J).
+
+    The largest turn of a leg (rad), rate (rad/s) and power (W) of a joint.
+    """
 
     torque: Float[Array, " 3"]
     saturated: Float[Array, " 3"]
     effort: Float[Array, ""]
+    turn: Float[Array, ""]
+    rate: Float[Array, ""]
+    power: Float[Array, ""]
 
 
 def begin(start: Begin) -> Drives:
     """At rest."""
     zero = jnp.zeros((), start.feet.dtype)
     three = jnp.zeros(3, start.feet.dtype)
-    return Drives(three, three, zero)
+    return Drives(three, three, zero, zero, zero, zero)
 
 
 def update(so_far: Drives, now: Moment) -> Drives:
-    """Peaks over the legs, shares averaged over them."""
+    """Peaks over the legs, shares averaged over them. Power is a tick's mean, angles and rates are those at its end."""
     tick = now.tick
     return Drives(
         jnp.maximum(so_far.torque, jnp.max(tick.torque_peak, axis=0)),
         so_far.saturated + now.period * jnp.mean(tick.saturated, axis=0),
         so_far.effort + tick.effort,
+        jnp.maximum(so_far.turn, jnp.max(jnp.abs(tick.angles[:, 0]))),
+        jnp.maximum(so_far.rate, jnp.max(jnp.abs(tick.rates))),
+        jnp.maximum(so_far.power, jnp.max(jnp.abs(tick.power))),
     )
 
 
@@ -40,7 +49,15 @@ def figures(found: Drives, at: Elapsed) -> dict[str, Array]:
     share = found.saturated / jnp.maximum(at.time, 1e-9)
     torques = {f"torque_peak_{joint}_nm": found.torque[k] for k, joint in enumerate(JOINTS)}
     shares = {f"saturation_share_{joint}": share[k] for k, joint in enumerate(JOINTS)}
-    return {"energy_j": found.effort, **torques, **shares, "saturation_share_max": jnp.max(share)}
+    drive = at.world.drive
+    limits = {
+        "turn_over_limit": found.turn / drive.turn_limit,
+        "joint_speed_max_radps": found.rate,
+        "joint_speed_over_limit": found.rate / drive.speed_limit,
+        "joint_power_max_w": found.power,
+        "joint_power_over_limit": found.power / drive.power_limit,
+    }
+    return {"energy_j": found.effort, **torques, **shares, "saturation_share_max": jnp.max(share), **limits}
 
 
 METRIC = Metric(
@@ -52,6 +69,11 @@ METRIC = Metric(
         **{f"torque_peak_{joint}_nm": f"largest torque of a {joint} joint" for joint in JOINTS},
         **{f"saturation_share_{joint}": f"share of time at the torque limit of {joint} joints" for joint in JOINTS},
         "saturation_share_max": "largest of the three",
+        "turn_over_limit": "largest size of an alpha over drive.turn_limit",
+        "joint_speed_max_radps": "largest rate of a joint",
+        "joint_speed_over_limit": "the same over drive.speed_limit",
+        "joint_power_max_w": "largest mechanical power of a joint, given or taken, in the mean of a tick",
+        "joint_power_over_limit": "the same over drive.power_limit",
     },
     (
         Cause(
@@ -59,8 +81,29 @@ METRIC = Metric(
             "a kind of joint was saturated for more than saturation_share_max of the time",
             "saturation_share_max",
             "saturation_share_max",
-            1.0,
+            0.5,
             known="end",
+        ),
+        Cause(
+            "overturned_leg",
+            "a leg turned to beyond turn_over_limit_max of drive.turn_limit",
+            "turn_over_limit",
+            "turn_over_limit_max",
+            1.0,
+        ),
+        Cause(
+            "overspeed",
+            "a joint was faster than joint_speed_over_limit_max of drive.speed_limit",
+            "joint_speed_over_limit",
+            "joint_speed_over_limit_max",
+            1.0,
+        ),
+        Cause(
+            "overpower",
+            "a joint gave or took more than joint_power_over_limit_max of drive.power_limit",
+            "joint_power_over_limit",
+            "joint_power_over_limit_max",
+            1.0,
         ),
     ),
 )

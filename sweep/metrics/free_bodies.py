@@ -2,27 +2,33 @@
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment, Tail
+from sweep.core.rotations import conjugate, logarithm, multiply
+from sweep.metrics.metric import REST, Begin, Cause, Elapsed, Metric, Moment, Tail
 from sweep.models.case import Driving
 
-TAIL = 12.0  # s of the plan, its last, over which the obstacle's final speed is taken
+TAIL = 12.0  # s of the plan, its last, over which the speed of a body that is left in motion is taken
 
 
 class FreeBodies(NamedTuple):
     """Where they were at the start, when the first stage ended, are, and were before (m).
 
-    How far they went since both; the least height.
+    How far they went since both, and turned since the latter (rad); where they were when the plan ended, and since
+    when that is (s); the least height.
     """
 
     start: Float[Array, "k 3"]
     settled: Float[Array, "k 3"]
     place: Float[Array, "k 3"]
+    quat: Float[Array, "k 4"]
     tail: Tail
+    ended: Tail
     moved: Float[Array, ""]
     shifted: Float[Array, ""]
+    turned: Float[Array, ""]
     aside: Float[Array, ""]
     ride_height: Float[Array, ""]
 
@@ -31,21 +37,28 @@ def begin(start: Begin) -> FreeBodies:
     """Nothing has moved."""
     place = start.free.position
     zero = jnp.zeros((), place.dtype)
-    return FreeBodies(place, place, place, Tail(place, zero), zero, zero, zero, jnp.full((), jnp.inf, place.dtype))
+    here, far = Tail(place, zero), jnp.full((), jnp.inf, place.dtype)
+    return FreeBodies(place, place, place, start.free.quat, here, here, zero, zero, zero, zero, far)
 
 
 def update(so_far: FreeBodies, now: Moment) -> FreeBodies:
     """Their ways from the start."""
-    place = now.tick.free.position
+    place, quat = now.tick.free.position, now.tick.free.quat
     way = place - so_far.start
     settled = jnp.where(now.stage == 0, place, so_far.settled)
+    upright = jnp.where(now.stage == 0, quat, so_far.quat)
+    turn = jnp.linalg.norm(logarithm(multiply(quat, conjugate(upright))), axis=-1)
+    here = Tail(place, now.time)
     return FreeBodies(
         start=so_far.start,
         settled=settled,
         place=place,
+        quat=upright,
         tail=so_far.tail.later(now, place, TAIL),
+        ended=jax.tree.map(lambda a, b: jnp.where(now.finished, a, b), so_far.ended, here),
         moved=jnp.maximum(so_far.moved, jnp.max(jnp.linalg.norm(way, axis=-1))),
         shifted=jnp.maximum(so_far.shifted, jnp.max(jnp.linalg.norm(place - settled, axis=-1))),
+        turned=jnp.maximum(so_far.turned, jnp.max(turn)),
         aside=jnp.maximum(so_far.aside, jnp.abs(way[0, 1])),
         ride_height=jnp.minimum(so_far.ride_height, now.tick.position[2] - place[0, 2]),
     )
@@ -53,12 +66,16 @@ def update(so_far: FreeBodies, now: Moment) -> FreeBodies:
 
 def figures(found: FreeBodies, at: Elapsed) -> dict[str, Array]:
     """See `METRIC`."""
-    speed = jnp.linalg.norm(found.tail.velocity(found.place, at.time)[0, :2])
     manoeuvre = at.world.manoeuvre
-    aim = manoeuvre.obstacle_speed(jnp.sum(at.plan.duration)) if isinstance(manoeuvre, Driving) else 0.0
+    if isinstance(manoeuvre, Driving):
+        aim, velocity = manoeuvre.obstacle_speed(jnp.sum(at.plan.duration)), found.tail.velocity(*found.ended)
+    else:
+        aim, velocity = 0.0, found.ended.velocity(found.place, at.time)
+    speed = jnp.linalg.norm(velocity[0, :2])
     return {
         "obstacle_moved_m": found.moved,
         "obstacle_shift_m": found.shifted,
+        "obstacle_turn_max_rad": found.turned,
         "ride_height_min_m": found.ride_height,
         "obstacle_x_m": found.place[0, 0],
         "obstacle_y_m": found.place[0, 1],
@@ -75,11 +92,13 @@ METRIC = Metric(
     {
         "obstacle_moved_m": "farthest that a free body of the obstacle was from its start",
         "obstacle_shift_m": "the same from where it was when the plan's first stage ended",
+        "obstacle_turn_max_rad": "farthest that it had turned from then",
         "ride_height_min_m": "least height of the base over the centre of the body that it rides on",
         "obstacle_x_m": "where that body ended, along the world's x axis",
         "obstacle_y_m": "the same along y",
         "obstacle_aside_max_m": "the farthest that it was sideways of the x axis",
-        "obstacle_speed_mps": f"its mean speed over the last {TAIL:g} s",
+        "obstacle_speed_mps": f"its mean speed in the {REST:g} s after the plan; of one that is left in motion, over "
+        f"the plan's last {TAIL:g} s",
         "obstacle_speed_error_mps": "difference of that from the speed that the manoeuvre aims at, if not at rest",
     },
     (
@@ -107,6 +126,14 @@ METRIC = Metric(
             "obstacle_shift_max_m",
             None,
             "m",
+        ),
+        Cause(
+            "obstacle_turned",
+            "a free body turned by more than obstacle_turn_max_rad from how it was when the plan's first stage ended",
+            "obstacle_turn_max_rad",
+            "obstacle_turn_max_rad",
+            None,
+            "rad",
         ),
         Cause(
             "goal_missed",

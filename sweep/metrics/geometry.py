@@ -1,11 +1,14 @@
 """Geometry that the metrics need: support polygon, links as segments. World axes, metres."""
 
+from collections.abc import Sequence
+from typing import NamedTuple
+
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from sweep.models.robot import FOOT_LENGTH
-from sweep.models.solids import from_box
+from sweep.models.robot import FOOT_LENGTH, PIN_RADIUS, Robot, half_between_hips
+from sweep.models.solids import Solid, distance_to_segments, from_box
 
 HALVINGS = 8  # a segment of 0.4 m is searched to 1 mm
 
@@ -82,25 +85,71 @@ def leg_gap(joints: Float[Array, "6 k 3"]) -> Float[Array, ""]:
     return jnp.min(segment_distance(a[:, i], a[:, i + 1], b[:, j], b[:, j + 1]))
 
 
-def links_beyond_foot(
-    joints: Float[Array, "6 k 3"], radius: Array | float
-) -> tuple[Float[Array, "n 3"], Float[Array, "n 3"]]:
-    """Ends of the centre lines of links as capsules of `radius`; the shin's ends, round, where its foot begins."""
+class Capsules(NamedTuple):
+    """Links as they are solid."""
+
+    start: Float[Array, "n 3"]  # m, of the centre line
+    end: Float[Array, "n 3"]  # m
+    radius: Float[Array, " n"]  # m
+
+    def to(self, solids: Sequence[Solid]) -> Float[Array, " n"]:
+        """Signed distance (m) to the nearest of some solids."""
+        return distance_to_segments(solids, self.start, self.end) - self.radius
+
+
+def capsules(joints: Float[Array, "6 k 3"], robot: Robot) -> Capsules:
+    """All links of legs whose points, from the hip to the foot, are `joints` (m): a shin ends in a pin.
+
+    Its radius is a link's up to `FOOT_LENGTH` and that radius from the foot, round, and then `PIN_RADIUS`, up to a
+    radius from the foot. Nearer there is nothing but the point that stands.
+    """
     knee, foot = joints[:, -2], joints[:, -1]
     shin = foot - knee
     length = jnp.sqrt(jnp.sum(shin**2, axis=-1, keepdims=True) + 1e-12)
-    ends = joints.at[:, -1].set(foot - jnp.minimum((FOOT_LENGTH + radius) / length, 1.0) * shin)
-    return joints[:, :-1].reshape(-1, 3), ends[:, 1:].reshape(-1, 3)
+    radius = jnp.asarray(robot.link_radius, joints.dtype)
+
+    def before_foot(distance: Array) -> Array:
+        return foot - jnp.minimum(distance / length, 1.0) * shin
+
+    thick, thin = before_foot(FOOT_LENGTH + radius), before_foot(radius)
+    ends = joints.at[:, -1].set(thick)[:, 1:].reshape(-1, 3)
+    return Capsules(
+        jnp.concatenate([joints[:, :-1].reshape(-1, 3), thick]),
+        jnp.concatenate([ends, thin]),
+        jnp.concatenate([jnp.broadcast_to(radius, len(ends)), jnp.full(len(thin), PIN_RADIUS, joints.dtype)]),
+    )
+
+
+def shin_slopes(joints: Float[Array, "6 k 3"], normal: Float[Array, "6 3"]) -> Float[Array, " 6"]:
+    """Sines of the angles at which shins rise over faces with these outward normals, negative below them."""
+    shin = joints[:, -2] - joints[:, -1]
+    return _dot(shin, normal) / jnp.sqrt(_dot(shin, shin) + 1e-12)
 
 
 def base_gap(
-    joints: Float[Array, "6 k 3"], centre: Float[Array, " 3"], rotation: Float[Array, "3 3"], half: Float[Array, " 3"]
+    joints: Float[Array, "6 k 3"],
+    centre: Float[Array, " 3"],
+    rotation: Float[Array, "3 3"],
+    robot: Robot,
 ) -> Float[Array, ""]:
-    """Least distance from the centre line of a leg's outer half to the robot's own base, negative inside.
+    """Least distance (m) of thighs and shins to the robot's own base at `centre`, between the hips; negative inside.
 
-    A thigh, which begins at the base's surface, comes no nearer than its middle or its end: the distance is convex.
+    Thighs may begin at its surface: they begin, round, `hip_clearance` along them.
     """
-    points = (joints - centre) @ rotation
-    knee, foot = points[:, -2], points[:, -1]
-    thigh = from_box(0.5 * (points[:, -3] + knee), half)
-    return jnp.min(jnp.minimum(thigh, segment_box_distance(knee, foot, half)))
+    points = (joints[:, -3:] - centre) @ rotation
+    points = points.at[:, 0].set(_along(points[:, 0], points[:, 1], robot.hip_clearance + robot.link_radius))
+    ends = points[:, :-1].reshape(-1, 3), points[:, 1:].reshape(-1, 3)
+    return jnp.min(segment_box_distance(*ends, half_between_hips(robot))) - robot.link_radius
+
+
+def fold_gap(joints: Float[Array, "6 k 3"], clearance: Array | float) -> Float[Array, ""]:
+    """Least distance between the centre lines of a leg's thigh and shin, each from `clearance` (m) from the knee on."""
+    hip, knee, foot = joints[:, -3], joints[:, -2], joints[:, -1]
+    inner, outer = (_along(knee, end, clearance) for end in (hip, foot))
+    return jnp.min(segment_distance(hip, inner, foot, outer))
+
+
+def _along(start: Float[Array, "6 3"], end: Float[Array, "6 3"], way: Array | float) -> Float[Array, "6 3"]:
+    """The point `way` (m) from each start to its end, at most that."""
+    link = end - start
+    return start + jnp.minimum(way / jnp.sqrt(jnp.sum(link**2, axis=-1, keepdims=True) + 1e-12), 1.0) * link

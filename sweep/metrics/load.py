@@ -5,9 +5,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from sweep.core.constants import GRAVITY
 from sweep.metrics.metric import LOADED, Begin, Elapsed, Metric, Moment
 from sweep.models.robot import total_mass
-from sweep.models.scene import GRAVITY
 
 
 class Load(NamedTuple):

@@ -20,6 +20,7 @@ from sweep.models.case import Case
 from sweep.models.obstacles.surface import Bodies, FreeState
 
 LOADED = 1.0  # N, from which a foot carries load
+REST = 1.0  # s, that a rollout goes on after its plan has ended, in which nothing may change
 
 
 class Tick(NamedTuple):
@@ -34,6 +35,7 @@ class Tick(NamedTuple):
     residual: Float[Array, ""]  # N, largest of the solver
     work: Float[Array, ""]  # J, of drives and pushes
     effort: Float[Array, ""]  # J, positive drive work only
+    power: Float[Array, "6 3"]  # W, of the drives, mean
     energy: Float[Array, ""]  # J, kinetic and potential, at the end
     position: Float[Array, " 3"]  # m, of the base
     quat: Float[Array, " 4"]
@@ -118,7 +120,8 @@ class Elapsed(NamedTuple):
 class Cause:
     """A figure beyond its threshold, and what that means: a way to fail, or a reason not to trust the simulation.
 
-    `default` None leaves the threshold to the manoeuvre, whose `goal` it is then part of.
+    `default` None leaves the threshold to the manoeuvre, whose `goal` it is then part of; `otherwise` holds, for a kind
+    of world, where that is silent.
     """
 
     name: str
@@ -134,6 +137,7 @@ class Cause:
     doubt: bool = False
     scale: float | None = None  # in which its margin is counted; the threshold's size by default
     whole: bool = False  # a count, which is enough or not
+    otherwise: Callable[[Case], float | None] = lambda case: None
 
     def quantity(self) -> Any:
         """The threshold as a parameter."""

@@ -52,7 +52,9 @@ def thresholds(values: Mapping[str, float | None], case: Case) -> Thresholds:
         if cause is None and value != field.default:
             kinds = f"manoeuvre = {case.manoeuvre.kind} on obstacle = {case.obstacle.kind}"
             raise InputError(f"outcome.{field.name} = {value} is not allowed: {kinds} has no such figure")
-        chosen[field.name] = case.manoeuvre.goal.get(field.name) if value is None else value
+        if value is None and cause is not None:
+            value = case.manoeuvre.goal.get(field.name, cause.otherwise(case))
+        chosen[field.name] = value
     return Thresholds(**chosen)
 
 

@@ -12,7 +12,7 @@ from sweep.controllers.posture import feet_in_world, leg_points, mass_centre
 from sweep.controllers.tracker import joint_targets
 from sweep.core.rotations import matrix, rotate, wrapped
 from sweep.formulas import stepping
-from sweep.metrics.geometry import base_gap, leg_gap, links_beyond_foot, support_margin
+from sweep.metrics.geometry import base_gap, capsules, leg_gap, shin_slopes, support_margin
 from sweep.models import solids
 from sweep.models.case import Case
 from sweep.models.obstacles.surface import Bodies, Surface, free_start, poses, under
@@ -27,9 +27,10 @@ class Margins(NamedTuple):
     """What is left, negative where something is not as it has to be."""
 
     base: Float[Array, "*b"]  # m, from the base to the obstacle
-    links: Float[Array, "*b"]  # m, from the links to it, of shins all but the end
+    links: Float[Array, "*b"]  # m, from the links to it, of shins all but the foot
+    shin: Float[Array, "*b"]  # rad, of the shin of a standing foot over its face
     legs: Float[Array, "*b"]  # m, between legs
-    body: Float[Array, "*b"]  # m, from the base to shins and outer halves of thighs
+    body: Float[Array, "*b"]  # m, from the base to thighs, but for their beginning, and shins
     reach: Float[Array, "*b"]  # m, by which the worst leg could be longer or shorter
     swing: Float[Array, "*b"]  # m, from swinging feet to the obstacle, away from where they start and land
     rate: Float[Array, "*b"]  # rad/s, of the fastest joint, negative
@@ -82,7 +83,6 @@ def left(
     points = leg_points(robot, joints)
     legs = stance.position + rotate(stance.quat[None, None], points)
     foot = legs[:, -1]
-    to_links = solids.distance_to_segments(solid, *links_beyond_foot(legs, robot.link_radius))
     stretch = jnp.linalg.norm(points[:, -1] - points[:, -3], axis=-1)  # from the knee's joint's other end
     reach = jnp.minimum(robot.thigh + robot.shin - stretch, stretch - jnp.abs(robot.thigh - robot.shin)) - shortfall
 
@@ -95,9 +95,10 @@ def left(
     centre = stance.position + rotate(stance.quat, mass_centre(robot, joints))
     return Margins(
         base=solids.distance_to_box(solid, *base),
-        links=to_links.min() - robot.link_radius,
+        links=jnp.min(capsules(legs, robot).to(solid)),
+        shin=jnp.min(jnp.where(swing.swings, jnp.inf, jnp.arcsin(shin_slopes(legs, surface(foot).normal)))),
         legs=leg_gap(legs) - 2 * robot.link_radius,
-        body=base_gap(legs, *base) - robot.link_radius,
+        body=base_gap(legs, *base[:2], robot),
         reach=jnp.min(reach),
         swing=jnp.min(above),
         edge=jnp.min(jnp.where(swing.swings, AROUND, inside)),

@@ -20,8 +20,9 @@ from sweep.controllers.plan import Plan, Stance
 from sweep.controllers.posture import mass_centre
 from sweep.controllers.support import MEASURED
 from sweep.controllers.tracker import TrackerState, joint_targets
+from sweep.core.constants import GRAVITY
 from sweep.core.rotations import exponential, multiply, rotate, wrapped
-from sweep.formulas.ball import GRAVITY, ROLLING
+from sweep.formulas.ball import ROLLING
 from sweep.metrics.geometry import support_margin
 from sweep.metrics.planned import Holding, Margins, Swing, left
 from sweep.models.case import Case

@@ -121,7 +121,7 @@ METRIC = Metric(
             "a foot on the raft's deck slipped beyond deck_slip_max_m",
             "deck_slip_max_m",
             "deck_slip_max_m",
-            1e3,
+            0.05,
             "m",
         ),
     ),

@@ -8,9 +8,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from sweep.core.constants import GRAVITY
 from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment
 from sweep.models.robot import total_mass
-from sweep.models.scene import GRAVITY
 
 # The bounds are from 1,500 rollouts with sizes wrong by up to 2 %, each again at half the time step: below 0.4 of the
 # weight 1 in 690 outcomes differed, from there to 2 weights 4 in 140; no success was unsettled for more than 0.3 % of

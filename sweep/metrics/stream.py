@@ -23,6 +23,7 @@ class Running(NamedTuple):
     """Every metric's state, and when causes were met; c causes that are known in a tick."""
 
     time: Float[Array, ""]  # s
+    rested: Float[Array, ""]  # s, since the plan has ended
     over: Bool[Array, ""]  # overturned or not finite: figures are frozen
     states: tuple[Any, ...]
     cause_time: Float[Array, " c"]  # s, first crossing of each threshold, NaN before
@@ -49,6 +50,7 @@ def begin(
     dtype, n = plan.duration.dtype, len(timed(world))
     return Running(
         time=jnp.zeros((), dtype),
+        rested=jnp.zeros((), dtype),
         over=jnp.asarray(False),
         states=tuple(metric.begin(start) for metric in metrics.of(world)),
         cause_time=jnp.full(n, jnp.nan, dtype),
@@ -98,6 +100,7 @@ def update(
     first = crossed & jnp.isnan(running.cause_time)
     new = Running(
         time=time,
+        rested=running.rested + period * state.finished,
         over=(found["tilt_max_deg"] > OVERTURNED) | ~found["finite"],
         states=states,
         cause_time=jnp.where(first, time, running.cause_time),

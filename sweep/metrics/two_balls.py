@@ -2,26 +2,27 @@
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from sweep.controllers.plan import named
-from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment, Tail
+from sweep.metrics.metric import REST, Begin, Cause, Elapsed, Metric, Moment, Tail
 from sweep.models.obstacles.two_balls import TwoBalls
 
 OVER = "over."  # how the stages begin in which a robot goes over
 NEAR = 4e-3  # m, between balls that touch
-TAIL = 3.0  # s of the plan, its last, over which the final speed is taken
 
 
 class Balls(NamedTuple):
-    """Whether they met, and how fast (m/s); how far apart they were (m); the second one's place (m), now and before."""
+    """Whether they met, and how fast (m/s); how far apart they were (m); the second one's place (m), now and
+    when the plan ended."""
 
     met: Bool[Array, ""]
     meeting: Float[Array, ""]
     apart: Float[Array, ""]
     place: Float[Array, " 3"]
-    tail: Tail
+    ended: Tail
 
 
 def begin(start: Begin) -> Balls:
@@ -43,7 +44,7 @@ def update(so_far: Balls, now: Moment) -> Balls:
         meeting=jnp.where(so_far.met | (apart >= NEAR), so_far.meeting, speed),
         apart=jnp.maximum(so_far.apart, jnp.where(both, apart, 0.0)),
         place=free.position[1],
-        tail=so_far.tail.later(now, free.position[1], TAIL),
+        ended=jax.tree.map(lambda a, b: jnp.where(now.finished, a, b), so_far.ended, Tail(free.position[1], now.time)),
     )
 
 
@@ -54,7 +55,7 @@ def figures(found: Balls, at: Elapsed) -> dict[str, Array]:
         "balls_apart_max_m": found.apart,
         "second_ball_x_m": found.place[0],
         "second_ball_y_m": found.place[1],
-        "second_ball_speed_mps": jnp.linalg.norm(found.tail.velocity(found.place, at.time)[:2]),
+        "second_ball_speed_mps": jnp.linalg.norm(found.ended.velocity(found.place, at.time)[:2]),
     }
 
 
@@ -67,7 +68,7 @@ METRIC = Metric(
         "balls_apart_max_m": "farthest that they were from each other while the robot went over",
         "second_ball_x_m": "where the second one ended, along the world's x axis",
         "second_ball_y_m": "the same along y",
-        "second_ball_speed_mps": f"its mean speed over the last {TAIL:g} s",
+        "second_ball_speed_mps": f"its mean speed in the {REST:g} s after the plan",
     },
     (
         Cause(

@@ -12,6 +12,7 @@ from sweep.models.disturbance import Execution
 from sweep.models.drive import Drive
 from sweep.models.noise import Noise
 from sweep.models.obstacles.surface import Obstacle
+from sweep.models.plan_table import PlanTable
 from sweep.models.robot import Robot
 
 
@@ -75,6 +76,7 @@ class Case:
     noise: Noise
     execution: Execution
     control: Control = Control()
+    plan: PlanTable = PlanTable()
 
     def on[T: Obstacle](self, kind: type[T]) -> T:
         """The obstacle, which is of the `kind` that the manoeuvre needs."""

@@ -1,7 +1,8 @@
 """Links and base that collide in C MuJoCo: with the obstacle, in its full size, and with each other. Feet stay as ever.
 
-Every leg collides with every other leg, and its outer half with the base: the second half of its thigh, and its shin.
-Neighbours in the tree do not.
+Every leg collides with every other leg, its thigh (from `Robot.hip_clearance` on) and its shin with the base between
+the hips, and these two, from where the knee's fork ends, with each other. Shins end as in
+`sweep.metrics.geometry.capsules`, in a pin that meets the obstacle.
 """
 
 import mujoco
@@ -11,48 +12,71 @@ from sweep.models.case import Case
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.geoms import COLLIDING, STIFF
 from sweep.models.obstacles.surface import own_axes
-from sweep.models.robot import FOOT_LENGTH
+from sweep.models.robot import FOOT_LENGTH, PIN_RADIUS, half_between_hips
 
+OWN_BASE = "inner_base"  # what legs meet of their own base
 OBSTACLE, SHIN, LEG = 4, 8, 16  # what bodies collide with: contype and conaffinity, beside those of feet and balls
 
 
 def collide(spec: mujoco.MjSpec, case: Case, links: tuple[str, ...]) -> None:
     """Let the bodies of a finished spec collide; `links` are a leg's, from the hip out."""
-    friction = float(case.contact.friction)
+    friction, radius = float(case.contact.friction), float(case.robot.link_radius)
+    fork, hip = (float(way + radius) for way in (case.robot.fork_ratio * case.robot.shin, case.robot.hip_clearance))
     touch = {**STIFF, "friction": [friction, 0.005, 1e-4]}
     for solid in case.obstacle.solids(own_axes(len(case.obstacle.free_bodies))):
         _set(spec.geom(solid.name), conaffinity=OBSTACLE, **touch)
     base = spec.body("base").first_geom()
-    _set(base, name="base", contype=OBSTACLE, conaffinity=SHIN, **touch)
+    _set(base, name="base", contype=OBSTACLE, conaffinity=0, **touch)
+    spec.body("base").add_geom(
+        name=OWN_BASE,
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        size=np.asarray(half_between_hips(case.robot)),
+        mass=0.0,
+        group=COLLIDING,
+        rgba=[0, 0, 0, 0],
+        contype=0,
+        conaffinity=SHIN,
+        **touch,
+    )
     for leg in LEGS:
         bodies = [f"{link}{leg}" for link in links]
-        for name in bodies:
-            start, end = np.zeros(3), _end(spec.body(name))
-            if name == bodies[-1]:
-                end = end * max(0.0, 1 - (FOOT_LENGTH + case.robot.link_radius) / np.linalg.norm(end))
-            if np.any(end):
-                kinds = OBSTACLE | LEG | (SHIN if name == bodies[-1] else 0)
-                _add_capsule(spec.body(name), name, start, end, case, contype=kinds, conaffinity=LEG, **touch)
-        thigh = spec.body(f"thigh{leg}")
-        half = f"outer_thigh{leg}"
-        _add_capsule(thigh, half, _end(thigh) / 2, _end(thigh), case, contype=0, conaffinity=0)
-        # as a pair, since a body and its child do not collide otherwise
-        spec.add_pair(
-            geomname1="base", geomname2=f"{half}_solid", friction=[friction, friction, 0.005, 1e-4, 1e-4], **STIFF
-        )
+        solid = {"contype": OBSTACLE | LEG, "conaffinity": LEG, **touch}
+        for link in map(spec.body, bodies[:-1]):
+            _add_capsule(link, link.name, (np.zeros(3), _end(link)), radius, **solid)
+        thigh, shin = spec.body(f"thigh{leg}"), spec.body(bodies[-1])
+        shares = (1 - off / np.linalg.norm(_end(shin)) for off in (FOOT_LENGTH + radius, radius))
+        thick, thin = (_end(shin) * max(0.0, share) for share in shares)
+        _add_capsule(shin, shin.name, (np.zeros(3), thick), radius, **solid | {"contype": OBSTACLE | LEG | SHIN})
+        _add_capsule(shin, f"pin{leg}", (thick, thin), PIN_RADIUS, contype=OBSTACLE, conaffinity=0, **touch)
+        parts = {
+            f"outer_thigh{leg}": (thigh, _way(thigh, hip), _end(thigh)),
+            f"inner_thigh{leg}": (thigh, np.zeros(3), _end(thigh) - _way(thigh, fork)),
+            f"outer_shin{leg}": (shin, _way(shin, fork), _end(shin) - _way(shin, FOOT_LENGTH + radius)),
+        }
+        for name, (body, *ends) in parts.items():
+            _add_capsule(body, name, (ends[0], ends[1]), radius, contype=0, conaffinity=0)
+        # as pairs, since a body and its child do not collide otherwise
+        for one, other in (
+            (OWN_BASE, f"outer_thigh{leg}_solid"),
+            (f"inner_thigh{leg}_solid", f"outer_shin{leg}_solid"),
+        ):
+            spec.add_pair(geomname1=one, geomname2=other, friction=[friction, friction, 0.005, 1e-4, 1e-4], **STIFF)
         for inner, outer in zip(bodies, bodies[2:], strict=False):
             spec.add_exclude(bodyname1=inner, bodyname2=outer)
 
 
 def _add_capsule(
-    body: mujoco.MjsBody, name: str, start: np.ndarray, end: np.ndarray, case: Case, **how: object
+    body: mujoco.MjsBody, name: str, ends: tuple[np.ndarray, np.ndarray], radius: float, **how: object
 ) -> None:
+    """Nothing where its ends are one, as of a link without length."""
+    if np.allclose(*ends):
+        return
     body.add_geom(
         name=f"{name}_solid",
         type=mujoco.mjtGeom.mjGEOM_CAPSULE,
-        fromto=[*start, *end],
+        fromto=np.concatenate(ends),
         mass=0.0,
-        size=[case.robot.link_radius, 0, 0],
+        size=[radius, 0, 0],
         group=COLLIDING,
         rgba=[0, 0, 0, 0],
         **how,
@@ -62,6 +86,12 @@ def _add_capsule(
 def _end(body: mujoco.MjsBody) -> np.ndarray:
     """The outer end of a link, whose mass centre is in its middle."""
     return 2 * np.asarray(body.ipos)
+
+
+def _way(body: mujoco.MjsBody, way: float) -> np.ndarray:
+    """From a link's inner end, `way` (m) along it; no farther than its outer end, of which it leaves a little."""
+    end = _end(body)
+    return end * min(way / max(float(np.linalg.norm(end)), 1e-9), 0.99)
 
 
 def _set(geom: mujoco.MjsGeom, **options: object) -> None:

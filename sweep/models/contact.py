@@ -1,4 +1,4 @@
-"""Viscoelastic foot contact with a Coulomb limit (monograph 1.2.2), evaluated implicitly."""
+"""Viscoelastic foot contact with a Coulomb limit (monograph 1.2.2), its damping evaluated implicitly."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -18,11 +18,13 @@ Frames = Sequence[tuple[Vector, Matrix]]  # (1,) of each free body: place of its
 class Contact:
     """Viscoelastic point contact with a Coulomb limit.
 
-    The factor epsilon that the book puts beside d_n is undefined there; it is 1 here.
+    The factor epsilon that the book puts beside d_n = 100 N s/m is undefined there; `damping` is their product, chosen
+    so that feet hardly rebound (docs/model.md). A step may last no longer than a contact takes to relax, damping over
+    stiffness.
     """
 
     stiffness: float = quantity(1e6, "N/m", above=0)  # c_n, force for each metre that a foot sinks in
-    damping: float = quantity(100.0, "N*s/m", at_least=0)  # d_n, force against the speed at which it sinks in
+    damping: float = quantity(2100.0, "N*s/m", above=0)  # d_n, force against the speed at which a contact moves
     friction: float = quantity(1.0, "-", at_least=0)  # k_f, largest tangential force over the normal force
 
 
@@ -116,12 +118,14 @@ def contact_geometry(
     return Geometry(surface.depth, normal, stretch, contact.friction * surface.friction_scale, damping), place
 
 
-def contact_forces(contact: Contact, geometry: Geometry, velocity: Vector, h: float) -> Forces:
-    """Forces at the end of a step of h seconds that is passed at `velocity` (m/s, relative to the surface).
+def contact_forces(contact: Contact, geometry: Geometry, velocity: Vector) -> Forces:
+    """Forces in a step that is passed at `velocity` (m/s, relative to the surface).
 
-    N = c_n depth - (c_n h + d_n) v_n where positive; the tangential force is elastic up to the Coulomb limit.
+    N = c_n depth - d_n v_n where positive; the tangential force is elastic up to the Coulomb limit. The depth is that
+    at the step's start, the velocity that at its end: to first order in the step nothing but d_n damps. With the
+    depth at its end, c_n h would come on top.
     """
-    n, g = geometry.normal, contact.stiffness * h + geometry.damping
+    n, g = geometry.normal, geometry.damping
     v_normal = velocity.dot(n)
     normal = jnp.maximum(0.0, contact.stiffness * geometry.depth - g * v_normal)
     loaded = normal > 0
@@ -134,14 +138,14 @@ def contact_forces(contact: Contact, geometry: Geometry, velocity: Vector, h: fl
     return Forces(normal * n + tangential, normal, tangential, (1 / size) * elastic, share, slipping, loaded)
 
 
-def contact_slope(contact: Contact, geometry: Geometry, forces: Forces, h: float) -> Matrix:
+def contact_slope(geometry: Geometry, forces: Forces, h: float) -> Matrix:
     """-h d force / d velocity (N s^2/m), where `forces` are.
 
     It keeps the coupling of the limit to the normal force, which makes it unsymmetric: without it the two iterations of
     a step diverge at 2 ms. Its parts are kept as values: worked out twice, they might differ.
     """
     n, t = geometry.normal, forces.direction
-    scale = h * (contact.stiffness * h + geometry.damping)
+    scale = h * geometry.damping
     slips, holds = forces.slipping.astype(t.x.dtype), forces.loaded.astype(t.x.dtype)
     round_ = scale * forces.share
     along_n = scale * (holds - forces.share) * n + (scale * slips * geometry.limit) * t

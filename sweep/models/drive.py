@@ -22,6 +22,12 @@ class Drive:
     back_emf: float = quantity(10.0, "N*m*s/rad", at_least=0)
     torque_limit: float = quantity(150.0, "N*m", above=0)  # U_max, largest torque that the servo asks for
     armature: float = quantity(0.1, "kg*m^2", at_least=0)  # rotor inertia seen at the joint
+    # largest |alpha|, 2 pi / 3 of the thesis (1.3): farther back a leg would be over the body
+    turn_limit: float = quantity(2.0943951, "rad", above=0)
+    # rate of a joint that its drive bears; the book has none: that at which c_e q' takes off all of its U_max
+    speed_limit: float = quantity(15.0, "rad/s", above=0)
+    # mechanical power of a joint, given or taken, that its drive bears; the book has none: U_max at speed_limit
+    power_limit: float = quantity(2250.0, "W", above=0)
 
 
 class Servo(NamedTuple):

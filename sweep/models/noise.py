@@ -19,7 +19,10 @@ class Noise:
     # deviation of the base's measured velocity, along each axis, at every tick
     velocity_noise: float = quantity(0.0, "m/s", at_least=0)
     velocity_bias: float = quantity(0.0, "m/s", at_least=0)  # deviation of its constant error, along each axis
+    # deviation of the base's measured angular velocity, about each axis, at every tick
+    spin_noise: float = quantity(0.0, "rad/s", at_least=0)
     joint_noise: float = quantity(0.0, "rad", at_least=0)  # deviation of each measured joint angle, at every tick
+    joint_rate_noise: float = quantity(0.0, "rad/s", at_least=0)  # deviation of each measured joint rate, at every tick
     joint_bias: float = quantity(0.0, "rad", at_least=0)  # deviation of the constant error of each joint's zero
     # control ticks by which what is measured of the robot comes late
     delay: float = quantity(0.0, "ticks", at_least=0, at_most=50)

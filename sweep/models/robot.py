@@ -6,7 +6,9 @@ from jaxtyping import Array, Float
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.models.legs import N_LEGS
 
-FOOT_LENGTH = 0.04  # m, of a shin's end that is the foot: what is solid of the shin ends there
+# m, of a shin's end, beside its radius, that tapers to the foot: it touches the face that it stands on, if it leans
+FOOT_LENGTH = 0.04
+PIN_RADIUS = 2e-3  # m, of the pin that is solid of that end all the same, up to a link's radius from the foot
 
 
 @parameters
@@ -30,6 +32,9 @@ class Robot:
     shin: float = quantity(0.335, "m", above=0)  # l2, length of the link between gamma and the foot
     # of the cylinders that thighs and shins are, for their inertia and for what they touch
     link_radius: float = quantity(0.015, "m", above=0)
+    # depth of the fork at a knee, into which the thigh folds: so near to its axis thigh and shin pass each other
+    fork_ratio: float = quantity(0.3, "l2", at_least=0, at_most=1)
+    hip_clearance: float = quantity(0.05, "m", at_least=0)  # so near to its hip a thigh passes the base: half of c_r
     coxa_mass: float = quantity(0.1, "kg", above=0)  # of one coxa, where there is one
     thigh_mass: float = quantity(0.5, "kg", above=0)  # of one thigh
     shin_mass: float = quantity(0.5, "kg", above=0)  # of one shin
@@ -39,6 +44,15 @@ class Robot:
 def half_size(robot: Robot) -> Float[Array, " 3"]:
     """Of the base (m)."""
     return 0.5 * jnp.stack([jnp.asarray(s, float) for s in (robot.body_length, robot.body_width, robot.body_height)])
+
+
+def half_between_hips(robot: Robot) -> Float[Array, " 3"]:
+    """Of the part of the base that legs have to keep out of (m).
+
+    Hips lie on the sides of the base; between them these stand back by a link's radius, so that a thigh which turns
+    along a side passes it.
+    """
+    return half_size(robot) - robot.link_radius * jnp.array([1.0, 1.0, 0.0])
 
 
 def total_mass(robot: Robot) -> Array | float:

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Array, Float
 
+from sweep.core.constants import GRAVITY
 from sweep.core.parameters import InputError
 from sweep.formulas.leg import SIDE, circular_mounts, rectangular_mounts
 from sweep.models.case import Case
@@ -18,7 +19,6 @@ from sweep.models.obstacles.geoms import COLLIDING, DRAWN
 from sweep.models.obstacles.surface import FOOT_RADIUS
 from sweep.models.robot import Robot
 
-GRAVITY = 9.81  # m/s^2
 _RIGHT, _LEFT = (0.85, 0.33, 0.20, 1.0), (0.20, 0.45, 0.75, 1.0)
 
 

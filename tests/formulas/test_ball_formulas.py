@@ -89,6 +89,35 @@ def test_exact_turn_tends_to_the_printed_one_for_wide_turns():
         evaluate("ball_turn", {"phi": 0.0})
 
 
+@pytest.mark.parametrize(("phi", "dphi"), [(0.2, 0.5), (-0.3, 0.4), (0.5, -1.0), (0.1, 0.0)])
+def test_swerve_balances_momentum(phi, dphi):
+    """Robot and ball about the point of contact, which goes with the ball: (3.1.23) to (3.1.25), nothing expanded."""
+    m, M, R, h, v, J_r, J_zeta, up = 16.0, 40.0, 0.84, 0.3, 0.5, 1.0, 1.5, np.array([0, 0, 1.0])
+    swerve = {"m": m, "M": M, "R": R, "h": h, "v": v, "J_r": J_r, "J_zeta": J_zeta}
+    found = evaluate("ball_swerve", {**swerve, "phi": phi, "dphi": dphi})
+    turning = v / found["rho_phi"]
+
+    def at(t):
+        lean, way, speed = phi + dphi * t, turning * t, v + found["gain"] * dphi * t
+        ahead = np.array([np.cos(way), np.sin(way), 0.0])
+        aside = np.cross(up, ahead)
+        centre = (h + R) * (up * np.cos(lean) + aside * np.sin(lean))
+        moves = dphi * (h + R) * (aside * np.cos(lean) - up * np.sin(lean)) + speed * ahead
+        own = 7 / 5 * M * R * speed * aside - J_r * dphi * ahead + J_zeta * turning * up
+        return own + m * np.cross(R * up + centre, moves), m * moves, centre, speed * ahead
+
+    step = 1e-6
+    changes = (at(step)[0] - at(-step)[0]) / (2 * step)
+    _, momentum, centre, goes = at(0.0)
+    left = changes + np.cross(goes, momentum) - np.cross(centre, -m * G * up)
+    np.testing.assert_allclose(left[:2], 0, atol=1e-7)
+    spun = 2 / 5 * M * R**2 * found["omega_zeta"] + J_zeta * turning
+    assert spun == pytest.approx(0, abs=1e-12)
+    if dphi == 0:
+        steady = evaluate("ball_turn", {"m": m, "M": M, "R": R, "h": h, "v": v, "phi": phi})
+        assert found["rho_phi"] == pytest.approx(steady["rho_approx"])
+
+
 def test_body_keeps_its_length_and_its_middle_the_line():
     ds, s0, Rp, a_r, eps = 0.3, -0.3, 0.9, 1.05, 0.1
     turn = evaluate("body_turn", {"ds": ds, "s0": s0, "Rp": Rp, "a_r": a_r, "eps": eps})

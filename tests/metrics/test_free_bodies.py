@@ -16,14 +16,15 @@ def moment(time: float, stage: int, phase: float, duration: list[float]) -> Any:
     free = FreeState(still.at[0, 0].set(0.1 * time), jnp.array([[1.0, 0.0, 0.0, 0.0]]), still, still)
     tick = SimpleNamespace(free=free, position=jnp.zeros(3))
     plan = SimpleNamespace(duration=jnp.array(duration))
-    return SimpleNamespace(tick=tick, stage=stage, phase=phase, plan=plan, time=time, period=0.01)
+    ended = jnp.asarray(False)
+    return SimpleNamespace(tick=tick, stage=stage, phase=phase, plan=plan, time=time, period=0.01, finished=ended)
 
 
-def test_the_final_speed_is_told_although_a_stage_ends_before_its_time():
+def test_the_final_speed_of_what_is_driven_is_told_although_a_stage_ends_before_its_time():
     duration = [100.0, 14.0]
     found = free_bodies.begin(cast(Any, moment(0.0, 0, 0.0, duration).tick))
     for stage, time in ((0, 1.0), *((1, 1.0 + k) for k in range(15))):
         found = free_bodies.update(found, moment(time, stage, (time - 1) / 14, duration))
-    world = SimpleNamespace(manoeuvre=None)
+    world = SimpleNamespace(manoeuvre=SimpleNamespace(obstacle_speed=lambda duration: 0.1))
     at = SimpleNamespace(world=world, time=15.0, plan=SimpleNamespace(duration=jnp.array(duration)))
     assert free_bodies.figures(found, cast(Any, at))["obstacle_speed_mps"] == pytest.approx(0.1, rel=0.01)

@@ -11,13 +11,15 @@ from scipy.spatial import ConvexHull, QhullError
 
 from sweep.metrics.geometry import (
     base_gap,
+    capsules,
     leg_gap,
-    links_beyond_foot,
     segment_box_distance,
     segment_distance,
+    shin_slopes,
     support_margin,
 )
-from sweep.models.robot import FOOT_LENGTH
+from sweep.models.robot import FOOT_LENGTH, Robot
+from sweep.models.solids import Box, HalfSpace
 
 MARGIN, DISTANCE = jax.jit(support_margin), jax.jit(segment_distance)
 SEED = st.integers(0, 2**31)
@@ -93,10 +95,25 @@ def test_distance_of_a_segment_to_a_box_is_that_of_its_nearest_point(seed):
     assert max(found, 0.0) == pytest.approx(expected, abs=2e-3)
 
 
-def test_the_solid_shin_ends_a_foot_and_its_radius_before_the_ground():
+def test_the_shin_is_thick_to_its_foot_and_then_a_pin():
     joints = jnp.asarray([[[0, 0, 0.6], [0, 0.4, 0.6], [0, 0.4, 0]]] * 6, float)
-    starts, ends = links_beyond_foot(joints, 0.015)
-    np.testing.assert_allclose(ends[1], [0, 0.4, FOOT_LENGTH + 0.015], atol=1e-6)
-    np.testing.assert_allclose(starts[1], [0, 0.4, 0.6], atol=1e-6)
-    base = jnp.zeros(3), jnp.eye(3), jnp.array([0.5, 0.25, 0.05])
+    found = capsules(joints, Robot())
+    np.testing.assert_allclose(found.start[1], [0, 0.4, 0.6], atol=1e-6)
+    np.testing.assert_allclose(found.end[1], [0, 0.4, FOOT_LENGTH + 0.015], atol=1e-6)
+    np.testing.assert_allclose(found.end[-1], [0, 0.4, 0.015], atol=1e-6)
+    floor = HalfSpace(name="floor", normal=(0, 0, 1))
+    np.testing.assert_allclose(found.to([floor])[np.array([0, 1, -1])], [0.585, FOOT_LENGTH, 0.013], atol=1e-6)
+    base = jnp.zeros(3), jnp.eye(3), Robot(body_length=1.0, body_width=0.5, body_height=0.1)
     assert float(base_gap(joints, *base)) == pytest.approx(0.15, abs=1e-3)  # the foot, beside the base
+
+
+@pytest.mark.parametrize("angle", [-0.66, 0.24])
+def test_a_shin_goes_through_the_rung_that_its_foot_is_on_or_rises_over_it(angle):
+    """Its foot is on the rung's top, 20 mm from the edge that it goes out over: through it where its knee is below."""
+    rung = Box(name="rung", position=(0, -0.01, -0.02), half=(0.8, 0.03, 0.02))
+    foot = np.array([0.0, 0.0, -5e-4])
+    knee = foot + 0.335 * np.array([0, np.cos(angle), np.sin(angle)])
+    joints = jnp.asarray([[knee + np.array([0, 0.1, 0.5]), knee, foot]] * 6, float)
+    distance = float(jnp.min(capsules(joints, Robot()).to([rung])))
+    assert (distance < -0.005) == (angle < 0)  # -5 mm is what the judge allows
+    np.testing.assert_allclose(shin_slopes(joints, jnp.asarray([[0.0, 0.0, 1.0]] * 6)), np.sin(angle), atol=1e-6)

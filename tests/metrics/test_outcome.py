@@ -1,5 +1,6 @@
 """From figures to outcomes."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,8 @@ STAGES = ("stand", "walk", "halt")
 STRICT = Thresholds(slip_max_m=0.02, ride_height_min_m=0.5, obstacle_moved_max_m=3.0, saturation_share_max=0.5,
                     feet_on_target_min=6.0, end_tilt_max_deg=3.0, progress_min=0.9, obstacle_speed_error_max_mps=0.01,
                     obstacle_aside_max_m=0.02, obstacle_shift_max_m=1e-3, past_centre_max_m=0.02,
-                    docking_gap_max_m=4e-3, docking_speed_max_mps=0.04, second_ball_speed_max_mps=0.01)  # fmt: skip
+                    docking_gap_max_m=4e-3, docking_speed_max_mps=0.04, second_ball_speed_max_mps=0.01,
+                    obstacle_turn_max_rad=1e-3)  # fmt: skip
 
 
 def label(limits=STRICT, **changes):
@@ -117,3 +119,24 @@ def test_the_documented_figures_are_those_of_the_metrics():
     page = (Path(__file__).parents[2] / "docs" / "model.md").read_text()
     for name, meaning in COLUMNS.items():
         assert f"| `{name}` | {meaning} |" in page
+
+
+def test_the_page_of_success_has_every_condition_with_its_limit_and_its_test():
+    root = Path(__file__).parents[2]
+    rows = [
+        line.split(" | ") for line in (root / "docs" / "judge.md").read_text().splitlines() if line.count(" | ") == 6
+    ]
+    told = {
+        (name.strip("|` "), sentence, threshold.strip("`")): rest for name, _, sentence, threshold, *rest in rows[1:]
+    }
+    assert set(told) == {(cause.name, cause.sentence, cause.threshold) for cause in CAUSES}
+    tests = {
+        name
+        for file in root.glob("tests/**/test_*.py")
+        for name in re.findall(r"^def (test_\w+)", file.read_text(), re.M)
+    }
+    for cause in CAUSES:
+        default, reason, broken_by = told[cause.name, cause.sentence, cause.threshold]
+        assert cause.default is None or not cause.threshold or float(default.split()[0]) == cause.default
+        assert len(reason) > 3
+        assert broken_by.strip("|` ") in tests

@@ -26,7 +26,8 @@ def moment(time: float) -> Any:
     plan = SimpleNamespace(names=("roll1", "over.ahead"), duration=jnp.array(DURATION))
     tick = SimpleNamespace(free=free)
     world = SimpleNamespace(obstacle=WORLD)
-    return SimpleNamespace(tick=tick, stage=stage, phase=phase, plan=plan, time=time, period=0.1, world=world)
+    when = SimpleNamespace(stage=stage, phase=phase, time=time, period=0.1, finished=jnp.asarray(time > 29))
+    return SimpleNamespace(tick=tick, plan=plan, world=world, **vars(when))
 
 
 def test_their_meeting_their_parting_and_the_end_of_the_second_are_told():

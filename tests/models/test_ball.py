@@ -11,11 +11,12 @@ from simulation import simulate
 
 from sweep.controllers.plan import Stance
 from sweep.controllers.tracker import joint_targets
+from sweep.core.constants import GRAVITY
+from sweep.dynamics.free_bodies import resting
 from sweep.engines.native import native_model
 from sweep.formulas.leg import SIDE
 from sweep.models import scene
 from sweep.models.obstacles.ball import Ball
-from sweep.models.scene import GRAVITY
 from sweep.study.config import compose
 
 STEP, SECONDS, FALL, PERIOD = 2e-3, 2.0, 1.0, 0.4
@@ -104,6 +105,24 @@ def test_spinning_ball_slows_down(history, nominal):
 
 def test_ball_at_rest_stays(history):
     assert np.abs(history.q[:, RESTS, BALL_AT][:, :2]).max() < 1e-5
+
+
+@pytest.mark.parametrize("step", [2e-3, 5e-4])
+def test_contact_damps_alike_at_every_step(nominal, step):
+    """A ball that falls rebounds as spring and damper have it, which do not pull; one at rest in the floor stays."""
+    ball, damping, fall = nominal.obstacle, nominal.contact.damping, 0.01
+    ratio = damping / (2 * np.sqrt(nominal.contact.stiffness * ball.mass))
+    own = np.sqrt(1 - ratio**2)
+    rebound = np.exp(-ratio / own * (np.pi - np.arctan2(2 * ratio * own, 1 - 2 * ratio**2)))
+    q = np.tile(np.zeros(32), (2, 1))
+    q[:, 3] = q[:, 28] = 1.0
+    q[:, 2] = 40.0
+    q[:, BALL_AT] = [np.add(ball.start().position[0], [0, 0, fall]), resting(nominal).position[0]]
+    targets = np.zeros((round(0.15 / step), 6, 3), np.float32)
+    history = simulate(nominal, nominal, q.astype(np.float32), targets, h=step)
+    fast = history.v[:, :, 26]
+    assert fast[:, 0].max() / -fast[:, 0].min() == pytest.approx(rebound, rel=0.03)
+    assert np.abs(fast[:, 1]).max() < 1e-3  # unsunk, 0.1 m/s
 
 
 def totals(nominal, history, row):

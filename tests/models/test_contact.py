@@ -51,23 +51,22 @@ def test_slope_equals_finite_differences(seed):
     geometry, velocity = contacts(np.random.default_rng(seed), 60)
 
     def at(v):
-        return contact_forces(CONTACT, geometry, Vector.of(jnp.asarray(v)), H)
+        return contact_forces(CONTACT, geometry, Vector.of(jnp.asarray(v)))
 
     here, d = at(velocity), 1e-6
-    slope = np.asarray(contact_slope(CONTACT, geometry, here, H).array()) / H
+    slope = np.asarray(contact_slope(geometry, here, H).array()) / H
     for axis in np.eye(3):
         ahead, behind = at(velocity + d * axis), at(velocity - d * axis)
         same = (ahead.slipping == behind.slipping) & (ahead.loaded == behind.loaded)
         assert np.mean(same) > 0.9
         numeric = -(ahead.force - behind.force).array() / (2 * d)
-        # relative to the stiffest entry, g = c_n h + d_n
-        error = np.abs(numeric - slope @ axis)[same] / (CONTACT.stiffness * H + DAMPING)
+        error = np.abs(numeric - slope @ axis)[same] / DAMPING
         assert error.max() < 1e-6
 
 
 def test_forces_obey_coulomb():
     geometry, velocity = contacts(np.random.default_rng(1), 2000)
-    f = contact_forces(CONTACT, geometry, Vector.of(jnp.asarray(velocity)), H)
+    f = contact_forces(CONTACT, geometry, Vector.of(jnp.asarray(velocity)))
     drag, limit = np.linalg.norm(f.tangential.array(), axis=1), 0.7 * np.asarray(f.normal)
     slips, holds = np.asarray(f.slipping), np.asarray(f.loaded & ~f.slipping)
     assert min(slips.sum(), holds.sum(), (~np.asarray(f.loaded)).sum()) > 100  # all three states are among them
@@ -85,7 +84,7 @@ def test_dragged_anchor_holds_just_the_limit():
     foot, passing = Vector.of(point), Vector.of(velocity)
     anchors = Anchors(Vector.of(jnp.array([[-0.01, 0.0, 0.0]])), jnp.array([True]), surface.face)
     geometry, place = contact_geometry(CONTACT, surface, anchors, foot, ())
-    forces = contact_forces(CONTACT, geometry, passing, H)
+    forces = contact_forces(CONTACT, geometry, passing)
     assert forces.slipping[0]
     after = update_anchors(CONTACT, surface, foot, (), place, forces, passing, H)
     moved = point + H * velocity

@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 from simulation import simulate
 
+from sweep.core.constants import GRAVITY
 from sweep.core.errors import InputError
+from sweep.core.rotations import matrix
 from sweep.engines.native import native_model
 from sweep.models.obstacles.ladder import BARS, FLOOR, LEDGE, WALL, Ladder
-from sweep.models.scene import GRAVITY
+from sweep.models.obstacles.surface import marked, placed
 from sweep.study.config import compose
 
 STEP, SECONDS = 2e-3, 5.0
@@ -123,6 +125,24 @@ def test_feet_feel_rungs_rails_wall_and_ledge(nominal):
     assert np.asarray(surface.body).tolist() == [0, 0, -1, -1, -1]
     assert np.asarray(surface.face)[2:].tolist() == [WALL, LEDGE, FLOOR]
     assert np.asarray(surface.face)[:2].min() >= BARS
+
+
+def test_believed_rungs_are_off_as_of_rails_that_are_seen_at_their_lower_ends():
+    """Of rungs 1 % farther apart than believed: from rung to rung by as much more, the lower the higher they are."""
+    believed, true = Ladder(), Ladder(rung_step=1.01 * Ladder().rung_step)
+    free = true.start()._replace(turn=jnp.array([[0.3, -0.2, 0.1]]))
+    seen = placed(believed, marked(true, free))
+    up = np.asarray(matrix(free.quat)[0]) @ [0, -1, 0]
+
+    def rungs(ladder, at):
+        tops = np.arange(1, 6) * ladder.rung_step - float(ladder.centre)
+        return np.asarray(at.position[0]) + tops[:, None] * up
+
+    off = (rungs(believed, seen) - rungs(true, free)) @ up
+    np.testing.assert_allclose(off, [-0.0042, -0.0084, -0.0126, -0.0168, -0.021], atol=1e-6)
+    np.testing.assert_allclose(seen.quat, free.quat)
+    shift = np.asarray(seen.position - free.position)[0]
+    np.testing.assert_allclose(seen.velocity - free.velocity, [np.cross(free.turn[0], shift)], atol=1e-6)
 
 
 @pytest.mark.parametrize(

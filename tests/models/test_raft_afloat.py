@@ -13,6 +13,7 @@ from sweep.controllers.manoeuvres.walking.walk import Stand, standing
 from sweep.controllers.plan import Plan, Stage, assemble
 from sweep.controllers.posture import mass_centre
 from sweep.controllers.tracker import joint_targets
+from sweep.core.constants import GRAVITY
 from sweep.core.parameters import parameters, quantity
 from sweep.core.rotations import exponential, matrix
 from sweep.engines import make
@@ -24,7 +25,6 @@ from sweep.models.case import Case
 from sweep.models.obstacles.raft import CORNERS, Raft
 from sweep.models.obstacles.surface import FreeState
 from sweep.models.robot import total_mass
-from sweep.models.scene import GRAVITY
 from sweep.study.config import compose
 
 GAMMA, STEP, SECONDS, SPEED = 9810.0, 2e-3, 21.0, 0.1

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from simulation import simulate
 
+from sweep.core.constants import GRAVITY
 from sweep.engines.closed_loop import start_state
-from sweep.models.scene import GRAVITY
 from sweep.study.config import compose
 
 STEP, FRICTION, DEGREE = 2e-3, 0.7, np.pi / 180

@@ -8,9 +8,9 @@ import pytest
 from simulation import simulate
 from touching import Rod, TwoBalls
 
+from sweep.core.constants import GRAVITY
 from sweep.models.contact import Contact
 from sweep.models.obstacles.geoms import add_touching
-from sweep.models.scene import GRAVITY
 from sweep.study.config import compose
 
 STEP, SECONDS = 2e-4, 0.8
@@ -23,10 +23,10 @@ POSITION = 32  # of the second ball's x, in q
 def restitution(mass: float, damping: float) -> float:
     """Speed after over speed before, of the law's spring and damper, which push as long as their sum does.
 
-    That is for half a period. The implicit step damps by c_n h more.
+    That is for half a period. The step damps by nothing else.
     """
     stiffness = Contact().stiffness
-    decay = (Contact().damping + damping + stiffness * STEP) / (2 * mass)
+    decay = (Contact().damping + damping) / (2 * mass)
     rate = np.sqrt(stiffness / mass - decay**2)
     return float(np.exp(-np.pi * decay / rate))
 

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
+from sweep.models.obstacles.charts import Chart, Number, ahead_above, point
 from sweep.models.obstacles.fixed import Fixed
 from sweep.models.obstacles.surface import Bodies, Surface
 from sweep.models.solids import HalfSpace, Prism, Solid, maths
@@ -15,12 +16,29 @@ FLOOR, RIGHT, LEFT, ROOF = range(4)  # faces; the walls as a robot sees them tha
 DEPTH = 3.0  # m, that the house reaches back in y
 
 
+def on_wall(of: "Corner", side: float, unit: Number, depth: Number, aside: Number, above: Number) -> Float[Array, " 3"]:
+    """A point of a wall: `aside` of the corner's edge, `above` the roof."""
+    x = aside * unit
+    return point(side * x, -x / jnp.tan(of.half_angle), of.height + above * unit)
+
+
+def on_roof(of: "Corner", side: float, unit: Number, depth: Number, aside: Number, ahead: Number) -> Float[Array, " 3"]:
+    """A point of the roof: `aside` of the middle, `ahead` of the corner's edge."""
+    return point(side * (aside * unit), -ahead * unit, of.height)
+
+
 @parameters
 class Corner(Fixed):
     """The corner of a house.
 
     Two walls that meet in the world's z axis and open towards -y, symmetric about the plane x = 0."""
 
+    # `edge`, for bases, begins where the corner's edge ends
+    charts: ClassVar = {
+        "wall": Chart(("aside", "above"), on_wall),
+        "roof": Chart(("aside", "ahead"), on_roof),
+        "edge": ahead_above(lambda of: (0.0, of.height)),
+    }
     heights: ClassVar = ("height",)
     kind: str = choice("corner", "corner")
     half_angle: float = quantity(np.pi / 4, "rad", at_least=0.2, at_most=1.5)  # psi, of the house between its walls

@@ -65,6 +65,11 @@ class Ladder:
         middle = (0.5 + 0.5 * self.rungs) * self.rung_step - self.rung_height / 2
         return (rails * self.length / 2 + rungs * middle) / (rails + rungs)
 
+    @property
+    def landmarks(self) -> Float[Array, "1 3"]:
+        """The middle between the rails' lower ends; how it leans is seen along the rails."""
+        return point(0.0, self.centre, 0.0)[None]
+
     def _volumes(self) -> tuple[Array | float, Array | float]:
         """Of rails and of rungs (m^3)."""
         rails = 2 * self.length * self.rail_breadth * self.rail_depth

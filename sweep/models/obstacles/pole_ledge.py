@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
+from sweep.models.obstacles.charts import Chart, Number, ahead_above, point
 from sweep.models.obstacles.fixed import Fixed
 from sweep.models.obstacles.surface import Bodies, Surface
 from sweep.models.solids import SOIL, Box, Cylinder, HalfSpace, Solid
@@ -13,10 +14,40 @@ from sweep.models.solids import SOIL, Box, Cylinder, HalfSpace, Solid
 FLOOR, SIDE, TOP, LEDGE, WALL = range(5)
 
 
+def on_side(
+    of: "PoleLedge", side: float, unit: Number, depth: Number, ahead: Number, above: Number
+) -> Float[Array, " 3"]:
+    """A point of the pole's side: `ahead` of its axis (r), `above` its top."""
+    y = -ahead * of.radius
+    return point(side * jnp.sqrt(jnp.asarray(of.radius - depth) ** 2 - y**2), y, of.height + above * unit)
+
+
+def on_top(
+    of: "PoleLedge", side: float, unit: Number, depth: Number, aside: Number, ahead: Number
+) -> Float[Array, " 3"]:
+    """A point of the pole's top, from its axis (r)."""
+    return point(side * aside * of.radius, -ahead * of.radius, of.height - depth)
+
+
+def on_ledge(
+    of: "PoleLedge", side: float, unit: Number, depth: Number, aside: Number, ahead: Number
+) -> Float[Array, " 3"]:
+    """A point of the ledge: `aside` of the middle (r), `ahead` of its edge."""
+    return point(side * aside * of.radius, -of.radius - ahead * unit, of.ledge_height - depth)
+
+
 @parameters
 class PoleLedge(Fixed):
     """Pole along the world's z axis; the ledge fills y < -radius, z < ledge_height."""
 
+    # `axis` and `brink`, for bases, begin at the height of the pole's top: on its axis, and over the ledge's edge
+    charts: ClassVar = {
+        "side": Chart(("ahead", "above"), on_side),
+        "top": Chart(("aside", "ahead"), on_top),
+        "ledge": Chart(("aside", "ahead"), on_ledge),
+        "axis": ahead_above(lambda of: (0.0, of.height)),
+        "brink": ahead_above(lambda of: (-of.radius, of.height)),
+    }
     heights: ClassVar = ("height", "ledge_height")
     kind: str = choice("pole_ledge", "pole_ledge")
     radius: float = quantity(0.42, "m", above=0)  # r, of the pole

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Array, Float
 
+from sweep.core.constants import GRAVITY
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.core.rotations import logarithm, matrix
 from sweep.formulas.drag import raft_drag
@@ -19,7 +20,7 @@ from sweep.models.solids import SOIL, Box, Solid
 
 NEAR, FAR = range(2)
 RAFT = 8  # the numbers of its faces are around this, those of the banks below
-WATER_DENSITY, GRAVITY = 1000.0, 9.81  # kg/m^3, m/s^2
+WATER_DENSITY = 1000.0  # kg/m^3
 SHORE = 4.0  # m, of each bank that is drawn; its surface has no end
 CORNERS = tuple((x, y) for x in (-1, 1) for y in (-1, 1))
 WATER_DEPTH = 6.0  # m, that is drawn: what is translucent is drawn from far to near, by its middle
@@ -62,6 +63,11 @@ class Raft:
     def mass(self) -> Array | float:
         """M (kg)."""
         return self.density * self.length * self.width * self.thickness
+
+    @property
+    def landmarks(self) -> Float[Array, "1 3"]:
+        """The middle of the deck's corners."""
+        return self.half[None] * jnp.array([0.0, 0.0, 1.0])
 
     def draught(self, load: Array | float = 0.0) -> Array | float:
         """How deep the level raft is in the water (m) with a load (kg) on it."""

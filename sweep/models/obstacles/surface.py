@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from sweep.core.rotations import matrix
+from sweep.core.rotations import matrix, rotate
 from sweep.models.solids import Solid
 
 STIFFNESS = 1e6  # N/m, of the contact that an obstacle's `impact_damping` is a share of the critical damping of
@@ -118,6 +118,36 @@ class Moving(Obstacle, Protocol):
     def start(self) -> FreeState:
         """These at the start."""
         ...
+
+
+@runtime_checkable
+class Marked(Moving, Protocol):
+    """One whose free bodies are seen by other points than their mass centres."""
+
+    @property
+    def landmarks(self) -> Float[Array, "k 3"]:
+        """Middles of what is seen of each (m, its own axes from the mass centre)."""
+        ...
+
+
+def landmarks(obstacle: Obstacle) -> Float[Array, "k 3"]:
+    """By which its free bodies are seen, as in `Marked`: mass centres, as of balls, where it says nothing else."""
+    return obstacle.landmarks if isinstance(obstacle, Marked) else jnp.zeros((len(obstacle.free_bodies), 3))
+
+
+def marked(obstacle: Obstacle, free: FreeState) -> FreeState:
+    """Its landmarks, in the axes of free bodies that are as in `free`."""
+    return _shifted(free, obstacle.landmarks) if isinstance(obstacle, Marked) else free
+
+
+def placed(obstacle: Obstacle, marks: FreeState) -> FreeState:
+    """The inverse of `marked`: its free bodies where they have their landmarks as in `marks`."""
+    return _shifted(marks, -obstacle.landmarks) if isinstance(obstacle, Marked) else marks
+
+
+def _shifted(free: FreeState, by: Float[Array, "k 3"]) -> FreeState:
+    arm = rotate(free.quat, by)
+    return free._replace(position=free.position + arm, velocity=free.velocity + jnp.cross(free.turn, arm))
 
 
 def free_start(obstacle: Obstacle) -> FreeState:

@@ -1,0 +1,58 @@
+"""Whether the robot is at rest when its plan has ended: it is watched for `REST` seconds more, if it is to rest."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from sweep.core.rotations import matrix
+from sweep.metrics.metric import REST, Begin, Cause, Elapsed, Metric, Moment
+
+
+class Resting(NamedTuple):
+    """Whether the plan has ended; where hips, knees and feet were then (m), and how far they went since."""
+
+    ended: Bool[Array, ""]
+    place: Float[Array, "6 k 3"]  # in the axes of the base as it is told to be
+    drift: Float[Array, ""]
+
+
+def begin(start: Begin) -> Resting:
+    """Under way."""
+    links = 3 if start.world.robot.legs == "two_link" else 4
+    zero = jnp.zeros((), start.feet.dtype)
+    return Resting(jnp.asarray(False), jnp.zeros((6, links, 3), zero.dtype), zero)
+
+
+def update(so_far: Resting, now: Moment) -> Resting:
+    """Seen from where the base is told to be, a robot that rests on something afloat or rolling rests."""
+    here = (now.tick.joints - now.target.position) @ matrix(now.target.quat)
+    place = jnp.where(so_far.ended, so_far.place, here)
+    drift = jnp.where(now.finished, jnp.max(jnp.linalg.norm(here - place, axis=-1)), 0.0)
+    return Resting(now.finished, place, jnp.maximum(so_far.drift, drift))
+
+
+def figures(found: Resting, at: Elapsed) -> dict[str, Array]:
+    """See `METRIC`."""
+    return {"end_drift_m": found.drift}
+
+
+METRIC = Metric(
+    begin,
+    update,
+    figures,
+    {
+        "end_drift_m": f"farthest that a hip, knee or foot went in the {REST:g} s after the plan, seen from where the "
+        "base is told to be"
+    },
+    (
+        Cause(
+            "restless",
+            "the robot was not at rest when its plan had ended: some part went on by more than end_drift_max_m",
+            "end_drift_m",
+            "end_drift_max_m",
+            5e-3,
+            "m",
+        ),
+    ),
+)

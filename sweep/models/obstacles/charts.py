@@ -1,0 +1,48 @@
+"""Charts: coordinates in which plans say where feet and base are to be, offered by obstacles (and by manoeuvres)."""
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple, Protocol, runtime_checkable
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+Number = Array | float
+
+
+class Chart(NamedTuple):
+    """Places by coordinates that have names."""
+
+    names: tuple[str, ...]
+    # the point (m, world axes) of: what offers the chart; -1 or 1, the leg's side, as it mirrors places; the unit of
+    # lengths (m); how deep below the surface (m); the coordinates
+    at: Callable[..., Float[Array, " 3"]]
+
+
+def ahead_above(edge: Callable[[Any], tuple[Number, Number]]) -> Chart:
+    """A chart for bases of robots that come along -y, from a point at (y, z) (m) in the plane x = 0."""
+
+    def at(owner: Any, side: float, unit: Number, depth: Number, ahead: Number, above: Number) -> Float[Array, " 3"]:
+        y, z = edge(owner)
+        return point(0.0, y - ahead * unit, z + above * unit)
+
+    return Chart(("ahead", "above"), at)
+
+
+def point(x: Number, y: Number, z: Number) -> Float[Array, " 3"]:
+    """A vector of numbers that may be traced."""
+    return jnp.stack([jnp.asarray(value, float) for value in (x, y, z)])
+
+
+@runtime_checkable
+class Charted(Protocol):
+    """An obstacle that offers charts has this member besides."""
+
+    @property
+    def charts(self) -> Mapping[str, Chart]:
+        """By name."""
+        ...
+
+
+def charts(obstacle: Any) -> Mapping[str, Chart]:
+    """Those that it offers, if any."""
+    return obstacle.charts if isinstance(obstacle, Charted) else {}

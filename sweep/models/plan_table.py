@@ -1,0 +1,148 @@
+"""Numbers of plans, as files of the group `plan` have them: parts of moves, or of numbers that a manoeuvre names.
+
+A file's `extends` names the one that it starts from. Every number has a path, such as `plan.ledge.front2.base.ahead`.
+"""
+
+import dataclasses
+import functools
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
+
+import jax
+import yaml
+from jaxtyping import Array
+
+from sweep.core import project
+from sweep.core.errors import InputError, suggest
+from sweep.core.parameters import quantity
+from sweep.models.obstacles.charts import Chart, charts
+
+GROUP = "plan"
+CURVE = ("out", "ahead", "up")  # out to the leg's side, in the robot's way, up
+# names of the numbers in a list, by the key that it stands under; those of a place are its chart's
+COMPONENTS = {"base": ("ahead", "above", "pitch"), "leave": CURVE, "land": CURVE, "plane": CURVE,
+              "pivot": ("ahead", "above")}  # fmt: skip
+Content = Mapping[str, Any]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class PlanTable:
+    """What a case says of its plan's numbers: a file's content, where it is not the manoeuvre's own, and changes.
+
+    Only what is changed is traced.
+    """
+
+    text: str = dataclasses.field(default="", metadata={"static": True})  # JSON; empty: as the manoeuvre's own file
+    paths: tuple[str, ...] = dataclasses.field(default=(), metadata={"static": True})  # of numbers that are changed
+    values: tuple[Array | float, ...] = ()
+
+    def changed(self, path: str, value: Any) -> "PlanTable":
+        """With the number at `path` (without `plan.`) changed."""
+        changes = dict(zip(self.paths, self.values, strict=True)) | {path: value}
+        return dataclasses.replace(self, paths=tuple(changes), values=tuple(changes.values()))
+
+
+@runtime_checkable
+class Tabled(Protocol):
+    """A manoeuvre whose plan's numbers are in a file has this member besides."""
+
+    @property
+    def own_plan(self) -> str:
+        """Name of the file that holds them if a case has no other."""
+        ...
+
+
+def tabled(case: Any) -> Content:
+    """The numbers of a case's plan, by part and move; none where they are not in a file."""
+    table: PlanTable = case.plan
+    content = json.loads(table.text) if table.text else own(case)
+    if not table.paths:
+        return content
+    changes = dict(zip(table.paths, table.values, strict=True))
+    return mapped(content, charts(case.obstacle), lambda path, value: changes.get(path, value))
+
+
+def own(case: Any) -> Content:
+    """Those of the manoeuvre's own file."""
+    return shipped(case.manoeuvre.own_plan) if isinstance(case.manoeuvre, Tabled) else {}
+
+
+def numbers(content: Content, places: Mapping[str, Chart]) -> dict[str, float]:
+    """All numbers by path."""
+    found: dict[str, float] = {}
+    mapped(content, places, lambda path, value: found.setdefault(path, float(value)))
+    return found
+
+
+def mapped(
+    content: Any, places: Mapping[str, Chart], change: Callable[[str, Any], Any], path: str = "", key: str = ""
+) -> Any:
+    """`content` with every number replaced by what `change` makes of its path and value.
+
+    A path does not name the chart (of `places`) in which a place is.
+    """
+    if isinstance(content, Mapping):
+        found = {}
+        for name, value in content.items():
+            charted = key == "base" or (name in places and isinstance(value, list))
+            below = path if charted else f"{path}.{name}".removeprefix(".")
+            found[name] = mapped(value, places, change, below, key if key == "base" else name)
+        return found
+    if isinstance(content, list):
+        names = places[key].names if key in places else COMPONENTS.get(key, range(len(content)))
+        return [change(f"{path}.{name}", value) for name, value in zip(names, content, strict=False)]
+    if isinstance(content, int | float) and not isinstance(content, bool):
+        return change(path, content)
+    return content
+
+
+def member(case: Any, path: str) -> "dataclasses.Field[Any]":
+    """The number at `path` (without `plan.`) as a parameter. Raises `InputError`."""
+    found = numbers(tabled(case), charts(case.obstacle))
+    if path not in found:
+        if not found:
+            raise InputError(
+                f"plan.{path} is unknown: manoeuvre.kind = {case.manoeuvre.kind} has its numbers in no file"
+            )
+        near = suggest(path, found).partition(" (allowed")[0]
+        raise InputError(f"plan.{path} is unknown{near} (`sweep describe plan` tells what plans have)")
+    field = quantity(found[path], "")
+    field.name = path.rpartition(".")[2]
+    return field
+
+
+@functools.cache
+def shipped(name: str) -> Content:
+    """A plan that comes with the package."""
+    return merged(name, lambda other: project.shipped(GROUP)[other].read_text(encoding="utf-8"))
+
+
+def merged(name: str, read: Callable[[str], str]) -> Content:
+    """The plan `name` over the one that it extends; texts of files are `read` by name."""
+    content = dict(yaml.safe_load(read(name)))
+    base = content.pop("extends", None)
+    return _over(merged(base, read), content) if base else content
+
+
+def differences(content: Content, other: Content) -> dict[str, Any]:
+    """What a file has to say that extends `content` to be `other`: deep, lists whole."""
+    found = {}
+    for key, value in other.items():
+        if isinstance(value, Mapping) and isinstance(content.get(key), Mapping):
+            if inner := differences(content[key], value):
+                found[key] = inner
+        elif key not in content or content[key] != value:
+            found[key] = value
+    return found
+
+
+def _over(below: Content, above: Content) -> dict[str, Any]:
+    """Two contents, deep; what is in `above` counts."""
+    found = dict(below)
+    for key, value in above.items():
+        deep = isinstance(value, Mapping) and isinstance(found.get(key), Mapping)
+        found[key] = _over(found[key], value) if deep else value
+    return found
