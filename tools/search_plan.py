@@ -4,15 +4,17 @@
     python tools/search_plan.py search study=... --stages 'ledge.*' --free '*.base.*=0.02' --need base=0.02 links=0.01
 
 The draws are a study's points, known to the planner; those of the study's next seed are not searched on and tell
-whether what was found holds. A manoeuvre that can be searched has a `table` of named tuples, and a `plan` that takes
-another one in its place; any number in it can be freed. Margins are those of `sweep.metrics.planned`; plans on free
-bodies are played through by the tracker (`sweep.metrics.played`), with a ball where it rolls to. Feet are where they
-are commanded: where that is inside the obstacle by a `deepening`, real links are about as much farther out.
+whether what was found holds. A manoeuvre that can be searched has its plan's numbers in a file (conf/plan), or a
+`table` of named tuples and a `plan` that takes another one in its place; any number in it can be freed. Margins are
+those of `sweep.metrics.planned`; plans on free bodies are played through by the tracker (`sweep.metrics.played`), with
+a ball where it rolls to. Feet are where they are commanded: where that is inside the obstacle by a `deepening`, real
+links are about as much farther out.
 """
 
 import argparse
 import json
 import math
+import shlex
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -25,6 +27,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pandas as pd
+import yaml
 
 from sweep.controllers import forces
 from sweep.controllers.plan import Plan
@@ -32,8 +35,11 @@ from sweep.core.errors import InputError
 from sweep.metrics import played
 from sweep.metrics.planned import holding, margins
 from sweep.metrics.played import by_stage, play
+from sweep.models import plan_table
 from sweep.models.case import Case, Manoeuvre
 from sweep.models.obstacles.ball import Ball
+from sweep.models.obstacles.charts import charts
+from sweep.models.plan_table import PlanTable, numbers
 from sweep.study.config import Experiment, compose
 from sweep.study.study import is_static, parameter_columns, points, world_and_belief
 
@@ -100,6 +106,30 @@ def changed(table: Table, values: Mapping[str, Any], name: str = "") -> Table:
     return table
 
 
+def table_of(case: Case) -> Table:
+    """The numbers of a case's plan; by path where they are in a file."""
+    if isinstance(case.manoeuvre, plan_table.Tabled):
+        return numbers(plan_table.tabled(case), charts(case.obstacle))
+    return cast(Tabled, case.manoeuvre).table
+
+
+def planned(belief: Case, table: Table) -> Plan:
+    """The plan by other numbers."""
+    if not isinstance(belief.manoeuvre, plan_table.Tabled):
+        return cast(Tabled, belief.manoeuvre).plan(belief, table)
+    other = PlanTable(belief.plan.text, tuple(table), tuple(table.values()))
+    return belief.manoeuvre.plan(replace(belief, plan=other))
+
+
+def file_of(case: Case, table: Table, head: Sequence[str]) -> str:
+    """A file of the group `plan` with these numbers, over the manoeuvre's own plan, and comments at its head."""
+    other = replace(case, plan=PlanTable(case.plan.text, tuple(table), tuple(table.values())))
+    changes = plan_table.differences(plan_table.own(case), plan_table.tabled(other))
+    name = cast(plan_table.Tabled, case.manoeuvre).own_plan
+    content = yaml.safe_dump({"extends": name, **changes}, sort_keys=False, default_flow_style=None, width=1000)
+    return "".join(f"# {line}\n" for line in head) + content
+
+
 def draws(exp: Experiment, seed: int) -> Case:
     """What is believed in the points of the experiment's study, as arrays over them; without a study one nominal."""
     table = points(replace(exp.study, seed=seed), exp.case, exp.settings)
@@ -129,7 +159,7 @@ def judge(
 
     def left(belief: Case, table: Table) -> dict[str, jax.Array]:
         manoeuvre = cast(Tabled, belief.manoeuvre)
-        plan = manoeuvre.plan(belief) if table is None else manoeuvre.plan(belief, table)
+        plan = manoeuvre.plan(belief) if table is None else planned(belief, table)
         if type(case.obstacle) is Ball:  # what leans on something, or on another ball, is taken to rest
             seen = play(belief, plan, PERIOD, ticks)
             found = by_stage(seen, len(names))._asdict()
@@ -167,9 +197,7 @@ def show(stages: Sequence[str], found: Mapping[str, np.ndarray], whole: bool) ->
 def check(given: argparse.Namespace) -> int:
     """Print what the plan keeps, over the study's draws."""
     exp = compose(given.overrides)
-    table = (
-        changed(cast(Tabled, exp.case.manoeuvre).table, json.loads(given.start.read_text())) if given.start else None
-    )
+    table = changed(table_of(exp.case), json.loads(given.start.read_text())) if given.start else None
     plan = jax.jit(lambda case: case.manoeuvre.plan(case))(exp.case)
     stages, left = judge(exp.case, plan, given.stages, given.moments, given.least_normal)
     many = draws(exp, exp.study.seed)
@@ -190,7 +218,7 @@ def search(given: argparse.Namespace) -> int:
     import cma  # of the extra `dev`
 
     exp = compose(given.overrides)
-    table = cast(Tabled, exp.case.manoeuvre).table
+    table = table_of(exp.case)
     at = dict(leaves(table)) | (json.loads(given.start.read_text()) if given.start else {})
     pairs = [(p.rpartition("=")[0], float(p.rpartition("=")[2])) for p in given.free]
     steps = {name: step for name in at for pattern, step in pairs if fnmatchcase(name, pattern)}
@@ -235,7 +263,12 @@ def search(given: argparse.Namespace) -> int:
         if strategy.countiter % 25 == 0:
             print(f"  {strategy.countiter}: {strategy.best.f:.4g}, step {strategy.sigma:.3g}", flush=True)
     best = dict(zip(free, np.round(x + scale * strategy.best.x, given.digits).tolist(), strict=True))
-    given.output.write_text(json.dumps(at | best, indent=1))
+    if isinstance(exp.case.manoeuvre, plan_table.Tabled):
+        said = f"{len(free)} numbers searched for by CMA-ES: score {begins:.4g} before, {strategy.best.f:.4g} after"
+        head = [said, f"python tools/search_plan.py {shlex.join(sys.argv[1:])}"]
+        given.output.write_text(file_of(exp.case, changed(table, at | best), head))
+    else:
+        given.output.write_text(json.dumps(at | best, indent=1))
     for told, cases in (("draws searched on", seen), ("draws not seen", unseen)):
         print(f"{told}:")
         found = tell(cases, jnp.array([best[name] for name in free]))
@@ -255,7 +288,7 @@ def main(argv: list[str] | None = None) -> int:
         sub.add_argument("--stages", nargs="+", default=["*"], help="patterns of the stages to judge (all)")
         sub.add_argument("--moments", type=int, default=21, help="of each stage (21)")
         sub.add_argument("--least-normal", type=float, help="plan forces, with this of every standing foot (N)")
-        sub.add_argument("--start", type=Path, help="numbers found before, JSON")
+        sub.add_argument("--start", type=Path, help="numbers found before, JSON (of plans in files: plan=FILE)")
         if name == "search":
             sub.add_argument("--free", nargs="+", required=True, metavar="PATTERN=STEP", help="numbers, first step")
             sub.add_argument("--need", nargs="+", default=[], metavar="MARGIN[@STAGES]=VALUE", help="in m, rad/s")
@@ -266,7 +299,7 @@ def main(argv: list[str] | None = None) -> int:
             sub.add_argument("--minutes", type=float, default=10)
             sub.add_argument("--seed", type=int, default=1, help="of the search")
             sub.add_argument("--digits", type=int, default=4, help="to which numbers are rounded")
-            sub.add_argument("-o", "--output", type=Path, required=True, help="for the numbers found, JSON")
+            sub.add_argument("-o", "--output", type=Path, required=True, help="for what is found: plan=FILE, or JSON")
     given = top.parse_args(argv)
     try:
         return given.action(given)

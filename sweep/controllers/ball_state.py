@@ -9,8 +9,9 @@ from sweep.controllers.observation import Observation
 from sweep.controllers.plan import Stance
 from sweep.controllers.posture import feet_in_world, mass_centre
 from sweep.controllers.tracker import joint_targets
+from sweep.core.constants import GRAVITY
 from sweep.core.rotations import rotate
-from sweep.formulas.ball import GRAVITY, ROLLING
+from sweep.formulas.ball import ROLLING
 from sweep.formulas.leg import SIDE
 from sweep.models.obstacles.ball import Ball
 from sweep.models.robot import Robot, total_mass

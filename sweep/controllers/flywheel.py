@@ -8,10 +8,10 @@ from jaxtyping import Array, Bool, Float, Int
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import BALANCE, LOCKED, Flywheel, Plan
 from sweep.controllers.posture import mass_centre
+from sweep.core.constants import GRAVITY
 from sweep.core.rotations import rotate, wrapped
 from sweep.models.drive import Servo
 from sweep.models.robot import Robot
-from sweep.models.scene import GRAVITY
 
 RIGHT, LEFT = (2, 1), (3, 1)  # beta of legs 3 and 4, in tables of joints (6, 3)
 TURNING = np.zeros((6, 3), bool)

@@ -18,12 +18,12 @@ from sweep.controllers.frames import ground
 from sweep.controllers.plan import Feedforward, Plan, Stage, Stance, begins, reference, stance_to_world
 from sweep.controllers.posture import foot_positions, mass_centre
 from sweep.controllers.tracker import joint_targets
+from sweep.core.constants import GRAVITY
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.core.rotations import rotate
 from sweep.models.case import Case
 from sweep.models.obstacles.surface import free_start
 from sweep.models.robot import Robot, total_mass
-from sweep.models.scene import GRAVITY
 
 Effort = Literal["friction", "torque", "normal"]
 _BOUND: dict[Effort, str] = {"friction": "friction", "torque": "torque", "normal": "most_normal"}

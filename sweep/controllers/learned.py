@@ -9,13 +9,14 @@ from jaxtyping import Array, Float, Int
 
 from sweep.controllers import touch
 from sweep.controllers.calibration import Calibrated
+from sweep.controllers.frames import fixed
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import Plan, Shift, Stance, stance_to_world
 from sweep.controllers.touch import Touched
 from sweep.controllers.tracker import TrackerState, joint_targets
 from sweep.core.rotations import exponential, multiply
 from sweep.models.case import Case
-from sweep.models.obstacles.surface import free_start
+from sweep.models.obstacles.surface import Obstacle, free_start, landmarks
 
 
 class Learned(NamedTuple):
@@ -35,6 +36,11 @@ def informed(belief: Case, learned: Learned | None) -> Case:
     robot = belief.robot if learned.calibrated is None else learned.calibrated.robot
     obstacle = belief.obstacle if learned.touched is None else touch.planned_for(learned.touched)
     return replace(belief, robot=robot, obstacle=obstacle)
+
+
+def at_first(belief: Case, learned: Learned | None) -> Obstacle:
+    """The obstacle as the first plan was made for: it has the axes of free bodies in which plans are given."""
+    return belief.obstacle if learned is None or learned.touched is None else learned.touched.first
 
 
 def newest(plan: Plan, learned: Learned | None) -> Plan:
@@ -84,8 +90,20 @@ def replanned(belief: Case, plan: Plan, stage: Int[Array, ""], learned: Learned)
         staged = a.ndim and a.shape[0] == later.shape[0]
         return jnp.where(later.reshape(-1, *[1] * (a.ndim - 1)), a, b) if staged else b
 
+    fresh = _shifted(fresh, landmarks(at_first(belief, learned)) - landmarks(known.obstacle))
     newer = replace(jax.tree.map(chosen, fresh, old), start=old.start)
     return learned._replace(plan=newer, shortfall=shortfall)
+
+
+def _shifted(plan: Plan, by: Float[Array, "k 3"]) -> Plan:
+    """`plan` with what it gives in free bodies' own axes moved by `by` (m)."""
+
+    def off(frame: Array) -> Array:
+        return sum(((frame == fixed(k))[..., None] * by[k] for k in range(by.shape[0])), jnp.zeros(3))
+
+    feet, base = off(plan.foot_frame), off(plan.base_frame)
+    return replace(plan, foothold=plan.foothold + feet, guides=plan.guides + feet[..., None, :],
+                   position=plan.position + base, pivot=plan.pivot + base)  # fmt: skip
 
 
 def _shortfall(belief: Case, plan: Plan) -> Float[Array, " s"]:

@@ -11,7 +11,8 @@ from sweep.core.rotations import exponential, multiply
 from sweep.models.noise import Noise
 from sweep.models.obstacles.surface import FreeState
 
-FREE, LOAD = 1, 2  # folded into a key to draw errors of the free bodies, and of the feet's load
+# folded into a key to draw errors of the free bodies, of the feet's load, and of what turns
+FREE, LOAD, RATES = 1, 2, 3
 
 
 class Observation(NamedTuple):
@@ -85,13 +86,16 @@ def observe(noise: Noise, sensors: Sensors, truth: Observation, key: Array) -> t
     error = sensors.free_bias + _scatter(jax.random.fold_in(key, FREE), sizes, free)
     dtype = truth.position.dtype
     draw = jax.random.normal(key, (33,), dtype)
+    rates = jax.random.normal(jax.random.fold_in(key, RATES), (21,), dtype)
     joint_error = sensors.bias.joint + noise.joint_noise * draw[9:27].reshape(6, 3)
     turn = sensors.bias.turn + noise.orientation_noise * draw[3:6]
     seen = seen._replace(
         position=seen.position + sensors.bias.position + noise.position_noise * draw[:3],
         quat=multiply(exponential(turn), seen.quat),
         velocity=seen.velocity + sensors.bias.velocity + noise.velocity_noise * draw[6:9],
+        spin=seen.spin + noise.spin_noise * rates[:3],
         angles=seen.angles + joint_error,
+        rates=seen.rates + noise.joint_rate_noise * rates[3:].reshape(6, 3),
         joint_error=joint_error,
         load=load + noise.load_noise * draw[27:],
         free=FreeState(

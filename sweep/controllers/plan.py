@@ -28,6 +28,7 @@ STEADY, SMOOTH, ELLIPTIC = range(3)  # how a body path is spent: by its rates, b
 # How a stage begins: with footholds and base shifted by the base's error; from the feet's measured places, at their
 # commanded depth or, on a free body, pressed as far beyond them as the stage says; or just from what was commanded.
 REZERO, REGRIP, GRIP, KEEP = "rezero", "regrip", "grip", "keep"
+STAND = 0.5  # s, before the first and after the last swing
 
 
 class Stance(NamedTuple):

@@ -22,7 +22,7 @@ from sweep.controllers.tracker import TrackerState
 from sweep.models.control import Control
 from sweep.models.legs import N_LEGS
 from sweep.models.noise import Noise
-from sweep.models.obstacles.surface import Bodies, Obstacle, Surface, free_start, poses, under
+from sweep.models.obstacles.surface import Bodies, Obstacle, Surface, free_start, marked, placed, poses, under
 from sweep.models.robot import Robot
 
 REACH = 0.04  # m, how far a foot that finds no surface goes on beyond where it is planned
@@ -201,15 +201,15 @@ def _known(
 ) -> tuple[Touched, Bool[Array, " 6"]]:
     """Sizes after those feet that count were found at the surface, and at which feet it was uncertain.
 
-    `places` are outside of where they are planned by `out` (m) along the normal.
+    `places` are outside of where they are planned by `out` (m) along the normal. What is seen of free bodies stays
+    where it is, whatever the sizes.
     """
-
-    bodies = _at_rest(so_far.first)
+    marks = marked(so_far.first, free_start(so_far.first))
 
     def inside(x: Array) -> Array:
         """Taken at the planned depth: deep inside what is believed another face may be nearer."""
-        planned = places - out[:, None] * normal
-        return under(_with(so_far.obstacle, x), planned, bodies).depth - out
+        planned, obstacle = places - out[:, None] * normal, _with(so_far.obstacle, x)
+        return under(obstacle, planned, poses(placed(obstacle, marks))).depth - out
 
     return _taken_in(so_far, inside, variance, counts)
 

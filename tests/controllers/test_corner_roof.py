@@ -7,7 +7,7 @@ import pytest
 from playing import play, varied
 
 from sweep.controllers import forces
-from sweep.controllers.manoeuvres.climbing.corner_roof import EVENTS, walk_on
+from sweep.controllers.manoeuvres.climbing.corner_roof import walk_on
 from sweep.controllers.plan import Plan, assemble
 from sweep.core.errors import InputError
 from sweep.core.rotations import matrix
@@ -23,7 +23,7 @@ def case() -> Case:
 def plan_of(case: Case) -> Plan:
     """The whole way, without the forces and the rests that they need."""
     site, start, stages = case.manoeuvre.ascend(case)
-    return assemble(start, [*stages, *walk_on(site, case, 10, 0.1, EVENTS[-1].base.ahead)], 0.5)
+    return assemble(start, [*stages, *walk_on(site, case, 10, 0.1)], 0.5)
 
 
 @pytest.mark.parametrize(("share", "seed"), [(0.0, 0), (0.02, 101), (0.02, 102), (0.04, 103)])
@@ -37,7 +37,7 @@ def test_base_and_links_stay_in_reach_clear_of_the_house_and_apart(case, share, 
     assert seen["base"].min() > 0.003
     assert seen["links"][over].min() > 0.0
     assert seen["legs"].min() > 0.02
-    assert seen["body"].min() > 0.01
+    assert seen["body"].min() > 0.005  # of thighs from near their hips on, along the base's sides
     assert seen["swing"].min() > 0.015
     assert seen["rate"].min() > -6  # rad/s: a leg whose foot passes under its hip turns over at once
     if share < 0.04:

@@ -26,7 +26,7 @@ from sweep.models.obstacles.ball import Ball
 from sweep.models.obstacles.kerb import Kerb
 from sweep.models.obstacles.ladder import Ladder
 from sweep.models.obstacles.pole_ledge import PoleLedge
-from sweep.models.obstacles.surface import free_start, no_bodies
+from sweep.models.obstacles.surface import free_start, landmarks, marked, no_bodies, placed
 from sweep.study.config import compose
 
 PERIOD, DEEPENING = 4e-3, 5e-3
@@ -227,17 +227,19 @@ def test_feet_on_the_rungs_of_a_ladder_that_leans_otherwise_tell_their_step():
     stage = plan.names.index("climb.front4.load")  # front feet on rung 3, middle ones on 2
     leans = dataclasses.replace(other, lean=ladder.lean - 0.02).start()
     stance = Stance(true.foothold[stage], true.position[stage], multiply(exponential(true.turn), true.quat)[stage])
-    now = seen(stance_to_world(stance, true.foot_frame[stage], true.base_frame[stage], leans))._replace(free=leans)
+    told = placed(ladder, marked(other, leans))  # by its lower ends, as if its rungs were where they are believed
+    now = seen(stance_to_world(stance, true.foot_frame[stage], true.base_frame[stage], leans))._replace(free=told)
     known = touch.untouched(belief.control, ladder)._replace(felt=jnp.zeros(6, bool))
     state = init(belief, plan)._replace(stage=jnp.int32(stage), feet=plan.foothold[stage], clock=plan.duration[stage])
-    state = state._replace(observer=Observer(leans, leans))
+    state = state._replace(observer=Observer(told, told))
     ground = touch.planned_on(known, plan, jnp.int32(stage))
     rest = belief.noise, belief.robot, plan, ground
     found, moves, _ = touch.felt(belief.control, *rest, state, known, now, 1.0)
     np.testing.assert_allclose(found.obstacle.rung_step, other.rung_step, atol=1e-3)
     on_rungs = np.asarray(plan.foot_frame[stage]) != WORLD
     assert on_rungs.sum() == 4
-    told = np.asarray(plan.foothold[stage] + moves - true.foothold[stage])[on_rungs]
+    off = landmarks(ladder) - landmarks(other)  # of the axes in which the two plans are given
+    told = np.asarray(plan.foothold[stage] + moves - true.foothold[stage] - off)[on_rungs]
     deeper = [[0.0, belief.manoeuvre.deepening, 0.0]] * 4  # along the rails: by what they were seen to be off
     np.testing.assert_allclose(told, deeper, atol=1e-5)
     np.testing.assert_array_equal(moves[~on_rungs], 0)

@@ -7,10 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from sweep.core.constants import GRAVITY
 from sweep.core.errors import InputError
 from sweep.formulas.raft_statics import raft_equilibrium
 from sweep.models.case import Case
-from sweep.models.obstacles.raft import CORNERS, GRAVITY, WATER_DENSITY, Raft
+from sweep.models.obstacles.raft import CORNERS, WATER_DENSITY, Raft
 from sweep.models.robot import total_mass
 
 

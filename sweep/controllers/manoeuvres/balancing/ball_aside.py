@@ -12,9 +12,10 @@ from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import KEEP, Plan, Stage, Stance, assemble
 from sweep.controllers.tracker import Guidance, TrackerState
+from sweep.core.constants import GRAVITY
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import rotate
-from sweep.formulas.ball import GRAVITY, ROLLING, lateral_mu
+from sweep.formulas.ball import ROLLING, lateral_mu
 from sweep.models.case import Case
 from sweep.models.obstacles.ball import Ball
 from sweep.models.robot import total_mass

@@ -11,8 +11,9 @@ from sweep.controllers.manoeuvres.balancing.beside_ball import Pose, centre, pit
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import Plan, Stance, swings
 from sweep.controllers.tracker import Guidance, TrackerState
+from sweep.core.constants import GRAVITY
 from sweep.core.rotations import exponential, logarithm, rotate
-from sweep.formulas.ball import GRAVITY, ROLLING, climbing_rate
+from sweep.formulas.ball import ROLLING, climbing_rate
 from sweep.models.case import Case
 from sweep.models.obstacles.ball import Ball
 from sweep.models.robot import total_mass

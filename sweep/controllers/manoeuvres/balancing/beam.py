@@ -12,10 +12,21 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.controllers.gaits import TRIPOD, Step, centre_offsets, regular_steps
-from sweep.controllers.manoeuvres.climbing.pole import point
 from sweep.controllers.manoeuvres.climbing.walking import TOWARDS
 from sweep.controllers.manoeuvres.goals import ARRIVED, UPRIGHT
-from sweep.controllers.plan import BALANCE, CYCLE_B, LEVELLING, LOCKED, SMOOTH, Gains, Plan, Stage, Stance, assemble
+from sweep.controllers.plan import (
+    BALANCE,
+    CYCLE_B,
+    LEVELLING,
+    LOCKED,
+    SMOOTH,
+    STAND,
+    Gains,
+    Plan,
+    Stage,
+    Stance,
+    assemble,
+)
 from sweep.controllers.tracker import joint_targets
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.formulas import stepping
@@ -23,10 +34,10 @@ from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.beam import Beam
+from sweep.models.obstacles.charts import point
 from sweep.models.robot import Robot
 from sweep.models.scene import mounts
 
-STAND = 0.5  # s, before the first and after the last swing
 DIAGONALS = ((1, 6), (2, 5))
 MIDDLE = (3, 4)
 OUT = np.isin(np.array(LEGS), MIDDLE)

@@ -12,17 +12,18 @@ from jaxtyping import Array
 
 from sweep.controllers.forces import PlannedForces
 from sweep.controllers.gaits import GALLOP, Step
-from sweep.controllers.manoeuvres.climbing.pole import OUTWARD, UP, pair, point
+from sweep.controllers.manoeuvres.climbing.pole import OUTWARD, UP, pair
 from sweep.controllers.manoeuvres.climbing.walking import TOWARDS
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
-from sweep.controllers.plan import CYCLE_B_SMOOTH, SMOOTH, Plan, Stage, Stance, assemble
+from sweep.controllers.moves import numbers_of
+from sweep.controllers.plan import CYCLE_B_SMOOTH, SMOOTH, STAND, Plan, Stage, Stance, assemble
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.formulas import stepping
 from sweep.models.case import Case
 from sweep.models.legs import LEGS
+from sweep.models.obstacles.charts import point
 from sweep.models.obstacles.corner import Corner
 
-STAND = 0.5  # s, before the first and after the last swing
 FRONT, MIDDLE, REAR = GALLOP
 # e of stages 2.4.3 and 2.4.5
 RISING = OUTWARD + UP
@@ -66,19 +67,16 @@ class CornerSite(NamedTuple):
 
 
 class Entry(NamedTuple):
-    """Numbers of 2.4.1 to 2.4.5; all but the first two in x*."""
+    """Numbers of 2.4.1 to 2.4.5, as the plan's file has and explains them."""
 
-    pitch: tuple[float, float] = (0.42, 0.48)  # sin theta = zeta_s/a_r of (2.4.1) after each of the first two swings
-    track: float = 1.3  # of the front feet when they first touch the wall, over x_f
-    front: float = 4.0  # they touch it so far below zeta_f + a_r
-    higher: float = 8.5  # by which they go up later
-    middle_floor: float = 1.6  # of the middle feet nearer to the corner than their hips
-    middle: float = 0.5  # of the middle feet on the wall above 0.7 a_r under the front ones
-    rear_floor: float = 4.5  # by which the rear feet come nearer to the corner
-    rear: float = 3.0  # of the rear feet on the wall under zeta_f
-
-
-ENTRY = Entry()
+    pitch: tuple[float, float]
+    track: float
+    front: float
+    higher: float
+    middle_floor: float
+    middle: float
+    rear_floor: float
+    rear: float
 
 
 @parameters
@@ -104,6 +102,11 @@ class OnCorner(PlannedForces):
     patience: float = quantity(0.5, "s", at_least=0)  # longest wait for a touchdown
 
     needs = (Corner,)
+
+    @property
+    def own_plan(self) -> str:
+        """The file that holds the plan's numbers."""
+        return "corner"
 
     def site(self, belief: Case) -> CornerSite:
         """What is believed of the robot and of the corner."""
@@ -146,15 +149,10 @@ class CornerClimb(OnCorner):
     kind: str = choice("corner_climb", "corner_climb")
     rise_ratio: float = quantity(0.14, "a_r", at_least=0, at_most=100)  # of the whole gallop
 
-    @property
-    def table(self) -> Entry:
-        """The numbers of the way on to the corner."""
-        return ENTRY
-
-    def plan(self, belief: Case, table: Entry = ENTRY) -> Plan:
+    def plan(self, belief: Case) -> Plan:
         """Stand, get on, spread the feet, gallop, halt."""
         site = self.site(belief)
-        start, stages, feet = climb(site, table)
+        start, stages, feet = climb(site, numbers_of(Entry, belief, "entry"))
         rise = self.rise_ratio * site.length
         return self.assembled(belief, start, [*stages, *gallop(site, feet, rise, self.cycles)])
 

@@ -108,7 +108,7 @@ class LadderClimb(PlannedForces):
 
     Stages and their numbers are `MOVES`. Feet hold on by planned forces. Ratios are to a_r."""
 
-    goal: ClassVar = {**UPRIGHT, "obstacle_shift_max_m": 1e-3}
+    goal: ClassVar = {**UPRIGHT, "obstacle_shift_max_m": 1e-3, "obstacle_turn_max_rad": 1e-3}
     kind: str = choice("ladder_climb", "ladder_climb")
     settle: float = quantity(1.5, "s", above=0, at_most=60)  # that the robot waits for the ladder to come to rest
     steps: int = count(2, at_least=0, at_most=100)  # swings of the approach, 2 x* each

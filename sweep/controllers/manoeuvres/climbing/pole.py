@@ -15,48 +15,31 @@ from sweep.controllers.forces import PlannedForces
 from sweep.controllers.gaits import GALLOP, Step
 from sweep.controllers.manoeuvres.climbing.walking import walk_up
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
-from sweep.controllers.plan import CYCLE_A, CYCLE_B, Plan, Stage, Stance, assemble
+from sweep.controllers.moves import curves, numbers_of
+from sweep.controllers.plan import CYCLE_A, CYCLE_B, STAND, Plan, Stage, Stance, assemble
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.formulas import stepping
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
+from sweep.models.obstacles.charts import point
 from sweep.models.obstacles.pole_ledge import PoleLedge
 
-STAND = 0.5  # s, before the first and after the last swing
 FRONT, MIDDLE, REAR = GALLOP
 OUTWARD = SIDE[:, None] * np.array([1.0, 0.0, 0.0])  # (6, 3), e_n of (2.3.2)
 UP = np.array([0.0, 0.0, 1.0])
 
 
 class Entry(NamedTuple):
-    """Numbers of 2.3.1 and 2.3.2, from the floor on to the pole.
+    """Numbers of 2.3.1 and 2.3.2, from the floor on to the pole, as the plan's file has and explains them."""
 
-    Searched for together (`tools/search_plan.py`) so that no shin lies in the pole, thick as it is, while feet are
-    pressed into it by 5 mm. What helps the front shins is pitch: it turns the planes of the legs, and with them the
-    knees, away from the pole. How far the base can pitch up before the middle feet leave the floor is what their legs
-    can reach: so it does that lower and a little farther away, and they stand nearer.
-    """
-
-    # Pitch (deg) after each of the first four swings on to the pole, 90 after the fifth. The printed
-    # sin(theta) = v_f t / a_r, 12 to 53 degrees, ends with an infinite rate, and has the middle hips too low for their
-    # feet at the end of their swing.
-    pitch: tuple[float, float, float, float] = (39.5, 41.5, 69.8, 76.0)
-    # By how much its front edge is farther from the pole than d_c and its rear edge lower than d until all feet are on
-    # the pole, a_r. Printed as 0.
-    away: float = 0.049
-    lower: float = 0.07
-    # Where front and middle feet stand on the floor, x* behind the front edge and before the middle hips; printed as 1.
-    floor: tuple[float, float] = (0.34, 1.88)
-    nearer: float = 2.8  # x*, by which the rear feet come nearer to the pole on the floor; printed as 2
-    # How far in front of the pole's axis middle and rear feet first touch it, in r, and how much more for every a_r by
-    # which r passes 0.4 a_r; printed as 0. For the front feet both are parameters.
-    middle: tuple[float, float] = (0.34, 1.0)
-    rear: tuple[float, float] = (0.232, 2.0)
-    # How far below where the gallop starts front, middle and rear feet first touch the pole, in x*; printed as 4.
-    below: tuple[float, float, float] = (-1.12, 2.91, 3.2)
-
-
-ENTRY = Entry()
+    pitch: tuple[float, float, float, float]
+    away: float
+    lower: float
+    floor: tuple[float, float]
+    nearer: float
+    middle: tuple[float, float]
+    rear: tuple[float, float]
+    below: tuple[float, float, float]
 
 
 class PoleSite(NamedTuple):
@@ -71,7 +54,7 @@ class PoleSite(NamedTuple):
     standoff: Array | float  # d_c, of the vertical base from the pole's axis
     front_ahead: tuple[Array | float, Array | float]  # arguments of `ahead` for the front feet
     step: Step
-    entry: Entry = ENTRY
+    entry: Entry
 
     @property
     def crossing(self) -> Float[Array, " 3"]:
@@ -139,6 +122,11 @@ class OnPole(PlannedForces):
 
     needs = (PoleLedge,)
 
+    @property
+    def own_plan(self) -> str:
+        """The file that holds the plan's numbers."""
+        return "pole"
+
     def site(self, belief: Case) -> PoleSite:
         """What is believed of the robot and of the pole."""
         length, pole = belief.robot.body_length, belief.on(PoleLedge)
@@ -154,6 +142,7 @@ class OnPole(PlannedForces):
             pole.radius + self.gap_ratio * length,
             (self.front_ahead, self.front_ahead_slope),
             step,
+            numbers_of(Entry, belief, "entry"),
         )
 
     def climb(
@@ -181,14 +170,9 @@ class PoleClimb(OnPole):
     goal: ClassVar = ON_ITS_FEET
     kind: str = choice("pole_climb", "pole_climb")
 
-    @property
-    def table(self) -> Entry:
-        """The numbers of the way on to the pole."""
-        return ENTRY
-
-    def plan(self, belief: Case, table: Entry = ENTRY) -> Plan:
+    def plan(self, belief: Case) -> Plan:
         """Climb, halt."""
-        site = self.site(belief)._replace(entry=table)
+        site = self.site(belief)
         start, stages = self.climb(site, belief, site.step.landing)
         return self.assembled(belief, start, stages)
 
@@ -279,22 +263,6 @@ def gallop(site: PoleSite, cycles: int, rise: Array | float) -> list[Stage]:
     return stages
 
 
-def curves(
-    start: dict[int, Array], end: dict[int, Array], leave: Array | np.ndarray, land: Array | np.ndarray
-) -> dict[int, Float[Array, "2 3"]]:
-    """Guides of swings by leg: `leave` from where they start, `land` from where they end (m; out to the side, y, z)."""
-    guides = {}
-    for leg, goal in end.items():
-        out = np.array([float(SIDE[leg - 1]), 1.0, 1.0])
-        guides[leg] = jnp.stack([start[leg] + out * leave, goal + out * land])
-    return guides
-
-
 def pair(legs: Sequence[int], x: Array | float, y: Array | float, z: Array | float) -> dict[int, Array]:
     """Points (m) of legs by number, each on its own side of the plane x = 0."""
     return {leg: point(float(SIDE[leg - 1]) * x, y, z) for leg in legs}
-
-
-def point(x: Array | float, y: Array | float, z: Array | float) -> Float[Array, " 3"]:
-    """A vector of numbers that may be traced."""
-    return jnp.stack([jnp.asarray(value, float) for value in (x, y, z)])

@@ -1,8 +1,7 @@
 """From a ledge over a pole's top down to the floor: the way up, backwards in time (monograph, end of 2.3)."""
 
-from sweep.controllers.manoeuvres.climbing.pole import STAND
 from sweep.controllers.manoeuvres.climbing.pole_ledge import PoleToLedge
-from sweep.controllers.plan import Plan, Stage, assemble
+from sweep.controllers.plan import STAND, Plan, Stage, assemble
 from sweep.controllers.symmetry import reversed_in_time
 from sweep.core.parameters import choice, parameters
 from sweep.models.case import Case
@@ -21,6 +20,6 @@ class PoleDescent(PoleToLedge):
 
     def plan(self, belief: Case) -> Plan:
         """From the ledge to the floor."""
-        start, stages = self.way(belief, self.table)
+        start, stages = self.way(belief)
         down = reversed_in_time(assemble(start, [*stages, Stage("halt", STAND)], self.patience))
         return self.with_feedforward(belief, down) if self.forces == "planned" else down

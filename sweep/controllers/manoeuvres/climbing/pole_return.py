@@ -2,7 +2,7 @@
 
 from typing import ClassVar
 
-from sweep.controllers.manoeuvres.climbing.pole import ENTRY, Entry, PoleClimb
+from sweep.controllers.manoeuvres.climbing.pole import PoleClimb
 from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.plan import Plan
 from sweep.controllers.symmetry import joined, reversed_in_time
@@ -19,7 +19,7 @@ class PoleReturn(PoleClimb):
     goal: ClassVar = UPRIGHT
     kind: str = choice("pole_return", "pole_return")
 
-    def plan(self, belief: Case, table: Entry = ENTRY) -> Plan:
+    def plan(self, belief: Case) -> Plan:
         """Up and down."""
-        up = super().plan(belief, table)
+        up = super().plan(belief)
         return joined(up, reversed_in_time(up))

@@ -11,13 +11,14 @@ import numpy as np
 from jaxtyping import Array
 
 from sweep.controllers.gaits import GALLOP
-from sweep.controllers.manoeuvres.climbing.pole import STAND, OnPole, PoleSite, point
+from sweep.controllers.manoeuvres.climbing.pole import OnPole, PoleSite
 from sweep.controllers.manoeuvres.goals import UPRIGHT
-from sweep.controllers.plan import CYCLE_B, Plan, Stage, Stance, assemble, moved
+from sweep.controllers.plan import CYCLE_B, STAND, Plan, Stage, Stance, assemble, moved
 from sweep.controllers.symmetry import joined, last_stance, mirrored, reversed_in_time
 from sweep.core.parameters import choice, count, parameters
 from sweep.core.rotations import exponential, rotate
 from sweep.models.case import Case
+from sweep.models.obstacles.charts import point
 from sweep.models.obstacles.pole_ledge import PoleLedge
 
 STEP = np.pi / 8  # sigma: how far round the pole the base goes in 3 t*; printed as pi/6 in 2 t*

@@ -7,7 +7,7 @@ from jaxtyping import Array
 
 from sweep.controllers.gaits import GAITS, Step, centre_offsets, regular_steps
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
-from sweep.controllers.plan import Plan, Stage, Stance, assemble, moved
+from sweep.controllers.plan import STAND, Plan, Stage, Stance, assemble, moved
 from sweep.controllers.posture import foot_centres
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import IDENTITY, exponential
@@ -15,8 +15,6 @@ from sweep.formulas import stepping
 from sweep.models.case import Case
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.plane import Plane
-
-STAND = 0.5  # s, before the first and after the last step
 
 
 @parameters

@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
-from sweep.controllers.manoeuvres.walking.walk import STAND, on_ground, standing
-from sweep.controllers.plan import ELLIPTIC, HALF_ELLIPSE, Plan, Stage, assemble
+from sweep.controllers.manoeuvres.walking.walk import on_ground, standing
+from sweep.controllers.plan import ELLIPTIC, HALF_ELLIPSE, STAND, Plan, Stage, assemble
 from sweep.controllers.posture import outward
 from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, parameters, quantity

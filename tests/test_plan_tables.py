@@ -1,0 +1,100 @@
+"""Plans as files: what they say, how their numbers vary, and what is told of mistakes in them."""
+
+import jax
+import numpy as np
+import pytest
+
+from sweep.cli.main import main
+from sweep.core.errors import InputError
+from sweep.models.obstacles.charts import charts
+from sweep.models.plan_table import differences, numbers, shipped, tabled
+from sweep.study.config import compose
+from sweep.study.study import nominal, parameter, points, world_and_belief
+
+ROOF = ["scenario=corner_roof"]
+AHEAD = "plan.roof.front.on.front.ahead"
+OWN = "extends: corner_roof\nroof: {pitch: {base: [-0.2, 0.1, 45]}}\n"
+
+
+@pytest.fixture
+def lab(tmp_path, monkeypatch):
+    """A project with a plan of its own."""
+    (tmp_path / "sweep.yaml").write_text("")
+    (tmp_path / "plans").mkdir()
+    (tmp_path / "plans" / "mine.yaml").write_text(OWN)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path / "plans" / "mine.yaml"
+
+
+def test_a_number_that_varies_moves_its_foothold_and_is_traced():
+    exp = compose(ROOF)
+    unit = (exp.case.robot.thigh + exp.case.robot.shin) * 1.05 / 0.855
+    start, by = nominal(AHEAD, exp.case, exp.settings), 0.03
+
+    @jax.jit
+    def foothold(belief):
+        _, _, stages = belief.manoeuvre.ascend(belief)
+        return next(s.swing[5] for s in stages if s.name == "roof.front.on")
+
+    moved = [foothold(world_and_belief(exp.case, {f"belief.{AHEAD}": value})[1]) for value in (start, start + by)]
+    assert foothold._cache_size() == 1
+    np.testing.assert_allclose(moved[1] - moved[0], [0, -by * unit, 0], atol=1e-6)
+
+
+def test_a_plan_of_a_project_changes_what_it_says_and_keeps_the_rest(lab):
+    own, mine = (compose([*ROOF, *more]).case for more in ([], ["plan=mine"]))
+    was, now = (numbers(tabled(case), charts(case.obstacle)) for case in (own, mine))
+    changed = {path for path in was if was[path] != now[path]}
+    assert changed == {f"roof.pitch.base.{name}" for name in ("ahead", "above", "pitch")}
+    assert now["roof.pitch.base.pitch"] == 45
+
+
+def test_rows_have_the_ids_of_their_numbers_whatever_file_they_are_in(lab):
+    def ids(*more):
+        exp = compose([*ROOF, *more])
+        return points(exp.study, exp.case, exp.settings)["point_id"].tolist()
+
+    axis = "+study.axes.a={path: plan.roof.pitch.base.pitch, values: [48.8, 45]}"
+    assert ids() == ids("plan=corner_roof") == ids(axis)[:1]
+    assert len({*ids(), *ids(axis), *ids("plan=mine")}) == 3
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        (OWN.replace("base", "bsae"), "plan.roof.pitch.bsae is unknown: did you mean base?"),
+        (OWN.replace("45]", "45, 1]"), "plan.roof.pitch.base = .* is not allowed: \\[ahead, above, pitch\\]"),
+        (OWN.replace("-0.2", "near"), "plan.roof.pitch.base = near is not allowed: a number"),
+        (OWN.replace("base: [-0.2, 0.1, 45]", "front: {rof: [0, 0]}"), "chart rof is unknown on corner: did you mean"),
+        ("roof: {}", "plan.entry.pitch is missing"),
+    ],
+)
+def test_mistakes_in_a_file_are_told_in_one_line(lab, text, told):
+    lab.write_text(text)
+    case = compose([*ROOF, "plan=mine"]).case
+    with pytest.raises(InputError, match=told):
+        case.manoeuvre.plan(case)
+
+
+def test_what_has_no_file_or_no_such_number_is_refused(capsys):
+    exp = compose(ROOF)
+    with pytest.raises(InputError, match=r"did you mean roof\.pitch\.base\.ahead"):
+        parameter("plan.roof.pitch.base.ahed", exp.case, exp.settings)
+    with pytest.raises(InputError, match="made of what is believed"):
+        parameter(f"world.{AHEAD}", exp.case, exp.settings)
+    assert main(["run", "scenario=walk_tripod", "plan=pole", "--dry-run"]) == 2
+    assert "manoeuvre.kind = walk has its numbers in no file" in capsys.readouterr().err
+
+
+def test_described_plans_say_where_their_numbers_come_from(capsys):
+    assert main(["describe", "plan.corner_roof"]) == 0
+    said = capsys.readouterr().out
+    assert "searched for together" in said
+    assert f"{AHEAD} " in said
+
+
+def test_differences_of_plans_are_a_file_that_extends_one():
+    own = shipped("pole_top")
+    other = {**own, "over": {**own["over"], "base": "brink"}, "new": {"move": {"lift": 1}}}
+    assert differences(own, other) == {"over": {"base": "brink"}, "new": {"move": {"lift": 1}}}
+    assert differences(own, own) == {}
