@@ -15,6 +15,7 @@ from sweep.core.errors import InputError
 from sweep.core.expressions import mask
 from sweep.report import draws, maps, overlay, page
 from sweep.report.labels import unit_of
+from sweep.report.layout import lettering
 from sweep.runs import results, store
 from sweep.study.config import Experiment, compose, experiment
 
@@ -72,7 +73,8 @@ class Accessor:
     def map(self, x: str = "", y: str = "") -> Figure:
         """The map of success over two parameters, the first two that vary unless named. Raises `InputError`."""
         found = self._results()
-        figure = maps.success_map(found.rows, found.stored, tuple(name for name in (x, y) if name))
+        with lettering():
+            figure = maps.success_map(found.rows, found.stored, tuple(name for name in (x, y) if name))
         plt.close(figure)  # else a notebook shows it once more at the end of the cell
         return figure
 
@@ -81,7 +83,8 @@ class Accessor:
         found = self._results()
         if not draws.columns_of(found):
             raise InputError(f"{self._folder} has no axis with a distribution of numbers: draw a map")
-        return draws.draw(found)
+        with lettering():
+            return draws.draw(found)
 
     def histories(self) -> pd.DataFrame:
         """What `study.keep` kept of these rows: `point_id`, `outcome`, `time_s`, its columns. Raises `InputError`."""

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from sweep.cli.exits import BAD_INPUT, DONE
 from sweep.core.files import write_whole
 from sweep.core.parameters import InputError
 from sweep.formulas import FORMULAS, Formula, Input, NoSolution, covering, find
@@ -26,8 +27,8 @@ def main(argv: list[str]) -> int:
             print(line)
     except InputError as error:
         print(f"sweep: {error}", file=sys.stderr)
-        return 2
-    return 0
+        return BAD_INPUT
+    return DONE
 
 
 def _parser() -> argparse.ArgumentParser:

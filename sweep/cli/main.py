@@ -11,18 +11,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sweep.cli import project
+from sweep.cli.choices import refuse_unknown
+from sweep.cli.exits import BAD_INPUT, DONE, FAULT, INTERRUPTED, UNEXPECTED
 from sweep.core.errors import Fault, InputError
 from sweep.core.files import write_whole
-from sweep.core.project import GROUPS
+from sweep.core.groups import GROUPS
 from sweep.core.start import VERSION
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from sweep.runs.results import Results
+    from sweep.study.config import Experiment
 
-DONE, BAD_INPUT, UNEXPECTED, FAULT, INTERRUPTED = 0, 2, 4, 5, 130
-BENCH = ("arrowhead", "mjx", "bare", "native")  # rows of `sweep bench`
+BENCH = ("arrowhead", "mjx", "native")  # rows of `sweep bench`
 RUN_HELP = f"""groups: {", ".join(GROUPS)}
   sweep list               their choices
   sweep describe robot     their parameters: unit, meaning, bounds, default
@@ -136,6 +138,7 @@ def parser() -> argparse.ArgumentParser:
         "--paper", type=Path, required=True, metavar="FOLDER", help="LaTeX tables, figures, numbers, data"
     )
     export.add_argument("--where", help="only rows that match")
+    export.add_argument("--serif", action="store_true", help="letters of figures with serifs")
     compare = command(
         "compare",
         compare_results,
@@ -153,6 +156,29 @@ def parser() -> argparse.ArgumentParser:
     compare.add_argument("--tolerance", type=float, default=0.0, help="largest share of pairs whose outcome may differ")
     compare.add_argument("--figures", type=float, metavar="SHARE", help="largest typical relative change of a figure")
     compare.add_argument("-o", "--output", type=Path, help="write the pairs that differ as CSV")
+    compare.add_argument(
+        "--anytime", action="store_true", help="which succeeds more often: evidence that holds however often one looks"
+    )
+    compare.add_argument("--level", type=float, default=0.95, help="how sure --anytime has to be (0.95)")
+    compare.add_argument(
+        "--most",
+        type=int,
+        metavar="N",
+        help="with --anytime: simulate more draws in both, up to N, until it is decided",
+    )
+    sure = of_results(
+        "certify",
+        certify_results,
+        "the largest region of drawn parameters in which failures are promised to be rare",
+        "sweep certify results/draws --failures 1e-2 --confidence 0.95 --rollouts 4096",
+    )
+    sure.add_argument("--failures", type=float, default=1e-2, help="largest probability of failing in it (0.01)")
+    sure.add_argument("--confidence", type=float, default=0.95, help="that the promise holds (0.95)")
+    sure.add_argument("--shape", choices=("box", "ellipsoid", "score"), default="box", help="of the region (box)")
+    sure.add_argument(
+        "--rollouts", type=int, metavar="N", help="simulate N fresh draws to test with; else half of the rows do"
+    )
+    sure.add_argument("-o", "--output", type=Path, help="write the certificate as JSON")
     audit = of_results(
         "audit", audit_results, "rollouts at the boundary and successes again: at half the time step, in other ways"
     )
@@ -169,7 +195,7 @@ def parser() -> argparse.ArgumentParser:
     bench = command("bench", show_speed, "how fast the walking map is simulated here, by engine and dynamics")
     bench.add_argument("--rollouts", type=int, default=0, help="of each row; 0: one batch")
     bench.add_argument("--width", type=int, default=0, help="rollouts in a batch; 0: the device's best")
-    bench.add_argument("--rows", nargs="+", choices=BENCH, default=list(BENCH), help="bare is physics alone")
+    bench.add_argument("--rows", nargs="+", choices=BENCH, default=list(BENCH), help="which of them")
     command("view", lambda _: DONE, "watch a rollout on its page; " + delegated.format("view"))
     command("replay", lambda _: DONE, "record one rollout of a study again; " + delegated.format("replay"))
     command("formula", lambda _: DONE, "evaluate a closed-form result of the sources; " + delegated.format("formula"))
@@ -178,17 +204,24 @@ def parser() -> argparse.ArgumentParser:
 
 def run(argv: list[str]) -> int:
     """`sweep run`: our own flags are taken out, the rest is Hydra's."""
-    from sweep.cli.run import Flags, launch
-
     given, overrides = run_parser().parse_known_args(argv)
     if given.limit is not None and given.limit < 1:
         raise InputError(f"--limit = {given.limit} is not allowed: at least 1")
     for group in GROUPS:
         if len(chosen := [one for one in overrides if one.startswith(f"{group}=")]) > 1:
             raise InputError(f"{group} is chosen twice: {' '.join(chosen)}")
+    refuse_unknown(overrides)
+    from sweep.cli.launch import launch  # takes a second to import
+
     if given.points:
         overrides.append(f"study.points='{given.points}'")
-    return launch(overrides, Flags(given.dry_run, given.limit, given.where))
+
+    def work(exp: "Experiment") -> int:
+        from sweep.cli.run import Flags, execute  # takes another, which what is wrong need not wait for
+
+        return execute(exp, Flags(given.dry_run, given.limit, given.where))
+
+    return launch(overrides, work)
 
 
 def run_parser() -> argparse.ArgumentParser:
@@ -385,7 +418,8 @@ def pictures(found: "Results", folder: Path, chosen: tuple[str, ...]) -> list[Pa
 
     if draws.shown(found) and not chosen:
         return draws.write(found, folder)
-    return maps.draw(found.rows, found.stored, folder, chosen) if chosen or len(found.numeric) > 1 else []
+    mapped = chosen or len(maps.independent(found.rows)) > 1
+    return maps.draw(found.rows, found.stored, folder, chosen) if mapped else []
 
 
 def export_results(given: argparse.Namespace) -> int:
@@ -393,7 +427,7 @@ def export_results(given: argparse.Namespace) -> int:
     from sweep.report import paper
     from sweep.runs import results
 
-    for path in paper.write(results.read(given.dir, given.where), given.paper):
+    for path in paper.write(results.read(given.dir, given.where), given.paper, given.serif):
         print(path)
     return DONE
 
@@ -409,6 +443,13 @@ def compare_results(given: argparse.Namespace) -> int:
         raise InputError(f"--tolerance = {given.tolerance:g} is not allowed: a share from 0 to 1")
     if given.figures is not None and not given.figures >= 0:
         raise InputError(f"--figures = {given.figures:g} is not allowed: at least 0")
+    if given.most is not None and not given.anytime:
+        raise InputError(f"--most = {given.most} is for --anytime")
+    if given.anytime:
+        from sweep.cli import anytime
+
+        print(anytime.run(given, names(given.by)))
+        return DONE
     a, differ, broken = matching(given.a, given.where_a), [], []
     for number, folder in enumerate(given.b):
         b = matching(folder, given.where_b)
@@ -423,6 +464,19 @@ def compare_results(given: argparse.Namespace) -> int:
     for line in broken:
         print(f"sweep: {line}", file=sys.stderr)
     return UNEXPECTED if broken else DONE
+
+
+def certify_results(given: argparse.Namespace) -> int:
+    """The region, what is promised of it, and a check of it; exit code 4 where none is certified."""
+    import json
+
+    from sweep.cli import certify
+
+    text, found = certify.run(given)
+    print(text)
+    if given.output:
+        write_output(given.output, f"{json.dumps(found, indent=1)}\n".encode())
+    return DONE if found["certified"] else UNEXPECTED
 
 
 def audit_results(given: argparse.Namespace) -> int:

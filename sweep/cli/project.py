@@ -7,8 +7,10 @@ from importlib.resources.abc import Traversable
 from pathlib import Path
 
 from sweep.cli.choices import choices
+from sweep.cli.exits import DONE
 from sweep.core import project
 from sweep.core.errors import InputError
+from sweep.core.groups import GROUPS
 
 HIDDEN = {"gitignore": ".gitignore"}  # files that a package cannot hold under their name
 
@@ -25,7 +27,7 @@ def init(given: argparse.Namespace) -> int:
         path.write_bytes(file.read_bytes())
         print(path)
     print(f"next: cd {folder}; sweep run study=first")
-    return 0
+    return DONE
 
 
 def template(folder: Traversable, above: tuple[str, ...] = ()) -> Iterator[tuple[Traversable, tuple[str, ...]]]:
@@ -43,17 +45,17 @@ def show(given: argparse.Namespace) -> int:
         from sweep.report import overview
 
         print(overview.text(given.dir))
-        return 0
-    for group in project.GROUPS:
+        return DONE
+    for group in GROUPS:
         print(f"{group}=")
         lines(choices(group))
     folder = project.root()
-    if found := {group: project.own(group) for group in project.GROUPS if project.own(group)}:
+    if found := {group: project.own(group) for group in GROUPS if project.own(group)}:
         print(f"\nof this project, {folder}")
         for group, own in found.items():
             print(f"{group}=")
             lines({name: project.described(file) for name, file in own.items()})
-    return 0
+    return DONE
 
 
 def lines(named: Mapping[str, str]) -> None:
@@ -67,21 +69,21 @@ def describe(given: argparse.Namespace) -> int:
     from sweep.study import reference
 
     print(reference.page() if given.name is None else reference.text(given.name))
-    return 0
+    return DONE
 
 
 def completion(given: argparse.Namespace) -> int:
     """The script for bash, or how the line so far may go on."""
     if given.line is None:
         print(SCRIPT)
-        return 0
+        return DONE
     _, *before = given.line.split()
     word = "" if given.line.endswith(" ") or not before else before.pop()
     kept = word.rpartition("=")[0] + "=" if "=" in word else ""  # bash takes the word to begin behind it
     for one in candidates(before, word, given.flags()):
         if one.startswith(word):
             print(one.removeprefix(kept))
-    return 0
+    return DONE
 
 
 def candidates(before: list[str], word: str, flags: dict[str, list[str]]) -> list[str]:
@@ -94,8 +96,8 @@ def candidates(before: list[str], word: str, flags: dict[str, list[str]]) -> lis
         return sorted(str(file.parent) for file in Path().glob("results/*/study.yaml"))
     group, sign, _ = word.partition("=")
     if not sign:
-        return [f"{one}=" for one in project.GROUPS]
-    names = {**choices(group), **project.own(group)} if group in project.GROUPS else {}
+        return [f"{one}=" for one in GROUPS]
+    names = {**choices(group), **project.own(group)} if group in GROUPS else {}
     return [f"{group}={name}" for name in names]
 
 

@@ -1,6 +1,5 @@
-"""`sweep run`: a Hydra application around the runner, with its progress and its summary."""
+"""What `sweep run` does with a checked experiment: the runner, with its progress and its summary."""
 
-import os
 import sys
 import time
 from collections.abc import Iterator
@@ -8,29 +7,24 @@ from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
-import hydra
 import pandas as pd
-from hydra.errors import HydraException
-from omegaconf import DictConfig
-from omegaconf.errors import OmegaConfBaseException
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from sweep.analysis.sample import distinct, pooled
 from sweep.analysis.stats import broken, causes, rate
-from sweep.core.errors import Fault, InputError
-from sweep.core.waiting import last_time, remember, waiting
+from sweep.cli.exits import DONE, INVALID, UNEXPECTED
+from sweep.core.errors import InputError
+from sweep.core.waiting import last_time, parts, remember, waiting
 from sweep.engines.run_id import device
 from sweep.report import tables
 from sweep.runs import histories, refine, runner, store
 from sweep.runs.batches import make_engine
 from sweep.runs.batches import nominal as nominal_batch
-from sweep.study import config, designs
+from sweep.study import designs
 from sweep.study.clusters import Watched, connected
 from sweep.study.config import Experiment
 from sweep.study.study import nominal, parameter_columns, unit
-
-DONE, BAD_INPUT, INVALID, UNEXPECTED, FAULT = 0, 2, 3, 4, 5
 
 
 @dataclass(frozen=True)
@@ -40,37 +34,6 @@ class Flags:
     dry_run: bool = False
     limit: int | None = None
     where: str | None = None
-
-
-def launch(overrides: list[str], flags: Flags) -> int:
-    """Compose the configuration from `overrides` and run it; the largest exit code of a Hydra multirun."""
-    config.register()
-    codes = [DONE]
-
-    @hydra.main(version_base=config.HYDRA_VERSION, config_path=f"pkg://{config.CONFIG_MODULE}", config_name="config")
-    def job(composed: DictConfig) -> None:
-        try:
-            codes.append(execute(config.experiment(config.resolve(composed)), flags))
-        # Hydra would add lines of its own, and give up a multirun's other jobs
-        except Fault as error:
-            print(f"sweep: {error}", file=sys.stderr)
-            codes.append(FAULT)
-        except (InputError, OmegaConfBaseException) as error:
-            line = str(error) if isinstance(error, InputError) else config.one_line(error, overrides)
-            print(f"sweep: {line}", file=sys.stderr)
-            codes.append(BAD_INPUT)
-
-    before = sys.argv
-    sys.argv = ["sweep run", *overrides]
-    os.environ["HYDRA_FULL_ERROR"] = "1"  # let errors through to here, where they become one line
-    try:
-        config.check_choices(overrides)
-        job()
-    except (HydraException, OmegaConfBaseException, OverflowError) as error:
-        raise InputError(config.one_line(error, overrides)) from None
-    finally:
-        sys.argv = before
-    return max(codes)
 
 
 def execute(exp: Experiment, flags: Flags) -> int:
@@ -129,7 +92,7 @@ def execute_single(exp: Experiment, flags: Flags) -> int:
         print(f"{exp.scenario}: 1 rollout on {exp.settings.name}")
         return DONE
     what, start = program(exp), time.perf_counter()
-    with waiting(f"compiling {what}, then simulating{last_time(what)}"):
+    with waiting(lambda: f"compiling {what}, then simulating{last_time(what)}{parts(what)}"):
         rows = runner.run_single(exp)
     remember(what, time.perf_counter() - start)
     sys.stdout.write(tables.one_rollout(exp, rows.iloc[0]))
@@ -247,7 +210,7 @@ def reporting(name: str, total: int, what: str, watched: Watched | None = None) 
 
     def note() -> str:
         if not done:
-            return f"compiling {what}{last_time(what)}"
+            return f"compiling {what}{last_time(what)}{parts(what)}"
         workers = f", {watched.workers} workers" if watched and watched.workers is not None else ""
         return f"{done / (time.perf_counter() - start):.1f} rollouts/s, {good / done:.0%} succeed{workers}"
 

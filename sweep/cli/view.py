@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pandas as pd
 
+from sweep.cli.exits import DONE
 from sweep.core import provenance
 from sweep.core.errors import InputError
 from sweep.core.files import write_whole
@@ -35,7 +36,7 @@ def main(args: list[str]) -> int:
         with waiting(f"simulating {' '.join(options.what)}"):
             trace = next(traces(options.what))
         viewer.play(trace)
-        return 0
+        return DONE
     of_folder = store.STUDY in names_in(options.what[0])
     found, shown = (stored if of_folder else fresh)(options.what, options.beside)
     path = options.output or (
@@ -46,7 +47,7 @@ def main(args: list[str]) -> int:
     print(path)
     if sys.platform != "linux" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
         webbrowser.open(path.resolve().as_uri())
-    return 0
+    return DONE
 
 
 def parser() -> argparse.ArgumentParser:

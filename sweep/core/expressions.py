@@ -3,12 +3,14 @@
 import ast
 import operator
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from sweep.core.errors import InputError, suggest
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 LONGEST = 5000  # characters of an expression
 _COMPARE: dict[type, Callable[[Any, Any], Any]] = {
@@ -38,7 +40,7 @@ _UNARY: dict[type, Callable[[Any], Any]] = {
 }
 
 
-def mask(frame: pd.DataFrame, condition: str | None) -> np.ndarray:
+def mask(frame: "pd.DataFrame", condition: str | None) -> np.ndarray:
     """Which rows of `frame` meet `condition` (all of them without one).
 
     Columns go by their full dotted name or by an unambiguous end of it. Raises `InputError`.
@@ -77,7 +79,7 @@ def evaluate(expression: str, look_up: Callable[[str], Any]) -> Any:
         raise InputError(f"{expression[:200]!r} has no value: {error}") from None
 
 
-def column(frame: pd.DataFrame, name: str) -> str:
+def column(frame: "pd.DataFrame", name: str) -> str:
     """The column that `name` means: itself, or the only one that ends in `.name`."""
     if name in frame.columns:
         return name

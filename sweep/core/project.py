@@ -15,10 +15,9 @@ from typing import Any
 import yaml
 
 from sweep.core.errors import InputError
+from sweep.core.groups import GROUPS
 
 SHIPPED, FILE, ENTRY_POINTS = "sweep.conf", "sweep.yaml", "sweep.modules"
-GROUPS = ("scenario", "study", "robot", "obstacle", "manoeuvre", "drive", "contact", "noise", "execution", "engine",
-          "outcome", "cluster")  # fmt: skip
 FOLDERS = {group: "studies" if group == "study" else f"{group}s" for group in GROUPS}  # of a project
 KEYS = ("modules",)
 
@@ -83,7 +82,13 @@ def modules() -> tuple[ModuleType, ...]:
     A module's `OBSTACLES` and `MANOEUVRES` name its classes by their `kind`. An installed package announces one as an
     entry point of the group `sweep.modules`. Raises `InputError` where one cannot be imported.
     """
-    return _imported(root(), tuple(settings().get("modules", ())))
+    return _imported(root(), modules_named())
+
+
+def modules_named() -> tuple[str, ...]:
+    """Their names; nothing is imported. Raises `InputError`."""
+    announced = (entry.value for entry in metadata.entry_points(group=ENTRY_POINTS))
+    return (*settings().get("modules", ()), *announced)
 
 
 @functools.cache
@@ -91,7 +96,7 @@ def _imported(folder: Path | None, names: tuple[str, ...]) -> tuple[ModuleType, 
     if folder and str(folder) not in sys.path:
         sys.path.insert(0, str(folder))
     found = []
-    for name in (*names, *(entry.value for entry in metadata.entry_points(group=ENTRY_POINTS))):
+    for name in names:
         try:
             found.append(importlib.import_module(name))
         except Exception as error:

@@ -3,11 +3,14 @@
 import ast
 import functools
 import hashlib
+import json
 import platform
 import subprocess
 from importlib import metadata
 from pathlib import Path
 from typing import Any
+
+import yaml
 
 from sweep.core import project
 from sweep.core.start import STARTED
@@ -46,7 +49,8 @@ def program_version() -> str:
 
 def edited() -> bool:
     """Whether a source of programs was written after this process began: what runs may be older."""
-    return any(file.stat().st_ctime > STARTED for file in (*sources(PROGRAMS), *project.module_sources()))
+    plans = (Path(str(file)) for file in project.shipped("plan").values())
+    return any(file.stat().st_ctime > STARTED for file in (*sources(PROGRAMS), *plans, *project.module_sources()))
 
 
 def _version(modules: tuple[str, ...]) -> str:
@@ -54,6 +58,8 @@ def _version(modules: tuple[str, ...]) -> str:
     content = hashlib.blake2b(digest_size=6)
     for file in sources(modules):
         content.update(f"{file.relative_to(ROOT)}\n{_read(file)[1]}\n".encode())
+    for name, file in project.shipped("plan").items():
+        content.update(f"{name}\n{json.dumps(yaml.safe_load(file.read_text(encoding='utf-8')))}\n".encode())
     for file in project.module_sources():
         content.update(_read(file)[1].encode())
     content.update(repr(versions()).encode())

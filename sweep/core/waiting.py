@@ -11,6 +11,8 @@ from pathlib import Path
 
 FIRST, NEXT = 15.0, 60.0  # s, of silence, before the first line in a pipe and between the others
 WORTH = 2.0  # s, that a wait lasts to be remembered
+_begun: dict[str, float] = {}  # parts of what is waited for that are under way, and since when
+_took: dict[str, float] = {}  # s, of those that are done
 
 
 @contextmanager
@@ -37,6 +39,23 @@ def waiting(what: Callable[[], str] | str) -> Iterator[None]:
             print("\r\x1b[K", end="", file=sys.stderr, flush=True)
 
 
+@contextmanager
+def part(name: str) -> Iterator[None]:
+    """Inside, a part of what is waited for is under way, maybe beside others; see `parts`."""
+    start = _begun[name] = time.perf_counter()
+    try:
+        yield
+        _took[name] = time.perf_counter() - start
+    finally:
+        _begun.pop(name, None)
+
+
+def parts(what: str) -> str:
+    """Which parts of `what` are under way, and how long each took when it was last done here, in words."""
+    told = " and ".join(name + last_time(f"{what}: {name}") for name in tuple(_begun))
+    return f": {told}" if told else ""
+
+
 def last_time(what: str) -> str:
     """How long `what` took when it was last waited for, in words; empty where that is not known."""
     seconds = _waits().get(what)
@@ -44,12 +63,13 @@ def last_time(what: str) -> str:
 
 
 def remember(what: str, seconds: float) -> None:
-    """Keep how long `what` took, beside the compiled programs."""
-    if seconds > WORTH:
+    """Keep how long `what` and its parts took, beside the compiled programs."""
+    took = {what: seconds, **{f"{what}: {name}": _took.pop(name) for name in tuple(_took)}}
+    if long := {name: round(one, 1) for name, one in took.items() if one > WORTH}:
         with suppress(OSError):  # such as a home that cannot be written
             file = _file()
             file.parent.mkdir(parents=True, exist_ok=True)
-            file.write_text(json.dumps({**_waits(), what: round(seconds, 1)}))
+            file.write_text(json.dumps({**_waits(), **long}))
 
 
 def _waits() -> dict[str, float]:

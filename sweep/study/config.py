@@ -5,11 +5,12 @@ The parameter dataclasses are the schemas: Hydra checks names and types while it
 
 import dataclasses
 import functools
+import json
 import re
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib.resources import files
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -24,70 +25,24 @@ from omegaconf.errors import ConfigKeyError, OmegaConfBaseException, ValidationE
 
 from sweep.controllers.manoeuvres import MANOEUVRES
 from sweep.core import project
+from sweep.core.groups import GROUPS
 from sweep.core.parameters import InputError, build, checked, suggest
 from sweep.engines.settings import EngineSettings
 from sweep.metrics.outcome import Thresholds, thresholds
 from sweep.models.case import Case
-from sweep.models.contact import Contact
-from sweep.models.control import Control
-from sweep.models.disturbance import Execution
-from sweep.models.drive import Drive
-from sweep.models.noise import Noise
 from sweep.models.obstacles import OBSTACLES
 from sweep.models.obstacles.surface import Obstacle
-from sweep.models.robot import Robot
+from sweep.models.plan_table import PlanTable, Tabled
 from sweep.study import sources
-from sweep.study.clusters import CLUSTERS, Cluster
+from sweep.study.clusters import Cluster
 from sweep.study.designs import known, with_side
-from sweep.study.study import Study, StudySchema, check_keep, nominal, parameter
+from sweep.study.study import ScenarioSchema, Study, StudySchema, check_keep, check_sizes, nominal, parameter
 
 CONFIG_MODULE, CONFIG_NAME, HYDRA_VERSION = "sweep.conf", "config", "1.3"
-GROUPS: dict[str, type] = {
-    "robot": Robot,
-    "drive": Drive,
-    "contact": Contact,
-    "noise": Noise,
-    "execution": Execution,
-    "control": Control,
-    "engine": EngineSettings,
-    "outcome": Thresholds,
-}
-KINDS: dict[str, dict[str, type]] = {
-    "obstacle": OBSTACLES,
-    "manoeuvre": MANOEUVRES,
-    "cluster": CLUSTERS,
-}  # the class is named by `kind`
-
-
-@dataclass
-class ScenarioSchema:
-    """What is simulated nominally; `expect` must hold when it runs without a study."""
-
-    name: str = "nominal"
-    expect: list[Any] = field(default_factory=list)
-
-
-@dataclass
-class ExperimentSchema:
-    """The whole configuration; the other groups are merged in by their own schemas."""
-
-    scenario: ScenarioSchema = field(default_factory=ScenarioSchema)
-    robot: Any = None
-    drive: Any = None
-    contact: Any = None
-    obstacle: Any = None
-    manoeuvre: Any = None
-    noise: Any = None
-    execution: Any = None
-    control: Any = None
-    engine: Any = None
-    outcome: Any = None
-    cluster: Any = None
-    study: StudySchema = field(default_factory=StudySchema)
-    out: str | None = None
-
-
-SCHEMA = tuple(f.name for f in dataclasses.fields(ExperimentSchema))
+WHOLE: dict[str, type] = {name: group.load() for name, group in GROUPS.items() if group.whole}
+KINDS: dict[str, dict[str, type]] = {name: group.load() for name, group in GROUPS.items() if group.kinds}
+CLASSES: dict[str, type] = {name: group.load() for name, group in GROUPS.items() if group.one_class}
+SCHEMA = (*GROUPS, "out")
 
 
 @dataclass(frozen=True)
@@ -111,25 +66,22 @@ class Experiment:
 
 def register() -> None:
     """Tell Hydra the schemas, those of users' modules too, and where files are. Raises `InputError`."""
-    _register(project.modules())
+    add_modules(project.modules())
+    _register()
+    for group, kinds in KINDS.items():
+        sources.SCHEMAS[group] = {kind: partial(_schema, cls) for kind, cls in kinds.items()}
 
 
 @functools.cache
-def _register(modules: tuple[ModuleType, ...]) -> None:
-    """A kind without a file of its name is a choice as it is."""
+def _register() -> None:
     sources.register()
-    add_modules(modules)
-    store = ConfigStore.instance()
-    whole = _schema(ExperimentSchema)
+    for group, cls in CLASSES.items():
+        sources.SCHEMAS[group] = {group: partial(_schema, cls)}
+    # the whole configuration; what stands open in it is merged in by schemas of its own
+    parts = [(n, WHOLE.get(n, Any), field(default_factory=WHOLE[n]) if n in WHOLE else None) for n in GROUPS]
+    whole = _schema(dataclasses.make_dataclass("ExperimentSchema", [*parts, ("out", str | None, None)]))
     OmegaConf.set_struct(whole.study.axes, False)  # axes are named freely
-    store.store(name="experiment_schema", node=whole)
-    for group, cls in GROUPS.items():
-        store.store(group=group, name=f"{group}_schema", node=_schema(cls))
-    for group, kinds in KINDS.items():
-        for kind, cls in kinds.items():
-            store.store(group=group, name=f"{kind}_schema", node=_schema(cls))
-            if not (files(CONFIG_MODULE) / group / f"{kind}.yaml").is_file():
-                store.store(group=group, name=kind, node=_schema(cls))
+    ConfigStore.instance().store(name="experiment_schema", node=whole)
 
 
 def add_modules(modules: tuple[ModuleType, ...]) -> None:
@@ -172,8 +124,7 @@ def composed(overrides: list[str]) -> dict[str, Any]:
 
 def check_choices(overrides: list[str]) -> None:
     """Raises `InputError` where a group's choice is no name, which Hydra has no words for."""
-    groups = {*GROUPS, *KINDS, "scenario", "study"}
-    chosen = [text for text in overrides if text.partition("=")[0].lstrip("+") in groups]
+    chosen = [text for text in overrides if text.partition("=")[0].lstrip("+") in GROUPS]
     for one in OverridesParser.create().parse_overrides(chosen):
         if one.is_sweep_override() or isinstance(one.value(), dict):
             continue
@@ -210,11 +161,11 @@ def experiment(values: Mapping[str, Any]) -> Experiment:
     for key in values:
         if key not in SCHEMA:
             raise InputError(f"{key} is unknown{suggest(str(key), SCHEMA)}")
-    values = {"control": {}, **values}  # which rows of before it was there have at its defaults
-    for group in (*GROUPS, *KINDS, "scenario", "study"):
+    values = {"control": {}, "plan": None, **values}  # which rows of before they were there have at their defaults
+    for group in (name for name in GROUPS if not GROUPS[name].free):
         if not isinstance(values.get(group), Mapping):
             raise InputError(f"{group} = {values.get(group)} is not allowed: `sweep list` shows the choices")
-    parts = {group: build(cls, values[group], group) for group, cls in GROUPS.items()}
+    parts = {group: build(cls, values[group], group) for group, cls in CLASSES.items()}
     settings, given = parts.pop("engine"), dataclasses.asdict(parts.pop("outcome"))
     for group, kinds in KINDS.items():
         kind = values[group].get("kind")
@@ -222,11 +173,12 @@ def experiment(values: Mapping[str, Any]) -> Experiment:
             raise InputError(f"{group}.kind = {kind!r} is unknown{suggest(str(kind), kinds)}")
         parts[group] = build(kinds[kind], values[group], group)
     cluster = parts.pop("cluster")
-    case = Case(**parts)
+    case = Case(**parts, plan=_table(values["plan"], parts["manoeuvre"]))
     if _asked_for(case.obstacle) not in case.manoeuvre.needs:
         needed = " or ".join(kind for kind, cls in OBSTACLES.items() if cls in case.manoeuvre.needs)
         kinds = f"obstacle.kind = {case.obstacle.kind} is not allowed: manoeuvre.kind = {case.manoeuvre.kind}"
         raise InputError(f"{kinds} needs {needed}")
+    check_sizes(case)
     limits = thresholds(given, case)
     scenario = known("scenario", values["scenario"], _names(ScenarioSchema))
     asked = known("study", values["study"], _names(StudySchema))
@@ -240,6 +192,17 @@ def experiment(values: Mapping[str, Any]) -> Experiment:
         parameter(theory.of, case, settings)
         theory.numbers(lambda path: nominal(path, case, settings))
     return Experiment(scenario["name"], case, settings, limits, cluster, study, values["out"], dict(values))
+
+
+def _table(given: Any, manoeuvre: Any) -> PlanTable:
+    """The numbers of a plan, if they are not the manoeuvre's own."""
+    if not given:
+        return PlanTable()
+    if not isinstance(given, Mapping):
+        raise InputError(f"plan = {given} is not allowed: `sweep list` shows the choices")
+    if not isinstance(manoeuvre, Tabled):
+        raise InputError(f"plan is not allowed: manoeuvre.kind = {manoeuvre.kind} has its numbers in no file")
+    return PlanTable(json.dumps(given))
 
 
 def _asked_for(obstacle: Obstacle) -> type | None:

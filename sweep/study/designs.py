@@ -13,14 +13,16 @@ import math
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from sweep.core.errors import InputError, suggest
 from sweep.study.distributions import Distribution, known, listed, number
 from sweep.study.distributions import parse as parse_distribution
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 SIDES = ("world", "belief")
 DESIGNS = ("monte_carlo", "latin_hypercube", "sobol", "saltelli", "morris")
@@ -224,13 +226,15 @@ def _values(key: str, given: Mapping[str, Any]) -> tuple[Any, ...] | None:
 
 
 def table(
-    axes: tuple[Axis, ...], design: Design, seed: int, nominal: Callable[[str], Any], grid: pd.DataFrame | None = None
-) -> pd.DataFrame:
+    axes: tuple[Axis, ...], design: Design, seed: int, nominal: Callable[[str], Any], grid: "pd.DataFrame | None" = None
+) -> "pd.DataFrame":
     """One row per draw of each grid point: the axes' columns, and `draw`. `nominal` gives a parameter by its path.
 
     The draws are the same at every grid point, so that a difference between grid points is theirs. `grid` has the
     numbers of listed axes by name, those of the design unless given. Raises `InputError`.
     """
+    import pandas as pd
+
     listed, drawn = [a for a in axes if a.values is not None], [a for a in axes if a.distribution]
     if grid is None:
         grid = _one_at_a_time(listed, nominal) if listed and design.grid == "one_at_a_time" else _grid(listed)
@@ -252,8 +256,10 @@ def size(axes: tuple[Axis, ...], design: Design) -> int:
     return (sum(lengths) if design.grid == "one_at_a_time" else math.prod(lengths)) * max(draws, 1)
 
 
-def _grid(axes: list[Axis]) -> pd.DataFrame:
+def _grid(axes: list[Axis]) -> "pd.DataFrame":
     """Every combination of the leading axes' values, by axis name, the last axis fastest."""
+    import pandas as pd
+
     leaders = [a for a in axes if a.along is None]
     lengths = [len(a.values or ()) for a in leaders]
     places = np.unravel_index(np.arange(math.prod(lengths)), lengths) if lengths else ()
@@ -262,8 +268,10 @@ def _grid(axes: list[Axis]) -> pd.DataFrame:
     return pd.DataFrame(columns, index=range(math.prod(lengths)))
 
 
-def _one_at_a_time(axes: list[Axis], nominal: Callable[[str], Any]) -> pd.DataFrame:
+def _one_at_a_time(axes: list[Axis], nominal: Callable[[str], Any]) -> "pd.DataFrame":
     """The values of one leading axis after the other, the rest at their nominal numbers."""
+    import pandas as pd
+
     centre = {a.name: a.nominal_number(nominal) for a in axes}
     arms = [_grid([a for a in axes if leader.name in (a.name, a.along)]) for leader in axes if leader.along is None]
     star = pd.concat([arm.assign(**{k: v for k, v in centre.items() if k not in arm}) for arm in arms])[[*centre]]
@@ -321,7 +329,7 @@ def _number_of(word: str) -> int:
     return int.from_bytes(hashlib.blake2b(word.encode(), digest_size=8).digest())
 
 
-def _columns(axes: tuple[Axis, ...], numbers: pd.DataFrame, nominal: Callable[[str], Any]) -> dict[str, Any]:
+def _columns(axes: tuple[Axis, ...], numbers: "pd.DataFrame", nominal: Callable[[str], Any]) -> dict[str, Any]:
     """The axes' columns of the points table, from their numbers (listed or drawn) by name."""
     by_target = {a.target: a for a in axes if a.target}
 

@@ -2,16 +2,21 @@
 
 import dataclasses
 import hashlib
+import json
 from collections.abc import Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from sweep.models.case import Case
 from sweep.models.control import Control
 from sweep.models.noise import Noise
+from sweep.models.obstacles.charts import charts
+from sweep.models.plan_table import Content, PlanTable, mapped, numbers, own, tabled
 from sweep.study.designs import SIDES
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 DIGITS = 12  # of a number that count
 LATER = ("noise.load_noise", "noise.load_bias", "noise.load_delay")  # inputs that rows of before had at their defaults
@@ -22,15 +27,17 @@ def streams(seed: int, replicates: int) -> np.ndarray:
     return (np.random.SeedSequence(seed).generate_state(replicates, np.uint64) >> np.uint64(1)).astype(np.int64)
 
 
-def point_ids(table: pd.DataFrame, case: Case) -> np.ndarray:
+def point_ids(table: "pd.DataFrame", case: Case) -> np.ndarray:
     """Hash (16 hexadecimal digits) of all physical inputs of every row and its replicate.
 
     The sum over all inputs of a hash of name and value, so that it is the same whether an input is varied or
-    nominal. How a row is simulated plays no part. Of `control` and of errors of the feet's load only what is not as by
-    default counts: where they are off, the ids are those of before there were any.
+    nominal. How a row is simulated plays no part. Of `control`, of errors of the feet's load and of the plan's numbers
+    only what is not as by default counts: else the ids are those of before there were any.
     """
     groups = {f.name for f in dataclasses.fields(case)}
-    nominal = {f"{side}.{path}": value for side in SIDES for path, value in _flat(case, "")}
+    nominal = {
+        f"{side}.{path}": value for side in SIDES for path, value in (*_flat(case, ""), *_said(case, tabled(case)))
+    }
     varied: dict[str, str] = {}
     for column in sorted(table.columns, key=lambda c: c.startswith(tuple(f"{s}." for s in SIDES))):  # a side's own win
         side = column.partition(".")[0]
@@ -41,7 +48,7 @@ def point_ids(table: pd.DataFrame, case: Case) -> np.ndarray:
     parts = [_hashes(key, np.asarray([value])) for key, value in nominal.items() if key not in varied]
     parts += [_hashes(key, table[column].to_numpy()) for key, column in varied.items()]
     later = [(path, value) for path, value in _flat(Noise(), "noise") if path in LATER]
-    for path, value in [*_flat(Control(), "control"), *later]:
+    for path, value in [*_flat(Control(), "control"), *later, *_said(case, own(case))]:
         parts += [-_hashes(f"{side}.{path}", np.asarray([value])) for side in SIDES]
     parts.append(_hashes("replicate", table["replicate"].to_numpy()))
     total = np.zeros(len(table), np.uint64)
@@ -51,7 +58,16 @@ def point_ids(table: pd.DataFrame, case: Case) -> np.ndarray:
     return np.frombuffer(text.encode(), "S16").astype("U16")
 
 
+def _said(case: Case, plan: Content) -> Iterator[tuple[str, Any]]:
+    """A plan's numbers by path, and all its words as one."""
+    places = charts(case.obstacle)
+    yield from ((f"plan.{path}", value) for path, value in numbers(plan, places).items())
+    yield "plan", json.dumps(mapped(plan, places, lambda path, value: 0))
+
+
 def _flat(value: Any, path: str) -> Iterator[tuple[str, Any]]:
+    if isinstance(value, PlanTable):
+        return  # see `_said`
     if dataclasses.is_dataclass(value):
         for member in dataclasses.fields(value):
             yield from _flat(getattr(value, member.name), f"{path}.{member.name}" if path else member.name)
@@ -61,6 +77,8 @@ def _flat(value: Any, path: str) -> Iterator[tuple[str, Any]]:
 
 def _hashes(key: str, values: np.ndarray) -> np.ndarray:
     """Hashes (n,) of one input's values; numbers count to `DIGITS` decimal digits."""
+    import pandas as pd
+
     if values.dtype.kind in "fiu":
         mantissa, exponent = _decimal(values.astype(float))
         parts = _mixed(mantissa.astype(np.uint64) + _mixed(exponent.astype(np.uint64)))

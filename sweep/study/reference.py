@@ -10,13 +10,17 @@ import io
 import textwrap
 import tokenize
 from collections.abc import Iterator
+from itertools import takewhile
 from typing import Any
 
 import pandas as pd
 
+from sweep.core import project
 from sweep.core.errors import InputError, suggest
 from sweep.core.parameters import bounds_text
 from sweep.metrics import CAUSES
+from sweep.models.obstacles import OBSTACLES
+from sweep.models.plan_table import GROUP, merged, numbers
 from sweep.study import config
 
 
@@ -24,12 +28,14 @@ def classes() -> dict[str, list[type]]:
     """The classes of each group; of obstacles, manoeuvres and clusters one for each kind, those of users too."""
     config.register()
     kinds = {group: list(kinds.values()) for group, kinds in config.KINDS.items()}
-    return {group: [cls] for group, cls in config.GROUPS.items()} | kinds
+    return {group: [cls] for group, cls in config.CLASSES.items()} | kinds
 
 
 def text(name: str) -> str:
     """A group, a kind such as `obstacle=ball`, or a parameter such as `drive.torque_limit`. Raises `InputError`."""
     every = classes()
+    if name.partition(".")[0].partition("=")[0] == GROUP:
+        return plan(name.removeprefix(GROUP)[1:])
     group, _, kind = name.partition("=")
     if group in every:
         kinds = [kind_of(cls) for cls in every[group]]
@@ -44,6 +50,25 @@ def text(name: str) -> str:
         names = {line["parameter"] for cls in every[group] for line in parameters(cls)}
         raise InputError(f"{name} is unknown{suggest(key, names)}")
     return "\n\n".join(entry(group, cls, line) for cls, line in found)
+
+
+def plan(name: str) -> str:
+    """The numbers of a plan, `NAME` or one of them, `NAME.PATH`; without a name all plans. Raises `InputError`."""
+    files = {**project.shipped(GROUP), **project.own(GROUP)}
+    if not name:
+        return "\n".join(f"plan.{name:20} {project.described(file)}" for name, file in files.items())
+    file, _, path = name.partition(".")
+    if file not in files:
+        raise InputError(f"plan = {file} is unknown{suggest(file, files)}")
+    places = {key: chart for cls in OBSTACLES.values() for key, chart in getattr(cls, "charts", {}).items()}
+    found = numbers(merged(file, lambda other: files[other].read_text(encoding="utf-8")), places)
+    if path:
+        if path not in found:
+            raise InputError(f"plan.{name} is unknown{suggest(path, found)}")
+        return f"plan.{path}: {found[path]:g}"
+    told = [line.removeprefix("#").strip() for line in takewhile(lambda line: line.startswith("#"),
+            files[file].read_text(encoding="utf-8").splitlines())]  # fmt: skip
+    return "\n".join([*told, "", *(f"plan.{path:40} {value:g}" for path, value in found.items())])
 
 
 def page() -> str:

@@ -7,8 +7,9 @@ parameters, and may have `extends` too. A file with a list of `defaults` is Hydr
 """
 
 import io
+import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import yaml
@@ -23,12 +24,18 @@ from omegaconf import DictConfig, OmegaConf
 
 from sweep.core import project
 from sweep.core.errors import InputError, suggest
+from sweep.core.groups import GROUPS
 
-SCHEME, WHOLE = "sweep", ("study", "scenario")
+SCHEME = "sweep"
+# of each group, what makes the schema of a class, by its kind or by the group's own name; made when it is asked for
+SCHEMAS: dict[str, dict[str, Callable[[], DictConfig]]] = {}
 
 
 class Files(ConfigSource):
-    """The files of the groups, of the project and shipped (see `sweep.core.project`)."""
+    """The files of the groups, of the project and shipped (see `sweep.core.project`), and the classes' own values.
+
+    Those are called after their kind and `_schema`; a kind without a file of its name is a choice as it is.
+    """
 
     @staticmethod
     def scheme() -> str:
@@ -41,31 +48,40 @@ class Files(ConfigSource):
 
     def is_group(self, config_path: str) -> bool:
         """Whether it names a group."""
-        return config_path in project.GROUPS
+        return config_path in GROUPS
 
     def is_config(self, config_path: str) -> bool:
         """Whether `group/name` is a file."""
         group, _, name = config_path.partition("/")
-        return group in project.GROUPS and project.find(group, name) is not None
+        return group in GROUPS and (project.find(group, name) is not None or schema(group, name) is not None)
 
     def list(self, config_path: str, results_filter: ObjectType | None) -> list[str]:
         """The names in a group."""
         if results_filter == ObjectType.GROUP:
             return []
-        return sorted({*project.own(config_path), *project.shipped(config_path)})
+        kinds = SCHEMAS.get(config_path, {}) if GROUPS[config_path].kinds else {}
+        return sorted({*project.own(config_path), *project.shipped(config_path), *kinds})
 
     def load_config(self, config_path: str) -> ConfigResult:
         """The file as Hydra wants it. Raises `InputError`."""
         group, _, name = config_path.partition("/")
+        if project.find(group, name) is None and (made := schema(group, name)):
+            return ConfigResult(self.provider, self.full_path(), made(), {"package": None})
         file = project.find(group, name)
         content = read(file)
         header = ConfigSource._get_header_dict(file.read_text(encoding="utf-8")[:512])
         refuse_code(config_path, content, str(header.get("package")))
-        if group in WHOLE:
+        if GROUPS[group].whole:
             header["package"] = header.get("package") or "_global_"
         if "defaults" not in content:
-            content = whole(group, file, content) if group in WHOLE else part(group, file, content)
+            content = whole(group, file, content) if GROUPS[group].whole else part(group, file, content)
         return ConfigResult(self.provider, self.full_path(), OmegaConf.create(content), header)
+
+
+def schema(group: str, name: str) -> Callable[[], DictConfig] | None:
+    """What makes the schema that `group=name` means where no file does."""
+    kind = name if GROUPS[group].kinds else ""
+    return SCHEMAS.get(group, {}).get(name.removesuffix("_schema") if name.endswith("_schema") else kind)
 
 
 class Unexecuted(FileConfigSource):
@@ -136,9 +152,9 @@ def whole(group: str, file: Any, content: Mapping[str, Any]) -> dict[str, Any]:
     defaults, values = extended(group, file, content), {}
     for key, value in content.items():
         choice = value if isinstance(value, str) else value.get("extends") if isinstance(value, Mapping) else None
-        if key in project.GROUPS and key != group and choice is not None:
+        if key in GROUPS and key != group and choice is not None:
             defaults.append({f"override /{key}": chosen(file, key, choice)})
-        if not isinstance(value, str) or key not in project.GROUPS:
+        if not isinstance(value, str) or key not in GROUPS:
             values[key] = {k: v for k, v in value.items() if k != "extends"} if isinstance(value, Mapping) else value
     about = values.pop(group, None) or {}
     if not isinstance(about, Mapping):
@@ -149,7 +165,8 @@ def whole(group: str, file: Any, content: Mapping[str, Any]) -> dict[str, Any]:
 
 def part(group: str, file: Any, content: Mapping[str, Any]) -> dict[str, Any]:
     """Parameters of one group, on top of those of the file it extends or of its class."""
-    start = extended(group, file, content) or [f"/{group}/{content.get('kind', group)}_schema@_here_"]
+    free = GROUPS[group].free
+    start = extended(group, file, content) or ([] if free else [f"/{group}/{content.get('kind', group)}_schema@_here_"])
     return {"defaults": [*start, "_self_"], **{k: v for k, v in content.items() if k != "extends"}}
 
 
@@ -157,12 +174,27 @@ def extended(group: str, file: Any, content: Mapping[str, Any]) -> list[Any]:
     """The file that this one starts from, as a list of defaults."""
     if "extends" not in content:
         return []
-    return [f"/{group}/{chosen(file, group, content['extends'])}@{'_global_' if group in WHOLE else '_here_'}"]
+    name = chosen(file, group, content["extends"])
+    refuse_ring(group, file, name)
+    return [f"/{group}/{name}@{'_global_' if GROUPS[group].whole else '_here_'}"]
+
+
+def refuse_ring(group: str, file: Any, name: Any) -> None:
+    """Raise `InputError` where a file that extends `name` starts, through it, from itself."""
+    ring = [file]
+    while isinstance(name, str) and (above := project.find(group, name)) is not None:
+        ring.append(above)
+        if os.path.samefile(above, file):
+            raise InputError(f"{' extends '.join(map(str, ring))}: a file cannot start from itself")
+        if above in ring[:-1]:  # a ring beyond this file, which is refused where it is read
+            return
+        name = read(above).get("extends")
 
 
 def chosen(file: Any, group: str, name: Any) -> str:
-    """`name` if it is a file of `group`. Raises `InputError`."""
-    if not isinstance(name, str) or project.find(group, name) is None:
-        names = {*project.own(group), *project.shipped(group)}
+    """`name` if it is a file of `group`, or a kind. Raises `InputError`."""
+    kinds = SCHEMAS.get(group, {}) if GROUPS[group].kinds else {}
+    if not isinstance(name, str) or (project.find(group, name) is None and name not in kinds):
+        names = {*project.own(group), *project.shipped(group), *kinds}
         raise InputError(f"{file}: {group} = {name} is unknown{suggest(str(name), names)}")
     return name

@@ -5,21 +5,23 @@ one of the two is varied, or `axis.NAME` for a number that values are made from 
 """
 
 import dataclasses
+import math
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from sweep.core.errors import InputError, suggest
 from sweep.core.expressions import mask
 from sweep.core.parameters import checked, within
 from sweep.engines.settings import EngineSettings
 from sweep.engines.states import offered
+from sweep.models import plan_table
 from sweep.models.case import Case
+from sweep.models.plan_table import PlanTable
 from sweep.study import designs
 from sweep.study.designs import SIDES, Axis, Design
 from sweep.study.distributions import known
@@ -27,9 +29,15 @@ from sweep.study.identity import DIGITS, point_ids, streams
 from sweep.study.theory import Theory
 from sweep.study.theory import parse as parse_theory
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 DTYPES = {"quantity": "float64", "count": "int64", "choice": "str"}
+SIZED, SMALLEST, LARGEST = ("robot", "obstacle"), 0.01, 20.0  # whose lengths (m) from where on, how often the nominal
 Values = Mapping[str, Any]
 Say = Callable[[str], None]
+
+RELAXING = "contact.stiffness", "contact.damping", "engine.time_step", "engine.name"
 
 
 @dataclass(frozen=True)
@@ -40,6 +48,14 @@ class Expectation:
     that: str = 'outcome == "success"'
     at_least: float = 0.0
     at_most: float = 1.0
+
+
+@dataclass(frozen=True)
+class ScenarioSchema:
+    """What is simulated nominally; `expect` must hold when it runs without a study."""
+
+    name: str = "nominal"
+    expect: list[Any] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -145,6 +161,11 @@ def side_and_path(column: str) -> tuple[str, str]:
 
 def parameter(column: str, case: Case, settings: EngineSettings) -> "dataclasses.Field[Any]":
     """The field that a column varies. Raises `InputError` where it names nothing."""
+    side, path = side_and_path(column)
+    if path.startswith("plan."):
+        if side == "world":
+            raise InputError(f"axis {column} varies nothing: plans are made of what is believed")
+        return plan_table.member(case, path.removeprefix("plan."))
     owner, name = _owner(column, case, settings)
     found = next(f for f in dataclasses.fields(owner) if f.name == name)
     if found.metadata.get("role") not in DTYPES:
@@ -154,6 +175,8 @@ def parameter(column: str, case: Case, settings: EngineSettings) -> "dataclasses
 
 def nominal(column: str, case: Case, settings: EngineSettings) -> Any:
     """The value of a parameter where it is not varied. Raises `InputError` where `column` names nothing."""
+    if side_and_path(column)[1].startswith("plan."):
+        return parameter(column, case, settings).default
     return getattr(*_owner(column, case, settings))
 
 
@@ -171,8 +194,11 @@ def _owner(column: str, case: Case, settings: EngineSettings) -> tuple[Any, str]
     for step, name in enumerate([*above, last]):
         allowed = groups if step == 0 else [f.name for f in dataclasses.fields(owner)]
         if name not in allowed or (name == last and step == 0):
+            parts = [(group, settings if group == "engine" else getattr(case, group)) for group in groups]
+            whole = [f"{group}.{name}" for group, part in parts if hasattr(part, name)] if step == 0 else []
+            hint = f": did you mean {' or '.join(whole)}?" if whole else suggest(name, allowed)
             before = "".join(f"{p}." for p in path.split(".")[:step])
-            raise InputError(f"axis {column} names nothing: {before}{name} is unknown{suggest(name, allowed)}")
+            raise InputError(f"axis {column} names nothing: {before}{name} is unknown{hint}")
         if step < len(above):
             owner = settings if name == "engine" and step == 0 else getattr(owner, name)
             if not dataclasses.is_dataclass(owner):
@@ -185,9 +211,27 @@ def is_static(column: str, case: Case, settings: EngineSettings) -> bool:
     return column.startswith("engine.") or parameter(column, case, settings).metadata["role"] != "quantity"
 
 
-def parameter_columns(table: pd.DataFrame) -> list[str]:
+def parameter_columns(table: "pd.DataFrame") -> list[str]:
     """The columns of `table` that vary a parameter."""
     return [c for c in table.columns if "." in c and not c.startswith("axis.")]
+
+
+def check_sizes(case: Case) -> None:
+    """Raise `InputError` where robot or obstacle is so large that a unit must be wrong."""
+    for group in SIZED:
+        part = getattr(case, group)
+        for member in dataclasses.fields(part):
+            _check_size(f"{group}.{member.name}", member, getattr(part, member.name))
+
+
+def _check_size(column: str, member: "dataclasses.Field[Any]", value: Any) -> None:
+    group, nominal = side_and_path(column)[1].partition(".")[0], member.default
+    if group not in SIZED or member.metadata.get("unit") != "m" or not isinstance(nominal, float):
+        return
+    if nominal >= SMALLEST and value > LARGEST * nominal:
+        meant = min((value / 100, value / 1000), key=lambda size: abs(math.log(size / nominal)))
+        allowed = f"at most {LARGEST:g} times the nominal {nominal:g} m"
+        raise InputError(f"{column} = {value:g} is not allowed: is it {meant:g} m? ({allowed})")
 
 
 def check_keep(study: Study, case: Case, settings: EngineSettings) -> None:
@@ -203,8 +247,8 @@ def check_keep(study: Study, case: Case, settings: EngineSettings) -> None:
 
 
 def points(
-    study: Study, case: Case, settings: EngineSettings, grid: pd.DataFrame | None = None, say: Say | None = None
-) -> pd.DataFrame:
+    study: Study, case: Case, settings: EngineSettings, grid: "pd.DataFrame | None" = None, say: Say | None = None
+) -> "pd.DataFrame":
     """One row per rollout: axis values, replicate, noise stream and point id. Raises `InputError`.
 
     Points that are equal in all their digits that count are one; `say` is told how many others there were.
@@ -224,6 +268,7 @@ def points(
     for column, member in fields.items():
         _check(member, design[column], column)
     design = design.astype({column: DTYPES[member.metadata["role"]] for column, member in fields.items()})
+    _check_step(design, case, settings)
     # static axes outermost: every compiled engine runs its rows in one go
     static = [column for column in fields if is_static(column, case, settings)]
     order = design.groupby(static, sort=False).ngroup().argsort(kind="stable") if static else slice(None)
@@ -239,8 +284,11 @@ def points(
     return distinct
 
 
-def _check(member: "dataclasses.Field[Any]", values: pd.Series, column: str) -> None:
+def _check(member: "dataclasses.Field[Any]", values: "pd.Series", column: str) -> None:
     """Every value inside the bounds of its parameter; a million numbers at once."""
+    import pandas as pd
+
+    largest = values.max() if values.dtype.kind in "fi" else 0.0
     if values.dtype.kind == "f" and member.metadata["role"] == "quantity":
         values = values[~(np.isfinite(values) & within(member, values))].head(1)
     if values.dtype.kind in "OUT" and member.metadata["role"] != "choice":  # of a file: one word makes a column words
@@ -248,6 +296,23 @@ def _check(member: "dataclasses.Field[Any]", values: pd.Series, column: str) -> 
         values = (no_number if len(no_number) else values).head(1)
     for value in values.unique().tolist():
         checked(member, value, column)
+    _check_size(column, member, largest)
+
+
+def _check_step(design: "pd.DataFrame", case: Case, settings: EngineSettings) -> None:
+    """Raises `InputError` where a step of mjx is longer than contacts take to relax: they would not stay in contact."""
+    import pandas as pd
+
+    sides = {path: [c for c in (f"world.{path}", path) if c in design.columns] for path in RELAXING}
+    values = {path: design[own[0]] if own else nominal(path, case, settings) for path, own in sides.items()}
+    found = pd.DataFrame(values, index=design.index)
+    stiffness, damping, step, name = (found[path] for path in RELAXING)
+    slow = found[(name == "mjx") & (step * stiffness > damping * (1 + 1e-9))]
+    for stiffness, damping, step, _ in slow.head(1).itertuples(index=False):
+        raise InputError(
+            f"engine.time_step = {step:g} is not allowed: at most contact.damping over contact.stiffness, "
+            f"{damping:g} N s/m over {stiffness:g} N/m"
+        )
 
 
 def identity(columns: Any) -> list[str]:
@@ -255,7 +320,9 @@ def identity(columns: Any) -> list[str]:
     return ["point_id", *(c for c in columns if c.startswith("engine."))]
 
 
-def _from_csv(file: str) -> pd.DataFrame:
+def _from_csv(file: str) -> "pd.DataFrame":
+    import pandas as pd
+
     if not Path(file).is_file():
         raise InputError(f"study.points = {file} is not a file")
     try:
@@ -269,6 +336,8 @@ def _from_csv(file: str) -> pd.DataFrame:
 
 def assign[T](owner: T, path: str, value: Any) -> T:
     """`owner` with the member at `path` replaced."""
+    if isinstance(owner, PlanTable):
+        return owner.changed(path, value)  # pyright: ignore[reportReturnType]
     name, _, rest = path.partition(".")
     inner = assign(getattr(owner, name), rest, value) if rest else value
     return dataclasses.replace(owner, **{name: inner})  # pyright: ignore[reportArgumentType]

@@ -1,0 +1,48 @@
+"""`sweep run` as a Hydra application: from the command line to a checked experiment, or a line that says why not."""
+
+import os
+import sys
+from collections.abc import Callable
+
+import hydra
+from hydra.errors import HydraException
+from omegaconf import DictConfig
+from omegaconf.errors import OmegaConfBaseException
+
+from sweep.cli.exits import BAD_INPUT, DONE, FAULT
+from sweep.core.errors import Fault, InputError
+from sweep.study import config
+from sweep.study.config import Experiment
+
+
+def launch(overrides: list[str], work: Callable[[Experiment], int]) -> int:
+    """Do the `work` with what `overrides` compose; its exit code, the largest one of a Hydra multirun."""
+    if not any(one.startswith(("-", "hydra", "+hydra", "~hydra")) for one in overrides):
+        return work(config.compose(overrides))  # Hydra's application would compose it twice
+    config.register()
+    codes = [DONE]
+
+    @hydra.main(version_base=config.HYDRA_VERSION, config_path=f"pkg://{config.CONFIG_MODULE}", config_name="config")
+    def job(composed: DictConfig) -> None:
+        try:
+            codes.append(work(config.experiment(config.resolve(composed))))
+        # Hydra would add lines of its own, and give up a multirun's other jobs
+        except Fault as error:
+            print(f"sweep: {error}", file=sys.stderr)
+            codes.append(FAULT)
+        except (InputError, OmegaConfBaseException) as error:
+            line = str(error) if isinstance(error, InputError) else config.one_line(error, overrides)
+            print(f"sweep: {line}", file=sys.stderr)
+            codes.append(BAD_INPUT)
+
+    before = sys.argv
+    sys.argv = ["sweep run", *overrides]
+    os.environ["HYDRA_FULL_ERROR"] = "1"  # let errors through to here, where they become one line
+    try:
+        config.check_choices(overrides)
+        job()
+    except (HydraException, OmegaConfBaseException, OverflowError) as error:
+        raise InputError(config.one_line(error, overrides)) from None
+    finally:
+        sys.argv = before
+    return max(codes)
