@@ -7,6 +7,7 @@ import pytest
 from sweep.analysis import compare
 from sweep.cli.main import main
 from sweep.core.parameters import InputError
+from sweep.report import comparison
 from sweep.runs import store
 
 STUDY = ["run", "study=walk_map", "study.axes.friction.num=6", "study.axes.step.num=5", "study.expect=[]"]
@@ -69,6 +70,19 @@ def test_pairs_need_one_partner_each():
         compare.pair(a, rows_of("ss"), ["name"])
 
 
+def test_another_controller_is_paired_by_what_both_vary():
+    """A parameter that is none of the axes renames every point: axes and replicate tell them as well."""
+    varied = {"world.contact.friction": [0.1, 0.1, 0.5], "replicate": [0, 1, 2], "engine.width": 4}
+    a = rows_of("ssf", **varied)
+    b = rows_of("fsf", **varied).assign(point_id=["q0", "q1", "q2"])
+    pairs = compare.pair(a, b.iloc[::-1])
+    assert compare.flips(pairs).lost == 1
+    assert comparison.paired_by(pairs) == " of equal world.contact.friction, replicate"
+    assert comparison.paired_by(compare.pair(a, a)) == ""
+    with pytest.raises(InputError, match=r"--by world\.contact\.friction, replicate\)"):
+        compare.pair(a, b.assign(replicate=0))
+
+
 def test_drift_is_typical_and_relative():
     a = rows_of("sssf", slip_max_m=[1.0, 2.0, 3.0, 4.0], energy_j=[0.0, 0.0, 0.0, 1.0])
     b = rows_of("sssi", slip_max_m=[1.1, 2.2, 3.3, 900.0], energy_j=[0.0, 0.0, 0.0, 1.0])
@@ -79,7 +93,7 @@ def test_drift_is_typical_and_relative():
 
 def test_two_folders_on_the_command_line(fake_engine, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    assert main([*STUDY, "out=a"]) == main([*STUDY, "out=b", "outcome.slip_max_m=0.1"]) == 0
+    assert main([*STUDY, "out=a"]) == main([*STUDY, "out=b", "outcome.slip_max_m=0.01"]) == 0
     shutil.copytree("a", "same")
     capsys.readouterr()
     assert main(["compare", "a", "same", "--figures", "0"]) == 0

@@ -73,11 +73,15 @@ def pair(a: pd.DataFrame, b: pd.DataFrame, by: list[str] | None = None) -> pd.Da
     """Rows of `a` beside those of `b` (their columns marked `SECOND`) that agree in the columns `by`.
 
     The default is `point_id`: equal physical inputs and replicate, however they are simulated; where a study repeats
-    its points on several engines, equal engines too. Raises `InputError` where several rows are left to choose from,
-    or none.
+    its points on several engines, equal engines too. Where no row of B has a `point_id` of A, as with another
+    controller, it is what both vary, and the replicate; `attrs["by"]` of the pairs says so. Raises `InputError` where
+    several rows are left to choose from, or none.
     """
+    varied: list[str] = []
     if not by:
         by = ["point_id"] if a["point_id"].is_unique else identity(a.columns)
+        if not a["point_id"].isin(b["point_id"]).any() and _tell_apart(a, b, _varied(a, b)):
+            by = varied = _varied(a, b)
     key = [column(a, name) for name in by]
     for side, rows in (("A", a), ("B", b)):
         if absent := [name for name in key if name not in rows]:
@@ -88,8 +92,20 @@ def pair(a: pd.DataFrame, b: pd.DataFrame, by: list[str] | None = None) -> pd.Da
             )
     both = a.merge(b.rename(columns={c: f"{c}{SECOND}" for c in b if c not in key}), on=key)
     if both.empty:
-        raise InputError(f"no row of A has the {', '.join(key)} of one of B (other columns to pair by: --by NAMES)")
+        others = ", ".join(name for name in _varied(a, b) if name not in key) or "none that both have"
+        raise InputError(f"no row of A has the {', '.join(key)} of one of B (other columns to pair by: --by {others})")
+    both.attrs["by"] = varied
     return both
+
+
+def _varied(a: pd.DataFrame, b: pd.DataFrame) -> list[str]:
+    """What both vary, engine settings apart, and the replicate, which tells draws and repetitions apart."""
+    return [c for c in a.columns if c in b and ("." in c or c == "replicate") and not c.startswith("engine.")]
+
+
+def _tell_apart(a: pd.DataFrame, b: pd.DataFrame, by: list[str]) -> bool:
+    """Whether `by` names one row of each at most, and some rows of both."""
+    return bool(by) and not any(rows.duplicated(by).any() for rows in (a, b)) and not a.merge(b, on=by).empty
 
 
 def axes(pairs: pd.DataFrame) -> list[str]:

@@ -1,0 +1,39 @@
+"""`sweep compare A B --anytime`: a comparison that may be looked at after every pair, and stops by itself."""
+
+import argparse
+
+from sweep.analysis import compare, sequential
+from sweep.cli.run import reporting
+from sweep.core.errors import InputError
+from sweep.core.expressions import mask
+from sweep.runs import growth, store
+from sweep.study.config import experiment
+
+
+def run(given: argparse.Namespace, by: list[str] | None) -> sequential.Verdict:
+    """Compare what is there; with `--most`, simulate more draws in both folders until it is decided.
+
+    Both grow by a batch of A at a time, or a quarter of what is there, to at most `--most` draws. Raises `InputError`.
+    """
+    if not 0.5 <= given.level < 1:
+        raise InputError(f"--level = {given.level:g} is not allowed: at least 0.5 and below 1")
+    if len(given.b) > 1:
+        raise InputError("--anytime compares two folders: give A and one B")
+    folders = {given.a: given.where_a, given.b[0]: given.where_b}
+    rows = [store.read_rows(folder) for folder in folders]
+    exps = [experiment(store.read_study(folder)["config"]) for folder in folders]
+    while True:
+        a, b = (one[mask(one, where)] for one, where in zip(rows, folders.values(), strict=True))
+        found = sequential.verdict(compare.pair(a, b, by), given.level)
+        now = max(map(growth.draws, exps))
+        if found.decided or given.most is None or now >= given.most:
+            return found
+        for exp, folder in zip(exps, folders, strict=True):
+            growth.check(exp, folder)
+        a_draw = max(len(rows[0]) // growth.draws(exps[0]), 1)  # rollouts
+        number = min(now + max(int(rows[0]["width"].iloc[-1]) // a_draw, now // 4, 1), given.most)
+        for k, folder in enumerate(folders):
+            asked = len(rows[k]) * number // growth.draws(exps[k]) - len(rows[k])
+            with reporting(folder.name, asked, f"{exps[k].scenario} for {folder.name}") as report:
+                exps[k] = growth.grow(exps[k], folder, number, report)
+            rows[k] = store.read_rows(folder)

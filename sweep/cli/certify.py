@@ -1,0 +1,158 @@
+"""`sweep certify`: the largest region of a study's parameters in which failures are promised to be rare."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from sweep.analysis import certify, sensitivity
+from sweep.analysis.intervals import clopper_pearson
+from sweep.analysis.stats import percent
+from sweep.cli.run import reporting
+from sweep.core.errors import InputError
+from sweep.report.tables import page_table
+from sweep.runs import growth, runner, store
+from sweep.study.config import Experiment, experiment
+
+MOST_PARAMETERS = 8
+FRESH, AGAIN = "certify/fresh", "certify/again"  # studies of their own in the folder
+CHECKED = 64  # rollouts of either kind that are run as a check of a certified region
+
+
+def run(given: argparse.Namespace) -> tuple[str, dict[str, Any]]:
+    """What is certified, in words and as plain values. Raises `InputError`.
+
+    With `--rollouts` all rows of the folder teach the order of regions, and as many fresh draws test them; without,
+    half of the rows does either. Fresh draws are a study of their own, so that the same command goes on.
+    """
+    check(given)
+    folder, rows = given.dir, store.read_rows(given.dir)
+    exp = experiment(store.read_study(folder)["config"])
+    names = parameters(exp, rows)
+    if given.rollouts:
+        learning, fresh = rows, drawn(exp, folder / FRESH, exp.study.seed + 1, given.rollouts)
+    else:
+        order = np.random.default_rng(0).permutation(len(rows))
+        learning, fresh = rows.iloc[order[::2]], rows.iloc[order[1::2]]
+    found = certify.certify(
+        given.shape, values(learning, names), values(fresh, names), given.failures, given.confidence
+    )
+    lines = [told(found, given.shape, names)]
+    if found.found and given.rollouts:
+        lines += ["", checked(exp, folder, found, names, values(learning, names))]
+    return "\n".join(lines), as_data(found, given, names)
+
+
+def check(given: argparse.Namespace) -> None:
+    """Raise `InputError` where a number of the command line means nothing."""
+    for name in ("failures", "confidence"):
+        if not 0 < getattr(given, name) < 1:
+            raise InputError(f"--{name} = {getattr(given, name):g} is not allowed: between 0 and 1")
+    if given.rollouts is not None and given.rollouts < (need := certify.fewest(given.failures, given.confidence)):
+        takes = f"{given.failures:g} at {percent(given.confidence)} takes at least {need}, if none of them fails"
+        raise InputError(f"--rollouts = {given.rollouts} is not allowed: {takes}")
+
+
+def parameters(exp: Experiment, rows: pd.DataFrame) -> list[str]:
+    """The columns of the drawn axes. Raises `InputError` where rows are no independent draws of a few numbers."""
+    own = exp.study
+    if own.points or own.refined or not own.design.num or own.design.kind != "monte_carlo" or own.replicates > 1:
+        raise InputError(f"{own.name} has no independent draws: study.design.kind = monte_carlo, and one replicate")
+    if listed := sensitivity.listed(rows, exp):
+        raise InputError(f"axis {listed[0].name} is listed: a region is promised for draws, so give it a distribution")
+    names = [a.column for a in own.axes if a.distribution]
+    if words := [name for name in names if rows[name].dtype.kind not in "fi"]:
+        raise InputError(f"{words[0]} is a name: regions are of numbers")
+    if len(names) > MOST_PARAMETERS:
+        raise InputError(f"{len(names)} parameters are drawn: regions are of at most {MOST_PARAMETERS}")
+    return names
+
+
+def values(rows: pd.DataFrame, names: list[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Parameters (n, d), and which rows failed; one that is invalid counts as a failure."""
+    return rows[names].to_numpy(dtype=float), (rows["outcome"] != "success").to_numpy()
+
+
+def drawn(exp: Experiment, folder: Path, seed: int, number: int) -> pd.DataFrame:
+    """So many rows of the study with another seed, in a `folder` of its own."""
+    fresh = seeded(exp, folder, seed, number)
+    with reporting("fresh draws", number, f"{exp.scenario} for fresh draws") as report:
+        growth.grow(fresh, folder, number, report)
+    rows = store.read_rows(folder)
+    return rows[rows["replicate"] < number]
+
+
+def seeded(exp: Experiment, folder: Path, seed: int, number: int) -> Experiment:
+    """The study with another seed and number of draws."""
+    own = exp.values["study"]
+    study = {**own, "seed": seed, "design": {**own["design"], "num": number}, "keep": [], "expect": []}
+    return experiment({**exp.values, "study": study, "out": str(folder)})
+
+
+def checked(
+    exp: Experiment,
+    folder: Path,
+    found: certify.Certificate,
+    names: list[str],
+    learning: tuple[np.ndarray, np.ndarray],
+) -> str:
+    """A table of draws where the region looks worst, and of draws outside it: they play no part in the promise.
+
+    Worst is where a law of failing that was learned from the learning rows expects most.
+    """
+    number = CHECKED * certify.STEPS
+    again = seeded(exp, folder / AGAIN, exp.study.seed + 2, number)
+    table = runner.wanted_points(again)
+    x = table[names].to_numpy(dtype=float)
+    inside, order = found.inside(x), np.argsort(-certify.odds(*learning, convex=False)(x))
+    kinds = {
+        "where the region looks worst": order[inside[order]][:CHECKED],
+        "outside": np.flatnonzero(~inside)[:CHECKED],
+    }
+    chosen = np.unique(np.concatenate(list(kinds.values())))
+    with store.locked(folder / AGAIN), reporting("checks", len(chosen), f"{exp.scenario} for checks") as report:
+        runner.mend(again, folder / AGAIN)
+        runner.run(runner.lay_out(again, folder / AGAIN, table.iloc[chosen].reset_index(drop=True)), report)
+    rows = store.read_rows(folder / AGAIN).set_index("point_id")
+    lines = []
+    for kind, places in kinds.items():
+        failed = rows.loc[table["point_id"].iloc[places], "outcome"] != "success"
+        low, high = (percent(float(v)) for v in clopper_pearson(failed.sum(), len(failed)))
+        lines.append({"draws": kind, "rollouts": len(failed), "fail": int(failed.sum()), "95 %": f"{low} to {high}"})
+    return page_table(pd.DataFrame(lines))
+
+
+def told(found: certify.Certificate, shape: str, names: list[str]) -> str:
+    """What is promised, for what, and under which assumptions."""
+    where = f"{found.next_failed} of {found.next_rows} fresh rows fail in the next larger one"
+    if not found.found:
+        return f"no {shape} is certified at {found.failures:g}: {where}. More rows, or a larger probability, may do"
+    promise = (
+        f"with a confidence of {percent(found.confidence)} at most {percent(found.failures)} of the study's draws that "
+        f"fall into this {shape} fail: {percent(found.share)} of all draws, {found.failed} of {found.rows} fresh rows "
+        "failed there"
+    )
+    why = f"; {where}" if found.next_rows else "; it is the largest there is"
+    assumed = (
+        "promised for draws from the study's distributions, not for every point; invalid rollouts count as failures"
+    )
+    return f"{promise}{why}.\n{assumed}\nthe region, for --where:\n  {found.score.condition(names, found.threshold)}"
+
+
+def as_data(found: certify.Certificate, given: argparse.Namespace, names: list[str]) -> dict[str, Any]:
+    """The certificate as plain values."""
+    return {
+        "study": str(given.dir),
+        "shape": given.shape,
+        "failures_at_most": found.failures,
+        "confidence": found.confidence,
+        "certified": found.found,
+        "where": found.score.condition(names, found.threshold) if found.found else None,
+        "rows": found.rows,
+        "failed": found.failed,
+        "fresh_rows": found.drawn,
+        "share_of_draws": found.share,
+        "bound_of_its_rows": found.at_most if found.found else None,
+    }

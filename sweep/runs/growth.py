@@ -1,0 +1,45 @@
+"""More draws of a study that is there: the same draws as before, and others after them."""
+
+from pathlib import Path
+from typing import Any
+
+from sweep.core.errors import InputError
+from sweep.runs import runner, store
+from sweep.study.config import Experiment, experiment
+
+GROWING = ("monte_carlo", "sobol")  # designs whose first draws stay as more come
+
+
+def draws(exp: Experiment) -> int:
+    """How many draws the study has, or replicates where nothing is drawn."""
+    return exp.study.design.num if exp.study.design.num else exp.study.replicates
+
+
+def check(exp: Experiment, folder: Path) -> None:
+    """Raise `InputError` where a study has no draws or replicates that can become more."""
+    if exp.study.points or exp.study.refined:
+        raise InputError(f"{folder} cannot grow: its points are listed in a file, or chosen by what was found")
+    if exp.study.design.num and exp.study.design.kind not in GROWING:
+        allowed = " or ".join(GROWING)
+        raise InputError(f"{folder} cannot grow: study.design.kind = {exp.study.design.kind} (allowed: {allowed})")
+    if not exp.study.design.num and exp.study.replicates < 2:
+        raise InputError(f"{folder} cannot grow: it has neither draws nor replicates")
+
+
+def with_draws(exp: Experiment, folder: Path, number: int) -> Experiment:
+    """The same study with so many draws, or replicates where nothing is drawn."""
+    own: dict[str, Any] = dict(exp.values["study"])
+    own |= {"design": {**own["design"], "num": number}} if exp.study.design.num else {"replicates": number}
+    return experiment({**exp.values, "study": own, "out": str(folder)})
+
+
+def grow(exp: Experiment, folder: Path, number: int, progress: runner.Progress) -> Experiment:
+    """Simulate what `folder` lacks of so many draws of its study; the study as it is then.
+
+    The code must be that of the rows that are there. Raises `InputError`.
+    """
+    more = with_draws(exp, folder, number)
+    with store.locked(folder):
+        runner.mend(more, folder)
+        runner.run(runner.lay_out(more, folder, runner.wanted_points(more)), progress)
+    return more

@@ -1,0 +1,128 @@
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.stats import binom
+
+from sweep.analysis import certify
+from sweep.cli.main import main
+from sweep.core.errors import InputError
+from sweep.core.expressions import mask
+
+DRAWS = """scenario: walk_tripod
+study:
+  name: draws
+  design: {num: 1024}
+  axes:
+    friction: {path: contact.friction, side: world, distribution: {kind: uniform, from: 0.3, to: 1.2}}
+    step: {path: manoeuvre.half_step_ratio, distribution: {kind: uniform, from: 0.03, to: 0.12}}
+"""
+
+
+def drawn(number, rng):
+    """Rows that fail with a probability that grows along a direction of six parameters: 6 % in all."""
+    x = rng.uniform(-1, 1, (number, 6))
+    odds = 8 * (x @ np.arange(1, 7) ** -0.5 - 1.45)
+    return x, rng.random(number) < 1 / (1 + np.exp(-odds))
+
+
+def test_the_bound_is_the_exact_one():
+    assert certify.fewest(1e-2, 0.95) == 299
+    assert certify.fewest(1e-5, 0.95) == 299_572
+    for failed, rows in ((0, 299), (3, 800)):
+        assert binom.cdf(failed, rows, certify.bound(failed, rows, 0.95)) == pytest.approx(0.05)
+    assert certify.most_failed(298, 1e-2, 0.95) == -1
+    assert certify.most_failed(473, 1e-2, 0.95) == 1  # 1 of 473 is bounded by 0.9997 %
+    assert certify.most_failed(472, 1e-2, 0.95) == 0
+
+
+def test_a_region_chosen_in_a_fixed_order_is_rarely_wrong_and_the_one_that_looks_best_often_is():
+    rng = np.random.default_rng(0)
+    truth, fails = drawn(100_000, rng)
+    wrong, naive, share = [], [], []
+    for _ in range(60):
+        learning, fresh = drawn(800, rng), drawn(1500, rng)
+        found = certify.certify("score", learning, fresh, 1e-2, 0.9)
+        scores, own = found.score(truth), found.score(fresh[0])
+        wrong.append(found.found and fails[scores <= found.threshold].mean() > 1e-2)
+        share.append((scores <= found.threshold).mean() if found.found else 0.0)
+        order = np.argsort(own)
+        good = np.flatnonzero(np.cumsum(fresh[1][order]) / np.arange(1, len(order) + 1) <= 1e-2)
+        naive.append(fails[scores <= own[order][good[-1]]].mean() > 1e-2)
+    assert np.mean(share) > 0.5  # it is no promise of nothing
+    # 10 % are allowed: of 60 at most 12 with a probability of 99 %
+    assert np.sum(wrong) <= 12
+    assert np.mean(naive) > 0.25  # the largest region with a small observed rate
+
+
+@pytest.mark.parametrize("shape", certify.SHAPES)
+def test_a_region_is_a_condition_that_chooses_the_same_rows(shape):
+    rng = np.random.default_rng(1)
+    learning, fresh = drawn(3000, rng), drawn(6000, rng)
+    found = certify.certify(shape, learning, fresh, 0.03, 0.95)
+    assert found.found
+    names = [f"robot.p{k}" for k in range(6)]
+    rows = pd.DataFrame(fresh[0], columns=names)
+    assert (mask(rows, found.score.condition(names, found.threshold)) == found.inside(fresh[0])).all()
+    assert found.at_most <= 0.03 < fresh[1].mean()
+
+
+def test_nothing_is_certified_where_it_cannot_be():
+    rng = np.random.default_rng(2)
+    x = rng.random((2000, 2))
+    everywhere = rng.random(2000) < 0.2
+    half = (x[:1000], everywhere[:1000]), (x[1000:], everywhere[1000:])
+    assert not certify.certify("box", *half, 1e-2, 0.95).found
+    with pytest.raises(InputError, match=r"100 fresh rows cannot certify 0\.01 at 95\.0%: at least 299"):
+        certify.certify("box", half[0], (x[:100], everywhere[:100]), 1e-2, 0.95)
+    with pytest.raises(InputError, match="none of the rows to learn from succeeds"):
+        certify.certify("box", (x, np.ones(2000, dtype=bool)), half[1], 1e-2, 0.95)
+
+
+def test_a_study_is_certified_by_fresh_draws_and_checked_where_it_looks_worst(
+    fake_engine, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "draws.yaml").write_text(DRAWS)
+    assert main(["run", "study=draws.yaml", "out=d", "engine.width=256"]) == 0
+    capsys.readouterr()
+    command = ["certify", "d", "--shape", "ellipsoid", "--rollouts", "1500", "-o", "region.json"]
+    assert main(command) == 0
+    first = capsys.readouterr().out
+    assert "with a confidence of 95.0 % at most 1.0 % of the study's draws" in first
+    assert "where the region looks worst" in first
+    region = json.loads((tmp_path / "region.json").read_text())
+    assert region["certified"]
+    assert main(["table", "d", "--where", region["where"], "--format", "csv", "-o", "inside.csv"]) == 0
+    inside = pd.read_csv("inside.csv")
+    # it fails where friction < 5 x step, by the fake engine's law
+    assert 0.6 < len(inside) / 1024 < 0.95
+    assert (inside["outcome"] != "success").mean() < 0.02
+    capsys.readouterr()
+    assert main(command) == 0  # nothing is simulated again
+    assert capsys.readouterr().out == first
+
+
+@pytest.mark.parametrize(
+    ("more", "line"),
+    [
+        (["--failures", "0"], "--failures = 0 is not allowed: between 0 and 1"),
+        (["--rollouts", "200"], "--rollouts = 200 is not allowed: 0.01 at 95.0 % takes at least 299"),
+    ],
+)
+def test_numbers_that_mean_nothing_are_refused(more, line, tmp_path, capsys):
+    assert main(["certify", str(tmp_path), *more]) == 2
+    assert line in capsys.readouterr().err
+
+
+def test_a_map_is_no_sample_to_certify(fake_engine, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert (
+        main(
+            ["run", "study=walk_map", "study.axes.friction.num=6", "study.axes.step.num=5", "study.expect=[]", "out=m"]
+        )
+        == 0
+    )
+    assert main(["certify", "m"]) == 2
+    assert "has no independent draws" in capsys.readouterr().err
