@@ -15,7 +15,7 @@ SHOWN = 12  # pairs and figures of a list; `--output` has them all
 def text(pairs: pd.DataFrame, a: int, b: int, regions: list[str] | None = None) -> str:
     """Flips, by region and by cause, and what else changed; `a` and `b` are the numbers of rows before pairing."""
     parts = [
-        f"{len(pairs)} pairs; {a - len(pairs)} rows of A and {b - len(pairs)} of B have none",
+        f"{len(pairs)} pairs{paired_by(pairs)}; {a - len(pairs)} rows of A and {b - len(pairs)} of B have none",
         str(compare.flips(pairs)),
     ]
     axes = [parameter(pairs, name) for name in regions] if regions else default_regions(pairs)
@@ -30,6 +30,11 @@ def text(pairs: pd.DataFrame, a: int, b: int, regions: list[str] | None = None) 
         figures = pd.DataFrame({"figure": drift.index, "typical change": [percent(v) for v in drift]})
         parts += ["", "Figures that changed most:", page_table(figures)]
     return "\n".join(parts)
+
+
+def paired_by(pairs: pd.DataFrame) -> str:
+    """In which columns they agree, if nobody said so and they do not have their points in common."""
+    return f" of equal {', '.join(pairs.attrs['by'])}" if pairs.attrs["by"] else ""
 
 
 def parameter(pairs: pd.DataFrame, name: str) -> str:

@@ -14,19 +14,19 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from sweep.analysis import sensitivity
 from sweep.analysis.sample import pooled
 from sweep.core.errors import InputError
-from sweep.metrics.outcome import MEANING
 from sweep.report.cells import not_below_zero
-from sweep.report.labels import CAUSE_COLOURS, axis_words, heading, kind_of
+from sweep.report.labels import axis_words, heading, kind_of
+from sweep.report.layout import PAGE, folded, legend_below, lettering, sheet
+from sweep.report.looks import handle, kinds_by_number, look_of, marker
 from sweep.runs.results import Results
 from sweep.study.columns import LABELS
 
 LINES, DOTS, AXES = 600, 20_000, 12  # that are drawn at most: of each kind of outcome, in all, and of parameters
-GOOD, DOUBTFUL = "#56B4E9", "0.55"  # on white, where the pale blue of maps could not be seen
+LINEAR = 0.1  # margins within which the axis is even, in units of the limit
 MARGIN = "margin"  # column: how far a rollout stayed from its nearest limit, negative beyond it
 
 
@@ -51,11 +51,11 @@ def importance(results: Results) -> pd.DataFrame:
 def write(results: Results, folder: Path) -> list[Path]:
     """Write draws.png and draws.svg."""
     folder.mkdir(parents=True, exist_ok=True)
-    figure = draw(results)
     paths = [folder / f"draws.{form}" for form in ("png", "svg")]
-    with mpl.rc_context({"svg.hashsalt": "sweep", "svg.fonttype": "none"}):
+    with lettering(), mpl.rc_context({"svg.hashsalt": "sweep"}):
+        figure = draw(results)
         for path in paths:
-            figure.savefig(path, dpi=150, metadata={"Date": None} if path.suffix == ".svg" else None)
+            figure.savefig(path, dpi=200, metadata={"Date": None} if path.suffix == ".svg" else None)
     return paths
 
 
@@ -80,17 +80,8 @@ def caption(results: Results) -> str:
 def kinds(rows: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
     """Successes, then each cause, the most frequent first: rarer ones are drawn over them."""
     kind = kind_of(rows)
-    order = sorted(kind.unique(), key=lambda one: (one != "success", -int((kind == one).sum())))
-    for one in order:
-        yield str(one), rows[(kind == one).to_numpy()]
-
-
-def colour(kind: str) -> str:
-    """Of a success or of a cause, doubts in grey."""
-    if kind == "success":
-        return GOOD
-    found = CAUSE_COLOURS.get(kind, DOUBTFUL)
-    return DOUBTFUL if found.upper() == "#FFFFFF" else found
+    for one in kinds_by_number(kind):
+        yield one, rows[(kind == one).to_numpy()]
 
 
 def draw(results: Results) -> Figure:
@@ -99,7 +90,7 @@ def draw(results: Results) -> Figure:
     columns = list(ranked["axis"]) or columns_of(results)
     panels = [*(["rank"] if len(ranked) else []), "pair", "margin"]
     wide = len(columns) > 1
-    figure = Figure(figsize=(9.5, 7.4 if wide else 4.2), layout="constrained")
+    figure = sheet(5.6 if wide else 3.2)
     mosaic: list[Any] = [["lines"] * len(panels), panels] if wide else [panels]
     axes = figure.subplot_mosaic(mosaic)
     if wide:
@@ -109,12 +100,9 @@ def draw(results: Results) -> Figure:
     pair(axes["pair"], results, columns)
     if "margin" in axes:
         margins(axes["margin"], results, columns[0])
-    handles = [
-        Line2D([], [], color=colour(kind), marker="o", label=f"{kind.replace('_', ' ')} ({len(part)})")
-        for kind, part in kinds(rows)
-    ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 5), fontsize=8)
-    figure.suptitle(f"{results.name}: {pooled(rows, results.exp)}", fontsize=10)
+    handles = [handle(kind, f"{kind.replace('_', ' ')} ({len(part):,})") for kind, part in kinds(rows)]
+    legend_below(figure, handles)
+    figure.suptitle(folded(f"{results.name}: {pooled(rows, results.exp)}", 72 * PAGE - 20))
     return figure
 
 
@@ -129,14 +117,14 @@ def parallel(ax: Axes, results: Results, columns: list[str]) -> None:
         lines = np.stack(np.broadcast_arrays(places, shares), axis=-1)
         strength = np.clip(30 / np.sqrt(len(chosen)) / 4, 0.15, 0.8)
         ax.add_collection(
-            LineCollection(list(lines), colors=colour(kind), alpha=strength, linewidths=0.8, rasterized=True)
+            LineCollection(list(lines), colors=look_of(kind).colour, alpha=strength, linewidths=0.8, rasterized=True)
         )
     for place in range(len(columns)):
         ax.plot([place, place], [0, 1], color="0.3", linewidth=0.8)
         for at, value, side in ((-0.02, low[place], "top"), (1.02, high[place], "bottom")):
-            ax.text(place, at, f"{value:.3g}", ha="center", va=side, fontsize=7)
-    names = [heading(name, results.exp).replace(" (", "\n(").replace(" [", "\n[") for name in columns]
-    ax.set_xticks(places, names, fontsize=8 if len(columns) < 8 else 7)
+            ax.text(place, at, f"{value:.3g}", ha="center", va=side)
+    room = 72 * PAGE / len(columns)
+    ax.set_xticks(places, [folded(heading(name, results.exp), room) for name in columns])
     ax.tick_params(axis="x", length=0, pad=12)
     ax.set(xlim=(-0.3, len(columns) - 0.7), ylim=(-0.1, 1.1), yticks=[])
     ax.spines[:].set_visible(False)
@@ -145,11 +133,10 @@ def parallel(ax: Axes, results: Results, columns: list[str]) -> None:
 def bars(ax: Axes, ranked: pd.DataFrame, results: Results) -> None:
     """How much each parameter has to do with failure."""
     names = [axis_words(name, results.exp) for name in ranked["axis"]]
-    ax.barh(names, ranked["distance"], color=["#0072B2" if p <= 0.05 else "0.75" for p in ranked["p"]])
+    ax.barh(names, ranked["distance"], color=["#00649E" if p <= 0.05 else "0.75" for p in ranked["p"]])
     ax.invert_yaxis()
     ax.set_xlim(0, 1)
-    ax.set_xlabel("distance of successes\nand failures", fontsize=8)
-    ax.tick_params(labelsize=8)
+    ax.set_xlabel("distance of successes\nand failures")
     ax.spines[["top", "right"]].set_visible(False)
 
 
@@ -160,12 +147,11 @@ def pair(ax: Axes, results: Results, columns: list[str]) -> None:
         x = part[columns[0]]
         y = part[columns[1]] if len(columns) > 1 else pd.Series(float(place), index=part.index)
         dots(ax, x, y, kind, len(results.rows))
-    ax.set_xlabel(heading(columns[0], results.exp), fontsize=8)
+    ax.set_xlabel(heading(columns[0], results.exp))
     if len(columns) > 1:
-        ax.set_ylabel(heading(columns[1], results.exp), fontsize=8)
+        ax.set_ylabel(heading(columns[1], results.exp))
     else:
         ax.set_yticks(range(len(every)), [kind.replace("_", " ") for kind, _ in every])
-    ax.tick_params(labelsize=8)
     if len(columns) > 1:
         not_below_zero(ax)
 
@@ -174,10 +160,10 @@ def margins(ax: Axes, results: Results, column: str) -> None:
     """How far from their nearest limit the rollouts stay, over the parameter that matters most."""
     for kind, part in kinds(results.rows):
         dots(ax, part[column], part[MARGIN], kind, len(results.rows))
+    ax.set_yscale("symlog", linthresh=LINEAR)
     ax.axhline(0, color="0.3", linewidth=0.8, linestyle="--")
-    ax.set_xlabel(heading(column, results.exp), fontsize=8)
-    ax.set_ylabel("margin to the nearest limit", fontsize=8)
-    ax.tick_params(labelsize=8)
+    ax.set_xlabel(heading(column, results.exp))
+    ax.set_ylabel("margin to the nearest limit")
 
 
 def dots(ax: Axes, x: pd.Series, y: pd.Series, kind: str, total: int) -> None:
@@ -185,6 +171,5 @@ def dots(ax: Axes, x: pd.Series, y: pd.Series, kind: str, total: int) -> None:
     number = max(1, round(len(x) * min(1.0, DOTS / total)))
     chosen = x.sample(number, random_state=0).index
     size = np.clip(600 / np.sqrt(total), 1.5, 40)
-    edge: dict[str, Any] = {"edgecolors": "black", "linewidths": 0.3} if total < 500 else {"linewidths": 0}
-    mark = "o" if kind == "success" else "s" if kind in MEANING else "x"
-    ax.scatter(x[chosen], y[chosen], s=size, c=colour(kind), marker=mark, rasterized=True, **edge)
+    edge: dict[str, Any] = {"edgecolors": "white", "linewidths": 0.2} if total < 500 else {"linewidths": 0}
+    ax.scatter(x[chosen], y[chosen], s=size, c=look_of(kind).colour, marker=marker(kind), rasterized=True, **edge)

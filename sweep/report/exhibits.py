@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from sweep.analysis import compare, sensitivity
 from sweep.analysis.compare import SECOND
@@ -16,8 +17,10 @@ from sweep.metrics.outcome import limit_of
 from sweep.report import draws, overlay, slices
 from sweep.report.cells import not_below_zero
 from sweep.report.exhibit import Exhibit
-from sweep.report.labels import CAUSE_COLOURS, SUCCESS, axis_words, heading
-from sweep.report.maps import pattern
+from sweep.report.labels import axis_words, heading
+from sweep.report.layout import COLUMN, PAGE, legend_below, sheet
+from sweep.report.looks import FAILURE, GOOD, look_of
+from sweep.report.maps import cell
 from sweep.report.tables import BOOKKEEPING
 from sweep.runs import audit
 from sweep.runs.results import Results
@@ -26,10 +29,10 @@ from sweep.study.columns import figure_columns
 EFFECT_VALUES, EFFECT_BINS, HISTOGRAM_BINS, LINES, HISTOGRAMS = 50, 20, 30, 5, 12
 REJECTED = 0.01  # p-value below which a fit is not drawn
 STYLES = (
-    ("#0072B2", "-", "o"),
+    ("#00649E", "-", "o"),
     ("#D55E00", "--", "s"),
     ("#009E73", ":", "^"),
-    ("#CC79A7", "-.", "D"),
+    ("#8E1B5E", "-.", "D"),
     ("0.3", "-", "v"),
 )
 
@@ -140,10 +143,11 @@ def _draw_effects(results: Results, table: pd.DataFrame, by: list[str]) -> Figur
             ax.fill_between(part["value"], part["low"], part["high"], color=colour, alpha=0.2, linewidth=0)
             ax.plot(part["value"], part["share"], line, marker=marker, markersize=3, color=colour, label=str(name))
         ax.set(xlabel=heading(axis, results.exp), ylabel="rate of success")
+        ax.xaxis.set_major_locator(MaxNLocator(5))
         not_below_zero(ax)
         ax.set_ylim(-0.02, 1.02)
         if by:
-            ax.legend(fontsize=7, title=axis_words(by[0], results.exp), title_fontsize=7)
+            ax.legend(title=axis_words(by[0], results.exp))
     if results.one_at_a_time:
         _draw_fits(results, dict(zip(axes, spots, strict=True)))
     return figure
@@ -176,7 +180,7 @@ def causes(results: Results) -> Iterator[Exhibit]:
 
 
 def _draw_causes(table: pd.DataFrame) -> Figure:
-    figure = Figure(figsize=(7.8, 1.6 + 0.32 * len(table)), layout="constrained")
+    figure = sheet(1.4 + 0.22 * len(table) + 0.06 * table.shape[1])
     ax = figure.subplots()
     left = np.zeros(len(table))
     for cause in table:
@@ -185,18 +189,17 @@ def _draw_causes(table: pd.DataFrame) -> Figure:
             table.index,
             number,
             left=left,
-            color=CAUSE_COLOURS[str(cause)],
-            label=str(cause).replace("_", " "),
+            color=look_of(str(cause)).colour,
+            edgecolor="white",
             linewidth=0.4,
-            **pattern(str(cause)),
         )
         left += number
     for y, total in enumerate(left):
-        ax.annotate(f"{total:.0f}", (total, y), xytext=(4, 0), textcoords="offset points", va="center", fontsize=8)
+        ax.annotate(f"{total:.0f}", (total, y), xytext=(4, 0), textcoords="offset points", va="center")
     ax.invert_yaxis()
     ax.set(xlabel="rollouts", ylabel="stage")
     ax.spines[["top", "right"]].set_visible(False)
-    ax.legend(loc="upper left", bbox_to_anchor=(1.02, 1), borderaxespad=0, fontsize=8)
+    legend_below(figure, [cell(str(c).replace("_", " "), look_of(str(c)).colour, str(c)) for c in table])
     return figure
 
 
@@ -239,9 +242,9 @@ def _draw_audits(results: Results, data: pd.DataFrame) -> Figure:
     figure, spots = _panels(len(ways))
     for (way, part), ax in zip(ways, spots, strict=True):
         flips = compare.changed(part)
-        ax.plot(part.loc[~flips, x], part.loc[~flips, y], ".", color="#0072B2", label="same outcome")
-        ax.plot(part.loc[flips, x], part.loc[flips, y], "x", color="#D55E00", markersize=8, label="another")
-        ax.set_title(str(way), fontsize=9)
+        ax.plot(part.loc[~flips, x], part.loc[~flips, y], ".", color=GOOD, label="same outcome")
+        ax.plot(part.loc[flips, x], part.loc[flips, y], "x", color=FAILURE, markersize=6, label="another")
+        ax.set_title(str(way))
         ax.set(xlabel=heading(x, results.exp), ylabel=heading(y, results.exp))
         ax.set(xlim=_span(results.rows[x]), ylim=_span(results.rows[y]))
     return figure
@@ -269,11 +272,11 @@ def judged_first(results: Results) -> list[str]:
 
 def _draw_distributions(results: Results, data: pd.DataFrame) -> Figure:
     names = list(dict.fromkeys(data["figure"]))
-    figure, spots = _panels(len(names), columns=3, height=2.0)
+    figure, spots = _panels(len(names), columns=3, height=1.6)
     judged = thresholds(results)
     looks: dict[str, Any] = {
-        "success": {"color": SUCCESS, "edgecolor": "#0072B2"},
-        "failure": {"color": "#D55E00", "hatch": "\\\\\\", "edgecolor": "black"},
+        "success": {"color": GOOD},
+        "failure": {"color": FAILURE},
         "invalid": {"color": "white", "hatch": "///", "edgecolor": "black"},
     }
     for name, ax in zip(names, spots, strict=True):
@@ -287,19 +290,19 @@ def _draw_distributions(results: Results, data: pd.DataFrame) -> Figure:
         limit = judged.get(name)
         if limit is not None and low - (high - low) < limit < high + (high - low):  # else it would flatten the rest
             ax.axvline(limit, color="black", linestyle="--", linewidth=1)
-        ax.set_xlabel(heading(name), fontsize=8)
-        ax.tick_params(labelsize=7)
+        ax.set_xlabel(heading(name))
+        ax.xaxis.set_major_locator(MaxNLocator(4))
         ax.spines[["top", "right"]].set_visible(False)
     handles = {text: one for ax in spots for one, text in zip(*ax.get_legend_handles_labels(), strict=True)}
-    figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=3, fontsize=8)
+    legend_below(figure, list(handles.values()))
     return figure
 
 
-def _panels(number: int, columns: int = 2, height: float = 2.6) -> tuple[Figure, list[Axes]]:
+def _panels(number: int, columns: int = 2, height: float = 2.2) -> tuple[Figure, list[Axes]]:
     """A figure as wide as a page with `number` panels."""
     columns = min(columns, number)
     lines = -(-number // columns)
-    figure = Figure(figsize=(7.8 if columns > 1 else 5.2, height * lines + 0.4), layout="constrained")
+    figure = sheet(height * lines + 0.4, PAGE if columns > 1 else COLUMN)
     axes = figure.subplots(lines, columns, squeeze=False).ravel().tolist()
     for ax in axes[number:]:
         ax.set_visible(False)

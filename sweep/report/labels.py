@@ -1,22 +1,14 @@
-"""Words and units for columns, colours for outcomes."""
+"""Words and units for columns."""
 
 import pandas as pd
 
 from sweep.metrics import outcome
-from sweep.metrics.outcome import DOUBTS, FAILURES, MEANING
+from sweep.metrics.outcome import MEANING
 from sweep.study.config import Experiment
 from sweep.study.designs import Axis
 from sweep.study.study import unit
 
 UNITS = {"m": "m", "s": "s", "deg": "°", "rad": "rad", "n": "N", "nm": "N·m", "j": "J", "mps": "m/s", "kg": "kg"}
-# after Okabe and Ito, whose colours the colour-blind can tell apart; success is the lightest, so it reads in grey too
-SUCCESS, INVALID = "#D8EEF9", "#FFFFFF"
-COLOURS = ("#D55E00", "#E69F00", "#CC79A7", "#009E73", "#0072B2", "#F0E442", "#7F7F7F", "#000000")
-HATCHES = ("\\\\", "..", "xx", "++", "--", "||", "oo")  # "//" is kept for what is invalid
-CAUSE_COLOURS = {cause: COLOURS[i % len(COLOURS)] for i, cause in enumerate(FAILURES)}
-CAUSE_HATCHES = {cause: HATCHES[i % len(HATCHES)] for i, cause in enumerate(FAILURES)}
-CAUSE_COLOURS |= dict.fromkeys(DOUBTS, INVALID)
-CAUSE_HATCHES |= {doubt: "/" * (i + 2) for i, doubt in enumerate(DOUBTS)}
 
 
 def kind_of(rows: pd.DataFrame) -> pd.Series:
@@ -71,7 +63,7 @@ def unit_of(column: str, exp: Experiment) -> str:
     """Unit of a column: of an axis by its parameter, of a figure by the end of its name; empty where it has none."""
     if "." not in column:
         return name_and_unit(column)[1]
-    return unit(column, exp.case, exp.settings)
+    return unit(column, exp.case, exp.settings).replace("*", "·").replace("^2", "²")
 
 
 def heading(column: str, exp: Experiment | None = None) -> str:

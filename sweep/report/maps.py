@@ -11,8 +11,9 @@ import pandas as pd
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import ListedColormap, Normalize, to_rgb
+from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, PathPatch, Rectangle
 from matplotlib.path import Path
 from matplotlib.transforms import Affine2D
@@ -24,14 +25,19 @@ from sweep.core.parameters import InputError
 from sweep.metrics.outcome import FAILURES
 from sweep.report import limits, refined_cells
 from sweep.report.cells import Cells, edges, mark_values
-from sweep.report.labels import CAUSE_COLOURS, CAUSE_HATCHES, INVALID, SUCCESS, heading, with_value
+from sweep.report.labels import heading, with_value
+from sweep.report.layout import LETTERS, PAGE, folded, legend_below, lettering
+from sweep.report.looks import GOOD, INVALID, ink_on, look_of, marker
 from sweep.runs import refine
 from sweep.study.config import Experiment, experiment
 
 KINDS = ["success", *FAILURES]
-# cells, and rows of them: with more, outlines and patterns would cover the colours; boxes that patterns may be cut into
-OUTLINED, HATCHED, BOXES = 4000, 200, 20_000
-PALETTE = ListedColormap([SUCCESS, *(CAUSE_COLOURS[c] for c in FAILURES)])
+# cells, with more of which outlines would cover the colours; cells along a panel that have room for a glyph; boxes that
+# hatching may be cut into
+OUTLINED, GLYPHS, BOXES = 4000, 24, 20_000
+SQUARE = Path([(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)], closed=True)
+GLYPH = 3.5  # points across
+PALETTE = ListedColormap([look_of(kind).colour for kind in KINDS])
 
 
 def draw(rows: pd.DataFrame, stored: Mapping[str, Any], folder: File, chosen: tuple[str, ...] = ()) -> list[File]:
@@ -40,12 +46,12 @@ def draw(rows: pd.DataFrame, stored: Mapping[str, Any], folder: File, chosen: tu
     With one rollout a cell its colour is the outcome or the cause of failure, with more it is the rate of success.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    figure = success_map(rows, stored, chosen)
     paths = [folder / f"map.{form}" for form in ("png", "svg")]
-    with plt.rc_context({"svg.hashsalt": "sweep", "svg.fonttype": "none"}):
+    with lettering(), plt.rc_context({"svg.hashsalt": "sweep"}):
+        figure = success_map(rows, stored, chosen)
         for path in paths:
             metadata = {"Date": None} if path.suffix == ".svg" else None
-            write_whole(path, partial(figure.savefig, dpi=150, metadata=metadata))
+            write_whole(path, partial(figure.savefig, dpi=200, metadata=metadata))
     plt.close(figure)
     return paths
 
@@ -62,9 +68,10 @@ def success_map(rows: pd.DataFrame, stored: Mapping[str, Any], chosen: tuple[str
     measured = limits.measured(exp, rows)
     columns = len(panels) * (1 + len(measured))
     figure, axes = plt.subplots(
-        1, columns, figsize=(1.8 + 4.6 * columns, 4.6), squeeze=False, sharey=True, layout="constrained"
+        1, columns, figsize=(max(PAGE, 0.6 + 3 * columns), 3.6), squeeze=False, sharey=True, layout="constrained"
     )
     cells = Cells(np.sort(rows[x].unique()), np.sort(rows[y].unique()))
+    room = 72 * (figure.get_size_inches()[0] - 1) / columns
     for ax, (title, panel) in zip(axes[0, : len(panels)], panels, strict=True):
         (categories if most == 1 else shares)(ax, panel.assign(x=panel[x], y=panel[y]), cells)
         mark_values(ax, cells)
@@ -72,7 +79,7 @@ def success_map(rows: pd.DataFrame, stored: Mapping[str, Any], chosen: tuple[str
         if guessed:  # the share of rollouts that succeed says nothing where they were placed near the boundary
             refined_cells.draw(ax, exp, panel, x, y, cells)
             text = f"{panel['known'].sum()} rollouts (dots); each cell as its corners"
-        ax.set_title("\n".join([*title, text]), fontsize=8)
+        ax.set_title("\n".join(folded(one, room) for one in [*title, text]))
         ax.set_xlabel(heading(x, exp))
         limits.draw(ax, exp, panel, x, y, cells)
     for ax, (title, panel), figure_name in zip(
@@ -80,7 +87,7 @@ def success_map(rows: pd.DataFrame, stored: Mapping[str, Any], chosen: tuple[str
     ):
         beside(ax, panel.assign(x=panel[x], y=panel[y]), cells, figure_name)
         mark_values(ax, cells)
-        ax.set_title("\n".join(title), fontsize=8)
+        ax.set_title("\n".join(folded(one, room) for one in title))
         ax.set_xlabel(heading(x, exp))
         limits.draw(ax, exp, panel, x, y, cells)
     axes[0, 0].set_ylabel(heading(y, exp))
@@ -90,21 +97,30 @@ def success_map(rows: pd.DataFrame, stored: Mapping[str, Any], chosen: tuple[str
     if most > 1:
         scale = ScalarMappable(Normalize(0, 1), "cividis")
         figure.colorbar(scale, ax=axes, label=f"rate of success, n = {spread(counts)} a cell", shrink=0.8)
-    figure.suptitle(stored["config"]["study"]["name"] or stored["config"]["scenario"]["name"])
+    name = stored["config"]["study"]["name"] or stored["config"]["scenario"]["name"]
+    figure.suptitle(folded(name, 72 * figure.get_size_inches()[0] - 2 * LETTERS))
     return figure
 
 
 def map_axes(rows: pd.DataFrame, chosen: tuple[str, ...]) -> tuple[str, str]:
-    """The two parameters of a map: the chosen ones, then the first ones that do not follow from one another."""
+    """The two parameters of a map: the chosen ones, then the first `independent` ones. Raises `InputError`."""
+    found = independent(rows, chosen)
+    if len(set(found)) < 2:
+        raise InputError(f"a map needs two varied parameters, here: {', '.join(found) or 'none'}")
+    return found[0], found[1]
+
+
+def independent(rows: pd.DataFrame, chosen: tuple[str, ...] = ()) -> list[str]:
+    """At most two parameters, the chosen ones first, that do not follow from one another.
+
+    Of points of a table that are all alone, each parameter follows from any.
+    """
     numeric = [c for c in rows.columns if "." in c and rows[c].dtype.kind in "fi" and rows[c].nunique() > 1]
     found = [column(rows, name) for name in chosen]
     for one in numeric:
         if len(found) < 2 and not any((rows.groupby(known)[one].nunique() == 1).all() for known in found):
             found.append(one)
-    found = found[:2]
-    if len(set(found)) < 2:
-        raise InputError(f"a map needs two varied parameters, here: {', '.join(found) or 'none'}")
-    return found[0], found[1]
+    return found[:2]
 
 
 def split(
@@ -130,17 +146,17 @@ def categories(ax: Axes, rows: pd.DataFrame, cells: Cells) -> None:
     """Cells coloured by outcome and cause."""
     kind = rows["cause"].where(rows["outcome"] == "failure", "success").map(KINDS.index).astype(float)
     paint(ax, rows.assign(value=kind), cells, cmap=PALETTE, vmin=-0.5, vmax=len(KINDS) - 0.5)
-    if len(cells.y) <= HATCHED:
-        hatch(ax, rows[rows["outcome"] == "failure"], cells)
+    if max(len(cells.x), len(cells.y)) <= GLYPHS:
+        glyphs(ax, rows[rows["outcome"] == "failure"], cells)
 
 
-def hatch(ax: Axes, failed: pd.DataFrame, cells: Cells) -> None:
-    """A pattern for each cause, for those who cannot tell the colours: one patch for each run of equal cells."""
-    causes = np.full((len(cells.y), len(cells.x)), "", dtype=object)
-    causes[places_in(failed, cells)] = failed["cause"].to_numpy()
-    for box, cause in runs(causes, cells):
-        if cause:
-            ax.add_patch(Rectangle(*box, fill=False, linewidth=0, **pattern(cause)))
+def glyphs(ax: Axes, failed: pd.DataFrame, cells: Cells) -> None:
+    """The shape of its cause in each cell, for those who cannot tell the colours."""
+    middles = [(edges(values)[1:] + edges(values)[:-1]) / 2 for values in cells]
+    for cause, part in failed.groupby("cause"):
+        up, across = places_in(part, cells)
+        look = {"marker": marker(str(cause)), "color": ink_on(look_of(str(cause)).colour), "linewidths": 0}
+        ax.scatter(middles[0][across], middles[1][up], s=GLYPH**2, rasterized=True, **look)
 
 
 def runs(grid: np.ndarray, cells: Cells) -> Iterator[tuple[tuple[tuple[float, float], float, float], Any]]:
@@ -166,13 +182,6 @@ def means(rows: pd.DataFrame, cells: Cells, name: str) -> np.ma.MaskedArray:
     total = np.bincount(at, own[name].to_numpy(dtype=float), minlength=size)
     mean = np.ma.masked_array(total / np.maximum(number, 1), number == 0)
     return mean.reshape(len(cells.y), len(cells.x))
-
-
-def pattern(cause: str) -> dict[str, Any]:
-    """Hatching of a cause, dark on light colours and light on dark ones."""
-    red, green, blue = to_rgb(CAUSE_COLOURS[cause])
-    dark = 0.299 * red + 0.587 * green + 0.114 * blue < 0.5
-    return {"hatch": CAUSE_HATCHES[cause], "edgecolor": "white" if dark else "black"}
 
 
 def shares(ax: Axes, rows: pd.DataFrame, cells: Cells) -> None:
@@ -216,11 +225,17 @@ def beside(ax: Axes, rows: pd.DataFrame, cells: Cells, name: str) -> None:
 
 
 def legend(figure: Figure, causes: list[str], invalid: bool, most: int, lines: Sequence[Artist]) -> None:
-    """What the colours, the hatching and the lines mean."""
-    patches: list[Any] = [Patch(facecolor=SUCCESS, edgecolor="grey", label="success")] if most == 1 else []
-    patches += [Patch(facecolor=CAUSE_COLOURS[c], label=c.replace("_", " "), **pattern(c)) for c in causes]
+    """What the colours and glyphs of cells, the hatching and the lines mean."""
+    handles: list[Any] = [cell("success", GOOD)] if most == 1 else []
+    handles += [cell(cause.replace("_", " "), look_of(cause).colour, cause) for cause in causes]
     if invalid:
-        patches.append(Patch(facecolor=INVALID, edgecolor="black", hatch="////", label="invalid"))
-    patches += lines
-    if patches:
-        figure.legend(handles=patches, loc="outside lower center", ncols=min(len(patches), 5), fontsize=8)
+        handles.append(Patch(facecolor=INVALID, edgecolor="black", hatch="////", label="invalid"))
+    legend_below(figure, [*handles, *lines])
+
+
+def cell(label: str, colour: str, cause: str = "") -> Line2D:
+    """A cell of a map in a legend, with its cause's glyph."""
+    shown = Line2D([], [], linestyle="", marker="s", markersize=LETTERS, color=colour, label=label)
+    if cause:
+        shown.set(marker=Path.make_compound_path(SQUARE, marker(cause).transformed(Affine2D().scale(0.4))))
+    return shown

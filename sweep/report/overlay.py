@@ -8,13 +8,15 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from sweep.report.labels import heading
+from sweep.report.layout import legend_below, sheet
+from sweep.report.looks import DOUBTFUL, FAILURE, GOOD
 from sweep.runs import histories, store
 from sweep.runs.results import Results
 from sweep.study.study import identity
 
 LINES, PANELS = 100, 8  # that are drawn at most: of each outcome, and columns
 LOW, HIGH = 0.1, 0.9  # quantiles that the band lies between
-COLOURS = {"success": "#0072B2", "failure": "#D55E00", "invalid": "0.5"}
+COLOURS = {"success": GOOD, "failure": FAILURE, "invalid": DOUBTFUL}
 
 
 def shown(results: Results) -> bool:
@@ -49,7 +51,7 @@ def caption(results: Results, kept: pd.DataFrame) -> str:
 def draw(results: Results, kept: pd.DataFrame, quantiles: pd.DataFrame) -> Figure:
     """A panel for each column: the `samples`, and the `data` of them."""
     columns = results.exp.study.keep[:PANELS]
-    figure = Figure(figsize=(7.2, 1.2 + 1.9 * len(columns)), layout="constrained")
+    figure = sheet(0.8 + 1.4 * len(columns))
     spots = figure.subplots(len(columns), 1, sharex=True, squeeze=False)[:, 0]
     for name, ax in zip(columns, spots, strict=True):
         for outcome, colour in COLOURS.items():
@@ -60,7 +62,7 @@ def draw(results: Results, kept: pd.DataFrame, quantiles: pd.DataFrame) -> Figur
                 ax.plot(of["time_s"], of["median"], color=colour, linewidth=1.5, label=outcome)
         ax.set_ylabel(heading(name))
         ax.autoscale_view()
-    spots[0].legend(fontsize=8)
+    legend_below(figure, spots[0].get_legend_handles_labels()[0])
     spots[-1].set_xlabel(heading("time_s"))
     return figure
 

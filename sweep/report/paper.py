@@ -8,7 +8,6 @@ from importlib.resources import files
 from pathlib import Path
 
 import jinja2
-import matplotlib as mpl
 import numpy as np
 import pandas as pd
 
@@ -19,6 +18,7 @@ from sweep.metrics.outcome import MEANING
 from sweep.report import statistics, tables
 from sweep.report.exhibits import exhibits
 from sweep.report.labels import heading
+from sweep.report.layout import lettering
 from sweep.runs import audit
 from sweep.runs.results import Results
 from sweep.study.columns import figure_columns
@@ -26,6 +26,8 @@ from sweep.study.columns import figure_columns
 LINES = 40  # of a table; longer ones are data only
 CSV_ROWS = 5_000  # more rows than this are kept as parquet
 NAMED_ROWS = 3  # a number that comes from so few rows names them
+# what LaTeX knows in UTF-8: Latin letters, what T2A has of Cyrillic ones, and some signs
+LATIN, CYRILLIC, PUNCTUATION = 0x17F, "".join(map(chr, range(0x400, 0x460))), "–—‘’“”…€"
 DIGITS = ("Zero", "One", "Two", "Three", "Four", "Five", "Six", "Seven", "Eight", "Nine")
 
 
@@ -40,8 +42,11 @@ class Number:
     where: str | None  # which rows; None: all
 
 
-def write(results: Results, out: Path) -> list[Path]:
-    """Write the bundle into the folder `out`: main.tex, numbers.tex, tables, figures, and the data of all of them."""
+def write(results: Results, out: Path, serif: bool = False) -> list[Path]:
+    """Write the bundle into the folder `out`: main.tex, numbers.tex, tables, figures, and the data of all of them.
+
+    Letters of figures have serifs where the paper's have.
+    """
     for folder in ("figures", "data", "tables"):
         (out / folder).mkdir(parents=True, exist_ok=True)
     paths = [_rows(results, out)]
@@ -49,7 +54,7 @@ def write(results: Results, out: Path) -> list[Path]:
     for one in shown:
         paths += [out / "data" / f"{one.key}.csv", out / "figures" / f"{one.key}.pdf"]
         write_whole(paths[-2], one.data.to_csv(index=False).encode())
-        with mpl.rc_context({"pdf.fonttype": 42}):  # TrueType, which journals ask for
+        with lettering(serif):
             write_whole(paths[-1], partial(one.draw().savefig, metadata={"CreationDate": None}))
     texts, captions = {}, {}
     for name, caption, table in summaries(results):
@@ -61,7 +66,11 @@ def write(results: Results, out: Path) -> list[Path]:
     table = pd.DataFrame([vars(one) for one in numbers])
     write_whole(out / "data" / "numbers.csv", table.to_csv(index=False).encode())
     texts["numbers.tex"] = "".join(macro(results, one, paths[0].name) for one in numbers)
+    every = "".join([results.name, *texts.values(), *captions.values(), *(one.title + one.caption for one in shown)])
+    cyrillic, unknown = foreign(every)
     texts["main.tex"] = _template().render(
+        cyrillic=cyrillic,
+        unknown=unknown,
         results=results,
         prefix=prefix(results),
         exhibits=shown,
@@ -188,6 +197,13 @@ def escape(text: str) -> str:
         "·": r"$\cdot$",
     }
     return "".join(special.get(c, f"\\{c}" if c in "&%$#_{}" else c) for c in text)
+
+
+def foreign(text: str) -> tuple[bool, list[str]]:
+    """Whether `text` has Cyrillic letters, which pdfLaTeX has fonts for, and codes of letters that it has none for."""
+    letters = sorted(letter for letter in set(text) if letter.isprintable() and ord(letter) > LATIN)
+    cyrillic = [letter for letter in letters if letter in CYRILLIC]
+    return bool(cyrillic), [f"{ord(letter):04X}" for letter in letters if letter not in (*cyrillic, *PUNCTUATION)]
 
 
 def _template() -> jinja2.Template:

@@ -1,5 +1,6 @@
 """Maps of a study of any number of parameters: sections through its points, with the intervals of noisy ones."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations
@@ -16,6 +17,7 @@ from sweep.metrics.outcome import FAILURES
 from sweep.report import limits, refined_cells
 from sweep.report.cells import Cells, mark_values
 from sweep.report.labels import axis_words, heading, with_value
+from sweep.report.layout import COLUMN, PAGE, folded, sheet
 from sweep.report.maps import categories, legend, paint, split
 from sweep.runs import refine
 from sweep.runs.results import Results
@@ -43,39 +45,54 @@ def slices(results: Results) -> Iterator[Slice]:
     """A section for each pair of parameters.
 
     A grid is cut: at a few values of a third parameter; with more parameters, at their values next to the nominal
-    ones. Points that were drawn lie in no section: they are counted in bins, over all values of the others. Where
-    conditions were listed and errors drawn, the map is over the conditions.
+    ones. Where such a section would be mostly empty, as among drawn points, all rows are counted in bins over the two
+    parameters. Where two conditions or more were listed, the maps are over those.
     """
-    few = len(results.rows) < BINNED and not results.listed and not results.exp.study.points
+    few = len(results.rows) < BINNED and len(results.listed) < 2 and not results.exp.study.points
     if results.one_at_a_time or few:
         return
     numeric = results.listed if len(results.listed) > 1 else results.numeric
     for x, y in list(combinations(numeric, 2))[:MAPS]:
-        rows, others = results.rows, [c for c in numeric if c not in (x, y)]
+        others = [c for c in numeric if c not in (x, y)]
         if results.exp.study.resolution and not others:
-            note = f"each cell as its corners; {len(rows)} were run (dots), most of them next to the boundary"
-            yield Slice(x, y, None, refine.painted(results.exp, rows), note, refined=True)
-        elif not gridded(rows, x, y):
-            bins = int(np.clip(np.sqrt(len(rows) / 20), 4, 40))
-            note = f"{bins} by {bins} bins" + (", over all values of the other parameters" if others else "")
-            yield Slice(x, y, None, rows.assign(**{c: binned(rows[c], bins) for c in (x, y)}), note)
-        elif len(others) == 1:
-            values = np.sort(rows[others[0]].unique())
-            chosen = values[np.unique(np.linspace(0, len(values) - 1, PANELS).round().astype(int))]
-            note = f"at values of {axis_words(others[0], results.exp)}"
-            yield Slice(x, y, others[0], rows[rows[others[0]].isin(chosen)], note)
-        else:
-            fixed = {c: nearest(rows[c], usual(results, c)) for c in others}
-            for name, value in fixed.items():
-                rows = rows[rows[name] == value]
-            note = ", ".join(with_value(c, v, results.exp) for c, v in fixed.items())
-            yield Slice(x, y, None, rows, f"at {note}" if note else "")
+            note = f"each cell as its corners; {len(results.rows)} were run (dots), most of them next to the boundary"
+            yield Slice(x, y, None, refine.painted(results.exp, results.rows), note, refined=True)
+            continue
+        section = cut(results, x, y, others)
+        yield section if filled(section) else counted(results, x, y, others)
 
 
-def gridded(rows: pd.DataFrame, x: str, y: str) -> bool:
-    """Whether `x` and `y` take few enough values to fill a map with."""
-    wide, high = rows[x].nunique(), rows[y].nunique()
-    return max(wide, high) <= GRID and len(rows) >= wide * high / 2
+def cut(results: Results, x: str, y: str, others: list[str]) -> Slice:
+    """The section through the values of `others` next to the nominal ones; through a few values of a single other."""
+    rows = results.rows
+    if len(others) == 1:
+        values = np.sort(rows[others[0]].unique())
+        chosen = values[np.unique(np.linspace(0, len(values) - 1, PANELS).round().astype(int))]
+        note = f"at values of {axis_words(others[0], results.exp)}"
+        return Slice(x, y, others[0], rows[rows[others[0]].isin(chosen)], note)
+    fixed = {}
+    for name in others:
+        fixed[name] = nearest(rows[name], usual(results, name))
+        rows = rows[rows[name] == fixed[name]]
+    note = ", ".join(with_value(c, v, results.exp) for c, v in fixed.items())
+    return Slice(x, y, None, rows, f"at {note}" if note else "")
+
+
+def filled(section: Slice) -> bool:
+    """Whether a section is a grid: few enough values for a picture, and rows in half of its cells at least."""
+    by = [section.x, section.y, *([section.beside] if section.beside else [])]
+    counts = [section.rows[c].nunique() for c in by]
+    cells = len(section.rows[by].drop_duplicates())
+    return min(counts[:2]) > 1 and max(counts[:2]) <= GRID and 2 * cells >= math.prod(counts)
+
+
+def counted(results: Results, x: str, y: str, others: list[str]) -> Slice:
+    """All rows, in bins over two parameters; a parameter of fewer values keeps them."""
+    rows = results.rows
+    most = int(np.clip(np.sqrt(len(rows) / 20), 4, 40))
+    bins = {c: min(most, rows[c].nunique()) for c in (x, y)}
+    note = f"{bins[x]} by {bins[y]} bins" + (", over all values of the other parameters" if others else "")
+    return Slice(x, y, None, rows.assign(**{c: binned(rows[c], most) for c in (x, y)}), note)
 
 
 def nearest(values: pd.Series, target: float) -> float:
@@ -100,7 +117,7 @@ def draw(results: Results, chosen: Slice) -> Figure:
     shown = [""] if single else ["low", "share", "high"]
     columns = min(len(panels), 2) if single else 3
     lines = -(-len(panels) * len(shown) // columns)
-    figure = Figure(figsize=(3.4 * columns + 1, 3 * lines + 0.6), layout="constrained")
+    figure = sheet(2.2 * lines + 0.6, PAGE if columns > 1 else COLUMN)
     axes = figure.subplots(lines, columns, squeeze=False, sharex=True, sharey=True).ravel()
     spots = iter(axes)
     for (title, panel), table in zip(panels, tables, strict=True):
@@ -116,7 +133,7 @@ def draw(results: Results, chosen: Slice) -> Figure:
             word = {"low": "lower end", "share": "rate of success", "high": "upper end"}.get(kind, "")
             if chosen.refined:
                 refined_cells.draw(ax, results.exp, panel, x, y, cells)
-            ax.set_title(", ".join([*title, word] if word else title), fontsize=9)
+            ax.set_title(folded(", ".join([*title, word] if word else title), 72 * (PAGE - 1) / 3))
             mark_values(ax, cells)
             limits.draw(ax, results.exp, panel, x, y, cells)
     for ax in spots:

@@ -8,12 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from sweep.controllers.feedforward import between
+from sweep.core.constants import GRAVITY
 from sweep.engines.base import Trace
 from sweep.engines.closed_loop import free_state
 from sweep.metrics.metric import LOADED
 from sweep.models.obstacles.surface import Surface, poses, under
 from sweep.models.robot import total_mass
-from sweep.models.scene import GRAVITY
 
 
 class ContactForces(NamedTuple):

@@ -27,7 +27,9 @@ SIZE = (960, 544)  # pixels, multiples of 16 as video codecs want
 IN_A_ROW = 4  # frames of a strip, which should be full rows
 STILL = 4  # samples of a pixel of a picture that is looked at
 VIDEO_RATE = 25  # frames per second, simulated and shown
-CAMERA_DISTANCE = 1.7  # in units of the distance between the robot's farthest feet at the start
+CAMERA_DISTANCE = 1.7  # in units of the distance between the robot's farthest feet at the start, at least
+FIELD = np.tan(np.radians(22.5)) * np.array([SIZE[0] / SIZE[1], 1.0])  # half of MuJoCo's 45 deg, over the distance
+FILLED = 0.9  # of half the picture's width and height, by the feet at most
 AZIMUTHS = (125.0, -125.0, 55.0, -55.0)  # deg, of the camera's sight, in order of preference
 ELEVATION = -22.0  # deg
 LIBRARIES = {"egl": "libegl1 libegl-mesa0 libgl1-mesa-dri", "osmesa": "libosmesa6"}  # Debian packages
@@ -125,15 +127,14 @@ def render(trace: Trace, chosen: np.ndarray, samples: int = STILL) -> Generator[
 
 
 def _write_job(job: Path, trace: Trace, chosen: np.ndarray, samples: int) -> None:
-    feet = trace.foot_position[0]
-    distance = CAMERA_DISTANCE * np.linalg.norm(feet[:, None] - feet, axis=-1).max()
+    azimuth = min(AZIMUTHS, key=partial(_hidden, trace, chosen))
     mujoco.mj_saveModel(trace.model, str(job / MODEL), None)
     np.savez(
         job / ARRAYS,
         qpos=trace.qpos[chosen],
         look_at=base_pose(trace)[chosen, :3],
-        distance=distance,
-        azimuth=min(AZIMUTHS, key=partial(_hidden, trace, chosen, distance)),
+        distance=_distance(trace, chosen, azimuth),
+        azimuth=azimuth,
         elevation=ELEVATION,
         size=SIZE,
         samples=samples,
@@ -142,11 +143,26 @@ def _write_job(job: Path, trace: Trace, chosen: np.ndarray, samples: int) -> Non
     )
 
 
-def _hidden(trace: Trace, chosen: np.ndarray, distance: float, azimuth: float) -> int:
-    """How many of some points between the camera and the base the obstacle hides, over the frames `chosen`."""
+def _sight(azimuth: float) -> np.ndarray:
+    """Axes (3, 3) of a camera that looks that way: right, up, and from what it looks at towards itself."""
     angle, slope = np.radians(azimuth), np.radians(ELEVATION)
     away = -np.array([np.cos(angle) * np.cos(slope), np.sin(angle) * np.cos(slope), np.sin(slope)])
-    points = base_pose(trace)[chosen, None, :3] + distance * np.linspace(0.2, 1, 9)[:, None] * away
+    right = np.array([np.sin(angle), -np.cos(angle), 0.0])
+    return np.stack([right, np.cross(away, right), away])
+
+
+def _distance(trace: Trace, chosen: np.ndarray, azimuth: float) -> float:
+    """From which all feet of the frames `chosen` are in the picture, its middle being the base (m)."""
+    start, offset = trace.foot_position[0], trace.foot_position[chosen] - base_pose(trace)[chosen, None, :3]
+    across, towards = offset @ _sight(azimuth)[:2].T, offset @ _sight(azimuth)[2]
+    needed = towards + np.max(np.abs(across) / (FILLED * FIELD), axis=-1)
+    return max(CAMERA_DISTANCE * np.linalg.norm(start[:, None] - start, axis=-1).max(), needed.max())
+
+
+def _hidden(trace: Trace, chosen: np.ndarray, azimuth: float) -> int:
+    """How many of some points between the camera and the base the obstacle hides, over the frames `chosen`."""
+    way = _distance(trace, chosen, azimuth) * np.linspace(0.2, 1, 9)[:, None] * _sight(azimuth)[2]
+    points = base_pose(trace)[chosen, None, :3] + way
     return int(np.sum(np.asarray(surfaces(trace, points, chosen).depth) > 0))
 
 

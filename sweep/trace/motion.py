@@ -1,8 +1,8 @@
 """A rollout for a page: its bodies and geoms once, its states as a small stream of whole numbers.
 
-`page/kinematics.js` reads both. A stream has F frames of columns: MuJoCo's `qpos`, then the feet's forces, then the
-stage. Columns are differences from frame to frame, each as all its low bytes and then all its high ones, which deflates
-to a third; forces and stages have no high bytes.
+`page/kinematics.js` reads both. A stream has F frames of columns: MuJoCo's `qpos`, then the feet's forces, the stage,
+and the torques of the joints. Columns are differences from frame to frame, each as all its low bytes and then all its
+high ones, which deflates to a third; only `qpos` has high bytes.
 """
 
 from typing import Any
@@ -35,20 +35,25 @@ SHAPES = {
 def motion(trace: Trace) -> dict[str, Any]:
     """`states` of the trace's finite frames as base64, and what is needed to read them.
 
-    `scales` (nq,) are units of the whole numbers of `qpos`, `force_scale` (N) those of the forces, `step` (s) is the
-    time between frames, and of the first one.
+    `scales` (nq,) are units of the whole numbers of `qpos`, `force_scale` (N) and `torque_scale` (N m) those of forces
+    and torques, `step` (s) is the time between frames, and of the first one.
     """
     frames = finite_frames(trace)
     qpos = np.asarray(trace.qpos[:frames], float)
     scales = np.maximum(units(trace.model), np.abs(qpos).max(axis=0) / INT16)
     force = np.asarray(trace.foot_force[:frames], float).reshape(frames, -1)
     force_scale = max(float(np.nan_to_num(np.abs(force)).max()) / LEVELS, 1e-6)
-    small = np.column_stack([np.round(np.nan_to_num(force) / force_scale), trace.stage[:frames]]).astype(np.int8)
+    torque = np.nan_to_num(np.asarray(trace.joint_torque[:frames], float))
+    torque_scale = max(float(np.abs(torque).max(initial=0)) / LEVELS, 1e-6)
+    parts = [np.round(np.nan_to_num(force) / force_scale), trace.stage[:frames], np.round(torque / torque_scale)]
+    small = np.column_stack(parts).astype(np.int8)
     return {
         "step": float(trace.time[0]),
         "frames": frames,
         "scales": [float(f"{scale:.6g}") for scale in scales],
         "force_scale": float(f"{force_scale:.6g}"),
+        "torque_scale": float(f"{torque_scale:.6g}"),
+        "torque_limit": float(np.max(trace.world.drive.torque_limit)),
         "states": packed(np.round(qpos / scales).astype(np.int16), small),
     }
 

@@ -37,3 +37,14 @@ def wide(tmp_path_factory):
     for place in range(64, len(rows), 1000):
         replays.keep(out, rows.iloc[place], trace)
     return out
+
+
+@pytest.fixture(scope="session")
+def refined(tmp_path_factory):
+    """A map of the fake engine that was refined, with the limit of a theory over it."""
+    out = tmp_path_factory.mktemp("refined")
+    theory = ("study.theory=[{label: least friction, formula: corner_least_friction, output: k, of: contact.friction, "
+              "inputs: {psi: 0.0, eps: 1.1, squeeze: 'manoeuvre.half_step_ratio * 8'}}]")  # fmt: skip
+    axes = ["study.axes.friction.num=5", "study.axes.step.num=5", "study.resolution=0.0625", theory]
+    assert simulated(out, *axes) == 0
+    return out

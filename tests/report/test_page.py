@@ -61,8 +61,8 @@ def test_maps_of_three_parameters_are_sections(folder):
     assert here["success"].sum() == (rows["outcome"] == "success").sum()
     assert ((here["low"] <= here["share"]) & (here["share"] <= here["high"])).sum() == here["share"].notna().sum() == 25
     figure = slices.draw(found, maps[0])
-    titles = [ax.get_title() for ax in figure.axes[:9]]
-    assert titles[3:6] == [f"damping 514.3 N*m*s/rad, {end}" for end in ("lower end", "rate of success", "upper end")]
+    titles = [ax.get_title().replace("\n", " ") for ax in figure.axes[:9]]
+    assert titles[3:6] == [f"damping 514.3 N·m·s/rad, {end}" for end in ("lower end", "rate of success", "upper end")]
 
 
 def test_drawn_points_are_counted_in_bins(folder):

@@ -1,13 +1,14 @@
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 
 import pandas as pd
 import pytest
 
 from sweep.cli.main import main
 from sweep.report import paper
-from sweep.runs import store
+from sweep.runs import results, store
 
 
 @pytest.fixture(scope="module")
@@ -65,10 +66,33 @@ def test_names_and_words_are_fit_for_latex():
     assert paper.escape("a_r 5 % <x> [°]") == r"a\_r 5 \% \textless{}x\textgreater{} [\textdegree{}]"
 
 
-@pytest.mark.skipif(not shutil.which("pdflatex"), reason="needs LaTeX: apt-get install texlive-latex-recommended")
-def test_the_paper_compiles(bundle):
+@pytest.fixture(scope="module")
+def foreign(folder, tmp_path_factory):
+    """The bundle of a study whose name has letters of Russian and Chinese."""
+    out, found = tmp_path_factory.mktemp("foreign"), results.read(folder)
+    study = replace(found.exp.study, name="Ходьба 步行_é")
+    paper.write(replace(found, exp=replace(found.exp, study=study), rows=found.rows.head(40)), out)
+    return out
+
+
+def test_letters_that_latex_lacks_are_declared(foreign):
+    text = (foreign / "main.tex").read_text()
+    preamble, body = text.split(r"\begin{document}")
+    declared = {chr(int(code, 16)) for code in re.findall(r"DeclareUnicodeCharacter\{(\w+)\}", preamble)}
+    assert declared == set("步行")
+    assert "Ходьба 步行" in body
+    assert "T2A]{fontenc}" in preamble
+
+
+def compiled(folder):
     command = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "main.tex"]
-    done = subprocess.run(command, cwd=bundle, capture_output=True, text=True, timeout=120)
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stdout[-2000:]
     assert "Missing character" not in done.stdout
-    assert (bundle / "main.pdf").stat().st_size > 10_000
+    assert (folder / "main.pdf").stat().st_size > 10_000
+
+
+@pytest.mark.skipif(not shutil.which("pdflatex"), reason="needs LaTeX: apt-get install texlive-latex-recommended")
+def test_the_paper_compiles(bundle, foreign):
+    compiled(bundle)
+    compiled(foreign)

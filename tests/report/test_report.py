@@ -6,8 +6,10 @@ import pytest
 
 from sweep.analysis.stats import broken, rate
 from sweep.core.parameters import InputError
+from sweep.metrics.outcome import FAILURES
 from sweep.report import maps, tables
-from sweep.report.labels import CAUSE_HATCHES
+from sweep.report.layout import PAGE, lettering
+from sweep.report.looks import marker
 from sweep.study.config import compose
 from sweep.study.study import Expectation
 
@@ -71,13 +73,26 @@ def test_map_of_single_rollouts_shows_causes_and_hatches_invalid_cells(rows, tmp
     assert "half step ratio" in left.get_ylabel()
     assert "7 of 11 succeed" in left.get_title()
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["success", "slipped", "invalid"]
-    slipped = [patch for patch in left.patches if patch.get_hatch() == CAUSE_HATCHES["slipped"]]
-    assert [p.get_width() for p in slipped] == pytest.approx([0.2, 0.6])  # one for each run of equal cells
+    (glyphs,) = [one for one in left.collections if one.get_offsets().shape == (4, 2)]  # one in each cell that slips
+    shapes = [one.vertices / np.abs(one.vertices).max() for one in (glyphs.get_paths()[0], marker("slipped"))]
+    assert np.allclose(*shapes)
     hatched = [patch.get_extents() for patch in left.patches if patch.get_hatch() == "////"]
     assert [left.transData.inverted().transform(box.p0) for box in hatched] == [pytest.approx([0.3, 0.025])]
     paths = maps.draw(rows, STORED, tmp_path)
     assert [p.name for p in paths] == ["map.png", "map.svg"]
     assert "friction (world)" in paths[1].read_text()
+
+
+def test_a_legend_is_never_cut(rows):
+    causes = [list(FAILURES)[k % len(FAILURES)] for k in range(len(rows))]
+    with lettering():
+        figure = maps.success_map(rows.assign(outcome="failure", cause=causes), STORED)
+        figure.draw_without_rendering()
+    legend, whole = figure.legends[0].get_window_extent(), figure.bbox
+    assert len(figure.legends[0].get_texts()) == 1 + len(set(causes)) > 20
+    assert whole.x0 <= legend.x0 < legend.x1 <= whole.x1
+    assert whole.y0 <= legend.y0 < legend.y1 <= whole.y1
+    assert figure.get_size_inches()[0] == pytest.approx(PAGE)
 
 
 def test_map_of_repeated_rollouts_shows_rates_and_how_many(rows):

@@ -10,7 +10,7 @@ from matplotlib.image import imread
 from sweep.core.parameters import InputError
 from sweep.trace import frames
 from sweep.trace.arrows import FORCE_SCALE
-from sweep.trace.sampling import at_rate, at_times, evenly, finite_frames
+from sweep.trace.sampling import at_rate, at_times, base_pose, evenly, finite_frames
 
 
 def _arrow_columns(picture: np.ndarray) -> np.ndarray:
@@ -85,6 +85,28 @@ def test_forces_are_drawn_to_scale(drawable):
     assert min(np.ptp(first), np.ptp(second)) > 40
     ends = sorted([first.min(), first.max(), second.min(), second.max()])
     assert ends[2] - ends[1] < 0.2 * np.ptp(first)
+
+
+def test_feet_are_in_the_picture(trace, monkeypatch):
+    """Also where they are farther from the base than at the start, and on the camera's side."""
+    seen = {}
+
+    def taken(folder, backend):
+        seen.update(np.load(f"{folder}/{frames.ARRAYS}"))
+        yield from ()
+        return True
+
+    monkeypatch.setattr(frames, "_pictures", taken)
+    feet = trace.foot_position.copy()
+    feet[124] += 2.5 * (feet[124] - base_pose(trace)[124, None, :3])
+    list(frames.render(dataclasses.replace(trace, foot_position=feet), np.array([0, 124])))
+    turn, rise = np.radians([seen["azimuth"], seen["elevation"]])
+    ahead = np.array([np.cos(turn) * np.cos(rise), np.sin(turn) * np.cos(rise), np.sin(rise)])
+    right = np.cross(ahead, [0, 0, 1]) / np.cos(rise)
+    from_camera = feet[[0, 124]] - seen["look_at"][:, None] + seen["distance"] * ahead
+    high = np.tan(np.radians(45 / 2)) * (from_camera @ ahead)
+    assert (np.abs(from_camera @ np.cross(right, ahead)) < high).all()
+    assert (np.abs(from_camera @ right) < high * frames.SIZE[0] / frames.SIZE[1]).all()
 
 
 def test_caller_may_stop_early(drawable):

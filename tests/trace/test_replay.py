@@ -35,7 +35,7 @@ class StandInEngine:
         figures = {name: np.full(WIDTH, value) for name, value in faultless(world).items()}
         friction = np.asarray(world.contact.friction, np.float32)
         slow = np.where(friction < 0.5, 0.5, 1.0)
-        return {**figures, "slip_max_m": 0.01 / friction + streams % 7, "progress": slow}
+        return {**figures, "slip_max_m": 1e-4 / friction + 1e-3 * (streams % 7), "progress": slow}
 
     def trace(self, world, belief, streams, slot):
         figures = {name: values[slot] for name, values in self.run(world, belief, streams).items()}

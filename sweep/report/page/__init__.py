@@ -24,7 +24,8 @@ from sweep.metrics.outcome import MEANING
 from sweep.report import tables
 from sweep.report.exhibit import Exhibit
 from sweep.report.exhibits import exhibits
-from sweep.report.labels import heading
+from sweep.report.labels import heading, kind_of
+from sweep.report.layout import lettering
 from sweep.report.page import data
 from sweep.report.page.script import bundle, policy, style_sheet
 from sweep.report.page.stage import Shown, replays_of, stage_directions
@@ -35,6 +36,7 @@ from sweep.runs.results import Results
 from sweep.study.columns import LABELS
 from sweep.study.config import Experiment
 from sweep.trace.arrows import FORCE_SCALE, FORCE_SHOWN
+from sweep.trace.layout import LEG_COLORS
 
 ROWS, LINES = 100, 100  # of the table at the end, and of the others
 DPI = 140  # of pictures that are for paper alone
@@ -95,7 +97,7 @@ def render(results: Results, shown: list[Shown] | None = None, chosen: tuple[str
     replays = stage_directions(results, replays_of(results) if shown is None else shown, room)
     arrow = {"metres": FORCE_SCALE, "least": FORCE_SHOWN}
     about |= {"replays": replays.about, "models": replays.models, "left_out": replays.left_out}
-    about |= {"arrow": arrow, "open": opened}
+    about |= {"arrow": arrow, "open": opened, "legs": list(LEG_COLORS)}
     return template.render(
         results=results,
         policy=policy(style, script),
@@ -103,7 +105,9 @@ def render(results: Results, shown: list[Shown] | None = None, chosen: tuple[str
         script=Markup(script),
         data=Markup(data.as_json(about)),
         streams=Markup("\n".join(replays.streams)),
-        rate=pooled(rows, results.exp),
+        rate=(rate := pooled(rows, results.exp)),
+        sure=rate.total > 1 and rate.low == rate.low,
+        came=str(kind_of(rows).iloc[0]).replace("_", " ") if len(rows) else "",
         watched=[
             (one.title, one.row["cause"] or one.row["outcome"]) for one in shown or () if results.exp.study.single
         ],
@@ -124,7 +128,8 @@ def render(results: Results, shown: list[Shown] | None = None, chosen: tuple[str
 def plate(one: Exhibit) -> Plate:
     """A figure as the page has it: pixels where the script shows the same, and only paper needs it."""
     live = one.key.startswith("map-") or one.key in ("draws", "causes", "distributions")
-    return Plate(one.key, one.title, one.caption, (png if live else svg)(one.draw(), one.title), live)
+    with lettering():
+        return Plate(one.key, one.title, one.caption, (png if live else svg)(one.draw(), one.title), live)
 
 
 def expectations(results: Results) -> Iterator[tuple[str, str]]:

@@ -1,5 +1,5 @@
 // Axes of charts: from values to pixels and back, ticks and titles.
-import { clamp, edgesOf, placeIn, shortly, ticks } from "./numbers.js";
+import { bent, clamp, edgesOf, placeIn, shortly, ticks, unbent } from "./numbers.js";
 
 /** @typedef {import("./data.js").Column} Column */
 
@@ -30,6 +30,7 @@ export function scaleOf(column, cells, room) {
     const marks = column.names.map((text, value) => ({ value, text })).filter(({ value }) => value % every === 0);
     return even(-0.5, count - 0.5, marks, values);
   }
+  if (!cells && column.diverges) return bentScale(column, room);
   if (!cells) {
     const margin = 0.03 * (column.high - column.low) || 0.5;
     const low = column.low >= 0 ? Math.max(0, column.low - margin) : column.low - margin;
@@ -68,6 +69,23 @@ function even(low, high, marks, cells) {
   const to = (/** @type {number} */ value) => (value - low) / size;
   const edges = cells ? edgesOf(cells).map((edge) => clamp(to(edge), 0, 1)) : null;
   return { to, back: (share) => low + share * size, ticks: marks, edges, cells };
+}
+
+/**
+ * A scale that shows how near zero values are, however far a few of them are from it.
+ * @param {Column} column
+ * @param {number} room
+ * @returns {Scale}
+ */
+function bentScale({ low, high }, room) {
+  const [first, last] = [bent(low) - 0.1, bent(high) + 0.1];
+  const to = (/** @type {number} */ value) => (bent(value) - first) / (last - first);
+  const size = Math.max(-low, high);
+  const powers = Array.from({ length: Math.max(1, Math.ceil(Math.log10(size / 0.1)) + 1) }, (_, k) => 10 ** (k - 1));
+  const every = Math.max(1, Math.ceil((2 * powers.length) / room));
+  const values = powers.filter((_, k) => k % every === 0).flatMap((power) => [-power, power]);
+  const marks = [0, ...values].map((value) => ({ value, text: shortly(value) }));
+  return { to, back: (share) => unbent(first + share * (last - first)), ticks: marks, edges: null, cells: null };
 }
 
 /**

@@ -1,5 +1,6 @@
 // What a map shows where: rows as cells of a grid, as quarters of a refined mesh's cells, or as marks.
 import { scaleOf } from "./axes.js";
+import { clamp } from "./numbers.js";
 
 /** @typedef {import("./axes.js").Scale} Scale */
 /** @typedef {import("./data.js").Column} Column */
@@ -13,8 +14,8 @@ import { scaleOf } from "./axes.js";
  * @property {"cells" | "marks"} form
  * @property {Int32Array} rows
  * @property {Float64Array} boxes four for each of `rows`; of marks the first two are the place
- * @property {Int32Array} cell number of the cell that each of `rows` is in, of a grid
- * @property {boolean} several whether a cell has several rows
+ * @property {Int32Array} cell number of the cell, or of marks the bin, that each of `rows` is in
+ * @property {number} bins along either axis, of marks; else 0
  * @property {Float64Array} outlines of a refined mesh's cells, four each
  */
 
@@ -32,7 +33,7 @@ export function placesOf(table, x, y, within, room) {
   const rows = [];
   for (let row = 0; row < table.rows; row++)
     if (within(row) && !Number.isNaN(x.values[row]) && !Number.isNaN(y.values[row])) rows.push(row);
-  const about = table.about.mesh;
+  const about = table.about.refined_cells;
   if (about && table.mesh && about.axes.includes(x.key) && about.axes.includes(y.key) && x !== y)
     return meshed(table, x, y, within, room, about.axes[0] === x.key);
   const [across, up] = [distinct(x.values, rows), distinct(y.values, rows)];
@@ -82,7 +83,6 @@ function celled(x, y, sx, sy, rows) {
     const start = left + step * taken[cell[k]]++;
     boxes.set([start, sy.edges?.[j] ?? 0, start + step, sy.edges?.[j + 1] ?? 1], 4 * k);
   });
-  const several = counts.some((count) => count > 1);
   return {
     x: sx,
     y: sy,
@@ -90,7 +90,7 @@ function celled(x, y, sx, sy, rows) {
     rows: Int32Array.from(rows),
     boxes,
     cell,
-    several,
+    bins: 0,
     outlines: new Float64Array(),
   };
 }
@@ -109,17 +109,27 @@ function marked(x, y, rows, room) {
     boxes[4 * k] = sx.to(x.values[row] + (x.names ? scattered(row) : 0));
     boxes[4 * k + 1] = sy.to(y.values[row] + (y.names ? scattered(row + 1) : 0));
   });
-  const none = new Float64Array();
+  const bins = binsFor(rows.length);
+  const bin = (/** @type {number} */ share) => clamp(Math.floor(share * bins), 0, bins - 1);
   return {
     x: sx,
     y: sy,
     form: "marks",
     rows: Int32Array.from(rows),
     boxes,
-    cell: new Int32Array(),
-    several: false,
-    outlines: none,
+    cell: Int32Array.from(rows, (_, k) => bin(boxes[4 * k + 1]) * bins + bin(boxes[4 * k])),
+    bins,
+    outlines: new Float64Array(),
   };
+}
+
+/**
+ * Bins along either axis in which marks are counted for a rate: some 20 in each.
+ * @param {number} count
+ * @returns {number}
+ */
+function binsFor(count) {
+  return clamp(Math.round(Math.sqrt(count / 20)), 3, 40);
 }
 
 /**
@@ -173,7 +183,7 @@ function meshed(table, x, y, within, room, straight) {
     rows: Int32Array.from(rows),
     boxes: Float64Array.from(boxes),
     cell: Int32Array.from(rows, (_, k) => k),
-    several: false,
+    bins: 0,
     outlines: Float64Array.from(outlines),
   };
 }

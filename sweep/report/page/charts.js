@@ -2,8 +2,8 @@
 import { drawFrame, scaleOf } from "./axes.js";
 import { binsOf, clipped, smirnov } from "./data.js";
 import { byId, cssOf, element, offer, pointerOn, sheetOf } from "./dom.js";
-import { clamp, packRgb, shortly, wilson } from "./numbers.js";
-import { pixelsOf, stampAt, stampOf, tileOf } from "./paint.js";
+import { clamp, packRgb, rgbOf, shortly, wilson } from "./numbers.js";
+import { paintKind, pixelsOf, stampAt, stampOf } from "./paint.js";
 import { narrow } from "./state.js";
 
 /** @typedef {import("./data.js").Column} Column */
@@ -11,7 +11,7 @@ import { narrow } from "./state.js";
 /** @typedef {import("./main.js").App} App */
 /** @typedef {import("./main.js").View} View */
 
-const BINS = 32;
+const [BINS, LISTED] = [32, 60]; // bins of what was drawn or measured; values of a grid that have one each
 const SHOWN = 8; // distributions before one asks for more
 const PAIRED = 6; // columns of the matrix of pairs
 
@@ -61,7 +61,7 @@ export function stageView(app) {
       counts[k].forEach((count, kind) => {
         const size = (count / most) * (width - left - 50);
         if (!count) return;
-        patterned(pen, x, y, Math.max(1, size), 18, looks[kind], ratio);
+        boxed(pen, x, y, Math.max(1, size), 18, looks[kind], ratio);
         x += size;
       });
       pen.fillStyle = soft;
@@ -76,11 +76,8 @@ export function stageView(app) {
   return { root: canvas, draw, point: () => {}, resized: () => {} };
 }
 
-/** @type {Map<string, CanvasPattern>} */
-const fills = new Map();
-
 /**
- * A box in the colour and pattern of a kind.
+ * A box in the colour of a kind, with its glyph: as a cell of the map.
  * @param {CanvasRenderingContext2D} pen
  * @param {number} x
  * @param {number} y
@@ -89,27 +86,12 @@ const fills = new Map();
  * @param {import("./dom.js").Look} look
  * @param {number} ratio
  */
-export function patterned(pen, x, y, width, height, look, ratio) {
-  pen.fillStyle = cssOf(look.cell);
-  pen.fillRect(x, y, width, height);
-  const key = `${look.pattern} ${look.ink} ${ratio}`;
-  const bits = tileOf(look.pattern);
-  if (bits && !fills.has(key)) {
-    const canvas = element("canvas", { width: "8", height: "8" });
-    const own = /** @type {CanvasRenderingContext2D} */ (canvas.getContext("2d"));
-    own.fillStyle = cssOf(look.ink);
-    bits.forEach((bit, k) => bit && own.fillRect(k % 8, k >> 3, 1, 1));
-    const made = pen.createPattern(canvas, "repeat");
-    if (made) fills.set(key, made);
-  }
-  const pattern = fills.get(key);
-  if (pattern && bits) {
-    pen.fillStyle = pattern;
-    pen.fillRect(x, y, width, height);
-  }
-  pen.strokeStyle = cssOf(look.mark, 0.7);
-  pen.lineWidth = 0.7;
-  pen.strokeRect(x, y, width, height);
+export function boxed(pen, x, y, width, height, look, ratio) {
+  const [wide, high] = [Math.max(1, Math.round(width * ratio)), Math.max(1, Math.round(height * ratio))];
+  const pixels = pixelsOf(wide, high);
+  const glyph = width >= 12 ? stampOf(look.shape, 4.2 * ratio) : null;
+  paintKind(pixels, { left: 0, top: 0, right: wide, bottom: high }, look, glyph, -1, ratio);
+  pen.putImageData(pixels.image, Math.round(x * ratio), Math.round(y * ratio));
 }
 
 /**
@@ -124,7 +106,7 @@ export function importanceView(app) {
   canvas.style.height = `${44 + 24 * Math.min(16, Math.max(1, columns.length))}px`;
   const draw = () => {
     const { pen, width } = sheetOf(canvas);
-    const { ink, soft, line, dark } = app.theme();
+    const { ink, soft, line, accent } = app.theme();
     const side = sideOf(app);
     const found = columns.map((column) => ({ column, ...smirnov(app.order(column), column.values, side) }));
     found.sort((a, b) => b.distance - a.distance);
@@ -136,7 +118,7 @@ export function importanceView(app) {
       pen.textAlign = "right";
       pen.fillStyle = ink;
       pen.fillText(column.label, left - 8, y + 8, left - 10);
-      pen.fillStyle = told ? (dark ? "#62b4e4" : "#0072B2") : line;
+      pen.fillStyle = told ? accent : line;
       pen.fillRect(left, y, Math.max(1, distance * room), 16);
       pen.textAlign = "left";
       pen.fillStyle = soft;
@@ -208,12 +190,12 @@ export function rateView(app) {
     };
     const spot = (/** @type {number} */ at, /** @type {number} */ rate) =>
       /** @type {const} */ ([box.left + x.to(at) * box.width, box.top + (1 - rate) * box.height]);
-    pen.fillStyle = cssOf(app.looks()[0]?.mark ?? [58, 146, 201], 0.22);
+    pen.fillStyle = cssOf(rgbOf(table.about.colours.success), 0.3);
     pen.beginPath();
     curve.forEach(({ at, ends }) => pen.lineTo(...spot(at, ends[1])));
     [...curve].reverse().forEach(({ at, ends }) => pen.lineTo(...spot(at, ends[0])));
     pen.fill();
-    pen.strokeStyle = app.theme().dark ? "#62b4e4" : "#0072B2";
+    pen.strokeStyle = app.theme().accent;
     pen.lineWidth = 2;
     pen.beginPath();
     curve.forEach(({ at, rate }) => pen.lineTo(...spot(at, rate)));
@@ -253,14 +235,19 @@ export function distributionsView(app) {
   const many = clamp(Math.round(1.6 * Math.sqrt(few ?? 1)), 8, BINS);
   const more = byId("distributions-more");
   let shown = SHOWN;
-  /** @type {{ canvas: HTMLCanvasElement, column: Column, bins: Uint8Array }[]} */
+  /** @type {{ canvas: HTMLCanvasElement, column: Column, many: number, bins: Uint8Array }[]} */
   let panels = [];
   const fill = () => {
     panels = columns.slice(0, shown).map((column) => {
       const label = `${column.title}: distributions of successes and failures; drag to choose a range`;
       const canvas = element("canvas", { class: "small", role: "img", "aria-label": label });
       brushed(canvas, column);
-      return { canvas, column, bins: binsOf(column, many) };
+      const values = column.axis && !column.drawn ? [...new Set(column.values)] : [];
+      if (values.length < 2 || values.length > LISTED) return { canvas, column, many, bins: binsOf(column, many) };
+      const sorted = values.sort((a, b) => a - b); // a bin for each value of a grid
+      const place = new Map(sorted.map((value, k) => [value, k]));
+      const bins = Uint8Array.from(column.values, (value) => place.get(value) ?? 255);
+      return { canvas, column, many: sorted.length, bins };
     });
     root.replaceChildren(...panels.map(({ canvas }) => canvas));
     more.hidden = shown >= columns.length;
@@ -302,9 +289,10 @@ export function distributionsView(app) {
 
   const draw = () => {
     const sides = sideOf(app);
-    const { ink, soft, line, accent, dark } = app.theme();
-    const colours = [dark ? "#62b4e4" : "#3a92c9", "#D55E00"];
-    for (const { canvas, column, bins } of panels) {
+    const { ink, soft, line, accent } = app.theme();
+    const { success, failure } = table.about.colours;
+    const colours = [success, failure];
+    for (const { canvas, column, many, bins } of panels) {
       if (!app.visible(canvas)) continue;
       const { pen, width, height } = sheetOf(canvas);
       const counts = [new Float64Array(many), new Float64Array(many)];
@@ -395,7 +383,7 @@ export function pairsView(app) {
     const cell = (width - 8) / columns.length;
     const size = Math.round((cell - 10) * ratio);
     const radius = clamp(30 / Math.sqrt(table.rows), 0.9, 3) * ratio;
-    const stamps = looks.map((_, kind) => stampOf(kind, radius));
+    const stamps = looks.map((look) => stampOf(look.shape, radius));
     columns.forEach((y, j) =>
       columns.forEach((x, i) => {
         const [left, top] = [4 + i * cell, 4 + j * cell];

@@ -1,4 +1,5 @@
 // What the page holds, read: rows by column, the cells of a refined map, densities.
+// The records from `Kind` to `About` are what Python writes (`data.py`, `stage.py`): a test holds both to the same keys.
 import { clamp } from "./numbers.js";
 
 /**
@@ -8,7 +9,7 @@ import { clamp } from "./numbers.js";
  * @property {string} meaning
  * @property {number} count
  * @property {string} colour
- * @property {string} pattern
+ * @property {number[]} shape corners of its mark, x and y in turn, y up
  * @property {"success" | "failure" | "invalid"} outcome
  */
 
@@ -20,6 +21,7 @@ import { clamp } from "./numbers.js";
  * @property {string} unit
  * @property {boolean} axis
  * @property {boolean} drawn
+ * @property {boolean} diverges whether it is good above zero and bad below it
  * @property {number | null} limit
  * @property {string[]} [names]
  * @property {number[]} [levels]
@@ -29,8 +31,37 @@ import { clamp } from "./numbers.js";
  * @property {number} [middle]
  */
 
-/** @typedef {{ label: string, of: string, along: string, at: (number | null)[], limit: (number | null)[] }} Theory */
-/** @typedef {{ x: string, y: string, wide: number, high: number, x_ends: number[], y_ends: number[], block: string }} Binned */
+/**
+ * @typedef {object} Theory
+ * @property {string} label
+ * @property {string} of
+ * @property {string} along
+ * @property {(number | null)[]} at
+ * @property {(number | null)[]} limit
+ */
+
+/**
+ * @typedef {object} Binned
+ * @property {string} x
+ * @property {string} y
+ * @property {number} wide
+ * @property {number} high
+ * @property {number[]} x_ends
+ * @property {number[]} y_ends
+ * @property {string} block
+ */
+
+/**
+ * @typedef {object} Mesh
+ * @property {string[]} axes
+ * @property {string} block rows at the corners of cells, four a cell
+ */
+
+/**
+ * @typedef {object} Arrow
+ * @property {number} metres for a newton
+ * @property {number} least newtons that have an arrow
+ */
 
 /**
  * @typedef {object} Shown
@@ -46,6 +77,8 @@ import { clamp } from "./numbers.js";
  * @property {number} frames
  * @property {number[]} scales
  * @property {number} force_scale
+ * @property {number} torque_scale 0 where no torques are kept
+ * @property {number | null} torque_limit N m
  * @property {string[]} stages
  */
 
@@ -63,13 +96,15 @@ import { clamp } from "./numbers.js";
  * @property {boolean} one_at_a_time whether each parameter was varied alone
  * @property {string[]} start
  * @property {Theory[]} theory
- * @property {{ axes: string[], cells: number, block: string } | null} mesh
+ * @property {Mesh | null} refined_cells
  * @property {Binned[]} densities
  * @property {Shown[]} replays
  * @property {string} models
  * @property {number} left_out
  * @property {number} open
- * @property {{ metres: number, least: number }} arrow
+ * @property {Arrow} arrow
+ * @property {string[]} legs colours of the legs
+ * @property {{ success: string, failure: string }} colours of all that succeed, and of all that fail
  */
 
 /**
@@ -80,6 +115,7 @@ import { clamp } from "./numbers.js";
  * @property {string} title label and unit
  * @property {boolean} axis
  * @property {boolean} drawn
+ * @property {boolean} diverges
  * @property {number | null} limit
  * @property {string[] | null} names of the codes that are its values
  * @property {Float64Array} values NaN where there is none
@@ -145,7 +181,7 @@ export async function readTable(about) {
     ids: bytes.subarray(2 * rows, (2 + half) * rows),
     columns,
     named: new Map(columns.map((column) => [column.key, column])),
-    mesh: about.mesh ? new Int32Array(await inflate(about.mesh.block)) : null,
+    mesh: about.refined_cells ? new Int32Array(await inflate(about.refined_cells.block)) : null,
     replayed: new Map(about.replays.map((one, k) => /** @type {const} */ ([one.row, k])).filter(([row]) => row >= 0)),
   };
 }

@@ -16,15 +16,13 @@ from sweep.metrics.outcome import DOUBTS, MEANING
 from sweep.report import limits
 from sweep.report.exhibits import judged_first, thresholds
 from sweep.report.labels import (
-    CAUSE_COLOURS,
-    CAUSE_HATCHES,
-    SUCCESS,
     axis_words,
     kind_of,
     meaning,
     name_and_unit,
     unit_of,
 )
+from sweep.report.looks import FAILURE, GOOD, look_of
 from sweep.runs import refine
 from sweep.runs.results import Results
 from sweep.study.study import side_and_path
@@ -54,6 +52,7 @@ def data(results: Results, chosen: tuple[str, ...] = ()) -> dict[str, Any]:
             **words(c, results),
             "axis": c in axes,
             "drawn": c not in (*results.listed, *results.named),
+            "diverges": c == "margin",
             "limit": judged.get(c),
             **about,
         }
@@ -70,6 +69,7 @@ def data(results: Results, chosen: tuple[str, ...] = ()) -> dict[str, Any]:
         "total": len(results.rows),
         "rows": len(rows),
         "kinds": kinds,
+        "colours": {"success": GOOD, "failure": FAILURE},
         "stages": stages,
         "columns": columns,
         "digits": DIGITS,
@@ -113,7 +113,7 @@ def codes_of(rows: pd.DataFrame, kinds: list[dict[str, Any]]) -> np.ndarray:
 
 
 def kinds_of(results: Results) -> list[dict[str, Any]]:
-    """What came of rollouts, with words, colour and pattern: success, then the causes in their order."""
+    """What came of rollouts, with words, colour and shape: success, then the causes in their order."""
     counts = kind_of(results.rows).value_counts()
     known = [name for name in ("success", *MEANING) if name in counts]
     return [
@@ -122,8 +122,8 @@ def kinds_of(results: Results) -> list[dict[str, Any]]:
             "label": name.replace("_", " ") or "no cause",
             "meaning": meaning(name) if name in known else "",
             "count": int(counts[name]),
-            "colour": SUCCESS if name == "success" else CAUSE_COLOURS.get(name, "#7F7F7F"),
-            "pattern": CAUSE_HATCHES.get(name, ""),
+            "colour": look_of(name).colour,
+            "shape": look_of(name).shape.round(3).ravel().tolist(),
             "outcome": "success" if name == "success" else "invalid" if name in DOUBTS else "failure",
         }
         for name in [*known, *sorted(set(counts.index) - set(known))]
@@ -202,7 +202,6 @@ def refined_cells(results: Results) -> dict[str, Any] | None:
     cells = cells[(cells >= 0).all(axis=1)]
     return {
         "axes": [axis.column for axis in axes],
-        "cells": len(cells),
         "block": as_text(cells.astype("<i4").tobytes()),
     }
 

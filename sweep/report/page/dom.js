@@ -1,5 +1,5 @@
 // Elements, canvases and the colours of the page's theme.
-import { mixed, rgbOf } from "./numbers.js";
+import { rgbOf } from "./numbers.js";
 
 /** @typedef {import("./data.js").Kind} Kind */
 /** @typedef {[number, number, number]} Rgb */
@@ -87,26 +87,20 @@ export function themeNow() {
   return { dark, paper: rgbOf(panel), ink, soft, line, accent, panel };
 }
 
-/** @typedef {{ cell: Rgb, mark: Rgb, ink: Rgb, pattern: string }} Look */
+/** @typedef {{ cell: Rgb, mark: Rgb, ink: Rgb, hatched: boolean, shape: number[] }} Look */
 
 /**
- * How a kind of outcome looks: as a cell with its pattern, and as a mark or a line on the panel.
+ * How a kind of outcome looks, whatever the theme: as a mark or a line, and as a cell with its glyph. What is invalid has no
+ * colour of its own as a cell.
  * @param {Kind} kind
  * @param {Theme} theme
  * @returns {Look}
  */
-export function lookOf(kind, theme) {
-  const own = rgbOf(kind.colour);
-  if (kind.outcome === "success")
-    return { cell: theme.dark ? [32, 74, 99] : own, mark: [86, 180, 233], ink: own, pattern: "" };
-  if (kind.outcome === "invalid") {
-    const grey = /** @type {Rgb} */ (theme.dark ? [150, 152, 158] : [128, 130, 136]);
-    return { cell: theme.paper, mark: grey, ink: grey, pattern: kind.pattern };
-  }
-  const bright = (0.299 * own[0] + 0.587 * own[1] + 0.114 * own[2]) / 255;
-  const shown = bright < 0.2 ? mixed(own, [255, 255, 255], theme.dark ? 0.75 : 0.22) : own; // no hole in the page
-  const ink = /** @type {Rgb} */ (bright < 0.5 ? [255, 255, 255] : [0, 0, 0]);
-  return { cell: shown, mark: shown, ink: mixed(shown, ink, 0.6), pattern: kind.pattern };
+export function lookOf({ colour, shape, outcome }, theme) {
+  const mark = rgbOf(colour);
+  if (outcome === "invalid") return { cell: theme.paper, mark, ink: mark, hatched: true, shape };
+  const dark = 0.299 * mark[0] + 0.587 * mark[1] + 0.114 * mark[2] < 110;
+  return { cell: mark, mark, ink: dark ? [255, 255, 255] : [28, 32, 36], hatched: false, shape };
 }
 
 /**

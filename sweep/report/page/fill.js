@@ -1,6 +1,6 @@
 // How a map is filled: cells, marks or densities, in the colours of kinds, rates or figures.
-import { clamp, mixed, packRgb, scaleColour } from "./numbers.js";
-import { fillCell, stampAt, stampOf, tileOf } from "./paint.js";
+import { bent, clamp, mixed, packRgb, scaleColour } from "./numbers.js";
+import { fillCell, paintKind, stampAt, stampOf } from "./paint.js";
 
 /** @typedef {import("./cells.js").Places} Places */
 /** @typedef {import("./data.js").Column} Column */
@@ -10,7 +10,7 @@ import { fillCell, stampAt, stampOf, tileOf } from "./paint.js";
 
 export const KIND = "kind";
 export const RATE = "rate";
-const PATTERNED = 6; // CSS pixels of a cell that a pattern is seen in
+const [GAPPED, GLYPHED] = [6, 13]; // CSS pixels of a cell that a gap is left beside, that a glyph is seen in
 const FADED = 0.86; // of what does not pass the filters
 
 /**
@@ -71,9 +71,13 @@ function coloursBy({ table, state }, here, by) {
   const column = table.named.get(by);
   if (!column) return null;
   const [low, high] = spanOf(column);
+  const most = bent(Math.max(-low, high));
   return (k) => {
     const value = column.values[here.rows[k]];
-    return Number.isNaN(value) ? 0 : scaleColour((value - low) / (high - low));
+    if (Number.isNaN(value)) return 0;
+    return column.diverges
+      ? scaleColour(0.5 + bent(value) / most / 2, true)
+      : scaleColour((value - low) / (high - low));
   };
 }
 
@@ -89,9 +93,8 @@ export function paintCells(app, pixels, here, by, ratio) {
   const { paper } = app.theme();
   const looks = app.looks();
   const faded = looks.map((look) => packRgb(...mixed(look.cell, paper, FADED)));
-  const plain = looks.map((look) => packRgb(...look.cell));
-  const inks = looks.map((look) => packRgb(...look.ink));
-  const tiles = looks.map((look) => tileOf(look.pattern));
+  const { kinds } = table.about;
+  const glyphs = looks.map(({ shape }, k) => (kinds[k].outcome === "failure" ? stampOf(shape, 3.4 * ratio) : null));
   const colour = coloursBy(app, here, by);
   const { width, height } = pixels;
   const gap = here.outlines.length ? 0 : 1;
@@ -103,13 +106,16 @@ export function paintCells(app, pixels, here, by, ratio) {
     const right = Math.max(left + 1, Math.round(here.boxes[4 * k + 2] * width));
     const top = Math.round((1 - here.boxes[4 * k + 3]) * height);
     const bottom = Math.max(top + 1, Math.round((1 - here.boxes[4 * k + 1]) * height));
-    const large = Math.min(right - left, bottom - top) >= PATTERNED * ratio;
-    const space = large ? gap : 0;
+    const least = Math.min(right - left, bottom - top) / ratio;
+    const space = least >= GAPPED ? gap : 0;
+    const box = { left, top, right: right - space, bottom: bottom - space };
     const passes = state.mask[row] > 0;
-    const own = colour ? colour(k) || empty : plain[kind];
-    const shown = passes ? own : colour ? empty : faded[kind];
-    const tile = passes && large && !colour ? tiles[kind] : null;
-    fillCell(pixels, left, top, right - space, bottom - space, shown, row, tile, inks[kind], ratio);
+    if (passes && !colour) {
+      paintKind(pixels, box, looks[kind], least >= GLYPHED ? glyphs[kind] : null, row, ratio);
+      continue;
+    }
+    const shown = colour ? (passes && colour(k)) || empty : faded[kind];
+    fillCell(pixels, left, top, box.right, box.bottom, shown, row, null, 0, ratio);
   }
 }
 
@@ -125,8 +131,8 @@ export function paintMarks(app, pixels, here, by, ratio) {
   const { paper } = app.theme();
   const looks = app.looks();
   const radius = markSize(here) * ratio;
-  const stamps = looks.map((_, kind) => stampOf(kind, radius));
-  const halos = radius > 2.4 * ratio ? looks.map((_, kind) => stampOf(kind, radius + ratio)) : null;
+  const stamps = looks.map((look) => stampOf(look.shape, radius));
+  const halos = radius > 2.4 * ratio ? looks.map((look) => stampOf(look.shape, radius + ratio)) : null;
   const colour = coloursBy(app, here, by);
   const opacity = clamp(120 / Math.sqrt(here.rows.length + 1), 0.55, 1);
   const faint = looks.map((look) => mixed(look.mark, paper, FADED));

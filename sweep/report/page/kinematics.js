@@ -33,6 +33,8 @@
  * @property {Float64Array} qpos frame by frame
  * @property {Float64Array} force of the feet, N, 18 a frame
  * @property {Int16Array} stage
+ * @property {Float64Array | null} torque of the joints, N m, 18 a frame; of replays that were kept before, none
+ * @property {number | null} torqueLimit N m
  */
 
 /**
@@ -67,15 +69,22 @@ export function readMotion(shown, buffer) {
   const coordinates = scales.length;
   const bytes = new Uint8Array(buffer);
   const states = readPlanes(bytes, frames, coordinates, 2);
-  const small = readPlanes(bytes.subarray(2 * frames * coordinates), frames, 19, 1);
+  const wide = shown.torque_scale ? 37 : 19; // feet's forces, the stage, torques
+  const small = readPlanes(bytes.subarray(2 * frames * coordinates), frames, wide, 1);
   const qpos = Float64Array.from(states, (value, k) => value * scales[k % coordinates]);
   const force = new Float64Array(18 * frames);
   const stage = new Int16Array(frames);
   for (let frame = 0; frame < frames; frame++) {
-    for (let k = 0; k < 18; k++) force[frame * 18 + k] = small[frame * 19 + k] * shown.force_scale;
-    stage[frame] = small[frame * 19 + 18];
+    for (let k = 0; k < 18; k++) force[frame * 18 + k] = small[frame * wide + k] * shown.force_scale;
+    stage[frame] = small[frame * wide + 18];
   }
-  return { step: shown.step, frames, coordinates, qpos, force, stage };
+  const torque = shown.torque_scale
+    ? Float64Array.from(
+        { length: 18 * frames },
+        (_, k) => small[Math.floor(k / 18) * wide + 19 + (k % 18)] * shown.torque_scale,
+      )
+    : null;
+  return { step: shown.step, frames, coordinates, qpos, force, stage, torque, torqueLimit: shown.torque_limit };
 }
 
 /**

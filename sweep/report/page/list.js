@@ -39,7 +39,7 @@ export function listView(app) {
     return head;
   });
   const body = element("tbody");
-  const words = ["", "outcome", "stage"].map((text) => element("th", { scope: "col" }, text));
+  const words = ["replay", "outcome", "stage"].map((text) => element("th", { scope: "col" }, text));
   root.replaceChildren(
     element("table", { class: "rows" }, element("thead", {}, element("tr", {}, ...words, ...heads)), body),
   );

@@ -1,13 +1,15 @@
 // The page: reads what it holds, makes its views, and draws those that are seen when something changes.
-import { distributionsView, importanceView, pairsView, patterned, rankedOf, rateView, stageView } from "./charts.js";
+import { addressOf, conditionOf, wantedOf } from "./address.js";
+import { distributionsView, importanceView, pairsView, boxed, rankedOf, rateView, stageView } from "./charts.js";
 import { clipped, orderOf, pointOf, readTable } from "./data.js";
 import { byId, element, lookOf, sheetOf, themeNow } from "./dom.js";
 import { listView } from "./list.js";
 import { mapView, worded } from "./map.js";
-import { shortly } from "./numbers.js";
+import { grouped, shortly } from "./numbers.js";
 import { parallelView } from "./parallel.js";
 import { playerOf } from "./player.js";
-import { narrow, sift, stateOf } from "./state.js";
+import { csvOf, give, offerPictures } from "./save.js";
+import { narrow, showAll, sift, stateOf } from "./state.js";
 
 /** @typedef {import("./data.js").Column} Column */
 /** @typedef {import("./data.js").Table} Table */
@@ -20,6 +22,8 @@ import { narrow, sift, stateOf } from "./state.js";
  * @typedef {object} App
  * @property {Table} table
  * @property {State} state
+ * @property {import("./address.js").Wanted} wanted what the page's address asks for
+ * @property {() => void} remember what is looked at, in the address
  * @property {{ column: Column, distance: number }[]} ranked parameters by how much they have to do with failure
  * @property {() => Theme} theme
  * @property {() => Look[]} looks of kinds
@@ -36,6 +40,8 @@ import { narrow, sift, stateOf } from "./state.js";
  */
 
 /** @typedef {{ root: HTMLElement, draw: () => void, point: () => void, resized: () => void }} View */
+
+const SETTLED = 250; // ms after which the address says what is looked at
 
 /** @returns {Promise<void>} */
 async function begin() {
@@ -79,10 +85,28 @@ async function begin() {
     if (!due) requestAnimationFrame(paint);
     due = true;
   };
+  const wanted = wantedOf(table, location.hash);
+  for (const [key, range] of wanted.ranges) narrow(state, key, range);
+  for (const kind of wanted.hidden) state.hidden.add(kind);
+  sift(state);
+  let noted = 0;
+  const note = () => {
+    const [x, y, colour] = ["map-x", "map-y", "map-colour"].map(
+      (id) => /** @type {HTMLSelectElement} */ (byId(id)).value,
+    );
+    const point = state.chosen < 0 ? "" : pointOf(table, state.chosen);
+    const now = { x, y, colour, point, time: player.time() };
+    history.replaceState(null, "", addressOf(table, state, now));
+  };
   /** @type {App} */
   const app = {
     table,
     state,
+    wanted,
+    remember: () => {
+      clearTimeout(noted);
+      noted = setTimeout(note, SETTLED);
+    },
     ranked: rankedOf(table, order),
     theme: () => theme,
     looks: () => looks,
@@ -96,10 +120,13 @@ async function begin() {
     mark: (row) => {
       state.chosen = row;
       for (const view of views) if (visible(view.root)) view.point();
+      app.remember();
     },
     choose: (row) => {
       app.mark(row);
       player.openRow(row);
+      if (matchMedia("(max-width: 60rem)").matches)
+        byId("replay").scrollIntoView({ behavior: "smooth", block: "start" });
     },
     filtered: () => {
       sift(state);
@@ -109,6 +136,7 @@ async function begin() {
     redraw: () => {
       for (const view of views) waiting.add(view);
       soon();
+      app.remember();
     },
     tell: (text) => (byId("told").textContent = text),
     words: (row, columns) => wordsOf(app, row, columns),
@@ -145,6 +173,38 @@ async function begin() {
   window.addEventListener("resize", again);
   window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", again);
   linkTypical(app);
+  offerTables(app);
+  if (!watch) offerPictures(app);
+  const row = wanted.point ? rowOf(table, wanted.point) : -1;
+  if (row >= 0) {
+    app.mark(row);
+    player.openRow(row, wanted.time);
+  }
+}
+
+/**
+ * Buttons for the filters as a condition, and for the rows that they leave.
+ * @param {App} app
+ */
+function offerTables(app) {
+  const { table, state } = app;
+  byId("copy").addEventListener("click", async () => {
+    const condition = conditionOf(table, state);
+    const text = condition ? `--where '${condition}'` : "";
+    byId("copied").textContent = text || "no filter";
+    await navigator.clipboard?.writeText(text).catch(() => {}); // where it is not allowed the words are there to be copied
+  });
+  byId("csv").addEventListener("click", () => give(new Blob([csvOf(app)], { type: "text/csv" }), "rows.csv"));
+}
+
+/**
+ * @param {Table} table
+ * @param {string} point the beginning of its id
+ * @returns {number} -1 for none
+ */
+function rowOf(table, point) {
+  for (let row = 0; row < table.rows; row++) if (pointOf(table, row) === point) return row;
+  return -1;
 }
 
 /**
@@ -168,7 +228,6 @@ function chipsOf(app) {
     button.addEventListener("click", () => {
       if (state.hidden.has(k)) state.hidden.delete(k);
       else state.hidden.add(k);
-      button.setAttribute("aria-pressed", String(!state.hidden.has(k)));
       app.filtered();
     });
     return { button, swatch, count };
@@ -176,18 +235,20 @@ function chipsOf(app) {
   root.replaceChildren(...buttons.map(({ button }) => button));
   const clear = byId("clear");
   clear.addEventListener("click", () => {
-    state.ranges.clear();
-    state.hidden.clear();
-    for (const { button } of buttons) button.setAttribute("aria-pressed", "true");
+    showAll(state);
     app.filtered();
   });
   return () => {
+    const { total } = table.about;
+    const all = state.passing === table.rows;
     const counts = new Int32Array(buttons.length);
     for (let row = 0; row < table.rows; row++) counts[table.kind[row]] += state.mask[row];
-    buttons.forEach(({ swatch, count }, k) => {
+    if (all) table.about.kinds.forEach((kind, k) => (counts[k] = kind.count)); // of a sample its rows are not all
+    buttons.forEach(({ button, swatch, count }, k) => {
+      button.setAttribute("aria-pressed", String(!state.hidden.has(k)));
       const { pen, width, height, ratio } = sheetOf(swatch);
-      patterned(pen, 0.5, 0.5, width - 1, height - 1, app.looks()[k], ratio);
-      count.textContent = ` ${counts[k]}`;
+      boxed(pen, 0, 0, width, height, app.looks()[k], ratio);
+      count.textContent = ` ${grouped(counts[k])}`;
     });
     const filters = [...state.ranges].map(([key, { low, high }]) => {
       const column = table.named.get(key);
@@ -205,8 +266,8 @@ function chipsOf(app) {
       return button;
     });
     byId("filters").replaceChildren(...filters);
-    const all = state.passing === table.rows;
-    byId("passing").textContent = all ? `all ${table.rows} rollouts` : `${state.passing} of ${table.rows} rollouts`;
+    const of = `${grouped(table.rows)} ${table.rows < total ? `drawn from ${grouped(total)} ` : ""}rollouts`;
+    byId("passing").textContent = all ? `all ${grouped(total)} rollouts` : `${grouped(state.passing)} of ${of}`;
     clear.hidden = all && !state.ranges.size;
   };
 }

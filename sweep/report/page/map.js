@@ -4,9 +4,9 @@ import { placesOf } from "./cells.js";
 import { clipped, inflate, readCounts } from "./data.js";
 import { byId, cssOf, element, offer, pointerOn, sheetOf } from "./dom.js";
 import { KIND, markSize, paintCells, paintDensity, paintMarks, RATE, spanOf, spotOf } from "./fill.js";
-import { clamp, packRgb, scaleColour, shortly } from "./numbers.js";
+import { clamp, grouped, packRgb, scaleColour, shortly } from "./numbers.js";
 import { ownerNear, pixelsOf } from "./paint.js";
-import { narrow } from "./state.js";
+import { narrow, showAll } from "./state.js";
 
 /** @typedef {import("./cells.js").Places} Places */
 /** @typedef {import("./data.js").Column} Column */
@@ -16,6 +16,7 @@ import { narrow } from "./state.js";
 /** @typedef {import("./paint.js").Pixels} Pixels */
 
 const MARGIN = { left: 64, right: 14, top: 12, bottom: 48 };
+const LINE = 16; // pixels from one line of text to the next
 const DRAG = 5; // pixels that make a click a drag
 
 /**
@@ -29,13 +30,15 @@ export function mapView(app) {
   const tip = byId("map-tip");
   const selects = ["map-x", "map-y", "map-colour"].map((id) => /** @type {HTMLSelectElement} */ (byId(id)));
   const names = table.columns.map((column) => /** @type {[string, string]} */ ([column.key, column.title]));
-  const start = startOf(app);
+  const { wanted } = app;
+  const start = [wanted.x, wanted.y].every((key) => table.named.has(key)) ? [wanted.x, wanted.y] : startOf(app);
   offer(selects[0], names, start[0]);
   offer(selects[1], names, start[1]);
   const numbers = table.columns
     .filter((column) => !column.names)
     .map((column) => /** @type {[string, string]} */ ([column.key, column.title]));
-  offer(selects[2], [[KIND, "outcome and cause"], [RATE, "rate of success in the cell"], ...numbers], KIND);
+  offer(selects[2], [[KIND, "outcome and cause"], [RATE, "rate of success"], ...numbers], KIND);
+  if (wanted.colour === RATE || table.named.has(wanted.colour)) selects[2].value = wanted.colour;
 
   /** @type {Map<string, number>} values that further axes are fixed at */
   const slices = new Map();
@@ -131,6 +134,7 @@ export function mapView(app) {
     drawOutlines(sheet.pen, here, area);
     const [x, y] = columns();
     drawTheory(sheet.pen, x, y, here, area);
+    drawZero(sheet.pen, x, y, here, area);
     drawReplayed(sheet.pen, here, area);
     drawFrame(sheet, app.theme(), area, { scale: here.x, title: x.title }, { scale: here.y, title: y.title });
     drawKey();
@@ -148,16 +152,19 @@ export function mapView(app) {
       const pen = /** @type {CanvasRenderingContext2D} */ (bar.getContext("2d"));
       const strip = new ImageData(120, 10);
       const memory = new Uint32Array(strip.data.buffer);
-      for (let k = 0; k < memory.length; k++) memory[k] = scaleColour((k % 120) / 119);
+      for (let k = 0; k < memory.length; k++) memory[k] = scaleColour((k % 120) / 119, column?.diverges);
       pen.putImageData(strip, 0, 0);
-      const [low, high] = column ? spanOf(column) : [0, 1];
-      note.append(column ? column.title : "rate of success", " ", shortly(low), " ", bar, " ", shortly(high));
+      const span = column ? spanOf(column) : [0, 1];
+      const most = Math.max(-span[0], span[1]);
+      const [low, high] = column?.diverges ? [-most, most] : span;
+      const rate = places?.bins ? `rate of success in ${places.bins} by ${places.bins} bins` : "rate of success";
+      note.append(column ? column.title : rate, " ", shortly(low), " ", bar, " ", shortly(high));
     } else if (densityOf()) {
       note.append(
-        `${table.about.total} rollouts counted in cells; a choice is shown by ${table.rows} of them, drawn at random.`,
+        `${grouped(table.about.total)} rollouts counted in cells; a choice is shown by ${grouped(table.rows)} of them, drawn at random.`,
       );
     } else if (table.about.total > table.rows) {
-      note.append(`${table.rows} of ${table.about.total} rollouts, drawn at random.`);
+      note.append(`${grouped(table.rows)} of ${grouped(table.about.total)} rollouts, drawn at random.`);
     } else if (table.mesh && places?.outlines.length) {
       note.append("Cells as refinement left them: each quarter shows the rollout at its corner.");
     }
@@ -188,6 +195,32 @@ export function mapView(app) {
   };
 
   /**
+   * Where a margin is used up.
+   * @param {CanvasRenderingContext2D} pen
+   * @param {Column} x
+   * @param {Column} y
+   * @param {Places} here
+   * @param {import("./axes.js").Box} area
+   */
+  const drawZero = (pen, x, y, here, area) => {
+    pen.strokeStyle = app.theme().ink;
+    pen.lineWidth = 1;
+    pen.setLineDash([5, 3]);
+    pen.beginPath();
+    const [right, up] = [here.x.to(0) * area.width, (1 - here.y.to(0)) * area.height];
+    if (x.diverges && right > 0 && right < area.width) {
+      pen.moveTo(area.left + right, area.top);
+      pen.lineTo(area.left + right, area.top + area.height);
+    }
+    if (y.diverges && up > 0 && up < area.height) {
+      pen.moveTo(area.left, area.top + up);
+      pen.lineTo(area.left + area.width, area.top + up);
+    }
+    pen.stroke();
+    pen.setLineDash([]);
+  };
+
+  /**
    * @param {CanvasRenderingContext2D} pen
    * @param {Column} x
    * @param {Column} y
@@ -202,6 +235,8 @@ export function mapView(app) {
     pen.beginPath();
     pen.rect(area.left, area.top, area.width, area.height);
     pen.clip();
+    /** @type {{ left: number, size: number, up: number }[]} labels that stand already */
+    const named = [];
     curves.forEach((curve, number) => {
       const spots = curve.at.flatMap((along, k) => {
         const limit = curve.limit[k];
@@ -239,7 +274,13 @@ export function mapView(app) {
       pen.strokeStyle = app.theme().panel;
       pen.fillStyle = app.theme().ink;
       const at = end[0] + (pen.textAlign === "right" ? -8 : 8);
-      const up = Math.max(end[1] - 4, area.top + 18);
+      const left = at - (pen.textAlign === "right" ? pen.measureText(clipped(curve.label)).width : 0);
+      const size = pen.measureText(clipped(curve.label)).width;
+      let up = Math.max(end[1] - 4, area.top + 18);
+      const covers = (/** @type {{ left: number, size: number, up: number }} */ one) =>
+        Math.abs(one.up - up) < LINE && left < one.left + one.size && one.left < left + size;
+      while (named.some(covers) && up < area.top + area.height) up += LINE;
+      named.push({ left, size, up });
       pen.strokeText(clipped(curve.label), at, up);
       pen.fillText(clipped(curve.label), at, up);
     });
@@ -365,14 +406,17 @@ export function mapView(app) {
     const [x, y] = pointerOn(event, over);
     if (pressed && Math.hypot(x - pressed.x, y - pressed.y) < DRAG) {
       const row = rowAt(x, y);
-      if (row >= 0) app.choose(row);
-      else brushOff();
+      if (row < 0) brushOff();
+      else {
+        if (event.pointerType === "touch") show(row);
+        app.choose(row);
+      }
     }
     pressed = null;
   });
   over.addEventListener("pointercancel", () => (pressed = null));
-  over.addEventListener("pointerleave", () => {
-    if (pressed) return;
+  over.addEventListener("pointerleave", (event) => {
+    if (pressed || event.pointerType === "touch") return;
     show(-1);
     drawOver();
   });
@@ -403,8 +447,11 @@ export function mapView(app) {
       drawOver();
       app.tell(tip.textContent ?? "");
     } else if ((event.key === "Enter" || event.key === " ") && state.cursor >= 0) app.choose(state.cursor);
-    else if (event.key === "Escape") brushOff();
-    else return;
+    else if (event.key === "Escape") {
+      showAll(state);
+      anchor = null;
+      app.filtered();
+    } else return;
     event.preventDefault();
   });
   selects.forEach((select, k) =>
@@ -427,10 +474,10 @@ export function mapView(app) {
     const area = box();
     const here = places;
     const [x, y] = columns();
-    const across = (/** @type {number} */ at) => here.x.back(clamp((at - area.left) / area.width, 0, 1));
-    const up = (/** @type {number} */ at) => here.y.back(clamp(1 - (at - area.top) / area.height, 0, 1));
-    if (from.part !== "y") narrow(state, x.key, { low: across(from.x), high: across(toX) });
-    if (from.part !== "x") narrow(state, y.key, { low: up(from.y), high: up(toY) });
+    const across = (/** @type {number} */ at) => clamp((at - area.left) / area.width, 0, 1);
+    const up = (/** @type {number} */ at) => clamp(1 - (at - area.top) / area.height, 0, 1);
+    if (from.part !== "y") narrow(state, x.key, whole(here.x, across(from.x), across(toX)));
+    if (from.part !== "x") narrow(state, y.key, whole(here.y, up(from.y), up(toY)));
     app.filtered();
   };
 
@@ -457,6 +504,21 @@ export function mapView(app) {
   function valuesOf(column) {
     return [...new Set(column.values)].filter((value) => !Number.isNaN(value)).sort((a, b) => a - b);
   }
+}
+
+/**
+ * The range between two places of an axis; of cells as many as it touches, whole.
+ * @param {import("./axes.js").Scale} scale
+ * @param {number} a share of the axis
+ * @param {number} b
+ * @returns {{ low: number, high: number }}
+ */
+export function whole({ edges, back }, a, b) {
+  const [low, high] = [Math.min(a, b), Math.max(a, b)];
+  if (!edges) return { low: back(low), high: back(high) };
+  const below = edges.findLast((edge) => edge <= low + 1e-9) ?? 0;
+  const above = edges.find((edge) => edge >= high - 1e-9) ?? 1;
+  return { low: back(below), high: back(above) };
 }
 
 /**

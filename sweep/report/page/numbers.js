@@ -13,6 +13,15 @@ export function shortly(value) {
 }
 
 /**
+ * A count with its thousands apart: 16,384.
+ * @param {number} count
+ * @returns {string}
+ */
+export function grouped(count) {
+  return String(count).replace(/\B(?=(\d{3})+$)/g, ",");
+}
+
+/**
  * Round numbers between two ends, about `count` of them.
  * @param {number} low
  * @param {number} high
@@ -77,17 +86,22 @@ export function placeIn(sorted, value) {
 /** The scale of rates and figures, dark to light, which the colour-blind can read (cividis). */
 const SCALE = [0x00224e, 0x123570, 0x3b496c, 0x575d6d, 0x707173, 0x8a8678, 0xa59c74, 0xc3b369, 0xe1cc55, 0xfee838];
 
+/** The scale of what is good above zero and bad below it: dark orange, white at zero, dark blue. */
+const DIVERGING = [0x7a2e00, 0xb24a00, 0xe08214, 0xfdc583, 0xf5f2ee, 0xb6dbf2, 0x6db3e0, 0x2878b5, 0x0b3c6f];
+
 /**
  * The colour of a share between 0 and 1, as `packRgb` packs it.
  * @param {number} share
+ * @param {boolean} diverging about the middle
  * @returns {number}
  */
-export function scaleColour(share) {
-  const at = clamp(share, 0, 1) * (SCALE.length - 1);
-  const k = Math.min(Math.floor(at), SCALE.length - 2);
+export function scaleColour(share, diverging = false) {
+  const scale = diverging ? DIVERGING : SCALE;
+  const at = clamp(share, 0, 1) * (scale.length - 1);
+  const k = Math.min(Math.floor(at), scale.length - 2);
   const part = (/** @type {number} */ shift) => {
-    const from = (SCALE[k] >> shift) & 255;
-    return from + (((SCALE[k + 1] >> shift) & 255) - from) * (at - k);
+    const from = (scale[k] >> shift) & 255;
+    return from + (((scale[k + 1] >> shift) & 255) - from) * (at - k);
   };
   return packRgb(part(16), part(8), part(0));
 }
@@ -123,6 +137,25 @@ export function rgbOf(hex) {
 export function mixed(from, to, share) {
   const part = (/** @type {number} */ k) => from[k] + (to[k] - from[k]) * share;
   return [part(0), part(1), part(2)];
+}
+
+const LINEAR = 0.1; // within which a bent scale is even
+
+/**
+ * A number on a scale that is even next to zero and logarithmic beyond, so that a few extremes leave room for the rest.
+ * @param {number} value
+ * @returns {number}
+ */
+export function bent(value) {
+  return Math.asinh(value / LINEAR);
+}
+
+/**
+ * @param {number} share on that scale
+ * @returns {number}
+ */
+export function unbent(share) {
+  return LINEAR * Math.sinh(share);
 }
 
 /**

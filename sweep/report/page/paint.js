@@ -1,4 +1,5 @@
 // Marks and cells put straight into the memory of an image: tens of thousands of them take milliseconds.
+import { packRgb } from "./numbers.js";
 
 /** @typedef {import("./dom.js").Rgb} Rgb */
 
@@ -24,35 +25,8 @@ export function pixelsOf(width, height) {
 
 const TILE = 8;
 
-/**
- * Whether a pattern has ink at a place of its tile of `TILE` pixels.
- * @param {string} pattern
- * @returns {Uint8Array | null} by line, null without a pattern
- */
-export function tileOf(pattern) {
-  if (!pattern) return null;
-  const tile = new Uint8Array(TILE * TILE);
-  const mark = pattern[0];
-  const every = mark === "/" ? (pattern.length > 2 ? 4 : TILE) : TILE;
-  for (let y = 0; y < TILE; y++)
-    for (let x = 0; x < TILE; x++) {
-      const falling = (x - y + TILE) % every === 0;
-      const rising = (x + y) % every === 0;
-      const away = Math.hypot(x - 3.5, y - 3.5);
-      const ink = {
-        "\\": falling,
-        "/": rising,
-        x: falling || rising,
-        "+": x === 3 || y === 3,
-        "-": y % 4 === 1,
-        "|": x % 4 === 1,
-        o: away > 1.8 && away < 3,
-        ".": (x % 4 === 1 || x % 4 === 2) && (y % 4 === 1 || y % 4 === 2) && x < 4 === y < 4,
-      }[mark];
-      tile[y * TILE + x] = Number(ink ?? false);
-    }
-  return tile;
-}
+/** Hatching of what is invalid. */
+const HATCHING = Uint8Array.from({ length: TILE * TILE }, (_, k) => Number(((k % TILE) + (k >> 3)) % 4 === 0));
 
 /**
  * Fill a rectangle of pixels; `ink` goes where the tile has it. Nothing is drawn beyond the image.
@@ -80,57 +54,42 @@ export function fillCell(pixels, left, top, right, bottom, colour, row, tile, in
   }
 }
 
-/** How marks of kinds differ beside their colour, in the order of kinds: success is a disc. */
-const SHAPES = ["disc", "square", "up", "diamond", "cross", "down", "plus", "bar"];
-
 /** @typedef {{ size: number, cover: Float32Array }} Stamp */
 
 /**
  * How much of each pixel a mark covers.
- * @param {number} kind
+ * @param {number[]} shape its corners for a radius of one
  * @param {number} radius in pixels
  * @returns {Stamp}
  */
-export function stampOf(kind, radius) {
-  const size = 2 * Math.ceil(radius) + 1;
+export function stampOf(shape, radius) {
+  const size = 2 * Math.ceil(1.3 * radius) + 1;
   const middle = size / 2;
   const cover = new Float32Array(size * size);
-  const shape = SHAPES[kind % SHAPES.length];
   for (let k = 0; k < size * size * 16; k++) {
     const x = (k % (size * 4)) / 4 + 0.125;
     const y = Math.floor(k / (size * 4)) / 4 + 0.125;
-    if (inside(shape, (x - middle) / radius, (y - middle) / radius))
+    if (inside(shape, (x - middle) / radius, (middle - y) / radius))
       cover[Math.floor(y) * size + Math.floor(x)] += 1 / 16;
   }
   return { size, cover };
 }
 
 /**
- * Whether a place is in a mark of radius one.
- * @param {string} shape
+ * Whether a place is in a shape: its sides to the right of it are odd in number.
+ * @param {number[]} shape
  * @param {number} x
  * @param {number} y
  * @returns {boolean}
  */
 function inside(shape, x, y) {
-  const [wide, high] = [Math.abs(x), Math.abs(y)];
-  switch (shape) {
-    case "square":
-      return wide < 0.85 && high < 0.85;
-    case "up":
-      return y < 0.75 && wide < (y + 1.05) * 0.6;
-    case "down":
-      return y > -0.75 && wide < (1.05 - y) * 0.6;
-    case "diamond":
-      return wide + high < 1.15;
-    case "cross":
-      return Math.abs(wide - high) < 0.38 && Math.max(wide, high) < 0.95;
-    case "plus":
-      return Math.min(wide, high) < 0.3 && Math.max(wide, high) < 1.1;
-    case "bar":
-      return high < 0.35 && wide < 1.1;
+  let odd = false;
+  const count = shape.length;
+  for (let k = 0; k < count; k += 2) {
+    const [u, v, p, q] = [shape[k], shape[k + 1], shape[(k + 2) % count], shape[(k + 3) % count]];
+    if (v > y !== q > y && x < u + ((y - v) / (q - v)) * (p - u)) odd = !odd;
   }
-  return x * x + y * y < 1;
+  return odd;
 }
 
 /**
@@ -184,4 +143,19 @@ export function ownerNear(pixels, x, y, reach) {
       if (row >= 0 && away < least) [best, least] = [row, away];
     }
   return best;
+}
+
+/**
+ * A cell of a kind, with the glyph of its cause where there is room.
+ * @param {Pixels} pixels
+ * @param {{ left: number, top: number, right: number, bottom: number }} box
+ * @param {import("./dom.js").Look} look
+ * @param {Stamp | null} glyph
+ * @param {number} row
+ * @param {number} ratio
+ */
+export function paintKind(pixels, { left, top, right, bottom }, look, glyph, row, ratio) {
+  const hatching = look.hatched ? HATCHING : null;
+  fillCell(pixels, left, top, right, bottom, packRgb(...look.cell), row, hatching, packRgb(...look.ink), ratio);
+  if (glyph) stampAt(pixels, glyph, (left + right) / 2, (top + bottom) / 2, look.ink, 0.8, -2);
 }

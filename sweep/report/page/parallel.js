@@ -1,7 +1,7 @@
 // Parallel coordinates: a line for each rollout from axis to axis, brushed along each; drawn in slices of time.
 import { clipped } from "./data.js";
 import { byId, cssOf, pointerOn, sheetOf } from "./dom.js";
-import { clamp, shortly } from "./numbers.js";
+import { clamp, shortly, ticks } from "./numbers.js";
 import { narrow } from "./state.js";
 
 /** @typedef {import("./data.js").Column} Column */
@@ -22,17 +22,22 @@ export function parallelView(app) {
   const { table, state } = app;
   const base = /** @type {HTMLCanvasElement} */ (byId("lines-base"));
   const over = /** @type {HTMLCanvasElement} */ (byId("lines-over"));
-  const every = axesOf(app);
+  const first = axesOf(app);
+  /** @type {Column[]} in the order of the reader */
+  let every = [...first];
   const order = shuffled(table.rows);
+  /** @type {Map<Column, Way>} axes that are not even and upright */
+  const ways = new Map();
+  const partOf = (/** @type {Column} */ column) => {
+    const { to } = alongOf(column, ways.get(column));
+    const { values, names } = column;
+    return Float32Array.from(values, (value, row) => to(value + (names ? jitter(row) : 0)));
+  };
   /** @type {Float32Array[]} shares of each axis by row */
-  const parts = every.map(({ values, low, high, names }) =>
-    Float32Array.from(values, (value, row) =>
-      high > low ? (value + (names ? jitter(row) : 0) - low) / (high - low) : 0.5,
-    ),
-  );
+  let parts = every.map(partOf);
   let [axes, shares] = [every, parts];
   let job = 0; // number of the drawing that goes on
-  /** @type {{ axis: number, from: number } | null} */
+  /** @type {{ axis: number, from: number, x: number, title: boolean } | null} */
   let pressed = null;
   let keyed = 0; // axis of the keyboard
 
@@ -93,9 +98,21 @@ export function parallelView(app) {
         const room = axes.length > 1 ? (area().width / (axes.length - 1)) * 0.96 : width;
         twoLines(column).forEach((text, k) => pen.fillText(text, at, 18 + 15 * k, room));
         pen.fillStyle = soft;
-        pen.fillText(column.names ? (column.names.at(-1) ?? "") : shortly(column.high), at, top - 4, room);
+        const { to } = alongOf(column, ways.get(column));
+        const worded = (/** @type {number} */ value) => (column.names ? (column.names[value] ?? "") : shortly(value));
+        const [over, under] = ways.get(column) === "inverted" ? [column.low, column.high] : [column.high, column.low];
+        pen.fillText(worded(over), at, top - 4, room);
         pen.textBaseline = "top";
-        pen.fillText(column.names ? (column.names[0] ?? "") : shortly(column.low), at, top + height + 6, room);
+        pen.fillText(worded(under), at, top + height + 6, room);
+        pen.textBaseline = "middle";
+        pen.textAlign = axis === axes.length - 1 && axes.length > 1 ? "right" : "left";
+        const aside = pen.textAlign === "left" ? 5 : -5;
+        const marks = column.names || ways.get(column) === "log" ? [] : ticks(column.low, column.high, 4);
+        for (const value of marks) {
+          const share = to(value);
+          if (share > 0.08 && share < 0.92)
+            pen.fillText(shortly(value), places[axis] + aside, top + (1 - share) * height, room / 2);
+        }
       });
     };
     // what is left out first, in grey and not all of it; then what passes, kinds mixed as they come
@@ -141,8 +158,8 @@ export function parallelView(app) {
     axes.forEach((column, axis) => {
       const range = state.ranges.get(column.key);
       if (!range) return;
-      const size = column.high - column.low || 1;
-      const [low, high] = [range.low, range.high].map((value) => clamp((value - column.low) / size, 0, 1));
+      const { to } = alongOf(column, ways.get(column));
+      const [low, high] = [range.low, range.high].map((value) => clamp(to(value), 0, 1)).sort((a, b) => a - b);
       pen.fillStyle = app.theme().accent;
       pen.globalAlpha = 0.22;
       pen.fillRect(xOf(axis) - 8, top + (1 - high) * height, 16, (high - low) * height);
@@ -165,27 +182,59 @@ export function parallelView(app) {
   };
 
   const valueAt = (/** @type {number} */ axis, /** @type {number} */ y) => {
-    const { low, high } = axes[axis];
-    return low + clamp(1 - (y - area().top) / area().height, 0, 1) * (high - low);
+    const { back } = alongOf(axes[axis], ways.get(axes[axis]));
+    return back(clamp(1 - (y - area().top) / area().height, 0, 1));
   };
   const nearest = (/** @type {number} */ x) =>
     axes.reduce((best, _, axis) => (Math.abs(xOf(axis) - x) < Math.abs(xOf(best) - x) ? axis : best), 0);
 
+  /**
+   * Another place for an axis, another way along it, or none.
+   * @param {Column} column
+   * @param {number} to the place among the axes that are shown, -1 where it stays
+   * @param {boolean} dropped
+   */
+  const arrange = (column, to, dropped) => {
+    if (dropped && every.length > 2) every = every.filter((one) => one !== column);
+    else if (to >= 0) {
+      const target = axes[to];
+      const later = every.indexOf(target) > every.indexOf(column);
+      every = every.filter((one) => one !== column);
+      every.splice(every.indexOf(target) + Number(later && target !== column), 0, column);
+    } else {
+      const next = nextWay(column, ways.get(column));
+      if (next) ways.set(column, next);
+      else ways.delete(column);
+    }
+    parts = every.map(partOf);
+    fit();
+    app.redraw();
+  };
+  byId("lines-reset").addEventListener("click", () => {
+    every = [...first];
+    ways.clear();
+    parts = every.map(partOf);
+    fit();
+    app.redraw();
+  });
+
   over.addEventListener("pointerdown", (event) => {
     const [x, y] = pointerOn(event, over);
-    pressed = { axis: nearest(x), from: y };
+    pressed = { axis: nearest(x), from: y, x, title: y < FRAME.top - 14 };
     over.setPointerCapture(event.pointerId);
   });
   over.addEventListener("pointermove", (event) => {
-    if (!pressed) return;
+    if (!pressed || pressed.title) return;
     const [, y] = pointerOn(event, over);
     if (Math.abs(y - pressed.from) < 4) return;
     narrow(state, axes[pressed.axis].key, { low: valueAt(pressed.axis, pressed.from), high: valueAt(pressed.axis, y) });
     app.filtered();
   });
   over.addEventListener("pointerup", (event) => {
-    const [, y] = pointerOn(event, over);
-    if (pressed && Math.abs(y - pressed.from) < 4) {
+    const [x, y] = pointerOn(event, over);
+    if (pressed?.title)
+      arrange(axes[pressed.axis], Math.abs(x - pressed.x) > 12 ? nearest(x) : -1, y > base.clientHeight);
+    else if (pressed && Math.abs(y - pressed.from) < 4) {
       narrow(state, axes[pressed.axis].key, null);
       app.filtered();
     }
@@ -212,6 +261,38 @@ export function parallelView(app) {
     app.tell(`${axes[keyed].title}: ${said}; ${state.passing} rollouts`);
   });
   return { root: base, draw, point: drawOver, resized: () => {} };
+}
+
+/** @typedef {"inverted" | "log"} Way of an axis that is not even and upright */
+
+/**
+ * The way from values of a column to shares of its axis, and back.
+ * @param {Column} column
+ * @param {Way} [way]
+ * @returns {{ to: (value: number) => number, back: (share: number) => number }}
+ */
+export function alongOf({ low, high }, way) {
+  const size = high - low;
+  if (!(size > 0)) return { to: () => 0.5, back: () => low };
+  const span = way === "log" ? Math.log(high / low) : size;
+  switch (way) {
+    case "log":
+      return { to: (value) => Math.log(value / low) / span, back: (share) => low * Math.exp(share * span) };
+    case "inverted":
+      return { to: (value) => (high - value) / size, back: (share) => high - share * size };
+  }
+  return { to: (value) => (value - low) / size, back: (share) => low + share * size };
+}
+
+/**
+ * What a click on an axis' title makes of it: even, inverted, logarithmic where it can be, and even again.
+ * @param {Column} column
+ * @param {Way} [way]
+ * @returns {Way | undefined}
+ */
+function nextWay({ low, names }, way) {
+  if (!way) return "inverted";
+  return way === "inverted" && low > 0 && !names ? "log" : undefined;
 }
 
 /**

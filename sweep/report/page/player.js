@@ -1,8 +1,10 @@
 // The player of replays: time, stages, speed, orbit, and a second replay beside or over the first.
 import { clipped, inflate, nearestReplay } from "./data.js";
 import { byId, cssOf, element, pointerOn, sheetOf } from "./dom.js";
+import { historyView } from "./history.js";
 import { endOf, frameAt, plus, readMotion, stateAt } from "./kinematics.js";
 import { clamp, shortly } from "./numbers.js";
+import { recorded } from "./save.js";
 import { baseOf, drawForces, drawRobot, drawWorld, obstaclesOf, viewOf } from "./scene.js";
 import { hides } from "./solids.js";
 import { worded } from "./map.js";
@@ -16,7 +18,9 @@ import { worded } from "./map.js";
 
 /**
  * @typedef {object} Player
- * @property {(row: number) => void} openRow the replay of a row, or of the nearest one
+ * @property {(row: number, at?: number | null) => void} openRow the replay of a row, or of the nearest one, from the start or
+ *   held at a time
+ * @property {() => number | null} time s, while it stands still
  * @property {() => void} draw
  */
 
@@ -51,6 +55,7 @@ export function playerOf(app) {
   let open = [null, null];
   let time = 0;
   let playing = false;
+  let next = 0; // the frame that was asked for: never two at a time, however often a replay is opened
   let last = 0;
   /** @type {Camera} */
   let camera = { ...START, distance: 3, target: [0, 0, 0] };
@@ -62,8 +67,12 @@ export function playerOf(app) {
   if (!replays.length) {
     panel.classList.add("empty");
     note.textContent = `No rollout has a replay yet: sweep report ${clipped(table.about.folder)} --replays 60`;
-    return { openRow: () => {}, draw: () => {} };
+    return { openRow: () => {}, draw: () => {}, time: () => null };
   }
+  const histories = historyView(app, (at) => {
+    if (playing) stop();
+    to(at);
+  });
   const groups = () =>
     table.about.kinds.flatMap(({ key, label }) => {
       const own = replays.flatMap((one, number) => (one.kind === key ? [number] : []));
@@ -110,12 +119,16 @@ export function playerOf(app) {
     panel.classList.toggle("two", Boolean(open[1]));
     panel.classList.toggle("ghost", mode.value === "ghost");
     scrub.max = String(lengthOf());
+    histories.show(open, lengthOf());
     drawStrip();
     draw();
   };
 
-  /** @param {number} row */
-  const openRow = (row) => {
+  /**
+   * @param {number} row
+   * @param {number | null} at
+   */
+  const openRow = (row, at = null) => {
     const number = nearestReplay(table, row);
     if (number < 0) return;
     const other = replays[number].row;
@@ -135,7 +148,7 @@ export function playerOf(app) {
       said = `Another row: the one you chose has no replay. This is the nearest that has one: ${apart.join(", ")}${differ.length > 4 ? ", …" : ""}${ends}.`;
     }
     time = 0;
-    void openReel(0, number, said).then(() => start());
+    void openReel(0, number, said).then(() => (at === null ? start() : to(at)));
   };
 
   const describe = () => {
@@ -196,6 +209,7 @@ export function playerOf(app) {
     byId("stage").textContent = stage;
     scrub.setAttribute("aria-valuetext", `${time.toFixed(1)} seconds, ${stage}`);
     drawStrip();
+    histories.point(time);
   };
 
   /**
@@ -303,7 +317,7 @@ export function playerOf(app) {
     const row = replays[a.number].row;
     const cause = table.named.get("t_cause_s")?.values[row];
     if (cause !== undefined && Number.isFinite(cause)) {
-      pen.fillStyle = "#D55E00";
+      pen.fillStyle = table.about.colours.failure;
       pen.fillRect(xOf(cause) - 1.5, 0, 3, height);
     }
     pen.fillStyle = ink;
@@ -316,14 +330,17 @@ export function playerOf(app) {
     play.setAttribute("aria-pressed", "true");
     play.textContent = "❚❚";
     play.setAttribute("aria-label", "pause");
-    requestAnimationFrame(step);
+    cancelAnimationFrame(next);
+    next = requestAnimationFrame(step);
   };
   const stop = () => {
     playing = false;
+    cancelAnimationFrame(next);
     play.setAttribute("aria-pressed", "false");
     play.textContent = "▶";
     play.setAttribute("aria-label", "play");
     draw();
+    app.remember();
   };
   /** @param {number} now */
   const step = (now) => {
@@ -338,11 +355,12 @@ export function playerOf(app) {
       if (waited > HOLD) [time, waited] = [0, 0];
     }
     if (app.visible(canvases[0])) draw();
-    requestAnimationFrame(step);
+    next = requestAnimationFrame(step);
   };
   const to = (/** @type {number} */ value) => {
     time = clamp(value, 0, lengthOf());
     draw();
+    app.remember();
   };
 
   play.addEventListener("click", () => (playing ? stop() : start()));
@@ -369,6 +387,16 @@ export function playerOf(app) {
     turned = false;
     if (open[0]) camera = { ...camera, ...START, distance: spanOf(open[0]), azimuth: freest(open[0]) };
     draw();
+  });
+
+  /** @type {{ stop: () => void } | null} */
+  let film = null;
+  const record = byId("record");
+  record.addEventListener("click", () => {
+    film?.stop();
+    film = film ? null : recorded(canvases[0]);
+    record.setAttribute("aria-pressed", String(Boolean(film)));
+    if (film && !playing) start();
   });
 
   const orbit = (/** @type {number} */ dx, /** @type {number} */ dy) => {
@@ -432,7 +460,11 @@ export function playerOf(app) {
     if (wanted > 1) await openReel(1, 1);
     if (wanted && !matchMedia("(prefers-reduced-motion: reduce)").matches) start();
   });
-  return { openRow, draw };
+  const redraw = () => {
+    draw();
+    histories.show(open, lengthOf());
+  };
+  return { openRow, draw: redraw, time: () => (playing ? null : time) };
 }
 
 /**

@@ -14,6 +14,7 @@ from sweep.trace.motion import thinned
 
 THINNEST = 4  # frames of which one is kept at least, where all of them do not fit
 TOLD = ("step", "frames", "scales", "force_scale", "stages", "equal", "of", "why")  # of a replay as it is
+LATER = {"torque_scale": 0.0, "torque_limit": None}  # of a replay that was kept before these were
 
 
 class Shown(NamedTuple):
@@ -57,6 +58,7 @@ def stage_directions(results: Results, shown: Iterable[Shown], room: int) -> Rep
         about.append(
             {
                 **{name: replay[name] for name in TOLD},
+                **{name: replay.get(name, value) for name, value in LATER.items()},
                 "model": models.setdefault(bodies, len(models)),
                 "row": places.get(place, -1),
                 "point": row["point_id"],

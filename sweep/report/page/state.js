@@ -44,6 +44,15 @@ export function sift(state) {
 }
 
 /**
+ * Take off every filter.
+ * @param {State} state
+ */
+export function showAll({ ranges, hidden }) {
+  ranges.clear();
+  hidden.clear();
+}
+
+/**
  * A range of a column as a filter; without one the filter goes.
  * @param {State} state
  * @param {string} key

@@ -1,0 +1,66 @@
+"""Figures at the widths of a paper's column and page, all letters of one size, legends that are never cut."""
+
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from typing import Any
+
+import matplotlib as mpl
+from matplotlib.artist import Artist
+from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties
+from matplotlib.textpath import TextPath
+
+COLUMN, PAGE = 84 / 25.4, 174 / 25.4  # in, as most journals have them
+LETTERS = 8  # points
+SERIF = ["STIX Two Text", "Times New Roman", "STIXGeneral", "DejaVu Serif"]  # the one but last comes with matplotlib
+HANDLE = 6.0  # of a legend's entry beside its text, in letters: handle, gap, and the space to the next column
+
+
+def lettering(serif: bool = False) -> AbstractContextManager[None]:
+    """The context that a figure is drawn and written in: letters of 8 points, with serifs or without."""
+    sizes = ("axes.titlesize", "axes.labelsize", "xtick.labelsize", "ytick.labelsize", "legend.fontsize",
+             "legend.title_fontsize", "figure.titlesize", "figure.labelsize")  # fmt: skip
+    look: dict[Any, Any] = {"font.size": LETTERS, **dict.fromkeys(sizes, LETTERS)}
+    look |= {"axes.linewidth": 0.6, "lines.linewidth": 1.0, "hatch.linewidth": 0.5}
+    look |= {"xtick.major.width": 0.6, "ytick.major.width": 0.6, "pdf.fonttype": 42, "svg.fonttype": "none"}
+    if serif:
+        look |= {"font.family": "serif", "font.serif": SERIF, "mathtext.fontset": "stix"}
+    return mpl.rc_context(look)
+
+
+def sheet(height: float, width: float = PAGE) -> Figure:
+    """An empty figure, in inches."""
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def legend_below(figure: Figure, handles: Sequence[Any]) -> None:
+    """A legend below all panels, in as many columns as the figure is wide enough for."""
+    if not handles:
+        return
+    longest = max(wide(str(one.get_label() if isinstance(one, Artist) else "")) for one in handles)
+    room = 72 * figure.get_size_inches()[0] - 2 * LETTERS
+    columns = int(room // (longest + HANDLE * LETTERS))
+    figure.legend(handles=handles, loc="outside lower center", ncols=max(1, min(columns, len(handles))))
+
+
+def wide(text: str) -> float:
+    """How wide the widest line of `text` is, in points."""
+    lines = [line for line in text.splitlines() if line.strip()]
+    return max(
+        (TextPath((0, 0), line, LETTERS, prop=FontProperties()).get_extents().width for line in lines), default=0
+    )
+
+
+def folded(text: str, room: float) -> str:
+    """`text` in lines that are no wider than `room` points, as far as its words allow."""
+    lines = []
+    for paragraph in text.splitlines():
+        line = ""
+        for word in paragraph.split(" "):
+            if line and wide(f"{line} {word}") > room:
+                lines.append(line)
+                line = word
+            else:
+                line = f"{line} {word}" if line else word
+        lines.append(line)
+    return "\n".join(lines)

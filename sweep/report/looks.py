@@ -1,0 +1,124 @@
+"""How outcomes look: one colour and one shape for each, the same in every study, view, theme and figure.
+
+Success is sky blue, which no failure comes near for any kind of colour blindness. Causes go by what fails: feet are
+red, the body is orange, plans are yellow, drives are grey, goals are brown and wine-coloured. Within a family the shape
+tells the cause, so that nobody has to tell nineteen colours apart.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from matplotlib.lines import Line2D
+from matplotlib.path import Path
+
+from sweep.metrics.outcome import DOUBTS, SUCCESS
+
+
+class Look(NamedTuple):
+    """How rollouts of one kind are drawn."""
+
+    colour: str  # of marks, lines and cells; of doubts that of marks, as their cells are hatched
+    shape: np.ndarray  # corners (N, 2) of a mark, x to the right and y up, its radius being about one
+    family: str  # what fails
+
+
+def star(points: int, inner: float = 1.0, turn: float = 0.0) -> np.ndarray:
+    """A star (2 N, 2), its inner corners at a share of the radius; where that is 1 a polygon (N, 2); `turn` in °."""
+    count = points if inner == 1 else 2 * points
+    angle = np.radians(90 + turn) + 2 * np.pi * np.arange(count) / count
+    radius = np.where(np.arange(count) % 2 * (inner != 1), inner, 1.0)
+    return np.stack([np.cos(angle), np.sin(angle)], axis=1) * radius[:, None]
+
+
+def crossed(half: float, turn: float = 0.0) -> np.ndarray:
+    """Two bars of the half width `half` across each other."""
+    arm = np.array([(half, 1.0), (half, half), (1.0, half)])
+    return np.concatenate([arm @ turned(-90 * k) for k in range(4)]) @ turned(turn)
+
+
+def bar(half: float, turn: float = 0.0) -> np.ndarray:
+    """A bar of the half width `half`."""
+    return np.array([(1.0, half), (1.0, -half), (-1.0, -half), (-1.0, half)]) @ turned(turn)
+
+
+def turned(degrees: float) -> np.ndarray:
+    """The matrix that turns corners, from the right."""
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    return np.array([[c, s], [-s, c]])
+
+
+def looks(family: str, **kinds: tuple[str, np.ndarray]) -> dict[str, Look]:
+    """Looks of a family, each of about the area of a disc."""
+    found = {}
+    for kind, (colour, shape) in kinds.items():
+        x, y = shape.T
+        area = np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) / 2
+        shape, area = shape[:: -int(np.sign(area))], abs(area)  # clockwise, so that a legend's cell has it as a hole
+        found[kind] = Look(colour, shape * min(1.25 / np.hypot(x, y).max(), np.sqrt(2.6 / area)), family)
+    return found
+
+
+LOOKS = {
+    **looks("success", success=("#56B4E9", star(24))),
+    **looks("foot", slipped=("#C8102E", star(3, turn=180)), slipped_on_deck=("#FF5A5F", star(3, 0.22, turn=180))),
+    **looks(
+        "body",
+        fell=("#D55E00", star(4, turn=45)),
+        fell_off=("#F28C28", bar(0.5, turn=90)),
+        link_collision=("#9C4300", crossed(0.38, turn=45)),
+        leg_crossing=("#FFB000", crossed(0.16, turn=45)),
+        base_hit=("#C98500", crossed(0.38)),
+    ),
+    **looks(
+        "plan",
+        unreachable=("#8F8600", star(4)),
+        no_plan=("#D6C600", star(4, 0.35)),
+        infeasible=("#5F5A00", star(4) * (0.5, 1)),
+    ),
+    **looks("drive", overload=("#5E5E5E", star(8, 0.6))),
+    **looks(
+        "goal",
+        stalled=("#8E1B5E", bar(0.35)),
+        goal_missed=("#5C1040", star(3)),
+        off_course=("#B01E58", star(3, turn=-90)),
+        obstacle_moved=("#6B3A2A", star(5)),
+        obstacle_shifted=("#A05A46", star(3, turn=90)),
+        awash=("#7A1F1F", star(5, 0.4)),
+        lifted=("#B0413E", star(3, 0.22)),
+        rolled_off=("#8A6A4A", star(6)),
+    ),
+    **looks("doubt", **{doubt: ("#8A8C92", star(k, 0.3)) for k, doubt in enumerate(DOUBTS, 6)}),
+}
+OTHER = looks("", other=("#7F7F7F", bar(0.2, turn=90)))["other"]  # of a kind that is not known
+FAILURE, INVALID, INK = LOOKS["fell"].colour, "#FFFFFF", "#1C2024"  # of all failures together; cells of doubts; glyphs
+DOUBTFUL = "#8A8C92"
+GOOD = LOOKS[SUCCESS].colour
+
+
+def look_of(kind: str) -> Look:
+    """The look of success, or of a cause."""
+    return LOOKS.get(kind, OTHER)
+
+
+def marker(kind: str) -> Path:
+    """Its shape as a marker of matplotlib's."""
+    shape = look_of(kind).shape
+    return Path(np.concatenate([shape, shape[:1]]), closed=True)
+
+
+def ink_on(colour: str) -> str:
+    """What a glyph on a cell of `colour` is drawn in: dark on light colours and light on dark ones."""
+    red, green, blue = (int(colour[k : k + 2], 16) for k in (1, 3, 5))
+    return INVALID if 0.299 * red + 0.587 * green + 0.114 * blue < 110 else INK
+
+
+def handle(kind: str, label: str, **style: object) -> Line2D:
+    """What a legend shows of marks of a kind."""
+    return Line2D([], [], linestyle="", marker=marker(kind), color=look_of(kind).colour, label=label, **style)  # pyright: ignore[reportArgumentType]
+
+
+def kinds_by_number(kinds: pd.Series) -> list[str]:
+    """Success, then causes, the most frequent first: rarer ones are drawn over them."""
+    counts = kinds.value_counts()
+    return sorted(map(str, counts.index), key=lambda one: (one != SUCCESS, -int(counts[one])))

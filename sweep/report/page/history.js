@@ -1,0 +1,242 @@
+// What goes with a replay over time: forces, torques, joints, base and slip, stages behind them, a line where the replay is.
+import { byId, element, pointerOn, sheetOf } from "./dom.js";
+import { endOf, plus, posesOf, rotated, turnOf } from "./kinematics.js";
+import { clamp, shortly, ticks } from "./numbers.js";
+
+/** @typedef {import("./kinematics.js").Model} Model */
+/** @typedef {import("./kinematics.js").Motion} Motion */
+/** @typedef {import("./main.js").App} App */
+/** @typedef {{ model: Model, motion: Motion }} Reel */
+
+/**
+ * Lines over time in one panel.
+ * @typedef {object} Histories
+ * @property {string} title with the unit
+ * @property {Float64Array[]} lines a value for each frame; of legs in their order
+ * @property {number | null} limit that the lines are held by, on both sides of zero
+ */
+
+const EDGE = { left: 44, right: 8, top: 20, bottom: 20 };
+const LOADED = 1; // N on a foot that stands
+
+/**
+ * What a replay tells over time.
+ * @param {Reel} reel
+ * @returns {Histories[]}
+ */
+export function historiesOf({ model, motion }) {
+  const { frames, coordinates, qpos, force, torque } = motion;
+  const over = (/** @type {(frame: number) => number} */ value) =>
+    Float64Array.from({ length: frames }, (_, k) => value(k));
+  const legs = (/** @type {(frame: number, leg: number) => number} */ value) =>
+    model.feet.map((_, leg) => over((frame) => value(frame, leg)));
+  const free = freeOf(model);
+  const tilt = (/** @type {number} */ k) => {
+    const upright = turnOf(qpos.subarray(k * coordinates + free + 3, k * coordinates + free + 7))[8];
+    return (Math.acos(clamp(upright, -1, 1)) * 180) / Math.PI;
+  };
+  const pull = (/** @type {number} */ k, /** @type {number} */ leg) => {
+    const [x, y, z] = force.subarray(18 * k + 3 * leg, 18 * k + 3 * leg + 3);
+    return Math.hypot(x, y, z);
+  };
+  const joints = ["α", "β", "γ"].map((name, kind) => ({
+    title: `joint ${name} [°]`,
+    lines: legs((k, leg) => (qpos[k * coordinates + model.hinges[3 * leg + kind]] * 180) / Math.PI),
+    limit: null,
+  }));
+  const torques = ["α", "β", "γ"].map((name, kind) => ({
+    title: `torque of ${name} [N·m]`,
+    lines: torque ? legs((k, leg) => torque[18 * k + 3 * leg + kind]) : [],
+    limit: motion.torqueLimit,
+  }));
+  const found = [
+    { title: "force on a foot [N]", lines: legs(pull), limit: null },
+    { title: "way of a standing foot [m]", lines: slips(model, motion, pull), limit: null },
+    { title: "height of the base [m]", lines: [over((k) => qpos[k * coordinates + free + 2])], limit: null },
+    { title: "tilt of the base [°]", lines: [over(tilt)], limit: null },
+    ...torques,
+    ...joints,
+  ];
+  return found.filter(({ lines }) => lines.length);
+}
+
+/**
+ * @param {Model} model
+ * @returns {number} where the robot's free joint is among the coordinates
+ */
+function freeOf({ bodies, geoms }) {
+  let body = geoms.find(({ robot }) => robot)?.body ?? 0;
+  while (body && bodies[body].joints[0]?.length !== 1) body = bodies[body].parent;
+  return bodies[body].joints[0]?.[0] ?? 0;
+}
+
+/**
+ * How far each foot has gone since it was put down, while it is loaded.
+ * @param {Model} model
+ * @param {Motion} motion
+ * @param {(frame: number, leg: number) => number} pull
+ * @returns {Float64Array[]} m
+ */
+function slips(model, motion, pull) {
+  const { frames, coordinates, qpos } = motion;
+  const ways = model.feet.map(() => new Float64Array(frames));
+  /** @type {number[][]} */
+  let before = [];
+  for (let k = 0; k < frames; k++) {
+    const poses = posesOf(model, qpos.subarray(k * coordinates, (k + 1) * coordinates));
+    const now = model.feet.map(([body, ...place]) => plus(poses[body].pos, rotated(poses[body].turn, place)));
+    ways.forEach((way, leg) => {
+      const stood = k > 0 && pull(k, leg) > LOADED && pull(k - 1, leg) > LOADED;
+      way[k] = stood ? way[k - 1] + Math.hypot(...plus(now[leg], before[leg], -1)) : 0;
+    });
+    before = now;
+  }
+  return ways;
+}
+
+/**
+ * The panels below the replay.
+ * @param {App} app
+ * @param {(time: number) => void} to goes to a time
+ * @returns {{ show: (reels: (Reel | null)[], total: number) => void, point: (time: number) => void }}
+ */
+export function historyView(app, to) {
+  const root = byId("histories");
+  const box = /** @type {HTMLDetailsElement} */ (byId("histories-box"));
+  /** @type {{ base: HTMLCanvasElement, over: HTMLCanvasElement }[]} */
+  let panels = [];
+  /** @type {{ reel: Reel, histories: Histories[] }[]} */
+  let shown = [];
+  let total = 1;
+  let time = 0;
+
+  const xOf = (/** @type {number} */ at, /** @type {number} */ width) =>
+    EDGE.left + (at / total) * (width - EDGE.left - EDGE.right);
+
+  const draw = () => {
+    if (!box.open || !shown.length) return;
+    panels.forEach(({ base }, k) => drawPanel(base, k));
+    point(time);
+  };
+
+  /**
+   * @param {HTMLCanvasElement} canvas
+   * @param {number} k
+   */
+  const drawPanel = (canvas, k) => {
+    const sheet = sheetOf(canvas);
+    const { pen, width, height } = sheet;
+    const { ink, soft, line } = app.theme();
+    const [top, bottom] = [EDGE.top, height - EDGE.bottom];
+    const [first] = shown;
+    const { motion } = first.reel;
+    for (let from = 0; from < motion.frames;) {
+      let end = from;
+      while (end < motion.frames && motion.stage[end] === motion.stage[from]) end++;
+      pen.globalAlpha = motion.stage[from] % 2 ? 0.34 : 0.1;
+      pen.fillStyle = line;
+      const left = xOf(from * motion.step, width);
+      pen.fillRect(left, top, xOf(end * motion.step, width) - left, bottom - top);
+      from = end;
+    }
+    pen.globalAlpha = 1;
+    const { title, limit } = first.histories[k];
+    const lines = shown.flatMap(({ histories }) => histories[k]?.lines ?? []);
+    let [low, high] = [Infinity, -Infinity];
+    for (const values of lines) for (const value of values) [low, high] = [Math.min(low, value), Math.max(high, value)];
+    const reached = limit !== null && Math.max(-low, high) > 0.6 * limit;
+    if (reached) [low, high] = [low < 0 ? Math.min(low, -limit) : low, Math.max(high, limit)];
+    if (!(high > low)) [low, high] = [low - 0.5 || -0.5, high + 0.5 || 0.5];
+    const room = 0.04 * (high - low);
+    const yOf = (/** @type {number} */ value) =>
+      bottom - ((value - low + room) / (high - low + 2 * room)) * (bottom - top);
+    pen.font = pen.font.replace(/\d+px/, "11px");
+    pen.fillStyle = soft;
+    pen.textAlign = "right";
+    pen.textBaseline = "middle";
+    pen.strokeStyle = line;
+    pen.lineWidth = 1;
+    pen.beginPath();
+    for (const value of ticks(low, high, 4)) {
+      pen.moveTo(EDGE.left, yOf(value));
+      pen.lineTo(width - EDGE.right, yOf(value));
+      pen.fillText(shortly(value), EDGE.left - 5, yOf(value), EDGE.left - 8);
+    }
+    pen.stroke();
+    pen.textAlign = "center";
+    pen.textBaseline = "top";
+    for (const at of ticks(0, total, width / 90)) pen.fillText(`${shortly(at)} s`, xOf(at, width), bottom + 4);
+    pen.textAlign = "left";
+    pen.fillStyle = ink;
+    pen.fillText(title, EDGE.left, 3, width - EDGE.left);
+    if (limit !== null && reached) {
+      pen.strokeStyle = ink;
+      pen.setLineDash([2, 3]);
+      pen.beginPath();
+      for (const at of low < 0 ? [limit, -limit] : [limit]) {
+        pen.moveTo(EDGE.left, yOf(at));
+        pen.lineTo(width - EDGE.right, yOf(at));
+      }
+      pen.stroke();
+    }
+    shown.forEach(({ reel, histories }, number) => {
+      const own = histories[k]?.lines ?? [];
+      pen.setLineDash(number ? [4, 3] : []);
+      own.forEach((values, leg) => {
+        pen.strokeStyle = own.length > 1 ? app.table.about.legs[leg] : ink;
+        pen.lineWidth = 1.2;
+        pen.beginPath();
+        values.forEach((value, frame) => pen.lineTo(xOf((frame + 1) * reel.motion.step, width), yOf(value)));
+        pen.stroke();
+      });
+    });
+    pen.setLineDash([]);
+  };
+
+  /** @param {number} now */
+  const point = (now) => {
+    time = now;
+    if (!box.open) return;
+    for (const { over } of panels) {
+      if (!app.visible(over)) continue;
+      const { pen, width, height } = sheetOf(over);
+      pen.fillStyle = app.theme().ink;
+      pen.fillRect(xOf(time, width) - 0.75, EDGE.top, 1.5, height - EDGE.top - EDGE.bottom);
+    }
+  };
+
+  const lay = () => {
+    panels = (shown[0]?.histories ?? []).map(({ title }) => {
+      const label = `${title} over time, a line for each leg; drag to go to a time`;
+      const base = element("canvas", { role: "img", "aria-label": label });
+      const over = element("canvas", { class: "over", "aria-hidden": "true" });
+      const scrub = (/** @type {PointerEvent} */ event) =>
+        to(((pointerOn(event, over)[0] - EDGE.left) / (over.clientWidth - EDGE.left - EDGE.right)) * total);
+      over.addEventListener("pointerdown", (event) => {
+        over.setPointerCapture(event.pointerId);
+        scrub(event);
+      });
+      over.addEventListener("pointermove", (event) => event.buttons && scrub(event));
+      return { base, over };
+    });
+    root.replaceChildren(...panels.map(({ base, over }) => element("div", { class: "history" }, base, over)));
+    byId("histories-key").replaceChildren(
+      ...app.table.about.legs.map((colour, leg) => {
+        const swatch = element("span", { class: "leg", "aria-hidden": "true" });
+        swatch.style.background = colour;
+        return element("span", {}, swatch, ` leg ${leg + 1}`);
+      }),
+    );
+  };
+
+  box.addEventListener("toggle", draw);
+  return {
+    show: (reels, length) => {
+      total = length;
+      shown = reels.flatMap((reel) => (reel ? [{ reel, histories: historiesOf(reel) }] : []));
+      lay();
+      draw();
+    },
+    point,
+  };
+}

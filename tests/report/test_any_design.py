@@ -1,0 +1,139 @@
+"""Studies of any design and shape go through every command that tells of their rows."""
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+import pytest
+
+from sweep.cli.main import main, pictures
+from sweep.report import draws, exhibits, maps, slices
+from sweep.report.page import data
+from sweep.runs import results
+
+DRAWN = {
+    "friction": "{path: contact.friction, side: world, distribution: {kind: uniform, from: 0.1, to: 1.2}}",
+    "mass": "{path: robot.body_mass, distribution: {kind: uniform, from: 8.0, to: 12.0}}",
+    "damping": "{path: drive.damping, distribution: {kind: uniform, from: 500.0, to: 530.0}}",
+    "length": "{path: robot.body_length, relative: 0.02}",
+}
+LISTED = {
+    "friction": "{path: contact.friction, side: world, values: [0.1, 0.5, 0.9]}",
+    "step": "{path: manoeuvre.half_step_ratio, values: [0.05, 0.1, 0.15]}",
+    "mass": "{path: robot.body_mass, values: [9.0, 11.0]}",
+    "damping": "{path: drive.damping, values: [500.0, 530.0]}",
+    "bias": "{path: noise.orientation_bias, values: [0.0, 0.01]}",
+    "length": "{path: robot.body_length, relative: 0.02, values: [-1.0, 1.0]}",
+    "engine": "{path: engine.compiler, values: [xla, fused]}",
+}
+ZIPPED = {"mass": "{path: robot.body_mass, values: [8.0, 10.0, 12.0], with: friction}"}
+
+
+def study(axes, *more):
+    """Overrides for a study with these axes and no other."""
+    return [f"+study.axes.{name}={axis}" for name, axis in axes.items()] + list(more)
+
+
+def some(axes, *names):
+    return {name: axes[name] for name in names}
+
+
+def drawing(kind, num):
+    return f"study.design={{kind: {kind}, num: {num}}}"
+
+
+STEP = some(LISTED, "step")
+DESIGNS = {
+    "one_row": study({}),
+    "one_row_repeated": study({}, "study.replicates=3", "noise.position_noise=0.001"),
+    **{f"listed_{n}": study(dict(list(LISTED.items())[:n])) for n in range(1, 7)},
+    "a_name": study(some(LISTED, "friction", "step", "engine")),
+    **{f"drawn_{n}": study(dict(list(DRAWN.items())[:n]), drawing("monte_carlo", 24)) for n in range(1, 5)},
+    "drawn_400": study(some(DRAWN, "friction", "mass", "damping"), drawing("latin_hypercube", 400)),
+    "listed_by_1_drawn": study(some(DRAWN, "friction") | STEP, drawing("monte_carlo", 64)),
+    "listed_by_3_drawn": study(some(DRAWN, "friction", "mass", "damping") | some(LISTED, "bias"),
+                                drawing("monte_carlo", 64)),
+    "listed_by_400_drawn": study(some(DRAWN, "friction", "mass", "damping") | STEP, drawing("monte_carlo", 400)),
+    "2_listed_by_3_drawn": study(some(DRAWN, "mass", "damping", "length") | some(LISTED, "friction", "step"),
+                                  drawing("sobol", 16)),
+    "saltelli": study(some(DRAWN, "friction", "mass"), drawing("saltelli", 8)),
+    "morris": study(some(DRAWN, "friction", "mass"), drawing("morris", 4)),
+    "zipped": study(some(LISTED, "friction") | ZIPPED),
+    "zipped_by_listed": study(some(LISTED, "friction", "step") | ZIPPED),
+    "zipped_by_drawn": study(some(LISTED, "friction") | ZIPPED | some(DRAWN, "damping"), drawing("monte_carlo", 32)),
+    "one_at_a_time": study(some(LISTED, "friction", "step", "damping"), "study.design={grid: one_at_a_time}"),
+    "refined": study({"friction": "{path: contact.friction, side: world, from: 0.05, to: 1.2, num: 5}",
+                      "step": "{path: manoeuvre.half_step_ratio, from: 0.03, to: 0.2, num: 5}"},
+                     "study.resolution=0.0625"),
+    "refined_by_a_name": study({"friction": "{path: contact.friction, side: world, from: 0.05, to: 1.2, num: 3}",
+                                "step": "{path: manoeuvre.half_step_ratio, from: 0.03, to: 0.2, num: 3}",
+                                "engine": LISTED["engine"]}, "study.resolution=0.25"),
+    "refined_in_three": study({"friction": "{path: contact.friction, side: world, from: 0.05, to: 1.2, num: 3}",
+                               "step": "{path: manoeuvre.half_step_ratio, from: 0.03, to: 0.2, num: 3}",
+                               "damping": "{path: drive.damping, from: 500.0, to: 530.0, num: 3}"},
+                              "study.resolution=0.25"),
+    "budgeted": study(some(LISTED, "friction", "step"), "study.budget=60", "study.replicates=2",
+                      "noise.position_noise=0.001"),
+}  # fmt: skip
+POINTS = {
+    "one_point": {"world.contact.friction": [0.5]},
+    "points_of_2": {"world.contact.friction": np.linspace(0.1, 1, 20), "robot.body_mass": np.linspace(12, 8, 20)},
+    "points_of_4": {
+        "world.contact.friction": np.linspace(0.1, 1, 40),
+        "robot.body_mass": np.tile([8.0, 9.0, 10.0, 11.0], 10),
+        "drive.damping": np.tile([500.0, 530.0], 20),
+        "manoeuvre.half_step_ratio": np.repeat([0.05, 0.15], 20),
+    },
+}
+
+
+COMMANDS = (["report"], ["stats"], ["table"], ["export", "--paper", "paper"])
+
+
+def ran(folder, *overrides):
+    """A study in `folder`."""
+    given = ["scenario=walk_tripod", "scenario.expect=[]", "study.name=any", "engine.width=512", *overrides]
+    assert main(["run", *given, f"out={folder}"]) in (0, 3)
+
+
+def told(folder):
+    """Everything that a page, its pictures and a paper show is made, and every map is one of something."""
+    found = results.read(folder)
+    for one in slices.slices(found):
+        assert len(one.rows[[one.x, one.y]].drop_duplicates()) > 1, (one.x, one.y, one.note)
+    for one in exhibits.exhibits(found):
+        assert one.draw().axes
+        assert len(one.data)
+    if draws.shown(found):
+        draws.draw(found)
+    elif len(maps.independent(found.rows)) > 1:
+        plt.close(maps.success_map(found.rows, found.stored))
+    assert data.data(found)["rows"] == len(found.rows)
+    assert main(["stats", str(folder)]) == main(["table", str(folder)]) == 0
+
+
+@pytest.mark.parametrize("design", DESIGNS)
+def test_a_study_of_any_design_is_told(design, fake_engine, tmp_path):
+    ran(tmp_path, *DESIGNS[design])
+    told(tmp_path)
+
+
+@pytest.mark.parametrize("points", POINTS)
+def test_points_from_a_file_are_told(points, fake_engine, tmp_path):
+    pd.DataFrame(POINTS[points]).to_csv(tmp_path / "points.csv", index=False)
+    ran(tmp_path / "study", "--points", str(tmp_path / "points.csv"))
+    told(tmp_path / "study")
+    assert isinstance(pictures(results.read(tmp_path / "study"), tmp_path, ()), list)
+
+
+@pytest.mark.parametrize(
+    "design",
+    [
+        "listed_by_3_drawn",
+        *(pytest.param(one, marks=pytest.mark.slow) for one in DESIGNS if one != "listed_by_3_drawn"),
+    ],
+)
+def test_every_command_ends_well(design, fake_engine, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    ran(tmp_path / "study", *DESIGNS[design])
+    for name, *more in COMMANDS:
+        assert main([name, "study", *more]) == 0, name

@@ -1,0 +1,47 @@
+"""Outcomes are told apart, by colour for everybody and by shape."""
+
+import numpy as np
+import pytest
+
+from sweep.metrics.outcome import DOUBTS, FAILURES, MEANING
+from sweep.report.looks import INVALID, LOOKS, OTHER, look_of, marker
+
+# what eyes without one kind of cone see of linear red, green and blue (Machado and others 2009, severity 1)
+EYES = {
+    "all cones": np.eye(3),
+    "protanopia": [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
+    "deuteranopia": [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]],
+    "tritanopia": [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.303900]],
+}
+XYZ = np.array(
+    [[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750], [0.0193339, 0.1191920, 0.9503041]]
+)
+
+
+def lab(colour, eyes):
+    """L, a and b of CIE 1976 as these eyes see a colour."""
+    part = np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)]) / 255
+    linear = np.where(part <= 0.04045, part / 12.92, ((part + 0.055) / 1.055) ** 2.4)
+    share = XYZ @ np.clip(np.asarray(EYES[eyes]) @ linear, 0, 1) / XYZ.sum(axis=1)
+    f = np.where(share > 0.008856, np.cbrt(share), 7.787 * share + 16 / 116)
+    return np.array([116 * f[1] - 16, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])])
+
+
+@pytest.mark.parametrize("eyes", EYES)
+def test_success_is_apart_from_every_failure(eyes):
+    for cause in FAILURES:
+        away = np.linalg.norm(lab(look_of("success").colour, eyes) - lab(look_of(cause).colour, eyes))
+        assert away >= 40, cause
+
+
+def test_every_cause_has_a_colour_and_a_shape_of_its_own():
+    assert set(LOOKS) == {"success", *MEANING}
+    assert {look_of(cause).family for cause in FAILURES} == {"foot", "body", "plan", "drive", "goal"}
+    assert len({look_of(cause).colour for cause in FAILURES}) == len(FAILURES)
+    assert len({look.shape.round(3).tobytes() for look in LOOKS.values()}) == len(LOOKS)
+    for kind, look in LOOKS.items():
+        assert np.hypot(*look.shape.T).max() <= 1.3, kind  # within its stamp
+        for theme in (INVALID, "#1C2025"):  # seen on light and on dark
+            assert kind in DOUBTS or np.linalg.norm(lab(look.colour, "all cones") - lab(theme, "all cones")) > 25, kind
+    assert look_of("a cause of another version") == OTHER
+    assert len(marker("slipped").vertices) == 4
