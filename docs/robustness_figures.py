@@ -48,6 +48,19 @@ BOUNDS = {  # columns of the table of bounds: title, title alone, unit in which 
     "axis.friction": ("friction less by, %", "friction less by, %", 100, 0.0),
     "world.execution.torque_scale": ("torque limit less by, %", "torque limit less by, %", 100, 1.0),
 }
+SEEN = {  # columns of the second part of the table
+    "noise.joint_noise": ("joints, noise, mrad", "joints, noise, mrad", 1000, 0.0),
+    "noise.velocity_noise": ("velocity, mm/s", "velocity, noise, mm/s", 1000, 0.0),
+    "noise.spin_noise": ("spin, mrad/s", "spin, noise, mrad/s", 1000, 0.0),
+    "noise.joint_rate_noise": ("joint rates, mrad/s", "joint rates, noise, mrad/s", 1000, 0.0),
+    "noise.body_position_noise": ("bodies' place, noise, mm", "bodies' place, noise, mm", 1000, 0.0),
+    "noise.body_position_bias": ("bias, mm", "bodies' place, bias, mm", 1000, 0.0),
+    "noise.body_orientation_noise": ("attitude, noise, mrad", "bodies' attitude, noise, mrad", 1000, 0.0),
+    "noise.body_orientation_bias": ("bias, mrad", "bodies' attitude, bias, mrad", 1000, 0.0),
+    "noise.body_velocity_noise": ("velocity, mm/s", "bodies' velocity, noise, mm/s", 1000, 0.0),
+    "noise.body_turn_noise": ("turning, mrad/s", "bodies' turning, noise, mrad/s", 1000, 0.0),
+    "noise.body_delay": ("delay, ms", "bodies, delay, ms", 4, 0.0),
+}
 ROBOTS = {"believes": "#7F7F7F", "calibrates": "#009E73", "learns": "#0072B2"}
 WANTED = 0.9  # share of rollouts that are to succeed
 RATES = Path(__file__).parent / "examples" / "robustness_rates.csv"
@@ -100,12 +113,14 @@ def bounds(folders: list[str]) -> None:
         new = new.assign(scenario=found.exp.scenario, robot=learns, commit=found.stored["commit"])
         rates = pd.concat([rates[~same], new[rates.columns]])
     rates.sort_values(["scenario", "robot"], kind="stable").to_csv(RATES, index=False, float_format="%.4g")
-    print("| | robot | " + " | ".join(title for title, *_ in BOUNDS.values()) + " |")
-    print("|:--|:--|" + ":--|" * len(BOUNDS))
-    for (scenario, robot), of_one in rates.groupby(["scenario", "robot"]):
-        along = dict(list(of_one.groupby("axis")))
-        cells = [bound(along[axis], *how) if axis in along else "" for axis, (_, _, *how) in BOUNDS.items()]
-        print(f"| `{scenario}` | {robot} | " + " | ".join(cells) + " |")
+    for columns in (BOUNDS, SEEN):
+        print("| | robot | " + " | ".join(title for title, *_ in columns.values()) + " |")
+        print("|:--|:--|" + ":--|" * len(columns))
+        for (scenario, robot), of_one in rates[rates["axis"].isin(columns)].groupby(["scenario", "robot"]):
+            along = dict(list(of_one.groupby("axis")))
+            cells = [bound(along[axis], *how) if axis in along else "" for axis, (_, _, *how) in columns.items()]
+            print(f"| `{scenario}` | {robot} | " + " | ".join(cells) + " |")
+        print()
 
 
 def page() -> None:
@@ -119,8 +134,12 @@ def page() -> None:
 
 def draw_rates(rates: pd.DataFrame, name: str) -> None:
     """A panel for each error: what shares succeed with it, with their 95 % intervals, of every robot."""
-    figure, panels = plt.subplots(2, len(BOUNDS) // 2, figsize=(15, 4.2), sharey=True, layout="constrained")
-    for panel, (axis, (_, title, scale, nominal)) in zip(panels.flat, BOUNDS.items(), strict=True):
+    drawn = {axis: how for axis, how in (BOUNDS | SEEN).items() if axis in set(rates["axis"])}
+    lines = -(-len(drawn) // 6)
+    figure, panels = plt.subplots(lines, 6, figsize=(15, 2.1 * lines), sharey=True, layout="constrained")
+    for panel in panels.flat[len(drawn) :]:
+        panel.axis("off")
+    for panel, (axis, (_, title, scale, nominal)) in zip(panels.flat, drawn.items(), strict=False):
         along = rates[rates["axis"] == axis]
         errors = (scale * (along["value"] - nominal)).abs().round(6)
         for robot, of_one in along.assign(error=errors).sort_values("error").groupby("robot"):
@@ -139,9 +158,9 @@ def draw_rates(rates: pd.DataFrame, name: str) -> None:
     for panel in panels[:, 0]:
         panel.set_ylabel("succeed, %")
     panels[0, 0].legend(loc="lower left", fontsize=8)
-    figure.savefig(drawn := BytesIO(), dpi=80)
+    figure.savefig(picture := BytesIO(), dpi=80)
     plt.close(figure)
-    Image.open(drawn).convert("RGB").quantize(32).save(FIGURES / f"{name}.png", optimize=True)
+    Image.open(picture).convert("RGB").quantize(32).save(FIGURES / f"{name}.png", optimize=True)
 
 
 if __name__ == "__main__":

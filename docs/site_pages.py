@@ -44,6 +44,6 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
 
 
 def inward(text: str) -> str:
-    """The README as a page of docs/: its links into docs/ are beside it, the others become words."""
+    """The README as a page of docs/: links and pictures of docs/ are beside it, other links become words."""
     text = text.replace("](docs/", "](")
-    return re.sub(r"\[([^\]]*)\]\((?!https://)((?![\w/]+\.md)[^)]*|bench/[^)]*)\)", r"\1", text)
+    return re.sub(r"(?<!!)\[([^\[\]]*)\]\((?!https://)((?![\w/]+\.md)[^)]*|bench/[^)]*)\)", r"\1", text)

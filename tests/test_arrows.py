@@ -8,7 +8,18 @@ import pytest
 
 PACKAGE = Path(__file__).parents[1] / "sweep"
 # from the ground up: a room knows those before it; modules beside the rooms, which users import, know all of them
-BELOW_RUNS = ("core", "formulas", "models", "dynamics", "controllers", "metrics", "engines", "study", "analysis")
+BELOW_RUNS = (
+    "fused",
+    "core",
+    "formulas",
+    "models",
+    "dynamics",
+    "controllers",
+    "metrics",
+    "engines",
+    "study",
+    "analysis",
+)
 ROOMS = (*BELOW_RUNS, "runs", "trace", "report", "cli", "")
 # one rollout's surfaces; physics measured alone
 JAX_ABOVE_ENGINES = {"sweep.trace.contact_forces", "sweep.cli.bench"}
@@ -19,7 +30,7 @@ FILES_BELOW_RUNS = {
     "sweep.core.waiting",
     "sweep.core.provenance",
     "sweep.engines.devices",
-    "sweep.engines.fused.cuda",
+    "sweep.fused.cuda",
     "sweep.engines.program_cache",
     "sweep.study.config",
     "sweep.study.study",

@@ -6,13 +6,13 @@ import pytest
 from sweep.cli.choices import choices
 from sweep.cli.main import main
 from sweep.controllers.manoeuvres import MANOEUVRES
+from sweep.core.groups import GROUPS
 from sweep.core.parameters import InputError
-from sweep.core.project import GROUPS
 from sweep.models.obstacles import OBSTACLES
 from sweep.study.config import compose, composed, experiment
 
 TOGETHER = ("obstacle", "manoeuvre")  # which have to fit
-CHOICES = [f"{group}={name}" for group in GROUPS if group not in TOGETHER for name in choices(group)]
+CHOICES = [f"{group}={name}" for group in GROUPS if group not in (*TOGETHER, "plan") for name in choices(group)]
 # called after their scenario
 SHARED = (
     "pole_sizes",
@@ -21,6 +21,10 @@ SHARED = (
     "pole_learning",
     "any_unknown_robot",
     "any_robustness",
+    "any_errors",
+    "any_step",
+    "any_rates",
+    "any_seeing",
     "ball_sizes",
     "ball_unknown",
     "ball_unknown_small",
@@ -88,6 +92,8 @@ BAD = [
     ("+robot.coxx=1", ["robot.coxx", "did you mean coxa?"]),
     ("robot.coxa=-1", ["robot.coxa = -1", "at least 0 m"]),
     ("robot.coxa=long", ["robot.coxa = 'long'", "a number"]),
+    ("robot.thigh=520", ["robot.thigh = 520 is not allowed: is it 0.52 m?", "at most 20 times the nominal 0.52 m"]),
+    ("robot.shin=33.5", ["robot.shin = 33.5 is not allowed: is it 0.335 m?"]),
     ("contact.friction=-1", ["contact.friction = -1", "at least 0"]),
     ("scenario=wlak_tripod", ["scenario = wlak_tripod", "did you mean walk_tripod?"]),
     ("robot.mounts=star", ["robot.mounts = 'star'", "rectangle, circle"]),

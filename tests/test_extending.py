@@ -20,6 +20,7 @@ SAID = {  # by the commands of a page
     "A formula": ["v = 0.", "0.15"],
     "An exhibit": ["report.html"],
     "A metric": ["base_speed_max_mps", "m/s", "| base speed max"],
+    "A plan": ["pole_top_high        As pole_top", "plan.top.rear.base.above                      0.75", "0.7, 0.75"],
     SIMULATED: ["kerb                 A kerb, 0.1 m high", "| walk_kerb "],
 }
 

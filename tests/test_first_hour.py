@@ -4,7 +4,6 @@ import json
 import os
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -25,7 +24,7 @@ study:
 
 @pytest.mark.slow
 def test_from_a_wheel_to_an_own_study_its_figure_and_a_notebook(tmp_path):
-    start, bin_, lab = time.monotonic(), tmp_path / "venv" / "bin", tmp_path / "lab"
+    bin_, lab = tmp_path / "venv" / "bin", tmp_path / "lab"
     clean = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "VIRTUAL_ENV")}
     clean |= {"XDG_CACHE_HOME": str(tmp_path / "cache"), "MPLBACKEND": "agg"}  # nothing is compiled yet
 
@@ -52,4 +51,3 @@ def test_from_a_wheel_to_an_own_study_its_figure_and_a_notebook(tmp_path):
     shown = do(bin_ / "python", "-c", code.replace("study=first", "study=ground") + "\nprint(again.again['outcome'])")
     assert shown.split()[-1] in ("success", "failure", "invalid")
     assert "commit: ''" not in (lab / "results/ground/study.yaml").read_text()
-    assert time.monotonic() - start < 600

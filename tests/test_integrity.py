@@ -36,13 +36,13 @@ def test_what_a_worker_of_a_dead_command_writes_counts_for_nothing(tmp_path, who
     for entry in store.counted(tmp_path)[5:]:
         (tmp_path / entry.file).unlink()
     known = runner._plan_of(tmp_path.resolve(), "a plan of the dead command")
-    assert again(tmp_path, "--limit", "48", "outcome.slip_max_m=0.1") == 0
+    assert again(tmp_path, "--limit", "48", "outcome.slip_max_m=0.01") == 0
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(runner, "_plan_of", lambda *_: known)
         runner.on_worker(tmp_path.resolve(), "a plan of the dead command", provenance.code_version(), 6)
-    assert again(tmp_path, "outcome.slip_max_m=0.1") == 0
+    assert again(tmp_path, "outcome.slip_max_m=0.01") == 0
     rows = content(tmp_path)
-    assert (rows["outcome"] == "success").equals(rows["slip_max_m"] <= 0.1)
+    assert (rows["outcome"] == "success").equals(rows["slip_max_m"] <= 0.01)
     assert rows["point_id"].is_unique
     assert again(tmp_path) == 0
     pd.testing.assert_frame_equal(content(tmp_path), whole)
@@ -91,8 +91,8 @@ def test_what_the_rest_of_a_folder_tells_is_rebuilt(folder, whole, capsys, name,
     assert main(["verify", str(folder)]) == 0
     if how == "lost" and name == store.STUDY:
         path.unlink()
-        assert again(folder, "contact.stiffness=2e6") == 2
-        assert again(folder, "outcome.slip_max_m=0.1") == 2
+        assert again(folder, "contact.stiffness=5e5") == 2
+        assert again(folder, "outcome.slip_max_m=0.01") == 2
         one_line(capsys.readouterr().err.splitlines(keepends=True)[-1], "give the same")
 
 
@@ -134,17 +134,17 @@ def test_a_killed_relabelling_changes_all_rows_or_none(folder, whole, monkeypatc
     with monkeypatch.context() as patch:
         for module, name in ((store, "write_part"), (store, "write_study"), (repair, "forget"), (runner, "experiment")):
             patch.setattr(module, name, killed(getattr(module, name)))
-        done = main(["relabel", str(folder), "slip_max_m<0.1"]) == 0
+        done = main(["relabel", str(folder), "slip_max_m<0.01"]) == 0
     rows, stored = content(folder), store.read_study(folder)
     limit = stored["config"]["outcome"]["slip_max_m"]
-    if limit == 0.1:
-        assert (rows["outcome"] == "success").equals(rows["slip_max_m"] <= 0.1)
+    if limit == 0.01:
+        assert (rows["outcome"] == "success").equals(rows["slip_max_m"] <= 0.01)
     else:
         assert not done
         pd.testing.assert_frame_equal(rows, whole)
-    assert main(["relabel", str(folder), "slip_max_m<0.1"]) == 0
+    assert main(["relabel", str(folder), "slip_max_m<0.01"]) == 0
     rows = content(folder)
-    assert (rows["outcome"] == "success").equals(rows["slip_max_m"] <= 0.1)
+    assert (rows["outcome"] == "success").equals(rows["slip_max_m"] <= 0.01)
     assert again(folder) == 0
     pd.testing.assert_frame_equal(content(folder), whole)
     assert len(list((folder / store.PARTS).iterdir())) == BATCHES

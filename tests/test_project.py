@@ -1,14 +1,18 @@
 """What a user has of one's own: a project with studies, robots, obstacles and manoeuvres."""
 
+import dataclasses
 import subprocess
 import sys
+import warnings
 
 import pytest
 
 import sweep
 from sweep.cli.main import main
 from sweep.core import project, provenance
+from sweep.core.groups import GROUPS
 from sweep.core.parameters import InputError
+from sweep.models.case import Case
 from sweep.study import reference
 from sweep.study.config import KINDS, compose
 
@@ -106,6 +110,37 @@ def test_what_is_wrong_with_a_study_file_is_one_line(home, capsys, text, named):
     assert "study = none.yaml is not a file" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(("folder", "option"), [("studies", "study"), ("robots", "robot")])
+def test_files_that_extend_each_other_in_a_ring_are_refused(home, capsys, folder, option):
+    for name, above in (("a", "b"), ("b", "c"), ("c", "b")):
+        write(home / folder / f"{name}.yaml", f"extends: {above}\n")
+    assert main(["run", f"{option}=a"]) == 2
+    error = capsys.readouterr().err
+    assert "b.yaml extends " in error
+    assert "c.yaml extends " in error
+    assert error.count("\n") == 1
+
+
+def test_every_group_is_listed_completed_chosen_once_and_has_a_folder(home, capsys):
+    """One table of groups: none of them is less than another."""
+    assert {name for name, group in GROUPS.items() if group.in_case} == {f.name for f in dataclasses.fields(Case)}
+    assert main(["list"]) == 0
+    listed = capsys.readouterr().out.splitlines()
+    assert main(["completion", "--line", "sweep run "]) == 0
+    completed = capsys.readouterr().out.splitlines()
+    for group in GROUPS:
+        assert f"{group}=" in listed
+        assert f"{group}=" in completed
+        assert main(["run", f"{group}=a", f"{group}=b"]) == 2
+        assert f"{group} is chosen twice" in capsys.readouterr().err
+    write(home / "controls/mine.yaml", "# By touch alone\ntouch: obstacle\n")
+    write(home / "studies/by_touch.yaml", "scenario: ladder_climb\ncontrol: mine\n")
+    assert compose(["control=mine"]).case.control.touch == "obstacle"
+    assert compose(["study=by_touch"]).case.control.touch == "obstacle"
+    assert main(["list"]) == 0
+    assert "mine                 By touch alone" in capsys.readouterr().out
+
+
 def test_lists_and_completion_show_what_is_ones_own_apart(capsys, home):
     capsys.readouterr()
     assert main(["list"]) == 0
@@ -135,7 +170,8 @@ def test_obstacles_and_manoeuvres_of_ones_own_are_simulated(home, capsys, monkey
     write(home / "obstacles/ramp.yaml", "# A gentle ramp\nkind: ramp\nslope: 0.1\n")
     write(home / "manoeuvres/stroll.yaml", "kind: stroll\n")
     provenance.code_version.cache_clear()
-    exp = compose(["obstacle=ramp", "manoeuvre=stroll"])
+    with warnings.catch_warnings(action="error"):  # Hydra's, of a file that is called as its kind
+        exp = compose(["obstacle=ramp", "manoeuvre=stroll"])
     assert (exp.case.obstacle.kind, exp.case.obstacle.slope) == ("ramp", 0.1)
     assert exp.case.manoeuvre.plan(exp.case).duration.sum() > 1
     assert provenance.code_version() != before  # rows are told apart by what simulated them

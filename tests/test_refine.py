@@ -164,7 +164,7 @@ class NoisyEngine(FakeEngine):
         figures = super().run(world, belief, streams)
         friction = np.broadcast_to(world.contact.friction, streams.shape)
         luck = np.random.default_rng(0).permutation(2**16)[streams % 2**16] / 2**16
-        return figures | {"tilt_max_deg": np.where(luck < friction, 40.0, 1.0)}
+        return figures | {"tilt_max_deg": np.where(luck < friction, 40.0, 1.0), "slip_max_m": np.zeros_like(luck)}
 
 
 NOISY = ["+study.axes.f={path: contact.friction, side: world, from: 0.05, to: 0.95, num: 10}", "study.name=noisy",

@@ -135,11 +135,15 @@ def test_points_from_a_file_take_the_place_of_the_grid(tmp_path):
     ("axis", "message"),
     [
         ("{path: contact.frction, values: [1]}", "did you mean friction?"),
-        ("{path: friction, values: [1]}", "friction is unknown"),
         ("{path: contact, values: [1]}", "contact is unknown"),
         ("{path: engine.name, side: world, values: [mjx]}", "engine is unknown"),
         ("{path: contact.friction.x, values: [1]}", "friction has no parts"),
         ("{path: contact.friction, values: [1, -2]}", "contact.friction = -2 is not allowed"),
+        (
+            "{path: robot.thigh, side: belief, values: [0.5, 520]}",
+            "belief.robot.thigh = 520 is not allowed: is it 0.52 m",
+        ),
+        ("{path: friction, values: [1]}", "friction is unknown: did you mean contact.friction?"),
         ("{path: engine.name, values: [cuda]}", "one of mjx, native"),
     ],
 )
@@ -147,6 +151,21 @@ def test_an_axis_that_names_nothing_or_leaves_the_bounds_is_refused(axis, messag
     with pytest.raises(InputError) as error:
         table_of(f"+study.axes.a={axis}")
     assert message in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        ["contact.damping=100"],
+        ["engine.time_step=0.003"],
+        ["+study.axes.c={path: contact.stiffness, side: world, values: [1e6, 1.1e6]}"],
+    ],
+)
+def test_a_step_longer_than_contacts_relax_is_refused(overrides):
+    """It would damp them by itself, or shake them. C MuJoCo has a contact of its own."""
+    with pytest.raises(InputError, match=r"engine.time_step = 0.00\d is not allowed: at most contact.damping over"):
+        table_of(*overrides)
+    assert len(table_of(*overrides, "engine=native")[1]) >= 1
 
 
 def test_conditions_select_rows_and_run_no_code():

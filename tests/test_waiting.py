@@ -1,3 +1,5 @@
+import subprocess
+import sys
 import time
 
 from sweep.core import waiting
@@ -16,3 +18,26 @@ def test_a_wait_in_a_pipe_is_told_and_remembered(monkeypatch, tmp_path, capsys):
     with waiting.waiting("short"):
         pass
     assert not capsys.readouterr().err
+
+
+def test_which_program_is_compiled_is_told_with_what_it_took_last_time(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(waiting, "WORTH", 0.0)
+    with waiting.part("plan"), waiting.part("closed loop"):
+        assert waiting.parts("ladder for mjx") == ": plan and closed loop"
+        time.sleep(0.1)
+    waiting.remember("ladder for mjx", 50.0)
+    with waiting.part("plan"):
+        assert waiting.parts("ladder for mjx") == ": plan (0 s last time)"
+        assert waiting.parts("walk for mjx") == ": plan"
+    assert waiting.parts("ladder for mjx") == ""
+    waiting.remember("ladder for mjx", 5.0)  # with programs that were kept
+    assert waiting.last_time("ladder for mjx") == " (5 s last time)"
+    assert waiting.last_time("ladder for mjx: closed loop")
+
+
+def test_the_compilers_own_alarm_is_silent_unless_asked_for():
+    code = "import os, sweep, jax; print(os.environ['TF_CPP_MIN_LOG_LEVEL'])"
+    for given, told in (({}, "3"), ({"TF_CPP_MIN_LOG_LEVEL": "0"}, "0")):
+        done = subprocess.run([sys.executable, "-c", code], env=given, capture_output=True, text=True, check=True)
+        assert done.stdout.strip() == told

@@ -105,6 +105,22 @@ def test_bad_input_is_one_line_and_exit_code_2(arguments, capsys, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize(
+    ("argument", "unneeded"),
+    [
+        ("scenario=nowhere", ("hydra", "jax", "mujoco", "numpy", "pandas")),
+        ("robot.thigh=-1", ("llvmlite", "matplotlib", "pandas", "pyarrow", "rich", "SALib", "scipy")),
+    ],
+)
+def test_what_is_wrong_is_told_before_what_is_slow_is_imported(argument, unneeded):
+    code = f"import sys; from sweep.cli.main import main; print(main(['run', '{argument}']), *sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    status, *imported = done.stdout.split()
+    assert status == "2"
+    assert argument.partition("=")[0] in done.stderr
+    assert not set(unneeded) & set(imported)
+
+
 def test_hydra_keeps_its_own_flags(capsys):
     assert main(["run", "--cfg", "job", "contact.friction=0.5"]) == 0
     assert "friction: 0.5" in capsys.readouterr().out
