@@ -2,7 +2,7 @@
 
 Success is sky blue, which no failure comes near for any kind of colour blindness. Causes go by what fails: feet are
 red, the body is orange, plans are yellow, drives are grey, goals are brown and wine-coloured. Within a family the shape
-tells the cause, so that nobody has to tell nineteen colours apart.
+tells the cause, so that nobody has to tell some twenty colours apart.
 """
 
 from typing import NamedTuple
@@ -69,6 +69,8 @@ LOOKS = {
         link_collision=("#9C4300", crossed(0.38, turn=45)),
         leg_crossing=("#FFB000", crossed(0.16, turn=45)),
         base_hit=("#C98500", crossed(0.38)),
+        folded=("#7A3B12", crossed(0.16)),
+        shin_under_face=("#E0701F", star(3, 0.22, turn=-90)),
     ),
     **looks(
         "plan",
@@ -76,7 +78,13 @@ LOOKS = {
         no_plan=("#D6C600", star(4, 0.35)),
         infeasible=("#5F5A00", star(4) * (0.5, 1)),
     ),
-    **looks("drive", overload=("#5E5E5E", star(8, 0.6))),
+    **looks(
+        "drive",
+        overload=("#5E5E5E", star(8, 0.6)),
+        overturned_leg=("#6B655B", star(5, turn=180)),
+        overspeed=("#756C5E", star(7)),
+        overpower=("#67605F", star(8)),
+    ),
     **looks(
         "goal",
         stalled=("#8E1B5E", bar(0.35)),
@@ -87,6 +95,8 @@ LOOKS = {
         awash=("#7A1F1F", star(5, 0.4)),
         lifted=("#B0413E", star(3, 0.22)),
         rolled_off=("#8A6A4A", star(6)),
+        restless=("#7A3350", star(3, 0.22, turn=90)),
+        obstacle_turned=("#8C5426", star(4, 0.6)),
     ),
     **looks("doubt", **{doubt: ("#8A8C92", star(k, 0.3)) for k, doubt in enumerate(DOUBTS, 6)}),
 }

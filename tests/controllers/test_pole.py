@@ -117,7 +117,7 @@ def test_no_link_is_in_the_pole(case, seed):
     first = plan.names.index("place.1-4-5")
     assert at["links"].min() > -0.003  # shins down to the feet, which are pressed in; the judge allows 5 mm
     assert at["legs"].min() > 0.02
-    assert at["body"].min() > 0.05
+    assert at["body"].min() > 0.01  # of thighs along the sides their hips are on, at the pole's foot
     assert at["base"].min() > 0.015
     assert at["reach"].min() > 0
     assert at["support"][first : plan.names.index("on.nearer")].min() > 0.08

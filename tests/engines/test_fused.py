@@ -58,7 +58,7 @@ def test_under_native_the_controller_is_that_of_xla_which_takes_what_has_no_rule
         engine = Native(replace(exp.settings, width=3), exp.case, exp.case, exp.thresholds)
         return engine.run(world, exp.case, np.arange(3)), engine.fused
 
-    def without(*_):
+    def without(*_, **__):
         raise Unsupported("sort")
 
     fused, by_itself = figures()

@@ -290,14 +290,13 @@ def test_the_keyboard_does_what_the_mouse_does(shown):
 
 
 def test_axes_of_lines_are_arranged(shown):
-    left, top, width, height = shown.place("#lines-over")
-
     def first():
         shown.run("document.querySelector('#lines-over').focus()")
         shown.key("Escape")
         return shown.run("document.querySelector('#told').textContent").split(":")[0]
 
     before = first()
+    left, top, width, height = shown.place("#lines-over")  # where it lies with the focus
     shown.drag(left + 46, top + 10, left + width - 46, top + 10)
     assert first() != before
     shown.run("document.querySelector('#lines-reset').click()")
