@@ -1,22 +1,11 @@
-"""Frames in which a plan's targets live: the world's, and two that go with each of the obstacle's free bodies."""
+"""Frames in which a plan's targets live (`sweep/models/frames.py`), from one to another."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from sweep.core.rotations import conjugate, multiply, rotate
+from sweep.models.frames import fixed, koenig
 from sweep.models.obstacles.surface import FreeState, Obstacle, Surface, free_start, poses, under
-
-WORLD = 0
-
-
-def koenig(body: int) -> int:
-    """The Koenig frame of free body number `body`: its centre, with the world's axes."""
-    return 1 + 2 * body
-
-
-def fixed(body: int) -> int:
-    """The frame of free body number `body` itself: its centre, with its own axes."""
-    return 2 + 2 * body
 
 
 def to_world(points: Float[Array, "n 3"], frame: Int[Array, " n"], free: FreeState) -> Float[Array, "n 3"]:

@@ -9,13 +9,13 @@ from jaxtyping import Array, Float, Int
 
 from sweep.controllers import touch
 from sweep.controllers.calibration import Calibrated
-from sweep.controllers.frames import fixed
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import Plan, Shift, Stance, stance_to_world
 from sweep.controllers.touch import Touched
 from sweep.controllers.tracker import TrackerState, joint_targets
 from sweep.core.rotations import exponential, multiply
 from sweep.models.case import Case
+from sweep.models.frames import fixed
 from sweep.models.obstacles.surface import Obstacle, free_start, landmarks
 
 

@@ -1,65 +1,85 @@
 """Plans as data: parts of moves, read from a file, become stages.
 
-A move takes the base somewhere and feet to places, both in charts that the obstacle offers. For robots that come along
--y, their left and right feet placed alike.
+A move takes the base somewhere and feet to places, both in charts that the obstacle offers. Left and right feet of a
+pair are placed alike.
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from sweep.controllers.gaits import GALLOP
+from sweep.controllers.frames import to_frame, to_world
 from sweep.controllers.plan import CYCLE_A, CYCLE_B, CYCLE_B_SMOOTH, HALF_ELLIPSE, SMOOTH, STEADY, Stage
+from sweep.controllers.support import Support
 from sweep.core.errors import InputError, suggest
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
-from sweep.models.obstacles.charts import Chart, Number, charts, point
+from sweep.models.frames import WORLD
+from sweep.models.legs import GROUPS, LEGS
+from sweep.models.obstacles.charts import Chart, Number, charts
+from sweep.models.obstacles.surface import free_start
 from sweep.models.plan_table import COMPONENTS, Content, tabled
 
-PAIRS: Mapping[str, tuple[int, int]] = dict(zip(("front", "middle", "rear"), GALLOP, strict=True))
 CYCLES = {"a": CYCLE_A, "b": CYCLE_B, "b_smooth": CYCLE_B_SMOOTH, "half_ellipse": HALF_ELLIPSE}
 # how the base's way is spent: evenly, as a cubic from rest to rest, or by lambda_1
 PACES = {"even": (STEADY, (1.0, 1.0)), "eased": (STEADY, (0.0, 0.0)), "smooth": (SMOOTH, (1.0, 1.0))}
-AHEAD = np.array([1.0, -1.0, 1.0])  # out, ahead, up in world axes, on the right
+UP = np.array([0.0, 0.0, 1.0])
 type Feet = dict[int, Float[Array, " 3"]]  # m, by leg
 type Numbers = list[Any]
+type Place = Mapping[str, Numbers]  # coordinates in one chart
 
 
 @dataclass(frozen=True)
 class Move:
     """A stage in a file's words; what a part says counts for all its moves. Lengths are in the manoeuvre's unit."""
 
+    path: str  # of the move in a file, for messages
+    # where groups of legs go; None: they stay where they are, and get another depth
+    feet: Mapping[str, Place | None] = field(default_factory=dict)
     time: Number = 1.0  # t*
     seconds: Number | None = None  # instead of `time`
-    base: Mapping[str, Numbers] = field(
-        default_factory=dict
-    )  # at the end, by chart: ahead, above, pitch (deg, nose up)
+    base: Place = field(default_factory=dict)  # at the end, with its pitch (deg, nose up) after the coordinates
     pace: str = "even"
+    rates: Numbers | None = None  # of an even pace at its ends, in units of its mean
     pivot: Numbers | None = None  # of an arc of the base, in the same chart
     arc: Number = 0.0  # deg
-    # by pair, coordinates in one chart; None: a pair stays where it is, and gets another depth
-    feet: Mapping[str, Mapping[str, Numbers] | None] = field(default_factory=dict)
     depth: Number | None = None  # m, of these feet in what they stand on
     swing: str = "b"
     lift: Number = 0.0  # d_y
     plane: Numbers | None = None  # in which the swing is lifted; upwards if it does not say
     leave: Numbers | None = None  # control points of the swing's curve, from the place that is left ...
     land: Numbers | None = None  # ... and from the new one
+    support: str = ""  # of free bodies, as the manoeuvre names it; they are where they are seen if it does not say
 
 
 WORDS = {"pace": PACES, "swing": CYCLES}
-SIZES = {**{key: (len(names),) for key, names in COMPONENTS.items()}, "base": (2, 3)}  # of lists
+SIZES = {key: len(names) for key, names in COMPONENTS.items() if key != "base"}  # of lists
 
 
-class Stand(NamedTuple):
-    """Where a pair stands."""
+class Foot(NamedTuple):
+    """Where a foot stands."""
 
-    feet: Feet  # from where its next swing's curve is told
-    place: Mapping[str, Numbers] | None = None  # where a chart says so
+    at: Float[Array, " 3"]  # m, from where its next swing's curve is told
+    frame: int = WORLD  # of that
+    stands: int = WORLD  # the frame with which it goes
+    place: Place | None = None  # where a chart says so
+
+
+class Standing(NamedTuple):
+    """Where the robot stands between two moves."""
+
+    feet: Mapping[int, Foot]  # by leg
+    pitch: Number  # rad, of the base, nose up
+    frame: int = WORLD  # of the base
+
+
+def standing(feet: Feet, pitch: Number, frame: int = WORLD) -> Standing:
+    """On footholds (m) that no chart tells, feet and base in one frame."""
+    return Standing({leg: Foot(at, frame, frame) for leg, at in feet.items()}, pitch, frame)
 
 
 @dataclass(frozen=True)
@@ -72,61 +92,141 @@ class Terms:
     lift: Number  # m, d_y
     depths: Mapping[str, Number] = field(default_factory=dict)  # m, of feet in what they stand on, by chart; else 0
     own: Mapping[str, Chart] = field(default_factory=dict)  # charts of the manoeuvre's
+    forward: tuple[float, float] = (0.0, -1.0)  # in which the robot goes, in the plane
+    supports: Mapping[str, tuple[Support, ...]] = field(default_factory=lambda: {"": ()})  # by name, of every body
+    stage: Mapping[str, Any] = field(default_factory=dict)  # what all stages have besides
 
-    def feet(self, pair: str, place: Mapping[str, Numbers], depth: Number | None = None) -> Feet:
-        """Footholds of a pair, at the usual depth or another one (m)."""
-        chart, numbers = _only(place)
-        deep = self.depths.get(chart, 0.0) if depth is None else depth
-        return {leg: self._at(chart, numbers, float(SIDE[leg - 1]), deep) for leg in PAIRS[pair]}
+    def foot(self, leg: int, place: Place, where: str, depth: Number | None = None) -> Foot:
+        """Of a leg at a place, at the usual depth or another one (m). Raises `InputError` of what stands `where`."""
+        name, chart, numbers = self.chart(place, where)
+        if not len(chart.names) - chart.optional <= len(numbers) <= len(chart.names):
+            raise InputError(f"{where} = {numbers} is not allowed: [{', '.join(chart.names)}]")
+        deep = self.depths.get(name, 0.0) if depth is None else depth
+        stands = chart.frame if chart.stands is None else chart.stands
+        at = chart.at(self.belief.obstacle, float(SIDE[leg - 1]), self.unit, deep, *numbers)
+        return Foot(at, chart.frame, stands, place)
 
-    def base(self, place: Mapping[str, Numbers]) -> Float[Array, " 3"]:
-        """The base's centre, or the centre of an arc that it goes along."""
-        chart, numbers = _only(place)
-        return self._at(chart, numbers[:2], 1.0, 0.0)
+    def base(self, place: Place, where: str) -> tuple[Float[Array, " 3"], Number | None, Chart]:
+        """The base's centre (m), its pitch (rad) if that is said, and its chart. Raises `InputError`."""
+        _, chart, numbers = self.chart(place, where)
+        names, count = chart.based(), len(chart.names)
+        if not (count - chart.optional <= len(numbers) <= len(names)):
+            raise InputError(f"{where} = {numbers} is not allowed: [{', '.join(names)}]")
+        of, numbers, beside = self.belief.obstacle, numbers[:count], numbers[count:]
+        at = chart.at(of, 1.0, self.unit, 0.0, *numbers)
+        if chart.pitch:
+            return at, chart.pitch(of, self.unit, *numbers), chart
+        return at, jnp.radians(jnp.asarray(beside[0], float)) if beside else None, chart
 
-    def _at(self, chart: str, numbers: Numbers, side: float, depth: Number) -> Float[Array, " 3"]:
+    def chart(self, place: Place, where: str) -> tuple[str, Chart, Numbers]:
+        """Name and chart of a place, and its coordinates. Raises `InputError`."""
+        if len(place) != 1:
+            raise InputError(f"{where} = {dict(place)} is not allowed: coordinates in one chart")
+        name, numbers = next(iter(place.items()))
         offered = {**charts(self.belief.obstacle), **self.own}
-        if chart not in offered:
-            raise InputError(f"plan: chart {chart} is unknown on {self.belief.obstacle.kind}{suggest(chart, offered)}")
-        names, at = offered[chart]
-        if len(numbers) != len(names):
-            raise InputError(f"plan: {chart}: {numbers} is not allowed: {', '.join(names)}")
-        return at(self.belief.obstacle, side, self.unit, depth, *numbers)
+        if name not in offered:
+            kind = self.belief.obstacle.kind
+            raise InputError(f"{where}: chart {name} is unknown on {kind}{suggest(name, offered)}")
+        return name, offered[name], numbers
+
+    @property
+    def left(self) -> Float[np.ndarray, " 3"]:
+        """To where the robot's left is."""
+        return np.array([-self.forward[1], self.forward[0], 0.0])
+
+    def vector(self, leg: int, numbers: Numbers) -> Float[Array, " 3"]:
+        """Out to the leg's side, ahead and up."""
+        out, ahead, up = (jnp.asarray(number, float) for number in numbers)
+        return float(SIDE[leg - 1]) * out * self.left + ahead * np.array([*self.forward, 0.0]) + up * UP
 
 
-def stages_of(
-    part: str, terms: Terms, stands: Mapping[str, Stand], pitch: Number
-) -> tuple[list[Stage], dict[str, Stand], Number]:
-    """Stages of a part's moves, where pairs stand after them, and the base's pitch (deg), which begins as given.
+def placed(part: str, terms: Terms) -> tuple[Float[Array, "6 3"], Float[Array, " 3"], Standing]:
+    """Where feet and base are (m, world axes) before anything moves, by a part's only move, which places all of them.
+
+    Raises `InputError`.
+    """
+    (move,) = moves(tabled(terms.belief), part).values()
+    feet = {leg: terms.foot(leg, place or {}, f"{move.path}.{group}", move.depth)
+            for group, place in move.feet.items() for leg in GROUPS[group]}  # fmt: skip
+    position, pitch, chart = terms.base(move.base, f"{move.path}.base")
+    at = Standing(feet, 0.0 if pitch is None else pitch, chart.frame)
+    world = jnp.stack([in_frame(terms.belief, feet[leg], WORLD) for leg in LEGS])
+    return world, in_frame(terms.belief, Foot(position, chart.frame), WORLD), at
+
+
+def stages_of(part: str, terms: Terms, at: Standing, prefix: str | None = None) -> tuple[list[Stage], Standing]:
+    """Stages of a part's moves from where the robot stands, and where it stands then; `PART.` is before their names.
 
     Raises `InputError` for what the language has no words for.
     """
-    stages, stands = [], dict(stands)
-    for name, move in moves(tabled(terms.belief), part).items():
-        swing, guides = {}, {}
-        for pair, place in move.feet.items():
-            left, place = stands[pair], place or stands[pair].place
-            if place is None:
-                raise InputError(
-                    f"plan.{part}.{name}.{pair} is not allowed without a place: nothing says where it stands"
-                )
-            stands[pair] = Stand(terms.feet(pair, place), place)
-            swing |= terms.feet(pair, place, move.depth)
+    return staged(moves(tabled(terms.belief), part), terms, at, f"{part}." if prefix is None else prefix)
+
+
+def staged(moves: Mapping[str, Move], terms: Terms, at: Standing, prefix: str) -> tuple[list[Stage], Standing]:
+    """See `stages_of`."""
+    stages = []
+    for name, move in moves.items():
+        stage, at = _stage(prefix + name, move, terms, at)
+        stages.append(stage)
+    return stages, at
+
+
+def _stage(name: str, move: Move, terms: Terms, at: Standing) -> tuple[Stage, Standing]:
+    feet, frames, swing, guides = dict(at.feet), {leg: foot.stands for leg, foot in at.feet.items()}, {}, {}
+    for group, said in move.feet.items():
+        where = f"{move.path}.{group}"
+        for leg in GROUPS[group]:
+            left = at.feet[leg]
+            if (place := said or left.place) is None:
+                raise InputError(f"{where} is not allowed without a place: nothing says where it stands")
+            feet[leg] = terms.foot(leg, place, where)
+            frames[leg] = feet[leg].frame
+            swing[leg] = terms.foot(leg, place, where, move.depth).at
             if move.leave and move.land:
-                ways = (terms.unit * jnp.array(numbers) * AHEAD for numbers in (move.leave, move.land))
-                guides |= curves(left.feet, stands[pair].feet, *ways)
-        chart, numbers = next(iter(move.base.items()), ("", []))
-        turn = jnp.radians(jnp.asarray(pitch - numbers[2], float)) if len(numbers) > 2 else None
-        pitch = numbers[2] if len(numbers) > 2 else pitch
-        pace, rates = PACES[move.pace]
-        stages.append(Stage(
-            f"{part}.{name}", move.time * terms.time if move.seconds is None else move.seconds, swing,
-            CYCLES[move.swing], move.lift * terms.lift, _plane(move.plane),
-            position=terms.base(move.base) if numbers else None, turn=None if turn is None else point(turn, 0.0, 0.0),
-            pace=pace, rates=rates, pivot=terms.base({chart: move.pivot}) if move.pivot else None,
-            arc=jnp.radians(jnp.asarray(move.arc, float)), guides=guides,
-        ))  # fmt: skip
-    return stages, stands, pitch
+                ways = (terms.unit * terms.vector(leg, numbers) for numbers in (move.leave, move.land))
+                starts = in_frame(terms.belief, left, frames[leg]), feet[leg].at
+                guides[leg] = jnp.stack([start + way for start, way in zip(starts, ways, strict=True)])
+    stage = Stage(
+        name, move.time * terms.time if move.seconds is None else move.seconds, swing,
+        CYCLES[move.swing], move.lift * terms.lift, _plane(move, terms), guides=guides,
+        foot_frames=tuple(frames[leg] for leg in LEGS), base_frame=at.frame, support=_support(move, terms),
+        **terms.stage,
+    )  # fmt: skip
+    pace, rates = PACES[move.pace]
+    stage = replace(stage, pace=pace, rates=tuple(move.rates) if move.rates else rates)
+    if not move.base:
+        return stage, at._replace(feet=feet)
+    position, pitch, chart = terms.base(move.base, f"{move.path}.base")
+    turn = None if pitch is None else jnp.asarray(at.pitch - pitch, float)
+    pivot, arc = None, jnp.radians(jnp.asarray(move.arc, float))
+    if move.pivot:
+        pivot = terms.base({next(iter(move.base)): move.pivot}, f"{move.path}.pivot")[0]
+    elif chart.round and turn is not None:
+        pivot, arc = jnp.zeros(3), jnp.abs(turn)
+    stage = replace(
+        stage, position=position, turn=None if turn is None else turn * terms.left, pivot=pivot, arc=arc,
+        base_frame=chart.frame,
+    )  # fmt: skip
+    return stage, Standing(feet, at.pitch if pitch is None else pitch, chart.frame)
+
+
+def in_frame(belief: Case, foot: Foot, frame: int) -> Float[Array, " 3"]:
+    """Where a foot stands (m), in a frame, free bodies as they start."""
+    if foot.frame == frame:
+        return foot.at
+    free = free_start(belief.obstacle)
+    return to_frame(to_world(foot.at[None], jnp.array([foot.frame]), free), jnp.array([frame]), free)[0]
+
+
+def _support(move: Move, terms: Terms) -> tuple[Support, ...]:
+    if move.support not in terms.supports:
+        raise InputError(f"{move.path}.support = {move.support} is unknown{suggest(move.support, terms.supports)}")
+    return terms.supports[move.support]
+
+
+def _plane(move: Move, terms: Terms) -> Array | tuple[float, float, float]:
+    """By leg, out to whose side it is."""
+    return (0.0, 0.0, 1.0) if move.plane is None else jnp.stack([terms.vector(leg, move.plane) for leg in LEGS])
 
 
 def moves(content: Content, part: str) -> dict[str, Move]:
@@ -145,31 +245,24 @@ def _based(common: Mapping[str, Any], given: Mapping[str, Any]) -> Any:
 
 
 def _move(where: str, given: Mapping[str, Any]) -> Move:
-    feet = {key: given[key] for key in PAIRS if key in given}
-    words = {key: value for key, value in given.items() if key not in PAIRS}
-    allowed = [f.name for f in fields(Move) if f.name != "feet"]
+    feet = {key: given[key] for key in GROUPS if key in given}
+    words = {key: value for key, value in given.items() if key not in GROUPS}
+    allowed = [f.name for f in fields(Move) if f.name not in ("feet", "path")]
     for key, value in words.items():
         if key not in allowed:
-            raise InputError(f"{where}.{key} is unknown{suggest(key, [*allowed, *PAIRS])}")
+            raise InputError(f"{where}.{key} is unknown{suggest(key, [*allowed, *GROUPS])}")
         if key in WORDS and value not in WORDS[key]:
             raise InputError(f"{where}.{key} = {value} is unknown{suggest(str(value), WORDS[key])}")
-        numbers = next(iter(value.values()), []) if key == "base" and isinstance(value, Mapping) else value
-        if key in SIZES and (not isinstance(numbers, list) or (numbers and len(numbers) not in SIZES[key])):
-            names = COMPONENTS[key]
-            raise InputError(f"{where}.{key} = {value} is not allowed: [{', '.join(names)}]")
+        if key in SIZES and (not isinstance(value, list) or (value and len(value) != SIZES[key])):
+            raise InputError(f"{where}.{key} = {value} is not allowed: [{', '.join(COMPONENTS[key])}]")
     for key, value in given.items():
-        if key not in WORDS and (wrong := [number for number in _listed(value) if isinstance(number, str | bool)]):
+        wrong = [number for number in _listed(value) if isinstance(number, str | bool)]
+        if wrong and key not in (*WORDS, "support"):
             raise InputError(f"{where}.{key} = {wrong[0]} is not allowed: a number")
-    for pair, place in feet.items():
-        if place is not None and (not isinstance(place, Mapping) or len(place) != 1):
-            raise InputError(f"{where}.{pair} = {place} is not allowed: coordinates in one chart")
-    return Move(**words, feet=feet)
-
-
-def _only(place: Mapping[str, Numbers]) -> tuple[str, Numbers]:
-    if len(place) != 1:
-        raise InputError(f"plan: {dict(place)} is not allowed: coordinates in one chart")
-    return next(iter(place.items()))
+    for key in ("base", *feet):
+        if (place := given.get(key)) and (not isinstance(place, Mapping) or len(place) != 1):
+            raise InputError(f"{where}.{key} = {place} is not allowed: coordinates in one chart")
+    return Move(where, feet, **words)
 
 
 def _listed(value: Any) -> Iterator[Any]:
@@ -179,23 +272,6 @@ def _listed(value: Any) -> Iterator[Any]:
             yield from _listed(part)
     elif value is not None:
         yield value
-
-
-def curves(start: Feet, end: Feet, leave: Array | np.ndarray, land: Array | np.ndarray) -> dict[int, Array]:
-    """Guides of swings by leg: `leave` from where they start, `land` from where they end (m; out to the side, y, z)."""
-    guides = {}
-    for leg, goal in end.items():
-        out = np.array([float(SIDE[leg - 1]), 1.0, 1.0])
-        guides[leg] = jnp.stack([start[leg] + out * leave, goal + out * land])
-    return guides
-
-
-def _plane(numbers: Numbers | None) -> Array | tuple[float, float, float]:
-    """By leg, out to whose side it is."""
-    if numbers is None:
-        return (0.0, 0.0, 1.0)
-    out, ahead, up = (jnp.asarray(number, float) for number in numbers)
-    return jnp.stack([jnp.stack([side * out, -ahead, up]) for side in SIDE])
 
 
 def numbers_of[T](cls: type[T], belief: Case, part: str) -> T:

@@ -14,11 +14,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from sweep.controllers.frames import WORLD, attitude_to_frame, attitude_to_world, to_frame, to_world
+from sweep.controllers.frames import attitude_to_frame, attitude_to_world, to_frame, to_world
 from sweep.controllers.support import Support
 from sweep.core.rotations import exponential, multiply, rotate
 from sweep.formulas import stepping
 from sweep.formulas.leg import SIDE
+from sweep.models.frames import WORLD
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.surface import FreeState
 
@@ -327,6 +328,12 @@ def begins(plan: Plan, stage: Int[Array, ""], free: FreeState) -> tuple[Float[Ar
     stance = jax.tree.map(lambda a, b: jnp.where(stage > 0, a, b), stance_to_world(stance, *frames, free), stance)
     stance = stance_to_frame(stance, plan.foot_frame[stage], plan.base_frame[stage], free)
     return stance.feet, stance.position
+
+
+def ends(plan: Plan, free: FreeState) -> Stance:
+    """Where feet and base (world axes) are at the ends of all stages, over S, bodies as `free`."""
+    last = Stance(plan.foothold, plan.position, multiply(exponential(plan.turn), plan.quat))
+    return jax.vmap(stance_to_world, (0, 0, 0, None))(last, plan.foot_frame, plan.base_frame, free)
 
 
 def goal(plan: Plan, stage: Int[Array, ""]) -> Float[Array, "6 3"]:

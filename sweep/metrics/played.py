@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from sweep.controllers import forces, tracker
 from sweep.controllers.ball_state import UP
-from sweep.controllers.frames import WORLD, fixed, to_frame, to_world
+from sweep.controllers.frames import to_frame, to_world
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import Plan, Stance
 from sweep.controllers.posture import mass_centre
@@ -26,6 +26,7 @@ from sweep.formulas.ball import ROLLING
 from sweep.metrics.geometry import support_margin
 from sweep.metrics.planned import Holding, Margins, Swing, left
 from sweep.models.case import Case
+from sweep.models.frames import WORLD, fixed
 from sweep.models.obstacles.ball import Ball
 from sweep.models.obstacles.raft import Raft
 from sweep.models.obstacles.surface import FreeState, free_start, poses, under

@@ -5,9 +5,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from sweep.controllers.frames import WORLD
 from sweep.controllers.plan import path_length
 from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment
+from sweep.models.frames import WORLD
 
 
 class Progress(NamedTuple):

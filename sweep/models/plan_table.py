@@ -17,14 +17,16 @@ from jaxtyping import Array
 from sweep.core import project
 from sweep.core.errors import InputError, suggest
 from sweep.core.parameters import quantity
+from sweep.models.legs import GROUPS
 from sweep.models.obstacles.charts import Chart, charts
 
 GROUP = "plan"
 CURVE = ("out", "ahead", "up")  # out to the leg's side, in the robot's way, up
 # names of the numbers in a list, by the key that it stands under; those of a place are its chart's
 COMPONENTS = {"base": ("ahead", "above", "pitch"), "leave": CURVE, "land": CURVE, "plane": CURVE,
-              "pivot": ("ahead", "above")}  # fmt: skip
+              "pivot": ("ahead", "above"), "rates": ("first", "last")}  # fmt: skip
 Content = Mapping[str, Any]
+Names = tuple[str, ...]
 
 
 @jax.tree_util.register_dataclass
@@ -78,25 +80,38 @@ def numbers(content: Content, places: Mapping[str, Chart]) -> dict[str, float]:
 
 
 def mapped(
-    content: Any, places: Mapping[str, Chart], change: Callable[[str, Any], Any], path: str = "", key: str = ""
+    content: Any, places: Mapping[str, Chart], change: Callable[[str, Any], Any], path: str = "", names: Names = ()
 ) -> Any:
     """`content` with every number replaced by what `change` makes of its path and value.
 
-    A path does not name the chart (of `places`) in which a place is.
+    A path does not name the chart (of `places`) in which a place is. Numbers of a list have `names`, or are counted.
     """
     if isinstance(content, Mapping):
-        found = {}
-        for name, value in content.items():
-            charted = key == "base" or (name in places and isinstance(value, list))
-            below = path if charted else f"{path}.{name}".removeprefix(".")
-            found[name] = mapped(value, places, change, below, key if key == "base" else name)
-        return found
+        return {key: mapped(value, places, change, *_below(key, value, content, places, path, names))
+                for key, value in content.items()}  # fmt: skip
     if isinstance(content, list):
-        names = places[key].names if key in places else COMPONENTS.get(key, range(len(content)))
-        return [change(f"{path}.{name}", value) for name, value in zip(names, content, strict=False)]
+        named = (*names, *range(len(names), len(content)))
+        return [change(f"{path}.{name}", value) for name, value in zip(named, content, strict=False)]
     if isinstance(content, int | float) and not isinstance(content, bool):
         return change(path, content)
     return content
+
+
+def _below(
+    key: str, value: Any, content: Content, places: Mapping[str, Chart], path: str, names: Names
+) -> tuple[str, Names]:
+    """Path of what stands under a key, and names of the numbers in a list there; `names` are those of a base."""
+    above = path.rpartition(".")[2]
+    if above == "base":
+        return path, places[key].based() if key in places else COMPONENTS["base"]
+    if above in GROUPS and key in places and isinstance(value, list):
+        return path, places[key].names
+    if isinstance(chart := content.get("base"), str):
+        names = places[chart].based() if chart in places else COMPONENTS["base"]
+    below = f"{path}.{key}".removeprefix(".")
+    if isinstance(value, list):
+        return below, (names if key == "base" else ()) or COMPONENTS.get(key, ())
+    return below, names
 
 
 def member(case: Any, path: str) -> "dataclasses.Field[Any]":
@@ -121,10 +136,11 @@ def shipped(name: str) -> Content:
 
 
 def merged(name: str, read: Callable[[str], str]) -> Content:
-    """The plan `name` over the one that it extends; texts of files are `read` by name."""
+    """The plan `name` over those that it extends, the first one or a list; texts of files are `read` by name."""
     content = dict(yaml.safe_load(read(name)))
-    base = content.pop("extends", None)
-    return _over(merged(base, read), content) if base else content
+    bases = content.pop("extends", [])
+    below = [merged(base, read) for base in ([bases] if isinstance(bases, str) else bases)]
+    return functools.reduce(_over, [*below, content])
 
 
 def differences(content: Content, other: Content) -> dict[str, Any]:

@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 from sweep.controllers.ball_state import angular_momentum, centre_of_mass, follow_up, footholds, over_ball
-from sweep.controllers.frames import WORLD, attitude_to_frame, attitude_to_world, fixed, koenig, to_frame, to_world
+from sweep.controllers.frames import attitude_to_frame, attitude_to_world, to_frame, to_world
 from sweep.controllers.manoeuvres.balancing.ball import on_ball, perch
 from sweep.controllers.observation import Observation
 from sweep.core.rotations import exponential, multiply, rotate
 from sweep.engines.closed_loop import free_state, start_state
 from sweep.formulas.mass_centre import ball_jacobian
 from sweep.models import scene
+from sweep.models.frames import WORLD, fixed, koenig
 from sweep.models.obstacles.surface import FreeState
 from sweep.study.config import compose
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from sweep.controllers import onset, tracker
-from sweep.controllers.frames import fixed, koenig
 from sweep.controllers.manoeuvres.balancing.ball import on_ball, perch
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import GRIP, Stage, Stance, assemble
@@ -26,6 +25,7 @@ from sweep.controllers.support import (
 )
 from sweep.controllers.tracker import joint_targets
 from sweep.core.rotations import exponential, logarithm
+from sweep.models.frames import fixed, koenig
 from sweep.models.obstacles.surface import FreeState, free_start
 from sweep.study.config import compose
 

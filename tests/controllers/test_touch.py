@@ -10,7 +10,6 @@ import pytest
 
 from sweep.controllers import touch
 from sweep.controllers.calibration import Calibrated
-from sweep.controllers.frames import WORLD
 from sweep.controllers.learned import Learned, felt, replanned
 from sweep.controllers.observation import Observation
 from sweep.controllers.observer import Observer
@@ -21,6 +20,7 @@ from sweep.core.errors import InputError
 from sweep.core.rotations import exponential, multiply
 from sweep.engines import make
 from sweep.engines.prelude import places, prepared
+from sweep.models.frames import WORLD
 from sweep.models.noise import Noise
 from sweep.models.obstacles.ball import Ball
 from sweep.models.obstacles.kerb import Kerb
@@ -222,7 +222,7 @@ def test_feet_on_the_rungs_of_a_ladder_that_leans_otherwise_tell_their_step():
     belief = compose(["scenario=ladder_climb", "control.touch=obstacle", "control.replan=touched"]).case
     ladder = belief.on(Ladder)
     other = dataclasses.replace(ladder, rung_step=1.01 * ladder.rung_step)
-    plan, true = (case.manoeuvre.way(case, case.manoeuvre.table)
+    plan, true = (case.manoeuvre.way(case)
                   for case in (belief, dataclasses.replace(belief, obstacle=other)))  # fmt: skip
     stage = plan.names.index("climb.front4.load")  # front feet on rung 3, middle ones on 2
     leans = dataclasses.replace(other, lean=ladder.lean - 0.02).start()

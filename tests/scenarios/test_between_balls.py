@@ -6,12 +6,12 @@ import pytest
 from test_on_ball import outcomes
 
 from sweep.controllers import tracker
-from sweep.controllers.frames import WORLD
 from sweep.controllers.manoeuvres.balancing.ball import BallDrive
 from sweep.controllers.manoeuvres.balancing.ball_to_ball import OVER, Closing, Docking
 from sweep.controllers.observation import Observation
 from sweep.controllers.support import MEASURED
 from sweep.core.errors import InputError
+from sweep.models.frames import WORLD
 from sweep.models.obstacles.surface import poses
 from sweep.models.obstacles.two_balls import TwoBalls
 from sweep.study.config import compose

@@ -6,6 +6,8 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from sweep.models.frames import WORLD
+
 Number = Array | float
 
 
@@ -13,9 +15,20 @@ class Chart(NamedTuple):
     """Places by coordinates that have names."""
 
     names: tuple[str, ...]
-    # the point (m, world axes) of: what offers the chart; -1 or 1, the leg's side, as it mirrors places; the unit of
+    # the point (m) in `frame` of: what offers the chart; -1 or 1, the leg's side, as it mirrors places; the unit of
     # lengths (m); how deep below the surface (m); the coordinates
     at: Callable[..., Float[Array, " 3"]]
+    frame: int = WORLD  # in which feet go there, and bases; see `sweep/models/frames.py`
+    stands: int | None = None  # in which feet stand there, if in another one
+    # nose up (rad), of a base, by: what offers the chart; the unit; the coordinates. Without it the number after the
+    # coordinates says it (deg), or it stays
+    pitch: Callable[..., Number] | None = None
+    round: bool = False  # whether bases go round the frame's origin by as much as they pitch
+    optional: int = 0  # of the last coordinates, which are 0 where they are not said
+
+    def based(self) -> tuple[str, ...]:
+        """Names of a base's numbers."""
+        return self.names if self.pitch else (*self.names, "pitch")
 
 
 def ahead_above(edge: Callable[[Any], tuple[Number, Number]]) -> Chart:

@@ -15,6 +15,8 @@ from jaxtyping import Array, Float
 from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import matrix
+from sweep.models.frames import fixed
+from sweep.models.obstacles.charts import Chart, Number, point
 from sweep.models.obstacles.geoms import add_solids, add_touching, invisible
 from sweep.models.obstacles.surface import FOOT_RADIUS, Bodies, FreeState, Surface, own_axes
 from sweep.models.solids import SOIL, Box, HalfSpace, Solid
@@ -22,6 +24,68 @@ from sweep.models.solids import SOIL, Box, HalfSpace, Solid
 FLOOR, WALL, LEDGE, BARS = range(4)  # faces; each bar has six from BARS on
 EXTENT = 1.5  # m, half of how far the ledge reaches back
 SIDES = (-1.0, 1.0)
+TOP = 6.47  # rungs, of the ledge along the nominal ladder
+MORE = ("more_ahead", "more_out", "more_pitch")
+
+
+def on_rung(
+    of: "Ladder", side: float, unit: Number, depth: Number, rung: Number, aside: Number, out: Number
+) -> Float[Array, " 3"]:
+    """A point on a rung's top, `out` of the ladder's plane (rung depths)."""
+    return point(side * aside * unit, of.up(rung) + depth, out * of.rung_depth)
+
+
+def on_floor(
+    of: "Ladder", side: float, unit: Number, depth: Number, aside: Number, before: Number
+) -> Float[Array, " 3"]:
+    """A point `before` the ladder's lower end."""
+    return point(side * aside * unit, of.foot + before * unit, -depth)
+
+
+def on_ledge(
+    of: "Ladder", side: float, unit: Number, depth: Number, aside: Number, ahead: Number
+) -> Float[Array, " 3"]:
+    """A point beyond the ledge's edge."""
+    return point(side * aside * unit, -ahead * unit, of.ledge_height - depth)
+
+
+def before_it(
+    of: "Ladder", side: float, unit: Number, depth: Number, before: Number, above: Number
+) -> Float[Array, " 3"]:
+    """A base `before` the ladder's lower end and above the floor."""
+    return point(0.0, of.foot + before * unit, above * unit)
+
+
+def along(
+    of: "Ladder", side: float, unit: Number, depth: Number, up: Number, out: Number, pitch: Number,
+    more_ahead: Number = 0.0, more_out: Number = 0.0, more_pitch: Number = 0.0,
+) -> Float[Array, " 3"]:  # fmt: skip
+    """A base `up` the ladder from its lower end (rungs) and `out` of its plane, nose up by `pitch` of its lean.
+
+    It goes with a ledge that is higher over the rungs, by shares of what it is higher by: along the ladder, out of its
+    plane, and nose up, of the ladder's lean for every unit.
+    """
+    return point(0.0, of.up(up) - more_ahead * of.excess, out * unit + more_out * of.excess)
+
+
+def over(
+    of: "Ladder", side: float, unit: Number, depth: Number, ahead: Number, above: Number, pitch: Number,
+    more_ahead: Number = 0.0, more_out: Number = 0.0, more_pitch: Number = 0.0,
+) -> Float[Array, " 3"]:  # fmt: skip
+    """A base beyond the ledge's edge and above it; it goes with the ledge as `along`, by shares along its own axes."""
+    out, back = more_out * of.excess, (1 - more_ahead) * of.excess
+    angle = jnp.asarray(pitched(of, unit, ahead, above, pitch, more_ahead, more_out, more_pitch))
+    sin, cos = jnp.sin(angle), jnp.cos(angle)
+    y, z = back * cos + out * sin - ahead * unit, out * cos - back * sin + above * unit
+    return point(0.0, y, of.ledge_height + z)
+
+
+def pitched(
+    of: "Ladder", unit: Number, one: Number, other: Number, pitch: Number,
+    more_ahead: Number = 0.0, more_out: Number = 0.0, more_pitch: Number = 0.0,
+) -> Number:  # fmt: skip
+    """Of a base (rad, nose up), see `along`."""
+    return (pitch + more_pitch * of.excess / unit) * of.lean
 
 
 class Bars(NamedTuple):
@@ -54,6 +118,15 @@ class Ladder:
     wall_grip: float = quantity(1.0, "-", at_least=0)  # the same of ladder and wall
     gap: float = quantity(4e-3, "m", at_least=0, at_most=0.1)  # to floor and wall at the start
 
+    # of feet, then of bases; feet on rungs, and the base along it, go with the ladder
+    charts: ClassVar = {
+        "rung": Chart(("rung", "aside", "out"), on_rung, fixed(0)),
+        "floor": Chart(("aside", "before"), on_floor),
+        "ledge": Chart(("aside", "ahead"), on_ledge),
+        "foot": Chart(("before", "above"), before_it),
+        "along": Chart(("up", "out", "pitch", *MORE), along, fixed(0), pitch=pitched, optional=3),
+        "over": Chart(("ahead", "above", "pitch", *MORE), over, pitch=pitched, optional=3),
+    }
     free_bodies = ("ladder",)
     stood_on: ClassVar = ("rung_step", "length", "ledge_height")  # sizes that feet on rungs and ledge tell
     contact_sites = (("lower_right", 0), ("lower_left", 0), ("upper_right", 0), ("upper_left", 0))
@@ -64,6 +137,20 @@ class Ladder:
         rails, rungs = self._volumes()
         middle = (0.5 + 0.5 * self.rungs) * self.rung_step - self.rung_height / 2
         return (rails * self.length / 2 + rungs * middle) / (rails + rungs)
+
+    @property
+    def foot(self) -> Array:
+        """How far its lower end is from the wall (m), as it starts."""
+        return self.start().position[0, 1] + self.centre * jnp.cos(jnp.asarray(self.lean))
+
+    @property
+    def excess(self) -> Array | float:
+        """By how much (m, along the ladder) the ledge is farther up than `TOP` rungs."""
+        return self.ledge_height / jnp.sin(jnp.asarray(self.lean)) - TOP * self.rung_step
+
+    def up(self, rungs: Array | float) -> Array | float:
+        """Its own y (m) at a height along it, in rungs; whole ones at their tops."""
+        return self.centre - rungs * self.rung_step
 
     @property
     def landmarks(self) -> Float[Array, "1 3"]:
@@ -200,8 +287,3 @@ class Ladder:
             body=jnp.where(face >= BARS, 0, -1).astype(jnp.int32),
             friction_scale=jnp.where(own, grip, 1.0).astype(dtype),
         )
-
-
-def point(x: Array | float, y: Array | float, z: Array | float) -> Float[Array, " 3"]:
-    """Numbers, some of them perhaps arrays, as one."""
-    return jnp.stack([jnp.asarray(value, float) for value in (x, y, z)])

@@ -12,7 +12,6 @@ from typing import ClassVar, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from sweep.controllers.frames import WORLD, fixed
 from sweep.controllers.gaits import GALLOP, TRIPOD
 from sweep.controllers.manoeuvres.afloat.statics import refuse
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
@@ -25,6 +24,7 @@ from sweep.core.rotations import IDENTITY, rotate
 from sweep.formulas.crossing import Crossing, crossing
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
+from sweep.models.frames import WORLD, fixed
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.raft import Raft
 from sweep.models.obstacles.surface import FreeState

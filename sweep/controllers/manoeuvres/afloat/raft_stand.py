@@ -4,7 +4,6 @@ from typing import ClassVar
 
 import jax.numpy as jnp
 
-from sweep.controllers.frames import fixed
 from sweep.controllers.gaits import TRIPOD
 from sweep.controllers.manoeuvres.afloat.statics import refuse
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
@@ -12,6 +11,7 @@ from sweep.controllers.manoeuvres.walking.walk import standing
 from sweep.controllers.plan import CYCLE_B_SMOOTH, REGRIP, Plan, Stage, Stance, assemble
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.models.case import Case
+from sweep.models.frames import fixed
 from sweep.models.obstacles.raft import Raft
 
 DECK = (fixed(0),) * 6

@@ -22,7 +22,6 @@ from sweep.controllers.ball_state import (
     over_ball,
     towards,
 )
-from sweep.controllers.frames import fixed, koenig
 from sweep.controllers.gaits import TRIPOD
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
 from sweep.controllers.observation import Observation
@@ -32,6 +31,7 @@ from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import IDENTITY, conjugate, rotate
 from sweep.formulas.ball import stabilise_delta
 from sweep.models.case import Case
+from sweep.models.frames import fixed, koenig
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.ball import Ball
 from sweep.models.robot import Robot, total_mass

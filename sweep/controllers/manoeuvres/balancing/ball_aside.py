@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from sweep.controllers.frames import fixed, koenig
 from sweep.controllers.manoeuvres.balancing.ball import OnBall, compensated, on_ball, perch
 from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.observation import Observation
@@ -17,6 +16,7 @@ from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import rotate
 from sweep.formulas.ball import ROLLING, lateral_mu
 from sweep.models.case import Case
+from sweep.models.frames import fixed, koenig
 from sweep.models.obstacles.ball import Ball
 from sweep.models.robot import total_mass
 

@@ -6,7 +6,6 @@ from typing import ClassVar, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from sweep.controllers.frames import WORLD
 from sweep.controllers.manoeuvres.balancing.ball import perch
 from sweep.controllers.manoeuvres.balancing.ball_ride import RIDE, UP, Ride
 from sweep.controllers.manoeuvres.balancing.beside_ball import (
@@ -34,6 +33,7 @@ from sweep.core.parameters import choice, parameters, quantity
 from sweep.core.rotations import IDENTITY
 from sweep.formulas.ball_reach import max_ball
 from sweep.models.case import Case
+from sweep.models.frames import WORLD
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.ball import Ball
 

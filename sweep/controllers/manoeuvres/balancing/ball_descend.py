@@ -13,7 +13,6 @@ from typing import ClassVar, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from sweep.controllers.frames import fixed, koenig
 from sweep.controllers.manoeuvres.balancing.ball import on_ball, perch
 from sweep.controllers.manoeuvres.balancing.beside_ball import (
     CALM,
@@ -36,6 +35,7 @@ from sweep.controllers.support import RESTS, STAYS
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.formulas.ball import ball_omega
 from sweep.models.case import Case
+from sweep.models.frames import fixed, koenig
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.ball import Ball
 from sweep.models.robot import total_mass

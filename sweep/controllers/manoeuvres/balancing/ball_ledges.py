@@ -12,7 +12,6 @@ from typing import ClassVar, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from sweep.controllers.frames import WORLD
 from sweep.controllers.manoeuvres.balancing.ball import BallDrive, DriveMemory, OnBall, perch
 from sweep.controllers.manoeuvres.balancing.beside_ball import refuse
 from sweep.controllers.manoeuvres.balancing.by_pairs import LEDGE, OTHER, PAIRS, Move, Place, Stand, Way
@@ -25,6 +24,7 @@ from sweep.controllers.tracker import Guidance, Guided, TrackerState
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
+from sweep.models.frames import WORLD
 from sweep.models.obstacles.ledges import Ledges
 
 ROLLS = "roll"

@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from dataclasses import fields, replace
 from typing import ClassVar, NamedTuple
 
-from sweep.controllers.frames import koenig
 from sweep.controllers.gaits import Step
 from sweep.controllers.manoeuvres.balancing import ball_climb, ball_descend
 from sweep.controllers.manoeuvres.balancing.ball import BallDrive, perch
@@ -20,6 +19,7 @@ from sweep.controllers.tracker import Guided
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.formulas import stepping
 from sweep.models.case import Case
+from sweep.models.frames import koenig
 from sweep.models.obstacles.ball import Ball
 
 DRIVE = "drive"

@@ -13,7 +13,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from sweep.controllers.frames import WORLD, fixed, koenig
 from sweep.controllers.gaits import GALLOP
 from sweep.controllers.manoeuvres.balancing.ball import BallDrive, OnBall
 from sweep.controllers.manoeuvres.balancing.parts import InParts, Steps
@@ -24,6 +23,7 @@ from sweep.core.errors import InputError
 from sweep.core.parameters import count, parameters, quantity
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
+from sweep.models.frames import WORLD, fixed, koenig
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.ball import Ball
 

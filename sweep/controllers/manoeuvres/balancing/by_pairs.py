@@ -11,12 +11,12 @@ from typing import NamedTuple, Protocol
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sweep.controllers.frames import WORLD, fixed, koenig
 from sweep.controllers.gaits import GALLOP
 from sweep.controllers.plan import CYCLE_B, GRIP, Stage, Stance, by_side
 from sweep.controllers.support import LEVEL, Support
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
+from sweep.models.frames import WORLD, fixed, koenig
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.ball import Ball
 

@@ -9,13 +9,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
-from sweep.controllers.frames import WORLD, koenig
 from sweep.controllers.manoeuvres.balancing.ball import BallDrive, DriveMemory
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import Plan, Stage, named, reference
 from sweep.controllers.support import Support
 from sweep.controllers.tracker import Eventful, Guidance, Guided, TrackerState
 from sweep.models.case import Case
+from sweep.models.frames import WORLD, koenig
 
 
 class InParts(ABC):

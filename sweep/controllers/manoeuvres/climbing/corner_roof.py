@@ -10,13 +10,14 @@ import math
 from typing import ClassVar
 
 import jax.numpy as jnp
+import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from sweep.controllers.gaits import TRIPOD
 from sweep.controllers.manoeuvres.climbing.corner import FRONT, MIDDLE, REAR, CornerSite, Entry, OnCorner, climb, gallop
 from sweep.controllers.manoeuvres.goals import UPRIGHT
-from sweep.controllers.moves import PAIRS, Stand, Terms, moves, numbers_of, stages_of
+from sweep.controllers.moves import Terms, moves, numbers_of, stages_of, standing
 from sweep.controllers.plan import CYCLE_B_SMOOTH, SMOOTH, Plan, Stage, Stance
 from sweep.controllers.posture import leg_unit
 from sweep.core.errors import InputError
@@ -108,8 +109,8 @@ def below_edge(site: CornerSite, top: Array | float) -> dict:
 def over_edge(site: CornerSite, belief: Case) -> list[Stage]:
     """2.4.3, from the end of the gallop on."""
     heights = below_edge(site, belief.on(Corner).height)
-    stands = {pair: Stand(site.on_wall(legs, heights[legs])) for pair, legs in PAIRS.items()}
-    return stages_of("roof", on_house(site, belief), stands, 90.0)[0]
+    feet = {leg: foot for legs, height in heights.items() for leg, foot in site.on_wall(legs, height).items()}
+    return stages_of("roof", on_house(site, belief), standing(feet, np.pi / 2))[0]
 
 
 def on_house(site: CornerSite, belief: Case) -> Terms:
@@ -125,7 +126,7 @@ def walk_on(site: CornerSite, belief: Case, steps: int, way: Array | float) -> l
     """
     top, stages = belief.on(Corner).height, []
     *_, last = moves(tabled(belief), "roof").values()
-    base = on_house(site, belief).base(last.base)[1]
+    base = on_house(site, belief).base(last.base, last.path)[0][1]
     for k in range(steps):
         on = way if k >= len(TRIPOD) else 0.0
         base = base - on

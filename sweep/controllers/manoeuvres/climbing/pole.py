@@ -15,7 +15,7 @@ from sweep.controllers.forces import PlannedForces
 from sweep.controllers.gaits import GALLOP, Step
 from sweep.controllers.manoeuvres.climbing.walking import walk_up
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
-from sweep.controllers.moves import curves, numbers_of
+from sweep.controllers.moves import numbers_of
 from sweep.controllers.plan import CYCLE_A, CYCLE_B, STAND, Plan, Stage, Stance, assemble
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.formulas import stepping
@@ -237,8 +237,8 @@ def off_floor(site: PoleSite, start: dict[int, Array], end: dict[int, Array]) ->
 
     The printed flat cycle drags a foot along the floor where the base hangs lower than planned.
     """
-    up, out = np.array([0.0, 0.0, 0.3]), np.array([0.1, 0.0, 0.0])
-    return curves(start, end, site.length * up, site.length * out)
+    up, out = 0.3 * site.length, 0.1 * site.length
+    return {leg: jnp.stack([start[leg] + up * UP, goal + out * OUTWARD[leg - 1]]) for leg, goal in end.items()}
 
 
 def shift_up(site: PoleSite) -> list[Stage]:

@@ -56,8 +56,8 @@ class PoleToLedge(PoleTop):
     def way(self, belief: Case) -> tuple[Stance, list[Stage]]:
         """Get on the top, cross to the ledge, walk away."""
         site, ledge = self.site(belief), belief.on(PoleLedge).ledge_height
-        start, stages, stands = self.ascend(site, belief)
-        cross, _, _ = stages_of("ledge", self.terms(site, belief, leg_unit(belief.robot)), stands, 0.0)
+        start, stages, at = self.ascend(site, belief)
+        cross, _ = stages_of("ledge", self.terms(site, belief, leg_unit(belief.robot)), at)
         away, walk = walk_away(site, belief, ledge, self.steps_away)
         return start, [*stages, *self.rested([*cross, *away]), *walk]
 

@@ -5,11 +5,13 @@ World axes as in `pole`. The way from the gallop on is in the plan's file: its p
 
 from typing import ClassVar
 
+import numpy as np
 from jaxtyping import Array
 
+from sweep.controllers.gaits import GALLOP
 from sweep.controllers.manoeuvres.climbing.pole import OnPole, PoleSite
 from sweep.controllers.manoeuvres.goals import UPRIGHT
-from sweep.controllers.moves import PAIRS, Stand, Terms, stages_of
+from sweep.controllers.moves import Standing, Terms, stages_of, standing
 from sweep.controllers.plan import Plan, Stage, Stance
 from sweep.core.parameters import choice, count, parameters
 from sweep.models.case import Case
@@ -36,16 +38,16 @@ class PoleTop(OnPole):
         hang = ahead_above(lambda pole: (site.standoff, pole.height))
         return Terms(belief, unit, site.step.time, site.step.height, {"side": self.deepening}, {"hang": hang})
 
-    def ascend(self, site: PoleSite, belief: Case) -> tuple[Stance, list[Stage], dict[str, Stand]]:
-        """Climb until the base's front edge is x* below the top, and go on to the top; where pairs stand then."""
+    def ascend(self, site: PoleSite, belief: Case) -> tuple[Stance, list[Stage], Standing]:
+        """Climb until the base's front edge is x* below the top, and go on to the top; where it stands then."""
         below = site.top - site.step.landing - site.length / 2  # zeta_O(t_1) of 2.3.3
         start, climb = self.climb(site, belief, (below - site.upright) / (3 * self.cycles))
-        stands = {pair: Stand(site.on_pole(legs, 0.0, below)) for pair, legs in PAIRS.items()}
-        terms, stages, pitch = self.terms(site, belief, site.length), [], 90.0
+        feet = {leg: foot for legs in GALLOP for leg, foot in site.on_pole(legs, 0.0, below).items()}
+        terms, stages, at = self.terms(site, belief, site.length), [], standing(feet, np.pi / 2)
         for part in ("edge", "over", "top"):
-            more, stands, pitch = stages_of(part, terms, stands, pitch)
+            more, at = stages_of(part, terms, at)
             stages += [stage for stage in more if stage.name != PRESSED or self.forces != "planned"]
-        return start, [*climb, *self.rested(stages)], stands
+        return start, [*climb, *self.rested(stages)], at
 
     def plan(self, belief: Case) -> Plan:
         """Get on the top, halt."""

@@ -1,0 +1,34 @@
+"""What is refused: plans that cannot be, by plain numbers, before anything compiles."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from sweep.controllers.plan import Stance
+from sweep.controllers.tracker import joint_targets
+from sweep.core.errors import InputError
+from sweep.models.case import Case
+
+
+def plain(*parts: Any) -> bool:
+    """Whether all numbers of these are plain ones: those of a rollout that is compiled are not, nor those of draws."""
+    return all(isinstance(x, float) for x in jax.tree.leaves(parts))
+
+
+def refuse_reach(belief: Case, stances: Callable[[], Mapping[str, Stance]], said: str = "") -> None:
+    """Raise `InputError`, which begins by what is `said`, where a foot is out of reach, by plain numbers.
+
+    `stances` has those of the plan (world axes) by words that say when.
+    """
+    if not plain(belief.robot, belief.obstacle, belief.manoeuvre):
+        return
+    with jax.ensure_compile_time_eval():
+        found = stances()
+        many = jax.tree.map(lambda *leaves: jnp.stack(leaves), *found.values())
+        lacks = np.asarray(jax.vmap(lambda stance: joint_targets(belief.robot, stance)[1])(many))
+    if not lacks.max() <= 0:
+        stage, foot = np.unravel_index(lacks.argmax(), lacks.shape)
+        raise InputError(f"{said}foot {foot + 1} is {lacks.max():.3f} m out of reach {list(found)[stage]}")
