@@ -6,8 +6,7 @@ from jaxtyping import Array, Float
 
 from sweep.core.rotations import exponential, rotate
 from sweep.formulas.leg import SIDE, fk
-from sweep.models.robot import Robot
-from sweep.models.scene import mount_yaw, mounts
+from sweep.models.robot import Robot, mount_yaw, mounts
 
 
 def outward(robot: Robot) -> Float[Array, "6 3"]:

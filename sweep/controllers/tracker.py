@@ -28,8 +28,7 @@ from sweep.formulas import leg, stepping
 from sweep.models.case import Case, Riding
 from sweep.models.drive import Servo
 from sweep.models.obstacles.surface import FreeState, free_start
-from sweep.models.robot import Robot
-from sweep.models.scene import mount_yaw, mounts
+from sweep.models.robot import Robot, mount_yaw, mounts
 
 
 class Slack(NamedTuple):

@@ -87,8 +87,12 @@ def modules() -> tuple[ModuleType, ...]:
 
 def modules_named() -> tuple[str, ...]:
     """Their names; nothing is imported. Raises `InputError`."""
-    announced = (entry.value for entry in metadata.entry_points(group=ENTRY_POINTS))
-    return (*settings().get("modules", ()), *announced)
+    return (*settings().get("modules", ()), *_announced())
+
+
+@functools.cache
+def _announced() -> tuple[str, ...]:
+    return tuple(entry.value for entry in metadata.entry_points(group=ENTRY_POINTS))
 
 
 @functools.cache

@@ -15,8 +15,7 @@ from sweep.dynamics.interface import SmoothDynamics, Tree
 from sweep.dynamics.spatial import Inertia, Mass, Motion, Pose, Rates, Spatial
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
-from sweep.models.robot import Robot
-from sweep.models.scene import mount_yaw, mounts
+from sweep.models.robot import Robot, mount_yaw, mounts
 
 
 class Link(NamedTuple):

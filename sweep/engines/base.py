@@ -1,13 +1,15 @@
 """What every engine offers, and what a traced rollout holds."""
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
-import mujoco
 import numpy as np
 
 from sweep.engines.states import Watch
 from sweep.models.case import Case
+
+if TYPE_CHECKING:
+    import mujoco
 
 Figures = dict[str, np.ndarray]  # column name (with its unit) -> one number per rollout
 
@@ -18,7 +20,7 @@ class Trace:
 
     world: Case  # as it was, plain numbers
     belief: Case  # as the planner was told
-    model: mujoco.MjModel  # the world's model, for drawing
+    model: "mujoco.MjModel"  # the world's model, for drawing
     time: np.ndarray  # (F,)
     qpos: np.ndarray  # (F, nq)
     qvel: np.ndarray  # (F, nv)

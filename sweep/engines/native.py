@@ -51,6 +51,7 @@ from sweep.models.collisions import collide
 from sweep.models.drive import Servo, towards
 from sweep.models.legs import JOINT_Q, JOINT_V, JOINTS, N_JOINTS, N_LEGS
 from sweep.models.obstacles.surface import FreeState, poses, under
+from sweep.models.robot import links
 
 CONTROL = mujoco.mjtState.mjSTATE_CTRL.value | mujoco.mjtState.mjSTATE_XFRC_APPLIED.value
 RECORD = ("qpos", "qvel", "actuator_force", "sensordata", "energy", "xpos", "site_xpos", "subtree_com")
@@ -160,7 +161,7 @@ def native_spec(case: Case, time_step: float, solid: bool = False) -> mujoco.MjS
         motor.forcelimited, motor.forcerange = True, [-limit, limit]
         spec.joint(name).damping[0] = drive.back_emf
     if solid:
-        collide(spec, case, scene.links(case.robot))
+        collide(spec, case, links(case.robot))
     return spec
 
 
@@ -362,21 +363,21 @@ class Native:
 
     def _nothing(self, start: Start) -> Steps:
         """Before the first physics step."""
-        n, links = self.substeps, N_LEGS * len(scene.links(self._nominal.robot))
+        n, count = self.substeps, N_LEGS * len(links(self._nominal.robot))
         qpos, qvel, forces = jnp.tile(start.qpos, (n, 1)), jnp.tile(start.qvel, (n, 1)), jnp.zeros((n, N_JOINTS))
-        links, feet, centre = jnp.zeros((links, 3)), jnp.zeros((N_LEGS, 3)), jnp.zeros(3)
-        return Steps(qpos, qvel, forces, forces, jnp.zeros(()), links, feet, centre, jnp.zeros((), bool))
+        axes, feet, centre = jnp.zeros((count, 3)), jnp.zeros((N_LEGS, 3)), jnp.zeros(3)
+        return Steps(qpos, qvel, forces, forces, jnp.zeros(()), axes, feet, centre, jnp.zeros((), bool))
 
     def _steps(self, steps: dict[str, np.ndarray], broken: np.ndarray) -> tuple[np.ndarray, ...]:
         """`Steps` of a batch, from its record."""
-        links = N_LEGS * len(scene.links(self._nominal.robot))
+        count = N_LEGS * len(links(self._nominal.robot))
         return (
             steps["qpos"],
             steps["qvel"],
             steps["actuator_force"],
             steps["sensordata"],
             steps["energy"][:, -1].sum(axis=-1),
-            steps["xpos"][:, -1, 2 : 2 + links],
+            steps["xpos"][:, -1, 2 : 2 + count],
             steps["site_xpos"][:, -1, :N_LEGS],
             steps["subtree_com"][:, -1, 1],
             broken,

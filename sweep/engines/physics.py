@@ -25,7 +25,7 @@ from sweep.models.case import Case
 from sweep.models.drive import Servo, towards
 from sweep.models.legs import N_LEGS
 from sweep.models.obstacles.surface import Bodies
-from sweep.models.scene import links
+from sweep.models.robot import links
 
 
 def taken(settings: EngineSettings) -> str:

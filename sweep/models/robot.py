@@ -1,9 +1,11 @@
 """The robot: sizes, masses and where the legs are mounted (monograph 1.1, 1.1.1)."""
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
+from sweep.formulas.leg import SIDE, circular_mounts, rectangular_mounts
 from sweep.models.legs import N_LEGS
 
 # m, of a shin's end, beside its radius, that tapers to the foot: it touches the face that it stands on, if it leans
@@ -59,3 +61,23 @@ def total_mass(robot: Robot) -> Array | float:
     """Of the robot (kg)."""
     coxa = robot.coxa_mass if robot.legs == "three_link" else 0.0
     return robot.body_mass + N_LEGS * (coxa + robot.thigh_mass + robot.shin_mass)
+
+
+def mounts(robot: Robot) -> Float[Array, "6 3"]:
+    """Hips in base axes (m)."""
+    if robot.mounts == "circle":
+        return circular_mounts(robot.mount_radius)
+    return rectangular_mounts(robot.body_length, robot.body_width)
+
+
+def mount_yaw(robot: Robot) -> np.ndarray:
+    """Turn of each leg's axes about the base's z (rad): 0 where alpha counts from the y axis, else from the radius."""
+    if robot.leg_axes == "sides":
+        return np.zeros(6)
+    hips = np.array([[-1, -1, 0, 0, 1, 1], SIDE * np.array([1, 1, 2, 2, 1, 1])]) * np.array([[3**0.5], [1.0]])
+    return np.arctan2(-SIDE * hips[0], SIDE * hips[1])
+
+
+def links(robot: Robot) -> tuple[str, ...]:
+    """Names of a leg's links, from the hip out."""
+    return ("coxa", "thigh", "shin") if robot.legs == "three_link" else ("thigh", "shin")

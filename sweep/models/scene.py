@@ -8,38 +8,18 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from sweep.core.constants import GRAVITY
 from sweep.core.parameters import InputError
-from sweep.formulas.leg import SIDE, circular_mounts, rectangular_mounts
+from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
 from sweep.models.legs import JOINTS, LEGS
 from sweep.models.obstacles.geoms import COLLIDING, DRAWN
 from sweep.models.obstacles.surface import FOOT_RADIUS
-from sweep.models.robot import Robot
+from sweep.models.robot import links, mount_yaw, mounts
 
 _RIGHT, _LEFT = (0.85, 0.33, 0.20, 1.0), (0.20, 0.45, 0.75, 1.0)
-
-
-def mounts(robot: Robot) -> Float[Array, "6 3"]:
-    """Hips in base axes (m)."""
-    if robot.mounts == "circle":
-        return circular_mounts(robot.mount_radius)
-    return rectangular_mounts(robot.body_length, robot.body_width)
-
-
-def mount_yaw(robot: Robot) -> np.ndarray:
-    """Turn of each leg's axes about the base's z (rad): 0 where alpha counts from the y axis, else from the radius."""
-    if robot.leg_axes == "sides":
-        return np.zeros(6)
-    hips = np.array([[-1, -1, 0, 0, 1, 1], SIDE * np.array([1, 1, 2, 2, 1, 1])]) * np.array([[3**0.5], [1.0]])
-    return np.arctan2(-SIDE * hips[0], SIDE * hips[1])
-
-
-def links(robot: Robot) -> tuple[str, ...]:
-    """Names of a leg's links, from the hip out."""
-    return ("coxa", "thigh", "shin") if robot.legs == "three_link" else ("thigh", "shin")
 
 
 def _rod(mass: Array | float, length: Array | float, radius: Array | float) -> tuple[Array, Array]:

@@ -109,7 +109,7 @@ def test_bad_input_is_one_line_and_exit_code_2(arguments, capsys, tmp_path):
     ("argument", "unneeded"),
     [
         ("scenario=nowhere", ("hydra", "jax", "mujoco", "numpy", "pandas")),
-        ("robot.thigh=-1", ("llvmlite", "matplotlib", "pandas", "pyarrow", "rich", "SALib", "scipy")),
+        ("robot.thigh=-1", ("llvmlite", "matplotlib", "mujoco", "pandas", "pyarrow", "rich", "SALib", "scipy")),
     ],
 )
 def test_what_is_wrong_is_told_before_what_is_slow_is_imported(argument, unneeded):

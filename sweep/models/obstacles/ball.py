@@ -1,9 +1,8 @@
 """A homogeneous ball that lies on the floor and is free to roll (monograph 3.1)."""
 
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -11,6 +10,9 @@ from sweep.core.parameters import choice, parameters, quantity
 from sweep.models.obstacles.geoms import add_rolling, add_solids
 from sweep.models.obstacles.surface import Bodies, FreeState, Rolling, Surface, own_axes
 from sweep.models.solids import HalfSpace, Solid, Sphere
+
+if TYPE_CHECKING:
+    import mujoco
 
 FLOOR, BALL = range(2)
 
@@ -34,7 +36,7 @@ class Ball:
     free_bodies = ("ball",)
     contact_sites = (("ball", 0),)
 
-    def add_to(self, spec: mujoco.MjSpec, friction: float) -> None:
+    def add_to(self, spec: "mujoco.MjSpec", friction: float) -> None:
         """Floor, and what is free: balls."""
         leaves, bodies = self.leaves(), []
         for name, place in zip(self.free_bodies, np.asarray(self.start().position, float), strict=True):

@@ -1,14 +1,16 @@
 """What obstacles have in common that never move."""
 
 from abc import ABC, abstractmethod
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
-import mujoco
 from jaxtyping import Array, Float
 
 from sweep.models.obstacles.geoms import add_solids
 from sweep.models.obstacles.surface import Bodies, FreeState, own_axes
 from sweep.models.solids import Solid
+
+if TYPE_CHECKING:
+    import mujoco
 
 
 class Fixed(ABC):
@@ -22,7 +24,7 @@ class Fixed(ABC):
     def solids(self, bodies: Bodies) -> tuple[Solid, ...]:
         """What it consists of."""
 
-    def add_to(self, spec: mujoco.MjSpec, friction: float) -> None:
+    def add_to(self, spec: "mujoco.MjSpec", friction: float) -> None:
         """Its solids, as geoms."""
         add_solids(spec, self.solids(own_axes(0)), friction)
 

@@ -1,19 +1,24 @@
-"""MuJoCo's geoms of an obstacle's solids: each is drawn in full and meets feet shrunk by the foot radius."""
+"""MuJoCo's geoms of an obstacle's solids: each is drawn in full and meets feet shrunk by the foot radius.
+
+MuJoCo is imported as a model is made: what is wrong with a configuration is told before.
+"""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import mujoco
 import numpy as np
 
 from sweep.models.obstacles.surface import FOOT_RADIUS
 from sweep.models.solids import Box, Cylinder, HalfSpace, Prism, Solid, Sphere
 
+if TYPE_CHECKING:
+    import mujoco
+
 DRAWN, COLLIDING = 0, 3  # geom groups: group 3 is hidden by default
 STIFF = {"solref": [0.004, 1.0], "solimp": [0.95, 0.99, 0.001, 0.5, 2.0], "condim": 3}
 
 
-def add_solids(spec: mujoco.MjSpec, solids: Sequence[Solid], friction: float, bodies: Sequence[str] = ()) -> None:
+def add_solids(spec: "mujoco.MjSpec", solids: Sequence[Solid], friction: float, bodies: Sequence[str] = ()) -> None:
     """Two geoms a solid, which are described in the axes of the free bodies that they belong to, of those names."""
     for solid in solids:
         body = spec.worldbody if solid.body < 0 else spec.body(bodies[solid.body])
@@ -23,11 +28,13 @@ def add_solids(spec: mujoco.MjSpec, solids: Sequence[Solid], friction: float, bo
         body.add_geom(name=name, **shape(spec, solid, name, FOOT_RADIUS), **_colliding(friction))
 
 
-def shape(spec: mujoco.MjSpec, solid: Solid, name: str, margin: float = 0.0) -> dict[str, Any]:
+def shape(spec: "mujoco.MjSpec", solid: Solid, name: str, margin: float = 0.0) -> dict[str, Any]:
     """Options of a geom in the shape of a solid, in the axes of its description, shrunk by `margin` (m).
 
     A prism's is a mesh called `name`, which is put in the spec.
     """
+    import mujoco
+
     kinds = mujoco.mjtGeom
     match solid:
         case HalfSpace():
@@ -58,7 +65,7 @@ def shape(spec: mujoco.MjSpec, solid: Solid, name: str, margin: float = 0.0) -> 
 
 
 def add_rolling(
-    world: mujoco.MjsBody, balls: Sequence[mujoco.MjsBody], radius: float, resistance: Sequence[float]
+    world: "mujoco.MjsBody", balls: "Sequence[mujoco.MjsBody]", radius: float, resistance: Sequence[float]
 ) -> None:
     """How balls lie on the floor z = 0, with its own sliding, spinning, rolling friction.
 
@@ -66,6 +73,8 @@ def add_rolling(
     MuJoCo softens rolling friction by (slide/roll)^2, and with the impedance of the feet it would be viscous below
     25 mm/s.
     """
+    import mujoco
+
     rolling = {
         **_colliding(0.0),
         "contype": 2,
@@ -81,7 +90,7 @@ def add_rolling(
 
 
 def add_touching(
-    spec: mujoco.MjSpec, one: str, other: str, friction: float, damping_ratio: float, time: float = 0.004
+    spec: "mujoco.MjSpec", one: str, other: str, friction: float, damping_ratio: float, time: float = 0.004
 ) -> None:
     """How geoms of two bodies, or of a body and the world, meet whatever else they feel.
 
@@ -110,6 +119,8 @@ def _look(solid: Solid) -> dict[str, Any]:
 def _place(solid: Box | Cylinder | Prism) -> dict[str, np.ndarray]:
     quat = np.array([1.0, 0.0, 0.0, 0.0])
     if solid.rotation is not None:
+        import mujoco
+
         mujoco.mju_mat2Quat(quat, np.asarray(solid.rotation, float).ravel())
     return {"pos": _numbers(solid.position), "quat": quat}
 

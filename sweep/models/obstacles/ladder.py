@@ -5,10 +5,9 @@ axes: x as the world's, y down along its rails, z out of its plane, away from th
 lies flat on the floor. The book's xi, eta, zeta are x, y, z; its e_l is -y and its e_n is z of the ladder.
 """
 
-from typing import ClassVar, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -20,6 +19,9 @@ from sweep.models.obstacles.charts import Chart, Number, point
 from sweep.models.obstacles.geoms import add_solids, add_touching, invisible
 from sweep.models.obstacles.surface import FOOT_RADIUS, Bodies, FreeState, Surface, own_axes
 from sweep.models.solids import SOIL, Box, HalfSpace, Solid
+
+if TYPE_CHECKING:
+    import mujoco
 
 FLOOR, WALL, LEDGE, BARS = range(4)  # faces; each bar has six from BARS on
 EXTENT = 1.5  # m, half of how far the ledge reaches back
@@ -173,8 +175,10 @@ class Ladder:
             jnp.stack([*middles, *(point(0.0, top, 0.0) for top in tops)]), jnp.stack([rail] * 2 + [rung] * self.rungs)
         )
 
-    def add_to(self, spec: mujoco.MjSpec, friction: float) -> None:
+    def add_to(self, spec: "mujoco.MjSpec", friction: float) -> None:
         """Floor, ledge and ladder, whose corners meet them by geoms of their own."""
+        import mujoco
+
         values = self.leaves()
         body = spec.worldbody.add_body(name="ladder", explicitinertial=True, mass=float(self.mass), ipos=[0, 0, 0],
                                        inertia=np.asarray(values["body_inertia"]["ladder"], float))  # fmt: skip

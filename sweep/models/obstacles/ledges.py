@@ -3,8 +3,9 @@
 World axes: x across the gap between the ledges, whose near wall is x = 0; z = 0 is the floor that the ball lies on.
 """
 
+from typing import TYPE_CHECKING
+
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -13,6 +14,9 @@ from sweep.models.obstacles.ball import Ball
 from sweep.models.obstacles.geoms import add_touching
 from sweep.models.obstacles.surface import Bodies, FreeState, Rolling, Surface, critical_damping
 from sweep.models.solids import SOIL, Box, Solid
+
+if TYPE_CHECKING:
+    import mujoco
 
 FLOOR, BALL, NEAR_TOP, NEAR_WALL, FAR_TOP, FAR_WALL = range(6)
 DEPTH, BREADTH = 4.0, 4.0  # m, of the ledges that are drawn; their surface has no end
@@ -33,7 +37,7 @@ class Ledges(Ball):
 
     contact_sites = (("ball", 0), ("beside", 0))
 
-    def add_to(self, spec: mujoco.MjSpec, friction: float) -> None:
+    def add_to(self, spec: "mujoco.MjSpec", friction: float) -> None:
         """Floor, ball and ledges."""
         super().add_to(spec, friction)
         for name in ("near_ledge", "far_ledge"):

@@ -4,8 +4,9 @@ World axes: x across the water from the near bank, which ends at x = 0, to the f
 The water acts on the raft only, by the exact buoyancy of 4.1.1 and the drag of 4.1.2: it is no surface to stand on.
 """
 
+from typing import TYPE_CHECKING
+
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -17,6 +18,9 @@ from sweep.formulas.raft_statics import buoyancy
 from sweep.models.obstacles.geoms import DRAWN, add_solids, add_touching
 from sweep.models.obstacles.surface import Bodies, FreeState, Surface, critical_damping, own_axes
 from sweep.models.solids import SOIL, Box, Solid
+
+if TYPE_CHECKING:
+    import mujoco
 
 NEAR, FAR = range(2)
 RAFT = 8  # the numbers of its faces are around this, those of the banks below
@@ -73,8 +77,10 @@ class Raft:
         """How deep the level raft is in the water (m) with a load (kg) on it."""
         return (self.mass + load) / (WATER_DENSITY * self.length * self.width)
 
-    def add_to(self, spec: mujoco.MjSpec, friction: float) -> None:
+    def add_to(self, spec: "mujoco.MjSpec", friction: float) -> None:
         """Banks, raft and a picture of the water."""
+        import mujoco
+
         leaves = self.leaves()
         inertia = np.asarray(leaves["body_inertia"]["raft"], float)
         body = spec.worldbody.add_body(

@@ -1,14 +1,16 @@
 """What a point feels of an obstacle; the interface that contact, planning, metrics and pictures share."""
 
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, NamedTuple, Protocol, runtime_checkable
 
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from sweep.core.rotations import matrix, rotate
 from sweep.models.solids import Solid
+
+if TYPE_CHECKING:
+    import mujoco
 
 STIFFNESS = 1e6  # N/m, of the contact that an obstacle's `impact_damping` is a share of the critical damping of
 FOOT_RADIUS = 1e-3  # m, of the native engine's spheres: a larger one rolls under the drives and drifts
@@ -87,7 +89,7 @@ class Obstacle(Protocol):
         """
         ...
 
-    def add_to(self, spec: mujoco.MjSpec, friction: float) -> None:
+    def add_to(self, spec: "mujoco.MjSpec", friction: float) -> None:
         """Put its geoms, bodies and sites in the spec; contact geoms are shrunk by `FOOT_RADIUS`."""
         ...
 

@@ -3,8 +3,9 @@
 World axes: x from the first ball, on which the robot stands, to the second; z = 0 is the floor.
 """
 
+from typing import TYPE_CHECKING
+
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -13,6 +14,9 @@ from sweep.models.obstacles.ball import BALL, Ball
 from sweep.models.obstacles.geoms import add_touching
 from sweep.models.obstacles.surface import Bodies, FreeState, Rolling, Surface, critical_damping
 from sweep.models.solids import Solid, Sphere
+
+if TYPE_CHECKING:
+    import mujoco
 
 SECOND = BALL + 1
 
@@ -32,7 +36,7 @@ class TwoBalls(Ball):
     free_bodies = ("ball", "second_ball")
     contact_sites = (("ball", 0), ("second_ball", 1), ("between", 1))
 
-    def add_to(self, spec: mujoco.MjSpec, friction: float) -> None:
+    def add_to(self, spec: "mujoco.MjSpec", friction: float) -> None:
         """Floor and balls."""
         super().add_to(spec, friction)
         add_touching(spec, "ball", "second_ball", friction * self.ball_grip, self.impact_damping)

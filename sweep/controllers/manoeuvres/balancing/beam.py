@@ -35,8 +35,7 @@ from sweep.models.case import Case
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.beam import Beam
 from sweep.models.obstacles.charts import point
-from sweep.models.robot import Robot
-from sweep.models.scene import mounts
+from sweep.models.robot import Robot, mounts
 
 DIAGONALS = ((1, 6), (2, 5))
 MIDDLE = (3, 4)
