@@ -59,7 +59,7 @@ def planned(name: str, count: int = DRAWS) -> dict[str, np.ndarray]:
             for path, values in drawn.items():
                 case = assign(case, path, float(values[k]))
             try:
-                plan = without_forces(case)
+                plan = told(without_forces(case))
             except InputError:
                 sums.append(np.full_like(sums[0], np.nan))
                 continue
@@ -81,6 +81,13 @@ def without_forces(case: Case) -> Any:
         return case.manoeuvre.plan(case)
     finally:
         PlannedForces.with_feedforward = kept
+
+
+def told(plan: Any) -> Any:
+    """The plan without what says nothing: how swings are lifted where no foot swings."""
+    idle = ~np.any(plan.swing, axis=1)
+    return dataclasses.replace(plan, height=np.where(idle, 0.0, plan.height),
+                               plane=np.where(idle[:, None, None], 0.0, plan.plane))  # fmt: skip
 
 
 def _by_stage(key: str, value: np.ndarray, stages: int) -> np.ndarray:

@@ -67,6 +67,12 @@ def test_rows_have_the_ids_of_their_numbers_whatever_file_they_are_in(lab):
         (OWN.replace("-0.2", "near"), "plan.roof.pitch.base = near is not allowed: a number"),
         (OWN.replace("base: [-0.2, 0.1, 45]", "front: {rof: [0, 0]}"), "chart rof is unknown on corner: did you mean"),
         ("roof: {}", "plan.entry.pitch is missing"),
+        ("extends: corner\nroof: {reverse: roof}", "plan.roof.reverse = roof is not allowed: another part"),
+        (
+            "extends: corner\na: {b: {}}\nroof: {reverse: entry, from: a}",
+            "plan.a is not allowed: one move",
+        ),
+        ("extends: corner\nroof: {reverse: entry, to: a}", "plan.roof.to is unknown"),
     ],
 )
 def test_mistakes_in_a_file_are_told_in_one_line(lab, text, told):

@@ -4,7 +4,7 @@ A move takes the base somewhere and feet to places, both in charts that the obst
 pair are placed alike.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, NamedTuple
 
@@ -19,14 +19,17 @@ from sweep.core.errors import InputError, suggest
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
 from sweep.models.frames import WORLD
-from sweep.models.legs import GROUPS, LEGS
+from sweep.models.legs import GROUPS, LEGS, SIDED
 from sweep.models.obstacles.charts import Chart, Number, charts
 from sweep.models.obstacles.surface import free_start
-from sweep.models.plan_table import COMPONENTS, Content, tabled
+from sweep.models.plan_table import COMPONENTS, tabled
 
 CYCLES = {"a": CYCLE_A, "b": CYCLE_B, "b_smooth": CYCLE_B_SMOOTH, "half_ellipse": HALF_ELLIPSE}
 # how the base's way is spent: evenly, as a cubic from rest to rest, or by lambda_1
 PACES = {"even": (STEADY, (1.0, 1.0)), "eased": (STEADY, (0.0, 0.0)), "smooth": (SMOOTH, (1.0, 1.0))}
+NAMES = {leg: name for name, (leg,) in SIDED.items()}
+OPPOSITE = {group: group.replace("front", "rear") if "front" in group else group.replace("rear", "front")
+            for group in GROUPS}  # fmt: skip
 UP = np.array([0.0, 0.0, 1.0])
 type Feet = dict[int, Float[Array, " 3"]]  # m, by leg
 type Numbers = list[Any]
@@ -53,7 +56,7 @@ class Move:
     plane: Numbers | None = None  # in which the swing is lifted; upwards if it does not say
     leave: Numbers | None = None  # control points of the swing's curve, from the place that is left ...
     land: Numbers | None = None  # ... and from the new one
-    support: str = ""  # of free bodies, as the manoeuvre names it; they are where they are seen if it does not say
+    support: str = "free"  # of free bodies, as the manoeuvre names it; where they are seen if it does not say
 
 
 WORDS = {"pace": PACES, "swing": CYCLES}
@@ -93,7 +96,7 @@ class Terms:
     depths: Mapping[str, Number] = field(default_factory=dict)  # m, of feet in what they stand on, by chart; else 0
     own: Mapping[str, Chart] = field(default_factory=dict)  # charts of the manoeuvre's
     forward: tuple[float, float] = (0.0, -1.0)  # in which the robot goes, in the plane
-    supports: Mapping[str, tuple[Support, ...]] = field(default_factory=lambda: {"": ()})  # by name, of every body
+    supports: Mapping[str, tuple[Support, ...]] = field(default_factory=lambda: {"free": ()})  # by name, of every body
     stage: Mapping[str, Any] = field(default_factory=dict)  # what all stages have besides
 
     def foot(self, leg: int, place: Place, where: str, depth: Number | None = None) -> Foot:
@@ -141,11 +144,11 @@ class Terms:
 
 
 def placed(part: str, terms: Terms) -> tuple[Float[Array, "6 3"], Float[Array, " 3"], Standing]:
-    """Where feet and base are (m, world axes) before anything moves, by a part's only move, which places all of them.
+    """Where feet and base are (m, world axes) before anything moves, by a part that is `placing`.
 
     Raises `InputError`.
     """
-    (move,) = moves(tabled(terms.belief), part).values()
+    _, move = placing(terms.belief, part)
     feet = {leg: terms.foot(leg, place or {}, f"{move.path}.{group}", move.depth)
             for group, place in move.feet.items() for leg in GROUPS[group]}  # fmt: skip
     position, pitch, chart = terms.base(move.base, f"{move.path}.base")
@@ -159,7 +162,7 @@ def stages_of(part: str, terms: Terms, at: Standing, prefix: str | None = None) 
 
     Raises `InputError` for what the language has no words for.
     """
-    return staged(moves(tabled(terms.belief), part), terms, at, f"{part}." if prefix is None else prefix)
+    return staged(moves(terms.belief, part), terms, at, f"{part}." if prefix is None else prefix)
 
 
 def staged(moves: Mapping[str, Move], terms: Terms, at: Standing, prefix: str) -> tuple[list[Stage], Standing]:
@@ -229,13 +232,67 @@ def _plane(move: Move, terms: Terms) -> Array | tuple[float, float, float]:
     return (0.0, 0.0, 1.0) if move.plane is None else jnp.stack([terms.vector(leg, move.plane) for leg in LEGS])
 
 
-def moves(content: Content, part: str) -> dict[str, Move]:
-    """The moves of a part by name. Raises `InputError`."""
+def moves(belief: Case, part: str) -> dict[str, Move]:
+    """The moves of a part of a case's plan, by name. Raises `InputError`.
+
+    A part with `reverse` has those of another one backwards, which began as the only move of the part `from` places the
+    robot; with `mirror`, two charts, as seen in a mirror across its way, in which the charts change places.
+    """
+    content = tabled(belief)
     if part not in content:
         raise InputError(f"plan.{part} is missing{suggest(part, content)}")
     common = {key: value for key, value in content[part].items() if not isinstance(value, Mapping)}
-    return {name: _move(f"plan.{part}.{name}", {**common, **given, "base": _based(common, given)})
-            for name, given in content[part].items() if isinstance(given, Mapping)}  # fmt: skip
+    if "reverse" not in common:
+        return {name: _move(f"plan.{part}.{name}", {**common, **given, "base": _based(common, given)})
+                for name, given in content[part].items() if isinstance(given, Mapping)}  # fmt: skip
+    if unknown := [key for key in content[part] if key not in ("reverse", "from", "mirror")]:
+        raise InputError(f"plan.{part}.{unknown[0]} is unknown{suggest(unknown[0], ('reverse', 'from', 'mirror'))}")
+    if part == common["reverse"]:
+        raise InputError(f"plan.{part}.reverse = {part} is not allowed: another part")
+    found = backwards(moves(belief, common["reverse"]), placing(belief, common.get("from", ""))[1])
+    if one_and_other := common.get("mirror"):
+        found = {name: mirrored(belief, move, one_and_other) for name, move in found.items()}
+    return found
+
+
+def backwards(moves: Mapping[str, Move], start: Move) -> dict[str, Move]:
+    """Moves that go back to where the robot is placed by `start`: each to where the forward one came from."""
+    base, feet, found = start.base, _by_leg(start), {}
+    for name, move in moves.items():
+        goes = _by_leg(move)
+        found[name] = replace(move, base=base, feet={leg: feet[leg] for leg in goes}, leave=move.land, land=move.leave)
+        base, feet = move.base or base, feet | {leg: place for leg, place in goes.items() if place}
+    return dict(reversed(found.items()))
+
+
+def _by_leg(move: Move) -> dict[str, Place | None]:
+    """Where each leg goes that a move names."""
+    return {NAMES[leg]: place for group, place in move.feet.items() for leg in GROUPS[group]}
+
+
+def placing(belief: Case, part: str) -> tuple[str, Move]:
+    """A part's only move, which places base and feet, with its name. Raises `InputError`."""
+    (name, move), *others = moves(belief, part).items()
+    if others or not move.base or len({leg for leg, place in _by_leg(move).items() if place}) < len(LEGS):
+        raise InputError(f"plan.{part} is not allowed: one move, which places the base and all feet")
+    return name, move
+
+
+def mirrored(belief: Case, move: Move, swapped: Sequence[str]) -> Move:
+    """A move in a mirror across the robot's way: what is ahead is behind, front legs are rear ones."""
+    offered, other = charts(belief.obstacle), dict(zip(swapped, reversed(swapped), strict=True))
+
+    def place(given: Place | None) -> Place | None:
+        return given and {other.get(chart, chart): [-number if name == "ahead" else number
+                          for name, number in zip(offered[chart].names, numbers, strict=False)]
+                          for chart, numbers in given.items()}  # fmt: skip
+
+    def vector(given: Numbers | None) -> Numbers | None:
+        return given and [given[0], -given[1], given[2]]
+
+    feet = {OPPOSITE[group]: place(given) for group, given in move.feet.items()}
+    return replace(move, feet=feet, base=place(move.base) or {}, plane=vector(move.plane), leave=vector(move.leave),
+                   land=vector(move.land))  # fmt: skip
 
 
 def _based(common: Mapping[str, Any], given: Mapping[str, Any]) -> Any:

@@ -18,7 +18,6 @@ from sweep.controllers.frames import attitude_to_frame, attitude_to_world, to_fr
 from sweep.controllers.support import Support
 from sweep.core.rotations import exponential, multiply, rotate
 from sweep.formulas import stepping
-from sweep.formulas.leg import SIDE
 from sweep.models.frames import WORLD
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.surface import FreeState
@@ -203,12 +202,6 @@ def assemble(
     return Plan(names=names, start=start, patience=jnp.asarray(patience, float), posture=_postures(stages),
                 flywheel=flywheel, feedforward=None, shift=None, steered=steered, onset=onset,
                 support=_supports(stages), ease=ease, afloat=afloat, **table)  # fmt: skip
-
-
-def by_side(plane: Sequence[Array | float]) -> Float[Array, "6 3"]:
-    """A lift's plane for every leg, from its parts ahead, aside (away from the base's middle plane) and up."""
-    ahead, aside, up = (jnp.asarray(x, float) for x in plane)
-    return jnp.stack([jnp.stack([ahead, side * aside, up]) for side in SIDE])
 
 
 def _moves_frames(before: Stage, stage: Stage) -> bool:

@@ -2,10 +2,9 @@
 
 LEGS = range(1, 7)  # 1-2 rear, 3-4 middle, 5-6 front, odd on the right
 PAIRS = {"front": (5, 6), "middle": (3, 4), "rear": (1, 2)}
-# those that plans name: pairs, and the legs of each
-GROUPS = PAIRS | {
-    f"{pair}_{side}": (legs[k],) for pair, legs in PAIRS.items() for k, side in enumerate(("right", "left"))
-}
+SIDED = {f"{pair}_{side}": (leg,) for pair, legs in PAIRS.items()
+         for leg, side in zip(legs, ("right", "left"), strict=True)}  # fmt: skip
+GROUPS = PAIRS | SIDED  # that plans name
 N_LEGS = len(LEGS)
 JOINTS = tuple(f"{joint}{leg}" for leg in LEGS for joint in ("alpha", "beta", "gamma"))
 N_JOINTS = len(JOINTS)

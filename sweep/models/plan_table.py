@@ -91,7 +91,7 @@ def mapped(
                 for key, value in content.items()}  # fmt: skip
     if isinstance(content, list):
         named = (*names, *range(len(names), len(content)))
-        return [change(f"{path}.{name}", value) for name, value in zip(named, content, strict=False)]
+        return [mapped(value, places, change, f"{path}.{name}") for name, value in zip(named, content, strict=False)]
     if isinstance(content, int | float) and not isinstance(content, bool):
         return change(path, content)
     return content
@@ -135,9 +135,19 @@ def shipped(name: str) -> Content:
     return merged(name, lambda other: project.shipped(GROUP)[other].read_text(encoding="utf-8"))
 
 
+class _Loader(yaml.SafeLoader):
+    """Reads words as words: `on` and `off` are names here."""
+
+
+_Loader.yaml_implicit_resolvers = {
+    first: [(tag, pattern) for tag, pattern in resolvers if not tag.endswith(":bool")]
+    for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+
+
 def merged(name: str, read: Callable[[str], str]) -> Content:
     """The plan `name` over those that it extends, the first one or a list; texts of files are `read` by name."""
-    content = dict(yaml.safe_load(read(name)))
+    content = dict(yaml.load(read(name), _Loader))
     bases = content.pop("extends", [])
     below = [merged(base, read) for base in ([bases] if isinstance(bases, str) else bases)]
     return functools.reduce(_over, [*below, content])

@@ -1,5 +1,6 @@
 """A homogeneous ball that lies on the floor and is free to roll (monograph 3.1)."""
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, ClassVar
 
 import jax.numpy as jnp
@@ -7,6 +8,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
+from sweep.models.frames import WORLD, fixed, koenig
+from sweep.models.obstacles.charts import Chart, Number, point
 from sweep.models.obstacles.geoms import add_rolling, add_solids
 from sweep.models.obstacles.surface import Bodies, FreeState, Rolling, Surface, own_axes
 from sweep.models.solids import HalfSpace, Solid, Sphere
@@ -15,6 +18,43 @@ if TYPE_CHECKING:
     import mujoco
 
 FLOOR, BALL = range(2)
+
+
+def at_elevation(
+    of: "Ball", side: float, unit: Number, depth: Number, aside: Number, elevation: Number
+) -> Float[Array, " 3"]:
+    """A point of the ball, `aside` of the middle plane (R), at an elevation (deg): 0 behind it, 90 on top."""
+    angle, out = jnp.radians(jnp.asarray(elevation, float)), jnp.asarray(aside, float)
+    round_ = jnp.sqrt(1 - out**2)
+    return (of.radius - depth) * point(-round_ * jnp.cos(angle), side * out, round_ * jnp.sin(angle))
+
+
+def on_cap(of: "Ball", side: float, unit: Number, depth: Number, aside: Number, ahead: Number) -> Float[Array, " 3"]:
+    """A point of the ball's upper half, `ahead` of its centre (R)."""
+    x, y = (jnp.asarray(part, float) for part in (ahead, side * aside))
+    return (of.radius - depth) * point(x, y, jnp.sqrt(1 - x**2 - y**2))
+
+
+def on_ground(of: "Ball", side: float, unit: Number, depth: Number, aside: Number, ahead: Number) -> Float[Array, " 3"]:
+    """A point of the floor, `ahead` of the ball's centre (R)."""
+    return point(ahead * of.radius, side * aside * of.radius, -of.radius - depth)
+
+
+def tangent(
+    of: "Ball", side: float, unit: Number, depth: Number, elevation: Number, distance: Number, ahead: Number = 0.0
+) -> Float[Array, " 3"]:
+    """A base along a tangent of a circle about the ball's centre: `ahead` (R) of its point at an elevation (deg).
+
+    The base's axis is at a `distance` (R) from the centre.
+    """
+    angle = jnp.radians(jnp.asarray(elevation, float))
+    sin, cos = jnp.sin(angle), jnp.cos(angle)
+    return of.radius * point(-distance * cos + ahead * sin, 0.0, distance * sin + ahead * cos)
+
+
+def nose_up(of: "Ball", unit: Number, elevation: Number, distance: Number, ahead: Number = 0.0) -> Array:
+    """Of such a base (rad)."""
+    return jnp.radians(90 - jnp.asarray(elevation, float))
 
 
 @parameters
@@ -32,6 +72,13 @@ class Ball:
     speed: float = quantity(0.0, "m/s")  # of its centre at the start, with which it rolls
     course: float = quantity(0.0, "rad")  # direction of that speed, from the world's x axis
 
+    # of feet, then of bases, from the ball's centre
+    charts: ClassVar[Mapping[str, Chart]] = {
+        "ball": Chart(("aside", "elevation"), at_elevation, koenig(0), fixed(0)),
+        "cap": Chart(("aside", "ahead"), on_cap, koenig(0), fixed(0)),
+        "ground": Chart(("aside", "ahead"), on_ground, koenig(0), WORLD),
+        "tangent": Chart(("elevation", "distance", "ahead"), tangent, koenig(0), pitch=nose_up, round=True, optional=1),
+    }
     lying: ClassVar = ("radius",)  # sizes that say how high the balls' centres are
     free_bodies = ("ball",)
     contact_sites = (("ball", 0),)

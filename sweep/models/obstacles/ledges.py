@@ -3,14 +3,16 @@
 World axes: x across the gap between the ledges, whose near wall is x = 0; z = 0 is the floor that the ball lies on.
 """
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
+from sweep.models.frames import koenig
 from sweep.models.obstacles.ball import Ball
+from sweep.models.obstacles.charts import Chart, Number, point
 from sweep.models.obstacles.geoms import add_touching
 from sweep.models.obstacles.surface import Bodies, FreeState, Rolling, Surface, critical_damping
 from sweep.models.solids import SOIL, Box, Solid
@@ -22,10 +24,35 @@ FLOOR, BALL, NEAR_TOP, NEAR_WALL, FAR_TOP, FAR_WALL = range(6)
 DEPTH, BREADTH = 4.0, 4.0  # m, of the ledges that are drawn; their surface has no end
 
 
+def near_ledge(
+    of: "Ledges", side: float, unit: Number, depth: Number, aside: Number, ahead: Number
+) -> Float[Array, " 3"]:
+    """A point of the near ledge, `ahead` of its edge."""
+    return point(ahead * unit, side * aside * unit, of.height - depth)
+
+
+def far_ledge(
+    of: "Ledges", side: float, unit: Number, depth: Number, aside: Number, ahead: Number
+) -> Float[Array, " 3"]:
+    """A point of the far ledge, `ahead` of its edge."""
+    return point(of.width + ahead * unit, side * aside * unit, of.height - depth)
+
+
+def between(of: "Ledges", side: float, unit: Number, depth: Number, ahead: Number, above: Number) -> Float[Array, " 3"]:
+    """A base `ahead` of the ball's centre (R), above the mean of the ledges' height and that of the ball's top."""
+    return point(ahead * of.radius, 0.0, 0.5 * of.height + above * unit)
+
+
 @parameters
 class Ledges(Ball):
     """A ball of 100 kg between ledges that are a tenth lower than its top; at the start it rests at the near wall."""
 
+    charts: ClassVar = {
+        **Ball.charts,
+        "near": Chart(("aside", "ahead"), near_ledge),
+        "far": Chart(("aside", "ahead"), far_ledge),
+        "between": Chart(("ahead", "above"), between, koenig(0)),
+    }
     kind: str = choice("ledges", "ledges")
     radius: float = quantity(0.8, "m", above=0)  # R, of the ball
     height: float = quantity(1.44, "m", above=0)  # of the ledges over the floor

@@ -3,14 +3,16 @@
 World axes: x from the first ball, on which the robot stands, to the second; z = 0 is the floor.
 """
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
-from sweep.models.obstacles.ball import BALL, Ball
+from sweep.models.frames import fixed, koenig
+from sweep.models.obstacles.ball import BALL, Ball, on_cap
+from sweep.models.obstacles.charts import Chart, Number, point
 from sweep.models.obstacles.geoms import add_touching
 from sweep.models.obstacles.surface import Bodies, FreeState, Rolling, Surface, critical_damping
 from sweep.models.solids import Solid, Sphere
@@ -21,10 +23,21 @@ if TYPE_CHECKING:
 SECOND = BALL + 1
 
 
+def above(of: "TwoBalls", side: float, unit: Number, depth: Number, ahead: Number, above: Number) -> Float[Array, " 3"]:
+    """A base `ahead` of a ball's centre (R), above its top."""
+    return point(ahead * of.radius, 0.0, of.radius + above * unit)
+
+
 @parameters
 class TwoBalls(Ball):
     """Balls of 400 kg and 0.8 a_r; at the start the first one rests, or rolls, at the origin."""
 
+    charts: ClassVar = {
+        **Ball.charts,
+        "second": Chart(("aside", "ahead"), on_cap, koenig(1), fixed(1)),
+        "above": Chart(("ahead", "above"), above, koenig(0)),
+        "above_second": Chart(("ahead", "above"), above, koenig(1)),
+    }
     kind: str = choice("two_balls", "two_balls")
     mass: float = quantity(400.0, "kg", above=0)  # M, of each
     gap: float = quantity(0.5, "m", at_least=0)  # between the balls, at the start

@@ -6,6 +6,7 @@ are stiff: feet that follow its measured attitude as it comes, 1 mrad off at eve
 Therefore the pose goes through an observer, which steady rolling passes without lag.
 """
 
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, NamedTuple
 
 import jax
@@ -24,8 +25,11 @@ from sweep.controllers.ball_state import (
 )
 from sweep.controllers.gaits import TRIPOD
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
+from sweep.controllers.moves import Terms
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import CYCLE_A, KEEP, REGRIP, Plan, Stage, Stance, assemble, swing_progress
+from sweep.controllers.plan import CYCLE_A, GRIP, KEEP, REGRIP, Plan, Stage, Stance, assemble, swing_progress
+from sweep.controllers.refusals import refuse_reach
+from sweep.controllers.support import Support
 from sweep.controllers.tracker import Guidance, TrackerState
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import IDENTITY, conjugate, rotate
@@ -34,6 +38,7 @@ from sweep.models.case import Case
 from sweep.models.frames import fixed, koenig
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.ball import Ball
+from sweep.models.obstacles.charts import charts
 from sweep.models.robot import Robot, total_mass
 
 CENTRING = 4  # Newton's iterations that put the mass centre over the ball's
@@ -64,6 +69,25 @@ class OnBall:
         """Steps of `ball_drive` on the same footholds, with parameters of their own."""
         return BallDrive(circle_ratio=self.circle_ratio, chord_ratio=self.chord_ratio,
                          height_ratio=self.height_ratio, deepening=self.deepening, **how)  # fmt: skip
+
+
+def terms(
+    belief: Case,
+    unit: Array | float,
+    deepening: Array | float,
+    press: tuple[Array | float, Array | float],
+    supports: Mapping[str, tuple[Support, ...]],
+) -> Terms:
+    """Of moves on balls and beside them, lengths in `unit` (m), how feet stand in m: see `Terms` and `Stage.press`."""
+    depths = dict.fromkeys(charts(belief.obstacle), deepening)
+    return Terms(belief, unit, 1.0, unit, depths, forward=(1.0, 0.0), supports=supports,
+                 stage={"onset": GRIP, "press": press})  # fmt: skip
+
+
+def refuse_start(belief: Case, start: Callable[[], Stance]) -> None:
+    """Raise `InputError` where a foot is out of reach at the start, by plain numbers."""
+    refuse_reach(belief, lambda: {f"at the start of manoeuvre = {belief.manoeuvre.kind}": start()},
+                 f"obstacle.radius = {belief.on(Ball).radius} is not allowed: ")  # fmt: skip
 
 
 def perch(belief: Case, manoeuvre: OnBall) -> Perch:

@@ -10,59 +10,21 @@ from dataclasses import replace
 from typing import ClassVar, NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool
 
-from sweep.controllers.manoeuvres.balancing.ball import BallDrive, DriveMemory, OnBall, perch
-from sweep.controllers.manoeuvres.balancing.beside_ball import refuse
-from sweep.controllers.manoeuvres.balancing.by_pairs import LEDGE, OTHER, PAIRS, Move, Place, Stand, Way
+from sweep.controllers.manoeuvres.balancing.ball import BallDrive, DriveMemory, OnBall, perch, refuse_start, terms
 from sweep.controllers.manoeuvres.balancing.parts import InParts, has_just_begun
 from sweep.controllers.manoeuvres.goals import UPRIGHT
+from sweep.controllers.moves import Standing, Terms, mirrored, placed, placing, staged, stages_of
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import Plan, assemble
-from sweep.controllers.support import RESTS, Support
+from sweep.controllers.plan import Plan, Stance, assemble
+from sweep.controllers.support import LEVEL, RESTS, Support
 from sweep.controllers.tracker import Guidance, Guided, TrackerState
 from sweep.core.parameters import choice, count, parameters, quantity
-from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
-from sweep.models.frames import WORLD
 from sweep.models.obstacles.ledges import Ledges
 
 ROLLS = "roll"
-
-
-class Table(NamedTuple):
-    """The numbers of the way on to the ball."""
-
-    start: Stand
-    moves: tuple[Move, ...]
-
-
-TABLE = Table(
-    start=Stand(
-        (-1.725, 0.371),
-        {
-            "rear": Place(LEDGE, -0.8206, 0.5012),
-            "middle": Place(LEDGE, -0.3315, 0.4666),
-            "front": Place(LEDGE, -0.0558, 0.5051),
-        },
-    ),
-    moves=(
-        Move("front", 0.8, (-1.725, 0.2466), "front", Place(0, -0.1666, 0.4698), 0.126, (0.013, 0.072, 1)),
-        Move("on", 1.3, (-1.25, 0.3725)),
-        Move("middle", 0.8, (-1.3984, 0.4342), "middle", Place(LEDGE, -0.0439, 0.6697), 0.0722, (1.871, -1.429, 2.25)),
-        Move("on2", 0.9, (-0.7974, 0.392)),
-        Move("rear", 1, (-1.0159, 0.4099), "rear", Place(LEDGE, -0.09, 0.5214), 0.0758, (-0.435, 1.143, 1)),
-        Move("middle2", 0.8, (-0.8456, 0.4418), "middle", Place(0, -0.3444, 0.5349), 0.1187, (0.176, -1.012, 1.145)),
-        Move("on3", 0.5, (-0.9631, 0.3807)),
-        Move("front2", 1, (-0.75, 0.3898), "front", Place(0, 0.429, 0.4375), 0.169, (1.211, 0.771, 1)),
-        Move("on4", 1.3, (-0.4, 0.3117)),
-        Move("middle3", 0.8, (-0.4, 0.3638), "middle", Place(0, -0.1811, 0.7018), 0.1103, (0.122, -0.509, 2.257)),
-        Move("on5", 2.0, (-0.0096, 0.5141)),
-        Move("rear2", 1.3, (-0.0139, 0.5106), "rear", Place(0, -0.429, 0.4375), 0.0641, (0.162, 0.236, 1)),
-        Move("middle4", 0.8, (-0.0283, 0.4925), "middle", Place(0, 0, 0.6125), 0.1658, (0.5, -0.739, 2.071)),
-        Move("lower", 0.8, (0.0, 0.416)),
-    ),
-)
 
 
 class Docking(NamedTuple):
@@ -93,7 +55,7 @@ class Docking(NamedTuple):
 
 @parameters
 class BallLedges(OnBall, InParts):
-    """From ledge to ledge with a ball. Stages and their numbers are `TABLE`."""
+    """From ledge to ledge with a ball."""
 
     goal: ClassVar = {
         **UPRIGHT, "docking_gap_max_m": 4e-3, "docking_speed_max_mps": 0.04, "past_centre_max_m": 0.02
@@ -117,26 +79,37 @@ class BallLedges(OnBall, InParts):
     needs = (Ledges,)
 
     @property
-    def table(self) -> Table:
-        """The numbers of its plan."""
-        return TABLE
+    def own_plan(self) -> str:
+        """The file that holds the plan's numbers."""
+        return "ball_ledges"
 
-    def plan(self, belief: Case, table: Table | None = None) -> Plan:
+    def plan(self, belief: Case) -> Plan:
         """On to the ball, over to the other ledge, off.
 
         Raises `InputError` where a foot is out of reach at the start, by plain numbers.
         """
-        table = table or self.table
-        way, centre = BetweenLedges(belief, self), belief.on(Ledges).start().position[0]
-        refuse(belief, lambda: way.stance(table.start, belief.on(Ledges).start().position[0]))
-        start = way.stance(table.start, centre)
-        stages = [way.stage(Move("stand", 0.5, table.start.base))]
-        stages += [way.stage(move, "on.") for move in table.moves]
-        stages += self.drive.steps_of(perch(belief, self), ROLLS)
-        way.far = True
-        stages += [way.stage(move, "off.") for move in off(table)]
-        return assemble(start, [*stages, way.stage(Move("halt", 1.0, seen_from_far(table.start).base))],
-                        self.patience, ease=self.ease)  # fmt: skip
+        refuse_start(belief, lambda: self.begin(belief)[0])
+        how, (stance, at) = self.terms(belief), self.begin(belief)
+        name, stands = placing(belief, "start")
+        stand = replace(stands, feet={})
+        halt = replace(mirrored(belief, stand, ()), seconds=1.0)
+        stages, _ = staged({name: stand}, how, at, "")
+        on, at = stages_of("on", how, at)
+        off, at = stages_of("off", how, at)
+        last, _ = staged({"halt": halt}, how, at, "")
+        rolling = self.drive.steps_of(perch(belief, self), ROLLS)
+        return assemble(stance, [*stages, *on, *rolling, *off, *last], self.patience, ease=self.ease)
+
+    def begin(self, belief: Case) -> tuple[Stance, Standing]:
+        """Where the robot stands at the start, as far aside as the ball."""
+        feet, position, at = placed("start", self.terms(belief))
+        aside = belief.on(Ledges).start().position[0] * jnp.array([0.0, 1.0, 0.0])
+        return Stance(feet + aside, position, jnp.asarray(LEVEL)), at
+
+    def terms(self, belief: Case) -> Terms:
+        """Of moves between ledges and ball."""
+        press, supports = (self.press, self.squeeze), {"free": (Support(),), "rests": (RESTS,)}
+        return terms(belief, belief.robot.body_length, self.deepening, press, supports)
 
     @property
     def drive(self) -> BallDrive:
@@ -148,54 +121,3 @@ class BallLedges(OnBall, InParts):
     def parts(self) -> Mapping[str, Guided]:
         """The steps."""
         return {ROLLS: Docking(self.drive, self.docking, self.near, self.calm_speed)}
-
-
-def seen_from_far(stand: Stand) -> Stand:
-    """The same at the far ledge: in the mirror between the ledges."""
-    places = {pair: place._replace(ahead=-place.ahead) for pair, place in ((p, stand.feet[OTHER[p]]) for p in PAIRS)}
-    return Stand((-stand.base[0], stand.base[1]), places)
-
-
-def off(table: Table) -> list[Move]:
-    """From the ball to the far ledge: the way on to it backwards in time, in the mirror."""
-    feet, stands = dict(table.start.feet), [table.start]
-    for move in table.moves:
-        feet |= {move.pair: move.place} if move.pair else {}
-        stands.append(Stand(move.base, dict(feet)))
-    back = []
-    for move, stand in zip(reversed(table.moves), reversed(stands[:-1]), strict=True):
-        there, pair = seen_from_far(stand), OTHER.get(move.pair, "")
-        ahead, aside, up = move.plane
-        back.append(Move(move.name, move.time, there.base, pair, there.feet[pair] if pair else move.place, move.lift,
-                         (-ahead, aside, up)))  # fmt: skip
-    return back
-
-
-class BetweenLedges(Way):
-    """From the near ledge, and to the far one."""
-
-    far = False  # which ledge is meant
-
-    def above(self, height: Array | float) -> Array | float:
-        """From the mean of ledge and ball's top."""
-        return 0.5 * self.ledges.height + height * self.length
-
-    def ashore(self, leg: int, place: Place) -> Float[Array, " 3"]:
-        """From the edge."""
-        edge = self.ledges.width if self.far else 0.0
-        place_ = (
-            edge + place.ahead * self.length,
-            SIDE[leg - 1] * place.aside * self.length,
-            self.ledges.height - self.how.deepening,
-        )
-        return jnp.stack([jnp.asarray(x, float) for x in place_])
-
-    def supports(self) -> tuple[Support, ...]:
-        """The ball is meant to rest while a foot stands on a ledge."""
-        return (RESTS if WORLD in self.frames.values() else Support(),)
-
-    @property
-    def ledges(self) -> Ledges:
-        """The obstacle."""
-        assert isinstance(self.obstacle, Ledges)
-        return self.obstacle

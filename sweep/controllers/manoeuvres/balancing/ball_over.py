@@ -2,17 +2,17 @@
 
 from collections.abc import Mapping
 from dataclasses import fields, replace
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 from sweep.controllers.gaits import Step
-from sweep.controllers.manoeuvres.balancing import ball_climb, ball_descend
 from sweep.controllers.manoeuvres.balancing.ball import BallDrive, perch
 from sweep.controllers.manoeuvres.balancing.ball_climb import BallClimb
 from sweep.controllers.manoeuvres.balancing.ball_descend import BallDescend
-from sweep.controllers.manoeuvres.balancing.beside_ball import CALM, MIDDLE, STILL, BesideBall, centre
+from sweep.controllers.manoeuvres.balancing.beside_ball import CALM, BesideBall
 from sweep.controllers.manoeuvres.balancing.parts import Steps
-from sweep.controllers.manoeuvres.climbing.walking import AHEAD, centres, walk_away
+from sweep.controllers.manoeuvres.climbing.walking import AHEAD, EASED, centres, walk_away
 from sweep.controllers.manoeuvres.goals import UPRIGHT
+from sweep.controllers.moves import moves
 from sweep.controllers.plan import CYCLE_B, REGRIP, Plan, Stage, assemble
 from sweep.controllers.support import STAYS
 from sweep.controllers.tracker import Guided
@@ -20,16 +20,10 @@ from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.formulas import stepping
 from sweep.models.case import Case
 from sweep.models.frames import koenig
-from sweep.models.obstacles.ball import Ball
+from sweep.models.legs import PAIRS
+from sweep.models.obstacles.ball import Ball, tangent
 
 DRIVE = "drive"
-
-
-class Tables(NamedTuple):
-    """Of the way up and of the way down."""
-
-    up: ball_climb.Table
-    down: ball_descend.Table
 
 
 @parameters
@@ -54,9 +48,9 @@ class BallOver(BesideBall):
     turning: float = quantity(3.0, "rad/s", above=0, at_most=20)  # varpi, of those swings, whose time t* it gives
 
     @property
-    def table(self) -> Tables:
-        """The numbers of its plan."""
-        return Tables(self.up.table, self.down.table)
+    def own_plan(self) -> str:
+        """The file that holds the plan's numbers, in R."""
+        return "ball_over"
 
     @property
     def up(self) -> BallClimb:
@@ -82,29 +76,30 @@ class BallOver(BesideBall):
         """The ride up, calming steps, and those along."""
         return {**self.up.parts, DRIVE: Steps(self.driving, self.calm_speed, self.near)}
 
-    def plan(self, belief: Case, table: Tables | None = None) -> Plan:
+    def plan(self, belief: Case) -> Plan:
         """Up, calm, along, down, away.
 
         Raises `InputError` where the ball is too large, or the feet do not reach the floor, by plain numbers.
         """
-        tables, perched = table or self.table, perch(belief, self)
-        start, up = self.up.way_up(belief, tables.up)
+        perched = perch(belief, self)
+        start, up = self.up.way_up(belief)
         calm = self.calming.steps_of(perched, CALM)
         along = self.driving.steps_of(perched, DRIVE)
-        down = self.down.way_down(belief, tables.down)
-        away = self.leaving(belief, tables.down)
+        down = self.down.way_down(belief)
+        away = self.leaving(belief)
         return assemble(start, [*up, *calm, *along, *down, *away], self.patience, ease=self.ease)
 
-    def leaving(self, belief: Case, table: ball_descend.Table) -> list[Stage]:
+    def leaving(self, belief: Case) -> list[Stage]:
         """By tripod, once the middle feet are under their hips; in the frame of a ball that is not to move."""
         radius, length = belief.on(Ball).radius, belief.robot.body_length
         height, spread = self.hips_ratio * length, self.spread_ratio * length
         step = Step(self.half_step_ratio * length, self.lift_ratio * length, stepping.swing_time(self.turning))
-        stood = centre(belief.on(Ball), table.off[-1].pose)
+        *_, last = moves(belief, "off").values()
+        stood = tangent(belief.on(Ball), 1.0, radius, 0.0, *last.base["tangent"])
         position = stood.at[0].add(step.half_length).at[2].set(height - radius)  # so far that no leg hits the ball
         under = position + centres(belief, spread, height, AHEAD)
-        first = Stage("away.3-4", 1.0, {leg: under[leg - 1] for leg in MIDDLE}, CYCLE_B, 2 * step.height,
-                      position=position, rates=STILL)  # fmt: skip
+        first = Stage("away.3-4", 1.0, {leg: under[leg - 1] for leg in PAIRS["middle"]}, CYCLE_B, 2 * step.height,
+                      position=position, rates=EASED)  # fmt: skip
         ready, walk = walk_away(belief, step, position, spread, height, self.away, AHEAD)
         # regripped: footholds that go over within `ease` do not go with a base that is rezeroed at once, and it hops
         how = {"foot_frames": (koenig(0),) * 6, "base_frame": koenig(0), "support": (STAYS,), "onset": REGRIP}

@@ -7,7 +7,6 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from sweep.controllers.ball_state import centre_of_mass, measured_stance
-from sweep.controllers.manoeuvres.balancing.beside_ball import Pose, centre, pitch
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import Plan, Stance, swings
 from sweep.controllers.tracker import Guidance, TrackerState
@@ -15,7 +14,7 @@ from sweep.core.constants import GRAVITY
 from sweep.core.rotations import exponential, logarithm, rotate
 from sweep.formulas.ball import ROLLING, climbing_rate
 from sweep.models.case import Case
-from sweep.models.obstacles.ball import Ball
+from sweep.models.obstacles.ball import Ball, nose_up, tangent
 from sweep.models.robot import total_mass
 
 RIDE, UP = "ride.", "up"
@@ -68,14 +67,15 @@ class Ride(NamedTuple):
         lean = jnp.where(state.stage > _first(plan), lean, 0.0)
         aside = memory.aside + jnp.minimum(1.0, period / LAG) * (lean - memory.aside)
         memory = RideMemory(elevation, distance, memory.ahead + forward * period, aside, memory.time + period)
-        pose = Pose(jnp.degrees(elevation), distance / ball.radius, memory.ahead / ball.radius)
-        round_ = about_aside(pitch(pose) + memory.ahead / distance)
+        pose = jnp.degrees(elevation), distance / ball.radius, memory.ahead / ball.radius
+        down = -nose_up(ball, 1.0, *pose)
+        round_ = about_aside(down + memory.ahead / distance)
         swing, phase = plan.swing[state.stage][:, None], state.clock / plan.duration[state.stage]
         goal = jnp.where(swing, rotate(round_[None], plan.foothold[state.stage]), state.feet)
         goal = jnp.where(phase < 1, goal, state.goal)  # late feet stay, or they would meet those ahead of them
         feet = swings(plan, state.stage, jnp.clip(phase, 0.0, 1.0), state.feet, goal)
-        position = centre(ball, pose).at[1].set(aside)
-        return Guidance(Stance(feet, position, about_aside(pitch(pose))), goal, memory)
+        position = tangent(ball, 1.0, 1.0, 0.0, *pose).at[1].set(aside)
+        return Guidance(Stance(feet, position, about_aside(down)), goal, memory)
 
     def rate(self, belief: Case, seen: Observation) -> Float[Array, ""]:
         """(3.1.16), rad/s, of the mass centre where it is measured; none beyond the top."""

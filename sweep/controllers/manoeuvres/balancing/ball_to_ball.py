@@ -14,18 +14,19 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from sweep.controllers.ball_state import centre_of_mass
-from sweep.controllers.manoeuvres.balancing.ball import BallDrive, DriveMemory, OnBall, on_ball, perch
+from sweep.controllers.manoeuvres.balancing.ball import BallDrive, DriveMemory, OnBall, on_ball, perch, terms
 from sweep.controllers.manoeuvres.balancing.ball_descend import BallDescend
 from sweep.controllers.manoeuvres.balancing.ball_ride import about_aside
 from sweep.controllers.manoeuvres.balancing.beside_ball import CALM
-from sweep.controllers.manoeuvres.balancing.by_pairs import Move, Place, Way
 from sweep.controllers.manoeuvres.balancing.parts import InParts, OfBall, has_just_begun
 from sweep.controllers.manoeuvres.goals import UPRIGHT
+from sweep.controllers.moves import stages_of, standing
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import Plan, Stage, Stance, assemble, reference
+from sweep.controllers.plan import Plan, Stage, Stance, assemble, ends, reference
 from sweep.controllers.posture import leg_points
-from sweep.controllers.support import LEVEL, TOGETHER, Support
-from sweep.controllers.tracker import Guidance, Guided, TrackerState, bodies, joint_targets
+from sweep.controllers.refusals import plain, refuse_reach
+from sweep.controllers.support import TOGETHER, Support
+from sweep.controllers.tracker import Guidance, Guided, TrackerState, bodies
 from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import conjugate, rotate
@@ -36,38 +37,6 @@ from sweep.models.obstacles.surface import FreeState
 from sweep.models.obstacles.two_balls import TwoBalls
 
 ROLLS, OVER = "roll", "over."
-
-
-class Table(NamedTuple):
-    """The numbers of the way from ball to ball: the base is told from the first ball, then from the second."""
-
-    first: tuple[Move, ...]
-    second: tuple[Move, ...]
-
-
-TABLE = Table(
-    first=(
-        Move("squat", 0.7, (0.118, 0.256)),
-        Move("middle", 0.76, (0.038, 0.309), "middle", Place(0, 0.126, 0.758), 0.098, (-0.012, 0.399, 1)),
-        Move("front", 0.76, (0, 0.318), "front", Place(0, 0.617, 0.58), 0.114, (-0.605, 0.281, 1)),
-        Move("lean", 0.6, (0.272, 0.226)),
-        Move("rear", 0.76, (0.361, 0.154), "rear", Place(0, -0.121, 0.722), 0.089, (-0.007, 0.491, 1)),
-        Move("middle2", 0.76, (0.266, 0.163), "middle", Place(0, 0.44, 0.713), 0.12, (0.002, 0.512, 1)),
-        Move("front2", 0.76, (0.207, 0.136), "front", Place(1, -0.457, 0.566), 0.445, (0.07, 0.692, 1)),
-        Move("ahead", 2, (0.899, 0.06)),
-        Move("rear2", 0.76, (0.95, 0.06), "rear", Place(0, 0.355, 0.509), 0.12, (-0.016, -0.003, 1)),
-        Move("middle3", 0.76, (0.899, 0.111), "middle", Place(1, -0.592, 0.568), 0.287, (-0.496, 0.803, 1)),
-    ),
-    second=(
-        Move("front3", 0.76, (-1.142, 0.077), "front", Place(1, -0.105, 0.648), 0.149, (1.263, 0.813, 1)),
-        Move("ahead2", 1.2, (-0.641, 0.14)),
-        Move("middle4", 0.76, (-0.62, 0.125), "middle", Place(1, -0.352, 0.701), 0.145, (1.067, 2.063, 1)),
-        Move("front4", 0.76, (-0.682, 0.159), "front", Place(1, 0.342, 0.536), 0.115, (0.134, 1.403, 1)),
-        Move("ahead3", 1.6, (-0.2, 0.12)),
-        Move("rear3", 0.76, (-0.16, 0.15), "rear", Place(1, -0.558, 0.673), 0.145, (1.486, 0.937, 1)),
-        Move("middle5", 0.76, (-0.171, 0.086), "middle", Place(1, -0.035, 0.68), 0.131, (-1.913, 1.59, 1)),
-    ),
-)
 
 
 def apart(balls: TwoBalls, free: FreeState) -> Float[Array, ""]:
@@ -150,7 +119,7 @@ FARTHEST = 0.02  # m, that a stage closes
 
 @parameters
 class BallToBall(OnBall, InParts):
-    """From one ball to another. Stages and their numbers are `TABLE`."""
+    """From one ball to another."""
 
     goal: ClassVar = {**UPRIGHT, "second_ball_speed_max_mps": 0.01}
     kind: str = choice("ball_to_ball", "ball_to_ball")
@@ -176,32 +145,55 @@ class BallToBall(OnBall, InParts):
     needs = (TwoBalls,)
 
     @property
-    def table(self) -> Table:
-        """The numbers of its plan."""
-        return TABLE
+    def own_plan(self) -> str:
+        """The file that holds the plan's numbers."""
+        return "ball_to_ball"
 
-    def plan(self, belief: Case, table: Table | None = None) -> Plan:
+    def plan(self, belief: Case) -> Plan:
         """Roll, go over, calm the second ball.
 
         Raises `InputError` where a foot does not reach, or the mass centre is not between the feet that stand, by plain
         numbers.
         """
-        table, perched = table or self.table, perch(belief, self)
-        numbers = jax.tree.leaves((belief.robot, belief.obstacle, belief.manoeuvre))
-        if all(isinstance(x, float) for x in numbers):
-            with jax.ensure_compile_time_eval():
-                way = BetweenBalls(belief, self)
-                way.over(table)
-                way.refuse(self.spare)
-        down = self.down
+        self.refuse(belief)
+        perched, down = perch(belief, self), self.down
         calm = down.calming.steps_of(perch(belief, down), CALM)
-        off = down.way_down(belief, down.table) if self.finish == "floor" else []
+        off = down.way_down(belief) if self.finish == "floor" else []
         stages = [
             *self.rolling.steps_of(perched, ROLLS),
-            *BetweenBalls(belief, self).over(table),
+            *self.over(belief),
             *OfBall(down, 1).stages([*calm, *off]),
         ]
         return assemble(on_ball(belief, perched), stages, self.patience, ease=self.ease)
+
+    def over(self, belief: Case) -> list[Stage]:
+        """From ball to ball, as if they stood still, touching."""
+        feet = dict(zip(LEGS, perch(belief, self).feet, strict=True))
+        supports = {"free": (Support(),) * 2, "together": (Support(TOGETHER),) * 2}
+        how = terms(belief, belief.robot.body_length, self.deepening, (self.press, self.squeeze), supports)
+        return stages_of("over", how, standing(feet, 0.0, fixed(0)))[0]
+
+    def refuse(self, belief: Case) -> None:
+        """Raise `InputError` where a foot is out of reach, or the mass centre not `spare` m between standing feet.
+
+        At the ends of the stages from ball to ball, by plain numbers.
+        """
+        if not plain(belief.robot, belief.obstacle, self):
+            return
+        touching = replace(belief, obstacle=replace(belief.on(TwoBalls), gap=0.0, offset=0.0))
+        with jax.ensure_compile_time_eval():
+            plan = assemble(on_ball(touching, perch(touching, self)), self.over(touching), 0.0)
+            last = ends(plan, touching.on(TwoBalls).start())
+            ahead = jax.vmap(lambda stance: centre_of_mass(belief.robot, stance)[0])(last)
+            stands = jnp.where(plan.swing, jnp.nan, last.feet[:, :, 0])
+            inside = np.asarray(jnp.minimum(ahead - jnp.nanmin(stands, axis=1), jnp.nanmax(stands, axis=1) - ahead))
+        stances = {f"at the end of stage {name}": Stance(*(x[k] for x in last)) for k, name in enumerate(plan.names)}
+        refuse_reach(belief, lambda: stances, f"{self.kind}: ")
+        if not inside.min() >= self.spare:
+            raise InputError(
+                f"{self.kind}: the mass centre is {inside.min():.3f} m between the feet that stand in stage "
+                f"{plan.names[inside.argmin()]}: at least manoeuvre.spare = {self.spare:g}"
+            )
 
     @property
     def rolling(self) -> BallDrive:
@@ -221,69 +213,3 @@ class BallToBall(OnBall, InParts):
             OVER: Closing(self.closing, self.straight),
             **{name: OfBall(law, 1) for name, law in self.down.parts.items()},
         }
-
-
-class BetweenBalls(Way):
-    """From the first ball to the second, as if they stood still, touching."""
-
-    def __init__(self, belief: Case, how: "BallToBall"):
-        super().__init__(belief, how)
-        self.belief = belief
-        self.frames = dict.fromkeys(LEGS, fixed(0))
-        self.feet = perch(belief, how).feet  # from the first ball's centre (m)
-        self.checked: list[Checked] = []
-
-    def above(self, height: Array | float) -> Array | float:
-        """From a ball's top."""
-        return self.obstacle.radius + height * self.length
-
-    def ashore(self, leg: int, place: Place) -> Float[Array, " 3"]:
-        """There is no ledge."""
-        raise AssertionError
-
-    def supports(self) -> tuple[Support, ...]:
-        """The balls are meant to roll together while feet stand on both."""
-        both = {fixed(0), fixed(1)} <= set(self.frames.values())
-        return (Support(TOGETHER) if both else Support(),) * 2
-
-    def stage(self, move: Move, prefix: str = "") -> Stage:
-        """Of a move; what is to be checked of its end is kept."""
-        stage = super().stage(move, prefix)
-        between = 2 * self.obstacle.radius * jnp.array([1.0, 0.0, 0.0])
-        for leg, foothold in stage.swing.items():
-            self.feet = self.feet.at[leg - 1].set(foothold + move.place.on * between)
-        assert stage.position is not None
-        stance = Stance(self.feet, stage.position + self.ball * between, jnp.asarray(LEVEL))
-        swings = np.array([leg in stage.swing for leg in LEGS])
-        ahead = centre_of_mass(self.belief.robot, stance)[0]
-        stands = jnp.where(swings, jnp.nan, self.feet[:, 0])
-        inside = jnp.minimum(ahead - jnp.nanmin(stands), jnp.nanmax(stands) - ahead)
-        self.checked.append(Checked(stage.name, joint_targets(self.belief.robot, stance)[1], inside))
-        return stage
-
-    def over(self, table: Table) -> list[Stage]:
-        """From ball to ball."""
-        stages = [self.stage(move, OVER) for move in table.first]
-        self.ball = 1
-        return stages + [self.stage(move, OVER) for move in table.second]
-
-    def refuse(self, spare: Array | float) -> None:
-        """Raise `InputError` where a foot is out of reach, or the mass centre not `spare` m between standing feet."""
-        kind = self.belief.manoeuvre.kind
-        for name, shortfall, inside in self.checked:
-            if not (most := float(jnp.max(shortfall))) <= 0:
-                leg = int(jnp.argmax(shortfall)) + 1
-                raise InputError(f"{kind}: foot {leg} is {most:.3f} m out of reach at the end of stage {name}")
-            if not (left := float(inside)) >= spare:
-                raise InputError(
-                    f"{kind}: the mass centre is {left:.3f} m between the feet that stand in stage {name}: "
-                    f"at least manoeuvre.spare = {spare:g}"
-                )
-
-
-class Checked(NamedTuple):
-    """Of the end of a stage."""
-
-    name: str
-    shortfall: Float[Array, " 6"]  # m, of each foot's reach
-    inside: Float[Array, ""]  # m, of the mass centre between the feet that stand, along the way

@@ -26,7 +26,6 @@ from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
 from sweep.models.obstacles.charts import point
 from sweep.models.obstacles.corner import Corner
-from sweep.models.plan_table import tabled
 
 BELOW = 0.029  # a_r, of the front feet under the edge when the first event begins
 MOST_RISE = 0.28  # a_r, of a cycle of the gallop; from 0.35 on front and middle legs cross
@@ -125,7 +124,7 @@ def walk_on(site: CornerSite, belief: Case, steps: int, way: Array | float) -> l
     farther on middle feet would meet the front legs.
     """
     top, stages = belief.on(Corner).height, []
-    *_, last = moves(tabled(belief), "roof").values()
+    *_, last = moves(belief, "roof").values()
     base = on_house(site, belief).base(last.base, last.path)[0][1]
     for k in range(steps):
         on = way if k >= len(TRIPOD) else 0.0

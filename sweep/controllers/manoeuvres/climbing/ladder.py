@@ -26,7 +26,6 @@ from sweep.models.case import Case
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.charts import charts, point
 from sweep.models.obstacles.ladder import Ladder
-from sweep.models.plan_table import tabled
 from sweep.models.robot import total_mass
 
 GAP = 0.15  # leg units, that the base still has to go when the feet take their places before the ladder
@@ -94,7 +93,7 @@ class LadderClimb(PlannedForces):
         if not plain(robot, ladder, contact, self):
             return
         ladder.check()
-        places = [place for move in moves(tabled(belief), "climb").values() for place in move.feet.values() if place]
+        places = [place for move in moves(belief, "climb").values() for place in move.feet.values() if place]
         needs = max(int(place["rung"][0]) for place in places if "rung" in place)
         if ladder.rungs < needs:
             raise InputError(f"obstacle.rungs = {ladder.rungs} is not allowed: the way up needs {needs}")
