@@ -33,9 +33,10 @@ def _nominal_plan(belief: Case, _: np.dtype) -> Plan:
     """For JAX's float type of the moment.
 
     The compiler has the belief as constants and works most of the plan out itself, sooner than operation by operation.
+    It need not make what it runs once fast.
     """
     with part("nominal plan"):
-        plan = jax.jit(lambda: belief.manoeuvre.plan(belief))()
+        plan = jax.jit(lambda: belief.manoeuvre.plan(belief), compiler_options={"xla_backend_optimization_level": 0})()
     if not all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(plan)):
         kinds = f"manoeuvre = {belief.manoeuvre.kind} on obstacle = {belief.obstacle.kind}"
         raise InputError(f"{kinds} has no plan for the sizes given: a foothold or a path is out of the robot's reach")

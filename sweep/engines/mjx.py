@@ -1,7 +1,7 @@
 """The primary engine: controller, physics and metrics of a tick in one program, by this package's compiler or XLA."""
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -246,25 +246,31 @@ class Mjx:
             batch, started = planning.begun(pool, self._plan, self._stand, arrays, many, self._searches, self._by_host)
             plans, carry = devices.split(batch, self._mesh)
             if self._by_host:
+                again = self._begin_again(pool, arrays, batch, on_devices)
                 with part("closed loop"):
                     chunked = fused(self._ticks(quiet), *of_one(arrays, batch))
-            else:
-                make = self._fused_chunk if self.fused else self._chunk
-                chunk = make(arrays, batch, quiet, kept, watch)
-                chunk = on_devices(chunk, in_specs=(*specs, split, split, whole, split), out_specs=recorded)
-                options = launch.OPTIONS if self.fused else None
-                go_on = jax.jit(chunk, donate_argnums=3, compiler_options=options)
-                chunked = pool.submit(go_on.lower(world, belief, plans, carry, 0, kept).compile)
+                finished = self._compile_finish(arrays, batch, on_devices)
+                return *started(), chunked, finished, again and again.result()
+            make = self._fused_chunk if self.fused else self._chunk
+            chunk = make(arrays, batch, quiet, kept, watch)
+            chunk = on_devices(chunk, in_specs=(*specs, split, split, whole, split), out_specs=recorded)
+            options = launch.OPTIONS if self.fused else None
+            go_on = jax.jit(chunk, donate_argnums=3, compiler_options=options)
+            chunked = pool.submit(go_on.lower(world, belief, plans, carry, 0, kept).compile)
             finished = self._compile_finish(arrays, batch, on_devices)
-            if not isinstance(chunked, Code):
-                return *started(), chunked.result(), finished
-            if self._nominal[0].control.replan == "never":
-                return *started(), chunked, finished
-            again = on_devices(_with_new_plan(axes[1]), in_specs=(specs[1], split, split), out_specs=split)
-            again = jax.jit(again, compiler_options=devices.plan_options(forces=False))
-            with part("new plan"):
-                replanned = again.lower(belief, plans, carry).compile()
-            return *started(), chunked, finished, replanned
+            return *started(), chunked.result(), finished
+
+    def _begin_again(
+        self, pool: Executor, arrays: tuple[Case, Case, Array], batch: Any, on_devices: Callable[..., Callable]
+    ) -> Future[Compiled] | None:
+        """Begins to compile what plans again, if anything does."""
+        if self._nominal[0].control.replan == "never":
+            return None
+        belief, split = arrays[1], PartitionSpec(devices.BATCH)
+        again = _with_new_plan(devices.axes(belief))
+        again = on_devices(again, in_specs=(devices.specs(belief), split, split), out_specs=split)
+        again = jax.jit(again, compiler_options=devices.plan_options(forces=False))
+        return planning.compiling(pool, "new plan", again.lower(belief, *devices.split(batch, self._mesh)))
 
     def _compile_finish(
         self, arrays: tuple[Case, Case, Array], batch: Any, on_devices: Callable[..., Callable]

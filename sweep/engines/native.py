@@ -330,6 +330,10 @@ class Native:
         with ThreadPoolExecutor() as pool:
             batch, started = planning.begun(pool, plan, stand, arrays, many, self._searches, by_host)
             plans, (between, _) = batch
+            again = None
+            if self._nominal.control.replan != "never":
+                again = jax.jit(jax.vmap(with_new_plan, in_axes=(axes[1], 0, 0)))
+                again = planning.compiling(pool, "new plan", again.lower(belief, plans, between.loop))
             with part("closed loop"):
                 if self.fused:
                     ticks = kernel.compiled(tick, *fused_loop.of_one(arrays, (plans, between)))
@@ -345,11 +349,7 @@ class Native:
                 (one, _, of_it), last = fused_loop.of_one(arrays, (plans, between))
                 given = one, of_it, last.loop
                 finished = fused_loop.compiled_once(finish, given, finish_by_xla) if by_host else finish_by_xla()
-            if self._nominal.control.replan == "never":
-                return *started(), ticks, finished
-            with part("new plan"):
-                again = jax.jit(jax.vmap(with_new_plan, in_axes=(axes[1], 0, 0))).lower(belief, plans, between.loop)
-                return *started(), ticks, finished, again.compile()
+            return *started(), ticks, finished, again and again.result()
 
     def _acted(
         self, world: Case, belief: Case, plan: Plan, loop: ClosedLoop, steps: Steps, tick: Array, quiet: bool

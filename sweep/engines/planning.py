@@ -6,7 +6,7 @@ begins with their forces.
 """
 
 from collections.abc import Callable
-from concurrent.futures import Executor
+from concurrent.futures import Executor, Future
 from contextlib import suppress
 from functools import cache, partial
 from typing import Any, NamedTuple
@@ -69,12 +69,7 @@ class Lowered(NamedTuple):
 
     def compiled(self, pool: Executor) -> Callable[[], Parts]:
         """Begins to compile; what it gives waits until that is done, for the parts of `Planning`."""
-
-        def compiled(program: jax.stages.Lowered) -> Compiled:
-            with part("plan"):
-                return program.compile(self.options)
-
-        begun = [pool.submit(compiled, program) for program in self.programs]
+        begun = [compiling(pool, "plan", program, self.options) for program in self.programs]
 
         def parts() -> Parts:
             search = self.search and self.search()
@@ -82,6 +77,18 @@ class Lowered(NamedTuple):
             return before, search, after[0] if after else None, None
 
         return parts
+
+
+def compiling(
+    pool: Executor, name: str, program: jax.stages.Lowered, options: dict[str, Any] | None = None
+) -> Future[Compiled]:
+    """XLA compiles a program, told as the part `name`, while Python goes on."""
+
+    def compiled() -> Compiled:
+        with part(name):
+            return program.compile(options)
+
+    return pool.submit(compiled)
 
 
 def begun(

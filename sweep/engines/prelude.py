@@ -6,7 +6,7 @@ that joint angles follow from the true sizes. `bench/calibration.py` compares th
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from sweep.controllers import calibration, touch
 from sweep.controllers.calibration import HEIGHT, MOVES, Ground, Measured
@@ -35,7 +35,7 @@ def prepared(world: Case, belief: Case, key: Array) -> tuple[Case, Plan, Learned
     seen = measured(world, start_state(world, belief, plan), key)
     learned = Learned(None, None, None)
     if control.calibrate != "none":
-        calibrated = calibration.estimate(control, belief.noise, belief.robot, _ground(belief, plan), seen)
+        calibrated = calibration.estimate(control, belief.noise, belief.robot, _ground(belief, plan.start), seen)
         learned = learned._replace(calibrated=calibrated)
     if control.touch != "none":
         nothing = touch.untouched(control, belief.obstacle)
@@ -68,22 +68,28 @@ def check(world: Case, belief: Case, plan: Plan) -> None:
         raise InputError(f"control.replan = {control.replan} is not allowed: it needs control.touch = obstacle")
     if world.control.calibrate == "none":
         return
-    feet, surface = plan.start.feet, _under(belief, plan)
-    down = feet + surface.depth[:, None] * surface.normal
-    even = jnp.abs((down - down[0]) @ surface.normal[0]) < LEVEL
-    if not bool(jnp.all(even & (jnp.abs(surface.depth) < LEVEL) & (surface.body < 0))):
+    if not bool(_starts_level(belief, plan.start)):
         kinds = f"manoeuvre = {belief.manoeuvre.kind} on obstacle = {belief.obstacle.kind}"
         asked = f"control.calibrate = {world.control.calibrate} is not allowed"
         raise InputError(f"{asked}: {kinds} does not start with all feet on the floor")
 
 
-def _under(belief: Case, plan: Plan) -> Surface:
+@jax.jit
+def _starts_level(belief: Case, start: Stance) -> Bool[Array, ""]:
+    """Whether all feet start on one plane that no body carries."""
+    feet, surface = start.feet, _under(belief, start)
+    down = feet + surface.depth[:, None] * surface.normal
+    even = jnp.abs((down - down[0]) @ surface.normal[0]) < LEVEL
+    return jnp.all(even & (jnp.abs(surface.depth) < LEVEL) & (surface.body < 0))
+
+
+def _under(belief: Case, start: Stance) -> Surface:
     """What is believed to be under the feet at the start."""
-    return under(belief.obstacle, plan.start.feet, poses(free_start(belief.obstacle)))
+    return under(belief.obstacle, start.feet, poses(free_start(belief.obstacle)))
 
 
-def _ground(belief: Case, plan: Plan) -> Ground:
-    surface, foot = _under(belief, plan), plan.start.feet[0]
+def _ground(belief: Case, start: Stance) -> Ground:
+    surface, foot = _under(belief, start), start.feet[0]
     normal = surface.normal[0]
     point = foot + surface.depth[0] * normal
     return Ground(point, normal, (jnp.abs(point[2]) > FLAT) | (normal[2] < 1 - FLAT))
