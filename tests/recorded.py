@@ -19,7 +19,7 @@ from sweep.controllers.forces import PlannedForces
 from sweep.core.errors import InputError
 from sweep.models.case import Case
 from sweep.study.config import compose
-from sweep.study.study import assign
+from sweep.systems.hexapod import assign
 
 FOLDER = Path(__file__).parent / "data" / "plans"
 DRAWS = 4

@@ -17,6 +17,7 @@ BELOW_RUNS = (
     "controllers",
     "metrics",
     "engines",
+    "systems",
     "study",
     "analysis",
 )
@@ -34,6 +35,16 @@ FILES_BELOW_RUNS = {
     "sweep.engines.program_cache",
     "sweep.study.config",
     "sweep.study.study",
+}
+
+
+# of a system, what every one of them has: engines' protocol, settings and devices, and the choice among systems
+CONTRACT = {
+    "sweep.systems",
+    "sweep.systems.base",
+    "sweep.engines.base",
+    "sweep.engines.settings",
+    "sweep.engines.devices",
 }
 
 
@@ -80,6 +91,16 @@ def test_no_module_needs_itself():
 def test_every_module_has_a_room():
     beside = {name for name in MODULES if not room(name)}
     assert beside == {"sweep", "sweep.api"}
+
+
+@pytest.mark.parametrize("place", ["study", "analysis", "runs", "report"])
+def test_studies_know_systems_by_their_contract(place):
+    """Nothing of a robot, its physics or its judge: another system needs no change here."""
+    own = {
+        name for name in MODULES if room(name) in ("models", "dynamics", "controllers", "metrics", "engines", "systems")
+    }
+    mine = [name for name in MODULES if room(name) == place]
+    assert not [(name, other) for name in mine for other in ARROWS[name] & (own - CONTRACT)]
 
 
 def test_only_engines_and_what_is_below_know_jax():

@@ -5,6 +5,7 @@ from fake_engine import FakeEngine
 from sweep.cli.main import main
 from sweep.report import page
 from sweep.runs import audit, results, store
+from sweep.systems.hexapod import WAYS
 
 STUDY = ["run", "study=walk_map", "study.axes.friction.num=21", "study.axes.step.num=18", "study.expect=[]"]
 
@@ -52,7 +53,7 @@ def test_flips_tell_how_far_the_boundary_moves(fake_engine, tmp_path, capsys):
     assert elsewhere["flips"].max() > 5
     table = every[every["drawn"] == "next to the boundary"].set_index("simulated")
     assert (table["rollouts"] == near.sum()).all()
-    moved = {audit.WAYS[way][0]: shift for way, shift in
+    moved = {WAYS[way].words: shift for way, shift in
              (("again", 0), ("half_step", 0.03), ("float64", 0.005), ("other_engine", 0))}  # fmt: skip
     for name, shift in moved.items():
         assert table.loc[name, "flips"] == ((friction < needed) & (friction + shift >= needed) & near).sum(), name

@@ -21,7 +21,7 @@ def table_of(nominal):
 
     def build(axes, **keys):
         study = parse(nominal, axes, **keys)
-        return points(study, nominal.case, nominal.settings)
+        return points(study, nominal.system, nominal.settings)
 
     return build
 

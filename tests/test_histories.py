@@ -10,7 +10,7 @@ from small_study import STUDY, content, one_line
 
 import sweep
 from sweep.cli.main import main
-from sweep.engines.states import Watch
+from sweep.engines.base import Watch
 from sweep.report import overlay
 from sweep.runs import histories, manifest, results, store
 from sweep.runs.batches import batch, make_engine, nominal, plan

@@ -9,7 +9,7 @@ from sweep.core.errors import InputError
 from sweep.models.obstacles.charts import charts
 from sweep.models.plan_table import differences, numbers, shipped, tabled
 from sweep.study.config import compose
-from sweep.study.study import nominal, parameter, points, world_and_belief
+from sweep.study.study import points
 
 ROOF = ["scenario=corner_roof"]
 AHEAD = "plan.roof.front.on.front.ahead"
@@ -29,14 +29,14 @@ def lab(tmp_path, monkeypatch):
 def test_a_number_that_varies_moves_its_foothold_and_is_traced():
     exp = compose(ROOF)
     unit = (exp.case.robot.thigh + exp.case.robot.shin) * 1.05 / 0.855
-    start, by = nominal(AHEAD, exp.case, exp.settings), 0.03
+    start, by = exp.system.nominal(AHEAD, exp.settings), 0.03
 
     @jax.jit
     def foothold(belief):
         _, _, stages = belief.manoeuvre.ascend(belief)
         return next(s.swing[5] for s in stages if s.name == "roof.front.on")
 
-    moved = [foothold(world_and_belief(exp.case, {f"belief.{AHEAD}": value})[1]) for value in (start, start + by)]
+    moved = [foothold(exp.system.sides({f"belief.{AHEAD}": value})[1]) for value in (start, start + by)]
     assert foothold._cache_size() == 1
     np.testing.assert_allclose(moved[1] - moved[0], [0, -by * unit, 0], atol=1e-6)
 
@@ -52,7 +52,7 @@ def test_a_plan_of_a_project_changes_what_it_says_and_keeps_the_rest(lab):
 def test_rows_have_the_ids_of_their_numbers_whatever_file_they_are_in(lab):
     def ids(*more):
         exp = compose([*ROOF, *more])
-        return points(exp.study, exp.case, exp.settings)["point_id"].tolist()
+        return points(exp.study, exp.system, exp.settings)["point_id"].tolist()
 
     axis = "+study.axes.a={path: plan.roof.pitch.base.pitch, values: [48.8, 45]}"
     assert ids() == ids("plan=corner_roof") == ids(axis)[:1]
@@ -85,9 +85,9 @@ def test_mistakes_in_a_file_are_told_in_one_line(lab, text, told):
 def test_what_has_no_file_or_no_such_number_is_refused(capsys):
     exp = compose(ROOF)
     with pytest.raises(InputError, match=r"did you mean roof\.pitch\.base\.ahead"):
-        parameter("plan.roof.pitch.base.ahed", exp.case, exp.settings)
+        exp.system.parameter("plan.roof.pitch.base.ahed", exp.settings)
     with pytest.raises(InputError, match="made of what is believed"):
-        parameter(f"world.{AHEAD}", exp.case, exp.settings)
+        exp.system.parameter(f"world.{AHEAD}", exp.settings)
     assert main(["run", "scenario=walk_tripod", "plan=pole", "--dry-run"]) == 2
     assert "manoeuvre.kind = walk has its numbers in no file" in capsys.readouterr().err
 

@@ -27,7 +27,7 @@ def study(nominal):
 
     def build(axes, succeeds, **keys):
         chosen = Study.parse({**nominal.values["study"], "axes": axes, **keys}, single=False)
-        table = points(chosen, nominal.case, nominal.settings)
+        table = points(chosen, nominal.system, nominal.settings)
         outcome = np.where(succeeds(table), "success", "failure")
         return replace(nominal, study=chosen), table.assign(outcome=outcome)
 

@@ -5,7 +5,7 @@ import pytest
 from sweep.cli.main import main
 from sweep.core.expressions import mask
 from sweep.core.parameters import InputError
-from sweep.runs.batches import batch, nominal, plan, with_room_for_delay
+from sweep.runs.batches import batch, nominal, plan, with_room
 from sweep.runs.runner import wanted_points
 from sweep.study.config import compose
 from sweep.study.designs import parse_axes
@@ -17,7 +17,7 @@ FRICTION = "+study.axes.f={path: contact.friction, side: world, values: [0.5, 1.
 
 def table_of(*overrides):
     exp = compose(list(overrides))
-    return exp, points(exp.study, exp.case, exp.settings)
+    return exp, points(exp.study, exp.system, exp.settings)
 
 
 def test_a_world_axis_never_reaches_the_belief():
@@ -62,7 +62,7 @@ def test_points_that_are_left_out_are_counted(tmp_path, capsys):
     values = "+study.axes.f={path: contact.friction, values: [1.0, 1.00000000000001, 1.0, 2.0, 1e-300, 2e-300]}"
     said = []
     exp = compose([values, "study.name=x"])
-    table = points(exp.study, exp.case, exp.settings, say=said.append)
+    table = points(exp.study, exp.system, exp.settings, say=said.append)
     assert table["contact.friction"].tolist() == [1.0, 2.0, 1e-300, 2e-300]
     assert said == ["2 of 6 rollouts are left out: equal to others in 12 digits"]
     (tmp_path / "p.csv").write_text("contact.friction\n1.0\n1.0\n2.0\n")
@@ -70,7 +70,7 @@ def test_points_that_are_left_out_are_counted(tmp_path, capsys):
     assert "1 of 3 rollouts are left out" in capsys.readouterr().err
     arms = [f"+study.axes.{name}={{path: robot.{name}, values: [0.3, 0.4]}}" for name in ("shin", "thigh")]
     exp = compose([*arms, "study.design.grid=one_at_a_time", "study.name=x"])
-    points(exp.study, exp.case, exp.settings, say=pytest.fail)
+    points(exp.study, exp.system, exp.settings, say=pytest.fail)
 
 
 ABSURD = [
@@ -100,7 +100,7 @@ def test_an_absurd_condition_is_one_short_line(where):
 def test_a_study_that_is_too_large_is_refused_before_it_is_built(overrides):
     exp = compose([*overrides, "study.name=x"])
     with pytest.raises(InputError, match="rollouts: at most 20000000"):
-        points(exp.study, exp.case, exp.settings)
+        points(exp.study, exp.system, exp.settings)
 
 
 def test_extending_a_study_keeps_membership_and_slots():
@@ -114,10 +114,10 @@ def test_extending_a_study_keeps_membership_and_slots():
 
 def test_the_delay_buffer_has_room_for_the_longest_delay():
     exp, table = table_of("+study.axes.d={path: noise.delay, side: world, values: [0.0, 2.5]}")
-    assert with_room_for_delay(exp, table).case.noise.delay_buffer == 3
+    assert with_room(exp, table).case.noise.delay_buffer == 3
     columns = "world.noise.delay", "world.noise.load_delay"
     table = pd.DataFrame([(0.0, 7.0), (5.0, 0.0), (4.0, 4.0)], columns=columns)
-    assert with_room_for_delay(exp, table).case.noise.delay_buffer == 8
+    assert with_room(exp, table).case.noise.delay_buffer == 8
 
 
 def test_points_from_a_file_take_the_place_of_the_grid(tmp_path):

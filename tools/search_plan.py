@@ -41,7 +41,7 @@ from sweep.models.obstacles.ball import Ball
 from sweep.models.obstacles.charts import charts
 from sweep.models.plan_table import PlanTable, numbers
 from sweep.study.config import Experiment, compose
-from sweep.study.study import is_static, parameter_columns, points, world_and_belief
+from sweep.study.study import is_static, parameter_columns, points
 
 Table = Any
 # what is aimed at if not told; what has no aim counts for nothing
@@ -132,12 +132,12 @@ def file_of(case: Case, table: Table, head: Sequence[str]) -> str:
 
 def draws(exp: Experiment, seed: int) -> Case:
     """What is believed in the points of the experiment's study, as arrays over them; without a study one nominal."""
-    table = points(replace(exp.study, seed=seed), exp.case, exp.settings)
+    table = points(replace(exp.study, seed=seed), exp.system, exp.settings)
     columns = parameter_columns(table)
     for column in columns:
-        if is_static(column, exp.case, exp.settings):
+        if is_static(column, exp.system, exp.settings):
             raise InputError(f"axis {column} cannot be drawn for a plan: it changes its stages")
-    _, belief = world_and_belief(exp.case, {c: table[c].to_numpy(float) for c in columns})
+    _, belief = exp.system.sides({c: table[c].to_numpy(float) for c in columns})
     return jax.tree.map(lambda x: jnp.broadcast_to(jnp.asarray(x, float), (len(table),)), belief)
 
 

@@ -1,22 +1,14 @@
 """What may be pooled: copies of a rollout are no evidence, and only a sample of something has an interval."""
 
 import dataclasses
-from operator import attrgetter
 
 import numpy as np
 import pandas as pd
 
 from sweep.analysis import sensitivity
 from sweep.analysis.stats import Rate, rate
-from sweep.controllers.observation import Noise
 from sweep.study.config import Experiment
 from sweep.study.study import parameter_columns
-
-# what draws errors in a rollout, and what it is where it draws none
-RANDOM: dict[str, float | str] = {
-    f"noise.{f.name}": 0 for f in dataclasses.fields(Noise) if f.name.endswith(("_noise", "_bias"))
-}
-RANDOM["control.calibrate"] = "none"
 
 
 def some(number: int, most: int) -> np.ndarray:
@@ -30,9 +22,9 @@ def copies(rows: pd.DataFrame, exp: Experiment) -> np.ndarray:
     if exp.study.replicates < 2:
         return np.zeros(len(rows), dtype=bool)
     random = np.zeros(len(rows), dtype=bool)
-    for path, none in RANDOM.items():
+    for path, none in exp.system.random.items():
         column = next((c for c in (f"world.{path}", path) if c in rows), None)
-        random |= (rows[column] if column else attrgetter(path)(exp.case)) != none
+        random |= (rows[column] if column else exp.system.nominal(path, exp.settings)) != none
     points = rows[parameter_columns(rows)].assign(draw=rows["replicate"] // exp.study.replicates)
     return points.duplicated().to_numpy() & ~random
 

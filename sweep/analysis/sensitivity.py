@@ -19,7 +19,6 @@ from sweep.core.errors import InputError
 from sweep.core.expressions import column
 from sweep.study.config import Experiment
 from sweep.study.designs import INNER, LEVELS, Axis, shares_of
-from sweep.study.study import nominal
 
 GOODNESS_TRIALS = 10  # at every value, for a test of how well a fit follows the rates
 
@@ -110,7 +109,7 @@ def arms(rows: pd.DataFrame, exp: Experiment) -> Iterator[tuple[Axis, float, pd.
     An axis that goes along with another is not looked at on its own.
     """
     axes = listed(rows, exp)
-    centre = {a.column: a.nominal_number(lambda path: nominal(path, exp.case, exp.settings)) for a in axes}
+    centre = {a.column: a.nominal_number(lambda path: exp.system.nominal(path, exp.settings)) for a in axes}
     near = {}
     for axis in axes:
         values = rows[axis.column]

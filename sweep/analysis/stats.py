@@ -1,6 +1,6 @@
 """How often rollouts succeed, and how sure that is."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike
 from sweep.analysis.intervals import Interval, wilson
 from sweep.core.errors import InputError
 from sweep.core.expressions import mask
-from sweep.metrics.outcome import MEANING
 from sweep.study.study import Expectation
 
 
@@ -78,10 +77,10 @@ def rates(
     return table.assign(valid=valid, share=table["success"] / valid.where(valid > 0), low=low, high=high)
 
 
-def causes(cause: pd.Series) -> list[str]:
+def causes(cause: pd.Series, meanings: Mapping[str, str]) -> list[str]:
     """A line for each cause in a column of them, the most frequent first: how many rollouts, and what it means."""
     counts = cause[cause != ""].value_counts()
-    return [f"{number} {name}: {MEANING[str(name)]}" for name, number in counts.items()]
+    return [f"{number} {name}: {meanings[str(name)]}" for name, number in counts.items()]
 
 
 def broken(expectations: tuple[Expectation, ...], rows: pd.DataFrame) -> list[str]:

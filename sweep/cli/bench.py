@@ -14,7 +14,7 @@ from sweep.engines import batching, make, program_cache
 from sweep.engines.settings import EngineSettings
 from sweep.metrics.outcome import Thresholds
 from sweep.models.case import Case
-from sweep.study.study import assign
+from sweep.systems.hexapod import assign
 
 MOST_NATIVE = 128  # rollouts for the row of C MuJoCo, the slowest
 

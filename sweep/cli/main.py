@@ -295,14 +295,15 @@ def status(given: argparse.Namespace) -> int:
     """Planned, done, and how it went so far."""
     from sweep.analysis.stats import causes
     from sweep.runs import store
+    from sweep.study.config import experiment
 
     stored, planned = store.read_study(given.dir), store.read_points(given.dir)
     done = planned["batch"].isin(store.finished(given.dir)).sum() if len(planned) else 0
     print(f"{given.dir}: {done} of {stored['rollouts']} rollouts done, code {stored['commit'] or stored['code']}")
     if done:
-        rows = store.read_rows(given.dir)
+        rows, meanings = store.read_rows(given.dir), experiment(stored["config"]).system.causes
         print(", ".join(f"{number} {outcome}" for outcome, number in rows["outcome"].value_counts().items()))
-        for line in causes(rows["cause"]):
+        for line in causes(rows["cause"], meanings):
             print(f"  {line}")
     return DONE
 

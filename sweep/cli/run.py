@@ -16,7 +16,6 @@ from sweep.analysis.stats import broken, causes, rate
 from sweep.cli.exits import DONE, INVALID, UNEXPECTED
 from sweep.core.errors import InputError
 from sweep.core.waiting import last_time, parts, remember, waiting
-from sweep.engines.run_id import device
 from sweep.report import tables
 from sweep.runs import histories, refine, runner, store
 from sweep.runs.batches import make_engine
@@ -24,7 +23,7 @@ from sweep.runs.batches import nominal as nominal_batch
 from sweep.study import designs
 from sweep.study.clusters import Watched, connected
 from sweep.study.config import Experiment
-from sweep.study.study import nominal, parameter_columns, unit
+from sweep.study.study import parameter_columns, unit
 
 
 @dataclass(frozen=True)
@@ -118,7 +117,8 @@ def verdict(exp: Experiment, rows: pd.DataFrame, complete: bool) -> int:
 def summary(exp: Experiment, rows: pd.DataFrame) -> str:
     """The rate of success, overall and for each named alternative such as an engine; copies are counted once."""
     rows, copies = distinct(rows, exp)
-    lines = [f"{exp.study.name}: {pooled(rows, exp)}", *(f"  {line}" for line in causes(rows["cause"]))]
+    lines = [f"{exp.study.name}: {pooled(rows, exp)}"]
+    lines += [f"  {line}" for line in causes(rows["cause"], exp.system.causes)]
     lines += [f"  {copies}"] if copies else []
     for column in parameter_columns(rows):
         if rows[column].dtype.kind != "f" and rows[column].nunique() > 1:
@@ -162,7 +162,7 @@ def pace(folder: Path, job: runner.Job) -> float | None:
         stored, done = store.read_study(folder), store.counted(folder)
         config, exp = stored["config"], job.exp
         same = (config["scenario"]["name"], config["engine"]["name"]) == (exp.scenario, exp.settings.name)
-        same &= device(exp.settings) in stored["devices"]
+        same &= exp.system.device(exp.settings) in stored["devices"]
         return float(store.read_part(folder, done[-1])["wall_s"].iloc[-1]) if done and same else None
     except (InputError, KeyError):  # damaged, or of an earlier layout
         return None
@@ -176,8 +176,8 @@ def axes_table(exp: Experiment) -> str:
             axis.path or "",
             axis.side if axis.path else "",
             str(axis),
-            unit(axis.path, exp.case, exp.settings) if axis.path else "",
-            nominal(axis.path, exp.case, exp.settings) if axis.path else "",
+            unit(axis.path, exp.system, exp.settings) if axis.path else "",
+            exp.system.nominal(axis.path, exp.settings) if axis.path else "",
         ]
         for axis in exp.study.axes
     ]

@@ -16,7 +16,6 @@ from sweep.core.errors import InputError
 from sweep.core.files import write_whole
 from sweep.core.waiting import waiting
 from sweep.engines.base import Trace
-from sweep.engines.run_id import device, run_id
 from sweep.report import page, replays
 from sweep.report.page.stage import Shown, replays_of
 from sweep.runs import batches, results, runner, store
@@ -135,7 +134,9 @@ def fresh(what: list[str], beside: list[str]) -> tuple[Results, list[Shown]]:
         exp = exp or one
         with waiting(f"simulating {' '.join(overrides)}"):
             (row, trace, labels), *_ = replays.again(one, planned, planned)
-        row = pd.concat([row, pd.Series({**labels, **trace.figures, "run_id": run_id(one.settings), "wall_s": 0.0})])
+        row = pd.concat(
+            [row, pd.Series({**labels, **trace.figures, "run_id": one.system.run_id(one.settings), "wall_s": 0.0})]
+        )
         if not len(trace.time):
             raise InputError(f"{one.scenario} ends at once: {row['cause']}")
         stages[str(len(rows))] = list(trace.stages)
@@ -148,7 +149,7 @@ def fresh(what: list[str], beside: list[str]) -> tuple[Results, list[Shown]]:
         "config": exp.values,
         "rollouts": len(rows),
         "stages": stages,
-        "devices": [device(exp.settings)],
+        "devices": [exp.system.device(exp.settings)],
         **provenance.made_with(),
     }
     table = pd.DataFrame(rows).infer_objects().reset_index(drop=True)

@@ -3,6 +3,7 @@
 Schemas, `sweep list`, completion and a project's folders follow from this table; `Case` has those of a rollout.
 """
 
+from collections.abc import Callable
 from pkgutil import resolve_name
 from typing import Any, NamedTuple
 
@@ -15,6 +16,7 @@ class Group(NamedTuple):
     kinds: bool = False  # whether `kind` chooses among classes
     whole: bool = False  # whether its files speak of the whole configuration
     free: bool = False  # whether its parts are named freely; it may be left out
+    numbers: str = ""  # module:function that tells the numbers of one of its files by path
 
     @property
     def sources(self) -> str:
@@ -22,9 +24,18 @@ class Group(NamedTuple):
         return self.classes.partition(":")[0].partition(".")[2].replace(".", "/")
 
     @property
+    def table(self) -> str:
+        """Name of its class, or of the table of them by kind."""
+        return self.classes.partition(":")[2]
+
+    @property
     def one_class(self) -> bool:
         """Whether one parameter dataclass is its schema."""
         return not (self.kinds or self.whole or self.free)
+
+    def numbers_of(self, file: str, read: Callable[[str], str]) -> dict[str, float]:
+        """The numbers of one of its files by path; `read` gives the text of a file's name."""
+        return resolve_name(self.numbers)(file, read)
 
     def load(self) -> Any:
         """Its parameter dataclass, or the table of them by kind."""
@@ -37,7 +48,9 @@ GROUPS = {
     "robot": Group("sweep.models.robot:Robot", in_case=True),
     "obstacle": Group("sweep.models.obstacles:OBSTACLES", in_case=True, kinds=True),
     "manoeuvre": Group("sweep.controllers.manoeuvres:MANOEUVRES", in_case=True, kinds=True),
-    "plan": Group("sweep.models.plan_table:PlanTable", in_case=True, free=True),
+    "plan": Group(
+        "sweep.models.plan_table:PlanTable", in_case=True, free=True, numbers="sweep.systems.hexapod:plan_numbers"
+    ),
     "drive": Group("sweep.models.drive:Drive", in_case=True),
     "contact": Group("sweep.models.contact:Contact", in_case=True),
     "noise": Group("sweep.models.noise:Noise", in_case=True),

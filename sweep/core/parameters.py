@@ -67,6 +67,14 @@ def build[T](cls: type[T], values: Mapping[str, Any], path: str) -> T:
     return cls(**{key: checked(fields[key], value, f"{path}.{key}") for key, value in values.items()})
 
 
+def of_kind(kinds: Mapping[str, type], values: Mapping[str, Any], path: str) -> Any:
+    """The one of `kinds` that `values` name by their `kind`, made by `build`. Raises `InputError`."""
+    kind: Any = values.get("kind")
+    if kind not in kinds:
+        raise InputError(f"{path}.kind = {kind!r} is unknown{suggest(str(kind), kinds)}")
+    return build(kinds[kind], values, path)
+
+
 def checked(field: "dataclasses.Field[Any]", value: Any, path: str) -> Any:
     """`value`, converted and inside the bounds of `field`; raises `InputError`."""
     role = field.metadata.get("role")

@@ -1,12 +1,9 @@
-"""What every engine offers, and what a traced rollout holds."""
+"""What every engine offers, whatever it simulates, and what a traced rollout holds."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
-
-from sweep.engines.states import Watch
-from sweep.models.case import Case
 
 if TYPE_CHECKING:
     import mujoco
@@ -14,12 +11,20 @@ if TYPE_CHECKING:
 Figures = dict[str, np.ndarray]  # column name (with its unit) -> one number per rollout
 
 
+class Watch(NamedTuple):
+    """What is to be recorded of some rollouts of a batch."""
+
+    columns: tuple[str, ...]
+    every: int  # control ticks
+    most: int  # rollouts that are ever asked for at a time, so that one program serves them all
+
+
 @dataclass(frozen=True)
 class Trace:
     """One rollout, sampled at the end of every control tick, or of one in several. World axes, SI units; F = frames."""
 
-    world: Case  # as it was, plain numbers
-    belief: Case  # as the planner was told
+    world: Any  # as it was, plain numbers
+    belief: Any  # as the planner was told
     model: "mujoco.MjModel"  # the world's model, for drawing
     time: np.ndarray  # (F,)
     qpos: np.ndarray  # (F, nq)
@@ -53,7 +58,7 @@ class Engine(Protocol):
         """Plan, state and figures of a rollout, None where C keeps them; work within a tick takes several times it."""
         ...
 
-    def run(self, world: Case, belief: Case, streams: np.ndarray) -> Figures:
+    def run(self, world: Any, belief: Any, streams: np.ndarray) -> Figures:
         """Figures of `width` rollouts; `streams` (width,) are the numbers folded into the noise key.
 
         Raises `MemoryError` where the device cannot hold the batch.
@@ -61,7 +66,7 @@ class Engine(Protocol):
         ...
 
     def histories(
-        self, world: Case, belief: Case, streams: np.ndarray, slots: np.ndarray, watch: Watch
+        self, world: Any, belief: Any, streams: np.ndarray, slots: np.ndarray, watch: Watch
     ) -> tuple[Figures, np.ndarray]:
         """As `run`, with what is to be watched of the rollouts in `slots` (n,): (samples, n, columns).
 
@@ -70,10 +75,10 @@ class Engine(Protocol):
         """
         ...
 
-    def trace(self, world: Case, belief: Case, streams: np.ndarray, slot: int) -> Trace:
+    def trace(self, world: Any, belief: Any, streams: np.ndarray, slot: int) -> Trace:
         """The rollout in `slot` of a batch, recorded."""
         ...
 
-    def traces(self, world: Case, belief: Case, streams: np.ndarray, every: int) -> list[Trace]:
+    def traces(self, world: Any, belief: Any, streams: np.ndarray, every: int) -> list[Trace]:
         """All rollouts of a batch, recorded at one in `every` ticks; the batch runs once."""
         ...

@@ -13,9 +13,10 @@ from jaxtyping import Array
 from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError
 from sweep.engines import devices
+from sweep.engines.base import Watch
 from sweep.engines.planning import Planning
 from sweep.engines.settings import EngineSettings
-from sweep.engines.states import Watch, offered
+from sweep.engines.states import offered
 from sweep.fused import kernel
 from sweep.fused.arrays import Unsupported
 from sweep.fused.kernel import Kernel, Once, Tiles

@@ -20,7 +20,7 @@ from sweep.dynamics import interface as dynamics
 from sweep.dynamics.free_bodies import resting
 from sweep.dynamics.step import State, rest
 from sweep.engines import batching, devices, fused_loop, physics, planning, program_cache
-from sweep.engines.base import Figures, Trace
+from sweep.engines.base import Figures, Trace, Watch
 from sweep.engines.batch_last import batch_last_vmap
 from sweep.engines.closed_loop import (
     CHUNK,
@@ -38,7 +38,7 @@ from sweep.engines.fused_loop import Fused, of_one
 from sweep.engines.planning import Planning
 from sweep.engines.prelude import check, prepared
 from sweep.engines.settings import EngineSettings
-from sweep.engines.states import Watch, offered
+from sweep.engines.states import offered
 from sweep.fused import launch
 from sweep.fused.kernel import Code, Kernel, Once
 from sweep.fused.kernel import compiled as fused

@@ -21,7 +21,7 @@ from sweep.core.errors import InputError
 from sweep.core.rotations import exponential, multiply
 from sweep.core.waiting import part
 from sweep.engines import batching, devices, fused_loop, planning, program_cache
-from sweep.engines.base import Figures, Trace
+from sweep.engines.base import Figures, Trace, Watch
 from sweep.engines.closed_loop import (
     CHUNK,
     GRACE,
@@ -39,7 +39,7 @@ from sweep.engines.closed_loop import (
 from sweep.engines.planning import Planning
 from sweep.engines.prelude import check, prepared
 from sweep.engines.settings import EngineSettings
-from sweep.engines.states import Watch, offered
+from sweep.engines.states import offered
 from sweep.fused import kernel
 from sweep.fused.kernel import Code, Kernel, Tiles
 from sweep.metrics import stream

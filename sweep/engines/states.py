@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 from sweep.metrics.attitude import from_level
 from sweep.models.case import Case
@@ -10,14 +10,6 @@ from sweep.models.legs import JOINTS, LEGS, N_JOINTS
 
 Record = Mapping[str, Any]  # see `batching.record`; components first, so that what comes after may be rollouts or ticks
 Column = Callable[[Record], Any]
-
-
-class Watch(NamedTuple):
-    """What is to be recorded of some rollouts of a batch."""
-
-    columns: tuple[str, ...]
-    every: int  # control ticks
-    most: int  # rollouts that are ever asked for at a time, so that one program serves them all
 
 
 def offered(world: Case) -> dict[str, Column]:

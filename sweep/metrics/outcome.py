@@ -2,17 +2,17 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from sweep.core.errors import InputError
+from sweep.core.outcomes import FAILURE, INVALID, SUCCESS
 from sweep.core.parameters import parameters
 from sweep.metrics import CAUSES, METRICS, of
 from sweep.metrics.metric import Cause
 from sweep.models.case import Case
 
-SUCCESS, FAILURE, INVALID = "success", "failure", "invalid"
 GOAL = "goal_missed"
 _MEANING = {cause.name: cause.sentence for cause in CAUSES} | {
     GOAL: "the manoeuvre's goal was missed; the column `limit` says which part of it"
@@ -26,6 +26,8 @@ BOOKKEEPING = {f"{cause.name}_{what}" for cause in CAUSES for what in ("time_s",
 
 class Thresholds:
     """When a rollout counts as failed, or as not to be trusted; null is what the manoeuvre's goal says."""
+
+    meanings: ClassVar = {cause.threshold: f"{cause.name}: {cause.sentence}" for cause in CAUSES if cause.threshold}
 
     if TYPE_CHECKING:  # a field for each threshold of a cause
 
@@ -94,12 +96,6 @@ def classify(figures: Mapping[str, np.ndarray], limits: Thresholds, stages: Sequ
         "margin": np.take_along_axis(margins, nearest[None], axis=0)[0],
         "margin_of": names[nearest],
     }
-
-
-def classify_one(figures: Mapping[str, Any], limits: Thresholds, stages: Sequence[str]) -> dict[str, Any]:
-    """The labels of a single rollout, whose figures are plain numbers."""
-    row = {name: np.asarray([value], dtype=float) for name, value in figures.items()}
-    return {name: values[0] for name, values in classify(row, limits, stages).items()}
 
 
 def why(row: Mapping[str, Any], limits: Thresholds) -> str:

@@ -12,8 +12,6 @@ from matplotlib.ticker import MaxNLocator
 from sweep.analysis import compare, sensitivity
 from sweep.analysis.compare import SECOND
 from sweep.analysis.stats import binned, percent, rate, rates
-from sweep.metrics import CAUSES
-from sweep.metrics.outcome import limit_of
 from sweep.report import draws, overlay, slices
 from sweep.report.cells import not_below_zero
 from sweep.report.exhibit import Exhibit
@@ -21,7 +19,6 @@ from sweep.report.labels import axis_words, heading
 from sweep.report.layout import COLUMN, PAGE, legend_below, sheet
 from sweep.report.looks import FAILURE, GOOD, look_of
 from sweep.report.maps import cell
-from sweep.report.tables import BOOKKEEPING
 from sweep.runs import audit
 from sweep.runs.results import Results
 from sweep.study.columns import figure_columns
@@ -174,7 +171,7 @@ def causes(results: Results) -> Iterator[Exhibit]:
         return
     table = pd.crosstab(failed["stage"], failed["cause"])
     stages = [s for s in results.stages if s in table.index] + [s for s in table.index if s not in results.stages]
-    table = table.loc[stages, results.causes_seen]
+    table = table.loc[stages, list(results.causes_seen)]
     caption = "Rollouts that did not succeed, by the stage of the plan in which it happened."
     yield Exhibit("causes", "Causes by stage", caption, table.reset_index(), lambda: _draw_causes(table))
 
@@ -227,7 +224,7 @@ def audits(results: Results) -> Iterator[Exhibit]:
     if len(x_y) < 2 or not found:
         return
     columns = ["point_id", *x_y, "outcome", f"outcome{SECOND}"]
-    parts = [pairs[columns].assign(simulated=audit.WAYS[way][0]) for way, pairs in found.items()]
+    parts = [pairs[columns].assign(simulated=results.exp.system.ways[way].words) for way, pairs in found.items()]
     data = pd.concat(parts, ignore_index=True)
     caption = (
         "Rollouts next to the boundary and successes elsewhere, simulated again: a dot where the outcome is the same, "
@@ -258,14 +255,14 @@ def _span(values: pd.Series) -> tuple[float, float]:
 
 def thresholds(results: Results) -> dict[str, float]:
     """Thresholds by the figure that they are for."""
-    given = {cause.figure: limit_of(cause, results.exp.thresholds) for cause in CAUSES if cause.threshold}
+    given = results.exp.system.thresholds(results.exp.thresholds)
     return {name: value for name, value in given.items() if name in results.rows}
 
 
 def judged_first(results: Results) -> list[str]:
     """Figures that differ between rollouts, those with a threshold first."""
-    judged = thresholds(results)
-    names = [c for c in figure_columns(results.rows) if c not in BOOKKEEPING and results.rows[c].dtype.kind == "f"]
+    judged, silent = thresholds(results), results.exp.system.silent
+    names = [c for c in figure_columns(results.rows) if c not in silent and results.rows[c].dtype.kind == "f"]
     names = [c for c in names if results.rows[c].max() > results.rows[c].min()]
     return sorted(names, key=lambda c: c not in judged)
 

@@ -2,8 +2,7 @@
 
 import pandas as pd
 
-from sweep.metrics import outcome
-from sweep.metrics.outcome import MEANING
+from sweep.core.outcomes import SUCCESS
 from sweep.study.config import Experiment
 from sweep.study.designs import Axis
 from sweep.study.study import unit
@@ -13,12 +12,12 @@ UNITS = {"m": "m", "s": "s", "deg": "°", "rad": "rad", "n": "N", "nm": "N·m", 
 
 def kind_of(rows: pd.DataFrame) -> pd.Series:
     """What came of each row: `success`, or the cause."""
-    return rows["cause"].astype(object).where(rows["outcome"] != outcome.SUCCESS, outcome.SUCCESS).astype(str)
+    return rows["cause"].astype(object).where(rows["outcome"] != SUCCESS, SUCCESS).astype(str)
 
 
-def meaning(kind: str) -> str:
+def meaning(kind: str, exp: Experiment) -> str:
     """A cause, or success, in a sentence."""
-    return MEANING.get(kind, "no cause of failure or distrust was met")
+    return exp.system.causes.get(kind, "no cause of failure or distrust was met")
 
 
 def name_and_unit(column: str) -> tuple[str, str]:
@@ -63,7 +62,7 @@ def unit_of(column: str, exp: Experiment) -> str:
     """Unit of a column: of an axis by its parameter, of a figure by the end of its name; empty where it has none."""
     if "." not in column:
         return name_and_unit(column)[1]
-    return unit(column, exp.case, exp.settings).replace("*", "·").replace("^2", "²")
+    return unit(column, exp.system, exp.settings).replace("*", "·").replace("^2", "²")
 
 
 def heading(column: str, exp: Experiment | None = None) -> str:

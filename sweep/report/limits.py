@@ -5,8 +5,8 @@ from matplotlib.axes import Axes
 
 from sweep.report.cells import Cells, places
 from sweep.study.config import Experiment
-from sweep.study.study import nominal, side_and_path
 from sweep.study.theory import Theory
+from sweep.systems.base import side_and_path
 
 STYLES = ("--", "-.", ":")
 
@@ -22,7 +22,7 @@ def curve(theory: Theory, exp: Experiment, rows: pd.DataFrame, along: str) -> pd
         here = {side_and_path(str(name))[1]: one for name, one in agreed.items()}
 
         def value_of(path: str, here: dict = here) -> float:
-            return here[path] if path in here else nominal(path, exp.case, exp.settings)
+            return here[path] if path in here else exp.system.nominal(path, exp.settings)
 
         found.append((value, theory.limit(value_of)))
     return pd.DataFrame(found, columns=["along", "limit"])

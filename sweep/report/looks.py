@@ -12,7 +12,7 @@ import pandas as pd
 from matplotlib.lines import Line2D
 from matplotlib.path import Path
 
-from sweep.metrics.outcome import DOUBTS, SUCCESS
+from sweep.core.outcomes import SUCCESS
 
 
 class Look(NamedTuple):
@@ -59,6 +59,7 @@ def looks(family: str, **kinds: tuple[str, np.ndarray]) -> dict[str, Look]:
     return found
 
 
+DOUBTS = "sunk", "not_finite", "solver", "unsettled", "energy"
 LOOKS = {
     **looks("success", success=("#56B4E9", star(24))),
     **looks("foot", slipped=("#C8102E", star(3, turn=180)), slipped_on_deck=("#FF5A5F", star(3, 0.22, turn=180))),

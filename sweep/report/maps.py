@@ -22,7 +22,6 @@ from sweep.analysis.sample import pooled
 from sweep.core.expressions import column
 from sweep.core.files import write_whole
 from sweep.core.parameters import InputError
-from sweep.metrics.outcome import FAILURES
 from sweep.report import limits, refined_cells
 from sweep.report.cells import Cells, edges, mark_values
 from sweep.report.labels import heading, with_value
@@ -31,13 +30,11 @@ from sweep.report.looks import GOOD, INVALID, ink_on, look_of, marker
 from sweep.runs import refine
 from sweep.study.config import Experiment, experiment
 
-KINDS = ["success", *FAILURES]
 # cells, with more of which outlines would cover the colours; cells along a panel that have room for a glyph; boxes that
 # hatching may be cut into
 OUTLINED, GLYPHS, BOXES = 4000, 24, 20_000
 SQUARE = Path([(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)], closed=True)
 GLYPH = 3.5  # points across
-PALETTE = ListedColormap([look_of(kind).colour for kind in KINDS])
 
 
 def draw(rows: pd.DataFrame, stored: Mapping[str, Any], folder: File, chosen: tuple[str, ...] = ()) -> list[File]:
@@ -91,7 +88,7 @@ def success_map(rows: pd.DataFrame, stored: Mapping[str, Any], chosen: tuple[str
         ax.set_xlabel(heading(x, exp))
         limits.draw(ax, exp, panel, x, y, cells)
     axes[0, 0].set_ylabel(heading(y, exp))
-    seen = [cause for cause in FAILURES if (rows["cause"] == cause).any()] if most == 1 else []
+    seen = failures_in(rows, exp) if most == 1 else []
     lines, _ = axes[0, 0].get_legend_handles_labels()
     legend(figure, seen, bool((rows["outcome"] == "invalid").any()), most, lines)
     if most > 1:
@@ -136,6 +133,12 @@ def split(
         yield [with_value(str(c), v, exp) for c, v in zip(named, values, strict=True)], panel
 
 
+def failures_in(rows: pd.DataFrame, exp: Experiment) -> list[str]:
+    """Causes of failure among `rows`, in the order of their definition."""
+    found = set(rows["cause"])
+    return [cause for cause in exp.system.causes if cause in found and cause not in exp.system.doubts]
+
+
 def spread(counts: list[pd.Series]) -> str:
     """Smallest and largest number of rollouts in a cell."""
     low, high = min(int(c.min()) for c in counts), max(int(c.max()) for c in counts)
@@ -144,8 +147,9 @@ def spread(counts: list[pd.Series]) -> str:
 
 def categories(ax: Axes, rows: pd.DataFrame, cells: Cells) -> None:
     """Cells coloured by outcome and cause."""
-    kind = rows["cause"].where(rows["outcome"] == "failure", "success").map(KINDS.index).astype(float)
-    paint(ax, rows.assign(value=kind), cells, cmap=PALETTE, vmin=-0.5, vmax=len(KINDS) - 0.5)
+    kind = pd.Categorical(rows["cause"].where(rows["outcome"] == "failure", "success"))
+    palette = ListedColormap([look_of(one).colour for one in kind.categories])
+    paint(ax, rows.assign(value=kind.codes.astype(float)), cells, cmap=palette, vmin=-0.5, vmax=palette.N - 0.5)
     if max(len(cells.x), len(cells.y)) <= GLYPHS:
         glyphs(ax, rows[rows["outcome"] == "failure"], cells)
 

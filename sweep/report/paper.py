@@ -14,7 +14,6 @@ import pandas as pd
 from sweep.analysis.sample import is_sample, pooled
 from sweep.core.expressions import mask
 from sweep.core.files import write_whole
-from sweep.metrics.outcome import MEANING
 from sweep.report import statistics, tables
 from sweep.report.exhibits import exhibits
 from sweep.report.labels import heading
@@ -111,7 +110,9 @@ def summaries(results: Results) -> Iterator[tuple[str, str, pd.DataFrame]]:
     success = pd.DataFrame(lines, columns=["rollouts", "number", "invalid", "succeed", "%", "from", "to"])
     yield "success", r"How often rollouts succeed, with 95\,\% Wilson intervals of what is a sample.", success
     if results.causes_seen:
-        counts = [(c.replace("_", " "), MEANING[c], int((rows["cause"] == c).sum())) for c in results.causes_seen]
+        counts = [
+            (c.replace("_", " "), words, int((rows["cause"] == c).sum())) for c, words in results.causes_seen.items()
+        ]
         table = pd.DataFrame(counts, columns=["cause", "what it means", "rollouts"])
         yield "causes", "Rollouts that did not succeed.", table
     if len(again := audit.table(results)):
@@ -148,7 +149,7 @@ def quoted(results: Results) -> Iterator[Number]:
             yield Number(name + word, float(value), f"{value:.4g}", f"{word.lower()} of {axis}", None)
     won = rows[rows["outcome"] == "success"]
     for figure in figure_columns(rows):
-        if figure in tables.BOOKKEEPING or won.empty or won[figure].dtype.kind != "f":
+        if figure in results.exp.system.silent or won.empty or won[figure].dtype.kind != "f":
             continue
         for word, value in (("Median", won[figure].median()), ("Min", won[figure].min()), ("Max", won[figure].max())):
             what = f"{word.lower()} of {figure}"

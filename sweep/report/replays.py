@@ -12,10 +12,10 @@ import pandas as pd
 from sweep.core.files import write_whole
 from sweep.engines import devices
 from sweep.engines.base import Trace, same_bits
-from sweep.metrics.outcome import classify_one
 from sweep.runs import batches, store
 from sweep.runs.results import Results
 from sweep.study.config import Experiment
+from sweep.systems.base import judge_one
 from sweep.trace.motion import RATE, bodies, motion
 
 REPLAYS = "replays"  # folder beside the study's parts
@@ -50,7 +50,7 @@ def again(
     `planned` are all points of the study, `rows` some of them with the slots that they were simulated in.
     """
     devices.configure()  # the CPU counts as several devices from then on
-    exp = batches.with_room_for_delay(exp, planned)
+    exp = batches.with_room(exp, planned)
     for _, part in laid_out(rows, devices.default_width()).groupby(["group", "batch", "width"]):
         order = np.zeros(int(part["width"].iloc[0]), dtype=int)
         order[part["slot"]] = np.arange(len(part))
@@ -61,7 +61,7 @@ def again(
         traces = engine.traces(task.world, task.belief, task.streams, every)
         for _, row in part.iterrows():
             trace = traces[row["slot"]]
-            yield row, trace, classify_one(trace.figures, exp.thresholds, engine.stages)
+            yield row, trace, judge_one(exp.system, trace.figures, exp.thresholds, engine.stages)
 
 
 def laid_out(rows: pd.DataFrame, widest: int) -> pd.DataFrame:

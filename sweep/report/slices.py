@@ -13,15 +13,13 @@ from matplotlib.figure import Figure
 
 from sweep.analysis.intervals import anytime, wilson
 from sweep.analysis.stats import binned, rates
-from sweep.metrics.outcome import FAILURES
 from sweep.report import limits, refined_cells
 from sweep.report.cells import Cells, mark_values
 from sweep.report.labels import axis_words, heading, with_value
 from sweep.report.layout import COLUMN, PAGE, folded, sheet
-from sweep.report.maps import categories, legend, paint, split
+from sweep.report.maps import categories, failures_in, legend, paint, split
 from sweep.runs import refine
 from sweep.runs.results import Results
-from sweep.study.study import nominal
 
 MAPS = 6  # pairs of parameters, at most
 PANELS = 4  # sections along a third parameter
@@ -104,7 +102,7 @@ def usual(results: Results, column: str) -> float:
     """The nominal value of a parameter; the middle one of a number that parameters are made from."""
     if column.startswith("axis."):
         return float(results.rows[column].median())
-    return float(nominal(column, results.exp.case, results.exp.settings))
+    return float(results.exp.system.nominal(column, results.exp.settings))
 
 
 def draw(results: Results, chosen: Slice) -> Figure:
@@ -143,7 +141,7 @@ def draw(results: Results, chosen: Slice) -> Figure:
             ax.set_ylabel(heading(y, results.exp))
         if k >= len(axes) - columns:
             ax.set_xlabel(heading(x, results.exp))
-    seen = [c for c in FAILURES if single and (chosen.rows["cause"] == c).any()]
+    seen = failures_in(chosen.rows, results.exp) if single else []
     legend(
         figure,
         seen,

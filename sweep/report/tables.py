@@ -13,16 +13,11 @@ from pyarrow.csv import WriteOptions, write_csv
 
 from sweep.analysis.stats import causes
 from sweep.core.expressions import column
-from sweep.metrics.outcome import BOOKKEEPING as MOMENTS
-from sweep.metrics.outcome import why
 from sweep.report.labels import axis_words, heading, name_and_unit, unit_of
 from sweep.runs.results import Results
 from sweep.study.columns import LABELS, figure_columns
 from sweep.study.config import Experiment
-from sweep.study.study import nominal, side_and_path
-
-# figures that the outcome is derived from and that say nothing beside it
-BOOKKEEPING = MOMENTS | {"finite", "finished", "end_stage"}
+from sweep.systems.base import side_and_path
 
 
 def render(rows: pd.DataFrame, form: str, names: list[str] | None = None, exp: Experiment | None = None) -> bytes:
@@ -45,7 +40,8 @@ def render(rows: pd.DataFrame, form: str, names: list[str] | None = None, exp: E
             return latex(rows, exp).encode()
         case _:
             page = page_table(rows, exp) + "\n"
-            legend = "".join(f"- {line}\n" for line in causes(rows["cause"])) if "cause" in rows else ""
+            lines = causes(rows["cause"], exp.system.causes) if exp and "cause" in rows else []
+            legend = "".join(f"- {line}\n" for line in lines)
             return f"{page}\n{legend}".encode() if legend else page.encode()
 
 
@@ -96,12 +92,12 @@ def one_rollout(exp: Experiment, row: pd.Series) -> str:
     if row["outcome"] != "success":
         lines.append(("cause", str(row["cause"]), f"in stage {row['stage']}"))
     for name in figure_columns(row.to_frame().T):
-        if name in BOOKKEEPING:
+        if name in exp.system.silent:
             continue
         words, unit = name_and_unit(name)
         lines.append((words, text(row[name]), unit))
     table = pd.DataFrame(lines, columns=["figure", "value", "unit"])
-    reason = why({str(name): value for name, value in row.items()}, exp.thresholds)
+    reason = exp.system.why({str(name): value for name, value in row.items()}, exp.thresholds)
     return table.to_markdown(index=False, disable_numparse=True) + "\n" + (reason and f"\n{reason}\n")
 
 
@@ -113,6 +109,6 @@ def parameters(results: Results) -> Iterator[dict[str, Any]]:
         listed = [text(v) for v in sorted(values.unique())]
         extent = ", ".join(listed) if len(listed) <= 6 else f"{listed[0]} to {listed[-1]}"
         own = not name.startswith("axis.")  # else a number that parameters are made from
-        usual = text(nominal(name, results.exp.case, results.exp.settings)) if own else ""
+        usual = text(results.exp.system.nominal(name, results.exp.settings)) if own else ""
         about = {"words": axis_words(name), "path": path, "side": side, "unit": unit_of(name, results.exp)}
         yield {**about, "values": extent, "number": len(listed), "nominal": usual}

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from sweep.metrics.outcome import SUCCESS
+from sweep.core.outcomes import SUCCESS
 from sweep.report.labels import kind_of, meaning
-from sweep.report.tables import BOOKKEEPING
 from sweep.runs import batches
 from sweep.runs.results import Results
 from sweep.study.columns import figure_columns
+from sweep.systems.base import judge_one
 
 SAMPLE = 1000  # rollouts of a kind that are looked at
 PICTURES = "pictures"  # folder beside the study's parts
@@ -27,26 +27,22 @@ class Typical:
     kind: str  # success, or a cause
     number: int  # rollouts of the kind
     row: pd.Series
+    meaning: str  # of the kind, in a sentence
     picture: Path  # where its picture is, or would be
-
-    @property
-    def meaning(self) -> str:
-        """The kind in a sentence."""
-        return meaning(self.kind)
 
 
 def typical(results: Results) -> Iterator[Typical]:
     """The medoid of each cause, then that of the successes: least distant from all others in standardised figures."""
     rows = results.rows
     kinds = kind_of(rows)
-    columns = [c for c in figure_columns(rows) if c not in BOOKKEEPING and rows[c].dtype.kind == "f"]
+    columns = [c for c in figure_columns(rows) if c not in results.exp.system.silent and rows[c].dtype.kind == "f"]
     for kind in [*results.causes_seen, SUCCESS]:
         own = rows[(kinds == kind).to_numpy()]
         if len(own):
             sample = own.sample(min(len(own), SAMPLE), random_state=0).sort_index()
             row = sample.iloc[medoid(standardised(sample[columns].to_numpy(dtype=float)))]
             picture = results.folder / PICTURES / f"{row['run_id']}-{row['point_id']}.png"
-            yield Typical(kind, len(own), row, picture)
+            yield Typical(kind, len(own), row, meaning(kind, results.exp), picture)
 
 
 def standardised(values: np.ndarray) -> np.ndarray:
@@ -73,7 +69,6 @@ def draw(results: Results) -> list[Path]:
     They run in a batch of their own, so that a study of wide batches can be pictured anywhere. A rollout that ends
     otherwise in it gets no picture, and a line on the standard error. Raises `InputError` without OpenGL.
     """
-    from sweep.metrics.outcome import classify_one
     from sweep.trace.frames import write_strip
     from sweep.trace.sampling import at_times
 
@@ -82,11 +77,11 @@ def draw(results: Results) -> list[Path]:
     for group in sorted({int(one.row["group"]) for one in wanted}):
         own = [one for one in wanted if one.row["group"] == group]
         rows = pd.DataFrame([one.row for one in own]).assign(width=len(own)).infer_objects()
-        exp = batches.with_room_for_delay(results.exp, results.rows)
+        exp = batches.with_room(results.exp, results.rows)
         task = batches.batch(exp, rows)
         engine = batches.make_engine(exp, batches.nominal(exp, rows, len(own)))
         for one, trace in zip(own, engine.traces(task.world, task.belief, task.streams, 1), strict=True):
-            labels = classify_one(trace.figures, exp.thresholds, engine.stages)
+            labels = judge_one(exp.system, trace.figures, exp.thresholds, engine.stages)
             if (labels["outcome"], labels["cause"]) != (one.row["outcome"], one.row["cause"]):
                 print(f"sweep: no picture of {one.row['point_id']}: here it ends otherwise", file=sys.stderr)
                 continue

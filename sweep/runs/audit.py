@@ -5,7 +5,7 @@ difference. Each way is a study of its own in the folder's `audit/`, so it can b
 like any other.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -14,33 +14,20 @@ import pandas as pd
 
 from sweep.analysis import compare
 from sweep.core.errors import InputError
-from sweep.engines.settings import EngineSettings
 from sweep.runs import runner, store
 from sweep.runs.results import Results
 from sweep.study.config import Experiment, experiment
 from sweep.study.study import parameter_columns, with_settings
 
 AUDIT = "audit"
-WAYS: dict[str, tuple[str, Callable[[EngineSettings], EngineSettings]]] = {
-    "again": ("as before, in batches of another width", lambda s: s),
-    "half_step": (
-        "half the time step",
-        lambda s: replace(s, time_step=s.time_step / 2, native_time_step=s.native_time_step / 2),
-    ),
-    "float64": ("in double precision", lambda s: replace(s, precision="float64")),
-    "other_engine": (
-        "on the other engine",
-        lambda s: replace(s, name="native" if s.name == "mjx" else "mjx", solid=False),
-    ),
-    "solid": ("with solid bodies, on native", lambda s: replace(s, name="native", solid=True)),
-}
 
 
 def run(results: Results, number: int, ways: list[str], progress: runner.Progress) -> None:
     """Simulate rollouts again in all `ways`, up to `number` of each of the `samples`. Raises `InputError`."""
+    known = results.exp.system.ways
     for way in ways:
-        if way not in WAYS:
-            raise InputError(f"--ways {way} is unknown (allowed: {', '.join(WAYS)})")
+        if way not in known:
+            raise InputError(f"--ways {way} is unknown (allowed: {', '.join(known)})")
     exp = one_engine(results)
     shuffled = [np.random.default_rng(0).permutation(np.flatnonzero(one)) for one in samples(results).values()]
     chosen = np.concatenate([one[:number] for one in shuffled])
@@ -51,7 +38,9 @@ def run(results: Results, number: int, ways: list[str], progress: runner.Progres
     points = points[[*kept, "replicate", "stream", "point_id"]].reset_index(drop=True)
     folder = results.folder / AUDIT
     for way in ways:
-        settings = replace(WAYS[way][1](exp.settings), width=0)  # so few rollouts have a width of their own
+        settings = replace(
+            exp.system.ways[way].change(exp.settings), width=0
+        )  # so few rollouts have a width of their own
         study = {**exp.values["study"], "keep": []}
         values = {**exp.values, "study": study, "engine": asdict(settings), "out": str(folder / way)}
         again = experiment(values)
@@ -108,7 +97,7 @@ def boundary(results: Results) -> np.ndarray:
 def done(results: Results) -> Iterator[tuple[str, pd.DataFrame]]:
     """The ways that `results` were audited in, with the pairs of rollouts before and again."""
     folder = results.folder / AUDIT
-    for way in WAYS:
+    for way in results.exp.system.ways:
         if (folder / way / store.STUDY).exists() and store.finished(folder / way):
             again = store.read_rows(folder / way)
             before = results.rows[results.rows["point_id"].isin(again["point_id"])]
@@ -130,7 +119,7 @@ def table(results: Results) -> pd.DataFrame:
             low, high = found.interval()
             lines.append(
                 (
-                    WAYS[way][0],
+                    results.exp.system.ways[way].words,
                     kind,
                     len(points),
                     found.pairs,

@@ -1,6 +1,5 @@
 """From the points table to the inputs of an engine: groups that share a compiled engine, batches of one width."""
 
-import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -11,18 +10,9 @@ import pandas as pd
 from sweep.core.errors import Fault, InputError
 from sweep.engines.base import Engine
 from sweep.engines.settings import EngineSettings
-from sweep.metrics.outcome import Thresholds
-from sweep.models.case import Case
 from sweep.study.config import Experiment
-from sweep.study.study import (
-    assign,
-    identity,
-    is_static,
-    parameter_columns,
-    side_and_path,
-    with_settings,
-    world_and_belief,
-)
+from sweep.study.study import identity, is_static, parameter_columns, with_settings
+from sweep.systems.base import Limits, System
 
 
 @dataclass(frozen=True)
@@ -30,8 +20,8 @@ class Batch:
     """The input of one call of an engine; `width` rows, the last one repeated where there are fewer."""
 
     settings: EngineSettings
-    world: Case
-    belief: Case
+    world: Any  # of the system's own type
+    belief: Any
     streams: np.ndarray  # (width,)
 
 
@@ -40,14 +30,12 @@ def make_engine(exp: Experiment, start: Batch) -> Engine:
 
     A process keeps the last one, so that the batches of a group, wherever they come from, compile once.
     """
-    return _engine(start.settings, start.world, start.belief, exp.thresholds)
+    return _engine(exp.system, start.settings, start.world, start.belief, exp.thresholds)
 
 
 @lru_cache(maxsize=1)
-def _engine(settings: EngineSettings, world: Case, belief: Case, limits: Thresholds) -> Engine:
-    import sweep.engines  # slow to import
-
-    return sweep.engines.make(settings, world, belief, limits)
+def _engine(system: System, settings: EngineSettings, world: Any, belief: Any, limits: Limits) -> Engine:
+    return system.engine(settings, world, belief, limits)
 
 
 def forget_engine() -> None:
@@ -55,21 +43,14 @@ def forget_engine() -> None:
     _engine.cache_clear()
 
 
-def with_room_for_delay(exp: Experiment, table: pd.DataFrame) -> Experiment:
-    """The noise model's buffer, long enough for every point of `table`."""
-
-    def of(name: str) -> Any:
-        columns = [c for c in table.columns if side_and_path(c)[1] == f"noise.{name}"]
-        return table[columns].max(axis=1) if columns else getattr(exp.case.noise, name)
-
-    longest = np.max(np.maximum(of("delay") + of("load_delay"), of("body_delay")))
-    room = max(math.ceil(longest), exp.case.noise.delay_buffer)
-    return replace(exp, case=assign(exp.case, "noise.delay_buffer", room))
+def with_room(exp: Experiment, table: pd.DataFrame) -> Experiment:
+    """Its system with memory, such as a delay's, long enough for every point of `table`."""
+    return replace(exp, system=exp.system.with_room(table))
 
 
 def static_values(exp: Experiment, table: pd.DataFrame) -> dict[str, Any]:
     """The values that all rows of one group share and that fix its compiled engine."""
-    static = [c for c in parameter_columns(table) if is_static(c, exp.case, exp.settings)]
+    static = [c for c in parameter_columns(table) if is_static(c, exp.system, exp.settings)]
     return {c: getattr(v := table[c].iloc[0], "item", lambda v=v: v)() for c in static}
 
 
@@ -77,7 +58,7 @@ def nominal(exp: Experiment, rows: pd.DataFrame, width: int) -> Batch:
     """What the engine of a group is made from: static values set, swept quantities at their nominal values."""
     statics = static_values(exp, rows)
     settings = with_settings(exp.settings, statics)
-    return Batch(replace(settings, width=width), *world_and_belief(exp.case, statics), np.zeros(0, dtype=np.int64))
+    return Batch(replace(settings, width=width), *exp.system.sides(statics), np.zeros(0, dtype=np.int64))
 
 
 def batch(exp: Experiment, rows: pd.DataFrame) -> Batch:
@@ -86,7 +67,7 @@ def batch(exp: Experiment, rows: pd.DataFrame) -> Batch:
     slots = np.minimum(np.arange(width), len(rows) - 1)
     statics = static_values(exp, rows)
     swept = {c: rows[c].to_numpy(dtype=float)[slots] for c in parameter_columns(rows) if c not in statics}
-    world, belief = world_and_belief(exp.case, {**statics, **swept})
+    world, belief = exp.system.sides({**statics, **swept})
     streams = rows["stream"].to_numpy()[slots]
     return Batch(replace(with_settings(exp.settings, statics), width=width), world, belief, streams)
 

@@ -10,10 +10,9 @@ import numpy as np
 import pandas as pd
 
 from sweep.core.errors import InputError
-from sweep.engines.base import Engine
+from sweep.core.outcomes import INVALID
+from sweep.engines.base import Engine, Watch
 from sweep.engines.settings import EngineSettings
-from sweep.engines.states import Watch, offered
-from sweep.metrics.outcome import INVALID
 from sweep.runs import store
 from sweep.runs.batches import Batch, make_engine, nominal
 from sweep.runs.manifest import Entry
@@ -71,13 +70,13 @@ def of_batch(
     return tabled(rows, samples, time, rows["duration_s"].to_numpy() + period / 2, watched.columns)
 
 
-def last_states(engine: Engine, task: Batch, finished: pd.DataFrame, room: int) -> list[pd.DataFrame]:
+def last_states(exp: Experiment, engine: Engine, task: Batch, finished: pd.DataFrame, room: int) -> list[pd.DataFrame]:
     """How the first `room` invalid rows of a batch ended: every control tick of the last second before their cause.
 
     The batch is simulated once more, so that a batch without such rows takes no longer for it.
     """
     slots = np.flatnonzero(finished["outcome"] == INVALID)[:room]
-    watched = Watch(tuple(offered(task.world)), 1, INVALID_ROWS)
+    watched = Watch(tuple(exp.system.recorded), 1, INVALID_ROWS)
     _, samples = engine.histories(task.world, task.belief, task.streams, slots, watched)
     period = task.settings.control_period
     time, tables = period * (1 + np.arange(len(samples))), []

@@ -132,7 +132,7 @@ def _rows(exp: Experiment, grid: Lattice, names: dict[str, str], upto: np.ndarra
         study = replace(study, replicates=most)
     at = np.nonzero(asked)
     numbers = {a.name: v[i] for a, v, i in zip(grid.axes, grid.values, at, strict=True)}
-    table = points(study, exp.case, exp.settings, pd.DataFrame(numbers).assign(**names))
+    table = points(study, exp.system, exp.settings, pd.DataFrame(numbers).assign(**names))
     return table[table["replicate"].to_numpy() < upto[grid.places(table)]].reset_index(drop=True)
 
 

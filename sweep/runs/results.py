@@ -11,7 +11,6 @@ from sweep.analysis import sensitivity
 from sweep.analysis.sample import distinct
 from sweep.core.errors import InputError
 from sweep.core.expressions import mask
-from sweep.metrics.outcome import MEANING
 from sweep.runs import store
 from sweep.study.config import Experiment, experiment
 from sweep.study.study import parameter_columns
@@ -70,10 +69,10 @@ class Results:
         return list(dict.fromkeys(name for names in self.stored["stages"].values() for name in names))
 
     @cached_property
-    def causes_seen(self) -> list[str]:
-        """Causes of failure and reasons for distrust that occur, in the order of their definition."""
+    def causes_seen(self) -> dict[str, str]:
+        """Causes that occur and what they mean, in the order of their definition."""
         found = set(self.rows["cause"].unique())
-        return [cause for cause in MEANING if cause in found]
+        return {cause: words for cause, words in self.exp.system.causes.items() if cause in found}
 
 
 def read(folder: Path, where: str | None = None) -> Results:

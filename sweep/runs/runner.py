@@ -15,9 +15,8 @@ import pandas as pd
 from sweep.core import provenance
 from sweep.core.errors import Fault, InputError
 from sweep.core.expressions import mask
+from sweep.core.outcomes import INVALID
 from sweep.engines.base import Engine
-from sweep.engines.run_id import device, run_id
-from sweep.metrics.outcome import INVALID, classify
 from sweep.runs import histories, manifest, repair, store
 from sweep.runs.batches import (
     Batch,
@@ -28,7 +27,7 @@ from sweep.runs.batches import (
     make_engine,
     nominal,
     plan,
-    with_room_for_delay,
+    with_room,
 )
 from sweep.runs.manifest import Entry
 from sweep.study.clusters import Dispatch
@@ -91,7 +90,7 @@ def wanted_points(
     exp: Experiment, where: str | None = None, limit: int | None = None, say: Say | None = None
 ) -> pd.DataFrame:
     """The study's points that match `where`, at most `limit` of them. Raises `InputError` where none is left."""
-    table = points(exp.study, exp.case, exp.settings, say=say)
+    table = points(exp.study, exp.system, exp.settings, say=say)
     table = table[mask(table, where)].head(limit) if limit is not None else table[mask(table, where)]
     if table.empty:
         raise InputError(f"no point of {exp.study.name} is left to run")
@@ -107,7 +106,7 @@ def unplanned(exp: Experiment, table: pd.DataFrame, wanted: pd.DataFrame) -> int
         return 0
     if not exp.study.points and len(wanted) == exp.study.most:
         return 0
-    return int((~among(points(exp.study, exp.case, exp.settings), table)).sum())
+    return int((~among(points(exp.study, exp.system, exp.settings), table)).sum())
 
 
 def lay_out(exp: Experiment, folder: Path, wanted: pd.DataFrame) -> Job:
@@ -118,7 +117,7 @@ def lay_out(exp: Experiment, folder: Path, wanted: pd.DataFrame) -> Job:
         if differ := set(planned.columns) ^ {*wanted.columns, "group", "batch", "slot", "width"}:
             raise InputError(f"{folder} holds a study with other axes ({', '.join(sorted(differ))}): give out=DIR")
     every = pd.concat([planned, wanted], ignore_index=True)
-    exp = with_room_for_delay(exp, every)
+    exp = with_room(exp, every)
     table = plan(exp, planned, wanted)
     histories.size(exp, table)
     return Job(exp, folder, table, set(table.loc[among(table, wanted), "batch"]), unplanned(exp, table, wanted))
@@ -145,7 +144,7 @@ def mend(exp: Experiment, folder: Path) -> list[str]:
     lines = repair.mend(folder, study, labels)
     planned = store.read_points(folder)
     if stored is None and len(planned):
-        job, found = Job(with_room_for_delay(exp, planned), folder, planned, set()), Found()
+        job, found = Job(with_room(exp, planned), folder, planned, set()), Found()
         for group, rows in planned.groupby("group"):
             start = nominal(job.exp, rows, int(rows["width"].iloc[0]))
             found.stages[int(group)] = list(make_engine(job.exp, start).stages)  # pyright: ignore[reportArgumentType]
@@ -314,7 +313,7 @@ def on_worker(folder: Path, version: str, code: str, number: int) -> Done:
         pass
     if entry is None:  # after the handler, whose error holds on to the arrays
         forget_engine()
-    return Done(number, host, device(start.settings), engine.devices, entry, beside)
+    return Done(number, host, job.exp.system.device(start.settings), engine.devices, entry, beside)
 
 
 def ended(job: Job, engine: Engine, rows: pd.DataFrame, finished: pd.DataFrame) -> list[pd.DataFrame]:
@@ -323,7 +322,7 @@ def ended(job: Job, engine: Engine, rows: pd.DataFrame, finished: pd.DataFrame) 
         return []
     room = histories.INVALID_ROWS - len(list((job.folder / store.LAST_STATES).glob("*.parquet")))
     try:
-        return histories.last_states(engine, batch(job.exp, rows), finished, room) if room > 0 else []
+        return histories.last_states(job.exp, engine, batch(job.exp, rows), finished, room) if room > 0 else []
     except MemoryError:  # the rows are there all the same
         return []
 
@@ -331,7 +330,7 @@ def ended(job: Job, engine: Engine, rows: pd.DataFrame, finished: pd.DataFrame) 
 @lru_cache(maxsize=1)
 def _plan_of(folder: Path, version: str) -> Job:
     table = store.read_points(folder)
-    return Job(with_room_for_delay(experiment(store.read_study(folder)["config"]), table), folder, table, set())
+    return Job(with_room(experiment(store.read_study(folder)["config"]), table), folder, table, set())
 
 
 def describe(job: Job, found: Found) -> None:
@@ -352,8 +351,8 @@ def simulate(exp: Experiment, engine: Engine, rows: pd.DataFrame) -> tuple[pd.Da
         figures = engine.run(task.world, task.belief, task.streams)
     wall = time.perf_counter() - start
     columns = {name: np.asarray(values, dtype=float)[: len(rows)] for name, values in figures.items()}
-    labels = classify(columns, exp.thresholds, engine.stages)
-    done = rows.reset_index(drop=True).assign(run_id=run_id(task.settings))
+    labels = exp.system.judge(columns, exp.thresholds, engine.stages)
+    done = rows.reset_index(drop=True).assign(run_id=exp.system.run_id(task.settings))
     finished = pd.concat([done, pd.DataFrame(columns), pd.DataFrame(labels)], axis=1).assign(wall_s=wall / len(rows))
     if samples is None:
         return finished, None
@@ -364,7 +363,7 @@ def run_single(exp: Experiment) -> pd.DataFrame:
     """The row of one nominal rollout, not stored. Raises `Fault` where the device cannot hold it."""
     exp = replace(exp, settings=replace(exp.settings, width=exp.settings.width or 1))
     table = plan(exp, pd.DataFrame(), wanted_points(exp))
-    exp = with_room_for_delay(exp, table)
+    exp = with_room(exp, table)
     start = nominal(exp, table, exp.settings.width)
     try:
         return simulate(exp, make_engine(exp, start), table)[0]
@@ -379,7 +378,7 @@ def relabel(folder: Path, outcome: Mapping[str, float]) -> None:
     """
     stored = store.read_study(folder)
     config = {**stored["config"], "outcome": dict(outcome)}
-    thresholds, labels = experiment(config).thresholds, labels_id(config)
+    exp, labels = experiment(config), labels_id(config)
     before = store.counted(folder)
     if labels == stored["labels"]:
         return
@@ -387,7 +386,7 @@ def relabel(folder: Path, outcome: Mapping[str, float]) -> None:
     for entry in before:
         rows = store.read_part(folder, entry)
         figures = {name: rows[name].to_numpy() for name in figure_columns(rows)}
-        judged = classify(figures, thresholds, tuple(stored["stages"][int(rows["group"].iloc[0])]))
+        judged = exp.system.judge(figures, exp.thresholds, tuple(stored["stages"][int(rows["group"].iloc[0])]))
         manifest.add(folder, store.write_part(folder, rows.assign(**judged), entry.study, labels))
     store.write_study(folder, {**stored, "config": config, "labels": labels})
     repair.forget(folder, before)
@@ -400,5 +399,5 @@ def load_point(folder: Path, point: str) -> tuple[Batch, int, pd.Series]:
     """
     table = store.read_points(folder)
     row = store.find_row(store.read_rows(folder), point, folder)
-    exp = with_room_for_delay(experiment(store.read_study(folder)["config"]), table)
+    exp = with_room(experiment(store.read_study(folder)["config"]), table)
     return batch(exp, table[table["batch"] == row["batch"]]), int(row["slot"]), row

@@ -5,7 +5,6 @@ The parameter dataclasses are the schemas: Hydra checks names and types while it
 
 import dataclasses
 import functools
-import json
 import re
 import sys
 from collections.abc import Mapping, Sequence
@@ -23,20 +22,16 @@ from hydra.errors import ConfigCompositionException, HydraException, MissingConf
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import ConfigKeyError, OmegaConfBaseException, ValidationError
 
-from sweep.controllers.manoeuvres import MANOEUVRES
+from sweep import systems
 from sweep.core import project
 from sweep.core.groups import GROUPS
-from sweep.core.parameters import InputError, build, checked, suggest
+from sweep.core.parameters import InputError, checked, of_kind, suggest
 from sweep.engines.settings import EngineSettings
-from sweep.metrics.outcome import Thresholds, thresholds
-from sweep.models.case import Case
-from sweep.models.obstacles import OBSTACLES
-from sweep.models.obstacles.surface import Obstacle
-from sweep.models.plan_table import PlanTable, Tabled
 from sweep.study import sources
 from sweep.study.clusters import Cluster
 from sweep.study.designs import known, with_side
-from sweep.study.study import ScenarioSchema, Study, StudySchema, check_keep, check_sizes, nominal, parameter
+from sweep.study.study import ScenarioSchema, Study, StudySchema, check_keep
+from sweep.systems.base import Limits, System
 
 CONFIG_MODULE, CONFIG_NAME, HYDRA_VERSION = "sweep.conf", "config", "1.3"
 WHOLE: dict[str, type] = {name: group.load() for name, group in GROUPS.items() if group.whole}
@@ -50,13 +45,18 @@ class Experiment:
     """A checked configuration: what a run needs to know."""
 
     scenario: str
-    case: Case  # nominal
+    system: System
     settings: EngineSettings
-    thresholds: Thresholds
+    thresholds: Limits
     cluster: Cluster
     study: Study
     out: str | None
     values: dict[str, Any]  # the resolved configuration it was made from
+
+    @property
+    def case(self) -> Any:
+        """The nominal world and belief, which only their system knows more of."""
+        return self.system.case
 
     @property
     def folder(self) -> Path:
@@ -85,9 +85,10 @@ def _register() -> None:
 
 
 def add_modules(modules: tuple[ModuleType, ...]) -> None:
-    """Add the obstacles and manoeuvres of users' modules to ours. Raises `InputError`."""
+    """Add the kinds of users' modules, such as obstacles, to ours. Raises `InputError`."""
+    tables = {name: group.table for name, group in GROUPS.items() if group.in_case and group.kinds}
     for module in modules:
-        for group, name in (("obstacle", "OBSTACLES"), ("manoeuvre", "MANOEUVRES")):
+        for group, name in tables.items():
             for kind, cls in getattr(module, name, {}).items():
                 if KINDS[group].setdefault(kind, cls) is not cls:
                     raise InputError(f"module {module.__name__}: {group} {kind} is there already: give it another name")
@@ -165,21 +166,8 @@ def experiment(values: Mapping[str, Any]) -> Experiment:
     for group in (name for name in GROUPS if not GROUPS[name].free):
         if not isinstance(values.get(group), Mapping):
             raise InputError(f"{group} = {values.get(group)} is not allowed: `sweep list` shows the choices")
-    parts = {group: build(cls, values[group], group) for group, cls in CLASSES.items()}
-    settings, given = parts.pop("engine"), dataclasses.asdict(parts.pop("outcome"))
-    for group, kinds in KINDS.items():
-        kind = values[group].get("kind")
-        if kind not in kinds:
-            raise InputError(f"{group}.kind = {kind!r} is unknown{suggest(str(kind), kinds)}")
-        parts[group] = build(kinds[kind], values[group], group)
-    cluster = parts.pop("cluster")
-    case = Case(**parts, plan=_table(values["plan"], parts["manoeuvre"]))
-    if _asked_for(case.obstacle) not in case.manoeuvre.needs:
-        needed = " or ".join(kind for kind, cls in OBSTACLES.items() if cls in case.manoeuvre.needs)
-        kinds = f"obstacle.kind = {case.obstacle.kind} is not allowed: manoeuvre.kind = {case.manoeuvre.kind}"
-        raise InputError(f"{kinds} needs {needed}")
-    check_sizes(case)
-    limits = thresholds(given, case)
+    system, settings, limits = systems.nominal(values, KINDS)
+    cluster = of_kind(KINDS["cluster"], values["cluster"], "cluster")
     scenario = known("scenario", values["scenario"], _names(ScenarioSchema))
     asked = known("study", values["study"], _names(StudySchema))
     chosen = {**dataclasses.asdict(StudySchema()), **asked}  # rows of before a key was there had its default
@@ -187,28 +175,11 @@ def experiment(values: Mapping[str, Any]) -> Experiment:
     if single:
         chosen = {**chosen, "expect": scenario["expect"]}
     study = Study.parse({**chosen, "name": chosen["name"] or scenario["name"]}, single)
-    check_keep(study, case, settings)
+    check_keep(study, system, settings)
     for theory in study.theory:  # refuses inputs that mean nothing
-        parameter(theory.of, case, settings)
-        theory.numbers(lambda path: nominal(path, case, settings))
-    return Experiment(scenario["name"], case, settings, limits, cluster, study, values["out"], dict(values))
-
-
-def _table(given: Any, manoeuvre: Any) -> PlanTable:
-    """The numbers of a plan, if they are not the manoeuvre's own."""
-    if not given:
-        return PlanTable()
-    if not isinstance(given, Mapping):
-        raise InputError(f"plan = {given} is not allowed: `sweep list` shows the choices")
-    if not isinstance(manoeuvre, Tabled):
-        raise InputError(f"plan is not allowed: manoeuvre.kind = {manoeuvre.kind} has its numbers in no file")
-    return PlanTable(json.dumps(given))
-
-
-def _asked_for(obstacle: Obstacle) -> type | None:
-    """The nearest class of an obstacle that manoeuvres ask for: a ball between ledges is no ball on a floor."""
-    asked = {cls for manoeuvre in MANOEUVRES.values() for cls in manoeuvre.needs}
-    return next((cls for cls in type(obstacle).__mro__ if cls in asked), None)
+        system.parameter(theory.of, settings)
+        theory.numbers(lambda path: system.nominal(path, settings))
+    return Experiment(scenario["name"], system, settings, limits, cluster, study, values["out"], dict(values))
 
 
 def _names(cls: type) -> tuple[str, ...]:

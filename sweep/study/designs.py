@@ -20,11 +20,11 @@ import numpy as np
 from sweep.core.errors import InputError, suggest
 from sweep.study.distributions import Distribution, known, listed, number
 from sweep.study.distributions import parse as parse_distribution
+from sweep.systems.base import SIDES
 
 if TYPE_CHECKING:
     import pandas as pd
 
-SIDES = ("world", "belief")
 DESIGNS = ("monte_carlo", "latin_hypercube", "sobol", "saltelli", "morris")
 LEVELS, INNER = 4, (0.005, 0.995)  # of a morris design: values of an axis, and the shares that they lie between
 MOST = 20_000_000  # rollouts of a study, whose plan takes 10 GB

@@ -1,25 +1,16 @@
 """Point ids and noise streams: what tells one rollout from another, for a million rows at once."""
 
-import dataclasses
 import hashlib
-import json
-from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sweep.models.case import Case
-from sweep.models.control import Control
-from sweep.models.noise import Noise
-from sweep.models.obstacles.charts import charts
-from sweep.models.plan_table import Content, PlanTable, mapped, numbers, own, tabled
-from sweep.study.designs import SIDES
+from sweep.systems.base import SIDES, System
 
 if TYPE_CHECKING:
     import pandas as pd
 
 DIGITS = 12  # of a number that count
-LATER = ("noise.load_noise", "noise.load_bias", "noise.load_delay")  # inputs that rows of before had at their defaults
 
 
 def streams(seed: int, replicates: int) -> np.ndarray:
@@ -27,28 +18,24 @@ def streams(seed: int, replicates: int) -> np.ndarray:
     return (np.random.SeedSequence(seed).generate_state(replicates, np.uint64) >> np.uint64(1)).astype(np.int64)
 
 
-def point_ids(table: "pd.DataFrame", case: Case) -> np.ndarray:
+def point_ids(table: "pd.DataFrame", system: System) -> np.ndarray:
     """Hash (16 hexadecimal digits) of all physical inputs of every row and its replicate.
 
     The sum over all inputs of a hash of name and value, so that it is the same whether an input is varied or
-    nominal. How a row is simulated plays no part. Of `control`, of errors of the feet's load and of the plan's numbers
-    only what is not as by default counts: else the ids are those of before there were any.
+    nominal. How a row is simulated plays no part. Of what a
+    system came to have later only what is not as by default counts: else the ids are those of before there was any.
     """
-    groups = {f.name for f in dataclasses.fields(case)}
-    nominal = {
-        f"{side}.{path}": value for side in SIDES for path, value in (*_flat(case, ""), *_said(case, tabled(case)))
-    }
+    nominal = {f"{side}.{path}": value for side in SIDES for path, value in system.inputs()}
     varied: dict[str, str] = {}
     for column in sorted(table.columns, key=lambda c: c.startswith(tuple(f"{s}." for s in SIDES))):  # a side's own win
         side = column.partition(".")[0]
         if side in SIDES:
             varied[column] = column
-        elif side in groups:
+        elif side in system.groups:
             varied |= {f"{side}.{column}": column for side in SIDES}
     parts = [_hashes(key, np.asarray([value])) for key, value in nominal.items() if key not in varied]
     parts += [_hashes(key, table[column].to_numpy()) for key, column in varied.items()]
-    later = [(path, value) for path, value in _flat(Noise(), "noise") if path in LATER]
-    for path, value in [*_flat(Control(), "control"), *later, *_said(case, own(case))]:
+    for path, value in system.unsaid():
         parts += [-_hashes(f"{side}.{path}", np.asarray([value])) for side in SIDES]
     parts.append(_hashes("replicate", table["replicate"].to_numpy()))
     total = np.zeros(len(table), np.uint64)
@@ -56,23 +43,6 @@ def point_ids(table: "pd.DataFrame", case: Case) -> np.ndarray:
         total += part
     text = _mixed(total).astype(">u8").tobytes().hex()
     return np.frombuffer(text.encode(), "S16").astype("U16")
-
-
-def _said(case: Case, plan: Content) -> Iterator[tuple[str, Any]]:
-    """A plan's numbers by path, and all its words as one."""
-    places = charts(case.obstacle)
-    yield from ((f"plan.{path}", value) for path, value in numbers(plan, places).items())
-    yield "plan", json.dumps(mapped(plan, places, lambda path, value: 0))
-
-
-def _flat(value: Any, path: str) -> Iterator[tuple[str, Any]]:
-    if isinstance(value, PlanTable):
-        return  # see `_said`
-    if dataclasses.is_dataclass(value):
-        for member in dataclasses.fields(value):
-            yield from _flat(getattr(value, member.name), f"{path}.{member.name}" if path else member.name)
-    else:
-        yield path, value
 
 
 def _hashes(key: str, values: np.ndarray) -> np.ndarray:

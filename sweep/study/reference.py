@@ -17,10 +17,8 @@ import pandas as pd
 
 from sweep.core import project
 from sweep.core.errors import InputError, suggest
+from sweep.core.groups import GROUPS
 from sweep.core.parameters import bounds_text
-from sweep.metrics import CAUSES
-from sweep.models.obstacles import OBSTACLES
-from sweep.models.plan_table import GROUP, merged, numbers
 from sweep.study import config
 
 
@@ -34,8 +32,9 @@ def classes() -> dict[str, list[type]]:
 def text(name: str) -> str:
     """A group, a kind such as `obstacle=ball`, or a parameter such as `drive.torque_limit`. Raises `InputError`."""
     every = classes()
-    if name.partition(".")[0].partition("=")[0] == GROUP:
-        return plan(name.removeprefix(GROUP)[1:])
+    head = name.partition(".")[0].partition("=")[0]
+    if head in GROUPS and GROUPS[head].numbers:
+        return numbered(head, name.removeprefix(head)[1:])
     group, _, kind = name.partition("=")
     if group in every:
         kinds = [kind_of(cls) for cls in every[group]]
@@ -52,23 +51,22 @@ def text(name: str) -> str:
     return "\n\n".join(entry(group, cls, line) for cls, line in found)
 
 
-def plan(name: str) -> str:
+def numbered(group: str, name: str) -> str:
     """The numbers of a plan, `NAME` or one of them, `NAME.PATH`; without a name all plans. Raises `InputError`."""
-    files = {**project.shipped(GROUP), **project.own(GROUP)}
+    files = {**project.shipped(group), **project.own(group)}
     if not name:
-        return "\n".join(f"plan.{name:20} {project.described(file)}" for name, file in files.items())
+        return "\n".join(f"{group}.{name:20} {project.described(file)}" for name, file in files.items())
     file, _, path = name.partition(".")
     if file not in files:
-        raise InputError(f"plan = {file} is unknown{suggest(file, files)}")
-    places = {key: chart for cls in OBSTACLES.values() for key, chart in getattr(cls, "charts", {}).items()}
-    found = numbers(merged(file, lambda other: files[other].read_text(encoding="utf-8")), places)
+        raise InputError(f"{group} = {file} is unknown{suggest(file, files)}")
+    found = GROUPS[group].numbers_of(file, lambda other: files[other].read_text(encoding="utf-8"))
     if path:
         if path not in found:
-            raise InputError(f"plan.{name} is unknown{suggest(path, found)}")
-        return f"plan.{path}: {found[path]:g}"
+            raise InputError(f"{group}.{name} is unknown{suggest(path, found)}")
+        return f"{group}.{path}: {found[path]:g}"
     told = [line.removeprefix("#").strip() for line in takewhile(lambda line: line.startswith("#"),
             files[file].read_text(encoding="utf-8").splitlines())]  # fmt: skip
-    return "\n".join([*told, "", *(f"plan.{path:40} {value:g}" for path, value in found.items())])
+    return "\n".join([*told, "", *(f"{group}.{path:40} {value:g}" for path, value in found.items())])
 
 
 def page() -> str:
@@ -102,7 +100,7 @@ def entry(group: str, cls: type, line: dict[str, str]) -> str:
 
 def parameters(cls: type) -> Iterator[dict[str, str]]:
     """A line for each parameter: name, default, unit, what is allowed, meaning. The kind is not one of them."""
-    meanings = judged() | comments(cls)
+    meanings = getattr(cls, "meanings", {}) | comments(cls)
     for field in dataclasses.fields(cls):
         role = field.metadata.get("role")
         if field.name == "kind" or (role is None and not isinstance(field.default, str | int | float | bool)):
@@ -121,11 +119,6 @@ def parameters(cls: type) -> Iterator[dict[str, str]]:
             "allowed": allowed[role](field) if role else "",
             "meaning": meanings.get(field.name, ""),
         }
-
-
-def judged() -> dict[str, str]:
-    """What each threshold of `outcome` decides."""
-    return {cause.threshold: f"{cause.name}: {cause.sentence}" for cause in CAUSES if cause.threshold}
 
 
 def default(field: "dataclasses.Field[Any]") -> str:

@@ -1,11 +1,10 @@
-"""Which rollouts a study consists of: axes over paths of the nominal case, a table of points, and their parameters.
+"""Which rollouts a study consists of: axes over paths of a system, a table of points, and their parameters.
 
 A column of the points table is an axis path such as `contact.friction`, prefixed `world.` or `belief.` where only
 one of the two is varied, or `axis.NAME` for a number that values are made from (see `sweep.study.designs`).
 """
 
 import dataclasses
-import math
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -18,26 +17,19 @@ from sweep.core.errors import InputError, suggest
 from sweep.core.expressions import mask
 from sweep.core.parameters import checked, within
 from sweep.engines.settings import EngineSettings
-from sweep.engines.states import offered
-from sweep.models import plan_table
-from sweep.models.case import Case
-from sweep.models.plan_table import PlanTable
 from sweep.study import designs
-from sweep.study.designs import SIDES, Axis, Design
+from sweep.study.designs import Axis, Design
 from sweep.study.distributions import known
 from sweep.study.identity import DIGITS, point_ids, streams
 from sweep.study.theory import Theory
 from sweep.study.theory import parse as parse_theory
+from sweep.systems.base import Parameter, System, Values
 
 if TYPE_CHECKING:
     import pandas as pd
 
 DTYPES = {"quantity": "float64", "count": "int64", "choice": "str"}
-SIZED, SMALLEST, LARGEST = ("robot", "obstacle"), 0.01, 20.0  # whose lengths (m) from where on, how often the nominal
-Values = Mapping[str, Any]
 Say = Callable[[str], None]
-
-RELAXING = "contact.stiffness", "contact.damping", "engine.time_step", "engine.name"
 
 
 @dataclass(frozen=True)
@@ -96,7 +88,7 @@ class Study(_Plain):
     design: Design  # of the axes that have a distribution
     expect: tuple[Expectation, ...]
     theory: tuple[Theory, ...]  # drawn over its maps
-    keep: tuple[str, ...]  # columns whose time histories are kept, see `sweep.engines.states`
+    keep: tuple[str, ...]  # columns whose time histories are kept, see `System.recorded`
 
     @property
     def refined(self) -> bool:
@@ -153,62 +145,15 @@ def _expectation(key: str, given: Any) -> Expectation:
     return Expectation(**given)
 
 
-def side_and_path(column: str) -> tuple[str, str]:
-    """`world.contact.friction` -> (`world`, `contact.friction`)."""
-    side, _, path = column.partition(".")
-    return (side, path) if side in SIDES else ("both", column)
-
-
-def parameter(column: str, case: Case, settings: EngineSettings) -> "dataclasses.Field[Any]":
-    """The field that a column varies. Raises `InputError` where it names nothing."""
-    side, path = side_and_path(column)
-    if path.startswith("plan."):
-        if side == "world":
-            raise InputError(f"axis {column} varies nothing: plans are made of what is believed")
-        return plan_table.member(case, path.removeprefix("plan."))
-    owner, name = _owner(column, case, settings)
-    found = next(f for f in dataclasses.fields(owner) if f.name == name)
-    if found.metadata.get("role") not in DTYPES:
-        raise InputError(f"axis {column} cannot be varied: only single numbers and names can")
-    return found
-
-
-def nominal(column: str, case: Case, settings: EngineSettings) -> Any:
-    """The value of a parameter where it is not varied. Raises `InputError` where `column` names nothing."""
-    if side_and_path(column)[1].startswith("plan."):
-        return parameter(column, case, settings).default
-    return getattr(*_owner(column, case, settings))
-
-
-def unit(column: str, case: Case, settings: EngineSettings) -> str:
+def unit(column: str, system: System, settings: EngineSettings) -> str:
     """Unit of an axis; empty for pure numbers and names."""
-    found = "" if column.startswith("axis.") else parameter(column, case, settings).metadata.get("unit", "")
+    found = "" if column.startswith("axis.") else system.parameter(column, settings).metadata.get("unit", "")
     return "" if found == "-" else found
 
 
-def _owner(column: str, case: Case, settings: EngineSettings) -> tuple[Any, str]:
-    side, path = side_and_path(column)
-    owner: Any = case
-    groups = [f.name for f in dataclasses.fields(case)] + (["engine"] if side == "both" else [])
-    *above, last = path.split(".")
-    for step, name in enumerate([*above, last]):
-        allowed = groups if step == 0 else [f.name for f in dataclasses.fields(owner)]
-        if name not in allowed or (name == last and step == 0):
-            parts = [(group, settings if group == "engine" else getattr(case, group)) for group in groups]
-            whole = [f"{group}.{name}" for group, part in parts if hasattr(part, name)] if step == 0 else []
-            hint = f": did you mean {' or '.join(whole)}?" if whole else suggest(name, allowed)
-            before = "".join(f"{p}." for p in path.split(".")[:step])
-            raise InputError(f"axis {column} names nothing: {before}{name} is unknown{hint}")
-        if step < len(above):
-            owner = settings if name == "engine" and step == 0 else getattr(owner, name)
-            if not dataclasses.is_dataclass(owner):
-                raise InputError(f"axis {column} names nothing: {name} has no parts")
-    return owner, last
-
-
-def is_static(column: str, case: Case, settings: EngineSettings) -> bool:
+def is_static(column: str, system: System, settings: EngineSettings) -> bool:
     """Whether another value of `column` needs another compiled engine."""
-    return column.startswith("engine.") or parameter(column, case, settings).metadata["role"] != "quantity"
+    return column.startswith("engine.") or system.parameter(column, settings).metadata["role"] != "quantity"
 
 
 def parameter_columns(table: "pd.DataFrame") -> list[str]:
@@ -216,30 +161,11 @@ def parameter_columns(table: "pd.DataFrame") -> list[str]:
     return [c for c in table.columns if "." in c and not c.startswith("axis.")]
 
 
-def check_sizes(case: Case) -> None:
-    """Raise `InputError` where robot or obstacle is so large that a unit must be wrong."""
-    for group in SIZED:
-        part = getattr(case, group)
-        for member in dataclasses.fields(part):
-            _check_size(f"{group}.{member.name}", member, getattr(part, member.name))
-
-
-def _check_size(column: str, member: "dataclasses.Field[Any]", value: Any) -> None:
-    group, nominal = side_and_path(column)[1].partition(".")[0], member.default
-    if group not in SIZED or member.metadata.get("unit") != "m" or not isinstance(nominal, float):
-        return
-    if nominal >= SMALLEST and value > LARGEST * nominal:
-        meant = min((value / 100, value / 1000), key=lambda size: abs(math.log(size / nominal)))
-        allowed = f"at most {LARGEST:g} times the nominal {nominal:g} m"
-        raise InputError(f"{column} = {value:g} is not allowed: is it {meant:g} m? ({allowed})")
-
-
-def check_keep(study: Study, case: Case, settings: EngineSettings) -> None:
+def check_keep(study: Study, system: System, settings: EngineSettings) -> None:
     """Raise `InputError` where time histories are asked for that there are none of."""
-    columns = offered(case)
     for name in study.keep:
-        if name not in columns:
-            raise InputError(f"study.keep: {name} is unknown{suggest(str(name), columns)}")
+        if name not in system.recorded:
+            raise InputError(f"study.keep: {name} is unknown{suggest(str(name), system.recorded)}")
     ticks = 1 / (settings.control_period * study.keep_rate) if study.keep_rate > 0 else 0.0
     if study.keep and (round(ticks) < 1 or abs(ticks - round(ticks)) > 1e-6):
         rate = f"a whole fraction of the control rate, {1 / settings.control_period:g} a second"
@@ -247,7 +173,7 @@ def check_keep(study: Study, case: Case, settings: EngineSettings) -> None:
 
 
 def points(
-    study: Study, case: Case, settings: EngineSettings, grid: "pd.DataFrame | None" = None, say: Say | None = None
+    study: Study, system: System, settings: EngineSettings, grid: "pd.DataFrame | None" = None, say: Say | None = None
 ) -> "pd.DataFrame":
     """One row per rollout: axis values, replicate, noise stream and point id. Raises `InputError`.
 
@@ -262,33 +188,32 @@ def points(
     if study.points:
         design = _from_csv(study.points)
     else:
-        design = designs.table(study.axes, study.design, study.seed, lambda path: nominal(path, case, settings), grid)
+        design = designs.table(study.axes, study.design, study.seed, lambda path: system.nominal(path, settings), grid)
     draw = design.pop("draw") if not study.points else 0
-    fields = {c: parameter(c, case, settings) for c in design.columns if not c.startswith("axis.")}
+    fields = {c: system.parameter(c, settings) for c in design.columns if not c.startswith("axis.")}
     for column, member in fields.items():
         _check(member, design[column], column)
     design = design.astype({column: DTYPES[member.metadata["role"]] for column, member in fields.items()})
-    _check_step(design, case, settings)
+    system.check(design, settings)
     # static axes outermost: every compiled engine runs its rows in one go
-    static = [column for column in fields if is_static(column, case, settings)]
+    static = [column for column in fields if is_static(column, system, settings)]
     order = design.groupby(static, sort=False).ngroup().argsort(kind="stable") if static else slice(None)
     design = design.assign(draw=draw).iloc[order].loc[lambda d: mask(d, study.where)]
     table = design.loc[design.index.repeat(study.replicates)].reset_index(drop=True)
     again = np.tile(np.arange(study.replicates), len(design))
     table["replicate"] = table.pop("draw").to_numpy() * study.replicates + again
     table["stream"] = streams(study.seed, int(table["replicate"].to_numpy().max(initial=0)) + 1)[table["replicate"]]
-    table["point_id"] = point_ids(table, case)
+    table["point_id"] = point_ids(table, system)
     distinct = table.drop_duplicates(identity(table.columns), ignore_index=True)
     if say and len(distinct) < len(table):
         say(f"{len(table) - len(distinct)} of {len(table)} rollouts are left out: equal to others in {DIGITS} digits")
     return distinct
 
 
-def _check(member: "dataclasses.Field[Any]", values: "pd.Series", column: str) -> None:
+def _check(member: Parameter, values: "pd.Series", column: str) -> None:
     """Every value inside the bounds of its parameter; a million numbers at once."""
     import pandas as pd
 
-    largest = values.max() if values.dtype.kind in "fi" else 0.0
     if values.dtype.kind == "f" and member.metadata["role"] == "quantity":
         values = values[~(np.isfinite(values) & within(member, values))].head(1)
     if values.dtype.kind in "OUT" and member.metadata["role"] != "choice":  # of a file: one word makes a column words
@@ -296,23 +221,6 @@ def _check(member: "dataclasses.Field[Any]", values: "pd.Series", column: str) -
         values = (no_number if len(no_number) else values).head(1)
     for value in values.unique().tolist():
         checked(member, value, column)
-    _check_size(column, member, largest)
-
-
-def _check_step(design: "pd.DataFrame", case: Case, settings: EngineSettings) -> None:
-    """Raises `InputError` where a step of mjx is longer than contacts take to relax: they would not stay in contact."""
-    import pandas as pd
-
-    sides = {path: [c for c in (f"world.{path}", path) if c in design.columns] for path in RELAXING}
-    values = {path: design[own[0]] if own else nominal(path, case, settings) for path, own in sides.items()}
-    found = pd.DataFrame(values, index=design.index)
-    stiffness, damping, step, name = (found[path] for path in RELAXING)
-    slow = found[(name == "mjx") & (step * stiffness > damping * (1 + 1e-9))]
-    for stiffness, damping, step, _ in slow.head(1).itertuples(index=False):
-        raise InputError(
-            f"engine.time_step = {step:g} is not allowed: at most contact.damping over contact.stiffness, "
-            f"{damping:g} N s/m over {stiffness:g} N/m"
-        )
 
 
 def identity(columns: Any) -> list[str]:
@@ -334,31 +242,9 @@ def _from_csv(file: str) -> "pd.DataFrame":
     return table
 
 
-def assign[T](owner: T, path: str, value: Any) -> T:
-    """`owner` with the member at `path` replaced."""
-    if isinstance(owner, PlanTable):
-        return owner.changed(path, value)  # pyright: ignore[reportReturnType]
-    name, _, rest = path.partition(".")
-    inner = assign(getattr(owner, name), rest, value) if rest else value
-    return dataclasses.replace(owner, **{name: inner})  # pyright: ignore[reportArgumentType]
-
-
-def world_and_belief(case: Case, values: Values) -> tuple[Case, Case]:
-    """What is simulated and what the planner is told: common values first, then each side's own."""
-    sides = {}
-    for side in SIDES:
-        sides[side] = case
-        for here in ("both", side):
-            for column, value in values.items():
-                on, path = side_and_path(column)
-                if on == here and not path.startswith("engine."):
-                    sides[side] = assign(sides[side], path, value)
-    return sides["world"], sides["belief"]
-
-
 def with_settings(settings: EngineSettings, values: Values) -> EngineSettings:
     """The engine settings of a row."""
     for column, value in values.items():
         if column.startswith("engine."):
-            settings = assign(settings, column.removeprefix("engine."), value)
+            settings = dataclasses.replace(settings, **{column.removeprefix("engine."): value})
     return settings

@@ -13,15 +13,14 @@ from tabulate import tabulate
 from sweep.core.parameters import InputError
 from sweep.core.waiting import waiting
 from sweep.engines.base import Trace, same_bits
-from sweep.engines.run_id import device, run_id
 from sweep.engines.settings import EngineSettings
-from sweep.metrics.outcome import classify_one
 from sweep.runs import store
-from sweep.runs.batches import make_engine, nominal, with_room_for_delay
+from sweep.runs.batches import make_engine, nominal, with_room
 from sweep.runs.runner import load_point
 from sweep.study.columns import LABELS
 from sweep.study.config import experiment
 from sweep.study.study import parameter_columns
+from sweep.systems.base import judge_one
 from sweep.trace.frames import need_ffmpeg, write_png, write_video
 from sweep.trace.mcap import write_mcap
 from sweep.trace.plots import PLOTS, save
@@ -81,15 +80,15 @@ def replay(folder: Path, point: str) -> Replay:
     task, slot, row = load_point(folder, point)
     table, stored = store.read_points(folder), store.read_study(folder)
     config = stored["config"]
-    exp = with_room_for_delay(experiment(config), table)
+    exp = with_room(experiment(config), table)
     start = nominal(exp, table.loc[table["batch"] == row["batch"]], len(task.streams))
     engine = make_engine(exp, start)
     trace = engine.trace(task.world, task.belief, task.streams, slot)
-    again = {**classify_one(trace.figures, exp.thresholds, engine.stages), **trace.figures}
+    again = {**judge_one(exp.system, trace.figures, exp.thresholds, engine.stages), **trace.figures}
     values = {name: row[name] for name in (*parameter_columns(table), "replicate", "stream")}
     other_run = None
-    if str(row["run_id"]) != run_id(task.settings):
-        then, here = " or ".join(stored["devices"]), device(task.settings)
+    if str(row["run_id"]) != exp.system.run_id(task.settings):
+        then, here = " or ".join(stored["devices"]), exp.system.device(task.settings)
         other_run = f"the row was simulated by other code or libraries, or on another device ({then}; here {here})"
     return Replay(row, again, trace, task.settings, {**config, "point": values}, other_run)
 

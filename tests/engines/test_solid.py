@@ -10,9 +10,9 @@ import pytest
 from sweep.core.errors import InputError
 from sweep.engines import make
 from sweep.engines.native import native_model
-from sweep.metrics.outcome import classify_one
 from sweep.study.config import compose
 from sweep.study.study import points
+from sweep.systems.base import judge_one
 
 OWN = frozenset({"inner_thigh", "outer_shin"})  # of a leg
 FAIL = {"beam_no_flywheel", "ladder_climb", "ladder_descend"}  # the first as it is meant to
@@ -86,14 +86,14 @@ def test_only_native_can_be_solid():
     assert compose(["engine=native", "engine.solid=true"]).settings.solid
     exp = compose(["engine=native", "study.axes.solid={path: engine.solid, values: [true, false]}"])
     with pytest.raises(InputError, match=r"axis engine\.solid cannot be varied"):
-        points(exp.study, exp.case, exp.settings)
+        points(exp.study, exp.system, exp.settings)
 
 
 def rolled_out(exp, solid):
     """Outcome, cause and stage, and the trace of the nominal rollout."""
     engine = make(dataclasses.replace(exp.settings, solid=solid), exp.case, exp.case, exp.thresholds)
     trace = engine.trace(exp.case, exp.case, np.zeros(1, int), 0)
-    labels = classify_one(trace.figures, exp.thresholds, engine.stages)
+    labels = judge_one(exp.system, trace.figures, exp.thresholds, engine.stages)
     return [labels[name] for name in ("outcome", "cause", "stage")], trace
 
 

@@ -50,7 +50,7 @@ def test_tables_hold_the_rows_in_four_forms(rows):
     pd.testing.assert_frame_equal(pd.read_parquet(io.BytesIO(tables.render(rows, "parquet"))), rows, check_dtype=False)
     back = pd.read_csv(io.BytesIO(tables.render(rows, "csv"))).fillna(dict.fromkeys(("cause", "stage", "limit"), ""))
     pd.testing.assert_frame_equal(back, rows, check_dtype=False)
-    page = tables.render(rows, "markdown").decode()
+    page = tables.render(rows, "markdown", exp=EXP).decode()
     assert page.startswith("| engine   | friction (world)   | half step ratio")
     longer = rows.assign(**{"belief.robot.shin": 1.2})
     assert "| shin (belief) [m]" in tables.render(longer, "markdown", exp=EXP).decode()

@@ -8,7 +8,6 @@ import pytest
 from sweep.metrics.outcome import classify
 from sweep.runs.batches import batch, make_engine, nominal
 from sweep.study.config import compose
-from sweep.study.study import nominal as nominal_value
 from sweep.study.study import parameter_columns, points
 
 pytestmark = pytest.mark.slow
@@ -22,12 +21,12 @@ def outcomes(name: str, engine: str) -> pd.DataFrame:
     path, steps = STEPS[engine]
     axis = [f"study.axes.step.path={path}", f"study.axes.step.values={steps}"]
     exp = compose([f"scenario={name}", "study=any_step", f"engine.name={engine}", *axis])
-    table, found = points(exp.study, exp.case, exp.settings), {}
+    table, found = points(exp.study, exp.system, exp.settings), {}
     for step, rows in table.groupby(path, sort=False):
         first = rows.iloc[[0]].copy()
         for column in parameter_columns(rows):
             if column != path:
-                first[column] = nominal_value(column, exp.case, exp.settings)
+                first[column] = exp.system.nominal(column, exp.settings)
         rows = pd.concat([first, rows], ignore_index=True).assign(width=len(rows) + 1)
         simulation, one = make_engine(exp, nominal(exp, rows, len(rows))), batch(exp, rows)
         figures = simulation.run(one.world, one.belief, one.streams)

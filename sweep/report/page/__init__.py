@@ -20,7 +20,6 @@ from PIL import Image
 from sweep.analysis.sample import pooled
 from sweep.analysis.stats import broken
 from sweep.core.files import write_whole
-from sweep.metrics.outcome import MEANING
 from sweep.report import tables
 from sweep.report.exhibit import Exhibit
 from sweep.report.exhibits import exhibits
@@ -115,7 +114,7 @@ def render(results: Results, shown: list[Shown] | None = None, chosen: tuple[str
         plates=plates,
         expectations=list(expectations(results)),
         parameters=list(tables.parameters(results)),
-        reasons=[(cause, MEANING[cause], int((rows["cause"] == cause).sum())) for cause in results.causes_seen],
+        reasons=[(cause, words, int((rows["cause"] == cause).sum())) for cause, words in results.causes_seen.items()],
         typical=typicals,
         statistics=list(statistics(results)),
         audit=list(audit.table(results).itertuples(index=False)),

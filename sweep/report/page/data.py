@@ -12,7 +12,6 @@ import pandas as pd
 
 from sweep.analysis.sample import some
 from sweep.core.files import as_text
-from sweep.metrics.outcome import DOUBTS, MEANING
 from sweep.report import limits
 from sweep.report.exhibits import judged_first, thresholds
 from sweep.report.labels import (
@@ -25,7 +24,7 @@ from sweep.report.labels import (
 from sweep.report.looks import FAILURE, GOOD, look_of
 from sweep.runs import refine
 from sweep.runs.results import Results
-from sweep.study.study import side_and_path
+from sweep.systems.base import side_and_path
 
 ROWS, SAMPLE = 40_000, 20_000  # with more rows than that the page has a sample of them, and maps of densities
 FIGURES = 28  # that are on the page, the ones that outcomes are judged by first
@@ -114,17 +113,17 @@ def codes_of(rows: pd.DataFrame, kinds: list[dict[str, Any]]) -> np.ndarray:
 
 def kinds_of(results: Results) -> list[dict[str, Any]]:
     """What came of rollouts, with words, colour and shape: success, then the causes in their order."""
-    counts = kind_of(results.rows).value_counts()
-    known = [name for name in ("success", *MEANING) if name in counts]
+    counts, system = kind_of(results.rows).value_counts(), results.exp.system
+    known = [name for name in ("success", *system.causes) if name in counts]
     return [
         {
             "key": name,
             "label": name.replace("_", " ") or "no cause",
-            "meaning": meaning(name) if name in known else "",
+            "meaning": meaning(name, results.exp) if name in known else "",
             "count": int(counts[name]),
             "colour": look_of(name).colour,
             "shape": look_of(name).shape.round(3).ravel().tolist(),
-            "outcome": "success" if name == "success" else "invalid" if name in DOUBTS else "failure",
+            "outcome": "success" if name == "success" else "invalid" if name in system.doubts else "failure",
         }
         for name in [*known, *sorted(set(counts.index) - set(known))]
     ]

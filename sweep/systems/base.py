@@ -1,0 +1,158 @@
+"""The contract between studies and what they study.
+
+Studies, their analysis and reports know a system by this alone: parameters by path, two sides that they never look
+into, engines that take those, figures by column, and causes by name.
+"""
+
+import dataclasses
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self
+
+import numpy as np
+
+from sweep.engines.base import Engine
+from sweep.engines.settings import EngineSettings
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+SIDES = "world", "belief"  # what is simulated, and what the controller is told
+Parameter = dataclasses.Field[Any]  # with role, unit and bounds: see `sweep.core.parameters`
+Values = Mapping[str, Any]  # by column
+Kinds = Mapping[str, Mapping[str, type]]  # classes by group and kind
+Limits = Any  # of figures, by which a system judges
+
+
+class Way(NamedTuple):
+    """A way to simulate that should make no difference, see `sweep audit`."""
+
+    words: str
+    change: Callable[[EngineSettings], EngineSettings]
+
+
+class System(Protocol):
+    """What is studied, at its nominal parameters. Hashable; equal ones simulate alike.
+
+    A column is the path of a parameter such as `contact.friction`, or `engine.name`, prefixed `world.` or `belief.`
+    where only one side has it.
+    """
+
+    @property
+    def case(self) -> Any:
+        """The nominal world, which is the nominal belief, too."""
+        ...
+
+    @property
+    def groups(self) -> Collection[str]:
+        """What paths of its parameters start with, `engine` apart."""
+        ...
+
+    @property
+    def causes(self) -> Mapping[str, str]:
+        """What each cause means, in the order of their definition."""
+        ...
+
+    @property
+    def doubts(self) -> Collection[str]:
+        """The causes for which a rollout is invalid rather than failed."""
+        ...
+
+    @property
+    def silent(self) -> Collection[str]:
+        """Figures that outcomes are derived from and that say nothing beside them."""
+        ...
+
+    @property
+    def recorded(self) -> Collection[str]:
+        """Columns of time histories."""
+        ...
+
+    @property
+    def random(self) -> Mapping[str, Any]:
+        """Paths of what draws errors in a rollout, and the value at which it draws none."""
+        ...
+
+    @property
+    def ways(self) -> Mapping[str, Way]:
+        """In which `sweep audit` simulates again."""
+        ...
+
+    def parameter(self, column: str, settings: EngineSettings) -> Parameter:
+        """What a column varies. Raises `InputError` where it names nothing that can be varied."""
+        ...
+
+    def nominal(self, column: str, settings: EngineSettings) -> Any:
+        """The value of a parameter where it is not varied. Raises `InputError` where `column` names nothing."""
+        ...
+
+    def inputs(self) -> Iterator[tuple[str, Any]]:
+        """All that physically tells one rollout from another, by path, nominal."""
+        ...
+
+    def unsaid(self) -> Iterator[tuple[str, Any]]:
+        """Of these, the values at which an input plays no part in a point's id."""
+        ...
+
+    def check(self, table: "pd.DataFrame", settings: EngineSettings) -> None:
+        """Raise `InputError` where values of a table, each within its bounds, are not allowed together."""
+        ...
+
+    def sides(self, values: Values) -> tuple[Any, Any]:
+        """World and belief with `values`, numbers or arrays over a batch: common ones first, then each side's own."""
+        ...
+
+    def with_room(self, table: "pd.DataFrame") -> Self:
+        """Itself with memory, such as a delay's, that is long enough for all points of `table`."""
+        ...
+
+    def engine(self, settings: EngineSettings, world: Any, belief: Any, limits: Limits) -> Engine:
+        """A compiled engine for sides of this structure. Raises `InputError` where there is none."""
+        ...
+
+    def device(self, settings: EngineSettings) -> str:
+        """What an engine runs on, as far as it may change bits."""
+        ...
+
+    def run_id(self, settings: EngineSettings) -> str:
+        """Hash of how a row is simulated: rows are equal bit for bit only at an equal one."""
+        ...
+
+    def judge(self, figures: Mapping[str, np.ndarray], limits: Limits, stages: Sequence[str]) -> dict[str, np.ndarray]:
+        """The labels (`sweep.study.columns.LABELS`) of each row; a pure function of the stored figures."""
+        ...
+
+    def thresholds(self, limits: Limits) -> Mapping[str, float]:
+        """By the figure that they are for."""
+        ...
+
+    def why(self, row: Mapping[str, Any], limits: Limits) -> str:
+        """The cause of a row in words, with the figure and its threshold; empty for a success."""
+        ...
+
+
+class Nominal(NamedTuple):
+    """What a configuration says of what is studied."""
+
+    system: System
+    settings: EngineSettings
+    limits: Limits
+
+
+def side_and_path(column: str) -> tuple[str, str]:
+    """`world.contact.friction` -> (`world`, `contact.friction`)."""
+    side, _, path = column.partition(".")
+    return (side, path) if side in SIDES else ("both", column)
+
+
+def by_side(values: Values) -> dict[str, dict[str, Any]]:
+    """The values of each side by path: common ones first, then its own; what is the engine's is left out."""
+    placed = [(*side_and_path(column), value) for column, value in values.items() if not column.startswith("engine.")]
+    return {
+        side: {path: value for here in ("both", side) for on, path, value in placed if on == here} for side in SIDES
+    }
+
+
+def judge_one(system: System, figures: Mapping[str, Any], limits: Limits, stages: Sequence[str]) -> dict[str, Any]:
+    """The labels of a single rollout, whose figures are plain numbers."""
+    row = {name: np.asarray([value], dtype=float) for name, value in figures.items()}
+    return {name: values[0] for name, values in system.judge(row, limits, stages).items()}

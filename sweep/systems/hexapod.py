@@ -1,0 +1,277 @@
+"""The six-legged robot on its obstacles, as studies know it: a `Case`, its paths, and engines for it."""
+
+import dataclasses
+import json
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from sweep.controllers.manoeuvres import MANOEUVRES
+from sweep.core.errors import InputError, suggest
+from sweep.core.groups import GROUPS
+from sweep.core.parameters import build, of_kind
+from sweep.engines import run_id
+from sweep.engines.base import Engine
+from sweep.engines.settings import EngineSettings
+from sweep.engines.states import offered
+from sweep.metrics import outcome
+from sweep.metrics.outcome import Thresholds
+from sweep.models import plan_table
+from sweep.models.case import Case
+from sweep.models.control import Control
+from sweep.models.noise import Noise
+from sweep.models.obstacles import OBSTACLES
+from sweep.models.obstacles.charts import charts
+from sweep.models.obstacles.surface import Obstacle
+from sweep.models.plan_table import Content, PlanTable, Tabled
+from sweep.systems.base import Kinds, Nominal, Parameter, Values, Way, by_side, side_and_path
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+VARIED = "quantity", "count", "choice"
+SIZED, SMALLEST, LARGEST = ("robot", "obstacle"), 0.01, 20.0  # whose lengths (m) from where on, how often the nominal
+RELAXING = "contact.stiffness", "contact.damping", "engine.time_step", "engine.name"
+LATER = ("noise.load_noise", "noise.load_bias", "noise.load_delay")  # inputs that rows of before had at their defaults
+RANDOM: dict[str, float | str] = {
+    f"noise.{f.name}": 0 for f in dataclasses.fields(Noise) if f.name.endswith(("_noise", "_bias"))
+}
+RANDOM["control.calibrate"] = "none"
+WAYS = {
+    "again": Way("as before, in batches of another width", lambda s: s),
+    "half_step": Way(
+        "half the time step",
+        lambda s: replace(s, time_step=s.time_step / 2, native_time_step=s.native_time_step / 2),
+    ),
+    "float64": Way("in double precision", lambda s: replace(s, precision="float64")),
+    "other_engine": Way(
+        "on the other engine",
+        lambda s: replace(s, name="native" if s.name == "mjx" else "mjx", solid=False),
+    ),
+    "solid": Way("with solid bodies, on native", lambda s: replace(s, name="native", solid=True)),
+}
+
+
+@dataclass(frozen=True)
+class Hexapod:
+    """The robot, its obstacle and its manoeuvre: a `System`."""
+
+    case: Case
+
+    groups = tuple(f.name for f in dataclasses.fields(Case))
+    causes = outcome.MEANING
+    doubts = tuple(outcome.DOUBTS)
+    silent = frozenset(outcome.BOOKKEEPING | {"finite", "finished", "end_stage"})
+    random = RANDOM
+    ways = WAYS
+
+    @property
+    def recorded(self) -> tuple[str, ...]:
+        """See `System`."""
+        return tuple(offered(self.case))
+
+    def parameter(self, column: str, settings: EngineSettings) -> Parameter:
+        """See `System`."""
+        side, path = side_and_path(column)
+        if path.startswith("plan."):
+            if side == "world":
+                raise InputError(f"axis {column} varies nothing: plans are made of what is believed")
+            return plan_table.member(self.case, path.removeprefix("plan."))
+        owner, name = self._owner(column, settings)
+        found = next(f for f in dataclasses.fields(owner) if f.name == name)
+        if found.metadata.get("role") not in VARIED:
+            raise InputError(f"axis {column} cannot be varied: only single numbers and names can")
+        return found
+
+    def nominal(self, column: str, settings: EngineSettings) -> Any:
+        """See `System`."""
+        if side_and_path(column)[1].startswith("plan."):
+            return self.parameter(column, settings).default
+        return getattr(*self._owner(column, settings))
+
+    def _owner(self, column: str, settings: EngineSettings) -> tuple[Any, str]:
+        side, path = side_and_path(column)
+        owner: Any = self.case
+        groups = [*self.groups] + (["engine"] if side == "both" else [])
+        *above, last = path.split(".")
+        for step, name in enumerate([*above, last]):
+            allowed = groups if step == 0 else [f.name for f in dataclasses.fields(owner)]
+            if name not in allowed or (name == last and step == 0):
+                parts = [(group, settings if group == "engine" else getattr(self.case, group)) for group in groups]
+                whole = [f"{group}.{name}" for group, part in parts if hasattr(part, name)] if step == 0 else []
+                hint = f": did you mean {' or '.join(whole)}?" if whole else suggest(name, allowed)
+                before = "".join(f"{p}." for p in path.split(".")[:step])
+                raise InputError(f"axis {column} names nothing: {before}{name} is unknown{hint}")
+            if step < len(above):
+                owner = settings if name == "engine" and step == 0 else getattr(owner, name)
+                if not dataclasses.is_dataclass(owner):
+                    raise InputError(f"axis {column} names nothing: {name} has no parts")
+        return owner, last
+
+    def inputs(self) -> Iterator[tuple[str, Any]]:
+        """See `System`."""
+        yield from _flat(self.case, "")
+        yield from _said(self.case, plan_table.tabled(self.case))
+
+    def unsaid(self) -> Iterator[tuple[str, Any]]:
+        """Of `control`, of errors of the feet's load and of the plan's numbers what is as by default.
+
+        The ids are thus those of before there were any.
+        """
+        yield from _flat(Control(), "control")
+        yield from ((path, value) for path, value in _flat(Noise(), "noise") if path in LATER)
+        yield from _said(self.case, plan_table.own(self.case))
+
+    def check(self, table: "pd.DataFrame", settings: EngineSettings) -> None:
+        """See `System`."""
+        for column in table.columns:
+            if not column.startswith("axis.") and table[column].dtype.kind == "f":
+                _check_size(column, self.parameter(column, settings), table[column].max())
+        self._check_step(table, settings)
+
+    def _check_step(self, table: "pd.DataFrame", settings: EngineSettings) -> None:
+        """Raises `InputError` where a step of mjx is longer than contacts take to relax: they would not stay."""
+        import pandas as pd
+
+        sides = {path: [c for c in (f"world.{path}", path) if c in table.columns] for path in RELAXING}
+        values = {path: table[own[0]] if own else self.nominal(path, settings) for path, own in sides.items()}
+        found = pd.DataFrame(values, index=table.index)
+        stiffness, damping, step, name = (found[path] for path in RELAXING)
+        slow = found[(name == "mjx") & (step * stiffness > damping * (1 + 1e-9))]
+        for stiffness, damping, step, _ in slow.head(1).itertuples(index=False):
+            raise InputError(
+                f"engine.time_step = {step:g} is not allowed: at most contact.damping over contact.stiffness, "
+                f"{damping:g} N s/m over {stiffness:g} N/m"
+            )
+
+    def sides(self, values: Values) -> tuple[Case, Case]:
+        """See `System`."""
+        world, belief = (_assigned(self.case, own) for own in by_side(values).values())
+        return world, belief
+
+    def with_room(self, table: "pd.DataFrame") -> "Hexapod":
+        """See `System`."""
+
+        def of(name: str) -> Any:
+            columns = [c for c in table.columns if side_and_path(c)[1] == f"noise.{name}"]
+            return table[columns].max(axis=1) if columns else getattr(self.case.noise, name)
+
+        longest = np.max(np.maximum(of("delay") + of("load_delay"), of("body_delay")))
+        room = max(math.ceil(longest), self.case.noise.delay_buffer)
+        return Hexapod(assign(self.case, "noise.delay_buffer", room))
+
+    def engine(self, settings: EngineSettings, world: Case, belief: Case, limits: Thresholds) -> Engine:
+        """See `System`."""
+        from sweep import engines  # slow to import
+
+        return engines.make(settings, world, belief, limits)
+
+    def device(self, settings: EngineSettings) -> str:
+        """See `System`."""
+        return run_id.device(settings)
+
+    def run_id(self, settings: EngineSettings) -> str:
+        """See `System`."""
+        return run_id.run_id(settings)
+
+    def judge(
+        self, figures: Mapping[str, np.ndarray], limits: Thresholds, stages: Sequence[str]
+    ) -> dict[str, np.ndarray]:
+        """See `System`."""
+        return outcome.classify(figures, limits, stages)
+
+    def thresholds(self, limits: Thresholds) -> dict[str, float]:
+        """See `System`."""
+        return {cause.figure: outcome.limit_of(cause, limits) for cause in outcome.CAUSES if cause.threshold}
+
+    def why(self, row: Mapping[str, Any], limits: Thresholds) -> str:
+        """See `System`."""
+        return outcome.why(row, limits)
+
+
+def nominal(values: Mapping[str, Any], kinds: Kinds) -> Nominal:
+    """See `sweep.systems.nominal`."""
+    classes = {"engine": EngineSettings, "outcome": Thresholds}
+    classes |= {name: group.load() for name, group in GROUPS.items() if group.in_case and group.one_class}
+    parts = {group: build(cls, values[group], group) for group, cls in classes.items()}
+    settings, given = parts.pop("engine"), dataclasses.asdict(parts.pop("outcome"))
+    parts |= {group: of_kind(kinds[group], values[group], group) for group in ("obstacle", "manoeuvre")}
+    case = Case(**parts, plan=_table(values["plan"], parts["manoeuvre"]))
+    if _asked_for(case.obstacle) not in case.manoeuvre.needs:
+        needed = " or ".join(kind for kind, cls in OBSTACLES.items() if cls in case.manoeuvre.needs)
+        both = f"obstacle.kind = {case.obstacle.kind} is not allowed: manoeuvre.kind = {case.manoeuvre.kind}"
+        raise InputError(f"{both} needs {needed}")
+    for group in SIZED:
+        part = getattr(case, group)
+        for member in dataclasses.fields(part):
+            _check_size(f"{group}.{member.name}", member, getattr(part, member.name))
+    return Nominal(Hexapod(case), settings, outcome.thresholds(given, case))
+
+
+def plan_numbers(file: str, read: Callable[[str], str]) -> dict[str, float]:
+    """The numbers of a plan's file by path, whatever obstacle it is for; `read` gives the text of a file's name."""
+    places = {key: chart for cls in OBSTACLES.values() for key, chart in getattr(cls, "charts", {}).items()}
+    return plan_table.numbers(plan_table.merged(file, read), places)
+
+
+def assign[T](owner: T, path: str, value: Any) -> T:
+    """`owner` with the member at `path` replaced."""
+    if isinstance(owner, PlanTable):
+        return owner.changed(path, value)  # pyright: ignore[reportReturnType]
+    name, _, rest = path.partition(".")
+    inner = assign(getattr(owner, name), rest, value) if rest else value
+    return dataclasses.replace(owner, **{name: inner})  # pyright: ignore[reportArgumentType]
+
+
+def _assigned(case: Case, values: Values) -> Case:
+    for path, value in values.items():
+        case = assign(case, path, value)
+    return case
+
+
+def _table(given: Any, manoeuvre: Any) -> PlanTable:
+    """The numbers of a plan, if they are not the manoeuvre's own."""
+    if not given:
+        return PlanTable()
+    if not isinstance(given, Mapping):
+        raise InputError(f"plan = {given} is not allowed: `sweep list` shows the choices")
+    if not isinstance(manoeuvre, Tabled):
+        raise InputError(f"plan is not allowed: manoeuvre.kind = {manoeuvre.kind} has its numbers in no file")
+    return PlanTable(json.dumps(given))
+
+
+def _asked_for(obstacle: Obstacle) -> type | None:
+    """The nearest class of an obstacle that manoeuvres ask for: a ball between ledges is no ball on a floor."""
+    asked = {cls for manoeuvre in MANOEUVRES.values() for cls in manoeuvre.needs}
+    return next((cls for cls in type(obstacle).__mro__ if cls in asked), None)
+
+
+def _check_size(column: str, member: Parameter, value: Any) -> None:
+    """Raise `InputError` where robot or obstacle is so large that a unit must be wrong."""
+    group, nominal = side_and_path(column)[1].partition(".")[0], member.default
+    if group not in SIZED or member.metadata.get("unit") != "m" or not isinstance(nominal, float):
+        return
+    if nominal >= SMALLEST and value > LARGEST * nominal:
+        meant = min((value / 100, value / 1000), key=lambda size: abs(math.log(size / nominal)))
+        allowed = f"at most {LARGEST:g} times the nominal {nominal:g} m"
+        raise InputError(f"{column} = {value:g} is not allowed: is it {meant:g} m? ({allowed})")
+
+
+def _said(case: Case, plan: Content) -> Iterator[tuple[str, Any]]:
+    """A plan's numbers by path, and all its words as one."""
+    places = charts(case.obstacle)
+    yield from ((f"plan.{path}", value) for path, value in plan_table.numbers(plan, places).items())
+    yield "plan", json.dumps(plan_table.mapped(plan, places, lambda path, value: 0))
+
+
+def _flat(value: Any, path: str) -> Iterator[tuple[str, Any]]:
+    if isinstance(value, PlanTable):
+        return  # see `_said`
+    if dataclasses.is_dataclass(value):
+        for member in dataclasses.fields(value):
+            yield from _flat(getattr(value, member.name), f"{path}.{member.name}" if path else member.name)
+    else:
+        yield path, value
