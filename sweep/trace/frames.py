@@ -48,10 +48,16 @@ def write_png(folder: str | Path, trace: Trace, outcome: str = "", number: int =
     return paths
 
 
-def caption(trace: Trace, k: int, outcome: str = "") -> str:
-    """Time, stage and outcome of the frame `k`, in a line."""
+def caption(trace: Trace, k: int, outcome: str = "", title: str = "") -> str:
+    """What it is of, time, stage and outcome of the frame `k`, in a line."""
     stage = trace.stages[trace.stage[k]] if 0 <= trace.stage[k] < len(trace.stages) else ""
-    return "   ".join(part for part in (f"{trace.time[k]:.2f} s", stage, outcome) if part)
+    return "   ".join(part for part in (title, f"{trace.time[k]:.2f} s", stage, outcome) if part)
+
+
+def known(trace: Trace, k: int, outcome: str) -> str:
+    """The outcome from its cause on, or in the last frame where it has none; empty before."""
+    cause = float(trace.figures.get("t_cause_s", np.nan))
+    return outcome if trace.time[k] >= (trace.time[-1] if np.isnan(cause) else cause) else ""
 
 
 def captioned(picture: np.ndarray, text: str) -> np.ndarray:
@@ -77,16 +83,23 @@ def write_strip(path: str | Path, trace: Trace, chosen: np.ndarray, outcome: str
     Image.fromarray(np.concatenate(rows)).quantize(128).save(path, optimize=True)
 
 
-def write_video(path: str | Path, trace: Trace, progress: Callable[[int, int], None] = lambda done, of: None) -> None:
+def write_video(
+    path: str | Path,
+    trace: Trace,
+    title: str = "",
+    outcome: str = "",
+    progress: Callable[[int, int], None] = lambda done, of: None,
+) -> None:
     """Write an MP4 in real time; raises `InputError` without OpenGL or without the `video` extra.
 
+    `title` says what it is of; time and stage stand beside it, and from the time of the cause on what came of it.
     `progress` is told how many pictures of how many are drawn.
     """
     need_ffmpeg()
-    write_whole(Path(path), partial(_write_video, trace=trace, progress=progress))
+    write_whole(Path(path), partial(_write_video, trace=trace, title=title, outcome=outcome, progress=progress))
 
 
-def _write_video(path: Path, trace: Trace, progress: Callable[[int, int], None]) -> None:
+def _write_video(path: Path, trace: Trace, title: str, outcome: str, progress: Callable[[int, int], None]) -> None:
     import imageio_ffmpeg
 
     # imageio_ffmpeg's own writer forks, which may hang a process that runs JAX
@@ -98,8 +111,8 @@ def _write_video(path: Path, trace: Trace, progress: Callable[[int, int], None])
     first = next(pictures)  # before there is a file, so that a failure to draw leaves none
     with subprocess.Popen(command, stdin=subprocess.PIPE) as process:
         assert process.stdin is not None
-        for done, picture in enumerate(itertools.chain([first], pictures), start=1):
-            process.stdin.write(picture.tobytes())
+        for done, (k, picture) in enumerate(zip(chosen, itertools.chain([first], pictures), strict=True), start=1):
+            process.stdin.write(captioned(picture, caption(trace, k, known(trace, k, outcome), title)).tobytes())
             progress(done, len(chosen))
     if process.returncode:
         raise RuntimeError(f"ffmpeg failed to write {path}")

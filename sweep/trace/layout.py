@@ -8,10 +8,11 @@ LEG_COLORS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00") 
 
 
 def layout() -> dict[str, Any]:
-    """3D view that follows the base, torques, stages and outcome, as Foxglove's "import from file" reads it."""
+    """3D view that follows the base, torques, loads, stages and outcome, as Foxglove's "import from file" reads it."""
     panels = {
         "3D!robot": _view(),
         **{f"Plot!{kind}": _torques(kind) for kind in KINDS},
+        "Plot!load": _plot("load of feet (N)", "/foot_load.foot{}"),
         "StateTransitions!stage": {
             "paths": [{"value": "/stage.name", "timestampMethod": "receiveTime"}],
             "isSynced": True,
@@ -19,7 +20,8 @@ def layout() -> dict[str, Any]:
         "RawMessages!outcome": {"topicPath": "/outcome"},
     }
     first, second, third = (f"Plot!{kind}" for kind in KINDS)
-    plots = _split("column", first, _split("column", second, third, 50), 33)
+    torques = _split("column", first, _split("column", second, third, 50), 33)
+    plots = _split("column", torques, "Plot!load", 75)
     left = _split("column", "3D!robot", "StateTransitions!stage", 85)
     right = _split("column", plots, "RawMessages!outcome", 70)
     return {
@@ -57,9 +59,14 @@ def _view() -> dict[str, Any]:
 
 
 def _torques(kind: str) -> dict[str, Any]:
+    return _plot(f"torque of {kind} (N m)", '/joint_states.joints[:]{{name=="' + kind + '{}"}}.effort')
+
+
+def _plot(title: str, path: str) -> dict[str, Any]:
+    """A line for each leg, whose number stands at the braces of `path`."""
     series = [
         {
-            "value": f"/joint_torque.{kind}{leg}",
+            "value": path.format(leg),
             "label": f"leg {leg}",
             "enabled": True,
             "timestampMethod": "receiveTime",
@@ -68,7 +75,7 @@ def _torques(kind: str) -> dict[str, Any]:
         for leg, color in enumerate(LEG_COLORS, start=1)
     ]
     return {
-        "foxglovePanelTitle": f"torque of {kind} (N m)",
+        "foxglovePanelTitle": title,
         "paths": series,
         "xAxisVal": "timestamp",
         "isSynced": True,

@@ -1,4 +1,4 @@
-"""A trace as an MCAP file for Foxglove: moving robot, contact forces, joint torques, stages, outcome, configuration."""
+"""A trace as an MCAP file for Foxglove: moving robot, contact forces, joints, loads, stages, outcome, configuration."""
 
 import json
 import math
@@ -11,7 +11,7 @@ import foxglove
 import mujoco
 import numpy as np
 from foxglove import Channel, Context
-from foxglove.channels import FrameTransformsChannel, SceneUpdateChannel
+from foxglove.channels import FrameTransformsChannel, JointStatesChannel, SceneUpdateChannel
 from foxglove.mcap import MCAPWriteOptions, MCAPWriter
 from foxglove.messages import (
     ArrowPrimitive,
@@ -19,6 +19,8 @@ from foxglove.messages import (
     Duration,
     FrameTransform,
     FrameTransforms,
+    JointState,
+    JointStates,
     Pose,
     SceneEntity,
     SceneUpdate,
@@ -27,20 +29,23 @@ from foxglove.messages import (
 
 from sweep.core.files import write_whole
 from sweep.engines.base import Trace
-from sweep.models.legs import JOINTS
+from sweep.models.legs import JOINTS, LEGS
 from sweep.trace.arrows import ARROW_RADIUS, FORCE_COLOR, arrow_tips
 from sweep.trace.layout import layout
-from sweep.trace.sampling import at_rate, finite_frames
+from sweep.trace.sampling import at_rate, finite_frames, joint_angle, joint_rate
 from sweep.trace.shapes import WORLD, body_name, entities, moving_bodies, quaternion, vector
 
-PICTURE_RATE = 50.0  # Hz, of transforms and forces; torques are written every tick, a peak must not fall between
+PICTURE_RATE = (
+    50.0  # Hz, of transforms and arrows; joints and loads are written every tick, a peak must not fall between
+)
 
+FEET = tuple(f"foot{leg}" for leg in LEGS)
 _NUMBER = {"type": "number"}
-_TORQUE_SCHEMA = {
-    "title": "sweep.JointTorque",
-    "description": "largest torque of the control tick, N m",
+_LOAD_SCHEMA = {
+    "title": "sweep.FootLoad",
+    "description": "force on each foot, mean of the control tick, N",
     "type": "object",
-    "properties": dict.fromkeys(JOINTS, _NUMBER),
+    "properties": dict.fromkeys(FEET, _NUMBER),
 }
 _STAGE_SCHEMA = {
     "title": "sweep.Stage",
@@ -70,7 +75,8 @@ def _write(path: Path, trace: Trace, config: Mapping[str, Any], outcome: Mapping
         _write_outcome(context, plain(outcome), _nanoseconds(trace.time[0]))
         _write_stages(context, trace)
         _write_pictures(context, trace)
-        _write_torques(context, trace)
+        _write_joints(context, trace)
+        _write_loads(context, trace)
 
 
 def plain(value: Any) -> Any:
@@ -118,11 +124,24 @@ def _write_stages(context: Context, trace: Trace) -> None:
         channel.log(message, log_time=_nanoseconds(trace.time[k]))
 
 
-def _write_torques(context: Context, trace: Trace) -> None:
-    channel = Channel("/joint_torque", schema=_TORQUE_SCHEMA, context=context)
+def _write_joints(context: Context, trace: Trace) -> None:
+    """Angle (rad), rate (rad/s) and largest torque of the tick (N m) of every joint."""
+    channel = JointStatesChannel("/joint_states", context=context)
+    angle, rate, torque = (values.tolist() for values in (joint_angle(trace), joint_rate(trace), trace.joint_torque))
     for k in range(finite_frames(trace)):
-        message = dict(zip(JOINTS, plain(trace.joint_torque[k]), strict=True))
-        channel.log(message, log_time=_nanoseconds(trace.time[k]))
+        time = _nanoseconds(trace.time[k])
+        joints = [
+            JointState(name=name, position=q, velocity=v, effort=effort)
+            for name, q, v, effort in zip(JOINTS, angle[k], rate[k], torque[k], strict=True)
+        ]
+        channel.log(JointStates(timestamp=_timestamp(time), joints=joints), log_time=time)
+
+
+def _write_loads(context: Context, trace: Trace) -> None:
+    channel = Channel("/foot_load", schema=_LOAD_SCHEMA, context=context)
+    load = np.linalg.norm(trace.foot_force, axis=-1)
+    for k in range(finite_frames(trace)):
+        channel.log(dict(zip(FEET, plain(load[k]), strict=True)), log_time=_nanoseconds(trace.time[k]))
 
 
 def _write_pictures(context: Context, trace: Trace) -> None:

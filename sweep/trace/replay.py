@@ -58,8 +58,9 @@ def main(args: list[str]) -> int:
         options.model.write_text(model_xml(result.trace.world, result.settings), encoding="utf-8")
     for name in options.plot:
         save(PLOTS[name](result.trace), plot_path(options.output, name, alone=len(options.plot) == 1))
+    came = str(result.again["cause"] or result.again["outcome"]).replace("_", " ")
     if options.png:
-        write_png(options.png, result.trace, str(result.again["cause"] or result.again["outcome"]).replace("_", " "))
+        write_png(options.png, result.trace, came)
     if options.video:
         drawn = "no picture drawn"
 
@@ -68,7 +69,7 @@ def main(args: list[str]) -> int:
             drawn = f"{done} of {of} pictures drawn"
 
         with waiting(lambda: drawn):
-            write_video(options.video, result.trace, report)
+            write_video(options.video, result.trace, f"row {result.stored.name}", came, report)
     return 0
 
 

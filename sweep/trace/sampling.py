@@ -49,6 +49,11 @@ def joint_angle(trace: Trace) -> np.ndarray:
     return trace.qpos[:, [int(trace.model.joint(name).qposadr[0]) for name in JOINTS]]
 
 
+def joint_rate(trace: Trace) -> np.ndarray:
+    """Joint rates (F, 18) in rad/s, leg by leg, alpha, beta, gamma."""
+    return trace.qvel[:, [int(trace.model.joint(name).dofadr[0]) for name in JOINTS]]
+
+
 def mass_centres(trace: Trace, frames: slice) -> np.ndarray:
     """Mass centre of the robot (m, world) in some frames, (N, 3)."""
     data, centres = mujoco.MjData(trace.model), []

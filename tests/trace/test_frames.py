@@ -2,6 +2,7 @@
 
 import dataclasses
 import resource
+import subprocess
 
 import numpy as np
 import pytest
@@ -62,6 +63,12 @@ def test_stills_say_when_what_and_how_it_ended(drawable):
     assert not changed[:-60].any()
 
 
+def test_a_film_tells_the_outcome_when_it_comes(trace):
+    cause = dataclasses.replace(trace, figures={"t_cause_s": 0.5})
+    assert [frames.known(cause, k, "slipped") for k in (0, 123, 124, 249)] == ["", "", "slipped", "slipped"]
+    assert [frames.known(trace, k, "success") for k in (0, 248, 249)] == ["", "", "success"]
+
+
 def test_a_video_takes_less_time_than_what_it_shows(drawable):
     start = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
     number = sum(1 for _ in frames.render(drawable, np.arange(0, 250, 5), samples=0))
@@ -119,6 +126,20 @@ def test_video(drawable, tmp_path):
     ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="the video extra is not installed")
     short = dataclasses.replace(drawable, qpos=np.where(drawable.time[:, None] < 0.2, drawable.qpos, np.nan))
     frames.write_video(tmp_path / "walk.mp4", short)
+    frames.write_video(tmp_path / "told.mp4", short, "row 42", "slipped")
+    first = ["-frames:v", "1", "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
+    plain, told = (
+        np.frombuffer(
+            subprocess.run(
+                [ffmpeg.get_ffmpeg_exe(), "-i", tmp_path / name, *first], capture_output=True, check=True
+            ).stdout,
+            np.uint8,
+        ).reshape(*frames.SIZE[::-1], 3)
+        for name in ("walk.mp4", "told.mp4")
+    )
+    changed = (np.abs(plain.astype(int) - told) > 60).any(axis=2)
+    assert changed[-60:].any()
+    assert not changed[:-60].any()
     assert ffmpeg.count_frames_and_secs(str(tmp_path / "walk.mp4"))[0] == len(at_rate(short, frames.VIDEO_RATE))
 
 

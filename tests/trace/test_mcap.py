@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import struct
 from collections import Counter, defaultdict
 
 import numpy as np
@@ -10,6 +11,7 @@ from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
 
 from sweep.engines.base import Trace
+from sweep.trace import sampling
 from sweep.trace.arrows import FORCE_SCALE, arrow_tips
 from sweep.trace.mcap import plain, turn_x_to, write_mcap
 
@@ -49,7 +51,8 @@ def test_channels_schemas_and_counts(written, trace):
         "/scene": ("foxglove.SceneUpdate", 1),
         "/contact_force": ("foxglove.SceneUpdate", 50),
         "/tf": ("foxglove.FrameTransforms", 50),
-        "/joint_torque": ("sweep.JointTorque", len(trace.time)),
+        "/joint_states": ("foxglove.JointStates", len(trace.time)),
+        "/foot_load": ("sweep.FootLoad", len(trace.time)),
         "/stage": ("sweep.Stage", 3),
         "/outcome": ("sweep.Outcome", 1),
     }
@@ -60,18 +63,29 @@ def test_log_time_is_simulated_time(written, trace):
         times = [message.log_time for _, message in messages]
         assert times == sorted(times)
         assert times[0] == 4_000_000
-    torque = _messages(written)["/joint_torque"]
-    np.testing.assert_allclose([m.log_time / 1e9 for _, m in torque], trace.time, atol=1e-9)
+    loads = _messages(written)["/foot_load"]
+    np.testing.assert_allclose([m.log_time / 1e9 for _, m in loads], trace.time, atol=1e-9)
 
 
 def test_json_messages(written, trace):
     found = _messages(written)
-    torque = json.loads(found["/joint_torque"][100][1].data)
-    assert list(torque) == [f"{kind}{leg}" for leg in range(1, 7) for kind in ("alpha", "beta", "gamma")]
-    np.testing.assert_allclose(list(torque.values()), trace.joint_torque[100])
+    load = json.loads(found["/foot_load"][100][1].data)
+    assert list(load) == [f"foot{leg}" for leg in range(1, 7)]
+    np.testing.assert_allclose(list(load.values()), np.linalg.norm(trace.foot_force[100], axis=-1))
     assert [json.loads(m.data)["name"] for _, m in found["/stage"]] == list(trace.stages)
     expected = {"outcome": "success", "cause": "", "slip_max_m": 0.25, "clearance_min_m": None}
     assert json.loads(found["/outcome"][0][1].data) == expected
+
+
+def test_joints_are_numbers_of_foxgloves_own_schema(written, trace):
+    """Name, angle, rate and torque of each joint, in the order of the fields of `foxglove.JointState`."""
+    message = _messages(written)["/joint_states"][100][1].data
+    angle, rate, torque = sampling.joint_angle(trace)[100], sampling.joint_rate(trace)[100], trace.joint_torque[100]
+    for k, name in enumerate(f"{kind}{leg}" for leg in range(1, 7) for kind in sampling.KINDS):
+        assert message.count(name.encode()) == 1
+        rest = message[message.index(name.encode()) + len(name) :]
+        found = {rest[at] >> 3: struct.unpack_from("<d", rest, at + 1)[0] for at in (0, 9, 18)}
+        assert found == pytest.approx({2: angle[k], 3: rate[k], 5: torque[k]})
 
 
 def test_bodies_and_forces_are_in_the_messages(written):
@@ -120,7 +134,7 @@ def test_frames_after_the_simulation_broke_are_left_out(trace: Trace, tmp_path):
     qpos = trace.qpos.copy()
     qpos[100:] = np.nan
     write_mcap(tmp_path / "broken.mcap", dataclasses.replace(trace, qpos=qpos), {}, {"outcome": "invalid"})
-    assert len(_messages(tmp_path / "broken.mcap")["/joint_torque"]) == 100
+    assert len(_messages(tmp_path / "broken.mcap")["/joint_states"]) == 100
     with pytest.raises(ValueError, match="no finite frame"):
         write_mcap(tmp_path / "x.mcap", dataclasses.replace(trace, qpos=np.full_like(qpos, np.nan)), {}, {})
 
