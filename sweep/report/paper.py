@@ -1,7 +1,7 @@
 """`sweep export --paper`: a study as LaTeX tables, figures, their data, and a macro for every number."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from importlib.resources import files
@@ -200,11 +200,16 @@ def escape(text: str) -> str:
     return "".join(special.get(c, f"\\{c}" if c in "&%$#_{}" else c) for c in text)
 
 
-def foreign(text: str) -> tuple[bool, list[str]]:
-    """Whether `text` has Cyrillic letters, which pdfLaTeX has fonts for, and codes of letters that it has none for."""
+def foreign(text: str) -> tuple[list[str], list[str]]:
+    """Codes of the letters of `text` that are Cyrillic, which pdfLaTeX has fonts for, and of those it has none for."""
     letters = sorted(letter for letter in set(text) if letter.isprintable() and ord(letter) > LATIN)
-    cyrillic = [letter for letter in letters if letter in CYRILLIC]
-    return bool(cyrillic), [f"{ord(letter):04X}" for letter in letters if letter not in (*cyrillic, *PUNCTUATION)]
+    unknown = [letter for letter in letters if letter not in (*CYRILLIC, *PUNCTUATION)]
+    return codes(letter for letter in letters if letter in CYRILLIC), codes(unknown)
+
+
+def codes(letters: Iterable[str]) -> list[str]:
+    """`DeclareUnicodeCharacter` of LaTeX calls them so."""
+    return [f"{ord(letter):04X}" for letter in letters]
 
 
 def _template() -> jinja2.Template:
