@@ -197,7 +197,7 @@ def test_no_parameter_is_explained_by_a_symbol_alone():
 def test_parameters_are_described_where_they_are_defined(capsys):
     assert main(["describe", "drive.torque_limit"]) == 0
     told = capsys.readouterr().out
-    assert all(part in told for part in ("default: 150", "unit: N*m", "greater than 0 N*m", "(monograph 1.2.1)"))
+    assert all(part in told for part in ("default: 150", "unit: N·m", "greater than 0 N·m", "(monograph 1.2.1)"))
     assert main(["describe"]) == 0
     page = capsys.readouterr().out
     assert all(f"## {group}" in page for group in KINDS)

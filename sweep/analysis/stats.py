@@ -41,13 +41,13 @@ class Rate:
     @property
     def broken(self) -> str:
         """`3 invalid (1.2 %)`."""
-        return f"{self.invalid} invalid ({percent(self.invalid_share)})"
+        return f"{self.invalid:,} invalid ({percent(self.invalid_share)})"
 
     def __str__(self) -> str:
         if not self.valid:
-            return f"no valid rollout among {self.total}"
+            return f"no valid rollout among {self.total:,}"
         sure = "" if np.isnan(self.low) else f", 95 % interval {percent(self.low)} to {percent(self.high)}"
-        return f"{self.success} of {self.valid} succeed ({percent(self.share)}{sure}), {self.broken}"
+        return f"{self.success:,} of {self.valid:,} succeed ({percent(self.share)}{sure}), {self.broken}"
 
 
 def percent(share: float) -> str:
@@ -80,7 +80,7 @@ def rates(
 def causes(cause: pd.Series, meanings: Mapping[str, str]) -> list[str]:
     """A line for each cause in a column of them, the most frequent first: how many rollouts, and what it means."""
     counts = cause[cause != ""].value_counts()
-    return [f"{number} {name}: {meanings[str(name)]}" for name, number in counts.items()]
+    return [f"{number:,} {name}: {meanings[str(name)]}" for name, number in counts.items()]
 
 
 def broken(expectations: tuple[Expectation, ...], rows: pd.DataFrame) -> list[str]:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from sweep.cli import project
 from sweep.cli.choices import refuse_unknown
 from sweep.cli.exits import BAD_INPUT, DONE, FAULT, INTERRUPTED, UNEXPECTED
+from sweep.core import terminal
 from sweep.core.errors import Fault, InputError
 from sweep.core.files import write_whole
 from sweep.core.groups import GROUPS
@@ -352,7 +353,8 @@ def show_table(given: argparse.Namespace) -> int:
     if given.output:
         write_output(given.output, content)
     else:
-        sys.stdout.write(content.decode())
+        kept, elsewhere = ("outcome", "cause"), "`--columns` chooses others, a file has all"
+        terminal.show(content.decode(), kept, elsewhere)
     return DONE
 
 
@@ -379,7 +381,7 @@ def show_statistics(given: argparse.Namespace) -> int:
     exp = experiment(store.read_study(given.dir)["config"])
     if given.figure and exp.study.design.kind not in ("saltelli", "morris"):
         raise InputError("--figure is for sensitivity: it needs a study with study.design.kind=saltelli or morris")
-    sys.stdout.write(statistics.render(rows, exp, given.level, given.figure))
+    terminal.show(statistics.render(rows, exp, given.level, given.figure))
     return DONE
 
 
@@ -457,7 +459,7 @@ def compare_results(given: argparse.Namespace) -> int:
         pairs = compare.pair(a, b, names(given.by))
         if len(given.b) > 1:
             print(f"{chr(10) if number else ''}{given.a} and {folder}")
-        print(comparison.text(pairs, len(a), len(b), names(given.regions)))
+        terminal.show(comparison.text(pairs, len(a), len(b), names(given.regions)) + "\n")
         differ.append(compare.differences(pairs).assign(**({"B": str(folder)} if len(given.b) > 1 else {})))
         broken += comparison.broken(pairs, len(a), given.tolerance, given.figures)
     if given.output:
@@ -491,7 +493,7 @@ def audit_results(given: argparse.Namespace) -> int:
     found, ways = results.read(given.dir, given.where), names(given.ways) or []
     with app.reporting("audit", 2 * given.points * len(ways), f"{found.exp.scenario} in other ways") as report:
         audit.run(found, given.points, ways, report)
-    print(tables.page_table(audit.table(found)))
+    terminal.show(tables.page_table(audit.table(found)) + "\n")
     return DONE
 
 

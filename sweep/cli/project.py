@@ -8,7 +8,7 @@ from pathlib import Path
 
 from sweep.cli.choices import choices
 from sweep.cli.exits import DONE
-from sweep.core import project
+from sweep.core import project, terminal
 from sweep.core.errors import InputError
 from sweep.core.groups import GROUPS
 
@@ -44,7 +44,7 @@ def show(given: argparse.Namespace) -> int:
     if given.dir:
         from sweep.report import overview
 
-        print(overview.text(given.dir))
+        terminal.show(overview.text(given.dir) + "\n")
         return DONE
     for group in GROUPS:
         print(f"{group}=")
@@ -61,14 +61,14 @@ def show(given: argparse.Namespace) -> int:
 def lines(named: Mapping[str, str]) -> None:
     """Names and what they say of themselves."""
     for name, text in named.items():
-        print(f"  {name:20} {text}".rstrip())
+        terminal.show(f"  {name:20} {text}".rstrip() + "\n")
 
 
 def describe(given: argparse.Namespace) -> int:
     """Unit, meaning, bounds and default of parameters."""
     from sweep.study import reference
 
-    print(reference.page() if given.name is None else reference.text(given.name))
+    terminal.show((reference.page() if given.name is None else reference.text(given.name)) + "\n", kept=("meaning",))
     return DONE
 
 

@@ -118,6 +118,11 @@ def within(field: "dataclasses.Field[Any]", value: Any) -> Any:
     return (value > meta["above"]) & (value >= meta["at_least"]) & (value <= meta["at_most"])
 
 
+def written(unit: str) -> str:
+    """A unit as it is read: `N*m^2` -> `N·m²`; empty for pure numbers."""
+    return "" if unit == "-" else unit.replace("*", "·").replace("^2", "²")
+
+
 def bounds_text(field: "dataclasses.Field[Any]") -> str:
     """The bounds of `field` in words, with its unit."""
     meta = field.metadata
@@ -126,4 +131,4 @@ def bounds_text(field: "dataclasses.Field[Any]") -> str:
         for key, word in (("above", "greater than"), ("at_least", "at least"), ("at_most", "at most"))
         if math.isfinite(meta[key])
     ]
-    return " and ".join(parts or ["finite"]) + ("" if meta["unit"] in ("", "-") else f" {meta['unit']}")
+    return " and ".join(parts or ["finite"]) + ("" if meta["unit"] in ("", "-") else f" {written(meta['unit'])}")

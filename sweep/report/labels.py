@@ -3,6 +3,7 @@
 import pandas as pd
 
 from sweep.core.outcomes import SUCCESS
+from sweep.core.parameters import written
 from sweep.study.config import Experiment
 from sweep.study.designs import Axis
 from sweep.study.study import unit
@@ -62,7 +63,7 @@ def unit_of(column: str, exp: Experiment) -> str:
     """Unit of a column: of an axis by its parameter, of a figure by the end of its name; empty where it has none."""
     if "." not in column:
         return name_and_unit(column)[1]
-    return unit(column, exp.system, exp.settings).replace("*", "·").replace("^2", "²")
+    return written(unit(column, exp.system, exp.settings))
 
 
 def heading(column: str, exp: Experiment | None = None) -> str:

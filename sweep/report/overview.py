@@ -35,7 +35,7 @@ def line(folder: Path) -> dict[str, str]:
     return {
         "folder": str(folder),
         "study": config["study"]["name"] or config["scenario"]["name"],
-        "rollouts": f"{found.total} of {stored['rollouts']}",
+        "rollouts": f"{found.total:,} of {stored['rollouts']:,}",
         "succeed": percent(found.share) if found.valid else "",
         "invalid": percent(found.invalid_share),
         "commit": stored["commit"] or stored["code"],

@@ -42,7 +42,7 @@ def sections(
     if numbers and not several and not one_at_a_time:
         found = sensitivity.grid_volume(whole, exp)
         share, low, high = map(percent, (found.share, found.low, found.high))
-        invalid = f"{found.invalid} rollouts invalid ({percent(every.invalid_share)}), which may be either"
+        invalid = f"{found.invalid:,} rollouts invalid ({percent(every.invalid_share)}), which may be either"
         yield (
             "Share of the grid's box that succeeds",
             f"{share}; {low} to {high} by the cells on its boundary; {invalid}",

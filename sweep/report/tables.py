@@ -11,13 +11,15 @@ import pandas as pd
 import pyarrow as pa
 from pyarrow.csv import WriteOptions, write_csv
 
-from sweep.analysis.stats import causes
+from sweep.analysis.stats import causes, percent
 from sweep.core.expressions import column
 from sweep.report.labels import axis_words, heading, name_and_unit, unit_of
 from sweep.runs.results import Results
 from sweep.study.columns import LABELS, figure_columns
 from sweep.study.config import Experiment
 from sweep.systems.base import side_and_path
+
+SHARES = ("share", "low", "high")  # of tables of rates; without a share, low and high are numbers of their own
 
 
 def render(rows: pd.DataFrame, form: str, names: list[str] | None = None, exp: Experiment | None = None) -> bytes:
@@ -67,12 +69,16 @@ def reading(rows: pd.DataFrame) -> list[str]:
 
 
 def shown(rows: pd.DataFrame, exp: Experiment | None = None) -> pd.DataFrame:
-    """`rows` with readable headings and numbers."""
+    """`rows` with readable headings and numbers; shares and their ends in per cent, as in every sentence."""
+    shares = [c for c in SHARES if c in rows and "share" in rows]
+    rows = rows.assign(**{c: [percent(v) if pd.notna(v) else "" for v in rows[c]] for c in shares})
     return rows.map(text).rename(columns=partial(heading, exp=exp))
 
 
 def text(value: object) -> str:
-    """Four digits are enough to read; what is not there stays empty."""
+    """Four digits are enough to read, thousands stand apart; what is not there stays empty."""
+    if isinstance(value, int | np.integer) and not isinstance(value, bool):
+        return f"{value:,}"
     if isinstance(value, float | np.floating):
         return "" if pd.isna(value) else f"{value:.4g}"
     return "" if value is None or value is pd.NA else str(value)

@@ -272,7 +272,7 @@ class Refined:
 
     def __str__(self) -> str:
         size, shape = self.label.size, " x ".join(map(str, self.grid.shape))
-        text = f"{self.rollouts} rollouts, {self.rate.broken}, for a grid of {shape} points"
+        text = f"{self.rollouts:,} rollouts, {self.rate.broken}, for a grid of {shape} points"
         text = ", ".join(self.names.values()) + f": {text}" if self.names else text
         if self.rollouts < size:
             text += f", {size / self.rollouts:.1f} times fewer"

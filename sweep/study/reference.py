@@ -18,7 +18,7 @@ import pandas as pd
 from sweep.core import project
 from sweep.core.errors import InputError, suggest
 from sweep.core.groups import GROUPS
-from sweep.core.parameters import bounds_text
+from sweep.core.parameters import bounds_text, written
 from sweep.study import config
 
 
@@ -105,7 +105,6 @@ def parameters(cls: type) -> Iterator[dict[str, str]]:
         role = field.metadata.get("role")
         if field.name == "kind" or (role is None and not isinstance(field.default, str | int | float | bool)):
             continue
-        unit = field.metadata.get("unit", "")
         allowed = {
             "choice": lambda f: ", ".join(f.metadata["options"]),
             "quantity": bounds_text,
@@ -115,7 +114,7 @@ def parameters(cls: type) -> Iterator[dict[str, str]]:
         yield {
             "parameter": field.name,
             "default": default(field),
-            "unit": "" if unit == "-" else unit,
+            "unit": written(field.metadata.get("unit", "")),
             "allowed": allowed[role](field) if role else "",
             "meaning": meanings.get(field.name, ""),
         }

@@ -1,0 +1,64 @@
+"""What a terminal of 80 columns shows: whole words, and what there is no room for is named."""
+
+import os
+import pty
+import re
+import subprocess
+import sys
+from contextlib import suppress
+
+import pandas as pd
+import pytest
+
+from sweep.core.terminal import ELSEWHERE, fitted
+from sweep.report.tables import page_table
+from sweep.study import reference
+
+WIDTH = 80
+
+
+def words(text: str) -> set[str]:
+    return set(re.findall(r"[^\s|:─-]{2,}", text))
+
+
+@pytest.mark.parametrize("width", [80, 60])
+def test_the_reference_breaks_between_words(width):
+    whole = reference.page()
+    shown = fitted(whole, width)
+    assert max(map(len, shown.splitlines())) <= width
+    assert words(shown) - words(whole) <= words(f"No room for default unit allowed: {ELSEWHERE}.")
+
+
+def test_columns_that_are_left_out_are_named_and_the_kept_ones_stay():
+    wide = {f"a parameter with a name {k}": ["some-value-without-a-gap"] for k in range(6)}
+    shown = fitted(page_table(pd.DataFrame({**wide, "outcome": ["success"]})), WIDTH, ["outcome"], "look elsewhere")
+    assert max(map(len, shown.splitlines())) <= WIDTH
+    assert "success" in shown
+    assert shown.count("some-value-without-a-gap") == 2
+    assert "name 5: look elsewhere." in " ".join(shown.split())
+
+
+def test_counts_shares_and_units_are_told_in_one_way():
+    rows = pd.DataFrame({"total": [16384], "share": [0.25], "low": [0.2], "high": [float("nan")]})
+    assert [cell.strip() for cell in page_table(rows).splitlines()[-1].split("|")[1:-1]] == [
+        "16,384",
+        "25.0 %",
+        "20.0 %",
+        "",
+    ]
+    assert "| N·m/rad " in reference.text("drive")
+    assert "N*m" not in reference.page()
+
+
+def test_the_command_knows_that_it_writes_to_a_terminal():
+    reader, writer = pty.openpty()
+    command = [sys.executable, "-m", "sweep.cli", "describe", "outcome"]
+    with subprocess.Popen(command, stdout=writer, env={**os.environ, "COLUMNS": str(WIDTH)}) as process:
+        os.close(writer)
+        with suppress(OSError), os.fdopen(reader, "rb", buffering=0) as stream:  # the other end closes
+            text = b""
+            while part := stream.read(1 << 16):
+                text += part
+    assert process.returncode == 0
+    assert max(map(len, text.decode().splitlines())) <= WIDTH
+    assert "─" in text.decode()
