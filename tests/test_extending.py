@@ -28,7 +28,7 @@ SAID = {  # by the commands of a page
 @pytest.fixture
 def checkout(tmp_path):
     """A copy with the configuration where an installed package has it."""
-    ignored = shutil.ignore_patterns("__pycache__")
+    ignored = shutil.ignore_patterns("__pycache__", "conf")  # also where a checkout links to it
     shutil.copytree(ROOT / "sweep", tmp_path / "sweep", ignore=ignored)
     shutil.copytree(ROOT / "conf", tmp_path / "sweep/conf", ignore=ignored)
     (tmp_path / "conf").symlink_to(tmp_path / "sweep/conf")

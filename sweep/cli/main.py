@@ -51,7 +51,13 @@ def main(argv: list[str] | None = None) -> int:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     # these parse their own arguments
-    whole: dict[str, Callable[[list[str]], int]] = {"run": run, "view": view, "replay": replay, "formula": formula}
+    whole: dict[str, Callable[[list[str]], int]] = {
+        "run": run,
+        "view": view,
+        "replay": replay,
+        "formula": formula,
+        "tune": tune,
+    }
     try:
         if args and args[0] in whole:
             return whole[args[0]](args[1:])
@@ -199,6 +205,7 @@ def parser() -> argparse.ArgumentParser:
     bench.add_argument("--rows", nargs="+", choices=BENCH, default=list(BENCH), help="which of them")
     command("view", lambda _: DONE, "watch a rollout on its page; " + delegated.format("view"))
     command("replay", lambda _: DONE, "record one rollout of a study again; " + delegated.format("replay"))
+    command("tune", lambda _: DONE, "search the numbers of a plan; " + delegated.format("tune"))
     command("formula", lambda _: DONE, "evaluate a closed-form result of the sources; " + delegated.format("formula"))
     return top
 
@@ -290,6 +297,13 @@ def formula(argv: list[str]) -> int:
     from sweep.cli import formula as command
 
     return command.main(argv)
+
+
+def tune(argv: list[str]) -> int:
+    """`sweep tune`."""
+    from sweep.cli import tune
+
+    return tune.main(argv)
 
 
 def status(given: argparse.Namespace) -> int:

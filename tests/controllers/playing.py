@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from sweep.controllers.plan import Plan
-from sweep.metrics.planned import margins, posed
 from sweep.models.case import Case
+from sweep.tune.planned import margins, posed
 
 U = np.linspace(0, 1, 41)
 

@@ -9,10 +9,10 @@ from sweep.controllers.plan import Plan, Stance, begins, stance_to_world
 from sweep.controllers.symmetry import reversed_in_time
 from sweep.core.errors import InputError
 from sweep.core.rotations import exponential, matrix, multiply
-from sweep.metrics.planned import margins
 from sweep.models.frames import WORLD, fixed
 from sweep.models.obstacles.surface import poses
 from sweep.study.config import compose
+from sweep.tune.planned import margins
 
 CASE = compose(["scenario=ladder_climb"]).case
 FREE = CASE.obstacle.start()

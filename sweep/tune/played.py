@@ -24,13 +24,13 @@ from sweep.core.constants import GRAVITY
 from sweep.core.rotations import exponential, multiply, rotate, wrapped
 from sweep.formulas.ball import ROLLING
 from sweep.metrics.geometry import support_margin
-from sweep.metrics.planned import Holding, Margins, Swing, left
 from sweep.models.case import Case
 from sweep.models.frames import WORLD, fixed
 from sweep.models.obstacles.ball import Ball
 from sweep.models.obstacles.raft import Raft
 from sweep.models.obstacles.surface import FreeState, free_start, poses, under
 from sweep.models.robot import total_mass
+from sweep.tune.planned import Holding, Margins, Swing, left
 
 SMOOTH = 0.2  # s
 SHARES = (0.1, 0.5, 0.95)  # of a stage, at which forces are planned

@@ -1,0 +1,92 @@
+"""`sweep tune`: a search for a plan's numbers, which goes on where it was interrupted."""
+
+import numpy as np
+import pytest
+
+from sweep.cli.main import main
+from sweep.core.errors import InputError
+from sweep.models.obstacles.charts import charts
+from sweep.models.plan_table import numbers, tabled
+from sweep.runs.tuning import free_numbers, search
+from sweep.study.config import compose
+
+AT, STEPS = np.array([1.0, -2.0, 0.5]), np.array([0.1, 0.1, 0.02])
+HOW = {"seed": 3, "population": 6, "generations": 12, "free": ["a"]}
+
+
+class Scores:
+    """Of a bowl around numbers that are to be found."""
+
+    def __init__(self):
+        self.asked = 0
+
+    def __call__(self, many):
+        self.asked += 1
+        return np.sum(((many - AT - 3 * STEPS) / STEPS) ** 2, axis=1)
+
+
+def found(log, how=HOW):
+    scores = Scores()
+    best, least = search(scores, AT, STEPS, how, log, lambda done, least: None)
+    return best, least, scores.asked
+
+
+def test_an_interrupted_search_goes_on_to_the_same_numbers(tmp_path):
+    whole, log = found(tmp_path / "whole"), tmp_path / "log"
+    assert whole[1] < 9  # of the first
+    lines = (tmp_path / "whole").read_text().splitlines()
+    log.write_text("\n".join(lines[:5]) + '\n[0.1, "br')  # four generations, and a part of another
+    best, least, asked = found(log)
+    assert asked == whole[2] - 4
+    np.testing.assert_array_equal(best, whole[0])
+    assert least == whole[1]
+    assert found(log)[2] == 0
+    assert found(log, {**HOW, "generations": 13})[2] == 1
+    with pytest.raises(InputError, match="log is of another search"):
+        found(log, {**HOW, "seed": 4})
+
+
+def test_numbers_are_free_by_pattern_times_only_by_a_step():
+    at = {"top.rear.time": 3.0, "top.rear.base.ahead": 0.1, "top.rear.base.pitch": 5.0, "over.lift": 1.0}
+    assert free_numbers(at, ["top.*"]) == {"top.rear.base.ahead": 0.02, "top.rear.base.pitch": 2.0}
+    assert free_numbers(at, ["*.time=0.5", "*.pitch", "*.pitch=1"]) == {"top.rear.time": 0.5, "top.rear.base.pitch": 1}
+    for wrong in ("roof.*", "*=wide", "*=-1", "*.time"):
+        with pytest.raises(InputError, match=r"--free = "):
+            free_numbers(at, [wrong])
+
+
+def test_a_plan_that_touches_is_tuned_until_it_does_not(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "low.yaml").write_text("extends: pole_top\nover:\n  front: {base: [-0.019, 0.34, 22]}\n")
+    asked = ["tune", "scenario=pole_top", "plan=low.yaml", "--stages", "over.front", "--moments", "5"]
+    search = [*asked, "--free", "over.front.base.a*", "--population", "4", "--generations", "3", "--need", "base=0.01"]
+    assert main([*search, "out=plans/mine.yaml"]) == 0
+    told = capsys.readouterr().out
+    before, after = (float(word) for word in told.split()[1:4:2])
+    assert after < before
+    text = (tmp_path / "plans" / "mine.yaml").read_text()
+    assert text.startswith(
+        f"# 2 numbers searched for by CMA-ES: score {before:.4g} before, {after:.4g} after\n# sweep tune"
+    )
+    was, now = (compose(["scenario=pole_top", f"plan={file}"]).case for file in ("low.yaml", "plans/mine.yaml"))
+    was, now = (numbers(tabled(case), charts(case.obstacle)) for case in (was, now))
+    assert {path for path in was if was[path] != now[path]} == {"over.front.base.ahead", "over.front.base.above"}
+    assert len((tmp_path / "plans" / "mine.yaml.log").read_text().splitlines()) == 1 + 3
+
+
+@pytest.mark.parametrize(
+    ("args", "told"),
+    [
+        (["scenario=walk_tripod", "out=x.yaml"], "manoeuvre.kind = walk has its numbers in no file"),
+        (["scenario=pole_top"], "out =  is not allowed: the file of the plan"),
+        (["scenario=pole_top", "out=x.yaml", "--population", "2"], "--population = 2 is not allowed: at least 4"),
+        (["scenario=pole_top", "out=x.yaml", "--stages", "roof"], "--stages = roof names no stage of stand"),
+        (
+            ["scenario=pole_top", "out=x.yaml", "--forces", "--need", "base"],
+            "--need = base is not allowed: MARGIN",
+        ),
+    ],
+)
+def test_what_cannot_be_tuned_is_refused_in_one_line(args, told, capsys):
+    assert main(["tune", *args]) == 2
+    assert told in capsys.readouterr().err
