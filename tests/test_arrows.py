@@ -98,7 +98,9 @@ def test_every_module_has_a_room():
 def test_studies_know_systems_by_their_contract(place):
     """Nothing of a robot, its physics or its judge: another system needs no change here."""
     own = {
-        name for name in MODULES if room(name) in ("models", "dynamics", "controllers", "metrics", "tune", "engines", "systems")
+        name
+        for name in MODULES
+        if room(name) in ("models", "dynamics", "controllers", "metrics", "tune", "engines", "systems")
     }
     mine = [name for name in MODULES if room(name) == place]
     assert not [(name, other) for name in mine for other in ARROWS[name] & (own - CONTRACT)]
