@@ -2,7 +2,7 @@
 
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,13 +11,14 @@ import pandas as pd
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from sweep.analysis import rare
 from sweep.analysis.sample import distinct, pooled
 from sweep.analysis.stats import broken, causes, rate
 from sweep.cli.exits import DONE, INVALID, UNEXPECTED
 from sweep.core.errors import InputError
 from sweep.core.waiting import last_time, parts, remember, waiting
 from sweep.report import tables
-from sweep.runs import histories, refine, runner, store
+from sweep.runs import histories, importance, refine, runner, store
 from sweep.runs.batches import make_engine
 from sweep.runs.batches import nominal as nominal_batch
 from sweep.study import designs
@@ -63,8 +64,7 @@ def execute(exp: Experiment, flags: Flags) -> int:
         for line in runner.mend(exp, folder):
             say(line)
         done, start = 0, time.perf_counter()
-        refining = exp.study.refined and whole
-        for job in refine.rounds(exp, folder, first) if refining else [runner.lay_out(exp, folder, first)]:
+        for job in jobs(exp, folder, first, whole):
             todo = len(job.rows(job.missing()))
             with reporting(exp.study.name, todo, program(exp), watched) as report:
                 job = runner.run(job, report, dispatch)
@@ -73,14 +73,23 @@ def execute(exp: Experiment, flags: Flags) -> int:
         print(f"{done} rollouts in {seconds:.1f} s ({done / seconds:.1f} a second)", file=sys.stderr)
         rows, stored = store.read_rows(folder), store.read_study(folder)
         size, used = stored["rollouts"], stored["devices"]
-        complete = len(rows) == size and (whole or not exp.study.refined)
+        complete = len(rows) == size and (whole or not (exp.study.refined or exp.study.sought))
     if len(used) > 1:
         print(f"sweep: equal rollouts need not be equal to the last bit on {' and on '.join(used)}", file=sys.stderr)
     print(summary(exp, rows))
     if exp.study.refined:
         print("\n".join(f"refined: {one}" for one in refine.refined(exp, rows)))
+    if exp.study.sought and complete:
+        print(rare.rare(rows, exp))
     print(f"{len(rows)} of {size} planned rollouts are in {folder}")
     return verdict(exp, rows, complete)
+
+
+def jobs(exp: Experiment, folder: Path, first: pd.DataFrame, whole: bool) -> Iterable[runner.Job]:
+    """One after the other, where what to run next depends on what was found; all at once else, or of a part."""
+    if whole and exp.study.refined:
+        return refine.rounds(exp, folder, first)
+    return importance.rounds(exp, folder, first) if whole and exp.study.sought else [runner.lay_out(exp, folder, first)]
 
 
 def execute_single(exp: Experiment, flags: Flags) -> int:

@@ -5,7 +5,7 @@ from functools import partial
 
 import pandas as pd
 
-from sweep.analysis import screening, sensitivity
+from sweep.analysis import rare, screening, sensitivity
 from sweep.analysis.sample import distinct, pooled
 from sweep.analysis.stats import percent, rates
 from sweep.core.errors import InputError
@@ -29,6 +29,11 @@ def sections(
     note = "; most were run next to the boundary, so this is not the region's share" if exp.study.refined else ""
     every = pooled(rows, exp)
     yield "Rate of success", f"{every}{note}{'; ' if copies else ''}{copies}"
+    if exp.study.sought:  # its rows are no sample of what is asked about
+        yield "How rarely it fails", str(rare.rare(rows, exp))
+        if len(modes := rare.modes(rows, exp)):
+            yield "What fails, by its share of that probability", modes
+        return
     one_at_a_time = bool(numbers) and exp.study.design.grid == "one_at_a_time"
     if one_at_a_time:
         yield "Rate along each axis, the others nominal (Wilson, 95 %)", sensitivity.along(rows, exp)

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sweep.core.errors import InputError, suggest
+from sweep.study import importance
 from sweep.study.distributions import Distribution, known, listed, number
 from sweep.study.distributions import parse as parse_distribution
 from sweep.systems.base import SIDES
@@ -25,7 +26,7 @@ from sweep.systems.base import SIDES
 if TYPE_CHECKING:
     import pandas as pd
 
-DESIGNS = ("monte_carlo", "latin_hypercube", "sobol", "saltelli", "morris")
+DESIGNS = ("monte_carlo", "latin_hypercube", "sobol", "saltelli", "morris", "importance")
 LEVELS, INNER = 4, (0.005, 0.995)  # of a morris design: values of an axis, and the shares that they lie between
 MOST = 20_000_000  # rollouts of a study, whose plan takes 10 GB
 GRIDS = ("full", "one_at_a_time")
@@ -84,6 +85,8 @@ class Design:
     kind: str = "monte_carlo"
     num: int = 0  # draws; of sobol those of one scramble, of saltelli the base sample N of N (d + 2), of morris paths
     scrambles: int = 1  # independent repetitions of sobol, which tell its error
+    wide: float = 2.0  # of importance: how many times as wide the first round's normals are
+    rounds: int = 2  # of importance, of `num` draws each, after the first
     # one, other, coefficient: of pairs of drawn axes, by the normals of a Gaussian copula
     correlation: tuple[Any, ...] = ()
 
@@ -139,9 +142,23 @@ def parse_design(given: Mapping[str, Any], axes: tuple[Axis, ...]) -> Design:
         raise InputError(f"study.design.num = {design.num} is not allowed: at least {least} for {', '.join(drawn)}")
     if design.num and not drawn:
         raise InputError(f"study.design.num = {design.num} is not allowed: no axis has a distribution")
+    if design.kind == "importance":
+        _check_importance(design, axes)
     if design.scrambles < 1 or (design.scrambles > 1 and design.kind != "sobol"):
         raise InputError(f"study.design.scrambles = {design.scrambles} is not allowed: at least 1, of kind sobol only")
     return design
+
+
+def _check_importance(design: Design, axes: tuple[Axis, ...]) -> None:
+    """Raises `InputError` where draws cannot be sought where failures are."""
+    if listed := [a.name for a in axes if a.values is not None]:
+        raise InputError(f"study.design.kind = importance is not allowed with listed axes: {', '.join(listed)}")
+    if taken := {a.name for a in axes} & {"weight", "round"}:
+        raise InputError(f"study.axes.{min(taken)} is not allowed: importance sampling has a column of that name")
+    if not 1 <= design.wide <= 5:
+        raise InputError(f"study.design.wide = {design.wide:g} is not allowed: from 1 to 5")
+    if design.rounds < 1:
+        raise InputError(f"study.design.rounds = {design.rounds} is not allowed: at least 1")
 
 
 def _correlation(key: str, given: Any, drawn: list[str]) -> tuple[tuple[str, str, float], ...]:
@@ -226,33 +243,45 @@ def _values(key: str, given: Mapping[str, Any]) -> tuple[Any, ...] | None:
 
 
 def table(
-    axes: tuple[Axis, ...], design: Design, seed: int, nominal: Callable[[str], Any], grid: "pd.DataFrame | None" = None
+    axes: tuple[Axis, ...],
+    design: Design,
+    seed: int,
+    nominal: Callable[[str], Any],
+    grid: "pd.DataFrame | None" = None,
+    round_: importance.Draws | None = None,
 ) -> "pd.DataFrame":
     """One row per draw of each grid point: the axes' columns, and `draw`. `nominal` gives a parameter by its path.
 
     The draws are the same at every grid point, so that a difference between grid points is theirs. `grid` has the
-    numbers of listed axes by name, those of the design unless given. Raises `InputError`.
+    numbers of listed axes by name, those of the design unless given; so is the `round_` of importance sampling, whose
+    weights are the column `axis.weight`. Raises `InputError`.
     """
     import pandas as pd
 
     listed, drawn = [a for a in axes if a.values is not None], [a for a in axes if a.distribution]
     if grid is None:
         grid = _one_at_a_time(listed, nominal) if listed and design.grid == "one_at_a_time" else _grid(listed)
-    shares = shares_of(axes, design, seed)
+    if design.kind == "importance" and round_ is None:
+        round_, _ = importance.first(len(drawn), design.num, design.wide, seed)
+    shares = shares_of(axes, design, seed) if round_ is None else _spread(round_.shares, drawn, design)
     draws = {a.name: a.distribution.quantile(shares[:, i]) for i, a in enumerate(drawn) if a.distribution}
     size, count = len(grid), max(len(shares), 1)
     numbers = grid.take(np.repeat(np.arange(size), count)).reset_index(drop=True)
     for name, values in draws.items():
         numbers[name] = np.tile(values, size)
     columns = _columns(axes, numbers, nominal)
-    return pd.DataFrame({**columns, "draw": np.tile(np.arange(count), size)})
+    if round_ is not None:
+        columns |= {"axis.round": np.full(count, float(round_.round)), "axis.weight": round_.weight}
+    first = round_.first if round_ else 0
+    return pd.DataFrame({**columns, "draw": first + np.tile(np.arange(count), size)})
 
 
 def size(axes: tuple[Axis, ...], design: Design) -> int:
     """How many points `table` would have."""
     lengths = [len(a.values) for a in axes if a.values is not None and a.along is None]
     drawn = sum(a.distribution is not None for a in axes)
-    draws = design.num * {"saltelli": drawn + 2, "morris": drawn + 1}.get(design.kind, design.scrambles)
+    more = {"saltelli": drawn + 2, "morris": drawn + 1, "importance": design.rounds + 1}
+    draws = design.num * more.get(design.kind, design.scrambles)
     return (sum(lengths) if design.grid == "one_at_a_time" else math.prod(lengths)) * max(draws, 1)
 
 
@@ -315,6 +344,11 @@ def _shares(axes: list[Axis], design: Design, seed: int) -> np.ndarray:
             problem = {"num_vars": len(axes), "names": [a.name for a in axes], "bounds": [[0.0, 1.0]] * len(axes)}
             with warnings.catch_warnings(action="ignore", category=UserWarning):
                 shares = sobol.sample(problem, design.num, calc_second_order=False, seed=seed)
+    return _spread(shares, axes, design)
+
+
+def _spread(shares: np.ndarray, axes: list[Axis], design: Design) -> np.ndarray:
+    """Independent shares, with the design's correlations."""
     edge = 2.0**-32  # no distribution is asked for its infinite ends
     shares = np.clip(shares, edge, 1 - edge)
     if design.correlation:

@@ -8,6 +8,7 @@ import dataclasses
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +22,7 @@ from sweep.study import designs
 from sweep.study.designs import Axis, Design
 from sweep.study.distributions import known
 from sweep.study.identity import DIGITS, point_ids, streams
+from sweep.study.importance import Draws
 from sweep.study.theory import Theory
 from sweep.study.theory import parse as parse_theory
 from sweep.systems.base import Parameter, System, Values
@@ -94,6 +96,11 @@ class Study(_Plain):
     def refined(self) -> bool:
         """Whether what to run next depends on what was found."""
         return self.resolution > 0 or self.budget > 0
+
+    @property
+    def sought(self) -> bool:
+        """Whether draws are sought where failures are."""
+        return self.design.kind == "importance" and self.design.num > 0
 
     @property
     def noisy(self) -> bool:
@@ -173,14 +180,19 @@ def check_keep(study: Study, system: System, settings: EngineSettings) -> None:
 
 
 def points(
-    study: Study, system: System, settings: EngineSettings, grid: "pd.DataFrame | None" = None, say: Say | None = None
+    study: Study,
+    system: System,
+    settings: EngineSettings,
+    grid: "pd.DataFrame | None" = None,
+    say: Say | None = None,
+    round_: Draws | None = None,
 ) -> "pd.DataFrame":
     """One row per rollout: axis values, replicate, noise stream and point id. Raises `InputError`.
 
     Points that are equal in all their digits that count are one; `say` is told how many others there were.
 
     The replicates of a drawn point have numbers of their own, and with them noise of their own. `grid` takes the place
-    of the study's grid points (see `designs.table`).
+    of the study's grid points, and `round_` that of its draws (see `designs.table`).
     """
     count = study.replicates if study.points or grid is not None else study.most
     if count > designs.MOST:
@@ -188,7 +200,8 @@ def points(
     if study.points:
         design = _from_csv(study.points)
     else:
-        design = designs.table(study.axes, study.design, study.seed, lambda path: system.nominal(path, settings), grid)
+        told = partial(system.nominal, settings=settings)
+        design = designs.table(study.axes, study.design, study.seed, told, grid, round_)
     draw = design.pop("draw") if not study.points else 0
     fields = {c: system.parameter(c, settings) for c in design.columns if not c.startswith("axis.")}
     for column, member in fields.items():

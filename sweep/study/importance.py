@@ -1,0 +1,116 @@
+"""Draws where failures are: importance sampling, from outcomes alone.
+
+Every drawn axis is a standard normal number u behind its quantile; plain draws have the density phi(u). The first round
+has normals `wide` times as wide. Each round after it is drawn from a mixture: normals fitted to what has failed so far,
+and beside them wide ones and plain ones, so that no weight phi / q exceeds 1 / `PLAIN`. What a round is fitted to was
+drawn before it, so that the mean of weight times failure over the round is an unbiased estimate of the probability of
+failing.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+FITTED, WIDE, PLAIN = 0.7, 0.15, 0.15  # shares of a round's draws
+PARTS = 3  # normals that are fitted, at most
+ROWS_A_PART = 5  # effective failures that a part needs for each axis
+TEMPERS = (1.0, 0.5, 0.25)  # powers of the weights: the fit takes the first that leaves it enough failures, or none
+STEPS = 50  # of expectation and maximisation
+DIGITS = 6  # of fitted numbers: draws are the same on machines whose last bits differ
+
+
+class Draws(NamedTuple):
+    """A round of draws."""
+
+    shares: Float[np.ndarray, "n d"]  # quantiles, before axes are correlated
+    weight: Float[np.ndarray, " n"]  # phi / q
+    round: int
+    first: int  # number of the first draw
+
+
+class Mixture(NamedTuple):
+    """Normals in d dimensions."""
+
+    share: Float[np.ndarray, " k"]
+    mean: Float[np.ndarray, "k d"]
+    root: Float[np.ndarray, "k d d"]  # lower, root root' being the covariance
+
+    def log_density(self, u: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "n k"]:
+        """Of each part, with its share."""
+        away = np.stack([np.linalg.solve(r, (u - m).T) for m, r in zip(self.mean, self.root, strict=True)])
+        size = np.log(np.diagonal(self.root, axis1=1, axis2=2)).sum(axis=1)
+        return (np.log(self.share) - size)[None] - 0.5 * ((away**2).sum(axis=1).T + u.shape[1] * np.log(2 * np.pi))
+
+    def draw(self, num: int, rng: np.random.Generator) -> Float[np.ndarray, "n d"]:
+        """Of each part as many as its share wants, to one more or less at random."""
+        part = np.searchsorted(np.cumsum(self.share)[:-1], (np.arange(num) + rng.random()) / num)
+        normal = rng.standard_normal((num, self.mean.shape[1]))
+        return self.mean[part] + np.einsum("nij,nj->ni", self.root[part], normal)
+
+
+def normal(d: int, width: float, share: float = 1.0) -> Mixture:
+    """One round normal about zero."""
+    return Mixture(np.array([share]), np.zeros((1, d)), width * np.eye(d)[None])
+
+
+def first(d: int, num: int, wide: float, seed: int) -> tuple[Draws, Float[np.ndarray, "n d"]]:
+    """The first round of draws, and their normals."""
+    return _round(normal(d, wide), num, np.random.default_rng([seed, 0]), 0)
+
+
+def next_round(
+    u: Float[np.ndarray, "n d"],
+    weight: Float[np.ndarray, " n"],
+    failed: Bool[np.ndarray, " n"],
+    num: int,
+    wide: float,
+    seed: int,
+    number: int,
+) -> tuple[Draws, Float[np.ndarray, "m d"]]:
+    """The round after those whose normals, weights and failures are given, and its normals."""
+    d = u.shape[1]
+    found = fitted(u[failed], weight[failed]) if failed.any() else None
+    parts = [normal(d, wide, WIDE if found else 1 - PLAIN), normal(d, 1.0, PLAIN)]
+    if found:
+        parts = [found._replace(share=FITTED * found.share), *parts]
+    mixture = Mixture(*(np.concatenate(each) for each in zip(*parts, strict=True)))
+    return _round(mixture, num, np.random.default_rng([seed, number]), number)
+
+
+def _round(mixture: Mixture, num: int, rng: np.random.Generator, number: int) -> tuple[Draws, np.ndarray]:
+    from scipy.special import logsumexp, ndtr  # slow to import
+
+    u = mixture.draw(num, rng)
+    plain = normal(u.shape[1], 1.0).log_density(u)[:, 0]
+    weight = np.exp(plain - logsumexp(mixture.log_density(u), axis=1))
+    return Draws(ndtr(u), weight, number, number * num), u
+
+
+def fitted(u: Float[np.ndarray, "n d"], weight: Float[np.ndarray, " n"]) -> Mixture:
+    """Up to `PARTS` normals through what failed, by its weights, or by less uneven ones where these leave too little.
+
+    Expectation and maximisation, from the heaviest row and those farthest from it; as much is added to each part as
+    one effective row for each axis of a unit normal about its middle would say.
+    """
+    d = u.shape[1]
+    powers = (weight**power / np.sum(weight**power) for power in TEMPERS)
+    w = next((w for w in powers if np.sum(w**2) * ROWS_A_PART * d <= 1), np.full(len(u), 1 / len(u)))
+    effective = 1 / np.sum(w**2)
+    w = effective * w
+    count = int(np.clip(effective // (ROWS_A_PART * d), 1, PARTS))
+    chosen = [int(np.argmax(w))]
+    while len(chosen) < count:
+        away = np.min([((u - u[k]) ** 2).sum(axis=1) for k in chosen], axis=0)
+        chosen.append(int(np.argmax(away * w)))
+    found = Mixture(np.full(count, 1 / count), u[chosen], np.broadcast_to(np.eye(d), (count, d, d)))
+    for _ in range(STEPS if count > 1 else 1):
+        logs = found.log_density(u)
+        belongs = w[:, None] * np.exp(logs - np.logaddexp.reduce(logs, axis=1, keepdims=True))
+        size = belongs.sum(axis=0)
+        mean = belongs.T @ u / np.maximum(size, 1e-9)[:, None]
+        apart = u[:, None] - mean
+        spread = np.einsum("nk,nki,nkj->kij", belongs, apart, apart) + d * np.eye(d)
+        root = np.linalg.cholesky(spread / (size + d)[:, None, None])
+        found = Mixture(np.maximum(size, 1e-9) / np.maximum(size, 1e-9).sum(), mean, root)
+    return Mixture(found.share, np.round(found.mean, DIGITS), np.round(found.root, DIGITS))

@@ -1,0 +1,119 @@
+"""Importance sampling: unbiased where the answer is known, the same rows for a seed, and its doubts are told."""
+
+import re
+from types import SimpleNamespace
+
+import numpy as np
+import pandas as pd
+import pytest
+from fake_engine import FakeEngine
+from scipy.stats import norm
+
+from sweep.analysis import rare
+from sweep.cli.main import main
+from sweep.runs import results, store
+from sweep.study import importance
+
+FAR = 4.0  # standard deviations of the nearest failure
+
+
+class FarEngine(FakeEngine):
+    """Tilts where friction and mass together are four standard deviations low."""
+
+    def run(self, world, belief, streams):
+        figures = super().run(world, belief, streams)
+        u = [np.broadcast_to(v, (self.width,)) for v in (world.contact.friction, world.robot.body_mass)]
+        away = ((u[0] - 0.8) / 0.01 + (u[1] - 10.0) / 0.1) / np.sqrt(2)
+        return figures | {"tilt_max_deg": np.where(away < -FAR, 40.0, 1.0), "slip_max_m": np.zeros(self.width)}
+
+
+far = pytest.mark.parametrize("fake_engine", [FarEngine], indirect=True)
+STUDY = [
+    "run", "scenario=walk_tripod", "study.name=rare", "study.design.kind=importance", "study.design.num=512",
+    "study.axes={friction: {path: contact.friction, side: world, distribution: {kind: normal, mean: 0.8, std: 0.01}}, "
+    "mass: {path: robot.body_mass, side: world, distribution: {kind: normal, mean: 10, std: 0.1}}}",
+]  # fmt: skip
+
+
+@far
+def test_a_failure_of_three_in_a_hundred_thousand_is_found_and_measured(fake_engine, tmp_path, capsys):
+    assert main([*STUDY, f"out={tmp_path}"]) == 0
+    out = capsys.readouterr().out
+    found = results.read(tmp_path)
+    told = rare.rare(found.rows, found.exp)
+    truth = norm.cdf(-FAR)
+    assert told.low < truth < told.high
+    assert told.high / told.low < 2
+    assert told.trusted
+    assert told.plain > 1e6
+    assert str(told) in out
+    assert main(["stats", str(tmp_path)]) == 0
+    stats = capsys.readouterr().out
+    assert "fell" in stats
+    assert re.search(r"fell +\| 1 +\| \d+ +\| .*friction -(2|3)\.\d", stats)
+    assert "Clopper" not in stats  # the rows are no sample
+
+
+@far
+def test_a_run_in_parts_draws_the_same(fake_engine, tmp_path):
+    assert main([*STUDY, f"out={tmp_path / 'a'}"]) == 0
+    assert main([*STUDY, "--limit", "200", f"out={tmp_path / 'b'}"]) == 0
+    assert main([*STUDY, f"out={tmp_path / 'b'}"]) == 0
+    a, b = (store.read_rows(tmp_path / name).sort_values("replicate") for name in "ab")
+    assert len(a) == 3 * 512
+    assert a["point_id"].tolist() == b["point_id"].tolist()
+    assert a["stream"].nunique() == len(a)  # each with noise of its own
+    assert main([*STUDY, f"out={tmp_path / 'b'}", "outcome.tilt_max_deg=50"]) == 2  # drawn by other failures
+
+
+def repeated(d, bounds, num=400, rounds=2, times=200):
+    """Estimates of how often a sum, or one of two, is far off, and how often their intervals hold the truth."""
+    fails = [lambda u: u.sum(axis=1) / np.sqrt(d) < -bounds[0], lambda u: u[:, 0] > bounds[1]]
+    found = []
+    for seed in range(times):
+        draws, u = importance.first(d, num, 2.5, seed)
+        every, weight = [u], [draws.weight]
+        for number in range(1, rounds + 1):
+            normals = np.concatenate(every)
+            failed = np.any([f(normals) for f in fails], axis=0)
+            draws, u = importance.next_round(normals, np.concatenate(weight), failed, num, 2.5, seed, number)
+            every, weight = [*every, u], [*weight, draws.weight]
+        failed = np.any([f(u) for f in fails], axis=0)
+        found.append(draws.weight @ failed / num)
+        assert draws.weight.max() <= 1 / importance.PLAIN + 1e-9
+    return np.array(found)
+
+
+@pytest.mark.parametrize(("d", "bounds"), [(2, (3.0, np.inf)), (2, (3.5, 3.5)), (8, (3.0, np.inf))])
+def test_its_mean_is_the_truth(d, bounds):
+    found = repeated(d, bounds)
+    truth = norm.sf(bounds[0]) + norm.sf(bounds[1])
+    if np.isfinite(bounds[1]):  # both at once, the sum having the correlation -1/sqrt(2) with the first
+        both = np.random.default_rng(0).standard_normal((4_000_000, d))
+        truth -= np.mean((both.sum(axis=1) / np.sqrt(d) < -bounds[0]) & (both[:, 0] > bounds[1]))
+    assert abs(found.mean() - truth) < 4 * found.std() / np.sqrt(len(found))
+    assert found.std() / truth < 0.35
+
+
+def test_without_a_failure_there_is_a_bound_and_one_heavy_row_is_told():
+    rows = pd.DataFrame({"axis.round": 1.0, "axis.weight": np.ones(300), "outcome": "success", "cause": ""})
+
+    exp = SimpleNamespace(study=SimpleNamespace(name="some", design=SimpleNamespace(num=300, rounds=1)))
+    none = rare.rare(rows, exp)  # pyright: ignore[reportArgumentType]
+    assert none.high == pytest.approx(0.01 / importance.PLAIN, rel=0.02)
+    rows.loc[:9, "outcome"] = "failure"
+    rows.loc[0, "axis.weight"] = 3.0
+    assert "NOT to be trusted: one row carries 25%" in str(rare.rare(rows, exp))  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.parametrize(
+    ("argument", "told"),
+    [
+        ("study.design.wide=7", "study.design.wide = 7 is not allowed: from 1 to 5"),
+        ("study.design.rounds=0", "study.design.rounds = 0 is not allowed: at least 1"),
+        ("study.axes.step={path: manoeuvre.half_step_ratio, values: [0.1, 0.2]}", "not allowed with listed axes: step"),
+    ],
+)
+def test_what_it_cannot_do_is_refused(fake_engine, tmp_path, capsys, argument, told):
+    assert main([*STUDY, f"out={tmp_path}", argument.replace("study.axes.step", "+study.axes.step")]) == 2
+    assert told in capsys.readouterr().err
