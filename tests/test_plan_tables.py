@@ -99,6 +99,18 @@ def test_described_plans_say_where_their_numbers_come_from(capsys):
     assert f"{AHEAD} " in said
 
 
+@pytest.mark.parametrize(
+    "scenario", ["pole_top", "corner_roof", "ladder_climb", "ball_over", "ball_ledges", "raft_cross"]
+)
+def test_numbers_are_described_by_the_paths_they_are_varied_by(scenario, capsys):
+    case = compose([f"scenario={scenario}"]).case
+    assert main(["describe", f"plan.{case.manoeuvre.own_plan}"]) == 0
+    said = {word.removeprefix("plan.") for word in capsys.readouterr().out.split() if word.startswith("plan.")}
+    known = numbers(tabled(case), charts(case.obstacle))
+    assert said == set(known)
+    assert not [path for path in known if path[-1].isdigit() and not path.startswith("entry.")]
+
+
 def test_differences_of_plans_are_a_file_that_extends_one():
     own = shipped("pole_top")
     other = {**own, "over": {**own["over"], "base": "brink"}, "new": {"move": {"lift": 1}}}

@@ -25,6 +25,7 @@ CURVE = ("out", "ahead", "up")  # out to the leg's side, in the robot's way, up
 # names of the numbers in a list, by the key that it stands under; those of a place are its chart's
 COMPONENTS = {"base": ("ahead", "above", "pitch"), "leave": CURVE, "land": CURVE, "plane": CURVE,
               "pivot": ("ahead", "above"), "rates": ("first", "last")}  # fmt: skip
+PLACE = ("aside", "ahead")  # the same of a foot, or just the last one, in charts of a manoeuvre's own
 Content = Mapping[str, Any]
 Names = tuple[str, ...]
 
@@ -104,8 +105,9 @@ def _below(
     above = path.rpartition(".")[2]
     if above == "base":
         return path, places[key].based() if key in places else COMPONENTS["base"]
-    if above in GROUPS and key in places and isinstance(value, list):
-        return path, places[key].names
+    if above in GROUPS and isinstance(value, list) and key not in COMPONENTS:
+        told = places[key].names if key in places else ()
+        return path, told if len(told) == len(value) else PLACE[-len(value) :]
     if isinstance(chart := content.get("base"), str):
         names = places[chart].based() if chart in places else COMPONENTS["base"]
     below = f"{path}.{key}".removeprefix(".")

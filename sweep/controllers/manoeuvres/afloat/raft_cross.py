@@ -5,90 +5,41 @@ follow it as it is seen: while the robot touches a bank the raft is meant to go 
 pulled there (`Stage.support`). In between base and feet live in the raft's own frame.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from sweep.controllers.gaits import GALLOP, TRIPOD
+from sweep.controllers.gaits import TRIPOD
 from sweep.controllers.manoeuvres.afloat.statics import refuse
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
+from sweep.controllers.moves import Move, Terms, moves, staged, stages_of, standing
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import CYCLE_B_SMOOTH, REGRIP, Plan, Stage, Stance, assemble, named, reference
+from sweep.controllers.plan import REGRIP, Plan, Stage, Stance, assemble, named, reference
 from sweep.controllers.support import ALONGSIDE, STAYS, TO_VELOCITY, Support
 from sweep.controllers.tracker import Guidance, TrackerState
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import IDENTITY, rotate
 from sweep.formulas.crossing import Crossing, crossing
-from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
 from sweep.models.frames import WORLD, fixed
-from sweep.models.legs import LEGS
+from sweep.models.legs import LEGS, SIDED
+from sweep.models.obstacles.charts import Chart, Number, point
 from sweep.models.obstacles.raft import Raft
 from sweep.models.obstacles.surface import FreeState
 from sweep.models.robot import total_mass
 
-FRONT, _, REAR = GALLOP
-A, B = TRIPOD
-NEAR, DECK, FAR = "n", "d", "f"
-BOARDING = "board."  # how the names of stages begin in which the rear feet come to where they push
 HIPS = (-0.5, -0.5, 0.0, 0.0, 0.5, 0.5)  # a_r, ahead of the base's centre
-
-
-class Move(NamedTuple):
-    """A stage: the base goes ahead, and some feet, or none, to places.
-
-    In units of a_r; of the near table from the near edge of the water or of the raft, of the far one from the far edge.
-    """
-
-    name: str
-    base: float  # of the base's centre
-    legs: tuple[int, ...] = ()
-    places: tuple[float, ...] = ()  # of each leg's foot
-    on: str = ""  # near bank, deck or far bank: a letter for each of them
-
-
-BOARD = (
-    Move("a1", -0.5, A, (-0.875, -0.375, 0.125), "nnd"),
-    Move("b1", -0.25, B, (-0.625, -0.125, 0.375), "nnd"),
-    Move("a2", 0.0, A, (-0.375, 0.125, 0.625), "ndd"),
-    Move("b2", 0.25, B, (-0.125, 0.375, 0.875), "ndd"),
-    Move("a3", 0.4, A, (-0.125, 0.375, 0.875), "ndd"),
-    Move("ready", 0.42),
-    Move("push", 0.46),
-    Move("rear", 0.55, REAR, (0.12, 0.12), "dd"),
-    Move("a4", 0.6, A, (0.12, 0.6, 1.1), "ddd"),
-    Move("b3", 0.6, B, (0.1, 0.6, 1.1), "ddd"),
-)
-REACH = (Move("wait", -0.62), Move("squat", -0.72), Move("reach", -0.7, FRONT, (0.125, 0.125), "ff"))
-LAND = (
-    Move("rise", -0.62),
-    Move("a1", -0.5, (1, 4), (-0.875, -0.375), "dd"),
-    Move("b1", -0.25, B, (-0.625, -0.125, 0.375), "ddf"),
-    Move("a2", 0.0, A, (-0.375, 0.125, 0.625), "dff"),
-    Move("b2", 0.25, B, (-0.125, 0.375, 0.875), "dff"),
-    Move("a3", 0.5, A, (0.125, 0.625, 1.125), "fff"),
-    Move("b3", 0.75, B, (0.375, 0.875, 1.375), "fff"),
-    Move("a4", 0.875, A, (0.375, 0.875, 1.375), "fff"),
-)
 MARGIN = 0.1  # a_r, on both sides of an edge, that footholds leave out
 PATIENCE = 3.0  # times that of coasting, for which a raft that was pushed too little is waited for
-FIRST = -0.75  # of the base, before it boards
-
-
-class Tables(NamedTuple):
-    """The numbers of the plan."""
-
-    board: tuple[Move, ...] = BOARD
-    reach: tuple[Move, ...] = REACH
-    land: tuple[Move, ...] = LAND
+FIRST = -0.75  # a_r, of the base, before it boards
+NAMES = {leg: name for name, (leg,) in SIDED.items()}
 
 
 @parameters
 class RaftCross:
-    """From one bank to the other, and on. Stages and their numbers are `Tables`; ratios are to the body length a_r."""
+    """From one bank to the other, and on. Ratios are to the body length a_r."""
 
     goal: ClassVar = ON_ITS_FEET
     kind: str = choice("raft_cross", "raft_cross")
@@ -120,43 +71,84 @@ class RaftCross:
     needs = (Raft,)
 
     @property
-    def table(self) -> Tables:
-        """The numbers of its plan."""
-        return Tables()
+    def own_plan(self) -> str:
+        """The file that holds the plan's numbers, in a_r."""
+        return "raft_cross"
 
-    def plan(self, belief: Case, table: Tables | None = None) -> Plan:
+    def plan(self, belief: Case) -> Plan:
         """The whole way.
 
         Raises `InputError` where the raft would capsize or sink under the robot, by plain numbers.
         """
-        raft, tables = belief.on(Raft), self.table if table is None else table
-        length = belief.robot.body_length
+        raft, length, push = belief.on(Raft), belief.robot.body_length, self.push_off(belief)
         refuse(belief, (raft.length / 2 - MARGIN * length, self.offset))
-        way = Way(belief, self)
-        first = FIRST - self.approach * self.stride_ratio
-        start = Stance(
-            jnp.stack([way.foot(NEAR, leg, first + HIPS[leg - 1], 0.0) for leg in LEGS]),
-            way.base(NEAR, first),
-            jnp.array(IDENTITY),
-        )
-        names = [move.name for move in tables.board]
-        cast_off = names.index("push")
-        ashore = tables.board[-1].base  # from the raft's near edge
-        over = (raft.length / length + tables.reach[0].base - ashore) / self.steps
-        end = tables.land[-1].base
+        how, first = self.terms(belief), FIRST - self.approach * self.stride_ratio
+        feet = {leg: how.foot(leg, {"near": [first + HIPS[leg - 1]]}, "", 0.0).at for leg in LEGS}
+        position, _, _ = how.base({"by_near": [first]}, "")
+        start = Stance(jnp.stack([feet[leg] for leg in LEGS]), position, jnp.array(IDENTITY))
+        aboard, reached, landed = (list(moves(belief, part).values()) for part in ("aboard", "reach", "land"))
+        ashore, there, end = (move.base[chart][0] for move, chart in (
+            (aboard[-1], "on_deck"), (reached[0], "on_deck_far"), (landed[-1], "by_far")))  # fmt: skip
+        over = (raft.length / length + there - ashore) / self.steps
+        pull = replace(reached[-1], feet={}, seconds=self.pull, support="pulled")
+        at = standing(feet, 0.0)
+        approach, at = staged(tripods(first, self.approach, self.stride_ratio, "by_near", "near"), how, at, "approach.")
+        board, at = stages_of("board", how, at)
+        push_off, at = stages_of("push", how, at, "")
+        on, at = stages_of("aboard", how, at)
+        walk, at = staged(tripods(ashore, self.steps, over, "on_deck", "deck"), how, at, "walk.")
+        (wait, *reach), at = stages_of("reach", how, at, "")
+        pulls, at = staged({f"pull{k + 1}": pull for k in range(self.pulls)}, how, at, "")
+        land, at = stages_of("land", how, at)
+        leave = tripods(end, self.leave, self.stride_ratio, "by_far", "far")
+        off, _ = staged(leave, how, at, "leave.")
         stages = [
             Stage("stand", 0.5, onset=REGRIP),
-            *way.stages(tripods(first, self.approach, self.stride_ratio, NEAR), "approach.", 0),
-            *way.stages(tables.board[:cast_off], BOARDING, 0),
-            way.pushing(tables.board[cast_off]),
-            *way.stages(tables.board[cast_off + 1 :], "aboard."),
-            *way.stages(tripods(ashore, self.steps, over, DECK), "walk."),
-            *way.reaching(tables.reach),
-            *way.stages(tables.land, "land.", 1),
-            *way.stages(tripods(end, self.leave, self.stride_ratio, FAR), "leave.", 1),
+            *approach,
+            *board,
+            *(self.pushing(belief, stage, push) for stage in push_off),
+            *on,
+            *walk,
+            replace(wait, duration=PATIENCE * push.time),
+            *reach,
+            *pulls,
+            *land,
+            *off,
             Stage("halt", 1.0, onset=REGRIP),
         ]
         return assemble(start, stages, self.patience, ease=self.ease, free=raft.start(), afloat=True)
+
+    def terms(self, belief: Case) -> Terms:
+        """Of moves between banks and raft, which stays once it is moored: a hold taken anew at every step gives way."""
+        raft, length = belief.on(Raft), belief.robot.body_length
+        aside, deck = belief.robot.body_width / 2 + self.spread_ratio * length, raft.thickness / 2
+        hips, squat = self.height_ratio * length, self.squat_ratio * length
+        half, width, own = raft.length / 2, raft.water_width, fixed(0)
+        feet = {"near": (0.0, 0.0, WORLD), "brace": (0.0, 0.0, WORLD), "deck": (-half, deck, own),
+                "deck_far": (half, deck, own), "far": (width, 0.0, WORLD)}  # fmt: skip
+        bases = {"by_near": (0.0, hips, WORLD), "on_deck": (-half, hips + deck, own),
+                 "on_deck_far": (half, hips + deck, own), "squat": (half, squat + deck, own),
+                 "by_far": (width, hips, WORLD)}  # fmt: skip
+        charts = {name: beyond(edge, self.offset, aside, up, frame) for name, (edge, up, frame) in feet.items()}
+        charts |= {name: beyond(edge, self.offset, 0.0, up, frame) for name, (edge, up, frame) in bases.items()}
+        depths = {**dict.fromkeys(feet, self.deepening), "brace": self.deepening + self.bracing}
+        berths = {"moored": half, "pulled": width - half}  # wherever along the banks
+        along = jnp.array([1.0, 0.0, 0.0])
+        supports = {"free": (Support(),), "stays": (STAYS,),
+                    **{name: (Support(ALONGSIDE, position=x * along),) for name, x in berths.items()}}  # fmt: skip
+        return Terms(belief, length, self.swing, self.lift_ratio * length, depths, charts, (1.0, 0.0), supports,
+                     {"onset": REGRIP})  # fmt: skip
+
+    def pushing(self, belief: Case, stage: Stage, push: Crossing) -> Stage:
+        """Raft and robot gain speed at a constant force, with the turn that a push beside the middle gives.
+
+        Heavy or fast ones are pushed harder: the rear feet stay on the bank meanwhile.
+        """
+        mass = belief.on(Raft).mass + total_mass(belief.robot)
+        speed, turn = self.push * push.v0, self.push * push.w0
+        force = jnp.maximum(self.force, mass * speed**2 / (2 * self.push_ratio * belief.robot.body_length))
+        to = Support(TO_VELOCITY, jnp.array([1.0, 0.0, 0.0]) * speed, jnp.array([0.0, 0.0, -1.0]) * turn)
+        return replace(stage, duration=mass * speed / force, support=(to,))
 
     def push_off(self, belief: Case) -> Crossing:
         """Of (4.3) and (4.3.1)."""
@@ -206,101 +198,26 @@ def far_gaps(raft: Raft, free: FreeState) -> Float[Array, " 2"]:
     return raft.water_width - (free.position[0] + rotate(free.quat[0], corners))[:, 0]
 
 
-def tripods(base: Array | float, count: int, stride: Array | float, on: str) -> list[Move]:
+def beyond(edge: Array | float, middle: Array | float, aside: Array | float, up: Array | float, frame: int) -> Chart:
+    """Places ahead of an edge at x (m), `aside` (m) of a way that is to the left of the middle by so much, `up` (m)."""
+
+    def at(of: Raft, side: float, unit: Number, depth: Number, ahead: Number) -> Float[Array, " 3"]:
+        return point(edge + ahead * unit, middle + side * aside, up - depth)
+
+    return Chart(("ahead",), at, frame)
+
+
+def tripods(base: Number, count: int, stride: Number, chart: str, on: str) -> dict[str, Move]:
     """Swings of tripods in turn, the base at `base` (a_r) at first; they begin and end with the feet under their hips.
 
     It goes on by `stride` a swing; a foot lands half a stride ahead of its hip, the last ones under theirs.
     """
-    moves = []
+    found = {}
     for k in range(count + (count > 0)):
         base = base + stride if k < count else base
-        legs, ahead = TRIPOD[k % 2], stride / 2 if k < count - 1 else 0.0
-        places = tuple(base + HIPS[leg - 1] + ahead for leg in legs)
-        moves.append(Move(f"{k + 1}", base, legs, places, 3 * on))  # pyright: ignore
-    return moves
-
-
-class Way:
-    """Places and stages of a crossing; where feet stand is kept while stages are made."""
-
-    def __init__(self, belief: Case, how: RaftCross):
-        self.raft, self.how, self.length = belief.on(Raft), how, belief.robot.body_length
-        self.aside = belief.robot.body_width / 2 + how.spread_ratio * self.length
-        self.push = how.push_off(belief)
-        self.mass = self.raft.mass + total_mass(belief.robot)
-        self.frames = dict.fromkeys(LEGS, WORLD)
-        self.far = False  # places are from the far edge
-
-    def along(self, where: str, x: Array | float) -> Array:
-        """From a place (a_r) to x (m) in the world, or in the raft's frame."""
-        edge = {NEAR: 0.0, FAR: self.raft.water_width, DECK: (1 if self.far else -1) * self.raft.length / 2}[where]
-        return jnp.asarray(edge + x * self.length, float)
-
-    def base(self, where: str, x: Array | float, ratio: Array | float | None = None) -> Float[Array, " 3"]:
-        """The base's centre (m)."""
-        height = (self.how.height_ratio if ratio is None else ratio) * self.length
-        deck = self.raft.thickness / 2 if where == DECK else 0.0
-        return jnp.stack([self.along(where, x), jnp.asarray(self.how.offset, float), jnp.asarray(height + deck, float)])
-
-    def foot(self, where: str, leg: int, x: Array | float, deepening: Array | float) -> Float[Array, " 3"]:
-        """A foothold (m)."""
-        deck = self.raft.thickness / 2 if where == DECK else 0.0
-        y, z = self.how.offset + SIDE[leg - 1] * self.aside, deck - deepening
-        return jnp.stack([self.along(where, x), jnp.asarray(y, float), jnp.asarray(z, float)])
-
-    def stages(self, moves: Sequence[Move], prefix: str, moored: int | None = None) -> list[Stage]:
-        """Of moves; the raft is held at the near bank (0), at the far one (1), where it has come to, or left alone."""
-        stages = [self.stage(move, prefix, moored) for move in moves]
-        if moored is not None:  # once it is there it is kept: a hold that is taken anew at every step gives way
-            kept = slice(1 - moored, None)
-            stages[kept] = [replace(stage, support=(STAYS,)) for stage in stages[kept]]
-        return stages
-
-    def stage(
-        self, move: Move, prefix: str = "", moored: int | None = None, time: Array | float | None = None,
-        ratio: Array | float | None = None, support: Support | None = None,
-    ) -> Stage:  # fmt: skip
-        """Of a move."""
-        swing = {}
-        for leg, x, on in zip(move.legs, move.places, move.on, strict=True):
-            brace = self.how.bracing if prefix == BOARDING and leg in REAR else 0.0
-            swing[leg] = self.foot(on, leg, x, self.how.deepening + brace)
-            self.frames[leg] = fixed(0) if on == DECK else WORLD
-        where = DECK if moored is None and any(self.frames.values()) else (FAR if self.far else NEAR)
-        if support is None:
-            support = Support() if moored is None else Support(ALONGSIDE, position=self.berth(moored))
-        return Stage(
-            prefix + move.name, self.how.swing if time is None else time, swing, CYCLE_B_SMOOTH,
-            self.how.lift_ratio * self.length, position=self.base(where, move.base, ratio), rates=(0.0, 0.0),
-            onset=REGRIP, foot_frames=tuple(self.frames.values()),
-            base_frame=fixed(0) if where == DECK else WORLD, support=(support,),
-        )  # fmt: skip
-
-    def berth(self, bank: int) -> Float[Array, " 3"]:
-        """The raft's place along a bank, 0 the near one (m), wherever along it."""
-        x = (1 - bank) * self.raft.length / 2 + bank * (self.raft.water_width - self.raft.length / 2)
-        return jnp.array([1.0, 0.0, 0.0]) * x
-
-    def pushing(self, move: Move) -> Stage:
-        """Raft and robot gain speed at a constant force, with the turn that a push beside the middle gives.
-
-        Heavy or fast ones are pushed harder: the rear feet stay on the bank meanwhile.
-        """
-        speed, turn = self.how.push * self.push.v0, self.how.push * self.push.w0
-        force = jnp.maximum(self.how.force, self.mass * speed**2 / (2 * self.how.push_ratio * self.length))
-        to = Support(TO_VELOCITY, jnp.array([1.0, 0.0, 0.0]) * speed, jnp.array([0.0, 0.0, -1.0]) * turn)
-        return self.stage(move, time=self.mass * speed / force, support=to)
-
-    def reaching(self, moves: Sequence[Move]) -> list[Stage]:
-        """Wait for the far bank, squat, front feet ashore, pull; the raft lies as it comes until then."""
-        self.far, squat = True, self.how.squat_ratio
-        wait, down, reach = moves
-        out = [
-            self.stage(wait, time=PATIENCE * self.push.time),
-            self.stage(down, time=1.0, ratio=squat),
-            self.stage(reach, ratio=squat),
-        ]
-        for k in range(self.how.pulls):
-            berth = Support(ALONGSIDE, position=self.berth(1))
-            out.append(self.stage(Move(f"pull{k + 1}", reach.base), time=self.how.pull, ratio=squat, support=berth))
-        return out
+        ahead = stride / 2 if k < count - 1 else 0.0
+        feet = {NAMES[leg]: {on: [base + HIPS[leg - 1] + ahead]} for leg in TRIPOD[k % 2]}
+        support = "free" if on == "deck" else "moored" if on == "near" and k == 0 else "stays"
+        found[f"{k + 1}"] = Move(f"tripod {k + 1}", feet, base={chart: [base]}, pace="eased", swing="b_smooth",
+                                 lift=1.0, support=support)  # fmt: skip
+    return found
