@@ -6,7 +6,8 @@ import gc
 import io
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -132,6 +133,13 @@ def parser() -> argparse.ArgumentParser:
     stats.add_argument("--level", type=float, default=0.9, help="probability of success for the tolerance (0.9)")
     stats.add_argument("--figure", help="Sobol indices or elementary effects of this column instead of success")
     report = of_results("report", draw_report, "a page about the study, report.html, and its map, map.png and map.svg")
+    report.add_argument(
+        "b",
+        type=Path,
+        nargs="?",
+        metavar="B",
+        help="another folder: a page of the points of both, and where they differ",
+    )
     report.add_argument("--x", help="parameter along the map")
     report.add_argument("--y", help="parameter up the map")
     report.add_argument("--where", help="only rows that match")
@@ -402,30 +410,66 @@ def show_statistics(given: argparse.Namespace) -> int:
 def draw_report(given: argparse.Namespace) -> int:
     """The page, and the success map where there are two parameters to draw it over."""
     from sweep.core.expressions import column
-    from sweep.core.waiting import waiting
     from sweep.report import chosen, maps, page, replays, typical
     from sweep.runs import results
 
+    if given.replays < 0:
+        raise InputError(f"--replays = {given.replays} is not allowed: at least 0")
     found, folder = results.read(given.dir, given.where), given.output or given.dir
+    if given.b:
+        return draw_pairs(given, found, folder)
     columns = tuple(column(found.rows, name) for name in (given.x, given.y) if name)
     if columns:
         maps.map_axes(found.rows, columns)  # refuses before anything is written
     if given.pictures:
         typical.draw(found)
-    if given.replays < 0:
-        raise InputError(f"--replays = {given.replays} is not allowed: at least 0")
     if given.replays:
-        made, number = 0, given.replays
-
-        def report(done: int, of: int) -> None:
-            nonlocal made, number
-            made, number = done, of
-
-        with waiting(lambda: f"{made} of {number} rollouts simulated again"):
+        with simulating(given.replays) as report:
             replays.make(found, chosen.chosen(found, given.replays), report)
     print(page.write(found, folder / "report.html", columns))
     for path in pictures(found, folder, columns):
         print(path)
+    return DONE
+
+
+@contextmanager
+def simulating(number: int) -> Iterator[Callable[[int, int], None]]:
+    """A line that says how many rollouts are simulated again, kept up by what is called with done, and of how many."""
+    from sweep.core.waiting import waiting
+
+    made, of = 0, number
+
+    def report(done: int, all_of_them: int) -> None:
+        nonlocal made, of
+        made, of = done, all_of_them
+
+    with waiting(lambda: f"{made} of {of} rollouts simulated again"):
+        yield report
+
+
+def draw_pairs(given: argparse.Namespace, a: "Results", folder: Path) -> int:
+    """The page of the same points in two folders."""
+    from sweep.report import page, pairs
+    from sweep.runs import results
+
+    if given.pictures or given.x or given.y:
+        raise InputError("--pictures, --x and --y are of one study")
+    b = results.read(given.b, given.where)
+    found, table = pairs.joined(a, b)
+    if given.replays:
+        with simulating(given.replays) as report:
+            pairs.simulated(a, b, given.replays, report)
+    about = page.Pairs(
+        f"{a.name} and {b.name}" if a.name != b.name else f"{a.name} twice",
+        pairs.headline(table, given.dir, given.b),
+        list(pairs.exhibits(found, table)),
+        list(pairs.tables(table)),
+    )
+    text = page.render(found, list(pairs.shown(a, b)), pairs=about)
+    path = folder / f"report_{given.b.resolve().name}.html"
+    folder.mkdir(parents=True, exist_ok=True)
+    write_whole(path, text.encode())
+    print(path)
     return DONE
 
 

@@ -101,6 +101,13 @@ LOOKS = {
     ),
     **looks("doubt", **{doubt: ("#8A8C92", star(k, 0.3)) for k, doubt in enumerate(DOUBTS, 6)}),
 }
+PAIRS = looks(  # of the same point in two studies
+    "pair",
+    both_fail=("#5E5E5E", star(4, turn=45)),
+    only_A_succeeds=("#C8102E", star(3, turn=180)),
+    only_B_succeeds=("#FFB000", star(3)),
+    invalid_in_one=("#8A8C92", star(6, 0.3)),
+)
 OTHER = looks("", other=("#7F7F7F", bar(0.2, turn=90)))["other"]  # of a kind that is not known
 FAILURE, INVALID, INK = LOOKS["fell"].colour, "#FFFFFF", "#1C2024"  # of all failures together; cells of doubts; glyphs
 DOUBTFUL = "#8A8C92"
@@ -108,8 +115,8 @@ GOOD = LOOKS[SUCCESS].colour
 
 
 def look_of(kind: str) -> Look:
-    """The look of success, or of a cause."""
-    return LOOKS.get(kind, OTHER)
+    """The look of success, of a cause, or of what came of a pair."""
+    return LOOKS.get(kind) or PAIRS.get(kind, OTHER)
 
 
 def marker(kind: str) -> Path:

@@ -4,7 +4,7 @@ import base64
 import io
 import itertools
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -70,11 +70,27 @@ def write(results: Results, path: Path, chosen: tuple[str, ...] = ()) -> Path:
     return path
 
 
-def render(results: Results, shown: list[Shown] | None = None, chosen: tuple[str, ...] = (), opened: int = 0) -> str:
+@dataclass(frozen=True)
+class Pairs:
+    """What a page of the same points in two studies has in place of what it has of one."""
+
+    name: str
+    headline: str
+    exhibits: list[Exhibit]
+    tables: list[tuple[str, pd.DataFrame]]
+
+
+def render(
+    results: Results,
+    shown: list[Shown] | None = None,
+    chosen: tuple[str, ...] = (),
+    opened: int = 0,
+    pairs: Pairs | None = None,
+) -> str:
     """The page as HTML.
 
     It has the replays `shown`, the first `opened` of which, at most two, play from the start, or else those that the
-    folder keeps.
+    folder keeps. Of `pairs` a row of `results` is one, and its cause what came of both.
     """
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
@@ -82,8 +98,8 @@ def render(results: Results, shown: list[Shown] | None = None, chosen: tuple[str
     template = environment.from_string((files("sweep.report.page") / "page.html.j2").read_text(encoding="utf-8"))
     rows = results.rows
     style, script = style_sheet(), bundle()
-    plates = [plate(one) for one in exhibits(results)]
-    typicals = [(one, image(one), list(telling(one, results.exp))) for one in typical(results)]
+    plates = [plate(one) for one in (pairs.exhibits if pairs else exhibits(results))]
+    typicals = [(one, image(one), list(telling(one, results.exp))) for one in (() if pairs else typical(results))]
     about = data.data(results, chosen)
     others = [
         style,
@@ -102,7 +118,7 @@ def render(results: Results, shown: list[Shown] | None = None, chosen: tuple[str
         policy=policy(style, script),
         style=Markup(style),
         script=Markup(script),
-        data=Markup(data.as_json(about)),
+        data=Markup(data.as_json(about | ({"name": pairs.name} if pairs else {}))),
         streams=Markup("\n".join(replays.streams)),
         rate=(rate := pooled(rows, results.exp)),
         sure=rate.total > 1 and rate.low == rate.low,
@@ -112,12 +128,14 @@ def render(results: Results, shown: list[Shown] | None = None, chosen: tuple[str
         ],
         repeated=results.exp.study.replicates > 1,
         plates=plates,
-        expectations=list(expectations(results)),
+        expectations=[] if pairs else list(expectations(results)),
         parameters=list(tables.parameters(results)),
         reasons=[(cause, words, int((rows["cause"] == cause).sum())) for cause, words in results.causes_seen.items()],
         typical=typicals,
-        statistics=list(statistics(results)),
-        audit=list(audit.table(results).itertuples(index=False)),
+        statistics=list(titled(pairs.tables if pairs else in_words(results), results.exp)),
+        audit=[] if pairs else list(audit.table(results).itertuples(index=False)),
+        pairs=pairs,
+        name=pairs.name if pairs else results.name,
         table=table(rows.head(ROWS), results.exp),
         configuration=yaml.safe_dump(results.stored["config"], sort_keys=False, allow_unicode=True),
         dates=dates(results.folder),
@@ -139,14 +157,14 @@ def expectations(results: Results) -> Iterator[tuple[str, str]]:
         yield f"{one.that}{where}: a share from {one.at_least:g} to {one.at_most:g}", lines[0] if lines else "met"
 
 
-def statistics(results: Results) -> Iterator[tuple[str, Markup]]:
+def titled(sections: Iterable[tuple[str, pd.DataFrame | str]], exp: Experiment) -> Iterator[tuple[str, Markup]]:
     """Titled tables of what the rows say: margins, tolerance to errors, sensitivity, as far as the design can tell."""
-    for title, content in in_words(results):
+    for title, content in sections:
         if isinstance(content, str):
             yield title, Markup("<p>{}</p>").format(content)
         else:
             note = f"<p class='soft'>The first {LINES} of {len(content)} lines.</p>" if len(content) > LINES else ""
-            yield title, Markup(note) + as_html(tables.shown(content.head(LINES), results.exp), index=False)
+            yield title, Markup(note) + as_html(tables.shown(content.head(LINES), exp), index=False)
 
 
 def telling(one: Typical, exp: Experiment) -> Iterator[tuple[str, str]]:

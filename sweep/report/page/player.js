@@ -148,7 +148,10 @@ export function playerOf(app) {
       said = `Another row: the one you chose has no replay. This is the nearest that has one: ${apart.join(", ")}${differ.length > 4 ? ", …" : ""}${ends}.`;
     }
     time = 0;
-    void openReel(0, number, said).then(() => (at === null ? start() : to(at)));
+    const pair = replays.findIndex((one) => one.row < 0 && one.point === replays[number].point);
+    void openReel(0, number, said)
+      .then(() => (pair < 0 ? undefined : openReel(1, pair)))
+      .then(() => (at === null ? start() : to(at)));
   };
 
   const describe = () => {

@@ -1,0 +1,79 @@
+"""Two studies on one page: what differs is what `sweep compare` counts, on one pair of axes, replays side by side."""
+
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from browser import CHROMIUM, Browser
+from conftest import simulated
+from moved import moved
+
+from sweep.analysis import compare
+from sweep.cli.main import main
+from sweep.report import pairs, replays
+from sweep.runs import results
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    """A study, and the same judged by a limit that nothing reaches, so that more of B succeed."""
+    out = tmp_path_factory.mktemp("two")
+    axes = ["study.axes.friction.num=6", "study.axes.step.num=5"]
+    assert simulated(out / "a", *axes) == 0
+    shutil.copytree(out / "a", out / "b")
+    assert main(["relabel", str(out / "b"), "tilt_max_deg<50"]) == 0
+    return out / "a", out / "b"
+
+
+def test_a_pair_is_told_by_what_came_of_both(folders):
+    a, b = map(results.read, folders)
+    outcome, cause = b.rows["outcome"].to_numpy(copy=True), b.rows["cause"].to_numpy(copy=True)
+    won = np.flatnonzero(a.rows["outcome"] == "success")
+    outcome[won[0]], cause[won[0]], outcome[won[1]], cause[won[1]] = "failure", "fell", "invalid", "solver"
+    shuffled = b.rows.assign(outcome=outcome, cause=cause).sample(frac=1, random_state=0)
+    found, table = pairs.joined(a, replace(b, rows=shuffled))
+    flips, counts = compare.flips(table), found.rows["cause"].value_counts()
+    assert (counts[pairs.ONLY_A], counts[pairs.ONLY_B], counts[pairs.DOUBTED]) == (flips.lost, flips.gained, 1)
+    assert flips.lost == 1
+    assert flips.gained > 5
+    assert f"McNemar p = {flips.p:.2g}" in pairs.headline(table, *folders)
+    (exhibit,) = pairs.exhibits(found, table)
+    assert len(exhibit.data) == len(a.rows) - 1  # without the invalid one
+    maps = exhibit.draw().axes[:3]
+    assert {ax.get_xlim() for ax in maps} == {maps[0].get_xlim()}
+    change = np.ma.asarray(maps[2].collections[0].get_array())
+    assert ((change == 1).sum(), (change == -1).sum(), change.mask.sum()) == (flips.gained, 1, 1)
+
+
+def test_the_page_of_two_is_written(folders, capsys, tmp_path):
+    assert main(["report", *map(str, folders), "-o", str(tmp_path)]) == 0
+    page = (tmp_path / "report_b.html").read_text()
+    a, b = map(results.read, folders)
+    assert str(compare.flips(compare.pair(a.rows, b.rows))) in page
+    assert 'id="difference"' in page
+    assert main(["report", *map(str, folders), "--pictures"]) == 2
+    assert "--pictures, --x and --y are of one study" in capsys.readouterr().err
+
+
+@pytest.mark.browser
+@pytest.mark.skipif(CHROMIUM is None, reason="needs a browser: apt-get install chromium")
+def test_a_flip_plays_in_both(folders, tmp_path):
+    a, b = map(results.read, folders)
+    place = int(np.argmax(pairs.joined(a, b)[0].rows["cause"] == pairs.ONLY_B))
+    trace = moved("scenario=pole_climb")
+    for side in (a, b):
+        replays.keep(side.folder, side.rows.iloc[place], trace)
+    assert main(["report", *map(str, folders), "-o", str(tmp_path)]) == 0
+    browser = Browser(tmp_path / "profile")
+    browser.open(tmp_path / "report_b.html")
+    browser.until("performance.getEntriesByName('map').length")
+    left, top, _, _ = browser.place("#map-over")
+    browser.click(left + 80, top + 30)
+    shown = "['#replay-list', '#replay-with'].map(s => document.querySelector(s).selectedOptions[0].textContent)"
+    browser.until("document.querySelector('#replay-with').value")
+    one, other = browser.run(shown)
+    assert browser.errors == []
+    browser.close()
+    assert one.startswith("A fell")
+    assert other.startswith("B success")
