@@ -23,8 +23,13 @@ BELOW_RUNS = (
     "analysis",
 )
 ROOMS = (*BELOW_RUNS, "runs", "trace", "report", "cli", "")
-# one rollout's surfaces; physics measured alone
-JAX_ABOVE_ENGINES = {"sweep.trace.contact_forces", "sweep.cli.bench"}
+# a controller of a user's own; one rollout's surfaces; physics measured alone
+JAX_ABOVE_ENGINES = {
+    "sweep.systems.own.policy",
+    "sweep.cli.template_model.trot",
+    "sweep.trace.contact_forces",
+    "sweep.cli.bench",
+}
 # the sources' own text; compiled programs; a study's name for its folder and its table of points
 FILES_BELOW_RUNS = {
     "sweep.core.files",
@@ -36,6 +41,7 @@ FILES_BELOW_RUNS = {
     "sweep.engines.program_cache",
     "sweep.study.config",
     "sweep.study.study",
+    "sweep.systems.own.files",
 }
 
 

@@ -21,10 +21,7 @@ def copies(rows: pd.DataFrame, exp: Experiment) -> np.ndarray:
     """Which rows repeat an earlier one: replicates of a point that draws no errors, so that they cannot differ."""
     if exp.study.replicates < 2:
         return np.zeros(len(rows), dtype=bool)
-    random = np.zeros(len(rows), dtype=bool)
-    for path, none in exp.system.random.items():
-        column = next((c for c in (f"world.{path}", path) if c in rows), None)
-        random |= (rows[column] if column else exp.system.nominal(path, exp.settings)) != none
+    random = exp.system.random(rows, exp.settings)
     points = rows[parameter_columns(rows)].assign(draw=rows["replicate"] // exp.study.replicates)
     return points.duplicated().to_numpy() & ~random
 

@@ -112,8 +112,9 @@ def checked(
         "outside": np.flatnonzero(~inside)[:CHECKED],
     }
     chosen = np.unique(np.concatenate(list(kinds.values())))
-    with reporting("checks", len(chosen), f"{exp.scenario} for checks") as report:
-        runner.carry_out(again, folder / AGAIN, table.iloc[chosen].reset_index(drop=True), report)
+    with store.locked(folder / AGAIN), reporting("checks", len(chosen), f"{exp.scenario} for checks") as report:
+        runner.mend(again, folder / AGAIN)
+        runner.run(runner.lay_out(again, folder / AGAIN, table.iloc[chosen].reset_index(drop=True)), report)
     rows = store.read_rows(folder / AGAIN).set_index("point_id")
     lines = []
     for kind, places in kinds.items():

@@ -22,7 +22,11 @@ def launch(overrides: list[str], work: Callable[[Experiment], int]) -> int:
     config.register()
     codes = [DONE]
 
-    @hydra.main(version_base=config.HYDRA_VERSION, config_path=f"pkg://{config.CONFIG_MODULE}", config_name="config")
+    @hydra.main(
+        version_base=config.HYDRA_VERSION,
+        config_path=f"pkg://{config.CONFIG_MODULE}",
+        config_name=config.primary(overrides),
+    )
     def job(composed: DictConfig) -> None:
         try:
             codes.append(work(config.experiment(config.resolve(composed))))

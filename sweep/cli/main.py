@@ -109,6 +109,7 @@ def parser() -> argparse.ArgumentParser:
     command("run", lambda _: DONE, "simulate a scenario, or every point of a study; " + delegated.format("run"))
     new = command("init", project.init, "make a project: a folder for studies, robots and modules of your own")
     new.add_argument("dir", type=Path, help="a new or empty folder")
+    new.add_argument("--model", action="store_true", help="for a model and a controller of your own, docs/own_model.md")
     choices = command("list", project.show, "scenarios, studies, robots and the other groups; or folders of results")
     choices.add_argument("dir", type=Path, nargs="*", help="folders of studies, such as results/: a line for each")
     about = command(
@@ -198,7 +199,9 @@ def parser() -> argparse.ArgumentParser:
         "audit", audit_results, "rollouts at the boundary and successes again: at half the time step, in other ways"
     )
     audit.add_argument("--points", type=int, default=32, help="how many of each, drawn at random (32)")
-    audit.add_argument("--ways", default="again,half_step,float64,other_engine,solid", help="separated by commas")
+    audit.add_argument(
+        "--ways", help="separated by commas: again, half_step, float64, other_engine, solid; without it all"
+    )
     audit.add_argument("--where", help="only rows that match")
     judge = of_results(
         "relabel",
@@ -548,7 +551,8 @@ def audit_results(given: argparse.Namespace) -> int:
 
     if given.points < 1:
         raise InputError(f"--points = {given.points} is not allowed: at least 1")
-    found, ways = results.read(given.dir, given.where), names(given.ways) or []
+    found = results.read(given.dir, given.where)
+    ways = names(given.ways) or [*found.exp.system.ways]
     with app.reporting("audit", 2 * given.points * len(ways), f"{found.exp.scenario} in other ways") as report:
         audit.run(found, given.points, ways, report)
     terminal.show(tables.page_table(audit.table(found)) + "\n")

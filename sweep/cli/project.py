@@ -18,7 +18,8 @@ HIDDEN = {"gitignore": ".gitignore"}  # files that a package cannot hold under t
 def init(given: argparse.Namespace) -> int:
     """Make a project in a folder, without touching what is there. Raises `InputError`."""
     folder: Path = given.dir
-    wanted = [(file, folder / Path(*path)) for file, path in template(files("sweep.cli") / "template")]
+    source, study = ("template_model", "grip") if given.model else ("template", "first")
+    wanted = [(file, folder / Path(*path)) for file, path in template(files("sweep.cli") / source)]
     there = [str(path) for _, path in wanted if path.exists()]
     if there:
         raise InputError(f"{there[0]} is there already: choose an empty folder")
@@ -26,7 +27,7 @@ def init(given: argparse.Namespace) -> int:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(file.read_bytes())
         print(path)
-    print(f"next: cd {folder}; sweep run study=first")
+    print(f"next: cd {folder}; sweep run study={study}")
     return DONE
 
 

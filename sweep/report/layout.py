@@ -5,7 +5,6 @@ from contextlib import AbstractContextManager
 from typing import Any
 
 import matplotlib as mpl
-import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
@@ -14,7 +13,6 @@ from matplotlib.textpath import TextPath
 COLUMN, PAGE = 84 / 25.4, 174 / 25.4  # in, as most journals have them
 LETTERS = 8  # points
 SERIF = ["STIX Two Text", "Times New Roman", "STIXGeneral", "DejaVu Serif"]  # the one but last comes with matplotlib
-LINE = 1.5 * LETTERS / 72  # in, of a legend's entry
 HANDLE = 6.0  # of a legend's entry beside its text, in letters: handle, gap, and the space to the next column
 
 
@@ -36,20 +34,13 @@ def sheet(height: float, width: float = PAGE) -> Figure:
 
 
 def legend_below(figure: Figure, handles: Sequence[Any]) -> None:
-    """A legend below all panels, in as many columns as the figure is wide enough for, and the figure higher by it."""
+    """A legend below all panels, in as many columns as the figure is wide enough for."""
     if not handles:
         return
-    names = [wide(str(one.get_label() if isinstance(one, Artist) else "")) for one in handles]
-    width, height = figure.get_size_inches()
-    room = 72 * width - 2 * LETTERS
-    columns = max((k for k in range(1, len(names) + 1) if in_columns(names, k) <= room), default=1)
-    figure.set_size_inches(width, height + LINE * -(-len(names) // columns))
-    figure.legend(handles=handles, loc="outside lower center", ncols=columns)
-
-
-def in_columns(names: Sequence[float], columns: int) -> float:
-    """How wide a legend is whose entries' names are so wide (points), as matplotlib parts them."""
-    return sum(part.max() + HANDLE * LETTERS for part in np.array_split(np.asarray(names), columns))
+    longest = max(wide(str(one.get_label() if isinstance(one, Artist) else "")) for one in handles)
+    room = 72 * figure.get_size_inches()[0] - 2 * LETTERS
+    columns = int(room // (longest + HANDLE * LETTERS))
+    figure.legend(handles=handles, loc="outside lower center", ncols=max(1, min(columns, len(handles))))
 
 
 def wide(text: str) -> float:

@@ -6,6 +6,7 @@ tells the cause, so that nobody has to tell some twenty colours apart.
 """
 
 from typing import NamedTuple
+from zlib import crc32
 
 import numpy as np
 import pandas as pd
@@ -115,8 +116,10 @@ GOOD = LOOKS[SUCCESS].colour
 
 
 def look_of(kind: str) -> Look:
-    """The look of success, of a cause, or of what came of a pair."""
-    return LOOKS.get(kind) or PAIRS.get(kind, OTHER)
+    """The look of success, of a cause, or of what came of a pair; of other causes that of their names' letters."""
+    spare = [one for one in LOOKS.values() if one.family not in ("success", "doubt")]
+    known = LOOKS.get(kind) or PAIRS.get(kind)
+    return known or (spare[crc32(kind.encode()) % len(spare)] if kind else OTHER)
 
 
 def marker(kind: str) -> Path:

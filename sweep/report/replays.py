@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from sweep.core.errors import InputError
 from sweep.core.files import write_whole
 from sweep.engines import devices
 from sweep.engines.base import Trace, same_bits
@@ -47,8 +48,11 @@ def again(
 ) -> Iterator[tuple[pd.Series, Trace, dict[str, Any]]]:
     """Each of `rows`, its rollout recorded `rate` times a second, and the labels that it has here.
 
-    `planned` are all points of the study, `rows` some of them with the slots that they were simulated in.
+    `planned` are all points of the study, `rows` some of them with the slots that they were simulated in. Raises
+    `InputError` where rollouts of such a system are not drawn.
     """
+    if exp.system.undrawn:
+        raise InputError(exp.system.undrawn)
     devices.configure()  # the CPU counts as several devices from then on
     exp = batches.with_room(exp, planned)
     for _, part in laid_out(rows, devices.default_width()).groupby(["group", "batch", "width"]):

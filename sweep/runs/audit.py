@@ -43,7 +43,10 @@ def run(results: Results, number: int, ways: list[str], progress: runner.Progres
         )  # so few rollouts have a width of their own
         study = {**exp.values["study"], "keep": []}
         values = {**exp.values, "study": study, "engine": asdict(settings), "out": str(folder / way)}
-        runner.carry_out(experiment(values), folder / way, points, progress)
+        again = experiment(values)
+        with store.locked(folder / way):
+            runner.mend(again, folder / way)
+            runner.run(runner.lay_out(again, folder / way, points), progress)
 
 
 def one_engine(results: Results) -> Experiment:

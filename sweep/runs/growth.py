@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from sweep.core.errors import InputError
-from sweep.runs import runner
+from sweep.runs import runner, store
 from sweep.study.config import Experiment, experiment
 
 GROWING = ("monte_carlo", "sobol")  # designs whose first draws stay as more come
@@ -39,5 +39,7 @@ def grow(exp: Experiment, folder: Path, number: int, progress: runner.Progress) 
     The code must be that of the rows that are there. Raises `InputError`.
     """
     more = with_draws(exp, folder, number)
-    runner.carry_out(more, folder, runner.wanted_points(more), progress)
+    with store.locked(folder):
+        runner.mend(more, folder)
+        runner.run(runner.lay_out(more, folder, runner.wanted_points(more)), progress)
     return more

@@ -225,13 +225,6 @@ def run(job: Job, progress: Progress, dispatch: Dispatch = map) -> Job:
     return job
 
 
-def carry_out(exp: Experiment, folder: Path, wanted: pd.DataFrame, progress: Progress) -> None:
-    """Simulate what `folder` lacks of the rows `wanted`, alone in it and mended first. Raises `InputError`, `Fault`."""
-    with store.locked(folder):
-        mend(exp, folder)
-        run(lay_out(exp, folder, wanted), progress)
-
-
 def accepted(job: Job, done: "Done", entry: Entry) -> pd.DataFrame:
     """What is told of the rows that a worker wrote; from now on they count.
 

@@ -33,11 +33,10 @@ from sweep.study.designs import known, with_side
 from sweep.study.study import ScenarioSchema, Study, StudySchema, check_keep
 from sweep.systems.base import Limits, System
 
-CONFIG_MODULE, CONFIG_NAME, HYDRA_VERSION = "sweep.conf", "config", "1.3"
+CONFIG_MODULE, HYDRA_VERSION = "sweep.conf", "1.3"
 WHOLE: dict[str, type] = {name: group.load() for name, group in GROUPS.items() if group.whole}
 KINDS: dict[str, dict[str, type]] = {name: group.load() for name, group in GROUPS.items() if group.kinds}
 CLASSES: dict[str, type] = {name: group.load() for name, group in GROUPS.items() if group.one_class}
-SCHEMA = (*GROUPS, "out")
 
 
 @dataclass(frozen=True)
@@ -77,11 +76,16 @@ def _register() -> None:
     sources.register()
     for group, cls in CLASSES.items():
         sources.SCHEMAS[group] = {group: partial(_schema, cls)}
-    # the whole configuration; what stands open in it is merged in by schemas of its own
-    parts = [(n, WHOLE.get(n, Any), field(default_factory=WHOLE[n]) if n in WHOLE else None) for n in GROUPS]
-    whole = _schema(dataclasses.make_dataclass("ExperimentSchema", [*parts, ("out", str | None, None)]))
-    OmegaConf.set_struct(whole.study.axes, False)  # axes are named freely
-    ConfigStore.instance().store(name="experiment_schema", node=whole)
+    # the whole configuration of a system; what stands open in it is merged in by schemas of its own
+    for kind in systems.SYSTEMS.values():
+        every = {*systems.COMMON, *kind.keys} - {"out"}
+        names = [*(n for n in GROUPS if n in every), *(n for n in kind.keys if n not in GROUPS)]
+        made = {**WHOLE, **dict.fromkeys(kind.open, dict)}
+        parts = [(n, WHOLE.get(n, Any), field(default_factory=made[n]) if n in made else None) for n in names]
+        whole = _schema(dataclasses.make_dataclass("ExperimentSchema", [*parts, ("out", str | None, None)]))
+        for node in (whole.study.axes, *(whole[n] for n in kind.open)):
+            OmegaConf.set_struct(node, False)  # their parts are named freely
+        ConfigStore.instance().store(name=f"{kind.config}_schema", node=whole)
 
 
 def add_modules(modules: tuple[ModuleType, ...]) -> None:
@@ -118,9 +122,17 @@ def composed(overrides: list[str]) -> dict[str, Any]:
     try:
         check_choices(overrides)
         with hydra.initialize_config_module(CONFIG_MODULE, version_base=HYDRA_VERSION):
-            return resolve(hydra.compose(CONFIG_NAME, overrides))
+            return resolve(hydra.compose(primary(overrides), overrides))
     except (HydraException, OmegaConfBaseException, OverflowError) as error:
         raise InputError(one_line(error, overrides)) from None
+
+
+def primary(overrides: list[str]) -> str:
+    """What Hydra composes: the configuration of the system that scenario or study are for. Raises `InputError`."""
+    name = sources.system({key: value for key, _, value in (one.partition("=") for one in overrides)})
+    if name not in systems.SYSTEMS:
+        raise InputError(f"system = {name} is unknown{suggest(name, systems.SYSTEMS)}")
+    return systems.SYSTEMS[name].config
 
 
 def check_choices(overrides: list[str]) -> None:
@@ -159,14 +171,17 @@ def flat(values: Any, path: str = "") -> dict[str, Any]:
 def experiment(values: Mapping[str, Any]) -> Experiment:
     """Check plain `values` (as composed, or as stored in study.yaml). Raises `InputError`."""
     add_modules(project.modules())
+    kind = systems.kind_of(values)
+    allowed = (*systems.COMMON, *kind.keys)
     for key in values:
-        if key not in SCHEMA:
-            raise InputError(f"{key} is unknown{suggest(str(key), SCHEMA)}")
-    values = {"control": {}, "plan": None, **values}  # which rows of before they were there have at their defaults
-    for group in (name for name in GROUPS if not GROUPS[name].free):
+        if key not in allowed:
+            raise InputError(f"{key} is unknown{suggest(str(key), allowed)}")
+    usual = {"control": {}, "plan": None}  # which rows of before they were there have at their defaults
+    values = {**{key: value for key, value in usual.items() if key in allowed}, **values}
+    for group in (key for key in allowed if key not in (*kind.free, "out")):
         if not isinstance(values.get(group), Mapping):
             raise InputError(f"{group} = {values.get(group)} is not allowed: `sweep list` shows the choices")
-    system, settings, limits = systems.nominal(values, KINDS)
+    system, settings, limits, told = systems.nominal(values, KINDS)
     cluster = of_kind(KINDS["cluster"], values["cluster"], "cluster")
     scenario = known("scenario", values["scenario"], _names(ScenarioSchema))
     asked = known("study", values["study"], _names(StudySchema))
@@ -179,7 +194,7 @@ def experiment(values: Mapping[str, Any]) -> Experiment:
     for theory in study.theory:  # refuses inputs that mean nothing
         system.parameter(theory.of, settings)
         theory.numbers(lambda path: system.nominal(path, settings))
-    return Experiment(scenario["name"], system, settings, limits, cluster, study, values["out"], dict(values))
+    return Experiment(scenario["name"], system, settings, limits, cluster, study, values["out"], {**values, **told})
 
 
 def _names(cls: type) -> tuple[str, ...]:

@@ -1,7 +1,7 @@
 """How Hydra reads configuration files: ours are plain, and what Hydra wants besides is added here.
 
-A file of the groups `study` and `scenario` speaks of the whole configuration. Its `extends` names the file that it
-starts from; under the name of a group stands a choice (`scenario: pole_climb`), or parameters
+A file of the groups `study` and `scenario` speaks of the whole configuration, that of its `system`. Its `extends` names
+the file that it starts from; under the name of a group stands a choice (`scenario: pole_climb`), or parameters
 (`obstacle: {height: 3}`), or both (`robot: {extends: prototype, thigh: 0.3}`). A file of another group holds
 parameters, and may have `extends` too. A file with a list of `defaults` is Hydra's own and taken as it is.
 """
@@ -25,8 +25,9 @@ from omegaconf import DictConfig, OmegaConf
 from sweep.core import project
 from sweep.core.errors import InputError, suggest
 from sweep.core.groups import GROUPS
+from sweep.systems import USUAL
 
-SCHEME = "sweep"
+SCHEME, SYSTEM = "sweep", "system"
 # of each group, what makes the schema of a class, by its kind or by the group's own name; made when it is asked for
 SCHEMAS: dict[str, dict[str, Callable[[], DictConfig]]] = {}
 
@@ -159,8 +160,24 @@ def whole(group: str, file: Any, content: Mapping[str, Any]) -> dict[str, Any]:
     about = values.pop(group, None) or {}
     if not isinstance(about, Mapping):
         raise InputError(f"{file}: {group} = {about!r} is not allowed: keys and values")
-    values.pop("extends", None)
+    for key in ("extends", SYSTEM):  # the latter has been read, see `system`
+        values.pop(key, None)
     return {"defaults": [*defaults, "_self_"], **values, group: {"name": str(file.name).removesuffix(".yaml"), **about}}
+
+
+def system(chosen: Mapping[str, str]) -> str:
+    """The system that choices by group are for: that of the scenario, the one chosen or the study's; else `USUAL`."""
+    group, seen = "scenario" if "scenario" in chosen else "study", set()
+    name: Any = chosen.get(group)
+    while isinstance(name, str) and (group, name) not in seen and (file := project.find(group, name)) is not None:
+        seen.add((group, name))
+        content = read(file)
+        if SYSTEM in content:
+            return str(content[SYSTEM])
+        scenario = content.get("scenario")
+        scenario = scenario.get("extends") if isinstance(scenario, Mapping) else scenario
+        group, name = ("scenario", scenario) if group == "study" and scenario else (group, content.get("extends"))
+    return USUAL
 
 
 def part(group: str, file: Any, content: Mapping[str, Any]) -> dict[str, Any]:

@@ -68,13 +68,17 @@ class System(Protocol):
         ...
 
     @property
-    def random(self) -> Mapping[str, Any]:
-        """Paths of what draws errors in a rollout, and the value at which it draws none."""
+    def undrawn(self) -> str:
+        """Why there are no pictures and replays of its rollouts; empty where there are."""
         ...
 
     @property
     def ways(self) -> Mapping[str, Way]:
         """In which `sweep audit` simulates again."""
+        ...
+
+    def words(self, settings: EngineSettings) -> Mapping[str, str]:
+        """What is simulated and how, for a reader: values by the words for them."""
         ...
 
     def parameter(self, column: str, settings: EngineSettings) -> Parameter:
@@ -85,12 +89,16 @@ class System(Protocol):
         """The value of a parameter where it is not varied. Raises `InputError` where `column` names nothing."""
         ...
 
-    def inputs(self) -> Iterator[tuple[str, Any]]:
-        """All that physically tells one rollout from another, by path, nominal."""
+    def inputs(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
+        """All that physically tells one rollout from another, by path, nominal; `paths` are varied."""
         ...
 
-    def unsaid(self) -> Iterator[tuple[str, Any]]:
+    def unsaid(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
         """Of these, the values at which an input plays no part in a point's id."""
+        ...
+
+    def random(self, rows: "pd.DataFrame", settings: EngineSettings) -> np.ndarray:
+        """Which rows draw something, so that replicates of one point differ."""
         ...
 
     def check(self, table: "pd.DataFrame", settings: EngineSettings) -> None:
@@ -136,6 +144,7 @@ class Nominal(NamedTuple):
     system: System
     settings: EngineSettings
     limits: Limits
+    told: Mapping[str, Any] = {}  # values that the configuration is to say from now on
 
 
 def side_and_path(column: str) -> tuple[str, str]:

@@ -65,13 +65,19 @@ class Hexapod:
     causes = outcome.MEANING
     doubts = tuple(outcome.DOUBTS)
     silent = frozenset(outcome.BOOKKEEPING | {"finite", "finished", "end_stage"})
-    random = RANDOM
+    undrawn = ""
     ways = WAYS
 
     @property
     def recorded(self) -> tuple[str, ...]:
         """See `System`."""
         return tuple(offered(self.case))
+
+    def words(self, settings: EngineSettings) -> dict[str, str]:
+        """See `System`."""
+        step = settings.native_time_step if settings.name == "native" else settings.time_step
+        about = {"manoeuvre": self.case.manoeuvre.kind, "obstacle": self.case.obstacle.kind, "engine": settings.name}
+        return {**about, "step": f"{1000 * step:g} ms", "precision": settings.precision}
 
     def parameter(self, column: str, settings: EngineSettings) -> Parameter:
         """See `System`."""
@@ -111,12 +117,12 @@ class Hexapod:
                     raise InputError(f"axis {column} names nothing: {name} has no parts")
         return owner, last
 
-    def inputs(self) -> Iterator[tuple[str, Any]]:
+    def inputs(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
         """See `System`."""
         yield from _flat(self.case, "")
         yield from _said(self.case, plan_table.tabled(self.case))
 
-    def unsaid(self) -> Iterator[tuple[str, Any]]:
+    def unsaid(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
         """Of `control`, of errors of the feet's load and of the plan's numbers what is as by default.
 
         The ids are thus those of before there were any.
@@ -146,6 +152,14 @@ class Hexapod:
                 f"engine.time_step = {step:g} is not allowed: at most contact.damping over contact.stiffness, "
                 f"{damping:g} N s/m over {stiffness:g} N/m"
             )
+
+    def random(self, rows: "pd.DataFrame", settings: EngineSettings) -> np.ndarray:
+        """See `System`."""
+        found = np.zeros(len(rows), dtype=bool)
+        for path, none in RANDOM.items():
+            column = next((c for c in (f"world.{path}", path) if c in rows), None)
+            found |= (rows[column] if column else self.nominal(path, settings)) != none
+        return found
 
     def sides(self, values: Values) -> tuple[Case, Case]:
         """See `System`."""

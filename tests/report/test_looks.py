@@ -43,5 +43,5 @@ def test_every_cause_has_a_colour_and_a_shape_of_its_own():
         assert np.hypot(*look.shape.T).max() <= 1.3, kind  # within its stamp
         for theme in (INVALID, "#1C2025"):  # seen on light and on dark
             assert kind in DOUBTS or np.linalg.norm(lab(look.colour, "all cones") - lab(theme, "all cones")) > 25, kind
-    assert look_of("a cause of another version") == OTHER
+    assert look_of("a cause of another system") == look_of("a cause of another system") != OTHER == look_of("")
     assert len(marker("slipped").vertices) == 4

@@ -4,8 +4,6 @@ import base64
 import io
 import json
 import re
-import subprocess
-import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
 from importlib.resources import files
 
@@ -208,55 +206,6 @@ def test_escape_shows_all(shown):
     shown.key("Escape")
     assert passing(shown) == every
     assert shown.run("document.querySelectorAll('#kinds button')[1].getAttribute('aria-pressed')") == "true"
-
-
-def saved(browser, number=0):
-    """What the page gave the reader as a file, since `URL.createObjectURL` was taken over."""
-    browser.until(f"window.given_.length > {number}")
-    told = browser.run(f"""new Promise((done) => {{ const reader = new FileReader();
-        reader.onload = () => done(reader.result); reader.readAsDataURL(given_[{number}]) }})""")
-    return base64.b64decode(told.split(",", 1)[1])
-
-
-TAKEN = "window.given_ = []; URL.createObjectURL = (blob) => { given_.push(blob); return 'data:,' };"
-
-
-@pytest.mark.parametrize("title", ["Map", "Every rollout", "Causes by stage", "What matters", "Rate of success"])
-def test_views_are_saved_as_svg(shown, title, tmp_path):
-    """Titles of axes and numbers are letters there, and the picture is the canvas's."""
-    panel = f"[...document.querySelectorAll('#explore .panel')].find(e => e.innerText.startsWith('{title}'))"
-    shown.run(f"({panel}).scrollIntoView({{block: 'center', behavior: 'instant'}})")
-    shown.run(TAKEN)
-    shown.until(f"({panel}).querySelector('canvas').width !== 300")  # it has been drawn
-    before = shown.run(f"({panel}).querySelector('canvas').width")
-    shown.run(f"[...({panel}).querySelectorAll('.save')].find(e => e.textContent === 'SVG').click()")
-    text = saved(shown).decode()
-    root = ElementTree.fromstring(text)
-    letters = {one.text for one in root.iter("{http://www.w3.org/2000/svg}text")}
-    assert len(letters) >= (1 if title == "Causes by stage" else 3)
-    if title == "Map":
-        assert "half step ratio [a_r]" in letters
-        assert len(list(root.iter("{http://www.w3.org/2000/svg}image"))) == 1
-    assert shown.run(f"({panel}).querySelector('canvas').getContext('2d') instanceof CanvasRenderingContext2D")
-    assert shown.run(f"({panel}).querySelector('canvas').width") == before
-    (tmp_path / "view.svg").write_text(text)
-
-
-def test_a_replay_is_saved_as_a_film(shown, tmp_path):
-    shown.until("document.querySelector('#scene-a').toDataURL().length > 20000")
-    shown.place("#scene-a")
-    shown.run(TAKEN)
-    shown.run("document.querySelector('#record').click()")
-    shown.until("Number(document.querySelector('#clock').textContent.split(' ')[0]) > 1")
-    shown.run("document.querySelector('#record').click()")
-    film = saved(shown)
-    assert film[:4] == bytes.fromhex("1a45dfa3")  # EBML
-    assert b"webm" in film[:64]
-    path = tmp_path / "replay.webm"
-    path.write_bytes(film)
-    ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="the video extra is not installed").get_ffmpeg_exe()
-    told = subprocess.run([ffmpeg, "-i", path, "-f", "null", "-"], capture_output=True, text=True, check=True).stderr
-    assert int(re.findall(r"frame=\s*(\d+)", told)[-1]) > 5
 
 
 def test_a_rate_over_marks_differs_from_place_to_place(shown):

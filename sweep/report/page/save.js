@@ -1,7 +1,6 @@
 // What a reader takes away: pictures of views, the chosen rows as a table, a replay as a video.
 import { pointOf } from "./data.js";
 import { element } from "./dom.js";
-import { svgOf } from "./svg.js";
 
 /** @typedef {import("./main.js").App} App */
 
@@ -55,7 +54,7 @@ export function pictureOf(layers, ground) {
 }
 
 /**
- * Buttons beside the title of each panel that save its chart.
+ * A button below each chart that saves it.
  * @param {App} app
  */
 export function offerPictures(app) {
@@ -65,21 +64,13 @@ export function offerPictures(app) {
     ];
     const [first] = canvases();
     if (!first) continue;
-    const title = panel.querySelector("h2");
-    const name = title?.textContent ?? "view";
-    const layers = () => (first.closest(".plot") ? canvases().filter((one) => one.closest(".plot")) : [first]);
-    const forms = /** @type {Record<string, () => Promise<Blob | null>>} */ ({
-      PNG: () => pictureOf(layers(), app.theme().panel),
-      SVG: async () => new Blob([await svgOf(layers(), app.theme().panel, app.redraw)], { type: "image/svg+xml" }),
+    const button = element("button", { type: "button", class: "save", title: "save as a picture" }, "PNG");
+    button.addEventListener("click", async () => {
+      const layers = first.closest(".plot") ? canvases().filter((one) => one.closest(".plot")) : [first];
+      const picture = await pictureOf(layers, app.theme().panel);
+      if (picture) give(picture, `${panel.querySelector("h2")?.textContent ?? "view"}.png`);
     });
-    for (const [form, make] of Object.entries(forms)) {
-      const button = element("button", { type: "button", class: "save", title: "save as a picture" }, form);
-      button.addEventListener("click", async () => {
-        const picture = await make();
-        if (picture) give(picture, `${name}.${form.toLowerCase()}`);
-      });
-      title?.append(" ", button);
-    }
+    panel.querySelector("h2")?.append(" ", button);
   }
 }
 

@@ -1,0 +1,187 @@
+"""From a path such as `model.geom.floor.friction.slide` to numbers of a MuJoCo model, and back into a batch of models.
+
+Only numbers that a model may differ in while its layout, and what MuJoCo works out as it compiles (bounding volumes,
+for one), stays as it is: `mj_setConst` works out the rest again, but for `stat.meaninertia`, which scales a solver's
+tolerance.
+"""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+
+from sweep.core.errors import InputError, suggest
+from sweep.core.parameters import quantity
+from sweep.systems.base import Parameter
+
+XYZ = ("x", "y", "z")
+SOLVER = {"solref": ("timeconst", "dampratio"), "solimp": ("dmin", "dmax", "width", "midpoint", "power")}
+OPTION, ROOT = "option", "model"
+
+
+class Numbers(NamedTuple):
+    """What may vary of a thing of some kind."""
+
+    field: str  # of MjModel
+    unit: str = ""
+    at_least: float = -np.inf
+    names: tuple[str, ...] = ()  # of its components
+
+
+class Place(NamedTuple):
+    """A number of a model: where it is in a flattened field, and how it counts there."""
+
+    field: str
+    flat: int
+    sign: float = 1.0
+
+
+def _solver(kind: str) -> dict[str, Numbers]:
+    return {name: Numbers(f"{kind}_{name}", names=names) for name, names in SOLVER.items()}
+
+
+RANGE = ("low", "high")
+VARIED: dict[str, dict[str, Numbers]] = {
+    "body": {
+        "mass": Numbers("body_mass", "kg", 1e-9),  # inertia in proportion: another density
+        "inertia": Numbers("body_inertia", "kg m^2", 1e-12, XYZ),
+        "pos": Numbers("body_pos", "m", names=XYZ),
+        "ipos": Numbers("body_ipos", "m", names=XYZ),  # of the centre of mass
+        "gravcomp": Numbers("body_gravcomp"),
+    },
+    "geom": {
+        "friction": Numbers("geom_friction", "", 0.0, ("slide", "spin", "roll")),
+        "margin": Numbers("geom_margin", "m"),
+        "gap": Numbers("geom_gap", "m"),
+        **_solver("geom"),
+    },
+    "joint": {
+        "stiffness": Numbers("jnt_stiffness", "", 0.0),
+        "damping": Numbers("dof_damping", "", 0.0),
+        "armature": Numbers("dof_armature", "", 0.0),
+        "frictionloss": Numbers("dof_frictionloss", "", 0.0),
+        "pos": Numbers("jnt_pos", "m", names=XYZ),
+        "range": Numbers("jnt_range", names=RANGE),
+    },
+    "actuator": {
+        "gear": Numbers("actuator_gear"),
+        "gainprm": Numbers("actuator_gainprm"),
+        "biasprm": Numbers("actuator_biasprm"),
+        "forcerange": Numbers("actuator_forcerange", names=RANGE),
+        "ctrlrange": Numbers("actuator_ctrlrange", names=RANGE),
+    },
+    "site": {"pos": Numbers("site_pos", "m", names=XYZ)},
+    "tendon": {
+        "stiffness": Numbers("tendon_stiffness", "", 0.0),
+        "damping": Numbers("tendon_damping", "", 0.0),
+        "frictionloss": Numbers("tendon_frictionloss", "", 0.0),
+        "range": Numbers("tendon_range", "m", names=RANGE),
+    },
+}
+OPTIONS = {
+    "gravity": Numbers("opt.gravity", "m/s^2", names=XYZ),
+    "wind": Numbers("opt.wind", "m/s", names=XYZ),
+    "density": Numbers("opt.density", "kg/m^3", 0.0),
+    "viscosity": Numbers("opt.viscosity", "Pa s", 0.0),
+    "impratio": Numbers("opt.impratio", "", 1e-9),
+}
+SERVO = {"kp": ((0, 1.0), (1, -1.0)), "kv": ((2, -1.0),)}  # of gainprm's first, of biasprm; both, or its target scales
+
+
+def parameter(model: mujoco.MjModel, path: str) -> Parameter:
+    """The number that `path` names, at its nominal value. Raises `InputError`."""
+    numbers, places = _resolved(model, path)
+    value = places[0].sign * float(_whole(model, numbers.field).flat[places[0].flat])
+    return quantity(value, numbers.unit, at_least=numbers.at_least)
+
+
+def write(batch: Batch, values: Mapping[str, Any]) -> None:
+    """Give a batch's models their own `values` (n,) by path, and work out what follows from them."""
+    for path, value in values.items():
+        for field, flat, sign in _resolved(batch.model, path)[1]:
+            rows = batch.expand(field).reshape(batch.nsim, -1)
+            if field == "body_mass":
+                inertia = batch.expand("body_inertia").reshape(batch.nsim, -1, 3)
+                inertia[:, flat] *= (np.asarray(value) / rows[:, flat])[:, None]
+            rows[:, flat] = sign * np.asarray(value)
+    if values:
+        batch.set_const()
+
+
+def _resolved(model: mujoco.MjModel, path: str) -> tuple[Numbers, list[Place]]:
+    root, _, rest = path.partition(".")
+    kind, _, rest = rest.partition(".")
+    kinds = [*VARIED, OPTION]
+    if root != ROOT or kind not in kinds:
+        raise _nothing(path, f"{kind or root} is unknown{suggest(kind or root, kinds)}")
+    if kind == OPTION:
+        return _component(path, OPTIONS, rest, lambda name: (np.size(_whole(model, name)), 0))
+    known = _names(model, kind)
+    name = max((n for n in known if rest == n or rest.startswith(f"{n}.")), key=len, default=None)
+    if name is None:
+        word = rest.partition(".")[0]
+        raise _nothing(path, f"no {kind} is called {word}{suggest(word, list(known))}")
+    rest, number = rest.removeprefix(name).removeprefix("."), known[name]
+    if kind == "actuator" and rest in SERVO:
+        return _servo(model, path, rest, number)
+
+    def at(field: str) -> tuple[int, int]:
+        if field.startswith("dof_"):
+            freedom = {int(mujoco.mjtJoint.mjJNT_FREE): 6, int(mujoco.mjtJoint.mjJNT_BALL): 3}.get(
+                int(model.jnt_type[number]), 1
+            )
+            return freedom, int(model.jnt_dofadr[number])
+        size = getattr(model, field)[0].size
+        return size, number * size
+
+    return _component(path, VARIED[kind], rest, at)
+
+
+def _component(path: str, varied: dict[str, Numbers], rest: str, at: Any) -> tuple[Numbers, list[Place]]:
+    attribute, _, part = rest.partition(".")
+    if attribute not in varied:
+        raise InputError(
+            f"axis {path} names nothing: {attribute or 'what of it'} is unknown{suggest(attribute, varied)}"
+        )
+    numbers = varied[attribute]
+    count, first = at(numbers.field)
+    names = [*(numbers.names or map(str, range(count)))][:count]
+    if count == 1 and not part:
+        part = names[0]
+    if part not in names:
+        raise InputError(
+            f"axis {path} names nothing: {part or 'which of its numbers'} is unknown{suggest(part, names)}"
+        )
+    return numbers, [Place(numbers.field, first + names.index(part))]
+
+
+def _servo(model: mujoco.MjModel, path: str, word: str, number: int) -> tuple[Numbers, list[Place]]:
+    gain, bias = model.actuator_gainprm[number], model.actuator_biasprm[number]
+    if model.actuator_biastype[number] != int(mujoco.mjtBias.mjBIAS_AFFINE) or gain[0] != -bias[1]:
+        raise InputError(
+            f"axis {path} names nothing: the actuator is no position servo: gainprm.0 and biasprm.0, .1, .2"
+        )
+    places = [Place("actuator_biasprm", number * bias.size + k, s) for k, s in SERVO[word] if k]
+    if word == "kp":
+        places.insert(0, Place("actuator_gainprm", number * gain.size))
+    return Numbers(places[0].field, "", 0.0), places
+
+
+def _nothing(path: str, why: str) -> InputError:
+    return InputError(f"axis {path} names nothing: {why}")
+
+
+def _names(model: mujoco.MjModel, kind: str) -> dict[str, int]:
+    """Numbers of the things of a kind by name; those without one are not there."""
+    what = {"joint": mujoco.mjtObj.mjOBJ_JOINT, "body": mujoco.mjtObj.mjOBJ_BODY, "geom": mujoco.mjtObj.mjOBJ_GEOM,
+            "site": mujoco.mjtObj.mjOBJ_SITE, "actuator": mujoco.mjtObj.mjOBJ_ACTUATOR,
+            "tendon": mujoco.mjtObj.mjOBJ_TENDON}[kind]  # fmt: skip
+    count = {"joint": "njnt", "actuator": "nu"}.get(kind, f"n{kind}")
+    found = ((mujoco.mj_id2name(model, what, k), k) for k in range(getattr(model, count)))
+    return {name: k for name, k in found if name}
+
+
+def _whole(model: mujoco.MjModel, field: str) -> np.ndarray:
+    return np.asarray(getattr(model.opt, field[4:]) if field.startswith("opt.") else getattr(model, field))

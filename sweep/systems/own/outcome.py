@@ -1,0 +1,105 @@
+"""Outcomes of an own model: conditions on figures, in the language of `--where`."""
+
+import ast
+from collections.abc import Collection, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from sweep.core.errors import InputError, suggest
+from sweep.core.expressions import evaluate
+from sweep.core.outcomes import FAILURE, INVALID, SUCCESS
+
+GOAL, MISSED = "goal", "goal_missed"
+DOUBTS = {
+    "not_finite": "a number of the simulation or of the controller was not finite",
+    "buffer_full": "MuJoCo's room for contacts or constraints was full",
+}
+STAGE = "run"  # there are no others
+
+
+class Condition(NamedTuple):
+    """A cause of failure that holds where `text` does, or where it does not: of the goal."""
+
+    cause: str
+    key: str  # in `outcome`
+    text: str
+
+    @property
+    def sentence(self) -> str:
+        """What it means."""
+        return f"not {self.text}" if self.cause == MISSED else self.text
+
+    def holds(self, figures: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Whether rows fail by it."""
+        held = np.asarray(evaluate(self.text, lambda name: figures[name]), dtype=bool)
+        return ~held if self.cause == MISSED else held
+
+    @property
+    def limit(self) -> tuple[str, float, bool] | None:
+        """Of a plain `figure < number`: the figure, the number, and whether the cause holds below it."""
+        match ast.parse(self.text, mode="eval").body:
+            case ast.Compare(left=ast.Name(id=name), ops=[op], comparators=[number]) if isinstance(
+                op, ast.Lt | ast.LtE | ast.Gt | ast.GtE
+            ):
+                try:
+                    value = float(ast.literal_eval(number))
+                except (ValueError, TypeError):
+                    return None
+                return name, value, isinstance(op, ast.Lt | ast.LtE) != (self.cause == MISSED)
+        return None
+
+    def margin(self, figures: Mapping[str, np.ndarray]) -> np.ndarray:
+        """How far rows are from it, in units of its number, at most 1; negative where it holds. NaN of no plain one."""
+        if self.limit is None:
+            return np.full(len(next(iter(figures.values()))), np.nan)
+        name, value, below = self.limit
+        left = (figures[name] - value) * (1 if below else -1)
+        return np.minimum(left / (abs(value) or 1.0), 1.0)
+
+
+def parse(given: Mapping[str, Any], figures: Collection[str]) -> tuple[Condition, ...]:
+    """The conditions of a configuration, in its order, the goal last. Raises `InputError`."""
+    found = []
+    for key, text in given.items():
+        if key in (*DOUBTS, MISSED, SUCCESS, FAILURE, INVALID) or not str(key).isidentifier():
+            raise InputError(f"outcome.{key} is not allowed: a name of your own for a failure, or {GOAL}")
+
+        def look_up(name: str, key: str = key) -> np.ndarray:
+            if name not in figures:
+                raise InputError(f"outcome.{key}: {name} is unknown{suggest(name, list(figures))}")
+            return np.ones(1)
+
+        try:
+            if np.asarray(evaluate(str(text), look_up)).dtype != bool:
+                raise SyntaxError
+        except (SyntaxError, TypeError, ValueError) as error:
+            if isinstance(error, InputError):
+                raise
+            raise InputError(f"outcome.{key} = {text!r} is not a condition, such as 'tilt_max_deg > 60'") from None
+        found.append(Condition(MISSED if key == GOAL else str(key), str(key), str(text)))
+    if not found:
+        raise InputError(
+            "outcome is empty: name what counts as a failure, such as {fell: tilt_max_deg > 60}, or a goal"
+        )
+    return tuple(sorted(found, key=lambda one: one.cause == MISSED))
+
+
+def judge(figures: Mapping[str, np.ndarray], conditions: tuple[Condition, ...]) -> dict[str, np.ndarray]:
+    """The labels of each row: doubts first, then the first condition that holds; see `System.judge`."""
+    names = [*DOUBTS, *(one.cause for one in conditions)]
+    held = np.stack([*(figures[name] > 0 for name in DOUBTS), *(one.holds(figures) for one in conditions)])
+    any_held, first = held.any(axis=0), held.argmax(axis=0)
+    margins = np.stack([one.margin(figures) for one in conditions])
+    nearest = np.argmin(np.nan_to_num(margins, nan=np.inf), axis=0)
+    doubtful = first < len(DOUBTS)
+    keys = np.array([""] * len(DOUBTS) + [one.key for one in conditions], dtype=object)
+    return {
+        "outcome": np.where(any_held, np.where(doubtful, INVALID, FAILURE), SUCCESS).astype(object),
+        "cause": np.where(any_held, np.array(names, dtype=object)[first], ""),
+        "stage": np.where(any_held, STAGE, "").astype(object),
+        "t_cause_s": np.full(len(first), np.nan),
+        "limit": np.where(any_held, keys[first], ""),
+        "margin": np.take_along_axis(margins, nearest[None], axis=0)[0],
+        "margin_of": keys[len(DOUBTS) :][nearest],
+    }

@@ -1,0 +1,113 @@
+"""A controller of a user's own, as one program of a fixed shape that is called tile by tile.
+
+XLA gives other last bits at other widths, and at other places of one, so that a row would depend on what runs beside
+it. A tile never changes, and goes through its rollouts by the same instructions one after the other.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from sweep.core.errors import InputError
+from sweep.engines import devices
+
+TILE = 64
+Belief = Mapping[str, Any]
+Policy = Callable[[Belief, Array, Any, Array], tuple[Array, Any]]
+Begin = Callable[[Belief, Array], tuple[Any, Any, Any]]
+
+
+def _each(function: Callable[..., Any], *rows: Any) -> Any:
+    """What `function` gives of each row."""
+    return jax.lax.map(lambda row: function(*row), rows)
+
+
+class Programs:
+    """`begin` and `policy` for any number of rollouts. Raises `InputError` where they are no such functions.
+
+    `begin(belief, key) -> (start, state, duration)`: positions (nq,) and seconds, or None for the model's own.
+    `policy(belief, observation, state, key) -> (ctrl, state)`: once a tick, of an observation (k,), controls (nu,).
+    """
+
+    def __init__(
+        self, name: str, begin: Begin | None, policy: Policy, belief: Belief, sizes: tuple[int, int, int], room: int
+    ):
+        self._name, self._room = name, room
+        self._begin = begin or (lambda belief, key: (None, (), None))
+        self._policy = policy
+        self._check(belief, *sizes)
+        self.first, self.enter = (jax.jit(partial(_each, one)) for one in (self._first, self._enter))
+        self.tick = jax.jit(partial(_each, self._tick), donate_argnums=(1,))
+
+    def _first(self, given: Mapping[str, Any]) -> tuple[Any, Any, Any]:
+        return self._begin(given["belief"], jax.random.fold_in(jax.random.wrap_key_data(given["key"]), 0))
+
+    def _enter(self, given: Mapping[str, Any], state: Any, seen: Array) -> dict[str, Any]:
+        key = jax.random.fold_in(jax.random.wrap_key_data(given["key"]), 1)
+        bias = given["bias"] * jax.random.normal(key, seen.shape)
+        return {"state": state, "late": jnp.tile(seen, (self._room + 1, 1)), "bias": bias, "tick": jnp.int32(0)}
+
+    def _tick(self, given: Mapping[str, Any], carried: Any, seen: Array) -> tuple[Array, Any]:
+        tick = carried["tick"]
+        own, noise = jax.random.split(jax.random.fold_in(jax.random.wrap_key_data(given["key"]), 2 + tick))
+        late = jnp.concatenate([seen[None], carried["late"][:-1]])
+        told = late[given["delay"]] + carried["bias"] + given["white"] * jax.random.normal(noise, seen.shape)
+        ctrl, state = self._policy(given["belief"], told, carried["state"], own)
+        return ctrl, {**carried, "state": state, "late": late, "tick": tick + 1}
+
+    def _check(self, belief: Belief, seen: int, controls: int, positions: int) -> None:
+        key = jax.random.key(0)
+        try:
+            start, state, _ = jax.eval_shape(self._begin, belief, key)
+            ctrl, after = jax.eval_shape(self._policy, belief, jnp.zeros(seen), state, key)
+        except InputError:
+            raise
+        except Exception as error:  # whatever a user's function raises
+            reason = (str(error).splitlines() or [""])[0]
+            raise InputError(f"model.controller = {self._name} fails: {type(error).__name__}: {reason}") from None
+        forms = [jax.tree.map(lambda x: (x.shape, x.dtype), tree) for tree in (state, after)]
+        if getattr(ctrl, "shape", None) != (controls,):
+            shape = getattr(ctrl, "shape", type(ctrl).__name__)
+            raise InputError(f"model.controller = {self._name} gives controls {shape}: ({controls},) are wanted")
+        if forms[0] != forms[1]:
+            raise InputError(f"model.controller = {self._name} gives a state of another form than it was given")
+        if start is not None and start.shape != (positions,):
+            raise InputError(f"model.controller = {self._name} begins at {start.shape}: ({positions},) are wanted")
+
+
+class Rollouts:
+    """The controllers of n rollouts, in whole tiles of which the last repeats the last rollout; `given` by row."""
+
+    def __init__(self, programs: Programs, given: Mapping[str, Any], n: int):
+        self._programs, self._n = programs, n
+        self._rows = np.minimum(np.arange(-(-self._n // TILE) * TILE), self._n - 1).reshape(-1, TILE)
+        self._given = [jax.device_put(jax.tree.map(lambda x, r=r: np.asarray(x)[r], given)) for r in self._rows]
+        starts, states, durations = zip(*map(programs.first, self._given), strict=True)
+        self._carried = [*states]
+        self.start, self.duration = self._joined(starts), self._joined(durations)
+
+    def enter(self, seen: np.ndarray) -> None:
+        """Begin with what is seen (n, k)."""
+        each = zip(self._given, self._carried, self._rows, strict=True)
+        self._carried = [self._programs.enter(given, state, seen[rows]) for given, state, rows in each]
+
+    def tick(self, seen: np.ndarray) -> np.ndarray:
+        """Controls (n, nu) after what is seen (n, k) at the next tick."""
+        parts = []
+        for k, rows in enumerate(self._rows):
+            ctrl, self._carried[k] = self._programs.tick(self._given[k], self._carried[k], seen[rows])
+            parts.append(ctrl)
+        return self._joined(parts)
+
+    def _joined(self, parts: Sequence[Any]) -> Any:
+        return None if parts[0] is None else np.concatenate([np.asarray(one) for one in parts])[: self._n].astype(float)
+
+
+def keys(streams: np.ndarray) -> np.ndarray:
+    """Data of a key for each rollout, from its stream alone."""
+    return np.asarray(jax.random.key_data(devices.keys(streams)))

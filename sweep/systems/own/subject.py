@@ -1,0 +1,138 @@
+"""What is simulated of an own model: its files, what its controller is told, what is measured of it."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from sweep.core.errors import InputError, suggest
+from sweep.core.parameters import parameters, quantity
+from sweep.systems.base import Values
+from sweep.systems.own import fields, figures, files
+
+
+@dataclass(frozen=True)
+class About:
+    """What the configuration's `model` says."""
+
+    mjcf: str = ""  # file, from the project's folder
+    controller: str = ""  # module:function
+    period: float = quantity(0.02, "s", above=0, at_most=1)  # of a control tick
+    duration: float = quantity(10.0, "s", above=0, at_most=3600)  # of a rollout, at most
+    keyframe: str = ""  # that it starts from; else the model's own pose
+    observe: tuple[str, ...] = ()  # qpos, qvel, or sensors by name; none are all sensors, of a model without any both
+    feet: tuple[str, ...] = ()  # touch sensors, whose sites' slips are measured
+    content: str = ""  # digest of model and controller, set by the first run
+
+
+@parameters
+class Noise:
+    """Errors of what the controller observes, alike in all components, in their own units."""
+
+    white: float = quantity(0.0, "", at_least=0)  # deviation, drawn anew at every tick
+    bias: float = quantity(0.0, "", at_least=0)  # deviation of the constant error
+    delay: float = quantity(0.0, "ticks", at_least=0, at_most=50)  # whole control ticks that it is late by
+
+
+@dataclass(frozen=True)
+class Side:
+    """What one side has other than nominal, by path: numbers, or arrays over a batch."""
+
+    values: tuple[tuple[str, Any], ...] = ()
+
+    def of(self, root: str) -> dict[str, Any]:
+        """The values whose paths start with `root`."""
+        return {path: value for path, value in self.values if path.startswith(f"{root}.")}
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A model and its controller, nominal."""
+
+    about: About
+    errors: tuple[tuple[str, float], ...]  # `noise.*` by path
+    numbers: tuple[tuple[str, float], ...]  # `controller.*` by path
+    room: int = 0  # ticks of delay
+
+    @cached_property
+    def model(self) -> mujoco.MjModel:
+        """As MuJoCo compiles it."""
+        return files.model(self.about.mjcf)
+
+    @cached_property
+    def controller(self) -> files.Controller:
+        """What its module says."""
+        return files.controller(self.about.controller)
+
+    @property
+    def noise(self) -> dict[str, float]:
+        """Nominal errors by path."""
+        return dict(self.errors)
+
+    @property
+    def base(self) -> int | None:
+        """Place in `qpos` of the first free joint."""
+        free = np.flatnonzero(self.model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE))
+        return int(self.model.jnt_qposadr[free[0]]) if len(free) else None
+
+    @property
+    def feet(self) -> tuple[int, ...]:
+        """Numbers of the feet's touch sensors."""
+        return tuple(self._sensor("feet", name) for name in self.about.feet)
+
+    @property
+    def keyframe(self) -> int:
+        """Its number; -1 for the model's own pose."""
+        return self.model.key(self.about.keyframe).id if self.about.keyframe else -1
+
+    def _sensor(self, key: str, name: str) -> int:
+        number = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_SENSOR, name)
+        if number < 0:
+            known = [self.model.sensor(k).name for k in range(self.model.nsensor)]
+            raise InputError(f"model.{key}: {name} is unknown{suggest(name, [*known, 'qpos', 'qvel'])}")
+        return number
+
+    def observed(self, qpos: np.ndarray, qvel: np.ndarray, sensors: np.ndarray) -> np.ndarray:
+        """What the controller would be told (n, k) without errors."""
+        names = self.about.observe or (() if self.model.nsensordata else ("qpos", "qvel"))
+        if not names:
+            return sensors
+        parts = []
+        for name in names:
+            if name in ("qpos", "qvel"):
+                parts.append({"qpos": qpos, "qvel": qvel}[name])
+            else:
+                number = self._sensor("observe", name)
+                first = self.model.sensor_adr[number]
+                parts.append(sensors[:, first : first + self.model.sensor_dim[number]])
+        return np.concatenate(parts, axis=1)
+
+    @property
+    def seen(self) -> int:
+        """How many numbers the controller is told at a tick."""
+        none = (np.zeros((1, size)) for size in (self.model.nq, self.model.nv, self.model.nsensordata))
+        return self.observed(*none).shape[1]
+
+    def told(self, values: Values) -> dict[str, Any]:
+        """What the controller believes by its own names: its own numbers and the model's, `values` by path if given."""
+        paths = {**self.controller.believes, **{name: f"controller.{name}" for name in self.controller.parameters}}
+        usual = dict(self.numbers)
+        return {
+            name: values[path] if path in values else usual[path] if path in usual else self._default(path)
+            for name, path in paths.items()
+        }
+
+    def _default(self, path: str) -> Any:
+        return fields.parameter(self.model, path).default
+
+    def record(self, qpos: np.ndarray, qvel: np.ndarray) -> dict[str, np.ndarray]:
+        """Columns of time histories, of positions (n, nq) and velocities (n, nv)."""
+        columns = {}
+        if (at := self.base) is not None:
+            columns = {f"base_{axis}_m": qpos[:, at + k] for k, axis in enumerate("xyz")}
+            upright = self.model.qpos0[at + 3 : at + 7]
+            columns["tilt_deg"] = figures.tilt(qpos[:, at + 3 : at + 7], np.broadcast_to(upright, (len(qpos), 4)))
+        columns |= {f"qpos_{k}": qpos[:, k] for k in range(self.model.nq)}
+        return columns | {f"qvel_{k}": qvel[:, k] for k in range(self.model.nv)}

@@ -1,0 +1,246 @@
+"""An own model and controller: `docs/own_model.md` as it stands, bits, fields, outcomes, and mistakes."""
+
+import re
+import shlex
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pandas as pd
+import pytest
+from mujoco.batch import Batch
+
+from sweep.cli.main import main
+from sweep.core.errors import InputError
+from sweep.runs import batches, results, store
+from sweep.runs.runner import wanted_points
+from sweep.study.config import compose
+from sweep.systems.own import fields, outcome
+
+PAGE = (Path(__file__).parents[1] / "docs/own_model.md").read_text(encoding="utf-8")
+AXES = "  axes: {bad: {path: controller.bad, values: [0, 1]}}\n"
+SHORT = ["study=grip", "model.duration=0.3", "study.expect=[]"]
+
+
+@pytest.fixture(scope="module")
+def quad(tmp_path_factory):
+    """A new project."""
+    folder = tmp_path_factory.mktemp("own") / "quad"
+    assert main(["init", "--model", str(folder)]) == 0
+    return folder
+
+
+@pytest.fixture
+def here(quad, monkeypatch):
+    monkeypatch.chdir(quad)
+    return quad
+
+
+def figures(exp, rows):
+    """Those of some rows of a study's points, in a batch of their own."""
+    rows = batches.plan(exp, pd.DataFrame(), rows.reset_index(drop=True)).assign(width=len(rows))
+    exp = batches.with_room(exp, rows)
+    task, start = batches.batch(exp, rows), batches.nominal(exp, rows, len(rows))
+    return batches.make_engine(exp, start).run(task.world, task.belief, task.streams)
+
+
+def test_the_page_as_it_stands(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    block = re.search(r"(?:^    .*\n)+", PAGE, re.MULTILINE)
+    assert block
+    for line in block[0].splitlines():
+        words = shlex.split(line)
+        if words[0] == "cd":
+            monkeypatch.chdir(words[1])
+        else:
+            assert main(words[1:]) == 0, line
+    scenario, study = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
+    Path("scenarios/own.yaml").write_text(scenario)
+    Path("studies/page.yaml").write_text(study)
+    assert main(["run", "scenario=own"]) == 0
+    assert len(wanted_points(compose(["study=page"]))) == 3 * 3 * 2 * 2
+    (code,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+    Path("page.py").write_text(f"import jax.numpy as jnp\n{code}")
+    assert main(["run", "study=page", "model.controller=page:policy", "model.duration=0.1", "out=page"]) == 0
+    rows = results.read(Path("results/grip")).rows
+    success = rows["outcome"] == "success"
+    slide = rows["world.model.geom.floor.friction.slide"]
+    assert success[slide > 0.7].all()
+    assert not success[slide < 0.15].any()  # feet have 0.1 themselves
+    assert "quadruped.xml" in Path("results/grip/report.html").read_text()
+    assert "mass (world) [kg]" in Path("results/grip/report.html").read_text()
+
+
+def test_what_studies_do_works_on_it(here, capsys, monkeypatch):
+    assert main(["run", *SHORT, "--limit", "5", "out=some"]) == 0
+    assert main(["run", *SHORT, "out=some", "engine.width=8"]) == 2  # the engine's settings are the folder's
+    assert main(["run", *SHORT, "out=some", "study.keep=[]"]) == 0
+    assert main(["run", *SHORT, "out=whole", "engine.width=7", "study.keep=[base_z_m,qpos_7,tilt_deg]"]) == 0
+    capsys.readouterr()
+    assert main(["compare", "some", "whole", "--tolerance", "0"]) == 0
+    assert "36 pairs; 0 rows of A and 0 of B have none\n0 of 36 flip" in capsys.readouterr().out
+    some, whole = (store.read_rows(Path(name)).set_index("point_id") for name in ("some", "whole"))
+    measured = ["base_height_min_m", "tilt_max_deg", "travelled_m", "slip_max_m", "energy_j"]
+    pd.testing.assert_frame_equal(some[measured], whole.loc[some.index, measured], check_exact=True)
+    for line in ("table some", "stats some", "status some", "verify some", "report some", "export some --paper p"):
+        assert main(line.split()) == 0, line
+    assert main(["replay", "some", "3"]) == 0
+    assert "13 of 13 figures are equal to the last bit" in capsys.readouterr().out
+    assert main(["run", *SHORT, "out=some", "outcome.goal='travelled_m < 1e9'"]) == 0  # judged anew
+    assert (store.read_rows(Path("some"))["outcome"] == "success").all()
+    for line in ("view some 3 -o v.html", "report some --replays 2", "replay some 3 --png p"):
+        assert main(line.split()) == 2, line
+        assert "rollouts of an own model are not drawn" in capsys.readouterr().err
+    trot = (here / "trot.py").read_text()
+    (here / "other").mkdir()
+    (here / "other" / "trot2.py").write_text(trot.replace("0.8 *", "0.7 *"))
+    monkeypatch.syspath_prepend(here / "other")
+    assert main(["run", *SHORT, "out=some", "model.controller=trot2:policy"]) == 2
+    assert "holds another study: model.content is" in capsys.readouterr().err
+
+
+def test_a_row_has_its_bits_whatever_runs_beside_it(here):
+    noisy = ["noise.white=0.02", "noise.bias=0.01", "noise.delay=1"]
+    exp = compose(["study=grip", "model.duration=0.5", *noisy])
+    rows = wanted_points(exp)
+    rows = pd.concat([rows, rows.assign(stream=rows["stream"] + 1)], ignore_index=True)  # 72: more than one tile
+    whole = figures(exp, rows)
+    assert np.ptp(whole["travelled_m"]) > 0
+    assert (whole["travelled_m"][:36] != whole["travelled_m"][36:]).all()  # other noise
+    for part in ([71], range(7), range(60, 72)):
+        for name, values in figures(exp, rows.iloc[list(part)]).items():
+            np.testing.assert_array_equal(values, whole[name][list(part)], err_msg=name)
+
+
+def test_fields_are_what_a_model_that_is_compiled_with_them_has(here):
+    spec = mujoco.MjSpec.from_file("quadruped.xml")
+    model = spec.compile()
+    wanted = {"model.body.trunk.mass": 12.0, "model.geom.floor.friction.slide": 0.3, "model.joint.lf_knee.damping": 0.7,
+              "model.actuator.rh_knee.kp": 150.0, "model.option.gravity.z": -3.7}  # fmt: skip
+    spec.geom("trunk").mass, spec.geom("floor").friction[0], spec.joint("lf_knee").damping[0] = 12.0, 0.3, 0.7
+    spec.actuator("rh_knee").gainprm[0], spec.actuator("rh_knee").biasprm[1] = 150.0, -150.0
+    spec.option.gravity[2] = -3.7
+    other = spec.compile()
+    for path, value in wanted.items():
+        assert fields.parameter(other, path).default == pytest.approx(value)
+        assert fields.parameter(model, path).default != pytest.approx(value)
+    batch = Batch(model, 2)
+    fields.write(batch, {path: np.full(2, value) for path, value in wanted.items()})
+    batch.reset(keyframe=0)
+    batch.step(nstep=100)
+    data = mujoco.MjData(other)
+    mujoco.mj_resetDataKeyframe(other, data, 0)
+    mujoco.mj_step(other, data, 100)
+    # not to the last bit: stat.meaninertia, which scales the solver's tolerance, is the first model's
+    np.testing.assert_allclose(batch.bind("qpos")[1], data.qpos, atol=1e-7)
+
+
+def test_figures_of_a_fall_are_those_of_mechanics(tmp_path, monkeypatch):
+    """A free box falls by g t^2 / 2, then tumbles nowhere; half the energy is nobody's work."""
+    monkeypatch.chdir(tmp_path)
+    Path("box.xml").write_text(
+        '<mujoco><option timestep="1e-3"/><worldbody><body name="box" pos="0 0 9"><freejoint/>'
+        '<geom size=".1 .1 .1" type="box" mass="2"/><body><joint name="wheel"/><geom size=".1" mass="1"/></body></body>'
+        '</worldbody><actuator><motor name="wheel" joint="wheel" ctrlrange="-1 1"/></actuator></mujoco>'
+    )
+    Path("still.py").write_text(
+        "import jax.numpy as jnp\ndef policy(belief, seen, state, key): return jnp.zeros(1), state\n"
+    )
+    Path("study.yaml").write_text(
+        "system: own\nmodel: {mjcf: box.xml, controller: 'still:policy', duration: 1}\n"
+        "outcome: {low: base_height_min_m < 4}\n"
+        "study:\n  axes:\n    g: {path: model.option.gravity.z, values: [-9.81, -4]}\n"
+    )
+    assert main(["run", "study=study.yaml", "out=fall"]) == 0
+    rows = store.read_rows(Path("fall"))
+    np.testing.assert_allclose(rows["base_height_min_m"], 9 - np.array([9.81, 4]) / 2, atol=0.01)  # Euler: g t h / 2
+    assert list(rows["outcome"]) == ["success", "success"]
+    np.testing.assert_allclose(rows[["energy_j", "tilt_max_deg", "travelled_m"]], 0, atol=1e-9)
+    np.testing.assert_allclose(rows["margin"], (rows["base_height_min_m"] - 4) / 4)
+    assert set(rows["margin_of"]) == {"low"}
+
+
+def test_outcomes_are_told_by_what_holds_first():
+    names = ("height_m", "way_m")
+    conditions = outcome.parse(
+        {"goal": "way_m >= 2", "fell": "height_m < 0.2", "late": "way_m < 1 and height_m > 0"}, names
+    )
+    figures = {"height_m": np.array([0.3, 0.1, 0.3, 0.1, 0.3]), "way_m": np.array([3.0, 3.0, 1.5, 0.5, 0.5]),
+               "not_finite": np.zeros(5), "buffer_full": np.array([0.0, 1, 0, 0, 0])}  # fmt: skip
+    labels = outcome.judge(figures, conditions)
+    assert list(labels["outcome"]) == ["success", "invalid", "failure", "failure", "failure"]
+    assert list(labels["cause"]) == ["", "buffer_full", "goal_missed", "fell", "late"]
+    np.testing.assert_allclose(labels["margin"], [0.5, -0.5, -0.25, -0.75, -0.75])
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        ("model.mjcf=none.xml", "model.mjcf = 'none.xml' is not a file (allowed: quadruped.xml)"),
+        ("model.mjcf=trot.py", "model.mjcf = trot.py does not compile: "),
+        ("model.controller=trot", "model.controller = 'trot' is not allowed: as my.walk:policy"),
+        ("model.controller=trot:polic", "polic is unknown: did you mean policy?"),
+        ("model.controller=trit:policy", "model.controller = trit:policy cannot be imported: ModuleNotFoundError"),
+        ("model.period=0.003", "model.period = 0.003 is not allowed: a multiple of 0.002 s, the model's time step"),
+        ("model.keyframe=hom", "model.keyframe = hom is unknown: did you mean home?"),
+        ("model.observe=[turn,spim]", "model.observe: spim is unknown: did you mean spin?"),
+        ("model.observe=[turn]", "model.controller = trot:policy fails: "),
+        ("model.feet=[turn]", "model.feet: turn is no touch sensor"),
+        ("model.durations=3", "model.durations is unknown: did you mean duration?"),
+        ("engine=mjx", "engine.name = mjx is not allowed: native"),
+        ("engine.time_step=0.001", "engine.time_step is not allowed: the model's file says"),
+        ("robot.shin=1", "robot is unknown"),
+        (
+            "outcome.fell='base_hight_min_m<1'",
+            "outcome.fell: base_hight_min_m is unknown: did you mean base_height_min_m?",
+        ),
+        ("outcome.fell=3", "outcome.fell = 3 is not a condition"),
+        ("controller.sped=1", "controller.sped is unknown: did you mean speed?"),
+        ("study.axes.load.path=model.body.trnk.mass", "no body is called trnk: did you mean trunk?"),
+        ("study.axes.load.path=model.body.trunk.mas", "mas is unknown: did you mean mass?"),
+        ("study.axes.load.path=model.geom.floor.size", "size is unknown"),
+        (
+            "study.axes.load.path=model.geom.floor.friction",
+            "which of its numbers is unknown (allowed: roll, slide, spin)",
+        ),
+        ("study.axes.load.path=noise.dely", "dely is unknown: did you mean delay?"),
+        ("study.axes.load.from=-1", "world.model.body.trunk.mass = -1 is not allowed: at least 1e-09 kg"),
+        ("study.keep=[base_w_m]", "study.keep: base_w_m is unknown"),
+    ],
+)
+def test_a_mistake_is_one_line_and_nothing_is_written(here, capsys, change, line):
+    assert main(["run", "study=grip", "out=wrong", change]) == 2
+    (told,) = capsys.readouterr().err.splitlines()
+    assert line in told
+    assert not Path("wrong").exists()
+
+
+@pytest.mark.parametrize(
+    ("policy", "line"),
+    [
+        ("jnp.zeros(11), state", "gives controls (11,): (12,) are wanted"),
+        ("jnp.zeros(12), (state,)", "gives a state of another form than it was given"),
+        ("jnp.zeros(12) + undefined, state", "fails: NameError: name 'undefined' is not defined"),
+        ("jnp.zeros(12) if seen[0] > 0 else 0, state", "fails: TracerBoolConversionError: "),
+    ],
+)
+def test_a_controller_that_cannot_be_is_refused(here, capsys, policy, line):
+    name = f"wrong{abs(hash(policy))}"
+    Path(f"{name}.py").write_text(f"import jax.numpy as jnp\ndef policy(belief, seen, state, key): return {policy}\n")
+    with pytest.raises(InputError, match=re.escape(line)):
+        figures(exp := compose([*SHORT, f"model.controller={name}:policy"]), wanted_points(exp).head(1))
+
+
+def test_what_is_not_finite_is_invalid_and_keeps_its_last_states(here):
+    Path("lost.py").write_text(
+        "import jax.numpy as jnp\nPARAMETERS = {'bad': 0.0}\n"
+        "def policy(belief, seen, state, key): return jnp.full(12, 1.0 / (1.0 - belief['bad'])), state\n"
+    )
+    lost = ["model.controller=lost:policy", "study.invalid_max=1", "out=lost"]
+    study = Path("studies/lost.yaml")
+    study.write_text(re.sub(r"(?s)  axes:.*", AXES, Path("studies/grip.yaml").read_text()))
+    assert main(["run", "study=lost", "model.duration=0.2", *lost]) == 0
+    rows = store.read_rows(Path("lost"))
+    assert list(rows["cause"] == "not_finite") == [False, True]
+    assert list(rows["outcome"])[1] == "invalid"
+    assert len(list(Path("lost", store.LAST_STATES).glob("*.parquet"))) == 1
