@@ -24,7 +24,11 @@ FENCE = re.compile(r"```(\w*)\n(.*?)```", re.DOTALL)
 
 
 class AnyEngine(FakeEngine):
-    """The fake engine for any manoeuvre: one that has no half step takes a tenth of the body."""
+    """The fake engine for any manoeuvre, in wide batches: one that has no half step takes a tenth of the body."""
+
+    def __init__(self, settings, *of):
+        super().__init__(settings, *of)
+        self.width = settings.width or 256
 
     def run(self, world, belief, streams):
         if not hasattr(belief.manoeuvre, "half_step_ratio"):
