@@ -47,14 +47,14 @@ class Touched(NamedTuple):
 def names(obstacle: Obstacle | type[Obstacle]) -> tuple[str, ...]:
     """The obstacle's sizes that can be learned: of one that moves those that lying on the floor, or feet, tell."""
     if obstacle.free_bodies:  # pyright: ignore[reportAttributeAccessIssue]
-        return getattr(obstacle, "lying", getattr(obstacle, "stood_on", ()))
+        return obstacle.lying or obstacle.stood_on  # pyright: ignore[reportAttributeAccessIssue]
     fields = dataclasses.fields(obstacle)  # pyright: ignore[reportArgumentType]
     return tuple(f.name for f in fields if f.metadata.get("role") == "quantity")
 
 
 def by_feet(obstacle: Obstacle) -> bool:
     """Whether it is feet that tell these sizes."""
-    return not obstacle.free_bodies or hasattr(obstacle, "stood_on")
+    return not obstacle.free_bodies or bool(obstacle.stood_on)
 
 
 def untouched(control: Control, obstacle: Obstacle) -> Touched:
@@ -108,10 +108,9 @@ def planned_for(touched: Touched) -> Obstacle:
     A foot that comes down on what is lower than planned goes on in search of it; where it is higher, links touch its
     edge before a foot can tell.
     """
-    heights = getattr(touched.obstacle, "heights", ())
     known = names(touched.obstacle)
     deviation = jnp.sqrt(jnp.maximum(jnp.diagonal(touched.covariance), 0.0))
-    more = jnp.array([name in heights for name in known]) * touched.caution * deviation
+    more = jnp.array([name in touched.obstacle.heights for name in known]) * touched.caution * deviation
     return _with(touched.obstacle, _sizes(touched.obstacle) + more)
 
 

@@ -31,7 +31,7 @@ def kinematics(pose: Pose, to_base: Matrix) -> FreeBodies:
 def resting(case: Case) -> FreeState:
     """At the start: what lies on the floor has sunk in until the contact bears its weight, and does not bounce."""
     free, obstacle = free_start(case.obstacle), case.obstacle
-    if not getattr(obstacle, "lying", ()):
+    if not obstacle.lying:
         return free
     masses = jnp.stack([jnp.asarray(obstacle.leaves()["body_mass"][name]) for name in obstacle.free_bodies])
     return free._replace(position=free.position.at[:, 2].add(-GRAVITY * masses / case.contact.stiffness))

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.models.frames import WORLD, fixed, koenig
 from sweep.models.obstacles.charts import Chart, Number, point
+from sweep.models.obstacles.free import Free
 from sweep.models.obstacles.geoms import add_rolling, add_solids
 from sweep.models.obstacles.surface import Bodies, FreeState, Rolling, Surface, own_axes
 from sweep.models.solids import HalfSpace, Solid, Sphere
@@ -58,7 +59,7 @@ def nose_up(of: "Ball", unit: Number, elevation: Number, distance: Number, ahead
 
 
 @parameters
-class Ball:
+class Ball(Free):
     """A free ball, of radius 0.8 a_r and 100 kg by default, on the floor.
 
     At the start it rests on the world's origin, or rolls over it."""
@@ -79,7 +80,7 @@ class Ball:
         "ground": Chart(("aside", "ahead"), on_ground, koenig(0), WORLD),
         "tangent": Chart(("elevation", "distance", "ahead"), tangent, koenig(0), pitch=nose_up, round=True, optional=1),
     }
-    lying: ClassVar = ("radius",)  # sizes that say how high the balls' centres are
+    lying = ("radius",)
     free_bodies = ("ball",)
     contact_sites = (("ball", 0),)
 
@@ -119,9 +120,6 @@ class Ball:
         """Floor and ball."""
         floor = HalfSpace(name="floor", normal=(0.0, 0.0, 1.0))
         return floor, Sphere(name="ball", radius=self.radius, centre=bodies.position[0], body=0)
-
-    def load(self, free: FreeState) -> None:
-        """Nothing beside weight and contact."""
 
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: Bodies) -> Surface:
         """Floor or ball, whichever is deeper; the ball itself, given by its centre, feels the floor."""

@@ -1,7 +1,5 @@
 """A narrow beam between two ledges of one height (monograph 2.6)."""
 
-from typing import ClassVar
-
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -20,7 +18,7 @@ class Beam(Fixed):
 
     It lies along the world's y axis, its top level with the ledges, which fill y > 0 and y < -length."""
 
-    heights: ClassVar = ("height",)
+    heights = ("height",)
     kind: str = choice("beam", "beam")
     width: float = quantity(0.25, "m", above=0, at_most=4)  # of the beam's top, along the world's x axis
     length: float = quantity(2.0, "m", above=0)  # of the gap between the ledges

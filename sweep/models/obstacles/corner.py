@@ -39,7 +39,7 @@ class Corner(Fixed):
         "roof": Chart(("aside", "ahead"), on_roof),
         "edge": ahead_above(lambda of: (0.0, of.height)),
     }
-    heights: ClassVar = ("height",)
+    heights = ("height",)
     kind: str = choice("corner", "corner")
     half_angle: float = quantity(np.pi / 4, "rad", at_least=0.2, at_most=1.5)  # psi, of the house between its walls
     height: float = quantity(2.3, "m", above=0)  # h, of the house above the floor

@@ -1,7 +1,7 @@
 """What obstacles have in common that never move."""
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 from jaxtyping import Array, Float
 
@@ -17,7 +17,9 @@ class Fixed(ABC):
     """An obstacle without free bodies: a kind, sizes, solids and a surface are all that it needs to say."""
 
     free_bodies: tuple[str, ...] = ()
-    heights: ClassVar[tuple[str, ...]] = ()  # sizes of it that say how high something is where feet are set down
+    heights: tuple[str, ...] = ()
+    lying: tuple[str, ...] = ()
+    stood_on: tuple[str, ...] = ()
     contact_sites: tuple[tuple[str, int], ...] = ()
 
     @abstractmethod

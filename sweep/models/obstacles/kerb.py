@@ -1,7 +1,5 @@
 """A step up in level ground."""
 
-from typing import ClassVar
-
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -18,7 +16,7 @@ HALF = 5.0  # m, of the block that is drawn; its surface has no end
 class Kerb(Fixed):
     """A kerb, 0.1 m high by default: the ground is higher where x > 0."""
 
-    heights: ClassVar = ("height",)
+    heights = ("height",)
     kind: str = choice("kerb", "kerb")
     height: float = quantity(0.1, "m", above=0, at_most=1)  # of the ground beyond the edge, above that before it
 

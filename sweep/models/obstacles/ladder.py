@@ -16,6 +16,7 @@ from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import matrix
 from sweep.models.frames import fixed
 from sweep.models.obstacles.charts import Chart, Number, point
+from sweep.models.obstacles.free import Free
 from sweep.models.obstacles.geoms import add_solids, add_touching, invisible
 from sweep.models.obstacles.surface import FOOT_RADIUS, Bodies, FreeState, Surface, own_axes
 from sweep.models.solids import SOIL, Box, HalfSpace, Solid
@@ -98,7 +99,7 @@ class Bars(NamedTuple):
 
 
 @parameters
-class Ladder:
+class Ladder(Free):
     """A ladder of 25 kg with six rungs that leans at 75 degrees on a ledge 2.5 a_r high, free to slide and to turn.
 
     Its lower ends touch the floor and its upper ends the wall. At the start it hangs free of both and falls."""
@@ -130,7 +131,7 @@ class Ladder:
         "over": Chart(("ahead", "above", "pitch", *MORE), over, pitch=pitched, optional=3),
     }
     free_bodies = ("ladder",)
-    stood_on: ClassVar = ("rung_step", "length", "ledge_height")  # sizes that feet on rungs and ledge tell
+    stood_on = ("rung_step", "length", "ledge_height")
     contact_sites = (("lower_right", 0), ("lower_left", 0), ("upper_right", 0), ("upper_left", 0))
 
     @property
@@ -251,9 +252,6 @@ class Ladder:
             Box(name="ledge", position=(0.0, -EXTENT, ledge), half=(2.0, EXTENT, ledge), colour=SOIL),
             *boxes,
         )
-
-    def load(self, free: FreeState) -> None:
-        """Nothing beside weight and contact."""
 
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: Bodies) -> Surface:
         """A solid's depth is the least over its faces; of floor, ledge and bars the deepest counts.

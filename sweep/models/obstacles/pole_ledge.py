@@ -48,7 +48,7 @@ class PoleLedge(Fixed):
         "axis": ahead_above(lambda of: (0.0, of.height)),
         "brink": ahead_above(lambda of: (-of.radius, of.height)),
     }
-    heights: ClassVar = ("height", "ledge_height")
+    heights = ("height", "ledge_height")
     kind: str = choice("pole_ledge", "pole_ledge")
     radius: float = quantity(0.42, "m", above=0)  # r, of the pole
     height: float = quantity(2.286660689865613, "m", above=0)  # h, of the pole above the floor

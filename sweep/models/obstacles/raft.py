@@ -15,6 +15,7 @@ from sweep.core.parameters import choice, parameters, quantity
 from sweep.core.rotations import logarithm, matrix
 from sweep.formulas.drag import raft_drag
 from sweep.formulas.raft_statics import buoyancy
+from sweep.models.obstacles.free import Free
 from sweep.models.obstacles.geoms import DRAWN, add_solids, add_touching
 from sweep.models.obstacles.surface import Bodies, FreeState, Surface, critical_damping, own_axes
 from sweep.models.solids import SOIL, Box, Solid
@@ -32,7 +33,7 @@ WATER = (0.25, 0.5, 0.75, 0.45)
 
 
 @parameters
-class Raft:
+class Raft(Free):
     """A floating box, 3 by 2 by 0.2 of a_r in the proportions of 4.4, whose deck is level with the banks under a robot.
 
     At the start it rests, `gap` from the near bank.

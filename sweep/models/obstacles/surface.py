@@ -89,6 +89,21 @@ class Obstacle(Protocol):
         """
         ...
 
+    @property
+    def heights(self) -> tuple[str, ...]:
+        """Sizes that say how high something is where feet are set down: planned for as larger while uncertain."""
+        ...
+
+    @property
+    def lying(self) -> tuple[str, ...]:
+        """Sizes that are known by how high its free bodies lie on the floor."""
+        ...
+
+    @property
+    def stood_on(self) -> tuple[str, ...]:
+        """Sizes that feet tell that stand on its free bodies; where it has none feet tell all sizes."""
+        ...
+
     def add_to(self, spec: "mujoco.MjSpec", friction: float) -> None:
         """Put its geoms, bodies and sites in the spec; contact geoms are shrunk by `FOOT_RADIUS`."""
         ...
@@ -154,7 +169,10 @@ def _shifted(free: FreeState, by: Float[Array, "k 3"]) -> FreeState:
 
 def free_start(obstacle: Obstacle) -> FreeState:
     """Its free bodies at the start, where it has any."""
-    return obstacle.start() if isinstance(obstacle, Moving) else no_bodies()
+    if not obstacle.free_bodies:
+        return no_bodies()
+    assert isinstance(obstacle, Moving), f"{obstacle.kind} lacks a member of Moving"
+    return obstacle.start()
 
 
 def under(obstacle: Obstacle, points: Float[Array, "n 3"], bodies: Bodies) -> Surface:
