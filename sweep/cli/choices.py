@@ -51,4 +51,6 @@ def _kind(node: ast.ClassDef) -> str | None:
         match line:
             case ast.AnnAssign(ast.Name("kind"), value=ast.Call(args=[ast.Constant(str(kind)), *_])):
                 return kind
+            case _:
+                pass
     return None

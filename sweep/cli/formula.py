@@ -110,9 +110,9 @@ def _parsed(text: str) -> Any:
 
 def _range(formula: Formula, text: str) -> tuple[str, list[float]]:
     """Input and values of `key=lo:hi:n`."""
-    match = re.fullmatch(r"([^=]+)=([^:]+):([^:]+):(\d+)", text)
+    match, key = re.fullmatch(r"[^=]+=([^:]+):([^:]+):(\d+)", text), text.partition("=")[0]
     try:
-        key, low, high, count = match.groups()  # pyright: ignore[reportOptionalMemberAccess]
+        low, high, count = match.groups()  # pyright: ignore[reportOptionalMemberAccess]
         points = np.linspace(float(low), float(high), int(count)).tolist() if len(count) < 7 else []
     except (AttributeError, ValueError):
         points = []

@@ -63,7 +63,8 @@ def settings() -> dict[str, Any]:
     except yaml.YAMLError as error:
         raise InputError(f"{folder / FILE} cannot be read: {one_line(error)}") from None
     modules = content.get("modules", []) if isinstance(content, dict) else None
-    if not isinstance(modules, list) or (unknown := [key for key in content if key not in KEYS]):
+    unknown = [key for key in content if key not in KEYS] if isinstance(content, dict) else []
+    if not isinstance(modules, list) or unknown:
         what = f"{unknown[0]} is unknown" if isinstance(modules, list) else "it does not say so"
         raise InputError(f"{folder / FILE}: {what} (allowed: modules, a list of names of Python modules)")
     return {"modules": [str(module) for module in modules]}

@@ -469,9 +469,11 @@ class Printer(Text):
                 return self._over_legs(node)
             case "count":
                 return self.counts[node.extra]
-        if node.op in INTRINSICS and node.op not in NATIVE:
-            raise Unsupported(f"{node.op} of {node.dtype} on a GPU")
-        return self.arithmetic(node.op, node.dtype, [self.value(x) for x in node.args], [x.dtype for x in node.args])
+            case _ if node.op in INTRINSICS and node.op not in NATIVE:
+                raise Unsupported(f"{node.op} of {node.dtype} on a GPU")
+            case _:
+                args = [self.value(x) for x in node.args]
+                return self.arithmetic(node.op, node.dtype, args, [x.dtype for x in node.args])
 
     def arithmetic(self, op: str, dtype: str, args: list[str], kinds: Sequence[str]) -> str:
         """An operation; those that take several instructions without a branch, which would part this basic block."""

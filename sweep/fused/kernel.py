@@ -83,7 +83,7 @@ def compiled_once(function: Callable[..., Any], *given: Any) -> Once:
 
 def _size(leaf: Leaf) -> int:
     """Bytes, of all lanes."""
-    return leaf.count * llvm.row(leaf.dtype)
+    return leaf.size * llvm.row(leaf.dtype)
 
 
 def _laid_out(shapes: Sequence[Any], start: int) -> tuple[list[Leaf], int]:
@@ -135,11 +135,11 @@ class Tiles:
         for leaf, given in zip(leaves, jax.tree.leaves(words(tree)), strict=True):
             values, whole = np.asarray(given), _within(self.memory, leaf)
             if values.ndim == len(leaf.shape):
-                whole[...] = values.reshape(1, leaf.count, 1)
+                whole[...] = values.reshape(1, leaf.size, 1)
                 continue
             full, rest = divmod(self.width, LANES)
-            rows = values.reshape(self.width, leaf.count)
-            whole[:full] = rows[: full * LANES].reshape(full, LANES, leaf.count).transpose(0, 2, 1)
+            rows = values.reshape(self.width, leaf.size)
+            whole[:full] = rows[: full * LANES].reshape(full, LANES, leaf.size).transpose(0, 2, 1)
             if rest:
                 whole[full, :, :rest], whole[full, :, rest:] = rows[-rest:].T, rows[-1][:, None]
 
@@ -206,7 +206,7 @@ def _end(leaves: Sequence[Leaf]) -> int:
 def _within(memory: np.ndarray, leaf: Leaf) -> np.ndarray:
     """An array in memory (rows of memory, numbers, lanes)."""
     found = memory[:, leaf.place : leaf.place + _size(leaf)].view(leaf.dtype)
-    return found.reshape(len(memory), leaf.count, LANES)
+    return found.reshape(len(memory), leaf.size, LANES)
 
 
 def _got(memory: np.ndarray, leaf: Leaf) -> np.ndarray:

@@ -199,6 +199,8 @@ class Alone:
                     made.append(self._node(item, item.extra, pair, None, k + half - 1))
                 self.made[item.number] = made[-1:]
                 return made
+            case _:
+                pass
         legs = range(self.group) if item.leg else [0]
         extras = [item.extra] * self.group
         if item.op == "gather" and item.leg:

@@ -115,12 +115,12 @@ def _laid_out(shapes: Sequence[Any], start: int) -> tuple[list[Leaf], int]:
     leaves = []
     for x in shapes:
         leaves.append(Leaf(start, tuple(x.shape), np.dtype(x.dtype).name))
-        start += leaves[-1].count
+        start += leaves[-1].size
     return leaves, start
 
 
 def _end(leaves: Sequence[Leaf]) -> int:
-    return max((leaf.place + leaf.count for leaf in leaves), default=1)
+    return max((leaf.place + leaf.size for leaf in leaves), default=1)
 
 
 def _packed(
@@ -132,7 +132,7 @@ def _packed(
     def column(x: Array, leaf: Leaf) -> Array:
         bits = x.astype(jnp.uint32) if x.dtype == bool else lax.bitcast_convert_type(x, jnp.uint32)
         rows = width if x.ndim > len(leaf.shape) else 1
-        return jnp.broadcast_to(bits.reshape(rows, leaf.count), (width, leaf.count))
+        return jnp.broadcast_to(bits.reshape(rows, leaf.size), (width, leaf.size))
 
     columns = [column(x, leaf) for x, leaf in zip(words(list(values)), leaves, strict=True)]
     columns.append(jnp.zeros((width, size - sum(x.shape[1] for x in columns)), jnp.uint32))
@@ -142,5 +142,5 @@ def _packed(
 
 def _got(rows: UInt32[Array, "*batch numbers"], leaf: Leaf) -> Array:
     """An array from the last axis of memory."""
-    bits = rows[..., leaf.place : leaf.place + leaf.count].reshape(*rows.shape[:-1], *leaf.shape)
+    bits = rows[..., leaf.place : leaf.place + leaf.size].reshape(*rows.shape[:-1], *leaf.shape)
     return bits != 0 if leaf.dtype == "bool" else lax.bitcast_convert_type(bits, leaf.dtype)

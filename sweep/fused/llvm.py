@@ -241,7 +241,8 @@ class Printer(Text):
                 return self._whole(self.counts[node.extra])
             case "tick":
                 return self._whole(self.emit(f"add i64 {self.counts[1]}, %first"))
-        return self.arithmetic(node.op, node.dtype, args, [x.dtype for x in node.args])
+            case _:
+                return self.arithmetic(node.op, node.dtype, args, [x.dtype for x in node.args])
 
     def _whole(self, number: str) -> str:
         short = self.emit(f"trunc i64 {number} to i32")

@@ -71,7 +71,8 @@ def simplified(name: str, args: Sequence[Node]) -> Node | None:
             return args[1]
         case "select", [value, _, _] if isinstance(value, np.bool_):
             return args[1] if value else args[2]
-    return None
+        case _:
+            return None
 
 
 def _finite(node: Node) -> bool:
@@ -85,7 +86,8 @@ def _finite(node: Node) -> bool:
             return not np.issubdtype(node.args[0].dtype, np.floating)
         case "select":
             return _finite(node.args[1]) and _finite(node.args[2])
-    return False
+        case _:
+            return False
 
 
 def _plain(node: Node) -> Any:

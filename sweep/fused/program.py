@@ -17,7 +17,7 @@ class At(NamedTuple):
     """Where a number lies that an operation reads from memory, or the numbers of all legs."""
 
     region: "Region"
-    index: int  # of the number, of the first leg's
+    first: int  # index of the number, of the first leg's
     depth: int  # of the block in which it is as it is read
     step: int  # from leg to leg; 0 for a number of no leg's
 

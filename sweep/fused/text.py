@@ -121,8 +121,9 @@ class Text:
                 return self.call(INTRINSICS[op], of, args)
             case _ if floating:
                 return self.emit(f"{FLOAT[op]} {vector} {args[0]}, {args[1]}")
-        unsigned = {"sdiv": "udiv", "srem": "urem"} if of.startswith("u") else {}
-        return self.emit(f"{unsigned.get(WHOLE[op], WHOLE[op])} {vector} {args[0]}, {args[1]}")
+            case _:
+                unsigned = {"sdiv": "udiv", "srem": "urem"} if of.startswith("u") else {}
+                return self.emit(f"{unsigned.get(WHOLE[op], WHOLE[op])} {vector} {args[0]}, {args[1]}")
 
     def extreme(self, op: str, dtype: str, args: list[str]) -> str:
         """The greater or lesser of two; NaN if either is, as the first operand or by the comparison."""

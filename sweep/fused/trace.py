@@ -23,7 +23,7 @@ class Leaf(NamedTuple):
     dtype: str
 
     @property
-    def count(self) -> int:
+    def size(self) -> int:
         """Numbers."""
         return math.prod(self.shape)
 
@@ -71,7 +71,7 @@ def traced(
 
     program = Program(group)
     interpreter = Interpreter(program)
-    regions = [[Region(x.count, x.dtype, depth, x.place, told) for x in leaves]
+    regions = [[Region(x.size, x.dtype, depth, x.place, told) for x in leaves]
                for leaves, depth, told in ((constant, 0, False), (moving, 1, False), (recorded, 1, True))]  # fmt: skip
     with program.loop(None) as body:
         tick = np.full((), program.node("tick", (), "int32", 1), object)

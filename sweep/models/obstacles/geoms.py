@@ -61,7 +61,8 @@ def shape(spec: "mujoco.MjSpec", solid: Solid, name: str, margin: float = 0.0) -
             place = _place(solid)
             turn = np.eye(3) if solid.rotation is None else np.asarray(solid.rotation, float)
             return {**place, "type": kinds.mjGEOM_MESH, "meshname": name, "pos": place["pos"] + turn @ [*centre, 0.0]}
-    raise TypeError(f"no geom has the shape of a {type(solid).__name__}")
+        case _:
+            raise TypeError(f"no geom has the shape of a {type(solid).__name__}")
 
 
 def add_rolling(
@@ -113,7 +114,8 @@ def _look(solid: Solid) -> dict[str, Any]:
             return {"material": "ground"}
         case Sphere():
             return {"material": "ball"}
-    return {"rgba": solid.colour}  # pyright: ignore[reportAttributeAccessIssue]
+        case _:
+            return {"rgba": solid.colour}  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def _place(solid: Box | Cylinder | Prism) -> dict[str, np.ndarray]:

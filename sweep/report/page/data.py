@@ -103,7 +103,8 @@ def plain(content: Any) -> Any:
             return plain(content.item())
         case float():
             return content if np.isfinite(content) else None
-    return content
+        case _:
+            return content
 
 
 def codes_of(rows: pd.DataFrame, kinds: list[dict[str, Any]]) -> np.ndarray:

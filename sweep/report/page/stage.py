@@ -71,6 +71,7 @@ def stage_directions(results: Results, shown: Iterable[Shown], room: int) -> Rep
 
 def fitted(shown: list[Shown], room: int) -> list[Shown]:
     """Replays with no more frames than there is room for, and no fewer than one in `THINNEST`."""
+    thin = shown
     for every in range(1, THINNEST + 1):
         thin = [one._replace(replay=thinned(one.replay, every) if every > 1 else one.replay) for one in shown]
         if sum(len(one.replay["states"]) for one in thin) <= room:
