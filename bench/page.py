@@ -1,4 +1,4 @@
-"""How soon a page is painted, and how fast a brush answers: `python bench/page.py results/walk_map/report.html`.
+"""How soon a page is painted, how fast a brush answers and a replay plays: `python bench/page.py REPORT.html`.
 
 In a headless Chromium, driven as the tests do.
 """
@@ -12,6 +12,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "report"))
 from browser import Browser  # pyright: ignore[reportMissingImports]
 
+CLICKS, PLAYED = 50, 3  # s
 PAINTED = """(() => { const paint = performance.getEntriesByName("first-contentful-paint")[0],
     map = performance.getEntriesByName("map")[0]; return paint && map && [paint.startTime, map.startTime] })()"""
 FRAMES = """window.frames_ = []; window.last_ = performance.now();
@@ -19,7 +20,10 @@ FRAMES = """window.frames_ = []; window.last_ = performance.now();
 
 
 def main(page: Path) -> None:
-    """Print milliseconds to the first paint and to the map, and those of a frame while a quarter of it is brushed."""
+    """Print milliseconds to the first paint and to the map, of a frame while a quarter is brushed, and frames of a replay.
+
+    The replay plays for `PLAYED` s after `CLICKS` rollouts were chosen.
+    """
     with TemporaryDirectory() as profile:
         browser = Browser(Path(profile))
         browser.open(page)
@@ -28,8 +32,18 @@ def main(page: Path) -> None:
         browser.run(FRAMES)
         browser.drag(left + 0.3 * width, top + 0.3 * height, left + 0.7 * width, top + 0.7 * height, steps=30)
         frames = np.array(browser.run("frames_"))
+        browser.key("Escape")
+        for k in range(CLICKS):
+            share = (k + 0.5) / CLICKS
+            browser.click(left + 64 + share * (width - 78), top + 12 + (0.37 * k % 1) * (height - 60))
+        browser.place("#scene-a")
+        browser.run(f"frames_ = []; new Promise((done) => setTimeout(done, {1000 * PLAYED}))")
+        played = np.array(browser.run("frames_"))
         browser.close()
     print(f"first paint {first:.0f} ms, map {drawn:.0f} ms")
+    print(
+        f"{page.stat().st_size / 1e6:.2f} MB; replay after {CLICKS} clicks: {len(played) / PLAYED:.0f} frames a second"
+    )
     print(f"brush: median {np.median(frames):.0f} ms a frame, 90 % {np.quantile(frames, 0.9):.0f} ms")
 
 

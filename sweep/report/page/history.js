@@ -1,6 +1,6 @@
 // What goes with a replay over time: forces, torques, joints, base and slip, stages behind them, a line where the replay is.
 import { byId, element, pointerOn, sheetOf } from "./dom.js";
-import { endOf, plus, posesOf, rotated, turnOf } from "./kinematics.js";
+import { plus, posesOf, rotated, turnOf } from "./kinematics.js";
 import { clamp, shortly, ticks } from "./numbers.js";
 
 /** @typedef {import("./kinematics.js").Model} Model */

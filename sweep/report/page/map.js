@@ -2,10 +2,11 @@
 import { drawFrame } from "./axes.js";
 import { placesOf } from "./cells.js";
 import { clipped, inflate, readCounts } from "./data.js";
-import { byId, cssOf, element, offer, pointerOn, sheetOf } from "./dom.js";
+import { byId, element, offer, pointerOn, sheetOf } from "./dom.js";
 import { KIND, markSize, paintCells, paintDensity, paintMarks, RATE, spanOf, spotOf } from "./fill.js";
 import { clamp, grouped, packRgb, scaleColour, shortly } from "./numbers.js";
 import { ownerNear, pixelsOf } from "./paint.js";
+import { drawOutlines, drawRing, drawTheory, drawZero } from "./over.js";
 import { narrow, showAll } from "./state.js";
 
 /** @typedef {import("./cells.js").Places} Places */
@@ -16,7 +17,6 @@ import { narrow, showAll } from "./state.js";
 /** @typedef {import("./paint.js").Pixels} Pixels */
 
 const MARGIN = { left: 64, right: 14, top: 12, bottom: 48 };
-const LINE = 16; // pixels from one line of text to the next
 const DRAG = 5; // pixels that make a click a drag
 
 /**
@@ -131,10 +131,10 @@ export function mapView(app) {
       else paintMarks(app, pixels, here, selects[2].value, ratio);
     }
     sheet.pen.putImageData(pixels.image, Math.round(area.left * ratio), Math.round(area.top * ratio));
-    drawOutlines(sheet.pen, here, area);
+    drawOutlines(app, sheet.pen, here, area);
     const [x, y] = columns();
-    drawTheory(sheet.pen, x, y, here, area);
-    drawZero(sheet.pen, x, y, here, area);
+    drawTheory(app, sheet.pen, x, y, here, area);
+    drawZero(app, sheet.pen, x, y, here, area);
     drawReplayed(sheet.pen, here, area);
     drawFrame(sheet, app.theme(), area, { scale: here.x, title: x.title }, { scale: here.y, title: y.title });
     drawKey();
@@ -172,143 +172,6 @@ export function mapView(app) {
   };
 
   /**
-   * @param {CanvasRenderingContext2D} pen
-   * @param {Places} here
-   * @param {import("./axes.js").Box} area
-   */
-  const drawOutlines = (pen, here, area) => {
-    const { outlines } = here;
-    if (!outlines.length) return;
-    pen.strokeStyle = cssOf(app.theme().dark ? [255, 255, 255] : [0, 0, 0], 0.22);
-    pen.lineWidth = 0.5;
-    pen.beginPath();
-    for (let k = 0; k < outlines.length; k += 4) {
-      const [left, low, right, high] = outlines.subarray(k, k + 4);
-      pen.rect(
-        area.left + left * area.width,
-        area.top + (1 - high) * area.height,
-        (right - left) * area.width,
-        (high - low) * area.height,
-      );
-    }
-    pen.stroke();
-  };
-
-  /**
-   * Where a margin is used up.
-   * @param {CanvasRenderingContext2D} pen
-   * @param {Column} x
-   * @param {Column} y
-   * @param {Places} here
-   * @param {import("./axes.js").Box} area
-   */
-  const drawZero = (pen, x, y, here, area) => {
-    pen.strokeStyle = app.theme().ink;
-    pen.lineWidth = 1;
-    pen.setLineDash([5, 3]);
-    pen.beginPath();
-    const [right, up] = [here.x.to(0) * area.width, (1 - here.y.to(0)) * area.height];
-    if (x.diverges && right > 0 && right < area.width) {
-      pen.moveTo(area.left + right, area.top);
-      pen.lineTo(area.left + right, area.top + area.height);
-    }
-    if (y.diverges && up > 0 && up < area.height) {
-      pen.moveTo(area.left, area.top + up);
-      pen.lineTo(area.left + area.width, area.top + up);
-    }
-    pen.stroke();
-    pen.setLineDash([]);
-  };
-
-  /**
-   * @param {CanvasRenderingContext2D} pen
-   * @param {Column} x
-   * @param {Column} y
-   * @param {Places} here
-   * @param {import("./axes.js").Box} area
-   */
-  const drawTheory = (pen, x, y, here, area) => {
-    const curves = table.about.theory.filter(
-      (one) => [x.key, y.key].sort().join() === [one.of, one.along].sort().join(),
-    );
-    pen.save();
-    pen.beginPath();
-    pen.rect(area.left, area.top, area.width, area.height);
-    pen.clip();
-    /** @type {{ left: number, size: number, up: number }[]} labels that stand already */
-    const named = [];
-    curves.forEach((curve, number) => {
-      const spots = curve.at.flatMap((along, k) => {
-        const limit = curve.limit[k];
-        if (along === null || limit === null) return [];
-        const [u, v] = curve.of === x.key ? [limit, along] : [along, limit];
-        return [[area.left + here.x.to(u) * area.width, area.top + (1 - here.y.to(v)) * area.height]];
-      });
-      for (const [colour, width] of /** @type {[string, number][]} */ ([
-        [app.theme().panel, 5],
-        [app.theme().ink, 2],
-      ])) {
-        pen.strokeStyle = colour;
-        pen.lineWidth = width;
-        pen.setLineDash(
-          [
-            [7, 4],
-            [7, 3, 2, 3],
-            [2, 3],
-          ][number % 3],
-        );
-        pen.beginPath();
-        spots.forEach(([u, v], k) => (k ? pen.lineTo(u, v) : pen.moveTo(u, v)));
-        pen.stroke();
-      }
-      pen.setLineDash([]);
-      const end = spots
-        .filter(
-          ([u, v]) => u > area.left && u < area.left + area.width - 8 && v > area.top + 8 && v < area.top + area.height,
-        )
-        .at(-1);
-      if (!end) return;
-      pen.textAlign = end[0] > area.left + area.width / 2 ? "right" : "left";
-      pen.textBaseline = "bottom";
-      pen.lineWidth = 4;
-      pen.strokeStyle = app.theme().panel;
-      pen.fillStyle = app.theme().ink;
-      const at = end[0] + (pen.textAlign === "right" ? -8 : 8);
-      const left = at - (pen.textAlign === "right" ? pen.measureText(clipped(curve.label)).width : 0);
-      const size = pen.measureText(clipped(curve.label)).width;
-      let up = Math.max(end[1] - 4, area.top + 18);
-      const covers = (/** @type {{ left: number, size: number, up: number }} */ one) =>
-        Math.abs(one.up - up) < LINE && left < one.left + one.size && one.left < left + size;
-      while (named.some(covers) && up < area.top + area.height) up += LINE;
-      named.push({ left, size, up });
-      pen.strokeText(clipped(curve.label), at, up);
-      pen.fillText(clipped(curve.label), at, up);
-    });
-    pen.restore();
-  };
-
-  /**
-   * A ring that stands out from whatever is under it.
-   * @param {CanvasRenderingContext2D} pen
-   * @param {[number, number]} spot
-   * @param {number} size
-   * @param {string} colour
-   * @param {[number, number]} widths of what is around it, and its own
-   */
-  const drawRing = (pen, [u, v], size, colour, [around, own]) => {
-    for (const [stroke, width] of /** @type {[string, number][]} */ ([
-      [app.theme().panel, around],
-      [colour, own],
-    ])) {
-      pen.strokeStyle = stroke;
-      pen.lineWidth = width;
-      pen.beginPath();
-      pen.arc(u, v, size, 0, 2 * Math.PI);
-      pen.stroke();
-    }
-  };
-
-  /**
    * Rings around rollouts that have a replay.
    * @param {CanvasRenderingContext2D} pen
    * @param {Places} here
@@ -320,7 +183,7 @@ export function mapView(app) {
     here.rows.forEach((row, k) => {
       if (!table.replayed.has(row) || done.has(row) || !state.mask[row]) return;
       done.add(row);
-      drawRing(pen, spotOf(here, k, area), size, app.theme().ink, [3.4, 1.3]);
+      drawRing(app, pen, spotOf(here, k, area), size, app.theme().ink, [3.4, 1.3]);
     });
   };
 
@@ -352,7 +215,7 @@ export function mapView(app) {
     ])) {
       const k = row < 0 ? -1 : here.rows.indexOf(row);
       if (k < 0) continue;
-      drawRing(pen, spotOf(here, k, area), size, app.theme().accent, [4, 2]);
+      drawRing(app, pen, spotOf(here, k, area), size, app.theme().accent, [4, 2]);
     }
   };
 

@@ -2,11 +2,12 @@
 import { clipped, inflate, nearestReplay } from "./data.js";
 import { byId, cssOf, element, pointerOn, sheetOf } from "./dom.js";
 import { historyView } from "./history.js";
-import { endOf, frameAt, plus, readMotion, stateAt } from "./kinematics.js";
+import { endOf, frameAt, readMotion, stateAt } from "./kinematics.js";
 import { clamp, shortly } from "./numbers.js";
 import { recorded } from "./save.js";
-import { baseOf, drawForces, drawRobot, drawWorld, obstaclesOf, viewOf } from "./scene.js";
-import { hides } from "./solids.js";
+import { baseOf, drawForces, drawRobot, drawWorld, viewOf } from "./scene.js";
+import { freest, sizeOf, farEnough, START } from "./sight.js";
+import { drawStages } from "./strip.js";
 import { worded } from "./map.js";
 
 /** @typedef {import("./kinematics.js").Model} Model */
@@ -25,8 +26,6 @@ import { worded } from "./map.js";
  */
 
 const GHOST = /** @type {[number, number, number]} */ ([140, 86, 190]);
-const START = { azimuth: -0.75, elevation: 0.36 };
-const ANGLES = [-0.75, 0.75, -2.4, 2.4, 0, 3.14]; // that a replay may be seen from at first
 const HOLD = 0.8; // s before a replay that has ended begins again
 const FOLLOW = 0.12; // share of the way to the base that the camera goes in a frame
 
@@ -113,7 +112,7 @@ export function playerOf(app) {
       note.textContent = said;
       time = reel.motion.step;
       const target = baseOf(reel.model, stateAt(reel.motion, time));
-      camera = { ...camera, target, distance: spanOf(reel), azimuth: turned ? camera.azimuth : freest(reel) };
+      camera = { ...camera, target, distance: farEnough(reel), azimuth: turned ? camera.azimuth : freest(reel) };
       describe();
     }
     panel.classList.toggle("two", Boolean(open[1]));
@@ -167,37 +166,6 @@ export function playerOf(app) {
   };
 
   const lengthOf = () => Math.max(0.1, ...open.map((reel) => (reel ? endOf(reel.motion) : 0)));
-
-  /**
-   * @param {Reel} reel
-   * @returns {number} m from where the robot is seen whole
-   */
-  const spanOf = ({ model, motion }) => {
-    const base = baseOf(model, stateAt(motion, motion.step));
-    return clamp(8 * sizeOf(model) + 0.15 * Math.abs(base[2]), 1.2, 12);
-  };
-
-  /**
-   * @param {Reel} reel
-   * @returns {number} the angle that the base is least hidden from, of a few
-   */
-  const freest = (reel) => {
-    const { model, motion } = reel;
-    const solids = Array.from({ length: 9 }, (_, k) => {
-      const state = stateAt(motion, motion.step + (k / 8) * (endOf(motion) - motion.step));
-      return { base: baseOf(model, state), solids: obstaclesOf(model, state) };
-    });
-    const hidden = ANGLES.map((angle) => {
-      const away = [
-        Math.cos(angle) * Math.cos(START.elevation),
-        Math.sin(angle) * Math.cos(START.elevation),
-        Math.sin(START.elevation),
-      ];
-      return solids.filter(({ base, solids }) => solids.some((one) => hides(one, plus(base, away, spanOf(reel)), base)))
-        .length;
-    });
-    return ANGLES[hidden.indexOf(Math.min(...hidden))];
-  };
 
   const draw = () => {
     const [a, b] = open;
@@ -292,40 +260,7 @@ export function playerOf(app) {
     return second;
   };
 
-  /** Stages along the time, and when the cause came. */
-  const drawStrip = () => {
-    const [a] = open;
-    if (!a) return;
-    const { pen, width, height } = sheetOf(strip);
-    const { ink, soft, line, accent } = app.theme();
-    const { motion } = a;
-    const total = lengthOf();
-    const xOf = (/** @type {number} */ at) => (at / total) * width;
-    pen.textBaseline = "middle";
-    pen.textAlign = "left";
-    for (let from = 0; from < motion.frames;) {
-      let to = from;
-      while (to < motion.frames && motion.stage[to] === motion.stage[from]) to++;
-      const [left, right] = [xOf(from * motion.step), xOf(to * motion.step)];
-      const now = time > from * motion.step && time <= to * motion.step + 1e-9;
-      pen.globalAlpha = now ? 0.45 : motion.stage[from] % 2 ? 0.42 : 0.2;
-      pen.fillStyle = now ? accent : line;
-      pen.fillRect(left, 0, right - left - 1, height);
-      pen.globalAlpha = 1;
-      const name = clipped(replays[a.number].stages[motion.stage[from]] ?? "");
-      pen.fillStyle = now ? ink : soft;
-      if (pen.measureText(name).width < right - left - 8) pen.fillText(name, left + 4, height / 2);
-      from = to;
-    }
-    const row = replays[a.number].row;
-    const cause = table.named.get("t_cause_s")?.values[row];
-    if (cause !== undefined && Number.isFinite(cause)) {
-      pen.fillStyle = table.about.colours.failure;
-      pen.fillRect(xOf(cause) - 1.5, 0, 3, height);
-    }
-    pen.fillStyle = ink;
-    pen.fillRect(xOf(time) - 1, 0, 2, height);
-  };
+  const drawStrip = () => open[0] && drawStages(app, strip, open[0], time, lengthOf());
 
   const start = () => {
     playing = true;
@@ -388,7 +323,7 @@ export function playerOf(app) {
   });
   byId("reset").addEventListener("click", () => {
     turned = false;
-    if (open[0]) camera = { ...camera, ...START, distance: spanOf(open[0]), azimuth: freest(open[0]) };
+    if (open[0]) camera = { ...camera, ...START, distance: farEnough(open[0]), azimuth: freest(open[0]) };
     draw();
   });
 
@@ -468,15 +403,6 @@ export function playerOf(app) {
     histories.show(open, lengthOf());
   };
   return { openRow, draw: redraw, time: () => (playing ? null : time) };
-}
-
-/**
- * @param {Model} model
- * @returns {number} m, the largest half-size of the robot's parts
- */
-function sizeOf(model) {
-  const parts = model.geoms.filter((geom) => geom.robot);
-  return parts.reduce((most, geom) => Math.max(most, ...(geom.size ?? [0])), 0);
 }
 
 /**

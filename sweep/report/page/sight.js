@@ -1,0 +1,52 @@
+// From where a replay is seen: far enough for the whole robot, at an angle that hides it least.
+import { endOf, plus, stateAt } from "./kinematics.js";
+import { clamp } from "./numbers.js";
+import { baseOf, obstaclesOf } from "./scene.js";
+import { hides } from "./solids.js";
+
+/** @typedef {import("./kinematics.js").Model} Model */
+/** @typedef {import("./player.js").Reel} Reel */
+
+export const START = { azimuth: -0.75, elevation: 0.36 };
+const ANGLES = [-0.75, 0.75, -2.4, 2.4, 0, 3.14]; // that a replay may be seen from at first
+
+/**
+ * @param {Reel} reel
+ * @returns {number} m from where the robot is seen whole
+ */
+export function farEnough({ model, motion }) {
+  const base = baseOf(model, stateAt(motion, motion.step));
+  return clamp(8 * sizeOf(model) + 0.15 * Math.abs(base[2]), 1.2, 12);
+}
+
+/**
+ * @param {Reel} reel
+ * @returns {number} the angle that the base is least hidden from, of a few
+ */
+export function freest(reel) {
+  const { model, motion } = reel;
+  const solids = Array.from({ length: 9 }, (_, k) => {
+    const state = stateAt(motion, motion.step + (k / 8) * (endOf(motion) - motion.step));
+    return { base: baseOf(model, state), solids: obstaclesOf(model, state) };
+  });
+  const hidden = ANGLES.map((angle) => {
+    const away = [
+      Math.cos(angle) * Math.cos(START.elevation),
+      Math.sin(angle) * Math.cos(START.elevation),
+      Math.sin(START.elevation),
+    ];
+    return solids.filter(({ base, solids }) =>
+      solids.some((one) => hides(one, plus(base, away, farEnough(reel)), base)),
+    ).length;
+  });
+  return ANGLES[hidden.indexOf(Math.min(...hidden))];
+}
+
+/**
+ * @param {Model} model
+ * @returns {number} m, the largest half-size of the robot's parts
+ */
+export function sizeOf(model) {
+  const parts = model.geoms.filter((geom) => geom.robot);
+  return parts.reduce((most, geom) => Math.max(most, ...(geom.size ?? [0])), 0);
+}

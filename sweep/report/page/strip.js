@@ -1,0 +1,46 @@
+// The strip below a replay: its stages, its cause, and where it is.
+import { clipped } from "./data.js";
+import { sheetOf } from "./dom.js";
+
+/** @typedef {import("./main.js").App} App */
+
+/**
+ * Stages along the time, and when the cause came.
+ * @param {App} app
+ * @param {HTMLCanvasElement} canvas
+ * @param {import("./player.js").Reel} reel
+ * @param {number} time s
+ * @param {number} total s
+ */
+export function drawStages(app, canvas, reel, time, total) {
+  const { table } = app;
+  const { replays } = table.about;
+  const { pen, width, height } = sheetOf(canvas);
+  const { ink, soft, line, accent } = app.theme();
+  const { motion } = reel;
+  const xOf = (/** @type {number} */ at) => (at / total) * width;
+  pen.textBaseline = "middle";
+  pen.textAlign = "left";
+  for (let from = 0; from < motion.frames;) {
+    let to = from;
+    while (to < motion.frames && motion.stage[to] === motion.stage[from]) to++;
+    const [left, right] = [xOf(from * motion.step), xOf(to * motion.step)];
+    const now = time > from * motion.step && time <= to * motion.step + 1e-9;
+    pen.globalAlpha = now ? 0.45 : motion.stage[from] % 2 ? 0.42 : 0.2;
+    pen.fillStyle = now ? accent : line;
+    pen.fillRect(left, 0, right - left - 1, height);
+    pen.globalAlpha = 1;
+    const name = clipped(replays[reel.number].stages[motion.stage[from]] ?? "");
+    pen.fillStyle = now ? ink : soft;
+    if (pen.measureText(name).width < right - left - 8) pen.fillText(name, left + 4, height / 2);
+    from = to;
+  }
+  const row = replays[reel.number].row;
+  const cause = table.named.get("t_cause_s")?.values[row];
+  if (cause !== undefined && Number.isFinite(cause)) {
+    pen.fillStyle = table.about.colours.failure;
+    pen.fillRect(xOf(cause) - 1.5, 0, 3, height);
+  }
+  pen.fillStyle = ink;
+  pen.fillRect(xOf(time) - 1, 0, 2, height);
+}
