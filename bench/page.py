@@ -20,7 +20,7 @@ FRAMES = """window.frames_ = []; window.last_ = performance.now();
 
 
 def main(page: Path) -> None:
-    """Print milliseconds to the first paint and to the map, of a frame while a quarter is brushed, and frames of a replay.
+    """Print ms to the first paint and to the map, of a frame while a quarter is brushed, and frames of a replay.
 
     The replay plays for `PLAYED` s after `CLICKS` rollouts were chosen.
     """
