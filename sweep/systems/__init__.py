@@ -1,7 +1,6 @@
 """What can be studied: each system has a place here, which alone knows more of it than the contract in `base`."""
 
 from collections.abc import Callable, Mapping
-from pkgutil import resolve_name
 from typing import Any, NamedTuple
 
 from sweep.core.groups import GROUPS
@@ -14,25 +13,37 @@ USUAL = "hexapod"  # where a scenario names no `system`
 
 
 class Kind(NamedTuple):
-    """A kind of system; as text, so that one is not loaded for another."""
+    """A kind of system."""
 
-    source: str  # module:function that makes one of plain values
+    make: Callable[[Mapping[str, Any], Kinds], Nominal]
     config: str  # what Hydra composes it from
     keys: tuple[str, ...]  # of its configuration, beside the common ones
     free: tuple[str, ...] = ()  # of these, those that may be left out
     open: tuple[str, ...] = ()  # those whose parts the system alone knows
 
 
+def _own(values: Mapping[str, Any], kinds: Kinds) -> Nominal:
+    from sweep.systems import own  # which is not loaded for another
+
+    return own.nominal(values, kinds)
+
+
+def _hexapod(values: Mapping[str, Any], kinds: Kinds) -> Nominal:
+    from sweep.systems import hexapod
+
+    return hexapod.nominal(values, kinds)
+
+
 SYSTEMS = {
     "own": Kind(
-        "sweep.systems.own:nominal",
+        _own,
         "own",
         ("model", "controller", "noise", "engine", "outcome"),
         ("controller", "noise"),
         ("model", "controller", "noise", "outcome"),
     ),
     "hexapod": Kind(
-        "sweep.systems.hexapod:nominal",
+        _hexapod,
         "config",
         tuple(name for name in GROUPS if name not in COMMON),
         tuple(name for name, group in GROUPS.items() if group.free),
@@ -50,5 +61,4 @@ def nominal(values: Mapping[str, Any], kinds: Kinds) -> Nominal:
 
     `kinds` are the classes that a group's `kind` chooses from, those of users too.
     """
-    make: Callable[[Mapping[str, Any], Kinds], Nominal] = resolve_name(kind_of(values).source)
-    return make(values, kinds)
+    return kind_of(values).make(values, kinds)
