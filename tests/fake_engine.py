@@ -43,7 +43,7 @@ class FakeEngine:
         tilt = np.where(friction < 5 * ratio, 40.0, 1.0) * np.where(friction == 7, np.nan, 1.0)
         good = {name: np.full(self.width, value) for name, value in faultless(self.world).items()}
         return good | {
-            "tilt_max_deg": tilt, "slip_max_m": 0.05 * ratio / (friction + 0.01), "end_stage": np.ones(self.width),
+            "tilt_max_deg": tilt, "slip_max_m": 0.08 * ratio / (friction + 0.01), "end_stage": np.ones(self.width),
             "clearance_min_m": np.full(self.width, 0.05), "noise_draw": streams % 1000 / 1000,
             "duration_s": np.full(self.width, self.duration),
         }  # fmt: skip

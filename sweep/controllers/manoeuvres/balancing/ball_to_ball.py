@@ -187,8 +187,10 @@ class BallToBall(OnBall, InParts):
             ahead = jax.vmap(lambda stance: centre_of_mass(belief.robot, stance)[0])(last)
             stands = jnp.where(plan.swing, jnp.nan, last.feet[:, :, 0])
             inside = np.asarray(jnp.minimum(ahead - jnp.nanmin(stands, axis=1), jnp.nanmax(stands, axis=1) - ahead))
-        stances = {f"at the end of stage {name}": Stance(*(x[k] for x in last)) for k, name in enumerate(plan.names)}
-        refuse_reach(belief, lambda: stances, f"{self.kind}: ")
+        at = {f"at the end of stage {name}": k for k, name in enumerate(plan.names)}
+        refuse_reach(
+            belief, lambda: {words: Stance(*(x[k] for x in last)) for words, k in at.items()}, f"{self.kind}: "
+        )
         if not inside.min() >= self.spare:
             raise InputError(
                 f"{self.kind}: the mass centre is {inside.min():.3f} m between the feet that stand in stage "
