@@ -50,7 +50,7 @@ def test_a_failure_of_three_in_a_hundred_thousand_is_found_and_measured(fake_eng
     assert main(["stats", str(tmp_path)]) == 0
     stats = capsys.readouterr().out
     assert "fell" in stats
-    assert re.search(r"fell +\| 1 +\| \d+ +\| .*friction -(2|3)\.\d", stats)
+    assert re.search(r"fell +\| 100\.0 % +\| \d+ +\| .*friction -(2|3)\.\d", stats)
     assert "Clopper" not in stats  # the rows are no sample
 
 

@@ -108,7 +108,7 @@ def test_a_refined_map_is_the_grid_with_ten_times_fewer_rollouts(tmp_path, capsy
     assert found.missed == 0
     assert found.missed_at_most == pytest.approx(1 - 0.025 ** (1 / 200))
     assert re.search(
-        r"refined: \d+ rollouts, 0 invalid \(0\.0 %\), for a grid of 129 x 129 points, 1\d\.\d times fewer; "
+        r"refined: [\d,]+ rollouts, 0 invalid \(0\.0 %\), for a grid of 129 x 129 points, 1\d\.\d times fewer; "
         r"0 of 200 audited",
         out,
     )

@@ -3,7 +3,7 @@
 import os
 import time
 
-VERSION = "0.1.0"
+VERSION = "0.2.0"
 STARTED = time.time()
 # no messages of XLA's own: an alarm asks for a bug report where something compiles for two minutes; errors are raised
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
