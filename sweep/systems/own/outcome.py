@@ -47,7 +47,8 @@ class Condition(NamedTuple):
                 except (ValueError, TypeError):
                     return None
                 return name, value, isinstance(op, ast.Lt | ast.LtE) != (self.cause == MISSED)
-        return None
+            case _:
+                return None
 
     def margin(self, figures: Mapping[str, np.ndarray]) -> np.ndarray:
         """How far rows are from it, in units of its number, at most 1; negative where it holds. NaN of no plain one."""
