@@ -30,7 +30,6 @@ PACES = {"even": (STEADY, (1.0, 1.0)), "eased": (STEADY, (0.0, 0.0)), "smooth": 
 NAMES = {leg: name for name, (leg,) in SIDED.items()}
 OPPOSITE = {group: group.replace("front", "rear") if "front" in group else group.replace("rear", "front")
             for group in GROUPS}  # fmt: skip
-UP = np.array([0.0, 0.0, 1.0])
 type Feet = dict[int, Float[Array, " 3"]]  # m, by leg
 type Numbers = list[Any]
 type Place = Mapping[str, Numbers]  # coordinates in one chart
@@ -140,7 +139,8 @@ class Terms:
     def vector(self, leg: int, numbers: Numbers) -> Float[Array, " 3"]:
         """Out to the leg's side, ahead and up."""
         out, ahead, up = (jnp.asarray(number, float) for number in numbers)
-        return float(SIDE[leg - 1]) * out * self.left + ahead * np.array([*self.forward, 0.0]) + up * UP
+        level = float(SIDE[leg - 1]) * out * self.left + ahead * np.array([*self.forward, 0.0])
+        return level + up * np.array([0.0, 0.0, 1.0])
 
 
 def placed(part: str, terms: Terms) -> tuple[Float[Array, "6 3"], Float[Array, " 3"], Standing]:

@@ -238,7 +238,8 @@ def off_floor(site: PoleSite, start: dict[int, Array], end: dict[int, Array]) ->
     The printed flat cycle drags a foot along the floor where the base hangs lower than planned.
     """
     up, out = 0.3 * site.length, 0.1 * site.length
-    return {leg: jnp.stack([start[leg] + up * UP, goal + out * OUTWARD[leg - 1]]) for leg, goal in end.items()}
+    up = point(0.0, 0.0, up)  # not `UP`: JAX keeps such a constant's type from the precision it first met it in
+    return {leg: jnp.stack([start[leg] + up, goal + out * OUTWARD[leg - 1]]) for leg, goal in end.items()}
 
 
 def shift_up(site: PoleSite) -> list[Stage]:
