@@ -5,12 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from sweep.analysis.intervals import CONFIDENCE
 from sweep.core.errors import InputError
 from sweep.study.config import Experiment
 from sweep.study.importance import PLAIN
 
 LARGEST = 0.1  # share of the sum that one row may carry in an estimate that is to be trusted
-CONFIDENCE, Z = 0.95, 1.959964
 NEAR = 3  # parameters that are told of a cause
 
 
@@ -26,7 +26,6 @@ class Rare:
     failed: int  # of the last round, invalid ones among them
     invalid: int
     largest: float  # share of the sum that the heaviest failure carries
-    effective: float  # failures of equal weight that would say as much
     plain: float  # plain draws that would say as much; NaN without a failure
 
     @property
@@ -52,6 +51,8 @@ def rare(rows: pd.DataFrame, exp: Experiment) -> Rare:
 
     The interval is that of a log-normal estimate; without a failure the bound follows from the plain draws' share.
     """
+    from scipy.special import ndtri  # slow to import
+
     design = exp.study.design
     last = rows[rows["axis.round"] == design.rounds]
     if len(last) < design.num:
@@ -63,14 +64,13 @@ def rare(rows: pd.DataFrame, exp: Experiment) -> Rare:
     counts["invalid"] = int((last["outcome"] == "invalid").sum())
     if not total:
         most = min((1 - (1 - CONFIDENCE) ** (1 / n)) / PLAIN, 1.0)
-        return Rare(0.0, 0.0, most, **counts, largest=0.0, effective=0.0, plain=np.nan)
+        return Rare(0.0, 0.0, most, **counts, largest=0.0, plain=np.nan)
     p = total / n
     variance = max(square / n - p**2, 0.0) / n
-    wide = np.exp(Z * np.sqrt(np.log1p(variance / p**2)))
+    wide = np.exp(ndtri(0.5 + CONFIDENCE / 2) * np.sqrt(np.log1p(variance / p**2)))
     plain = p * (1 - p) / variance if variance else np.inf
     ends = float(p / wide), float(min(p * wide, 1.0))
-    return Rare(float(p), *ends, **counts, largest=float(share.max() / total), effective=float(total**2 / square),
-                plain=float(plain))  # fmt: skip
+    return Rare(float(p), *ends, **counts, largest=float(share.max() / total), plain=float(plain))
 
 
 def modes(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
@@ -78,9 +78,8 @@ def modes(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
 
     How far is in standard deviations of the plain draws, which the weights tell.
     """
-    columns = [axis.column for axis in exp.study.axes if pd.api.types.is_numeric_dtype(rows[axis.column])]
-    names = [axis.name for axis in exp.study.axes if axis.column in columns]
-    x, weight = rows[columns].to_numpy(float), rows["axis.weight"].to_numpy()
+    axes = [axis for axis in exp.study.axes if pd.api.types.is_numeric_dtype(rows[axis.column])]
+    x, weight = rows[[axis.column for axis in axes]].to_numpy(float), rows["axis.weight"].to_numpy()
     middle = np.average(x, axis=0, weights=weight)
     spread = np.sqrt(np.average((x - middle) ** 2, axis=0, weights=weight))
     last = (rows["axis.round"] == exp.study.design.rounds).to_numpy()
@@ -90,7 +89,7 @@ def modes(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
         here = rows.index.get_indexer(index)
         away = (np.average(x[here], axis=0, weights=weight[here]) - middle) / np.where(spread, spread, 1.0)
         far = np.argsort(-np.abs(away))[:NEAR]
-        where = ", ".join(f"{names[k]} {away[k]:+.1f}" for k in far)
+        where = ", ".join(f"{axes[k].name} {away[k]:+.1f}" for k in far)
         found.append({"cause": cause, "share": weight[here].sum() / weight[failed].sum(), "rows": len(here),
                       "where, in standard deviations": where})  # fmt: skip
     return pd.DataFrame(found).sort_values("share", ascending=False, ignore_index=True) if found else pd.DataFrame()

@@ -73,7 +73,7 @@ def execute(exp: Experiment, flags: Flags) -> int:
         print(f"{done} rollouts in {seconds:.1f} s ({done / seconds:.1f} a second)", file=sys.stderr)
         rows, stored = store.read_rows(folder), store.read_study(folder)
         size, used = stored["rollouts"], stored["devices"]
-        complete = len(rows) == size and (whole or not (exp.study.refined or exp.study.sought))
+        complete = len(rows) == size and (whole or not exp.study.in_rounds)
     if len(used) > 1:
         print(f"sweep: equal rollouts need not be equal to the last bit on {' and on '.join(used)}", file=sys.stderr)
     print(summary(exp, rows))

@@ -102,7 +102,7 @@ def unplanned(exp: Experiment, table: pd.DataFrame, wanted: pd.DataFrame) -> int
 
     None are, without a look at each of a million points, where all that the study can have are `wanted`.
     """
-    if exp.study.refined or exp.study.sought or (exp.study.points and not Path(exp.study.points).is_file()):
+    if exp.study.in_rounds or (exp.study.points and not Path(exp.study.points).is_file()):
         return 0
     if not exp.study.points and len(wanted) == exp.study.most:
         return 0

@@ -103,6 +103,11 @@ class Study(_Plain):
         return self.design.kind == "importance" and self.design.num > 0
 
     @property
+    def in_rounds(self) -> bool:
+        """Whether it is run in rounds, each planned by the rows of those before it."""
+        return self.refined or self.sought
+
+    @property
     def noisy(self) -> bool:
         """Whether rollouts of one grid point differ."""
         return self.replicates > 1 or self.design.num > 0
