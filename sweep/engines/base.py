@@ -36,6 +36,8 @@ class Trace:
     foot_force: np.ndarray  # (F, 6, 3), mean of the tick, on the robot
     base_target: np.ndarray  # (F, 7), planned position and quaternion (w, x, y, z)
     stage: np.ndarray  # (F,) index into `stages`
+    margin: np.ndarray  # (F,) to the nearest limit that is watched in every tick, as the row's `margin` at its end
+    margin_of: np.ndarray  # (F,) names of these limits
     stages: tuple[str, ...]
     figures: dict[str, Any]  # the row's figures, as `run` gives them
 

@@ -14,7 +14,9 @@ from sweep.core.waiting import part
 from sweep.dynamics.step import Limits
 from sweep.engines.base import Figures, Trace
 from sweep.engines.settings import EngineSettings
+from sweep.metrics import outcome, stream
 from sweep.metrics.metric import Tick
+from sweep.metrics.outcome import Thresholds
 from sweep.models import scene
 from sweep.models.case import Case
 from sweep.models.legs import N_JOINTS, N_LEGS
@@ -84,8 +86,8 @@ def execution_limits(world: Case, time: Array) -> Limits:
     return Limits(alive.astype(torque.dtype), torque, size * direction)
 
 
-def record(command: Command, state: TrackerState, tick: Tick, q: Array, v: Array) -> dict[str, Array]:
-    """What a trace keeps of a tick."""
+def record(command: Command, state: TrackerState, tick: Tick, q: Array, v: Array, judged: Array) -> dict[str, Array]:
+    """What a trace keeps of a tick; `judged` are the figures so far that it is judged by."""
     return {
         "qpos": q,
         "qvel": v,
@@ -96,6 +98,7 @@ def record(command: Command, state: TrackerState, tick: Tick, q: Array, v: Array
         "foot_force": tick.force,
         "base_target": jnp.concatenate([command.target.position, command.target.quat]),
         "stage": state.stage,
+        "judged": judged,
     }
 
 
@@ -105,6 +108,7 @@ def to_traces(
     figures: Figures,
     records: dict[str, np.ndarray],
     stages: tuple[str, ...],
+    limits: Thresholds,
     tick: float,
     every: int,
 ) -> list[Trace]:
@@ -118,6 +122,19 @@ def to_traces(
         row = {name: values[slot] for name, values in figures.items()}
         samples = round(float(row["duration_s"]) / tick) // every  # the sum of many ticks is rough
         kept = {name: values[:samples, place] for name, values in records.items()}
+        margin, margin_of = outcome.margins_of(stream.timed(world), kept.pop("judged").T, limits)
         time, model = every * tick * (1 + np.arange(len(kept["stage"]))), scene.compile_model(world)
-        traces.append(Trace(world=world, belief=belief, model=model, time=time, stages=stages, figures=row, **kept))
+        traces.append(
+            Trace(
+                world=world,
+                belief=belief,
+                model=model,
+                time=time,
+                stages=stages,
+                margin=margin,
+                margin_of=margin_of,
+                figures=row,
+                **kept,
+            )
+        )
     return traces

@@ -177,13 +177,14 @@ def measure(
     tick: Tick,
     number: Array,
     period: float,
-) -> ClosedLoop:
-    """The metrics' part of a tick. A rollout that has rested after its plan, or had its time, is over.
+) -> tuple[ClosedLoop, Float[Array, " c"]]:
+    """The metrics' part of a tick, and the figures that it is judged by so far, see `stream.update`.
 
-    One that is to end in motion is over with its plan: nobody steps on.
+    A rollout that has rested after its plan, or had its time, is over. One that is to end in motion is over with its
+    plan: nobody steps on.
     """
     plan = newest(plan, loop.learned)
-    running = stream.update(
+    running, judged = stream.update(
         world, plan, limits, loop.tracker, command, loop.running, loop.learned, tick, number, period
     )
     late = running.time - running.rested >= GRACE * jnp.sum(plan.duration)
@@ -202,4 +203,4 @@ def measure(
         tick.free,
         tick.load,
     )
-    return loop._replace(running=running, seen=truth)
+    return loop._replace(running=running, seen=truth), judged

@@ -151,7 +151,7 @@ class Mjx:
         figures, parts = self._simulate(world, belief, streams, slots, every, len(slots))
         records = jax.tree.map(lambda *each: np.concatenate(each), *parts)
         tick = self.settings.control_period
-        return batching.to_traces((world, belief), slots, figures, records, self.stages, tick, every)
+        return batching.to_traces((world, belief), slots, figures, records, self.stages, self.limits, tick, every)
 
     @property
     def _by_host(self) -> bool:
@@ -371,8 +371,8 @@ class Mjx:
         old = carry.loop.servo
         loop, command = act(world, belief, plan, carry.loop, tick, period, quiet)
         state, summary = self.physics.advance(world, carry.state, old, loop.servo, tick)
-        loop = measure(world, plan, self.limits, loop, command, summary, tick, period)
-        record = batching.record(command, loop.tracker, summary, state.q, state.v)
+        loop, judged = measure(world, plan, self.limits, loop, command, summary, tick, period)
+        record = batching.record(command, loop.tracker, summary, state.q, state.v, judged)
         return Carry(state, loop), record
 
 

@@ -86,6 +86,7 @@ class Between(NamedTuple):
     command: Command
     steps: Steps
     orders: Orders
+    judged: Float[Array, " c"]  # see `measure`
 
 
 class Programs(NamedTuple):
@@ -221,7 +222,7 @@ class Native:
         figures, parts = self._simulate(world, belief, streams, slots, every)
         records = {name: np.stack([part[name] for part in parts]) for name in parts[0]}
         tick = self.settings.control_period
-        return batching.to_traces((world, belief), slots, figures, records, self.stages, tick, every)
+        return batching.to_traces((world, belief), slots, figures, records, self.stages, self.limits, tick, every)
 
     def _simulate(
         self, world: Case, belief: Case, streams: np.ndarray, slots: np.ndarray | None, every: int = 1
@@ -251,17 +252,20 @@ class Native:
                 if k == 0:  # derived fields are those before a step, hence the start's
                     energy = steps["energy"][:, 0].sum(axis=-1)
                     going.change(_loop, _with_energy(self._nominal, going.leave().loop, energy))
-                if slots is not None and (k + 1) % every == 0:
-                    records.append(_record(world, going, steps, slots))
+                due = slots if (k + 1) % every == 0 else None
+                if due is not None:
+                    records.append(_record(world, going, steps, due))
                 broken = unbuilt | np.any(batch.warning[:, :, 0] > 0, axis=1)
                 going.change(lambda between: between.steps, self._steps(steps, broken))
                 going.advance(k + 1, 1)
+                if due is not None:
+                    records[-1]["judged"] = going.look(_judged)[due]
                 if np.all(going.look(lambda between: between.loop.running.over)):
                     break
             if (
                 slots is not None and steps and not records
             ):  # all ended before the first sample, which has the form of none
-                records.append(_record(world, going, steps, slots))
+                records.append({**_record(world, going, steps, slots), "judged": going.look(_judged)[slots]})
             figures = programs.finish(world, plans, going.leave().loop)
             return {name: np.asarray(values) for name, values in figures.items()}, records
 
@@ -312,13 +316,14 @@ class Native:
             known = informed(belief, learned)
             state = start_state(world, known, plan)
             loop = init(world, known, plan, state, jnp.zeros(()), key, learned)
-            return self._acted(world, belief, plan, loop, self._nothing(state), jnp.int32(0), quiet), state
+            nothing = jnp.zeros(len(stream.timed(world)), plan.duration.dtype)
+            return self._acted(world, belief, plan, loop, self._nothing(state), nothing, jnp.int32(0), quiet), state
 
         def tick(given: tuple[Case, Case, Plan], now: Between, k: Array) -> tuple[Between, dict[str, Array]]:
             world, belief, plan = given
             summary = self._summary(world, now.steps, (k - 1) * period, now.loop.seen.free)
-            loop = measure(world, plan, self.limits, now.loop, now.command, summary, k - 1, period)
-            return self._acted(world, belief, plan, loop, now.steps, k, quiet), {}
+            loop, judged = measure(world, plan, self.limits, now.loop, now.command, summary, k - 1, period)
+            return self._acted(world, belief, plan, loop, now.steps, judged, k, quiet), {}
 
         def finish(world: Case, plan: Plan, loop: ClosedLoop) -> dict[str, Array]:
             return stream.figures(world, newest(plan, loop.learned), loop.running, loop.tracker.stage)
@@ -352,14 +357,23 @@ class Native:
             return *started(), ticks, finished, again and again.result()
 
     def _acted(
-        self, world: Case, belief: Case, plan: Plan, loop: ClosedLoop, steps: Steps, tick: Array, quiet: bool
+        self,
+        world: Case,
+        belief: Case,
+        plan: Plan,
+        loop: ClosedLoop,
+        steps: Steps,
+        judged: Array,
+        tick: Array,
+        quiet: bool,
     ) -> Between:
         """The controller's part of a tick, and what follows for the physics."""
         n, period, old = self.substeps, self.settings.control_period, loop.servo
         loop, command = act(world, belief, plan, loop, tick, period, quiet)
         told = towards(old, loop.servo, (1 + jnp.arange(n))[:, None, None] / n)
         torques = (told.stiffness * told.target + told.torque).reshape(n, N_JOINTS)
-        return Between(loop, command, steps, Orders(torques, *self._outside(world, tick * period, loop.seen.free)))
+        orders = Orders(torques, *self._outside(world, tick * period, loop.seen.free))
+        return Between(loop, command, steps, orders, judged)
 
     def _nothing(self, start: Start) -> Steps:
         """Before the first physics step."""
@@ -445,6 +459,10 @@ def _orders(between: Between) -> Orders:
     return between.orders
 
 
+def _judged(between: Between) -> Array:
+    return between.judged
+
+
 def _ordered(controls: np.ndarray, torques: np.ndarray, push: np.ndarray, loads: np.ndarray) -> np.ndarray:
     """Controls, then outside wrenches on all bodies: the world, the robot from its base on, free bodies last."""
     controls[..., :N_JOINTS], controls[..., N_JOINTS + 6 : N_JOINTS + 9] = torques, push
@@ -494,7 +512,7 @@ def _torque[A: (Array, np.ndarray)](effort: A, rate: A, back_emf: Any) -> A:
 def _record(
     world: Case, going: Tiles | ByXla, steps: dict[str, np.ndarray], slots: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """What is kept of a tick of the rollouts in `slots`."""
+    """What is kept of a tick of the rollouts in `slots`, before it is judged."""
     back_emf = np.broadcast_to(world.drive.back_emf, steps["qpos"].shape[:1])[slots, None, None]
     torque = _torque(steps["actuator_force"][slots], steps["qvel"][slots][..., JOINT_V], back_emf)
     told = going.look(lambda b: (b.command.joints, b.command.target, b.loop.tracker.stage))

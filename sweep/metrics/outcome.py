@@ -85,17 +85,34 @@ def classify(figures: Mapping[str, np.ndarray], limits: Thresholds, stages: Sequ
     stage = np.where(np.isfinite(time), stage, f["end_stage"]).astype(int)
     verdict = np.array([INVALID if c.doubt else FAILURE for c in causes], dtype=object)[first]
     labels = np.array([*stages, ""], dtype=object)
-    margins, names = _margins(f, [c for c in causes if not c.doubt and c.threshold], limits)
-    nearest = np.argmin(np.nan_to_num(margins, nan=-np.inf), axis=0)
+    margin, margin_of = margins_of(causes, [f[c.figure] for c in causes], limits)
     return {
         "outcome": np.where(any_holds, verdict, SUCCESS),
         "cause": np.where(any_holds, np.array([c.name for c in causes], dtype=object)[first], ""),
         "stage": np.where(any_holds, labels[np.clip(stage, -1, len(stages) - 1)], ""),
         "t_cause_s": np.where(any_holds & np.isfinite(time), time, np.nan),
         "limit": np.where(any_holds, np.array([c.threshold for c in causes], dtype=object)[first], ""),
-        "margin": np.take_along_axis(margins, nearest[None], axis=0)[0],
-        "margin_of": names[nearest],
+        "margin": margin,
+        "margin_of": margin_of,
     }
+
+
+def margins_of(
+    causes: Sequence[Cause], figures: Sequence[np.ndarray], limits: Thresholds
+) -> tuple[np.ndarray, np.ndarray]:
+    """Least distance (n,) of `figures`, (n,) of each of `causes`, to the thresholds of failures, and their names.
+
+    In units of the threshold; a cause without a finite one has no distance, and NaN is beyond all.
+    """
+    judged = [
+        (cause, np.asarray(values, float), limit)
+        for cause, values in zip(causes, figures, strict=True)
+        if not cause.doubt and cause.threshold and np.isfinite(limit := limit_of(cause, limits))
+    ]
+    margins = np.stack([cause.margin(values, limit) for cause, values, limit in judged])
+    nearest = np.argmin(np.nan_to_num(margins, nan=-np.inf), axis=0)
+    names = np.array([cause.threshold for cause, _, _ in judged], dtype=object)
+    return np.take_along_axis(margins, nearest[None], axis=0)[0], names[nearest]
 
 
 def why(row: Mapping[str, Any], limits: Thresholds) -> str:
@@ -128,10 +145,3 @@ def _time(cause: Cause, f: Mapping[str, np.ndarray]) -> np.ndarray:
 
 def _stage(cause: Cause, f: Mapping[str, np.ndarray]) -> np.ndarray:
     return f["end_stage"] if cause.known == "end" else f[f"{cause.name}_stage"]
-
-
-def _margins(f: Mapping[str, np.ndarray], causes: Sequence[Cause], limits: Thresholds) -> tuple[np.ndarray, np.ndarray]:
-    """Of each cause that has a finite threshold, by row, and the thresholds' names."""
-    judged = [(c, limit_of(c, limits)) for c in causes if np.isfinite(limit_of(c, limits))]
-    margins = np.stack([c.margin(f[c.figure].astype(float), limit) for c, limit in judged])
-    return margins, np.array([c.threshold for c, _ in judged], dtype=object)

@@ -77,8 +77,11 @@ def update(
     tick: Tick,
     number: Array,
     period: float,
-) -> Running:
-    """Control tick `number` on, which all rollouts share. `limits` only say when the moment of a cause is noted."""
+) -> tuple[Running, Float[Array, " c"]]:
+    """Control tick `number` on, which all rollouts share, and the figures so far that the `timed` causes judge.
+
+    `limits` only say when the moment of a cause is noted.
+    """
     time = running.time + period
     now = Moment(
         world,
@@ -96,8 +99,9 @@ def update(
     )
     states = tuple(_updated(m, s, now, number) for m, s in zip(metrics.of(world), running.states, strict=True))
     found = _figures(Elapsed(world, plan, time, state.stage), states)
-    crossed = jnp.stack([cause.holds(found[cause.figure], limit_of(cause, limits)) for cause in timed(world)])
-    first = crossed & jnp.isnan(running.cause_time)
+    judged = [found[cause.figure] for cause in timed(world)]
+    crossed = [c.holds(value, limit_of(c, limits)) for c, value in zip(timed(world), judged, strict=True)]
+    first = jnp.stack(crossed) & jnp.isnan(running.cause_time)
     new = Running(
         time=time,
         rested=running.rested + period * state.finished,
@@ -106,7 +110,8 @@ def update(
         cause_time=jnp.where(first, time, running.cause_time),
         cause_stage=jnp.where(first, state.stage, running.cause_stage),
     )
-    return jax.tree.map(lambda old, fresh: jnp.where(running.over, old, fresh), running, new)
+    kept = jax.tree.map(lambda old, fresh: jnp.where(running.over, old, fresh), running, new)
+    return kept, jnp.stack([jnp.asarray(value, time.dtype) for value in judged])
 
 
 def _updated(metric: Metric, state: Any, now: Moment, number: Array) -> Any:

@@ -1,8 +1,8 @@
 """A rollout for a page: its bodies and geoms once, its states as a small stream of whole numbers.
 
 `page/kinematics.js` reads both. A stream has F frames of columns: MuJoCo's `qpos`, then the feet's forces, the stage,
-and the torques of the joints. Columns are differences from frame to frame, each as all its low bytes and then all its
-high ones, which deflates to a third; only `qpos` has high bytes.
+the torques of the joints, the margin and which of `limits` it is of. Columns are differences from frame to frame, each
+as all its low bytes and then all its high ones, which deflates to a third; only `qpos` has high bytes.
 """
 
 from typing import Any
@@ -20,6 +20,7 @@ RATE = 10.0  # frames per second
 FINE = 1e-3  # of a state's stream: m and rad; coarser where int16 could not hold the largest value
 UNIT = 1e-4  # of a quaternion's numbers
 INT16, LEVELS = 2**15 - 1, 63  # of a state at most; of a force on either side of zero
+MARGIN = 100  # whole numbers of a margin of 1; it is cut off at -1
 DIGITS = 4  # of lengths (m) and directions of bodies and geoms
 Kind = mujoco.mjtGeom
 SHAPES = {
@@ -36,7 +37,7 @@ def motion(trace: Trace) -> dict[str, Any]:
     """`states` of the trace's finite frames as base64, and what is needed to read them.
 
     `scales` (nq,) are units of the whole numbers of `qpos`, `force_scale` (N) and `torque_scale` (N m) those of forces
-    and torques, `step` (s) is the time between frames, and of the first one.
+    and torques, `margin_scale` that of margins, `step` (s) is the time between frames, and of the first one.
     """
     frames = finite_frames(trace)
     qpos = np.asarray(trace.qpos[:frames], float)
@@ -45,8 +46,16 @@ def motion(trace: Trace) -> dict[str, Any]:
     force_scale = max(float(np.nan_to_num(np.abs(force)).max()) / LEVELS, 1e-6)
     torque = np.nan_to_num(np.asarray(trace.joint_torque[:frames], float))
     torque_scale = max(float(np.abs(torque).max(initial=0)) / LEVELS, 1e-6)
-    parts = [np.round(np.nan_to_num(force) / force_scale), trace.stage[:frames], np.round(torque / torque_scale)]
-    small = np.column_stack(parts).astype(np.int8)
+    limits = sorted(set(trace.margin_of[:frames]))
+    small = np.column_stack(
+        [
+            np.round(np.nan_to_num(force) / force_scale),
+            trace.stage[:frames],
+            np.round(torque / torque_scale),
+            np.round(MARGIN * np.nan_to_num(trace.margin[:frames], nan=-1.0).clip(-1.0, 1.0)),
+            np.searchsorted(limits, trace.margin_of[:frames]),
+        ]
+    ).astype(np.int8)
     return {
         "step": float(trace.time[0]),
         "frames": frames,
@@ -54,6 +63,8 @@ def motion(trace: Trace) -> dict[str, Any]:
         "force_scale": float(f"{force_scale:.6g}"),
         "torque_scale": float(f"{torque_scale:.6g}"),
         "torque_limit": float(np.max(trace.world.drive.torque_limit)),
+        "margin_scale": 1 / MARGIN,
+        "limits": limits,
         "states": packed(np.round(qpos / scales).astype(np.int16), small),
     }
 

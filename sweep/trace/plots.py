@@ -78,6 +78,18 @@ def feet(trace: Trace) -> Figure:
     return _finish(figure, axes, trace)
 
 
+def margin(trace: Trace) -> Figure:
+    """Margin to the nearest of the limits that are watched in every tick, a colour for each of these."""
+    figure, axes = _grid(1, 1, "Margin to the nearest limit, in units of it", width=9)
+    for k, name in enumerate(dict.fromkeys(trace.margin_of)):
+        nearest = np.where(trace.margin_of == name, trace.margin, np.nan)
+        axes[0, 0].plot(trace.time, nearest, color=f"C{k}", lw=1.4, label=name)
+    axes[0, 0].axhline(0, color=REFERENCE, lw=0.9)
+    axes[0, 0].set_ylabel("margin")
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
+    return _finish(figure, axes, trace)
+
+
 def paths(trace: Trace) -> Figure:
     """Paths of the base and the feet in the horizontal plane and from the side, m; references dashed."""
     figure = Figure(figsize=(9, 7), layout="constrained")
@@ -181,6 +193,7 @@ PLOTS: dict[str, Callable[[Trace], Figure]] = {
     "joints": joints,
     "base": base,
     "feet": feet,
+    "margin": margin,
     "paths": paths,
     "ball": ball,
     "flywheel": flywheel,

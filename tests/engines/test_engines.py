@@ -12,8 +12,8 @@ from sweep.core.constants import GRAVITY
 from sweep.engines.mjx import Mjx
 from sweep.engines.native import Native
 from sweep.formulas import stepping
-from sweep.metrics import drives
-from sweep.metrics.outcome import Thresholds, classify
+from sweep.metrics import drives, stream
+from sweep.metrics.outcome import Thresholds, classify, margins_of
 from sweep.study.config import compose
 
 STEPS, WIDTH = 3, 12
@@ -202,7 +202,16 @@ def test_all_rollouts_of_a_batch_are_recorded_as_one_is(name, mjx, world, nomina
     assert len(every) == len(streams)
     again = every[slot]
     assert again.time == pytest.approx(one.time[24::25])
-    for field in ("qpos", "foot_force", "joint_torque", "stage"):
+    assert one.margin[-1] == pytest.approx(_watched(engine.limits, nominal, one), abs=1e-6)
+    assert one.margin[0] > 0.5
+    assert one.margin_of[-1] in {c.threshold for c in stream.timed(nominal)}
+    for field in ("qpos", "foot_force", "joint_torque", "stage", "margin"):
         assert np.array_equal(getattr(again, field), getattr(one, field)[24::25]), field
     assert all(np.array_equal(again.figures[k], one.figures[k], equal_nan=True) for k in one.figures)
     assert not len(engine.traces(*cases, streams, 10**6)[slot].time)  # not one sample is due
+
+
+def _watched(limits, case, trace):
+    """Least margin of a rollout's figures to the limits that are watched in every tick."""
+    causes = stream.timed(case)
+    return margins_of(causes, [np.asarray(trace.figures[c.figure]) for c in causes], limits)[0]

@@ -173,9 +173,8 @@ def test_only_so_many_replays_as_there_is_room_for(folder, tmp_path):
 
 def test_a_thinned_motion_has_the_states_of_its_frames():
     trace = moved()
-    thin = motion.motion(
-        replace(trace, **{name: getattr(trace, name)[2::3] for name in ("qpos", "foot_force", "stage")})
-    )
+    kept = "qpos", "foot_force", "stage", "margin", "margin_of"
+    thin = motion.motion(replace(trace, **{name: getattr(trace, name)[2::3] for name in kept}))
     again = motion.thinned(motion.motion(trace), 3)
     assert again["frames"] == thin["frames"] == 16
     assert again["step"] == pytest.approx(0.3)

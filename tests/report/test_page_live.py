@@ -18,7 +18,7 @@ from sweep.core.expressions import mask
 from sweep.report import page, replays
 from sweep.report.page.stage import Shown
 from sweep.runs import results
-from sweep.trace.motion import bodies, motion
+from sweep.trace.motion import MARGIN, bodies, motion
 
 pytestmark = [
     pytest.mark.browser,
@@ -185,6 +185,7 @@ def test_what_goes_with_a_replay_is_told_over_time(shown):
     shown.until("document.querySelectorAll('.history').length")
     titles = shown.run("[...document.querySelectorAll('.history canvas[role]')].map(e => e.getAttribute('aria-label'))")
     for words in (
+        "margin to the nearest limit",
         "force on a foot [N]",
         "way of a standing foot",
         "height of the base",
@@ -372,6 +373,17 @@ def test_bodies_are_where_mujoco_has_them(shown):
 
 
 def places_by_script(browser, told, frame):
+    return by_script(
+        browser,
+        told,
+        f"""const motion = readMotion(told, await inflate(told.states));
+            const state = stateAt(motion, {frame + 1} * motion.step);
+            return posesOf(told.bodies, state).map((pose) => Array.from(pose.pos))""",
+    )
+
+
+def by_script(browser, told, code):
+    """What `code` gives, beside the modules that read a replay, as it is `told`."""
     from sweep.report.page.script import EXPORT, IMPORT
 
     source = files("sweep.report.page")
@@ -379,9 +391,17 @@ def places_by_script(browser, told, frame):
     modules = "\n".join(EXPORT.sub("", IMPORT.sub("", (source / name).read_text())) for name in names)
     return browser.run(f"""(async () => {{ {modules}
         const told = {json.dumps(told)};
-        const motion = readMotion(told, await inflate(told.states));
-        const state = stateAt(motion, {frame + 1} * motion.step);
-        return posesOf(told.bodies, state).map((pose) => Array.from(pose.pos)) }})()""")
+        {code} }})()""")
+
+
+def test_a_margin_is_read_with_the_limit_that_it_is_to(shown):
+    trace = moved()
+    told = {**motion(trace), "bodies": bodies(trace.model)}
+    read = """const motion = readMotion(told, await inflate(told.states));
+        return [Array.from(motion.margin), motion.limits]"""
+    margin, limits = by_script(shown, told, read)
+    assert np.abs(margin - trace.margin.clip(-1)).max() <= 0.5 / MARGIN + 1e-9
+    assert limits == trace.margin_of.tolist()
 
 
 def test_on_paper_the_figures_stand(browser, folder, tmp_path):

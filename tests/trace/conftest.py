@@ -71,6 +71,8 @@ def _trace() -> Trace:
         base_target=qpos[:, 7:14] + np.array([0.01, 0, 0, 0, 0, 0, 0]),
         stage=(time > 0.5).astype(int) + (time > 0.75),
         stages=("stand", "left tripod", "right tripod"),
+        margin=np.full(FRAMES, 0.5),
+        margin_of=np.full(FRAMES, "slip_max"),
         figures={"slip_max_m": np.float32(0.001)},
     )
 

@@ -14,6 +14,7 @@ LABELS = {
     "torques": {f"leg {leg}\ntorque (N m)" for leg in range(1, 7)},
     "joints": {f"leg {leg}\nangle (deg)" for leg in range(1, 7)},
     "base": {"x (m)", "y (m)", "z (m)", "tilt (deg)"},
+    "margin": {"margin"},
     "feet": {f"leg {leg}\nheight (m)" for leg in range(1, 7)} | {"force (N)"},
     "paths": {"y (m)", "z (m)"},
     "forces": {"N/P", "friction used", "margin to\nthe cone"},

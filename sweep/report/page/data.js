@@ -79,6 +79,8 @@ import { clamp } from "./numbers.js";
  * @property {number} force_scale
  * @property {number} torque_scale 0 where no torques are kept
  * @property {number | null} torque_limit N m
+ * @property {number} margin_scale
+ * @property {string[]} limits that a margin is kept to, none where it is not
  * @property {string[]} stages
  */
 

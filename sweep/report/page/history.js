@@ -1,6 +1,6 @@
-// What goes with a replay over time: forces, torques, joints, base and slip, stages behind them, a line where the replay is.
+// What goes with a replay over time: margin, forces, torques, joints, base and slip, stages behind them, a line where the replay is.
 import { byId, element, pointerOn, sheetOf } from "./dom.js";
-import { plus, posesOf, rotated, turnOf } from "./kinematics.js";
+import { frameAt, plus, posesOf, rotated, turnOf } from "./kinematics.js";
 import { clamp, shortly, ticks } from "./numbers.js";
 
 /** @typedef {import("./kinematics.js").Model} Model */
@@ -14,6 +14,7 @@ import { clamp, shortly, ticks } from "./numbers.js";
  * @property {string} title with the unit
  * @property {Float64Array[]} lines a value for each frame; of legs in their order
  * @property {number | null} limit that the lines are held by, on both sides of zero
+ * @property {string[]} [told] what the line is of in each frame
  */
 
 const EDGE = { left: 44, right: 8, top: 20, bottom: 20 };
@@ -50,6 +51,12 @@ export function historiesOf({ model, motion }) {
     limit: motion.torqueLimit,
   }));
   const found = [
+    {
+      title: "margin to the nearest limit",
+      lines: motion.margin ? [motion.margin] : [],
+      limit: motion.margin ? 0 : null,
+      told: motion.limits,
+    },
     { title: "force on a foot [N]", lines: legs(pull), limit: null },
     { title: "way of a standing foot [m]", lines: slips(model, motion, pull), limit: null },
     { title: "height of the base [m]", lines: [over((k) => qpos[k * coordinates + free + 2])], limit: null },
@@ -141,7 +148,8 @@ export function historyView(app, to) {
     }
     pen.globalAlpha = 1;
     const { title, limit } = first.histories[k];
-    const lines = shown.flatMap(({ histories }) => histories[k]?.lines ?? []);
+    const like = shown.map(({ histories }) => histories.find((other) => other.title === title)?.lines ?? []);
+    const lines = like.flat();
     let [low, high] = [Infinity, -Infinity];
     for (const values of lines) for (const value of values) [low, high] = [Math.min(low, value), Math.max(high, value)];
     const reached = limit !== null && Math.max(-low, high) > 0.6 * limit;
@@ -168,7 +176,7 @@ export function historyView(app, to) {
     for (const at of ticks(0, total, width / 90)) pen.fillText(`${shortly(at)} s`, xOf(at, width), bottom + 4);
     pen.textAlign = "left";
     pen.fillStyle = ink;
-    pen.fillText(title, EDGE.left, 3, width - EDGE.left);
+    pen.fillText(title, EDGE.left, 3, first.histories[k].told ? width / 2 - EDGE.left : width - EDGE.left);
     if (limit !== null && reached) {
       pen.strokeStyle = ink;
       pen.setLineDash([2, 3]);
@@ -179,8 +187,8 @@ export function historyView(app, to) {
       }
       pen.stroke();
     }
-    shown.forEach(({ reel, histories }, number) => {
-      const own = histories[k]?.lines ?? [];
+    shown.forEach(({ reel }, number) => {
+      const own = like[number];
       pen.setLineDash(number ? [4, 3] : []);
       own.forEach((values, leg) => {
         pen.strokeStyle = own.length > 1 ? app.table.about.legs[leg] : ink;
@@ -197,12 +205,20 @@ export function historyView(app, to) {
   const point = (now) => {
     time = now;
     if (!box.open) return;
-    for (const { over } of panels) {
-      if (!app.visible(over)) continue;
+    panels.forEach(({ over }, k) => {
+      if (!app.visible(over)) return;
       const { pen, width, height } = sheetOf(over);
       pen.fillStyle = app.theme().ink;
       pen.fillRect(xOf(time, width) - 0.75, EDGE.top, 1.5, height - EDGE.top - EDGE.bottom);
-    }
+      const [{ reel, histories }] = shown;
+      const { told, lines } = histories[k];
+      if (!told) return;
+      const frame = frameAt(reel.motion, time);
+      pen.font = pen.font.replace(/\d+px/, "11px");
+      pen.textAlign = "right";
+      pen.textBaseline = "top";
+      pen.fillText(`${told[frame]} ${shortly(lines[0][frame])}`, width - EDGE.right, 3, width / 2);
+    });
   };
 
   const lay = () => {

@@ -35,6 +35,8 @@
  * @property {Int16Array} stage
  * @property {Float64Array | null} torque of the joints, N m, 18 a frame; of replays that were kept before, none
  * @property {number | null} torqueLimit N m
+ * @property {Float64Array | null} margin to the nearest limit; of replays that were kept before, none
+ * @property {string[]} limits which one that is in each frame
  */
 
 /**
@@ -69,22 +71,27 @@ export function readMotion(shown, buffer) {
   const coordinates = scales.length;
   const bytes = new Uint8Array(buffer);
   const states = readPlanes(bytes, frames, coordinates, 2);
-  const wide = shown.torque_scale ? 37 : 19; // feet's forces, the stage, torques
+  const torques = shown.torque_scale ? 18 : 0;
+  const margins = 19 + torques; // after feet's forces and the stage
+  const wide = margins + (shown.limits.length ? 2 : 0);
   const small = readPlanes(bytes.subarray(2 * frames * coordinates), frames, wide, 1);
   const qpos = Float64Array.from(states, (value, k) => value * scales[k % coordinates]);
   const force = new Float64Array(18 * frames);
   const stage = new Int16Array(frames);
+  const torque = torques ? new Float64Array(18 * frames) : null;
+  const margin = shown.limits.length ? new Float64Array(frames) : null;
+  const limits = [];
   for (let frame = 0; frame < frames; frame++) {
-    for (let k = 0; k < 18; k++) force[frame * 18 + k] = small[frame * wide + k] * shown.force_scale;
-    stage[frame] = small[frame * wide + 18];
+    const of = small.subarray(frame * wide, (frame + 1) * wide);
+    for (let k = 0; k < 18; k++) force[frame * 18 + k] = of[k] * shown.force_scale;
+    stage[frame] = of[18];
+    for (let k = 0; torque && k < 18; k++) torque[frame * 18 + k] = of[19 + k] * shown.torque_scale;
+    if (!margin) continue;
+    margin[frame] = of[margins] * shown.margin_scale;
+    limits.push(shown.limits[of[margins + 1]]);
   }
-  const torque = shown.torque_scale
-    ? Float64Array.from(
-        { length: 18 * frames },
-        (_, k) => small[Math.floor(k / 18) * wide + 19 + (k % 18)] * shown.torque_scale,
-      )
-    : null;
-  return { step: shown.step, frames, coordinates, qpos, force, stage, torque, torqueLimit: shown.torque_limit };
+  const torqueLimit = shown.torque_limit;
+  return { step: shown.step, frames, coordinates, qpos, force, stage, torque, torqueLimit, margin, limits };
 }
 
 /**

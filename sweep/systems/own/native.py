@@ -107,6 +107,8 @@ class Native:
                     none,
                     pose,
                     np.zeros(count, dtype=int),
+                    np.full(count, np.nan),
+                    np.full(count, ""),
                     self.stages,
                     row,
                 )
