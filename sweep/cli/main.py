@@ -1,6 +1,7 @@
 """The command line: `sweep run`, and what is done with results. Heavy imports wait until a command needs them."""
 
 import argparse
+import atexit
 import errno
 import gc
 import io
@@ -47,6 +48,7 @@ def main(argv: list[str] | None = None) -> int:
     0 done, 2 bad input, 3 invalid rows, 4 expectation not met, 5 disk, memory or workers failed, 130 interrupted.
     """
     gc.set_threshold(50_000)  # imports and tracing make a million objects, none in vain: 10 % of a start
+    atexit.register(gc.freeze)  # nor are they looked through at the end, which takes as long again
     args = list(sys.argv[1:] if argv is None else argv)
     for stream in (sys.stdout, sys.stderr):  # a terminal without our letters shows others instead
         if isinstance(stream, io.TextIOWrapper):
