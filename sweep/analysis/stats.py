@@ -34,6 +34,11 @@ class Rate:
         return self.success / self.valid if self.valid else np.nan
 
     @property
+    def sure(self) -> bool:
+        """Whether its interval says anything: one rollout is no sample."""
+        return self.valid > 1 and not np.isnan(self.low)
+
+    @property
     def invalid_share(self) -> float:
         """Invalid rollouts over all."""
         return self.invalid / self.total if self.total else 0.0
@@ -46,7 +51,7 @@ class Rate:
     def __str__(self) -> str:
         if not self.valid:
             return f"no valid rollout among {self.total:,}"
-        sure = "" if np.isnan(self.low) else f", 95 % interval {percent(self.low)} to {percent(self.high)}"
+        sure = "" if not self.sure else f", 95 % interval {percent(self.low)} to {percent(self.high)}"
         return f"{self.success:,} of {self.valid:,} succeed ({percent(self.share)}{sure}), {self.broken}"
 
 

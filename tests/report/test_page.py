@@ -95,6 +95,14 @@ def test_the_page_of_one_parameter_and_of_none(fake_engine, tmp_path):
     assert compose(one[1:]).study.name in page.render(results.read(tmp_path / "one"))
 
 
+def test_one_success_is_told_without_what_it_does_not_say(fake_engine, tmp_path, capsys):
+    assert main(["run", "scenario.expect=[]", f"out={tmp_path}"]) == 0
+    assert "1 of 1 succeed (100.0 %), 0 invalid" in capsys.readouterr().out
+    text = page.render(results.read(tmp_path))
+    assert "<h2>Figures</h2>" not in text
+    assert not re.search(r"interval \d", text)
+
+
 def test_a_refined_map_is_shown_whole(fake_engine, tmp_path):
     axes = ["study.axes.friction.num=5", "study.axes.step.num=5", "study.resolution=0.0625", "study.expect=[]"]
     assert main(["run", "study=walk_map", *axes, f"out={tmp_path}"]) == 0

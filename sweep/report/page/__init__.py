@@ -121,7 +121,7 @@ def render(
         data=Markup(data.as_json(about | ({"name": pairs.name} if pairs else {}))),
         streams=Markup("\n".join(replays.streams)),
         rate=(rate := pooled(rows, results.exp)),
-        sure=rate.total > 1 and rate.low == rate.low,
+        sure=rate.sure,
         came=str(kind_of(rows).iloc[0]).replace("_", " ") if len(rows) else "",
         watched=[
             (one.title, one.row["cause"] or one.row["outcome"]) for one in shown or () if results.exp.study.single
