@@ -187,7 +187,9 @@ def test_outcomes_are_told_by_what_holds_first():
         ("model.observe=[turn]", "model.controller = trot:policy fails: "),
         ("model.feet=[turn]", "model.feet: turn is no touch sensor"),
         ("model.durations=3", "model.durations is unknown: did you mean duration?"),
-        ("engine=mjx", "engine.name = mjx is not allowed: native"),
+        ("model.option.cone=round", "model.option.cone = 'round' is not allowed: one of pyramidal, elliptic"),
+        ("model.option.timestp=0.001", "timestp is unknown: did you mean timestep?"),
+        ("study.axes.load.path=engine.compiler", "compiler is unknown"),
         ("engine.time_step=0.001", "engine.time_step is not allowed: the model's file says"),
         ("robot.shin=1", "robot is unknown"),
         (

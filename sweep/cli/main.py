@@ -554,9 +554,10 @@ def audit_results(given: argparse.Namespace) -> int:
     if given.points < 1:
         raise InputError(f"--points = {given.points} is not allowed: at least 1")
     found = results.read(given.dir, given.where)
-    ways = names(given.ways) or [*found.exp.system.ways]
-    with app.reporting("audit", 2 * given.points * len(ways), f"{found.exp.scenario} in other ways") as report:
-        audit.run(found, given.points, ways, report)
+    ways = names(given.ways) or []
+    most = 2 * given.points * len(ways or found.exp.system.ways)
+    with app.reporting("audit", most, f"{found.exp.scenario} in other ways") as report:
+        audit.run(found, given.points, ways, report, lambda line: print(f"sweep: {line}", file=sys.stderr))
     terminal.show(tables.page_table(audit.table(found)) + "\n")
     return DONE
 

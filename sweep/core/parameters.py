@@ -41,6 +41,12 @@ def count(default: int, *, at_least: int = 0, at_most: float = math.inf) -> Any:
     return dataclasses.field(default=default, metadata={"role": "count", **bounds})
 
 
+def setting(default: float, unit: str, *, above: float = -math.inf, at_most: float = math.inf) -> Any:
+    """A number that shapes the compiled program."""
+    bounds = {"unit": unit, "above": above, "at_least": -math.inf, "at_most": at_most}
+    return dataclasses.field(default=default, metadata={"role": "setting", **bounds})
+
+
 def flag(default: bool) -> Any:
     """On or off; it shapes what is compiled."""
     return dataclasses.field(default=default, metadata={"role": "flag"})
@@ -87,7 +93,7 @@ def checked(field: "dataclasses.Field[Any]", value: Any, path: str) -> Any:
             if not isinstance(value, bool):
                 raise InputError(f"{path} = {value!r} is not allowed: true or false")
             return value
-        case "quantity" | "count":
+        case "quantity" | "count" | "setting":
             return _checked_number(field, value, path)
         case _:
             return value

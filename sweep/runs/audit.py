@@ -7,6 +7,7 @@ like any other.
 
 from collections.abc import Iterator
 from dataclasses import asdict, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,13 +18,17 @@ from sweep.core.errors import InputError
 from sweep.runs import runner, store
 from sweep.runs.results import Results
 from sweep.study.config import Experiment, experiment
-from sweep.study.study import parameter_columns, with_settings
+from sweep.study.study import Say, parameter_columns, with_settings
+from sweep.systems.base import Way
 
 AUDIT = "audit"
 
 
-def run(results: Results, number: int, ways: list[str], progress: runner.Progress) -> None:
-    """Simulate rollouts again in all `ways`, up to `number` of each of the `samples`. Raises `InputError`."""
+def run(results: Results, number: int, ways: list[str], progress: runner.Progress, say: Say | None = None) -> None:
+    """Simulate rollouts again in all `ways`, up to `number` of each of the `samples`. Raises `InputError`.
+
+    Without any in all that there are; those in which they cannot be simulated are then left out, and `say` is told why.
+    """
     known = results.exp.system.ways
     for way in ways:
         if way not in known:
@@ -37,16 +42,30 @@ def run(results: Results, number: int, ways: list[str], progress: runner.Progres
     kept = [c for c in points if "." in str(c) and not str(c).startswith("engine.")]
     points = points[[*kept, "replicate", "stream", "point_id"]].reset_index(drop=True)
     folder = results.folder / AUDIT
-    for way in ways:
-        settings = replace(
-            exp.system.ways[way].change(exp.settings), width=0
-        )  # so few rollouts have a width of their own
-        study = {**exp.values["study"], "keep": []}
-        values = {**exp.values, "study": study, "engine": asdict(settings), "out": str(folder / way)}
-        again = experiment(values)
-        with store.locked(folder / way):
-            runner.mend(again, folder / way)
-            runner.run(runner.lay_out(again, folder / way, points), progress)
+    for name in ways or known:
+        try:
+            _again(exp, known[name], points, folder / name, progress)
+        except InputError as error:
+            if ways:
+                raise
+            if say:
+                say(f"audit: {name} is left out: {error}")
+
+
+def _again(exp: Experiment, way: Way, points: pd.DataFrame, folder: Path, progress: runner.Progress) -> None:
+    settings = replace(way.change(exp.settings), width=0)  # so few rollouts have a width of their own
+    changed = {}
+    for path, change in way.columns.items():
+        column = f"world.{path}" if f"world.{path}" in points else path
+        values = points[column] if column in points else pd.Series(exp.system.nominal(path, settings), points.index)
+        changed[column] = values.map(change)
+    study = {**exp.values["study"], "keep": []}
+    again = experiment({**exp.values, "study": study, "engine": asdict(settings), "out": str(folder)})
+    table = points.assign(**changed)
+    again.system.check(table, settings)
+    with store.locked(folder):
+        runner.mend(again, folder)
+        runner.run(runner.lay_out(again, folder, table), progress)
 
 
 def one_engine(results: Results) -> Experiment:

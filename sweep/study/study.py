@@ -30,7 +30,7 @@ from sweep.systems.base import Parameter, System, Values
 if TYPE_CHECKING:
     import pandas as pd
 
-DTYPES = {"quantity": "float64", "count": "int64", "choice": "str"}
+DTYPES = {"quantity": "float64", "setting": "float64", "count": "int64", "choice": "str"}
 Say = Callable[[str], None]
 
 

@@ -6,6 +6,7 @@ into, engines that take those, figures by column, and causes by name.
 
 import dataclasses
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self
 
 import numpy as np
@@ -27,7 +28,8 @@ class Way(NamedTuple):
     """A way to simulate that should make no difference, see `sweep audit`."""
 
     words: str
-    change: Callable[[EngineSettings], EngineSettings]
+    change: Callable[[EngineSettings], EngineSettings] = lambda settings: settings
+    columns: Mapping[str, Callable[[Any], Any]] = MappingProxyType({})  # other values of parameters, of each row's own
 
 
 class System(Protocol):

@@ -41,7 +41,7 @@ RANDOM: dict[str, float | str] = {
 }
 RANDOM["control.calibrate"] = "none"
 WAYS = {
-    "again": Way("as before, in batches of another width", lambda s: s),
+    "again": Way("as before, in batches of another width"),
     "half_step": Way(
         "half the time step",
         lambda s: replace(s, time_step=s.time_step / 2, native_time_step=s.native_time_step / 2),

@@ -5,8 +5,10 @@ Paths are `model.<kind>.<name>.<field>[.component]` (see `fields`), `noise.white
 """
 
 import dataclasses
+import functools
 import hashlib
 import math
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -17,18 +19,28 @@ import numpy as np
 from sweep.core import provenance
 from sweep.core.errors import InputError, suggest
 from sweep.core.parameters import build, checked, quantity
-from sweep.engines.base import Engine
+from sweep.engines import run_id
 from sweep.engines.settings import EngineSettings
 from sweep.systems.base import Kinds, Nominal, Parameter, Values, Way, by_side, side_and_path
 from sweep.systems.own import fields, figures, files, outcome
-from sweep.systems.own.native import Native, substeps
+from sweep.systems.own.engine import Loop, substeps
 from sweep.systems.own.outcome import Condition
 from sweep.systems.own.subject import About, Noise, Side, Subject
 
 if TYPE_CHECKING:
     import pandas as pd
 
-SET = ("name", "width", "control_period")  # what an own model's engine has of the settings
+SET = ("name", "width", "control_period", "precision")  # what an own model's engine has of the settings
+WAYS = {
+    "again": Way("as before, in batches of another width"),
+    "half_step": Way("half the time step", columns={"model.option.timestep": lambda step: step / 2}),
+    "float64": Way("in double precision", lambda s: replace(s, precision="float64")),
+    "other_engine": Way("on the other engine", lambda s: replace(s, name="native" if s.name == "mjx" else "mjx")),
+    "other_cone": Way(
+        "with the other friction cone",
+        columns={"model.option.cone": lambda cone: "elliptic" if cone == "pyramidal" else "pyramidal"},
+    ),
+}
 
 
 @dataclass(frozen=True)
@@ -56,7 +68,7 @@ class Own(Subject):
     @property
     def ways(self) -> dict[str, Way]:
         """See `System`."""
-        return {"again": Way("as before, in batches of another width", lambda s: s)}
+        return WAYS
 
     def words(self, settings: EngineSettings) -> dict[str, str]:
         """See `System`."""
@@ -68,7 +80,10 @@ class Own(Subject):
         path = side_and_path(column)[1]
         root, _, name = path.partition(".")
         if root == "engine":
-            raise InputError(f"axis {column} cannot be varied: an own model has the engine native alone")
+            if name not in SET or name == "control_period":
+                near = suggest(name, ("name", "precision"))
+                raise InputError(f"axis {column} names nothing: {name} is unknown{near}")
+            return next(field for field in dataclasses.fields(EngineSettings) if field.name == name)
         if root == "noise":
             known = {f.name: f for f in dataclasses.fields(Noise)}
             if name not in known:
@@ -86,7 +101,8 @@ class Own(Subject):
 
     def nominal(self, column: str, settings: EngineSettings) -> Any:
         """See `System`."""
-        return self.parameter(column, settings).default
+        root, _, name = column.partition(".")
+        return getattr(settings, name) if root == "engine" else self.parameter(column, settings).default
 
     def inputs(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
         """See `System`: the model as a whole, and what is varied of it."""
@@ -101,8 +117,13 @@ class Own(Subject):
         yield from ((path, self._default(path)) for path in paths if path.startswith("model."))
 
     def check(self, table: "pd.DataFrame", settings: EngineSettings) -> None:
-        """See `System`: whether the controller is one, too."""
-        Native(self, settings)
+        """See `System`: whether the controller is one, and the engine one for the model, too."""
+        shaping = [c for c in table if "." in c and self.parameter(c, settings).metadata["role"] != "quantity"]
+        for values in table[shaping].drop_duplicates().to_dict("records") if shaping else [{}]:
+            ways = {c.removeprefix("engine."): value for c, value in values.items() if c.startswith("engine.")}
+            made = self.engine(replace(settings, **ways), *self.sides(values), limits=None)
+            for line in made.cautions():
+                _say_once(f"sweep: note: {line}")
 
     def random(self, rows: "pd.DataFrame", settings: EngineSettings) -> np.ndarray:
         """See `System`: a controller may draw, too."""
@@ -119,17 +140,21 @@ class Own(Subject):
         longest = max([self.noise["noise.delay"], *(table[c].max() for c in columns)])
         return replace(self, room=math.ceil(longest))
 
-    def engine(self, settings: EngineSettings, world: Side, belief: Side, limits: Any) -> Engine:
+    def engine(self, settings: EngineSettings, world: Side, belief: Side, limits: Any) -> Loop:
         """See `System`."""
-        return Native(self, settings)
+        model = world.of("model")
+        shared = {path: value for path, value in model.items() if path not in fields.by_rollout(self.model, model)}
+        own = replace(self, about=replace(self.about, option=(*self.about.option, *shared.items())))
+        return _class(settings.name)(own, settings)
 
     def device(self, settings: EngineSettings) -> str:
         """See `System`."""
-        return f"cpu, {provenance.processor()}"
+        return run_id.device(settings)
 
     def run_id(self, settings: EngineSettings) -> str:
-        """See `System`: nothing of width or threads changes bits."""
-        here = (replace(settings, width=0), self.device(settings), provenance.code_version(), _content(self))
+        """See `System`: on native nothing of width or threads changes bits."""
+        told = replace(settings, width=0) if settings.name == "native" else settings
+        here = (told, self.device(settings), provenance.code_version(), _content(self))
         return hashlib.blake2b(repr(here).encode(), digest_size=6).hexdigest()
 
     def judge(
@@ -150,6 +175,21 @@ class Own(Subject):
         return self.causes.get(str(row["cause"]), "")
 
 
+def _class(engine: str) -> type[Loop]:
+    if engine == "native":
+        from sweep.systems.own.native import Native
+
+        return Native
+    from sweep.systems.own.mjx import Mjx  # slow to import
+
+    return Mjx
+
+
+@functools.cache
+def _say_once(line: str) -> None:
+    print(line, file=sys.stderr)
+
+
 def nominal(values: Mapping[str, Any], kinds: Kinds) -> Nominal:
     """See `sweep.systems.nominal`."""
     given = {**values["model"]}
@@ -157,11 +197,10 @@ def nominal(values: Mapping[str, Any], kinds: Kinds) -> Nominal:
         if isinstance(given.get(key, ()), str) or not all(isinstance(one, str) for one in given.get(key, ())):
             raise InputError(f"model.{key} = {given[key]!r} is not allowed: a list of names")
         given[key] = tuple(given.get(key, ()))
+    given["option"] = _options(given.get("mjcf", ""), given.get("option") or {})
     about = build(About, {key: value for key, value in given.items() if value is not None}, "model")
     noise = build(Noise, values.get("noise") or {}, "noise")
     settings = build(EngineSettings, values["engine"], "engine")
-    if settings.name != "native":
-        raise InputError(f"engine.name = {settings.name} is not allowed: native, which is what an own model runs on")
     usual = EngineSettings()
     for field in dataclasses.fields(usual):
         if field.name not in SET and getattr(settings, field.name) != getattr(usual, field.name):
@@ -188,6 +227,14 @@ def nominal(values: Mapping[str, Any], kinds: Kinds) -> Nominal:
     about = replace(about, content=about.content or _content(own))
     told = {"model": {**values["model"], "content": about.content}}
     return Nominal(replace(own, about=about), replace(settings, control_period=about.period), conditions, told)
+
+
+def _options(mjcf: str, given: Any) -> tuple[tuple[str, Any], ...]:
+    """What a configuration's `model.option` says, by path, checked."""
+    if not isinstance(given, Mapping):
+        raise InputError(f"model.option = {given!r} is not allowed: names and values, such as {{cone: elliptic}}")
+    model, paths = files.model(mjcf), {f"model.option.{name}": value for name, value in given.items()}
+    return tuple((path, checked(fields.parameter(model, path), value, path)) for path, value in paths.items())
 
 
 def _content(own: Own) -> str:

@@ -6,6 +6,7 @@ tolerance.
 """
 
 from collections.abc import Mapping
+from copy import copy
 from typing import Any, NamedTuple
 
 import mujoco
@@ -13,7 +14,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from sweep.core.errors import InputError, suggest
-from sweep.core.parameters import quantity
+from sweep.core.parameters import choice, count, quantity, setting
 from sweep.systems.base import Parameter
 
 XYZ = ("x", "y", "z")
@@ -86,15 +87,52 @@ OPTIONS = {
     "density": Numbers("opt.density", "kg/m^3", 0.0),
     "viscosity": Numbers("opt.viscosity", "Pa s", 0.0),
     "impratio": Numbers("opt.impratio", "", 1e-9),
+    "tolerance": Numbers("opt.tolerance", "", 0.0),
+    "ls_tolerance": Numbers("opt.ls_tolerance", "", 0.0),
 }
+CHOSEN = {"cone": mujoco.mjtCone, "integrator": mujoco.mjtIntegrator, "solver": mujoco.mjtSolver}
+COUNTED = {"iterations": 1, "ls_iterations": 1, "noslip_iterations": 0}  # with the least of them
+TIMESTEP = "timestep"
+MJCF = {name.upper(): name for name in ("Euler", "RK4", "PGS", "CG", "Newton")}  # words that are not in small letters
 SERVO = {"kp": ((0, 1.0), (1, -1.0)), "kv": ((2, -1.0),)}  # of gainprm's first, of biasprm; both, or its target scales
 
 
 def parameter(model: mujoco.MjModel, path: str) -> Parameter:
-    """The number that `path` names, at its nominal value. Raises `InputError`."""
+    """The number or the choice that `path` names, at its nominal value. Raises `InputError`."""
+    if (name := _setting(path)) in CHOSEN:
+        words = _words(CHOSEN[name])
+        return choice(next(word for word, kind in words.items() if kind == getattr(model.opt, name)), *words)
+    if name in COUNTED:
+        return count(getattr(model.opt, name), at_least=COUNTED[name], at_most=10_000)
+    if name == TIMESTEP:
+        return setting(model.opt.timestep, "s", above=0, at_most=0.1)
     numbers, places = _resolved(model, path)
-    value = places[0].sign * float(_whole(model, numbers.field).flat[places[0].flat])
+    value = places[0].sign * float(whole(model, numbers.field).flat[places[0].flat])
     return quantity(value, numbers.unit, at_least=numbers.at_least)
+
+
+def by_rollout(model: mujoco.MjModel, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Of `values` by path those in which the models of a batch may differ."""
+    return {path: value for path, value in values.items() if parameter(model, path).metadata["role"] == "quantity"}
+
+
+def with_options(model: mujoco.MjModel, values: Mapping[str, Any]) -> mujoco.MjModel:
+    """A copy of a model with other options, by path; of vectors none."""
+    changed = copy(model)
+    for path, value in values.items():
+        name = _setting(path)
+        setattr(changed.opt, name, _words(CHOSEN[name])[value] if name in CHOSEN else value)
+    return changed
+
+
+def _setting(path: str) -> str:
+    return path.removeprefix(f"{ROOT}.{OPTION}.")
+
+
+def _words(kinds: Any) -> dict[str, int]:
+    """The members of one of MuJoCo's enumerations by the words for them in MJCF: `mjINT_EULER` is `Euler`."""
+    names = {str(name).partition("_")[2]: int(kind) for name, kind in kinds.__members__.items()}
+    return {MJCF.get(name, name.lower()): number for name, number in names.items()}
 
 
 def write(batch: Batch, values: Mapping[str, Any]) -> None:
@@ -117,7 +155,8 @@ def _resolved(model: mujoco.MjModel, path: str) -> tuple[Numbers, list[Place]]:
     if root != ROOT or kind not in kinds:
         raise _nothing(path, f"{kind or root} is unknown{suggest(kind or root, kinds)}")
     if kind == OPTION:
-        return _component(path, OPTIONS, rest, lambda name: (np.size(_whole(model, name)), 0))
+        varied = OPTIONS | {name: Numbers(f"opt.{name}", names=("",)) for name in (*CHOSEN, *COUNTED, TIMESTEP)}
+        return _component(path, varied, rest, lambda name: (np.size(whole(model, name)), 0))
     known = _names(model, kind)
     name = max((n for n in known if rest == n or rest.startswith(f"{n}.")), key=len, default=None)
     if name is None:
@@ -183,5 +222,6 @@ def _names(model: mujoco.MjModel, kind: str) -> dict[str, int]:
     return {name: k for name, k in found if name}
 
 
-def _whole(model: mujoco.MjModel, field: str) -> np.ndarray:
+def whole(model: mujoco.MjModel, field: str) -> np.ndarray:
+    """A field of a model by the name that `mujoco.batch` has for it."""
     return np.asarray(getattr(model.opt, field[4:]) if field.startswith("opt.") else getattr(model, field))

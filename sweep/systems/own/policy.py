@@ -27,6 +27,11 @@ def _each(function: Callable[..., Any], *rows: Any) -> Any:
     return jax.lax.map(lambda row: function(*row), rows)
 
 
+def _drawn(key: Array, like: Array) -> Array:
+    """Normal numbers, the same in any precision."""
+    return jax.random.normal(key, like.shape, jnp.float32).astype(like.dtype)
+
+
 class Programs:
     """`begin` and `policy` for any number of rollouts. Raises `InputError` where they are no such functions.
 
@@ -41,22 +46,25 @@ class Programs:
         self._begin = begin or (lambda belief, key: (None, (), None))
         self._policy = policy
         self._check(belief, *sizes)
-        self.first, self.enter = (jax.jit(partial(_each, one)) for one in (self._first, self._enter))
-        self.tick = jax.jit(partial(_each, self._tick), donate_argnums=(1,))
+        self.first, self.enter = (jax.jit(partial(_each, one)) for one in (self.begin_one, self.enter_one))
+        self.tick = jax.jit(partial(_each, self.tick_one), donate_argnums=(1,))
 
-    def _first(self, given: Mapping[str, Any]) -> tuple[Any, Any, Any]:
+    def begin_one(self, given: Mapping[str, Any]) -> tuple[Any, Any, Any]:
+        """Start, state and duration of one rollout."""
         return self._begin(given["belief"], jax.random.fold_in(jax.random.wrap_key_data(given["key"]), 0))
 
-    def _enter(self, given: Mapping[str, Any], state: Any, seen: Array) -> dict[str, Any]:
+    def enter_one(self, given: Mapping[str, Any], state: Any, seen: Array) -> dict[str, Any]:
+        """What one rollout carries from tick to tick, of its `state` and what is seen (k,) at first."""
         key = jax.random.fold_in(jax.random.wrap_key_data(given["key"]), 1)
-        bias = given["bias"] * jax.random.normal(key, seen.shape)
+        bias = given["bias"] * _drawn(key, seen)
         return {"state": state, "late": jnp.tile(seen, (self._room + 1, 1)), "bias": bias, "tick": jnp.int32(0)}
 
-    def _tick(self, given: Mapping[str, Any], carried: Any, seen: Array) -> tuple[Array, Any]:
+    def tick_one(self, given: Mapping[str, Any], carried: Any, seen: Array) -> tuple[Array, Any]:
+        """Controls (nu,) of one rollout, and what it carries on, after what is seen (k,)."""
         tick = carried["tick"]
         own, noise = jax.random.split(jax.random.fold_in(jax.random.wrap_key_data(given["key"]), 2 + tick))
         late = jnp.concatenate([seen[None], carried["late"][:-1]])
-        told = late[given["delay"]] + carried["bias"] + given["white"] * jax.random.normal(noise, seen.shape)
+        told = late[given["delay"]] + carried["bias"] + given["white"] * _drawn(noise, seen)
         ctrl, state = self._policy(given["belief"], told, carried["state"], own)
         return ctrl, {**carried, "state": state, "late": late, "tick": tick + 1}
 

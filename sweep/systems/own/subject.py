@@ -24,6 +24,7 @@ class About:
     keyframe: str = ""  # that it starts from; else the model's own pose
     observe: tuple[str, ...] = ()  # qpos, qvel, or sensors by name; none are all sensors, of a model without any both
     feet: tuple[str, ...] = ()  # touch sensors, whose sites' slips are measured
+    option: tuple[tuple[str, Any], ...] = ()  # of MuJoCo's other than the file's, by path: how it is simulated
     content: str = ""  # digest of model and controller, set by the first run
 
 
@@ -58,8 +59,8 @@ class Subject:
 
     @cached_property
     def model(self) -> mujoco.MjModel:
-        """As MuJoCo compiles it."""
-        return files.model(self.about.mjcf)
+        """As MuJoCo compiles it, with the configuration's options."""
+        return fields.with_options(files.model(self.about.mjcf), dict(self.about.option))
 
     @cached_property
     def controller(self) -> files.Controller:
@@ -94,7 +95,7 @@ class Subject:
             raise InputError(f"model.{key}: {name} is unknown{suggest(name, [*known, 'qpos', 'qvel'])}")
         return number
 
-    def observed(self, qpos: np.ndarray, qvel: np.ndarray, sensors: np.ndarray) -> np.ndarray:
+    def observed(self, qpos: Any, qvel: Any, sensors: Any) -> Any:
         """What the controller would be told (n, k) without errors."""
         names = self.about.observe or (() if self.model.nsensordata else ("qpos", "qvel"))
         if not names:
@@ -107,7 +108,7 @@ class Subject:
                 number = self._sensor("observe", name)
                 first = self.model.sensor_adr[number]
                 parts.append(sensors[:, first : first + self.model.sensor_dim[number]])
-        return np.concatenate(parts, axis=1)
+        return figures.namespace(qpos).concatenate(parts, axis=1)
 
     @property
     def seen(self) -> int:

@@ -1,0 +1,75 @@
+"""Rollouts of an own model as they begin: models of their own, what their controllers are given, and poses."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from mujoco.batch import MODEL_FIELDS, Batch
+
+from sweep.engines.settings import EngineSettings
+from sweep.systems.own import fields
+from sweep.systems.own.policy import keys
+from sweep.systems.own.subject import Side, Subject
+
+NUMBERS = {"float32": np.float32, "float64": np.float64}  # what controllers reckon in, by `engine.precision`
+LIMITS = "actuator_forcerange", "jnt_range"
+
+
+class Begun(NamedTuple):
+    """n rollouts at their first tick."""
+
+    batch: Batch  # at the keyframe
+    qpos: np.ndarray  # (n, nq), of the batch: what is written here is where it goes on from
+    qvel: np.ndarray  # (n, nv), likewise
+    sensors: np.ndarray  # (n, nsensordata), likewise
+    given: dict[str, Any]  # to the controllers, by row
+    mass: np.ndarray  # (n,) kg
+    limits: dict[str, np.ndarray]  # by field, (n, ..., 2)
+
+    def pose(self, start: np.ndarray | None) -> None:
+        """Begin at positions (n, nq) rather than at the keyframe, if there are any."""
+        if start is not None:
+            self.qpos[:] = start
+            self.batch.forward()
+
+
+def begin(own: Subject, settings: EngineSettings, world: Side, belief: Side, streams: np.ndarray) -> Begun:
+    """Rollouts of a batch of two sides."""
+    n, number = len(streams), NUMBERS[settings.precision]
+    batch = Batch(own.model, n)
+    qpos, qvel, sensors = (batch.bind(name) for name in ("qpos", "qvel", "sensordata"))
+    # bound before the reset: what is bound after it is zero until the next call
+    varied = fields.by_rollout(own.model, world.of("model"))
+    fields.write(batch, {path: np.broadcast_to(value, (n,)) for path, value in varied.items()})
+    batch.reset(keyframe=own.keyframe)
+    noise = {**own.noise, **world.of("noise")}
+    told = own.told({**belief.of("model"), **belief.of("controller")})
+    given = {
+        "belief": {name: np.broadcast_to(number(value), (n,)) for name, value in told.items()},
+        "delay": np.broadcast_to(np.rint(noise["noise.delay"]).astype(np.int32), (n,)),
+        **{name: np.broadcast_to(number(noise[f"noise.{name}"]), (n,)) for name in ("white", "bias")},
+        "key": keys(streams),
+    }
+    mass = expanded(batch, "body_mass").sum(axis=1)
+    return Begun(batch, qpos, qvel, sensors, given, mass, {name: expanded(batch, name) for name in LIMITS})
+
+
+def ticks(own: Subject, duration: np.ndarray | None, n: int) -> np.ndarray:
+    """Control ticks of each of n rollouts, whose controllers may end them early (s)."""
+    longest = own.about.duration
+    seconds = np.full(n, longest) if duration is None else np.minimum(duration, longest)
+    return np.rint(seconds / own.about.period).astype(int)
+
+
+def expanded(batch: Batch, name: str) -> np.ndarray:
+    """A field of every model (n, ...), whether they differ in it or not; what follows from others, too."""
+    same = fields.whole(batch.model, name)
+    rows = batch._expanded.get(name) if name.startswith("opt.") else batch._expanded_values(name)
+    return np.broadcast_to(same, (batch.nsim, *same.shape)) if rows is None else rows
+
+
+def differing(batch: Batch) -> dict[str, np.ndarray]:
+    """The fields in which a batch's models differ from its own, (n, ...)."""
+    model = batch.model
+    usual = {name: fields.whole(model, name) for name in sorted(MODEL_FIELDS)}
+    rows = {name: expanded(batch, name) for name, values in usual.items() if values.dtype.kind == "f"}
+    return {name: values for name, values in rows.items() if (values != usual[name]).any()}

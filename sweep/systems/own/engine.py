@@ -1,0 +1,127 @@
+"""What engines for own models have in common: from figures and frames of a batch to histories and traces."""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from sweep.core.errors import InputError
+from sweep.engines import devices
+from sweep.engines.base import Figures, Trace, Watch
+from sweep.engines.settings import EngineSettings
+from sweep.systems.own.batch import NUMBERS
+from sweep.systems.own.outcome import STAGE
+from sweep.systems.own.policy import Programs
+from sweep.systems.own.subject import Side, Subject
+
+
+class Frame(NamedTuple):
+    """What is recorded at the end of a tick, of some rollouts."""
+
+    time: float
+    qpos: np.ndarray
+    qvel: np.ndarray
+    ctrl: np.ndarray
+    force: np.ndarray
+
+
+class Loop:
+    """An `Engine`, but for `dynamics` and for the way from one tick to the next. Raises `InputError`."""
+
+    stages: tuple[str, ...] = (STAGE,)
+    dynamics: str
+    devices = 1  # threads share it
+    width: int
+
+    def __init__(self, own: Subject, settings: EngineSettings):
+        devices.configure()
+        self._own, self._settings, self._model = own, settings, own.model
+        self.duration = own.about.duration
+        self._substeps = substeps(self._model, own.about.period)
+        control, number = own.controller, NUMBERS[settings.precision]
+        belief = {name: number(value) for name, value in own.told({}).items()}
+        sizes = own.seen, self._model.nu, self._model.nq
+        with devices.precision(settings):
+            self._programs = Programs(own.about.controller, control.begin, control.policy, belief, sizes, own.room)
+
+    def cautions(self) -> Iterator[str]:
+        """What is to be known of it before it runs, each a line."""
+        return iter(())
+
+    def rollout_bytes(self) -> None:
+        """See `Engine`."""
+        return None
+
+    def run(self, world: Side, belief: Side, streams: np.ndarray) -> Figures:
+        """See `Engine`."""
+        return self._simulate(world, belief, streams)[0]
+
+    def histories(
+        self, world: Side, belief: Side, streams: np.ndarray, slots: np.ndarray, watch: Watch
+    ) -> tuple[Figures, np.ndarray]:
+        """See `Engine`."""
+        found, frames = self._simulate(world, belief, streams, slots, watch.every)
+        columns = [self._own.record(frame.qpos, frame.qvel) for frame in frames]
+        samples = [np.stack([one[name] for name in watch.columns], axis=-1) for one in columns]
+        return found, np.stack(samples) if samples else np.zeros((0, len(slots), len(watch.columns)))
+
+    def trace(self, world: Side, belief: Side, streams: np.ndarray, slot: int) -> Trace:
+        """See `Engine`."""
+        return self._traces(world, belief, streams, np.array([slot]), 1)[0]
+
+    def traces(self, world: Side, belief: Side, streams: np.ndarray, every: int) -> list[Trace]:
+        """See `Engine`."""
+        return self._traces(world, belief, streams, np.arange(len(streams)), every)
+
+    def _traces(self, world: Side, belief: Side, streams: np.ndarray, slots: np.ndarray, every: int) -> list[Trace]:
+        found, frames = self._simulate(world, belief, streams, slots, every)
+        time = np.array([frame.time for frame in frames])
+        traces = []
+        for k, slot in enumerate(slots):
+            row = {name: values[slot] for name, values in found.items()}
+            within = time <= row["duration_s"] + self._own.about.period / 2
+            qpos, qvel, ctrl, force = (
+                np.stack([one[k] for one in values])[within] for values in zip(*(f[1:] for f in frames), strict=True)
+            )
+            count, none = int(within.sum()), np.zeros((int(within.sum()), 0, 3))
+            base = self._own.base
+            pose = np.tile([0.0, 0, 0, 1, 0, 0, 0], (count, 1)) if base is None else qpos[:, base : base + 7]
+            traces.append(
+                Trace(
+                    world,
+                    belief,
+                    self._model,
+                    time[within],
+                    qpos,
+                    qvel,
+                    ctrl,
+                    force,
+                    none,
+                    none,
+                    none,
+                    pose,
+                    np.zeros(count, dtype=int),
+                    np.full(count, np.nan),
+                    np.full(count, ""),
+                    self.stages,
+                    row,
+                )
+            )
+        return traces
+
+    def _simulate(
+        self, world: Side, belief: Side, streams: np.ndarray, slots: np.ndarray | None = None, every: int = 1
+    ) -> tuple[Figures, list[Frame]]:
+        """Figures of a batch, and frames of the rollouts in `slots` at one in `every` ticks."""
+        raise NotImplementedError
+
+
+def substeps(model: mujoco.MjModel, period: float) -> int:
+    """Physics steps of a tick. Raises `InputError` where they are not a whole number."""
+    steps = period / model.opt.timestep
+    if round(steps) < 1 or abs(steps - round(steps)) > 1e-6:
+        raise InputError(
+            f"model.period = {period:g} is not allowed: a multiple of {model.opt.timestep:g} s, the model's time step"
+        )
+    return round(steps)

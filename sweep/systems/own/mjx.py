@@ -1,0 +1,188 @@
+"""An own model on MJX: controllers, physics and figures of a tick in one program of XLA's, on a CPU or a GPU.
+
+What follows from varied numbers is worked out by C MuJoCo: every field in which its models differ is a leaf of MJX's
+model with a row for each rollout.
+"""
+
+import io
+from collections.abc import Iterator, Mapping
+from contextlib import redirect_stdout
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from jaxtyping import Array
+
+from sweep.core.errors import InputError
+from sweep.engines import devices
+from sweep.engines.base import Figures
+from sweep.engines.settings import EngineSettings
+from sweep.systems.own import batch, fields, figures
+from sweep.systems.own.engine import Frame, Loop
+from sweep.systems.own.subject import Side, Subject
+
+with redirect_stdout(io.StringIO()):  # it prints which of its parts are not installed
+    from mujoco import mjx
+
+CARRIED = "qpos", "qvel", "act", "qacc_warmstart", "time"  # of its data, from step to step
+INNER = ("actuator_velocity",)
+SHAPING = "dof_frictionloss", "tendon_frictionloss", "opt.density", "opt.viscosity", "opt.wind"  # by whether they are 0
+RUBBING, LEAST = SHAPING[:2], 1e-9  # where a program has friction, MJX takes a joint with none for one that is held
+# fields that MJX has none of, so that it would do without them in silence, by the words for them
+IGNORED = {
+    "opt.noslip_iterations": "noslip_iterations",
+    "geom_adhesion": "adhesion of geoms",
+    "pair_adhesion": "adhesion of pairs",
+    "geom_surfacevel": "surface velocities",
+    "actuator_damping": "damping of actuators",
+    "actuator_dampingpoly": "damping of actuators",
+    "actuator_armature": "armature of actuators",
+    "actuator_delay": "delay of actuators",
+    "sensor_delay": "delay of sensors",
+    "plugin": "plugins",
+}
+INSTEAD = {  # by a part of what MJX says
+    "collisions not implemented": "other shapes, or geoms that do not collide",
+    "mjINT": "model.option.integrator=implicitfast or Euler",
+    "mjSOL": "model.option.solver=Newton or CG",
+    "mjENBL": "no such flag in its file",
+    "fluid drag": "model.option.integrator=Euler",
+    "Contact sensor": "other sensors",
+}
+
+
+class Mjx(Loop):
+    """See `Engine`. Raises `InputError` where MJX cannot simulate the model, or would leave a part of it out."""
+
+    dynamics = "mjx"
+
+    def __init__(self, own: Subject, settings: EngineSettings):
+        super().__init__(own, settings)
+        self.width = settings.width or devices.default_width()
+        self._meter = figures.Meter(self._model, own.base, own.feet)
+        with devices.precision(settings):
+            check(self._model)
+        self._tick = jax.jit(self._ticked, donate_argnums=6)
+
+    def cautions(self) -> Iterator[str]:
+        """See `Loop`: where MJX is known to part from C MuJoCo."""
+        model = self._model
+        damped = model.actuator_biasprm[:, 2] != 0
+        limited = (model.actuator_forcelimited | model.actuator_ctrllimited).astype(bool)
+        if model.opt.integrator == int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST) and (damped & limited).any():
+            yield (
+                "mjx damps actuators at a limit in an implicitfast step, C MuJoCo does not: the two differ there, and "
+                "agree with model.option.integrator=Euler"
+            )
+
+    @devices.memory()
+    def _simulate(
+        self, world: Side, belief: Side, streams: np.ndarray, slots: np.ndarray | None = None, every: int = 1
+    ) -> tuple[Figures, list[Frame]]:
+        own, n, frames = self._own, len(streams), []
+        with devices.precision(self._settings):
+            begun = batch.begin(own, self._settings, world, belief, streams)
+            given = jax.device_put(begun.given)
+            start, state, duration = jax.jit(jax.vmap(self._programs.begin_one))(given)
+            begun.pose(None if start is None else np.asarray(start))
+            seen = own.observed(begun.qpos, begun.qvel, begun.sensors)
+            ticks = batch.ticks(own, None if duration is None else np.asarray(duration), n)
+            template, data, leaves = put(own, begun)
+            now = {name: jnp.broadcast_to(getattr(data, name), (n, *getattr(data, name).shape)) for name in CARRIED}
+            now |= {"qpos": jnp.asarray(begun.qpos, float), "qvel": jnp.asarray(begun.qvel, float)}
+            carry = {
+                "now": now,
+                "sofar": self._meter.start(now["qpos"]),
+                "carried": jax.jit(jax.vmap(self._programs.enter_one))(given, state, jnp.asarray(seen, float)),
+                "seen": jnp.asarray(seen, float),
+                "wrong": jnp.zeros(n, bool),
+            }
+            carry = jax.tree.map(jnp.copy, carry)  # its buffers are given away, and some are there twice
+            limits = {name: jnp.asarray(rows, float) for name, rows in begun.limits.items()}
+            for k in range(int(ticks.max(initial=0))):
+                carry, last = self._tick(template, data, leaves, given, limits, k < ticks, carry)
+                if slots is not None and (k + 1) % every == 0:
+                    frames.append(Frame((k + 1) * own.about.period, *(np.asarray(x)[slots] for x in last)))
+        wrong = np.asarray(carry["wrong"])
+        return self._meter.figures(carry["sofar"], begun.mass, wrong, np.zeros(n, bool)), frames
+
+    def _ticked(
+        self,
+        template: Any,
+        data: Any,
+        leaves: Mapping[str, Array],
+        given: Mapping[str, Any],
+        limits: Mapping[str, Array],
+        going: Array,
+        carry: Mapping[str, Any],
+    ) -> tuple[dict[str, Any], tuple[Array, ...]]:
+        """What goes on, and positions, velocities, controls and forces (n, ...) at the end of a tick."""
+        ctrl, carried = jax.vmap(self._programs.tick_one)(given, carry["carried"], carry["seen"])
+        wrong = carry["wrong"] | going & ~jnp.isfinite(ctrl).all(axis=1)
+        ctrl = jnp.nan_to_num(ctrl)
+
+        def one(rows: Mapping[str, Array], now: Mapping[str, Array], ctrl: Array) -> tuple[Any, Any]:
+            after = mjx.step(with_leaves(template, rows), data.replace(**now, ctrl=ctrl))
+            told = {name: getattr(after._impl if name in INNER else after, name) for name in figures.STEPS}
+            return {name: getattr(after, name).astype(now[name].dtype) for name in CARRIED}, told
+
+        def step(state: Any, _: None) -> tuple[Any, None]:
+            now, sofar, _ = state
+            now, told = jax.vmap(one)(leaves, now, ctrl)
+            steps = {name: values[:, None] for name, values in told.items()}
+            sofar = self._meter.update(sofar, steps, limits, going)
+            return (now, sofar, (told["sensordata"], told["actuator_force"])), None
+
+        none = tuple(jnp.zeros((len(ctrl), size)) for size in (self._model.nsensordata, self._model.nu))
+        first = carry["now"], carry["sofar"], none
+        (now, sofar, (sensors, force)), _ = jax.lax.scan(step, first, None, length=self._substeps)
+        seen = self._own.observed(now["qpos"], now["qvel"], sensors)
+        new = {"now": now, "sofar": sofar, "carried": carried, "seen": seen, "wrong": wrong}
+        return new, (now["qpos"], now["qvel"], ctrl, force)
+
+
+def put(own: Subject, begun: batch.Begun) -> tuple[Any, Any, dict[str, Array]]:
+    """MJX's model, its data at the keyframe, and the fields in which the rollouts' models differ, (n, ...)."""
+    model, rows = fields.with_options(own.model, {}), batch.differing(begun.batch)
+    for name in {*SHAPING} & {*rows}:  # what is 0 for the model, and not for a rollout, is to be in the program
+        owner = model.opt if name.startswith("opt.") else model
+        setattr(owner, name.removeprefix("opt."), np.abs(rows[name]).max(axis=0))
+    data = mujoco.MjData(model)
+    if own.keyframe >= 0:
+        mujoco.mj_resetDataKeyframe(model, data, own.keyframe)
+    template = mjx.put_model(model)
+    leaves = {}
+    for name, values in rows.items():
+        values = np.maximum(values, LEAST) if name in RUBBING else values
+        leaf = getattr(template.opt if name.startswith("opt.") else template, name.removeprefix("opt."), None)
+        if leaf is not None:  # what MJX has no field for, it works out itself: `check` refuses the others
+            leaves[name] = jnp.asarray(values.reshape(begun.batch.nsim, *leaf.shape), float)
+    return template, mjx.put_data(model, data), leaves
+
+
+def with_leaves(model: Any, rows: Mapping[str, Array]) -> Any:
+    """MJX's model with fields of one rollout."""
+    options = {name[4:]: value for name, value in rows.items() if name.startswith("opt.")}
+    others = {name: value for name, value in rows.items() if not name.startswith("opt.")}
+    return model.replace(opt=model.opt.replace(**options), **others)
+
+
+def check(model: mujoco.MjModel) -> None:
+    """Raise `InputError` where MJX cannot simulate a model, or would leave a part of it out without a word."""
+    for name, words in IGNORED.items():
+        if np.any(fields.whole(model, name)):
+            raise refused(f"MJX leaves out {words}", "a model without, ")
+    try:
+        data = mujoco.MjData(model)
+        jax.eval_shape(mjx.step, mjx.put_model(model), mjx.put_data(model, data))
+    except (NotImplementedError, ValueError) as error:
+        said = " ".join(str(error).split())
+        instead = next((words for part, words in INSTEAD.items() if part in said), "")
+        raise refused(f"MJX has no {said.rstrip('.')}", f"{instead}, " if instead else "") from None
+
+
+def refused(why: str, instead: str) -> InputError:
+    """One line, of what is to be changed."""
+    return InputError(f"engine.name = mjx is not allowed: {why} ({instead}or engine=native)")

@@ -1,0 +1,200 @@
+"""An own model on both engines: the same physics, what MJX cannot do, how it is simulated, and the audit."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pandas as pd
+import pytest
+
+from sweep.cli.main import main
+from sweep.engines.settings import EngineSettings
+from sweep.runs import audit, batches, results, store
+from sweep.runs.runner import wanted_points
+from sweep.study.config import compose
+from sweep.systems.own import fields, mjx
+
+HOPPER = """<mujoco><option timestep="0.002" integrator="Euler"/>
+<worldbody>
+  <geom name="floor" type="plane" size="0 0 1" friction="0.6" conaffinity="0"/>
+  <body name="trunk" pos="0 0 0.5"><freejoint/>
+    <geom name="trunk" type="sphere" size="0.1" mass="2" contype="0"/>
+    <body name="leg" pos="0 0 -0.1"><joint name="hip" axis="0 1 0" range="-60 60" damping="0.1"/>
+      <geom name="leg" type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02" mass="0.3" contype="0" conaffinity="0"/>
+      <geom name="foot" type="sphere" size="0.03" pos="0 0 -0.3" mass="0.1" friction="0.2" contype="0"/>
+      <site name="foot" pos="0 0 -0.3" size="0.035"/>
+    </body>
+  </body>
+</worldbody>
+<actuator><position name="hip" joint="hip" kp="40" kv="1" forcerange="-3 3"/></actuator>
+<sensor><framequat name="turn" objtype="body" objname="trunk"/><jointpos name="hip" joint="hip"/>
+<touch name="foot" site="foot"/></sensor></mujoco>"""
+SWING = """import jax.numpy as jnp
+PARAMETERS = {"reach": 0.4}
+BELIEVES = {"load": "model.body.trunk.mass"}
+def begin(belief, key):
+    return None, {"time": jnp.zeros(())}, None
+def policy(belief, seen, state, key):
+    lean = 2 * seen[2]
+    aim = belief["reach"] * jnp.sin(8 * state["time"]) - lean + 0.01 * belief["load"]
+    return jnp.array([aim]), {"time": state["time"] + 0.02}
+"""
+STUDY = """system: own
+model: {mjcf: hopper.xml, controller: "swing:policy", duration: 1, feet: [foot]}
+outcome: {far: travelled_m > 0.42}
+study:
+  axes:
+    load: {path: model.body.trunk.mass, side: world, from: 1, to: 4, num: 3}
+    grip: {path: model.geom.floor.friction.slide, side: world, values: [0.3, 0.9]}
+    rub: {path: model.joint.hip.frictionloss, side: world, values: [0, 0.2]}
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("hopper")
+    for name, text in {
+        "hopper.xml": HOPPER,
+        "swing.py": SWING,
+        "study.yaml": STUDY,
+        "sweep.yaml": "modules: []",
+    }.items():
+        (folder / name).write_text(text)
+    return folder
+
+
+@pytest.fixture
+def here(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    return folder
+
+
+def figures(exp, table, **engine):
+    """Those of a study's points, in one batch of an engine."""
+    rows = batches.plan(exp, pd.DataFrame(), table).assign(width=len(table))
+    task = batches.batch(exp, rows)
+    made = exp.system.engine(replace(task.settings, **engine), task.world, task.belief, None)
+    return made.run(task.world, task.belief, task.streams)
+
+
+def test_both_engines_simulate_the_same_physics(here):
+    """In double precision what is left are last digits; falls, slips and joints without friction are among the rows."""
+    exp = compose(["study=study.yaml", "engine.precision=float64", "noise.white=0.01", "noise.delay=1"])
+    exp = batches.with_room(exp, table := wanted_points(exp))
+    native, again = (figures(exp, table, name=name) for name in ("native", "mjx"))
+    assert native["slip_max_m"].max() > 0.005
+    assert native["tilt_max_deg"].max() > 90
+    assert native["saturated_share"].max() > 0
+    for name, values in native.items():
+        assert len(np.unique(values)) > 1 or name in ("duration_s", "not_finite", "buffer_full", "joint_limit_share")
+        np.testing.assert_allclose(again[name], values, rtol=1e-6, atol=1e-7, err_msg=name)
+    single = figures(exp, table, name="mjx", precision="float32")
+    assert 1e-9 < np.abs(single["travelled_m"] - native["travelled_m"]).max() < 1e-2
+
+
+def test_how_it_is_simulated_is_an_axis(here):
+    how = ["timestep: {path: model.option.timestep, values: [0.002, 0.001]}",
+           "cone: {path: model.option.cone, values: [pyramidal, elliptic]}",
+           "solver: {path: model.option.solver, values: [Newton, CG]}",
+           "integrator: {path: model.option.integrator, values: [Euler, implicitfast]}",
+           "steps: {path: model.option.iterations, values: [1, 100]}",
+           "stop: {path: model.option.tolerance, values: [1e-8, 1e-2]}",
+           "ratio: {path: model.option.impratio, values: [1, 10]}"]  # fmt: skip
+    head = STUDY.split("  axes:")[0].replace("duration: 1", "duration: 0.6")
+    for line in how:
+        Path("how.yaml").write_text(f"{head}  axes:\n    {line}\n")
+        extra = ["model.option.cone=elliptic"] if "ratio" in line else []
+        name = line.partition(":")[0]
+        assert main(["run", "study=how.yaml", f"out={name}", *extra]) == 0
+        rows = store.read_rows(Path(name))
+        assert rows["base_height_min_m"].nunique() == 2, line
+    model = mujoco.MjModel.from_xml_path("hopper.xml")
+    model.opt.timestep, model.opt.cone = 0.001, int(mujoco.mjtCone.mjCONE_ELLIPTIC)
+    changed = fields.with_options(model, {"model.option.cone": "pyramidal", "model.option.timestep": 0.004})
+    assert (changed.opt.cone, changed.opt.timestep, model.opt.timestep) == (0, 0.004, 0.001)
+
+
+def test_an_audit_tells_robot_from_simulator(here, capsys):
+    assert main(["run", "study=study.yaml", "out=whole", "study.axes.rub.values=[0.1]"]) == 0
+    assert main(["audit", "whole", "--points", "3"]) == 0
+    found = audit.table(results.read(Path("whole")))
+    assert list(found["simulated"].unique()) == [
+        way.words for way in results.read(Path("whole")).exp.system.ways.values()
+    ]
+    before = store.read_rows(Path("whole")).set_index("point_id")["travelled_m"]
+    moved = {}
+    for way in ("again", "half_step", "float64", "other_engine", "other_cone"):
+        rows = store.read_rows(Path("whole/audit") / way)
+        moved[way] = (rows.set_index("point_id")["travelled_m"] - before).abs().max()
+    assert moved["again"] == 0
+    assert 0 < moved["other_engine"] < 0.01
+    assert 0 < moved["float64"] < 0.01
+    assert moved["half_step"] > 1e-5
+    assert moved["other_cone"] > 1e-5
+    assert set(store.read_rows(Path("whole/audit/half_step"))["model.option.timestep"]) == {0.001}
+
+
+BALL = '<body pos="0 0 1"><freejoint/><geom size=".1"/></body>'
+WHEEL = '<body pos="0 0 1"><joint name="a"/><geom size=".1"/></body>'
+ON_BOX = '<geom type="box" size="1 1 1"/><body pos="0 0 3"><freejoint/><geom type="{}" size=".1 .2 .3"/></body>'
+
+
+@pytest.mark.parametrize(
+    ("option", "world", "motor", "line"),
+    [
+        ('integrator="implicit"', BALL, "", "no mjtIntegrator.mjINT_IMPLICIT (model.option.integrator=implicitfast"),
+        ('solver="PGS"', BALL, "", "no mjtSolver.mjSOL_PGS (model.option.solver=Newton or CG, or engine=native)"),
+        ('noslip_iterations="3"', BALL, "", "MJX leaves out noslip_iterations"),
+        ('integrator="implicitfast" density="1.2"', BALL, "", "fluid drag (model.option.integrator=Euler, or"),
+        ("", ON_BOX.format("ellipsoid"), "", "collisions not implemented (other shapes, or geoms that do not collide"),
+        ("", ON_BOX.format("cylinder"), "", "collisions not implemented"),
+        ("", WHEEL, 'damping="0.3"', "MJX leaves out damping of actuators"),
+        ("", WHEEL, 'armature="0.3"', "MJX leaves out armature of actuators"),
+    ],
+)
+def test_what_mjx_cannot_do_is_said_before_anything_runs(here, tmp_path, capsys, option, world, motor, line):
+    rest = f'<actuator><motor joint="a" {motor}/></actuator>' if motor else ""
+    Path("odd.xml").write_text(f"<mujoco><option {option}/><worldbody>{world}</worldbody>{rest}</mujoco>")
+    nu = 1 if motor else 0
+    Path(f"still{nu}.py").write_text(
+        f"import jax.numpy as jnp\ndef policy(belief, seen, state, key): return jnp.zeros({nu}), state\n"
+    )
+    odd = ["model.mjcf=odd.xml", f"model.controller=still{nu}:policy", "model.feet=[]", "outcome.far='energy_j < -1'"]
+    odd += [
+        "study.axes={g: {path: model.option.gravity.z, values: [-9, -8]}}",
+        f"out={tmp_path}/odd",
+        "model.duration=0.1",
+    ]
+    Path("odd.yaml").write_text(STUDY.split("  axes:")[0])
+    assert main(["run", "study=odd.yaml", *odd, "engine=mjx"]) == 2
+    told = capsys.readouterr().err.splitlines()
+    assert len(told) == 1
+    assert told[0].startswith("sweep: engine.name = mjx is not allowed: ")
+    assert line in told[0]
+    assert not (tmp_path / "odd").exists()
+    assert main(["run", "study=odd.yaml", *odd]) == 0  # which C MuJoCo does
+    assert main(["audit", f"{tmp_path}/odd"]) == 0
+    assert "audit: other_engine is left out: engine.name = mjx is not allowed" in capsys.readouterr().err
+    assert not (tmp_path / "odd/audit/other_engine").exists()
+
+
+def test_mjx_has_every_field_that_can_be_an_axis(here):
+    model = mujoco.MjModel.from_xml_path("hopper.xml")
+    template = mjx.mjx.put_model(model)
+    varied = [one.field for kind in fields.VARIED.values() for one in kind.values()]
+    varied += [one.field for one in fields.OPTIONS.values()]
+    for name in varied:
+        owner = template.opt if name.startswith("opt.") else template
+        assert hasattr(getattr(owner, name.removeprefix("opt.")), "at"), name  # an array of JAX's, not a constant
+
+
+def test_where_mjx_parts_from_c_is_told(here, capsys):
+    assert not [*_engine("Euler").cautions()]
+    (line,) = _engine("implicitfast").cautions()
+    assert "model.option.integrator=Euler" in line
+
+
+def _engine(integrator):
+    system = compose(["study=study.yaml", f"model.option.integrator={integrator}"]).system
+    return system.engine(EngineSettings(name="mjx"), *system.sides({}), None)
