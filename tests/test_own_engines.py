@@ -13,7 +13,7 @@ from sweep.engines.settings import EngineSettings
 from sweep.runs import audit, batches, results, store
 from sweep.runs.runner import wanted_points
 from sweep.study.config import compose
-from sweep.systems.own import fields, mjx
+from sweep.systems.own import Own, fields, mjx
 
 HOPPER = """<mujoco><option timestep="0.002" integrator="Euler"/>
 <worldbody>
@@ -115,6 +115,13 @@ def test_how_it_is_simulated_is_an_axis(here):
     assert (changed.opt.cone, changed.opt.timestep, model.opt.timestep) == (0, 0.004, 0.001)
 
 
+def test_a_number_that_others_are_made_from_is_no_parameter(here):
+    axes = "load: {path: model.body.trunk.mass, times: model.body.leg.mass, values: [2, 4]}"
+    Path("made.yaml").write_text(f"{STUDY.split('  axes:')[0]}  axes:\n    {axes}\n")
+    assert main(["run", "study=made.yaml", "out=made", "model.duration=0.1"]) == 0
+    np.testing.assert_allclose(store.read_rows(Path("made"))["model.body.trunk.mass"], [0.8, 1.6])
+
+
 def test_an_audit_tells_robot_from_simulator(here, capsys):
     assert main(["run", "study=study.yaml", "out=whole", "study.axes.rub.values=[0.1]"]) == 0
     assert main(["audit", "whole", "--points", "3"]) == 0
@@ -197,4 +204,5 @@ def test_where_mjx_parts_from_c_is_told(here, capsys):
 
 def _engine(integrator):
     system = compose(["study=study.yaml", f"model.option.integrator={integrator}"]).system
+    assert isinstance(system, Own)
     return system.engine(EngineSettings(name="mjx"), *system.sides({}), None)

@@ -118,8 +118,13 @@ class Own(Subject):
 
     def check(self, table: "pd.DataFrame", settings: EngineSettings) -> None:
         """See `System`: whether the controller is one, and the engine one for the model, too."""
-        shaping = [c for c in table if "." in c and self.parameter(c, settings).metadata["role"] != "quantity"]
-        for values in table[shaping].drop_duplicates().to_dict("records") if shaping else [{}]:
+        columns = [c for c in map(str, table.columns) if "." in c and not c.startswith("axis.")]
+        shaping = [c for c in columns if self.parameter(c, settings).metadata["role"] != "quantity"]
+        distinct: list[dict[str, Any]] = [{}]
+        if shaping:
+            rows = table[shaping].drop_duplicates()
+            distinct = [dict(zip(shaping, row, strict=True)) for row in rows.itertuples(index=False)]
+        for values in distinct:
             ways = {c.removeprefix("engine."): value for c, value in values.items() if c.startswith("engine.")}
             made = self.engine(replace(settings, **ways), *self.sides(values), limits=None)
             for line in made.cautions():
