@@ -3,10 +3,7 @@
 import pytest
 from test_pole_climb import outcomes
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.xfail(strict=True, reason="shins go through rungs 1 and 3 (docs/manoeuvres/ladder.md)"),
-]
+pytestmark = pytest.mark.slow
 
 
 @pytest.mark.parametrize("scenario", ["ladder_climb", "ladder_descend"])
