@@ -15,6 +15,11 @@ FLAGS = ("--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--dis
          "--disable-component-update", "--disable-sync", "--disable-quic", "--hide-scrollbars",
          "--remote-debugging-pipe")  # fmt: skip
 
+# what a page answers that is left for another one, or loaded again, before it has answered
+LEFT = {f"Runtime.evaluate: {why}" for why in
+        ("Inspected target navigated or closed", "Execution context was destroyed.",
+         "Cannot find default execution context")}  # fmt: skip
+
 
 class Browser:
     """One page of one browser; `errors` are what went wrong in it, `asked` the addresses that it wanted."""
@@ -86,13 +91,22 @@ class Browser:
         return found["result"].get("value")
 
     def until(self, script: str, seconds: float = 20.0) -> Any:
-        """The value of an expression as soon as it is true. Raises `TimeoutError`."""
+        """The value of an expression as soon as it is true, also of a page that is loaded. Raises `TimeoutError`."""
         end = time.monotonic() + seconds
-        while not (value := self.run(script)):
+        while not (value := self._run_unless_loaded(script)):
             if time.monotonic() > end:
                 raise TimeoutError(f"not within {seconds:g} s: {script}; {self.errors}")
             time.sleep(0.02)
         return value
+
+    def _run_unless_loaded(self, script: str) -> Any:
+        # None where the page went while it was asked, as after `location.reload()`
+        try:
+            return self.run(script)
+        except RuntimeError as error:
+            if str(error) not in LEFT:
+                raise
+            return None
 
     def open(self, path: Path) -> None:
         """Open a file, and wait for it."""
