@@ -1,6 +1,7 @@
 """`sweep export --paper`: a study as LaTeX tables, figures, their data, and a macro for every number."""
 
 import re
+import sys
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -27,6 +28,9 @@ CSV_ROWS = 5_000  # more rows than this are kept as parquet
 NAMED_ROWS = 3  # a number that comes from so few rows names them
 # what LaTeX knows in UTF-8: Latin letters, what T2A has of Cyrillic ones, and some signs
 LATIN, CYRILLIC, PUNCTUATION = 0x17F, "".join(map(chr, range(0x400, 0x460))), "–—‘’“”…€"
+# what LuaLaTeX takes letters from that are not in its own fonts: the first that is there
+CYRILLIC_FONTS = ("CMU Serif", "FreeSerif", "DejaVu Serif")
+OTHER_FONTS = ("Noto Serif CJK SC", "Source Han Serif SC", "FandolSong", "WenQuanYi Zen Hei", "WenQuanYi Micro Hei")
 DIGITS = ("Zero", "One", "Two", "Three", "Four", "Five", "Six", "Seven", "Eight", "Nine")
 
 
@@ -44,7 +48,8 @@ class Number:
 def write(results: Results, out: Path, serif: bool = False) -> list[Path]:
     """Write the bundle into the folder `out`: main.tex, numbers.tex, tables, figures, and the data of all of them.
 
-    Letters of figures have serifs where the paper's have.
+    Letters of figures have serifs where the paper's have. A line on the standard error says what the study's name needs
+    of LaTeX where it has letters beyond Latin and Cyrillic ones.
     """
     for folder in ("figures", "data", "tables"):
         (out / folder).mkdir(parents=True, exist_ok=True)
@@ -67,9 +72,14 @@ def write(results: Results, out: Path, serif: bool = False) -> list[Path]:
     texts["numbers.tex"] = "".join(macro(results, one, paths[0].name) for one in numbers)
     every = "".join([results.name, *texts.values(), *captions.values(), *(one.title + one.caption for one in shown)])
     cyrillic, unknown = foreign(every)
+    if unknown:
+        fonts = f"one of the fonts {', '.join(OTHER_FONTS)}"
+        letters = f"pdflatex has no letters {''.join(unknown)}"
+        print(f"sweep: {letters}: lualatex has, with {fonts} (Debian: fonts-noto-cjk)", file=sys.stderr)
     texts["main.tex"] = _template().render(
-        cyrillic=cyrillic,
-        unknown=unknown,
+        cyrillic=codes(cyrillic),
+        unknown=codes(unknown),
+        fonts=OTHER_FONTS if unknown else CYRILLIC_FONTS if cyrillic else (),
         results=results,
         prefix=prefix(results),
         exhibits=shown,
@@ -201,10 +211,10 @@ def escape(text: str) -> str:
 
 
 def foreign(text: str) -> tuple[list[str], list[str]]:
-    """Codes of the letters of `text` that are Cyrillic, which pdfLaTeX has fonts for, and of those it has none for."""
+    """The letters of `text` that are Cyrillic, which pdfLaTeX has fonts for, and those that it has none for."""
     letters = sorted(letter for letter in set(text) if letter.isprintable() and ord(letter) > LATIN)
     unknown = [letter for letter in letters if letter not in (*CYRILLIC, *PUNCTUATION)]
-    return codes(letter for letter in letters if letter in CYRILLIC), codes(unknown)
+    return [letter for letter in letters if letter in CYRILLIC], unknown
 
 
 def codes(letters: Iterable[str]) -> list[str]:

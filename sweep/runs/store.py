@@ -208,7 +208,7 @@ def read_rows(folder: Path) -> pd.DataFrame:
         raise InputError(f"{folder} has no finished rollouts yet")
     # into pandas once, column by column: a million rows take seconds and little more memory than they need
     table = pa.concat_tables([read_table(folder, entry) for entry in parts], promote_options="permissive")
-    return table.to_pandas(split_blocks=True, self_destruct=True)
+    return table.to_pandas(self_destruct=True)
 
 
 def find_row(rows: pd.DataFrame, point: str, folder: Path) -> pd.Series:

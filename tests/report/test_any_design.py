@@ -4,6 +4,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
+from fake_engine import FakeEngine
 
 from sweep.cli.main import main, pictures
 from sweep.report import draws, exhibits, maps, slices
@@ -109,6 +110,20 @@ def told(folder):
         plt.close(maps.success_map(found.rows, found.stored))
     assert data.data(found)["rows"] == len(found.rows)
     assert main(["stats", str(folder)]) == main(["table", str(folder)]) == 0
+
+
+class Talkative(FakeEngine):
+    """Of more figures than pandas keeps apart without a warning, which is an error here."""
+
+    def run(self, world, belief, streams):
+        figures = super().run(world, belief, streams)
+        return figures | {f"more_{number}_m": np.full(self.width, 0.1 * number) for number in range(100)}
+
+
+@pytest.mark.parametrize("fake_engine", [Talkative], indirect=True)
+def test_a_study_of_many_figures_is_told(fake_engine, tmp_path):
+    ran(tmp_path, *DESIGNS["listed_2"])
+    told(tmp_path)
 
 
 @pytest.mark.parametrize("design", DESIGNS)

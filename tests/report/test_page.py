@@ -1,5 +1,7 @@
 import re
+from collections import defaultdict
 from dataclasses import replace
+from importlib.resources import files
 
 import numpy as np
 import pandas as pd
@@ -31,6 +33,17 @@ def test_the_page_needs_nothing_from_elsewhere(html):
     identifiers = re.findall(r'\bid="([^"]+)"', html)
     assert len(identifiers) == len(set(identifiers))
     assert {t[1:] for t in targets if t.startswith("#")} <= set(identifiers)
+
+
+def test_a_name_is_of_one_module_of_the_script():
+    """They share one scope, in which a name that is declared twice leaves the page without its script."""
+    owners, declared = defaultdict(list), r"^(?:export )?(?:async )?(?:function\*?|class|const|let) (\w+|[\[{].*?[\]}])"
+    for file in files("sweep.report.page").iterdir():
+        for names in re.findall(declared, file.read_text(), re.MULTILINE) if file.name.endswith(".js") else ():
+            for name in re.findall(r"\w+", names):
+                owners[name].append(file.name)
+    assert len(owners) > 100
+    assert {name: where for name, where in owners.items() if len(where) > 1} == {}
 
 
 def test_the_page_says_what_was_run_and_what_came_of_it(html, folder):

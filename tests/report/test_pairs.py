@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 from browser import CHROMIUM, Browser
 from conftest import simulated
-from moved import moved
 
 from sweep.analysis import compare
 from sweep.cli.main import main
-from sweep.report import pairs, replays
+from sweep.report import pairs
 from sweep.runs import results
 
 
@@ -58,13 +57,11 @@ def test_the_page_of_two_is_written(folders, capsys, tmp_path):
 
 @pytest.mark.browser
 @pytest.mark.skipif(CHROMIUM is None, reason="needs a browser: apt-get install chromium")
-def test_a_flip_plays_in_both(folders, tmp_path):
-    a, b = map(results.read, folders)
-    place = int(np.argmax(pairs.joined(a, b)[0].rows["cause"] == pairs.ONLY_B))
-    trace = moved("scenario=pole_climb")
-    for side in (a, b):
-        replays.keep(side.folder, side.rows.iloc[place], trace)
-    assert main(["report", *map(str, folders), "-o", str(tmp_path)]) == 0
+def test_flips_play_in_both(folders, fake_engine, tmp_path):
+    assert main(["report", *map(str, folders), "--replays", "3", "-o", str(tmp_path)]) == 0
+    one, other = ({path.name.split("-")[1] for path in (folder / "replays").iterdir()} for folder in folders)
+    assert one == other
+    assert len(one) == 3
     browser = Browser(tmp_path / "profile")
     browser.open(tmp_path / "report_b.html")
     browser.until("performance.getEntriesByName('map').length")
