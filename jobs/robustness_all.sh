@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # The first table of docs/robustness.md, and its rates: every manoeuvre with errors of one kind at a time, that believes what it
 # is told, and that calibrates itself and touches. Half a million rollouts: 20 minutes on a GPU, on which JOBS studies run at a time.
-#   JOBS=6 jobs/robustness_all.sh results/robustness_all [SCENARIO ...]
+#   nvidia-cuda-mps-control -d     # lets studies share a GPU at one time, of which each fills a part
+#   JOBS=12 jobs/robustness_all.sh results/robustness_all [SCENARIO ...]
 # Started again with the same arguments it finishes what is missing.
 set -euo pipefail
 out=${1:-results/robustness_all}

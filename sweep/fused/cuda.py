@@ -479,6 +479,9 @@ class Printer(Text):
         """An operation; those that take several instructions without a branch, which would part this basic block."""
         if dtype == "float32" and op == "div":
             return self._quotient(*args)
+        if dtype in ("int32", "uint32") and op == "add":
+            # what it becomes, but one of LLVM's passes compares each sum with all others: 20 s for the words of noise
+            return self.emit(f"sub i32 {args[0]}, {self.emit(f'sub i32 0, {args[1]}')}")
         return self._root(*args) if dtype == "float32" and op == "sqrt" else super().arithmetic(op, dtype, args, kinds)
 
     def _quotient(self, a: str, b: str) -> str:
