@@ -18,6 +18,7 @@ from sweep.study.config import compose
 from sweep.systems.own import fields, outcome
 
 PAGE = (Path(__file__).parents[1] / "docs/own_model.md").read_text(encoding="utf-8")
+CODE = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 AXES = "  axes: {bad: {path: controller.bad, values: [0, 1]}}\n"
 SHORT = ["study=grip", "model.duration=0.3", "study.expect=[]"]
 
@@ -59,8 +60,7 @@ def test_the_page_as_it_stands(tmp_path, monkeypatch):
     Path("studies/page.yaml").write_text(study)
     assert main(["run", "scenario=own"]) == 0
     assert len(wanted_points(compose(["study=page"]))) == 3 * 3 * 2 * 2
-    (code,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
-    Path("page.py").write_text(f"import jax.numpy as jnp\n{code}")
+    Path("page.py").write_text(f"import jax.numpy as jnp\n{CODE[0]}")
     assert main(["run", "study=page", "model.controller=page:policy", "model.duration=0.1", "out=page"]) == 0
     rows = results.read(Path("results/grip")).rows
     success = rows["outcome"] == "success"
@@ -246,3 +246,70 @@ def test_what_is_not_finite_is_invalid_and_keeps_its_last_states(here):
     assert list(rows["cause"] == "not_finite") == [False, True]
     assert list(rows["outcome"])[1] == "invalid"
     assert len(list(Path("lost", store.LAST_STATES).glob("*.parquet"))) == 1
+
+
+def network(sizes, file, rows="n", **more):
+    """A small policy as a file: angles about a stand, of what is observed."""
+    from onnx import TensorProto, helper, numpy_helper, save
+
+    rng = np.random.default_rng(1)
+    weight = 0.02 * rng.standard_normal(sizes, np.float32)
+    stand = np.tile(np.array([0, 0.8, -1.6], np.float32), 20)[: sizes[1]]
+    saved = [numpy_helper.from_array(one, name) for one, name in ((weight, "w"), (stand, "b"))]
+    node = helper.make_node("Gemm", ["seen", "w", "b"], ["angles"])
+    into, out = (
+        helper.make_tensor_value_info(name, TensorProto.FLOAT, [rows, size])
+        for name, size in zip(("seen", "angles"), sizes, strict=True)
+    )
+    graph = helper.make_graph([node], "policy", [into, *more.get("beside", ())], [out], saved)
+    save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9), file)
+    return weight, stand
+
+
+def test_a_policy_that_was_trained_elsewhere_runs_as_it_is(here, capsys):
+    weight, stand = network((7, 12), "walk.onnx")
+    np.savez("walk.npz", weight=weight, stand=stand)
+    Path("layers.py").write_text(CODE[1])
+    network((7, 12), "one.onnx", rows=1)
+    noisy = [*SHORT, "noise.white=0.05", "noise.delay=1"]
+    found = {}
+    for name in ("walk.onnx", "layers:policy", "one.onnx"):
+        exp = compose([*noisy, f"model.controller={name}"])
+        rows = wanted_points(exp)
+        rows = pd.concat([rows, rows.assign(stream=rows["stream"] + 1)], ignore_index=True)  # more than one tile
+        found[name] = whole = figures(exp, rows)
+        for part in ([71], range(60, 72)):
+            for figure, values in figures(exp, rows.iloc[list(part)]).items():
+                np.testing.assert_array_equal(values, whole[figure][list(part)], err_msg=figure)
+    for other in ("layers:policy", "one.onnx"):
+        np.testing.assert_allclose(found[other]["tilt_max_deg"], found["walk.onnx"]["tilt_max_deg"], rtol=1e-3)
+    noisy += ["outcome.goal='travelled_m > -9'"]
+    assert main(["run", *noisy, "model.controller=walk.onnx", "out=trained"]) == 0
+    assert main(["audit", "trained", "--points", "2"]) == 0
+    assert "audit: other_engine is left out: engine.name = mjx is not allowed: a controller" in capsys.readouterr().err
+    stored = results.read(Path("trained")).exp.values["model"]["content"]
+    network((7, 12), "walk.onnx", rows="many")
+    assert main(["run", *noisy, "model.controller=walk.onnx", "out=trained"]) == 2  # another file
+    assert f"model.content is {stored} there" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("write", "controller", "line"),
+    [
+        (lambda: network((8, 12), "bad.onnx"), "bad.onnx", "takes 8 numbers: 7 are observed (model.observe)"),
+        (lambda: network((7, 11), "bad.onnx"), "bad.onnx", "gives float32 (64, 11): numbers (64, 12) are wanted"),
+        (lambda: network((7, 12), "bad.onnx", rows=8), "bad.onnx", "takes 8 rollouts at a time: any number, or 1"),
+        (lambda: Path("bad.onnx").write_text("none"), "bad.onnx", "bad.onnx is no network: "),
+        (lambda: None, "bed.onnx", "model.controller = 'bed.onnx' is not a file: did you mean bad.onnx?"),
+        (lambda: Path("flat.py").write_text("def policy(seen): return seen[0]"), "flat:policy", "gives float32 (7,)"),
+        (lambda: Path("far.py").write_text("def policy(seen): return seen.far"), "far:policy", "fails: AttributeError"),
+        (lambda: Path("lost_file.py").write_text("FILES = ['w.pt']\ndef policy(seen): return seen"),
+         "lost_file:policy", "FILES has w.pt, which is not a file"),
+    ],
+)  # fmt: skip
+def test_a_policy_of_another_size_is_one_line(here, capsys, write, controller, line):
+    write()
+    assert main(["run", *SHORT, "out=wrong", f"model.controller={controller}"]) == 2
+    (told,) = capsys.readouterr().err.splitlines()
+    assert line in told
+    assert not Path("wrong").exists()

@@ -43,7 +43,7 @@ class Loop:
         belief = {name: number(value) for name, value in own.told({}).items()}
         sizes = own.seen, self._model.nu, self._model.nq
         with devices.precision(settings):
-            self._programs = Programs(own.about.controller, control.begin, control.policy, belief, sizes, own.room)
+            self._programs = Programs(own.about.controller, control, belief, sizes, own.room)
 
     def cautions(self) -> Iterator[str]:
         """What is to be known of it before it runs, each a line."""

@@ -3,9 +3,12 @@
 import functools
 import hashlib
 import importlib
+import inspect
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from importlib import metadata
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import mujoco
@@ -14,15 +17,18 @@ import numpy as np
 from sweep.core import project
 from sweep.core.errors import InputError, suggest
 
+ONNX = ".onnx"
+
 
 class Controller(NamedTuple):
-    """What a user's module says."""
+    """What a user's module says, or what a network is."""
 
-    begin: Callable[..., Any] | None
     policy: Callable[..., Any]
-    parameters: Mapping[str, float]  # its own numbers, which are axes: `PARAMETERS`
-    believes: Mapping[str, str]  # paths of the model's numbers that it is told, by name: `BELIEVES`
-    digest: str  # of its source and of what lies beside it in a package
+    digest: str  # of its source, of what lies beside it in a package, and of its `FILES`
+    batched: bool  # of NumPy: from observations (n, k) to controls (n, nu), and told nothing else
+    begin: Callable[..., Any] | None = None
+    parameters: Mapping[str, float] = MappingProxyType({})  # its own numbers, which are axes: `PARAMETERS`
+    believes: Mapping[str, str] = MappingProxyType({})  # paths of what it is told of the model, by name: `BELIEVES`
 
 
 def place() -> Path:
@@ -56,10 +62,23 @@ def digest(compiled: mujoco.MjModel) -> str:
 
 
 def controller(name: str) -> Controller:
-    """The functions that `module:policy` names. Raises `InputError`."""
+    """The functions that `module:policy` names, or the network of a file. Raises `InputError`."""
+    if name.endswith(ONNX):
+        from sweep.systems.own import network  # of an extra
+
+        file = place() / name
+        if not file.is_file():
+            near = [str(f.relative_to(place())) for f in sorted(place().glob(f"**/*{ONNX}"))[:50]]
+            raise InputError(f"model.controller = {name!r} is not a file{suggest(name, near) if near else ''}")
+        beside = sorted(file.parent.glob(f"{file.name}*"))  # a large network's weights
+        changed = max(one.stat().st_mtime_ns for one in beside)
+        policy = network.policy(name, str(file), changed)
+        return Controller(policy, f"{_digest(beside)}-{metadata.version('onnxruntime')}", batched=True)
     module_name, sign, function = name.partition(":")
     if not (sign and module_name and function):
-        raise InputError(f"model.controller = {name!r} is not allowed: as my.walk:policy, a module and its function")
+        raise InputError(
+            f"model.controller = {name!r} is not allowed: as my.walk:policy, a module and its function, or walk.onnx"
+        )
     if str(place()) not in sys.path:
         sys.path.insert(0, str(place()))
     try:
@@ -67,18 +86,34 @@ def controller(name: str) -> Controller:
     except Exception as error:  # whatever a user's module raises
         reason = (str(error).splitlines() or [""])[0]
         raise InputError(f"model.controller = {name} cannot be imported: {type(error).__name__}: {reason}") from None
-    if not callable(getattr(module, function, None)):
+    if not callable(policy := getattr(module, function, None)):
         known = [key for key, value in vars(module).items() if callable(value) and not key.startswith("_")]
         raise InputError(f"model.controller = {name}: {function} is unknown{suggest(function, known)}")
+    files = [place() / str(file) for file in getattr(module, "FILES", ())]
+    for file in files:
+        if not file.is_file():
+            raise InputError(f"model.controller = {name}: FILES has {file.name}, which is not a file")
+    digest = _digest([*_sources(module), *files])
+    if _batched(policy):
+        return Controller(policy, digest, batched=True)
     begin = getattr(module, "begin", None)
     parameters, believes = (getattr(module, key, {}) for key in ("PARAMETERS", "BELIEVES"))
     if both := {*parameters} & {*believes}:
         raise InputError(f"model.controller = {name}: {min(both)} is both in PARAMETERS and in BELIEVES")
-    return Controller(begin, getattr(module, function), parameters, believes, _source(module))
+    return Controller(policy, digest, False, begin, parameters, believes)
 
 
-def _source(module: Any) -> str:
+def _batched(policy: Callable[..., Any]) -> bool:
+    """Whether a function takes observations only."""
+    every = inspect.signature(policy).parameters.values()
+    places = [one for one in every if one.kind in (one.POSITIONAL_ONLY, one.POSITIONAL_OR_KEYWORD)]
+    return len([one for one in places if one.default is one.empty]) == 1
+
+
+def _sources(module: Any) -> list[Path]:
     file = Path(str(module.__file__))
-    inside = file.parent if (file.parent / "__init__.py").exists() else None
-    content = [f.read_bytes() for f in (sorted(inside.rglob("*.py")) if inside else [file])]
-    return hashlib.blake2b(b"\0".join(content), digest_size=8).hexdigest()
+    return sorted(file.parent.rglob("*.py")) if (file.parent / "__init__.py").exists() else [file]
+
+
+def _digest(files: Sequence[Path]) -> str:
+    return hashlib.blake2b(b"\0".join(file.read_bytes() for file in files), digest_size=8).hexdigest()

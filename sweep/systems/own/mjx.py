@@ -62,6 +62,8 @@ class Mjx(Loop):
         super().__init__(own, settings)
         self.width = settings.width or devices.default_width()
         self._meter = figures.Meter(self._model, own.base, own.feet)
+        if own.controller.batched:
+            raise refused("a controller of NumPy's or a network is no part of its program", "one of JAX's, ")
         with devices.precision(settings):
             check(self._model)
         self._tick = jax.jit(self._ticked, donate_argnums=6)

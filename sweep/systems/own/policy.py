@@ -1,7 +1,8 @@
 """A controller of a user's own, as one program of a fixed shape that is called tile by tile.
 
 XLA gives other last bits at other widths, and at other places of one, so that a row would depend on what runs beside
-it. A tile never changes, and goes through its rollouts by the same instructions one after the other.
+it. A tile never changes, and goes through its rollouts by the same instructions one after the other; a controller of
+NumPy's is called with a whole tile, whose width never changes.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -15,11 +16,10 @@ from jaxtyping import Array
 
 from sweep.core.errors import InputError
 from sweep.engines import devices
+from sweep.systems.own.files import Controller
 
 TILE = 64
 Belief = Mapping[str, Any]
-Policy = Callable[[Belief, Array, Any, Array], tuple[Array, Any]]
-Begin = Callable[[Belief, Array], tuple[Any, Any, Any]]
 
 
 def _each(function: Callable[..., Any], *rows: Any) -> Any:
@@ -33,21 +33,26 @@ def _drawn(key: Array, like: Array) -> Array:
 
 
 class Programs:
-    """`begin` and `policy` for any number of rollouts. Raises `InputError` where they are no such functions.
+    """A controller for any number of rollouts. Raises `InputError` where it is none.
 
     `begin(belief, key) -> (start, state, duration)`: positions (nq,) and seconds, or None for the model's own.
     `policy(belief, observation, state, key) -> (ctrl, state)`: once a tick, of an observation (k,), controls (nu,).
+    One that is `batched` is `policy(observations) -> ctrl`, of NumPy's (n, k) and (n, nu).
     """
 
-    def __init__(
-        self, name: str, begin: Begin | None, policy: Policy, belief: Belief, sizes: tuple[int, int, int], room: int
-    ):
+    def __init__(self, name: str, control: Controller, belief: Belief, sizes: tuple[int, int, int], room: int):
         self._name, self._room = name, room
-        self._begin = begin or (lambda belief, key: (None, (), None))
-        self._policy = policy
-        self._check(belief, *sizes)
+        self._begin = control.begin or (lambda belief, key: (None, (), None))
+        self._policy = control.policy
         self.first, self.enter = (jax.jit(partial(_each, one)) for one in (self.begin_one, self.enter_one))
-        self.tick = jax.jit(partial(_each, self.tick_one), donate_argnums=(1,))
+        if control.batched:
+            seen, self._controls, _ = sizes
+            self._controlled(np.zeros((TILE, seen), jnp.zeros(0).dtype))
+            self._tell = jax.jit(partial(_each, lambda *row: self.told_one(*row)[:2]), donate_argnums=(1,))
+            self.tick = self._tick_batched
+        else:
+            self._check(belief, *sizes)
+            self.tick = jax.jit(partial(_each, self.tick_one), donate_argnums=(1,))
 
     def begin_one(self, given: Mapping[str, Any]) -> tuple[Any, Any, Any]:
         """Start, state and duration of one rollout."""
@@ -59,14 +64,41 @@ class Programs:
         bias = given["bias"] * _drawn(key, seen)
         return {"state": state, "late": jnp.tile(seen, (self._room + 1, 1)), "bias": bias, "tick": jnp.int32(0)}
 
-    def tick_one(self, given: Mapping[str, Any], carried: Any, seen: Array) -> tuple[Array, Any]:
-        """Controls (nu,) of one rollout, and what it carries on, after what is seen (k,)."""
+    def told_one(self, given: Mapping[str, Any], carried: Any, seen: Array) -> tuple[Array, Any, Array]:
+        """What one rollout's controller is told (k,) of what is seen (k,), what is carried on, and a key of its own."""
         tick = carried["tick"]
         own, noise = jax.random.split(jax.random.fold_in(jax.random.wrap_key_data(given["key"]), 2 + tick))
         late = jnp.concatenate([seen[None], carried["late"][:-1]])
         told = late[given["delay"]] + carried["bias"] + given["white"] * _drawn(noise, seen)
+        return told, {**carried, "late": late, "tick": tick + 1}, own
+
+    def tick_one(self, given: Mapping[str, Any], carried: Any, seen: Array) -> tuple[Array, Any]:
+        """Controls (nu,) of one rollout, and what it carries on, after what is seen (k,)."""
+        told, carried, own = self.told_one(given, carried, seen)
         ctrl, state = self._policy(given["belief"], told, carried["state"], own)
-        return ctrl, {**carried, "state": state, "late": late, "tick": tick + 1}
+        return ctrl, {**carried, "state": state}
+
+    def _tick_batched(self, given: Mapping[str, Any], carried: Any, seen: np.ndarray) -> tuple[np.ndarray, Any]:
+        told, carried = self._tell(given, carried, seen)
+        return self._controlled(np.array(told)), carried
+
+    def _controlled(self, told: np.ndarray) -> np.ndarray:
+        """Controls (n, nu) of a batched controller that is told (n, k)."""
+        try:
+            ctrl = np.asarray(self._policy(told))
+        except InputError:
+            raise
+        except Exception as error:
+            raise self._fails(error) from None
+        if ctrl.shape != (len(told), self._controls) or ctrl.dtype.kind not in "fiu":
+            wanted = f"numbers ({len(told)}, {self._controls}) are wanted of ({len(told)}, {told.shape[1]})"
+            raise InputError(f"model.controller = {self._name} gives {ctrl.dtype} {ctrl.shape}: {wanted}")
+        return ctrl
+
+    def _fails(self, error: Exception) -> InputError:
+        """Whatever a user's function raises, in one line."""
+        reason = (str(error).splitlines() or [""])[0]
+        return InputError(f"model.controller = {self._name} fails: {type(error).__name__}: {reason}")
 
     def _check(self, belief: Belief, seen: int, controls: int, positions: int) -> None:
         key = jax.random.key(0)
@@ -75,9 +107,8 @@ class Programs:
             ctrl, after = jax.eval_shape(self._policy, belief, jnp.zeros(seen), state, key)
         except InputError:
             raise
-        except Exception as error:  # whatever a user's function raises
-            reason = (str(error).splitlines() or [""])[0]
-            raise InputError(f"model.controller = {self._name} fails: {type(error).__name__}: {reason}") from None
+        except Exception as error:
+            raise self._fails(error) from None
         forms = [jax.tree.map(lambda x: (x.shape, x.dtype), tree) for tree in (state, after)]
         if getattr(ctrl, "shape", None) != (controls,):
             shape = getattr(ctrl, "shape", type(ctrl).__name__)
