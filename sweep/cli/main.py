@@ -240,7 +240,7 @@ def run(argv: list[str]) -> int:
     def work(exp: "Experiment") -> int:
         from sweep.cli.run import Flags, execute  # takes another, which what is wrong need not wait for
 
-        return execute(exp, Flags(given.dry_run, given.limit, given.where))
+        return execute(exp, Flags(given.dry_run, given.check, given.limit, given.where))
 
     return launch(overrides, work)
 
@@ -257,6 +257,7 @@ def run_parser() -> argparse.ArgumentParser:
         epilog=RUN_HELP,
     )
     own.add_argument("--dry-run", action="store_true", help="only say how many rollouts, in which batches")
+    own.add_argument("--check", action="store_true", help="only try whether each axis acts; 4 if one does not")
     own.add_argument("--limit", type=int, metavar="N", help="only the first N points of the study")
     own.add_argument("--where", metavar="CONDITION", help="only points that match, such as 'friction > 0.8'")
     own.add_argument("--points", metavar="FILE.csv", help="points from a table whose columns are parameters")

@@ -18,7 +18,7 @@ from sweep.cli.exits import DONE, INVALID, UNEXPECTED
 from sweep.core.errors import InputError
 from sweep.core.waiting import last_time, parts, remember, waiting
 from sweep.report import tables
-from sweep.runs import histories, importance, refine, runner, store
+from sweep.runs import histories, importance, probe, refine, runner, store
 from sweep.runs.batches import make_engine
 from sweep.runs.batches import nominal as nominal_batch
 from sweep.study import designs
@@ -32,6 +32,7 @@ class Flags:
     """The flags of `sweep run` that are not Hydra's."""
 
     dry_run: bool = False
+    check: bool = False
     limit: int | None = None
     where: str | None = None
 
@@ -42,6 +43,8 @@ def execute(exp: Experiment, flags: Flags) -> int:
         for flag, value in (("--limit", flags.limit), ("--where", flags.where)):
             if value is not None:
                 raise InputError(f"{flag} = {value} chooses among a study's points: give study=NAME, or leave it out")
+        if flags.check:
+            raise InputError("--check tries the axes of a study: give study=NAME")
     if exp.study.single and not exp.out:
         return execute_single(exp, flags)
     folder = exp.folder
@@ -54,6 +57,8 @@ def execute(exp: Experiment, flags: Flags) -> int:
     if flags.dry_run:
         print(forecast(runner.lay_out(exp, folder, first)))
         return DONE
+    if flags.check:
+        return checked(exp, first)
 
     def say(line: str) -> None:
         print(f"sweep: {line}", file=sys.stderr)
@@ -83,6 +88,23 @@ def execute(exp: Experiment, flags: Flags) -> int:
         print(rare.rare(rows, exp))
     print(f"{len(rows)} of {size} planned rollouts are in {folder}")
     return verdict(exp, rows, complete)
+
+
+def checked(exp: Experiment, points: pd.DataFrame) -> int:
+    """Whether every axis acts, and a rollout comes out alike twice; exit code 4 where not."""
+    done = 0
+
+    def told(rollouts: int) -> None:
+        nonlocal done
+        done = rollouts
+
+    with waiting(lambda: f"{exp.study.name}: {done} rollouts simulated to see whether its axes act"):
+        found = probe.run(exp, points, told)
+    for line in found.lines(exp):
+        print(f"sweep: {line}", file=sys.stderr)
+    dead = len({one.column for one in found.dead if one.whole})
+    print(f"{exp.study.name}: {found.axes - dead} of {found.axes} axes act (in {found.rollouts} rollouts)")
+    return DONE if found.sound else UNEXPECTED
 
 
 def jobs(exp: Experiment, folder: Path, first: pd.DataFrame, whole: bool) -> Iterable[runner.Job]:

@@ -303,8 +303,8 @@ def _one_at_a_time(axes: list[Axis], nominal: Callable[[str], Any]) -> "pd.DataF
 
     centre = {a.name: a.nominal_number(nominal) for a in axes}
     arms = [_grid([a for a in axes if leader.name in (a.name, a.along)]) for leader in axes if leader.along is None]
-    star = pd.concat([arm.assign(**{k: v for k, v in centre.items() if k not in arm}) for arm in arms])[[*centre]]
-    return star.drop_duplicates()  # the arms cross
+    whole = [pd.DataFrame({name: arm.get(name, n) for name, n in centre.items()}, index=arm.index) for arm in arms]
+    return pd.concat(whole).drop_duplicates()  # the arms cross
 
 
 def shares_of(axes: tuple[Axis, ...], design: Design, seed: int) -> np.ndarray:

@@ -211,7 +211,8 @@ def points(
     fields = {c: system.parameter(c, settings) for c in design.columns if not c.startswith("axis.")}
     for column, member in fields.items():
         _check(member, design[column], column)
-    design = design.astype({column: DTYPES[member.metadata["role"]] for column, member in fields.items()})
+    # copied, as pandas is slow with hundreds of columns that were made one by one
+    design = design.astype({column: DTYPES[member.metadata["role"]] for column, member in fields.items()}).copy()
     system.check(design, settings)
     # static axes outermost: every compiled engine runs its rows in one go
     static = [column for column in fields if is_static(column, system, settings)]

@@ -99,6 +99,10 @@ class System(Protocol):
         """Of these, the values at which an input plays no part in a point's id."""
         ...
 
+    def idle(self, column: str, settings: EngineSettings) -> str:
+        """Why a column may change nothing, in words; empty where nothing is known."""
+        ...
+
     def random(self, rows: "pd.DataFrame", settings: EngineSettings) -> np.ndarray:
         """Which rows draw something, so that replicates of one point differ."""
         ...

@@ -153,6 +153,13 @@ class Hexapod:
                 f"{damping:g} N s/m over {stiffness:g} N/m"
             )
 
+    def idle(self, column: str, settings: EngineSettings) -> str:
+        """See `System`."""
+        side, path = side_and_path(column)
+        if side == "world" and path.startswith(("manoeuvre.", "control.")):
+            return "plans are made of what is believed"
+        return "errors are those of the world" if side == "belief" and path.startswith("noise.") else ""
+
     def random(self, rows: "pd.DataFrame", settings: EngineSettings) -> np.ndarray:
         """See `System`."""
         found = np.zeros(len(rows), dtype=bool)

@@ -22,7 +22,7 @@ from sweep.core.parameters import build, checked, quantity
 from sweep.engines import run_id
 from sweep.engines.settings import EngineSettings
 from sweep.systems.base import Kinds, Nominal, Parameter, Values, Way, by_side, side_and_path
-from sweep.systems.own import fields, figures, files, outcome
+from sweep.systems.own import fields, figures, files, idle, outcome
 from sweep.systems.own.engine import Loop, substeps
 from sweep.systems.own.outcome import Condition
 from sweep.systems.own.subject import About, Noise, Side, Subject
@@ -129,6 +129,10 @@ class Own(Subject):
             made = self.engine(replace(settings, **ways), *self.sides(values), limits=None)
             for line in made.cautions():
                 _say_once(f"sweep: note: {line}")
+
+    def idle(self, column: str, settings: EngineSettings) -> str:
+        """See `System`."""
+        return idle.why(self, *side_and_path(column))
 
     def random(self, rows: "pd.DataFrame", settings: EngineSettings) -> np.ndarray:
         """See `System`: a controller may draw, too."""

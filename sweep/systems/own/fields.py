@@ -157,12 +157,11 @@ def _resolved(model: mujoco.MjModel, path: str) -> tuple[Numbers, list[Place]]:
     if kind == OPTION:
         varied = OPTIONS | {name: Numbers(f"opt.{name}", names=("",)) for name in (*CHOSEN, *COUNTED, TIMESTEP)}
         return _component(path, varied, rest, lambda name: (np.size(whole(model, name)), 0))
-    known = _names(model, kind)
-    name = max((n for n in known if rest == n or rest.startswith(f"{n}.")), key=len, default=None)
-    if name is None:
-        word = rest.partition(".")[0]
-        raise _nothing(path, f"no {kind} is called {word}{suggest(word, list(known))}")
-    rest, number = rest.removeprefix(name).removeprefix("."), known[name]
+    number, name = named(model, kind, rest)
+    if number < 0:
+        known, word = _names(model, kind), rest.partition(".")[0]
+        raise _nothing(path, f"no {kind} is called {word}{suggest(word, known)}")
+    rest = rest.removeprefix(name).removeprefix(".")
     if kind == "actuator" and rest in SERVO:
         return _servo(model, path, rest, number)
 
@@ -212,14 +211,22 @@ def _nothing(path: str, why: str) -> InputError:
     return InputError(f"axis {path} names nothing: {why}")
 
 
-def _names(model: mujoco.MjModel, kind: str) -> dict[str, int]:
-    """Numbers of the things of a kind by name; those without one are not there."""
-    what = {"joint": mujoco.mjtObj.mjOBJ_JOINT, "body": mujoco.mjtObj.mjOBJ_BODY, "geom": mujoco.mjtObj.mjOBJ_GEOM,
-            "site": mujoco.mjtObj.mjOBJ_SITE, "actuator": mujoco.mjtObj.mjOBJ_ACTUATOR,
-            "tendon": mujoco.mjtObj.mjOBJ_TENDON}[kind]  # fmt: skip
+KINDS = {name: getattr(mujoco.mjtObj, f"mjOBJ_{name.upper()}") for name in VARIED}  # as MuJoCo numbers them
+
+
+def named(model: mujoco.MjModel, kind: str, rest: str) -> tuple[int, str]:
+    """Number and name of the thing that `rest` begins with; names may have points in them, too. -1 for none."""
+    parts = rest.split(".")
+    heads = (".".join(parts[:k]) for k in range(len(parts), 0, -1))
+    found = ((mujoco.mj_name2id(model, KINDS[kind], head), head) for head in heads if head)
+    return next(((number, head) for number, head in found if number >= 0), (-1, ""))
+
+
+def _names(model: mujoco.MjModel, kind: str) -> list[str]:
+    """What the things of a kind are called; those without a name are not there."""
     count = {"joint": "njnt", "actuator": "nu"}.get(kind, f"n{kind}")
-    found = ((mujoco.mj_id2name(model, what, k), k) for k in range(getattr(model, count)))
-    return {name: k for name, k in found if name}
+    found = (mujoco.mj_id2name(model, KINDS[kind], k) for k in range(getattr(model, count)))
+    return [name for name in found if name]
 
 
 def whole(model: mujoco.MjModel, field: str) -> np.ndarray:

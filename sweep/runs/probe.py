@@ -1,0 +1,140 @@
+"""`sweep run --check`: does every axis act, and does a rollout come out alike twice?
+
+An axis that changes no bit of any figure is dead, whatever a map of it shows. Each is moved alone along its own levels,
+about the nominal point and about a row in the study's middle. Only the same place in batches of one width is compared,
+as an engine may give other last bits elsewhere; a row with all axes at their first levels, and one at their last, stand
+in every batch, so that all of them vary the same parameters.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from sweep.core.errors import InputError
+from sweep.engines.base import Figures
+from sweep.runs.batches import batch, forget_engine, make_engine, nominal, with_room
+from sweep.study.config import Experiment
+from sweep.study.study import is_static, parameter_columns
+
+MOST = 9  # levels of an axis that are tried
+Levels = Mapping[str, Sequence[Any]]  # by column
+
+
+class Dead(NamedTuple):
+    """A stretch of an axis along which nothing changes."""
+
+    column: str
+    first: Any
+    last: Any
+    whole: bool
+
+
+@dataclass
+class Found:
+    """What a check tells."""
+
+    axes: int
+    rollouts: int = 0
+    dead: list[Dead] = field(default_factory=list)
+    unlike: list[str] = field(default_factory=list)  # figures that differ when a batch is simulated twice
+
+    @property
+    def sound(self) -> bool:
+        """Whether every axis acts somewhere, and a rollout comes out alike."""
+        return not self.unlike and not any(one.whole for one in self.dead)
+
+    def lines(self, exp: Experiment) -> Iterator[str]:
+        """What is to be told, each a line."""
+        if self.unlike:
+            yield (
+                f"two runs of one batch differ ({', '.join(self.unlike[:3])}): the controller is no function of its "
+                "arguments, and no rollout can be repeated"
+            )
+        for column, first, last, whole in self.dead:
+            why = exp.system.idle(column, exp.settings)
+            between = f"from {_said(first)} to {_said(last)}"
+            says = f"{column} changes nothing" if whole else f"{column} changes nothing {between}"
+            yield f"{says}: {why or ('no figure differs by a bit' + (f' {between}' if whole else ''))}"
+
+
+def run(exp: Experiment, table: pd.DataFrame, told: Callable[[int], None] = lambda rollouts: None) -> Found:
+    """Try every axis of the points `table`; nothing is written. Raises `InputError` where there is none.
+
+    `told` is called with the rollouts that are done.
+    """
+    exp = with_room(exp, table)
+    levels = {c: _levels(table[c]) for c in parameter_columns(table) if table[c].nunique() > 1}
+    if not levels:
+        raise InputError(f"--check: {exp.study.name} varies nothing")
+    static = [c for c in levels if is_static(c, exp.system, exp.settings)]
+    middle = table.iloc[len(table) // 2]
+    usual = {c: exp.system.nominal(c, exp.settings) for c in parameter_columns(table)}
+    found, acts = Found(len(levels)), {c: np.zeros(len(values) - 1, dtype=bool) for c, values in levels.items()}
+
+    def simulate(base: Mapping[str, Any], k: int) -> Figures:
+        rows = _rows(table, base, {c: v for c, v in levels.items() if c not in static}, k)
+        task = batch(exp, rows)
+        figures = make_engine(exp, nominal(exp, rows, len(rows))).run(task.world, task.belief, task.streams)
+        found.rollouts += len(rows)
+        told(found.rollouts)
+        return figures
+
+    for base in (usual, {c: middle[c] for c in usual}):
+        before = first = simulate(base, 0)
+        for k in range(1, max([len(v) for c, v in levels.items() if c not in static], default=1)):
+            now = simulate(base, k)
+            changed = _changed(before, now)
+            for place, c in enumerate(c for c in levels if c not in static):
+                if k < len(levels[c]):
+                    acts[c][k - 1] |= changed[place]
+            before = now
+        for c in static:
+            each = [simulate({**base, c: value}, 0) for value in levels[c]]
+            for k, (a, b) in enumerate(pairwise(each)):
+                acts[c][k] |= _changed(a, b).any()
+        if base is usual:
+            forget_engine()
+            again = simulate(base, 0)
+            found.unlike = [name for name in first if _changed({name: first[name]}, {name: again[name]}).any()]
+    for c, moved in acts.items():
+        found.dead += _stretches(c, levels[c], moved)
+    return found
+
+
+def _levels(values: pd.Series) -> Sequence[Any]:
+    """An axis' own values in their order, at most `MOST` of them, its ends among them."""
+    every = np.sort(values.unique()) if values.dtype.kind in "fi" else values.unique()
+    return every[np.unique(np.linspace(0, len(every) - 1, MOST).round().astype(int))].tolist()
+
+
+def _rows(table: pd.DataFrame, base: Mapping[str, Any], levels: Levels, k: int) -> pd.DataFrame:
+    """A row for each axis, at its level `k` or its last, the others as in `base`; then all at their first, and last."""
+    n = max(len(levels), 1)
+    columns: dict[str, Any] = {
+        c: pd.Series([value] * (n + 2)).astype(table[c].dtype).array for c, value in base.items()
+    }
+    for place, (c, values) in enumerate(levels.items()):
+        columns[c][[place, n, n + 1]] = values[min(k, len(values) - 1)], values[0], values[-1]
+    return pd.DataFrame({**columns, "stream": table["stream"].iloc[0], "width": n + 2})
+
+
+def _changed(a: Figures, b: Figures) -> np.ndarray:
+    """Which rows (n,) of two batches differ by a bit in any figure."""
+    pairs = [(np.asarray(a[name], float), np.asarray(b[name], float)) for name in a.keys() & b.keys()]
+    differ = [(x != y) & ~(np.isnan(x) & np.isnan(y)) for x, y in pairs]
+    return np.any(differ, axis=0) | (a.keys() != b.keys())
+
+
+def _stretches(column: str, levels: Sequence[Any], moved: np.ndarray) -> Iterator[Dead]:
+    """The longest stretches along which a column did not act."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[True], moved, [True]]).astype(int)))
+    for first, last in edges.reshape(-1, 2):
+        yield Dead(column, levels[first], levels[last], not moved.any())
+
+
+def _said(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)

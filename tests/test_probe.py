@@ -1,0 +1,167 @@
+"""`sweep run --check`: every dead axis is told and no other, with why; a controller that differs is found."""
+
+import re
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from sweep.cli.main import main
+
+SITES, GEOMS, BELIEFS = 400, 300, 300
+SHELF = "".join(f'<geom name="g{k}" size="1" contype="0" conaffinity="0"/>' for k in range(GEOMS))
+MARKS = "".join(f'<site name="s{k}"/>' for k in range(SITES))
+SLIDER = f"""<mujoco><option timestep="0.002"/><worldbody>
+<geom name="floor" type="plane" size="0 0 1" friction="0.5"/>{SHELF}{MARKS}
+<body name="box" pos="0 0 0.1"><freejoint/><geom name="box" type="box" size=".1 .1 .1" mass="1" friction="0.4"/>
+<body name="top" pos="0 0 0.1"><joint name="slide" type="slide" axis="1 0 0"/>
+<geom name="top" size="0.02" mass="0.2" priority="1"/></body></body></worldbody>
+<actuator><motor name="slide" joint="slide" gear="2"/></actuator></mujoco>"""
+SWING = """import jax.numpy as jnp
+PARAMETERS = {"reach": 1.0, "unused": 0.0}
+BELIEVES = {"load": "model.body.box.mass"}
+def begin(belief, key):
+    return None, {"time": jnp.zeros(())}, None
+def policy(belief, seen, state, key):
+    return jnp.array([belief["load"] * belief["reach"] * jnp.sin(40 * state["time"])]), {"time": state["time"] + 0.02}
+"""
+HEAD = """system: own
+model: {mjcf: slider.xml, controller: "swing:policy", duration: 0.1}
+outcome: {far: travelled_m > 9}
+study:
+  design: {grid: one_at_a_time}
+  axes:
+"""
+LIVE = {
+    "a": "path: model.body.box.mass, side: belief, values: [1, 2]",
+    "b": "path: model.body.box.mass, side: world, values: [1, 2]",
+    "c": "path: controller.reach, values: [1, 2]",
+    "d": "path: model.geom.box.friction.slide, values: [0.2, 0.3, 0.45, 0.6, 0.9]",  # from 0.5 on
+    "e": "path: model.option.timestep, values: [0.002, 0.001]",
+    "f": "path: model.actuator.slide.gear.0, values: [2, 3]",
+}
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name, text in {"slider.xml": SLIDER, "swing.py": SWING, "sweep.yaml": "modules: []"}.items():
+        (tmp_path / name).write_text(text)
+    return tmp_path
+
+
+def checked(axes, capsys, *more):
+    """Exit code, what is printed, and the lines told by the axis that they are about."""
+    Path("study.yaml").write_text(HEAD + "".join(f"    {name}: {{{what}}}\n" for name, what in axes.items()))
+    code = main(["run", "study=study.yaml", "--check", "out=none", *more])
+    out, err = capsys.readouterr()
+    assert not Path("none").exists()
+    found = re.findall(r"^sweep: (\S+) changes nothing( from [\S]+ to [\S]+)?: (.*)$", err, re.MULTILINE)
+    return code, out, {column: (where, why) for column, where, why in found}, err
+
+
+def test_of_a_thousand_dead_axes_none_is_unsaid(here, capsys):
+    dead = [
+        *(f"model.site.s{k}.pos.x" for k in range(SITES)),
+        *(f"model.geom.g{k}.friction.slide" for k in range(GEOMS)),
+    ]
+    told = [f"belief.model.geom.g{k}.friction.roll" for k in range(BELIEFS)]
+    live = [
+        "belief.model.body.box.mass",
+        "world.model.body.box.mass",
+        "controller.reach",
+        "model.geom.box.friction.slide",
+    ]
+    levels = {**dict.fromkeys(live, (0.7, 1.4)), **dict.fromkeys([*dead, *told], (0.1, 0.2))}
+    pd.DataFrame(levels).to_csv("points.csv", index=False)
+    code, out, found, err = checked({"b": LIVE["b"]}, capsys, "--points", "points.csv")
+    assert code == 4, err
+    assert "4 of 1004 axes act" in out
+    assert {c for c, (where, _) in found.items() if not where} == {*dead, *told}
+    assert found["model.site.s7.pos.x"][1] == "no sensor is at the site"
+    assert found["model.geom.g7.friction.slide"][1] == "geom `g7` collides with nothing"
+    assert found["belief.model.geom.g7.friction.roll"][1] == "the controller is not told of it (BELIEVES)"
+
+
+@pytest.mark.parametrize(
+    ("axis", "why"),
+    [
+        ("path: model.geom.floor.friction.slide, values: [0.1, 0.3]", "the larger counts: geom `box` has 0.4"),
+        ("path: model.geom.floor.friction.roll, values: [0.1, 0.3]", "contacts have condim 3, from 6 on it counts"),
+        ("path: controller.unused, values: [0, 1]", "the controller makes no use of it"),
+        ("path: controller.reach, side: world, values: [0, 1]", "its own numbers are believed"),
+        ("path: model.joint.slide.range.low, values: [0, 1]", "the joint has no limits"),
+        ("path: model.actuator.slide.ctrlrange.low, values: [0, 1]", "the actuator has no such limits"),
+        ("path: model.option.wind.x, values: [0, 1]", "air has neither density nor viscosity"),
+        ("path: model.body.box.pos.x, values: [0, 1]", "a free body is where its joint is"),
+        ("path: noise.delay, side: belief, values: [0, 1]", "errors are those of the world"),
+        ("path: model.option.iterations, values: [90, 100]", "the solver stops by another limit"),
+    ],
+)
+def test_a_dead_axis_is_told_with_why(here, capsys, axis, why):
+    code, out, found, _ = checked({"x": axis}, capsys)
+    assert (code, len(found)) == (4, 1)
+    assert "0 of 1 axes act" in out
+    assert why in next(iter(found.values()))[1]
+
+
+def test_a_part_of_an_axis_may_be_dead(here, capsys):
+    code, out, found, _ = checked(LIVE, capsys)
+    assert (code, len(found)) == (0, 1)
+    assert "6 of 6 axes act" in out
+    assert found["model.geom.box.friction.slide"] == (
+        " from 0.2 to 0.45",
+        "of two that meet the larger counts: geom `floor` has 0.5",
+    )
+
+
+def test_what_has_priority_is_told(here, capsys):
+    Path("slider.xml").write_text(SLIDER.replace('name="box" type', 'name="box" priority="2" type'))
+    axes = {"x": "path: model.geom.floor.friction.slide, values: [0.1, 0.9]", "b": LIVE["b"]}
+    code, out, found, _ = checked(axes, capsys)
+    assert (code, list(found)) == (4, ["model.geom.floor.friction.slide"])
+    assert found["model.geom.floor.friction.slide"][1] == "geom `box` has priority"
+    assert "1 of 2 axes act" in out
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "import numpy as np\nrng = np.random.default_rng(0)\ndef policy(seen): return rng.random((len(seen), 1))\n",
+        "import random\nimport jax.numpy as jnp\n"  # once for each program
+        "def policy(belief, seen, state, key): return jnp.full(1, random.random()), state\n",
+    ],
+)
+def test_a_controller_that_is_no_function_of_its_arguments_is_found(here, capsys, code):
+    name = f"impure{len(code)}"
+    Path(f"{name}.py").write_text(code)
+    code, _, _, err = checked({"b": LIVE["b"]}, capsys, f"model.controller={name}:policy")
+    assert code == 4
+    assert "two runs of one batch differ (" in err
+    assert "the controller is no function of its arguments" in err
+
+
+def test_axes_of_the_robot_are_tried_too(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("s.yaml").write_text(
+        "scenario: walk_tripod\nmanoeuvre: {steps: 1}\nstudy:\n  design: {grid: one_at_a_time}\n  axes:\n"
+        "    a: {path: contact.friction, side: world, values: [0.2, 0.4, 0.8]}\n"
+        "    b: {path: manoeuvre.half_step_ratio, side: world, values: [0.1, 0.2]}\n"
+        "    c: {path: contact.friction, side: belief, values: [0.2, 0.9]}\n"
+        "    d: {path: robot.body_mass, values: [9, 10]}\n"
+        "    e: {path: noise.load_noise, side: world, values: [0, 1]}\n"
+    )
+    assert main(["run", "study=s.yaml", "--check"]) == 4
+    out, err = capsys.readouterr()
+    assert "2 of 5 axes act" in out
+    assert "world.manoeuvre.half_step_ratio changes nothing: plans are made of what is believed" in err
+    for dead in ("belief.contact.friction", "world.noise.load_noise"):
+        assert f"{dead} changes nothing: no figure differs by a bit from " in err
+
+
+def test_a_check_needs_something_to_try(here, capsys):
+    Path("study.yaml").write_text(HEAD + "    a: {path: model.body.box.mass, values: [1]}\n")
+    assert main(["run", "study=study.yaml", "--check"]) == 2
+    assert "varies nothing" in capsys.readouterr().err
+    assert main(["run", "scenario=walk_tripod", "--check"]) == 2
+    assert "--check tries the axes of a study: give study=NAME" in capsys.readouterr().err
