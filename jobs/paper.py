@@ -142,7 +142,10 @@ def summary(found: Results) -> dict[str, Any]:
 
 
 def along(found: Results, axis: str) -> list[list[Any]]:
-    """Value, successes and valid rollouts at each value of an axis, or in equal parts of it; of errors one at a time, the others nominal."""
+    """Value, successes and valid rollouts at each value of an axis, or in equal parts of it.
+
+    Of errors one at a time the others are nominal.
+    """
     if found.one_at_a_time:
         every = sensitivity.along(found.rows, found.exp)
         table = every[every["axis"] == axis]
