@@ -4,6 +4,9 @@ import base64
 import io
 import json
 import re
+import shutil
+import subprocess
+import tarfile
 from dataclasses import replace
 from importlib.resources import files
 
@@ -24,6 +27,8 @@ pytestmark = [
     pytest.mark.browser,
     pytest.mark.skipif(CHROMIUM is None, reason="needs a browser: apt-get install chromium"),
 ]
+
+AXE = "4.10.3"
 
 
 @pytest.fixture(scope="module")
@@ -402,6 +407,32 @@ def test_a_margin_is_read_with_the_limit_that_it_is_to(shown):
     margin, limits = by_script(shown, told, read)
     assert np.abs(margin - trace.margin.clip(-1)).max() <= 0.5 / MARGIN + 1e-9
     assert limits == trace.margin_of.tolist()
+
+
+@pytest.fixture(scope="module")
+def axe(tmp_path_factory):
+    """The source of axe, which looks for what bars people from a page, where npm can fetch it."""
+    folder = tmp_path_factory.mktemp("axe")
+    command = ["npm", "pack", "--silent", f"axe-core@{AXE}"]
+    if not shutil.which("npm") or subprocess.run(command, cwd=folder, capture_output=True, timeout=60).returncode:
+        pytest.skip(f"needs npm and axe-core {AXE}")
+    with tarfile.open(folder / f"axe-core-{AXE}.tgz") as packed:
+        source = packed.extractfile("package/axe.min.js")
+        assert source
+        return source.read().decode()
+
+
+@pytest.mark.parametrize(("study", "dark"), [("wide", False), ("wide", True), ("folder", False)])
+def test_nobody_is_barred(browser, axe, study, request, tmp_path, dark):
+    browser.resize(1400, 1000, dark)
+    browser.open(page.write(results.read(request.getfixturevalue(study)), tmp_path / "report.html"))
+    browser.until("performance.getEntriesByName('map').length")
+    browser.run(f"(() => {{ {axe}; return 0 }})()")
+    found, sound = browser.run("""axe.run().then((all) => [
+        all.violations.map((one) => [one.id, one.nodes[0].html]), all.passes.length])""")
+    browser.resize(1400, 1000)
+    assert found == []
+    assert sound > 20
 
 
 def test_on_paper_the_figures_stand(browser, folder, tmp_path):
