@@ -2,7 +2,7 @@
 
 import contextlib
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ BATCH = "batch"
 NEVER = 1 << 40
 CPU_WIDTH, GPU_WIDTH = 256, 131072  # a device's best number of rollouts, where its memory holds them
 NATIVE_WIDTH = 64  # of C MuJoCo
+PLANNED = 1024  # rollouts that plan at a time on a GPU: one that learns takes 6 MiB for it
 GPU_ROLLOUT = 64 << 10  # bytes of a rollout on a GPU with room to spare: 10 to 31 KiB were measured
 
 
@@ -105,6 +106,26 @@ def mesh(width: int) -> jax.sharding.Mesh:
 def specs(tree: Any) -> Any:
     """How each leaf of `tree` lies on the mesh: split where it varies over the batch, else on every device."""
     return jax.tree.map(lambda x: PartitionSpec(BATCH) if np.ndim(x) else PartitionSpec(), tree)
+
+
+def in_turns(function: Callable[..., Any], width: int) -> Callable[..., Any]:
+    """`function` of a rollout for `width` of them, as many at a time as planning has memory for.
+
+    Arguments without axes are the same for all.
+    """
+    turn = next((k for k in range(min(width, PLANNED), PLANNED // 8, -1) if width % k == 0), width)
+
+    def batched(*args: Any) -> Any:
+        leaves, tree = jax.tree.flatten(args)
+        differ = [k for k, x in enumerate(leaves) if jnp.ndim(x)]
+
+        def one(own: Sequence[Array]) -> Any:
+            given = dict(zip(differ, own, strict=True))
+            return function(*jax.tree.unflatten(tree, [given.get(k, x) for k, x in enumerate(leaves)]))
+
+        return jax.lax.map(one, [leaves[k] for k in differ], batch_size=turn)
+
+    return batched
 
 
 def spread(tree: Any, over: jax.sharding.Mesh) -> Any:

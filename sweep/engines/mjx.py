@@ -238,7 +238,8 @@ class Mjx:
         on_devices = partial(jax.shard_map, mesh=self._mesh, check_vma=False)
 
         def many(start: Callable, more: int) -> Callable:
-            batched = jax.vmap(start, in_axes=(*axes, *[0] * (1 + more)))
+            at_once = jax.vmap(start, in_axes=(*axes, *[0] * (1 + more)))
+            batched = at_once if self._by_host else devices.in_turns(start, self._local)
             return on_devices(batched, in_specs=(*specs, *[split] * (1 + more)), out_specs=split)
 
         recorded = (split, PartitionSpec(None, devices.BATCH))

@@ -229,7 +229,7 @@ class Printer(Text):
     def _branch(self, branch: Branch) -> None:
         self._fresh += 1
         name = f"B{self._fresh}"
-        self.switch(TYPES[branch.index.dtype], self.value(branch.index), name, len(branch.blocks))
+        self.switch(TYPES[branch.index.dtype], self._uniform(branch.index), name, len(branch.blocks))
         before, ends = dict(self.here), []
         for k, block in enumerate(branch.blocks):
             self._start(f"{name}_{k}")
@@ -242,6 +242,17 @@ class Printer(Text):
         for place in {place: None for _, here in ends for place in here if here[place] != before.get(place)}:
             values = ", ".join(f"[{here.get(place, 'poison')}, %{label}]" for label, here in ends)
             self.here[place] = self.emit(f"phi {TYPES[place[0].dtype]} {values}")
+
+    def _uniform(self, node: Node) -> str:
+        """What all rollouts go by, worked out where it is asked for.
+
+        A part hands nothing on where all rollouts of its warp are over, and lanes of the next part's warps that got
+        theirs from different warps would go different ways: they wait for each other for ever.
+        """
+        if node.op in ANEW or node.op == "count":
+            return self.counts[node.extra] if node.op == "count" else self.value(node)
+        args = [self._uniform(x) for x in node.args]
+        return self.arithmetic(node.op, node.dtype, args, [x.dtype for x in node.args])
 
     def _changed(self, items: Iterable[Any]) -> Iterator[Place]:
         """Places in inner memory where something is stored, each once."""

@@ -154,9 +154,9 @@ class Interpreter(Arrays):
 
 def uniform(node: Node) -> bool:
     """Whether it is the same for all rollouts: worked out from constants and counters alone."""
-    return node.op in ("const", "count", "tick") or (
-        bool(node.args) and node.op not in ("gather", "pack") and all(uniform(x) for x in node.args)
-    )
+    if node.op in ("gather", "pack", "part", "over_legs"):
+        return False
+    return node.op in ("const", "count", "tick") or (bool(node.args) and all(uniform(x) for x in node.args))
 
 
 def _operations(jaxpr: Any) -> int:

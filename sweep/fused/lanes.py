@@ -126,15 +126,13 @@ def within(item: Any) -> Iterator[Any]:
 
 
 def operands(part: Part, needed: set[int]) -> Iterator[Node]:
-    """What all of a part is worked out from, inner blocks with it."""
+    """What all of a part is worked out from, inner blocks with it, but for what branches go by."""
     for one in [*part.items, *part.stores]:
         for item in (one, *within(one)):
             if isinstance(item, Node) and item.number in needed:
                 yield from (item, *item.args) if item.op == "gather" else item.args
             elif isinstance(item, Store):
                 yield item.value
-            elif isinstance(item, Branch):
-                yield item.index
 
 
 def _places(node: Node, group: int) -> list[Any]:

@@ -120,6 +120,27 @@ def test_rollouts_go_on_until_all_of_their_warp_are_over():
     assert over.tolist() == [True] * 32 + [False] * 2
 
 
+def test_lanes_do_not_part_where_some_rollouts_of_a_warp_are_over_with_all_beside_them_in_another_part():
+    def ticked(given, carried, k):
+        feet, over, least = carried
+        often = (k + jnp.int32(2)) % 3  # worked out beside the flag, and asked for among legs
+        feet, _ = jax.lax.scan(lambda x, i: (0.5 * x + jnp.sin(x) + 0.1 * i, None), feet, jnp.arange(99.0))
+        least = jax.lax.cond(often == 1, lambda: jnp.minimum(least, jnp.min(jnp.sin(feet) + given)), lambda: least)
+        return (feet, over | (k >= given), least), {}
+
+    given = jnp.where(jnp.arange(WIDTH) < 32, 1.0, 9.0)  # 32 have a thread each in one warp, five their legs in one
+    feet = 0.1 * jnp.arange(WIDTH * 18.0).reshape(WIDTH, 6, 3)
+    carried = feet, jnp.zeros(WIDTH, bool), jnp.full(WIDTH, 9.0)
+    one = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), (given, carried))
+    code = launch.compiled(ticked, *one, lambda carried: carried[1], 7, 0, WIDTH)
+    kernel, _ = launch.run(code, given, carried, jnp.int32(0), None)
+    for k in range(7):
+        carried, _ = jax.vmap(ticked, (0, 0, None))(given, carried, jnp.int32(k))
+    going = np.asarray(given) > 2
+    np.testing.assert_array_equal(kernel[1], carried[1])
+    np.testing.assert_allclose(kernel[2][going], carried[2][going], rtol=1e-4)
+
+
 def test_parts_hand_on_what_they_have_worked_out_however_many_rollouts_a_block_has(monkeypatch):
     def between(feet, given):
         some = jax.lax.scan(lambda x, i: (jnp.cos(given @ x) + x, None), given, jnp.arange(30.0))[0]
