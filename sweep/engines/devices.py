@@ -123,7 +123,9 @@ def in_turns(function: Callable[..., Any], width: int) -> Callable[..., Any]:
             given = dict(zip(differ, own, strict=True))
             return function(*jax.tree.unflatten(tree, [given.get(k, x) for k, x in enumerate(leaves)]))
 
-        return jax.lax.map(one, [leaves[k] for k in differ], batch_size=turn)
+        # by hand, as map's own batches may hold no empty arrays
+        own = [leaves[k].reshape(width // turn, turn, *leaves[k].shape[1:]) for k in differ]
+        return jax.tree.map(lambda x: x.reshape(width, *x.shape[2:]), jax.lax.map(jax.vmap(one), own))
 
     return batched
 

@@ -236,10 +236,12 @@ class Mjx:
         axes, specs = devices.axes((world, belief)), devices.specs((world, belief))
         split, whole = PartitionSpec(devices.BATCH), PartitionSpec()
         on_devices = partial(jax.shard_map, mesh=self._mesh, check_vma=False)
+        control = self._nominal[0].control
+        one_plan = control.calibrate == control.touch == "none" and not any(map(np.ndim, jax.tree.leaves(belief)))
 
         def many(start: Callable, more: int) -> Callable:
             at_once = jax.vmap(start, in_axes=(*axes, *[0] * (1 + more)))
-            batched = at_once if self._by_host else devices.in_turns(start, self._local)
+            batched = at_once if self._by_host or one_plan else devices.in_turns(start, self._local)
             return on_devices(batched, in_specs=(*specs, *[split] * (1 + more)), out_specs=split)
 
         recorded = (split, PartitionSpec(None, devices.BATCH))

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from sweep.controllers import forces
-from sweep.engines import planning
+from sweep.engines import devices, planning
 from sweep.engines.planning import Planning
 
 FEET = jnp.array([[-0.5, 0.5], [0.0, 0.5], [0.5, 0.5], [-0.5, -0.5], [0.0, -0.5], [0.5, -0.5]])
@@ -54,3 +54,15 @@ def test_one_search_for_all_rollouts_is_left_to_xla():
 
     assert planning.lowered(start, arrays, many, searches=True, by_host=True).search is not None
     assert planning.lowered(shared, arrays, many, searches=True, by_host=True).search is None
+
+
+def test_some_rollouts_at_a_time_are_all_of_them(monkeypatch):
+    monkeypatch.setattr(devices, "PLANNED", 8)
+
+    def begun(world, belief, key, bodies):
+        return {"base": jnp.sin(world * belief) + jnp.arange(3.0), "draw": jax.random.normal(key), "bodies": bodies}
+
+    keys, bodies = jax.random.split(jax.random.key(0), 24), jnp.zeros((24, 0, 7))
+    arrays = jnp.float32(2.0), jnp.arange(24.0), keys, bodies
+    many = jax.vmap(begun, (None, 0, 0, 0))(*arrays)
+    jax.tree.map(np.testing.assert_array_equal, jax.jit(devices.in_turns(begun, 24))(*arrays), many)
