@@ -52,7 +52,7 @@ class Meter:
         xp, n = namespace(qpos), len(qpos)
         none, feet = xp.zeros_like(qpos[:, 0]), len(self._sites)
         found = dict.fromkeys(("steps", "power", "tilt", "slip", "full", "ends"), none)
-        down = {"down": xp.zeros((n, feet, 3), qpos.dtype), "loaded": xp.zeros((n, feet), bool)}
+        down = {"down": xp.zeros((n, feet, 2), qpos.dtype), "loaded": xp.zeros((n, feet), bool)}
         return found | down | {"start": qpos, "last": qpos, "height": none + np.inf, "finite": xp.ones(n, bool)}
 
     def update(
@@ -63,18 +63,18 @@ class Meter:
         """
         qpos, number, new = steps["qpos"], steps["qpos"].shape[1], dict(sofar)
         xp = namespace(qpos)
-        finite = xp.isfinite(qpos).all(axis=(1, 2)) & xp.isfinite(steps["qvel"]).all(axis=(1, 2))
-        new["finite"] = sofar["finite"] & (~going | finite)
 
         def most(name: str, value: Any) -> None:
             new[name] = xp.where(going, xp.maximum(sofar[name], value), sofar[name])
 
         with np.errstate(invalid="ignore", over="ignore"):
+            finite = xp.isfinite(qpos.sum(axis=(1, 2)) + steps["qvel"].sum(axis=(1, 2)))
+            new["finite"] = sofar["finite"] & (~going | finite)
             if self._base is not None:
                 at, upright = self._base, slice(self._base + 3, self._base + 7)
                 low = xp.minimum(sofar["height"], qpos[..., at + 2].min(axis=1))
                 new["height"] = xp.where(going, low, sofar["height"])
-                most("tilt", tilt(qpos[..., upright], sofar["start"][:, None, upright]).max(axis=1))
+                most("tilt", angle(level(qpos[..., upright], sofar["start"][:, None, upright]).min(axis=1)))
             if len(self._forced):
                 force, range_ = steps["actuator_force"][..., self._forced], limits["actuator_forcerange"][:, None]
                 ends = at_end(force, range_[:, :, self._forced])
@@ -84,13 +84,17 @@ class Meter:
                 new["ends"] = sofar["ends"] + going * ends.mean(axis=2).sum(axis=1)
             power = xp.maximum(steps["actuator_force"] * steps["actuator_velocity"], 0.0)
             new["power"] = sofar["power"] + going * power.sum(axis=(1, 2))
-            for k in range(number if len(self._sites) else 0):
-                loaded = steps["sensordata"][:, k, self._touch] > LOADED
-                place = steps["site_xpos"][:, k, self._sites]
-                new["down"] = xp.where((loaded & ~new["loaded"])[..., None], place, new["down"])
-                moved = xp.linalg.norm((place - new["down"])[..., :2], axis=2) * loaded
-                new["slip"] = xp.where(going, xp.maximum(new["slip"], moved.max(axis=1)), new["slip"])
-                new["loaded"] = loaded
+            if len(self._sites):
+                loaded = steps["sensordata"][..., self._touch] > LOADED
+                place = steps["site_xpos"][:, :, self._sites, :2]
+                before = xp.concatenate([sofar["loaded"][:, None], loaded[:, :-1]], axis=1)
+                landed = xp.where(loaded & ~before, xp.arange(number)[:, None], -1)
+                when = xp.maximum.accumulate(landed, axis=1)[..., None]  # the last step at which it came down
+                there = xp.take_along_axis(place, xp.maximum(when, 0), axis=1)
+                down = xp.where(when >= 0, there, sofar["down"][:, None])
+                moved = xp.hypot(*xp.moveaxis(place - down, -1, 0)) * loaded
+                most("slip", moved.max(axis=(1, 2)))
+                new |= {"down": down[:, -1], "loaded": loaded[:, -1]}
         new["steps"] = sofar["steps"] + going * number
         new["last"] = xp.where(going[:, None], qpos[:, -1], sofar["last"])
         return new
@@ -137,10 +141,25 @@ def namespace(array: Any) -> Any:
 
 def tilt(quat: Any, start: Any) -> Any:
     """Angle (°) between upward axes of two orientations (..., 4), each as it stands in the world."""
-    xp = namespace(quat)
-    up = [xp.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=-1)
-          for w, x, y, z in (xp.moveaxis(quat, -1, 0), xp.moveaxis(start, -1, 0))]  # fmt: skip
-    return xp.degrees(xp.arccos(xp.clip((up[0] * up[1]).sum(axis=-1), -1, 1)))
+    return angle(level(quat, start))
+
+
+def level(quat: Any, start: Any) -> Any:
+    """Cosine of the tilt."""
+    a, b = (up(namespace(quat).moveaxis(one, -1, 0)) for one in (quat, start))
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def up(quat: Any) -> tuple[Any, Any, Any]:
+    """The upward axis of an orientation (4, ...), each of its components (...)."""
+    w, x, y, z = quat
+    return 2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)
+
+
+def angle(cosine: Any) -> Any:
+    """In degrees, of a cosine that may be beyond 1 by rounding."""
+    xp = namespace(cosine)
+    return xp.degrees(xp.arccos(xp.clip(cosine, -1, 1)))
 
 
 def at_end(values: Any, range_: Any) -> Any:

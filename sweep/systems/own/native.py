@@ -3,6 +3,9 @@
 Bits depend neither on threads nor on how many rollouts share a batch.
 """
 
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
 import mujoco
 import numpy as np
 
@@ -34,7 +37,8 @@ class Native(Loop):
         self, world: Side, belief: Side, streams: np.ndarray, slots: np.ndarray | None = None, every: int = 1
     ) -> tuple[Figures, list[Frame]]:
         own, n = self._own, len(streams)
-        with devices.precision(self._settings):
+        # figures of a tick are worked out, on one core, while the next one is simulated on all of them
+        with devices.precision(self._settings), ThreadPoolExecutor(1) as aside:
             begun = batch.begin(own, self._settings, world, belief, streams)
             qpos, qvel, seen = begun.qpos, begun.qvel, begun.sensors
             rollouts = Rollouts(self._programs, begun.given, n)
@@ -42,21 +46,23 @@ class Native(Loop):
             rollouts.enter(own.observed(qpos, qvel, seen))
             ticks = batch.ticks(own, rollouts.duration, n)
             meter = figures.Meter(self._model, own.base, own.feet)
-            sofar = meter.start(qpos.copy())
-            broken, frames, steps = np.zeros(n, dtype=bool), [], None
+            sofar = aside.submit(meter.start, qpos.copy())
+            broken, frames = np.zeros(n, dtype=bool), []
+            recorded: list[Any] = [None, None]  # of this tick and the one before
             controls = np.zeros((n, self._substeps, self._model.nu))
             for k in range(int(ticks.max(initial=0))):
                 going = k < ticks
                 ctrl = rollouts.tick(own.observed(qpos, qvel, seen))
                 broken |= going & ~np.isfinite(ctrl).all(axis=1)
                 controls[:] = np.nan_to_num(ctrl)[:, None]
-                steps = begun.batch.rollout(self._substeps, controls, record=figures.STEPS, out=steps)
+                out = recorded[k % 2]
+                steps = recorded[k % 2] = begun.batch.rollout(self._substeps, controls, record=figures.STEPS, out=out)
                 seen = steps["sensordata"][:, -1]
-                sofar = meter.update(sofar, steps, begun.limits, going)
+                sofar = aside.submit(meter.update, sofar.result(), steps, begun.limits, going)
                 if slots is not None and (k + 1) % every == 0:
                     last = (steps[name][slots, -1].copy() for name in ("qpos", "qvel", "actuator_force"))
                     at, speed, force = last
                     frames.append(Frame((k + 1) * own.about.period, at, speed, ctrl[slots], force))
         warned = begun.batch.warning[:, :, 0] > 0
         broken |= warned[:, BROKEN].any(axis=1)
-        return meter.figures(sofar, begun.mass, broken, warned[:, FULL].any(axis=1)), frames
+        return meter.figures(sofar.result(), begun.mass, broken, warned[:, FULL].any(axis=1)), frames
