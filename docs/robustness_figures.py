@@ -6,6 +6,7 @@ python docs/robustness_figures.py --rates      # docs/robustness_rates.md and it
 """
 
 import sys
+from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
 
@@ -74,9 +75,13 @@ the first table of [robustness](robustness.md), which says what was run. Dotted:
 
 
 def table(found: Results) -> str:
-    """Rates along each error in Markdown."""
+    """Rates along each error of a study in Markdown."""
+    return errors_of(sensitivity.along(found.rows, found.exp))
+
+
+def errors_of(rates: pd.DataFrame) -> str:
+    """Rates along each error in Markdown; columns axis, value, share, low, high, invalid."""
     lines = ["| error | succeed, % |", "|:--|:--|"]
-    rates = sensitivity.along(found.rows, found.exp)
     for axis, (words, scale) in ERRORS.items():
         cells = []
         for one in rates[rates["axis"] == axis].to_dict("records"):
@@ -113,14 +118,19 @@ def bounds(folders: list[str]) -> None:
         new = new.assign(scenario=found.exp.scenario, robot=learns, commit=found.stored["commit"])
         rates = pd.concat([rates[~same], new[rates.columns]])
     rates.sort_values(["scenario", "robot"], kind="stable").to_csv(RATES, index=False, float_format="%.4g")
+    print("\n\n".join(bounds_of(rates)))
+
+
+def bounds_of(rates: pd.DataFrame) -> Iterator[str]:
+    """The tables of bounds in Markdown: errors of the first, then those of `SEEN`."""
     for columns in (BOUNDS, SEEN):
-        print("| | robot | " + " | ".join(title for title, *_ in columns.values()) + " |")
-        print("|:--|:--|" + ":--|" * len(columns))
+        lines = ["| | robot | " + " | ".join(title for title, *_ in columns.values()) + " |"]
+        lines.append("|:--|:--|" + ":--|" * len(columns))
         for (scenario, robot), of_one in rates[rates["axis"].isin(columns)].groupby(["scenario", "robot"]):
             along = dict(list(of_one.groupby("axis")))
             cells = [bound(along[axis], *how) if axis in along else "" for axis, (_, _, *how) in columns.items()]
-            print(f"| `{scenario}` | {robot} | " + " | ".join(cells) + " |")
-        print()
+            lines.append(f"| `{scenario}` | {robot} | " + " | ".join(cells) + " |")
+        yield "\n".join(lines)
 
 
 def page() -> None:

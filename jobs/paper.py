@@ -142,7 +142,7 @@ def summary(found: Results) -> dict[str, Any]:
 
 
 def along(found: Results, axis: str) -> list[list[Any]]:
-    """Value, successes and valid rollouts at each value of an axis, or in equal parts of it.
+    """Value, successes, valid and invalid rollouts at each value of an axis, or in equal parts of it.
 
     Of errors one at a time the others are nominal.
     """
@@ -152,7 +152,9 @@ def along(found: Results, axis: str) -> list[list[Any]]:
     else:
         values = binned(found.rows[axis], PARTS if found.rows[axis].nunique() > VALUES else VALUES)
         table = rates(found.rows.assign(value=values), ["value"])
-    return [[one["value"], int(one["success"]), int(one["valid"])] for one in table.to_dict("records")]
+    counts = table[["success", "valid", "invalid"]].astype(int).to_numpy().tolist()
+    values = [float(f"{value:.6g}") if isinstance(value, float) else value for value in table["value"]]
+    return [[value, *count] for value, count in zip(values, counts, strict=True)]
 
 
 def told(name: str, new: dict[str, Any]) -> Iterator[str]:
@@ -175,7 +177,7 @@ def cells(data: dict[str, Any]) -> Iterator[tuple[str, tuple[int, int]]]:
     """Successes and valid rollouts of the whole, and along each axis."""
     yield "all", (data["success"], data["valid"])
     for axis, lines in data["along"].items():
-        for value, success, valid in lines:
+        for value, success, valid, _ in lines:
             yield f"{axis} = {value}", (success, valid)
 
 

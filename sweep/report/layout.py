@@ -5,6 +5,7 @@ from contextlib import AbstractContextManager
 from typing import Any
 
 import matplotlib as mpl
+import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
@@ -13,6 +14,7 @@ from matplotlib.textpath import TextPath
 COLUMN, PAGE = 84 / 25.4, 174 / 25.4  # in, as most journals have them
 LETTERS = 8  # points
 SERIF = ["STIX Two Text", "Times New Roman", "STIXGeneral", "DejaVu Serif"]  # the one but last comes with matplotlib
+LINE = 1.5  # of a legend, in letters
 HANDLE = 6.0  # of a legend's entry beside its text, in letters: handle, gap, and the space to the next column
 
 
@@ -34,13 +36,20 @@ def sheet(height: float, width: float = PAGE) -> Figure:
 
 
 def legend_below(figure: Figure, handles: Sequence[Any]) -> None:
-    """A legend below all panels, in as many columns as the figure is wide enough for."""
+    """A legend below all panels, in as many columns as the figure is wide enough for; it grows by further lines."""
     if not handles:
         return
-    longest = max(wide(str(one.get_label() if isinstance(one, Artist) else "")) for one in handles)
-    room = 72 * figure.get_size_inches()[0] - 2 * LETTERS
-    columns = int(room // (longest + HANDLE * LETTERS))
-    figure.legend(handles=handles, loc="outside lower center", ncols=max(1, min(columns, len(handles))))
+    widths = [wide(str(one.get_label() if isinstance(one, Artist) else "")) + HANDLE * LETTERS for one in handles]
+    across, high = figure.get_size_inches()
+    columns = max((n for n in range(1, len(handles) + 1) if taken(widths, n) <= 72 * across - 2 * LETTERS), default=1)
+    lines = -(-len(handles) // columns)
+    figure.set_size_inches(across, high + (lines - 1) * LINE * LETTERS / 72)
+    figure.legend(handles=handles, loc="outside lower center", ncols=columns)
+
+
+def taken(widths: Sequence[float], columns: int) -> float:
+    """Width of a legend of entries so wide in so many columns, each filled before the next, as matplotlib does."""
+    return sum(max(part) for part in np.array_split(widths, columns))
 
 
 def wide(text: str) -> float:

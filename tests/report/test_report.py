@@ -3,12 +3,14 @@ import io
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 
 from sweep.analysis.stats import broken, rate
 from sweep.core.parameters import InputError
 from sweep.metrics.outcome import FAILURES
 from sweep.report import maps, tables
-from sweep.report.layout import PAGE, lettering
+from sweep.report.layout import PAGE, legend_below, lettering
 from sweep.report.looks import marker
 from sweep.study.config import compose
 from sweep.study.study import Expectation
@@ -93,6 +95,18 @@ def test_a_legend_is_never_cut(rows):
     assert whole.x0 <= legend.x0 < legend.x1 <= whole.x1
     assert whole.y0 <= legend.y0 < legend.y1 <= whole.y1
     assert figure.get_size_inches()[0] == pytest.approx(PAGE)
+
+
+def test_a_long_entry_of_a_legend_leaves_the_map_its_room(rows):
+    figure = Figure(figsize=(PAGE, 3.6), layout="constrained")
+    axes = figure.subplots()
+    with lettering():
+        legend_below(
+            figure, [Patch(label=one) for one in ("short", "words", "again", "others", "more", "a limit " * 8)]
+        )
+        figure.draw_without_rendering()
+    assert len({text.get_window_extent().y0 for text in figure.legends[0].get_texts()}) <= 2
+    assert axes.get_window_extent().height > 0.8 * 3.6 * figure.dpi
 
 
 def test_map_of_repeated_rollouts_shows_rates_and_how_many(rows):

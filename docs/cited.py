@@ -1,0 +1,123 @@
+"""Fills what the pages cite from docs/data: `python docs/cited.py` writes every block between markers anew.
+
+    <!-- data pole_map: rate --> 239 of 375 succeed <!-- end -->
+
+A block names a target of jobs/paper.yaml, whose data jobs/paper.py writes, and a form of `FORMS`, with words for it
+after a comma. A page with blocks ends in one of `<!-- data: sources -->`, which says what code its data are of.
+"""
+
+import json
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+sys.path.insert(0, str(Path(__file__).parent))
+from robustness_figures import RATES, bounds_of, errors_of
+
+from sweep.analysis.intervals import wilson
+from sweep.core.errors import InputError
+from sweep.core.provenance import code_version
+
+DOCS = Path(__file__).parent
+DATA = DOCS / "data"
+BLOCK = re.compile(r"(<!-- data ?([\w ]*): (\w+)(?:, (.*?))? -->)(\s)(.*?)(\s)(<!-- end -->)", re.DOTALL)
+
+
+def filled(text: str) -> str:
+    """A page with all its blocks as the data have them. Raises `InputError` where a block cites what is not there."""
+    cited = sorted({found[2] for found in BLOCK.finditer(text) if found[2] and found[2] != "robustness_rates"})
+
+    def block(found: re.Match[str]) -> str:
+        start, name, form, words, before, _, after, end = found.groups()
+        if form not in FORMS:
+            raise InputError(f"{start}: {form} is not a form (allowed: {', '.join(FORMS)})")
+        content = sources(cited) if form == "sources" else FORMS[form](name, *(words or "").split(", ")[: bool(words)])
+        return f"{start}{before}{content}{after}{end}"
+
+    return BLOCK.sub(block, text)
+
+
+def read(name: str) -> dict[str, Any]:
+    """The data of a target. Raises `InputError` where there are none."""
+    path = DATA / f"{name}.json"
+    if not path.exists():
+        raise InputError(f"{name} has no data: jobs/paper.py {name} writes them")
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def rate(name: str) -> str:
+    """`239 of 375 succeed`, and how many are invalid."""
+    data = read(name)
+    broken = f" ({data['invalid']:,} more are invalid)" if data["invalid"] else ""
+    return f"{data['success']:,} of {data['valid']:,} succeed{broken}"
+
+
+def causes(name: str) -> str:
+    """What came of the others, the most frequent first."""
+    data = read(name)
+    return ", ".join(f"{number:,} `{cause}`" for cause, number in data["causes"].items()) or "none"
+
+
+def errors(name: str) -> str:
+    """Rates along each error, a line each."""
+    table = []
+    for axis, lines in read(name)["along"].items():
+        for value, success, valid, invalid in lines:
+            table.append(interval(success, valid) | {"axis": axis, "value": value, "invalid": invalid})
+    return errors_of(pd.DataFrame(table))
+
+
+def along(name: str, axis: str) -> str:
+    """Successes at each value of an axis, a line each."""
+    lines = [f"| {axis} | succeed |", "|--:|:--|"]
+    for value, success, valid, _ in read(name)["along"][axis]:
+        found = interval(success, valid)
+        lines.append(f"| {value:g} | {success} of {valid} ({100 * found['low']:.0f} to {100 * found['high']:.0f} %) |")
+    return "\n".join(lines)
+
+
+def interval(success: int, valid: int) -> dict[str, float]:
+    """Share of successes with its 95 % Wilson interval."""
+    low, high = wilson(success, valid)
+    return {"share": success / valid if valid else float("nan"), "low": float(low), "high": float(high)}
+
+
+def bounds(_: str) -> str:
+    """How large an error each manoeuvre bears, from the rates that are kept."""
+    return next(bounds_of(pd.read_csv(RATES)))
+
+
+def sources(names: list[str]) -> str:
+    """What made the data of a page: command, engine, code, machine, a line each."""
+    lines = ["| data | made by | engine, machine | code | s |", "|:--|:--|:--|:--|--:|"]
+    for name in names:
+        data = read(name)
+        where = f"{data['engine']}, {'; '.join(data['devices'])}"
+        lines.append(f"| {name} | `{data['command']}` | {where} | {data['commit']} | {data['seconds']} |")
+    return "\n".join(lines)
+
+
+def outdated(text: str) -> str:
+    """A sentence about data of a page that are of other code than this, for the site; empty where there are none."""
+    names = {found[2] for found in BLOCK.finditer(text)} - {"", "robustness_rates"}
+    older = sorted(name for name in names if read(name)["code"] != code_version())
+    return f"Measured before the code of this site: {', '.join(older)}." if older else ""
+
+
+def pages() -> Iterator[Path]:
+    """All pages."""
+    yield from sorted(DOCS.rglob("*.md"))
+
+
+FORMS = {"rate": rate, "causes": causes, "errors": errors, "along": along, "bounds": bounds, "sources": sources}
+
+if __name__ == "__main__":
+    for page in pages():
+        text = page.read_text(encoding="utf-8")
+        if (new := filled(text)) != text:
+            page.write_text(new, encoding="utf-8")
+            print(page)

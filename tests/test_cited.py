@@ -1,0 +1,102 @@
+"""Numbers of the pages are those of docs/data, and what jobs/paper.yaml makes is what the pages show."""
+
+import fnmatch
+import json
+import re
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+from sweep.core.errors import InputError
+from sweep.core.groups import GROUPS
+from sweep.study.config import compose
+
+ROOT = Path(__file__).parents[1]
+sys.path[:0] = [str(ROOT / "docs"), str(ROOT / "jobs")]
+
+import cited  # noqa: E402  # pyright: ignore[reportMissingImports]
+
+import paper  # noqa: E402  # pyright: ignore[reportMissingImports]
+
+TARGETS = yaml.safe_load((ROOT / "jobs" / "paper.yaml").read_text(encoding="utf-8"))
+PAGES = list(cited.pages())
+BY_HAND = 96  # tables with numbers that no block makes: fewer from time to time, never more
+
+
+def test_every_block_is_as_its_data_have_it():
+    blocks = 0
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        assert cited.filled(text) == text, f"{page}: python docs/cited.py"
+        found = cited.BLOCK.findall(text)
+        assert not found or any(form == "sources" for _, _, form, *_ in found), f"{page}: no block of sources"
+        blocks += len(found)
+    assert blocks >= 8
+
+
+def test_other_data_are_another_page(monkeypatch, tmp_path):
+    text = "<!-- data pole: rate --> 1 of 2 succeed <!-- end --> and <!-- data pole: along, x -->\nold\n<!-- end -->"
+    monkeypatch.setattr(cited, "DATA", tmp_path)
+    with pytest.raises(InputError, match="pole has no data"):
+        cited.filled(text)
+    data = {"success": 3, "valid": 4, "invalid": 1, "along": {"x": [[0.5, 3, 4, 1]]}, "code": "before"}
+    (tmp_path / "pole.json").write_text(json.dumps(data))
+    assert cited.filled(text) == (
+        "<!-- data pole: rate --> 3 of 4 succeed (1 more are invalid) <!-- end --> and "
+        "<!-- data pole: along, x -->\n| x | succeed |\n|--:|:--|\n| 0.5 | 3 of 4 (30 to 95 %) |\n<!-- end -->"
+    )
+    assert cited.outdated(text) == "Measured before the code of this site: pole."
+    with pytest.raises(InputError, match="colour is not a form"):
+        cited.filled("<!-- data pole: colour --> blue <!-- end -->")
+
+
+def test_tables_by_hand_become_fewer():
+    tables = 0
+    for page in PAGES:
+        text = cited.BLOCK.sub("", page.read_text(encoding="utf-8"))
+        tables += sum(bool(re.search(r"\d", one)) for one in re.findall(r"(?:^\|.*\n)+", text, re.MULTILINE))
+    assert tables <= BY_HAND
+
+
+def test_what_is_made_is_shown_and_what_is_shown_is_made():
+    shown = set(re.findall(r"figures/(\w+)\.png", "".join(page.read_text(encoding="utf-8") for page in PAGES)))
+    made = {pattern for name, one in TARGETS.items() for pattern in figures(name, one)}
+    assert {name for name in shown if not any(fnmatch.fnmatch(name, one) for one in made)} <= set(BY_COMMANDS)
+    assert {one for one in made if not fnmatch.filter(shown, one)} == set()
+
+
+# by `sweep replay --plot` and a screen shot, as the pages say
+BY_COMMANDS = ("report_page", "beam_flywheel", "corner_forces", "pole_climb_torques", "pole_ledge_above_torques",
+               "pole_ledge_below_torques")  # fmt: skip
+
+
+def figures(name, target):
+    """Patterns of the pictures that a target makes."""
+    if "figures" in target:
+        found = target["figures"]
+        return [found] if isinstance(found, str) else found
+    return [name]
+
+
+@pytest.mark.parametrize("quick", [False, True])
+def test_every_target_can_be_run(quick):
+    for name, target in TARGETS.items():
+        if "run" in target:
+            given = [*target["run"], *(target.get("quick", []) if quick else [])]
+            assert compose(given).study.axes, name
+            assert all(word.split("=")[0] in GROUPS or "." in word for word in given), name
+        else:
+            assert (ROOT / "docs" / target["script"][0]).exists(), name
+        assert len(target["budget"]) == 2, name
+
+
+def test_what_is_beyond_its_interval_is_told(monkeypatch, tmp_path):
+    monkeypatch.setattr(paper, "DATA", tmp_path)
+    before = {"success": 90, "valid": 100, "along": {"x": [[1, 45, 50, 0], [2, 45, 50, 0]]}, "commit": "abc"}
+    assert list(paper.told("one", before)) == []
+    after = before | {"success": 85, "along": {"x": [[1, 46, 50, 0], [2, 20, 50, 0]]}}
+    assert list(paper.told("one", after)) == ["one, x = 2: 20 of 50 succeed, before 45 of 50 (commit abc)"]
+    assert json.loads((tmp_path / "one.json").read_text()) == after
+    assert paper.main(["no_such_target"]) == 2
