@@ -1,14 +1,13 @@
 """Pages of the site that lie elsewhere or are made: overview, results, parameters. A hook of mkdocs."""
 
 import re
-import sys
 from pathlib import Path
 from typing import Any
 
+import cited  # beside this, where mkdocs finds it
 from mkdocs.structure.files import File, Files  # pyright: ignore[reportMissingImports]
 
 ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT / "docs"))
 PYTHON = """# From Python
 
 `from sweep import load, run` gives studies as pandas tables, and `rows.sweep` their pictures.
@@ -40,8 +39,6 @@ def on_files(files: Files, config: Any) -> Files:
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     """Links to the README lead to the overview; those to files beside docs/ become words; older data are told."""
-    import cited
-
     markdown += f"\n\n{cited.outdated(markdown)}\n"
     up = "../" * (page.file.src_uri.count("/") + 1)
     markdown = markdown.replace(f"]({up}README.md)", f"]({up[3:]}index.md)")
