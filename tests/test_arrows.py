@@ -26,6 +26,7 @@ ROOMS = (*BELOW_RUNS, "runs", "trace", "report", "cli", "")
 # a controller and a model of a user's own; one rollout's surfaces; physics measured alone
 JAX_ABOVE_ENGINES = {
     "sweep.systems.own.policy",
+    "sweep.systems.exported",
     "sweep.systems.own.mjx",
     "sweep.cli.template_model.trot",
     "sweep.trace.contact_forces",

@@ -206,3 +206,42 @@ def _engine(integrator):
     system = compose(["study=study.yaml", f"model.option.integrator={integrator}"]).system
     assert isinstance(system, Own)
     return system.engine(EngineSettings(name="mjx"), *system.sides({}), None)
+
+
+RAIL = """<mujoco><option timestep="0.005" gravity="0 0 0"/><worldbody><body><joint name="x" type="slide" axis="1 0 0"/>
+<geom size="0.1" mass="2"/></body></worldbody><actuator><motor joint="x"/></actuator></mujoco>"""
+PUSH = """import jax.numpy as jnp
+FIGURES = {"speed_mps": "speed that the last tick began with"}
+def begin(belief, key): return None, {"tick": jnp.zeros(()), "speed": jnp.zeros(())}, None
+def policy(belief, seen, state, key):
+    return state["tick"][None], {"tick": state["tick"] + 1, "speed": seen[1]}
+def figures(belief, state): return {"speed_mps": state["speed"]}
+"""
+
+
+@pytest.mark.parametrize("engine", ["native", "mjx"])
+def test_commands_are_held_or_ramped_and_figures_of_ones_own_see_the_state(here, engine):
+    """A force of k newtons in tick k, of four steps of 5 ms: the speed is the impulse over 2 kg."""
+    Path("rail.xml").write_text(RAIL)
+    Path("push.py").write_text(PUSH)
+    Path("rail.yaml").write_text(
+        "system: own\nmodel: {mjcf: rail.xml, controller: 'push:policy', duration: 0.2}\n"
+        "outcome: {fast: speed_mps > 9}\nstudy: {name: rail}\n"
+    )
+    held = sum(range(9)) * 0.02 / 2
+    ramped = sum(max(k - 1, 0) + (k - max(k - 1, 0)) * (1 + 2 + 3 + 4) / 16 for k in range(9)) * 0.02 / 2
+    for command, speed in (("held", held), ("ramped", ramped)):
+        asked = [f"model.command={command}", f"engine={engine}", "engine.precision=float64", f"out={engine}_{command}"]
+        assert main(["run", "study=rail.yaml", *asked]) == 0
+        np.testing.assert_allclose(store.read_rows(Path(f"{engine}_{command}"))["speed_mps"], speed, rtol=1e-9)
+
+
+def test_figures_have_names(here, capsys):
+    Path("nameless.py").write_text(PUSH.replace('{"speed_mps": state', '{"speed": state'))
+    Path("rail.xml").write_text(RAIL)
+    Path("rail.yaml").write_text(
+        "system: own\nmodel: {mjcf: rail.xml, controller: 'nameless:policy', duration: 0.2}\n"
+        "outcome: {fast: speed_mps > 9}\nstudy: {name: rail}\n"
+    )
+    assert main(["run", "study=rail.yaml", "out=nameless"]) == 2
+    assert "has figures speed (): numbers are wanted, named in FIGURES" in capsys.readouterr().err

@@ -60,7 +60,7 @@ def test_the_page_as_it_stands(tmp_path, monkeypatch):
     Path("studies/page.yaml").write_text(study)
     assert main(["run", "scenario=own"]) == 0
     assert len(wanted_points(compose(["study=page"]))) == 3 * 3 * 2 * 2
-    Path("page.py").write_text(f"import jax.numpy as jnp\n{CODE[0]}")
+    Path("page.py").write_text(f"import jax.numpy as jnp\n{CODE[0]}{CODE[1]}")
     assert main(["run", "study=page", "model.controller=page:policy", "model.duration=0.1", "out=page"]) == 0
     rows = results.read(Path("results/grip")).rows
     success = rows["outcome"] == "success"
@@ -88,6 +88,13 @@ def test_what_studies_do_works_on_it(here, capsys, monkeypatch):
     assert "13 of 13 figures are equal to the last bit" in capsys.readouterr().out
     assert main(["run", *SHORT, "out=some", "outcome.goal='travelled_m < 1e9'"]) == 0  # judged anew
     assert (store.read_rows(Path("some"))["outcome"] == "success").all()
+    assert main(["relabel", "some", "goal=travelled_m >= 1e9", "low=base_height_min_m < 0.1"]) == 0
+    rows = store.read_rows(Path("some"))
+    assert set(rows["cause"]) <= {"fell", "low", "goal_missed"}
+    assert (rows["outcome"] == "failure").all()
+    for wrong, line in (("goal", "'goal' names no condition"), ("goal=far > 1", "outcome.goal: far is unknown")):
+        assert main(["relabel", "some", wrong]) == 2
+        assert line in capsys.readouterr().err
     for line in ("view some 3 -o v.html", "report some --replays 2", "replay some 3 --png p"):
         assert main(line.split()) == 2, line
         assert "rollouts of an own model are not drawn" in capsys.readouterr().err
@@ -269,7 +276,8 @@ def network(sizes, file, rows="n", **more):
 def test_a_policy_that_was_trained_elsewhere_runs_as_it_is(here, capsys):
     weight, stand = network((7, 12), "walk.onnx")
     np.savez("walk.npz", weight=weight, stand=stand)
-    Path("layers.py").write_text(CODE[1])
+    (sample,) = (code for code in CODE if "FILES" in code)
+    Path("layers.py").write_text(sample)
     network((7, 12), "one.onnx", rows=1)
     noisy = [*SHORT, "noise.white=0.05", "noise.delay=1"]
     found = {}

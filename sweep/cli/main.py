@@ -60,6 +60,7 @@ def main(argv: list[str] | None = None) -> int:
         "replay": replay,
         "formula": formula,
         "tune": tune,
+        "export-model": export_model,
     }
     try:
         if args and args[0] in whole:
@@ -211,7 +212,8 @@ def parser() -> argparse.ArgumentParser:
         "judge stored rollouts by other thresholds, without simulating",
         "sweep relabel results/walk_map 'slip_max_m<0.02' 'tilt_max_deg<15'",
     )
-    judge.add_argument("thresholds", nargs="+", metavar="'KEY<VALUE'", help="such as 'slip_max_m<0.02'")
+    wanted = "such as 'slip_max_m<0.02'; of an own model a condition, 'goal=travelled_m >= 1'"
+    judge.add_argument("thresholds", nargs="+", metavar="'KEY<VALUE'", help=wanted)
     bench = command("bench", show_speed, "how fast the walking map is simulated here, by engine and dynamics")
     bench.add_argument("--rollouts", type=int, default=0, help="of each row; 0: one batch")
     bench.add_argument("--width", type=int, default=0, help="rollouts in a batch; 0: the device's best")
@@ -219,6 +221,7 @@ def parser() -> argparse.ArgumentParser:
     command("view", lambda _: DONE, "watch a rollout on its page; " + delegated.format("view"))
     command("replay", lambda _: DONE, "record one rollout of a study again; " + delegated.format("replay"))
     command("tune", lambda _: DONE, "search the numbers of a plan; " + delegated.format("tune"))
+    command("export-model", lambda _: DONE, "the robot as an own model; " + delegated.format("export-model"))
     command("formula", lambda _: DONE, "evaluate a closed-form result of the sources; " + delegated.format("formula"))
     return top
 
@@ -309,6 +312,13 @@ def view(argv: list[str]) -> int:
 def formula(argv: list[str]) -> int:
     """`sweep formula NAME key=value`."""
     from sweep.cli import formula as command
+
+    return command.main(argv)
+
+
+def export_model(argv: list[str]) -> int:
+    """`sweep export-model`."""
+    from sweep.cli import export_model as command
 
     return command.main(argv)
 
@@ -564,26 +574,14 @@ def audit_results(given: argparse.Namespace) -> int:
 
 
 def relabel(given: argparse.Namespace) -> int:
-    """New thresholds for stored figures."""
+    """New thresholds, or conditions, for stored figures."""
     from sweep.analysis.stats import rate
     from sweep.runs import runner, store
+    from sweep.study.config import experiment
 
     stored = store.read_study(given.dir)
-    changes = dict(map(threshold, given.thresholds))
+    changes = dict(map(experiment(stored["config"]).system.limit, given.thresholds))
     with store.locked(given.dir):
         runner.relabel(given.dir, {**stored["config"]["outcome"], **changes})
     print(rate(store.read_rows(given.dir)["outcome"]))
     return DONE
-
-
-def threshold(text: str) -> tuple[str, float]:
-    """`slip_max_m<0.02` -> name and value. The sign must agree with the name: a maximum is kept below."""
-    sign = next((s for s in ("<=", ">=", "<", ">", "=") if s in text), None)
-    key, _, value = text.partition(sign or "=")
-    try:
-        number = float(value)
-    except ValueError:
-        raise InputError(f"{text!r} is not a threshold, such as 'slip_max_m<0.02'") from None
-    if sign and sign != "=" and ("max" in key) != ("<" in sign):
-        raise InputError(f"{text!r} is not allowed: {key.strip()} is a {'maximum' if 'max' in key else 'minimum'}")
-    return key.strip(), number

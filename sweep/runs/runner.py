@@ -371,7 +371,7 @@ def run_single(exp: Experiment) -> pd.DataFrame:
         raise Fault("a rollout does not fit in the memory of the device") from None
 
 
-def relabel(folder: Path, outcome: Mapping[str, float]) -> None:
+def relabel(folder: Path, outcome: Mapping[str, Any]) -> None:
     """Derive the outcomes of all stored rows from their figures by the thresholds `outcome`, without simulating.
 
     The new rows lie beside the old ones until study.yaml names their labels: all are judged anew, or none.

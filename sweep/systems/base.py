@@ -135,6 +135,10 @@ class System(Protocol):
         """The labels (`sweep.study.columns.LABELS`) of each row; a pure function of the stored figures."""
         ...
 
+    def limit(self, text: str) -> tuple[str, Any]:
+        """A key of `outcome` and its value, as a user says them in a word. Raises `InputError`."""
+        ...
+
     def thresholds(self, limits: Limits) -> Mapping[str, float]:
         """By the figure that they are for."""
         ...

@@ -119,7 +119,7 @@ class Hexapod:
 
     def inputs(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
         """See `System`."""
-        yield from _flat(self.case, "")
+        yield from flat(self.case, "")
         yield from _said(self.case, plan_table.tabled(self.case))
 
     def unsaid(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
@@ -127,8 +127,8 @@ class Hexapod:
 
         The ids are thus those of before there were any.
         """
-        yield from _flat(Control(), "control")
-        yield from ((path, value) for path, value in _flat(Noise(), "noise") if path in LATER)
+        yield from flat(Control(), "control")
+        yield from ((path, value) for path, value in flat(Noise(), "noise") if path in LATER)
         yield from _said(self.case, plan_table.own(self.case))
 
     def check(self, table: "pd.DataFrame", settings: EngineSettings) -> None:
@@ -203,6 +203,18 @@ class Hexapod:
     ) -> dict[str, np.ndarray]:
         """See `System`."""
         return outcome.classify(figures, limits, stages)
+
+    def limit(self, text: str) -> tuple[str, float]:
+        """See `System`: `slip_max_m<0.02`. The sign must agree with the name: a maximum is kept below."""
+        sign = next((s for s in ("<=", ">=", "<", ">", "=") if s in text), None)
+        key, _, value = text.partition(sign or "=")
+        try:
+            number = float(value)
+        except ValueError:
+            raise InputError(f"{text!r} is not a threshold, such as 'slip_max_m<0.02'") from None
+        if sign and sign != "=" and ("max" in key) != ("<" in sign):
+            raise InputError(f"{text!r} is not allowed: {key.strip()} is a {'maximum' if 'max' in key else 'minimum'}")
+        return key.strip(), number
 
     def thresholds(self, limits: Thresholds) -> dict[str, float]:
         """See `System`."""
@@ -288,11 +300,12 @@ def _said(case: Case, plan: Content) -> Iterator[tuple[str, Any]]:
     yield "plan", json.dumps(plan_table.mapped(plan, places, lambda path, value: 0))
 
 
-def _flat(value: Any, path: str) -> Iterator[tuple[str, Any]]:
+def flat(value: Any, path: str) -> Iterator[tuple[str, Any]]:
+    """What a case consists of, by path, but for a plan's numbers."""
     if isinstance(value, PlanTable):
         return  # see `_said`
     if dataclasses.is_dataclass(value):
         for member in dataclasses.fields(value):
-            yield from _flat(getattr(value, member.name), f"{path}.{member.name}" if path else member.name)
+            yield from flat(getattr(value, member.name), f"{path}.{member.name}" if path else member.name)
     else:
         yield path, value

@@ -106,10 +106,11 @@ class Own(Subject):
 
     def inputs(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
         """See `System`: the model as a whole, and what is varied of it."""
+        about = self.about
         yield from self.errors
         yield from self.numbers
-        yield "model", self.about.content
-        yield "model.rollout", repr((self.about.period, self.about.duration, self.about.keyframe, self.about.observe))
+        yield "model", about.content
+        yield "model.rollout", repr((about.period, about.duration, about.keyframe, about.observe, about.command))
         yield from self.unsaid(paths)
 
     def unsaid(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
@@ -172,6 +173,13 @@ class Own(Subject):
         """See `System`."""
         return outcome.judge(figures, limits)
 
+    def limit(self, text: str) -> tuple[str, str]:
+        """See `System`: `goal=travelled_m >= 1`."""
+        key, _, condition = (part.strip() for part in text.partition("="))
+        if not key.isidentifier() or not condition:
+            raise InputError(f"{text!r} names no condition: as 'goal=travelled_m >= 1'")
+        return key, condition
+
     def thresholds(self, limits: tuple[Condition, ...]) -> dict[str, float]:
         """See `System`."""
         return {one.limit[0]: one.limit[1] for one in limits if one.limit}
@@ -231,7 +239,9 @@ def nominal(values: Mapping[str, Any], kinds: Kinds) -> Nominal:
             raise InputError(f"controller.{name} is unknown{suggest(str(name), control.parameters)}")
     numbers = {name: checked(quantity(0.0, ""), value, f"controller.{name}")
                for name, value in {**control.parameters, **asked}.items()}  # fmt: skip
-    conditions = outcome.parse(values.get("outcome") or {}, figures.names(model, own.base, own.feet))
+    conditions = outcome.parse(
+        values.get("outcome") or {}, {*figures.names(model, own.base, own.feet), *control.measured}
+    )
     own = replace(own, numbers=tuple((f"controller.{k}", v) for k, v in numbers.items()), conditions=conditions)
     about = replace(about, content=about.content or _content(own))
     told = {"model": {**values["model"], "content": about.content}}

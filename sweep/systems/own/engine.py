@@ -39,6 +39,8 @@ class Loop:
         self._own, self._settings, self._model = own, settings, own.model
         self.duration = own.about.duration
         self._substeps = substeps(self._model, own.about.period)
+        ramp = (1 + np.arange(self._substeps)) / self._substeps  # what a command counts for, beside the one before
+        self._shares = ramp if own.about.command == "ramped" else np.ones(self._substeps)
         control, number = own.controller, NUMBERS[settings.precision]
         belief = {name: number(value) for name, value in own.told({}).items()}
         sizes = own.seen, self._model.nu, self._model.nq

@@ -17,7 +17,7 @@ import numpy as np
 from sweep.core import project
 from sweep.core.errors import InputError, suggest
 
-ONNX = ".onnx"
+ONNX, BINARY = ".onnx", ".mjb"
 
 
 class Controller(NamedTuple):
@@ -29,6 +29,8 @@ class Controller(NamedTuple):
     begin: Callable[..., Any] | None = None
     parameters: Mapping[str, float] = MappingProxyType({})  # its own numbers, which are axes: `PARAMETERS`
     believes: Mapping[str, str] = MappingProxyType({})  # paths of what it is told of the model, by name: `BELIEVES`
+    figures: Callable[..., Any] | None = None  # of a rollout, from the state that it ended with
+    measured: Mapping[str, str] = MappingProxyType({})  # what these figures mean, by name: `FIGURES`
 
 
 def place() -> Path:
@@ -48,6 +50,8 @@ def model(mjcf: str) -> mujoco.MjModel:
 @functools.lru_cache(maxsize=4)
 def _compiled(file: Path, changed: int) -> mujoco.MjModel:
     try:
+        if file.suffix == BINARY:
+            return mujoco.MjModel.from_binary_path(str(file))
         return mujoco.MjSpec.from_file(str(file)).compile()
     except (ValueError, RuntimeError) as error:
         reason = " ".join(str(error).split())
@@ -100,7 +104,10 @@ def controller(name: str) -> Controller:
     parameters, believes = (getattr(module, key, {}) for key in ("PARAMETERS", "BELIEVES"))
     if both := {*parameters} & {*believes}:
         raise InputError(f"model.controller = {name}: {min(both)} is both in PARAMETERS and in BELIEVES")
-    return Controller(policy, digest, False, begin, parameters, believes)
+    measure, measured = getattr(module, "figures", None), getattr(module, "FIGURES", {})
+    if bool(measured) != callable(measure):
+        raise InputError(f"model.controller = {name}: figures, a function, and FIGURES, their names, go together")
+    return Controller(policy, digest, False, begin, parameters, believes, measure, measured)
 
 
 def _batched(policy: Callable[..., Any]) -> bool:

@@ -100,6 +100,7 @@ class Mjx(Loop):
                 "carried": jax.jit(jax.vmap(self._programs.enter_one))(given, state, jnp.asarray(seen, float)),
                 "seen": jnp.asarray(seen, float),
                 "wrong": jnp.zeros(n, bool),
+                "before": jnp.full((n, self._model.nu), jnp.nan),  # controls of the tick before, none at first
             }
             carry = jax.tree.map(jnp.copy, carry)  # its buffers are given away, and some are there twice
             limits = {name: jnp.asarray(rows, float) for name, rows in begun.limits.items()}
@@ -107,8 +108,10 @@ class Mjx(Loop):
                 carry, last = self._tick(template, data, leaves, given, limits, k < ticks, carry)
                 if slots is not None and (k + 1) % every == 0:
                     frames.append(Frame((k + 1) * own.about.period, *(np.asarray(x)[slots] for x in last)))
+            last = jax.jit(jax.vmap(self._programs.finish_one))(given, carry["carried"])
+            measured = {name: np.asarray(values, float) for name, values in last.items()}
         wrong = np.asarray(carry["wrong"])
-        return self._meter.figures(carry["sofar"], begun.mass, wrong, np.zeros(n, bool)), frames
+        return self._meter.figures(carry["sofar"], begun.mass, wrong, np.zeros(n, bool)) | measured, frames
 
     def _ticked(
         self,
@@ -124,24 +127,25 @@ class Mjx(Loop):
         ctrl, carried = jax.vmap(self._programs.tick_one)(given, carry["carried"], carry["seen"])
         wrong = carry["wrong"] | going & ~jnp.isfinite(ctrl).all(axis=1)
         ctrl = jnp.nan_to_num(ctrl)
+        before = jnp.where(jnp.isnan(carry["before"]), ctrl, carry["before"])
 
         def one(rows: Mapping[str, Array], now: Mapping[str, Array], ctrl: Array) -> tuple[Any, Any]:
             after = mjx.step(with_leaves(template, rows), data.replace(**now, ctrl=ctrl))
             told = {name: getattr(after._impl if name in INNER else after, name) for name in figures.STEPS}
             return {name: getattr(after, name).astype(now[name].dtype) for name in CARRIED}, told
 
-        def step(state: Any, _: None) -> tuple[Any, None]:
+        def step(state: Any, share: Array) -> tuple[Any, None]:
             now, sofar, _ = state
-            now, told = jax.vmap(one)(leaves, now, ctrl)
+            now, told = jax.vmap(one)(leaves, now, before + share * (ctrl - before))
             steps = {name: values[:, None] for name, values in told.items()}
             sofar = self._meter.update(sofar, steps, limits, going)
             return (now, sofar, (told["sensordata"], told["actuator_force"])), None
 
         none = tuple(jnp.zeros((len(ctrl), size)) for size in (self._model.nsensordata, self._model.nu))
         first = carry["now"], carry["sofar"], none
-        (now, sofar, (sensors, force)), _ = jax.lax.scan(step, first, None, length=self._substeps)
+        (now, sofar, (sensors, force)), _ = jax.lax.scan(step, first, jnp.asarray(self._shares, float))
         seen = self._own.observed(now["qpos"], now["qvel"], sensors)
-        new = {"now": now, "sofar": sofar, "carried": carried, "seen": seen, "wrong": wrong}
+        new = {"now": now, "sofar": sofar, "carried": carried, "seen": seen, "wrong": wrong, "before": ctrl}
         return new, (now["qpos"], now["qvel"], ctrl, force)
 
 

@@ -47,14 +47,17 @@ class Native(Loop):
             ticks = batch.ticks(own, rollouts.duration, n)
             meter = figures.Meter(self._model, own.base, own.feet)
             sofar = aside.submit(meter.start, qpos.copy())
-            broken, frames = np.zeros(n, dtype=bool), []
+            broken, frames, before = np.zeros(n, dtype=bool), [], None
             recorded: list[Any] = [None, None]  # of this tick and the one before
             controls = np.zeros((n, self._substeps, self._model.nu))
             for k in range(int(ticks.max(initial=0))):
                 going = k < ticks
                 ctrl = rollouts.tick(own.observed(qpos, qvel, seen))
                 broken |= going & ~np.isfinite(ctrl).all(axis=1)
-                controls[:] = np.nan_to_num(ctrl)[:, None]
+                ctrl = np.nan_to_num(ctrl)
+                before = ctrl if before is None else before
+                controls[:] = before[:, None] + self._shares[:, None] * (ctrl - before)[:, None]
+                before = ctrl
                 out = recorded[k % 2]
                 steps = recorded[k % 2] = begun.batch.rollout(self._substeps, controls, record=figures.STEPS, out=out)
                 seen = steps["sensordata"][:, -1]
@@ -63,6 +66,8 @@ class Native(Loop):
                     last = (steps[name][slots, -1].copy() for name in ("qpos", "qvel", "actuator_force"))
                     at, speed, force = last
                     frames.append(Frame((k + 1) * own.about.period, at, speed, ctrl[slots], force))
+            own_figures = rollouts.finish()
         warned = begun.batch.warning[:, :, 0] > 0
         broken |= warned[:, BROKEN].any(axis=1)
-        return meter.figures(sofar.result(), begun.mass, broken, warned[:, FULL].any(axis=1)), frames
+        found = meter.figures(sofar.result(), begun.mass, broken, warned[:, FULL].any(axis=1))
+        return found | own_figures, frames

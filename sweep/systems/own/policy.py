@@ -5,7 +5,7 @@ it. A tile never changes, and goes through its rollouts by the same instructions
 NumPy's is called with a whole tile, whose width never changes.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -43,15 +43,16 @@ class Programs:
     def __init__(self, name: str, control: Controller, belief: Belief, sizes: tuple[int, int, int], room: int):
         self._name, self._room = name, room
         self._begin = control.begin or (lambda belief, key: (None, (), None))
-        self._policy = control.policy
-        self.first, self.enter = (jax.jit(partial(_each, one)) for one in (self.begin_one, self.enter_one))
+        self._policy, self._figures = control.policy, control.figures
+        each = self.begin_one, self.enter_one, self.finish_one
+        self.first, self.enter, self.finish = (jax.jit(partial(_each, one)) for one in each)
         if control.batched:
             seen, self._controls, _ = sizes
             self._controlled(np.zeros((TILE, seen), jnp.zeros(0).dtype))
             self._tell = jax.jit(partial(_each, lambda *row: self.told_one(*row)[:2]), donate_argnums=(1,))
             self.tick = self._tick_batched
         else:
-            self._check(belief, *sizes)
+            self._check(belief, control.measured, *sizes)
             self.tick = jax.jit(partial(_each, self.tick_one), donate_argnums=(1,))
 
     def begin_one(self, given: Mapping[str, Any]) -> tuple[Any, Any, Any]:
@@ -78,6 +79,10 @@ class Programs:
         ctrl, state = self._policy(given["belief"], told, carried["state"], own)
         return ctrl, {**carried, "state": state}
 
+    def finish_one(self, given: Mapping[str, Any], carried: Any) -> dict[str, Array]:
+        """The controller's own figures of one rollout, by name."""
+        return self._figures(given["belief"], carried["state"]) if self._figures else {}
+
     def _tick_batched(self, given: Mapping[str, Any], carried: Any, seen: np.ndarray) -> tuple[np.ndarray, Any]:
         told, carried = self._tell(given, carried, seen)
         return self._controlled(np.array(told)), carried
@@ -100,11 +105,12 @@ class Programs:
         reason = (str(error).splitlines() or [""])[0]
         return InputError(f"model.controller = {self._name} fails: {type(error).__name__}: {reason}")
 
-    def _check(self, belief: Belief, seen: int, controls: int, positions: int) -> None:
+    def _check(self, belief: Belief, measured: Collection[str], seen: int, controls: int, positions: int) -> None:
         key = jax.random.key(0)
         try:
             start, state, _ = jax.eval_shape(self._begin, belief, key)
             ctrl, after = jax.eval_shape(self._policy, belief, jnp.zeros(seen), state, key)
+            found = jax.eval_shape(self._figures, belief, after) if self._figures else {}
         except InputError:
             raise
         except Exception as error:
@@ -115,6 +121,9 @@ class Programs:
             raise InputError(f"model.controller = {self._name} gives controls {shape}: ({controls},) are wanted")
         if forms[0] != forms[1]:
             raise InputError(f"model.controller = {self._name} gives a state of another form than it was given")
+        if {*found} != {*measured} or any(one.shape for one in found.values()):
+            has = ", ".join(f"{name} {one.shape}" for name, one in found.items())
+            raise InputError(f"model.controller = {self._name} has figures {has}: numbers are wanted, named in FIGURES")
         if start is not None and start.shape != (positions,):
             raise InputError(f"model.controller = {self._name} begins at {start.shape}: ({positions},) are wanted")
 
@@ -142,6 +151,11 @@ class Rollouts:
             ctrl, self._carried[k] = self._programs.tick(self._given[k], self._carried[k], seen[rows])
             parts.append(ctrl)
         return self._joined(parts)
+
+    def finish(self) -> dict[str, np.ndarray]:
+        """The controllers' own figures, (n,) by name."""
+        parts = [self._programs.finish(*one) for one in zip(self._given, self._carried, strict=True)]
+        return {name: self._joined([one[name] for one in parts]) for name in parts[0]}
 
     def _joined(self, parts: Sequence[Any]) -> Any:
         return None if parts[0] is None else np.concatenate([np.asarray(one) for one in parts])[: self._n].astype(float)

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from sweep.core.errors import InputError, suggest
-from sweep.core.parameters import parameters, quantity
+from sweep.core.parameters import choice, parameters, quantity
 from sweep.systems.base import Values
 from sweep.systems.own import fields, figures, files
 
@@ -24,6 +24,7 @@ class About:
     keyframe: str = ""  # that it starts from; else the model's own pose
     observe: tuple[str, ...] = ()  # qpos, qvel, or sensors by name; none are all sensors, of a model without any both
     feet: tuple[str, ...] = ()  # touch sensors, whose sites' slips are measured
+    command: str = choice("held", "held", "ramped")  # over a tick: as given, or evenly from the one before
     option: tuple[tuple[str, Any], ...] = ()  # of MuJoCo's other than the file's, by path: how it is simulated
     content: str = ""  # digest of model and controller, set by the first run
 

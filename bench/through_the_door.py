@@ -1,0 +1,75 @@
+"""The robot through an own model's door: `python bench/through_the_door.py NAME N [ENGINE]`, beside its own engine.
+
+N points of `walk_map`, or of `pole_map` (a model for each of three radii, as sizes are no axes of an own model), drawn
+from each study. What is printed: outcomes that are equal, how far the distances differ, and rows that differ.
+"""
+
+import os
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from sweep.cli.main import main as sweep
+from sweep.runs import store
+from sweep.runs.runner import wanted_points
+from sweep.study.config import compose
+
+GEOMS = {"walk_map": ["ground"], "pole_map": ["floor", "pole", "ledge"]}
+RADII = (0.35, 0.42, 0.49)  # m
+FRICTION, STEP, RADIUS = "world.contact.friction", "manoeuvre.half_step_ratio", "obstacle.radius"
+SHOWN = ["outcome", "cause", "slip_max_m", "end_drift_m", "progress", "feet_on_target", "distance_m", "tilt_max_deg"]
+
+
+def points(name: str, number: int) -> pd.DataFrame:
+    """Of a study, those columns that vary."""
+    table = wanted_points(compose([f"study={name}"]))
+    table = table.sample(min(number, len(table)), random_state=0).sort_index().reset_index(drop=True)
+    if name == "walk_map":
+        return table[[FRICTION, STEP]]
+    return table[[FRICTION]].assign(**{RADIUS: np.resize(RADII, len(table))}).sort_values([RADIUS, FRICTION])
+
+
+def run(folder: Path, name: str, engine: str, table: pd.DataFrame, overrides: list[str]) -> pd.DataFrame:
+    """The rows of both, joined by friction, and by step where it varies."""
+    scenario = compose([f"study={name}"]).scenario
+    table.to_csv(folder / "own.csv", index=False)
+    same = ["study.invalid_max=1", "study.expect=[]"]
+    sweep(["run", f"study={name}", *overrides, "engine=native", f"study.points={folder}/own.csv", "study.axes={}",
+           f"out={folder}/own", *same])  # fmt: skip
+    sweep(["export-model", f"scenario={scenario}", *overrides, f"out={folder}/model"])
+    door = pd.DataFrame({f"model.geom.{geom}_contact.friction.slide": table[FRICTION] for geom in GEOMS[name]})
+    if STEP in table:
+        door[f"controller.{STEP}"] = table[STEP]
+    door.to_csv(folder / "door.csv", index=False)
+    before = Path.cwd()
+    os.chdir(folder / "model")
+    Path("study.yaml").write_text("scenario: own\nstudy: {name: door}\n")
+    sweep(["run", "study=study.yaml", "scenario=own", f"engine.name={engine}", "--points", f"{folder}/door.csv",
+           f"out={folder}/door", *same])  # fmt: skip
+    os.chdir(before)
+    keys = [FRICTION, STEP] if STEP in table else [FRICTION]
+    rows = store.read_rows(folder / "door").rename(columns={door.columns[0]: FRICTION, f"controller.{STEP}": STEP})
+    return store.read_rows(folder / "own").merge(rows, on=keys, suffixes=("", "_door"))
+
+
+def main(name: str, number: str, engine: str = "native") -> None:
+    """What both say."""
+    table, parts = points(name, int(number)), []
+    groups = table.groupby(RADIUS) if RADIUS in table else [(None, table)]
+    for radius, rows in groups:
+        with tempfile.TemporaryDirectory() as folder:
+            chosen = [f"obstacle.radius={radius}"] if radius else []
+            parts.append(run(Path(folder), name, engine, rows[[c for c in rows if c != RADIUS]], chosen))
+    both = pd.concat(parts, ignore_index=True)
+    far, same = (both["distance_m"] - both["distance_m_door"]).abs(), both["outcome"] == both["outcome_door"]
+    cause = both["cause"] == both["cause_door"]
+    print(f"{name} on {engine}: {same.sum()} of {len(both)} outcomes are equal, {cause.sum()} causes")
+    print(f"distance: median {far.median():.1e} m, 90 % within {far.quantile(0.9):.1e} m, largest {far.max():.1e} m")
+    print(both.loc[~same, [FRICTION, *[n for s in SHOWN for n in (s, f"{s}_door") if n in both]]].T.to_string())
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,71 @@
+"""`sweep export-model`: the six-legged robot, its plan and its judge as a project of an own model."""
+
+import argparse
+from pathlib import Path
+
+import mujoco
+import yaml
+
+from sweep.cli.exits import DONE
+from sweep.core.errors import InputError
+from sweep.study.config import compose
+from sweep.systems import exported
+from sweep.systems.hexapod import Hexapod
+
+EPILOG = """A check of the robot by code that is not its own: C MuJoCo's and MJX's own step. The folder is a project.
+MuJoCo reads robot.mjb, which has all digits; robot.xml is the same to read, to six.
+example:
+  sweep export-model scenario=pole_climb out=pole
+  cd pole; sweep run scenario=own; sweep run scenario=own engine=mjx"""
+POLICY = '''"""Plan, tracker and judge of {scenario} for an own model; written by `sweep export-model`."""
+
+from pathlib import Path
+
+import yaml
+
+from sweep.study.config import experiment
+from sweep.systems.exported import controller
+
+FILES = ["case.yaml"]
+exp = experiment(yaml.safe_load(Path(__file__).with_name(FILES[0]).read_text(encoding="utf-8")))
+begin, policy, figures, PARAMETERS, FIGURES = controller(exp.system, exp.settings, exp.thresholds)
+'''
+
+
+def main(args: list[str]) -> int:
+    """Run the command with the arguments after `export-model`; the exit status. Raises `InputError`."""
+    parser = argparse.ArgumentParser(
+        prog="sweep export-model",
+        usage="sweep export-model scenario=NAME [group.name=value ...] out=DIR",
+        description=__doc__,
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    exp = compose(parser.parse_known_args(args)[1])
+    if not isinstance(exp.system, Hexapod):
+        raise InputError("export-model is for the six-legged robot: an own model is one already")
+    if not exp.study.single:
+        raise InputError("study is not allowed: one scenario is exported, whose numbers are axes again")
+    if not exp.values["out"]:
+        raise InputError("out is missing: a new or empty folder")
+    exported.check(exp.system.case)
+    folder, module = Path(exp.values["out"]), f"{exp.scenario}_policy"
+    about = exported.scenario(exp.system, exp.settings, exp.thresholds, "robot.mjb", f"{module}:policy")
+    spec = exported.spec(exp.system.case, exp.settings)
+    model, case = spec.compile(), {key: value for key, value in exp.values.items() if key != "out"}
+    texts = {
+        "sweep.yaml": "# A sweep project, written by `sweep export-model`\nmodules: []\n",
+        "scenarios/own.yaml": f"# {exp.scenario} as an own model\n{yaml.safe_dump(about, sort_keys=False, width=110)}",
+        "case.yaml": yaml.safe_dump({**case, "out": None}, sort_keys=False),
+        f"{module}.py": POLICY.format(scenario=exp.scenario),
+        "robot.xml": spec.to_xml(),
+    }
+    for name in (*texts, "robot.mjb"):
+        if (folder / name).exists():
+            raise InputError(f"out = {folder} is not allowed: {name} is there already")
+    for name, text in texts.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text, encoding="utf-8")
+    mujoco.mj_saveModel(model, str(folder / "robot.mjb"))
+    print(f"{folder}: cd {folder}; sweep run scenario=own")
+    return DONE

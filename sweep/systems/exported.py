@@ -1,0 +1,184 @@
+"""The six-legged robot as an own model: what MuJoCo compiles, and its plan, tracker and judge as a controller.
+
+The controller sees the ends of ticks only: torques and forces are those there, where the robot's own engines have peaks
+and means of all steps; all places are the same.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from jaxtyping import Array, Float
+
+from sweep import metrics
+from sweep.controllers.plan import Plan
+from sweep.core.errors import InputError
+from sweep.core.parameters import LARGEST
+from sweep.engines.batching import nominal_plan
+from sweep.engines.closed_loop import GRACE, ClosedLoop, act, free_state, init, is_quiet, measure, start_state
+from sweep.engines.native import native_spec
+from sweep.engines.prelude import prepared
+from sweep.engines.settings import EngineSettings
+from sweep.metrics import stream
+from sweep.metrics.metric import REST, Tick
+from sweep.metrics.outcome import Thresholds, limit_of
+from sweep.models.case import Case
+from sweep.models.legs import JOINT_Q, JOINT_V, JOINTS, N_JOINTS, N_LEGS
+from sweep.models.obstacles.surface import poses, under
+from sweep.models.robot import links
+from sweep.systems.hexapod import Hexapod, assign, flat
+
+BELIEVED = "robot", "drive", "contact", "obstacle", "manoeuvre"  # groups whose quantities the controller is told
+
+
+class Controller(NamedTuple):
+    """What the module of an own model's controller has."""
+
+    begin: Callable[..., Any]
+    policy: Callable[..., Any]
+    figures: Callable[..., Any]
+    parameters: Mapping[str, float]
+    measured: Mapping[str, str]
+
+
+def check(case: Case) -> None:
+    """Raise `InputError` where a manoeuvre does more than a controller of an own model can."""
+    plan = nominal_plan(case)
+    kind = f"manoeuvre.kind = {case.manoeuvre.kind}"
+    reasons = {
+        f"obstacle.kind = {case.obstacle.kind} is not allowed: it may move": bool(case.obstacle.free_bodies),
+        f"{kind} is not allowed: it changes its servos' gains": plan.flywheel is not None,
+        f"{kind} is not allowed: it searches forces before it starts": plan.feedforward is not None,
+        "noise is not allowed: an own model has its own": not is_quiet(case.noise),
+        "control is not allowed: nothing is learned": (case.control.calibrate, case.control.touch) != ("none", "none"),
+    }
+    for reason, holds in reasons.items():
+        if holds:
+            raise InputError(reason)
+
+
+def spec(case: Case, settings: EngineSettings) -> mujoco.MjSpec:
+    """The model of the robot's native engine, whose controls are angles of joints, with sensors that MJX has, too."""
+    made = native_spec(case, settings.native_time_step)
+    made.option.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_ENERGY)
+    for sensor in [*made.sensors]:
+        made.delete(sensor)
+    for motor in made.actuators:
+        motor.gainprm[0] *= case.drive.stiffness
+    sensed, site, body = mujoco.mjtSensor, mujoco.mjtObj.mjOBJ_SITE, mujoco.mjtObj.mjOBJ_BODY
+    feet = [f"foot{leg + 1}" for leg in range(N_LEGS)]
+    for name in feet:
+        made.add_sensor(name=f"load_{name}", type=sensed.mjSENS_TOUCH, objtype=site, objname=name)
+    made.add_sensor(name="centre", type=sensed.mjSENS_SUBTREECOM, objtype=body, objname="base")
+    for name in _links(case):
+        made.add_sensor(name=f"at_{name}", type=sensed.mjSENS_FRAMEPOS, objtype=mujoco.mjtObj.mjOBJ_XBODY, objname=name)
+    for name in feet:
+        made.add_sensor(name=f"at_{name}", type=sensed.mjSENS_FRAMEPOS, objtype=site, objname=name)
+    for name in JOINTS:
+        actuator = mujoco.mjtObj.mjOBJ_ACTUATOR
+        made.add_sensor(name=f"torque_{name}", type=sensed.mjSENS_ACTUATORFRC, objtype=actuator, objname=name)
+    return made
+
+
+def _links(case: Case) -> list[str]:
+    return [f"{link}{leg + 1}" for leg in range(N_LEGS) for link in links(case.robot)]
+
+
+def scenario(system: Hexapod, settings: EngineSettings, limits: Thresholds, model: str, controller: str) -> Any:
+    """What an own model's scenario says, for files of these names: the robot's own causes, but for doubts."""
+    sensors = [sensor.name for sensor in spec(system.case, settings).sensors]
+    seconds = GRACE * float(np.sum(np.asarray(nominal_plan(system.case).duration))) + REST
+    about = {
+        "mjcf": model,
+        "controller": controller,
+        "period": settings.control_period,
+        "duration": math.ceil(1.5 * seconds),  # other parameters may ask for more than the nominal ones
+        "command": "ramped",
+        "observe": ["qpos", "qvel", *sensors],
+    }
+    return {"system": "own", "model": about, "outcome": dict(_conditions(system.case, limits))}
+
+
+def _conditions(case: Case, limits: Thresholds) -> Iterator[tuple[str, str]]:
+    for cause in (cause for metric in metrics.of(case) for cause in metric.causes if not cause.doubt):
+        limit = limit_of(cause, limits)
+        if math.isfinite(limit):
+            name = cause.name if cause.name != "goal_missed" else f"missed_{cause.threshold}"
+            yield name, f"{cause.figure} {'<' if cause.below else '>'} {limit!r}"
+
+
+def controller(system: Hexapod, settings: EngineSettings, limits: Thresholds) -> Controller:
+    """Plan, tracker and judge of a case; what is believed is simulated, as far as its figures tell."""
+    case, period = system.case, settings.control_period
+    numbers = {path: value for path, value in flat(case, "") if isinstance(value, float) and abs(value) < LARGEST}
+    numbers = {path: value for path, value in numbers.items() if path.startswith(BELIEVED)}
+    measured = {name: what for metric in metrics.of(case) for name, what in metric.columns.items()}
+
+    def believed(belief: Mapping[str, Array]) -> Case:
+        now = case
+        for path in numbers:
+            now = assign(now, path, belief[path])
+        return now
+
+    def begin(belief: Mapping[str, Array], key: Array) -> tuple[Array, Any, Array]:
+        own = believed(belief)
+        _, plan, _ = prepared(own, own, key)
+        start = start_state(own, own, plan)
+        loop = init(own, own, plan, start, jnp.zeros(()), key, None)
+        _, command = act(own, own, plan, loop, jnp.int32(0), period, True)
+        state = {"plan": plan, "loop": loop, "command": command, "tick": jnp.int32(0)}
+        return start.qpos, state, GRACE * jnp.sum(plan.duration) + REST
+
+    def policy(belief: Mapping[str, Array], seen: Array, state: Any, key: Array) -> tuple[Array, Any]:
+        own, plan, loop, tick = believed(belief), state["plan"], state["loop"], state["tick"]
+        now, _ = measure(own, plan, limits, loop, state["command"], summary(own, seen, period), tick - 1, period)
+        loop = jax.tree.map(lambda a, b: jnp.where(tick > 0, a, b), now, loop)
+        loop, command = act(own, own, plan, loop, tick, period, True)
+        angles = loop.servo.target + loop.servo.torque / own.drive.stiffness
+        return angles.reshape(N_JOINTS), {"plan": plan, "loop": loop, "command": command, "tick": tick + 1}
+
+    def figures(belief: Mapping[str, Array], state: Any) -> dict[str, Array]:
+        plan: Plan = state["plan"]
+        loop: ClosedLoop = state["loop"]
+        found = stream.figures(believed(belief), plan, loop.running, loop.tracker.stage)
+        return {name: jnp.asarray(found[name], float) for name in measured}
+
+    return Controller(begin, policy, figures, numbers, measured)
+
+
+def summary(case: Case, seen: Float[Array, " k"], period: float) -> Tick:
+    """What the metrics want of a tick, of what is observed at its end."""
+    count, drive = len(_links(case)), case.drive
+    sizes = 25, 24, N_LEGS, 3, 3 * count, 3 * N_LEGS, N_JOINTS
+    qpos, qvel, load, centre, places, feet, effort = jnp.split(seen, np.cumsum(sizes)[:-1])
+    feet, rates = feet.reshape(N_LEGS, 3), qvel[JOINT_V]
+    torque = effort - drive.back_emf * rates
+    free = free_state(qpos, qvel, 0)
+    normals = under(case.obstacle, feet, poses(free)).normal
+    return Tick(
+        torque_peak=jnp.abs(torque).reshape(N_LEGS, 3),
+        saturated=(jnp.abs(effort) >= 0.999 * drive.torque_limit).astype(seen.dtype).reshape(N_LEGS, 3),
+        force=load[:, None] * normals,
+        normal=load,
+        tangential=jnp.zeros(N_LEGS),
+        load=load,
+        residual=jnp.zeros(()),
+        work=period * jnp.sum(torque * rates),
+        effort=period * jnp.sum(jnp.maximum(torque * rates, 0.0)),
+        power=(torque * rates).reshape(N_LEGS, 3),
+        energy=jnp.zeros(()),
+        position=qpos[:3],
+        quat=qpos[3:7],
+        velocity=qvel[:3],
+        spin=qvel[3:6],
+        angles=qpos[JOINT_Q].reshape(N_LEGS, 3),
+        rates=rates.reshape(N_LEGS, 3),
+        centre_of_mass=centre,
+        joints=jnp.concatenate([places.reshape(N_LEGS, -1, 3), feet[:, None]], axis=1),
+        bodies=poses(free),
+        free=free,
+    )

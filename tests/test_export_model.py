@@ -1,0 +1,65 @@
+"""`sweep export-model`: the robot as an own model, by files of its own, and what it cannot be."""
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from sweep.cli.main import main
+from sweep.engines.native import native_model
+from sweep.runs import store
+from sweep.study.config import compose
+
+FIELDS = ("body_mass", "body_inertia", "body_pos", "body_quat", "geom_size", "geom_friction", "geom_pos", "site_pos",
+          "dof_armature", "dof_damping", "actuator_biasprm", "actuator_forcerange")  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["walk_tripod", "pole_climb"])
+def test_what_is_exported_is_the_robot_to_its_last_digit(tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    assert main(["export-model", f"scenario={name}", "robot.body_mass=9.87654321", "out=robot"]) == 0
+    exp = compose([f"scenario={name}", "robot.body_mass=9.87654321"])
+    own = native_model(exp.case, exp.settings.native_time_step)
+    made, read = mujoco.MjModel.from_binary_path("robot/robot.mjb"), mujoco.MjModel.from_xml_path("robot/robot.xml")
+    for field in FIELDS:
+        np.testing.assert_array_equal(getattr(made, field), getattr(own, field), err_msg=field)
+    assert read.body_mass[1] != own.body_mass[1]  # MuJoCo's text has six digits
+    np.testing.assert_array_equal(made.actuator_gainprm[:, 0], exp.case.drive.stiffness)
+    assert made.opt.timestep == own.opt.timestep
+
+
+@pytest.mark.parametrize(
+    ("asked", "line"),
+    [
+        (["scenario=ball_balance"], "obstacle.kind = ball is not allowed: it may move"),
+        (["scenario=walk_tripod", "noise.position_noise=0.001"], "noise is not allowed: an own model has its own"),
+        (["scenario=walk_tripod", "control.calibrate=sizes"], "control is not allowed: nothing is learned"),
+        (["study=walk_map"], "study is not allowed: one scenario is exported"),
+    ],
+)
+def test_what_a_controller_of_an_own_model_cannot_do_is_refused(tmp_path, monkeypatch, capsys, asked, line):
+    monkeypatch.chdir(tmp_path)
+    assert main(["export-model", *asked, "out=robot"]) == 2
+    (told,) = capsys.readouterr().err.splitlines()
+    assert line in told
+    assert not Path("robot").exists()
+
+
+@pytest.mark.slow
+def test_its_outcomes_are_those_of_the_robots_own_engine(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    steps, frictions = [0.05, 0.12, 0.19], [0.1, 0.3, 0.8]
+    axes = "study.axes={{f: {{path: {}, {}values: {}}}, s: {{path: {}manoeuvre.half_step_ratio, values: {}}}}}"
+    own = axes.format("contact.friction", "side: world, ", frictions, "", steps)
+    assert main(["run", "study=walk_map", own, "study.expect=[]", "engine=native", "out=own"]) == 0
+    assert main(["export-model", "scenario=walk_tripod", "out=robot"]) == 0
+    monkeypatch.chdir("robot")
+    Path("study.yaml").write_text("scenario: own\nstudy: {name: door}\n")
+    door = axes.format("model.geom.ground_contact.friction.slide", "", frictions, "controller.", steps)
+    assert main(["run", "study=study.yaml", door.replace("study.axes", "+study.axes"), "out=door"]) == 0
+    a, b = store.read_rows(Path("../own")), store.read_rows(Path("door"))
+    a, b = a.sort_values(list(a.columns[:2])), b.sort_values(list(b.columns[:2]))
+    assert set(a["outcome"]) == {"success", "failure"}
+    assert list(a["outcome"]) == list(b["outcome"])
+    np.testing.assert_allclose(a["distance_m"], b["distance_m"], atol=1e-3)
