@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from sweep.runs.results import Results
     from sweep.study.config import Experiment
 
+LICENSE = "https://spdx.org/licenses/CC-BY-4.0"
 BENCH = ("arrowhead", "mjx", "native")  # rows of `sweep bench`
 RUN_HELP = f"""groups: {", ".join(GROUPS)}
   sweep list               their choices
@@ -153,11 +154,25 @@ def parser() -> argparse.ArgumentParser:
     report.add_argument("--pictures", action="store_true", help="simulate typical rollouts again for their pictures")
     report.add_argument("-o", "--output", type=Path, help="folder for page and map instead of DIR")
     export = of_results("export", export_results, "a study for others' programs")
+    export.add_argument("--paper", type=Path, metavar="FOLDER", help="LaTeX tables, figures, numbers, data")
     export.add_argument(
-        "--paper", type=Path, required=True, metavar="FOLDER", help="LaTeX tables, figures, numbers, data"
+        "--crate", type=Path, metavar="FOLDER", help="an RO-Crate: rows, configuration, pictures, how they were made"
     )
+    export.add_argument("--zip", action="store_true", help="the crate as FOLDER.zip, as archives take it")
+    export.add_argument("--license", default=LICENSE, metavar="ADDRESS", help="licence of the crate's data (CC-BY-4.0)")
     export.add_argument("--where", help="only rows that match")
     export.add_argument("--serif", action="store_true", help="letters of figures with serifs")
+    again = command(
+        "reproduce",
+        reproduce,
+        "simulate rows of a crate again, here: what is equal, what ends otherwise",
+        "sweep reproduce walk_map.zip --rows 50",
+    )
+    again.add_argument("crate", type=Path, help="what `sweep export DIR --crate` wrote: a folder or an archive")
+    again.add_argument("--rows", type=int, default=20, help="how many, drawn at random (20)")
+    again.add_argument("--seed", type=int, default=0, help="of their draw (0)")
+    again.add_argument("--tolerance", type=float, default=1e-3, help="relative, within which figures are alike (0.001)")
+    export.add_argument("--author", default="", metavar="NAME", help="who ran the study, for the crate")
     compare = command(
         "compare",
         compare_results,
@@ -500,13 +515,27 @@ def pictures(found: "Results", folder: Path, chosen: tuple[str, ...]) -> list[Pa
 
 
 def export_results(given: argparse.Namespace) -> int:
-    """The bundle for a paper."""
-    from sweep.report import paper
+    """The bundle for a paper, or the crate."""
+    from sweep.report import crate, paper
     from sweep.runs import results
 
+    if bool(given.paper) == bool(given.crate):
+        raise InputError("export wants one of --paper FOLDER and --crate FOLDER")
+    if given.crate:
+        if given.where or given.serif:
+            raise InputError("--where and --serif are of --paper: a crate has the whole study")
+        print(crate.write(results.read(given.dir), given.crate, given.license, given.zip, given.author))
+        return DONE
     for path in paper.write(results.read(given.dir, given.where), given.paper, given.serif):
         print(path)
     return DONE
+
+
+def reproduce(given: argparse.Namespace) -> int:
+    """Rows of a crate again."""
+    from sweep.cli import reproduce
+
+    return reproduce.run(given)
 
 
 def compare_results(given: argparse.Namespace) -> int:

@@ -1,0 +1,138 @@
+"""`sweep export --crate`: a study as a Process Run Crate, an RO-Crate: rows, plan, configuration, pictures."""
+
+import contextlib
+import mimetypes
+import tempfile
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sweep.core.errors import InputError
+from sweep.core.start import VERSION
+from sweep.report.page import dates
+from sweep.runs import manifest, store
+from sweep.runs.results import Results
+
+if TYPE_CHECKING:
+    from rocrate.rocrate import ROCrate
+
+PYPI = "https://pypi.org/project"
+PROFILE = "https://w3id.org/ro/wfrun/process/0.5"
+STUDY = "study"  # folder of the crate that is a study's folder again
+PICTURES = ("report.html", "map.png", "map.svg", "draws.png", "draws.svg")  # where the study's folder has them
+MEANINGS = {
+    store.STUDY: "the resolved configuration, versions of the libraries, commit, devices",
+    store.POINTS: "the plan: one row for each rollout",
+    manifest.MANIFEST: "length and SHA-256 of each file of rows",
+    store.LOG: "when which batch finished, and where",
+    "report.html": "the page: map, filters, replays",
+}
+
+
+def write(results: Results, out: Path, license_: str, zipped: bool, author: str = "") -> Path:
+    """Write the crate of a study as the folder `out`, or as `out`.zip. Raises `InputError` where `rocrate` is missing.
+
+    `license_` is the address of the licence of the data, `author` the name of who ran the study.
+    """
+    try:
+        from rocrate.rocrate import ROCrate
+    except ModuleNotFoundError:
+        raise InputError("--crate needs rocrate: pip install 'insect-sweep[crate]'") from None
+    if not license_.startswith("https://"):
+        raise InputError(
+            f"--license = {license_} is not allowed: an address, such as https://spdx.org/licenses/CC-BY-4.0"
+        )
+    if out.exists() and any(out.iterdir()):
+        raise InputError(f"{out} is not an empty folder")
+    crate = ROCrate(version="1.1")  # which the profile is of
+    described(crate, results, license_, author)
+    if zipped:
+        path = out.with_name(f"{out.name}.zip")
+        crate.write_zip(path)
+        return path
+    crate.write(out)
+    return out
+
+
+def described(crate: "ROCrate", results: Results, license_: str, author: str) -> None:
+    """Add to a crate the files of a study, the program that made them, and how."""
+    from rocrate.model.contextentity import ContextEntity
+    from rocrate.model.person import Person
+    from rocrate.model.softwareapplication import SoftwareApplication
+
+    folder, stored, exp = results.folder, results.stored, results.exp
+    profile = {"@type": "CreativeWork", "name": "Process Run Crate", "version": "0.5"}
+    crate.add(ContextEntity(crate, PROFILE, properties=profile))
+    crate.add(ContextEntity(crate, license_, properties={"@type": "CreativeWork", "name": license_.rpartition("/")[2]}))
+    root: Any = crate.root_dataset
+    root["conformsTo"] = {"@id": PROFILE}
+    root["name"] = f"{results.name}: {exp.scenario}"
+    root["description"] = f"{results.done} rollouts of {exp.scenario} on {exp.settings.name}, by sweep {VERSION}"
+    root["license"] = {"@id": license_}
+    crate.datePublished = datetime.now(UTC).replace(microsecond=0)
+    given = [
+        crate.add_file(folder / name, f"{STUDY}/{name}", properties=about(name)) for name in (store.STUDY, store.POINTS)
+    ]
+    made = [crate.add_file(folder / name, f"{STUDY}/{name}", properties=about(name)) for name in kept(folder)]
+    made += [
+        crate.add_file(folder / name, name, properties=about(name)) for name in PICTURES if (folder / name).exists()
+    ]
+    programs: list[Any] = [
+        crate.add(SoftwareApplication(crate, f"{PYPI}/{name}/{number}/#{version}",
+                                      properties={"name": name, "softwareVersion": version, "url": f"{PYPI}/{name}"}))
+        for name, number, version in (("insect-sweep", VERSION, stored["commit"] or stored["code"]),
+                                      *((name, number, number) for name, number in stored["versions"].items()))
+    ]  # fmt: skip
+    program = programs[0]
+    program["softwareRequirements"] = programs[1:]
+    began, ended = dates(folder)
+    run = {
+        "name": f"simulation of {results.name}",
+        "description": f"on {'; '.join(stored['devices'])}; `sweep reproduce` of this crate simulates rows of it again",
+    }
+    for key, day in (("startTime", began), ("endTime", ended)):
+        if day:
+            run[key] = datetime.fromisoformat(day).isoformat()
+    action: Any = crate.add_action(program, "#run", object=given, result=made, properties=run)
+    root["mentions"] = action
+    if author:
+        root["author"] = action["agent"] = crate.add(Person(crate, "#author", properties={"name": author}))
+
+
+def kept(folder: Path) -> Iterator[str]:
+    """The files beside configuration and plan that count in a study's folder."""
+    yield manifest.MANIFEST
+    if (folder / store.LOG).exists():
+        yield store.LOG
+    yield from (entry.file for entry in manifest.read(folder) if entry.file != store.POINTS)
+
+
+def about(name: str) -> dict[str, Any]:
+    """What a crate says of a file."""
+    kind = {".parquet": "application/vnd.apache.parquet", ".yaml": "application/yaml"}.get(Path(name).suffix)
+    meaning = MEANINGS.get(name) or ("finished rows" if name.endswith(".parquet") else f"picture of the study, {name}")
+    return {
+        "name": name,
+        "description": meaning,
+        "encodingFormat": kind or mimetypes.guess_type(name)[0] or "text/plain",
+    }
+
+
+@contextlib.contextmanager
+def opened(path: Path) -> Iterator[Path]:
+    """The study's folder within a crate, a folder or an archive. Raises `InputError` where there is none."""
+    import zipfile
+
+    with tempfile.TemporaryDirectory() as room:
+        folder = path
+        if path.is_file():
+            try:
+                with zipfile.ZipFile(path) as packed:
+                    packed.extractall(room)
+            except zipfile.BadZipFile:
+                raise InputError(f"{path} is not an archive") from None
+            folder = Path(room)
+        if not (folder / "ro-crate-metadata.json").exists() or not (folder / STUDY / store.STUDY).exists():
+            raise InputError(f"{path} is not a crate of a study: `sweep export DIR --crate FOLDER` writes one")
+        yield folder / STUDY

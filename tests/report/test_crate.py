@@ -1,0 +1,80 @@
+"""A study as a crate that others can read, and rows of it simulated again."""
+
+import json
+import shutil
+import subprocess
+import zipfile
+
+import pandas as pd
+import pytest
+from conftest import simulated
+from fake_engine import FakeEngine
+
+from sweep.cli.main import main
+from sweep.runs import store
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory):
+    out = tmp_path_factory.mktemp("crate") / "study"
+    assert simulated(out, "study.axes.friction.num=4", "study.axes.step.num=3") == 0
+    return out
+
+
+def test_a_crate_has_the_study_and_says_how_it_was_made(study, tmp_path, capsys):
+    pytest.importorskip("rocrate")
+    assert main(["export", str(study), "--crate", str(tmp_path / "crate"), "--author", "A. Person"]) == 0
+    told = json.loads((tmp_path / "crate/ro-crate-metadata.json").read_text())
+    entities = {one["@id"]: one for one in told["@graph"]}
+    run = entities["#run"]
+    files = {one["@id"] for one in [*run["object"], *run["result"]]}
+    assert files == {str(file.relative_to(tmp_path / "crate")) for file in (tmp_path / "crate").rglob("*.*")} - {
+        "ro-crate-metadata.json"
+    }
+    program = entities[run["instrument"]["@id"]]
+    assert program["softwareVersion"] == store.read_study(study)["commit"]
+    assert {entities[one["@id"]]["name"] for one in program["softwareRequirements"]} >= {"mujoco", "jax"}
+    assert entities["./"]["license"]["@id"].endswith("CC-BY-4.0")
+    pd.testing.assert_frame_equal(store.read_rows(tmp_path / "crate/study"), store.read_rows(study))
+    for words, error in ((["--crate", str(tmp_path / "crate")], "is not an empty folder"),
+                         ([], "wants one of --paper FOLDER and --crate FOLDER"),
+                         (["--crate", "else", "--license", "mine"], "--license = mine is not allowed"),
+                         (["--crate", "else", "--where", "friction > 1"], "has the whole study")):  # fmt: skip
+        assert main(["export", str(study), *words]) == 2
+        assert error in capsys.readouterr().err
+
+
+@pytest.mark.skipif(not shutil.which("rocrate-validator"), reason="needs pipx install roc-validator, and a network")
+def test_a_crate_is_valid(study, tmp_path):
+    assert main(["export", str(study), "--crate", str(tmp_path / "crate"), "--author", "A. Person"]) == 0
+    command = ["rocrate-validator", "-y", "validate", "--no-paging", "-p", "process-run-crate", str(tmp_path / "crate")]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout
+
+
+def test_rows_of_a_crate_are_simulated_again(study, fake_engine, tmp_path, capsys, monkeypatch):
+    pytest.importorskip("rocrate")
+    monkeypatch.chdir(tmp_path)
+    assert main(["export", str(study), "--crate", "crate", "--zip"]) == 0
+    assert capsys.readouterr().out == "crate.zip\n"
+    assert main(["reproduce", "crate.zip", "--rows", "5"]) == 0
+    assert "5 rollouts simulated again: 5 equal to the last bit, 0 within 0.001" in capsys.readouterr().out
+    run = FakeEngine.run
+
+    def elsewhere(self, world, belief, streams):  # a machine that rounds otherwise, and sees one of them fall
+        figures = run(self, world, belief, streams)
+        return figures | {"slip_max_m": figures["slip_max_m"] * (1 + 1e-6),
+                          "tilt_max_deg": figures["tilt_max_deg"] + 50 * (figures["slip_max_m"] > 0.01)}  # fmt: skip
+
+    monkeypatch.setattr(FakeEngine, "run", elsewhere)
+    assert main(["reproduce", "crate.zip", "--rows", "12"]) == 4
+    told = capsys.readouterr().out
+    assert "12 rollouts simulated again: 0 equal to the last bit" in told
+    assert "success there, failure fell here" in told
+    with zipfile.ZipFile("crate.zip") as packed:
+        packed.extractall("crate")
+    part = next((tmp_path / "crate/study/parts").iterdir())
+    part.write_bytes(part.read_bytes()[:-9])
+    for crate, error in (("crate", "is damaged"), (str(study), "is not a crate of a study"), ("none", "none is not")):
+        assert main(["reproduce", crate]) == 2
+        assert error in capsys.readouterr().err
