@@ -91,6 +91,21 @@ def bounds(_: str) -> str:
     return next(bounds_of(pd.read_csv(RATES)))
 
 
+def seen(_: str) -> str:
+    """How large an error of rates, and of what is seen of free bodies, each manoeuvre bears."""
+    return [*bounds_of(pd.read_csv(RATES))][1]
+
+
+def codes(_: str) -> str:
+    """What code the rates that are kept are of: each commit, and the manoeuvres with it."""
+    lines = []
+    for commit, rates in pd.read_csv(RATES).groupby("commit"):
+        robots = rates.groupby("robot")["scenario"].unique()
+        listed = "; ".join(f"{robot}: {', '.join(f'`{name}`' for name in names)}" for robot, names in robots.items())
+        lines.append(f"- {commit}: {listed}")
+    return "\n".join(lines)
+
+
 def sources(names: list[str]) -> str:
     """What made the data of a page: command, engine, code, machine, a line each."""
     lines = ["| data | made by | engine, machine | code | s |", "|:--|:--|:--|:--|--:|"]
@@ -113,7 +128,8 @@ def pages() -> Iterator[Path]:
     yield from sorted(DOCS.rglob("*.md"))
 
 
-FORMS = {"rate": rate, "causes": causes, "errors": errors, "along": along, "bounds": bounds, "sources": sources}
+FORMS = {"rate": rate, "causes": causes, "errors": errors, "along": along, "bounds": bounds, "seen": seen,
+         "codes": codes, "sources": sources}  # fmt: skip
 
 if __name__ == "__main__":
     for page in pages():
