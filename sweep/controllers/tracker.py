@@ -78,12 +78,17 @@ class Command(NamedTuple):
 
 def joint_targets(robot: Robot, stance: Stance) -> tuple[Float[Array, "6 3"], Float[Array, " 6"]]:
     """Joint angles (rad) of the believed robot in a stance, and how far each foot is out of reach (m)."""
+    feet = in_hips(robot, stance)
+    return leg.ik(leg.SIDE, feet, robot.coxa, robot.thigh, robot.shin, robot.knees == "mirror")
+
+
+def in_hips(robot: Robot, stance: Stance) -> Float[Array, "6 3"]:
+    """Feet (m) of a stance in the axes of their hips, whose y is to the left, or turned with the mounts."""
     to_base = jnp.broadcast_to(conjugate(stance.quat), (6, 4))
     foot = rotate(to_base, stance.feet - stance.position) - mounts(robot)
     yaw = np.zeros((6, 3))
     yaw[:, 2] = -mount_yaw(robot)
-    foot = rotate(exponential(jnp.asarray(yaw, foot.dtype)), foot)
-    return leg.ik(leg.SIDE, foot, robot.coxa, robot.thigh, robot.shin, robot.knees == "mirror")
+    return rotate(exponential(jnp.asarray(yaw, foot.dtype)), foot)
 
 
 @runtime_checkable

@@ -9,10 +9,10 @@ from sweep.controllers import forces
 from sweep.controllers.frames import to_world
 from sweep.controllers.plan import Plan, Stance, begins, reference, stance_to_world
 from sweep.controllers.posture import feet_in_world, leg_points, mass_centre
-from sweep.controllers.tracker import joint_targets
+from sweep.controllers.tracker import in_hips, joint_targets
 from sweep.core.rotations import matrix, rotate, wrapped
-from sweep.formulas import stepping
-from sweep.metrics.geometry import base_gap, capsules, leg_gap, shin_slopes, support_margin
+from sweep.formulas import leg, stepping
+from sweep.metrics.geometry import base_gap, capsules, fold_gap, leg_gap, shin_slopes, support_margin
 from sweep.models import solids
 from sweep.models.case import Case
 from sweep.models.obstacles.surface import Bodies, Surface, free_start, poses, under
@@ -31,6 +31,9 @@ class Margins(NamedTuple):
     shin: Float[Array, "*b"]  # rad, of the shin of a standing foot over its face
     legs: Float[Array, "*b"]  # m, between legs
     body: Float[Array, "*b"]  # m, from the base to thighs, but for their beginning, and shins
+    fold: Float[Array, "*b"]  # m, from shins to thighs, farther from the knee than its fork is deep
+    # m, of feet on the outer side of their hips: to the inner one, seldom meant, a leg turns over by half a turn
+    outer: Float[Array, "*b"]
     reach: Float[Array, "*b"]  # m, by which the worst leg could be longer or shorter
     swing: Float[Array, "*b"]  # m, from swinging feet to the obstacle, away from where they start and land
     rate: Float[Array, "*b"]  # rad/s, of the fastest joint, negative
@@ -99,6 +102,8 @@ def left(
         shin=jnp.min(jnp.where(swing.swings, jnp.inf, jnp.arcsin(shin_slopes(legs, surface(foot).normal)))),
         legs=leg_gap(legs) - 2 * robot.link_radius,
         body=base_gap(legs, *base[:2], robot),
+        fold=fold_gap(legs, robot.fork_ratio * robot.shin + robot.link_radius) - 2 * robot.link_radius,
+        outer=jnp.min(leg.SIDE * in_hips(robot, stance)[:, 1]),
         reach=jnp.min(reach),
         swing=jnp.min(above),
         edge=jnp.min(jnp.where(swing.swings, AROUND, inside)),

@@ -24,6 +24,7 @@ AIMS = {
     "links": 0.003,
     "legs": 0.025,
     "body": 0.02,
+    "fold": 0.003,
     "reach": 0.01,
     "swing": 0.015,
     "rate": -6.0,

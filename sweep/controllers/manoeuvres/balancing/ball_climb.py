@@ -33,7 +33,9 @@ class BallClimb(BesideBall):
     calm_speed: float = quantity(0.0, "m/s", at_least=0)  # of a ball that needs no further step; 0: all are made
     push_speed: float = quantity(0.324, "m/s", above=0)  # v_*, of the ball after the push
     gain: float = quantity(0.918, "-", above=0, at_most=2)  # of the rate (3.1.16)
+    least_rate: float = quantity(0.2, "rad/s", at_least=0)  # of the ride, on a ball that stops before the top
     most_rate: float = quantity(1.5, "rad/s", above=0)  # of the ride, at most
+    braking: float = quantity(0.8, "rad/s^2", above=0)  # of that rate, as the top is reached
     centring: float = quantity(1.52, "s", above=0)  # in which the base goes on to the point of its tangent, in the ride
     lean: float = quantity(2.5, "s", at_least=0)  # of the base against the ball's speed aside, in the ride
 
@@ -94,4 +96,7 @@ class BallClimb(BesideBall):
     @property
     def parts(self) -> Mapping[str, Guided]:
         """The ride up, and the calming steps."""
-        return {RIDE: Ride(self.gain, self.most_rate, self.centring, self.lean), **super().parts}
+        return {
+            RIDE: Ride(self.gain, self.least_rate, self.most_rate, self.braking, self.centring, self.lean),
+            **super().parts,
+        }

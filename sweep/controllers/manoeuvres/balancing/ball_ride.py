@@ -40,7 +40,9 @@ class Ride(NamedTuple):
     """
 
     gain: Array | float  # of the rate
+    least: Array | float  # rad/s, of the rate, also if the ball has stopped
     most: Array | float  # rad/s, of the rate
+    braking: Array | float  # rad/s^2, of the rate as the top is reached
     centring: Array | float  # s, over which the base goes to the tangent's point first
     lean: Array | float  # s, of the base against the ball's speed aside
 
@@ -78,18 +80,22 @@ class Ride(NamedTuple):
         return Guidance(Stance(feet, position, about_aside(down)), goal, memory)
 
     def rate(self, belief: Case, seen: Observation) -> Float[Array, ""]:
-        """(3.1.16), rad/s, of the mass centre where it is measured; none beyond the top."""
+        """(3.1.16), rad/s, of the mass centre where it is measured; none beyond the top.
+
+        That rate grows up to the top: a robot that stopped there at once would tip over its front feet.
+        """
         ball, robot = belief.on(Ball), belief.robot
         off = centre_of_mass(robot, measured_stance(robot, seen)) - seen.free.position[0]
         elevation = jnp.arctan2(off[2], -off[0])
         omega = jnp.maximum(seen.free.turn[0, 1], 0.0)
         p = total_mass(robot) * jnp.hypot(off[0], off[2]) / (ball.radius * (ROLLING * ball.mass + total_mass(robot)))
-        effort = jnp.log((1 + p) / (1 + p * jnp.sin(jnp.minimum(elevation, 0.5 * np.pi))))
+        left = jnp.maximum(0.5 * np.pi - elevation, 0.0)
+        effort = jnp.log((1 + p) / (1 + p * jnp.cos(left)))
         enough = (omega * ball.radius) ** 2 > 4 * effort**2 * ball.radius * GRAVITY
         root = climbing_rate(jnp.where(enough, omega, 10.0), effort, ball.radius)
         fastest = omega / (2 * jnp.maximum(effort, 1e-6))
-        wanted = jnp.minimum(self.gain * jnp.where(enough, root, fastest), self.most)
-        return jnp.where(elevation > 0.5 * np.pi, 0.0, wanted)
+        most = jnp.minimum(self.most, jnp.sqrt(2 * self.braking * left))
+        return jnp.minimum(jnp.maximum(self.gain * jnp.where(enough, root, fastest), self.least), most)
 
     def ends(self, belief: Case, plan: Plan, state: TrackerState, seen: Observation) -> Bool[Array, ""]:
         """On top, in the last stage."""
