@@ -340,6 +340,34 @@ def test_it_fits_the_screen(browser, file, width, dark):
     browser.resize(1400, 1000)
 
 
+def test_map_and_replay_fit_a_small_screen(browser, file):
+    """With their axes and the play button, scrolled to."""
+    browser.resize(1280, 800)
+    browser.open(file)
+    browser.until("performance.getEntriesByName('map').length")
+    browser.run("document.querySelector('#explore').scrollIntoView({block: 'start', behavior: 'instant'})")
+    ends = browser.run("""['#map-base', '#scene-a', '#strip', '#play'].map(
+        (one) => document.querySelector(one).getBoundingClientRect()).map((box) => [box.top, box.bottom])""")
+    browser.resize(1400, 1000)
+    for top, bottom in ends:
+        assert 0 <= top < bottom <= 800
+
+
+def test_what_is_played_is_filmed(shown):
+    shown.run(
+        "window.given_ = []; URL.createObjectURL = (blob) => { given_.push(blob); return 'blob:none' };"
+        "HTMLAnchorElement.prototype.click = () => {}; document.querySelector('#record').click()"
+    )
+    shown.until("document.querySelector('#record').getAttribute('aria-pressed') === 'true'")
+    at = shown.run("document.querySelector('#clock').textContent")
+    shown.until(f"document.querySelector('#clock').textContent !== '{at}'")
+    shown.run("new Promise((done) => setTimeout(done, 500)).then(() => document.querySelector('#record').click())")
+    shown.until("given_.length")
+    assert shown.run("given_[0].type").startswith("video/webm")
+    head = shown.run("given_[0].arrayBuffer().then((b) => [...new Uint8Array(b.slice(0, 4))])")
+    assert head == [0x1A, 0x45, 0xDF, 0xA3]  # of Matroska, which WebM is
+
+
 def test_names_of_others_run_nothing(browser, wide, tmp_path):
     evil = '"\'></script><script>window.hacked=1</script><img src=x onerror="window.hacked=2">'
     found = results.read(wide)

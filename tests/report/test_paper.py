@@ -1,3 +1,4 @@
+import itertools
 import re
 import shutil
 import subprocess
@@ -5,9 +6,12 @@ from dataclasses import replace
 
 import pandas as pd
 import pytest
+from matplotlib.text import Text
 
 from sweep.cli.main import main
 from sweep.report import paper
+from sweep.report.exhibits import exhibits
+from sweep.report.layout import lettering
 from sweep.runs import results, store
 
 
@@ -59,6 +63,22 @@ def test_the_data_of_a_figure_is_what_it_shows(bundle, folder):
         "map-1", "map-2", "map-3", "effects", "causes", "distributions",
     }  # fmt: skip
     assert r"\bottomrule" in (bundle / "tables/causes.tex").read_text()
+
+
+def test_figures_are_as_wide_as_a_column_or_a_page_and_have_letters_of_one_size(folder):
+    for serif in (False, True):
+        for one in exhibits(results.read(folder)):
+            with lettering(serif):
+                figure = one.draw()
+                figure.draw_without_rendering()
+            assert any(figure.get_size_inches()[0] == pytest.approx(mm / 25.4) for mm in (84, 174)), one.key
+            texts = [text for text in figure.findobj(Text) if text.get_text().strip() and text.get_visible()]
+            assert {text.get_fontsize() for text in texts} == {8}, one.key
+            for axes in figure.axes:  # labels of ticks stand beside each other
+                boxes = [t.get_window_extent() for t in axes.get_xticklabels() if t.get_text() and t.get_visible()]
+                inside = [box for box in boxes if axes.bbox.x0 - 1 <= box.x0 + box.width / 2 <= axes.bbox.x1 + 1]
+                assert all(a.x1 <= b.x0 or a.y1 <= b.y0 or b.y1 <= a.y0 or axes.get_xticklabels()[0].get_rotation()
+                           for a, b in itertools.pairwise(inside)), one.key  # fmt: skip
 
 
 def test_names_and_words_are_fit_for_latex():
