@@ -205,3 +205,17 @@ def test_rows_that_use_nothing_of_control_keep_the_ids_of_before_there_was_any()
     assert plain["point_id"].tolist() == stored["point_id"].tolist()
     assert both.loc[both["control.calibrate"] == "none", "point_id"].tolist() == plain["point_id"].tolist()
     assert both["point_id"].nunique() == 2 * plain["point_id"].nunique()
+
+
+def test_a_path_with_a_star_is_an_axis_for_each_number_below_it():
+    exp = compose(["scenario=ball_descend", "study=any_plan_sensitivity", "study.axes.number.path=plan.off.hold.*"])
+    table = points(exp.study, exp.system, exp.settings)
+    held = {f"plan.off.hold.{name}" for name in ("seconds", "base.elevation", "base.distance", "base.ahead")}
+    assert {a.target for a in exp.study.axes} == held
+    assert len(table) == 8 * (len(held) + 1)  # Morris' paths
+    for path in held:
+        assert np.ptp(table[path]) == pytest.approx(0.04 * exp.system.nominal(path, exp.settings), rel=0.02)
+    with pytest.raises(InputError, match=r"study.axes.number.path = plan.of.\* names no number that is not zero"):
+        compose(["scenario=ball_descend", "study=any_plan_sensitivity", "study.axes.number.path=plan.of.*"])
+    sizes = compose(["+study.axes.size={path: robot.*, relative: 0.01}", "study.design.num=2"]).study.axes
+    assert {"robot.thigh", "robot.body_mass"} < {a.target for a in sizes}

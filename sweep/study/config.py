@@ -27,7 +27,7 @@ from sweep.core import project
 from sweep.core.groups import GROUPS
 from sweep.core.parameters import InputError, checked, of_kind, suggest
 from sweep.engines.settings import EngineSettings
-from sweep.study import sources
+from sweep.study import designs, sources
 from sweep.study.clusters import Cluster
 from sweep.study.designs import known, with_side
 from sweep.study.study import ScenarioSchema, Study, StudySchema, check_keep
@@ -189,12 +189,22 @@ def experiment(values: Mapping[str, Any]) -> Experiment:
     single = not (chosen["name"] or chosen["axes"] or chosen["points"] or chosen["replicates"] != 1)
     if single:
         chosen = {**chosen, "expect": scenario["expect"]}
+    if isinstance(chosen["axes"], Mapping):
+        chosen["axes"] = designs.spread_out(chosen["axes"], partial(_numbers, system, settings))
     study = Study.parse({**chosen, "name": chosen["name"] or scenario["name"]}, single)
     check_keep(study, system, settings)
     for theory in study.theory:  # refuses inputs that mean nothing
         system.parameter(theory.of, settings)
         theory.numbers(lambda path: system.nominal(path, settings))
     return Experiment(scenario["name"], system, settings, limits, cluster, study, values["out"], {**values, **told})
+
+
+def _numbers(system: System, settings: EngineSettings, start: str) -> list[str]:
+    """Paths of a system's numbers that begin with `start`, but those that are nominally zero."""
+    floats = [
+        path for path, value in system.inputs(()) if path.startswith(start) and isinstance(value, float) and value
+    ]
+    return [path for path in floats if system.parameter(path, settings).metadata.get("role") == "quantity"]
 
 
 def _names(cls: type) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ import dataclasses
 import hashlib
 import math
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -100,6 +100,25 @@ def with_side(axes: Mapping[str, Any]) -> dict[str, Any]:
         return {"side" if key in OLD_SIDE else key: value for key, value in axis.items()}
 
     return {name: renamed(name, axis) if isinstance(axis, Mapping) else axis for name, axis in axes.items()}
+
+
+def spread_out(given: Mapping[str, Any], below: Callable[[str], Sequence[str]]) -> dict[str, Any]:
+    """Axes by name, those whose path ends in `.*` as one for each of the numbers `below` it, such as `plan.off.*`.
+
+    Raises `InputError` where there are none.
+    """
+    axes = {}
+    for name, axis in given.items():
+        path = axis.get("path") if isinstance(axis, Mapping) else None
+        if not isinstance(path, str) or not path.endswith(".*"):
+            axes[name] = axis
+            continue
+        start = path.removesuffix("*")
+        found = {f"{name}_{number.removeprefix(start).replace('.', '_')}": number for number in below(start)}
+        if not found:
+            raise InputError(f"study.axes.{name}.path = {path} names no number that is not zero")
+        axes |= {one: {**axis, "path": number} for one, number in found.items()}
+    return axes
 
 
 def parse_axes(given: Mapping[str, Any]) -> tuple[Axis, ...]:
