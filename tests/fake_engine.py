@@ -56,6 +56,9 @@ class FakeEngine:
         broken = np.isnan(figures["tilt_max_deg"][slots]) & (time[:, None] > self.duration / 2)
         return figures, np.where(broken[..., None], np.nan, samples)
 
+    def trace(self, world, belief, streams, slot):
+        return self.traces(world, belief, streams, 1)[slot]
+
     def traces(self, world, belief, streams, every):
         """The same motion for every row, with the figures that it has."""
         from moved import moved

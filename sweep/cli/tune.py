@@ -20,6 +20,7 @@ from sweep.models.case import Case
 from sweep.models.obstacles.charts import charts
 from sweep.runs import tuning
 from sweep.study.config import compose
+from sweep.systems.hexapod import Hexapod
 from sweep.tune.score import Aim, Score, stacked, worst
 
 DIGITS = 4  # to which numbers are rounded
@@ -38,6 +39,8 @@ def main(args: list[str]) -> int:
         if getattr(given, flag) < least:
             raise InputError(f"--{flag} = {getattr(given, flag)} is not allowed: at least {least}")
     exp = compose(overrides)
+    if not isinstance(exp.system, Hexapod):
+        raise InputError("tune is for plans of the six-legged robot: an own model's controller has axes")
     case, where = exp.case, Path(exp.out or "")
     if not isinstance(case.manoeuvre, plan_table.Tabled):
         raise InputError(f"manoeuvre.kind = {case.manoeuvre.kind} has its numbers in no file")
