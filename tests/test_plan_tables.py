@@ -49,6 +49,16 @@ def test_a_plan_of_a_project_changes_what_it_says_and_keeps_the_rest(lab):
     assert now["roof.pitch.base.pitch"] == 45
 
 
+def test_a_plan_may_extend_one_that_extends_several(lab):
+    lab.write_text("extends: ball_over\nstand: {rise: {seconds: 0.7}}\n")
+    case = compose(["scenario=ball_over", "plan=mine"]).case
+    mine, own = (numbers(content, charts(case.obstacle)) for content in (tabled(case), shipped("ball_over")))
+    assert {path for path in own if own[path] != mine[path]} == {"stand.rise.seconds"}
+    lab.write_text("extends: [ball_climb, mine]\n")
+    with pytest.raises(InputError, match="cannot start from itself"):
+        compose(["scenario=ball_over", "plan=mine"])
+
+
 def test_rows_have_the_ids_of_their_numbers_whatever_file_they_are_in(lab):
     def ids(*more):
         exp = compose([*ROOF, *more])

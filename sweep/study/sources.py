@@ -188,24 +188,32 @@ def part(group: str, file: Any, content: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def extended(group: str, file: Any, content: Mapping[str, Any]) -> list[Any]:
-    """The file that this one starts from, as a list of defaults."""
+    """The file that this one starts from, or the list of them, as a list of defaults."""
+    names = [chosen(file, group, name) for name in listed(group, content)]
+    for name in names:
+        refuse_ring(group, file, name, (file,))
+    return [f"/{group}/{name}@{'_global_' if GROUPS[group].whole else '_here_'}" for name in names]
+
+
+def listed(group: str, content: Mapping[str, Any]) -> list[Any]:
+    """What a file extends: in a group without a class of its own it may be several."""
     if "extends" not in content:
         return []
-    name = chosen(file, group, content["extends"])
-    refuse_ring(group, file, name)
-    return [f"/{group}/{name}@{'_global_' if GROUPS[group].whole else '_here_'}"]
+    found = content["extends"]
+    return found if GROUPS[group].free and isinstance(found, list) else [found]
 
 
-def refuse_ring(group: str, file: Any, name: Any) -> None:
+def refuse_ring(group: str, file: Any, name: Any, ring: tuple[Any, ...]) -> None:
     """Raise `InputError` where a file that extends `name` starts, through it, from itself."""
-    ring = [file]
-    while isinstance(name, str) and (above := project.find(group, name)) is not None:
-        ring.append(above)
-        if os.path.samefile(above, file):
-            raise InputError(f"{' extends '.join(map(str, ring))}: a file cannot start from itself")
-        if above in ring[:-1]:  # a ring beyond this file, which is refused where it is read
-            return
-        name = read(above).get("extends")
+    above = project.find(group, name) if isinstance(name, str) else None
+    if above is None:
+        return
+    if os.path.samefile(above, file):
+        raise InputError(f"{' extends '.join(map(str, (*ring, above)))}: a file cannot start from itself")
+    if above in ring:  # a ring beyond this file, which is refused where it is read
+        return
+    for more in listed(group, read(above)):
+        refuse_ring(group, file, more, (*ring, above))
 
 
 def chosen(file: Any, group: str, name: Any) -> str:
