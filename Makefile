@@ -10,7 +10,7 @@ SCRIPT = @if npx --yes --package=$(1) $(2) --version >/dev/null 2>&1; then npx -
 PYTHONS = $(shell for v in 3.12 3.13; do for p in python$$v $$HOME/.pyenv/versions/$$v*/bin/python; do \
   $$p -c '' 2>/dev/null && echo $$p && break; done; done)
 
-.PHONY: demo baseline test wheel slow slurm lint types docs paper setup clean
+.PHONY: demo baseline test wheel slow slurm lint types docs paper points setup clean
 
 demo: setup
 	rm -rf results/demo
@@ -46,6 +46,9 @@ types: setup
 paper: setup  # all that docs/ shows, in an hour on a GPU; QUICK=--quick on two cores, with coarser studies
 	$(BIN)/python jobs/paper.py $(QUICK)
 	$(BIN)/python docs/cited.py
+
+points: setup  # 20 rollouts of a shipped example, by the commit's hash, end as they did
+	$(BIN)/python jobs/check_points.py
 
 docs: setup  # build/site: all pages and the reference, links checked
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build -q

@@ -16,6 +16,7 @@ from sweep.study.config import compose
 ROOT = Path(__file__).parents[1]
 sys.path[:0] = [str(ROOT / "docs"), str(ROOT / "jobs")]
 
+import check_points  # noqa: E402  # pyright: ignore[reportMissingImports]
 import cited  # noqa: E402  # pyright: ignore[reportMissingImports]
 
 import paper  # noqa: E402  # pyright: ignore[reportMissingImports]
@@ -100,3 +101,14 @@ def test_what_is_beyond_its_interval_is_told(monkeypatch, tmp_path):
     assert list(paper.told("one", after)) == ["one, x = 2: 20 of 50 succeed, before 45 of 50 (commit abc)"]
     assert json.loads((tmp_path / "one.json").read_text()) == after
     assert paper.main(["no_such_target"]) == 2
+
+
+def test_shipped_rollouts_that_end_otherwise_are_told(fake_engine, capsys):
+    """The fake engine ends walks by a rule of its own."""
+    commits = [name for name in "abcdefghijklmnop" if check_points.chosen(name)[0] == "walk_map"]
+    one, other = (check_points.chosen(name)[1] for name in commits[:2])
+    assert set(one["point_id"]) != set(other["point_id"])
+    assert check_points.main(commits[:1]) == 4
+    told = capsys.readouterr().out.splitlines()
+    assert told[0].startswith(f"walk_map, by commit {commits[0]}: {len(told) - 1} of 20 rollouts end otherwise")
+    assert {check_points.chosen(name)[0] for name in "abcdefghijklmnop"} == set(check_points.STUDIES)
