@@ -95,9 +95,9 @@ def test_what_studies_do_works_on_it(here, capsys, monkeypatch):
     for wrong, line in (("goal", "'goal' names no condition"), ("goal=far > 1", "outcome.goal: far is unknown")):
         assert main(["relabel", "some", wrong]) == 2
         assert line in capsys.readouterr().err
-    for line in ("view some 3 -o v.html", "report some --replays 2", "replay some 3 --png p"):
+    for line in ("view some 3 -o v.html", "report some --replays 2", "replay some 3 --mcap p.mcap"):
         assert main(line.split()) == 2, line
-        assert "rollouts of an own model are not drawn" in capsys.readouterr().err
+        assert "of an own model there are pictures and films" in capsys.readouterr().err
     trot = (here / "trot.py").read_text()
     (here / "other").mkdir()
     (here / "other" / "trot2.py").write_text(trot.replace("0.8 *", "0.7 *"))

@@ -70,6 +70,11 @@ class System(Protocol):
         ...
 
     @property
+    def shown(self) -> Collection[str]:
+        """As what `sweep replay` can show a rollout: its options."""
+        ...
+
+    @property
     def undrawn(self) -> str:
         """Why there are no pictures and replays of its rollouts; empty where there are."""
         ...

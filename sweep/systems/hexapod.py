@@ -65,6 +65,7 @@ class Hexapod:
     causes = outcome.MEANING
     doubts = tuple(outcome.DOUBTS)
     silent = frozenset(outcome.BOOKKEEPING | {"finite", "finished", "end_stage"})
+    shown = ("mcap", "states", "model", "plot", "png", "video")
     undrawn = ""
     ways = WAYS
 

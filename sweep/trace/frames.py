@@ -28,6 +28,7 @@ IN_A_ROW = 4  # frames of a strip, which should be full rows
 STILL = 4  # samples of a pixel of a picture that is looked at
 VIDEO_RATE = 25  # frames per second, simulated and shown
 CAMERA_DISTANCE = 1.7  # in units of the distance between the robot's farthest feet at the start, at least
+AROUND = 2.0  # the same in units of a model's extent, where no feet are known
 FIELD = np.tan(np.radians(22.5)) * np.array([SIZE[0] / SIZE[1], 1.0])  # half of MuJoCo's 45 deg, over the distance
 FILLED = 0.9  # of half the picture's width and height, by the feet at most
 AZIMUTHS = (125.0, -125.0, 55.0, -55.0)  # deg, of the camera's sight, in order of preference
@@ -165,7 +166,12 @@ def _sight(azimuth: float) -> np.ndarray:
 
 
 def _distance(trace: Trace, chosen: np.ndarray, azimuth: float) -> float:
-    """From which all feet of the frames `chosen` are in the picture, its middle being the base (m)."""
+    """From which all feet of the frames `chosen` are in the picture, its middle being the base (m).
+
+    Where none are known, all of the model as it is at its start.
+    """
+    if not trace.foot_position.shape[1]:
+        return AROUND * float(trace.model.stat.extent)
     start, offset = trace.foot_position[0], trace.foot_position[chosen] - base_pose(trace)[chosen, None, :3]
     across, towards = offset @ _sight(azimuth)[:2].T, offset @ _sight(azimuth)[2]
     needed = towards + np.max(np.abs(across) / (FILLED * FIELD), axis=-1)
@@ -174,6 +180,8 @@ def _distance(trace: Trace, chosen: np.ndarray, azimuth: float) -> float:
 
 def _hidden(trace: Trace, chosen: np.ndarray, azimuth: float) -> int:
     """How many of some points between the camera and the base the obstacle hides, over the frames `chosen`."""
+    if not trace.foot_position.shape[1]:  # nor is an obstacle
+        return 0
     way = _distance(trace, chosen, azimuth) * np.linspace(0.2, 1, 9)[:, None] * _sight(azimuth)[2]
     points = base_pose(trace)[chosen, None, :3] + way
     return int(np.sum(np.asarray(surfaces(trace, points, chosen).depth) > 0))

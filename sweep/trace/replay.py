@@ -26,7 +26,7 @@ from sweep.trace.mcap import write_mcap
 from sweep.trace.plots import PLOTS, save
 from sweep.trace.states import model_xml, states
 
-DRAWN = ("mcap", "states", "model", "plot", "png", "video")  # options that know the robot
+SHOWN = ("mcap", "states", "model", "plot", "png", "video")  # options that a system may have nothing for
 
 
 @dataclass(frozen=True)
@@ -45,10 +45,10 @@ def main(args: list[str]) -> int:
     """Run the command with the arguments after `replay`; the exit status. Raises `InputError`."""
     options = _parser().parse_args(args)
     _check(options)
-    if wanted := next((name for name in DRAWN if getattr(options, name)), ""):
-        undrawn = experiment(store.read_study(options.folder)["config"]).system.undrawn
-        if undrawn:
-            raise InputError(f"--{wanted} is not allowed: {undrawn}")
+    system = experiment(store.read_study(options.folder)["config"]).system
+    for name in SHOWN:
+        if getattr(options, name) and name not in system.shown:
+            raise InputError(f"--{name} is not allowed: {system.undrawn}")
     with waiting(f"simulating {options.point} of {options.folder} in its batch"):
         result = replay(options.folder, options.point)
     print(comparison(result))

@@ -39,8 +39,14 @@ def evenly(trace: Trace, number: int) -> np.ndarray:
 
 
 def base_pose(trace: Trace) -> np.ndarray:
-    """Position (m) and quaternion (w, x, y, z) of the base in the world, (F, 7)."""
-    start = int(trace.model.jnt_qposadr[trace.model.body(BASE).jntadr[0]])
+    """Position (m) and quaternion (w, x, y, z) of the base in the world, (F, 7): of the first thing that moves freely.
+
+    Where there is none, the middle of the model.
+    """
+    free = np.flatnonzero(trace.model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE))
+    if not len(free):
+        return np.tile([*trace.model.stat.center, 1.0, 0.0, 0.0, 0.0], (len(trace.qpos), 1))
+    start = int(trace.model.jnt_qposadr[free[0]])
     return trace.qpos[:, start : start + 7]
 
 

@@ -53,7 +53,8 @@ class Own(Subject):
     groups = ("model", "controller", "noise")
     doubts = tuple(outcome.DOUBTS)
     silent = frozenset(figures.SILENT)
-    undrawn = "rollouts of an own model are not drawn: replay compares figures, study.keep keeps its states"
+    shown = ("png", "video")
+    undrawn = "of an own model there are pictures and films (replay --png, --video), and what study.keep keeps"
 
     @property
     def causes(self) -> dict[str, str]:
