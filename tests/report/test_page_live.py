@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from browser import CHROMIUM, Browser
+from conftest import simulated
 from moved import body_places, moved
 from PIL import Image
 
@@ -251,6 +252,17 @@ def test_a_refined_map_has_cells(browser, refined, tmp_path):
     browser.until("performance.getEntriesByName('map').length")
     assert "Cells as refinement left them" in browser.run("document.querySelector('#map-key').textContent")
     assert browser.errors == []
+
+
+def test_there_is_no_gap_between_cells_for_the_pointer(browser, tmp_path):
+    """A click on a line between two of them would let go of what was chosen."""
+    assert simulated(tmp_path / "study", "study.axes.friction.num=33", "study.axes.step.num=17") == 0
+    browser.open(page.write(results.read(tmp_path / "study"), tmp_path / "report.html"))
+    browser.until("performance.getEntriesByName('map').length")
+    left, top, width, height = plot(browser)
+    for x, y in np.random.default_rng(0).uniform(0.02, 0.98, (40, 2)):
+        browser.mouse("Moved", left + x * width, top + y * height)
+        assert not browser.run("document.querySelector('#map-tip').hidden"), (x, y)
 
 
 def test_time_is_scrubbed_and_the_view_turned(shown):

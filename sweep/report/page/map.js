@@ -229,7 +229,8 @@ export function mapView(app) {
     const area = box();
     const ratio = pixels.width / area.width;
     if (x < area.left || x > area.left + area.width || y < area.top || y > area.top + area.height) return -1;
-    return ownerNear(pixels, (x - area.left) * ratio, (y - area.top) * ratio, places?.form === "marks" ? 6 * ratio : 0);
+    const reach = ratio * (places?.form === "marks" ? 6 : 1); // over the lines between cells
+    return ownerNear(pixels, (x - area.left) * ratio, (y - area.top) * ratio, reach);
   };
 
   /** @param {number} row */
