@@ -21,9 +21,10 @@ def test_the_corner_is_climbed_as_planned(engine):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ["mjx", "native"])
-def test_the_roof_is_reached_and_walked_on(engine):
+@pytest.mark.parametrize("scenario", ["corner_full", "corner_descend"])
+def test_the_roof_is_reached_and_walked_on_and_left_again(scenario, engine):
     """From the floor up a house of 2.3 m and over its edge, with links clear of the edge, at the book's friction."""
-    row = run_single(compose(["scenario=corner_full", f"engine={engine}"])).iloc[0]
+    row = run_single(compose([f"scenario={scenario}", f"engine={engine}"])).iloc[0]
     assert row["outcome"] == "success"
     assert row["slip_max_m"] < 0.01
     assert row["position_error_max_m"] < 0.005

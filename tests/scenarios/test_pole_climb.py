@@ -36,7 +36,8 @@ def outcomes(engine: str, width: int, scenario: str = "pole_climb", *changes: st
 @pytest.mark.parametrize(
     ("scenario", "tilt", "distance"),
     [("pole_climb", 90, 1.34), ("pole_climb_held", 90, 1.34), ("pole_top", 0, 1.83), ("pole_return", 0, 0),
-     ("pole_round", 0, 3.77), ("pole_descent", 0, 3.65), ("pole_ledge_level", 0, 3.65), ("pole_ledge_above", 0, 3.65),
+     ("pole_round", 0, 3.77), ("pole_descent", 0, 3.65), ("pole_descent_above", 0, 3.65),
+     ("pole_descent_below", 0, 3.65), ("pole_ledge_level", 0, 3.65), ("pole_ledge_above", 0, 3.65),
      ("pole_ledge_below", 0, 3.65)],
 )  # fmt: skip
 def test_nominal_on_native(scenario, tilt, distance):

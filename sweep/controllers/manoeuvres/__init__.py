@@ -11,6 +11,7 @@ from sweep.controllers.manoeuvres.balancing.ball_over import BallOver
 from sweep.controllers.manoeuvres.balancing.ball_to_ball import BallToBall
 from sweep.controllers.manoeuvres.balancing.beam import BeamCross, BeamWalk
 from sweep.controllers.manoeuvres.climbing.corner import CornerClimb
+from sweep.controllers.manoeuvres.climbing.corner_descend import CornerDescend
 from sweep.controllers.manoeuvres.climbing.corner_roof import CornerFull, CornerRoof
 from sweep.controllers.manoeuvres.climbing.ladder import LadderClimb
 from sweep.controllers.manoeuvres.climbing.ladder_descend import LadderDescend
@@ -42,6 +43,7 @@ MANOEUVRES = {
     "corner_climb": CornerClimb,
     "corner_roof": CornerRoof,
     "corner_full": CornerFull,
+    "corner_descend": CornerDescend,
     "ball_balance": BallBalance,
     "ball_drive": BallDrive,
     "ball_aside": BallAside,

@@ -125,9 +125,12 @@ class OnCorner(PlannedForces):
         )
 
     def assembled(self, belief: Case, start: Stance, stages: list[Stage]) -> Plan:
-        """The plan with rests before its stages, and its forces."""
-        plan = assemble(start, [Stage("stand", STAND), *self.loading(stages), Stage("halt", STAND)], self.patience)
-        return self.with_feedforward(belief, plan)
+        """The plan and its forces."""
+        return self.with_feedforward(belief, self.rested(start, stages))
+
+    def rested(self, start: Stance, stages: list[Stage]) -> Plan:
+        """The plan with rests before its stages, but for its forces."""
+        return assemble(start, [Stage("stand", STAND), *self.loading(stages), Stage("halt", STAND)], self.patience)
 
 
 @parameters
