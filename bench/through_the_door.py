@@ -4,7 +4,7 @@ N points of `walk_map`, or of `pole_map` (a model for each of three radii, as si
 from each study. What is printed: outcomes that are equal, how far the distances differ, and rows that differ.
 """
 
-import os
+import subprocess
 import sys
 import tempfile
 from pathlib import Path
@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from sweep.cli.main import main as sweep
 from sweep.runs import store
 from sweep.runs.runner import wanted_points
 from sweep.study.config import compose
@@ -21,6 +20,11 @@ GEOMS = {"walk_map": ["ground"], "pole_map": ["floor", "pole", "ledge"]}
 RADII = (0.35, 0.42, 0.49)  # m
 FRICTION, STEP, RADIUS = "world.contact.friction", "manoeuvre.half_step_ratio", "obstacle.radius"
 SHOWN = ["outcome", "cause", "slip_max_m", "end_drift_m", "progress", "feet_on_target", "distance_m", "tilt_max_deg"]
+
+
+def sweep(args: list[str], folder: Path) -> None:
+    """A command in `folder`, in a process of its own: each model brings a controller of the same name."""
+    subprocess.run([sys.executable, "-m", "sweep.cli", *args], cwd=folder, check=False)
 
 
 def points(name: str, number: int) -> pd.DataFrame:
@@ -38,18 +42,15 @@ def run(folder: Path, name: str, engine: str, table: pd.DataFrame, overrides: li
     table.to_csv(folder / "own.csv", index=False)
     same = ["study.invalid_max=1", "study.expect=[]"]
     sweep(["run", f"study={name}", *overrides, "engine=native", f"study.points={folder}/own.csv", "study.axes={}",
-           f"out={folder}/own", *same])  # fmt: skip
-    sweep(["export-model", f"scenario={scenario}", *overrides, f"out={folder}/model"])
+           f"out={folder}/own", *same], folder)  # fmt: skip
+    sweep(["export-model", f"scenario={scenario}", *overrides, f"out={folder}/model"], folder)
     door = pd.DataFrame({f"model.geom.{geom}_contact.friction.slide": table[FRICTION] for geom in GEOMS[name]})
     if STEP in table:
         door[f"controller.{STEP}"] = table[STEP]
     door.to_csv(folder / "door.csv", index=False)
-    before = Path.cwd()
-    os.chdir(folder / "model")
-    Path("study.yaml").write_text("scenario: own\nstudy: {name: door}\n")
+    (folder / "model/study.yaml").write_text("scenario: own\nstudy: {name: door}\n")
     sweep(["run", "study=study.yaml", "scenario=own", f"engine.name={engine}", "--points", f"{folder}/door.csv",
-           f"out={folder}/door", *same])  # fmt: skip
-    os.chdir(before)
+           f"out={folder}/door", *same], folder / "model")  # fmt: skip
     keys = [FRICTION, STEP] if STEP in table else [FRICTION]
     rows = store.read_rows(folder / "door").rename(columns={door.columns[0]: FRICTION, f"controller.{STEP}": STEP})
     return store.read_rows(folder / "own").merge(rows, on=keys, suffixes=("", "_door"))
