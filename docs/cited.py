@@ -56,6 +56,11 @@ def rate(name: str) -> str:
     return f"{data['success']:,} of {data['valid']:,} succeed{broken}"
 
 
+def rollouts(name: str) -> str:
+    """How many rollouts were run."""
+    return f"{read(name)['rollouts']:,}"
+
+
 def causes(name: str) -> str:
     """What came of the others, the most frequent first."""
     data = read(name)
@@ -128,8 +133,10 @@ def pages() -> Iterator[Path]:
     yield from sorted(DOCS.rglob("*.md"))
 
 
-FORMS = {"rate": rate, "causes": causes, "errors": errors, "along": along, "bounds": bounds, "seen": seen,
-         "codes": codes, "sources": sources}  # fmt: skip
+FORMS = {
+    "rate": rate, "rollouts": rollouts, "causes": causes, "errors": errors, "along": along, "bounds": bounds,
+    "sources": sources,
+}  # fmt: skip
 
 if __name__ == "__main__":
     for page in pages():
