@@ -135,7 +135,7 @@ def pages() -> Iterator[Path]:
 
 FORMS = {
     "rate": rate, "rollouts": rollouts, "causes": causes, "errors": errors, "along": along, "bounds": bounds,
-    "sources": sources,
+    "seen": seen, "codes": codes, "sources": sources,
 }  # fmt: skip
 
 if __name__ == "__main__":
