@@ -22,6 +22,7 @@ SHARED = (
     "any_unknown_robot",
     "any_robustness",
     "any_errors",
+    "any_plan_sensitivity",
     "any_rare",
     "any_step",
     "any_rates",

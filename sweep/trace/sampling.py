@@ -39,14 +39,16 @@ def evenly(trace: Trace, number: int) -> np.ndarray:
 
 
 def base_pose(trace: Trace) -> np.ndarray:
-    """Position (m) and quaternion (w, x, y, z) of the base in the world, (F, 7): of the first thing that moves freely.
+    """Position (m) and quaternion (w, x, y, z) of the base in the world, (F, 7).
 
-    Where there is none, the middle of the model.
+    In a model without such a body it is the first thing that moves freely; without any, the middle of the model.
     """
-    free = np.flatnonzero(trace.model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE))
+    model = trace.model
+    free = np.flatnonzero(model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE))
     if not len(free):
-        return np.tile([*trace.model.stat.center, 1.0, 0.0, 0.0, 0.0], (len(trace.qpos), 1))
-    start = int(trace.model.jnt_qposadr[free[0]])
+        return np.tile([*model.stat.center, 1.0, 0.0, 0.0, 0.0], (len(trace.qpos), 1))
+    named = [joint for joint in free if model.body(model.jnt_bodyid[joint]).name == BASE]
+    start = int(model.jnt_qposadr[(named or free)[0]])
     return trace.qpos[:, start : start + 7]
 
 
