@@ -9,6 +9,7 @@ import subprocess
 import tarfile
 from dataclasses import replace
 from importlib.resources import files
+from xml.etree import ElementTree
 
 import numpy as np
 import pandas as pd
@@ -42,6 +43,17 @@ def browser(tmp_path_factory):
 @pytest.fixture(scope="module")
 def file(wide):
     return page.write(results.read(wide), wide / "report.html")
+
+
+@pytest.fixture(scope="module")
+def repeated(folder, tmp_path_factory):
+    """The page of three parameters and two replicates of each point, of which one has a replay; and both rows."""
+    found = results.read(folder)
+    rows = found.rows[found.rows.duplicated(found.axes, keep=False)].sort_values(found.axes)
+    one, other = (found.rows.loc[place] for place in rows.index[:2])
+    path = tmp_path_factory.mktemp("repeated") / "report.html"
+    path.write_text(page.render(found, [Shown(rows.index[0], one, replays.content(one, moved()))]))
+    return path, one, other
 
 
 @pytest.fixture
@@ -167,6 +179,20 @@ def test_the_address_keeps_what_is_looked_at(shown):
         "world.contact.friction", "slip_max_m", "margin"]  # fmt: skip
 
 
+def test_a_value_of_a_further_axis_is_kept_and_a_replay_of_a_repeated_point_is_told(browser, repeated):
+    path, _, other = repeated
+    browser.open(path)
+    browser.until("performance.getEntriesByName('map').length")
+    chosen(browser, "#map-slices select", "530")
+    browser.until("location.hash.includes('drive.damping=%40530')")
+    point = other["point_id"][: page.data.DIGITS]
+    browser.run(f"window.before_ = true; location.hash += '&point={point}'; location.reload()")
+    browser.until("!window.before_ && performance.getEntriesByName('map').length")
+    note = browser.until("document.querySelector('#replay-note').textContent")
+    assert note.endswith("This is the nearest that has one: the same values with other noise.")
+    assert browser.run("document.querySelector('#map-slices select').value") == "530"
+
+
 def test_rows_and_filters_are_taken_away(shown, wide):
     left, top, width, height = plot(shown)
     shown.drag(left + 0.2 * width, top + 0.1 * height, left + 0.6 * width, top + 0.9 * height)
@@ -183,8 +209,43 @@ def test_rows_and_filters_are_taken_away(shown, wide):
     shown.run("document.querySelector('#copy').click()")
     told = shown.run("document.querySelector('#copied').textContent")
     assert mask(rows, re.fullmatch("--where '(.*)'", told)[1]).sum() == number
-    shown.run("document.querySelector('#explore .panel .save').click()")
-    assert shown.until("given_[1]?.type") == "image/png"
+
+
+@pytest.mark.parametrize("form", ["PNG", "SVG"])
+def test_every_view_is_saved(shown, form):
+    """Seen or not, all that is drawn in its panel."""
+    shown.until("document.querySelectorAll('.history').length")
+    shown.run(
+        "window.given_ = {}; URL.createObjectURL = (blob) => last_ = blob;"
+        "HTMLAnchorElement.prototype.click = function () { given_[this.download] = last_ };"
+        f"[...document.querySelectorAll('.save[title]')].filter(e => e.textContent === '{form}')"
+        ".reduce((before, one) => before.then(() => { one.click(); "
+        f"return new Promise(done => {{ const wait = () => given_[one.title.split('\"')[1] + '.{form.lower()}']"
+        " ? done() : setTimeout(wait, 20); wait() }) }), Promise.resolve())"
+    )
+    names = ("Map", "Replay", "Over time", "Every rollout", "Causes by stage", "What matters", "Rate of success",
+             "Failures beside successes")  # fmt: skip
+    assert shown.run("Object.keys(given_)") == [f"{name}.{form.lower()}" for name in names]
+    for name, words in zip(names, (
+        "half step ratio [a_r]", "0.10 s", "torque of γ [N·m]", "margin", "walk", "friction (world)", "rate of success",
+        "slip max [m]"), strict=True):  # fmt: skip
+        blob = f"given_['{name}.{form.lower()}']"
+        if form == "SVG":
+            drawing = ElementTree.fromstring(shown.run(f"{blob}.text()"))
+            assert any(words in (one.text or "") for one in drawing.iter("{http://www.w3.org/2000/svg}text")), name
+        else:
+            seen = shown.run(f"createImageBitmap({blob}).then((one) => [one.width, one.height])")
+            assert min(seen) > 60, name
+    if form == "SVG":  # it looks as the canvas does
+        seen, area = colours(shown), np.s_[14:-50, 66:-16]
+        height, width, _ = seen.shape
+        shown.run(f"""given_['Map.svg'].text().then((text) => {{ const one = new Image(); one.id = "drawing";
+            one.src = "data:image/svg+xml," + encodeURIComponent(text); document.body.append(one);
+            return one.decode() }}).then(() => {{ const paper = document.createElement("canvas"); paper.id = "redrawn";
+            [paper.width, paper.height] = [{width}, {height}]; document.body.append(paper);
+            paper.getContext("2d").drawImage(document.querySelector("#drawing"), 0, 0) }})""")
+        again = colours(shown, "#redrawn")
+        assert (np.abs(seen[area].astype(int) - again[area]).max(axis=-1) > 60).mean() < 0.01
 
 
 def test_what_goes_with_a_replay_is_told_over_time(shown):
@@ -462,10 +523,10 @@ def axe(tmp_path_factory):
         return source.read().decode()
 
 
-@pytest.mark.parametrize(("study", "dark"), [("wide", False), ("wide", True), ("folder", False)])
-def test_nobody_is_barred(browser, axe, study, request, tmp_path, dark):
+@pytest.mark.parametrize(("study", "dark"), [("wide", False), ("wide", True), ("repeated", False)])
+def test_nobody_is_barred(browser, axe, study, file, repeated, dark):
     browser.resize(1400, 1000, dark)
-    browser.open(page.write(results.read(request.getfixturevalue(study)), tmp_path / "report.html"))
+    browser.open(file if study == "wide" else repeated[0])
     browser.until("performance.getEntriesByName('map').length")
     browser.run(f"(() => {{ {axe}; return 0 }})()")
     found, sound = browser.run("""axe.run().then((all) => [
@@ -475,8 +536,8 @@ def test_nobody_is_barred(browser, axe, study, request, tmp_path, dark):
     assert sound > 20
 
 
-def test_on_paper_the_figures_stand(browser, folder, tmp_path):
-    browser.open(page.write(results.read(folder), tmp_path / "report.html"))
+def test_on_paper_the_figures_stand(browser, repeated):
+    browser.open(repeated[0])
     browser.until("performance.getEntriesByName('map').length")
     browser.send("Emulation.setEmulatedMedia", media="print")
     found = browser.run("""[...document.querySelectorAll("figure > svg, figure > img")].map(s => [s.parentNode.id,

@@ -10,6 +10,7 @@
  * @property {string} y
  * @property {string} colour
  * @property {Map<string, Range>} ranges
+ * @property {Map<string, number>} fixed values of further axes
  * @property {Set<number>} hidden kinds
  * @property {string} point the beginning of a row's id
  * @property {number | null} time s
@@ -29,9 +30,13 @@ export function wantedOf(table, hash) {
   const hidden = (told.get("hide") ?? "").split(",").map((key) => kinds.indexOf(key));
   /** @type {Map<string, Range>} */
   const ranges = new Map();
+  /** @type {Map<string, number>} */
+  const fixed = new Map();
   for (const [key, text] of told) {
+    if (OWN.includes(key) || !table.named.has(key)) continue;
     const [low, high] = text.split("..").map(Number);
-    if (!OWN.includes(key) && table.named.has(key) && low <= high) ranges.set(key, { low, high });
+    if (low <= high) ranges.set(key, { low, high });
+    else if (text.startsWith("@")) fixed.set(key, Number(text.slice(1)));
   }
   const time = Number(told.get("time") ?? NaN);
   return {
@@ -39,6 +44,7 @@ export function wantedOf(table, hash) {
     y: told.get("y") ?? "",
     colour: told.get("colour") ?? "",
     ranges,
+    fixed,
     hidden: new Set(hidden.filter((kind) => kind >= 0)),
     point: told.get("point") ?? "",
     time: Number.isFinite(time) ? time : null,
@@ -54,7 +60,8 @@ export function wantedOf(table, hash) {
  */
 export function addressOf(table, state, { x, y, colour, point, time }) {
   const told = new URLSearchParams({ x, y, colour });
-  for (const [key, { low, high }] of state.ranges) told.set(key, `${low}..${high}`);
+  for (const [key, { low, high }] of state.ranges) told.append(key, `${low}..${high}`);
+  for (const [key, value] of state.fixed) told.append(key, `@${value}`);
   if (state.hidden.size) told.set("hide", [...state.hidden].map((kind) => table.about.kinds[kind].key).join());
   if (point) told.set("point", point);
   if (time !== null) told.set("time", time.toFixed(2));

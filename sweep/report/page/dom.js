@@ -1,5 +1,6 @@
 // Elements, canvases and the colours of the page's theme.
 import { rgbOf } from "./numbers.js";
+import { VectorPen } from "./vector.js";
 
 /** @typedef {import("./data.js").Kind} Kind */
 /** @typedef {[number, number, number]} Rgb */
@@ -43,6 +44,9 @@ export function offer(select, options, chosen) {
 
 /** @typedef {{ pen: CanvasRenderingContext2D, width: number, height: number, ratio: number }} Sheet */
 
+/** @type {Map<HTMLCanvasElement, VectorPen>} pens that write down what is drawn on these canvases, while it is saved */
+export const recorders = new Map();
+
 /**
  * A canvas ready to be drawn on in CSS pixels, as sharp as the screen, cleared.
  * @param {HTMLCanvasElement} canvas
@@ -55,7 +59,9 @@ export function sheetOf(canvas) {
     canvas.width = Math.round(width * ratio);
     canvas.height = Math.round(height * ratio);
   }
-  const pen = /** @type {CanvasRenderingContext2D} */ (canvas.getContext("2d"));
+  const drawn = /** @type {CanvasRenderingContext2D} */ (canvas.getContext("2d"));
+  const recorder = recorders.get(canvas);
+  const pen = recorder ? /** @type {CanvasRenderingContext2D} */ (/** @type {unknown} */ (recorder)) : drawn;
   pen.setTransform(ratio, 0, 0, ratio, 0, 0);
   pen.clearRect(0, 0, width, height);
   pen.font = `12px ${getComputedStyle(document.body).fontFamily}`;

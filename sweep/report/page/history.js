@@ -105,7 +105,7 @@ function slips(model, motion, pull) {
  * The panels below the replay.
  * @param {App} app
  * @param {(time: number) => void} to goes to a time
- * @returns {{ show: (reels: (Reel | null)[], total: number) => void, point: (time: number) => void }}
+ * @returns {{ show: (reels: (Reel | null)[], total: number) => void, draw: () => void, point: (time: number) => void }}
  */
 export function historyView(app, to) {
   const root = byId("histories");
@@ -253,6 +253,7 @@ export function historyView(app, to) {
       lay();
       draw();
     },
+    draw,
     point,
   };
 }

@@ -33,13 +33,14 @@ import { narrow, showAll, sift, stateOf } from "./state.js";
  * @property {(row: number) => void} mark a row as chosen
  * @property {(row: number) => void} choose a row: mark it and open its replay
  * @property {() => void} filtered says that filters have changed
- * @property {() => void} redraw everything
+ * @property {() => void} redraw everything that is seen
+ * @property {() => Promise<void>} drawn draws everything, seen or not
  * @property {(text: string) => void} tell those who listen
  * @property {(row: number, columns: Column[]) => Node[]} words about a row
  * @property {(target: Element) => boolean} visible
  */
 
-/** @typedef {{ root: HTMLElement, draw: () => void, point: () => void, resized: () => void }} View */
+/** @typedef {{ root: HTMLElement, draw: () => void | Promise<void>, point: () => void, resized: () => void }} View */
 
 const SETTLED = 250; // ms after which the address says what is looked at
 
@@ -68,8 +69,10 @@ async function begin() {
   /** @type {Set<View>} */
   const waiting = new Set();
   let due = false;
+  let everything = false; // is drawn, seen or not
 
   const visible = (/** @type {Element} */ target) => {
+    if (everything) return true;
     const { top, bottom, height } = target.getBoundingClientRect();
     return height > 0 && bottom > -100 && top < window.innerHeight + 100;
   };
@@ -87,6 +90,7 @@ async function begin() {
   };
   const wanted = wantedOf(table, location.hash);
   for (const [key, range] of wanted.ranges) narrow(state, key, range);
+  for (const [key, value] of wanted.fixed) state.fixed.set(key, value);
   for (const kind of wanted.hidden) state.hidden.add(kind);
   sift(state);
   let noted = 0;
@@ -138,6 +142,12 @@ async function begin() {
       soon();
       app.remember();
     },
+    drawn: async () => {
+      everything = true;
+      player.draw();
+      await Promise.all(views.map((view) => view.draw()));
+      everything = false;
+    },
     tell: (text) => (byId("told").textContent = text),
     words: (row, columns) => wordsOf(app, row, columns),
     visible,
@@ -174,7 +184,7 @@ async function begin() {
   window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", again);
   linkTypical(app);
   offerTables(app);
-  if (!watch) offerPictures(app);
+  offerPictures(app);
   const row = wanted.point ? rowOf(table, wanted.point) : -1;
   if (row >= 0) {
     app.mark(row);

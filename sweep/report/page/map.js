@@ -40,8 +40,6 @@ export function mapView(app) {
   offer(selects[2], [[KIND, "outcome and cause"], [RATE, "rate of success"], ...numbers], KIND);
   if (wanted.colour === RATE || table.named.has(wanted.colour)) selects[2].value = wanted.colour;
 
-  /** @type {Map<string, number>} values that further axes are fixed at */
-  const slices = new Map();
   /** @type {Places | null} */
   let places = null;
   /** @type {Pixels | null} */
@@ -65,7 +63,7 @@ export function mapView(app) {
   const lay = () => {
     const [x, y] = columns();
     const within = (/** @type {number} */ row) => {
-      for (const [key, value] of slices) if (table.named.get(key)?.values[row] !== value) return false;
+      for (const [key, value] of state.fixed) if (table.named.get(key)?.values[row] !== value) return false;
       return true;
     };
     places = placesOf(table, x, y, within, box().width / 70);
@@ -77,20 +75,20 @@ export function mapView(app) {
     const further = table.columns.filter(
       (column) => column.axis && column !== x && column !== y && (column.names || !column.drawn),
     );
-    const kept = new Map(slices);
-    slices.clear();
+    const kept = new Map(state.fixed);
+    state.fixed.clear();
     const shown = further.filter((column) => valuesOf(column).length > 1 && valuesOf(column).length <= 200);
     byId("map-slices").replaceChildren(
       ...shown.slice(0, 8).map((column) => {
         const select = element("select", {});
         const values = valuesOf(column);
         const options = values.map((value) => /** @type {[string, string]} */ ([String(value), worded(column, value)]));
-        const chosen = kept.get(column.key);
+        const chosen = values.find((value) => value === kept.get(column.key));
         offer(select, [["", "all"], ...options], chosen === undefined ? "" : String(chosen));
-        if (chosen !== undefined) slices.set(column.key, chosen);
+        if (chosen !== undefined) state.fixed.set(column.key, chosen);
         select.addEventListener("change", () => {
-          if (select.value) slices.set(column.key, Number(select.value));
-          else slices.delete(column.key);
+          if (select.value) state.fixed.set(column.key, Number(select.value));
+          else state.fixed.delete(column.key);
           lay();
           app.redraw();
         });
@@ -167,6 +165,8 @@ export function mapView(app) {
       note.append(`${grouped(table.rows)} of ${grouped(table.about.total)} rollouts, drawn at random.`);
     } else if (table.mesh && places?.outlines.length) {
       note.append("Cells as refinement left them: each quarter shows the rollout at its corner.");
+    } else if (places?.form === "cells" && new Set(places.cell).size < places.rows.length) {
+      note.append("Rollouts of equal values stand beside each other in their cell.");
     }
     if (table.replayed.size) note.append(" Rings: rollouts with a replay of their own.");
   };

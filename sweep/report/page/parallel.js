@@ -58,6 +58,7 @@ export function parallelView(app) {
     keyed = Math.min(keyed, axes.length - 1);
   };
 
+  /** @returns {Promise<void>} until all lines are drawn */
   const draw = () => {
     const mine = ++job;
     fit();
@@ -115,41 +116,43 @@ export function parallelView(app) {
         }
       });
     };
+    pen.fillStyle = cssOf(paper);
+    drawOver();
     // what is left out first, in grey and not all of it; then what passes, kinds mixed as they come
     let next = 0;
     let stage = state.passing < table.rows ? 0 : 1;
-    const go = () => {
-      if (mine !== job) return;
-      const until = performance.now() + AT_ONCE;
-      pen.lineWidth = 1;
-      while (performance.now() < until) {
-        if (stage > 1) return frame();
-        const end = Math.min(order.length, next + BATCH);
-        if (stage === 0) {
-          pen.globalAlpha = 0.12;
-          pen.strokeStyle = soft;
-          pen.beginPath();
-          for (let k = next; k < end; k++) if (!state.mask[order[k]]) stroke(order[k], pen);
-          pen.stroke();
-        } else {
-          pen.globalAlpha = opacity;
-          for (let kind = 0; kind < looks.length; kind++) {
-            pen.strokeStyle = cssOf(looks[kind].mark);
+    return new Promise((done) => {
+      const go = () => {
+        if (mine !== job) return done();
+        const until = performance.now() + AT_ONCE;
+        pen.lineWidth = 1;
+        while (performance.now() < until) {
+          if (stage > 1) return done(frame());
+          const end = Math.min(order.length, next + BATCH);
+          if (stage === 0) {
+            pen.globalAlpha = 0.12;
+            pen.strokeStyle = soft;
             pen.beginPath();
-            for (let k = next; k < end; k++)
-              if (table.kind[order[k]] === kind && state.mask[order[k]]) stroke(order[k], pen);
+            for (let k = next; k < end; k++) if (!state.mask[order[k]]) stroke(order[k], pen);
             pen.stroke();
+          } else {
+            pen.globalAlpha = opacity;
+            for (let kind = 0; kind < looks.length; kind++) {
+              pen.strokeStyle = cssOf(looks[kind].mark);
+              pen.beginPath();
+              for (let k = next; k < end; k++)
+                if (table.kind[order[k]] === kind && state.mask[order[k]]) stroke(order[k], pen);
+              pen.stroke();
+            }
           }
+          next = end;
+          if (next >= order.length || (stage === 0 && next > 1200)) [stage, next] = [stage + 1, 0];
         }
-        next = end;
-        if (next >= order.length || (stage === 0 && next > 1200)) [stage, next] = [stage + 1, 0];
-      }
-      frame();
-      requestAnimationFrame(go);
-    };
-    pen.fillStyle = cssOf(paper);
-    go();
-    drawOver();
+        frame();
+        requestAnimationFrame(go);
+      };
+      go();
+    });
   };
 
   const drawOver = () => {

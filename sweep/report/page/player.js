@@ -144,6 +144,7 @@ export function playerOf(app) {
         table.kind[row] === table.kind[other]
           ? ""
           : `; it ends as ${table.about.kinds[table.kind[other]].label}, not as ${table.about.kinds[table.kind[row]].label}`;
+      if (!apart.length) apart.push("the same values with other noise");
       said = `Another row: the one you chose has no replay. This is the nearest that has one: ${apart.join(", ")}${differ.length > 4 ? ", …" : ""}${ends}.`;
     }
     time = 0;
@@ -400,7 +401,7 @@ export function playerOf(app) {
   });
   const redraw = () => {
     draw();
-    histories.show(open, lengthOf());
+    histories.draw();
   };
   return { openRow, draw: redraw, time: () => (playing ? null : time) };
 }

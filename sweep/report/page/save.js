@@ -1,6 +1,7 @@
 // What a reader takes away: pictures of views, the chosen rows as a table, a replay as a video.
 import { pointOf } from "./data.js";
-import { element } from "./dom.js";
+import { element, recorders } from "./dom.js";
+import { VectorPen } from "./vector.js";
 
 /** @typedef {import("./main.js").App} App */
 
@@ -38,39 +39,83 @@ export function csvOf({ table, state }) {
 }
 
 /**
- * Canvases that lie over each other as one picture on the panel's ground.
- * @param {HTMLCanvasElement[]} layers
- * @param {string} ground
- * @returns {Promise<Blob | null>}
+ * What a panel draws, where it does: canvases of an explanation or a button are none of it.
+ * @param {Element} panel
+ * @returns {{ canvases: HTMLCanvasElement[], boxes: DOMRect[], whole: DOMRect }}
  */
-export function pictureOf(layers, ground) {
-  const [{ width, height }] = layers;
-  const whole = element("canvas", { width: String(width), height: String(height) });
-  const pen = /** @type {CanvasRenderingContext2D} */ (whole.getContext("2d"));
-  pen.fillStyle = ground;
-  pen.fillRect(0, 0, width, height);
-  for (const layer of layers) if (layer.width) pen.drawImage(layer, 0, 0);
-  return new Promise((done) => whole.toBlob(done));
+function drawnIn(panel) {
+  const canvases = [.../** @type {NodeListOf<HTMLCanvasElement>} */ (panel.querySelectorAll("canvas"))].filter(
+    (one) => one.clientHeight && !one.closest("p, button"),
+  );
+  const boxes = canvases.map((one) => one.getBoundingClientRect());
+  const [left, top] = [Math.min(...boxes.map((box) => box.left)), Math.min(...boxes.map((box) => box.top))];
+  const [right, bottom] = [Math.max(...boxes.map((box) => box.right)), Math.max(...boxes.map((box) => box.bottom))];
+  return { canvases, boxes, whole: new DOMRect(left, top, right - left, bottom - top) };
 }
 
 /**
- * A button below each chart that saves it.
+ * A panel's canvases as one picture of pixels.
+ * @param {App} app
+ * @param {Element} panel
+ * @returns {Promise<Blob | null>}
+ */
+async function pictureOf(app, panel) {
+  await app.drawn();
+  const { canvases, boxes, whole } = drawnIn(panel);
+  const ratio = canvases[0].width / boxes[0].width;
+  const paper = element("canvas", { width: `${ratio * whole.width}`, height: `${ratio * whole.height}` });
+  const pen = /** @type {CanvasRenderingContext2D} */ (paper.getContext("2d"));
+  pen.fillStyle = app.theme().panel;
+  pen.fillRect(0, 0, paper.width, paper.height);
+  canvases.forEach((one, k) => {
+    const { left, top, width, height } = boxes[k];
+    if (one.width)
+      pen.drawImage(one, (left - whole.left) * ratio, (top - whole.top) * ratio, width * ratio, height * ratio);
+  });
+  return new Promise((done) => paper.toBlob(done));
+}
+
+/**
+ * A panel's canvases as one drawing: its lines and words stay such, its cells and marks are images.
+ * @param {App} app
+ * @param {Element} panel
+ * @returns {Promise<Blob>}
+ */
+async function drawingOf(app, panel) {
+  const { canvases, boxes, whole } = drawnIn(panel);
+  const pens = canvases.map((one) => new VectorPen(one));
+  canvases.forEach((one, k) => recorders.set(one, pens[k]));
+  await app.drawn().finally(() => recorders.clear());
+  const parts = boxes.map(({ left, top, width, height }, k) => {
+    const place = `x="${left - whole.left}" y="${top - whole.top}" width="${width}" height="${height}"`;
+    return `<svg ${place}>${pens[k].text()}</svg>`;
+  });
+  const ground = `<rect width="100%" height="100%" fill="${app.theme().panel}"/>`;
+  const text = `<svg xmlns="http://www.w3.org/2000/svg" width="${whole.width}" height="${whole.height}">${ground}`;
+  return new Blob([text, ...parts, "</svg>"], { type: "image/svg+xml" });
+}
+
+/**
+ * Buttons that save what a panel draws.
  * @param {App} app
  */
 export function offerPictures(app) {
   for (const panel of document.querySelectorAll("#explore .panel")) {
-    const canvases = () => [
-      .../** @type {NodeListOf<HTMLCanvasElement>} */ (panel.querySelectorAll(".plot canvas, canvas.chart")),
-    ];
-    const [first] = canvases();
-    if (!first) continue;
-    const button = element("button", { type: "button", class: "save", title: "save as a picture" }, "PNG");
-    button.addEventListener("click", async () => {
-      const layers = first.closest(".plot") ? canvases().filter((one) => one.closest(".plot")) : [first];
-      const picture = await pictureOf(layers, app.theme().panel);
-      if (picture) give(picture, `${panel.querySelector("h2")?.textContent ?? "view"}.png`);
-    });
-    panel.querySelector("h2")?.append(" ", button);
+    const head = panel.querySelector("h2, details > p");
+    const name = panel.querySelector("h2, summary")?.textContent ?? "view";
+    for (const [word, made] of /** @type {const} */ ([
+      ["PNG", pictureOf],
+      ["SVG", drawingOf],
+    ])) {
+      const title = `save "${name}" as ${word}`;
+      const button = element("button", { type: "button", class: "save", title }, word);
+      button.addEventListener("click", async () => {
+        if (!drawnIn(panel).canvases.length) return;
+        const content = await made(app, panel);
+        if (content) give(content, `${name}.${word.toLowerCase()}`);
+      });
+      if (!panel.querySelector("#list")) head?.append(" ", button);
+    }
   }
 }
 

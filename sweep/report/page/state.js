@@ -7,6 +7,7 @@
  * @typedef {object} State
  * @property {Table} table
  * @property {Map<string, Range>} ranges by column
+ * @property {Map<string, number>} fixed values of further axes that the map is at
  * @property {Set<number>} hidden kinds
  * @property {Uint8Array} mask 1 for each row that passes
  * @property {number} passing
@@ -20,7 +21,8 @@
  */
 export function stateOf(table) {
   const mask = new Uint8Array(table.rows).fill(1);
-  return { table, ranges: new Map(), hidden: new Set(), mask, passing: table.rows, cursor: -1, chosen: -1 };
+  const [ranges, fixed, hidden] = [new Map(), new Map(), new Set()];
+  return { table, ranges, fixed, hidden, mask, passing: table.rows, cursor: -1, chosen: -1 };
 }
 
 /**

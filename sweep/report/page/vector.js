@@ -1,0 +1,323 @@
+// What views draw on a canvas, written down as SVG.
+
+const ANCHORS = /** @type {Record<string, string>} */ ({ center: "middle", right: "end", end: "end" });
+const DROPS = /** @type {Record<string, number>} */ ({ top: 0.8, middle: 0.32, bottom: -0.2 }); // of a line, from its base
+
+let named = 0; // gradients and clips so far: their names are of one piece with those of other pens
+
+/** @param {unknown} value */
+const asText = (value) => String(value).replace(/[&<>"]/g, (one) => `&#${one.charCodeAt(0)};`);
+/** @param {number} value */
+const brief = (value) => String(Math.round(value * 100) / 100);
+
+/** A gradient as elements of SVG. */
+class Gradient {
+  /**
+   * @param {string} kind
+   * @param {Record<string, number>} ends
+   */
+  constructor(kind, ends) {
+    this.name = `paint${named++}`;
+    const told = Object.entries(ends).map(([name, value]) => ` ${name}="${brief(value)}"`);
+    this.text = `<${kind} id="${this.name}" gradientUnits="userSpaceOnUse"${told.join("")}>`;
+    this.end = `</${kind}>`;
+  }
+
+  /**
+   * @param {number} offset
+   * @param {string} colour
+   */
+  addColorStop(offset, colour) {
+    this.text += `<stop offset="${offset}" stop-color="${asText(colour)}"/>`;
+  }
+}
+
+/** As much of a canvas' pen as the views use. Coordinates are CSS pixels; pixels that are put are the screen's. */
+export class VectorPen {
+  /** @type {string | Gradient} */
+  fillStyle = "#000";
+  /** @type {string | Gradient} */
+  strokeStyle = "#000";
+  lineWidth = 1;
+  lineCap = "butt";
+  lineJoin = "miter";
+  globalAlpha = 1;
+  font = "10px sans-serif";
+  textAlign = "start";
+  textBaseline = "alphabetic";
+  dash = "";
+  moved = ""; // how text is
+  clipped = ""; // the name of what nothing is drawn outside of
+  path = "";
+  ratio = 1;
+  /** @type {object[]} */
+  kept = [];
+  /** @type {string[]} */
+  parts = [];
+  /** @type {Set<Gradient>} */
+  gradients = new Set();
+
+  /** @param {HTMLCanvasElement} canvas */
+  constructor(canvas) {
+    this.canvas = canvas;
+  }
+
+  /** @returns {string} all that was drawn since it was cleared */
+  text() {
+    const defs = [...this.gradients].map((one) => one.text + one.end).join("");
+    const last = [...new Set(this.parts.reverse())].reverse(); // a frame that is drawn again and again stands once
+    return `<defs>${defs}</defs>${last.join("\n")}`;
+  }
+
+  /** @param {number} ratio */
+  setTransform(ratio) {
+    this.ratio = ratio;
+  }
+
+  clearRect() {
+    this.parts = [];
+    this.gradients.clear();
+  }
+
+  save() {
+    const { fillStyle, strokeStyle, lineWidth, lineCap, lineJoin, globalAlpha, font, textAlign, textBaseline } = this;
+    const { dash, moved, clipped } = this;
+    const drawn = { fillStyle, strokeStyle, lineWidth, lineCap, lineJoin, globalAlpha, font, textAlign, textBaseline };
+    this.kept.push({ ...drawn, dash, moved, clipped });
+  }
+
+  restore() {
+    Object.assign(this, this.kept.pop());
+  }
+
+  /**
+   * Of what is drawn with it only text is moved.
+   * @param {number} x
+   * @param {number} y
+   */
+  translate(x, y) {
+    this.moved += `translate(${brief(x)} ${brief(y)})`;
+  }
+
+  /** @param {number} angle */
+  rotate(angle) {
+    this.moved += `rotate(${brief((angle * 180) / Math.PI)})`;
+  }
+
+  /** @param {number[]} dash */
+  setLineDash(dash) {
+    this.dash = dash.join(" ");
+  }
+
+  beginPath() {
+    this.path = "";
+  }
+
+  closePath() {
+    this.path += "Z";
+  }
+
+  /**
+   * @param {number} x
+   * @param {number} y
+   */
+  moveTo(x, y) {
+    this.path += `M${brief(x)} ${brief(y)}`;
+  }
+
+  /**
+   * @param {number} x
+   * @param {number} y
+   */
+  lineTo(x, y) {
+    this.path += `${this.path ? "L" : "M"}${brief(x)} ${brief(y)}`;
+  }
+
+  /**
+   * @param {number} x
+   * @param {number} y
+   * @param {number} width
+   * @param {number} height
+   */
+  rect(x, y, width, height) {
+    this.path += `M${brief(x)} ${brief(y)}h${brief(width)}v${brief(height)}h${brief(-width)}Z`;
+  }
+
+  /**
+   * Clockwise, a whole turn where the angles are one apart.
+   * @param {number} x
+   * @param {number} y
+   * @param {number} radius
+   * @param {number} from
+   * @param {number} to
+   */
+  arc(x, y, radius, from, to) {
+    const turn = to - from >= 2 * Math.PI ? 2 * Math.PI : (((to - from) % (2 * Math.PI)) + 2 * Math.PI) % (2 * Math.PI);
+    const at = (/** @type {number} */ angle) => [x + radius * Math.cos(angle), y + radius * Math.sin(angle)];
+    this.lineTo(.../** @type {[number, number]} */ (at(from)));
+    for (const angle of [from + turn / 2, from + turn])
+      this.path += `A${brief(radius)} ${brief(radius)} 0 0 1 ${at(angle).map(brief).join(" ")}`;
+  }
+
+  clip() {
+    this.clipped = `clip${named++}`;
+    this.parts.push(`<clipPath id="${this.clipped}"><path d="${this.path}"/></clipPath>`);
+  }
+
+  /**
+   * @param {unknown} style
+   * @returns {string}
+   */
+  paint(style) {
+    if (!(style instanceof Gradient)) return asText(style);
+    this.gradients.add(style);
+    return `url(#${style.name})`;
+  }
+
+  /**
+   * @param {string} body of an element, before its end
+   * @param {string} end
+   */
+  add(body, end = "/>") {
+    const { globalAlpha, clipped } = this;
+    const alpha = globalAlpha < 1 ? ` opacity="${globalAlpha}"` : "";
+    this.parts.push(`${body}${alpha}${clipped ? ` clip-path="url(#${clipped})"` : ""}${end}`);
+  }
+
+  /** @returns {string} */
+  line() {
+    const { strokeStyle, lineWidth, lineCap, lineJoin, dash } = this;
+    const dashed = dash ? ` stroke-dasharray="${dash}"` : "";
+    const ends = `${lineCap === "butt" ? "" : ` stroke-linecap="${lineCap}"`} stroke-linejoin="${lineJoin}"`;
+    return ` stroke="${this.paint(strokeStyle)}" stroke-width="${brief(lineWidth)}"${dashed}${ends}`;
+  }
+
+  fill() {
+    if (this.path) this.add(`<path d="${this.path}" fill="${this.paint(this.fillStyle)}"`);
+  }
+
+  stroke() {
+    if (this.path) this.add(`<path d="${this.path}" fill="none"${this.line()}`);
+  }
+
+  /**
+   * @param {number} x
+   * @param {number} y
+   * @param {number} width
+   * @param {number} height
+   */
+  fillRect(x, y, width, height) {
+    this.alone(x, y, width, height).fill();
+  }
+
+  /**
+   * @param {number} x
+   * @param {number} y
+   * @param {number} width
+   * @param {number} height
+   */
+  strokeRect(x, y, width, height) {
+    this.alone(x, y, width, height).stroke();
+  }
+
+  /**
+   * This pen with a rectangle for its path.
+   * @param {number} x
+   * @param {number} y
+   * @param {number} width
+   * @param {number} height
+   * @returns {this}
+   */
+  alone(x, y, width, height) {
+    this.beginPath();
+    this.rect(x, y, width, height);
+    return this;
+  }
+
+  /**
+   * @param {string} text
+   * @returns {TextMetrics}
+   */
+  measureText(text) {
+    const pen = /** @type {CanvasRenderingContext2D} */ (this.canvas.getContext("2d"));
+    pen.font = this.font;
+    return pen.measureText(text);
+  }
+
+  /**
+   * @param {string} text
+   * @param {number} x
+   * @param {number} y
+   * @param {number} most
+   * @param {string} paint
+   */
+  fillText(text, x, y, most = Infinity, paint = ` fill="${this.paint(this.fillStyle)}"`) {
+    const { font, textAlign, textBaseline, moved } = this;
+    const [, bold, size, family] = /(bold )?(\d+)px (.*)/.exec(font) ?? [];
+    const face = ` font-family="${asText(family)}" font-size="${size}"${bold ? ' font-weight="bold"' : ""}`;
+    const anchor = ANCHORS[textAlign] ? ` text-anchor="${ANCHORS[textAlign]}"` : "";
+    const narrow =
+      this.measureText(text).width > most ? ` textLength="${brief(most)}" lengthAdjust="spacingAndGlyphs"` : "";
+    const base = y + (DROPS[textBaseline] ?? 0) * Number(size);
+    const place = ` x="${brief(x)}" y="${brief(base)}"${moved ? ` transform="${moved}"` : ""}`;
+    this.add(`<text${place}${face}${anchor}${narrow}${paint}`, `>${asText(text)}</text>`);
+  }
+
+  /**
+   * @param {string} text
+   * @param {number} x
+   * @param {number} y
+   * @param {number} most
+   */
+  strokeText(text, x, y, most = Infinity) {
+    this.fillText(text, x, y, most, ` fill="none"${this.line()}`);
+  }
+
+  /**
+   * @param {ImageData} image
+   * @param {number} x
+   * @param {number} y
+   */
+  putImageData(image, x, y) {
+    const made = document.createElement("canvas");
+    [made.width, made.height] = [image.width, image.height];
+    made.getContext("2d")?.putImageData(image, 0, 0);
+    this.drawImage(made, x / this.ratio, y / this.ratio, image.width / this.ratio, image.height / this.ratio);
+  }
+
+  /**
+   * @param {HTMLCanvasElement} image
+   * @param {number} x
+   * @param {number} y
+   * @param {number} width
+   * @param {number} height
+   */
+  drawImage(image, x, y, width, height) {
+    const place = ` x="${brief(x)}" y="${brief(y)}" width="${brief(width)}" height="${brief(height)}"`;
+    this.add(`<image${place} preserveAspectRatio="none" href="${image.toDataURL()}"`);
+  }
+
+  /**
+   * @param {number} x1
+   * @param {number} y1
+   * @param {number} x2
+   * @param {number} y2
+   * @returns {Gradient}
+   */
+  createLinearGradient(x1, y1, x2, y2) {
+    return new Gradient("linearGradient", { x1, y1, x2, y2 });
+  }
+
+  /**
+   * @param {number} fx
+   * @param {number} fy
+   * @param {number} fr
+   * @param {number} cx
+   * @param {number} cy
+   * @param {number} r
+   * @returns {Gradient}
+   */
+  createRadialGradient(fx, fy, fr, cx, cy, r) {
+    return new Gradient("radialGradient", { fx, fy, fr, cx, cy, r });
+  }
+}
