@@ -434,7 +434,7 @@ def show_statistics(given: argparse.Namespace) -> int:
     exp = experiment(store.read_study(given.dir)["config"])
     if given.figure and exp.study.design.kind not in ("saltelli", "morris"):
         raise InputError("--figure is for sensitivity: it needs a study with study.design.kind=saltelli or morris")
-    terminal.show(statistics.render(rows, exp, given.level, given.figure))
+    terminal.show(statistics.render(rows, exp, given.level, given.figure), kept=("share", "low", "high"))
     return DONE
 
 

@@ -10,6 +10,7 @@ from contextlib import suppress
 import pandas as pd
 import pytest
 
+from sweep.cli.main import main
 from sweep.core.terminal import ELSEWHERE, fitted
 from sweep.report.tables import page_table
 from sweep.study import reference
@@ -48,6 +49,18 @@ def test_counts_shares_and_units_are_told_in_one_way():
     ]
     assert "| N·m/rad " in reference.text("drive")
     assert "N*m" not in reference.page()
+
+
+def test_a_share_comes_with_its_interval(fake_engine, tmp_path, capsys, monkeypatch):
+    axes = ["study.axes.friction.num=3", "study.axes.step.num=3", "study.design={grid: one_at_a_time}"]
+    assert main(["run", "study=walk_map", *axes, "study.expect=[]", f"out={tmp_path}"]) == 0
+    capsys.readouterr()
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", str(WIDTH))
+    assert main(["stats", str(tmp_path)]) == 0
+    told = capsys.readouterr().out
+    assert max(map(len, told.splitlines())) <= WIDTH
+    assert re.search(r"^axis .* share +low +high", told, re.MULTILINE)
 
 
 def test_the_command_knows_that_it_writes_to_a_terminal():
