@@ -78,7 +78,7 @@ def figures(name, target):
     if "figures" in target:
         found = target["figures"]
         return [found] if isinstance(found, str) else found
-    return [name]
+    return [name] if target.get("picture", True) else []
 
 
 @pytest.mark.parametrize("quick", [False, True])
