@@ -55,6 +55,7 @@ class Move:
     plane: Numbers | None = None  # in which the swing is lifted; upwards if it does not say
     leave: Numbers | None = None  # control points of the swing's curve, from the place that is left ...
     land: Numbers | None = None  # ... and from the new one
+    press: Number = 1.0  # of feet on free bodies, over the manoeuvre's own
     support: str = "free"  # of free bodies, as the manoeuvre names it; where they are seen if it does not say
 
 
@@ -196,7 +197,8 @@ def _stage(name: str, move: Move, terms: Terms, at: Standing) -> tuple[Stage, St
         **terms.stage,
     )  # fmt: skip
     pace, rates = PACES[move.pace]
-    stage = replace(stage, pace=pace, rates=tuple(move.rates) if move.rates else rates)
+    press = move.press * stage.press[0], move.press * stage.press[1]
+    stage = replace(stage, pace=pace, rates=tuple(move.rates) if move.rates else rates, press=press)
     if not move.base:
         return stage, at._replace(feet=feet)
     position, pitch, chart = terms.base(move.base, f"{move.path}.base")

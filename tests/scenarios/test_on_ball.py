@@ -112,6 +112,7 @@ def test_it_comes_down_from_a_ball(engine):
     assert rows["outcome"].tolist() == ["success"], rows["cause"]
     assert 0.3 < rows["obstacle_x_m"][0] < 0.6
     assert rows["leg_gap_min_m"][0] > 0
+    assert rows["slip_max_m"][0] < 0.03  # 0.035 and more where rear feet alone go on pressing the ball
 
 
 @pytest.mark.parametrize("engine", ["native", "mjx"])
@@ -121,6 +122,7 @@ def test_it_gets_over_a_ball(engine):
     simulation = make(replace(trial.settings, width=1), trial.case, trial.case, trial.thresholds)
     trace = simulation.trace(trial.case, trial.case, np.zeros(1, int), 0)
     assert classify(trace.figures, trial.thresholds, simulation.stages)["outcome"] == "success"
+    assert trace.figures["slip_max_m"] < 0.04  # of 0.05
     begins = {name: np.flatnonzero(trace.stage == k) for k, name in enumerate(trace.stages)}
     base, ball = trace.qpos[:, 0], trace.qpos[:, -7]
     assert np.ptp(trace.qpos[trace.time < 0.4, -5]) < 2e-4  # m: it rests until it is touched
