@@ -1,7 +1,7 @@
 """What comes before a rollout: the robot calibrates itself, if it does, and plans by what it believes then.
 
-Calibration is not simulated: with drives soft enough every foot stays where it stands while the base goes its way, so
-that joint angles follow from the true sizes. `bench/calibration.py` compares that with physics.
+Calibration is computed here: with drives soft enough every foot stays where it stands while the base goes its way, so
+that joint angles follow from the true sizes. `calibrating` simulates it.
 """
 
 import jax
@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from sweep.controllers import calibration, touch
-from sweep.controllers.calibration import HEIGHT, MOVES, Ground, Measured
+from sweep.controllers.calibration import HEIGHT, MOVES, Calibrated, Ground, Measured
 from sweep.controllers.learned import Learned, informed
 from sweep.controllers.observation import biases, free_biases
 from sweep.controllers.plan import Plan, Stance
@@ -66,11 +66,15 @@ def check(world: Case, belief: Case, plan: Plan) -> None:
         raise InputError(f"control.replan = {control.replan} is not allowed: {moves}")
     if control.replan != "never" and control.touch == "none":
         raise InputError(f"control.replan = {control.replan} is not allowed: it needs control.touch = obstacle")
-    if world.control.calibrate == "none":
-        return
+    if world.control.calibrate != "none":
+        check_level(belief, plan, control.calibrate)
+
+
+def check_level(belief: Case, plan: Plan, calibrate: str) -> None:
+    """Raises `InputError` where a robot that is to calibrate itself does not start with all feet on one plane."""
     if not bool(_starts_level(belief, plan.start)):
         kinds = f"manoeuvre = {belief.manoeuvre.kind} on obstacle = {belief.obstacle.kind}"
-        asked = f"control.calibrate = {world.control.calibrate} is not allowed"
+        asked = f"control.calibrate = {calibrate} is not allowed"
         raise InputError(f"{asked}: {kinds} does not start with all feet on the floor")
 
 
@@ -109,24 +113,38 @@ def measured(world: Case, start: Start, key: Array) -> Measured:
     The feet come down to the ground where the robot starts, and slip a little from pose to pose. A foot that a pose
     puts out of reach does not stand.
     """
-    control, noise = world.control, world.noise
-    quat = start.qpos[3:7]
+    control, quat = world.control, start.qpos[3:7]
     feet = feet_in_world(world.robot, start.qpos[:3], quat, start.qpos[JOINT_Q].reshape(N_LEGS, 3))
     ground = under(world.obstacle, feet, poses(free_start(world.obstacle)))
     feet = feet + ground.depth[:, None] * ground.normal
-    bias = biases(noise, jax.random.split(key)[0])
-    slips, draws = (jax.random.normal(k, (len(MOVES), n), float) for k, n in
-                    zip(jax.random.split(jax.random.fold_in(key, ERRORS)), (18, 24), strict=True))  # fmt: skip
-    slips = slips.reshape(-1, N_LEGS, 3)
+    slips = jax.random.normal(_drawn(key)[0], (len(MOVES), N_LEGS, 3), float)
     up = jnp.sum(slips * ground.normal, axis=-1, keepdims=True) * ground.normal
     feet = feet + control.slip * (slips - up) + HEIGHT * up
     position, turned = calibration.poses(control, Stance(feet[0], start.qpos[:3], quat))
     angles, shortfall = jax.vmap(joint_targets, (None, 0))(world.robot, Stance(feet, position, turned))
-    draws = draws / jnp.sqrt(control.samples)
+    return sensed(world, Measured(position, turned, angles, shortfall <= 0), key)
+
+
+def sensed(world: Case, true: Measured, key: Array) -> Measured:
+    """What the sensors of a rollout make of `true` means in each pose, their biases those of its key."""
+    noise, bias = world.noise, biases(world.noise, jax.random.split(key)[0])
+    draws = jax.random.normal(_drawn(key)[1], (len(MOVES), 24), float) / jnp.sqrt(world.control.samples)
     turn = bias.turn + noise.orientation_noise * draws[:, 3:6]
     return Measured(
-        position + bias.position + noise.position_noise * draws[:, :3],
-        multiply(exponential(turn), turned),
-        angles + bias.joint + noise.joint_noise * draws[:, 6:].reshape(-1, N_LEGS, 3),
-        shortfall <= 0,
+        true.position + bias.position + noise.position_noise * draws[:, :3],
+        multiply(exponential(turn), true.quat),
+        true.angles + bias.joint + noise.joint_noise * draws[:, 6:].reshape(-1, N_LEGS, 3),
+        true.loaded,
     )
+
+
+def calibrated(world: Case, belief: Case, true: Measured, key: Array) -> Calibrated:
+    """What a rollout's robot learns of its sizes where `true` is what really was in the poses."""
+    start = belief.manoeuvre.plan(belief).start
+    seen = sensed(world, true, key)
+    return calibration.estimate(world.control, belief.noise, belief.robot, _ground(belief, start), seen)
+
+
+def _drawn(key: Array) -> Array:
+    """Keys to draw the feet's slips, and the sensors' noise."""
+    return jax.random.split(jax.random.fold_in(key, ERRORS))

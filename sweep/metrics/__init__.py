@@ -11,6 +11,7 @@ from sweep.metrics import (
     ledges,
     load,
     planned_forces,
+    poses,
     progress,
     raft,
     reach,
@@ -48,6 +49,7 @@ METRICS: tuple[Metric, ...] = tuple(
         support,
         load,
         calibration,
+        poses,
         touch,
         solver,
     )

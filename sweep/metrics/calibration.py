@@ -25,7 +25,12 @@ def begin(start: Begin) -> Calibrated:
 
 def figures(found: Calibrated, at: Elapsed) -> dict[str, Array]:
     """See `METRIC`."""
-    sizes = names(at.world.robot)
+    return told(found)
+
+
+def told(found: Calibrated) -> dict[str, Array]:
+    """The figures of what was found."""
+    sizes = names(found.robot)
     own = {f"learned_{name}_m": jnp.asarray(getattr(found.robot, name)) for name in sizes}
     deviations = {name: jnp.sqrt(found.covariance[k, k]) for k, name in enumerate(sizes)}
     return own | {f"learned_{name}_sd_m": own[f"learned_{name}_m"] * deviations[name] for name in sizes}

@@ -10,11 +10,14 @@ class Control:
     It belongs to what is simulated, as sensors do: it is read from the world's side.
     """
 
-    # what the robot measures of itself before it plans, moving its base through a few poses where it stands
-    calibrate: str = choice("none", "none", "sizes")
+    # what the robot measures of itself before it plans, moving its base through a few poses where it stands: its sizes,
+    # computed from where its feet are, or simulated
+    calibrate: str = choice("none", "none", "sizes", "simulated")
     shift: float = quantity(0.1, "m", above=0, at_most=1)  # by how much calibration moves the base along each axis
     turn: float = quantity(0.175, "rad", above=0, at_most=1)  # by how much it turns the base about each axis
     samples: float = quantity(50.0, "ticks", at_least=1)  # over how many measurements of a pose it takes the mean
+    stiffness: float = quantity(1500.0, "N*m/rad", above=0)  # of the drives in simulated poses
+    damping: float = quantity(200.0, "N*m*s/rad", at_least=0)  # the same
     # deviation of each believed size, relative: what calibration takes for possible before it measures
     size_error: float = quantity(0.012, "-", above=0, at_most=0.2)
     # deviation of each standing foot's place along the ground from pose to pose of the calibration
