@@ -1,9 +1,10 @@
-"""What every scenario plans: for what is nominally believed, and for draws of robot and obstacle.
+"""What every scenario plans, for what is nominally believed and for draws of robot and obstacle, and how it is tracked.
 
     python tests/recorded.py NAME ...  # renews the record of scenarios, or of all that have one
 
 Plans are made in double precision, operation by operation: what differs by more than rounding is another plan. Planned
-forces are left out: they follow from a plan, and take long.
+forces are left out: they follow from a plan, and take long. The tracker is told that all goes as it commands but for
+errors, and of forces that no one planned: every way through it counts, not where it leads.
 """
 
 import dataclasses
@@ -13,15 +14,24 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
-from sweep.controllers.forces import PlannedForces
+from sweep.controllers import tracker
+from sweep.controllers.forces import KNOTS, PlannedForces
+from sweep.controllers.observation import Observation
+from sweep.controllers.plan import Feedforward
 from sweep.core.errors import InputError
 from sweep.models.case import Case
+from sweep.models.obstacles.surface import free_start
 from sweep.study.config import compose
 from sweep.systems.hexapod import assign
 
 FOLDER = Path(__file__).parent / "data" / "plans"
+TRACKED = FOLDER.parent / "tracked.npz"
+TICKS = 150  # of a whole plan
+ERRORS = 2e-3  # m, rad and their rates, of what the tracker is told
+LOADED = 0.9  # share of ticks in which a foot bears load
 DRAWS = 4
 SPREAD = {"robot": 0.02, "obstacle": 0.01}  # of sizes and masses
 
@@ -98,13 +108,65 @@ def _by_stage(key: str, value: np.ndarray, stages: int) -> np.ndarray:
     return np.pad(rows @ weights, (0, 1) if staged else (stages, 0))
 
 
+def tracked(name: str) -> np.ndarray:
+    """What the controller commands for a scenario, tick by tick: the stage, and a sum of all numbers."""
+    case = compose([f"scenario={name}"]).case
+    random = np.random.default_rng(zlib.crc32(name.encode()))
+    with jax.enable_x64(True):
+        plan = _with_some_forces(case, without_forces(case), random)
+        period = float(np.sum(plan.duration)) / TICKS
+        state, free = tracker.init(case, plan), free_start(case.obstacle)
+        zero, joints = jnp.zeros(3), state.joints
+        seen = Observation(*plan.start[1:], zero, zero, joints, *(jnp.zeros_like(joints),) * 2, np.ones(6, bool), free)
+        errors = jax.tree.map(lambda x: ERRORS * random.normal(size=(TICKS, *np.shape(x))), seen)
+        errors = errors._replace(loaded=random.uniform(size=(TICKS, 6)) < LOADED, load=np.zeros(TICKS))
+
+        def tick(before: Any, error: Observation) -> Any:
+            state, (target, joints) = before
+            told = seen._replace(position=target.position, quat=target.quat, angles=joints, loaded=0)
+            told = jax.tree.map(lambda x, off: x + off, told, error)
+            free = told.free._replace(quat=told.free.quat / jnp.linalg.norm(told.free.quat, axis=1, keepdims=True))
+            quat = told.quat / jnp.linalg.norm(told.quat)
+            told = told._replace(quat=quat, free=free, loaded=error.loaded)
+            state, command = tracker.step(case, plan, state, told, period)
+            return (state, (command.target, command.joints)), (state.stage, command)
+
+        start = state, (plan.start, joints)
+        stage, commands = jax.jit(lambda start, errors: jax.lax.scan(tick, start, errors))(start, errors)[1]
+        numbers = {jax.tree_util.keystr(path): np.asarray(value, float)
+                   for path, value in jax.tree_util.tree_leaves_with_path(commands)}  # fmt: skip
+        sums = sum(_by_stage(key, value, TICKS) for key, value in numbers.items())
+    return np.stack([stage, sums[:-1]])
+
+
+def _with_some_forces(case: Case, plan: Any, random: np.random.Generator) -> Any:
+    """The plan with forces, of a manoeuvre that holds on by them; they are none that hold it."""
+    manoeuvre = case.manoeuvre
+    if not isinstance(manoeuvre, PlannedForces) or getattr(manoeuvre, "forces", "planned") != "planned":
+        return plan
+    stages = len(plan.names)
+    offset, inward = ERRORS * random.normal(size=(stages, KNOTS, 6, 3)), random.normal(size=(stages, 6, 3))
+    forces = Feedforward(offset, np.zeros(stages), inward, np.float64(manoeuvre.creep), np.float64(manoeuvre.anchoring))
+    return dataclasses.replace(plan, feedforward=jax.tree.map(jnp.asarray, forces))
+
+
 def read(name: str) -> dict[str, np.ndarray]:
     """What is recorded of a scenario."""
     with np.load(FOLDER / f"{name}.npz") as file:
         return dict(file)
 
 
+def read_tracked() -> dict[str, np.ndarray]:
+    """What is recorded of the tracker, by scenario."""
+    with np.load(TRACKED) as file:
+        return dict(file)
+
+
 if __name__ == "__main__":
-    for name in sys.argv[1:] or scenarios():
-        np.savez_compressed(FOLDER / f"{name}.npz", **planned(name))
+    ways = read_tracked() if TRACKED.exists() else {}
+    for name in sys.argv[1:] or sorted({*scenarios(), *ways}):
+        if name in scenarios() or name not in ways:  # most plans without a table are not worth a record
+            np.savez_compressed(FOLDER / f"{name}.npz", **planned(name))
+        ways[name] = tracked(name)
+        np.savez_compressed(TRACKED, **ways)
         print(name, flush=True)

@@ -13,7 +13,8 @@ import pytest
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs/extending.md").read_text()
 PAGES = dict(re.findall(r"^## (.*?)\n(.*?)(?=^## |\Z)", PAGE, re.M | re.S))
-SIMULATED = "An obstacle and a manoeuvre"  # with the real engine
+KERB, PLATFORM = "An obstacle and a manoeuvre", "A manoeuvre of a file"
+SIMULATED = KERB, PLATFORM  # with the real engine
 BLOCK = re.compile(r"(?:^`(?P<path>[^`]+)`\n\n)?^```(?P<kind>\w+)\n(?P<text>.*?)^```", re.M | re.S)
 SAID = {  # by the commands of a page
     "A robot": ["long_legs            The base robot, thighs and shins a fifth longer", "| walk_tripod "],
@@ -21,7 +22,8 @@ SAID = {  # by the commands of a page
     "An exhibit": ["report.html"],
     "A metric": ["base_speed_max_mps", "m/s", "| base speed max"],
     "A plan": ["pole_top_high        As pole_top", "plan.top.rear.base.above                      0.75", "0.7, 0.75"],
-    SIMULATED: ["kerb                 A kerb, 0.1 m high", "| walk_kerb "],
+    PLATFORM: ["platform             The base robot steps up", "| reach ", "| platform "],
+    KERB: ["kerb                 A kerb, 0.1 m high", "| walk_kerb "],
 }
 
 
@@ -77,11 +79,11 @@ def run(command, root, program):
 
 
 @pytest.mark.parametrize(
-    "title", [pytest.param(title, marks=pytest.mark.slow if title == SIMULATED else ()) for title in PAGES]
+    "title", [pytest.param(title, marks=pytest.mark.slow if title in SIMULATED else ()) for title in PAGES]
 )
 def test_a_page_followed_to_the_letter_adds_what_it_says(title, checkout):
     take_out(checkout, PAGES[title])
-    program = ["-m", "sweep.cli"] if title == SIMULATED else [ROOT / "tests/fake_engine.py"]
+    program = ["-m", "sweep.cli"] if title in SIMULATED else [ROOT / "tests/fake_engine.py"]
     said = ""
     for path, kind, text in blocks(PAGES[title]):
         if kind == "sh":

@@ -135,6 +135,7 @@ def file_of(case: Case, changes: Mapping[str, float], head: list[str]) -> str:
         other = replace(other, plan=other.plan.changed(path, value))
     assert isinstance(case.manoeuvre, plan_table.Tabled)
     said = plan_table.differences(plan_table.own(case), plan_table.tabled(other))
-    content = {"extends": case.manoeuvre.own_plan, **said}
+    own = case.manoeuvre.own_plan
+    content = {"extends": own, **said} if own else said
     text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=1000)
     return "".join(f"# {line}\n" for line in head) + text

@@ -57,8 +57,10 @@ class Move:
     land: Numbers | None = None  # ... and from the new one
     press: Number = 1.0  # of feet on free bodies, over the manoeuvre's own
     support: str = "free"  # of free bodies, as the manoeuvre names it; where they are seen if it does not say
+    law: str = ""  # of the manoeuvre's, that leads it or by which metrics know it
 
 
+REVERSED = ("reverse", "from", "mirror", "law")  # what a part says that is another one backwards
 WORDS = {"pace": PACES, "swing": CYCLES}
 SIZES = {key: len(names) for key, names in COMPONENTS.items() if key != "base"}  # of lists
 
@@ -95,8 +97,8 @@ class Terms:
     lift: Number  # m, d_y
     depths: Mapping[str, Number] = field(default_factory=dict)  # m, of feet in what they stand on, by chart; else 0
     own: Mapping[str, Chart] = field(default_factory=dict)  # charts of the manoeuvre's
-    forward: tuple[float, float] = (0.0, -1.0)  # in which the robot goes, in the plane
     supports: Mapping[str, tuple[Support, ...]] = field(default_factory=lambda: {"free": ()})  # by name, of every body
+    laws: tuple[str, ...] = ()  # that moves may be under
     stage: Mapping[str, Any] = field(default_factory=dict)  # what all stages have besides
 
     def foot(self, leg: int, place: Place, where: str, depth: Number | None = None) -> Foot:
@@ -135,12 +137,13 @@ class Terms:
     @property
     def left(self) -> Float[np.ndarray, " 3"]:
         """To where the robot's left is."""
-        return np.array([-self.forward[1], self.forward[0], 0.0])
+        x, y = self.belief.obstacle.forward
+        return np.array([-y, x, 0.0])
 
     def vector(self, leg: int, numbers: Numbers) -> Float[Array, " 3"]:
         """Out to the leg's side, ahead and up."""
         out, ahead, up = (jnp.asarray(number, float) for number in numbers)
-        level = float(SIDE[leg - 1]) * out * self.left + ahead * np.array([*self.forward, 0.0])
+        level = float(SIDE[leg - 1]) * out * self.left + ahead * np.array([*self.belief.obstacle.forward, 0.0])
         return level + up * np.array([0.0, 0.0, 1.0])
 
 
@@ -194,7 +197,7 @@ def _stage(name: str, move: Move, terms: Terms, at: Standing) -> tuple[Stage, St
         name, move.time * terms.time if move.seconds is None else move.seconds, swing,
         CYCLES[move.swing], move.lift * terms.lift, _plane(move, terms), guides=guides,
         foot_frames=tuple(frames[leg] for leg in LEGS), base_frame=at.frame, support=_support(move, terms),
-        **terms.stage,
+        law=_law(move, terms), **terms.stage,
     )  # fmt: skip
     pace, rates = PACES[move.pace]
     press = move.press * stage.press[0], move.press * stage.press[1]
@@ -229,6 +232,12 @@ def _support(move: Move, terms: Terms) -> tuple[Support, ...]:
     return terms.supports[move.support]
 
 
+def _law(move: Move, terms: Terms) -> str:
+    if move.law and move.law not in terms.laws:
+        raise InputError(f"{move.path}.law = {move.law} is unknown{suggest(move.law, terms.laws)}")
+    return move.law
+
+
 def _plane(move: Move, terms: Terms) -> Array | tuple[float, float, float]:
     """By leg, out to whose side it is."""
     return (0.0, 0.0, 1.0) if move.plane is None else jnp.stack([terms.vector(leg, move.plane) for leg in LEGS])
@@ -238,7 +247,8 @@ def moves(belief: Case, part: str) -> dict[str, Move]:
     """The moves of a part of a case's plan, by name. Raises `InputError`.
 
     A part with `reverse` has those of another one backwards, which began as the only move of the part `from` places the
-    robot; with `mirror`, two charts, as seen in a mirror across its way, in which the charts change places.
+    robot; with `mirror`, two charts, as seen in a mirror across its way, in which the charts change places; under a
+    `law` of its own, if it says one.
     """
     content = tabled(belief)
     if part not in content:
@@ -247,24 +257,42 @@ def moves(belief: Case, part: str) -> dict[str, Move]:
     if "reverse" not in common:
         return {name: _move(f"plan.{part}.{name}", {**common, **given, "base": _based(common, given)})
                 for name, given in content[part].items() if isinstance(given, Mapping)}  # fmt: skip
-    if unknown := [key for key in content[part] if key not in ("reverse", "from", "mirror")]:
-        raise InputError(f"plan.{part}.{unknown[0]} is unknown{suggest(unknown[0], ('reverse', 'from', 'mirror'))}")
+    if unknown := [key for key in content[part] if key not in REVERSED]:
+        raise InputError(f"plan.{part}.{unknown[0]} is unknown{suggest(unknown[0], REVERSED)}")
     if part == common["reverse"]:
         raise InputError(f"plan.{part}.reverse = {part} is not allowed: another part")
-    found = backwards(moves(belief, common["reverse"]), placing(belief, common.get("from", ""))[1])
+    forth = {"": placing(belief, common.get("from", ""))[1], **moves(belief, common["reverse"])}
+    found = backwards(_pitched(belief, forth))
     if one_and_other := common.get("mirror"):
         found = {name: mirrored(belief, move, one_and_other) for name, move in found.items()}
-    return found
+    return {name: replace(move, law=common.get("law", move.law)) for name, move in found.items()}
 
 
-def backwards(moves: Mapping[str, Move], start: Move) -> dict[str, Move]:
-    """Moves that go back to where the robot is placed by `start`: each to where the forward one came from."""
-    base, feet, found = start.base, _by_leg(start), {}
-    for name, move in moves.items():
+def backwards(moves: Mapping[str, Move]) -> dict[str, Move]:
+    """Moves that go back to where the robot is placed by the first one: each to where the forward one came from."""
+    start, *others = moves.items()
+    base, feet, found = start[1].base, _by_leg(start[1]), {}
+    for name, move in others:
         goes = _by_leg(move)
         found[name] = replace(move, base=base, feet={leg: feet[leg] for leg in goes}, leave=move.land, land=move.leave)
         base, feet = move.base or base, feet | {leg: place for leg, place in goes.items() if place}
     return dict(reversed(found.items()))
+
+
+def _pitched(belief: Case, moves: Mapping[str, Move]) -> dict[str, Move]:
+    """Moves that say the pitch which the base keeps where it says none: its charts do not tell it."""
+    offered, kept, found = charts(belief.obstacle), 0.0, {}
+    for name, move in moves.items():
+        for place, numbers in move.base.items():
+            chart = offered.get(place)
+            if chart is None or chart.pitch:
+                kept = None
+            elif len(numbers) > len(chart.names):
+                kept = numbers[-1]
+            elif kept is not None:
+                move = replace(move, base={place: [*numbers, kept]})
+        found[name] = move
+    return found
 
 
 def _by_leg(move: Move) -> dict[str, Place | None]:
@@ -316,7 +344,7 @@ def _move(where: str, given: Mapping[str, Any]) -> Move:
             raise InputError(f"{where}.{key} = {value} is not allowed: [{', '.join(COMPONENTS[key])}]")
     for key, value in given.items():
         wrong = [number for number in _listed(value) if isinstance(number, str | bool)]
-        if wrong and key not in (*WORDS, "support"):
+        if wrong and key not in (*WORDS, "support", "law"):
             raise InputError(f"{where}.{key} = {wrong[0]} is not allowed: a number")
     for key in ("base", *feet):
         if (place := given.get(key)) and (not isinstance(place, Mapping) or len(place) != 1):

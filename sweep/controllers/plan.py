@@ -67,6 +67,7 @@ class Stage:
     foot_frames: tuple[int, ...] = (WORLD,) * 6  # in which each foot stands or swings, see frames.py
     base_frame: int = WORLD  # of its place; a body's own axes turn its attitude, too
     support: tuple[Support, ...] = ()  # of every free body; none is said of those that are where they are seen
+    law: str = ""  # that leads it, or by which metrics know it; the plan alone leads one without
     onset: str = REZERO
     # m, by how much feet on a free body are commanded beyond where they are measured: into it, and to the middle plane
     press: tuple[Array | float, Array | float] = (0.0, 0.0)
@@ -151,6 +152,7 @@ class Plan:
     # whether errors are taken back in the plane, with the heading's
     steered: bool = field(default=False, metadata={"static": True})
     onset: tuple[str, ...] = field(default=(), metadata={"static": True})  # of each stage
+    laws: tuple[str, ...] = field(default=(), metadata={"static": True})  # of each stage
     # whether water carries the free bodies: height and tilt are then as they are seen, whatever a stage means
     afloat: bool = field(default=False, metadata={"static": True})
 
@@ -198,9 +200,10 @@ def assemble(
     names = tuple(stage.name for stage in stages)
     mode = jnp.array([stage.flywheel for stage in stages], jnp.int32)
     flywheel = None if gains is None else Flywheel(mode, jax.tree.map(lambda x: jnp.asarray(x, float), gains))
-    onset, ease = tuple(stage.onset for stage in stages), None if ease is None else jnp.asarray(ease, float)
+    onset, laws = tuple(stage.onset for stage in stages), tuple(stage.law for stage in stages)
+    ease = None if ease is None else jnp.asarray(ease, float)
     return Plan(names=names, start=start, patience=jnp.asarray(patience, float), posture=_postures(stages),
-                flywheel=flywheel, feedforward=None, shift=None, steered=steered, onset=onset,
+                flywheel=flywheel, feedforward=None, shift=None, steered=steered, onset=onset, laws=laws,
                 support=_supports(stages), ease=ease, afloat=afloat, **table)  # fmt: skip
 
 
@@ -306,9 +309,9 @@ def along_guides(start: Array, guides: Float[Array, "*b 2 3"], end: Array, share
     return rest**3 * start + 3 * rest**2 * share * near + 3 * rest * share**2 * far + share**3 * end
 
 
-def named(plan: Plan, stage: Int[Array, ""], *beginnings: str) -> Bool[Array, ""]:
-    """Whether the stage's name begins with one of these."""
-    return jnp.asarray(np.array([name.startswith(beginnings) for name in plan.names]))[stage]
+def led_by(plan: Plan, stage: Int[Array, ""], *laws: str) -> Bool[Array, ""]:
+    """Whether the stage is under one of these laws."""
+    return jnp.asarray(np.isin(plan.laws, laws))[stage]
 
 
 def begins(plan: Plan, stage: Int[Array, ""], free: FreeState) -> tuple[Float[Array, "6 3"], Float[Array, " 3"]]:

@@ -57,6 +57,8 @@ def reversed_in_time(plan: Plan, free: FreeState | None = None) -> Plan:
         turn=back(-plan.turn),
         rates=back(jnp.flip(plan.rates, axis=1)),
         guides=back(jnp.flip(guides, axis=2)),
+        onset=plan.onset[::-1],
+        laws=plan.laws[::-1],
         **table,
     )
 
@@ -110,5 +112,5 @@ def joined(first: Plan, *others: Plan) -> Plan:
     whole = ("start", "patience", "posture", "flywheel", "feedforward", "support", "ease", "shift")
     arrays = [f.name for f in fields(Plan) if f.name not in whole and not f.metadata.get("static")]
     table: dict[str, Any] = {name: jnp.concatenate([getattr(plan, name) for plan in plans]) for name in arrays}
-    onset = tuple(onset for plan in plans for onset in plan.onset)
-    return replace(first, names=tuple(name for plan in plans for name in plan.names), onset=onset, **table)
+    words = {key: tuple(word for plan in plans for word in getattr(plan, key)) for key in ("names", "onset", "laws")}
+    return replace(first, **words, **table)

@@ -5,11 +5,11 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sweep.controllers.plan import named
+from sweep.controllers.manoeuvres.balancing.ball_ledges import OFF, ON
+from sweep.controllers.plan import led_by
 from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment
 from sweep.models.obstacles.ledges import Ledges
 
-ON, OFF = "on.", "off."  # how the stages begin in which a robot goes on to the ball, and off it
 THERE = 4e-3  # m, of a ball that has come to the far wall
 
 
@@ -33,8 +33,8 @@ def update(so_far: Crossing, now: Moment) -> Crossing:
     assert isinstance(ledges, Ledges)
     ball, speed = tick.free.position[0], tick.free.velocity[0, 0]
     ahead = tick.centre_of_mass[0] - ball[0]
-    leaves = named(now.plan, now.stage, OFF)
-    past = jnp.where(named(now.plan, now.stage, ON), ahead, jnp.where(leaves, -ahead, -jnp.inf))
+    leaves = led_by(now.plan, now.stage, OFF)
+    past = jnp.where(led_by(now.plan, now.stage, ON), ahead, jnp.where(leaves, -ahead, -jnp.inf))
     gap = jnp.minimum(so_far.gap, jnp.where(leaves, jnp.inf, ledges.at_far_wall - ball[0]))
     return Crossing(
         past=jnp.maximum(so_far.past, past),

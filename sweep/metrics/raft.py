@@ -5,14 +5,13 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from sweep.controllers.plan import named
+from sweep.controllers.manoeuvres.afloat.raft_cross import PUSH, WAIT
+from sweep.controllers.plan import led_by
 from sweep.core.rotations import heading, rotate
 from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment
 from sweep.models.contact import to_body
 from sweep.models.obstacles.raft import CORNERS, Raft
 from sweep.models.obstacles.surface import under
-
-PUSHES, ARRIVES = "push", "wait"  # how the stages begin in which a robot casts off, and comes to the other bank
 
 
 class Afloat(NamedTuple):
@@ -47,7 +46,7 @@ def update(so_far: Afloat, now: Moment) -> Afloat:
         for side in (1.0, -1.0)
     )
     up = rotate(free.quat[0], jnp.array([0.0, 0.0, 1.0], feet.dtype))
-    during = {word: named(now.plan, now.stage, word) for word in (PUSHES, ARRIVES)}
+    pushes, arrives = (led_by(now.plan, now.stage, law) for law in (PUSH, WAIT))
     speed = free.velocity[0, 0]
     body = under(raft, feet, tick.bodies).body
     swings = now.plan.swing[now.stage] & ~now.finished
@@ -60,9 +59,9 @@ def update(so_far: Afloat, now: Moment) -> Afloat:
         freeboard=jnp.minimum(so_far.freeboard, jnp.min(deck)),
         draught=jnp.minimum(so_far.draught, -jnp.max(bottom)),
         tilt=jnp.maximum(so_far.tilt, jnp.arccos(jnp.clip(up[2], -1.0, 1.0))),
-        pushed=jnp.where(during[PUSHES], speed, so_far.pushed),
-        arrived=jnp.where(during[ARRIVES], speed, so_far.arrived),
-        turned=jnp.where(during[ARRIVES], heading(free.quat[0]), so_far.turned),
+        pushed=jnp.where(pushes, speed, so_far.pushed),
+        arrived=jnp.where(arrives, speed, so_far.arrived),
+        turned=jnp.where(arrives, heading(free.quat[0]), so_far.turned),
         place=place,
         holds=holds,
         slip=jnp.maximum(so_far.slip, slip),

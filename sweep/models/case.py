@@ -28,8 +28,8 @@ class Manoeuvre(Protocol):
         ...
 
     @property
-    def needs(self) -> tuple[type[Obstacle], ...]:
-        """The obstacles that it is for; any one of them."""
+    def needs(self) -> tuple[type, ...]:
+        """The obstacles that it is for, any one of them; `Charted`: all that offer charts."""
         ...
 
     @property

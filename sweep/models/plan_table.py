@@ -54,7 +54,7 @@ class Tabled(Protocol):
 
     @property
     def own_plan(self) -> str:
-        """Name of the file that holds them if a case has no other."""
+        """Name of the file that holds them if a case has no other; empty where it must have one."""
         ...
 
 
@@ -70,7 +70,7 @@ def tabled(case: Any) -> Content:
 
 def own(case: Any) -> Content:
     """Those of the manoeuvre's own file."""
-    return shipped(case.manoeuvre.own_plan) if isinstance(case.manoeuvre, Tabled) else {}
+    return shipped(case.manoeuvre.own_plan) if isinstance(case.manoeuvre, Tabled) and case.manoeuvre.own_plan else {}
 
 
 def numbers(content: Content, places: Mapping[str, Chart]) -> dict[str, float]:

@@ -20,12 +20,11 @@ from sweep.engines.states import offered
 from sweep.metrics import outcome
 from sweep.metrics.outcome import Thresholds
 from sweep.models import plan_table
-from sweep.models.case import Case
+from sweep.models.case import Case, Manoeuvre
 from sweep.models.control import Control
 from sweep.models.noise import Noise
 from sweep.models.obstacles import OBSTACLES
-from sweep.models.obstacles.charts import charts
-from sweep.models.obstacles.surface import Obstacle
+from sweep.models.obstacles.charts import Charted, charts
 from sweep.models.plan_table import Content, PlanTable, Tabled
 from sweep.systems.base import Kinds, Nominal, Parameter, Values, Way, by_side, side_and_path
 
@@ -234,8 +233,8 @@ def nominal(values: Mapping[str, Any], kinds: Kinds) -> Nominal:
     settings, given = parts.pop("engine"), dataclasses.asdict(parts.pop("outcome"))
     parts |= {group: of_kind(kinds[group], values[group], group) for group in ("obstacle", "manoeuvre")}
     case = Case(**parts, plan=_table(values["plan"], parts["manoeuvre"]))
-    if _asked_for(case.obstacle) not in case.manoeuvre.needs:
-        needed = " or ".join(kind for kind, cls in OBSTACLES.items() if cls in case.manoeuvre.needs)
+    if not _suits(type(case.obstacle), case.manoeuvre):
+        needed = " or ".join(kind for kind, cls in OBSTACLES.items() if _suits(cls, case.manoeuvre))
         both = f"obstacle.kind = {case.obstacle.kind} is not allowed: manoeuvre.kind = {case.manoeuvre.kind}"
         raise InputError(f"{both} needs {needed}")
     for group in SIZED:
@@ -269,6 +268,8 @@ def _assigned(case: Case, values: Values) -> Case:
 def _table(given: Any, manoeuvre: Any) -> PlanTable:
     """The numbers of a plan, if they are not the manoeuvre's own."""
     if not given:
+        if isinstance(manoeuvre, Tabled) and not manoeuvre.own_plan:
+            raise InputError(f"plan is missing: manoeuvre.kind = {manoeuvre.kind} has none of its own")
         return PlanTable()
     if not isinstance(given, Mapping):
         raise InputError(f"plan = {given} is not allowed: `sweep list` shows the choices")
@@ -277,10 +278,14 @@ def _table(given: Any, manoeuvre: Any) -> PlanTable:
     return PlanTable(json.dumps(given))
 
 
-def _asked_for(obstacle: Obstacle) -> type | None:
-    """The nearest class of an obstacle that manoeuvres ask for: a ball between ledges is no ball on a floor."""
-    asked = {cls for manoeuvre in MANOEUVRES.values() for cls in manoeuvre.needs}
-    return next((cls for cls in type(obstacle).__mro__ if cls in asked), None)
+def _suits(obstacle: type, manoeuvre: Manoeuvre) -> bool:
+    """Whether obstacles of a class are what a manoeuvre needs: the nearest class that any one asks for, or charts.
+
+    A ball between ledges is no ball on a floor.
+    """
+    asked = {cls for kind in MANOEUVRES.values() for cls in kind.needs}
+    nearest = next((cls for cls in obstacle.__mro__ if cls in asked), None)
+    return nearest in manoeuvre.needs or (Charted in manoeuvre.needs and hasattr(obstacle, "charts"))
 
 
 def _check_size(column: str, member: Parameter, value: Any) -> None:

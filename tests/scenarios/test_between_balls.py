@@ -7,7 +7,7 @@ from test_on_ball import outcomes
 
 from sweep.controllers import tracker
 from sweep.controllers.manoeuvres.balancing.ball import BallDrive
-from sweep.controllers.manoeuvres.balancing.ball_to_ball import OVER, Closing, Docking
+from sweep.controllers.manoeuvres.balancing.ball_to_ball import Closing, Docking
 from sweep.controllers.observation import Observation
 from sweep.controllers.support import MEASURED
 from sweep.core.errors import InputError
@@ -68,7 +68,7 @@ def test_the_base_goes_no_farther_on_a_straight_leg(knees, over):
     case = compose(["scenario=ball_to_ball", "obstacle.gap=0"]).case
     plan = case.manoeuvre.plan(case)
     seen, state = at_start(plan, case.on(TwoBalls).start(), knees), tracker.init(case, plan)
-    ahead, front = (jnp.int32(plan.names.index(OVER + name)) for name in ("ahead", "front2"))
+    ahead, front = (jnp.int32(plan.names.index(f"over.{name}")) for name in ("ahead", "front2"))
     assert bool(Closing(0.0, 0.985).ends(case, plan, state._replace(stage=ahead), seen)) is over
     assert not bool(Closing(0.0, 0.985).ends(case, plan, state._replace(stage=front), seen))
 
@@ -97,7 +97,7 @@ def test_feet_on_the_second_ball_close_the_gap():
     gap, press = 0.004, 7e-4
     case = compose(["scenario=ball_to_ball", f"obstacle.gap={gap}"]).case
     plan, free = case.manoeuvre.plan(case), case.on(TwoBalls).start()
-    stage = plan.names.index(OVER + "ahead")
+    stage = plan.names.index("over.ahead")
     state = tracker.init(case, plan)
     feet = plan.foothold[stage]
     state = state._replace(

@@ -21,11 +21,13 @@ from sweep.controllers.manoeuvres.climbing.pole_ledge import PoleToLedge
 from sweep.controllers.manoeuvres.climbing.pole_return import PoleReturn
 from sweep.controllers.manoeuvres.climbing.pole_round import PoleRound
 from sweep.controllers.manoeuvres.climbing.pole_top import PoleTop
+from sweep.controllers.manoeuvres.follow import Follow
 from sweep.controllers.manoeuvres.walking.walk import Stand, Walk
 from sweep.controllers.manoeuvres.walking.walk_kerb import WalkKerb
 from sweep.controllers.manoeuvres.walking.waypoints import Waypoints
 
 MANOEUVRES = {
+    "follow": Follow,
     "walk": Walk,
     "stand": Stand,
     "waypoints": Waypoints,

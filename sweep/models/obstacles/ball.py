@@ -81,6 +81,7 @@ class Ball(Free):
         "tangent": Chart(("elevation", "distance", "ahead"), tangent, koenig(0), pitch=nose_up, round=True, optional=1),
     }
     lying = ("radius",)
+    forward = (1.0, 0.0)
     free_bodies = ("ball",)
     contact_sites = (("ball", 0),)
 

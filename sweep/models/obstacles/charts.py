@@ -41,6 +41,18 @@ def ahead_above(edge: Callable[[Any], tuple[Number, Number]]) -> Chart:
     return Chart(("ahead", "above"), at)
 
 
+def approached(foot: Callable[[Any], Number]) -> dict[str, Chart]:
+    """Charts of the floor before what robots come to along -y, whose foot is at y (m): for feet, and for bases."""
+
+    def on_floor(owner: Any, side: float, unit: Number, depth: Number, aside: Number, before: Number) -> Array:
+        return point(side * aside * unit, foot(owner) + before * unit, -depth)
+
+    def base(owner: Any, side: float, unit: Number, depth: Number, before: Number, above: Number) -> Array:
+        return point(0.0, foot(owner) + before * unit, above * unit)
+
+    return {"floor": Chart(("aside", "before"), on_floor), "foot": Chart(("before", "above"), base)}
+
+
 def point(x: Number, y: Number, z: Number) -> Float[Array, " 3"]:
     """A vector of numbers that may be traced."""
     return jnp.stack([jnp.asarray(value, float) for value in (x, y, z)])

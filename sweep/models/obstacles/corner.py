@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
-from sweep.models.obstacles.charts import Chart, Number, ahead_above, point
+from sweep.models.obstacles.charts import Chart, Number, ahead_above, approached, point
 from sweep.models.obstacles.fixed import Fixed
 from sweep.models.obstacles.surface import Bodies, Surface
 from sweep.models.solids import HalfSpace, Prism, Solid, maths
@@ -33,8 +33,9 @@ class Corner(Fixed):
 
     Two walls that meet in the world's z axis and open towards -y, symmetric about the plane x = 0."""
 
-    # `edge`, for bases, begins where the corner's edge ends
+    # `edge`, for bases, begins where the corner's edge ends; `floor`, and `foot` for bases, where it begins
     charts: ClassVar = {
+        **approached(lambda of: 0.0),
         "wall": Chart(("aside", "above"), on_wall),
         "roof": Chart(("aside", "ahead"), on_roof),
         "edge": ahead_above(lambda of: (0.0, of.height)),

@@ -17,6 +17,7 @@ class Fixed(ABC):
     """An obstacle without free bodies: a kind, sizes, solids and a surface are all that it needs to say."""
 
     free_bodies: tuple[str, ...] = ()
+    forward: tuple[float, float] = (0.0, -1.0)
     heights: tuple[str, ...] = ()
     lying: tuple[str, ...] = ()
     stood_on: tuple[str, ...] = ()

@@ -15,7 +15,7 @@ from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import matrix
 from sweep.models.frames import fixed
-from sweep.models.obstacles.charts import Chart, Number, point
+from sweep.models.obstacles.charts import Chart, Number, approached, point
 from sweep.models.obstacles.free import Free
 from sweep.models.obstacles.geoms import add_solids, add_touching, invisible
 from sweep.models.obstacles.surface import FOOT_RADIUS, Bodies, FreeState, Surface, own_axes
@@ -38,25 +38,11 @@ def on_rung(
     return point(side * aside * unit, of.up(rung) + depth, out * of.rung_depth)
 
 
-def on_floor(
-    of: "Ladder", side: float, unit: Number, depth: Number, aside: Number, before: Number
-) -> Float[Array, " 3"]:
-    """A point `before` the ladder's lower end."""
-    return point(side * aside * unit, of.foot + before * unit, -depth)
-
-
 def on_ledge(
     of: "Ladder", side: float, unit: Number, depth: Number, aside: Number, ahead: Number
 ) -> Float[Array, " 3"]:
     """A point beyond the ledge's edge."""
     return point(side * aside * unit, -ahead * unit, of.ledge_height - depth)
-
-
-def before_it(
-    of: "Ladder", side: float, unit: Number, depth: Number, before: Number, above: Number
-) -> Float[Array, " 3"]:
-    """A base `before` the ladder's lower end and above the floor."""
-    return point(0.0, of.foot + before * unit, above * unit)
 
 
 def along(
@@ -124,9 +110,8 @@ class Ladder(Free):
     # of feet, then of bases; feet on rungs, and the base along it, go with the ladder
     charts: ClassVar = {
         "rung": Chart(("rung", "aside", "out"), on_rung, fixed(0)),
-        "floor": Chart(("aside", "before"), on_floor),
+        **approached(lambda of: of.foot),
         "ledge": Chart(("aside", "ahead"), on_ledge),
-        "foot": Chart(("before", "above"), before_it),
         "along": Chart(("up", "out", "pitch", *MORE), along, fixed(0), pitch=pitched, optional=3),
         "over": Chart(("ahead", "above", "pitch", *MORE), over, pitch=pitched, optional=3),
     }

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
-from sweep.models.obstacles.charts import Chart, Number, ahead_above, point
+from sweep.models.obstacles.charts import Chart, Number, ahead_above, approached, point
 from sweep.models.obstacles.fixed import Fixed
 from sweep.models.obstacles.surface import Bodies, Surface
 from sweep.models.solids import SOIL, Box, Cylinder, HalfSpace, Solid
@@ -40,8 +40,10 @@ def on_ledge(
 class PoleLedge(Fixed):
     """Pole along the world's z axis; the ledge fills y < -radius, z < ledge_height."""
 
-    # `axis` and `brink`, for bases, begin at the height of the pole's top: on its axis, and over the ledge's edge
+    # `axis` and `brink`, for bases, begin at the height of the pole's top: on its axis, and over the ledge's edge;
+    # `floor`, and `foot` for bases, at the foot of its axis
     charts: ClassVar = {
+        **approached(lambda of: 0.0),
         "side": Chart(("ahead", "above"), on_side),
         "top": Chart(("aside", "ahead"), on_top),
         "ledge": Chart(("aside", "ahead"), on_ledge),

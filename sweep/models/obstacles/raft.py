@@ -56,6 +56,7 @@ class Raft(Free):
     laden: float = quantity(0.0, "kg", at_least=0)  # under which it floats at the start: of what is put on it then
     mooring: float = quantity(0.0, "N/m", at_least=0)  # of ropes that hold the raft where it starts; 0: none
 
+    forward = (1.0, 0.0)
     free_bodies = ("raft",)
     contact_sites = tuple((f"edge{k}", 0) for k in range(4))
 

@@ -90,6 +90,11 @@ class Obstacle(Protocol):
         ...
 
     @property
+    def forward(self) -> tuple[float, float]:
+        """The way that robots come, in the plane."""
+        ...
+
+    @property
     def heights(self) -> tuple[str, ...]:
         """Sizes that say how high something is where feet are set down: planned for as larger while uncertain."""
         ...

@@ -16,7 +16,7 @@ from sweep.controllers.manoeuvres.afloat.statics import refuse
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
 from sweep.controllers.moves import Move, Terms, moves, staged, stages_of, standing
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import REGRIP, Plan, Stage, Stance, assemble, named, reference
+from sweep.controllers.plan import REGRIP, Plan, Stage, Stance, assemble, led_by, reference
 from sweep.controllers.support import ALONGSIDE, STAYS, TO_VELOCITY, Support
 from sweep.controllers.tracker import Guidance, TrackerState
 from sweep.core.parameters import choice, count, parameters, quantity
@@ -34,6 +34,9 @@ HIPS = (-0.5, -0.5, 0.0, 0.0, 0.5, 0.5)  # a_r, ahead of the base's centre
 MARGIN = 0.1  # a_r, on both sides of an edge, that footholds leave out
 PATIENCE = 3.0  # times that of coasting, for which a raft that was pushed too little is waited for
 FIRST = -0.75  # a_r, of the base, before it boards
+# Laws: pushing off; coasting, until the raft is at the other bank; finding the place where it has come to; pulling it
+# in; and going on as planned from that place.
+PUSH, WAIT, REACH, PULL, ASHORE = "push", "wait", "reach", "pull", "ashore"
 NAMES = {leg: name for name, (leg,) in SIDED.items()}
 
 
@@ -90,7 +93,7 @@ class RaftCross:
         ashore, there, end = (move.base[chart][0] for move, chart in (
             (aboard[-1], "on_deck"), (reached[0], "on_deck_far"), (landed[-1], "by_far")))  # fmt: skip
         over = (raft.length / length + there - ashore) / self.steps
-        pull = replace(reached[-1], feet={}, seconds=self.pull, support="pulled")
+        pull = replace(reached[-1], feet={}, seconds=self.pull, support="pulled", law=PULL)
         at = standing(feet, 0.0)
         approach, at = staged(tripods(first, self.approach, self.stride_ratio, "by_near", "near"), how, at, "approach.")
         board, at = stages_of("board", how, at)
@@ -101,7 +104,7 @@ class RaftCross:
         pulls, at = staged({f"pull{k + 1}": pull for k in range(self.pulls)}, how, at, "")
         land, at = stages_of("land", how, at)
         leave = tripods(end, self.leave, self.stride_ratio, "by_far", "far")
-        off, _ = staged(leave, how, at, "leave.")
+        off, _ = staged({name: replace(move, law=ASHORE) for name, move in leave.items()}, how, at, "leave.")
         stages = [
             Stage("stand", 0.5, onset=REGRIP),
             *approach,
@@ -114,7 +117,7 @@ class RaftCross:
             *pulls,
             *land,
             *off,
-            Stage("halt", 1.0, onset=REGRIP),
+            Stage("halt", 1.0, law=ASHORE, onset=REGRIP),
         ]
         return assemble(start, stages, self.patience, ease=self.ease, free=raft.start(), afloat=True)
 
@@ -136,8 +139,8 @@ class RaftCross:
         along = jnp.array([1.0, 0.0, 0.0])
         supports = {"free": (Support(),), "stays": (STAYS,),
                     **{name: (Support(ALONGSIDE, position=x * along),) for name, x in berths.items()}}  # fmt: skip
-        return Terms(belief, length, self.swing, self.lift_ratio * length, depths, charts, (1.0, 0.0), supports,
-                     {"onset": REGRIP})  # fmt: skip
+        return Terms(belief, length, self.swing, self.lift_ratio * length, depths, charts, supports,
+                     (PUSH, WAIT, REACH, PULL, ASHORE), {"onset": REGRIP})  # fmt: skip
 
     def pushing(self, belief: Case, stage: Stage, push: Crossing) -> Stage:
         """Raft and robot gain speed at a constant force, with the turn that a push beside the middle gives.
@@ -170,13 +173,12 @@ class RaftCross:
     ) -> Guidance:
         """As planned, but ashore at the place where the raft has come to."""
         stage = state.stage
-        lies = named(plan, stage, "reach", "land.rise")
         gap = jnp.min(far_gaps(belief.on(Raft), seen.free))
         short = jnp.where((gap > self.near) & (gap < MARGIN * belief.robot.body_length), gap, 0.0)
         come = jnp.stack([-short, seen.free.position[0, 1], jnp.zeros_like(short)])
-        along = jnp.where(begins & lies, come, state.memory)
+        along = jnp.where(begins & led_by(plan, stage, REACH), come, state.memory)
         frames = jnp.append(plan.foot_frame[stage], plan.base_frame[stage])
-        ashore = named(plan, stage, "reach", "pull", "land", "leave", "halt") & (frames == WORLD)
+        ashore = led_by(plan, stage, REACH, PULL, ASHORE) & (frames == WORLD)
         shifts = jnp.where(ashore[:, None], along, 0.0)
         goal, position = plan.foothold[stage] + shifts[:6], plan.position.at[stage].add(shifts[6])
         phase = jnp.clip(state.clock / plan.duration[stage], 0.0, 1.0)
@@ -186,7 +188,7 @@ class RaftCross:
     def ends(self, belief: Case, plan: Plan, state: TrackerState, seen: Observation) -> Bool[Array, ""]:
         """The wait, as soon as the raft is there, or still before the bank; a pull, when it lies along the bank."""
         gaps = far_gaps(belief.on(Raft), seen.free) + state.memory[0]
-        waits, pulls = named(plan, state.stage, "wait"), named(plan, state.stage, "pull")
+        waits, pulls = led_by(plan, state.stage, WAIT), led_by(plan, state.stage, PULL)
         still = jnp.abs(seen.free.velocity[0, 0]) < self.slow
         met = (jnp.min(gaps) < self.near) | (still & (jnp.min(gaps) < MARGIN * belief.robot.body_length))
         return (waits & met) | (pulls & (jnp.max(gaps) < self.close) & still)

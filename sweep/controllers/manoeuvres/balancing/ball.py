@@ -77,11 +77,12 @@ def terms(
     deepening: Array | float,
     press: tuple[Array | float, Array | float],
     supports: Mapping[str, tuple[Support, ...]],
+    laws: tuple[str, ...] = (),
 ) -> Terms:
     """Of moves on balls and beside them, lengths in `unit` (m), how feet stand in m: see `Terms` and `Stage.press`."""
     depths = dict.fromkeys(charts(belief.obstacle), deepening)
-    return Terms(belief, unit, 1.0, unit, depths, forward=(1.0, 0.0), supports=supports,
-                 stage={"onset": GRIP, "press": press})  # fmt: skip
+    return Terms(belief, unit, 1.0, unit, depths, supports=supports,
+                 laws=laws, stage={"onset": GRIP, "press": press})  # fmt: skip
 
 
 def refuse_start(belief: Case, start: Callable[[], Stance]) -> None:
@@ -274,8 +275,8 @@ class BallDrive(OnBall):
         perched = perch(belief, self)
         return assemble(on_ball(belief, perched), self.steps_of(perched, "step"), self.patience, ease=self.ease)
 
-    def steps_of(self, perched: Perch, name: str, first: float = 1.0) -> list[Stage]:
-        """Tripods in turn; standing feet on the ball's axes, swinging ones in its Koenig frame.
+    def steps_of(self, perched: Perch, law: str, first: float = 1.0) -> list[Stage]:
+        """Tripods in turn, named by their law; standing feet on the ball's axes, swinging ones in its Koenig frame.
 
         The `first` takes a share of a step's time: half of it where the ball rolls already, and its feet start in the
         middle of the way that they go with it.
@@ -286,8 +287,8 @@ class BallDrive(OnBall):
             swing = {leg: perched.feet[leg - 1] for leg in legs}
             frames = tuple(koenig(0) if leg in legs else fixed(0) for leg in LEGS)
             time = self.step_time * (1.0 if k else first)
-            stages.append(Stage(f"{name}{k + 1}", time, swing, CYCLE_A, position=perched.position,
-                                foot_frames=frames, base_frame=koenig(0), onset=REGRIP))  # fmt: skip
+            stages.append(Stage(f"{law}{k + 1}", time, swing, CYCLE_A, position=perched.position,
+                                foot_frames=frames, base_frame=koenig(0), law=law, onset=REGRIP))  # fmt: skip
         return stages
 
     def memory(self, belief: Case, plan: Plan) -> DriveMemory:

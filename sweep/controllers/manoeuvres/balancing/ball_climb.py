@@ -60,7 +60,7 @@ class BallClimb(BesideBall):
         start, at = self.begin(belief)
         stages, at = stages_of("approach", self.terms(belief, self.deepening, (0.0, 0.0)), at, "")
         held = self.terms(belief, self.deepening + self.press, (self.press, self.squeeze))
-        for part, prefix in (("hold", ""), ("ride", RIDE), ("stand", "")):
+        for part, prefix in (("hold", ""), ("ride", "ride."), ("stand", "")):
             more, at = stages_of(part, held, at, prefix)
             stages += more
         return start, stages
@@ -76,7 +76,7 @@ class BallClimb(BesideBall):
         rolls = Support(TO_VELOCITY, jnp.zeros(3).at[0].set(self.push_speed),
                         jnp.zeros(3).at[1].set(self.push_speed / radius))  # fmt: skip
         supports = {"free": (Support(),), "rests": (RESTS,), "rolls": (rolls,)}
-        return terms(belief, radius, deepening, press, supports)
+        return terms(belief, radius, deepening, press, supports, (RIDE,))
 
     def refuse(self, belief: Case) -> None:
         """Raise `InputError` where the front feet do not reach so high that friction holds them: (3.1.18)-(3.1.22)."""

@@ -24,7 +24,7 @@ from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.models.case import Case
 from sweep.models.obstacles.ledges import Ledges
 
-ROLLS = "roll"
+ROLLS, ON, OFF = "roll", "on", "off"
 
 
 class Docking(NamedTuple):
@@ -109,7 +109,7 @@ class BallLedges(OnBall, InParts):
     def terms(self, belief: Case) -> Terms:
         """Of moves between ledges and ball."""
         press, supports = (self.press, self.squeeze), {"free": (Support(),), "rests": (RESTS,)}
-        return terms(belief, belief.robot.body_length, self.deepening, press, supports)
+        return terms(belief, belief.robot.body_length, self.deepening, press, supports, (ON, OFF))
 
     @property
     def drive(self) -> BallDrive:

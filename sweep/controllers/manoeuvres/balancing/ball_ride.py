@@ -17,7 +17,7 @@ from sweep.models.case import Case
 from sweep.models.obstacles.ball import Ball, nose_up, tangent
 from sweep.models.robot import total_mass
 
-RIDE, UP = "ride.", "up"
+RIDE = "ride"
 LAG, FARTHEST = 0.3, 0.03  # s, in which the base leans aside, and how far at most (m)
 
 
@@ -99,13 +99,13 @@ class Ride(NamedTuple):
 
     def ends(self, belief: Case, plan: Plan, state: TrackerState, seen: Observation) -> Bool[Array, ""]:
         """On top, in the last stage."""
-        last = jnp.asarray(plan.names.index(RIDE + UP))
+        last = _first(plan) + plan.laws.count(RIDE) - 1
         return (state.stage == last) & (state.memory.elevation >= 0.5 * np.pi - 1e-4)
 
 
 def _first(plan: Plan) -> int:
     """Number of the ride's first stage."""
-    return [name.startswith(RIDE) for name in plan.names].index(True)
+    return plan.laws.index(RIDE)
 
 
 def about_aside(angle: Array) -> Float[Array, " 4"]:

@@ -36,7 +36,7 @@ from sweep.models.legs import LEGS
 from sweep.models.obstacles.surface import FreeState
 from sweep.models.obstacles.two_balls import TwoBalls
 
-ROLLS, OVER = "roll", "over."
+ROLLS, OVER = "roll", "over"
 
 
 def apart(balls: TwoBalls, free: FreeState) -> Float[Array, ""]:
@@ -170,7 +170,7 @@ class BallToBall(OnBall, InParts):
         """From ball to ball, as if they stood still, touching."""
         feet = dict(zip(LEGS, perch(belief, self).feet, strict=True))
         supports = {"free": (Support(),) * 2, "together": (Support(TOGETHER),) * 2}
-        how = terms(belief, belief.robot.body_length, self.deepening, (self.press, self.squeeze), supports)
+        how = terms(belief, belief.robot.body_length, self.deepening, (self.press, self.squeeze), supports, (OVER,))
         return stages_of("over", how, standing(feet, 0.0, fixed(0)))[0]
 
     def refuse(self, belief: Case) -> None:

@@ -12,7 +12,7 @@ from sweep.controllers.manoeuvres.balancing.parts import InParts, Steps
 from sweep.controllers.tracker import Guided
 from sweep.core.parameters import count, parameters, quantity
 
-CALM = "calm"  # how the names of steps that stop the ball begin
+CALM = "calm"  # law of steps that stop the ball
 
 
 @parameters

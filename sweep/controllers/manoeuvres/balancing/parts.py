@@ -1,4 +1,4 @@
-"""Manoeuvres in parts: some stages follow laws of their own, known by how their names begin, the others the plan."""
+"""Manoeuvres in parts: some stages follow laws of their own, the others the plan."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool
 
 from sweep.controllers.manoeuvres.balancing.ball import BallDrive, DriveMemory
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import Plan, Stage, named, reference
+from sweep.controllers.plan import Plan, Stage, led_by, reference
 from sweep.controllers.support import Support
 from sweep.controllers.tracker import Eventful, Guidance, Guided, TrackerState
 from sweep.models.case import Case
@@ -24,7 +24,7 @@ class InParts(ABC):
     @property
     @abstractmethod
     def parts(self) -> Mapping[str, Guided]:
-        """Its laws, by how the names of their stages begin."""
+        """Its laws, by their names."""
 
     def memory(self, belief: Case, plan: Plan) -> dict[str, Any]:
         """Of each part."""
@@ -40,7 +40,7 @@ class InParts(ABC):
         memory = dict(state.memory)
         for name, part in self.parts.items():
             told = part.guide(belief, plan, state._replace(memory=state.memory[name]), seen, begins, period)
-            now, before = named(plan, stage, name), (wanted, goal, state.memory[name])
+            now, before = led_by(plan, stage, name), (wanted, goal, state.memory[name])
             wanted, goal, memory[name] = jax.tree.map(lambda a, b, now=now: jnp.where(now, a, b), tuple(told), before)
         return Guidance(wanted, goal, memory)
 
@@ -50,7 +50,7 @@ class InParts(ABC):
         for name, part in self.parts.items():
             if isinstance(part, Eventful):
                 own = state._replace(memory=state.memory[name])
-                over = over | (named(plan, state.stage, name) & part.ends(belief, plan, own, seen))
+                over = over | (led_by(plan, state.stage, name) & part.ends(belief, plan, own, seen))
         return over
 
 

@@ -17,7 +17,7 @@ from sweep.core.parameters import choice, count, parameters
 from sweep.models.case import Case
 from sweep.models.obstacles.charts import ahead_above
 
-PRESSED = "top.regrip"  # feet are pressed in less deep, where no planned forces hold them
+PRESS = "press"  # law of moves for feet that are pressed in, left out where planned forces hold them
 
 
 @parameters
@@ -36,7 +36,9 @@ class PoleTop(OnPole):
     def terms(self, site: PoleSite, belief: Case, unit: Array | float) -> Terms:
         """Of moves on the pole, lengths in `unit` (m); the chart `hang` is for a base beside the pole."""
         hang = ahead_above(lambda pole: (site.standoff, pole.height))
-        return Terms(belief, unit, site.step.time, site.step.height, {"side": self.deepening}, {"hang": hang})
+        return Terms(
+            belief, unit, site.step.time, site.step.height, {"side": self.deepening}, {"hang": hang}, laws=(PRESS,)
+        )
 
     def ascend(self, site: PoleSite, belief: Case) -> tuple[Stance, list[Stage], Standing]:
         """Climb until the base's front edge is x* below the top, and go on to the top; where it stands then."""
@@ -46,7 +48,7 @@ class PoleTop(OnPole):
         terms, stages, at = self.terms(site, belief, site.length), [], standing(feet, np.pi / 2)
         for part in ("edge", "over", "top"):
             more, at = stages_of(part, terms, at)
-            stages += [stage for stage in more if stage.name != PRESSED or self.forces != "planned"]
+            stages += [stage for stage in more if stage.law != PRESS or self.forces != "planned"]
         return start, [*climb, *self.rested(stages)], at
 
     def plan(self, belief: Case) -> Plan:

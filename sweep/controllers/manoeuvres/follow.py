@@ -1,0 +1,92 @@
+"""What a plan's file says and nothing else: the moves of its parts, one after the other."""
+
+from typing import ClassVar
+
+import jax.numpy as jnp
+import numpy as np
+
+from sweep.controllers.forces import PlannedForces
+from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
+from sweep.controllers.moves import Terms, placed, stages_of
+from sweep.controllers.plan import GRIP, STAND, Plan, Stage, Stance, assemble, ends
+from sweep.controllers.posture import leg_unit
+from sweep.controllers.refusals import refuse_reach
+from sweep.controllers.support import RESTS, STAYS, TOGETHER, Support
+from sweep.core.errors import InputError
+from sweep.core.parameters import choice, parameters, quantity
+from sweep.core.rotations import about_vertical, exponential, multiply
+from sweep.formulas import stepping
+from sweep.models.case import Case
+from sweep.models.obstacles.charts import Charted, charts
+from sweep.models.obstacles.surface import free_start
+from sweep.models.plan_table import tabled
+
+START = "start"  # part that places the robot
+
+
+@parameters
+class Follow(PlannedForces):
+    """The robot stands as the part `start` of the plan's file places it, and makes the moves of its other parts.
+
+    On any obstacle that offers charts, lengths in `leg_unit`s. Free bodies may be meant to rest (`rests`), to stay
+    where they were (`stays`), or to roll together (`together`).
+    """
+
+    goal: ClassVar = ON_ITS_FEET
+    kind: str = choice("follow", "follow")
+    lift_ratio: float = quantity(0.03, "a_r", above=0, at_most=0.5)  # d_y, how high a swinging foot is lifted
+    rate: float = quantity(3.0, "rad/s", above=0, at_most=20)  # varpi, of the swings, whose time t* it gives
+    deepening: float = quantity(5e-4, "m", at_least=0, at_most=0.05)  # epsilon, footholds inside what they are on
+    press: float = quantity(1.6e-3, "m", at_least=0, at_most=0.05)  # feet on free bodies deeper than they are measured
+    squeeze: float = quantity(0.0, "m", at_least=0, at_most=0.05)  # the same to the middle
+    observer: float = quantity(0.1, "s", at_least=0)  # in which measured poses of free bodies are taken over
+    patience: float = quantity(0.5, "s", at_least=0)  # longest wait for a touchdown
+    # what presses feet on: footholds inside, or forces planned for every stance
+    forces: str = choice("deepening", "deepening", "planned")
+
+    needs = (Charted,)
+    own_plan = ""
+
+    def plan(self, belief: Case) -> Plan:
+        """Stand, the moves, halt.
+
+        Raises `InputError` for what the file lacks, and where a foot is out of reach, by plain numbers.
+        """
+        plan = self.way(belief)
+        refuse_reach(belief, lambda: self.stances(belief), "plan is not allowed: ")
+        return self.with_feedforward(belief, plan) if self.forces == "planned" else plan
+
+    def way(self, belief: Case) -> Plan:
+        """The plan but for its forces."""
+        terms, stages = self.terms(belief), []
+        feet, position, at = placed(START, terms)
+        for part in tabled(belief):
+            if part != START:
+                more, at = stages_of(part, terms, at)
+                stages += more
+        if not stages:
+            raise InputError(f"plan is not allowed: manoeuvre.kind = {self.kind} needs a part with moves")
+        x, y = belief.obstacle.forward
+        level = about_vertical(jnp.asarray(np.arctan2(y, x)))
+        start = Stance(feet, position, multiply(exponential(-jnp.asarray(at.pitch) * terms.left), level))
+        stages = self.loading(stages) if self.forces == "planned" else stages
+        return assemble(start, [Stage("stand", STAND), *stages, Stage("halt", STAND)], self.patience,
+                        free=free_start(belief.obstacle))  # fmt: skip
+
+    def terms(self, belief: Case) -> Terms:
+        """Of its moves."""
+        unit, obstacle = leg_unit(belief.robot), belief.obstacle
+        supports = {"free": Support(), "rests": RESTS, "stays": STAYS, "together": Support(TOGETHER)}
+        bodies = len(obstacle.free_bodies)
+        return Terms(
+            belief, unit, stepping.swing_time(self.rate), self.lift_ratio * unit,
+            dict.fromkeys(charts(obstacle), self.deepening),
+            supports={name: (support,) * bodies for name, support in supports.items()},
+            stage={"onset": GRIP, "press": (self.press, self.squeeze)} if bodies else {},
+        )  # fmt: skip
+
+    def stances(self, belief: Case) -> dict[str, Stance]:
+        """At the ends of the plan's stages, by words that say when."""
+        plan = self.way(belief)
+        last = ends(plan, free_start(belief.obstacle))
+        return {f"at the end of {name}": Stance(*(x[k] for x in last)) for k, name in enumerate(plan.names)}
