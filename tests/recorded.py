@@ -18,9 +18,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from sweep.controllers import tracker
+from sweep.controllers.feedforward import Feedforward
 from sweep.controllers.forces import KNOTS, PlannedForces
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import Feedforward
 from sweep.core.errors import InputError
 from sweep.models.case import Case
 from sweep.models.obstacles.surface import free_start
@@ -96,8 +96,9 @@ def without_forces(case: Case) -> Any:
 def told(plan: Any) -> Any:
     """The plan without what says nothing: how swings are lifted where no foot swings."""
     idle = ~np.any(plan.swing, axis=1)
-    return dataclasses.replace(plan, height=np.where(idle, 0.0, plan.height),
-                               plane=np.where(idle[:, None, None], 0.0, plan.plane))  # fmt: skip
+    height, plane = plan.curve.height, plan.curve.plane
+    curve = plan.curve._replace(height=np.where(idle, 0.0, height), plane=np.where(idle[:, None, None], 0.0, plane))
+    return dataclasses.replace(plan, curve=curve)
 
 
 def _by_stage(key: str, value: np.ndarray, stages: int) -> np.ndarray:
@@ -129,9 +130,10 @@ def tracked(name: str) -> np.ndarray:
             quat = told.quat / jnp.linalg.norm(told.quat)
             told = told._replace(quat=quat, free=free, loaded=error.loaded)
             state, command = tracker.step(case, plan, state, told, period)
+            command = command._replace(shortfall=jnp.max(command.shortfall))
             return (state, (command.target, command.joints)), (state.stage, command)
 
-        start = state, (plan.start, joints)
+        start = state, jax.tree.map(lambda x: jnp.asarray(x, float), (plan.start, joints))
         stage, commands = jax.jit(lambda start, errors: jax.lax.scan(tick, start, errors))(start, errors)[1]
         numbers = {jax.tree_util.keystr(path): np.asarray(value, float)
                    for path, value in jax.tree_util.tree_leaves_with_path(commands)}  # fmt: skip
@@ -147,7 +149,7 @@ def _with_some_forces(case: Case, plan: Any, random: np.random.Generator) -> Any
     stages = len(plan.names)
     offset, inward = ERRORS * random.normal(size=(stages, KNOTS, 6, 3)), random.normal(size=(stages, 6, 3))
     forces = Feedforward(offset, np.zeros(stages), inward, np.float64(manoeuvre.creep), np.float64(manoeuvre.anchoring))
-    return dataclasses.replace(plan, feedforward=jax.tree.map(jnp.asarray, forces))
+    return plan.with_layer(jax.tree.map(jnp.asarray, forces))
 
 
 def read(name: str) -> dict[str, np.ndarray]:

@@ -6,7 +6,6 @@ is a centre of the forces that do nearly as well, not their extreme: it changes 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import Literal, NamedTuple, cast
 
 import jax
@@ -14,8 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from sweep.controllers.feedforward import Feedforward
 from sweep.controllers.frames import ground
-from sweep.controllers.plan import Feedforward, Plan, Stage, Stance, begins, reference, stance_to_world
+from sweep.controllers.plan import Plan, Stage, Stance, begins, reference, stance_to_world
 from sweep.controllers.posture import foot_positions, mass_centre
 from sweep.controllers.tracker import joint_targets
 from sweep.core.constants import GRAVITY
@@ -371,7 +371,7 @@ class PlannedForces:
         inward = -jax.vmap(lambda *feet: surface_normals(belief, *feet))(plan.foothold, plan.foot_frame)
         offset = course.torque / belief.drive.stiffness
         told = (jnp.asarray(x, float) for x in (self.creep, self.anchoring))
-        return replace(plan, feedforward=Feedforward(offset, jnp.max(course.planned.imbalance, axis=-1), inward, *told))
+        return plan.with_layer(Feedforward(offset, jnp.max(course.planned.imbalance, axis=-1), inward, *told))
 
 
 def _solved(m: Float[Array, "6 6"], right: Float[Array, " 6"]) -> Float[Array, " 6"]:

@@ -9,6 +9,8 @@ from jaxtyping import Array, Float, Int
 
 from sweep.controllers import touch
 from sweep.controllers.calibration import Calibrated
+from sweep.controllers.feedforward import Feedforward
+from sweep.controllers.held_legs import HeldLegs
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import Plan, Shift, Stance, stance_to_world
 from sweep.controllers.touch import Touched
@@ -68,7 +70,7 @@ def felt(
     shift = Shift(state.stage, jnp.where(swings[:, None], moves, 0.0))
     patience = jnp.where(jnp.any(searches & swings), jnp.inf, now.patience)
     # with planned forces, those that bear load are anchored where they stand
-    goes = ~swings if plan.feedforward is None else ~swings & ~seen.loaded
+    goes = ~swings if plan.layer(Feedforward) is None else ~swings & ~seen.loaded
     state = state._replace(feet=state.feet + jnp.where(goes[:, None], moves, 0.0))
     return state, replace(now, shift=shift, patience=patience), learned._replace(touched=touched)
 
@@ -80,7 +82,9 @@ def replanned(belief: Case, plan: Plan, stage: Int[Array, ""], learned: Learned)
     """
     old = newest(plan, learned)
     known = informed(belief, learned)
-    fresh = replace(known.manoeuvre.plan(known), start=old.start, feedforward=old.feedforward)
+    fresh = replace(known.manoeuvre.plan(known), start=old.start)
+    if (forces := old.layer(Feedforward)) is not None:
+        fresh = fresh.with_layer(forces)
     there_is = jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(fresh)]))
     left = jnp.arange(plan.duration.shape[0]) > stage
     shortfall = jnp.where(there_is, jnp.max(jnp.where(left, _shortfall(known, fresh), 0.0)), jnp.inf)
@@ -102,8 +106,9 @@ def _shifted(plan: Plan, by: Float[Array, "k 3"]) -> Plan:
         return sum(((frame == fixed(k))[..., None] * by[k] for k in range(by.shape[0])), jnp.zeros(3))
 
     feet, base = off(plan.foot_frame), off(plan.base_frame)
-    return replace(plan, foothold=plan.foothold + feet, guides=plan.guides + feet[..., None, :],
-                   position=plan.position + base, pivot=plan.pivot + base)  # fmt: skip
+    curve = plan.curve._replace(guides=plan.curve.guides + feet[..., None, :])
+    way = plan.way._replace(pivot=plan.way.pivot + base)
+    return replace(plan, foothold=plan.foothold + feet, curve=curve, position=plan.position + base, way=way)
 
 
 def _shortfall(belief: Case, plan: Plan) -> Float[Array, " s"]:
@@ -115,4 +120,5 @@ def _shortfall(belief: Case, plan: Plan) -> Float[Array, " s"]:
         return joint_targets(belief.robot, stance_to_world(stance, feet, base, free))[1]
 
     out = jax.vmap(short)(stances, plan.foot_frame, plan.base_frame)
-    return jnp.max(out if plan.posture is None else jnp.where(plan.posture.held, 0.0, out), axis=1)
+    legs = plan.layer(HeldLegs)
+    return jnp.max(out if legs is None else jnp.where(legs.held, 0.0, out), axis=1)

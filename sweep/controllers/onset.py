@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from sweep.controllers.feedforward import Feedforward
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import GRIP, KEEP, REGRIP, REZERO, Plan, Stance
 from sweep.controllers.posture import feet_in_world
@@ -90,4 +91,5 @@ def _with_error(plan: Plan, ended: Stance, seen: Observation) -> Begun:
     if plan.steered:
         error, turn = error.at[2].set(0.0), jnp.zeros(3).at[2].set(heading(off))
     moved = ended.position + error + rotate(exponential(turn)[None], ended.feet - ended.position)
-    return Begun(ended.feet if plan.feedforward is not None else moved, error, turn)  # anchored feet need not be moved
+    anchored = plan.layer(Feedforward) is not None  # such feet need not be moved
+    return Begun(ended.feet if anchored else moved, error, turn)

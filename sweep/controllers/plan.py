@@ -5,9 +5,9 @@ stand. Numbers come from the belief's parameters, so that plans are built under 
 names are fixed at compile time.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +19,6 @@ from sweep.controllers.support import Support
 from sweep.core.rotations import exponential, multiply, rotate
 from sweep.formulas import stepping
 from sweep.models.frames import WORLD
-from sweep.models.legs import LEGS
 from sweep.models.obstacles.surface import FreeState
 
 CYCLE_A, CYCLE_B, CYCLE_B_SMOOTH, HALF_ELLIPSE = range(4)  # swings; the third spends its way by lambda_1
@@ -73,40 +72,24 @@ class Stage:
     press: tuple[Array | float, Array | float] = (0.0, 0.0)
 
 
-class Posture(NamedTuple):
-    """Legs that follow joint angles instead of footholds, over S stages."""
+class Curves(NamedTuple):
+    """How feet swing, over S stages."""
 
-    held: Bool[Array, "s 6"]
-    joints: Float[Array, "s 6 3"]  # rad, at the end of the stage
-
-
-class Gains(NamedTuple):
-    """Feedback of the middle legs as a flywheel, c_1 ... c_6 of monograph 2.6.2."""
-
-    c1: Array | float  # N/m
-    c2: Array | float  # N s/m
-    c3: Array | float  # N m/rad
-    c4: Array | float  # N m s/rad
-    c5: Array | float  # N m/rad
-    c6: Array | float  # N m s/rad
-    back_emf: Array | float  # N m s/rad, what the drives are believed to lose and make up for
+    cycle: Int[Array, " s"]
+    height: Float[Array, " s"]  # m
+    plane: Float[Array, "s 6 3"]
+    guides: Float[Array, "s 6 2 3"]  # m
+    guided: Bool[Array, "s 6"]  # which swings have guides
+    carry: Float[Array, " s"]
 
 
-class Flywheel(NamedTuple):
-    """How the middle legs balance the body, over S stages."""
+class Ways(NamedTuple):
+    """How the base's way is spent, and along what, over S stages."""
 
-    mode: Int[Array, " s"]
-    gains: Gains
-
-
-class Feedforward(NamedTuple):
-    """Planned foot forces as the drives are told of them, over S stages and K even moments of each."""
-
-    offset: Float[Array, "s k 6 3"]  # rad, that the drives turn into the joint torques wanted
-    imbalance: Float[Array, " s"]  # what the forces leave of the weight; more than a little where none hold it
-    inward: Float[Array, "s 6 3"]  # unit vectors into the surface at the footholds
-    creep: Float[Array, ""]  # m/s, of a foot that has not touched down at the end of its swing
-    anchoring: Float[Array, ""]  # s, in which the foothold of a loaded foot follows the place where it really is
+    pace: Int[Array, " s"]
+    rates: Float[Array, "s 2"]
+    pivot: Float[Array, "s 3"]  # m
+    arc: Float[Array, " s"]  # rad
 
 
 class Shift(NamedTuple):
@@ -126,28 +109,17 @@ class Plan:
     duration: Float[Array, " s"]
     swing: Bool[Array, "s 6"]
     foothold: Float[Array, "s 6 3"]  # at the end of the stage, commanded
-    cycle: Int[Array, " s"]
-    height: Float[Array, " s"]
-    plane: Float[Array, "s 6 3"]
-    guides: Float[Array, "s 6 2 3"]
-    guided: Bool[Array, "s 6"]  # which swings have guides
-    carry: Float[Array, " s"]
+    curve: Curves
     position: Float[Array, "s 3"]  # of the base, at the end
     quat: Float[Array, "s 4"]  # of the base, at the start
     turn: Float[Array, "s 3"]
-    pace: Int[Array, " s"]
-    rates: Float[Array, "s 2"]
-    pivot: Float[Array, "s 3"]
-    arc: Float[Array, " s"]
+    way: Ways
     foot_frame: Int[Array, "s 6"]
     base_frame: Int[Array, " s"]
     press: Float[Array, "s 2"]  # m
     patience: Float[Array, ""]  # s, that a stage waits for its swing feet to touch down
     support: Support | None = None  # leading axes (s, k); None where all bodies are where they are seen
-    ease: Float[Array, ""] | None = None  # s, in which feet go over to where a stage takes them; None: at once
-    posture: Posture | None = None
-    flywheel: Flywheel | None = None
-    feedforward: Feedforward | None = None
+    layers: tuple[Any, ...] = ()  # what is done besides, see `sweep.controllers.layers`
     shift: Shift | None = None
     # whether errors are taken back in the plane, with the heading's
     steered: bool = field(default=False, metadata={"static": True})
@@ -156,86 +128,13 @@ class Plan:
     # whether water carries the free bodies: height and tilt are then as they are seen, whatever a stage means
     afloat: bool = field(default=False, metadata={"static": True})
 
+    def layer[T](self, kind: type[T]) -> T | None:
+        """The one of a class, if there is one."""
+        return next((layer for layer in self.layers if isinstance(layer, kind)), None)
 
-def assemble(
-    start: Stance, stages: Sequence[Stage], patience: Array | float, gains: Gains | None = None, steered: bool = False,
-    ease: Array | float | None = None, free: FreeState | None = None, afloat: bool = False,
-) -> Plan:  # fmt: skip
-    """The table of `stages` from the stance `start` (world axes) on; `gains` are those of the flywheel, if any.
-
-    Where free bodies are as in `free` at the start, what no stage moves stays where it is in the world, whatever the
-    frames of the stages; without them it stays as it is in the frames.
-    """
-    rows, (feet, position, quat) = [], start
-    before = Stage("start", 0.0)
-    for stage in stages:
-        if free is not None and _moves_frames(before, stage):
-            was, now = ((jnp.array(s.foot_frames, jnp.int32), jnp.int32(s.base_frame)) for s in (before, stage))
-            world = stance_to_world(Stance(feet, position, quat), *was, free)
-            feet, position, quat = stance_to_frame(world, *now, free)
-        before = stage
-        swing = jnp.array([leg in stage.swing for leg in LEGS])
-        guides, guided = jnp.zeros((6, 2, 3)), jnp.array([leg in stage.guides for leg in LEGS])
-        for leg, foothold in stage.swing.items():
-            feet = feet.at[leg - 1].set(foothold)
-        for leg, points in stage.guides.items():
-            guides = guides.at[leg - 1].set(points)
-        position = position if stage.position is None else stage.position
-        turn = jnp.zeros(3) if stage.turn is None else stage.turn
-        pivot = jnp.zeros(3) if stage.pivot is None else stage.pivot
-        rows.append({
-            "duration": jnp.asarray(stage.duration, float), "swing": swing, "foothold": feet,
-            "cycle": jnp.int32(stage.cycle), "height": jnp.asarray(stage.height, float),
-            "plane": jnp.broadcast_to(jnp.asarray(stage.plane, float), (6, 3)), "guides": guides, "guided": guided,
-            "carry": jnp.asarray(stage.carry, float), "position": position, "quat": quat,
-            "turn": turn, "pace": jnp.int32(stage.pace), "rates": jnp.asarray(stage.rates, float),
-            "pivot": pivot, "arc": jnp.asarray(stage.arc, float),
-            "foot_frame": jnp.asarray(stage.foot_frames, jnp.int32), "base_frame": jnp.int32(stage.base_frame),
-            "press": jnp.stack([jnp.asarray(depth, float) for depth in stage.press]),
-        })  # fmt: skip
-        if stage.turn is not None:
-            # a barrier, or the compiler writes out anew at every stage all turns before it
-            quat = jax.lax.optimization_barrier(multiply(exponential(turn), quat))
-    table = {key: jnp.stack([row[key] for row in rows]) for key in rows[0]}
-    names = tuple(stage.name for stage in stages)
-    mode = jnp.array([stage.flywheel for stage in stages], jnp.int32)
-    flywheel = None if gains is None else Flywheel(mode, jax.tree.map(lambda x: jnp.asarray(x, float), gains))
-    onset, laws = tuple(stage.onset for stage in stages), tuple(stage.law for stage in stages)
-    ease = None if ease is None else jnp.asarray(ease, float)
-    return Plan(names=names, start=start, patience=jnp.asarray(patience, float), posture=_postures(stages),
-                flywheel=flywheel, feedforward=None, shift=None, steered=steered, onset=onset, laws=laws,
-                support=_supports(stages), ease=ease, afloat=afloat, **table)  # fmt: skip
-
-
-def _moves_frames(before: Stage, stage: Stage) -> bool:
-    """Whether the base, or a foot that does not swing, goes over to another frame."""
-    feet = zip(LEGS, before.foot_frames, stage.foot_frames, strict=True)
-    return before.base_frame != stage.base_frame or any(a != b and leg not in stage.swing for leg, a, b in feet)
-
-
-def _supports(stages: Sequence[Stage]) -> Support | None:
-    """How free bodies are meant to move, where a stage says anything of it."""
-    count = max(len(stage.support) for stage in stages)
-    if not count:
-        return None
-    rows = [[Support(*map(jnp.asarray, each)) for each in stage.support or (Support(),) * count] for stage in stages]
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves).reshape(len(rows), count, *leaves[0].shape),
-                        *[each for row in rows for each in row])  # fmt: skip
-
-
-def _postures(stages: Sequence[Stage]) -> Posture | None:
-    """The legs that are held by their joints, from each stage's own words."""
-    if not any(stage.posture for stage in stages):
-        return None
-    kept, angles, held, joints = set(), jnp.zeros((6, 3)), [], []
-    for stage in stages:
-        kept = (kept - set(stage.swing)) | set(stage.posture)
-        for leg, goal in stage.posture.items():
-            angles = angles.at[leg - 1].set(goal)
-        held.append([leg in kept for leg in LEGS])
-        joints.append(angles)
-        kept = kept - set(stage.swing)
-    return Posture(jnp.array(held), jnp.stack(joints))
+    def with_layer(self, layer: Any) -> "Plan":
+        """With this one besides, or in place of that of its class."""
+        return replace(self, layers=(*(one for one in self.layers if not isinstance(one, type(layer))), layer))
 
 
 def moved(plan: Plan, quat: Float[Array, " 4"], by: Float[Array, " 3"]) -> Plan:
@@ -249,9 +148,10 @@ def moved(plan: Plan, quat: Float[Array, " 4"], by: Float[Array, " 3"]) -> Plan:
 
     start = Stance(point(plan.start.feet), point(plan.start.position), multiply(quat, plan.start.quat))
     turned = multiply(jnp.broadcast_to(quat, plan.quat.shape), plan.quat)
-    return replace(plan, start=start, foothold=point(plan.foothold), plane=vector(plan.plane),
-                   guides=point(plan.guides), quat=turned, position=point(plan.position), pivot=point(plan.pivot),
-                   turn=vector(plan.turn))  # fmt: skip
+    curve = plan.curve._replace(plane=vector(plan.curve.plane), guides=point(plan.curve.guides))
+    way = plan.way._replace(pivot=point(plan.way.pivot))
+    return replace(plan, start=start, foothold=point(plan.foothold), curve=curve, quat=turned,
+                   position=point(plan.position), way=way, turn=vector(plan.turn))  # fmt: skip
 
 
 def stance_to_world(stance: Stance, feet: Int[Array, " 6"], base: Int[Array, ""], free: FreeState) -> Stance:
@@ -340,17 +240,19 @@ def goal(plan: Plan, stage: Int[Array, ""]) -> Float[Array, "6 3"]:
 
 def swings(plan: Plan, stage: Int[Array, ""], u: Float[Array, ""], feet: Array, goal: Array) -> Float[Array, "6 3"]:
     """Feet at phase u (0 to 1) of stage number `stage`: those that swing on their way from `feet` to `goal`."""
-    share, height = swing_progress(plan.cycle[stage], plan.carry[stage], u)
-    lift = stepping.lift_direction(goal - feet, plan.plane[stage])
-    along = feet + share * (goal - feet) + plan.height[stage] * height * lift
-    curve = along_guides(feet, plan.guides[stage], goal, share)
-    along = jnp.where(plan.guided[stage][:, None], curve, along)
+    curve = plan.curve
+    share, height = swing_progress(curve.cycle[stage], curve.carry[stage], u)
+    lift = stepping.lift_direction(goal - feet, curve.plane[stage])
+    along = feet + share * (goal - feet) + curve.height[stage] * height * lift
+    guided = along_guides(feet, curve.guides[stage], goal, share)
+    along = jnp.where(curve.guided[stage][:, None], guided, along)
     return jnp.where(plan.swing[stage][:, None], along, feet)
 
 
 def reference(plan: Plan, stage: Int[Array, ""], u: Float[Array, ""], feet: Array, position: Array) -> Stance:
     """What stage number `stage` wants at phase u (0 to 1), having begun with `feet` (6, 3) and base `position`."""
-    done = pace_progress(plan.pace[stage], plan.rates[stage], u)
+    way = plan.way
+    done = pace_progress(way.pace[stage], way.rates[stage], u)
     quat = multiply(exponential(done * plan.turn[stage]), plan.quat[stage])
-    centre = along_arc(position, plan.position[stage], plan.pivot[stage], plan.arc[stage], done)
+    centre = along_arc(position, plan.position[stage], way.pivot[stage], way.arc[stage], done)
     return Stance(swings(plan, stage, u, feet, goal(plan, stage)), centre, quat)

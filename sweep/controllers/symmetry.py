@@ -4,7 +4,6 @@ For plans of feet alone: without postures, flywheel or planned forces; mirrored 
 """
 
 from dataclasses import fields, replace
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -37,15 +36,16 @@ def reversed_in_time(plan: Plan, free: FreeState | None = None) -> Plan:
     free = no_bodies() if free is None else free
     starts, position = jax.vmap(lambda stage: begins(plan, stage, free))(jnp.arange(len(plan.names)))
     frame = jnp.concatenate([plan.foot_frame[:1], plan.foot_frame[:-1]])  # of what a foot came from, and goes back to
-    feet, guides = (_in_frames(points, plan.foot_frame, frame, free) for points in (starts[:, :, None], plan.guides))
+    feet, guides = (
+        _in_frames(points, plan.foot_frame, frame, free) for points in (starts[:, :, None], plan.curve.guides)
+    )
     turned = multiply(exponential(plan.turn), plan.quat)  # the base's attitude at the end of each stage
 
     def back(array: Array) -> Array:
         return jnp.flip(array, axis=0)
 
-    unchanged = ("duration", "swing", "guided", "cycle", "height", "plane", "carry", "pace", "pivot", "arc",
-                 "base_frame")  # fmt: skip
-    table: dict[str, Any] = {name: back(getattr(plan, name)) for name in unchanged}
+    curve = plan.curve._replace(guides=jnp.flip(guides, axis=2))
+    way = plan.way._replace(rates=jnp.flip(plan.way.rates, axis=1))
     return replace(
         plan,
         names=tuple(name.removeprefix(BACK) if name.startswith(BACK) else BACK + name for name in plan.names[::-1]),
@@ -55,11 +55,13 @@ def reversed_in_time(plan: Plan, free: FreeState | None = None) -> Plan:
         position=back(position),
         quat=back(turned),
         turn=back(-plan.turn),
-        rates=back(jnp.flip(plan.rates, axis=1)),
-        guides=back(jnp.flip(guides, axis=2)),
+        duration=back(plan.duration),
+        swing=back(plan.swing),
+        curve=jax.tree.map(back, curve),
+        way=jax.tree.map(back, way),
+        base_frame=back(plan.base_frame),
         onset=plan.onset[::-1],
         laws=plan.laws[::-1],
-        **table,
     )
 
 
@@ -95,22 +97,23 @@ def mirrored(plan: Plan, normal: Float[np.ndarray, " 3"]) -> Plan:
         plan,
         start=Stance(legs(feet[None])[0], position @ mirror, attitude(quat)),
         swing=plan.swing[:, OTHER_SIDE],
-        guided=plan.guided[:, OTHER_SIDE],
         foothold=legs(plan.foothold),
-        plane=legs(plan.plane),
-        guides=legs(plan.guides),
+        curve=plan.curve._replace(
+            guided=plan.curve.guided[:, OTHER_SIDE], plane=legs(plan.curve.plane), guides=legs(plan.curve.guides)
+        ),
         position=plan.position @ mirror,
         quat=attitude(plan.quat),
         turn=-plan.turn @ mirror,
-        pivot=plan.pivot @ mirror,
+        way=plan.way._replace(pivot=plan.way.pivot @ mirror),
     )
 
 
 def joined(first: Plan, *others: Plan) -> Plan:
     """The plans one after the other; each should start in the stance in which the one before it ends."""
     plans = (first, *others)
-    whole = ("start", "patience", "posture", "flywheel", "feedforward", "support", "ease", "shift")
-    arrays = [f.name for f in fields(Plan) if f.name not in whole and not f.metadata.get("static")]
-    table: dict[str, Any] = {name: jnp.concatenate([getattr(plan, name) for plan in plans]) for name in arrays}
+    whole = ("start", "patience", "layers", "support", "shift")
+    names = [f.name for f in fields(Plan) if f.name not in whole and not f.metadata.get("static")]
+    parts = ({name: getattr(plan, name) for name in names} for plan in plans)
+    table = jax.tree.map(lambda *arrays: jnp.concatenate(arrays), *parts)
     words = {key: tuple(word for plan in plans for word in getattr(plan, key)) for key in ("names", "onset", "laws")}
     return replace(first, **words, **table)

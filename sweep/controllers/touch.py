@@ -15,6 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from sweep.controllers import frames
 from sweep.controllers.frames import to_frame, to_world
+from sweep.controllers.held_legs import HeldLegs
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import Plan, Stance
 from sweep.controllers.posture import feet_in_world
@@ -151,7 +152,8 @@ def felt(
 
     places, told, began = feet(seen.angles), feet(state.joints), to_world(state.feet, frame, rest)
     out = jnp.sum((places - to_world(plan.foothold[stage], frame, rest)) * normal, axis=1)
-    goes = jnp.ones(N_LEGS, bool) if plan.posture is None else ~plan.posture.held[stage]
+    legs = plan.layer(HeldLegs)
+    goes = jnp.ones(N_LEGS, bool) if legs is None else ~legs.held[stage]
     stands = goes & ~plan.swing[stage]
     new = stands & seen.loaded & ~so_far.felt
     known, uncertain = _known(so_far, places, out, normal, _variance(control, noise, so_far.obstacle), new)

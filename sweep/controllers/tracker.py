@@ -1,5 +1,7 @@
 """The controller: follows a plan stage by stage, and turns feet and base into joint targets (monograph 1.3, 1.4)."""
 
+import functools
+import operator
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
@@ -7,35 +9,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from sweep.controllers import feedforward, flywheel, onset, support
-from sweep.controllers.frames import attitude_to_world, to_world
+from sweep.controllers import onset, support
+from sweep.controllers.frames import attitude_to_world
+from sweep.controllers.layers import Command, Now
 from sweep.controllers.observation import Observation
 from sweep.controllers.observer import Observer, followed
-from sweep.controllers.plan import (
-    BALANCE,
-    REZERO,
-    Plan,
-    Posture,
-    Stance,
-    goal,
-    reference,
-    stance_to_frame,
-    stance_to_world,
-)
-from sweep.controllers.posture import feet_in_world
-from sweep.core.rotations import conjugate, exponential, logarithm, multiply, rotate
-from sweep.formulas import leg, stepping
+from sweep.controllers.plan import REZERO, Plan, Stance, goal, reference, stance_to_frame, stance_to_world
+from sweep.core.rotations import conjugate, exponential, logarithm, multiply, nearest, rotate
+from sweep.formulas import leg
 from sweep.models.case import Case, Riding
-from sweep.models.drive import Servo
 from sweep.models.obstacles.surface import FreeState, free_start
 from sweep.models.robot import Robot, mount_yaw, mounts
-
-
-class Slack(NamedTuple):
-    """Feet that go over to where a stage takes them to stand. World axes."""
-
-    command: Float[Array, "6 3"]  # m, feet in the last tick, from the origins of their frames
-    left: Float[Array, "6 3"]  # m, from where they stand to where they were commanded before the stage
 
 
 class TrackerState(NamedTuple):
@@ -48,14 +32,13 @@ class TrackerState(NamedTuple):
     error: Float[Array, " 3"]  # m, measured body error when the stage began
     turn: Float[Array, " 3"]  # rad, the same of its attitude, as a rotation vector in world axes
     joints: Float[Array, "6 3"]  # rad, last targets
-    origin: Float[Array, "6 3"]  # rad, targets when the stage began
     finished: Bool[Array, ""]
     goal: Float[Array, "6 3"]  # m, footholds at the end of the stage, in its frames, of a guided manoeuvre
     memory: Any  # of a guided manoeuvre
     observer: Observer | None  # of the obstacle's free bodies, of a manoeuvre on them
-    slack: Slack | None  # in a plan that eases feet over
     free: FreeState | None  # as seen when the stage began, in a plan that means free bodies to move
     told: Stance | None  # in the last tick, in the stage's frames, of a manoeuvre with events
+    layers: tuple[Any, ...]  # states of the plan's layers
 
 
 class Guidance(NamedTuple):
@@ -64,16 +47,6 @@ class Guidance(NamedTuple):
     stance: Stance
     goal: Float[Array, "6 3"]  # m, footholds at the end of the stage
     memory: Any
-
-
-class Command(NamedTuple):
-    """What the controller asks for at the end of a tick."""
-
-    joints: Float[Array, "6 3"]  # rad
-    target: Stance
-    phase: Float[Array, ""]  # of the stage, 0 to 1
-    shortfall: Float[Array, ""]  # m, by how much the worst foot target is out of reach
-    own: tuple[Bool[Array, "6 3"], Servo] | None = None  # which joints do otherwise than go to `joints`, and what
 
 
 def joint_targets(robot: Robot, stance: Stance) -> tuple[Float[Array, "6 3"], Float[Array, " 6"]]:
@@ -131,14 +104,13 @@ def init(belief: Case, plan: Plan) -> TrackerState:
         error=jnp.zeros(3, zero.dtype),
         turn=jnp.zeros(3, zero.dtype),
         joints=joints,
-        origin=joints,
         finished=jnp.asarray(False),
         goal=start.feet,
         memory=memory,
         observer=Observer(free, free) if isinstance(manoeuvre, Riding) else None,
-        slack=None if plan.ease is None else Slack(start.feet, jnp.zeros_like(start.feet)),
         free=None if plan.support is None else free,
         told=start if isinstance(manoeuvre, Eventful) else None,
+        layers=tuple(layer.begun(start, joints) for layer in plan.layers),
     )
 
 
@@ -151,98 +123,72 @@ def step(
         observer = followed(state.observer, seen.free, manoeuvre.observer, period)
         state, seen = state._replace(observer=observer), seen._replace(free=observer.second)
     state = _advance(belief, plan, state._replace(clock=state.clock + period), seen, period)
-    free = bodies(plan, state, seen.free)
-    if plan.feedforward is not None:
-        here = plan, plan.feedforward, state.stage
-        state = state._replace(feet=feedforward.anchored(belief.robot, *here, state.feet, seen, free, period))
     phase = jnp.clip(state.clock / plan.duration[state.stage], 0.0, 1.0)
     begins = (state.stage != old.stage) | ((old.stage == 0) & (old.clock == 0))
+    free = bodies(plan, state, seen.free)
+    now = Now(belief.robot, plan, old.stage, state.stage, state.clock, phase, begins, seen, free, period, state.joints)
+    for layer in plan.layers:
+        state = state._replace(feet=layer.anchored(now, state.feet))
     if isinstance(manoeuvre, Guided):
         wanted, to, memory = manoeuvre.guide(belief, plan, state, seen, begins, period)
         state = state._replace(goal=to, memory=memory)
     else:
         wanted = reference(plan, state.stage, phase, state.feet, state.position)
     if old.told is not None:
-        state = _from_told(plan, old.stage, old.told, state, wanted, begins, free)
-    target = _in_world(plan, state, wanted, phase, free)
-    if state.slack is not None and plan.ease is not None:
-        eased = _eased(plan, state.slack, old.stage, state, begins, target.feet, free)
-        state, target = state._replace(slack=eased[0]), target._replace(feet=eased[1])
+        state = _from_told(now, old.told, state, wanted)
+    target, states = _in_world(now, state, wanted), list(state.layers)
+    for k, layer in enumerate(plan.layers):
+        states[k], target = layer.led(now, states[k], target)
     if state.told is not None:
         frames = plan.foot_frame[state.stage], plan.base_frame[state.stage]
         state = state._replace(told=stance_to_frame(target, *frames, free))
-    if plan.feedforward is not None:
-        target = target._replace(feet=target.feet + feedforward.creep(plan, plan.feedforward, state.stage, state.clock))
+    target = target._replace(feet=_crept(plan, state.stage, state.clock, target.feet))
     joints, shortfall = joint_targets(belief.robot, target)
-    joints = _nearest(joints, state.joints)
-    if plan.posture is not None:
-        held = plan.posture.held[state.stage]
-        joints = jnp.where(held[:, None], _posed(plan.posture, state, phase), joints)
-        shortfall = jnp.where(held, 0.0, shortfall)
-        feet = feet_in_world(belief.robot, target.position, target.quat, joints)
-        target = target._replace(feet=jnp.where(held[:, None], feet, target.feet))
-    command = Command(joints, target, phase, jnp.max(shortfall))
-    if plan.feedforward is not None:
-        command = command._replace(joints=joints + feedforward.offset(plan.feedforward, state.stage, phase))
-    if plan.flywheel is not None:
-        turning, servo = flywheel.order(belief.robot, plan, plan.flywheel, state.stage, seen)
-        joints = jnp.where(turning, seen.angles, joints)  # where position mode takes over from
-        command = command._replace(joints=joints, own=(turning, servo))
-    return state._replace(joints=joints), command
+    command = Command(nearest(joints, state.joints), target, phase, shortfall)
+    for k, layer in enumerate(plan.layers):
+        states[k], command = layer.commanded(now, states[k], command)
+    state = state._replace(joints=command.joints, layers=tuple(states))
+    for layer in plan.layers:
+        command = command._replace(joints=layer.driven(now, command.joints))
+    return state, command
 
 
-def _nearest(joints: Array, to: Array) -> Array:
-    """The same joint angles without a jump by a full turn."""
-    return to + jnp.mod(joints - to + jnp.pi, 2 * jnp.pi) - jnp.pi
+def _crept(plan: Plan, stage: Array, clock: Array, feet: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
+    """Feet (m, world axes) with what layers have them do beyond the plan."""
+    for layer in plan.layers:
+        feet = layer.crept(plan, stage, clock, feet)
+    return feet
 
 
-def _posed(posture: Posture, state: TrackerState, phase: Array) -> Float[Array, "6 3"]:
-    """Joint angles of legs on their straight way in joint space, spent by lambda_1."""
-    goal = _nearest(posture.joints[state.stage], state.origin)
-    return state.origin + stepping.lambda_1(phase, 0.0, 1.0)[0] * (goal - state.origin)
-
-
-def _in_world(plan: Plan, state: TrackerState, wanted: Stance, phase: Array, free: FreeState) -> Stance:
+def _in_world(now: Now, state: TrackerState, wanted: Stance) -> Stance:
     """What the stage wants, with the free bodies as they are seen, or meant to be.
 
-    The body error that the stage began with fades out, unless two feet carry.
+    The body error that the stage began with fades out, unless the base's place says nothing of the feet's.
     """
-    stage = state.stage
-    left = jnp.where(_balancing(plan, stage), 1.0, 1 - phase)
-    feet, position, quat = stance_to_world(wanted, plan.foot_frame[stage], plan.base_frame[stage], free)
+    plan, stage = now.plan, now.stage
+    left = jnp.where(_blind(plan, stage), 1.0, 1 - now.phase)
+    feet, position, quat = stance_to_world(wanted, plan.foot_frame[stage], plan.base_frame[stage], now.free)
     return Stance(feet, position + left * state.error, multiply(exponential(left * state.turn), quat))
 
 
-def _from_told(
-    plan: Plan, before: Array, told: Stance, state: TrackerState, wanted: Stance, begins: Array, free: FreeState
-) -> TrackerState:
+def _from_told(now: Now, told: Stance, state: TrackerState, wanted: Stance) -> TrackerState:
     """The base goes over from where it was told to be to what a stage wants that begins elsewhere.
 
     As the error of one that is rezeroed does, which is measured.
     """
-    stage = state.stage
-    was = stance_to_world(told, plan.foot_frame[before], plan.base_frame[before], free)
-    now = stance_to_world(wanted, plan.foot_frame[stage], plan.base_frame[stage], free)
-    takes = begins & ~jnp.asarray(np.array(plan.onset) == REZERO)[stage]
+    plan, stage = now.plan, now.stage
+    was = stance_to_world(told, plan.foot_frame[now.before], plan.base_frame[now.before], now.free)
+    here = stance_to_world(wanted, plan.foot_frame[stage], plan.base_frame[stage], now.free)
+    takes = now.begins & ~jnp.asarray(np.array(plan.onset) == REZERO)[stage]
     return state._replace(
-        error=jnp.where(takes, was.position - now.position, state.error),
-        turn=jnp.where(takes, logarithm(multiply(was.quat, conjugate(now.quat))), state.turn),
+        error=jnp.where(takes, was.position - here.position, state.error),
+        turn=jnp.where(takes, logarithm(multiply(was.quat, conjugate(here.quat))), state.turn),
     )
 
 
-def _eased(
-    plan: Plan, slack: Slack, before: Array, state: TrackerState, begins: Array, feet: Array, free: FreeState
-) -> tuple[Slack, Float[Array, "6 3"]]:
-    """Feet (m) on their way to where the stage takes them to stand: a jump would have the drives kick."""
-    was, now = (to_world(jnp.zeros((6, 3)), plan.foot_frame[stage], free) for stage in (before, state.stage))
-    left = jnp.where(begins, slack.command + was - feet, slack.left)
-    feet = feet + jnp.clip(1 - state.clock / plan.ease, 0.0, 1.0) * left  # pyright: ignore[reportOperatorIssue]
-    return Slack(feet - now, left), feet
-
-
-def _balancing(plan: Plan, stage: Int[Array, ""]) -> Bool[Array, ""] | bool:
-    """Whether the robot stands on two feet, about which it tilts: its place then says nothing of the feet's."""
-    return plan.flywheel is not None and plan.flywheel.mode[stage] == BALANCE
+def _blind(plan: Plan, stage: Int[Array, ""]) -> Bool[Array, ""] | bool:
+    """Whether a layer has the base tilt, so that its place says nothing of the feet's."""
+    return functools.reduce(operator.or_, (layer.blind(stage) for layer in plan.layers), False)
 
 
 def _advance(belief: Case, plan: Plan, state: TrackerState, seen: Observation, period: float) -> TrackerState:
@@ -265,12 +211,11 @@ def _advance(belief: Case, plan: Plan, state: TrackerState, seen: Observation, p
     following = jnp.where(last, stage, stage + 1)
     meant = bodies(plan, state, seen.free)
     ended = stance_to_world(reached, plan.foot_frame[stage], plan.base_frame[stage], meant)
-    if plan.feedforward is not None:
-        ended = ended._replace(feet=ended.feet + feedforward.creep(plan, plan.feedforward, stage, state.clock))
+    ended = ended._replace(feet=_crept(plan, stage, state.clock, ended.feet))
     begun = onset.begun(belief, plan, following, ended, seen)
-    if plan.flywheel is not None:  # tilted about two feet, it sees nothing of where they are: the error before holds on
+    if (blind := _blind(plan, stage)) is not False:  # it sees nothing of where feet are: the error before holds on
         known = onset.Begun(ended.feet, state.error, state.turn)
-        begun = jax.tree.map(lambda a, b: jnp.where(_balancing(plan, stage), a, b), known, begun)
+        begun = jax.tree.map(lambda a, b: jnp.where(blind, a, b), known, begun)
     frames, free = (plan.foot_frame[following], plan.base_frame[following]), seen.free
     starts = stance_to_frame(ended._replace(feet=begun.feet), *frames, free)
     if plan.support is not None:
@@ -288,7 +233,6 @@ def _advance(belief: Case, plan: Plan, state: TrackerState, seen: Observation, p
         position=starts.position,
         error=begun.error,
         turn=begun.turn,
-        origin=state.joints,
         finished=last,
         free=None if state.free is None else free,
     )

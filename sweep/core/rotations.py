@@ -59,3 +59,8 @@ def matrix(quat: Float[Array, "*b 4"]) -> Float[Array, "*b 3 3"]:
 def wrapped(angle: Float[Array, "*b"]) -> Float[Array, "*b"]:
     """The same angle (rad) between -pi and pi."""
     return jnp.mod(angle + jnp.pi, 2 * jnp.pi) - jnp.pi
+
+
+def nearest(angle: Float[Array, "*b"], to: Float[Array, "*b"]) -> Float[Array, "*b"]:
+    """The same angle (rad) by whole turns nearest to another one."""
+    return to + jnp.mod(angle - to + jnp.pi, 2 * jnp.pi) - jnp.pi

@@ -7,8 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from sweep.controllers.layers import Command
 from sweep.controllers.plan import Plan
-from sweep.controllers.tracker import Command, TrackerState
+from sweep.controllers.tracker import TrackerState
 from sweep.core.parameters import InputError
 from sweep.core.waiting import part
 from sweep.dynamics.step import Limits

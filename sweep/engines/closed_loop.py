@@ -8,11 +8,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.controllers import touch, tracker
+from sweep.controllers.layers import Command
 from sweep.controllers.learned import Learned, at_first, felt, informed, newest, replanned
 from sweep.controllers.observation import Observation, Sensors, install, observe
 from sweep.controllers.plan import Plan, Stance
 from sweep.controllers.posture import feet_in_world
-from sweep.controllers.tracker import Command, TrackerState, joint_targets
+from sweep.controllers.tracker import TrackerState, joint_targets
 from sweep.core.rotations import about_vertical, conjugate, multiply, rotate
 from sweep.metrics import stream
 from sweep.metrics.metric import REST, Tick

@@ -12,6 +12,7 @@ from jax.sharding import PartitionSpec
 from jax.stages import Compiled
 from jaxtyping import Array
 
+from sweep.controllers.feedforward import Feedforward
 from sweep.controllers.learned import Learned, informed, newest
 from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError
@@ -86,7 +87,7 @@ class Mjx:
             plan = batching.nominal_plan(belief)
             check(world, belief, plan)
             self.stages = plan.names
-            self._searches = plan.feedforward is not None
+            self._searches = plan.layer(Feedforward) is not None
             self.duration = float(GRACE * np.sum(np.asarray(plan.duration)))
         self._nominal = world, belief
         self._programs: dict[Any, Programs | Fused] = {}

@@ -14,9 +14,11 @@ from jax.stages import Compiled
 from jaxtyping import Array, Bool, Float
 from mujoco.batch import Batch
 
+from sweep.controllers.feedforward import Feedforward
+from sweep.controllers.flywheel import Flywheel
+from sweep.controllers.layers import Command
 from sweep.controllers.learned import Learned, informed, newest
 from sweep.controllers.plan import Plan
-from sweep.controllers.tracker import Command
 from sweep.core.errors import InputError
 from sweep.core.rotations import exponential, multiply
 from sweep.core.waiting import part
@@ -182,7 +184,7 @@ class Native:
         plan = batching.nominal_plan(belief)
         check(world, belief, plan)
         self.stages = plan.names
-        self._searches = plan.feedforward is not None
+        self._searches = plan.layer(Feedforward) is not None
         self.duration = float(GRACE * np.sum(np.asarray(plan.duration)))
         self.fused = settings.compiler != "xla"
         self._programs: dict[Any, Programs] = {}
@@ -245,7 +247,7 @@ class Native:
             for k in range(most_ticks(plans, self.settings.control_period)):
                 if programs.replan and k % round(CHUNK / self.settings.control_period) == 0:
                     going.change(_loop, programs.replan(belief, plans, going.leave().loop))
-                if plans.flywheel is not None:
+                if plans.layer(Flywheel) is not None:
                     told = _retune(batch, models, told, _gains(going.look(lambda between: between.loop.servo)))
                 controls = _ordered(controls, *going.look(_orders))
                 steps = batch.rollout(self.substeps, controls, CONTROL, RECORD, out=steps)

@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from sweep.controllers.feedforward import Feedforward
 from sweep.controllers.plan import Plan
 from sweep.metrics.metric import Cause, Elapsed, Metric
 
@@ -15,7 +16,8 @@ def figures(found: None, at: Elapsed) -> dict[str, Array]:
 
 def imbalance(plan: Plan) -> Float[Array, " s"]:
     """What planned forces leave of the weight in each stage; nothing where none are planned."""
-    return jnp.zeros_like(plan.duration) if plan.feedforward is None else plan.feedforward.imbalance
+    forces = plan.layer(Feedforward)
+    return jnp.zeros_like(plan.duration) if forces is None else forces.imbalance
 
 
 METRIC = Metric(

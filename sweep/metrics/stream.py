@@ -7,9 +7,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from sweep import metrics
+from sweep.controllers.layers import Command
 from sweep.controllers.learned import Learned
 from sweep.controllers.plan import Plan
-from sweep.controllers.tracker import Command, TrackerState
+from sweep.controllers.tracker import TrackerState
 from sweep.metrics import solver
 from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment, Tick
 from sweep.metrics.outcome import Thresholds, limit_of
@@ -91,7 +92,7 @@ def update(
         state.finished,
         state.position,
         command.target,
-        command.shortfall,
+        jnp.max(command.shortfall),
         tick,
         period,
         time,

@@ -15,6 +15,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep import metrics
+from sweep.controllers.feedforward import Feedforward
+from sweep.controllers.flywheel import Flywheel
 from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError
 from sweep.core.parameters import LARGEST
@@ -51,8 +53,8 @@ def check(case: Case) -> None:
     kind = f"manoeuvre.kind = {case.manoeuvre.kind}"
     reasons = {
         f"obstacle.kind = {case.obstacle.kind} is not allowed: it may move": bool(case.obstacle.free_bodies),
-        f"{kind} is not allowed: it changes its servos' gains": plan.flywheel is not None,
-        f"{kind} is not allowed: it searches forces before it starts": plan.feedforward is not None,
+        f"{kind} is not allowed: it changes its servos' gains": plan.layer(Flywheel) is not None,
+        f"{kind} is not allowed: it searches forces before it starts": plan.layer(Feedforward) is not None,
         "noise is not allowed: an own model has its own": not is_quiet(case.noise),
         "control is not allowed: nothing is learned": (case.control.calibrate, case.control.touch) != ("none", "none"),
     }

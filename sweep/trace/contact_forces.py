@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sweep.controllers.feedforward import between
+from sweep.controllers.feedforward import Feedforward, between
 from sweep.core.constants import GRAVITY
 from sweep.engines.base import Trace
 from sweep.engines.closed_loop import free_state
@@ -43,7 +43,7 @@ def planned(trace: Trace) -> ContactForces | None:
 
 def _plan(belief):
     plan = belief.manoeuvre.plan(belief)
-    return plan, None if plan.feedforward is None else belief.manoeuvre.course(belief, plan).force
+    return plan, None if plan.layer(Feedforward) is None else belief.manoeuvre.course(belief, plan).force
 
 
 def surfaces(trace: Trace, points: np.ndarray, frames: slice | np.ndarray = slice(None)) -> Surface:

@@ -7,6 +7,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from sweep.controllers import forces
 from sweep.controllers.frames import to_world
+from sweep.controllers.held_legs import HeldLegs
 from sweep.controllers.plan import Plan, Stance, begins, reference, stance_to_world
 from sweep.controllers.posture import feet_in_world, leg_points, mass_centre
 from sweep.controllers.tracker import in_hips, joint_targets
@@ -124,13 +125,14 @@ def posed(case: Case, plan: Plan, stage: Array, u: Array) -> tuple[Stance, Float
     stance = reference(plan, stage, u, *begins(plan, stage, free))
     stance = stance_to_world(stance, plan.foot_frame[stage], plan.base_frame[stage], free)
     joints, shortfall = joint_targets(robot, stance)
-    if plan.posture is None:
+    legs = plan.layer(HeldLegs)
+    if legs is None:
         return stance, joints, shortfall
     before = jnp.maximum(stage - 1, 0)
     origin, _ = joint_targets(robot, reference(plan, before, jnp.ones(()), *begins(plan, before, free)))
-    origin = jnp.where(plan.posture.held[before][:, None], plan.posture.joints[before], origin)
-    held = plan.posture.held[stage]
-    way = stepping.lambda_1(u, 0.0, 1.0)[0] * (plan.posture.joints[stage] - origin)
+    origin = jnp.where(legs.held[before][:, None], legs.joints[before], origin)
+    held = legs.held[stage]
+    way = stepping.lambda_1(u, 0.0, 1.0)[0] * (legs.joints[stage] - origin)
     joints = jnp.where(held[:, None], origin + way, joints)
     feet = feet_in_world(robot, stance.position, stance.quat, joints)
     return stance._replace(feet=jnp.where(held[:, None], feet, stance.feet)), joints, jnp.where(held, 0.0, shortfall)

@@ -7,8 +7,9 @@ import pytest
 from playing import play, varied
 
 from sweep.controllers import forces
+from sweep.controllers.assembly import assemble
 from sweep.controllers.manoeuvres.climbing.corner_roof import walk_on
-from sweep.controllers.plan import Plan, assemble
+from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError
 from sweep.core.rotations import matrix
 from sweep.models.case import Case

@@ -67,7 +67,7 @@ def test_up_and_down_feet_go_to_where_they_stand_in_its_frame(plan):
         np.testing.assert_array_equal(way.foot_frame[swing], np.where(body[swing] == 0, fixed(0), WORLD))
     twice = reversed_in_time(way, FREE)
     np.testing.assert_array_equal(twice.foot_frame, plan.foot_frame)
-    np.testing.assert_allclose(twice.guides[plan.guided], plan.guides[plan.guided], atol=1e-5)
+    np.testing.assert_allclose(twice.curve.guides[plan.curve.guided], plan.curve.guides[plan.curve.guided], atol=1e-5)
 
 
 @pytest.mark.slow

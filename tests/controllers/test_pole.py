@@ -106,7 +106,7 @@ def test_its_edges_run_on_two_rails_while_it_pitches_up(case):
 def test_the_pitch_rate_does_not_jump_between_stages(case):
     plan, _, _ = play(case)
     first = plan.names.index("on.front")
-    rates = (plan.rates * plan.arc[:, None] / plan.duration[:, None])[first : first + 5]
+    rates = (plan.way.rates * plan.way.arc[:, None] / plan.duration[:, None])[first : first + 5]
     np.testing.assert_allclose(rates[:-1, 1], rates[1:, 0], rtol=1e-12)
 
 

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from sweep.controllers import onset, tracker
+from sweep.controllers.assembly import assemble
 from sweep.controllers.manoeuvres.balancing.ball import on_ball, perch
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import GRIP, Stage, Stance, assemble
+from sweep.controllers.plan import GRIP, Stage, Stance
 from sweep.controllers.support import (
     KEPT,
     MEASURED,

@@ -10,6 +10,7 @@ import pytest
 
 from sweep.controllers import touch
 from sweep.controllers.calibration import Calibrated
+from sweep.controllers.held_legs import HeldLegs
 from sweep.controllers.learned import Learned, felt, replanned
 from sweep.controllers.observation import Observation
 from sweep.controllers.observer import Observer
@@ -158,8 +159,7 @@ def test_a_leg_that_is_held_by_its_joints_does_not_search():
     ground = touch.planned_on(known, plan, jnp.int32(stage))
     rest = plan, ground, state, known, seen(stance, loaded=False), PERIOD
     _, moves, searches = touch.felt(case.control, case.noise, case.robot, *rest)
-    assert plan.posture is not None
-    held = np.asarray(plan.posture.held[stage])
+    held = np.asarray(plan.layer(HeldLegs).held[stage])
     assert held.sum() == 3
     np.testing.assert_array_equal(searches, ~held)
     np.testing.assert_array_equal(np.any(moves != 0, axis=1), ~held)

@@ -9,8 +9,9 @@ import pytest
 from scipy.linalg import expm
 from simulation import simulate
 
+from sweep.controllers.assembly import assemble
 from sweep.controllers.manoeuvres.walking.walk import Stand, standing
-from sweep.controllers.plan import Plan, Stage, assemble
+from sweep.controllers.plan import Plan, Stage
 from sweep.controllers.posture import mass_centre
 from sweep.controllers.tracker import joint_targets
 from sweep.core.constants import GRAVITY

@@ -5,10 +5,11 @@ from typing import ClassVar
 import jax.numpy as jnp
 import numpy as np
 
+from sweep.controllers.assembly import assemble
 from sweep.controllers.forces import PlannedForces
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
 from sweep.controllers.moves import Terms, placed, stages_of
-from sweep.controllers.plan import GRIP, STAND, Plan, Stage, Stance, assemble, ends
+from sweep.controllers.plan import GRIP, STAND, Plan, Stage, Stance, ends
 from sweep.controllers.posture import leg_unit
 from sweep.controllers.refusals import refuse_reach
 from sweep.controllers.support import RESTS, STAYS, TOGETHER, Support

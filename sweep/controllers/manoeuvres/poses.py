@@ -6,8 +6,9 @@ from typing import ClassVar
 import jax.numpy as jnp
 
 from sweep.controllers import calibration
+from sweep.controllers.assembly import assemble
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
-from sweep.controllers.plan import KEEP, SMOOTH, Plan, Stage, assemble
+from sweep.controllers.plan import KEEP, SMOOTH, Plan, Stage
 from sweep.core.parameters import choice, parameters
 from sweep.core.rotations import conjugate, logarithm, multiply
 from sweep.models.case import Case, Manoeuvre

@@ -54,7 +54,7 @@ class PoleLedge(Fixed):
     kind: str = choice("pole_ledge", "pole_ledge")
     radius: float = quantity(0.42, "m", above=0)  # r, of the pole
     height: float = quantity(2.286660689865613, "m", above=0)  # h, of the pole above the floor
-    ledge_height: float = quantity(2.076660689865613, "m", at_least=0)  # h1, of the ledge above the floor
+    ledge_height: float = quantity(2.076660689865613, "m", above=0)  # h1, of the ledge above the floor
 
     def solids(self, bodies: Bodies) -> tuple[Solid, ...]:
         """The ledge ends where no robot comes."""

@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from sweep.controllers.assembly import assemble
 from sweep.controllers.ball_state import (
     UP,
     angular_momentum,
@@ -27,7 +28,7 @@ from sweep.controllers.gaits import TRIPOD
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
 from sweep.controllers.moves import Terms
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import CYCLE_A, GRIP, KEEP, REGRIP, Plan, Stage, Stance, assemble, swing_progress
+from sweep.controllers.plan import CYCLE_A, GRIP, KEEP, REGRIP, Plan, Stage, Stance, swing_progress
 from sweep.controllers.refusals import refuse_reach
 from sweep.controllers.support import Support
 from sweep.controllers.tracker import Guidance, TrackerState
@@ -306,7 +307,7 @@ class BallDrive(OnBall):
         goal = jnp.where(begins, jnp.where(swings, landing, state.feet), state.goal)
         time = plan.duration[state.stage]
         phase = jnp.clip(state.clock / time, 0.0, 1.0)
-        share, height = swing_progress(plan.cycle[state.stage], jnp.zeros(()), phase)
+        share, height = swing_progress(plan.curve.cycle[state.stage], jnp.zeros(()), phase)
         lift = height * self.lift_ratio * belief.robot.body_length
         on_way = over_ball(state.feet, goal, share, phase, lift)
         feet = jnp.where(swings, on_way, rotate(seen.free.quat, state.feet))

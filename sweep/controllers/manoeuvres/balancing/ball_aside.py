@@ -6,10 +6,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from sweep.controllers.assembly import assemble
 from sweep.controllers.manoeuvres.balancing.ball import OnBall, compensated, on_ball, perch
 from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import KEEP, Plan, Stage, Stance, assemble
+from sweep.controllers.plan import KEEP, Plan, Stage, Stance
 from sweep.controllers.tracker import Guidance, TrackerState
 from sweep.core.constants import GRAVITY
 from sweep.core.parameters import choice, count, parameters, quantity

@@ -14,11 +14,12 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from sweep.controllers.assembly import assemble
 from sweep.controllers.manoeuvres.balancing.ball import on_ball, perch, refuse_start, terms
 from sweep.controllers.manoeuvres.balancing.beside_ball import CALM, BesideBall
 from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.moves import Move, moves, staged, standing
-from sweep.controllers.plan import Plan, Stage, assemble
+from sweep.controllers.plan import Plan, Stage
 from sweep.controllers.support import RESTS, STAYS, Support
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.formulas.ball import ball_omega

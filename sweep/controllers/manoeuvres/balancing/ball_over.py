@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import fields, replace
 from typing import ClassVar
 
+from sweep.controllers.assembly import assemble
 from sweep.controllers.gaits import Step
 from sweep.controllers.manoeuvres.balancing.ball import BallDrive, perch
 from sweep.controllers.manoeuvres.balancing.ball_climb import BallClimb
@@ -13,7 +14,7 @@ from sweep.controllers.manoeuvres.balancing.parts import Steps
 from sweep.controllers.manoeuvres.climbing.walking import AHEAD, EASED, centres, walk_away
 from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.moves import moves
-from sweep.controllers.plan import CYCLE_B, REGRIP, Plan, Stage, assemble
+from sweep.controllers.plan import CYCLE_B, REGRIP, Plan, Stage
 from sweep.controllers.support import STAYS
 from sweep.controllers.tracker import Guided
 from sweep.core.parameters import choice, count, parameters, quantity

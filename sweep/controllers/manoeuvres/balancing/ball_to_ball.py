@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from sweep.controllers.assembly import assemble
 from sweep.controllers.ball_state import centre_of_mass
 from sweep.controllers.manoeuvres.balancing.ball import BallDrive, DriveMemory, OnBall, on_ball, perch, terms
 from sweep.controllers.manoeuvres.balancing.ball_descend import BallDescend
@@ -22,7 +23,7 @@ from sweep.controllers.manoeuvres.balancing.parts import InParts, OfBall, has_ju
 from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.moves import stages_of, standing
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import Plan, Stage, Stance, assemble, ends, reference
+from sweep.controllers.plan import Plan, Stage, Stance, ends, reference
 from sweep.controllers.posture import leg_points
 from sweep.controllers.refusals import plain, refuse_reach
 from sweep.controllers.support import TOGETHER, Support

@@ -11,6 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from sweep.controllers.assembly import assemble
+from sweep.controllers.flywheel import Gains
 from sweep.controllers.gaits import TRIPOD, Step, centre_offsets, regular_steps
 from sweep.controllers.manoeuvres.climbing.walking import TOWARDS
 from sweep.controllers.manoeuvres.goals import ARRIVED, UPRIGHT
@@ -21,11 +23,9 @@ from sweep.controllers.plan import (
     LOCKED,
     SMOOTH,
     STAND,
-    Gains,
     Plan,
     Stage,
     Stance,
-    assemble,
 )
 from sweep.controllers.tracker import joint_targets
 from sweep.core.parameters import choice, count, parameters, quantity

@@ -11,12 +11,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from sweep.controllers.assembly import assemble
 from sweep.controllers.forces import PlannedForces
 from sweep.controllers.gaits import GALLOP, Step
 from sweep.controllers.manoeuvres.climbing.walking import walk_up
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
 from sweep.controllers.moves import numbers_of
-from sweep.controllers.plan import CYCLE_A, CYCLE_B, STAND, Plan, Stage, Stance, assemble
+from sweep.controllers.plan import CYCLE_A, CYCLE_B, STAND, Plan, Stage, Stance
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.formulas import stepping
 from sweep.formulas.leg import SIDE

@@ -1,7 +1,8 @@
 """From a ledge over a pole's top down to the floor: the way up, backwards in time (monograph, end of 2.3)."""
 
+from sweep.controllers.assembly import assemble
 from sweep.controllers.manoeuvres.climbing.pole_ledge import PoleToLedge
-from sweep.controllers.plan import STAND, Plan, Stage, assemble
+from sweep.controllers.plan import STAND, Plan, Stage
 from sweep.controllers.symmetry import reversed_in_time
 from sweep.core.parameters import choice, parameters
 from sweep.models.case import Case

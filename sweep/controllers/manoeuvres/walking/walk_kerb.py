@@ -5,9 +5,10 @@ from dataclasses import replace
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from sweep.controllers.assembly import assemble
 from sweep.controllers.gaits import GAITS, Step, centre_offsets, regular_steps
 from sweep.controllers.manoeuvres.walking.walk import Walk, standing
-from sweep.controllers.plan import STAND, Plan, Stage, assemble
+from sweep.controllers.plan import STAND, Plan, Stage
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.formulas import stepping
 from sweep.models.case import Case

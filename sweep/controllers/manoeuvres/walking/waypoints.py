@@ -7,9 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from sweep.controllers.assembly import assemble
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
 from sweep.controllers.manoeuvres.walking.walk import on_ground, standing
-from sweep.controllers.plan import ELLIPTIC, HALF_ELLIPSE, STAND, Plan, Stage, assemble
+from sweep.controllers.plan import ELLIPTIC, HALF_ELLIPSE, STAND, Plan, Stage
 from sweep.controllers.posture import outward
 from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, parameters, quantity

@@ -1,0 +1,106 @@
+"""From stages in a manoeuvre's own words to the table that a controller can follow."""
+
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from sweep.controllers.easing import Ease
+from sweep.controllers.flywheel import Flywheel, Gains
+from sweep.controllers.held_legs import HeldLegs
+from sweep.controllers.plan import Curves, Plan, Stage, Stance, Ways, stance_to_frame, stance_to_world
+from sweep.controllers.support import Support
+from sweep.core.rotations import exponential, multiply
+from sweep.models.legs import LEGS
+from sweep.models.obstacles.surface import FreeState
+
+
+def assemble(
+    start: Stance, stages: Sequence[Stage], patience: Array | float, gains: Gains | None = None, steered: bool = False,
+    ease: Array | float | None = None, free: FreeState | None = None, afloat: bool = False,
+) -> Plan:  # fmt: skip
+    """The table of `stages` from the stance `start` (world axes) on; `gains` are those of the flywheel, if any.
+
+    Where free bodies are as in `free` at the start, what no stage moves stays where it is in the world, whatever the
+    frames of the stages; without them it stays as it is in the frames.
+    """
+    rows, (feet, position, quat) = [], start
+    before = Stage("start", 0.0)
+    for stage in stages:
+        if free is not None and _moves_frames(before, stage):
+            was, now = ((jnp.array(s.foot_frames, jnp.int32), jnp.int32(s.base_frame)) for s in (before, stage))
+            world = stance_to_world(Stance(feet, position, quat), *was, free)
+            feet, position, quat = stance_to_frame(world, *now, free)
+        before = stage
+        swing = jnp.array([leg in stage.swing for leg in LEGS])
+        guides, guided = jnp.zeros((6, 2, 3)), jnp.array([leg in stage.guides for leg in LEGS])
+        for leg, foothold in stage.swing.items():
+            feet = feet.at[leg - 1].set(foothold)
+        for leg, points in stage.guides.items():
+            guides = guides.at[leg - 1].set(points)
+        position = position if stage.position is None else stage.position
+        turn = jnp.zeros(3) if stage.turn is None else stage.turn
+        pivot = jnp.zeros(3) if stage.pivot is None else stage.pivot
+        rows.append({
+            "duration": jnp.asarray(stage.duration, float), "swing": swing, "foothold": feet,
+            "curve": Curves(
+                jnp.int32(stage.cycle), jnp.asarray(stage.height, float),
+                jnp.broadcast_to(jnp.asarray(stage.plane, float), (6, 3)), guides, guided,
+                jnp.asarray(stage.carry, float),
+            ),
+            "position": position, "quat": quat, "turn": turn,
+            "way": Ways(jnp.int32(stage.pace), jnp.asarray(stage.rates, float), pivot, jnp.asarray(stage.arc, float)),
+            "foot_frame": jnp.asarray(stage.foot_frames, jnp.int32), "base_frame": jnp.int32(stage.base_frame),
+            "press": jnp.stack([jnp.asarray(depth, float) for depth in stage.press]),
+        })  # fmt: skip
+        if stage.turn is not None:
+            # a barrier, or the compiler writes out anew at every stage all turns before it
+            quat = jax.lax.optimization_barrier(multiply(exponential(turn), quat))
+    table = jax.tree.map(lambda *values: jnp.stack(values), *rows)
+    names = tuple(stage.name for stage in stages)
+    onset, laws = tuple(stage.onset for stage in stages), tuple(stage.law for stage in stages)
+    layers = (_ease(ease), _held(stages), _flywheel(stages, gains))
+    return Plan(names=names, start=start, patience=jnp.asarray(patience, float), steered=steered, onset=onset,
+                laws=laws, support=_supports(stages), afloat=afloat,
+                layers=tuple(layer for layer in layers if layer is not None), **table)  # fmt: skip
+
+
+def _ease(time: Array | float | None) -> Ease | None:
+    return None if time is None else Ease(jnp.asarray(time, float))
+
+
+def _flywheel(stages: Sequence[Stage], gains: Gains | None) -> Flywheel | None:
+    mode = jnp.array([stage.flywheel for stage in stages], jnp.int32)
+    return None if gains is None else Flywheel(mode, jax.tree.map(lambda x: jnp.asarray(x, float), gains))
+
+
+def _moves_frames(before: Stage, stage: Stage) -> bool:
+    """Whether the base, or a foot that does not swing, goes over to another frame."""
+    feet = zip(LEGS, before.foot_frames, stage.foot_frames, strict=True)
+    return before.base_frame != stage.base_frame or any(a != b and leg not in stage.swing for leg, a, b in feet)
+
+
+def _supports(stages: Sequence[Stage]) -> Support | None:
+    """How free bodies are meant to move, where a stage says anything of it."""
+    count = max(len(stage.support) for stage in stages)
+    if not count:
+        return None
+    rows = [[Support(*map(jnp.asarray, each)) for each in stage.support or (Support(),) * count] for stage in stages]
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves).reshape(len(rows), count, *leaves[0].shape),
+                        *[each for row in rows for each in row])  # fmt: skip
+
+
+def _held(stages: Sequence[Stage]) -> HeldLegs | None:
+    """The legs that are held by their joints, from each stage's own words."""
+    if not any(stage.posture for stage in stages):
+        return None
+    kept, angles, held, joints = set(), jnp.zeros((6, 3)), [], []
+    for stage in stages:
+        kept = (kept - set(stage.swing)) | set(stage.posture)
+        for leg, goal in stage.posture.items():
+            angles = angles.at[leg - 1].set(goal)
+        held.append([leg in kept for leg in LEGS])
+        joints.append(angles)
+        kept = kept - set(stage.swing)
+    return HeldLegs(jnp.array(held), jnp.stack(joints))
