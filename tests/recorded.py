@@ -8,6 +8,7 @@ errors, and of forces that no one planned: every way through it counts, not wher
 """
 
 import dataclasses
+import re
 import sys
 import zlib
 from pathlib import Path
@@ -29,6 +30,7 @@ from sweep.systems.hexapod import assign
 
 FOLDER = Path(__file__).parent / "data" / "plans"
 TRACKED = FOLDER.parent / "tracked.npz"
+GROUPED = re.compile(r"\.curve|\.way|\.layers\[\d+\]")  # numbers have names of their own
 TICKS = 150  # of a whole plan
 ERRORS = 2e-3  # m, rad and their rates, of what the tracker is told
 LOADED = 0.9  # share of ticks in which a foot bears load
@@ -73,7 +75,7 @@ def planned(name: str, count: int = DRAWS) -> dict[str, np.ndarray]:
             except InputError:
                 sums.append(np.full_like(sums[0], np.nan))
                 continue
-            numbers = {jax.tree_util.keystr(path): np.asarray(value, float)
+            numbers = {GROUPED.sub("", jax.tree_util.keystr(path)): np.asarray(value, float)
                        for path, value in jax.tree_util.tree_leaves_with_path(plan)}  # fmt: skip
             sums.append(sum(_by_stage(key, value, len(plan.names)) for key, value in numbers.items()))
             if not record:
