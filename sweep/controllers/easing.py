@@ -22,12 +22,12 @@ class Slack(NamedTuple):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Ease(Layer):
-    """How long that takes."""
+    """The time in which feet go over."""
 
     time: Float[Array, ""]  # s
 
     def begun(self, start: Stance, joints: Float[Array, "6 3"]) -> Slack:
-        """They stand."""
+        """Feet that stand where they were commanded."""
         return Slack(start.feet, jnp.zeros_like(start.feet))
 
     def led(self, now: Now, own: Slack, target: Stance) -> tuple[Slack, Stance]:

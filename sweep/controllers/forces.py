@@ -75,7 +75,7 @@ class Search(NamedTuple):
     level: Float[Array, " 6"]  # bound of the effort, in weights
 
 
-class Forces(NamedTuple):
+class FootForces(NamedTuple):
     """Planned foot forces, and the most that they ask for."""
 
     force: Float[Array, "6 3"]  # N, of the surface on the foot
@@ -103,7 +103,7 @@ def joint_torque(pose: StaticPose, force: Float[Array, "6 3"]) -> Float[Array, "
     return pose.own_torque - jnp.einsum("lij,li->lj", pose.jacobian, force)
 
 
-def distribute(pose: StaticPose, bounds: Bounds, least: Effort) -> Forces:
+def distribute(pose: StaticPose, bounds: Bounds, least: Effort) -> FootForces:
     """Foot forces in balance within `bounds` that ask for nearly the least of one effort.
 
     The method of centres: a level is set a little above the largest effort, Newton's method takes the forces towards
@@ -141,13 +141,13 @@ def step(least: Effort, sought: Sought, so_far: Search, number: Int[Array, ""]) 
     return _Problem.of(sought).step(so_far, number, least)
 
 
-def asked(pose: StaticPose, force: Float[Array, "6 3"]) -> Forces:
+def asked(pose: StaticPose, force: Float[Array, "6 3"]) -> FootForces:
     """Forces in weights, and what they ask for."""
     scaled = _Scaled.of(pose)
     sound = jnp.all(jnp.isfinite(force))  # far from any solution Newton's method may break down
     force = jnp.where(sound, force, 0.0)
     efforts = {name: jnp.max(scaled.effort(force, name)) for name in _BOUND}
-    return Forces(
+    return FootForces(
         force * pose.weight,
         efforts["friction"],
         efforts["torque"] * pose.weight,
@@ -274,7 +274,7 @@ class _Problem(NamedTuple):
         return Search(jnp.zeros_like(self.scaled.normal), jnp.zeros_like(self.scaled.stands))
 
     def step(self, so_far: Search, number: Array, least: Effort) -> Search:
-        """A Newton step."""
+        """The search a Newton step later."""
         force = jnp.where(number == 0, self.scaled.first(self.bounds), so_far.force)
         slack = jnp.asarray(SLACK, force.dtype)[number] * self.slack
         above = (1 + slack) * jnp.max(self.scaled.effort(force, least))
@@ -292,7 +292,7 @@ class Course(NamedTuple):
 
     force: Float[Array, "s k 6 3"]  # N
     torque: Float[Array, "s k 6 3"]  # N m, of the joints
-    planned: Forces  # the optimum of each moment by itself, leading axes (s, k)
+    planned: FootForces  # the optimum of each moment by itself, leading axes (s, k)
 
 
 def moment(belief: Case, plan: Plan, stage: Int[Array, ""], u: Float[Array, ""]) -> StaticPose:
@@ -384,7 +384,7 @@ def _solved(m: Float[Array, "6 6"], right: Float[Array, " 6"]) -> Float[Array, "
 
 
 def _inverse_3x3(m: Float[Array, "*b 3 3"]) -> Float[Array, "*b 3 3"]:
-    """Inverses by cofactors."""
+    """Inverses of 3x3 matrices by cofactors."""
     x, y, z = m[..., 0, :], m[..., 1, :], m[..., 2, :]
     columns = jnp.stack([jnp.cross(y, z), jnp.cross(z, x), jnp.cross(x, y)], axis=-1)
     determinant = jnp.sum(x * columns[..., :, 0], axis=-1)

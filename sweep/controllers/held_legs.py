@@ -22,7 +22,7 @@ class HeldLegs(Layer):
     joints: Float[Array, "s 6 3"]  # rad, at the end of the stage
 
     def begun(self, start: Stance, joints: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
-        """As it stands."""
+        """The joint angles (rad) at the start."""
         return joints
 
     def commanded(self, now: Now, own: Float[Array, "6 3"], command: Command) -> tuple[Float[Array, "6 3"], Command]:

@@ -65,8 +65,8 @@ WORDS = {"pace": PACES, "swing": CYCLES}
 SIZES = {key: len(names) for key, names in COMPONENTS.items() if key != "base"}  # of lists
 
 
-class Foot(NamedTuple):
-    """Where a foot stands."""
+class Footing(NamedTuple):
+    """Where a foot stands, and with what it goes."""
 
     at: Float[Array, " 3"]  # m, from where its next swing's curve is told
     frame: int = WORLD  # of that
@@ -77,14 +77,14 @@ class Foot(NamedTuple):
 class Standing(NamedTuple):
     """Where the robot stands between two moves."""
 
-    feet: Mapping[int, Foot]  # by leg
+    feet: Mapping[int, Footing]  # by leg
     pitch: Number  # rad, of the base, nose up
     frame: int = WORLD  # of the base
 
 
 def standing(feet: Feet, pitch: Number, frame: int = WORLD) -> Standing:
     """On footholds (m) that no chart tells, feet and base in one frame."""
-    return Standing({leg: Foot(at, frame, frame) for leg, at in feet.items()}, pitch, frame)
+    return Standing({leg: Footing(at, frame, frame) for leg, at in feet.items()}, pitch, frame)
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ class Terms:
     laws: tuple[str, ...] = ()  # that moves may be under
     stage: Mapping[str, Any] = field(default_factory=dict)  # what all stages have besides
 
-    def foot(self, leg: int, place: Place, where: str, depth: Number | None = None) -> Foot:
+    def foot(self, leg: int, place: Place, where: str, depth: Number | None = None) -> Footing:
         """Of a leg at a place, at the usual depth or another one (m). Raises `InputError` of what stands `where`."""
         name, chart, numbers = self.chart(place, where)
         if not len(chart.names) - chart.optional <= len(numbers) <= len(chart.names):
@@ -109,7 +109,7 @@ class Terms:
         deep = self.depths.get(name, 0.0) if depth is None else depth
         stands = chart.frame if chart.stands is None else chart.stands
         at = chart.at(self.belief.obstacle, float(SIDE[leg - 1]), self.unit, deep, *numbers)
-        return Foot(at, chart.frame, stands, place)
+        return Footing(at, chart.frame, stands, place)
 
     def base(self, place: Place, where: str) -> tuple[Float[Array, " 3"], Number | None, Chart]:
         """The base's centre (m), its pitch (rad) if that is said, and its chart. Raises `InputError`."""
@@ -158,7 +158,7 @@ def placed(part: str, terms: Terms) -> tuple[Float[Array, "6 3"], Float[Array, "
     position, pitch, chart = terms.base(move.base, f"{move.path}.base")
     at = Standing(feet, 0.0 if pitch is None else pitch, chart.frame)
     world = jnp.stack([in_frame(terms.belief, feet[leg], WORLD) for leg in LEGS])
-    return world, in_frame(terms.belief, Foot(position, chart.frame), WORLD), at
+    return world, in_frame(terms.belief, Footing(position, chart.frame), WORLD), at
 
 
 def stages_of(part: str, terms: Terms, at: Standing, prefix: str | None = None) -> tuple[list[Stage], Standing]:
@@ -170,7 +170,7 @@ def stages_of(part: str, terms: Terms, at: Standing, prefix: str | None = None) 
 
 
 def staged(moves: Mapping[str, Move], terms: Terms, at: Standing, prefix: str) -> tuple[list[Stage], Standing]:
-    """See `stages_of`."""
+    """Stages of moves by name, as `stages_of` makes them."""
     stages = []
     for name, move in moves.items():
         stage, at = _stage(prefix + name, move, terms, at)
@@ -218,7 +218,7 @@ def _stage(name: str, move: Move, terms: Terms, at: Standing) -> tuple[Stage, St
     return stage, Standing(feet, at.pitch if pitch is None else pitch, chart.frame)
 
 
-def in_frame(belief: Case, foot: Foot, frame: int) -> Float[Array, " 3"]:
+def in_frame(belief: Case, foot: Footing, frame: int) -> Float[Array, " 3"]:
     """Where a foot stands (m), in a frame, free bodies as they start."""
     if foot.frame == frame:
         return foot.at

@@ -20,7 +20,7 @@ OTHER_SIDE = np.array([1, 0, 3, 2, 5, 4])  # index of each leg's partner on the 
 
 
 def last_stance(plan: Plan) -> Stance:
-    """Where the plan ends."""
+    """The stance in which a plan ends."""
     return Stance(plan.foothold[-1], plan.position[-1], multiply(exponential(plan.turn[-1]), plan.quat[-1]))
 
 

@@ -19,7 +19,7 @@ def conjugate(quat: Float[Array, "*b 4"]) -> Float[Array, "*b 4"]:
 
 
 def multiply(a: Float[Array, "*b 4"], b: Float[Array, "*b 4"]) -> Float[Array, "*b 4"]:
-    """First b, then a."""
+    """The rotation b followed by a: their product."""
     w = a[..., :1] * b[..., :1] - jnp.sum(a[..., 1:] * b[..., 1:], axis=-1, keepdims=True)
     v = a[..., :1] * b[..., 1:] + b[..., :1] * a[..., 1:] + jnp.cross(a[..., 1:], b[..., 1:])
     return jnp.concatenate([w, v], axis=-1)

@@ -82,7 +82,7 @@ def loads(case: Case, pose: Pose, motion: Motion, bodies: FreeBodies) -> list[Sp
 
 
 def as_bodies(bodies: FreeBodies, dtype: jnp.dtype) -> Bodies:
-    """Their poses as arrays."""
+    """The poses of free bodies as arrays."""
     if not bodies.frames:
         return Bodies(jnp.zeros((0, 3), dtype), jnp.zeros((0, 3, 3), dtype))
     position, rotation = ([x.array() for x in parts] for parts in zip(*bodies.frames, strict=True))

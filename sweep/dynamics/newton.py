@@ -144,7 +144,7 @@ class Blocks:
         self.of: dict[tuple[int, int], Matrix] = {}
 
     def add(self, i: int, j: int, block: Matrix) -> None:
-        """To what is there."""
+        """Add a block to what is there."""
         self.of[i, j] = self.of[i, j].plus(block) if (i, j) in self.of else block
 
     def solve(self, right: list[Vector]) -> list[Vector]:

@@ -40,18 +40,18 @@ class Spatial(NamedTuple):
         return self.linear.dot(other.linear) + self.angular.dot(other.angular)
 
     def turned(self, by: Matrix) -> "Spatial":
-        """In other axes."""
+        """The same vector in other axes."""
         return Spatial(by @ self.linear, by @ self.angular)
 
 
 class Place(NamedTuple):
-    """Where a root body is."""
+    """Place and attitude of a root body."""
 
     position: Vector  # (1,) m, of its origin, world axes
     quat: tuple[Array, Array, Array, Array]  # (1,) body to world
 
     def rotation(self) -> Matrix:
-        """Body to world."""
+        """Its rotation, body to world."""
         return rotation(*self.quat)
 
     def after(self, velocity: Vector, spin: Vector, h: float) -> "Place":
@@ -98,7 +98,7 @@ class Inertia(NamedTuple):
     inertia: Matrix  # (1,) kg m^2
 
     def times(self, v: Spatial) -> Spatial:
-        """Momentum."""
+        """The momentum at these velocities."""
         linear, angular = self.mass * v.linear, self.inertia @ v.angular
         if self.moment is None:
             return Spatial(linear, angular)
@@ -106,14 +106,14 @@ class Inertia(NamedTuple):
 
 
 class Mass(NamedTuple):
-    """The mass matrix."""
+    """The mass matrix of robot and free bodies."""
 
     root: tuple[Inertia, ...]  # the robot's as if its joints were locked, then the free bodies'
     cross: tuple[Spatial, Spatial, Spatial]  # (l,) momentum of the leg per rate of a joint
     leg: Matrix  # (l,)
 
     def times(self, v: Motion) -> Motion:
-        """Momentum."""
+        """The momentum at these velocities."""
         base, *free = [inertia.times(motion) for inertia, motion in zip(self.root, v.root, strict=True)]
         linear, angular = base
         own = self.leg @ Vector(*v.leg)

@@ -49,7 +49,7 @@ class State(NamedTuple):
     anchors: tuple[Anchors, ...]
 
 
-class Moving(NamedTuple):
+class MovingState(NamedTuple):
     """The same by components."""
 
     pose: Pose
@@ -94,13 +94,13 @@ def rest(top: Topology, q: Float[Array, " nq"]) -> State:
     return State(q, jnp.zeros(top.model.nv, q.dtype), tuple(nowhere(n, q.dtype) for n in counts if n))
 
 
-def from_state(state: State) -> Moving:
-    """By components."""
-    return Moving(*unpack(state.q, state.v), state.anchors)
+def from_state(state: State) -> MovingState:
+    """The state by its components."""
+    return MovingState(*unpack(state.q, state.v), state.anchors)
 
 
-def to_state(moving: Moving) -> State:
-    """As MuJoCo's arrays."""
+def to_state(moving: MovingState) -> State:
+    """The state as arrays of MuJoCo's order."""
     return State(*pack(moving.pose, moving.motion), moving.anchors)
 
 
@@ -108,11 +108,11 @@ def step(
     smooth_dynamics: SmoothDynamics,
     case: Case,
     limits: Limits,
-    state: Moving,
+    state: MovingState,
     servo: Servo,
     h: float,
     iterations: int,
-) -> tuple[Moving, Report]:
+) -> tuple[MovingState, Report]:
     """Advance `state` by h seconds while the drives do as `servo` tells them."""
     here = _here(smooth_dynamics, case, state)
     mass, turned, v = here.mass, here.turned, here.motion
@@ -150,10 +150,10 @@ def step(
         touch.after(case, forces, velocity, here, h)
         for touch, forces, velocity in zip(touches, acting.forces, trial.velocity, strict=True)
     )
-    return Moving(*_integrate(state.pose, w, world, here, h), anchors), report
+    return MovingState(*_integrate(state.pose, w, world, here, h), anchors), report
 
 
-def energy(smooth_dynamics: SmoothDynamics, case: Case, state: Moving) -> Array:
+def energy(smooth_dynamics: SmoothDynamics, case: Case, state: MovingState) -> Array:
     """Kinetic and potential energy (J), (1,)."""
     here = _here(smooth_dynamics, case, state)
     return 0.5 * here.mass.times(here.motion).dot(here.motion) + _potential(here)
@@ -170,7 +170,7 @@ class _Here(NamedTuple):
     motion: Motion
 
 
-def _here(smooth_dynamics: SmoothDynamics, case: Case, state: Moving) -> _Here:
+def _here(smooth_dynamics: SmoothDynamics, case: Case, state: MovingState) -> _Here:
     pose, robot = state.pose, smooth_dynamics(state.pose, state.motion)
     turned = pose.root[0].rotation()
     free = free_bodies.kinematics(pose, turned.transposed)
@@ -180,7 +180,7 @@ def _here(smooth_dynamics: SmoothDynamics, case: Case, state: Moving) -> _Here:
     return _Here(pose, turned, robot, free, mass, Motion(motions, state.motion.leg))
 
 
-def _outside(case: Case, limits: Limits, state: Moving, here: _Here) -> list[Spatial]:
+def _outside(case: Case, limits: Limits, state: MovingState, here: _Here) -> list[Spatial]:
     """Forces on the root bodies beside weight, contact and drives; world axes. Those left out are zero."""
     push = Vector(*(limits.push[k : k + 1] for k in range(3)))
     no_torque = Vector.of(jnp.zeros((1, 3), push.x.dtype))
@@ -200,7 +200,7 @@ def _start(momentum: Motion, here: _Here, outside: list[Spatial], h: float) -> M
 
 
 def _potential(here: _Here) -> Array:
-    """Energy (J)."""
+    """Potential energy of weight (J)."""
     up, energies = here.turned.z, []
     for place, body in zip(here.pose.root, here.mass.root, strict=True):
         height = body.mass * place.position.z
@@ -255,7 +255,7 @@ class _Touch(NamedTuple):
         )
 
 
-def _touches(case: Case, state: Moving, here: _Here) -> list[_Touch]:
+def _touches(case: Case, state: MovingState, here: _Here) -> list[_Touch]:
     """The feet, and the sites of free bodies where there are some."""
     base, turned, to_base = here.pose.root[0].position, here.turned, here.turned.transposed
     at = [here.robot.joints[-1], *free_bodies.sites(case, here.free)]
@@ -310,7 +310,7 @@ class _Problem(NamedTuple):
     h: float
 
     def trial(self, w: Motion) -> _Trial:
-        """At an end velocity."""
+        """What an end velocity makes of momentum and contacts."""
         done, damping = self.mass.times(w), self.h * self.case.drive.back_emf
         done = done._replace(leg=tuple(p + damping * rate for p, rate in zip(done.leg, w.leg, strict=True)))
         feet, *sites = (contacts.velocity(w.root) for contacts in self.contacts)

@@ -19,7 +19,7 @@ from sweep.models.robot import Robot, mount_yaw, mounts
 
 
 class Link(NamedTuple):
-    """A rod of one leg."""
+    """A link of a leg: a uniform rod."""
 
     mass: Number
     across: Number  # kg m^2, about its centre

@@ -13,7 +13,7 @@ from sweep.formulas.roots import newton
 
 
 class MaxBall(NamedTuple):
-    """Radius (m)."""
+    """Largest radius of a ball (m)."""
 
     R: Annotated[Float[Array, "..."], "m"]
 

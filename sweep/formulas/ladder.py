@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float
 from sweep.formulas.formula import Scalar, formula, positive
 
 
-class Ladder(NamedTuple):
+class LadderStatics(NamedTuple):
     """How far up the load may go (share of the length), and whether it may go all the way."""
 
     chi_max: Annotated[Float[Array, "..."], ""]
@@ -21,7 +21,7 @@ def ladder(
     phi: Annotated[Scalar, positive("rad", np.deg2rad(75), below=np.pi)],
     f1: Annotated[Scalar, positive("", 1.0)],
     f2: Annotated[Scalar, positive("", 1.0)],
-) -> Ladder:
+) -> LadderStatics:
     """How far up a leaning ladder holds, and whether it holds to the top.
 
     The load's highest place on a ladder at angle phi (rad) with friction f1 on the floor, f2 on the wall.
@@ -34,7 +34,7 @@ def ladder(
     upright = jnp.abs(cos) < 1e-6
     slope = jnp.where(upright, 2 / f1, sin / jnp.where(upright, 1.0, cos))
     chi = f1 * (slope + f2) / (1 + f1 * f2)
-    return Ladder(jnp.clip(chi, 0.0, 1.0), slope * f1 >= 1)
+    return LadderStatics(jnp.clip(chi, 0.0, 1.0), slope * f1 >= 1)
 
 
 class Lean(NamedTuple):

@@ -31,7 +31,7 @@ STAGES = (
 ERROR = (71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40)
 
 
-class Raft(NamedTuple):
+class RaftBody(NamedTuple):
     """Half sides a, b, d (m), weight of water gamma (N/m^3), waterline zeta0 over the centre at rest (m), drag.
 
     P (N) is the whole weight, acting at `rs` (m, body axes); M (kg) and J (kg m^2, about the body's axes) move.
@@ -51,7 +51,7 @@ class Raft(NamedTuple):
 
 
 def wrench(
-    raft: Raft, z: Scalar, R: Float[Array, "3 3"], v: Float[Array, " 3"], w: Float[Array, " 3"]
+    raft: RaftBody, z: Scalar, R: Float[Array, "3 3"], v: Float[Array, " 3"], w: Float[Array, " 3"]
 ) -> tuple[Float[Array, " 3"], Float[Array, " 3"]]:
     """Force (N, world axes) and moment about the centre (N m, body axes): buoyancy, drag and load, (4.2.1)."""
     a3 = R[2]  # the vertical in body axes
@@ -74,7 +74,7 @@ class Linear(NamedTuple):
     correction="h14 = b15 = 4 k a b d, b14 = 4 k a b d^2, h34 = 0; b31 = -M_y0, b32 = M_x0; 12 (zeta^2 - d^2)",
 )
 @jax.jit
-def raft_linear(raft: Raft) -> Linear:
+def raft_linear(raft: RaftBody) -> Linear:
     """Forces and moments per small motion of a raft.
 
     About the level raft at rest (SI): the coefficients of (4.2.7).
@@ -106,7 +106,7 @@ class Modes(NamedTuple):
 @formula(
     "monograph", "4.1.27", "4.2.12-4.2.15", correction="coefficients of (4.2.8); indices and the factor P in (4.1.27)"
 )
-def raft_modes(raft: Raft) -> Modes:
+def raft_modes(raft: RaftBody) -> Modes:
     """Poles of a raft's small motions, and whether any grows.
 
     The verdict of (4.2.10)-(4.2.15) by eigenvalues.
@@ -122,7 +122,7 @@ def raft_modes(raft: Raft) -> Modes:
     return Modes(poles.real, poles.imag, poles.real.max() < slack)
 
 
-class Motion(NamedTuple):
+class RaftMotion(NamedTuple):
     """The state at the end."""
 
     state: Annotated[Float[Array, " 18"], "SI"]
@@ -136,10 +136,10 @@ class Motion(NamedTuple):
 )
 @jax.jit
 def raft_ode(
-    prm: Raft,
+    prm: RaftBody,
     state0: Annotated[Float[Array, " 18"], Input("SI", (0.0, 0.0, 0.0, *_LEVEL, 0.2, 0.0, 0.0, 0.0, 0.0, 0.05))],
     t_end: Annotated[Scalar, positive("s", 1.5)],
-) -> Motion:
+) -> RaftMotion:
     """Motion of a raft: state (r, R by rows, v, w) after some time.
 
     (4.2.1)-(4.2.3) integrated over t_end (s). Nan if the integration does not get there.
@@ -147,7 +147,7 @@ def raft_ode(
     state0 = jnp.asarray(state0)
     # Well above round-off, well below what the model is good for.
     accuracy = float(jnp.finfo(state0.dtype).eps) ** (2 / 3)
-    return Motion(integrated(lambda state: rate(prm, state), state0, t_end, accuracy))
+    return RaftMotion(integrated(lambda state: rate(prm, state), state0, t_end, accuracy))
 
 
 def integrated(
@@ -179,7 +179,7 @@ def integrated(
     return jnp.where(time >= end, y, jnp.nan)
 
 
-def rate(raft: Raft, state: Float[Array, " 18"]) -> Float[Array, " 18"]:
+def rate(raft: RaftBody, state: Float[Array, " 18"]) -> Float[Array, " 18"]:
     """Time derivative of the state (4.2.1), (4.2.3)."""
     r, R, v, w = _parts(state)
     force, moment = wrench(raft, r[2], R, v, w)
@@ -187,7 +187,7 @@ def rate(raft: Raft, state: Float[Array, " 18"]) -> Float[Array, " 18"]:
     return jnp.concatenate([v, (R @ _cross(w)).ravel(), force / raft.M, spin])
 
 
-def energy(raft: Raft, state: Float[Array, " 18"]) -> Float[Array, ""]:
+def energy(raft: RaftBody, state: Float[Array, " 18"]) -> Float[Array, ""]:
     """Kinetic energy plus that of the load's height and of the displaced water (J); drag alone takes from it."""
     r, R, v, w = _parts(state)
     a31, a32, a33 = R[2]
@@ -197,7 +197,7 @@ def energy(raft: Raft, state: Float[Array, " 18"]) -> Float[Array, ""]:
     return moving + raft.P * (r[2] + R[2] @ raft.rs) + raft.gamma * area * a33 * wet / 2
 
 
-def vertical_momentum(raft: Raft, state: Float[Array, " 18"]) -> Float[Array, ""]:
+def vertical_momentum(raft: RaftBody, state: Float[Array, " 18"]) -> Float[Array, ""]:
     """Angular momentum about the vertical (N m s), kept without drag: (4.2.4), p q r for the misprinted rho."""
     _, R, _, w = _parts(state)
     return R[2] @ (raft.J * w)

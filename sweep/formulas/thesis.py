@@ -124,7 +124,7 @@ def _leg_of_triangle(hypotenuse: Array, other: Array) -> Array:
     return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), square * 0)
 
 
-class Step(NamedTuple):
+class ThesisStep(NamedTuple):
     """Longest moves of a foot."""
 
     support: Annotated[Float[Array, "..."], "length"]
@@ -145,7 +145,7 @@ def thesis_step(
     OA: Annotated[Scalar, positive("length", 1.0)],
     OB: Annotated[Scalar, positive("length", 3.7071067811865475)],
     phimax: Annotated[Scalar, positive("rad", 0.7762790307403773, below=np.pi)],
-) -> Step:
+) -> ThesisStep:
     """Largest step of a foot, in support and in transfer.
 
     Longest move from r0 along p in the sector OA <= r <= OB, at most phimax from +y.
@@ -182,7 +182,7 @@ def thesis_step(
     valid = jnp.stack(jnp.broadcast_arrays(*(valid for _, valid in exits)), axis=-1)
     first = jnp.where(valid, lengths, jnp.inf).min(-1)
     last = jnp.where(valid, lengths, -jnp.inf).max(-1)
-    return Step(jnp.where(started, first, jnp.nan), jnp.where(started, last, jnp.nan))
+    return ThesisStep(jnp.where(started, first, jnp.nan), jnp.where(started, last, jnp.nan))
 
 
 def _dot(u: Array, v: Array) -> Array:

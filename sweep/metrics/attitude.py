@@ -18,7 +18,7 @@ class Attitude(NamedTuple):
 
 
 def begin(start: Begin) -> Attitude:
-    """Nothing is off."""
+    """The metric before any error."""
     zero = jnp.zeros((), start.quat.dtype)
     return Attitude(zero, zero, start.quat)
 

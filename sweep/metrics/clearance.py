@@ -22,7 +22,7 @@ class Clearance(NamedTuple):
 
 
 def begin(start: Begin) -> Clearance:
-    """Nothing is near."""
+    """The metric before anything was near."""
     far = jnp.full((), jnp.inf, start.feet.dtype)
     return Clearance(far, far, far, far)
 

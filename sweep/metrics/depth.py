@@ -8,7 +8,7 @@ from sweep.models.obstacles.surface import under
 
 
 def begin(start: Begin) -> Float[Array, ""]:
-    """Nowhere."""
+    """The depth before any tick (m)."""
     return jnp.zeros((), start.feet.dtype)
 
 

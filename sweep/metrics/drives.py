@@ -25,7 +25,7 @@ class Drives(NamedTuple):
 
 
 def begin(start: Begin) -> Drives:
-    """At rest."""
+    """The metric of drives at rest."""
     zero = jnp.zeros((), start.feet.dtype)
     three = jnp.zeros(3, start.feet.dtype)
     return Drives(three, three, zero, zero, zero, zero)

@@ -15,12 +15,12 @@ Last = tuple[Float[Array, "6 3"], FreeState]  # feet (m) and free bodies
 
 
 def begin(start: Begin) -> Last:
-    """As they stand."""
+    """Feet and free bodies at the start."""
     return start.feet, start.free
 
 
 def update(so_far: Last, now: Moment) -> Last:
-    """As they are now."""
+    """Feet and free bodies in this tick."""
     return now.tick.joints[:, -1], now.tick.free
 
 

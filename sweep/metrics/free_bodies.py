@@ -13,7 +13,7 @@ from sweep.models.case import Driving
 TAIL = 12.0  # s of the plan, its last, over which the speed of a body that is left in motion is taken
 
 
-class FreeBodies(NamedTuple):
+class BodiesMotion(NamedTuple):
     """Where they were at the start, when the first stage ended, are, and were before (m).
 
     How far they went since both, and turned since the latter (rad); where they were when the plan ended, and since
@@ -33,15 +33,15 @@ class FreeBodies(NamedTuple):
     ride_height: Float[Array, ""]
 
 
-def begin(start: Begin) -> FreeBodies:
-    """Nothing has moved."""
+def begin(start: Begin) -> BodiesMotion:
+    """The metric before anything has moved."""
     place = start.free.position
     zero = jnp.zeros((), place.dtype)
     here, far = Tail(place, zero), jnp.full((), jnp.inf, place.dtype)
-    return FreeBodies(place, place, place, start.free.quat, here, here, zero, zero, zero, zero, far)
+    return BodiesMotion(place, place, place, start.free.quat, here, here, zero, zero, zero, zero, far)
 
 
-def update(so_far: FreeBodies, now: Moment) -> FreeBodies:
+def update(so_far: BodiesMotion, now: Moment) -> BodiesMotion:
     """Their ways from the start."""
     place, quat = now.tick.free.position, now.tick.free.quat
     way = place - so_far.start
@@ -49,7 +49,7 @@ def update(so_far: FreeBodies, now: Moment) -> FreeBodies:
     upright = jnp.where(now.stage == 0, quat, so_far.quat)
     turn = jnp.linalg.norm(logarithm(multiply(quat, conjugate(upright))), axis=-1)
     here = Tail(place, now.time)
-    return FreeBodies(
+    return BodiesMotion(
         start=so_far.start,
         settled=settled,
         place=place,
@@ -64,7 +64,7 @@ def update(so_far: FreeBodies, now: Moment) -> FreeBodies:
     )
 
 
-def figures(found: FreeBodies, at: Elapsed) -> dict[str, Array]:
+def figures(found: BodiesMotion, at: Elapsed) -> dict[str, Array]:
     """See `METRIC`."""
     manoeuvre = at.world.manoeuvre
     if isinstance(manoeuvre, Driving):

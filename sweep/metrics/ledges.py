@@ -13,7 +13,7 @@ from sweep.models.obstacles.ledges import Ledges
 THERE = 4e-3  # m, of a ball that has come to the far wall
 
 
-class Crossing(NamedTuple):
+class LedgeCrossing(NamedTuple):
     """How far the mass centre was past the ball's centre, how near the ball came to the far wall (m), and how fast."""
 
     past: Float[Array, ""]
@@ -21,13 +21,13 @@ class Crossing(NamedTuple):
     docking: Float[Array, ""]  # m/s
 
 
-def begin(start: Begin) -> Crossing:
-    """Before it."""
+def begin(start: Begin) -> LedgeCrossing:
+    """The metric before the crossing."""
     zero = jnp.zeros((), start.feet.dtype)
-    return Crossing(jnp.full_like(zero, -jnp.inf), jnp.full_like(zero, jnp.inf), zero)
+    return LedgeCrossing(jnp.full_like(zero, -jnp.inf), jnp.full_like(zero, jnp.inf), zero)
 
 
-def update(so_far: Crossing, now: Moment) -> Crossing:
+def update(so_far: LedgeCrossing, now: Moment) -> LedgeCrossing:
     """The far wall is asked for once."""
     ledges, tick = now.world.obstacle, now.tick
     assert isinstance(ledges, Ledges)
@@ -36,14 +36,14 @@ def update(so_far: Crossing, now: Moment) -> Crossing:
     leaves = led_by(now.plan, now.stage, OFF)
     past = jnp.where(led_by(now.plan, now.stage, ON), ahead, jnp.where(leaves, -ahead, -jnp.inf))
     gap = jnp.minimum(so_far.gap, jnp.where(leaves, jnp.inf, ledges.at_far_wall - ball[0]))
-    return Crossing(
+    return LedgeCrossing(
         past=jnp.maximum(so_far.past, past),
         gap=gap,
         docking=jnp.where((so_far.gap >= THERE) & (gap < THERE), speed, so_far.docking),
     )
 
 
-def figures(found: Crossing, at: Elapsed) -> dict[str, Array]:
+def figures(found: LedgeCrossing, at: Elapsed) -> dict[str, Array]:
     """See `METRIC`."""
     return {"past_centre_max_m": found.past, "docking_gap_m": found.gap, "docking_speed_mps": found.docking}
 

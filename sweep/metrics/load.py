@@ -19,13 +19,13 @@ class Load(NamedTuple):
 
 
 def begin(start: Begin) -> Load:
-    """No load."""
+    """The metric before any load."""
     zero = jnp.zeros((), start.feet.dtype)
     return Load(zero, zero, zero)
 
 
 def update(so_far: Load, now: Moment) -> Load:
-    """Means over the tick."""
+    """The metric with a tick's mean loads."""
     tick, weight = now.tick, GRAVITY * total_mass(now.world.robot)
     demand = jnp.where(tick.normal > LOADED, tick.tangential / jnp.maximum(tick.normal, LOADED), 0.0)
     use = jnp.sum(tick.tangential) / jnp.maximum(jnp.sum(tick.normal), LOADED)

@@ -103,7 +103,7 @@ class Tail(NamedTuple):
         return Tail(jnp.where(before, place, self.place), jnp.where(before, now.time, self.time))
 
     def velocity(self, place: Float[Array, "*k 3"], time: Array) -> Float[Array, "*k 3"]:
-        """Mean (m/s) since then."""
+        """Mean velocity since then (m/s)."""
         return (place - self.place) / jnp.maximum(time - self.time, 1e-9)
 
 

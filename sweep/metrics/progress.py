@@ -22,7 +22,7 @@ class Progress(NamedTuple):
 
 
 def begin(start: Begin) -> Progress:
-    """Before the first step."""
+    """The metric before the first step."""
     zero = jnp.zeros((), start.position.dtype)
     return Progress(start.position, start.position, zero, zero, zero, jnp.asarray(False))
 

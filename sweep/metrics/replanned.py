@@ -7,7 +7,7 @@ from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment
 
 
 def begin(start: Begin) -> Float[Array, ""]:
-    """It starts with one."""
+    """No lack of reach: it starts with a plan."""
     return jnp.zeros((), start.feet.dtype)
 
 

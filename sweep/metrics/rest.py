@@ -18,7 +18,7 @@ class Resting(NamedTuple):
 
 
 def begin(start: Begin) -> Resting:
-    """Under way."""
+    """The metric of a robot under way."""
     links = 3 if start.world.robot.legs == "two_link" else 4
     zero = jnp.zeros((), start.feet.dtype)
     return Resting(jnp.asarray(False), jnp.zeros((6, links, 3), zero.dtype), zero)

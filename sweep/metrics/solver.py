@@ -32,7 +32,7 @@ class Solver(NamedTuple):
 
 
 def begin(start: Begin) -> Solver:
-    """No doubt."""
+    """The metric before any doubt."""
     zero = jnp.zeros((), start.energy.dtype)
     return Solver(jnp.asarray(True), zero, zero, start.energy, zero, zero, zero, zero)
 

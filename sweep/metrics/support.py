@@ -11,28 +11,28 @@ from sweep.metrics.metric import LOADED, Begin, Elapsed, Metric, Moment
 LOAD_TIME = 0.05  # s, over which a load is averaged: a bounce of the feet is not a fall
 
 
-class Support(NamedTuple):
+class Stability(NamedTuple):
     """Averaged normal forces of the feet (N), and the least margin so far (m)."""
 
     load: Float[Array, " 6"]
     margin: Float[Array, ""]
 
 
-def begin(start: Begin) -> Support:
-    """All feet carry."""
+def begin(start: Begin) -> Stability:
+    """The metric where all feet carry."""
     dtype = start.feet.dtype
-    return Support(jnp.full(6, 2 * LOADED, dtype), jnp.full((), jnp.inf, dtype))
+    return Stability(jnp.full(6, 2 * LOADED, dtype), jnp.full((), jnp.inf, dtype))
 
 
-def update(so_far: Support, now: Moment) -> Support:
+def update(so_far: Stability, now: Moment) -> Stability:
     """Seen from above, the distance of the mass centre to the border of the feet that carry."""
     tick = now.tick
     load = so_far.load + min(1.0, now.period / LOAD_TIME) * (tick.normal - so_far.load)
     margin = support_margin(tick.joints[:, -1, :2], load > LOADED, tick.centre_of_mass[:2])
-    return Support(load, jnp.minimum(so_far.margin, margin))
+    return Stability(load, jnp.minimum(so_far.margin, margin))
 
 
-def figures(found: Support, at: Elapsed) -> dict[str, Array]:
+def figures(found: Stability, at: Elapsed) -> dict[str, Array]:
     """See `METRIC`."""
     return {"stability_margin_min_m": found.margin}
 

@@ -17,7 +17,7 @@ def begin(start: Begin) -> Touched:
 
 
 def update(so_far: Touched, now: Moment) -> Touched:
-    """What is known by now."""
+    """The sizes that are known by now."""
     return _of(now)
 
 
@@ -42,7 +42,7 @@ def units(obstacle: Obstacle | type[Obstacle]) -> dict[str, str]:
 
 
 def _columns() -> dict[str, str]:
-    """Of every obstacle."""
+    """Columns of all obstacles' sizes."""
     sizes = {(n, u) for cls in OBSTACLES.values() for n, u in units(cls).items()}
     told = {}
     for name, unit in sorted(sizes):

@@ -26,7 +26,7 @@ class Balls(NamedTuple):
 
 
 def begin(start: Begin) -> Balls:
-    """Before they meet."""
+    """The metric before the balls meet."""
     place = start.free.position[1]
     zero = jnp.zeros((), place.dtype)
     return Balls(jnp.zeros((), bool), zero, zero, place, Tail(place, zero))

@@ -47,7 +47,7 @@ class Geometry(NamedTuple):
     damping: Float[Array, " n"] | float  # N s/m, d_n and the surface's own
 
     def turned(self, by: Matrix) -> "Geometry":
-        """In other axes."""
+        """The geometry in other axes."""
         return self._replace(normal=by @ self.normal, stretch=by @ self.stretch)
 
 
@@ -83,7 +83,7 @@ def _own(place: Vector, body: Array, frames: Frames) -> Vector:
 
 
 def _frames(bodies: Bodies) -> Frames:
-    """By components."""
+    """Frames of free bodies by their components."""
     places = zip(bodies.position, bodies.rotation, strict=True)
     return [(Vector.of(position[None]), Matrix.of(rotation[None])) for position, rotation in places]
 

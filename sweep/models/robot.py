@@ -44,7 +44,7 @@ class Robot:
 
 
 def half_size(robot: Robot) -> Float[Array, " 3"]:
-    """Of the base (m)."""
+    """Half the sides of the base (m)."""
     return 0.5 * jnp.stack([jnp.asarray(s, float) for s in (robot.body_length, robot.body_width, robot.body_height)])
 
 
@@ -58,7 +58,7 @@ def half_between_hips(robot: Robot) -> Float[Array, " 3"]:
 
 
 def total_mass(robot: Robot) -> Array | float:
-    """Of the robot (kg)."""
+    """Mass of the whole robot (kg)."""
     coxa = robot.coxa_mass if robot.legs == "three_link" else 0.0
     return robot.body_mass + N_LEGS * (coxa + robot.thigh_mass + robot.shin_mass)
 

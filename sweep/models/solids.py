@@ -34,7 +34,7 @@ class Solid(Protocol):
 
     @property
     def name(self) -> str:
-        """Of its geoms."""
+        """Name of its geoms in MuJoCo."""
         ...
 
     @property

@@ -267,14 +267,15 @@ def _assigned(case: Case, values: Values) -> Case:
 
 def _table(given: Any, manoeuvre: Any) -> PlanTable:
     """The numbers of a plan, if they are not the manoeuvre's own."""
+    kind = manoeuvre.kind
     if not given:
         if isinstance(manoeuvre, Tabled) and not manoeuvre.own_plan:
-            raise InputError(f"plan is missing: manoeuvre.kind = {manoeuvre.kind} has none of its own")
+            raise InputError(f"plan is missing: manoeuvre.kind = {kind} has none of its own")
         return PlanTable()
     if not isinstance(given, Mapping):
         raise InputError(f"plan = {given} is not allowed: `sweep list` shows the choices")
     if not isinstance(manoeuvre, Tabled):
-        raise InputError(f"plan is not allowed: manoeuvre.kind = {manoeuvre.kind} has its numbers in no file")
+        raise InputError(f"plan is not allowed: manoeuvre.kind = {kind} has its numbers in no file")
     return PlanTable(json.dumps(given))
 
 

@@ -38,7 +38,7 @@ SHORT = 1e-3  # s, before the end of a stage, at which there is a tick: feet beg
 
 
 class Played(NamedTuple):
-    """By tick."""
+    """What was played, by tick."""
 
     stage: Int[Array, " t"]
     margins: Margins

@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from sweep.controllers.assembly import assemble
 from sweep.controllers.gaits import GAITS, Step, advance, centre_offsets, regular_steps
 from sweep.controllers.plan import CYCLE_A, CYCLE_B, CYCLE_B_SMOOTH, HALF_ELLIPSE, Stance, swing_progress
 
@@ -17,7 +18,7 @@ def plan_of(name, cycles=3):
     start = CENTRES + jnp.array([[centre_offsets(gait, STEP)[leg], 0, 0] for leg in range(1, 7)])
     stance = Stance(start, jnp.zeros(3), jnp.array([1.0, 0, 0, 0]))
     stages = regular_steps(gait, STEP, stance, CENTRES, FORWARD, cycles * len(gait), 0.0)
-    return gait(stance, stages, 0.1)
+    return gait, assemble(stance, stages, 0.1)
 
 
 @pytest.mark.parametrize("name", GAITS)

@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from sweep.formulas import NoSolution, evaluate
-from sweep.formulas.raft_dynamics import Raft, energy, integrated, raft_linear, raft_ode, rate, vertical_momentum
+from sweep.formulas.raft_dynamics import RaftBody, energy, integrated, raft_linear, raft_ode, rate, vertical_momentum
 
 A, B, D, GAMMA = 1.575, 1.05, 0.105, 9810.0
 WEIGHT = 4 * GAMMA * A * B * 0.1
@@ -18,7 +18,7 @@ def raft(**changes):
         "a": A, "b": B, "d": D, "gamma": GAMMA, "zeta0": 0.1 - D, "k_lin": 20.0, "k_quad": 500.0,
         "P": WEIGHT, "M": WEIGHT / 9.81, "J": jnp.array([245.0, 550.0, 790.0]), "rs": jnp.array([0.02, -0.01, 0.05]),
     }  # fmt: skip
-    return Raft(**{**values, **changes})
+    return RaftBody(**{**values, **changes})
 
 
 def state(tilt=(0.0, 0.0), z=0.005, v=(0.3, -0.2, 0.1), w=(0.05, -0.04, 0.2)):

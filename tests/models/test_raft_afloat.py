@@ -19,7 +19,7 @@ from sweep.core.parameters import parameters, quantity
 from sweep.core.rotations import exponential, matrix
 from sweep.engines import make
 from sweep.formulas import evaluate
-from sweep.formulas.raft_dynamics import Raft as Formula
+from sweep.formulas.raft_dynamics import RaftBody as Formula
 from sweep.formulas.raft_dynamics import energy, raft_linear, raft_modes, vertical_momentum
 from sweep.formulas.raft_statics import hydro_thick
 from sweep.models.case import Case

@@ -7,7 +7,7 @@ from test_on_ball import outcomes
 
 from sweep.controllers import tracker
 from sweep.controllers.manoeuvres.balancing.ball import BallDrive
-from sweep.controllers.manoeuvres.balancing.ball_to_ball import Closing, Docking
+from sweep.controllers.manoeuvres.balancing.ball_to_ball import BallDocking, Closing
 from sweep.controllers.observation import Observation
 from sweep.controllers.support import MEASURED
 from sweep.core.errors import InputError
@@ -57,9 +57,9 @@ def test_no_step_is_begun_where_the_balls_touch(gap, over):
     case = compose(["scenario=ball_to_ball", f"obstacle.gap={gap}"]).case
     plan = case.manoeuvre.plan(case)
     state, seen = tracker.init(case, plan), at_start(plan, case.on(TwoBalls).start())
-    assert bool(Docking(BallDrive(), 0.03).ends(case, plan, state, seen)) is over
+    assert bool(BallDocking(BallDrive(), 0.03).ends(case, plan, state, seen)) is over
     late = state._replace(clock=0.5 * plan.duration[0])
-    assert not bool(Docking(BallDrive(), 0.03).ends(case, plan, late, seen))
+    assert not bool(BallDocking(BallDrive(), 0.03).ends(case, plan, late, seen))
 
 
 @pytest.mark.parametrize(("knees", "over"), [(0.0, True), (1.0, False)])

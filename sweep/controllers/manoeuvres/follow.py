@@ -75,7 +75,7 @@ class Follow(PlannedForces):
                         free=free_start(belief.obstacle))  # fmt: skip
 
     def terms(self, belief: Case) -> Terms:
-        """Of its moves."""
+        """What the words of the file mean on the obstacle."""
         unit, obstacle = leg_unit(belief.robot), belief.obstacle
         supports = {"free": Support(), "rests": RESTS, "stays": STAYS, "together": Support(TOGETHER)}
         bodies = len(obstacle.free_bodies)

@@ -54,7 +54,7 @@ def tangent(
 
 
 def nose_up(of: "Ball", unit: Number, elevation: Number, distance: Number, ahead: Number = 0.0) -> Array:
-    """Of such a base (rad)."""
+    """The pitch of such a base, nose up (rad)."""
     return jnp.radians(90 - jnp.asarray(elevation, float))
 
 
@@ -102,7 +102,7 @@ class Ball(Free):
         add_rolling(spec.worldbody, bodies, self.radius, resistance)
 
     def leaves(self) -> dict[str, dict[str, Array]]:
-        """Mass and inertia."""
+        """Mass and inertia of the ball."""
         inertia = 2 / 5 * self.mass * self.radius**2
         return {
             "body_mass": {"ball": jnp.asarray(self.mass)},
@@ -110,7 +110,7 @@ class Ball(Free):
         }
 
     def start(self) -> FreeState:
-        """Rolling without slip."""
+        """A ball that rolls without slip."""
         direction = jnp.stack([jnp.cos(self.course), jnp.sin(self.course), jnp.zeros_like(jnp.cos(self.course))])
         velocity = self.speed * direction
         turn = jnp.cross(jnp.array([0.0, 0.0, 1.0]), velocity) / self.radius
@@ -118,7 +118,7 @@ class Ball(Free):
         return FreeState(position[None], jnp.array([[1.0, 0.0, 0.0, 0.0]]), velocity[None], turn[None])
 
     def solids(self, bodies: Bodies) -> tuple[Solid, ...]:
-        """Floor and ball."""
+        """The floor and the ball."""
         floor = HalfSpace(name="floor", normal=(0.0, 0.0, 1.0))
         return floor, Sphere(name="ball", radius=self.radius, centre=bodies.position[0], body=0)
 

@@ -64,7 +64,7 @@ class Charted(Protocol):
 
     @property
     def charts(self) -> Mapping[str, Chart]:
-        """By name."""
+        """Its charts by name."""
         ...
 
 

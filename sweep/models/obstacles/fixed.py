@@ -25,16 +25,16 @@ class Fixed(ABC):
 
     @abstractmethod
     def solids(self, bodies: Bodies) -> tuple[Solid, ...]:
-        """What it consists of."""
+        """The solids that it consists of."""
 
     def add_to(self, spec: "mujoco.MjSpec", friction: float) -> None:
         """Its solids, as geoms."""
         add_solids(spec, self.solids(own_axes(0)), friction)
 
     def leaves(self) -> dict[str, dict[str, Array]]:
-        """Nothing moves."""
+        """No masses: nothing moves."""
         return {}
 
     def load(self, free: FreeState) -> Float[Array, "0 6"] | None:
-        """Nothing is loaded."""
+        """No load: nothing moves."""
         return None

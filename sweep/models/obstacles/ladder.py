@@ -151,7 +151,7 @@ class Ladder(Free):
         return rails, self.rungs * self.width * self.rung_height * self.rung_depth
 
     def bars(self) -> Bars:
-        """Rails and rungs."""
+        """The boxes that are rails and rungs."""
         aside = (self.width + self.rail_breadth) / 2
         rail = point(self.rail_breadth / 2, self.length / 2, self.rail_depth / 2)
         rung = point(self.width / 2, self.rung_height / 2, self.rung_depth / 2)

@@ -71,7 +71,7 @@ class Ledges(Ball):
             add_touching(spec, name, "ball", friction * self.wall_grip, self.impact_damping)
 
     def start(self) -> FreeState:
-        """Beside the near wall."""
+        """The ball at rest beside the near wall."""
         free = super().start()
         place = jnp.stack([jnp.asarray(x, float) for x in (self.radius + self.gap, self.offset, 0.0)])
         return free._replace(position=free.position + place)

@@ -24,7 +24,7 @@ class Plane(Fixed):
         return jnp.stack(rows)
 
     def solids(self, bodies: Bodies) -> tuple[Solid, ...]:
-        """The ground."""
+        """The half-space that the ground is."""
         sin, cos = (getattr(maths(self.slope), name)(self.slope) for name in ("sin", "cos"))
         return (HalfSpace(name="ground", normal=(-sin, 0.0, cos)),)
 

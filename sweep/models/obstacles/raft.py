@@ -115,7 +115,7 @@ class Raft(Free):
         }
 
     def start(self) -> FreeState:
-        """Afloat and at rest."""
+        """The raft afloat and at rest."""
         half, still = self.half, jnp.zeros((1, 3))
         x, z = half[0] + self.gap, half[2] - self.draught(self.laden) - self.bank_height
         return FreeState(jnp.stack([x, jnp.zeros_like(x), z])[None], jnp.array([[1.0, 0.0, 0.0, 0.0]]), still, still)

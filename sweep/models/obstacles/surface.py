@@ -26,14 +26,14 @@ class FreeState(NamedTuple):
 
 
 class Bodies(NamedTuple):
-    """Their poses alone."""
+    """The poses of free bodies alone."""
 
     position: Float[Array, "k 3"]  # m, of the body frame
     rotation: Float[Array, "k 3 3"]  # body to world
 
 
 def poses(free: FreeState) -> Bodies:
-    """Of free bodies in motion."""
+    """The poses of free bodies in motion."""
     return Bodies(free.position, matrix(free.quat))
 
 
@@ -138,7 +138,7 @@ class Moving(Obstacle, Protocol):
     """An obstacle that has free bodies."""
 
     def start(self) -> FreeState:
-        """These at the start."""
+        """The free bodies at the start."""
         ...
 
 

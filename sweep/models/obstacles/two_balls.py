@@ -50,12 +50,12 @@ class TwoBalls(Ball):
     contact_sites = (("ball", 0), ("second_ball", 1), ("between", 1))
 
     def add_to(self, spec: "mujoco.MjSpec", friction: float) -> None:
-        """Floor and balls."""
+        """The floor and both balls."""
         super().add_to(spec, friction)
         add_touching(spec, "ball", "second_ball", friction * self.ball_grip, self.impact_damping)
 
     def leaves(self) -> dict[str, dict[str, Array]]:
-        """Mass and inertia."""
+        """Mass and inertia of both balls."""
         return {field: dict.fromkeys(self.free_bodies, of["ball"]) for field, of in super().leaves().items()}
 
     def start(self) -> FreeState:
@@ -69,7 +69,7 @@ class TwoBalls(Ball):
         return FreeState(*[jnp.concatenate(both) for both in zip(first, second, strict=True)])
 
     def solids(self, bodies: Bodies) -> tuple[Solid, ...]:
-        """Floor and balls."""
+        """The floor and both balls."""
         second = Sphere(name="second_ball", radius=self.radius, centre=bodies.position[1], body=1)
         return *super().solids(bodies), second
 

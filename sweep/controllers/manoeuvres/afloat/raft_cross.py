@@ -155,7 +155,7 @@ class RaftCross:
         return replace(stage, duration=mass * speed / force, support=(to,))
 
     def push_off(self, belief: Case) -> Crossing:
-        """Of (4.3) and (4.3.1)."""
+        """Speed, turn and time of the push by (4.3) and (4.3.1)."""
         raft, load = belief.on(Raft), total_mass(belief.robot)
         a, b, _ = raft.half
         mass, al2 = raft.mass + load, raft.drag * raft.width * raft.draught(load)

@@ -216,7 +216,7 @@ class BallBalance(OnBall):
 
 
 class DriveMemory(NamedTuple):
-    """Of a step."""
+    """What a step was planned with, and the steps before it."""
 
     push: Float[Array, ""]  # m, k_v (v_d - v_e), and what was always missing
     missing: Float[Array, ""]  # m, of that: the sum over the steps so far
@@ -272,7 +272,7 @@ class BallDrive(OnBall):
         return jnp.where(self.speed * duration > self.place, 0.0, self.speed)
 
     def plan(self, belief: Case) -> Plan:
-        """Steps in turn."""
+        """Steps of both tripods in turn."""
         perched = perch(belief, self)
         return assemble(on_ball(belief, perched), self.steps_of(perched, "step"), self.patience, ease=self.ease)
 
@@ -293,7 +293,7 @@ class BallDrive(OnBall):
         return stages
 
     def memory(self, belief: Case, plan: Plan) -> DriveMemory:
-        """Nothing pushed yet."""
+        """The memory before the first push."""
         zero = jnp.zeros(())
         return DriveMemory(zero, zero, zero, zero, zero, zero)
 

@@ -25,7 +25,7 @@ PLATEAU = 1.5  # integral of mu over T
 
 
 class AsideMemory(NamedTuple):
-    """Of a stage."""
+    """What a stage was planned with."""
 
     push: Float[Array, ""]  # m, k_l (v_d - v_b) to the left
 
@@ -60,7 +60,7 @@ class BallAside(OnBall):
         return assemble(on_ball(belief, perched), stages, 0.0)
 
     def memory(self, belief: Case, plan: Plan) -> AsideMemory:
-        """Nothing pushed yet."""
+        """The memory before the first push."""
         return AsideMemory(jnp.zeros(()))
 
     def guide(

@@ -44,7 +44,7 @@ def turned(move: Move) -> Array:
 
 
 def lasts(moves: Iterable[Move]) -> Array | float:
-    """The time of moves (s)."""
+    """How long moves take together (s)."""
     return sum(0.0 if move.seconds is None else move.seconds for move in moves)
 
 

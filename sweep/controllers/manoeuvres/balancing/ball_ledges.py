@@ -28,7 +28,7 @@ from sweep.models.obstacles.ledges import Ledges
 ROLLS, ON, OFF = "roll", "on", "off"
 
 
-class Docking(NamedTuple):
+class WallDocking(NamedTuple):
     """Steps that roll the ball to the far wall, as many as it needs."""
 
     drive: BallDrive
@@ -37,7 +37,7 @@ class Docking(NamedTuple):
     calm: Array | float  # m/s, of a ball that rests there
 
     def memory(self, belief: Case, plan: Plan) -> DriveMemory:
-        """Of the drive."""
+        """The memory of the drive."""
         return self.drive.memory(belief, plan)
 
     def guide(
@@ -120,5 +120,5 @@ class BallLedges(OnBall, InParts):
 
     @property
     def parts(self) -> Mapping[str, Guided]:
-        """The steps."""
-        return {ROLLS: Docking(self.drive, self.docking, self.near, self.calm_speed)}
+        """The steps that roll the ball, by their law."""
+        return {ROLLS: WallDocking(self.drive, self.docking, self.near, self.calm_speed)}

@@ -55,12 +55,12 @@ class BallOver(BesideBall):
 
     @property
     def up(self) -> BallClimb:
-        """The way up."""
+        """The manoeuvre of the way up."""
         return BallClimb(**self._common)
 
     @property
     def down(self) -> BallDescend:
-        """The way down."""
+        """The manoeuvre of the way down."""
         return BallDescend(**self._common)
 
     @property

@@ -45,14 +45,14 @@ def apart(balls: TwoBalls, free: FreeState) -> Float[Array, ""]:
     return free.position[1, 0] - free.position[0, 0] - 2 * balls.radius
 
 
-class Docking(NamedTuple):
+class BallDocking(NamedTuple):
     """Steps that roll the first ball to the second, until they touch."""
 
     drive: BallDrive
     speed: Array | float  # m/s, as it comes there
 
     def memory(self, belief: Case, plan: Plan) -> DriveMemory:
-        """Of the drive."""
+        """The memory of the drive."""
         return self.drive.memory(belief, plan)
 
     def guide(
@@ -69,7 +69,7 @@ class Docking(NamedTuple):
 
 
 class ClosingMemory(NamedTuple):
-    """Of a stage."""
+    """What a stage has begun with."""
 
     gap: Float[Array, ""]  # m, delta as the stage began
 
@@ -84,7 +84,7 @@ class Closing(NamedTuple):
     straight: Array | float  # share of its length, of a leg that is too straight
 
     def memory(self, belief: Case, plan: Plan) -> ClosingMemory:
-        """Not begun."""
+        """The memory before the first stage."""
         return ClosingMemory(jnp.zeros(()))
 
     def guide(
@@ -212,7 +212,7 @@ class BallToBall(OnBall, InParts):
     def parts(self) -> Mapping[str, Guided]:
         """Steps, the way over, steps."""
         return {
-            ROLLS: Docking(self.rolling, self.docking),
+            ROLLS: BallDocking(self.rolling, self.docking),
             OVER: Closing(self.closing, self.straight),
             **{name: OfBall(law, 1) for name, law in self.down.parts.items()},
         }

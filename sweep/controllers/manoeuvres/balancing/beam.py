@@ -121,7 +121,7 @@ class BeamWalk:
         return assemble(stance, stages, self.patience, self.gains(belief), steered=True)
 
     def site(self, belief: Case) -> BeamSite:
-        """From what is believed."""
+        """The beam and the robot as they are believed."""
         length = belief.robot.body_length
         step = Step(self.half_step_ratio * length, self.lift_ratio * length, stepping.swing_time(self.rate))
         track = belief.on(Beam).width - 2 * self.inset

@@ -41,5 +41,5 @@ class BesideBall(OnBall, InParts):
 
     @property
     def parts(self) -> Mapping[str, Guided]:
-        """The calming steps."""
+        """The calming steps, by their law."""
         return {CALM: Steps(self.calming, self.calm_speed, math.inf)}

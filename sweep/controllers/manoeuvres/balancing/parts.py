@@ -27,7 +27,7 @@ class InParts(ABC):
         """Its laws, by their names."""
 
     def memory(self, belief: Case, plan: Plan) -> dict[str, Any]:
-        """Of each part."""
+        """The memories of all parts, by law."""
         return {name: part.memory(belief, plan) for name, part in self.parts.items()}
 
     def guide(
@@ -67,13 +67,13 @@ class Steps(NamedTuple):
     within: Array | float  # m, of the drive's place
 
     def memory(self, belief: Case, plan: Plan) -> DriveMemory:
-        """Of the drive."""
+        """The memory of the drive."""
         return self.drive.memory(belief, plan)
 
     def guide(
         self, belief: Case, plan: Plan, state: TrackerState, seen: Observation, begins: Bool[Array, ""], period: float
     ) -> Guidance:
-        """By the drive's law."""
+        """A tick of the drive's law."""
         return self.drive.guide(belief, plan, state, seen, begins, period)
 
     def ends(self, belief: Case, plan: Plan, state: TrackerState, seen: Observation) -> Bool[Array, ""]:
@@ -89,17 +89,17 @@ class OfBall(NamedTuple):
     ball: int
 
     def memory(self, belief: Case, plan: Plan) -> Any:
-        """Of the law."""
+        """The memory of the law."""
         return self.law.memory(belief, plan)
 
     def guide(
         self, belief: Case, plan: Plan, state: TrackerState, seen: Observation, begins: Bool[Array, ""], period: float
     ) -> Guidance:
-        """As if there were no other."""
+        """What the law says as if there were no other ball."""
         return self.law.guide(belief, plan, state, self._seen(seen), begins, period)
 
     def ends(self, belief: Case, plan: Plan, state: TrackerState, seen: Observation) -> Bool[Array, ""]:
-        """As if there were no other."""
+        """What the law says as if there were no other ball."""
         return self.law.ends(belief, plan, state, self._seen(seen))
 
     def stages(self, of_only: Sequence[Stage]) -> list[Stage]:

@@ -53,7 +53,7 @@ class CornerSite(NamedTuple):
         return pair(legs, wider * self.track, -wider * self.edge, height)
 
     def on_floor(self, legs: tuple[int, int], eta: Array | float) -> dict[int, Array]:
-        """Footholds of a pair."""
+        """Footholds of a pair on the floor (m)."""
         return pair(legs, self.floor_track, eta - self.edge, 0.0)
 
     def between(self, feet: dict) -> Array:
@@ -67,7 +67,7 @@ class CornerSite(NamedTuple):
         return Stage(name, times * self.step.time, goals, CYCLE_B_SMOOTH, self.step.height, plane, pace=SMOOTH, **body)
 
 
-class Entry(NamedTuple):
+class CornerEntry(NamedTuple):
     """Numbers of 2.4.1 to 2.4.5, as the plan's file has and explains them."""
 
     pitch: tuple[float, float]
@@ -144,9 +144,9 @@ class CornerClimb(OnCorner):
     the floor stand wider than on the walls, and the front ones x* farther ahead, else front and middle legs cross; the
     middle feet stand 0.6 x* nearer to the corner, and the base pitches up a little less in 2.4.2, or the middle legs do
     not reach the floor, and in 2.4.3 they leave it upwards, or are out of reach; the front feet touch the wall x*
-    higher and farther apart (`Entry`), where their shins clear it, and go up as much less in 2.4.4, whose way is along
-    zeta; swings with a moving base take 2 to 2.6 t*; 2.4.7 is left out, and the feet are spread from the start, since
-    the longer the lever from the lower to the upper feet, the less friction is needed.
+    higher and farther apart (`CornerEntry`), where their shins clear it, and go up as much less in 2.4.4, whose way is
+    along zeta; swings with a moving base take 2 to 2.6 t*; 2.4.7 is left out, and the feet are spread from the start,
+    since the longer the lever from the lower to the upper feet, the less friction is needed.
     """
 
     goal: ClassVar = ON_ITS_FEET
@@ -156,19 +156,19 @@ class CornerClimb(OnCorner):
     def plan(self, belief: Case) -> Plan:
         """Stand, get on, spread the feet, gallop, halt."""
         site = self.site(belief)
-        start, stages, feet = climb(site, numbers_of(Entry, belief, "entry"))
+        start, stages, feet = climb(site, numbers_of(CornerEntry, belief, "entry"))
         rise = self.rise_ratio * site.length
         return self.assembled(belief, start, [*stages, *gallop(site, feet, rise, self.cycles)])
 
 
-def climb(site: CornerSite, entry: Entry) -> tuple[Stance, list[Stage], dict]:
+def climb(site: CornerSite, entry: CornerEntry) -> tuple[Stance, list[Stage], dict]:
     """2.4.1 to 2.4.8: from the floor to where the gallop starts, with the feet's heights then."""
     start, on, feet = get_on(site, entry)
     spread, feet = spread_out(site, feet)
     return start, [*on, *spread], feet
 
 
-def get_on(site: CornerSite, entry: Entry) -> tuple[Stance, list[Stage], dict]:
+def get_on(site: CornerSite, entry: CornerEntry) -> tuple[Stance, list[Stage], dict]:
     """2.4.1 to 2.4.5: the base pitches up, its front edge on a vertical line, its rear edge on a level one.
 
     The feet's heights on the wall are returned beside the stages, by pair.

@@ -15,7 +15,16 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from sweep.controllers.gaits import TRIPOD
-from sweep.controllers.manoeuvres.climbing.corner import FRONT, MIDDLE, REAR, CornerSite, Entry, OnCorner, climb, gallop
+from sweep.controllers.manoeuvres.climbing.corner import (
+    FRONT,
+    MIDDLE,
+    REAR,
+    CornerEntry,
+    CornerSite,
+    OnCorner,
+    climb,
+    gallop,
+)
 from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.moves import Terms, moves, numbers_of, stages_of, standing
 from sweep.controllers.plan import CYCLE_B_SMOOTH, SMOOTH, Plan, Stage, Stance
@@ -57,7 +66,7 @@ class CornerRoof(OnCorner):
         it is too low are not a number, hence invalid.
         """
         site, top = self.site(belief), belief.on(Corner).height
-        start, stages, feet = climb(site, numbers_of(Entry, belief, "entry"))
+        start, stages, feet = climb(site, numbers_of(CornerEntry, belief, "entry"))
         rise = below_edge(site, top)[FRONT] - feet[FRONT]
         if not isinstance(rise, Tracer):
             self.refuse(belief, float(rise), float(MOST_RISE * site.length))

@@ -30,7 +30,7 @@ OUTWARD = SIDE[:, None] * np.array([1.0, 0.0, 0.0])  # (6, 3), e_n of (2.3.2)
 UP = np.array([0.0, 0.0, 1.0])
 
 
-class Entry(NamedTuple):
+class PoleEntry(NamedTuple):
     """Numbers of 2.3.1 and 2.3.2, from the floor on to the pole, as the plan's file has and explains them."""
 
     pitch: tuple[float, float, float, float]
@@ -55,7 +55,7 @@ class PoleSite(NamedTuple):
     standoff: Array | float  # d_c, of the vertical base from the pole's axis
     front_ahead: tuple[Array | float, Array | float]  # arguments of `ahead` for the front feet
     step: Step
-    entry: Entry
+    entry: PoleEntry
 
     @property
     def crossing(self) -> Float[Array, " 3"]:
@@ -95,8 +95,8 @@ class OnPole(PlannedForces):
     The feet are pressed on to the pole by footholds inside it, as printed, or by planned forces.
 
     For robots with legs along their sides, and poles from 0.32 to 0.52 a_r. What differs from the printed plan, and
-    why: `Entry` and `front_ahead`; d_c, printed 0.47 a_r, where the base touches poles thicker than 0.45 a_r; feet on
-    the floor stay as far from the hips whatever the pole, printed at its radius, where knees meet before thin poles;
+    why: `PoleEntry` and `front_ahead`; d_c, printed 0.47 a_r, where the base touches poles thicker than 0.45 a_r; feet
+    on the floor stay as far from the hips whatever the pole, printed at its radius, where knees meet before thin poles;
     and in `get_on` the rear feet's step on the floor, when the front feet go up, and how feet leave the floor.
     """
 
@@ -143,7 +143,7 @@ class OnPole(PlannedForces):
             pole.radius + self.gap_ratio * length,
             (self.front_ahead, self.front_ahead_slope),
             step,
-            numbers_of(Entry, belief, "entry"),
+            numbers_of(PoleEntry, belief, "entry"),
         )
 
     def climb(
@@ -172,7 +172,7 @@ class PoleClimb(OnPole):
     kind: str = choice("pole_climb", "pole_climb")
 
     def plan(self, belief: Case) -> Plan:
-        """Climb, halt."""
+        """The climb, and a halt."""
         site = self.site(belief)
         start, stages = self.climb(site, belief, site.step.landing)
         return self.assembled(belief, start, stages)
@@ -193,7 +193,7 @@ def get_on(site: PoleSite) -> list[Stage]:
 
     The base's front edge goes up a vertical line, its rear edge along a horizontal one, as printed: its centre turns
     about their crossing by the angle by which the base pitches up. The lines are farther from the pole than the printed
-    d_c, and lower than d (`Entry`).
+    d_c, and lower than d (`PoleEntry`).
 
     Printed with the front feet going up last. Ahead of the axis the pole's normal pushes the robot away from it, which
     costs a friction of 0.93 once the rear feet are in the air; with the front feet up and at the pole's sides, 0.3.

@@ -62,7 +62,7 @@ class PoleToLedge(PoleTop):
         return start, [*stages, *self.rested([*cross, *away]), *walk]
 
     def plan(self, belief: Case) -> Plan:
-        """Go all the way, halt."""
+        """The whole way, and a halt."""
         return self.assembled(belief, *self.way(belief))
 
 

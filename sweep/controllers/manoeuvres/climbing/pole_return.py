@@ -20,6 +20,6 @@ class PoleReturn(PoleClimb):
     kind: str = choice("pole_return", "pole_return")
 
     def plan(self, belief: Case) -> Plan:
-        """Up and down."""
+        """The climb and its way back."""
         up = super().plan(belief)
         return joined(up, reversed_in_time(up))

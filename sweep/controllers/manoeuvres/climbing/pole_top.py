@@ -52,6 +52,6 @@ class PoleTop(OnPole):
         return start, [*climb, *self.rested(stages)], at
 
     def plan(self, belief: Case) -> Plan:
-        """Get on the top, halt."""
+        """The way to the top, and a halt."""
         start, stages, _ = self.ascend(self.site(belief), belief)
         return self.assembled(belief, start, stages)

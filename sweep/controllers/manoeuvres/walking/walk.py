@@ -65,7 +65,7 @@ class Stand:
     needs = (Plane,)
 
     def plan(self, belief: Case) -> Plan:
-        """One stage."""
+        """One stage in which all feet stand."""
         length = belief.robot.body_length
         start, _ = standing(belief, self.spread_ratio * length, self.height_ratio * length)
         return on_ground(assemble(start, [Stage("stand", self.duration)], 0.0), belief)
