@@ -265,7 +265,3 @@ def ball_swerve(
     c_2 = J_r / unit + height * jnp.cos(phi) + height**2
     turning = height * (GRAVITY + dphi**2 * R) * jnp.sin(phi) / (v * C_1)
     return Swerve(v / turning, -J_zeta * turning / (SPINNING * M * R**2), R * c_2 * turning / C_1)
-
-
-def _elevation(name: str, default: float) -> Input:
-    return Input(name, "rad", default, at_least=-np.pi, at_most=np.pi)
