@@ -49,9 +49,10 @@ def same_plan(a: Plan, b: Plan):
     turned = {"quat": (a.quat, b.quat), "start": (a.start.quat, b.start.quat)}
     for one, other in turned.values():
         same_attitude(one, other)
-    for name in ("duration", "swing", "foothold", "cycle", "height", "plane", "guided", "guides", "carry", "position",
-                 "turn", "pace", "rates", "pivot", "arc"):  # fmt: skip
-        np.testing.assert_allclose(getattr(a, name), getattr(b, name), atol=1e-12, err_msg=name)
+    for name in ("duration", "swing", "foothold", "curve", "position", "turn", "way"):
+        for one, other in zip(*map(jax.tree.leaves, (getattr(a, name), getattr(b, name))), strict=True):
+            np.testing.assert_allclose(one, other, atol=1e-12, err_msg=name)
+    assert (a.onset, a.laws) == (b.onset, b.laws)
     np.testing.assert_allclose(a.start.feet, b.start.feet, atol=1e-12)
     np.testing.assert_allclose(a.start.position, b.start.position, atol=1e-12)
 

@@ -23,7 +23,7 @@ def moment(time: float) -> Any:
     free = FreeState(place, start.quat, still.at[0, 0].set(speed), still)
     stage = int(time >= DURATION[0])
     phase = (time - DURATION[0] * stage) / DURATION[stage]
-    plan = SimpleNamespace(names=("roll1", "over.ahead"), duration=jnp.array(DURATION))
+    plan = SimpleNamespace(laws=("roll", "over"), duration=jnp.array(DURATION))
     tick = SimpleNamespace(free=free)
     world = SimpleNamespace(obstacle=WORLD)
     when = SimpleNamespace(stage=stage, phase=phase, time=time, period=0.1, finished=jnp.asarray(time > 29))
