@@ -10,7 +10,7 @@ SCRIPT = @if npx --yes --package=$(1) $(2) --version >/dev/null 2>&1; then npx -
 PYTHONS = $(shell for v in 3.12 3.13; do for p in python$$v $$HOME/.pyenv/versions/$$v*/bin/python; do \
   $$p -c '' 2>/dev/null && echo $$p && break; done; done)
 
-.PHONY: demo baseline test wheel slow slurm lint types docs paper points setup clean
+.PHONY: demo baseline shapes test wheel slow slurm lint types docs paper points setup clean
 
 demo: setup
 	rm -rf results/demo
@@ -29,6 +29,9 @@ wheel: setup  # the wheel in an empty environment, run from an empty folder
 
 slow: setup
 	$(BIN)/pytest -m slow
+
+shapes: setup  # every call of formulas, models, dynamics and controllers checked for the shapes that it promises
+	PYTHONPATH=tests $(BIN)/pytest -p shapes tests/formulas tests/models tests/controllers
 
 # needs Debian's slurm-wlm and munge, which the tests start and stop themselves
 slurm: setup

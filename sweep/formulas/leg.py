@@ -6,14 +6,14 @@ Legs are numbered 1-2 rear, 3-4 middle, 5-6 front, odd on the right. A foot posi
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Real
 
 # (-1)^i of leg i: +1 on the left. 32 bits wide, as 64-bit NumPy constants break JAX once both precisions were used.
 SIDE = np.array([-1, 1, -1, 1, -1, 1], np.int32)
 
 
 def fk(
-    side: Float[Array, "*b"] | np.ndarray | int,
+    side: Real[Array, "*b"] | np.ndarray | int,
     angles: Float[Array, "*b 3"],
     coxa: Array | float,
     thigh: Array | float,
@@ -27,7 +27,7 @@ def fk(
 
 
 def ik(
-    side: Float[Array, "*b"] | np.ndarray | int,
+    side: Real[Array, "*b"] | np.ndarray | int,
     foot: Float[Array, "*b 3"],
     coxa: Array | float,
     thigh: Array | float,

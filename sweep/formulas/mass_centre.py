@@ -4,14 +4,14 @@ from typing import Annotated, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Real
 
 from sweep.formulas import leg
 from sweep.formulas.formula import Scalar, formula, positive
 
 
 def leg_mass_centre(
-    side: Float[Array, "*b"],
+    side: Real[Array, "*b"],
     angles: Float[Array, "*b 3"],
     thigh: Scalar,
     shin: Scalar,

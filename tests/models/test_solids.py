@@ -83,7 +83,7 @@ def mujocos(solids, capsules, boxes):
     (a, b), (centre, rotation, half) = capsules, boxes
     links, bases = np.full(len(a), np.inf), np.full(len(a), np.inf)
     for i in range(len(a)):
-        corners = np.asarray(box_corners(centre[i], rotation[i], half[i]))
+        corners = np.asarray(box_corners(*map(jnp.asarray, (centre[i], rotation[i], half[i]))))
         links[i] = min([1.0, *(min(normal @ a[i], normal @ b[i]) for normal in planes)])
         bases[i] = min([1.0, *((corners @ normal).min() for normal in planes)])
         model.geom_size[count] = THIN, THIN, np.linalg.norm(b[i] - a[i]) / 2
