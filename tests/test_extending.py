@@ -78,6 +78,11 @@ def run(command, root, program):
     return done.stdout
 
 
+def test_a_page_shows_what_the_repository_keeps(checkout):
+    take_out(checkout, PAGES[KERB])
+    assert not (checkout / "sweep/models/obstacles/kerb.py").exists()
+
+
 @pytest.mark.parametrize(
     "title", [pytest.param(title, marks=pytest.mark.slow if title in SIMULATED else ()) for title in PAGES]
 )

@@ -5,6 +5,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
+pytest.importorskip("beartype")  # of the extra dev
+
 HERE = Path(__file__).parent
 CHEAP = ("controllers/test_gaits.py", "controllers/test_tracker.py", "controllers/test_observer.py",
          "formulas/test_statics.py", "models/test_leg.py", "models/test_contact.py")  # fmt: skip
