@@ -16,7 +16,12 @@ ROOMS = "formulas", "models", "dynamics", "controllers"
 
 
 def checked[F: Callable](function: F) -> F:
-    """`function`, which refuses arrays of other kinds and shapes than it is annotated with."""
+    """`function`, which refuses arrays of other kinds and shapes than it is annotated with.
+
+    Not what makes a dataclass: a batch of plans has an axis more.
+    """
+    if function.__name__ == "__init__":
+        return function
     hints = inspect.get_annotations(function)
     function.__annotations__ = {name: hint if _of_shape(hint) else Any for name, hint in hints.items()}
     return beartype(function)

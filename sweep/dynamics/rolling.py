@@ -22,7 +22,7 @@ class Moments(NamedTuple):
     slope: Matrix  # (m,) -d moment / d rate, N m s/rad
 
 
-def resisting_moments(rolling: Rolling, normal: Vector, load: Float[Array, " m"], rate: Vector) -> Moments:
+def resisting_moments(rolling: Rolling, normal: Vector, load: Float[Array, "*m"], rate: Vector) -> Moments:
     """Moments (N m) against rolling and spinning at `rate` (rad/s) under the normal forces `load` (N)."""
     spin = rate.dot(normal)
     roll = rate - spin * normal
