@@ -1,5 +1,7 @@
 """Plans as files: what they say, how their numbers vary, and what is told of mistakes in them."""
 
+from dataclasses import replace
+
 import jax
 import numpy as np
 import pytest
@@ -49,6 +51,20 @@ def test_a_plan_of_a_project_changes_what_it_says_and_keeps_the_rest(lab):
     assert now["roof.pitch.base.pitch"] == 45
 
 
+def test_numbers_follow_the_sizes_that_are_believed(lab):
+    lab.write_text(f"{OWN}slopes:\n  at: {{robot.thigh: 0.52}}\n  roof.pitch.base.above: {{robot.thigh: -0.5}}\n")
+    case = compose([*ROOF, "plan=mine"]).case
+    longer = replace(case, robot=replace(case.robot, thigh=0.52 * 1.04))
+
+    def above(case):
+        return tabled(case)["roof"]["pitch"]["base"][1]
+
+    assert above(case) == np.float32(0.1)
+    np.testing.assert_allclose(above(longer), 0.1 - 0.5 * 0.04, atol=1e-7)
+    changed = jax.jit(lambda at: above(replace(longer, plan=longer.plan.changed("roof.pitch.base.above", at))))
+    np.testing.assert_allclose(changed(0.3), 0.3 - 0.5 * 0.04, atol=1e-7)
+
+
 def test_a_plan_may_extend_one_that_extends_several(lab):
     lab.write_text("extends: ball_over\nstand: {rise: {seconds: 0.7}}\n")
     case = compose(["scenario=ball_over", "plan=mine"]).case
@@ -83,6 +99,15 @@ def test_rows_have_the_ids_of_their_numbers_whatever_file_they_are_in(lab):
             "plan.a is not allowed: one move",
         ),
         ("extends: corner\nroof: {reverse: entry, to: a}", "plan.roof.to is unknown"),
+        (f"{OWN}slopes: {{at: {{robot.tigh: 0.5}}}}", "plan.slopes.at.robot.tigh is unknown: did you mean robot.thigh"),
+        (
+            f"{OWN}slopes: {{at: {{robot.thigh: 0.5}}, roof.pich.base.ahead: {{robot.thigh: 1}}}}",
+            "plan.slopes.roof.pich.base.ahead is unknown: did you mean roof.pitch.base.ahead",
+        ),
+        (
+            f"{OWN}slopes: {{at: {{robot.thigh: 0.5}}, roof.pitch.base.ahead: {{robot.shin: 1}}}}",
+            "plan.slopes.roof.pitch.base.ahead.robot.shin is unknown",
+        ),
     ],
 )
 def test_mistakes_in_a_file_are_told_in_one_line(lab, text, told):

@@ -7,7 +7,7 @@ from sweep.cli.main import main
 from sweep.core.errors import InputError
 from sweep.models.obstacles.charts import charts
 from sweep.models.plan_table import numbers, tabled
-from sweep.runs.tuning import free_numbers, search
+from sweep.runs.tuning import fit, free_numbers, search
 from sweep.study.config import compose
 
 AT, STEPS = np.array([1.0, -2.0, 0.5]), np.array([0.1, 0.1, 0.02])
@@ -46,6 +46,42 @@ def test_an_interrupted_search_goes_on_to_the_same_numbers(tmp_path):
         found(log, {**HOW, "seed": 4})
 
 
+class Wants:
+    """Of draws each of which wants other numbers, in proportion to its sizes."""
+
+    at, slopes = np.array([1.0, -2.0]), np.array([[0.5, 0.0], [0.0, -1.0]])
+    off = np.random.default_rng(1).uniform(-0.04, 0.04, (12, 2))
+
+    def __init__(self, ends=np.inf):
+        self.asked, self.ends = 0, ends
+
+    def __call__(self, many):
+        if self.asked >= self.ends:
+            raise KeyboardInterrupt
+        self.asked += 1
+        lacks = (many - self.at - self.off @ self.slopes.T) / 0.01
+        return np.sum(lacks**2, axis=1), 2 * lacks / 0.01
+
+
+def test_numbers_that_follow_sizes_are_found_and_an_interrupted_search_goes_on(tmp_path):
+    def follow(wants, log, **changed):
+        how = {"seed": 1, "generations": 300, **changed}
+        return fit(wants, Wants.at - 0.05, np.array([0.02, 0.02]), Wants.off, how, log, lambda done, least: None)
+
+    whole = follow(Wants(), tmp_path / "whole")
+    np.testing.assert_allclose(whole[0], Wants.at, atol=2e-3)
+    np.testing.assert_allclose(whole[1], Wants.slopes, atol=0.05)
+    with pytest.raises(KeyboardInterrupt):
+        follow(Wants(ends=100), tmp_path / "log")
+    rest = Wants()
+    again = follow(rest, tmp_path / "log")
+    assert rest.asked == 200
+    for one, other in zip(whole, again, strict=True):
+        np.testing.assert_array_equal(one, other)
+    with pytest.raises(InputError, match="log is of another search"):
+        follow(rest, tmp_path / "log", seed=2)
+
+
 def test_numbers_are_free_by_pattern_times_only_by_a_step():
     at = {"top.rear.time": 3.0, "top.rear.base.ahead": 0.1, "top.rear.base.pitch": 5.0, "over.lift": 1.0}
     assert free_numbers(at, ["top.*"]) == {"top.rear.base.ahead": 0.02, "top.rear.base.pitch": 2.0}
@@ -74,12 +110,35 @@ def test_a_plan_that_touches_is_tuned_until_it_does_not(tmp_path, monkeypatch, c
     assert len((tmp_path / "plans" / "mine.yaml.log").read_text().splitlines()) == 1 + 3
 
 
+@pytest.mark.slow
+def test_a_plan_is_tuned_to_follow_sizes_and_simulated(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "draws.yaml").write_text(
+        "scenario: pole_top\nstudy:\n  design: {kind: monte_carlo, num: 4}\n  axes:\n"
+        "    radius: {path: obstacle.radius, relative: 0.1}\n"
+    )
+    asked = ["tune", "scenario=pole_top", "study=draws.yaml", "--stages", "over.front", "--moments", "3"]
+    assert main([*asked, "--free", "over.front.*", "--need", "outer=0.006", "--generations", "20", "--follow",
+                 "--simulate", "out=plans/mine.yaml"]) == 0  # fmt: skip
+    told = capsys.readouterr().out
+    text = (tmp_path / "plans" / "mine.yaml").read_text()
+    assert "over.front.front.aside: {obstacle.radius: " in text
+    for seed in (0, 1):
+        line = next(line for line in told.splitlines() if line.startswith(f"simulated draws of seed {seed}"))
+        assert f"# {line}" in text
+        assert (tmp_path / "plans" / "mine.draws" / f"after-{seed}" / "study.yaml").exists()
+
+
 @pytest.mark.parametrize(
     ("args", "told"),
     [
         (["scenario=walk_tripod", "out=x.yaml"], "manoeuvre.kind = walk has its numbers in no file"),
         (["scenario=pole_top"], "out =  is not allowed: the file of the plan"),
         (["scenario=pole_top", "out=x.yaml", "--population", "2"], "--population = 2 is not allowed: at least 4"),
+        (
+            ["scenario=pole_top", "out=x.yaml", "--follow"],
+            "--follow is not allowed: study pole_top draws no number of robot",
+        ),
         (["scenario=pole_top", "out=x.yaml", "--stages", "roof"], "--stages = roof names no stage of stand"),
         (
             ["scenario=pole_top", "out=x.yaml", "--forces", "--need", "base"],

@@ -2,9 +2,10 @@
 
 import argparse
 import shlex
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -12,23 +13,31 @@ import yaml
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from sweep.analysis.stats import rate
 from sweep.cli.exits import DONE, UNEXPECTED
 from sweep.core.errors import InputError
 from sweep.core.files import write_whole
 from sweep.models import plan_table
 from sweep.models.case import Case
 from sweep.models.obstacles.charts import charts
-from sweep.runs import tuning
-from sweep.study.config import compose
+from sweep.models.plan_table import SLOPES, Content
+from sweep.runs import store, tuning
+from sweep.study.config import Experiment, compose
+from sweep.study.study import parameter_columns, points
+from sweep.systems.base import side_and_path
 from sweep.systems.hexapod import Hexapod
-from sweep.tune.score import Aim, Score, stacked, worst
+from sweep.tune.score import Aim, Score, shares, stacked, worst
 
-DIGITS = 4  # to which numbers are rounded
+DIGITS, SLOPE_DIGITS = 4, 3  # to which numbers are rounded, and slopes
+DRAWS = ("here", "other draws")
 LEAST = {"moments": 2, "population": 4, "generations": 1, "seed": 1}  # of the flags
+SLIGHT = 0.05  # first steps by which a number has to follow a size in the farthest draw, or it does not
 EPILOG = """Margins are those of sweep/tune/planned.py; draws are the points of the study, known to the planner. What is
-found is checked on the draws of the study's next seed. Nothing is simulated: run the study with that plan.
+found is checked on the draws of the study's next seed. With --follow numbers get slopes, by which they follow the sizes
+that the study draws. With --simulate both draws are run, too, by the plan before and after, in folders beside the file.
 examples:
   sweep tune scenario=pole_top robot=mine study=pole_sizes out=plans/mine.yaml --free 'top.*' --stages 'top.*'
+  sweep tune scenario=pole_top study=pole_sizes out=plans/any.yaml --follow --simulate
   sweep tune scenario=pole_top plan=plans/mine.yaml study=pole_sizes --check"""
 
 
@@ -46,48 +55,98 @@ def main(args: list[str]) -> int:
         raise InputError(f"manoeuvre.kind = {case.manoeuvre.kind} has its numbers in no file")
     if not given.check and where.suffix != ".yaml":
         raise InputError(f"out = {exp.out or ''} is not allowed: the file of the plan, such as plans/mine.yaml")
-    numbers = plan_table.numbers(plan_table.tabled(case), charts(case.obstacle))
+    numbers = plan_table.numbers(plan_table.told(case), charts(case.obstacle))
     steps = tuning.free_numbers(numbers, given.free or ["*"])
-    first, scale = np.array([numbers[path] for path in steps]), np.array(list(steps.values()))
-    aims, width = [aim(text) for text in given.need], 2 if given.check else given.population
+    if given.follow and given.forces:
+        raise InputError("--follow is not allowed with --forces: how these change with a plan's numbers is not known")
+    sizes = drawn_sizes(exp) if given.follow else {}
+    aims, width = [aim(text) for text in given.need], 1 if given.check or given.follow else given.population
     score = Score(case, list(steps), aims, given.stages or ["*"], given.moments, given.forces, width)
     seen, others = (stacked(*tuning.draws(exp, exp.study.seed + k)) for k in (0, 1))
+    first = np.array([numbers[path] for path in steps])
     if given.check:
-        here, there = (score.margins(first[None], many) for many in (seen, others))
-        print(table(score, {"here": of_set(here), "other draws": of_set(there)}))
+        print(
+            table(score, {name: score.margins(first, draws) for name, draws in zip(DRAWS, (seen, others), strict=True)})
+        )
         return DONE
     how = {"overrides": sorted(overrides), "free": steps, "stages": given.stages, "need": given.need,
            "moments": given.moments, "forces": given.forces, "seed": given.seed, "population": given.population,
-           "generations": given.generations}  # fmt: skip
+           "follow": given.follow, "generations": given.generations}  # fmt: skip
     where.parent.mkdir(parents=True, exist_ok=True)
-    shown = Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
-                     console=Console(stderr=True))  # fmt: skip
-    with shown:
-        task = shown.add_task(f"{len(steps)} numbers, {len(score.stages)} stages", total=given.generations)
-        best, _ = tuning.search(
-            lambda many: score.lacks(score.margins(many, seen)), first, scale, how,
-            where.with_name(f"{where.name}.log"),
-            lambda done, least: shown.update(task, completed=done, description=f"score {least:.4g}"),
-        )  # fmt: skip
-    best = np.round(best, DIGITS)
-    here, there = (score.margins(np.stack([first, best]), many) for many in (seen, others))
-    before, after = score.lacks(here)
-    told = table(score, {"before": of_set(here), "after": of_set(here, 1), "others before": of_set(there),
-                         "others after": of_set(there, 1)})  # fmt: skip
-    print(f"score {before:.4g} before, {after:.4g} after\n{told}")
-    if not after < before:
+    best, slopes = searched(score, seen, first, sizes, how, where.with_name(f"{where.name}.log"))
+    left = {f"{name} {when}": score.margins(at, draws)
+            for name, draws in zip(DRAWS, (seen, others), strict=True)
+            for when, at in (("before", first), ("after", best + shares(draws, sizes) @ slopes.T))}  # fmt: skip
+    was, now = (float(score.lacks(left[f"{DRAWS[0]} {when}"])) for when in ("before", "after"))
+    told = table(score, left)
+    print(f"score {was:.4g} before, {now:.4g} after\n{told}")
+    if not now < was:
         return UNEXPECTED
-    head = [f"{len(steps)} numbers searched for by CMA-ES: score {before:.4g} before, {after:.4g} after",
+    method = "gradients, to follow sizes" if given.follow else "CMA-ES"
+    head = [f"{len(steps)} numbers searched for by {method}: score {was:.4g} before, {now:.4g} after",
             f"sweep tune {shlex.join(args)}", f"least margins over draws of seed {exp.study.seed}, and over others of "
             f"seed {exp.study.seed + 1}:", *told.splitlines()]  # fmt: skip
-    write_whole(where, file_of(case, dict(zip(steps, best.tolist(), strict=True)), head).encode())
+    content = followed(changed(case, dict(zip(steps, best.tolist(), strict=True))), steps, slopes, sizes)
+    write_whole(where, file_of(case, content, head).encode())
+    if given.simulate:
+        lines = [simulated(overrides, where, seed) for seed in (exp.study.seed, exp.study.seed + 1)]
+        print("\n".join(lines))
+        write_whole(where, file_of(case, content, [*head, *lines]).encode())
     print(where)
     return DONE
 
 
-def of_set(margins: Mapping[str, np.ndarray], k: int = 0) -> dict[str, np.ndarray]:
-    """Margins (draws, stages) of one of several sets of numbers."""
-    return {key: value[k] for key, value in margins.items()}
+def drawn_sizes(exp: Experiment) -> dict[str, float]:
+    """Sizes of robot and obstacle that the experiment's study draws, those where its plan's numbers hold.
+
+    Raises `InputError` where there are none.
+    """
+    told = {side_and_path(column)[1] for column in parameter_columns(points(exp.study, exp.system, exp.settings))}
+    at = plan_table.told(exp.case).get(SLOPES, {}).get(plan_table.AT, {})
+    found = {path: at.get(path, float(plan_table.size(exp.case, path)))
+             for path in sorted(told) if path.partition(".")[0] in plan_table.SIZED}  # fmt: skip
+    if not found:
+        groups = " or ".join(plan_table.SIZED)
+        raise InputError(f"--follow is not allowed: study {exp.study.name} draws no number of {groups}")
+    return found
+
+
+def searched(
+    score: Score, seen: Case, first: np.ndarray, sizes: Mapping[str, float], how: Mapping[str, Any], log: Path
+) -> tuple[np.ndarray, np.ndarray]:
+    """Numbers (n,), and slopes (n, k) by which they follow sizes, rounded; with a bar that tells how far it is."""
+    scale = np.array(list(how["free"].values()))
+    shown = Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
+                     console=Console(stderr=True))  # fmt: skip
+    with shown:
+        task = shown.add_task(f"{len(first)} numbers, {len(score.stages)} stages", total=how["generations"])
+
+        def tell(done: int, least: float) -> None:
+            shown.update(task, completed=done, description=f"score {least:.4g}")
+
+        if not how["follow"]:
+            best, _ = tuning.search(
+                lambda many: score.lacks(score.margins(many[:, None], seen)), first, scale, how, log, tell
+            )
+            return np.round(best, DIGITS), np.zeros((len(first), 0))
+        off = shares(seen, sizes)
+        best, slopes = tuning.fit(lambda many: score.descent(many, seen), first, scale, off, how, log, tell)
+    slight = np.abs(slopes) * np.abs(off).max(axis=0) < SLIGHT * scale[:, None]
+    return np.round(best, DIGITS), np.where(slight, 0.0, np.round(slopes, SLOPE_DIGITS))
+
+
+def simulated(overrides: list[str], file: Path, seed: int) -> str:
+    """How many draws of a seed succeed by the plan before and by that of the file, which are run in its folder."""
+    from sweep.cli import run  # slow to import
+
+    given, rates = [text for text in overrides if not text.startswith("out=")], {}
+    for when, more in (("before", []), ("after", [f"plan={file}"])):
+        kept = [text for text in given if not (more and text.startswith("plan="))]
+        folder = file.with_suffix(".draws") / f"{when}-{seed}"
+        run.execute(compose([*kept, *more, f"study.seed={seed}", f"out={folder}"]), run.Flags())
+        rates[when] = rate(store.read_rows(folder)["outcome"])
+    before, after = (f"{found.success} of {found.valid}" for found in rates.values())
+    return f"simulated draws of seed {seed} that succeed: {before} before, {after} after"
 
 
 def parser() -> argparse.ArgumentParser:
@@ -101,10 +160,12 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("--stages", action="append", metavar="PATTERN", help="stages to judge (all)")
     made.add_argument("--need", action="append", default=[], metavar="MARGIN[@STAGES]=VALUE", help="what is aimed at")
     made.add_argument("--forces", action="store_true", help="search forces that hold the robot, too")
+    made.add_argument("--follow", action="store_true", help="have numbers follow the sizes that the study draws")
+    made.add_argument("--simulate", action="store_true", help="run both draws by the plans before and after")
     made.add_argument("--check", action="store_true", help="only tell the margins of the plan as it is")
     made.add_argument("--moments", type=int, default=11, help="of each stage (11)")
     made.add_argument("--population", type=int, default=16, help="plans of a generation (16)")
-    made.add_argument("--generations", type=int, default=200, help="at most (200)")
+    made.add_argument("--generations", type=int, default=200, help="at most (200); of --follow steps")
     made.add_argument("--seed", type=int, default=1, help="of the search, at least 1")
     return made
 
@@ -128,14 +189,33 @@ def table(score: Score, found: Mapping[str, Mapping[str, np.ndarray]]) -> str:
     return shown.rename_axis("margin").to_markdown(floatfmt=".4g")
 
 
-def file_of(case: Case, changes: Mapping[str, float], head: list[str]) -> str:
-    """A file of the group `plan` with these numbers, over the manoeuvre's own plan, and comments at its head."""
-    other = replace(case, plan=case.plan)
+def changed(case: Case, changes: Mapping[str, float]) -> Content:
+    """What the case says of its plan, with other numbers."""
     for path, value in changes.items():
-        other = replace(other, plan=other.plan.changed(path, value))
+        case = replace(case, plan=case.plan.changed(path, value))
+    return plan_table.told(case)
+
+
+def followed(content: Content, paths: Iterable[str], slopes: np.ndarray, sizes: Mapping[str, float]) -> Content:
+    """`content` whose numbers at `paths` follow sizes by `slopes` (n, k) besides."""
+    if not sizes:
+        return content
+    part = {**content.get(SLOPES, {})}
+    part[plan_table.AT] = {**part.get(plan_table.AT, {}), **sizes}
+    for path, line in zip(paths, slopes.tolist(), strict=True):
+        known = part.get(path, {})
+        slopes_of = zip(sizes, line, strict=True)
+        more = {size: round(known.get(size, 0.0) + slope, SLOPE_DIGITS) for size, slope in slopes_of if slope}
+        if known or more:
+            part[path] = {**known, **more}
+    return {**content, SLOPES: part}
+
+
+def file_of(case: Case, content: Content, head: list[str]) -> str:
+    """A file of the group `plan` that says this, over the manoeuvre's own plan, with comments at its head."""
     assert isinstance(case.manoeuvre, plan_table.Tabled)
-    said = plan_table.differences(plan_table.own(case), plan_table.tabled(other))
+    said = plan_table.differences(plan_table.own(case), content)
     own = case.manoeuvre.own_plan
-    content = {"extends": own, **said} if own else said
-    text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=1000)
+    whole = {"extends": own, **said} if own else said
+    text = yaml.safe_dump(whole, sort_keys=False, default_flow_style=None, width=1000)
     return "".join(f"# {line}\n" for line in head) + text

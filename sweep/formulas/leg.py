@@ -58,7 +58,8 @@ def ik(
 
 def _angle(cosine: Array) -> Array:
     """The clamped arccos, f2 of (1.1.3)."""
-    return jnp.arccos(jnp.clip(cosine, -1.0, 1.0))
+    clamped = jnp.abs(cosine) >= 1.0  # there it has no slope, and that of arccos is no number
+    return jnp.where(clamped, jnp.where(cosine > 0, 0.0, jnp.pi), jnp.arccos(jnp.where(clamped, 0.0, cosine)))
 
 
 def rectangular_mounts(length: Array | float, width: Array | float) -> Float[Array, "6 3"]:

@@ -76,6 +76,6 @@ def lift_direction(step: Float[Array, "*b 3"], plane: Float[Array, "*b 3"]) -> F
     A step of no length is lifted along `plane` itself.
     """
     across = jnp.cross(step, jnp.cross(plane, step))
-    size = jnp.linalg.norm(across, axis=-1, keepdims=True)
+    size = jnp.sqrt(jnp.sum(across**2, axis=-1, keepdims=True) + 1e-24)  # a step of no length has a slope, too
     straight = plane / jnp.linalg.norm(plane, axis=-1, keepdims=True)
     return jnp.where(size > 1e-9, across / jnp.maximum(size, 1e-9), straight)

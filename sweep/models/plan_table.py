@@ -1,6 +1,7 @@
 """Numbers of plans, as files of the group `plan` have them: parts of moves, or of numbers that a manoeuvre names.
 
 A file's `extends` names the one that it starts from. Every number has a path, such as `plan.ledge.front2.base.ahead`.
+Numbers hold for the sizes that the part `slopes` has under `at`, and follow others in proportion.
 """
 
 import dataclasses
@@ -11,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 import jax
+import jax.numpy as jnp
 import yaml
 from jaxtyping import Array
 
@@ -21,6 +23,8 @@ from sweep.models.legs import GROUPS
 from sweep.models.obstacles.charts import Chart, charts
 
 GROUP = "plan"
+SLOPES, AT = "slopes", "at"  # the part that says how numbers follow sizes; its line with the sizes where they hold
+SIZED = ("robot", "obstacle")  # groups whose sizes numbers may follow
 CURVE = ("out", "ahead", "up")  # out to the leg's side, in the robot's way, up
 # names of the numbers in a list, by the key that it stands under; those of a place are its chart's
 COMPONENTS = {"base": ("ahead", "above", "pitch"), "leave": CURVE, "land": CURVE, "plane": CURVE,
@@ -58,14 +62,59 @@ class Tabled(Protocol):
         ...
 
 
+def told(case: Any) -> Content:
+    """What a case says of its plan, by part and move; nothing where its numbers are not in a file."""
+    return _changed(case, {})
+
+
 def tabled(case: Any) -> Content:
-    """The numbers of a case's plan, by part and move; none where they are not in a file."""
+    """The same, with numbers that have followed the sizes of this case.
+
+    Raises `InputError` for slopes of no number, or by no size.
+    """
+    content = _written(case)
+    slopes = content.get(SLOPES, {})
+    lines, sizes = {path: line for path, line in slopes.items() if path != AT}, slopes.get(AT, {})
+    off = [jnp.asarray(size(case, path) / at - 1.0, float) for path, at in sizes.items()]
+    if not lines:
+        return told(case)
+    known = numbers(content, charts(case.obstacle))
+    for path, line in lines.items():
+        if path not in known:
+            raise InputError(f"plan.{SLOPES}.{path} is unknown{suggest(path, known).partition(' (allowed')[0]}")
+        if unknown := [by for by in line if by not in sizes]:
+            raise InputError(f"plan.{SLOPES}.{path}.{unknown[0]} is unknown{suggest(unknown[0], sizes)}")
+    # one operation for all numbers, not one for each: it is compiled with every plan
+    matrix = jnp.asarray([[line.get(by, 0.0) for by in sizes] for line in lines.values()])
+    return _changed(case, dict(zip(lines, jnp.sum(matrix * jnp.stack(off), axis=1), strict=True)))
+
+
+def _written(case: Any) -> Content:
+    """What the file of a case's plan says."""
+    return json.loads(case.plan.text) if case.plan.text else own(case)
+
+
+def _changed(case: Any, added: Mapping[str, Array]) -> Content:
+    """The same with the numbers that a case changes, and what is added to numbers by path."""
     table: PlanTable = case.plan
-    content = json.loads(table.text) if table.text else own(case)
-    if not table.paths:
-        return content
     changes = dict(zip(table.paths, table.values, strict=True))
-    return mapped(content, charts(case.obstacle), lambda path, value: changes.get(path, value))
+    if not changes and not added:
+        return _written(case)
+
+    def now(path: str, value: Any) -> Any:
+        value = changes.get(path, value)
+        return value + added[path] if path in added else value
+
+    return mapped(_written(case), charts(case.obstacle), now)
+
+
+def size(case: Any, path: str) -> Any:
+    """A size of robot or obstacle, as axes name it, such as `robot.thigh`. Raises `InputError`."""
+    group, _, name = path.partition(".")
+    if group not in SIZED or name not in (sizes := [f.name for f in dataclasses.fields(getattr(case, group))]):
+        allowed = [f"{group}.{size}" for size in sizes] if group in SIZED else SIZED
+        raise InputError(f"plan.{SLOPES}.{AT}.{path} is unknown{suggest(path, allowed)}")
+    return getattr(getattr(case, group), name)
 
 
 def own(case: Any) -> Content:
@@ -83,12 +132,13 @@ def numbers(content: Content, places: Mapping[str, Chart]) -> dict[str, float]:
 def mapped(
     content: Any, places: Mapping[str, Chart], change: Callable[[str, Any], Any], path: str = "", names: Names = ()
 ) -> Any:
-    """`content` with every number replaced by what `change` makes of its path and value.
+    """`content` with every number, but those of `slopes`, replaced by what `change` makes of its path and value.
 
     A path does not name the chart (of `places`) in which a place is. Numbers of a list have `names`, or are counted.
     """
     if isinstance(content, Mapping):
-        return {key: mapped(value, places, change, *_below(key, value, content, places, path, names))
+        return {key: value if key == SLOPES else
+                mapped(value, places, change, *_below(key, value, content, places, path, names))
                 for key, value in content.items()}  # fmt: skip
     if isinstance(content, list):
         named = (*names, *range(len(names), len(content)))
@@ -118,7 +168,7 @@ def _below(
 
 def member(case: Any, path: str) -> "dataclasses.Field[Any]":
     """The number at `path` (without `plan.`) as a parameter. Raises `InputError`."""
-    found = numbers(tabled(case), charts(case.obstacle))
+    found = numbers(told(case), charts(case.obstacle))
     if path not in found:
         if not found:
             raise InputError(

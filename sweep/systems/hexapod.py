@@ -120,7 +120,7 @@ class Hexapod:
     def inputs(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
         """See `System`."""
         yield from flat(self.case, "")
-        yield from _said(self.case, plan_table.tabled(self.case))
+        yield from _said(self.case, plan_table.told(self.case))
 
     def unsaid(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
         """Of `control`, of errors of the feet's load and of the plan's numbers what is as by default.

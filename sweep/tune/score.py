@@ -14,6 +14,7 @@ from sweep.controllers import forces
 from sweep.controllers.forces import PlannedForces
 from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError
+from sweep.models import plan_table
 from sweep.models.case import Case
 from sweep.models.obstacles.ball import Ball
 from sweep.tune import planned, played
@@ -38,6 +39,7 @@ LENGTH = 0.01  # m
 UNKNOWN = 1e3  # what a margin lacks that is not a number
 PERIOD, TIMES = 0.04, 1.05  # s, of a tick in which a plan on a ball is played; its time, with that of waiting
 FRICTION = 2.5  # that forces may use, so that what is lacking is known where the believed one is too little
+SETS = 3  # axes of sets of numbers: set, draw, number
 KNOTS = 3  # moments of a stage at which forces are searched for
 
 
@@ -80,20 +82,42 @@ class Score:
         self._plays = type(case.obstacle) is Ball  # what leans on something, or on another ball, is taken to rest
         time = jax.jit(lambda: jnp.sum(case.manoeuvre.plan(case).duration))() if self._plays else 0.0
         self._ticks = math.ceil(TIMES * float(time) / PERIOD) + len(names)
-        self._margins = jax.jit(jax.vmap(jax.vmap(self._left, (None, 0)), (0, None)))
+        self._margins = jax.jit(jax.vmap(jax.vmap(self._left), (0, None)))
+        self._descent = jax.jit(jax.vmap(jax.value_and_grad(self._lack)))
 
     def margins(self, numbers: np.ndarray, draws: Case) -> dict[str, np.ndarray]:
-        """Margins (n, draws, stages) by name, for sets of numbers (n, free), of which there are at most `width`."""
-        padded = np.resize(numbers, (self._width, len(self._free)))  # all calls have one shape
+        """Margins (..., draws, stages) by name, for numbers (..., draws or 1, free) or (free,).
+
+        Of sets of numbers, a leading axis, there are at most `width`.
+        """
+        count, single = len(draws.robot.body_length), numbers.ndim < SETS  # pyright: ignore[reportArgumentType]
+        sets = np.broadcast_to(numbers, (1 if single else len(numbers), count, len(self._free)))
+        padded = sets[np.minimum(np.arange(self._width), len(sets) - 1)]  # all calls have one shape
         found = self._margins(jnp.asarray(padded), draws)
-        return {key: np.asarray(value, float)[: len(numbers)] for key, value in found.items()}
+        return {key: np.asarray(value, float)[0 if single else slice(len(sets))] for key, value in found.items()}
 
     def lacks(self, margins: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Sums (n,) over stages and margins (n, draws, stages) of squares of what the worst draw lacks."""
-        total = np.zeros(len(next(iter(margins.values()))))
+        """Sums (...) over stages and margins (..., draws, stages) of squares of what the worst draw lacks."""
+        total = np.zeros(next(iter(margins.values())).shape[:-2])
         for key, value in margins.items():
-            lack = (self.aimed(key) - np.min(value, axis=1)) / ALIKE.get(key, LENGTH)
-            total += np.sum(np.where(np.isnan(lack), UNKNOWN, np.maximum(lack, 0.0)) ** 2, axis=1)
+            lack = (self.aimed(key) - np.min(value, axis=-2)) / ALIKE.get(key, LENGTH)
+            total += np.sum(np.where(np.isnan(lack), UNKNOWN, np.maximum(lack, 0.0)) ** 2, axis=-1)
+        return total
+
+    def descent(self, numbers: np.ndarray, draws: Case) -> tuple[np.ndarray, np.ndarray]:
+        """What every draw lacks (draws,) by numbers of its own (draws, free), and the gradients of that."""
+        lack, gradient = (np.asarray(x, float) for x in self._descent(jnp.asarray(numbers), draws))
+        return lack, np.nan_to_num(gradient, posinf=0.0, neginf=0.0)
+
+    def _lack(self, numbers: jax.Array, belief: Case) -> jax.Array:
+        """The same as `lacks`, of one draw, to be differentiated."""
+        total = jnp.zeros(())
+        for key, value in self._left(numbers, belief).items():
+            if not np.isfinite(aim := self.aimed(key)).any():
+                continue  # what counts for nothing may have no slope
+            lack = (jnp.asarray(np.where(np.isfinite(aim), aim, 0.0)) - value) / ALIKE.get(key, LENGTH)
+            counts = np.isfinite(aim) & jnp.isfinite(value) & (lack > 0)  # what is infinite says nothing
+            total += jnp.sum(jnp.where(counts, lack, 0.0) ** 2)
         return total
 
     def aimed(self, margin: str) -> np.ndarray:
@@ -146,6 +170,12 @@ def _bounds(belief: Case) -> forces.Bounds:
 def stacked(belief: Case, count: int) -> Case:
     """What is believed in `count` draws, with a leading axis where it is the same in all of them."""
     return jax.tree.map(lambda x: jnp.broadcast_to(jnp.asarray(x, float), (count,)), belief)
+
+
+def shares(believed: Case, sizes: Mapping[str, float]) -> np.ndarray:
+    """By how much draws differ from `sizes`, as shares of them (draws, k)."""
+    off = [np.asarray(plan_table.size(believed, path), float) / at - 1 for path, at in sizes.items()]
+    return np.stack(off, axis=1) if off else np.zeros((1, 0))
 
 
 def worst(margins: Mapping[str, np.ndarray]) -> dict[str, float]:

@@ -18,6 +18,7 @@ from sweep.controllers.manoeuvres.climbing.walking import walk_up
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
 from sweep.controllers.moves import numbers_of
 from sweep.controllers.plan import CYCLE_A, CYCLE_B, STAND, Plan, Stage, Stance
+from sweep.controllers.posture import leg_unit
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.formulas import stepping
 from sweep.formulas.leg import SIDE
@@ -46,7 +47,8 @@ class PoleEntry(NamedTuple):
 class PoleSite(NamedTuple):
     """What the stages are made of (m)."""
 
-    length: Array | float  # a_r
+    length: Array | float  # a_r, of the body
+    unit: Array | float  # `leg_unit`, nominally a_r, in which all is measured that legs have to reach
     radius: Array | float  # r
     top: Array | float  # h, of the pole
     foot_radius: Array | float  # x_f, the feet's distance from the pole's axis: r less the deepening
@@ -60,12 +62,12 @@ class PoleSite(NamedTuple):
     @property
     def crossing(self) -> Float[Array, " 3"]:
         """Where the lines cross along which the base's front and rear edges go while it pitches up."""
-        away, lower = self.entry.away * self.length, self.entry.lower * self.length
+        away, lower = self.entry.away * self.unit, self.entry.lower * self.unit
         return point(0.0, self.standoff + away, self.clearance - lower)
 
     def ahead(self, share: Array | float, more: Array | float) -> Array | float:
         """How far in front of the pole's axis feet first touch it (m): `share` of r, and `more` the thicker it is."""
-        return (share + more * (self.radius / self.length - 0.4)) * self.radius
+        return (share + more * (self.radius / self.unit - 0.4)) * self.radius
 
     @property
     def upright(self) -> Array | float:
@@ -130,17 +132,18 @@ class OnPole(PlannedForces):
 
     def site(self, belief: Case) -> PoleSite:
         """What is believed of the robot and of the pole."""
-        length, pole = belief.robot.body_length, belief.on(PoleLedge)
-        step = Step(self.half_step_ratio * length, self.lift_ratio * length, stepping.swing_time(self.rate))
-        track = belief.robot.body_width / 2 + self.spread_ratio * length
+        unit, pole = leg_unit(belief.robot), belief.on(PoleLedge)
+        step = Step(self.half_step_ratio * unit, self.lift_ratio * unit, stepping.swing_time(self.rate))
+        track = belief.robot.body_width / 2 + self.spread_ratio * unit
         return PoleSite(
-            length,
+            belief.robot.body_length,
+            unit,
             pole.radius,
             pole.height,
             pole.radius - self.deepening,
             track,
-            self.height_ratio * length,
-            pole.radius + self.gap_ratio * length,
+            self.height_ratio * unit,
+            pole.radius + self.gap_ratio * unit,
             (self.front_ahead, self.front_ahead_slope),
             step,
             numbers_of(PoleEntry, belief, "entry"),
@@ -238,7 +241,7 @@ def off_floor(site: PoleSite, start: dict[int, Array], end: dict[int, Array]) ->
 
     The printed flat cycle drags a foot along the floor where the base hangs lower than planned.
     """
-    up, out = 0.3 * site.length, 0.1 * site.length
+    up, out = 0.3 * site.unit, 0.1 * site.unit
     up = point(0.0, 0.0, up)  # not `UP`: JAX keeps such a constant's type from the precision it first met it in
     return {leg: jnp.stack([start[leg] + up, goal + out * OUTWARD[leg - 1]]) for leg, goal in end.items()}
 

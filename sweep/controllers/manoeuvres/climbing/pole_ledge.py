@@ -31,7 +31,6 @@ from sweep.controllers.manoeuvres.climbing.pole_top import PoleTop
 from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.moves import stages_of
 from sweep.controllers.plan import Plan, Stage, Stance
-from sweep.controllers.posture import leg_unit
 from sweep.core.parameters import choice, count, parameters
 from sweep.models.case import Case
 from sweep.models.obstacles.charts import point
@@ -57,7 +56,7 @@ class PoleToLedge(PoleTop):
         """Get on the top, cross to the ledge, walk away."""
         site, ledge = self.site(belief), belief.on(PoleLedge).ledge_height
         start, stages, at = self.ascend(site, belief)
-        cross, _ = stages_of("ledge", self.terms(site, belief, leg_unit(belief.robot)), at)
+        cross, _ = stages_of("ledge", self.terms(site, belief), at)
         away, walk = walk_away(site, belief, ledge, self.steps_away)
         return start, [*stages, *self.rested([*cross, *away]), *walk]
 
@@ -69,5 +68,5 @@ class PoleToLedge(PoleTop):
 def walk_away(site: PoleSite, belief: Case, ledge: Array | float, steps: int) -> tuple[list[Stage], list[Stage]]:
     """The feet to where a tripod gait may start, and `steps` swings of it on the ledge."""
     spread = site.track - belief.robot.body_width / 2
-    where = point(0.0, -site.radius - 0.75 * site.length, ledge + site.clearance)
+    where = point(0.0, -site.radius - 0.75 * site.unit, ledge + site.clearance)
     return walking.walk_away(belief, site.step, where, spread, site.clearance, steps)

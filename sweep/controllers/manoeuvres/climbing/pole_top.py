@@ -6,7 +6,6 @@ World axes as in `pole`. The way from the gallop on is in the plan's file: its p
 from typing import ClassVar
 
 import numpy as np
-from jaxtyping import Array
 
 from sweep.controllers.gaits import GALLOP
 from sweep.controllers.manoeuvres.climbing.pole import OnPole, PoleSite
@@ -33,19 +32,18 @@ class PoleTop(OnPole):
         """See `OnPole`."""
         return "pole_top"
 
-    def terms(self, site: PoleSite, belief: Case, unit: Array | float) -> Terms:
-        """Of moves on the pole, lengths in `unit` (m); the chart `hang` is for a base beside the pole."""
+    def terms(self, site: PoleSite, belief: Case) -> Terms:
+        """Of moves on the pole; the chart `hang` is for a base beside the pole."""
         hang = ahead_above(lambda pole: (site.standoff, pole.height))
-        return Terms(
-            belief, unit, site.step.time, site.step.height, {"side": self.deepening}, {"hang": hang}, laws=(PRESS,)
-        )
+        sides = {"side": self.deepening}
+        return Terms(belief, site.unit, site.step.time, site.step.height, sides, {"hang": hang}, laws=(PRESS,))
 
     def ascend(self, site: PoleSite, belief: Case) -> tuple[Stance, list[Stage], Standing]:
         """Climb until the base's front edge is x* below the top, and go on to the top; where it stands then."""
         below = site.top - site.step.landing - site.length / 2  # zeta_O(t_1) of 2.3.3
         start, climb = self.climb(site, belief, (below - site.upright) / (3 * self.cycles))
         feet = {leg: foot for legs in GALLOP for leg, foot in site.on_pole(legs, 0.0, below).items()}
-        terms, stages, at = self.terms(site, belief, site.length), [], standing(feet, np.pi / 2)
+        terms, stages, at = self.terms(site, belief), [], standing(feet, np.pi / 2)
         for part in ("edge", "over", "top"):
             more, at = stages_of(part, terms, at)
             stages += [stage for stage in more if stage.law != PRESS or self.forces != "planned"]
