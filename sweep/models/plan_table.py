@@ -111,9 +111,9 @@ def _changed(case: Any, added: Mapping[str, Array]) -> Content:
 def size(case: Any, path: str) -> Any:
     """A size of robot or obstacle, as axes name it, such as `robot.thigh`. Raises `InputError`."""
     group, _, name = path.partition(".")
-    if group not in SIZED or name not in (sizes := [f.name for f in dataclasses.fields(getattr(case, group))]):
-        allowed = [f"{group}.{size}" for size in sizes] if group in SIZED else SIZED
-        raise InputError(f"plan.{SLOPES}.{AT}.{path} is unknown{suggest(path, allowed)}")
+    known = {f"{owner}.{f.name}" for owner in SIZED for f in dataclasses.fields(getattr(case, owner))}
+    if path not in known:
+        raise InputError(f"plan.{SLOPES}.{AT}.{path} is unknown{suggest(path, known)}")
     return getattr(getattr(case, group), name)
 
 
