@@ -12,17 +12,20 @@ from pathlib import Path
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
-import pandas as pd
 from matplotlib.figure import Figure
 
-from sweep import load
 from sweep.core.rotations import rotate
 from sweep.engines.base import Trace
 from sweep.formulas.ball import GRAVITY, ROLLING
 from sweep.models.obstacles.ball import Ball
 from sweep.models.obstacles.ledges import Ledges
 from sweep.models.robot import total_mass
+from sweep.report import maps
+from sweep.report.layout import lettering
+from sweep.report.looks import INK
+from sweep.runs import results
 from sweep.runs.batches import Batch, make_engine
+from sweep.runs.results import Results
 from sweep.study.config import compose
 from sweep.trace.plots import save
 from sweep.trace.sampling import base_pose, mass_centres
@@ -128,16 +131,16 @@ def rolled(trace: Trace, grip: np.ndarray, mass: np.ndarray) -> np.ndarray:
     return far
 
 
-def grip_map(rows: pd.DataFrame, trace: Trace) -> Figure:
-    """Where it succeeds, over friction between the balls and their mass, with lines of how far these go by `rolled`."""
-    grip, mass = (np.sort(rows[name].unique()) for name in ("obstacle.ball_grip", "obstacle.mass"))
-    success = rows.assign(good=rows.outcome == "success").pivot_table("good", "obstacle.mass", "obstacle.ball_grip")
-    figure, axes = plt.subplots(figsize=(7, 4.5), layout="constrained")
-    axes.pcolormesh(grip, mass, success.to_numpy(float), cmap="RdYlGn", vmin=-0.3, vmax=1.3, shading="nearest")
-    far = rolled(trace, *np.meshgrid(grip, mass)) / trace.world.on(Ball).radius
-    lines = axes.contour(grip, mass, far, levels=WAYS, colors="k", linewidths=1)
-    axes.clabel(lines, fmt="{:g} R".format)
-    axes.set(xlabel="friction between the balls, of that of the contact", ylabel="mass of each (kg)")
+def grip_map(found: Results, trace: Trace) -> Figure:
+    """What comes of friction between the balls and their mass, with lines of how far these go by `rolled`."""
+    names = "obstacle.ball_grip", "obstacle.mass"
+    with lettering():
+        figure = maps.success_map(found.rows, found.stored, names)
+        axes = figure.axes[0]
+        grip, mass = (np.sort(found.rows[name].unique()) for name in names)
+        far = rolled(trace, *np.meshgrid(grip, mass)) / trace.world.on(Ball).radius
+        axes.clabel(axes.contour(grip, mass, far, levels=WAYS, colors=INK, linewidths=1), fmt="{:g} R".format)
+        axes.set(xlabel="friction between the balls, of that of the contact", ylabel="mass of each [kg]")
     return figure
 
 
@@ -146,7 +149,7 @@ if __name__ == "__main__":
         name, _, folder = word.partition("=")
         path = FIGURES / f"{name}.png"
         if folder:
-            save(grip_map(load(folder), traced("scenario=ball_to_ball", "obstacle.gap=0")), path)
+            save(grip_map(results.read(Path(folder)), traced("scenario=ball_to_ball", "obstacle.gap=0")), path)
         elif name == "ball_ledges":
             save(ledges(traced("scenario=ball_ledges")), path)
         else:

@@ -16,6 +16,7 @@ from typing import Any
 import pandas as pd
 
 sys.path.insert(0, str(Path(__file__).parent))
+import headlines
 from robustness_figures import RATES, bounds_of, errors_of
 
 from sweep.analysis.intervals import wilson
@@ -24,12 +25,12 @@ from sweep.core.provenance import code_version
 
 DOCS = Path(__file__).parent
 DATA = DOCS / "data"
-BLOCK = re.compile(r"(<!-- data ?([\w ]*): (\w+)(?:, (.*?))? -->)(\s)(.*?)(\s)(<!-- end -->)", re.DOTALL)
+BLOCK = re.compile(r"(<!-- data ?([\w ]*): (\w+)(?:, (.*?))? -->)(\s)((?:(?!<!--).)*?)(\s)(<!-- end -->)", re.DOTALL)
 
 
 def filled(text: str) -> str:
     """A page with all its blocks as the data have them. Raises `InputError` where a block cites what is not there."""
-    cited = sorted({found[2] for found in BLOCK.finditer(text) if found[2] and found[2] != "robustness_rates"})
+    cited = sorted(targets(text))
 
     def block(found: re.Match[str]) -> str:
         start, name, form, words, before, _, after, end = found.groups()
@@ -39,6 +40,11 @@ def filled(text: str) -> str:
         return f"{start}{before}{content}{after}{end}"
 
     return BLOCK.sub(block, text)
+
+
+def targets(text: str) -> set[str]:
+    """Those whose data a page cites."""
+    return {found[2] for found in BLOCK.finditer(text)} - {"", "robustness_rates"}
 
 
 def read(name: str) -> dict[str, Any]:
@@ -80,15 +86,25 @@ def along(name: str, axis: str) -> str:
     """Successes at each value of an axis, a line each."""
     lines = [f"| {axis} | succeed |", "|--:|:--|"]
     for value, success, valid, _ in read(name)["along"][axis]:
-        found = interval(success, valid)
-        lines.append(f"| {value:g} | {success} of {valid} ({100 * found['low']:.0f} to {100 * found['high']:.0f} %) |")
+        lines.append(f"| {value:g} | {share(success, valid)} |")
     return "\n".join(lines)
+
+
+def share(success: int, valid: int) -> str:
+    """`3 of 4 (30 to 95 %)`, with the 95 % Wilson interval."""
+    found = interval(success, valid)
+    return f"{success:,} of {valid:,} ({100 * found['low']:.0f} to {100 * found['high']:.0f} %)"
 
 
 def interval(success: int, valid: int) -> dict[str, float]:
     """Share of successes with its 95 % Wilson interval."""
     low, high = wilson(success, valid)
     return {"share": success / valid if valid else float("nan"), "low": float(low), "high": float(high)}
+
+
+def compared(_: str) -> str:
+    """The sources' figures beside ours."""
+    return headlines.table(pd.read_csv(RATES), share)
 
 
 def bounds(_: str) -> str:
@@ -123,8 +139,7 @@ def sources(names: list[str]) -> str:
 
 def outdated(text: str) -> str:
     """A sentence about data of a page that are of other code than this, for the site; empty where there are none."""
-    names = {found[2] for found in BLOCK.finditer(text)} - {"", "robustness_rates"}
-    older = sorted(name for name in names if read(name)["code"] != code_version())
+    older = sorted(name for name in targets(text) if read(name)["code"] != code_version())
     return f"Measured before the code of this site: {', '.join(older)}." if older else ""
 
 
@@ -135,7 +150,7 @@ def pages() -> Iterator[Path]:
 
 FORMS = {
     "rate": rate, "rollouts": rollouts, "causes": causes, "errors": errors, "along": along, "bounds": bounds,
-    "seen": seen, "codes": codes, "sources": sources,
+    "seen": seen, "codes": codes, "compared": compared, "sources": sources,
 }  # fmt: skip
 
 if __name__ == "__main__":

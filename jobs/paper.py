@@ -79,7 +79,7 @@ def made(name: str, target: dict[str, Any], out: Path, quick: bool) -> Iterator[
         if "script" not in target and target.get("picture", True):
             picture(found, target, FIGURES / f"{name}.png")
         about = {"command": " ".join(["sweep run", *command]), "quick": quick and "quick" in target}
-        yield from told(name, about | summary(found, target.get("measured", [])) | {"seconds": round(seconds)})
+        yield from told(name, about | summary(found) | {"seconds": round(seconds)})
     if script := target.get("script"):
         words = [f"{word}{folder}" if word.endswith("=") else word for word in script[1:]]
         subprocess.run([sys.executable, str(DOCS / script[0]), *words], cwd=ROOT, check=True)
@@ -119,11 +119,8 @@ def picture(found: Results, target: dict[str, Any], path: Path) -> None:
             maps.success_map(found.rows, found.stored, axes).savefig(path, dpi=DPI)
 
 
-def summary(found: Results, measured: list[str]) -> dict[str, Any]:
-    """What the rows of a study say, by cell and along each axis, and what they are of.
-
-    Of figures that are to be `measured`: median, and what nine of ten valid rollouts are between.
-    """
+def summary(found: Results) -> dict[str, Any]:
+    """What the rows of a study say, by cell and along each axis, and what they are of."""
     rows, stored = found.rows, found.stored
     whole = rate(rows["outcome"])
     cause = rows["cause"][rows["outcome"] != "success"].value_counts()
@@ -136,19 +133,12 @@ def summary(found: Results, measured: list[str]) -> dict[str, Any]:
         "valid": whole.valid,
         "success": whole.success,
         "causes": {str(name): int(number) for name, number in cause.items()},
-        "measured": {name: spread(found, name) for name in measured},
         "along": {axis: along(found, axis) for axis in (found.listed if found.one_at_a_time else found.axes)},
         "commit": stored["commit"],
         "code": stored["code"],
         "devices": stored["devices"],
         "versions": stored["versions"],
     }
-
-
-def spread(found: Results, name: str) -> list[float]:
-    """Median, 5 % and 95 % of a figure of the valid rollouts."""
-    values = found.rows.loc[found.rows["outcome"] != "invalid", name]
-    return [float(f"{value:.4g}") for value in values.quantile([0.5, 0.05, 0.95])]
 
 
 def along(found: Results, axis: str) -> list[list[Any]]:

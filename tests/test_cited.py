@@ -23,7 +23,7 @@ import paper  # noqa: E402  # pyright: ignore[reportMissingImports]
 
 TARGETS = yaml.safe_load((ROOT / "jobs" / "paper.yaml").read_text(encoding="utf-8"))
 PAGES = list(cited.pages())
-BY_HAND = 104  # tables with numbers that no block makes: fewer from time to time, never more
+BY_HAND = 98  # tables with numbers that no block makes: fewer from time to time, never more
 
 
 def test_every_block_is_as_its_data_have_it():
@@ -32,7 +32,7 @@ def test_every_block_is_as_its_data_have_it():
         text = page.read_text(encoding="utf-8")
         assert cited.filled(text) == text, f"{page}: python docs/cited.py"
         found = cited.BLOCK.findall(text)
-        assert not found or any(form == "sources" for _, _, form, *_ in found), f"{page}: no block of sources"
+        assert not found or any(form in ("sources", "compared") for _, _, form, *_ in found), f"{page}: no sources"
         blocks += len(found)
     assert blocks >= 8
 

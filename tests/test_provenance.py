@@ -20,6 +20,7 @@ class C:
 '''
 # what a worker has imported when it has simulated a batch on either engine
 WORKER = """
+import subprocess
 import sys
 import sweep.runs.runner, sweep.engines.mjx, sweep.engines.native
 print(*(m.__file__ for name, m in sys.modules.items() if name.split(".")[0] == "sweep" and m.__file__), sep="\\n")
@@ -68,3 +69,20 @@ def test_another_processor_is_another_run_and_said(tmp_path, monkeypatch, capsys
     assert "need not be equal to the last bit on" in (error := capsys.readouterr().err)
     assert "another processor" in error
     assert content(tmp_path)["run_id"].nunique() == 2
+
+
+def test_a_commit_is_marked_where_what_makes_rows_differs(tmp_path, monkeypatch):
+    """`make paper` draws pictures into the checkout that it runs in."""
+    for name in ("sweep/core.py", "conf/study.yaml", "docs/data.json"):
+        (tmp_path / name).parent.mkdir()
+        (tmp_path / name).write_text("1\n")
+    git = ["git", "-C", str(tmp_path), "-c", "user.name=a", "-c", "user.email=a@example.org"]
+    for words in (["init", "-q"], ["add", "."], ["commit", "-qm", "a"]):
+        subprocess.run([*git, *words], check=True)
+    monkeypatch.setattr(provenance, "ROOT", tmp_path / "sweep")
+    plain = provenance.commit.__wrapped__()
+    assert len(plain) == 12
+    (tmp_path / "docs/data.json").write_text("2\n")
+    assert provenance.commit.__wrapped__() == plain
+    (tmp_path / "conf/study.yaml").write_text("2\n")
+    assert provenance.commit.__wrapped__() == f"{plain}-dirty"

@@ -128,15 +128,17 @@ def made_with() -> dict[str, Any]:
 
 @functools.cache
 def commit() -> str:
-    """The commit that was installed, else the checkout's, marked where files differ from it; empty where unknown."""
+    """The commit that was installed, else the checkout's; empty where unknown.
+
+    It is marked where sources or configurations differ from it: data and pictures that a run renews make no other rows.
+    """
     installed = ROOT / "commit.txt"  # written into a wheel: a folder around it may be a checkout of something else
     if installed.exists():
         return installed.read_text().strip()
-    found = subprocess.run(
-        ["git", "describe", "--always", "--dirty", "--abbrev=12"],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    return found.stdout.strip()
+    name = _git("describe", "--always", "--abbrev=12")
+    return f"{name}-dirty" if _git("diff", "--name-only", "HEAD", "--", ".", "../conf") else name
+
+
+def _git(*words: str) -> str:
+    """What git says of this package's folder; empty where it is in no checkout."""
+    return subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=False).stdout.strip()
