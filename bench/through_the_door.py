@@ -1,12 +1,14 @@
-"""The robot through an own model's door: `python bench/through_the_door.py NAME N [ENGINE]`, beside its own engine.
+"""The robot through an own model's door: `python bench/through_the_door.py NAME N [ENGINE [FOLDER]]`, beside its own.
 
-N points of `walk_map`, or of `pole_map` (a model for each of three radii, as sizes are no axes of an own model), drawn
-from each study. What is printed: outcomes that are equal, how far the distances differ, and rows that differ.
+N draws from the area of `walk_map`, or of `pole_map` (a model for each of three radii, as sizes are no axes of an own
+model). What is printed: outcomes that are equal, how far the distances differ, and rows that differ. A FOLDER
+keeps the rows: the same command goes on where it was ended, and a larger N has those of a smaller one.
 """
 
 import subprocess
 import sys
 import tempfile
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -28,12 +30,15 @@ def sweep(args: list[str], folder: Path) -> None:
 
 
 def points(name: str, number: int) -> pd.DataFrame:
-    """Of a study, those columns that vary."""
-    table = wanted_points(compose([f"study={name}"]))
-    table = table.sample(min(number, len(table)), random_state=0).sort_index().reset_index(drop=True)
+    """Drawn evenly from the area of a study's map; more of them begin with those of fewer."""
+    grid = wanted_points(compose([f"study={name}"]))
+    drawn = np.random.default_rng(0).random((number, 2))
+    low, high = grid[FRICTION].min(), grid[FRICTION].max()
+    table = pd.DataFrame({FRICTION: low + (high - low) * drawn[:, 0]})
     if name == "walk_map":
-        return table[[FRICTION, STEP]]
-    return table[[FRICTION]].assign(**{RADIUS: np.resize(RADII, len(table))}).sort_values([RADIUS, FRICTION])
+        low, high = grid[STEP].min(), grid[STEP].max()
+        return table.assign(**{STEP: low + (high - low) * drawn[:, 1]})
+    return table.assign(**{RADIUS: np.resize(RADII, number)})
 
 
 def run(folder: Path, name: str, engine: str, table: pd.DataFrame, overrides: list[str]) -> pd.DataFrame:
@@ -43,7 +48,8 @@ def run(folder: Path, name: str, engine: str, table: pd.DataFrame, overrides: li
     same = ["study.invalid_max=1", "study.expect=[]"]
     sweep(["run", f"study={name}", *overrides, "engine=native", f"study.points={folder}/own.csv", "study.axes={}",
            f"out={folder}/own", *same], folder)  # fmt: skip
-    sweep(["export-model", f"scenario={scenario}", *overrides, f"out={folder}/model"], folder)
+    if not (folder / "model").exists():
+        sweep(["export-model", f"scenario={scenario}", *overrides, f"out={folder}/model"], folder)
     door = pd.DataFrame({f"model.geom.{geom}_contact.friction.slide": table[FRICTION] for geom in GEOMS[name]})
     if STEP in table:
         door[f"controller.{STEP}"] = table[STEP]
@@ -56,14 +62,16 @@ def run(folder: Path, name: str, engine: str, table: pd.DataFrame, overrides: li
     return store.read_rows(folder / "own").merge(rows, on=keys, suffixes=("", "_door"))
 
 
-def main(name: str, number: str, engine: str = "native") -> None:
+def main(name: str, number: str, engine: str = "native", kept: str = "") -> None:
     """What both say."""
     table, parts = points(name, int(number)), []
-    groups = table.groupby(RADIUS) if RADIUS in table else [(None, table)]
-    for radius, rows in groups:
-        with tempfile.TemporaryDirectory() as folder:
+    groups = table.groupby(RADIUS) if RADIUS in table else [("", table)]
+    with ExitStack() as stack:
+        place = Path(kept).absolute() if kept else Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        for radius, rows in groups:
+            (folder := place / f"{name}{radius}").mkdir(parents=True, exist_ok=True)
             chosen = [f"obstacle.radius={radius}"] if radius else []
-            parts.append(run(Path(folder), name, engine, rows[[c for c in rows if c != RADIUS]], chosen))
+            parts.append(run(folder, name, engine, rows[[c for c in rows if c != RADIUS]], chosen))
     both = pd.concat(parts, ignore_index=True)
     far, same = (both["distance_m"] - both["distance_m_door"]).abs(), both["outcome"] == both["outcome_door"]
     cause = both["cause"] == both["cause_door"]
