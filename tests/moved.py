@@ -27,6 +27,29 @@ def moved(*overrides):
     )  # fmt: skip
 
 
+ARM = """<mujoco><asset><mesh name="knob" builtin="sphere" params="3" scale=".1 .1 .2"/></asset><worldbody>
+<body name="trunk" pos="0 0 1"><freejoint/><geom type="ellipsoid" size=".3 .2 .1"/><geom type="mesh" mesh="knob"/>
+<body pos=".3 0 0" quat=".8 0 .6 0"><joint type="slide" axis="1 2 0" ref="0.2"/><geom size=".05"/>
+<body pos=".2 0 0"><joint type="ball" pos="-.1 0 0"/><geom type="box" size=".1 .05 .05"/>
+<body pos=".2 0 0"><joint axis="0 1 1" pos="0 .1 0" ref="30"/><geom type="capsule" size=".02 .1"/></body></body></body>
+</body></worldbody></mujoco>"""
+
+
+def arm():
+    """A trace of a model that has joints and shapes of all kinds, and no feet."""
+    model, frames = mujoco.MjModel.from_xml_string(ARM), 50
+    time, none = 0.1 * (1 + np.arange(frames)), np.zeros((frames, 0, 3))
+    qpos = np.tile(model.qpos0, (frames, 1)) + 0.3 * np.sin(time[:, None] + np.arange(model.nq))
+    for start in (3, 8):
+        qpos[:, start : start + 4] /= np.linalg.norm(qpos[:, start : start + 4], axis=1, keepdims=True)
+    return Trace(
+        world=None, belief=None, model=model, time=time, qpos=qpos, qvel=np.zeros((frames, model.nv)),
+        joint_target=np.zeros((frames, 0)), joint_torque=np.zeros((frames, 2)), foot_position=none, foot_target=none,
+        foot_force=none, base_target=qpos[:, :7], stage=np.zeros(frames, dtype=int), stages=("run",), figures={},
+        margin=np.full(frames, np.nan), margin_of=np.full(frames, ""),
+    )  # fmt: skip
+
+
 def body_places(trace, frame):
     """Where MuJoCo has the bodies (m) in a frame."""
     data = mujoco.MjData(trace.model)

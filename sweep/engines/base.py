@@ -8,6 +8,7 @@ import numpy as np
 if TYPE_CHECKING:
     import mujoco
 
+SLIDE = 2  # mjtJoint.mjJNT_SLIDE, before hinges and after joints of more freedoms
 Figures = dict[str, np.ndarray]  # column name (with its unit) -> one number per rollout
 
 
@@ -29,17 +30,23 @@ class Trace:
     time: np.ndarray  # (F,)
     qpos: np.ndarray  # (F, nq)
     qvel: np.ndarray  # (F, nv)
-    joint_target: np.ndarray  # (F, 18)
-    joint_torque: np.ndarray  # (F, 18), peak of the tick
-    foot_position: np.ndarray  # (F, 6, 3)
-    foot_target: np.ndarray  # (F, 6, 3), as planned
-    foot_force: np.ndarray  # (F, 6, 3), mean of the tick, on the robot
+    joint_target: np.ndarray  # (F, J) of the `single_joints`; of an own model its controls
+    joint_torque: np.ndarray  # (F, J), peak of the tick
+    foot_position: np.ndarray  # (F, N, 3), of a robot whose feet are known
+    foot_target: np.ndarray  # (F, N, 3), as planned
+    foot_force: np.ndarray  # (F, N, 3), mean of the tick, on the robot
     base_target: np.ndarray  # (F, 7), planned position and quaternion (w, x, y, z)
     stage: np.ndarray  # (F,) index into `stages`
     margin: np.ndarray  # (F,) to the nearest limit that is watched in every tick, as the row's `margin` at its end
     margin_of: np.ndarray  # (F,) names of these limits
     stages: tuple[str, ...]
     figures: dict[str, Any]  # the row's figures, as `run` gives them
+    torque_limit: float | None = None  # N m, where all joints have the same
+
+
+def single_joints(model: "mujoco.MjModel") -> np.ndarray:
+    """Numbers of the hinges and slides of a model, in its order; of a legged robot leg by leg."""
+    return np.flatnonzero(model.jnt_type >= SLIDE)
 
 
 def same_bits(a: Any, b: Any) -> bool:

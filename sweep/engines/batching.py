@@ -135,6 +135,7 @@ def to_traces(
                 margin=margin,
                 margin_of=margin_of,
                 figures=row,
+                torque_limit=float(np.max(world.drive.torque_limit)),
                 **kept,
             )
         )

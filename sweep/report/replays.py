@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from sweep.core.errors import InputError
 from sweep.core.files import write_whole
 from sweep.engines import devices
 from sweep.engines.base import Trace, same_bits
@@ -48,11 +47,8 @@ def again(
 ) -> Iterator[tuple[pd.Series, Trace, dict[str, Any]]]:
     """Each of `rows`, its rollout recorded `rate` times a second, and the labels that it has here.
 
-    `planned` are all points of the study, `rows` some of them with the slots that they were simulated in. Raises
-    `InputError` where rollouts of such a system are not drawn.
+    `planned` are all points of the study, `rows` some of them with the slots that they were simulated in.
     """
-    if exp.system.undrawn:
-        raise InputError(exp.system.undrawn)
     devices.configure()  # the CPU counts as several devices from then on
     exp = batches.with_room(exp, planned)
     for _, part in laid_out(rows, devices.default_width()).groupby(["group", "batch", "width"]):
@@ -95,7 +91,7 @@ def content(row: pd.Series, trace: Trace) -> dict[str, Any]:
     same = [name for name, value in trace.figures.items() if name in row and same_bits(row[name], value)]
     return {
         **motion(trace),
-        "bodies": bodies(trace.model),
+        "bodies": bodies(trace.model, trace.foot_position.shape[1]),
         "stages": list(trace.stages),
         "equal": len(same),  # figures that are the row's to the last bit
         "of": len([name for name in trace.figures if name in row]),

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from sweep.core.errors import InputError
 from sweep.core.outcomes import SUCCESS
 from sweep.report.labels import kind_of, meaning
 from sweep.runs import batches
@@ -68,14 +67,11 @@ def draw(results: Results) -> list[Path]:
     """Simulate the typical rollouts again and write the pictures that are missing.
 
     They run in a batch of their own, so that a study of wide batches can be pictured anywhere. A rollout that ends
-    otherwise in it gets no picture, and a line on the standard error. Raises `InputError` without OpenGL, and where the
-    system is not drawn.
+    otherwise in it gets no picture, and a line on the standard error. Raises `InputError` without OpenGL.
     """
     from sweep.trace.frames import write_strip
     from sweep.trace.sampling import at_times
 
-    if results.exp.system.undrawn:
-        raise InputError(results.exp.system.undrawn)
     wanted = [one for one in typical(results) if not one.picture.exists()]
     drawn = []
     for group in sorted({int(one.row["group"]) for one in wanted}):

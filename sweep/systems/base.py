@@ -75,11 +75,6 @@ class System(Protocol):
         ...
 
     @property
-    def undrawn(self) -> str:
-        """Why there are no pictures and replays of its rollouts; empty where there are."""
-        ...
-
-    @property
     def ways(self) -> Mapping[str, Way]:
         """In which `sweep audit` simulates again."""
         ...

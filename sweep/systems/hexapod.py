@@ -65,7 +65,6 @@ class Hexapod:
     doubts = tuple(outcome.DOUBTS)
     silent = frozenset(outcome.BOOKKEEPING | {"finite", "finished", "end_stage"})
     shown = ("mcap", "states", "model", "plot", "png", "video")
-    undrawn = ""
     ways = WAYS
 
     @property

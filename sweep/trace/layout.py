@@ -1,29 +1,34 @@
 """The Foxglove layout that is written beside a trace."""
 
+from itertools import cycle
 from typing import Any
 
-from sweep.trace.sampling import BASE, KINDS
+from sweep.engines.base import Trace
+from sweep.trace.sampling import KINDS, base_body, joint_names
+from sweep.trace.shapes import body_name
 
+_EFFORT = '/joint_states.joints[:]{{name=="{}"}}.effort'
 LEG_COLORS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00")  # Okabe and Ito, safe when colour-blind
 
 
-def layout() -> dict[str, Any]:
+def layout(trace: Trace) -> dict[str, Any]:
     """3D view that follows the base, torques, loads, stages and outcome, as Foxglove's "import from file" reads it."""
+    legs = [str(leg + 1) for leg in range(trace.foot_position.shape[1])]
+    plots = {"Plot!torque": _plot("torque of joints (N m)", _EFFORT.format("{}"), joint_names(trace.model))}
+    if legs:
+        plots = {f"Plot!{kind}": _plot(f"torque of {kind} (N m)", _EFFORT.format(kind + "{}"), legs) for kind in KINDS}
+        plots["Plot!load"] = _plot("load of feet (N)", "/foot_load.foot{}", legs)
     panels = {
-        "3D!robot": _view(),
-        **{f"Plot!{kind}": _torques(kind) for kind in KINDS},
-        "Plot!load": _plot("load of feet (N)", "/foot_load.foot{}"),
+        "3D!robot": _view(body_name(trace.model, base_body(trace.model))),
+        **plots,
         "StateTransitions!stage": {
             "paths": [{"value": "/stage.name", "timestampMethod": "receiveTime"}],
             "isSynced": True,
         },
         "RawMessages!outcome": {"topicPath": "/outcome"},
     }
-    first, second, third = (f"Plot!{kind}" for kind in KINDS)
-    torques = _split("column", first, _split("column", second, third, 50), 33)
-    plots = _split("column", torques, "Plot!load", 75)
     left = _split("column", "3D!robot", "StateTransitions!stage", 85)
-    right = _split("column", plots, "RawMessages!outcome", 70)
+    right = _split("column", _column(list(plots)), "RawMessages!outcome", 70)
     return {
         "configById": panels,
         "globalVariables": {},
@@ -37,7 +42,13 @@ def _split(direction: str, first: Any, second: Any, percentage: float) -> dict[s
     return {"direction": direction, "first": first, "second": second, "splitPercentage": percentage}
 
 
-def _view() -> dict[str, Any]:
+def _column(panels: list[str]) -> Any:
+    """Panels of equal height."""
+    first, *rest = panels
+    return _split("column", first, _column(rest), 100 / len(panels)) if rest else first
+
+
+def _view(followed: str) -> dict[str, Any]:
     return {
         "cameraState": {
             "perspective": True,
@@ -52,27 +63,23 @@ def _view() -> dict[str, Any]:
             "far": 500,
         },
         "followMode": "follow-position",
-        "followTf": BASE,
+        "followTf": followed,
         "scene": {"transforms": {"visible": False}},
         "topics": {"/scene": {"visible": True}, "/contact_force": {"visible": True}},
     }
 
 
-def _torques(kind: str) -> dict[str, Any]:
-    return _plot(f"torque of {kind} (N m)", '/joint_states.joints[:]{{name=="' + kind + '{}"}}.effort')
-
-
-def _plot(title: str, path: str) -> dict[str, Any]:
-    """A line for each leg, whose number stands at the braces of `path`."""
+def _plot(title: str, path: str, names: list[str]) -> dict[str, Any]:
+    """A line for each name or leg, which stands at the braces of `path`."""
     series = [
         {
-            "value": path.format(leg),
-            "label": f"leg {leg}",
+            "value": path.replace("{}", name),
+            "label": f"leg {name}" if name.isdecimal() else name,
             "enabled": True,
             "timestampMethod": "receiveTime",
             "color": color,
         }
-        for leg, color in enumerate(LEG_COLORS, start=1)
+        for name, color in zip(names, cycle(LEG_COLORS), strict=False)
     ]
     return {
         "foxglovePanelTitle": title,

@@ -29,24 +29,15 @@ from foxglove.messages import (
 
 from sweep.core.files import write_whole
 from sweep.engines.base import Trace
-from sweep.models.legs import JOINTS, LEGS
 from sweep.trace.arrows import ARROW_RADIUS, FORCE_COLOR, arrow_tips
 from sweep.trace.layout import layout
-from sweep.trace.sampling import at_rate, finite_frames, joint_angle, joint_rate
+from sweep.trace.sampling import at_rate, finite_frames, joint_angle, joint_names, joint_rate
 from sweep.trace.shapes import WORLD, body_name, entities, moving_bodies, quaternion, vector
 
 PICTURE_RATE = (
     50.0  # Hz, of transforms and arrows; joints and loads are written every tick, a peak must not fall between
 )
 
-FEET = tuple(f"foot{leg}" for leg in LEGS)
-_NUMBER = {"type": "number"}
-_LOAD_SCHEMA = {
-    "title": "sweep.FootLoad",
-    "description": "force on each foot, mean of the control tick, N",
-    "type": "object",
-    "properties": dict.fromkeys(FEET, _NUMBER),
-}
 _STAGE_SCHEMA = {
     "title": "sweep.Stage",
     "type": "object",
@@ -63,7 +54,7 @@ def write_mcap(path: str | Path, trace: Trace, config: Mapping[str, Any], outcom
     """
     path = Path(path)
     write_whole(path, partial(_write, trace=trace, config=config, outcome=outcome))
-    write_whole(path.with_suffix(".layout.json"), f"{json.dumps(layout(), indent=1)}\n".encode())
+    write_whole(path.with_suffix(".layout.json"), f"{json.dumps(layout(trace), indent=1)}\n".encode())
 
 
 def _write(path: Path, trace: Trace, config: Mapping[str, Any], outcome: Mapping[str, Any]) -> None:
@@ -76,7 +67,8 @@ def _write(path: Path, trace: Trace, config: Mapping[str, Any], outcome: Mapping
         _write_stages(context, trace)
         _write_pictures(context, trace)
         _write_joints(context, trace)
-        _write_loads(context, trace)
+        if trace.foot_force.shape[1]:
+            _write_loads(context, trace)
 
 
 def plain(value: Any) -> Any:
@@ -125,23 +117,30 @@ def _write_stages(context: Context, trace: Trace) -> None:
 
 
 def _write_joints(context: Context, trace: Trace) -> None:
-    """Angle (rad), rate (rad/s) and largest torque of the tick (N m) of every joint."""
-    channel = JointStatesChannel("/joint_states", context=context)
+    """Angle (rad), rate (rad/s) and largest torque of the tick (N m) of every joint; of a slide m, m/s, N."""
+    channel, names = JointStatesChannel("/joint_states", context=context), joint_names(trace.model)
     angle, rate, torque = (values.tolist() for values in (joint_angle(trace), joint_rate(trace), trace.joint_torque))
     for k in range(finite_frames(trace)):
         time = _nanoseconds(trace.time[k])
         joints = [
             JointState(name=name, position=q, velocity=v, effort=effort)
-            for name, q, v, effort in zip(JOINTS, angle[k], rate[k], torque[k], strict=True)
+            for name, q, v, effort in zip(names, angle[k], rate[k], torque[k], strict=True)
         ]
         channel.log(JointStates(timestamp=_timestamp(time), joints=joints), log_time=time)
 
 
 def _write_loads(context: Context, trace: Trace) -> None:
-    channel = Channel("/foot_load", schema=_LOAD_SCHEMA, context=context)
+    feet = [f"foot{leg + 1}" for leg in range(trace.foot_force.shape[1])]
+    schema = {
+        "title": "sweep.FootLoad",
+        "description": "force on each foot, mean of the control tick, N",
+        "type": "object",
+        "properties": {foot: {"type": "number"} for foot in feet},
+    }
+    channel = Channel("/foot_load", schema=schema, context=context)
     load = np.linalg.norm(trace.foot_force, axis=-1)
     for k in range(finite_frames(trace)):
-        channel.log(dict(zip(FEET, plain(load[k]), strict=True)), log_time=_nanoseconds(trace.time[k]))
+        channel.log(dict(zip(feet, plain(load[k]), strict=True)), log_time=_nanoseconds(trace.time[k]))
 
 
 def _write_pictures(context: Context, trace: Trace) -> None:

@@ -11,9 +11,9 @@ import mujoco
 import numpy as np
 
 from sweep.core.files import as_text, from_text
-from sweep.engines.base import Trace
-from sweep.models.scene import JOINTS, LEGS
-from sweep.trace.sampling import BASE, finite_frames
+from sweep.engines.base import Trace, single_joints
+from sweep.trace.hulls import hull_of
+from sweep.trace.sampling import base_body, finite_frames
 from sweep.trace.shapes import VISIBLE_GROUPS, geom_color
 
 RATE = 10.0  # frames per second
@@ -23,13 +23,13 @@ INT16, LEVELS = 2**15 - 1, 63  # of a state at most; of a force on either side o
 MARGIN = 100  # whole numbers of a margin of 1; it is cut off at -1
 DIGITS = 4  # of lengths (m) and directions of bodies and geoms
 Kind = mujoco.mjtGeom
+UNSHOWN = (Kind.mjGEOM_HFIELD, Kind.mjGEOM_SDF)  # ground that has no faces here
 SHAPES = {
     Kind.mjGEOM_PLANE: "plane",
     Kind.mjGEOM_SPHERE: "sphere",
     Kind.mjGEOM_CAPSULE: "capsule",
     Kind.mjGEOM_CYLINDER: "cylinder",
     Kind.mjGEOM_BOX: "box",
-    Kind.mjGEOM_MESH: "mesh",
 }
 
 
@@ -42,18 +42,19 @@ def motion(trace: Trace) -> dict[str, Any]:
     frames = finite_frames(trace)
     qpos = np.asarray(trace.qpos[:frames], float)
     scales = np.maximum(units(trace.model), np.abs(qpos).max(axis=0) / INT16)
-    force = np.asarray(trace.foot_force[:frames], float).reshape(frames, -1)
-    force_scale = max(float(np.nan_to_num(np.abs(force)).max()) / LEVELS, 1e-6)
+    force = np.asarray(trace.foot_force[:frames], float)
+    force = force.reshape(frames, force[0].size)
+    force_scale = max(float(np.nan_to_num(np.abs(force)).max(initial=0)) / LEVELS, 1e-6)
     torque = np.nan_to_num(np.asarray(trace.joint_torque[:frames], float))
     torque_scale = max(float(np.abs(torque).max(initial=0)) / LEVELS, 1e-6)
-    limits = sorted(set(trace.margin_of[:frames]))
+    known = np.isfinite(trace.margin[:frames]).any()
+    limits = sorted(set(trace.margin_of[:frames])) if known else []
     small = np.column_stack(
         [
             np.round(np.nan_to_num(force) / force_scale),
             trace.stage[:frames],
             np.round(torque / torque_scale),
-            np.round(MARGIN * np.nan_to_num(trace.margin[:frames], nan=-1.0).clip(-1.0, 1.0)),
-            np.searchsorted(limits, trace.margin_of[:frames]),
+            *([_margins(trace, frames), np.searchsorted(limits, trace.margin_of[:frames])] if known else ()),
         ]
     ).astype(np.int8)
     return {
@@ -62,11 +63,15 @@ def motion(trace: Trace) -> dict[str, Any]:
         "scales": [float(f"{scale:.6g}") for scale in scales],
         "force_scale": float(f"{force_scale:.6g}"),
         "torque_scale": float(f"{torque_scale:.6g}"),
-        "torque_limit": float(np.max(trace.world.drive.torque_limit)),
+        "torque_limit": trace.torque_limit,
         "margin_scale": 1 / MARGIN,
         "limits": limits,
         "states": packed(np.round(qpos / scales).astype(np.int16), small),
     }
+
+
+def _margins(trace: Trace, frames: int) -> np.ndarray:
+    return np.round(MARGIN * np.nan_to_num(trace.margin[:frames], nan=-1.0).clip(-1.0, 1.0))
 
 
 def thinned(kept: dict[str, Any], every: int) -> dict[str, Any]:
@@ -116,22 +121,24 @@ def units(model: mujoco.MjModel) -> np.ndarray:
     """What a whole number of each coordinate of `qpos` stands for at best."""
     fine = np.full(model.nq, FINE)
     for joint in range(model.njnt):
-        if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE:
-            start = model.jnt_qposadr[joint] + 3
+        turned = {int(mujoco.mjtJoint.mjJNT_FREE): 3, int(mujoco.mjtJoint.mjJNT_BALL): 0}.get(model.jnt_type[joint])
+        if turned is not None:
+            start = model.jnt_qposadr[joint] + turned
             fine[start : start + 4] = UNIT
     return fine
 
 
-def bodies(model: mujoco.MjModel) -> dict[str, Any]:
+def bodies(model: mujoco.MjModel, legs: int) -> dict[str, Any]:
     """The tree of bodies with their joints and what is drawn of them, as plain values.
 
-    A body has its parent's index, place and quaternion in it, and joints: `[address in qpos]` of a free one,
-    `[address, x, y, z, px, py, pz]` of a hinge with its axis and anchor. A geom has its body, shape, MuJoCo's size (of
-    a mesh: vertices and faces), place, quaternion, colour, and whether it is the robot's. `feet` are body and place.
+    A body has its parent's index, place and quaternion in it, and joints, see `joint`. A geom has its body, shape,
+    MuJoCo's size (of a mesh: vertices and faces), place, quaternion, colour, and whether it is the robot's. `feet` are
+    body and place of each of the `legs`, `hinges` the addresses of the `single_joints`.
     """
-    root = model.body_rootid[model.body(BASE).id]
+    root = model.body_rootid[base_body(model)]
     drawn = [g for g in range(model.ngeom) if model.geom_group[g] < VISIBLE_GROUPS and model.geom_rgba[g, 3] > 0]
-    feet = [model.site(f"foot{leg}") for leg in LEGS]
+    drawn = [g for g in drawn if Kind(model.geom_type[g]) not in UNSHOWN]
+    feet = [model.site(f"foot{leg}") for leg in range(1, legs + 1)]
     return {
         "bodies": [
             {
@@ -154,36 +161,36 @@ def bodies(model: mujoco.MjModel) -> dict[str, Any]:
             for geom in drawn
         ],
         "feet": [[int(site.bodyid[0]), *short(site.pos)] for site in feet],
-        "hinges": [int(model.joint(name).qposadr[0]) for name in JOINTS],
+        "hinges": model.jnt_qposadr[single_joints(model)].tolist(),
     }
 
 
 def joint(model: mujoco.MjModel, number: int) -> list[float]:
-    """See `bodies`. Raises `ValueError` for a joint of another type."""
+    """A joint's address in `qpos`, alone where it is free.
+
+    A hinge has its axis and its anchor, too, a ball an axis of zeros; a slide its axis; both end with the coordinate
+    of their place in the model where that is not zero.
+    """
     address = int(model.jnt_qposadr[number])
+    axis, anchor, start = short(model.jnt_axis[number]), short(model.jnt_pos[number]), float(model.qpos0[address])
     match model.jnt_type[number]:
         case mujoco.mjtJoint.mjJNT_FREE:
             return [address]
-        case mujoco.mjtJoint.mjJNT_HINGE:
-            return [address, *short(model.jnt_axis[number]), *short(model.jnt_pos[number])]
-        case kind:
-            raise ValueError(f"a page shows no joint of type {kind}")
+        case mujoco.mjtJoint.mjJNT_BALL:
+            return [address, 0.0, 0.0, 0.0, *anchor]
+        case mujoco.mjtJoint.mjJNT_SLIDE:
+            return [address, *axis, *([start] if start else [])]
+        case _:
+            return [address, *axis, *anchor, *([start] if start else [])]
 
 
 def shape(model: mujoco.MjModel, geom: int) -> dict[str, Any]:
-    """Shape and size of a geom. Raises `ValueError` for one of another type."""
+    """Shape and size of a geom; of one that has no shape of its own there, its hull."""
     kind = Kind(model.geom_type[geom])
-    if kind not in SHAPES:
-        raise ValueError(f"a page shows no geom of type {kind.name}")
-    if kind != Kind.mjGEOM_MESH:
+    if kind in SHAPES:
         return {"shape": SHAPES[kind], "size": short(model.geom_size[geom])}
-    mesh = int(model.geom_dataid[geom])
-    first, number = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
-    faces = []
-    for polygon in model.mesh_polyadr[mesh] + np.arange(model.mesh_polynum[mesh]):
-        start = int(model.mesh_polyvertadr[polygon])
-        faces.append(model.mesh_polyvert[start : start + int(model.mesh_polyvertnum[polygon])].tolist())
-    return {"shape": "mesh", "vertices": [short(v) for v in model.mesh_vert[first : first + number]], "faces": faces}
+    vertices, faces = hull_of(model, geom)
+    return {"shape": "mesh", "vertices": [short(v) for v in vertices], "faces": faces}
 
 
 def short(values: np.ndarray) -> list[float]:

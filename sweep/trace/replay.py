@@ -48,7 +48,8 @@ def main(args: list[str]) -> int:
     system = experiment(store.read_study(options.folder)["config"]).system
     for name in SHOWN:
         if getattr(options, name) and name not in system.shown:
-            raise InputError(f"--{name} is not allowed: {system.undrawn}")
+            shown = ", ".join(f"--{one}" for one in sorted(system.shown))
+            raise InputError(f"--{name} is not allowed: such rollouts are shown by {shown}, and what study.keep keeps")
     with waiting(f"simulating {options.point} of {options.folder} in its batch"):
         result = replay(options.folder, options.point)
     print(comparison(result))

@@ -3,8 +3,7 @@
 import mujoco
 import numpy as np
 
-from sweep.engines.base import Trace
-from sweep.models.legs import JOINTS
+from sweep.engines.base import Trace, single_joints
 
 BASE = "base"  # the robot's body
 KINDS = ("alpha", "beta", "gamma")  # the joints of a leg, from the body outwards
@@ -38,28 +37,40 @@ def evenly(trace: Trace, number: int) -> np.ndarray:
     return np.unique(np.linspace(0, finite_frames(trace) - 1, number).round().astype(int))
 
 
+def base_body(model: mujoco.MjModel) -> int:
+    """The robot's body: the one called base if that moves, the first that is free, or the first that moves."""
+    named = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, BASE)
+    free = model.jnt_bodyid[model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)]
+    moving = np.flatnonzero(model.body_weldid != 0)
+    return next((int(body) for body in (named, *free[:1], *moving[:1]) if body in moving), 0)
+
+
 def base_pose(trace: Trace) -> np.ndarray:
     """Position (m) and quaternion (w, x, y, z) of the base in the world, (F, 7).
 
-    In a model without such a body it is the first thing that moves freely; without any, the middle of the model.
+    Where it is not free, the middle of the model.
     """
-    model = trace.model
-    free = np.flatnonzero(model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE))
-    if not len(free):
+    model, body = trace.model, base_body(trace.model)
+    joint = model.body_jntadr[body]
+    if joint < 0 or model.jnt_type[joint] != int(mujoco.mjtJoint.mjJNT_FREE):
         return np.tile([*model.stat.center, 1.0, 0.0, 0.0, 0.0], (len(trace.qpos), 1))
-    named = [joint for joint in free if model.body(model.jnt_bodyid[joint]).name == BASE]
-    start = int(model.jnt_qposadr[(named or free)[0]])
+    start = int(model.jnt_qposadr[joint])
     return trace.qpos[:, start : start + 7]
 
 
 def joint_angle(trace: Trace) -> np.ndarray:
-    """Joint angles (F, 18) in rad, leg by leg, alpha, beta, gamma."""
-    return trace.qpos[:, [int(trace.model.joint(name).qposadr[0]) for name in JOINTS]]
+    """Places (F, J) of the `single_joints`, rad or m; of the six-legged robot leg by leg, alpha, beta, gamma."""
+    return trace.qpos[:, trace.model.jnt_qposadr[single_joints(trace.model)]]
 
 
 def joint_rate(trace: Trace) -> np.ndarray:
-    """Joint rates (F, 18) in rad/s, leg by leg, alpha, beta, gamma."""
-    return trace.qvel[:, [int(trace.model.joint(name).dofadr[0]) for name in JOINTS]]
+    """Rates (F, J) of the same, rad/s or m/s."""
+    return trace.qvel[:, trace.model.jnt_dofadr[single_joints(trace.model)]]
+
+
+def joint_names(model: mujoco.MjModel) -> list[str]:
+    """What the `single_joints` are called."""
+    return [model.joint(joint).name or f"joint_{joint}" for joint in single_joints(model)]
 
 
 def mass_centres(trace: Trace, frames: slice) -> np.ndarray:

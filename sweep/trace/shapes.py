@@ -7,15 +7,19 @@ from foxglove.messages import (
     CubePrimitive,
     CylinderPrimitive,
     Duration,
+    Point3,
     Pose,
     Quaternion,
     SceneEntity,
     SpherePrimitive,
     Timestamp,
+    TriangleListPrimitive,
     Vector3,
 )
 
-Primitive = CubePrimitive | CylinderPrimitive | SpherePrimitive
+from sweep.trace.hulls import hull_of
+
+Primitive = CubePrimitive | CylinderPrimitive | SpherePrimitive | TriangleListPrimitive
 Geom = mujoco.mjtGeom
 
 WORLD = "world"  # the fixed frame
@@ -74,11 +78,12 @@ def _entity(name: str, frame: str, shapes: list[Primitive]) -> SceneEntity:
         cubes=[s for s in shapes if isinstance(s, CubePrimitive)],
         spheres=[s for s in shapes if isinstance(s, SpherePrimitive)],
         cylinders=[s for s in shapes if isinstance(s, CylinderPrimitive)],
+        triangles=[s for s in shapes if isinstance(s, TriangleListPrimitive)],
     )
 
 
 def _shapes(model: mujoco.MjModel, data: mujoco.MjData, geom: int, moving: bool) -> list[Primitive]:
-    """Primitives of one geom; raises `ValueError` for a shape that has none."""
+    """Primitives of one geom; none of a field of heights."""
     if moving:
         position, orientation = model.geom_pos[geom], model.geom_quat[geom]
     else:
@@ -114,8 +119,15 @@ def _shapes(model: mujoco.MjModel, data: mujoco.MjData, geom: int, moving: bool)
             sides = np.where(size[:2] > 0, 2 * size[:2], PLANE_SIDE)
             slab = vector(np.array([*sides, PLANE_THICKNESS]))
             return [CubePrimitive(pose=pose(-PLANE_THICKNESS / 2), size=slab, color=color)]
+        case Geom.mjGEOM_MESH:
+            vertices, faces = hull_of(model, geom)
+            points = [Point3(x=float(x), y=float(y), z=float(z)) for x, y, z in vertices]
+            fans = [
+                index for face in faces for k in range(1, len(face) - 1) for index in (face[0], face[k], face[k + 1])
+            ]
+            return [TriangleListPrimitive(pose=pose(), points=points, color=color, indices=fans)]
         case _:
-            raise ValueError(f"no Foxglove primitive for a geom of type {kind.name}")
+            return []
 
 
 def geom_color(model: mujoco.MjModel, geom: int) -> tuple[float, ...]:

@@ -16,7 +16,7 @@ import pandas as pd
 import pytest
 from browser import CHROMIUM, Browser
 from conftest import simulated
-from moved import body_places, moved
+from moved import arm, body_places, moved
 from PIL import Image
 
 from sweep.core.expressions import mask
@@ -469,10 +469,10 @@ def test_names_of_others_run_nothing(browser, wide, tmp_path):
     assert not [address for address in browser.asked if address.startswith("http")]
 
 
-def test_bodies_are_where_mujoco_has_them(shown):
+@pytest.mark.parametrize(("trace", "feet"), [(moved("scenario=ball_balance"), 6), (arm(), 0)], ids=["robot", "own"])
+def test_bodies_are_where_mujoco_has_them(shown, trace, feet):
     """The script's own reading and kinematics, which is not on the page by name, as the module that it is made from."""
-    trace = moved("scenario=ball_balance")
-    told = {**motion(trace), "bodies": bodies(trace.model)}
+    told = {**motion(trace), "bodies": bodies(trace.model, feet)}
     frame = 30
     found = places_by_script(shown, told, frame)
     assert np.abs(np.array(found) - body_places(trace, frame)).max() < 3e-3
@@ -482,7 +482,7 @@ def places_by_script(browser, told, frame):
     return by_script(
         browser,
         told,
-        f"""const motion = readMotion(told, await inflate(told.states));
+        f"""const motion = readMotion(told, told.bodies, await inflate(told.states));
             const state = stateAt(motion, {frame + 1} * motion.step);
             return posesOf(told.bodies, state).map((pose) => Array.from(pose.pos))""",
     )
@@ -502,8 +502,8 @@ def by_script(browser, told, code):
 
 def test_a_margin_is_read_with_the_limit_that_it_is_to(shown):
     trace = moved()
-    told = {**motion(trace), "bodies": bodies(trace.model)}
-    read = """const motion = readMotion(told, await inflate(told.states));
+    told = {**motion(trace), "bodies": bodies(trace.model, 6)}
+    read = """const motion = readMotion(told, told.bodies, await inflate(told.states));
         return [Array.from(motion.margin), motion.limits]"""
     margin, limits = by_script(shown, told, read)
     assert np.abs(margin - trace.margin.clip(-1)).max() <= 0.5 / MARGIN + 1e-9

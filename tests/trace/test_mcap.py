@@ -9,10 +9,13 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
+from moved import arm
+from scipy.spatial import ConvexHull
 
 from sweep.engines.base import Trace
 from sweep.trace import sampling
 from sweep.trace.arrows import FORCE_SCALE, arrow_tips
+from sweep.trace.hulls import hull_of
 from sweep.trace.mcap import plain, turn_x_to, write_mcap
 
 CONFIG = {"robot": {"thigh": 0.52, "shin": np.float64(0.335)}, "limits": [np.inf, 1]}
@@ -114,6 +117,21 @@ def test_config_is_attached(written):
 def test_same_input_same_bytes(written, trace, tmp_path):
     write_mcap(tmp_path / "again.mcap", trace, CONFIG, dict(reversed(OUTCOME.items())))
     assert (tmp_path / "again.mcap").read_bytes() == written.read_bytes()
+
+
+def test_a_model_without_feet_has_its_joints_and_meshes(tmp_path):
+    trace = arm()
+    write_mcap(tmp_path / "arm.mcap", trace, {}, {"outcome": "success"})
+    panels = json.loads((tmp_path / "arm.layout.json").read_text())["configById"]
+    assert [path["label"] for path in panels["Plot!torque"]["paths"]] == ["joint_1", "joint_3"]
+    assert panels["3D!robot"]["followTf"] == "trunk"
+    vertices, faces = hull_of(trace.model, 1)
+    assert len(faces) <= 2 * len(vertices) - 4 <= 76
+    full = trace.model.mesh_vert
+    assert 0.8 < ConvexHull(vertices).volume / ConvexHull(full).volume <= 1
+    for face in faces:  # counterclockwise, seen from outside
+        a, b, c = vertices[face]
+        assert np.cross(b - a, c - a) @ (a + b + c) > 0
 
 
 def test_layout_names_what_is_in_the_file(written):

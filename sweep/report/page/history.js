@@ -37,19 +37,33 @@ export function historiesOf({ model, motion }) {
     return (Math.acos(clamp(upright, -1, 1)) * 180) / Math.PI;
   };
   const pull = (/** @type {number} */ k, /** @type {number} */ leg) => {
-    const [x, y, z] = force.subarray(18 * k + 3 * leg, 18 * k + 3 * leg + 3);
+    const first = 3 * (k * model.feet.length + leg);
+    const [x, y, z] = force.subarray(first, first + 3);
     return Math.hypot(x, y, z);
   };
-  const joints = ["α", "β", "γ"].map((name, kind) => ({
+  const many = model.hinges.length;
+  const kinds = model.feet.length ? ["α", "β", "γ"] : []; // of a leg's joints
+  const joints = kinds.map((name, kind) => ({
     title: `joint ${name} [°]`,
     lines: legs((k, leg) => (qpos[k * coordinates + model.hinges[3 * leg + kind]] * 180) / Math.PI),
     limit: null,
   }));
-  const torques = ["α", "β", "γ"].map((name, kind) => ({
+  const torques = kinds.map((name, kind) => ({
     title: `torque of ${name} [N·m]`,
-    lines: torque ? legs((k, leg) => torque[18 * k + 3 * leg + kind]) : [],
+    lines: torque ? legs((k, leg) => torque[many * k + 3 * leg + kind]) : [],
     limit: motion.torqueLimit,
   }));
+  if (!kinds.length) {
+    const each = (/** @type {(frame: number, joint: number) => number} */ value) =>
+      model.hinges.map((_, joint) => over((frame) => value(frame, joint)));
+    const all = torque ? each((k, joint) => torque[many * k + joint]) : [];
+    torques.push({ title: "torque of the joints [N·m]", lines: all, limit: motion.torqueLimit });
+    joints.push({
+      title: "joints [rad]",
+      lines: each((k, joint) => qpos[k * coordinates + model.hinges[joint]]),
+      limit: null,
+    });
+  }
   const found = [
     {
       title: "margin to the nearest limit",
@@ -59,8 +73,12 @@ export function historiesOf({ model, motion }) {
     },
     { title: "force on a foot [N]", lines: legs(pull), limit: null },
     { title: "way of a standing foot [m]", lines: slips(model, motion, pull), limit: null },
-    { title: "height of the base [m]", lines: [over((k) => qpos[k * coordinates + free + 2])], limit: null },
-    { title: "tilt of the base [°]", lines: [over(tilt)], limit: null },
+    {
+      title: "height of the base [m]",
+      lines: free < 0 ? [] : [over((k) => qpos[k * coordinates + free + 2])],
+      limit: null,
+    },
+    { title: "tilt of the base [°]", lines: free < 0 ? [] : [over(tilt)], limit: null },
     ...torques,
     ...joints,
   ];
@@ -69,12 +87,12 @@ export function historiesOf({ model, motion }) {
 
 /**
  * @param {Model} model
- * @returns {number} where the robot's free joint is among the coordinates
+ * @returns {number} where the robot's free joint is among the coordinates, -1 where it has none
  */
 function freeOf({ bodies, geoms }) {
   let body = geoms.find(({ robot }) => robot)?.body ?? 0;
   while (body && bodies[body].joints[0]?.length !== 1) body = bodies[body].parent;
-  return bodies[body].joints[0]?.[0] ?? 0;
+  return bodies[body].joints[0]?.length === 1 ? bodies[body].joints[0][0] : -1;
 }
 
 /**
@@ -134,6 +152,7 @@ export function historyView(app, to) {
     const sheet = sheetOf(canvas);
     const { pen, width, height } = sheet;
     const { ink, soft, line } = app.theme();
+    const colours = app.table.about.legs;
     const [top, bottom] = [EDGE.top, height - EDGE.bottom];
     const [first] = shown;
     const { motion } = first.reel;
@@ -191,7 +210,7 @@ export function historyView(app, to) {
       const own = like[number];
       pen.setLineDash(number ? [4, 3] : []);
       own.forEach((values, leg) => {
-        pen.strokeStyle = own.length > 1 ? app.table.about.legs[leg] : ink;
+        pen.strokeStyle = own.length > 1 ? colours[leg % colours.length] : ink;
         pen.lineWidth = 1.2;
         pen.beginPath();
         values.forEach((value, frame) => pen.lineTo(xOf((frame + 1) * reel.motion.step, width), yOf(value)));
@@ -223,7 +242,8 @@ export function historyView(app, to) {
 
   const lay = () => {
     panels = (shown[0]?.histories ?? []).map(({ title }) => {
-      const label = `${title} over time, a line for each leg; drag to go to a time`;
+      const each = shown[0].reel.model.feet.length ? "leg" : "joint";
+      const label = `${title} over time, a line for each ${each}; drag to go to a time`;
       const base = element("canvas", { role: "img", "aria-label": label });
       const over = element("canvas", { class: "over", "aria-hidden": "true" });
       const scrub = (/** @type {PointerEvent} */ event) =>
@@ -237,7 +257,7 @@ export function historyView(app, to) {
     });
     root.replaceChildren(...panels.map(({ base, over }) => element("div", { class: "history" }, base, over)));
     byId("histories-key").replaceChildren(
-      ...app.table.about.legs.map((colour, leg) => {
+      ...app.table.about.legs.slice(0, shown[0]?.reel.model.feet.length ?? 0).map((colour, leg) => {
         const swatch = element("span", { class: "leg", "aria-hidden": "true" });
         swatch.style.background = colour;
         return element("span", {}, swatch, ` leg ${leg + 1}`);

@@ -23,7 +23,7 @@
  * @property {number[][]} [faces]
  */
 
-/** @typedef {{ bodies: Body[], geoms: Geom[], feet: number[][], hinges: number[] }} Model */
+/** @typedef {{ bodies: Body[], geoms: Geom[], feet: number[][], hinges: number[] }} Model hinges and slides */
 
 /**
  * @typedef {object} Motion
@@ -31,9 +31,9 @@
  * @property {number} frames
  * @property {number} coordinates
  * @property {Float64Array} qpos frame by frame
- * @property {Float64Array} force of the feet, N, 18 a frame
+ * @property {Float64Array} force of the feet, N, three a foot and frame
  * @property {Int16Array} stage
- * @property {Float64Array | null} torque of the joints, N m, 18 a frame; of replays that were kept before, none
+ * @property {Float64Array | null} torque of the hinges, N m, frame by frame; of replays that were kept before, none
  * @property {number | null} torqueLimit N m
  * @property {Float64Array | null} margin to the nearest limit; of replays that were kept before, none
  * @property {string[]} limits which one that is in each frame
@@ -63,29 +63,31 @@ export function readPlanes(bytes, frames, columns, size) {
 
 /**
  * @param {Shown} shown
+ * @param {Model} model
  * @param {ArrayBuffer} buffer of its stream
  * @returns {Motion}
  */
-export function readMotion(shown, buffer) {
+export function readMotion(shown, model, buffer) {
   const { frames, scales } = shown;
   const coordinates = scales.length;
   const bytes = new Uint8Array(buffer);
   const states = readPlanes(bytes, frames, coordinates, 2);
-  const torques = shown.torque_scale ? 18 : 0;
-  const margins = 19 + torques; // after feet's forces and the stage
+  const forces = 3 * model.feet.length;
+  const torques = shown.torque_scale ? model.hinges.length : 0;
+  const margins = forces + 1 + torques; // after feet's forces and the stage
   const wide = margins + (shown.limits.length ? 2 : 0);
   const small = readPlanes(bytes.subarray(2 * frames * coordinates), frames, wide, 1);
   const qpos = Float64Array.from(states, (value, k) => value * scales[k % coordinates]);
-  const force = new Float64Array(18 * frames);
+  const force = new Float64Array(forces * frames);
   const stage = new Int16Array(frames);
-  const torque = torques ? new Float64Array(18 * frames) : null;
+  const torque = torques ? new Float64Array(torques * frames) : null;
   const margin = shown.limits.length ? new Float64Array(frames) : null;
   const limits = [];
   for (let frame = 0; frame < frames; frame++) {
     const of = small.subarray(frame * wide, (frame + 1) * wide);
-    for (let k = 0; k < 18; k++) force[frame * 18 + k] = of[k] * shown.force_scale;
-    stage[frame] = of[18];
-    for (let k = 0; torque && k < 18; k++) torque[frame * 18 + k] = of[19 + k] * shown.torque_scale;
+    for (let k = 0; k < forces; k++) force[frame * forces + k] = of[k] * shown.force_scale;
+    stage[frame] = of[forces];
+    for (let k = 0; torque && k < torques; k++) torque[frame * torques + k] = of[forces + 1 + k] * shown.torque_scale;
     if (!margin) continue;
     margin[frame] = of[margins] * shown.margin_scale;
     limits.push(shown.limits[of[margins + 1]]);
@@ -190,7 +192,7 @@ export function plus(a, b, times = 1) {
 /** @typedef {{ pos: number[], turn: number[] }} Pose */
 
 /**
- * Where all bodies are: MuJoCo's kinematics of free joints and hinges.
+ * Where all bodies are: MuJoCo's kinematics.
  * @param {Model} model
  * @param {Float64Array} state
  * @returns {Pose[]}
@@ -202,16 +204,24 @@ export function posesOf(model, state) {
     const parent = poses[body.parent] ?? { pos: [0, 0, 0], turn: [1, 0, 0, 0, 1, 0, 0, 0, 1] };
     let pos = plus(parent.pos, rotated(parent.turn, body.pos));
     let turn = turned(parent.turn, turnOf(body.quat));
-    for (const [address, ...hinge] of body.joints) {
-      if (!hinge.length) {
+    for (const [address, ...joint] of body.joints) {
+      if (!joint.length) {
         pos = Array.from(state.subarray(address, address + 3));
         turn = turnOf(state.subarray(address + 3, address + 7));
         continue;
       }
-      const half = state[address] / 2;
-      const anchor = hinge.slice(3);
+      const axis = joint.slice(0, 3);
+      if (joint.length < 6) {
+        pos = plus(pos, rotated(turn, axis), state[address] - (joint[3] ?? 0)); // a slide
+        continue;
+      }
+      const anchor = joint.slice(3, 6);
       const fixed = plus(pos, rotated(turn, anchor));
-      turn = turned(turn, turnOf([Math.cos(half), ...hinge.slice(0, 3).map((part) => part * Math.sin(half))]));
+      const half = (state[address] - (joint[6] ?? 0)) / 2;
+      const about = axis.some((part) => part)
+        ? [Math.cos(half), ...axis.map((part) => part * Math.sin(half))]
+        : state.subarray(address, address + 4); // a ball
+      turn = turned(turn, turnOf(about));
       pos = plus(fixed, rotated(turn, anchor), -1);
     }
     poses.push({ pos, turn });

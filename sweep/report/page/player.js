@@ -93,7 +93,7 @@ export function playerOf(app) {
     const made = Promise.all([models, inflate(app.stream(number))]).then(([all, buffer]) => ({
       number,
       model: all[shown.model],
-      motion: readMotion(shown, buffer),
+      motion: readMotion(shown, all[shown.model], buffer),
     }));
     reels.set(number, made);
     return made;
@@ -218,9 +218,10 @@ export function playerOf(app) {
     }
     const frame = frameAt(reel.motion, time);
     const arrow = arrowOf(reel);
-    drawForces(view, reel.model, state, reel.motion.force.subarray(18 * frame, 18 * frame + 18), arrow);
+    const forces = 3 * reel.model.feet.length;
+    drawForces(view, reel.model, state, reel.motion.force.subarray(forces * frame, forces * (frame + 1)), arrow);
     const lines = [`${time.toFixed(2)} s   ${stageOf(reel)}`, titleOf(app, reel.number)];
-    lines[0] += `   arrows: 100 N are ${shortly(100 * arrow.metres)} m`;
+    if (forces) lines[0] += `   arrows: 100 N are ${shortly(100 * arrow.metres)} m`;
     if (ghost) lines.push(`violet: ${titleOf(app, ghost.number)}`);
     sheet.pen.textAlign = "left";
     sheet.pen.textBaseline = "bottom";

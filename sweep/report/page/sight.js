@@ -1,8 +1,8 @@
 // From where a replay is seen: far enough for the whole robot, at an angle that hides it least.
-import { endOf, plus, stateAt } from "./kinematics.js";
+import { endOf, plus, posesOf, stateAt } from "./kinematics.js";
 import { clamp } from "./numbers.js";
 import { baseOf, obstaclesOf } from "./scene.js";
-import { hides } from "./solids.js";
+import { hides, solidOf } from "./solids.js";
 
 /** @typedef {import("./kinematics.js").Model} Model */
 /** @typedef {import("./player.js").Reel} Reel */
@@ -15,8 +15,11 @@ const ANGLES = [-0.75, 0.75, -2.4, 2.4, 0, 3.14]; // that a replay may be seen f
  * @returns {number} m from where the robot is seen whole
  */
 export function farEnough({ model, motion }) {
+  const poses = posesOf(model, stateAt(motion, motion.step));
   const base = baseOf(model, stateAt(motion, motion.step));
-  return clamp(8 * sizeOf(model) + 0.15 * Math.abs(base[2]), 1.2, 12);
+  const parts = model.geoms.filter((geom) => geom.robot).map((geom) => solidOf(geom, poses[geom.body]).pos);
+  const reach = Math.max(...parts.map((part) => Math.hypot(...plus(part, base, -1))), 0);
+  return clamp(Math.max(8 * sizeOf(model), 3.2 * reach) + 0.15 * Math.abs(base[2]), 1.2, 12);
 }
 
 /**
@@ -48,5 +51,5 @@ export function freest(reel) {
  */
 export function sizeOf(model) {
   const parts = model.geoms.filter((geom) => geom.robot);
-  return parts.reduce((most, geom) => Math.max(most, ...(geom.size ?? [0])), 0);
+  return parts.reduce((most, geom) => Math.max(most, ...(geom.size ?? (geom.vertices ?? []).flat())), 0);
 }
