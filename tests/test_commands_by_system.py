@@ -59,6 +59,7 @@ def lines(system):
         "replay": ["replay", "a", "1"],
         "replay --png": ["replay", "a", "1", "--png", "pictures"],
         "replay --mcap": ["replay", "a", "1", "--mcap", "r.mcap"],
+        "replay --states": ["replay", "a", "1", "--states", "states.parquet"],
         "view": ["view", "a", "1", "-o", "v.html"],
         "export-model": ["export-model", *EXPORTED[system], "out=exported"],
     }

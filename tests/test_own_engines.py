@@ -1,6 +1,7 @@
 """An own model on both engines: the same physics, what MJX cannot do, how it is simulated, and the audit."""
 
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 
 import mujoco
@@ -51,6 +52,9 @@ study:
 """
 
 
+CONSTANT = "duration_s", "not_finite", "buffer_full", "joint_limit_share", "unsolved_share"  # of its rows
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("hopper")
@@ -87,10 +91,32 @@ def test_both_engines_simulate_the_same_physics(here):
     assert native["tilt_max_deg"].max() > 90
     assert native["saturated_share"].max() > 0
     for name, values in native.items():
-        assert len(np.unique(values)) > 1 or name in ("duration_s", "not_finite", "buffer_full", "joint_limit_share")
+        assert len(np.unique(values)) > 1 or name in CONSTANT
         np.testing.assert_allclose(again[name], values, rtol=1e-6, atol=1e-7, err_msg=name)
     single = figures(exp, table, name="mjx", precision="float32")
     assert 1e-9 < np.abs(single["travelled_m"] - native["travelled_m"]).max() < 1e-2
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(find_spec("warp") is None, reason="needs the extra warp")
+def test_warp_simulates_the_same_physics(here):
+    """In single precision, on Warp's CPU where there is no GPU; each rollout has fields of its own."""
+    exp = compose(["study=study.yaml", "noise.white=0.01", "noise.delay=1"])
+    exp = batches.with_room(exp, table := wanted_points(exp))
+    native, again = (figures(exp, table, name=name) for name in ("native", "warp"))
+    for name in ("base_height_min_m", "tilt_max_deg", "travelled_m", "slip_max_m", "energy_j", "load_max_n"):
+        assert len(np.unique(native[name])) > 6
+        np.testing.assert_allclose(again[name], native[name], rtol=0.02, atol=2e-3, err_msg=name)
+    assert not again["buffer_full"].any()
+
+
+@pytest.mark.skipif(find_spec("warp") is not None, reason="the extra warp is installed")
+def test_warp_needs_its_extra(here, capsys):
+    assert main(["run", "study=study.yaml", "engine=warp", "out=none"]) == 2
+    assert "it needs NVIDIA Warp: pip install 'insect-sweep[warp]'" in capsys.readouterr().err
+    assert main(["run", "scenario=walk_tripod", "engine=warp", "out=none"]) == 2
+    assert "engine.name = 'warp' is not allowed: one of mjx, native" in capsys.readouterr().err
+    assert not Path("none").exists()
 
 
 def test_how_it_is_simulated_is_an_axis(here):
@@ -186,14 +212,18 @@ def test_what_mjx_cannot_do_is_said_before_anything_runs(here, tmp_path, capsys,
     assert not (tmp_path / "odd/audit/other_engine").exists()
 
 
-def test_mjx_has_every_field_that_can_be_an_axis(here):
-    model = mujoco.MjModel.from_xml_path("hopper.xml")
-    template = mjx.mjx.put_model(model)
-    varied = [one.field for kind in fields.VARIED.values() for one in kind.values()]
-    varied += [one.field for one in fields.OPTIONS.values()]
-    for name in varied:
-        owner = template.opt if name.startswith("opt.") else template
-        assert hasattr(getattr(owner, name.removeprefix("opt.")), "at"), name  # an array of JAX's, not a constant
+def test_what_mjx_has_no_field_for_is_no_axis_of_its(here, capsys):
+    """Every other field is an array of JAX's, not a constant."""
+    template = mjx.mjx.put_model(mujoco.MjModel.from_xml_path("hopper.xml"))
+    varied = [one.field for kind in [*fields.VARIED.values(), fields.OPTIONS] for one in kind.values()]
+    owners = {name: template.opt if name.startswith("opt.") else template for name in varied}
+    lacking = {n for n, owner in owners.items() if not hasattr(getattr(owner, n.removeprefix("opt."), None), "at")}
+    assert lacking == {"actuator_damping", "actuator_armature", "opt.noslip_tolerance", "opt.ccd_tolerance"}
+    axis = "study.axes.rub={path: model.actuator.hip.armature, side: world, values: [0, 0.1]}"
+    assert main(["run", "study=study.yaml", axis, "engine=mjx", "out=lacking"]) == 2
+    (told,) = capsys.readouterr().err.splitlines()
+    assert "MJX has no actuator_armature, which model.actuator.hip.armature varies (other axes, or engine=nat" in told
+    assert not Path("lacking").exists()
 
 
 def test_where_mjx_parts_from_c_is_told(here, capsys):

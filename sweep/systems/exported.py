@@ -106,7 +106,9 @@ def scenario(system: Hexapod, settings: EngineSettings, limits: Thresholds, mode
 
 
 def _conditions(case: Case, limits: Thresholds) -> Iterator[tuple[str, str]]:
-    for cause in (cause for metric in metrics.of(case) for cause in metric.causes if not cause.doubt):
+    """Those of a moment first, as what is known at the end alone comes of them; which came first is not known."""
+    every = [cause for metric in metrics.of(case) for cause in metric.causes if not cause.doubt]
+    for cause in sorted(every, key=lambda cause: cause.known == "end"):
         limit = limit_of(cause, limits)
         if math.isfinite(limit):
             name = cause.name if cause.name != "goal_missed" else f"missed_{cause.threshold}"

@@ -25,7 +25,7 @@ from sweep.systems.base import Kinds, Nominal, Parameter, Values, Way, by_side, 
 from sweep.systems.own import fields, figures, files, idle, outcome
 from sweep.systems.own.engine import Loop, substeps
 from sweep.systems.own.outcome import Condition
-from sweep.systems.own.subject import About, Noise, Side, Subject
+from sweep.systems.own.subject import About, Noise, Settings, Side, Subject
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -35,7 +35,7 @@ WAYS = {
     "again": Way("as before, in batches of another width"),
     "half_step": Way("half the time step", columns={"model.option.timestep": lambda step: step / 2}),
     "float64": Way("in double precision", lambda s: replace(s, precision="float64")),
-    "other_engine": Way("on the other engine", lambda s: replace(s, name="native" if s.name == "mjx" else "mjx")),
+    "other_engine": Way("on the other engine", lambda s: replace(s, name="mjx" if s.name == "native" else "native")),
     "other_cone": Way(
         "with the other friction cone",
         columns={"model.option.cone": lambda cone: "elliptic" if cone == "pyramidal" else "pyramidal"},
@@ -51,10 +51,9 @@ class Own(Subject):
 
     case = Side()
     groups = ("model", "controller", "noise")
-    doubts = tuple(outcome.DOUBTS)
+    doubts = (*outcome.DOUBTS, outcome.UNTRUSTED)
     silent = frozenset(figures.SILENT)
-    shown = ("png", "video")
-    undrawn = "of an own model there are pictures and films (replay --png, --video), and what study.keep keeps"
+    shown = ("mcap", "png", "video")
 
     @property
     def causes(self) -> dict[str, str]:
@@ -84,7 +83,7 @@ class Own(Subject):
             if name not in SET or name == "control_period":
                 near = suggest(name, ("name", "precision"))
                 raise InputError(f"axis {column} names nothing: {name} is unknown{near}")
-            return next(field for field in dataclasses.fields(EngineSettings) if field.name == name)
+            return next(field for field in dataclasses.fields(Settings) if field.name == name)
         if root == "noise":
             known = {f.name: f for f in dataclasses.fields(Noise)}
             if name not in known:
@@ -98,7 +97,10 @@ class Own(Subject):
             return quantity(dict(self.numbers)[path], "")
         if root != "model":
             raise InputError(f"axis {column} names nothing: {root} is unknown{suggest(root, self.groups)}")
-        return fields.parameter(self.model, path)
+        found = fields.parameter(self.model, path)
+        if fields.compiled(self.model, path):
+            fields.check_compiled(self.source(), self.model, path)
+        return found
 
     def nominal(self, column: str, settings: EngineSettings) -> Any:
         """See `System`."""
@@ -126,9 +128,11 @@ class Own(Subject):
         if shaping:
             rows = table[shaping].drop_duplicates()
             distinct = [dict(zip(shaping, row, strict=True)) for row in rows.itertuples(index=False)]
+        varied = {path for side, path in map(side_and_path, columns) if side != "belief" and path.startswith("model.")}
         for values in distinct:
             ways = {c.removeprefix("engine."): value for c, value in values.items() if c.startswith("engine.")}
             made = self.engine(replace(settings, **ways), *self.sides(values), limits=None)
+            made.vary(fields.by_rollout(self.model, dict.fromkeys(varied)))
             for line in made.cautions():
                 _say_once(f"sweep: note: {line}")
 
@@ -211,15 +215,16 @@ def _say_once(line: str) -> None:
 def nominal(values: Mapping[str, Any], kinds: Kinds) -> Nominal:
     """See `sweep.systems.nominal`."""
     given = {**values["model"]}
-    for key in ("observe", "feet"):
+    for key in ("observe", "feet", "collisions"):
         if isinstance(given.get(key, ()), str) or not all(isinstance(one, str) for one in given.get(key, ())):
             raise InputError(f"model.{key} = {given[key]!r} is not allowed: a list of names")
         given[key] = tuple(given.get(key, ()))
+    given["direction"] = _direction(given.get("direction", About.direction))
     given["option"] = _options(given.get("mjcf", ""), given.get("option") or {})
     about = build(About, {key: value for key, value in given.items() if value is not None}, "model")
     noise = build(Noise, values.get("noise") or {}, "noise")
-    settings = build(EngineSettings, values["engine"], "engine")
-    usual = EngineSettings()
+    settings = build(Settings, values["engine"], "engine")
+    usual = Settings()
     for field in dataclasses.fields(usual):
         if field.name not in SET and getattr(settings, field.name) != getattr(usual, field.name):
             raise InputError(f"engine.{field.name} is not allowed: the model's file says how it is simulated")
@@ -231,22 +236,32 @@ def nominal(values: Mapping[str, Any], kinds: Kinds) -> Nominal:
     keys = [model.key(k).name for k in range(model.nkey)]
     if about.keyframe and about.keyframe not in keys:
         raise InputError(f"model.keyframe = {about.keyframe} is unknown{suggest(about.keyframe, keys)}")
-    for name in about.feet:
-        if model.sensor_type[own._sensor("feet", name)] != int(mujoco.mjtSensor.mjSENS_TOUCH):
-            raise InputError(f"model.feet: {name} is no touch sensor")
+    for key in ("feet", "collisions"):
+        for name in getattr(about, key):
+            if model.sensor_type[own._sensor(key, name)] != int(mujoco.mjtSensor.mjSENS_TOUCH):
+                raise InputError(f"model.{key}: {name} is no touch sensor")
     asked = values.get("controller") or {}
     for name in asked:
         if name not in control.parameters:
             raise InputError(f"controller.{name} is unknown{suggest(str(name), control.parameters)}")
     numbers = {name: checked(quantity(0.0, ""), value, f"controller.{name}")
                for name, value in {**control.parameters, **asked}.items()}  # fmt: skip
-    conditions = outcome.parse(
-        values.get("outcome") or {}, {*figures.names(model, own.base, own.feet), *control.measured}
-    )
+    conditions = outcome.parse(values.get("outcome") or {}, {*figures.names(own), *control.measured})
     own = replace(own, numbers=tuple((f"controller.{k}", v) for k, v in numbers.items()), conditions=conditions)
     about = replace(about, content=about.content or _content(own))
     told = {"model": {**values["model"], "content": about.content}}
     return Nominal(replace(own, about=about), replace(settings, control_period=about.period), conditions, told)
+
+
+def _direction(given: Any) -> tuple[float, ...]:
+    """Three numbers of the world's axes, checked."""
+    try:
+        direction = np.array([float(one) for one in given])
+    except (TypeError, ValueError):
+        direction = np.zeros(0)
+    if direction.shape != (3,) or not np.isfinite(direction).all() or not direction.any():
+        raise InputError(f"model.direction = {given!r} is not allowed: along the world's axes, as [1, 0, 0]")
+    return tuple(direction.tolist())
 
 
 def _options(mjcf: str, given: Any) -> tuple[tuple[str, Any], ...]:

@@ -1,7 +1,9 @@
 """Rollouts of an own model as they begin: models of their own, what their controllers are given, and poses."""
 
+from copy import copy
 from typing import Any, NamedTuple
 
+import mujoco
 import numpy as np
 from mujoco.batch import MODEL_FIELDS, Batch
 
@@ -25,6 +27,23 @@ class Begun(NamedTuple):
     mass: np.ndarray  # (n,) kg
     limits: dict[str, np.ndarray]  # by field, (n, ..., 2)
 
+    def models(self, slots: np.ndarray | None) -> list[mujoco.MjModel]:
+        """Of the rollouts in `slots`."""
+        return [] if slots is None else [self.batch.get_model(int(slot)) for slot in slots]
+
+    def energy(self, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
+        """Of each model (n,), potential and kinetic (J), at positions (n, nq) and velocities (n, nv)."""
+        model, data = copy(self.batch.model), mujoco.MjData(self.batch.model)
+        found = np.full(len(qpos), np.nan)
+        for k in np.flatnonzero(np.isfinite(qpos).all(axis=1) & np.isfinite(qvel).all(axis=1)):
+            self.batch.get_model(k, model)
+            data.qpos[:], data.qvel[:] = qpos[k], qvel[k]
+            mujoco.mj_fwdPosition(model, data)
+            mujoco.mj_energyPos(model, data)
+            mujoco.mj_energyVel(model, data)
+            found[k] = data.energy.sum()
+        return found
+
     def pose(self, start: np.ndarray | None) -> None:
         """Begin at positions (n, nq) rather than at the keyframe, if there are any."""
         if start is not None:
@@ -39,7 +58,7 @@ def begin(own: Subject, settings: EngineSettings, world: Side, belief: Side, str
     qpos, qvel, sensors = (batch.bind(name) for name in ("qpos", "qvel", "sensordata"))
     # bound before the reset: what is bound after it is zero until the next call
     varied = fields.by_rollout(own.model, world.of("model"))
-    fields.write(batch, {path: np.broadcast_to(value, (n,)) for path, value in varied.items()})
+    fields.write(batch, {path: np.broadcast_to(value, (n,)) for path, value in varied.items()}, own.source)
     batch.reset(keyframe=own.keyframe)
     noise = {**own.noise, **world.of("noise")}
     told = own.told({**belief.of("model"), **belief.of("controller")})

@@ -1,6 +1,6 @@
 """What engines for own models have in common: from figures and frames of a batch to histories and traces."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 import mujoco
@@ -8,7 +8,7 @@ import numpy as np
 
 from sweep.core.errors import InputError
 from sweep.engines import devices
-from sweep.engines.base import Figures, Trace, Watch
+from sweep.engines.base import Figures, Trace, Watch, single_joints
 from sweep.engines.settings import EngineSettings
 from sweep.systems.own.batch import NUMBERS
 from sweep.systems.own.outcome import STAGE
@@ -51,6 +51,9 @@ class Loop:
         """What is to be known of it before it runs, each a line."""
         return iter(())
 
+    def vary(self, paths: Iterable[str]) -> None:
+        """Raise `InputError` where it cannot simulate models that differ in what `paths` name."""
+
     def rollout_bytes(self) -> None:
         """See `Engine`."""
         return None
@@ -63,7 +66,7 @@ class Loop:
         self, world: Side, belief: Side, streams: np.ndarray, slots: np.ndarray, watch: Watch
     ) -> tuple[Figures, np.ndarray]:
         """See `Engine`."""
-        found, frames = self._simulate(world, belief, streams, slots, watch.every)
+        found, frames, _ = self._simulate(world, belief, streams, slots, watch.every)
         columns = [self._own.record(frame.qpos, frame.qvel) for frame in frames]
         samples = [np.stack([one[name] for name in watch.columns], axis=-1) for one in columns]
         return found, np.stack(samples) if samples else np.zeros((0, len(slots), len(watch.columns)))
@@ -77,7 +80,7 @@ class Loop:
         return self._traces(world, belief, streams, np.arange(len(streams)), every)
 
     def _traces(self, world: Side, belief: Side, streams: np.ndarray, slots: np.ndarray, every: int) -> list[Trace]:
-        found, frames = self._simulate(world, belief, streams, slots, every)
+        found, frames, models = self._simulate(world, belief, streams, slots, every)
         time = np.array([frame.time for frame in frames])
         traces = []
         for k, slot in enumerate(slots):
@@ -93,12 +96,12 @@ class Loop:
                 Trace(
                     world,
                     belief,
-                    self._model,
+                    models[k],
                     time[within],
                     qpos,
                     qvel,
                     ctrl,
-                    force,
+                    force @ levers(models[k]),
                     none,
                     none,
                     none,
@@ -114,9 +117,16 @@ class Loop:
 
     def _simulate(
         self, world: Side, belief: Side, streams: np.ndarray, slots: np.ndarray | None = None, every: int = 1
-    ) -> tuple[Figures, list[Frame]]:
-        """Figures of a batch, and frames of the rollouts in `slots` at one in `every` ticks."""
+    ) -> tuple[Figures, list[Frame], list[mujoco.MjModel]]:
+        """Figures of a batch; of the rollouts in `slots` frames at one in `every` ticks, and their models."""
         raise NotImplementedError
+
+
+def levers(model: mujoco.MjModel) -> np.ndarray:
+    """How much of an actuator's force (nu, J) each of the `single_joints` has, of those that drive one."""
+    joints, kind = single_joints(model), int(mujoco.mjtTrn.mjTRN_JOINT)
+    driven = (model.actuator_trnid[:, :1] == joints) & (model.actuator_trntype[:, None] == kind)
+    return driven * model.actuator_gear[:, :1]
 
 
 def substeps(model: mujoco.MjModel, period: float) -> int:

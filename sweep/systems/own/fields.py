@@ -1,24 +1,25 @@
 """From a path such as `model.geom.floor.friction.slide` to numbers of a MuJoCo model, and back into a batch of models.
 
-Only numbers that a model may differ in while its layout, and what MuJoCo works out as it compiles (bounding volumes,
-for one), stays as it is: `mj_setConst` works out the rest again, but for `stat.meaninertia`, which scales a solver's
-tolerance.
+Only numbers that a model may differ in while its layout stays as it is: `mj_setConst` works out again what follows, but
+for `stat.meaninertia`, which scales a solver's tolerance. What MuJoCo's compiler makes of a size or a place of a geom
+(inertia, bounding volumes) comes from models that are compiled anew, one for each of the values.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from copy import copy
 from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
-from mujoco.batch import Batch
+from mujoco.batch import MODEL_FIELDS, Batch
 
 from sweep.core.errors import InputError, suggest
 from sweep.core.parameters import choice, count, quantity, setting
 from sweep.systems.base import Parameter
 
 XYZ = ("x", "y", "z")
-SOLVER = {"solref": ("timeconst", "dampratio"), "solimp": ("dmin", "dmax", "width", "midpoint", "power")}
+SOLREF, SOLIMP = ("timeconst", "dampratio"), ("dmin", "dmax", "width", "midpoint", "power")
+FRICTION = ("slide", "spin", "roll")
 OPTION, ROOT = "option", "model"
 
 
@@ -29,6 +30,7 @@ class Numbers(NamedTuple):
     unit: str = ""
     at_least: float = -np.inf
     names: tuple[str, ...] = ()  # of its components
+    compiled: bool = False  # whether MuJoCo's compiler makes more of it
 
 
 class Place(NamedTuple):
@@ -39,8 +41,10 @@ class Place(NamedTuple):
     sign: float = 1.0
 
 
-def _solver(kind: str) -> dict[str, Numbers]:
-    return {name: Numbers(f"{kind}_{name}", names=names) for name, names in SOLVER.items()}
+def _solver(kind: str, what: str = "", end: str = "") -> dict[str, Numbers]:
+    """Both of a solver's fields; `what` they are of ends their names in MJCF, `end` those of MjModel."""
+    return {f"{name}{what}": Numbers(f"{kind}_{name}{end}", names=names)
+            for name, names in (("solref", SOLREF), ("solimp", SOLIMP))}  # fmt: skip
 
 
 RANGE = ("low", "high")
@@ -53,10 +57,13 @@ VARIED: dict[str, dict[str, Numbers]] = {
         "gravcomp": Numbers("body_gravcomp"),
     },
     "geom": {
-        "friction": Numbers("geom_friction", "", 0.0, ("slide", "spin", "roll")),
+        "friction": Numbers("geom_friction", "", 0.0, FRICTION),
         "margin": Numbers("geom_margin", "m"),
         "gap": Numbers("geom_gap", "m"),
+        "solmix": Numbers("geom_solmix", "", 0.0),
         **_solver("geom"),
+        "size": Numbers("geom_size", "m", 1e-6, compiled=True),  # by the names of its shape: `SIZES`
+        "pos": Numbers("geom_pos", "m", names=XYZ, compiled=True),
     },
     "joint": {
         "stiffness": Numbers("jnt_stiffness", "", 0.0),
@@ -65,6 +72,11 @@ VARIED: dict[str, dict[str, Numbers]] = {
         "frictionloss": Numbers("dof_frictionloss", "", 0.0),
         "pos": Numbers("jnt_pos", "m", names=XYZ),
         "range": Numbers("jnt_range", names=RANGE),
+        "margin": Numbers("jnt_margin"),
+        "springref": Numbers("qpos_spring"),
+        "actuatorfrcrange": Numbers("jnt_actfrcrange", names=RANGE),
+        **_solver("jnt", "limit"),
+        **_solver("dof", "friction"),
     },
     "actuator": {
         "gear": Numbers("actuator_gear"),
@@ -72,6 +84,11 @@ VARIED: dict[str, dict[str, Numbers]] = {
         "biasprm": Numbers("actuator_biasprm"),
         "forcerange": Numbers("actuator_forcerange", names=RANGE),
         "ctrlrange": Numbers("actuator_ctrlrange", names=RANGE),
+        "dynprm": Numbers("actuator_dynprm"),
+        "actrange": Numbers("actuator_actrange", names=RANGE),
+        "cranklength": Numbers("actuator_cranklength", "m", 1e-9),
+        "damping": Numbers("actuator_damping", "", 0.0),
+        "armature": Numbers("actuator_armature", "", 0.0),
     },
     "site": {"pos": Numbers("site_pos", "m", names=XYZ)},
     "tendon": {
@@ -79,7 +96,29 @@ VARIED: dict[str, dict[str, Numbers]] = {
         "damping": Numbers("tendon_damping", "", 0.0),
         "frictionloss": Numbers("tendon_frictionloss", "", 0.0),
         "range": Numbers("tendon_range", "m", names=RANGE),
+        "springlength": Numbers("tendon_lengthspring", "m", names=RANGE),
+        "margin": Numbers("tendon_margin"),
+        "actuatorfrcrange": Numbers("tendon_actfrcrange", names=RANGE),
+        **_solver("tendon", "limit", "_lim"),
+        **_solver("tendon", "friction", "_fri"),
     },
+    "pair": {
+        "friction": Numbers("pair_friction", "", 0.0, ("slide", "slide2", "spin", "roll", "roll2")),
+        "solreffriction": Numbers("pair_solreffriction", names=SOLREF),
+        "margin": Numbers("pair_margin", "m"),
+        "gap": Numbers("pair_gap", "m"),
+        **_solver("pair"),
+    },
+    "equality": _solver("eq"),
+}
+Shape = mujoco.mjtGeom
+ROUND = ("radius", "half_length")
+SIZES = {  # what numbers of a geom's size are, by its shape
+    Shape.mjGEOM_SPHERE: ("radius",),
+    Shape.mjGEOM_CAPSULE: ROUND,
+    Shape.mjGEOM_CYLINDER: ROUND,
+    Shape.mjGEOM_BOX: XYZ,
+    Shape.mjGEOM_ELLIPSOID: XYZ,
 }
 OPTIONS = {
     "gravity": Numbers("opt.gravity", "m/s^2", names=XYZ),
@@ -89,6 +128,9 @@ OPTIONS = {
     "impratio": Numbers("opt.impratio", "", 1e-9),
     "tolerance": Numbers("opt.tolerance", "", 0.0),
     "ls_tolerance": Numbers("opt.ls_tolerance", "", 0.0),
+    "noslip_tolerance": Numbers("opt.noslip_tolerance", "", 0.0),
+    "ccd_tolerance": Numbers("opt.ccd_tolerance", "", 0.0),
+    "magnetic": Numbers("opt.magnetic", names=XYZ),
 }
 CHOSEN = {"cone": mujoco.mjtCone, "integrator": mujoco.mjtIntegrator, "solver": mujoco.mjtSolver}
 COUNTED = {"iterations": 1, "ls_iterations": 1, "noslip_iterations": 0}  # with the least of them
@@ -135,17 +177,62 @@ def _words(kinds: Any) -> dict[str, int]:
     return {MJCF.get(name, name.lower()): number for name, number in names.items()}
 
 
-def write(batch: Batch, values: Mapping[str, Any]) -> None:
-    """Give a batch's models their own `values` (n,) by path, and work out what follows from them."""
-    for path, value in values.items():
+def write(batch: Batch, values: Mapping[str, Any], source: Callable[[], mujoco.MjSpec]) -> None:
+    """Give a batch's models their own `values` (n,) by path, and work out what follows from them.
+
+    `source` gives what the model was compiled from.
+    """
+    made = {path: value for path, value in values.items() if compiled(batch.model, path)}
+    if made:
+        _compile(batch, made, source())
+    for path in values.keys() - made.keys():
+        value = np.asarray(values[path])
         for field, flat, sign in _resolved(batch.model, path)[1]:
             rows = batch.expand(field).reshape(batch.nsim, -1)
             if field == "body_mass":
                 inertia = batch.expand("body_inertia").reshape(batch.nsim, -1, 3)
-                inertia[:, flat] *= (np.asarray(value) / rows[:, flat])[:, None]
-            rows[:, flat] = sign * np.asarray(value)
+                inertia[:, flat] *= (value / rows[:, flat])[:, None]
+            rows[:, flat] = sign * value
     if values:
         batch.set_const()
+
+
+def compiled(model: mujoco.MjModel, path: str) -> bool:
+    """Whether a model has to be compiled anew for another value."""
+    return path.startswith(f"{ROOT}.geom.") and _resolved(model, path)[0].compiled
+
+
+def check_compiled(source: mujoco.MjSpec, model: mujoco.MjModel, path: str) -> None:
+    """Raise `InputError` where other numbers of a geom say what a path would."""
+    called = named(model, "geom", path.removeprefix(f"{ROOT}.geom."))[1]
+    geom, what = source.geom(called), path.rpartition(f"{called}.")[2]
+    if np.isfinite(geom.fromto[0]) and what != "size.radius":
+        raise InputError(f"axis {path} is not allowed: the geom's fromto says where it ends")
+    if geom.type == Shape.mjGEOM_MESH:
+        raise InputError(f"axis {path} is not allowed: the geom is where its mesh has its middle")
+
+
+def fields_of(model: mujoco.MjModel, path: str) -> list[str]:
+    """The fields of MjModel that a path writes."""
+    return [place.field for place in _resolved(model, path)[1]]
+
+
+def _compile(batch: Batch, values: Mapping[str, Any], source: mujoco.MjSpec) -> None:
+    """Have MuJoCo compile a model for each of the rows of `values`, and take over all that it has otherwise."""
+    model, names = batch.model, sorted(MODEL_FIELDS - {"opt.timestep"})
+    rows, which = np.unique(np.stack([*values.values()], axis=1), axis=0, return_inverse=True)
+    for k, row in enumerate(rows):
+        spec = source.copy()
+        for path, value in zip(values, row, strict=True):
+            number, called = named(model, "geom", path.removeprefix(f"{ROOT}.geom."))
+            (place,) = _resolved(model, path)[1]
+            field = place.field.removeprefix("geom_")
+            getattr(spec.geom(called), field)[place.flat - 3 * number] = value
+        other = spec.compile()
+        for name in names:
+            new = None if name.startswith("opt.") else whole(other, name)
+            if new is not None and new.dtype.kind in "fi" and (new != whole(model, name)).any():
+                batch.expand(name)[which == k] = new
 
 
 def _resolved(model: mujoco.MjModel, path: str) -> tuple[Numbers, list[Place]]:
@@ -166,15 +253,24 @@ def _resolved(model: mujoco.MjModel, path: str) -> tuple[Numbers, list[Place]]:
         return _servo(model, path, rest, number)
 
     def at(field: str) -> tuple[int, int]:
-        if field.startswith("dof_"):
+        if field == "qpos_spring":
+            hinged = model.jnt_type[number] in (int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE))
+            return int(hinged), int(model.jnt_qposadr[number])
+        if field.startswith("dof_") and getattr(model, field).ndim == 1:
             freedom = {int(mujoco.mjtJoint.mjJNT_FREE): 6, int(mujoco.mjtJoint.mjJNT_BALL): 3}.get(
                 int(model.jnt_type[number]), 1
             )
             return freedom, int(model.jnt_dofadr[number])
         size = getattr(model, field)[0].size
-        return size, number * size
+        return size, (int(model.jnt_dofadr[number]) if field.startswith("dof_") else number) * size
 
-    return _component(path, VARIED[kind], rest, at)
+    varied = VARIED[kind]
+    if kind == "geom":
+        sizes = SIZES.get(Shape(model.geom_type[number]), ())
+        varied = {**varied, "size": varied["size"]._replace(names=sizes)}
+        if not sizes:
+            del varied["size"]
+    return _component(path, varied, rest, at)
 
 
 def _component(path: str, varied: dict[str, Numbers], rest: str, at: Any) -> tuple[Numbers, list[Place]]:
@@ -224,7 +320,7 @@ def named(model: mujoco.MjModel, kind: str, rest: str) -> tuple[int, str]:
 
 def _names(model: mujoco.MjModel, kind: str) -> list[str]:
     """What the things of a kind are called; those without a name are not there."""
-    count = {"joint": "njnt", "actuator": "nu"}.get(kind, f"n{kind}")
+    count = {"joint": "njnt", "actuator": "nu", "equality": "neq"}.get(kind, f"n{kind}")
     found = (mujoco.mj_id2name(model, KINDS[kind], k) for k in range(getattr(model, count)))
     return [name for name in found if name]
 

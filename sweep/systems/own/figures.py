@@ -1,59 +1,76 @@
 """Figures of an own model's rollouts, as sums and extremes over physics steps; units are at the ends of their names."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
 
 from sweep.core.constants import GRAVITY
 
-STEPS = ("qpos", "qvel", "actuator_force", "actuator_velocity", "sensordata", "site_xpos")  # what a tick records
+if TYPE_CHECKING:
+    from sweep.systems.own.subject import Subject
+
+# what a tick records
+STEPS = ("qpos", "qvel", "actuator_force", "actuator_velocity", "sensordata", "site_xpos", "solver_niter")
 LOADED = 1.0  # N, from which a foot carries load
 LIMITED = 0.999  # share of a limit, from which an actuator is at it
 
 MEANING = {
     "base_height_min_m": "least height of the base",
     "tilt_max_deg": "largest angle of the base's upward axis from that at the start",
-    "travelled_m": "way of the base along the world's x axis",
-    "drift_m": "way of the base along the world's y axis",
-    "speed_mps": "mean of the base's speed along x",
+    "travelled_m": "way of the base along the direction that it should go in",
+    "drift_m": "way of the base to the left of it",
+    "speed_mps": "mean of the base's speed along it",
     "slip_max_m": "farthest that a loaded foot moved from where it came down",
+    "load_max_n": "largest load on a foot",
+    "collision_share": "share of the time that something is touched that should not be",
+    "collision_impulse_ns": "impulse of those touches",
     "saturated_share": "share of the time that actuators are at a limit of their force",
     "joint_limit_share": "share of the time that joints are at a limit of their range",
+    "unsolved_share": "share of the time steps for which the solver's iterations did not suffice",
     "energy_j": "positive work of the actuators",
+    "energy_gained_j": "energy of the model at the end, beyond that at the start and the work of the actuators",
     "cost_of_transport": "that energy over weight and way travelled",
     "duration_s": "length of the rollout",
     "not_finite": "1 where a number of the simulation or of the controller was not finite",
     "buffer_full": "1 where MuJoCo's room for contacts or constraints was full",
 }
 BASE = ("base_height_min_m", "tilt_max_deg", "travelled_m", "drift_m", "speed_mps", "cost_of_transport")
-FEET = ("slip_max_m",)
 SILENT = ("not_finite", "buffer_full")
 
 
 class Meter:
-    """Figures of n rollouts of a model, told of every tick; those of a base or of feet where there are any.
+    """Figures of n rollouts of a model, told of every tick; those of a base or of touch sensors where there are any.
 
-    `base` is the place of a free joint in `qpos`, None without; `feet` are numbers of touch sensors. What is measured
-    so far is a tree of arrays (n, ...), of NumPy or of JAX as those are that it is told of.
+    What is measured so far is a tree of arrays (n, ...), of NumPy or of JAX as those are that it is told of.
     """
 
-    def __init__(self, model: mujoco.MjModel, base: int | None, feet: tuple[int, ...]):
-        self._base, self._step = base, model.opt.timestep
+    def __init__(self, own: "Subject"):
+        model = own.model
+        self._base, self._step, self._iterations = own.base, model.opt.timestep, model.opt.iterations
+        self._along = own.direction
+        self._left = np.cross([0.0, 0.0, 1.0], self._along) if self._along[:2].any() else np.array([0.0, 1.0, 0.0])
+        self._left /= np.linalg.norm(self._left)
         self._forced = np.flatnonzero(model.actuator_forcelimited)
         joints = np.flatnonzero(model.jnt_limited.astype(bool) & (model.jnt_type >= int(mujoco.mjtJoint.mjJNT_SLIDE)))
         self._joints, self._places = joints, model.jnt_qposadr[joints]
-        self._touch = model.sensor_adr[list(feet)]
-        self._sites = model.sensor_objid[list(feet)]
+        self._touch = model.sensor_adr[list(own.feet)]
+        self._sites = model.sensor_objid[list(own.feet)]
+        self._collide = model.sensor_adr[list(own.collisions)]
 
-    def start(self, qpos: Any) -> dict[str, Any]:
-        """What is measured at first, of positions (n, nq)."""
+    def start(self, qpos: Any, qvel: Any) -> dict[str, Any]:
+        """What is measured at first, of positions (n, nq) and velocities (n, nv)."""
         xp, n = namespace(qpos), len(qpos)
         none, feet = xp.zeros_like(qpos[:, 0]), len(self._sites)
-        found = dict.fromkeys(("steps", "power", "tilt", "slip", "full", "ends"), none)
+        sums = "steps", "power", "work", "tilt", "slip", "load", "full", "ends", "unsolved", "touched", "impulse"
+        found = dict.fromkeys(sums, none)
         down = {"down": xp.zeros((n, feet, 2), qpos.dtype), "loaded": xp.zeros((n, feet), bool)}
-        return found | down | {"start": qpos, "last": qpos, "height": none + np.inf, "finite": xp.ones(n, bool)}
+        return (
+            found
+            | down
+            | {"start": qpos, "last": qpos, "speed": qvel, "height": none + np.inf, "finite": xp.ones(n, bool)}
+        )
 
     def update(
         self, sofar: Mapping[str, Any], steps: Mapping[str, Any], limits: Mapping[str, Any], going: Any
@@ -82,10 +99,19 @@ class Meter:
             if len(self._joints):
                 ends = at_end(qpos[..., self._places], limits["jnt_range"][:, None, self._joints])
                 new["ends"] = sofar["ends"] + going * ends.mean(axis=2).sum(axis=1)
-            power = xp.maximum(steps["actuator_force"] * steps["actuator_velocity"], 0.0)
-            new["power"] = sofar["power"] + going * power.sum(axis=(1, 2))
+            power = steps["actuator_force"] * steps["actuator_velocity"]
+            new["power"] = sofar["power"] + going * xp.maximum(power, 0.0).sum(axis=(1, 2))
+            new["work"] = sofar["work"] + going * power.sum(axis=(1, 2))
+            all_used = steps["solver_niter"].reshape(len(qpos), number, -1).max(axis=2) >= self._iterations
+            new["unsolved"] = sofar["unsolved"] + going * all_used.sum(axis=1)
+            if len(self._collide):
+                touch = steps["sensordata"][..., self._collide].sum(axis=2)
+                new["touched"] = sofar["touched"] + going * (touch > 0).sum(axis=1)
+                new["impulse"] = sofar["impulse"] + going * touch.sum(axis=1)
             if len(self._sites):
-                loaded = steps["sensordata"][..., self._touch] > LOADED
+                load = steps["sensordata"][..., self._touch]
+                most("load", load.max(axis=(1, 2)))
+                loaded = load > LOADED
                 place = steps["site_xpos"][:, :, self._sites, :2]
                 before = xp.concatenate([sofar["loaded"][:, None], loaded[:, :-1]], axis=1)
                 landed = xp.where(loaded & ~before, xp.arange(number)[:, None], -1)
@@ -97,41 +123,51 @@ class Meter:
                 new |= {"down": down[:, -1], "loaded": loaded[:, -1]}
         new["steps"] = sofar["steps"] + going * number
         new["last"] = xp.where(going[:, None], qpos[:, -1], sofar["last"])
+        new["speed"] = xp.where(going[:, None], steps["qvel"][:, -1], sofar["speed"])
         return new
 
     def figures(
-        self, sofar: Mapping[str, Any], mass: np.ndarray, broken: np.ndarray, full: np.ndarray
+        self, sofar: Mapping[str, Any], mass: np.ndarray, gained: np.ndarray, broken: np.ndarray, full: np.ndarray
     ) -> dict[str, np.ndarray]:
-        """By name, (n,), of models of a `mass` (n,) kg; `broken` and `full` are what an engine found itself."""
+        """By name, (n,), of models of a `mass` (n,) kg whose energy is `gained` (n,) J more than at the start.
+
+        `broken` and `full` are what an engine found itself.
+        """
         found: dict[str, np.ndarray] = {}
         sofar = {name: np.asarray(value) for name, value in sofar.items()}
         steps = np.maximum(sofar["steps"], 1)
         time, energy = steps * self._step, sofar["power"] * self._step
         if self._base is not None:
-            way = (sofar["last"] - sofar["start"])[:, self._base : self._base + 2]
+            way = (sofar["last"] - sofar["start"])[:, self._base : self._base + 3]
+            along = way @ self._along
             found |= {
                 "base_height_min_m": sofar["height"],
                 "tilt_max_deg": sofar["tilt"],
-                "travelled_m": way[:, 0],
-                "drift_m": way[:, 1],
-                "speed_mps": way[:, 0] / time,
-                "cost_of_transport": energy / (mass * GRAVITY * np.maximum(np.abs(way[:, 0]), 1e-9)),
+                "travelled_m": along,
+                "drift_m": way @ self._left,
+                "speed_mps": along / time,
+                "cost_of_transport": energy / (mass * GRAVITY * np.maximum(np.abs(along), 1e-9)),
             }
         if len(self._sites):
-            found["slip_max_m"] = sofar["slip"]
+            found |= {"slip_max_m": sofar["slip"], "load_max_n": sofar["load"]}
+        if len(self._collide):
+            found["collision_share"] = sofar["touched"] / steps
+            found["collision_impulse_ns"] = sofar["impulse"] * self._step
         if len(self._forced):
             found["saturated_share"] = sofar["full"] / steps
         if len(self._joints):
             found["joint_limit_share"] = sofar["ends"] / steps
-        found |= {"energy_j": energy, "duration_s": sofar["steps"] * self._step}
+        found |= {"unsolved_share": sofar["unsolved"] / steps, "energy_j": energy}
+        found |= {"energy_gained_j": gained - sofar["work"] * self._step, "duration_s": sofar["steps"] * self._step}
         finite = sofar["finite"] & np.isfinite(np.stack(list(found.values()))).all(axis=0) & ~broken
         return {**found, "not_finite": (~finite).astype(float), "buffer_full": full.astype(float)}
 
 
-def names(model: mujoco.MjModel, base: int | None, feet: tuple[int, ...]) -> tuple[str, ...]:
-    """The figures that rollouts of a model have."""
-    meter, none = Meter(model, base, feet), np.zeros(1, dtype=bool)
-    return tuple(meter.figures(meter.start(model.qpos0[None]), np.ones(1), none, none))
+def names(own: "Subject") -> tuple[str, ...]:
+    """The figures that its rollouts have."""
+    meter, one = Meter(own), np.ones(1)
+    still = own.model.qpos0[None], np.zeros((1, own.model.nv))
+    return tuple(meter.figures(meter.start(*still), one, one, one == 0, one == 0))
 
 
 def namespace(array: Any) -> Any:

@@ -4,7 +4,9 @@ import functools
 import hashlib
 import importlib
 import inspect
+import re
 import sys
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
@@ -17,7 +19,7 @@ import numpy as np
 from sweep.core import project
 from sweep.core.errors import InputError, suggest
 
-ONNX, BINARY = ".onnx", ".mjb"
+ONNX, BINARY, PACKAGE = ".onnx", ".mjb", "package://"
 
 
 class Controller(NamedTuple):
@@ -50,12 +52,37 @@ def model(mjcf: str) -> mujoco.MjModel:
 @functools.lru_cache(maxsize=4)
 def _compiled(file: Path, changed: int) -> mujoco.MjModel:
     try:
-        if file.suffix == BINARY:
-            return mujoco.MjModel.from_binary_path(str(file))
-        return mujoco.MjSpec.from_file(str(file)).compile()
+        return mujoco.MjModel.from_binary_path(str(file)) if file.suffix == BINARY else _source(file, changed).compile()
     except (ValueError, RuntimeError) as error:
         reason = " ".join(str(error).split())
-        raise InputError(f"model.mjcf = {file.name} does not compile: {reason}") from None
+        lost = re.search(r"opening file '(?:.*/)?([^/']+)'", reason)
+        near = (
+            {one.name: str(one.relative_to(place())) for one in place().rglob(f"*{Path(lost[1]).suffix}")}
+            if lost
+            else {}
+        )
+        close = suggest(lost[1], near) if lost and near else ""
+        raise InputError(f"model.mjcf = {file.name} does not compile: {reason}{close}") from None
+
+
+def source(mjcf: str) -> mujoco.MjSpec:
+    """What a model is compiled from. Raises `InputError` where that is not known."""
+    file = place() / mjcf
+    if file.suffix == BINARY:
+        raise InputError(f"model.mjcf = {mjcf} is compiled: sizes and places of geoms vary in MJCF or URDF only")
+    return _source(file, file.stat().st_mtime_ns)
+
+
+@functools.lru_cache(maxsize=4)
+def _source(file: Path, changed: int) -> mujoco.MjSpec:
+    with warnings.catch_warnings(action="ignore"):  # of how it could be saved
+        spec = mujoco.MjSpec.from_file(str(file))
+    for mesh in spec.meshes:
+        if mesh.file.startswith(PACKAGE):  # of ROS: a package is a folder above the file
+            _, *rest = mesh.file.removeprefix(PACKAGE).split("/")
+            found = (folder.joinpath(*rest) for folder in file.absolute().parents)
+            mesh.file = str(next((one for one in found if one.is_file()), "/".join(rest)))
+    return spec
 
 
 def digest(compiled: mujoco.MjModel) -> str:

@@ -1,12 +1,16 @@
 """An own model on MJX: controllers, physics and figures of a tick in one program of XLA's, on a CPU or a GPU.
 
+Its physics is JAX, or MuJoCo Warp's kernels in the same program: the engine `warp`, which is meant for NVIDIA's GPUs.
+
 What follows from varied numbers is worked out by C MuJoCo: every field in which its models differ is a leaf of MJX's
 model with a row for each rollout.
 """
 
 import io
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import redirect_stdout
+from copy import copy
+from importlib.util import find_spec
 from typing import Any
 
 import jax
@@ -27,7 +31,7 @@ with redirect_stdout(io.StringIO()):  # it prints which of its parts are not ins
     from mujoco import mjx
 
 CARRIED = "qpos", "qvel", "act", "qacc_warmstart", "time"  # of its data, from step to step
-INNER = ("actuator_velocity",)
+INNER = ("actuator_velocity", "solver_niter")
 SHAPING = "dof_frictionloss", "tendon_frictionloss", "opt.density", "opt.viscosity", "opt.wind"  # by whether they are 0
 RUBBING, LEAST = SHAPING[:2], 1e-9  # where a program has friction, MJX takes a joint with none for one that is held
 # fields that MJX has none of, so that it would do without them in silence, by the words for them
@@ -43,6 +47,8 @@ IGNORED = {
     "sensor_delay": "delay of sensors",
     "plugin": "plugins",
 }
+IMPLEMENTED = {"mjx": "jax", "warp": "warp"}  # how MJX calls them, by engine
+CONTACTS, CONSTRAINTS = 64, 4  # warp's room for a rollout, and of a contact; a rollout with more is invalid
 INSTEAD = {  # by a part of what MJX says
     "collisions not implemented": "other shapes, or geoms that do not collide",
     "mjINT": "model.option.integrator=implicitfast or Euler",
@@ -59,13 +65,17 @@ class Mjx(Loop):
     dynamics = "mjx"
 
     def __init__(self, own: Subject, settings: EngineSettings):
+        self._impl = IMPLEMENTED[settings.name]
+        if self._impl == "warp":
+            check_warp(settings)
         super().__init__(own, settings)
         self.width = settings.width or devices.default_width()
-        self._meter = figures.Meter(self._model, own.base, own.feet)
+        self._meter = figures.Meter(own)
+        self._rooms = rooms(self._model) if self._impl == "jax" else {}
         if own.controller.batched:
-            raise refused("a controller of NumPy's or a network is no part of its program", "one of JAX's, ")
+            raise self._refused("a controller of NumPy's or a network is no part of its program", "one of JAX's, ")
         with devices.precision(settings):
-            check(self._model)
+            self._check()
         self._tick = jax.jit(self._ticked, donate_argnums=6)
 
     def cautions(self) -> Iterator[str]:
@@ -73,16 +83,49 @@ class Mjx(Loop):
         model = self._model
         damped = model.actuator_biasprm[:, 2] != 0
         limited = (model.actuator_forcelimited | model.actuator_ctrllimited).astype(bool)
-        if model.opt.integrator == int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST) and (damped & limited).any():
+        fast = self._impl == "jax" and model.opt.integrator == int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
+        if fast and (damped & limited).any():
             yield (
                 "mjx damps actuators at a limit in an implicitfast step, C MuJoCo does not: the two differ there, and "
                 "agree with model.option.integrator=Euler"
             )
+        if self._impl == "warp":
+            yield "warp is MuJoCo Warp's by MJX; this package's tests of it ran on a CPU only"
+        elif numeric(model, "max_geom_pairs") is not None:
+            yield "mjx leaves contacts out beyond the model's max_geom_pairs, and does not tell which rollouts had more"
+
+    def _check(self) -> None:
+        """Raise `InputError` where it cannot simulate the model, or would leave a part of it out without a word."""
+        model = self._model
+        try:
+            template, data = mjx.put_model(model, impl=self._impl), mujoco.MjData(model)
+            if self._impl == "jax":
+                jax.eval_shape(mjx.step, template, mjx.put_data(model, data))
+        except (NotImplementedError, ValueError) as error:
+            said = " ".join(str(error).split())
+            instead = next((words for part, words in INSTEAD.items() if part in said), "")
+            raise self._refused(f"MJX has no {said.rstrip('.')}", f"{instead}, " if instead else "") from None
+        for name, words in IGNORED.items():
+            parts = template, template._impl, template.opt, getattr(template.opt, "_impl", None)
+            if np.any(fields.whole(model, name)) and not any(hasattr(part, last(name)) for part in parts):
+                raise self._refused(f"MJX leaves out {words}", "a model without, ")
+
+    def _refused(self, why: str, instead: str) -> InputError:
+        """One line, of what is to be changed."""
+        return InputError(f"engine.name = {self._settings.name} is not allowed: {why} ({instead}or engine=native)")
+
+    def vary(self, paths: Iterable[str]) -> None:
+        """See `Loop`."""
+        template = mjx.put_model(self._model, impl=self._impl)
+        for path in paths:
+            for name in fields.fields_of(self._model, path):
+                if not hasattr(getattr(owner(template, name), last(name), None), "at"):
+                    raise self._refused(f"MJX has no {last(name)}, which {path} varies", "other axes, ")
 
     @devices.memory()
     def _simulate(
         self, world: Side, belief: Side, streams: np.ndarray, slots: np.ndarray | None = None, every: int = 1
-    ) -> tuple[Figures, list[Frame]]:
+    ) -> tuple[Figures, list[Frame], list[mujoco.MjModel]]:
         own, n, frames = self._own, len(streams), []
         with devices.precision(self._settings):
             begun = batch.begin(own, self._settings, world, belief, streams)
@@ -91,15 +134,16 @@ class Mjx(Loop):
             begun.pose(None if start is None else np.asarray(start))
             seen = own.observed(begun.qpos, begun.qvel, begun.sensors)
             ticks = batch.ticks(own, None if duration is None else np.asarray(duration), n)
-            template, data, leaves = put(own, begun)
+            template, data, leaves = put(own, begun, self._impl)
             now = {name: jnp.broadcast_to(getattr(data, name), (n, *getattr(data, name).shape)) for name in CARRIED}
             now |= {"qpos": jnp.asarray(begun.qpos, float), "qvel": jnp.asarray(begun.qvel, float)}
             carry = {
                 "now": now,
-                "sofar": self._meter.start(now["qpos"]),
+                "sofar": self._meter.start(now["qpos"], now["qvel"]),
                 "carried": jax.jit(jax.vmap(self._programs.enter_one))(given, state, jnp.asarray(seen, float)),
                 "seen": jnp.asarray(seen, float),
                 "wrong": jnp.zeros(n, bool),
+                "full": jnp.zeros(n, bool),
                 "before": jnp.full((n, self._model.nu), jnp.nan),  # controls of the tick before, none at first
             }
             carry = jax.tree.map(jnp.copy, carry)  # its buffers are given away, and some are there twice
@@ -110,8 +154,10 @@ class Mjx(Loop):
                     frames.append(Frame((k + 1) * own.about.period, *(np.asarray(x)[slots] for x in last)))
             last = jax.jit(jax.vmap(self._programs.finish_one))(given, carry["carried"])
             measured = {name: np.asarray(values, float) for name, values in last.items()}
-        wrong = np.asarray(carry["wrong"])
-        return self._meter.figures(carry["sofar"], begun.mass, wrong, np.zeros(n, bool)) | measured, frames
+        last, (wrong, full) = carry["sofar"], (np.asarray(carry[name]) for name in ("wrong", "full"))
+        ends = ((last["last"], last["speed"]), (begun.qpos, begun.qvel))
+        gained = np.subtract(*(begun.energy(*(np.asarray(x, float) for x in end)) for end in ends))
+        return self._meter.figures(last, begun.mass, gained, wrong, full) | measured, frames, begun.models(slots)
 
     def _ticked(
         self,
@@ -132,40 +178,84 @@ class Mjx(Loop):
         def one(rows: Mapping[str, Array], now: Mapping[str, Array], ctrl: Array) -> tuple[Any, Any]:
             after = mjx.step(with_leaves(template, rows), data.replace(**now, ctrl=ctrl))
             told = {name: getattr(after._impl if name in INNER else after, name) for name in figures.STEPS}
+            told["full"] = crowded(after, self._rooms) if self._impl == "jax" else jnp.any(after._impl.overflow > 0)
             return {name: getattr(after, name).astype(now[name].dtype) for name in CARRIED}, told
 
         def step(state: Any, share: Array) -> tuple[Any, None]:
-            now, sofar, _ = state
+            now, sofar, full, _ = state
             now, told = jax.vmap(one)(leaves, now, before + share * (ctrl - before))
+            full = full | going & told.pop("full")
             steps = {name: values[:, None] for name, values in told.items()}
             sofar = self._meter.update(sofar, steps, limits, going)
-            return (now, sofar, (told["sensordata"], told["actuator_force"])), None
+            return (now, sofar, full, (told["sensordata"], told["actuator_force"])), None
 
         none = tuple(jnp.zeros((len(ctrl), size)) for size in (self._model.nsensordata, self._model.nu))
-        first = carry["now"], carry["sofar"], none
-        (now, sofar, (sensors, force)), _ = jax.lax.scan(step, first, jnp.asarray(self._shares, float))
+        first = carry["now"], carry["sofar"], carry["full"], none
+        (now, sofar, full, (sensors, force)), _ = jax.lax.scan(step, first, jnp.asarray(self._shares, float))
         seen = self._own.observed(now["qpos"], now["qvel"], sensors)
-        new = {"now": now, "sofar": sofar, "carried": carried, "seen": seen, "wrong": wrong, "before": ctrl}
+        new = {
+            "now": now,
+            "sofar": sofar,
+            "carried": carried,
+            "seen": seen,
+            "wrong": wrong,
+            "full": full,
+            "before": ctrl,
+        }
         return new, (now["qpos"], now["qvel"], ctrl, force)
 
 
-def put(own: Subject, begun: batch.Begun) -> tuple[Any, Any, dict[str, Array]]:
+def numeric(model: mujoco.MjModel, name: str) -> np.ndarray | None:
+    """What a model's file has for MJX under a name, a view."""
+    number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, name)
+    return None if number < 0 else model.numeric_data[model.numeric_adr[number] :][:1]
+
+
+def rooms(model: mujoco.MjModel) -> dict[int, int]:
+    """How many contacts of a dimension MJX keeps, where it leaves others out: by a model's `max_contact_points`."""
+    whole = copy(model)
+    if (most := numeric(whole, "max_contact_points")) is None:
+        return {}
+    room, most[:] = int(most[0]), -1
+    dims, counts = np.unique(mjx.make_data(whole)._impl.contact.dim, return_counts=True)
+    return {int(dim): room for dim, count in zip(dims, counts, strict=True) if 0 <= room < count}
+
+
+def crowded(data: Any, room: Mapping[int, int]) -> Array:
+    """Whether contacts took all of the `rooms` of some dimension."""
+    contact = data._impl.contact
+    near = contact.dist < contact.includemargin
+    return jnp.array([False, *(near[np.asarray(contact.dim) == dim].all() for dim in room)]).any()
+
+
+def owner(model: Any, name: str) -> Any:
+    """What of MJX's model has a field of a name of `mujoco.batch`."""
+    return model.opt if name.startswith("opt.") else model
+
+
+def last(name: str) -> str:
+    """A field's name there."""
+    return name.removeprefix("opt.")
+
+
+def put(own: Subject, begun: batch.Begun, impl: str) -> tuple[Any, Any, dict[str, Array]]:
     """MJX's model, its data at the keyframe, and the fields in which the rollouts' models differ, (n, ...)."""
     model, rows = fields.with_options(own.model, {}), batch.differing(begun.batch)
     for name in {*SHAPING} & {*rows}:  # what is 0 for the model, and not for a rollout, is to be in the program
-        owner = model.opt if name.startswith("opt.") else model
-        setattr(owner, name.removeprefix("opt."), np.abs(rows[name]).max(axis=0))
+        setattr(owner(model, name), last(name), np.abs(rows[name]).max(axis=0))
     data = mujoco.MjData(model)
     if own.keyframe >= 0:
         mujoco.mj_resetDataKeyframe(model, data, own.keyframe)
-    template = mjx.put_model(model)
+    template, rooms = mjx.put_model(model, impl=impl), {}
+    if impl == "warp":
+        rooms = {"naconmax": CONTACTS * begun.batch.nsim, "njmax": CONSTRAINTS * CONTACTS + model.njnt + 2 * model.nv}
     leaves = {}
     for name, values in rows.items():
         values = np.maximum(values, LEAST) if name in RUBBING else values
-        leaf = getattr(template.opt if name.startswith("opt.") else template, name.removeprefix("opt."), None)
+        leaf = getattr(owner(template, name), last(name), None)
         if leaf is not None:  # what MJX has no field for, it works out itself: `check` refuses the others
             leaves[name] = jnp.asarray(values.reshape(begun.batch.nsim, *leaf.shape), float)
-    return template, mjx.put_data(model, data), leaves
+    return template, mjx.put_data(model, data, impl=impl, **rooms), leaves
 
 
 def with_leaves(model: Any, rows: Mapping[str, Array]) -> Any:
@@ -175,20 +265,9 @@ def with_leaves(model: Any, rows: Mapping[str, Array]) -> Any:
     return model.replace(opt=model.opt.replace(**options), **others)
 
 
-def check(model: mujoco.MjModel) -> None:
-    """Raise `InputError` where MJX cannot simulate a model, or would leave a part of it out without a word."""
-    for name, words in IGNORED.items():
-        if np.any(fields.whole(model, name)):
-            raise refused(f"MJX leaves out {words}", "a model without, ")
-    try:
-        data = mujoco.MjData(model)
-        jax.eval_shape(mjx.step, mjx.put_model(model), mjx.put_data(model, data))
-    except (NotImplementedError, ValueError) as error:
-        said = " ".join(str(error).split())
-        instead = next((words for part, words in INSTEAD.items() if part in said), "")
-        raise refused(f"MJX has no {said.rstrip('.')}", f"{instead}, " if instead else "") from None
-
-
-def refused(why: str, instead: str) -> InputError:
-    """One line, of what is to be changed."""
-    return InputError(f"engine.name = mjx is not allowed: {why} ({instead}or engine=native)")
+def check_warp(settings: EngineSettings) -> None:
+    """Raise `InputError` where MuJoCo Warp is not installed, or cannot do what is asked."""
+    if find_spec("warp") is None:
+        raise InputError("engine.name = warp is not allowed: it needs NVIDIA Warp: pip install 'insect-sweep[warp]'")
+    if settings.precision != "float32":
+        raise InputError(f"engine.precision = {settings.precision} is not allowed: warp reckons in float32")

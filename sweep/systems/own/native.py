@@ -35,7 +35,7 @@ class Native(Loop):
 
     def _simulate(
         self, world: Side, belief: Side, streams: np.ndarray, slots: np.ndarray | None = None, every: int = 1
-    ) -> tuple[Figures, list[Frame]]:
+    ) -> tuple[Figures, list[Frame], list[mujoco.MjModel]]:
         own, n = self._own, len(streams)
         # figures of a tick are worked out, on one core, while the next one is simulated on all of them
         with devices.precision(self._settings), ThreadPoolExecutor(1) as aside:
@@ -45,8 +45,9 @@ class Native(Loop):
             begun.pose(rollouts.start)
             rollouts.enter(own.observed(qpos, qvel, seen))
             ticks = batch.ticks(own, rollouts.duration, n)
-            meter = figures.Meter(self._model, own.base, own.feet)
-            sofar = aside.submit(meter.start, qpos.copy())
+            meter = figures.Meter(own)
+            before_all = begun.energy(qpos, qvel)
+            sofar = aside.submit(meter.start, qpos.copy(), qvel.copy())
             broken, frames, before = np.zeros(n, dtype=bool), [], None
             recorded: list[Any] = [None, None]  # of this tick and the one before
             controls = np.zeros((n, self._substeps, self._model.nu))
@@ -69,5 +70,7 @@ class Native(Loop):
             own_figures = rollouts.finish()
         warned = begun.batch.warning[:, :, 0] > 0
         broken |= warned[:, BROKEN].any(axis=1)
-        found = meter.figures(sofar.result(), begun.mass, broken, warned[:, FULL].any(axis=1))
-        return found | own_figures, frames
+        last = sofar.result()
+        gained = begun.energy(last["last"], last["speed"]) - before_all
+        found = meter.figures(last, begun.mass, gained, broken, warned[:, FULL].any(axis=1))
+        return found | own_figures, frames, begun.models(slots)

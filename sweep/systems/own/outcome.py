@@ -10,7 +10,7 @@ from sweep.core.errors import InputError, suggest
 from sweep.core.expressions import evaluate
 from sweep.core.outcomes import FAILURE, INVALID, SUCCESS
 
-GOAL, MISSED = "goal", "goal_missed"
+GOAL, MISSED, UNTRUSTED = "goal", "goal_missed", "untrusted"
 DOUBTS = {
     "not_finite": "a number of the simulation or of the controller was not finite",
     "buffer_full": "MuJoCo's room for contacts or constraints was full",
@@ -19,7 +19,7 @@ STAGE = "run"  # there are no others
 
 
 class Condition(NamedTuple):
-    """A cause of failure that holds where `text` does, or where it does not: of the goal."""
+    """A cause of failure, or of doubt, that holds where `text` does, or where it does not: of the goal."""
 
     cause: str
     key: str  # in `outcome`
@@ -60,11 +60,11 @@ class Condition(NamedTuple):
 
 
 def parse(given: Mapping[str, Any], figures: Collection[str]) -> tuple[Condition, ...]:
-    """The conditions of a configuration, in its order, the goal last. Raises `InputError`."""
+    """The conditions of a configuration in its order, but doubt first and the goal last. Raises `InputError`."""
     found = []
     for key, text in given.items():
-        if key in (*DOUBTS, MISSED, SUCCESS, FAILURE, INVALID) or not str(key).isidentifier():
-            raise InputError(f"outcome.{key} is not allowed: a name of your own for a failure, or {GOAL}")
+        if key in (*DOUBTS, MISSED, UNTRUSTED, SUCCESS, FAILURE) or not str(key).isidentifier():
+            raise InputError(f"outcome.{key} is not allowed: a name of your own for a failure, {GOAL} or {INVALID}")
 
         def look_up(name: str, key: str = key) -> np.ndarray:
             if name not in figures:
@@ -78,12 +78,12 @@ def parse(given: Mapping[str, Any], figures: Collection[str]) -> tuple[Condition
             if isinstance(error, InputError):
                 raise
             raise InputError(f"outcome.{key} = {text!r} is not a condition, such as 'tilt_max_deg > 60'") from None
-        found.append(Condition(MISSED if key == GOAL else str(key), str(key), str(text)))
-    if not found:
+        found.append(Condition({GOAL: MISSED, INVALID: UNTRUSTED}.get(key, str(key)), str(key), str(text)))
+    if {one.key for one in found} <= {INVALID}:
         raise InputError(
             "outcome is empty: name what counts as a failure, such as {fell: tilt_max_deg > 60}, or a goal"
         )
-    return tuple(sorted(found, key=lambda one: one.cause == MISSED))
+    return tuple(sorted(found, key=lambda one: (one.cause != UNTRUSTED, one.cause == MISSED)))
 
 
 def judge(figures: Mapping[str, np.ndarray], conditions: tuple[Condition, ...]) -> dict[str, np.ndarray]:
@@ -91,16 +91,16 @@ def judge(figures: Mapping[str, np.ndarray], conditions: tuple[Condition, ...]) 
     names = [*DOUBTS, *(one.cause for one in conditions)]
     held = np.stack([*(figures[name] > 0 for name in DOUBTS), *(one.holds(figures) for one in conditions)])
     any_held, first = held.any(axis=0), held.argmax(axis=0)
-    margins = np.stack([one.margin(figures) for one in conditions])
-    nearest = np.argmin(np.nan_to_num(margins, nan=np.inf), axis=0)
-    doubtful = first < len(DOUBTS)
+    doubts = len(DOUBTS) + sum(one.cause == UNTRUSTED for one in conditions)
     keys = np.array([""] * len(DOUBTS) + [one.key for one in conditions], dtype=object)
+    margins = np.stack([one.margin(figures) for one in conditions if one.cause != UNTRUSTED])
+    nearest = np.argmin(np.nan_to_num(margins, nan=np.inf), axis=0)
     return {
-        "outcome": np.where(any_held, np.where(doubtful, INVALID, FAILURE), SUCCESS).astype(object),
+        "outcome": np.where(any_held, np.where(first < doubts, INVALID, FAILURE), SUCCESS).astype(object),
         "cause": np.where(any_held, np.array(names, dtype=object)[first], ""),
         "stage": np.where(any_held, STAGE, "").astype(object),
         "t_cause_s": np.full(len(first), np.nan),
         "limit": np.where(any_held, keys[first], ""),
         "margin": np.take_along_axis(margins, nearest[None], axis=0)[0],
-        "margin_of": keys[len(DOUBTS) :][nearest],
+        "margin_of": keys[doubts:][nearest],
     }

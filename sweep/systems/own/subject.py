@@ -9,6 +9,7 @@ import numpy as np
 
 from sweep.core.errors import InputError, suggest
 from sweep.core.parameters import choice, parameters, quantity
+from sweep.engines.settings import EngineSettings
 from sweep.systems.base import Values
 from sweep.systems.own import fields, figures, files
 
@@ -24,9 +25,18 @@ class About:
     keyframe: str = ""  # that it starts from; else the model's own pose
     observe: tuple[str, ...] = ()  # qpos, qvel, or sensors by name; none are all sensors, of a model without any both
     feet: tuple[str, ...] = ()  # touch sensors, whose sites' slips are measured
+    collisions: tuple[str, ...] = ()  # touch sensors of what should touch nothing
+    direction: tuple[float, ...] = (1.0, 0.0, 0.0)  # that it should go in, of the world's axes
     command: str = choice("held", "held", "ramped")  # over a tick: as given, or evenly from the one before
     option: tuple[tuple[str, Any], ...] = ()  # of MuJoCo's other than the file's, by path: how it is simulated
     content: str = ""  # digest of model and controller, set by the first run
+
+
+@parameters
+class Settings(EngineSettings):
+    """How an own model is simulated: there is one engine more."""
+
+    name: str = choice("native", "native", "mjx", "warp")
 
 
 @parameters
@@ -63,6 +73,10 @@ class Subject:
         """As MuJoCo compiles it, with the configuration's options."""
         return fields.with_options(files.model(self.about.mjcf), dict(self.about.option))
 
+    def source(self) -> mujoco.MjSpec:
+        """What the model is compiled from."""
+        return files.source(self.about.mjcf)
+
     @cached_property
     def controller(self) -> files.Controller:
         """What its module says."""
@@ -83,6 +97,16 @@ class Subject:
     def feet(self) -> tuple[int, ...]:
         """Numbers of the feet's touch sensors."""
         return tuple(self._sensor("feet", name) for name in self.about.feet)
+
+    @property
+    def collisions(self) -> tuple[int, ...]:
+        """Numbers of the touch sensors of what should touch nothing."""
+        return tuple(self._sensor("collisions", name) for name in self.about.collisions)
+
+    @property
+    def direction(self) -> np.ndarray:
+        """That it should go in, a unit vector (3,)."""
+        return np.array(self.about.direction) / np.linalg.norm(self.about.direction)
 
     @property
     def keyframe(self) -> int:

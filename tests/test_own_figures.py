@@ -1,0 +1,157 @@
+"""Figures of own models against mechanics on both engines, what is not to be trusted, and fields that are compiled."""
+
+import struct
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from mujoco.batch import Batch
+
+from sweep.cli.main import main
+from sweep.runs import store
+from sweep.systems.own import fields
+
+SLED = """<mujoco><option timestep="1e-3" integrator="Euler" iterations="{}"/>{}<worldbody>
+<site name="world"/><geom name="floor" type="plane" size="0 0 1" friction="0.001"/>
+<body name="sled" pos="0 0 {}"><freejoint/><geom name="sled" type="box" size=".2 .2 .1" mass="2" friction="0.001"/>
+<site name="under" type="box" size=".3 .3 .2"/><site name="push"/>
+<body pos="0 0 0.3"><joint name="wheel" axis="0 1 0"/><geom size=".05" mass="0.1"/></body>
+</body></worldbody>
+<actuator><motor name="push" site="push" refsite="world" gear="0 1 0 0 0 0"/>
+<motor name="wheel" joint="wheel"/></actuator>
+<sensor><touch name="under" site="under"/></sensor></mujoco>"""
+STUDY = """system: own
+model: {{mjcf: sled.xml, controller: "shove:policy", duration: 0.5, direction: [0, 2, 0],
+        collisions: [under], feet: [under]}}
+outcome: {{slow: speed_mps < 0.1{}}}
+study: {{name: sled}}
+"""
+PUSH = "import jax.numpy as jnp\ndef policy(belief, seen, state, key): return jnp.array([4.0, 0.0]), state\n"
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("shove.py").write_text(PUSH)
+    return tmp_path
+
+
+def simulated(engine, iterations="100", custom="", height=0.0999, more=""):
+    """The row of one rollout."""
+    Path("sled.xml").write_text(SLED.format(iterations, custom, height))
+    Path("sled.yaml").write_text(STUDY.format(more))
+    asked = [f"engine={engine}", "engine.precision=float64", "study.invalid_max=1", "out=sled"]
+    assert main(["run", "study=sled.yaml", *asked]) == 0
+    return store.read_rows(Path("sled")).iloc[0]
+
+
+@pytest.mark.parametrize("engine", ["native", "mjx"])
+def test_figures_are_those_of_a_pushed_sled(here, engine):
+    """4 N push 2.1 kg to the left: v = F t / m, work F²t²/2m; the floor carries its weight all the time.
+
+    Of the five contacts that there might be MJX is to have room for four, and there are as many.
+    """
+    row = simulated(engine, custom='<custom><numeric name="max_contact_points" data="4"/></custom>')
+    mass, time = 2.1, 0.5
+    np.testing.assert_allclose(row["travelled_m"], 4 * time**2 / 2 / mass, rtol=0.02)
+    np.testing.assert_allclose(row["drift_m"], 0, atol=1e-3)
+    np.testing.assert_allclose(row["energy_j"], (4 * time) ** 2 / 2 / mass, rtol=0.02)
+    np.testing.assert_allclose(row["collision_impulse_ns"], mass * 9.81 * time, rtol=0.02)
+    assert row["collision_share"] > 0.99
+    np.testing.assert_allclose(row["load_max_n"], mass * 9.81, rtol=0.2)
+    assert abs(row["energy_gained_j"]) < 0.02 * row["energy_j"]  # friction of 0.001 takes a hundredth
+    assert row["unsolved_share"] == 0
+    assert row["cause"] == ("" if engine == "native" else "buffer_full")
+
+
+def test_what_is_not_to_be_trusted_is_invalid(here):
+    """A sled that begins within the floor is thrown out of it, by energy from nowhere."""
+    row = simulated("native", "1", height=0.05, more=", invalid: energy_gained_j > 0.5")
+    assert row["energy_gained_j"] > 0.5
+    assert row["unsolved_share"] > 0
+    assert (row["outcome"], row["cause"]) == ("invalid", "untrusted")
+    assert row["margin_of"] == "slow"
+
+
+WIDER = {
+    "model.geom.trunk.size.x": 0.3,
+    "model.geom.lf_foot.size.radius": 0.03,
+    "model.geom.rf_foot.pos.z": -0.21,
+    "model.body.trunk.mass": 9.0,
+    "model.joint.lf_knee.springref": -1.0,
+    "model.joint.lf_knee.stiffness": 20.0,
+    "model.joint.lf_hip.solreflimit.timeconst": 0.05,
+    "model.pair.knees.friction.slide": 0.2,
+    "model.equality.tied.solref.timeconst": 0.1,
+    "model.tendon.across.springlength.high": 0.05,
+    "model.actuator.rh_hip.armature": 0.1,
+}
+
+
+def test_models_that_are_compiled_anew_are_what_mujoco_makes_of_their_numbers(here):
+    """Sizes, places, springs, limits, pairs, equalities, tendons: a batch's model, and one that is compiled so."""
+    assert main(["init", "--model", "quad"]) == 0
+    text = Path("quad/quadruped.xml").read_text()
+    text = text.replace(
+        "<actuator>",
+        '<contact><pair name="knees" geom1="lf_shank" geom2="floor"/></contact><equality><joint name="tied" '
+        'joint1="lh_roll" joint2="rh_roll"/></equality><tendon><spatial name="across" stiffness="500">'
+        '<site site="lf_foot"/><site site="rf_foot"/></spatial></tendon><actuator>',
+        1,
+    )
+    spec = mujoco.MjSpec.from_string(text)
+    model = spec.copy().compile()
+    batch = Batch(model, 3)
+    fields.write(
+        batch, {p: np.array([v, v, fields.parameter(model, p).default]) for p, v in WIDER.items()}, lambda: spec
+    )
+    spec = spec.copy()
+    spec.geom("trunk").size[0], spec.geom("trunk").mass = 0.3, 9.0
+    spec.geom("lf_foot").size[0], spec.geom("rf_foot").pos[2] = 0.03, -0.21
+    knee = spec.joint("lf_knee")
+    knee.springref, knee.stiffness[0] = np.degrees(-1.0), 20.0
+    spec.joint("lf_hip").solref_limit[0] = 0.05
+    spec.pairs[0].friction[0], spec.equalities[0].solref[0] = 0.2, 0.1
+    spec.tendons[0].springlength = [0.0, 0.05]
+    spec.actuator("rh_hip").armature = 0.1
+    changed = spec.compile()
+    batch.reset(keyframe=0)
+    batch.step(nstep=100)
+    for other, row in ((changed, 1), (model, 2)):
+        data = mujoco.MjData(other)
+        mujoco.mj_resetDataKeyframe(other, data, 0)
+        mujoco.mj_step(other, data, 100)
+        np.testing.assert_allclose(batch.bind("qpos")[row], data.qpos, atol=1e-6)
+    for path in WIDER:
+        np.testing.assert_allclose(fields.parameter(changed, path).default, WIDER[path], rtol=1e-6, err_msg=path)
+
+
+URDF = """<robot name="cart"><link name="base"/><link name="trunk">
+<inertial><mass value="3"/><inertia ixx="0.02" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.02"/></inertial>
+<collision><geometry><mesh filename="package://cart/meshes/{}.stl"/></geometry></collision></link>
+<joint name="rail" type="prismatic"><parent link="base"/><child link="trunk"/><axis xyz="0 0 1"/>
+<limit lower="-9" upper="9" effort="5" velocity="3"/></joint></robot>"""
+CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)
+
+
+def test_a_urdf_and_its_meshes_are_read_as_they_are(here, capsys):
+    """Of a ROS package, whose meshes lie beside the file; it falls as it should."""
+    faces = [CORNERS[[0, 2, 1]], CORNERS[[0, 1, 3]], CORNERS[[0, 3, 2]], CORNERS[[1, 2, 3]]]
+    stl = b"".join(struct.pack("<12fH", 0, 0, 1, *face.ravel(), 0) for face in faces)
+    Path("meshes").mkdir()
+    Path("meshes/trunk.stl").write_bytes(bytes(80) + struct.pack("<I", 4) + stl)
+    Path("robot.urdf").write_text(URDF.format("trunk"))
+    Path("still.py").write_text(PUSH.replace("[4.0, 0.0]", "[]"))
+    Path("falls.yaml").write_text(
+        "system: own\nmodel: {mjcf: robot.urdf, controller: 'still:policy', duration: 0.5}\nstudy: {name: falls}\n"
+        "outcome: {up: energy_gained_j > 1}\n"
+    )
+    assert main(["run", "study=falls.yaml", "study.keep=[qpos_0]", "out=falls"]) == 0
+    Path("robot.urdf").write_text(URDF.format("trnk"))
+    capsys.readouterr()
+    assert main(["run", "study=falls.yaml", "out=lost"]) == 2
+    (told,) = capsys.readouterr().err.splitlines()
+    assert "model.mjcf = robot.urdf does not compile: " in told
+    assert "did you mean trunk.stl?" in told
+    assert not Path("lost").exists()
