@@ -11,6 +11,7 @@ from sweep.core.parameters import parameters, quantity
 from sweep.core.vectors import Matrix, Vector, along, where
 from sweep.models.obstacles.surface import Bodies, Surface
 
+FACE = jnp.int32  # in double precision obstacles may tell wider ones
 Frames = Sequence[tuple[Vector, Matrix]]  # (1,) of each free body: place of its origin, and body to world axes
 
 
@@ -65,7 +66,7 @@ class Forces(NamedTuple):
 
 def nowhere(n: int, dtype: jnp.dtype) -> Anchors:
     """Of points that have not touched anything."""
-    return Anchors(Vector.of(jnp.zeros((n, 3), dtype)), jnp.zeros(n, bool), jnp.zeros(n, jnp.int32))
+    return Anchors(Vector.of(jnp.zeros((n, 3), dtype)), jnp.zeros(n, bool), jnp.zeros(n, FACE))
 
 
 def _world(place: Vector, body: Array, frames: Frames) -> Vector:
@@ -176,4 +177,4 @@ def update_anchors(
     kept = _own(place, surface.body, frames)
     if surface.rolling is not None:
         kept = where(surface.rolling.radius > 0, place - point - h * velocity, kept)
-    return Anchors(kept, forces.loaded, surface.face)
+    return Anchors(kept, forces.loaded, surface.face.astype(FACE))

@@ -1,5 +1,6 @@
 """The contact law (1.2.2), its Newton slope, and the root bodies' solver, each against a plain calculation."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -16,10 +17,12 @@ from sweep.models.contact import (
     contact_forces,
     contact_geometry,
     contact_slope,
+    nowhere,
     to_body,
     to_world,
     update_anchors,
 )
+from sweep.models.obstacles.kerb import Kerb
 from sweep.models.obstacles.plane import Plane
 from sweep.models.obstacles.surface import Bodies, no_bodies, poses
 
@@ -101,6 +104,16 @@ def test_axes_of_free_bodies_round_trip():
     np.testing.assert_allclose(world[0], place[0])
     np.testing.assert_allclose(world[2], bodies.rotation[1] @ place[2] + bodies.position[1], atol=1e-14)
     np.testing.assert_allclose(to_body(world, body, bodies), place, atol=1e-14)
+
+
+def test_anchors_keep_their_form_in_double_precision():
+    """Or a step could not be repeated: faces that an obstacle works out are wider there."""
+    foot = Vector.of(jnp.array([[0.1, 0.0, 0.0999]]))
+    surface, still = Kerb().surface(foot.array(), (-1,), NOWHERE), Vector.of(jnp.zeros((1, 3)))
+    geometry, place = contact_geometry(CONTACT, surface, nowhere(1, jnp.float64), foot, ())
+    forces = contact_forces(CONTACT, geometry, still)
+    after = update_anchors(CONTACT, surface, foot, (), place, forces, still, H)
+    assert [x.dtype for x in jax.tree.leaves(after)] == [x.dtype for x in jax.tree.leaves(nowhere(1, jnp.float64))]
 
 
 @pytest.mark.parametrize("bodies", [1, 2, 3])
