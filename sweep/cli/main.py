@@ -306,6 +306,7 @@ def show_speed(args: argparse.Namespace) -> int:
     for line in bench.table(nominal, args.rollouts, args.width, tuple(args.rows)):
         print(f"{line['engine']} {line['dynamics']}: {line['env-steps/s']:.4g} env-steps/s", file=sys.stderr)
         lines.append(line)
+    print(bench.MEASURED)
     print(tabulate(lines, headers="keys", tablefmt="github", floatfmt=".4g", missingval=""))
     return DONE
 
