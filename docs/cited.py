@@ -10,6 +10,7 @@ import json
 import re
 import sys
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ import pandas as pd
 
 sys.path.insert(0, str(Path(__file__).parent))
 import headlines
+import validity_figures
 from robustness_figures import RATES, bounds_of, errors_of
 
 from sweep.analysis.intervals import wilson
@@ -51,7 +53,7 @@ def read(name: str) -> dict[str, Any]:
     """The data of a target. Raises `InputError` where there are none."""
     path = DATA / f"{name}.json"
     if not path.exists():
-        raise InputError(f"{name} has no data: jobs/paper.py {name} writes them")
+        raise InputError(f"{name} has no data: jobs/paper.py {name}, or bench/validity, writes them")
     return json.loads(path.read_text(encoding="utf-8"))
 
 
@@ -151,6 +153,7 @@ def pages() -> Iterator[Path]:
 FORMS = {
     "rate": rate, "rollouts": rollouts, "causes": causes, "errors": errors, "along": along, "bounds": bounds,
     "seen": seen, "codes": codes, "compared": compared, "sources": sources,
+    **{name: partial(lambda table, name: table(read(name)), table) for name, table in validity_figures.TABLES.items()},
 }  # fmt: skip
 
 if __name__ == "__main__":

@@ -1,4 +1,6 @@
 import signal
+import sys
+from pathlib import Path
 
 import jax
 import pytest
@@ -10,6 +12,7 @@ from sweep.cli.main import main
 from sweep.engines import devices
 from sweep.runs import batches
 
+sys.path.insert(0, str(Path(__file__).parents[1] / "bench"))  # scenes that are measured are tested, too
 devices.configure()  # before any test uses JAX: the CPU is split as for the command line
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it, and all that it starts
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-from simulation import simulate
+from validity.simulation import simulate
 
 from sweep.controllers.plan import Stance
 from sweep.controllers.tracker import joint_targets
@@ -22,7 +22,7 @@ from sweep.study.config import compose
 STEP, SECONDS, FALL, PERIOD = 2e-3, 2.0, 1.0, 0.4
 UPRIGHT = jnp.array([1.0, 0, 0, 0])
 BALL_AT, BALL_MOVES = slice(25, 28), slice(24, 27)  # in q and v
-ROLLS, SLIDES, SPINS, RESTS, FALLS, ON_ICE = range(6)
+ROLLS, SPINS, RESTS, FALLS, ON_ICE = range(5)
 SPEED, SPIN, ARM = 0.3, 0.2, 4e-3
 
 
@@ -33,10 +33,10 @@ def nominal():
 
 @pytest.fixture(scope="module")
 def history(nominal):
-    """Four balls on their own, and two on which the robot moves its body: in free fall, and on ice.
+    """Three balls on their own, and two on which the robot moves its body: in free fall, and on ice.
 
-    The four roll, slide without spin at friction 0.1, spin about the vertical, and rest under a turn too slow to be
-    one. Their robots are far above and never come down.
+    The three roll, spin about the vertical, and rest under a turn too slow to be one. Their robots are far above and
+    never come down.
     """
     robot, ball = nominal.robot, nominal.obstacle
     across = zip((-0.3, -0.3, 0, 0, 0.3, 0.3), SIDE, strict=True)
@@ -46,7 +46,7 @@ def history(nominal):
     shift = (0.5 - 0.5 * np.cos(2 * np.pi * t / PERIOD))[:, None] * np.array([0.05, 0.03, 0.03])
     place = jnp.array([0.0, 0.0, 1.11])
     references = jax.vmap(lambda s: joint_targets(robot, Stance(feet, place + s, UPRIGHT))[0])(jnp.asarray(shift))
-    q, v = np.zeros((6, 32)), np.zeros((6, 30))
+    q, v = np.zeros((5, 32)), np.zeros((5, 30))
     q[:, 3] = q[:, 28] = 1.0
     q[:, 7:25] = np.ravel(references[0])
     q[:, BALL_AT] = [0, 0, ball.radius]
@@ -54,13 +54,11 @@ def history(nominal):
     q[:, :3] = q[:, BALL_AT] + np.asarray(place)
     q[: RESTS + 1, 2] = 40.0
     v[ROLLS, 24], v[ROLLS, 28] = SPEED, SPEED / ball.radius
-    v[SLIDES, 24] = SPEED
     v[SPINS, 29] = SPIN
     v[RESTS, 28] = 1e-6
-    roll, spin = np.full(6, ARM), np.full(6, ARM)
-    roll[SLIDES] = 0.0
+    roll, spin = np.full(5, ARM), np.full(5, ARM)
     world = dataclasses.replace(nominal, obstacle=dataclasses.replace(
-        ball, rolling_friction=roll, spinning_friction=spin, floor_grip=np.array([1.0, 0.1, 1.0, 1.0, 1.0, 0.0])
+        ball, rolling_friction=roll, spinning_friction=spin, floor_grip=np.array([1.0, 1.0, 1.0, 1.0, 0.0])
     ))  # fmt: skip
     return simulate(world, nominal, q.astype(np.float32), np.asarray(references, np.float32), v=v)
 
@@ -87,14 +85,6 @@ def test_rolling_ball_slows_down_in_c(nominal, speed):
     assert speed - data.qvel[24] == pytest.approx(slowing * data.time, rel=0.01)
 
 
-def test_sliding_ball_comes_to_roll(history, nominal):
-    """At 5/7 of its speed, after 2 v / (7 mu g)."""
-    speed, rim = history.v[:, SLIDES, 24], nominal.obstacle.radius * history.v[:, SLIDES, 28]
-    assert speed[-1] == pytest.approx(5 / 7 * SPEED, rel=2e-3)
-    rolls = np.argmax(speed - rim < 0.01 * SPEED) * STEP
-    assert rolls == pytest.approx(2 * SPEED / (7 * 0.1 * GRAVITY), rel=0.05)
-
-
 def test_spinning_ball_slows_down(history, nominal):
     slowing = ARM * GRAVITY / (2 / 5 * nominal.obstacle.radius**2)
     stops = SPIN / slowing
@@ -107,10 +97,9 @@ def test_ball_at_rest_stays(history):
     assert np.abs(history.q[:, RESTS, BALL_AT][:, :2]).max() < 1e-5
 
 
-@pytest.mark.parametrize("step", [2e-3, 5e-4])
-def test_contact_damps_alike_at_every_step(nominal, step):
+def test_contact_damps_alike_at_a_shorter_step(nominal):
     """A ball that falls rebounds as spring and damper have it, which do not pull; one at rest in the floor stays."""
-    ball, damping, fall = nominal.obstacle, nominal.contact.damping, 0.01
+    ball, damping, fall, step = nominal.obstacle, nominal.contact.damping, 0.01, 5e-4
     ratio = damping / (2 * np.sqrt(nominal.contact.stiffness * ball.mass))
     own = np.sqrt(1 - ratio**2)
     rebound = np.exp(-ratio / own * (np.pi - np.arctan2(2 * ratio * own, 1 - 2 * ratio**2)))

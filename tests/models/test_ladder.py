@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-from simulation import simulate
+from validity.simulation import simulate
 
 from sweep.core.constants import GRAVITY
 from sweep.core.errors import InputError

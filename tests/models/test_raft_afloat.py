@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.linalg import expm
-from simulation import simulate
+from validity.simulation import simulate
 
 from sweep.controllers.assembly import assemble
 from sweep.controllers.manoeuvres.walking.walk import Stand, standing

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-from simulation import simulate
 from slab import Slab
+from validity.simulation import simulate
 
 from sweep.controllers.manoeuvres.walking.walk import standing
 from sweep.controllers.plan import Stance

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from simulation import simulate
+from validity.simulation import simulate
 
 from sweep.core.constants import GRAVITY
 from sweep.engines.closed_loop import start_state

@@ -5,8 +5,8 @@ import dataclasses
 import mujoco
 import numpy as np
 import pytest
-from simulation import simulate
 from touching import Rod, TwoBalls
+from validity.simulation import simulate
 
 from sweep.core.constants import GRAVITY
 from sweep.models.contact import Contact

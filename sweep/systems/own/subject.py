@@ -122,20 +122,18 @@ class Subject:
 
     def observed(self, qpos: Any, qvel: Any, sensors: Any) -> Any:
         """What the controller would be told (n, k) without errors."""
-        whole = {"qpos": qpos, "qvel": qvel}
-        parts = [whole[one] if isinstance(one, str) else sensors[:, one] for one in self._told]
-        return figures.namespace(qpos).concatenate(parts, axis=1)
-
-    @cached_property
-    def _told(self) -> list[str | slice]:
-        """What is observed: `qpos`, `qvel`, or where a sensor's numbers are."""
-        model, found = self.model, []
-        for name in self.about.observe or (() if model.nsensordata else ("qpos", "qvel")):
-            if name not in ("qpos", "qvel"):
+        names = self.about.observe or (() if self.model.nsensordata else ("qpos", "qvel"))
+        if not names:
+            return sensors
+        parts = []
+        for name in names:
+            if name in ("qpos", "qvel"):
+                parts.append({"qpos": qpos, "qvel": qvel}[name])
+            else:
                 number = self._sensor("observe", name)
-                name = slice(model.sensor_adr[number], model.sensor_adr[number] + model.sensor_dim[number])
-            found.append(name)
-        return found or [slice(None)]
+                first = self.model.sensor_adr[number]
+                parts.append(sensors[:, first : first + self.model.sensor_dim[number]])
+        return figures.namespace(qpos).concatenate(parts, axis=1)
 
     @property
     def seen(self) -> int:

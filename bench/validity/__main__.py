@@ -1,0 +1,83 @@
+"""What docs/validity.md shows, measured: `python bench/validity PART ...` writes docs/data/validity_PART.json.
+
+    python bench/validity                       # all parts, one after the other
+    python bench/validity scenes                # scenes with known answers, by every engine
+    python bench/validity faults                # wrong steps, and which bounds each breaks
+    python bench/validity order                 # errors over time step and iterations
+    python bench/validity manoeuvres            # whole ones, over time step and iterations
+    python bench/validity chaos                 # how fast runs part that differ by 1e-9
+    python bench/validity precision             # speed over error, beside MuJoCo
+
+Rows that a file has of the same code stay: what is interrupted goes on. Without its file a part is measured anew.
+"""
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parents[2]
+sys.path.insert(0, str(ROOT / "bench"))
+
+from sweep.core.files import write_whole  # noqa: E402
+from sweep.core.provenance import code_version, made_with  # noqa: E402
+from sweep.engines.run_id import device  # noqa: E402
+from sweep.engines.settings import EngineSettings  # noqa: E402
+from validity import chaos, faults, manoeuvres, order, precision, tables  # noqa: E402
+
+Jobs = Iterator[tuple[str, Callable[[], list[dict[str, Any]]]]]  # of a part: names, and what measures rows
+PARTS: dict[str, tuple[str, Callable[[], Jobs]]] = {  # with the engines
+    "scenes": ("mjx, native, C MuJoCo, MJX", tables.jobs),
+    "faults": ("mjx by XLA", faults.jobs),
+    "order": ("mjx by XLA, double", order.jobs),
+    "manoeuvres": ("mjx", manoeuvres.jobs),
+    "chaos": ("mjx, double; native", chaos.jobs),
+    "precision": ("mjx, C MuJoCo, MJX", precision.jobs),
+}
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Measure the chosen parts, or all."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(PARTS)} (all)")
+    given = parser.parse_args(argv)
+    if unknown := [name for name in given.parts if name not in PARTS]:
+        parser.error(f"{unknown[0]} is not a part: {', '.join(PARTS)}")
+    for name in given.parts or PARTS:
+        measure(name)
+
+
+def measure(part: str) -> None:
+    """Measure what is missing of a part, and write its data after every job."""
+    path = ROOT / "docs" / "data" / f"validity_{part}.json"
+    before = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    before = before if before.get("code") == code_version() else {}
+    seconds, rows = before.get("seconds", 0), before.get("rows", [])
+    engine, jobs = PARTS[part]
+    for name, work in jobs():
+        if any(row["job"] == name for row in rows):
+            continue
+        start = time.perf_counter()
+        rows += [{"job": name, **row} for row in work()]
+        seconds += round(time.perf_counter() - start)
+        about = {"command": f"python bench/validity {part}", "engine": engine, "devices": [device(EngineSettings())]}
+        told(path, about | made_with() | {"rows": rows, "seconds": seconds})
+        print(f"{part}, {name}: {seconds} s", flush=True)
+
+
+def told(path: Path, content: dict[str, Any]) -> None:
+    """Write data, a line for each row."""
+    lines = []
+    for key, value in content.items():
+        text = json.dumps(value, ensure_ascii=False)
+        if key == "rows":
+            text = "[\n  " + ",\n  ".join(json.dumps(row, ensure_ascii=False) for row in value) + "\n ]"
+        lines.append(f" {json.dumps(key)}: {text}")
+    write_whole(path, ("{\n" + ",\n".join(lines) + "\n}\n").encode())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,61 @@
+"""How fast rollouts part that differ by 1e-9: the robot's mass, in double precision throughout."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from sweep.engines import make
+from sweep.engines.base import Trace
+from sweep.metrics.outcome import classify
+from sweep.study.config import compose
+from validity.tables import short
+
+NAMES = ("walk_tripod", "ball_over", "raft_cross", "ball_climb", "beam_cross", "pole_climb", "corner_climb")
+ROWS, PART, EVERY = 16, 1e-9, 5  # rollouts; what they differ by; control ticks between samples
+PARTED = 1e-3  # m: as far apart as rollouts may come before they are strangers
+SETTLED = 0.5  # s, in which a difference of mass becomes one of places
+
+
+def jobs() -> Iterator[tuple[str, Callable[[], list[dict[str, Any]]]]]:
+    """One for each manoeuvre and engine."""
+    for name in NAMES:
+        for engine in ("mjx", "native"):
+            yield f"{name}, {engine}", lambda name=name, engine=engine: [_row(name, engine)]
+
+
+def _row(name: str, engine: str) -> dict[str, Any]:
+    exp = compose([f"scenario={name}", f"engine={engine}", "engine.precision=float64", f"engine.width={ROWS}"])
+    draws = np.concatenate([[0.0], np.random.default_rng(0).uniform(-1, 1, ROWS - 1)])
+    robot = replace(exp.case.robot, body_mass=exp.case.robot.body_mass * (1 + PART * draws))
+    made = make(exp.settings, exp.case, exp.case, exp.thresholds)
+    traces = made.traces(replace(exp.case, robot=robot), exp.case, np.zeros(ROWS, int), EVERY)
+    figures = {key: np.asarray([trace.figures[key] for trace in traces]) for key in traces[0].figures}
+    outcomes = classify(figures, exp.thresholds, made.stages)["outcome"]
+    return {
+        "scenario": name,
+        "engine": engine,
+        **parted(traces),
+        "success": int(np.sum(outcomes == "success")),
+        "of": ROWS,
+    }
+
+
+def parted(traces: list[Trace]) -> dict[str, Any]:
+    """How far apart feet are in the mean, at first and at last, and in how long that grows by a factor e.
+
+    That is None where rollouts do not part: a thousandfold at least, or to `PARTED`, is asked.
+    """
+    n = min(len(trace.time) for trace in traces)
+    feet = np.stack([trace.foot_position[:n] for trace in traces])
+    apart = np.sqrt(np.mean(np.sum((feet[1:] - feet[0]) ** 2, axis=-1), axis=(0, 2)))
+    apart = np.maximum.accumulate(apart)
+    time = traces[0].time[:n]
+    first = int(np.searchsorted(time, SETTLED))
+    last = min(int(np.searchsorted(apart, PARTED)), n - 1)
+    growth = apart[last] / apart[first]
+    e_fold = (time[last] - time[first]) / np.log(growth) if growth > 1e3 else None
+    return {"first_m": short(apart[first]), "last_m": short(apart[-1]), "seconds": short(float(time[-1])),
+            "parted_s": short(float(time[last])) if apart[last] >= PARTED else None,
+            "e_fold_s": None if e_fold is None else short(float(e_fold))}  # fmt: skip

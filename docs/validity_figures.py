@@ -1,0 +1,204 @@
+"""Tables and pictures of docs/validity.md, from what `python bench/validity` has measured; see `cited`.
+
+python docs/validity_figures.py      # docs/figures/validity_*.png
+"""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sweep.report.layout import legend_below, lettering, sheet
+from sweep.report.looks import LOOKS
+
+DOCS = Path(__file__).parent
+ENGINES = ("mjx", "mjx, double", "native", "C elliptic", "C pyramidal", "MJX elliptic", "Warp elliptic")
+DRAWN = {"mjx": ("success", "o"), "C MuJoCo": ("fell", "s"), "MJX": ("slipped", "^")}  # whose colours, and marks
+ERRORS = {"standing": "of the feet's loads (weights)", "walking": "of the base's path (m)"}
+FELL = 0.2  # error from which on a robot has fallen
+SEEN = 1e-3  # error at 2 ms from which on a figure's order is told
+Row = dict[str, Any]
+
+
+def scenes(data: Row) -> str:
+    """What must come out, and by engine how far it is off, a line for each figure."""
+    engines = [name for name in ENGINES if any(name in row["errors"] for row in data["rows"])]
+    lines = ["| scene | what | answer | " + " | ".join(engines) + " |", "|:--|:--|--:|" + "--:|" * len(engines)]
+    before = None
+    for row in data["rows"]:
+        name = row["scene"] if row["scene"] != before else ""
+        before = row["scene"]
+        cells = [_off(row, engine) for engine in engines]
+        lines.append(f"| {name} | {row['figure']} | {_answer(row)} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def _answer(row: Row) -> str:
+    unit = f" {row['unit']}" if row["unit"] else ""
+    if not row["values"]:
+        return "springs"
+    return f"{row['exact']:g}{unit}" if row["exact"] is not None else f"*{row['law']:g}{unit}*"
+
+
+def _off(row: Row, engine: str) -> str:
+    if engine not in row["errors"]:
+        return ""
+    error = row["errors"][engine]
+    if error is None:
+        return "–"
+    if row["exact"] == 0:
+        return small(abs(row["values"][engine]))
+    return f"{small(100 * error)} %"
+
+
+def small(x: float) -> str:
+    """Two digits, or one where there is hardly anything."""
+    if x == 0 or 0.01 <= x < 10:
+        return f"{x:.2g}"
+    return f"{x:.0f}" if x >= 10 else f"{x:.1g}"
+
+
+def faults(data: Row) -> str:
+    """How many bounds each fault breaks, and which farthest."""
+    lines = ["| fault | bounds broken | farthest |", "|:--|--:|:--|"]
+    for row in data["rows"]:
+        worst = "; ".join(f"{name} ({_times(by)})" for name, by in row["worst"])
+        lines.append(f"| {row['fault']} | {row['broken']} of {row['of']} | {worst} |")
+    return "\n".join(lines)
+
+
+def _times(by: float | None) -> str:
+    return "no number" if by is None else f"{round(by):,} times" if by >= 10 else f"{by:.2g} times"
+
+
+def order(data: Row) -> str:
+    """Errors over the time step of figures that have any, and the order of the last three."""
+    rows = data["rows"]
+    taken = max({row["iterations"] for row in rows}, key=lambda n: sum(row["iterations"] == n for row in rows))
+    steps = sorted({row["time_step"] for row in rows}, reverse=True)
+    titles = " | ".join(f"{1e3 * h:g} ms" for h in steps)
+    lines = [f"| scene | what | {titles} | order |", "|:--|:--|" + "--:|" * (len(steps) + 1)]
+    for name, errors in _over(rows, "time_step", iterations=taken).items():
+        if (errors[2e-3] or 0) < SEEN:
+            continue
+        last = np.log([errors[h] or np.nan for h in steps[-3:]])
+        slope = np.polyfit(np.log(steps[-3:]), last, 1)[0]
+        cells = " | ".join("–" if x is None else f"{small(100 * x)} %" for x in (errors[h] for h in steps))
+        lines.append(f"| {name[0]} | {name[1]} | {cells} | {slope:.1f} |")
+    return "\n".join(lines)
+
+
+def iterations(data: Row) -> str:
+    """The largest force left unexplained, and the largest error's share of one at the most iterations, by scene."""
+    rows = [row for row in data["rows"] if row["time_step"] == 2e-3]
+    counts = sorted({row["iterations"] for row in rows})
+    lines = ["| scene | " + " | ".join(f"{n}" for n in counts) + " |", "|:--|" + "--:|" * len(counts)]
+    for scene in dict.fromkeys(row["scene"] for row in rows):
+        cells = []
+        for n in counts:
+            own = [row for row in rows if row["scene"] == scene and row["iterations"] == n]
+            off = max(np.inf if row["error"] is None else row["error"] for row in own)
+            cells.append(f"{small(100 * off)} % ({_newtons(own[0]['residual'])})")
+        lines.append(f"| {scene} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def _newtons(x: float | None) -> str:
+    return "–" if x is None else f"{small(x)} N"
+
+
+def _over(rows: list[Row], key: str, **fixed: Any) -> dict[tuple[str, str], dict[Any, float | None]]:
+    found: dict[tuple[str, str], dict[Any, float | None]] = {}
+    for row in rows:
+        if all(row[name] == value for name, value in fixed.items()):
+            found.setdefault((row["scene"], row["figure"]), {})[row[key]] = row["error"]
+    return found
+
+
+def manoeuvres(data: Row) -> str:
+    """How far whole manoeuvres are from their finest, a line for each step and number of iterations."""
+    titles = ("scenario", "step (ms)", "iterations", "base, at most (mm)", "at the end (mm)", "forces (weights)",
+              "net force (weights)", "slip (mm)", "left unexplained (weights)", "outcome")  # fmt: skip
+    lines = [f"| {' | '.join(titles)} |", "|:--|" + "--:|" * (len(titles) - 2) + ":--|"]
+    before = None
+    for row in data["rows"]:
+        name, before = f"`{row['scenario']}`" if row["scenario"] != before else "", row["scenario"]
+        mark = "**" if row["default"] else ""
+        keys = ("base_mm", "end_mm", "forces", "net", "slip_mm", "residual")
+        cells = " | ".join("–" if row[key] is None else small(row[key]) for key in keys)
+        step = f"{mark}{1e3 * row['time_step']:g}{mark} | {mark}{row['iterations']}{mark}"
+        lines.append(f"| {name} | {step} | {cells} | {row['outcome']} |")
+    return "\n".join(lines)
+
+
+def chaos(data: Row) -> str:
+    """How fast rollouts part, a line for each manoeuvre."""
+    engines = ("mjx", "native")
+    titles = " | ".join(f"`{engine}`: apart at first, at last; e-fold (s); succeed" for engine in engines)
+    lines = [f"| scenario | lasts (s) | {titles} |", "|:--|--:|:--|:--|"]
+    for name in dict.fromkeys(row["scenario"] for row in data["rows"]):
+        own = {row["engine"]: row for row in data["rows"] if row["scenario"] == name}
+        cells = " | ".join(_parted(own[engine]) if engine in own else "" for engine in engines)
+        lines.append(f"| `{name}` | {next(iter(own.values()))['seconds']:.0f} | {cells} |")
+    return "\n".join(lines)
+
+
+def _parted(row: Row) -> str:
+    fold = "do not part" if row["e_fold_s"] is None else f"{row['e_fold_s']:.2g}"
+    late = f", 1 mm after {row['parted_s']:.0f} s" if row["parted_s"] else ""
+    return f"{_metres(row['first_m'])}, {_metres(row['last_m'])}{late}; {fold}; {row['success']} of {row['of']}"
+
+
+def _metres(x: float) -> str:
+    return f"{1e3 * x:.2g} mm" if x >= 1e-5 else f"{1e9 * x:.1g} nm" if x >= 1e-10 else f"{1e12 * x:.1g} pm"
+
+
+def precision(data: Row) -> str:
+    """Error and speed, a line for each engine, step and number of iterations."""
+    titles = ("motion", "engine", "step (ms)", "iterations", "error", "simulated s a second of a core", "steps",
+              "contacts", "iterations taken, or force left")  # fmt: skip
+    lines = [f"| {' | '.join(titles)} |", "|:--|:--|" + "--:|" * (len(titles) - 2)]
+    for row in sorted(data["rows"], key=lambda row: (row["motion"], list(DRAWN).index(row["engine"]))):
+        unit = "weights" if row["motion"] == "standing" else "m"
+        taken = f"{row['taken']:.1f}" if "taken" in row else ""
+        left = f"{small(row['residual_n'])} N" if "residual_n" in row else ""
+        error = "–" if row["error"] is None else "falls" if row["error"] > FELL else f"{row['error']:.1e} {unit}"
+        cells = (row["motion"], row["engine"], f"{1e3 * row['time_step']:g}", row["iterations"], error,
+                 f"{row['per_s']:.3g}", f"{row['steps_per_s']:.3g}", row.get("contacts", ""), taken + left)  # fmt: skip
+        lines.append(f"| {' | '.join(str(cell) for cell in cells)} |")
+    return "\n".join(lines)
+
+
+TABLES = {
+    "scenes": scenes, "faults": faults, "order": order, "iterations": iterations, "manoeuvres": manoeuvres,
+    "chaos": chaos, "precision": precision,
+}  # fmt: skip
+
+
+def draw_precision(rows: list[Row], path: Path) -> None:
+    """Speed over error, a panel for each motion."""
+    with lettering():
+        figure = sheet(2.6)
+        panels = figure.subplots(1, 2, sharey=True)
+        for axes, (motion, label) in zip(panels, ERRORS.items(), strict=True):
+            for engine, (look, mark) in DRAWN.items():
+                own = [row for row in rows if (row["motion"], row["engine"]) == (motion, engine)]
+                own = sorted((row["error"], row["per_s"]) for row in own if (row["error"] or 1) < FELL)
+                if own:
+                    axes.loglog(*zip(*own, strict=True), marker=mark, ms=4, color=LOOKS[look].colour, label=engine)
+            axes.set(title=motion, xlabel=f"error {label}")
+            axes.grid(alpha=0.3, lw=0.5)
+        panels[0].set_ylabel("simulated seconds a second of a core")
+        legend_below(figure, panels[0].get_lines())
+        figure.savefig(path, dpi=110)
+
+
+def main() -> None:
+    """Draw what there are data of."""
+    rows = json.loads((DOCS / "data" / "validity_precision.json").read_text(encoding="utf-8"))["rows"]
+    draw_precision(rows, DOCS / "figures" / "validity_precision.png")
+
+
+if __name__ == "__main__":
+    main()
