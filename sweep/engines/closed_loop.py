@@ -16,7 +16,7 @@ from sweep.controllers.posture import feet_in_world
 from sweep.controllers.tracker import TrackerState, joint_targets
 from sweep.core.rotations import about_vertical, conjugate, multiply, rotate
 from sweep.metrics import stream
-from sweep.metrics.metric import REST, Tick
+from sweep.metrics.metric import GRACE, REST, Tick
 from sweep.metrics.outcome import Thresholds
 from sweep.metrics.stream import Running
 from sweep.models.case import Case, Driving
@@ -28,7 +28,6 @@ from sweep.models.obstacles import surface
 from sweep.models.obstacles.surface import FreeState, Obstacle, free_start, poses, under
 
 CHUNK = 1.0  # s of simulated time between two looks of the host, and from plan to plan of who plans again
-GRACE = 1.2  # a plan that is not finished at this multiple of its duration is given up
 LONGEST = 600.0  # s; a rollout that takes longer is cut off unfinished: absurd parameters must not hold up a batch
 
 

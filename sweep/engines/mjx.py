@@ -25,7 +25,6 @@ from sweep.engines.base import Figures, Trace, Watch
 from sweep.engines.batch_last import batch_last_vmap
 from sweep.engines.closed_loop import (
     CHUNK,
-    GRACE,
     ClosedLoop,
     act,
     init,
@@ -44,6 +43,7 @@ from sweep.fused import launch
 from sweep.fused.kernel import Code, Kernel, Once
 from sweep.fused.kernel import compiled as fused
 from sweep.metrics import stream
+from sweep.metrics.metric import GRACE
 from sweep.metrics.outcome import Thresholds
 from sweep.models.case import Case
 

@@ -26,7 +26,6 @@ from sweep.engines import batching, devices, fused_loop, planning, program_cache
 from sweep.engines.base import Figures, Trace, Watch
 from sweep.engines.closed_loop import (
     CHUNK,
-    GRACE,
     ClosedLoop,
     Start,
     act,
@@ -45,7 +44,7 @@ from sweep.engines.states import offered
 from sweep.fused import kernel
 from sweep.fused.kernel import Code, Kernel, Tiles
 from sweep.metrics import stream
-from sweep.metrics.metric import Tick
+from sweep.metrics.metric import GRACE, Tick
 from sweep.metrics.outcome import Thresholds
 from sweep.models import scene
 from sweep.models.case import Case

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment
+from sweep.metrics.metric import BRIEF, Begin, Cause, Elapsed, Metric, Moment
 
 JOINTS = ("alpha", "beta", "gamma")
 
@@ -13,7 +13,8 @@ JOINTS = ("alpha", "beta", "gamma")
 class Drives(NamedTuple):
     """By kind of joint the largest torque (N m) and the time at the limit (s); the positive work (J).
 
-    The largest turn of a leg (rad), rate (rad/s) and power (W) of a joint.
+    The largest turn of a leg (rad), rate (rad/s) and power (W) of a joint. By kind of joint the torque over its limit
+    that legs take in the mean, lately; and the least that it was away from 1.
     """
 
     torque: Float[Array, " 3"]
@@ -22,18 +23,23 @@ class Drives(NamedTuple):
     turn: Float[Array, ""]
     rate: Float[Array, ""]
     power: Float[Array, ""]
+    use: Float[Array, " 3"]
+    reserve: Float[Array, ""]
 
 
 def begin(start: Begin) -> Drives:
     """The metric of drives at rest."""
     zero = jnp.zeros((), start.feet.dtype)
     three = jnp.zeros(3, start.feet.dtype)
-    return Drives(three, three, zero, zero, zero, zero)
+    return Drives(three, three, zero, zero, zero, zero, three, zero + 1)
 
 
 def update(so_far: Drives, now: Moment) -> Drives:
     """Peaks over the legs, shares averaged over them. Power is a tick's mean, angles and rates are those at its end."""
-    tick = now.tick
+    tick, world = now.tick, now.world
+    limit = world.execution.torque_scale * world.drive.torque_limit
+    use = jnp.mean(tick.torque_peak, axis=0) / jnp.maximum(limit, 1e-9)
+    use = so_far.use + min(1.0, now.period / BRIEF) * (use - so_far.use)
     return Drives(
         jnp.maximum(so_far.torque, jnp.max(tick.torque_peak, axis=0)),
         so_far.saturated + now.period * jnp.mean(tick.saturated, axis=0),
@@ -41,6 +47,8 @@ def update(so_far: Drives, now: Moment) -> Drives:
         jnp.maximum(so_far.turn, jnp.max(jnp.abs(tick.angles[:, 0]))),
         jnp.maximum(so_far.rate, jnp.max(jnp.abs(tick.rates))),
         jnp.maximum(so_far.power, jnp.max(jnp.abs(tick.power))),
+        use,
+        jnp.minimum(so_far.reserve, 1 - jnp.max(use)),
     )
 
 
@@ -57,7 +65,8 @@ def figures(found: Drives, at: Elapsed) -> dict[str, Array]:
         "joint_power_max_w": found.power,
         "joint_power_over_limit": found.power / drive.power_limit,
     }
-    return {"energy_j": found.effort, **torques, **shares, "saturation_share_max": jnp.max(share), **limits}
+    return {"energy_j": found.effort, **torques, **shares, "saturation_share_max": jnp.max(share),
+            "torque_reserve_min": found.reserve, **limits}  # fmt: skip
 
 
 METRIC = Metric(
@@ -69,6 +78,8 @@ METRIC = Metric(
         **{f"torque_peak_{joint}_nm": f"largest torque of a {joint} joint" for joint in JOINTS},
         **{f"saturation_share_{joint}": f"share of time at the torque limit of {joint} joints" for joint in JOINTS},
         "saturation_share_max": "largest of the three",
+        "torque_reserve_min": "least of 1 minus torque over its limit, of a kind of joint in the mean of all legs, "
+        "over 50 ms",
         "turn_over_limit": "largest size of an alpha over drive.turn_limit",
         "joint_speed_max_radps": "largest rate of a joint",
         "joint_speed_over_limit": "the same over drive.speed_limit",

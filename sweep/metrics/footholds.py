@@ -4,7 +4,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.controllers.frames import to_world
-from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment
+from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment, Twin
 from sweep.models.obstacles.surface import FreeState, poses, under
 
 # m, within which a foot that may hover, since others carry, is at a face: what a base off by 2 degrees makes of the
@@ -29,8 +29,11 @@ def figures(found: Last, at: Elapsed) -> dict[str, Array]:
     feet, free = found
     target = to_world(at.plan.foothold[-1], at.plan.foot_frame[-1], free)
     here, there = (under(at.world.obstacle, p, poses(free)) for p in (feet, target))
-    hit = (here.face == there.face) & (here.body == there.body) & (here.depth > -AT_FACE)
-    return {"feet_on_target": jnp.sum(hit).astype(jnp.int32)}
+    same = (here.face == there.face) & (here.body == there.body)
+    hit = same & (here.depth > -AT_FACE)
+    away = jnp.maximum(jnp.linalg.norm(feet - target, axis=-1), 1.001 * AT_FACE)
+    gap = jnp.where(same, -here.depth, away)
+    return {"feet_on_target": jnp.sum(hit).astype(jnp.int32), "foot_gap_max_m": jnp.max(gap)}
 
 
 METRIC = Metric(
@@ -39,7 +42,9 @@ METRIC = Metric(
     figures,
     {
         "feet_on_target": "feet that are at the end at the obstacle's face, of the body, where the plan has them, "
-        "or within 20 mm of it"
+        "or within 20 mm of it",
+        "foot_gap_max_m": "how far the worst foot ends from that face, negative inside; at another face how far from "
+        "its foothold, but more than 20 mm",
     },
     (
         Cause(
@@ -51,6 +56,7 @@ METRIC = Metric(
             below=True,
             known="end",
             whole=True,
+            twin=Twin("foot_gap_max_m", AT_FACE, AT_FACE),
         ),
     ),
 )

@@ -7,10 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from sweep.models.obstacles.surface import Bodies, Obstacle, under
 from sweep.models.robot import FOOT_LENGTH, PIN_RADIUS, Robot, half_between_hips
 from sweep.models.solids import Solid, distance_to_segments, from_box
 
 HALVINGS = 8  # a segment of 0.4 m is searched to 1 mm
+AROUND = 0.05  # m, how far from a foot edges are looked for
 
 
 def support_margin(feet: Float[Array, "n 2"], standing: Bool[Array, " n"], point: Float[Array, " 2"]) -> Array:
@@ -30,6 +32,11 @@ def support_margin(feet: Float[Array, "n 2"], standing: Bool[Array, " n"], point
     pair = standing[:, None] & standing[None, :] & ~np.eye(feet.shape[0], dtype=bool)
     border = pair & jnp.all((sides > -1e-6) | ~standing, axis=-1)
     return jnp.min(jnp.where(border, left_of(point), jnp.inf))
+
+
+def edge_distance(obstacle: Obstacle, feet: Float[Array, "n 3"], bodies: Bodies) -> Float[Array, " n"]:
+    """How far (m) feet are from the edges of the faces that they stand on, no more than `AROUND`."""
+    return under(obstacle, feet - AROUND * under(obstacle, feet, bodies).normal, bodies).depth
 
 
 def segment_distance(

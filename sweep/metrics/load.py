@@ -6,22 +6,29 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.core.constants import GRAVITY
-from sweep.metrics.metric import LOADED, Begin, Elapsed, Metric, Moment
+from sweep.metrics.metric import BRIEF, LOADED, Begin, Elapsed, Metric, Moment
+from sweep.models.obstacles.surface import under
 from sweep.models.robot import total_mass
 
 
 class Load(NamedTuple):
-    """Largest tangential over normal force, its integral over time (s), largest normal force over the weight."""
+    """Largest tangential over normal force, its integral over time (s), largest normal force over the weight.
+
+    Sums over the feet of tangential force and of what friction allows (N), lately, and the least reserve they left.
+    """
 
     friction: Float[Array, ""]
     use: Float[Array, ""]
     normal: Float[Array, ""]
+    taken: Float[Array, ""]
+    allowed: Float[Array, ""]
+    reserve: Float[Array, ""]
 
 
 def begin(start: Begin) -> Load:
     """The metric before any load."""
     zero = jnp.zeros((), start.feet.dtype)
-    return Load(zero, zero, zero)
+    return Load(zero, zero, zero, zero, zero + LOADED, zero + 1)
 
 
 def update(so_far: Load, now: Moment) -> Load:
@@ -29,10 +36,18 @@ def update(so_far: Load, now: Moment) -> Load:
     tick, weight = now.tick, GRAVITY * total_mass(now.world.robot)
     demand = jnp.where(tick.normal > LOADED, tick.tangential / jnp.maximum(tick.normal, LOADED), 0.0)
     use = jnp.sum(tick.tangential) / jnp.maximum(jnp.sum(tick.normal), LOADED)
+    feet = tick.joints[:, -1]
+    friction = now.world.contact.friction * under(now.world.obstacle, feet, tick.bodies).friction_scale
+    lately = min(1.0, now.period / BRIEF)
+    taken = so_far.taken + lately * (jnp.sum(tick.tangential) - so_far.taken)
+    allowed = so_far.allowed + lately * (jnp.sum(friction * tick.normal) - so_far.allowed)
     return Load(
         jnp.maximum(so_far.friction, jnp.max(demand)),
         so_far.use + now.period * use,
         jnp.maximum(so_far.normal, jnp.max(tick.normal) / weight),
+        taken,
+        allowed,
+        jnp.minimum(so_far.reserve, 1 - taken / jnp.maximum(allowed, LOADED)),
     )
 
 
@@ -42,6 +57,7 @@ def figures(found: Load, at: Elapsed) -> dict[str, Array]:
         "friction_demand_max": found.friction,
         "friction_demand_mean": found.use / jnp.maximum(at.time, 1e-9),
         "normal_max_over_weight": found.normal,
+        "friction_reserve_min": found.reserve,
     }
 
 
@@ -54,5 +70,7 @@ METRIC = Metric(
         "as soon as a foot slides for a moment",
         "friction_demand_mean": "tangential over normal force, each summed over the feet, averaged over time",
         "normal_max_over_weight": "largest normal force of a foot over the robot's weight",
+        "friction_reserve_min": "least of 1 minus tangential force over what friction allows, each summed over the "
+        "feet, over 50 ms",
     },
 )

@@ -21,6 +21,8 @@ from sweep.models.obstacles.surface import Bodies, FreeState
 
 LOADED = 1.0  # N, from which a foot carries load
 REST = 1.0  # s, that a rollout goes on after its plan has ended, in which nothing may change
+GRACE = 1.2  # a plan that is not finished at this multiple of its duration is given up
+BRIEF = 0.05  # s, over which forces are averaged: a bounce of the feet is neither a fall nor a slip
 
 
 class Tick(NamedTuple):
@@ -116,6 +118,14 @@ class Elapsed(NamedTuple):
     stage: Int[Array, ""]
 
 
+class Twin(NamedTuple):
+    """A continuous figure that goes beyond its limit where a count is not enough, and shrinks towards it before."""
+
+    figure: str
+    limit: float
+    scale: float  # in which its margin is counted
+
+
 @dataclass(frozen=True)
 class Cause:
     """A figure beyond its threshold, and what that means: a way to fail, or a reason not to trust the simulation.
@@ -137,6 +147,7 @@ class Cause:
     doubt: bool = False
     scale: float | None = None  # in which its margin is counted; the threshold's size by default
     whole: bool = False  # a count, which is enough or not
+    twin: Twin | None = None  # of a count
     otherwise: Callable[[Case], float | None] = lambda case: None
 
     def quantity(self) -> Any:
@@ -147,11 +158,18 @@ class Cause:
         """Whether figures (numbers or arrays, of numpy or JAX) are beyond `limit`."""
         return value < limit if self.below else value > limit
 
-    def margin(self, value: Any, limit: float) -> Any:
-        """How far figures are from `limit`, in units of `scale`, at most 1; negative where the cause holds."""
+    def margin(self, value: Any, limit: float, twin: Any = None) -> Any:
+        """How far figures are from `limit`, in units of `scale`, at most 1; negative where the cause holds.
+
+        Of a count it is how far its `twin` is from its own limit, where both say the same.
+        """
         left = value - limit if self.below else limit - value
         if self.whole:
-            return np.where(left < 0, left, 1.0)
+            count = np.where(left < 0, left, 1.0)
+            if self.twin is None or twin is None:
+                return count
+            smooth = ((self.twin.limit - twin) / self.twin.scale).clip(max=1.0)
+            return np.where((smooth < 0) == (left < 0), smooth, count)
         size = abs(limit) if self.scale is None else self.scale
         return (left / size if size else left).clip(max=1.0)
 

@@ -85,7 +85,7 @@ def classify(figures: Mapping[str, np.ndarray], limits: Thresholds, stages: Sequ
     stage = np.where(np.isfinite(time), stage, f["end_stage"]).astype(int)
     verdict = np.array([INVALID if c.doubt else FAILURE for c in causes], dtype=object)[first]
     labels = np.array([*stages, ""], dtype=object)
-    margin, margin_of = margins_of(causes, [f[c.figure] for c in causes], limits)
+    margin, margin_of = margins_of(causes, f, limits)
     return {
         "outcome": np.where(any_holds, verdict, SUCCESS),
         "cause": np.where(any_holds, np.array([c.name for c in causes], dtype=object)[first], ""),
@@ -98,20 +98,25 @@ def classify(figures: Mapping[str, np.ndarray], limits: Thresholds, stages: Sequ
 
 
 def margins_of(
-    causes: Sequence[Cause], figures: Sequence[np.ndarray], limits: Thresholds
+    causes: Sequence[Cause], figures: Mapping[str, np.ndarray], limits: Thresholds
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Least distance (n,) of `figures`, (n,) of each of `causes`, to the thresholds of failures, and their names.
+    """Least distance (n,) of figures, (n,) by name, to the thresholds of failures by `causes`, and their names.
 
-    In units of the threshold; a cause without a finite one has no distance, and NaN is beyond all.
+    In units of the threshold; a cause without a finite one has no distance, and NaN is beyond all. A cause without a
+    threshold goes by its own name.
     """
     judged = [
-        (cause, np.asarray(values, float), limit)
-        for cause, values in zip(causes, figures, strict=True)
-        if not cause.doubt and cause.threshold and np.isfinite(limit := limit_of(cause, limits))
+        (cause, limit)
+        for cause in causes
+        if not cause.doubt and (cause.threshold or cause.twin) and np.isfinite(limit := limit_of(cause, limits))
     ]
-    margins = np.stack([cause.margin(values, limit) for cause, values, limit in judged])
+
+    def value(name: str) -> np.ndarray | None:
+        return np.asarray(figures[name], float) if name in figures else None
+
+    margins = np.stack([c.margin(value(c.figure), limit, c.twin and value(c.twin.figure)) for c, limit in judged])
     nearest = np.argmin(np.nan_to_num(margins, nan=-np.inf), axis=0)
-    names = np.array([cause.threshold for cause, _, _ in judged], dtype=object)
+    names = np.array([cause.threshold or cause.name for cause, _ in judged], dtype=object)
     return np.take_along_axis(margins, nearest[None], axis=0)[0], names[nearest]
 
 

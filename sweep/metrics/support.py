@@ -6,9 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.metrics.geometry import support_margin
-from sweep.metrics.metric import LOADED, Begin, Elapsed, Metric, Moment
-
-LOAD_TIME = 0.05  # s, over which a load is averaged: a bounce of the feet is not a fall
+from sweep.metrics.metric import BRIEF, LOADED, Begin, Elapsed, Metric, Moment
 
 
 class Stability(NamedTuple):
@@ -27,7 +25,7 @@ def begin(start: Begin) -> Stability:
 def update(so_far: Stability, now: Moment) -> Stability:
     """Seen from above, the distance of the mass centre to the border of the feet that carry."""
     tick = now.tick
-    load = so_far.load + min(1.0, now.period / LOAD_TIME) * (tick.normal - so_far.load)
+    load = so_far.load + min(1.0, now.period / BRIEF) * (tick.normal - so_far.load)
     margin = support_margin(tick.joints[:, -1, :2], load > LOADED, tick.centre_of_mass[:2])
     return Stability(load, jnp.minimum(so_far.margin, margin))
 

@@ -13,14 +13,22 @@ from sweep.controllers.posture import feet_in_world, leg_points, mass_centre
 from sweep.controllers.tracker import in_hips, joint_targets
 from sweep.core.rotations import matrix, rotate, wrapped
 from sweep.formulas import leg, stepping
-from sweep.metrics.geometry import base_gap, capsules, fold_gap, leg_gap, shin_slopes, support_margin
+from sweep.metrics.geometry import (
+    AROUND,
+    base_gap,
+    capsules,
+    edge_distance,
+    fold_gap,
+    leg_gap,
+    shin_slopes,
+    support_margin,
+)
 from sweep.models import solids
 from sweep.models.case import Case
 from sweep.models.obstacles.surface import Bodies, Surface, free_start, poses, under
 from sweep.models.robot import half_size
 
 MID_SWING = 0.05  # m from both ends of a swing, beyond which a foot has to be off the obstacle
-AROUND = 0.05  # m
 JOINTS_AT = 0.02  # share of a stage over which the joints' rate is taken
 
 
@@ -95,7 +103,7 @@ def left(
 
     goes = jnp.minimum(*(jnp.linalg.norm(foot - at, axis=-1) for at in (swing.starts, swing.goal))) > MID_SWING
     above = jnp.where(goes & swing.swings, -surface(foot).depth, jnp.inf)
-    inside = surface(swing.starts - AROUND * surface(swing.starts).normal).depth
+    inside = edge_distance(obstacle, swing.starts, bodies)
     centre = stance.position + rotate(stance.quat, mass_centre(robot, joints))
     return Margins(
         base=solids.distance_to_box(solid, *base),

@@ -150,6 +150,18 @@ def test_slides_above_the_friction_angle(figures):
     assert figures["progress"][BELOW] > 0.9 > figures["progress"][ABOVE]
 
 
+def test_reserves_shrink_before_anything_breaks(figures):
+    # on a slope the feet together take tan of it, and what legs and gait take between each other
+    left = 1 - np.tan(LIMIT - np.radians(8)) / MU
+    assert 0.5 * left < figures["friction_reserve_min"][BELOW] < left < figures["friction_reserve_min"][NOMINAL] + 0.3
+    assert figures["friction_reserve_min"][ABOVE] < 0.05
+    assert figures["torque_reserve_min"][WEAK] < 0.05 < 0.8 < figures["torque_reserve_min"][NOMINAL]
+    assert figures["reach_reserve_min_m"][NOMINAL] > 0.1
+    finite = np.isfinite(figures["foot_gap_max_m"])
+    assert ((figures["foot_gap_max_m"] < 0.02) == (figures["feet_on_target"] == 6))[finite].all()
+    assert ((figures["time_use"] <= 1) == (figures["finished"] == 1))[finite].all()
+
+
 def test_noise_depends_on_its_stream_alone(figures):
     assert differing(figures, figures, NOISY, SAME) == []
     for name in ("tilt_max_deg", "position_error_max_m", "distance_m"):
@@ -213,5 +225,5 @@ def test_all_rollouts_of_a_batch_are_recorded_as_one_is(name, mjx, world, nomina
 
 def _watched(limits, case, trace):
     """Least margin of a rollout's figures to the limits that are watched in every tick."""
-    causes = stream.timed(case)
-    return margins_of(causes, [np.asarray(trace.figures[c.figure]) for c in causes], limits)[0]
+    figures = {name: np.asarray(value) for name, value in trace.figures.items()}
+    return margins_of(stream.timed(case), figures, limits)[0]

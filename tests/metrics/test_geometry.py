@@ -10,14 +10,18 @@ from scipy.optimize import lsq_linear
 from scipy.spatial import ConvexHull, QhullError
 
 from sweep.metrics.geometry import (
+    AROUND,
     base_gap,
     capsules,
+    edge_distance,
     leg_gap,
     segment_box_distance,
     segment_distance,
     shin_slopes,
     support_margin,
 )
+from sweep.models.obstacles.kerb import Kerb
+from sweep.models.obstacles.surface import own_axes
 from sweep.models.robot import FOOT_LENGTH, Robot
 from sweep.models.solids import Box, HalfSpace
 
@@ -117,3 +121,9 @@ def test_a_shin_goes_through_the_rung_that_its_foot_is_on_or_rises_over_it(angle
     distance = float(jnp.min(capsules(joints, Robot()).to([rung])))
     assert (distance < -0.005) == (angle < 0)  # -5 mm is what the judge allows
     np.testing.assert_allclose(shin_slopes(joints, jnp.asarray([[0.0, 0.0, 1.0]] * 6)), np.sin(angle), atol=1e-6)
+
+
+def test_a_foot_on_a_kerb_is_as_far_from_the_edge_as_it_stands_from_it():
+    """Along its top, and down its side; no farther than edges are looked for."""
+    feet = jnp.array([[0.02, 0.0, 0.1], [0.3, 1.0, 0.1], [0.0, 0.0, 0.07]])
+    assert edge_distance(Kerb(), feet, own_axes(0)) == pytest.approx(np.array([0.02, AROUND, 0.03]), abs=1e-6)

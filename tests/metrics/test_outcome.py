@@ -103,6 +103,27 @@ def test_the_margin_is_the_least_distance_to_a_threshold():
     assert label(feet_on_target=5)["margin"] == -1
 
 
+@pytest.mark.parametrize(
+    ("figures", "limit", "margin"),
+    [
+        ({"feet_on_target": 6, "foot_gap_max_m": 0.015}, "feet_on_target_min", 0.25),
+        ({"feet_on_target": 5, "foot_gap_max_m": 0.025}, "feet_on_target_min", -0.25),
+        ({"time_use": 0.95}, "stalled", 0.3),
+        ({"finished": 0, "time_use": 1.05}, "stalled", -0.3),
+    ],
+)
+def test_a_count_has_the_margin_of_its_twin(figures, limit, margin):
+    got = label(**figures)
+    assert (got["margin_of"], got["margin"]) == (limit, pytest.approx(margin))
+    assert (got["outcome"] == "success") == (margin > 0)
+
+
+def test_a_twin_that_says_otherwise_than_the_count_is_not_heard():
+    """As where fewer feet are enough."""
+    got = label(Thresholds(feet_on_target_min=4.0), feet_on_target=4, foot_gap_max_m=0.3)
+    assert (got["outcome"], got["margin"]) == ("success", 1.0)
+
+
 def test_a_manoeuvre_states_its_goal_and_outcome_may_loosen_it():
     assert compose(["scenario=pole_top"]).thresholds.feet_on_target_min == 6
     assert compose(["scenario=pole_top", "outcome.feet_on_target_min=4"]).thresholds.feet_on_target_min == 4
