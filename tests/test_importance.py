@@ -72,15 +72,15 @@ def repeated(d, bounds, num=400, rounds=2, times=200):
     found = []
     for seed in range(times):
         draws, u = importance.first(d, num, 2.5, seed)
-        every, weight = [u], [draws.weight]
+        every, weight = [u], [draws.columns["weight"]]
         for number in range(1, rounds + 1):
             normals = np.concatenate(every)
             failed = np.any([f(normals) for f in fails], axis=0)
             draws, u = importance.next_round(normals, np.concatenate(weight), failed, num, 2.5, seed, number)
-            every, weight = [*every, u], [*weight, draws.weight]
+            every, weight = [*every, u], [*weight, draws.columns["weight"]]
         failed = np.any([f(u) for f in fails], axis=0)
-        found.append(draws.weight @ failed / num)
-        assert draws.weight.max() <= 1 / importance.PLAIN + 1e-9
+        found.append(draws.columns["weight"] @ failed / num)
+        assert draws.columns["weight"].max() <= 1 / importance.PLAIN + 1e-9
     return np.array(found)
 
 

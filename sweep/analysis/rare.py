@@ -7,15 +7,18 @@ import pandas as pd
 
 from sweep.analysis.intervals import CONFIDENCE
 from sweep.core.errors import InputError
+from sweep.study import designs
 from sweep.study.config import Experiment
 from sweep.study.importance import PLAIN
+from sweep.study.sought import replayed
+from sweep.study.subset import Outcome
 
 LARGEST = 0.1  # share of the sum that one row may carry in an estimate that is to be trusted
 NEAR = 3  # parameters that are told of a cause
 
 
 @dataclass(frozen=True)
-class Rare:
+class Weighted:
     """A probability of failing, of the last round's draws alone: what these were fitted to was drawn before."""
 
     probability: float
@@ -46,8 +49,80 @@ class Rare:
         return text
 
 
-def rare(rows: pd.DataFrame, exp: Experiment) -> Rare:
-    """What a study of importance sampling says. Raises `InputError` where its last round is not whole.
+@dataclass(frozen=True)
+class Repeated:
+    """A probability of failing by independent runs of subset simulation, whose spread tells its error."""
+
+    target: float
+    runs: tuple[Outcome, ...]
+
+    @property
+    def each(self) -> np.ndarray:
+        """By each run."""
+        return np.array([run.probability for run in self.runs])
+
+    @property
+    def probability(self) -> float:
+        """Their mean."""
+        return float(self.each.mean())
+
+    @property
+    def stuck(self) -> tuple[Outcome, ...]:
+        """Runs that ended before they came to where all fail."""
+        return tuple(run for run in self.runs if run.why)
+
+    @property
+    def variation(self) -> float:
+        """Coefficient of variation of the mean; NaN of one run."""
+        each = self.each
+        return float(each.std(ddof=1) / np.sqrt(len(each)) / each.mean()) if len(each) > 1 and each.any() else np.nan
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Of 95 %: log-normal, by Student's law of so many runs; NaN of one."""
+        from scipy.stats import t
+
+        width = t.ppf(0.5 + CONFIDENCE / 2, max(len(self.runs) - 1, 1)) * np.sqrt(np.log1p(self.variation**2))
+        return float(self.probability * np.exp(-width)), float(min(self.probability * np.exp(width), 1.0))
+
+    @property
+    def trusted(self) -> bool:
+        """Whether all runs came to where all fail."""
+        return not self.stuck
+
+    def __str__(self) -> str:
+        count, rollouts = len(self.runs), sum(run.rollouts for run in self.runs)
+        if not self.probability:
+            return f"no run of {count} came to a failure in {rollouts:,} rollouts: {self.runs[0].why}"
+        spread = "one run, whose error nothing tells"
+        if count > 1:
+            low, high = self.interval
+            spread = f"{low:.2g} to {high:.2g} (95 %, by the spread of {count} runs: "
+            spread += ", ".join(f"{one:.2g}" for one in sorted(self.each)) + ")"
+        taken = [share for run in self.runs for share in run.accepted]
+        text = f"P(failure) = {self.probability:.3g}, {spread}, {rollouts:,} rollouts"
+        if taken:
+            text += f"; {min(taken):.0%} to {max(taken):.0%} of a level's proposals were taken"
+        if self.stuck:
+            text += f"; NOT to be trusted: {len(self.stuck)} of {count} runs ended early: {self.stuck[0].why}"
+        return text
+
+
+def rare(rows: pd.DataFrame, exp: Experiment) -> Weighted | Repeated:
+    """What a study that seeks failures says. Raises `InputError` where its rounds are not whole."""
+    return _repeated(rows, exp) if exp.study.design.kind == "subset" else _weighted(rows, exp)
+
+
+def _repeated(rows: pd.DataFrame, exp: Experiment) -> Repeated:
+    study = exp.study
+    runs = replayed(designs.search(study.axes, study.design, study.seed), rows, study.design.lead)
+    if runs is None:
+        raise InputError(f"the runs of {study.name} are not at their end: run the rest first")
+    return Repeated(study.design.target, tuple(runs))
+
+
+def _weighted(rows: pd.DataFrame, exp: Experiment) -> Weighted:
+    """Of importance sampling.
 
     The interval is that of a log-normal estimate; without a failure the bound follows from the plain draws' share.
     """
@@ -64,32 +139,43 @@ def rare(rows: pd.DataFrame, exp: Experiment) -> Rare:
     counts["invalid"] = int((last["outcome"] == "invalid").sum())
     if not total:
         most = min((1 - (1 - CONFIDENCE) ** (1 / n)) / PLAIN, 1.0)
-        return Rare(0.0, 0.0, most, **counts, largest=0.0, plain=np.nan)
+        return Weighted(0.0, 0.0, most, **counts, largest=0.0, plain=np.nan)
     p = total / n
     variance = max(square / n - p**2, 0.0) / n
     wide = np.exp(ndtri(0.5 + CONFIDENCE / 2) * np.sqrt(np.log1p(variance / p**2)))
     plain = p * (1 - p) / variance if variance else np.inf
     ends = float(p / wide), float(min(p * wide, 1.0))
-    return Rare(float(p), *ends, **counts, largest=float(share.max() / total), plain=float(plain))
+    return Weighted(float(p), *ends, **counts, largest=float(share.max() / total), plain=float(plain))
 
 
 def modes(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
     """Causes of failing by their share of the probability, each with where it is most unlike plain draws.
 
-    How far is in standard deviations of the plain draws, which the weights tell.
+    How far is in standard deviations of the plain draws.
     """
     axes = [axis for axis in exp.study.axes if pd.api.types.is_numeric_dtype(rows[axis.column])]
-    x, weight = rows[[axis.column for axis in axes]].to_numpy(float), rows["axis.weight"].to_numpy()
-    middle = np.average(x, axis=0, weights=weight)
-    spread = np.sqrt(np.average((x - middle) ** 2, axis=0, weights=weight))
-    last = (rows["axis.round"] == exp.study.design.rounds).to_numpy()
-    failed = last & (rows["outcome"] != "success").to_numpy()
+    x, (plain, failing) = rows[[axis.column for axis in axes]].to_numpy(float), _weights(rows, exp)
+    middle = np.average(x, axis=0, weights=plain)
+    spread = np.sqrt(np.average((x - middle) ** 2, axis=0, weights=plain))
     found = []
-    for cause, index in rows[failed].groupby("cause").groups.items():
+    for cause, index in rows[failing > 0].groupby("cause").groups.items():
         here = rows.index.get_indexer(index)
-        away = (np.average(x[here], axis=0, weights=weight[here]) - middle) / np.where(spread, spread, 1.0)
+        away = (np.average(x[here], axis=0, weights=failing[here]) - middle) / np.where(spread, spread, 1.0)
         far = np.argsort(-np.abs(away))[:NEAR]
         where = ", ".join(f"{axes[k].name} {away[k]:+.1f}" for k in far)
-        found.append({"cause": cause, "share": weight[here].sum() / weight[failed].sum(), "rows": len(here),
+        found.append({"cause": cause, "share": failing[here].sum() / failing.sum(), "rows": len(here),
                       "where, in standard deviations": where})  # fmt: skip
     return pd.DataFrame(found).sort_values("share", ascending=False, ignore_index=True) if found else pd.DataFrame()
+
+
+def _weights(rows: pd.DataFrame, exp: Experiment) -> tuple[np.ndarray, np.ndarray]:
+    """What rows (n,) count for as plain draws, and as failures: the latter sum to the probability of failing, or so."""
+    if exp.study.design.kind == "importance":
+        weight = rows["axis.weight"].to_numpy()
+        last = (rows["axis.round"] == exp.study.design.rounds) & (rows["outcome"] != "success")
+        return weight, np.where(last, weight, 0.0)
+    failing, places = np.zeros(len(rows)), pd.Index(rows["replicate"])
+    for run in _repeated(rows, exp).runs:
+        number = run.level.number[run.level.failed]  # a row counts as often as its chain stayed there
+        np.add.at(failing, places.get_indexer(pd.Index(number)), run.probability / max(len(number), 1))
+    return (rows["axis.level"] == 0).to_numpy(float), failing

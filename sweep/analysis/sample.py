@@ -37,7 +37,9 @@ def distinct(rows: pd.DataFrame, exp: Experiment) -> tuple[pd.DataFrame, str]:
 
 def is_sample(rows: pd.DataFrame, exp: Experiment) -> bool:
     """Whether the rows are draws or noisy replicates at one condition, and not a choice of conditions."""
-    if exp.study.refined or (exp.study.design.kind in ("saltelli", "morris", "importance") and exp.study.design.num):
+    if exp.study.refined or exp.study.sought:
+        return False
+    if exp.study.design.kind in ("saltelli", "morris") and exp.study.design.num:
         return False
     if exp.study.points:
         return all(rows[c].nunique() == 1 for c in parameter_columns(rows))

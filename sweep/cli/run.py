@@ -18,7 +18,7 @@ from sweep.cli.exits import DONE, INVALID, UNEXPECTED
 from sweep.core.errors import InputError
 from sweep.core.waiting import last_time, parts, remember, waiting
 from sweep.report import tables
-from sweep.runs import histories, importance, probe, refine, runner, store
+from sweep.runs import histories, probe, refine, runner, sought, store
 from sweep.runs.batches import make_engine
 from sweep.runs.batches import nominal as nominal_batch
 from sweep.study import designs
@@ -113,7 +113,7 @@ def jobs(exp: Experiment, folder: Path, first: pd.DataFrame, whole: bool) -> Ite
     """One after the other, where what to run next depends on what was found; all at once else, or of a part."""
     if whole and exp.study.refined:
         return refine.rounds(exp, folder, first)
-    return importance.rounds(exp, folder, first) if whole and exp.study.sought else [runner.lay_out(exp, folder, first)]
+    return sought.rounds(exp, folder) if whole and exp.study.sought else [runner.lay_out(exp, folder, first)]
 
 
 def execute_single(exp: Experiment, flags: Flags) -> int:

@@ -36,9 +36,9 @@ from sweep.study.config import Experiment, experiment, flat
 from sweep.study.study import Say, points
 
 # what may change between runs into one folder: which points, and how they are judged; but draws go by one distribution
-FREE = ("study.axes.", "study.design.num", "study.points", "study.where", "study.replicates", "study.resolution",
-        "study.level", "study.budget", "study.audit", "study.invalid_max", "study.expect", "study.theory",
-        "scenario.expect", "outcome", "cluster", "out")  # fmt: skip
+FREE = ("study.axes.", "study.design.num", "study.design.runs", "study.points", "study.where", "study.replicates",
+        "study.resolution", "study.level", "study.budget", "study.audit", "study.invalid_max", "study.expect",
+        "study.theory", "scenario.expect", "outcome", "cluster", "out")  # fmt: skip
 TOLD = ["outcome", "wall_s"]
 Progress = Callable[[pd.DataFrame], None]  # told these columns of every finished batch
 

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sweep.core.errors import InputError, suggest
-from sweep.study import importance
+from sweep.study import importance, sought, subset
 from sweep.study.distributions import Distribution, known, listed, number
 from sweep.study.distributions import parse as parse_distribution
 from sweep.systems.base import SIDES
@@ -26,7 +26,8 @@ from sweep.systems.base import SIDES
 if TYPE_CHECKING:
     import pandas as pd
 
-DESIGNS = ("monte_carlo", "latin_hypercube", "sobol", "saltelli", "morris", "importance")
+DESIGNS = ("monte_carlo", "latin_hypercube", "sobol", "saltelli", "morris", *sought.KINDS)
+EDGE = 2.0**-32  # no distribution is asked for its infinite ends
 LEVELS, INNER = 4, (0.005, 0.995)  # of a morris design: values of an axis, and the shares that they lie between
 MOST = 20_000_000  # rollouts of a study, whose plan takes 10 GB
 GRIDS = ("full", "one_at_a_time")
@@ -83,10 +84,16 @@ class Design:
 
     grid: str = "full"
     kind: str = "monte_carlo"
-    num: int = 0  # draws; of sobol those of one scramble, of saltelli the base sample N of N (d + 2), of morris paths
+    # draws; of sobol those of one scramble, of saltelli the base sample N of N (d + 2), of morris paths, of importance
+    # those of a round, of subset those of a level
+    num: int = 0
     scrambles: int = 1  # independent repetitions of sobol, which tell its error
     wide: float = 2.0  # of importance: how many times as wide the first round's normals are
     rounds: int = 2  # of importance, of `num` draws each, after the first
+    share: float = 0.1  # of subset: of a level's rows that the next one begins with
+    target: float = 1e-7  # of subset: the least probability that is looked for
+    runs: int = 5  # of subset: independent repetitions, which tell its error
+    lead: str = sought.LEAD  # of subset: column, or sum of some, that shrinks before anything breaks
     # one, other, coefficient: of pairs of drawn axes, by the normals of a Gaussian copula
     correlation: tuple[Any, ...] = ()
 
@@ -161,23 +168,55 @@ def parse_design(given: Mapping[str, Any], axes: tuple[Axis, ...]) -> Design:
         raise InputError(f"study.design.num = {design.num} is not allowed: at least {least} for {', '.join(drawn)}")
     if design.num and not drawn:
         raise InputError(f"study.design.num = {design.num} is not allowed: no axis has a distribution")
-    if design.kind == "importance":
-        _check_importance(design, axes)
+    if design.kind in sought.KINDS:
+        _check_sought(design, axes)
     if design.scrambles < 1 or (design.scrambles > 1 and design.kind != "sobol"):
         raise InputError(f"study.design.scrambles = {design.scrambles} is not allowed: at least 1, of kind sobol only")
     return design
 
 
-def _check_importance(design: Design, axes: tuple[Axis, ...]) -> None:
+def _check_sought(design: Design, axes: tuple[Axis, ...]) -> None:
     """Raises `InputError` where draws cannot be sought where failures are."""
     if listed := [a.name for a in axes if a.values is not None]:
-        raise InputError(f"study.design.kind = importance is not allowed with listed axes: {', '.join(listed)}")
-    if taken := {a.name for a in axes} & {"weight", "round"}:
-        raise InputError(f"study.axes.{min(taken)} is not allowed: importance sampling has a column of that name")
+        raise InputError(f"study.design.kind = {design.kind} is not allowed with listed axes: {', '.join(listed)}")
+    if taken := {a.name for a in axes} & {"weight", "round", "run", "level", "step", "chain"}:
+        raise InputError(f"study.axes.{min(taken)} is not allowed: {design.kind} has a column of that name")
     if not 1 <= design.wide <= 5:
         raise InputError(f"study.design.wide = {design.wide:g} is not allowed: from 1 to 5")
-    if design.rounds < 1:
-        raise InputError(f"study.design.rounds = {design.rounds} is not allowed: at least 1")
+    for key in ("rounds", "runs"):
+        if (value := getattr(design, key)) < 1:
+            raise InputError(f"study.design.{key} = {value} is not allowed: at least 1")
+    if not EDGE < design.target < 1:
+        raise InputError(f"study.design.target = {design.target:g} is not allowed: above {EDGE:.2g} and below 1")
+    steps = 1 / design.share if design.share > 0 else 0
+    if not 0 < design.share <= 0.5 or abs(steps - round(steps)) > 1e-9:
+        raise InputError(f"study.design.share = {design.share:g} is not allowed: 1 over a whole number from 2 on")
+    if design.kind == "subset" and (design.num < subset.FEWEST * steps or design.num % round(steps)):
+        least = f"a multiple of {steps:.0f}, at least {subset.FEWEST * steps:.0f}"
+        raise InputError(f"study.design.num = {design.num} is not allowed: {least}, as study.design.share has it")
+
+
+def _plan(design: Design) -> subset.Plan:
+    return subset.Plan(design.num, design.share, design.target)
+
+
+def search(axes: tuple[Axis, ...], design: Design, seed: int) -> sought.Search:
+    """Rounds of draws of a design that seeks failures."""
+    drawn = sum(axis.distribution is not None for axis in axes)
+    if design.kind == "subset":
+        return subset.search(drawn, _plan(design), design.runs, seed)
+    return importance.search(drawn, design.num, design.wide, design.rounds, seed)
+
+
+def smallest_round(design: Design) -> int:
+    """Draws in the smallest of its rounds in which all runs go on."""
+    return design.runs * _plan(design).chains if design.kind == "subset" else design.num
+
+
+def ends(axes: tuple[Axis, ...]) -> sought.Draws:
+    """A draw with all axes at their lower ends, and one with all at their upper ones."""
+    drawn = sum(axis.distribution is not None for axis in axes)
+    return sought.Draws(np.repeat([[0.0], [1.0]], drawn, axis=1), np.arange(2), {})
 
 
 def _correlation(key: str, given: Any, drawn: list[str]) -> tuple[tuple[str, str, float], ...]:
@@ -267,21 +306,21 @@ def table(
     seed: int,
     nominal: Callable[[str], Any],
     grid: "pd.DataFrame | None" = None,
-    round_: importance.Draws | None = None,
+    round_: sought.Draws | None = None,
 ) -> "pd.DataFrame":
     """One row per draw of each grid point: the axes' columns, and `draw`. `nominal` gives a parameter by its path.
 
     The draws are the same at every grid point, so that a difference between grid points is theirs. `grid` has the
-    numbers of listed axes by name, those of the design unless given; so is the `round_` of importance sampling, whose
-    weights are the column `axis.weight`. Raises `InputError`.
+    numbers of listed axes by name, those of the design unless given; so is the `round_` of a design that seeks
+    failures, the first unless given. Raises `InputError`.
     """
     import pandas as pd
 
     listed, drawn = [a for a in axes if a.values is not None], [a for a in axes if a.distribution]
     if grid is None:
         grid = _one_at_a_time(listed, nominal) if listed and design.grid == "one_at_a_time" else _grid(listed)
-    if design.kind == "importance" and round_ is None:
-        round_, _ = importance.first(len(drawn), design.num, design.wide, seed)
+    if design.kind in sought.KINDS and round_ is None:
+        round_ = next(search(axes, design, seed))
     shares = shares_of(axes, design, seed) if round_ is None else _spread(round_.shares, drawn, design)
     draws = {a.name: a.distribution.quantile(shares[:, i]) for i, a in enumerate(drawn) if a.distribution}
     size, count = len(grid), max(len(shares), 1)
@@ -290,9 +329,8 @@ def table(
         numbers[name] = np.tile(values, size)
     columns = _columns(axes, numbers, nominal)
     if round_ is not None:
-        columns |= {"axis.round": np.full(count, float(round_.round)), "axis.weight": round_.weight}
-    first = round_.first if round_ else 0
-    return pd.DataFrame({**columns, "draw": first + np.tile(np.arange(count), size)})
+        columns |= {f"axis.{name}": values for name, values in round_.columns.items()}
+    return pd.DataFrame({**columns, "draw": np.tile(np.arange(count) if round_ is None else round_.numbers, size)})
 
 
 def size(axes: tuple[Axis, ...], design: Design) -> int:
@@ -301,6 +339,8 @@ def size(axes: tuple[Axis, ...], design: Design) -> int:
     drawn = sum(a.distribution is not None for a in axes)
     more = {"saltelli": drawn + 2, "morris": drawn + 1, "importance": design.rounds + 1}
     draws = design.num * more.get(design.kind, design.scrambles)
+    if design.kind == "subset" and design.num:
+        draws = design.runs * _plan(design).most
     return (sum(lengths) if design.grid == "one_at_a_time" else math.prod(lengths)) * max(draws, 1)
 
 
@@ -368,13 +408,12 @@ def _shares(axes: list[Axis], design: Design, seed: int) -> np.ndarray:
 
 def _spread(shares: np.ndarray, axes: list[Axis], design: Design) -> np.ndarray:
     """Independent shares, with the design's correlations."""
-    edge = 2.0**-32  # no distribution is asked for its infinite ends
-    shares = np.clip(shares, edge, 1 - edge)
+    shares = np.clip(shares, EDGE, 1 - EDGE)
     if design.correlation:
         from scipy.special import ndtr, ndtri
 
         root = np.linalg.cholesky(_matrix(design.correlation, [a.name for a in axes]))
-        shares = np.clip(ndtr(ndtri(shares) @ root.T), edge, 1 - edge)
+        shares = np.clip(ndtr(ndtri(shares) @ root.T), EDGE, 1 - EDGE)
     return shares
 
 

@@ -12,21 +12,14 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from sweep.study.sought import Draws, Search
+
 FITTED, WIDE, PLAIN = 0.7, 0.15, 0.15  # shares of a round's draws
 PARTS = 3  # normals that are fitted, at most
 ROWS_A_PART = 5  # effective failures that a part needs for each axis
 TEMPERS = (1.0, 0.5, 0.25)  # powers of the weights: the fit takes the first that leaves it enough failures, or none
 STEPS = 50  # of expectation and maximisation
 DIGITS = 6  # of fitted numbers: draws are the same on machines whose last bits differ
-
-
-class Draws(NamedTuple):
-    """A round of draws."""
-
-    shares: Float[np.ndarray, "n d"]  # quantiles, before axes are correlated
-    weight: Float[np.ndarray, " n"]  # phi / q
-    round: int
-    first: int  # number of the first draw
 
 
 class Mixture(NamedTuple):
@@ -52,6 +45,18 @@ class Mixture(NamedTuple):
 def normal(d: int, width: float, share: float = 1.0) -> Mixture:
     """One round normal about zero."""
     return Mixture(np.array([share]), np.zeros((1, d)), width * np.eye(d)[None])
+
+
+def search(d: int, num: int, wide: float, rounds: int, seed: int) -> Search:
+    """The first round of draws, and `rounds` after it: see `sweep.study.sought`."""
+    draws, u = first(d, num, wide, seed)
+    normals, weights, failures = [u], [draws.columns["weight"]], []
+    for number in range(1, rounds + 1):
+        failures.append((yield draws).failed)
+        so_far = (np.concatenate(parts) for parts in (normals, weights, failures))
+        draws, u = next_round(*so_far, num, wide, seed, number)
+        normals, weights = [*normals, u], [*weights, draws.columns["weight"]]
+    yield draws
 
 
 def first(d: int, num: int, wide: float, seed: int) -> tuple[Draws, Float[np.ndarray, "n d"]]:
@@ -84,7 +89,8 @@ def _round(mixture: Mixture, num: int, rng: np.random.Generator, number: int) ->
     u = mixture.draw(num, rng)
     plain = normal(u.shape[1], 1.0).log_density(u)[:, 0]
     weight = np.exp(plain - logsumexp(mixture.log_density(u), axis=1))
-    return Draws(ndtr(u), weight, number, number * num), u
+    columns = {"weight": weight, "round": np.full(num, float(number))}
+    return Draws(ndtr(u), number * num + np.arange(num), columns), u
 
 
 def fitted(u: Float[np.ndarray, "n d"], weight: Float[np.ndarray, " n"]) -> Mixture:

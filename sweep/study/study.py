@@ -22,7 +22,7 @@ from sweep.study import designs
 from sweep.study.designs import Axis, Design
 from sweep.study.distributions import known
 from sweep.study.identity import DIGITS, point_ids, streams
-from sweep.study.importance import Draws
+from sweep.study.sought import KINDS, Draws
 from sweep.study.theory import Theory
 from sweep.study.theory import parse as parse_theory
 from sweep.systems.base import Parameter, System, Values
@@ -100,7 +100,7 @@ class Study(_Plain):
     @property
     def sought(self) -> bool:
         """Whether draws are sought where failures are."""
-        return self.design.kind == "importance" and self.design.num > 0
+        return self.design.kind in KINDS and self.design.num > 0
 
     @property
     def in_rounds(self) -> bool:
@@ -141,6 +141,9 @@ class Study(_Plain):
         axes = designs.parse_axes(values["axes"])
         design = designs.parse_design(values["design"], axes)
         source = "scenario" if single else "study"
+        if design.kind in KINDS and (values["replicates"] > 1 or values["where"]):
+            key = "where" if values["where"] else "replicates"
+            raise InputError(f"study.{key} is not allowed with study.design.kind = {design.kind}")
         expect = tuple(_expectation(f"{source}.expect.{i}", one) for i, one in enumerate(values["expect"]))
         theory = tuple(parse_theory(f"study.theory.{i}", one) for i, one in enumerate(values["theory"]))
         keep = tuple(dict.fromkeys(values["keep"]))
@@ -206,6 +209,8 @@ def points(
         design = _from_csv(study.points)
     else:
         told = partial(system.nominal, settings=settings)
+        if study.sought and round_ is None:
+            _check_ends(study, system, settings, told)
         design = designs.table(study.axes, study.design, study.seed, told, grid, round_)
     draw = design.pop("draw") if not study.points else 0
     fields = {c: system.parameter(c, settings) for c in design.columns if not c.startswith("axis.")}
@@ -240,6 +245,16 @@ def _check(member: Parameter, values: "pd.Series", column: str) -> None:
         values = (no_number if len(no_number) else values).head(1)
     for value in values.unique().tolist():
         checked(member, value, column)
+
+
+def _check_ends(study: Study, system: System, settings: EngineSettings, told: Callable[[str], Any]) -> None:
+    """Raise `InputError` where draws in the tails, to which a search may come, are beyond a parameter's bounds."""
+    table = designs.table(study.axes, study.design, study.seed, told, round_=designs.ends(study.axes))
+    for column in parameter_columns(table):
+        try:
+            _check(system.parameter(column, settings), table[column], column)
+        except InputError as error:
+            raise InputError(f"{error}; rare draws come to it: give its distribution `from` and `to`") from None
 
 
 def identity(columns: Any) -> list[str]:

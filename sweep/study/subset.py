@@ -1,0 +1,179 @@
+"""Rare failures level by level: subset simulation by adaptive conditional sampling, along a figure that leads to them.
+
+A level has all rows whose `lead` is at most that of the best share of the level before it, and all that failed. From
+rows that are there chains go on in the space of the normals behind the draws, each step a proposal that is taken where
+it stays within the level (Au, Beck 2001; Papaioannou et al. 2015). The probability of failing is the product of the
+levels' shares. Several runs that know nothing of each other tell how far it may be off.
+"""
+
+from collections.abc import Generator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from sweep.study.sought import Draws, Search, Seen
+
+ACCEPTED = 0.44  # share of proposals that is aimed at
+WIDTH = 0.6  # of the first proposals, in standard deviations
+NARROWEST = 0.05
+PLATEAU = 2.0  # a level may have so many times the rows that it is to have, if they have one lead
+FEWEST = 10  # rows below it that chains are then begun from instead
+DIGITS = 6  # of the width, and of normals: draws are the same on machines whose last bits differ
+
+
+class Level(NamedTuple):
+    """Where a run has come to: rows of one level, a rejected proposal's being that before it."""
+
+    u: Float[np.ndarray, "n d"]
+    number: Int[np.ndarray, " n"]  # of their draws
+    failed: Bool[np.ndarray, " n"]
+    lead: Float[np.ndarray, " n"]  # -inf where failed
+
+    def rows(self, which: np.ndarray) -> "Level":
+        """Some of them."""
+        return Level(*(part[which] for part in self))
+
+    def where(self, which: np.ndarray, others: "Level") -> "Level":
+        """These rows, the others elsewhere."""
+        u = np.where(which[:, None], self.u, others.u)
+        return Level(u, *(np.where(which, a, b) for a, b in zip(self[1:], others[1:], strict=True)))
+
+
+class Outcome(NamedTuple):
+    """What a run has come to."""
+
+    probability: float
+    level: Level  # the last
+    bounds: tuple[float, ...]  # of the lead, level by level
+    accepted: tuple[float, ...]  # share of proposals, level by level
+    rollouts: int
+    why: str  # it ended before it came to where all fail; empty where it did not
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How runs go."""
+
+    num: int  # rows of a level
+    share: float  # of them that the next level begins with
+    target: float  # probability below which a run is given up
+
+    @property
+    def chains(self) -> int:
+        """In a level."""
+        return round(self.num * self.share)
+
+    @property
+    def steps(self) -> int:
+        """Of a chain, after the row that it starts from."""
+        return round(1 / self.share) - 1
+
+    @property
+    def levels(self) -> int:
+        """The most that a run takes."""
+        return int(np.ceil(np.log(self.target) / np.log(self.share) - 1e-9)) + 2
+
+    @property
+    def most(self) -> int:
+        """Rollouts of a run."""
+        return self.num + (self.levels - 1) * self.chains * self.steps
+
+
+def search(d: int, plan: Plan, runs: int, seed: int) -> Search:
+    """`runs` side by side, whose steps are a round: see `sweep.study.sought`. It returns their `Outcome`s.
+
+    A run draws the same however many others there are.
+    """
+    going = {number: _run(d, plan, seed, number) for number in range(runs)}
+    asked, ended = {number: next(run) for number, run in going.items()}, {}
+    while asked:
+        sizes = [len(draws.numbers) for draws in asked.values()]
+        found = yield _together(list(asked.values()))
+        ends, answers = np.cumsum(sizes), {}
+        for (number, _), end, size in zip(asked.items(), ends, sizes, strict=True):
+            try:
+                answers[number] = going[number].send(found.part(slice(end - size, end)))
+            except StopIteration as stop:
+                ended[number] = stop.value
+        asked = answers
+    return [ended[number] for number in range(runs)]
+
+
+def _together(parts: list[Draws]) -> Draws:
+    """Rounds as one."""
+    columns = {name: np.concatenate([part.columns[name] for part in parts]) for name in parts[0].columns}
+    shares, numbers = (np.concatenate([getattr(part, name) for part in parts]) for name in ("shares", "numbers"))
+    return Draws(shares, numbers, columns)
+
+
+def _run(d: int, plan: Plan, seed: int, run: int) -> Generator[Draws, Seen, Outcome]:
+    """One run. Its draws are numbered from `run * plan.most` on."""
+    rng = np.random.default_rng([seed, run])
+    rollouts, width, p, bounds, accepted = 0, WIDTH, 1.0, [], []
+
+    def draws(u: np.ndarray, level: int, step: int) -> Draws:
+        from scipy.special import ndtr  # slow to import
+
+        n = len(u)
+        columns = {"run": np.full(n, run), "level": np.full(n, level), "step": np.full(n, step), "chain": np.arange(n)}
+        numbers = run * plan.most + rollouts + np.arange(n)
+        return Draws(ndtr(u), numbers, {name: values.astype(float) for name, values in columns.items()})
+
+    u = np.round(rng.standard_normal((plan.num, d)), DIGITS)
+    asked = draws(u, 0, 0)
+    level = _level(u, asked, (yield asked))
+    rollouts += plan.num
+    for number in range(1, plan.levels + 1):
+        inside, bound = within(level.lead, plan)
+        why = _over(inside, bound, plan, p, number)
+        if why is not None:
+            return Outcome(p * float(level.failed.mean()), level, tuple(bounds), tuple(accepted), rollouts, why)
+        p *= float(inside.mean())
+        bounds.append(bound)
+        seeds = rng.permutation(np.flatnonzero(inside))
+        here = level.rows(np.resize(seeds, plan.chains))
+        states, taken = [here], []
+        for step in range(1, plan.steps + 1):
+            apart = rng.standard_normal(here.u.shape)
+            u = np.round(np.sqrt(1 - width**2) * here.u + width * apart, DIGITS)
+            asked = draws(u, number, step)
+            there = _level(u, asked, (yield asked))
+            rollouts += len(u)
+            stays = there.lead <= bound
+            here = there.where(stays, here)
+            states.append(here)
+            taken.append(float(stays.mean()))
+            width *= np.exp((taken[-1] - ACCEPTED) / np.sqrt(step))
+            width = round(float(np.clip(width, NARROWEST, 1.0)), DIGITS)
+        accepted.append(float(np.mean(taken)))
+        level = Level(*(np.concatenate(parts) for parts in zip(*states, strict=True)))
+    raise AssertionError("a run has no more levels than `_over` allows")
+
+
+def _level(u: np.ndarray, asked: Draws, seen: Seen) -> Level:
+    """Rows as they were drawn; a lead that is not a number leads nowhere."""
+    lead = np.where(seen.failed, -np.inf, np.nan_to_num(seen.lead, nan=np.inf, neginf=np.finfo(float).min))
+    return Level(u, asked.numbers, seen.failed, lead)
+
+
+def _over(inside: Bool[np.ndarray, " n"], bound: float, plan: Plan, p: float, number: int) -> str | None:
+    """Why a run goes no further, in words where it has found too few failures; None where it does."""
+    if bound == -np.inf:  # all that is in the next level has failed
+        return ""
+    if p * plan.share < plan.target or number >= plan.levels:
+        return f"fewer than {plan.share:g} of the rows fail down to {plan.target:g}"
+    return f"the lead is {bound:.4g} in all rows of a level: it leads nowhere" if inside.all() else None
+
+
+def within(lead: Float[np.ndarray, " n"], plan: Plan) -> tuple[Bool[np.ndarray, " n"], float]:
+    """Which rows are in the next level, and its bound: the least share by their `lead`.
+
+    Where many have one lead there, those below it, few as they may be: chains begin from some of them twice.
+    """
+    bound = float(np.sort(lead)[plan.chains - 1])
+    inside, below = lead <= bound, lead < bound
+    if inside.sum() <= PLATEAU * plan.chains or below.sum() < FEWEST:
+        return inside, bound
+    return below, float(lead[below].max())

@@ -1,0 +1,160 @@
+"""Subset simulation: right where the answer is known, the same rows for a seed, and its doubts are told."""
+
+import numpy as np
+import pytest
+from fake_engine import FakeEngine
+from scipy.special import ndtri
+from scipy.stats import norm
+
+from sweep.analysis import rare
+from sweep.cli.main import main
+from sweep.runs import results, store
+from sweep.study import subset
+from sweep.study.sought import Seen
+
+FAR = 4.0  # standard deviations of the nearest failure
+
+
+class LeadingEngine(FakeEngine):
+    """Tilts the more, the lower friction and mass together: too much where they are four standard deviations low."""
+
+    def run(self, world, belief, streams):
+        figures = super().run(world, belief, streams)
+        u = [np.broadcast_to(v, (self.width,)) for v in (world.contact.friction, world.robot.body_mass)]
+        away = ((u[0] - 0.8) / 0.01 + (u[1] - 10.0) / 0.1) / np.sqrt(2)
+        return figures | {"tilt_max_deg": 10 - 10 * away / FAR, "slip_max_m": np.zeros(self.width)}
+
+
+class CliffEngine(LeadingEngine):
+    """The same, without a warning."""
+
+    def run(self, world, belief, streams):
+        figures = super().run(world, belief, streams)
+        return figures | {"tilt_max_deg": np.where(figures["tilt_max_deg"] > 20, 40.0, 1.0)}
+
+
+STUDY = [
+    "run", "scenario=walk_tripod", "study.name=rare", "study.design.kind=subset", "study.design.num=200",
+    "study.design.share=0.5", "study.design.runs=4", "engine.width=400",
+    "study.axes={friction: {path: contact.friction, side: world, distribution: {kind: normal, mean: 0.8, std: 0.01}}, "
+    "mass: {path: robot.body_mass, side: world, distribution: {kind: normal, mean: 10, std: 0.1}}}",
+]  # fmt: skip
+leading = pytest.mark.parametrize("fake_engine", [LeadingEngine], indirect=True)
+
+
+@leading
+def test_a_failure_of_three_in_a_hundred_thousand_is_found_and_measured_in_parts_or_not(fake_engine, tmp_path, capsys):
+    assert main([*STUDY, f"out={tmp_path / 'a'}"]) == 0
+    out = capsys.readouterr().out
+    found = results.read(tmp_path / "a")
+    told = rare.rare(found.rows, found.exp)
+    low, high = told.interval
+    assert low < norm.cdf(-FAR) < high
+    assert 1 / 3 < told.probability / norm.cdf(-FAR) < 3
+    assert str(told) in out
+    assert len(found.rows) == sum(run.rollouts for run in told.runs) < 9000
+    assert found.rows["stream"].nunique() == len(found.rows)  # each with noise of its own
+    assert main(["stats", str(tmp_path / "a")]) == 0
+    assert "fell | 100.0 %" in " ".join(capsys.readouterr().out.split())
+    assert main([*STUDY, "--limit", "300", f"out={tmp_path / 'b'}"]) == 0
+    assert main([*STUDY, "study.design.runs=2", f"out={tmp_path / 'b'}"]) == 0
+    assert main([*STUDY, f"out={tmp_path / 'b'}"]) == 0
+    a, b = (store.read_rows(tmp_path / name).sort_values("replicate") for name in "ab")
+    assert a["point_id"].tolist() == b["point_id"].tolist()
+    assert a["outcome"].tolist() == b["outcome"].tolist()
+    assert main([*STUDY, f"out={tmp_path / 'b'}", "study.design.num=300"]) == 2  # drawn otherwise
+    # a stricter limit of what leads is on the way to the other
+    assert main([*STUDY, f"out={tmp_path / 'b'}", "outcome.tilt_max_deg=15"]) == 0
+    stricter = results.read(tmp_path / "b")
+    low, high = rare.rare(stricter.rows, stricter.exp).interval
+    assert low < norm.cdf(-FAR / 2) < high
+    assert len(stricter.rows) == len(found.rows)
+
+
+@pytest.mark.parametrize("fake_engine", [CliffEngine], indirect=True)
+def test_a_margin_that_does_not_lead_is_told_and_another_lead_may_do(fake_engine, tmp_path, capsys):
+    assert main([*STUDY, f"out={tmp_path / 'cliff'}"]) == 0
+    assert "no run of 4 came to a failure" in (out := capsys.readouterr().out)
+    assert "in all rows of a level: it leads nowhere" in out
+    # what is drawn is a column, too
+    lead = "study.design.lead=friction + body_mass / 10"
+    assert main([*STUDY, lead, f"out={tmp_path / 'sum'}"]) == 0
+    found = results.read(tmp_path / "sum")
+    low, high = rare.rare(found.rows, found.exp).interval
+    assert low < norm.cdf(-FAR) < high
+
+
+def searched(fails, d, plan, runs, seed):
+    """What runs come to, by a margin (n,) of normals (n, d)."""
+    search = subset.search(d, plan, runs, seed)
+    draws = next(search)
+    try:
+        while True:
+            margin = fails(ndtri(draws.shares))
+            draws = search.send(Seen(margin < 0, margin))
+    except StopIteration as end:
+        return rare.Repeated(plan.target, tuple(end.value))
+
+
+def linear(beta):
+    return lambda u: beta - u.sum(axis=1) / np.sqrt(u.shape[1])
+
+
+def flat(beta):
+    """The same, as margins are: at most so much, so that 96 of 100 rows have one."""
+    return lambda u: np.minimum(linear(beta)(u), beta - norm.ppf(0.96))
+
+
+@pytest.mark.parametrize(("margin", "d", "beta"), [(linear, 2, 3.1), (linear, 8, 4.3), (flat, 8, 3.7)])
+def test_its_mean_is_the_truth_and_its_intervals_hold(margin, d, beta):
+    truth, plan = norm.sf(beta), subset.Plan(500, 0.1, 1e-9)
+    found = [searched(margin(beta), d, plan, 5, seed) for seed in range(60)]
+    each = np.concatenate([one.each for one in found])
+    variation = each.std() / truth
+    assert variation < 0.75
+    # it has a bias of about its squared variation
+    assert abs(each.mean() / truth - 1) < 4 * variation / np.sqrt(len(each)) + variation**2
+    holds = [low <= truth <= high for low, high in (one.interval for one in found)]
+    assert np.sum(holds) >= 50  # of 60; 57 are meant, 50 or fewer happen 1 time in 300
+
+
+def test_it_agrees_with_openturns():
+    """On two regions of failing at once, by the same margin, rows and share of a level."""
+    ot = pytest.importorskip("openturns")
+    ot.RandomGenerator.SetSeed(0)
+
+    def margin(u):
+        return np.minimum(linear(3.5)(u), 3.5 + u[:, 0])
+
+    asked = ot.PythonFunction(4, 1, func_sample=lambda u: margin(np.asarray(u))[:, None])
+    failing = ot.ThresholdEvent(ot.CompositeRandomVector(asked, ot.RandomVector(ot.Normal(4))), ot.Less(), 0.0)
+    theirs = []
+    for _ in range(40):
+        run = ot.SubsetSampling(failing)
+        run.setMaximumOuterSampling(10)
+        run.setBlockSize(100)  # rows of a level times its share: else its chains are not what they are to be
+        run.setConditionalProbability(0.1)
+        run.run()
+        theirs.append(run.getResult().getProbabilityEstimate())
+    ours = searched(margin, 4, subset.Plan(1000, 0.1, 1e-9), 40, 0).each
+    spread = np.hypot(np.std(theirs), ours.std()) / np.sqrt(40)
+    assert abs(np.mean(theirs) - ours.mean()) < 3 * spread
+    assert 0.5 < ours.std() / np.std(theirs) < 2
+
+
+@pytest.mark.parametrize(
+    ("argument", "told"),
+    [
+        ("study.design.num=201", "study.design.num = 201 is not allowed: a multiple of 2, at least 20"),
+        ("study.design.share=0.3", "study.design.share = 0.3 is not allowed: 1 over a whole number from 2 on"),
+        ("study.design.target=0", "study.design.target = 0 is not allowed: above 2.3e-10 and below 1"),
+        ("study.design.runs=0", "study.design.runs = 0 is not allowed: at least 1"),
+        ("study.replicates=2", "study.replicates is not allowed with study.design.kind = subset"),
+        ("study.axes.friction.distribution.std=0.2", "rare draws come to it: give its distribution `from` and `to`"),
+        ("study.design.lead=slip", "column slip is unknown"),
+        ("study.design.lead=cause", "study.design.lead = 'cause' is not allowed: a column of numbers"),
+    ],
+)
+def test_what_it_cannot_do_is_refused(fake_engine, tmp_path, capsys, argument, told):
+    assert main([*STUDY, f"out={tmp_path}", argument]) == 2
+    assert told in capsys.readouterr().err
