@@ -120,6 +120,27 @@ def test_the_delay_buffer_has_room_for_the_longest_delay():
     assert with_room(exp, table).case.noise.delay_buffer == 8
 
 
+def test_the_delay_buffer_has_room_for_all_that_may_be_drawn():
+    axis = "+study.axes.d={path: noise.delay, side: world, distribution: {kind: uniform, from: 0, to: 12}}"
+    exp, table = table_of(axis, "study.design.num=2")
+    assert table["world.noise.delay"].max() < 11
+    assert with_room(exp, table).case.noise.delay_buffer == 12
+
+
+def test_rows_of_a_file_have_noise_of_their_own_wherever_they_stand(tmp_path):
+    (tmp_path / "a.csv").write_text("contact.friction\n0.3\n0.5\n")
+    (tmp_path / "b.csv").write_text("contact.friction\n0.4\n0.5\n0.3\n")
+    a, b = (
+        table_of("scenario=walk_tripod", f"study.points={tmp_path / name}", "study.replicates=2", *more)[1]
+        for name, more in (("a.csv", []), ("b.csv", ["robot.body_mass=12"]))
+    )
+    assert a["stream"].nunique() == 4
+    assert (a["stream"] > 0).all()
+    both = a.merge(b, on=["contact.friction", "replicate"])
+    assert (both["stream_x"] == both["stream_y"]).all()  # as two runs that are to be compared need
+    assert len(both) == 4
+
+
 def test_points_from_a_file_take_the_place_of_the_grid(tmp_path):
     file = tmp_path / "points.csv"
     file.write_text("world.contact.friction, manoeuvre.gait\n0.3, tripod\n1, gallop\n1, gallop\n")

@@ -154,7 +154,7 @@ def modes(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
     How far is in standard deviations of the plain draws.
     """
     axes = [axis for axis in exp.study.axes if pd.api.types.is_numeric_dtype(rows[axis.column])]
-    x, (plain, failing) = rows[[axis.column for axis in axes]].to_numpy(float), _weights(rows, exp)
+    x, (plain, failing) = rows[[axis.column for axis in axes]].to_numpy(float), weights(rows, exp)
     middle = np.average(x, axis=0, weights=plain)
     spread = np.sqrt(np.average((x - middle) ** 2, axis=0, weights=plain))
     found = []
@@ -168,7 +168,7 @@ def modes(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
     return pd.DataFrame(found).sort_values("share", ascending=False, ignore_index=True) if found else pd.DataFrame()
 
 
-def _weights(rows: pd.DataFrame, exp: Experiment) -> tuple[np.ndarray, np.ndarray]:
+def weights(rows: pd.DataFrame, exp: Experiment) -> tuple[np.ndarray, np.ndarray]:
     """What rows (n,) count for as plain draws, and as failures: the latter sum to the probability of failing, or so."""
     if exp.study.design.kind == "importance":
         weight = rows["axis.weight"].to_numpy()

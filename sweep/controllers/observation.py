@@ -55,8 +55,10 @@ def biases(noise: Noise, key: Array) -> Biases:
     sizes = (noise.position_bias, noise.orientation_bias, noise.velocity_bias, noise.joint_bias)
     draws = zip(keys, sizes, shapes, strict=True)
     position, turn, velocity, joint = (size * jax.random.normal(k, shape, float) for k, size, shape in draws)
+    offsets = [[getattr(noise, f"{what}_offset_{axis}") for axis in "xyz"] for what in ("position", "orientation")]
+    shift, tilt = (jnp.stack([jnp.asarray(x, float) for x in three]) for three in offsets)
     load = noise.load_bias * jax.random.normal(jax.random.fold_in(key, LOAD), (6,), float)
-    return Biases(position, turn, velocity, joint, load)
+    return Biases(position + shift, turn + tilt, velocity, joint, load)
 
 
 def free_biases(noise: Noise, key: Array, free: FreeState) -> Float[Array, "k 4 3"]:

@@ -7,7 +7,8 @@ from sweep.core.parameters import count, parameters, quantity
 class Noise:
     """Errors of measurement, all off by default.
 
-    A bias is drawn once a rollout, noise anew at every control tick; both are normal with the given deviation.
+    A bias is drawn once a rollout, noise anew at every control tick; both are normal with the given deviation. An
+    offset is a constant error that is given, and added to what is drawn: an axis of a study may search it.
     """
 
     # deviation of the base's measured position, along each axis, at every tick
@@ -16,6 +17,12 @@ class Noise:
     # deviation of the base's measured orientation, about each axis, at every tick
     orientation_noise: float = quantity(0.0, "rad", at_least=0)
     orientation_bias: float = quantity(0.0, "rad", at_least=0)  # deviation of its constant error, about each axis
+    position_offset_x: float = quantity(0.0, "m")  # constant error of the base's measured position, world axes
+    position_offset_y: float = quantity(0.0, "m")
+    position_offset_z: float = quantity(0.0, "m")
+    orientation_offset_x: float = quantity(0.0, "rad")  # constant error of its measured orientation, about world axes
+    orientation_offset_y: float = quantity(0.0, "rad")
+    orientation_offset_z: float = quantity(0.0, "rad")
     # deviation of the base's measured velocity, along each axis, at every tick
     velocity_noise: float = quantity(0.0, "m/s", at_least=0)
     velocity_bias: float = quantity(0.0, "m/s", at_least=0)  # deviation of its constant error, along each axis

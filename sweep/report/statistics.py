@@ -1,11 +1,12 @@
 """What the rows of a study say in numbers, as titled tables: rates, volume, margins, tolerance, sensitivity."""
 
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from functools import partial
 
 import pandas as pd
 
-from sweep.analysis import rare, screening, sensitivity
+from sweep.analysis import failing, rare, screening, sensitivity
 from sweep.analysis.sample import distinct, pooled
 from sweep.analysis.stats import percent, rates
 from sweep.core.errors import InputError
@@ -33,6 +34,7 @@ def sections(
         yield "How rarely it fails", str(rare.rare(rows, exp))
         if len(modes := rare.modes(rows, exp)):
             yield "What fails, by its share of that probability", modes
+        yield from _shares(rows, exp)
         return
     one_at_a_time = bool(numbers) and exp.study.design.grid == "one_at_a_time"
     if one_at_a_time:
@@ -59,11 +61,18 @@ def sections(
         yield title, sensitivity.tolerance(rows, exp, level)
     if len(drawn) and {"success", "failure"} <= set(rows["outcome"]):
         yield "Regional sensitivity: which draws fail", sensitivity.regional(rows, exp)
+        yield from _shares(rows, exp)
     for title, function in ways(exp, len(rows)).items() if drawn else ():
         try:
             yield f"{title} of {figure or 'success'}", function(rows, exp, figure)
         except InputError as error:
             yield title, str(error)
+
+
+def _shares(rows: pd.DataFrame, exp: Experiment) -> Iterator[tuple[str, pd.DataFrame]]:
+    """What each drawn number has to do with failing, where there is enough to tell."""
+    with suppress(InputError):
+        yield "Shares in failing (Shapley values of the Hilbert-Schmidt criterion)", failing.shares(rows, exp)
 
 
 def ways(exp: Experiment, size: int) -> dict[str, Analysis]:

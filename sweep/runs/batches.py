@@ -11,7 +11,7 @@ from sweep.core.errors import Fault, InputError
 from sweep.engines.base import Engine
 from sweep.engines.settings import EngineSettings
 from sweep.study.config import Experiment
-from sweep.study.study import identity, is_static, parameter_columns, with_settings
+from sweep.study.study import ends, identity, is_static, parameter_columns, with_settings
 from sweep.systems.base import Limits, System
 
 
@@ -44,7 +44,13 @@ def forget_engine() -> None:
 
 
 def with_room(exp: Experiment, table: pd.DataFrame) -> Experiment:
-    """Its system with memory, such as a delay's, long enough for every point of `table`."""
+    """Its system with memory, such as a delay's, long enough for every point of `table`.
+
+    And for whatever else may be drawn, so that more draws compile nothing anew.
+    """
+    study = exp.study
+    if study.design.num and not study.points and not any(axis.values is not None for axis in study.axes):
+        table = pd.concat([table, ends(study, exp.system, exp.settings)])
     return replace(exp, system=exp.system.with_room(table))
 
 

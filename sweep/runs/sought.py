@@ -46,6 +46,4 @@ def _check(folder: Path, planned: pd.DataFrame, table: pd.DataFrame) -> None:
         return
     there = planned[planned["replicate"].isin(table["replicate"])]
     if not set(there["point_id"]) <= set(table["point_id"]):
-        raise InputError(
-            f"{folder} has rounds that were drawn otherwise, or by other thresholds: give out=DIR"
-        )
+        raise InputError(f"{folder} has rounds that were drawn otherwise, or by other thresholds: give out=DIR")

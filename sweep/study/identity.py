@@ -18,6 +18,14 @@ def streams(seed: int, replicates: int) -> np.ndarray:
     return (np.random.SeedSequence(seed).generate_state(replicates, np.uint64) >> np.uint64(1)).astype(np.int64)
 
 
+def row_streams(seed: int, table: "pd.DataFrame") -> np.ndarray:
+    """The same (n,) by the values of each row, its replicate among them, wherever it stands in `table`."""
+    total = np.full(len(table), _text_hash(f"seed {seed}"))
+    for column in table.columns:
+        total += _hashes(str(column), table[column].to_numpy())
+    return (_mixed(total) >> np.uint64(1)).astype(np.int64)
+
+
 def point_ids(table: "pd.DataFrame", system: System) -> np.ndarray:
     """Hash (16 hexadecimal digits) of all physical inputs of every row and its replicate.
 

@@ -21,7 +21,7 @@ from sweep.engines.settings import EngineSettings
 from sweep.study import designs
 from sweep.study.designs import Axis, Design
 from sweep.study.distributions import known
-from sweep.study.identity import DIGITS, point_ids, streams
+from sweep.study.identity import DIGITS, point_ids, row_streams, streams
 from sweep.study.sought import KINDS, Draws
 from sweep.study.theory import Theory
 from sweep.study.theory import parse as parse_theory
@@ -199,8 +199,9 @@ def points(
 
     Points that are equal in all their digits that count are one; `say` is told how many others there were.
 
-    The replicates of a drawn point have numbers of their own, and with them noise of their own. `grid` takes the place
-    of the study's grid points, and `round_` that of its draws (see `designs.table`).
+    The replicates of a drawn point have numbers of their own, and with them noise of their own; rows of a file have
+    noise of their own by their values. `grid` takes the place of the study's grid points, and `round_` that of its
+    draws (see `designs.table`).
     """
     count = study.replicates if study.points or grid is not None else study.most
     if count > designs.MOST:
@@ -210,7 +211,7 @@ def points(
     else:
         told = partial(system.nominal, settings=settings)
         if study.sought and round_ is None:
-            _check_ends(study, system, settings, told)
+            _check_ends(study, system, settings)
         design = designs.table(study.axes, study.design, study.seed, told, grid, round_)
     draw = design.pop("draw") if not study.points else 0
     fields = {c: system.parameter(c, settings) for c in design.columns if not c.startswith("axis.")}
@@ -226,7 +227,10 @@ def points(
     table = design.loc[design.index.repeat(study.replicates)].reset_index(drop=True)
     again = np.tile(np.arange(study.replicates), len(design))
     table["replicate"] = table.pop("draw").to_numpy() * study.replicates + again
-    table["stream"] = streams(study.seed, int(table["replicate"].to_numpy().max(initial=0)) + 1)[table["replicate"]]
+    if study.points:
+        table["stream"] = row_streams(study.seed, table)
+    else:
+        table["stream"] = streams(study.seed, int(table["replicate"].to_numpy().max(initial=0)) + 1)[table["replicate"]]
     table["point_id"] = point_ids(table, system)
     distinct = table.drop_duplicates(identity(table.columns), ignore_index=True)
     if say and len(distinct) < len(table):
@@ -247,9 +251,15 @@ def _check(member: Parameter, values: "pd.Series", column: str) -> None:
         checked(member, value, column)
 
 
-def _check_ends(study: Study, system: System, settings: EngineSettings, told: Callable[[str], Any]) -> None:
+def ends(study: Study, system: System, settings: EngineSettings) -> "pd.DataFrame":
+    """Two points at the least and the most that is drawn, at each grid point; empty where nothing is."""
+    told = partial(system.nominal, settings=settings)
+    return designs.table(study.axes, study.design, study.seed, told, round_=designs.ends(study.axes))
+
+
+def _check_ends(study: Study, system: System, settings: EngineSettings) -> None:
     """Raise `InputError` where draws in the tails, to which a search may come, are beyond a parameter's bounds."""
-    table = designs.table(study.axes, study.design, study.seed, told, round_=designs.ends(study.axes))
+    table = ends(study, system, settings)
     for column in parameter_columns(table):
         try:
             _check(system.parameter(column, settings), table[column], column)

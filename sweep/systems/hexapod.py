@@ -32,9 +32,10 @@ if TYPE_CHECKING:
     import pandas as pd
 
 VARIED = "quantity", "count", "choice"
+LONGEST_DELAY = 100  # ticks: of what is measured and of the load, each at most 50
 SIZED, SMALLEST, LARGEST = ("robot", "obstacle"), 0.01, 20.0  # whose lengths (m) from where on, how often the nominal
 RELAXING = "contact.stiffness", "contact.damping", "engine.time_step", "engine.name"
-LATER = ("noise.load_noise", "noise.load_bias", "noise.load_delay")  # inputs that rows of before had at their defaults
+LATER = ("noise.load_", "noise.position_offset_", "noise.orientation_offset_")  # inputs of before were as by default
 RANDOM: dict[str, float | str] = {
     f"noise.{f.name}": 0 for f in dataclasses.fields(Noise) if f.name.endswith(("_noise", "_bias"))
 }
@@ -127,7 +128,7 @@ class Hexapod:
         The ids are thus those of before there were any.
         """
         yield from flat(Control(), "control")
-        yield from ((path, value) for path, value in flat(Noise(), "noise") if path in LATER)
+        yield from ((path, value) for path, value in flat(Noise(), "noise") if path.startswith(LATER))
         yield from _said(self.case, plan_table.own(self.case))
 
     def check(self, table: "pd.DataFrame", settings: EngineSettings) -> None:
@@ -180,7 +181,7 @@ class Hexapod:
             return table[columns].max(axis=1) if columns else getattr(self.case.noise, name)
 
         longest = np.max(np.maximum(of("delay") + of("load_delay"), of("body_delay")))
-        room = max(math.ceil(longest), self.case.noise.delay_buffer)
+        room = max(min(math.ceil(longest), LONGEST_DELAY), self.case.noise.delay_buffer)
         return Hexapod(assign(self.case, "noise.delay_buffer", room))
 
     def engine(self, settings: EngineSettings, world: Case, belief: Case, limits: Thresholds) -> Engine:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from sweep.controllers.observation import Observation, install, observe
+from sweep.core.rotations import exponential, multiply
 from sweep.engines.closed_loop import is_quiet
 from sweep.fused.trace import Leaf, traced
 from sweep.models.noise import Noise
@@ -48,6 +49,15 @@ def test_delay_counts_ticks(delay):
     np.testing.assert_allclose([float(s.position[0]) for s in seen], np.maximum(np.arange(1, 9) - delay, 0))
     assert [int(s.loaded.sum()) for s in seen] == list(np.clip(np.arange(1, 9) - delay, 0, 6))
     assert np.all(np.asarray(seen[0].joint_error) != 0)
+
+
+def test_an_offset_is_a_constant_error_that_is_given():
+    noise = Noise(position_offset_y=0.02, orientation_offset_z=0.1, position_bias=0.0)
+    assert not is_quiet(noise)
+    for k, seen in enumerate(watch(noise), start=1):
+        np.testing.assert_allclose(seen.position - truth(k).position, [0, 0.02, 0], atol=1e-6)
+        turned = multiply(exponential(jnp.array([0.0, 0.0, 0.1])), truth(k).quat)
+        np.testing.assert_allclose(seen.quat, turned, atol=1e-6)
 
 
 def test_a_longer_buffer_changes_nothing():

@@ -1,0 +1,74 @@
+"""Shares in failing: of laws whose answer is known, from plain draws and from those of importance sampling alike."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from sweep.analysis import failing
+from sweep.core.errors import InputError
+from sweep.study.designs import parse_axes, parse_design
+
+NORMAL = {"kind": "normal", "mean": 0, "std": 1}
+AXES = parse_axes({name: {"path": f"robot.{name}", "distribution": NORMAL} for name in "abcd"})
+COLUMNS = [f"robot.{name}" for name in "abcd"]
+
+
+def told(kind: str = "monte_carlo") -> Any:
+    """What of an experiment is asked for."""
+    design = parse_design({"kind": kind, "num": 1000}, AXES)
+    return SimpleNamespace(study=SimpleNamespace(axes=AXES, design=design, sought=kind in ("importance", "subset")))
+
+
+def rows(u: np.ndarray, failed: np.ndarray, **more: Any) -> pd.DataFrame:
+    return pd.DataFrame(u, columns=COLUMNS).assign(outcome=np.where(failed, "failure", "success"), **more)
+
+
+def shares(*given: Any) -> pd.DataFrame:
+    return failing.shares(*given).set_index("axis").loc[COLUMNS]
+
+
+def test_what_takes_no_part_has_no_share_and_equals_share_alike():
+    u = np.random.default_rng(0).standard_normal((8000, 4))
+    found = shares(rows(u, u[:, 0] + u[:, 1] > 2.5), told())
+    assert found["share"].sum() == pytest.approx(1)
+    assert (abs(found["share"] - [0.5, 0.5, 0, 0]) < found["error"] + 0.02).all()
+    assert (found["error"] < 0.15).all()
+
+
+def test_what_acts_only_together_is_seen():
+    """A pair whose signs must agree: neither tells anything alone."""
+    u = np.random.default_rng(1).standard_normal((4000, 4))
+    found = shares(rows(u, u[:, 0] * u[:, 1] > 0), told())
+    assert (abs(found["share"] - [0.5, 0.5, 0, 0]) < 0.1).all()
+    assert (found["alone"] < 0.15).all()
+
+
+def test_a_number_that_goes_along_with_another_shares_what_that_does():
+    rng = np.random.default_rng(2)
+    u = rng.standard_normal((8000, 4))
+    u[:, 2] = 0.95 * u[:, 0] + np.sqrt(1 - 0.95**2) * u[:, 2]
+    found = shares(rows(u, u[:, 0] > 1.5), told())
+    assert found["share"].iloc[0] > found["share"].iloc[2] > 0.2
+    assert (abs(found["share"].iloc[[1, 3]]) < 0.1).all()
+
+
+def test_weights_undo_where_draws_were_sought():
+    rng = np.random.default_rng(3)
+    wide = 2 * rng.standard_normal((8000, 4))
+    weight = np.exp(-0.5 * (wide**2).sum(axis=1) + 0.5 * ((wide / 2) ** 2).sum(axis=1)) * 16
+    failed = 2 * wide[:, 0] + wide[:, 1] > 6
+    design = {"axis.weight": weight, "axis.round": 2.0}
+    sought = shares(rows(wide, failed, **design), told("importance"))
+    plain = rng.standard_normal((60_000, 4))
+    true = shares(rows(plain, 2 * plain[:, 0] + plain[:, 1] > 6), told())
+    assert (abs(sought["share"] - true["share"]) < sought["error"] + true["error"]).all()
+    assert sought["share"].iloc[0] > 0.6
+
+
+def test_too_little_is_told():
+    u = np.random.default_rng(4).standard_normal((100, 4))
+    with pytest.raises(InputError, match="need 20 failures and successes, here: 3 and 97"):
+        failing.shares(rows(u, np.arange(100) < 3), told())
