@@ -1,17 +1,23 @@
 """What a comparison that stops by itself saves and costs, on simulated pairs: `python bench/anytime.py`.
 
 The two arms succeed with stated probabilities and a stated correlation, as common draws bring about. Beside the
-e-process of `sweep compare --anytime`: McNemar's exact test looked at after every ten pairs (which is wrong), and the
-size of a test that is looked at once.
+e-process of `sweep compare --anytime`: McNemar's exact test looked at after every ten pairs (which is wrong), the
+size of a test that is looked at once, and two sequential tests that have to be told the most pairs beforehand and take
+the arms as independent. Lai's stops where the generalised likelihood ratio exceeds log(1 / (c n)), n pairs on;
+Barnard's where the difference of the shares does, in its standard deviations, a constant. Both numbers are set by
+simulation, so that of two arms that are equal at most 5 % are found to differ, whatever share succeeds.
 """
 
 import numpy as np
+from scipy.special import rel_entr
 from scipy.stats import binom
 
 from sweep.analysis.sequential import fixed_size, log_evidence
 
 ALPHA, REPETITIONS, MOST = 0.05, 2000, 4000
 SETTINGS = ((0.9, 0.8, 0.5), (0.9, 0.85, 0.5), (0.99, 0.95, 0.2), (0.7, 0.5, 0.3), (0.95, 0.9, 0.0))
+TOLD, FIRST = 1000, 10  # pairs at most, and before Barnard's test is looked at
+NUISANCE = (0.5, 0.7, 0.85, 0.95, 0.98)  # shares that equal arms succeed in
 EQUAL = ((0.85, 0.85, 0.5), (0.5, 0.5, 0.2), (0.97, 0.97, 0.0))
 
 
@@ -22,8 +28,52 @@ def flips(a: float, b: float, correlation: float, rng: np.random.Generator) -> t
     return np.cumsum(kind == 1, axis=1), np.cumsum(kind == 2, axis=1)
 
 
+def arms(lost: np.ndarray, gained: np.ndarray, both: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What Lai's and Barnard's tests see after each pair, of arms that both succeed so often: larger is more unlike."""
+    n = np.arange(1, lost.shape[1] + 1)
+    a, b = (both + lost) / n, (both + gained) / n
+    pooled = (a + b) / 2
+
+    def divergence(p: np.ndarray) -> np.ndarray:
+        return rel_entr(p, pooled) + rel_entr(1 - p, 1 - pooled)
+
+    ratio = n * (divergence(a) + divergence(b))
+    spread = np.sqrt(np.maximum(2 * pooled * (1 - pooled), 1e-12) / n)
+    return ratio + np.log(n), np.where(n >= FIRST, np.abs(a - b) / spread, 0.0)
+
+
+def outcomes(a: float, b: float, correlation: float, rng: np.random.Generator, most: int) -> tuple[np.ndarray, ...]:
+    """Pairs (repetitions, pairs) of which A alone, B alone and both have succeeded."""
+    both = a * b + correlation * np.sqrt(a * (1 - a) * b * (1 - b))
+    kind = np.digitize(rng.random((REPETITIONS, most)), np.cumsum([a - both, b - both, both]))
+    return tuple(np.cumsum(kind == k, axis=1) for k in range(3))
+
+
+def bounds(rng: np.random.Generator) -> np.ndarray:
+    """Of both statistics, which arms that are equal and independent exceed within `TOLD` pairs 1 time in 20 at most."""
+    most = [[s.max(axis=1) for s in arms(*outcomes(p, p, 0.0, rng, TOLD))] for p in NUISANCE]
+    return np.quantile(np.array(most), 1 - ALPHA, axis=2).max(axis=0)
+
+
+def sequential(rng: np.random.Generator) -> None:
+    """Pairs until it is decided, of at most `TOLD`, by three tests, and how often it is."""
+    limits = bounds(rng)
+    print(f"\nOf at most {TOLD} pairs:\n")
+    print("| A | B | correlation | *E*: mean, decided | Lai's | Barnard's |\n|--:|--:|--:|--:|--:|--:|")
+    for a, b, correlation in (*SETTINGS, *EQUAL):
+        counts = outcomes(a, b, correlation, rng, TOLD)
+        over = [log_evidence(*counts[:2]) >= -np.log(ALPHA)]
+        over += [s >= limit for s, limit in zip(arms(*counts), limits, strict=True)]
+        cells = []
+        for hit in over:
+            decided = hit.any(axis=1)
+            pairs = np.where(decided, hit.argmax(axis=1) + 1, TOLD)
+            cells.append(f"{pairs.mean():.0f}, {100 * decided.mean():.3g} %")
+        print(f"| {a} | {b} | {correlation} | " + " | ".join(cells) + " |")
+
+
 def main() -> None:
-    """Two tables in Markdown."""
+    """Three tables in Markdown."""
     rng = np.random.default_rng(0)
     print("| both succeed | correlation | e-process finds a difference | repeated McNemar does |\n|--:|--:|--:|--:|")
     for a, b, correlation in EQUAL:
@@ -42,6 +92,7 @@ def main() -> None:
         once = fixed_size(a - (both := a * b + correlation * np.sqrt(a * (1 - a) * b * (1 - b))), b - both)
         found = (pairs.mean(), np.median(pairs), np.percentile(pairs, 95))
         print(f"| {a} | {b} | {correlation} | {once:.0f} | " + " | ".join(f"{v:.0f}" for v in found) + " |")
+    sequential(rng)
 
 
 if __name__ == "__main__":

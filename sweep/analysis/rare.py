@@ -7,7 +7,7 @@ import pandas as pd
 
 from sweep.analysis.intervals import CONFIDENCE
 from sweep.core.errors import InputError
-from sweep.study import designs
+from sweep.study import searches
 from sweep.study.config import Experiment
 from sweep.study.importance import PLAIN
 from sweep.study.sought import replayed
@@ -15,6 +15,9 @@ from sweep.study.subset import Outcome
 
 LARGEST = 0.1  # share of the sum that one row may carry in an estimate that is to be trusted
 NEAR = 3  # parameters that are told of a cause
+PLAINLY = "study.design.kind=monte_carlo"
+INSTEAD = "another study.design.lead may lead to one, study.design.kind=importance needs none, or take wider errors"
+RARE = 0.1  # probability from which on plain draws tell as much
 
 
 @dataclass(frozen=True)
@@ -46,7 +49,7 @@ class Weighted:
             text += f"; {self.invalid} invalid ones count as failures"
         if not self.trusted:
             text += f"; NOT to be trusted: one row carries {self.largest:.0%} of the sum: more draws, or more rounds"
-        return text
+        return text + _not_rare(self.probability)
 
 
 @dataclass(frozen=True)
@@ -93,7 +96,7 @@ class Repeated:
     def __str__(self) -> str:
         count, rollouts = len(self.runs), sum(run.rollouts for run in self.runs)
         if not self.probability:
-            return f"no run of {count} came to a failure in {rollouts:,} rollouts: {self.runs[0].why}"
+            return f"no run of {count} came to a failure in {rollouts:,} rollouts: {self.runs[0].why}; {INSTEAD}"
         spread = "one run, whose error nothing tells"
         if count > 1:
             low, high = self.interval
@@ -104,8 +107,13 @@ class Repeated:
         if taken:
             text += f"; {min(taken):.0%} to {max(taken):.0%} of a level's proposals were taken"
         if self.stuck:
-            text += f"; NOT to be trusted: {len(self.stuck)} of {count} runs ended early: {self.stuck[0].why}"
-        return text
+            early = f"{len(self.stuck)} of {count} runs ended early: {self.stuck[0].why}"
+            text += f"; NOT to be trusted: {early}; {INSTEAD}"
+        return text + _not_rare(self.probability)
+
+
+def _not_rare(probability: float) -> str:
+    return f"; it is not rare: {PLAINLY} tells as much" if probability > RARE else ""
 
 
 def rare(rows: pd.DataFrame, exp: Experiment) -> Weighted | Repeated:
@@ -115,7 +123,7 @@ def rare(rows: pd.DataFrame, exp: Experiment) -> Weighted | Repeated:
 
 def _repeated(rows: pd.DataFrame, exp: Experiment) -> Repeated:
     study = exp.study
-    runs = replayed(designs.search(study.axes, study.design, study.seed), rows, study.design.lead)
+    runs = replayed(searches.search(study.axes, study.design, study.seed), rows, study.design.lead)
     if runs is None:
         raise InputError(f"the runs of {study.name} are not at their end: run the rest first")
     return Repeated(study.design.target, tuple(runs))

@@ -12,7 +12,7 @@ import pandas as pd
 from sweep.core.errors import InputError
 from sweep.runs import store
 from sweep.runs.runner import Job, lay_out
-from sweep.study import designs
+from sweep.study import searches
 from sweep.study.config import Experiment
 from sweep.study.sought import Draws, seen
 from sweep.study.study import points
@@ -24,14 +24,14 @@ def rounds(exp: Experiment, folder: Path) -> Iterator[Job]:
     All have batches of one width, the best for the smallest rounds, so that the engine compiles once. Raises
     `InputError` where rounds that are there were drawn by other outcomes than there are now.
     """
-    study, search = exp.study, designs.search(exp.study.axes, exp.study.design, exp.study.seed)
+    study, search = exp.study, searches.search(exp.study.axes, exp.study.design, exp.study.seed)
     draws: Draws = next(search)
     while True:
         table = points(study, exp.system, exp.settings, round_=draws)
         planned = store.read_points(folder)
         _check(folder, planned, table)
         if not exp.settings.width:
-            least = table.head(designs.smallest_round(study.design))
+            least = table.head(searches.smallest_round(study.design))
             first = planned if len(planned) else lay_out(exp, folder, least).table
             exp = replace(exp, settings=replace(exp.settings, width=int(first["width"].iloc[-1])))
         yield lay_out(exp, folder, table)

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sweep.core.errors import InputError, suggest
-from sweep.study import importance, sought, subset
+from sweep.study import sought, subset
 from sweep.study.distributions import Distribution, known, listed, number
 from sweep.study.distributions import parse as parse_distribution
 from sweep.systems.base import SIDES
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
 DESIGNS = ("monte_carlo", "latin_hypercube", "sobol", "saltelli", "morris", *sought.KINDS)
-EDGE = 2.0**-32  # no distribution is asked for its infinite ends
 LEVELS, INNER = 4, (0.005, 0.995)  # of a morris design: values of an axis, and the shares that they lie between
 MOST = 20_000_000  # rollouts of a study, whose plan takes 10 GB
 GRIDS = ("full", "one_at_a_time")
@@ -168,55 +167,9 @@ def parse_design(given: Mapping[str, Any], axes: tuple[Axis, ...]) -> Design:
         raise InputError(f"study.design.num = {design.num} is not allowed: at least {least} for {', '.join(drawn)}")
     if design.num and not drawn:
         raise InputError(f"study.design.num = {design.num} is not allowed: no axis has a distribution")
-    if design.kind in sought.KINDS:
-        _check_sought(design, axes)
     if design.scrambles < 1 or (design.scrambles > 1 and design.kind != "sobol"):
         raise InputError(f"study.design.scrambles = {design.scrambles} is not allowed: at least 1, of kind sobol only")
     return design
-
-
-def _check_sought(design: Design, axes: tuple[Axis, ...]) -> None:
-    """Raises `InputError` where draws cannot be sought where failures are."""
-    if listed := [a.name for a in axes if a.values is not None]:
-        raise InputError(f"study.design.kind = {design.kind} is not allowed with listed axes: {', '.join(listed)}")
-    if taken := {a.name for a in axes} & {"weight", "round", "run", "level", "step", "chain"}:
-        raise InputError(f"study.axes.{min(taken)} is not allowed: {design.kind} has a column of that name")
-    if not 1 <= design.wide <= 5:
-        raise InputError(f"study.design.wide = {design.wide:g} is not allowed: from 1 to 5")
-    for key in ("rounds", "runs"):
-        if (value := getattr(design, key)) < 1:
-            raise InputError(f"study.design.{key} = {value} is not allowed: at least 1")
-    if not EDGE < design.target < 1:
-        raise InputError(f"study.design.target = {design.target:g} is not allowed: above {EDGE:.2g} and below 1")
-    steps = 1 / design.share if design.share > 0 else 0
-    if not 0 < design.share <= 0.5 or abs(steps - round(steps)) > 1e-9:
-        raise InputError(f"study.design.share = {design.share:g} is not allowed: 1 over a whole number from 2 on")
-    if design.kind == "subset" and (design.num < subset.FEWEST * steps or design.num % round(steps)):
-        least = f"a multiple of {steps:.0f}, at least {subset.FEWEST * steps:.0f}"
-        raise InputError(f"study.design.num = {design.num} is not allowed: {least}, as study.design.share has it")
-
-
-def _plan(design: Design) -> subset.Plan:
-    return subset.Plan(design.num, design.share, design.target)
-
-
-def search(axes: tuple[Axis, ...], design: Design, seed: int) -> sought.Search:
-    """Rounds of draws of a design that seeks failures."""
-    drawn = sum(axis.distribution is not None for axis in axes)
-    if design.kind == "subset":
-        return subset.search(drawn, _plan(design), design.runs, seed)
-    return importance.search(drawn, design.num, design.wide, design.rounds, seed)
-
-
-def smallest_round(design: Design) -> int:
-    """Draws in the smallest of its rounds in which all runs go on."""
-    return design.runs * _plan(design).chains if design.kind == "subset" else design.num
-
-
-def ends(axes: tuple[Axis, ...]) -> sought.Draws:
-    """A draw with all axes at their lower ends, and one with all at their upper ones."""
-    drawn = sum(axis.distribution is not None for axis in axes)
-    return sought.Draws(np.repeat([[0.0], [1.0]], drawn, axis=1), np.arange(2), {})
 
 
 def _correlation(key: str, given: Any, drawn: list[str]) -> tuple[tuple[str, str, float], ...]:
@@ -312,15 +265,13 @@ def table(
 
     The draws are the same at every grid point, so that a difference between grid points is theirs. `grid` has the
     numbers of listed axes by name, those of the design unless given; so is the `round_` of a design that seeks
-    failures, the first unless given. Raises `InputError`.
+    failures, which has none of its own. Raises `InputError`.
     """
     import pandas as pd
 
     listed, drawn = [a for a in axes if a.values is not None], [a for a in axes if a.distribution]
     if grid is None:
         grid = _one_at_a_time(listed, nominal) if listed and design.grid == "one_at_a_time" else _grid(listed)
-    if design.kind in sought.KINDS and round_ is None:
-        round_ = next(search(axes, design, seed))
     shares = shares_of(axes, design, seed) if round_ is None else _spread(round_.shares, drawn, design)
     draws = {a.name: a.distribution.quantile(shares[:, i]) for i, a in enumerate(drawn) if a.distribution}
     size, count = len(grid), max(len(shares), 1)
@@ -340,7 +291,7 @@ def size(axes: tuple[Axis, ...], design: Design) -> int:
     more = {"saltelli": drawn + 2, "morris": drawn + 1, "importance": design.rounds + 1}
     draws = design.num * more.get(design.kind, design.scrambles)
     if design.kind == "subset" and design.num:
-        draws = design.runs * _plan(design).most
+        draws = design.runs * subset.Plan(design.num, design.share, design.target).most
     return (sum(lengths) if design.grid == "one_at_a_time" else math.prod(lengths)) * max(draws, 1)
 
 
@@ -408,12 +359,12 @@ def _shares(axes: list[Axis], design: Design, seed: int) -> np.ndarray:
 
 def _spread(shares: np.ndarray, axes: list[Axis], design: Design) -> np.ndarray:
     """Independent shares, with the design's correlations."""
-    shares = np.clip(shares, EDGE, 1 - EDGE)
+    shares = np.clip(shares, sought.EDGE, 1 - sought.EDGE)
     if design.correlation:
         from scipy.special import ndtr, ndtri
 
         root = np.linalg.cholesky(_matrix(design.correlation, [a.name for a in axes]))
-        shares = np.clip(ndtr(ndtri(shares) @ root.T), EDGE, 1 - EDGE)
+        shares = np.clip(ndtr(ndtri(shares) @ root.T), sought.EDGE, 1 - sought.EDGE)
     return shares
 
 

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 KINDS = ("importance", "subset")
+EDGE = 2.0**-32  # of shares: no distribution is asked for its infinite ends
 LEAD = "margin"  # what subset simulation goes by if not told
 
 

@@ -18,7 +18,7 @@ from sweep.core.errors import InputError, suggest
 from sweep.core.expressions import mask
 from sweep.core.parameters import checked, within
 from sweep.engines.settings import EngineSettings
-from sweep.study import designs
+from sweep.study import designs, searches
 from sweep.study.designs import Axis, Design
 from sweep.study.distributions import known
 from sweep.study.identity import DIGITS, point_ids, row_streams, streams
@@ -141,9 +141,11 @@ class Study(_Plain):
         axes = designs.parse_axes(values["axes"])
         design = designs.parse_design(values["design"], axes)
         source = "scenario" if single else "study"
-        if design.kind in KINDS and (values["replicates"] > 1 or values["where"]):
-            key = "where" if values["where"] else "replicates"
-            raise InputError(f"study.{key} is not allowed with study.design.kind = {design.kind}")
+        if design.kind in KINDS:
+            searches.check(design, axes)
+            if values["replicates"] > 1 or values["where"]:
+                key = "where" if values["where"] else "replicates"
+                raise InputError(f"study.{key} is not allowed with study.design.kind = {design.kind}")
         expect = tuple(_expectation(f"{source}.expect.{i}", one) for i, one in enumerate(values["expect"]))
         theory = tuple(parse_theory(f"study.theory.{i}", one) for i, one in enumerate(values["theory"]))
         keep = tuple(dict.fromkeys(values["keep"]))
@@ -212,6 +214,7 @@ def points(
         told = partial(system.nominal, settings=settings)
         if study.sought and round_ is None:
             _check_ends(study, system, settings)
+            round_ = next(searches.search(study.axes, study.design, study.seed))
         design = designs.table(study.axes, study.design, study.seed, told, grid, round_)
     draw = design.pop("draw") if not study.points else 0
     fields = {c: system.parameter(c, settings) for c in design.columns if not c.startswith("axis.")}
@@ -254,7 +257,7 @@ def _check(member: Parameter, values: "pd.Series", column: str) -> None:
 def ends(study: Study, system: System, settings: EngineSettings) -> "pd.DataFrame":
     """Two points at the least and the most that is drawn, at each grid point; empty where nothing is."""
     told = partial(system.nominal, settings=settings)
-    return designs.table(study.axes, study.design, study.seed, told, round_=designs.ends(study.axes))
+    return designs.table(study.axes, study.design, study.seed, told, round_=searches.ends(study.axes))
 
 
 def _check_ends(study: Study, system: System, settings: EngineSettings) -> None:

@@ -151,10 +151,10 @@ def test_slides_above_the_friction_angle(figures):
 
 
 def test_reserves_shrink_before_anything_breaks(figures):
-    # on a slope the feet together take tan of it, and what legs and gait take between each other
-    left = 1 - np.tan(LIMIT - np.radians(8)) / MU
-    assert 0.5 * left < figures["friction_reserve_min"][BELOW] < left < figures["friction_reserve_min"][NOMINAL] + 0.3
-    assert figures["friction_reserve_min"][ABOVE] < 0.05
+    # on a slope the feet together take its tangent, and what legs and gait take beside that
+    reserve = figures["friction_reserve_min"]
+    assert 0 < reserve[BELOW] < 1 - np.tan(LIMIT - np.radians(8)) / MU
+    assert reserve[ABOVE] < reserve[BELOW] < reserve[NOMINAL] < 1
     assert figures["torque_reserve_min"][WEAK] < 0.05 < 0.8 < figures["torque_reserve_min"][NOMINAL]
     assert figures["reach_reserve_min_m"][NOMINAL] > 0.1
     finite = np.isfinite(figures["foot_gap_max_m"])

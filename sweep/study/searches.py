@@ -1,0 +1,52 @@
+"""Designs that seek failures: what they are asked for, and the search for it."""
+
+import numpy as np
+
+from sweep.core.errors import InputError
+from sweep.study import importance, sought, subset
+from sweep.study.designs import Axis, Design
+
+
+def check(design: Design, axes: tuple[Axis, ...]) -> None:
+    """Raises `InputError` where draws cannot be sought where failures are."""
+    if listed := [a.name for a in axes if a.values is not None]:
+        raise InputError(f"study.design.kind = {design.kind} is not allowed with listed axes: {', '.join(listed)}")
+    if taken := {a.name for a in axes} & {"weight", "round", "run", "level", "step", "chain"}:
+        raise InputError(f"study.axes.{min(taken)} is not allowed: {design.kind} has a column of that name")
+    if not 1 <= design.wide <= 5:
+        raise InputError(f"study.design.wide = {design.wide:g} is not allowed: from 1 to 5")
+    for key in ("rounds", "runs"):
+        if (value := getattr(design, key)) < 1:
+            raise InputError(f"study.design.{key} = {value} is not allowed: at least 1")
+    if not sought.EDGE < design.target < 1:
+        raise InputError(f"study.design.target = {design.target:g} is not allowed: above {sought.EDGE:.2g} and below 1")
+    steps = 1 / design.share if design.share > 0 else 0
+    if not 0 < design.share <= 0.5 or abs(steps - round(steps)) > 1e-9:
+        raise InputError(f"study.design.share = {design.share:g} is not allowed: 1 over a whole number from 2 on")
+    if design.kind == "subset" and (design.num < subset.FEWEST * steps or design.num % round(steps)):
+        least = f"a multiple of {steps:.0f}, at least {subset.FEWEST * steps:.0f}"
+        raise InputError(f"study.design.num = {design.num} is not allowed: {least}, as study.design.share has it")
+
+
+def plan(design: Design) -> subset.Plan:
+    """How runs of subset simulation go."""
+    return subset.Plan(design.num, design.share, design.target)
+
+
+def search(axes: tuple[Axis, ...], design: Design, seed: int) -> sought.Search:
+    """Rounds of draws of a design that seeks failures."""
+    drawn = sum(axis.distribution is not None for axis in axes)
+    if design.kind == "subset":
+        return subset.search(drawn, plan(design), design.runs, seed)
+    return importance.search(drawn, design.num, design.wide, design.rounds, seed)
+
+
+def smallest_round(design: Design) -> int:
+    """Draws in the smallest of its rounds in which all runs go on."""
+    return design.runs * plan(design).chains if design.kind == "subset" else design.num
+
+
+def ends(axes: tuple[Axis, ...]) -> sought.Draws:
+    """A draw with all axes at their lower ends, and one with all at their upper ones."""
+    drawn = sum(axis.distribution is not None for axis in axes)
+    return sought.Draws(np.repeat([[0.0], [1.0]], drawn, axis=1), np.arange(2), {})
