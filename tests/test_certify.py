@@ -104,6 +104,16 @@ def test_a_study_is_certified_by_fresh_draws_and_checked_where_it_looks_worst(
     assert capsys.readouterr().out == first
 
 
+def test_draws_of_which_none_fails_leave_regions_in_no_order(fake_engine, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "draws.yaml").write_text(DRAWS.replace("from: 0.3", "from: 0.9"))
+    assert main(["run", "study=draws.yaml", "out=d", "engine.width=256"]) == 0
+    assert main(["certify", "d"]) == 0
+    out = capsys.readouterr().out
+    assert "it is the largest there is" in out
+    assert "none of the rows to learn from failed, so that regions are in no order: wider draws tell more" in out
+
+
 @pytest.mark.parametrize(
     ("more", "line"),
     [

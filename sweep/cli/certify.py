@@ -40,8 +40,10 @@ def run(given: argparse.Namespace) -> tuple[str, dict[str, Any]]:
         given.shape, values(learning, names), values(fresh, names), given.failures, given.confidence
     )
     lines = [told(found, given.shape, names)]
+    if not (learned := values(learning, names))[1].any():
+        lines.append("none of the rows to learn from failed, so that regions are in no order: wider draws tell more")
     if found.found and given.rollouts:
-        lines += ["", checked(exp, folder, found, names, values(learning, names))]
+        lines += ["", checked(exp, folder, found, names, learned)]
     return "\n".join(lines), as_data(found, given, names)
 
 
