@@ -98,7 +98,8 @@ def test_its_mean_is_the_truth(d, bounds):
 def test_without_a_failure_there_is_a_bound_and_one_heavy_row_is_told():
     rows = pd.DataFrame({"axis.round": 1.0, "axis.weight": np.ones(300), "outcome": "success", "cause": ""})
 
-    exp = SimpleNamespace(study=SimpleNamespace(name="some", design=SimpleNamespace(kind="importance", num=300, rounds=1)))
+    design = SimpleNamespace(kind="importance", num=300, rounds=1)
+    exp = SimpleNamespace(study=SimpleNamespace(name="some", design=design))
     none = rare.rare(rows, exp)  # pyright: ignore[reportArgumentType]
     assert none.high == pytest.approx(0.01 / importance.PLAIN, rel=0.02)
     rows.loc[:9, "outcome"] = "failure"
