@@ -2,15 +2,16 @@
 
     python tests/recorded.py NAME ...  # renews the record of scenarios, or of all that have one
 
-Plans are made in double precision, operation by operation: what differs by more than rounding is another plan. Planned
-forces are left out: they follow from a plan, and take long. The tracker is told that all goes as it commands but for
-errors, and of forces that no one planned: every way through it counts, not where it leads.
+Plans are made in double precision, as engines on a CPU make them: what differs by more than rounding is another plan.
+Planned forces are left out: they follow from a plan. The tracker is told that all goes as it commands but for errors,
+and of forces that no one planned: every way through it counts, not where it leads.
 """
 
 import dataclasses
 import re
 import sys
 import zlib
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from sweep.controllers.feedforward import Feedforward
 from sweep.controllers.forces import KNOTS, PlannedForces
 from sweep.controllers.observation import Observation
 from sweep.core.errors import InputError
+from sweep.fused import eager
 from sweep.models.case import Case
 from sweep.models.obstacles.surface import free_start
 from sweep.study.config import compose
@@ -71,7 +73,7 @@ def planned(name: str, count: int = DRAWS) -> dict[str, np.ndarray]:
             for path, values in drawn.items():
                 case = assign(case, path, float(values[k]))
             try:
-                plan = told(without_forces(case))
+                plan = told(eager.worked_out(partial(without_forces, case)))
             except InputError:
                 sums.append(np.full_like(sums[0], np.nan))
                 continue

@@ -6,10 +6,12 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from sweep.controllers.plan import Stance
 from sweep.controllers.tracker import joint_targets
 from sweep.core.errors import InputError
+from sweep.fused import eager
 from sweep.models.case import Case
 
 
@@ -25,10 +27,15 @@ def refuse_reach(belief: Case, stances: Callable[[], Mapping[str, Stance]], said
     """
     if not plain(belief.robot, belief.obstacle, belief.manoeuvre):
         return
-    with jax.ensure_compile_time_eval():
+    words = []
+
+    def shortfalls() -> Float[Array, "n 6"]:
         found = stances()
+        words[:] = found
         many = jax.tree.map(lambda *leaves: jnp.stack(leaves), *found.values())
-        lacks = np.asarray(jax.vmap(lambda stance: joint_targets(belief.robot, stance)[1])(many))
+        return jax.vmap(lambda stance: joint_targets(belief.robot, stance)[1])(many)
+
+    lacks = eager.worked_out(shortfalls)
     if not lacks.max() <= 0:
         stage, foot = np.unravel_index(lacks.argmax(), lacks.shape)
-        raise InputError(f"{said}foot {foot + 1} is {lacks.max():.3f} m out of reach {list(found)[stage]}")
+        raise InputError(f"{said}foot {foot + 1} is {lacks.max():.3f} m out of reach {words[stage]}")

@@ -13,6 +13,7 @@ from sweep.controllers.tracker import TrackerState
 from sweep.core.parameters import InputError
 from sweep.core.waiting import part
 from sweep.dynamics.step import Limits
+from sweep.engines import planning
 from sweep.engines.base import Figures, Trace
 from sweep.engines.settings import EngineSettings
 from sweep.metrics import outcome, stream
@@ -33,13 +34,9 @@ def nominal_plan(belief: Case) -> Plan:
 
 @lru_cache(maxsize=1)
 def _nominal_plan(belief: Case, _: np.dtype) -> Plan:
-    """For JAX's float type of the moment.
-
-    The compiler has the belief as constants and works most of the plan out itself, sooner than operation by operation.
-    It need not make what it runs once fast.
-    """
+    """For JAX's float type of the moment."""
     with part("nominal plan"):
-        plan = jax.jit(lambda: belief.manoeuvre.plan(belief), compiler_options={"xla_backend_optimization_level": 0})()
+        plan = planning.worked_out(lambda: belief.manoeuvre.plan(belief))
     if not all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(plan)):
         kinds = f"manoeuvre = {belief.manoeuvre.kind} on obstacle = {belief.obstacle.kind}"
         raise InputError(f"{kinds} has no plan for the sizes given: a foothold or a path is out of the robot's reach")

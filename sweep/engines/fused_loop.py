@@ -1,4 +1,4 @@
-"""The closed loop as fused kernels: programs of the form of XLA's, after a plan that stays with XLA."""
+"""The closed loop of a CPU as a fused kernel, between programs that NumPy goes through."""
 
 import functools
 import sys
@@ -10,6 +10,7 @@ import numpy as np
 from jax.stages import Compiled
 from jaxtyping import Array
 
+from sweep.controllers.learned import Learned
 from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError
 from sweep.engines import devices
@@ -17,9 +18,10 @@ from sweep.engines.base import Watch
 from sweep.engines.planning import Planning
 from sweep.engines.settings import EngineSettings
 from sweep.engines.states import offered
-from sweep.fused import kernel
+from sweep.fused import eager
 from sweep.fused.arrays import Unsupported
-from sweep.fused.kernel import Kernel, Once, Tiles
+from sweep.fused.eager import Eager
+from sweep.fused.kernel import Kernel, Tiles
 from sweep.models.case import Case
 
 
@@ -40,7 +42,7 @@ class Fused(NamedTuple):
     begin: Planning
     kernel: Kernel
     end: Callable[..., dict[str, Array]]
-    again: Compiled | None  # what plans again before each chunk, if any
+    again: Callable[..., Learned] | None  # what plans again before each chunk, if any
     ticks: int  # of a chunk
     width: int
     watch: Watch | None
@@ -55,7 +57,8 @@ class Fused(NamedTuple):
     ) -> tuple[Going, Any]:
         """Go on from `tick`; records of the rollouts `kept`, of all there is or of the columns watched."""
         if self.again is not None:
-            carry.tiles.change(lambda carried: carried, devices.run(self.again, belief, plans, carry.tiles.leave()))
+            known = carry.tiles.look(lambda carried: (carried.loop.tracker.stage, carried.loop.learned))
+            carry.tiles.change(lambda carried: carried.loop.learned, self.again(belief, plans, *known))
         record = carry.tiles.advance(tick, self.ticks, kept)
         if record is None or self.watch is None:
             return carry, record
@@ -79,19 +82,17 @@ def of_one(arrays: tuple[Case, Case, Array], batch: Any) -> tuple[tuple[Case, Ca
     return (world, belief, plan), carry
 
 
-def compiled_once(function: Callable[..., Any], given: Any, by_xla: Callable[[], Compiled]) -> Once | Compiled:
-    """A program that is run once a batch, of `given` shapes of a rollout; XLA's where it cannot be fused."""
+def eager_or(by_xla: Callable[[], Compiled], function: Callable[..., Any], *given: Any) -> Eager | Compiled:
+    """A function that is run a few times for a batch, of `given` shapes of a rollout; XLA's where it has to be."""
     try:
-        return kernel.compiled_once(function, *given)
+        return eager.traced(function, *given)
     except Unsupported:
         return by_xla()
 
 
-def once(program: Once | Compiled, width: int) -> Callable[..., Any]:
-    """What a program that is run once gives for a batch of `width`."""
-    if isinstance(program, Once):
-        return functools.partial(program.loaded(), width)
-    return functools.partial(devices.run, program)
+def ready(program: Eager | Compiled, width: int) -> Callable[..., Any]:
+    """The same for a batch of `width`."""
+    return functools.partial(*(program, width) if isinstance(program, Eager) else (devices.run, program))
 
 
 def or_what_is_missing(compiled: Callable[..., tuple]) -> Callable[..., tuple]:

@@ -1,7 +1,7 @@
 """The primary engine: controller, physics and metrics of a tick in one program, by this package's compiler or XLA."""
 
 from collections.abc import Callable
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -13,7 +13,7 @@ from jax.stages import Compiled
 from jaxtyping import Array
 
 from sweep.controllers.feedforward import Feedforward
-from sweep.controllers.learned import Learned, informed, newest
+from sweep.controllers.learned import informed, newest, replanned
 from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError
 from sweep.core.waiting import part
@@ -40,7 +40,8 @@ from sweep.engines.prelude import check, prepared
 from sweep.engines.settings import EngineSettings
 from sweep.engines.states import offered
 from sweep.fused import launch
-from sweep.fused.kernel import Code, Kernel, Once
+from sweep.fused.eager import Eager
+from sweep.fused.kernel import Code, Kernel
 from sweep.fused.kernel import compiled as fused
 from sweep.metrics import stream
 from sweep.metrics.metric import GRACE
@@ -204,19 +205,17 @@ class Mjx:
 
     def _ready(
         self,
-        before: Compiled,
-        search: Code | None,
-        after: Compiled | None,
-        stand: Once | None,
+        start: Eager | Compiled,
+        searches: dict[str, Code],
         chunk: Compiled | Code,
-        finish: Compiled | Once,
-        again: Compiled | None = None,
+        finish: Eager | Compiled,
+        again: Eager | Compiled | None = None,
     ) -> Programs | Fused:
-        start = Planning.of(before, search, after, stand)
+        begin = Planning.of(start, searches)
         if not isinstance(chunk, Code):
-            return Programs(start, chunk, finish)  # pyright: ignore[reportArgumentType]  # XLA's as well
-        end = fused_loop.once(finish, self.width)
-        return Fused(start, Kernel(chunk), end, again, self._chunk_ticks, self.width, None)
+            return Programs(begin, chunk, finish)  # pyright: ignore[reportArgumentType]  # XLA's as well
+        end, new = fused_loop.ready(finish, self.width), again and fused_loop.ready(again, self.width)
+        return Fused(begin, Kernel(chunk), end, new, self._chunk_ticks, self.width, None)
 
     @property
     def _made_of(self) -> tuple:
@@ -228,7 +227,7 @@ class Mjx:
     @fused_loop.or_what_is_missing
     def _compile(
         self, arrays: tuple[Case, Case, Array], quiet: bool, kept: Array | None, watch: Watch | None
-    ) -> tuple[Compiled | Code | Once | None, ...]:
+    ) -> tuple[Any, ...]:
         """The programs over batches like `arrays`, split over the devices.
 
         They are compiled side by side: the compiler needs no Python, which traces the next one meanwhile.
@@ -240,21 +239,20 @@ class Mjx:
         control = self._nominal[0].control
         one_plan = control.calibrate == control.touch == "none" and not any(map(np.ndim, jax.tree.leaves(belief)))
 
-        def many(start: Callable, more: int) -> Callable:
-            at_once = jax.vmap(start, in_axes=(*axes, *[0] * (1 + more)))
+        def many(start: Callable) -> Callable:
+            at_once = jax.vmap(start, in_axes=(*axes, 0))
             batched = at_once if self._by_host or one_plan else devices.in_turns(start, self._local)
-            return on_devices(batched, in_specs=(*specs, *[split] * (1 + more)), out_specs=split)
+            return on_devices(batched, in_specs=(*specs, split), out_specs=split)
 
         recorded = (split, PartitionSpec(None, devices.BATCH))
         with ThreadPoolExecutor() as pool:
-            batch, started = planning.begun(pool, self._plan, self._stand, arrays, many, self._searches, self._by_host)
+            batch, started = planning.begun(pool, self._start, arrays, many, self._searches, self._by_host)
             plans, carry = devices.split(batch, self._mesh)
             if self._by_host:
-                again = self._begin_again(pool, arrays, batch, on_devices)
                 with part("closed loop"):
                     chunked = fused(self._ticks(quiet), *of_one(arrays, batch))
                 finished = self._compile_finish(arrays, batch, on_devices)
-                return *started(), chunked, finished, again and again.result()
+                return *started(), chunked, finished, self._compile_again(arrays, batch, on_devices)
             make = self._fused_chunk if self.fused else self._chunk
             chunk = make(arrays, batch, quiet, kept, watch)
             chunk = on_devices(chunk, in_specs=(*specs, split, split, whole, split), out_specs=recorded)
@@ -264,21 +262,27 @@ class Mjx:
             finished = self._compile_finish(arrays, batch, on_devices)
             return *started(), chunked.result(), finished
 
-    def _begin_again(
-        self, pool: Executor, arrays: tuple[Case, Case, Array], batch: Any, on_devices: Callable[..., Callable]
-    ) -> Future[Compiled] | None:
-        """Begins to compile what plans again, if anything does."""
+    def _compile_again(
+        self, arrays: tuple[Case, Case, Array], batch: Any, on_devices: Callable[..., Callable]
+    ) -> Eager | Compiled | None:
+        """What plans again, if anything does."""
         if self._nominal[0].control.replan == "never":
             return None
-        belief, split = arrays[1], PartitionSpec(devices.BATCH)
-        again = _with_new_plan(devices.axes(belief))
-        again = on_devices(again, in_specs=(devices.specs(belief), split, split), out_specs=split)
-        again = jax.jit(again, compiler_options=devices.plan_options(forces=False))
-        return planning.compiling(pool, "new plan", again.lower(belief, *devices.split(batch, self._mesh)))
+        (_, belief, plan), carry = of_one(arrays, batch)
+        plans, carries = devices.split(batch, self._mesh)
+
+        def by_xla() -> Compiled:
+            split = PartitionSpec(devices.BATCH)
+            again = jax.vmap(replanned, in_axes=(devices.axes(arrays[1]), 0, 0, 0))
+            again = on_devices(again, in_specs=(devices.specs(arrays[1]), split, split, split), out_specs=split)
+            return jax.jit(again).lower(arrays[1], plans, carries.loop.tracker.stage, carries.loop.learned).compile()
+
+        with part("new plan"):
+            return fused_loop.eager_or(by_xla, replanned, belief, plan, carry.loop.tracker.stage, carry.loop.learned)
 
     def _compile_finish(
         self, arrays: tuple[Case, Case, Array], batch: Any, on_devices: Callable[..., Callable]
-    ) -> Compiled | Once:
+    ) -> Eager | Compiled:
         """See `_compile`."""
         split = PartitionSpec(devices.BATCH)
 
@@ -291,7 +295,7 @@ class Mjx:
             if not self._by_host:
                 return by_xla()
             (world, _, plan), carry = of_one(arrays, batch)
-            return fused_loop.compiled_once(self._finish, (world, plan, carry), by_xla)
+            return fused_loop.eager_or(by_xla, self._finish, world, plan, carry)
 
     def _ticks(self, quiet: bool) -> Callable:
         """A tick of one rollout, for a compiler of this package."""
@@ -349,20 +353,13 @@ class Mjx:
 
         return chunk
 
-    @staticmethod
-    def _plan(world: Case, belief: Case, key: Array) -> tuple[Plan, Learned | None]:
-        return prepared(world, belief, key)[1:]
-
-    def _stand(self, world: Case, belief: Case, plan: Plan, learned: Learned | None, key: Array) -> Carry:
+    def _start(self, world: Case, belief: Case, key: Array) -> tuple[Plan, Carry]:
+        plan, learned = prepared(world, belief, key)[1:]
         known = informed(belief, learned)
         start = start_state(world, known, plan, resting(world))
         state = rest(self.topology, start.qpos)._replace(v=start.qvel)
         energy = self.physics.energy(world, state)
-        return Carry(state, init(world, known, plan, start, energy, key, learned))
-
-    def _start(self, world: Case, belief: Case, key: Array) -> tuple[Plan, Carry]:
-        plan, learned = self._plan(world, belief, key)
-        return plan, self._stand(world, belief, plan, learned, key)
+        return plan, Carry(state, init(world, known, plan, start, energy, key, learned))
 
     def _finish(self, world: Case, plan: Plan, carry: Carry) -> dict[str, Array]:
         plan = newest(plan, carry.loop.learned)

@@ -17,7 +17,7 @@ from mujoco.batch import Batch
 from sweep.controllers.feedforward import Feedforward
 from sweep.controllers.flywheel import Flywheel
 from sweep.controllers.layers import Command
-from sweep.controllers.learned import Learned, informed, newest
+from sweep.controllers.learned import Learned, informed, newest, replanned
 from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError
 from sweep.core.rotations import exponential, multiply
@@ -35,13 +35,13 @@ from sweep.engines.closed_loop import (
     measure,
     most_ticks,
     start_state,
-    with_new_plan,
 )
 from sweep.engines.planning import Planning
 from sweep.engines.prelude import check, prepared
 from sweep.engines.settings import EngineSettings
 from sweep.engines.states import offered
 from sweep.fused import kernel
+from sweep.fused.eager import Eager
 from sweep.fused.kernel import Code, Kernel, Tiles
 from sweep.metrics import stream
 from sweep.metrics.metric import GRACE, Tick
@@ -96,7 +96,7 @@ class Programs(NamedTuple):
     start: Callable[[Case, Case, Array], tuple[Plan, tuple[Between, Start]]]
     tick: Kernel | Callable[[Any, Between, int], Between]
     finish: Callable[[Case, Plan, ClosedLoop], dict[str, Array]]
-    replan: Callable[[Case, Plan, ClosedLoop], ClosedLoop] | None = None
+    replan: Callable[..., Learned] | None  # see `replanned`
 
     def enter(self, given: Any, carried: Between, width: int) -> "Tiles | ByXla":
         """A batch that goes through ticks."""
@@ -245,7 +245,7 @@ class Native:
             steps, records = None, []
             for k in range(most_ticks(plans, self.settings.control_period)):
                 if programs.replan and k % round(CHUNK / self.settings.control_period) == 0:
-                    going.change(_loop, programs.replan(belief, plans, going.leave().loop))
+                    going.change(_learned, programs.replan(belief, plans, *going.look(_known)))
                 if plans.layer(Flywheel) is not None:
                     told = _retune(batch, models, told, _gains(going.look(lambda between: between.loop.servo)))
                 controls = _ordered(controls, *going.look(_orders))
@@ -298,11 +298,10 @@ class Native:
                 fused_loop.give_up(self.settings, parts[0])
                 self.fused = False
                 return self._prepare(arrays, quiet)
-            before, search, after, stand, tick, finish, *rest = parts
-            start = Planning.of(before, search, after, stand)
-            self._programs[form] = Programs(
-                start, Kernel(tick) if isinstance(tick, Code) else tick, fused_loop.once(finish, self.width), *rest
-            )
+            start, searches, tick, *rest = parts
+            finish, again = (one and fused_loop.ready(one, self.width) for one in rest)
+            tick = Kernel(tick) if isinstance(tick, Code) else tick
+            self._programs[form] = Programs(Planning.of(start, searches), tick, finish, again)
         return self._programs[form]
 
     @fused_loop.or_what_is_missing
@@ -310,15 +309,16 @@ class Native:
         world, belief, _ = arrays
         axes, period = devices.axes((world, belief)), self.settings.control_period
 
-        def plan(world: Case, belief: Case, key: Array) -> tuple[Plan, Learned | None]:
-            return prepared(world, belief, key)[1:]
-
-        def stand(world: Case, belief: Case, plan: Plan, learned: Learned | None, key: Array) -> tuple[Between, Start]:
+        def start(world: Case, belief: Case, key: Array) -> tuple[Plan, tuple[Between, Start]]:
+            plan, learned = prepared(world, belief, key)[1:]
             known = informed(belief, learned)
             state = start_state(world, known, plan)
             loop = init(world, known, plan, state, jnp.zeros(()), key, learned)
             nothing = jnp.zeros(len(stream.timed(world)), plan.duration.dtype)
-            return self._acted(world, belief, plan, loop, self._nothing(state), nothing, jnp.int32(0), quiet), state
+            return plan, (
+                self._acted(world, belief, plan, loop, self._nothing(state), nothing, jnp.int32(0), quiet),
+                state,
+            )
 
         def tick(given: tuple[Case, Case, Plan], now: Between, k: Array) -> tuple[Between, dict[str, Array]]:
             world, belief, plan = given
@@ -329,33 +329,34 @@ class Native:
         def finish(world: Case, plan: Plan, loop: ClosedLoop) -> dict[str, Array]:
             return stream.figures(world, newest(plan, loop.learned), loop.running, loop.tracker.stage)
 
-        def many(start: Callable, more: int) -> Callable:
-            return jax.vmap(start, in_axes=(*axes, *[0] * (1 + more)))
+        def many(start: Callable) -> Callable:
+            return jax.vmap(start, in_axes=(*axes, 0))
 
         by_host = self.fused and jax.default_backend() == "cpu"
         with ThreadPoolExecutor() as pool:
-            batch, started = planning.begun(pool, plan, stand, arrays, many, self._searches, by_host)
+            batch, started = planning.begun(pool, start, arrays, many, self._searches, by_host)
             plans, (between, _) = batch
-            again = None
-            if self._nominal.control.replan != "never":
-                again = jax.jit(jax.vmap(with_new_plan, in_axes=(axes[1], 0, 0)))
-                again = planning.compiling(pool, "new plan", again.lower(belief, plans, between.loop))
+            (one, known, plan), now = fused_loop.of_one(arrays, (plans, between))
             with part("closed loop"):
                 if self.fused:
-                    ticks = kernel.compiled(tick, *fused_loop.of_one(arrays, (plans, between)))
+                    ticks = kernel.compiled(tick, (one, known, plan), now)
                 else:
                     rows = jax.vmap(lambda *of: tick(*of)[0], in_axes=((*axes, 0), 0, None))
                     ticks = jax.jit(rows).lower((world, belief, plans), between, 0).compile()
 
-            def finish_by_xla() -> Compiled:
-                by_row = jax.jit(jax.vmap(finish, in_axes=(axes[0], 0, 0)))
-                return by_row.lower(world, plans, between.loop).compile()
+            def made(name: str, function: Callable, given: tuple, of_one: tuple, axes: tuple) -> Eager | Compiled:
+                def by_xla() -> Compiled:
+                    return jax.jit(jax.vmap(function, in_axes=axes)).lower(*given).compile()
 
-            with part("figures"):
-                (one, _, of_it), last = fused_loop.of_one(arrays, (plans, between))
-                given = one, of_it, last.loop
-                finished = fused_loop.compiled_once(finish, given, finish_by_xla) if by_host else finish_by_xla()
-            return *started(), ticks, finished, again and again.result()
+                with part(name):
+                    return fused_loop.eager_or(by_xla, function, *of_one) if by_host else by_xla()
+
+            finished = made("figures", finish, (world, plans, between.loop), (one, plan, now.loop), (axes[0], 0, 0))
+            again = None
+            if self._nominal.control.replan != "never":
+                given, of_it = ((x.loop.tracker.stage, x.loop.learned) for x in (between, now))
+                again = made("new plan", replanned, (belief, plans, *given), (known, plan, *of_it), (axes[1], 0, 0, 0))
+            return *started(), ticks, finished, again
 
     def _acted(
         self,
@@ -454,6 +455,14 @@ class Native:
 
 def _loop(between: Between) -> ClosedLoop:
     return between.loop
+
+
+def _learned(between: Between) -> Learned | None:
+    return between.loop.learned
+
+
+def _known(between: Between) -> tuple[Array, Learned | None]:
+    return between.loop.tracker.stage, between.loop.learned
 
 
 def _orders(between: Between) -> Orders:

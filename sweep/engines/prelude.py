@@ -17,6 +17,7 @@ from sweep.controllers.posture import feet_in_world
 from sweep.controllers.tracker import joint_targets
 from sweep.core.errors import InputError
 from sweep.core.rotations import exponential, multiply
+from sweep.engines import planning
 from sweep.engines.closed_loop import Start, start_state
 from sweep.models.case import Case
 from sweep.models.legs import JOINT_Q, N_LEGS
@@ -72,13 +73,12 @@ def check(world: Case, belief: Case, plan: Plan) -> None:
 
 def check_level(belief: Case, plan: Plan, calibrate: str) -> None:
     """Raises `InputError` where a robot that is to calibrate itself does not start with all feet on one plane."""
-    if not bool(_starts_level(belief, plan.start)):
+    if not planning.worked_out(lambda: _starts_level(belief, plan.start)):
         kinds = f"manoeuvre = {belief.manoeuvre.kind} on obstacle = {belief.obstacle.kind}"
         asked = f"control.calibrate = {calibrate} is not allowed"
         raise InputError(f"{asked}: {kinds} does not start with all feet on the floor")
 
 
-@jax.jit
 def _starts_level(belief: Case, start: Stance) -> Bool[Array, ""]:
     """Whether all feet start on one plane that no body carries."""
     feet, surface = start.feet, _under(belief, start)

@@ -13,7 +13,7 @@ import threading
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -23,10 +23,15 @@ from jax.stages import Compiled
 
 from sweep.core import files, provenance
 from sweep.core.errors import InputError
-from sweep.fused.kernel import Code, Once
 
 MOST = 200  # files, of about a MB each
 _jax_settings = threading.RLock()
+
+
+class Serialized(NamedTuple):
+    """A program of XLA's, as JAX gives it; all others are kept as they are."""
+
+    what: tuple[Any, ...]
 
 
 def programs(made_of: Any, devices: Sequence[Any], compiled: Callable[[], Sequence[Any]]) -> Sequence[Any]:
@@ -91,9 +96,7 @@ def _load(file: Path, devices: Sequence[Any]) -> Sequence[Any] | None:
             jax.jit(jax.lax.linalg.cholesky).lower(np.eye(1))
         parts = pickle.loads(content)
         return [
-            part
-            if isinstance(part, Code | Once | str | None)
-            else deserialize_and_load(*part, execution_devices=devices)
+            deserialize_and_load(*part.what, execution_devices=devices) if isinstance(part, Serialized) else part
             for part in parts
         ]
     except InputError:
@@ -102,8 +105,8 @@ def _load(file: Path, devices: Sequence[Any]) -> Sequence[Any] | None:
         return None
 
 
-def _saved(part: Compiled | Code | Once | str | None) -> Any:
-    return part if isinstance(part, Code | Once | str | None) else serialize(part)
+def _saved(part: Any) -> Any:
+    return Serialized(serialize(part)) if isinstance(part, Compiled) else part
 
 
 def _store(file: Path, content: bytes) -> None:

@@ -8,11 +8,11 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jax.extend.core import Literal
 from jaxtyping import Array
 
 from sweep.fused import llvm, schedule
-from sweep.fused.trace import GROUP, Leaf, Traced, is_key, traced, words
+from sweep.fused.randomness import is_key, words
+from sweep.fused.trace import GROUP, Leaf, Traced, traced
 
 LANES, ALIGN = llvm.LANES, llvm.ALIGN
 
@@ -47,40 +47,6 @@ def compiled(function: Tick, given: Any, carried: Any, group: int = GROUP, effor
     return Code(machine, program.given, program.carried, program.recorded, text.scratch, form)
 
 
-class Once(NamedTuple):
-    """A compiled program that is run once, as it is kept."""
-
-    code: Code
-    form: Any  # the tree of what it gives: -1, or the place of what is given and handed on as it is
-
-    def loaded(self) -> Callable[..., Any]:
-        """A function of how many rollouts a batch has, and of what is given."""
-        kernel = Kernel(self.code)
-
-        def run(width: int, *given: Any) -> Any:
-            leaves = [_of_all(x, leaf, width) for x, leaf in zip(jax.tree.leaves(given), self.code.given, strict=True)]
-            made = iter(kernel.once(given, width))
-            return jax.tree.map(lambda place: next(made) if place < 0 else leaves[place], self.form)
-
-        return run
-
-
-def compiled_once(function: Callable[..., Any], *given: Any) -> Once:
-    """A program that is run once. `given` are shapes, or arrays of one rollout. Raises `Unsupported`.
-
-    What it hands on as it is goes round the kernel.
-    """
-    jaxpr, made = jax.make_jaxpr(function, return_shape=True)(*given)
-    places = {x: k for k, x in enumerate(jaxpr.jaxpr.invars)}
-    passed = [-1 if isinstance(x, Literal) else places.get(x, -1) for x in jaxpr.jaxpr.outvars]
-
-    def tick(given: Any, _: Any, number: Array) -> tuple[list[Array], dict[str, Array]]:
-        return [x for x, k in zip(jax.tree.leaves(function(*given)), passed, strict=True) if k < 0], {}
-
-    new = [x for x, k in zip(jax.tree.leaves(made), passed, strict=True) if k < 0]
-    return Once(compiled(tick, given, new, effort=0), jax.tree.unflatten(jax.tree.structure(made), passed))
-
-
 def _size(leaf: Leaf) -> int:
     """Bytes, of all lanes."""
     return leaf.size * llvm.row(leaf.dtype)
@@ -109,13 +75,6 @@ class Kernel:
         tiles.put(self.code.given, given)
         tiles.put(self.code.carried, carried)
         return tiles
-
-    def once(self, given: Any, width: int) -> Any:
-        """What one tick makes of what is `given`, whatever was carried before."""
-        tiles = Tiles(self, width)
-        tiles.put(self.code.given, given)
-        tiles.advance(0, 1)
-        return tiles.leave()
 
 
 class Tiles:
@@ -191,11 +150,6 @@ def _aligned(rows: int, size: int) -> np.ndarray:
     raw = np.zeros(rows * size + ALIGN, np.uint8)
     start = -raw.ctypes.data % ALIGN
     return raw[start : start + rows * size].reshape(rows, size)
-
-
-def _of_all(x: Any, leaf: Leaf, width: int) -> Any:
-    """What differs among rollouts, or is one for all, as the former."""
-    return np.broadcast_to(x, (width, *leaf.shape)) if not is_key(x) and np.ndim(x) == len(leaf.shape) else x
 
 
 def _end(leaves: Sequence[Leaf]) -> int:

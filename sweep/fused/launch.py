@@ -10,7 +10,8 @@ from jax import lax
 from jaxtyping import Array, Int, UInt32
 
 from sweep.fused import cuda, schedule
-from sweep.fused.trace import GROUP, Leaf, keyed, traced, words
+from sweep.fused.randomness import keyed, words
+from sweep.fused.trace import GROUP, Leaf, traced
 
 BLOCK = cuda.lanes_of(GROUP) * cuda.WARPS  # rollouts that a block of threads has at least, of robots
 TURNS = 25  # times as many that it has at most

@@ -6,12 +6,36 @@ A random key is one element of an array: the pair of its words.
 from collections.abc import Callable
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, UInt32
 
+from sweep.fused.arrays import Unsupported
+
 ROUNDS = ((13, 15, 26, 6), (17, 29, 16, 24))
 PARITY = 0x1BD11BDA
+
+
+def words(tree: Any) -> Any:
+    """Arrays, or their shapes, with random keys as the words that they are."""
+
+    def one(x: Any) -> Any:
+        if not is_key(x):
+            return x
+        return jax.eval_shape(jax.random.key_data, x) if isinstance(x, jax.ShapeDtypeStruct) else jax.random.key_data(x)
+
+    return jax.tree.map(one, tree)
+
+
+def keyed(x: Any, like: Any) -> Any:
+    """Words as a random key, where it is like one."""
+    return jax.random.wrap_key_data(x) if is_key(like) else x
+
+
+def is_key(x: Any) -> bool:
+    """Whether an array, or its shape, is of random keys."""
+    return not isinstance(x.dtype, np.dtype) and jnp.issubdtype(x.dtype, jax.dtypes.prng_key)
 
 
 def threefry(
@@ -43,37 +67,47 @@ def bits(key: Array, shape: tuple[int, ...]) -> Array:
     return (a ^ b).reshape(shape)
 
 
+def long_bits(key: Array, shape: tuple[int, ...]) -> Array:
+    """Words of 64 bits."""
+    a, b = _counted(key, int(np.prod(shape)))
+    return ((a.astype(jnp.uint64) << jnp.uint64(32)) | b.astype(jnp.uint64)).reshape(shape)
+
+
 def split(key: Array, shape: tuple[int, ...]) -> Array:
     """The words of as many keys, (*shape, 2)."""
     return jnp.stack(_counted(key, int(np.prod(shape))), axis=-1).reshape((*shape, 2))
 
 
-def rules(unsupported: type[Exception]) -> dict[str, Callable]:
+def _bits(key: Array, bit_width: int, shape: tuple[int, ...]) -> Array:
+    if bit_width not in (32, 64):
+        raise Unsupported(f"random words of {bit_width} bits")
+    return bits(key, shape) if bit_width == 32 else long_bits(key, shape)
+
+
+# of a key's words, other operands and JAX's parameters; what gives keys gives their words
+WRITTEN: dict[str, Callable[..., Array]] = {"random_bits": _bits, "random_split": split, "random_fold_in": fold_in}
+
+
+def rules() -> dict[str, Callable]:
     """Rules of an interpreter, for scalar keys."""
 
     def written(function: Callable) -> Callable:
         def rule(self: Any, keys: np.ndarray, *args: np.ndarray, out: Any, **params: Any) -> np.ndarray:
             if keys.shape:
-                raise unsupported("random numbers of several keys at once")
-            return self.written(
+                raise Unsupported("random numbers of several keys at once")
+            if params.get("bit_width", 32) != 32:
+                raise Unsupported(f"random words of {params['bit_width']} bits")
+            made = self.written(
                 lambda *xs: function(*xs, **params), [_words(keys), *args], ["uint32", *["uint32"] * len(args)]
             )
+            return _pairs(made) if is_key(out) else made
 
         return rule
 
-    def _bits(key: Array, bit_width: int, shape: tuple) -> Array:
-        if bit_width != 32:
-            raise unsupported(f"random words of {bit_width} bits")
-        return bits(key, shape)
-
-    wrap = written(lambda key, **params: split(key, params["shape"]))
-    folded = written(lambda key, number: fold_in(key, number))
     return {
         "random_wrap": lambda self, x, out, **_: _pairs(x),
         "random_unwrap": lambda self, x, out, **_: _words(x),
-        "random_bits": written(_bits),
-        "random_split": lambda self, keys, out, **params: _pairs(wrap(self, keys, out=out, **params)),
-        "random_fold_in": lambda self, keys, number, out, **_: _pairs(folded(self, keys, number, out=out)),
+        **{name: written(function) for name, function in WRITTEN.items()},
     }
 
 

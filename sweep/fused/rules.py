@@ -154,7 +154,7 @@ def _gather(
                 for test, edge in (("ge", 0), ("le", n - size)):
                     ok = self.op(test, "bool", s, self.program.const(edge, s.dtype))
                     inside = self.op("and", "bool", inside, ok)
-            fill = self.constant(np.asarray(_fill(out.dtype) if fill_value is None else fill_value, out.dtype))
+            fill = self.constant(np.asarray(outside(out.dtype) if fill_value is None else fill_value, out.dtype))
             cases = [np.full(found.shape, inside, object), found, np.broadcast_to(fill, found.shape)]
             found = self.lift("select", cases, out.dtype.name)
         place: list[Any] = [slice(None)] * len(out.shape)
@@ -172,7 +172,7 @@ def _platform_index(self: Arrays, out: Any, platforms: tuple) -> Array:
     return self.constant(np.asarray(platforms.index(None), out.dtype))
 
 
-def _fill(dtype: np.dtype) -> Any:
+def outside(dtype: np.dtype) -> Any:
     """What JAX gives for a place outside."""
     if dtype.kind == "f":
         return np.nan
@@ -257,5 +257,5 @@ RULES: dict[str, Callable] = {
     "platform_index": _platform_index,
     "scatter": _scatter(None),
     "scatter-add": _scatter("add"),
-    **randomness.rules(Unsupported),
+    **randomness.rules(),
 }  # fmt: skip

@@ -11,6 +11,7 @@ from jaxtyping import Array
 
 from sweep.fused.interpret import Interpreter
 from sweep.fused.program import Block, Program, Region
+from sweep.fused.randomness import keyed, words
 
 GROUP = 6  # of a robot: its legs
 
@@ -82,24 +83,3 @@ def traced(
         for region, value in zip((*regions[1], *regions[2]), results, strict=True):
             interpreter.save(region, value, body.stores)
     return Traced(program.top, constant, moving, dict(zip(names, recorded, strict=True)))
-
-
-def words(tree: Any) -> Any:
-    """Arrays, or their shapes, with random keys as the words that they are."""
-
-    def one(x: Any) -> Any:
-        if not is_key(x):
-            return x
-        return jax.eval_shape(jax.random.key_data, x) if isinstance(x, jax.ShapeDtypeStruct) else jax.random.key_data(x)
-
-    return jax.tree.map(one, tree)
-
-
-def keyed(x: Array, like: Any) -> Array:
-    """Words as a random key, where it is like one."""
-    return jax.random.wrap_key_data(x) if is_key(like) else x
-
-
-def is_key(x: Any) -> bool:
-    """Whether an array, or its shape, is of random keys."""
-    return not isinstance(x.dtype, np.dtype) and jnp.issubdtype(x.dtype, jax.dtypes.prng_key)

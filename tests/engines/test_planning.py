@@ -1,6 +1,7 @@
-"""Starts with a search for forces, taken apart, against the same by XLA alone."""
+"""Starts with a search for forces, its search by this package's compiler, against the same by XLA alone."""
 
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -24,19 +25,25 @@ def start(world, belief, key):
     return found, {"draw": draw, "lowest": jnp.min(arm) * found.imbalance, "bound": world}
 
 
-def many(one, more):
-    return jax.vmap(one, in_axes=(0, None, *[0] * (1 + more)))
+def many(one):
+    return jax.vmap(one, in_axes=(0, None, 0))
+
+
+def begun(arrays):
+    """What a batch starts with where all is the host's."""
+    with ThreadPoolExecutor() as pool:
+        form, parts = planning.begun(pool, start, arrays, many, forced=True, by_host=True)
+        return form, Planning.of(*parts())
 
 
 def test_forces_are_those_that_xla_finds():
     """To what single precision leaves of a search for a centre: 3e-3 of the largest force."""
     n = 37  # rollouts, no whole number of lanes
     arrays = jnp.linspace(0.02, 0.6, n), jnp.array(0.4), jax.random.split(jax.random.key(3), n)
-    whole, rest = jax.jit(many(start, 0))(*arrays)
-    begin = planning.lowered(start, arrays, many, searches=True, by_host=True)
-    with ThreadPoolExecutor() as pool:
-        apart, others = Planning.of(*begin.compiled(pool)())(*arrays)
-    assert jax.tree.map(jnp.shape, (apart, others)) == jax.tree.map(lambda x: x.shape, begin.out_info)
+    whole, rest = jax.jit(many(start))(*arrays)
+    form, begin = begun(arrays)
+    apart, others = begin(*arrays)
+    assert jax.tree.map(jnp.shape, (apart, others)) == jax.tree.map(lambda x: x.shape, form)
     held = np.asarray(whole.imbalance) < 0.01
     assert 5 < held.sum() < n - 5  # too little friction, and enough
     np.testing.assert_array_equal(np.asarray(apart.imbalance) < 0.01, held)
@@ -46,23 +53,28 @@ def test_forces_are_those_that_xla_finds():
     np.testing.assert_array_equal(others["bound"], arrays[0])
 
 
-def test_one_search_for_all_rollouts_is_left_to_xla():
-    arrays = jnp.linspace(0.02, 0.6, 3), jnp.array(0.4), jax.random.split(jax.random.key(3), 3)
-
-    def shared(world, belief, key):
-        return start(0.5, belief, jax.random.key(0)), world + jax.random.uniform(key)
-
-    assert planning.lowered(start, arrays, many, searches=True, by_host=True).search is not None
-    assert planning.lowered(shared, arrays, many, searches=True, by_host=True).search is None
+def test_one_search_is_made_for_all_rollouts_of_the_same_pose():
+    """The bound alone differs, and forces do; where nothing differs, they are searched for once."""
+    key = jax.random.key(3)
+    arrays = jnp.full(3, 0.5), jnp.array(0.4), jnp.stack([key] * 3)
+    _, begin = begun(arrays)
+    (search,) = begin.searches.values()
+    searched, enter = [], search.enter
+    search.enter = lambda given, carried, width: searched.append(width) or enter(given, carried, width)
+    several = begin(*arrays)[0].force
+    apart = {name: partial(planning._searched, search) for name in begin.searches}
+    once = begin.program(1, np.float32(0.5), np.float32(0.4), key, apart=apart)
+    assert searched == [3, 1]
+    np.testing.assert_array_equal(several, np.repeat(once[0].force, 3, axis=0))
 
 
 def test_some_rollouts_at_a_time_are_all_of_them(monkeypatch):
     monkeypatch.setattr(devices, "PLANNED", 8)
 
-    def begun(world, belief, key, bodies):
+    def of_one(world, belief, key, bodies):
         return {"base": jnp.sin(world * belief) + jnp.arange(3.0), "draw": jax.random.normal(key), "bodies": bodies}
 
     keys, bodies = jax.random.split(jax.random.key(0), 24), jnp.zeros((24, 0, 7))
     arrays = jnp.float32(2.0), jnp.arange(24.0), keys, bodies
-    many = jax.vmap(begun, (None, 0, 0, 0))(*arrays)
-    jax.tree.map(np.testing.assert_array_equal, jax.jit(devices.in_turns(begun, 24))(*arrays), many)
+    many = jax.vmap(of_one, (None, 0, 0, 0))(*arrays)
+    jax.tree.map(np.testing.assert_array_equal, jax.jit(devices.in_turns(of_one, 24))(*arrays), many)

@@ -136,7 +136,8 @@ def test_nothing_is_kept_of_sources_written_since_the_start(folder, monkeypatch)
 def made_of(monkeypatch, settings=(), limits=(), case=CASE, vary=False, slots=None) -> str:
     """What an engine says that its programs depend on."""
     asked = []
-    monkeypatch.setattr(program_cache, "programs", lambda parts, *_: asked.append(repr(parts)) or (None,) * 6)
+    none = None, {}, None, None
+    monkeypatch.setattr(program_cache, "programs", lambda parts, *_: asked.append(repr(parts)) or none)
     engine = Mjx(
         EngineSettings(**{"width": 2, "compiler": "xla", **dict(settings)}), case, case, Thresholds(**dict(limits))
     )

@@ -219,20 +219,6 @@ def test_a_group_may_have_another_size(group):
     assert [n.leg for n in roots] == [True]
 
 
-def test_what_is_run_once_gives_a_tree_with_random_keys():
-    def of(x, key):
-        return {"twice": 2 * x, "keys": (jax.random.fold_in(key, 1), None), "same": (x, key)}
-
-    keys = jax.random.split(jax.random.key(1), WIDTH)
-    code = kernel.compiled_once(of, jnp.zeros(3), jax.random.key(0))
-    made = code.loaded()(WIDTH, jnp.ones(3), keys)
-    assert made["same"][1] is keys
-    np.testing.assert_array_equal(made["same"][0], np.ones((WIDTH, 3)))
-    np.testing.assert_array_equal(made["twice"], np.full((WIDTH, 3), 2.0))
-    expected = jax.vmap(lambda k: jax.random.fold_in(k, 1))(keys)
-    np.testing.assert_array_equal(*(jax.random.key_data(k) for k in (made["keys"][0], expected)))
-
-
 def test_the_pages_example_runs_and_its_operations_are_those_of_the_code(capsys):
     text = PAGE.read_text(encoding="utf-8")
     (sample,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)

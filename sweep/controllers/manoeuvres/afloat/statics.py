@@ -10,6 +10,7 @@ from jaxtyping import Array
 from sweep.core.constants import GRAVITY
 from sweep.core.errors import InputError
 from sweep.formulas.raft_statics import raft_equilibrium
+from sweep.fused import eager
 from sweep.models.case import Case
 from sweep.models.obstacles.raft import CORNERS, WATER_DENSITY, Raft
 from sweep.models.robot import total_mass
@@ -34,8 +35,7 @@ def refuse(belief: Case, offset: Sequence[float]) -> None:
     """Raise `InputError` where a raft of plain numbers capsizes or sinks, the robot `offset` (m) from its middle."""
     if not all(isinstance(x, float) for x in jax.tree.leaves((belief.robot, belief.obstacle, belief.manoeuvre))):
         return
-    with jax.ensure_compile_time_eval():
-        freeboard, draught = (float(np.asarray(x)) for x in loaded(belief, offset, 0.5 * belief.robot.body_length))
+    freeboard, draught = map(float, eager.worked_out(lambda: loaded(belief, offset, 0.5 * belief.robot.body_length)))
     if freeboard > 0 and draught > 0:
         return
     ends = "capsizes" if np.isnan(freeboard) else f"has a corner {-1e3 * freeboard:.0f} mm under water"

@@ -10,7 +10,6 @@ from typing import ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from sweep.controllers.assembly import assemble
@@ -31,6 +30,7 @@ from sweep.controllers.tracker import Guidance, Guided, TrackerState, bodies
 from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import conjugate, rotate
+from sweep.fused import eager
 from sweep.models.case import Case
 from sweep.models.frames import fixed
 from sweep.models.legs import LEGS
@@ -182,12 +182,15 @@ class BallToBall(OnBall, InParts):
         if not plain(belief.robot, belief.obstacle, self):
             return
         touching = replace(belief, obstacle=replace(belief.on(TwoBalls), gap=0.0, offset=0.0))
-        with jax.ensure_compile_time_eval():
+
+        def over() -> tuple[Plan, Stance, Array]:
             plan = assemble(on_ball(touching, perch(touching, self)), self.over(touching), 0.0)
             last = ends(plan, touching.on(TwoBalls).start())
             ahead = jax.vmap(lambda stance: centre_of_mass(belief.robot, stance)[0])(last)
             stands = jnp.where(plan.swing, jnp.nan, last.feet[:, :, 0])
-            inside = np.asarray(jnp.minimum(ahead - jnp.nanmin(stands, axis=1), jnp.nanmax(stands, axis=1) - ahead))
+            return plan, last, jnp.minimum(ahead - jnp.nanmin(stands, axis=1), jnp.nanmax(stands, axis=1) - ahead)
+
+        plan, last, inside = eager.worked_out(over)
         at = {f"at the end of stage {name}": k for k, name in enumerate(plan.names)}
         refuse_reach(
             belief, lambda: {words: Stance(*(x[k] for x in last)) for words, k in at.items()}, f"{self.kind}: "

@@ -7,7 +7,6 @@ the ladder's own axes: a ladder that leans otherwise than believed is climbed wh
 
 from typing import ClassVar
 
-import jax
 import jax.numpy as jnp
 
 from sweep.controllers.assembly import assemble
@@ -23,6 +22,7 @@ from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.formulas import stepping
 from sweep.formulas.ladder import ladder as statics
+from sweep.fused import eager
 from sweep.models.case import Case
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.charts import charts, point
@@ -98,11 +98,10 @@ class LadderClimb(PlannedForces):
         needs = max(int(place["rung"][0]) for place in places if "rung" in place)
         if ladder.rungs < needs:
             raise InputError(f"obstacle.rungs = {ladder.rungs} is not allowed: the way up needs {needs}")
-        with jax.ensure_compile_time_eval():
-            grips = [contact.friction * grip for grip in (ladder.floor_grip, ladder.wall_grip)]
-            bears = float(statics(jnp.asarray(ladder.lean), *map(jnp.asarray, grips)).chi_max)
-            mass = float(total_mass(robot))
-            load = (mass + ladder.mass * ladder.centre / ladder.length) / (mass + ladder.mass)
+        grips = [contact.friction * grip for grip in (ladder.floor_grip, ladder.wall_grip)]
+        bears = eager.worked_out(lambda: statics(jnp.asarray(ladder.lean), *map(jnp.asarray, grips)).chi_max)
+        mass = float(total_mass(robot))
+        load = (mass + ladder.mass * ladder.centre / ladder.length) / (mass + ladder.mass)
         if not bears >= load:
             raise InputError(
                 f"obstacle.lean = {ladder.lean:g} is not allowed: with friction {grips[0]:g} on the floor and "
