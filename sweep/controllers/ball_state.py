@@ -10,7 +10,7 @@ from sweep.controllers.plan import Stance
 from sweep.controllers.posture import feet_in_world, mass_centre
 from sweep.controllers.tracker import joint_targets
 from sweep.core.constants import GRAVITY
-from sweep.core.rotations import rotate
+from sweep.core.rotations import exponential, rotate
 from sweep.formulas.ball import ROLLING
 from sweep.formulas.leg import SIDE
 from sweep.models.obstacles.ball import Ball
@@ -72,19 +72,25 @@ def towards(momentum: Float[Array, " 3"], mass: Array | float) -> Float[Array, "
     return jnp.stack([-momentum[1], momentum[0]]) / (mass * GRAVITY)
 
 
-def footholds(
-    radius: Array | float, circle: Array | float, chord: Array | float, turn: Array | float
-) -> Float[Array, "6 3"]:
-    """Feet from the ball's centre (m): list after fig. 3.1.7, x ahead; `turn` is alpha of the turned foot frame.
+def footholds(radius: Array | float, circle: Array | float, chord: Array | float) -> Float[Array, "6 3"]:
+    """Feet from the ball's centre (m): list after fig. 3.1.7, x ahead.
 
     On a circle of radius d1 = `circle`, front and rear feet d2 = `chord` from its middle. The printed list gives leg i
-    the place of leg 7 - i. Turned by alpha, the circle is as far behind the vertical at touchdown as it is ahead of it
-    when the feet lift off: the top of a ball that rolls forward takes them forward.
+    the place of leg 7 - i.
     """
     ahead, aside = FORE * chord, SIDE * jnp.sqrt(circle**2 - (FORE * chord) ** 2)
     above = jnp.sqrt(radius**2 - circle**2)
-    sin, cos = jnp.sin(turn), jnp.cos(turn)
-    return jnp.stack([ahead * cos - above * sin, aside, above * cos + ahead * sin], axis=-1)
+    return jnp.stack([ahead, aside, above + 0 * ahead], axis=-1)
+
+
+def turned_back(feet: Float[Array, "6 3"], alpha: Array | float, along: Float[Array, " 2"]) -> Float[Array, "6 3"]:
+    """The turned foot frame: feet (m, from the ball's centre) turned by `alpha` (rad) against its way `along`.
+
+    Their circle is then as far behind the vertical at touchdown as it is ahead of it when the feet lift off: the top of
+    a ball that rolls forward takes them forward.
+    """
+    left = jnp.stack([-along[1], along[0], jnp.zeros_like(along[0])])
+    return rotate(exponential(-alpha * left)[None], feet)
 
 
 def over_ball(start: Array, goal: Array, share: Array, phase: Array, height: Array) -> Float[Array, "6 3"]:

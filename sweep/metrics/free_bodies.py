@@ -59,9 +59,14 @@ def update(so_far: BodiesMotion, now: Moment) -> BodiesMotion:
         moved=jnp.maximum(so_far.moved, jnp.max(jnp.linalg.norm(way, axis=-1))),
         shifted=jnp.maximum(so_far.shifted, jnp.max(jnp.linalg.norm(place - settled, axis=-1))),
         turned=jnp.maximum(so_far.turned, jnp.max(turn)),
-        aside=jnp.maximum(so_far.aside, jnp.abs(way[0, 1])),
+        aside=jnp.maximum(so_far.aside, _aside(now, way[0])),
         ride_height=jnp.minimum(so_far.ride_height, now.tick.position[2] - place[0, 2]),
     )
+
+
+def _aside(now: Moment, way: Float[Array, " 3"]) -> Float[Array, ""]:
+    manoeuvre = now.world.manoeuvre
+    return manoeuvre.aside(way) if isinstance(manoeuvre, Driving) else jnp.abs(way[1])
 
 
 def figures(found: BodiesMotion, at: Elapsed) -> dict[str, Array]:
@@ -96,7 +101,7 @@ METRIC = Metric(
         "ride_height_min_m": "least height of the base over the centre of the body that it rides on",
         "obstacle_x_m": "where that body ended, along the world's x axis",
         "obstacle_y_m": "the same along y",
-        "obstacle_aside_max_m": "the farthest that it was sideways of the x axis",
+        "obstacle_aside_max_m": "the farthest that it was sideways of the x axis, or of the way that it is driven",
         "obstacle_speed_mps": f"its mean speed in the {REST:g} s after the plan; of one that is left in motion, over "
         f"the plan's last {TAIL:g} s",
         "obstacle_speed_error_mps": "difference of that from the speed that the manoeuvre aims at, if not at rest",

@@ -63,6 +63,10 @@ class Driving(Protocol):
         """The speed (m/s) that the body is meant to have at the end of a plan of `duration` (s)."""
         ...
 
+    def aside(self, way: Array) -> Array:
+        """How far (m) the body is beside the way that it is meant to go, having gone by `way` (3,) (m)."""
+        ...
+
 
 @parameters
 class Case:

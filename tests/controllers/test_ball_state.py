@@ -8,9 +8,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from sweep.controllers.ball_state import angular_momentum, centre_of_mass, follow_up, footholds, over_ball
+from sweep.controllers.ball_state import angular_momentum, centre_of_mass, follow_up, footholds, over_ball, turned_back
 from sweep.controllers.frames import attitude_to_frame, attitude_to_world, to_frame, to_world
 from sweep.controllers.manoeuvres.balancing.ball import on_ball, perch
+from sweep.controllers.manoeuvres.balancing.ball_turn import BallTurn
 from sweep.controllers.observation import Observation
 from sweep.core.rotations import exponential, multiply, rotate
 from sweep.engines.closed_loop import free_state, start_state
@@ -21,6 +22,7 @@ from sweep.models.obstacles.surface import FreeState
 from sweep.study.config import compose
 
 CASE = compose(["scenario=ball_balance"]).case
+AHEAD = jnp.array([1.0, 0.0])
 
 
 @pytest.fixture(scope="module")
@@ -66,16 +68,16 @@ def test_mass_centre_follows_the_body_as_the_formula_says(perched):
 
 def test_turned_footholds_roll_into_their_mirror_image():
     """On the ball, and as far behind the vertical at touchdown as ahead of it after a stance."""
-    radius, turn = 0.84, 0.1
-    landed = footholds(radius, 0.5, 0.35, turn)
+    radius, turn, level = 0.84, 0.1, footholds(0.84, 0.5, 0.35)
+    landed = turned_back(level, turn, AHEAD)
     np.testing.assert_allclose(jnp.linalg.norm(landed, axis=-1), radius, atol=1e-6)
     lifted = rotate(exponential(jnp.array([[0.0, 2 * turn, 0.0]])), landed)  # as a ball that goes along x turns
-    np.testing.assert_allclose(lifted, footholds(radius, 0.5, 0.35, -turn), atol=1e-6)
+    np.testing.assert_allclose(lifted, turned_back(level, -turn, AHEAD), atol=1e-6)
     assert float(jnp.mean(landed[:, 0])) < 0
 
 
 def test_swinging_feet_stay_above_the_ball():
-    start, goal = footholds(0.84, 0.5, 0.35, 0.1), footholds(0.84, 0.5, 0.35, -0.1)
+    start, goal = (turned_back(footholds(0.84, 0.5, 0.35), turn, AHEAD) for turn in (0.1, -0.1))
     way = [over_ball(start, goal, u, u, 0.0) for u in jnp.linspace(0, 1, 11)]
     np.testing.assert_allclose(jnp.linalg.norm(jnp.stack(way), axis=-1), 0.84, atol=1e-6)
     np.testing.assert_allclose(way[-1], goal, atol=1e-6)
@@ -100,3 +102,18 @@ def test_angular_momentum_is_that_of_the_simulation():
                        jnp.zeros((6, 3)), jnp.zeros((6, 3)), jnp.ones(6, bool), free)  # fmt: skip
     got = np.asarray(jax.jit(lambda: angular_momentum(CASE.robot, CASE.obstacle, seen))())
     assert np.linalg.norm(got - expected) < 0.01 * np.linalg.norm(expected)
+
+
+@pytest.mark.parametrize("radius", [4.0, -4.0])
+def test_the_way_of_a_ball_goes_straight_on_and_round(radius):
+    """To the left, to the right where the radius is negative."""
+    turn, size = BallTurn(straight=1.5, radius=radius), abs(radius)
+    straight, on = turn.track(jnp.array([1.0, 0.02, 0.84])), []
+    for angle, out in ((0.5, 0.0), (2.0, 0.01)):
+        ahead, aside = (size + out) * np.sin(angle), size - (size + out) * np.cos(angle)
+        on.append(turn.track(jnp.array([1.5 + ahead, np.sign(radius) * aside, 0.84])))
+    np.testing.assert_allclose([straight.come, straight.off, straight.curve], [1.0, 0.02, 0.0], atol=1e-6)
+    np.testing.assert_allclose([track.come for track in on], 1.5 + size * np.array([0.5, 2.0]), atol=1e-5)
+    np.testing.assert_allclose([track.off for track in on], [0.0, -np.sign(radius) * 0.01], atol=1e-5)
+    np.testing.assert_allclose(on[0].along, [np.cos(0.5), np.sign(radius) * np.sin(0.5)], atol=1e-6)
+    np.testing.assert_allclose(on[0].curve, 1 / radius, rtol=1e-6)

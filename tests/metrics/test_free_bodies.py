@@ -9,6 +9,8 @@ import pytest
 from sweep.metrics import free_bodies
 from sweep.models.obstacles.surface import FreeState
 
+WORLD = SimpleNamespace(manoeuvre=SimpleNamespace(obstacle_speed=lambda duration: 0.1, aside=lambda way: abs(way[1])))
+
 
 def moment(time: float, stage: int, phase: float, duration: list[float]) -> Any:
     """A ball that goes along x at 0.1 m/s, in a stage of a plan."""
@@ -17,7 +19,8 @@ def moment(time: float, stage: int, phase: float, duration: list[float]) -> Any:
     tick = SimpleNamespace(free=free, position=jnp.zeros(3))
     plan = SimpleNamespace(duration=jnp.array(duration))
     ended = jnp.asarray(False)
-    return SimpleNamespace(tick=tick, stage=stage, phase=phase, plan=plan, time=time, period=0.01, finished=ended)
+    now = {"stage": stage, "phase": phase, "plan": plan, "time": time, "period": 0.01, "finished": ended}
+    return SimpleNamespace(tick=tick, world=WORLD, **now)
 
 
 def test_the_final_speed_of_what_is_driven_is_told_although_a_stage_ends_before_its_time():
@@ -25,6 +28,8 @@ def test_the_final_speed_of_what_is_driven_is_told_although_a_stage_ends_before_
     found = free_bodies.begin(cast(Any, moment(0.0, 0, 0.0, duration).tick))
     for stage, time in ((0, 1.0), *((1, 1.0 + k) for k in range(15))):
         found = free_bodies.update(found, moment(time, stage, (time - 1) / 14, duration))
-    world = SimpleNamespace(manoeuvre=SimpleNamespace(obstacle_speed=lambda duration: 0.1))
+    world = SimpleNamespace(
+        manoeuvre=SimpleNamespace(obstacle_speed=lambda duration: 0.1, aside=lambda way: abs(way[1]))
+    )
     at = SimpleNamespace(world=world, time=15.0, plan=SimpleNamespace(duration=jnp.array(duration)))
     assert free_bodies.figures(found, cast(Any, at))["obstacle_speed_mps"] == pytest.approx(0.1, rel=0.01)

@@ -133,6 +133,20 @@ def test_it_gets_over_a_ball(engine):
 
 
 @pytest.mark.parametrize("engine", ["native", "mjx"])
+def test_leaning_alone_turns_the_way_of_a_ball(engine):
+    """By (3.1.33), without any feedback of the way."""
+    gains = ["manoeuvre.aside_gain=0", "manoeuvre.aside_gain_before=0"]
+    trial = compose(["scenario=ball_turn", f"engine={engine}", *gains])
+    simulation = make(replace(trial.settings, width=1), trial.case, trial.case, trial.thresholds)
+    trace = simulation.trace(trial.case, trial.case, np.zeros(1, int), 0)
+    way = trace.qpos[trace.time > 25, 25:27]
+    found = np.linalg.lstsq(np.c_[2 * way, np.ones(len(way))], np.sum(way**2, axis=1))[0]
+    radius = np.sqrt(found[2] + found[:2] @ found[:2])  # of the circle through it
+    assert radius == pytest.approx(trial.case.manoeuvre.radius, rel=0.04)
+    assert np.degrees(np.arctan2(*trace.qvel[-1, 25:23:-1])) > 70
+
+
+@pytest.mark.parametrize("engine", ["native", "mjx"])
 def test_it_drives_a_ball_aside(engine):
     """(3.3.7) gives the speed that its k_l is for, less what rolling friction takes in that time."""
     trial = compose(["scenario=ball_aside", f"engine={engine}"])

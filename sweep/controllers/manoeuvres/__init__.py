@@ -9,6 +9,7 @@ from sweep.controllers.manoeuvres.balancing.ball_descend import BallDescend
 from sweep.controllers.manoeuvres.balancing.ball_ledges import BallLedges
 from sweep.controllers.manoeuvres.balancing.ball_over import BallOver
 from sweep.controllers.manoeuvres.balancing.ball_to_ball import BallToBall
+from sweep.controllers.manoeuvres.balancing.ball_turn import BallTurn
 from sweep.controllers.manoeuvres.balancing.beam import BeamCross, BeamWalk
 from sweep.controllers.manoeuvres.climbing.corner import CornerClimb
 from sweep.controllers.manoeuvres.climbing.corner_descend import CornerDescend
@@ -48,6 +49,7 @@ MANOEUVRES = {
     "corner_descend": CornerDescend,
     "ball_balance": BallBalance,
     "ball_drive": BallDrive,
+    "ball_turn": BallTurn,
     "ball_aside": BallAside,
     "ball_climb": BallClimb,
     "ball_descend": BallDescend,

@@ -23,6 +23,7 @@ from sweep.controllers.ball_state import (
     measured_stance,
     over_ball,
     towards,
+    turned_back,
 )
 from sweep.controllers.gaits import TRIPOD
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
@@ -32,9 +33,10 @@ from sweep.controllers.plan import CYCLE_A, GRIP, KEEP, REGRIP, Plan, Stage, Sta
 from sweep.controllers.refusals import refuse_reach
 from sweep.controllers.support import Support
 from sweep.controllers.tracker import Guidance, TrackerState
+from sweep.core.constants import GRAVITY
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import IDENTITY, conjugate, rotate
-from sweep.formulas.ball import stabilise_delta
+from sweep.formulas.ball import ROLLING, stabilise_delta
 from sweep.models.case import Case
 from sweep.models.frames import fixed, koenig
 from sweep.models.legs import LEGS
@@ -96,7 +98,7 @@ def perch(belief: Case, manoeuvre: OnBall) -> Perch:
     """Feet on their circle, the base level over the ball."""
     radius, length = belief.on(Ball).radius, belief.robot.body_length
     circle = manoeuvre.circle_ratio * radius
-    feet = footholds(radius, circle, manoeuvre.chord_ratio * circle, 0.0) * (1 - manoeuvre.deepening / radius)
+    feet = footholds(radius, circle, manoeuvre.chord_ratio * circle) * (1 - manoeuvre.deepening / radius)
     above = jnp.asarray(UP) * (radius + manoeuvre.height_ratio * length)
     return Perch(feet, _balanced(belief.robot, Stance(feet, above, jnp.array(IDENTITY))))
 
@@ -215,12 +217,22 @@ class BallBalance(OnBall):
         return memory._replace(place=place, momentum=momentum)
 
 
+class Track(NamedTuple):
+    """The ball on the way that it is to roll, seen from above."""
+
+    along: Float[Array, " 2"]  # unit vector, where the way goes
+    come: Float[Array, ""]  # m, how far it has come
+    off: Float[Array, ""]  # m, by how much it is to the left of it
+    curve: Float[Array, ""]  # 1/m, of the way, to the left
+
+
 class DriveMemory(NamedTuple):
     """What a step was planned with, and the steps before it."""
 
     push: Float[Array, ""]  # m, k_v (v_d - v_e), and what was always missing
     missing: Float[Array, ""]  # m, of that: the sum over the steps so far
-    ahead: Float[Array, ""]  # m, of the ball when the step began
+    along: Float[Array, " 2"]  # of the way, when the step began
+    ahead: Float[Array, ""]  # m, of the ball on its way when the step began
     aside: Float[Array, ""]  # m, delta r^(3) to the left
     aside_before: Float[Array, ""]  # m, of the last step
     way: Float[Array, ""]  # m, of the ball to the left when the step began
@@ -271,6 +283,10 @@ class BallDrive(OnBall):
         """What the ball is to do at the end of `duration` (s): stand, where it gets to its place (m/s)."""
         return jnp.where(self.speed * duration > self.place, 0.0, self.speed)
 
+    def aside(self, way: Float[Array, " 3"]) -> Array:
+        """See `Driving`."""
+        return jnp.abs(self.track(way).off)
+
     def plan(self, belief: Case) -> Plan:
         """Steps of both tripods in turn."""
         perched = perch(belief, self)
@@ -292,10 +308,14 @@ class BallDrive(OnBall):
                                 foot_frames=frames, base_frame=koenig(0), law=law, onset=REGRIP))  # fmt: skip
         return stages
 
+    def track(self, place: Float[Array, " 3"]) -> Track:
+        """Of a ball at `place` (m): along x."""
+        return Track(jnp.array([1.0, 0.0]), place[0], place[1], jnp.zeros_like(place[0]))
+
     def memory(self, belief: Case, plan: Plan) -> DriveMemory:
         """The memory before the first push."""
         zero = jnp.zeros(())
-        return DriveMemory(zero, zero, zero, zero, zero, zero)
+        return DriveMemory(zero, zero, jnp.array([1.0, 0.0]), zero, zero, zero, zero)
 
     def guide(
         self, belief: Case, plan: Plan, state: TrackerState, seen: Observation, begins: Bool[Array, ""], period: float
@@ -314,34 +334,52 @@ class BallDrive(OnBall):
         blend = jnp.minimum(1.0, 2 * phase)
         aside = memory.aside_before + blend**2 * (3 - 2 * blend) * (memory.aside - memory.aside_before)
         pulse = memory.push * time / self.step_time * stabilise_delta(time, 0.0, state.clock).pulse  # as fast in any
-        position = self._compensated(belief, plan.position[state.stage], feet, pulse, aside)
+        wanted = pulse * memory.along + aside * left(memory)
+        position = self._compensated(belief, plan.position[state.stage], feet, wanted)
         feet = jnp.where(swings, feet, rotate(conjugate(seen.free.quat), feet))
         return Guidance(Stance(feet, position, plan.quat[state.stage]), goal, memory)
 
     def _planned(self, belief: Case, state: TrackerState, seen: Observation) -> tuple[DriveMemory, Float[Array, "6 3"]]:
         """(3.1.8), delta r^(3) and the turned footholds, from the ball's measured place and speed."""
         ball, memory = belief.on(Ball), state.memory
-        place, speed = seen.free.position[0], seen.free.velocity[0, 0]
-        wanted = jnp.minimum(self.speed, self.brake * (self.place - place[0]))
+        track = self.track(seen.free.position[0])
+        speed = seen.free.velocity[0, :2] @ track.along
+        wanted = jnp.minimum(self.speed, self.brake * (self.place - track.come))
         pushes = state.stage % self.push_every == 0
-        went = jnp.where(state.stage == 0, speed, (place[0] - memory.ahead) / self.step_time)  # within a step it varies
+        mean = (track.come - memory.ahead) / self.step_time  # within a step it varies
+        went = jnp.where(state.stage == 0, speed, mean)
         missing = memory.missing + jnp.where(pushes, self.speed_integral * (wanted - went), 0.0)
         missing = jnp.clip(missing, -self.push_max, self.push_max)
         push = jnp.clip(self.speed_gain * (wanted - speed) + missing, -self.push_max, self.push_max)
         push = jnp.where(pushes, push, 0.0)
-        before = jnp.where(state.stage == 0, place[1], memory.way)
-        aside = self.aside_gain_before * before - self.aside_gain * place[1]
-        turn = self.step_time * speed / (2 * ball.radius)
+        before = jnp.where(state.stage == 0, track.off, memory.way)
+        lean = speed**2 * track.curve * leaning(belief, ball.radius + self.height_ratio * belief.robot.body_length)
+        aside = lean + self.aside_gain_before * before - self.aside_gain * track.off
         circle = self.circle_ratio * ball.radius
-        landing = footholds(ball.radius, circle, self.chord_ratio * circle, turn) * (1 - self.deepening / ball.radius)
         planned = memory._replace(
-            push=push, missing=missing, ahead=place[0], aside=aside, aside_before=memory.aside, way=place[1]
-        )
-        return planned, landing
+            push=push, missing=missing, along=track.along, ahead=track.come, aside=aside, aside_before=memory.aside,
+            way=track.off,
+        )  # fmt: skip
+        level = footholds(ball.radius, circle, self.chord_ratio * circle) * (1 - self.deepening / ball.radius)
+        return planned, turned_back(level, self.step_time * speed / (2 * ball.radius), track.along)
 
-    def _compensated(self, belief: Case, perched: Array, feet: Array, ahead: Array, aside: Array) -> Float[Array, " 3"]:
-        """The base (m, Koenig) that has the robot's mass centre at `ahead` and `aside` (m)."""
-        return compensated(belief.robot, perched, feet, jnp.stack([ahead, aside]), self.compensate == "both")
+    def _compensated(self, belief: Case, perched: Array, feet: Array, wanted: Float[Array, " 2"]) -> Float[Array, " 3"]:
+        """The base (m, Koenig) that has the robot's mass centre at `wanted` (m)."""
+        return compensated(belief.robot, perched, feet, wanted, self.compensate == "both")
+
+
+def left(memory: DriveMemory) -> Float[Array, " 2"]:
+    """Of the ball's way."""
+    return jnp.stack([-memory.along[1], memory.along[0]])
+
+
+def leaning(belief: Case, height: Array | float) -> Array | float:
+    """How far aside (m) the mass centre keeps a ball on a curve of 1/m at 1 m/s, by (3.1.33).
+
+    The mass centre is `height` (m) above the ball's centre.
+    """
+    ball, mass = belief.on(Ball), total_mass(belief.robot)
+    return (ROLLING * ball.mass * ball.radius + mass * (ball.radius + height)) / (mass * GRAVITY)
 
 
 def compensated(
