@@ -13,6 +13,7 @@ from sweep.study.config import compose, composed, experiment
 
 TOGETHER = ("obstacle", "manoeuvre")  # which have to fit
 CHOICES = [f"{group}={name}" for group in GROUPS if group not in (*TOGETHER, "plan") for name in choices(group)]
+CHOICES.remove("engine=warp")  # of own models alone
 # called after their scenario
 SHARED = (
     "pole_sizes",

@@ -1,15 +1,14 @@
 """Figures of an own model's rollouts, as sums and extremes over physics steps; units are at the ends of their names."""
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import mujoco
 import numpy as np
 
 from sweep.core.constants import GRAVITY
-
-if TYPE_CHECKING:
-    from sweep.systems.own.subject import Subject
+from sweep.systems.own.arrays import angle, level, namespace
+from sweep.systems.own.subject import Subject
 
 # what a tick records
 STEPS = ("qpos", "qvel", "actuator_force", "actuator_velocity", "sensordata", "site_xpos", "solver_niter")
@@ -46,7 +45,7 @@ class Meter:
     What is measured so far is a tree of arrays (n, ...), of NumPy or of JAX as those are that it is told of.
     """
 
-    def __init__(self, own: "Subject"):
+    def __init__(self, own: Subject):
         model = own.model
         self._base, self._step, self._iterations = own.base, model.opt.timestep, model.opt.iterations
         self._along = own.direction
@@ -163,39 +162,11 @@ class Meter:
         return {**found, "not_finite": (~finite).astype(float), "buffer_full": full.astype(float)}
 
 
-def names(own: "Subject") -> tuple[str, ...]:
+def names(own: Subject) -> tuple[str, ...]:
     """The figures that its rollouts have."""
     meter, one = Meter(own), np.ones(1)
     still = own.model.qpos0[None], np.zeros((1, own.model.nv))
     return tuple(meter.figures(meter.start(*still), one, one, one == 0, one == 0))
-
-
-def namespace(array: Any) -> Any:
-    """NumPy or JAX's of it, whichever an array is of."""
-    return array.__array_namespace__()
-
-
-def tilt(quat: Any, start: Any) -> Any:
-    """Angle (°) between upward axes of two orientations (..., 4), each as it stands in the world."""
-    return angle(level(quat, start))
-
-
-def level(quat: Any, start: Any) -> Any:
-    """Cosine of the tilt."""
-    a, b = (up(namespace(quat).moveaxis(one, -1, 0)) for one in (quat, start))
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-def up(quat: Any) -> tuple[Any, Any, Any]:
-    """The upward axis of an orientation (4, ...), each of its components (...)."""
-    w, x, y, z = quat
-    return 2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)
-
-
-def angle(cosine: Any) -> Any:
-    """In degrees, of a cosine that may be beyond 1 by rounding."""
-    xp = namespace(cosine)
-    return xp.degrees(xp.arccos(xp.clip(cosine, -1, 1)))
 
 
 def at_end(values: Any, range_: Any) -> Any:

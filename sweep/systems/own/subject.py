@@ -11,7 +11,8 @@ from sweep.core.errors import InputError, suggest
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.engines.settings import EngineSettings
 from sweep.systems.base import Values
-from sweep.systems.own import fields, figures, files
+from sweep.systems.own import fields, files
+from sweep.systems.own.arrays import namespace, tilt
 
 
 @dataclass(frozen=True)
@@ -122,18 +123,20 @@ class Subject:
 
     def observed(self, qpos: Any, qvel: Any, sensors: Any) -> Any:
         """What the controller would be told (n, k) without errors."""
-        names = self.about.observe or (() if self.model.nsensordata else ("qpos", "qvel"))
-        if not names:
-            return sensors
-        parts = []
-        for name in names:
-            if name in ("qpos", "qvel"):
-                parts.append({"qpos": qpos, "qvel": qvel}[name])
-            else:
+        whole = {"qpos": qpos, "qvel": qvel}
+        parts = [whole[one] if isinstance(one, str) else sensors[:, one] for one in self._told]
+        return namespace(qpos).concatenate(parts, axis=1)
+
+    @cached_property
+    def _told(self) -> list[str | slice]:
+        """What is observed: `qpos`, `qvel`, or where a sensor's numbers are."""
+        model, found = self.model, []
+        for name in self.about.observe or (() if model.nsensordata else ("qpos", "qvel")):
+            if name not in ("qpos", "qvel"):
                 number = self._sensor("observe", name)
-                first = self.model.sensor_adr[number]
-                parts.append(sensors[:, first : first + self.model.sensor_dim[number]])
-        return figures.namespace(qpos).concatenate(parts, axis=1)
+                name = slice(model.sensor_adr[number], model.sensor_adr[number] + model.sensor_dim[number])
+            found.append(name)
+        return found or [slice(None)]
 
     @property
     def seen(self) -> int:
@@ -159,6 +162,6 @@ class Subject:
         if (at := self.base) is not None:
             columns = {f"base_{axis}_m": qpos[:, at + k] for k, axis in enumerate("xyz")}
             upright = self.model.qpos0[at + 3 : at + 7]
-            columns["tilt_deg"] = figures.tilt(qpos[:, at + 3 : at + 7], np.broadcast_to(upright, (len(qpos), 4)))
+            columns["tilt_deg"] = tilt(qpos[:, at + 3 : at + 7], np.broadcast_to(upright, (len(qpos), 4)))
         columns |= {f"qpos_{k}": qpos[:, k] for k in range(self.model.nq)}
         return columns | {f"qvel_{k}": qvel[:, k] for k in range(self.model.nv)}
