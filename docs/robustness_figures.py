@@ -1,6 +1,5 @@
-"""Draws docs/figures/robustness_*.png and prints the tables of docs/robustness.md from the folders of its studies.
+"""Draws docs/figures/robustness_*.png of the rates that are kept, and keeps those of further studies.
 
-python docs/robustness_figures.py results/robustness_walk results/robustness_pole
 python docs/robustness_figures.py --bounds results/*_robustness results/*_robustness_learn
 python docs/robustness_figures.py --rates      # docs/robustness_rates.md and its figures, from the rates that are kept
 """
@@ -15,9 +14,7 @@ import pandas as pd
 from PIL import Image
 
 from sweep.analysis import sensitivity
-from sweep.report.exhibits import effects
 from sweep.runs import results
-from sweep.runs.results import Results
 
 FIGURES = Path(__file__).parent / "figures"
 ERRORS = {  # what a line of the table is called, and how its numbers are told
@@ -72,11 +69,6 @@ PAGE = """# Robustness, manoeuvre by manoeuvre
 What share succeeds with one kind of error at a time, 128 draws a value, with 95 % Wilson intervals: the rates behind
 the first table of [robustness](robustness.md), which says what was run. Dotted: nine of ten.
 """
-
-
-def table(found: Results) -> str:
-    """Rates along each error of a study in Markdown."""
-    return errors_of(sensitivity.along(found.rows, found.exp))
 
 
 def errors_of(rates: pd.DataFrame) -> str:
@@ -176,12 +168,5 @@ def draw_rates(rates: pd.DataFrame, name: str) -> None:
 if __name__ == "__main__":
     if sys.argv[1] == "--bounds":
         bounds(sys.argv[2:])
-        sys.exit()
-    if sys.argv[1] == "--rates":
+    else:
         page()
-        sys.exit()
-    for folder in sys.argv[1:]:
-        study = results.read(Path(folder))
-        (exhibit,) = effects(study)
-        exhibit.draw().savefig(FIGURES / f"{study.name}.png", dpi=110)
-        print(f"{study.name}: {len(study.rows)} rollouts at commit {study.stored['commit']}\n\n{table(study)}\n")
