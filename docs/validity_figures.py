@@ -17,6 +17,7 @@ ENGINES = ("mjx", "mjx, double", "native", "C elliptic", "C pyramidal", "MJX ell
 DRAWN = {"mjx": ("success", "o"), "C MuJoCo": ("fell", "s"), "MJX": ("slipped", "^")}  # whose colours, and marks
 ERRORS = {"standing": "of the feet's loads (weights)", "walking": "of the base's path (m)"}
 FELL = 0.2  # error from which on a robot has fallen
+STEEPEST = 3.0  # order beyond which a figure has come right in between
 SEEN = 1e-3  # error at 2 ms from which on a figure's order is told
 Row = dict[str, Any]
 
@@ -85,7 +86,8 @@ def order(data: Row) -> str:
         last = np.log([errors[h] or np.nan for h in steps[-3:]])
         slope = np.polyfit(np.log(steps[-3:]), last, 1)[0]
         cells = " | ".join("–" if x is None else f"{small(100 * x)} %" for x in (errors[h] for h in steps))
-        lines.append(f"| {name[0]} | {name[1]} | {cells} | {slope:.1f} |")
+        told = f"{slope:.1f}" if slope < STEEPEST else "–"
+        lines.append(f"| {name[0]} | {name[1]} | {cells} | {told} |")
     return "\n".join(lines)
 
 
@@ -179,17 +181,22 @@ TABLES = {
 def draw_precision(rows: list[Row], path: Path) -> None:
     """Speed over error, a panel for each motion."""
     with lettering():
-        figure = sheet(2.6)
+        figure = sheet(3.2)
         panels = figure.subplots(1, 2, sharey=True)
         for axes, (motion, label) in zip(panels, ERRORS.items(), strict=True):
             for engine, (look, mark) in DRAWN.items():
                 own = [row for row in rows if (row["motion"], row["engine"]) == (motion, engine)]
-                own = sorted((row["error"], row["per_s"]) for row in own if (row["error"] or 1) < FELL)
-                if own:
-                    axes.loglog(*zip(*own, strict=True), marker=mark, ms=4, color=LOOKS[look].colour, label=engine)
+                own = [row for row in own if (row["error"] or 1) < FELL]
+                errors, speeds = [row["error"] for row in own], [row["per_s"] for row in own]
+                axes.loglog(errors, speeds, mark, ms=4, color=LOOKS[look].colour, label=engine)
+                for row in own:
+                    told = f"{1e3 * row['time_step']:g} ms, {row['iterations']}"
+                    place = row["error"], row["per_s"]
+                    axes.annotate(told, place, (4, 3), textcoords="offset points", fontsize=5)
+            axes.margins(0.25, 0.1)
             axes.set(title=motion, xlabel=f"error {label}")
             axes.grid(alpha=0.3, lw=0.5)
-        panels[0].set_ylabel("simulated seconds a second of a core")
+        panels[0].set_ylabel("simulated s in a second of a core")
         legend_below(figure, panels[0].get_lines())
         figure.savefig(path, dpi=110)
 
