@@ -153,7 +153,8 @@ def _parted(row: Row) -> str:
 
 
 def _metres(x: float) -> str:
-    return f"{1e3 * x:.2g} mm" if x >= 1e-5 else f"{1e9 * x:.1g} nm" if x >= 1e-10 else f"{1e12 * x:.1g} pm"
+    unit, size = next((one for one in (("mm", 1e-3), ("µm", 1e-6), ("nm", 1e-9)) if x >= one[1]), ("pm", 1e-12))
+    return f"{float(f'{x / size:.1g}'):g} {unit}"
 
 
 def precision(data: Row) -> str:
