@@ -79,6 +79,7 @@ LOOKS = {
         unreachable=("#8F8600", star(4)),
         no_plan=("#D6C600", star(4, 0.35)),
         infeasible=("#5F5A00", star(4) * (0.5, 1)),
+        uncalibrated=("#A39B2B", star(4, 0.2)),
     ),
     **looks(
         "drive",
