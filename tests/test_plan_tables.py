@@ -9,7 +9,7 @@ import pytest
 from sweep.cli.main import main
 from sweep.core.errors import InputError
 from sweep.models.obstacles.charts import charts
-from sweep.models.plan_table import differences, numbers, shipped, tabled
+from sweep.models.plan_table import differences, numbers, shipped, tabled, told
 from sweep.study.config import compose
 from sweep.study.study import points
 
@@ -141,7 +141,7 @@ def test_numbers_are_described_by_the_paths_they_are_varied_by(scenario, capsys)
     case = compose([f"scenario={scenario}"]).case
     assert main(["describe", f"plan.{case.manoeuvre.own_plan}"]) == 0
     said = {word.removeprefix("plan.") for word in capsys.readouterr().out.split() if word.startswith("plan.")}
-    known = numbers(tabled(case), charts(case.obstacle))
+    known = numbers(told(case), charts(case.obstacle))
     assert said == set(known)
     assert not [path for path in known if path[-1].isdigit() and not path.startswith("entry.")]
 

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from sweep.controllers.calibration import MOVES, Measured, names
-from sweep.controllers.manoeuvres.poses import HOLD, MOVE, Poses, held
+from sweep.controllers.poses import HOLD, MOVE, Poses, held
 from sweep.core.errors import InputError
 from sweep.core.outcomes import FAILURE, INVALID
 from sweep.engines import batching, devices, prelude
