@@ -104,9 +104,9 @@ class Arrays:
         dtype = cases[0].flat[0].dtype if cases[0].size else "float32"
         if len(cases) == 2 and (not index.size or index.flat[0].dtype == "bool"):
             return self.lift("select", [index, cases[1], cases[0]], dtype)
-        result = cases[-1]
+        result, kind = cases[-1], index.flat[0].dtype if index.size else "int32"
         for k in reversed(_ends(cases)):
-            first = self.lift("le", [index, self.constant(np.int32(k))], "bool")
+            first = self.lift("le", [index, self.constant(np.asarray(k, kind))], "bool")
             result = self.lift("select", [first, cases[k], result], dtype)
         return result
 

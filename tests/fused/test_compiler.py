@@ -171,6 +171,14 @@ def test_a_place_in_a_long_table_of_constants():
     np.testing.assert_array_equal(fused["found"], table[places])
 
 
+@pytest.mark.parametrize("double", [False, True])
+def test_a_choice_of_several_by_numbers_of_either_size(double):
+    with jax.enable_x64(double):
+        which = jnp.array([0, 1, 2, 1, 0])
+        fused, xla = both(lambda k, x: {"of": jax.lax.select_n(k, x[0], x[1], x[2])}, which, some(3))
+        np.testing.assert_array_equal(fused["of"], xla["of"])
+
+
 def test_places_that_depend_on_the_rollout_and_loops():
     def walked(table, index):
         k = index[0].astype(jnp.int32)
