@@ -1,5 +1,7 @@
 """What a comparison that stops by itself saves and costs, on simulated pairs: `python bench/anytime.py`.
 
+It writes docs/data/anytime.json, which docs/certainty.md cites.
+
 The two arms succeed with stated probabilities and a stated correlation, as common draws bring about. Beside the
 e-process of `sweep compare --anytime`: McNemar's exact test looked at after every ten pairs (which is wrong), the
 size of a test that is looked at once, and two sequential tests that have to be told the most pairs beforehand and take
@@ -8,11 +10,22 @@ Barnard's where the difference of the shares does, in its standard deviations, a
 simulation, so that of two arms that are equal at most 5 % are found to differ, whatever share succeeds.
 """
 
+import json
+import time
+from pathlib import Path
+
 import numpy as np
 from scipy.special import rel_entr
 from scipy.stats import binom
 
 from sweep.analysis.sequential import fixed_size, log_evidence
+from sweep.core.files import write_whole
+from sweep.core.provenance import made_with
+from sweep.engines.run_id import device
+from sweep.engines.settings import EngineSettings
+
+DATA = Path(__file__).parents[1] / "docs" / "data" / "anytime.json"
+Table = list[list[str]]  # columns, then rows
 
 ALPHA, REPETITIONS, MOST = 0.05, 2000, 4000
 SETTINGS = ((0.9, 0.8, 0.5), (0.9, 0.85, 0.5), (0.99, 0.95, 0.2), (0.7, 0.5, 0.3), (0.95, 0.9, 0.0))
@@ -55,11 +68,10 @@ def bounds(rng: np.random.Generator) -> np.ndarray:
     return np.quantile(np.array(most), 1 - ALPHA, axis=2).max(axis=0)
 
 
-def sequential(rng: np.random.Generator) -> None:
+def sequential(rng: np.random.Generator) -> Table:
     """Pairs until it is decided, of at most `TOLD`, by three tests, and how often it is."""
     limits = bounds(rng)
-    print(f"\nOf at most {TOLD} pairs:\n")
-    print("| A | B | correlation | *E*: mean, decided | Lai's | Barnard's |\n|--:|--:|--:|--:|--:|--:|")
+    table = [["A", "B", "correlation", "*E*", "Lai's", "Barnard's"]]
     for a, b, correlation in (*SETTINGS, *EQUAL):
         counts = outcomes(a, b, correlation, rng, TOLD)
         over = [log_evidence(*counts[:2]) >= -np.log(ALPHA)]
@@ -69,30 +81,45 @@ def sequential(rng: np.random.Generator) -> None:
             decided = hit.any(axis=1)
             pairs = np.where(decided, hit.argmax(axis=1) + 1, TOLD)
             cells.append(f"{pairs.mean():.0f}, {100 * decided.mean():.3g} %")
-        print(f"| {a} | {b} | {correlation} | " + " | ".join(cells) + " |")
+        table.append([f"{a:.2f}", f"{b:.2f}", f"{correlation:g}", *cells])
+    return table
 
 
-def main() -> None:
-    """Three tables in Markdown."""
-    rng = np.random.default_rng(0)
-    print("| both succeed | correlation | e-process finds a difference | repeated McNemar does |\n|--:|--:|--:|--:|")
+def equal(rng: np.random.Generator) -> Table:
+    """How often a difference is found of arms that are equal, however often one looks."""
+    table = [
+        ["both succeed", "correlation", "*E* finds a difference", "McNemar's test, looked at every ten pairs, does"]
+    ]
     for a, b, correlation in EQUAL:
         lost, gained = flips(a, b, correlation, rng)
         wrong = (log_evidence(lost, gained) >= -np.log(ALPHA)).any(axis=1).mean()
         b_, c_ = lost[:, 9::10], gained[:, 9::10]
         p = 2 * binom.cdf(np.minimum(b_, c_), b_ + c_, 0.5)
-        print(f"| {a} | {correlation} | {100 * wrong:.1f} % | {100 * (p <= ALPHA).any(axis=1).mean():.0f} % |")
-    print(
-        "\n| A | B | correlation | looked at once | mean | median | 95 of 100 within |\n|--:|--:|--:|--:|--:|--:|--:|"
-    )
+        often = (p <= ALPHA).any(axis=1).mean()
+        table.append([f"{a:.2f}", f"{correlation:g}", f"{100 * wrong:.1f} %", f"{100 * often:.0f} %"])
+    return table
+
+
+def different(rng: np.random.Generator) -> Table:
+    """Pairs until the evidence finds the difference."""
+    table = [["A", "B", "correlation", "looked at once", "mean", "median", "95 of 100 within"]]
     for a, b, correlation in SETTINGS:
         lost, gained = flips(a, b, correlation, rng)
         over = log_evidence(lost, gained) >= -np.log(ALPHA)
         pairs = np.where(over.any(axis=1), over.argmax(axis=1) + 1, MOST)
         once = fixed_size(a - (both := a * b + correlation * np.sqrt(a * (1 - a) * b * (1 - b))), b - both)
-        found = (pairs.mean(), np.median(pairs), np.percentile(pairs, 95))
-        print(f"| {a} | {b} | {correlation} | {once:.0f} | " + " | ".join(f"{v:.0f}" for v in found) + " |")
-    sequential(rng)
+        found = (once, pairs.mean(), np.median(pairs), np.percentile(pairs, 95))
+        table.append([f"{a:.2f}", f"{b:.2f}", f"{correlation:g}", *(f"{v:.0f}" for v in found)])
+    return table
+
+
+def main() -> None:
+    """Measure the three tables."""
+    rng, start = np.random.default_rng(0), time.perf_counter()
+    tables = {"equal": equal(rng), "different": different(rng), "sequential": sequential(rng)}
+    about = {"command": "python bench/anytime.py", "engine": "none", "devices": [device(EngineSettings())]}
+    about |= made_with() | {"seconds": round(time.perf_counter() - start), "tables": tables}
+    write_whole(DATA, (json.dumps(about, indent=1, ensure_ascii=False) + "\n").encode())
 
 
 if __name__ == "__main__":

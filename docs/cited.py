@@ -129,6 +129,13 @@ def codes(_: str) -> str:
     return "\n".join(lines)
 
 
+def table(name: str, which: str) -> str:
+    """A table as it was measured; columns but the first are numbers."""
+    columns, *rows = read(name)["tables"][which]
+    lines = [columns, ["--:"] * len(columns), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines).replace("| --: ", "|--:").replace("--: |", "--:|")
+
+
 def sources(names: list[str]) -> str:
     """What made the data of a page: command, engine, code, machine, a line each."""
     lines = ["| data | made by | engine, machine | code | s |", "|:--|:--|:--|:--|--:|"]
@@ -152,7 +159,8 @@ def pages() -> Iterator[Path]:
 
 FORMS = {
     "rate": rate, "rollouts": rollouts, "causes": causes, "errors": errors, "along": along, "bounds": bounds,
-    "seen": seen, "codes": codes, "compared": compared, "sources": sources,
+    "seen": seen, "codes": codes, "compared": compared, "table": table,
+    "sources": sources,
     **{name: partial(lambda table, name: table(read(name)), table) for name, table in validity_figures.TABLES.items()},
 }  # fmt: skip
 

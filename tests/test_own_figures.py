@@ -10,7 +10,7 @@ from mujoco.batch import Batch
 
 from sweep.cli.main import main
 from sweep.runs import store
-from sweep.systems.own import fields
+from sweep.systems.own import fields, files
 
 SLED = """<mujoco><option timestep="1e-3" integrator="Euler" iterations="{}"/>{}<worldbody>
 <site name="world"/><geom name="floor" type="plane" size="0 0 1" friction="0.001"/>
@@ -155,3 +155,16 @@ def test_a_urdf_and_its_meshes_are_read_as_they_are(here, capsys):
     assert "model.mjcf = robot.urdf does not compile: " in told
     assert "did you mean trunk.stl?" in told
     assert not Path("lost").exists()
+
+
+def test_a_controller_is_as_its_file_is_now_and_in_this_project(here, monkeypatch):
+    """Of a notebook that goes on while a file is edited, or goes on to another project."""
+    for folder, number in ((here, 1), (here, 22), (here / "other", 333), (here, 4444)):
+        folder.mkdir(exist_ok=True)
+        (folder / "steered.py").write_text(
+            f"def policy(belief, observation, state, key):\n    return {number}, state\n"
+        )
+        monkeypatch.chdir(folder)
+        found = files.controller("steered:policy")
+        assert found.policy({}, None, (), None) == (number, ())
+        assert files.controller("steered:policy").policy is found.policy  # and compiled once

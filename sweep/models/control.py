@@ -17,7 +17,7 @@ class Control:
     turn: float = quantity(0.175, "rad", above=0, at_most=1)  # by how much it turns the base about each axis
     samples: float = quantity(50.0, "ticks", at_least=1)  # over how many measurements of a pose it takes the mean
     stiffness: float = quantity(1500.0, "N*m/rad", above=0)  # of the drives in simulated poses
-    damping: float = quantity(200.0, "N*m*s/rad", at_least=0)  # the same
+    damping: float = quantity(200.0, "N*m*s/rad", at_least=0)  # of these, against the joint's rate
     # deviation of each believed size, relative: what calibration takes for possible before it measures
     size_error: float = quantity(0.012, "-", above=0, at_most=0.2)
     # deviation of each standing foot's place along the ground from pose to pose of the calibration

@@ -17,12 +17,12 @@ class Noise:
     # deviation of the base's measured orientation, about each axis, at every tick
     orientation_noise: float = quantity(0.0, "rad", at_least=0)
     orientation_bias: float = quantity(0.0, "rad", at_least=0)  # deviation of its constant error, about each axis
-    position_offset_x: float = quantity(0.0, "m")  # constant error of the base's measured position, world axes
-    position_offset_y: float = quantity(0.0, "m")
-    position_offset_z: float = quantity(0.0, "m")
-    orientation_offset_x: float = quantity(0.0, "rad")  # constant error of its measured orientation, about world axes
-    orientation_offset_y: float = quantity(0.0, "rad")
-    orientation_offset_z: float = quantity(0.0, "rad")
+    position_offset_x: float = quantity(0.0, "m")  # constant error of the base's measured position along world axis x
+    position_offset_y: float = quantity(0.0, "m")  # constant error of the base's measured position along world axis y
+    position_offset_z: float = quantity(0.0, "m")  # constant error of the base's measured position along world axis z
+    orientation_offset_x: float = quantity(0.0, "rad")  # constant error of its measured orientation about world axis x
+    orientation_offset_y: float = quantity(0.0, "rad")  # constant error of its measured orientation about world axis y
+    orientation_offset_z: float = quantity(0.0, "rad")  # constant error of its measured orientation about world axis z
     # deviation of the base's measured velocity, along each axis, at every tick
     velocity_noise: float = quantity(0.0, "m/s", at_least=0)
     velocity_bias: float = quantity(0.0, "m/s", at_least=0)  # deviation of its constant error, along each axis

@@ -9,6 +9,7 @@ import pytest
 from playing import played, varied
 
 from sweep.controllers.plan import Plan, Stance, along_arc, moved, pace_progress, reference
+from sweep.controllers.posture import leg_unit
 from sweep.controllers.tracker import joint_targets
 from sweep.core.rotations import exponential, matrix, rotate
 from sweep.formulas.leg import SIDE
@@ -139,7 +140,7 @@ def test_the_plan_follows_what_is_believed(case):
     last = plan.foothold[:, -1]
     grip = np.broadcast_to(cases.obstacle.radius[:, None] - 5e-3, last.shape[:2])
     np.testing.assert_allclose(np.hypot(last[..., 0], last[..., 1]), grip, atol=1e-12)
-    height = cases.robot.body_length * (1 + 0.9 * LANDING)
+    height = cases.robot.body_length / 2 + leg_unit(cases.robot) * (0.5 + 0.9 * LANDING)
     np.testing.assert_allclose(stances.position[:, -1, -1, 2], height, rtol=1e-12)
 
 

@@ -20,6 +20,7 @@ from sweep.core import project
 from sweep.core.errors import InputError, suggest
 
 ONNX, BINARY, PACKAGE = ".onnx", ".mjb", "package://"
+_READ: dict[str, tuple[Path, str]] = {}  # of modules by name: the project that they were read in, and their digest
 
 
 class Controller(NamedTuple):
@@ -110,10 +111,9 @@ def controller(name: str) -> Controller:
         raise InputError(
             f"model.controller = {name!r} is not allowed: as my.walk:policy, a module and its function, or walk.onnx"
         )
-    if str(place()) not in sys.path:
-        sys.path.insert(0, str(place()))
+    sys.path[:] = [str(place()), *(path for path in sys.path if path != str(place()))]
     try:
-        module = importlib.import_module(module_name)
+        module = _imported(module_name)
     except Exception as error:  # whatever a user's module raises
         reason = (str(error).splitlines() or [""])[0]
         raise InputError(f"model.controller = {name} cannot be imported: {type(error).__name__}: {reason}") from None
@@ -142,6 +142,19 @@ def _batched(policy: Callable[..., Any]) -> bool:
     every = inspect.signature(policy).parameters.values()
     places = [one for one in every if one.kind in (one.POSITIONAL_ONLY, one.POSITIONAL_OR_KEYWORD)]
     return len([one for one in places if one.default is one.empty]) == 1
+
+
+def _imported(name: str) -> Any:
+    """The module as its files are now: a process that goes on may know it as it was, or one of another project."""
+    known, read = sys.modules.get(name), _READ.get(name)
+    if known and read and read != (place(), _digest(_sources(known))) and read[0] in Path(known.__file__ or "").parents:
+        package = name.partition(".")[0]
+        for stale in [one for one in sys.modules if one == package or one.startswith(f"{package}.")]:
+            del sys.modules[stale]
+        importlib.invalidate_caches()
+    module = importlib.import_module(name)
+    _READ[name] = place(), _digest(_sources(module))
+    return module
 
 
 def _sources(module: Any) -> list[Path]:
