@@ -68,7 +68,7 @@ def colour(leg: int) -> str:
 
 def from_above(panel: Axes) -> None:
     """Way points, axes of equal scale."""
-    panel.plot(*WAYPOINTS.T, "k*", ms=8, zorder=5)
+    panel.plot(*np.transpose(WAYPOINTS), "k*", ms=8, zorder=5)
     panel.set(xlabel="x (m)", ylabel="y (m)", aspect="equal")
     panel.grid(alpha=0.3)
 

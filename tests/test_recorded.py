@@ -1,8 +1,16 @@
 """Plans and their tracking are as they are recorded; those meant to change are recorded anew by `tests/recorded.py`."""
 
+import importlib
+import pkgutil
+
+import jax
 import numpy as np
 import pytest
 from recorded import planned, read, read_tracked, scenarios, tracked
+
+import sweep.controllers
+import sweep.formulas
+import sweep.models
 
 ROUNDING = 1e-11  # of sums in double precision
 DRIFT = 1e-9  # of the same, of what a tracker says that has followed itself for `TICKS`
@@ -14,6 +22,18 @@ FEW = 1  # draws, in the fast test
 @pytest.mark.parametrize("name", scenarios())
 def test_plans_are_as_recorded(name):
     compare(planned(name, FEW), read(name))
+
+
+def test_no_constant_has_double_precision():
+    """JAX may keep an array's type from the precision in which it first meets it: such constants are tuples."""
+    found = set()
+    for room in (sweep.controllers, sweep.formulas, sweep.models):
+        for one in pkgutil.walk_packages(room.__path__, f"{room.__name__}."):
+            for name, value in vars(importlib.import_module(one.name)).items():
+                leaves = jax.tree.leaves(value) if isinstance(value, tuple | list | dict) else [value]
+                if any(isinstance(x, np.ndarray) and x.dtype == np.float64 for x in leaves):
+                    found.add((one.name, name))
+    assert found == set()
 
 
 @pytest.mark.slow

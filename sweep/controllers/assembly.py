@@ -99,7 +99,7 @@ def _held(stages: Sequence[Stage]) -> HeldLegs | None:
     for stage in stages:
         kept = (kept - set(stage.swing)) | set(stage.posture)
         for leg, goal in stage.posture.items():
-            angles = angles.at[leg - 1].set(goal)
+            angles = angles.at[leg - 1].set(jnp.asarray(goal, float))
         held.append([leg in kept for leg in LEGS])
         joints.append(angles)
         kept = kept - set(stage.swing)

@@ -5,7 +5,7 @@ stand. Numbers come from the belief's parameters, so that plans are built under 
 names are fixed at compile time.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -61,7 +61,7 @@ class Stage:
     guides: Mapping[int, Array] = field(default_factory=dict)
     # leg number -> joint angles (rad) that it goes to, straight in joint space, and keeps until its next swing. A leg
     # that swings as well stands at its foothold then, which these angles must reach.
-    posture: Mapping[int, Array | np.ndarray] = field(default_factory=dict)
+    posture: Mapping[int, Array | Sequence[float]] = field(default_factory=dict)
     flywheel: int = LOCKED
     foot_frames: tuple[int, ...] = (WORLD,) * 6  # in which each foot stands or swings, see frames.py
     base_frame: int = WORLD  # of its place; a body's own axes turn its attitude, too

@@ -40,7 +40,7 @@ from sweep.models.robot import Robot, mounts
 DIAGONALS = ((1, 6), (2, 5))
 MIDDLE = (3, 4)
 OUT = np.isin(np.array(LEGS), MIDDLE)
-LEVEL_LEGS = {3: np.array([0.0, np.pi / 2, 0.0]), 4: np.array([0.0, np.pi / 2, np.pi])}  # straight out to the sides
+LEVEL_LEGS = {3: (0.0, np.pi / 2, 0.0), 4: (0.0, np.pi / 2, np.pi)}  # straight out to the sides
 FORWARD = (0.0, -1.0, 0.0)
 
 

@@ -28,7 +28,7 @@ from sweep.models.obstacles.corner import Corner
 FRONT, MIDDLE, REAR = GALLOP
 # e of stages 2.4.3 and 2.4.5
 RISING = OUTWARD + UP
-SLANTED = OUTWARD + 0.9 * UP
+SLANTED = (OUTWARD + 0.9 * UP).tolist()
 
 
 class CornerSite(NamedTuple):
@@ -61,7 +61,7 @@ class CornerSite(NamedTuple):
         return self.at(0.0, self.standoff, (feet[FRONT] + feet[REAR]) / 2)
 
     def swing(
-        self, name: str, goals: dict[int, Array], times: float = 1.0, plane: np.ndarray = OUTWARD, **body
+        self, name: str, goals: dict[int, Array], times: float = 1.0, plane: np.ndarray | list = OUTWARD, **body
     ) -> Stage:
         """A swing that takes `times` t*, with what the base does in it."""
         return Stage(name, times * self.step.time, goals, CYCLE_B_SMOOTH, self.step.height, plane, pace=SMOOTH, **body)

@@ -27,8 +27,8 @@ from sweep.models.obstacles.charts import point
 from sweep.models.obstacles.pole_ledge import PoleLedge
 
 FRONT, MIDDLE, REAR = GALLOP
-OUTWARD = SIDE[:, None] * np.array([1.0, 0.0, 0.0])  # (6, 3), e_n of (2.3.2)
-UP = np.array([0.0, 0.0, 1.0])
+OUTWARD = SIDE[:, None] * np.array([1, 0, 0])  # (6, 3), e_n of (2.3.2)
+UP = np.array([0, 0, 1])
 
 
 class PoleEntry(NamedTuple):
@@ -242,7 +242,7 @@ def off_floor(site: PoleSite, start: dict[int, Array], end: dict[int, Array]) ->
     The printed flat cycle drags a foot along the floor where the base hangs lower than planned.
     """
     up, out = 0.3 * site.unit, 0.1 * site.unit
-    up = point(0.0, 0.0, up)  # not `UP`: JAX keeps such a constant's type from the precision it first met it in
+    up = point(0.0, 0.0, up)
     return {leg: jnp.stack([start[leg] + up, goal + out * OUTWARD[leg - 1]]) for leg, goal in end.items()}
 
 

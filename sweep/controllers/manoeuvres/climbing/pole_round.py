@@ -23,7 +23,7 @@ from sweep.models.obstacles.charts import point
 from sweep.models.obstacles.pole_ledge import PoleLedge
 
 STEP = np.pi / 8  # sigma: how far round the pole the base goes in 3 t*; printed as pi/6 in 2 t*
-BEHIND = np.array([0.0, 0.0, np.pi])  # rotation vector of the half turn to the ledge's side
+BEHIND = (0.0, 0.0, np.pi)  # rotation vector of the half turn to the ledge's side
 
 
 @parameters
@@ -51,7 +51,7 @@ class PoleRound(OnPole):
         up = assemble(*self.climb(site, belief, rise), self.patience)
         top = last_stance(up)
         across = assemble(top, [Stage("hang", STAND), *half_way_round(site, top)], self.patience)
-        down = moved(reversed_in_time(from_ledge), exponential(jnp.asarray(BEHIND)), point(0.0, 0.0, ledge))
+        down = moved(reversed_in_time(from_ledge), exponential(jnp.array(BEHIND)), point(0.0, 0.0, ledge))
         plan = joined(up, across, down)
         return plan if self.side == "left" else mirrored(plan, np.array([1.0, 0.0, 0.0]))
 

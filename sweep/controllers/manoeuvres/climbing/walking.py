@@ -5,7 +5,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.controllers.gaits import TRIPOD, Step, centre_offsets, regular_steps
@@ -25,7 +24,6 @@ class Facing(NamedTuple):
 
 TOWARDS = (0.5**0.5, 0.0, 0.0, -(0.5**0.5))  # base to world: x_r along -y, z_r up
 ALONG_Y = Facing(TOWARDS, (0.0, -1.0, 0.0))
-FORWARD = np.array(ALONG_Y.forward)
 AHEAD = Facing(IDENTITY, (1.0, 0.0, 0.0))
 EASED = (0.0, 0.0)  # rates of a path of the base that starts and ends at rest, as swings do
 
@@ -50,7 +48,7 @@ def walk_up(
 
     The base walks up to `gap` (m) before where it arrives, and goes the rest while the feet go to their places.
     """
-    forward, home = jnp.array(FORWARD), centres(belief, spread, arrival[2])
+    forward, home = jnp.array(ALONG_Y.forward), centres(belief, spread, arrival[2])
     position = arrival - (gap + 2 * step.landing * steps) * forward
     offsets = centre_offsets(TRIPOD, step)
     feet = position + home + jnp.stack([offsets[leg] * forward for leg in LEGS])

@@ -20,7 +20,7 @@ from sweep.models.legs import LEGS
 from sweep.models.obstacles.plane import Plane
 from sweep.models.robot import Robot
 
-WAYPOINTS = np.array([[0.0, 0.0], [3.0, 2.0], [3.0, 3.5], [8.0, 5.0]])  # m, on the ground
+WAYPOINTS = ((0.0, 0.0), (3.0, 2.0), (3.0, 3.5), (8.0, 5.0))  # m, on the ground
 CIRCLE = (6, 4, 2, 1, 3, 5)  # our legs in the thesis' order: its leg 1 is 30 deg from x, the rest counter-clockwise
 TRIPODS = ((6, 2, 3), (4, 1, 5))  # its legs 1, 3, 5, which swing first, and 2, 4, 6
 IDLE = 0.02  # s, a phase of a cycle after arrival: no step, no lift
@@ -79,7 +79,7 @@ class Waypoints:
                 landing = {leg: footing[leg - 1] for leg in tripod}
                 name = f"{k + 1}.{'-'.join(map(str, tripod))}"
                 stages.append(Stage(name, time, landing, HALF_ELLIPSE, moving * lift, position=position, pace=ELLIPTIC))
-        stages.append(Stage("halt", 2 * STAND, position=start.position.at[:2].set(WAYPOINTS[-1])))
+        stages.append(Stage("halt", 2 * STAND, position=start.position.at[:2].set(jnp.array(WAYPOINTS[-1]))))
         return on_ground(assemble(start, stages, self.patience), belief)
 
     def home(self, robot: Robot) -> tuple[Array, Array]:
@@ -89,7 +89,7 @@ class Waypoints:
 
     def steps(self, robot: Robot) -> Float[Array, "cycles 3"]:
         """The step of each cycle (m): the largest one, or half of what is left where two of them would be too much."""
-        points = jnp.asarray(WAYPOINTS)
+        points = jnp.array(WAYPOINTS)
 
         def cycle(state: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], Array]:
             position, next_point = state
