@@ -48,7 +48,7 @@ class Stage:
     cycle: int = CYCLE_A
     height: Array | float = 0.0  # m: k^ d_y of (1.3.3), or h of the half-ellipse
     # e of (1.3.3), which lifts the swing: one for all legs, or by leg (6, 3)
-    plane: Array | np.ndarray | tuple[float, float, float] = (0.0, 0.0, 1.0)
+    plane: Array | np.ndarray | Sequence[float] | Sequence[Sequence[float]] = (0.0, 0.0, 1.0)
     carry: Array | float = 0.0  # share of the swing's way that is made evenly, with the body, in a regular gait
     position: Array | None = None  # m, base at the end
     turn: Array | None = None  # rad, rotation vector of the base over the stage, world axes

@@ -4,6 +4,7 @@ World axes: the corner's edge stands along z at the origin and the robot comes a
 and z; its eta counts from the middle between the tracks on the walls.
 """
 
+from collections.abc import Sequence
 from typing import ClassVar, NamedTuple
 
 import jax.numpy as jnp
@@ -61,7 +62,12 @@ class CornerSite(NamedTuple):
         return self.at(0.0, self.standoff, (feet[FRONT] + feet[REAR]) / 2)
 
     def swing(
-        self, name: str, goals: dict[int, Array], times: float = 1.0, plane: np.ndarray | list = OUTWARD, **body
+        self,
+        name: str,
+        goals: dict[int, Array],
+        times: float = 1.0,
+        plane: np.ndarray | Sequence[Sequence[float]] = OUTWARD,
+        **body,
     ) -> Stage:
         """A swing that takes `times` t*, with what the base does in it."""
         return Stage(name, times * self.step.time, goals, CYCLE_B_SMOOTH, self.step.height, plane, pace=SMOOTH, **body)
