@@ -69,7 +69,7 @@ def test_steps_are_the_share_of_the_limit_or_half_of_what_is_left(case):
 def test_body_passes_through_the_way_points(case):
     plan = case.manoeuvre.plan(case)
     np.testing.assert_allclose(plan.start.position, [0, 0, 2 - np.sqrt(0.5)], atol=1e-12)
-    for point in WAYPOINTS[1:]:
+    for point in np.array(WAYPOINTS)[1:]:
         assert np.linalg.norm(plan.position[:, :2] - point, axis=1).min() < 1e-12
     np.testing.assert_allclose(plan.position[-1, :2], WAYPOINTS[-1], atol=1e-12)
     active = plan.duration[1:-1] == 1
