@@ -6,6 +6,7 @@ import pytest
 from scipy.stats import binom
 
 from sweep.analysis import certify
+from sweep.cli.certify import told
 from sweep.cli.main import main
 from sweep.core.errors import InputError
 from sweep.core.expressions import mask
@@ -87,10 +88,21 @@ def test_a_study_is_certified_by_fresh_draws_and_checked_where_it_looks_worst(
     (tmp_path / "draws.yaml").write_text(DRAWS)
     assert main(["run", "study=draws.yaml", "out=d", "engine.width=256"]) == 0
     capsys.readouterr()
-    command = ["certify", "d", "--shape", "ellipsoid", "--rollouts", "1500", "-o", "region.json"]
+    command = [
+        "certify",
+        "d",
+        "--shape",
+        "ellipsoid",
+        "--rollouts",
+        "1500",
+        "--confidence",
+        "0.975",
+        "-o",
+        "region.json",
+    ]
     assert main(command) == 0
     first = capsys.readouterr().out
-    assert "with a confidence of 95.0 % at most 1.0 % of the study's draws" in first
+    assert "with a confidence of 97.5 % at most 1 % of the study's draws" in first
     assert "where the region looks worst" in first
     region = json.loads((tmp_path / "region.json").read_text())
     assert region["certified"]
@@ -114,11 +126,18 @@ def test_draws_of_which_none_fails_leave_regions_in_no_order(fake_engine, tmp_pa
     assert "none of the rows to learn from failed, so that regions are in no order: wider draws tell more" in out
 
 
+def test_a_small_promise_keeps_its_digits():
+    x = np.linspace(0, 1, 80_000)[:, None]
+    fails = x[:, 0] > 0.9
+    found = certify.certify("box", (x[::2], fails[::2]), (x[1::2], fails[1::2]), 1e-4, 0.95)
+    assert "with a confidence of 95 % at most 0.01 % of the study's draws" in told(found, "box", ["friction"])
+
+
 @pytest.mark.parametrize(
     ("more", "line"),
     [
         (["--failures", "0"], "--failures = 0 is not allowed: between 0 and 1"),
-        (["--rollouts", "200"], "--rollouts = 200 is not allowed: 0.01 at 95.0 % takes at least 299"),
+        (["--rollouts", "200"], "--rollouts = 200 is not allowed: 0.01 at 95 % takes at least 299"),
     ],
 )
 def test_numbers_that_mean_nothing_are_refused(more, line, tmp_path, capsys):

@@ -53,7 +53,7 @@ def check(given: argparse.Namespace) -> None:
         if not 0 < getattr(given, name) < 1:
             raise InputError(f"--{name} = {getattr(given, name):g} is not allowed: between 0 and 1")
     if given.rollouts is not None and given.rollouts < (need := certify.fewest(given.failures, given.confidence)):
-        takes = f"{given.failures:g} at {percent(given.confidence)} takes at least {need}, if none of them fails"
+        takes = f"{given.failures:g} at {as_given(given.confidence)} takes at least {need}, if none of them fails"
         raise InputError(f"--rollouts = {given.rollouts} is not allowed: {takes}")
 
 
@@ -132,15 +132,20 @@ def told(found: certify.Certificate, shape: str, names: list[str]) -> str:
     if not found.found:
         return f"no {shape} is certified at {found.failures:g}: {where}. More rows, or a larger probability, may do"
     promise = (
-        f"with a confidence of {percent(found.confidence)} at most {percent(found.failures)} of the study's draws that "
-        f"fall into this {shape} fail: {percent(found.share)} of all draws, {found.failed} of {found.rows} fresh rows "
-        "failed there"
+        f"with a confidence of {as_given(found.confidence)} at most {as_given(found.failures)} of the study's draws "
+        f"that fall into this {shape} fail: {percent(found.share)} of all draws, {found.failed} of {found.rows} fresh "
+        "rows failed there"
     )
     why = f"; {where}" if found.next_rows else "; it is the largest there is"
     assumed = (
         "promised for draws from the study's distributions, not for every point; invalid rollouts count as failures"
     )
     return f"{promise}{why}.\n{assumed}\nthe region, for --where:\n  {found.score.condition(names, found.threshold)}"
+
+
+def as_given(share: float) -> str:
+    """`1e-5` -> `0.001 %`: what is promised loses no digit."""
+    return f"{100 * share:g} %"
 
 
 def as_data(found: certify.Certificate, given: argparse.Namespace, names: list[str]) -> dict[str, Any]:
