@@ -6,6 +6,9 @@ BIN := .venv/bin
 SCRIPT = @if npx --yes --package=$(1) $(2) --version >/dev/null 2>&1; then npx --yes --package=$(1) $(2) $(3); \
   else echo "npx has no $(1) here: the page's script is not checked by $(2)"; fi
 
+# the extra of a machine with a GPU
+GPU = $(shell nvidia-smi -L >/dev/null 2>&1 && echo ,gpu)
+
 # every Python that is supported and there, a pyenv's too
 PYTHONS = $(shell for v in 3.12 3.13; do for p in python$$v $$HOME/.pyenv/versions/$$v*/bin/python; do \
   $$p -c '' 2>/dev/null && echo $$p && break; done; done)
@@ -46,8 +49,8 @@ types: setup
 	$(BIN)/pyright
 	$(call SCRIPT,typescript@5.9,tsc,-p sweep/report/page)
 
-paper: setup  # all that docs/ shows, in an hour on a GPU; QUICK=--quick on two cores, with coarser studies
-	$(BIN)/python jobs/paper.py $(QUICK)
+paper: setup  # all that docs/ shows, in an hour on a GPU, JOBS=8 at once; QUICK=--quick on two cores, coarser
+	$(BIN)/python jobs/paper.py --jobs $(or $(JOBS),1) $(QUICK)
 	$(BIN)/python docs/cited.py
 
 points: setup  # 20 rollouts of a shipped example, by the commit's hash, end as they did
@@ -61,7 +64,7 @@ setup: .venv/.installed
 .venv/.installed: pyproject.toml setup.py constraints.txt
 	@test -n "$(PYTHON)" || { echo "make: no Python 3.12 or 3.13 on the PATH; set PYTHON=/path/to/python3.12"; exit 1; }
 	$(PYTHON) -m venv .venv
-	$(BIN)/pip install -q -c constraints.txt -e '.[dev,docs]'
+	$(BIN)/pip install -q -c constraints.txt -e '.[dev,docs$(GPU)]'
 	@touch $@
 
 clean:

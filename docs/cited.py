@@ -146,6 +146,16 @@ def sources(names: list[str]) -> str:
     return "\n".join(lines)
 
 
+def changes(_: str) -> str:
+    """What is beyond its interval since the data before those that are there, a line for each count."""
+    lines = ["| data | code | before | beyond its interval |", "|:--|:--|:--|:--|"]
+    for path in sorted(DATA.glob("*.json")):
+        data = read(path.stem)
+        changed = data.get("changed") or {"before": "", "counts": []}
+        lines += [f"| {path.stem} | {data['commit']} | {changed['before']} | {one} |" for one in changed["counts"]]
+    return "\n".join(lines) if lines[2:] else "Nothing is beyond its interval."
+
+
 def outdated(text: str) -> str:
     """A sentence about data of a page that are of other code than this, for the site; empty where there are none."""
     older = sorted(name for name in targets(text) if read(name)["code"] != code_version())
@@ -160,7 +170,7 @@ def pages() -> Iterator[Path]:
 FORMS = {
     "rate": rate, "rollouts": rollouts, "causes": causes, "errors": errors, "along": along, "bounds": bounds,
     "seen": seen, "codes": codes, "compared": compared, "table": table,
-    "sources": sources,
+    "changes": changes, "sources": sources,
     **{name: partial(lambda table, name: table(read(name)), table) for name, table in validity_figures.TABLES.items()},
 }  # fmt: skip
 

@@ -1,23 +1,30 @@
 """Makes what docs/ shows: runs the studies of jobs/paper.yaml, draws pictures, writes docs/data/NAME.json of each.
 
-    python jobs/paper.py [NAME ...] [--quick] [--out results/paper]
+    python jobs/paper.py [NAME ...] [--quick] [--jobs 1] [--studies] [--out results/paper]
 
 A study's folder finishes what is missing in it and refuses rows of other code, so each code has folders of its own
 below OUT: whatever is interrupted goes on, and rows are taken as they are where their code is this one. That is why no
-workflow engine is used, which would ask files for their dates instead. At the end: what changed beyond its interval.
+workflow engine is used, which would ask files for their dates instead. What changed beyond its interval is written
+with the data that it is about, and told at the end. `python jobs/paper.py` needs no installed package, only its
+libraries: `PYTHONPATH=. python jobs/paper.py`.
 """
 
 import argparse
 import fnmatch
 import json
+import multiprocessing
+import os
 import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 from sweep.analysis import sensitivity
@@ -37,6 +44,7 @@ FIGURES, DATA = DOCS / "figures", DOCS / "data"
 ALLOWED = (0, 3, 4)  # invalid rows and broken expectations are results, too
 VALUES, PARTS = 20, 5  # of an axis, each for itself; of a longer one, equal parts
 DPI = 110
+COUNTS = ("success", "valid")
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -44,6 +52,8 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("names", nargs="*", metavar="NAME", help="targets, such as pole_map or 'ball_*' (all)")
     parser.add_argument("--quick", action="store_true", help="coarser studies, for two cores")
+    parser.add_argument("--jobs", type=int, default=1, metavar="N", help="studies made at the same time (1)")
+    parser.add_argument("--studies", action="store_true", help="leave out the pictures of single runs")
     parser.add_argument("--out", type=Path, default=ROOT / "results" / "paper", help="folder of the studies")
     given = parser.parse_args(argv)
     targets = yaml.safe_load(TABLE.read_text(encoding="utf-8"))
@@ -51,22 +61,61 @@ def main(argv: list[str] | None = None) -> int:
     if unknown:
         print(f"{unknown[0]} is not a target: {', '.join(targets)}", file=sys.stderr)
         return 2
+    if given.jobs < 1:
+        print(f"--jobs {given.jobs}: allowed are 1 and more", file=sys.stderr)
+        return 2
     chosen = [name for name in targets if not given.names or any(fnmatch.fnmatch(name, one) for one in given.names)]
-    changed, failed, start = [], [], time.monotonic()
-    for number, name in enumerate(chosen, 1):
-        print(f"== {number} of {len(chosen)}, {time.monotonic() - start:.0f} s: {name}", flush=True)
-        try:
-            changed += made(name, targets[name], given.out / code_version(), given.quick)
-        except (subprocess.CalledProcessError, OSError, ValueError) as error:
-            failed.append(f"{name}: {error}")
+    chosen = [name for name in chosen if not given.studies or "run" in targets[name]]
+    changed, failed, start, number = [], [], time.monotonic(), 0
+    os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")  # else the first process takes the GPU's memory
+    # each process a fresh one: a fork would share what JAX has started; the longest studies first
+    with ProcessPoolExecutor(given.jobs, mp_context=multiprocessing.get_context("spawn")) as processes:
+        waiting = {
+            processes.submit(each, {name: targets[name] for name in names}, given.out / code_version(), given.quick)
+            for names in sorted(shared(chosen, targets), key=lambda names: -longest(names, targets, given.quick))
+        }
+        for done in as_completed(waiting):
+            for name, lines, fault, seconds in done.result():
+                number += 1
+                state = "failed" if fault else "made"
+                print(f"{number} of {len(chosen)}, {time.monotonic() - start:.0f} s: {name} {state} in {seconds:.0f} s")
+                changed += lines
+                failed += [f"{name} failed: {fault}"] if fault else []
+                sys.stdout.flush()
     for line in [*changed, *failed] or ["nothing changed beyond its interval"]:
         print(line)
     return bool(failed)
 
 
-def made(name: str, target: dict[str, Any], out: Path, quick: bool) -> Iterator[str]:
+def shared(chosen: Sequence[str], targets: dict[str, Any]) -> Iterator[list[str]]:
+    """Names of targets that are made one after the other: those of one study, and all pictures each by itself."""
+    alone = [name for name in chosen if "run" not in targets[name]]
+    yield from ([name] for name in alone)
+    studies = sorted((name for name in chosen if name not in alone), key=lambda name: ran_as(targets[name]))
+    yield from (list(names) for _, names in groupby(studies, key=lambda name: ran_as(targets[name])))
+
+
+def longest(names: Sequence[str], targets: dict[str, Any], quick: bool) -> int:
+    """Seconds that targets may take."""
+    return max(targets[name]["budget"][quick] for name in names)
+
+
+def each(targets: dict[str, Any], out: Path, quick: bool) -> list[tuple[str, list[str], str, float]]:
+    """Make targets: of each its name, what changed, why it failed where it did, and seconds."""
+    told = []
+    for name, target in targets.items():
+        start, lines, fault = time.monotonic(), [], ""
+        try:
+            lines = made(name, target, out, quick)
+        except Exception as error:  # whatever it is, the other targets are made
+            fault = f"{type(error).__name__}: {error}"
+        told.append((name, lines, fault, time.monotonic() - start))
+    return told
+
+
+def made(name: str, target: dict[str, Any], out: Path, quick: bool) -> list[str]:
     """Make one target; what changed beyond its interval since its data were written last."""
-    folder = out / ("quick" if quick else "full") / ran_as(target)
+    folder, changed = out / ("quick" if quick else "full") / ran_as(target), []
     if "run" in target:
         command = [*target["run"], *(target.get("quick", []) if quick else [])]
         seconds = simulate(command, folder)
@@ -79,10 +128,11 @@ def made(name: str, target: dict[str, Any], out: Path, quick: bool) -> Iterator[
         if "script" not in target and target.get("picture", True):
             picture(found, target, FIGURES / f"{name}.png")
         about = {"command": " ".join(["sweep run", *command]), "quick": quick and "quick" in target}
-        yield from told(name, about | summary(found) | {"seconds": round(seconds)})
+        changed = told(name, about | summary(found, target) | {"seconds": round(seconds)})
     if script := target.get("script"):
         words = [f"{word}{folder}" if word.endswith("=") else word for word in script[1:]]
-        subprocess.run([sys.executable, str(DOCS / script[0]), *words], cwd=ROOT, check=True)
+        run(str(DOCS / script[0]), *words)
+    return changed
 
 
 def ran_as(target: dict[str, Any]) -> str:
@@ -103,9 +153,15 @@ def simulate(overrides: list[str], folder: Path) -> float:
 
 def sweep(*words: str) -> None:
     """A command in a process of its own, so that each has a device to itself."""
-    done = subprocess.run([sys.executable, "-m", "sweep.cli", *words], cwd=ROOT, stdout=subprocess.DEVNULL, check=False)
-    if done.returncode not in ALLOWED:
-        raise subprocess.CalledProcessError(done.returncode, f"sweep {' '.join(words)}")
+    run("-m", "sweep.cli", *words, allowed=ALLOWED)
+
+
+def run(*words: str, allowed: Sequence[int] = (0,)) -> None:
+    """Python in a process of its own. Raises `RuntimeError` with the last lines that it wrote."""
+    done = subprocess.run([sys.executable, *words], cwd=ROOT, capture_output=True, text=True, check=False)
+    if done.returncode not in allowed:
+        last = " | ".join(done.stderr.strip().splitlines()[-3:])
+        raise RuntimeError(f"{' '.join(words)} ended with {done.returncode}: {last}")
 
 
 def picture(found: Results, target: dict[str, Any], path: Path) -> None:
@@ -119,7 +175,7 @@ def picture(found: Results, target: dict[str, Any], path: Path) -> None:
             maps.success_map(found.rows, found.stored, axes).savefig(path, dpi=DPI)
 
 
-def summary(found: Results) -> dict[str, Any]:
+def summary(found: Results, target: dict[str, Any]) -> dict[str, Any]:
     """What the rows of a study say, by cell and along each axis, and what they are of."""
     rows, stored = found.rows, found.stored
     whole = rate(rows["outcome"])
@@ -134,6 +190,7 @@ def summary(found: Results) -> dict[str, Any]:
         "success": whole.success,
         "causes": {str(name): int(number) for name, number in cause.items()},
         "along": {axis: along(found, axis) for axis in (found.listed if found.one_at_a_time else found.axes)},
+        "map": cells(found, tuple(target.get("map", ()))),
         "commit": stored["commit"],
         "code": stored["code"],
         "devices": stored["devices"],
@@ -157,28 +214,69 @@ def along(found: Results, axis: str) -> list[list[Any]]:
     return [[value, *count] for value, count in zip(values, counts, strict=True)]
 
 
-def told(name: str, new: dict[str, Any]) -> Iterator[str]:
-    """Write the data of a target; a line for each of its counts that is beyond the interval of the one before."""
+def cells(found: Results, chosen: tuple[str, ...]) -> dict[str, Any] | None:
+    """Successes and valid rollouts in each cell of a grid over the axes of the map; None where there is no grid."""
+    axes = maps.independent(found.rows, chosen)
+    if len(axes) < 2 or found.one_at_a_time:
+        return None
+    x, y = axes
+    counted = rates(found.rows, [x, y])
+    table = [counted.pivot(index=y, columns=x, values=one) for one in COUNTS]
+    if table[0].isna().to_numpy().any():
+        return None
+    values = {axis: [float(f"{value:.6g}") for value in sorted(found.rows[axis].unique())] for axis in axes}
+    return {
+        "values": values,
+        **{one: part.astype(int).to_numpy().tolist() for one, part in zip(COUNTS, table, strict=True)},
+    }
+
+
+def told(name: str, new: dict[str, Any]) -> list[str]:
+    """Write the data of a target, and with them a line for each of its counts beyond the interval of the one before.
+
+    Data of the same code keep the lines that they have; quick and full studies are not compared.
+    """
     path = DATA / f"{name}.json"
-    old = json.loads(path.read_text(encoding="utf-8")) if path.exists() else None
+    old = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    alike = old.get("quick") == new["quick"]
+    if alike and old["code"] == new["code"]:
+        changed = old.get("changed")
+    else:
+        changed = {"before": old["commit"], "counts": list(changes(old, new))} if alike else None
     DATA.mkdir(exist_ok=True)
-    lines = ",\n".join(f" {json.dumps(key)}: {json.dumps(value)}" for key, value in new.items())
+    lines = ",\n".join(
+        f" {json.dumps(key)}: {json.dumps(value)}" for key, value in (new | {"changed": changed}).items()
+    )
     write_whole(path, f"{{\n{lines}\n}}\n".encode())
-    if not old:
-        return
-    before = dict(cells(old))
-    for where, now in cells(new):
+    return [f"{name}, {line} (commit {changed['before']})" for line in changed["counts"]] if changed else []
+
+
+def changes(old: dict[str, Any], new: dict[str, Any]) -> Iterator[str]:
+    """What is beyond its interval: of the whole, at each value of an axis, and how many cells of the map."""
+    before = dict(counts(old))
+    for where, now in counts(new):
         was = before.get(where)
         if was and apart(was, now):
-            yield f"{name}, {where}: {now[0]} of {now[1]} succeed, before {was[0]} of {was[1]} (commit {old['commit']})"
+            yield f"{where}: {now[0]} of {now[1]} succeed, before {was[0]} of {was[1]}"
+    was, now = old.get("map"), new["map"]
+    if was and now and was["values"] == now["values"]:
+        every = [np.array(one[part]).ravel().tolist() for one in (was, now) for part in COUNTS]
+        moved = sum(flipped((a, b), (c, d)) for a, b, c, d in zip(*every, strict=True))
+        if moved:
+            yield f"{' and '.join(now['values'])}: {moved} of {len(every[0])} cells"
 
 
-def cells(data: dict[str, Any]) -> Iterator[tuple[str, tuple[int, int]]]:
+def counts(data: dict[str, Any]) -> Iterator[tuple[str, tuple[int, int]]]:
     """Successes and valid rollouts of the whole, and along each axis."""
     yield "all", (data["success"], data["valid"])
     for axis, lines in data["along"].items():
         for value, success, valid, _ in lines:
             yield f"{axis} = {value}", (success, valid)
+
+
+def flipped(a: tuple[int, int], b: tuple[int, int]) -> bool:
+    """Whether a cell is beyond its interval; of a single rollout, whether it ended otherwise."""
+    return a != b if max(a[1], b[1]) <= 1 else apart(a, b)
 
 
 def apart(a: tuple[int, int], b: tuple[int, int]) -> bool:

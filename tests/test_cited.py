@@ -91,14 +91,37 @@ def test_every_target_can_be_run(quick):
         assert len(target["budget"]) == 2, name
 
 
-def test_what_is_beyond_its_interval_is_told(monkeypatch, tmp_path):
+def test_what_is_beyond_its_interval_is_told_and_kept(monkeypatch, tmp_path):
     monkeypatch.setattr(paper, "DATA", tmp_path)
-    before = {"success": 90, "valid": 100, "along": {"x": [[1, 45, 50, 0], [2, 45, 50, 0]]}, "commit": "abc"}
-    assert list(paper.told("one", before)) == []
-    after = before | {"success": 85, "along": {"x": [[1, 46, 50, 0], [2, 20, 50, 0]]}}
-    assert list(paper.told("one", after)) == ["one, x = 2: 20 of 50 succeed, before 45 of 50 (commit abc)"]
-    assert json.loads((tmp_path / "one.json").read_text()) == after
-    assert paper.main(["no_such_target"]) == 2
+    monkeypatch.setattr(cited, "DATA", tmp_path)
+    of = {"commit": "abc", "code": "one", "quick": False}
+    grid = {"values": {"x": [1, 2], "y": [0]}, "success": [[1, 45]], "valid": [[1, 50]]}
+    before = of | {"success": 90, "valid": 100, "along": {"x": [[1, 45, 50, 0], [2, 45, 50, 0]]}, "map": grid}
+    assert paper.told("one", before) == []
+    after = before | {"success": 85, "along": {"x": [[1, 46, 50, 0], [2, 20, 50, 0]]}, "commit": "def", "code": "two"}
+    after |= {"map": grid | {"success": [[0, 40]]}}  # a single rollout that ended otherwise, and one of chance
+    lines = ["x = 2: 20 of 50 succeed, before 45 of 50", "x and y: 1 of 2 cells"]
+    assert paper.told("one", after) == [f"one, {line} (commit abc)" for line in lines]
+    assert paper.told("one", after) == [f"one, {line} (commit abc)" for line in lines]  # made again by the same code
+    assert json.loads((tmp_path / "one.json").read_text()) == after | {"changed": {"before": "abc", "counts": lines}}
+    assert cited.changes("").splitlines()[2:] == [f"| one | def | abc | {line} |" for line in lines]
+    assert paper.told("one", after | {"quick": True, "success": 10}) == []  # coarser studies are others
+
+
+def test_what_fails_stops_nothing_else(monkeypatch, tmp_path, capsys):
+    """Studies and scripts that there are not, in processes of their own, and two targets of one study in one."""
+    same = {"run": ["study=no_such", "engine=fake"], "budget": [2, 2]}
+    alone = {"script": ["no_such.py"], "budget": [1, 1]}
+    (tmp_path / "paper.yaml").write_text(yaml.safe_dump({"a": same, "drawn": alone, "b": same}))
+    monkeypatch.setattr(paper, "TABLE", tmp_path / "paper.yaml")
+    assert list(paper.shared(["a", "drawn", "b"], {"a": same, "drawn": alone, "b": same})) == [["drawn"], ["a", "b"]]
+    assert paper.main(["--jobs", "2", "--out", str(tmp_path)]) == 1
+    out = capsys.readouterr().out
+    assert [out.count(f"{name} failed: RuntimeError: ") for name in ("a", "b", "drawn")] == [1, 1, 1]
+    assert "no_such.py" in out
+    assert "study=no_such" in out
+    assert paper.main(["--studies", "drawn", "--out", str(tmp_path)]) == 0
+    assert paper.main(["no_such_target"]) == paper.main(["--jobs", "0"]) == 2
 
 
 def test_shipped_rollouts_end_as_they_did():
