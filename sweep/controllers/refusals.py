@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from sweep.controllers.plan import Stance
 from sweep.controllers.tracker import joint_targets
 from sweep.core.errors import InputError
-from sweep.fused import eager
+from sweep.fused.numbers import worked_out
 from sweep.models.case import Case
 
 
@@ -35,7 +35,7 @@ def refuse_reach(belief: Case, stances: Callable[[], Mapping[str, Stance]], said
         many = jax.tree.map(lambda *leaves: jnp.stack(leaves), *found.values())
         return jax.vmap(lambda stance: joint_targets(belief.robot, stance)[1])(many)
 
-    lacks = eager.worked_out(shortfalls)
+    lacks = worked_out(shortfalls)
     if not lacks.max() <= 0:
         stage, foot = np.unravel_index(lacks.argmax(), lacks.shape)
         raise InputError(f"{said}foot {foot + 1} is {lacks.max():.3f} m out of reach {words[stage]}")

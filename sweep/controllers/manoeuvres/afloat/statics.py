@@ -10,7 +10,7 @@ from jaxtyping import Array
 from sweep.core.constants import GRAVITY
 from sweep.core.errors import InputError
 from sweep.formulas.raft_statics import raft_equilibrium
-from sweep.fused import eager
+from sweep.fused.numbers import worked_out
 from sweep.models.case import Case
 from sweep.models.obstacles.raft import CORNERS, WATER_DENSITY, Raft
 from sweep.models.robot import total_mass
@@ -35,7 +35,7 @@ def refuse(belief: Case, offset: Sequence[float]) -> None:
     """Raise `InputError` where a raft of plain numbers capsizes or sinks, the robot `offset` (m) from its middle."""
     if not all(isinstance(x, float) for x in jax.tree.leaves((belief.robot, belief.obstacle, belief.manoeuvre))):
         return
-    freeboard, draught = map(float, eager.worked_out(lambda: loaded(belief, offset, 0.5 * belief.robot.body_length)))
+    freeboard, draught = map(float, worked_out(lambda: loaded(belief, offset, 0.5 * belief.robot.body_length)))
     if freeboard > 0 and draught > 0:
         return
     ends = "capsizes" if np.isnan(freeboard) else f"has a corner {-1e3 * freeboard:.0f} mm under water"

@@ -20,7 +20,7 @@ from sweep.core.errors import InputError
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.core.rotations import IDENTITY
 from sweep.formulas.ball_reach import max_ball
-from sweep.fused import eager
+from sweep.fused.numbers import worked_out
 from sweep.models.case import Case
 from sweep.models.obstacles.ball import Ball
 
@@ -86,7 +86,7 @@ class BallClimb(BesideBall):
         numbers = (robot.thigh, robot.shin, highest, robot.body_width, belief.contact.friction)
         if not plain(numbers, radius):
             return
-        most = float(eager.worked_out(lambda: max_ball(*numbers).R))
+        most = float(worked_out(lambda: max_ball(*numbers).R))
         if not radius <= most:
             raise InputError(
                 f"obstacle.radius = {radius:g} is not allowed: at most {most:.2f} m can be climbed by legs of "

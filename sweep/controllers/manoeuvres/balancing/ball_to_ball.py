@@ -30,7 +30,7 @@ from sweep.controllers.tracker import Guidance, Guided, TrackerState, bodies
 from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import conjugate, rotate
-from sweep.fused import eager
+from sweep.fused.numbers import worked_out
 from sweep.models.case import Case
 from sweep.models.frames import fixed
 from sweep.models.legs import LEGS
@@ -190,7 +190,7 @@ class BallToBall(OnBall, InParts):
             stands = jnp.where(plan.swing, jnp.nan, last.feet[:, :, 0])
             return plan, last, jnp.minimum(ahead - jnp.nanmin(stands, axis=1), jnp.nanmax(stands, axis=1) - ahead)
 
-        plan, last, inside = eager.worked_out(over)
+        plan, last, inside = worked_out(over)
         at = {f"at the end of stage {name}": k for k, name in enumerate(plan.names)}
         refuse_reach(
             belief, lambda: {words: Stance(*(x[k] for x in last)) for words, k in at.items()}, f"{self.kind}: "

@@ -22,7 +22,7 @@ from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.formulas import stepping
 from sweep.formulas.ladder import ladder as statics
-from sweep.fused import eager
+from sweep.fused.numbers import worked_out
 from sweep.models.case import Case
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.charts import charts, point
@@ -99,7 +99,7 @@ class LadderClimb(PlannedForces):
         if ladder.rungs < needs:
             raise InputError(f"obstacle.rungs = {ladder.rungs} is not allowed: the way up needs {needs}")
         grips = [contact.friction * grip for grip in (ladder.floor_grip, ladder.wall_grip)]
-        bears = eager.worked_out(lambda: statics(jnp.asarray(ladder.lean), *map(jnp.asarray, grips)).chi_max)
+        bears = worked_out(lambda: statics(jnp.asarray(ladder.lean), *map(jnp.asarray, grips)).chi_max)
         mass = float(total_mass(robot))
         load = (mass + ladder.mass * ladder.centre / ladder.length) / (mass + ladder.mass)
         if not bears >= load:
