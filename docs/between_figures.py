@@ -33,6 +33,7 @@ from sweep.trace.sampling import base_pose, mass_centres
 FIGURES = Path(__file__).parent / "figures"
 FEET = ((1, "C0"), (3, "C1"), (5, "C2"))  # of a gallop the others go alongside
 LINES = {"II": "over.squat", "III": "over.ahead", "IV": "over.middle5", "V": "lower"}  # stages that begin there
+TITLE = "Where going from ball to ball needs friction between these"
 WAYS = (0.1, 0.3, 1.0)  # of the radius, that are drawn over the map
 
 
@@ -135,7 +136,7 @@ def grip_map(found: Results, trace: Trace) -> Figure:
     """What comes of friction between the balls and their mass, with lines of how far these go by `rolled`."""
     names = "obstacle.ball_grip", "obstacle.mass"
     with lettering():
-        figure = maps.success_map(found.rows, found.stored, names)
+        figure = maps.success_map(found.rows, found.stored, names, TITLE)
         axes = figure.axes[0]
         grip, mass = (np.sort(found.rows[name].unique()) for name in names)
         far = rolled(trace, *np.meshgrid(grip, mass)) / trace.world.on(Ball).radius

@@ -172,7 +172,7 @@ def picture(found: Results, target: dict[str, Any], path: Path) -> None:
     else:
         with lettering():
             axes = maps.map_axes(found.rows, tuple(target.get("map", ())))
-            maps.success_map(found.rows, found.stored, axes).savefig(path, dpi=DPI)
+            maps.success_map(found.rows, found.stored, axes, target["title"]).savefig(path, dpi=DPI)
 
 
 def summary(found: Results, target: dict[str, Any]) -> dict[str, Any]:

@@ -89,6 +89,7 @@ def test_every_target_can_be_run(quick):
         else:
             assert (ROOT / "docs" / target["script"][0]).exists(), name
         assert len(target["budget"]) == 2, name
+        assert {"title", "exhibit", "script"} & set(target), f"{name}: what its map is called"
 
 
 def test_what_is_beyond_its_interval_is_told_and_kept(monkeypatch, tmp_path):

@@ -126,7 +126,7 @@ def within(field: "dataclasses.Field[Any]", value: Any) -> Any:
 
 def written(unit: str) -> str:
     """A unit as it is read: `N*m^2` -> `N·m²`; empty for pure numbers."""
-    return "" if unit == "-" else unit.replace("*", "·").replace("^2", "²")
+    return "" if unit == "-" else unit.replace("*", "·").replace("^2", "²").replace("^3", "³").replace("^4", "⁴")
 
 
 def bounds_text(field: "dataclasses.Field[Any]") -> str:

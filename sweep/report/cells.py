@@ -47,9 +47,17 @@ def mark_values(ax: Axes, cells: Cells) -> None:
     for axis, values in ((ax.xaxis, cells.x), (ax.yaxis, cells.y)):
         if not evenly_spaced(values):
             named = np.unique(np.linspace(0, len(values) - 1, NAMED).round().astype(int))
-            axis.set_ticks(named, [f"{values[k]:.4g}" for k in named])
+            axis.set_ticks(named, [number(values[k]) for k in named])
     if not evenly_spaced(cells.x) and len(cells.x) > SIDE_BY_SIDE:
         ax.tick_params(axis="x", labelrotation=60)
+
+
+def number(value: float) -> str:
+    """A number of four digits beside an axis: `0.125`, `20,000`, `$2.5·10^{-7}$`."""
+    digits, _, power = f"{value:.4g}".partition("e")
+    if not power:
+        return digits
+    return f"{value:,.0f}" if 0 < int(power) < 6 else rf"${digits} \cdot 10^{{{int(power)}}}$"
 
 
 def places(numbers: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -1,5 +1,7 @@
 """Words and units for columns."""
 
+import re
+
 import pandas as pd
 
 from sweep.core.outcomes import SUCCESS
@@ -57,6 +59,11 @@ def with_value(column: str, value: object, exp: Experiment | None = None) -> str
     shown = f"{value:.4g}" if isinstance(value, float) else str(value)
     unit_there = unit_of(column, exp) if exp else ""
     return " ".join(part for part in (axis_words(column, exp), shown, unit_there) if part)
+
+
+def beside_axis(column: str, exp: Experiment | None = None) -> str:
+    """The heading of a column as a figure has it, `c1` with an index."""
+    return re.sub(r"\b([a-z])(\d)\b", r"$\1_\2$", heading(column, exp))
 
 
 def unit_of(column: str, exp: Experiment) -> str:

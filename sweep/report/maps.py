@@ -21,12 +21,13 @@ from matplotlib.transforms import Affine2D
 from sweep.analysis.sample import pooled
 from sweep.core.expressions import column
 from sweep.core.files import write_whole
+from sweep.core.outcomes import SUCCESS
 from sweep.core.parameters import InputError
 from sweep.report import limits, refined_cells
 from sweep.report.cells import Cells, edges, mark_values
-from sweep.report.labels import heading, with_value
+from sweep.report.labels import beside_axis, heading, with_value
 from sweep.report.layout import LETTERS, PAGE, folded, legend_below, lettering
-from sweep.report.looks import GOOD, INVALID, ink_on, look_of, marker
+from sweep.report.looks import INVALID, ink_on, look_of, marker
 from sweep.runs import refine
 from sweep.study.config import Experiment, experiment
 
@@ -53,8 +54,10 @@ def draw(rows: pd.DataFrame, stored: Mapping[str, Any], folder: File, chosen: tu
     return paths
 
 
-def success_map(rows: pd.DataFrame, stored: Mapping[str, Any], chosen: tuple[str, ...] = ()) -> Figure:
-    """The figure that `draw` writes."""
+def success_map(
+    rows: pd.DataFrame, stored: Mapping[str, Any], chosen: tuple[str, ...] = (), called: str = ""
+) -> Figure:
+    """The figure that `draw` writes, its title `called` or the study's name."""
     x, y = map_axes(rows, chosen)
     exp = experiment(stored["config"])
     guessed = exp.study.resolution > 0 and {x, y} == {a.column for a in refine.lattice(exp.study).axes}
@@ -77,7 +80,7 @@ def success_map(rows: pd.DataFrame, stored: Mapping[str, Any], chosen: tuple[str
             refined_cells.draw(ax, exp, panel, x, y, cells)
             text = f"{panel['known'].sum()} rollouts (dots); each cell as its corners"
         ax.set_title("\n".join(folded(one, room) for one in [*title, text]))
-        ax.set_xlabel(heading(x, exp))
+        ax.set_xlabel(beside_axis(x, exp))
         limits.draw(ax, exp, panel, x, y, cells)
     for ax, (title, panel), figure_name in zip(
         axes[0, len(panels) :], panels * len(measured), np.repeat(measured, len(panels)), strict=True
@@ -85,17 +88,16 @@ def success_map(rows: pd.DataFrame, stored: Mapping[str, Any], chosen: tuple[str
         beside(ax, panel.assign(x=panel[x], y=panel[y]), cells, figure_name)
         mark_values(ax, cells)
         ax.set_title("\n".join(folded(one, room) for one in title))
-        ax.set_xlabel(heading(x, exp))
+        ax.set_xlabel(beside_axis(x, exp))
         limits.draw(ax, exp, panel, x, y, cells)
-    axes[0, 0].set_ylabel(heading(y, exp))
-    seen = failures_in(rows, exp) if most == 1 else []
+    axes[0, 0].set_ylabel(beside_axis(y, exp))
     lines, _ = axes[0, 0].get_legend_handles_labels()
-    legend(figure, seen, bool((rows["outcome"] == "invalid").any()), most, lines)
+    legend(figure, kinds_in(rows, exp) if most == 1 else [], bool((rows["outcome"] == "invalid").any()), lines)
     if most > 1:
         scale = ScalarMappable(Normalize(0, 1), "cividis")
         figure.colorbar(scale, ax=axes, label=f"rate of success, n = {spread(counts)} a cell", shrink=0.8)
-    name = stored["config"]["study"]["name"] or stored["config"]["scenario"]["name"]
-    figure.suptitle(folded(name, 72 * figure.get_size_inches()[0] - 2 * LETTERS))
+    name = called or stored["config"]["study"]["name"] or stored["config"]["scenario"]["name"]
+    figure.suptitle(folded(name.replace("_", " "), 72 * figure.get_size_inches()[0] - 2 * LETTERS))
     return figure
 
 
@@ -133,10 +135,11 @@ def split(
         yield [with_value(str(c), v, exp) for c, v in zip(named, values, strict=True)], panel
 
 
-def failures_in(rows: pd.DataFrame, exp: Experiment) -> list[str]:
-    """Causes of failure among `rows`, in the order of their definition."""
+def kinds_in(rows: pd.DataFrame, exp: Experiment) -> list[str]:
+    """Success and causes of failure among `rows`, in the order of their definition."""
     found = set(rows["cause"])
-    return [cause for cause in exp.system.causes if cause in found and cause not in exp.system.doubts]
+    causes = [cause for cause in exp.system.causes if cause in found and cause not in exp.system.doubts]
+    return [SUCCESS] * bool((rows["outcome"] == SUCCESS).any()) + causes
 
 
 def spread(counts: list[pd.Series]) -> str:
@@ -228,10 +231,10 @@ def beside(ax: Axes, rows: pd.DataFrame, cells: Cells, name: str) -> None:
     ax.figure.colorbar(colours, ax=ax, label=f"{heading(name)}, where it succeeds", shrink=0.8)
 
 
-def legend(figure: Figure, causes: list[str], invalid: bool, most: int, lines: Sequence[Artist]) -> None:
+def legend(figure: Figure, kinds: list[str], invalid: bool, lines: Sequence[Artist]) -> None:
     """What the colours and glyphs of cells, the hatching and the lines mean."""
-    handles: list[Any] = [cell("success", GOOD)] if most == 1 else []
-    handles += [cell(cause.replace("_", " "), look_of(cause).colour, cause) for cause in causes]
+    glyph = {kind: "" if kind == SUCCESS else kind for kind in kinds}
+    handles: list[Any] = [cell(kind.replace("_", " "), look_of(kind).colour, glyph[kind]) for kind in kinds]
     if invalid:
         handles.append(Patch(facecolor=INVALID, edgecolor="black", hatch="////", label="invalid"))
     legend_below(figure, [*handles, *lines])

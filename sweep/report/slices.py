@@ -15,9 +15,9 @@ from sweep.analysis.intervals import anytime, wilson
 from sweep.analysis.stats import binned, rates
 from sweep.report import limits, refined_cells
 from sweep.report.cells import Cells, mark_values
-from sweep.report.labels import axis_words, heading, with_value
+from sweep.report.labels import axis_words, beside_axis, with_value
 from sweep.report.layout import COLUMN, PAGE, folded, sheet
-from sweep.report.maps import categories, failures_in, legend, paint, split
+from sweep.report.maps import categories, kinds_in, legend, paint, split
 from sweep.runs import refine
 from sweep.runs.results import Results
 
@@ -138,15 +138,13 @@ def draw(results: Results, chosen: Slice) -> Figure:
         ax.set_visible(False)
     for k, ax in enumerate(axes):
         if k % columns == 0:
-            ax.set_ylabel(heading(y, results.exp))
+            ax.set_ylabel(beside_axis(y, results.exp))
         if k >= len(axes) - columns:
-            ax.set_xlabel(heading(x, results.exp))
-    seen = failures_in(chosen.rows, results.exp) if single else []
+            ax.set_xlabel(beside_axis(x, results.exp))
     legend(
         figure,
-        seen,
+        kinds_in(chosen.rows, results.exp) if single else [],
         bool((chosen.rows["outcome"] == "invalid").any()),
-        1 if single else 2,
         axes[0].get_legend_handles_labels()[0],
     )
     if not single:
