@@ -205,6 +205,7 @@ def test_outcomes_are_told_by_what_holds_first():
         ("outcome.fell=3", "outcome.fell = 3 is not a condition"),
         ("controller.sped=1", "controller.sped is unknown: did you mean speed?"),
         ("study.axes.load.path=model.body.trnk.mass", "no body is called trnk: did you mean trunk?"),
+        ("study.axes.load.path=model.body.world.mass", "the body has no mass in the file, so no inertia to scale"),
         ("study.axes.load.path=model.body.trunk.mas", "mas is unknown: did you mean mass?"),
         ("study.axes.load.path=model.geom.floor.size", "size is unknown"),
         (
