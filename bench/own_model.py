@@ -1,16 +1,20 @@
-"""An own model's speed beside MuJoCo's own loops: `python bench/own_model.py [ENGINE [WIDTH [SECONDS]]]`.
+"""An own model's speed beside MuJoCo's own loops: `python bench/own_model.py [ENGINES [WIDTH [SECONDS]]]`.
 
-The quadruped of `sweep init --model` and its trot. `native` beside `mujoco.rollout` of the same model with the very
-controls that the policy gave, on as many threads; `mjx` beside steps under `vmap` in a scan, as mjx-testspeed takes
-them, with the controls of the keyframe. Both in one run, one after the other several times; the least of each counts,
-by the wall and by CPU time, which other programs disturb less.
+The quadruped of `sweep init --model` and its trot, ENGINES as `native,mjx,warp`. `native` beside `mujoco.rollout` of
+the same model with the very controls that the policy gave, on as many threads; `mjx` beside what `mjx-testspeed`
+runs, and beside steps from the keyframe as in a scan; `warp` beside MuJoCo Warp's own step, a graph of CUDA's where
+there is one. The same model, width and number of steps, in one run, one after the other several times; the least of
+each counts, by the wall and by CPU time, which other programs disturb less. What is printed is a table, and one line
+of JSON.
 """
 
+import json
 import os
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from copy import copy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -27,23 +31,24 @@ from sweep.systems.own import Own
 
 REPETITIONS = 5
 THREADS = len(os.sched_getaffinity(0))
+Times = tuple[float, float]  # s, by the wall and of all cores
+Found = dict[str, Times]  # the engine's first
 
 
-def least(ways: Mapping[str, Callable[[], Any]]) -> None:
-    """One line for each way, the last one being what the others are compared with."""
-    found = dict.fromkeys(ways, (np.inf, np.inf))
-    for _ in range(REPETITIONS):
-        for name, call in ways.items():
-            wall, cpu = time.perf_counter(), time.process_time()
-            call()
-            now = time.perf_counter() - wall, time.process_time() - cpu
-            found[name] = min(found[name][0], now[0]), min(found[name][1], now[1])
-    base = found[[*ways][-1]]
-    for name, (wall, cpu) in found.items():
-        print(f"{name}: wall {wall:.3f} s x {wall / base[0]:.2f}, CPU {cpu:.3f} s x {cpu / base[1]:.2f}", flush=True)
+def timed(call: Callable[[], Any]) -> Times:
+    """Of a call that waits for what it begins."""
+    wall, cpu = time.perf_counter(), time.process_time()
+    call()
+    return time.perf_counter() - wall, time.process_time() - cpu
 
 
-def native(own: Own, engine: Any, task: tuple[Any, Any, np.ndarray]) -> None:
+def least(ways: Mapping[str, Callable[[], Any]]) -> Found:
+    """Of each way, in turns; compiled before."""
+    rounds = [{name: timed(call) for name, call in ways.items()} for _ in range(REPETITIONS)]
+    return {name: (min(one[name][0] for one in rounds), min(one[name][1] for one in rounds)) for name in ways}
+
+
+def native(own: Own, engine: Any, task: tuple[Any, Any, np.ndarray]) -> Found:
     """Beside `mujoco.rollout`, which records the state, and nothing of figures."""
     model, n = own.model, len(task[2])
     ctrl = np.stack([one.joint_target for one in engine.traces(*task, 1)])
@@ -55,42 +60,116 @@ def native(own: Own, engine: Any, task: tuple[Any, Any, np.ndarray]) -> None:
     start = np.zeros(mujoco.mj_stateSize(model, full))
     mujoco.mj_getState(model, data[0], start, full)
     with Rollout(nthread=THREADS) as pool:
-        least({"native": lambda: engine.run(*task),
-               "mujoco.rollout": lambda: pool.rollout(model, data, np.tile(start, (n, 1)), ctrl)})  # fmt: skip
+        return least({"native": lambda: engine.run(*task),
+                      "mujoco.rollout": lambda: pool.rollout(model, data, np.tile(start, (n, 1)), ctrl)})  # fmt: skip
 
 
-def on_mjx(own: Own, engine: Any, task: tuple[Any, Any, np.ndarray]) -> None:
-    """Beside nothing but steps."""
+def on_mjx(own: Own, engine: Any, task: tuple[Any, Any, np.ndarray]) -> Found:
+    """Beside `mjx-testspeed`, which starts from the model's own pose, and beside the same steps from the keyframe."""
     from mujoco import mjx
 
-    steps, n = round(own.about.duration / own.model.opt.timestep), len(task[2])
-    data = mujoco.MjData(own.model)
-    mujoco.mj_resetDataKeyframe(own.model, data, own.keyframe)
+    steps, n = count(own), len(task[2])
     model = mjx.put_model(own.model)
-    each = jax.tree.map(lambda x: jnp.broadcast_to(x, (n, *x.shape)), mjx.put_data(own.model, data))
+    each = jax.tree.map(lambda x: jnp.broadcast_to(x, (n, *x.shape)), mjx.put_data(own.model, standing(own)))
 
     @jax.jit
     @jax.vmap
     def unroll(one: Any) -> Any:
         return jax.lax.scan(lambda d, _: (mjx.step(model, d), None), one, None, length=steps)[0]
 
-    jax.block_until_ready(unroll(each))
-    engine.run(*task)  # compiles
-    least({"mjx": lambda: engine.run(*task), "mjx.step": lambda: jax.block_until_ready(unroll(each))})
+    ways = {"mjx": lambda: engine.run(*task), "mjx.step": lambda: jax.block_until_ready(unroll(each))}
+    for call in ways.values():
+        call()  # compiles
+    found, option = least(ways), own.model.opt
+    solver = {int(mujoco.mjtSolver.mjSOL_CG): "cg", int(mujoco.mjtSolver.mjSOL_NEWTON): "newton"}[int(option.solver)]
+    asked = copy(own.model), steps, n, 1, solver, option.iterations, option.ls_iterations
+    tested = (mjx.benchmark(*asked)[1] for _ in range(2))  # it compiles each time
+    return found | {"mjx-testspeed": (min(tested), np.nan)}
 
 
-def main(engine: str = "native", width: str = "256", seconds: str = "4") -> None:
-    """Two lines."""
+def on_warp(own: Own, engine: Any, task: tuple[Any, Any, np.ndarray]) -> Found:
+    """Beside MuJoCo Warp without JAX, with as much room for contacts."""
+    import warp  # pyright: ignore[reportMissingImports]
+    from mujoco.mjx.third_party import mujoco_warp
+
+    from sweep.systems.own.mjx import room
+
+    n = len(task[2])
+    model = mujoco_warp.put_model(own.model)
+    data = mujoco_warp.put_data(own.model, standing(own), nworld=n, **room(own.model, n))
+    substeps = round(own.about.period / own.model.opt.timestep)
+
+    def tick() -> None:
+        for _ in range(substeps):
+            mujoco_warp.step(model, data)
+
+    tick()  # compiles
+    once: Callable[[], Any] = tick
+    if warp.get_device().is_cuda:
+        with warp.ScopedCapture() as capture:
+            tick()
+        once = lambda: warp.capture_launch(capture.graph)  # noqa: E731
+
+    def all_of_it() -> None:
+        for _ in range(count(own) // substeps):
+            once()
+        warp.synchronize()
+
+    engine.run(*task)
+    return least({"warp": lambda: engine.run(*task), "mujoco_warp.step": all_of_it})
+
+
+def count(own: Own) -> int:
+    """Physics steps of a rollout."""
+    return round(own.about.duration / own.model.opt.timestep)
+
+
+def standing(own: Own) -> mujoco.MjData:
+    """At the keyframe."""
+    data = mujoco.MjData(own.model)
+    mujoco.mj_resetDataKeyframe(own.model, data, own.keyframe)
+    data.ctrl[:] = data.qpos[7:]  # servos hold it
+    return data
+
+
+def rows(engine: str, found: Found, steps: int) -> Iterator[dict[str, Any]]:
+    """Of a table: times, and those of the engine over each."""
+    (wall, cpu), *_ = found.values()
+    for name, (one, of_cores) in found.items():
+        yield {
+            "engine": engine,
+            "loop": name,
+            "wall_s": one,
+            "cpu_s": of_cores,
+            "steps_per_s": steps / one,
+            "engine_by_wall": wall / one,
+            "engine_by_cpu": cpu / of_cores,
+        }
+
+
+def main(engines: str = "native", width: str = "256", seconds: str = "4") -> None:
+    """A line for each loop, and all as JSON."""
+    table: list[dict[str, Any]] = []
+    told: dict[str, Any] = {"rollouts": int(width), "seconds": float(seconds), "cores": THREADS}
     with tempfile.TemporaryDirectory() as folder:
         sweep(["init", "--model", f"{folder}/quad"])
         os.chdir(Path(folder, "quad"))
-        exp = compose(["scenario=own", f"engine.name={engine}", f"model.duration={seconds}"])
-        own = exp.system
-        assert isinstance(own, Own)
-        sides, streams = own.sides({}), np.zeros(int(width), np.int64)
-        made = own.engine(replace(exp.settings, width=int(width)), *sides, None)
-        print(f"{width} rollouts of {seconds} s on {THREADS} cores, {own.device(exp.settings)}")
-        {"native": native, "mjx": on_mjx}[engine](own, made, (*sides, streams))
+        for engine in engines.split(","):
+            exp = compose(["scenario=own", f"engine.name={engine}", f"model.duration={seconds}"])
+            own = exp.system
+            assert isinstance(own, Own)
+            task = (*own.sides({}), np.zeros(int(width), np.int64))
+            made = own.engine(replace(exp.settings, width=int(width)), *task[:2], None)
+            found = {"native": native, "mjx": on_mjx, "warp": on_warp}[engine](own, made, task)
+            table += rows(engine, found, count(own) * int(width))
+            told["device"] = own.device(exp.settings)
+    print(", ".join(f"{name} {value}" for name, value in told.items()))
+    print(f"{'loop':18}{'wall, s':>9}{'CPU, s':>9}{'steps/s':>12}{'engine over it: wall':>22}{'CPU':>6}")
+    for one in table:
+        print(f"{one['loop']:18}{one['wall_s']:9.3f}{one['cpu_s']:9.3f}{one['steps_per_s']:12.3g}"
+              f"{one['engine_by_wall']:22.2f}{one['engine_by_cpu']:6.2f}")  # fmt: skip
+    plain = [{key: None if value != value else value for key, value in one.items()} for one in table]
+    print(json.dumps({**told, "jax": jax.__version__, "mujoco": mujoco.__version__, "loops": plain}))
 
 
 if __name__ == "__main__":

@@ -1,14 +1,19 @@
 """The robot through an own model's door: `python bench/through_the_door.py NAME N [ENGINE [FOLDER]]`, beside its own.
 
 N draws from the area of `walk_map`, or of `pole_map` (a model for each of three radii, as sizes are no axes of an own
-model). What is printed: outcomes that are equal, how far the distances differ, and rows that differ. A FOLDER
-keeps the rows: the same command goes on where it was ended, and a larger N has those of a smaller one.
+model), shared out to a process for each core; on a GPU's engine one process has them all. What is printed: outcomes
+that are equal, how far the distances differ, and rows that differ. A FOLDER keeps the rows, and what the processes
+say: the same command goes on where it was ended, and a larger N has those of a smaller one.
 """
 
+import os
 import subprocess
 import sys
 import tempfile
+import time
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -22,11 +27,14 @@ GEOMS = {"walk_map": ["ground"], "pole_map": ["floor", "pole", "ledge"]}
 RADII = (0.35, 0.42, 0.49)  # m
 FRICTION, STEP, RADIUS = "world.contact.friction", "manoeuvre.half_step_ratio", "obstacle.radius"
 SHOWN = ["outcome", "cause", "slip_max_m", "end_drift_m", "progress", "feet_on_target", "distance_m", "tilt_max_deg"]
+Share = tuple[pd.DataFrame, list[int]]  # points, and the cores for them
 
 
-def sweep(args: list[str], folder: Path) -> None:
+def sweep(args: list[str], folder: Path, told: Path, cores: list[int]) -> None:
     """A command in `folder`, in a process of its own: each model brings a controller of the same name."""
-    subprocess.run([sys.executable, "-m", "sweep.cli", *args], cwd=folder, check=False)
+    on = "taskset", "-c", ",".join(map(str, cores))
+    with told.open("a") as out:
+        subprocess.run([*on, sys.executable, "-m", "sweep.cli", *args], cwd=folder, stdout=out, stderr=out, check=False)
 
 
 def points(name: str, number: int) -> pd.DataFrame:
@@ -41,42 +49,60 @@ def points(name: str, number: int) -> pd.DataFrame:
     return table.assign(**{RADIUS: np.resize(RADII, number)})
 
 
-def run(folder: Path, name: str, engine: str, table: pd.DataFrame, overrides: list[str]) -> pd.DataFrame:
-    """The rows of both, joined by friction, and by step where it varies."""
-    scenario = compose([f"study={name}"]).scenario
+def run(
+    name: str, engine: str, overrides: list[str], place: Path, share: tuple[pd.DataFrame, list[int]]
+) -> pd.DataFrame:
+    """The rows of both of some points, joined by friction, and by step where it varies; the model is in `place`."""
+    table, cores = share
+    (folder := place / f"part{cores[0]}").mkdir(exist_ok=True)
     table.to_csv(folder / "own.csv", index=False)
     same = ["study.invalid_max=1", "study.expect=[]"]
     sweep(["run", f"study={name}", *overrides, "engine=native", f"study.points={folder}/own.csv", "study.axes={}",
-           f"out={folder}/own", *same], folder)  # fmt: skip
-    if not (folder / "model").exists():
-        sweep(["export-model", f"scenario={scenario}", *overrides, f"out={folder}/model"], folder)
+           f"out={folder}/own", *same], folder, folder / "said.txt", cores)  # fmt: skip
     door = pd.DataFrame({f"model.geom.{geom}_contact.friction.slide": table[FRICTION] for geom in GEOMS[name]})
     if STEP in table:
         door[f"controller.{STEP}"] = table[STEP]
     door.to_csv(folder / "door.csv", index=False)
-    (folder / "model/study.yaml").write_text("scenario: own\nstudy: {name: door}\n")
     sweep(["run", "study=study.yaml", "scenario=own", f"engine.name={engine}", "--points", f"{folder}/door.csv",
-           f"out={folder}/door", *same], folder / "model")  # fmt: skip
+           f"out={folder}/door", *same], place / "model", folder / "said.txt", cores)  # fmt: skip
     keys = [FRICTION, STEP] if STEP in table else [FRICTION]
     rows = store.read_rows(folder / "door").rename(columns={door.columns[0]: FRICTION, f"controller.{STEP}": STEP})
     return store.read_rows(folder / "own").merge(rows, on=keys, suffixes=("", "_door"))
 
 
+def export(name: str, overrides: list[str], place: Path, cores: list[int]) -> None:
+    """The robot's model and its controller, for `run`."""
+    place.mkdir(parents=True, exist_ok=True)
+    if not (place / "model/study.yaml").exists():
+        scenario = compose([f"study={name}"]).scenario
+        asked = ["export-model", f"scenario={scenario}", *overrides, f"out={place}/model"]
+        sweep(asked, place, place / "said.txt", cores)
+        (place / "model/study.yaml").write_text("scenario: own\nstudy: {name: door}\n")
+
+
 def main(name: str, number: str, engine: str = "native", kept: str = "") -> None:
     """What both say."""
-    table, parts = points(name, int(number)), []
+    table, begun = points(name, int(number)), time.perf_counter()
+    found: list[pd.DataFrame] = []
+    cores = sorted(os.sched_getaffinity(0))
     groups = table.groupby(RADIUS) if RADIUS in table else [("", table)]
     with ExitStack() as stack:
-        place = Path(kept).absolute() if kept else Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        root = Path(kept).absolute() if kept else Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        pool = stack.enter_context(ThreadPoolExecutor(len(cores)))
         for radius, rows in groups:
-            (folder := place / f"{name}{radius}").mkdir(parents=True, exist_ok=True)
-            chosen = [f"obstacle.radius={radius}"] if radius else []
-            parts.append(run(folder, name, engine, rows[[c for c in rows if c != RADIUS]], chosen))
-    both = pd.concat(parts, ignore_index=True)
+            place, overrides = root / f"{name}{radius}", [f"{RADIUS}={radius}"] if radius else []
+            export(name, overrides, place, cores)
+            rows = rows.drop(columns=RADIUS, errors="ignore")
+            shares = [(rows, cores)]
+            if engine == "native":
+                shares = [(rows[k :: len(cores)], [core]) for k, core in enumerate(cores[: len(rows)])]
+            found.extend(pool.map(partial(run, name, engine, overrides, place), shares))
+    both = pd.concat(found, ignore_index=True)
     far, same = (both["distance_m"] - both["distance_m_door"]).abs(), both["outcome"] == both["outcome_door"]
     cause = both["cause"] == both["cause_door"]
     print(f"{name} on {engine}: {same.sum()} of {len(both)} outcomes are equal, {cause.sum()} causes")
     print(f"distance: median {far.median():.1e} m, 90 % within {far.quantile(0.9):.1e} m, largest {far.max():.1e} m")
+    print(f"{time.perf_counter() - begun:.0f} s on {len(cores)} cores")
     print(both.loc[~same, [FRICTION, *[n for s in SHOWN for n in (s, f"{s}_door") if n in both]]].T.to_string())
 
 

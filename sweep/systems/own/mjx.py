@@ -246,16 +246,19 @@ def put(own: Subject, begun: batch.Begun, impl: str) -> tuple[Any, Any, dict[str
     data = mujoco.MjData(model)
     if own.keyframe >= 0:
         mujoco.mj_resetDataKeyframe(model, data, own.keyframe)
-    template, rooms = mjx.put_model(model, impl=impl), {}
-    if impl == "warp":
-        rooms = {"naconmax": CONTACTS * begun.batch.nsim, "njmax": CONSTRAINTS * CONTACTS + model.njnt + 2 * model.nv}
-    leaves = {}
+    template, leaves = mjx.put_model(model, impl=impl), {}
+    rooms = room(model, begun.batch.nsim) if impl == "warp" else {}
     for name, values in rows.items():
         values = np.maximum(values, LEAST) if name in RUBBING else values
         leaf = getattr(owner(template, name), last(name), None)
         if leaf is not None:  # what MJX has no field for, it works out itself: `check` refuses the others
             leaves[name] = jnp.asarray(values.reshape(begun.batch.nsim, *leaf.shape), float)
     return template, mjx.put_data(model, data, impl=impl, **rooms), leaves
+
+
+def room(model: mujoco.MjModel, n: int) -> dict[str, int]:
+    """What n of Warp's rollouts have for contacts, all together, and for constraints, each."""
+    return {"naconmax": CONTACTS * n, "njmax": CONSTRAINTS * CONTACTS + model.njnt + 2 * model.nv}
 
 
 def with_leaves(model: Any, rows: Mapping[str, Array]) -> Any:
