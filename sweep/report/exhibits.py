@@ -18,12 +18,13 @@ from sweep.report.exhibit import Exhibit
 from sweep.report.labels import axis_words, heading
 from sweep.report.layout import COLUMN, PAGE, legend_below, sheet
 from sweep.report.looks import FAILURE, GOOD, look_of
-from sweep.report.maps import cell
+from sweep.report.maps import cell, stamp
 from sweep.runs import audit
 from sweep.runs.results import Results
 from sweep.study.columns import figure_columns
 
 EFFECT_VALUES, EFFECT_BINS, HISTOGRAM_BINS, LINES, HISTOGRAMS = 50, 20, 30, 5, 12
+BARE = 0.02  # of the longest bar, and a part that is no longer has no room for a glyph
 REJECTED = 0.01  # p-value below which a fit is not drawn
 STYLES = (
     ("#00649E", "-", "o"),
@@ -179,7 +180,7 @@ def causes(results: Results) -> Iterator[Exhibit]:
 def _draw_causes(table: pd.DataFrame) -> Figure:
     figure = sheet(1.4 + 0.22 * len(table) + 0.06 * table.shape[1])
     ax = figure.subplots()
-    left = np.zeros(len(table))
+    left, totals = np.zeros(len(table)), table.to_numpy().sum(axis=1)
     for cause in table:
         number = table[cause].to_numpy()
         ax.barh(
@@ -190,6 +191,8 @@ def _draw_causes(table: pd.DataFrame) -> Figure:
             edgecolor="white",
             linewidth=0.4,
         )
+        roomy = number > BARE * totals.max()
+        stamp(ax, str(cause), (left + number / 2)[roomy], np.flatnonzero(roomy))
         left += number
     for y, total in enumerate(left):
         ax.annotate(f"{total:.0f}", (total, y), xytext=(4, 0), textcoords="offset points", va="center")

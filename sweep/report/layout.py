@@ -6,9 +6,9 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
-from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
+from matplotlib.legend_handler import HandlerTuple
 from matplotlib.textpath import TextPath
 
 COLUMN, PAGE = 84 / 25.4, 174 / 25.4  # in, as most journals have them
@@ -36,15 +36,20 @@ def sheet(height: float, width: float = PAGE) -> Figure:
 
 
 def legend_below(figure: Figure, handles: Sequence[Any]) -> None:
-    """A legend below all panels, in as many columns as the figure is wide enough for; it grows by further lines."""
+    """A legend below all panels, in as many columns as the figure is wide enough for; it grows by further lines.
+
+    A handle is an artist with a label, or several that are drawn over each other, the first of which has it.
+    """
     if not handles:
         return
-    widths = [wide(str(one.get_label() if isinstance(one, Artist) else "")) + HANDLE * LETTERS for one in handles]
+    labels = [str((one if hasattr(one, "get_label") else one[0]).get_label()) for one in handles]
+    widths = [wide(label) + HANDLE * LETTERS for label in labels]
     across, high = figure.get_size_inches()
     columns = max((n for n in range(1, len(handles) + 1) if taken(widths, n) <= 72 * across - 2 * LETTERS), default=1)
     lines = -(-len(handles) // columns)
     figure.set_size_inches(across, high + (lines - 1) * LINE * LETTERS / 72)
-    figure.legend(handles=handles, loc="outside lower center", ncols=columns)
+    over = {tuple: HandlerTuple(ndivide=1)}
+    figure.legend(handles, labels, loc="outside lower center", ncols=columns, handler_map=over)
 
 
 def taken(widths: Sequence[float], columns: int) -> float:

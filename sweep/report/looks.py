@@ -38,6 +38,29 @@ def crossed(half: float, turn: float = 0.0) -> np.ndarray:
     return np.concatenate([arm @ turned(-90 * k) for k in range(4)]) @ turned(turn)
 
 
+def chevron(turn: float = 0.0) -> np.ndarray:
+    """A thick arrowhead (6, 2) that points up."""
+    return np.array([(-0.9, -0.9), (0, 0), (0.9, -0.9), (0.9, 0), (0, 0.9), (-0.9, 0)]) @ turned(turn)
+
+
+def hourglass(turn: float = 0.0) -> np.ndarray:
+    """Two triangles (6, 2) with their tips to each other."""
+    return np.array([(-0.9, 1), (0.9, 1), (0.2, 0), (0.9, -1), (-0.9, -1), (-0.2, 0)]) @ turned(turn)
+
+
+def dome(turn: float = 0.0) -> np.ndarray:
+    """Half a disc (13, 2), its flat side below."""
+    angle = np.linspace(0, np.pi, 13)
+    return np.stack([np.cos(angle), np.sin(angle) - 0.45], axis=1) @ turned(turn)
+
+
+def ring(hole: float) -> np.ndarray:
+    """A ring (50, 2) as one line: around, through a cut, and back around its hole of that radius."""
+    angle = np.linspace(0, 2 * np.pi, 25)
+    around = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return np.concatenate([around, hole * around[::-1]])
+
+
 def bar(half: float, turn: float = 0.0) -> np.ndarray:
     """A bar of the half width `half`."""
     return np.array([(1.0, half), (1.0, -half), (-1.0, -half), (-1.0, half)]) @ turned(turn)
@@ -50,43 +73,42 @@ def turned(degrees: float) -> np.ndarray:
 
 
 def looks(family: str, **kinds: tuple[str, np.ndarray]) -> dict[str, Look]:
-    """Looks of a family, each of about the area of a disc."""
+    """Looks of a family, their shapes of about the same area, which is no less than half that of a disc."""
     found = {}
     for kind, (colour, shape) in kinds.items():
         x, y = shape.T
         area = np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) / 2
-        shape, area = shape[:: -int(np.sign(area))], abs(area)  # clockwise, so that a legend's cell has it as a hole
-        found[kind] = Look(colour, shape * min(1.25 / np.hypot(x, y).max(), np.sqrt(2.6 / area)), family)
+        found[kind] = Look(colour, shape * min(1.25 / np.hypot(x, y).max(), np.sqrt(2.6 / abs(area))), family)
     return found
 
 
 DOUBTS = "sunk", "not_finite", "solver", "unsettled", "energy"
 LOOKS = {
     **looks("success", success=("#56B4E9", star(24))),
-    **looks("foot", slipped=("#C8102E", star(3, turn=180)), slipped_on_deck=("#FF5A5F", star(3, 0.22, turn=180))),
+    **looks("foot", slipped=("#C8102E", star(3, turn=180)), slipped_on_deck=("#FF5A5F", chevron(180))),
     **looks(
         "body",
         fell=("#D55E00", star(4, turn=45)),
         fell_off=("#F28C28", bar(0.5, turn=90)),
-        link_collision=("#9C4300", crossed(0.38, turn=45)),
-        leg_crossing=("#FFB000", crossed(0.16, turn=45)),
-        base_hit=("#C98500", crossed(0.38)),
-        folded=("#7A3B12", crossed(0.16)),
-        shin_under_face=("#E0701F", star(3, 0.22, turn=-90)),
+        link_collision=("#9C4300", crossed(0.27, turn=45)),
+        leg_crossing=("#FFB000", hourglass()),
+        base_hit=("#C98500", crossed(0.27)),
+        folded=("#7A3B12", chevron(90)),
+        shin_under_face=("#E0701F", dome(180)),
     ),
     **looks(
         "plan",
         unreachable=("#8F8600", star(4)),
-        no_plan=("#D6C600", star(4, 0.35)),
-        infeasible=("#5F5A00", star(4) * (0.5, 1)),
-        uncalibrated=("#A39B2B", star(4, 0.2)),
+        no_plan=("#D6C600", star(4, 0.4, turn=45)),
+        infeasible=("#5F5A00", star(4) * (0.6, 1)),
+        uncalibrated=("#A39B2B", dome(90)),
     ),
     **looks(
         "drive",
-        overload=("#5E5E5E", star(8, 0.6)),
+        overload=("#5E5E5E", star(6, 0.5)),
         overturned_leg=("#6B655B", star(5, turn=180)),
-        overspeed=("#756C5E", star(7)),
-        overpower=("#67605F", star(8)),
+        overspeed=("#756C5E", chevron(-90)),
+        overpower=("#67605F", dome()),
     ),
     **looks(
         "goal",
@@ -96,10 +118,10 @@ LOOKS = {
         obstacle_moved=("#6B3A2A", star(5)),
         obstacle_shifted=("#A05A46", star(3, turn=90)),
         awash=("#7A1F1F", star(5, 0.4)),
-        lifted=("#B0413E", star(3, 0.22)),
-        rolled_off=("#8A6A4A", star(6)),
-        restless=("#7A3350", star(3, 0.22, turn=90)),
-        obstacle_turned=("#8C5426", star(4, 0.6)),
+        lifted=("#B0413E", chevron()),
+        rolled_off=("#8A6A4A", ring(0.45)),
+        restless=("#7A3350", hourglass(90)),
+        obstacle_turned=("#8C5426", star(4, 0.45)),
     ),
     **looks("doubt", **{doubt: ("#8A8C92", star(k, 0.3)) for k, doubt in enumerate(DOUBTS, 6)}),
 }
@@ -110,7 +132,7 @@ PAIRS = looks(  # of the same point in two studies
     only_B_succeeds=("#FFB000", star(3)),
     invalid_in_one=("#8A8C92", star(6, 0.3)),
 )
-OTHER = looks("", other=("#7F7F7F", bar(0.2, turn=90)))["other"]  # of a kind that is not known
+OTHER = looks("", other=("#7F7F7F", dome(-90)))["other"]  # of a kind that is not known
 FAILURE, INVALID, INK = LOOKS["fell"].colour, "#FFFFFF", "#1C2024"  # of all failures together; cells of doubts; glyphs
 DOUBTFUL = "#8A8C92"
 GOOD = LOOKS[SUCCESS].colour

@@ -33,9 +33,8 @@ from sweep.study.config import Experiment, experiment
 
 # cells, with more of which outlines would cover the colours; cells along a panel that have room for a glyph; boxes that
 # hatching may be cut into
-OUTLINED, GLYPHS, BOXES = 4000, 24, 20_000
-SQUARE = Path([(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)], closed=True)
-GLYPH = 3.5  # points across
+OUTLINED, GLYPHS, BOXES = 4000, 40, 20_000
+GLYPH = 3.2  # points across, of a glyph whose radius is one
 
 
 def draw(rows: pd.DataFrame, stored: Mapping[str, Any], folder: File, chosen: tuple[str, ...] = ()) -> list[File]:
@@ -92,7 +91,8 @@ def success_map(
         limits.draw(ax, exp, panel, x, y, cells)
     axes[0, 0].set_ylabel(beside_axis(y, exp))
     lines, _ = axes[0, 0].get_legend_handles_labels()
-    legend(figure, kinds_in(rows, exp) if most == 1 else [], bool((rows["outcome"] == "invalid").any()), lines)
+    invalid = bool((rows["outcome"] == "invalid").any())
+    legend(figure, kinds_in(rows, exp) if most == 1 else [], glyphed(cells), invalid, lines)
     if most > 1:
         scale = ScalarMappable(Normalize(0, 1), "cividis")
         figure.colorbar(scale, ax=axes, label=f"rate of success, n = {spread(counts)} a cell", shrink=0.8)
@@ -153,8 +153,13 @@ def categories(ax: Axes, rows: pd.DataFrame, cells: Cells) -> None:
     kind = pd.Categorical(rows["cause"].where(rows["outcome"] == "failure", "success"))
     palette = ListedColormap([look_of(one).colour for one in kind.categories])
     paint(ax, rows.assign(value=kind.codes.astype(float)), cells, cmap=palette, vmin=-0.5, vmax=palette.N - 0.5)
-    if max(len(cells.x), len(cells.y)) <= GLYPHS:
+    if glyphed(cells):
         glyphs(ax, rows[rows["outcome"] == "failure"], cells)
+
+
+def glyphed(cells: Cells) -> bool:
+    """Whether cells have room for a glyph."""
+    return max(len(cells.x), len(cells.y)) <= GLYPHS
 
 
 def glyphs(ax: Axes, failed: pd.DataFrame, cells: Cells) -> None:
@@ -162,8 +167,21 @@ def glyphs(ax: Axes, failed: pd.DataFrame, cells: Cells) -> None:
     middles = [(edges(values)[1:] + edges(values)[:-1]) / 2 for values in cells]
     for cause, part in failed.groupby("cause"):
         up, across = places_in(part, cells)
-        look = {"marker": marker(str(cause)), "color": ink_on(look_of(str(cause)).colour), "linewidths": 0}
-        ax.scatter(middles[0][across], middles[1][up], s=GLYPH**2, rasterized=True, **look)
+        stamp(ax, str(cause), middles[0][across], middles[1][up])
+
+
+def stamp(ax: Axes, cause: str, x: np.ndarray, y: np.ndarray) -> None:
+    """The glyph of a cause at places of the axes."""
+    look = glyph(cause)
+    style: dict[str, Any] = {"marker": look.get_marker(), "color": look.get_color(), "linewidths": 0}
+    ax.scatter(x, y, s=look.get_markersize() ** 2, rasterized=True, **style)
+
+
+def glyph(cause: str) -> Line2D:
+    """The shape of a cause as legends show it, in the ink that is seen on its colour."""
+    look = look_of(cause)
+    style: dict[str, Any] = {"marker": marker(cause), "markersize": GLYPH * np.abs(look.shape).max()}
+    return Line2D([], [], linestyle="", color=ink_on(look.colour), markeredgewidth=0, **style)
 
 
 def runs(grid: np.ndarray, cells: Cells) -> Iterator[tuple[tuple[tuple[float, float], float, float], Any]]:
@@ -231,18 +249,16 @@ def beside(ax: Axes, rows: pd.DataFrame, cells: Cells, name: str) -> None:
     ax.figure.colorbar(colours, ax=ax, label=f"{heading(name)}, where it succeeds", shrink=0.8)
 
 
-def legend(figure: Figure, kinds: list[str], invalid: bool, lines: Sequence[Artist]) -> None:
-    """What the colours and glyphs of cells, the hatching and the lines mean."""
-    glyph = {kind: "" if kind == SUCCESS else kind for kind in kinds}
-    handles: list[Any] = [cell(kind.replace("_", " "), look_of(kind).colour, glyph[kind]) for kind in kinds]
+def legend(figure: Figure, kinds: Sequence[str], shaped: bool, invalid: bool, lines: Sequence[Artist]) -> None:
+    """What the colours and glyphs of cells, the hatching and the lines mean; `shaped` where cells have glyphs."""
+    glyphs = {kind: kind if shaped and kind != SUCCESS else "" for kind in kinds}
+    handles: list[Any] = [cell(kind.replace("_", " "), look_of(kind).colour, glyphs[kind]) for kind in kinds]
     if invalid:
         handles.append(Patch(facecolor=INVALID, edgecolor="black", hatch="////", label="invalid"))
     legend_below(figure, [*handles, *lines])
 
 
-def cell(label: str, colour: str, cause: str = "") -> Line2D:
-    """A cell of a map in a legend, with its cause's glyph."""
-    shown = Line2D([], [], linestyle="", marker="s", markersize=LETTERS, color=colour, label=label)
-    if cause:
-        shown.set(marker=Path.make_compound_path(SQUARE, marker(cause).transformed(Affine2D().scale(0.4))))
-    return shown
+def cell(label: str, colour: str, cause: str = "") -> tuple[Line2D, ...]:
+    """A cell of a map in a legend, and the glyph of its cause over it."""
+    square = Line2D([], [], linestyle="", marker="s", markersize=LETTERS, color=colour, label=label)
+    return (square, glyph(cause)) if cause else (square,)

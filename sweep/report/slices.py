@@ -17,7 +17,7 @@ from sweep.report import limits, refined_cells
 from sweep.report.cells import Cells, mark_values
 from sweep.report.labels import axis_words, beside_axis, with_value
 from sweep.report.layout import COLUMN, PAGE, folded, sheet
-from sweep.report.maps import categories, kinds_in, legend, paint, split
+from sweep.report.maps import categories, glyphed, kinds_in, legend, paint, split
 from sweep.runs import refine
 from sweep.runs.results import Results
 
@@ -144,6 +144,7 @@ def draw(results: Results, chosen: Slice) -> Figure:
     legend(
         figure,
         kinds_in(chosen.rows, results.exp) if single else [],
+        glyphed(cells),
         bool((chosen.rows["outcome"] == "invalid").any()),
         axes[0].get_legend_handles_labels()[0],
     )

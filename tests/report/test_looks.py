@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from matplotlib.path import Path
 
 from sweep.metrics.outcome import DOUBTS, FAILURES, MEANING
 from sweep.report.looks import INVALID, LOOKS, OTHER, look_of, marker
@@ -45,3 +46,20 @@ def test_every_cause_has_a_colour_and_a_shape_of_its_own():
             assert kind in DOUBTS or np.linalg.norm(lab(look.colour, "all cones") - lab(theme, "all cones")) > 25, kind
     assert look_of("a cause of another system") == look_of("a cause of another system") != OTHER == look_of("")
     assert len(marker("slipped").vertices) == 4
+
+
+def test_every_shape_is_seen_as_a_glyph():
+    """None is so thin that it fades, and none of a family covers what another does, at the size that a map has them."""
+    seen = {kind: covered(look.shape) for kind, look in LOOKS.items() if kind not in DOUBTS}
+    for kind, one in seen.items():
+        assert (one[1:-1, 1:-1] & one[:-2, 1:-1] & one[1:-1, :-2] & one[:-2, :-2]).sum() > 8, kind
+        for other in seen.keys() - {kind}:
+            if look_of(kind).family == look_of(other).family:
+                assert (one ^ seen[other]).sum() > 0.2 * min(one.sum(), seen[other].sum()), (kind, other)
+
+
+def covered(shape, radius=4.0):
+    """Pixels whose middle a shape covers."""
+    middles = (np.arange(11) - 5) / radius
+    grid = np.stack(np.meshgrid(middles, middles), axis=-1).reshape(-1, 2)
+    return Path(np.concatenate([shape, shape[:1]]), closed=True).contains_points(grid).reshape(11, 11)

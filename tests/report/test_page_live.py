@@ -20,6 +20,7 @@ from moved import arm, body_places, moved
 from PIL import Image
 
 from sweep.core.expressions import mask
+from sweep.metrics.outcome import FAILURES
 from sweep.report import page, replays
 from sweep.report.page.stage import Shown
 from sweep.runs import results
@@ -71,6 +72,11 @@ def plot(browser):
     return left + 64, top + 12, width - 78, height - 60
 
 
+def middle(pixels, x, y):
+    """What is drawn within a glyph's size of a place."""
+    return pixels[round(y) - 5 : round(y) + 6, round(x) - 5 : round(x) + 6]
+
+
 def passing(browser):
     """How many rows pass the filters, and how many there are."""
     words = browser.run("document.querySelector('#passing').textContent").replace(",", "").split()
@@ -94,6 +100,40 @@ def colours(browser, selector="#map-base"):
     browser.run("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
     url = browser.run(f"document.querySelector('{selector}').toDataURL()")
     return np.asarray(Image.open(io.BytesIO(base64.b64decode(url.split(",")[1]))).convert("RGB"))
+
+
+def test_kinds_are_named_by_what_the_map_shows(browser, tmp_path):
+    """The same colour, glyph and ink as cells have, and the marks where the map is made of these."""
+    folder = tmp_path / "study"
+    values = "study.axes.friction.values=[0.5,0.6,0.7,0.8,0.9,1.0]"
+    assert simulated(folder, values, "study.axes.step.num=5") == 0
+    found = results.read(folder)
+    causes = dict(enumerate(FAILURES))
+    rows = found.rows.copy()
+    rows["outcome"] = ["failure" if place in causes else "success" for place in range(len(rows))]
+    rows["cause"] = [causes.get(place, "") for place in range(len(rows))]
+    browser.open(page.write(replace(found, rows=rows), tmp_path / "report.html"))
+    browser.until("performance.getEntriesByName('map').length")
+    names = browser.run("[...document.querySelectorAll('#kinds button')].map((one) => one.childNodes[1].textContent)")
+    assert set(names) == {"success", *(cause.replace("_", " ") for cause in FAILURES)}
+    left, top, width, height = (np.array(plot(browser)) - [*browser.place("#map-over")[:2], 0, 0]).tolist()
+    whole = colours(browser)
+    x, y = (np.unique(rows[name], return_inverse=True) for name in found.listed)
+    for number, name in enumerate(names):
+        swatch = colours(browser, f"#kinds button:nth-child({number + 1}) canvas")
+        place = list(rows["cause"]).index("" if name == "success" else name.replace(" ", "_"))
+        wide, high = width / len(x[0]), height / len(y[0])
+        # the last line of a cell is a gap
+        at = left + (x[1][place] + 0.5) * wide - 0.5, top + height - (y[1][place] + 0.5) * high - 0.5
+        cell = [middle(whole, at[0] + i, at[1] + j) for i in (-1, 0, 1) for j in (-1, 0, 1)]
+        shown = middle(swatch, swatch.shape[1] / 2, swatch.shape[0] / 2)
+        assert any(np.array_equal(shown, one) for one in cell), name
+        assert (len(np.unique(shown.reshape(-1, 3), axis=0)) > 1) == (name != "success")
+    before = colours(browser, "#kinds canvas")
+    chosen(browser, "#map-y", "slip_max_m")
+    after = colours(browser, "#kinds canvas")
+    assert not np.array_equal(before, after)
+    assert (after[0, 0] == after[-1, -1]).all()  # paper about a mark
 
 
 def test_it_is_small_and_live(shown, file):

@@ -10,6 +10,7 @@ from sweep.analysis.stats import broken, rate
 from sweep.core.parameters import InputError
 from sweep.metrics.outcome import FAILURES
 from sweep.report import maps, tables
+from sweep.report.cells import Cells
 from sweep.report.layout import PAGE, legend_below, lettering
 from sweep.report.looks import marker
 from sweep.study.config import compose
@@ -83,6 +84,37 @@ def test_map_of_single_rollouts_shows_causes_and_hatches_invalid_cells(rows, tmp
     paths = maps.draw(rows, STORED, tmp_path)
     assert [p.name for p in paths] == ["map.png", "map.svg"]
     assert "friction (world)" in paths[1].read_text()
+
+
+def test_a_legend_shows_what_the_map_shows(rows):
+    """Each failure's colour, glyph and ink, to the pixel; and no glyph where cells have no room for one."""
+    causes = [list(FAILURES)[k % len(FAILURES)] for k in range(len(rows) // 2)]
+    rows = rows.assign(outcome="failure", cause=[*causes, *causes])
+    figure = maps.success_map(rows, STORED)
+    figure.set_dpi(400)
+    figure.canvas.draw()
+    pixels = np.asarray(figure.canvas.buffer_rgba())[::-1, :, :3].astype(int)
+    legend = figure.legends[0]
+    for text, mark in zip(legend.get_texts(), legend.legend_handles, strict=True):
+        cause = text.get_text().replace(" ", "_")
+        if cause == "success":
+            continue
+        shown = around(pixels, mark.get_transform().transform(mark.get_xydata().mean(axis=0)))
+        assert len(np.unique(shown.reshape(-1, 3), axis=0)) > 1, cause  # a glyph on a colour
+        row = rows[rows["cause"] == cause].iloc[0]
+        place = row[["world.contact.friction", "manoeuvre.half_step_ratio"]]
+        ax = figure.axes[["mjx", "native"].index(row["engine.name"])]
+        middle = ax.transData.transform([place.iloc[0], {0.05: 0.05, 0.1: 0.1125, 0.2: 0.2}[place.iloc[1]]])
+        assert np.abs(shown - around(pixels, middle)).mean() < 12, cause
+    many = maps.cell("fell", "#D55E00")
+    assert len(many) == 1
+    assert not maps.glyphed(Cells(np.arange(maps.GLYPHS + 1), np.arange(2)))
+
+
+def around(pixels, middle):
+    """What is drawn within a glyph's size of a place, from below upwards."""
+    x, y = np.round(middle).astype(int)
+    return pixels[y - 12 : y + 13, x - 12 : x + 13]
 
 
 def test_a_legend_is_never_cut(rows):

@@ -11,7 +11,7 @@ import { clamp } from "./numbers.js";
  * @typedef {object} Places
  * @property {Scale} x
  * @property {Scale} y
- * @property {"cells" | "marks"} form
+ * @property {import("./main.js").Form} form
  * @property {Int32Array} rows
  * @property {Float64Array} boxes four for each of `rows`; of marks the first two are the place
  * @property {Int32Array} cell number of the cell, or of marks the bin, that each of `rows` is in

@@ -3,7 +3,7 @@ import { drawFrame, scaleOf } from "./axes.js";
 import { binsOf, clipped, smirnov } from "./data.js";
 import { byId, cssOf, element, offer, pointerOn, sheetOf } from "./dom.js";
 import { clamp, packRgb, rgbOf, shortly, wilson } from "./numbers.js";
-import { paintKind, pixelsOf, stampAt, stampOf } from "./paint.js";
+import { glyphOf, paintKind, pixelsOf, stampAt, stampOf } from "./paint.js";
 import { narrow } from "./state.js";
 
 /** @typedef {import("./data.js").Column} Column */
@@ -13,6 +13,7 @@ import { narrow } from "./state.js";
 
 const [BINS, LISTED] = [32, 60]; // bins of what was drawn or measured; values of a grid that have one each
 const SHOWN = 8; // distributions before one asks for more
+const MARK = 5; // CSS pixels of the radius of a mark beside the name of its kind
 const PAIRED = 6; // columns of the matrix of pairs
 
 /**
@@ -89,9 +90,23 @@ export function stageView(app) {
 export function boxed(pen, x, y, width, height, look, ratio) {
   const [wide, high] = [Math.max(1, Math.round(width * ratio)), Math.max(1, Math.round(height * ratio))];
   const pixels = pixelsOf(wide, high);
-  const glyph = width >= 12 ? stampOf(look.shape, 4.2 * ratio) : null;
+  const glyph = width >= 12 ? glyphOf(look, ratio) : null;
   paintKind(pixels, { left: 0, top: 0, right: wide, bottom: high }, look, glyph, -1, ratio);
   pen.putImageData(pixels.image, Math.round(x * ratio), Math.round(y * ratio));
+}
+
+/**
+ * A mark of a kind on paper: as those of the map.
+ * @param {import("./dom.js").Sheet} sheet
+ * @param {import("./dom.js").Look} look
+ * @param {Rgb} paper
+ */
+export function keyMark(sheet, look, paper) {
+  const { pen, width, height, ratio } = sheet;
+  const pixels = pixelsOf(Math.round(width * ratio), Math.round(height * ratio));
+  pixels.colours.fill(packRgb(...paper));
+  stampAt(pixels, stampOf(look.shape, MARK * ratio), pixels.width / 2, pixels.height / 2, look.mark, 1, -2);
+  pen.putImageData(pixels.image, 0, 0);
 }
 
 /**

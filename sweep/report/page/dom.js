@@ -93,7 +93,7 @@ export function themeNow() {
   return { dark, paper: rgbOf(panel), ink, soft, line, accent, panel };
 }
 
-/** @typedef {{ cell: Rgb, mark: Rgb, ink: Rgb, hatched: boolean, shape: number[] }} Look */
+/** @typedef {{ cell: Rgb, mark: Rgb, ink: Rgb, hatched: boolean, glyphed: boolean, shape: number[] }} Look */
 
 /**
  * How a kind of outcome looks, whatever the theme: as a mark or a line, and as a cell with its glyph. What is invalid has no
@@ -104,9 +104,10 @@ export function themeNow() {
  */
 export function lookOf({ colour, shape, outcome }, theme) {
   const mark = rgbOf(colour);
-  if (outcome === "invalid") return { cell: theme.paper, mark, ink: mark, hatched: true, shape };
+  if (outcome === "invalid") return { cell: theme.paper, mark, ink: mark, hatched: true, glyphed: false, shape };
   const dark = 0.299 * mark[0] + 0.587 * mark[1] + 0.114 * mark[2] < 110;
-  return { cell: mark, mark, ink: dark ? [255, 255, 255] : [28, 32, 36], hatched: false, shape };
+  const ink = /** @type {Rgb} */ (dark ? [255, 255, 255] : [28, 32, 36]);
+  return { cell: mark, mark, ink, hatched: false, glyphed: outcome === "failure", shape };
 }
 
 /**

@@ -1,6 +1,6 @@
 // How a map is filled: cells, marks or densities, in the colours of kinds, rates or figures.
 import { bent, clamp, mixed, packRgb, scaleColour } from "./numbers.js";
-import { fillCell, paintKind, stampAt, stampOf } from "./paint.js";
+import { fillCell, glyphOf, paintKind, stampAt, stampOf } from "./paint.js";
 
 /** @typedef {import("./cells.js").Places} Places */
 /** @typedef {import("./data.js").Column} Column */
@@ -93,8 +93,7 @@ export function paintCells(app, pixels, here, by, ratio) {
   const { paper } = app.theme();
   const looks = app.looks();
   const faded = looks.map((look) => packRgb(...mixed(look.cell, paper, FADED)));
-  const { kinds } = table.about;
-  const glyphs = looks.map(({ shape }, k) => (kinds[k].outcome === "failure" ? stampOf(shape, 3.4 * ratio) : null));
+  const glyphs = looks.map((look) => glyphOf(look, ratio));
   const colour = coloursBy(app, here, by);
   const { width, height } = pixels;
   const gap = here.outlines.length ? 0 : 1;

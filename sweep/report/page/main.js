@@ -1,6 +1,15 @@
 // The page: reads what it holds, makes its views, and draws those that are seen when something changes.
 import { addressOf, conditionOf, wantedOf } from "./address.js";
-import { distributionsView, importanceView, pairsView, boxed, rankedOf, rateView, stageView } from "./charts.js";
+import {
+  boxed,
+  distributionsView,
+  importanceView,
+  keyMark,
+  pairsView,
+  rankedOf,
+  rateView,
+  stageView,
+} from "./charts.js";
 import { clipped, orderOf, pointOf, readTable } from "./data.js";
 import { byId, element, lookOf, sheetOf, themeNow } from "./dom.js";
 import { listView } from "./list.js";
@@ -32,6 +41,8 @@ import { narrow, showAll, sift, stateOf } from "./state.js";
  * @property {(row: number) => void} point at a row
  * @property {(row: number) => void} mark a row as chosen
  * @property {(row: number) => void} choose a row: mark it and open its replay
+ * @property {(form: Form) => void} drawnAs says what the map is made of, so that the names of kinds show the same
+ * @property {() => Form} form
  * @property {() => void} filtered says that filters have changed
  * @property {() => void} redraw everything that is seen
  * @property {() => Promise<void>} drawn draws everything, seen or not
@@ -40,6 +51,7 @@ import { narrow, showAll, sift, stateOf } from "./state.js";
  * @property {(target: Element) => boolean} visible
  */
 
+/** @typedef {"cells" | "marks"} Form */
 /** @typedef {{ root: HTMLElement, draw: () => void | Promise<void>, point: () => void, resized: () => void }} View */
 
 const SETTLED = 250; // ms after which the address says what is looked at
@@ -69,6 +81,8 @@ async function begin() {
   /** @type {Set<View>} */
   const waiting = new Set();
   let due = false;
+  /** @type {Form} */
+  let form = "cells";
   let everything = false; // is drawn, seen or not
 
   const visible = (/** @type {Element} */ target) => {
@@ -132,6 +146,12 @@ async function begin() {
       if (matchMedia("(max-width: 60rem)").matches)
         byId("replay").scrollIntoView({ behavior: "smooth", block: "start" });
     },
+    drawnAs: (now) => {
+      if (now === form) return;
+      form = now;
+      chips();
+    },
+    form: () => form,
     filtered: () => {
       sift(state);
       chips();
@@ -256,8 +276,10 @@ function chipsOf(app) {
     if (all) table.about.kinds.forEach((kind, k) => (counts[k] = kind.count)); // of a sample its rows are not all
     buttons.forEach(({ button, swatch, count }, k) => {
       button.setAttribute("aria-pressed", String(!state.hidden.has(k)));
-      const { pen, width, height, ratio } = sheetOf(swatch);
-      boxed(pen, 0, 0, width, height, app.looks()[k], ratio);
+      const sheet = sheetOf(swatch);
+      const look = app.looks()[k];
+      if (app.form() === "marks") keyMark(sheet, look, app.theme().paper);
+      else boxed(sheet.pen, 0, 0, sheet.width, sheet.height, look, sheet.ratio);
       count.textContent = ` ${grouped(counts[k])}`;
     });
     const filters = [...state.ranges].map(([key, { low, high }]) => {

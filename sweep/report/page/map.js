@@ -137,6 +137,7 @@ export function mapView(app) {
     drawFrame(sheet, app.theme(), area, { scale: here.x, title: x.title }, { scale: here.y, title: y.title });
     drawKey();
     drawOver();
+    app.drawnAs(density && !filtered ? "cells" : here.form);
   };
 
   /** The scale of colours that are numbers, or what marks mean. */

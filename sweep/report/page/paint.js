@@ -23,6 +23,8 @@ export function pixelsOf(width, height) {
   return { width: image.width, height: image.height, colours: new Uint32Array(image.data.buffer), owner, image };
 }
 
+const GLYPH = 3.8; // CSS pixels of a glyph whose radius is one
+
 const TILE = 8;
 
 /** Hatching of what is invalid. */
@@ -143,6 +145,16 @@ export function ownerNear(pixels, x, y, reach) {
       if (row >= 0 && away < least) [best, least] = [row, away];
     }
   return best;
+}
+
+/**
+ * What is put on the cells of a kind: the shape of a cause of failure.
+ * @param {import("./dom.js").Look} look
+ * @param {number} ratio
+ * @returns {Stamp | null}
+ */
+export function glyphOf({ glyphed, shape }, ratio) {
+  return glyphed ? stampOf(shape, GLYPH * ratio) : null;
 }
 
 /**
