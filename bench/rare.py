@@ -1,0 +1,402 @@
+"""How well rare failures are told by three ways: `python bench/rare.py SCENARIO [--seconds S] [...] [OVERRIDE ...]`.
+
+All eight errors of `study=any_rare` at once, times scales at which about the `--targets` fail, found first: plain draws
+are the truth, beside repetitions of importance sampling (each the study of one seed) and of subset simulation. All go
+on side by side: what a batch has room for beside rounds that are asked for are plain draws. Scenarios may run in
+processes of their own, on one GPU too. Cells that are done are taken as they are, plain draws go on; all is written
+to docs/data/rare.json, which docs/certainty.md cites, after every cell.
+"""
+
+import argparse
+import itertools
+import json
+import sys
+import time
+from collections.abc import Generator, Iterable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import filelock
+import numpy as np
+import pandas as pd
+from scipy.special import ndtri
+from scipy.stats import t as student
+
+from sweep.analysis.intervals import CONFIDENCE, clopper_pearson
+from sweep.analysis.rare import Repeated, Weighted, rare
+from sweep.core.errors import InputError
+from sweep.core.files import write_whole
+from sweep.core.provenance import made_with
+from sweep.runs import runner
+from sweep.runs.batches import make_engine, nominal, with_room
+from sweep.study import searches
+from sweep.study.config import Experiment, composed, experiment
+from sweep.study.sought import Draws, seen
+from sweep.study.study import points
+
+DATA = Path(__file__).parents[1] / "docs" / "data" / "rare.json"
+LEADS = {"walk_tripod": "margin", "ball_balance": "stability_margin_min_m", "ball_drive": "stability_margin_min_m"}
+LEAD = "friction_reserve_min"  # of the others: see bench/margins.py
+WAYS = ("plain", "importance", "levels")
+LADDER = (0.5 ** np.arange(0, 8, 0.5)).tolist()  # scales that are looked at first; beyond 1 friction may be negative
+KNOWN, MOST = 6, 0.3  # failures from which on, and share up to which, one of them tells the others
+PILOTS, TRUTH = 4, 200  # repetitions that look at the middle scale; failures that plain draws are to have
+SETS = 5  # runs of levels that a study has by default
+VARIATION = 0.1  # that costs are told for
+PLAIN = 1_000_000  # seed of plain draws, which no repetition has
+
+Ask = Generator[Draws, pd.DataFrame, pd.DataFrame]  # rounds, which are sent their rows; it returns all of these
+Cell = dict[str, Any]
+
+
+class Robots:
+    """Rollouts of a scenario, all by one engine."""
+
+    def __init__(self, scenario: str, width: int, overrides: list[str]):
+        """Compiles."""
+        self.values = composed([f"scenario={scenario}", "study=any_rare", f"engine.width={width}", *overrides])
+        self.lead = LEADS.get(scenario, LEAD)
+        exp = self.scaled(1.0)
+        first = self.points(exp, plain(exp, 1, 0))
+        self.exp = with_room(exp, first)
+        start = nominal(self.exp, first.assign(width=width), width)
+        self.width, self.engine = width, make_engine(self.exp, start)
+        self.device = self.exp.system.device(start.settings)
+
+    def scaled(self, scale: float, **design: Any) -> Experiment:
+        """The study with all errors times `scale`, drawn by `design`."""
+        study = self.values["study"]
+        axes = {name: {**axis, "relative": scale * axis["relative"]} for name, axis in study["axes"].items()}
+        asked = {**study, "axes": axes, "design": {**study["design"], "lead": self.lead, **design}}
+        return experiment({**self.values, "study": asked})
+
+    @staticmethod
+    def points(exp: Experiment, draws: Draws) -> pd.DataFrame:
+        """What is to be run of a round."""
+        return points(exp.study, exp.system, exp.settings, round_=draws)
+
+    def run(self, tables: list[pd.DataFrame]) -> list[pd.DataFrame]:
+        """Rows of each table, in full batches but for the last."""
+        every = pd.concat(tables, ignore_index=True).assign(width=self.width)
+        columns = [c for c in map(str, every) if c.startswith("axis.")]
+        columns += ["replicate", "outcome", *({self.lead} - {"replicate", "outcome"})]
+        parts = [every[k : k + self.width] for k in range(0, len(every), self.width)]
+        rows = pd.concat([runner.simulate(self.exp, self.engine, part)[0][columns] for part in parts])
+        ends = np.cumsum([0, *map(len, tables)])
+        return [rows[a:b].reset_index(drop=True) for a, b in itertools.pairwise(ends)]
+
+
+def plain(exp: Experiment, num: int, before: int) -> Draws:
+    """Draws as they come, after so many `before` them, which are others."""
+    shares = np.random.default_rng([PLAIN, before]).random((num, len(exp.study.axes)))
+    return Draws(shares, before + np.arange(num), {})
+
+
+def sought(exp: Experiment) -> Ask:
+    """All rounds of a study."""
+    search = searches.search(exp.study.axes, exp.study.design, exp.study.seed)
+    draws, every = next(search), []
+    while True:
+        every.append((yield draws))
+        try:
+            draws = search.send(seen(every[-1], draws, exp.study.design.lead))
+        except StopIteration:
+            return pd.concat(every, ignore_index=True)
+
+
+def importance(robots: Robots, scale: float, num: int, seeds: Iterable[int]) -> list[Experiment]:
+    """Repetitions of one study, each of a seed."""
+    exp = robots.scaled(scale, kind="importance", num=num)
+    return [replace(exp, study=replace(exp.study, seed=seed)) for seed in seeds]
+
+
+def scales(robots: Robots, targets: list[float], num: int) -> dict[str, float]:
+    """Those at which about each target fails, by target.
+
+    Reliability, the quantile of what does not fail, is taken to be linear in 1 / scale: through a look at plain draws
+    of many scales and one at the middle target by importance sampling. Raises `InputError` where no scale has a failure
+    now and then.
+    """
+    exps = [robots.scaled(scale) for scale in LADDER]
+    tables = [robots.points(exp, plain(exp, num, 0)) for exp in exps]
+    shares, failures = zip(*((bad.mean(), bad.sum()) for bad in map(failed, robots.run(tables))), strict=True)
+    told = [k for k in range(len(LADDER)) if failures[k] >= KNOWN and shares[k] <= MOST]
+    print(
+        "  " + ", ".join(f"{scale:.3g}: {share:.3g}" for scale, share in zip(LADDER, shares, strict=True)), flush=True
+    )
+    if not told:
+        raise InputError(
+            f"none of the scales {LADDER[0]:g} to {LADDER[-1]:.2g} has between {KNOWN} and {MOST:.0%} fail"
+        )
+    known = [(1 / LADDER[told[-1]], -ndtri(shares[told[-1]]))]
+    aims = -ndtri(np.array(targets))
+    middle = min(LADDER[told[-1]] * known[0][1] / aims[len(aims) // 2], LADDER[0])
+    pilots = finished(robots, importance(robots, middle, num, range(1, PILOTS + 1)))
+    p = float(np.mean([one.probability for one in pilots]))
+    if 0 < p < shares[told[-1]]:
+        known.append((1 / middle, -ndtri(p)))
+    (x, y), (x_, y_) = known[0], known[-1] if len(known) > 1 else (0.0, 0.0)
+    slope = (y - y_) / (x - x_)
+    found = 1 / (x + (aims - y) / slope)
+    return {f"{p:g}": min(float(f"{scale:.3g}"), LADDER[0]) for p, scale in zip(targets, found, strict=True)}
+
+
+def finished(robots: Robots, exps: list[Experiment]) -> list[Weighted | Repeated]:
+    """What studies say that go on side by side."""
+    asks = [sought(exp) for exp in exps]
+    draws, rows = [next(ask) for ask in asks], []
+    while len(rows) < len(asks):
+        found = robots.run([robots.points(exp, one) for exp, one in zip(exps, draws, strict=True)])
+        draws, rows = [], []
+        for ask, one in zip(asks, found, strict=True):
+            try:
+                draws.append(ask.send(one))
+            except StopIteration as end:
+                rows.append(end.value)
+    return [rare(one, exp) for one, exp in zip(rows, exps, strict=True)]
+
+
+def failed(rows: pd.DataFrame) -> np.ndarray:
+    """Which have, invalid ones among them."""
+    return (rows["outcome"] != "success").to_numpy()
+
+
+def measured(robots: Robots, kept: "Kept", given: argparse.Namespace, deadline: float) -> None:
+    """Fill the cells that are missing, until it is time to stop."""
+    exps: dict[tuple[str, str], list[Experiment]] = {}
+    for target, scale in kept.scales.items():
+        seeds = range(1, given.repetitions + 1)
+        exps[target, "importance"] = importance(robots, scale, given.num, seeds)
+        design = {"kind": "subset", "num": given.level, "runs": given.repetitions}
+        exps[target, "levels"] = [robots.scaled(scale, **design)]
+    exps = {key: some for key, some in exps.items() if "P" not in kept.cell(*key)}
+    truths = {target: robots.scaled(scale) for target, scale in kept.scales.items()}
+    asks = {(key, k): sought(exp) for key, some in exps.items() for k, exp in enumerate(some)}
+    asked: dict[Any, Draws] = {key: next(ask) for key, ask in asks.items()}
+    ended: dict[Any, pd.DataFrame] = {}
+    while (start := time.perf_counter()) < deadline and (asked or kept.lacking()):
+        tables = {key: robots.points(exps[key[0]][key[1]], draws) for key, draws in asked.items()}
+        room = -sum(map(len, tables.values())) % robots.width or (0 if tables else robots.width)
+        if room:  # for the truth, of the cell that lacks most by its size
+            target = kept.lacking() or list(truths)[-1]
+            exp = truths[target]
+            tables[target] = robots.points(exp, plain(exp, room, kept.plain()))
+        found = dict(zip(tables, robots.run(list(tables.values())), strict=True))
+        took = (time.perf_counter() - start) / sum(map(len, tables.values()))
+        for key, rows in found.items():
+            if isinstance(key, str):
+                kept.more_plain(key, failed(rows), rows["outcome"].eq("invalid").to_numpy(), took)
+                continue
+            (target, way), _ = key
+            kept.spent(target, way, rows, took)
+            try:
+                asked[key] = asks[key].send(rows)
+            except StopIteration as end:
+                ended[key] = end.value
+                del asked[key]
+        for key, some in exps.items():
+            if all((key, k) in ended for k in range(len(some))) and "P" not in kept.cell(*key):
+                target, way = key
+                kept.done(target, way, [rare(ended[key, k], exp) for k, exp in enumerate(some)])
+        kept.seconds += time.perf_counter() - start
+        kept.write()
+        print(f"{kept.scenario} {kept.seconds:.0f} s: {len(asked)} searches go on; {kept.told()}", flush=True)
+
+
+class Kept:
+    """What a scenario's cells hold, and the file they are in."""
+
+    def __init__(self, file: Path, scenario: str, about: Mapping[str, Any]):
+        """Reads what is there."""
+        self.file, self.scenario = file, scenario
+        there = read(file).get("scenarios", {}).get(scenario, {})
+        if there and there["code"] != about["code"]:
+            raise InputError(f"{file} has {scenario} of other code ({there['code']}): remove it, or give --out")
+        self.content = {**about, "seconds": 0.0, "scales": {}, "cells": {}, **there}
+        for ways in self.content["cells"].values():  # a search that was stopped begins anew
+            for way in [way for way, cell in ways.items() if "P" not in cell]:
+                del ways[way]
+
+    @property
+    def scales(self) -> dict[str, float]:
+        """By target."""
+        return self.content["scales"]
+
+    @property
+    def seconds(self) -> float:
+        """Spent on cells."""
+        return self.content["seconds"]
+
+    @seconds.setter
+    def seconds(self, value: float) -> None:
+        self.content["seconds"] = round(value, 1)
+
+    def cell(self, target: str, way: str) -> Cell:
+        """One of them, empty at first."""
+        cells = self.content["cells"].setdefault(target, {})
+        return cells.setdefault(way, {"rollouts": 0, "invalid": 0, "seconds": 0.0})
+
+    def spent(self, target: str, way: str, rows: pd.DataFrame, took: float) -> None:
+        """Count rows of a cell, of which each took so many seconds."""
+        cell = self.cell(target, way)
+        cell["rollouts"] += len(rows)
+        cell["invalid"] += int(rows["outcome"].eq("invalid").sum())
+        cell["seconds"] = round(cell["seconds"] + took * len(rows), 2)
+
+    def more_plain(self, target: str, bad: np.ndarray, invalid: np.ndarray, took: float) -> None:
+        """Count plain draws."""
+        cell = self.cell(target, "plain")
+        n, k = cell["rollouts"] + len(bad), cell.get("failed", 0) + int(bad.sum())
+        low, high = clopper_pearson(k, n)
+        cell |= {"P": k / n, "low": float(low), "high": float(high), "failed": k, "rollouts": n,
+                 "invalid": cell["invalid"] + int(invalid.sum()),
+                 "seconds": round(cell["seconds"] + took * len(bad), 2)}  # fmt: skip
+
+    def lacking(self) -> str | None:
+        """The first target whose plain draws are fewer than its truth is to have."""
+        return next((p for p in self.scales if self.cell(p, "plain")["rollouts"] * float(p) < TRUTH), None)
+
+    def plain(self) -> int:
+        """How many plain draws there are."""
+        return sum(self.cell(p, "plain")["rollouts"] for p in self.scales)
+
+    def done(self, target: str, way: str, found: list[Any]) -> None:
+        """Keep what repetitions say."""
+        cell = self.cell(target, way)
+        if isinstance(found[0], Repeated):
+            (one,) = found
+            taken = [share for run in one.runs for share in run.accepted]
+            sets = [Repeated(one.target, one.runs[k : k + SETS]) for k in range(0, len(one.runs) - SETS + 1, SETS)]
+            cell |= {"each": one.each.tolist(), "intervals": [some.interval for some in sets],
+                     "early": len(one.stuck), "why": one.stuck[0].why if one.stuck else "",
+                     "accepted": [min(taken), max(taken)] if taken else []}  # fmt: skip
+        else:
+            cell |= {"each": [one.probability for one in found], "intervals": [(one.low, one.high) for one in found],
+                     "largest": [one.largest for one in found],
+                     "untrusted": sum(not one.trusted for one in found)}  # fmt: skip
+        each = np.array(cell["each"])
+        half = student.ppf(0.5 + CONFIDENCE / 2, len(each) - 1) * each.std(ddof=1) / np.sqrt(len(each))
+        cell |= {"P": each.mean(), "low": max(each.mean() - half, 0.0), "high": each.mean() + half}
+
+    def told(self) -> str:
+        """Cells in short."""
+        cells = self.content["cells"]
+        return ", ".join(
+            f"{p} {way} {cell['P']:.3g}" for p, ways in cells.items() for way, cell in ways.items() if "P" in cell
+        )
+
+    def write(self) -> None:
+        """Put this scenario into the file, which other processes write theirs to."""
+        with filelock.FileLock(self.file.with_suffix(".lock")):
+            every = read(self.file)
+            scenarios = {**every.get("scenarios", {}), self.scenario: self.content}
+            write_whole(self.file, (json.dumps(summary(scenarios), indent=1) + "\n").encode())
+
+
+def read(file: Path) -> dict[str, Any]:
+    """What is there."""
+    return json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
+
+
+def summary(scenarios: Mapping[str, Any]) -> dict[str, Any]:
+    """The whole file: what made it, tables, and the scenarios' cells."""
+    every = [*scenarios.values()]
+
+    def of(key: str) -> str:
+        return ", ".join(sorted({one[key] for one in every}))
+
+    return {
+        "command": "python bench/rare.py SCENARIO",
+        "engine": "`mjx`",
+        "devices": sorted({one["device"] for one in every}),
+        "code": of("code"),
+        "commit": of("commit"),
+        "versions": every[0]["versions"],
+        "seconds": round(sum(one["seconds"] for one in every)),
+        "tables": {"truth": truth(scenarios), "cost": cost(scenarios)},
+        "scenarios": dict(scenarios),
+    }
+
+
+def cells_of(scenarios: Mapping[str, Any]) -> Iterable[tuple[list[str], dict[str, Cell]]]:
+    """Cells by way, with the words that a line begins with, of every scale whose truth is known to have failures."""
+    for name, one in scenarios.items():
+        for target, ways in one["cells"].items():
+            if ways.get("plain", {}).get("failed"):
+                yield [f"`{name}`", f"{one['scales'][target]:g}"], {w: c for w, c in ways.items() if "P" in c}
+
+
+def truth(scenarios: Mapping[str, Any]) -> list[list[str]]:
+    """Both ways beside plain draws; a blank where one was not run to its end."""
+    table = [["scenario", "errors times", "P(failure), plain draws", "of",
+              "importance: mean / truth", "variation", "hold", "not trusted",
+              "levels: mean / truth", "variation of a run", "hold", "early"]]  # fmt: skip
+    for line, ways in cells_of(scenarios):
+        plain, cells = ways["plain"], []
+        for way, bad in (("importance", "untrusted"), ("levels", "early")):
+            if way not in ways:
+                cells += [""] * 4
+                continue
+            cell, p = ways[way], plain["P"]
+            holds = sum(low <= p <= high for low, high in cell["intervals"])
+            ratio = f"{cell['P'] / p:.2f} ({cell['low'] / p:.2f} to {cell['high'] / p:.2f})"
+            cells += [ratio, f"{variation(cell):.2f}",
+                      f"{holds} of {len(cell['intervals'])}", f"{cell[bad]} of {len(cell['each'])}"]  # fmt: skip
+        ends = f"{plain['P']:.3g} ({plain['low']:.2g} to {plain['high']:.2g})"
+        table.append([*line, ends, f"{plain['rollouts']:,}", *cells])
+    return table
+
+
+def cost(scenarios: Mapping[str, Any]) -> list[list[str]]:
+    """Rollouts for a standard error of a tenth, and seconds of the machine for as many."""
+    table = [["scenario", "P(failure)", "plain draws", "s", "importance", "s", "levels", "s"]]
+    for (name, _), ways in cells_of(scenarios):
+        cells = []
+        for way in WAYS:
+            if way not in ways:
+                cells += ["", ""]
+                continue
+            cell = ways[way]
+            one = cell["rollouts"] / len(cell["each"]) if "each" in cell else 1
+            spread = variation(cell) if "each" in cell else np.sqrt((1 - cell["P"]) / cell["P"])
+            needed = one * (spread / VARIATION) ** 2
+            cells += [f"{needed:,.0f}", f"{needed * cell['seconds'] / cell['rollouts']:.2g}"]
+        table.append([name, f"{ways['plain']['P']:.2g}", *cells])
+    return table
+
+
+def variation(cell: Cell) -> float:
+    """Coefficient of variation of one repetition; infinite of none that came to a failure."""
+    each = np.array(cell["each"])
+    return float(each.std(ddof=1) / each.mean()) if each.any() else np.inf
+
+
+def main(words: list[str]) -> None:
+    """Measure a scenario, or what is missing of it."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scenario")
+    parser.add_argument("--seconds", type=float, default=np.inf, help="after which nothing is begun")
+    parser.add_argument("--targets", default="1e-2,1e-3,1e-4")
+    parser.add_argument("--repetitions", type=int, default=30)
+    parser.add_argument("--num", type=int, default=1024, help="draws of a round of importance sampling")
+    parser.add_argument("--level", type=int, default=500, help="draws of a level of subset simulation")
+    parser.add_argument("--width", type=int, default=32768, help="rollouts of a batch")
+    parser.add_argument("--out", type=Path, default=DATA)
+    parser.add_argument("--commit", default="", help="where the sources are in no checkout")
+    given, overrides = parser.parse_known_args(words)
+    start = time.perf_counter()
+    robots = Robots(given.scenario, given.width, overrides)
+    about = {**made_with(), "device": robots.device, "lead": robots.lead, "overrides": overrides}
+    about |= {"num": given.num, "level": given.level, "repetitions": given.repetitions, "width": given.width}
+    kept = Kept(given.out, given.scenario, about | ({"commit": given.commit} if given.commit else {}))
+    if not kept.scales:
+        kept.content["scales"] = scales(robots, [float(p) for p in given.targets.split(",")], given.num)
+        kept.content["start_s"] = round(time.perf_counter() - start, 1)
+        kept.write()
+    print(f"{given.scenario}: {kept.scales}, {time.perf_counter() - start:.0f} s", flush=True)
+    measured(robots, kept, given, start + given.seconds)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
