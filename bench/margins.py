@@ -1,29 +1,42 @@
 """Whether margins and reserves shrink before anything breaks: lines of errors from nominal to the first failure.
 
-To run: `python bench/margins.py FOLDER SCENARIO [OVERRIDE ...]`, from a checkout. Each line goes from nominal into a
-random direction of the normals behind the errors of `study=any_rare`; a second pass goes through the step in which it
-fails. The same command goes on where it was.
+To run: `python bench/margins.py SCENARIO [--folder FOLDER] [OVERRIDE ...]`, from a checkout. Each line goes from
+nominal into a random direction of the normals behind the errors of `study=any_rare`; a second pass goes through the
+step in which it fails. The same command goes on where it was. It adds the scenario to docs/data/margins.json, which
+docs/certainty.md cites.
 """
 
+import argparse
 import sys
+import time
+from collections import Counter
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
+import shared
 from scipy.special import ndtr
-from scipy.stats import spearmanr
 
+from sweep.core.provenance import made_with
 from sweep.runs import runner, store
+from sweep.study.columns import figure_columns
 from sweep.study.config import Experiment, compose
 from sweep.study.sought import Draws
 from sweep.study.study import points
 
+ROOT = Path(__file__).parents[1]
+FOLDER, DATA = ROOT / "results" / "lines", ROOT / "docs" / "data" / "margins.json"
 LINES, FAR = 16, 6.0  # standard deviations
 COARSE, FINE = 24, 5  # steps of a line; of the one of them that fails
 CLIFF = 0.25  # of a margin, in units of its threshold, within a fine step
-LEADS = -0.8  # Spearman's coefficient of a column and the way, up to the first failure
-COLUMNS = ("margin", "friction_reserve_min", "torque_reserve_min", "reach_reserve_min_m", "edge_reserve_min_m",
-           "stability_margin_min_m")  # fmt: skip
+LEADS = 0.8  # Spearman's coefficient of a column and the way, up to the first failure, of either sign
+FEWEST = 5  # steps before a failure by which a column can be said to lead
+MOST_CLIFFS = 2  # beyond which it is told what they are of
+LENGTHS = ("body_length", "body_width", "thigh", "shin")
+COLUMNS = {"margin": "`margin`", "friction_reserve_min": "friction", "torque_reserve_min": "torque",
+           "reach_reserve_min_m": "reach", "edge_reserve_min_m": "edge",
+           "stability_margin_min_m": "stability"}  # fmt: skip
 
 
 def simulated(exp: Experiment, folder: Path, u: np.ndarray) -> pd.DataFrame:
@@ -55,6 +68,8 @@ def lines(exp: Experiment, folder: Path) -> list[pd.DataFrame]:
     ends = [first(rows) for rows in every]
     inner = [np.linspace(way[end - 1], way[end], FINE + 1)[1:-1] if 0 < end <= COARSE else [] for end in ends]
     u = [away * direction for steps, direction in zip(inner, towards, strict=True) for away in steps]
+    if not u:
+        return every
     fine = simulated(exp, folder, np.array(u)).assign(way=np.concatenate(inner))
     found, at = [], 0
     for rows, end, steps in zip(every, ends, inner, strict=True):
@@ -64,29 +79,94 @@ def lines(exp: Experiment, folder: Path) -> list[pd.DataFrame]:
     return found
 
 
-def main(folder: str, scenario: str, *overrides: str) -> None:
-    """A table in Markdown, and a line for each line."""
-    exp = compose([f"scenario={scenario}", "study=any_rare", "study.design.num=1", *overrides])
-    where = Path(folder) / scenario
-    where.mkdir(parents=True, exist_ok=True)
-    found = lines(exp, where)
-    ended = [rows for rows in found if rows["outcome"].iloc[-1] != "success" and len(rows) > 2]
-    falls = []
-    for rows in ended:
-        step = rows["margin"].clip(lower=-1.0).diff().min()
-        falls.append(-step)
-        last = rows.iloc[-1]
-        print(
-            f"{last['way']:.2f} {last['cause']} {last['limit']} fall {-step:.2f}, margin of {last['margin_of']}, "
-            f"before {rows['margin_of'].iloc[-2]} {rows['margin'].iloc[-2]:.2f}"
+def told(rows: pd.DataFrame, columns: list[str]) -> dict[str, Any]:
+    """What a line that fails shows: where and by what, how far its margin falls at once, and what goes with the way."""
+    last, before = rows.iloc[-1], rows.iloc[:-1]
+    leads = {}
+    if len(before) >= FEWEST:
+        moving = [c for c in columns if before[c].nunique() > 1]
+        leads = {c: round(before["way"].corr(before[c], method="spearman"), 3) for c in moving}
+    return {
+        "way": round(float(last["way"]), 3),
+        "cause": str(last["cause"]),
+        "limit": str(last["limit"]),
+        "fall": round(float(-rows["margin"].clip(lower=-1.0).diff().min()), 3),
+        "margin_of": str(last["margin_of"]),
+        "before_of": str(before["margin_of"].iloc[-1]),
+        "before": round(float(before["margin"].iloc[-1]), 3),
+        "steps": len(before),
+        "leads": {c: value for c, value in leads.items() if abs(value) >= LEADS},
+    }
+
+
+def cliffs(found: dict[str, Any]) -> list[dict[str, Any]]:
+    """Lines whose margin falls at once."""
+    return [line for line in found["lines"] if line["fall"] > CLIFF]
+
+
+def tables(scenarios: shared.Scenarios) -> dict[str, list[list[str]]]:
+    """In how many lines what leads, and what the cliffs are of where there are more than a few."""
+    leading = [["scenario", "lengths off by, %", "fail", "no cliff", *COLUMNS.values(), "and, of all others,"]]
+    falling = [["scenario", "cliffs", "cause", "nearest limit before"]]
+    for name, one in scenarios.items():
+        if one["nominal_outcome"] != "success":  # no line begins
+            continue
+        failing, steep = one["lines"], cliffs(one)
+        counts = Counter(c for line in failing for c in line["leads"] if c not in COLUMNS)
+        falls = [sum(line["leads"].get(c, 0.0) <= -LEADS for line in failing) for c in COLUMNS]
+        cells = [str(count) if c in one["nominal"] else "" for c, count in zip(COLUMNS, falls, strict=True)]
+        best = [f"`{c}` {count}" for c, count in counts.most_common(1) if count > max(falls)]
+        leading.append(
+            [
+                f"`{name}`",
+                f"{100 * one['lengths']:g}",
+                str(len(failing)),
+                str(len(failing) - len(steep)),
+                *cells,
+                *(best or [""]),
+            ]
         )
-    smooth = int((np.array(falls) <= CLIFF).sum())
-    print(f"\n{scenario}: {len(ended)} of {LINES} lines fail within {FAR:g}, {smooth} without cliff")
-    print("| column | nominal | leads in |\n|:--|--:|--:|")
-    for column in (c for c in COLUMNS if c in found[0]):
-        leads = [spearmanr(rows["way"][:-1], rows[column][:-1])[0] for rows in ended if rows[column][:-1].nunique() > 1]
-        print(f"| `{column}` | {found[0][column].iloc[0]:.3g} | {(np.array(leads) <= LEADS).sum()} |")
+        if len(steep) > MOST_CLIFFS:
+            causes = Counter(f"`{line['cause']}`" for line in steep)
+            nearest = Counter(f"`{line['before_of']}`" for line in steep)
+            words = (", ".join(f"{key} {n}" for key, n in each.most_common()) for each in (causes, nearest))
+            falling.append([f"`{name}`", str(len(steep)), *words])
+    return {"leading": leading, "cliffs": falling}
+
+
+def main(words: list[str]) -> None:
+    """Measure a scenario, or what is missing of it."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scenario")
+    parser.add_argument(
+        "--lengths", type=float, default=0.02, help="standard deviation of the robot's lengths, a share"
+    )
+    parser.add_argument("--folder", type=Path, default=FOLDER)
+    parser.add_argument("--out", type=Path, default=DATA)
+    parser.add_argument("--commit", default="", help="where the sources are in no checkout")
+    given, overrides = parser.parse_known_args(words)
+    start = time.perf_counter()
+    lengths = [f"study.axes.{axis}.relative={given.lengths:g}" for axis in LENGTHS]
+    exp = compose([f"scenario={given.scenario}", "study=any_rare", "study.design.num=1", *lengths, *overrides])
+    where = given.folder / given.scenario
+    where.mkdir(parents=True, exist_ok=True)
+    every = lines(exp, where)
+    columns = [c for c in ("margin", *figure_columns(every[0])) if every[0][c].dtype.kind == "f"]
+    failing = [rows for rows in every if rows["outcome"].iloc[-1] != "success" and len(rows) > 1]
+    (device,) = store.read_study(where)["devices"][:1]
+    found = {
+        **made_with(),
+        **({"commit": given.commit} if given.commit else {}),
+        "device": device,
+        "seconds": round(time.perf_counter() - start),
+        "lengths": given.lengths,
+        "overrides": overrides,
+        "nominal": {c: float(every[0][c].iloc[0]) for c in COLUMNS if c in every[0]},
+        "nominal_outcome": str(every[0]["outcome"].iloc[0]),
+        "lines": [told(rows, columns) for rows in failing],
+    }
+    shared.add(given.out, given.scenario, found, "python bench/margins.py SCENARIO", tables)
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    main(sys.argv[1:])

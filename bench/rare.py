@@ -9,7 +9,6 @@ to docs/data/rare.json, which docs/certainty.md cites, after every cell.
 
 import argparse
 import itertools
-import json
 import sys
 import time
 from collections.abc import Generator, Iterable, Mapping
@@ -17,16 +16,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import filelock
 import numpy as np
 import pandas as pd
+import shared
 from scipy.special import ndtri
 from scipy.stats import t as student
 
 from sweep.analysis.intervals import CONFIDENCE, clopper_pearson
 from sweep.analysis.rare import Repeated, Weighted, rare
 from sweep.core.errors import InputError
-from sweep.core.files import write_whole
 from sweep.core.provenance import made_with
 from sweep.runs import runner
 from sweep.runs.batches import make_engine, nominal, with_room
@@ -210,7 +208,7 @@ class Kept:
     def __init__(self, file: Path, scenario: str, about: Mapping[str, Any]):
         """Reads what is there."""
         self.file, self.scenario = file, scenario
-        there = read(file).get("scenarios", {}).get(scenario, {})
+        there = shared.read(file).get(scenario, {})
         if there and there["code"] != about["code"]:
             raise InputError(f"{file} has {scenario} of other code ({there['code']}): remove it, or give --out")
         self.content = {**about, "seconds": 0.0, "scales": {}, "cells": {}, **there}
@@ -288,38 +286,15 @@ class Kept:
 
     def write(self) -> None:
         """Put this scenario into the file, which other processes write theirs to."""
-        with filelock.FileLock(self.file.with_suffix(".lock")):
-            every = read(self.file)
-            scenarios = {**every.get("scenarios", {}), self.scenario: self.content}
-            write_whole(self.file, (json.dumps(summary(scenarios), indent=1) + "\n").encode())
+        shared.add(self.file, self.scenario, self.content, "python bench/rare.py SCENARIO", tables)
 
 
-def read(file: Path) -> dict[str, Any]:
-    """What is there."""
-    return json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
+def tables(scenarios: shared.Scenarios) -> dict[str, list[list[str]]]:
+    """What docs/certainty.md cites."""
+    return {"truth": truth(scenarios), "cost": cost(scenarios)}
 
 
-def summary(scenarios: Mapping[str, Any]) -> dict[str, Any]:
-    """The whole file: what made it, tables, and the scenarios' cells."""
-    every = [*scenarios.values()]
-
-    def of(key: str) -> str:
-        return ", ".join(sorted({one[key] for one in every}))
-
-    return {
-        "command": "python bench/rare.py SCENARIO",
-        "engine": "`mjx`",
-        "devices": sorted({one["device"] for one in every}),
-        "code": of("code"),
-        "commit": of("commit"),
-        "versions": every[0]["versions"],
-        "seconds": round(sum(one["seconds"] for one in every)),
-        "tables": {"truth": truth(scenarios), "cost": cost(scenarios)},
-        "scenarios": dict(scenarios),
-    }
-
-
-def cells_of(scenarios: Mapping[str, Any]) -> Iterable[tuple[list[str], dict[str, Cell]]]:
+def cells_of(scenarios: shared.Scenarios) -> Iterable[tuple[list[str], dict[str, Cell]]]:
     """Cells by way, with the words that a line begins with, of every scale whose truth is known to have failures."""
     for name, one in scenarios.items():
         for target, ways in one["cells"].items():
@@ -327,7 +302,7 @@ def cells_of(scenarios: Mapping[str, Any]) -> Iterable[tuple[list[str], dict[str
                 yield [f"`{name}`", f"{one['scales'][target]:g}"], {w: c for w, c in ways.items() if "P" in c}
 
 
-def truth(scenarios: Mapping[str, Any]) -> list[list[str]]:
+def truth(scenarios: shared.Scenarios) -> list[list[str]]:
     """Both ways beside plain draws; a blank where one was not run to its end."""
     table = [["scenario", "errors times", "P(failure), plain draws", "of",
               "importance: mean / truth", "variation", "hold", "not trusted",
@@ -348,7 +323,7 @@ def truth(scenarios: Mapping[str, Any]) -> list[list[str]]:
     return table
 
 
-def cost(scenarios: Mapping[str, Any]) -> list[list[str]]:
+def cost(scenarios: shared.Scenarios) -> list[list[str]]:
     """Rollouts for a standard error of a tenth, and seconds of the machine for as many."""
     table = [["scenario", "P(failure)", "plain draws", "s", "importance", "s", "levels", "s"]]
     for (name, _), ways in cells_of(scenarios):
