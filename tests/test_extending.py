@@ -8,7 +8,14 @@ import subprocess
 import sys
 from pathlib import Path
 
+import jax
+import numpy as np
 import pytest
+
+from sweep.controllers.plan import ends
+from sweep.core.errors import InputError
+from sweep.models.obstacles.surface import no_bodies
+from sweep.study.config import compose
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs/extending.md").read_text()
@@ -100,3 +107,26 @@ def test_a_page_followed_to_the_letter_adds_what_it_says(title, checkout):
     assert all(part in said for part in SAID[title]), said
     if title == "An exhibit":
         assert "Median and largest slip" in (checkout / "results/slips/report.html").read_text()
+
+
+def test_a_manoeuvre_of_a_file_goes_there_and_back_within_reach(tmp_path, monkeypatch):
+    """What the simulated page shows, but for physics: the file of the page in a project of its own."""
+    (tmp_path / "sweep.yaml").write_text("")
+    (tmp_path / "scenarios").mkdir()
+    (text,) = (text for _, kind, text in blocks(PAGES[PLATFORM]) if kind == "yaml")
+    (tmp_path / "scenarios/platform.yaml").write_text(text)
+    monkeypatch.chdir(tmp_path)
+    case = compose(["scenario=platform"]).case
+    with jax.enable_x64(True):
+        plan = case.manoeuvre.plan(case)
+        stances = jax.tree.map(np.asarray, ends(plan, no_bodies()))
+    up, down = ([name for name in plan.names if name.startswith(part)] for part in ("up.", "down."))
+    assert [name.removeprefix("down.") for name in down] == [name.removeprefix("up.") for name in up[::-1]]
+    top = plan.names.index("up.stand")
+    np.testing.assert_allclose(stances.feet[top, :, 2], 0.2 - case.manoeuvre.deepening, atol=1e-6)
+    for there, back in zip(plan.start, (x[-1] for x in stances), strict=True):
+        np.testing.assert_allclose(back, there, atol=1e-6)
+    (tmp_path / "scenarios/platform.yaml").write_text(text.replace("{top: [0.75, -0.42]}", "{top: [0.75, 0.42]}"))
+    farther = compose(["scenario=platform"]).case
+    with pytest.raises(InputError, match=r"foot [56] is .* m out of reach at the end of up\.front"):
+        farther.manoeuvre.plan(farther)
