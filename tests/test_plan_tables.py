@@ -1,5 +1,6 @@
 """Plans as files: what they say, how their numbers vary, and what is told of mistakes in them."""
 
+import re
 from dataclasses import replace
 
 import jax
@@ -7,9 +8,10 @@ import numpy as np
 import pytest
 
 from sweep.cli.main import main
+from sweep.core import project
 from sweep.core.errors import InputError
 from sweep.models.obstacles.charts import charts
-from sweep.models.plan_table import differences, numbers, shipped, tabled, told
+from sweep.models.plan_table import GROUP, differences, numbers, shipped, tabled, told
 from sweep.study.config import compose
 from sweep.study.study import points
 
@@ -83,6 +85,12 @@ def test_rows_have_the_ids_of_their_numbers_whatever_file_they_are_in(lab):
     axis = "+study.axes.a={path: plan.roof.pitch.base.pitch, values: [48.8, 45]}"
     assert ids() == ids("plan=corner_roof") == ids(axis)[:1]
     assert len({*ids(), *ids(axis), *ids("plan=mine")}) == 3
+
+
+@pytest.mark.parametrize("name", sorted(project.shipped(GROUP)))
+def test_a_shipped_plan_says_where_its_numbers_come_from(name):
+    (said,) = re.findall(r"^# Numbers: .*(?:\n# .*)*", project.shipped(GROUP)[name].read_text(), re.M)
+    assert re.search("by hand|none of its own|not kept|sweep tune ", said)
 
 
 @pytest.mark.parametrize(
