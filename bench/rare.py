@@ -303,7 +303,10 @@ def cells_of(scenarios: shared.Scenarios) -> Iterable[tuple[list[str], dict[str,
 
 
 def truth(scenarios: shared.Scenarios) -> list[list[str]]:
-    """Both ways beside plain draws; a blank where one was not run to its end."""
+    """Both ways beside plain draws; a blank where one was not run to its end.
+
+    A ratio's interval has both errors; intervals of single studies `hold` where the mean of all is in them.
+    """
     table = [["scenario", "errors times", "P(failure), plain draws", "of",
               "importance: mean / truth", "variation", "hold", "not trusted",
               "levels: mean / truth", "variation of a run", "hold", "early"]]  # fmt: skip
@@ -313,10 +316,11 @@ def truth(scenarios: shared.Scenarios) -> list[list[str]]:
             if way not in ways:
                 cells += [""] * 4
                 continue
-            cell, p = ways[way], plain["P"]
-            holds = sum(low <= p <= high for low, high in cell["intervals"])
-            ratio = f"{cell['P'] / p:.2f} ({cell['low'] / p:.2f} to {cell['high'] / p:.2f})"
-            cells += [ratio, f"{variation(cell):.2f}",
+            cell, mean = ways[way], ways[way]["P"]
+            off = np.sqrt(variation(cell) ** 2 / len(cell["each"]) + (1 - plain["P"]) / plain["failed"])
+            ratio, wide = mean / plain["P"], np.exp(student.ppf(0.5 + CONFIDENCE / 2, len(cell["each"]) - 1) * off)
+            holds = sum(low <= mean <= high for low, high in cell["intervals"])
+            cells += [f"{ratio:.2f} ({ratio / wide:.2f} to {ratio * wide:.2f})", f"{variation(cell):.2f}",
                       f"{holds} of {len(cell['intervals'])}", f"{cell[bad]} of {len(cell['each'])}"]  # fmt: skip
         ends = f"{plain['P']:.3g} ({plain['low']:.2g} to {plain['high']:.2g})"
         table.append([*line, ends, f"{plain['rollouts']:,}", *cells])
