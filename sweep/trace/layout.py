@@ -14,9 +14,9 @@ LEG_COLORS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00") 
 def layout(trace: Trace) -> dict[str, Any]:
     """3D view that follows the base, torques, loads, stages and outcome, as Foxglove's "import from file" reads it."""
     legs = [str(leg + 1) for leg in range(trace.foot_position.shape[1])]
-    plots = {"Plot!torque": _plot("torque of joints (N m)", _EFFORT.format("{}"), joint_names(trace.model))}
+    plots = {"Plot!torque": _plot("torque of joints (N·m)", _EFFORT.format("{}"), joint_names(trace.model))}
     if legs:
-        plots = {f"Plot!{kind}": _plot(f"torque of {kind} (N m)", _EFFORT.format(kind + "{}"), legs) for kind in KINDS}
+        plots = {f"Plot!{kind}": _plot(f"torque of {kind} (N·m)", _EFFORT.format(kind + "{}"), legs) for kind in KINDS}
         plots["Plot!load"] = _plot("load of feet (N)", "/foot_load.foot{}", legs)
     panels = {
         "3D!robot": _view(body_name(trace.model, base_body(trace.model))),

@@ -29,13 +29,13 @@ BOOK_TORQUE = 75.2  # N m, the unit of figures 2.3.5 and 2.3.6: about the body's
 
 
 def torques(trace: Trace) -> Figure:
-    """Joint torques per leg, N m on the left and in units of `BOOK_TORQUE` on the right."""
+    """Joint torques per leg, N·m on the left and in units of `BOOK_TORQUE` on the right."""
     values = trace.joint_torque.reshape(-1, 6, 3)
     title = (
-        f"Joint torque (largest magnitude of each tick); right: over {BOOK_TORQUE} N m, the unit of the monograph's "
+        f"Joint torque (largest magnitude of each tick); right: over {BOOK_TORQUE} N·m, the unit of the monograph's "
         "figures 2.3.5 and 2.3.6"
     )
-    figure = _per_leg(trace, title, "torque (N m)", values)
+    figure = _per_leg(trace, title, "torque (N·m)", values)
     for ax in figure.axes[1::2]:
         ax.secondary_yaxis(
             "right", functions=(partial(np.multiply, 1 / BOOK_TORQUE), partial(np.multiply, BOOK_TORQUE))
@@ -150,7 +150,7 @@ def flywheel(trace: Trace) -> Figure:
     aside = 1e3 * sideways(trace, mass_centres(trace, slice(None)) - trace.base_target[:, :3])
     axes[2, 0].plot(trace.time, aside, color="k", lw=1.0)
     axes[3, 0].plot(trace.time, tilt(base_pose(trace)), color="k", lw=1.0)
-    labels = ("β (rad)", "largest torque\nof β (N m)", "centre of mass\nto the left (mm)", "tilt (deg)")
+    labels = ("β (rad)", "largest torque\nof β (N·m)", "centre of mass\nto the left (mm)", "tilt (deg)")
     for ax, label in zip(axes[:, 0], labels, strict=True):
         ax.set_ylabel(label)
     axes[0, 0].axhline(np.pi / 2, color=REFERENCE, ls="--", lw=0.8)

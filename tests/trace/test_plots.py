@@ -11,7 +11,7 @@ from sweep.study.config import compose
 from sweep.trace.plots import PLOTS, save, tilt
 
 LABELS = {
-    "torques": {f"leg {leg}\ntorque (N m)" for leg in range(1, 7)},
+    "torques": {f"leg {leg}\ntorque (N·m)" for leg in range(1, 7)},
     "joints": {f"leg {leg}\nangle (deg)" for leg in range(1, 7)},
     "base": {"x (m)", "y (m)", "z (m)", "tilt (deg)"},
     "margin": {"margin"},
