@@ -32,6 +32,7 @@ pytestmark = [
 ]
 
 AXE = "4.10.3"
+STEP = "manoeuvre.half_step_ratio"
 
 
 @pytest.fixture(scope="module")
@@ -57,6 +58,23 @@ def repeated(folder, tmp_path_factory):
     return path, one, other
 
 
+@pytest.fixture(scope="module")
+def uneven(tmp_path_factory):
+    """A page of a grid whose first axis goes up in powers of two, and its rows."""
+    out = tmp_path_factory.mktemp("uneven")
+    assert simulated(out, "study.axes.friction.values=[0.1,0.2,0.4,0.8,1.6]", "study.axes.step.num=5") == 0
+    found = results.read(out)
+    return page.write(found, out / "report.html"), found.rows
+
+
+@pytest.fixture
+def gridded(browser, uneven):
+    browser.open(uneven[0])
+    browser.until("performance.getEntriesByName('map').length")
+    yield browser
+    assert browser.errors == []
+
+
 @pytest.fixture
 def shown(browser, file):
     browser.open(file)
@@ -75,6 +93,26 @@ def plot(browser):
 def middle(pixels, x, y):
     """What is drawn within a glyph's size of a place."""
     return pixels[round(y) - 5 : round(y) + 6, round(x) - 5 : round(x) + 6]
+
+
+def left_over(browser, rows, axis="world.contact.friction"):
+    """The values of an axis that pass the filters, as the page's condition chooses them; all filters go."""
+    browser.run("document.querySelector('#copy').click()")
+    told = browser.run("document.querySelector('#copied').textContent")
+    found = sorted(rows.loc[mask(rows, re.fullmatch("--where '(.*)'", told)[1]), axis].unique())
+    browser.run("document.querySelector('#clear').click()")
+    return found
+
+
+def drawing(browser, name):
+    """What a view is saved as, as SVG."""
+    browser.run(
+        "URL.createObjectURL = (blob) => { window.last_ = blob; return 'blob:none' };"
+        "HTMLAnchorElement.prototype.click = () => {}; window.last_ = null;"
+        f"[...document.querySelectorAll('.save')].find((one) => one.title === 'save \"{name}\" as SVG').click()"
+    )
+    browser.until("Boolean(window.last_)")
+    return browser.run("last_.text()")
 
 
 def passing(browser):
@@ -164,7 +202,7 @@ def test_a_brush_filters_every_view(shown):
     assert sum(counts) == chosen
     assert len(shown.run("[...document.querySelectorAll('#filters button')].map(e => e.textContent)")) == 2
     shown.place("#list")
-    shown.until(f"document.querySelector('#list-pages').textContent.includes('of {chosen}')")
+    shown.until(f"document.querySelector('#list-pages').textContent.includes('of {chosen:,}')")
     shown.run("document.querySelectorAll('#kinds button')[0].click()")
     assert passing(shown)[0] == chosen - counts[0]
     shown.run("document.querySelector('#clear').click()")
@@ -366,6 +404,118 @@ def test_there_is_no_gap_between_cells_for_the_pointer(browser, tmp_path):
         assert not browser.run("document.querySelector('#map-tip').hidden"), (x, y)
 
 
+def test_a_range_is_of_whole_values_of_a_grid(gridded, uneven):
+    """However a drag begins and ends between them, in the map, along lines whatever their scale, and in histograms."""
+    rows = uneven[1]
+    left, top, width, height = plot(gridded)
+    for start, end in ((0.25, 0.75), (0.39, 0.61)):  # five columns of equal width
+        gridded.drag(left + start * width, top + height + 20, left + end * width, top + height + 20)
+        assert left_over(gridded, rows) == [0.2, 0.4, 0.8]
+    canvas = "#distributions-live canvas[aria-label^='friction']"
+    left, top, width, height = gridded.place(canvas)
+    gridded.drag(left + 10 + 0.3 * (width - 20), top + 30, left + 10 + 0.7 * (width - 20), top + 30)
+    assert left_over(gridded, rows) == [0.2, 0.4, 0.8]
+
+    def told(key):
+        gridded.key(key)
+        return gridded.run("document.querySelector('#told').textContent")
+
+    def dragged(start, end):
+        gridded.drag(at, top + 52 + (1 - start) * high, at, top + 52 + (1 - end) * high)
+        return left_over(gridded, rows)
+
+    left, top, width, height = gridded.place("#lines-over")
+    gridded.run("document.querySelector('#lines-over').focus()")
+    first, second, third = told("Escape"), told("ArrowRight"), told("ArrowRight")
+    number = [one.startswith("friction") for one in (first, second, third)].index(True)
+    at, high = left + 46 + number / 2 * (width - 92), height - 82
+    assert dragged(0.15, 0.5) == [0.4, 0.8]
+    gridded.click(at, top + 10)  # inverted
+    assert dragged(0.3, 0.7) == [0.4, 0.8]
+    gridded.click(at, top + 10)  # by its logarithm
+    assert dragged(0.45, 0.8) == [0.4, 0.8]
+    assert dragged(0.9, 1.0) == [1.6]
+    words = ElementTree.fromstring(drawing(gridded, "Every rollout")).iter("{http://www.w3.org/2000/svg}text")
+    assert "1" in [one.text for one in words]  # of its decades
+    gridded.place("#lines-over")
+    gridded.drag(at, top + 10, at, top + height + 30)  # dropped
+    for _ in range(3):
+        told("ArrowLeft")
+    assert not [one for one in (told("Escape"), told("ArrowRight")) if one.startswith("friction")]
+
+
+def test_a_histogram_of_a_grid_has_a_bin_for_each_value(shown):
+    found = by_script(
+        shown,
+        {},
+        """const grid = [0.1, 0.2, 0.4, 0.8, 1.6], values = [...grid, NaN];
+        return Array.from(binsOf({ values }, grid.length, uneven(Float64Array.from(grid), 1).to))""",
+    )
+    assert found == [0, 1, 2, 3, 4, 255]
+
+
+def test_axes_of_a_margin_are_bent_about_zero(shown):
+    """Along lines and in histograms as on the map: even within 0.1, and logarithmic beyond."""
+    low, high = -5.0, 1.0
+    found = by_script(
+        shown,
+        {},
+        f"""const column = {{ low: {low}, high: {high}, diverges: true }}, along = alongOf(column);
+        const values = [-5, -1, -0.1, 0, 0.1, 1];
+        return [values.map(along.to), values.map((one) => along.back(along.to(one))), ticksAlong(column, undefined, 9)]
+        """,
+    )
+    bent = np.arcsinh(np.array([-5, -1, -0.1, 0, 0.1, 1]) / 0.1)
+    assert found[0] == pytest.approx((bent - bent[0]) / (bent[-1] - bent[0]))
+    assert found[1] == pytest.approx([-5, -1, -0.1, 0, 0.1, 1])
+    assert {0, -0.1, 0.1, -1, 1} <= set(found[2])
+
+
+def test_where_a_margin_is_zero_there_is_a_line(gridded, uneven):
+    """Along a linear figure to the last bits; on a page between the cells of both signs, and nowhere else."""
+    pieces = by_script(
+        gridded,
+        {},
+        """const cells = Float64Array.of(0, 1, 2, 3), axis = { cells, to: (value) => value / 3 };
+        const rows = Int32Array.from({ length: 16 }, (_, k) => k);
+        const here = { form: "cells", x: axis, y: axis, outlines: [], rows, cell: rows };
+        return zeroLines(here, (row) => (row % 4) + 2 * Math.floor(row / 4) - 3.3)""",
+    )
+    ends = np.reshape(pieces, (-1, 2))
+    assert len(ends) >= 8
+    assert ends[:, 0] + 2 * ends[:, 1] == pytest.approx(3.3 / 3)
+    rows = uneven[1]
+    chosen(gridded, "#map-colour", "margin")
+    gridded.until("document.querySelector('#map-key').textContent.includes('line on the map is at 0')")
+    bar = colours(gridded, "#map-key canvas")
+    assert bar[5, 60].max() < 90 < bar[5, 50].min()  # a mark where it is 0
+    left, top, width, height = plot(gridded) - np.array([*gridded.place("#map-over")[:2], 0, 0])
+    seen = colours(gridded)[round(top) : round(top + height), round(left) : round(left + width)].astype(int)
+    dark = np.argwhere(np.abs(seen - [28, 32, 36]).max(axis=-1) < 12)
+    assert len(dark) > 100
+    x, y = (np.unique(rows[name], return_inverse=True)[1] for name in ("world.contact.friction", STEP))
+    margin = np.zeros((5, 5))
+    margin[y, x] = rows["margin"]
+    for j, i in dark[::10]:  # the four middles around it are not of one sign
+        across, up = np.clip(np.floor([i / width * 5 - 0.5, (height - j) / height * 5 - 0.5]).astype(int), 0, 3)
+        around = margin[max(up - 1, 0) : up + 3, max(across - 1, 0) : across + 3]
+        assert around.min() <= 0 < around.max(), (i, j)
+
+
+def test_names_of_theories_do_not_lie_on_each_other(browser, refined, tmp_path):
+    found = results.read(refined)
+    (theory,) = found.exp.study.theory
+    names = [f"limit {k} of friction" for k in range(4)]
+    study = replace(found.exp.study, theory=tuple(replace(theory, label=name) for name in names))
+    browser.open(page.write(replace(found, exp=replace(found.exp, study=study)), tmp_path / "theories.html"))
+    browser.until("performance.getEntriesByName('map').length")
+    words = ElementTree.fromstring(drawing(browser, "Map")).iter("{http://www.w3.org/2000/svg}text")
+    at = {one.text: (float(one.attrib["x"]), float(one.attrib["y"])) for one in words if one.text in names}
+    assert len(at) == 4
+    heights = sorted(y for _, y in at.values())
+    assert min(np.diff(heights)) >= 15
+
+
 def test_time_is_scrubbed_and_the_view_turned(shown):
     picture = "document.querySelector('#scene-a').toDataURL().length"
     shown.until(f"{picture} > 20000")
@@ -481,6 +631,24 @@ def test_what_is_played_is_filmed(shown):
     assert head == [0x1A, 0x45, 0xDF, 0xA3]  # of Matroska, which WebM is
 
 
+def test_a_film_of_two_shows_both(shown):
+    shown.run(
+        "HTMLCanvasElement.prototype.captureStream = ((plain) => function (rate) { window.filmed_ = this;"
+        " return plain.call(this, rate) })(HTMLCanvasElement.prototype.captureStream)"
+    )
+    chosen(shown, "#replay-with", "2")
+    shown.until("getComputedStyle(document.querySelector('#scene-b')).display === 'block'")
+    shown.run("document.querySelector('#record').click()")
+    shown.until("document.querySelector('#play').getAttribute('aria-label') === 'pause'")
+    shown.run("document.querySelector('#play').click()")
+    shown.run("filmed_.id = 'filmed'; document.body.append(filmed_)")
+    both = [colours(shown, f"#scene-{one}") for one in "ab"]
+    shown.run("document.querySelector('#record').click()")
+    assert np.array_equal(colours(shown, "#filmed"), np.concatenate(both, axis=1))
+    assert (both[0] != both[0][0, 0]).any()
+    assert (both[0] != both[1]).any()
+
+
 def test_names_of_others_run_nothing(browser, wide, tmp_path):
     evil = '"\'></script><script>window.hacked=1</script><img src=x onerror="window.hacked=2">'
     found = results.read(wide)
@@ -533,7 +701,7 @@ def by_script(browser, told, code):
     from sweep.report.page.script import EXPORT, IMPORT
 
     source = files("sweep.report.page")
-    names = ("numbers.js", "data.js", "kinematics.js")
+    names = ("numbers.js", "data.js", "axes.js", "contour.js", "kinematics.js")
     modules = "\n".join(EXPORT.sub("", IMPORT.sub("", (source / name).read_text())) for name in names)
     return browser.run(f"""(async () => {{ {modules}
         const told = {json.dumps(told)};

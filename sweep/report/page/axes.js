@@ -80,12 +80,92 @@ function even(low, high, marks, cells) {
 function bentScale({ low, high }, room) {
   const [first, last] = [bent(low) - 0.1, bent(high) + 0.1];
   const to = (/** @type {number} */ value) => (bent(value) - first) / (last - first);
+  const marks = bentTicks(low, high, room).map((value) => ({ value, text: shortly(value) }));
+  return { to, back: (share) => unbent(first + share * (last - first)), ticks: marks, edges: null, cells: null };
+}
+
+/**
+ * Zero, and powers of ten on both sides of it.
+ * @param {number} low
+ * @param {number} high
+ * @param {number} room
+ * @returns {number[]}
+ */
+function bentTicks(low, high, room) {
   const size = Math.max(-low, high);
   const powers = Array.from({ length: Math.max(1, Math.ceil(Math.log10(size / 0.1)) + 1) }, (_, k) => 10 ** (k - 1));
   const every = Math.max(1, Math.ceil((2 * powers.length) / room));
-  const values = powers.filter((_, k) => k % every === 0).flatMap((power) => [-power, power]);
-  const marks = [0, ...values].map((value) => ({ value, text: shortly(value) }));
-  return { to, back: (share) => unbent(first + share * (last - first)), ticks: marks, edges: null, cells: null };
+  return [0, ...powers.filter((_, k) => k % every === 0).flatMap((power) => [-power, power])];
+}
+
+/** @typedef {"inverted" | "log"} Way of an axis that is not upright, or not even */
+/** @typedef {Pick<Scale, "to" | "back">} Along */
+
+/**
+ * The way from values of a column to shares of an axis from its lowest to its highest, and back: even, or bent about zero
+ * where the column diverges.
+ * @param {Column} column
+ * @param {Way} [way]
+ * @returns {Along}
+ */
+export function alongOf({ low, high, diverges }, way) {
+  if (!(high > low)) return { to: () => 0.5, back: () => low };
+  const [on, off] = way === "log" ? [Math.log, Math.exp] : diverges ? [bent, unbent] : [Number, Number];
+  const [first, last] = way === "inverted" ? [high, low] : [low, high];
+  const [start, size] = [on(first), on(last) - on(first)];
+  return {
+    to: (value) => (on(value) - start) / size,
+    back: (share) => (share <= 0 ? first : share >= 1 ? last : off(start + share * size)), // the ends to the last bit
+  };
+}
+
+/**
+ * Round values along such an axis.
+ * @param {Column} column
+ * @param {Way | undefined} way
+ * @param {number} room
+ * @returns {number[]}
+ */
+export function ticksAlong({ names, low, high, diverges }, way, room) {
+  if (names) return [];
+  if (way === "log") {
+    const [first, last] = [Math.ceil(Math.log10(low)), Math.floor(Math.log10(high))];
+    const every = Math.max(1, Math.ceil((last - first + 1) / room));
+    return Array.from({ length: Math.max(0, last - first + 1) }, (_, k) => 10 ** (first + k)).filter(
+      (_, k) => k % every === 0,
+    );
+  }
+  return diverges ? bentTicks(low, high, room) : ticks(low, high, room);
+}
+
+/**
+ * The range between two places of an axis: of a grid's values as many as it comes nearest to.
+ * @param {Along} along
+ * @param {number[] | null} grid sorted values
+ * @param {number} a share of the axis
+ * @param {number} b
+ * @returns {{ low: number, high: number }}
+ */
+export function snapped({ to, back }, grid, a, b) {
+  if (!grid) return whole({ edges: null, back }, a, b);
+  const places = grid.map(to).sort((p, q) => p - q);
+  const edges = Float64Array.of(0, ...places.slice(1).map((place, k) => (places[k] + place) / 2), 1);
+  return whole({ edges, back }, a, b);
+}
+
+/**
+ * The range between two places of an axis; of cells as many as it touches, whole.
+ * @param {Pick<Scale, "edges" | "back">} scale
+ * @param {number} a share of the axis
+ * @param {number} b
+ * @returns {{ low: number, high: number }}
+ */
+export function whole({ edges, back }, a, b) {
+  const [low, high] = [Math.min(a, b), Math.max(a, b)];
+  if (!edges) return { low: back(low), high: back(high) };
+  const below = edges.findLast((edge) => edge <= low + 1e-9) ?? 0;
+  const above = edges.find((edge) => edge >= high - 1e-9) ?? 1;
+  return { low: back(below), high: back(above) };
 }
 
 /**
@@ -94,7 +174,7 @@ function bentScale({ low, high }, room) {
  * @param {number} room
  * @returns {Scale}
  */
-function uneven(cells, room) {
+export function uneven(cells, room) {
   const count = cells.length;
   const to = (/** @type {number} */ value) => {
     const k = clamp(placeIn(cells, value), 0, count - 2);

@@ -1,8 +1,8 @@
 // Smaller charts of what passes the filters: causes, what matters, distributions, rates, all pairs.
-import { drawFrame, scaleOf } from "./axes.js";
-import { binsOf, clipped, smirnov } from "./data.js";
+import { alongOf, drawFrame, scaleOf, uneven, whole } from "./axes.js";
+import { binsOf, clipped, gridOf, smirnov } from "./data.js";
 import { byId, cssOf, element, offer, pointerOn, sheetOf } from "./dom.js";
-import { clamp, packRgb, rgbOf, shortly, wilson } from "./numbers.js";
+import { clamp, grouped, packRgb, rgbOf, shortly, wilson } from "./numbers.js";
 import { glyphOf, paintKind, pixelsOf, stampAt, stampOf } from "./paint.js";
 import { narrow } from "./state.js";
 
@@ -67,7 +67,7 @@ export function stageView(app) {
       });
       pen.fillStyle = soft;
       pen.textAlign = "left";
-      pen.fillText(String(totals[k]), x + 6, y + 9);
+      pen.fillText(grouped(totals[k]), x + 6, y + 9);
     });
     if (!stages.length) {
       pen.fillStyle = soft;
@@ -147,7 +147,7 @@ export function importanceView(app) {
     const one = found[0];
     byId("importance-note").textContent =
       one?.counts[0] && one.counts[1]
-        ? `Among ${one.counts[0]} successes and ${one.counts[1]} failures.`
+        ? `Among ${grouped(one.counts[0])} successes and ${grouped(one.counts[1])} failures.`
         : "Among what passes the filters not both succeed and fail.";
   };
   return { root: canvas, draw, point: () => {}, resized: () => {} };
@@ -250,19 +250,19 @@ export function distributionsView(app) {
   const many = clamp(Math.round(1.6 * Math.sqrt(few ?? 1)), 8, BINS);
   const more = byId("distributions-more");
   let shown = SHOWN;
-  /** @type {{ canvas: HTMLCanvasElement, column: Column, many: number, bins: Uint8Array }[]} */
+  /** @typedef {Pick<import("./axes.js").Scale, "to" | "back" | "edges">} Across */
+  /** @type {{ canvas: HTMLCanvasElement, column: Column, many: number, bins: Uint8Array, across: Across }[]} */
   let panels = [];
   const fill = () => {
     panels = columns.slice(0, shown).map((column) => {
       const label = `${column.title}: distributions of successes and failures; drag to choose a range`;
       const canvas = element("canvas", { class: "small", role: "img", "aria-label": label });
-      brushed(canvas, column);
-      const values = column.axis && !column.drawn ? [...new Set(column.values)] : [];
-      if (values.length < 2 || values.length > LISTED) return { canvas, column, many, bins: binsOf(column, many) };
-      const sorted = values.sort((a, b) => a - b); // a bin for each value of a grid
-      const place = new Map(sorted.map((value, k) => [value, k]));
-      const bins = Uint8Array.from(column.values, (value) => place.get(value) ?? 255);
-      return { canvas, column, many: sorted.length, bins };
+      const grid = gridOf(column) ?? []; // a bin for each of its values, as wide as any other
+      const listed = grid.length > 1 && grid.length <= LISTED;
+      const across = listed ? uneven(Float64Array.from(grid), 1) : { ...alongOf(column), edges: null };
+      const number = listed ? grid.length : many;
+      brushed(canvas, column, across);
+      return { canvas, column, many: number, bins: binsOf(column, number, across.to), across };
     });
     root.replaceChildren(...panels.map(({ canvas }) => canvas));
     more.hidden = shown >= columns.length;
@@ -277,12 +277,12 @@ export function distributionsView(app) {
   /**
    * @param {HTMLCanvasElement} canvas
    * @param {Column} column
+   * @param {Across} across
    */
-  function brushed(canvas, column) {
+  function brushed(canvas, column, across) {
     /** @type {number | null} */
     let from = null;
-    const valueAt = (/** @type {number} */ x) =>
-      column.low + clamp((x - 10) / (canvas.clientWidth - 20), 0, 1) * (column.high - column.low);
+    const shareAt = (/** @type {number} */ x) => clamp((x - 10) / (canvas.clientWidth - 20), 0, 1);
     canvas.addEventListener("pointerdown", (event) => {
       from = pointerOn(event, canvas)[0];
       canvas.setPointerCapture(event.pointerId);
@@ -290,7 +290,7 @@ export function distributionsView(app) {
     canvas.addEventListener("pointermove", (event) => {
       const [x] = pointerOn(event, canvas);
       if (from === null || Math.abs(x - from) < 4) return;
-      narrow(state, column.key, { low: valueAt(from), high: valueAt(x) });
+      narrow(state, column.key, whole(across, shareAt(from), shareAt(x)));
       app.filtered();
     });
     canvas.addEventListener("pointerup", (event) => {
@@ -307,7 +307,7 @@ export function distributionsView(app) {
     const { ink, soft, line, accent } = app.theme();
     const { success, failure } = table.about.colours;
     const colours = [success, failure];
-    for (const { canvas, column, many, bins } of panels) {
+    for (const { canvas, column, many, bins, across } of panels) {
       if (!app.visible(canvas)) continue;
       const { pen, width, height } = sheetOf(canvas);
       const counts = [new Float64Array(many), new Float64Array(many)];
@@ -343,14 +343,14 @@ export function distributionsView(app) {
       pen.moveTo(left, bottom + 0.5);
       pen.lineTo(left + wide, bottom + 0.5);
       pen.stroke();
-      const place = (/** @type {number} */ value) =>
-        left + clamp((value - column.low) / (column.high - column.low), 0, 1) * wide;
-      if (column.limit !== null && column.limit >= column.low && column.limit <= column.high) {
+      const place = (/** @type {number} */ value) => left + clamp(across.to(value), 0, 1) * wide;
+      const limit = column.diverges ? 0 : column.limit;
+      if (limit !== null && limit >= column.low && limit <= column.high) {
         pen.strokeStyle = ink;
         pen.setLineDash([3, 3]);
         pen.beginPath();
-        pen.moveTo(place(column.limit), 8);
-        pen.lineTo(place(column.limit), bottom);
+        pen.moveTo(place(limit), 8);
+        pen.lineTo(place(limit), bottom);
         pen.stroke();
         pen.setLineDash([]);
       }
@@ -399,6 +399,7 @@ export function pairsView(app) {
     const size = Math.round((cell - 10) * ratio);
     const radius = clamp(30 / Math.sqrt(table.rows), 0.9, 3) * ratio;
     const stamps = looks.map((look) => stampOf(look.shape, radius));
+    const alongs = columns.map((column) => alongOf(column));
     columns.forEach((y, j) =>
       columns.forEach((x, i) => {
         const [left, top] = [4 + i * cell, 4 + j * cell];
@@ -418,10 +419,18 @@ export function pairsView(app) {
           if (!state.mask[row]) continue;
           const [u, v] = [x.values[row], y.values[row]];
           if (Number.isNaN(u) || Number.isNaN(v)) continue;
-          const at = (/** @type {Column} */ column, /** @type {number} */ value) =>
-            0.03 + (0.94 * (value - column.low)) / (column.high - column.low || 1);
+          const at = (/** @type {import("./axes.js").Along} */ column, /** @type {number} */ value) =>
+            0.03 + 0.94 * column.to(value);
           const kind = table.kind[row];
-          stampAt(pixels, stamps[kind], at(x, u) * size, (1 - at(y, v)) * size, looks[kind].mark, 0.6, -2);
+          stampAt(
+            pixels,
+            stamps[kind],
+            at(alongs[i], u) * size,
+            (1 - at(alongs[j], v)) * size,
+            looks[kind].mark,
+            0.6,
+            -2,
+          );
         }
         pen.putImageData(pixels.image, Math.round(left * ratio), Math.round(top * ratio));
         pen.strokeStyle = line;

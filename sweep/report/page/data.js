@@ -318,15 +318,25 @@ export function orderOf(column) {
 }
 
 /**
- * Rows of a column by bins between its ends.
+ * Rows of a column by bins of equal width along an axis.
  * @param {Column} column
  * @param {number} bins
+ * @param {(value: number) => number} to the share of the axis
  * @returns {Uint8Array} 255 for none
  */
-export function binsOf(column, bins) {
-  const { values, low, high } = column;
-  const size = high - low || 1;
+export function binsOf({ values }, bins, to) {
   return Uint8Array.from(values, (value) =>
-    Number.isNaN(value) ? 255 : clamp(Math.floor(((value - low) / size) * bins), 0, bins - 1),
+    Number.isNaN(value) ? 255 : clamp(Math.floor(to(value) * bins), 0, bins - 1),
   );
+}
+
+/**
+ * The values of a column that are those of a grid, or its names' codes.
+ * @param {Column} column
+ * @returns {number[] | null} sorted
+ */
+export function gridOf({ axis, drawn, names, values }) {
+  if (names) return names.map((_, code) => code);
+  if (!axis || drawn) return null;
+  return [...new Set(values)].filter((value) => !Number.isNaN(value)).sort((a, b) => a - b);
 }

@@ -1,7 +1,7 @@
 // The rows as a table, for those who read rather than look: sorted, page by page, each with its replay.
 import { pointOf } from "./data.js";
 import { byId, element } from "./dom.js";
-import { shortly } from "./numbers.js";
+import { grouped, shortly } from "./numbers.js";
 
 /** @typedef {import("./data.js").Column} Column */
 /** @typedef {import("./main.js").App} App */
@@ -97,7 +97,7 @@ export function listView(app) {
       }),
     );
     where.textContent = state.passing
-      ? ` ${first + 1} to ${first + rows.length} of ${state.passing} `
+      ? ` ${grouped(first + 1)} to ${grouped(first + rows.length)} of ${grouped(state.passing)} `
       : " no row passes the filters ";
     back.disabled = first === 0;
     on.disabled = first + LINES >= state.passing;

@@ -1,12 +1,12 @@
 // The map: every rollout over two columns, as cells or marks; hover, brush, keyboard.
-import { drawFrame } from "./axes.js";
+import { drawFrame, whole } from "./axes.js";
 import { placesOf } from "./cells.js";
 import { clipped, inflate, readCounts } from "./data.js";
 import { byId, element, offer, pointerOn, sheetOf } from "./dom.js";
 import { KIND, markSize, paintCells, paintDensity, paintMarks, RATE, spanOf, spotOf } from "./fill.js";
 import { clamp, grouped, packRgb, scaleColour, shortly } from "./numbers.js";
 import { ownerNear, pixelsOf } from "./paint.js";
-import { drawOutlines, drawRing, drawTheory, drawZero } from "./over.js";
+import { drawContour, drawOutlines, drawRing, drawTheory, drawZero } from "./over.js";
 import { narrow, showAll } from "./state.js";
 
 /** @typedef {import("./cells.js").Places} Places */
@@ -133,6 +133,8 @@ export function mapView(app) {
     const [x, y] = columns();
     drawTheory(app, sheet.pen, x, y, here, area);
     drawZero(app, sheet.pen, x, y, here, area);
+    const coloured = table.named.get(selects[2].value);
+    if (coloured?.diverges && !x.names && !y.names) drawContour(app, sheet.pen, here, coloured, area);
     drawReplayed(sheet.pen, here, area);
     drawFrame(sheet, app.theme(), area, { scale: here.x, title: x.title }, { scale: here.y, title: y.title });
     drawKey();
@@ -147,17 +149,25 @@ export function mapView(app) {
     const column = table.named.get(colour);
     note.replaceChildren();
     if (colour !== KIND) {
-      const bar = element("canvas", { width: "120", height: "10", "aria-hidden": "true" });
+      const bar = element("canvas", { width: "120", height: column?.diverges ? "24" : "10", "aria-hidden": "true" });
       const pen = /** @type {CanvasRenderingContext2D} */ (bar.getContext("2d"));
       const strip = new ImageData(120, 10);
       const memory = new Uint32Array(strip.data.buffer);
       for (let k = 0; k < memory.length; k++) memory[k] = scaleColour((k % 120) / 119, column?.diverges);
       pen.putImageData(strip, 0, 0);
+      if (column?.diverges) {
+        pen.fillStyle = app.theme().ink;
+        pen.fillRect(59, 0, 2, 13);
+        pen.textAlign = "center";
+        pen.font = "11px sans-serif";
+        pen.fillText("0", 60, 23);
+      }
       const span = column ? spanOf(column) : [0, 1];
       const most = Math.max(-span[0], span[1]);
       const [low, high] = column?.diverges ? [-most, most] : span;
       const rate = places?.bins ? `rate of success in ${places.bins} by ${places.bins} bins` : "rate of success";
       note.append(column ? column.title : rate, " ", shortly(low), " ", bar, " ", shortly(high));
+      if (column?.diverges && places?.form === "cells") note.append("; the line on the map is at 0");
     } else if (densityOf()) {
       note.append(
         `${grouped(table.about.total)} rollouts counted in cells; a choice is shown by ${grouped(table.rows)} of them, drawn at random.`,
@@ -369,21 +379,6 @@ export function mapView(app) {
   function valuesOf(column) {
     return [...new Set(column.values)].filter((value) => !Number.isNaN(value)).sort((a, b) => a - b);
   }
-}
-
-/**
- * The range between two places of an axis; of cells as many as it touches, whole.
- * @param {import("./axes.js").Scale} scale
- * @param {number} a share of the axis
- * @param {number} b
- * @returns {{ low: number, high: number }}
- */
-export function whole({ edges, back }, a, b) {
-  const [low, high] = [Math.min(a, b), Math.max(a, b)];
-  if (!edges) return { low: back(low), high: back(high) };
-  const below = edges.findLast((edge) => edge <= low + 1e-9) ?? 0;
-  const above = edges.find((edge) => edge >= high - 1e-9) ?? 1;
-  return { low: back(below), high: back(above) };
 }
 
 /**

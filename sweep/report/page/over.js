@@ -1,4 +1,5 @@
 // What lies over the map's cells and marks: outlines, limits of theories, the line of a used-up margin, rings.
+import { zeroLines } from "./contour.js";
 import { clipped } from "./data.js";
 import { cssOf } from "./dom.js";
 
@@ -58,6 +59,33 @@ export function drawZero(app, pen, x, y, here, area) {
   }
   pen.stroke();
   pen.setLineDash([]);
+}
+
+/**
+ * The contour of zero of the figure that gives the map its colours.
+ * @param {App} app
+ * @param {CanvasRenderingContext2D} pen
+ * @param {Places} here
+ * @param {Column} column
+ * @param {import("./axes.js").Box} area
+ */
+export function drawContour(app, pen, here, column, area) {
+  const lines = zeroLines(here, (row) => column.values[row]);
+  pen.lineCap = "round";
+  for (const [colour, width] of /** @type {[string, number][]} */ ([
+    [app.theme().panel, 4],
+    [app.theme().ink, 1.8],
+  ])) {
+    pen.strokeStyle = colour;
+    pen.lineWidth = width;
+    pen.beginPath();
+    for (let k = 0; k < lines.length; k += 4) {
+      pen.moveTo(area.left + lines[k] * area.width, area.top + (1 - lines[k + 1]) * area.height);
+      pen.lineTo(area.left + lines[k + 2] * area.width, area.top + (1 - lines[k + 3]) * area.height);
+    }
+    pen.stroke();
+  }
+  pen.lineCap = "butt";
 }
 
 /**

@@ -1,11 +1,13 @@
 // Parallel coordinates: a line for each rollout from axis to axis, brushed along each; drawn in slices of time.
-import { clipped } from "./data.js";
+import { alongOf, snapped, ticksAlong } from "./axes.js";
+import { clipped, gridOf } from "./data.js";
 import { byId, cssOf, pointerOn, sheetOf } from "./dom.js";
-import { clamp, shortly, ticks } from "./numbers.js";
+import { clamp, grouped, shortly } from "./numbers.js";
 import { narrow } from "./state.js";
 
 /** @typedef {import("./data.js").Column} Column */
 /** @typedef {import("./main.js").App} App */
+/** @typedef {import("./axes.js").Way} Way */
 /** @typedef {import("./main.js").View} View */
 
 const MOST = 10; // axes side by side
@@ -108,8 +110,7 @@ export function parallelView(app) {
         pen.textBaseline = "middle";
         pen.textAlign = axis === axes.length - 1 && axes.length > 1 ? "right" : "left";
         const aside = pen.textAlign === "left" ? 5 : -5;
-        const marks = column.names || ways.get(column) === "log" ? [] : ticks(column.low, column.high, 4);
-        for (const value of marks) {
+        for (const value of ticksAlong(column, ways.get(column), 4)) {
           const share = to(value);
           if (share > 0.08 && share < 0.92)
             pen.fillText(shortly(value), places[axis] + aside, top + (1 - share) * height, room / 2);
@@ -184,10 +185,7 @@ export function parallelView(app) {
     }
   };
 
-  const valueAt = (/** @type {number} */ axis, /** @type {number} */ y) => {
-    const { back } = alongOf(axes[axis], ways.get(axes[axis]));
-    return back(clamp(1 - (y - area().top) / area().height, 0, 1));
-  };
+  const shareAt = (/** @type {number} */ y) => clamp(1 - (y - area().top) / area().height, 0, 1);
   const nearest = (/** @type {number} */ x) =>
     axes.reduce((best, _, axis) => (Math.abs(xOf(axis) - x) < Math.abs(xOf(best) - x) ? axis : best), 0);
 
@@ -230,7 +228,9 @@ export function parallelView(app) {
     if (!pressed || pressed.title) return;
     const [, y] = pointerOn(event, over);
     if (Math.abs(y - pressed.from) < 4) return;
-    narrow(state, axes[pressed.axis].key, { low: valueAt(pressed.axis, pressed.from), high: valueAt(pressed.axis, y) });
+    const column = axes[pressed.axis];
+    const along = alongOf(column, ways.get(column));
+    narrow(state, column.key, snapped(along, gridOf(column), shareAt(pressed.from), shareAt(y)));
     app.filtered();
   });
   over.addEventListener("pointerup", (event) => {
@@ -261,30 +261,9 @@ export function parallelView(app) {
     event.preventDefault();
     const now = state.ranges.get(axes[keyed].key);
     const said = now ? `from ${shortly(now.low)} to ${shortly(now.high)}` : "all";
-    app.tell(`${axes[keyed].title}: ${said}; ${state.passing} rollouts`);
+    app.tell(`${axes[keyed].title}: ${said}; ${grouped(state.passing)} rollouts`);
   });
   return { root: base, draw, point: drawOver, resized: () => {} };
-}
-
-/** @typedef {"inverted" | "log"} Way of an axis that is not even and upright */
-
-/**
- * The way from values of a column to shares of its axis, and back.
- * @param {Column} column
- * @param {Way} [way]
- * @returns {{ to: (value: number) => number, back: (share: number) => number }}
- */
-export function alongOf({ low, high }, way) {
-  const size = high - low;
-  if (!(size > 0)) return { to: () => 0.5, back: () => low };
-  const span = way === "log" ? Math.log(high / low) : size;
-  switch (way) {
-    case "log":
-      return { to: (value) => Math.log(value / low) / span, back: (share) => low * Math.exp(share * span) };
-    case "inverted":
-      return { to: (value) => (high - value) / size, back: (share) => high - share * size };
-  }
-  return { to: (value) => (value - low) / size, back: (share) => low + share * size };
 }
 
 /**

@@ -59,6 +59,8 @@ export function playerOf(app) {
   /** @type {Camera} */
   let camera = { ...START, distance: 3, target: [0, 0, 0] };
   let waited = 0;
+  /** @type {{ stop: () => void, taken: () => void } | null} */
+  let film = null;
   let turned = false; // whether the view is the reader's own
   /** @type {Map<number, [number, number]>} */
   const fingers = new Map();
@@ -180,6 +182,7 @@ export function playerOf(app) {
     clock.textContent = `${time.toFixed(2)} s`;
     byId("stage").textContent = stage;
     scrub.setAttribute("aria-valuetext", `${time.toFixed(1)} seconds, ${stage}`);
+    film?.taken();
     drawStrip();
     histories.point(time);
   };
@@ -329,12 +332,10 @@ export function playerOf(app) {
     draw();
   });
 
-  /** @type {{ stop: () => void } | null} */
-  let film = null;
   const record = byId("record");
   record.addEventListener("click", () => {
     film?.stop();
-    film = film ? null : recorded(canvases[0]);
+    film = film ? null : recorded(canvases, app.theme().panel);
     record.setAttribute("aria-pressed", String(Boolean(film)));
     if (film && !playing) start();
   });

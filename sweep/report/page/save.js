@@ -120,15 +120,27 @@ export function offerPictures(app) {
 }
 
 /**
- * What a canvas shows from now on, as WebM, until it is stopped.
- * @param {HTMLCanvasElement} canvas
- * @returns {{ stop: () => void }}
+ * What canvases show from now on, those that are seen side by side, as WebM, until it is stopped.
+ * @param {HTMLCanvasElement[]} canvases
+ * @param {string} ground colour behind them
+ * @returns {{ stop: () => void, taken: () => void }} to be told of each picture that has been drawn
  */
-export function recorded(canvas) {
+export function recorded(canvases, ground) {
   const parts = /** @type {Blob[]} */ ([]);
-  const recorder = new MediaRecorder(canvas.captureStream(30), { mimeType: "video/webm", videoBitsPerSecond: 6e6 });
+  const seen = canvases.filter((one) => one.clientHeight);
+  const width = seen.reduce((sum, one) => sum + one.width, 0);
+  const height = Math.max(...seen.map((one) => one.height));
+  const paper = element("canvas", { width: `${width}`, height: `${height}` });
+  const pen = /** @type {CanvasRenderingContext2D} */ (paper.getContext("2d"));
+  const taken = () => {
+    pen.fillStyle = ground;
+    pen.fillRect(0, 0, width, height);
+    seen.reduce((left, one) => (pen.drawImage(one, left, 0), left + one.width), 0);
+  };
+  taken();
+  const recorder = new MediaRecorder(paper.captureStream(30), { mimeType: "video/webm", videoBitsPerSecond: 6e6 });
   recorder.addEventListener("dataavailable", ({ data }) => parts.push(data));
   recorder.addEventListener("stop", () => give(new Blob(parts, { type: "video/webm" }), "replay.webm"));
   recorder.start();
-  return recorder;
+  return { stop: () => recorder.stop(), taken };
 }
