@@ -2,8 +2,8 @@
 
     <!-- data pole_map: rate --> 239 of 375 succeed <!-- end -->
 
-A block names a target of jobs/paper.yaml, whose data jobs/paper.py writes, and a form of `FORMS`, with words for it
-after a comma. A page with blocks ends in one of `<!-- data: sources -->`, which says what code its data are of.
+A block names a target of jobs/paper.yaml, or several, whose data jobs/paper.py writes, and a form of `FORMS`, with
+words for it after a comma. A page with blocks ends in one of `<!-- data: sources -->`: what code its data are of.
 """
 
 import json
@@ -24,6 +24,7 @@ from robustness_figures import RATES, bounds_of, errors_of
 from sweep.analysis.intervals import wilson
 from sweep.core.errors import InputError
 from sweep.core.provenance import code_version
+from sweep.report.labels import axis_words, name_and_unit
 
 DOCS = Path(__file__).parent
 DATA = DOCS / "data"
@@ -46,7 +47,7 @@ def filled(text: str) -> str:
 
 def targets(text: str) -> set[str]:
     """Those whose data a page cites."""
-    return {found[2] for found in BLOCK.finditer(text)} - {"", "robustness_rates"}
+    return {name for found in BLOCK.finditer(text) for name in found[2].split()} - {"robustness_rates"}
 
 
 def read(name: str) -> dict[str, Any]:
@@ -88,8 +89,64 @@ def along(name: str, axis: str) -> str:
     """Successes at each value of an axis, a line each."""
     lines = [f"| {axis} | succeed |", "|--:|:--|"]
     for value, success, valid, _ in read(name)["along"][axis]:
-        lines.append(f"| {value:g} | {share(success, valid)} |")
+        lines.append(f"| {shown(value)} | {share(success, valid)} |")
     return "\n".join(lines)
+
+
+def draws(names: str, figures: str = "") -> str:
+    """A line for each of several targets: successes, what came of the others, and the worst of some figures.
+
+    The worst is the least of a figure named `min`, and the greatest of another, over the rollouts that succeed.
+    """
+    columns = figures.split()
+    lines = [f"| | succeed | others |{''.join(f' {in_words(one)} |' for one in columns)}"]
+    lines.append("|:--|:--|:--|" + "--:|" * len(columns))
+    for name in names.split():
+        data = read(name)
+        others = ", ".join(f"{number:,} `{cause}`" for cause, number in data["causes"].items())
+        ends = [data["figures"].get(one) for one in columns]
+        worst = [f" {told(one, *end)} |" if end else " |" for one, end in zip(columns, ends, strict=True)]
+        lines.append(f"| `{name}` | {share(data['success'], data['valid'])} | {others} |{''.join(worst)}")
+    return "\n".join(lines)
+
+
+def in_words(figure: str) -> str:
+    """`slip_max_m` -> `slip max (mm)`."""
+    words, unit = name_and_unit(figure)
+    return f"{words} ({'mm' if unit == 'm' else unit})" if unit else words
+
+
+def told(figure: str, least: float, greatest: float) -> str:
+    """The worse end of a figure, lengths in mm."""
+    worse = least if "min" in figure.split("_") else greatest
+    return f"{1000 * worse:.3g}" if name_and_unit(figure)[1] == "m" else f"{worse:.3g}"
+
+
+def cells(name: str) -> str:
+    """Successes in every cell over two axes, the first across; of valid rollouts where these are not equally many."""
+    grid = read(name)["map"]
+    (x, across), (y, up) = grid["values"].items()
+    most = max(max(line) for line in grid["valid"])
+    lines = [f"| {axis_words(y)} by {axis_words(x)}, of {most} | {' | '.join(f'{value:g}' for value in across)} |"]
+    lines.append("|--:|" + "--:|" * len(across))
+    for value, success, valid in zip(up, grid["success"], grid["valid"], strict=True):
+        counts = (f"{a}" if b == most else f"{a} of {b}" for a, b in zip(success, valid, strict=True))
+        lines.append(f"| {value:g} | {' | '.join(counts)} |")
+    return "\n".join(lines)
+
+
+def each(name: str) -> str:
+    """Successes along each axis for itself, a line each."""
+    lines = ["| error | values | succeed |", "|:--|:--|:--|"]
+    for axis, table in read(name)["along"].items():
+        counts = ", ".join(f"{success} of {valid}" for _, success, valid, _ in table)
+        lines.append(f"| {axis_words(axis)} | {', '.join(shown(value) for value, *_ in table)} | {counts} |")
+    return "\n".join(lines)
+
+
+def shown(value: float | str) -> str:
+    """A value of an axis, which may be a name."""
+    return value if isinstance(value, str) else f"{value:g}"
 
 
 def share(success: int, valid: int) -> str:
@@ -168,8 +225,8 @@ def pages() -> Iterator[Path]:
 
 
 FORMS = {
-    "rate": rate, "rollouts": rollouts, "causes": causes, "errors": errors, "along": along, "bounds": bounds,
-    "seen": seen, "codes": codes, "compared": compared, "table": table,
+    "rate": rate, "rollouts": rollouts, "causes": causes, "errors": errors, "along": along, "draws": draws,
+    "cells": cells, "each": each, "bounds": bounds, "seen": seen, "codes": codes, "compared": compared, "table": table,
     "changes": changes, "sources": sources,
     **{name: partial(lambda table, name: table(read(name)), table) for name, table in validity_figures.TABLES.items()},
 }  # fmt: skip

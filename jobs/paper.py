@@ -31,9 +31,10 @@ from sweep.analysis import sensitivity
 from sweep.analysis.intervals import wilson
 from sweep.analysis.stats import binned, rate, rates
 from sweep.core.files import write_whole
+from sweep.core.outcomes import SUCCESS
 from sweep.core.provenance import code_version
 from sweep.report import maps
-from sweep.report.exhibits import exhibits
+from sweep.report.exhibits import exhibits, judged_first
 from sweep.report.layout import lettering
 from sweep.runs import results
 from sweep.runs.results import Results
@@ -189,8 +190,9 @@ def summary(found: Results, target: dict[str, Any]) -> dict[str, Any]:
         "valid": whole.valid,
         "success": whole.success,
         "causes": {str(name): int(number) for name, number in cause.items()},
-        "along": {axis: along(found, axis) for axis in (found.listed if found.one_at_a_time else found.axes)},
+        "along": {axis: along(found, axis) for axis in (*found.named, *found.listed)},
         "map": cells(found, tuple(target.get("map", ()))),
+        "figures": extremes(found),
         "commit": stored["commit"],
         "code": stored["code"],
         "devices": stored["devices"],
@@ -212,6 +214,13 @@ def along(found: Results, axis: str) -> list[list[Any]]:
     counts = table[["success", "valid", "invalid"]].astype(int).to_numpy().tolist()
     values = [float(f"{value:.6g}") if isinstance(value, float) else value for value in table["value"]]
     return [[value, *count] for value, count in zip(values, counts, strict=True)]
+
+
+def extremes(found: Results) -> dict[str, list[float]]:
+    """The least and the greatest of every figure that differs, over the rollouts that succeed."""
+    rows = found.rows[found.rows["outcome"] == SUCCESS]
+    names = [name for name in judged_first(found) if rows[name].notna().any()]
+    return {name: [float(f"{end:.4g}") for end in (rows[name].min(), rows[name].max())] for name in names}
 
 
 def cells(found: Results, chosen: tuple[str, ...]) -> dict[str, Any] | None:

@@ -53,6 +53,33 @@ def test_other_data_are_another_page(monkeypatch, tmp_path):
         cited.filled("<!-- data pole: colour --> blue <!-- end -->")
 
 
+def test_draws_and_cells_are_told_in_tables(monkeypatch, tmp_path):
+    monkeypatch.setattr(cited, "DATA", tmp_path)
+    figures = {"slip_max_m": [0.001, 0.0123], "clearance_min_m": [-0.002, 0.03], "tilt_max_deg": [0.1, 2]}
+    some = {"success": 3, "valid": 4, "causes": {"fell": 1}, "figures": figures}
+    grid = {"values": {"world.contact.friction": [0.5, 1], "noise.delay": [0]}, "success": [[1, 4]], "valid": [[3, 4]]}
+    along = {"manoeuvre.law": [["tick", 3, 4, 0]], "noise.delay": [[0, 1, 3, 0], [2, 4, 4, 0]]}
+    for name, data in {
+        "a": some,
+        "b": some | {"causes": {}, "figures": {}},
+        "c": {"map": grid, "along": along},
+    }.items():
+        (tmp_path / f"{name}.json").write_text(json.dumps(data))
+    head = "| | succeed | others | slip max (mm) | clearance min (mm) | tilt max (°) |"
+    assert cited.draws("a b", "slip_max_m clearance_min_m tilt_max_deg").splitlines() == [
+        head, "|:--|:--|:--|--:|--:|--:|",
+        "| `a` | 3 of 4 (30 to 95 %) | 1 `fell` | 12.3 | -2 | 2 |",
+        "| `b` | 3 of 4 (30 to 95 %) |  | | | |",
+    ]  # fmt: skip
+    assert cited.cells("c").splitlines() == [
+        "| delay by friction (world), of 4 | 0.5 | 1 |", "|--:|--:|--:|", "| 0 | 1 of 3 | 4 |",
+    ]  # fmt: skip
+    assert cited.each("c").splitlines()[2:] == ["| law | tick | 3 of 4 |", "| delay | 0, 2 | 1 of 3, 4 of 4 |"]
+    text = "<!-- data a b: draws -->\nold\n<!-- end -->"
+    assert cited.targets(text) == {"a", "b"}
+    assert cited.filled(text) == f"<!-- data a b: draws -->\n{cited.draws('a b')}\n<!-- end -->"
+
+
 def test_tables_by_hand_become_fewer():
     tables = 0
     for page in PAGES:
@@ -82,6 +109,8 @@ def figures(name, target):
 @pytest.mark.parametrize("quick", [False, True])
 def test_every_target_can_be_run(quick):
     for name, target in TARGETS.items():
+        if quick and "quick" not in target:
+            continue
         if "run" in target:
             given = [*target["run"], *(target.get("quick", []) if quick else [])]
             assert compose(given).study.axes, name
@@ -89,7 +118,7 @@ def test_every_target_can_be_run(quick):
         else:
             assert (ROOT / "docs" / target["script"][0]).exists(), name
         assert len(target["budget"]) == 2, name
-        assert {"title", "exhibit", "script"} & set(target), f"{name}: what its map is called"
+        assert {"title", "exhibit", "script", "picture"} & set(target), f"{name}: what its map is called"
 
 
 def test_what_is_beyond_its_interval_is_told_and_kept(monkeypatch, tmp_path):
