@@ -228,3 +228,21 @@ def test_distributions_and_correlations_that_mean_nothing_are_refused(key, value
     pairs = value if key == "correlation" else []
     with pytest.raises(InputError, match=named):
         designs.parse_design({"num": 4, "correlation": pairs}, designs.parse_axes(axes))
+
+
+def test_correlations_that_go_with_no_distribution_tell_how_much_smaller_ones_do():
+    drawn = {"kind": "uniform", "from": 0.5, "to": 1.5}
+    paths = {"mass": "robot.body_mass", "size": "robot.body_length", "grip": "contact.friction"}
+    axes = designs.parse_axes({name: {"path": path, "distribution": drawn} for name, path in paths.items()})
+
+    def parsed(factor):
+        pairs = [("mass", "size", 0.9), ("size", "grip", 0.9), ("mass", "grip", -0.9)]
+        given = [[a, b, factor * share] for a, b, share in pairs]
+        return designs.parse_design({"num": 4, "correlation": given}, axes)
+
+    with pytest.raises(InputError, match=r"mass-grip -0\.9: multiply them by (0\.55) or less, or drop one") as told:
+        parsed(1.0)
+    assert parsed(0.55).correlation
+    with pytest.raises(InputError):
+        parsed(0.56)
+    assert "study.design.correlation" in str(told.value)

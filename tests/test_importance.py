@@ -118,3 +118,23 @@ def test_without_a_failure_there_is_a_bound_and_one_heavy_row_is_told():
 def test_what_it_cannot_do_is_refused(fake_engine, tmp_path, capsys, argument, told):
     assert main([*STUDY, f"out={tmp_path}", argument.replace("study.axes.step", "+study.axes.step")]) == 2
     assert told in capsys.readouterr().err
+
+
+def test_modes_are_apart_however_they_are_caused():
+    rng, n = np.random.default_rng(0), 40_000
+    u = 2.0 * rng.standard_normal((n, 3))
+    weight = np.prod(norm.pdf(u) / norm.pdf(u, scale=2.0), axis=1)
+    low, high = u[:, 0] < -2.8, u[:, 1] + u[:, 2] > 4.2  # of probabilities 2.6e-3 and 1.5e-3
+    rows = pd.DataFrame(u, columns=list("abc")).assign(**{"axis.round": 1, "axis.weight": weight, "cause": ""})
+    rows.loc[low, "cause"] = "slipped"
+    rows.loc[high & ~low, "cause"] = np.where(rng.random((high & ~low).sum()) < 0.25, "slipped", "fell")
+    rows["outcome"] = np.where(low | high, "failure", "success")
+    study = SimpleNamespace(design=SimpleNamespace(kind="importance", rounds=1))
+    study.axes = [SimpleNamespace(name=name, column=name) for name in "abc"]
+    found = rare.modes(rows, SimpleNamespace(study=study))  # pyright: ignore[reportArgumentType]
+    assert found["share"].tolist() == pytest.approx([0.635, 0.365], abs=0.05)
+    assert found["cause"][0].startswith("slipped")  # and what falls beside it
+    assert re.fullmatch(r"fell 7\d%, slipped 2\d%", found["cause"][1])
+    where = found["where, in standard deviations"]
+    assert re.match(r"a -3\.\d", where[0])
+    assert re.match(r"[bc] \+2\.\d, [bc] \+2\.\d, a", where[1])

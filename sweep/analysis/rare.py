@@ -7,14 +7,14 @@ import pandas as pd
 
 from sweep.analysis.intervals import CONFIDENCE
 from sweep.core.errors import InputError
-from sweep.study import searches
+from sweep.study import importance, searches
 from sweep.study.config import Experiment
-from sweep.study.importance import PLAIN
 from sweep.study.sought import replayed
 from sweep.study.subset import Outcome
 
 LARGEST = 0.1  # share of the sum that one row may carry in an estimate that is to be trusted
-NEAR = 3  # parameters that are told of a cause
+LEAST = 0.01  # share of a mode that a cause has to be told
+NEAR = 3  # parameters that are told of a mode
 PLAINLY = "study.design.kind=monte_carlo"
 INSTEAD = "another study.design.lead may lead to one, study.design.kind=importance needs none, or take wider errors"
 RARE = 0.1  # probability from which on plain draws tell as much
@@ -146,7 +146,7 @@ def _weighted(rows: pd.DataFrame, exp: Experiment) -> Weighted:
     counts = {"rows": n, "of": len(rows), "failed": int(failed.sum())}
     counts["invalid"] = int((last["outcome"] == "invalid").sum())
     if not total:
-        most = min((1 - (1 - CONFIDENCE) ** (1 / n)) / PLAIN, 1.0)
+        most = min((1 - (1 - CONFIDENCE) ** (1 / n)) / importance.PLAIN, 1.0)
         return Weighted(0.0, 0.0, most, **counts, largest=0.0, plain=np.nan)
     p = total / n
     variance = max(square / n - p**2, 0.0) / n
@@ -157,23 +157,32 @@ def _weighted(rows: pd.DataFrame, exp: Experiment) -> Weighted:
 
 
 def modes(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
-    """Causes of failing by their share of the probability, each with where it is most unlike plain draws.
+    """Modes of failing by their share of the probability, each with its causes and where it is most unlike plain draws.
 
-    How far is in standard deviations of the plain draws.
+    They are those of normals fitted to what failed, as for the next round of importance sampling. How far is in
+    standard deviations of the plain draws.
     """
     axes = [axis for axis in exp.study.axes if pd.api.types.is_numeric_dtype(rows[axis.column])]
     x, (plain, failing) = rows[[axis.column for axis in axes]].to_numpy(float), weights(rows, exp)
+    here = np.flatnonzero(failing > 0)
+    if not len(here):
+        return pd.DataFrame()
     middle = np.average(x, axis=0, weights=plain)
     spread = np.sqrt(np.average((x - middle) ** 2, axis=0, weights=plain))
-    found = []
-    for cause, index in rows[failing > 0].groupby("cause").groups.items():
-        here = rows.index.get_indexer(index)
-        away = (np.average(x[here], axis=0, weights=failing[here]) - middle) / np.where(spread, spread, 1.0)
-        far = np.argsort(-np.abs(away))[:NEAR]
-        where = ", ".join(f"{axes[k].name} {away[k]:+.1f}" for k in far)
-        found.append({"cause": cause, "share": failing[here].sum() / failing.sum(), "rows": len(here),
-                      "where, in standard deviations": where})  # fmt: skip
-    return pd.DataFrame(found).sort_values("share", ascending=False, ignore_index=True) if found else pd.DataFrame()
+    away, failing = (x[here] - middle) / np.where(spread, spread, 1.0), failing[here] / failing.sum()
+    parts = importance.fitted(away, failing)
+    mode, cause, found = importance.modes(parts)[parts.log_density(away).argmax(axis=1)], rows["cause"].iloc[here], []
+    for one in np.unique(mode):
+        its = mode == one
+        share, where = failing[its].sum(), np.average(away[its], axis=0, weights=failing[its])
+        causes = pd.Series(failing[its]).groupby(cause[its].to_numpy()).sum().sort_values(ascending=False)
+        causes = causes[causes >= LEAST * share]
+        named = [f"{name} {weight / share:.0%}" if len(causes) > 1 else name for name, weight in causes.items()]
+        far = np.argsort(-np.abs(where))[:NEAR]
+        found.append({"cause": ", ".join(named), "share": share, "rows": int(its.sum()),
+                      "where, in standard deviations": ", ".join(f"{axes[k].name} {where[k]:+.1f}" for k in far),
+                      })  # fmt: skip
+    return pd.DataFrame(found).sort_values("share", ascending=False, ignore_index=True)
 
 
 def weights(rows: pd.DataFrame, exp: Experiment) -> tuple[np.ndarray, np.ndarray]:

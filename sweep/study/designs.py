@@ -184,8 +184,9 @@ def _correlation(key: str, given: Any, drawn: list[str]) -> tuple[tuple[str, str
         if not -1 < (share := number(key, pair[2])) < 1:
             raise InputError(f"{key} = {share:g} is not allowed: between -1 and 1")
         pairs.append((str(pair[0]), str(pair[1]), share))
-    if np.linalg.eigvalsh(_matrix(tuple(pairs), drawn)).min(initial=1.0) <= 0:
-        raise InputError(f"{key}: no distribution has all of {', '.join(f'{a}-{b} {c:g}' for a, b, c in pairs)}")
+    if (least := np.linalg.eigvalsh(_matrix(tuple(pairs), drawn)).min(initial=1.0)) <= 0:
+        given, some = ", ".join(f"{a}-{b} {c:g}" for a, b, c in pairs), (math.ceil(100 / (1 - least)) - 1) / 100
+        raise InputError(f"{key}: no distribution has all of {given}: multiply them by {some:g} or less, or drop one")
     return tuple(pairs)
 
 

@@ -7,10 +7,11 @@ drawn before it, so that the mean of weight times failure over the round is an u
 failing.
 """
 
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from sweep.study.sought import Draws, Search
 
@@ -19,6 +20,7 @@ PARTS = 3  # normals that are fitted, at most
 ROWS_A_PART = 5  # effective failures that a part needs for each axis
 TEMPERS = (1.0, 0.5, 0.25)  # powers of the weights: the fit takes the first that leaves it enough failures, or none
 STEPS = 50  # of expectation and maximisation
+DIP = 0.5  # of the density at the lower of two middles: parts between which it falls below that are modes of their own
 DIGITS = 6  # of fitted numbers: draws are the same on machines whose last bits differ
 
 
@@ -120,3 +122,13 @@ def fitted(u: Float[np.ndarray, "n d"], weight: Float[np.ndarray, " n"]) -> Mixt
         root = np.linalg.cholesky(spread / (size + d)[:, None, None])
         found = Mixture(np.maximum(size, 1e-9) / np.maximum(size, 1e-9).sum(), mean, root)
     return Mixture(found.share, np.round(found.mean, DIGITS), np.round(found.root, DIGITS))
+
+
+def modes(found: Mixture) -> Int[np.ndarray, " k"]:
+    """The number of the mode that each part belongs to: parts between whose middles the density has no dip are one."""
+    number, way = np.arange(len(found.share)), np.linspace(0, 1, 21)[:, None]
+    for a, b in combinations(range(len(number)), 2):
+        density = np.logaddexp.reduce(found.log_density(found.mean[a] + way * (found.mean[b] - found.mean[a])), axis=1)
+        if density.min() >= min(density[0], density[-1]) + np.log(DIP):
+            number[number == number[b]] = number[a]
+    return number
