@@ -2,7 +2,8 @@
 
 Every scenario on both engines as `study=any_step` draws it: some minutes of a core each. Folders below results/steps
 that have all their rows are taken as they are, those of another machine too, so that parts may be run anywhere. It
-writes docs/data/steps.json, which docs/judge.md cites.
+writes docs/data/steps.json, which docs/judge.md cites; scenarios without a folder stay there as they were told last,
+and the table says what code each is of.
 """
 
 import fnmatch
@@ -50,67 +51,77 @@ def simulate(engine: str, name: str) -> None:
     subprocess.run(command, cwd=ROOT, check=True)
 
 
-def line(name: str, found: dict[str, pd.DataFrame]) -> list[str]:
-    """Successes of the draws at each step, and what came of the others; a blank where nothing was run."""
+def counted(engine: str, name: str, rows: pd.DataFrame) -> dict[str, Any]:
+    """What is kept of a scenario on an engine: outcomes by step, flips over them, and what made them."""
+    path, steps = STEPS[engine]
+    wide = rows.pivot(index=DRAWN, columns=path, values="outcome")
+    halves = [wide.iloc[:, k].ne(wide.iloc[:, k + 1]) for k in range(wide.shape[1] - 1)]
+    at = [rows[rows[path].round(9) == step] for step in steps]
+    others = [one.loc[one["outcome"] != "success", "cause"].value_counts() for one in at]
+    study = store.read_study(FOLDERS / f"{engine}-{name}")
+    return {
+        "success": [int((one["outcome"] == "success").sum()) for one in at],
+        "others": [{str(cause): int(number) for cause, number in one.items()} for one in others],
+        "pairs": sum(map(len, halves)),
+        "otherwise": int(sum(half.sum() for half in halves)),
+        **{key: study[key] for key in ("code", "commit", "devices")},
+    }
+
+
+def line(name: str, found: dict[str, dict[str, Any]]) -> list[str]:
+    """Successes of the draws at each step, what came of the others, and their code; a blank where nothing was run."""
     cells, others = [], []
-    for engine, (path, steps) in STEPS.items():
-        for step in steps:
-            if engine not in found:
-                cells.append("")
-                continue
-            rows = found[engine][found[engine][path].round(9) == step]
-            cells.append(f"{(rows['outcome'] == 'success').sum()}")
-            causes = rows.loc[rows["outcome"] != "success", "cause"].value_counts()
+    for engine, (_, steps) in STEPS.items():
+        for k, step in enumerate(steps):
+            cells.append(str(found[engine]["success"][k]) if engine in found else "")
+            causes = found[engine]["others"][k] if engine in found else {}
             others += [f"{number} `{cause}` ({engine}, {step * 1e3:g} ms)" for cause, number in causes.items()]
-    return [f"`{name}`", *cells, ", ".join(others)]
+    commits = {engine: one["commit"] for engine, one in found.items()}
+    code = {*commits.values()}
+    told = code.pop() if len(code) == 1 else "; ".join(f"{commit} ({engine})" for engine, commit in commits.items())
+    return [f"`{name}`", *cells, ", ".join(others), told]
 
 
-def table(found: dict[tuple[str, str], pd.DataFrame]) -> list[list[str]]:
+def table(found: dict[tuple[str, str], dict[str, Any]]) -> list[list[str]]:
     """A line for each scenario that was run."""
     heads = [f"{engine}, {step * 1e3:g} ms" for engine, (_, steps) in STEPS.items() for step in steps]
     names = sorted({name for _, name in found})
-    parts = ({engine: rows for (engine, of), rows in found.items() if of == name} for name in names)
-    return [["scenario", *heads, "others"], *(line(name, one) for name, one in zip(names, parts, strict=True))]
+    parts = ({engine: one for (engine, of), one in found.items() if of == name} for name in names)
+    return [["scenario", *heads, "others", "code"], *(line(name, one) for name, one in zip(names, parts, strict=True))]
 
 
-def flips(found: dict[tuple[str, str], pd.DataFrame]) -> list[list[str]]:
+def flips(found: dict[tuple[str, str], dict[str, Any]]) -> list[list[str]]:
     """Draws that end otherwise at half the step, by engine, with the 95 % Wilson interval of their share."""
     lines = [["engine", "scenarios", "draws at two steps", "end otherwise", "95 %"]]
-    for engine, (path, _) in STEPS.items():
-        pairs = otherwise = scenarios = 0
-        for (of, _), rows in found.items():
-            if of != engine:
-                continue
-            wide = rows.pivot(index=DRAWN, columns=path, values="outcome")
-            halves = [wide.iloc[:, k].ne(wide.iloc[:, k + 1]) for k in range(wide.shape[1] - 1)]
-            pairs, otherwise = pairs + sum(map(len, halves)), otherwise + int(sum(half.sum() for half in halves))
-            scenarios += 1
-        if scenarios:
+    for engine in STEPS:
+        ones = [one for (of, _), one in found.items() if of == engine]
+        pairs, otherwise = (sum(one[key] for one in ones) for key in ("pairs", "otherwise"))
+        if ones:
             low, high = wilson(otherwise, pairs)
             share = f"{100 * low:.1f} to {100 * high:.1f} %"
-            lines.append([f"`{engine}`", str(scenarios), str(pairs), str(otherwise), share])
+            lines.append([f"`{engine}`", str(len(ones)), str(pairs), str(otherwise), share])
     return lines
 
 
-def told(found: dict[tuple[str, str], pd.DataFrame]) -> dict[str, Any]:
-    """What docs/judge.md cites."""
-    stored = [store.read_study(FOLDERS / f"{engine}-{name}") for engine, name in found]
-    first = stored[0]
+def told(found: dict[tuple[str, str], dict[str, Any]]) -> dict[str, Any]:
+    """What docs/judge.md cites, and each scenario's counts, by which those without a folder are told again."""
+    ones = [*found.values()]
     return {
         "command": "python bench/steps.py",
         "engine": " and ".join(f"`{engine}`" for engine in STEPS),
-        "devices": sorted({device for one in stored for device in one["devices"]}),
-        "code": first["code"] if len({one["code"] for one in stored}) == 1 else "several",
-        "commit": ", ".join(sorted({one["commit"] for one in stored})),
-        "versions": first["versions"],
+        "devices": sorted({device for one in ones for device in one["devices"]}),
+        "code": ones[0]["code"] if len({one["code"] for one in ones}) == 1 else "several",
+        "commit": "see its table" if len({one["commit"] for one in ones}) > 1 else ones[0]["commit"],
         "seconds": "",
         "tables": {"outcomes": table(found), "flips": flips(found)},
+        "counts": {f"{engine}-{name}": one for (engine, name), one in found.items()},
     }
 
 
 def main(patterns: list[str]) -> None:
-    """Run what is missing of the chosen, and tell of all that is there."""
-    found = {}
+    """Run what is missing of the chosen, and tell of all that is there or was told before."""
+    before = json.loads(DATA.read_text(encoding="utf-8"))["counts"] if DATA.exists() else {}
+    found = {(engine, name): one for engine, name in every() if (one := before.get(f"{engine}-{name}"))}
     for engine, name in every():
         folder = FOLDERS / f"{engine}-{name}"
         rows = rows_of(folder, engine)
@@ -118,7 +129,8 @@ def main(patterns: list[str]) -> None:
             simulate(engine, name)
             rows = rows_of(folder, engine)
         if rows is not None:
-            found[engine, name] = rows
+            found[engine, name] = counted(engine, name, rows)
+    found = {key: found[key] for key in every() if key in found}
     write_whole(DATA, (json.dumps(told(found), indent=1) + "\n").encode())
 
 
