@@ -1,8 +1,10 @@
 import json
+from typing import ClassVar
 
 import numpy as np
 import pandas as pd
 import pytest
+from fake_engine import FakeEngine
 from scipy.stats import binom
 
 from sweep.analysis import certify
@@ -81,12 +83,24 @@ def test_nothing_is_certified_where_it_cannot_be():
         certify.certify("box", (x, np.ones(2000, dtype=bool)), half[1], 1e-2, 0.95)
 
 
+class WideEngine(FakeEngine):
+    """Its best width is that of all draws."""
+
+    made: ClassVar = []
+
+    def __init__(self, settings, world, belief, limits):
+        super().__init__(settings, world, belief, limits)
+        self.width = settings.width or 2000
+        self.made.append(settings.width)
+
+
+@pytest.mark.parametrize("fake_engine", [WideEngine], indirect=True)
 def test_a_study_is_certified_by_fresh_draws_and_checked_where_it_looks_worst(
     fake_engine, tmp_path, monkeypatch, capsys
 ):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "draws.yaml").write_text(DRAWS)
-    assert main(["run", "study=draws.yaml", "out=d", "engine.width=256"]) == 0
+    assert main(["run", "study=draws.yaml", "out=d"]) == 0
     capsys.readouterr()
     command = [
         "certify",
@@ -100,7 +114,9 @@ def test_a_study_is_certified_by_fresh_draws_and_checked_where_it_looks_worst(
         "-o",
         "region.json",
     ]
+    WideEngine.made.clear()
     assert main(command) == 0
+    assert WideEngine.made == [0, 1500]  # whose best width is asked for, and one for fresh draws and checks
     first = capsys.readouterr().out
     assert "with a confidence of 97.5 % at most 1 % of the study's draws" in first
     assert "where the region looks worst" in first

@@ -1,6 +1,7 @@
 """`sweep certify`: the largest region of a study's parameters in which failures are promised to be rare."""
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -102,10 +103,12 @@ def checked(
 ) -> str:
     """A table of draws where the region looks worst, and of draws outside it: they play no part in the promise.
 
-    Worst is where a law of failing that was learned from the learning rows expects most.
+    Worst is where a law of failing that was learned from the learning rows expects most. They run in batches as wide
+    as the fresh draws', for which an engine is there.
     """
-    number = CHECKED * certify.STEPS
+    number, width = CHECKED * certify.STEPS, int(store.read_points(folder / FRESH)["width"].iloc[0])
     again = seeded(exp, folder / AGAIN, exp.study.seed + 2, number)
+    again = replace(again, settings=replace(again.settings, width=width))
     table = runner.wanted_points(again)
     x = table[names].to_numpy(dtype=float)
     inside, order = found.inside(x), np.argsort(-certify.odds(*learning, convex=False)(x))
