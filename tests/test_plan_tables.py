@@ -4,6 +4,7 @@ import re
 from dataclasses import replace
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -75,6 +76,40 @@ def test_a_plan_may_extend_one_that_extends_several(lab):
     lab.write_text("extends: [ball_climb, mine]\n")
     with pytest.raises(InputError, match="cannot start from itself"):
         compose(["scenario=ball_over", "plan=mine"])
+
+
+def test_a_whole_plan_is_gone_back_or_there_and_back(lab):
+    def names(*more):
+        case = compose(["scenario=pole_climb", *more]).case
+        return jax.eval_shape(case.manoeuvre.plan, jax.tree.map(jnp.asarray, case)).names
+
+    up = names()
+    down = tuple(f"back.{name}" for name in up[::-1])
+    for way, expected in (("forth", up), ("back", down), ("there_and_back", up + down)):
+        lab.write_text(f"extends: pole\nway: {way}\n")
+        assert names("plan=mine") == expected
+
+
+@pytest.mark.parametrize(
+    ("scenario", "text", "told"),
+    [
+        ("pole_climb", "extends: pole\nway: bak\n", "plan.way = bak is unknown: did you mean back?"),
+        (
+            "pole_round",
+            "extends: pole\nway: back\n",
+            "plan.way = back is not allowed: .* pole_round goes forth",
+        ),
+        (
+            "ball_climb",
+            "extends: ball_climb\nway: back\n",
+            "plan.way = back is not allowed: .* ball_climb goes",
+        ),
+    ],
+)
+def test_a_way_that_cannot_be_gone_is_refused(lab, scenario, text, told):
+    lab.write_text(text)
+    with pytest.raises(InputError, match=told):
+        compose([f"scenario={scenario}", "plan=mine"])
 
 
 def test_rows_have_the_ids_of_their_numbers_whatever_file_they_are_in(lab):

@@ -13,7 +13,9 @@ from jaxtyping import Array, Float, Int
 from sweep.controllers.frames import to_frame, to_world
 from sweep.controllers.plan import Plan, Stance, begins, stance_to_world
 from sweep.core.rotations import exponential, multiply
-from sweep.models.obstacles.surface import FreeState, no_bodies
+from sweep.models import plan_table
+from sweep.models.case import Case
+from sweep.models.obstacles.surface import FreeState, free_start, no_bodies
 
 BACK = "back."  # put before the names of stages that run backwards in time
 OTHER_SIDE = np.array([1, 0, 3, 2, 5, 4])  # index of each leg's partner on the robot's other side
@@ -63,6 +65,15 @@ def reversed_in_time(plan: Plan, free: FreeState | None = None) -> Plan:
         onset=plan.onset[::-1],
         laws=plan.laws[::-1],
     )
+
+
+def gone(belief: Case, plan: Plan) -> Plan:
+    """A plan without its forces, gone as the file of the case's plan says: forth, back, or there and back."""
+    way = plan_table.way(belief)
+    if way == plan_table.FORTH:
+        return plan
+    back = reversed_in_time(plan, free_start(belief.obstacle))
+    return back if way == plan_table.BACK else joined(plan, back)
 
 
 def _in_frames(

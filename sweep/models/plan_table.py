@@ -1,7 +1,8 @@
 """Numbers of plans, as files of the group `plan` have them: parts of moves, or of numbers that a manoeuvre names.
 
 A file's `extends` names the one that it starts from. Every number has a path, such as `plan.ledge.front2.base.ahead`.
-Numbers hold for the sizes that the part `slopes` has under `at`, and follow others in proportion.
+Numbers hold for the sizes that the part `slopes` has under `at`, and follow others in proportion. With `way: back` the
+whole is gone backwards in time, with `way: there_and_back` both ways.
 """
 
 import dataclasses
@@ -24,6 +25,9 @@ from sweep.models.obstacles.charts import Chart, charts
 
 GROUP = "plan"
 SLOPES, AT = "slopes", "at"  # the part that says how numbers follow sizes; its line with the sizes where they hold
+WAY = "way"  # the line that says how the whole is gone: `forth` if there is none
+FORTH, BACK, _ = DIRECTIONS = ("forth", "back", "there_and_back")
+BESIDE = (SLOPES, WAY)  # keys of no part of moves or numbers
 SIZED = ("robot", "obstacle")  # groups whose sizes numbers may follow
 CURVE = ("out", "ahead", "up")  # out to the leg's side, in the robot's way, up
 # names of the numbers in a list, by the key that it stands under; those of a place are its chart's
@@ -60,6 +64,21 @@ class Tabled(Protocol):
     def own_plan(self) -> str:
         """Name of the file that holds them if a case has no other; empty where it must have one."""
         ...
+
+
+@runtime_checkable
+class TwoWay(Tabled, Protocol):
+    """One whose whole plan may be gone backwards has this member besides."""
+
+    @property
+    def two_way(self) -> bool:
+        """True."""
+        ...
+
+
+def way(case: Any) -> str:
+    """How a case's plan is gone, one of `DIRECTIONS`."""
+    return str(_written(case).get(WAY, FORTH))
 
 
 def told(case: Any) -> Content:

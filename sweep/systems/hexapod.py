@@ -25,7 +25,7 @@ from sweep.models.control import Control
 from sweep.models.noise import Noise
 from sweep.models.obstacles import OBSTACLES
 from sweep.models.obstacles.charts import Charted, charts
-from sweep.models.plan_table import Content, PlanTable, Tabled
+from sweep.models.plan_table import DIRECTIONS, FORTH, WAY, Content, PlanTable, Tabled, TwoWay
 from sweep.systems.base import Kinds, Nominal, Parameter, Values, Way, by_side, side_and_path
 
 if TYPE_CHECKING:
@@ -276,6 +276,10 @@ def _table(given: Any, manoeuvre: Any) -> PlanTable:
         raise InputError(f"plan = {given} is not allowed: `sweep list` shows the choices")
     if not isinstance(manoeuvre, Tabled):
         raise InputError(f"plan is not allowed: manoeuvre.kind = {kind} has its numbers in no file")
+    if (way := given.get(WAY, FORTH)) not in DIRECTIONS:
+        raise InputError(f"plan.{WAY} = {way} is unknown{suggest(str(way), DIRECTIONS)}")
+    if way != FORTH and not isinstance(manoeuvre, TwoWay):
+        raise InputError(f"plan.{WAY} = {way} is not allowed: manoeuvre.kind = {kind} goes {FORTH} alone")
     return PlanTable(json.dumps(given))
 
 

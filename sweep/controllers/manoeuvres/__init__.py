@@ -12,14 +12,10 @@ from sweep.controllers.manoeuvres.balancing.ball_to_ball import BallToBall
 from sweep.controllers.manoeuvres.balancing.ball_turn import BallTurn
 from sweep.controllers.manoeuvres.balancing.beam import BeamCross, BeamWalk
 from sweep.controllers.manoeuvres.climbing.corner import CornerClimb
-from sweep.controllers.manoeuvres.climbing.corner_descend import CornerDescend
 from sweep.controllers.manoeuvres.climbing.corner_roof import CornerFull, CornerRoof
 from sweep.controllers.manoeuvres.climbing.ladder import LadderClimb
-from sweep.controllers.manoeuvres.climbing.ladder_descend import LadderDescend
 from sweep.controllers.manoeuvres.climbing.pole import PoleClimb
-from sweep.controllers.manoeuvres.climbing.pole_descent import PoleDescent
 from sweep.controllers.manoeuvres.climbing.pole_ledge import PoleToLedge
-from sweep.controllers.manoeuvres.climbing.pole_return import PoleReturn
 from sweep.controllers.manoeuvres.climbing.pole_round import PoleRound
 from sweep.controllers.manoeuvres.climbing.pole_top import PoleTop
 from sweep.controllers.manoeuvres.follow import Follow
@@ -36,17 +32,13 @@ MANOEUVRES = {
     "pole_climb": PoleClimb,
     "pole_top": PoleTop,
     "pole_ledge": PoleToLedge,
-    "pole_descent": PoleDescent,
-    "pole_return": PoleReturn,
     "pole_round": PoleRound,
     "beam_walk": BeamWalk,
     "beam_cross": BeamCross,
     "ladder_climb": LadderClimb,
-    "ladder_descend": LadderDescend,
     "corner_climb": CornerClimb,
     "corner_roof": CornerRoof,
     "corner_full": CornerFull,
-    "corner_descend": CornerDescend,
     "ball_balance": BallBalance,
     "ball_drive": BallDrive,
     "ball_turn": BallTurn,

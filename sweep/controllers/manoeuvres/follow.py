@@ -13,6 +13,7 @@ from sweep.controllers.plan import GRIP, STAND, Plan, Stage, Stance, ends
 from sweep.controllers.posture import leg_unit
 from sweep.controllers.refusals import refuse_reach
 from sweep.controllers.support import RESTS, STAYS, TOGETHER, Support
+from sweep.controllers.symmetry import gone
 from sweep.core.errors import InputError
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.core.rotations import about_vertical, exponential, multiply
@@ -20,7 +21,7 @@ from sweep.formulas import stepping
 from sweep.models.case import Case
 from sweep.models.obstacles.charts import Charted, charts
 from sweep.models.obstacles.surface import free_start
-from sweep.models.plan_table import tabled
+from sweep.models.plan_table import BESIDE, tabled
 
 START = "start"  # part that places the robot
 
@@ -46,6 +47,7 @@ class Follow(PlannedForces):
     forces: str = choice("deepening", "deepening", "planned")
 
     needs = (Charted,)
+    two_way: ClassVar = True
     own_plan = ""
 
     def plan(self, belief: Case) -> Plan:
@@ -62,7 +64,7 @@ class Follow(PlannedForces):
         terms, stages = self.terms(belief), []
         feet, position, at = placed(START, terms)
         for part in tabled(belief):
-            if part != START:
+            if part not in (START, *BESIDE):
                 more, at = stages_of(part, terms, at)
                 stages += more
         if not stages:
@@ -71,8 +73,9 @@ class Follow(PlannedForces):
         level = about_vertical(jnp.asarray(np.arctan2(y, x)))
         start = Stance(feet, position, multiply(exponential(-jnp.asarray(at.pitch) * terms.left), level))
         stages = self.loading(stages) if self.forces == "planned" else stages
-        return assemble(start, [Stage("stand", STAND), *stages, Stage("halt", STAND)], self.patience,
+        plan = assemble(start, [Stage("stand", STAND), *stages, Stage("halt", STAND)], self.patience,
                         free=free_start(belief.obstacle))  # fmt: skip
+        return gone(belief, plan)
 
     def terms(self, belief: Case) -> Terms:
         """What the words of the file mean on the obstacle."""

@@ -19,6 +19,7 @@ from sweep.controllers.manoeuvres.climbing.walking import TOWARDS
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
 from sweep.controllers.moves import numbers_of
 from sweep.controllers.plan import CYCLE_B_SMOOTH, SMOOTH, STAND, Plan, Stage, Stance
+from sweep.controllers.symmetry import gone
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.formulas import stepping
 from sweep.models.case import Case
@@ -109,6 +110,7 @@ class OnCorner(PlannedForces):
     patience: float = quantity(0.5, "s", at_least=0)  # longest wait for a touchdown
 
     needs = (Corner,)
+    two_way: ClassVar = True
 
     @property
     def own_plan(self) -> str:
@@ -133,11 +135,8 @@ class OnCorner(PlannedForces):
 
     def assembled(self, belief: Case, start: Stance, stages: list[Stage]) -> Plan:
         """The plan and its forces."""
-        return self.with_feedforward(belief, self.rested(start, stages))
-
-    def rested(self, start: Stance, stages: list[Stage]) -> Plan:
-        """The plan with rests before its stages, but for its forces."""
-        return assemble(start, [Stage("stand", STAND), *self.loading(stages), Stage("halt", STAND)], self.patience)
+        stages = [Stage("stand", STAND), *self.loading(stages), Stage("halt", STAND)]
+        return self.with_feedforward(belief, gone(belief, assemble(start, stages, self.patience)))
 
 
 @parameters

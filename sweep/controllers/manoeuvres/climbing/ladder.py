@@ -18,6 +18,7 @@ from sweep.controllers.moves import Terms, moves, placed, stages_of
 from sweep.controllers.plan import Plan, Stage, Stance, ends
 from sweep.controllers.posture import leg_unit
 from sweep.controllers.refusals import plain, refuse_reach
+from sweep.controllers.symmetry import gone
 from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.formulas import stepping
@@ -57,6 +58,7 @@ class LadderClimb(PlannedForces):
     observer: float = quantity(0.1, "s", at_least=0, at_most=10)  # in which the measured ladder is taken over
 
     needs = (Ladder,)
+    two_way: ClassVar = True
 
     @property
     def own_plan(self) -> str:
@@ -86,7 +88,7 @@ class LadderClimb(PlannedForces):
         last = point(0.0, -AWAY * unit, ladder.ledge_height + height)
         settle, off = walk_away(belief, step, last, spread, height, self.steps_away)
         way = [Stage("settle", self.settle), *walk, *self.loading([*climb, *settle]), *off, Stage("halt", self.settle)]
-        return assemble(start, way, self.patience, free=ladder.start())
+        return gone(belief, assemble(start, way, self.patience, free=ladder.start()))
 
     def refuse(self, belief: Case) -> None:
         """Raise `InputError`, by plain numbers, where the ladder slides, lacks rungs or is out of the legs' reach."""

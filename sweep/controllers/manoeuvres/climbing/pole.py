@@ -19,6 +19,7 @@ from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
 from sweep.controllers.moves import numbers_of
 from sweep.controllers.plan import CYCLE_A, CYCLE_B, STAND, Plan, Stage, Stance
 from sweep.controllers.posture import leg_unit
+from sweep.controllers.symmetry import gone
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.formulas import stepping
 from sweep.formulas.leg import SIDE
@@ -163,7 +164,7 @@ class OnPole(PlannedForces):
 
     def assembled(self, belief: Case, start: Stance, stages: list[Stage]) -> Plan:
         """The plan, with its forces if they are planned."""
-        plan = assemble(start, [*stages, Stage("halt", STAND)], self.patience)
+        plan = gone(belief, assemble(start, [*stages, Stage("halt", STAND)], self.patience))
         return self.with_feedforward(belief, plan) if self.forces == "planned" else plan
 
 
@@ -172,6 +173,7 @@ class PoleClimb(OnPole):
     """By tripod to the pole, on to it, and up it by gallop."""
 
     goal: ClassVar = ON_ITS_FEET
+    two_way: ClassVar = True
     kind: str = choice("pole_climb", "pole_climb")
 
     def plan(self, belief: Case) -> Plan:

@@ -24,6 +24,7 @@ class PoleTop(OnPole):
     """By tripod to the pole, up it by gallop, and on to its top."""
 
     goal: ClassVar = UPRIGHT
+    two_way: ClassVar = True
     kind: str = choice("pole_top", "pole_top")
     cycles: int = count(2, at_least=1, at_most=100)  # of the gallop, all alike, of about 3 x* each
 
