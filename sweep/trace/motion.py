@@ -16,7 +16,8 @@ from sweep.trace.hulls import hull_of
 from sweep.trace.sampling import base_body, finite_frames
 from sweep.trace.shapes import VISIBLE_GROUPS, geom_color
 
-RATE = 10.0  # frames per second
+RATE = 10.0  # frames per second, at most
+ROOM = 40_000  # characters of the states of a rollout, which has fewer frames where it is too long
 FINE = 1e-3  # of a state's stream: m and rad; coarser where int16 could not hold the largest value
 UNIT = 1e-4  # of a quaternion's numbers
 INT16, LEVELS = 2**15 - 1, 63  # of a state at most; of a force on either side of zero
@@ -34,7 +35,7 @@ SHAPES = {
 
 
 def motion(trace: Trace) -> dict[str, Any]:
-    """`states` of the trace's finite frames as base64, and what is needed to read them.
+    """`states` of the trace's finite frames as base64, no more than `ROOM` of it, and what is needed to read them.
 
     `scales` (nq,) are units of the whole numbers of `qpos`, `force_scale` (N) and `torque_scale` (N m) those of forces
     and torques, `margin_scale` that of margins, `step` (s) is the time between frames, and of the first one.
@@ -57,7 +58,7 @@ def motion(trace: Trace) -> dict[str, Any]:
             *([_margins(trace, frames), np.searchsorted(limits, trace.margin_of[:frames])] if known else ()),
         ]
     ).astype(np.int8)
-    return {
+    whole = {
         "step": float(trace.time[0]),
         "frames": frames,
         "scales": [float(f"{scale:.6g}") for scale in scales],
@@ -68,6 +69,11 @@ def motion(trace: Trace) -> dict[str, Any]:
         "limits": limits,
         "states": packed(np.round(qpos / scales).astype(np.int16), small),
     }
+    kept, every = whole, 1
+    while len(kept["states"]) > ROOM and every < frames:
+        every += 1
+        kept = thinned(whole, every)
+    return kept
 
 
 def _margins(trace: Trace, frames: int) -> np.ndarray:

@@ -192,6 +192,27 @@ def test_only_so_many_replays_as_there_is_room_for(folder, tmp_path):
     assert placed.left_out == 3 - len(placed.streams) > 0
 
 
+def test_a_long_rollout_takes_no_more_room_than_it_may(monkeypatch):
+    """It has fewer frames, evenly spaced to its end, and no fewer than need be."""
+    trace, times = moved(), 60
+    noise = np.random.default_rng(0)
+    long = {name: np.concatenate([getattr(trace, name)] * times) for name in ("foot_force", "stage", "margin_of")}
+    long["margin"] = noise.uniform(-1, 1, 50 * times)
+    long["joint_torque"] = noise.normal(size=(50 * times, 18))
+    long["qpos"] = np.cumsum(noise.normal(0, 0.01, (50 * times, trace.qpos.shape[1])), axis=0)
+    long["time"] = 0.1 * (1 + np.arange(50 * times))
+    kept = motion.motion(replace(trace, **long))
+    every = round(kept["step"] / 0.1)
+    assert len(kept["states"]) <= motion.ROOM
+    assert every > 1
+    assert kept["frames"] == 50 * times // every
+    room = motion.ROOM
+    monkeypatch.setattr(motion, "ROOM", np.inf)
+    whole = motion.motion(replace(trace, **long))
+    assert kept == motion.thinned(whole, every)
+    assert len(motion.thinned(whole, every - 1)["states"]) > room
+
+
 def test_a_thinned_motion_has_the_states_of_its_frames():
     trace = moved()
     kept = "qpos", "foot_force", "stage", "margin", "margin_of"

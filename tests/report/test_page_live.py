@@ -11,6 +11,7 @@ from dataclasses import replace
 from importlib.resources import files
 from xml.etree import ElementTree
 
+import mujoco
 import numpy as np
 import pandas as pd
 import pytest
@@ -333,7 +334,12 @@ def test_what_goes_with_a_replay_is_told_over_time(shown):
         "margin to the nearest limit",
         "force on a foot [N]",
         "way of a standing foot",
+        "height of a foot",
+        "x of the base",
+        "y of the base",
         "height of the base",
+        "way from above",
+        "way from the side",
         "tilt",
         "torque of α",
         "joint γ",
@@ -342,6 +348,39 @@ def test_what_goes_with_a_replay_is_told_over_time(shown):
     left, top, width, height = shown.place(".history .over")
     shown.click(left + 44 + 0.5 * (width - 52), top + height / 2)
     assert shown.until("document.querySelector('#clock').textContent") == "2.50 s"
+
+
+def test_a_second_replay_lies_dashed_over_the_first(shown):
+    """In every panel, as many lines as the first one has."""
+    shown.until("document.querySelectorAll('.history').length")
+    dashed = r'<path[^>]* stroke-dasharray="4 3"'
+    assert not re.findall(dashed, drawing(shown, "Over time"))
+    chosen(shown, "#replay-with", "2")
+    shown.until("getComputedStyle(document.querySelector('#scene-b')).display === 'block'")
+    panels = drawing(shown, "Over time").split("<svg ")[2::2]  # whose cursors are drawings of their own
+    titles = shown.run("[...document.querySelectorAll('.history canvas[role]')].map(e => e.getAttribute('aria-label'))")
+    assert len(panels) == len(titles)
+    for title, panel in zip(titles, panels, strict=True):
+        many = 7 if title.startswith("way from") else 1 if " base " in title or "margin" in title else 6
+        assert len(re.findall(dashed, panel)) == many, title
+
+
+def test_feet_and_base_are_told_where_mujoco_has_them(shown):
+    trace = moved()
+    told = {**motion(trace), "bodies": bodies(trace.model, 6)}
+    found = by_script(
+        shown,
+        told,
+        """const reel = { model: told.bodies, motion: readMotion(told, told.bodies, await inflate(told.states)) };
+        return pathsOf(reel, 0)""",
+    )
+    data = mujoco.MjData(trace.model)
+    for frame in (0, 30, 49):
+        data.qpos[:] = trace.qpos[frame]
+        mujoco.mj_kinematics(trace.model, data)
+        feet = [data.site(f"foot{leg}").xpos for leg in range(1, 7)]
+        assert np.abs(np.array(found["feet"])[:, frame] - feet).max() < 5e-3
+        assert found["base"][frame] == pytest.approx(trace.qpos[frame, :3], abs=1e-3)
 
 
 def test_escape_shows_all(shown):
@@ -701,7 +740,7 @@ def by_script(browser, told, code):
     from sweep.report.page.script import EXPORT, IMPORT
 
     source = files("sweep.report.page")
-    names = ("numbers.js", "data.js", "axes.js", "contour.js", "kinematics.js")
+    names = ("numbers.js", "data.js", "axes.js", "contour.js", "kinematics.js", "path.js")
     modules = "\n".join(EXPORT.sub("", IMPORT.sub("", (source / name).read_text())) for name in names)
     return browser.run(f"""(async () => {{ {modules}
         const told = {json.dumps(told)};

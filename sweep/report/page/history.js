@@ -1,12 +1,14 @@
 // What goes with a replay over time: margin, forces, torques, joints, base and slip, stages behind them, a line where the replay is.
 import { byId, element, pointerOn, sheetOf } from "./dom.js";
-import { frameAt, plus, posesOf, rotated, turnOf } from "./kinematics.js";
+import { frameAt, plus, turnOf } from "./kinematics.js";
 import { clamp, shortly, ticks } from "./numbers.js";
+import { drawPaths, pathsOf, pointPaths, FACES } from "./path.js";
 
 /** @typedef {import("./kinematics.js").Model} Model */
 /** @typedef {import("./kinematics.js").Motion} Motion */
 /** @typedef {import("./main.js").App} App */
-/** @typedef {{ model: Model, motion: Motion }} Reel */
+/** @typedef {import("./path.js").Paths} Paths */
+/** @typedef {import("./path.js").Reel} Reel */
 
 /**
  * Lines over time in one panel.
@@ -23,9 +25,10 @@ const LOADED = 1; // N on a foot that stands
 /**
  * What a replay tells over time.
  * @param {Reel} reel
+ * @param {Paths} paths
  * @returns {Histories[]}
  */
-export function historiesOf({ model, motion }) {
+export function historiesOf({ model, motion }, paths) {
   const { frames, coordinates, qpos, force, torque } = motion;
   const over = (/** @type {(frame: number) => number} */ value) =>
     Float64Array.from({ length: frames }, (_, k) => value(k));
@@ -72,12 +75,13 @@ export function historiesOf({ model, motion }) {
       told: motion.limits,
     },
     { title: "force on a foot [N]", lines: legs(pull), limit: null },
-    { title: "way of a standing foot [m]", lines: slips(model, motion, pull), limit: null },
-    {
-      title: "height of the base [m]",
-      lines: free < 0 ? [] : [over((k) => qpos[k * coordinates + free + 2])],
+    { title: "way of a standing foot [m]", lines: slips(paths.feet, pull), limit: null },
+    { title: "height of a foot [m]", lines: paths.feet.map((foot) => over((k) => foot[k][2])), limit: null },
+    ...["x of the base [m]", "y of the base [m]", "height of the base [m]"].map((title, part) => ({
+      title,
+      lines: free < 0 ? [] : [over((k) => paths.base[k][part])],
       limit: null,
-    },
+    })),
     { title: "tilt of the base [°]", lines: free < 0 ? [] : [over(tilt)], limit: null },
     ...torques,
     ...joints,
@@ -97,26 +101,19 @@ function freeOf({ bodies, geoms }) {
 
 /**
  * How far each foot has gone since it was put down, while it is loaded.
- * @param {Model} model
- * @param {Motion} motion
+ * @param {number[][][]} feet where they are, by leg and frame
  * @param {(frame: number, leg: number) => number} pull
  * @returns {Float64Array[]} m
  */
-function slips(model, motion, pull) {
-  const { frames, coordinates, qpos } = motion;
-  const ways = model.feet.map(() => new Float64Array(frames));
-  /** @type {number[][]} */
-  let before = [];
-  for (let k = 0; k < frames; k++) {
-    const poses = posesOf(model, qpos.subarray(k * coordinates, (k + 1) * coordinates));
-    const now = model.feet.map(([body, ...place]) => plus(poses[body].pos, rotated(poses[body].turn, place)));
-    ways.forEach((way, leg) => {
-      const stood = k > 0 && pull(k, leg) > LOADED && pull(k - 1, leg) > LOADED;
-      way[k] = stood ? way[k - 1] + Math.hypot(...plus(now[leg], before[leg], -1)) : 0;
-    });
-    before = now;
-  }
-  return ways;
+function slips(feet, pull) {
+  return feet.map((foot, leg) => {
+    const way = new Float64Array(foot.length);
+    for (let k = 1; k < foot.length; k++) {
+      const stood = pull(k, leg) > LOADED && pull(k - 1, leg) > LOADED;
+      way[k] = stood ? way[k - 1] + Math.hypot(...plus(foot[k], foot[k - 1], -1)) : 0;
+    }
+    return way;
+  });
 }
 
 /**
@@ -130,7 +127,9 @@ export function historyView(app, to) {
   const box = /** @type {HTMLDetailsElement} */ (byId("histories-box"));
   /** @type {{ base: HTMLCanvasElement, over: HTMLCanvasElement }[]} */
   let panels = [];
-  /** @type {{ reel: Reel, histories: Histories[] }[]} */
+  /** @type {{ base: HTMLCanvasElement, over: HTMLCanvasElement }[]} of paths */
+  let maps = [];
+  /** @type {{ reel: Reel, histories: Histories[], paths: Paths }[]} */
   let shown = [];
   let total = 1;
   let time = 0;
@@ -141,6 +140,8 @@ export function historyView(app, to) {
   const draw = () => {
     if (!box.open || !shown.length) return;
     panels.forEach(({ base }, k) => drawPanel(base, k));
+    const paths = shown.map((one) => one.paths);
+    maps.forEach(({ base }, k) => drawPaths(app, base, paths, FACES[k]));
     point(time);
   };
 
@@ -223,7 +224,11 @@ export function historyView(app, to) {
   /** @param {number} now */
   const point = (now) => {
     time = now;
-    if (!box.open) return;
+    if (!box.open || !shown.length) return;
+    const paths = shown.map((one) => one.paths);
+    maps.forEach(({ over }, k) => {
+      if (app.visible(over)) pointPaths(app, over, paths, FACES[k], shown[0].reel.motion, time);
+    });
     panels.forEach(({ over }, k) => {
       if (!app.visible(over)) return;
       const { pen, width, height } = sheetOf(over);
@@ -255,7 +260,14 @@ export function historyView(app, to) {
       over.addEventListener("pointermove", (event) => event.buttons && scrub(event));
       return { base, over };
     });
-    root.replaceChildren(...panels.map(({ base, over }) => element("div", { class: "history" }, base, over)));
+    const moves = shown[0]?.paths.base.length;
+    maps = (moves ? FACES : []).map(({ title }) => ({
+      base: element("canvas", { role: "img", "aria-label": `${title}, of the base and each foot` }),
+      over: element("canvas", { class: "over", "aria-hidden": "true" }),
+    }));
+    root.replaceChildren(
+      ...[...panels, ...maps].map(({ base, over }) => element("div", { class: "history" }, base, over)),
+    );
     byId("histories-key").replaceChildren(
       ...app.table.about.legs.slice(0, shown[0]?.reel.model.feet.length ?? 0).map((colour, leg) => {
         const swatch = element("span", { class: "leg", "aria-hidden": "true" });
@@ -269,7 +281,11 @@ export function historyView(app, to) {
   return {
     show: (reels, length) => {
       total = length;
-      shown = reels.flatMap((reel) => (reel ? [{ reel, histories: historiesOf(reel) }] : []));
+      shown = reels.flatMap((reel) => {
+        if (!reel) return [];
+        const paths = pathsOf(reel, freeOf(reel.model));
+        return [{ reel, histories: historiesOf(reel, paths), paths }];
+      });
       lay();
       draw();
     },

@@ -1,0 +1,138 @@
+// Ways of base and feet in space: from above and from the side, a mark where the replay is.
+import { sheetOf } from "./dom.js";
+import { frameAt, plus, posesOf, rotated } from "./kinematics.js";
+import { shortly, ticks } from "./numbers.js";
+
+/** @typedef {import("./kinematics.js").Model} Model */
+/** @typedef {import("./kinematics.js").Motion} Motion */
+/** @typedef {import("./main.js").App} App */
+/** @typedef {{ model: Model, motion: Motion }} Reel */
+
+/**
+ * Where base and feet are in each frame, m.
+ * @typedef {object} Paths
+ * @property {number[][]} base nothing where the robot has no free joint
+ * @property {number[][][]} feet by leg
+ */
+
+const BESIDE = { left: 44, right: 8, top: 20, bottom: 20 };
+export const FACES = /** @type {const} */ ([
+  { title: "way from above: y over x [m]", up: 1 },
+  { title: "way from the side: z over x [m]", up: 2 },
+]);
+
+/**
+ * @param {Reel} reel
+ * @param {number} free where the base is among the coordinates, -1 where it is not free
+ * @returns {Paths}
+ */
+export function pathsOf({ model, motion }, free) {
+  const { frames, coordinates, qpos } = motion;
+  /** @type {Paths} */
+  const found = { base: [], feet: model.feet.map(() => []) };
+  for (let k = 0; k < frames; k++) {
+    const state = qpos.subarray(k * coordinates, (k + 1) * coordinates);
+    if (free >= 0) found.base.push(Array.from(state.subarray(free, free + 3)));
+    if (!model.feet.length) continue;
+    const poses = posesOf(model, state);
+    model.feet.forEach(([body, ...place], leg) =>
+      found.feet[leg].push(plus(poses[body].pos, rotated(poses[body].turn, place))),
+    );
+  }
+  return found;
+}
+
+/**
+ * From metres to a canvas, the same in both directions, all of some paths being on it.
+ * @param {Paths[]} paths
+ * @param {number} up 1 for y, 2 for z
+ * @param {number} width CSS pixels
+ * @param {number} height
+ * @returns {{ spot: (place: number[]) => [number, number], ends: [number, number][] }} ends of x and of the other
+ */
+export function laidOut(paths, up, width, height) {
+  const [wide, high] = [width - BESIDE.left - BESIDE.right, height - BESIDE.top - BESIDE.bottom];
+  const ends = [0, up].map((part) => {
+    const values = paths.flatMap(({ base, feet }) => [base, ...feet]).flatMap((one) => one.map((place) => place[part]));
+    const [low, high] = values.reduce(
+      ([a, b], value) => [Math.min(a, value), Math.max(b, value)],
+      [Infinity, -Infinity],
+    );
+    return high > low ? [low, high] : [low - 0.5, low + 0.5];
+  });
+  const [x, y] = ends;
+  const scale = 0.96 * Math.min(wide / (x[1] - x[0]), high / (y[1] - y[0]));
+  const middle = ends.map(([low, high]) => (low + high) / 2);
+  const shown = [wide, high].map(
+    (size, k) => /** @type {[number, number]} */ ([middle[k] - size / scale / 2, middle[k] + size / scale / 2]),
+  );
+  const spot = (/** @type {number[]} */ place) =>
+    /** @type {[number, number]} */ ([
+      BESIDE.left + (place[0] - shown[0][0]) * scale,
+      height - BESIDE.bottom - (place[up] - shown[1][0]) * scale,
+    ]);
+  return { spot, ends: shown };
+}
+
+/**
+ * @param {App} app
+ * @param {HTMLCanvasElement} canvas
+ * @param {Paths[]} paths of the replay, and dashed of one beside it
+ * @param {(typeof FACES)[number]} side
+ */
+export function drawPaths(app, canvas, paths, { title, up }) {
+  const { pen, width, height } = sheetOf(canvas);
+  const { ink, soft, line } = app.theme();
+  const { spot, ends } = laidOut(paths, up, width, height);
+  pen.font = pen.font.replace(/\d+px/, "11px");
+  pen.fillStyle = soft;
+  pen.strokeStyle = line;
+  pen.textAlign = "right";
+  pen.textBaseline = "middle";
+  pen.beginPath();
+  for (const value of ticks(ends[1][0], ends[1][1], 4)) {
+    const [, y] = spot([0, value, value]);
+    pen.moveTo(BESIDE.left, y);
+    pen.lineTo(width - BESIDE.right, y);
+    pen.fillText(shortly(value), BESIDE.left - 5, y, BESIDE.left - 8);
+  }
+  pen.textAlign = "center";
+  pen.textBaseline = "top";
+  for (const value of ticks(ends[0][0], ends[0][1], width / 90))
+    pen.fillText(shortly(value), spot([value, 0, 0])[0], height - BESIDE.bottom + 4);
+  pen.stroke();
+  pen.textAlign = "left";
+  pen.fillStyle = ink;
+  pen.fillText(title, BESIDE.left, 3, width - BESIDE.left);
+  paths.forEach(({ base, feet }, number) => {
+    pen.setLineDash(number ? [4, 3] : []);
+    [...feet, base].forEach((places, leg) => {
+      pen.strokeStyle = leg < feet.length ? app.table.about.legs[leg % app.table.about.legs.length] : ink;
+      pen.lineWidth = leg < feet.length ? 1 : 1.6;
+      pen.beginPath();
+      for (const place of places) pen.lineTo(...spot(place));
+      pen.stroke();
+    });
+  });
+  pen.setLineDash([]);
+}
+
+/**
+ * Where the base, or else each foot, is at a time.
+ * @param {App} app
+ * @param {HTMLCanvasElement} canvas
+ * @param {Paths[]} paths
+ * @param {(typeof FACES)[number]} side
+ * @param {Motion} motion of the first of them
+ * @param {number} time s
+ */
+export function pointPaths(app, canvas, paths, { up }, motion, time) {
+  const { pen, width, height } = sheetOf(canvas);
+  const { spot } = laidOut(paths, up, width, height);
+  const place = paths[0].base[frameAt(motion, time)];
+  if (!place) return;
+  pen.fillStyle = app.theme().ink;
+  pen.beginPath();
+  pen.arc(...spot(place), 4, 0, 2 * Math.PI);
+  pen.fill();
+}
