@@ -47,7 +47,7 @@ def mark_values(ax: Axes, cells: Cells) -> None:
     for axis, values in ((ax.xaxis, cells.x), (ax.yaxis, cells.y)):
         if not evenly_spaced(values):
             named = np.unique(np.linspace(0, len(values) - 1, NAMED).round().astype(int))
-            axis.set_ticks(named, [number(values[k]) for k in named])
+            axis.set_ticks(named, [number(float(values[k])) for k in named])
     if not evenly_spaced(cells.x) and len(cells.x) > SIDE_BY_SIDE:
         ax.tick_params(axis="x", labelrotation=60)
 
