@@ -37,6 +37,7 @@ SCENARIOS = (
     "ball_ledges",
     "ball_over",
     "ball_to_ball",
+    "beam_cross",
     "corner_full",
     "raft_cross",
     "raft_stand",

@@ -30,6 +30,7 @@ VIDEO_RATE = 25  # frames per second, simulated and shown
 CAMERA_DISTANCE = 1.7  # in units of the distance between the robot's farthest feet at the start, at least
 AROUND = 2.0  # the same in units of a model's extent, where no feet are known
 FIELD = np.tan(np.radians(22.5)) * np.array([SIZE[0] / SIZE[1], 1.0])  # half of MuJoCo's 45 deg, over the distance
+LONGEST_ARROW = 1.6  # m
 FILLED = 0.9  # of half the picture's width and height, by the feet at most
 AZIMUTHS = (125.0, -125.0, 55.0, -55.0)  # deg, of the camera's sight, in order of preference
 ELEVATION = -22.0  # deg
@@ -146,15 +147,28 @@ def _write_job(job: Path, trace: Trace, chosen: np.ndarray, samples: int) -> Non
     np.savez(
         job / ARRAYS,
         qpos=trace.qpos[chosen],
-        look_at=base_pose(trace)[chosen, :3],
+        look_at=_looked_at(trace, chosen),
         distance=_distance(trace, chosen, azimuth),
         azimuth=azimuth,
         elevation=ELEVATION,
         size=SIZE,
         samples=samples,
         tails=trace.foot_position[chosen],
-        tips=arrow_tips(trace.foot_position[chosen], trace.foot_force[chosen]),
+        tips=_tips(trace, chosen),
     )
+
+
+def _tips(trace: Trace, chosen: np.ndarray) -> np.ndarray:
+    """Tips (N, 6, 3) of the arrows at the feet (m)."""
+    return arrow_tips(trace.foot_position[chosen], trace.foot_force[chosen], LONGEST_ARROW)
+
+
+def _looked_at(trace: Trace, chosen: np.ndarray) -> np.ndarray:
+    """What is in the middle of the pictures (m), (N, 3): half of the mean way from the base to its feet."""
+    base = base_pose(trace)[chosen, :3]
+    if not trace.foot_position.shape[1]:
+        return base
+    return base + 0.5 * np.mean(trace.foot_position[chosen] - base[:, None], axis=(0, 1))
 
 
 def _sight(azimuth: float) -> np.ndarray:
@@ -166,24 +180,26 @@ def _sight(azimuth: float) -> np.ndarray:
 
 
 def _distance(trace: Trace, chosen: np.ndarray, azimuth: float) -> float:
-    """From which all feet of the frames `chosen` are in the picture, its middle being the base (m).
+    """From which all feet of the frames `chosen`, and the arrows at them, are in the picture (m).
 
     Where none are known, all of the model as it is at its start.
     """
     if not trace.foot_position.shape[1]:
         return AROUND * float(trace.model.stat.extent)
-    start, offset = trace.foot_position[0], trace.foot_position[chosen] - base_pose(trace)[chosen, None, :3]
+    start, ends = trace.foot_position[0], np.concatenate([trace.foot_position[chosen], _tips(trace, chosen)], axis=1)
+    offset = ends - _looked_at(trace, chosen)[:, None]
     across, towards = offset @ _sight(azimuth)[:2].T, offset @ _sight(azimuth)[2]
     needed = towards + np.max(np.abs(across) / (FILLED * FIELD), axis=-1)
     return max(CAMERA_DISTANCE * np.linalg.norm(start[:, None] - start, axis=-1).max(), needed.max())
 
 
 def _hidden(trace: Trace, chosen: np.ndarray, azimuth: float) -> int:
-    """How many of some points between the camera and the base the obstacle hides, over the frames `chosen`."""
+    """How many of some points between the camera, and base and feet, the obstacle hides, over the frames `chosen`."""
     if not trace.foot_position.shape[1]:  # nor is an obstacle
         return 0
     way = _distance(trace, chosen, azimuth) * np.linspace(0.2, 1, 9)[:, None] * _sight(azimuth)[2]
-    points = base_pose(trace)[chosen, None, :3] + way
+    seen = np.concatenate([base_pose(trace)[chosen, None, :3], trace.foot_position[chosen]], axis=1)
+    points = (seen[:, :, None] + way).reshape(len(chosen), -1, 3)
     return int(np.sum(np.asarray(surfaces(trace, points, chosen).depth) > 0))
 
 
