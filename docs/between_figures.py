@@ -14,6 +14,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
+from sweep.core.letters import lettering
 from sweep.core.rotations import rotate
 from sweep.engines.base import Trace
 from sweep.formulas.ball import GRAVITY, ROLLING
@@ -21,7 +22,6 @@ from sweep.models.obstacles.ball import Ball
 from sweep.models.obstacles.ledges import Ledges
 from sweep.models.robot import total_mass
 from sweep.report import maps
-from sweep.report.layout import lettering
 from sweep.report.looks import INK
 from sweep.runs import results
 from sweep.runs.batches import Batch, make_engine

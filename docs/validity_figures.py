@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from sweep.report.layout import legend_below, lettering, sheet
+from sweep.core.letters import legend_below, lettering, sheet
 from sweep.report.looks import LOOKS
 
 DOCS = Path(__file__).parent

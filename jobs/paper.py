@@ -31,11 +31,11 @@ from sweep.analysis import sensitivity
 from sweep.analysis.intervals import wilson
 from sweep.analysis.stats import binned, rate, rates
 from sweep.core.files import write_whole
+from sweep.core.letters import lettering
 from sweep.core.outcomes import SUCCESS
 from sweep.core.provenance import code_version
 from sweep.report import maps
 from sweep.report.exhibits import exhibits, judged_first
-from sweep.report.layout import lettering
 from sweep.runs import results
 from sweep.runs.results import Results
 

@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 from sweep.analysis.sample import distinct
 from sweep.core.errors import InputError
 from sweep.core.expressions import mask
+from sweep.core.letters import lettering
 from sweep.report import draws, maps, overlay, page
 from sweep.report.labels import unit_of
-from sweep.report.layout import lettering
 from sweep.runs import results, store
 from sweep.study.config import Experiment, compose, experiment
 

@@ -18,9 +18,9 @@ from matplotlib.figure import Figure
 from sweep.analysis import sensitivity
 from sweep.analysis.sample import pooled
 from sweep.core.errors import InputError
+from sweep.core.letters import PAGE, folded, legend_below, lettering, sheet
 from sweep.report.cells import not_below_zero
 from sweep.report.labels import axis_words, heading, kind_of
-from sweep.report.layout import PAGE, folded, legend_below, lettering, sheet
 from sweep.report.looks import handle, kinds_by_number, look_of, marker
 from sweep.runs.results import Results
 from sweep.study.columns import LABELS

@@ -12,11 +12,11 @@ from matplotlib.ticker import MaxNLocator
 from sweep.analysis import compare, sensitivity
 from sweep.analysis.compare import SECOND
 from sweep.analysis.stats import binned, percent, rate, rates
+from sweep.core.letters import COLUMN, PAGE, legend_below, sheet
 from sweep.report import draws, overlay, slices
 from sweep.report.cells import not_below_zero
 from sweep.report.exhibit import Exhibit
 from sweep.report.labels import axis_words, heading
-from sweep.report.layout import COLUMN, PAGE, legend_below, sheet
 from sweep.report.looks import FAILURE, GOOD, look_of
 from sweep.report.maps import cell, stamp
 from sweep.runs import audit

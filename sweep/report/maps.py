@@ -21,12 +21,12 @@ from matplotlib.transforms import Affine2D
 from sweep.analysis.sample import pooled
 from sweep.core.expressions import column
 from sweep.core.files import write_whole
+from sweep.core.letters import LETTERS, PAGE, folded, legend_below, lettering
 from sweep.core.outcomes import SUCCESS
 from sweep.core.parameters import InputError
 from sweep.report import limits, refined_cells
 from sweep.report.cells import Cells, edges, mark_values
 from sweep.report.labels import beside_axis, heading, with_value
-from sweep.report.layout import LETTERS, PAGE, folded, legend_below, lettering
 from sweep.report.looks import INVALID, ink_on, look_of, marker
 from sweep.runs import refine
 from sweep.study.config import Experiment, experiment

@@ -7,8 +7,8 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
+from sweep.core.letters import legend_below, sheet
 from sweep.report.labels import heading
-from sweep.report.layout import legend_below, sheet
 from sweep.report.looks import DOUBTFUL, FAILURE, GOOD
 from sweep.runs import histories, store
 from sweep.runs.results import Results

@@ -13,13 +13,13 @@ from matplotlib.figure import Figure
 from sweep.analysis import compare
 from sweep.analysis.compare import SECOND
 from sweep.analysis.stats import binned
+from sweep.core.letters import PAGE, folded, sheet
 from sweep.core.outcomes import FAILURE, INVALID, SUCCESS
 from sweep.report import maps, replays
 from sweep.report.cells import Cells, mark_values
 from sweep.report.comparison import default_regions, paired_by
 from sweep.report.exhibit import Exhibit
 from sweep.report.labels import axis_words, heading
-from sweep.report.layout import PAGE, folded, sheet
 from sweep.report.page.stage import Shown
 from sweep.runs.results import Results
 

@@ -15,10 +15,10 @@ import pandas as pd
 from sweep.analysis.sample import is_sample, pooled
 from sweep.core.expressions import mask
 from sweep.core.files import write_whole
+from sweep.core.letters import lettering
 from sweep.report import statistics, tables
 from sweep.report.exhibits import exhibits
 from sweep.report.labels import heading
-from sweep.report.layout import lettering
 from sweep.runs import audit
 from sweep.runs.results import Results
 from sweep.study.columns import figure_columns

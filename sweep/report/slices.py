@@ -13,10 +13,10 @@ from matplotlib.figure import Figure
 
 from sweep.analysis.intervals import anytime, wilson
 from sweep.analysis.stats import binned, rates
+from sweep.core.letters import COLUMN, PAGE, folded, sheet
 from sweep.report import limits, refined_cells
 from sweep.report.cells import Cells, mark_values
 from sweep.report.labels import axis_words, beside_axis, with_value
-from sweep.report.layout import COLUMN, PAGE, folded, sheet
 from sweep.report.maps import categories, glyphed, kinds_in, legend, paint, split
 from sweep.runs import refine
 from sweep.runs.results import Results

@@ -1,7 +1,7 @@
 """Plots of a trace over time. Legs are arranged as seen from above: left legs on the left, the front pair on top."""
 
 from collections.abc import Callable
-from functools import partial
+from functools import partial, wraps
 from pathlib import Path
 from typing import Any, Literal
 
@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from sweep.core.files import write_whole
+from sweep.core.letters import LETTERS, PAGE, folded, legend_below, lettering, sheet
 from sweep.core.parameters import InputError
 from sweep.engines.base import Trace
 from sweep.formulas import stepping
@@ -22,10 +23,12 @@ from sweep.trace.sampling import KINDS, base_pose, joint_angle, mass_centres
 PAIRS = ((6, 5), (4, 3), (2, 1))
 SYMBOLS = dict(zip(KINDS, ("α", "β", "γ"), strict=True))
 ACTUAL, SECOND, REFERENCE = "#0072b2", "#d55e00", "0.25"
+DPI = 150
 SMOOTHED = 25  # ticks, over which the speed of a body is averaged
 SLANTED_STAGES = 10  # more names than this stand upright
-NAMED_STAGE = 0.012  # of the time shown: the name of a shorter stage would lie over the next one
-BOOK_TORQUE = 75.2  # N m, the unit of figures 2.3.5 and 2.3.6: about the body's moment of gravity on a pole
+ROOM = 1.2 * LETTERS  # points from a stage's name to the next that is written
+BESIDE = 0.6  # in, of a panel's width that is taken by its axis
+BOOK_TORQUE = 75.2  # N·m, the unit of figures 2.3.5 and 2.3.6: about the body's moment of gravity on a pole
 
 
 def torques(trace: Trace) -> Figure:
@@ -35,7 +38,7 @@ def torques(trace: Trace) -> Figure:
         f"Joint torque (largest magnitude of each tick); right: over {BOOK_TORQUE} N·m, the unit of the monograph's "
         "figures 2.3.5 and 2.3.6"
     )
-    figure = _per_leg(trace, title, "torque (N·m)", values)
+    figure = _per_leg(trace, title, "torque (N·m)", values, limit=float(trace.world.drive.torque_limit))
     for ax in figure.axes[1::2]:
         ax.secondary_yaxis(
             "right", functions=(partial(np.multiply, 1 / BOOK_TORQUE), partial(np.multiply, BOOK_TORQUE))
@@ -74,25 +77,25 @@ def feet(trace: Trace) -> Figure:
         right.plot(trace.time, force[:, 2], color=ACTUAL, lw=1.2, label="vertical")
         right.plot(trace.time, np.linalg.norm(force[:, :2], axis=1), color=SECOND, lw=1.0, label="horizontal")
         right.set_ylabel("force (N)")
-    figure.legend(*axes[0, 1].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
+    legend_below(figure, axes[0, 1].get_legend_handles_labels()[0])
     return _finish(figure, axes, trace)
 
 
 def margin(trace: Trace) -> Figure:
     """Margin to the nearest of the limits that are watched in every tick, a colour for each of these."""
-    figure, axes = _grid(1, 1, "Margin to the nearest limit, in units of it", width=9)
+    figure, axes = _grid(1, 1, "Margin to the nearest limit, in units of it")
     for k, name in enumerate(dict.fromkeys(trace.margin_of)):
         nearest = np.where(trace.margin_of == name, trace.margin, np.nan)
         axes[0, 0].plot(trace.time, nearest, color=f"C{k}", lw=1.4, label=name)
     axes[0, 0].axhline(0, color=REFERENCE, lw=0.9)
     axes[0, 0].set_ylabel("margin")
-    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
+    legend_below(figure, axes[0, 0].get_legend_handles_labels()[0])
     return _finish(figure, axes, trace)
 
 
 def paths(trace: Trace) -> Figure:
     """Paths of the base and the feet in the horizontal plane and from the side, m; references dashed."""
-    figure = Figure(figsize=(9, 7), layout="constrained")
+    figure = sheet(5.2)
     figure.suptitle("Paths (dashed: reference)")
     axes = figure.subplots(2, 1)
     pose = base_pose(trace)
@@ -107,7 +110,7 @@ def paths(trace: Trace) -> Figure:
         ax.set_ylabel(f"{name} (m)")
         ax.set_aspect("equal", adjustable="datalim")
         ax.grid(alpha=0.3)
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside right upper", frameon=False)
+    legend_below(figure, axes[0].get_legend_handles_labels()[0])
     return figure
 
 
@@ -134,7 +137,7 @@ def ball(trace: Trace) -> Figure:
         axes[3, 0].plot(trace.time[few], 1e3 * over_ball[:, k], color=color, lw=1.2)
     for ax, label in zip(axes[:, 0], ("speed (mm/s)", "way (m)", "base (mm)", "mass centre (mm)"), strict=True):
         ax.set_ylabel(label)
-    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
+    legend_below(figure, axes[0, 0].get_legend_handles_labels()[0])
     return _finish(figure, axes, trace)
 
 
@@ -154,7 +157,7 @@ def flywheel(trace: Trace) -> Figure:
     for ax, label in zip(axes[:, 0], labels, strict=True):
         ax.set_ylabel(label)
     axes[0, 0].axhline(np.pi / 2, color=REFERENCE, ls="--", lw=0.8)
-    axes[0, 0].legend(frameon=False, loc="upper right")
+    legend_below(figure, axes[0, 0].get_legend_handles_labels()[0])
     return _finish(figure, axes, trace)
 
 
@@ -164,7 +167,7 @@ def forces(trace: Trace) -> Figure:
     Planned forces are dashed. A dotted line every t* where the manoeuvre has a step cycle.
     """
     hold, wanted, friction = measured(trace), planned(trace), float(trace.world.contact.friction)
-    figure, axes = _grid(3, 1, "Forces of the feet on the surfaces under them (dashed: planned)", width=14)
+    figure, axes = _grid(3, 1, "Forces of the feet on the surfaces under them (dashed: planned)")
     for leg in range(N_LEGS):
         color, label = LEG_COLORS[leg], f"leg {leg + 1}"
         axes[1, 0].plot(trace.time, hold.friction[:, leg], color=color, lw=0.9, label=label)
@@ -184,27 +187,31 @@ def forces(trace: Trace) -> Figure:
         step = float(stepping.swing_time(rate))
         for t in np.arange(step, trace.time[-1], step):
             axes[0, 0].axvline(t, color="0.75", lw=0.6, ls=":", zorder=0)
-    figure.legend(*axes[1, 0].get_legend_handles_labels(), loc="outside lower center", ncols=6, frameon=False)
+    legend_below(figure, axes[1, 0].get_legend_handles_labels()[0])
     return _finish(figure, axes, trace)
 
 
+def _lettered(draw: Callable[[Trace], Figure]) -> Callable[[Trace], Figure]:
+    """`draw` with the letters of all figures."""
+
+    @wraps(draw)
+    def drawn(trace: Trace) -> Figure:
+        with lettering():
+            return draw(trace)
+
+    return drawn
+
+
 PLOTS: dict[str, Callable[[Trace], Figure]] = {
-    "torques": torques,
-    "joints": joints,
-    "base": base,
-    "feet": feet,
-    "margin": margin,
-    "paths": paths,
-    "ball": ball,
-    "flywheel": flywheel,
-    "forces": forces,
+    draw.__name__: _lettered(draw) for draw in (torques, joints, base, feet, margin, paths, ball, flywheel, forces)
 }
 
 
 def save(figure: Figure, path: str | Path) -> None:
     """Write `figure` in the format that the suffix of `path` names, without a date in it."""
     metadata = {"Date": None} if Path(path).suffix == ".svg" else {}
-    write_whole(Path(path), partial(figure.savefig, dpi=120, metadata=metadata))
+    with lettering():
+        write_whole(Path(path), partial(figure.savefig, dpi=DPI, metadata=metadata))
 
 
 def tilt(pose: np.ndarray) -> np.ndarray:
@@ -220,8 +227,15 @@ def sideways(trace: Trace, vectors: np.ndarray) -> np.ndarray:
     return np.sum(vectors * left, axis=1)
 
 
-def _per_leg(trace: Trace, title: str, label: str, values: np.ndarray, target: np.ndarray | None = None) -> Figure:
-    """One panel a leg with the three joints of `values` (F, 6, 3), `target` dashed."""
+def _per_leg(
+    trace: Trace,
+    title: str,
+    label: str,
+    values: np.ndarray,
+    target: np.ndarray | None = None,
+    limit: float | None = None,
+) -> Figure:
+    """One panel a leg with the three joints of `values` (F, 6, 3), `target` dashed; `limit` dotted."""
     figure, axes = _grid(3, 2, title, share="all")
     for row, legs in zip(axes, PAIRS, strict=True):
         for ax, leg in zip(row, legs, strict=True):
@@ -229,43 +243,43 @@ def _per_leg(trace: Trace, title: str, label: str, values: np.ndarray, target: n
                 ax.plot(trace.time, values[:, leg - 1, kind], color=color, lw=1.1, label=SYMBOLS[KINDS[kind]])
                 if target is not None:
                     ax.plot(trace.time, target[:, leg - 1, kind], color=color, ls="--", lw=0.8)
+            if limit is not None:
+                ax.axhline(limit, color=REFERENCE, ls=":", lw=0.9, label="torque limit")
             ax.set_ylabel(f"leg {leg}\n{label}")
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
+    legend_below(figure, axes[0, 0].get_legend_handles_labels()[0])
     return _finish(figure, axes, trace)
 
 
-def _grid(
-    rows: int, columns: int, title: str, share: Literal["none", "col", "all"] = "none", width: float = 0.0
-) -> tuple[Figure, Any]:
+def _grid(rows: int, columns: int, title: str, share: Literal["none", "col", "all"] = "none") -> tuple[Figure, Any]:
     """Figure and its axes (rows, columns), one time axis for all; `share` says which have one y axis."""
-    figure = Figure(figsize=(width or 4.5 + 3.5 * columns, 2.0 + 1.5 * rows), layout="constrained")
-    figure.suptitle(title)
+    figure = sheet(1.6 + 1.1 * rows)
+    figure.suptitle(folded(title, 72 * PAGE - 2 * LETTERS))
     return figure, figure.subplots(rows, columns, sharex=True, sharey=share, squeeze=False)
 
 
 def _finish(figure: Figure, axes: np.ndarray, trace: Trace) -> Figure:
     """Time axis, and a line where a stage begins, named above the top row."""
     starts = np.flatnonzero(np.diff(trace.stage, prepend=-1))
+    room = ROOM / (72 * (PAGE / axes.shape[1] - BESIDE)) * (trace.time[-1] - trace.time[0])
     for ax in axes.flat:
         ax.grid(alpha=0.3)
         ax.margins(x=0.01)
         for k in starts[1:]:
-            ax.axvline(trace.time[k], color="0.6", lw=0.8, zorder=0)
+            ax.axvline(trace.time[k], color="0.6", lw=0.4, zorder=0)
     for ax in axes[-1]:
         ax.set_xlabel("time (s)")
     for ax in axes[0]:
-        _name_stages(ax, trace, starts)
+        _name_stages(ax, trace, starts, room)
     return figure
 
 
-def _name_stages(ax: Axes, trace: Trace, starts: np.ndarray) -> None:
-    marks = ax.secondary_xaxis("top")
-    lasts = np.diff(trace.time[[*starts, -1]])
-    starts = starts[lasts > NAMED_STAGE * (trace.time[-1] - trace.time[0])]
-    names = [trace.stages[trace.stage[k]] for k in starts]
-    if len(starts) <= SLANTED_STAGES:
-        marks.set_xticks(trace.time[starts], names, rotation=25, ha="left", size="x-small")
-    else:
-        marks.set_xticks(trace.time[starts], names, rotation=90, size="xx-small")
+def _name_stages(ax: Axes, trace: Trace, starts: np.ndarray, room: float) -> None:
+    """Names of stages, but of those that begin less than `room` (s) after the one before that is named."""
+    marks, named = ax.secondary_xaxis("top"), [starts[0]]
+    for k in starts[1:]:
+        if trace.time[k] - trace.time[named[-1]] >= room:
+            named.append(k)
+    names = [trace.stages[trace.stage[k]] for k in named]
+    slanted = len(named) <= SLANTED_STAGES
+    marks.set_xticks(trace.time[named], names, rotation=25 if slanted else 90, ha="left" if slanted else "center")
     marks.tick_params(length=2)

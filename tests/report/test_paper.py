@@ -9,9 +9,9 @@ import pytest
 from matplotlib.text import Text
 
 from sweep.cli.main import main
+from sweep.core.letters import lettering
 from sweep.report import paper
 from sweep.report.exhibits import exhibits
-from sweep.report.layout import lettering
 from sweep.runs import results, store
 
 

@@ -7,11 +7,11 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from sweep.analysis.stats import broken, rate
+from sweep.core.letters import PAGE, legend_below, lettering
 from sweep.core.parameters import InputError
 from sweep.metrics.outcome import FAILURES
 from sweep.report import maps, tables
 from sweep.report.cells import Cells
-from sweep.report.layout import PAGE, legend_below, lettering
 from sweep.report.looks import marker
 from sweep.study.config import compose
 from sweep.study.study import Expectation

@@ -20,11 +20,11 @@ from PIL import Image
 from sweep.analysis.sample import pooled
 from sweep.analysis.stats import broken
 from sweep.core.files import write_whole
+from sweep.core.letters import lettering
 from sweep.report import tables
 from sweep.report.exhibit import Exhibit
 from sweep.report.exhibits import exhibits
 from sweep.report.labels import heading, kind_of
-from sweep.report.layout import lettering
 from sweep.report.page import data
 from sweep.report.page.script import bundle, policy, style_sheet
 from sweep.report.page.stage import Shown, replays_of, stage_directions
