@@ -176,7 +176,7 @@ def test_kinds_are_named_by_what_the_map_shows(browser, tmp_path):
 
 
 def test_it_is_small_and_live(shown, file):
-    assert file.stat().st_size < 5e6
+    assert file.stat().st_size < 1.2e6
     assert shown.run("document.querySelectorAll('.live .still').length") > 0
     assert shown.run("getComputedStyle(document.querySelector('.still')).display") == "none"
 
