@@ -34,9 +34,10 @@ LEADS = 0.8  # Spearman's coefficient of a column and the way, up to the first f
 FEWEST = 5  # steps before a failure by which a column can be said to lead
 MOST_CLIFFS = 2  # beyond which it is told what they are of
 LENGTHS = ("body_length", "body_width", "thigh", "shin")
-COLUMNS = {"margin": "`margin`", "friction_reserve_min": "friction", "torque_reserve_min": "torque",
-           "reach_reserve_min_m": "reach", "edge_reserve_min_m": "edge",
+COLUMNS = {"margin": "`margin`", "friction_reserve_min": "friction", "friction_demand_max": "a foot's friction",
+           "torque_reserve_min": "torque", "reach_reserve_min_m": "reach", "edge_reserve_min_m": "edge",
            "stability_margin_min_m": "stability"}  # fmt: skip
+GROWS = ("friction_demand_max",)  # which goes up where others go down
 
 
 def simulated(exp: Experiment, folder: Path, u: np.ndarray) -> pd.DataFrame:
@@ -99,33 +100,21 @@ def told(rows: pd.DataFrame, columns: list[str]) -> dict[str, Any]:
     }
 
 
-def cliffs(found: dict[str, Any]) -> list[dict[str, Any]]:
-    """Lines whose margin falls at once."""
-    return [line for line in found["lines"] if line["fall"] > CLIFF]
-
-
 def tables(scenarios: shared.Scenarios) -> dict[str, list[list[str]]]:
     """In how many lines what leads, and what the cliffs are of where there are more than a few."""
-    leading = [["scenario", "lengths off by, %", "fail", "no cliff", *COLUMNS.values(), "and, of all others,"]]
-    falling = [["scenario", "cliffs", "cause", "nearest limit before"]]
+    heads = ["scenario", "lengths off by, %", "fail", "no cliff", "near nought before"]
+    leading, falling = [[*heads, *COLUMNS.values()]], [["scenario", "cliffs", "cause", "nearest limit before"]]
     for name, one in scenarios.items():
         if one["nominal_outcome"] != "success":  # no line begins
             continue
-        failing, steep = one["lines"], cliffs(one)
-        counts = Counter(c for line in failing for c in line["leads"] if c not in COLUMNS)
-        falls = [sum(line["leads"].get(c, 0.0) <= -LEADS for line in failing) for c in COLUMNS]
-        cells = [str(count) if c in one["nominal"] else "" for c, count in zip(COLUMNS, falls, strict=True)]
-        best = [f"`{c}` {count}" for c, count in counts.most_common(1) if count > max(falls)]
-        leading.append(
-            [
-                f"`{name}`",
-                f"{100 * one['lengths']:g}",
-                str(len(failing)),
-                str(len(failing) - len(steep)),
-                *cells,
-                *(best or [""]),
-            ]
-        )
+        failing, steep = one["lines"], [line for line in one["lines"] if line["fall"] > CLIFF]
+        near = sum(line["before"] <= CLIFF for line in failing)
+        cells = [f"`{name}`", f"{100 * one['lengths']:g}", str(len(failing)), str(len(failing) - len(steep)), str(near)]
+        for column in COLUMNS:
+            sign = 1 if column in GROWS else -1
+            count = sum(sign * line["leads"].get(column, 0.0) >= LEADS for line in failing)
+            cells.append(str(count) if column in one["nominal"] else "")
+        leading.append(cells)
         if len(steep) > MOST_CLIFFS:
             causes = Counter(f"`{line['cause']}`" for line in steep)
             nearest = Counter(f"`{line['before_of']}`" for line in steep)
@@ -151,7 +140,8 @@ def main(words: list[str]) -> None:
     where = given.folder / given.scenario
     where.mkdir(parents=True, exist_ok=True)
     every = lines(exp, where)
-    columns = [c for c in ("margin", *figure_columns(every[0])) if every[0][c].dtype.kind == "f"]
+    figures = figure_columns(every[0].drop(columns="way"))
+    columns = [c for c in ("margin", *figures) if every[0][c].dtype.kind == "f"]
     failing = [rows for rows in every if rows["outcome"].iloc[-1] != "success" and len(rows) > 1]
     (device,) = store.read_study(where)["devices"][:1]
     found = {

@@ -357,6 +357,7 @@ def main(words: list[str]) -> None:
     parser.add_argument("scenario")
     parser.add_argument("--seconds", type=float, default=np.inf, help="after which nothing is begun")
     parser.add_argument("--targets", default="1e-2,1e-3,1e-4")
+    parser.add_argument("--scales", help="at which these fail, if known: one for each target")
     parser.add_argument("--repetitions", type=int, default=30)
     parser.add_argument("--num", type=int, default=1024, help="draws of a round of importance sampling")
     parser.add_argument("--level", type=int, default=500, help="draws of a level of subset simulation")
@@ -370,7 +371,10 @@ def main(words: list[str]) -> None:
     about |= {"num": given.num, "level": given.level, "repetitions": given.repetitions, "width": given.width}
     kept = Kept(given.out, given.scenario, about | ({"commit": given.commit} if given.commit else {}))
     if not kept.scales:
-        kept.content["scales"] = scales(robots, [float(p) for p in given.targets.split(",")], given.num)
+        targets = [float(p) for p in given.targets.split(",")]
+        known = [float(scale) for scale in given.scales.split(",")] if given.scales else []
+        found = {f"{p:g}": scale for p, scale in zip(targets, known, strict=True)} if known else None
+        kept.content["scales"] = found or scales(robots, targets, given.num)
         kept.content["start_s"] = round(time.perf_counter() - start, 1)
         kept.write()
     print(f"{given.scenario}: {kept.scales}, {time.perf_counter() - start:.0f} s", flush=True)
