@@ -20,7 +20,6 @@ from scipy.special import ndtr
 
 from sweep.core.provenance import made_with
 from sweep.runs import runner, store
-from sweep.study.columns import figure_columns
 from sweep.study.config import Experiment, compose
 from sweep.study.sought import Draws
 from sweep.study.study import points
@@ -140,8 +139,7 @@ def main(words: list[str]) -> None:
     where = given.folder / given.scenario
     where.mkdir(parents=True, exist_ok=True)
     every = lines(exp, where)
-    figures = figure_columns(every[0].drop(columns="way"))
-    columns = [c for c in ("margin", *figures) if every[0][c].dtype.kind == "f"]
+    columns = [c for c in COLUMNS if c in every[0]]
     failing = [rows for rows in every if rows["outcome"].iloc[-1] != "success" and len(rows) > 1]
     (device,) = store.read_study(where)["devices"][:1]
     found = {
@@ -151,7 +149,7 @@ def main(words: list[str]) -> None:
         "seconds": round(time.perf_counter() - start),
         "lengths": given.lengths,
         "overrides": overrides,
-        "nominal": {c: float(every[0][c].iloc[0]) for c in COLUMNS if c in every[0]},
+        "nominal": {c: float(every[0][c].iloc[0]) for c in columns},
         "nominal_outcome": str(every[0]["outcome"].iloc[0]),
         "lines": [told(rows, columns) for rows in failing],
     }
