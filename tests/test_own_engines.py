@@ -266,6 +266,44 @@ def test_commands_are_held_or_ramped_and_figures_of_ones_own_see_the_state(here,
         np.testing.assert_allclose(store.read_rows(Path(f"{engine}_{command}"))["speed_mps"], speed, rtol=1e-9)
 
 
+GLIDE = """import jax.numpy as jnp
+PARAMETERS = {"long": 0.2}
+FIGURES = {"way_m": "sum of the speeds that ticks begin and end with", "told_mps": "what the last tick was told"}
+def begin(belief, key): return None, jnp.zeros(()), belief["long"]
+def observe(told): return 2 * told["qvel"]
+def policy(belief, seen, state, key): return jnp.ones(1), seen[0]
+def measure(sofar, told): return (0.0 if sofar is None else sofar) + told["qvel"][0]
+def figures(belief, state, sofar): return {"way_m": sofar, "told_mps": state}
+"""
+GLIDES = {  # of NumPy, which has neither a state nor parameters
+    "jax": GLIDE,
+    "numpy": GLIDE.replace(
+        "policy(belief, seen, state, key): return jnp.ones(1), seen[0]", "policy(seen): return 1 + 0 * seen"
+    ).replace('"told_mps": state', '"told_mps": 0.0 * sofar'),
+}
+
+
+@pytest.mark.parametrize(("engine", "kind"), [("native", "jax"), ("mjx", "jax"), ("native", "numpy")])
+def test_what_is_observed_and_measured_may_be_functions(here, engine, kind):
+    """A newton on 2 kg: 0, 0.01, 0.02 m/s and so on at the ends of ticks, to a rollout's own end."""
+    Path("rail.xml").write_text(RAIL)
+    Path(f"glide_{kind}.py").write_text(GLIDES[kind])
+    Path("glide.yaml").write_text(
+        f"system: own\nmodel: {{mjcf: rail.xml, controller: 'glide_{kind}:policy', duration: 0.2}}\n"
+        "outcome: {fast: way_m > 9}\nstudy:\n  axes:\n"
+        + ("    long: {path: controller.long, values: [0.1, 0.2]}\n" if kind == "jax" else "    pull: {path: "
+           "model.option.gravity.z, side: world, values: [0, -1]}\n")
+    )  # fmt: skip
+    asked = ["study.expect=[]", f"engine={engine}", "engine.precision=float64", f"out=glide_{engine}_{kind}"]
+    assert main(["run", "study=glide.yaml", *asked]) == 0
+    rows = store.read_rows(Path(f"glide_{engine}_{kind}"))
+    ticks = np.array([5, 10] if kind == "jax" else [10, 10])
+    np.testing.assert_allclose(rows["way_m"], 0.01 * ticks * (ticks + 1) / 2, rtol=1e-9)
+    if kind == "jax":
+        np.testing.assert_allclose(rows["told_mps"], 2 * 0.01 * (ticks - 1), rtol=1e-9)
+    assert main(["run", "study=glide.yaml", "model.observe=[qpos]", "out=both"]) == 2
+
+
 def test_figures_have_names(here, capsys):
     Path("nameless.py").write_text(PUSH.replace('{"speed_mps": state', '{"speed": state'))
     Path("rail.xml").write_text(RAIL)

@@ -135,8 +135,8 @@ URDF = """<robot name="cart"><link name="base"/><link name="trunk">
 CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)
 
 
-def test_a_urdf_and_its_meshes_are_read_as_they_are(here, capsys):
-    """Of a ROS package, whose meshes lie beside the file; it falls as it should."""
+def cart():
+    """The robot, its mesh in a folder beside it as a ROS package has it, and a study of it."""
     faces = [CORNERS[[0, 2, 1]], CORNERS[[0, 1, 3]], CORNERS[[0, 3, 2]], CORNERS[[1, 2, 3]]]
     stl = b"".join(struct.pack("<12fH", 0, 0, 1, *face.ravel(), 0) for face in faces)
     Path("meshes").mkdir()
@@ -147,6 +147,51 @@ def test_a_urdf_and_its_meshes_are_read_as_they_are(here, capsys):
         "system: own\nmodel: {mjcf: robot.urdf, controller: 'still:policy', duration: 0.5}\nstudy: {name: falls}\n"
         "outcome: {up: energy_gained_j > 1}\n"
     )
+
+
+def test_a_crate_has_all_that_an_own_model_is_read_from(here, tmp_path_factory, monkeypatch, capsys):
+    """A file that includes another one and attaches a robot with a mesh, and a controller with a file of its own."""
+    cart()
+    Path("scene.xml").write_text(
+        '<mujoco><include file="sky/ground.xml"/><asset><model name="cart" file="robot.urdf"/></asset><worldbody>'
+        '<body><attach model="cart" prefix="c_"/></body></worldbody></mujoco>'
+    )
+    Path("sky").mkdir()
+    Path("sky/ground.xml").write_text('<mujoco><worldbody><geom type="plane" size="0 0 1"/></worldbody></mujoco>')
+    Path("stand.txt").write_text("0")
+    Path("still.py").write_text(f"FILES = ['stand.txt']\nopen(FILES[0]).close()\n{Path('still.py').read_text()}")
+    away = tmp_path_factory.mktemp("away")
+    asked = [
+        "study=falls.yaml",
+        "model.mjcf=scene.xml",
+        "study.axes={g: {path: model.option.gravity.z, values: [-9, -8]}}",
+    ]
+    assert main(["run", *asked, "out=falls"]) == 0
+    assert main(["export", "falls", "--crate", str(away / "crate")]) == 0
+    read = {str(file.relative_to(away / "crate/project")) for file in (away / "crate/project").rglob("*.*")}
+    assert read == {
+        "sweep.yaml",
+        "scene.xml",
+        "robot.urdf",
+        "meshes/trunk.stl",
+        "sky/ground.xml",
+        "still.py",
+        "stand.txt",
+    }
+    for file in read - {"sweep.yaml"}:
+        Path(file).unlink()
+    monkeypatch.chdir(away)
+    capsys.readouterr()
+    assert main(["reproduce", "crate", "--rows", "2"]) == 0
+    assert "2 rollouts simulated again: 2 equal to the last bit" in capsys.readouterr().out
+    assert Path.cwd() == away
+    Path("crate/project/sky/ground.xml").write_text("<mujoco/>")
+    assert main(["export", str(away / "crate/study"), "--crate", "again"]) == 2
+
+
+def test_a_urdf_and_its_meshes_are_read_as_they_are(here, capsys):
+    """It falls as it should."""
+    cart()
     assert main(["run", "study=falls.yaml", "study.keep=[qpos_0]", "out=falls"]) == 0
     Path("robot.urdf").write_text(URDF.format("trnk"))
     capsys.readouterr()

@@ -2,6 +2,8 @@
 
 import re
 import shlex
+import subprocess
+import sys
 from pathlib import Path
 
 import mujoco
@@ -9,6 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from mujoco.batch import Batch
+from small_study import content, wait_for
 
 from sweep.cli.main import main
 from sweep.core.errors import InputError
@@ -61,7 +64,9 @@ def test_the_page_as_it_stands(tmp_path, monkeypatch):
     assert main(["run", "scenario=own"]) == 0
     assert len(wanted_points(compose(["study=page"]))) == 3 * 3 * 2 * 2
     Path("page.py").write_text(f"import jax.numpy as jnp\n{CODE[0]}{CODE[1]}")
-    assert main(["run", "study=page", "model.controller=page:policy", "model.duration=0.1", "out=page"]) == 0
+    page = ["study=page", "model.controller=page:policy", "model.duration=0.1", "model.observe=[]", "out=page"]
+    assert main(["run", *page]) == 0
+    assert store.read_rows(Path("page"))["sway_m"].between(1e-9, 0.1).all()
     rows = results.read(Path("results/grip")).rows
     success = rows["outcome"] == "success"
     slide = rows["world.model.geom.floor.friction.slide"]
@@ -103,6 +108,35 @@ def test_what_studies_do_works_on_it(here, capsys, monkeypatch):
     monkeypatch.syspath_prepend(here / "other")
     assert main(["run", *SHORT, "out=some", "model.controller=trot2:policy"]) == 2
     assert "holds another study: model.content is" in capsys.readouterr().err
+
+
+def test_its_boundary_is_refined_and_expectations_are_told(here):
+    small = [*SHORT, "study.axes.load.num=3", "study.axes.grip.num=3"]
+    assert main(["run", *small, "out=coarse"]) == 0
+    low = store.read_rows(Path("coarse"))["base_height_min_m"].median()
+    refined = [*small, "study.resolution=0.1", "outcome.goal='travelled_m > -9'"]
+    refined += [f"outcome.fell='base_height_min_m < {low}'", "out=refined"]
+    assert main(["run", *refined]) == 0
+    rows = store.read_rows(Path("refined"))
+    assert 9 < len(rows) < 17 * 17 / 2
+    apart = np.diff(np.unique(rows["world.model.geom.floor.friction.slide"]))
+    assert np.isclose(apart.min(), 0.7 / 16)  # halved three times
+    assert main(["run", *refined]) == 0
+    assert len(store.read_rows(Path("refined"))) == len(rows)
+    for rate, code in ((0, 0), (1, 4)):
+        assert main(["run", *refined, f"study.expect=[{{at_least: {rate}}}]"]) == code
+
+
+@pytest.mark.slow
+def test_what_was_killed_goes_on_to_the_same_rows(here):
+    asked = ["run", *SHORT, "model.duration=3", "engine.width=4"]
+    process = subprocess.Popen([sys.executable, "-m", "sweep.cli", *asked, "out=killed"])
+    wait_for(Path("killed"), 2, process)
+    process.kill()
+    process.wait()
+    assert len(store.finished(Path("killed"))) < 9
+    assert main([*asked, "out=killed"]) == main([*asked, "out=through"]) == 0
+    pd.testing.assert_frame_equal(content(Path("killed")), content(Path("through")))
 
 
 def test_a_row_has_its_bits_whatever_runs_beside_it(here):
@@ -295,6 +329,17 @@ def test_a_policy_that_was_trained_elsewhere_runs_as_it_is(here, capsys):
         for part in ([71], range(60, 72)):
             for figure, values in figures(exp, rows.iloc[list(part)]).items():
                 np.testing.assert_array_equal(values, whole[figure][list(part)], err_msg=figure)
+    network((7, 12), "told.onnx")
+    Path("told.py").write_text(
+        "import jax.numpy as jnp\nFIGURES = {'low_m': 'least height that a tick begins with'}\n"
+        "def observe(told): return jnp.concatenate([told['turn'], told['spin']])\n"
+        "def measure(sofar, told): return jnp.minimum(9.0 if sofar is None else sofar, told['qpos'][2])\n"
+        "def figures(belief, state, sofar): return {'low_m': sofar}\n"
+    )
+    beside = figures(compose([*noisy, "model.controller=told.onnx", "model.observe=[]"]), rows)
+    np.testing.assert_array_equal(beside["travelled_m"], found["walk.onnx"]["travelled_m"])
+    assert (beside["low_m"] > beside["base_height_min_m"] - 1e-6).all()  # of single precision
+    assert (beside["low_m"] < beside["base_height_min_m"] + 0.05).all()
     for other in ("layers:policy", "one.onnx"):
         np.testing.assert_allclose(found[other]["tilt_max_deg"], found["walk.onnx"]["tilt_max_deg"], rtol=1e-3)
     noisy += ["outcome.goal='travelled_m > -9'"]
@@ -316,6 +361,10 @@ def test_a_policy_that_was_trained_elsewhere_runs_as_it_is(here, capsys):
         (lambda: Path("bad.onnx").write_text("none"), "bad.onnx", "bad.onnx is no network: "),
         (lambda: None, "bed.onnx", "model.controller = 'bed.onnx' is not a file: did you mean bad.onnx?"),
         (lambda: Path("flat.py").write_text("def policy(seen): return seen[0]"), "flat:policy", "gives float32 (7,)"),
+        (lambda: Path("nan.py").write_text("def policy(seen): return seen[:, :1].repeat(12, 1) * float('nan')"),
+         "nan:policy", "gives controls that are not finite at the nominal start"),
+        (lambda: Path("inf.py").write_text("def policy(belief, told, s, key): return told[0].repeat(12) / 0, s"),
+         "inf:policy", "gives controls that are not finite at the nominal start"),
         (lambda: Path("far.py").write_text("def policy(seen): return seen.far"), "far:policy", "fails: AttributeError"),
         (lambda: Path("lost_file.py").write_text("FILES = ['w.pt']\ndef policy(seen): return seen"),
          "lost_file:policy", "FILES has w.pt, which is not a file"),

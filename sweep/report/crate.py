@@ -1,6 +1,7 @@
 """`sweep export --crate`: a study as a Process Run Crate, an RO-Crate: rows, plan, configuration, pictures."""
 
 import contextlib
+import io
 import mimetypes
 import tempfile
 from collections.abc import Iterator
@@ -8,6 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from sweep.core import project
 from sweep.core.errors import InputError
 from sweep.core.start import VERSION
 from sweep.report.page import dates
@@ -19,7 +21,7 @@ if TYPE_CHECKING:
 
 PYPI = "https://pypi.org/project"
 PROFILE = "https://w3id.org/ro/wfrun/process/0.5"
-STUDY = "study"  # folder of the crate that is a study's folder again
+STUDY, PROJECT = "study", "project"  # folders of the crate: a study's again, and what its system is read from
 PICTURES = ("report.html", "map.png", "map.svg", "draws.png", "draws.svg")  # where the study's folder has them
 MEANINGS = {
     store.STUDY: "the resolved configuration, versions of the libraries, commit, devices",
@@ -74,6 +76,10 @@ def described(crate: "ROCrate", results: Results, license_: str, author: str) ->
     given = [
         crate.add_file(folder / name, f"{STUDY}/{name}", properties=about(name)) for name in (store.STUDY, store.POINTS)
     ]
+    if read := exp.system.files():
+        sources = {**read, project.FILE: io.StringIO("modules: []\n")}
+        given += [crate.add_file(file, f"{PROJECT}/{name}", properties=about(name, "what is simulated"))
+                  for name, file in sources.items()]  # fmt: skip
     made = [crate.add_file(folder / name, f"{STUDY}/{name}", properties=about(name)) for name in kept(folder)]
     made += [
         crate.add_file(folder / name, name, properties=about(name)) for name in PICTURES if (folder / name).exists()
@@ -108,10 +114,14 @@ def kept(folder: Path) -> Iterator[str]:
     yield from (entry.file for entry in manifest.read(folder) if entry.file != store.POINTS)
 
 
-def about(name: str) -> dict[str, Any]:
+def about(name: str, meaning: str = "") -> dict[str, Any]:
     """What a crate says of a file."""
     kind = {".parquet": "application/vnd.apache.parquet", ".yaml": "application/yaml"}.get(Path(name).suffix)
-    meaning = MEANINGS.get(name) or ("finished rows" if name.endswith(".parquet") else f"picture of the study, {name}")
+    meaning = (
+        meaning
+        or MEANINGS.get(name)
+        or ("finished rows" if name.endswith(".parquet") else f"picture of the study, {name}")
+    )
     return {
         "name": name,
         "description": meaning,
@@ -121,7 +131,10 @@ def about(name: str) -> dict[str, Any]:
 
 @contextlib.contextmanager
 def opened(path: Path) -> Iterator[Path]:
-    """The study's folder within a crate, a folder or an archive. Raises `InputError` where there is none."""
+    """The study's folder within a crate, a folder or an archive; in its project, if it has one, until it is closed.
+
+    Raises `InputError` where there is none.
+    """
     import zipfile
 
     with tempfile.TemporaryDirectory() as room:
@@ -135,4 +148,6 @@ def opened(path: Path) -> Iterator[Path]:
             folder = Path(room)
         if not (folder / "ro-crate-metadata.json").exists() or not (folder / STUDY / store.STUDY).exists():
             raise InputError(f"{path} is not a crate of a study: `sweep export DIR --crate FOLDER` writes one")
-        yield folder / STUDY
+        study, place = (folder.resolve() / name for name in (STUDY, PROJECT))
+        with contextlib.chdir(place) if place.is_dir() else contextlib.nullcontext():
+            yield study

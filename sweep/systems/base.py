@@ -6,6 +6,7 @@ into, engines that take those, figures by column, and causes by name.
 
 import dataclasses
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self
 
@@ -81,6 +82,10 @@ class System(Protocol):
 
     def words(self, settings: EngineSettings) -> Mapping[str, str]:
         """What is simulated and how, for a reader: values by the words for them."""
+        ...
+
+    def files(self) -> Mapping[str, Path]:
+        """What it is read from, by the place in its project: a crate has them. Raises `InputError`."""
         ...
 
     def parameter(self, column: str, settings: EngineSettings) -> Parameter:

@@ -5,6 +5,7 @@ import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -72,6 +73,10 @@ class Hexapod:
     def recorded(self) -> tuple[str, ...]:
         """See `System`."""
         return tuple(offered(self.case))
+
+    def files(self) -> dict[str, Path]:
+        """See `System`: all is in the configuration."""
+        return {}
 
     def words(self, settings: EngineSettings) -> dict[str, str]:
         """See `System`."""

@@ -11,6 +11,7 @@ import math
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import mujoco
@@ -69,6 +70,17 @@ class Own(Subject):
     def ways(self) -> dict[str, Way]:
         """See `System`."""
         return WAYS
+
+    def files(self) -> dict[str, Path]:
+        """See `System`: those of the model and of the controller."""
+        if _content(self) != self.about.content:
+            raise InputError("the model or its controller is not as it was when the study was run")
+        found, place = {}, files.place().resolve()
+        for file in (*files.parts(self.about.mjcf), *self.controller.files):
+            if not file.resolve().is_relative_to(place):
+                raise InputError(f"{file} is not allowed: a crate has files of the project only")
+            found[str(file.resolve().relative_to(place))] = file
+        return found
 
     def words(self, settings: EngineSettings) -> dict[str, str]:
         """See `System`."""
@@ -137,6 +149,7 @@ class Own(Subject):
             made.vary(fields.by_rollout(self.model, dict.fromkeys(varied)))
             for line in made.cautions():
                 _say_once(f"sweep: note: {line}")
+        self.engine(settings, *self.sides({}), limits=None).check_start()
 
     def idle(self, column: str, settings: EngineSettings) -> str:
         """See `System`."""
@@ -234,7 +247,7 @@ def nominal(values: Mapping[str, Any], kinds: Kinds) -> Nominal:
     own = Own(about, errors, ())
     model, control = own.model, own.controller
     substeps(model, about.period)
-    _ = own.seen  # refuses unknown names
+    _ = own.told_of  # refuses unknown names
     keys = [model.key(k).name for k in range(model.nkey)]
     if about.keyframe and about.keyframe not in keys:
         raise InputError(f"model.keyframe = {about.keyframe} is unknown{suggest(about.keyframe, keys)}")

@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
+import jax
 import mujoco
 import numpy as np
 
@@ -10,6 +11,7 @@ from sweep.core.errors import InputError
 from sweep.engines import devices
 from sweep.engines.base import Figures, Trace, Watch, single_joints
 from sweep.engines.settings import EngineSettings
+from sweep.systems.own import batch
 from sweep.systems.own.batch import NUMBERS
 from sweep.systems.own.outcome import STAGE
 from sweep.systems.own.policy import Programs
@@ -41,11 +43,21 @@ class Loop:
         self._substeps = substeps(self._model, own.about.period)
         ramp = (1 + np.arange(self._substeps)) / self._substeps  # what a command counts for, beside the one before
         self._shares = ramp if own.about.command == "ramped" else np.ones(self._substeps)
-        control, number = own.controller, NUMBERS[settings.precision]
-        belief = {name: number(value) for name, value in own.told({}).items()}
-        sizes = own.seen, self._model.nu, self._model.nq
+        belief = {name: NUMBERS[settings.precision](value) for name, value in own.told({}).items()}
         with devices.precision(settings):
-            self._programs = Programs(own.about.controller, control, belief, sizes, own.room)
+            self._programs = Programs(own, belief)
+
+    def check_start(self) -> None:
+        """Raise `InputError` where the controller's first controls are not finite, all being nominal."""
+        begun = batch.begin(self._own, self._settings, Side(), Side(), np.zeros(1, np.int64))
+
+        def pose(start: np.ndarray | None) -> np.ndarray:
+            begun.pose(start)
+            return self._own.state(begun.qpos, begun.qvel, begun.sensors)[0]
+
+        given = jax.tree.map(lambda rows: rows[0], begun.given)
+        with devices.precision(self._settings):
+            self._programs.check_start(given, pose)
 
     def cautions(self) -> Iterator[str]:
         """What is to be known of it before it runs, each a line."""

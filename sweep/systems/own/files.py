@@ -12,6 +12,7 @@ from importlib import metadata
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -20,6 +21,7 @@ from sweep.core import project
 from sweep.core.errors import InputError, suggest
 
 ONNX, BINARY, PACKAGE = ".onnx", ".mjb", "package://"
+FOLDERS = ("meshdir", "texturedir", "assetdir")  # of a model's files, as its compiler's options name them
 _READ: dict[str, tuple[Path, str]] = {}  # of modules by name: the project that they were read in, and their digest
 
 
@@ -27,13 +29,16 @@ class Controller(NamedTuple):
     """What a user's module says, or what a network is."""
 
     policy: Callable[..., Any]
-    digest: str  # of its source, of what lies beside it in a package, and of its `FILES`
+    files: tuple[Path, ...]  # its source, what lies beside it in a package, and its `FILES`
+    digest: str  # of these
     batched: bool  # of NumPy: from observations (n, k) to controls (n, nu), and told nothing else
     begin: Callable[..., Any] | None = None
     parameters: Mapping[str, float] = MappingProxyType({})  # its own numbers, which are axes: `PARAMETERS`
     believes: Mapping[str, str] = MappingProxyType({})  # paths of what it is told of the model, by name: `BELIEVES`
     figures: Callable[..., Any] | None = None  # of a rollout, from the state that it ended with
     measured: Mapping[str, str] = MappingProxyType({})  # what these figures mean, by name: `FIGURES`
+    measure: Callable[..., Any] | None = None  # what figures are made of, besides, as every tick begins
+    observe: Callable[..., Any] | None = None  # what the policy is told, of all that can be observed by name
 
 
 def place() -> Path:
@@ -86,6 +91,27 @@ def _source(file: Path, changed: int) -> mujoco.MjSpec:
     return spec
 
 
+def parts(mjcf: str) -> list[Path]:
+    """A model's file, and all that it names: meshes, textures, heights, other files."""
+    main = place() / mjcf
+    found, left, folders = [main], [main], {""}
+    while left:
+        file = left.pop()
+        if file.suffix not in (".xml", ".urdf"):
+            continue
+        every = [one.attrib for one in ElementTree.parse(file).iter()]
+        folders |= {value for one in every for key, value in one.items() if key in FOLDERS}
+        for named in (value for one in every for key, value in one.items() if key.startswith("file") and value):
+            name = "/".join(named.removeprefix(PACKAGE).split("/")[named.startswith(PACKAGE) :])
+            above = file.absolute().parents if named.startswith(PACKAGE) else [file.parent, main.parent]
+            there = (up / folder / n for up in above for folder in folders for n in (name, Path(name).name))
+            there = next((one for one in there if one.is_file()), None)
+            if there and there not in found:
+                found.append(there)
+                left.append(there)
+    return found
+
+
 def digest(compiled: mujoco.MjModel) -> str:
     """Of all numbers of a model, its meshes among them."""
     content = np.zeros(mujoco.mj_sizeModel(compiled), np.uint8)
@@ -105,18 +131,17 @@ def controller(name: str) -> Controller:
         beside = sorted(file.parent.glob(f"{file.name}*"))  # a large network's weights
         changed = max(one.stat().st_mtime_ns for one in beside)
         policy = network.policy(name, str(file), changed)
-        return Controller(policy, f"{_digest(beside)}-{metadata.version('onnxruntime')}", batched=True)
+        digest = f"{_digest(beside)}-{metadata.version('onnxruntime')}"
+        if not file.with_suffix(".py").is_file():
+            return Controller(policy, tuple(beside), digest, batched=True)
+        sources = _sources(module := _module(name, ".".join(Path(name).with_suffix("").parts)))
+        return Controller(policy, (*beside, *sources), f"{digest}-{_digest(sources)}", True, **_beside(name, module))
     module_name, sign, function = name.partition(":")
     if not (sign and module_name and function):
         raise InputError(
             f"model.controller = {name!r} is not allowed: as my.walk:policy, a module and its function, or walk.onnx"
         )
-    sys.path[:] = [str(place()), *(path for path in sys.path if path != str(place()))]
-    try:
-        module = _imported(module_name)
-    except Exception as error:  # whatever a user's module raises
-        reason = (str(error).splitlines() or [""])[0]
-        raise InputError(f"model.controller = {name} cannot be imported: {type(error).__name__}: {reason}") from None
+    module = _module(name, module_name)
     if not callable(policy := getattr(module, function, None)):
         known = [key for key, value in vars(module).items() if callable(value) and not key.startswith("_")]
         raise InputError(f"model.controller = {name}: {function} is unknown{suggest(function, known)}")
@@ -124,17 +149,34 @@ def controller(name: str) -> Controller:
     for file in files:
         if not file.is_file():
             raise InputError(f"model.controller = {name}: FILES has {file.name}, which is not a file")
-    digest = _digest([*_sources(module), *files])
+    files = *_sources(module), *files
+    digest, more = _digest(files), _beside(name, module)
     if _batched(policy):
-        return Controller(policy, digest, batched=True)
+        return Controller(policy, files, digest, batched=True, **more)
     begin = getattr(module, "begin", None)
     parameters, believes = (getattr(module, key, {}) for key in ("PARAMETERS", "BELIEVES"))
     if both := {*parameters} & {*believes}:
         raise InputError(f"model.controller = {name}: {min(both)} is both in PARAMETERS and in BELIEVES")
-    measure, measured = getattr(module, "figures", None), getattr(module, "FIGURES", {})
-    if bool(measured) != callable(measure):
+    return Controller(policy, files, digest, False, begin, parameters, believes, **more)
+
+
+def _beside(name: str, module: Any) -> dict[str, Any]:
+    """What a module says of a policy of any kind. Raises `InputError`."""
+    figures, measured = getattr(module, "figures", None), getattr(module, "FIGURES", {})
+    if bool(measured) != callable(figures):
         raise InputError(f"model.controller = {name}: figures, a function, and FIGURES, their names, go together")
-    return Controller(policy, digest, False, begin, parameters, believes, measure, measured)
+    measure, observe = (getattr(module, key, None) for key in ("measure", "observe"))
+    return {"figures": figures, "measured": measured, "measure": measure, "observe": observe}
+
+
+def _module(told: str, name: str) -> Any:
+    """The module of a name, from the project's folder. Raises `InputError`."""
+    sys.path[:] = [str(place()), *(path for path in sys.path if path != str(place()))]
+    try:
+        return _imported(name)
+    except Exception as error:  # whatever a user's module raises
+        reason = (str(error).splitlines() or [""])[0]
+        raise InputError(f"model.controller = {told} cannot be imported: {type(error).__name__}: {reason}") from None
 
 
 def _batched(policy: Callable[..., Any]) -> bool:
@@ -159,7 +201,8 @@ def _imported(name: str) -> Any:
 
 def _sources(module: Any) -> list[Path]:
     file = Path(str(module.__file__))
-    return sorted(file.parent.rglob("*.py")) if (file.parent / "__init__.py").exists() else [file]
+    every = sorted(file.parent.rglob("*.py")) if (file.parent / "__init__.py").exists() else [file]
+    return [one for one in every if one.is_file()]  # of a module that was deleted none
 
 
 def _digest(files: Sequence[Path]) -> str:

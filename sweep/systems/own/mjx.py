@@ -132,7 +132,7 @@ class Mjx(Loop):
             given = jax.device_put(begun.given)
             start, state, duration = jax.jit(jax.vmap(self._programs.begin_one))(given)
             begun.pose(None if start is None else np.asarray(start))
-            seen = own.observed(begun.qpos, begun.qvel, begun.sensors)
+            seen = jnp.asarray(own.state(begun.qpos, begun.qvel, begun.sensors), float)
             ticks = batch.ticks(own, None if duration is None else np.asarray(duration), n)
             template, data, leaves = put(own, begun, self._impl)
             now = {name: jnp.broadcast_to(getattr(data, name), (n, *getattr(data, name).shape)) for name in CARRIED}
@@ -140,8 +140,8 @@ class Mjx(Loop):
             carry = {
                 "now": now,
                 "sofar": self._meter.start(now["qpos"], now["qvel"]),
-                "carried": jax.jit(jax.vmap(self._programs.enter_one))(given, state, jnp.asarray(seen, float)),
-                "seen": jnp.asarray(seen, float),
+                "carried": jax.jit(jax.vmap(self._programs.enter_one))(given, state, seen, ticks.astype(np.int32)),
+                "seen": seen,
                 "wrong": jnp.zeros(n, bool),
                 "full": jnp.zeros(n, bool),
                 "before": jnp.full((n, self._model.nu), jnp.nan),  # controls of the tick before, none at first
@@ -152,7 +152,7 @@ class Mjx(Loop):
                 carry, last = self._tick(template, data, leaves, given, limits, k < ticks, carry)
                 if slots is not None and (k + 1) % every == 0:
                     frames.append(Frame((k + 1) * own.about.period, *(np.asarray(x)[slots] for x in last)))
-            last = jax.jit(jax.vmap(self._programs.finish_one))(given, carry["carried"])
+            last = jax.jit(jax.vmap(self._programs.finish_one))(given, carry["carried"], carry["seen"])
             measured = {name: np.asarray(values, float) for name, values in last.items()}
         last, (wrong, full) = carry["sofar"], (np.asarray(carry[name]) for name in ("wrong", "full"))
         ends = ((last["last"], last["speed"]), (begun.qpos, begun.qvel))
@@ -192,7 +192,7 @@ class Mjx(Loop):
         none = tuple(jnp.zeros((len(ctrl), size)) for size in (self._model.nsensordata, self._model.nu))
         first = carry["now"], carry["sofar"], carry["full"], none
         (now, sofar, full, (sensors, force)), _ = jax.lax.scan(step, first, jnp.asarray(self._shares, float))
-        seen = self._own.observed(now["qpos"], now["qvel"], sensors)
+        seen = self._own.state(now["qpos"], now["qvel"], sensors)
         new = {
             "now": now,
             "sofar": sofar,

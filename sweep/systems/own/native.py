@@ -43,8 +43,8 @@ class Native(Loop):
             qpos, qvel, seen = begun.qpos, begun.qvel, begun.sensors
             rollouts = Rollouts(self._programs, begun.given, n)
             begun.pose(rollouts.start)
-            rollouts.enter(own.observed(qpos, qvel, seen))
             ticks = batch.ticks(own, rollouts.duration, n)
+            rollouts.enter(own.state(qpos, qvel, seen), ticks)
             meter = figures.Meter(own)
             before_all = begun.energy(qpos, qvel)
             sofar = aside.submit(meter.start, qpos.copy(), qvel.copy())
@@ -53,7 +53,7 @@ class Native(Loop):
             controls = np.zeros((n, self._substeps, self._model.nu))
             for k in range(int(ticks.max(initial=0))):
                 going = k < ticks
-                ctrl = rollouts.tick(own.observed(qpos, qvel, seen))
+                ctrl = rollouts.tick(own.state(qpos, qvel, seen))
                 broken |= going & ~np.isfinite(ctrl).all(axis=1)
                 ctrl = np.nan_to_num(ctrl)
                 before = ctrl if before is None else before
@@ -67,7 +67,7 @@ class Native(Loop):
                     last = (steps[name][slots, -1].copy() for name in ("qpos", "qvel", "actuator_force"))
                     at, speed, force = last
                     frames.append(Frame((k + 1) * own.about.period, at, speed, ctrl[slots], force))
-            own_figures = rollouts.finish()
+            own_figures = rollouts.finish(own.state(qpos, qvel, seen))
         warned = begun.batch.warning[:, :, 0] > 0
         broken |= warned[:, BROKEN].any(axis=1)
         last = sofar.result()

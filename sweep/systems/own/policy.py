@@ -16,7 +16,8 @@ from jaxtyping import Array
 
 from sweep.core.errors import InputError
 from sweep.engines import devices
-from sweep.systems.own.files import Controller
+from sweep.fused.numbers import worked_out
+from sweep.systems.own.subject import Subject
 
 TILE = 64
 Belief = Mapping[str, Any]
@@ -33,70 +34,104 @@ def _drawn(key: Array, like: Array) -> Array:
 
 
 class Programs:
-    """A controller for any number of rollouts. Raises `InputError` where it is none.
+    """The controller of an own model for any number of rollouts. Raises `InputError` where it is none.
 
     `begin(belief, key) -> (start, state, duration)`: positions (nq,) and seconds, or None for the model's own.
     `policy(belief, observation, state, key) -> (ctrl, state)`: once a tick, of an observation (k,), controls (nu,).
     One that is `batched` is `policy(observations) -> ctrl`, of NumPy's (n, k) and (n, nu).
+    `measure(sofar, told) -> sofar`: as every tick begins, and at the end, of all that can be observed by name;
+    `sofar` is None at first.
     """
 
-    def __init__(self, name: str, control: Controller, belief: Belief, sizes: tuple[int, int, int], room: int):
-        self._name, self._room = name, room
+    def __init__(self, own: Subject, belief: Belief):
+        control = own.controller
+        self._own, self._name = own, own.about.controller
+        self._measure = control.measure
         self._begin = control.begin or (lambda belief, key: (None, (), None))
         self._policy, self._figures = control.policy, control.figures
+        if control.batched:
+            self._policy = lambda belief, told, state, key: (jnp.zeros(own.model.nu), state)
+            self._batched = control.policy
+        self._check(belief, control.measured)
         each = self.begin_one, self.enter_one, self.finish_one
         self.first, self.enter, self.finish = (jax.jit(partial(_each, one)) for one in each)
+        one = (lambda *row: self.told_one(*row)[:2]) if control.batched else self.tick_one
+        self._tick = jax.jit(partial(_each, one), donate_argnums=(1,))
         if control.batched:
-            seen, self._controls, _ = sizes
-            self._controlled(np.zeros((TILE, seen), jnp.zeros(0).dtype))
-            self._tell = jax.jit(partial(_each, lambda *row: self.told_one(*row)[:2]), donate_argnums=(1,))
-            self.tick = self._tick_batched
-        else:
-            self._check(belief, control.measured, *sizes)
-            self.tick = jax.jit(partial(_each, self.tick_one), donate_argnums=(1,))
+            self._controlled(np.zeros((TILE, self._seen), jnp.zeros(0).dtype))
+
+    def tick(self, given: Mapping[str, Any], carried: Any, now: np.ndarray) -> tuple[np.ndarray, Any]:
+        """Controls (n, nu) of a tile, and what it carries on, after states (n, s)."""
+        made, carried = self._tick(given, carried, now)
+        return (self._controlled(np.array(made)) if self._own.controller.batched else made), carried
 
     def begin_one(self, given: Mapping[str, Any]) -> tuple[Any, Any, Any]:
         """Start, state and duration of one rollout."""
         return self._begin(given["belief"], jax.random.fold_in(jax.random.wrap_key_data(given["key"]), 0))
 
-    def enter_one(self, given: Mapping[str, Any], state: Any, seen: Array) -> dict[str, Any]:
-        """What one rollout carries from tick to tick, of its `state` and what is seen (k,) at first."""
-        key = jax.random.fold_in(jax.random.wrap_key_data(given["key"]), 1)
-        bias = given["bias"] * _drawn(key, seen)
-        return {"state": state, "late": jnp.tile(seen, (self._room + 1, 1)), "bias": bias, "tick": jnp.int32(0)}
+    def enter_one(self, given: Mapping[str, Any], state: Any, now: Array, ticks: Array) -> dict[str, Any]:
+        """What one rollout carries from tick to tick, of its `state` and the model's (s,) at first."""
+        key, seen = jax.random.fold_in(jax.random.wrap_key_data(given["key"]), 1), self._own.observed(now)
+        bias, late = given["bias"] * _drawn(key, seen), jnp.tile(seen, (self._own.room + 1, 1))
+        sofar = self._measure(None, self._named(now)) if self._measure else ()
+        return {"state": state, "late": late, "bias": bias, "tick": jnp.int32(0), "ticks": ticks, "sofar": sofar}
 
-    def told_one(self, given: Mapping[str, Any], carried: Any, seen: Array) -> tuple[Array, Any, Array]:
-        """What one rollout's controller is told (k,) of what is seen (k,), what is carried on, and a key of its own."""
-        tick = carried["tick"]
+    def told_one(self, given: Mapping[str, Any], carried: Any, now: Array) -> tuple[Array, Any, Array]:
+        """What one rollout's controller is told (k,) of a state (s,), what is carried on, and a key of its own."""
+        tick, seen = carried["tick"], self._own.observed(now)
         own, noise = jax.random.split(jax.random.fold_in(jax.random.wrap_key_data(given["key"]), 2 + tick))
         late = jnp.concatenate([seen[None], carried["late"][:-1]])
         told = late[given["delay"]] + carried["bias"] + given["white"] * _drawn(noise, seen)
-        return told, {**carried, "late": late, "tick": tick + 1}, own
+        return told, {**carried, "late": late, "tick": tick + 1, "sofar": self._measured(carried, now)}, own
 
-    def tick_one(self, given: Mapping[str, Any], carried: Any, seen: Array) -> tuple[Array, Any]:
-        """Controls (nu,) of one rollout, and what it carries on, after what is seen (k,)."""
-        told, carried, own = self.told_one(given, carried, seen)
+    def tick_one(self, given: Mapping[str, Any], carried: Any, now: Array) -> tuple[Array, Any]:
+        """Controls (nu,) of one rollout, and what it carries on, after a state (s,)."""
+        told, after, own = self.told_one(given, carried, now)
         ctrl, state = self._policy(given["belief"], told, carried["state"], own)
-        return ctrl, {**carried, "state": state}
+        return ctrl, {**after, "state": _until(carried["tick"] < carried["ticks"], state, carried["state"])}
 
-    def finish_one(self, given: Mapping[str, Any], carried: Any) -> dict[str, Array]:
-        """The controller's own figures of one rollout, by name."""
-        return self._figures(given["belief"], carried["state"]) if self._figures else {}
+    def finish_one(self, given: Mapping[str, Any], carried: Any, now: Array) -> dict[str, Array]:
+        """The controller's own figures of one rollout that ends with a state (s,), by name."""
+        if not self._figures:
+            return {}
+        sofar = self._measured(carried, now)
+        return self._figures(given["belief"], carried["state"], *([sofar] if self._measure else []))
 
-    def _tick_batched(self, given: Mapping[str, Any], carried: Any, seen: np.ndarray) -> tuple[np.ndarray, Any]:
-        told, carried = self._tell(given, carried, seen)
-        return self._controlled(np.array(told)), carried
+    def _named(self, now: Array) -> dict[str, Array]:
+        return {name: now[place] for name, place in self._own.parts.items()}
+
+    def _measured(self, carried: Any, now: Array) -> Any:
+        """What is measured so far; a rollout that is over has its end in it already."""
+        if not self._measure:
+            return ()
+        new = self._measure(carried["sofar"], self._named(now))
+        within = (carried["tick"] > 0) & (carried["tick"] <= carried["ticks"])  # the start is in it
+        return _until(within, new, carried["sofar"])
+
+    def check_start(self, given: Mapping[str, Any], pose: Callable[[Any], np.ndarray]) -> None:
+        """Raise `InputError` where the first controls are not finite; `pose` gives the state (s,) at a start (nq,)."""
+        start, state, _ = _worked_out(self.begin_one, given)
+        now = pose(start)
+        carried = _worked_out(self.enter_one, given, state, now, np.int32(1))
+        if self._own.controller.batched:
+            told, *_ = _worked_out(self.told_one, given, carried, now)
+            ctrl = self._controlled(np.tile(told, (TILE, 1)))
+        else:
+            ctrl, _ = _worked_out(self.tick_one, given, carried, now)
+        if not np.isfinite(ctrl).all():
+            raise InputError(f"model.controller = {self._name} gives controls that are not finite at the nominal start")
 
     def _controlled(self, told: np.ndarray) -> np.ndarray:
         """Controls (n, nu) of a batched controller that is told (n, k)."""
         try:
-            ctrl = np.asarray(self._policy(told))
+            ctrl = np.asarray(self._batched(told))
         except InputError:
             raise
         except Exception as error:
             raise self._fails(error) from None
-        if ctrl.shape != (len(told), self._controls) or ctrl.dtype.kind not in "fiu":
-            wanted = f"numbers ({len(told)}, {self._controls}) are wanted of ({len(told)}, {told.shape[1]})"
+        controls = self._own.model.nu
+        if ctrl.shape != (len(told), controls) or ctrl.dtype.kind not in "fiu":
+            wanted = f"numbers ({len(told)}, {controls}) are wanted of ({len(told)}, {told.shape[1]})"
             raise InputError(f"model.controller = {self._name} gives {ctrl.dtype} {ctrl.shape}: {wanted}")
         return ctrl
 
@@ -105,27 +140,47 @@ class Programs:
         reason = (str(error).splitlines() or [""])[0]
         return InputError(f"model.controller = {self._name} fails: {type(error).__name__}: {reason}")
 
-    def _check(self, belief: Belief, measured: Collection[str], seen: int, controls: int, positions: int) -> None:
-        key = jax.random.key(0)
+    def _check(self, belief: Belief, measured: Collection[str]) -> None:
+        model, measure, key = self._own.model, self._measure, jax.random.key(0)
+        now = jnp.zeros(model.nq + model.nv + model.nsensordata)
         try:
             start, state, _ = jax.eval_shape(self._begin, belief, key)
-            ctrl, after = jax.eval_shape(self._policy, belief, jnp.zeros(seen), state, key)
-            found = jax.eval_shape(self._figures, belief, after) if self._figures else {}
+            seen = jax.eval_shape(self._own.observed, now)
+            ctrl, after = jax.eval_shape(self._policy, belief, seen, state, key)
+            sofar = jax.eval_shape(lambda: measure(None, self._named(now))) if measure else ()
+            more = jax.eval_shape(measure, sofar, self._named(now)) if measure else ()
+            ends = [sofar] if measure else []
+            found = jax.eval_shape(self._figures, belief, after, *ends) if self._figures else {}
         except InputError:
             raise
         except Exception as error:
             raise self._fails(error) from None
-        forms = [jax.tree.map(lambda x: (x.shape, x.dtype), tree) for tree in (state, after)]
-        if getattr(ctrl, "shape", None) != (controls,):
+        forms = [jax.tree.map(lambda x: (x.shape, x.dtype), tree) for tree in (state, after, sofar, more)]
+        if getattr(seen, "ndim", 0) != 1:
+            raise InputError(f"model.controller = {self._name} observes {getattr(seen, 'shape', seen)}: (k,) is wanted")
+        self._seen = seen.shape[0]
+        if getattr(ctrl, "shape", None) != (model.nu,):
             shape = getattr(ctrl, "shape", type(ctrl).__name__)
-            raise InputError(f"model.controller = {self._name} gives controls {shape}: ({controls},) are wanted")
+            raise InputError(f"model.controller = {self._name} gives controls {shape}: ({model.nu},) are wanted")
         if forms[0] != forms[1]:
             raise InputError(f"model.controller = {self._name} gives a state of another form than it was given")
+        if forms[2] != forms[3]:
+            raise InputError(f"model.controller = {self._name} measures in another form than at first")
         if {*found} != {*measured} or any(one.shape for one in found.values()):
             has = ", ".join(f"{name} {one.shape}" for name, one in found.items())
             raise InputError(f"model.controller = {self._name} has figures {has}: numbers are wanted, named in FIGURES")
-        if start is not None and start.shape != (positions,):
-            raise InputError(f"model.controller = {self._name} begins at {start.shape}: ({positions},) are wanted")
+        if start is not None and start.shape != (model.nq,):
+            raise InputError(f"model.controller = {self._name} begins at {start.shape}: ({model.nq},) are wanted")
+
+
+def _worked_out(function: Callable[..., Any], *given: Any) -> Any:
+    """What a function of one rollout gives, without compiling it."""
+    return worked_out(lambda: function(*jax.tree.map(jnp.asarray, given)))
+
+
+def _until(going: Array, new: Any, old: Any) -> Any:
+    """`new` while a rollout is `going`, what it ended with from then on."""
+    return jax.tree.map(lambda a, b: jnp.where(going, a, b), new, old)
 
 
 class Rollouts:
@@ -139,22 +194,23 @@ class Rollouts:
         self._carried = [*states]
         self.start, self.duration = self._joined(starts), self._joined(durations)
 
-    def enter(self, seen: np.ndarray) -> None:
-        """Begin with what is seen (n, k)."""
-        each = zip(self._given, self._carried, self._rows, strict=True)
-        self._carried = [self._programs.enter(given, state, seen[rows]) for given, state, rows in each]
+    def enter(self, now: np.ndarray, ticks: np.ndarray) -> None:
+        """Begin with states (n, s), for a number of ticks (n,)."""
+        each, ticks = zip(self._given, self._carried, self._rows, strict=True), ticks.astype(np.int32)
+        self._carried = [self._programs.enter(given, state, now[rows], ticks[rows]) for given, state, rows in each]
 
-    def tick(self, seen: np.ndarray) -> np.ndarray:
-        """Controls (n, nu) after what is seen (n, k) at the next tick."""
+    def tick(self, now: np.ndarray) -> np.ndarray:
+        """Controls (n, nu) at the next tick, after states (n, s)."""
         parts = []
         for k, rows in enumerate(self._rows):
-            ctrl, self._carried[k] = self._programs.tick(self._given[k], self._carried[k], seen[rows])
+            ctrl, self._carried[k] = self._programs.tick(self._given[k], self._carried[k], now[rows])
             parts.append(ctrl)
         return self._joined(parts)
 
-    def finish(self) -> dict[str, np.ndarray]:
-        """The controllers' own figures, (n,) by name."""
-        parts = [self._programs.finish(*one) for one in zip(self._given, self._carried, strict=True)]
+    def finish(self, now: np.ndarray) -> dict[str, np.ndarray]:
+        """The controllers' own figures, (n,) by name, of states (n, s) at the end."""
+        each = zip(self._given, self._carried, self._rows, strict=True)
+        parts = [self._programs.finish(given, carried, now[rows]) for given, carried, rows in each]
         return {name: self._joined([one[name] for one in parts]) for name in parts[0]}
 
     def _joined(self, parts: Sequence[Any]) -> Any:

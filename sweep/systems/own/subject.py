@@ -121,28 +121,38 @@ class Subject:
             raise InputError(f"model.{key}: {name} is unknown{suggest(name, [*known, 'qpos', 'qvel'])}")
         return number
 
-    def observed(self, qpos: Any, qvel: Any, sensors: Any) -> Any:
-        """What the controller would be told (n, k) without errors."""
-        whole = {"qpos": qpos, "qvel": qvel}
-        parts = [whole[one] if isinstance(one, str) else sensors[:, one] for one in self._told]
-        return namespace(qpos).concatenate(parts, axis=1)
+    def state(self, qpos: Any, qvel: Any, sensors: Any) -> Any:
+        """All that can be observed (n, s) without errors: see `parts`."""
+        return namespace(qpos).concatenate([qpos, qvel, sensors], axis=1)
 
     @cached_property
-    def _told(self) -> list[str | slice]:
-        """What is observed: `qpos`, `qvel`, or where a sensor's numbers are."""
-        model, found = self.model, []
-        for name in self.about.observe or (() if model.nsensordata else ("qpos", "qvel")):
-            if name not in ("qpos", "qvel"):
-                number = self._sensor("observe", name)
-                name = slice(model.sensor_adr[number], model.sensor_adr[number] + model.sensor_dim[number])
-            found.append(name)
-        return found or [slice(None)]
+    def parts(self) -> dict[str, slice]:
+        """Where in that state are `qpos`, `qvel` and sensors by name."""
+        model, first = self.model, self.model.nq + self.model.nv
+        found = {"qpos": slice(0, model.nq), "qvel": slice(model.nq, first)}
+        for k in range(model.nsensor):
+            if name := model.sensor(k).name:
+                found[name] = slice(first + model.sensor_adr[k], first + model.sensor_adr[k] + model.sensor_dim[k])
+        return found
 
-    @property
-    def seen(self) -> int:
-        """How many numbers the controller is told at a tick."""
-        none = (np.zeros((1, size)) for size in (self.model.nq, self.model.nv, self.model.nsensordata))
-        return self.observed(*none).shape[1]
+    def observed(self, state: Any) -> Any:
+        """What one controller would be told (k,) without errors, of a state (s,)."""
+        if self.controller.observe:
+            return self.controller.observe({name: state[place] for name, place in self.parts.items()})
+        return namespace(state).concatenate([state[place] for place in self.told_of])
+
+    @cached_property
+    def told_of(self) -> list[slice]:
+        """What of the state is observed. Raises `InputError`."""
+        model, names = self.model, self.about.observe
+        if names and self.controller.observe:
+            raise InputError("model.observe is not allowed beside the controller's own function `observe`")
+        for name in names:
+            if name not in ("qpos", "qvel"):
+                self._sensor("observe", name)  # refuses unknown names
+        sensors = slice(model.nq + model.nv, None)
+        usual = [sensors] if model.nsensordata else [self.parts["qpos"], self.parts["qvel"]]
+        return [self.parts[name] for name in names] or usual
 
     def told(self, values: Values) -> dict[str, Any]:
         """What the controller believes by its own names: its own numbers and the model's, `values` by path if given."""
