@@ -160,9 +160,9 @@ def main(engines: str = "native", width: str = "256", seconds: str = "4") -> Non
             assert isinstance(own, Own)
             task = (*own.sides({}), np.zeros(int(width), np.int64))
             made = own.engine(replace(exp.settings, width=int(width)), *task[:2], None)
+            told["device"] = own.device(exp.settings)  # which mjx-testspeed gives other flags
             found = {"native": native, "mjx": on_mjx, "warp": on_warp}[engine](own, made, task)
             table += rows(engine, found, count(own) * int(width))
-            told["device"] = own.device(exp.settings)
     print(", ".join(f"{name} {value}" for name, value in told.items()))
     print(f"{'loop':18}{'wall, s':>9}{'CPU, s':>9}{'steps/s':>12}{'engine over it: wall':>22}{'CPU':>6}")
     for one in table:
