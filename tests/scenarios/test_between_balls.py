@@ -1,16 +1,23 @@
 """From ball to ball: what is where, what plans are refused, how stages end, how feet close the gap: (3.5.2), 3.5.3."""
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from test_on_ball import outcomes
 
 from sweep.controllers import tracker
+from sweep.controllers.ball_state import centre_of_mass
 from sweep.controllers.manoeuvres.balancing.ball import BallDrive
 from sweep.controllers.manoeuvres.balancing.ball_to_ball import BallDocking, Closing
 from sweep.controllers.observation import Observation
+from sweep.controllers.plan import Stance, ends
 from sweep.controllers.support import MEASURED
+from sweep.controllers.tracker import in_hips
 from sweep.core.errors import InputError
+from sweep.engines import make
+from sweep.metrics.outcome import classify
 from sweep.models.frames import WORLD
 from sweep.models.obstacles.surface import poses
 from sweep.models.obstacles.two_balls import TwoBalls
@@ -32,16 +39,71 @@ def test_balls_and_feet_feel_floor_and_balls():
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("numbers", "words"),
     [
-        ("robot.thigh=0.4", r"ball_to_ball: foot \d is .* m out of reach at the end of stage over"),
-        ("manoeuvre.spare=0.3", "ball_to_ball: the mass centre is .* between the feet that stand in stage over"),
+        ({"rear2_base_ahead": 1.6}, r"ball_to_ball: foot \d is .* m out of reach at the end of stage over.rear2"),
+        ({"ahead_base_ahead": 0.2}, "ball_to_ball: the mass centre is -.* feet that stand after stage over.ahead:"),
     ],
 )
-def test_plans_that_cannot_be_are_refused(change, words):
-    exp = compose(["scenario=ball_to_ball", change])
+def test_plans_that_no_check_mends_are_refused(numbers, words):
     with pytest.raises(InputError, match=words):
-        exp.case.manoeuvre.plan(exp.case)
+        planned(**numbers)
+
+
+def planned(**numbers):
+    """The way from ball to ball with numbers of its plan changed: where base and feet are at the ends of stages."""
+    case = compose(["scenario=ball_to_ball"]).case
+    for path, value in numbers.items():
+        case = replace(case, plan=case.plan.changed(f"over.{path.replace('_', '.')}", value))
+    plan = case.manoeuvre.plan(case)
+    last = ends(plan, replace(case.on(TwoBalls), gap=0.0).start())
+    at = {name: Stance(*(x[k] for x in last)) for k, name in enumerate(plan.names) if name.startswith("over.")}
+    return case, at
+
+
+def inside(case, stance, legs):
+    """How far (m) the mass centre is inside what these feet span along x."""
+    centre, ahead = float(centre_of_mass(case.robot, stance)[0]), np.asarray(stance.feet)[[leg - 1 for leg in legs], 0]
+    return min(ahead.max() - centre, centre - ahead.min())
+
+
+def stretch(case, stance, leg):
+    """Of a leg from hip to foot, over thigh and shin."""
+    return float(jnp.linalg.norm(in_hips(case.robot, stance)[leg - 1]) / (case.robot.thigh + case.robot.shin))
+
+
+def test_a_base_goes_on_until_the_mass_centre_is_over_the_feet_that_stand_next():
+    """Check 5."""
+    case, at = planned(ahead3_base_ahead=-0.28)
+    asked = (2 - 0.28) * 0.84
+    assert at["over.ahead3"].position[0] > asked + 0.02
+    assert inside(case, at["over.ahead3"], (3, 4, 5, 6)) == pytest.approx(case.manoeuvre.spare, abs=1e-3)
+    assert at["over.rear3"].position[0] == pytest.approx((2 - 0.16) * 0.84, abs=1e-5)
+
+
+def test_a_foot_stands_farther_where_the_mass_centre_had_no_room():
+    """Check 3: on the ball, in its vertical plane."""
+    case, at = planned(middle2_middle_ahead=0.26)
+    foot = np.asarray(at["over.middle2"].feet)[2] - (0, 0, 0.84)
+    assert foot[0] > 0.26 * 0.84 + 5e-3
+    assert foot[1] == pytest.approx(-0.713 * 0.84, abs=1e-3)
+    assert np.linalg.norm(foot) == pytest.approx(0.84 - case.manoeuvre.deepening, abs=1e-5)
+    assert inside(case, at["over.front2"], (1, 2, 3, 4)) == pytest.approx(case.manoeuvre.spare, abs=1e-3)
+
+
+@pytest.mark.parametrize(("ahead", "nearer"), [(-0.27, False), (-0.2, True)])
+def test_a_robot_squats_for_a_foot_that_is_too_far_and_then_sets_it_nearer(ahead, nearer):
+    """Check 2: no lower than over the ball."""
+    case, at = planned(front2_front_ahead=ahead)
+    _, was = planned()
+    there, foot = at["over.front2"], np.asarray(at["over.front2"].feet)[4] - (2 * 0.84, 0, 0.84)
+    assert stretch(case, there, 5) == pytest.approx(case.manoeuvre.straight, abs=1e-4)
+    assert there.position[2] < was["over.front2"].position[2] - 5e-3
+    above = there.position[2] - case.robot.body_height / 2 - 2 * 0.84
+    assert (above == pytest.approx(case.manoeuvre.clear, abs=1e-5)) if nearer else above > case.manoeuvre.clear
+    assert (foot[0] < ahead * 0.84 - 5e-3) if nearer else foot[0] == pytest.approx(ahead * 0.84, abs=1e-3)
+    assert foot[1] == pytest.approx(-0.566 * 0.84, abs=1e-3)
+    assert np.linalg.norm(foot) == pytest.approx(0.84 - case.manoeuvre.deepening, abs=1e-5)
 
 
 def at_start(plan, free, joints=0.0):
@@ -127,3 +189,17 @@ def test_it_goes_from_ball_to_ball(engine, finish):
     if finish == "ball":  # coming down has margins of its own: those of `ball_descend`
         assert rows["clearance_min_m"][0] > 0
     assert rows["slip_max_m"][0] < (0.03 if finish == "ball" else 0.06)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ["mjx", "native"])
+def test_what_the_checks_have_mended_succeeds(engine):
+    """All three: the base goes on, a foot stands farther, another one nearer after a squat as low as may be."""
+    trial = compose(["scenario=ball_to_ball", f"engine={engine}", "manoeuvre.spare=0.1"])
+    case = replace(trial.case, plan=trial.case.plan.changed("over.front2.front.ahead", -0.2))
+    simulation = make(replace(trial.settings, width=1), case, case, trial.thresholds)
+    figures = simulation.run(case, case, np.arange(1))
+    rows = {**figures, **classify(figures, trial.thresholds, simulation.stages)}
+    assert rows["outcome"].tolist() == ["success"], rows["cause"]
+    assert rows["leg_gap_min_m"][0] > 0.01
+    assert rows["clearance_min_m"][0] > 0

@@ -8,16 +8,15 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import ClassVar, NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from sweep.controllers.assembly import assemble
-from sweep.controllers.ball_state import centre_of_mass
 from sweep.controllers.manoeuvres.balancing.ball import BallDrive, DriveMemory, OnBall, on_ball, perch, terms
 from sweep.controllers.manoeuvres.balancing.ball_descend import BallDescend
 from sweep.controllers.manoeuvres.balancing.ball_ride import about_aside
 from sweep.controllers.manoeuvres.balancing.beside_ball import CALM
+from sweep.controllers.manoeuvres.balancing.checks import Limits, between, checked, stands_next
 from sweep.controllers.manoeuvres.balancing.parts import InParts, OfBall, has_just_begun
 from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.moves import stages_of, standing
@@ -118,6 +117,11 @@ class Closing(NamedTuple):
 FARTHEST = 0.02  # m, that a stage closes
 
 
+def touching(belief: Case) -> Case:
+    """The same with balls that touch."""
+    return replace(belief, obstacle=replace(belief.on(TwoBalls), gap=0.0, offset=0.0))
+
+
 @parameters
 class BallToBall(OnBall, InParts):
     """From one ball to another."""
@@ -139,8 +143,9 @@ class BallToBall(OnBall, InParts):
     squeeze: float = quantity(1.7e-3, "m", at_least=0, at_most=0.05)  # the same to the middle
     ease: float = quantity(0.15, "s", above=0)  # in which feet go over to where they are measured
     spare: float = quantity(0.02, "m")  # of the mass centre between the feet that stand, at least, when it is planned
-    # of a standing leg's thigh and shin: straighter, the base goes no farther
+    # of a leg's thigh and shin: straighter, the base goes no farther, and is planned lower or the foot nearer
     straight: float = quantity(0.985, "-", above=0, at_most=1)
+    clear: float = quantity(0.05, "m", at_least=0)  # of the base's underside over the balls as it is planned lower
     patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
 
     needs = (TwoBalls,)
@@ -168,36 +173,37 @@ class BallToBall(OnBall, InParts):
         return assemble(on_ball(belief, perched), stages, self.patience, ease=self.ease)
 
     def over(self, belief: Case) -> list[Stage]:
-        """From ball to ball, as if they stood still, touching."""
-        feet = dict(zip(LEGS, perch(belief, self).feet, strict=True))
+        """From ball to ball, as if they stood still, touching; as the checks of 3.5.3 leave it."""
+        perched = perch(belief, self)
+        feet = dict(zip(LEGS, perched.feet, strict=True))
         supports = {"free": (Support(),) * 2, "together": (Support(TOGETHER),) * 2}
         how = terms(belief, belief.robot.body_length, self.deepening, (self.press, self.squeeze), supports, (OVER,))
-        return stages_of("over", how, standing(feet, 0.0, fixed(0)))[0]
+        stages = stages_of("over", how, standing(feet, 0.0, fixed(0)))[0]
+        return checked(touching(belief), on_ball(belief, perched), stages,
+                       Limits(self.spare, self.straight, self.clear))  # fmt: skip
 
     def refuse(self, belief: Case) -> None:
         """Raise `InputError` where a foot is out of reach, or the mass centre not `spare` m between standing feet.
 
-        At the ends of the stages from ball to ball, by plain numbers.
+        At the ends of the stages from ball to ball, by plain numbers; after what the checks of 3.5.3 do about it.
         """
         if not plain(belief.robot, belief.obstacle, self):
             return
-        touching = replace(belief, obstacle=replace(belief.on(TwoBalls), gap=0.0, offset=0.0))
 
         def over() -> tuple[Plan, Stance, Array]:
-            plan = assemble(on_ball(touching, perch(touching, self)), self.over(touching), 0.0)
-            last = ends(plan, touching.on(TwoBalls).start())
-            ahead = jax.vmap(lambda stance: centre_of_mass(belief.robot, stance)[0])(last)
-            stands = jnp.where(plan.swing, jnp.nan, last.feet[:, :, 0])
-            return plan, last, jnp.minimum(ahead - jnp.nanmin(stands, axis=1), jnp.nanmax(stands, axis=1) - ahead)
+            plan = assemble(on_ball(belief, perch(belief, self)), self.over(belief), 0.0)
+            last = ends(plan, touching(belief).on(TwoBalls).start())
+            return plan, last, between(belief.robot, last, stands_next(plan.swing))
 
         plan, last, inside = worked_out(over)
         at = {f"at the end of stage {name}": k for k, name in enumerate(plan.names)}
         refuse_reach(
             belief, lambda: {words: Stance(*(x[k] for x in last)) for words, k in at.items()}, f"{self.kind}: "
         )
+        inside = inside.min(axis=0)
         if not inside.min() >= self.spare:
             raise InputError(
-                f"{self.kind}: the mass centre is {inside.min():.3f} m between the feet that stand in stage "
+                f"{self.kind}: the mass centre is {inside.min():.3f} m between the feet that stand after stage "
                 f"{plan.names[inside.argmin()]}: at least manoeuvre.spare = {self.spare:g}"
             )
 
