@@ -14,8 +14,14 @@ from sweep.report.looks import LOOKS
 
 DOCS = Path(__file__).parent
 ENGINES = ("mjx", "mjx, double", "native", "C elliptic", "C pyramidal", "MJX elliptic", "Warp elliptic")
-DRAWN = {"mjx": ("success", "o"), "C MuJoCo": ("fell", "s"), "MJX": ("slipped", "^")}  # whose colours, and marks
-ERRORS = {"standing": "of the feet's loads (weights)", "walking": "of the base's path (m)"}
+DRAWN = {  # whose colours, and marks
+    "mjx": ("success", "o"), "C MuJoCo": ("fell", "s"), "MJX": ("slipped", "^"), "Warp": ("fell_off", "D"),
+}  # fmt: skip
+ERRORS = {  # of each motion: of what, and the unit
+    "standing": ("of the feet's loads", "weights"), "walking": ("of the base's path", "m"),
+    "block kicked aside on a slope": ("of the speed downhill", "of it"),
+    "ball slides, then rolls": ("of the speed at last", "of it"),
+}  # fmt: skip
 FELL = 0.2  # error from which on a robot has fallen
 STEEPEST = 3.0  # order beyond which a figure has come right in between
 SEEN = 1e-3  # error at 2 ms from which on a figure's order is told
@@ -159,16 +165,19 @@ def _metres(x: float) -> str:
 
 def precision(data: Row) -> str:
     """Error and speed, a line for each engine, step and number of iterations."""
-    titles = ("motion", "engine", "step (ms)", "iterations", "error", "simulated s a second of a core", "steps",
-              "contacts", "iterations taken, or force left")  # fmt: skip
+    titles = ("motion", "engine", "step (ms)", "iterations", "error", "rollouts", "simulated s a second", "steps",
+              "of a", "contacts", "iterations taken, or force left")  # fmt: skip
     lines = [f"| {' | '.join(titles)} |", "|:--|:--|" + "--:|" * (len(titles) - 2)]
-    for row in sorted(data["rows"], key=lambda row: (row["motion"], list(DRAWN).index(row["engine"]))):
-        unit = "weights" if row["motion"] == "standing" else "m"
+    order = list(ERRORS), list(DRAWN)
+    for row in sorted(data["rows"], key=lambda row: (order[0].index(row["motion"]), order[1].index(row["engine"]))):
+        unit = ERRORS[row["motion"]][1]
         taken = f"{row['taken']:.1f}" if "taken" in row else ""
         left = f"{small(row['residual_n'])} N" if "residual_n" in row else ""
-        error = "–" if row["error"] is None else "falls" if row["error"] > FELL else f"{row['error']:.1e} {unit}"
-        cells = (row["motion"], row["engine"], f"{1e3 * row['time_step']:g}", row["iterations"], error,
-                 f"{row['per_s']:.3g}", f"{row['steps_per_s']:.3g}", row.get("contacts", ""), taken + left)  # fmt: skip
+        fell = unit == "weights" and (row["error"] or 0) > FELL
+        error = "–" if row["error"] is None else "falls" if fell else f"{row['error']:.1e} {unit}"
+        cells = (row["motion"], row["engine"], f"{1e3 * row['time_step']:g}", row["iterations"], error, row["width"],
+                 f"{row['per_s']:.3g}", f"{row['steps_per_s']:.3g}", row["of"], row.get("contacts", ""),
+                 taken + left)  # fmt: skip
         lines.append(f"| {' | '.join(str(cell) for cell in cells)} |")
     return "\n".join(lines)
 
@@ -181,31 +190,36 @@ TABLES = {
 
 def draw_precision(rows: list[Row], path: Path) -> None:
     """Speed over error, a panel for each motion."""
+    shown = [motion for motion in ERRORS if any(row["motion"] == motion for row in rows)]
     with lettering():
-        figure = sheet(3.2)
-        panels = figure.subplots(1, 2, sharey=True)
-        for axes, (motion, label) in zip(panels, ERRORS.items(), strict=True):
+        figure = sheet(1.6 * len(shown))
+        panels = figure.subplots(len(shown) // 2, 2, sharey=True).ravel()
+        for axes, motion in zip(panels, shown, strict=True):
+            of, unit = ERRORS[motion]
             for engine, (look, mark) in DRAWN.items():
                 own = [row for row in rows if (row["motion"], row["engine"]) == (motion, engine)]
-                own = [row for row in own if (row["error"] or 1) < FELL]
-                errors, speeds = [row["error"] for row in own], [row["per_s"] for row in own]
-                axes.loglog(errors, speeds, mark, ms=4, color=LOOKS[look].colour, label=engine)
-                for row in own:
+                own = [row for row in own if row["error"] and (unit != "weights" or row["error"] < FELL)]
+                errors, speeds = [row["error"] for row in own], [row["steps_per_s"] * row["time_step"] for row in own]
+                axes.loglog(errors, speeds, mark, ms=4, color=LOOKS[look].colour, label=engine if own else None)
+                for row, error, speed in zip(own, errors, speeds, strict=True):
                     told = f"{1e3 * row['time_step']:g} ms, {row['iterations']}"
-                    place = row["error"], row["per_s"]
-                    axes.annotate(told, place, (4, 3), textcoords="offset points", fontsize=5)
+                    axes.annotate(told, (error, speed), (4, 3), textcoords="offset points", fontsize=5)
             axes.margins(0.25, 0.1)
-            axes.set(title=motion, xlabel=f"error {label}")
+            axes.set(title=motion, xlabel=f"error {of} ({unit})")
             axes.grid(alpha=0.3, lw=0.5)
-        panels[0].set_ylabel("simulated s in a second of a core")
-        legend_below(figure, panels[0].get_lines())
+        for axes in panels[::2]:
+            axes.set_ylabel("simulated s in a second")
+        legend_below(figure, [line for line in panels[0].get_lines() if not line.get_label().startswith("_")])
         figure.savefig(path, dpi=110)
 
 
 def main() -> None:
     """Draw what there are data of."""
-    rows = json.loads((DOCS / "data" / "validity_precision.json").read_text(encoding="utf-8"))["rows"]
-    draw_precision(rows, DOCS / "figures" / "validity_precision.png")
+    for machine in ("", "_gpu"):
+        path = DOCS / "data" / f"validity_precision{machine}.json"
+        if path.exists():
+            rows = json.loads(path.read_text(encoding="utf-8"))["rows"]
+            draw_precision(rows, DOCS / "figures" / f"validity_precision{machine}.png")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,5 @@
-"""What docs/validity.md shows, measured: `python bench/validity PART ...` writes docs/data/validity_PART.json.
+"""What docs/validity.md shows, measured: `python bench/validity PART ...` writes docs/data/validity_PART.json,
+or on a machine with a GPU docs/data/validity_PART_gpu.json.
 
     python bench/validity                       # all parts, one after the other
     python bench/validity scenes                # scenes with known answers, by every engine
@@ -30,12 +31,12 @@ from validity import chaos, faults, manoeuvres, order, precision, tables  # noqa
 
 Jobs = Iterator[tuple[str, Callable[[], list[dict[str, Any]]]]]  # of a part: names, and what measures rows
 PARTS: dict[str, tuple[str, Callable[[], Jobs]]] = {  # with the engines
-    "scenes": ("mjx, native, C MuJoCo, MJX", tables.jobs),
+    "scenes": ("mjx, native, C MuJoCo, MJX; on a GPU Warp", tables.jobs),
     "faults": ("mjx by XLA", faults.jobs),
     "order": ("mjx by XLA, double", order.jobs),
     "manoeuvres": ("mjx", manoeuvres.jobs),
     "chaos": ("mjx, double; native", chaos.jobs),
-    "precision": ("mjx, C MuJoCo, MJX", precision.jobs),
+    "precision": ("mjx, C MuJoCo, MJX; on a GPU Warp", precision.jobs),
 }
 
 
@@ -52,7 +53,8 @@ def main(argv: list[str] | None = None) -> None:
 
 def measure(part: str) -> None:
     """Measure what is missing of a part, and write its data after every job."""
-    path = ROOT / "docs" / "data" / f"validity_{part}.json"
+    machine = "_gpu" if precision.on_gpu() else ""
+    path = ROOT / "docs" / "data" / f"validity_{part}{machine}.json"
     before = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
     before = before if before.get("code") == code_version() else {}
     seconds, rows = before.get("seconds", 0), before.get("rows", [])

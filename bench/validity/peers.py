@@ -1,8 +1,8 @@
 """Scenes before MuJoCo: the same bodies, whose points are spheres of a millimetre that meet planes and boxes."""
 
-import importlib.util
 import io
 from contextlib import redirect_stdout
+from importlib.util import find_spec
 from typing import NamedTuple
 
 import jax
@@ -136,6 +136,6 @@ def histories(scene: Scene) -> dict[str, History]:
     found["C pyramidal"] = by_mujoco(scene, PYRAMIDAL)
     if scene.name in BY_MJX:
         found["MJX elliptic"] = by_mjx(scene, ELLIPTIC)
-    if jax.default_backend() == "gpu" and importlib.util.find_spec("mujoco_warp"):  # it has no other device
+    if jax.default_backend() == "gpu" and find_spec("warp"):  # which MJX brings along
         found["Warp elliptic"] = by_mjx(scene, ELLIPTIC, "warp")
     return found

@@ -5,6 +5,7 @@ All scenes have one form, with room for the same bodies and points, so that one 
 
 import dataclasses
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +16,7 @@ from jaxtyping import Array, Float
 
 from sweep.controllers.manoeuvres.walking.walk import standing
 from sweep.controllers.tracker import joint_targets
+from sweep.models.case import Case
 from sweep.models.contact import Contact
 from sweep.models.obstacles.free import Free
 from sweep.models.obstacles.surface import Bodies, FreeState, Rolling, Surface
@@ -109,10 +111,18 @@ def _room(touches: list[Touch]) -> list[Touch]:
     return touches + [NOWHERE] * (TOUCHES - len(touches))
 
 
-def by_step(
-    scenes: Sequence[Scene], h: float = 2e-3, iterations: int = 2, double: bool = False, fused: bool = False
-) -> list[History]:
-    """Scenes simulated by this package's step, to the end of the longest, told to each one's own."""
+class Batch(NamedTuple):
+    """Scenes before the step: the case with its swept leaves, its structure, and how all begins."""
+
+    case: Case
+    nominal: Case
+    q: np.ndarray
+    v: np.ndarray
+    joints: np.ndarray  # (6, 3) rad, that the robot is told
+
+
+def batch(scenes: Sequence[Scene]) -> Batch:
+    """Scenes side by side."""
     base = compose([]).case
     obstacles = [points(scene) for scene in scenes]
     nominal = dataclasses.replace(base, obstacle=obstacles[0], contact=Contact())
@@ -121,19 +131,19 @@ def by_step(
     q, v = start(scenes)
     q[:, :25] = np.concatenate([stance.position + jnp.array(BESIDE), stance.quat, joints.ravel()])
     case = dataclasses.replace(nominal, obstacle=jax.tree.map(lambda *x: np.stack(x, axis=-1), *obstacles))
+    return Batch(case, nominal, q, v, np.asarray(joints))
+
+
+def by_step(
+    scenes: Sequence[Scene], h: float = 2e-3, iterations: int = 2, double: bool = False, fused: bool = False
+) -> list[History]:
+    """Scenes simulated by this package's step, to the end of the longest, told to each one's own."""
+    case, nominal, q, v, joints = batch(scenes)
     steps = max(round(scene.seconds / h) for scene in scenes)
+    kind = np.float64 if double else np.float32
+    references = np.broadcast_to(joints.astype(kind), (steps, 6, 3))
     with jax.enable_x64(double):
-        kind = np.float64 if double else np.float32
-        found = simulate(
-            case,
-            nominal,
-            q.astype(kind),
-            np.broadcast_to(np.asarray(joints, kind), (steps, 6, 3)),
-            h,
-            v,
-            iterations,
-            fused,
-        )
+        found = simulate(case, nominal, q.astype(kind), references, h, v, iterations, fused)
     return [
         _history(scene, found.q[:, row], found.v[:, row], found.residual[:, row], h) for row, scene in enumerate(scenes)
     ]

@@ -1,17 +1,22 @@
-"""Speed over error: the robot standing and walking by targets recorded once, the same MJCF before C MuJoCo and MJX.
+"""Speed over error: the robot standing and walking by targets recorded once, and two scenes, on one core or a GPU.
 
-Standing, errors are of the feet's loads against the equilibrium of weight, drives and springs. Walking open loop they
-are of the base's path against the same engine at its finest step: the laws of contact differ, and with them the paths.
+C MuJoCo, MJX and MuJoCo Warp have the same MJCF, as the native engine has it. Standing, errors are of the feet's loads
+against the equilibrium of weight, drives and springs; of scenes they are of the first figure. Walking open loop they
+are of the base's path against the same engine at its finest step, MJX's and Warp's against C MuJoCo's: the laws of
+contact differ, and with them the paths.
 """
 
 import dataclasses
 import io
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import redirect_stdout
 from functools import cache
+from importlib.util import find_spec
 from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 from mujoco import rollout
@@ -24,182 +29,280 @@ from sweep.models.legs import JOINT_Q, N_LEGS
 from sweep.models.robot import total_mass
 from sweep.study.config import compose
 from sweep.systems import exported
-from validity import robot, simulation
+from sweep.systems.own.mjx import CARRIED, CONSTRAINTS, CONTACTS
+from validity import peers, points, robot, simulation
+from validity.scenes import History, Scene, error, kicked, slides_then_rolls
 from validity.tables import short
 
+TICK = 4e-3  # s, from one row of targets to the next, and between samples
 FINEST = 1.25e-4  # s
 OWN = [(2e-3, 1), (2e-3, 2), (1e-3, 2), (5e-4, 2), (2.5e-4, 4)]  # s, and iterations: of contacts
 C = [(2e-3, 50), (1e-3, 50), (1e-3, 5), (5e-4, 50), (2.5e-4, 50)]  # and most iterations of Newton's method
-MJX = [(1e-3, 50)]  # each compiles for half a minute
-WIDTHS = {"mjx": 128, "C MuJoCo": 16, "MJX": 32}  # rollouts that are timed
+BATCHED = [(2e-3, 50), (1e-3, 50), (5e-4, 50)]  # of MJX and MuJoCo Warp
+PIECE = 100  # steps of a program of theirs
+CORE = {"mjx": 128, "C MuJoCo": 16, "MJX": 32}  # rollouts that are timed
+GPU = {"mjx": 131072, "C MuJoCo": 16, "MJX": 4096, "Warp": 32768}
 WALKED = 2.0  # s
+Settings = tuple[float, int]
 
 
-class Motion(NamedTuple):
-    """What the robot is told."""
+class Samples(NamedTuple):
+    """Of one rollout, a tick apart: MuJoCo's qpos and qvel, and the loads of the robot's feet."""
+
+    q: np.ndarray  # (t, nq)
+    v: np.ndarray  # (t, nv)
+    load: np.ndarray  # (t, 6) N, none of a scene
+
+
+class Task(NamedTuple):
+    """What is simulated."""
 
     name: str
-    case: Case
-    q: np.ndarray  # (25,) at the start
-    time: np.ndarray  # (k,) s
-    targets: np.ndarray  # (k, 18) rad
-    loads: np.ndarray | None  # (6,) N, of its feet at the end, where it comes to rest
+    seconds: float
+    own: points.Batch  # of one rollout
+    table: np.ndarray  # (t + 1, 6, 3) rad, targets of joints
+    model: Callable[[], mujoco.MjModel]
+    beside: tuple[int, int]  # numbers of q and v before those of the model: of the robot beside a scene
+    off: Callable[[Samples, Samples | None], float]  # the error, where need be against the finest
+    to_finest: bool = False
 
     def told(self, h: float) -> np.ndarray:
-        """Targets (t, 18) at the ends of steps of `h` seconds."""
-        steps = np.arange(1, round(self.time[-1] / h) + 1) * h
-        return np.stack([np.interp(steps, self.time, column) for column in self.targets.T], axis=1)
+        """Targets (t, 18) at the ends of steps of `h` seconds; none (t, 0) in a scene."""
+        at, rows = np.arange(1, round(self.seconds / h) + 1) * h, self.table.reshape(len(self.table), -1)
+        if any(self.beside):
+            return np.zeros((len(at), 0))
+        return np.stack([np.interp(at, TICK * np.arange(len(rows)), column) for column in rows.T], axis=1)
+
+    def begun(self, h: float, iterations: int) -> tuple[mujoco.MjModel, mujoco.MjData]:
+        """C MuJoCo's, before the first step."""
+        model = self.model()
+        model.opt.timestep, model.opt.iterations = h, iterations
+        data, (nq, nv) = mujoco.MjData(model), self.beside
+        data.qpos[:], data.qvel[:] = self.own.q[0, nq : nq + model.nq], self.own.v[0, nv : nv + model.nv]
+        return model, data
 
 
 @cache
-def motions() -> tuple[Motion, ...]:
-    """Standing on six feet, and walking as `walk_tripod` does."""
+def tasks() -> tuple[Task, ...]:
+    """Standing on six feet, walking as `walk_tripod` does, and two scenes."""
+    return standing(), _walking(), scene(kicked()), scene(slides_then_rolls())
+
+
+def standing() -> Task:
+    """The robot on six feet."""
     case, rows = robot.rows()
-    stands, drawn = rows[0], rows[0].targets.ravel()
-    times = np.array([0.0, robot.RAMP, robot.SECONDS])
+    stands, weight = rows[0], float(total_mass(case.robot)) * GRAVITY
     loads = robot.equilibrium(case, stands)[:, 2]
     level = dataclasses.replace(case, obstacle=compose(["manoeuvre=stand"]).case.obstacle)
-    standing = Motion("standing", level, stands.q, times, np.stack([stands.q[JOINT_Q], drawn, drawn]), loads)
+    begun, times = stands.q[JOINT_Q].reshape(N_LEGS, 3), np.arange(round(robot.SECONDS / TICK) + 1) * TICK
+    table = begun + np.minimum(times / robot.RAMP, 1.0)[:, None, None] * (stands.targets - begun)
+
+    def off(found: Samples, _: Samples | None) -> float:
+        last = found.load[-max(1, len(found.load) // 10) :].mean(axis=0)
+        return float(np.abs(last - loads).max() / weight)
+
+    return Task("standing", robot.SECONDS, _alone(level, stands.q), table, _mjcf(level), (0, 0), off)
+
+
+def _walking() -> Task:
     exp = compose(["scenario=walk_tripod"])
     engine = Mjx(dataclasses.replace(exp.settings, width=1), exp.case, exp.case, exp.thresholds)
     (trace,) = engine.traces(exp.case, exp.case, np.zeros(1, int), 1)
-    n = int(np.searchsorted(trace.time, WALKED + 1e-9))
     first = np.asarray(start_state(exp.case, exp.case, exp.case.manoeuvre.plan(exp.case)).qpos, float)
-    targets = np.vstack([first[JOINT_Q], trace.joint_target[:n]])
-    walking = Motion("walking", exp.case, first, np.concatenate([[0.0], trace.time[:n]]), targets, None)
-    return standing, walking
+    targets = np.vstack([first[JOINT_Q], trace.joint_target[: round(WALKED / TICK)]]).reshape(-1, N_LEGS, 3)
+
+    def off(found: Samples, finest: Samples | None) -> float:
+        assert finest is not None
+        return float(np.linalg.norm(found.q[:, :3] - finest.q[:, :3], axis=-1).max())
+
+    return Task("walking", WALKED, _alone(exp.case, first), targets, _mjcf(exp.case), (0, 0), off, to_finest=True)
+
+
+def _alone(case: Case, q: np.ndarray) -> points.Batch:
+    return points.Batch(case, case, q[None], np.zeros((1, len(q) - 1)), q[JOINT_Q])
+
+
+def _mjcf(case: Case) -> Callable[[], mujoco.MjModel]:
+    return lambda: exported.spec(case, compose(["engine=native"]).settings).compile()
+
+
+def scene(of: Scene) -> Task:
+    """A scene, and the robot that stands beside it where this package steps it."""
+    own, figure = points.batch([of]), of.figures[0]
+    size, count = round(of.seconds / TICK), len(of.bodies)
+    table = np.broadcast_to(own.joints.reshape(N_LEGS, 3), (size + 1, N_LEGS, 3))
+
+    def off(found: Samples, _: Samples | None) -> float:
+        q = found.q[:, : 7 * count].reshape(-1, count, 7)
+        v = found.v[:, : 6 * count].reshape(-1, count, 6)
+        time = TICK * (1 + np.arange(len(q)))
+        history = History(time, q[..., :3], q[..., 3:], v[..., :3], v[..., 3:], np.zeros(0))
+        return error(figure, figure.of(history), float("nan"))
+
+    return Task(of.name, of.seconds, own, table, lambda: peers.model(of, peers.NATIVE), (25, 24), off)
 
 
 def jobs() -> Iterator[tuple[str, Callable[[], list[dict[str, Any]]]]]:
-    """One for each engine and motion."""
+    """One for each engine and task."""
     mujoco.set_mju_user_warning(lambda _: None)  # that a robot falls shows in its errors
-    for engine, rows in (("mjx", _own), ("C MuJoCo", _c), ("MJX", _mjx)):
-        for k, name in enumerate(("standing", "walking")):
-            yield f"{engine}, {name}", lambda rows=rows, k=k: rows(motions()[k])
+    engines: dict[str, Callable[[Task], list[dict[str, Any]]]] = {"mjx": _own}
+    if on_gpu() and find_spec("warp"):  # made for a GPU
+        engines["Warp"] = lambda task: by_mjx(task, "Warp", "warp", BATCHED, GPU["Warp"])
+    engines["C MuJoCo"] = _c
+    engines["MJX"] = lambda task: by_mjx(task, "MJX", "jax", BATCHED, _width("MJX"))
+    for engine, rows in engines.items():
+        for k, name in enumerate(("standing", "walking", kicked().name, slides_then_rolls().name)):
+            yield f"{engine}, {name}", lambda rows=rows, k=k: rows(tasks()[k])
 
 
-def _row(
-    motion: Motion, engine: str, h: float, iterations: int, error: float, seconds: float, **more: Any
-) -> dict[str, Any]:
-    """`seconds`: that the batch took."""
-    simulated = WIDTHS[engine] * motion.time[-1]
-    return {"engine": engine, "motion": motion.name, "time_step": h, "iterations": iterations, "error": short(error),
-            "per_s": short(simulated / seconds), "steps_per_s": short(simulated / h / seconds), **more}  # fmt: skip
+def on_gpu() -> bool:
+    """Whether there is one."""
+    return jax.default_backend() == "gpu"
 
 
-def _error(motion: Motion, loads: np.ndarray, path: np.ndarray, finest: np.ndarray | None) -> float:
-    """Of loads (t, 6), by the weight, or of the base's path (t, 3) in metres."""
-    if motion.loads is not None:
-        last = loads[-max(1, len(loads) // 10) :].mean(axis=0)
-        return float(np.abs(last - motion.loads).max() / (total_mass(motion.case.robot) * GRAVITY))
-    assert finest is not None
-    every = len(finest) // len(path)
-    return float(np.linalg.norm(path - finest[every - 1 :: every], axis=-1).max())
+def _width(engine: str) -> int:
+    return (GPU if on_gpu() else CORE)[engine]
 
 
-def _own(motion: Motion) -> list[dict[str, Any]]:
-    def run(h: float, iterations: int, q: np.ndarray) -> simulation.History:
-        told = motion.told(h).reshape(-1, N_LEGS, 3).astype(np.float32)
-        return simulation.simulate(
-            motion.case, motion.case, q.astype(np.float32), told, h, None, iterations, fused=True
-        )
+def _row(task: Task, engine: str, used: Settings, error: float, width: int, seconds: float, **more: float) -> Any:
+    """`seconds`: that the batch took, of a core or of the GPU."""
+    h, iterations = used
+    simulated = width * task.seconds
+    return {"engine": engine, "motion": task.name, "time_step": h, "iterations": iterations, "error": short(error),
+            "of": "GPU" if on_gpu() and engine != "C MuJoCo" else "core", "width": width,
+            "per_s": short(simulated / seconds), "steps_per_s": short(simulated / h / seconds),
+            **{name: short(x) for name, x in more.items()}}  # fmt: skip
 
-    finest = None if motion.loads is not None else run(FINEST, 4, motion.q[None]).q[:, 0, :3]
+
+def _timed(work: Callable[[], object]) -> tuple[Any, float]:
+    """What comes of it, and seconds: of a core, as by the wall others would be timed, too; of a GPU by the wall."""
+    clock = time.perf_counter if on_gpu() else time.process_time
+    start = clock()
+    found = work()
+    return found, clock() - start
+
+
+def _own(task: Task) -> list[dict[str, Any]]:
+    finest = _own_run(task, (FINEST, 4), 1)[0] if task.to_finest else None
     rows = []
-    for h, iterations in OWN:
-        found = run(h, iterations, motion.q[None])
-        error = _error(motion, found.normal[:, 0], found.q[:, 0, :3], finest)
-        told, many = motion.told(h).reshape(-1, N_LEGS, 3).astype(np.float32), np.tile(motion.q, (WIDTHS["mjx"], 1))
-        running = simulation.begun(motion.case, many.astype(np.float32), told, h, iterations)
-        seconds = _timed(lambda running=running, told=told: running.tiles.advance(0, len(told)))
-        contacts = float((found.normal > 0).sum(axis=-1).mean())
-        more = {"contacts": contacts, "residual_n": found.residual.max(), "compile_s": running.compile_s}
-        more = {name: short(float(x)) for name, x in more.items()}
-        rows.append(_row(motion, "mjx", h, iterations, error, seconds, **more))
+    for used in OWN:
+        width = _width("mjx")
+        found, residual, seconds, compile_s = _own_run(task, used, width)
+        more = {} if any(task.beside) else {"contacts": float((found.load > 0).sum(axis=-1).mean())}
+        more |= {"residual_n": residual, "compile_s": compile_s}
+        rows.append(_row(task, "mjx", used, task.off(found, finest), width, seconds, **more))
     return rows
 
 
-def _timed(work: Callable[[], object]) -> float:
-    """Seconds of a core: by the wall others would be timed, too."""
-    start = time.process_time()
-    work()
-    return time.process_time() - start
-
-
-def _model(motion: Motion, h: float, iterations: int) -> mujoco.MjModel:
-    exp = compose(["engine=native"])
-    model = exported.spec(motion.case, exp.settings).compile()
-    model.opt.timestep, model.opt.iterations = h, iterations
-    return model
+def _own_run(task: Task, used: Settings, width: int) -> tuple[Samples, float, float, float]:
+    """Samples of the first rollout, the largest residual (N), and how long the batch and all before it took (s)."""
+    (h, iterations), own = used, task.own
+    case = jax.tree.map(lambda x: np.repeat(x, width, axis=-1) if np.ndim(x) else x, own.case)
+    q, v = (np.repeat(np.asarray(x, np.float32), width, axis=0) for x in (own.q, own.v))
+    table = np.asarray(task.table, np.float32)
+    running = simulation.begun(case, own.nominal, q, v, table, h, iterations, round(TICK / h))
+    record, first = _timed(running.advance)  # on a GPU the driver translates the kernel first
+    _, seconds = _timed(running.advance)
+    nq, nv = task.beside
+    found = Samples(record["q"][:, 0, nq:], record["v"][:, 0, nv:], record["normal"][:, 0])
+    return found, float(record["residual"].max()), seconds, running.compile_s + max(0.0, first - seconds)
 
 
 def _loads_of(model: mujoco.MjModel) -> np.ndarray:
-    return np.array([model.sensor(f"load_foot{leg + 1}").adr[0] for leg in range(N_LEGS)])
+    names = [f"load_foot{leg + 1}" for leg in range(N_LEGS)]
+    return np.array([model.sensor(name).adr[0] for name in names if model.nu], int)
 
 
-def _c_run(motion: Motion, h: float, iterations: int) -> tuple[np.ndarray, np.ndarray, float, float]:
-    """Loads, the base's path, contacts and iterations in the mean."""
-    model = _model(motion, h, iterations)
-    data, where = mujoco.MjData(model), _loads_of(model)
-    data.qpos[:] = motion.q
-    kept = []
-    for told in motion.told(h):
+def _c_run(task: Task, used: Settings) -> tuple[Samples, float, float]:
+    """Samples, contacts and iterations in the mean."""
+    model, data = task.begun(*used)
+    where, kept = _loads_of(model), []
+    for told in task.told(used[0]):
         data.ctrl[:] = told
         mujoco.mj_step(model, data)
-        kept.append([*data.sensordata[where], *data.qpos[:3], data.ncon, data.solver_niter[0]])
+        kept.append([*data.qpos, *data.qvel, *data.sensordata[where], data.ncon, data.solver_niter[0]])
     kept = np.array(kept)
-    return kept[:, :6], kept[:, 6:9], float(kept[:, 9].mean()), float(kept[:, 10].mean())
+    every = round(TICK / used[0])
+    q, v, load, _ = np.split(kept[every - 1 :: every], np.cumsum([model.nq, model.nv, len(where)]), axis=1)
+    return Samples(q, v, load), float(kept[:, -2].mean()), float(kept[:, -1].mean())
 
 
-def _c(motion: Motion) -> list[dict[str, Any]]:
-    finest = None if motion.loads is not None else _c_run(motion, FINEST, 50)[1]
-    rows = []
-    for h, most in C:
-        loads, path, contacts, iterations = _c_run(motion, h, most)
-        model, width = _model(motion, h, most), WIDTHS["C MuJoCo"]
-        begun = mujoco.MjData(model)
-        begun.qpos[:] = motion.q
+def _c_finest(task: Task) -> Samples | None:
+    return _c_run(task, (FINEST, 50))[0] if task.to_finest else None
+
+
+def _c(task: Task) -> list[dict[str, Any]]:
+    finest, width, rows = _c_finest(task), _width("C MuJoCo"), []
+    for used in C:
+        found, contacts, taken = _c_run(task, used)
+        model, data = task.begun(*used)
         state = np.zeros(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS))
-        mujoco.mj_getState(model, begun, state, mujoco.mjtState.mjSTATE_FULLPHYSICS)
-        told = np.tile(motion.told(h), (width, 1, 1))
-        threads = [mujoco.MjData(model) for _ in range(2)]
-        seconds = _timed(lambda m=model, t=threads, s=state, c=told: rollout.rollout(m, t, np.tile(s, (len(c), 1)), c))
-        error = _error(motion, loads, path, finest)
-        rows.append(
-            _row(motion, "C MuJoCo", h, most, error, seconds, contacts=short(contacts), taken=short(iterations))
-        )
+        mujoco.mj_getState(model, data, state, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+        told = np.tile(task.told(used[0]), (width, 1, 1))
+        start = time.process_time()
+        rollout.rollout(model, [mujoco.MjData(model) for _ in range(2)], np.tile(state, (width, 1)), told,
+                        nstep=told.shape[1])  # fmt: skip
+        seconds = time.process_time() - start
+        off = task.off(found, finest)
+        rows.append(_row(task, "C MuJoCo", used, off, width, seconds, contacts=contacts, taken=taken))
     return rows
 
 
-def _mjx(motion: Motion) -> list[dict[str, Any]]:
-    import jax
-    import jax.numpy as jnp
+def by_mjx(task: Task, engine: str, impl: str, settings: Sequence[Settings], width: int) -> list[dict[str, Any]]:
+    """Rows of MJX, or of MuJoCo Warp by it, for settings that differ by the time step alone."""
+    finest, rows = _c_finest(task), []
+    start = time.perf_counter()
+    piece, begin = _program(task, settings[0], impl, width)
+    compile_s = time.perf_counter() - start
+    for used in settings:
+        there, now = begin(used[0])
+        told = jnp.asarray(task.told(used[0]), jnp.float32)
 
+        def work(there=there, now=now, told=told) -> list[Any]:
+            pieces = []
+            for k in range(0, len(told), PIECE):
+                now, found = piece(there, now, told[k : k + PIECE])
+                pieces.append(found)
+            return jax.block_until_ready(pieces)
+
+        jax.block_until_ready(piece(there, now, told[:PIECE]))  # Warp loads its kernels then
+        pieces, seconds = _timed(work)
+        q, v, load, contacts, taken = (np.concatenate([np.asarray(p[k], float) for p in pieces]) for k in range(5))
+        every = round(TICK / used[0])
+        samples = Samples(*(x[every - 1 :: every] for x in (q, v, load)))
+        more = {"contacts": float(contacts.mean()), "taken": float(taken.mean()), "compile_s": compile_s}
+        rows.append(_row(task, engine, used, task.off(samples, finest), width, seconds, **more))
+    return rows
+
+
+def _program(task: Task, used: Settings, impl: str, width: int) -> tuple[Callable, Callable[[float], tuple[Any, Any]]]:
+    """What takes a batch `PIECE` steps on, and what it begins with at a time step."""
     with redirect_stdout(io.StringIO()):  # which it prints as it is imported
         from mujoco import mjx
 
-    finest = None if motion.loads is not None else _c_run(motion, FINEST, 50)[1]
-    rows = []
-    for h, iterations in MJX:
-        model = _model(motion, h, iterations)
-        there, where = mjx.put_model(model), _loads_of(model)
-        begun = mjx.make_data(there).replace(qpos=jnp.asarray(motion.q, jnp.float32))
+    model, data = task.begun(*used)
+    mujoco.mj_forward(model, data)
+    where, rooms = _loads_of(model), {}
+    if impl == "warp":
+        rooms = {"naconmax": CONTACTS * width, "njmax": CONSTRAINTS * CONTACTS + model.njnt + 2 * model.nv}
+    begun = mjx.put_data(model, data, impl=impl, **rooms)
 
-        def run(data, told, there=there, where=where):
-            def ahead(data, ctrl):
-                data = mjx.step(there, data.replace(ctrl=ctrl))
-                return data, (data.sensordata[where], data.qpos[:3])
+    def begin(h: float) -> tuple[Any, Any]:
+        model.opt.timestep = h
+        now = {name: jnp.broadcast_to(x := getattr(begun, name), (width, *x.shape)) for name in CARRIED}
+        return mjx.put_model(model, impl=impl), now
 
-            return jax.lax.scan(ahead, data, told)[1]
+    def one(there: Any, now: dict[str, jax.Array], ctrl: jax.Array) -> tuple[dict[str, jax.Array], Any]:
+        after = mjx.step(there, begun.replace(**now, ctrl=ctrl))
+        # Warp has the contacts of all rollouts in one list
+        contacts = after._impl.nacon[0] / width if impl == "warp" else jnp.sum(after._impl.contact.dist < 0)
+        told = after.qpos, after.qvel, after.sensordata[where], contacts, jnp.ravel(after._impl.solver_niter)[0]
+        return {name: getattr(after, name).astype(now[name].dtype) for name in CARRIED}, told
 
-        told = jnp.asarray(motion.told(h), jnp.float32)
-        many = jax.jit(jax.vmap(run, in_axes=(0, None)))
-        batch = jax.tree.map(lambda x: jnp.broadcast_to(x, (WIDTHS["MJX"], *x.shape)), begun)
-        start = time.perf_counter()
-        program = many.lower(batch, told).compile()
-        compile_s = time.perf_counter() - start
-        loads, path = (np.asarray(x[0], float) for x in program(batch, told))
-        seconds = _timed(lambda program=program, batch=batch, told=told: jax.block_until_ready(program(batch, told)))
-        error = _error(motion, loads, path, finest)
-        rows.append(_row(motion, "MJX", h, iterations, error, seconds, compile_s=short(compile_s)))
-    return rows
+    def ahead(there: Any, now: dict[str, jax.Array], ctrl: jax.Array) -> tuple[dict[str, jax.Array], Any]:
+        now, told = jax.vmap(one, (None, 0, None))(there, now, ctrl)
+        return now, jax.tree.map(lambda x: x[0], told)
+
+    program = jax.jit(lambda there, now, told: jax.lax.scan(lambda now, ctrl: ahead(there, now, ctrl), now, told))
+    like = jax.ShapeDtypeStruct((PIECE, model.nu), jnp.float32)
+    return program.lower(*begin(used[0]), like).compile(), begin

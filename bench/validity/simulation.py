@@ -12,7 +12,8 @@ from sweep.dynamics import interface, tree
 from sweep.dynamics.step import State, from_state, rest, step, to_state
 from sweep.engines import batching, devices
 from sweep.engines.batch_last import batch_last_vmap
-from sweep.fused.kernel import Kernel, Tiles, compiled
+from sweep.fused import launch
+from sweep.fused.kernel import Kernel, compiled
 from sweep.models.case import Case
 from sweep.models.drive import position_mode
 
@@ -95,41 +96,99 @@ def _by_xla(one: Step, case: Case, states: State, references: jax.Array) -> Reco
 
 
 class Running(NamedTuple):
-    """A batch in a kernel's memory, and how long the compiler took (s)."""
+    """A batch before its first step, and how long the compiler took (s)."""
 
-    tiles: Tiles
+    advance: Callable[[], Record]  # from the start to the end, whenever it is called; what is told of it
     compile_s: float
 
 
 def _by_kernel(one: Step, case: Case, states: State, references: jax.Array) -> Record:
-    running = _begun(one, case, states, references)
-    record = running.tiles.advance(0, len(references), np.arange(len(states.q)))
-    assert record is not None
-    return record
+    table = jnp.concatenate([references[:1], references])
+    return _begun(one, case, states, table, len(references), 1, np.arange(len(states.q))).advance()
 
 
-def begun(case: Case, q: np.ndarray, references: np.ndarray, h: float, iterations: int) -> Running:
-    """A batch of one case before its first step, in the memory of this package's compiler; see `simulate`."""
-    one, states = _stepping(case, q, h, None, iterations)
-    return _begun(one, devices.as_arrays(case), states, jnp.asarray(references))
+def begun(
+    case: Case,
+    nominal: Case,
+    q: np.ndarray,
+    v: np.ndarray,
+    table: np.ndarray,
+    h: float,
+    iterations: int,
+    every: int,
+) -> Running:
+    """A batch in the memory of this package's compiler, a GPU's where there is one; see `simulate`.
+
+    Targets go evenly from one row of `table` (t + 1, 6, 3) to the next in `every` steps. Told are q, v and normal
+    forces of the first rollout (t, 1, ...), and the largest residual of those steps.
+    """
+
+    def told(case: Case, state: State, reference: jax.Array) -> tuple[State, Record]:
+        state, record = one(case, state, reference)
+        return state, {name: record[name] for name in ("q", "v", "normal", "residual")}
+
+    one, states = _stepping(nominal, q, h, v, iterations)
+    of = devices.as_arrays(case), states, jnp.asarray(table)
+    return _begun(told, *of, len(table) - 1, every, np.zeros(1, int))
 
 
-def _begun(one: Step, case: Case, states: State, references: jax.Array) -> Running:
-    still = bool(np.all(references == references[0]))  # targets that stay take no memory
-    table = references[:1] if still else references
+def _begun(one: Step, case: Case, states: State, table: jax.Array, ticks: int, every: int, kept: np.ndarray) -> Running:
+    """`ticks` of `every` steps each, of which the last is told."""
+    still = bool(np.all(table == table[0]))  # targets that stay take no memory
+    table = table[:1] if still else table
     table = jnp.moveaxis(table, 1, 0) if table.ndim == 4 else table
     last = table.shape[-3] - 1
 
     def tick(given: tuple[Case, jax.Array], state: State, k: jax.Array) -> tuple[State, Record]:
         case, targets = given
-        return one(case, state, targets[jnp.minimum(k, last)])
+        old, new = targets[jnp.minimum(k, last)], targets[jnp.minimum(k + 1, last)]
+
+        def ahead(carry: tuple[State, Record], j: jax.Array) -> tuple[tuple[State, Record], None]:
+            share = (j + 1).astype(old.dtype) / every
+            state, record = one(case, carry[0], (1 - share) * old + share * new)
+            return (state, record | {"residual": jnp.maximum(record["residual"], carry[1]["residual"])}), None
+
+        nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(one, case, state, old)[1])
+        return jax.lax.scan(ahead, (state, nothing), jnp.arange(every))[0]
 
     def of_one(x: jax.Array, axes: int) -> jax.ShapeDtypeStruct:
         return jax.ShapeDtypeStruct(x.shape[axes:], x.dtype)
 
     case = jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0) if x.ndim else x, case)
     shapes = jax.tree.map(lambda x: of_one(x, min(x.ndim, 1)), case), of_one(table, table.ndim - 3)
+    make = on_gpu if jax.default_backend() == "gpu" else _on_cpu
+    return make(tick, (shapes, jax.tree.map(lambda x: of_one(x, 1), states)), (case, table), states, ticks, kept)
+
+
+Tick = Callable[[Any, State, jax.Array], tuple[State, Record]]
+
+
+def _on_cpu(tick: Tick, shapes: tuple[Any, Any], given: Any, states: State, ticks: int, kept: np.ndarray) -> Running:
     start = time.perf_counter()
-    kernel = Kernel(compiled(tick, shapes, jax.tree.map(lambda x: of_one(x, 1), states)))
+    kernel = Kernel(compiled(tick, *shapes))
     seconds = time.perf_counter() - start
-    return Running(kernel.enter((case, table), states, len(states.q)), seconds)
+
+    def advance() -> Record:
+        record = kernel.enter(given, states, len(states.q)).advance(0, ticks, kept)
+        assert record is not None
+        return record
+
+    return Running(advance, seconds)
+
+
+def on_gpu(tick: Tick, shapes: tuple[Any, Any], given: Any, states: State, ticks: int, kept: np.ndarray) -> Running:
+    """A batch on a GPU: all its ticks in one kernel, which ends no rollout early."""
+
+    def endless(given: Any, carried: tuple[State, jax.Array], k: jax.Array) -> tuple[Any, Record]:
+        state, record = tick(given, carried[0], k)
+        return (state, carried[1]), record
+
+    start, width = time.perf_counter(), len(states.q)
+    flag = jax.ShapeDtypeStruct((), bool)
+    code = launch.compiled(endless, shapes[0], (shapes[1], flag), lambda carried: carried[1], ticks, len(kept), width)
+
+    def all_ticks(given: Any, states: State) -> Any:
+        return launch.run(code, given, (states, jnp.zeros(width, bool)), jnp.int32(0), jnp.asarray(kept))[1]
+
+    program = jax.jit(all_ticks, compiler_options=launch.OPTIONS).lower(given, states).compile()
+    return Running(lambda: jax.tree.map(np.asarray, program(given, states)), time.perf_counter() - start)

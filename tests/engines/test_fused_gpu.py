@@ -7,6 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import ptx  # beside this file
 import pytest
+from validity import precision, simulation
+from validity.scenes import kicked
 
 from sweep.core.errors import InputError
 from sweep.engines.mjx import Mjx
@@ -201,6 +203,28 @@ def test_a_walk_is_that_of_the_cpu(monkeypatch):
     cpu = going.tiles.leave()
     for name, step in (("q", 1e-6), ("v", 1e-3)):
         np.testing.assert_allclose(getattr(gpu.state, name), getattr(cpu.state, name), atol=step, err_msg=name)
+
+
+@pytest.mark.parametrize("name", ["standing", pytest.param("scene", marks=pytest.mark.slow)])
+def test_steps_alone_are_those_of_the_cpu(monkeypatch, name):
+    """What `bench/validity` measures on a GPU: a robot whose targets move, and a block beside one."""
+    task = precision.standing() if name == "standing" else precision.scene(kicked())
+    case, nominal, q, v, _ = task.own
+    given = (np.asarray(x, np.float32) for x in (q, v, task.table[:3]))
+    given = (case, nominal, *given, 2e-3, 2, 2)
+    cpu = simulation.begun(*given).advance()
+
+    def interpreted(code, operands):
+        changed = [operands[k] for k in (2, 4)]
+        return jax.pure_callback(lambda *of: ptx.call(code, of), changed, *operands)
+
+    if jax.default_backend() != "gpu":
+        monkeypatch.setattr(launch, "call", interpreted)
+        monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    gpu = simulation.begun(*given).advance()
+    assert cpu["q"].shape == (2, 1, q.shape[1])
+    for key, step in (("q", 1e-6), ("v", 1e-3), ("normal", 0.05)):
+        np.testing.assert_allclose(gpu[key], cpu[key], atol=step, err_msg=key)
 
 
 @pytest.mark.skipif(jax.default_backend() != "gpu", reason="needs an NVIDIA GPU")
