@@ -32,7 +32,8 @@ JAX_ABOVE_ENGINES = {
     "sweep.trace.contact_forces",
     "sweep.cli.bench",
 }
-# the sources' own text; compiled programs; a study's name for its folder and its table of points
+# the sources' own text; compiled programs; a study's name for its folder and its table of points; what a system is read
+# from, which goes with a study
 FILES_BELOW_RUNS = {
     "sweep.core.files",
     "sweep.core.project",
@@ -43,6 +44,9 @@ FILES_BELOW_RUNS = {
     "sweep.engines.program_cache",
     "sweep.study.config",
     "sweep.study.study",
+    "sweep.systems.base",
+    "sweep.systems.hexapod",
+    "sweep.systems.own",
     "sweep.systems.own.files",
 }
 

@@ -3,7 +3,6 @@
 from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
-import jax
 import mujoco
 import numpy as np
 
@@ -55,9 +54,8 @@ class Loop:
             begun.pose(start)
             return self._own.state(begun.qpos, begun.qvel, begun.sensors)[0]
 
-        given = jax.tree.map(lambda rows: rows[0], begun.given)
         with devices.precision(self._settings):
-            self._programs.check_start(given, pose)
+            self._programs.check_start(begun.given, pose)
 
     def cautions(self) -> Iterator[str]:
         """What is to be known of it before it runs, each a line."""

@@ -109,7 +109,11 @@ class Programs:
         return _until(within, new, carried["sofar"])
 
     def check_start(self, given: Mapping[str, Any], pose: Callable[[Any], np.ndarray]) -> None:
-        """Raise `InputError` where the first controls are not finite; `pose` gives the state (s,) at a start (nq,)."""
+        """Raise `InputError` where the first rollout's first controls are not finite.
+
+        `pose` gives the state (s,) at a start (nq,).
+        """
+        given = jax.tree.map(lambda rows: rows[0], given)
         start, state, _ = _worked_out(self.begin_one, given)
         now = pose(start)
         carried = _worked_out(self.enter_one, given, state, now, np.int32(1))
