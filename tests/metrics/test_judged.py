@@ -8,14 +8,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sweep.metrics import clearance, depth, drives, free_bodies, rest
+from sweep.core.constants import GRAVITY
+from sweep.metrics import attitude, clearance, depth, drives, free_bodies, rest, shins, slip, solver
 from sweep.metrics.geometry import base_gap, fold_gap
-from sweep.metrics.outcome import limit_of
+from sweep.metrics.outcome import GOAL, limit_of
 from sweep.models.obstacles.surface import FreeState, no_bodies, poses
+from sweep.models.robot import total_mass
 from sweep.study.config import compose
 
 EXPERIMENT = compose(["scenario=stand_push"])
-CASE, LIMITS = EXPERIMENT.case, EXPERIMENT.thresholds
+CASE = EXPERIMENT.case
 UPRIGHT, BASE = jnp.array([1.0, 0.0, 0.0, 0.0]), jnp.array([0.0, 0.0, 0.525])
 # hips beside a base 0.5 m wide, thighs out and up, shins down to the ground
 HIPS = np.array([[x, side * 0.25, 0.525] for x in (-0.525, 0.0, 0.525) for side in (-1, 1)])
@@ -30,27 +32,95 @@ def moment(time: float = 0.0, legs: np.ndarray = LEGS, free: FreeState | None = 
     tick = {
         "joints": jnp.asarray(legs), "position": BASE, "quat": UPRIGHT, "bodies": poses(free), "free": free,
         "angles": none, "rates": none, "power": none, "torque_peak": none, "saturated": none, "effort": jnp.zeros(()),
+        "work": jnp.zeros(()), "energy": jnp.zeros(()), "residual": jnp.zeros(()), "loaded": jnp.ones(6, bool),
     }  # fmt: skip
     now = {
         "target": SimpleNamespace(position=BASE, quat=UPRIGHT), "finished": jnp.asarray(False), "period": 0.02,
         "world": CASE, "stage": jnp.int32(0), "time": time, "phase": jnp.asarray(1.0),
-        "plan": SimpleNamespace(duration=jnp.array([1.0])),
+        "plan": SimpleNamespace(duration=jnp.array([1.0]), swing=jnp.zeros((1, 6), bool)),
     }  # fmt: skip
     tick |= {name: value for name, value in changes.items() if name in tick}
     now |= {name: value for name, value in changes.items() if name in now}
     return SimpleNamespace(tick=SimpleNamespace(**tick), **now)
 
 
-def judged(metric: Any, moments: list[Any], world: Any = CASE) -> tuple[dict[str, float], set[str]]:
-    """Its figures of a way, and the names of the causes that hold."""
-    start = SimpleNamespace(world=world, feet=jnp.asarray(LEGS[:, -1]), free=moments[0].tick.free)
+def judged(metric: Any, moments: list[Any], experiment: Any = EXPERIMENT) -> tuple[dict[str, float], set[str]]:
+    """Its figures of a way, and the names of the causes that hold, a goal's by its threshold."""
+    world, limits, first = experiment.case, experiment.thresholds, moments[0].tick
+    start = SimpleNamespace(
+        world=world, feet=jnp.asarray(LEGS[:, -1]), free=first.free, quat=UPRIGHT, energy=first.energy
+    )
     state = metric.METRIC.begin(start)
     for now in moments:
+        now.world = world
         state = metric.METRIC.update(state, now)
     end = SimpleNamespace(world=world, time=jnp.asarray(moments[-1].time), plan=moments[-1].plan)
     found = {name: float(value) for name, value in metric.METRIC.figures(state, end).items()}
-    met = {cause.name for cause in metric.METRIC.causes if cause.holds(found[cause.figure], limit_of(cause, LIMITS))}
-    return found, met
+    met = {c for c in metric.METRIC.causes if c.holds(found[c.figure], limit_of(c, limits))}
+    return found, {c.threshold if c.name == GOAL else c.name for c in met}
+
+
+def turned(degrees: float, axis: int) -> Any:
+    """A quaternion of that turn about an axis."""
+    half = np.radians(degrees) / 2
+    return jnp.array([np.cos(half), 0.0, 0.0, 0.0]).at[1 + axis].set(np.sin(half))
+
+
+@pytest.mark.parametrize(
+    ("quat", "met"),
+    [
+        (turned(19, 0), set()),
+        (turned(21, 1), {"fell"}),
+        (turned(-4.9, 2), set()),
+        (turned(-5.1, 2), {"off_course"}),
+    ],
+)
+def test_a_base_that_leans_has_fallen_and_one_that_turns_is_off_course(quat, met):
+    """Of what it is told to do: told to lean or turn, it has done neither."""
+    assert judged(attitude, [moment(quat=quat), moment()])[1] == met
+    told = SimpleNamespace(position=BASE, quat=quat)
+    assert judged(attitude, [moment(quat=quat, target=told), moment()])[1] == set()
+
+
+@pytest.mark.parametrize(("way", "met"), [(0.019, set()), (0.021, {"slipped"})])
+def test_a_standing_foot_stays_where_it_took_hold(way, met):
+    legs = LEGS.copy()
+    legs[3, -1] += [0.6 * way, 0.8 * way, 0.0]
+    assert judged(slip, [moment(), moment(legs=legs)], compose(["scenario=walk_tripod"]))[1] == met
+
+
+@pytest.mark.parametrize(("rise", "met"), [(0.01, set()), (-0.01, {"shin_under_face"})])
+def test_a_shin_stays_over_the_face_that_its_foot_stands_on(rise, met):
+    legs = LEGS.copy()
+    legs[1, 1] = legs[1, 2] + [0.0, -0.335, rise]
+    assert judged(shins, [moment(), moment(legs=legs)])[1] == met
+
+
+def lowered(part: str, above: float) -> Any:
+    """A moment with the base's underside, or a knee's, that high (m) above the floor."""
+    if part == "base":
+        return moment(position=jnp.array([0.0, 0.0, CASE.robot.body_height / 2 + above]))
+    legs = LEGS.copy()
+    legs[2, 1:, 2] = CASE.robot.link_radius + above, 0.3  # under its lifted foot
+    return moment(legs=legs)
+
+
+@pytest.mark.parametrize("part", ["base", "knee"])
+def test_neither_base_nor_links_go_into_the_ground(part):
+    """5 mm are what shells give way."""
+    for above, met in ((-4e-3, set()), (-6e-3, {"link_collision"})):
+        found, causes = judged(clearance, [moment(), lowered(part, above)])
+        assert causes == met
+        assert found["clearance_min_m"] == pytest.approx(above, abs=1e-4)
+
+
+def test_legs_do_not_go_through_each_other():
+    for apart, met in ((-4e-3, set()), (-6e-3, {"leg_crossing"})):
+        legs = LEGS.copy()
+        legs[4] = legs[2] + [2 * CASE.robot.link_radius + apart, 0, 0]
+        found, causes = judged(clearance, [moment(legs=legs)])
+        assert causes == met
+        assert found["leg_gap_min_m"] == pytest.approx(apart, abs=1e-4)
 
 
 @pytest.mark.parametrize(("drift", "met"), [(4e-3, set()), (6e-3, {"restless"})])
@@ -123,6 +193,8 @@ def test_a_thigh_does_not_go_through_the_base():
     assert float(base_gap(jnp.asarray(along), *base)) == pytest.approx(0.0, abs=1e-3)
     legs[2] = over
     assert float(base_gap(jnp.asarray(legs), *base)) < -0.01
+    found = [judged(clearance, [moment(legs=legs, position=jnp.zeros(3))])[1] for legs in (along, legs)]
+    assert [("base_hit" in met) for met in found] == [False, True]
 
 
 def ball(time: float, speed: float, turn: float = 0.0) -> FreeState:
@@ -134,21 +206,54 @@ def ball(time: float, speed: float, turn: float = 0.0) -> FreeState:
 
 def test_a_ball_is_at_rest_when_the_plan_has_ended_not_in_the_mean_before():
     """Twelve seconds back and forth, and then it is left rolling."""
-    balanced = replace(CASE, manoeuvre=compose(["scenario=ball_balance"]).case.manoeuvre)
+    balanced = compose(["scenario=ball_balance"])
     way = [moment(0.5 * k, free=ball(0.5 * (k % 2), 0.05), finished=jnp.asarray(k > 30)) for k in range(31)]
     rolling = [moment(15 + 0.1 * k, free=ball(0.1 * k, 0.05), finished=jnp.asarray(True)) for k in range(11)]
-    assert judged(free_bodies, way + rolling, balanced)[0]["obstacle_speed_mps"] == pytest.approx(0.05, rel=0.01)
-    assert judged(free_bodies, rolling[:1] * 3, balanced)[0]["obstacle_speed_mps"] == 0
+    found, met = judged(free_bodies, way + rolling, balanced)
+    assert found["obstacle_speed_mps"] == pytest.approx(0.05, rel=0.01)
+    assert "obstacle_speed_error_max_mps" in met
+    found, met = judged(free_bodies, rolling[:1] * 3, balanced)
+    assert found["obstacle_speed_mps"] == 0
+    assert "obstacle_speed_error_max_mps" not in met
 
 
 def test_a_ladder_that_turns_is_told_of_though_its_centre_stays():
-    way = [moment(0.0, free=ball(0, 0)), moment(1.0, free=ball(0, 0, 0.02), stage=jnp.int32(1))]
-    found, _ = judged(free_bodies, way)
-    assert found["obstacle_turn_max_rad"] == pytest.approx(0.02, rel=1e-3)
-    assert found["obstacle_shift_m"] == 0
-    assert compose(["scenario=ladder_climb"]).thresholds.obstacle_turn_max_rad == 1e-3
+    ladder = compose(["scenario=ladder_climb"])
+    for turn, met in ((0.9e-3, set()), (1.1e-3, {"obstacle_turned"})):
+        way = [moment(0.0, free=ball(0, 0)), moment(1.0, free=ball(0, 0, turn), stage=jnp.int32(1))]
+        found, causes = judged(free_bodies, way, ladder)
+        assert causes == met
+        assert found["obstacle_turn_max_rad"] == pytest.approx(turn, rel=1e-2)
+        assert found["obstacle_shift_m"] == 0
+
+
+def test_a_ladder_stands_still_once_it_has_come_to_rest():
+    ladder = compose(["scenario=ladder_climb"])
+    for shift, met in ((0.9e-3, set()), (1.1e-3, {"obstacle_shifted"})):
+        way = [moment(0.0, free=ball(0, 0)), moment(1.0, free=ball(1.0, 0.01))]
+        way.append(moment(2.0, free=ball(1.0, 0.01 + shift), stage=jnp.int32(1)))
+        assert judged(free_bodies, way, ladder)[1] == met
 
 
 @pytest.mark.parametrize("scenario", ["walk_tripod", "raft_cross", "ball_climb", "ladder_climb", "stand_push"])
 def test_every_manoeuvre_has_a_limit_of_slip(scenario):
     assert compose([f"scenario={scenario}"]).thresholds.slip_max_m <= 0.1
+
+
+@pytest.mark.parametrize(
+    ("residual", "ticks", "met"),
+    [(1.9, 1, set()), (2.1, 1, {"solver"}), (0.2, 2, set()), (0.2, 3, {"unsettled"}), (0.09, 9, set())],
+)
+def test_forces_that_the_solver_leaves_are_doubted(residual, ticks, met):
+    """In weights, and ticks of 10 s: a half of a hundredth is two and a half."""
+    left = jnp.asarray(residual * GRAVITY * total_mass(CASE.robot))
+    assert judged(solver, [moment(), *[moment(10.0, residual=left)] * ticks])[1] == met
+
+
+@pytest.mark.parametrize(("share", "met"), [(0.0045, set()), (0.0055, {"energy"})])
+def test_energy_that_no_drive_has_given_is_doubted(share, met):
+    """Compared with the drives' work and the weight at the height of the body's length."""
+    most = 1000 + GRAVITY * total_mass(CASE.robot) * CASE.robot.body_length
+    gives = {"work": jnp.asarray(800.0), "effort": jnp.asarray(1000.0)}
+    way = [moment(), moment(10.0, energy=jnp.asarray(800 + share * most), **gives)]
+    assert judged(solver, way)[1] == met
