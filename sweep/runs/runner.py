@@ -360,7 +360,7 @@ def simulate(exp: Experiment, engine: Engine, rows: pd.DataFrame) -> tuple[pd.Da
 
 
 def run_single(exp: Experiment) -> pd.DataFrame:
-    """The row of one nominal rollout, not stored. Raises `Fault` where the device cannot hold it."""
+    """Rows of one batch, such as a nominal rollout, not stored. Raises `Fault` where the device cannot hold them."""
     exp = replace(exp, settings=replace(exp.settings, width=exp.settings.width or 1))
     table = plan(exp, pd.DataFrame(), wanted_points(exp))
     exp = with_room(exp, table)
