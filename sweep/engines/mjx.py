@@ -39,10 +39,9 @@ from sweep.engines.planning import Planning
 from sweep.engines.prelude import check, prepared
 from sweep.engines.settings import EngineSettings
 from sweep.engines.states import offered
-from sweep.fused import launch
+from sweep.fused import kernel, launch
 from sweep.fused.eager import Eager
 from sweep.fused.kernel import Code, Kernel
-from sweep.fused.kernel import compiled as fused
 from sweep.metrics import stream
 from sweep.metrics.metric import GRACE
 from sweep.metrics.outcome import Thresholds
@@ -250,9 +249,10 @@ class Mjx:
             plans, carry = devices.split(batch, self._mesh)
             if self._by_host:
                 with part("closed loop"):
-                    chunked = fused(self._ticks(quiet), *of_one(arrays, batch))
-                finished = self._compile_finish(arrays, batch, on_devices)
-                return *started(), chunked, finished, self._compile_again(arrays, batch, on_devices)
+                    chunked = pool.submit(kernel.begun(self._ticks(quiet), *of_one(arrays, batch)))
+                    finished = self._compile_finish(arrays, batch, on_devices)
+                    again = self._compile_again(arrays, batch, on_devices)
+                    return *started(), chunked.result(), finished, again
             make = self._fused_chunk if self.fused else self._chunk
             chunk = make(arrays, batch, quiet, kept, watch)
             chunk = on_devices(chunk, in_specs=(*specs, split, split, whole, split), out_specs=recorded)

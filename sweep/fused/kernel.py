@@ -40,11 +40,20 @@ def printed(function: Tick, given: Any, carried: Any, group: int = GROUP) -> tup
 
 def compiled(function: Tick, given: Any, carried: Any, group: int = GROUP, effort: int = 2) -> Code:
     """See `printed`, and `llvm.machine`."""
+    return begun(function, given, carried, group, effort)()
+
+
+def begun(function: Tick, given: Any, carried: Any, group: int = GROUP, effort: int = 2) -> Callable[[], Code]:
+    """The rest of `compiled` once its text is there: most of the time, without Python, which can go on meanwhile."""
     program, text = printed(function, given, carried, group)
-    target = llvm.machine(effort)
-    machine = llvm.compiled(text.text(target.triple), target)
     form = jax.tree.map(is_key, carried)
-    return Code(machine, program.given, program.carried, program.recorded, text.scratch, form)
+
+    def rest() -> Code:
+        target = llvm.machine(effort)
+        machine = llvm.compiled(text.text(target.triple), target)
+        return Code(machine, program.given, program.carried, program.recorded, text.scratch, form)
+
+    return rest
 
 
 def _size(leaf: Leaf) -> int:
