@@ -11,6 +11,7 @@ import re
 import sys
 from collections.abc import Iterator
 from functools import partial
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -24,10 +25,14 @@ from robustness_figures import RATES, bounds_of, errors_of
 from sweep.analysis.intervals import wilson
 from sweep.core.errors import InputError
 from sweep.core.provenance import code_version
+from sweep.metrics.outcome import COLUMNS
 from sweep.report.labels import axis_words, name_and_unit
 
 DOCS = Path(__file__).parent
 DATA = DOCS / "data"
+ROBOT, GROUND = ("axis.size_error", 0.02), ("axis.ground_error", 0.01)  # of all sizes, which learning is to bear
+TABLE = re.compile(r"(?:^\|.*\n)+", re.MULTILINE)
+NUMBER = re.compile(r"\d+(?:[.,]\d+)*")
 BLOCK = re.compile(r"(<!-- data ?([\w ]*): (\w+)(?:, (.*?))? -->)(\s)((?:(?!<!--).)*?)(\s)(<!-- end -->)", re.DOTALL)
 
 
@@ -219,6 +224,33 @@ def outdated(text: str) -> str:
     return f"Measured before the code of this site: {', '.join(older)}." if older else ""
 
 
+def metrics(_: str) -> str:
+    """Every figure of a rollout and what it means, as the code has them."""
+    lines = ["| figure | meaning |", "|---|---|"]
+    return "\n".join([*lines, *(f"| `{name}` | {meaning} |" for name, meaning in COLUMNS.items())])
+
+
+def learned(_: str) -> str:
+    """Successes of robots that are told wrong sizes, and of the same that learn, from the rates that are kept."""
+    kept = pd.read_csv(RATES)
+    kept["robot"] = kept["robot"].replace("calibrates", "learns")
+    columns = [(axis, error, robot) for axis, error in (ROBOT, GROUND) for robot in ("believes", "learns")]
+    lines = ["| manoeuvre | robot: believes | learns | ground: believes | learns |", "|:--|--:|--:|--:|--:|"]
+    for scenario, rates in kept.groupby("scenario"):
+        found = rates.set_index(["axis", "value", "robot"])[["success", "valid"]]
+        cells = [share(*found.loc[one]) if one in found.index else "" for one in columns]
+        lines.append(f"| `{scenario}` | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def by_hand(text: str) -> Iterator[tuple[str, str]]:
+    """Tables with numbers that no block makes: a digest of the numbers of each, and its head."""
+    for found in TABLE.findall(BLOCK.sub("", text)):
+        numbers = NUMBER.findall(found)
+        if numbers:
+            yield sha256(" ".join(numbers).encode()).hexdigest()[:8], found.partition("\n")[0]
+
+
 def pages() -> Iterator[Path]:
     """All pages."""
     yield from sorted(DOCS.rglob("*.md"))
@@ -227,7 +259,7 @@ def pages() -> Iterator[Path]:
 FORMS = {
     "rate": rate, "rollouts": rollouts, "causes": causes, "errors": errors, "along": along, "draws": draws,
     "cells": cells, "each": each, "bounds": bounds, "seen": seen, "codes": codes, "compared": compared, "table": table,
-    "changes": changes, "sources": sources,
+    "learned": learned, "metrics": metrics, "changes": changes, "sources": sources,
     **{name: partial(lambda table, name: table(read(name)), table) for name, table in validity_figures.TABLES.items()},
 }  # fmt: skip
 

@@ -137,12 +137,6 @@ def test_a_threshold_without_its_figure_is_refused(wrong):
         compose(["scenario=walk_tripod", f"outcome.{wrong}"])
 
 
-def test_the_documented_figures_are_those_of_the_metrics():
-    page = (Path(__file__).parents[2] / "docs" / "model.md").read_text()
-    for name, meaning in COLUMNS.items():
-        assert f"| `{name}` | {meaning} |" in page
-
-
 def test_the_page_of_success_has_every_condition_with_its_limit_and_its_test():
     root = Path(__file__).parents[2]
     conditions, _, _ = (root / "docs" / "judge.md").read_text().partition("\n## Half the time step")
