@@ -122,6 +122,8 @@ def test_a_study_is_certified_by_fresh_draws_and_checked_where_it_looks_worst(
     assert "where the region looks worst" in first
     region = json.loads((tmp_path / "region.json").read_text())
     assert region["certified"]
+    assert [one["rollouts"] for one in region["checked"]] == [64, 64]
+    assert region["next_rows"] > region["rows"] > 900
     assert main(["table", "d", "--where", region["where"], "--format", "csv", "-o", "inside.csv"]) == 0
     inside = pd.read_csv("inside.csv")
     # it fails where friction < 5 x step, by the fake engine's law

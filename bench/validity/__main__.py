@@ -33,7 +33,7 @@ Jobs = Iterator[tuple[str, Callable[[], list[dict[str, Any]]]]]  # of a part: na
 PARTS: dict[str, tuple[str, Callable[[], Jobs]]] = {  # with the engines
     "scenes": ("mjx, native, C MuJoCo, MJX; on a GPU Warp", tables.jobs),
     "faults": ("mjx by XLA", faults.jobs),
-    "order": ("mjx by XLA, double", order.jobs),
+    "order": ("mjx, double; C MuJoCo", order.jobs),
     "manoeuvres": ("mjx", manoeuvres.jobs),
     "chaos": ("mjx, double; native", chaos.jobs),
     "precision": ("mjx, C MuJoCo, MJX; on a GPU Warp", precision.jobs),

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from sweep.metrics.outcome import classify
 from sweep.study.config import compose
 from validity.tables import short
 
-NAMES = ("walk_tripod",)  # in double precision this package's compiler fails on poles and balls
+NAMES = sorted(path.stem for path in (Path(__file__).parents[2] / "conf" / "scenario").glob("*.yaml"))
 ROWS, PART, EVERY = 16, 1e-9, 5  # rollouts; what they differ by; control ticks between samples
 PARTED = 1e-3  # m: as far apart as rollouts may come before they are strangers
 SETTLED = 0.5  # s, in which a difference of mass becomes one of places

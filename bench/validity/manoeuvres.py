@@ -14,7 +14,7 @@ from sweep.models.robot import total_mass
 from sweep.study.config import compose
 from validity.tables import short
 
-NAMES = ("walk_tripod", "raft_cross")  # each takes minutes
+NAMES = ("walk_tripod", "pole_climb", "corner_climb", "ball_climb", "raft_cross")  # each takes minutes
 FINEST = (2.5e-4, 8)  # s, iterations
 EVERY = 5  # control ticks between samples
 MEAN = 12  # samples that forces are averaged over: a quarter of a second

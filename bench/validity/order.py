@@ -1,29 +1,45 @@
-"""Errors of scenes over the time step, and over iterations of the contact step, in double precision."""
+"""Errors of scenes over the time step, MuJoCo's beside, and over the contact step's iterations, in double precision."""
 
 from collections.abc import Callable, Iterator
 from functools import cache
 from typing import Any
 
-from validity import points
-from validity.scenes import SCENES, error
+from validity import peers, points
+from validity.scenes import SCENES, History, Scene, error
 from validity.tables import law, short
 
-STEPS, ITERATIONS = (4e-3, 2e-3, 1e-3, 5e-4, 2.5e-4), (1, 2, 4, 16)  # s
+STEPS, ITERATIONS = (4e-3, 2e-3, 1e-3, 5e-4, 2.5e-4), (1, 2, 4, 8, 16)  # s
 STEP, TAKEN = 2e-3, 4  # the step at which iterations are varied, and the iterations at which steps are
 
 
 def jobs() -> Iterator[tuple[str, Callable[[], list[dict[str, Any]]]]]:
-    """One for each program."""
+    """One for each program, and one for each cone of C MuJoCo."""
     laws = cache(law)
     for h, count in [*((h, TAKEN) for h in STEPS), *((STEP, count) for count in ITERATIONS if count != TAKEN)]:
-        yield f"{1e3 * h:g} ms, {count} iterations", lambda h=h, count=count: _rows(laws(), h, count)
+        yield f"{1e3 * h:g} ms, {count} iterations", lambda h=h, count=count: _ours(laws(), h, count)
+    for cone in peers.CONES:
+        yield f"C {cone}", lambda cone=cone: [row for h in STEPS for row in _peers(laws(), cone, h)]
 
 
-def _rows(laws: dict[tuple[str, str], float], h: float, iterations: int) -> list[dict[str, Any]]:
-    found = zip(SCENES, points.by_step(SCENES, h, iterations, double=True), strict=True)
+def _ours(laws: dict[tuple[str, str], float], h: float, iterations: int) -> list[dict[str, Any]]:
+    found = zip(SCENES, points.by_step(SCENES, h, iterations, double=True, fused=True), strict=True)
     return [
-        {"scene": scene.name, "figure": figure.name, "time_step": h, "iterations": iterations,
-         "error": short(error(figure, figure.of(history), laws[scene.name, figure.name])),
-         "residual": short(history.residual)}
-        for scene, history in found for figure in scene.figures
+        row | {"iterations": iterations, "residual": short(history.residual)}
+        for scene, history in found
+        for row in _rows(laws, "mjx", h, scene, history)
+    ]
+
+
+def _peers(laws: dict[tuple[str, str], float], cone: str, h: float) -> list[dict[str, Any]]:
+    settings = peers.Settings(cone, h)
+    return [row for scene in SCENES for row in _rows(laws, f"C {cone}", h, scene, peers.by_mujoco(scene, settings))]
+
+
+def _rows(
+    laws: dict[tuple[str, str], float], engine: str, h: float, scene: Scene, history: History
+) -> list[dict[str, Any]]:
+    return [
+        {"engine": engine, "scene": scene.name, "figure": figure.name, "time_step": h,
+         "error": short(error(figure, figure.of(history), laws[scene.name, figure.name]))}
+        for figure in scene.figures
     ]  # fmt: skip

@@ -1,4 +1,7 @@
-"""A raft that heaves, and one that rocks in water that rubs: periods and decay against small motions' poles (4.2)."""
+"""A raft that heaves, and one that rocks in water that rubs: about which draught, and with which periods and decay.
+
+Answers are Archimedes' draught, and small motions' poles (4.2).
+"""
 
 import dataclasses
 from typing import NamedTuple
@@ -39,9 +42,10 @@ def formula(raft: Raft) -> Formula:
 
 
 class Motion(NamedTuple):
-    """Of both rafts: the one's height off its rest, the other's pitch."""
+    """Of both rafts: the one's draught, and its height off its rest, the other's pitch."""
 
     time: np.ndarray  # (t,) s
+    draught: np.ndarray  # m
     height: np.ndarray  # m
     pitch: np.ndarray  # rad
 
@@ -58,11 +62,20 @@ def figures() -> tuple[Figure, ...]:
     poles = np.linalg.eigvals(np.vstack([np.eye(2, 4, 2), pitching]))
     pole = poles[np.argmax(poles.imag)]
     period, decay = float(2 * np.pi / pole.imag), float(-pole.real)
+    draught = float(heaves.mass) * GRAVITY / (GAMMA * 4 * a * b)
     return (
+        Figure("draught", "m", lambda h: _rest(h.time, h.draught), draught, draught, 0.001),
         Figure("period of heave", "s", lambda h: _period(h.time, h.height), heave, heave, 0.005),
         Figure("period of pitch", "s", lambda h: _period(h.time, h.pitch), period, period, 0.005),
         Figure("decay of pitch", "1/s", lambda h: _decay(h.time, h.pitch), decay, decay, 0.1),
     )
+
+
+def _rest(time: np.ndarray, x: np.ndarray) -> float:
+    """The mean over whole periods."""
+    off = x - x.mean()
+    late = np.flatnonzero((off[:-1] < 0) & (off[1:] >= 0))
+    return float(x[late[0] + 1 : late[-1] + 1].mean())
 
 
 def _period(time: np.ndarray, x: np.ndarray) -> float:
@@ -101,8 +114,10 @@ def _start(raft: Raft, number: int) -> np.ndarray:
 
 
 def _motion(h: float, heaves: np.ndarray, rocks: np.ndarray) -> Motion:
-    rest = float(rafts()[0].start().position[0, 2])
-    return Motion(h * (1 + np.arange(len(heaves))), heaves[:, 2] - rest, 2 * rocks[:, 5])
+    raft = rafts()[0]
+    rest = float(raft.start().position[0, 2])
+    draught = float(raft.half[2]) - raft.bank_height - heaves[:, 2]
+    return Motion(h * (1 + np.arange(len(heaves))), draught, heaves[:, 2] - rest, 2 * rocks[:, 5])
 
 
 def by_mujoco(h: float) -> Motion:

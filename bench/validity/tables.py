@@ -8,7 +8,7 @@ from validity import peers, points, raft, robot
 from validity.reference import converged
 from validity.scenes import LONG, SCENES, Scene, error
 
-STEPS = {"mjx": {"fused": True}, "mjx by XLA": {}, "mjx, double": {"double": True}}
+STEPS = {"mjx": {"fused": True}, "mjx by XLA": {}, "mjx, double": {"double": True, "fused": True}}
 
 
 def law() -> dict[tuple[str, str], float]:

@@ -43,9 +43,10 @@ def run(given: argparse.Namespace) -> tuple[str, dict[str, Any]]:
     lines = [told(found, given.shape, names)]
     if not (learned := values(learning, names))[1].any():
         lines.append("none of the rows to learn from failed, so that regions are in no order: wider draws tell more")
-    if found.found and given.rollouts:
-        lines += ["", checked(exp, folder, found, names, learned)]
-    return "\n".join(lines), as_data(found, given, names)
+    again = checked(exp, folder, found, names, learned) if found.found and given.rollouts else []
+    if again:
+        lines += ["", page_table(pd.DataFrame([{**one, "95 %": interval(one)} for one in again]))]
+    return "\n".join(lines), as_data(found, given, names) | {"checked": again}
 
 
 def check(given: argparse.Namespace) -> None:
@@ -100,8 +101,8 @@ def checked(
     found: certify.Certificate,
     names: list[str],
     learning: tuple[np.ndarray, np.ndarray],
-) -> str:
-    """A table of draws where the region looks worst, and of draws outside it: they play no part in the promise.
+) -> list[dict[str, Any]]:
+    """How many draws fail where the region looks worst, and outside it: they play no part in the promise.
 
     Worst is where a law of failing that was learned from the learning rows expects most. They run in batches as wide
     as the fresh draws', for which an engine is there.
@@ -124,9 +125,14 @@ def checked(
     lines = []
     for kind, places in kinds.items():
         failed = rows.loc[table["point_id"].iloc[places], "outcome"] != "success"
-        low, high = (percent(float(v)) for v in clopper_pearson(failed.sum(), len(failed)))
-        lines.append({"draws": kind, "rollouts": len(failed), "fail": int(failed.sum()), "95 %": f"{low} to {high}"})
-    return page_table(pd.DataFrame(lines))
+        lines.append({"draws": kind, "rollouts": len(failed), "fail": int(failed.sum())})
+    return lines
+
+
+def interval(one: dict[str, Any]) -> str:
+    """Of the rate of checks that failed."""
+    low, high = (percent(float(v)) for v in clopper_pearson(one["fail"], one["rollouts"]))
+    return f"{low} to {high}"
 
 
 def told(found: certify.Certificate, shape: str, names: list[str]) -> str:
@@ -163,6 +169,8 @@ def as_data(found: certify.Certificate, given: argparse.Namespace, names: list[s
         "rows": found.rows,
         "failed": found.failed,
         "fresh_rows": found.drawn,
+        "next_rows": found.next_rows,
+        "next_failed": found.next_failed,
         "share_of_draws": found.share,
         "bound_of_its_rows": found.at_most if found.found else None,
     }

@@ -1,0 +1,111 @@
+"""Regions that are certified, and what makes a climb fail, for docs/certainty.md: `python bench/certainty.py [1e-5]`.
+
+Of 1 % failures, or of a hundred-thousandth, for which a GPU takes minutes. What is measured is written to
+docs/data/certified.json, or docs/data/certified_1e_5.json. Studies start with no program kept.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from sweep.analysis import failing
+from sweep.core.files import write_whole
+from sweep.core.provenance import made_with
+from sweep.report.labels import axis_words
+from sweep.runs import store
+from sweep.study.config import experiment
+
+DATA = Path(__file__).parents[1] / "docs" / "data"
+LENGTHS = ("body_length", "body_width", "thigh", "shin")
+
+
+class Promise(NamedTuple):
+    """A study, and the regions to be found in it."""
+
+    name: str
+    overrides: list[str]
+    shapes: tuple[str, ...]
+
+
+def climb(off: float) -> list[str]:
+    """The pole's climb with lengths off by a share."""
+    return ["scenario=pole_climb", *(f"study.axes.{name}.relative={off:g}" for name in LENGTHS)]
+
+
+WALK = Promise("`walk_tripod`", ["scenario=walk_tripod"], ("box",))
+CLIMB = Promise("`pole_climb`, lengths off by up to 0.5 %", climb(0.005), ("ellipsoid", "score"))
+RARE = Promise("`pole_climb`, lengths off by up to 0.2 %", climb(0.002), ("ellipsoid",))
+ASKED = {  # by failures at most: rows to learn from, fresh ones, and studies
+    "1e-2": (1024, 1024, (WALK, CLIMB)),
+    "1e-5": (16384, 330_000, (WALK, RARE)),
+}
+
+
+def regions(failures: str, root: Path) -> Iterator[list[str]]:
+    """A line for each region; rows are kept in folders of `root`, one for each study."""
+    learn, fresh, promises = ASKED[failures]
+    for k, promise in enumerate(promises):
+        folder, told = root / f"{k}", root / "region.json"
+        seconds = sweep(
+            root, "run", "study=any_errors", *promise.overrides, f"study.design.num={learn}", f"out={folder}"
+        )
+        for shape in promise.shapes:
+            asked = f"--failures {failures} --shape {shape} --rollouts {fresh} -o {told}"
+            seconds += sweep(root, "certify", str(folder), *asked.split())
+            found = json.loads(told.read_text(encoding="utf-8"))
+            checks = [f"{one['fail']} of {one['rollouts']}" for one in found["checked"]] or ["", ""]
+            larger = f"{found['next_failed']} of {found['next_rows']:,}" if found["next_rows"] else "it is the largest"
+            share = f"{100 * found['share_of_draws']:.1f} %" if found["certified"] else "none"
+            yield [promise.name, failures, shape, share, f"{found['failed']} of {found['rows']:,}", larger, *checks,
+                   f"{seconds:.0f}"]  # fmt: skip
+            seconds = 0.0
+
+
+def sweep(root: Path, *words: str) -> float:
+    """How long a command takes (s), with programs kept in `root`. Exits where it fails."""
+    (kept := root / "programs").mkdir(mode=0o700, exist_ok=True)
+    there = {**os.environ, "XDG_CACHE_HOME": str(root), "JAX_COMPILATION_CACHE_DIR": str(kept)}
+    start = time.perf_counter()
+    done = subprocess.run([sys.executable, "-m", "sweep.cli", *words], env=there, capture_output=True, text=True)
+    if done.returncode not in (0, 4):  # nothing is certified
+        raise SystemExit(f"sweep {' '.join(words)}: {done.stderr.strip()}")
+    print(f"sweep {' '.join(words)}: {done.stdout.strip()}", flush=True)
+    return time.perf_counter() - start
+
+
+def shares(folder: Path) -> list[list[Any]]:
+    """What makes rollouts fail, the largest first."""
+    found = failing.shares(store.read_rows(folder), experiment(store.read_study(folder)["config"]))
+    columns = found[["axis", "share", "error", "alone"]].to_numpy().tolist()
+    return [[axis_words(axis), f"{100 * share:.1f} %", f"{100 * error:.1f}", f"{alone:.2f}"]
+            for axis, share, error, alone in columns]  # fmt: skip
+
+
+def main(failures: str = "1e-2") -> None:
+    """Measure."""
+    if failures not in ASKED:
+        raise SystemExit(f"{failures} is not allowed: {' or '.join(ASKED)}")
+    start, titles = time.perf_counter(), ["study=any_errors", "at most fail", "shape", "share of the draws",
+        "fresh rows that fail", "in the next larger region", "where it looks worst fail", "outside", "s"]  # fmt: skip
+    with tempfile.TemporaryDirectory() as root:
+        tables = {"regions": [titles, *regions(failures, Path(root))]}
+        folder = Path(root, "1")
+        tables["shares"] = [["", "share in failing", "error", "alone"], *shares(folder)]
+        rows, stored = store.read_rows(folder), store.read_study(folder)
+        failed = int((rows["outcome"] != "success").sum())
+    usual = failures == next(iter(ASKED))
+    command = "python bench/certainty.py" + ("" if usual else f" {failures}")
+    about = {"command": command, "engine": "`mjx`", "devices": stored["devices"], **made_with(),
+             "seconds": round(time.perf_counter() - start), "rows": len(rows), "failed": failed}  # fmt: skip
+    path = DATA / ("certified.json" if usual else f"certified_{failures.replace('-', '_')}.json")
+    write_whole(path, (json.dumps(about | {"tables": tables}, indent=1, ensure_ascii=False) + "\n").encode())
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
