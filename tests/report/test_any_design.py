@@ -16,6 +16,12 @@ DRAWN = {
     "mass": "{path: robot.body_mass, distribution: {kind: uniform, from: 8.0, to: 12.0}}",
     "damping": "{path: drive.damping, distribution: {kind: uniform, from: 500.0, to: 530.0}}",
     "length": "{path: robot.body_length, relative: 0.02}",
+    "shin": "{path: robot.shin, side: world, relative: 0.02}",
+    "torque": "{path: drive.torque_limit, distribution: {kind: uniform, from: 140.0, to: 160.0}}",
+}
+RARE = {  # a rollout fails where friction is three standard deviations low
+    "friction": "{path: contact.friction, side: world, distribution: {kind: normal, mean: 0.8, std: 0.1}}",
+    "mass": "{path: robot.body_mass, side: world, distribution: {kind: normal, mean: 10.0, std: 0.1}}",
 }
 LISTED = {
     "friction": "{path: contact.friction, side: world, values: [0.1, 0.5, 0.9]}",
@@ -48,7 +54,7 @@ DESIGNS = {
     "one_row_repeated": study({}, "study.replicates=3", "noise.position_noise=0.001"),
     **{f"listed_{n}": study(dict(list(LISTED.items())[:n])) for n in range(1, 7)},
     "a_name": study(some(LISTED, "friction", "step", "engine")),
-    **{f"drawn_{n}": study(dict(list(DRAWN.items())[:n]), drawing("monte_carlo", 24)) for n in range(1, 5)},
+    **{f"drawn_{n}": study(dict(list(DRAWN.items())[:n]), drawing("monte_carlo", 24)) for n in range(1, 7)},
     "drawn_400": study(some(DRAWN, "friction", "mass", "damping"), drawing("latin_hypercube", 400)),
     "listed_by_1_drawn": study(some(DRAWN, "friction") | STEP, drawing("monte_carlo", 64)),
     "listed_by_3_drawn": study(some(DRAWN, "friction", "mass", "damping") | some(LISTED, "bias"),
@@ -57,6 +63,8 @@ DESIGNS = {
     "2_listed_by_3_drawn": study(some(DRAWN, "mass", "damping", "length") | some(LISTED, "friction", "step"),
                                   drawing("sobol", 16)),
     "saltelli": study(some(DRAWN, "friction", "mass"), drawing("saltelli", 8)),
+    "importance": study(RARE, "study.design={kind: importance, num: 256}"),
+    "subset": study(RARE, "study.design={kind: subset, num: 100, share: 0.5, runs: 3}"),
     "morris": study(some(DRAWN, "friction", "mass"), drawing("morris", 4)),
     "zipped": study(some(LISTED, "friction") | ZIPPED),
     "zipped_by_listed": study(some(LISTED, "friction", "step") | ZIPPED),
@@ -84,6 +92,19 @@ POINTS = {
         "drive.damping": np.tile([500.0, 530.0], 20),
         "manoeuvre.half_step_ratio": np.repeat([0.05, 0.15], 20),
     },
+    "points_of_6": {
+        path: np.random.default_rng(number).uniform(low, high, 30)
+        for number, (path, low, high) in enumerate(
+            [
+                ("world.contact.friction", 0.1, 1.2),
+                ("robot.body_mass", 8, 12),
+                ("drive.damping", 500, 530),
+                ("robot.body_length", 1.0, 1.1),
+                ("world.robot.shin", 0.33, 0.34),
+                ("drive.torque_limit", 140, 160),
+            ]
+        )
+    },
 }
 
 
@@ -94,6 +115,12 @@ def ran(folder, *overrides):
     """A study in `folder`."""
     given = ["scenario=walk_tripod", "scenario.expect=[]", "study.name=any", "engine.width=512", *overrides]
     assert main(["run", *given, f"out={folder}"]) in (0, 3)
+
+
+def of_points(points, folder):
+    """The words that run these points, from a file in `folder`."""
+    pd.DataFrame(POINTS[points]).to_csv(folder / "points.csv", index=False)
+    return "--points", str(folder / "points.csv")
 
 
 def told(folder):
@@ -134,8 +161,7 @@ def test_a_study_of_any_design_is_told(design, fake_engine, tmp_path):
 
 @pytest.mark.parametrize("points", POINTS)
 def test_points_from_a_file_are_told(points, fake_engine, tmp_path):
-    pd.DataFrame(POINTS[points]).to_csv(tmp_path / "points.csv", index=False)
-    ran(tmp_path / "study", "--points", str(tmp_path / "points.csv"))
+    ran(tmp_path / "study", *of_points(points, tmp_path))
     told(tmp_path / "study")
     assert isinstance(pictures(results.read(tmp_path / "study"), tmp_path, ()), list)
 
@@ -144,11 +170,11 @@ def test_points_from_a_file_are_told(points, fake_engine, tmp_path):
     "design",
     [
         "listed_by_3_drawn",
-        *(pytest.param(one, marks=pytest.mark.slow) for one in DESIGNS if one != "listed_by_3_drawn"),
+        *(pytest.param(one, marks=pytest.mark.slow) for one in (*DESIGNS, *POINTS) if one != "listed_by_3_drawn"),
     ],
 )
 def test_every_command_ends_well(design, fake_engine, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    ran(tmp_path / "study", *DESIGNS[design])
+    ran(tmp_path / "study", *(of_points(design, tmp_path) if design in POINTS else DESIGNS[design]))
     for name, *more in COMMANDS:
         assert main([name, "study", *more]) == 0, name
