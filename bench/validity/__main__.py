@@ -5,6 +5,7 @@ or on a machine with a GPU docs/data/validity_PART_gpu.json.
     python bench/validity scenes                # scenes with known answers, by every engine
     python bench/validity faults                # wrong steps, and which bounds each breaks
     python bench/validity order                 # errors over time step and iterations
+    python bench/validity peers                 # C MuJoCo's over time step
     python bench/validity manoeuvres            # whole ones, over time step and iterations
     python bench/validity chaos                 # how fast runs part that differ by 1e-9
     python bench/validity precision             # speed over error, beside MuJoCo
@@ -33,7 +34,8 @@ Jobs = Iterator[tuple[str, Callable[[], list[dict[str, Any]]]]]  # of a part: na
 PARTS: dict[str, tuple[str, Callable[[], Jobs]]] = {  # with the engines
     "scenes": ("mjx, native, C MuJoCo, MJX; on a GPU Warp", tables.jobs),
     "faults": ("mjx by XLA", faults.jobs),
-    "order": ("mjx, double; C MuJoCo", order.jobs),
+    "order": ("mjx, double", order.jobs),
+    "peers": ("C MuJoCo", order.of_peers),
     "manoeuvres": ("mjx", manoeuvres.jobs),
     "chaos": ("mjx, double; native", chaos.jobs),
     "precision": ("mjx, C MuJoCo, MJX; on a GPU Warp", precision.jobs),

@@ -13,33 +13,39 @@ STEP, TAKEN = 2e-3, 4  # the step at which iterations are varied, and the iterat
 
 
 def jobs() -> Iterator[tuple[str, Callable[[], list[dict[str, Any]]]]]:
-    """One for each program, and one for each cone of C MuJoCo."""
+    """One for each program."""
     laws = cache(law)
     for h, count in [*((h, TAKEN) for h in STEPS), *((STEP, count) for count in ITERATIONS if count != TAKEN)]:
         yield f"{1e3 * h:g} ms, {count} iterations", lambda h=h, count=count: _ours(laws(), h, count)
+
+
+def of_peers() -> Iterator[tuple[str, Callable[[], list[dict[str, Any]]]]]:
+    """One for each cone of C MuJoCo, nothing but it and the time step being set."""
+    laws = cache(law)
     for cone in peers.CONES:
         yield f"C {cone}", lambda cone=cone: [row for h in STEPS for row in _peers(laws(), cone, h)]
 
 
 def _ours(laws: dict[tuple[str, str], float], h: float, iterations: int) -> list[dict[str, Any]]:
     found = zip(SCENES, points.by_step(SCENES, h, iterations, double=True, fused=True), strict=True)
+    more = {"time_step": h, "iterations": iterations}
     return [
-        row | {"iterations": iterations, "residual": short(history.residual)}
+        row | more | {"residual": short(history.residual)}
         for scene, history in found
-        for row in _rows(laws, "mjx", h, scene, history)
+        for row in _rows(laws, scene, history)
     ]
 
 
 def _peers(laws: dict[tuple[str, str], float], cone: str, h: float) -> list[dict[str, Any]]:
     settings = peers.Settings(cone, h)
-    return [row for scene in SCENES for row in _rows(laws, f"C {cone}", h, scene, peers.by_mujoco(scene, settings))]
-
-
-def _rows(
-    laws: dict[tuple[str, str], float], engine: str, h: float, scene: Scene, history: History
-) -> list[dict[str, Any]]:
     return [
-        {"engine": engine, "scene": scene.name, "figure": figure.name, "time_step": h,
-         "error": short(error(figure, figure.of(history), laws[scene.name, figure.name]))}
-        for figure in scene.figures
-    ]  # fmt: skip
+        row | {"engine": f"C {cone}", "time_step": h}
+        for scene in SCENES
+        for row in _rows(laws, scene, peers.by_mujoco(scene, settings))
+    ]
+
+
+def _rows(laws: dict[tuple[str, str], float], scene: Scene, history: History) -> Iterator[dict[str, Any]]:
+    for figure in scene.figures:
+        off = error(figure, figure.of(history), laws[scene.name, figure.name])
+        yield {"scene": scene.name, "figure": figure.name, "error": short(off)}
