@@ -47,6 +47,16 @@ def test_it_crosses(engine):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("engine", ["mjx", "native"])
+def test_it_goes_ashore_from_a_raft_that_comes_turned(engine):
+    """Pushed 0.14 m to either side of its middle: from where it then stands, and pulled in no faster than feet hold."""
+    rows = outcomes(["scenario=raft_cross", f"engine={engine}"], 2, manoeuvre={"offset": np.array([-0.14, 0.14])})
+    assert rows["outcome"].tolist() == ["success"] * 2, rows["cause"]
+    assert rows["arrival_turn_rad"] == pytest.approx([0.25, -0.24], abs=0.025)
+    assert rows["slip_max_m"].max() < 0.03
+
+
+@pytest.mark.slow
 def test_it_lands_on_a_bank_that_is_nearer_than_believed():
     """The raft, longer than believed too, meets it 60 mm early: the robot goes ashore there, and does not wait."""
     belief = compose(["scenario=raft_cross"]).case.on(Raft)
