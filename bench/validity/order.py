@@ -47,5 +47,7 @@ def _peers(laws: dict[tuple[str, str], float], cone: str, h: float) -> list[dict
 
 def _rows(laws: dict[tuple[str, str], float], scene: Scene, history: History) -> Iterator[dict[str, Any]]:
     for figure in scene.figures:
-        off = error(figure, figure.of(history), laws[scene.name, figure.name])
-        yield {"scene": scene.name, "figure": figure.name, "error": short(off)}
+        value = figure.of(history)
+        row = {"scene": scene.name, "figure": figure.name}
+        row |= {"error": short(error(figure, value, laws[scene.name, figure.name]))}
+        yield row | ({"off": short(abs(value)), "unit": figure.unit} if figure.exact == 0 else {})
