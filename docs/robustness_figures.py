@@ -4,17 +4,20 @@ python docs/robustness_figures.py --bounds results/*_robustness results/*_robust
 python docs/robustness_figures.py --rates      # docs/robustness_rates.md and its figures, from the rates that are kept
 """
 
+import math
 import sys
 from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import pandas as pd
 from PIL import Image
 
 from sweep.analysis import sensitivity
+from sweep.core.letters import LETTERS, folded, legend_below, lettering, sheet
+from sweep.core.letters import PAGE as PAGE_WIDTH
 from sweep.runs import results
+from sweep.trace.plots import DPI
 
 FIGURES = Path(__file__).parent / "figures"
 ERRORS = {  # what a line of the table is called, and how its numbers are told
@@ -60,6 +63,8 @@ SEEN = {  # columns of the second part of the table
     "noise.body_delay": ("delay, ms", "bodies, delay, ms", 4, 0.0),
 }
 ROBOTS = {"believes": "#7F7F7F", "calibrates": "#009E73", "learns": "#0072B2"}
+ACROSS = 4  # panels
+APART = 0.15  # of a panel's width, between labels below it
 WANTED = 0.9  # share of rollouts that are to succeed
 RATES = Path(__file__).parent / "examples" / "robustness_rates.csv"
 PAGE = """# Robustness, manoeuvre by manoeuvre
@@ -129,16 +134,27 @@ def page() -> None:
     """The rates in `RATES` as docs/robustness_rates.md, a figure for each manoeuvre."""
     parts = [PAGE]
     for scenario, rates in pd.read_csv(RATES).groupby("scenario"):
-        draw_rates(rates, f"robustness_{scenario}")
+        with lettering():
+            draw_rates(rates, f"robustness_{scenario}")
         parts.append(f"## {scenario}\n\n![rates of {scenario}](figures/robustness_{scenario}.png)\n")
     (FIGURES.parent / "robustness_rates.md").write_text("\n".join(parts), encoding="utf-8")
+
+
+def labelled(errors: list[float]) -> list[str]:
+    """What is written below each of several errors on a logarithmic axis: nothing below one that is too near."""
+    apart, last, labels = APART * math.log(errors[-1] / errors[0]), -math.inf, []
+    for error in errors:
+        labels.append(f"{error:g}" if math.log(error) - last >= apart else "")
+        last = math.log(error) if labels[-1] else last
+    return labels
 
 
 def draw_rates(rates: pd.DataFrame, name: str) -> None:
     """A panel for each error: what shares succeed with it, with their 95 % intervals, of every robot."""
     drawn = {axis: how for axis, how in (BOUNDS | SEEN).items() if axis in set(rates["axis"])}
-    lines = -(-len(drawn) // 6)
-    figure, panels = plt.subplots(lines, 6, figsize=(15, 2.1 * lines), sharey=True, layout="constrained")
+    lines = -(-len(drawn) // ACROSS)
+    figure = sheet(0.4 + 1.35 * lines)
+    panels = figure.subplots(lines, ACROSS, sharey=True)
     for panel in panels.flat[len(drawn) :]:
         panel.axis("off")
     for panel, (axis, (_, title, scale, nominal)) in zip(panels.flat, drawn.items(), strict=False):
@@ -149,19 +165,18 @@ def draw_rates(rates: pd.DataFrame, name: str) -> None:
             panel.fill_between(
                 of_one["error"], 100 * of_one["low"], 100 * of_one["high"], color=colour, alpha=0.2, lw=0
             )
-            panel.plot(of_one["error"], 100 * of_one["share"], "o-", ms=3, lw=1.2, color=colour, label=robot)
+            panel.plot(of_one["error"], 100 * of_one["share"], "o-", ms=2.5, color=colour, label=robot)
         panel.axhline(100 * WANTED, color="0.6", lw=0.6, ls=":")
         panel.set_xscale("log")
         told = sorted(errors.unique())
-        panel.set_xticks(told, [f"{error:g}" for error in told], fontsize=7)
+        panel.set_xticks(told, labelled(told))
         panel.minorticks_off()
-        panel.set_title(title, fontsize=9)
+        panel.set_title(folded(title, 72 * PAGE_WIDTH / ACROSS - 2 * LETTERS))
     panels[0, 0].set_ylim(-3, 103)
     for panel in panels[:, 0]:
         panel.set_ylabel("succeed, %")
-    panels[0, 0].legend(loc="lower left", fontsize=8)
-    figure.savefig(picture := BytesIO(), dpi=80)
-    plt.close(figure)
+    legend_below(figure, panels[0, 0].get_legend_handles_labels()[0])
+    figure.savefig(picture := BytesIO(), dpi=DPI)
     Image.open(picture).convert("RGB").quantize(32).save(FIGURES / f"{name}.png", optimize=True)
 
 
