@@ -13,7 +13,7 @@ from sweep.core.letters import legend_below, lettering, sheet
 from sweep.report.looks import LOOKS
 
 DOCS = Path(__file__).parent
-ENGINES = ("mjx", "mjx, double", "native", "C elliptic", "C pyramidal", "MJX elliptic", "Warp elliptic")
+ENGINES = ("mjx", "mjx by XLA", "mjx, double", "native", "C elliptic", "C pyramidal", "MJX elliptic", "Warp elliptic")
 DRAWN = {  # whose colours, and marks
     "mjx": ("success", "o"), "C MuJoCo": ("fell", "s"), "MJX": ("slipped", "^"), "Warp": ("fell_off", "D"),
 }  # fmt: skip
@@ -33,7 +33,7 @@ def scenes(data: Row) -> str:
     engines = [name for name in ENGINES if any(name in row["errors"] for row in data["rows"])]
     lines = ["| scene | what | answer | " + " | ".join(engines) + " |", "|:--|:--|--:|" + "--:|" * len(engines)]
     before = None
-    for row in data["rows"]:
+    for row in _figures(data):
         name = row["scene"] if row["scene"] != before else ""
         before = row["scene"]
         cells = [_off(row, engine) for engine in engines]
@@ -41,10 +41,24 @@ def scenes(data: Row) -> str:
     return "\n".join(lines)
 
 
+def _figures(data: Row, values: bool = True) -> list[Row]:
+    """Rows of scenes, whose figures have values, or of the robot's feet, whose forces have errors alone."""
+    return [row for row in data["rows"] if bool(row["values"]) == values]
+
+
+def stands(data: Row) -> str:
+    """How far the forces of the robot's feet are off, and how far the least ones that balance the weight are."""
+    rows = _figures(data, False)
+    engines = [name for name in ENGINES if any(name in row["errors"] for row in rows)]
+    lines = [f"| robot | least squares | {' | '.join(engines)} |", "|:--|" + "--:|" * (1 + len(engines))]
+    for row in rows:
+        cells = [_share(x) for x in (row["least squares"], *(row["errors"][name] for name in engines))]
+        lines.append(f"| {row['scene'].removeprefix('robot, ')} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
 def _answer(row: Row) -> str:
     unit = f" {row['unit']}" if row["unit"] else ""
-    if not row["values"]:
-        return "springs"
     return f"{row['exact']:g}{unit}" if row["exact"] is not None else f"*{row['law']:g}{unit}*"
 
 
@@ -91,7 +105,7 @@ def order(data: Row) -> str:
             continue
         last = np.log([errors[h] or np.nan for h in steps[-3:]])
         slope = np.polyfit(np.log(steps[-3:]), last, 1)[0]
-        cells = " | ".join("–" if x is None else f"{small(100 * x)} %" for x in (errors[h] for h in steps))
+        cells = " | ".join(_share(errors[h]) for h in steps)
         told = f"{slope:.1f}" if slope < STEEPEST else "–"
         lines.append(f"| {name[0]} | {name[1]} | {cells} | {told} |")
     return "\n".join(lines)
@@ -110,6 +124,30 @@ def iterations(data: Row) -> str:
             cells.append(f"{small(100 * off)} % ({_newtons(own[0]['residual'])})")
         lines.append(f"| {scene} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
+
+
+def peers(data: Row) -> str:
+    """C MuJoCo's over the time step, either cone in a cell; values themselves where the answer is 0."""
+    figures: dict[tuple[str, str], dict[tuple[float, str], Row]] = {}
+    for row in data["rows"]:
+        figures.setdefault((row["scene"], row["figure"]), {})[row["time_step"], row["engine"]] = row
+    steps = sorted({row["time_step"] for row in data["rows"]}, reverse=True)
+    engines = list(dict.fromkeys(row["engine"] for row in data["rows"]))
+    titles = " | ".join(f"{1e3 * h:g} ms" for h in steps)
+    lines = [f"| scene | what | {titles} |", "|:--|:--|" + "--:|" * len(steps)]
+    for (scene, figure), rows in figures.items():
+        if any((rows[2e-3, name]["error"] or 0) >= SEEN for name in engines):
+            cells = ["; ".join(_off_by(rows[h, name]) for name in engines) for h in steps]
+            lines.append(f"| {scene} | {figure} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def _off_by(row: Row) -> str:
+    return f"{small(row['off'])} {row['unit']}" if row.get("off") is not None else _share(row["error"])
+
+
+def _share(x: float | None) -> str:
+    return "–" if x is None else f"{small(100 * x)} %"
 
 
 def _newtons(x: float | None) -> str:
@@ -183,8 +221,8 @@ def precision(data: Row) -> str:
 
 
 TABLES = {
-    "scenes": scenes, "faults": faults, "order": order, "iterations": iterations, "manoeuvres": manoeuvres,
-    "chaos": chaos, "precision": precision,
+    "scenes": scenes, "stands": stands, "faults": faults, "order": order, "iterations": iterations, "peers": peers,
+    "manoeuvres": manoeuvres, "chaos": chaos, "precision": precision,
 }  # fmt: skip
 
 
