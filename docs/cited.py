@@ -31,6 +31,7 @@ from sweep.report.labels import axis_words, name_and_unit
 DOCS = Path(__file__).parent
 DATA = DOCS / "data"
 ROBOT, GROUND = ("axis.size_error", 0.02), ("axis.ground_error", 0.01)  # of all sizes, which learning is to bear
+TOUCH_ALONE = ("ball_descend", "ball_to_ball")  # who start on a ball, where nobody can calibrate
 TABLE = re.compile(r"(?:^\|.*\n)+", re.MULTILINE)
 NUMBER = re.compile(r"\d+(?:[.,]\d+)*")
 BLOCK = re.compile(r"(<!-- data ?([\w ]*): (\w+)(?:, (.*?))? -->)(\s)((?:(?!<!--).)*?)(\s)(<!-- end -->)", re.DOTALL)
@@ -232,15 +233,34 @@ def metrics(_: str) -> str:
 
 def learned(_: str) -> str:
     """Successes of robots that are told wrong sizes, and of the same that learn, from the rates that are kept."""
-    kept = pd.read_csv(RATES)
-    kept["robot"] = kept["robot"].replace("calibrates", "learns")
     columns = [(axis, error, robot) for axis, error in (ROBOT, GROUND) for robot in ("believes", "learns")]
     lines = ["| manoeuvre | robot: believes | learns | ground: believes | learns |", "|:--|--:|--:|--:|--:|"]
-    for scenario, rates in kept.groupby("scenario"):
+    for scenario, rates in _learning().groupby("scenario"):
         found = rates.set_index(["axis", "value", "robot"])[["success", "valid"]]
         cells = [share(*found.loc[one]) if one in found.index else "" for one in columns]
         lines.append(f"| `{scenario}` | {' | '.join(cells)} |")
     return "\n".join(lines)
+
+
+def gained(_: str, of: str) -> str:
+    """Successes of all who learn with wrong sizes of the `robot` or the `ground`, and of the same that believe.
+
+    Of the robot's sizes only those count that it can learn: it calibrates itself, or drives by what it has seen.
+    """
+    axis, error = {"robot": ROBOT, "ground": GROUND}[of]
+    kept = _learning()
+    kept = kept[(kept["axis"] == axis) & (kept["value"] == error)]
+    rates = kept.pivot_table(index="scenario", columns="robot", values=["success", "valid"]).dropna()
+    if of == "robot":
+        rates = rates.drop(index=list(TOUCH_ALONE))
+    (believe, learn), (_, of_all) = (rates[count].sum().astype(int) for count in ("success", "valid"))
+    return f"{learn:,} of {of_all:,} rollouts of {len(rates)} manoeuvres succeed, without it {believe:,}"
+
+
+def _learning() -> pd.DataFrame:
+    """Rates that are kept, with no difference between who calibrates only and who learns all there is."""
+    kept = pd.read_csv(RATES)
+    return kept.assign(robot=kept["robot"].replace("calibrates", "learns"))
 
 
 def by_hand(text: str) -> Iterator[tuple[str, str]]:
@@ -259,7 +279,7 @@ def pages() -> Iterator[Path]:
 FORMS = {
     "rate": rate, "rollouts": rollouts, "causes": causes, "errors": errors, "along": along, "draws": draws,
     "cells": cells, "each": each, "bounds": bounds, "seen": seen, "codes": codes, "compared": compared, "table": table,
-    "learned": learned, "metrics": metrics, "changes": changes, "sources": sources,
+    "learned": learned, "gained": gained, "metrics": metrics, "changes": changes, "sources": sources,
     **{name: partial(lambda table, name: table(read(name)), table) for name, table in validity_figures.TABLES.items()},
 }  # fmt: skip
 
