@@ -1,5 +1,7 @@
 """`sweep tune`: a search for a plan's numbers, which goes on where it was interrupted."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -108,6 +110,23 @@ def test_a_plan_that_touches_is_tuned_until_it_does_not(tmp_path, monkeypatch, c
     was, now = (numbers(tabled(case), charts(case.obstacle)) for case in (was, now))
     assert {path for path in was if was[path] != now[path]} == {"over.front.base.ahead", "over.front.base.above"}
     assert len((tmp_path / "plans" / "mine.yaml.log").read_text().splitlines()) == 1 + 3
+
+
+@pytest.mark.slow
+def test_gradients_move_numbers_of_the_manoeuvre_too_and_the_file_says_so(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    asked = ["tune", "scenario=pole_climb", "robot.thigh=0.598", "robot.shin=0.38525", "--stages", "stand"]
+    free = ["--free", "manoeuvre.spread_ratio", "--moments", "3", "--generations", "20"]
+    assert main([*asked, *free, "--gradients", "out=mine.yaml"]) == 0  # legs cross before the first step
+    told = capsys.readouterr().out
+    before, after = (float(word) for word in told.split()[1:4:2])
+    assert after < 0.1 < before
+    (found,) = re.findall(
+        r"^# to be run with manoeuvre.spread_ratio=(\S+)$", (tmp_path / "mine.yaml").read_text(), re.M
+    )
+    assert 0.175 < float(found) < 0.3
+    for more in (["--follow"], ["--gradients", "--forces"]):
+        assert main([*asked, *free, *more, "out=mine.yaml"]) == 2
 
 
 @pytest.mark.slow

@@ -1,6 +1,7 @@
 """`sweep tune`: search the numbers of a plan for a robot, an obstacle and draws of one's own."""
 
 import argparse
+import dataclasses
 import shlex
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
@@ -26,7 +27,7 @@ from sweep.study.config import Experiment, compose
 from sweep.study.study import parameter_columns, points
 from sweep.systems.base import side_and_path
 from sweep.systems.hexapod import Hexapod
-from sweep.tune.score import Aim, Score, shares, stacked, worst
+from sweep.tune.score import MANOEUVRE, Aim, Score, shares, stacked, worst
 
 DIGITS, SLOPE_DIGITS = 4, 3  # to which numbers are rounded, and slopes
 DRAWS = ("here", "other draws")
@@ -35,6 +36,8 @@ SLIGHT = 0.05  # first steps by which a number has to follow a size in the farth
 EPILOG = """Margins are those of sweep/tune/planned.py; draws are the points of the study, known to the planner. What is
 found is checked on the draws of the study's next seed. With --follow numbers get slopes, by which they follow the sizes
 that the study draws. With --simulate both draws are run, too, by the plan before and after, in folders beside the file.
+What no number of the plan moves, such as feet on the way to an obstacle, may be moved by numbers of the manoeuvre
+(--free manoeuvre.NAME): the file says with which of them its plan is to be run.
 examples:
   sweep tune scenario=pole_top robot=mine study=pole_sizes out=plans/mine.yaml --free 'top.*' --stages 'top.*'
   sweep tune scenario=pole_top study=pole_sizes out=plans/any.yaml --follow --simulate
@@ -55,12 +58,22 @@ def main(args: list[str]) -> int:
         raise InputError(f"manoeuvre.kind = {case.manoeuvre.kind} has its numbers in no file")
     if not given.check and where.suffix != ".yaml":
         raise InputError(f"out = {exp.out or ''} is not allowed: the file of the plan, such as plans/mine.yaml")
-    numbers = plan_table.numbers(plan_table.told(case), charts(case.obstacle))
-    steps = tuning.free_numbers(numbers, given.free or ["*"])
-    if given.follow and given.forces:
-        raise InputError("--follow is not allowed with --forces: how these change with a plan's numbers is not known")
+    numbers, own = plan_table.numbers(plan_table.told(case), charts(case.obstacle)), manoeuvre_numbers(case)
+    patterns = given.free or ["*"]
+    beside = [text for text in patterns if text.startswith(f"{MANOEUVRE}.")]
+    steps = tuning.free_numbers(numbers, [text for text in patterns if text not in beside])
+    steps |= tuning.free_numbers(own, beside)
+    numbers |= own
+    if given.follow and beside:
+        raise InputError(f"--free = {beside[0]} is not allowed with --follow: only a plan's numbers follow sizes")
+    descends = given.follow or given.gradients
+    if descends and given.forces:
+        raise InputError(
+            f"--{'follow' if given.follow else 'gradients'} is not allowed with --forces: how these change with a "
+            "plan's numbers is not known"
+        )
     sizes = drawn_sizes(exp) if given.follow else {}
-    aims, width = [aim(text) for text in given.need], 1 if given.check or given.follow else given.population
+    aims, width = [aim(text) for text in given.need], 1 if given.check or descends else given.population
     score = Score(case, list(steps), aims, given.stages or ["*"], given.moments, given.forces, width)
     seen, others = (stacked(*tuning.draws(exp, exp.study.seed + k)) for k in (0, 1))
     first = np.array([numbers[path] for path in steps])
@@ -71,7 +84,7 @@ def main(args: list[str]) -> int:
         return DONE
     how = {"overrides": sorted(overrides), "free": steps, "stages": given.stages, "need": given.need,
            "moments": given.moments, "forces": given.forces, "seed": given.seed, "population": given.population,
-           "follow": given.follow, "generations": given.generations}  # fmt: skip
+           "follow": given.follow, "gradients": descends, "generations": given.generations}  # fmt: skip
     where.parent.mkdir(parents=True, exist_ok=True)
     best, slopes = searched(score, seen, first, sizes, how, where.with_name(f"{where.name}.log"))
     left = {f"{name} {when}": score.margins(at, draws)
@@ -82,14 +95,19 @@ def main(args: list[str]) -> int:
     print(f"score {was:.4g} before, {now:.4g} after\n{told}")
     if not now < was:
         return UNEXPECTED
-    method = "gradients, to follow sizes" if given.follow else "CMA-ES"
+    method = "gradients, to follow sizes" if given.follow else "gradients" if descends else "CMA-ES"
     head = [f"{len(steps)} numbers searched for by {method}: score {was:.4g} before, {now:.4g} after",
             f"sweep tune {shlex.join(args)}", f"least margins over draws of seed {exp.study.seed}, and over others of "
             f"seed {exp.study.seed + 1}:", *told.splitlines()]  # fmt: skip
-    content = followed(changed(case, dict(zip(steps, best.tolist(), strict=True))), steps, slopes, sizes)
+    found = dict(zip(steps, best.tolist(), strict=True))
+    settings = [f"{path}={found.pop(path):g}" for path in own if path in found]
+    head += ["to be run with " + " ".join(settings)] if settings else []
+    content = followed(changed(case, found), steps, slopes, sizes)
     write_whole(where, file_of(case, content, head).encode())
+    if settings:
+        print(head[-1])
     if given.simulate:
-        lines = [simulated(overrides, where, seed) for seed in (exp.study.seed, exp.study.seed + 1)]
+        lines = [simulated(overrides, where, settings, seed) for seed in (exp.study.seed, exp.study.seed + 1)]
         print("\n".join(lines))
         write_whole(where, file_of(case, content, [*head, *lines]).encode())
     print(where)
@@ -124,23 +142,26 @@ def searched(
         def tell(done: int, least: float) -> None:
             shown.update(task, completed=done, description=f"score {least:.4g}")
 
-        if not how["follow"]:
+        if not how["gradients"]:
             best, _ = tuning.search(
                 lambda many: score.lacks(score.margins(many[:, None], seen)), first, scale, how, log, tell
             )
             return np.round(best, DIGITS), np.zeros((len(first), 0))
         off = shares(seen, sizes)
         best, slopes = tuning.fit(lambda many: score.descent(many, seen), first, scale, off, how, log, tell)
-    slight = np.abs(slopes) * np.abs(off).max(axis=0) < SLIGHT * scale[:, None]
+    slight = np.abs(slopes) * np.abs(off).max(axis=0, initial=0.0) < SLIGHT * scale[:, None]
     return np.round(best, DIGITS), np.where(slight, 0.0, np.round(slopes, SLOPE_DIGITS))
 
 
-def simulated(overrides: list[str], file: Path, seed: int) -> str:
-    """How many draws of a seed succeed by the plan before and by that of the file, which are run in its folder."""
+def simulated(overrides: list[str], file: Path, settings: list[str], seed: int) -> str:
+    """How many draws of a seed succeed by the plan before and by that of the file and its settings of the manoeuvre.
+
+    They are run in the file's folder.
+    """
     from sweep.cli import run  # slow to import
 
     given, rates = [text for text in overrides if not text.startswith("out=")], {}
-    for when, more in (("before", []), ("after", [f"plan={file}"])):
+    for when, more in (("before", []), ("after", [f"plan={file}", *settings])):
         kept = [text for text in given if not (more and text.startswith("plan="))]
         folder = file.with_suffix(".draws") / f"{when}-{seed}"
         run.execute(compose([*kept, *more, f"study.seed={seed}", f"out={folder}"]), run.Flags())
@@ -156,16 +177,19 @@ def parser() -> argparse.ArgumentParser:
         usage="sweep tune [group=choice ...] [group.name=value ...] out=FILE.yaml [flags]", epilog=EPILOG,
         description="Search the numbers of a plan, until its margins are as they should be in all draws of a study.",
     )  # fmt: skip
-    made.add_argument("--free", action="append", metavar="PATTERN[=STEP]", help="numbers to search (all), first step")
+    made.add_argument(
+        "--free", action="append", metavar="PATTERN[=STEP]", help="numbers to search (all of the plan), first step"
+    )
     made.add_argument("--stages", action="append", metavar="PATTERN", help="stages to judge (all)")
     made.add_argument("--need", action="append", default=[], metavar="MARGIN[@STAGES]=VALUE", help="what is aimed at")
     made.add_argument("--forces", action="store_true", help="search forces that hold the robot, too")
+    made.add_argument("--gradients", action="store_true", help="by gradients, not CMA-ES: for many numbers")
     made.add_argument("--follow", action="store_true", help="have numbers follow the sizes that the study draws")
     made.add_argument("--simulate", action="store_true", help="run both draws by the plans before and after")
     made.add_argument("--check", action="store_true", help="only tell the margins of the plan as it is")
     made.add_argument("--moments", type=int, default=11, help="of each stage (11)")
     made.add_argument("--population", type=int, default=16, help="plans of a generation (16)")
-    made.add_argument("--generations", type=int, default=200, help="at most (200); of --follow steps")
+    made.add_argument("--generations", type=int, default=200, help="at most (200); of gradients steps")
     made.add_argument("--seed", type=int, default=1, help="of the search, at least 1")
     return made
 
@@ -178,6 +202,13 @@ def aim(text: str) -> Aim:
         return Aim(margin, pattern or "*", float(value))
     except ValueError:
         raise InputError(f"--need = {text} is not allowed: MARGIN=VALUE or MARGIN@STAGES=VALUE") from None
+
+
+def manoeuvre_numbers(case: Case) -> dict[str, float]:
+    """Numbers of the manoeuvre's own, by path, which may be searched for beside those of its plan."""
+    found = {f.name: getattr(case.manoeuvre, f.name) for f in dataclasses.fields(case.manoeuvre)  # pyright: ignore[reportArgumentType]
+             if f.metadata.get("role") == "quantity"}  # fmt: skip
+    return {f"{MANOEUVRE}.{name}": float(value) for name, value in found.items() if value is not None}
 
 
 def table(score: Score, found: Mapping[str, Mapping[str, np.ndarray]]) -> str:

@@ -1,6 +1,6 @@
 """Searches for a plan's numbers, which go on after an interruption.
 
-By CMA-ES, whose state are the scores so far, or, where numbers are to follow sizes, by gradients: these are many.
+By CMA-ES, whose state are the scores so far, or by gradients, where numbers are many, as those that follow sizes are.
 """
 
 import json

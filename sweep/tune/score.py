@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -40,6 +40,7 @@ UNKNOWN = 1e3  # what a margin lacks that is not a number
 PERIOD, TIMES = 0.04, 1.05  # s, of a tick in which a plan on a ball is played; its time, with that of waiting
 FRICTION = 2.5  # that forces may use, so that what is lacking is known where the believed one is too little
 SETS = 3  # axes of sets of numbers: set, draw, number
+MANOEUVRE = "manoeuvre"  # beginning of paths that are not the table's
 KNOTS = 3  # moments of a stage at which forces are searched for
 
 
@@ -130,10 +131,8 @@ class Score:
 
     def _left(self, numbers: jax.Array, belief: Case) -> dict[str, jax.Array]:
         """Margins (S,) of one draw."""
-        table = belief.plan
         for path, value in zip(self._free, numbers, strict=True):
-            table = table.changed(path, value)
-        belief = replace(belief, plan=table)
+            belief = changed(belief, path, value)
         plan = belief.manoeuvre.plan(belief)
         return self._of_played(belief, plan) if self._plays else self._of_posed(belief, plan)
 
@@ -160,6 +159,14 @@ class Score:
         return {key: value[chosen] for key, value in found.items()}
 
 
+def changed(case: Case, path: str, value: Any) -> Case:
+    """With another number: of the plan's table, or of the manoeuvre where the path says so."""
+    group, _, name = path.partition(".")
+    if group == MANOEUVRE:
+        return replace(case, manoeuvre=replace(case.manoeuvre, **{name: value}))  # pyright: ignore[reportArgumentType]
+    return replace(case, plan=case.plan.changed(path, value))
+
+
 def _bounds(belief: Case) -> forces.Bounds:
     """Of forces that hold the robot."""
     how = belief.manoeuvre
@@ -175,7 +182,7 @@ def stacked(belief: Case, count: int) -> Case:
 def shares(believed: Case, sizes: Mapping[str, float]) -> np.ndarray:
     """By how much draws differ from `sizes`, as shares of them (draws, k)."""
     off = [np.asarray(plan_table.size(believed, path), float) / at - 1 for path, at in sizes.items()]
-    return np.stack(off, axis=1) if off else np.zeros((1, 0))
+    return np.stack(off, axis=1) if off else np.zeros((len(np.atleast_1d(believed.robot.body_length)), 0))
 
 
 def worst(margins: Mapping[str, np.ndarray]) -> dict[str, float]:
