@@ -20,8 +20,8 @@ from sweep.study.config import compose
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs/extending.md").read_text()
 PAGES = dict(re.findall(r"^## (.*?)\n(.*?)(?=^## |\Z)", PAGE, re.M | re.S))
-KERB, PLATFORM = "An obstacle and a manoeuvre", "A manoeuvre of a file"
-SIMULATED = KERB, PLATFORM  # with the real engine
+KERB, PLATFORM, CHART = "An obstacle and a manoeuvre", "A manoeuvre of a file", "A chart of your own"
+SIMULATED = KERB, PLATFORM, CHART  # with the real engine
 BLOCK = re.compile(r"(?:^`(?P<path>[^`]+)`\n\n)?^```(?P<kind>\w+)\n(?P<text>.*?)^```", re.M | re.S)
 SAID = {  # by the commands of a page
     "A robot": ["long_legs            The base robot, thighs and shins a fifth longer", "| walk_tripod "],
@@ -30,6 +30,12 @@ SAID = {  # by the commands of a page
     "A metric": ["base_speed_max_mps", "m/s", "| base speed max"],
     "A plan": ["pole_top_high        As pole_top", "plan.top.rear.base.above                      0.75", "0.7, 0.75"],
     PLATFORM: ["platform             The base robot steps up", "| reach ", "| platform "],
+    CHART: [
+        "stairs_climb         The base robot climbs",
+        "from edge to edge",
+        "| stairs_climb                | success",
+        "plan.up.a1.base.above",
+    ],
     KERB: ["kerb                 A kerb, 0.1 m high", "| walk_kerb "],
 }
 
@@ -103,6 +109,7 @@ def test_a_page_followed_to_the_letter_adds_what_it_says(title, checkout):
         elif kind == "diff":
             replaced(checkout / path, *sides(text))
         else:
+            (checkout / path).parent.mkdir(exist_ok=True)
             (checkout / path).write_text(text)
     assert all(part in said for part in SAID[title]), said
     if title == "An exhibit":

@@ -1,15 +1,20 @@
 """A narrow beam between two ledges of one height (monograph 2.6)."""
 
+from typing import ClassVar
+
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
+from sweep.models.obstacles.charts import ALONG_Y, level
 from sweep.models.obstacles.fixed import Fixed
 from sweep.models.obstacles.surface import FOOT_RADIUS, Bodies, Surface
 from sweep.models.solids import SOIL, Box, HalfSpace, Solid
 
 FLOOR, LEDGE, NEAR_WALL, FAR_WALL, TOP, LEFT, RIGHT, BOTTOM = range(8)
 LEDGE_HALF = 2.0  # m, of a ledge's drawing and collision geometry; its surface has no end
+NEAR, BY_NEAR = level(lambda of: (0.0, of.height), ALONG_Y)
+FAR, BY_FAR = level(lambda of: (of.length, of.height), ALONG_Y)
 
 
 @parameters
@@ -18,6 +23,8 @@ class Beam(Fixed):
 
     It lies along the world's y axis, its top level with the ledges, which fill y > 0 and y < -length."""
 
+    # for feet, and for bases, from the edges of the ledges; the beam's top is ahead of the near one
+    charts: ClassVar = {"near": NEAR, "far": FAR, "by_near": BY_NEAR, "by_far": BY_FAR}
     heights = ("height",)
     kind: str = choice("beam", "beam")
     width: float = quantity(0.25, "m", above=0, at_most=4)  # of the beam's top, along the world's x axis

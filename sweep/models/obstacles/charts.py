@@ -9,6 +9,8 @@ from jaxtyping import Array, Float
 from sweep.models.frames import WORLD
 
 Number = Array | float
+Forward = tuple[float, float]  # the way that robots come, in the plane
+ALONG_X, ALONG_Y = (1.0, 0.0), (0.0, -1.0)
 
 
 class Chart(NamedTuple):
@@ -41,16 +43,41 @@ def ahead_above(edge: Callable[[Any], tuple[Number, Number]]) -> Chart:
     return Chart(("ahead", "above"), at)
 
 
-def approached(foot: Callable[[Any], Number]) -> dict[str, Chart]:
-    """Charts of the floor before what robots come to along -y, whose foot is at y (m): for feet, and for bases."""
+def approached(foot: Callable[[Any], Number], forward: Forward = ALONG_Y) -> dict[str, Chart]:
+    """Charts of the floor before what robots come to, whose foot is so far along their way (m).
+
+    For feet, and for bases.
+    """
 
     def on_floor(owner: Any, side: float, unit: Number, depth: Number, aside: Number, before: Number) -> Array:
-        return point(side * aside * unit, foot(owner) + before * unit, -depth)
+        return facing(forward, side * aside * unit, foot(owner) - before * unit, -depth)
 
     def base(owner: Any, side: float, unit: Number, depth: Number, before: Number, above: Number) -> Array:
-        return point(0.0, foot(owner) + before * unit, above * unit)
+        return facing(forward, 0.0, foot(owner) - before * unit, above * unit)
 
     return {"floor": Chart(("aside", "before"), on_floor), "foot": Chart(("before", "above"), base)}
+
+
+def level(
+    edge: Callable[[Any], tuple[Number, Number]], forward: Forward = ALONG_X, frame: int = WORLD
+) -> tuple[Chart, Chart]:
+    """Charts of level ground from an edge on, so far along robots' way and so high (m): for feet, and for bases."""
+
+    def on_ground(owner: Any, side: float, unit: Number, depth: Number, aside: Number, ahead: Number) -> Array:
+        along, up = edge(owner)
+        return facing(forward, side * aside * unit, along + ahead * unit, up - depth)
+
+    def base(owner: Any, side: float, unit: Number, depth: Number, ahead: Number, above: Number) -> Array:
+        along, up = edge(owner)
+        return facing(forward, 0.0, along + ahead * unit, up + above * unit)
+
+    return Chart(("aside", "ahead"), on_ground, frame), Chart(("ahead", "above"), base, frame)
+
+
+def facing(forward: Forward, aside: Number, ahead: Number, up: Number) -> Float[Array, " 3"]:
+    """A point to the left of where robots look that come through the origin, ahead, and up (m)."""
+    x, y = forward
+    return point(ahead * x - aside * y, ahead * y + aside * x, up)
 
 
 def point(x: Number, y: Number, z: Number) -> Float[Array, " 3"]:

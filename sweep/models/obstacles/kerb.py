@@ -1,21 +1,28 @@
 """A step up in level ground."""
 
+from typing import ClassVar
+
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
+from sweep.models.obstacles.charts import ALONG_X, approached, level
 from sweep.models.obstacles.fixed import Fixed
 from sweep.models.obstacles.surface import Bodies, Surface
 from sweep.models.solids import SOIL, Box, HalfSpace, Solid
 
 FLOOR, TOP, WALL = range(3)
 HALF = 5.0  # m, of the block that is drawn; its surface has no end
+BEYOND, OVER = level(lambda of: (0.0, of.height))
 
 
 @parameters
 class Kerb(Fixed):
     """A kerb, 0.1 m high by default: the ground is higher where x > 0."""
 
+    # `floor` and `top` for feet before and beyond the edge, `foot` and `edge` for bases from there
+    charts: ClassVar = {**approached(lambda of: 0.0, ALONG_X), "top": BEYOND, "edge": OVER}
+    forward = ALONG_X
     heights = ("height",)
     kind: str = choice("kerb", "kerb")
     height: float = quantity(0.1, "m", above=0, at_most=1)  # of the ground beyond the edge, above that before it

@@ -110,7 +110,7 @@ class Ladder(Free):
     # of feet, then of bases; feet on rungs, and the base along it, go with the ladder
     charts: ClassVar = {
         "rung": Chart(("rung", "aside", "out"), on_rung, fixed(0)),
-        **approached(lambda of: of.foot),
+        **approached(lambda of: -of.foot),
         "ledge": Chart(("aside", "ahead"), on_ledge),
         "along": Chart(("up", "out", "pitch", *MORE), along, fixed(0), pitch=pitched, optional=3),
         "over": Chart(("ahead", "above", "pitch", *MORE), over, pitch=pitched, optional=3),

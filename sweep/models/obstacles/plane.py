@@ -1,18 +1,46 @@
 """Flat or tilted ground."""
 
+from typing import ClassVar
+
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
+from sweep.models.obstacles.charts import ALONG_X, Chart, Number, point
 from sweep.models.obstacles.fixed import Fixed
 from sweep.models.obstacles.surface import Bodies, Surface
 from sweep.models.solids import HalfSpace, Solid, maths
+
+
+def on_ground(
+    of: "Plane", side: float, unit: Number, depth: Number, aside: Number, ahead: Number
+) -> Float[Array, " 3"]:
+    """A point of the ground, `ahead` of the world's origin."""
+    return of.rotation() @ point(ahead * unit, side * aside * unit, -depth)
+
+
+def over_ground(
+    of: "Plane", side: float, unit: Number, depth: Number, ahead: Number, above: Number, pitch: Number = 0.0
+) -> Float[Array, " 3"]:
+    """A base `above` the ground, pitched against it (deg, nose up)."""
+    return of.rotation() @ point(ahead * unit, 0.0, above * unit)
+
+
+def pitched(of: "Plane", unit: Number, ahead: Number, above: Number, pitch: Number = 0.0) -> Array:
+    """Of such a base (rad, nose up)."""
+    return of.slope + jnp.radians(jnp.asarray(pitch, float))
 
 
 @parameters
 class Plane(Fixed):
     """Ground through the world's origin, rising towards +x by `slope`."""
 
+    # of feet, then of bases
+    charts: ClassVar = {
+        "ground": Chart(("aside", "ahead"), on_ground),
+        "over_ground": Chart(("ahead", "above", "pitch"), over_ground, pitch=pitched, optional=1),
+    }
+    forward = ALONG_X
     kind: str = choice("plane", "plane")
     slope: float = quantity(0.0, "rad", at_least=-1.2, at_most=1.2)  # angle by which the ground rises towards +x
 

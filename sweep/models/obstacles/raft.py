@@ -4,7 +4,7 @@ World axes: x across the water from the near bank, which ends at x = 0, to the f
 The water acts on the raft only, by the exact buoyancy of 4.1.1 and the drag of 4.1.2: it is no surface to stand on.
 """
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -15,6 +15,8 @@ from sweep.core.parameters import choice, parameters, quantity
 from sweep.core.rotations import logarithm, matrix
 from sweep.formulas.drag import raft_drag
 from sweep.formulas.raft_statics import buoyancy
+from sweep.models.frames import fixed
+from sweep.models.obstacles.charts import ALONG_X, level
 from sweep.models.obstacles.free import Free
 from sweep.models.obstacles.geoms import DRAWN, add_solids, add_touching
 from sweep.models.obstacles.surface import Bodies, FreeState, Surface, critical_damping, own_axes
@@ -30,6 +32,9 @@ SHORE = 4.0  # m, of each bank that is drawn; its surface has no end
 CORNERS = tuple((x, y) for x in (-1, 1) for y in (-1, 1))
 WATER_DEPTH = 6.0  # m, that is drawn: what is translucent is drawn from far to near, by its middle
 WATER = (0.25, 0.5, 0.75, 0.45)
+BANK, BY_BANK = level(lambda of: (0.0, 0.0))
+DECK, ON_DECK = level(lambda of: (-of.length / 2, of.thickness / 2), frame=fixed(0))
+BEYOND, BY_FAR = level(lambda of: (of.water_width, 0.0))
 
 
 @parameters
@@ -56,7 +61,11 @@ class Raft(Free):
     laden: float = quantity(0.0, "kg", at_least=0)  # under which it floats at the start: of what is put on it then
     mooring: float = quantity(0.0, "N/m", at_least=0)  # of ropes that hold the raft where it starts; 0: none
 
-    forward = (1.0, 0.0)
+    # for feet, and for bases, from the edge of the near bank, of the deck, with which they go, and of the far bank
+    charts: ClassVar = {
+        "near": BANK, "deck": DECK, "far": BEYOND, "by_near": BY_BANK, "on_deck": ON_DECK, "by_far": BY_FAR,
+    }  # fmt: skip
+    forward = ALONG_X
     free_bodies = ("raft",)
     contact_sites = tuple((f"edge{k}", 0) for k in range(4))
 
