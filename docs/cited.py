@@ -19,6 +19,7 @@ import pandas as pd
 
 sys.path.insert(0, str(Path(__file__).parent))
 import headlines
+import hexagon_figures
 import validity_figures
 from robustness_figures import RATES, bounds_of, errors_of
 
@@ -279,7 +280,8 @@ def pages() -> Iterator[Path]:
 FORMS = {
     "rate": rate, "rollouts": rollouts, "causes": causes, "errors": errors, "along": along, "draws": draws,
     "cells": cells, "each": each, "bounds": bounds, "seen": seen, "codes": codes, "compared": compared, "table": table,
-    "learned": learned, "gained": gained, "metrics": metrics, "changes": changes, "sources": sources,
+    "learned": learned, "gained": gained, "metrics": metrics, "way_points": hexagon_figures.way_points,
+    "changes": changes, "sources": sources,
     **{name: partial(lambda table, name: table(read(name)), table) for name, table in validity_figures.TABLES.items()},
 }  # fmt: skip
 

@@ -1,6 +1,7 @@
 """Draws the pictures of docs/hexagon.md: `python docs/hexagon_figures.py`. The last one simulates: about a minute."""
 
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,11 +14,13 @@ from matplotlib.figure import Figure
 from sweep.controllers.manoeuvres.walking.waypoints import CIRCLE, TRIPODS, WAYPOINTS, Waypoints
 from sweep.controllers.plan import Plan, reference
 from sweep.controllers.tracker import joint_targets
+from sweep.core.letters import legend_below, lettering, sheet
 from sweep.engines import make
 from sweep.formulas.leg import SIDE
 from sweep.formulas.thesis import thesis_workspace
 from sweep.models.case import Case
 from sweep.study.config import compose
+from sweep.trace.plots import ACTUAL, DPI, REFERENCE, SECOND
 
 FIGURES = Path(__file__).parent / "figures"
 SCENARIO = "scenario=hexagon_waypoints"
@@ -61,6 +64,27 @@ def thesis_angles(joints: np.ndarray) -> np.ndarray:
     return np.stack([alpha, SIDE * (beta - np.pi / 2), np.where(SIDE > 0, gamma - np.pi, -gamma)], axis=-1)
 
 
+def way_points(_: str) -> str:
+    """The steps between way points as printed, in Markdown: the largest one, which legs ask for it, and those gone."""
+    lines = ["| from, to | largest step | asked for by the thesis' legs | steps |", "|:--|:--|:--|:--|"]
+    with jax.enable_x64(True):
+        case = compose([SCENARIO, *AS_PRINTED]).case
+        assert isinstance(case.manoeuvre, Waypoints)
+        gone = np.linalg.norm(case.manoeuvre.steps(case.robot), axis=1)
+        begins = np.cumsum([0.0, *2 * gone])[:-1]  # m along the way, a cycle being two steps
+        far = 0.0
+        for start, end in pairwise(WAYPOINTS):
+            left = np.subtract(end, start)
+            length = float(np.linalg.norm(left))
+            largest = np.asarray(case.manoeuvre.largest_steps(case.robot, jnp.asarray(left / length)))
+            legs = sorted(CIRCLE.index(int(leg) + 1) + 1 for leg in np.flatnonzero(largest < largest.min() + 1e-6))
+            within = gone[(begins > far - 1e-6) & (begins < far + length - 1e-6) & (gone > 0)]
+            told = f"{largest.min():.4f} | {' and '.join(map(str, legs))} | {', '.join(f'{one:.4f}' for one in within)}"
+            lines.append(f"| ({start[0]:g}, {start[1]:g}), ({end[0]:g}, {end[1]:g}) | {told} |")
+            far += length
+    return "\n".join(lines)
+
+
 def colour(leg: int) -> str:
     """Of the leg's tripod."""
     return GREEN if leg in TRIPODS[0] else RED
@@ -75,14 +99,14 @@ def from_above(panel: Axes) -> None:
 
 def save(figure: Figure, name: str) -> None:
     """Write docs/figures/hexagon_NAME.png."""
-    figure.savefig(FIGURES / f"hexagon_{name}.png", dpi=90)
+    figure.savefig(FIGURES / f"hexagon_{name}.png", dpi=DPI)
 
 
 def paths(case: Case) -> None:
     """Thesis, figure 8: feet of the first tripod green, of the second red, the centre dashed."""
     plan = case.manoeuvre.plan(case)
     motion = play(case, plan, range(len(plan.names)))
-    figure = Figure(figsize=(8, 6), layout="constrained")
+    figure = sheet(4.6)
     panel = figure.subplots()
     for leg in CIRCLE:
         foot = motion.feet[:, leg - 1]
@@ -106,7 +130,7 @@ def angles(case: Case) -> None:
     height = case.manoeuvre.home(robot)[1]
     widest = float(thesis_workspace(-height, robot.coxa, robot.thigh, robot.shin, robot.mount_radius).phimax)
     ranges = ((-widest, widest), (0, np.pi / 2), (-np.pi, -1.4))  # γ is printed up to -pi/2, but goes beyond it
-    figure = Figure(figsize=(7.5, 8.5), layout="constrained")
+    figure = sheet(7.0)
     axes = figure.subplots(6, 3, sharex=True, sharey="col")
     for number, (row, leg) in enumerate(zip(axes, CIRCLE, strict=True), start=1):
         swing = 0 if leg in TRIPODS[0] else 1
@@ -128,27 +152,28 @@ def physics() -> None:
     trial = compose([SCENARIO])
     engine = make(replace(trial.settings, width=1), trial.case, trial.case)
     trace = engine.trace(trial.case, trial.case, np.zeros(1, dtype=np.int64), 0)
-    figure = Figure(figsize=(8, 7.5), layout="constrained")
+    figure = sheet(6.4)
     above, error = figure.subplots(2, 1, height_ratios=[3, 1])
     for leg in CIRCLE:
         above.plot(*trace.foot_position[:, leg - 1, :2].T, color=colour(leg), lw=1.2)
         above.plot(*trace.foot_target[:, leg - 1, :2].T, "k:", lw=0.9)
-    above.plot(*trace.qpos[:, :2].T, color="#0072b2", lw=1.8, label="centre")
+    above.plot(*trace.qpos[:, :2].T, color=ACTUAL, lw=1.6, label="centre")
     above.plot(*trace.base_target[:, :2].T, "k:", lw=0.9, label="planned")
     from_above(above)
-    above.legend(loc="lower right")
-    for name, deviation in zip("xyz", 1e3 * (trace.qpos[:, :3] - trace.base_target[:, :3]).T, strict=True):
-        error.plot(trace.time, deviation, lw=1, label=name)
+    off = 1e3 * (trace.qpos[:, :3] - trace.base_target[:, :3]).T
+    for name, deviation, shade in zip("xyz", off, (ACTUAL, SECOND, REFERENCE), strict=True):
+        error.plot(trace.time, deviation, color=shade, label=name)
     error.set(xlabel="time (s)", ylabel="centre, actual\n- planned (mm)")
     error.grid(alpha=0.3)
-    error.legend(ncols=3)
+    legend_below(figure, [line for panel in (above, error) for line in panel.get_legend_handles_labels()[0]])
     save(figure, "physics")
 
 
 if __name__ == "__main__":
     FIGURES.mkdir(exist_ok=True)
-    with jax.enable_x64(True):
-        printed = compose([SCENARIO, *AS_PRINTED]).case
-        paths(printed)
-        angles(printed)
-    physics()
+    with lettering():
+        with jax.enable_x64(True):
+            printed = compose([SCENARIO, *AS_PRINTED]).case
+            paths(printed)
+            angles(printed)
+        physics()
