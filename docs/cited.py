@@ -237,8 +237,8 @@ def learned(_: str) -> str:
     columns = [(axis, error, robot) for axis, error in (ROBOT, GROUND) for robot in ("believes", "learns")]
     lines = ["| manoeuvre | robot: believes | learns | ground: believes | learns |", "|:--|--:|--:|--:|--:|"]
     for scenario, rates in _learning().groupby("scenario"):
-        found = rates.set_index(["axis", "value", "robot"])[["success", "valid"]]
-        cells = [share(*found.loc[one]) if one in found.index else "" for one in columns]
+        found = {(one["axis"], one["value"], one["robot"]): one for one in rates.to_dict("records")}
+        cells = [share(one["success"], one["valid"]) if (one := found.get(key)) else "" for key in columns]
         lines.append(f"| `{scenario}` | {' | '.join(cells)} |")
     return "\n".join(lines)
 
