@@ -23,7 +23,7 @@ ROUND = 1e-3  # least curvature of an ellipsoid, in the parameters' own spreads
 DIGITS = 9  # of the numbers of a region, so that its condition has all of them
 
 
-class Score(Protocol):
+class Outside(Protocol):
     """How far outside rows are: regions are where it is small."""
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
@@ -36,7 +36,7 @@ class Score(Protocol):
 
 
 @dataclass(frozen=True)
-class Box:
+class Boxes:
     """Nested boxes: the whole of what was drawn, and one side after the other taken off. The last has the fewest."""
 
     low: np.ndarray  # (boxes, d)
@@ -109,7 +109,7 @@ def most_failed(rows: int, failures: float, confidence: float) -> int:
     return next(k for k in range(guess, -2, -1) if k < 0 or bound(k, rows, confidence) <= failures)
 
 
-def box(x: np.ndarray, failed: np.ndarray, least: float) -> Box:
+def box(x: np.ndarray, failed: np.ndarray, least: float) -> Boxes:
     """Take off the side with most failures to the draws it costs, until a share `least` of the draws is left.
 
     Patient rule induction (Friedman, Fisher 1999) on the rows x (n, d). Where no failure is left the side goes that is
@@ -135,7 +135,7 @@ def box(x: np.ndarray, failed: np.ndarray, least: float) -> Box:
         inside &= (x[:, axis] >= low[axis]) & (x[:, axis] <= high[axis])
         lows.append(low)
         highs.append(high)
-    return Box(np.array(lows), np.array(highs))
+    return Boxes(np.array(lows), np.array(highs))
 
 
 def odds(x: np.ndarray, failed: np.ndarray, convex: bool) -> Odds:
@@ -169,7 +169,7 @@ def odds(x: np.ndarray, failed: np.ndarray, convex: bool) -> Odds:
     return Odds(centre, scale, float(_text(weights[0])), _rounded(weights[1 : 1 + d]), _rounded((form + form.T) / 2))
 
 
-def learn(shape: str, x: np.ndarray, failed: np.ndarray, least: float) -> Score:
+def learn(shape: str, x: np.ndarray, failed: np.ndarray, least: float) -> Outside:
     """The score of nested regions of a `shape` from rows x (n, d); `least` is the share of the draws in the smallest.
 
     Raises `InputError` where none succeeds.
@@ -202,7 +202,7 @@ class Certificate:
 
     failures: float  # probability that is promised not to be exceeded
     confidence: float
-    score: Score
+    score: Outside
     threshold: float  # NaN without a region
     rows: int  # fresh rows in the region
     failed: int  # of them, invalid ones among them

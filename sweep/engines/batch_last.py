@@ -45,8 +45,8 @@ class Operand(NamedTuple):
     cost: int = 0  # operations to work it out anew from what is kept in memory
 
 
-class Batch(NamedTuple):
-    """What is the same in the whole program."""
+class Shared(NamedTuple):
+    """What is the same in the whole program: the batch's size, and from what cost on a value is kept."""
 
     size: int
     reuse_from: int
@@ -67,7 +67,7 @@ def batch_last_vmap(function: Callable, in_axes: Sequence[Any], reuse_from: int)
         one = [jax.ShapeDtypeStruct(x.value.shape[: x.value.ndim - x.batched], x.value.dtype) for x in inputs]
         trace = jax.make_jaxpr(lambda *leaves: function(*jax.tree.unflatten(tree, leaves)), return_shape=True)
         program, shape = trace(*one)
-        outputs = _evaluate(program, inputs, Batch(size, reuse_from))
+        outputs = _evaluate(program, inputs, Shared(size, reuse_from))
         return jax.tree.unflatten(jax.tree.structure(shape), [_spread(out, size) for out in outputs])
 
     return batched
@@ -85,7 +85,7 @@ def _spread(x: Operand, size: int) -> Array:
     return value if x.batched else jnp.broadcast_to(value[..., None], (*value.shape, size))
 
 
-def _evaluate(program: ClosedJaxpr, inputs: Sequence[Operand], batch: Batch) -> list[Operand]:
+def _evaluate(program: ClosedJaxpr, inputs: Sequence[Operand], batch: Shared) -> list[Operand]:
     """Results of `program` on `inputs`."""
     jaxpr = program.jaxpr
     known: dict[Any, Operand] = {}
@@ -111,7 +111,7 @@ def _evaluate(program: ClosedJaxpr, inputs: Sequence[Operand], batch: Batch) -> 
     return [read(atom) for atom in jaxpr.outvars]
 
 
-def _apply(eqn: Any, args: list[Operand], batch: Batch) -> list[Operand]:
+def _apply(eqn: Any, args: list[Operand], batch: Shared) -> list[Operand]:
     """Results of one operation."""
     name, params, size = eqn.primitive.name, eqn.params, batch.size
     if name in CALLS:
@@ -159,7 +159,7 @@ def _elementwise(eqn: Any, args: list[Operand]) -> Any:
     return eqn.primitive.bind(*values, **eqn.params)
 
 
-def _scan(eqn: Any, args: list[Operand], batch: Batch) -> list[Operand]:
+def _scan(eqn: Any, args: list[Operand], batch: Shared) -> list[Operand]:
     """A loop over the first axis; all that it carries becomes batched."""
     program = eqn.params["jaxpr"]
     inner = program.jaxpr if isinstance(program, ClosedJaxpr) else program
@@ -181,7 +181,7 @@ def _scan(eqn: Any, args: list[Operand], batch: Batch) -> list[Operand]:
     return [Operand(x, True) for x in (*last, *ys)]
 
 
-def _cond(eqn: Any, args: list[Operand], batch: Batch) -> list[Operand]:
+def _cond(eqn: Any, args: list[Operand], batch: Shared) -> list[Operand]:
     """A choice that is the same for the whole batch."""
 
     def spread(branch: ClosedJaxpr) -> list[Array]:

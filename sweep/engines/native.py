@@ -58,7 +58,7 @@ CONTROL = mujoco.mjtState.mjSTATE_CTRL.value | mujoco.mjtState.mjSTATE_XFRC_APPL
 RECORD = ("qpos", "qvel", "actuator_force", "sensordata", "energy", "xpos", "site_xpos", "subtree_com")
 
 
-class Steps(NamedTuple):
+class Recorded(NamedTuple):
     """What C MuJoCo records of a tick's n physics steps; places are those before the last one."""
 
     qpos: Float[Array, "n q"]
@@ -85,7 +85,7 @@ class Between(NamedTuple):
 
     loop: ClosedLoop
     command: Command
-    steps: Steps
+    steps: Recorded
     orders: Orders
     judged: Float[Array, " c"]  # see `measure`
 
@@ -364,7 +364,7 @@ class Native:
         belief: Case,
         plan: Plan,
         loop: ClosedLoop,
-        steps: Steps,
+        steps: Recorded,
         judged: Array,
         tick: Array,
         quiet: bool,
@@ -377,15 +377,15 @@ class Native:
         orders = Orders(torques, *self._outside(world, tick * period, loop.seen.free))
         return Between(loop, command, steps, orders, judged)
 
-    def _nothing(self, start: Start) -> Steps:
+    def _nothing(self, start: Start) -> Recorded:
         """Before the first physics step."""
         n, count = self.substeps, N_LEGS * len(links(self._nominal.robot))
         qpos, qvel, forces = jnp.tile(start.qpos, (n, 1)), jnp.tile(start.qvel, (n, 1)), jnp.zeros((n, N_JOINTS))
         axes, feet, centre = jnp.zeros((count, 3)), jnp.zeros((N_LEGS, 3)), jnp.zeros(3)
-        return Steps(qpos, qvel, forces, forces, jnp.zeros(()), axes, feet, centre, jnp.zeros((), bool))
+        return Recorded(qpos, qvel, forces, forces, jnp.zeros(()), axes, feet, centre, jnp.zeros((), bool))
 
     def _steps(self, steps: dict[str, np.ndarray], broken: np.ndarray) -> tuple[np.ndarray, ...]:
-        """`Steps` of a batch, from its record."""
+        """`Recorded` of a batch, from its record."""
         count = N_LEGS * len(links(self._nominal.robot))
         return (
             steps["qpos"],
@@ -411,7 +411,7 @@ class Native:
             loads = load.reshape(loads.shape)
         return push, loads
 
-    def _summary(self, world: Case, steps: Steps, start: Array, before: FreeState) -> Tick:
+    def _summary(self, world: Case, steps: Recorded, start: Array, before: FreeState) -> Tick:
         """What the metrics want of a tick; free bodies were `before` it."""
         h, drive = self.settings.native_time_step, world.drive
         rate = steps.qvel[:, JOINT_V]
@@ -487,7 +487,7 @@ def _ahead(free: FreeState, time: Array) -> FreeState:
     )
 
 
-def _twists(steps: Steps, count: int) -> Float[Array, "n 6k"]:
+def _twists(steps: Recorded, count: int) -> Float[Array, "n 6k"]:
     """Velocities and rates of turning of the free bodies after each step, world axes."""
     free = jax.vmap(lambda q, v: free_state(q, v, count))(steps.qpos, steps.qvel)
     return jnp.concatenate([free.velocity, free.turn], axis=-1).reshape(len(steps.qpos), 6 * count)

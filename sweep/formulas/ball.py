@@ -190,7 +190,7 @@ def _ratio(m: Scalar, M: Scalar, R: Scalar, rho: Scalar) -> Scalar:
     return m * rho / (R * (ROLLING * M + m))
 
 
-class Turn(NamedTuple):
+class Circle(NamedTuple):
     """Radius (m) of the ball's circle."""
 
     rho_exact: Annotated[Float[Array, "..."], "m"]
@@ -211,7 +211,7 @@ def ball_turn(
     h: Annotated[Scalar, positive("m", 0.3)],
     phi: Annotated[Scalar, Input("rad", 0.2, above=-np.pi / 2, below=np.pi / 2)],
     v: Annotated[Scalar, positive("m/s", 0.5)],
-) -> Turn:
+) -> Circle:
     """Radius of the steady turn of a ball, exact and as printed.
 
     The ball's speed is v (m/s), the robot leans by phi (rad) to the inside.
@@ -223,7 +223,7 @@ def ball_turn(
     A, B = ROLLING * M / m, 1 + height * jnp.cos(phi)
     D, S = GRAVITY * height * jnp.sin(phi), (h + R) * jnp.sin(phi)
     approx = v**2 * (A + B) / D
-    return Turn(approx * (1 + jnp.sqrt(1 - 4 * D * B * S / (v * (A + B)) ** 2)) / 2, approx)
+    return Circle(approx * (1 + jnp.sqrt(1 - 4 * D * B * S / (v * (A + B)) ** 2)) / 2, approx)
 
 
 class Swerve(NamedTuple):

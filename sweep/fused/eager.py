@@ -24,7 +24,7 @@ Values = Shaped[np.ndarray, "... b"]
 ALIAS = frozenset(("stop_gradient", "copy", "optimization_barrier", "random_wrap", "random_unwrap"))
 
 
-class Step(NamedTuple):
+class Operation(NamedTuple):
     """An operation on values by number."""
 
     rule: Callable[..., Any] | str  # or the name of what is set apart
@@ -33,13 +33,13 @@ class Step(NamedTuple):
     done: tuple[int, ...]  # what nobody reads later
 
 
-class Steps(NamedTuple):
+class Listing(NamedTuple):
     """A program."""
 
     size: int  # values
     known: dict[int, Values]
     given: tuple[int, ...]
-    steps: list[Step]
+    steps: list[Operation]
     made: tuple[int, ...]
 
     def run(self, given: Sequence[Values], apart: Mapping[str, Callable[..., Any]]) -> list[Values]:
@@ -62,7 +62,7 @@ class Steps(NamedTuple):
 class Eager(NamedTuple):
     """A function of one rollout for a batch, as it is kept."""
 
-    steps: Steps
+    steps: Listing
     given: list[jax.ShapeDtypeStruct]  # of a rollout
     form: Any  # shapes of what it gives of a rollout
     apart: dict[str, tuple[jax.ShapeDtypeStruct, ...]]  # what is set apart, and what that is given
@@ -158,16 +158,16 @@ class Writer:
             at |= zip(eqn.outvars, self._apply(eqn, [read(atom) for atom in eqn.invars]), strict=True)
         return [read(atom) for atom in jaxpr.outvars]
 
-    def steps(self, given: tuple[int, ...], made: Sequence[int]) -> Steps:
+    def steps(self, given: tuple[int, ...], made: Sequence[int]) -> Listing:
         """All that is needed for the values `made`."""
         wanted, kept = set(made), []
         for rule, reads, writes in reversed(self._steps):
             if wanted.intersection(writes):
                 new = set(reads) - wanted
-                kept.append(Step(rule, reads, writes, tuple(new - self.known.keys())))
+                kept.append(Operation(rule, reads, writes, tuple(new - self.known.keys())))
                 wanted |= new
         known = {k: self.known[k] for k in wanted & self.known.keys()}
-        return Steps(self._size, known, given, kept[::-1], tuple(made))
+        return Listing(self._size, known, given, kept[::-1], tuple(made))
 
     def do(self, rule: Any, reads: Sequence[int], count: int = 1) -> tuple[int, ...]:
         """An operation's results."""
@@ -238,7 +238,7 @@ class Writer:
         n_carry = len(eqn.outvars) - n_ys
         n_consts = len(args) - n_carry - n_xs
         body, consts = self._inner(inner, args[:n_consts])
-        how = Loop(body, length, eqn.params["reverse"], len(consts), n_carry)
+        how = Repetition(body, length, eqn.params["reverse"], len(consts), n_carry)
         return self.do(partial(looped, how), [*consts, *args[n_consts:]], len(eqn.outvars))
 
     def _cond(self, args: list[int], eqn: Any) -> Sequence[int]:
@@ -251,7 +251,7 @@ class Writer:
         each = tuple(self._inner(branch, ())[0] for branch in branches)
         return self.do(partial(branched, each), args, len(eqn.outvars))
 
-    def _inner(self, closed: Any, first: Sequence[int]) -> tuple[Steps, list[int]]:
+    def _inner(self, closed: Any, first: Sequence[int]) -> tuple[Listing, list[int]]:
         """An inner program, which has those of its `first` operands that are known, and the others of these."""
         writer = Writer()
         there = [writer.constant(self.known[k]) if k in self.known else writer.new() for k in first]
@@ -261,17 +261,17 @@ class Writer:
         return writer.steps((*given, *others), made), [k for k in first if k not in self.known]
 
 
-class Loop(NamedTuple):
+class Repetition(NamedTuple):
     """What goes on step by step."""
 
-    body: Steps
+    body: Listing
     length: int
     reverse: bool
     consts: int  # operands that stay
     carry: int  # and those that a step changes; the others are looked at row by row
 
 
-def looped(how: Loop, *given: Values) -> list[Values]:
+def looped(how: Repetition, *given: Values) -> list[Values]:
     """What is carried in the end, and what each step gives beside it."""
     consts, carry, rows = given[: how.consts], given[how.consts :][: how.carry], given[how.consts + how.carry :]
     beside = []
@@ -283,7 +283,7 @@ def looped(how: Loop, *given: Values) -> list[Values]:
     return [*carry, *(batch_ops.stacked(0, *each) for each in zip(*beside, strict=True))]
 
 
-def branched(branches: Sequence[Steps], index: Any, *given: Values) -> list[Values]:
+def branched(branches: Sequence[Listing], index: Any, *given: Values) -> list[Values]:
     """What the branch of an index gives, or for each rollout that of its own."""
     index = index.astype(int)
     if len(index) == 1:

@@ -34,8 +34,8 @@ Tick = Callable[[Any, Any, Array], tuple[Any, dict[str, Array]]]  # of a rollout
 def printed(function: Tick, given: Any, carried: Any, group: int = GROUP) -> tuple[Traced, llvm.Printer]:
     """A program, and its text as LLVM's assembly; see `traced`. What is given and carried share a memory, in bytes."""
     program = traced(function, given, carried, _laid_out, together=True, group=group)
-    plan = schedule.plan(program.top, schedule.used(program.top))
-    return program, llvm.Printer(plan, schedule.slots(plan), group)
+    order = schedule.order(program.top, schedule.used(program.top))
+    return program, llvm.Printer(order, schedule.slots(order), group)
 
 
 def compiled(function: Tick, given: Any, carried: Any, group: int = GROUP, effort: int = 2) -> Code:

@@ -10,7 +10,7 @@ import llvmlite.binding as llvm
 import numpy as np
 
 from sweep.fused.program import Branch, Loop, Node, Region, Store, value_of
-from sweep.fused.schedule import Plan, Slots, Turn, regions
+from sweep.fused.schedule import Order, Slots, Turn, regions
 from sweep.fused.text import TYPES, Text
 
 LANES = 16
@@ -34,7 +34,7 @@ class Printer(Text):
     `record` goes on by `stride` bytes each tick; `first` is the number of the first tick.
     """
 
-    def __init__(self, top: Plan, slots: Slots, group: int):
+    def __init__(self, top: Order, slots: Slots, group: int):
         super().__init__(LANES)
         self.group = group
         self.slots = slots
@@ -46,7 +46,7 @@ class Printer(Text):
         for region in sorted((r for r in regions(top) if r.place < 0), key=id):
             self.places[region] = self.scratch
             self.scratch += rounded(region.size * row(region.dtype))
-        self._plan(top)
+        self._order(top)
 
     def text(self, triple: str) -> str:
         """The module."""
@@ -57,7 +57,7 @@ class Printer(Text):
 
     # blocks
 
-    def _plan(self, one: Plan) -> None:
+    def _order(self, one: Order) -> None:
         for at, step in enumerate(one.steps):
             if isinstance(step, Turn):
                 (self._legs if step.legs else self._plain)(step)
@@ -68,7 +68,7 @@ class Printer(Text):
             elif isinstance(step, Branch):
                 self._branch(step, one.inner[at])
 
-    def _loop(self, loop: Loop, body: Plan) -> None:
+    def _loop(self, loop: Loop, body: Order) -> None:
         self._fresh += 1
         name, before = f"L{self._fresh}", self.label
         self.lines.append(f"br label %{name}")
@@ -77,7 +77,7 @@ class Printer(Text):
         at = len(self.lines)
         self.lines.append("")
         self.counts[body.block.depth] = count
-        self._plan(body)
+        self._order(body)
         length = "%ticks" if loop.length is None else str(loop.length)
         self.emit(f"add i64 {count}, 1", following)
         self.emit(f"icmp eq i64 {following}, {length}", f"%{name}_c")
@@ -85,16 +85,16 @@ class Printer(Text):
         self.lines.append(f"br i1 %{name}_c, label %{name}_x, label %{name}")
         self.start(f"{name}_x")
 
-    def _branch(self, branch: Branch, plans: Sequence[Plan]) -> None:
+    def _branch(self, branch: Branch, orders: Sequence[Order]) -> None:
         self._fresh += 1
         name = f"B{self._fresh}"
         index = self.value(branch.index)
         first = self.emit(f"extractelement {self.vector(branch.index.dtype)} {index}, i32 0")
-        self.switch(TYPES[branch.index.dtype], first, name, len(plans))
-        for k, one in enumerate(plans):
+        self.switch(TYPES[branch.index.dtype], first, name, len(orders))
+        for k, one in enumerate(orders):
             self.start(f"{name}_{k}")
             names = dict(self.names)
-            self._plan(one)
+            self._order(one)
             self.names = names
             self.lines.append(f"br label %{name}_x")
         self.start(f"{name}_x")

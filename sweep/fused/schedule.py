@@ -24,12 +24,12 @@ class Turn:
 
 
 @dataclass(eq=False)
-class Plan:
-    """A block in order: turns, stores, loops and branches with plans of theirs."""
+class Order:
+    """A block in order: turns, stores, loops and branches with orders of theirs."""
 
     block: Block
     steps: list[Any] = field(default_factory=list)
-    inner: dict[int, list["Plan"]] = field(default_factory=dict)  # by the place of their loop or branch among `steps`
+    inner: dict[int, list["Order"]] = field(default_factory=dict)  # by the place of their loop or branch among `steps`
 
 
 @dataclass(eq=False)
@@ -49,9 +49,9 @@ class Slots:
         return self.count - 1
 
 
-def plan(block: Block, needed: set[int]) -> Plan:
+def order(block: Block, needed: set[int]) -> Order:
     """The order of all that is `needed`, see `used`."""
-    made, straight = Plan(block), []
+    made, straight = Order(block), []
     for item in [*block.items, None]:
         if isinstance(item, Node):
             if item.number in needed:
@@ -60,9 +60,9 @@ def plan(block: Block, needed: set[int]) -> Plan:
         made.steps.extend(_turns(straight))
         straight = []
         if isinstance(item, Loop):
-            made.inner[len(made.steps)] = [plan(item.body, needed)]
+            made.inner[len(made.steps)] = [order(item.body, needed)]
         elif isinstance(item, Branch):
-            made.inner[len(made.steps)] = [plan(b, needed) for b in item.blocks]
+            made.inner[len(made.steps)] = [order(b, needed) for b in item.blocks]
         if item is not None:
             made.steps.append(item)
     made.steps.extend(block.stores)
@@ -108,14 +108,14 @@ def _roots(block: Block) -> Iterator[Node]:
             yield item.index
 
 
-def slots(top: Plan) -> Slots:
+def slots(top: Order) -> Slots:
     """Slots for the values of legs that leave the turn in which they are worked out."""
     found = Slots()
     _assign(top, found)
     return found
 
 
-def _assign(one: Plan, found: Slots) -> None:
+def _assign(one: Order, found: Slots) -> None:
     own = {node.number for step in one.steps if isinstance(step, Turn) for node in step.nodes}
     last: dict[int, int] = {}  # step that is the last to read a value of this block
     for at, step in enumerate(one.steps):
@@ -133,7 +133,7 @@ def _assign(one: Plan, found: Slots) -> None:
         found.free.extend(found.of[number] for number in done.get(at, []))
 
 
-def _read(step: Any, inner: list[Plan]) -> Iterator[int]:
+def _read(step: Any, inner: list[Order]) -> Iterator[int]:
     """Numbers of the values of legs that a step, or what is in it, reads from memory."""
     if isinstance(step, Store):
         args = [step.value]
@@ -148,7 +148,7 @@ def _read(step: Any, inner: list[Plan]) -> Iterator[int]:
             yield from _read(each, one.inner.get(at, []))
 
 
-def regions(one: Plan) -> set[Region]:
+def regions(one: Order) -> set[Region]:
     """All memory that is stored to or read."""
     found: set[Region] = set()
     for at, step in enumerate(one.steps):

@@ -44,7 +44,7 @@ Progress = Callable[[pd.DataFrame], None]  # told these columns of every finishe
 
 
 @dataclass
-class Found:
+class Tally:
     """What is known only when engines are made and batches are done."""
 
     stages: dict[int, list[str]] = field(default_factory=dict)  # of the plan, by group
@@ -144,7 +144,7 @@ def mend(exp: Experiment, folder: Path) -> list[str]:
     lines = repair.mend(folder, study, labels)
     planned = store.read_points(folder)
     if stored is None and len(planned):
-        job, found = Job(with_room(exp, planned), folder, planned, set()), Found()
+        job, found = Job(with_room(exp, planned), folder, planned, set()), Tally()
         for group, rows in planned.groupby("group"):
             start = nominal(job.exp, rows, int(rows["width"].iloc[0]))
             found.stages[int(group)] = list(make_engine(job.exp, start).stages)  # pyright: ignore[reportArgumentType]
@@ -197,10 +197,10 @@ def run(job: Job, progress: Progress, dispatch: Dispatch = map) -> Job:
     Where a device's memory is too small, the batches that it cannot hold are planned anew at half the width; the job
     as it ended. Raises `Fault` where disk, memory or workers fail.
     """
-    folder, exp, found = job.folder, job.exp, Found()
+    folder, exp, found = job.folder, job.exp, Tally()
     if (folder / store.STUDY).exists():
         stored = store.read_study(folder)
-        found = Found(stored["stages"], stored["devices"])
+        found = Tally(stored["stages"], stored["devices"])
         if stored["labels"] != job.labels:
             relabel(folder, exp.values["outcome"])
     describe(job, found)
@@ -248,7 +248,7 @@ def within_bounds(folder: Path, beside: tuple[Entry, ...]) -> list[Entry]:
     return [entry for entry in beside if entry not in last[room:]]
 
 
-def announced(job: Job, missing: list[int], found: Found, tight: Collection["Done"]) -> Iterator[int]:
+def announced(job: Job, missing: list[int], found: Tally, tight: Collection["Done"]) -> Iterator[int]:
     """`missing` batches, each group described before its first; those in the group and width of `tight` are left out.
 
     An impossible plan is thus refused here, before a worker sees it.
@@ -333,7 +333,7 @@ def _plan_of(folder: Path, version: str) -> Job:
     return Job(with_room(experiment(store.read_study(folder)["config"]), table), folder, table, set())
 
 
-def describe(job: Job, found: Found) -> None:
+def describe(job: Job, found: Tally) -> None:
     """Write study.yaml."""
     about = {"config": job.exp.values, "rollouts": len(job.table) + job.unplanned, "labels": job.labels}
     there = {"stages": found.stages, "devices": found.devices, **provenance.made_with()}

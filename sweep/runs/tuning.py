@@ -94,7 +94,7 @@ def search(
     return best, least
 
 
-class Descent(NamedTuple):
+class ByGradients(NamedTuple):
     """Where a search by gradients is: numbers and slopes (n, 1 + k), in first steps and in their largest shares."""
 
     done: int  # steps
@@ -104,13 +104,13 @@ class Descent(NamedTuple):
     mean: np.ndarray  # of the gradients
     square: np.ndarray  # mean of their squares
 
-    def next(self, mean: float, down: np.ndarray) -> "Descent":
+    def next(self, mean: float, down: np.ndarray) -> "ByGradients":
         """A step of Adam on, where draws lack `mean` and the gradient is `down`."""
         k = self.done + 1
         least, best = (mean, self.at) if mean < self.least else (self.least, self.best)
         first, second = 0.9 * self.mean + 0.1 * down, 0.99 * self.square + 0.01 * down**2
         way = first / (1 - 0.9**k) / (np.sqrt(second / (1 - 0.99**k)) + 1e-12)
-        return Descent(k, least, self.at - RATE * min(1.0, (SLOWER / k) ** 0.5) * way, best, first, second)
+        return ByGradients(k, least, self.at - RATE * min(1.0, (SLOWER / k) ** 0.5) * way, best, first, second)
 
 
 def fit(
@@ -131,7 +131,7 @@ def fit(
     spread = np.maximum(np.abs(shares).max(axis=0), 1e-12)
     by = np.column_stack([np.ones(len(shares)), shares / spread])
     begun = json.dumps({key: value for key, value in how.items() if key != "generations"})
-    now = kept(log, begun) or Descent(0, np.inf, *(np.zeros((len(first), by.shape[1])) for _ in range(4)))
+    now = kept(log, begun) or ByGradients(0, np.inf, *(np.zeros((len(first), by.shape[1])) for _ in range(4)))
     while now.done < how["generations"]:
         lack, gradients = descent(first + steps * (by @ now.at.T))
         gradients = steps * gradients
@@ -146,7 +146,7 @@ def fit(
     return first + best[:, 0], best[:, 1:] / spread
 
 
-def kept(log: Path, begun: str) -> Descent | None:
+def kept(log: Path, begun: str) -> ByGradients | None:
     """The last step that a log keeps. Raises `InputError` where it is of another search."""
     if not log.exists():
         return None
@@ -154,7 +154,7 @@ def kept(log: Path, begun: str) -> Descent | None:
     if how != begun:
         raise InputError(f"{log} is of another search: remove it, or choose another out")
     done, least, *parts = json.loads(state)
-    return Descent(done, least, *map(np.array, parts))
+    return ByGradients(done, least, *map(np.array, parts))
 
 
 def known(log: Path, how: Mapping[str, Any]) -> Iterator[list[float]]:

@@ -292,7 +292,7 @@ def size(axes: tuple[Axis, ...], design: Design) -> int:
     more = {"saltelli": drawn + 2, "morris": drawn + 1, "importance": design.rounds + 1}
     draws = design.num * more.get(design.kind, design.scrambles)
     if design.kind == "subset" and design.num:
-        draws = design.runs * subset.Plan(design.num, design.share, design.target).most
+        draws = design.runs * subset.Levels(design.num, design.share, design.target).most
     return (sum(lengths) if design.grid == "one_at_a_time" else math.prod(lengths)) * max(draws, 1)
 
 

@@ -28,9 +28,9 @@ def check(design: Design, axes: tuple[Axis, ...]) -> None:
         raise InputError(f"study.design.num = {design.num} is not allowed: {least}, as study.design.share has it")
 
 
-def plan(design: Design) -> subset.Plan:
+def plan(design: Design) -> subset.Levels:
     """How runs of subset simulation go."""
-    return subset.Plan(design.num, design.share, design.target)
+    return subset.Levels(design.num, design.share, design.target)
 
 
 def search(axes: tuple[Axis, ...], design: Design, seed: int) -> sought.Search:

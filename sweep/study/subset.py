@@ -53,8 +53,8 @@ class Outcome(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Plan:
-    """How runs go."""
+class Levels:
+    """How a run goes from level to level."""
 
     num: int  # rows of a level
     share: float  # of them that the next level begins with
@@ -81,7 +81,7 @@ class Plan:
         return self.num + (self.levels - 1) * self.chains * self.steps
 
 
-def search(d: int, plan: Plan, runs: int, seed: int) -> Search:
+def search(d: int, plan: Levels, runs: int, seed: int) -> Search:
     """`runs` side by side, whose steps are a round: see `sweep.study.sought`. It returns their `Outcome`s.
 
     A run draws the same however many others there are.
@@ -108,7 +108,7 @@ def _together(parts: list[Draws]) -> Draws:
     return Draws(shares, numbers, columns)
 
 
-def _run(d: int, plan: Plan, seed: int, run: int) -> Generator[Draws, Seen, Outcome]:
+def _run(d: int, plan: Levels, seed: int, run: int) -> Generator[Draws, Seen, Outcome]:
     """One run. Its draws are numbered from `run * plan.most` on."""
     rng = np.random.default_rng([seed, run])
     rollouts, width, p, bounds, accepted = 0, WIDTH, 1.0, [], []
@@ -158,7 +158,7 @@ def _level(u: np.ndarray, asked: Draws, seen: Seen) -> Level:
     return Level(u, asked.numbers, seen.failed, lead)
 
 
-def _over(inside: Bool[np.ndarray, " n"], bound: float, plan: Plan, p: float, number: int) -> str | None:
+def _over(inside: Bool[np.ndarray, " n"], bound: float, plan: Levels, p: float, number: int) -> str | None:
     """Why a run goes no further, in words where it has found too few failures; None where it does."""
     if bound == -np.inf:  # all that is in the next level has failed
         return ""
@@ -167,7 +167,7 @@ def _over(inside: Bool[np.ndarray, " n"], bound: float, plan: Plan, p: float, nu
     return f"the lead is {bound:.4g} in all rows of a level: it leads nowhere" if inside.all() else None
 
 
-def within(lead: Float[np.ndarray, " n"], plan: Plan) -> tuple[Bool[np.ndarray, " n"], float]:
+def within(lead: Float[np.ndarray, " n"], plan: Levels) -> tuple[Bool[np.ndarray, " n"], float]:
     """Which rows are in the next level, and its bound: the least share by their `lead`.
 
     Where many have one lead there, those below it, few as they may be: chains begin from some of them twice.

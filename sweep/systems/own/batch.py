@@ -1,4 +1,4 @@
-"""Rollouts of an own model as they begin: models of their own, what their controllers are given, and poses."""
+"""AtStart of an own model as they begin: models of their own, what their controllers are given, and poses."""
 
 from copy import copy
 from typing import Any, NamedTuple
@@ -16,7 +16,7 @@ NUMBERS = {"float32": np.float32, "float64": np.float64}  # what controllers rec
 LIMITS = "actuator_forcerange", "jnt_range"
 
 
-class Begun(NamedTuple):
+class AtStart(NamedTuple):
     """n rollouts at their first tick."""
 
     batch: Batch  # at the keyframe
@@ -51,8 +51,8 @@ class Begun(NamedTuple):
             self.batch.forward()
 
 
-def begin(own: Subject, settings: EngineSettings, world: Side, belief: Side, streams: np.ndarray) -> Begun:
-    """Rollouts of a batch of two sides."""
+def begin(own: Subject, settings: EngineSettings, world: Side, belief: Side, streams: np.ndarray) -> AtStart:
+    """AtStart of a batch of two sides."""
     n, number = len(streams), NUMBERS[settings.precision]
     batch = Batch(own.model, n)
     qpos, qvel, sensors = (batch.bind(name) for name in ("qpos", "qvel", "sensordata"))
@@ -69,7 +69,7 @@ def begin(own: Subject, settings: EngineSettings, world: Side, belief: Side, str
         "key": keys(streams),
     }
     mass = expanded(batch, "body_mass").sum(axis=1)
-    return Begun(batch, qpos, qvel, sensors, given, mass, {name: expanded(batch, name) for name in LIMITS})
+    return AtStart(batch, qpos, qvel, sensors, given, mass, {name: expanded(batch, name) for name in LIMITS})
 
 
 def ticks(own: Subject, duration: np.ndarray | None, n: int) -> np.ndarray:

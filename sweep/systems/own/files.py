@@ -25,7 +25,7 @@ FOLDERS = ("meshdir", "texturedir", "assetdir")  # of a model's files, as its co
 _READ: dict[str, tuple[Path, str]] = {}  # of modules by name: the project that they were read in, and their digest
 
 
-class Controller(NamedTuple):
+class Policy(NamedTuple):
     """What a user's module says, or what a network is."""
 
     policy: Callable[..., Any]
@@ -119,7 +119,7 @@ def digest(compiled: mujoco.MjModel) -> str:
     return hashlib.blake2b(content.tobytes(), digest_size=8).hexdigest()
 
 
-def controller(name: str) -> Controller:
+def controller(name: str) -> Policy:
     """The functions that `module:policy` names, or the network of a file. Raises `InputError`."""
     if name.endswith(ONNX):
         from sweep.systems.own import network  # of an extra
@@ -133,9 +133,9 @@ def controller(name: str) -> Controller:
         policy = network.policy(name, str(file), changed)
         digest = f"{_digest(beside)}-{metadata.version('onnxruntime')}"
         if not file.with_suffix(".py").is_file():
-            return Controller(policy, tuple(beside), digest, batched=True)
+            return Policy(policy, tuple(beside), digest, batched=True)
         sources = _sources(module := _module(name, ".".join(Path(name).with_suffix("").parts)))
-        return Controller(policy, (*beside, *sources), f"{digest}-{_digest(sources)}", True, **_beside(name, module))
+        return Policy(policy, (*beside, *sources), f"{digest}-{_digest(sources)}", True, **_beside(name, module))
     module_name, sign, function = name.partition(":")
     if not (sign and module_name and function):
         raise InputError(
@@ -152,12 +152,12 @@ def controller(name: str) -> Controller:
     files = *_sources(module), *files
     digest, more = _digest(files), _beside(name, module)
     if _batched(policy):
-        return Controller(policy, files, digest, batched=True, **more)
+        return Policy(policy, files, digest, batched=True, **more)
     begin = getattr(module, "begin", None)
     parameters, believes = (getattr(module, key, {}) for key in ("PARAMETERS", "BELIEVES"))
     if both := {*parameters} & {*believes}:
         raise InputError(f"model.controller = {name}: {min(both)} is both in PARAMETERS and in BELIEVES")
-    return Controller(policy, files, digest, False, begin, parameters, believes, **more)
+    return Policy(policy, files, digest, False, begin, parameters, believes, **more)
 
 
 def _beside(name: str, module: Any) -> dict[str, Any]:

@@ -238,7 +238,7 @@ def last(name: str) -> str:
     return name.removeprefix("opt.")
 
 
-def put(own: Subject, begun: batch.Begun, impl: str) -> tuple[Any, Any, dict[str, Array]]:
+def put(own: Subject, begun: batch.AtStart, impl: str) -> tuple[Any, Any, dict[str, Array]]:
     """MJX's model, its data at the keyframe, and the fields in which the rollouts' models differ, (n, ...)."""
     model, rows = fields.with_options(own.model, {}), batch.differing(begun.batch)
     for name in {*SHAPING} & {*rows}:  # what is 0 for the model, and not for a rollout, is to be in the program

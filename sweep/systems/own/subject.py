@@ -79,7 +79,7 @@ class Subject:
         return files.source(self.about.mjcf)
 
     @cached_property
-    def controller(self) -> files.Controller:
+    def controller(self) -> files.Policy:
         """What its module says."""
         return files.controller(self.about.controller)
 

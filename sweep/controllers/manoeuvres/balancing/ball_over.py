@@ -10,7 +10,7 @@ from sweep.controllers.manoeuvres.balancing.ball import BallDrive, perch
 from sweep.controllers.manoeuvres.balancing.ball_climb import BallClimb
 from sweep.controllers.manoeuvres.balancing.ball_descend import BallDescend
 from sweep.controllers.manoeuvres.balancing.beside_ball import CALM, BesideBall
-from sweep.controllers.manoeuvres.balancing.parts import Steps
+from sweep.controllers.manoeuvres.balancing.parts import Settling
 from sweep.controllers.manoeuvres.climbing.walking import AHEAD, EASED, centres, walk_away
 from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.moves import moves
@@ -75,7 +75,7 @@ class BallOver(BesideBall):
     @property
     def parts(self) -> Mapping[str, Guided]:
         """The ride up, calming steps, and those along."""
-        return {**self.up.parts, DRIVE: Steps(self.driving, self.calm_speed, self.near)}
+        return {**self.up.parts, DRIVE: Settling(self.driving, self.calm_speed, self.near)}
 
     def plan(self, belief: Case) -> Plan:
         """Up, calm, along, down, away.

@@ -16,7 +16,7 @@ from sweep.controllers.manoeuvres.balancing.ball import BallDrive, DriveMemory, 
 from sweep.controllers.manoeuvres.balancing.ball_descend import BallDescend
 from sweep.controllers.manoeuvres.balancing.ball_ride import about_aside
 from sweep.controllers.manoeuvres.balancing.beside_ball import CALM
-from sweep.controllers.manoeuvres.balancing.checks import Limits, between, checked, stands_next
+from sweep.controllers.manoeuvres.balancing.checks import Asked, between, checked, stands_next
 from sweep.controllers.manoeuvres.balancing.parts import InParts, OfBall, has_just_begun
 from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.moves import stages_of, standing
@@ -180,7 +180,7 @@ class BallToBall(OnBall, InParts):
         how = terms(belief, belief.robot.body_length, self.deepening, (self.press, self.squeeze), supports, (OVER,))
         stages = stages_of("over", how, standing(feet, 0.0, fixed(0)))[0]
         return checked(touching(belief), on_ball(belief, perched), stages,
-                       Limits(self.spare, self.straight, self.clear))  # fmt: skip
+                       Asked(self.spare, self.straight, self.clear))  # fmt: skip
 
     def refuse(self, belief: Case) -> None:
         """Raise `InputError` where a foot is out of reach, or the mass centre not `spare` m between standing feet.

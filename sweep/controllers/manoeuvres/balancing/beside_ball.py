@@ -8,7 +8,7 @@ import math
 from collections.abc import Mapping
 
 from sweep.controllers.manoeuvres.balancing.ball import BallDrive, OnBall
-from sweep.controllers.manoeuvres.balancing.parts import InParts, Steps
+from sweep.controllers.manoeuvres.balancing.parts import InParts, Settling
 from sweep.controllers.tracker import Guided
 from sweep.core.parameters import count, parameters, quantity
 
@@ -42,4 +42,4 @@ class BesideBall(OnBall, InParts):
     @property
     def parts(self) -> Mapping[str, Guided]:
         """The calming steps, by their law."""
-        return {CALM: Steps(self.calming, self.calm_speed, math.inf)}
+        return {CALM: Settling(self.calming, self.calm_speed, math.inf)}

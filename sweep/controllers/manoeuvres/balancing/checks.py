@@ -28,7 +28,7 @@ BEYOND = 5e-4  # m, more than asked, by which what acts ends inside
 ROUNDS = 4  # the mass centre follows with 0.8 or more of a base's way, and a little of a foot's and of a squat
 
 
-class Limits(NamedTuple):
+class Asked(NamedTuple):
     """What the checks ask."""
 
     spare: Array | float  # m, of the mass centre between the feet that stand
@@ -44,7 +44,7 @@ class Steps(NamedTuple):
     centre: Float[Array, "s 6 3"]  # m
 
 
-def checked(belief: Case, start: Stance, stages: Sequence[Stage], limits: Limits) -> list[Stage]:
+def checked(belief: Case, start: Stance, stages: Sequence[Stage], limits: Asked) -> list[Stage]:
     """Stages from `start` (world axes) on that keep the limits wherever the book's remedies can have them do so.
 
     3: a foot that bounds where the mass centre may be is set farther, along the ball. 5: a base that moves on standing
@@ -84,7 +84,7 @@ def stands_next(swing: Bool[Array, "s 6"] | np.ndarray) -> Bool[Array, "s 6"]:
     return jnp.where(swings, ~swing, ~following)
 
 
-def _farther(robot: Robot, now: Stance, steps: Steps, limits: Limits) -> Stance:
+def _farther(robot: Robot, now: Stance, steps: Steps, limits: Asked) -> Stance:
     """Check 3: where feet swing, those that stand at the end on which the mass centre has no room are set farther."""
     stands, ahead = ~steps.swing, now.feet[..., 0]
     lacks = jnp.where(steps.swing.any(axis=1), limits.spare - between(robot, now, stands), 0.0)
@@ -103,7 +103,7 @@ def _farther(robot: Robot, now: Stance, steps: Steps, limits: Limits) -> Stance:
     return now._replace(feet=jnp.where((way != 0)[..., None], moved, now.feet))
 
 
-def _on(robot: Robot, now: Stance, start: Stance, steps: Steps, limits: Limits) -> Stance:
+def _on(robot: Robot, now: Stance, start: Stance, steps: Steps, limits: Asked) -> Stance:
     """Check 5: a base that moves on standing feet goes on, the way that it goes, until it may end."""
     moves = ~steps.swing.any(axis=1)
     front, rear = limits.spare - between(robot, now, stands_next(steps.swing))
@@ -114,7 +114,7 @@ def _on(robot: Robot, now: Stance, start: Stance, steps: Steps, limits: Limits) 
     return now._replace(position=jnp.where((forth | back)[:, None], gone, now.position))
 
 
-def _lower(belief: Case, now: Stance, limits: Limits) -> Stance:
+def _lower(belief: Case, now: Stance, limits: Asked) -> Stance:
     """Check 2: the base lower where a leg would be too long, if it stays over the balls."""
     robot, balls = belief.robot, belief.on(TwoBalls)
     level, down = _hanging(robot, now)
@@ -128,7 +128,7 @@ def _lower(belief: Case, now: Stance, limits: Limits) -> Stance:
     return now._replace(position=jnp.where((by > 0)[:, None], lowered, now.position))
 
 
-def _nearer(robot: Robot, now: Stance, steps: Steps, limits: Limits) -> Stance:
+def _nearer(robot: Robot, now: Stance, steps: Steps, limits: Asked) -> Stance:
     """Check 2: a foot still too far on the sphere that its leg can reach, its ball and the vertical plane along x."""
     hips = now.position[:, None] + rotate(now.quat[:, None], mounts(robot))
     feet, to_hip = now.feet - steps.centre, hips - steps.centre

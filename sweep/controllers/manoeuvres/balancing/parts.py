@@ -59,7 +59,7 @@ def has_just_begun(plan: Plan, state: TrackerState) -> Bool[Array, ""]:
     return state.clock < 0.05 * plan.duration[state.stage]
 
 
-class Steps(NamedTuple):
+class Settling(NamedTuple):
     """Tripods on a ball until it is calm, and where it is to be; as many as it needs."""
 
     drive: BallDrive
