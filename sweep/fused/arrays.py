@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from sweep.fused.operations import fold, simplified
-from sweep.fused.program import At, Node, Program, Region, Store, value_of
+from sweep.fused.program import At, Node, OneOf, Over, Program, Region, Store, value_of
 
 EMPTY = {"add": 0, "mul": 1, "or": False, "and": True, "max": -np.inf, "min": np.inf}  # of no numbers at all
 CHAIN = 64  # places that a number may be chosen from, where it is not in memory
@@ -86,7 +86,7 @@ class Arrays:
                 return self._fold(name, list(row.ravel()))
             whole = self._fold(name, [one[0] for one in found if one is not None])
             return (
-                self.program.node("over_legs", (whole,), whole.dtype, name, leg=False)
+                self.program.node("over_legs", (whole,), whole.dtype, Over(name), leg=False)
                 if whole.leg
                 else self._fold(name, [whole] * self.group)
             )
@@ -119,10 +119,9 @@ class Arrays:
         if node.op == "const":
             return [self.program.const(value, node.dtype) for value in value_of(node)]
         if node.op in ("load", "gather"):
-            region, index, depth, step = node.extra
-            places = [At(region, index + k * step, depth, 0) for k in range(self.group)]
+            places = node.told(At).each(self.group)
             return [self.program.node(node.op, node.args, node.dtype, place, leg=False) for place in places]
-        return [self.program.node("part", (node,), node.dtype, k, leg=False) for k in range(self.group)]
+        return [self.program.node("part", (node,), node.dtype, OneOf(k), leg=False) for k in range(self.group)]
 
     def _over_legs(self, arrays: Sequence[Array], axis: int) -> bool:
         """Whether the first row along `axis` is one for the legs."""
@@ -152,15 +151,15 @@ class Arrays:
             whole = first.args[0]
             return (
                 whole
-                if all(x.op == "part" and x.args[0] is whole and x.extra == k for k, x in enumerate(row))
+                if all(x.op == "part" and x.args[0] is whole and x.extra == OneOf(k) for k, x in enumerate(row))
                 else None
             )
         if first.op == "const":
             same = all(x.op == "const" for x in row)
             return self.program.const(tuple(value_of(x) for x in row), first.dtype) if same else None
         if first.op in ("load", "gather"):
-            region, index, depth, _ = first.extra
-            step = second.extra[1] - index
+            region, index, depth, _ = first.told(At)
+            step = second.told(At).first - index
             for k, x in enumerate(row):
                 if x.op != first.op or x.args != first.args or x.extra != At(region, index + k * step, depth, 0):
                     return None
@@ -193,7 +192,7 @@ class Arrays:
                 items.append(Store(region, int(row[0]), leg, int(row[1] - row[0])))
                 done.update(row.tolist())
         for k, node in enumerate(x.flat):
-            unchanged = node.op == "load" and node.extra[:2] == (region, k)
+            unchanged = node.op == "load" and node.told(At)[:2] == (region, k)
             if k not in done and not unchanged:
                 items.append(Store(region, k, node))
 
@@ -201,7 +200,7 @@ class Arrays:
         """Region, first place and depth of an array that lies in memory as it is."""
         if not x.size or x.flat[0].op != "load":
             return None
-        region, first, depth, _ = x.flat[0].extra
+        region, first, depth, _ = x.flat[0].told(At)
         lies = all(n.op == "load" and n.extra == At(region, first + k, depth, 0) for k, n in enumerate(x.flat))
         return (region, first, depth) if lies else None
 

@@ -17,7 +17,7 @@ import numpy as np
 from sweep.fused import lanes
 from sweep.fused.arrays import Unsupported
 from sweep.fused.lanes import ANEW, Part, Place
-from sweep.fused.program import Block, Branch, Loop, Node, Region, Store, value_of
+from sweep.fused.program import At, Block, Branch, Count, HandedOn, Loop, Node, OneOf, Over, Region, Store, value_of
 from sweep.fused.text import INTRINSICS, TYPES, Text
 
 THREADS = 32  # of a warp
@@ -139,8 +139,8 @@ class Printer(Text):
         """Find room for what a part has to hand on."""
         for part in parts:
             for node in lanes.operands(part, self.needed):
-                if node.op == "load" and not self._is_outer(node.extra[0]):
-                    key, leg = (place := self._row(*node.extra[:2])[0]), place in self.rows
+                if node.op == "load" and not self._is_outer(node.told(At).region):
+                    key, leg = (place := self._row(*node.told(At)[:2])[0]), place in self.rows
                 elif node.op not in ANEW:
                     key, leg = node.number, node.leg
                 else:
@@ -250,7 +250,7 @@ class Printer(Text):
         theirs from different warps would go different ways: they wait for each other for ever.
         """
         if node.op in ANEW or node.op == "count":
-            return self.counts[node.extra] if node.op == "count" else self.value(node)
+            return self.counts[node.told(Count).depth] if node.op == "count" else self.value(node)
         args = [self._uniform(x) for x in node.args]
         return self.arithmetic(node.op, node.dtype, args, [x.dtype for x in node.args])
 
@@ -391,10 +391,10 @@ class Printer(Text):
         if node.op == "const" and not node.leg:
             return self.literal(value_of(node))
         if node.op == "handed_on":
-            return self._handed_on(*node.extra)
+            return self._handed_on(*node.told(HandedOn))
         if node.op not in ANEW:
             return self.names.get(node.number) or self._handed_on(node.number)
-        if node.op == "load" and not self._is_outer(node.extra[0]):
+        if node.op == "load" and not self._is_outer(node.told(At).region):
             return self._now(node)
         key = node.number, "memory"
         if key not in self.found:
@@ -404,7 +404,7 @@ class Printer(Text):
 
     def _now(self, node: Node) -> str:
         """A number of inner memory, which is no memory here."""
-        region, index, _, _ = node.extra
+        region, index, _, _ = node.told(At)
         (first, leg), there = self._row(region, index), self._place(region, index)
         if self.alone:
             return self.here.get(there) or self._handed_on(first, leg)
@@ -413,7 +413,7 @@ class Printer(Text):
         return value if whole else self._shuffled(value, region.dtype, self._lane(leg))
 
     def _load(self, node: Node) -> str:
-        region, index, _, step = node.extra
+        region, index, _, step = node.told(At)
         base = self._base(region)
         offset = (self._start_of(region) + index) * self.row
         return self._read(region.dtype, self._leg(base, step) if node.leg else base, offset)
@@ -450,26 +450,26 @@ class Printer(Text):
 
     def _over_legs(self, node: Node) -> str:
         """Opposite legs first, then the pairs in order."""
-        value, kinds = self.value(node.args[0]), [node.dtype] * 2
-        pair = self.arithmetic(node.extra, node.dtype, [value, self._shuffled(value, node.dtype, "%across")], kinds)
+        value, kinds, op = self.value(node.args[0]), [node.dtype] * 2, node.told(Over).op
+        pair = self.arithmetic(op, node.dtype, [value, self._shuffled(value, node.dtype, "%across")], kinds)
         total = self._shuffled(pair, node.dtype, self._lane(0))
         for k in range(1, self.group // 2):
             one = self._shuffled(pair, node.dtype, self._lane(k))
-            total = self.arithmetic(node.extra, node.dtype, [total, one], kinds)
+            total = self.arithmetic(op, node.dtype, [total, one], kinds)
         return total
 
     def _work(self, node: Node) -> str:
         """A node from its operands."""
         match node.op:
             case "gather":
-                region, index, _, step = node.extra
+                region, index, _, step = node.told(At)
                 base = self._base(region)
                 place = self.emit(f"mul i32 {self.value(node.args[0])}, {self.row}")
                 offset = self.emit(f"add i32 {place}, {(self._start_of(region) + index) * self.row}")
                 return self._read(region.dtype, self._leg(base, step) if node.leg else base, offset)
             case "part":
                 whole = node.args[0]
-                return self._shuffled(self.value(whole), whole.dtype, self._lane(node.extra))
+                return self._shuffled(self.value(whole), whole.dtype, self._lane(node.told(OneOf).leg))
             case "pack":
                 value, kind = self.value(node.args[-1]), TYPES[node.dtype]
                 for k in range(self.group - 2, -1, -1):
@@ -479,7 +479,7 @@ class Printer(Text):
             case "over_legs":
                 return self._over_legs(node)
             case "count":
-                return self.counts[node.extra]
+                return self.counts[node.told(Count).depth]
             case _ if node.op in INTRINSICS and node.op not in NATIVE:
                 raise Unsupported(f"{node.op} of {node.dtype} on a GPU")
             case _:

@@ -13,7 +13,7 @@ from jax.extend import core
 
 from sweep.fused import maths
 from sweep.fused.arrays import Array, Arrays, Unsupported, filled, stacked
-from sweep.fused.program import At, Branch, Node, Region, value_of
+from sweep.fused.program import At, Branch, Count, Node, Region, value_of
 from sweep.fused.rules import MANY, RULES
 
 CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "core_call": "call_jaxpr", "checkpoint": "jaxpr",
@@ -103,7 +103,7 @@ class Interpreter(Arrays):
         regions = [self._saved(x, outside + 1) for x in carry]
         tables = [self._saved(x, outside + 1) for x in xs]
         with self.program.loop(length) as body:
-            count = self.program.node("count", (), "int32", body.depth)
+            count = self.program.node("count", (), "int32", Count(body.depth))
             state = [self.loaded(r, x.shape, body.depth) for r, x in zip(regions, carry, strict=True)]
             here = [self._looked_up(r, x.shape[1:], count) for r, x in zip(tables, xs, strict=True)]
             results = self.evaluate(inner, closed.consts, [*consts, *state, *here])

@@ -3,7 +3,21 @@
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
-from sweep.fused.program import At, Block, Branch, Loop, Node, Region, Store, inside
+from sweep.fused.program import (
+    At,
+    Block,
+    Branch,
+    Const,
+    Extra,
+    HandedOn,
+    Loop,
+    Node,
+    OneOf,
+    Over,
+    Region,
+    Store,
+    inside,
+)
 
 ANEW = frozenset(("const", "load", "tick"))  # worked out again wherever it is needed
 LARGE = 1 << 30  # operations of a value, those of a shared operand counted for each use
@@ -65,9 +79,10 @@ def rows(top: Block, needed: set[int], group: int) -> tuple[dict[Place, tuple[in
         if isinstance(x, Store) and x.value.leg:
             uses.append((x.region, x.index, x.step))
         elif isinstance(x, Node) and x.number in needed and x.op == "load" and x.leg:
-            uses.append((x.extra[0], x.extra[1], x.extra[3]))
-        elif isinstance(x, Node) and x.number in needed and x.op == "gather" and x.extra[0].place < 0:
-            memory[x.extra[0]] = None
+            region, index, _, step = x.told(At)
+            uses.append((region, index, step))
+        elif isinstance(x, Node) and x.number in needed and x.op == "gather" and x.told(At).region.place < 0:
+            memory[x.told(At).region] = None
     for region, index, step in uses:
         if region.place < 0:
             for k in range(group):
@@ -138,7 +153,7 @@ def operands(part: Part, needed: set[int]) -> Iterator[Node]:
 def _places(node: Node, group: int) -> list[Any]:
     if node.op not in ("load", "gather"):
         return []
-    region, index, _, step = node.extra
+    region, index, _, step = node.told(At)
     if node.op == "gather":
         return [region]
     return [(region, index + k * step) for k in (range(group) if node.leg else (0,))]
@@ -160,17 +175,17 @@ class Alone:
                 return [node]
             match node.op:
                 case "const":
-                    extras = list(node.extra)
+                    extras = [Const((bits,)) for bits in node.told(Const).bits]
                 case "load":
-                    extras = _each(node.extra, self.group)
+                    extras = node.told(At).each(self.group)
                 case _:  # of another part
-                    extras = [(node.number, k) for k in range(self.group)]
+                    extras = [HandedOn(node.number, k) for k in range(self.group)]
             op = node.op if node.op in ANEW else "handed_on"
             self.made[node.number] = [self._node(node, op, (), extra, k) for k, extra in enumerate(extras)]
         return self.made[node.number]
 
     @staticmethod
-    def _node(like: Node, op: str, args: Sequence[Node], extra: Any, k: Any) -> Node:
+    def _node(like: Node, op: str, args: Sequence[Node], extra: Extra, k: Any) -> Node:
         return Node(op, tuple(args), extra, like.dtype, False, (like.number, k), like.block)
 
     def _item(self, item: Any, needed: set[int]) -> list[Any]:
@@ -186,23 +201,23 @@ class Alone:
                 self.made[item.number] = [x[0] for x in args]
                 return []
             case "part":
-                self.made[item.number] = [args[0][item.extra]]
+                self.made[item.number] = [args[0][item.told(OneOf).leg]]
                 return []
             case "over_legs":  # opposite legs first, then the pairs in order
-                x, made, half = args[0], [], self.group // 2
+                x, made, half, op = args[0], [], self.group // 2, item.told(Over).op
                 for k in range(half):
-                    made.append(self._node(item, item.extra, (x[k], x[k + half]), None, k))
+                    made.append(self._node(item, op, (x[k], x[k + half]), None, k))
                 for k in range(1, half):
                     pair = made[0 if k == 1 else -1], made[k]
-                    made.append(self._node(item, item.extra, pair, None, k + half - 1))
+                    made.append(self._node(item, op, pair, None, k + half - 1))
                 self.made[item.number] = made[-1:]
                 return made
             case _:
                 pass
         legs = range(self.group) if item.leg else [0]
         extras = [item.extra] * self.group
-        if item.op == "gather" and item.leg:
-            extras = _each(item.extra, self.group)
+        if isinstance(item.extra, At) and item.leg:
+            extras = item.extra.each(self.group)
         made = [self._node(item, item.op, [x[k % len(x)] for x in args], extras[k], k) for k in legs]
         self.made[item.number] = made
         return made
@@ -215,9 +230,3 @@ class Alone:
 
     def _store(self, store: Store) -> list[Store]:
         return [Store(store.region, store.index + k * store.step, x) for k, x in enumerate(self.of(store.value))]
-
-
-def _each(extra: At, group: int) -> list[At]:
-    """Where each leg's number is."""
-    region, index, depth, step = extra
-    return [At(region, index + k * step, depth, 0) for k in range(group)]

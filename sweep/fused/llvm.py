@@ -9,7 +9,7 @@ from typing import Any
 import llvmlite.binding as llvm
 import numpy as np
 
-from sweep.fused.program import Branch, Loop, Node, Region, Store, value_of
+from sweep.fused.program import At, Branch, Count, Loop, Node, OneOf, Over, Region, Store, value_of
 from sweep.fused.schedule import Order, Slots, Turn, regions
 from sweep.fused.text import TYPES, Text
 
@@ -117,17 +117,17 @@ class Printer(Text):
         self.lines.append(f"%{name}_k = phi i64 [0, %{before}], [%{name}_n, %{name}]")
         totals = []
         for k, node in enumerate(sums):
-            first = FIRST[node.extra]
+            op = node.told(Over).op
+            first = FIRST[op]
             if not np.issubdtype(node.dtype, np.floating) and not isinstance(first, bool):
-                first = {"add": 0, "mul": 1, "max": np.iinfo(node.dtype).min, "min": np.iinfo(node.dtype).max}[
-                    node.extra
-                ]
+                first = {"add": 0, "mul": 1, "max": np.iinfo(node.dtype).min, "min": np.iinfo(node.dtype).max}[op]
             start = self.literal(np.asarray(first, node.dtype))
             totals.append(self.emit(f"phi {self.vector(node.dtype)} [{start}, %{before}], [%{name}_s{k}, %{name}]"))
         for node in turn.nodes:
             if node.op == "over_legs":
                 k = sums.index(node)
-                total = self.arithmetic(node.extra, node.dtype, [totals[k], leg.value(node.args[0])], [node.dtype] * 2)
+                op = node.told(Over).op
+                total = self.arithmetic(op, node.dtype, [totals[k], leg.value(node.args[0])], [node.dtype] * 2)
                 self.emit(
                     f"select i1 true, {self.vector(node.dtype)} {total}, {self.vector(node.dtype)} {total}",
                     f"%{name}_s{k}",
@@ -174,7 +174,7 @@ class Printer(Text):
         if node.op == "const":
             return self.literal(value_of(node)[k])
         if node.op == "load":
-            region, index, _, step = node.extra
+            region, index, _, step = node.told(At)
             base, place = self.base(region)
             return self.get(region.dtype, base, str(place + (index + k * step) * row(region.dtype)))
         return self.get(node.dtype, "%scratch", str(self.slot(node) + k * self.row))
@@ -196,7 +196,7 @@ class Printer(Text):
 
     def gather(self, node: Node, place: str, offset: str) -> str:
         """From a place of each rollout's own, `offset` bytes further on."""
-        region = node.extra[0]
+        region = node.told(At).region
         base, _ = self.base(region)
         size, wide = row(region.dtype), f"<{LANES} x i64>"
         lanes = ", ".join(f"i64 {k * np.dtype(region.dtype).itemsize}" for k in range(LANES))
@@ -226,19 +226,19 @@ class Printer(Text):
         """A node from its operands."""
         match node.op:
             case "load":
-                region, index, _, _ = node.extra
+                region, index, _, _ = node.told(At)
                 base, place = self.base(region)
                 return self.get(region.dtype, base, str(place + index * row(region.dtype)))
             case "gather":
-                region, index, _, step = node.extra
+                region, index, _, step = node.told(At)
                 _, place = self.base(region)
                 offset = place + index * row(region.dtype)
                 at = leg.offset(step * row(region.dtype), offset) if leg and node.leg else str(offset)
                 return self.gather(node, args[0], at)
             case "part":
-                return self.part(node.args[0], node.extra)
+                return self.part(node.args[0], node.told(OneOf).leg)
             case "count":
-                return self._whole(self.counts[node.extra])
+                return self._whole(self.counts[node.told(Count).depth])
             case "tick":
                 return self._whole(self.emit(f"add i64 {self.counts[1]}, %first"))
             case _:
@@ -286,7 +286,7 @@ class Leg:
                 value = printer.emit(f"select i1 {test}, {kind} {printer.literal(values[k])}, {kind} {value}")
             return value
         if node.op == "load":
-            region, index, _, step = node.extra
+            region, index, _, step = node.told(At)
             base, place = printer.base(region)
             size = row(region.dtype)
             return printer.get(region.dtype, base, self.offset(step * size, place + index * size))

@@ -13,25 +13,68 @@ from typing import Any, NamedTuple
 import numpy as np
 
 
+class Const(NamedTuple):
+    """Of `const`: its value."""
+
+    bits: tuple[bytes, ...]  # one, or one for each leg: they tell -0 from 0 and one NaN from the next
+
+
 class At(NamedTuple):
-    """Where a number lies that an operation reads from memory, or the numbers of all legs."""
+    """Of `load` and `gather`: where the number lies that is read from memory, or the numbers of all legs."""
 
     region: "Region"
-    first: int  # index of the number, of the first leg's
+    first: int  # index of the number, of the first leg's; `gather` adds its operand
     depth: int  # of the block in which it is as it is read
     step: int  # from leg to leg; 0 for a number of no leg's
 
+    def each(self, group: int) -> list["At"]:
+        """Where each leg's number is."""
+        return [At(self.region, self.first + k * self.step, self.depth, 0) for k in range(group)]
+
+
+class Count(NamedTuple):
+    """Of `count` and `tick`: which loop's turns are counted."""
+
+    depth: int
+
+
+class OneOf(NamedTuple):
+    """Of `part`: which leg's number it is."""
+
+    leg: int
+
+
+class Over(NamedTuple):
+    """Of `over_legs`: the operation that adds up or compares."""
+
+    op: str  # add, mul, max, min, and, or
+
+
+class HandedOn(NamedTuple):
+    """Of `handed_on`: what another part of a GPU's kernel has put into memory."""
+
+    number: int  # of the node
+    leg: int
+
+
+type Extra = Const | At | Count | OneOf | Over | HandedOn | None
+
 
 class Node:
-    """A number, or one for each leg. What `extra` is depends on the operation: see docs/compiler.md."""
+    """A number, or one for each leg. `extra` says what its operands do not, in the class of its operation."""
 
     __slots__ = ("args", "block", "dtype", "extra", "leg", "number", "op")
 
     def __init__(
-        self, op: str, args: tuple["Node", ...], extra: Any, dtype: str, leg: bool, number: Any, block: "Block"
+        self, op: str, args: tuple["Node", ...], extra: Extra, dtype: str, leg: bool, number: Any, block: "Block"
     ):
         self.op, self.args, self.extra, self.dtype, self.leg, self.number = op, args, extra, dtype, leg, number
         self.block = block
+
+    def told[T](self, kind: type[T]) -> T:
+        """Its `extra`, which has to be of a class."""
+        assert isinstance(self.extra, kind), f"{self.op} has {self.extra}"
+        return self.extra
 
 
 @dataclass(eq=False)
@@ -105,7 +148,7 @@ class Program:
         """The outermost block."""
         return self.blocks[0]
 
-    def node(self, op: str, args: Sequence[Node], dtype: str, extra: Any = None, leg: bool | None = None) -> Node:
+    def node(self, op: str, args: Sequence[Node], dtype: str, extra: Extra = None, leg: bool | None = None) -> Node:
         """The node of an operation, the one that there is where it has been met before."""
         args = tuple(args)
         leg = any(x.leg for x in args) if leg is None else leg
@@ -114,10 +157,10 @@ class Program:
             if key in block.known:
                 return block.known[key]
         depth = max((x.block.depth for x in args), default=0)
-        if op in ("load", "gather"):
+        if isinstance(extra, At):
             depth = max(depth, extra.depth)
-        elif op in ("count", "tick"):
-            depth = extra
+        elif isinstance(extra, Count):
+            depth = extra.depth
         for block in reversed(self.blocks):
             if block.held and op != "const":
                 depth = max(depth, block.depth)
@@ -135,9 +178,8 @@ class Program:
             if len({_bits(v, dtype) for v in value}) == 1:
                 value = value[0]
             else:
-                bits = tuple(_bits(v, dtype) for v in value)
-                return self.node("const", (), dtype, bits, leg=True)
-        return self.node("const", (), dtype, _bits(value, dtype))
+                return self.node("const", (), dtype, Const(tuple(_bits(v, dtype) for v in value)), leg=True)
+        return self.node("const", (), dtype, Const((_bits(value, dtype),)))
 
     @contextmanager
     def loop(self, length: int | None) -> Iterator[Block]:
@@ -162,12 +204,10 @@ class Program:
 
 
 def _bits(value: Any, dtype: str) -> bytes:
-    """Tells -0 from 0 and one NaN from the next."""
     return np.asarray(value, dtype).tobytes()
 
 
 def value_of(node: Node) -> Any:
     """The number of a constant; an array of six where it has one for each leg."""
-    if isinstance(node.extra, tuple):
-        return np.frombuffer(b"".join(node.extra), node.dtype)
-    return np.frombuffer(node.extra, node.dtype)[0]
+    found = np.frombuffer(b"".join(node.told(Const).bits), node.dtype)
+    return found if node.leg else found[0]

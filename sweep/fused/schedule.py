@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from sweep.fused.program import Block, Branch, Loop, Node, Region, Store, inside
+from sweep.fused.program import At, Block, Branch, Loop, Node, Region, Store, inside
 
 ANEW = frozenset(("const", "load"))  # worked out again wherever it is needed
 
@@ -154,11 +154,11 @@ def regions(one: Order) -> set[Region]:
     for at, step in enumerate(one.steps):
         if isinstance(step, Turn):
             nodes = step.nodes
-            found |= {n.extra[0] for n in nodes if n.op in ("load", "gather")}
-            found |= {a.extra[0] for n in nodes for a in n.args if a.op in ("load", "gather")}
+            found |= {n.extra.region for n in nodes if isinstance(n.extra, At)}
+            found |= {a.extra.region for n in nodes for a in n.args if isinstance(a.extra, At)}
         elif isinstance(step, Store):
             found.add(step.region)
-            found |= {step.value.extra[0]} if step.value.op in ("load", "gather") else set()
+            found |= {step.value.extra.region} if isinstance(step.value.extra, At) else set()
         for inner in one.inner.get(at, []):
             found |= regions(inner)
     return found

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array
 
 from sweep.fused.interpret import Interpreter
-from sweep.fused.program import Block, Program, Region
+from sweep.fused.program import Block, Count, Program, Region
 from sweep.fused.randomness import keyed, words
 
 GROUP = 6  # of a robot: its legs
@@ -75,7 +75,7 @@ def traced(
     regions = [[Region(x.size, x.dtype, depth, x.place, told) for x in leaves]
                for leaves, depth, told in ((constant, 0, False), (moving, 1, False), (recorded, 1, True))]  # fmt: skip
     with program.loop(None) as body:
-        tick = np.full((), program.node("tick", (), "int32", 1), object)
+        tick = np.full((), program.node("tick", (), "int32", Count(1)), object)
         inputs = [interpreter.loaded(region, leaf.shape, region.depth)
                   for group, leaves in zip(regions[:2], (constant, moving), strict=True)
                   for region, leaf in zip(group, leaves, strict=True)]  # fmt: skip
