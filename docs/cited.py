@@ -170,7 +170,7 @@ def interval(success: int, valid: int) -> dict[str, float]:
 
 def compared(_: str) -> str:
     """The sources' figures beside ours."""
-    return headlines.table(pd.read_csv(RATES), share)
+    return headlines.table(pd.read_csv(RATES), share, read)
 
 
 def bounds(_: str) -> str:
@@ -254,7 +254,7 @@ def gained(_: str, of: str) -> str:
     rates = kept.pivot_table(index="scenario", columns="robot", values=["success", "valid"]).dropna()
     if of == "robot":
         rates = rates.drop(index=list(TOUCH_ALONE))
-    (believe, learn), (_, of_all) = (rates[count].sum().astype(int) for count in ("success", "valid"))
+    (believe, learn), (_, of_all) = (rates[count].to_numpy(int).sum(axis=0) for count in ("success", "valid"))
     return f"{learn:,} of {of_all:,} rollouts of {len(rates)} manoeuvres succeed, without it {believe:,}"
 
 

@@ -13,6 +13,8 @@ ROWS = Path(__file__).with_suffix(".yaml")
 HEAD = "| what | source | the source's | ours | of | by |\n|:--|:--|:--|:--|:--|:--|"
 
 ERROR = 0.0025  # of all sizes and masses, that the robot is not told
+GIVEN = "sweep run study=any_robustness scenario={} study.seed={}{} --where 'size_error == {}'"
+SEED, BEFORE = 41, {"674a363242e2", "9464865514ab", "f66d5e4b940c"}  # of jobs/robustness_all.sh; of these it was 40
 
 
 def rows() -> list[dict[str, Any]]:
@@ -20,11 +22,20 @@ def rows() -> list[dict[str, Any]]:
     return yaml.safe_load(ROWS.read_text(encoding="utf-8"))
 
 
-def table(rates: pd.DataFrame, share: Callable[[int, int], str]) -> str:
-    """All rows in Markdown; `rates` as robustness_rates.csv has them, `share` tells successes of valid rollouts."""
+def table(rates: pd.DataFrame, share: Callable[[int, int], str], read: Callable[[str], dict[str, Any]]) -> str:
+    """All rows in Markdown; `rates` as robustness_rates.csv has them, `read` gives the data of a target.
+
+    `share` tells successes of valid rollouts.
+    """
     lines = [HEAD]
     for row in rows():
-        found = by_formula(row) if "formula" in row else by_rollouts(row, rates, share)
+        if "formula" in row:
+            found = by_formula(row)
+        elif "rates" in row:
+            found = by_rollouts(row, rates, share)
+        else:
+            data = read(row["data"])
+            found = share(data["success"], data["valid"]), data["commit"], f"`{data['command']}`"
         lines.append(f"| {row['what']} | {row['where']} | {row['theirs']} | {' | '.join(found)} |")
     return "\n".join(lines)
 
@@ -42,5 +53,6 @@ def by_rollouts(row: dict[str, Any], rates: pd.DataFrame, share: Callable[[int, 
     """How many draws succeed of a robot that believes what it is told, code and command."""
     here = (rates["scenario"] == row["rates"]) & (rates["robot"] == "believes") & (rates["axis"] == "axis.size_error")
     (found,) = rates[here & (rates["value"] == ERROR)].to_dict("records")
-    command = f"sweep run study=any_robustness scenario={row['rates']} {row.get('given', '')}".strip()
+    seed = SEED - (found["commit"] in BEFORE)
+    command = GIVEN.format(row["rates"], seed, f" {row['given']}" if "given" in row else "", ERROR)
     return share(found["success"], found["valid"]), found["commit"], f"`{command}`"

@@ -14,6 +14,7 @@ import fnmatch
 import json
 import multiprocessing
 import os
+import shlex
 import shutil
 import subprocess
 import sys
@@ -128,7 +129,7 @@ def made(name: str, target: dict[str, Any], out: Path, quick: bool) -> list[str]
         found = results.read(folder, target.get("only"))
         if "script" not in target and target.get("picture", True):
             picture(found, target, FIGURES / f"{name}.png")
-        about = {"command": " ".join(["sweep run", *command]), "quick": quick and "quick" in target}
+        about = {"command": f"sweep run {shlex.join(command)}", "quick": quick and "quick" in target}
         changed = told(name, about | summary(found, target) | {"seconds": round(seconds)})
     if script := target.get("script"):
         words = [f"{word}{folder}" if word.endswith("=") else word for word in script[1:]]

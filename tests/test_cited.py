@@ -3,6 +3,7 @@
 import fnmatch
 import json
 import re
+import shlex
 import sys
 from pathlib import Path
 
@@ -130,6 +131,15 @@ def test_who_learns_is_told_beside_who_believes(monkeypatch, tmp_path):
     assert cited.learned("").splitlines()[2:] == [
         "| `a` | 3 of 4 (30 to 95 %) | 4 of 4 (51 to 100 %) |  |  |", "| `b` |  |  |  | 0 of 4 (0 to 49 %) |",
     ]  # fmt: skip
+
+
+def test_the_commands_beside_the_sources_figures_say_which_draws():
+    commands = [shlex.split(one) for one in re.findall(r"`(sweep run .*?)` \|", cited.compared(""))]
+    assert len(commands) > 12
+    for _, _, *words in commands:
+        study = compose(words[: words.index("--where")] if "--where" in words else words).study
+        assert study.seed, words
+        assert study.design.num == 128, words
 
 
 def test_what_is_made_is_shown_and_what_is_shown_is_made():
