@@ -282,7 +282,8 @@ FORMS = {
     "cells": cells, "each": each, "bounds": bounds, "seen": seen, "codes": codes, "compared": compared, "table": table,
     "learned": learned, "gained": gained, "metrics": metrics, "way_points": hexagon_figures.way_points,
     "changes": changes, "sources": sources,
-    **{name: partial(lambda table, name: table(read(name)), table) for name, table in validity_figures.TABLES.items()},
+    **{name: partial(lambda table, of, *words: table(read(of), *words), table)
+       for name, table in validity_figures.TABLES.items()},
 }  # fmt: skip
 
 if __name__ == "__main__":

@@ -178,12 +178,13 @@ def manoeuvres(data: Row) -> str:
     return "\n".join(lines)
 
 
-def chaos(data: Row) -> str:
-    """How fast rollouts part, a line for each manoeuvre."""
+def chaos(data: Row, names: str = "") -> str:
+    """How fast rollouts part, a line for each manoeuvre, or for each of some `names`."""
     engines = ("mjx", "native")
     titles = " | ".join(f"`{engine}`: apart at first, at last; e-fold (s); succeed" for engine in engines)
+    measured = sorted({row["scenario"] for row in data["rows"]})
     lines = [f"| scenario | lasts (s) | {titles} |", "|:--|--:|:--|:--|"]
-    for name in dict.fromkeys(row["scenario"] for row in data["rows"]):
+    for name in names.split() or measured:
         own = {row["engine"]: row for row in data["rows"] if row["scenario"] == name}
         cells = " | ".join(_parted(own[engine]) if engine in own else "" for engine in engines)
         lines.append(f"| `{name}` | {next(iter(own.values()))['seconds']:.0f} | {cells} |")
@@ -191,7 +192,7 @@ def chaos(data: Row) -> str:
 
 
 def _parted(row: Row) -> str:
-    fold = "do not part" if row["e_fold_s"] is None else f"{row['e_fold_s']:.2g}"
+    fold = "–" if row["e_fold_s"] is None else f"{row['e_fold_s']:.2g}"
     late = f", 1 mm after {row['parted_s']:.0f} s" if row["parted_s"] else ""
     return f"{_metres(row['first_m'])}, {_metres(row['last_m'])}{late}; {fold}; {row['success']} of {row['of']}"
 
