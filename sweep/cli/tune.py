@@ -67,11 +67,6 @@ def main(args: list[str]) -> int:
     if given.follow and beside:
         raise InputError(f"--free = {beside[0]} is not allowed with --follow: only a plan's numbers follow sizes")
     descends = given.follow or given.gradients
-    if descends and given.forces:
-        raise InputError(
-            f"--{'follow' if given.follow else 'gradients'} is not allowed with --forces: how these change with a "
-            "plan's numbers is not known"
-        )
     sizes = drawn_sizes(exp) if given.follow else {}
     aims, width = [aim(text) for text in given.need], 1 if given.check or descends else given.population
     score = Score(case, list(steps), aims, given.stages or ["*"], given.moments, given.forces, width)

@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
@@ -25,9 +26,10 @@ from sweep.metrics.geometry import (
 )
 from sweep.models import solids
 from sweep.models.case import Case
-from sweep.models.obstacles.surface import Bodies, Surface, free_start, poses, under
+from sweep.models.obstacles.surface import Bodies, free_start, poses, under
 from sweep.models.robot import half_size
 
+LEVEL = 0.999  # least upward part of a level face's normal; on others feet may hold the robot beside their polygon
 MID_SWING = 0.05  # m from both ends of a swing, beyond which a foot has to be off the obstacle
 JOINTS_AT = 0.02  # share of a stage over which the joints' rate is taken
 
@@ -47,7 +49,7 @@ class Margins(NamedTuple):
     swing: Float[Array, "*b"]  # m, from swinging feet to the obstacle, away from where they start and land
     rate: Float[Array, "*b"]  # rad/s, of the fastest joint, negative
     edge: Float[Array, "*b"]  # m, from standing feet to the edges of their face, no more than `AROUND`
-    support: Float[Array, "*b"]  # m, of the mass centre in the standing feet's polygon; tells something on level ground
+    support: Float[Array, "*b"]  # m, of the mass centre in the standing feet's polygon; where all stand on level ground
 
 
 class Holding(NamedTuple):
@@ -98,17 +100,16 @@ def left(
     stretch = jnp.linalg.norm(points[:, -1] - points[:, -3], axis=-1)  # from the knee's joint's other end
     reach = jnp.minimum(robot.thigh + robot.shin - stretch, stretch - jnp.abs(robot.thigh - robot.shin)) - shortfall
 
-    def surface(at: Array) -> Surface:
-        return under(obstacle, at, bodies)
-
     goes = jnp.minimum(*(jnp.linalg.norm(foot - at, axis=-1) for at in (swing.starts, swing.goal))) > MID_SWING
-    above = jnp.where(goes & swing.swings, -surface(foot).depth, jnp.inf)
+    faces = under(obstacle, foot, bodies)
+    above = jnp.where(goes & swing.swings, -faces.depth, jnp.inf)
     inside = edge_distance(obstacle, swing.starts, bodies)
+    level = jnp.all(swing.swings | (faces.normal[:, 2] > LEVEL))
     centre = stance.position + rotate(stance.quat, mass_centre(robot, joints))
     return Margins(
         base=solids.distance_to_box(solid, *base),
         links=jnp.min(capsules(legs, robot).to(solid)),
-        shin=jnp.min(jnp.where(swing.swings, jnp.inf, jnp.arcsin(shin_slopes(legs, surface(foot).normal)))),
+        shin=jnp.min(jnp.where(swing.swings, jnp.inf, jnp.arcsin(shin_slopes(legs, faces.normal)))),
         legs=leg_gap(legs) - 2 * robot.link_radius,
         body=base_gap(legs, *base[:2], robot),
         fold=fold_gap(legs, robot.fork_ratio * robot.shin + robot.link_radius) - 2 * robot.link_radius,
@@ -116,15 +117,26 @@ def left(
         reach=jnp.min(reach),
         swing=jnp.min(above),
         edge=jnp.min(jnp.where(swing.swings, AROUND, inside)),
-        support=support_margin(stance.feet[:, :2], ~swing.swings, centre[:2]),
+        support=jnp.where(level, support_margin(stance.feet[:, :2], ~swing.swings, centre[:2]), jnp.inf),
         rate=-jnp.max(jnp.abs(rates)),
     )
 
 
 def holding(case: Case, plan: Plan, stage: Int[Array, ""], u: Float[Array, ""], bounds: forces.Bounds) -> Holding:
     """What the forces of least friction within `bounds` leave at phase `u` of a stage."""
-    held = forces.distribute(forces.moment(case, plan, stage, u), bounds, "friction")
+    pose = forces.moment(case, plan, stage, u)
+    pose = pose._replace(arm=_sound(pose.arm), jacobian=_sound(pose.jacobian), own_torque=_sound(pose.own_torque))
+    held = forces.distribute(pose, bounds, "friction")
     return Holding(case.contact.friction - held.friction, case.drive.torque_limit - held.torque, -held.imbalance)
+
+
+@jax.custom_vjp
+def _sound(x: Array) -> Array:
+    """The same, with no slope where it is not finite, as where no forces hold: what else is lacking has its own."""
+    return x
+
+
+_sound.defvjp(lambda x: (x, None), lambda _, slope: (jnp.where(jnp.isfinite(slope), slope, 0.0),))
 
 
 def posed(case: Case, plan: Plan, stage: Array, u: Array) -> tuple[Stance, Float[Array, "6 3"], Float[Array, " 6"]]:

@@ -30,11 +30,12 @@ AIMS = {
     "swing": 0.015,
     "rate": -6.0,
     "edge": 0.02,
+    "support": 0.02,
     "friction": 0.0,
     "torque": 0.0,
     "balance": -0.002,
 }
-ALIKE = {"rate": 1.0, "friction": 0.02, "torque": 10.0, "balance": 0.001, "speed": 0.02}  # that count alike; else m:
+ALIKE = {"rate": 1.0, "friction": 0.02, "torque": 10.0, "balance": 0.01, "speed": 0.02}  # that count alike; else m:
 LENGTH = 0.01  # m
 UNKNOWN = 1e3  # what a margin lacks that is not a number
 PERIOD, TIMES = 0.04, 1.05  # s, of a tick in which a plan on a ball is played; its time, with that of waiting

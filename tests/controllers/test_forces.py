@@ -114,6 +114,20 @@ def test_forces_ask_for_hardly_more_than_a_linear_program_finds(least):
     assert np.all(np.asarray(found.torque)[holds] <= 200.0 * 1.001)
 
 
+@pytest.mark.slow
+def test_slopes_are_those_of_small_changes():
+    """Of the least friction, as the mass centre moves: by moving it by 5 mm to either side."""
+    poses = jax.tree.map(lambda *x: jnp.stack(x), *(standing(seed) for seed in (1, 2, 4, 5, 7, 8)))
+    bounds, way = Bounds(friction=2.5, torque=200.0, least_normal=2.0, most_normal=3000.0), jnp.array([1.0, 0.0, 0.0])
+
+    def asked(shift, p):
+        return distribute(p._replace(arm=p.arm + shift * way), bounds, "friction").friction
+
+    there = jax.jit(jax.vmap(jax.value_and_grad(asked), (None, 0)))
+    (less, _), (_, slope), (more, _) = (there(shift, poses) for shift in (-0.005, 0.0, 0.005))
+    np.testing.assert_allclose(slope, (more - less) / 0.01, rtol=0.03)
+
+
 def test_slack_buys_room_to_the_bounds_for_a_little_of_the_effort():
     """Feet bear more evenly on the whole, and friction stays in bounds."""
     poses = jax.tree.map(lambda *x: jnp.stack(x), *(standing(seed) for seed in range(12)))
