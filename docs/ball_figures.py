@@ -11,7 +11,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import jax.numpy as jnp
-import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
@@ -23,6 +22,7 @@ from sweep.controllers.manoeuvres.balancing.ball_aside import BallAside, gain
 from sweep.controllers.manoeuvres.balancing.ball_climb import BallClimb
 from sweep.controllers.manoeuvres.balancing.ball_descend import BallDescend
 from sweep.controllers.manoeuvres.balancing.ball_over import BallOver
+from sweep.core.letters import legend_below, lettering, sheet
 from sweep.core.rotations import matrix, rotate
 from sweep.engines.base import Trace
 from sweep.formulas.ball import GRAVITY, ROLLING, lateral_mu
@@ -31,10 +31,12 @@ from sweep.models.obstacles.ball import Ball
 from sweep.models.robot import total_mass
 from sweep.runs.batches import Batch, make_engine
 from sweep.study.config import compose
-from sweep.trace.plots import PLOTS, save
+from sweep.trace.layout import LEG_COLORS
+from sweep.trace.plots import ACTUAL, PLOTS, REFERENCE, SECOND, save
 from sweep.trace.sampling import base_pose, mass_centres
 
 FIGURES = Path(__file__).parent / "figures"
+FEET = (1, 3, 5)  # the left ones go alongside
 RUNS = {
     "ball_speed": ["scenario=ball_balance", "manoeuvre.stages=4", "manoeuvre.offset=0", "obstacle.speed=-0.1"],
     "ball_offset": ["scenario=ball_balance", "manoeuvre.stages=4", "manoeuvre.offset=0.1"],
@@ -70,43 +72,45 @@ def draw(name: str) -> Path:
 
 def descent(trace: Trace) -> Figure:
     """The curves of fig. 3.4.8, the mass centre's elevation phi seen from the ball's, and how feet are loaded."""
-    figure, axes = plt.subplots(4, 1, figsize=(8, 9), sharex=True, layout="constrained")
+    figure = sheet(6.0)
+    axes = figure.subplots(4, 1, sharex=True)
     time, base, ball = trace.time, base_pose(trace), trace.qpos[:, -7:]
     half = 0.5 * float(np.asarray(trace.world.robot.body_length))
-    for leg, colour in ((1, "C0"), (3, "C1"), (5, "C2")):
-        axes[0].plot(time, trace.foot_position[:, leg - 1, 2], colour, label=f"foot {leg}")
-        axes[3].plot(time, np.linalg.norm(trace.foot_force[:, leg - 1], axis=-1), colour)
-    for end, colour in ((1, "k"), (-1, "0.6")):
+    for leg in FEET:
+        axes[0].plot(time, trace.foot_position[:, leg - 1, 2], color=LEG_COLORS[leg - 1], label=f"foot {leg}")
+        axes[3].plot(time, np.linalg.norm(trace.foot_force[:, leg - 1], axis=-1), color=LEG_COLORS[leg - 1], lw=0.8)
+    for end, style in ((1, "k-"), (-1, "k--")):
         ahead = np.asarray(rotate(jnp.asarray(base[:, 3:7]), jnp.array([end * half, 0.0, 0.0])))
-        axes[0].plot(time, base[:, 2] + ahead[:, 2], colour, label="base, front" if end > 0 else "base, rear")
+        axes[0].plot(time, base[:, 2] + ahead[:, 2], style, label="base, front" if end > 0 else "base, rear")
     axes[1].plot(time, trace.qvel[:, -6], "k")
     over = mass_centres(trace, slice(None)) - ball[:, :3]
     phi = np.degrees(np.arctan2(over[:, 2], over[:, 0]))
     axes[2].plot(time, np.mod(phi + 90, 360) - 90, "k")  # no jump on the ball's near side
     for ax, label in zip(
-        axes, ("height (m)", "speed of the ball (m/s)", "φ (deg)", "force on the foot (N)"), strict=True
+        axes, ("height (m)", "speed of\nthe ball (m/s)", "φ (deg)", "force on\nthe foot (N)"), strict=True
     ):
         ax.set_ylabel(label)
         ax.grid(alpha=0.3)
-    axes[0].legend(ncols=5, fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     axes[3].set_xlabel("time (s)")
+    legend_below(figure, axes[0].get_legend_handles_labels()[0])
     return figure
 
 
 def driven_aside(trace: Trace, case: Case, aside: BallAside) -> Figure:
     """Speed of the ball to the left, by momentum and rolling friction, and where the mass centre is over it."""
-    figure, axes = plt.subplots(2, 1, figsize=(8, 5), sharex=True, layout="constrained")
+    figure = sheet(3.6)
+    axes = figure.subplots(2, 1, sharex=True)
     time = trace.time
     over = (mass_centres(trace, slice(None)) - trace.qpos[:, -7:-4])[:, 1]
     speeds = promised(time, case, aside)
-    axes[0].plot(time, 1e3 * trace.qvel[:, -5], "C0", label="ball")
-    axes[0].plot(time, 1e3 * speeds, "k--", lw=1, label="(3.3.7), with rolling friction")
-    axes[0].set_ylabel("speed to the left (mm/s)")
-    axes[0].legend(fontsize=8)
-    axes[1].plot(time, 1e3 * over, "C0")
+    axes[0].plot(time, 1e3 * trace.qvel[:, -5], color=ACTUAL, label="ball")
+    axes[0].plot(time, 1e3 * speeds, color=REFERENCE, ls="--", label="(3.3.7), with rolling friction")
+    axes[0].set_ylabel("speed to the\nleft (mm/s)")
+    axes[1].plot(time, 1e3 * over, color=ACTUAL)
     axes[1].set(ylabel="mass centre (mm)", xlabel="time (s)")
     for ax in axes:
         ax.grid(alpha=0.3)
+    legend_below(figure, axes[0].get_legend_handles_labels()[0])
     return figure
 
 
@@ -140,20 +144,23 @@ def draw_way(trace: Trace) -> Figure:
     apart = np.linalg.norm(out, axis=-1, keepdims=True)
     on_ball = apart - radius < trace.foot_position[..., 2:]
     normal = np.sum(np.where(on_ball, out / apart, [0.0, 0.0, 1.0]) * trace.foot_force, axis=-1)
-    figure, (heights, place, forces) = plt.subplots(3, 1, figsize=(9, 8), sharex=True, layout="constrained")
-    for foot in (1, 3, 5):
-        heights.plot(trace.time, trace.foot_position[:, foot - 1, 2], lw=1, label=f"foot {foot}")
-        forces.plot(trace.time, normal[:, foot - 1], lw=1, label=f"foot {foot}")
-    heights.plot(trace.time, position[:, 2] + nose, "k", lw=1, label="front of the base")
-    heights.plot(trace.time, position[:, 2] - nose, "k--", lw=1, label="rear of the base")
-    heights.plot(trace.time, trace.qvel[:, -6], "r", label="speed of the ball (m/s)")
+    figure = sheet(6.4)
+    heights, place, forces = figure.subplots(3, 1, sharex=True, height_ratios=[3, 2, 2])
+    for foot in FEET:
+        heights.plot(trace.time, trace.foot_position[:, foot - 1, 2], color=LEG_COLORS[foot - 1], label=f"foot {foot}")
+        forces.plot(trace.time, normal[:, foot - 1], color=LEG_COLORS[foot - 1], lw=0.8)
+    heights.plot(trace.time, position[:, 2] + nose, "k", label="front of the base")
+    heights.plot(trace.time, position[:, 2] - nose, "k--", label="rear of the base")
+    heights.plot(trace.time, trace.qvel[:, -6], color=REFERENCE, ls=":", label="speed of the ball (m/s)")
     heights.set(ylabel="height (m)")
-    place.plot(trace.time, np.degrees(np.arctan2(off[:, 2], -off[:, 0])), label="place of the base")
-    place.plot(trace.time, 90 - np.degrees(np.arcsin(nose / (0.5 * robot.body_length))), label="tangent of the base")
-    place.set(ylabel="elevation (degrees)")
-    forces.set(ylabel="normal force (N)", xlabel="t (s)")
+    tangent = 90 - np.degrees(np.arcsin(nose / (0.5 * robot.body_length)))
+    place.plot(trace.time, np.degrees(np.arctan2(off[:, 2], -off[:, 0])), color=ACTUAL, label="place of the base")
+    place.plot(trace.time, tangent, color=SECOND, label="tangent of the base")
+    place.set(ylabel="elevation (deg)")
+    forces.set(ylabel="normal force (N)", xlabel="time (s)")
     for axes in (heights, place, forces):
-        axes.legend(fontsize=8)
+        axes.grid(alpha=0.3)
+    legend_below(figure, [one for axes in (heights, place) for one in axes.get_legend_handles_labels()[0]])
     return figure
 
 
@@ -165,13 +172,13 @@ def draw_noise(rows: pd.DataFrame) -> Path:
         push=rows["execution.push_impulse"],
         seen=(1e3 * rows["noise.body_orientation_noise"]).map("{:g} mrad off".format),
     )
-    figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.4), sharey=True, layout="constrained")
+    figure = sheet(2.8)
+    left, right = figure.subplots(1, 2, sharey=True)
     _shares(left, rows[rows.push == 0], "error", "delay")
     left.set(xlabel="error of attitude and place (mrad, mm)", ylabel="stay on for 30 s", title="not pushed")
     _shares(right, rows[rows.error.isin([0, 20, 30, 40]) & (rows["noise.body_delay"] == 0)], "push", "seen")
     right.set(xlabel="push from any side (N s)", title="no delay")
-    path = FIGURES / "ball_noise.png"
-    figure.savefig(path, dpi=110)
+    save(figure, path := FIGURES / "ball_noise.png")
     return path
 
 
@@ -182,14 +189,16 @@ def _shares(axes: Axes, rows: pd.DataFrame, along: str, curve: str) -> None:
         cell = (some.outcome == "success").groupby(some[along]).agg(["sum", "size"])
         share, (low, high) = cell["sum"] / cell["size"], wilson(cell["sum"], cell["size"])
         spread = np.clip([share - low, high - share], 0, None)
-        axes.errorbar(cell.index + k * apart, share, spread, marker="o", ms=4, capsize=2, lw=1, label=label)
-    axes.legend(fontsize=8)
+        axes.errorbar(cell.index + k * apart, share, spread, marker="o", ms=3, capsize=2, lw=1, label=label)
+    axes.grid(alpha=0.3)
+    axes.legend()
 
 
 if __name__ == "__main__":
-    for run in sys.argv[1:] or RUNS:
-        name, _, folder = run.partition("=")
-        if folder:
-            print(draw_noise(load(folder)))
-        else:
-            draw(name)
+    with lettering():
+        for run in sys.argv[1:] or RUNS:
+            name, _, folder = run.partition("=")
+            if folder:
+                print(draw_noise(load(folder)))
+            else:
+                draw(name)

@@ -10,11 +10,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import jax.numpy as jnp
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
-from sweep.core.letters import lettering
+from sweep.core.letters import legend_below, lettering, sheet
 from sweep.core.rotations import rotate
 from sweep.engines.base import Trace
 from sweep.formulas.ball import GRAVITY, ROLLING
@@ -27,11 +26,12 @@ from sweep.runs import results
 from sweep.runs.batches import Batch, make_engine
 from sweep.runs.results import Results
 from sweep.study.config import compose
-from sweep.trace.plots import save
+from sweep.trace.layout import LEG_COLORS
+from sweep.trace.plots import ACTUAL, REFERENCE, SECOND, save
 from sweep.trace.sampling import base_pose, mass_centres
 
 FIGURES = Path(__file__).parent / "figures"
-FEET = ((1, "C0"), (3, "C1"), (5, "C2"))  # of a gallop the others go alongside
+FEET = (1, 3, 5)  # of a gallop the others go alongside
 LINES = {"II": "over.squat", "III": "over.ahead", "IV": "over.middle5", "V": "lower"}  # stages that begin there
 TITLE = "Where going from ball to ball needs friction between these"
 WAYS = (0.1, 0.3, 1.0)  # of the radius, that are drawn over the map
@@ -52,47 +52,51 @@ def begins(trace: Trace, word: str) -> float:
 def ledges(trace: Trace) -> Figure:
     """Feet and mass centre along the way, from ledge to ball and from ball to ledge; the speed of the ball."""
     obstacle = trace.world.on(Ledges)
-    figure, axes = plt.subplot_mosaic("ab;cc", figsize=(9, 7), layout="constrained")
+    figure = sheet(4.6)
+    axes = figure.subplot_mosaic("ab;cc", height_ratios=[3, 2])
     centre, ball, time = mass_centres(trace, slice(None)), trace.qpos[:, -7:-4], trace.time
     rolls, off = begins(trace, "roll"), begins(trace, "off.")
     for ax, now, edge in ((axes["a"], time < rolls, 0.0), (axes["b"], time >= off, obstacle.width)):
-        for leg, colour in FEET:
-            ax.plot(time[now], trace.foot_position[now, leg - 1, 0], colour, label=f"foot {leg}")
+        for leg in FEET:
+            ax.plot(time[now], trace.foot_position[now, leg - 1, 0], color=LEG_COLORS[leg - 1], label=f"foot {leg}")
         ax.plot(time[now], centre[now, 0], "k", label="mass centre")
         ax.plot(time[now], ball[now, 0], "k:", label="the ball's centre")
         ax.axhline(edge, color="0.6", lw=0.8, label="edge")
         ax.set(xlabel="time (s)", ylabel="across (m)")
     height = axes["b"].twinx()
-    height.plot(time[time >= off], base_pose(trace)[time >= off, 2], "C4--", lw=1)
-    height.set_ylabel("height of the base (m)", color="C4")
-    axes["a"].legend(fontsize=8)
+    height.plot(
+        time[time >= off], base_pose(trace)[time >= off, 2], color=REFERENCE, ls="--", label="height of the base"
+    )
+    height.set_ylabel("height (m)")
     axes["c"].plot(time, trace.qvel[:, -6], "k")
     axes["c"].set(xlabel="time (s)", ylabel="speed of the ball (m/s)")
     for ax in axes.values():
         ax.grid(alpha=0.3)
+    legend_below(figure, [one for ax in (axes["a"], height) for one in ax.get_legend_handles_labels()[0]])
     return figure
 
 
 def balls(trace: Trace) -> Figure:
     """Heights of feet and of the base's ends, speeds of the balls, between the book's lines."""
-    figure, (heights, speeds) = plt.subplots(2, 1, figsize=(9, 7), sharex=True, layout="constrained")
+    figure = sheet(4.4)
+    heights, speeds = figure.subplots(2, 1, sharex=True, height_ratios=[3, 2])
     time, base = trace.time, base_pose(trace)
     half = 0.5 * float(np.asarray(trace.world.robot.body_length))
-    for leg, colour in FEET:
-        heights.plot(time, trace.foot_position[:, leg - 1, 2], colour, lw=1, label=f"foot {leg}")
-    for end, colour in ((1, "k"), (-1, "0.6")):
+    for leg in FEET:
+        heights.plot(time, trace.foot_position[:, leg - 1, 2], color=LEG_COLORS[leg - 1], label=f"foot {leg}")
+    for end, style in ((1, "k-"), (-1, "k--")):
         ahead = np.asarray(rotate(jnp.asarray(base[:, 3:7]), jnp.array([end * half, 0.0, 0.0])))
-        heights.plot(time, base[:, 2] + ahead[:, 2], colour, label="base, front" if end > 0 else "base, rear")
-    for k, colour in ((-12, "C0"), (-6, "C3")):
-        speeds.plot(time, trace.qvel[:, k], colour, label="first ball" if k == -12 else "second ball")
+        heights.plot(time, base[:, 2] + ahead[:, 2], style, label="base, front" if end > 0 else "base, rear")
+    for k, colour in ((-12, ACTUAL), (-6, SECOND)):
+        speeds.plot(time, trace.qvel[:, k], color=colour, label="first ball" if k == -12 else "second ball")
     for axes, label in ((heights, "height (m)"), (speeds, "speed (m/s)")):
         axes.set_ylabel(label)
         axes.grid(alpha=0.3)
-        axes.legend(fontsize=8)
         for numeral, word in LINES.items():
             axes.axvline(begins(trace, word), color="0.6", lw=0.8)
-            axes.text(begins(trace, word), 1.0, f" {numeral}", transform=axes.get_xaxis_transform(), va="top")
+            axes.text(begins(trace, word), 0.97, f" {numeral}", transform=axes.get_xaxis_transform(), va="top")
     speeds.set_xlabel("time (s)")
+    legend_below(figure, [one for axes in (heights, speeds) for one in axes.get_legend_handles_labels()[0]])
     return figure
 
 
@@ -138,21 +142,22 @@ def grip_map(found: Results, trace: Trace) -> Figure:
     with lettering():
         figure = maps.success_map(found.rows, found.stored, names, TITLE)
         axes = figure.axes[0]
-        grip, mass = (np.sort(found.rows[name].unique()) for name in names)
-        far = rolled(trace, *np.meshgrid(grip, mass)) / trace.world.on(Ball).radius
-        axes.clabel(axes.contour(grip, mass, far, levels=WAYS, colors=INK, linewidths=1), fmt="{:g} R".format)
-        axes.set(xlabel="friction between the balls, of that of the contact", ylabel="mass of each [kg]")
+    grip, mass = (np.sort(found.rows[name].unique()) for name in names)
+    far = rolled(trace, *np.meshgrid(grip, mass)) / trace.world.on(Ball).radius
+    axes.clabel(axes.contour(grip, mass, far, levels=WAYS, colors=INK, linewidths=1), fmt="{:g} R".format)
+    axes.set(xlabel="friction between the balls, of that of the contact", ylabel="mass of each [kg]")
     return figure
 
 
 if __name__ == "__main__":
-    for word in sys.argv[1:] or ("ball_ledges", "ball_to_ball"):
-        name, _, folder = word.partition("=")
-        path = FIGURES / f"{name}.png"
-        if folder:
-            save(grip_map(results.read(Path(folder)), traced("scenario=ball_to_ball", "obstacle.gap=0")), path)
-        elif name == "ball_ledges":
-            save(ledges(traced("scenario=ball_ledges")), path)
-        else:
-            save(balls(traced("scenario=ball_to_ball", "manoeuvre.finish=floor")), path)
-        print(path)
+    with lettering():
+        for word in sys.argv[1:] or ("ball_ledges", "ball_to_ball"):
+            name, _, folder = word.partition("=")
+            path = FIGURES / f"{name}.png"
+            if folder:
+                save(grip_map(results.read(Path(folder)), traced("scenario=ball_to_ball", "obstacle.gap=0")), path)
+            elif name == "ball_ledges":
+                save(ledges(traced("scenario=ball_ledges")), path)
+            else:
+                save(balls(traced("scenario=ball_to_ball", "manoeuvre.finish=floor")), path)
+            print(path)

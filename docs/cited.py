@@ -46,7 +46,7 @@ def filled(text: str) -> str:
         start, name, form, words, before, _, after, end = found.groups()
         if form not in FORMS:
             raise InputError(f"{start}: {form} is not a form (allowed: {', '.join(FORMS)})")
-        content = sources(cited) if form == "sources" else FORMS[form](name, *(words or "").split(", ")[: bool(words)])
+        content = sources(cited) if form == "sources" else FORMS[form](name, *(words.split(", ") if words else ()))
         return f"{start}{before}{content}{after}{end}"
 
     return BLOCK.sub(block, text)
@@ -114,6 +114,18 @@ def draws(names: str, figures: str = "") -> str:
         ends = [data["figures"].get(one) for one in columns]
         worst = [f" {told(one, *end)} |" if end else " |" for one, end in zip(columns, ends, strict=True)]
         lines.append(f"| `{name}` | {share(data['success'], data['valid'])} | {others} |{''.join(worst)}")
+    return "\n".join(lines)
+
+
+def nominal(name: str, runs: str, figures: str) -> str:
+    """A line for each of some nominal rollouts, `SCENARIO` or `SCENARIO:ENGINE`: whether it succeeds, and figures."""
+    columns, found = figures.split(), read(name)["runs"]
+    lines = [f"| | succeeds |{''.join(f' {in_words(one)} |' for one in columns)}", "|:--|:--|" + "--:|" * len(columns)]
+    for run in runs.split():
+        row = found[run]
+        ended = "yes" if row["outcome"] == "success" else f"`{row['cause']}`"
+        values = "".join(f" {told(one, row[one], row[one])} |" if one in row else " |" for one in columns)
+        lines.append(f"| {', '.join(f'`{word}`' for word in run.split(':'))} | {ended} |{values}")
     return "\n".join(lines)
 
 
@@ -280,8 +292,8 @@ def pages() -> Iterator[Path]:
 FORMS = {
     "rate": rate, "rollouts": rollouts, "causes": causes, "errors": errors, "along": along, "draws": draws,
     "cells": cells, "each": each, "bounds": bounds, "seen": seen, "codes": codes, "compared": compared, "table": table,
-    "learned": learned, "gained": gained, "metrics": metrics, "way_points": hexagon_figures.way_points,
-    "changes": changes, "sources": sources,
+    "nominal": nominal, "learned": learned, "gained": gained, "metrics": metrics,
+    "way_points": hexagon_figures.way_points, "changes": changes, "sources": sources,
     **{name: partial(lambda table, of, *words: table(read(of), *words), table)
        for name, table in validity_figures.TABLES.items()},
 }  # fmt: skip

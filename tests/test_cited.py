@@ -123,6 +123,18 @@ def test_a_table_by_hand_with_other_numbers_is_told_by_name():
     assert gone.startswith(f"docs/a.md: {digest} is not there")
 
 
+def test_nominal_runs_are_told_with_their_figures(monkeypatch, tmp_path):
+    monkeypatch.setattr(cited, "DATA", tmp_path)
+    good = {"outcome": "success", "cause": "", "slip_max_m": 0.00123, "tilt_max_deg": 0.5}
+    runs = {"a": good, "a:native": {"outcome": "failure", "cause": "fell", "slip_max_m": 0.0}}
+    (tmp_path / "nominal.json").write_text(json.dumps({"runs": runs}))
+    text = "<!-- data nominal: nominal, a a:native, slip_max_m tilt_max_deg -->\nold\n<!-- end -->"
+    assert cited.filled(text).splitlines()[1:-1] == [
+        "| | succeeds | slip max (mm) | tilt max (°) |", "|:--|:--|--:|--:|",
+        "| `a` | yes | 1.23 | 0.5 |", "| `a`, `native` | `fell` | 0 | |",
+    ]  # fmt: skip
+
+
 def test_who_learns_is_told_beside_who_believes(monkeypatch, tmp_path):
     rows = [("a", "believes", cited.ROBOT, 3), ("a", "calibrates", cited.ROBOT, 4), ("b", "learns", cited.GROUND, 0)]
     lines = [f"{name},{robot},{axis},{error},{success},4" for name, robot, (axis, error), success in rows]

@@ -1,0 +1,59 @@
+"""Runs scenarios once, nominal, and keeps their figures as docs/data/nominal.json: `python docs/nominal_runs.py`.
+
+Twenty rollouts, each by a program of its own that has to be compiled: a quarter of an hour on two cores.
+"""
+
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from sweep.core.files import write_whole
+from sweep.core.provenance import code_version, made_with
+from sweep.runs import runner
+from sweep.study.columns import figure_columns
+from sweep.study.config import compose
+
+PATH = Path(__file__).parent / "data" / "nominal.json"
+BOTH = ("hexagon_waypoints", "pole_descent_above", "pole_descent_below", "corner_climb", "corner_full", "ladder_climb",
+        "raft_cross", "beam_cross")  # fmt: skip
+RUNS = {  # what a table calls them
+    **{name: [f"scenario={name}"] for name in ("walk_tripod", "pole_climb", "ball_climb", "ball_descend", *BOTH)},
+    **{f"{name}:native": [f"scenario={name}", "engine=native"] for name in BOTH},
+    "raft_cross:native": ["scenario=raft_cross", "engine=native", "engine.solid=true"],
+}
+
+
+def figures(words: list[str]) -> tuple[dict[str, Any], str]:
+    """Outcome, cause and figures of one nominal rollout, and the device."""
+    exp = compose(words)
+    row = runner.run_single(exp).iloc[0]
+    measured = {name: float(f"{row[name]:.4g}") for name in figure_columns(row.to_frame().T) if is_number(row[name])}
+    return {"outcome": str(row["outcome"]), "cause": str(row["cause"]), **measured}, exp.system.device(exp.settings)
+
+
+def is_number(value: Any) -> bool:
+    """Whether a figure is a finite number."""
+    return isinstance(value, float) and abs(value) < float("inf")
+
+
+if __name__ == "__main__":
+    start, runs, devices = time.monotonic(), {}, set()
+    for name, words in RUNS.items():
+        runs[name], device = figures(words)
+        devices.add(device)
+        print(f"{time.monotonic() - start:.0f} s: {name}, {runs[name]['outcome']} {runs[name]['cause']}")
+        sys.stdout.flush()
+    data = {
+        "command": "python docs/nominal_runs.py",
+        "engine": "mjx and native",
+        **{key: made_with()[key] for key in ("commit", "versions")},
+        "code": code_version(),
+        "devices": sorted(devices),
+        "seconds": round(time.monotonic() - start),
+        "runs": runs,
+    }
+    lines = ",\n".join(f" {json.dumps(key)}: {json.dumps(value)}" for key, value in data.items() if key != "runs")
+    rows = ",\n".join(f"  {json.dumps(name)}: {json.dumps(row)}" for name, row in runs.items())
+    write_whole(PATH, f'{{\n{lines},\n "runs": {{\n{rows}\n }}\n}}\n'.encode())
