@@ -33,10 +33,11 @@ class AtStart(NamedTuple):
 
     def energy(self, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
         """Of each model (n,), potential and kinetic (J), at positions (n, nq) and velocities (n, nv)."""
-        model, data = copy(self.batch.model), mujoco.MjData(self.batch.model)
-        found = np.full(len(qpos), np.nan)
+        data, found = mujoco.MjData(self.batch.model), np.full(len(qpos), np.nan)
+        # one for all, but for those with gravity compensation, whose number of such bodies is a size
+        shared = None if "body_gravcomp" in self.batch._expanded else copy(self.batch.model)
         for k in np.flatnonzero(np.isfinite(qpos).all(axis=1) & np.isfinite(qvel).all(axis=1)):
-            self.batch.get_model(k, model)
+            model = self.batch.get_model(int(k), shared)
             data.qpos[:], data.qvel[:] = qpos[k], qvel[k]
             mujoco.mj_fwdPosition(model, data)
             mujoco.mj_energyPos(model, data)

@@ -11,9 +11,12 @@ from sweep.systems.own.arrays import angle, level, namespace
 from sweep.systems.own.subject import Subject
 
 # what a tick records
-STEPS = ("qpos", "qvel", "actuator_force", "actuator_velocity", "sensordata", "site_xpos", "solver_niter")
+STEPS = ("qpos", "qvel", "actuator_force", "actuator_velocity", "sensordata", "site_xpos")
+# of which `unbalanced` is made, beside M
+BALANCE = ("qacc", "qfrc_smooth", "qfrc_constraint")
 LOADED = 1.0  # N, from which a foot carries load
 LIMITED = 0.999  # share of a limit, from which an actuator is at it
+BALANCED = 0.01  # share of the forces, up to which those of a step are in balance
 
 MEANING = {
     "base_height_min_m": "least height of the base",
@@ -27,7 +30,7 @@ MEANING = {
     "collision_impulse_ns": "impulse of those touches",
     "saturated_share": "share of the time that actuators are at a limit of their force",
     "joint_limit_share": "share of the time that joints are at a limit of their range",
-    "unsolved_share": "share of the time steps for which the solver's iterations did not suffice",
+    "unsolved_share": "share of the time steps that the solver left unsolved: with forces out of balance",
     "energy_j": "positive work of the actuators",
     "energy_gained_j": "energy of the model at the end, beyond that at the start and the work of the actuators",
     "cost_of_transport": "that energy over weight and way travelled",
@@ -47,7 +50,7 @@ class Meter:
 
     def __init__(self, own: Subject):
         model = own.model
-        self._base, self._step, self._iterations = own.base, model.opt.timestep, model.opt.iterations
+        self._base, self._step = own.base, model.opt.timestep
         self._along = own.direction
         self._left = np.cross([0.0, 0.0, 1.0], self._along) if self._along[:2].any() else np.array([0.0, 1.0, 0.0])
         self._left /= np.linalg.norm(self._left)
@@ -74,8 +77,10 @@ class Meter:
     def update(
         self, sofar: Mapping[str, Any], steps: Mapping[str, Any], limits: Mapping[str, Any], going: Any
     ) -> dict[str, Any]:
-        """After a tick: `steps` (n, s, ...) recorded at every physics step; rollouts that are not `going` (n,)
-        are over. `limits` are the models' own: `actuator_forcerange`, `jnt_range`, (n, ..., 2).
+        """After a tick: `steps` (n, s, ...) recorded at every physics step, and which of them are `unsolved`.
+
+        Rollouts that are not `going` (n,) are over. `limits` are the models' own: `actuator_forcerange`, `jnt_range`,
+        (n, ..., 2).
         """
         qpos, number, new = steps["qpos"], steps["qpos"].shape[1], dict(sofar)
         xp = namespace(qpos)
@@ -101,8 +106,7 @@ class Meter:
             power = steps["actuator_force"] * steps["actuator_velocity"]
             new["power"] = sofar["power"] + going * xp.maximum(power, 0.0).sum(axis=(1, 2))
             new["work"] = sofar["work"] + going * power.sum(axis=(1, 2))
-            all_used = steps["solver_niter"].reshape(len(qpos), number, -1).max(axis=2) >= self._iterations
-            new["unsolved"] = sofar["unsolved"] + going * all_used.sum(axis=1)
+            new["unsolved"] = sofar["unsolved"] + going * steps["unsolved"].sum(axis=1)
             if len(self._collide):
                 touch = steps["sensordata"][..., self._collide].sum(axis=2)
                 new["touched"] = sofar["touched"] + going * (touch > 0).sum(axis=1)
@@ -167,6 +171,21 @@ def names(own: Subject) -> tuple[str, ...]:
     meter, one = Meter(own), np.ones(1)
     still = own.model.qpos0[None], np.zeros((1, own.model.nv))
     return tuple(meter.figures(meter.start(*still), one, one, one == 0, one == 0))
+
+
+def unbalanced(mass: Any, qacc: Any, smooth: Any, constraint: Any) -> Any:
+    """Which steps (...) a solver left unsolved: of M a = f + Jᵀλ more than a small share does not hold.
+
+    `mass` is M (..., nv, nv), `smooth` f and `constraint` Jᵀλ (..., nv). Each of their numbers counts by its own
+    inertia, M's diagonal, so that forces and moments are both in √kg m/s². What is left over is the gradient of what
+    the solver minimizes, and 0 where it has.
+    """
+    xp = namespace(mass)
+    with np.errstate(invalid="ignore", over="ignore"):
+        left = (mass @ qacc[..., None])[..., 0] - smooth - constraint
+        inertia = xp.diagonal(mass, axis1=-2, axis2=-1)
+        left, smooth, constraint = (xp.sqrt((one**2 / inertia).sum(axis=-1)) for one in (left, smooth, constraint))
+    return left > BALANCED * (smooth + constraint)
 
 
 def at_end(values: Any, range_: Any) -> Any:

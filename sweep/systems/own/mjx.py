@@ -31,9 +31,11 @@ with redirect_stdout(io.StringIO()):  # it prints which of its parts are not ins
     from mujoco import mjx
 
 CARRIED = "qpos", "qvel", "act", "qacc_warmstart", "time"  # of its data, from step to step
-INNER = ("actuator_velocity", "solver_niter")
-SHAPING = "dof_frictionloss", "tendon_frictionloss", "opt.density", "opt.viscosity", "opt.wind"  # by whether they are 0
-RUBBING, LEAST = SHAPING[:2], 1e-9  # where a program has friction, MJX takes a joint with none for one that is held
+INNER = ("actuator_velocity",)
+RUBBING = "dof_frictionloss", "tendon_frictionloss"
+# by whether they are 0
+SHAPING = *RUBBING, "opt.density", "opt.viscosity", "opt.wind", "body_gravcomp", "geom_margin", "pair_margin"
+LEAST = 1e-9  # where a program has friction, MJX takes a joint with none for one that is held
 # fields that MJX has none of, so that it would do without them in silence, by the words for them
 IGNORED = {
     "opt.noslip_iterations": "noslip_iterations",
@@ -96,7 +98,14 @@ class Mjx(Loop):
 
     def _check(self) -> None:
         """Raise `InputError` where it cannot simulate the model, or would leave a part of it out without a word."""
-        model = self._model
+        model, template = self._model, self._template(self._model)
+        for name, words in IGNORED.items():
+            parts = template, template._impl, template.opt, getattr(template.opt, "_impl", None)
+            if np.any(fields.whole(model, name)) and not any(hasattr(part, last(name)) for part in parts):
+                raise self._refused(f"MJX leaves out {words}", "a model without, ")
+
+    def _template(self, model: mujoco.MjModel) -> Any:
+        """MJX's model. Raises `InputError` where it cannot simulate it."""
         try:
             template, data = mjx.put_model(model, impl=self._impl), mujoco.MjData(model)
             if self._impl == "jax":
@@ -105,10 +114,7 @@ class Mjx(Loop):
             said = " ".join(str(error).split())
             instead = next((words for part, words in INSTEAD.items() if part in said), "")
             raise self._refused(f"MJX has no {said.rstrip('.')}", f"{instead}, " if instead else "") from None
-        for name, words in IGNORED.items():
-            parts = template, template._impl, template.opt, getattr(template.opt, "_impl", None)
-            if np.any(fields.whole(model, name)) and not any(hasattr(part, last(name)) for part in parts):
-                raise self._refused(f"MJX leaves out {words}", "a model without, ")
+        return template
 
     def _refused(self, why: str, instead: str) -> InputError:
         """One line, of what is to be changed."""
@@ -116,9 +122,11 @@ class Mjx(Loop):
 
     def vary(self, paths: Iterable[str]) -> None:
         """See `Loop`."""
-        template = mjx.put_model(self._model, impl=self._impl)
-        for path in paths:
-            for name in fields.fields_of(self._model, path):
+        written = {path: fields.fields_of(self._model, path) for path in paths}
+        every = {name for names in written.values() for name in names}
+        template = self._template(shaped(self._model, dict.fromkeys(every, 1.0)))
+        for path, names in written.items():
+            for name in names:
                 if not hasattr(getattr(owner(template, name), last(name), None), "at"):
                     raise self._refused(f"MJX has no {last(name)}, which {path} varies", "other axes, ")
 
@@ -178,7 +186,7 @@ class Mjx(Loop):
         def one(rows: Mapping[str, Array], now: Mapping[str, Array], ctrl: Array) -> tuple[Any, Any]:
             after = mjx.step(with_leaves(template, rows), data.replace(**now, ctrl=ctrl))
             told = {name: getattr(after._impl if name in INNER else after, name) for name in figures.STEPS}
-            told["full"] = crowded(after, self._rooms) if self._impl == "jax" else jnp.any(after._impl.overflow > 0)
+            told["full"], told["unsolved"] = self._doubted(with_leaves(template, rows), after)
             return {name: getattr(after, name).astype(now[name].dtype) for name in CARRIED}, told
 
         def step(state: Any, share: Array) -> tuple[Any, None]:
@@ -203,6 +211,13 @@ class Mjx(Loop):
             "before": ctrl,
         }
         return new, (now["qpos"], now["qvel"], ctrl, force)
+
+    def _doubted(self, model: Any, data: Any) -> tuple[Array, Array]:
+        """Whether a step of MJX's model was short of room, and whether it is unsolved."""
+        if self._impl == "warp":
+            return jnp.any(data._impl.overflow > 0), jnp.max(data._impl.solver_niter) >= self._model.opt.iterations
+        forces = (getattr(data, name) for name in figures.BALANCE)
+        return crowded(data, self._rooms), figures.unbalanced(mjx.full_m(model, data), *forces)
 
 
 def numeric(model: mujoco.MjModel, name: str) -> np.ndarray | None:
@@ -240,9 +255,8 @@ def last(name: str) -> str:
 
 def put(own: Subject, begun: batch.AtStart, impl: str) -> tuple[Any, Any, dict[str, Array]]:
     """MJX's model, its data at the keyframe, and the fields in which the rollouts' models differ, (n, ...)."""
-    model, rows = fields.with_options(own.model, {}), batch.differing(begun.batch)
-    for name in {*SHAPING} & {*rows}:  # what is 0 for the model, and not for a rollout, is to be in the program
-        setattr(owner(model, name), last(name), np.abs(rows[name]).max(axis=0))
+    rows = batch.differing(begun.batch)
+    model = shaped(own.model, {name: np.abs(values).max(axis=0) for name, values in rows.items()})
     data = mujoco.MjData(model)
     if own.keyframe >= 0:
         mujoco.mj_resetDataKeyframe(model, data, own.keyframe)
@@ -254,6 +268,16 @@ def put(own: Subject, begun: batch.AtStart, impl: str) -> tuple[Any, Any, dict[s
         if leaf is not None:  # what MJX has no field for, it works out itself: `check` refuses the others
             leaves[name] = jnp.asarray(values.reshape(begun.batch.nsim, *leaf.shape), float)
     return template, mjx.put_data(model, data, impl=impl, **rooms), leaves
+
+
+def shaped(model: mujoco.MjModel, most: Mapping[str, Any]) -> mujoco.MjModel:
+    """A model for a program that has all that is 0 for it, and not for a rollout; `most` of it by field."""
+    model = copy(model)
+    for name in {*SHAPING} & {*most}:
+        setattr(owner(model, name), last(name), np.broadcast_to(most[name], fields.whole(model, name).shape))
+    if "body_gravcomp" in most:
+        model.flg_gravcomp = True
+    return model
 
 
 def room(model: mujoco.MjModel, n: int) -> dict[str, int]:

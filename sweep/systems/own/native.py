@@ -3,6 +3,7 @@
 Bits depend neither on threads nor on how many rollouts share a batch.
 """
 
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -20,6 +21,7 @@ from sweep.systems.own.subject import Side, Subject
 WIDTH = 256
 W = mujoco.mjtWarning
 BROKEN = [int(w) for w in (W.mjWARN_INERTIA, W.mjWARN_BADQPOS, W.mjWARN_BADQVEL, W.mjWARN_BADQACC, W.mjWARN_BADCTRL)]
+SOLVER = ("solver_niter", "M", *figures.BALANCE)  # what is recorded of it, beside figures' own
 FULL = [int(w) for w in (W.mjWARN_CONTACTFULL, W.mjWARN_CNSTRFULL)]
 
 
@@ -48,6 +50,10 @@ class Native(Loop):
             meter = figures.Meter(own)
             before_all = begun.energy(qpos, qvel)
             sofar = aside.submit(meter.start, qpos.copy(), qvel.copy())
+
+            def measured(sofar: Any, steps: Any, going: np.ndarray) -> dict[str, Any]:
+                return meter.update(sofar, {**steps, "unsolved": unsolved(self._model, steps)}, begun.limits, going)
+
             broken, frames, before = np.zeros(n, dtype=bool), [], None
             recorded: list[Any] = [None, None]  # of this tick and the one before
             controls = np.zeros((n, self._substeps, self._model.nu))
@@ -60,9 +66,10 @@ class Native(Loop):
                 controls[:] = before[:, None] + self._shares[:, None] * (ctrl - before)[:, None]
                 before = ctrl
                 out = recorded[k % 2]
-                steps = recorded[k % 2] = begun.batch.rollout(self._substeps, controls, record=figures.STEPS, out=out)
+                told = *figures.STEPS, *SOLVER
+                steps = recorded[k % 2] = begun.batch.rollout(self._substeps, controls, record=told, out=out)
                 seen = steps["sensordata"][:, -1]
-                sofar = aside.submit(meter.update, sofar.result(), steps, begun.limits, going)
+                sofar = aside.submit(measured, sofar.result(), steps, going)
                 if slots is not None and (k + 1) % every == 0:
                     last = (steps[name][slots, -1].copy() for name in ("qpos", "qvel", "actuator_force"))
                     at, speed, force = last
@@ -74,3 +81,18 @@ class Native(Loop):
         gained = begun.energy(last["last"], last["speed"]) - before_all
         found = meter.figures(last, begun.mass, gained, broken, warned[:, FULL].any(axis=1))
         return found | own_figures, frames, begun.models(slots)
+
+
+def unsolved(model: mujoco.MjModel, steps: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Which steps (n, s) took all of the solver's iterations and are not solved by them.
+
+    What PGS and noslip find balances whatever it is, so that of theirs the iterations alone are known.
+    """
+    found = steps["solver_niter"].reshape(*steps["M"].shape[:2], -1).max(axis=2) >= model.opt.iterations
+    if found.any() and model.opt.solver != int(mujoco.mjtSolver.mjSOL_PGS) and not model.opt.noslip_iterations:
+        inertia, *forces = (steps[name][found] for name in SOLVER[1:])
+        row, column = np.repeat(np.arange(model.nv), model.M_rownnz), model.M_colind
+        mass = np.zeros((len(inertia), model.nv, model.nv))  # of which the lower triangle is recorded
+        mass[:, row, column] = mass[:, column, row] = inertia
+        found[found] = figures.unbalanced(mass, *forces)
+    return found
