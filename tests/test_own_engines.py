@@ -187,6 +187,9 @@ ON_BOX = '<geom type="box" size="1 1 1"/><body pos="0 0 3"><freejoint/><geom typ
         ("", ON_BOX.format("cylinder"), "", "collisions not implemented"),
         ("", WHEEL, 'damping="0.3"', "MJX leaves out damping of actuators"),
         ("", WHEEL, 'armature="0.3"', "MJX leaves out armature of actuators"),
+        ("", WHEEL.replace('name="a"', 'name="a" stiffness="0 1"'), "", "MJX leaves out polynomials of springs"),
+        ("", WHEEL.replace('name="a"', 'name="a" damping="0 1"'), "", "MJX leaves out polynomials of dampers"),
+        ('density="1"', BALL.replace("size", 'fluidshape="ellipsoid" size'), "", "MJX leaves out drag of geoms by"),
     ],
 )
 def test_what_mjx_cannot_do_is_said_before_anything_runs(here, tmp_path, capsys, option, world, motor, line):
@@ -221,11 +224,17 @@ def test_what_mjx_has_no_field_for_is_no_axis_of_its(here, capsys):
     varied = [one.field for kind in [*fields.VARIED.values(), fields.OPTIONS] for one in kind.values()]
     owners = {name: template.opt if name.startswith("opt.") else template for name in varied}
     lacking = {n for n, owner in owners.items() if not hasattr(getattr(owner, n.removeprefix("opt."), None), "at")}
-    assert lacking == {"actuator_damping", "actuator_armature", "opt.noslip_tolerance", "opt.ccd_tolerance"}
+    assert lacking == {
+        *("actuator_damping", "actuator_dampingpoly", "actuator_armature", "opt.noslip_tolerance", "opt.ccd_tolerance"),
+        *("geom_adhesion", "geom_surfacevel", "geom_fluid", "pair_adhesion", "site_size", "sensor_cutoff"),
+    }
     axis = "study.axes.rub={path: model.actuator.hip.armature, side: world, values: [0, 0.1]}"
     assert main(["run", "study=study.yaml", axis, "engine=mjx", "out=lacking"]) == 2
     (told,) = capsys.readouterr().err.splitlines()
     assert "MJX has no actuator_armature, which model.actuator.hip.armature varies (other axes, or engine=nat" in told
+    axis = "study.axes.rub={path: model.joint.hip.dampingpoly.0, side: world, values: [0, 0.1]}"
+    assert main(["run", "study=study.yaml", axis, "engine=mjx", "out=lacking"]) == 2
+    assert "MJX has no dof_dampingpoly, which model.joint.hip.dampingpoly.0 varies" in capsys.readouterr().err
     axis = "study.axes.rub={path: model.option.density, side: world, values: [0, 1]}"
     assert (
         main(["run", "study=study.yaml", axis, "engine=mjx", "model.option.integrator=implicitfast", "out=lacking"])

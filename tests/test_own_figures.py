@@ -1,17 +1,21 @@
 """Figures of own models against mechanics on both engines, what is not to be trusted, and fields that are compiled."""
 
+import re
 import struct
+from fnmatch import fnmatch
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
-from mujoco.batch import Batch
+from mujoco.batch import MODEL_FIELDS, Batch
 
 from sweep.cli.main import main
+from sweep.core.errors import InputError
 from sweep.runs import store
 from sweep.systems.own import fields, files
 
+PAGE = (Path(__file__).parents[1] / "docs/own_model.md").read_text(encoding="utf-8")
 SLED = """<mujoco><option timestep="1e-3" integrator="Euler" iterations="{}"/>{}<worldbody>
 <site name="world"/><geom name="floor" type="plane" size="0 0 1" friction="0.001"/>
 <body name="sled" pos="0 0 {}"><freejoint/><geom name="sled" type="box" size=".2 .2 .1" mass="2" friction="0.001"/>
@@ -125,6 +129,53 @@ def test_models_that_are_compiled_anew_are_what_mujoco_makes_of_their_numbers(he
         np.testing.assert_allclose(batch.bind("qpos")[row], data.qpos, atol=1e-6)
     for path in WIDER:
         np.testing.assert_allclose(fields.parameter(changed, path).default, WIDER[path], rtol=1e-6, err_msg=path)
+
+
+ALL = """<mujoco><worldbody><geom name="floor" type="plane" size="0 0 1"/>
+<body name="ball" pos="0 0 1" simple="false"><freejoint name="free"/><geom name="g" size=".1"/>
+<site name="s" size=".1"/></body>
+<body name="arm" pos="1 0 1"><joint name="a"/><geom name="h" type="box" size=".1 .2 .3"/>
+<body name="hand" pos="0 0 1"><joint name="b"/><geom size=".1"/></body></body></worldbody>
+<contact><pair name="p" geom1="g" geom2="floor"/></contact>
+<equality><joint name="e" joint1="a" joint2="b"/></equality>
+<tendon><fixed name="t"><joint joint="a" coef="1"/><joint joint="b" coef="2"/></fixed></tendon>
+<actuator><motor name="m" joint="a"/></actuator><sensor><touch name="v" site="s"/></sensor></mujoco>"""
+THINGS = {"body": "ball", "geom": "h", "joint": "a", "actuator": "m", "site": "s", "sensor": "v", "tendon": "t",
+          "pair": "p", "equality": "e"}  # fmt: skip
+
+
+def test_every_field_of_a_batch_is_a_path_or_the_page_says_why_not():
+    """A path writes the number that it names, of one rollout alone; patterns for the others are in the page's table."""
+    spec = mujoco.MjSpec.from_string(ALL)
+    model, paths = spec.copy().compile(), {f"opt.{name}" for name in (*fields.CHOSEN, *fields.COUNTED, fields.TIMESTEP)}
+    things = [(f"model.{kind}.{THINGS[kind]}", numbers) for kind, numbers in fields.VARIED.items()]
+    for thing, numbers in [*things, ("model.option", fields.OPTIONS)]:
+        for name, one in numbers.items():
+            usual = fields.whole(model, one.field)
+            size = usual.size if thing == "model.option" else usual[0].size
+            names = one.names or (fields.XYZ if one.compiled else [*map(str, range(size))])
+            path = f"{thing}.{name}" + (f".{names[size - 1]}" if size > 1 else "")
+            nominal, batch = fields.parameter(model, path).default, Batch(model, 2)
+            fields.write(batch, {path: np.array([nominal, nominal + 0.25])}, lambda: spec)
+            same, other = (fields.whole(batch.get_model(k), one.field) for k in (0, 1))
+            np.testing.assert_array_equal(same, usual, err_msg=path)
+            assert list(other[other != usual]) == [nominal + 0.25], path
+            paths.add(one.field)
+    simple = mujoco.MjSpec.from_string(ALL.replace(' simple="false"', "")).compile()
+    with pytest.raises(InputError, match="MuJoCo has the body as a simple one"):
+        fields.check(lambda: spec, simple, "model.body.ball.ipos.x")
+    listed, _, rest = PAGE.partition("**Paths.**")[2].partition("are no paths, for these reasons:")
+    assert not [name for _, numbers in things for name in numbers if f"`{name}`" not in listed]
+    table = rest.partition("\n\n`noise")[0]
+    told = [
+        pattern
+        for row in re.findall(r"^\| (`.*?`) \|", table, re.MULTILINE)
+        for pattern in re.findall("`([^`]+)`", row)
+    ]
+    whole_numbers = {name for name in MODEL_FIELDS if fields.whole(model, name).dtype.kind != "f"}
+    for name in MODEL_FIELDS - whole_numbers:
+        assert any(fnmatch(name, pattern) for pattern in told) != (name in paths), name
+    assert not [pattern for pattern in told if not any(fnmatch(name, pattern) for name in MODEL_FIELDS)]
 
 
 URDF = """<robot name="cart"><link name="base"/><link name="trunk">

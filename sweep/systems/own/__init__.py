@@ -110,10 +110,7 @@ class Own(Subject):
         if root != "model":
             raise InputError(f"axis {column} names nothing: {root} is unknown{suggest(root, self.groups)}")
         found = fields.parameter(self.model, path)
-        if path.startswith("model.body.") and path.endswith(".mass") and not found.default:
-            raise InputError(f"axis {column} is not allowed: the body has no mass in the file, so no inertia to scale")
-        if fields.compiled(self.model, path):
-            fields.check_compiled(self.source(), self.model, path)
+        fields.check(self.source, self.model, path)
         return found
 
     def nominal(self, column: str, settings: EngineSettings) -> Any:

@@ -60,6 +60,9 @@ VARIED: dict[str, dict[str, Numbers]] = {
         "friction": Numbers("geom_friction", "", 0.0, FRICTION),
         "margin": Numbers("geom_margin", "m"),
         "gap": Numbers("geom_gap", "m"),
+        "adhesion": Numbers("geom_adhesion"),
+        "surfacevel": Numbers("geom_surfacevel"),
+        "fluid": Numbers("geom_fluid", "", 0.0),
         "solmix": Numbers("geom_solmix", "", 0.0),
         **_solver("geom"),
         "size": Numbers("geom_size", "m", 1e-6, compiled=True),  # by the names of its shape: `SIZES`
@@ -67,7 +70,9 @@ VARIED: dict[str, dict[str, Numbers]] = {
     },
     "joint": {
         "stiffness": Numbers("jnt_stiffness", "", 0.0),
+        "stiffnesspoly": Numbers("jnt_stiffnesspoly"),
         "damping": Numbers("dof_damping", "", 0.0),
+        "dampingpoly": Numbers("dof_dampingpoly"),
         "armature": Numbers("dof_armature", "", 0.0),
         "frictionloss": Numbers("dof_frictionloss", "", 0.0),
         "pos": Numbers("jnt_pos", "m", names=XYZ),
@@ -88,12 +93,17 @@ VARIED: dict[str, dict[str, Numbers]] = {
         "actrange": Numbers("actuator_actrange", names=RANGE),
         "cranklength": Numbers("actuator_cranklength", "m", 1e-9),
         "damping": Numbers("actuator_damping", "", 0.0),
+        "dampingpoly": Numbers("actuator_dampingpoly"),
         "armature": Numbers("actuator_armature", "", 0.0),
     },
-    "site": {"pos": Numbers("site_pos", "m", names=XYZ)},
+    "site": {"pos": Numbers("site_pos", "m", names=XYZ), "size": Numbers("site_size", "m", 1e-6)},
+    "sensor": {"cutoff": Numbers("sensor_cutoff", "", 0.0)},
     "tendon": {
         "stiffness": Numbers("tendon_stiffness", "", 0.0),
+        "stiffnesspoly": Numbers("tendon_stiffnesspoly"),
         "damping": Numbers("tendon_damping", "", 0.0),
+        "dampingpoly": Numbers("tendon_dampingpoly"),
+        "armature": Numbers("tendon_armature", "", 0.0),
         "frictionloss": Numbers("tendon_frictionloss", "", 0.0),
         "range": Numbers("tendon_range", "m", names=RANGE),
         "springlength": Numbers("tendon_lengthspring", "m", names=RANGE),
@@ -107,9 +117,10 @@ VARIED: dict[str, dict[str, Numbers]] = {
         "solreffriction": Numbers("pair_solreffriction", names=SOLREF),
         "margin": Numbers("pair_margin", "m"),
         "gap": Numbers("pair_gap", "m"),
+        "adhesion": Numbers("pair_adhesion"),
         **_solver("pair"),
     },
-    "equality": _solver("eq"),
+    "equality": {"data": Numbers("eq_data"), **_solver("eq")},
 }
 Shape = mujoco.mjtGeom
 ROUND = ("radius", "half_length")
@@ -136,6 +147,7 @@ CHOSEN = {"cone": mujoco.mjtCone, "integrator": mujoco.mjtIntegrator, "solver": 
 COUNTED = {"iterations": 1, "ls_iterations": 1, "noslip_iterations": 0}  # with the least of them
 TIMESTEP = "timestep"
 MJCF = {name.upper(): name for name in ("Euler", "RK4", "PGS", "CG", "Newton")}  # words that are not in small letters
+FREEDOM = {int(mujoco.mjtJoint.mjJNT_FREE): 6, int(mujoco.mjtJoint.mjJNT_BALL): 3}  # of joints; of the others 1
 SERVO = {"kp": ((0, 1.0), (1, -1.0)), "kv": ((2, -1.0),)}  # of gainprm's first, of biasprm; both, or its target scales
 
 
@@ -202,10 +214,18 @@ def compiled(model: mujoco.MjModel, path: str) -> bool:
     return path.startswith(f"{ROOT}.geom.") and _resolved(model, path)[0].compiled
 
 
-def check_compiled(source: mujoco.MjSpec, model: mujoco.MjModel, path: str) -> None:
-    """Raise `InputError` where other numbers of a geom say what a path would."""
-    called = named(model, "geom", path.removeprefix(f"{ROOT}.geom."))[1]
-    geom, what = source.geom(called), path.rpartition(f"{called}.")[2]
+def check(source: Callable[[], mujoco.MjSpec], model: mujoco.MjModel, path: str) -> None:
+    """Raise `InputError` where a path names a number that cannot vary in the model that `source` gives."""
+    kind, _, rest = path.removeprefix(f"{ROOT}.").partition(".")
+    number, called = named(model, kind, rest) if kind in KINDS else (-1, "")
+    what = rest.removeprefix(f"{called}.")
+    if kind == "body" and what == "mass" and not model.body_mass[number]:
+        raise InputError(f"axis {path} is not allowed: the body has no mass in the file, so no inertia to scale")
+    if kind == "body" and what.startswith("ipos") and model.body_simple[number]:
+        raise InputError(f'axis {path} is not allowed: MuJoCo has the body as a simple one, without simple="false"')
+    if not compiled(model, path):
+        return
+    geom = source().geom(called)
     if np.isfinite(geom.fromto[0]) and what != "size.radius":
         raise InputError(f"axis {path} is not allowed: the geom's fromto says where it ends")
     if geom.type == Shape.mjGEOM_MESH:
@@ -243,7 +263,7 @@ def _resolved(model: mujoco.MjModel, path: str) -> tuple[Numbers, list[Place]]:
         raise _nothing(path, f"{kind or root} is unknown{suggest(kind or root, kinds)}")
     if kind == OPTION:
         varied = OPTIONS | {name: Numbers(f"opt.{name}", names=("",)) for name in (*CHOSEN, *COUNTED, TIMESTEP)}
-        return _component(path, varied, rest, lambda name: (np.size(whole(model, name)), 0))
+        return _component(path, varied, rest, lambda name: (np.size(whole(model, name)), [0]))
     number, name = named(model, kind, rest)
     if number < 0:
         known, word = _names(model, kind), rest.partition(".")[0]
@@ -252,17 +272,15 @@ def _resolved(model: mujoco.MjModel, path: str) -> tuple[Numbers, list[Place]]:
     if kind == "actuator" and rest in SERVO:
         return _servo(model, path, rest, number)
 
-    def at(field: str) -> tuple[int, int]:
+    def at(field: str) -> tuple[int, list[int]]:
+        """How many numbers a thing has in a field, and where the first of them is: one of each freedom of a joint."""
+        size = whole(model, field)[0].size
+        if kind != "joint" or field.startswith("jnt_"):
+            return size, [number * size]
+        first, freedom = int(model.jnt_dofadr[number]), FREEDOM.get(int(model.jnt_type[number]), 1)
         if field == "qpos_spring":
-            hinged = model.jnt_type[number] in (int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE))
-            return int(hinged), int(model.jnt_qposadr[number])
-        if field.startswith("dof_") and getattr(model, field).ndim == 1:
-            freedom = {int(mujoco.mjtJoint.mjJNT_FREE): 6, int(mujoco.mjtJoint.mjJNT_BALL): 3}.get(
-                int(model.jnt_type[number]), 1
-            )
-            return freedom, int(model.jnt_dofadr[number])
-        size = getattr(model, field)[0].size
-        return size, (int(model.jnt_dofadr[number]) if field.startswith("dof_") else number) * size
+            return int(freedom == 1), [int(model.jnt_qposadr[number])]
+        return (freedom, [first]) if size == 1 else (size, [(first + k) * size for k in range(freedom)])
 
     varied = VARIED[kind]
     if kind == "geom":
@@ -276,27 +294,21 @@ def _resolved(model: mujoco.MjModel, path: str) -> tuple[Numbers, list[Place]]:
 def _component(path: str, varied: dict[str, Numbers], rest: str, at: Any) -> tuple[Numbers, list[Place]]:
     attribute, _, part = rest.partition(".")
     if attribute not in varied:
-        raise InputError(
-            f"axis {path} names nothing: {attribute or 'what of it'} is unknown{suggest(attribute, varied)}"
-        )
+        raise _nothing(path, f"{attribute or 'what of it'} is unknown{suggest(attribute, varied)}")
     numbers = varied[attribute]
-    count, first = at(numbers.field)
+    count, firsts = at(numbers.field)
     names = [*(numbers.names or map(str, range(count)))][:count]
     if count == 1 and not part:
         part = names[0]
     if part not in names:
-        raise InputError(
-            f"axis {path} names nothing: {part or 'which of its numbers'} is unknown{suggest(part, names)}"
-        )
-    return numbers, [Place(numbers.field, first + names.index(part))]
+        raise _nothing(path, f"{part or 'which of its numbers'} is unknown{suggest(part, names)}")
+    return numbers, [Place(numbers.field, first + names.index(part)) for first in firsts]
 
 
 def _servo(model: mujoco.MjModel, path: str, word: str, number: int) -> tuple[Numbers, list[Place]]:
     gain, bias = model.actuator_gainprm[number], model.actuator_biasprm[number]
     if model.actuator_biastype[number] != int(mujoco.mjtBias.mjBIAS_AFFINE) or gain[0] != -bias[1]:
-        raise InputError(
-            f"axis {path} names nothing: the actuator is no position servo: gainprm.0 and biasprm.0, .1, .2"
-        )
+        raise _nothing(path, "the actuator is no position servo: gainprm.0 and biasprm.0, .1, .2")
     places = [Place("actuator_biasprm", number * bias.size + k, s) for k, s in SERVO[word] if k]
     if word == "kp":
         places.insert(0, Place("actuator_gainprm", number * gain.size))

@@ -36,7 +36,7 @@ RUBBING = "dof_frictionloss", "tendon_frictionloss"
 # by whether they are 0
 SHAPING = *RUBBING, "opt.density", "opt.viscosity", "opt.wind", "body_gravcomp", "geom_margin", "pair_margin"
 LEAST = 1e-9  # where a program has friction, MJX takes a joint with none for one that is held
-# fields that MJX has none of, so that it would do without them in silence, by the words for them
+# fields that MJX does without in silence, by the words for them: it has none, or has them and makes no use of them
 IGNORED = {
     "opt.noslip_iterations": "noslip_iterations",
     "geom_adhesion": "adhesion of geoms",
@@ -48,7 +48,13 @@ IGNORED = {
     "actuator_delay": "delay of actuators",
     "sensor_delay": "delay of sensors",
     "plugin": "plugins",
+    "jnt_stiffnesspoly": "polynomials of springs",
+    "tendon_stiffnesspoly": "polynomials of springs",
+    "dof_dampingpoly": "polynomials of dampers",
+    "tendon_dampingpoly": "polynomials of dampers",
+    "geom_fluid": "drag of geoms by their shape",
 }
+UNUSED = [name for name in IGNORED if name.endswith("poly") or name == "geom_fluid"]  # by its JAX; warp's have a use
 IMPLEMENTED = {"mjx": "jax", "warp": "warp"}  # how MJX calls them, by engine
 CONTACTS, CONSTRAINTS = 64, 4  # warp's room for a rollout, and of a contact; a rollout with more is invalid
 INSTEAD = {  # by a part of what MJX says
@@ -101,7 +107,8 @@ class Mjx(Loop):
         model, template = self._model, self._template(self._model)
         for name, words in IGNORED.items():
             parts = template, template._impl, template.opt, getattr(template.opt, "_impl", None)
-            if np.any(fields.whole(model, name)) and not any(hasattr(part, last(name)) for part in parts):
+            used = any(hasattr(part, last(name)) for part in parts) and not self._unused(name)
+            if np.any(fields.whole(model, name)) and not used:
                 raise self._refused(f"MJX leaves out {words}", "a model without, ")
 
     def _template(self, model: mujoco.MjModel) -> Any:
@@ -116,6 +123,9 @@ class Mjx(Loop):
             raise self._refused(f"MJX has no {said.rstrip('.')}", f"{instead}, " if instead else "") from None
         return template
 
+    def _unused(self, name: str) -> bool:
+        return self._impl == "jax" and name in UNUSED
+
     def _refused(self, why: str, instead: str) -> InputError:
         """One line, of what is to be changed."""
         return InputError(f"engine.name = {self._settings.name} is not allowed: {why} ({instead}or engine=native)")
@@ -127,7 +137,7 @@ class Mjx(Loop):
         template = self._template(shaped(self._model, dict.fromkeys(every, 1.0)))
         for path, names in written.items():
             for name in names:
-                if not hasattr(getattr(owner(template, name), last(name), None), "at"):
+                if self._unused(name) or not hasattr(getattr(owner(template, name), last(name), None), "at"):
                     raise self._refused(f"MJX has no {last(name)}, which {path} varies", "other axes, ")
 
     @devices.memory()
