@@ -6,6 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from sweep.systems.hexapod import Hexapod
+from sweep.systems.own import Own
+
 PACKAGE = Path(__file__).parents[1] / "sweep"
 # from the ground up: a room knows those before it; modules beside the rooms, which users import, know all of them
 BELOW_RUNS = (
@@ -116,6 +119,21 @@ def test_studies_know_systems_by_their_contract(place):
     }
     mine = [name for name in MODULES if room(name) == place]
     assert not [(name, other) for name in mine for other in ARROWS[name] & (own - CONTRACT)]
+
+
+def test_nothing_asks_which_system_it_has():
+    """What one can and another cannot is a part of the contract; their classes are named where they are made."""
+    classes = {Hexapod.__name__, Own.__name__}
+    others = {name: ast.parse(path.read_text()) for name, path in MODULES.items() if room(name) != "systems"}
+    found = {
+        name
+        for name, tree in others.items()
+        for node in ast.walk(tree)
+        if (isinstance(node, ast.Name) and node.id in classes)
+        or (isinstance(node, ast.Attribute) and node.attr in classes)
+        or (isinstance(node, ast.alias) and node.name in classes)
+    }
+    assert not found
 
 
 def test_only_engines_and_what_is_below_know_jax():

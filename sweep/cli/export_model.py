@@ -10,7 +10,6 @@ from sweep.cli.exits import DONE
 from sweep.core.errors import InputError
 from sweep.study.config import compose
 from sweep.systems import exported
-from sweep.systems.hexapod import Hexapod
 
 EPILOG = """A check of the robot by code that is not its own: C MuJoCo's and MJX's own step. The folder is a project.
 MuJoCo reads robot.mjb, which has all digits; robot.xml is the same to read, to six.
@@ -28,7 +27,7 @@ from sweep.systems.exported import controller
 
 FILES = ["case.yaml"]
 exp = experiment(yaml.safe_load(Path(__file__).with_name(FILES[0]).read_text(encoding="utf-8")))
-begin, policy, figures, PARAMETERS, FIGURES = controller(exp.system, exp.settings, exp.thresholds)
+begin, policy, figures, PARAMETERS, FIGURES = controller(exp.case, exp.settings, exp.thresholds)
 '''
 
 
@@ -42,16 +41,16 @@ def main(args: list[str]) -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     exp = compose(parser.parse_known_args(args)[1])
-    if not isinstance(exp.system, Hexapod):
-        raise InputError("export-model is for the six-legged robot: an own model is one already")
+    if why := exp.system.lacks.get("export-model"):
+        raise InputError(f"export-model is not allowed: {why}")
     if not exp.study.single:
         raise InputError("study is not allowed: one scenario is exported, whose numbers are axes again")
     if not exp.values["out"]:
         raise InputError("out is missing: a new or empty folder")
-    exported.check(exp.system.case)
+    exported.check(exp.case)
     folder, module = Path(exp.values["out"]), f"{exp.scenario}_policy"
-    about = exported.scenario(exp.system, exp.settings, exp.thresholds, "robot.mjb", f"{module}:policy")
-    spec = exported.spec(exp.system.case, exp.settings)
+    about = exported.scenario(exp.case, exp.settings, exp.thresholds, "robot.mjb", f"{module}:policy")
+    spec = exported.spec(exp.case, exp.settings)
     model, case = spec.compile(), {key: value for key, value in exp.values.items() if key != "out"}
     texts = {
         "sweep.yaml": "# A sweep project, written by `sweep export-model`\nmodules: []\n",

@@ -26,7 +26,6 @@ from sweep.runs import store, tuning
 from sweep.study.config import Experiment, compose
 from sweep.study.study import parameter_columns, points
 from sweep.systems.base import side_and_path
-from sweep.systems.hexapod import Hexapod
 from sweep.tune.score import MANOEUVRE, Aim, Score, shares, stacked, worst
 
 DIGITS, SLOPE_DIGITS = 4, 3  # to which numbers are rounded, and slopes
@@ -51,8 +50,8 @@ def main(args: list[str]) -> int:
         if getattr(given, flag) < least:
             raise InputError(f"--{flag} = {getattr(given, flag)} is not allowed: at least {least}")
     exp = compose(overrides)
-    if not isinstance(exp.system, Hexapod):
-        raise InputError("tune is for plans of the six-legged robot: an own model's controller has axes")
+    if why := exp.system.lacks.get("tune"):
+        raise InputError(f"tune is not allowed: {why}")
     case, where = exp.case, Path(exp.out or "")
     if not isinstance(case.manoeuvre, plan_table.Tabled):
         raise InputError(f"manoeuvre.kind = {case.manoeuvre.kind} has its numbers in no file")

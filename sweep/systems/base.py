@@ -76,6 +76,11 @@ class System(Protocol):
         ...
 
     @property
+    def lacks(self) -> Mapping[str, str]:
+        """Commands that it has no use for, with why."""
+        ...
+
+    @property
     def ways(self) -> Mapping[str, Way]:
         """In which `sweep audit` simulates again."""
         ...

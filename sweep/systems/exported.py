@@ -32,7 +32,7 @@ from sweep.models.case import Case
 from sweep.models.legs import JOINT_Q, JOINT_V, JOINTS, N_JOINTS, N_LEGS
 from sweep.models.obstacles.surface import poses, under
 from sweep.models.robot import links
-from sweep.systems.hexapod import Hexapod, assign, flat
+from sweep.systems.hexapod import assign, flat
 
 BELIEVED = "robot", "drive", "contact", "obstacle", "manoeuvre"  # groups whose quantities the controller is told
 
@@ -90,10 +90,10 @@ def _links(case: Case) -> list[str]:
     return [f"{link}{leg + 1}" for leg in range(N_LEGS) for link in links(case.robot)]
 
 
-def scenario(system: Hexapod, settings: EngineSettings, limits: Thresholds, model: str, controller: str) -> Any:
+def scenario(case: Case, settings: EngineSettings, limits: Thresholds, model: str, controller: str) -> Any:
     """What an own model's scenario says, for files of these names: the robot's own causes, but for doubts."""
-    sensors = [sensor.name for sensor in spec(system.case, settings).sensors]
-    seconds = GRACE * float(np.sum(np.asarray(nominal_plan(system.case).duration))) + REST
+    sensors = [sensor.name for sensor in spec(case, settings).sensors]
+    seconds = GRACE * float(np.sum(np.asarray(nominal_plan(case).duration))) + REST
     about = {
         "mjcf": model,
         "controller": controller,
@@ -102,7 +102,7 @@ def scenario(system: Hexapod, settings: EngineSettings, limits: Thresholds, mode
         "command": "ramped",
         "observe": ["qpos", "qvel", *sensors],
     }
-    return {"system": "own", "model": about, "outcome": dict(_conditions(system.case, limits))}
+    return {"system": "own", "model": about, "outcome": dict(_conditions(case, limits))}
 
 
 def _conditions(case: Case, limits: Thresholds) -> Iterator[tuple[str, str]]:
@@ -115,9 +115,9 @@ def _conditions(case: Case, limits: Thresholds) -> Iterator[tuple[str, str]]:
             yield name, f"{cause.figure} {'<' if cause.below else '>'} {limit!r}"
 
 
-def controller(system: Hexapod, settings: EngineSettings, limits: Thresholds) -> Controller:
+def controller(case: Case, settings: EngineSettings, limits: Thresholds) -> Controller:
     """Plan, tracker and judge of a case; what is believed is simulated, as far as its figures tell."""
-    case, period = system.case, settings.control_period
+    period = settings.control_period
     numbers = {path: value for path, value in flat(case, "") if isinstance(value, float) and abs(value) < LARGEST}
     numbers = {path: value for path, value in numbers.items() if path.startswith(BELIEVED)}
     measured = {name: what for metric in metrics.of(case) for name, what in metric.columns.items()}

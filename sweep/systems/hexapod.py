@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -67,6 +68,7 @@ class Hexapod:
     doubts = tuple(outcome.DOUBTS)
     silent = frozenset(outcome.BOOKKEEPING | {"finite", "finished", "end_stage"})
     shown = ("mcap", "states", "model", "plot", "png", "video")
+    lacks = MappingProxyType({})
     ways = WAYS
 
     @property

@@ -12,6 +12,7 @@ import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import mujoco
@@ -43,6 +44,8 @@ WAYS = {
     ),
 }
 
+LACKS = {"tune": "its controller's numbers are axes (controller.*)", "export-model": "it is an own model already"}
+
 
 @dataclass(frozen=True)
 class Own(Subject):
@@ -55,6 +58,7 @@ class Own(Subject):
     doubts = (*outcome.DOUBTS, outcome.UNTRUSTED)
     silent = frozenset(figures.SILENT)
     shown = ("mcap", "png", "video")
+    lacks = MappingProxyType(LACKS)
 
     @property
     def causes(self) -> dict[str, str]:
