@@ -14,7 +14,6 @@ from mujoco.batch import Batch
 from small_study import content, wait_for
 
 from sweep.cli.main import main
-from sweep.core.errors import InputError
 from sweep.runs import batches, results, store
 from sweep.runs.runner import wanted_points
 from sweep.study.config import compose
@@ -213,11 +212,22 @@ def test_outcomes_are_told_by_what_holds_first():
     np.testing.assert_allclose(labels["margin"], [0.5, -0.5, -0.25, -0.75, -0.75])
 
 
+BROKEN = {
+    "bad.xml": '<mujoco><worldbody><geom sise="1"/></worldbody></mujoco>',
+    "lost.xml": '<mujoco><asset><mesh name="m" file="hul.obj"/></asset></mujoco>',
+}
+
+
 @pytest.mark.parametrize(
     ("change", "line"),
     [
         ("model.mjcf=none.xml", "model.mjcf = 'none.xml' is not a file (allowed: quadruped.xml)"),
         ("model.mjcf=trot.py", "model.mjcf = trot.py does not compile: "),
+        (
+            "model.mjcf=TMP/bad.xml",
+            "model.mjcf = bad.xml does not compile: XML Error: Schema violation: unrecognized attribute: 'sise'",
+        ),
+        ("model.mjcf=TMP/lost.xml", "model.mjcf = lost.xml does not compile: Error: Error opening file 'hul.obj'"),
         ("model.controller=trot", "model.controller = 'trot' is not allowed: as my.walk:policy"),
         ("model.controller=trot:polic", "polic is unknown: did you mean policy?"),
         ("model.controller=trit:policy", "model.controller = trit:policy cannot be imported: ModuleNotFoundError"),
@@ -257,27 +267,54 @@ def test_outcomes_are_told_by_what_holds_first():
         ("study.keep=[base_w_m]", "study.keep: base_w_m is unknown"),
     ],
 )
-def test_a_mistake_is_one_line_and_nothing_is_written(here, capsys, change, line):
-    assert main(["run", "study=grip", "out=wrong", change]) == 2
+def test_a_mistake_is_one_line_and_nothing_is_written(here, tmp_path, capsys, change, line):
+    for name, text in BROKEN.items():
+        (tmp_path / name).write_text(text)
+    assert main(["run", "study=grip", "out=wrong", change.replace("TMP", str(tmp_path))]) == 2
     (told,) = capsys.readouterr().err.splitlines()
     assert line in told
     assert not Path("wrong").exists()
 
 
+STILL = "def policy(belief, seen, state, key): return jnp.zeros(12), state\n"
+
+
 @pytest.mark.parametrize(
-    ("policy", "line"),
+    ("code", "line"),
     [
-        ("jnp.zeros(11), state", "gives controls (11,): (12,) are wanted"),
-        ("jnp.zeros(12), (state,)", "gives a state of another form than it was given"),
-        ("jnp.zeros(12) + undefined, state", "fails: NameError: name 'undefined' is not defined"),
-        ("jnp.zeros(12) if seen[0] > 0 else 0, state", "fails: TracerBoolConversionError: "),
+        (STILL.replace("12", "11"), "gives controls (11,): (12,) are wanted"),
+        (STILL.replace(", state\n", ", (state,)\n"), "gives a state of another form than it was given"),
+        (STILL.replace("(12)", "(12) + undefined"), "fails: NameError: name 'undefined' is not defined"),
+        (STILL.replace("(12),", "(12) if seen[0] > 0 else 0,"), "fails: TracerBoolConversionError: "),
+        (
+            STILL.replace("(12)", "(12) / jnp.zeros(12)"),
+            "gives controls that are not finite at",
+        ),
+        (f"{STILL}def begin(belief, key): return jnp.zeros(3), (), None", "begins at (3,): (19,) are wanted"),
+        (
+            f"{STILL}def begin(belief, key): return jnp.full(19, jnp.nan), (), None",
+            "begins at positions that are not finite",
+        ),
+        (f"{STILL}def begin(belief, key): return None, (), jnp.ones(2)", "lasts (2,): one number is wanted"),
+        (f"{STILL}def observe(told): return told['turn'][None]", "observes (1, 4): (k,) is wanted"),
+        (f"{STILL}def observe(told): return told['trn']", "fails: KeyError: 'trn'"),
+        (f"{STILL}FIGURES = {{'a': 'b'}}", "figures, a function, and FIGURES, their names, go together"),
+        (f"{STILL}BELIEVES = {{'load': 'model.body.trnk.mass'}}", "no body is called trnk: did you mean trunk?"),
+        (f"{STILL}PARAMETERS = {{'speed': 'fast'}}", "controller.speed = 'fast' is not allowed"),
+        (
+            f"{STILL}PARAMETERS = {{'a': 1.0}}\nBELIEVES = {{'a': 'model.body.trunk.mass'}}",
+            "a is both in PARAMETERS and in BELIEVES",
+        ),
     ],
 )
-def test_a_controller_that_cannot_be_is_refused(here, capsys, policy, line):
-    name = f"wrong{abs(hash(policy))}"
-    Path(f"{name}.py").write_text(f"import jax.numpy as jnp\ndef policy(belief, seen, state, key): return {policy}\n")
-    with pytest.raises(InputError, match=re.escape(line)):
-        figures(exp := compose([*SHORT, f"model.controller={name}:policy"]), wanted_points(exp).head(1))
+def test_a_controller_that_cannot_be_is_one_line_and_nothing_is_written(here, capsys, code, line):
+    name = f"wrong{abs(hash(code))}"
+    Path(f"{name}.py").write_text(f"import jax.numpy as jnp\n{code}\n")
+    observe = ["model.observe=[]"] if "def observe" in code else []
+    assert main(["run", *SHORT, *observe, f"model.controller={name}:policy", "out=wrong"]) == 2
+    (told,) = capsys.readouterr().err.splitlines()
+    assert line in told
+    assert not Path("wrong").exists()
 
 
 def test_what_is_not_finite_is_invalid_and_keeps_its_last_states(here):

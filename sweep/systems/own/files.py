@@ -48,11 +48,17 @@ def place() -> Path:
 
 def model(mjcf: str) -> mujoco.MjModel:
     """The compiled model of a file, MJCF or URDF. Raises `InputError`."""
-    file = place() / mjcf
-    if not mjcf or not file.is_file():
-        near = [str(f.relative_to(place())) for f in sorted(place().glob("**/*.xml"))[:50]]
-        raise InputError(f"model.mjcf = {mjcf!r} is not a file{suggest(mjcf, near) if near else ''}")
+    file = _found("mjcf", mjcf, ".xml")
     return _compiled(file, file.stat().st_mtime_ns)
+
+
+def _found(key: str, name: str, suffix: str) -> Path:
+    """The file that `model.KEY` names. Raises `InputError`."""
+    file = place() / name
+    if not name or not file.is_file():
+        near = [str(f.relative_to(place())) for f in sorted(place().glob(f"**/*{suffix}"))[:50]]
+        raise InputError(f"model.{key} = {name!r} is not a file{suggest(name, near) if near else ''}")
+    return file
 
 
 @functools.lru_cache(maxsize=4)
@@ -124,10 +130,7 @@ def controller(name: str) -> Policy:
     if name.endswith(ONNX):
         from sweep.systems.own import network  # of an extra
 
-        file = place() / name
-        if not file.is_file():
-            near = [str(f.relative_to(place())) for f in sorted(place().glob(f"**/*{ONNX}"))[:50]]
-            raise InputError(f"model.controller = {name!r} is not a file{suggest(name, near) if near else ''}")
+        file = _found("controller", name, ONNX)
         beside = sorted(file.parent.glob(f"{file.name}*"))  # a large network's weights
         changed = max(one.stat().st_mtime_ns for one in beside)
         policy = network.policy(name, str(file), changed)

@@ -115,6 +115,8 @@ class Programs:
         """
         given = jax.tree.map(lambda rows: rows[0], given)
         start, state, _ = _worked_out(self.begin_one, given)
+        if start is not None and not np.isfinite(start).all():
+            raise InputError(f"model.controller = {self._name} begins at positions that are not finite")
         now = pose(start)
         carried = _worked_out(self.enter_one, given, state, now, np.int32(1))
         if self._own.controller.batched:
@@ -148,7 +150,7 @@ class Programs:
         model, measure, key = self._own.model, self._measure, jax.random.key(0)
         now = jnp.zeros(model.nq + model.nv + model.nsensordata)
         try:
-            start, state, _ = jax.eval_shape(self._begin, belief, key)
+            start, state, duration = jax.eval_shape(self._begin, belief, key)
             seen = jax.eval_shape(self._own.observed, now)
             ctrl, after = jax.eval_shape(self._policy, belief, seen, state, key)
             sofar = jax.eval_shape(lambda: measure(None, self._named(now))) if measure else ()
@@ -175,6 +177,8 @@ class Programs:
             raise InputError(f"model.controller = {self._name} has figures {has}: numbers are wanted, named in FIGURES")
         if start is not None and start.shape != (model.nq,):
             raise InputError(f"model.controller = {self._name} begins at {start.shape}: ({model.nq},) are wanted")
+        if duration is not None and duration.shape:
+            raise InputError(f"model.controller = {self._name} lasts {duration.shape}: one number is wanted")
 
 
 def _worked_out(function: Callable[..., Any], *given: Any) -> Any:
