@@ -5,8 +5,11 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from fake_engine import FakeEngine
 
 from sweep.cli.main import main
+from sweep.study.config import compose
+from sweep.systems.hexapod import flat
 
 SITES, GEOMS, BELIEFS = 400, 300, 300
 SHELF = "".join(f'<geom name="g{k}" size="1" contype="0" conaffinity="0"/>' for k in range(GEOMS))
@@ -56,8 +59,8 @@ def checked(axes, capsys, *more):
     code = main(["run", "study=study.yaml", "--check", "out=none", *more])
     out, err = capsys.readouterr()
     assert not Path("none").exists()
-    found = re.findall(r"^sweep: (\S+) changes nothing( from [\S]+ to [\S]+)?: (.*)$", err, re.MULTILINE)
-    return code, out, {column: (where, why) for column, where, why in found}, err
+    found = re.findall(r"^sweep: (\S+) changes nothing(?: (on \w+))?( from \S+ to \S+)?: (.*)$", err, re.MULTILINE)
+    return code, out, {f"{c} {on}".strip(): (where, why) for c, on, where, why in found}, err
 
 
 def test_of_a_thousand_dead_axes_none_is_unsaid(here, capsys):
@@ -157,6 +160,56 @@ def test_axes_of_the_robot_are_tried_too(tmp_path, monkeypatch, capsys):
     assert "world.manoeuvre.half_step_ratio changes nothing: plans are made of what is believed" in err
     for dead in ("belief.contact.friction", "world.noise.load_noise"):
         assert f"{dead} changes nothing: no figure differs by a bit from " in err
+
+
+@pytest.mark.slow
+def test_axes_are_tried_on_every_engine_of_a_study(here, capsys):
+    """What is finer than single precision acts in C MuJoCo alone; 200 dead axes are so on both."""
+    dead = [f"model.site.s{k}.pos.x" for k in range(200)]
+    levels = {
+        **dict.fromkeys(dead, (0.1, 0.2)),
+        "model.body.box.mass": (1, 2),
+        "model.actuator.slide.gear.0": (2, 2 + 1e-10),
+    }
+    rows = [
+        {"engine.name": engine, **{c: v[k] for c, v in levels.items()}} for engine in ("native", "mjx") for k in (0, 1)
+    ]
+    pd.DataFrame(rows).to_csv("points.csv", index=False)
+    code, out, found, _ = checked({"b": LIVE["b"]}, capsys, "--points", "points.csv")
+    assert code == 4
+    assert "2 of 203 axes act" in out
+    assert {*found} == {*dead, "model.actuator.slide.gear.0 on mjx"}
+
+
+class Differing(FakeEngine):
+    """Of which a contact's stiffness is a part on mjx alone, and a step of native on native."""
+
+    def __init__(self, settings, *rest):
+        super().__init__(settings, *rest)
+        self.settings = settings
+
+    def run(self, world, belief, streams):
+        found, native = super().run(world, belief, streams), self.settings.name == "native"
+        more = self.settings.native_time_step if native else world.contact.stiffness
+        return found | {"tilt_max_deg": found["tilt_max_deg"] + more}
+
+
+@pytest.mark.parametrize("fake_engine", [Differing], indirect=True)
+def test_what_an_engine_has_no_use_for_is_told_of_the_robot(fake_engine, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    every = [(path, value) for path, value in flat(compose(["scenario=walk_tripod"]).case.robot, "robot") if value]
+    dead = {path: (value, 1.01 * value) for path, value in every if isinstance(value, float)}
+    live = {"contact.friction": (0.1, 0.2)}
+    half = {"contact.stiffness": (3e4, 4e4), "engine.native_time_step": (1e-3, 5e-4)}
+    levels = dead | live | half
+    rows = [{"engine.name": name, **{c: v[k] for c, v in levels.items()}} for name in ("native", "mjx") for k in (0, 1)]
+    pd.DataFrame(rows).to_csv("points.csv", index=False)
+    assert main(["run", "scenario=walk_tripod", "study=walk_map", "--points", "points.csv", "--check"]) == 4
+    out, err = capsys.readouterr()
+    assert f"2 of {len(dead) + 4} axes act" in out
+    told = re.findall(r"^sweep: (\S+) changes nothing(?: on (\w+))?: (.*)$", err, re.MULTILINE)
+    assert {(c, on) for c, on, _ in told} == {*((c, "") for c in dead), *zip(half, ("native", "mjx"), strict=True)}
+    assert {why for *_, why in told if not why.startswith("no figure")} == {"it is one of native"}
 
 
 def test_a_check_needs_something_to_try(here, capsys):

@@ -1,13 +1,13 @@
 """`sweep run --check`: does every axis act, and does a rollout come out alike twice?
 
 An axis that changes no bit of any figure is dead, whatever a map of it shows. Each is moved alone along its own levels,
-about the nominal point and about a row in the study's middle. Only the same place in batches of one width is compared,
-as an engine may give other last bits elsewhere; a row with all axes at their first levels, and one at their last, stand
-in every batch, so that all of them vary the same parameters.
+about the nominal point and about a row in the study's middle, on every engine that the study has, by what varies there.
+Only the same place in batches of one width is compared, as an engine may give other last bits elsewhere; a row with all
+axes at their first levels, and one at their last, stand in every batch, so that all of them vary the same parameters.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -21,6 +21,7 @@ from sweep.study.config import Experiment
 from sweep.study.study import is_static, parameter_columns
 
 MOST = 9  # levels of an axis that are tried
+ENGINE = "engine.name"
 Levels = Mapping[str, Sequence[Any]]  # by column
 
 
@@ -38,13 +39,14 @@ class Found:
     """What a check tells."""
 
     axes: int
+    engines: list[str]
     rollouts: int = 0
-    dead: list[Dead] = field(default_factory=list)
+    dead: dict[Dead, list[str]] = field(default_factory=dict)  # with the engines on which it is
     unlike: list[str] = field(default_factory=list)  # figures that differ when a batch is simulated twice
 
     @property
     def sound(self) -> bool:
-        """Whether every axis acts somewhere, and a rollout comes out alike."""
+        """Whether every axis acts somewhere on every engine, and a rollout comes out alike."""
         return not self.unlike and not any(one.whole for one in self.dead)
 
     def lines(self, exp: Experiment) -> Iterator[str]:
@@ -54,10 +56,13 @@ class Found:
                 f"two runs of one batch differ ({', '.join(self.unlike[:3])}): the controller is no function of its "
                 "arguments, and no rollout can be repeated"
             )
-        for column, first, last, whole in self.dead:
-            why = exp.system.idle(column, exp.settings)
+        for (column, first, last, whole), engines in self.dead.items():
+            why = exp.system.idle(column, replace(exp.settings, name=engines[0]))
             between = f"from {_said(first)} to {_said(last)}"
-            says = f"{column} changes nothing" if whole else f"{column} changes nothing {between}"
+            says = f"{column} changes nothing" + (
+                f" on {' and '.join(engines)}" if len(engines) < len(self.engines) else ""
+            )
+            says += "" if whole else f" {between}"
             yield f"{says}: {why or ('no figure differs by a bit' + (f' {between}' if whole else ''))}"
 
 
@@ -67,16 +72,31 @@ def run(exp: Experiment, table: pd.DataFrame, told: Callable[[int], None] = lamb
     `told` is called with the rollouts that are done.
     """
     exp = with_room(exp, table)
-    levels = {c: _levels(table[c]) for c in parameter_columns(table) if table[c].nunique() > 1}
-    if not levels:
+    varied = [c for c in parameter_columns(table) if table[c].nunique() > 1]
+    if not varied:
         raise InputError(f"--check: {exp.study.name} varies nothing")
+    each = dict(iter(table.groupby(ENGINE, sort=False))) if ENGINE in varied else {exp.settings.name: table}
+    found = Found(len(varied), [*map(str, each)])
+    for engine, rows in zip(found.engines, each.values(), strict=True):
+        levels = {c: _levels(rows[c]) for c in varied if rows[c].nunique() > 1}
+        for dead in _tried(exp, rows, levels, found, told):
+            found.dead.setdefault(dead, []).append(engine)
+    return found
+
+
+def _tried(
+    exp: Experiment, table: pd.DataFrame, levels: Levels, found: Found, told: Callable[[int], None]
+) -> Iterator[Dead]:
+    """What does not act at points that share an engine."""
     static = [c for c in levels if is_static(c, exp.system, exp.settings)]
+    moving = {c: values for c, values in levels.items() if c not in static}
     middle = table.iloc[len(table) // 2]
     usual = {c: exp.system.nominal(c, exp.settings) for c in parameter_columns(table)}
-    found, acts = Found(len(levels)), {c: np.zeros(len(values) - 1, dtype=bool) for c, values in levels.items()}
+    usual |= {c: middle[c] for c in usual if c == ENGINE}
+    acts = {c: np.zeros(len(values) - 1, dtype=bool) for c, values in levels.items()}
 
     def simulate(base: Mapping[str, Any], k: int) -> Figures:
-        rows = _rows(table, base, {c: v for c, v in levels.items() if c not in static}, k)
+        rows = _rows(table, base, moving, k)
         task = batch(exp, rows)
         figures = make_engine(exp, nominal(exp, rows, len(rows))).run(task.world, task.belief, task.streams)
         found.rollouts += len(rows)
@@ -85,10 +105,10 @@ def run(exp: Experiment, table: pd.DataFrame, told: Callable[[int], None] = lamb
 
     for base in (usual, {c: middle[c] for c in usual}):
         before = first = simulate(base, 0)
-        for k in range(1, max([len(v) for c, v in levels.items() if c not in static], default=1)):
+        for k in range(1, max(map(len, moving.values()), default=1)):
             now = simulate(base, k)
             changed = _changed(before, now)
-            for place, c in enumerate(c for c in levels if c not in static):
+            for place, c in enumerate(moving):
                 if k < len(levels[c]):
                     acts[c][k - 1] |= changed[place]
             before = now
@@ -99,10 +119,9 @@ def run(exp: Experiment, table: pd.DataFrame, told: Callable[[int], None] = lamb
         if base is usual:
             forget_engine()
             again = simulate(base, 0)
-            found.unlike = [name for name in first if _changed({name: first[name]}, {name: again[name]}).any()]
+            found.unlike += [name for name in first if _changed({name: first[name]}, {name: again[name]}).any()]
     for c, moved in acts.items():
-        found.dead += _stretches(c, levels[c], moved)
-    return found
+        yield from _stretches(c, levels[c], moved)
 
 
 def _levels(values: pd.Series) -> Sequence[Any]:

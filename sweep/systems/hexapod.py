@@ -37,6 +37,7 @@ VARIED = "quantity", "count", "choice"
 LONGEST_DELAY = 100  # ticks: of what is measured and of the load, each at most 50
 SIZED, SMALLEST, LARGEST = ("robot", "obstacle"), 0.01, 20.0  # whose lengths (m) from where on, how often the nominal
 RELAXING = "contact.stiffness", "contact.damping", "engine.time_step", "engine.name"
+ALONE = {"mjx": ("engine.time_step", "engine.dynamics", "engine.iterations"), "native": ("engine.native_time_step",)}
 LATER = ("noise.load_", "noise.position_offset_", "noise.orientation_offset_")  # inputs of before were as by default
 RANDOM: dict[str, float | str] = {
     f"noise.{f.name}": 0 for f in dataclasses.fields(Noise) if f.name.endswith(("_noise", "_bias"))
@@ -165,6 +166,8 @@ class Hexapod:
         side, path = side_and_path(column)
         if side == "world" and path.startswith(("manoeuvre.", "control.")):
             return "plans are made of what is believed"
+        if other := next((engine for engine, own in ALONE.items() if path in own and engine != settings.name), ""):
+            return f"it is one of {other}"
         return "errors are those of the world" if side == "belief" and path.startswith("noise.") else ""
 
     def random(self, rows: "pd.DataFrame", settings: EngineSettings) -> np.ndarray:
