@@ -12,8 +12,10 @@ from sweep.core.constants import GRAVITY
 from sweep.engines.base import Trace
 from sweep.engines.closed_loop import free_state
 from sweep.metrics.metric import LOADED
-from sweep.models.obstacles.surface import Surface, poses, under
+from sweep.models.obstacles.surface import Obstacle, Surface, poses, under
 from sweep.models.robot import total_mass
+
+TOGETHER = 256  # frames
 
 
 class ContactForces(NamedTuple):
@@ -21,6 +23,7 @@ class ContactForces(NamedTuple):
 
     normal: np.ndarray  # (F, 6), in the robot's weights
     friction: np.ndarray  # (F, 6), tangential over normal force; nan below a load of `LOADED`
+    share: np.ndarray  # (F, 6), of the friction that there is, 1 slips; nan as well
 
 
 def measured(trace: Trace) -> ContactForces:
@@ -48,19 +51,27 @@ def _plan(belief):
 
 def surfaces(trace: Trace, points: np.ndarray, frames: slice | np.ndarray = slice(None)) -> Surface:
     """What is under `points` (F, n, 3) (m, world axes) in `frames`, the obstacle's bodies where they were."""
-    obstacle, count = trace.world.obstacle, len(trace.world.obstacle.free_bodies)
+    moments = [np.asarray(x, np.float32) for x in (points, trace.qpos[frames], trace.qvel[frames])]
+    # as many frames as others have: what was compiled for one trace serves the next
+    count = len(points)
+    filled = [np.pad(x, ((0, -count % TOGETHER), *([(0, 0)] * (x.ndim - 1))), mode="edge") for x in moments]
+    return jax.tree.map(lambda part: part[:count], _surfaces(trace.world.obstacle, *filled))
 
+
+@jax.jit
+def _surfaces(obstacle: Obstacle, points: jax.Array, qpos: jax.Array, qvel: jax.Array) -> Surface:
     def there(points: jax.Array, qpos: jax.Array, qvel: jax.Array) -> Surface:
-        return under(obstacle, points, poses(free_state(qpos, qvel, count)))
+        return under(obstacle, points, poses(free_state(qpos, qvel, len(obstacle.free_bodies))))
 
-    moments = (np.asarray(x, np.float32) for x in (points, trace.qpos[frames], trace.qvel[frames]))
-    return jax.jit(jax.vmap(there))(*moments)
+    return jax.vmap(there)(points, qpos, qvel)
 
 
 def _contact_forces(trace: Trace, force: np.ndarray) -> ContactForces:
     """`force` (F, 6, 3) in parts normal and tangential to the surface nearest to each foot."""
-    normals = np.asarray(surfaces(trace, trace.foot_position).normal, float)
+    surface = surfaces(trace, trace.foot_position)
+    normals = np.asarray(surface.normal, float)
     normal = np.sum(force * normals, axis=-1)
     tangential = np.linalg.norm(force - normal[..., None] * normals, axis=-1)
     friction = np.where(normal > LOADED, tangential / np.maximum(normal, LOADED), np.nan)
-    return ContactForces(normal / (GRAVITY * total_mass(trace.world.robot)), friction)
+    share = friction / (float(trace.world.contact.friction) * np.asarray(surface.friction_scale, float))
+    return ContactForces(normal / (GRAVITY * total_mass(trace.world.robot)), friction, share)

@@ -1,7 +1,8 @@
 """A rollout for a page: its bodies and geoms once, its states as a small stream of whole numbers.
 
 `page/kinematics.js` reads both. A stream has F frames of columns: MuJoCo's `qpos`, then the feet's forces, the stage,
-the torques of the joints, the margin and which of `limits` it is of. Columns are differences from frame to frame, each
+the torques of the joints, the margin and which of `limits` it is of, and of the friction under each foot what is used.
+Columns are differences from frame to frame, each
 as all its low bytes and then all its high ones, which deflates to a third; only `qpos` has high bytes.
 """
 
@@ -12,6 +13,7 @@ import numpy as np
 
 from sweep.core.files import as_text, from_text
 from sweep.engines.base import Trace, single_joints
+from sweep.trace.contact_forces import measured
 from sweep.trace.hulls import hull_of
 from sweep.trace.sampling import base_body, finite_frames
 from sweep.trace.shapes import VISIBLE_GROUPS, geom_color
@@ -20,8 +22,10 @@ RATE = 10.0  # frames per second, at most
 ROOM = 40_000  # characters of the states of a rollout, which has fewer frames where it is too long
 FINE = 1e-3  # of a state's stream: m and rad; coarser where int16 could not hold the largest value
 UNIT = 1e-4  # of a quaternion's numbers
-INT16, LEVELS = 2**15 - 1, 63  # of a state at most; of a force on either side of zero
+INT8, INT16 = 2**7 - 1, 2**15 - 1  # of a small number, and of a state at most
+LEVELS = 50  # of a force on either side of zero
 MARGIN = 100  # whole numbers of a margin of 1; it is cut off at -1
+FRICTION = 20  # of all the friction that there is
 DIGITS = 4  # of lengths (m) and directions of bodies and geoms
 Kind = mujoco.mjtGeom
 UNSHOWN = (Kind.mjGEOM_HFIELD, Kind.mjGEOM_SDF)  # ground that has no faces here
@@ -38,7 +42,8 @@ def motion(trace: Trace) -> dict[str, Any]:
     """`states` of the trace's finite frames as base64, no more than `ROOM` of it, and what is needed to read them.
 
     `scales` (nq,) are units of the whole numbers of `qpos`, `force_scale` (N) and `torque_scale` (N m) those of forces
-    and torques, `margin_scale` that of margins, `step` (s) is the time between frames, and of the first one.
+    and torques, `margin_scale` that of margins, `friction_scale` that of shares of friction, `step` (s) is the time
+    between frames, and of the first one.
     """
     frames = finite_frames(trace)
     qpos = np.asarray(trace.qpos[:frames], float)
@@ -56,6 +61,7 @@ def motion(trace: Trace) -> dict[str, Any]:
             trace.stage[:frames],
             np.round(torque / torque_scale),
             *([_margins(trace, frames), np.searchsorted(limits, trace.margin_of[:frames])] if known else ()),
+            *([_friction(trace, frames)] if force.size else ()),
         ]
     ).astype(np.int8)
     whole = {
@@ -66,6 +72,7 @@ def motion(trace: Trace) -> dict[str, Any]:
         "torque_scale": float(f"{torque_scale:.6g}"),
         "torque_limit": trace.torque_limit,
         "margin_scale": 1 / MARGIN,
+        "friction_scale": 1 / FRICTION,
         "limits": limits,
         "states": packed(np.round(qpos / scales).astype(np.int16), small),
     }
@@ -78,6 +85,10 @@ def motion(trace: Trace) -> dict[str, Any]:
 
 def _margins(trace: Trace, frames: int) -> np.ndarray:
     return np.round(MARGIN * np.nan_to_num(trace.margin[:frames], nan=-1.0).clip(-1.0, 1.0))
+
+
+def _friction(trace: Trace, frames: int) -> np.ndarray:
+    return np.round(FRICTION * np.nan_to_num(measured(trace).share[:frames])).clip(0, INT8)
 
 
 def thinned(kept: dict[str, Any], every: int) -> dict[str, Any]:

@@ -25,7 +25,8 @@ from sweep.metrics.outcome import FAILURES
 from sweep.report import page, replays
 from sweep.report.page.stage import Shown
 from sweep.runs import results
-from sweep.trace.motion import MARGIN, bodies, motion
+from sweep.trace.contact_forces import measured
+from sweep.trace.motion import FRICTION, MARGIN, bodies, motion
 
 pytestmark = [
     pytest.mark.browser,
@@ -333,6 +334,7 @@ def test_what_goes_with_a_replay_is_told_over_time(shown):
     for words in (
         "margin to the nearest limit",
         "force on a foot [N]",
+        "friction used under a foot",
         "way of a standing foot",
         "height of a foot",
         "x of the base",
@@ -755,6 +757,19 @@ def test_a_margin_is_read_with_the_limit_that_it_is_to(shown):
     margin, limits = by_script(shown, told, read)
     assert np.abs(margin - trace.margin.clip(-1)).max() <= 0.5 / MARGIN + 1e-9
     assert limits == trace.margin_of.tolist()
+
+
+def test_friction_is_read_as_the_share_of_what_there_is(shown):
+    trace = moved()
+    force = trace.foot_force.copy()  # three feet stand, pulled ahead the more the later
+    force[:, ::2, 0] = np.linspace(0, 150, len(force))[:, None]
+    trace = replace(trace, foot_force=force)
+    told = {**motion(trace), "bodies": bodies(trace.model, 6)}
+    read = """const motion = readMotion(told, told.bodies, await inflate(told.states));
+        return Array.from(motion.friction)"""
+    used = np.nan_to_num(measured(trace).share)
+    assert used.max(axis=0) == pytest.approx([150 / 90, 0] * 3)
+    assert np.abs(np.reshape(by_script(shown, told, read), used.shape) - used).max() <= 0.5 / FRICTION + 1e-9
 
 
 @pytest.fixture(scope="module")

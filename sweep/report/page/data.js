@@ -80,6 +80,7 @@ import { clamp } from "./numbers.js";
  * @property {number} torque_scale 0 where no torques are kept
  * @property {number | null} torque_limit N m
  * @property {number} margin_scale
+ * @property {number} friction_scale of shares of the friction that there is, 0 where they are not kept
  * @property {string[]} limits that a margin is kept to, none where it is not
  * @property {string[]} stages
  */

@@ -1,4 +1,4 @@
-// What goes with a replay over time: margin, forces, torques, joints, base and slip, stages behind them, a line where the replay is.
+// What goes with a replay over time: margin, forces, friction, torques, joints, base and slip, stages behind them, a line where the replay is.
 import { byId, element, pointerOn, sheetOf } from "./dom.js";
 import { frameAt, plus, turnOf } from "./kinematics.js";
 import { clamp, shortly, ticks } from "./numbers.js";
@@ -29,7 +29,7 @@ const LOADED = 1; // N on a foot that stands
  * @returns {Histories[]}
  */
 export function historiesOf({ model, motion }, paths) {
-  const { frames, coordinates, qpos, force, torque } = motion;
+  const { frames, coordinates, qpos, force, torque, friction } = motion;
   const over = (/** @type {(frame: number) => number} */ value) =>
     Float64Array.from({ length: frames }, (_, k) => value(k));
   const legs = (/** @type {(frame: number, leg: number) => number} */ value) =>
@@ -75,6 +75,11 @@ export function historiesOf({ model, motion }, paths) {
       told: motion.limits,
     },
     { title: "force on a foot [N]", lines: legs(pull), limit: null },
+    {
+      title: "friction used under a foot, of what there is",
+      lines: friction ? legs((k, leg) => friction[model.feet.length * k + leg]) : [],
+      limit: 1,
+    },
     { title: "way of a standing foot [m]", lines: slips(paths.feet, pull), limit: null },
     { title: "height of a foot [m]", lines: paths.feet.map((foot) => over((k) => foot[k][2])), limit: null },
     ...["x of the base [m]", "y of the base [m]", "height of the base [m]"].map((title, part) => ({

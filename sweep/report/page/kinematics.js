@@ -37,6 +37,7 @@
  * @property {number | null} torqueLimit N m
  * @property {Float64Array | null} margin to the nearest limit; of replays that were kept before, none
  * @property {string[]} limits which one that is in each frame
+ * @property {Float64Array | null} friction that each foot uses, of what there is; of replays that were kept before, none
  */
 
 /**
@@ -75,7 +76,9 @@ export function readMotion(shown, model, buffer) {
   const forces = 3 * model.feet.length;
   const torques = shown.torque_scale ? model.hinges.length : 0;
   const margins = forces + 1 + torques; // after feet's forces and the stage
-  const wide = margins + (shown.limits.length ? 2 : 0);
+  const shares = margins + (shown.limits.length ? 2 : 0);
+  const feet = shown.friction_scale ? model.feet.length : 0;
+  const wide = shares + feet;
   const small = readPlanes(bytes.subarray(2 * frames * coordinates), frames, wide, 1);
   const qpos = Float64Array.from(states, (value, k) => value * scales[k % coordinates]);
   const force = new Float64Array(forces * frames);
@@ -83,17 +86,19 @@ export function readMotion(shown, model, buffer) {
   const torque = torques ? new Float64Array(torques * frames) : null;
   const margin = shown.limits.length ? new Float64Array(frames) : null;
   const limits = [];
+  const friction = feet ? new Float64Array(feet * frames) : null;
   for (let frame = 0; frame < frames; frame++) {
     const of = small.subarray(frame * wide, (frame + 1) * wide);
     for (let k = 0; k < forces; k++) force[frame * forces + k] = of[k] * shown.force_scale;
     stage[frame] = of[forces];
     for (let k = 0; torque && k < torques; k++) torque[frame * torques + k] = of[forces + 1 + k] * shown.torque_scale;
+    for (let k = 0; friction && k < feet; k++) friction[frame * feet + k] = of[shares + k] * shown.friction_scale;
     if (!margin) continue;
     margin[frame] = of[margins] * shown.margin_scale;
     limits.push(shown.limits[of[margins + 1]]);
   }
   const torqueLimit = shown.torque_limit;
-  return { step: shown.step, frames, coordinates, qpos, force, stage, torque, torqueLimit, margin, limits };
+  return { step: shown.step, frames, coordinates, qpos, force, stage, torque, torqueLimit, margin, limits, friction };
 }
 
 /**

@@ -15,7 +15,7 @@ from sweep.trace.motion import thinned
 THINNEST = 4  # frames of which one is kept at least, where all of them do not fit
 TOLD = ("step", "frames", "scales", "force_scale", "stages", "equal", "of", "why")  # of a replay as it is
 # of a replay that was kept before these were
-LATER = {"torque_scale": 0.0, "torque_limit": None, "margin_scale": 0.0, "limits": []}
+LATER = {"torque_scale": 0.0, "torque_limit": None, "margin_scale": 0.0, "limits": [], "friction_scale": 0.0}
 
 
 class Shown(NamedTuple):
