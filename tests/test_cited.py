@@ -157,11 +157,8 @@ def test_the_commands_beside_the_sources_figures_say_which_draws():
 def test_what_is_made_is_shown_and_what_is_shown_is_made():
     shown = set(re.findall(r"figures/(\w+)\.png", "".join(page.read_text(encoding="utf-8") for page in PAGES)))
     made = {pattern for name, one in TARGETS.items() for pattern in figures(name, one)}
-    assert {name for name in shown if not any(fnmatch.fnmatch(name, one) for one in made)} <= set(BY_COMMANDS)
+    assert {name for name in shown if not any(fnmatch.fnmatch(name, one) for one in made)} == set()
     assert {one for one in made if not fnmatch.filter(shown, one)} == set()
-
-
-BY_COMMANDS = ("report_page",)  # by a screen shot
 
 
 def figures(name, target):
