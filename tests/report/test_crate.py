@@ -49,6 +49,8 @@ def test_a_crate_is_valid(study, tmp_path):
     assert main(["export", str(study), "--crate", str(tmp_path / "crate"), "--author", "A. Person"]) == 0
     command = ["rocrate-validator", "-y", "validate", "--no-paging", "-p", "process-run-crate", str(tmp_path / "crate")]
     done = subprocess.run(command, capture_output=True, text=True)
+    if "URLError" in done.stdout:
+        pytest.skip("rocrate-validator reads the context of RO-Crate from w3id.org")
     assert done.returncode == 0, done.stdout
 
 
