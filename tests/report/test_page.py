@@ -196,7 +196,8 @@ def test_a_long_rollout_takes_no_more_room_than_it_may(monkeypatch):
     """It has fewer frames, evenly spaced to its end, and no fewer than need be."""
     trace, times = moved(), 60
     noise = np.random.default_rng(0)
-    long = {name: np.concatenate([getattr(trace, name)] * times) for name in ("foot_force", "stage", "margin_of")}
+    same = "foot_force", "foot_position", "qvel", "stage", "margin_of"
+    long = {name: np.concatenate([getattr(trace, name)] * times) for name in same}
     long["margin"] = noise.uniform(-1, 1, 50 * times)
     long["joint_torque"] = noise.normal(size=(50 * times, 18))
     long["qpos"] = np.cumsum(noise.normal(0, 0.01, (50 * times, trace.qpos.shape[1])), axis=0)
@@ -215,7 +216,7 @@ def test_a_long_rollout_takes_no_more_room_than_it_may(monkeypatch):
 
 def test_a_thinned_motion_has_the_states_of_its_frames():
     trace = moved()
-    kept = "qpos", "foot_force", "stage", "margin", "margin_of"
+    kept = "qpos", "qvel", "foot_force", "foot_position", "stage", "margin", "margin_of"
     thin = motion.motion(replace(trace, **{name: getattr(trace, name)[2::3] for name in kept}))
     again = motion.thinned(motion.motion(trace), 3)
     assert again["frames"] == thin["frames"] == 16
