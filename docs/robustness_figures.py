@@ -154,7 +154,7 @@ def draw_rates(rates: pd.DataFrame, name: str) -> None:
     drawn = {axis: how for axis, how in (BOUNDS | SEEN).items() if axis in set(rates["axis"])}
     lines = -(-len(drawn) // ACROSS)
     figure = sheet(0.4 + 1.35 * lines)
-    panels = figure.subplots(lines, ACROSS, sharey=True)
+    panels = figure.subplots(lines, ACROSS, sharey=True, squeeze=False)
     for panel in panels.flat[len(drawn) :]:
         panel.axis("off")
     for panel, (axis, (_, title, scale, nominal)) in zip(panels.flat, drawn.items(), strict=False):
