@@ -42,7 +42,6 @@ PERIOD, TIMES = 0.04, 1.05  # s, of a tick in which a plan on a ball is played; 
 FRICTION = 2.5  # that forces may use, so that what is lacking is known where the believed one is too little
 SETS = 3  # axes of sets of numbers: set, draw, number
 MANOEUVRE = "manoeuvre"  # beginning of paths that are not the table's
-KNOTS = 3  # moments of a stage at which forces are searched for
 
 
 class Aim(NamedTuple):
@@ -147,7 +146,7 @@ class Score:
         found = worst(lambda k, u: planned.margins(belief, plan, k, u), jnp.linspace(0, 1, moments))
         if hold:
             bounds = _bounds(belief)
-            found |= worst(lambda k, u: planned.holding(belief, plan, k, u, bounds), jnp.linspace(0, 1, KNOTS))
+            found |= worst(lambda k, u: planned.holding(belief, plan, k, u, bounds), jnp.linspace(0, 1, forces.KNOTS))
         return found
 
     def _of_played(self, belief: Case, plan: Plan) -> dict[str, jax.Array]:
