@@ -21,7 +21,9 @@ def start(world, belief, key):
     normal = jnp.concatenate([jnp.zeros((6, 1)), -jnp.sign(FEET[:, 1:]), jnp.zeros((6, 1))], axis=1)
     stands, zero = jnp.arange(6) != 1, jnp.zeros((6, 3))
     pose = forces.StaticPose(arm, normal, stands, jnp.broadcast_to(0.1 * jnp.eye(3), (6, 3, 3)), zero, jnp.array(600.0))
-    found = forces.distribute(pose, forces.Bounds(world, 60.0, 5.0, 1e3), "friction")
+    bounds = forces.Bounds(*(jnp.asarray(bound, float) for bound in forces.Bounds(world, 60.0, 5.0, 1e3)))
+    sought = jax.tree.map(lambda x: x[None], forces.Sought(pose, bounds))
+    found = forces.asked(pose, forces.searched("friction")(sought)[0])
     return found, {"draw": draw, "lowest": jnp.min(arm) * found.imbalance, "bound": world}
 
 
