@@ -337,12 +337,6 @@ class Native:
             batch, started = planning.begun(pool, start, arrays, many, self._searches, by_host)
             plans, (between, _) = batch
             (one, known, plan), now = fused_loop.of_one(arrays, (plans, between))
-            with part("closed loop"):
-                if self.fused:
-                    ticks = kernel.compiled(tick, (one, known, plan), now)
-                else:
-                    rows = jax.vmap(lambda *of: tick(*of)[0], in_axes=((*axes, 0), 0, None))
-                    ticks = jax.jit(rows).lower((world, belief, plans), between, 0).compile()
 
             def made(name: str, function: Callable, given: tuple, of_one: tuple, axes: tuple) -> Eager | Compiled:
                 def by_xla() -> Compiled:
@@ -351,12 +345,20 @@ class Native:
                 with part(name):
                     return fused_loop.eager_or(by_xla, function, *of_one) if by_host else by_xla()
 
-            finished = made("figures", finish, (world, plans, between.loop), (one, plan, now.loop), (axes[0], 0, 0))
-            again = None
-            if self._nominal.control.replan != "never":
-                given, of_it = ((x.loop.tracker.stage, x.loop.learned) for x in (between, now))
-                again = made("new plan", replanned, (belief, plans, *given), (known, plan, *of_it), (axes[1], 0, 0, 0))
-            return *started(), ticks, finished, again
+            with part("closed loop"):
+                if self.fused:
+                    ticks = pool.submit(kernel.begun(tick, (one, known, plan), now))
+                else:
+                    rows = jax.vmap(lambda *of: tick(*of)[0], in_axes=((*axes, 0), 0, None))
+                    ticks = pool.submit(jax.jit(rows).lower((world, belief, plans), between, 0).compile)
+                finished = made("figures", finish, (world, plans, between.loop), (one, plan, now.loop), (axes[0], 0, 0))
+                again = None
+                if self._nominal.control.replan != "never":
+                    given, of_it = ((x.loop.tracker.stage, x.loop.learned) for x in (between, now))
+                    again = made(
+                        "new plan", replanned, (belief, plans, *given), (known, plan, *of_it), (axes[1], 0, 0, 0)
+                    )
+                return *started(), ticks.result(), finished, again
 
     def _acted(
         self,

@@ -1,4 +1,4 @@
-"""AtStart of an own model as they begin: models of their own, what their controllers are given, and poses."""
+"""Rollouts of an own model as they begin: models of their own, what their controllers are given, and poses."""
 
 from copy import copy
 from typing import Any, NamedTuple
@@ -53,7 +53,7 @@ class AtStart(NamedTuple):
 
 
 def begin(own: Subject, settings: EngineSettings, world: Side, belief: Side, streams: np.ndarray) -> AtStart:
-    """AtStart of a batch of two sides."""
+    """Rollouts of a batch of two sides."""
     n, number = len(streams), NUMBERS[settings.precision]
     batch = Batch(own.model, n)
     qpos, qvel, sensors = (batch.bind(name) for name in ("qpos", "qvel", "sensordata"))
