@@ -4,6 +4,7 @@ from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 
+import jax
 import mujoco
 import numpy as np
 import pandas as pd
@@ -268,21 +269,42 @@ def figures(belief, state): return {"speed_mps": state["speed"]}
 """
 
 
+def rail(name, code):
+    """A study of a push on it, by a controller."""
+    Path("rail.xml").write_text(RAIL)
+    Path(f"{name}.py").write_text(code)
+    Path("rail.yaml").write_text(
+        f"system: own\nmodel: {{mjcf: rail.xml, controller: '{name}:policy', duration: 0.2}}\n"
+        "outcome: {fast: speed_mps > 9}\nstudy: {name: rail}\n"
+    )
+
+
 @pytest.mark.parametrize("engine", ["native", "mjx"])
 def test_commands_are_held_or_ramped_and_figures_of_ones_own_see_the_state(here, engine):
     """A force of k newtons in tick k, of four steps of 5 ms: the speed is the impulse over 2 kg."""
-    Path("rail.xml").write_text(RAIL)
-    Path("push.py").write_text(PUSH)
-    Path("rail.yaml").write_text(
-        "system: own\nmodel: {mjcf: rail.xml, controller: 'push:policy', duration: 0.2}\n"
-        "outcome: {fast: speed_mps > 9}\nstudy: {name: rail}\n"
-    )
+    rail("push", PUSH)
     held = sum(range(9)) * 0.02 / 2
     ramped = sum(max(k - 1, 0) + (k - max(k - 1, 0)) * (1 + 2 + 3 + 4) / 16 for k in range(9)) * 0.02 / 2
     for command, speed in (("held", held), ("ramped", ramped)):
         asked = [f"model.command={command}", f"engine={engine}", "engine.precision=float64", f"out={engine}_{command}"]
         assert main(["run", "study=rail.yaml", *asked]) == 0
         np.testing.assert_allclose(store.read_rows(Path(f"{engine}_{command}"))["speed_mps"], speed, rtol=1e-9)
+
+
+def test_mjx_traces_once(here, caplog):
+    """What is traced and compiled of a batch is not, of the next one."""
+    rail("push", PUSH)
+    exp = compose(["study=rail.yaml", "engine=mjx"])
+    task = (*exp.system.sides({}), np.zeros(4, np.int64))
+    made = exp.system.engine(exp.settings, *task[:2], None)
+    with jax.log_compiles():
+        first = made.run(*task)
+        assert "begin_one" in caplog.text
+        caplog.clear()
+        again = made.run(*task)
+    assert not caplog.messages
+    for name, values in first.items():
+        np.testing.assert_array_equal(again[name], values, err_msg=name)
 
 
 GLIDE = """import jax.numpy as jnp
@@ -324,11 +346,6 @@ def test_what_is_observed_and_measured_may_be_functions(here, engine, kind):
 
 
 def test_figures_have_names(here, capsys):
-    Path("nameless.py").write_text(PUSH.replace('{"speed_mps": state', '{"speed": state'))
-    Path("rail.xml").write_text(RAIL)
-    Path("rail.yaml").write_text(
-        "system: own\nmodel: {mjcf: rail.xml, controller: 'nameless:policy', duration: 0.2}\n"
-        "outcome: {fast: speed_mps > 9}\nstudy: {name: rail}\n"
-    )
+    rail("nameless", PUSH.replace('{"speed_mps": state', '{"speed": state'))
     assert main(["run", "study=rail.yaml", "out=nameless"]) == 2
     assert "has figures speed (): numbers are wanted, named in FIGURES" in capsys.readouterr().err

@@ -84,6 +84,9 @@ class Mjx(Loop):
             raise self._refused("a controller of NumPy's or a network is no part of its program", "one of JAX's, ")
         with devices.precision(settings):
             self._check()
+        # made once: a function of its own in every run would be traced and compiled anew
+        each = self._programs.begin_one, self._programs.enter_one, self._programs.finish_one
+        self._first, self._enter, self._finish = (jax.jit(jax.vmap(one)) for one in each)
         self._tick = jax.jit(self._ticked, donate_argnums=6)
 
     def cautions(self) -> Iterator[str]:
@@ -148,7 +151,7 @@ class Mjx(Loop):
         with devices.precision(self._settings):
             begun = batch.begin(own, self._settings, world, belief, streams)
             given = jax.device_put(begun.given)
-            start, state, duration = jax.jit(jax.vmap(self._programs.begin_one))(given)
+            start, state, duration = self._first(given)
             begun.pose(None if start is None else np.asarray(start))
             seen = jnp.asarray(own.state(begun.qpos, begun.qvel, begun.sensors), float)
             ticks = batch.ticks(own, None if duration is None else np.asarray(duration), n)
@@ -158,7 +161,7 @@ class Mjx(Loop):
             carry = {
                 "now": now,
                 "sofar": self._meter.start(now["qpos"], now["qvel"]),
-                "carried": jax.jit(jax.vmap(self._programs.enter_one))(given, state, seen, ticks.astype(np.int32)),
+                "carried": self._enter(given, state, seen, ticks.astype(np.int32)),
                 "seen": seen,
                 "wrong": jnp.zeros(n, bool),
                 "full": jnp.zeros(n, bool),
@@ -170,11 +173,11 @@ class Mjx(Loop):
                 carry, last = self._tick(template, data, leaves, given, limits, k < ticks, carry)
                 if slots is not None and (k + 1) % every == 0:
                     frames.append(Frame((k + 1) * own.about.period, *(np.asarray(x)[slots] for x in last)))
-            last = jax.jit(jax.vmap(self._programs.finish_one))(given, carry["carried"], carry["seen"])
+            last = self._finish(given, carry["carried"], carry["seen"])
+            at_first = begun.energy(begun.qpos, begun.qvel)  # while the device is at work
             measured = {name: np.asarray(values, float) for name, values in last.items()}
         last, (wrong, full) = carry["sofar"], (np.asarray(carry[name]) for name in ("wrong", "full"))
-        ends = ((last["last"], last["speed"]), (begun.qpos, begun.qvel))
-        gained = np.subtract(*(begun.energy(*(np.asarray(x, float) for x in end)) for end in ends))
+        gained = begun.energy(*(np.asarray(last[name], float) for name in ("last", "speed"))) - at_first
         return self._meter.figures(last, begun.mass, gained, wrong, full) | measured, frames, begun.models(slots)
 
     def _ticked(
