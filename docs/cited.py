@@ -212,6 +212,18 @@ def table(name: str, which: str) -> str:
     return "\n".join(f"| {' | '.join(line)} |" for line in lines).replace("| --: ", "|--:").replace("--: |", "--:|")
 
 
+def halved(name: str, scenarios: str) -> str:
+    """Of scenarios: draws that succeed at each step, and of those at a step and at half of it how many end otherwise."""
+    counts = read(name)["counts"]
+    lines = ["| | `mjx`, 2, 1, 0.5 ms | `native`, 1, 0.5 ms | end otherwise at half the step |", "|:--|:--|:--|:--|"]
+    for scenario in scenarios.split():
+        both = [counts[f"{engine}-{scenario}"] for engine in ("mjx", "native")]
+        succeed = (", ".join(map(str, one["success"])) for one in both)
+        otherwise, pairs = (sum(one[key] for one in both) for key in ("otherwise", "pairs"))
+        lines.append(f"| `{scenario}` | {' | '.join(succeed)} | {otherwise} of {pairs} |")
+    return "\n".join(lines)
+
+
 def sources(names: list[str]) -> str:
     """What made the data of a page: command, engine, code, machine, a line each."""
     lines = ["| data | made by | engine, machine | code | s |", "|:--|:--|:--|:--|--:|"]
@@ -292,7 +304,7 @@ def pages() -> Iterator[Path]:
 FORMS = {
     "rate": rate, "rollouts": rollouts, "causes": causes, "errors": errors, "along": along, "draws": draws,
     "cells": cells, "each": each, "bounds": bounds, "seen": seen, "codes": codes, "compared": compared, "table": table,
-    "nominal": nominal, "learned": learned, "gained": gained, "metrics": metrics,
+    "halved": halved, "nominal": nominal, "learned": learned, "gained": gained, "metrics": metrics,
     "way_points": hexagon_figures.way_points, "changes": changes, "sources": sources,
     **{name: partial(lambda table, of, *words: table(read(of), *words), table)
        for name, table in validity_figures.TABLES.items()},
