@@ -213,7 +213,7 @@ def table(name: str, which: str) -> str:
 
 
 def halved(name: str, scenarios: str) -> str:
-    """Of scenarios: draws that succeed at each step, and of those at a step and at half of it how many end otherwise."""
+    """Of scenarios: draws that succeed at each step, and of pairs at a step and half of it how many end otherwise."""
     counts = read(name)["counts"]
     lines = ["| | `mjx`, 2, 1, 0.5 ms | `native`, 1, 0.5 ms | end otherwise at half the step |", "|:--|:--|:--|:--|"]
     for scenario in scenarios.split():
