@@ -4,6 +4,7 @@ import re
 import shlex
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import mujoco
@@ -17,7 +18,7 @@ from sweep.cli.main import main
 from sweep.runs import batches, results, store
 from sweep.runs.runner import wanted_points
 from sweep.study.config import compose
-from sweep.systems.own import fields, outcome
+from sweep.systems.own import batch, fields, outcome
 
 PAGE = (Path(__file__).parents[1] / "docs/own_model.md").read_text(encoding="utf-8")
 CODE = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
@@ -149,6 +150,30 @@ def test_a_row_has_its_bits_whatever_runs_beside_it(here):
     for part in ([71], range(7), range(60, 72)):
         for name, values in figures(exp, rows.iloc[list(part)]).items():
             np.testing.assert_array_equal(values, whole[name][list(part)], err_msg=name)
+
+
+ONE_CORE = "import os, sys; os.sched_setaffinity(0, {min(os.sched_getaffinity(0))}); from sweep.cli.main import main; "
+
+
+def test_a_row_has_its_bits_on_any_number_of_threads_and_cores(here, monkeypatch):
+    """On more threads than there are cores, too; and in a process of its own that has one core, at another width."""
+    few = ["study.axes.load.num=3", "study.axes.grip.num=4"]
+    noisy, found, pools = [*SHORT, *few, "noise.white=0.02", "noise.delay=1"], {}, []
+
+    def pool(threads, model, n):
+        pools.append(Batch(model, n, threads))
+        return pools[-1]
+
+    for threads in (1, 2, 5):
+        monkeypatch.setattr(batch, "Batch", partial(pool, threads))
+        found[threads] = figures(exp := compose(noisy), points := wanted_points(exp))
+    assert {one._b.nthread for one in pools} == {*found}
+    asked = ["-c", f"{ONE_CORE}sys.exit(main(sys.argv[1:]))", "run", *noisy, "engine.width=5", "out=one_core"]
+    subprocess.run([sys.executable, *asked], check=True)
+    found["one core"] = store.read_rows(Path("one_core")).set_index("point_id").loc[points["point_id"]]
+    for name, values in found[1].items():
+        for other in (2, 5, "one core"):
+            np.testing.assert_array_equal(found[other][name], values, err_msg=f"{name}, {other}")
 
 
 def test_fields_are_what_a_model_that_is_compiled_with_them_has(here):
