@@ -138,6 +138,8 @@ export function historyView(app, to) {
   let shown = [];
   let total = 1;
   let time = 0;
+  /** @type {Map<HTMLCanvasElement, string>} what cursors show: where they are, and words */
+  const pointed = new Map();
 
   const xOf = (/** @type {number} */ at, /** @type {number} */ width) =>
     EDGE.left + (at / total) * (width - EDGE.left - EDGE.right);
@@ -147,6 +149,7 @@ export function historyView(app, to) {
     panels.forEach(({ base }, k) => drawPanel(base, k));
     const paths = shown.map((one) => one.paths);
     maps.forEach(({ base }, k) => drawPaths(app, base, paths, FACES[k]));
+    pointed.clear();
     point(time);
   };
 
@@ -236,17 +239,20 @@ export function historyView(app, to) {
     });
     panels.forEach(({ over }, k) => {
       if (!app.visible(over)) return;
-      const { pen, width, height } = sheetOf(over);
-      pen.fillStyle = app.theme().ink;
-      pen.fillRect(xOf(time, width) - 0.75, EDGE.top, 1.5, height - EDGE.top - EDGE.bottom);
       const [{ reel, histories }] = shown;
       const { told, lines } = histories[k];
-      if (!told) return;
       const frame = frameAt(reel.motion, time);
+      const words = told ? `${told[frame]} ${shortly(lines[0][frame])}` : "";
+      const x = Math.round(xOf(time, over.clientWidth));
+      if (pointed.get(over) === `${x} ${words}`) return; // most frames of a long replay move it by less than a pixel
+      pointed.set(over, `${x} ${words}`);
+      const { pen, width, height } = sheetOf(over);
+      pen.fillStyle = app.theme().ink;
+      pen.fillRect(x - 0.75, EDGE.top, 1.5, height - EDGE.top - EDGE.bottom);
       pen.font = pen.font.replace(/\d+px/, "11px");
       pen.textAlign = "right";
       pen.textBaseline = "top";
-      pen.fillText(`${told[frame]} ${shortly(lines[0][frame])}`, width - EDGE.right, 3, width / 2);
+      pen.fillText(words, width - EDGE.right, 3, width / 2);
     });
   };
 

@@ -13,6 +13,7 @@ import { shortly, ticks } from "./numbers.js";
  * @typedef {object} Paths
  * @property {number[][]} base nothing where the robot has no free joint
  * @property {number[][][]} feet by leg
+ * @property {[number, number][]} ends of x, y and z, of all these
  */
 
 const BESIDE = { left: 44, right: 8, top: 20, bottom: 20 };
@@ -29,7 +30,7 @@ export const FACES = /** @type {const} */ ([
 export function pathsOf({ model, motion }, free) {
   const { frames, coordinates, qpos } = motion;
   /** @type {Paths} */
-  const found = { base: [], feet: model.feet.map(() => []) };
+  const found = { base: [], feet: model.feet.map(() => []), ends: [] };
   for (let k = 0; k < frames; k++) {
     const state = qpos.subarray(k * coordinates, (k + 1) * coordinates);
     if (free >= 0) found.base.push(Array.from(state.subarray(free, free + 3)));
@@ -39,8 +40,17 @@ export function pathsOf({ model, motion }, free) {
       found.feet[leg].push(plus(poses[body].pos, rotated(poses[body].turn, place))),
     );
   }
+  const places = [found.base, ...found.feet].flat();
+  found.ends = [0, 1, 2].map((part) => endsOf(places.map((place) => place[part])));
   return found;
 }
+
+/**
+ * @param {number[]} values
+ * @returns {[number, number]} the least and the greatest
+ */
+const endsOf = (values) =>
+  values.reduce(([a, b], value) => [Math.min(a, value), Math.max(b, value)], [Infinity, -Infinity]);
 
 /**
  * From metres to a canvas, the same in both directions, all of some paths being on it.
@@ -53,11 +63,7 @@ export function pathsOf({ model, motion }, free) {
 export function laidOut(paths, up, width, height) {
   const [wide, high] = [width - BESIDE.left - BESIDE.right, height - BESIDE.top - BESIDE.bottom];
   const ends = [0, up].map((part) => {
-    const values = paths.flatMap(({ base, feet }) => [base, ...feet]).flatMap((one) => one.map((place) => place[part]));
-    const [low, high] = values.reduce(
-      ([a, b], value) => [Math.min(a, value), Math.max(b, value)],
-      [Infinity, -Infinity],
-    );
+    const [low, high] = endsOf(paths.flatMap((one) => one.ends[part]));
     return high > low ? [low, high] : [low - 0.5, low + 0.5];
   });
   const [x, y] = ends;

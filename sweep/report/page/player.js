@@ -2,7 +2,7 @@
 import { clipped, inflate, nearestReplay } from "./data.js";
 import { byId, cssOf, element, pointerOn, sheetOf } from "./dom.js";
 import { historyView } from "./history.js";
-import { endOf, frameAt, readMotion, stateAt } from "./kinematics.js";
+import { endOf, frameAt, posesOf, readMotion, stateAt } from "./kinematics.js";
 import { clamp, shortly } from "./numbers.js";
 import { recorded } from "./save.js";
 import { baseOf, drawForces, drawRobot, drawWorld, viewOf } from "./scene.js";
@@ -15,7 +15,13 @@ import { worded } from "./map.js";
 /** @typedef {import("./main.js").App} App */
 /** @typedef {import("./scene.js").Camera} Camera */
 
-/** @typedef {{ number: number, model: Model, motion: Motion }} Reel */
+/**
+ * @typedef {object} Reel
+ * @property {number} number
+ * @property {Model} model
+ * @property {Motion} motion
+ * @property {{ metres: number, least: number }} arrow of a force: m per N, and the N below which there is none
+ */
 
 /**
  * @typedef {object} Player
@@ -92,11 +98,11 @@ export function playerOf(app) {
     const known = reels.get(number);
     if (known) return known;
     const shown = replays[number];
-    const made = Promise.all([models, inflate(app.stream(number))]).then(([all, buffer]) => ({
-      number,
-      model: all[shown.model],
-      motion: readMotion(shown, all[shown.model], buffer),
-    }));
+    const made = Promise.all([models, inflate(app.stream(number))]).then(([all, buffer]) => {
+      const model = all[shown.model];
+      const motion = readMotion(shown, model, buffer);
+      return { number, model, motion, arrow: arrowOf(model, motion) };
+    });
     reels.set(number, made);
     return made;
   };
@@ -113,7 +119,7 @@ export function playerOf(app) {
     if (reel && which === 0) {
       note.textContent = said;
       time = reel.motion.step;
-      const target = baseOf(reel.model, stateAt(reel.motion, time));
+      const target = baseOf(reel.model, posesAt(reel));
       camera = { ...camera, target, distance: farEnough(reel), azimuth: turned ? camera.azimuth : freest(reel) };
       describe();
     }
@@ -174,9 +180,8 @@ export function playerOf(app) {
     const [a, b] = open;
     if (!a) return;
     const ghost = mode.value === "ghost";
-    const aim = baseOf(a.model, stateAt(a.motion, time));
-    scene(canvases[0], a, aim, b && ghost ? b : null);
-    if (b && !ghost) scene(canvases[1], b, baseOf(b.model, stateAt(b.motion, time)), null);
+    scene(canvases[0], a, b && ghost ? b : null);
+    if (b && !ghost) scene(canvases[1], b, null);
     scrub.value = String(time);
     const stage = stageOf(a);
     clock.textContent = `${time.toFixed(2)} s`;
@@ -188,6 +193,12 @@ export function playerOf(app) {
   };
 
   /**
+   * Where the bodies of a replay are now.
+   * @param {Reel} reel
+   */
+  const posesAt = ({ model, motion }) => posesOf(model, stateAt(motion, time));
+
+  /**
    * @param {Reel} reel
    * @returns {string}
    */
@@ -196,33 +207,33 @@ export function playerOf(app) {
   /**
    * @param {HTMLCanvasElement} canvas
    * @param {Reel} reel
-   * @param {number[]} aim
    * @param {Reel | null} ghost
    */
-  const scene = (canvas, reel, aim, ghost) => {
+  const scene = (canvas, reel, ghost) => {
+    const { model, motion, arrow } = reel;
     const sheet = sheetOf(canvas);
     const theme = app.theme();
+    const poses = posesAt(reel);
+    const aim = baseOf(model, poses);
     const shift = camera.target.map((part, k) => part + (aim[k] - part) * (playing ? FOLLOW : 1));
     if (canvas === canvases[0]) camera = { ...camera, target: shift };
     const view = viewOf(sheet, theme, canvas === canvases[0] ? camera : { ...camera, target: aim });
-    const state = stateAt(reel.motion, time);
     drawWorld(
       view,
-      reel.model,
-      state,
+      model,
+      poses,
       view.eye.map((part, k) => part + view.axes[2][k] * camera.distance),
     );
     if (ghost) {
       const own = sheetOf(overlay(canvas));
-      drawRobot({ ...view, sheet: own }, ghost.model, stateAt(ghost.motion, time), GHOST);
+      drawRobot({ ...view, sheet: own }, ghost.model, posesAt(ghost), GHOST);
       sheet.pen.globalAlpha = 0.5;
       sheet.pen.drawImage(own.pen.canvas, 0, 0, sheet.width, sheet.height);
       sheet.pen.globalAlpha = 1;
     }
-    const frame = frameAt(reel.motion, time);
-    const arrow = arrowOf(reel);
-    const forces = 3 * reel.model.feet.length;
-    drawForces(view, reel.model, state, reel.motion.force.subarray(forces * frame, forces * (frame + 1)), arrow);
+    const frame = frameAt(motion, time);
+    const forces = 3 * model.feet.length;
+    drawForces(view, model, poses, motion.force.subarray(forces * frame, forces * (frame + 1)), arrow);
     const lines = [`${time.toFixed(2)} s   ${stageOf(reel)}`, titleOf(app, reel.number)];
     if (forces) lines[0] += `   arrows: 100 N are ${shortly(100 * arrow.metres)} m`;
     if (ghost) lines.push(`violet: ${titleOf(app, ghost.number)}`);
@@ -241,10 +252,11 @@ export function playerOf(app) {
 
   /**
    * Arrows no longer than the robot.
-   * @param {Reel} reel
-   * @returns {{ metres: number, least: number }}
+   * @param {Model} model
+   * @param {Motion} motion
+   * @returns {Reel["arrow"]}
    */
-  const arrowOf = ({ model, motion }) => {
+  const arrowOf = (model, motion) => {
     const robot = 2 * sizeOf(model);
     const most = motion.force.reduce((a, b) => Math.max(a, Math.abs(b)), 1);
     const { metres, least } = table.about.arrow;

@@ -1,6 +1,6 @@
 // The robot on its obstacle, drawn on a canvas: no more than polygons, thick lines and their order.
 import { cssOf } from "./dom.js";
-import { plus, posesOf, rotated } from "./kinematics.js";
+import { plus, rotated } from "./kinematics.js";
 import { clamp, mixed } from "./numbers.js";
 import { backToFront, hides, isLink, solidOf } from "./solids.js";
 
@@ -8,6 +8,7 @@ import { backToFront, hides, isLink, solidOf } from "./solids.js";
 /** @typedef {import("./dom.js").Sheet} Sheet */
 /** @typedef {import("./dom.js").Theme} Theme */
 /** @typedef {import("./kinematics.js").Model} Model */
+/** @typedef {import("./kinematics.js").Pose} Pose */
 /** @typedef {import("./solids.js").Solid} Solid */
 
 /** @typedef {{ azimuth: number, elevation: number, distance: number, target: number[] }} Camera angles in rad */
@@ -29,6 +30,27 @@ const PIECES = 6; // of a link, each behind or before what it passes
 const GRID = 0.5; // m
 const REACH = 12; // m of ground that is seen around the target
 const SUN = 0.55; // share of a face's colour that depends on the light
+const GRID_LINES = linesOf(4);
+
+/**
+ * The grid's lines around the origin, from the strongest to the faintest: each how far aside it is, from where to where.
+ * @param {number} levels
+ * @returns {[number, number, number][][]} m
+ */
+function linesOf(levels) {
+  /** @type {[number, number, number][][]} */
+  const found = Array.from({ length: levels }, () => []);
+  const levelOf = (/** @type {number} */ k, /** @type {number} */ j) =>
+    Math.floor((6 * Math.hypot(k, j + GRID)) / REACH);
+  for (let k = -REACH; k <= REACH; k += GRID)
+    for (let j = -REACH, from = j; j < REACH; j += 2 * GRID) {
+      const [level, next] = [levelOf(k, j), j + 2 * GRID];
+      if (next < REACH && levelOf(k, next) === level) continue;
+      found[level]?.push([k, from, next]);
+      from = next;
+    }
+  return found;
+}
 
 /**
  * @param {Sheet} sheet
@@ -124,11 +146,10 @@ function lit(theme, rgb, normal) {
  * Sky, ground, obstacles and the robot.
  * @param {View} view
  * @param {Model} model
- * @param {Float64Array} state
+ * @param {Pose[]} poses of its bodies
  * @param {number[]} target that the ground fades around
  */
-export function drawWorld(view, model, state, target) {
-  const poses = posesOf(model, state);
+export function drawWorld(view, model, poses, target) {
   const solids = model.geoms.map((geom) => solidOf(geom, poses[geom.body]));
   const grounds = solids.filter((solid) => solid.geom.shape === "plane");
   drawSky(view);
@@ -143,11 +164,10 @@ export function drawWorld(view, model, state, target) {
  * The robot alone, in one colour.
  * @param {View} view
  * @param {Model} model
- * @param {Float64Array} state
+ * @param {Pose[]} poses of its bodies
  * @param {Rgb} tint
  */
-export function drawRobot(view, model, state, tint) {
-  const poses = posesOf(model, state);
+export function drawRobot(view, model, poses, tint) {
   const solids = model.geoms.map((geom) => solidOf(geom, poses[geom.body]));
   const links = solids.filter((solid) => isLink(solid.geom));
   const bodies = solids.filter((solid) => solid.geom.robot && !isLink(solid.geom));
@@ -226,29 +246,20 @@ function drawGround(view, ground, target) {
   for (let k = 0; k < 8; k++) polygon(view, ring(REACH * (1 - k / 10)), soil, null);
   const ink = view.theme.dark ? [120, 132, 140] : [120, 132, 126];
   pen.lineWidth = 1;
-  const near = (/** @type {number} */ value) => Math.round(value / GRID) * GRID;
-  /** @type {Spot[][][]} by how faint they are */
-  const faint = [[], [], [], []];
-  for (let k = -REACH; k <= REACH; k += GRID)
-    for (let j = -REACH; j < REACH; j += 2 * GRID) {
-      const away = Math.hypot(k, j + GRID) / REACH;
-      const level = Math.floor(away * 6);
-      if (level >= faint.length) continue;
-      const [x, y] = [near(u), near(v)];
-      for (const [p, q] of [
-        [at(x + k, y + j), at(x + k, y + j + 2 * GRID)],
-        [at(x + j, y + k), at(x + j + 2 * GRID, y + k)],
-      ])
-        faint[level].push(outline(view, [p, q, q]));
-    }
-  faint.forEach((lines, level) => {
-    pen.strokeStyle = cssOf(/** @type {Rgb} */ (ink), (0.34 * (faint.length - level)) / faint.length);
+  const [x, y] = [u, v].map((value) => Math.round(value / GRID) * GRID);
+  GRID_LINES.forEach((lines, level) => {
+    pen.strokeStyle = cssOf(/** @type {Rgb} */ (ink), (0.34 * (GRID_LINES.length - level)) / GRID_LINES.length);
     pen.beginPath();
-    for (const [a, b] of lines) {
-      if (!b) continue;
-      pen.moveTo(a.x, a.y);
-      pen.lineTo(b.x, b.y);
-    }
+    for (const [k, from, to] of lines)
+      for (const [p, q] of [
+        [at(x + k, y + from), at(x + k, y + to)],
+        [at(x + from, y + k), at(x + to, y + k)],
+      ]) {
+        const [a, b] = outline(view, [p, q, q]);
+        if (!b) continue;
+        pen.moveTo(a.x, a.y);
+        pen.lineTo(b.x, b.y);
+      }
     pen.stroke();
   });
 }
@@ -404,13 +415,12 @@ function drawLink(view, from, to, radius, rgb) {
  * Forces on the feet as arrows.
  * @param {View} view
  * @param {Model} model
- * @param {Float64Array} state
+ * @param {Pose[]} poses of its bodies
  * @param {Float64Array} force (18,) N
  * @param {{ metres: number, least: number }} arrow m per N, and the N below which there is none
  */
-export function drawForces(view, model, state, force, arrow) {
+export function drawForces(view, model, poses, force, arrow) {
   const { pen } = view.sheet;
-  const poses = posesOf(model, state);
   const colour = view.theme.dark ? "#ffc24d" : "#e08e00";
   pen.lineCap = "round";
   model.feet.forEach(([body, ...place], foot) => {
@@ -452,11 +462,10 @@ export function drawForces(view, model, state, force, arrow) {
 /**
  * What the robot may be hidden behind.
  * @param {Model} model
- * @param {Float64Array} state
+ * @param {Pose[]} poses of its bodies
  * @returns {Solid[]}
  */
-export function obstaclesOf(model, state) {
-  const poses = posesOf(model, state);
+export function obstaclesOf(model, poses) {
   const others = model.geoms.filter((geom) => !geom.robot && geom.shape !== "plane");
   return others.map((geom) => solidOf(geom, poses[geom.body]));
 }
@@ -464,10 +473,10 @@ export function obstaclesOf(model, state) {
 /**
  * Where the robot's base is.
  * @param {Model} model
- * @param {Float64Array} state
+ * @param {Pose[]} poses of its bodies
  * @returns {number[]}
  */
-export function baseOf(model, state) {
+export function baseOf(model, poses) {
   const robot = model.geoms.find((geom) => geom.robot);
-  return robot ? posesOf(model, state)[robot.body].pos : [0, 0, 0];
+  return robot ? poses[robot.body].pos : [0, 0, 0];
 }

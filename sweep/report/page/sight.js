@@ -16,7 +16,7 @@ const ANGLES = [-0.75, 0.75, -2.4, 2.4, 0, 3.14]; // that a replay may be seen f
  */
 export function farEnough({ model, motion }) {
   const poses = posesOf(model, stateAt(motion, motion.step));
-  const base = baseOf(model, stateAt(motion, motion.step));
+  const base = baseOf(model, poses);
   const parts = model.geoms.filter((geom) => geom.robot).map((geom) => solidOf(geom, poses[geom.body]).pos);
   const reach = Math.max(...parts.map((part) => Math.hypot(...plus(part, base, -1))), 0);
   return clamp(Math.max(8 * sizeOf(model), 3.2 * reach) + 0.15 * Math.abs(base[2]), 1.2, 12);
@@ -29,8 +29,8 @@ export function farEnough({ model, motion }) {
 export function freest(reel) {
   const { model, motion } = reel;
   const solids = Array.from({ length: 9 }, (_, k) => {
-    const state = stateAt(motion, motion.step + (k / 8) * (endOf(motion) - motion.step));
-    return { base: baseOf(model, state), solids: obstaclesOf(model, state) };
+    const poses = posesOf(model, stateAt(motion, motion.step + (k / 8) * (endOf(motion) - motion.step)));
+    return { base: baseOf(model, poses), solids: obstaclesOf(model, poses) };
   });
   const hidden = ANGLES.map((angle) => {
     const away = [
