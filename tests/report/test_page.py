@@ -1,7 +1,9 @@
 import re
+import sys
 from collections import defaultdict
 from dataclasses import replace
 from importlib.resources import files
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -11,10 +13,13 @@ from moved import moved
 
 from sweep.cli.main import main
 from sweep.report import chosen, page, replays, slices, typical
-from sweep.report.page import data, stage
+from sweep.report.page import data, script, stage
 from sweep.runs import results, store
 from sweep.study.config import compose
 from sweep.trace import motion
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "docs"))
+import example_pages  # pyright: ignore[reportMissingImports]
 
 
 @pytest.fixture(scope="module")
@@ -44,6 +49,16 @@ def test_a_name_is_of_one_module_of_the_script():
                 owners[name].append(file.name)
     assert len(owners) > 100
     assert {name: where for name, where in owners.items() if len(where) > 1} == {}
+
+
+@pytest.mark.parametrize("example", example_pages.pages(), ids=lambda path: path.parent.name)
+def test_a_shipped_example_has_the_script_and_style_of_today(example):
+    text = example.read_text(encoding="utf-8")
+    stale = text.replace(script.bundle(), "old").replace(script.style_sheet(), "older")
+    assert len(stale) == len(text) - len(script.bundle() + script.style_sheet()) + len("old" + "older"), (
+        "python docs/example_pages.py renews them; jobs/paper_tables.sh makes them again"
+    )
+    assert example_pages.renewed(stale) == text  # with its policy, too, and nothing else of it is another
 
 
 def test_the_page_says_what_was_run_and_what_came_of_it(html, folder):

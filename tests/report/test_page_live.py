@@ -9,6 +9,7 @@ import subprocess
 import tarfile
 from dataclasses import replace
 from importlib.resources import files
+from pathlib import Path
 from xml.etree import ElementTree
 
 import mujoco
@@ -35,6 +36,7 @@ pytestmark = [
 
 AXE = "4.10.3"
 STEP = "manoeuvre.half_step_ratio"
+EXAMPLES = sorted((Path(__file__).parents[2] / "docs" / "examples").glob("*/report.html"))
 
 
 @pytest.fixture(scope="module")
@@ -84,6 +86,17 @@ def shown(browser, file):
     yield browser
     assert browser.errors == []
     assert [address for address in browser.asked if not address.startswith(("file:", "data:", "blob:"))] == []
+
+
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.parent.name)
+def test_a_shipped_example_shows_and_plays(browser, example):
+    browser.open(example)
+    browser.until("performance.getEntriesByName('map').length")
+    browser.until("document.querySelector('#scene-a').width && document.querySelectorAll('.history').length")
+    start = browser.run("Number(document.querySelector('#scrub').value)")
+    browser.run("document.querySelector('#play').click()")
+    browser.until(f"Number(document.querySelector('#scrub').value) > {start} + 0.2")
+    assert browser.errors == []
 
 
 def plot(browser):
