@@ -80,6 +80,7 @@ class Mjx(Loop):
         self.width = settings.width or devices.default_width()
         self._meter = figures.Meter(own)
         self._rooms = rooms(self._model) if self._impl == "jax" else {}
+        self._placed: dict[Any, tuple[Any, Any]] = {}  # MJX's model and data of a batch's shape
         if own.controller.batched:
             raise self._refused("a controller of NumPy's or a network is no part of its program", "one of JAX's, ")
         with devices.precision(settings):
@@ -137,7 +138,7 @@ class Mjx(Loop):
         """See `Loop`."""
         written = {path: fields.fields_of(self._model, path) for path in paths}
         every = {name for names in written.values() for name in names}
-        template = self._template(shaped(self._model, dict.fromkeys(every, 1.0)))
+        template = self._template(shaped(self._model, dict.fromkeys(every.intersection(SHAPING), 1.0)))
         for path, names in written.items():
             for name in names:
                 if self._unused(name) or not hasattr(getattr(owner(template, name), last(name), None), "at"):
@@ -155,7 +156,7 @@ class Mjx(Loop):
             begun.pose(None if start is None else np.asarray(start))
             seen = jnp.asarray(own.state(begun.qpos, begun.qvel, begun.sensors), float)
             ticks = batch.ticks(own, None if duration is None else np.asarray(duration), n)
-            template, data, leaves = put(own, begun, self._impl)
+            template, data, leaves = self._put(begun)
             now = {name: jnp.broadcast_to(getattr(data, name), (n, *getattr(data, name).shape)) for name in CARRIED}
             now |= {"qpos": jnp.asarray(begun.qpos, float), "qvel": jnp.asarray(begun.qvel, float)}
             carry = {
@@ -179,6 +180,28 @@ class Mjx(Loop):
         last, (wrong, full) = carry["sofar"], (np.asarray(carry[name]) for name in ("wrong", "full"))
         gained = begun.energy(*(np.asarray(last[name], float) for name in ("last", "speed"))) - at_first
         return self._meter.figures(last, begun.mass, gained, wrong, full) | measured, frames, begun.models(slots)
+
+    def _put(self, begun: batch.AtStart) -> tuple[Any, Any, dict[str, Array]]:
+        """MJX's model, its data at the keyframe, and the fields in which the rollouts' models differ, (n, ...)."""
+        n, rows = begun.batch.nsim, batch.differing(begun.batch)
+        most = {name: np.abs(rows[name]).max(axis=0) for name in SHAPING if name in rows}
+        shape = n, *((name, values.tobytes()) for name, values in most.items())
+        if shape not in self._placed:  # on the device; the last is kept, which mostly is the next one
+            model = shaped(self._model, most)
+            data = mujoco.MjData(model)
+            if self._own.keyframe >= 0:
+                mujoco.mj_resetDataKeyframe(model, data, self._own.keyframe)
+            rooms = room(model, n) if self._impl == "warp" else {}
+            placed = mjx.put_model(model, impl=self._impl), mjx.put_data(model, data, impl=self._impl, **rooms)
+            self._placed = {shape: placed}
+        template, data = self._placed[shape]
+        leaves = {}
+        for name, values in rows.items():
+            values = np.maximum(values, LEAST) if name in RUBBING else values
+            leaf = getattr(owner(template, name), last(name), None)
+            if leaf is not None:  # what MJX has no field for, it works out itself: `check` refuses the others
+                leaves[name] = jnp.asarray(values.reshape(n, *leaf.shape), float)
+        return template, data, leaves
 
     def _ticked(
         self,
@@ -266,27 +289,10 @@ def last(name: str) -> str:
     return name.removeprefix("opt.")
 
 
-def put(own: Subject, begun: batch.AtStart, impl: str) -> tuple[Any, Any, dict[str, Array]]:
-    """MJX's model, its data at the keyframe, and the fields in which the rollouts' models differ, (n, ...)."""
-    rows = batch.differing(begun.batch)
-    model = shaped(own.model, {name: np.abs(values).max(axis=0) for name, values in rows.items()})
-    data = mujoco.MjData(model)
-    if own.keyframe >= 0:
-        mujoco.mj_resetDataKeyframe(model, data, own.keyframe)
-    template, leaves = mjx.put_model(model, impl=impl), {}
-    rooms = room(model, begun.batch.nsim) if impl == "warp" else {}
-    for name, values in rows.items():
-        values = np.maximum(values, LEAST) if name in RUBBING else values
-        leaf = getattr(owner(template, name), last(name), None)
-        if leaf is not None:  # what MJX has no field for, it works out itself: `check` refuses the others
-            leaves[name] = jnp.asarray(values.reshape(begun.batch.nsim, *leaf.shape), float)
-    return template, mjx.put_data(model, data, impl=impl, **rooms), leaves
-
-
 def shaped(model: mujoco.MjModel, most: Mapping[str, Any]) -> mujoco.MjModel:
     """A model for a program that has all that is 0 for it, and not for a rollout; `most` of it by field."""
     model = copy(model)
-    for name in {*SHAPING} & {*most}:
+    for name in most:
         setattr(owner(model, name), last(name), np.broadcast_to(most[name], fields.whole(model, name).shape))
     if "body_gravcomp" in most:
         model.flg_gravcomp = True
