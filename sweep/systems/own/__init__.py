@@ -15,7 +15,6 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-import mujoco
 import numpy as np
 
 from sweep.core import provenance
@@ -26,6 +25,7 @@ from sweep.engines.settings import EngineSettings
 from sweep.systems.base import Kinds, Nominal, Parameter, Values, Way, by_side, side_and_path
 from sweep.systems.own import fields, figures, files, idle, outcome
 from sweep.systems.own.engine import Loop, substeps
+from sweep.systems.own.native import Native
 from sweep.systems.own.outcome import Condition
 from sweep.systems.own.subject import About, Noise, Settings, Side, Subject
 
@@ -176,7 +176,11 @@ class Own(Subject):
         model = world.of("model")
         shared = {path: value for path, value in model.items() if path not in fields.by_rollout(self.model, model)}
         own = replace(self, about=replace(self.about, option=(*self.about.option, *shared.items())))
-        return _class(settings.name)(own, settings)
+        if settings.name == "native":
+            return Native(own, settings)
+        from sweep.systems.own.mjx import Mjx  # slow to import
+
+        return Mjx(own, settings)
 
     def device(self, settings: EngineSettings) -> str:
         """See `System`."""
@@ -213,16 +217,6 @@ class Own(Subject):
         return self.causes.get(str(row["cause"]), "")
 
 
-def _class(engine: str) -> type[Loop]:
-    if engine == "native":
-        from sweep.systems.own.native import Native
-
-        return Native
-    from sweep.systems.own.mjx import Mjx  # slow to import
-
-    return Mjx
-
-
 @functools.cache
 def _say_once(line: str) -> None:
     print(line, file=sys.stderr)
@@ -252,10 +246,6 @@ def nominal(values: Mapping[str, Any], kinds: Kinds) -> Nominal:
     keys = [model.key(k).name for k in range(model.nkey)]
     if about.keyframe and about.keyframe not in keys:
         raise InputError(f"model.keyframe = {about.keyframe} is unknown{suggest(about.keyframe, keys)}")
-    for key in ("feet", "collisions"):
-        for name in getattr(about, key):
-            if model.sensor_type[own._sensor(key, name)] != int(mujoco.mjtSensor.mjSENS_TOUCH):
-                raise InputError(f"model.{key}: {name} is no touch sensor")
     asked = values.get("controller") or {}
     for name in asked:
         if name not in control.parameters:

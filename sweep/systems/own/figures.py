@@ -57,9 +57,9 @@ class Meter:
         self._forced = np.flatnonzero(model.actuator_forcelimited)
         joints = np.flatnonzero(model.jnt_limited.astype(bool) & (model.jnt_type >= int(mujoco.mjtJoint.mjJNT_SLIDE)))
         self._joints, self._places = joints, model.jnt_qposadr[joints]
-        self._touch = model.sensor_adr[list(own.feet)]
-        self._sites = model.sensor_objid[list(own.feet)]
-        self._collide = model.sensor_adr[list(own.collisions)]
+        self._touch = model.sensor_adr[feet := own.touches("feet")]
+        self._sites = model.sensor_objid[feet]
+        self._collide = model.sensor_adr[own.touches("collisions")]
 
     def start(self, qpos: Any, qvel: Any) -> dict[str, Any]:
         """What is measured at first, of positions (n, nq) and velocities (n, nv)."""

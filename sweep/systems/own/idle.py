@@ -1,7 +1,5 @@
 """Why a parameter of an own model may change nothing, as far as its model tells."""
 
-from collections.abc import Callable
-
 import mujoco
 import numpy as np
 
@@ -30,7 +28,7 @@ def why(own: Subject, side: str, path: str) -> str:
         return _option(own.model, name.partition(".")[2])
     number, called = fields.named(own.model, kind, name.partition(".")[2])
     what = name.removeprefix(f"{kind}.{called}.")
-    return REASONS[kind](own, number, what) if kind in REASONS else ""
+    return _geom(own.model, number, what) if kind == "geom" else _other(own.model, kind, number, what.partition(".")[0])
 
 
 def _option(model: mujoco.MjModel, what: str) -> str:
@@ -41,8 +39,8 @@ def _option(model: mujoco.MjModel, what: str) -> str:
     return "the solver stops by another limit" if "tolerance" in what or "iterations" in what else ""
 
 
-def _geom(own: Subject, geom: int, what: str) -> str:
-    model, name = own.model, own.model.geom
+def _geom(model: mujoco.MjModel, geom: int, what: str) -> str:
+    name = model.geom
     if geom in model.pair_geom1 or geom in model.pair_geom2:
         return "contacts of a pair have numbers of their own"
     types, able = model.geom_contype, model.geom_conaffinity
@@ -70,44 +68,24 @@ def _geom(own: Subject, geom: int, what: str) -> str:
     return f"of two that meet the larger counts: {has}"
 
 
-def _body(own: Subject, body: int, what: str) -> str:
-    model = own.model
-    if model.body_weldid[body] == 0 and not what.startswith("pos"):
-        return "the body does not move"
-    first = model.body_jntadr[body]
-    if what.startswith("pos") and first >= 0 and model.jnt_type[first] == FREE:
-        return "a free body is where its joint is: in the keyframe"
-    return ""
-
-
-def _joint(own: Subject, joint: int, what: str) -> str:
-    if what.startswith("range") and not own.model.jnt_limited[joint]:
-        return "the joint has no limits"
-    return "it is that of a free joint" if what.startswith("pos") and own.model.jnt_type[joint] == FREE else ""
-
-
-def _actuator(own: Subject, actuator: int, what: str) -> str:
-    model = own.model
-    limited = {"forcerange": model.actuator_forcelimited, "ctrlrange": model.actuator_ctrllimited}
-    word = what.partition(".")[0]
-    return "the actuator has no such limits" if word in limited and not limited[word][actuator] else ""
-
-
-def _site(own: Subject, site: int, what: str) -> str:
-    model = own.model
-    sensed = np.isin(SENSED, model.sensor_objtype[model.sensor_objid == site])
-    return "" if sensed else "no sensor is at the site"
-
-
-def _tendon(own: Subject, tendon: int, what: str) -> str:
-    return "the tendon has no limits" if what.startswith("range") and not own.model.tendon_limited[tendon] else ""
-
-
-REASONS: dict[str, Callable[[Subject, int, str], str]] = {
-    "geom": _geom,
-    "body": _body,
-    "joint": _joint,
-    "actuator": _actuator,
-    "site": _site,
-    "tendon": _tendon,
-}
+def _other(model: mujoco.MjModel, kind: str, number: int, what: str) -> str:
+    """Of what is no geom, its attribute `what`."""
+    match kind, what:
+        case "body", "pos" if (first := model.body_jntadr[number]) >= 0 and model.jnt_type[first] == FREE:
+            return "a free body is where its joint is: in the keyframe"
+        case "body", _ if what != "pos" and model.body_weldid[number] == 0:
+            return "the body does not move"
+        case "joint", "pos" if model.jnt_type[number] == FREE:
+            return "it is that of a free joint"
+        case "joint", "range" if not model.jnt_limited[number]:
+            return "the joint has no limits"
+        case "tendon", "range" if not model.tendon_limited[number]:
+            return "the tendon has no limits"
+        case "actuator", "forcerange" if not model.actuator_forcelimited[number]:
+            return "the actuator has no such limits"
+        case "actuator", "ctrlrange" if not model.actuator_ctrllimited[number]:
+            return "the actuator has no such limits"
+        case "site", _ if SENSED not in model.sensor_objtype[model.sensor_objid == number]:
+            return "no sensor is at the site"
+        case _:
+            return ""

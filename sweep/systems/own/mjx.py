@@ -220,9 +220,9 @@ class Mjx(Loop):
         before = jnp.where(jnp.isnan(carry["before"]), ctrl, carry["before"])
 
         def one(rows: Mapping[str, Array], now: Mapping[str, Array], ctrl: Array) -> tuple[Any, Any]:
-            after = mjx.step(with_leaves(template, rows), data.replace(**now, ctrl=ctrl))
+            after = mjx.step(template.tree_replace(rows), data.replace(**now, ctrl=ctrl))
             told = {name: getattr(after._impl if name in INNER else after, name) for name in figures.STEPS}
-            told["full"], told["unsolved"] = self._doubted(with_leaves(template, rows), after)
+            told["full"], told["unsolved"] = self._doubted(template.tree_replace(rows), after)
             return {name: getattr(after, name).astype(now[name].dtype) for name in CARRIED}, told
 
         def step(state: Any, share: Array) -> tuple[Any, None]:
@@ -302,13 +302,6 @@ def shaped(model: mujoco.MjModel, most: Mapping[str, Any]) -> mujoco.MjModel:
 def room(model: mujoco.MjModel, n: int) -> dict[str, int]:
     """What n of Warp's rollouts have for contacts, all together, and for constraints, each."""
     return {"naconmax": CONTACTS * n, "njmax": CONSTRAINTS * CONTACTS + model.njnt + 2 * model.nv}
-
-
-def with_leaves(model: Any, rows: Mapping[str, Array]) -> Any:
-    """MJX's model with fields of one rollout."""
-    options = {name[4:]: value for name, value in rows.items() if name.startswith("opt.")}
-    others = {name: value for name, value in rows.items() if not name.startswith("opt.")}
-    return model.replace(opt=model.opt.replace(**options), **others)
 
 
 def check_warp(settings: EngineSettings) -> None:

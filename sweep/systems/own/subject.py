@@ -94,15 +94,13 @@ class Subject:
         free = np.flatnonzero(self.model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE))
         return int(self.model.jnt_qposadr[free[0]]) if len(free) else None
 
-    @property
-    def feet(self) -> tuple[int, ...]:
-        """Numbers of the feet's touch sensors."""
-        return tuple(self._sensor("feet", name) for name in self.about.feet)
-
-    @property
-    def collisions(self) -> tuple[int, ...]:
-        """Numbers of the touch sensors of what should touch nothing."""
-        return tuple(self._sensor("collisions", name) for name in self.about.collisions)
+    def touches(self, key: str) -> list[int]:
+        """Numbers of the touch sensors that `feet` or `collisions` names. Raises `InputError`."""
+        found = [self._sensor(key, name) for name in getattr(self.about, key)]
+        for number in found:
+            if self.model.sensor_type[number] != int(mujoco.mjtSensor.mjSENS_TOUCH):
+                raise InputError(f"model.{key}: {self.model.sensor(number).name} is no touch sensor")
+        return found
 
     @property
     def direction(self) -> np.ndarray:
