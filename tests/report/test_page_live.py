@@ -256,6 +256,15 @@ def test_however_often_one_clicks_a_frame_is_drawn_once(shown):
     assert max(shown.run("[...frames_.values()]")) <= 2
 
 
+def test_the_page_is_laid_out_ten_times_a_second_while_a_replay_plays(shown):
+    """A frame is drawn on canvases; words beside them change no more often than one can read."""
+    shown.run("""window.said_ = []; new MutationObserver(() => said_.push(document.querySelector('#clock').textContent))
+        .observe(document.querySelector('#clock'), { childList: true }); document.querySelector('#play').click()""")
+    shown.until("said_.length > 12")
+    times = [float(text.split()[0]) for text in shown.run("said_")]
+    assert len(times) <= 10 * (times[-1] - times[0]) + 2
+
+
 def test_the_address_keeps_what_is_looked_at(shown):
     chosen(shown, "#map-y", "slip_max_m")
     chosen(shown, "#map-colour", "margin")

@@ -59,6 +59,7 @@ export function playerOf(app) {
   /** @type {(Reel | null)[]} */
   let open = [null, null];
   let time = 0;
+  let told = 0; // the time that words say
   let playing = false;
   let next = 0; // the frame that was asked for: never two at a time, however often a replay is opened
   let last = 0;
@@ -182,14 +183,23 @@ export function playerOf(app) {
     const ghost = mode.value === "ghost";
     scene(canvases[0], a, b && ghost ? b : null);
     if (b && !ghost) scene(canvases[1], b, null);
-    scrub.value = String(time);
-    const stage = stageOf(a);
-    clock.textContent = `${time.toFixed(2)} s`;
-    byId("stage").textContent = stage;
-    scrub.setAttribute("aria-valuetext", `${time.toFixed(1)} seconds, ${stage}`);
     film?.taken();
     drawStrip();
     histories.point(time);
+    if (!playing || Math.floor(10 * time) !== Math.floor(10 * told)) tell(a);
+  };
+
+  /**
+   * The time in words, for which the browser lays the page out anew: while a replay plays, ten times a second.
+   * @param {Reel} reel
+   */
+  const tell = (reel) => {
+    told = time;
+    const stage = stageOf(reel);
+    scrub.value = String(time);
+    clock.textContent = `${time.toFixed(2)} s`;
+    byId("stage").textContent = stage;
+    scrub.setAttribute("aria-valuetext", `${time.toFixed(1)} seconds, ${stage}`);
   };
 
   /**
