@@ -1,11 +1,11 @@
 """An own model's speed beside MuJoCo's own loops: `python bench/own_model.py [ENGINES [WIDTH [SECONDS]]]`.
 
 The quadruped of `sweep init --model` and its trot, ENGINES as `native,mjx,warp`. `native` beside `mujoco.rollout` of
-the same model with the very controls that the policy gave, on as many threads; `mjx` beside what `mjx-testspeed`
-runs, and beside steps from the keyframe as in a scan; `warp` beside MuJoCo Warp's own step, a graph of CUDA's where
-there is one. The same model, width and number of steps, in one run, one after the other several times; the least of
-each counts, by the wall and by CPU time, which other programs disturb less. What is printed is a table, and one line
-of JSON.
+the same model with the very controls that the policy gave, on as many threads; `mjx` beside steps as in a scan, with
+those controls and standing, and beside what `mjx-testspeed` runs; `warp` beside MuJoCo Warp's own step, a graph of
+CUDA's where there is one. The same model, width and number of steps, in one run, one after the other several times; the
+least of each counts, by the wall and by CPU time, which other programs disturb less. What is printed is a table, and
+one line of JSON.
 """
 
 import json
@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from copy import copy
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -65,19 +66,33 @@ def native(own: Own, engine: Any, task: tuple[Any, Any, np.ndarray]) -> Found:
 
 
 def on_mjx(own: Own, engine: Any, task: tuple[Any, Any, np.ndarray]) -> Found:
-    """Beside `mjx-testspeed`, which starts from the model's own pose, and beside the same steps from the keyframe."""
+    """Beside `mjx-testspeed`, which starts from the model's own pose, and beside as many steps from the keyframe.
+
+    Those are of the very controls that the policy gave, the same for all rollouts, and of such that hold the keyframe.
+    """
     from mujoco import mjx
 
     steps, n = count(own), len(task[2])
-    model = mjx.put_model(own.model)
-    each = jax.tree.map(lambda x: jnp.broadcast_to(x, (n, *x.shape)), mjx.put_data(own.model, standing(own)))
+    walk = jnp.asarray(engine.trace(*task, 0).joint_target, float)
+    model, start = mjx.put_model(own.model), standing(own)
+    each = jax.tree.map(lambda x: jnp.broadcast_to(x, (n, *x.shape)), mjx.put_data(own.model, start))
+
+    def step(data: Any, _: None) -> tuple[Any, None]:
+        return mjx.step(model, data), None
+
+    def tick(data: Any, ctrl: Any) -> tuple[Any, None]:
+        return jax.lax.scan(step, data.replace(ctrl=ctrl), length=steps // len(walk))[0], None
 
     @jax.jit
-    @jax.vmap
-    def unroll(one: Any) -> Any:
-        return jax.lax.scan(lambda d, _: (mjx.step(model, d), None), one, None, length=steps)[0]
+    @partial(jax.vmap, in_axes=(0, None))
+    def unroll(one: Any, controls: Any) -> Any:
+        return jax.lax.scan(tick, one, controls)[0]
 
-    ways = {"mjx": lambda: engine.run(*task), "mjx.step": lambda: jax.block_until_ready(unroll(each))}
+    def stepped(controls: Any) -> Callable[[], Any]:
+        return lambda: jax.block_until_ready(unroll(each, controls))
+
+    still = jnp.broadcast_to(jnp.asarray(start.ctrl, float), walk.shape)
+    ways = {"mjx": lambda: engine.run(*task), "mjx.step": stepped(walk), "mjx.step, standing": stepped(still)}
     for call in ways.values():
         call()  # compiles
     found, option = least(ways), own.model.opt
@@ -164,9 +179,9 @@ def main(engines: str = "native", width: str = "256", seconds: str = "4") -> Non
             found = {"native": native, "mjx": on_mjx, "warp": on_warp}[engine](own, made, task)
             table += rows(engine, found, count(own) * int(width))
     print(", ".join(f"{name} {value}" for name, value in told.items()))
-    print(f"{'loop':18}{'wall, s':>9}{'CPU, s':>9}{'steps/s':>12}{'engine over it: wall':>22}{'CPU':>6}")
+    print(f"{'loop':20}{'wall, s':>9}{'CPU, s':>9}{'steps/s':>12}{'engine over it: wall':>22}{'CPU':>6}")
     for one in table:
-        print(f"{one['loop']:18}{one['wall_s']:9.3f}{one['cpu_s']:9.3f}{one['steps_per_s']:12.3g}"
+        print(f"{one['loop']:20}{one['wall_s']:9.3f}{one['cpu_s']:9.3f}{one['steps_per_s']:12.3g}"
               f"{one['engine_by_wall']:22.2f}{one['engine_by_cpu']:6.2f}")  # fmt: skip
     plain = [{key: None if value != value else value for key, value in one.items()} for one in table]
     print(json.dumps({**told, "jax": jax.__version__, "mujoco": mujoco.__version__, "loops": plain}))
