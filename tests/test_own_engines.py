@@ -3,6 +3,7 @@
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
+from types import SimpleNamespace
 
 import jax
 import mujoco
@@ -349,3 +350,17 @@ def test_figures_have_names(here, capsys):
     rail("nameless", PUSH.replace('{"speed_mps": state', '{"speed": state'))
     assert main(["run", "study=rail.yaml", "out=nameless"]) == 2
     assert "has figures speed (): numbers are wanted, named in FIGURES" in capsys.readouterr().err
+
+
+def test_a_row_says_on_what_it_was_simulated(here, monkeypatch):
+    """Two GPUs are told apart, by MuJoCo Warp's kernels, too."""
+    system, found = compose(["study=study.yaml"]).system, {}
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    for kind in ("H100", "A100"):
+        monkeypatch.setattr(jax, "devices", lambda kind=kind: [SimpleNamespace(device_kind=kind)])
+        for name in ("native", "mjx", "warp"):
+            found[kind, name] = system.device(EngineSettings(name=name))
+    for name in ("mjx", "warp"):
+        assert "A100" in found["A100", name]
+        assert "H100" in found["H100", name]
+    assert found["A100", "native"] == found["H100", "native"]

@@ -22,10 +22,11 @@ FLAGS = (
 def device(settings: EngineSettings) -> str:
     """Kind of the devices an engine runs on, how many share a batch, and what else changes the code made for them."""
     devices.configure()
-    parts = [f"{jax.device_count()} x {jax.devices()[0].device_kind}" if settings.name == "mjx" else "cpu"]
-    if settings.name == "native" or jax.default_backend() == "cpu":
+    native = settings.name == "native"
+    parts = ["cpu" if native else f"{jax.device_count()} x {jax.devices()[0].device_kind}"]
+    if native or jax.default_backend() == "cpu":
         parts.append(provenance.processor())
-    if settings.name == "mjx":
+    if not native:
         parts += [f"{name}={os.environ[name]}" for name in FLAGS if os.environ.get(name)]
     return ", ".join(parts)
 
