@@ -256,6 +256,23 @@ def test_however_often_one_clicks_a_frame_is_drawn_once(shown):
     assert max(shown.run("[...frames_.values()]")) <= 2
 
 
+def test_the_replay_that_was_chosen_last_is_shown(shown):
+    """Whichever is unpacked last: here the one chosen before it."""
+    shown.until("document.querySelector('#replay-list').value")
+    shown.run("""window.late_ = 0; const unpack = Response.prototype.arrayBuffer; let first = true;
+        Response.prototype.arrayBuffer = async function () {
+            const late = first; first = false; const bytes = await unpack.call(this);
+            if (late) await new Promise((done) => setTimeout(() => { late_ = 1; done() }, 300));
+            return bytes };
+        const list = document.querySelector('#replay-list');
+        const others = [...list.options].map((one) => one.value).filter((one) => one && one !== list.value).slice(0, 2);
+        window.last_ = others[1];
+        for (const one of others) { list.value = one; list.dispatchEvent(new Event('change')) }""")
+    shown.until("late_")
+    shown.run("new Promise((done) => setTimeout(done, 100))")
+    assert shown.run("document.querySelector('#replay-list').value === last_")
+
+
 def test_the_page_is_laid_out_ten_times_a_second_while_a_replay_plays(shown):
     """A frame is drawn on canvases; words beside them change no more often than one can read."""
     shown.run("""window.said_ = []; new MutationObserver(() => said_.push(document.querySelector('#clock').textContent))

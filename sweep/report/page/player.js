@@ -34,6 +34,7 @@ import { worded } from "./map.js";
 const GHOST = /** @type {[number, number, number]} */ ([140, 86, 190]);
 const HOLD = 0.8; // s before a replay that has ended begins again
 const FOLLOW = 0.12; // share of the way to the base that the camera goes in a frame
+const CURSORS = 40; // ms between moves of the cursors in plots while a replay plays, as each is a canvas of its own
 
 /**
  * @param {App} app
@@ -58,8 +59,10 @@ export function playerOf(app) {
   let models = null;
   /** @type {(Reel | null)[]} */
   let open = [null, null];
+  const asked = [-1, -1]; // numbers of those that were chosen last
   let time = 0;
   let told = 0; // the time that words say
+  let pointed = 0; // ms, when plots last had their cursors moved
   let playing = false;
   let next = 0; // the frame that was asked for: never two at a time, however often a replay is opened
   let last = 0;
@@ -114,7 +117,9 @@ export function playerOf(app) {
    * @param {string} said
    */
   const openReel = async (which, number, said = "") => {
+    asked[which] = number;
     const reel = number < 0 ? null : await reelOf(number);
+    if (asked[which] !== number) return; // another one was chosen meanwhile
     open[which] = reel;
     (which ? beside : list).value = reel ? String(number) : "";
     if (reel && which === 0) {
@@ -185,7 +190,10 @@ export function playerOf(app) {
     if (b && !ghost) scene(canvases[1], b, null);
     film?.taken();
     drawStrip();
-    histories.point(time);
+    if (!playing || last - pointed >= CURSORS) {
+      pointed = last;
+      histories.point(time);
+    }
     if (!playing || Math.floor(10 * time) !== Math.floor(10 * told)) tell(a);
   };
 
