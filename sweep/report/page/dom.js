@@ -47,8 +47,6 @@ export function offer(select, options, chosen) {
 /** @type {Map<HTMLCanvasElement, VectorPen>} pens that write down what is drawn on these canvases, while it is saved */
 export const recorders = new Map();
 
-let family = ""; // of letters, asked for once: the browser works out all styles to answer
-
 /**
  * A canvas ready to be drawn on in CSS pixels, as sharp as the screen, cleared.
  * @param {HTMLCanvasElement} canvas
@@ -66,8 +64,7 @@ export function sheetOf(canvas) {
   const pen = recorder ? /** @type {CanvasRenderingContext2D} */ (/** @type {unknown} */ (recorder)) : drawn;
   pen.setTransform(ratio, 0, 0, ratio, 0, 0);
   pen.clearRect(0, 0, width, height);
-  family ||= getComputedStyle(document.body).fontFamily;
-  pen.font = `12px ${family}`;
+  pen.font = `12px ${getComputedStyle(document.body).fontFamily}`;
   pen.lineJoin = "round";
   return { pen, width, height, ratio };
 }

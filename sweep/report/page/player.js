@@ -34,7 +34,6 @@ import { worded } from "./map.js";
 const GHOST = /** @type {[number, number, number]} */ ([140, 86, 190]);
 const HOLD = 0.8; // s before a replay that has ended begins again
 const FOLLOW = 0.12; // share of the way to the base that the camera goes in a frame
-const CURSORS = 40; // ms between moves of the cursors in plots while a replay plays, as each is a canvas of its own
 
 /**
  * @param {App} app
@@ -62,7 +61,6 @@ export function playerOf(app) {
   const asked = [-1, -1]; // numbers of those that were chosen last
   let time = 0;
   let told = 0; // the time that words say
-  let pointed = 0; // ms, when plots last had their cursors moved
   let playing = false;
   let next = 0; // the frame that was asked for: never two at a time, however often a replay is opened
   let last = 0;
@@ -115,11 +113,12 @@ export function playerOf(app) {
    * @param {number} which 0, or 1 for the one beside it
    * @param {number} number -1 closes it
    * @param {string} said
+   * @returns {Promise<boolean>} whether it is shown: not if another one was chosen meanwhile
    */
   const openReel = async (which, number, said = "") => {
     asked[which] = number;
     const reel = number < 0 ? null : await reelOf(number);
-    if (asked[which] !== number) return; // another one was chosen meanwhile
+    if (asked[which] !== number) return false;
     open[which] = reel;
     (which ? beside : list).value = reel ? String(number) : "";
     if (reel && which === 0) {
@@ -135,6 +134,7 @@ export function playerOf(app) {
     histories.show(open, lengthOf());
     drawStrip();
     draw();
+    return true;
   };
 
   /**
@@ -163,9 +163,12 @@ export function playerOf(app) {
     }
     time = 0;
     const pair = replays.findIndex((one) => one.row < 0 && one.point === replays[number].point);
-    void openReel(0, number, said)
-      .then(() => (pair < 0 ? undefined : openReel(1, pair)))
-      .then(() => (at === null ? start() : to(at)));
+    void openReel(0, number, said).then(async (opened) => {
+      if (!opened) return;
+      if (pair >= 0) await openReel(1, pair);
+      if (at === null) start();
+      else to(at);
+    });
   };
 
   const describe = () => {
@@ -190,10 +193,7 @@ export function playerOf(app) {
     if (b && !ghost) scene(canvases[1], b, null);
     film?.taken();
     drawStrip();
-    if (!playing || last - pointed >= CURSORS) {
-      pointed = last;
-      histories.point(time);
-    }
+    histories.point(time);
     if (!playing || Math.floor(10 * time) !== Math.floor(10 * told)) tell(a);
   };
 
