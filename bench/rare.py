@@ -3,8 +3,8 @@
 All eight errors of `study=any_rare` at once, times scales at which about the `--targets` fail, found first: plain draws
 are the truth, beside repetitions of importance sampling (each the study of one seed) and of subset simulation. All go
 on side by side: what a batch has room for beside rounds that are asked for are plain draws. Scenarios may run in
-processes of their own, on one GPU too. Cells that are done are taken as they are, plain draws go on; all is written
-to docs/data/rare.json, which docs/certainty.md cites, after every cell.
+processes of their own, on one GPU too. Cells that are done are taken as they are, and those of other code; plain draws
+go on, and with `--rows` searches. After each batch all is written to docs/data/rare.json, cited by docs/certainty.md.
 """
 
 import argparse
@@ -25,6 +25,7 @@ from scipy.stats import t as student
 from sweep.analysis.intervals import CONFIDENCE, clopper_pearson
 from sweep.analysis.rare import Repeated, Weighted, rare
 from sweep.core.errors import InputError
+from sweep.core.files import write_whole
 from sweep.core.provenance import made_with
 from sweep.runs import runner
 from sweep.runs.batches import make_engine, nominal, with_room
@@ -46,6 +47,8 @@ PLAIN = 1_000_000  # seed of plain draws, which no repetition has
 
 Ask = Generator[Draws, pd.DataFrame, pd.DataFrame]  # rounds, which are sent their rows; it returns all of these
 Cell = dict[str, Any]
+Asked = tuple[str, str, int]  # a search: its target, its way, and which repetition
+SEARCH = ["target", "way", "repetition"]
 
 
 class Robots:
@@ -163,22 +166,38 @@ def failed(rows: pd.DataFrame) -> np.ndarray:
 def measured(robots: Robots, kept: "Kept", given: argparse.Namespace, deadline: float) -> None:
     """Fill the cells that are missing, until it is time to stop."""
     exps: dict[tuple[str, str], list[Experiment]] = {}
-    for target, scale in kept.scales.items():
-        seeds = range(1, given.repetitions + 1)
-        exps[target, "importance"] = importance(robots, scale, given.num, seeds)
-        design = {"kind": "subset", "num": given.level, "runs": given.repetitions}
+    design = {"kind": "subset", "num": given.level, "runs": given.repetitions}
+    for target, scale in kept.scales.items():  # levels first, whose rounds are many
         exps[target, "levels"] = [robots.scaled(scale, **design)]
+    for target, scale in kept.scales.items():
+        exps[target, "importance"] = importance(robots, scale, given.num, range(1, given.repetitions + 1))
     exps = {key: some for key, some in exps.items() if "P" not in kept.cell(*key)}
-    truths = {target: robots.scaled(scale) for target, scale in kept.scales.items()}
-    asks = {(key, k): sought(exp) for key, some in exps.items() for k, exp in enumerate(some)}
-    asked: dict[Any, Draws] = {key: next(ask) for key, ask in asks.items()}
-    ended: dict[Any, pd.DataFrame] = {}
-    while (start := time.perf_counter()) < deadline and (asked or kept.lacking()):
-        tables = {key: robots.points(exps[key[0]][key[1]], draws) for key, draws in asked.items()}
+    asks = {(*key, k): sought(exp) for key, some in exps.items() for k, exp in enumerate(some)}
+    asked: dict[Asked, Draws] = {key: next(ask) for key, ask in asks.items()}
+    ended: dict[Asked, pd.DataFrame] = {}
+
+    def table(key: Asked) -> pd.DataFrame:
+        return robots.points(exps[key[:2]][key[2]], asked[key])
+
+    def advance(key: Asked, rows: pd.DataFrame) -> None:
+        try:
+            asked[key] = asks[key].send(rows)
+        except StopIteration as end:
+            ended[key] = end.value
+            del asked[key]
+
+    past = Past(given.rows, robots.lead)
+    for key in list(asked):
+        while key in asked and (rows := past.of(key, table(key))) is not None:
+            advance(key, rows)
+    lasts = 0.0  # a batch
+    while (start := time.perf_counter()) + lasts < deadline and (asked or kept.lacking()):
+        ends = np.cumsum([len(draws.numbers) for draws in asked.values()])
+        fitting = list(asked)[: max(1, int(np.sum(ends <= robots.width)))]
+        tables: dict[Any, pd.DataFrame] = {key: table(key) for key in fitting}
         room = -sum(map(len, tables.values())) % robots.width or (0 if tables else robots.width)
-        if room:  # for the truth, of the cell that lacks most by its size
-            target = kept.lacking() or list(truths)[-1]
-            exp = truths[target]
+        if room and kept.growing:  # for the truth, of the first cell that lacks some
+            exp = robots.scaled(kept.scales[target := kept.lacking() or kept.growing[-1]])
             tables[target] = robots.points(exp, plain(exp, room, kept.plain()))
         found = dict(zip(tables, robots.run(list(tables.values())), strict=True))
         took = (time.perf_counter() - start) / sum(map(len, tables.values()))
@@ -186,35 +205,60 @@ def measured(robots: Robots, kept: "Kept", given: argparse.Namespace, deadline: 
             if isinstance(key, str):
                 kept.more_plain(key, failed(rows), rows["outcome"].eq("invalid").to_numpy(), took)
                 continue
-            (target, way), _ = key
-            kept.spent(target, way, rows, took)
-            try:
-                asked[key] = asks[key].send(rows)
-            except StopIteration as end:
-                ended[key] = end.value
-                del asked[key]
-        for key, some in exps.items():
-            if all((key, k) in ended for k in range(len(some))) and "P" not in kept.cell(*key):
-                target, way = key
-                kept.done(target, way, [rare(ended[key, k], exp) for k, exp in enumerate(some)])
-        kept.seconds += time.perf_counter() - start
+            kept.spent(*key[:2], rows, took)
+            past.add(key, rows)
+            advance(key, rows)
+        for (target, way), some in exps.items():
+            if all((target, way, k) in ended for k in range(len(some))) and "P" not in kept.cell(target, way):
+                kept.done(target, way, [rare(ended[target, way, k], exp) for k, exp in enumerate(some)])
+        kept.seconds += (lasts := time.perf_counter() - start)
+        past.write()
         kept.write()
         print(f"{kept.scenario} {kept.seconds:.0f} s: {len(asked)} searches go on; {kept.told()}", flush=True)
+
+
+class Past:
+    """What rows of searches came to, so that those that were stopped go on; kept in a file, if any."""
+
+    def __init__(self, file: Path | None, lead: str):
+        """Reads what is there."""
+        self.file, self.columns = file, ["replicate", "outcome", lead]
+        there = pd.read_parquet(file) if file and file.exists() else pd.DataFrame(columns=[*SEARCH, *self.columns])
+        self.parts = [there]
+        self.known = {key: rows.set_index("replicate")[["outcome", lead]] for key, rows in there.groupby(SEARCH)}
+
+    def of(self, key: Asked, table: pd.DataFrame) -> pd.DataFrame | None:
+        """A round as it was run; None where a row of it was not."""
+        if key not in self.known or not table["replicate"].isin(self.known[key].index).all():
+            return None
+        return table.join(self.known[key], on="replicate")
+
+    def add(self, key: Asked, rows: pd.DataFrame) -> None:
+        """Keep a round."""
+        self.parts.append(rows[self.columns].assign(**dict(zip(SEARCH, key, strict=True))))
+
+    def write(self) -> None:
+        """Put all rounds into the file."""
+        if self.file:
+            rows = pd.concat(self.parts[not len(self.parts[0]) :])
+            write_whole(self.file, rows.to_parquet(compression="zstd"))
 
 
 class Kept:
     """What a scenario's cells hold, and the file they are in."""
 
-    def __init__(self, file: Path, scenario: str, about: Mapping[str, Any]):
-        """Reads what is there."""
+    def __init__(self, file: Path, scenario: str, about: Mapping[str, Any], goes_on: bool):
+        """Reads what is there. Searches that were stopped go on, or begin anew; those of other code always do."""
         self.file, self.scenario = file, scenario
         there = shared.read(file).get(scenario, {})
-        if there and there["code"] != about["code"]:
-            raise InputError(f"{file} has {scenario} of other code ({there['code']}): remove it, or give --out")
         self.content = {**about, "seconds": 0.0, "scales": {}, "cells": {}, **there}
-        for ways in self.content["cells"].values():  # a search that was stopped begins anew
-            for way in [way for way, cell in ways.items() if "P" not in cell]:
-                del ways[way]
+        self.about = {key: about[key] for key in shared.BY}
+        for ways in self.content["cells"].values():
+            for way, cell in list(ways.items()):
+                ways[way] = cell = {**{key: there[key] for key in shared.BY}, **cell}
+                if "P" not in cell and (cell["code"] != about["code"] or not goes_on):  # a search begins anew
+                    del ways[way]
+        self.content |= {key: shared.joined([there, about], key) for key in self.about}
 
     @property
     def scales(self) -> dict[str, float]:
@@ -233,7 +277,7 @@ class Kept:
     def cell(self, target: str, way: str) -> Cell:
         """One of them, empty at first."""
         cells = self.content["cells"].setdefault(target, {})
-        return cells.setdefault(way, {"rollouts": 0, "invalid": 0, "seconds": 0.0})
+        return cells.setdefault(way, {**self.about, "rollouts": 0, "invalid": 0, "seconds": 0.0})
 
     def spent(self, target: str, way: str, rows: pd.DataFrame, took: float) -> None:
         """Count rows of a cell, of which each took so many seconds."""
@@ -251,9 +295,14 @@ class Kept:
                  "invalid": cell["invalid"] + int(invalid.sum()),
                  "seconds": round(cell["seconds"] + took * len(bad), 2)}  # fmt: skip
 
+    @property
+    def growing(self) -> list[str]:
+        """Targets whose plain draws are of this code, if they have any."""
+        return [p for p in self.scales if self.cell(p, "plain")["code"] == self.about["code"]]
+
     def lacking(self) -> str | None:
-        """The first target whose plain draws are fewer than its truth is to have."""
-        return next((p for p in self.scales if self.cell(p, "plain")["rollouts"] * float(p) < TRUTH), None)
+        """The first of them that have fewer than their truth is to have."""
+        return next((p for p in self.growing if self.cell(p, "plain")["rollouts"] * float(p) < TRUTH), None)
 
     def plain(self) -> int:
         """How many plain draws there are."""
@@ -355,7 +404,7 @@ def main(words: list[str]) -> None:
     """Measure a scenario, or what is missing of it."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenario")
-    parser.add_argument("--seconds", type=float, default=np.inf, help="after which nothing is begun")
+    parser.add_argument("--seconds", type=float, default=np.inf, help="after which nothing is to go on")
     parser.add_argument("--targets", default="1e-2,1e-3,1e-4")
     parser.add_argument("--scales", help="at which these fail, if known: one for each target")
     parser.add_argument("--repetitions", type=int, default=30)
@@ -363,20 +412,23 @@ def main(words: list[str]) -> None:
     parser.add_argument("--level", type=int, default=500, help="draws of a level of subset simulation")
     parser.add_argument("--width", type=int, default=32768, help="rollouts of a batch")
     parser.add_argument("--out", type=Path, default=DATA)
+    parser.add_argument("--rows", type=Path, help="where what searches came to is kept, so that they go on")
     parser.add_argument("--commit", default="", help="where the sources are in no checkout")
     given, overrides = parser.parse_known_args(words)
     start = time.perf_counter()
     robots = Robots(given.scenario, given.width, overrides)
     about = {**made_with(), "device": robots.device, "lead": robots.lead, "overrides": overrides}
     about |= {"num": given.num, "level": given.level, "repetitions": given.repetitions, "width": given.width}
-    kept = Kept(given.out, given.scenario, about | ({"commit": given.commit} if given.commit else {}))
-    if not kept.scales:
-        targets = [float(p) for p in given.targets.split(",")]
-        known = [float(scale) for scale in given.scales.split(",")] if given.scales else []
-        found = {f"{p:g}": scale for p, scale in zip(targets, known, strict=True)} if known else None
-        kept.content["scales"] = found or scales(robots, targets, given.num)
+    about |= {"commit": given.commit} if given.commit else {}
+    kept = Kept(given.out, given.scenario, about, bool(given.rows and given.rows.exists()))
+    targets = [float(p) for p in given.targets.split(",")]
+    if given.scales:
+        known = [float(scale) for scale in given.scales.split(",")]
+        kept.content["scales"] = {f"{p:g}": scale for p, scale in zip(targets, known, strict=True)} | kept.scales
+    elif not kept.scales:
+        kept.content["scales"] = scales(robots, targets, given.num)
         kept.content["start_s"] = round(time.perf_counter() - start, 1)
-        kept.write()
+    kept.write()
     print(f"{given.scenario}: {kept.scales}, {time.perf_counter() - start:.0f} s", flush=True)
     measured(robots, kept, given, start + given.seconds)
 

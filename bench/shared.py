@@ -1,7 +1,7 @@
 """A file of docs/data that processes side by side add to."""
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +10,7 @@ import filelock
 from sweep.core.files import write_whole
 
 SCENARIOS = "scenarios"
+BY = ("code", "commit")  # what each was made with; of several the names of all
 Scenarios = Mapping[str, dict[str, Any]]  # by name, each with what it was made with, its device and seconds
 
 
@@ -18,11 +19,16 @@ def read(file: Path) -> Scenarios:
     return json.loads(file.read_text(encoding="utf-8"))[SCENARIOS] if file.exists() else {}
 
 
+def joined(scenarios: Iterable[Mapping[str, Any]], key: str) -> str:
+    """All that scenarios have under a key."""
+    return ", ".join(sorted({name for one in scenarios for name in one.get(key, "").split(", ") if name}))
+
+
 def add(file: Path, name: str, found: dict[str, Any], command: str, tables: Callable[[Scenarios], Any]) -> None:
     """Put a scenario into a file, and write anew what the file says of all."""
     with filelock.FileLock(file.with_suffix(".lock")):
         every = dict(sorted({**read(file), name: found}.items()))
-        about = {key: ", ".join(sorted({one[key] for one in every.values()})) for key in ("code", "commit")}
+        about = {key: joined(every.values(), key) for key in BY}
         whole = {
             "command": command,
             "engine": "`mjx`",
