@@ -41,20 +41,20 @@ def climb(off: float) -> list[str]:
 WALK = Promise("`walk_tripod`", ["scenario=walk_tripod"], ("box",))
 CLIMB = Promise("`pole_climb`, lengths off by up to 0.5 %", climb(0.005), ("ellipsoid", "score"))
 RARE = Promise("`pole_climb`, lengths off by up to 0.2 %", climb(0.002), ("ellipsoid",))
-ASKED = {  # by failures at most: rows to learn from, fresh ones, and studies
-    "1e-2": (1024, 1024, (WALK, CLIMB)),
-    "1e-5": (16384, 330_000, (WALK, RARE)),
+WIDTH = 21120  # rollouts of a batch: four for each place of an H100's 132 multiprocessors
+ASKED = {  # by failures at most: rows to learn from, fresh ones, and studies; batches of one width are of one program
+    "1e-2": (1024, 1024, [], (WALK, CLIMB)),
+    "1e-5": (WIDTH, 330_000, [f"engine.width={WIDTH}"], (WALK, RARE)),
 }
 
 
 def regions(failures: str, root: Path) -> Iterator[list[str]]:
     """A line for each region; rows are kept in folders of `root`, one for each study."""
-    learn, fresh, promises = ASKED[failures]
+    learn, fresh, width, promises = ASKED[failures]
     for k, promise in enumerate(promises):
         folder, told = root / f"{k}", root / "region.json"
-        seconds = sweep(
-            root, "run", "study=any_errors", *promise.overrides, f"study.design.num={learn}", f"out={folder}"
-        )
+        about = ["study=any_errors", *promise.overrides, f"study.design.num={learn}", *width]
+        seconds = sweep(root, "run", *about, f"out={folder}")
         for shape in promise.shapes:
             asked = f"--failures {failures} --shape {shape} --rollouts {fresh} -o {told}"
             seconds += sweep(root, "certify", str(folder), *asked.split())

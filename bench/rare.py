@@ -35,7 +35,12 @@ from sweep.study.sought import Draws, seen
 from sweep.study.study import points
 
 DATA = Path(__file__).parents[1] / "docs" / "data" / "rare.json"
-LEADS = {"walk_tripod": "margin", "ball_balance": "stability_margin_min_m", "ball_drive": "stability_margin_min_m"}
+LEADS = {
+    "walk_tripod": "margin",
+    "ball_balance": "stability_margin_min_m",
+    "ball_drive": "stability_margin_min_m",
+    "ladder_climb": "edge_reserve_min_m",
+}
 LEAD = "friction_reserve_min"  # of the others: see bench/margins.py
 WAYS = ("plain", "importance", "levels")
 LADDER = (0.5 ** np.arange(0, 8, 0.5)).tolist()  # scales that are looked at first; beyond 1 friction may be negative
@@ -205,7 +210,7 @@ def measured(robots: Robots, kept: "Kept", given: argparse.Namespace, deadline: 
             if isinstance(key, str):
                 kept.more_plain(key, failed(rows), rows["outcome"].eq("invalid").to_numpy(), took)
                 continue
-            kept.spent(*key[:2], rows, took)
+            kept.spent(key[0], key[1], rows, took)
             past.add(key, rows)
             advance(key, rows)
         for (target, way), some in exps.items():
