@@ -46,6 +46,7 @@ WAYS = ("plain", "importance", "levels")
 LADDER = (0.5 ** np.arange(0, 8, 0.5)).tolist()  # scales that are looked at first; beyond 1 friction may be negative
 KNOWN, MOST = 6, 0.3  # failures from which on, and share up to which, one of them tells the others
 PILOTS, TRUTH = 4, 200  # repetitions that look at the middle scale; failures that plain draws are to have
+RAREST = 1e-5  # target from which on there are to be plain draws
 SETS = 5  # runs of levels that a study has by default
 VARIATION = 0.1  # that costs are told for
 PLAIN = 1_000_000  # seed of plain draws, which no repetition has
@@ -302,8 +303,9 @@ class Kept:
 
     @property
     def growing(self) -> list[str]:
-        """Targets whose plain draws are of this code, if they have any."""
-        return [p for p in self.scales if self.cell(p, "plain")["code"] == self.about["code"]]
+        """Targets that have plain draws, or are to have them, of this code."""
+        to_have = [p for p in self.scales if float(p) >= RAREST]
+        return [p for p in to_have if self.cell(p, "plain")["code"] == self.about["code"]]
 
     def lacking(self) -> str | None:
         """The first of them that have fewer than their truth is to have."""
@@ -345,14 +347,17 @@ class Kept:
 
 def tables(scenarios: shared.Scenarios) -> dict[str, list[list[str]]]:
     """What docs/certainty.md cites."""
-    return {"truth": truth(scenarios), "cost": cost(scenarios)}
+    return {"truth": truth(scenarios), "cost": cost(scenarios), "beyond": beyond(scenarios)}
 
 
-def cells_of(scenarios: shared.Scenarios) -> Iterable[tuple[list[str], dict[str, Cell]]]:
-    """Cells by way, with the words that a line begins with, of every scale whose truth is known to have failures."""
+def cells_of(scenarios: shared.Scenarios, known: bool = True) -> Iterable[tuple[list[str], dict[str, Cell]]]:
+    """Cells by way, with the words that a line begins with, of every scale whose truth is known to have failures.
+
+    Or of those of which there is no truth.
+    """
     for name, one in scenarios.items():
-        for target, ways in one["cells"].items():
-            if ways.get("plain", {}).get("failed"):
+        for target, ways in sorted(one["cells"].items(), key=lambda cells: -float(cells[0])):
+            if bool(ways.get("plain", {}).get("failed")) == known:
                 yield [f"`{name}`", f"{one['scales'][target]:g}"], {w: c for w, c in ways.items() if "P" in c}
 
 
@@ -390,13 +395,36 @@ def cost(scenarios: shared.Scenarios) -> list[list[str]]:
             if way not in ways:
                 cells += ["", ""]
                 continue
-            cell = ways[way]
-            one = cell["rollouts"] / len(cell["each"]) if "each" in cell else 1
-            spread = variation(cell) if "each" in cell else np.sqrt((1 - cell["P"]) / cell["P"])
-            needed = one * (spread / VARIATION) ** 2
+            needed = rollouts(cell := ways[way])
             cells += [f"{needed:,.0f}", f"{needed * cell['seconds'] / cell['rollouts']:.2g}"]
         table.append([name, f"{ways['plain']['P']:.2g}", *cells])
     return table
+
+
+def beyond(scenarios: shared.Scenarios) -> list[list[str]]:
+    """What both ways say where there is no truth: the mean of all repetitions, and how many rollouts it takes."""
+    titles = ["variation", "early or not trusted", "rollouts for a tenth"]
+    table = [["scenario", "errors times", "importance: P(failure)", *titles, "levels: P(failure)", *titles]]
+    for line, ways in cells_of(scenarios, known=False):
+        cells = []
+        for way, bad in (("importance", "untrusted"), ("levels", "early")):
+            if way not in ways:
+                cells += [""] * 4
+                continue
+            cell = ways[way]
+            ends = f"{cell['P']:.2g} ({cell['low']:.2g} to {cell['high']:.2g})"
+            poor = f"{cell[bad]} of {len(cell['each'])}"
+            cells += [ends, f"{variation(cell):.2f}", poor, f"{rollouts(cell):,.0f}"]
+        if ways:
+            table.append([*line, *cells])
+    return table
+
+
+def rollouts(cell: Cell) -> float:
+    """That a standard error of a tenth takes."""
+    one = cell["rollouts"] / len(cell["each"]) if "each" in cell else 1
+    spread = variation(cell) if "each" in cell else np.sqrt((1 - cell["P"]) / cell["P"])
+    return one * (spread / VARIATION) ** 2
 
 
 def variation(cell: Cell) -> float:
