@@ -3,9 +3,11 @@
 The quadruped of `sweep init --model` and its trot, ENGINES as `native,mjx,warp`. `native` beside `mujoco.rollout` of
 the same model with the very controls that the policy gave, on as many threads; `mjx` beside steps as in a scan, with
 those controls and standing, and beside what `mjx-testspeed` runs; `warp` beside MuJoCo Warp's own step, a graph of
-CUDA's where there is one. The same model, width and number of steps, in one run, one after the other several times; the
-least of each counts, by the wall and by CPU time, which other programs disturb less. What is printed is a table, and
-one line of JSON.
+CUDA's where there is one. Each engine also beside itself with a controller that plays those controls, which tells the
+policy's cost from the loop's and the figures', and beside what it does on the host before the first tick. The same
+model, width and number of steps, in one run, one after the other several times; the least of each counts, by the wall
+and by CPU time, which other programs disturb less. An engine that cannot run is told, and left out. What is printed is
+a table, and one line of JSON.
 """
 
 import json
@@ -27,13 +29,22 @@ import numpy as np
 from mujoco.rollout import Rollout
 
 from sweep.cli.main import main as sweep
+from sweep.engines.settings import EngineSettings
 from sweep.study.config import compose
-from sweep.systems.own import Own
+from sweep.systems.own import Own, batch
 
 REPETITIONS = 5
 THREADS = len(os.sched_getaffinity(0))
 Times = tuple[float, float]  # s, by the wall and of all cores
+Ways = Mapping[str, Callable[[], Any]]
 Found = dict[str, Times]  # the engine's first
+Task = tuple[Any, Any, np.ndarray]  # world, belief, streams
+PLAYED = """import jax.numpy as jnp, numpy as np
+FILES = ["played.npy"]
+CONTROLS = np.load(FILES[0])
+def begin(belief, key): return None, jnp.int32(0), None
+def policy(belief, seen, state, key): return jnp.asarray(CONTROLS, float)[state], state + 1
+"""
 
 
 def timed(call: Callable[[], Any]) -> Times:
@@ -43,37 +54,34 @@ def timed(call: Callable[[], Any]) -> Times:
     return time.perf_counter() - wall, time.process_time() - cpu
 
 
-def least(ways: Mapping[str, Callable[[], Any]]) -> Found:
+def least(ways: Ways) -> Found:
     """Of each way, in turns; compiled before."""
     rounds = [{name: timed(call) for name, call in ways.items()} for _ in range(REPETITIONS)]
     return {name: (min(one[name][0] for one in rounds), min(one[name][1] for one in rounds)) for name in ways}
 
 
-def native(own: Own, engine: Any, task: tuple[Any, Any, np.ndarray]) -> Found:
+def native(own: Own, ways: Ways, controls: np.ndarray, n: int) -> Found:
     """Beside `mujoco.rollout`, which records the state, and nothing of figures."""
-    model, n = own.model, len(task[2])
-    ctrl = np.stack([one.joint_target for one in engine.traces(*task, 1)])
-    substeps = round(own.about.period / model.opt.timestep)
-    ctrl = np.repeat(ctrl, substeps, axis=1)
+    model = own.model
+    ctrl = np.repeat(controls, count(own) // len(controls), axis=0)
     data = [mujoco.MjData(model) for _ in range(THREADS)]
     mujoco.mj_resetDataKeyframe(model, data[0], own.keyframe)
     full = mujoco.mjtState.mjSTATE_FULLPHYSICS
     start = np.zeros(mujoco.mj_stateSize(model, full))
     mujoco.mj_getState(model, data[0], start, full)
     with Rollout(nthread=THREADS) as pool:
-        return least({"native": lambda: engine.run(*task),
-                      "mujoco.rollout": lambda: pool.rollout(model, data, np.tile(start, (n, 1)), ctrl)})  # fmt: skip
+        again = lambda: pool.rollout(model, data, np.tile(start, (n, 1)), np.tile(ctrl, (n, 1, 1)))  # noqa: E731
+        return least({**ways, "mujoco.rollout": again})
 
 
-def on_mjx(own: Own, engine: Any, task: tuple[Any, Any, np.ndarray]) -> Found:
+def on_mjx(own: Own, ways: Ways, controls: np.ndarray, n: int) -> Found:
     """Beside `mjx-testspeed`, which starts from the model's own pose, and beside as many steps from the keyframe.
 
-    Those are of the very controls that the policy gave, the same for all rollouts, and of such that hold the keyframe.
+    Those are of the very controls that the policy gave, and of such that hold the keyframe.
     """
     from mujoco import mjx
 
-    steps, n = count(own), len(task[2])
-    walk = jnp.asarray(engine.trace(*task, 0).joint_target, float)
+    steps, walk = count(own), jnp.asarray(controls, float)
     model, start = mjx.put_model(own.model), standing(own)
     each = jax.tree.map(lambda x: jnp.broadcast_to(x, (n, *x.shape)), mjx.put_data(own.model, start))
 
@@ -92,30 +100,25 @@ def on_mjx(own: Own, engine: Any, task: tuple[Any, Any, np.ndarray]) -> Found:
         return lambda: jax.block_until_ready(unroll(each, controls))
 
     still = jnp.broadcast_to(jnp.asarray(start.ctrl, float), walk.shape)
-    ways = {"mjx": lambda: engine.run(*task), "mjx.step": stepped(walk), "mjx.step, standing": stepped(still)}
-    for call in ways.values():
-        call()  # compiles
-    found, option = least(ways), own.model.opt
+    found, option = least({**ways, "mjx.step": stepped(walk), "mjx.step, standing": stepped(still)}), own.model.opt
     solver = {int(mujoco.mjtSolver.mjSOL_CG): "cg", int(mujoco.mjtSolver.mjSOL_NEWTON): "newton"}[int(option.solver)]
     asked = copy(own.model), steps, n, 1, solver, option.iterations, option.ls_iterations
     tested = (mjx.benchmark(*asked)[1] for _ in range(2))  # it compiles each time
     return found | {"mjx-testspeed": (min(tested), np.nan)}
 
 
-def on_warp(own: Own, engine: Any, task: tuple[Any, Any, np.ndarray]) -> Found:
-    """Beside MuJoCo Warp without JAX, with as much room for contacts."""
+def on_warp(own: Own, ways: Ways, controls: np.ndarray, n: int) -> Found:
+    """Beside MuJoCo Warp without JAX, standing, with as much room for contacts."""
     import warp  # pyright: ignore[reportMissingImports]
     from mujoco.mjx.third_party import mujoco_warp
 
     from sweep.systems.own.mjx import room
 
-    n = len(task[2])
     model = mujoco_warp.put_model(own.model)
     data = mujoco_warp.put_data(own.model, standing(own), nworld=n, **room(own.model, n))
-    substeps = round(own.about.period / own.model.opt.timestep)
 
     def tick() -> None:
-        for _ in range(substeps):
+        for _ in range(count(own) // len(controls)):
             mujoco_warp.step(model, data)
 
     tick()  # compiles
@@ -126,12 +129,11 @@ def on_warp(own: Own, engine: Any, task: tuple[Any, Any, np.ndarray]) -> Found:
         once = lambda: warp.capture_launch(capture.graph)  # noqa: E731
 
     def all_of_it() -> None:
-        for _ in range(count(own) // substeps):
+        for _ in controls:
             once()
         warp.synchronize()
 
-    engine.run(*task)
-    return least({"warp": lambda: engine.run(*task), "mujoco_warp.step": all_of_it})
+    return least({**ways, "mujoco_warp.step, standing": all_of_it})
 
 
 def count(own: Own) -> int:
@@ -162,28 +164,53 @@ def rows(engine: str, found: Found, steps: int) -> Iterator[dict[str, Any]]:
         }
 
 
+def made(name: str, width: int, seconds: str, *more: str) -> tuple[Own, Any, Task]:
+    """A system, its engine, and what that is to run."""
+    exp = compose(["scenario=own", f"engine.name={name}", f"model.duration={seconds}", *more])
+    own = exp.system
+    assert isinstance(own, Own)
+    task = (*own.sides({}), np.zeros(width, np.int64))
+    return own, own.engine(replace(exp.settings, width=width), *task[:2], None), task
+
+
+def measured(name: str, width: int, seconds: str) -> Iterator[dict[str, Any]]:
+    """The rows of an engine. Raises `InputError` where it cannot run."""
+    own, engine, task = made(name, width, seconds)
+    controls = engine.trace(*task, 0).joint_target
+    np.save("played.npy", controls)
+    Path("played.py").write_text(PLAYED)
+    _, played, _ = made(name, width, seconds, "model.controller=played:policy")
+    ways = {
+        name: lambda: engine.run(*task),
+        f"{name}, played": lambda: played.run(*task),
+        f"{name}, its start": lambda: batch.begin(own, EngineSettings(), *task).pose(None),
+    }
+    for call in ways.values():
+        call()  # compiles
+    found = {"native": native, "mjx": on_mjx, "warp": on_warp}[name](own, ways, controls, width)
+    return rows(name, found, count(own) * width)
+
+
 def main(engines: str = "native", width: str = "256", seconds: str = "4") -> None:
-    """A line for each loop, and all as JSON."""
+    """A line for each loop as soon as its engine is done, and all as JSON."""
     table: list[dict[str, Any]] = []
-    told: dict[str, Any] = {"rollouts": int(width), "seconds": float(seconds), "cores": THREADS}
+    device = jax.devices()[0].device_kind
     with tempfile.TemporaryDirectory() as folder:
         sweep(["init", "--model", f"{folder}/quad"])
         os.chdir(Path(folder, "quad"))
+        print(f"rollouts {width}, seconds {seconds}, cores {THREADS}, device {device}")
+        print(f"{'loop':28}{'wall, s':>9}{'CPU, s':>9}{'steps/s':>12}{'engine over it: wall':>22}{'CPU':>6}")
         for engine in engines.split(","):
-            exp = compose(["scenario=own", f"engine.name={engine}", f"model.duration={seconds}"])
-            own = exp.system
-            assert isinstance(own, Own)
-            task = (*own.sides({}), np.zeros(int(width), np.int64))
-            made = own.engine(replace(exp.settings, width=int(width)), *task[:2], None)
-            told["device"] = own.device(exp.settings)  # which mjx-testspeed gives other flags
-            found = {"native": native, "mjx": on_mjx, "warp": on_warp}[engine](own, made, task)
-            table += rows(engine, found, count(own) * int(width))
-    print(", ".join(f"{name} {value}" for name, value in told.items()))
-    print(f"{'loop':20}{'wall, s':>9}{'CPU, s':>9}{'steps/s':>12}{'engine over it: wall':>22}{'CPU':>6}")
-    for one in table:
-        print(f"{one['loop']:20}{one['wall_s']:9.3f}{one['cpu_s']:9.3f}{one['steps_per_s']:12.3g}"
-              f"{one['engine_by_wall']:22.2f}{one['engine_by_cpu']:6.2f}")  # fmt: skip
+            try:
+                table += (found := [*measured(engine, int(width), seconds)])
+            except Exception as error:  # the others are measured all the same
+                print(f"{engine}: {type(error).__name__}: {error}", flush=True)
+                continue
+            for one in found:
+                print(f"{one['loop']:28}{one['wall_s']:9.3f}{one['cpu_s']:9.3f}{one['steps_per_s']:12.3g}"
+                      f"{one['engine_by_wall']:22.2f}{one['engine_by_cpu']:6.2f}", flush=True)  # fmt: skip
     plain = [{key: None if value != value else value for key, value in one.items()} for one in table]
+    told = {"rollouts": int(width), "seconds": float(seconds), "cores": THREADS, "device": device}
     print(json.dumps({**told, "jax": jax.__version__, "mujoco": mujoco.__version__, "loops": plain}))
 
 

@@ -1,9 +1,10 @@
 """The robot through an own model's door: `python bench/through_the_door.py NAME N [ENGINE [FOLDER]]`, beside its own.
 
 N draws from the area of `walk_map`, or of `pole_map` (a model for each of three radii, as sizes are no axes of an own
-model), shared out to a process for each core; on a GPU's engine one process has them all. What is printed: outcomes
-that are equal, how far the distances differ, and rows that differ. A FOLDER keeps the rows, and what the processes
-say: the same command goes on where it was ended, and a larger N has those of a smaller one.
+model), shared out to a process for each core, of which none sees a GPU; on a GPU's engine one process has them all.
+What is printed: outcomes that are equal, how far the distances differ, and rows that differ. A FOLDER keeps the rows,
+and what the processes say: the same command on as many cores goes on where it was ended, and a larger N has those of a
+smaller one.
 """
 
 import os
@@ -13,12 +14,13 @@ import tempfile
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
-from functools import partial
 from pathlib import Path
+from queue import SimpleQueue
 
 import numpy as np
 import pandas as pd
 
+from sweep.analysis.intervals import wilson
 from sweep.runs import store
 from sweep.runs.runner import wanted_points
 from sweep.study.config import compose
@@ -27,14 +29,15 @@ GEOMS = {"walk_map": ["ground"], "pole_map": ["floor", "pole", "ledge"]}
 RADII = (0.35, 0.42, 0.49)  # m
 FRICTION, STEP, RADIUS = "world.contact.friction", "manoeuvre.half_step_ratio", "obstacle.radius"
 SHOWN = ["outcome", "cause", "slip_max_m", "end_drift_m", "progress", "feet_on_target", "distance_m", "tilt_max_deg"]
-Share = tuple[pd.DataFrame, list[int]]  # points, and the cores for them
 
 
-def sweep(args: list[str], folder: Path, told: Path, cores: list[int]) -> None:
+def sweep(args: list[str], folder: Path, told: Path, cores: list[int], engine: str = "native") -> None:
     """A command in `folder`, in a process of its own: each model brings a controller of the same name."""
     on = "taskset", "-c", ",".join(map(str, cores))
+    env = os.environ | ({"JAX_PLATFORMS": "cpu"} if engine == "native" else {})
     with told.open("a") as out:
-        subprocess.run([*on, sys.executable, "-m", "sweep.cli", *args], cwd=folder, stdout=out, stderr=out, check=False)
+        command = [*on, sys.executable, "-m", "sweep.cli", *args]
+        subprocess.run(command, cwd=folder, stdout=out, stderr=out, env=env, check=False)
 
 
 def points(name: str, number: int) -> pd.DataFrame:
@@ -49,12 +52,9 @@ def points(name: str, number: int) -> pd.DataFrame:
     return table.assign(**{RADIUS: np.resize(RADII, number)})
 
 
-def run(
-    name: str, engine: str, overrides: list[str], place: Path, share: tuple[pd.DataFrame, list[int]]
-) -> pd.DataFrame:
-    """The rows of both of some points, joined by friction, and by step where it varies; the model is in `place`."""
-    table, cores = share
-    (folder := place / f"part{cores[0]}").mkdir(exist_ok=True)
+def run(name: str, engine: str, overrides: list[str], folder: Path, table: pd.DataFrame, cores: list[int]) -> None:
+    """Both of some points, in `folder`, beside the model."""
+    folder.mkdir(exist_ok=True)
     table.to_csv(folder / "own.csv", index=False)
     same = ["study.invalid_max=1", "study.expect=[]"]
     sweep(["run", f"study={name}", *overrides, "engine=native", f"study.points={folder}/own.csv", "study.axes={}",
@@ -64,10 +64,16 @@ def run(
         door[f"controller.{STEP}"] = table[STEP]
     door.to_csv(folder / "door.csv", index=False)
     sweep(["run", "study=study.yaml", "scenario=own", f"engine.name={engine}", "--points", f"{folder}/door.csv",
-           f"out={folder}/door", *same], place / "model", folder / "said.txt", cores)  # fmt: skip
-    keys = [FRICTION, STEP] if STEP in table else [FRICTION]
-    rows = store.read_rows(folder / "door").rename(columns={door.columns[0]: FRICTION, f"controller.{STEP}": STEP})
-    return store.read_rows(folder / "own").merge(rows, on=keys, suffixes=("", "_door"))
+           f"out={folder}/door", *same], folder.parent / "model", folder / "said.txt", cores, engine)  # fmt: skip
+
+
+def both(name: str, folder: Path) -> pd.DataFrame:
+    """The rows of both that a folder has, joined by friction, and by step where it varies."""
+    rows = store.read_rows(folder / "door").rename(
+        columns={f"model.geom.{GEOMS[name][0]}_contact.friction.slide": FRICTION, f"controller.{STEP}": STEP}
+    )
+    own = store.read_rows(folder / "own")
+    return own.merge(rows, on=[key for key in (FRICTION, STEP) if key in rows], suffixes=("", "_door"))
 
 
 def export(name: str, overrides: list[str], place: Path, cores: list[int]) -> None:
@@ -83,27 +89,43 @@ def export(name: str, overrides: list[str], place: Path, cores: list[int]) -> No
 def main(name: str, number: str, engine: str = "native", kept: str = "") -> None:
     """What both say."""
     table, begun = points(name, int(number)), time.perf_counter()
-    found: list[pd.DataFrame] = []
     cores = sorted(os.sched_getaffinity(0))
-    groups = table.groupby(RADIUS) if RADIUS in table else [("", table)]
+    groups = [*table.groupby(RADIUS)] if RADIUS in table else [("", table)]
+    at_once = [[core] for core in cores] if engine == "native" else [cores]
+    parts = max(len(at_once) // len(groups), 1)  # of each group
+    free: SimpleQueue[list[int]] = SimpleQueue()
+    for one in at_once:
+        free.put(one)
+
+    def share(overrides: list[str], folder: Path, rows: pd.DataFrame) -> pd.DataFrame:
+        mine = free.get()
+        run(name, engine, overrides, folder, rows, mine)
+        free.put(mine)
+        return both(name, folder)
+
     with ExitStack() as stack:
         root = Path(kept).absolute() if kept else Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        pool = stack.enter_context(ThreadPoolExecutor(len(cores)))
+        pool = stack.enter_context(ThreadPoolExecutor(len(at_once)))
+        asked = []
         for radius, rows in groups:
             place, overrides = root / f"{name}{radius}", [f"{RADIUS}={radius}"] if radius else []
             export(name, overrides, place, cores)
             rows = rows.drop(columns=RADIUS, errors="ignore")
-            shares = [(rows, cores)]
-            if engine == "native":
-                shares = [(rows[k :: len(cores)], [core]) for k, core in enumerate(cores[: len(rows)])]
-            found.extend(pool.map(partial(run, name, engine, overrides, place), shares))
-    both = pd.concat(found, ignore_index=True)
-    far, same = (both["distance_m"] - both["distance_m_door"]).abs(), both["outcome"] == both["outcome_door"]
-    cause = both["cause"] == both["cause_door"]
-    print(f"{name} on {engine}: {same.sum()} of {len(both)} outcomes are equal, {cause.sum()} causes")
-    print(f"distance: median {far.median():.1e} m, 90 % within {far.quantile(0.9):.1e} m, largest {far.max():.1e} m")
+            asked += [(overrides, place / f"part{k}", rows[k::parts]) for k in range(min(parts, len(rows)))]
+        found = pd.concat(pool.map(lambda one: share(*one), asked), ignore_index=True)
     print(f"{time.perf_counter() - begun:.0f} s on {len(cores)} cores")
-    print(both.loc[~same, [FRICTION, *[n for s in SHOWN for n in (s, f"{s}_door") if n in both]]].T.to_string())
+    tell(f"{name} on {engine}", found)
+
+
+def tell(what: str, found: pd.DataFrame) -> None:
+    """How far rows of `both` are the same, and which are not."""
+    far, same = (found["distance_m"] - found["distance_m_door"]).abs(), found["outcome"] == found["outcome_door"]
+    low, high = wilson(int(same.sum()), len(found))
+    cause = found["cause"] == found["cause_door"]
+    print(f"{what}: {same.sum()} of {len(found)} outcomes are equal ({100 * same.mean():.2f} %; {100 * low:.2f} to "
+          f"{100 * high:.2f}), {cause.sum()} causes")  # fmt: skip
+    print(f"distance: median {far.median():.1e} m, 90 % within {far.quantile(0.9):.1e} m, largest {far.max():.1e} m")
+    print(found.loc[~same, [FRICTION, *[n for s in SHOWN for n in (s, f"{s}_door") if n in found]]].T.to_string())
 
 
 if __name__ == "__main__":

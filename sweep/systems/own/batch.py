@@ -1,6 +1,7 @@
 """Rollouts of an own model as they begin: models of their own, what their controllers are given, and poses."""
 
-from copy import copy
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import mujoco
@@ -32,24 +33,30 @@ class AtStart(NamedTuple):
         return [] if slots is None else [self.batch.get_model(int(slot)) for slot in slots]
 
     def energy(self, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
-        """Of each model (n,), potential and kinetic (J), at positions (n, nq) and velocities (n, nv)."""
-        data, found = mujoco.MjData(self.batch.model), np.full(len(qpos), np.nan)
-        # one for all, but for those with gravity compensation, whose number of such bodies is a size
-        shared = None if "body_gravcomp" in self.batch._expanded else copy(self.batch.model)
-        for k in np.flatnonzero(np.isfinite(qpos).all(axis=1) & np.isfinite(qvel).all(axis=1)):
-            model = self.batch.get_model(int(k), shared)
-            data.qpos[:], data.qvel[:] = qpos[k], qvel[k]
-            mujoco.mj_fwdPosition(model, data)
-            mujoco.mj_energyPos(model, data)
-            mujoco.mj_energyVel(model, data)
-            found[k] = data.energy.sum()
-        return found
+        """Of each model (n,), potential and kinetic (J), at positions (n, nq) and velocities (n, nv) that it takes."""
+        finite = np.isfinite(qpos).all(axis=1) & np.isfinite(qvel).all(axis=1)
+        self.qpos[:], self.qvel[:] = qpos, qvel
+        with energies(self.batch) as found:
+            self.batch.forward(np.flatnonzero(finite), int(mujoco.mjtStage.mjSTAGE_VEL))
+        return np.where(finite, found.sum(axis=1), np.nan)
 
-    def pose(self, start: np.ndarray | None) -> None:
-        """Begin at positions (n, nq) rather than at the keyframe, if there are any."""
-        if start is not None:
-            self.qpos[:] = start
+    def pose(self, start: np.ndarray | None) -> np.ndarray:
+        """Begin at positions (n, nq) rather than at the keyframe, if there are any; the energy there (n,), in J."""
+        with energies(self.batch) as found:
+            if start is not None:
+                self.qpos[:] = start
             self.batch.forward()
+        return np.where(np.isfinite(self.qpos).all(axis=1), found.sum(axis=1), np.nan)
+
+
+@contextmanager
+def energies(batch: Batch) -> Iterator[np.ndarray]:
+    """Those of a batch's models, potential and kinetic (n, 2), as its calls inside find them on all cores."""
+    flags, found = batch.expand("opt.enableflags"), batch.bind("energy")
+    usual = flags.copy()
+    flags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
+    yield found
+    flags[:] = usual
 
 
 def begin(own: Subject, settings: EngineSettings, world: Side, belief: Side, streams: np.ndarray) -> AtStart:
@@ -60,7 +67,7 @@ def begin(own: Subject, settings: EngineSettings, world: Side, belief: Side, str
     # bound before the reset: what is bound after it is zero until the next call
     varied = fields.by_rollout(own.model, world.of("model"))
     fields.write(batch, {path: np.broadcast_to(value, (n,)) for path, value in varied.items()}, own.source)
-    batch.reset(keyframe=own.keyframe)
+    batch.reset(keyframe=own.keyframe, stage=int(mujoco.mjtStage.mjSTAGE_NONE))
     noise = {**own.noise, **world.of("noise")}
     told = own.told({**belief.of("model"), **belief.of("controller")})
     given = {
@@ -82,14 +89,20 @@ def ticks(own: Subject, duration: np.ndarray | None, n: int) -> np.ndarray:
 
 def expanded(batch: Batch, name: str) -> np.ndarray:
     """A field of every model (n, ...), whether they differ in it or not; what follows from others, too."""
-    same = fields.whole(batch.model, name)
-    rows = batch._expanded.get(name) if name.startswith("opt.") else batch._expanded_values(name)
+    rows, same = _own_rows(batch, name), fields.whole(batch.model, name)
     return np.broadcast_to(same, (batch.nsim, *same.shape)) if rows is None else rows
 
 
 def differing(batch: Batch) -> dict[str, np.ndarray]:
     """The fields in which a batch's models differ from its own, (n, ...)."""
-    model = batch.model
-    usual = {name: fields.whole(model, name) for name in sorted(MODEL_FIELDS)}
-    rows = {name: expanded(batch, name) for name, values in usual.items() if values.dtype.kind == "f"}
-    return {name: values for name, values in rows.items() if (values != usual[name]).any()}
+    found = {name: _own_rows(batch, name) for name in sorted(MODEL_FIELDS)}
+    return {
+        name: rows
+        for name, rows in found.items()
+        if rows is not None and rows.dtype.kind == "f" and (rows != fields.whole(batch.model, name)).any()
+    }
+
+
+def _own_rows(batch: Batch, name: str) -> np.ndarray | None:
+    """A field's values (n, ...) where each model has its own, even if all are alike."""
+    return batch._expanded.get(name) if name.startswith("opt.") else batch._expanded_values(name)

@@ -32,6 +32,7 @@ with redirect_stdout(io.StringIO()):  # it prints which of its parts are not ins
 
 CARRIED = "qpos", "qvel", "act", "qacc_warmstart", "time"  # of its data, from step to step
 INNER = ("actuator_velocity",)
+CHUNK = 50  # ticks of a call, so that a command can be ended
 RUBBING = "dof_frictionloss", "tendon_frictionloss"
 # by whether they are 0
 SHAPING = *RUBBING, "opt.density", "opt.viscosity", "opt.wind", "body_gravcomp", "geom_margin", "pair_margin"
@@ -88,7 +89,7 @@ class Mjx(Loop):
         # made once: a function of its own in every run would be traced and compiled anew
         each = self._programs.begin_one, self._programs.enter_one, self._programs.finish_one
         self._first, self._enter, self._finish = (jax.jit(jax.vmap(one)) for one in each)
-        self._tick = jax.jit(self._ticked, donate_argnums=6)
+        self._ticks = jax.jit(self._ticked, donate_argnums=6)
 
     def cautions(self) -> Iterator[str]:
         """See `Loop`: where MJX is known to part from C MuJoCo."""
@@ -153,7 +154,7 @@ class Mjx(Loop):
             begun = batch.begin(own, self._settings, world, belief, streams)
             given = jax.device_put(begun.given)
             start, state, duration = self._first(given)
-            begun.pose(None if start is None else np.asarray(start))
+            at_first = begun.pose(None if start is None else np.asarray(start))
             seen = jnp.asarray(own.state(begun.qpos, begun.qvel, begun.sensors), float)
             ticks = batch.ticks(own, None if duration is None else np.asarray(duration), n)
             template, data, leaves = self._put(begun)
@@ -166,16 +167,18 @@ class Mjx(Loop):
                 "seen": seen,
                 "wrong": jnp.zeros(n, bool),
                 "full": jnp.zeros(n, bool),
-                "before": jnp.full((n, self._model.nu), jnp.nan),  # controls of the tick before, none at first
+                "ctrl": jnp.full((n, self._model.nu), jnp.nan),  # of the tick before, none at first
+                "force": jnp.zeros((n, self._model.nu)),
             }
             carry = jax.tree.map(jnp.copy, carry)  # its buffers are given away, and some are there twice
             limits = {name: jnp.asarray(rows, float) for name, rows in begun.limits.items()}
-            for k in range(int(ticks.max(initial=0))):
-                carry, last = self._tick(template, data, leaves, given, limits, k < ticks, carry)
-                if slots is not None and (k + 1) % every == 0:
-                    frames.append(Frame((k + 1) * own.about.period, *(np.asarray(x)[slots] for x in last)))
+            longest, chunk = int(ticks.max(initial=0)), CHUNK if slots is None else every
+            for k in range(0, longest, chunk):
+                carry = self._ticks(template, data, leaves, given, limits, min(chunk, longest - k), carry)
+                if slots is not None and k + every <= longest:
+                    last = carry["now"]["qpos"], carry["now"]["qvel"], carry["ctrl"], carry["force"]
+                    frames.append(Frame((k + every) * own.about.period, *(np.asarray(x)[slots] for x in last)))
             last = self._finish(given, carry["carried"], carry["seen"])
-            at_first = begun.energy(begun.qpos, begun.qvel)  # while the device is at work
             measured = {name: np.asarray(values, float) for name, values in last.items()}
         last, (wrong, full) = carry["sofar"], (np.asarray(carry[name]) for name in ("wrong", "full"))
         gained = begun.energy(*(np.asarray(last[name], float) for name in ("last", "speed"))) - at_first
@@ -210,43 +213,41 @@ class Mjx(Loop):
         leaves: Mapping[str, Array],
         given: Mapping[str, Any],
         limits: Mapping[str, Array],
-        going: Array,
+        count: Array,
         carry: Mapping[str, Any],
-    ) -> tuple[dict[str, Any], tuple[Array, ...]]:
-        """What goes on, and positions, velocities, controls and forces (n, ...) at the end of a tick."""
-        ctrl, carried = jax.vmap(self._programs.tick_one)(given, carry["carried"], carry["seen"])
-        wrong = carry["wrong"] | going & ~jnp.isfinite(ctrl).all(axis=1)
-        ctrl = jnp.nan_to_num(ctrl)
-        before = jnp.where(jnp.isnan(carry["before"]), ctrl, carry["before"])
+    ) -> dict[str, Any]:
+        """What goes on after `count` more ticks: states, figures, and controls and forces (n, nu) of the last one."""
 
         def one(rows: Mapping[str, Array], now: Mapping[str, Array], ctrl: Array) -> tuple[Any, Any]:
-            after = mjx.step(template.tree_replace(rows), data.replace(**now, ctrl=ctrl))
+            model = template.tree_replace(rows)
+            after = mjx.step(model, data.replace(**now, ctrl=ctrl))
             told = {name: getattr(after._impl if name in INNER else after, name) for name in figures.STEPS}
-            told["full"], told["unsolved"] = self._doubted(template.tree_replace(rows), after)
+            told["full"], told["unsolved"] = self._doubted(model, after)
             return {name: getattr(after, name).astype(now[name].dtype) for name in CARRIED}, told
 
-        def step(state: Any, share: Array) -> tuple[Any, None]:
-            now, sofar, full, _ = state
-            now, told = jax.vmap(one)(leaves, now, before + share * (ctrl - before))
-            full = full | going & told.pop("full")
-            steps = {name: values[:, None] for name, values in told.items()}
-            sofar = self._meter.update(sofar, steps, limits, going)
-            return (now, sofar, full, (told["sensordata"], told["actuator_force"])), None
+        def tick(carry: Mapping[str, Any]) -> dict[str, Any]:
+            going = carry["carried"]["tick"] < carry["carried"]["ticks"]
+            ctrl, carried = jax.vmap(self._programs.tick_one)(given, carry["carried"], carry["seen"])
+            wrong = carry["wrong"] | going & ~jnp.isfinite(ctrl).all(axis=1)
+            ctrl = jnp.nan_to_num(ctrl)
+            before = jnp.where(jnp.isnan(carry["ctrl"]), ctrl, carry["ctrl"])
 
-        none = tuple(jnp.zeros((len(ctrl), size)) for size in (self._model.nsensordata, self._model.nu))
-        first = carry["now"], carry["sofar"], carry["full"], none
-        (now, sofar, full, (sensors, force)), _ = jax.lax.scan(step, first, jnp.asarray(self._shares, float))
-        seen = self._own.state(now["qpos"], now["qvel"], sensors)
-        new = {
-            "now": now,
-            "sofar": sofar,
-            "carried": carried,
-            "seen": seen,
-            "wrong": wrong,
-            "full": full,
-            "before": ctrl,
-        }
-        return new, (now["qpos"], now["qvel"], ctrl, force)
+            def step(state: Any, share: Array) -> tuple[Any, None]:
+                now, sofar, full, _ = state
+                now, told = jax.vmap(one)(leaves, now, before + share * (ctrl - before))
+                full = full | going & told.pop("full")
+                steps = {name: values[:, None] for name, values in told.items()}
+                sofar = self._meter.update(sofar, steps, limits, going)
+                return (now, sofar, full, (told["sensordata"], told["actuator_force"])), None
+
+            none = jnp.zeros((len(ctrl), self._model.nsensordata)), carry["force"]
+            first = carry["now"], carry["sofar"], carry["full"], none
+            (now, sofar, full, (sensors, force)), _ = jax.lax.scan(step, first, jnp.asarray(self._shares, float))
+            seen = self._own.state(now["qpos"], now["qvel"], sensors)
+            new = {"now": now, "sofar": sofar, "carried": carried, "seen": seen}
+            return new | {"wrong": wrong, "full": full, "ctrl": ctrl, "force": force}
+
+        return jax.lax.fori_loop(0, count, lambda _, carry: tick(carry), carry)
 
     def _doubted(self, model: Any, data: Any) -> tuple[Array, Array]:
         """Whether a step of MJX's model was short of room, and whether it is unsolved."""

@@ -44,11 +44,10 @@ class Native(Loop):
             begun = batch.begin(own, self._settings, world, belief, streams)
             qpos, qvel, seen = begun.qpos, begun.qvel, begun.sensors
             rollouts = Rollouts(self._programs, begun.given, n)
-            begun.pose(rollouts.start)
+            before_all = begun.pose(rollouts.start)
             ticks = batch.ticks(own, rollouts.duration, n)
             rollouts.enter(own.state(qpos, qvel, seen), ticks)
             meter = figures.Meter(own)
-            before_all = begun.energy(qpos, qvel)
             sofar = aside.submit(meter.start, qpos.copy(), qvel.copy())
 
             def measured(sofar: Any, steps: Any, going: np.ndarray) -> dict[str, Any]:
