@@ -1,5 +1,8 @@
 """An own model on both engines: the same physics, what MJX cannot do, how it is simulated, and the audit."""
 
+import os
+import subprocess
+import sys
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -306,6 +309,33 @@ def test_mjx_traces_once(here, caplog):
     assert not caplog.messages
     for name, values in first.items():
         np.testing.assert_array_equal(again[name], values, err_msg=name)
+
+
+WHERE = """import jax
+FIGURES = {"speed_mps": "none"}
+PLACES = set()
+def figures(belief, state): return {"speed_mps": jax.numpy.zeros(())}
+def policy(seen):
+    PLACES.update(device.id for array in jax.live_arrays() for device in array.devices())
+    return 0 * seen[:, :1]
+"""
+ELSEWHERE = """import jax, numpy as np
+jax.config.update("jax_default_device", jax.devices()[1])
+from sweep.study.config import compose
+exp = compose(["study=rail.yaml"])
+task = *exp.system.sides({}), np.zeros(4, np.int64)
+exp.system.engine(exp.settings, *task[:2], None).run(*task)
+import where
+print(where.PLACES)
+"""
+
+
+def test_native_is_on_the_cpu_beside_other_devices(here):
+    """Whose programs run on the first device, another one being the default."""
+    rail("where", WHERE)
+    flags = {"XLA_FLAGS": "--xla_force_host_platform_device_count=2"}
+    found = subprocess.run([sys.executable, "-c", ELSEWHERE], env=os.environ | flags, capture_output=True, text=True)
+    assert found.stdout.split() == ["{0}"], found.stderr
 
 
 GLIDE = """import jax.numpy as jnp

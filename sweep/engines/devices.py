@@ -14,6 +14,7 @@ from jax.stages import Compiled
 from jaxtyping import Array
 
 from sweep.core import files
+from sweep.core.errors import InputError
 from sweep.engines.settings import EngineSettings
 
 BATCH = "batch"
@@ -62,6 +63,14 @@ def memory() -> Iterator[None]:
 def precision(settings: EngineSettings) -> contextlib.AbstractContextManager:
     """Double precision where asked for, for the calls inside."""
     return jax.enable_x64(settings.precision == "float64")
+
+
+def on_cpu() -> contextlib.AbstractContextManager:
+    """The CPU, for JAX's calls inside, whatever its default device is. Raises `InputError` where JAX has none."""
+    try:
+        return jax.default_device(jax.local_devices(backend="cpu")[0])
+    except RuntimeError:
+        raise InputError("engine.name = native needs JAX's CPU: as JAX_PLATFORMS=cuda,cpu") from None
 
 
 def reuse_from() -> int:

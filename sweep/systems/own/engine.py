@@ -1,6 +1,7 @@
 """What engines for own models have in common: from figures and frames of a batch to histories and traces."""
 
 from collections.abc import Iterable, Iterator
+from contextlib import AbstractContextManager
 from typing import NamedTuple
 
 import mujoco
@@ -43,8 +44,12 @@ class Loop:
         ramp = (1 + np.arange(self._substeps)) / self._substeps  # what a command counts for, beside the one before
         self._shares = ramp if own.about.command == "ramped" else np.ones(self._substeps)
         belief = {name: NUMBERS[settings.precision](value) for name, value in own.told({}).items()}
-        with devices.precision(settings):
+        with self._within():
             self._programs = Programs(own, belief)
+
+    def _within(self) -> AbstractContextManager:
+        """The precision that JAX reckons in."""
+        return devices.precision(self._settings)
 
     def check_start(self) -> None:
         """Raise `InputError` where the controller's first controls are not finite, all being nominal."""
@@ -54,7 +59,7 @@ class Loop:
             begun.pose(start)
             return self._own.state(begun.qpos, begun.qvel, begun.sensors)[0]
 
-        with devices.precision(self._settings):
+        with self._within():
             self._programs.check_start(begun.given, pose)
 
     def cautions(self) -> Iterator[str]:

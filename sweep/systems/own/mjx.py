@@ -84,7 +84,7 @@ class Mjx(Loop):
         self._placed: dict[Any, tuple[Any, Any]] = {}  # MJX's model and data of a batch's shape
         if own.controller.batched:
             raise self._refused("a controller of NumPy's or a network is no part of its program", "one of JAX's, ")
-        with devices.precision(settings):
+        with self._within():
             self._check()
         # made once: a function of its own in every run would be traced and compiled anew
         each = self._programs.begin_one, self._programs.enter_one, self._programs.finish_one
@@ -150,7 +150,7 @@ class Mjx(Loop):
         self, world: Side, belief: Side, streams: np.ndarray, slots: np.ndarray | None = None, every: int = 1
     ) -> tuple[Figures, list[Frame], list[mujoco.MjModel]]:
         own, n, frames = self._own, len(streams), []
-        with devices.precision(self._settings):
+        with self._within():
             begun = batch.begin(own, self._settings, world, belief, streams)
             given = jax.device_put(begun.given)
             start, state, duration = self._first(given)

@@ -3,8 +3,9 @@
 Bits depend neither on threads nor on how many rollouts share a batch.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from typing import Any
 
 import mujoco
@@ -35,12 +36,18 @@ class Native(Loop):
         super().__init__(own, settings)
         self.width = settings.width or WIDTH
 
+    @contextmanager
+    def _within(self) -> Iterator[None]:
+        """See `Loop`; and on the CPU, of which rows say that they are, beside a GPU too."""
+        with super()._within(), devices.on_cpu():
+            yield
+
     def _simulate(
         self, world: Side, belief: Side, streams: np.ndarray, slots: np.ndarray | None = None, every: int = 1
     ) -> tuple[Figures, list[Frame], list[mujoco.MjModel]]:
         own, n = self._own, len(streams)
         # figures of a tick are worked out, on one core, while the next one is simulated on all of them
-        with devices.precision(self._settings), ThreadPoolExecutor(1) as aside:
+        with self._within(), ThreadPoolExecutor(1) as aside:
             begun = batch.begin(own, self._settings, world, belief, streams)
             qpos, qvel, seen = begun.qpos, begun.qvel, begun.sensors
             rollouts = Rollouts(self._programs, begun.given, n)
