@@ -55,22 +55,51 @@ def test_the_page_of_two_is_written(folders, capsys, tmp_path):
     assert "--pictures, --x and --y are of one study" in capsys.readouterr().err
 
 
-@pytest.mark.browser
-@pytest.mark.skipif(CHROMIUM is None, reason="needs a browser: apt-get install chromium")
-def test_flips_play_in_both(folders, fake_engine, tmp_path):
+@pytest.fixture
+def flips(folders, fake_engine, tmp_path):
+    """The page of both in a browser, with replays of three flips."""
+    if CHROMIUM is None:
+        pytest.skip("needs a browser: apt-get install chromium")
     assert main(["report", *map(str, folders), "--replays", "3", "-o", str(tmp_path)]) == 0
+    browser = Browser(tmp_path / "profile")
+    browser.open(tmp_path / "report_b.html")
+    browser.until("performance.getEntriesByName('map').length && document.querySelector('#replay-list').value")
+    yield browser
+    assert browser.errors == []
+    browser.close()
+
+
+SHOWN = "['#replay-list', '#replay-with'].map(s => document.querySelector(s).selectedOptions[0].textContent)"
+
+
+@pytest.mark.browser
+def test_flips_play_in_both(folders, flips):
     one, other = ({path.name.split("-")[1] for path in (folder / "replays").iterdir()} for folder in folders)
     assert one == other
     assert len(one) == 3
-    browser = Browser(tmp_path / "profile")
-    browser.open(tmp_path / "report_b.html")
-    browser.until("performance.getEntriesByName('map').length")
-    left, top, _, _ = browser.place("#map-over")
-    browser.click(left + 80, top + 30)
-    shown = "['#replay-list', '#replay-with'].map(s => document.querySelector(s).selectedOptions[0].textContent)"
-    browser.until("document.querySelector('#replay-with').value")
-    one, other = browser.run(shown)
-    assert browser.errors == []
-    browser.close()
+    left, top, _, _ = flips.place("#map-over")
+    flips.click(left + 80, top + 30)
+    flips.until("document.querySelector('#replay-with').value")
+    one, other = flips.run(SHOWN)
     assert one.startswith("A fell")
     assert other.startswith("B success")
+
+
+@pytest.mark.browser
+def test_no_pair_comes_beside_a_replay_that_was_chosen_later(flips):
+    """A row is clicked whose replay is unpacked late; another replay is chosen from the list before that."""
+    flips.run("""window.late_ = 0; const unpack = Response.prototype.arrayBuffer; let first = true;
+        Response.prototype.arrayBuffer = async function () {
+            const late = first; first = false; const bytes = await unpack.call(this);
+            if (late) await new Promise((done) => setTimeout(() => { late_ = 1; done() }, 500));
+            return bytes }""")
+    left, top, _, _ = flips.place("#map-over")
+    before = flips.run(SHOWN)
+    flips.click(left + 80, top + 30)
+    flips.run("""(() => { const list = document.querySelector('#replay-list');
+        window.later_ = [...list.options].map((one) => one.value).find((one) => one !== list.value);
+        list.value = later_; list.dispatchEvent(new Event('change')) })()""")
+    flips.until("late_")
+    flips.run("new Promise((done) => setTimeout(done, 200))")
+    assert flips.run("document.querySelector('#replay-list').value === later_")
+    assert flips.run(SHOWN)[1] == before[1] == "nothing"

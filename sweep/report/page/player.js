@@ -427,7 +427,8 @@ export function playerOf(app) {
   }
   const typical = replays.findIndex(({ why }) => why === "typical of success");
   const { open: wanted } = table.about;
-  void openReel(0, wanted ? 0 : Math.max(0, typical)).then(async () => {
+  void openReel(0, wanted ? 0 : Math.max(0, typical)).then(async (opened) => {
+    if (!opened) return;
     if (wanted > 1) await openReel(1, 1);
     if (wanted && !matchMedia("(prefers-reduced-motion: reduce)").matches) start();
   });
