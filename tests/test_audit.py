@@ -2,8 +2,9 @@ import numpy as np
 import pytest
 from fake_engine import FakeEngine
 
+from sweep.analysis import compare
 from sweep.cli.main import main
-from sweep.report import page
+from sweep.report import exhibits, page
 from sweep.runs import audit, results, store
 from sweep.systems.hexapod import WAYS
 
@@ -64,6 +65,12 @@ def test_flips_tell_how_far_the_boundary_moves(fake_engine, tmp_path, capsys):
     assert 'id="audit"' in html
     at = table.loc["half the time step"]
     assert f"{at['flips']:.0f} of {near.sum()} half the time step (at most {100 * at['high']:.1f} %)" in html
+    (shown,) = exhibits.audits(results.read(tmp_path))
+    shown.data.loc[:4, f"outcome{compare.SECOND}"] = "invalid"  # of rollouts that did not flip
+    for ax, (_, part) in zip(shown.draw().axes, every.groupby("simulated", sort=False), strict=False):
+        marks = {line.get_marker(): len(line.get_xdata()) for line in ax.lines}
+        assert marks["x"] == part["flips"].sum()
+        assert marks["+"] == 5 * (ax is ax.figure.axes[0])
 
 
 @coarse

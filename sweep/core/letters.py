@@ -6,15 +6,20 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.font_manager import FontProperties
+from matplotlib.font_manager import FontProperties, fontManager
 from matplotlib.legend_handler import HandlerTuple
 from matplotlib.textpath import TextPath
+from matplotlib.ticker import MaxNLocator
 
 COLUMN, PAGE = 84 / 25.4, 174 / 25.4  # in, as most journals have them
 LETTERS = 8  # points
 SERIF = ["STIX Two Text", "Times New Roman", "STIXGeneral", "DejaVu Serif"]  # the one but last comes with matplotlib
+# where letters come from that are in none of those: the first that is there
+OTHER_FONTS = ("Noto Sans CJK SC", "Noto Sans CJK JP", "Source Han Sans SC", "WenQuanYi Zen Hei", "WenQuanYi Micro Hei")
 LINE = 1.5  # of a legend, in letters
+BESIDE = 45  # points beside a panel, of its numbers, its words, and the gap to the next
 HANDLE = 6.0  # of a legend's entry beside its text, in letters: handle, gap, and the space to the next column
 
 
@@ -25,8 +30,11 @@ def lettering(serif: bool = False) -> AbstractContextManager[None]:
     look: dict[Any, Any] = {"font.size": LETTERS, **dict.fromkeys(sizes, LETTERS)}
     look |= {"axes.linewidth": 0.6, "lines.linewidth": 1.0, "hatch.linewidth": 0.5}
     look |= {"xtick.major.width": 0.6, "ytick.major.width": 0.6, "pdf.fonttype": 42, "svg.fonttype": "none"}
+    known = {font.name for font in fontManager.ttflist}
+    others = [name for name in OTHER_FONTS if name in known][:1]
+    look |= {"font.family": ["serif" if serif else "sans-serif", *others]}
     if serif:
-        look |= {"font.family": "serif", "font.serif": SERIF, "mathtext.fontset": "stix"}
+        look |= {"font.serif": SERIF, "mathtext.fontset": "stix"}
     return mpl.rc_context(look)
 
 
@@ -63,6 +71,18 @@ def wide(text: str) -> float:
     return max(
         (TextPath((0, 0), line, LETTERS, prop=FontProperties()).get_extents().width for line in lines), default=0
     )
+
+
+def spaced(ax: Axes, columns: int) -> None:
+    """As many ticks along x, five at most, as leave half a letter between labels in one of a figure's columns."""
+    low, high = ax.get_xlim()
+    room = 72 * ax.figure.get_figure(root=True).get_size_inches()[0] / columns - BESIDE
+    for number in range(5, 0, -1):
+        ax.xaxis.set_major_locator(MaxNLocator(number))
+        ticks = ax.xaxis.get_majorticklocs()
+        widest = max(wide(label) for label in ax.xaxis.get_major_formatter().format_ticks(list(ticks)))
+        if np.diff(ticks).min() / (high - low) * room > widest + LETTERS / 2:
+            return
 
 
 def folded(text: str, room: float) -> str:

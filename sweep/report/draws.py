@@ -18,9 +18,9 @@ from matplotlib.figure import Figure
 from sweep.analysis import sensitivity
 from sweep.analysis.sample import pooled
 from sweep.core.errors import InputError
-from sweep.core.letters import PAGE, folded, legend_below, lettering, sheet
+from sweep.core.letters import PAGE, folded, legend_below, lettering, sheet, spaced
 from sweep.report.cells import not_below_zero
-from sweep.report.labels import axis_words, heading, kind_of
+from sweep.report.labels import axis_words, beside_axis, kind_of
 from sweep.report.looks import handle, kinds_by_number, look_of, marker
 from sweep.runs.results import Results
 from sweep.study.columns import LABELS
@@ -100,6 +100,8 @@ def draw(results: Results) -> Figure:
     pair(axes["pair"], results, columns)
     if "margin" in axes:
         margins(axes["margin"], results, columns[0])
+    for name in panels[-2:]:
+        spaced(axes[name], len(panels))
     handles = [handle(kind, f"{kind.replace('_', ' ')} ({len(part):,})") for kind, part in kinds(rows)]
     legend_below(figure, handles)
     figure.suptitle(folded(f"{results.name}: {pooled(rows, results.exp)}", 72 * PAGE - 20))
@@ -124,7 +126,7 @@ def parallel(ax: Axes, results: Results, columns: list[str]) -> None:
         for at, value, side in ((-0.02, low[place], "top"), (1.02, high[place], "bottom")):
             ax.text(place, at, f"{value:.3g}", ha="center", va=side)
     room = 72 * PAGE / len(columns)
-    ax.set_xticks(places, [folded(heading(name, results.exp), room) for name in columns])
+    ax.set_xticks(places, [folded(beside_axis(name, results.exp), room) for name in columns])
     ax.tick_params(axis="x", length=0, pad=12)
     ax.set(xlim=(-0.3, len(columns) - 0.7), ylim=(-0.1, 1.1), yticks=[])
     ax.spines[:].set_visible(False)
@@ -147,9 +149,9 @@ def pair(ax: Axes, results: Results, columns: list[str]) -> None:
         x = part[columns[0]]
         y = part[columns[1]] if len(columns) > 1 else pd.Series(float(place), index=part.index)
         dots(ax, x, y, kind, len(results.rows))
-    ax.set_xlabel(heading(columns[0], results.exp))
+    ax.set_xlabel(beside_axis(columns[0], results.exp))
     if len(columns) > 1:
-        ax.set_ylabel(heading(columns[1], results.exp))
+        ax.set_ylabel(beside_axis(columns[1], results.exp))
     else:
         ax.set_yticks(range(len(every)), [kind.replace("_", " ") for kind, _ in every])
     if len(columns) > 1:
@@ -162,7 +164,7 @@ def margins(ax: Axes, results: Results, column: str) -> None:
         dots(ax, part[column], part[MARGIN], kind, len(results.rows))
     ax.set_yscale("symlog", linthresh=LINEAR)
     ax.axhline(0, color="0.3", linewidth=0.8, linestyle="--")
-    ax.set_xlabel(heading(column, results.exp))
+    ax.set_xlabel(beside_axis(column, results.exp))
     ax.set_ylabel("margin to the nearest limit")
 
 

@@ -7,17 +7,16 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 
 from sweep.analysis import compare, sensitivity
 from sweep.analysis.compare import SECOND
 from sweep.analysis.stats import binned, percent, rate, rates
-from sweep.core.letters import COLUMN, PAGE, legend_below, sheet
+from sweep.core.letters import COLUMN, PAGE, legend_below, sheet, spaced
 from sweep.report import draws, overlay, slices
 from sweep.report.cells import not_below_zero
 from sweep.report.exhibit import Exhibit
-from sweep.report.labels import axis_words, heading
-from sweep.report.looks import FAILURE, GOOD, look_of
+from sweep.report.labels import axis_words, beside_axis
+from sweep.report.looks import DOUBTFUL, FAILURE, GOOD, look_of
 from sweep.report.maps import cell, stamp
 from sweep.runs import audit
 from sweep.runs.results import Results
@@ -140,9 +139,9 @@ def _draw_effects(results: Results, table: pd.DataFrame, by: list[str]) -> Figur
         for (name, part), (colour, line, marker) in zip(parts, STYLES, strict=False):
             ax.fill_between(part["value"], part["low"], part["high"], color=colour, alpha=0.2, linewidth=0)
             ax.plot(part["value"], part["share"], line, marker=marker, markersize=3, color=colour, label=str(name))
-        ax.set(xlabel=heading(axis, results.exp), ylabel="rate of success")
-        ax.xaxis.set_major_locator(MaxNLocator(5))
+        ax.set(xlabel=beside_axis(axis, results.exp), ylabel="rate of success")
         not_below_zero(ax)
+        spaced(ax, min(len(axes), 2))
         ax.set_ylim(-0.02, 1.02)
         if by:
             ax.legend(title=axis_words(by[0], results.exp))
@@ -231,7 +230,7 @@ def audits(results: Results) -> Iterator[Exhibit]:
     data = pd.concat(parts, ignore_index=True)
     caption = (
         "Rollouts next to the boundary and successes elsewhere, simulated again: a dot where the outcome is the same, "
-        "a cross where it flips."
+        "a cross where it flips, a grey plus where it is invalid in one of both."
     )
     yield Exhibit("audit", "Audit", caption, data, lambda: _draw_audits(results, data))
 
@@ -241,11 +240,15 @@ def _draw_audits(results: Results, data: pd.DataFrame) -> Figure:
     ways = list(data.groupby("simulated", sort=False))
     figure, spots = _panels(len(ways))
     for (way, part), ax in zip(ways, spots, strict=True):
-        flips = compare.changed(part)
-        ax.plot(part.loc[~flips, x], part.loc[~flips, y], ".", color=GOOD, label="same outcome")
-        ax.plot(part.loc[flips, x], part.loc[flips, y], "x", color=FAILURE, markersize=6, label="another")
+        changed, broken = compare.changed(part), (part[["outcome", f"outcome{SECOND}"]] == "invalid").any(axis=1)
+        for chosen, mark, colour in (
+            (~changed, ".", GOOD),
+            (changed & broken, "+", DOUBTFUL),
+            (changed & ~broken, "x", FAILURE),
+        ):
+            ax.plot(part.loc[chosen, x], part.loc[chosen, y], mark, color=colour)
         ax.set_title(str(way))
-        ax.set(xlabel=heading(x, results.exp), ylabel=heading(y, results.exp))
+        ax.set(xlabel=beside_axis(x, results.exp), ylabel=beside_axis(y, results.exp))
         ax.set(xlim=_span(results.rows[x]), ylim=_span(results.rows[y]))
     return figure
 
@@ -290,8 +293,8 @@ def _draw_distributions(results: Results, data: pd.DataFrame) -> Figure:
         limit = judged.get(name)
         if limit is not None and low - (high - low) < limit < high + (high - low):  # else it would flatten the rest
             ax.axvline(limit, color="black", linestyle="--", linewidth=1)
-        ax.set_xlabel(heading(name))
-        ax.xaxis.set_major_locator(MaxNLocator(4))
+        ax.set_xlabel(beside_axis(name))
+        spaced(ax, min(len(names), 3))
         ax.spines[["top", "right"]].set_visible(False)
     handles = {text: one for ax in spots for one, text in zip(*ax.get_legend_handles_labels(), strict=True)}
     legend_below(figure, list(handles.values()))

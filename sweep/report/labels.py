@@ -62,8 +62,8 @@ def with_value(column: str, value: object, exp: Experiment | None = None) -> str
 
 
 def beside_axis(column: str, exp: Experiment | None = None) -> str:
-    """The heading of a column as a figure has it, `c1` with an index."""
-    return re.sub(r"\b([a-z])(\d)\b", r"$\1_\2$", heading(column, exp))
+    """The heading of a column as a figure has it, `c1` and `a_r` with an index."""
+    return re.sub(r"\b([a-z])(?:(\d)|_(\w))\b", r"$\1_\2\3$", heading(column, exp))
 
 
 def unit_of(column: str, exp: Experiment) -> str:

@@ -26,7 +26,7 @@ from sweep.core.outcomes import SUCCESS
 from sweep.core.parameters import InputError
 from sweep.report import limits, refined_cells
 from sweep.report.cells import Cells, edges, mark_values
-from sweep.report.labels import beside_axis, heading, with_value
+from sweep.report.labels import beside_axis, with_value
 from sweep.report.looks import INVALID, ink_on, look_of, marker
 from sweep.runs import refine
 from sweep.study.config import Experiment, experiment
@@ -246,7 +246,7 @@ def coloured(ax: Axes, values: np.ma.MaskedArray, cells: Cells, **style: Any) ->
 def beside(ax: Axes, rows: pd.DataFrame, cells: Cells, name: str) -> None:
     """A measured figure in the same cells, of rollouts that succeed."""
     colours = coloured(ax, means(rows[rows["outcome"] == "success"], cells, name), cells)
-    ax.figure.colorbar(colours, ax=ax, label=f"{heading(name)}, where it succeeds", shrink=0.8)
+    ax.figure.colorbar(colours, ax=ax, label=f"{beside_axis(name)}, where it succeeds", shrink=0.8)
 
 
 def legend(figure: Figure, kinds: Sequence[str], shaped: bool, invalid: bool, lines: Sequence[Artist]) -> None:

@@ -8,7 +8,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from sweep.core.letters import legend_below, sheet
-from sweep.report.labels import heading
+from sweep.report.labels import beside_axis
 from sweep.report.looks import DOUBTFUL, FAILURE, GOOD
 from sweep.runs import histories, store
 from sweep.runs.results import Results
@@ -60,10 +60,10 @@ def draw(results: Results, kept: pd.DataFrame, quantiles: pd.DataFrame) -> Figur
             ax.fill_between(of["time_s"], of["low"], of["high"], color=colour, alpha=0.2, linewidth=0)
             if len(of):
                 ax.plot(of["time_s"], of["median"], color=colour, linewidth=1.5, label=outcome)
-        ax.set_ylabel(heading(name))
+        ax.set_ylabel(beside_axis(name))
         ax.autoscale_view()
     legend_below(figure, spots[0].get_legend_handles_labels()[0])
-    spots[-1].set_xlabel(heading("time_s"))
+    spots[-1].set_xlabel(beside_axis("time_s"))
     return figure
 
 

@@ -19,7 +19,7 @@ from sweep.report import maps, replays
 from sweep.report.cells import Cells, mark_values
 from sweep.report.comparison import default_regions, paired_by
 from sweep.report.exhibit import Exhibit
-from sweep.report.labels import axis_words, heading
+from sweep.report.labels import axis_words, beside_axis
 from sweep.report.page.stage import Shown
 from sweep.runs.results import Results
 
@@ -115,8 +115,8 @@ def draw(found: Results, data: pd.DataFrame, x: str, y: str) -> Figure:
         maps.coloured(ax, maps.means(own, cells, column), cells, **look)
         mark_values(ax, cells)
         ax.set_title(title)
-        ax.set_xlabel(folded(heading(x, found.exp), 72 * PAGE / 4))
-    spots[0].set_ylabel(heading(y, found.exp))
+        ax.set_xlabel(folded(beside_axis(x, found.exp), 72 * PAGE / 4))
+    spots[0].set_ylabel(beside_axis(y, found.exp))
     for ax, look, label in ((spots[1], RATE, "rate of success"), (spots[2], CHANGE, "difference of rates")):
         scale = ScalarMappable(Normalize(look["vmin"], look["vmax"]), look["cmap"])
         figure.colorbar(scale, ax=ax, label=label, shrink=0.8)

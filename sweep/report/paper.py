@@ -75,7 +75,7 @@ def write(results: Results, out: Path, serif: bool = False) -> list[Path]:
     if unknown:
         fonts = f"one of the fonts {', '.join(OTHER_FONTS)}"
         letters = f"pdflatex has no letters {''.join(unknown)}"
-        print(f"sweep: {letters}: lualatex has, with {fonts} (Debian: fonts-noto-cjk)", file=sys.stderr)
+        print(f"sweep: {letters}: lualatex and xelatex have, with {fonts} (Debian: fonts-noto-cjk)", file=sys.stderr)
     texts["main.tex"] = _template().render(
         cyrillic=codes(cyrillic),
         unknown=codes(unknown),
@@ -118,15 +118,18 @@ def summaries(results: Results) -> Iterator[tuple[str, str, pd.DataFrame]]:
         shares = ("" if np.isnan(v) else f"{100 * v:.1f}" for v in (one.share, one.low, one.high))
         lines.append((name, one.total, one.invalid, one.success, *shares))
     success = pd.DataFrame(lines, columns=["rollouts", "number", "invalid", "succeed", "%", "from", "to"])
-    yield "success", r"How often rollouts succeed, with 95\,\% Wilson intervals of what is a sample.", success
+    if (success["from"] == "").all():
+        yield "success", "How often rollouts succeed.", success.drop(columns=["from", "to"])
+    else:
+        yield "success", r"How often rollouts succeed, with 95\,\% Wilson intervals of what is a sample.", success
     if results.causes_seen:
         counts = [
             (c.replace("_", " "), words, int((rows["cause"] == c).sum())) for c, words in results.causes_seen.items()
         ]
         table = pd.DataFrame(counts, columns=["cause", "what it means", "rollouts"])
-        yield "causes", "Rollouts that did not succeed.", table
+        yield "not-successful", "Rollouts that did not succeed.", table
     if len(again := audit.table(results)):
-        yield "audit", r"Rollouts at the boundary and successes, simulated again, with exact 95\,\% intervals.", again
+        yield "audited", r"Rollouts at the boundary and successes, simulated again, with exact 95\,\% intervals.", again
     for number, (title, content) in enumerate(statistics.in_words(results), 1):
         if isinstance(content, pd.DataFrame):
             yield f"statistics-{number}", escape(title) + ".", content
@@ -202,12 +205,10 @@ def escape(text: str) -> str:
         "\\": r"\textbackslash{}",
         "~": r"\textasciitilde{}",
         "^": r"\textasciicircum{}",
-        "°": r"\textdegree{}",
         "<": r"\textless{}",
         ">": r"\textgreater{}",
-        "·": r"$\cdot$",
     }
-    return "".join(special.get(c, f"\\{c}" if c in "&%$#_{}" else c) for c in text)
+    return tables.signs("".join(special.get(c, f"\\{c}" if c in "&%$#_{}" else c) for c in text))
 
 
 def foreign(text: str) -> tuple[list[str], list[str]]:

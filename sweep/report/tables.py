@@ -19,6 +19,7 @@ from sweep.study.columns import LABELS, figure_columns
 from sweep.study.config import Experiment
 from sweep.systems.base import side_and_path
 
+SIGNS = {"°": r"\textdegree{}", "·": r"$\cdot$", "⁴": r"\textsuperscript{4}", r"a\_r": "$a_r$"}
 SHARES = ("share", "low", "high")  # of tables of rates; without a share, low and high are numbers of their own
 
 
@@ -89,7 +90,14 @@ def latex(rows: pd.DataFrame, exp: Experiment | None = None) -> str:
     style = shown(rows, exp).style.hide(axis="index")
     style = style.format(escape="latex").format_index(escape="latex", axis="columns")
     aligned = "".join("r" if rows[c].dtype.kind in "fi" else "l" for c in rows)
-    return style.to_latex(hrules=True, column_format=aligned).replace("°", r"\textdegree{}").replace("·", r"$\cdot$")
+    return signs(style.to_latex(hrules=True, column_format=aligned))
+
+
+def signs(escaped: str) -> str:
+    """Signs of units in text that is escaped for LaTeX, as pdfLaTeX has them."""
+    for sign, word in SIGNS.items():
+        escaped = escaped.replace(sign, word)
+    return escaped
 
 
 def one_rollout(exp: Experiment, row: pd.Series) -> str:
