@@ -55,13 +55,16 @@ def timed(call: Callable[[], Any]) -> Times:
 
 
 def least(ways: Ways) -> Found:
-    """Of each way, in turns; compiled before."""
+    """Of each way, in turns, after one that compiles; each is told as soon as it was tried."""
+    for name, call in ways.items():
+        first, again = timed(call), timed(call)
+        print(f"{name}: {again[0]:.3f} s, {first[0]:.1f} s at first", flush=True)
     rounds = [{name: timed(call) for name, call in ways.items()} for _ in range(REPETITIONS)]
     return {name: (min(one[name][0] for one in rounds), min(one[name][1] for one in rounds)) for name in ways}
 
 
-def native(own: Own, ways: Ways, controls: np.ndarray, n: int) -> Found:
-    """Beside `mujoco.rollout`, which records the state, and nothing of figures."""
+def native(own: Own, controls: np.ndarray, n: int) -> Ways:
+    """`mujoco.rollout`, which records the state, and nothing of figures."""
     model = own.model
     ctrl = np.repeat(controls, count(own) // len(controls), axis=0)
     data = [mujoco.MjData(model) for _ in range(THREADS)]
@@ -69,16 +72,12 @@ def native(own: Own, ways: Ways, controls: np.ndarray, n: int) -> Found:
     full = mujoco.mjtState.mjSTATE_FULLPHYSICS
     start = np.zeros(mujoco.mj_stateSize(model, full))
     mujoco.mj_getState(model, data[0], start, full)
-    with Rollout(nthread=THREADS) as pool:
-        again = lambda: pool.rollout(model, data, np.tile(start, (n, 1)), np.tile(ctrl, (n, 1, 1)))  # noqa: E731
-        return least({**ways, "mujoco.rollout": again})
+    pool = Rollout(nthread=THREADS)
+    return {"mujoco.rollout": lambda: pool.rollout(model, data, np.tile(start, (n, 1)), np.tile(ctrl, (n, 1, 1)))}
 
 
-def on_mjx(own: Own, ways: Ways, controls: np.ndarray, n: int) -> Found:
-    """Beside `mjx-testspeed`, which starts from the model's own pose, and beside as many steps from the keyframe.
-
-    Those are of the very controls that the policy gave, and of such that hold the keyframe.
-    """
+def on_mjx(own: Own, controls: np.ndarray, n: int) -> Ways:
+    """As many steps from the keyframe, with the very controls that the policy gave, and such that hold it."""
     from mujoco import mjx
 
     steps, walk = count(own), jnp.asarray(controls, float)
@@ -100,15 +99,23 @@ def on_mjx(own: Own, ways: Ways, controls: np.ndarray, n: int) -> Found:
         return lambda: jax.block_until_ready(unroll(each, controls))
 
     still = jnp.broadcast_to(jnp.asarray(start.ctrl, float), walk.shape)
-    found, option = least({**ways, "mjx.step": stepped(walk), "mjx.step, standing": stepped(still)}), own.model.opt
+    return {"mjx.step": stepped(walk), "mjx.step, standing": stepped(still)}
+
+
+def testspeed(own: Own, n: int) -> Found:
+    """Of `mjx-testspeed`, which starts from the model's own pose."""
+    from mujoco import mjx
+
+    option = own.model.opt
     solver = {int(mujoco.mjtSolver.mjSOL_CG): "cg", int(mujoco.mjtSolver.mjSOL_NEWTON): "newton"}[int(option.solver)]
-    asked = copy(own.model), steps, n, 1, solver, option.iterations, option.ls_iterations
-    tested = (mjx.benchmark(*asked)[1] for _ in range(2))  # it compiles each time
-    return found | {"mjx-testspeed": (min(tested), np.nan)}
+    asked = copy(own.model), count(own), n, 1, solver, option.iterations, option.ls_iterations
+    found = min(mjx.benchmark(*asked)[1] for _ in range(2))  # it compiles each time
+    print(f"mjx-testspeed: {found:.3f} s", flush=True)
+    return {"mjx-testspeed": (found, np.nan)}
 
 
-def on_warp(own: Own, ways: Ways, controls: np.ndarray, n: int) -> Found:
-    """Beside MuJoCo Warp without JAX, standing, with as much room for contacts."""
+def on_warp(own: Own, controls: np.ndarray, n: int) -> Ways:
+    """MuJoCo Warp without JAX, standing, with as much room for contacts."""
     import warp  # pyright: ignore[reportMissingImports]
     from mujoco.mjx.third_party import mujoco_warp
 
@@ -133,7 +140,7 @@ def on_warp(own: Own, ways: Ways, controls: np.ndarray, n: int) -> Found:
             once()
         warp.synchronize()
 
-    return least({**ways, "mujoco_warp.step, standing": all_of_it})
+    return {"mujoco_warp.step, standing": all_of_it}
 
 
 def count(own: Own) -> int:
@@ -180,14 +187,14 @@ def measured(name: str, width: int, seconds: str) -> Iterator[dict[str, Any]]:
     np.save("played.npy", controls)
     Path("played.py").write_text(PLAYED)
     _, played, _ = made(name, width, seconds, "model.controller=played:policy")
-    ways = {
+    found = least({
         name: lambda: engine.run(*task),
-        f"{name}, played": lambda: played.run(*task),
         f"{name}, its start": lambda: batch.begin(own, EngineSettings(), *task).pose(None),
-    }
-    for call in ways.values():
-        call()  # compiles
-    found = {"native": native, "mjx": on_mjx, "warp": on_warp}[name](own, ways, controls, width)
+        **{"native": native, "mjx": on_mjx, "warp": on_warp}[name](own, controls, width),
+        f"{name}, played": lambda: played.run(*task),
+    })  # fmt: skip
+    if name == "mjx":
+        found |= testspeed(own, width)
     return rows(name, found, count(own) * width)
 
 
@@ -199,13 +206,13 @@ def main(engines: str = "native", width: str = "256", seconds: str = "4") -> Non
         sweep(["init", "--model", f"{folder}/quad"])
         os.chdir(Path(folder, "quad"))
         print(f"rollouts {width}, seconds {seconds}, cores {THREADS}, device {device}")
-        print(f"{'loop':28}{'wall, s':>9}{'CPU, s':>9}{'steps/s':>12}{'engine over it: wall':>22}{'CPU':>6}")
         for engine in engines.split(","):
             try:
                 table += (found := [*measured(engine, int(width), seconds)])
             except Exception as error:  # the others are measured all the same
                 print(f"{engine}: {type(error).__name__}: {error}", flush=True)
                 continue
+            print(f"{'loop':28}{'wall, s':>9}{'CPU, s':>9}{'steps/s':>12}{'engine over it: wall':>22}{'CPU':>6}")
             for one in found:
                 print(f"{one['loop']:28}{one['wall_s']:9.3f}{one['cpu_s']:9.3f}{one['steps_per_s']:12.3g}"
                       f"{one['engine_by_wall']:22.2f}{one['engine_by_cpu']:6.2f}", flush=True)  # fmt: skip

@@ -34,7 +34,9 @@ SHOWN = ["outcome", "cause", "slip_max_m", "end_drift_m", "progress", "feet_on_t
 def sweep(args: list[str], folder: Path, told: Path, cores: list[int], engine: str = "native") -> None:
     """A command in `folder`, in a process of its own: each model brings a controller of the same name."""
     on = "taskset", "-c", ",".join(map(str, cores))
-    env = os.environ | ({"JAX_PLATFORMS": "cpu"} if engine == "native" else {})
+    env = os.environ | {"NPROC": str(len(cores))}  # else XLA has a thread for each core of the machine
+    if engine == "native":
+        env["JAX_PLATFORMS"] = "cpu"
     with told.open("a") as out:
         command = [*on, sys.executable, "-m", "sweep.cli", *args]
         subprocess.run(command, cwd=folder, stdout=out, stderr=out, env=env, check=False)
