@@ -1,6 +1,6 @@
 """Draws docs/figures/scenario_*.png: moments of each scenario's nominal rollout, with contact forces.
 
-MUJOCO_GL=egl python docs/scenario_pictures.py [SCENARIO ...] [engine=native]
+MUJOCO_GL=egl python docs/scenario_pictures.py SCENARIO [...] [engine=native]
 """
 
 import sys
@@ -16,34 +16,6 @@ from sweep.trace.sampling import evenly
 
 FIGURES = Path(__file__).parent / "figures"
 LONG = 45.0  # s
-SCENARIOS = (
-    "walk_tripod",
-    "walk_gallop",
-    "walk_slope",
-    "walk_kerb",
-    "hexagon_waypoints",
-    "stand_push",
-    "pole_climb",
-    "pole_top",
-    "pole_round",
-    "pole_descent",
-    "pole_ledge_level",
-    "pole_ledge_above",
-    "pole_ledge_below",
-    "ball_balance",
-    "ball_drive",
-    "ball_climb",
-    "ball_descend",
-    "ball_ledges",
-    "ball_over",
-    "ball_to_ball",
-    "beam_cross",
-    "corner_full",
-    "raft_cross",
-    "raft_stand",
-    "ladder_climb",
-    "ladder_descend",
-)
 
 
 def strip(scenario: str, *changes: str) -> Path:
@@ -59,5 +31,5 @@ def strip(scenario: str, *changes: str) -> Path:
 
 if __name__ == "__main__":
     changes = [word for word in sys.argv[1:] if "=" in word]
-    for name in [word for word in sys.argv[1:] if "=" not in word] or SCENARIOS:
+    for name in [word for word in sys.argv[1:] if "=" not in word]:
         print(strip(name, *changes))
