@@ -5,8 +5,7 @@
 A study's folder finishes what is missing in it and refuses rows of other code, so each code has folders of its own
 below OUT: whatever is interrupted goes on, and rows are taken as they are where their code is this one. That is why no
 workflow engine is used, which would ask files for their dates instead. What changed beyond its interval is written
-with the data that it is about, and told at the end. `python jobs/paper.py` needs no installed package, only its
-libraries: `PYTHONPATH=. python jobs/paper.py`.
+with the data that it is about, and told at the end.
 """
 
 import argparse
