@@ -671,6 +671,18 @@ def test_a_tap_on_a_phone_tells_the_row_and_shows_the_replay(browser, file):
     browser.resize(1400, 1000)
 
 
+def test_every_histogram_is_drawn_on_a_phone(browser, file):
+    """Those below the window's end, too, when the first one comes into sight."""
+    browser.resize(400, 500)
+    browser.open(file)
+    browser.until("performance.getEntriesByName('map').length")
+    browser.place("#distributions-live canvas")
+    blank = """[...document.querySelectorAll('#distributions-live canvas')].filter((one) => !new Uint32Array(
+        one.getContext('2d').getImageData(0, 0, one.width, one.height).data.buffer).some(Boolean)).length"""
+    browser.until(f"document.querySelectorAll('#distributions-live canvas').length > 4 && {blank} === 0", 5)
+    browser.resize(1400, 1000)
+
+
 @pytest.mark.parametrize(("width", "dark"), [(400, False), (1400, True)])
 def test_it_fits_the_screen(browser, file, width, dark):
     browser.resize(width, 900, dark)

@@ -308,7 +308,6 @@ export function distributionsView(app) {
     const { success, failure } = table.about.colours;
     const colours = [success, failure];
     for (const { canvas, column, many, bins, across } of panels) {
-      if (!app.visible(canvas)) continue;
       const { pen, width, height } = sheetOf(canvas);
       const counts = [new Float64Array(many), new Float64Array(many)];
       for (let row = 0; row < table.rows; row++) {

@@ -110,10 +110,14 @@ export function parallelView(app) {
         pen.textBaseline = "middle";
         pen.textAlign = axis === axes.length - 1 && axes.length > 1 ? "right" : "left";
         const aside = pen.textAlign === "left" ? 5 : -5;
+        pen.strokeStyle = cssOf(paper, 0.85); // lines pass below the numbers
+        pen.lineWidth = 3;
         for (const value of ticksAlong(column, ways.get(column), 4)) {
           const share = to(value);
-          if (share > 0.08 && share < 0.92)
-            pen.fillText(shortly(value), places[axis] + aside, top + (1 - share) * height, room / 2);
+          if (share <= 0.08 || share >= 0.92) continue;
+          const y = top + (1 - share) * height;
+          pen.strokeText(shortly(value), places[axis] + aside, y, room / 2);
+          pen.fillText(shortly(value), places[axis] + aside, y, room / 2);
         }
       });
     };
