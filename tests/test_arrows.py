@@ -42,7 +42,6 @@ FILES_BELOW_RUNS = {
     "sweep.core.project",
     "sweep.core.waiting",
     "sweep.core.provenance",
-    "sweep.engines.devices",
     "sweep.fused.cuda",
     "sweep.engines.program_cache",
     "sweep.study.config",

@@ -54,6 +54,26 @@ def test_every_module_that_a_worker_runs_is_in_the_version_of_the_code(monkeypat
     provenance.code_version.cache_clear()
 
 
+AGAIN = """
+import ast
+from sweep.core import provenance
+parse, parsed = ast.parse, []
+ast.parse = lambda *given: parsed.append(1) or parse(*given)
+provenance.edited()
+print(provenance.code_version(), len(parsed))
+"""
+
+
+def test_what_sources_say_is_read_again_without_being_parsed(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    first, again = (
+        subprocess.run([sys.executable, "-c", AGAIN], check=True, capture_output=True, text=True).stdout.split()
+        for _ in range(2)
+    )
+    assert first == [provenance.code_version(), str(len(provenance.sources(provenance.WORKER)))]
+    assert again == [first[0], "0"]
+
+
 @pytest.mark.usefixtures("fake_engine")
 def test_another_processor_is_another_run_and_said(tmp_path, monkeypatch, capsys):
     settings = EngineSettings()

@@ -60,6 +60,18 @@ def append(path: Path, line: str) -> None:
         raise Fault(f"{path} cannot be written: {reason(error)}") from None
 
 
+def cache_folder() -> Path | None:
+    """Where is kept what spares a start, such as compiled programs; None for a user without a home.
+
+    Empty and relative settings count for none.
+    """
+    given = Path(os.environ.get("XDG_CACHE_HOME", ""))
+    try:
+        return (given if given.is_absolute() else Path.home() / ".cache") / "insect-sweep"
+    except RuntimeError:
+        return None
+
+
 def private(path: Path) -> bool:
     """Whether there is a folder at `path`, made for this user alone where it is missing.
 

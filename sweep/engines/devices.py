@@ -3,7 +3,6 @@
 import contextlib
 import os
 from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -33,20 +32,12 @@ def configure() -> None:
     jax.config.update("jax_default_matmul_precision", "highest")  # TF32 lets the robot sink and the solver wander
     if jax.__version_info__ < (0, 12):  # its newer partitioner crashes on programs for several devices
         jax.config.update("jax_use_shardy_partitioner", False)
-    if jax.config.jax_compilation_cache_dir is None and (folder := cache_folder()) and files.private(folder):
+    if jax.config.jax_compilation_cache_dir is None and (folder := files.cache_folder()) and files.private(folder):
         jax.config.update("jax_compilation_cache_dir", str(folder))
+    if "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS" not in os.environ:
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)  # small ones, too
     with contextlib.suppress(RuntimeError):  # too late where JAX was used before
         jax.config.update("jax_num_cpu_devices", len(os.sched_getaffinity(0)))
-
-
-def cache_folder() -> Path | None:
-    """Where compiled programs are kept; None for a user without a home. Empty and relative settings count for none."""
-    given = Path(os.environ.get("XDG_CACHE_HOME", ""))
-    try:
-        return (given if given.is_absolute() else Path.home() / ".cache") / "insect-sweep"
-    except RuntimeError:
-        return None
 
 
 @contextlib.contextmanager
