@@ -10,6 +10,7 @@ import hashlib
 import os
 import pickle
 import threading
+import warnings
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -23,6 +24,7 @@ from jax.stages import Compiled
 
 from sweep.core import files, provenance
 from sweep.core.errors import InputError
+from sweep.fused import driver
 
 MOST = 200  # files, of about a MB each
 _jax_settings = threading.RLock()
@@ -49,8 +51,10 @@ def programs(made_of: Any, devices: Sequence[Any], compiled: Callable[[], Sequen
             return found
         with unused():
             made = compiled()
-    with contextlib.suppress(Exception):  # such as a full disk: what is made can run, and the next start makes it again
+    try:
         _store(file, zlib.compress(pickle.dumps([_saved(part) for part in made]), level=1))
+    except Exception as error:  # such as a full disk: what is made can run, and the next start makes it again
+        _tell("kept", error)
     return made
 
 
@@ -81,7 +85,7 @@ def _folder() -> Path | None:
 
 def _key(made_of: Any, devices: Sequence[Any]) -> str:
     kind, version = devices[0].device_kind, devices[0].client.platform_version
-    where = kind, version, [device.id for device in devices], provenance.processor()
+    where = kind, version, driver.version(), [device.id for device in devices], provenance.processor()
     how = sorted(jax.config.values.items()), os.environ.get("XLA_FLAGS")
     return hashlib.blake2b(
         repr((made_of, provenance.program_version(), where, how)).encode(), digest_size=20
@@ -99,10 +103,18 @@ def _load(file: Path, devices: Sequence[Any]) -> Sequence[Any] | None:
             deserialize_and_load(*part.what, execution_devices=devices) if isinstance(part, Serialized) else part
             for part in parts
         ]
+    except FileNotFoundError:
+        return None
     except InputError:
         raise
-    except Exception:  # not there, cut short, or not for these devices after all
+    except Exception as error:  # cut short, or not for these devices after all
+        _tell("found again", error)
         return None
+
+
+def _tell(what: str, error: Exception) -> None:
+    """Once, as starts are slow without anything else to see."""
+    warnings.warn(f"a compiled program was not {what}: {type(error).__name__}: {error}", RuntimeWarning, stacklevel=3)
 
 
 def _saved(part: Any) -> Any:

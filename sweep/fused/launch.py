@@ -9,13 +9,12 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Int, UInt32
 
-from sweep.fused import cuda, schedule
+from sweep.fused import cuda, driver, schedule
 from sweep.fused.randomness import keyed, words
 from sweep.fused.trace import GROUP, Leaf, traced
 
 BLOCK = cuda.lanes_of(GROUP) * cuda.WARPS  # rollouts that a block of threads has at least, of robots
 TURNS = 25  # times as many that it has at most
-TARGET = "__gpu$xla.gpu.ptx"  # XLA's own call of a kernel; a handler of its typed interface could launch it as well
 OPTIONS = {"xla_gpu_graph_min_graph_size": 1 << 30}  # no graphs of kernels, from which one long kernel gains nothing
 
 
@@ -94,15 +93,7 @@ def run(code: Ptx, given: Any, carried: Any, first: Array, kept: Int[Array, " ro
 def call(code: Ptx, operands: Sequence[Array]) -> Sequence[Array]:
     """The operands that the kernel changes: state, and records where there are any."""
     changed = [2] if len(operands) == 3 else [2, 4]
-    one, wide = np.int32(1), np.int32(32 * cuda.WARPS)
-    kernel = jax.ffi.ffi_call(
-        TARGET,
-        [jax.ShapeDtypeStruct(operands[k].shape, operands[k].dtype) for k in changed],
-        input_output_aliases={k: n for n, k in enumerate(changed)},
-    )
-    return kernel(*operands, name="run", kernel_type="ptx", kernel_data=code.text, grid_x=np.int32(len(operands[0])),
-                grid_y=one, grid_z=one, block_x=wide, block_y=one, block_z=one, shared_mem_bytes=np.int32(0),
-                output_indices=tuple(np.int32(len(operands) + n) for n in range(len(changed))))  # fmt: skip
+    return driver.call(driver.machine_code(code.text), 32 * cuda.WARPS, operands, changed)
 
 
 def _turns(width: int, group: int) -> int:

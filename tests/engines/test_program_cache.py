@@ -15,9 +15,10 @@ import pytest
 
 from sweep.core import files, provenance
 from sweep.core.errors import InputError
-from sweep.engines import devices, fused_loop, program_cache
+from sweep.engines import fused_loop, program_cache
 from sweep.engines.mjx import Mjx
 from sweep.engines.settings import EngineSettings
+from sweep.fused import driver
 from sweep.fused.arrays import Unsupported
 from sweep.metrics.outcome import Thresholds
 from sweep.study.config import compose
@@ -79,11 +80,13 @@ def test_a_program_that_calls_lapack_runs_where_nothing_else_has_called_it(tmp_p
     assert [run(check=True).stdout.split() for _ in range(2)] == [["anew", "2.0"], ["2.0"]]
 
 
-@pytest.mark.parametrize("change", ["made of", "code", "compiler flags", "JAX's settings"])
+@pytest.mark.parametrize("change", ["made of", "code", "compiler flags", "JAX's settings", "driver"])
 def test_where_anything_differs_it_is_compiled_anew(folder, monkeypatch, change):
     program_cache.programs("two", ONE, Compiler(2.0))
     if change == "code":
         monkeypatch.setattr(provenance, "program_version", lambda: "another")
+    if change == "driver":
+        monkeypatch.setattr(driver, "version", lambda: 12090)
     if change == "compiler flags":
         monkeypatch.setenv("XLA_FLAGS", "--xla_cpu_enable_fast_math=true")
     precision = "bfloat16" if change == "JAX's settings" else jax.config.jax_default_matmul_precision
@@ -101,7 +104,9 @@ def test_a_damaged_file_is_replaced(folder, damage):
     whole = file.read_bytes()
     file.write_bytes(damage)
     compiler = Compiler(2.0)
-    np.testing.assert_array_equal(program_cache.programs("two", ONE, compiler)[0](X)["y"], 2 * X)
+    with pytest.warns(RuntimeWarning, match="was not found again"):
+        (program,) = program_cache.programs("two", ONE, compiler)
+    np.testing.assert_array_equal(program(X)["y"], 2 * X)
     assert compiler.times == 1
     assert len(file.read_bytes()) == pytest.approx(len(whole), rel=0.05)
 
@@ -112,12 +117,14 @@ def test_a_folder_that_cannot_be_written_is_no_fault(tmp_path):
         np.testing.assert_array_equal(program_cache.programs("two", ONE, Compiler(2.0))[0](X)["y"], 2 * X)
 
 
-def test_a_program_that_cannot_be_kept_runs(folder, monkeypatch):
+def test_a_program_that_cannot_be_kept_runs_and_says_so(folder, monkeypatch):
     def refuse(_):
-        raise NotImplementedError
+        raise NotImplementedError("mutable arrays")
 
     monkeypatch.setattr(program_cache, "serialize", refuse)
-    np.testing.assert_array_equal(program_cache.programs("two", ONE, Compiler(2.0))[0](X)["y"], 2 * X)
+    with pytest.warns(RuntimeWarning, match="was not kept: NotImplementedError: mutable arrays"):
+        (program,) = program_cache.programs("two", ONE, Compiler(2.0))
+    np.testing.assert_array_equal(program(X)["y"], 2 * X)
 
 
 def test_two_threads_that_compile_at_once_leave_keeping_as_it_was(folder):
@@ -205,9 +212,9 @@ def test_programs_are_kept_in_an_absolute_folder_or_not_at_all(monkeypatch, tmp_
     monkeypatch.setenv("HOME", str(tmp_path))
     for given in ("", "here", "./here"):
         monkeypatch.setenv("XDG_CACHE_HOME", given)
-        assert devices.cache_folder() == tmp_path / ".cache" / "insect-sweep"
+        assert files.cache_folder() == tmp_path / ".cache" / "insect-sweep"
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "x"))
-    assert devices.cache_folder() == tmp_path / "x" / "insect-sweep"
+    assert files.cache_folder() == tmp_path / "x" / "insect-sweep"
     assert files.private(tmp_path / "x")
     assert (tmp_path / "x").stat().st_mode & 0o777 == 0o700
     assert not files.private(tmp_path / ("z" * 300))
