@@ -13,7 +13,7 @@ from sweep.controllers.tracker import TrackerState
 from sweep.core.parameters import InputError
 from sweep.core.waiting import part
 from sweep.dynamics.step import Limits
-from sweep.engines import planning
+from sweep.engines import planning, program_cache
 from sweep.engines.base import Figures, Trace
 from sweep.engines.settings import EngineSettings
 from sweep.metrics import outcome, stream
@@ -27,14 +27,20 @@ from sweep.models.legs import N_JOINTS, N_LEGS
 def nominal_plan(belief: Case) -> Plan:
     """The plan by plain numbers. Raises `InputError` where they admit none; a swept row is then invalid.
 
-    A process keeps the last one: layout and engine ask for the same.
+    A process has the last one at hand, as layout and engine ask for the same, and later ones find it with the programs.
     """
     return _nominal_plan(belief, jnp.zeros(()).dtype)
 
 
 @lru_cache(maxsize=1)
-def _nominal_plan(belief: Case, _: np.dtype) -> Plan:
+def _nominal_plan(belief: Case, kind: np.dtype) -> Plan:
     """For JAX's float type of the moment."""
+    made_of = "nominal plan", belief, str(kind)
+    (plan,) = program_cache.programs(made_of, jax.devices()[:1], lambda: [_planned(belief)])
+    return plan
+
+
+def _planned(belief: Case) -> Plan:
     with part("nominal plan"):
         plan = planning.worked_out(lambda: belief.manoeuvre.plan(belief))
     if not all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(plan)):

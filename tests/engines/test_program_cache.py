@@ -144,12 +144,12 @@ def made_of(monkeypatch, settings=(), limits=(), case=CASE, vary=False, slots=No
     """What an engine says that its programs depend on."""
     asked = []
     none = None, {}, None, None
-    monkeypatch.setattr(program_cache, "programs", lambda parts, *_: asked.append(repr(parts)) or none)
     engine = Mjx(
         EngineSettings(**{"width": 2, "compiler": "xla", **dict(settings)}), case, case, Thresholds(**dict(limits))
     )
     world = dataclasses.replace(case, contact=dataclasses.replace(case.contact, friction=np.ones(2) if vary else 1.0))
-    with jax.enable_x64(engine.settings.precision == "float64"):
+    with jax.enable_x64(engine.settings.precision == "float64"), monkeypatch.context() as patch:
+        patch.setattr(program_cache, "programs", lambda parts, *_: asked.append(repr(parts)) or none)
         engine._prepare(world, case, np.zeros(2, int), slots, 1, None)
     return asked[0]
 
