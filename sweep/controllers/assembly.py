@@ -10,6 +10,7 @@ from sweep.controllers.easing import Ease
 from sweep.controllers.flywheel import Flywheel, Gains
 from sweep.controllers.held_legs import HeldLegs
 from sweep.controllers.plan import Curves, Plan, Stage, Stance, Ways, stance_to_frame, stance_to_world
+from sweep.controllers.programme import Programme
 from sweep.controllers.support import Support
 from sweep.core.rotations import exponential, multiply
 from sweep.models.legs import LEGS
@@ -60,9 +61,9 @@ def assemble(
     table = jax.tree.map(lambda *values: jnp.stack(values), *rows)
     names = tuple(stage.name for stage in stages)
     onset, laws = tuple(stage.onset for stage in stages), tuple(stage.law for stage in stages)
-    layers = (_ease(ease), _held(stages), _flywheel(stages, gains))
+    layers = (_ease(ease), _held(stages), _flywheel(stages, gains), _programme(stages, afloat))
     return Plan(names=names, start=start, patience=jnp.asarray(patience, float), steered=steered, onset=onset,
-                laws=laws, support=_supports(stages), afloat=afloat,
+                laws=laws,
                 layers=tuple(layer for layer in layers if layer is not None), **table)  # fmt: skip
 
 
@@ -81,14 +82,15 @@ def _moves_frames(before: Stage, stage: Stage) -> bool:
     return before.base_frame != stage.base_frame or any(a != b and leg not in stage.swing for leg, a, b in feet)
 
 
-def _supports(stages: Sequence[Stage]) -> Support | None:
+def _programme(stages: Sequence[Stage], afloat: bool) -> Programme | None:
     """How free bodies are meant to move, where a stage says anything of it."""
     count = max(len(stage.support) for stage in stages)
     if not count:
         return None
     rows = [[Support(*map(jnp.asarray, each)) for each in stage.support or (Support(),) * count] for stage in stages]
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves).reshape(len(rows), count, *leaves[0].shape),
-                        *[each for row in rows for each in row])  # fmt: skip
+    support = jax.tree.map(lambda *leaves: jnp.stack(leaves).reshape(len(rows), count, *leaves[0].shape),
+                           *[each for row in rows for each in row])  # fmt: skip
+    return Programme(support, afloat)
 
 
 def _held(stages: Sequence[Stage]) -> HeldLegs | None:

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 from sweep.controllers.frames import to_world
 from sweep.controllers.layers import Layer, Now
 from sweep.controllers.plan import Stance
+from sweep.models.obstacles.surface import FreeState
 
 
 class Slack(NamedTuple):
@@ -26,7 +27,7 @@ class Ease(Layer):
 
     time: Float[Array, ""]  # s
 
-    def begun(self, start: Stance, joints: Float[Array, "6 3"]) -> Slack:
+    def begun(self, start: Stance, joints: Float[Array, "6 3"], free: FreeState) -> Slack:
         """Feet that stand where they were commanded."""
         return Slack(start.feet, jnp.zeros_like(start.feet))
 

@@ -11,6 +11,7 @@ from sweep.controllers.plan import Stance
 from sweep.controllers.posture import feet_in_world
 from sweep.core.rotations import nearest
 from sweep.formulas import stepping
+from sweep.models.obstacles.surface import FreeState
 
 
 @jax.tree_util.register_dataclass
@@ -21,7 +22,7 @@ class HeldLegs(Layer):
     held: Bool[Array, "s 6"]
     joints: Float[Array, "s 6 3"]  # rad, at the end of the stage
 
-    def begun(self, start: Stance, joints: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
+    def begun(self, start: Stance, joints: Float[Array, "6 3"], free: FreeState) -> Float[Array, "6 3"]:
         """The joint angles (rad) at the start."""
         return joints
 

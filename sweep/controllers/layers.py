@@ -40,9 +40,17 @@ class Command(NamedTuple):
 class Layer:
     """A layer does nothing in moments of which it does not say otherwise."""
 
-    def begun(self, start: Stance, joints: Float[Array, "6 3"]) -> Any:
-        """Its state before the first tick, with feet in their frames."""
+    def begun(self, start: Stance, joints: Float[Array, "6 3"], free: FreeState) -> Any:
+        """Its state before the first tick, with feet in their frames and free bodies as in `free`."""
         return None
+
+    def borne(self, plan: Plan, own: Any, stage: Int[Array, ""], clock: Float[Array, ""], free: FreeState) -> FreeState:
+        """Free bodies as a stage has them `clock` s after it began, where they are seen as in `free`."""
+        return free
+
+    def entered(self, stage: Int[Array, ""], own: Any, was: FreeState, free: FreeState) -> tuple[Any, FreeState]:
+        """Its state and free bodies as a stage begins: seen as in `free`, and as in `was` to the stage before."""
+        return own, free
 
     def blind(self, stage: Int[Array, ""]) -> Bool[Array, ""] | bool:
         """Whether the base's place says nothing of the feet's in a stage."""

@@ -118,15 +118,12 @@ class Plan:
     base_frame: Int[Array, " s"]
     press: Float[Array, "s 2"]  # m
     patience: Float[Array, ""]  # s, that a stage waits for its swing feet to touch down
-    support: Support | None = None  # leading axes (s, k); None where all bodies are where they are seen
     layers: tuple[Any, ...] = ()  # what is done besides, see `sweep.controllers.layers`
     shift: Shift | None = None
     # whether errors are taken back in the plane, with the heading's
     steered: bool = field(default=False, metadata={"static": True})
     onset: tuple[str, ...] = field(default=(), metadata={"static": True})  # of each stage
     laws: tuple[str, ...] = field(default=(), metadata={"static": True})  # of each stage
-    # whether water carries the free bodies: height and tilt are then as they are seen, whatever a stage means
-    afloat: bool = field(default=False, metadata={"static": True})
 
     def layer[T](self, kind: type[T]) -> T | None:
         """The one of a class, if there is one."""

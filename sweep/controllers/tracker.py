@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from sweep.controllers import onset, support
+from sweep.controllers import onset
 from sweep.controllers.frames import attitude_to_world
 from sweep.controllers.layers import Command, Now
 from sweep.controllers.observation import Observation
@@ -36,7 +36,6 @@ class TrackerState(NamedTuple):
     goal: Float[Array, "6 3"]  # m, footholds at the end of the stage, in its frames, of a guided manoeuvre
     memory: Any  # of a guided manoeuvre
     observer: Observer | None  # of the obstacle's free bodies, of a manoeuvre on them
-    free: FreeState | None  # as seen when the stage began, in a plan that means free bodies to move
     told: Stance | None  # in the last tick, in the stage's frames, of a manoeuvre with events
     layers: tuple[Any, ...]  # states of the plan's layers
 
@@ -108,9 +107,8 @@ def init(belief: Case, plan: Plan) -> TrackerState:
         goal=start.feet,
         memory=memory,
         observer=Observer(free, free) if isinstance(manoeuvre, Riding) else None,
-        free=None if plan.support is None else free,
         told=start if isinstance(manoeuvre, Eventful) else None,
-        layers=tuple(layer.begun(start, joints) for layer in plan.layers),
+        layers=tuple(layer.begun(start, joints, free) for layer in plan.layers),
     )
 
 
@@ -217,10 +215,9 @@ def _advance(belief: Case, plan: Plan, state: TrackerState, seen: Observation, p
         known = onset.Begun(ended.feet, state.error, state.turn)
         begun = jax.tree.map(lambda a, b: jnp.where(blind, a, b), known, begun)
     frames, free = (plan.foot_frame[following], plan.base_frame[following]), seen.free
-    starts = stance_to_frame(ended._replace(feet=begun.feet), *frames, free)
-    if plan.support is not None:
-        free = support.begun(jax.tree.map(lambda x: x[following], plan.support), meant, free)
-        starts = starts._replace(position=stance_to_frame(ended, *frames, free).position)
+    feet, states = stance_to_frame(ended._replace(feet=begun.feet), *frames, free).feet, list(state.layers)
+    for k, layer in enumerate(plan.layers):
+        states[k], free = layer.entered(following, states[k], meant, free)
     if free.position.shape[0]:  # what is left to the attitude of another frame fades as the error does
         wanted = attitude_to_world(plan.quat[following], frames[1], free)
         left = logarithm(multiply(exponential(begun.turn), multiply(ended.quat, conjugate(wanted))))
@@ -229,12 +226,12 @@ def _advance(belief: Case, plan: Plan, state: TrackerState, seen: Observation, p
     shifted = state._replace(
         stage=following,
         clock=jnp.where(last, state.clock, jnp.minimum(jnp.maximum(over, 0.0), period)),
-        feet=starts.feet,
-        position=starts.position,
+        feet=feet,
+        position=stance_to_frame(ended, *frames, free).position,
         error=begun.error,
         turn=begun.turn,
         finished=last,
-        free=None if state.free is None else free,
+        layers=tuple(states),
     )
     hold = last | ~ends
     kept = state._replace(finished=state.finished | (ends & last))
@@ -243,10 +240,6 @@ def _advance(belief: Case, plan: Plan, state: TrackerState, seen: Observation, p
 
 def bodies(plan: Plan, state: TrackerState, seen: FreeState) -> FreeState:
     """Free bodies as the stage has them: as they are seen, or meant to be."""
-    if plan.support is None or state.free is None:
-        return seen
-    here = jax.tree.map(lambda x: x[state.stage], plan.support)
-    if not plan.afloat:
-        return support.meant(here, state.free, seen, state.clock, plan.duration[state.stage])
-    here = support.placed(here, state.free)
-    return support.floating(support.meant(here, state.free, seen, state.clock, plan.duration[state.stage]), seen)
+    for layer, own in zip(plan.layers, state.layers, strict=True):
+        seen = layer.borne(plan, own, state.stage, state.clock, seen)
+    return seen

@@ -18,6 +18,7 @@ from sweep.controllers.frames import to_frame, to_world
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import Plan, Stance
 from sweep.controllers.posture import mass_centre
+from sweep.controllers.programme import Programme
 from sweep.controllers.support import MEASURED
 from sweep.controllers.tracker import TrackerState, joint_targets
 from sweep.core.constants import GRAVITY
@@ -124,7 +125,9 @@ def _rolled(
     K = up x k, k = 7/5 M R v + m ((z + R)(v + u) - x u_z), where the mass centre moves by u over the ball and lies x
     ahead and z above; k changes by m (g x + u_z v).
     """
-    follows = jnp.asarray(True) if plan.support is None else jnp.asarray(plan.support.mode)[state.stage, 0] == MEASURED
+    programme, follows = plan.layer(Programme), jnp.asarray(True)
+    if programme is not None:
+        follows = jnp.asarray(programme.support.mode)[state.stage, 0] == MEASURED
     if isinstance(case.obstacle, Raft):
         coasts = _coasted(case.obstacle, total_mass(case.robot), free, h)
         return roll, jax.tree.map(lambda a, b: jnp.where(follows, a, b), coasts, free)

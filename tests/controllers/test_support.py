@@ -12,6 +12,7 @@ from sweep.controllers.assembly import assemble
 from sweep.controllers.manoeuvres.balancing.ball import on_ball, perch
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import GRIP, Stage, Stance
+from sweep.controllers.programme import begun, meant
 from sweep.controllers.support import (
     KEPT,
     MEASURED,
@@ -21,8 +22,6 @@ from sweep.controllers.support import (
     TO_VELOCITY,
     TOGETHER,
     Support,
-    begun,
-    meant,
 )
 from sweep.controllers.tracker import joint_targets
 from sweep.core.rotations import exponential, logarithm

@@ -13,6 +13,7 @@ from sweep.controllers.manoeuvres.balancing.ball import BallDrive
 from sweep.controllers.manoeuvres.balancing.ball_to_ball import BallDocking, Closing
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import Stance, ends
+from sweep.controllers.programme import Programme
 from sweep.controllers.support import MEASURED
 from sweep.controllers.tracker import in_hips
 from sweep.core.errors import InputError
@@ -145,7 +146,8 @@ def test_the_way_down_is_told_from_the_second_ball():
         here, there = plan.names.index(name), down.names.index(name)
         wanted = np.asarray(down.foot_frame[there])
         assert np.asarray(plan.foot_frame[here]).tolist() == np.where(wanted == WORLD, WORLD, wanted + 2).tolist()
-        assert np.asarray(plan.support.mode[here]).tolist() == [MEASURED, int(down.support.mode[there, 0])]
+        mode, of_one = (np.asarray(of.layer(Programme).support.mode) for of in (plan, down))
+        assert mode[here].tolist() == [MEASURED, of_one[there, 0]]
 
 
 def test_the_second_ball_may_roll_at_the_start():

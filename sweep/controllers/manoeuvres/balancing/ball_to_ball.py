@@ -23,6 +23,7 @@ from sweep.controllers.moves import stages_of, standing
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import Plan, Stage, Stance, ends, reference
 from sweep.controllers.posture import leg_points
+from sweep.controllers.programme import Programme
 from sweep.controllers.refusals import plain, refuse_reach
 from sweep.controllers.support import TOGETHER, Support
 from sweep.controllers.tracker import Guidance, Guided, TrackerState, bodies
@@ -96,8 +97,9 @@ class Closing(NamedTuple):
         gap = jnp.where(begins, gap, memory.gap)
         phase = jnp.clip(state.clock / plan.duration[stage], 0.0, 1.0)
         wanted = reference(plan, stage, phase, state.feet, state.position)
-        assert plan.support is not None
-        both = jnp.asarray(plan.support.mode)[stage, 0] == TOGETHER
+        programme = plan.layer(Programme)
+        assert programme is not None  # since it is how balls are brought together
+        both = jnp.asarray(programme.support.mode)[stage, 0] == TOGETHER
         way = jnp.where(both, phase * (gap + self.press), 0.0)
         quat = bodies(plan, state, seen.free).quat[1:]
         turned = rotate(about_aside(-way / balls.radius)[None], rotate(quat, wanted.feet))
