@@ -12,7 +12,7 @@ from sweep.controllers.calibration import Calibrated
 from sweep.controllers.feedforward import Feedforward
 from sweep.controllers.held_legs import HeldLegs
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import Plan, Shift, Stance, stance_to_world
+from sweep.controllers.plan import Plan, Stance, stance_to_world
 from sweep.controllers.touch import Touched
 from sweep.controllers.tracker import TrackerState, joint_targets
 from sweep.core.rotations import exponential, multiply
@@ -58,21 +58,24 @@ def felt(
     learned: Learned | None,
     seen: Observation,
     period: float,
-) -> tuple[TrackerState, Plan, Learned | None]:
-    """Footholds, plan, and what is known, after a tick of touching. `belief` and `plan` are those of the start."""
+) -> tuple[TrackerState, Plan, Float[Array, "6 3"] | None, Learned | None]:
+    """Footholds, plan, how far those of swings are beside it (m), and what is known, after a tick of touching.
+
+    `belief` and `plan` are those of the start.
+    """
     if learned is None or learned.touched is None or not touch.by_feet(belief.obstacle):
-        return state, newest(plan, learned), learned
+        return state, newest(plan, learned), None, learned
     ground = touch.planned_on(learned.touched, plan, state.stage)
     robot, now = informed(belief, learned).robot, newest(plan, learned)
     known = world.control, belief.noise, robot, now, ground
     touched, moves, searches = touch.felt(*known, state, learned.touched, seen, period)
     swings = now.swing[state.stage]
-    shift = Shift(state.stage, jnp.where(swings[:, None], moves, 0.0))
+    beside = jnp.where(swings[:, None], moves, 0.0)
     patience = jnp.where(jnp.any(searches & swings), jnp.inf, now.patience)
     # with planned forces, those that bear load are anchored where they stand
     goes = ~swings if plan.layer(Feedforward) is None else ~swings & ~seen.loaded
     state = state._replace(feet=state.feet + jnp.where(goes[:, None], moves, 0.0))
-    return state, replace(now, shift=shift, patience=patience), learned._replace(touched=touched)
+    return state, replace(now, patience=patience), beside, learned._replace(touched=touched)
 
 
 def replanned(belief: Case, plan: Plan, stage: Int[Array, ""], learned: Learned) -> Learned:

@@ -92,13 +92,6 @@ class Ways(NamedTuple):
     arc: Float[Array, " s"]  # rad
 
 
-class Shift(NamedTuple):
-    """By how much the footholds of a stage are elsewhere than they were planned."""
-
-    stage: Int[Array, ""]
-    by: Float[Array, "6 3"]  # m
-
-
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Plan:
@@ -119,7 +112,6 @@ class Plan:
     press: Float[Array, "s 2"]  # m
     patience: Float[Array, ""]  # s, that a stage waits for its swing feet to touch down
     layers: tuple[Any, ...] = ()  # what is done besides, see `sweep.controllers.layers`
-    shift: Shift | None = None
     # whether errors are taken back in the plane, with the heading's
     steered: bool = field(default=False, metadata={"static": True})
     onset: tuple[str, ...] = field(default=(), metadata={"static": True})  # of each stage
@@ -229,12 +221,6 @@ def ends(plan: Plan, free: FreeState) -> Stance:
     return jax.vmap(stance_to_world, (0, 0, 0, None))(last, plan.foot_frame, plan.base_frame, free)
 
 
-def goal(plan: Plan, stage: Int[Array, ""]) -> Float[Array, "6 3"]:
-    """Where feet are to stand at the end of a stage (m), in its frames."""
-    planned = plan.foothold[stage]
-    return planned if plan.shift is None else planned + jnp.where(stage == plan.shift.stage, plan.shift.by, 0.0)
-
-
 def swings(plan: Plan, stage: Int[Array, ""], u: Float[Array, ""], feet: Array, goal: Array) -> Float[Array, "6 3"]:
     """Feet at phase u (0 to 1) of stage number `stage`: those that swing on their way from `feet` to `goal`."""
     curve = plan.curve
@@ -246,10 +232,15 @@ def swings(plan: Plan, stage: Int[Array, ""], u: Float[Array, ""], feet: Array, 
     return jnp.where(plan.swing[stage][:, None], along, feet)
 
 
-def reference(plan: Plan, stage: Int[Array, ""], u: Float[Array, ""], feet: Array, position: Array) -> Stance:
-    """What stage number `stage` wants at phase u (0 to 1), having begun with `feet` (6, 3) and base `position`."""
+def reference(
+    plan: Plan, stage: Int[Array, ""], u: Float[Array, ""], feet: Array, position: Array, goal: Array | None = None
+) -> Stance:
+    """What stage number `stage` wants at phase u (0 to 1), having begun with `feet` (6, 3) and base `position`.
+
+    Those that swing go to `goal` (6, 3) if it is given, to their footholds else.
+    """
     way = plan.way
     done = pace_progress(way.pace[stage], way.rates[stage], u)
     quat = multiply(exponential(done * plan.turn[stage]), plan.quat[stage])
     centre = along_arc(position, plan.position[stage], way.pivot[stage], way.arc[stage], done)
-    return Stance(swings(plan, stage, u, feet, goal(plan, stage)), centre, quat)
+    return Stance(swings(plan, stage, u, feet, plan.foothold[stage] if goal is None else goal), centre, quat)

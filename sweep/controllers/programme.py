@@ -38,7 +38,7 @@ class Programme(Layer):
         self, plan: Plan, own: FreeState, stage: Int[Array, ""], clock: Float[Array, ""], free: FreeState
     ) -> FreeState:
         """As the stage means them to be."""
-        here, duration = self._in(stage), plan.duration[stage]
+        here, duration = jax.tree.map(lambda x: x[stage], self.support), plan.duration[stage]
         if not self.afloat:
             return meant(here, own, free, clock, duration)
         return floating(meant(placed(here, own), own, free, clock, duration), free)
@@ -47,11 +47,9 @@ class Programme(Layer):
         self, stage: Int[Array, ""], own: FreeState, was: FreeState, free: FreeState
     ) -> tuple[FreeState, FreeState]:
         """The stage begins with them as they are seen, or were meant to be."""
-        began = begun(self._in(stage), was, free)
+        kept = jnp.asarray(self.support.mode)[stage] == KEPT
+        began = FreeState(*[jnp.where(kept[:, None], a, b) for a, b in zip(was, free, strict=True)])
         return began, began
-
-    def _in(self, stage: Int[Array, ""]) -> Support:
-        return jax.tree.map(lambda x: x[stage], self.support)
 
 
 def meant(support: Support, start: FreeState, seen: FreeState, clock: Array, duration: Array) -> FreeState:
@@ -113,9 +111,3 @@ def floating(meant: FreeState, seen: FreeState) -> FreeState:
         jnp.where(upright > 0, seen.velocity, meant.velocity),
         jnp.where(upright > 0, meant.turn, seen.turn),
     )
-
-
-def begun(support: Support, meant: FreeState, seen: FreeState) -> FreeState:
-    """Free bodies with which a stage of `support` (k,) begins, after one that has meant them to be as in `meant`."""
-    kept = jnp.asarray(support.mode) == KEPT
-    return FreeState(*[jnp.where(kept[:, None], a, b) for a, b in zip(meant, seen, strict=True)])

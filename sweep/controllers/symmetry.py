@@ -122,7 +122,7 @@ def mirrored(plan: Plan, normal: Float[np.ndarray, " 3"]) -> Plan:
 def joined(first: Plan, *others: Plan) -> Plan:
     """The plans one after the other; each should start in the stance in which the one before it ends."""
     plans = (first, *others)
-    whole = ("start", "patience", "layers", "shift")
+    whole = ("start", "patience", "layers")
     names = [f.name for f in fields(Plan) if f.name not in whole and not f.metadata.get("static")]
     parts = ({name: getattr(plan, name) for name in names} for plan in plans)
     table = jax.tree.map(lambda *arrays: jnp.concatenate(arrays), *parts)

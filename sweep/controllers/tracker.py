@@ -14,7 +14,7 @@ from sweep.controllers.frames import attitude_to_world
 from sweep.controllers.layers import Command, Now
 from sweep.controllers.observation import Observation
 from sweep.controllers.observer import Observer, followed
-from sweep.controllers.plan import REZERO, Plan, Stance, goal, reference, stance_to_frame, stance_to_world
+from sweep.controllers.plan import REZERO, Plan, Stance, reference, stance_to_frame, stance_to_world
 from sweep.core.rotations import conjugate, exponential, logarithm, multiply, nearest, rotate
 from sweep.formulas import leg
 from sweep.models.case import Case, Riding
@@ -113,14 +113,14 @@ def init(belief: Case, plan: Plan) -> TrackerState:
 
 
 def step(
-    belief: Case, plan: Plan, state: TrackerState, seen: Observation, period: float
+    belief: Case, plan: Plan, state: TrackerState, seen: Observation, period: float, beside: Array | None = None
 ) -> tuple[TrackerState, Command]:
-    """One control tick of `period` seconds."""
+    """One control tick of `period` seconds; footholds of its stage are `beside` planned ones by so much (6, 3) m."""
     old, manoeuvre = state, belief.manoeuvre
     if isinstance(manoeuvre, Riding) and state.observer is not None:
         observer = followed(state.observer, seen.free, manoeuvre.observer, period)
         state, seen = state._replace(observer=observer), seen._replace(free=observer.second)
-    state = _advance(belief, plan, state._replace(clock=state.clock + period), seen, period)
+    state = _advance(belief, plan, state._replace(clock=state.clock + period), seen, period, beside)
     phase = jnp.clip(state.clock / plan.duration[state.stage], 0.0, 1.0)
     begins = (state.stage != old.stage) | ((old.stage == 0) & (old.clock == 0))
     free = bodies(plan, state, seen.free)
@@ -131,7 +131,8 @@ def step(
         wanted, to, memory = manoeuvre.guide(belief, plan, state, seen, begins, period)
         state = state._replace(goal=to, memory=memory)
     else:
-        wanted = reference(plan, state.stage, phase, state.feet, state.position)
+        goal = _goal(plan, state.stage, old.stage, beside)
+        wanted = reference(plan, state.stage, phase, state.feet, state.position, goal)
     if old.told is not None:
         state = _from_told(now, old.told, state, wanted)
     target, states = _in_world(now, state, wanted), list(state.layers)
@@ -189,7 +190,15 @@ def _blind(plan: Plan, stage: Int[Array, ""]) -> Bool[Array, ""] | bool:
     return functools.reduce(operator.or_, (layer.blind(stage) for layer in plan.layers), False)
 
 
-def _advance(belief: Case, plan: Plan, state: TrackerState, seen: Observation, period: float) -> TrackerState:
+def _goal(plan: Plan, stage: Array, felt: Array, beside: Array | None) -> Float[Array, "6 3"]:
+    """Footholds at the end of a stage (m, in its frames): those of the stage `felt` are beside the planned ones."""
+    planned = plan.foothold[stage]
+    return planned if beside is None else planned + jnp.where(stage == felt, beside, 0.0)
+
+
+def _advance(
+    belief: Case, plan: Plan, state: TrackerState, seen: Observation, period: float, beside: Array | None
+) -> TrackerState:
     """Go on to the next stage when time is up and every swinging foot has touched down, or patience has run out.
 
     A manoeuvre with events may end it earlier, wherever feet and base have come by then.
@@ -198,7 +207,7 @@ def _advance(belief: Case, plan: Plan, state: TrackerState, seen: Observation, p
     over = state.clock - plan.duration[stage]
     landed = jnp.all(seen.loaded | ~plan.swing[stage])
     ends = (over >= 0) & (landed | (over >= plan.patience)) & ~state.finished
-    to = state.goal if isinstance(manoeuvre, Guided) else goal(plan, stage)
+    to = state.goal if isinstance(manoeuvre, Guided) else _goal(plan, stage, stage, beside)
     wanted = multiply(exponential(plan.turn[stage]), plan.quat[stage])
     reached = Stance(jnp.where(plan.swing[stage][:, None], to, state.feet), plan.position[stage], wanted)
     if isinstance(manoeuvre, Eventful) and state.told is not None:

@@ -158,8 +158,8 @@ def act(
         sensors, seen = observe(world.noise, sensors, seen, jax.random.fold_in(loop.key, tick))
     free = surface.placed(at_first(belief, loop.learned), seen.free)
     seen = seen._replace(free=free, loaded=seen.load > touch.threshold(world.control, belief.noise))
-    state, followed, learned = felt(world, belief, plan, loop.tracker, loop.learned, seen, period)
-    state, command = tracker.step(informed(belief, learned), followed, state, seen, period)
+    state, followed, beside, learned = felt(world, belief, plan, loop.tracker, loop.learned, seen, period)
+    state, command = tracker.step(informed(belief, learned), followed, state, seen, period, beside)
     servo = position_mode(world.drive, command.joints - seen.joint_error)
     if command.own is not None:
         owned, own = command.own

@@ -12,7 +12,7 @@ from sweep.controllers.assembly import assemble
 from sweep.controllers.manoeuvres.balancing.ball import on_ball, perch
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import GRIP, Stage, Stance
-from sweep.controllers.programme import begun, meant
+from sweep.controllers.programme import Programme, meant
 from sweep.controllers.support import (
     KEPT,
     MEASURED,
@@ -84,7 +84,7 @@ def test_a_body_goes_to_a_pose_follows_or_rolls_with_the_others():
 def test_a_body_that_is_kept_is_where_it_was_meant_to_be():
     np.testing.assert_allclose(moved(KEPT, TIME)[0], START.position[:, 0], atol=1e-6)
     one_kept = jax.tree.map(lambda *x: jnp.stack([jnp.asarray(each) for each in x]), STAYS, RESTS)
-    free = begun(one_kept, START, NOW)
+    _, free = Programme(jax.tree.map(lambda x: x[None], one_kept), afloat=False).entered(jnp.int32(0), None, START, NOW)
     np.testing.assert_allclose(free.position[:, 0], [START.position[0, 0], NOW.position[1, 0]], atol=1e-6)
 
 

@@ -115,7 +115,7 @@ def test_a_foot_that_finds_a_height_lower_than_cautiously_planned_stands_as_deep
     state = init(case, plan)._replace(stage=jnp.int32(stage), feet=plan.foothold[stage], clock=plan.duration[stage])
     step = jax.jit(lambda s, known: felt(case, case, plan, s, known, now, PERIOD))
     for _ in range(100):
-        state, _, learned = step(state, learned)
+        state, _, _, learned = step(state, learned)
     stands = ~np.asarray(plan.swing[stage])
     lower = np.asarray(plan.foothold[stage] - state.feet)[:, 2]
     np.testing.assert_allclose(lower[stands], higher[stands], atol=1e-4)

@@ -183,8 +183,8 @@ class RaftCross:
         shifts = jnp.where(ashore[:, None], along, 0.0)
         goal, position = plan.foothold[stage] + shifts[:6], plan.position.at[stage].add(shifts[6])
         phase = jnp.clip(state.clock / plan.duration[stage], 0.0, 1.0)
-        shifted = replace(plan, foothold=plan.foothold.at[stage].set(goal), position=position)
-        return Guidance(reference(shifted, stage, phase, state.feet, state.position), goal, along)
+        wanted = reference(replace(plan, position=position), stage, phase, state.feet, state.position, goal)
+        return Guidance(wanted, goal, along)
 
     def come_along(self, plan: Plan, stage: Int[Array, ""], free: FreeState) -> Float[Array, ""]:
         """How far (m) along the bank from where it was to go ashore the base is told to be.
