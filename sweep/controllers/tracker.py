@@ -71,10 +71,8 @@ class Guided(Protocol):
         """What its feedback remembers, at the start."""
         ...
 
-    def guide(
-        self, belief: Case, plan: Plan, state: TrackerState, seen: Observation, begins: Bool[Array, ""], period: float
-    ) -> Guidance:
-        """One tick; `begins` in the first of a stage."""
+    def guide(self, belief: Case, now: Now, state: TrackerState) -> Guidance:
+        """One tick."""
         ...
 
 
@@ -128,7 +126,7 @@ def step(
     for layer in plan.layers:
         state = state._replace(feet=layer.anchored(now, state.feet))
     if isinstance(manoeuvre, Guided):
-        wanted, to, memory = manoeuvre.guide(belief, plan, state, seen, begins, period)
+        wanted, to, memory = manoeuvre.guide(belief, now, state)
         state = state._replace(goal=to, memory=memory)
     else:
         goal = _goal(plan, state.stage, old.stage, beside)

@@ -84,7 +84,9 @@ def test_a_body_goes_to_a_pose_follows_or_rolls_with_the_others():
 def test_a_body_that_is_kept_is_where_it_was_meant_to_be():
     np.testing.assert_allclose(moved(KEPT, TIME)[0], START.position[:, 0], atol=1e-6)
     one_kept = jax.tree.map(lambda *x: jnp.stack([jnp.asarray(each) for each in x]), STAYS, RESTS)
-    _, free = Programme(jax.tree.map(lambda x: x[None], one_kept), afloat=False).entered(jnp.int32(0), None, START, NOW)
+    _, free = Programme(jax.tree.map(lambda x: x[None], one_kept), afloat=False).entered(
+        jnp.int32(0), START, START, NOW
+    )
     np.testing.assert_allclose(free.position[:, 0], [START.position[0, 0], NOW.position[1, 0]], atol=1e-6)
 
 

@@ -9,6 +9,7 @@ from test_on_ball import outcomes
 
 from sweep.controllers import tracker
 from sweep.controllers.ball_state import centre_of_mass
+from sweep.controllers.layers import Now
 from sweep.controllers.manoeuvres.balancing.ball import BallDrive
 from sweep.controllers.manoeuvres.balancing.ball_to_ball import BallDocking, Closing
 from sweep.controllers.observation import Observation
@@ -168,7 +169,9 @@ def test_feet_on_the_second_ball_close_the_gap():
         stage=jnp.int32(stage), clock=plan.duration[stage], feet=feet, memory=Closing(press, 1.0).memory(case, plan)
     )
     seen = at_start(plan, free)
-    told = Closing(press, 1.0).guide(case, plan, state, seen, jnp.asarray(True), 0.004)
+    now = Now(case.robot, plan, state.stage, state.stage, state.clock, jnp.ones(()), jnp.asarray(True), seen,
+              tracker.bodies(plan, state, free), 0.004, state.joints)  # fmt: skip
+    told = Closing(press, 1.0).guide(case, now, state)
     radius, way = case.on(TwoBalls).radius, gap + press
     eta, zeta = -np.asarray(feet)[4:, 0], np.asarray(feet)[4:, 2]
     round_, angle = np.hypot(eta, zeta), np.arctan2(zeta, eta)

@@ -13,6 +13,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from sweep.controllers.assembly import assemble
 from sweep.controllers.gaits import TRIPOD
+from sweep.controllers.layers import Now
 from sweep.controllers.manoeuvres.afloat.statics import refuse
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
 from sweep.controllers.moves import Move, Terms, moves, staged, stages_of, standing
@@ -169,21 +170,18 @@ class RaftCross:
         """
         return jnp.zeros(3)
 
-    def guide(
-        self, belief: Case, plan: Plan, state: TrackerState, seen: Observation, begins: Bool[Array, ""], period: float
-    ) -> Guidance:
+    def guide(self, belief: Case, now: Now, state: TrackerState) -> Guidance:
         """As planned, but ashore at the place where the raft has come to."""
-        stage = state.stage
-        gap = jnp.min(far_gaps(belief.on(Raft), seen.free))
+        plan, stage, free = now.plan, now.stage, now.seen.free
+        gap = jnp.min(far_gaps(belief.on(Raft), free))
         short = jnp.where((gap > self.near) & (gap < MARGIN * belief.robot.body_length), gap, 0.0)
-        come = jnp.stack([-short, self.come_along(plan, stage, seen.free), jnp.zeros_like(short)])
-        along = jnp.where(begins & led_by(plan, stage, REACH), come, state.memory)
+        come = jnp.stack([-short, self.come_along(plan, stage, free), jnp.zeros_like(short)])
+        along = jnp.where(now.begins & led_by(plan, stage, REACH), come, state.memory)
         frames = jnp.append(plan.foot_frame[stage], plan.base_frame[stage])
         ashore = led_by(plan, stage, REACH, PULL, ASHORE) & (frames == WORLD)
         shifts = jnp.where(ashore[:, None], along, 0.0)
         goal, position = plan.foothold[stage] + shifts[:6], plan.position.at[stage].add(shifts[6])
-        phase = jnp.clip(state.clock / plan.duration[stage], 0.0, 1.0)
-        wanted = reference(replace(plan, position=position), stage, phase, state.feet, state.position, goal)
+        wanted = reference(replace(plan, position=position), stage, now.phase, state.feet, state.position, goal)
         return Guidance(wanted, goal, along)
 
     def come_along(self, plan: Plan, stage: Int[Array, ""], free: FreeState) -> Float[Array, ""]:

@@ -7,11 +7,12 @@ Therefore the pose goes through an observer, which steady rolling passes without
 """
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from sweep.controllers.assembly import assemble
 from sweep.controllers.ball_state import (
@@ -26,6 +27,7 @@ from sweep.controllers.ball_state import (
     turned_back,
 )
 from sweep.controllers.gaits import TRIPOD
+from sweep.controllers.layers import Now
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
 from sweep.controllers.moves import Terms
 from sweep.controllers.observation import Observation
@@ -176,20 +178,20 @@ class BallBalance(OnBall):
         """The base where the plan starts."""
         return BalanceMemory(plan.position[0], jnp.zeros(2), jnp.zeros(2), jnp.zeros(3))
 
-    def guide(
-        self, belief: Case, plan: Plan, state: TrackerState, seen: Observation, begins: Bool[Array, ""], period: float
-    ) -> Guidance:
+    def guide(self, belief: Case, now: Now, state: TrackerState) -> Guidance:
         """The base's place by the chosen law."""
         memory: BalanceMemory = state.memory
         if self.law == "manoeuvre":
-            memory = jax.tree.map(lambda a, b: jnp.where(begins, a, b), self._planned(belief, memory, seen), memory)
+            memory = jax.tree.map(
+                lambda a, b: jnp.where(now.begins, a, b), self._planned(belief, memory, now.seen), memory
+            )
             shape = stabilise_delta(self.period, self.rest, state.clock)
             way = memory.move * shape.delta + memory.pulse * shape.pulse_integral_T
             position = memory.place.at[:2].add(way)
         else:
-            memory = self._leant(belief, memory, state, seen, period) if self.law == "tick" else memory
+            memory = self._leant(belief, memory, state, now.seen, now.period) if self.law == "tick" else memory
             position = memory.place
-        return Guidance(Stance(state.feet, position, plan.quat[state.stage]), state.feet, memory)
+        return Guidance(Stance(state.feet, position, now.plan.quat[now.stage]), state.feet, memory)
 
     def _planned(self, belief: Case, memory: BalanceMemory, seen: Observation) -> BalanceMemory:
         """(3.1.1) and the pulse after fig. 3.1.2, from what is measured now."""
@@ -317,27 +319,25 @@ class BallDrive(OnBall):
         zero = jnp.zeros(())
         return DriveMemory(zero, zero, jnp.array([1.0, 0.0]), zero, zero, zero, zero)
 
-    def guide(
-        self, belief: Case, plan: Plan, state: TrackerState, seen: Observation, begins: Bool[Array, ""], period: float
-    ) -> Guidance:
+    def guide(self, belief: Case, now: Now, state: TrackerState) -> Guidance:
         """The step's own law, planned where it begins."""
-        planned, landing = self._planned(belief, state, seen)
-        memory = jax.tree.map(lambda a, b: jnp.where(begins, a, b), planned, state.memory)
-        swings = plan.swing[state.stage][:, None]
-        goal = jnp.where(begins, jnp.where(swings, landing, state.feet), state.goal)
-        time = plan.duration[state.stage]
-        phase = jnp.clip(state.clock / time, 0.0, 1.0)
-        share, height = swing_progress(plan.curve.cycle[state.stage], jnp.zeros(()), phase)
+        plan, stage, phase, free = now.plan, now.stage, now.phase, now.seen.free
+        planned, landing = self._planned(belief, state, now.seen)
+        memory = jax.tree.map(partial(jnp.where, now.begins), planned, state.memory)
+        swings = plan.swing[stage][:, None]
+        goal = jnp.where(now.begins, jnp.where(swings, landing, state.feet), state.goal)
+        time = plan.duration[stage]
+        share, height = swing_progress(plan.curve.cycle[stage], jnp.zeros(()), phase)
         lift = height * self.lift_ratio * belief.robot.body_length
         on_way = over_ball(state.feet, goal, share, phase, lift)
-        feet = jnp.where(swings, on_way, rotate(seen.free.quat, state.feet))
+        feet = jnp.where(swings, on_way, rotate(free.quat, state.feet))
         blend = jnp.minimum(1.0, 2 * phase)
         aside = memory.aside_before + blend**2 * (3 - 2 * blend) * (memory.aside - memory.aside_before)
         pulse = memory.push * time / self.step_time * stabilise_delta(time, 0.0, state.clock).pulse  # as fast in any
         wanted = pulse * memory.along + aside * left(memory)
-        position = self._compensated(belief, plan.position[state.stage], feet, wanted)
-        feet = jnp.where(swings, feet, rotate(conjugate(seen.free.quat), feet))
-        return Guidance(Stance(feet, position, plan.quat[state.stage]), goal, memory)
+        position = self._compensated(belief, plan.position[stage], feet, wanted)
+        feet = jnp.where(swings, feet, rotate(conjugate(free.quat), feet))
+        return Guidance(Stance(feet, position, plan.quat[stage]), goal, memory)
 
     def _planned(self, belief: Case, state: TrackerState, seen: Observation) -> tuple[DriveMemory, Float[Array, "6 3"]]:
         """(3.1.8), delta r^(3) and the turned footholds, from the ball's measured place and speed."""

@@ -1,15 +1,16 @@
 """Driving a free ball sideways, the robot standing on it (monograph 3.3.3)."""
 
+from functools import partial
 from typing import ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from sweep.controllers.assembly import assemble
+from sweep.controllers.layers import Now
 from sweep.controllers.manoeuvres.balancing.ball import OnBall, compensated, on_ball, perch
 from sweep.controllers.manoeuvres.goals import UPRIGHT
-from sweep.controllers.observation import Observation
 from sweep.controllers.plan import KEEP, Plan, Stage, Stance
 from sweep.controllers.tracker import Guidance, TrackerState
 from sweep.core.constants import GRAVITY
@@ -63,17 +64,15 @@ class BallAside(OnBall):
         """The memory before the first push."""
         return AsideMemory(jnp.zeros(()))
 
-    def guide(
-        self, belief: Case, plan: Plan, state: TrackerState, seen: Observation, begins: Bool[Array, ""], period: float
-    ) -> Guidance:
+    def guide(self, belief: Case, now: Now, state: TrackerState) -> Guidance:
         """The mass centre over the ball, and aside of it as the stage has planned where it began."""
-        stage = state.stage
-        wanted = jnp.where(stage == 0, self.speed, seen.free.velocity[0, 1])  # coasting, as it goes
+        plan, stage, free = now.plan, now.stage, now.seen.free
+        wanted = jnp.where(stage == 0, self.speed, free.velocity[0, 1])  # coasting, as it goes
         wanted = jnp.where(stage > 1, 0.0, wanted)
-        push = self.gain * gain(belief, plan, self.period) * (wanted - seen.free.velocity[0, 1])
-        memory: AsideMemory = jax.tree.map(lambda a, b: jnp.where(begins, a, b), AsideMemory(push), state.memory)
+        push = self.gain * gain(belief, plan, self.period) * (wanted - free.velocity[0, 1])
+        memory: AsideMemory = jax.tree.map(partial(jnp.where, now.begins), AsideMemory(push), state.memory)
         aside = memory.push * lateral_mu(self.period, jnp.minimum(state.clock, self.period)).mu
-        feet = rotate(seen.free.quat, state.feet)
+        feet = rotate(free.quat, state.feet)
         over = jnp.stack([jnp.zeros_like(aside), aside])
         position = compensated(belief.robot, plan.position[stage], feet, over, lengthwise=True)
         return Guidance(Stance(state.feet, position, plan.quat[stage]), state.feet, memory)

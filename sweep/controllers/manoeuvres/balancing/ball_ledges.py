@@ -13,6 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
 from sweep.controllers.assembly import assemble
+from sweep.controllers.layers import Now
 from sweep.controllers.manoeuvres.balancing.ball import BallDrive, DriveMemory, OnBall, perch, refuse_start, terms
 from sweep.controllers.manoeuvres.balancing.parts import InParts, has_just_begun
 from sweep.controllers.manoeuvres.goals import UPRIGHT
@@ -40,12 +41,10 @@ class WallDocking(NamedTuple):
         """The memory of the drive."""
         return self.drive.memory(belief, plan)
 
-    def guide(
-        self, belief: Case, plan: Plan, state: TrackerState, seen: Observation, begins: Bool[Array, ""], period: float
-    ) -> Guidance:
+    def guide(self, belief: Case, now: Now, state: TrackerState) -> Guidance:
         """By the drive's law, to a place so far behind the wall that its speed is left there."""
         place = belief.on(Ledges).at_far_wall + self.speed / self.drive.brake
-        return replace(self.drive, place=place).guide(belief, plan, state, seen, begins, period)
+        return replace(self.drive, place=place).guide(belief, now, state)
 
     def ends(self, belief: Case, plan: Plan, state: TrackerState, seen: Observation) -> Bool[Array, ""]:
         """No step is begun where the ball rests at the wall."""

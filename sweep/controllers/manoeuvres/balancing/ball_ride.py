@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from sweep.controllers.ball_state import centre_of_mass, measured_stance
+from sweep.controllers.layers import Now
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import Plan, Stance, swings
 from sweep.controllers.tracker import Guidance, TrackerState
@@ -54,18 +55,16 @@ class Ride(NamedTuple):
         sin, cos = jnp.sin(elevation), jnp.cos(elevation)
         return RideMemory(elevation, z * sin - x * cos, x * sin + z * cos, jnp.zeros(()), jnp.zeros(()))
 
-    def guide(
-        self, belief: Case, plan: Plan, state: TrackerState, seen: Observation, begins: Bool[Array, ""], period: float
-    ) -> Guidance:
+    def guide(self, belief: Case, now: Now, state: TrackerState) -> Guidance:
         """The base goes up, and feet swing to places relative to it."""
-        ball, memory = belief.on(Ball), state.memory
-        distance, rate = memory.distance, self.rate(belief, seen)
+        ball, memory, plan, period = belief.on(Ball), state.memory, now.plan, now.period
+        distance, rate = memory.distance, self.rate(belief, now.seen)
         share = jnp.minimum(1.0, memory.time / self.centring)
         share = share**2 * (3 - 2 * share)
         forward = jnp.clip(distance * rate * (1 - share), 0.0, -4 * jnp.minimum(memory.ahead, 0.0))
         turning = jnp.maximum(0.0, rate - forward / distance)
         elevation = jnp.minimum(0.5 * np.pi, memory.elevation + turning * period)
-        lean = jnp.clip(-self.lean * seen.free.velocity[0, 1], -FARTHEST, FARTHEST)
+        lean = jnp.clip(-self.lean * now.seen.free.velocity[0, 1], -FARTHEST, FARTHEST)
         lean = jnp.where(state.stage > _first(plan), lean, 0.0)
         aside = memory.aside + jnp.minimum(1.0, period / LAG) * (lean - memory.aside)
         memory = RideMemory(elevation, distance, memory.ahead + forward * period, aside, memory.time + period)

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from sweep.controllers.assembly import assemble
+from sweep.controllers.layers import Now
 from sweep.controllers.manoeuvres.balancing.ball import BallDrive, DriveMemory, OnBall, on_ball, perch, terms
 from sweep.controllers.manoeuvres.balancing.ball_descend import BallDescend
 from sweep.controllers.manoeuvres.balancing.ball_ride import about_aside
@@ -26,7 +27,7 @@ from sweep.controllers.posture import leg_points
 from sweep.controllers.programme import Programme
 from sweep.controllers.refusals import plain, refuse_reach
 from sweep.controllers.support import TOGETHER, Support
-from sweep.controllers.tracker import Guidance, Guided, TrackerState, bodies
+from sweep.controllers.tracker import Guidance, Guided, TrackerState
 from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import conjugate, rotate
@@ -55,13 +56,12 @@ class BallDocking(NamedTuple):
         """The memory of the drive."""
         return self.drive.memory(belief, plan)
 
-    def guide(
-        self, belief: Case, plan: Plan, state: TrackerState, seen: Observation, begins: Bool[Array, ""], period: float
-    ) -> Guidance:
+    def guide(self, belief: Case, now: Now, state: TrackerState) -> Guidance:
         """By the drive's law, to a place so far behind the second ball that its speed is left there."""
-        place = seen.free.position[0, 0] + apart(belief.on(TwoBalls), seen.free) + self.speed / self.drive.brake
+        free = now.seen.free
+        place = free.position[0, 0] + apart(belief.on(TwoBalls), free) + self.speed / self.drive.brake
         told = OfBall(replace(self.drive, place=place), 0)
-        return told.guide(belief, plan, state, seen, begins, period)
+        return told.guide(belief, now, state)
 
     def ends(self, belief: Case, plan: Plan, state: TrackerState, seen: Observation) -> Bool[Array, ""]:
         """No step is begun where the balls touch."""
@@ -87,21 +87,18 @@ class Closing(NamedTuple):
         """The memory before the first stage."""
         return ClosingMemory(jnp.zeros(()))
 
-    def guide(
-        self, belief: Case, plan: Plan, state: TrackerState, seen: Observation, begins: Bool[Array, ""], period: float
-    ) -> Guidance:
+    def guide(self, belief: Case, now: Now, state: TrackerState) -> Guidance:
         """The stage's own stance, with the feet moved."""
-        stage, balls = state.stage, belief.on(TwoBalls)
-        gap = jnp.clip(apart(balls, seen.free), 0.0, FARTHEST)
+        plan, stage, balls = now.plan, now.stage, belief.on(TwoBalls)
+        gap = jnp.clip(apart(balls, now.seen.free), 0.0, FARTHEST)
         memory: ClosingMemory = state.memory
-        gap = jnp.where(begins, gap, memory.gap)
-        phase = jnp.clip(state.clock / plan.duration[stage], 0.0, 1.0)
-        wanted = reference(plan, stage, phase, state.feet, state.position)
+        gap = jnp.where(now.begins, gap, memory.gap)
+        wanted = reference(plan, stage, now.phase, state.feet, state.position)
         programme = plan.layer(Programme)
         assert programme is not None  # since it is how balls are brought together
         both = jnp.asarray(programme.support.mode)[stage, 0] == TOGETHER
-        way = jnp.where(both, phase * (gap + self.press), 0.0)
-        quat = bodies(plan, state, seen.free).quat[1:]
+        way = jnp.where(both, now.phase * (gap + self.press), 0.0)
+        quat = now.free.quat[1:]
         turned = rotate(about_aside(-way / balls.radius)[None], rotate(quat, wanted.feet))
         moved = rotate(conjugate(quat), turned - way * jnp.array([1.0, 0.0, 0.0]))
         stands = (plan.foot_frame[stage] == fixed(1))[:, None]

@@ -3,12 +3,14 @@
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
+from sweep.controllers.layers import Now
 from sweep.controllers.manoeuvres.balancing.ball import BallDrive, DriveMemory
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import Plan, Stage, led_by, reference
@@ -30,18 +32,15 @@ class InParts(ABC):
         """The memories of all parts, by law."""
         return {name: part.memory(belief, plan) for name, part in self.parts.items()}
 
-    def guide(
-        self, belief: Case, plan: Plan, state: TrackerState, seen: Observation, begins: Bool[Array, ""], period: float
-    ) -> Guidance:
+    def guide(self, belief: Case, now: Now, state: TrackerState) -> Guidance:
         """By the part whose stage it is."""
-        stage = state.stage
-        phase = jnp.clip(state.clock / plan.duration[stage], 0.0, 1.0)
-        wanted, goal = reference(plan, stage, phase, state.feet, state.position), plan.foothold[stage]
+        plan, stage = now.plan, now.stage
+        wanted, goal = reference(plan, stage, now.phase, state.feet, state.position), plan.foothold[stage]
         memory = dict(state.memory)
         for name, part in self.parts.items():
-            told = part.guide(belief, plan, state._replace(memory=state.memory[name]), seen, begins, period)
-            now, before = led_by(plan, stage, name), (wanted, goal, state.memory[name])
-            wanted, goal, memory[name] = jax.tree.map(lambda a, b, now=now: jnp.where(now, a, b), tuple(told), before)
+            told = part.guide(belief, now, state._replace(memory=state.memory[name]))
+            leads, before = led_by(plan, stage, name), (wanted, goal, state.memory[name])
+            wanted, goal, memory[name] = jax.tree.map(partial(jnp.where, leads), tuple(told), before)
         return Guidance(wanted, goal, memory)
 
     def ends(self, belief: Case, plan: Plan, state: TrackerState, seen: Observation) -> Bool[Array, ""]:
@@ -70,11 +69,9 @@ class Settling(NamedTuple):
         """The memory of the drive."""
         return self.drive.memory(belief, plan)
 
-    def guide(
-        self, belief: Case, plan: Plan, state: TrackerState, seen: Observation, begins: Bool[Array, ""], period: float
-    ) -> Guidance:
+    def guide(self, belief: Case, now: Now, state: TrackerState) -> Guidance:
         """A tick of the drive's law."""
-        return self.drive.guide(belief, plan, state, seen, begins, period)
+        return self.drive.guide(belief, now, state)
 
     def ends(self, belief: Case, plan: Plan, state: TrackerState, seen: Observation) -> Bool[Array, ""]:
         """No step is begun where the ball needs none."""
@@ -92,11 +89,9 @@ class OfBall(NamedTuple):
         """The memory of the law."""
         return self.law.memory(belief, plan)
 
-    def guide(
-        self, belief: Case, plan: Plan, state: TrackerState, seen: Observation, begins: Bool[Array, ""], period: float
-    ) -> Guidance:
+    def guide(self, belief: Case, now: Now, state: TrackerState) -> Guidance:
         """What the law says as if there were no other ball."""
-        return self.law.guide(belief, plan, state, self._seen(seen), begins, period)
+        return self.law.guide(belief, now._replace(seen=self._seen(now.seen)), state)
 
     def ends(self, belief: Case, plan: Plan, state: TrackerState, seen: Observation) -> Bool[Array, ""]:
         """What the law says as if there were no other ball."""
