@@ -12,7 +12,7 @@ from sweep.models.robot import Robot
 
 
 class Now(NamedTuple):
-    """A control tick as layers see it."""
+    """A control tick as layers and guidance see it."""
 
     robot: Robot  # as it is believed
     plan: Plan
