@@ -605,13 +605,14 @@ def audit_results(given: argparse.Namespace) -> int:
 
 def relabel(given: argparse.Namespace) -> int:
     """New thresholds, or conditions, for stored figures."""
-    from sweep.analysis.stats import rate
+    from sweep.analysis.sample import pooled
     from sweep.runs import runner, store
     from sweep.study.config import experiment
 
     stored = store.read_study(given.dir)
-    changes = dict(map(experiment(stored["config"]).system.limit, given.thresholds))
+    exp = experiment(stored["config"])
+    changes = dict(map(exp.system.limit, given.thresholds))
     with store.locked(given.dir):
         runner.relabel(given.dir, {**stored["config"]["outcome"], **changes})
-    print(rate(store.read_rows(given.dir)["outcome"]))
+    print(pooled(store.read_rows(given.dir), exp))
     return DONE

@@ -185,7 +185,7 @@ def forecast(job: runner.Job) -> str:
     """What a run would do: rollouts, batches, memory, and the time where an earlier batch tells it."""
     missing = job.rows(job.missing())
     sizes = missing.groupby(["group", "width"])["batch"].nunique()
-    parts = [f"{count} batches of {width}" for (_, width), count in sizes.items()]  # pyright: ignore[reportGeneralTypeIssues]
+    parts = [f"{count} batch{'es' * (count > 1)} of {width}" for (_, width), count in sizes.items()]  # pyright: ignore[reportGeneralTypeIssues]
     text = f"{job.exp.study.name}: {len(missing)} of {len(job.table)} rollouts to run ({', '.join(parts) or 'none'})"
     if len(missing):
         text += f"{memory(job, missing)}, {duration(job, missing)}"

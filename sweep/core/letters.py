@@ -19,7 +19,7 @@ SERIF = ["STIX Two Text", "Times New Roman", "STIXGeneral", "DejaVu Serif"]  # t
 # where letters come from that are in none of those: the first that is there
 OTHER_FONTS = ("Noto Sans CJK SC", "Noto Sans CJK JP", "Source Han Sans SC", "WenQuanYi Zen Hei", "WenQuanYi Micro Hei")
 LINE = 1.5  # of a legend, in letters
-BESIDE = 45  # points beside a panel, of its numbers, its words, and the gap to the next
+PANEL = 0.6  # of a column's width, at least, is a panel's: beside it stand numbers, words, and the gap to the next
 HANDLE = 6.0  # of a legend's entry beside its text, in letters: handle, gap, and the space to the next column
 
 
@@ -76,7 +76,7 @@ def wide(text: str) -> float:
 def spaced(ax: Axes, columns: int) -> None:
     """As many ticks along x, five at most, as leave half a letter between labels in one of a figure's columns."""
     low, high = ax.get_xlim()
-    room = 72 * ax.figure.get_figure(root=True).get_size_inches()[0] / columns - BESIDE
+    room = PANEL * 72 * ax.figure.get_figure(root=True).get_size_inches()[0] / columns
     for number in range(5, 0, -1):
         ax.xaxis.set_major_locator(MaxNLocator(number))
         ticks = ax.xaxis.get_majorticklocs()

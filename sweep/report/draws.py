@@ -127,7 +127,8 @@ def parallel(ax: Axes, results: Results, columns: list[str]) -> None:
             ax.text(place, at, f"{value:.3g}", ha="center", va=side)
     room = 72 * PAGE / len(columns)
     ax.set_xticks(places, [folded(beside_axis(name, results.exp), room) for name in columns])
-    ax.tick_params(axis="x", length=0, pad=12)
+    ax.xaxis.tick_top()  # below they would be titles of the panels there
+    ax.tick_params(axis="x", length=0)
     ax.set(xlim=(-0.3, len(columns) - 0.7), ylim=(-0.1, 1.1), yticks=[])
     ax.spines[:].set_visible(False)
 

@@ -68,8 +68,20 @@ def test_the_data_of_a_figure_is_what_it_shows(bundle, folder):
     assert r"\bottomrule" in (bundle / "tables/not-successful.tex").read_text()
 
 
-def test_figures_are_as_wide_as_a_column_or_a_page_and_have_letters_of_one_size(folder):
-    found = results.read(folder)
+@pytest.fixture
+def drawn(fake_engine, tmp_path):
+    """A study of draws of numbers that are long."""
+    between = "distribution: {kind: uniform, from: 0.492, to: 0.508}}"
+    axes = [f"+study.axes.{name}={{path: {path}, side: world, {between}" for name, path in
+            (("friction", "contact.friction"), ("shin", "robot.shin"))]  # fmt: skip
+    given = ["scenario=walk_tripod", "scenario.expect=[]", "study.name=drawn", "study.design={kind: sobol, num: 32}"]
+    assert main(["run", *given, *axes, "engine.width=32", f"out={tmp_path}"]) == 0
+    return tmp_path
+
+
+@pytest.mark.parametrize("study", ["folder", "drawn"])
+def test_figures_are_as_wide_as_a_column_or_a_page_and_have_letters_of_one_size(study, request):
+    found = results.read(request.getfixturevalue(study))
     values = np.linspace(1.35e-4, 2.36e-4, len(found.rows))  # of long numbers
     long = dict.fromkeys(("depth_max_m", "end_drift_m", "fold_gap_min_m"), values)
     rows = found.rows.assign(**long)
