@@ -173,11 +173,11 @@ def measured(robots: Robots, kept: "Kept", given: argparse.Namespace, deadline: 
     """Fill the cells that are missing, until it is time to stop."""
     exps: dict[tuple[str, str], list[Experiment]] = {}
     design = {"kind": "subset", "num": given.level, "runs": given.repetitions}
-    for target, scale in kept.scales.items():  # levels first, whose rounds are many
-        exps[target, "levels"] = [robots.scaled(scale, **design)]
-    for target, scale in kept.scales.items():
-        exps[target, "importance"] = importance(robots, scale, given.num, range(1, given.repetitions + 1))
-    exps = {key: some for key, some in exps.items() if "P" not in kept.cell(*key)}
+    for target in given.targets:  # levels first, whose rounds are many
+        exps[target, "levels"] = [robots.scaled(kept.scales[target], **design)]
+    for target in given.targets:
+        exps[target, "importance"] = importance(robots, kept.scales[target], given.num, range(1, given.repetitions + 1))
+    exps = {key: some for key, some in exps.items() if key[1] in given.ways and "P" not in kept.cell(*key)}
     asks = {(*key, k): sought(exp) for key, some in exps.items() for k, exp in enumerate(some)}
     asked: dict[Asked, Draws] = {key: next(ask) for key, ask in asks.items()}
     ended: dict[Asked, pd.DataFrame] = {}
@@ -259,6 +259,7 @@ class Kept:
         there = shared.read(file).get(scenario, {})
         self.content = {**about, "seconds": 0.0, "scales": {}, "cells": {}, **there}
         self.about = {key: about[key] for key in shared.BY}
+        self.truths: list[str] = []  # targets that plain draws are asked for
         for ways in self.content["cells"].values():
             for way, cell in list(ways.items()):
                 ways[way] = cell = {**{key: there[key] for key in shared.BY}, **cell}
@@ -304,7 +305,7 @@ class Kept:
     @property
     def growing(self) -> list[str]:
         """Targets that have plain draws, or are to have them, of this code."""
-        to_have = [p for p in self.scales if float(p) >= RAREST]
+        to_have = [p for p in self.truths if float(p) >= RAREST]
         return [p for p in to_have if self.cell(p, "plain")["code"] == self.about["code"]]
 
     def lacking(self) -> str | None:
@@ -440,6 +441,7 @@ def main(words: list[str]) -> None:
     parser.add_argument("--seconds", type=float, default=np.inf, help="after which nothing is to go on")
     parser.add_argument("--targets", default="1e-2,1e-3,1e-4")
     parser.add_argument("--scales", help="at which these fail, if known: one for each target")
+    parser.add_argument("--ways", default=",".join(WAYS))
     parser.add_argument("--repetitions", type=int, default=30)
     parser.add_argument("--num", type=int, default=1024, help="draws of a round of importance sampling")
     parser.add_argument("--level", type=int, default=500, help="draws of a level of subset simulation")
@@ -462,6 +464,8 @@ def main(words: list[str]) -> None:
         kept.content["scales"] = scales(robots, targets, given.num)
         kept.content["start_s"] = round(time.perf_counter() - start, 1)
     kept.write()
+    given.targets = [f"{p:g}" for p in targets]
+    kept.truths = given.targets if "plain" in given.ways else []
     print(f"{given.scenario}: {kept.scales}, {time.perf_counter() - start:.0f} s", flush=True)
     measured(robots, kept, given, start + given.seconds)
 
