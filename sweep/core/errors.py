@@ -21,3 +21,9 @@ def suggest(word: str, allowed: Iterable[str]) -> str:
     close = difflib.get_close_matches(word, allowed, n=1, cutoff=0.6)
     hint = f": did you mean {close[0]}?" if close else ""
     return f"{hint} (allowed: {', '.join(sorted(allowed))})"
+
+
+def known(word: object, allowed: Iterable[str], told: str) -> None:
+    """Raise `InputError` where `word`, which a message names as `told`, is none of those that are allowed."""
+    if word not in (allowed := list(allowed)):
+        raise InputError(f"{told} is unknown{suggest(str(word), allowed)}")

@@ -18,21 +18,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sweep.core import provenance
-from sweep.core.errors import InputError, suggest
+from sweep.core.errors import InputError, known
 from sweep.core.parameters import build, checked, quantity
 from sweep.engines import run_id
 from sweep.engines.settings import EngineSettings
 from sweep.systems.base import Kinds, Nominal, Parameter, Values, Way, by_side, side_and_path
 from sweep.systems.own import fields, figures, files, idle, outcome
-from sweep.systems.own.engine import Loop, substeps
-from sweep.systems.own.native import Native
+from sweep.systems.own.engine import Loop, Native, substeps
 from sweep.systems.own.outcome import Condition
 from sweep.systems.own.subject import About, Noise, Settings, Side, Subject
 
 if TYPE_CHECKING:
     import pandas as pd
 
-SET = ("name", "width", "control_period", "precision")  # what an own model's engine has of the settings
+AXES = ("name", "width", "precision")  # what an own model's engine has of the settings, beside the period of a tick
 WAYS = {
     "again": Way("as before, in batches of another width"),
     "half_step": Way("half the time step", columns={"model.option.timestep": lambda step: step / 2}),
@@ -59,6 +58,7 @@ class Own(Subject):
     silent = frozenset(figures.SILENT)
     shown = ("mcap", "png", "video")
     lacks = MappingProxyType(LACKS)
+    ways = MappingProxyType(WAYS)
 
     @property
     def causes(self) -> dict[str, str]:
@@ -69,11 +69,6 @@ class Own(Subject):
     def recorded(self) -> tuple[str, ...]:
         """See `System`."""
         return tuple(self.record(self.model.qpos0[None], np.zeros((1, self.model.nv))))
-
-    @property
-    def ways(self) -> dict[str, Way]:
-        """See `System`."""
-        return WAYS
 
     def files(self) -> dict[str, Path]:
         """See `System`: those of the model and of the controller."""
@@ -95,27 +90,21 @@ class Own(Subject):
         """See `System`."""
         path = side_and_path(column)[1]
         root, _, name = path.partition(".")
+        known(root, (*self.groups, "engine"), f"axis {column} names nothing: {root}")
+        if root == "model":
+            found = fields.parameter(self.model, path)
+            fields.check(self.source, self.model, path)
+            return found
+        those = {
+            "engine": {one.name: one for one in dataclasses.fields(Settings) if one.name in AXES},
+            "noise": {one.name: one for one in dataclasses.fields(Noise)},
+            "controller": dict.fromkeys(self.controller.parameters, quantity(0.0, "")),
+        }[root]
+        known(name, those, f"axis {column} names nothing: {name}")
         if root == "engine":
-            if name not in SET or name == "control_period":
-                near = suggest(name, ("name", "precision"))
-                raise InputError(f"axis {column} names nothing: {name} is unknown{near}")
-            return next(field for field in dataclasses.fields(Settings) if field.name == name)
-        if root == "noise":
-            known = {f.name: f for f in dataclasses.fields(Noise)}
-            if name not in known:
-                raise InputError(f"axis {column} names nothing: {name} is unknown{suggest(name, known)}")
-            bounds = {key: known[name].metadata[key] for key in ("unit", "above", "at_least", "at_most")}
-            return quantity(self.noise[path], bounds.pop("unit"), **bounds)
-        if root == "controller":
-            if path not in dict(self.numbers):
-                known = list(self.controller.parameters)
-                raise InputError(f"axis {column} names nothing: {name} is unknown{suggest(name, known)}")
-            return quantity(dict(self.numbers)[path], "")
-        if root != "model":
-            raise InputError(f"axis {column} names nothing: {root} is unknown{suggest(root, self.groups)}")
-        found = fields.parameter(self.model, path)
-        fields.check(self.source, self.model, path)
-        return found
+            return those[name]
+        bounds = {key: value for key, value in those[name].metadata.items() if key != "role"}
+        return quantity({**self.noise, **dict(self.numbers)}[path], **bounds)
 
     def nominal(self, column: str, settings: EngineSettings) -> Any:
         """See `System`."""
@@ -139,10 +128,7 @@ class Own(Subject):
         """See `System`: whether the controller is one, and the engine one for the model, too."""
         columns = [c for c in map(str, table.columns) if "." in c and not c.startswith("axis.")]
         shaping = [c for c in columns if self.parameter(c, settings).metadata["role"] != "quantity"]
-        distinct: list[dict[str, Any]] = [{}]
-        if shaping:
-            rows = table[shaping].drop_duplicates()
-            distinct = [dict(zip(shaping, row, strict=True)) for row in rows.itertuples(index=False)]
+        distinct: list[Any] = table[shaping].drop_duplicates().to_dict("records") if shaping else [{}]
         varied = {path for side, path in map(side_and_path, columns) if side != "belief" and path.startswith("model.")}
         for values in distinct:
             ways = {c.removeprefix("engine."): value for c, value in values.items() if c.startswith("engine.")}
@@ -167,9 +153,8 @@ class Own(Subject):
 
     def with_room(self, table: "pd.DataFrame") -> "Own":
         """See `System`."""
-        columns = [c for c in table.columns if side_and_path(c)[1] == "noise.delay"]
-        longest = max([self.noise["noise.delay"], *(table[c].max() for c in columns)])
-        return replace(self, room=math.ceil(longest))
+        varied = [table[c].max() for c in table.columns if side_and_path(c)[1] == "noise.delay"]
+        return replace(self, room=math.ceil(max([self.noise["noise.delay"], *varied])))
 
     def engine(self, settings: EngineSettings, world: Side, belief: Side, limits: Any) -> Loop:
         """See `System`."""
@@ -211,9 +196,9 @@ class Own(Subject):
 
     def why(self, row: Mapping[str, Any], limits: tuple[Condition, ...]) -> str:
         """See `System`."""
-        for one in limits:
-            if one.cause == row["cause"] and one.limit:
-                return f"{one.sentence} ({one.limit[0]} {float(row[one.limit[0]]):.4g})"
+        own = next((one for one in limits if one.cause == row["cause"] and one.limit), None)
+        if own and own.limit:
+            return f"{own.sentence} ({own.limit[0]} {float(row[own.limit[0]]):.4g})"
         return self.causes.get(str(row["cause"]), "")
 
 
@@ -224,58 +209,51 @@ def _say_once(line: str) -> None:
 
 def nominal(values: Mapping[str, Any], kinds: Kinds) -> Nominal:
     """See `sweep.systems.nominal`."""
-    given = {**values["model"]}
-    for key in ("observe", "feet", "collisions"):
-        if isinstance(given.get(key, ()), str) or not all(isinstance(one, str) for one in given.get(key, ())):
-            raise InputError(f"model.{key} = {given[key]!r} is not allowed: a list of names")
-        given[key] = tuple(given.get(key, ()))
-    given["direction"] = _direction(given.get("direction", About.direction))
-    given["option"] = _options(given.get("mjcf", ""), given.get("option") or {})
-    about = build(About, {key: value for key, value in given.items() if value is not None}, "model")
+    about = _about(values["model"])
     noise = build(Noise, values.get("noise") or {}, "noise")
-    settings = build(Settings, values["engine"], "engine")
-    usual = Settings()
+    settings, usual = build(Settings, values["engine"], "engine"), Settings()
     for field in dataclasses.fields(usual):
-        if field.name not in SET and getattr(settings, field.name) != getattr(usual, field.name):
+        if field.name not in (*AXES, "control_period") and getattr(settings, field.name) != getattr(usual, field.name):
             raise InputError(f"engine.{field.name} is not allowed: the model's file says how it is simulated")
-    errors = tuple((f"noise.{f.name}", getattr(noise, f.name)) for f in dataclasses.fields(noise))
-    own = Own(about, errors, ())
-    model, control = own.model, own.controller
-    substeps(model, about.period)
+    own = Own(about, tuple((f"noise.{name}", value) for name, value in vars(noise).items()), ())
+    control, asked = own.controller, values.get("controller") or {}
+    substeps(own.model, about.period)
     _ = own.told_of  # refuses unknown names
-    keys = [model.key(k).name for k in range(model.nkey)]
-    if about.keyframe and about.keyframe not in keys:
-        raise InputError(f"model.keyframe = {about.keyframe} is unknown{suggest(about.keyframe, keys)}")
-    asked = values.get("controller") or {}
+    if about.keyframe:
+        known(
+            about.keyframe, [own.model.key(k).name for k in range(own.model.nkey)], f"model.keyframe = {about.keyframe}"
+        )
     for name in asked:
-        if name not in control.parameters:
-            raise InputError(f"controller.{name} is unknown{suggest(str(name), control.parameters)}")
-    numbers = {name: checked(quantity(0.0, ""), value, f"controller.{name}")
-               for name, value in {**control.parameters, **asked}.items()}  # fmt: skip
+        known(name, control.parameters, f"controller.{name}")
+    numbers = {f"controller.{name}": value for name, value in {**control.parameters, **asked}.items()}
+    numbers = tuple((path, checked(quantity(0.0, ""), value, path)) for path, value in numbers.items())
     conditions = outcome.parse(values.get("outcome") or {}, {*figures.names(own), *control.measured})
-    own = replace(own, numbers=tuple((f"controller.{k}", v) for k, v in numbers.items()), conditions=conditions)
-    about = replace(about, content=about.content or _content(own))
-    told = {"model": {**values["model"], "content": about.content}}
-    return Nominal(replace(own, about=about), replace(settings, control_period=about.period), conditions, told)
+    content = about.content or _content(own)
+    own = replace(own, about=replace(about, content=content), numbers=numbers, conditions=conditions)
+    told = {"model": {**values["model"], "content": content}}
+    return Nominal(own, replace(settings, control_period=about.period), conditions, told)
 
 
-def _direction(given: Any) -> tuple[float, ...]:
-    """Three numbers of the world's axes, checked."""
+def _about(given: Mapping[str, Any]) -> About:
+    """What a configuration's `model` says, checked."""
+    said = {key: value for key, value in given.items() if value is not None}
+    for key in ("observe", "feet", "collisions"):
+        names = said.get(key, ())
+        if isinstance(names, str) or not all(isinstance(one, str) for one in names):
+            raise InputError(f"model.{key} = {names!r} is not allowed: a list of names")
+        said[key] = tuple(names)
+    direction, option = said.get("direction", About.direction), said.get("option", {})
     try:
-        direction = np.array([float(one) for one in given])
+        along = np.array([float(one) for one in direction])
     except (TypeError, ValueError):
-        direction = np.zeros(0)
-    if direction.shape != (3,) or not np.isfinite(direction).all() or not direction.any():
-        raise InputError(f"model.direction = {given!r} is not allowed: along the world's axes, as [1, 0, 0]")
-    return tuple(direction.tolist())
-
-
-def _options(mjcf: str, given: Any) -> tuple[tuple[str, Any], ...]:
-    """What a configuration's `model.option` says, by path, checked."""
-    if not isinstance(given, Mapping):
-        raise InputError(f"model.option = {given!r} is not allowed: names and values, such as {{cone: elliptic}}")
-    model, paths = files.model(mjcf), {f"model.option.{name}": value for name, value in given.items()}
-    return tuple((path, checked(fields.parameter(model, path), value, path)) for path, value in paths.items())
+        along = np.zeros(0)
+    if along.shape != (3,) or not np.isfinite(along).all() or not along.any():
+        raise InputError(f"model.direction = {direction!r} is not allowed: along the world's axes, as [1, 0, 0]")
+    if not isinstance(option, Mapping):
+        raise InputError(f"model.option = {option!r} is not allowed: names and values, such as {{cone: elliptic}}")
+    model, paths = files.model(said.get("mjcf", "")), {f"model.option.{name}": value for name, value in option.items()}
+    options = tuple((path, checked(fields.parameter(model, path), value, path)) for path, value in paths.items())
+    return build(About, {**said, "direction": tuple(along.tolist()), "option": options}, "model")
 
 
 def _content(own: Own) -> str:

@@ -41,87 +41,89 @@ class Place(NamedTuple):
     sign: float = 1.0
 
 
-def _solver(kind: str, what: str = "", end: str = "") -> dict[str, Numbers]:
-    """Both of a solver's fields; `what` they are of ends their names in MJCF, `end` those of MjModel."""
-    return {f"{name}{what}": Numbers(f"{kind}_{name}{end}", names=names)
-            for name, names in (("solref", SOLREF), ("solimp", SOLIMP))}  # fmt: skip
-
-
 RANGE = ("low", "high")
-VARIED: dict[str, dict[str, Numbers]] = {
+# of each kind, attributes that are alike; a field that is told to its last _ or . goes on with the attribute's name
+ALIKE: dict[str, dict[str, Numbers]] = {
     "body": {
-        "mass": Numbers("body_mass", "kg", 1e-9),  # inertia in proportion: another density
-        "inertia": Numbers("body_inertia", "kg m^2", 1e-12, XYZ),
-        "pos": Numbers("body_pos", "m", names=XYZ),
-        "ipos": Numbers("body_ipos", "m", names=XYZ),  # of the centre of mass
-        "gravcomp": Numbers("body_gravcomp"),
+        "mass": Numbers("body_", "kg", 1e-9),  # inertia in proportion: another density
+        "inertia": Numbers("body_", "kg m^2", 1e-12, XYZ),
+        "pos ipos": Numbers("body_", "m", names=XYZ),  # the latter of the centre of mass
+        "gravcomp": Numbers("body_"),
     },
     "geom": {
-        "friction": Numbers("geom_friction", "", 0.0, FRICTION),
-        "margin": Numbers("geom_margin", "m"),
-        "gap": Numbers("geom_gap", "m"),
-        "adhesion": Numbers("geom_adhesion"),
-        "surfacevel": Numbers("geom_surfacevel"),
-        "fluid": Numbers("geom_fluid", "", 0.0),
-        "solmix": Numbers("geom_solmix", "", 0.0),
-        **_solver("geom"),
-        "size": Numbers("geom_size", "m", 1e-6, compiled=True),  # by the names of its shape: `SIZES`
-        "pos": Numbers("geom_pos", "m", names=XYZ, compiled=True),
+        "friction": Numbers("geom_", "", 0.0, FRICTION),
+        "margin gap": Numbers("geom_", "m"),
+        "adhesion surfacevel": Numbers("geom_"),
+        "fluid solmix": Numbers("geom_", "", 0.0),
+        "solref": Numbers("geom_", names=SOLREF),
+        "solimp": Numbers("geom_", names=SOLIMP),
+        "size": Numbers("geom_", "m", 1e-6, compiled=True),  # by the names of its shape: `SIZES`
+        "pos": Numbers("geom_", "m", names=XYZ, compiled=True),
     },
     "joint": {
-        "stiffness": Numbers("jnt_stiffness", "", 0.0),
-        "stiffnesspoly": Numbers("jnt_stiffnesspoly"),
-        "damping": Numbers("dof_damping", "", 0.0),
-        "dampingpoly": Numbers("dof_dampingpoly"),
-        "armature": Numbers("dof_armature", "", 0.0),
-        "frictionloss": Numbers("dof_frictionloss", "", 0.0),
-        "pos": Numbers("jnt_pos", "m", names=XYZ),
-        "range": Numbers("jnt_range", names=RANGE),
-        "margin": Numbers("jnt_margin"),
+        "stiffness": Numbers("jnt_", "", 0.0),
+        "damping armature frictionloss": Numbers("dof_", "", 0.0),
+        "stiffnesspoly margin": Numbers("jnt_"),
+        "dampingpoly": Numbers("dof_"),
+        "pos": Numbers("jnt_", "m", names=XYZ),
+        "range": Numbers("jnt_", names=RANGE),
         "springref": Numbers("qpos_spring"),
         "actuatorfrcrange": Numbers("jnt_actfrcrange", names=RANGE),
-        **_solver("jnt", "limit"),
-        **_solver("dof", "friction"),
+        "solreflimit": Numbers("jnt_solref", names=SOLREF),
+        "solimplimit": Numbers("jnt_solimp", names=SOLIMP),
+        "solreffriction": Numbers("dof_solref", names=SOLREF),
+        "solimpfriction": Numbers("dof_solimp", names=SOLIMP),
     },
     "actuator": {
-        "gear": Numbers("actuator_gear"),
-        "gainprm": Numbers("actuator_gainprm"),
-        "biasprm": Numbers("actuator_biasprm"),
-        "forcerange": Numbers("actuator_forcerange", names=RANGE),
-        "ctrlrange": Numbers("actuator_ctrlrange", names=RANGE),
-        "dynprm": Numbers("actuator_dynprm"),
-        "actrange": Numbers("actuator_actrange", names=RANGE),
-        "cranklength": Numbers("actuator_cranklength", "m", 1e-9),
-        "damping": Numbers("actuator_damping", "", 0.0),
-        "dampingpoly": Numbers("actuator_dampingpoly"),
-        "armature": Numbers("actuator_armature", "", 0.0),
+        "gear gainprm biasprm dynprm dampingpoly": Numbers("actuator_"),
+        "forcerange ctrlrange actrange": Numbers("actuator_", names=RANGE),
+        "cranklength": Numbers("actuator_", "m", 1e-9),
+        "damping armature": Numbers("actuator_", "", 0.0),
     },
-    "site": {"pos": Numbers("site_pos", "m", names=XYZ), "size": Numbers("site_size", "m", 1e-6)},
-    "sensor": {"cutoff": Numbers("sensor_cutoff", "", 0.0)},
+    "site": {"pos": Numbers("site_", "m", names=XYZ), "size": Numbers("site_", "m", 1e-6)},
+    "sensor": {"cutoff": Numbers("sensor_", "", 0.0)},
     "tendon": {
-        "stiffness": Numbers("tendon_stiffness", "", 0.0),
-        "stiffnesspoly": Numbers("tendon_stiffnesspoly"),
-        "damping": Numbers("tendon_damping", "", 0.0),
-        "dampingpoly": Numbers("tendon_dampingpoly"),
-        "armature": Numbers("tendon_armature", "", 0.0),
-        "frictionloss": Numbers("tendon_frictionloss", "", 0.0),
-        "range": Numbers("tendon_range", "m", names=RANGE),
+        "stiffness damping armature frictionloss": Numbers("tendon_", "", 0.0),
+        "stiffnesspoly dampingpoly margin": Numbers("tendon_"),
+        "range": Numbers("tendon_", "m", names=RANGE),
         "springlength": Numbers("tendon_lengthspring", "m", names=RANGE),
-        "margin": Numbers("tendon_margin"),
         "actuatorfrcrange": Numbers("tendon_actfrcrange", names=RANGE),
-        **_solver("tendon", "limit", "_lim"),
-        **_solver("tendon", "friction", "_fri"),
+        "solreflimit": Numbers("tendon_solref_lim", names=SOLREF),
+        "solimplimit": Numbers("tendon_solimp_lim", names=SOLIMP),
+        "solreffriction": Numbers("tendon_solref_fri", names=SOLREF),
+        "solimpfriction": Numbers("tendon_solimp_fri", names=SOLIMP),
     },
     "pair": {
-        "friction": Numbers("pair_friction", "", 0.0, ("slide", "slide2", "spin", "roll", "roll2")),
-        "solreffriction": Numbers("pair_solreffriction", names=SOLREF),
-        "margin": Numbers("pair_margin", "m"),
-        "gap": Numbers("pair_gap", "m"),
-        "adhesion": Numbers("pair_adhesion"),
-        **_solver("pair"),
+        "friction": Numbers("pair_", "", 0.0, ("slide", "slide2", "spin", "roll", "roll2")),
+        "margin gap": Numbers("pair_", "m"),
+        "adhesion": Numbers("pair_"),
+        "solref solreffriction": Numbers("pair_", names=SOLREF),
+        "solimp": Numbers("pair_", names=SOLIMP),
     },
-    "equality": {"data": Numbers("eq_data"), **_solver("eq")},
+    "equality": {
+        "data": Numbers("eq_"),
+        "solref": Numbers("eq_", names=SOLREF),
+        "solimp": Numbers("eq_", names=SOLIMP),
+    },
+    OPTION: {
+        "gravity": Numbers("opt.", "m/s^2", names=XYZ),
+        "wind": Numbers("opt.", "m/s", names=XYZ),
+        "magnetic": Numbers("opt.", names=XYZ),
+        "density": Numbers("opt.", "kg/m^3", 0.0),
+        "viscosity": Numbers("opt.", "Pa s", 0.0),
+        "impratio": Numbers("opt.", "", 1e-9),
+        "tolerance ls_tolerance noslip_tolerance ccd_tolerance": Numbers("opt.", "", 0.0),
+    },
 }
+VARIED = {
+    kind: {
+        name: one._replace(field=one.field + name) if one.field.endswith(("_", ".")) else one
+        for names, one in alike.items()
+        for name in names.split()
+    }
+    for kind, alike in ALIKE.items()
+}
+OPTIONS = VARIED.pop(OPTION)
 Shape = mujoco.mjtGeom
 ROUND = ("radius", "half_length")
 SIZES = {  # what numbers of a geom's size are, by its shape
@@ -130,18 +132,6 @@ SIZES = {  # what numbers of a geom's size are, by its shape
     Shape.mjGEOM_CYLINDER: ROUND,
     Shape.mjGEOM_BOX: XYZ,
     Shape.mjGEOM_ELLIPSOID: XYZ,
-}
-OPTIONS = {
-    "gravity": Numbers("opt.gravity", "m/s^2", names=XYZ),
-    "wind": Numbers("opt.wind", "m/s", names=XYZ),
-    "density": Numbers("opt.density", "kg/m^3", 0.0),
-    "viscosity": Numbers("opt.viscosity", "Pa s", 0.0),
-    "impratio": Numbers("opt.impratio", "", 1e-9),
-    "tolerance": Numbers("opt.tolerance", "", 0.0),
-    "ls_tolerance": Numbers("opt.ls_tolerance", "", 0.0),
-    "noslip_tolerance": Numbers("opt.noslip_tolerance", "", 0.0),
-    "ccd_tolerance": Numbers("opt.ccd_tolerance", "", 0.0),
-    "magnetic": Numbers("opt.magnetic", names=XYZ),
 }
 CHOSEN = {"cone": mujoco.mjtCone, "integrator": mujoco.mjtIntegrator, "solver": mujoco.mjtSolver}
 COUNTED = {"iterations": 1, "ls_iterations": 1, "noslip_iterations": 0}  # with the least of them
@@ -337,6 +327,11 @@ def _names(model: mujoco.MjModel, kind: str) -> list[str]:
     return [name for name in found if name]
 
 
+def located(model: Any, field: str) -> tuple[Any, str]:
+    """What has a field that `mujoco.batch` calls so, a model or its options, and the field's name there."""
+    return (model.opt, field[4:]) if field.startswith("opt.") else (model, field)
+
+
 def whole(model: mujoco.MjModel, field: str) -> np.ndarray:
     """A field of a model by the name that `mujoco.batch` has for it."""
-    return np.asarray(getattr(model.opt, field[4:]) if field.startswith("opt.") else getattr(model, field))
+    return np.asarray(getattr(*located(model, field)))

@@ -7,8 +7,7 @@ import mujoco
 import numpy as np
 
 from sweep.core.constants import GRAVITY
-from sweep.systems.own.arrays import angle, level, namespace
-from sweep.systems.own.subject import Subject
+from sweep.systems.own.subject import Subject, angle, level, namespace
 
 # what a tick records
 STEPS = ("qpos", "qvel", "actuator_force", "actuator_velocity", "sensordata", "site_xpos")
@@ -18,28 +17,7 @@ LOADED = 1.0  # N, from which a foot carries load
 LIMITED = 0.999  # share of a limit, from which an actuator is at it
 BALANCED = 0.01  # share of the forces, up to which those of a step are in balance
 
-MEANING = {
-    "base_height_min_m": "least height of the base",
-    "tilt_max_deg": "largest angle of the base's upward axis from that at the start",
-    "travelled_m": "way of the base along the direction that it should go in",
-    "drift_m": "way of the base to the left of it",
-    "speed_mps": "mean of the base's speed along it",
-    "slip_max_m": "farthest that a loaded foot moved from where it came down",
-    "load_max_n": "largest load on a foot",
-    "collision_share": "share of the time that something is touched that should not be",
-    "collision_impulse_ns": "impulse of those touches",
-    "saturated_share": "share of the time that actuators are at a limit of their force",
-    "joint_limit_share": "share of the time that joints are at a limit of their range",
-    "unsolved_share": "share of the time steps that the solver left unsolved: with forces out of balance",
-    "energy_j": "positive work of the actuators",
-    "energy_gained_j": "energy of the model at the end, beyond that at the start and the work of the actuators",
-    "cost_of_transport": "that energy over weight and way travelled",
-    "duration_s": "length of the rollout",
-    "not_finite": "1 where a number of the simulation or of the controller was not finite",
-    "buffer_full": "1 where MuJoCo's room for contacts or constraints was full",
-}
-BASE = ("base_height_min_m", "tilt_max_deg", "travelled_m", "drift_m", "speed_mps", "cost_of_transport")
-SILENT = ("not_finite", "buffer_full")
+SILENT = ("not_finite", "buffer_full")  # 1 where a number was not finite, where room for contacts was full
 
 
 class Meter:
@@ -63,16 +41,12 @@ class Meter:
 
     def start(self, qpos: Any, qvel: Any) -> dict[str, Any]:
         """What is measured at first, of positions (n, nq) and velocities (n, nv)."""
-        xp, n = namespace(qpos), len(qpos)
-        none, feet = xp.zeros_like(qpos[:, 0]), len(self._sites)
+        xp, n, feet = namespace(qpos), len(qpos), len(self._sites)
+        none = xp.zeros_like(qpos[:, 0])
         sums = "steps", "power", "work", "tilt", "slip", "load", "full", "ends", "unsolved", "touched", "impulse"
-        found = dict.fromkeys(sums, none)
         down = {"down": xp.zeros((n, feet, 2), qpos.dtype), "loaded": xp.zeros((n, feet), bool)}
-        return (
-            found
-            | down
-            | {"start": qpos, "last": qpos, "speed": qvel, "height": none + np.inf, "finite": xp.ones(n, bool)}
-        )
+        poses = {"start": qpos, "last": qpos, "speed": qvel, "height": none + np.inf, "finite": xp.ones(n, bool)}
+        return dict.fromkeys(sums, none) | down | poses
 
     def update(
         self, sofar: Mapping[str, Any], steps: Mapping[str, Any], limits: Mapping[str, Any], going: Any
@@ -82,52 +56,43 @@ class Meter:
         Rollouts that are not `going` (n,) are over. `limits` are the models' own: `actuator_forcerange`, `jnt_range`,
         (n, ..., 2).
         """
-        qpos, number, new = steps["qpos"], steps["qpos"].shape[1], dict(sofar)
-        xp = namespace(qpos)
-
-        def most(name: str, value: Any) -> None:
-            new[name] = xp.where(going, xp.maximum(sofar[name], value), sofar[name])
-
+        qpos, force, number = steps["qpos"], steps["actuator_force"], steps["qpos"].shape[1]
+        xp, at = namespace(qpos), self._base
+        most, sums, new = {}, {"steps": number, "unsolved": steps["unsolved"].sum(axis=1)}, {}
         with np.errstate(invalid="ignore", over="ignore"):
             finite = xp.isfinite(qpos.sum(axis=(1, 2)) + steps["qvel"].sum(axis=(1, 2)))
-            new["finite"] = sofar["finite"] & (~going | finite)
-            if self._base is not None:
-                at, upright = self._base, slice(self._base + 3, self._base + 7)
+            power = force * steps["actuator_velocity"]
+            sums |= {"power": xp.maximum(power, 0.0).sum(axis=(1, 2)), "work": power.sum(axis=(1, 2))}
+            if at is not None:
+                upright = slice(at + 3, at + 7)
                 low = xp.minimum(sofar["height"], qpos[..., at + 2].min(axis=1))
                 new["height"] = xp.where(going, low, sofar["height"])
-                most("tilt", angle(level(qpos[..., upright], sofar["start"][:, None, upright]).min(axis=1)))
+                most["tilt"] = angle(level(qpos[..., upright], sofar["start"][:, None, upright]).min(axis=1))
             if len(self._forced):
-                force, range_ = steps["actuator_force"][..., self._forced], limits["actuator_forcerange"][:, None]
-                ends = at_end(force, range_[:, :, self._forced])
-                new["full"] = sofar["full"] + going * ends.mean(axis=2).sum(axis=1)
+                range_ = limits["actuator_forcerange"][:, None, self._forced]
+                sums["full"] = at_end(force[..., self._forced], range_).mean(axis=2).sum(axis=1)
             if len(self._joints):
-                ends = at_end(qpos[..., self._places], limits["jnt_range"][:, None, self._joints])
-                new["ends"] = sofar["ends"] + going * ends.mean(axis=2).sum(axis=1)
-            power = steps["actuator_force"] * steps["actuator_velocity"]
-            new["power"] = sofar["power"] + going * xp.maximum(power, 0.0).sum(axis=(1, 2))
-            new["work"] = sofar["work"] + going * power.sum(axis=(1, 2))
-            new["unsolved"] = sofar["unsolved"] + going * steps["unsolved"].sum(axis=1)
+                range_ = limits["jnt_range"][:, None, self._joints]
+                sums["ends"] = at_end(qpos[..., self._places], range_).mean(axis=2).sum(axis=1)
             if len(self._collide):
                 touch = steps["sensordata"][..., self._collide].sum(axis=2)
-                new["touched"] = sofar["touched"] + going * (touch > 0).sum(axis=1)
-                new["impulse"] = sofar["impulse"] + going * touch.sum(axis=1)
+                sums |= {"touched": (touch > 0).sum(axis=1), "impulse": touch.sum(axis=1)}
             if len(self._sites):
                 load = steps["sensordata"][..., self._touch]
-                most("load", load.max(axis=(1, 2)))
-                loaded = load > LOADED
-                place = steps["site_xpos"][:, :, self._sites, :2]
+                loaded, place = load > LOADED, steps["site_xpos"][:, :, self._sites, :2]
                 before = xp.concatenate([sofar["loaded"][:, None], loaded[:, :-1]], axis=1)
                 landed = xp.where(loaded & ~before, xp.arange(number)[:, None], -1)
                 when = xp.maximum.accumulate(landed, axis=1)[..., None]  # the last step at which it came down
                 there = xp.take_along_axis(place, xp.maximum(when, 0), axis=1)
                 down = xp.where(when >= 0, there, sofar["down"][:, None])
                 moved = xp.hypot(*xp.moveaxis(place - down, -1, 0)) * loaded
-                most("slip", moved.max(axis=(1, 2)))
+                most |= {"load": load.max(axis=(1, 2)), "slip": moved.max(axis=(1, 2))}
                 new |= {"down": down[:, -1], "loaded": loaded[:, -1]}
-        new["steps"] = sofar["steps"] + going * number
-        new["last"] = xp.where(going[:, None], qpos[:, -1], sofar["last"])
-        new["speed"] = xp.where(going[:, None], steps["qvel"][:, -1], sofar["speed"])
-        return new
+            new |= {name: xp.where(going, xp.maximum(sofar[name], value), sofar[name]) for name, value in most.items()}
+            new |= {name: sofar[name] + going * value for name, value in sums.items()}
+        ends = {"last": qpos[:, -1], "speed": steps["qvel"][:, -1]}
+        new |= {name: xp.where(going[:, None], value, sofar[name]) for name, value in ends.items()}
+        return {**sofar, **new, "finite": sofar["finite"] & (~going | finite)}
 
     def figures(
         self, sofar: Mapping[str, Any], mass: np.ndarray, gained: np.ndarray, broken: np.ndarray, full: np.ndarray
@@ -138,30 +103,24 @@ class Meter:
         """
         found: dict[str, np.ndarray] = {}
         sofar = {name: np.asarray(value) for name, value in sofar.items()}
-        steps = np.maximum(sofar["steps"], 1)
-        time, energy = steps * self._step, sofar["power"] * self._step
+        steps, step = np.maximum(sofar["steps"], 1), self._step
+        energy = sofar["power"] * step
         if self._base is not None:
             way = (sofar["last"] - sofar["start"])[:, self._base : self._base + 3]
             along = way @ self._along
-            found |= {
-                "base_height_min_m": sofar["height"],
-                "tilt_max_deg": sofar["tilt"],
-                "travelled_m": along,
-                "drift_m": way @ self._left,
-                "speed_mps": along / time,
-                "cost_of_transport": energy / (mass * GRAVITY * np.maximum(np.abs(along), 1e-9)),
-            }
+            found |= {"base_height_min_m": sofar["height"], "tilt_max_deg": sofar["tilt"], "travelled_m": along}
+            found |= {"drift_m": way @ self._left, "speed_mps": along / (steps * step)}
+            found["cost_of_transport"] = energy / (mass * GRAVITY * np.maximum(np.abs(along), 1e-9))
         if len(self._sites):
             found |= {"slip_max_m": sofar["slip"], "load_max_n": sofar["load"]}
         if len(self._collide):
-            found["collision_share"] = sofar["touched"] / steps
-            found["collision_impulse_ns"] = sofar["impulse"] * self._step
+            found |= {"collision_share": sofar["touched"] / steps, "collision_impulse_ns": sofar["impulse"] * step}
         if len(self._forced):
             found["saturated_share"] = sofar["full"] / steps
         if len(self._joints):
             found["joint_limit_share"] = sofar["ends"] / steps
         found |= {"unsolved_share": sofar["unsolved"] / steps, "energy_j": energy}
-        found |= {"energy_gained_j": gained - sofar["work"] * self._step, "duration_s": sofar["steps"] * self._step}
+        found |= {"energy_gained_j": gained - sofar["work"] * step, "duration_s": sofar["steps"] * step}
         finite = sofar["finite"] & np.isfinite(np.stack(list(found.values()))).all(axis=0) & ~broken
         return {**found, "not_finite": (~finite).astype(float), "buffer_full": full.astype(float)}
 

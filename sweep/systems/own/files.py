@@ -3,6 +3,7 @@
 import functools
 import hashlib
 import importlib
+import importlib.util
 import inspect
 import re
 import sys
@@ -21,6 +22,7 @@ from sweep.core import project
 from sweep.core.errors import InputError, suggest
 
 ONNX, BINARY, PACKAGE = ".onnx", ".mjb", "package://"
+TYPES = {"tensor(float)": np.float32, "tensor(double)": np.float64}  # of a network's numbers
 FOLDERS = ("meshdir", "texturedir", "assetdir")  # of a model's files, as its compiler's options name them
 _READ: dict[str, tuple[Path, str]] = {}  # of modules by name: the project that they were read in, and their digest
 
@@ -66,15 +68,11 @@ def _compiled(file: Path, changed: int) -> mujoco.MjModel:
     try:
         return mujoco.MjModel.from_binary_path(str(file)) if file.suffix == BINARY else _source(file, changed).compile()
     except (ValueError, RuntimeError) as error:
-        reason = " ".join(str(error).split())
-        lost = re.search(r"opening file '(?:.*/)?([^/']+)'", reason)
-        near = (
-            {one.name: str(one.relative_to(place())) for one in place().rglob(f"*{Path(lost[1]).suffix}")}
-            if lost
-            else {}
-        )
-        close = suggest(lost[1], near) if lost and near else ""
-        raise InputError(f"model.mjcf = {file.name} does not compile: {reason}{close}") from None
+        reason, near = " ".join(str(error).split()), ""
+        if lost := re.search(r"opening file '(?:.*/)?([^/']+)'", reason):
+            there = {one.name for one in place().rglob(f"*{Path(lost[1]).suffix}")}
+            near = suggest(lost[1], there) if there else ""
+        raise InputError(f"model.mjcf = {file.name} does not compile: {reason}{near}") from None
 
 
 def source(mjcf: str) -> mujoco.MjSpec:
@@ -128,17 +126,7 @@ def digest(compiled: mujoco.MjModel) -> str:
 def controller(name: str) -> Policy:
     """The functions that `module:policy` names, or the network of a file. Raises `InputError`."""
     if name.endswith(ONNX):
-        from sweep.systems.own import network  # of an extra
-
-        file = _found("controller", name, ONNX)
-        beside = sorted(file.parent.glob(f"{file.name}*"))  # a large network's weights
-        changed = max(one.stat().st_mtime_ns for one in beside)
-        policy = network.policy(name, str(file), changed)
-        digest = f"{_digest(beside)}-{metadata.version('onnxruntime')}"
-        if not file.with_suffix(".py").is_file():
-            return Policy(policy, tuple(beside), digest, batched=True)
-        sources = _sources(module := _module(name, ".".join(Path(name).with_suffix("").parts)))
-        return Policy(policy, (*beside, *sources), f"{digest}-{_digest(sources)}", True, **_beside(name, module))
+        return _of_network(name)
     module_name, sign, function = name.partition(":")
     if not (sign and module_name and function):
         raise InputError(
@@ -146,30 +134,77 @@ def controller(name: str) -> Policy:
         )
     module = _module(name, module_name)
     if not callable(policy := getattr(module, function, None)):
-        known = [key for key, value in vars(module).items() if callable(value) and not key.startswith("_")]
-        raise InputError(f"model.controller = {name}: {function} is unknown{suggest(function, known)}")
+        own = [key for key, value in vars(module).items() if callable(value) and not key.startswith("_")]
+        raise InputError(f"model.controller = {name}: {function} is unknown{suggest(function, own)}")
     files = [place() / str(file) for file in getattr(module, "FILES", ())]
     for file in files:
         if not file.is_file():
             raise InputError(f"model.controller = {name}: FILES has {file.name}, which is not a file")
-    files = *_sources(module), *files
-    digest, more = _digest(files), _beside(name, module)
-    if _batched(policy):
-        return Policy(policy, files, digest, batched=True, **more)
-    begin = getattr(module, "begin", None)
+    files, more = (*_sources(module), *files), _beside(name, module)
+    if batched := _batched(policy):
+        return Policy(policy, files, _digest(files), batched, **more)
     parameters, believes = (getattr(module, key, {}) for key in ("PARAMETERS", "BELIEVES"))
     if both := {*parameters} & {*believes}:
         raise InputError(f"model.controller = {name}: {min(both)} is both in PARAMETERS and in BELIEVES")
-    return Policy(policy, files, digest, False, begin, parameters, believes, **more)
+    begin = getattr(module, "begin", None)
+    return Policy(policy, files, _digest(files), batched, begin, parameters, believes, **more)
+
+
+def _of_network(name: str) -> Policy:
+    """A network of a file, and what a module beside it says."""
+    file = _found("controller", name, ONNX)
+    beside = sorted(file.parent.glob(f"{file.name}*"))  # a large network's weights
+    policy = _network(name, str(file), max(one.stat().st_mtime_ns for one in beside))
+    digest = f"{_digest(beside)}-{metadata.version('onnxruntime')}"
+    if not file.with_suffix(".py").is_file():
+        return Policy(policy, tuple(beside), digest, batched=True)
+    sources = _sources(module := _module(name, ".".join(Path(name).with_suffix("").parts)))
+    return Policy(policy, (*beside, *sources), f"{digest}-{_digest(sources)}", True, **_beside(name, module))
+
+
+@functools.lru_cache(maxsize=2)
+def _network(name: str, file: str, changed: int) -> Callable[[np.ndarray], np.ndarray]:
+    """From observations (n, k) to a network's output (n, m), by onnxruntime (extra `onnx`). Raises `InputError`."""
+    told = f"model.controller = {name}"
+    if importlib.util.find_spec("onnxruntime") is None:
+        raise InputError(f"{told} needs onnxruntime: pip install 'insect-sweep[onnx]'")
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    # with several threads a row's last bits depend on where it is in a batch
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.log_severity_level = 4  # what is wrong is told below
+    try:
+        session = onnxruntime.InferenceSession(file, options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # it has a class of its own for each kind of fault
+        raise InputError(f"{told} is no network: {' '.join(str(error).split())}") from None
+    into, out = session.get_inputs(), session.get_outputs()
+    if len(into) != 1 or len(out) != 1 or into[0].type not in TYPES or len(into[0].shape) != 2:
+        has = ", ".join(f"{one.name} ({', '.join(map(str, one.shape))}) {one.type}" for one in (*into, *out))
+        raise InputError(f"{told} has {has}: one input (n, k) of numbers and one output (n, m) are wanted")
+    rows, size = into[0].shape
+    if rows not in (None, 1) and not isinstance(rows, str):
+        raise InputError(f"{told} takes {rows} rollouts at a time: any number, or 1, is wanted")
+
+    def network(seen: np.ndarray) -> np.ndarray:
+        if isinstance(size, int) and size != seen.shape[1]:
+            raise InputError(f"{told} takes {size} numbers: {seen.shape[1]} are observed (model.observe)")
+        seen = seen.astype(TYPES[into[0].type])
+        parts = [
+            session.run(None, {into[0].name: part})[0] for part in (np.split(seen, len(seen)) if rows == 1 else [seen])
+        ]
+        return np.concatenate(parts)  # pyright: ignore[reportArgumentType, reportCallIssue]
+
+    return network
 
 
 def _beside(name: str, module: Any) -> dict[str, Any]:
     """What a module says of a policy of any kind. Raises `InputError`."""
-    figures, measured = getattr(module, "figures", None), getattr(module, "FIGURES", {})
-    if bool(measured) != callable(figures):
+    found = {key: getattr(module, key, None) for key in ("figures", "measure", "observe")}
+    measured = getattr(module, "FIGURES", {})
+    if bool(measured) != callable(found["figures"]):
         raise InputError(f"model.controller = {name}: figures, a function, and FIGURES, their names, go together")
-    measure, observe = (getattr(module, key, None) for key in ("measure", "observe"))
-    return {"figures": figures, "measured": measured, "measure": measure, "observe": observe}
+    return {**found, "measured": measured}
 
 
 def _module(told: str, name: str) -> Any:
@@ -191,8 +226,8 @@ def _batched(policy: Callable[..., Any]) -> bool:
 
 def _imported(name: str) -> Any:
     """The module as its files are now: a process that goes on may know it as it was, or one of another project."""
-    known, read = sys.modules.get(name), _READ.get(name)
-    if known and read and read != (place(), _digest(_sources(known))) and read[0] in Path(known.__file__ or "").parents:
+    old, read = sys.modules.get(name), _READ.get(name)
+    if old and read and read != (place(), _digest(_sources(old))) and read[0] in Path(old.__file__ or "").parents:
         package = name.partition(".")[0]
         for stale in [one for one in sys.modules if one == package or one.startswith(f"{package}.")]:
             del sys.modules[stale]

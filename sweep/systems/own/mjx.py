@@ -31,7 +31,6 @@ with redirect_stdout(io.StringIO()):  # it prints which of its parts are not ins
     from mujoco import mjx
 
 CARRIED = "qpos", "qvel", "act", "qacc_warmstart", "time"  # of its data, from step to step
-INNER = ("actuator_velocity",)
 CHUNK = 50  # ticks of a call, so that a command can be ended
 RUBBING = "dof_frictionloss", "tendon_frictionloss"
 # by whether they are 0
@@ -39,23 +38,21 @@ SHAPING = *RUBBING, "opt.density", "opt.viscosity", "opt.wind", "body_gravcomp",
 LEAST = 1e-9  # where a program has friction, MJX takes a joint with none for one that is held
 # fields that MJX does without in silence, by the words for them: it has none, or has them and makes no use of them
 IGNORED = {
-    "opt.noslip_iterations": "noslip_iterations",
-    "geom_adhesion": "adhesion of geoms",
-    "pair_adhesion": "adhesion of pairs",
-    "geom_surfacevel": "surface velocities",
-    "actuator_damping": "damping of actuators",
-    "actuator_dampingpoly": "damping of actuators",
-    "actuator_armature": "armature of actuators",
-    "actuator_delay": "delay of actuators",
-    "sensor_delay": "delay of sensors",
-    "plugin": "plugins",
-    "jnt_stiffnesspoly": "polynomials of springs",
-    "tendon_stiffnesspoly": "polynomials of springs",
-    "dof_dampingpoly": "polynomials of dampers",
-    "tendon_dampingpoly": "polynomials of dampers",
-    "geom_fluid": "drag of geoms by their shape",
+    "noslip_iterations": ("opt.noslip_iterations",),
+    "adhesion of geoms": ("geom_adhesion",),
+    "adhesion of pairs": ("pair_adhesion",),
+    "surface velocities": ("geom_surfacevel",),
+    "damping of actuators": ("actuator_damping", "actuator_dampingpoly"),
+    "armature of actuators": ("actuator_armature",),
+    "delay of actuators": ("actuator_delay",),
+    "delay of sensors": ("sensor_delay",),
+    "plugins": ("plugin",),
+    "polynomials of springs": ("jnt_stiffnesspoly", "tendon_stiffnesspoly"),
+    "polynomials of dampers": ("dof_dampingpoly", "tendon_dampingpoly"),
+    "drag of geoms by their shape": ("geom_fluid",),
 }
-UNUSED = [name for name in IGNORED if name.endswith("poly") or name == "geom_fluid"]  # by its JAX; warp's have a use
+# of these what its JAX has and makes no use of; Warp's kernels do
+UNUSED = *IGNORED["polynomials of springs"], *IGNORED["polynomials of dampers"], "geom_fluid"
 IMPLEMENTED = {"mjx": "jax", "warp": "warp"}  # how MJX calls them, by engine
 CONTACTS, CONSTRAINTS = 64, 4  # warp's room for a rollout, and of a contact; a rollout with more is invalid
 INSTEAD = {  # by a part of what MJX says
@@ -109,11 +106,13 @@ class Mjx(Loop):
 
     def _check(self) -> None:
         """Raise `InputError` where it cannot simulate the model, or would leave a part of it out without a word."""
-        model, template = self._model, self._template(self._model)
-        for name, words in IGNORED.items():
-            parts = template, template._impl, template.opt, getattr(template.opt, "_impl", None)
-            used = any(hasattr(part, last(name)) for part in parts) and not self._unused(name)
-            if np.any(fields.whole(model, name)) and not used:
+        template = self._template(self._model)
+        parts = template, template._impl, template.opt, getattr(template.opt, "_impl", None)
+        for words, names in IGNORED.items():
+            lacking = [
+                n for n in names if self._unused(n) or not any(hasattr(part, n.removeprefix("opt.")) for part in parts)
+            ]
+            if any(np.any(fields.whole(self._model, name)) for name in lacking):
                 raise self._refused(f"MJX leaves out {words}", "a model without, ")
 
     def _template(self, model: mujoco.MjModel) -> Any:
@@ -142,8 +141,10 @@ class Mjx(Loop):
         template = self._template(shaped(self._model, dict.fromkeys(every.intersection(SHAPING), 1.0)))
         for path, names in written.items():
             for name in names:
-                if self._unused(name) or not hasattr(getattr(owner(template, name), last(name), None), "at"):
-                    raise self._refused(f"MJX has no {last(name)}, which {path} varies", "other axes, ")
+                if self._unused(name) or not hasattr(leaf(template, name), "at"):
+                    raise self._refused(
+                        f"MJX has no {fields.located(template, name)[1]}, which {path} varies", "other axes, "
+                    )
 
     @devices.memory()
     def _simulate(
@@ -201,9 +202,8 @@ class Mjx(Loop):
         leaves = {}
         for name, values in rows.items():
             values = np.maximum(values, LEAST) if name in RUBBING else values
-            leaf = getattr(owner(template, name), last(name), None)
-            if leaf is not None:  # what MJX has no field for, it works out itself: `check` refuses the others
-                leaves[name] = jnp.asarray(values.reshape(n, *leaf.shape), float)
+            if (one := leaf(template, name)) is not None:  # others it works out itself, or `check` refuses them
+                leaves[name] = jnp.asarray(values.reshape(n, *one.shape), float)
         return template, data, leaves
 
     def _ticked(
@@ -221,7 +221,9 @@ class Mjx(Loop):
         def one(rows: Mapping[str, Array], now: Mapping[str, Array], ctrl: Array) -> tuple[Any, Any]:
             model = template.tree_replace(rows)
             after = mjx.step(model, data.replace(**now, ctrl=ctrl))
-            told = {name: getattr(after._impl if name in INNER else after, name) for name in figures.STEPS}
+            told = {
+                name: getattr(after._impl if name == "actuator_velocity" else after, name) for name in figures.STEPS
+            }
             told["full"], told["unsolved"] = self._doubted(model, after)
             return {name: getattr(after, name).astype(now[name].dtype) for name in CARRIED}, told
 
@@ -280,23 +282,17 @@ def crowded(data: Any, room: Mapping[int, int]) -> Array:
     return jnp.array([False, *(near[np.asarray(contact.dim) == dim].all() for dim in room)]).any()
 
 
-def owner(model: Any, name: str) -> Any:
-    """What of MJX's model has a field of a name of `mujoco.batch`."""
-    return model.opt if name.startswith("opt.") else model
-
-
-def last(name: str) -> str:
-    """A field's name there."""
-    return name.removeprefix("opt.")
+def leaf(model: Any, name: str) -> Any:
+    """What MJX's model has by a name of `mujoco.batch`; None where it has none."""
+    return getattr(*fields.located(model, name), None)
 
 
 def shaped(model: mujoco.MjModel, most: Mapping[str, Any]) -> mujoco.MjModel:
     """A model for a program that has all that is 0 for it, and not for a rollout; `most` of it by field."""
     model = copy(model)
-    for name in most:
-        setattr(owner(model, name), last(name), np.broadcast_to(most[name], fields.whole(model, name).shape))
-    if "body_gravcomp" in most:
-        model.flg_gravcomp = True
+    for name, values in most.items():
+        setattr(*fields.located(model, name), np.broadcast_to(values, fields.whole(model, name).shape))
+    model.flg_gravcomp |= "body_gravcomp" in most
     return model
 
 

@@ -5,7 +5,7 @@ it. A tile never changes, and goes through its rollouts by the same instructions
 NumPy's is called with a whole tile, whose width never changes.
 """
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -44,26 +44,22 @@ class Programs:
     """
 
     def __init__(self, own: Subject, belief: Belief):
-        control = own.controller
-        self._own, self._name = own, own.about.controller
-        self._measure = control.measure
+        control, self._own = own.controller, own
+        self._measure, self._policy = control.measure, control.policy
         self._begin = control.begin or (lambda belief, key: (None, (), None))
-        self._policy, self._figures = control.policy, control.figures
+        self._figures = control.figures or (lambda *given: {})
         if control.batched:
             self._policy = lambda belief, told, state, key: (jnp.zeros(own.model.nu), state)
-            self._batched = control.policy
-        self._check(belief, control.measured)
+        self._check(belief)
+        self._one = self.told_one if control.batched else self.tick_one
         each = self.begin_one, self.enter_one, self.finish_one
         self.first, self.enter, self.finish = (jax.jit(partial(_each, one)) for one in each)
-        one = (lambda *row: self.told_one(*row)[:2]) if control.batched else self.tick_one
-        self._tick = jax.jit(partial(_each, one), donate_argnums=(1,))
-        if control.batched:
-            self._controlled(np.zeros((TILE, self._seen), jnp.zeros(0).dtype))
+        self._tick = jax.jit(partial(_each, lambda *row: self._one(*row)[:2]), donate_argnums=(1,))
 
     def tick(self, given: Mapping[str, Any], carried: Any, now: np.ndarray) -> tuple[np.ndarray, Any]:
         """Controls (n, nu) of a tile, and what it carries on, after states (n, s)."""
         made, carried = self._tick(given, carried, now)
-        return (self._controlled(np.array(made)) if self._own.controller.batched else made), carried
+        return self._controlled(made), carried
 
     def begin_one(self, given: Mapping[str, Any]) -> tuple[Any, Any, Any]:
         """Start, state and duration of one rollout."""
@@ -73,7 +69,7 @@ class Programs:
         """What one rollout carries from tick to tick, of its `state` and the model's (s,) at first."""
         key, seen = jax.random.fold_in(jax.random.wrap_key_data(given["key"]), 1), self._own.observed(now)
         bias, late = given["bias"] * _drawn(key, seen), jnp.tile(seen, (self._own.room + 1, 1))
-        sofar = self._measure(None, self._named(now)) if self._measure else ()
+        sofar = self._measure(None, self._own.named(now)) if self._measure else ()
         return {"state": state, "late": late, "bias": bias, "tick": jnp.int32(0), "ticks": ticks, "sofar": sofar}
 
     def told_one(self, given: Mapping[str, Any], carried: Any, now: Array) -> tuple[Array, Any, Array]:
@@ -92,19 +88,14 @@ class Programs:
 
     def finish_one(self, given: Mapping[str, Any], carried: Any, now: Array) -> dict[str, Array]:
         """The controller's own figures of one rollout that ends with a state (s,), by name."""
-        if not self._figures:
-            return {}
-        sofar = self._measured(carried, now)
-        return self._figures(given["belief"], carried["state"], *([sofar] if self._measure else []))
-
-    def _named(self, now: Array) -> dict[str, Array]:
-        return {name: now[place] for name, place in self._own.parts.items()}
+        ends = [self._measured(carried, now)] if self._measure else []
+        return self._figures(given["belief"], carried["state"], *ends)
 
     def _measured(self, carried: Any, now: Array) -> Any:
         """What is measured so far; a rollout that is over has its end in it already."""
         if not self._measure:
             return ()
-        new = self._measure(carried["sofar"], self._named(now))
+        new = self._measure(carried["sofar"], self._own.named(now))
         within = (carried["tick"] > 0) & (carried["tick"] <= carried["ticks"])  # the start is in it
         return _until(within, new, carried["sofar"])
 
@@ -113,77 +104,81 @@ class Programs:
 
         `pose` gives the state (s,) at a start (nq,).
         """
-        given = jax.tree.map(lambda rows: rows[0], given)
-        start, state, _ = _worked_out(self.begin_one, given)
+
+        def found(function: Callable[..., Any], *more: Any) -> Any:  # without compiling it
+            return worked_out(lambda: function(*jax.tree.map(jnp.asarray, (first, *more))))
+
+        first = jax.tree.map(lambda rows: rows[0], given)
+        start, state, _ = found(self.begin_one)
         if start is not None and not np.isfinite(start).all():
-            raise InputError(f"model.controller = {self._name} begins at positions that are not finite")
+            raise self._wrong("begins at positions that are not finite")
         now = pose(start)
-        carried = _worked_out(self.enter_one, given, state, now, np.int32(1))
-        if self._own.controller.batched:
-            told, *_ = _worked_out(self.told_one, given, carried, now)
-            ctrl = self._controlled(np.tile(told, (TILE, 1)))
-        else:
-            ctrl, _ = _worked_out(self.tick_one, given, carried, now)
-        if not np.isfinite(ctrl).all():
-            raise InputError(f"model.controller = {self._name} gives controls that are not finite at the nominal start")
+        ctrl, *_ = found(self._one, found(self.enter_one, state, now, np.int32(1)), now)
+        if not np.isfinite(self._controlled(np.tile(ctrl, (TILE, 1)))).all():
+            raise self._wrong("gives controls that are not finite at the nominal start")
+
+    def _wrong(self, what: str) -> InputError:
+        """One line."""
+        return InputError(f"model.controller = {self._own.about.controller} {what}")
+
+    def _tried(self, function: Callable[..., Any], *given: Any) -> Any:
+        """What a user's function gives; whatever it raises as an `InputError`."""
+        try:
+            return function(*given)
+        except InputError:
+            raise
+        except Exception as error:
+            reason = (str(error).splitlines() or [""])[0]
+            raise self._wrong(f"fails: {type(error).__name__}: {reason}") from None
 
     def _controlled(self, told: np.ndarray) -> np.ndarray:
-        """Controls (n, nu) of a batched controller that is told (n, k)."""
-        try:
-            ctrl = np.asarray(self._batched(told))
-        except InputError:
-            raise
-        except Exception as error:
-            raise self._fails(error) from None
-        controls = self._own.model.nu
+        """Controls (n, nu) of what the program gives (n, ...): they are it, or what a batched controller is told."""
+        if not self._own.controller.batched:
+            return told
+        told, controls = np.array(told), self._own.model.nu
+        ctrl = self._tried(lambda: np.asarray(self._own.controller.policy(told)))
         if ctrl.shape != (len(told), controls) or ctrl.dtype.kind not in "fiu":
             wanted = f"numbers ({len(told)}, {controls}) are wanted of ({len(told)}, {told.shape[1]})"
-            raise InputError(f"model.controller = {self._name} gives {ctrl.dtype} {ctrl.shape}: {wanted}")
+            raise self._wrong(f"gives {ctrl.dtype} {ctrl.shape}: {wanted}")
         return ctrl
 
-    def _fails(self, error: Exception) -> InputError:
-        """Whatever a user's function raises, in one line."""
-        reason = (str(error).splitlines() or [""])[0]
-        return InputError(f"model.controller = {self._name} fails: {type(error).__name__}: {reason}")
-
-    def _check(self, belief: Belief, measured: Collection[str]) -> None:
-        model, measure, key = self._own.model, self._measure, jax.random.key(0)
+    def _forms(self, belief: Belief) -> tuple[Any, ...]:
+        """What its functions give, as forms of arrays; the state and what is measured before and after."""
+        model, measure = self._own.model, self._measure
+        start, state, duration = jax.eval_shape(self._begin, belief, key := jax.random.key(0))
         now = jnp.zeros(model.nq + model.nv + model.nsensordata)
-        try:
-            start, state, duration = jax.eval_shape(self._begin, belief, key)
-            seen = jax.eval_shape(self._own.observed, now)
-            ctrl, after = jax.eval_shape(self._policy, belief, seen, state, key)
-            sofar = jax.eval_shape(lambda: measure(None, self._named(now))) if measure else ()
-            more = jax.eval_shape(measure, sofar, self._named(now)) if measure else ()
-            ends = [sofar] if measure else []
-            found = jax.eval_shape(self._figures, belief, after, *ends) if self._figures else {}
-        except InputError:
-            raise
-        except Exception as error:
-            raise self._fails(error) from None
-        forms = [jax.tree.map(lambda x: (x.shape, x.dtype), tree) for tree in (state, after, sofar, more)]
-        if getattr(seen, "ndim", 0) != 1:
-            raise InputError(f"model.controller = {self._name} observes {getattr(seen, 'shape', seen)}: (k,) is wanted")
-        self._seen = seen.shape[0]
-        if getattr(ctrl, "shape", None) != (model.nu,):
-            shape = getattr(ctrl, "shape", type(ctrl).__name__)
-            raise InputError(f"model.controller = {self._name} gives controls {shape}: ({model.nu},) are wanted")
-        if forms[0] != forms[1]:
-            raise InputError(f"model.controller = {self._name} gives a state of another form than it was given")
-        if forms[2] != forms[3]:
-            raise InputError(f"model.controller = {self._name} measures in another form than at first")
+        seen = jax.eval_shape(self._own.observed, now)
+        ctrl, after = jax.eval_shape(self._policy, belief, seen, state, key)
+        sofar = jax.eval_shape(lambda: measure(None, self._own.named(now))) if measure else ()
+        more = jax.eval_shape(measure, sofar, self._own.named(now)) if measure else ()
+        found = jax.eval_shape(self._figures, belief, after, *([sofar] if measure else []))
+        return start, duration, seen, ctrl, (state, after), (sofar, more), found
+
+    def _check(self, belief: Belief) -> None:
+        model, measured = self._own.model, self._own.controller.measured
+        start, duration, seen, ctrl, states, sums, found = self._tried(self._forms, belief)
+        shape = getattr(ctrl, "shape", type(ctrl).__name__)
+
+        def differ(trees: tuple[Any, Any]) -> bool:
+            before, after = (jax.tree.map(lambda x: (x.shape, x.dtype), tree) for tree in trees)
+            return before != after
+
+        for wrong, what in (
+            (getattr(seen, "ndim", 0) != 1, f"observes {getattr(seen, 'shape', seen)}: (k,) is wanted"),
+            (shape != (model.nu,), f"gives controls {shape}: ({model.nu},) are wanted"),
+            (differ(states), "gives a state of another form than it was given"),
+            (differ(sums), "measures in another form than at first"),
+            (start is not None and start.shape != (model.nq,),
+             f"begins at {getattr(start, 'shape', '')}: ({model.nq},) are wanted"),
+            (duration is not None and duration.shape, f"lasts {getattr(duration, 'shape', '')}: one number is wanted"),
+        ):  # fmt: skip
+            if wrong:
+                raise self._wrong(what)
         if {*found} != {*measured} or any(one.shape for one in found.values()):
             has = ", ".join(f"{name} {one.shape}" for name, one in found.items())
-            raise InputError(f"model.controller = {self._name} has figures {has}: numbers are wanted, named in FIGURES")
-        if start is not None and start.shape != (model.nq,):
-            raise InputError(f"model.controller = {self._name} begins at {start.shape}: ({model.nq},) are wanted")
-        if duration is not None and duration.shape:
-            raise InputError(f"model.controller = {self._name} lasts {duration.shape}: one number is wanted")
-
-
-def _worked_out(function: Callable[..., Any], *given: Any) -> Any:
-    """What a function of one rollout gives, without compiling it."""
-    return worked_out(lambda: function(*jax.tree.map(jnp.asarray, given)))
+            raise self._wrong(f"has figures {has}: numbers are wanted, named in FIGURES")
+        if self._own.controller.batched:
+            self._controlled(np.zeros((TILE, seen.shape[0]), jnp.zeros(0).dtype))
 
 
 def _until(going: Array, new: Any, old: Any) -> Any:
@@ -198,28 +193,27 @@ class Rollouts:
         self._programs, self._n = programs, n
         self._rows = np.minimum(np.arange(-(-self._n // TILE) * TILE), self._n - 1).reshape(-1, TILE)
         self._given = [jax.device_put(jax.tree.map(lambda x, r=r: np.asarray(x)[r], given)) for r in self._rows]
-        starts, states, durations = zip(*map(programs.first, self._given), strict=True)
-        self._carried = [*states]
+        starts, self._carried, durations = zip(*map(programs.first, self._given), strict=True)
         self.start, self.duration = self._joined(starts), self._joined(durations)
 
     def enter(self, now: np.ndarray, ticks: np.ndarray) -> None:
         """Begin with states (n, s), for a number of ticks (n,)."""
-        each, ticks = zip(self._given, self._carried, self._rows, strict=True), ticks.astype(np.int32)
-        self._carried = [self._programs.enter(given, state, now[rows], ticks[rows]) for given, state, rows in each]
+        self._carried = self._of_tiles(self._programs.enter, now, ticks.astype(np.int32))
 
     def tick(self, now: np.ndarray) -> np.ndarray:
         """Controls (n, nu) at the next tick, after states (n, s)."""
-        parts = []
-        for k, rows in enumerate(self._rows):
-            ctrl, self._carried[k] = self._programs.tick(self._given[k], self._carried[k], now[rows])
-            parts.append(ctrl)
+        parts, self._carried = zip(*self._of_tiles(self._programs.tick, now), strict=True)
         return self._joined(parts)
 
     def finish(self, now: np.ndarray) -> dict[str, np.ndarray]:
         """The controllers' own figures, (n,) by name, of states (n, s) at the end."""
-        each = zip(self._given, self._carried, self._rows, strict=True)
-        parts = [self._programs.finish(given, carried, now[rows]) for given, carried, rows in each]
+        parts = self._of_tiles(self._programs.finish, now)
         return {name: self._joined([one[name] for one in parts]) for name in parts[0]}
+
+    def _of_tiles(self, program: Callable[..., Any], *more: np.ndarray) -> list[Any]:
+        """What a program gives of each tile: of what is given to it, what it carries, and rows of `more`."""
+        each = zip(self._given, self._carried, self._rows, strict=True)
+        return [program(given, carried, *(one[rows] for one in more)) for given, carried, rows in each]
 
     def _joined(self, parts: Sequence[Any]) -> Any:
         return None if parts[0] is None else np.concatenate([np.asarray(one) for one in parts])[: self._n].astype(float)

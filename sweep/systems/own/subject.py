@@ -12,7 +12,6 @@ from sweep.core.parameters import choice, parameters, quantity
 from sweep.engines.settings import EngineSettings
 from sweep.systems.base import Values
 from sweep.systems.own import fields, files
-from sweep.systems.own.arrays import namespace, tilt
 
 
 @dataclass(frozen=True)
@@ -133,10 +132,14 @@ class Subject:
                 found[name] = slice(first + model.sensor_adr[k], first + model.sensor_adr[k] + model.sensor_dim[k])
         return found
 
+    def named(self, state: Any) -> dict[str, Any]:
+        """The parts of one state (s,) by name."""
+        return {name: state[place] for name, place in self.parts.items()}
+
     def observed(self, state: Any) -> Any:
         """What one controller would be told (k,) without errors, of a state (s,)."""
         if self.controller.observe:
-            return self.controller.observe({name: state[place] for name, place in self.parts.items()})
+            return self.controller.observe(self.named(state))
         return namespace(state).concatenate([state[place] for place in self.told_of])
 
     @cached_property
@@ -173,3 +176,31 @@ class Subject:
             columns["tilt_deg"] = tilt(qpos[:, at + 3 : at + 7], np.broadcast_to(upright, (len(qpos), 4)))
         columns |= {f"qpos_{k}": qpos[:, k] for k in range(self.model.nq)}
         return columns | {f"qvel_{k}": qvel[:, k] for k in range(self.model.nv)}
+
+
+def namespace(array: Any) -> Any:
+    """NumPy or JAX's of it, whichever an array is of."""
+    return array.__array_namespace__()
+
+
+def tilt(quat: Any, start: Any) -> Any:
+    """Angle (°) between upward axes of two orientations (..., 4), each as it stands in the world."""
+    return angle(level(quat, start))
+
+
+def level(quat: Any, start: Any) -> Any:
+    """Cosine of the tilt."""
+    a, b = (up(namespace(quat).moveaxis(one, -1, 0)) for one in (quat, start))
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def up(quat: Any) -> tuple[Any, Any, Any]:
+    """The upward axis of an orientation (4, ...), each of its components (...)."""
+    w, x, y, z = quat
+    return 2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)
+
+
+def angle(cosine: Any) -> Any:
+    """In degrees, of a cosine that may be beyond 1 by rounding."""
+    xp = namespace(cosine)
+    return xp.degrees(xp.arccos(xp.clip(cosine, -1, 1)))
