@@ -167,7 +167,7 @@ export function mapView(app) {
       const [low, high] = column?.diverges ? [-most, most] : span;
       const rate = places?.bins ? `rate of success in ${places.bins} by ${places.bins} bins` : "rate of success";
       note.append(column ? column.title : rate, " ", shortly(low), " ", bar, " ", shortly(high));
-      if (column?.diverges && places?.form === "cells") note.append("; the line on the map is at 0");
+      note.append(column?.diverges && places?.form === "cells" ? "; the line on the map is at 0." : ".");
     } else if (densityOf()) {
       note.append(
         `${grouped(table.about.total)} rollouts counted in cells; a choice is shown by ${grouped(table.rows)} of them, drawn at random.`,
