@@ -83,6 +83,7 @@ def gridded(browser, uneven):
 def shown(browser, file):
     browser.open(file)
     browser.until("performance.getEntriesByName('map').length")
+    browser.until("document.querySelectorAll('.history').length")  # a replay's plots move what lies below them
     yield browser
     assert browser.errors == []
     assert [address for address in browser.asked if not address.startswith(("file:", "data:", "blob:"))] == []
