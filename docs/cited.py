@@ -206,10 +206,11 @@ def codes(_: str) -> str:
 
 
 def table(name: str, which: str) -> str:
-    """A table as it was measured; columns but the first are numbers."""
+    """A table as it was measured; columns of numbers end at the right."""
     columns, *rows = read(name)["tables"][which]
-    lines = [columns, ["--:"] * len(columns), *rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines).replace("| --: ", "|--:").replace("--: |", "--:|")
+    numbers = (all(NUMBER.match(cell.lstrip("-")) for cell in column if cell) for column in zip(*rows, strict=True))
+    head, *body = (f"| {' | '.join(line)} |" for line in (columns, *rows))
+    return "\n".join([head, f"|{'|'.join('--:' if right else ':--' for right in numbers)}|", *body])
 
 
 def halved(name: str, scenarios: str) -> str:
