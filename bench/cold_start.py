@@ -19,6 +19,7 @@ def start(name: str, cache: str) -> tuple[float, float]:
     scenario, *overrides = name.split(",")
     command = [sys.executable, "-m", "sweep.cli", "run", f"scenario={scenario}", *overrides]
     kept = {"XDG_CACHE_HOME": cache, "JAX_COMPILATION_CACHE_DIR": f"{cache}/programs"}
+    kept["PYTHONDONTWRITEBYTECODE"] = ""  # an installed package has its bytecode
     Path(cache, "programs").mkdir(mode=0o700, exist_ok=True)
     began, before = time.perf_counter(), os.times()
     done = subprocess.run(command, env={**os.environ, **kept}, capture_output=True, text=True, check=False)

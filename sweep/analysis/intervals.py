@@ -1,5 +1,6 @@
 """Intervals for a probability, from how often something happened in independent trials; arrays in, arrays out."""
 
+from statistics import NormalDist
 from typing import NamedTuple
 
 import numpy as np
@@ -17,10 +18,8 @@ class Interval(NamedTuple):
 
 def wilson(success: ArrayLike, trials: ArrayLike, level: float = CONFIDENCE) -> Interval:
     """Wilson's score interval: covers its level on average over probabilities; for cells of a map."""
-    from scipy.special import ndtri  # slow to import, and a listing needs none of it
-
     k, n = np.asarray(success, float), np.maximum(np.asarray(trials, float), 1e-300)
-    z2 = ndtri(0.5 + level / 2) ** 2
+    z2 = NormalDist().inv_cdf(0.5 + level / 2) ** 2  # SciPy's takes long to load, also after a single rollout
     centre = (k + z2 / 2) / (n + z2)
     half = np.sqrt(z2 * (k * (1 - k / n) + z2 / 4)) / (n + z2)
     return Interval(np.where(k > 0, centre - half, 0.0), np.where(k < n, centre + half, 1.0))

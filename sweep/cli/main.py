@@ -250,12 +250,16 @@ def run(argv: list[str]) -> int:
         if len(chosen := [one for one in overrides if one.startswith(f"{group}=")]) > 1:
             raise InputError(f"{group} is chosen twice: {' '.join(chosen)}")
     refuse_unknown(overrides)
+    os.environ.setdefault("MUJOCO_GL", "disable")  # a run opens no window; to look for a library takes a tenth second
     from sweep.cli.launch import launch  # takes a second to import
+    from sweep.engines import devices
 
     if given.points:
         overrides.append(f"study.points='{given.points}'")
 
     def work(exp: "Experiment") -> int:
+        if exp.settings.name == "mjx" and not given.dry_run and not exp.cluster.elsewhere:
+            devices.begin()
         from sweep.cli.run import Flags, execute  # takes another, which what is wrong need not wait for
 
         return execute(exp, Flags(given.dry_run, given.check, given.limit, given.where))

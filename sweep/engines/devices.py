@@ -3,6 +3,7 @@
 import contextlib
 import os
 from collections.abc import Callable, Iterator, Sequence
+from threading import Thread
 from typing import Any
 
 import jax
@@ -38,6 +39,17 @@ def configure() -> None:
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)  # small ones, too
     with contextlib.suppress(RuntimeError):  # too late where JAX was used before
         jax.config.update("jax_num_cpu_devices", len(os.sched_getaffinity(0)))
+
+
+def begin() -> None:
+    """Have JAX find its devices in a thread, which for a GPU takes most of a second; errors wait for who asks next."""
+    configure()
+
+    def found() -> None:
+        with contextlib.suppress(RuntimeError):
+            jax.devices()
+
+    Thread(target=found).start()
 
 
 @contextlib.contextmanager
@@ -163,6 +175,10 @@ def as_arrays(tree: Any) -> Any:
 
 def keys(streams: np.ndarray) -> Array:
     """A noise key per rollout, from its stream number alone."""
-    low, high = np.uint32(streams & 0xFFFFFFFF), np.uint32(np.int64(streams) >> 32)
+    return _keys(np.uint32(streams & 0xFFFFFFFF), np.uint32(np.int64(streams) >> 32))
+
+
+@jax.jit  # one program to load at a start, in place of four
+def _keys(low: Array, high: Array) -> Array:
     root = jax.random.key(0)
     return jax.vmap(lambda a, b: jax.random.fold_in(jax.random.fold_in(root, a), b))(low, high)
