@@ -246,9 +246,11 @@ def draw_precision(rows: list[Row], path: Path) -> None:
             axes.margins(0.25, 0.1)
             axes.set(title=motion, xlabel=f"error {of} ({unit})")
             axes.grid(alpha=0.3, lw=0.5)
+            axes.tick_params(axis="x", which="minor", labelsize=5)  # of less than a decade all are labelled
         for axes in panels[::2]:
             axes.set_ylabel("simulated s in a second")
-        legend_below(figure, [line for line in panels[0].get_lines() if not line.get_label().startswith("_")])
+        lines = {line.get_label(): line for axes in panels for line in axes.get_lines()}
+        legend_below(figure, [line for engine, line in lines.items() if engine in DRAWN])
         figure.savefig(path, dpi=110)
 
 
