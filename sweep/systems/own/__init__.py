@@ -220,9 +220,8 @@ def nominal(values: Mapping[str, Any], kinds: Kinds) -> Nominal:
     substeps(own.model, about.period)
     _ = own.told_of  # refuses unknown names
     if about.keyframe:
-        known(
-            about.keyframe, [own.model.key(k).name for k in range(own.model.nkey)], f"model.keyframe = {about.keyframe}"
-        )
+        keyframes = [own.model.key(k).name for k in range(own.model.nkey)]
+        known(about.keyframe, keyframes, f"model.keyframe = {about.keyframe}")
     for name in asked:
         known(name, control.parameters, f"controller.{name}")
     numbers = {f"controller.{name}": value for name, value in {**control.parameters, **asked}.items()}

@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import MODEL_FIELDS, Batch
 
-from sweep.core.errors import InputError, suggest
+from sweep.core.errors import InputError, known, suggest
 from sweep.core.parameters import choice, count, quantity, setting
 from sweep.systems.base import Parameter
 
@@ -26,11 +26,11 @@ OPTION, ROOT = "option", "model"
 class Numbers(NamedTuple):
     """What may vary of a thing of some kind."""
 
-    field: str  # of MjModel
     unit: str = ""
     at_least: float = -np.inf
     names: tuple[str, ...] = ()  # of its components
     compiled: bool = False  # whether MuJoCo's compiler makes more of it
+    field: str = ""  # of MjModel
 
 
 class Place(NamedTuple):
@@ -42,86 +42,67 @@ class Place(NamedTuple):
 
 
 RANGE = ("low", "high")
-# of each kind, attributes that are alike; a field that is told to its last _ or . goes on with the attribute's name
-ALIKE: dict[str, dict[str, Numbers]] = {
-    "body": {
-        "mass": Numbers("body_", "kg", 1e-9),  # inertia in proportion: another density
-        "inertia": Numbers("body_", "kg m^2", 1e-12, XYZ),
-        "pos ipos": Numbers("body_", "m", names=XYZ),  # the latter of the centre of mass
-        "gravcomp": Numbers("body_"),
-    },
-    "geom": {
-        "friction": Numbers("geom_", "", 0.0, FRICTION),
-        "margin gap": Numbers("geom_", "m"),
-        "adhesion surfacevel": Numbers("geom_"),
-        "fluid solmix": Numbers("geom_", "", 0.0),
-        "solref": Numbers("geom_", names=SOLREF),
-        "solimp": Numbers("geom_", names=SOLIMP),
-        "size": Numbers("geom_", "m", 1e-6, compiled=True),  # by the names of its shape: `SIZES`
-        "pos": Numbers("geom_", "m", names=XYZ, compiled=True),
-    },
-    "joint": {
-        "stiffness": Numbers("jnt_", "", 0.0),
-        "damping armature frictionloss": Numbers("dof_", "", 0.0),
-        "stiffnesspoly margin": Numbers("jnt_"),
-        "dampingpoly": Numbers("dof_"),
-        "pos": Numbers("jnt_", "m", names=XYZ),
-        "range": Numbers("jnt_", names=RANGE),
-        "springref": Numbers("qpos_spring"),
-        "actuatorfrcrange": Numbers("jnt_actfrcrange", names=RANGE),
-        "solreflimit": Numbers("jnt_solref", names=SOLREF),
-        "solimplimit": Numbers("jnt_solimp", names=SOLIMP),
-        "solreffriction": Numbers("dof_solref", names=SOLREF),
-        "solimpfriction": Numbers("dof_solimp", names=SOLIMP),
-    },
-    "actuator": {
-        "gear gainprm biasprm dynprm dampingpoly": Numbers("actuator_"),
-        "forcerange ctrlrange actrange": Numbers("actuator_", names=RANGE),
-        "cranklength": Numbers("actuator_", "m", 1e-9),
-        "damping armature": Numbers("actuator_", "", 0.0),
-    },
-    "site": {"pos": Numbers("site_", "m", names=XYZ), "size": Numbers("site_", "m", 1e-6)},
-    "sensor": {"cutoff": Numbers("sensor_", "", 0.0)},
-    "tendon": {
-        "stiffness damping armature frictionloss": Numbers("tendon_", "", 0.0),
-        "stiffnesspoly dampingpoly margin": Numbers("tendon_"),
-        "range": Numbers("tendon_", "m", names=RANGE),
-        "springlength": Numbers("tendon_lengthspring", "m", names=RANGE),
-        "actuatorfrcrange": Numbers("tendon_actfrcrange", names=RANGE),
-        "solreflimit": Numbers("tendon_solref_lim", names=SOLREF),
-        "solimplimit": Numbers("tendon_solimp_lim", names=SOLIMP),
-        "solreffriction": Numbers("tendon_solref_fri", names=SOLREF),
-        "solimpfriction": Numbers("tendon_solimp_fri", names=SOLIMP),
-    },
-    "pair": {
-        "friction": Numbers("pair_", "", 0.0, ("slide", "slide2", "spin", "roll", "roll2")),
-        "margin gap": Numbers("pair_", "m"),
-        "adhesion": Numbers("pair_"),
-        "solref solreffriction": Numbers("pair_", names=SOLREF),
-        "solimp": Numbers("pair_", names=SOLIMP),
-    },
-    "equality": {
-        "data": Numbers("eq_"),
-        "solref": Numbers("eq_", names=SOLREF),
-        "solimp": Numbers("eq_", names=SOLIMP),
-    },
-    OPTION: {
-        "gravity": Numbers("opt.", "m/s^2", names=XYZ),
-        "wind": Numbers("opt.", "m/s", names=XYZ),
-        "magnetic": Numbers("opt.", names=XYZ),
-        "density": Numbers("opt.", "kg/m^3", 0.0),
-        "viscosity": Numbers("opt.", "Pa s", 0.0),
-        "impratio": Numbers("opt.", "", 1e-9),
-        "tolerance ls_tolerance noslip_tolerance ccd_tolerance": Numbers("opt.", "", 0.0),
-    },
+# what may vary of each kind, in MJCF's words; with the field of MjModel where that is not what fields begin with and it
+WORDS = {
+    "body": ("body_", "mass inertia pos ipos gravcomp"),
+    "geom": ("geom_", "friction margin gap adhesion surfacevel fluid solmix solref solimp size pos"),
+    "joint": (
+        "jnt_",
+        "stiffness stiffnesspoly margin pos range springref:qpos_spring actuatorfrcrange:jnt_actfrcrange "
+        "damping:dof_damping armature:dof_armature frictionloss:dof_frictionloss dampingpoly:dof_dampingpoly "
+        "solreflimit:jnt_solref solimplimit:jnt_solimp solreffriction:dof_solref solimpfriction:dof_solimp",
+    ),
+    "actuator": (
+        "actuator_",
+        "gear gainprm biasprm dynprm damping dampingpoly armature forcerange ctrlrange actrange cranklength",
+    ),
+    "site": ("site_", "pos size"),
+    "sensor": ("sensor_", "cutoff"),
+    "tendon": (
+        "tendon_",
+        "stiffness damping armature frictionloss stiffnesspoly dampingpoly margin range "
+        "springlength:tendon_lengthspring actuatorfrcrange:tendon_actfrcrange solreflimit:tendon_solref_lim "
+        "solimplimit:tendon_solimp_lim solreffriction:tendon_solref_fri solimpfriction:tendon_solimp_fri",
+    ),
+    "pair": ("pair_", "friction margin gap adhesion solref solreffriction solimp"),
+    "equality": ("eq_", "data solref solimp"),
+    OPTION: (
+        "opt.",
+        "gravity wind magnetic density viscosity impratio tolerance ls_tolerance noslip_tolerance ccd_tolerance",
+    ),
 }
+# what these words mean, of any kind or of one; of the others nothing is known
+MEANING = {
+    "mass": Numbers("kg", 1e-9),  # inertia in proportion: another density
+    "inertia": Numbers("kg m^2", 1e-12, XYZ),
+    "pos ipos": Numbers("m", names=XYZ),  # the latter of the centre of mass
+    "geom.pos": Numbers("m", names=XYZ, compiled=True),
+    "geom.size": Numbers("m", 1e-6, compiled=True),  # by the names of its shape: `SIZES`
+    "site.size": Numbers("m", 1e-6),
+    "friction": Numbers("", 0.0, FRICTION),
+    "pair.friction": Numbers("", 0.0, ("slide", "slide2", "spin", "roll", "roll2")),
+    "geom.margin pair.margin gap": Numbers("m"),
+    "cranklength": Numbers("m", 1e-9),
+    "stiffness damping armature frictionloss fluid solmix cutoff": Numbers("", 0.0),
+    "solref solreflimit solreffriction": Numbers(names=SOLREF),
+    "solimp solimplimit solimpfriction": Numbers(names=SOLIMP),
+    "range actuatorfrcrange forcerange ctrlrange actrange": Numbers(names=RANGE),
+    "tendon.range springlength": Numbers("m", names=RANGE),
+    "gravity": Numbers("m/s^2", names=XYZ),
+    "wind": Numbers("m/s", names=XYZ),
+    "magnetic": Numbers(names=XYZ),
+    "density": Numbers("kg/m^3", 0.0),
+    "viscosity": Numbers("Pa s", 0.0),
+    "impratio": Numbers("", 1e-9),
+    "tolerance ls_tolerance noslip_tolerance ccd_tolerance": Numbers("", 0.0),
+}
+MEANT = {word: numbers for words, numbers in MEANING.items() for word in words.split()}
 VARIED = {
     kind: {
-        name: one._replace(field=one.field + name) if one.field.endswith(("_", ".")) else one
-        for names, one in alike.items()
-        for name in names.split()
+        name: MEANT.get(f"{kind}.{name}", MEANT.get(name, Numbers()))._replace(field=field or begins + name)
+        for name, _, field in (word.partition(":") for word in words.split())
     }
-    for kind, alike in ALIKE.items()
+    for kind, (begins, words) in WORDS.items()
 }
 OPTIONS = VARIED.pop(OPTION)
 Shape = mujoco.mjtGeom
@@ -252,12 +233,12 @@ def _resolved(model: mujoco.MjModel, path: str) -> tuple[Numbers, list[Place]]:
     if root != ROOT or kind not in kinds:
         raise _nothing(path, f"{kind or root} is unknown{suggest(kind or root, kinds)}")
     if kind == OPTION:
-        varied = OPTIONS | {name: Numbers(f"opt.{name}", names=("",)) for name in (*CHOSEN, *COUNTED, TIMESTEP)}
+        varied = OPTIONS | {name: Numbers(names=("",), field=f"opt.{name}") for name in (*CHOSEN, *COUNTED, TIMESTEP)}
         return _component(path, varied, rest, lambda name: (np.size(whole(model, name)), [0]))
     number, name = named(model, kind, rest)
     if number < 0:
-        known, word = _names(model, kind), rest.partition(".")[0]
-        raise _nothing(path, f"no {kind} is called {word}{suggest(word, known)}")
+        word = rest.partition(".")[0]
+        raise _nothing(path, f"no {kind} is called {word}{suggest(word, _names(model, kind))}")
     rest = rest.removeprefix(name).removeprefix(".")
     if kind == "actuator" and rest in SERVO:
         return _servo(model, path, rest, number)
@@ -283,15 +264,13 @@ def _resolved(model: mujoco.MjModel, path: str) -> tuple[Numbers, list[Place]]:
 
 def _component(path: str, varied: dict[str, Numbers], rest: str, at: Any) -> tuple[Numbers, list[Place]]:
     attribute, _, part = rest.partition(".")
-    if attribute not in varied:
-        raise _nothing(path, f"{attribute or 'what of it'} is unknown{suggest(attribute, varied)}")
+    known(attribute, varied, f"axis {path} names nothing: {attribute or 'what of it'}")
     numbers = varied[attribute]
     count, firsts = at(numbers.field)
     names = [*(numbers.names or map(str, range(count)))][:count]
     if count == 1 and not part:
         part = names[0]
-    if part not in names:
-        raise _nothing(path, f"{part or 'which of its numbers'} is unknown{suggest(part, names)}")
+    known(part, names, f"axis {path} names nothing: {part or 'which of its numbers'}")
     return numbers, [Place(numbers.field, first + names.index(part)) for first in firsts]
 
 
@@ -302,7 +281,7 @@ def _servo(model: mujoco.MjModel, path: str, word: str, number: int) -> tuple[Nu
     places = [Place("actuator_biasprm", number * bias.size + k, s) for k, s in SERVO[word] if k]
     if word == "kp":
         places.insert(0, Place("actuator_gainprm", number * gain.size))
-    return Numbers(places[0].field, "", 0.0), places
+    return Numbers("", 0.0, field=places[0].field), places
 
 
 def _nothing(path: str, why: str) -> InputError:

@@ -2,11 +2,12 @@
 
 import ast
 from collections.abc import Collection, Mapping
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from sweep.core.errors import InputError, suggest
+from sweep.core.errors import InputError, known
 from sweep.core.expressions import evaluate
 from sweep.core.outcomes import FAILURE, INVALID, SUCCESS
 
@@ -39,16 +40,13 @@ class Condition(NamedTuple):
     def limit(self) -> tuple[str, float, bool] | None:
         """Of a plain `figure < number`: the figure, the number, and whether the cause holds below it."""
         match ast.parse(self.text, mode="eval").body:
-            case ast.Compare(left=ast.Name(id=name), ops=[op], comparators=[number]) if isinstance(
-                op, ast.Lt | ast.LtE | ast.Gt | ast.GtE
-            ):
-                try:
+            case ast.Compare(ast.Name(name), [ast.Lt() | ast.LtE() | ast.Gt() | ast.GtE() as sign], [number]):
+                with suppress(ValueError, TypeError):
                     value = float(ast.literal_eval(number))
-                except (ValueError, TypeError):
-                    return None
-                return name, value, isinstance(op, ast.Lt | ast.LtE) != (self.cause == MISSED)
+                    return name, value, isinstance(sign, ast.Lt | ast.LtE) != (self.cause == MISSED)
             case _:
-                return None
+                pass
+        return None
 
     def margin(self, figures: Mapping[str, np.ndarray]) -> np.ndarray:
         """How far rows are from it, in units of its number, at most 1; negative where it holds. NaN of no plain one."""
@@ -67,8 +65,7 @@ def parse(given: Mapping[str, Any], figures: Collection[str]) -> tuple[Condition
             raise InputError(f"outcome.{key} is not allowed: a name of your own for a failure, {GOAL} or {INVALID}")
 
         def look_up(name: str, key: str = key) -> np.ndarray:
-            if name not in figures:
-                raise InputError(f"outcome.{key}: {name} is unknown{suggest(name, list(figures))}")
+            known(name, figures, f"outcome.{key}: {name}")
             return np.ones(1)
 
         try:

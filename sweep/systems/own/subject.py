@@ -7,7 +7,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from sweep.core.errors import InputError, suggest
+from sweep.core.errors import InputError, known
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.engines.settings import EngineSettings
 from sweep.systems.base import Values
@@ -95,11 +95,11 @@ class Subject:
 
     def touches(self, key: str) -> list[int]:
         """Numbers of the touch sensors that `feet` or `collisions` names. Raises `InputError`."""
-        found = [self._sensor(key, name) for name in getattr(self.about, key)]
-        for number in found:
-            if self.model.sensor_type[number] != int(mujoco.mjtSensor.mjSENS_TOUCH):
-                raise InputError(f"model.{key}: {self.model.sensor(number).name} is no touch sensor")
-        return found
+        for name in getattr(self.about, key):
+            known(name, [*self.parts][2:], f"model.{key}: {name}")
+            if self.model.sensor(name).type != int(mujoco.mjtSensor.mjSENS_TOUCH):
+                raise InputError(f"model.{key}: {name} is no touch sensor")
+        return [self.model.sensor(name).id for name in getattr(self.about, key)]
 
     @property
     def direction(self) -> np.ndarray:
@@ -110,13 +110,6 @@ class Subject:
     def keyframe(self) -> int:
         """Its number; -1 for the model's own pose."""
         return self.model.key(self.about.keyframe).id if self.about.keyframe else -1
-
-    def _sensor(self, key: str, name: str) -> int:
-        number = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_SENSOR, name)
-        if number < 0:
-            known = [self.model.sensor(k).name for k in range(self.model.nsensor)]
-            raise InputError(f"model.{key}: {name} is unknown{suggest(name, [*known, 'qpos', 'qvel'])}")
-        return number
 
     def state(self, qpos: Any, qvel: Any, sensors: Any) -> Any:
         """All that can be observed (n, s) without errors: see `parts`."""
@@ -149,8 +142,7 @@ class Subject:
         if names and self.controller.observe:
             raise InputError("model.observe is not allowed beside the controller's own function `observe`")
         for name in names:
-            if name not in ("qpos", "qvel"):
-                self._sensor("observe", name)  # refuses unknown names
+            known(name, self.parts, f"model.observe: {name}")
         sensors = slice(model.nq + model.nv, None)
         usual = [sensors] if model.nsensordata else [self.parts["qpos"], self.parts["qvel"]]
         return [self.parts[name] for name in names] or usual
@@ -173,7 +165,7 @@ class Subject:
         if (at := self.base) is not None:
             columns = {f"base_{axis}_m": qpos[:, at + k] for k, axis in enumerate("xyz")}
             upright = self.model.qpos0[at + 3 : at + 7]
-            columns["tilt_deg"] = tilt(qpos[:, at + 3 : at + 7], np.broadcast_to(upright, (len(qpos), 4)))
+            columns["tilt_deg"] = angle(level(qpos[:, at + 3 : at + 7], upright))
         columns |= {f"qpos_{k}": qpos[:, k] for k in range(self.model.nq)}
         return columns | {f"qvel_{k}": qvel[:, k] for k in range(self.model.nv)}
 
@@ -183,13 +175,8 @@ def namespace(array: Any) -> Any:
     return array.__array_namespace__()
 
 
-def tilt(quat: Any, start: Any) -> Any:
-    """Angle (°) between upward axes of two orientations (..., 4), each as it stands in the world."""
-    return angle(level(quat, start))
-
-
 def level(quat: Any, start: Any) -> Any:
-    """Cosine of the tilt."""
+    """Cosine of the angle between upward axes of two orientations (..., 4), each as it stands in the world."""
     a, b = (up(namespace(quat).moveaxis(one, -1, 0)) for one in (quat, start))
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
