@@ -2,7 +2,6 @@
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.controllers.observation import Observation
@@ -16,8 +15,8 @@ from sweep.formulas.leg import SIDE
 from sweep.models.obstacles.ball import Ball
 from sweep.models.robot import Robot, total_mass
 
-UP = np.array([0.0, 0.0, 1.0], np.float32)
-FORE = np.array([-1, -1, 0, 0, 1, 1], np.float32)  # rear, middle and front legs
+UP = (0.0, 0.0, 1.0)
+FORE = (-1.0, -1.0, 0.0, 0.0, 1.0, 1.0)  # rear, middle and front legs
 
 
 def centre_of_mass(robot: Robot, stance: Stance) -> Float[Array, " 3"]:
@@ -78,7 +77,8 @@ def footholds(radius: Array | float, circle: Array | float, chord: Array | float
     On a circle of radius d1 = `circle`, front and rear feet d2 = `chord` from its middle. The printed list gives leg i
     the place of leg 7 - i.
     """
-    ahead, aside = FORE * chord, SIDE * jnp.sqrt(circle**2 - (FORE * chord) ** 2)
+    ahead = jnp.asarray(FORE) * chord
+    aside = SIDE * jnp.sqrt(circle**2 - ahead**2)
     above = jnp.sqrt(radius**2 - circle**2)
     return jnp.stack([ahead, aside, above + 0 * ahead], axis=-1)
 

@@ -61,7 +61,7 @@ def names(robot: Robot) -> tuple[str, ...]:
 
 def poses(control: Control, start: Stance) -> tuple[Float[Array, "k 3"], Float[Array, "k 4"]]:
     """Base places (m) and attitudes of the calibration, world axes."""
-    moves, turns = jnp.asarray(MOVES), jnp.broadcast_to(start.quat, (len(MOVES), 4))
+    moves, turns = jnp.asarray(MOVES, float), jnp.broadcast_to(start.quat, (len(MOVES), 4))
     position = start.position + rotate(turns, control.shift * moves[:, :3])
     return position, multiply(turns, exponential(control.turn * moves[:, 3:]))
 

@@ -18,7 +18,7 @@ from sweep.core.rotations import about_vertical, conjugate, exponential, heading
 from sweep.formulas import stepping
 from sweep.models.obstacles.surface import FreeState
 
-LOWEST = np.array([-np.inf, -np.inf, 0], np.float32)  # m/s, least velocity of what stands on a floor
+LOWEST = (-np.inf, -np.inf, 0.0)  # m/s, least velocity of what stands on a floor
 
 
 @jax.tree_util.register_dataclass
@@ -59,7 +59,7 @@ def meant(support: Support, start: FreeState, seen: FreeState, clock: Array, dur
     """
     time = jnp.minimum(clock, duration)
     share = time / duration
-    first = jnp.maximum(start.velocity, LOWEST)
+    first = jnp.maximum(start.velocity, jnp.asarray(LOWEST))
     goes, turns = (then - now for then, now in ((support.velocity, first), (support.turn, start.turn)))
     to_velocity = FreeState(
         start.position + time * (first + 0.5 * share * goes),
