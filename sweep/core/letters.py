@@ -14,6 +14,7 @@ from matplotlib.textpath import TextPath
 from matplotlib.ticker import MaxNLocator
 
 COLUMN, PAGE = 84 / 25.4, 174 / 25.4  # in, as most journals have them
+TALL = 7.2  # in, as a page has room for above a caption: a taller figure would be shrunk, and its letters
 LETTERS = 8  # points
 SERIF = ["STIX Two Text", "Times New Roman", "STIXGeneral", "DejaVu Serif"]  # the one but last comes with matplotlib
 # where letters come from that are in none of those: the first that is there
@@ -39,8 +40,8 @@ def lettering(serif: bool = False) -> AbstractContextManager[None]:
 
 
 def sheet(height: float, width: float = PAGE) -> Figure:
-    """An empty figure, in inches."""
-    return Figure(figsize=(width, height), layout="constrained")
+    """An empty figure, in inches, no taller than a page has room for."""
+    return Figure(figsize=(width, min(height, TALL)), layout="constrained")
 
 
 def legend_below(figure: Figure, handles: Sequence[Any]) -> None:
@@ -55,7 +56,7 @@ def legend_below(figure: Figure, handles: Sequence[Any]) -> None:
     across, high = figure.get_size_inches()
     columns = max((n for n in range(1, len(handles) + 1) if taken(widths, n) <= 72 * across - 2 * LETTERS), default=1)
     lines = -(-len(handles) // columns)
-    figure.set_size_inches(across, high + (lines - 1) * LINE * LETTERS / 72)
+    figure.set_size_inches(across, max(high, min(high + (lines - 1) * LINE * LETTERS / 72, TALL)))
     over = {tuple: HandlerTuple(ndivide=1)}
     figure.legend(handles, labels, loc="outside lower center", ncols=columns, handler_map=over)
 

@@ -125,7 +125,7 @@ def parallel(ax: Axes, results: Results, columns: list[str]) -> None:
         ax.plot([place, place], [0, 1], color="0.3", linewidth=0.8)
         for at, value, side in ((-0.02, low[place], "top"), (1.02, high[place], "bottom")):
             ax.text(place, at, f"{value:.3g}", ha="center", va=side)
-    room = 72 * PAGE / len(columns)
+    room = 0.75 * 72 * PAGE / len(columns)  # the names of the bars below have the rest
     ax.set_xticks(places, [folded(beside_axis(name, results.exp), room) for name in columns])
     ax.xaxis.tick_top()  # below they would be titles of the panels there
     ax.tick_params(axis="x", length=0)

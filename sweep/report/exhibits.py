@@ -132,7 +132,8 @@ def effects(results: Results) -> Iterator[Exhibit]:
 
 def _draw_effects(results: Results, table: pd.DataFrame, by: list[str]) -> Figure:
     axes = list(dict.fromkeys(table["axis"]))
-    figure, spots = _panels(len(axes))
+    columns = 2 if len(axes) <= 6 else 3
+    figure, spots = _panels(len(axes), columns)
     for axis, ax in zip(axes, spots, strict=True):
         own = table[table["axis"] == axis]
         parts = own.groupby(by[0], sort=False) if by else [("", own)]
@@ -141,7 +142,7 @@ def _draw_effects(results: Results, table: pd.DataFrame, by: list[str]) -> Figur
             ax.plot(part["value"], part["share"], line, marker=marker, markersize=3, color=colour, label=str(name))
         ax.set(xlabel=beside_axis(axis, results.exp), ylabel="rate of success")
         not_below_zero(ax)
-        spaced(ax, min(len(axes), 2))
+        spaced(ax, min(len(axes), columns))
         ax.set_ylim(-0.02, 1.02)
         if by:
             ax.legend(title=axis_words(by[0], results.exp))

@@ -2,6 +2,7 @@
 
 import re
 import sys
+import unicodedata
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -28,8 +29,10 @@ CSV_ROWS = 5_000  # more rows than this are kept as parquet
 NAMED_ROWS = 3  # a number that comes from so few rows names them
 # what LaTeX knows in UTF-8: Latin letters, what T2A has of Cyrillic ones, and some signs
 LATIN, CYRILLIC, PUNCTUATION = 0x17F, "".join(map(chr, range(0x400, 0x460))), "–—‘’“”…€"
-# what LuaLaTeX takes letters from that are not in its own fonts: the first that is there
-CYRILLIC_FONTS = ("CMU Serif", "FreeSerif", "DejaVu Serif")
+# what LuaLaTeX and XeLaTeX take letters from that are not in their own fonts, the first that is there: a whole paper,
+# where it has letters of these alphabets, and letters of other scripts alone
+ALPHABETS = ("LATIN", "GREEK", "CYRILLIC")
+ALPHABET_FONTS = ("CMU Serif", "FreeSerif", "DejaVu Serif")
 OTHER_FONTS = ("Noto Serif CJK SC", "Source Han Serif SC", "FandolSong", "WenQuanYi Zen Hei", "WenQuanYi Micro Hei")
 DIGITS = ("Zero", "One", "Two", "Three", "Four", "Five", "Six", "Seven", "Eight", "Nine")
 
@@ -71,15 +74,20 @@ def write(results: Results, out: Path, serif: bool = False) -> list[Path]:
     write_whole(out / "data" / "numbers.csv", table.to_csv(index=False).encode())
     texts["numbers.tex"] = "".join(macro(results, one, paths[0].name) for one in numbers)
     every = "".join([results.name, *texts.values(), *captions.values(), *(one.title + one.caption for one in shown)])
-    cyrillic, unknown = foreign(every)
+    cyrillic, unknown, others = foreign(every)
     if unknown:
-        fonts = f"one of the fonts {', '.join(OTHER_FONTS)}"
+        font, package = (OTHER_FONTS[0], "noto-cjk") if others else (ALPHABET_FONTS[1], "freefont-otf")
         letters = f"pdflatex has no letters {''.join(unknown)}"
-        print(f"sweep: {letters}: lualatex and xelatex have, with {fonts} (Debian: fonts-noto-cjk)", file=sys.stderr)
+        print(
+            f"sweep: {letters}: lualatex and xelatex have, with a font such as {font} (Debian: fonts-{package})",
+            file=sys.stderr,
+        )
     texts["main.tex"] = _template().render(
         cyrillic=codes(cyrillic),
         unknown=codes(unknown),
-        fonts=OTHER_FONTS if unknown else CYRILLIC_FONTS if cyrillic else (),
+        others=others,
+        alphabet_fonts=ALPHABET_FONTS if cyrillic or len(others) < len(unknown) else (),
+        other_fonts=OTHER_FONTS if others else (),
         results=results,
         prefix=prefix(results),
         exhibits=shown,
@@ -211,11 +219,13 @@ def escape(text: str) -> str:
     return tables.signs("".join(special.get(c, f"\\{c}" if c in "&%$#_{}" else c) for c in text))
 
 
-def foreign(text: str) -> tuple[list[str], list[str]]:
-    """The letters of `text` that are Cyrillic, which pdfLaTeX has fonts for, and those that it has none for."""
+def foreign(text: str) -> tuple[list[str], list[str], list[str]]:
+    """The letters of `text` that are Cyrillic, which pdfLaTeX has fonts for; those that it has none for; and which of
+    these are of no alphabet of Europe."""
     letters = sorted(letter for letter in set(text) if letter.isprintable() and ord(letter) > LATIN)
     unknown = [letter for letter in letters if letter not in (*CYRILLIC, *PUNCTUATION)]
-    return [letter for letter in letters if letter in CYRILLIC], unknown
+    others = [letter for letter in unknown if not unicodedata.name(letter, "").startswith(ALPHABETS)]
+    return [letter for letter in letters if letter in CYRILLIC], unknown, others
 
 
 def codes(letters: Iterable[str]) -> list[str]:

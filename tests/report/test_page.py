@@ -129,6 +129,8 @@ def test_one_success_is_told_without_what_it_does_not_say(fake_engine, tmp_path,
     text = page.render(results.read(tmp_path))
     assert "<h2>Figures</h2>" not in text
     assert not re.search(r"interval \d", text)
+    assert main(["relabel", str(tmp_path), "tilt_max_deg<50"]) == 0
+    assert capsys.readouterr().out == "1 of 1 succeed (100.0 %), 0 invalid (0.0 %)\n"
 
 
 def test_a_refined_map_is_shown_whole(fake_engine, tmp_path):

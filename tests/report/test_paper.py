@@ -12,7 +12,7 @@ from matplotlib.font_manager import fontManager
 from matplotlib.text import Text
 
 from sweep.cli.main import main
-from sweep.core.letters import OTHER_FONTS, lettering, sheet
+from sweep.core.letters import OTHER_FONTS, TALL, lettering, sheet
 from sweep.report import paper
 from sweep.report.exhibits import exhibits
 from sweep.runs import results, store
@@ -68,12 +68,15 @@ def test_the_data_of_a_figure_is_what_it_shows(bundle, folder):
     assert r"\bottomrule" in (bundle / "tables/not-successful.tex").read_text()
 
 
+SIZES = ("body_length", "body_width", "body_mass", "thigh", "thigh_mass", "shin", "shin_mass")
+
+
 @pytest.fixture
 def drawn(fake_engine, tmp_path):
-    """A study of draws of numbers that are long."""
+    """A study of draws of numbers that are long, of many parameters."""
     between = "distribution: {kind: uniform, from: 0.492, to: 0.508}}"
     axes = [f"+study.axes.{name}={{path: {path}, side: world, {between}" for name, path in
-            (("friction", "contact.friction"), ("shin", "robot.shin"))]  # fmt: skip
+            (("friction", "contact.friction"), *((name, f"robot.{name}") for name in SIZES))]  # fmt: skip
     given = ["scenario=walk_tripod", "scenario.expect=[]", "study.name=drawn", "study.design={kind: sobol, num: 32}"]
     assert main(["run", *given, *axes, "engine.width=32", f"out={tmp_path}"]) == 0
     return tmp_path
@@ -91,6 +94,7 @@ def test_figures_are_as_wide_as_a_column_or_a_page_and_have_letters_of_one_size(
                 figure = one.draw()
                 figure.draw_without_rendering()
             assert any(figure.get_size_inches()[0] == pytest.approx(mm / 25.4) for mm in (84, 174)), one.key
+            assert figure.get_size_inches()[1] <= TALL, one.key  # else a page shrinks it, and its letters
             texts = [text for text in figure.findobj(Text) if text.get_text().strip() and text.get_visible()]
             assert {text.get_fontsize() for text in texts} == {8}, one.key
             for axes in figure.axes:  # labels of ticks stand apart
@@ -118,9 +122,9 @@ def test_names_and_words_are_fit_for_latex():
 
 @pytest.fixture(scope="module")
 def foreign(folder, tmp_path_factory):
-    """The bundle of a study whose name has letters of Russian and Chinese."""
+    """The bundle of a study whose name has letters of Russian, Greek and Chinese."""
     out, found = tmp_path_factory.mktemp("foreign"), results.read(folder)
-    study = replace(found.exp.study, name="Ходьба 步行_é")
+    study = replace(found.exp.study, name="Ходьба Βάδισμα 步行_é")
     paths = paper.write(replace(found, exp=replace(found.exp, study=study), rows=found.rows.head(40)), out)
     assert len(set(paths)) == len(paths)  # no figure's data are lost to a table's
     return out
@@ -130,9 +134,9 @@ def test_letters_that_latex_lacks_are_declared(foreign):
     text = (foreign / "main.tex").read_text()
     preamble, body = text.split(r"\begin{document}")
     declared = {chr(int(code, 16)) for code in re.findall(r"DeclareUnicodeCharacter\{(\w+)\}", preamble)}
-    assert declared == set("步行Ходьба")  # the Cyrillic ones only where their encoding is missing
+    assert declared == set("步行ХодьбаΒάδισμα")  # the Cyrillic ones only where their encoding is missing
     assert preamble.index("T2A]{fontenc}") < preamble.index(f"{{{ord('Х'):04X}}}") < preamble.index("\\fi")
-    assert "Ходьба 步行" in body
+    assert "Ходьба Βάδισμα 步行" in body
 
 
 def compiled(folder, program):
