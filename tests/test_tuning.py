@@ -11,6 +11,7 @@ from sweep.models.obstacles.charts import charts
 from sweep.models.plan_table import numbers, tabled
 from sweep.runs.tuning import fit, free_numbers, search
 from sweep.study.config import compose
+from sweep.tune.score import Score, stacked
 
 AT, STEPS = np.array([1.0, -2.0, 0.5]), np.array([0.1, 0.1, 0.02])
 HOW = {"seed": 3, "population": 6, "generations": 12, "free": ["a"]}
@@ -167,3 +168,26 @@ def test_a_plan_is_tuned_to_follow_sizes_and_simulated(tmp_path, monkeypatch, ca
 def test_what_cannot_be_tuned_is_refused_in_one_line(args, told, capsys):
     assert main(["tune", *args]) == 2
     assert told in capsys.readouterr().err
+
+
+ON_A_BALL = """
+# @package _global_
+defaults: [override /obstacle: ball, override /manoeuvre: follow]
+scenario: {name: beside}
+plan:
+  start:
+    on: {base: {tangent: [31.7, 0.87, -0.63]}, rear: {ground: [0.5, -1.67]}, middle: {ground: [0.5, -1.16]},
+         front: {ball: [0.4825, 23.33]}}
+  go: {rear: {rear: {ground: [0.55, -1.1]}, lift: 0.2}}
+"""
+
+
+@pytest.mark.slow
+def test_a_foot_that_lands_has_not_swung_into_the_ground(tmp_path, monkeypatch):
+    (tmp_path / "sweep.yaml").write_text("")
+    (tmp_path / "scenarios").mkdir()
+    (tmp_path / "scenarios" / "beside.yaml").write_text(ON_A_BALL)
+    monkeypatch.chdir(tmp_path)
+    case = compose(["scenario=beside"]).case
+    played = Score(case, (), (), ("go.*",), 1, False, 1).margins(np.zeros(0), stacked(case, 1))
+    assert played["swing"].min() > 0.003

@@ -1,9 +1,8 @@
-"""A plan on free bodies without physics: played through by its own tracker, which is told that all goes as it commands.
+"""A plan on a ball without physics: played through by its own tracker, which is told that all goes as it commands.
 
 Only feet that stand stay where they landed, on the ground or on a body, wherever they are pressed to.
-Bodies go as they are meant to. A ball that is followed where it is seen rolls as the angular momentum of robot and ball
-about its lowest point has it, links counted as mass points; it stays where it is while feet stand on the floor, too. A
-raft that is followed where it is seen coasts, by the drag of its front, as far as the other bank.
+A ball goes as it is meant to. One that is followed where it is seen rolls as the angular momentum of robot and ball
+about its lowest point has it, links counted as mass points; it stays where it is while feet stand on the floor, too.
 """
 
 from typing import NamedTuple, cast
@@ -12,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from sweep.controllers import forces, tracker
+from sweep.controllers import tracker
 from sweep.controllers.ball_state import UP
 from sweep.controllers.frames import to_frame, to_world
 from sweep.controllers.observation import Observation
@@ -28,13 +27,11 @@ from sweep.metrics.geometry import support_margin
 from sweep.models.case import Case
 from sweep.models.frames import WORLD, fixed
 from sweep.models.obstacles.ball import Ball
-from sweep.models.obstacles.raft import Raft
 from sweep.models.obstacles.surface import FreeState, free_start, poses, under
 from sweep.models.robot import total_mass
-from sweep.tune.planned import Holding, Margins, Swing, left
+from sweep.tune.planned import Margins, Swing, left
 
 SMOOTH = 0.2  # s
-SHARES = (0.1, 0.5, 0.95)  # of a stage, at which forces are planned
 SHORT = 1e-3  # s, before the end of a stage, at which there is a tick: feet begin the next one where they are then
 
 
@@ -94,7 +91,8 @@ def play(case: Case, plan: Plan, period: float, ticks: int) -> Played:
                              _standing(case, command.target.feet, free), stood)  # fmt: skip
         feet = to_world(stood.feet, stood.frame, free)
         joints = joint_targets(case.robot, command.target._replace(feet=feet))[0]
-        starts, goal = (to_world(at, plan.foot_frame[stage], free) for at in (state.feet, state.goal))
+        goal = state.goal if isinstance(case.manoeuvre, tracker.Guided) else plan.foothold[stage]
+        starts, goal = (to_world(at, plan.foot_frame[stage], free) for at in (state.feet, goal))
         rates = wrapped(joints - seen.angles) / h
         swing = Swing(swings, starts, goal)
         now = left(case, poses(free), command.target, joints, rates, command.shortfall, swing)
@@ -128,9 +126,6 @@ def _rolled(
     programme, follows = plan.layer(Programme), jnp.asarray(True)
     if programme is not None:
         follows = jnp.asarray(programme.support.mode)[state.stage, 0] == MEASURED
-    if isinstance(case.obstacle, Raft):
-        coasts = _coasted(case.obstacle, total_mass(case.robot), free, h)
-        return roll, jax.tree.map(lambda a, b: jnp.where(follows, a, b), coasts, free)
     assert isinstance(case.obstacle, Ball)
     ball, mass = case.obstacle, total_mass(case.robot)
     u = (centre - roll.centre) / h
@@ -148,33 +143,6 @@ def _rolled(
     turned = jnp.where(follows, h * turn, 0.0)
     then = FreeState(free.position + moved, multiply(exponential(turned)[None], free.quat), velocity[None], turn[None])
     return Roll(inertia * v + own, centre), then
-
-
-def _coasted(raft: Raft, load: Array | float, free: FreeState, h: Array) -> FreeState:
-    """A raft under a load (kg) that nothing pushes, `h` s later."""
-    speed = free.velocity[0, 0]
-    slows = raft.drag * raft.width * raft.draught(load) / (raft.mass + load) * jnp.abs(speed) * speed
-    place, along = free.position[0, 0] + h * speed, jnp.array([1.0, 0.0, 0.0])
-    there = place > raft.water_width - raft.length / 2
-    ahead = jnp.where(there, 0.0, speed - h * slows)
-    return free._replace(
-        position=free.position + jnp.where(there, 0.0, h * speed) * along, velocity=(ahead * along)[None]
-    )
-
-
-def holding(case: Case, found: Played, bounds: forces.Bounds, stages: int) -> Holding:
-    """What the forces of least friction within `bounds` leave at `SHARES` of every stage, standing still (S, 3)."""
-    ticks = jnp.arange(found.stage.shape[0])
-    first, last = (of(ticks, found.stage, stages) for of in (jax.ops.segment_min, jax.ops.segment_max))
-    at = jnp.clip(first[:, None] + jnp.asarray(SHARES) * (last - first)[:, None], 0, len(ticks) - 1).astype(jnp.int32)
-
-    def one(tick: Array) -> Holding:
-        stance, free, stands = jax.tree.map(lambda x: x[tick], (found.stance, found.free, found.stands))
-        normal = under(case.obstacle, stance.feet, poses(free)).normal
-        held = forces.distribute(forces.pose(case.robot, stance, normal, stands), bounds, "friction")
-        return Holding(case.contact.friction - held.friction, case.drive.torque_limit - held.torque, -held.imbalance)
-
-    return jax.vmap(jax.vmap(one))(at)
 
 
 def zero_moment(found: Played, period: float) -> Float[Array, " t"]:
