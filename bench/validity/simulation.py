@@ -77,8 +77,9 @@ def _stepping(nominal: Case, q: np.ndarray, h: float, v: np.ndarray | None, iter
             "work": work,
         }
 
+    start = jnp.asarray(q)  # of the precision in use
     v = np.zeros((len(q), top.model.nv)) if v is None else v
-    return one, jax.vmap(lambda q, v: rest(top, q)._replace(v=v))(jnp.asarray(q), jnp.asarray(v, q.dtype))
+    return one, jax.vmap(lambda q, v: rest(top, q)._replace(v=v))(start, jnp.asarray(v, start.dtype))
 
 
 def _by_xla(one: Step, case: Case, states: State, references: jax.Array) -> Record:

@@ -41,18 +41,19 @@ def test_a_plan_of_a_file_finds_its_places_on_the_obstacle(kind, tmp_path, monke
     body = {"scenario": {"name": "mine"}, "obstacle": sizes, "plan": plan}
     (tmp_path / "scenarios/mine.yaml").write_text(head + yaml.safe_dump(body, sort_keys=False))
     case = compose(["scenario=mine"]).case
-    free = free_start(case.obstacle)
     with jax.enable_x64(True):
+        free = free_start(case.obstacle)
         plan = case.manoeuvre.plan(case)  # which refuses what is out of reach
         stances = ends(plan, free)
         below = jax.vmap(lambda feet: under(case.obstacle, feet, poses(free)))(stances.feet)
         noses = np.asarray(rotate(stances.quat, jnp.array([1.0, 0.0, 0.0])))
+    begun, ended = np.asarray(plan.start.feet), np.asarray(stances.feet)[-1]
     forward = np.array([*case.obstacle.forward, 0.0])
     np.testing.assert_allclose(below.depth, case.manoeuvre.deepening, atol=1e-5)
-    assert np.all(below.normal[..., 2] > 0.9)
+    assert np.all(np.asarray(below.normal)[..., 2] > 0.9)
     up = SLOPE if kind == "plane" else 0.0
     np.testing.assert_allclose(noses, [np.cos(up) * forward + [0, 0, np.sin(up)]] * len(noses), atol=1e-6)
-    way = (stances.feet[-1] - plan.start.feet) @ forward
+    way = (ended - begun) @ forward
     assert np.all(way[4:] > 0.1)
     assert np.all(np.abs(way[:4]) < 1e-3)
 
