@@ -9,6 +9,7 @@ from sweep.cli.main import main
 from sweep.core.errors import InputError
 from sweep.models.obstacles.charts import charts
 from sweep.models.plan_table import numbers, tabled
+from sweep.runs import tuning
 from sweep.runs.tuning import fit, free_numbers, search
 from sweep.study.config import compose
 from sweep.tune.score import Score, stacked
@@ -130,6 +131,19 @@ def test_gradients_move_numbers_of_the_manoeuvre_too_and_the_file_says_so(tmp_pa
 
 
 @pytest.mark.slow
+def test_stages_are_judged_at_moments_of_their_own():
+    exp, stages = compose(["scenario=pole_top"]), ["over.front", "top.rear"]
+    draws = stacked(*tuning.draws(exp, 1))
+
+    def rates(*moments):
+        return Score(exp.case, [], [], stages, moments, False, 1).margins(np.zeros(0), draws)["rate"][0]
+
+    some, all_of_them = rates(("*", 2), ("*.front", 9)), rates(("*", 9))
+    np.testing.assert_allclose(some[0], all_of_them[0], rtol=1e-4)
+    assert some[1] > all_of_them[1] + 0.05  # rad/s: joints stand still at the ends of a stage
+
+
+@pytest.mark.slow
 def test_a_plan_is_tuned_to_follow_sizes_and_simulated(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "draws.yaml").write_text(
@@ -153,6 +167,10 @@ def test_a_plan_is_tuned_to_follow_sizes_and_simulated(tmp_path, monkeypatch, ca
     [
         (["scenario=walk_tripod", "out=x.yaml"], "manoeuvre.kind = walk has its numbers in no file"),
         (["scenario=pole_top"], "out =  is not allowed: the file of the plan"),
+        (
+            ["scenario=pole_top", "out=x.yaml", "--moments", "over.*=1"],
+            "--moments = over.*=1 is not allowed: N or STAGES=N",
+        ),
         (["scenario=pole_top", "out=x.yaml", "--population", "2"], "--population = 2 is not allowed: at least 4"),
         (
             ["scenario=pole_top", "out=x.yaml", "--follow"],
@@ -189,5 +207,5 @@ def test_a_foot_that_lands_has_not_swung_into_the_ground(tmp_path, monkeypatch):
     (tmp_path / "scenarios" / "beside.yaml").write_text(ON_A_BALL)
     monkeypatch.chdir(tmp_path)
     case = compose(["scenario=beside"]).case
-    played = Score(case, (), (), ("go.*",), 1, False, 1).margins(np.zeros(0), stacked(case, 1))
+    played = Score(case, (), (), ("go.*",), [("*", 1)], False, 1).margins(np.zeros(0), stacked(case, 1))
     assert played["swing"].min() > 0.003

@@ -30,7 +30,8 @@ from sweep.tune.score import MANOEUVRE, Aim, Score, shares, stacked, worst
 
 DIGITS, SLOPE_DIGITS = 4, 3  # to which numbers are rounded, and slopes
 DRAWS = ("here", "other draws")
-LEAST = {"moments": 2, "population": 4, "generations": 1, "seed": 1}  # of the flags
+LEAST = {"population": 4, "generations": 1, "seed": 1}  # of the flags
+MOMENTS, ENDS = 11, 2  # of a stage, if not told; at least
 SLIGHT = 0.05  # first steps by which a number has to follow a size in the farthest draw, or it does not
 EPILOG = """Margins are those of sweep/tune/planned.py; draws are the points of the study, known to the planner. What is
 found is checked on the draws of the study's next seed. With --follow numbers get slopes, by which they follow the sizes
@@ -68,7 +69,7 @@ def main(args: list[str]) -> int:
     descends = given.follow or given.gradients
     sizes = drawn_sizes(exp) if given.follow else {}
     aims, width = [aim(text) for text in given.need], 1 if given.check or descends else given.population
-    score = Score(case, list(steps), aims, given.stages or ["*"], given.moments, given.forces, width)
+    score = Score(case, list(steps), aims, given.stages or ["*"], moments(given.moments), given.forces, width)
     seen, others = (stacked(*tuning.draws(exp, exp.study.seed + k)) for k in (0, 1))
     first = np.array([numbers[path] for path in steps])
     if given.check:
@@ -181,7 +182,9 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("--follow", action="store_true", help="have numbers follow the sizes that the study draws")
     made.add_argument("--simulate", action="store_true", help="run both draws by the plans before and after")
     made.add_argument("--check", action="store_true", help="only tell the margins of the plan as it is")
-    made.add_argument("--moments", type=int, default=11, help="of each stage (11)")
+    made.add_argument(
+        "--moments", action="append", default=[], metavar="[STAGES=]N", help=f"of each stage ({MOMENTS}), or of some"
+    )
     made.add_argument("--population", type=int, default=16, help="plans of a generation (16)")
     made.add_argument("--generations", type=int, default=200, help="at most (200); of gradients steps")
     made.add_argument("--seed", type=int, default=1, help="of the search, at least 1")
@@ -196,6 +199,20 @@ def aim(text: str) -> Aim:
         return Aim(margin, pattern or "*", float(value))
     except ValueError:
         raise InputError(f"--need = {text} is not allowed: MARGIN=VALUE or MARGIN@STAGES=VALUE") from None
+
+
+def moments(texts: Iterable[str]) -> list[tuple[str, int]]:
+    """Patterns of stages, and at how many moments each is judged; the last one that names a stage counts.
+
+    Raises `InputError`.
+    """
+    found = [("*", MOMENTS)]
+    for text in texts:
+        pattern, _, count = text.rpartition("=")
+        if not count.isdecimal() or int(count) < ENDS:
+            raise InputError(f"--moments = {text} is not allowed: N or STAGES=N, at least {ENDS}")
+        found.append((pattern or "*", int(count)))
+    return found
 
 
 def manoeuvre_numbers(case: Case) -> dict[str, float]:

@@ -1,7 +1,7 @@
 """What a plan lacks by other numbers: its margins over draws, against what is aimed at, without physics."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from typing import Any, NamedTuple
@@ -55,7 +55,8 @@ class Aim(NamedTuple):
 class Score:
     """Margins at the worst moment of every stage, and what they lack in the worst draw, by the plan's free numbers.
 
-    Plans on a ball are played by their tracker, with the ball where it rolls to; others are posed as they are planned.
+    Plans on a ball are played by their tracker, with the ball where it rolls to; others are posed as they are planned,
+    at as many `moments` of a stage as the last pattern says that names it.
     Raises `InputError` where no stage is named as asked, or the manoeuvre plans no forces that are asked for.
     """
 
@@ -65,7 +66,7 @@ class Score:
         free: Sequence[str],
         aims: Sequence[Aim],
         patterns: Sequence[str],
-        moments: int,
+        moments: Sequence[tuple[str, int]],
         hold: bool,
         width: int,
     ):
@@ -79,7 +80,8 @@ class Score:
         self.stages = [names[k] for k in chosen]
         self.aims = [Aim(margin, "*", value) for margin, value in AIMS.items()] + list(aims)
         self._free, self._width = tuple(free), width
-        self._at = jnp.array(chosen), moments, hold
+        counts = [next(n for pattern, n in reversed(moments) if fnmatchcase(name, pattern)) for name in self.stages]
+        self._at = np.array(chosen), np.array(counts), hold
         self._plays = type(case.obstacle) is Ball  # what leans on something, or on another ball, is taken to rest
         time = jax.jit(lambda: jnp.sum(case.manoeuvre.plan(case).duration))() if self._plays else 0.0
         self._ticks = math.ceil(TIMES * float(time) / PERIOD) + len(names)
@@ -139,14 +141,18 @@ class Score:
     def _of_posed(self, belief: Case, plan: Plan) -> dict[str, jax.Array]:
         chosen, moments, hold = self._at
 
-        def worst(function: object, phases: jax.Array) -> dict[str, jax.Array]:
-            seen = jax.vmap(lambda k: jax.vmap(lambda u: function(k, u))(phases))(chosen)  # pyright: ignore[reportCallIssue]
-            return {key: jnp.min(value, axis=1) for key, value in seen._asdict().items()}
+        def worst(
+            function: Callable[..., planned.Margins | planned.Holding], counts: np.ndarray
+        ) -> dict[str, jax.Array]:
+            phases = np.concatenate([np.linspace(0, 1, n) for n in counts])
+            seen = jax.vmap(function)(jnp.repeat(chosen, counts), jnp.asarray(phases))
+            own = (np.cumsum(counts) - counts)[:, None] + np.minimum(np.arange(max(counts)), counts[:, None] - 1)
+            return {key: jnp.min(value[own], axis=1) for key, value in seen._asdict().items()}
 
-        found = worst(lambda k, u: planned.margins(belief, plan, k, u), jnp.linspace(0, 1, moments))
+        found = worst(lambda k, u: planned.margins(belief, plan, k, u), moments)
         if hold:
             bounds = _bounds(belief)
-            found |= worst(lambda k, u: planned.holding(belief, plan, k, u, bounds), jnp.linspace(0, 1, forces.KNOTS))
+            found |= worst(lambda k, u: planned.holding(belief, plan, k, u, bounds), np.full(len(chosen), forces.KNOTS))
         return found
 
     def _of_played(self, belief: Case, plan: Plan) -> dict[str, jax.Array]:
