@@ -134,18 +134,19 @@ def _draw_effects(results: Results, table: pd.DataFrame, by: list[str]) -> Figur
     axes = list(dict.fromkeys(table["axis"]))
     columns = 2 if len(axes) <= 6 else 3
     figure, spots = _panels(len(axes), columns)
+    title = f"{axis_words(by[0], results.exp)}: " if by else ""
     for axis, ax in zip(axes, spots, strict=True):
         own = table[table["axis"] == axis]
         parts = own.groupby(by[0], sort=False) if by else [("", own)]
         for (name, part), (colour, line, marker) in zip(parts, STYLES, strict=False):
             ax.fill_between(part["value"], part["low"], part["high"], color=colour, alpha=0.2, linewidth=0)
-            ax.plot(part["value"], part["share"], line, marker=marker, markersize=3, color=colour, label=str(name))
+            ax.plot(part["value"], part["share"], line, marker=marker, ms=3, color=colour, label=f"{title}{name}")
         ax.set(xlabel=beside_axis(axis, results.exp), ylabel="rate of success")
         not_below_zero(ax)
         spaced(ax, min(len(axes), columns))
         ax.set_ylim(-0.02, 1.02)
-        if by:
-            ax.legend(title=axis_words(by[0], results.exp))
+    if by:  # below: in a panel it would lie on its lines
+        legend_below(figure, list({line.get_label(): line for ax in spots for line in ax.get_lines()}.values()))
     if results.one_at_a_time:
         _draw_fits(results, dict(zip(axes, spots, strict=True)))
     return figure

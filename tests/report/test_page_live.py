@@ -742,6 +742,7 @@ def test_a_film_of_two_shows_both(shown):
     assert (both[0] != both[1]).any()
 
 
+@pytest.mark.filterwarnings("error:constrained_layout not applied")
 def test_names_of_others_run_nothing(browser, wide, tmp_path):
     evil = '"\'></script><script>window.hacked=1</script><img src=x onerror="window.hacked=2">'
     found = results.read(wide)
