@@ -9,5 +9,4 @@ N_LEGS = len(LEGS)
 JOINTS = tuple(f"{joint}{leg}" for leg in LEGS for joint in ("alpha", "beta", "gamma"))
 N_JOINTS = len(JOINTS)
 # of MuJoCo's positions and velocities: the base, then the joints, then free bodies
-BASE_Q, JOINT_Q = slice(0, 7), slice(7, 7 + N_JOINTS)
-BASE_V, JOINT_V = slice(0, 6), slice(6, 6 + N_JOINTS)
+JOINT_Q, JOINT_V = slice(7, 7 + N_JOINTS), slice(6, 6 + N_JOINTS)
