@@ -196,7 +196,7 @@ def _draw_causes(table: pd.DataFrame) -> Figure:
         stamp(ax, str(cause), (left + number / 2)[roomy], np.flatnonzero(roomy))
         left += number
     for y, total in enumerate(left):
-        ax.annotate(f"{total:.0f}", (total, y), xytext=(4, 0), textcoords="offset points", va="center")
+        ax.annotate(f"{total:,.0f}", (total, y), xytext=(4, 0), textcoords="offset points", va="center")
     ax.invert_yaxis()
     ax.set(xlabel="rollouts", ylabel="stage")
     ax.spines[["top", "right"]].set_visible(False)
