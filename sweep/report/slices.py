@@ -131,7 +131,8 @@ def draw(results: Results, chosen: Slice) -> Figure:
             word = {"low": "lower end", "share": "rate of success", "high": "upper end"}.get(kind, "")
             if chosen.refined:
                 refined_cells.draw(ax, results.exp, panel, x, y, cells)
-            ax.set_title(folded(", ".join([*title, word] if word else title), 72 * (PAGE - 1) / 3))
+            room = 72 * (PAGE - 1) / 3 - 10  # titles side by side stay apart
+            ax.set_title(folded(", ".join([*title, word] if word else title), room))
             mark_values(ax, cells)
             limits.draw(ax, results.exp, panel, x, y, cells)
     for ax in spots:
