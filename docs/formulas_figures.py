@@ -26,10 +26,7 @@ RAFT = {"a": 1.575, "b": 1.05, "d": 0.105, "gamma": 9810.0}
 
 def save(figure: Figure, name: str) -> None:
     """Write docs/figures/formulas_NAME.png, with a legend below where lines have names."""
-    named = {
-        label: line for panel in figure.axes for line, label in zip(*panel.get_legend_handles_labels(), strict=True)
-    }
-    legend_below(figure, list(named.values()))
+    legend_below(figure, [line for panel in figure.axes for line in panel.get_legend_handles_labels()[0]])
     figure.savefig(FIGURES / f"formulas_{name}.png", dpi=DPI)
 
 

@@ -249,8 +249,7 @@ def draw_precision(rows: list[Row], path: Path) -> None:
             axes.tick_params(axis="x", which="minor", labelsize=5)  # of less than a decade all are labelled
         for axes in panels[::2]:
             axes.set_ylabel("simulated s in a second")
-        lines = {line.get_label(): line for axes in panels for line in axes.get_lines()}
-        legend_below(figure, [line for engine, line in lines.items() if engine in DRAWN])
+        legend_below(figure, [line for axes in panels for line in axes.get_lines() if line.get_label() in DRAWN])
         figure.savefig(path, dpi=110)
 
 

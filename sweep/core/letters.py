@@ -47,11 +47,13 @@ def sheet(height: float, width: float = PAGE) -> Figure:
 def legend_below(figure: Figure, handles: Sequence[Any]) -> None:
     """A legend below all panels, in as many columns as the figure is wide enough for; it grows by further lines.
 
-    A handle is an artist with a label, or several that are drawn over each other, the first of which has it.
+    A handle is an artist with a label, or several that are drawn over each other, the first of which has it; of those
+    with the same label, as panels have them, one is shown.
     """
     if not handles:
         return
-    labels = [str((one if hasattr(one, "get_label") else one[0]).get_label()) for one in handles]
+    named = {str((one if hasattr(one, "get_label") else one[0]).get_label()): one for one in handles}
+    labels, handles = list(named), list(named.values())
     widths = [wide(label) + HANDLE * LETTERS for label in labels]
     across, high = figure.get_size_inches()
     columns = max((n for n in range(1, len(handles) + 1) if taken(widths, n) <= 72 * across - 2 * LETTERS), default=1)

@@ -146,7 +146,7 @@ def _draw_effects(results: Results, table: pd.DataFrame, by: list[str]) -> Figur
         spaced(ax, min(len(axes), columns))
         ax.set_ylim(-0.02, 1.02)
     if by:  # below: in a panel it would lie on its lines
-        legend_below(figure, list({line.get_label(): line for ax in spots for line in ax.get_lines()}.values()))
+        legend_below(figure, [line for ax in spots for line in ax.get_lines()])
     if results.one_at_a_time:
         _draw_fits(results, dict(zip(axes, spots, strict=True)))
     return figure
@@ -298,8 +298,7 @@ def _draw_distributions(results: Results, data: pd.DataFrame) -> Figure:
         ax.set_xlabel(beside_axis(name))
         spaced(ax, min(len(names), 3))
         ax.spines[["top", "right"]].set_visible(False)
-    handles = {text: one for ax in spots for one, text in zip(*ax.get_legend_handles_labels(), strict=True)}
-    legend_below(figure, list(handles.values()))
+    legend_below(figure, [one for ax in spots for one in ax.get_legend_handles_labels()[0]])
     return figure
 
 
