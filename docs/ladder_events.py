@@ -15,7 +15,7 @@ from jaxtyping import Bool
 
 from sweep.core.constants import GRAVITY
 from sweep.core.files import write_whole
-from sweep.core.provenance import code_version, made_with
+from sweep.core.provenance import made_with
 from sweep.models.robot import total_mass
 from sweep.runs.batches import Batch, make_engine
 from sweep.study.config import compose
@@ -76,8 +76,7 @@ if __name__ == "__main__":
     data = {
         "command": "python docs/ladder_events.py",
         "engine": exp.settings.name,
-        **{key: made_with()[key] for key in ("commit", "versions")},
-        "code": code_version(),
+        **made_with(),
         "devices": [exp.system.device(exp.settings)],
         "seconds": round(time.monotonic() - start),
         "tables": {"events": table},

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from sweep.core.files import write_whole
-from sweep.core.provenance import code_version, made_with
+from sweep.core.provenance import made_with
 from sweep.runs import runner
 from sweep.study.columns import figure_columns
 from sweep.study.config import compose
@@ -48,8 +48,7 @@ if __name__ == "__main__":
     data = {
         "command": "python docs/nominal_runs.py",
         "engine": "mjx and native",
-        **{key: made_with()[key] for key in ("commit", "versions")},
-        "code": code_version(),
+        **made_with(),
         "devices": sorted(devices),
         "seconds": round(time.monotonic() - start),
         "runs": runs,
