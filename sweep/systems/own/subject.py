@@ -95,11 +95,12 @@ class Subject:
 
     def touches(self, key: str) -> list[int]:
         """Numbers of the touch sensors that `feet` or `collisions` names. Raises `InputError`."""
-        for name in getattr(self.about, key):
-            known(name, [*self.parts][2:], f"model.{key}: {name}")
+        names, sensors = getattr(self.about, key), [*self.parts][2:]  # which follow qpos and qvel
+        for name in names:
+            known(name, sensors, f"model.{key}: {name}")
             if self.model.sensor(name).type != int(mujoco.mjtSensor.mjSENS_TOUCH):
                 raise InputError(f"model.{key}: {name} is no touch sensor")
-        return [self.model.sensor(name).id for name in getattr(self.about, key)]
+        return [self.model.sensor(name).id for name in names]
 
     @property
     def direction(self) -> np.ndarray:
