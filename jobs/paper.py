@@ -51,7 +51,7 @@ COUNTS = ("success", "valid")
 def main(argv: list[str] | None = None) -> int:
     """Make the chosen targets, or all; 1 where one failed."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("names", nargs="*", metavar="NAME", help="targets, such as pole_map or 'ball_*' (all)")
+    parser.add_argument("names", nargs="*", metavar="NAME", help="targets, such as pole_map or 'ball_*' (all but alone)")
     parser.add_argument("--quick", action="store_true", help="coarser studies, for two cores")
     parser.add_argument("--jobs", type=int, default=1, metavar="N", help="studies made at the same time (1)")
     parser.add_argument("--studies", action="store_true", help="leave out the pictures of single runs")
@@ -65,7 +65,8 @@ def main(argv: list[str] | None = None) -> int:
     if given.jobs < 1:
         print(f"--jobs {given.jobs}: allowed are 1 and more", file=sys.stderr)
         return 2
-    chosen = [name for name in targets if not given.names or any(fnmatch.fnmatch(name, one) for one in given.names)]
+    wanted = given.names or [name for name in targets if "alone" not in targets[name]]
+    chosen = [name for name in targets if any(fnmatch.fnmatch(name, one) for one in wanted)]
     chosen = [name for name in chosen if not given.studies or "run" in targets[name]]
     changed, failed, start, number = [], [], time.monotonic(), 0
     os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")  # else the first process takes the GPU's memory

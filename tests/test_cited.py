@@ -161,6 +161,11 @@ def test_what_is_made_is_shown_and_what_is_shown_is_made():
     assert {one for one in made if not fnmatch.filter(shown, one)} == set()
 
 
+def test_all_data_are_made_by_targets():
+    made = {target.get("data", name) for name, target in TARGETS.items()}
+    assert {path.stem.removesuffix("_gpu") for path in cited.DATA.glob("*.json")} <= made
+
+
 def figures(name, target):
     """Patterns of the pictures that a target makes."""
     if "figures" in target:
