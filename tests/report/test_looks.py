@@ -1,5 +1,9 @@
 """Outcomes are told apart, by colour for everybody and by shape."""
 
+import json
+from itertools import combinations
+from pathlib import Path as File
+
 import numpy as np
 import pytest
 from matplotlib.path import Path
@@ -33,6 +37,19 @@ def test_success_is_apart_from_every_failure(eyes):
     for cause in FAILURES:
         away = np.linalg.norm(lab(look_of("success").colour, eyes) - lab(look_of(cause).colour, eyes))
         assert away >= 40, cause
+
+
+def test_causes_that_a_study_shows_together_are_apart():
+    """As cells of a map, whose glyphs are few; all studies of docs/, causes that 2 % of what failed there have."""
+    pairs = set()
+    for path in (File(__file__).parents[2] / "docs" / "data").glob("*.json"):
+        causes = json.loads(path.read_text(encoding="utf-8")).get("causes", {})
+        frequent = {cause for cause, number in causes.items() if number >= 0.02 * sum(causes.values())}
+        pairs |= set(combinations(sorted(frequent - set(DOUBTS)), 2))
+    assert len(pairs) > 40
+    for one, other in pairs:
+        away = np.linalg.norm(lab(look_of(one).colour, "all cones") - lab(look_of(other).colour, "all cones"))
+        assert away >= 20, (one, other)
 
 
 def test_every_cause_has_a_colour_and_a_shape_of_its_own():
