@@ -2,12 +2,12 @@
 
 The quadruped of `sweep init --model` and its trot, ENGINES as `native,mjx,warp`. `native` beside `mujoco.rollout` of
 the same model with the very controls that the policy gave, on as many threads; `mjx` beside steps as in a scan, with
-those controls and standing, and beside what `mjx-testspeed` runs; `warp` beside MuJoCo Warp's own step, a graph of
-CUDA's where there is one. Each engine also beside itself with a controller that plays those controls, which tells the
-policy's cost from the loop's and the figures', and beside what it does on the host before the first tick. The same
-model, width and number of steps, in one run, one after the other several times; the least of each counts, by the wall
-and by CPU time, which other programs disturb less. An engine that cannot run is told, and left out. What is printed is
-a table, and one line of JSON.
+those controls and standing, and beside what `mjx-testspeed` runs; `warp` beside MuJoCo Warp's own step, likewise, in
+a graph of CUDA's where there is one. Each engine also beside itself with a controller that plays those controls, which
+tells the policy's cost from the loop's and the figures', and beside what it does on the host before the first tick.
+The same model, width and number of steps, in one run, one after the other several times; the least of each counts, by
+the wall and by CPU time, which other programs disturb less. An engine that cannot run is told, and left out. What is
+printed is a table, and one line of JSON.
 """
 
 import json
@@ -115,32 +115,38 @@ def testspeed(own: Own, n: int) -> Found:
 
 
 def on_warp(own: Own, controls: np.ndarray, n: int) -> Ways:
-    """MuJoCo Warp without JAX, standing, with as much room for contacts."""
+    """MuJoCo Warp without JAX, as `on_mjx`, with as much room for contacts as the engine has."""
     import warp  # pyright: ignore[reportMissingImports]
     from mujoco.mjx.third_party import mujoco_warp
 
     from sweep.systems.own.mjx import room
 
-    model = mujoco_warp.put_model(own.model)
-    data = mujoco_warp.put_data(own.model, standing(own), nworld=n, **room(own.model, n))
-
-    def tick() -> None:
-        for _ in range(count(own) // len(controls)):
-            mujoco_warp.step(model, data)
-
-    tick()  # compiles
-    once: Callable[[], Any] = tick
+    model, start = mujoco_warp.put_model(own.model), standing(own)
+    data = mujoco_warp.put_data(own.model, start, nworld=n, **room(own.model, n))
+    qpos, qvel = warp.clone(data.qpos), warp.clone(data.qvel)
+    once: Callable[[], Any] = partial(mujoco_warp.step, model, data)
+    once()  # compiles
     if warp.get_device().is_cuda:
-        with warp.ScopedCapture() as capture:
-            tick()
-        once = lambda: warp.capture_launch(capture.graph)  # noqa: E731
-
-    def all_of_it() -> None:
-        for _ in controls:
+        with warp.ScopedCapture() as capture:  # of one step, as `mjwarp-testspeed` has it
             once()
-        warp.synchronize()
+        once = partial(warp.capture_launch, capture.graph)
 
-    return {"mujoco_warp.step, standing": all_of_it}
+    def stepped(controls: np.ndarray) -> Callable[[], Any]:
+        each = [warp.array(np.tile(one, (n, 1)), dtype=float) for one in controls]
+
+        def all_of_it() -> None:
+            warp.copy(data.qpos, qpos)
+            warp.copy(data.qvel, qvel)
+            for ctrl in each:
+                warp.copy(data.ctrl, ctrl)
+                for _ in range(count(own) // len(each)):
+                    once()
+            warp.synchronize()
+
+        return all_of_it
+
+    still = np.tile(start.ctrl, (len(controls), 1))
+    return {"mujoco_warp.step": stepped(controls), "mujoco_warp.step, standing": stepped(still)}
 
 
 def count(own: Own) -> int:

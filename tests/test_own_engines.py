@@ -57,6 +57,8 @@ study:
 """
 
 
+STILL = "import jax.numpy as jnp\ndef policy(belief, seen, state, key): return jnp.zeros({}), state\n"
+needs_warp = pytest.mark.skipif(find_spec("warp") is None, reason="needs the extra warp")
 CONSTANT = "duration_s", "not_finite", "buffer_full", "joint_limit_share", "unsolved_share"  # of its rows
 
 
@@ -106,7 +108,7 @@ def test_both_engines_simulate_the_same_physics(here):
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(find_spec("warp") is None, reason="needs the extra warp")
+@needs_warp
 def test_warp_simulates_the_same_physics(here):
     """In single precision, on Warp's CPU where there is no GPU; each rollout has fields of its own."""
     exp = compose(["study=study.yaml", "noise.white=0.01", "noise.delay=1"])
@@ -116,6 +118,14 @@ def test_warp_simulates_the_same_physics(here):
         assert len(np.unique(native[name])) > 6
         np.testing.assert_allclose(again[name], native[name], rtol=0.02, atol=2e-3, err_msg=name)
     assert not again["buffer_full"].any()
+
+
+@pytest.mark.slow
+@needs_warp
+def test_a_limit_of_warps_solver_is_no_lack_of_room(here):
+    """Its line search is at its limit in every step with contacts."""
+    exp = compose(["study=study.yaml", "model.duration=0.4", "model.option.ls_iterations=1"])
+    assert not figures(exp, wanted_points(exp), name="warp")["buffer_full"].any()
 
 
 @pytest.mark.skipif(find_spec("warp") is not None, reason="the extra warp is installed")
@@ -201,9 +211,7 @@ def test_what_mjx_cannot_do_is_said_before_anything_runs(here, tmp_path, capsys,
     rest = f'<actuator><motor joint="a" {motor}/></actuator>' if motor else ""
     Path("odd.xml").write_text(f"<mujoco><option {option}/><worldbody>{world}</worldbody>{rest}</mujoco>")
     nu = 1 if motor else 0
-    Path(f"still{nu}.py").write_text(
-        f"import jax.numpy as jnp\ndef policy(belief, seen, state, key): return jnp.zeros({nu}), state\n"
-    )
+    Path(f"still{nu}.py").write_text(STILL.format(nu))
     odd = ["model.mjcf=odd.xml", f"model.controller=still{nu}:policy", "model.feet=[]", "outcome.far='energy_j < -1'"]
     odd += [
         "study.axes={g: {path: model.option.gravity.z, values: [-9, -8]}}",
@@ -221,6 +229,47 @@ def test_what_mjx_cannot_do_is_said_before_anything_runs(here, tmp_path, capsys,
     assert main(["audit", f"{tmp_path}/odd"]) == 0
     assert "audit: other_engine is left out: engine.name = mjx is not allowed" in capsys.readouterr().err
     assert not (tmp_path / "odd/audit/other_engine").exists()
+
+
+SWUNG = """<body><joint name="a" axis="0 1 0" stiffness="0 9" damping="0 0.3"/>
+<geom type="capsule" fromto="0 0 0 0.5 0 0" size="0.05"/></body>"""
+
+
+@pytest.mark.slow
+@needs_warp
+@pytest.mark.parametrize(
+    ("option", "world", "figure"),
+    [
+        ("", SWUNG, "energy_gained_j"),
+        ('density="900"', BALL.replace("size", 'fluidshape="ellipsoid" size'), "energy_gained_j"),
+        ("", ON_BOX.format("ellipsoid"), "base_height_min_m"),
+        ("", ON_BOX.format("cylinder"), "base_height_min_m"),
+    ],
+)
+def test_warp_does_some_of_what_mjx_does_not(here, tmp_path, option, world, figure):
+    """As C MuJoCo does: springs and dampers that are no lines, drag by shape, and shapes on a box."""
+    Path("more.xml").write_text(f"<mujoco><option {option}/><worldbody>{world}</worldbody></mujoco>")
+    Path("still0.py").write_text(STILL.format(0))
+    Path("more.yaml").write_text(
+        "system: own\nmodel: {mjcf: more.xml, controller: 'still0:policy', duration: 0.8}\n"
+        "outcome: {goal: duration_s > 0}\nstudy: {name: more}\n"
+    )
+    found = []
+    for name in ("native", "warp"):
+        assert main(["run", "study=more.yaml", f"engine={name}", f"out={tmp_path}/{name}"]) == 0
+        found.append(store.read_rows(tmp_path / name)[figure].item())
+    np.testing.assert_allclose(found[1], found[0], rtol=0.02)
+
+
+@needs_warp
+def test_what_warp_cannot_do_is_said_before_anything_runs(here, capsys):
+    rail("push", PUSH)
+    assert main(["run", "study=rail.yaml", "engine=warp", "engine.precision=float64", "out=refused"]) == 2
+    assert "engine.precision = float64 is not allowed: warp reckons in float32" in capsys.readouterr().err
+    Path("rail.xml").write_text(RAIL.replace('motor joint="x"', 'motor joint="x" damping="1"'))
+    assert main(["run", "study=rail.yaml", "engine=warp", "out=refused"]) == 2
+    assert "MJX leaves out damping of actuators (a model without, or engine=native)" in capsys.readouterr().err
+    assert not Path("refused").exists()
 
 
 def test_what_mjx_has_no_field_for_is_no_axis_of_its(here, capsys):
@@ -283,16 +332,23 @@ def rail(name, code):
     )
 
 
-@pytest.mark.parametrize("engine", ["native", "mjx"])
-def test_commands_are_held_or_ramped_and_figures_of_ones_own_see_the_state(here, engine):
+@pytest.mark.parametrize(
+    ("engine", "precision", "error"),
+    [
+        ("native", "float64", 1e-9),
+        ("mjx", "float64", 1e-9),
+        pytest.param("warp", "float32", 1e-5, marks=[pytest.mark.slow, needs_warp]),
+    ],
+)
+def test_commands_are_held_or_ramped_and_figures_of_ones_own_see_the_state(here, engine, precision, error):
     """A force of k newtons in tick k, of four steps of 5 ms: the speed is the impulse over 2 kg."""
     rail("push", PUSH)
     held = sum(range(9)) * 0.02 / 2
     ramped = sum(max(k - 1, 0) + (k - max(k - 1, 0)) * (1 + 2 + 3 + 4) / 16 for k in range(9)) * 0.02 / 2
     for command, speed in (("held", held), ("ramped", ramped)):
-        asked = [f"model.command={command}", f"engine={engine}", "engine.precision=float64", f"out={engine}_{command}"]
-        assert main(["run", "study=rail.yaml", *asked]) == 0
-        np.testing.assert_allclose(store.read_rows(Path(f"{engine}_{command}"))["speed_mps"], speed, rtol=1e-9)
+        how = [f"engine={engine}", f"engine.precision={precision}", f"out={engine}_{command}"]
+        assert main(["run", "study=rail.yaml", f"model.command={command}", *how]) == 0
+        np.testing.assert_allclose(store.read_rows(Path(f"{engine}_{command}"))["speed_mps"], speed, rtol=error)
 
 
 def test_mjx_traces_once(here, caplog):

@@ -254,7 +254,11 @@ class Mjx(Loop):
     def _doubted(self, model: Any, data: Any) -> tuple[Array, Array]:
         """Whether a step of MJX's model was short of room, and whether it is unsolved."""
         if self._impl == "warp":
-            return jnp.any(data._impl.overflow > 0), jnp.max(data._impl.solver_niter) >= self._model.opt.iterations
+            from mujoco.mjx.third_party.mujoco_warp import OverflowType
+
+            lacking = OverflowType.ALL & ~OverflowType.ITERATIONS & ~OverflowType.LS_ITERATIONS
+            full = jnp.any(data._impl.overflow & int(lacking) > 0)
+            return full, jnp.max(data._impl.solver_niter) >= self._model.opt.iterations
         forces = (getattr(data, name) for name in figures.BALANCE)
         return crowded(data, self._rooms), figures.unbalanced(mjx.full_m(model, data), *forces)
 
