@@ -266,9 +266,10 @@ def test_what_warp_cannot_do_is_said_before_anything_runs(here, capsys):
     rail("push", PUSH)
     assert main(["run", "study=rail.yaml", "engine=warp", "engine.precision=float64", "out=refused"]) == 2
     assert "engine.precision = float64 is not allowed: warp reckons in float32" in capsys.readouterr().err
-    Path("rail.xml").write_text(RAIL.replace('motor joint="x"', 'motor joint="x" damping="1"'))
-    assert main(["run", "study=rail.yaml", "engine=warp", "out=refused"]) == 2
-    assert "MJX leaves out damping of actuators (a model without, or engine=native)" in capsys.readouterr().err
+    for what, words in (('damping="1"', "damping"), ('delay="0.02" nsample="4"', "delay")):
+        Path("rail.xml").write_text(RAIL.replace('joint="x"/></act', f'joint="x" {what}/></act'))
+        assert main(["run", "study=rail.yaml", "engine=warp", "out=refused"]) == 2
+        assert f"MJX leaves out {words} of actuators (a model without, or" in capsys.readouterr().err
     assert not Path("refused").exists()
 
 

@@ -51,8 +51,11 @@ IGNORED = {
     "polynomials of dampers": ("dof_dampingpoly", "tendon_dampingpoly"),
     "drag of geoms by their shape": ("geom_fluid",),
 }
-# of these what its JAX has and makes no use of; Warp's kernels do
-UNUSED = *IGNORED["polynomials of springs"], *IGNORED["polynomials of dampers"], "geom_fluid"
+# of these what each has and makes no use of: of delays the history is not carried on
+UNUSED = {
+    "jax": (*IGNORED["polynomials of springs"], *IGNORED["polynomials of dampers"], "geom_fluid"),
+    "warp": (*IGNORED["delay of actuators"], *IGNORED["delay of sensors"]),
+}
 IMPLEMENTED = {"mjx": "jax", "warp": "warp"}  # how MJX calls them, by engine
 CONTACTS, CONSTRAINTS = 64, 4  # warp's room for a rollout, and of a contact; a rollout with more is invalid
 INSTEAD = {  # by a part of what MJX says
@@ -128,7 +131,7 @@ class Mjx(Loop):
         return template
 
     def _unused(self, name: str) -> bool:
-        return self._impl == "jax" and name in UNUSED
+        return name in UNUSED[self._impl]
 
     def _refused(self, why: str, instead: str) -> InputError:
         """One line, of what is to be changed."""
