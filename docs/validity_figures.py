@@ -4,10 +4,12 @@ python docs/validity_figures.py      # docs/figures/validity_*.png
 """
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.lines import Line2D
 
 from sweep.core.letters import legend_below, lettering, sheet
 from sweep.report.looks import LOOKS
@@ -17,6 +19,7 @@ ENGINES = ("mjx", "mjx by XLA", "mjx, double", "native", "C elliptic", "C pyrami
 DRAWN = {  # whose colours, and marks
     "mjx": ("success", "o"), "C MuJoCo": ("fell", "s"), "MJX": ("slipped", "^"), "Warp": ("fell_off", "D"),
 }  # fmt: skip
+FEWEST = {"mjx": 1, "C MuJoCo": 5}  # iterations, whose marks are hollow
 ERRORS = {  # of each motion: of what, and the unit
     "standing": ("of the feet's loads", "weights"), "walking": ("of the base's path", "m"),
     "block kicked aside on a slope": ("of the speed downhill", "of it"),
@@ -236,21 +239,37 @@ def draw_precision(rows: list[Row], path: Path) -> None:
         for axes, motion in zip(panels, shown, strict=True):
             of, unit = ERRORS[motion]
             for engine, (look, mark) in DRAWN.items():
+                colour = LOOKS[look].colour
                 own = [row for row in rows if (row["motion"], row["engine"]) == (motion, engine)]
                 own = [row for row in own if row["error"] and (unit != "weights" or row["error"] < FELL)]
-                errors, speeds = [row["error"] for row in own], [row["steps_per_s"] * row["time_step"] for row in own]
-                axes.loglog(errors, speeds, mark, ms=4, color=LOOKS[look].colour, label=engine if own else None)
-                for row, error, speed in zip(own, errors, speeds, strict=True):
-                    told = f"{1e3 * row['time_step']:g} ms, {row['iterations']}"
-                    axes.annotate(told, (error, speed), (4, 3), textcoords="offset points", fontsize=5)
+                for row in own:
+                    filled = colour if row["iterations"] > FEWEST.get(engine, 0) else "none"
+                    size, speed = _size(row["time_step"]), row["steps_per_s"] * row["time_step"]
+                    axes.loglog(row["error"], speed, mark, ms=size, color=colour, mfc=filled)
             axes.margins(0.25, 0.1)
             axes.set(title=motion, xlabel=f"error {of} ({unit})")
             axes.grid(alpha=0.3, lw=0.5)
             axes.tick_params(axis="x", which="minor", labelsize=5)  # of less than a decade all are labelled
         for axes in panels[::2]:
             axes.set_ylabel("simulated s in a second")
-        legend_below(figure, [line for axes in panels for line in axes.get_lines() if line.get_label() in DRAWN])
+        legend_below(figure, [*_legend(rows)])
         figure.savefig(path, dpi=110)
+
+
+def _size(time_step: float) -> float:
+    """Of a mark, in points; its area goes with the step."""
+    return 7.0 * (time_step / 2e-3) ** 0.5
+
+
+def _legend(rows: list[Row]) -> Iterator[Line2D]:
+    """Engines by colour and mark, steps by size."""
+    for engine, (look, mark) in DRAWN.items():
+        if any(row["engine"] == engine for row in rows):
+            yield Line2D([], [], ls="", marker=mark, color=LOOKS[look].colour, label=engine)
+    for step in sorted({row["time_step"] for row in rows}, reverse=True):
+        yield Line2D([], [], ls="", marker="o", ms=_size(step), color="grey", label=f"{1e3 * step:g} ms")
+    few = ", ".join(f"{engine} by {n}" for engine, n in FEWEST.items())
+    yield Line2D([], [], ls="", marker="o", mfc="none", color="grey", label=f"{few} iterations")
 
 
 def main() -> None:
