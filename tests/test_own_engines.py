@@ -92,7 +92,8 @@ def figures(exp, table, **engine):
 def test_both_engines_simulate_the_same_physics(here):
     """In double precision what is left are last digits; falls, slips and joints without friction are among the rows."""
     lift = "study.axes.lift={path: model.body.trunk.gravcomp, side: world, values: [0, 0.3]}"  # none nominally
-    exp = compose(["study=study.yaml", lift, "engine.precision=float64", "noise.white=0.01", "noise.delay=1"])
+    near = "study.axes.near={path: model.geom.foot.margin, side: world, values: [0, 0.01]}"
+    exp = compose(["study=study.yaml", lift, near, "engine.precision=float64", "noise.white=0.01", "noise.delay=1"])
     exp = batches.with_room(exp, table := wanted_points(exp))
     native, again = (figures(exp, table, name=name) for name in ("native", "mjx"))
     assert native["slip_max_m"].max() > 0.005
@@ -266,6 +267,9 @@ def test_what_warp_cannot_do_is_said_before_anything_runs(here, capsys):
     rail("push", PUSH)
     assert main(["run", "study=rail.yaml", "engine=warp", "engine.precision=float64", "out=refused"]) == 2
     assert "engine.precision = float64 is not allowed: warp reckons in float32" in capsys.readouterr().err
+    axis = "study.axes.stick={path: model.geom.floor.adhesion, side: world, values: [0, 9]}"
+    assert main(["run", "study=study.yaml", "engine=warp", axis, "out=refused"]) == 2
+    assert "MJX has no geom_adhesion, which model.geom.floor.adhesion varies" in capsys.readouterr().err
     for what, words in (('damping="1"', "damping"), ('delay="0.02" nsample="4"', "delay")):
         Path("rail.xml").write_text(RAIL.replace('joint="x"/></act', f'joint="x" {what}/></act'))
         assert main(["run", "study=rail.yaml", "engine=warp", "out=refused"]) == 2

@@ -205,7 +205,7 @@ class Mjx(Loop):
         leaves = {}
         for name, values in rows.items():
             values = np.maximum(values, LEAST) if name in RUBBING else values
-            if (one := leaf(template, name)) is not None:  # others it works out itself, or `check` refuses them
+            if hasattr(one := leaf(template, name), "at"):  # others it works out itself, or `check` refuses them
                 leaves[name] = jnp.asarray(values.reshape(n, *one.shape), float)
         return template, data, leaves
 
@@ -290,8 +290,9 @@ def crowded(data: Any, room: Mapping[int, int]) -> Array:
 
 
 def leaf(model: Any, name: str) -> Any:
-    """What MJX's model has by a name of `mujoco.batch`; None where it has none."""
-    return getattr(*fields.located(model, name), None)
+    """What MJX's model has by a name of `mujoco.batch`; None where it has none but in a part of Warp's own."""
+    owner, name = fields.located(model, name)
+    return vars(owner).get(name)
 
 
 def shaped(model: mujoco.MjModel, most: Mapping[str, Any]) -> mujoco.MjModel:
