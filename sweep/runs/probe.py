@@ -54,7 +54,7 @@ class Found:
         if self.unlike:
             yield (
                 f"two runs of one batch differ ({', '.join(self.unlike[:3])}): the controller is no function of its "
-                "arguments, and no rollout can be repeated"
+                "arguments, or the engine adds up in any order: no rollout can be repeated, no dead axis be told"
             )
         for (column, first, last, whole), engines in self.dead.items():
             why = exp.system.idle(column, replace(exp.settings, name=engines[0]))

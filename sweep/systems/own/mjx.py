@@ -103,7 +103,7 @@ class Mjx(Loop):
                 "agree with model.option.integrator=Euler"
             )
         if self._impl == "warp":
-            yield "warp is MuJoCo Warp's by MJX; this package's tests of it ran on a CPU only"
+            yield "on a GPU warp gives other last bits each time, in a replay, too: only native's are those of its row"
         elif numeric(model, "max_geom_pairs") is not None:
             yield "mjx leaves contacts out beyond the model's max_geom_pairs, and does not tell which rollouts had more"
 
