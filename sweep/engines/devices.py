@@ -21,6 +21,7 @@ BATCH = "batch"
 NEVER = 1 << 40
 CPU_WIDTH, GPU_WIDTH = 256, 131072  # a device's best number of rollouts, where its memory holds them
 NATIVE_WIDTH = 64  # of C MuJoCo
+FEW = 256  # rollouts that NumPy plans for, and works figures out of, before a GPU's compiler has begun
 PLANNED = 1024  # rollouts that plan at a time on a GPU: one that learns takes 6 MiB for it
 GPU_ROLLOUT = 64 << 10  # bytes of a rollout on a GPU with room to spare: 10 to 31 KiB were measured
 
@@ -155,6 +156,11 @@ def split(tree: Any, over: jax.sharding.Mesh) -> Any:
         return jax.ShapeDtypeStruct(x.shape, x.dtype, sharding=parts if np.prod(x.shape) else whole)
 
     return jax.tree.map(laid_out, tree)
+
+
+def placed(tree: Any, over: jax.sharding.Mesh) -> Any:
+    """Arrays of a batch, laid out as `split` has them."""
+    return jax.device_put(tree, jax.tree.map(lambda x: x.sharding, split(tree, over)))
 
 
 def axes(tree: Any) -> Any:

@@ -39,7 +39,7 @@ from sweep.engines.planning import Planning
 from sweep.engines.prelude import check, prepared
 from sweep.engines.settings import EngineSettings
 from sweep.engines.states import offered
-from sweep.fused import kernel, launch
+from sweep.fused import driver, kernel, launch
 from sweep.fused.eager import Eager
 from sweep.fused.kernel import Code, Kernel
 from sweep.metrics import stream
@@ -160,6 +160,11 @@ class Mjx:
         return self.fused and jax.default_backend() == "cpu"
 
     @property
+    def _few(self) -> bool:
+        """Whether NumPy goes through what is run once a batch: on a GPU where that is quicker than XLA compiles it."""
+        return self._by_host or (self.fused and self.width <= devices.FEW)
+
+    @property
     def _local(self) -> int:
         """Rollouts of a device."""
         return self.width // self._mesh.size
@@ -209,11 +214,15 @@ class Mjx:
         chunk: Compiled | Code,
         finish: Eager | Compiled,
         again: Eager | Compiled | None = None,
+        machine: driver.Kernel | None = None,
     ) -> Programs | Fused:
-        begin = Planning.of(start, searches)
+        begin, end = Planning.of(start, searches), fused_loop.ready(finish, self.width)
         if not isinstance(chunk, Code):
-            return Programs(begin, chunk, finish)  # pyright: ignore[reportArgumentType]  # XLA's as well
-        end, new = fused_loop.ready(finish, self.width), again and fused_loop.ready(again, self.width)
+            if machine:
+                driver.add(machine)
+            compiled = isinstance(start, Compiled)
+            return Programs(begin if compiled else lambda *of: devices.placed(begin(*of), self._mesh), chunk, end)
+        new = again and fused_loop.ready(again, self.width)
         return Fused(begin, Kernel(chunk), end, new, self._chunk_ticks, self.width, None)
 
     @property
@@ -245,7 +254,7 @@ class Mjx:
 
         recorded = (split, PartitionSpec(None, devices.BATCH))
         with ThreadPoolExecutor() as pool:
-            batch, started = planning.begun(pool, self._start, arrays, many, self._searches, self._by_host)
+            batch, started = planning.begun(pool, self._start, arrays, many, self._searches, self._few)
             plans, carry = devices.split(batch, self._mesh)
             if self._by_host:
                 with part("closed loop"):
@@ -254,13 +263,13 @@ class Mjx:
                     again = self._compile_again(arrays, batch, on_devices)
                     return *started(), chunked.result(), finished, again
             make = self._fused_chunk if self.fused else self._chunk
-            chunk = make(arrays, batch, quiet, kept, watch)
+            chunk, key = make(arrays, batch, quiet, kept, watch)
             chunk = on_devices(chunk, in_specs=(*specs, split, split, whole, split), out_specs=recorded)
             options = launch.OPTIONS if self.fused else None
             go_on = jax.jit(chunk, donate_argnums=3, compiler_options=options)
             chunked = pool.submit(go_on.lower(world, belief, plans, carry, 0, kept).compile)
             finished = self._compile_finish(arrays, batch, on_devices)
-            return *started(), chunked.result(), finished
+            return *started(), chunked.result(), finished, None, key and driver.made(key)
 
     def _compile_again(
         self, arrays: tuple[Case, Case, Array], batch: Any, on_devices: Callable[..., Callable]
@@ -292,7 +301,7 @@ class Mjx:
             return jax.jit(finish).lower(arrays[0], *devices.split(batch, self._mesh)).compile()
 
         with part("figures"):
-            if not self._by_host:
+            if not self._few:
                 return by_xla()
             (world, _, plan), carry = of_one(arrays, batch)
             return fused_loop.eager_or(by_xla, self._finish, world, plan, carry)
@@ -308,8 +317,8 @@ class Mjx:
 
     def _fused_chunk(
         self, arrays: tuple[Case, Case, Array], batch: Any, quiet: bool, kept: Array | None, watch: Watch | None
-    ) -> Callable:
-        """A second of the batch that a GPU has, as one kernel; see `_chunk`."""
+    ) -> tuple[Callable, str]:
+        """A second of the batch that a GPU has, as one kernel, and its key; see `_chunk`."""
         room = 0 if kept is None else len(kept) // self._mesh.size
         code = launch.compiled(
             self._ticks(quiet), *of_one(arrays, batch), lambda carry: carry.over, self._chunk_ticks, room, self._local
@@ -325,11 +334,11 @@ class Mjx:
             last = {name: jnp.moveaxis(x, (0, 1), (-2, -1)) for name, x in record.items()}
             return carry, jnp.stack([columns[name](last) for name in watch.columns], axis=-1)
 
-        return chunk
+        return chunk, driver.key(code.text)
 
     def _chunk(
         self, arrays: tuple[Case, Case, Array], batch: Any, quiet: bool, kept: Array | None, watch: Watch | None
-    ) -> Callable:
+    ) -> tuple[Callable, None]:
         """A second of the batch that a device has, of which some rollouts may be recorded: columns, or all there is."""
         axes = devices.axes(arrays[:2])
         columns = offered(self._nominal[0])
@@ -351,7 +360,7 @@ class Mjx:
             carry, records = jax.lax.scan(body, carry, first + jnp.arange(self._chunk_ticks))
             return _batch_first(carry), records
 
-        return chunk
+        return chunk, None
 
     def _start(self, world: Case, belief: Case, key: Array) -> tuple[Plan, Carry]:
         plan, learned = prepared(world, belief, key)[1:]

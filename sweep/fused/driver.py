@@ -1,14 +1,15 @@
 """Kernels by NVIDIA's driver: PTX as machine code, once, and its launch from a program of XLA's.
 
 XLA's own call of a kernel keeps it as text: PTX, which the driver translates at every start. Machine code, not being
-UTF-8, is lost with the program there. So a handler of XLA's typed interface (`xla/ffi/api/c_api.h`) has it in base64.
+UTF-8, is lost with the program there. So it is kept beside the program, which a handler of XLA's typed interface
+(`xla/ffi/api/c_api.h`) knows it from by its key alone: XLA compiles the one while the driver translates the other.
 """
 
-import base64
 import ctypes
 import functools
 import hashlib
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from typing import Any, NamedTuple
 
@@ -32,11 +33,17 @@ class Call(NamedTuple):
     """One of a kernel, as XLA has it."""
 
     stream: int | None  # none on a CPU
-    key: bytes  # of the code
-    code: Callable[[], bytes]  # machine code
+    key: str
     blocks: int
     threads: int  # of a block
     operands: list[int]  # where they are
+
+
+class Kernel(NamedTuple):
+    """One, as it is kept."""
+
+    key: str
+    code: bytes  # for a machine
 
 
 class _Metadata(ctypes.Structure):
@@ -99,18 +106,22 @@ class _Frame(ctypes.Structure):
                 ("attributes", _Attributes)]  # fmt: skip
 
 
-def call(code: str, threads: int, operands: Sequence[Array], changed: Sequence[int], target: str = TARGET) -> Any:
+def key(text: str) -> str:
+    """Of a kernel, from its PTX."""
+    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+
+
+def call(key: str, threads: int, operands: Sequence[Array], changed: Sequence[int], target: str = TARGET) -> Any:
     """The operands `changed` by a kernel, of which the first has a block for each of its rows.
 
-    `code` is machine code in base64.
+    It has to be there by the time of the call, or begun; see `begin` and `add`.
     """
     kernel = jax.ffi.ffi_call(
         target,
         [jax.ShapeDtypeStruct(operands[k].shape, operands[k].dtype) for k in changed],
         input_output_aliases={k: n for n, k in enumerate(changed)},
     )
-    key = hashlib.blake2b(code.encode(), digest_size=16).hexdigest()
-    return kernel(*operands, code=code, key=key, threads=np.int32(threads))
+    return kernel(*operands, key=key, threads=np.int32(threads))
 
 
 def handler(launch: Launch) -> Any:
@@ -138,13 +149,13 @@ def _called(frame: _Frame, launch: Launch) -> None:
         return
     values = frame.attributes
     found = {_read(values.names[k].contents): values.all[k] for k in range(values.count)}
-    key, code = (_Text.from_address(found[name]) for name in (b"key", b"code"))
+    key = _Text.from_address(found[b"key"])
     threads = _Number.from_address(found[b"threads"]).value[0]
     operands = [frame.operands.all[k].contents for k in range(frame.operands.count)]
     got = _StreamGot(ctypes.sizeof(_StreamGot), None, frame.context, None)
     stream = None if frame.api.contents.stream(got) else got.stream
     blocks, places = operands[0].dims[0], [x.data for x in operands]
-    launch(Call(stream, _read(key), lambda: base64.b64decode(_read(code)), blocks, threads, places))
+    launch(Call(stream, _read(key).decode(), blocks, threads, places))
 
 
 def _read(text: _Text) -> bytes:
@@ -159,8 +170,26 @@ def version() -> int:
     return found.value
 
 
-def machine_code(text: str) -> str:
-    """PTX translated for the GPU that programs are made for, in base64. Raises `Unsupported` with what is wrong."""
+def begin(text: str) -> str:
+    """Have PTX translated in a thread; its key."""
+    if (name := key(text)) not in _made:
+        _made[name] = _pool.submit(_translated, text)
+    return name
+
+
+def made(name: str) -> Kernel:
+    """What has been translated. Raises `Unsupported` with what is wrong."""
+    return Kernel(name, _made[name].result())
+
+
+def add(kernel: Kernel) -> None:
+    """Have it at hand for calls, as it was kept."""
+    _made[kernel.key] = done = Future()
+    done.set_result(kernel.code)
+
+
+def _translated(text: str) -> bytes:
+    """PTX as machine code of the GPU that programs are made for."""
     device, context, link, made = ctypes.c_int(), ctypes.c_void_p(), ctypes.c_void_p(), ctypes.c_void_p()
     size, log, given = ctypes.c_size_t(), ctypes.create_string_buffer(4096), text.encode() + b"\0"
     options, values = (ctypes.c_int * 2)(LOG, LOG_SIZE), (ctypes.c_void_p * 2)(ctypes.addressof(log), len(log))
@@ -171,7 +200,7 @@ def machine_code(text: str) -> str:
             _do("cuLinkCreate_v2", 2, options, values, ctypes.byref(link))
             _do("cuLinkAddData_v2", link, PTX, given, ctypes.c_size_t(len(given)), b"kernel", 0, None, None)
             _do("cuLinkComplete", link, ctypes.byref(made), ctypes.byref(size))
-            code = base64.b64encode(ctypes.string_at(made, size.value)).decode()
+            code = ctypes.string_at(made, size.value)
             _do("cuLinkDestroy", link)
             return code
     except RuntimeError as error:
@@ -192,7 +221,7 @@ def _launched(call: Call) -> None:
         at = context.value, call.key
         if at not in _loaded:
             module, kernel = ctypes.c_void_p(), ctypes.c_void_p()
-            _do("cuModuleLoadData", ctypes.byref(module), call.code())
+            _do("cuModuleLoadData", ctypes.byref(module), made(call.key).code)
             _do("cuModuleGetFunction", ctypes.byref(kernel), module, ENTRY)
             _loaded[at] = kernel
         _do("cuLaunchKernel", _loaded[at], *size, stream, operands, None)
@@ -221,6 +250,8 @@ def _do(name: str, *given: Any) -> None:
         raise RuntimeError(f"{name}: {(told.value or b'error').decode()} ({failed})")
 
 
-_loaded: dict[tuple[int | None, bytes], ctypes.c_void_p] = {}  # kernels, by context and key
+_pool = ThreadPoolExecutor(1)
+_made: dict[str, Future[bytes]] = {}  # machine code, by key
+_loaded: dict[tuple[int | None, str], ctypes.c_void_p] = {}  # kernels, by context and key
 _handler = handler(_launched)
 jax.ffi.register_ffi_target(TARGET, jax.ffi.pycapsule(_handler), platform=PLATFORM)

@@ -93,7 +93,7 @@ def run(code: Ptx, given: Any, carried: Any, first: Array, kept: Int[Array, " ro
 def call(code: Ptx, operands: Sequence[Array]) -> Sequence[Array]:
     """The operands that the kernel changes: state, and records where there are any."""
     changed = [2] if len(operands) == 3 else [2, 4]
-    return driver.call(driver.machine_code(code.text), 32 * cuda.WARPS, operands, changed)
+    return driver.call(driver.begin(code.text), 32 * cuda.WARPS, operands, changed)
 
 
 def _turns(width: int, group: int) -> int:

@@ -1,6 +1,5 @@
 """Machine code of a GPU's kernels: linked, kept and launched, with a driver and a launch that are made up."""
 
-import base64
 import ctypes
 
 import jax
@@ -22,7 +21,7 @@ def made_up(target, launch):
     given = jnp.zeros((3, 5), jnp.uint32), jnp.int32(7), jnp.zeros((3, len(CODE)), jnp.uint8)
 
     def program(*operands):
-        (state,) = driver.call(base64.b64encode(CODE).decode(), 64, operands, [2], target)
+        (state,) = driver.call("of a kernel", 64, operands, [2], target)
         return state
 
     return handler, given, lambda: [jax.jit(program).lower(*given).compile()]
@@ -32,10 +31,10 @@ def test_machine_code_that_is_no_text_is_kept_with_its_program(tmp_path, monkeyp
     calls = []
 
     def launch(call):
-        calls.append((call.stream, call.blocks, call.threads, len(call.operands)))
+        calls.append((call.stream, call.key, call.blocks, call.threads, len(call.operands)))
         assert ctypes.string_at(call.operands[1], 4) == b"\x07\0\0\0"
         for block in range(call.blocks):
-            ctypes.memmove(call.operands[2] + block * len(CODE), call.code(), len(CODE))
+            ctypes.memmove(call.operands[2] + block * len(CODE), CODE, len(CODE))
 
     monkeypatch.setattr(program_cache, "_folder", lambda: tmp_path)
     handler, given, compiled = made_up("made_up_kernel", launch)
@@ -44,7 +43,7 @@ def test_machine_code_that_is_no_text_is_kept_with_its_program(tmp_path, monkeyp
         (program,) = program_cache.programs("kernel", jax.devices()[:1], lambda: made.append(1) or compiled())
         np.testing.assert_array_equal(program(*given), np.tile(np.frombuffer(CODE, np.uint8), (3, 1)))
     assert made == [1]
-    assert calls == [(None, 3, 64, 3)] * 2
+    assert calls == [(None, "of a kernel", 3, 64, 3)] * 2
     del handler
 
 
@@ -100,7 +99,7 @@ class Driver:
 def test_what_the_driver_links_is_its_machine_code_and_what_it_cannot_is_told(monkeypatch):
     made_up = Driver()
     monkeypatch.setattr(driver, "_driver", lambda: made_up)
-    assert base64.b64decode(driver.machine_code("ret;")) == CODE
+    assert driver.made(driver.begin("ret;")) == (driver.key("ret;"), CODE)
     with pytest.raises(Unsupported, match=r"cuLinkAddData_v2: error \(218\): line 1; error"):
-        driver.machine_code("rat;")
+        driver.made(driver.begin("rat;"))
     assert made_up.contexts == []

@@ -11,9 +11,10 @@ from validity import precision, simulation
 from validity.scenes import kicked
 
 from sweep.core.errors import InputError
+from sweep.engines import program_cache
 from sweep.engines.mjx import Mjx
 from sweep.engines.settings import EngineSettings
-from sweep.fused import launch
+from sweep.fused import driver, launch
 from sweep.fused.arrays import Unsupported
 from sweep.study.config import compose
 
@@ -225,6 +226,35 @@ def test_steps_alone_are_those_of_the_cpu(monkeypatch, name):
     assert cpu["q"].shape == (2, 1, q.shape[1])
     for key, step in (("q", 1e-6), ("v", 1e-3), ("normal", 0.05)):
         np.testing.assert_allclose(gpu[key], cpu[key], atol=step, err_msg=key)
+
+
+@pytest.mark.skipif(jax.default_backend() == "gpu", reason="takes a CPU for a GPU")
+def test_few_rollouts_begin_and_end_as_on_a_cpu_and_their_kernel_is_kept_beside_their_program(tmp_path, monkeypatch):
+    exp = compose(["scenario=walk_tripod", "manoeuvre.steps=1"])
+    launched, translated = [], []
+
+    def ended(chunks):
+        engine = Mjx(replace(exp.settings, width=2), exp.case, exp.case)
+        (world, belief, keys), programs, kept, _ = engine._prepare(exp.case, exp.case, np.arange(2), None, 1, None)
+        plans, carry = programs.start(world, belief, keys)
+        for _ in range(chunks):
+            carry, _ = programs.chunk(world, belief, plans, carry, 0, kept)
+        return programs.finish(world, plans, carry)
+
+    handler = driver.handler(lambda call: launched.append(driver.made(call.key).code))  # changes nothing
+    jax.ffi.register_ffi_target("idle", jax.ffi.pycapsule(handler), platform="cpu")
+    monkeypatch.setattr(launch, "call", lambda code, of: driver.call(driver.begin(code.text), 1, of, [2], "idle"))
+    monkeypatch.setattr(driver, "_translated", lambda text: translated.append(text) or b"machine code")
+    begun = ended(0)
+    monkeypatch.setattr(program_cache, "_folder", lambda: tmp_path)
+    monkeypatch.setattr(Mjx, "_by_host", False)
+    monkeypatch.setattr(launch, "OPTIONS", {})
+    for _ in range(2):  # the second finds all there is
+        monkeypatch.setattr(driver, "_made", {})
+        for name, figure in ended(1).items():
+            np.testing.assert_array_equal(figure, begun[name], err_msg=name)
+    assert (set(launched), len(translated)) == ({b"machine code"}, 1)
+    del handler
 
 
 @pytest.mark.skipif(jax.default_backend() != "gpu", reason="needs an NVIDIA GPU")
