@@ -308,10 +308,15 @@ def test_where_mjx_parts_from_c_is_told(here, capsys):
     assert not [*_engine("Euler").cautions()]
     (line,) = _engine("implicitfast").cautions()
     assert "model.option.integrator=Euler" in line
+    joints = '<joint joint="hip" coef="1"/>' * 2
+    tendon = f'<tendon><fixed name="t" armature="0.1">{joints}</fixed></tendon>'
+    Path("coupled.xml").write_text(HOPPER.replace("<actuator>", f"{tendon}<actuator>"))
+    (line,) = _engine("Euler", "model.mjcf=coupled.xml").cautions()
+    assert "armature of tendons" in line
 
 
-def _engine(integrator):
-    system = compose(["study=study.yaml", f"model.option.integrator={integrator}"]).system
+def _engine(integrator, *more):
+    system = compose(["study=study.yaml", f"model.option.integrator={integrator}", *more]).system
     assert isinstance(system, Own)
     return system.engine(EngineSettings(name="mjx"), *system.sides({}), None)
 

@@ -103,8 +103,11 @@ class Mjx(Loop):
                 "agree with model.option.integrator=Euler"
             )
         if self._impl == "warp":
-            yield "on a GPU warp gives other last bits each time, in a replay, too: only native's are those of its row"
-        elif numeric(model, "max_geom_pairs") is not None:
+            yield "on a GPU warp gives other last bits each time, in a replay, too; native's are those of its row"
+            return
+        if (model.tendon_armature[model.tendon_num > 1] != 0).any():
+            yield "mjx has armature of tendons between branches of a body, C MuJoCo does not: the two may differ"
+        if numeric(model, "max_geom_pairs") is not None:
             yield "mjx leaves contacts out beyond the model's max_geom_pairs, and does not tell which rollouts had more"
 
     def _check(self) -> None:
