@@ -19,6 +19,7 @@ SHAPES = ("box", "ellipsoid", "score")
 STEPS = 100  # regions, at equal shares of the draws
 PEEL = 0.02  # share of the draws left that is taken off one side of a box at a time
 FEWEST_IN_BOX = 10  # learning rows
+PART = 1024  # rows of a product: of more, BLAS takes threads, which on busy cores wait for each other
 ROUND = 1e-3  # least curvature of an ellipsoid, in the parameters' own spreads
 DIGITS = 9  # of the numbers of a region, so that its condition has all of them
 
@@ -149,18 +150,22 @@ def odds(x: np.ndarray, failed: np.ndarray, convex: bool) -> Odds:
     d = x.shape[1]
     spread = x.std(axis=0)
     centre, scale = _rounded(x.mean(axis=0)), _rounded(np.where(spread, spread, 1.0))
-    known, sign = (x - centre) / scale, np.where(failed, 1.0, -1.0)
+    every, signs = (x - centre) / scale, np.where(failed, 1.0, -1.0)
+    parts = [(every[k : k + PART], signs[k : k + PART]) for k in range(0, len(x), PART)]
 
     def loss(weights: np.ndarray) -> tuple[float, np.ndarray]:
         root = weights[1 + d :].reshape(d, d)
-        turned = known @ root.T
-        form = (turned**2).sum(axis=1) + ROUND * (known**2).sum(axis=1) if convex else (turned * known).sum(axis=1)
-        value = sign * (weights[0] + known @ weights[1 : 1 + d] + form)
-        slope = -sign * expit(-value)
-        inner = 2 * (slope[:, None] * turned).T @ known if convex else (slope[:, None] * known).T @ known
         held = np.r_[0.0, weights[1:]]  # the constant is free
-        total = np.logaddexp(0, -value).sum() + 0.5 * (held**2).sum()
-        return float(total), np.r_[slope.sum(), known.T @ slope, inner.ravel()] + held
+        total, gradient = 0.5 * (held**2).sum(), held
+        for known, sign in parts:
+            turned = known @ root.T
+            form = (turned**2).sum(axis=1) + ROUND * (known**2).sum(axis=1) if convex else (turned * known).sum(axis=1)
+            value = sign * (weights[0] + known @ weights[1 : 1 + d] + form)
+            slope = -sign * expit(-value)
+            inner = 2 * (slope[:, None] * turned).T @ known if convex else (slope[:, None] * known).T @ known
+            total += np.logaddexp(0, -value).sum()
+            gradient = gradient + np.r_[slope.sum(), known.T @ slope, inner.ravel()]
+        return float(total), gradient
 
     start = np.r_[np.zeros(1 + d), 0.1 * np.eye(d).ravel()]
     weights = minimize(loss, start, jac=True, method="L-BFGS-B").x
