@@ -51,7 +51,7 @@ COUNTS = ("success", "valid")
 def main(argv: list[str] | None = None) -> int:
     """Make the chosen targets, or all; 1 where one failed."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("names", nargs="*", metavar="NAME", help="targets, such as pole_map or 'ball_*' (all but alone)")
+    parser.add_argument("names", nargs="*", metavar="NAME", help="targets, such as pole_map or 'ball_*' (all)")
     parser.add_argument("--quick", action="store_true", help="coarser studies, for two cores")
     parser.add_argument("--jobs", type=int, default=1, metavar="N", help="studies made at the same time (1)")
     parser.add_argument("--studies", action="store_true", help="leave out the pictures of single runs")
