@@ -1,9 +1,9 @@
 """Whether margins and reserves shrink before anything breaks: lines of errors from nominal to the first failure.
 
-To run: `python bench/margins.py SCENARIO [--folder FOLDER] [OVERRIDE ...]`, from a checkout. Each line goes from
+To run: `python bench/margins.py [SCENARIO ...] [--folder FOLDER] [OVERRIDE ...]`, from a checkout. Each line goes from
 nominal into a random direction of the normals behind the errors of `study=any_rare`; a second pass goes through the
-step in which it fails. The same command goes on where it was. It adds the scenario to docs/data/margins.json, which
-docs/certainty.md cites.
+step in which it fails. The same command goes on where it was. It adds the scenarios to docs/data/margins.json, which
+docs/certainty.md cites; without any those that are there are measured again, with the lengths that they had.
 """
 
 import argparse
@@ -33,6 +33,7 @@ LEADS = 0.8  # Spearman's coefficient of a column and the way, up to the first f
 FEWEST = 5  # steps before a failure by which a column can be said to lead
 MOST_CLIFFS = 2  # beyond which it is told what they are of
 LENGTHS = ("body_length", "body_width", "thigh", "shin")
+SPREAD = 0.02  # of them, where nothing else is told: their standard deviation, a share
 COLUMNS = {"margin": "`margin`", "friction_reserve_min": "friction", "friction_demand_max": "a foot's friction",
            "torque_reserve_min": "torque", "reach_reserve_min_m": "reach", "edge_reserve_min_m": "edge",
            "stability_margin_min_m": "stability"}  # fmt: skip
@@ -123,20 +124,26 @@ def tables(scenarios: shared.Scenarios) -> dict[str, list[list[str]]]:
 
 
 def main(words: list[str]) -> None:
-    """Measure a scenario, or what is missing of it."""
+    """Measure scenarios, or what is missing of them."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("scenario")
-    parser.add_argument(
-        "--lengths", type=float, default=0.02, help="standard deviation of the robot's lengths, a share"
-    )
+    parser.add_argument("words", nargs="*", metavar="SCENARIO or OVERRIDE")
+    parser.add_argument("--lengths", type=float, help="standard deviation of the robot's lengths, a share (0.02)")
     parser.add_argument("--folder", type=Path, default=FOLDER)
     parser.add_argument("--out", type=Path, default=DATA)
     parser.add_argument("--commit", default="", help="where the sources are in no checkout")
-    given, overrides = parser.parse_known_args(words)
+    given = parser.parse_args(words)
+    before = shared.read(given.out)
+    for scenario in [word for word in given.words if "=" not in word] or before:
+        known = before.get(scenario, {"lengths": SPREAD})["lengths"]
+        measure(scenario, given.lengths or known, [word for word in given.words if "=" in word], given)
+
+
+def measure(scenario: str, spread: float, overrides: list[str], given: argparse.Namespace) -> None:
+    """Measure a scenario, or what is missing of it, whose robot's lengths have the standard deviation `spread`."""
     start = time.perf_counter()
-    lengths = [f"study.axes.{axis}.relative={given.lengths:g}" for axis in LENGTHS]
-    exp = compose([f"scenario={given.scenario}", "study=any_rare", "study.design.num=1", *lengths, *overrides])
-    where = given.folder / given.scenario
+    lengths = [f"study.axes.{axis}.relative={spread:g}" for axis in LENGTHS]
+    exp = compose([f"scenario={scenario}", "study=any_rare", "study.design.num=1", *lengths, *overrides])
+    where = given.folder / scenario
     where.mkdir(parents=True, exist_ok=True)
     every = lines(exp, where)
     columns = [c for c in COLUMNS if c in every[0]]
@@ -147,13 +154,13 @@ def main(words: list[str]) -> None:
         **({"commit": given.commit} if given.commit else {}),
         "device": device,
         "seconds": round(time.perf_counter() - start),
-        "lengths": given.lengths,
+        "lengths": spread,
         "overrides": overrides,
         "nominal": {c: float(every[0][c].iloc[0]) for c in columns},
         "nominal_outcome": str(every[0]["outcome"].iloc[0]),
         "lines": [told(rows, columns) for rows in failing],
     }
-    shared.add(given.out, given.scenario, found, "python bench/margins.py SCENARIO", tables)
+    shared.add(given.out, scenario, found, "python bench/margins.py SCENARIO", tables)
 
 
 if __name__ == "__main__":
