@@ -71,18 +71,15 @@ def main(kept: str, printed: str = "") -> None:
     for name in RUNS:
         if not (folder / name).exists():
             run(folder / name)
-    made, rows = (
-        store.read_study(folder / "warp"),
-        {name: store.read_rows(folder / name).set_index("point_id") for name in RUNS},
-    )
+    made = store.read_study(folder / "warp")
+    rows = {name: store.read_rows(folder / name).set_index("point_id") for name in RUNS}
     tables = {"beside": [*beside(rows)]}
     if printed:
         tables["loops"] = [*loops(json.loads(Path(printed).read_text(encoding="utf-8").splitlines()[-1]))]
     about = {"command": "python bench/own_engines.py FOLDER LOOPS", "engine": "native, mjx, warp"}
     about |= {key: made[key] for key in ("devices", "code", "commit", "versions")}
-    write_whole(
-        DATA, (json.dumps({**about, "seconds": "", "tables": tables}, indent=1, ensure_ascii=False) + "\n").encode()
-    )
+    about |= {"seconds": "", "tables": tables}
+    write_whole(DATA, (json.dumps(about, indent=1, ensure_ascii=False) + "\n").encode())
 
 
 if __name__ == "__main__":

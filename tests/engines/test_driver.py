@@ -27,7 +27,7 @@ def made_up(target, launch):
     return handler, given, lambda: [jax.jit(program).lower(*given).compile()]
 
 
-def test_machine_code_that_is_no_text_is_kept_with_its_program(tmp_path, monkeypatch):
+def test_a_program_that_is_kept_knows_its_kernel_by_key(tmp_path, monkeypatch):
     calls = []
 
     def launch(call):
