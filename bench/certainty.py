@@ -11,10 +11,15 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from sweep.analysis import failing
+from sweep.analysis.certify import certify as tested
+from sweep.analysis.certify import fewest, learn
+from sweep.analysis.intervals import CONFIDENCE
+from sweep.cli import certify
 from sweep.core.files import write_whole
 from sweep.core.provenance import made_with
 from sweep.report.labels import axis_words
@@ -67,6 +72,25 @@ def regions(failures: str, root: Path) -> Iterator[list[str]]:
             seconds = 0.0
 
 
+def phases(failures: str, root: Path) -> Iterator[list[str]]:
+    """What seconds of each study's regions went to: rollouts as their rows have them, the rest done once more."""
+    for k, promise in enumerate(ASKED[failures][-1]):
+        folder = root / f"{k}"
+        parts = [folder, folder / certify.FRESH, folder / certify.AGAIN]
+        rows = [store.read_rows(part) for part in parts if part.exists()]  # nothing is checked where nothing is found
+        learning, fresh = rows[:2]
+        names = certify.parameters(experiment(store.read_study(folder)["config"]), learning)
+        known, new = certify.values(learning, names), certify.values(fresh, names)
+        most, least = float(failures), fewest(float(failures), CONFIDENCE) / len(fresh)
+        times = [time.perf_counter()]
+        score = learn(promise.shapes[0], *known, least)
+        times.append(time.perf_counter())
+        tested(score, known, new, most, CONFIDENCE)
+        times.append(time.perf_counter())
+        spent = [*(some["wall_s"].sum() for some in rows), 0.0][:3]
+        yield [promise.name, *(f"{s:.1f}" for s in (*spent, *(b - a for a, b in pairwise(times))))]
+
+
 def sweep(root: Path, *words: str) -> float:
     """How long a command takes (s), with programs kept in `root`. Exits where it fails."""
     (kept := root / "programs").mkdir(mode=0o700, exist_ok=True)
@@ -95,6 +119,9 @@ def main(failures: str = "1e-2") -> None:
         "fresh rows that fail", "in the next larger region", "where it looks worst fail", "outside", "s"]  # fmt: skip
     with tempfile.TemporaryDirectory() as root:
         tables = {"regions": [titles, *regions(failures, Path(root))]}
+        titles = ["study=any_errors", "rows to learn from, with all that is compiled: s", "fresh draws", "checks",
+                  "learning, beside them", "tests"]  # fmt: skip
+        tables["phases"] = [titles, *phases(failures, Path(root))]
         folder = Path(root, "1")
         tables["shares"] = [["", "share in failing", "error", "alone"], *shares(folder)]
         rows, stored = store.read_rows(folder), store.read_study(folder)

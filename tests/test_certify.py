@@ -30,6 +30,11 @@ def drawn(number, rng):
     return x, rng.random(number) < 1 / (1 + np.exp(-odds))
 
 
+def certified(shape, learning, fresh, failures, confidence):
+    least = certify.fewest(failures, confidence) / len(fresh[0])
+    return certify.certify(certify.learn(shape, *learning, least), learning, fresh, failures, confidence)
+
+
 def test_the_bound_is_the_exact_one():
     assert certify.fewest(1e-2, 0.95) == 299
     assert certify.fewest(1e-5, 0.95) == 299_572
@@ -46,7 +51,7 @@ def test_a_region_chosen_in_a_fixed_order_is_rarely_wrong_and_the_one_that_looks
     wrong, naive, share = [], [], []
     for _ in range(60):
         learning, fresh = drawn(800, rng), drawn(1500, rng)
-        found = certify.certify("score", learning, fresh, 1e-2, 0.9)
+        found = certified("score", learning, fresh, 1e-2, 0.9)
         scores, own = found.score(truth), found.score(fresh[0])
         wrong.append(found.found and fails[scores <= found.threshold].mean() > 1e-2)
         share.append((scores <= found.threshold).mean() if found.found else 0.0)
@@ -63,7 +68,7 @@ def test_a_region_chosen_in_a_fixed_order_is_rarely_wrong_and_the_one_that_looks
 def test_a_region_is_a_condition_that_chooses_the_same_rows(shape):
     rng = np.random.default_rng(1)
     learning, fresh = drawn(3000, rng), drawn(6000, rng)
-    found = certify.certify(shape, learning, fresh, 0.03, 0.95)
+    found = certified(shape, learning, fresh, 0.03, 0.95)
     assert found.found
     names = [f"robot.p{k}" for k in range(6)]
     rows = pd.DataFrame(fresh[0], columns=names)
@@ -76,11 +81,9 @@ def test_nothing_is_certified_where_it_cannot_be():
     x = rng.random((2000, 2))
     everywhere = rng.random(2000) < 0.2
     half = (x[:1000], everywhere[:1000]), (x[1000:], everywhere[1000:])
-    assert not certify.certify("box", *half, 1e-2, 0.95).found
+    assert not certified("box", *half, 1e-2, 0.95).found
     with pytest.raises(InputError, match=r"100 fresh rows cannot certify 0\.01 at 95\.0%: at least 299"):
-        certify.certify("box", half[0], (x[:100], everywhere[:100]), 1e-2, 0.95)
-    with pytest.raises(InputError, match="none of the rows to learn from succeeds"):
-        certify.certify("box", (x, np.ones(2000, dtype=bool)), half[1], 1e-2, 0.95)
+        certified("box", half[0], (x[:100], everywhere[:100]), 1e-2, 0.95)
 
 
 class WideEngine(FakeEngine):
@@ -144,10 +147,19 @@ def test_draws_of_which_none_fails_leave_regions_in_no_order(fake_engine, tmp_pa
     assert "none of the rows to learn from failed, so that regions are in no order: wider draws tell more" in out
 
 
+def test_nothing_is_simulated_where_all_rows_to_learn_from_fail(fake_engine, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "draws.yaml").write_text(DRAWS.replace("from: 0.3, to: 1.2", "from: 0.05, to: 0.1"))
+    assert main(["run", "study=draws.yaml", "out=d", "engine.width=256"]) == 0
+    assert main(["certify", "d", "--rollouts", "1500"]) == 2
+    assert "none of the rows to learn from succeeds: there is no region to begin with" in capsys.readouterr().err
+    assert not (tmp_path / "d" / "certify").exists()
+
+
 def test_a_small_promise_keeps_its_digits():
     x = np.linspace(0, 1, 80_000)[:, None]
     fails = x[:, 0] > 0.9
-    found = certify.certify("box", (x[::2], fails[::2]), (x[1::2], fails[1::2]), 1e-4, 0.95)
+    found = certified("box", (x[::2], fails[::2]), (x[1::2], fails[1::2]), 1e-4, 0.95)
     assert "with a confidence of 95 % at most 0.01 % of the study's draws" in told(found, "box", ["friction"])
 
 

@@ -177,10 +177,8 @@ def odds(x: np.ndarray, failed: np.ndarray, convex: bool) -> Odds:
 def learn(shape: str, x: np.ndarray, failed: np.ndarray, least: float) -> Outside:
     """The score of nested regions of a `shape` from rows x (n, d); `least` is the share of the draws in the smallest.
 
-    Raises `InputError` where none succeeds.
+    That is the share of fresh rows that certify where none fails.
     """
-    if failed.all():
-        raise InputError("none of the rows to learn from succeeds: there is no region to begin with")
     return box(x, failed, least) if shape == "box" else odds(x, failed, convex=shape == "ellipsoid")
 
 
@@ -236,24 +234,23 @@ class Certificate:
 
 
 def certify(
-    shape: str,
+    score: Outside,
     learning: tuple[np.ndarray, np.ndarray],
     fresh: tuple[np.ndarray, np.ndarray],
     failures: float,
     confidence: float,
 ) -> Certificate:
-    """The largest region of a `shape` whose probability of failing is certified to be at most `failures`.
+    """The largest region of a `score` whose probability of failing is certified to be at most `failures`.
 
-    `learning` and `fresh` are rows (n, d) with whether they failed (n,), invalid ones as failed; both are independent
-    draws from one distribution, and the promise is for draws from it that fall into the region. Raises `InputError`
-    where there are too few fresh rows for any region.
+    `learning`, which the score was learned from, and `fresh` are rows (n, d) with whether they failed (n,), invalid
+    ones as failed; both are independent draws from one distribution, and the promise is for draws from it that fall
+    into the region. Raises `InputError` where there are too few fresh rows for any region.
     """
     need, (x, failed) = fewest(failures, confidence), fresh
     if len(x) < need:
         raise InputError(
             f"{len(x)} fresh rows cannot certify {failures:g} at {confidence:.1%}: at least {need}, if none fails"
         )
-    score = learn(shape, *learning, need / len(x))
     own, best = score(x), (np.nan, 0, 0)
     for threshold in thresholds(score(learning[0]), learning[1], len(x), failures, confidence):
         inside = own <= threshold

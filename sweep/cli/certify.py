@@ -1,7 +1,9 @@
 """`sweep certify`: the largest region of a study's parameters in which failures are promised to be rare."""
 
 import argparse
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -32,18 +34,21 @@ def run(given: argparse.Namespace) -> tuple[str, dict[str, Any]]:
     folder, rows = given.dir, store.read_rows(given.dir)
     exp = experiment(store.read_study(folder)["config"])
     names = parameters(exp, rows)
-    if given.rollouts:
-        learning, fresh = rows, drawn(exp, folder / FRESH, exp.study.seed + 1, given.rollouts)
-    else:
-        order = np.random.default_rng(0).permutation(len(rows))
-        learning, fresh = rows.iloc[order[::2]], rows.iloc[order[1::2]]
-    found = certify.certify(
-        given.shape, values(learning, names), values(fresh, names), given.failures, given.confidence
-    )
+    order = np.random.default_rng(0).permutation(len(rows))
+    learned = values(rows if given.rollouts else rows.iloc[order[::2]], names)
+    if learned[1].all():
+        raise InputError("none of the rows to learn from succeeds: there is no region to begin with")
+    least = certify.fewest(given.failures, given.confidence) / (given.rollouts or len(rows) // 2)
+    with ThreadPoolExecutor() as pool:  # what is learned is learned while fresh draws are simulated
+        score = pool.submit(certify.learn, given.shape, *learned, least)
+        worst = pool.submit(certify.odds, *learned, convex=False) if given.shape != "score" else score
+        new = partial(drawn, exp, folder / FRESH, exp.study.seed + 1)
+        fresh = new(given.rollouts) if given.rollouts else rows.iloc[order[1::2]]
+    found = certify.certify(score.result(), learned, values(fresh, names), given.failures, given.confidence)
     lines = [told(found, given.shape, names)]
-    if not (learned := values(learning, names))[1].any():
+    if not learned[1].any():
         lines.append("none of the rows to learn from failed, so that regions are in no order: wider draws tell more")
-    again = checked(exp, folder, found, names, learned) if found.found and given.rollouts else []
+    again = checked(exp, folder, found, names, worst.result()) if found.found and given.rollouts else []
     if again:
         lines += ["", page_table(pd.DataFrame([{**one, "95 %": interval(one)} for one in again]))]
     return "\n".join(lines), as_data(found, given, names) | {"checked": again}
@@ -100,19 +105,19 @@ def checked(
     folder: Path,
     found: certify.Certificate,
     names: list[str],
-    learning: tuple[np.ndarray, np.ndarray],
+    worst: certify.Outside,
 ) -> list[dict[str, Any]]:
     """How many draws fail where the region looks worst, and outside it: they play no part in the promise.
 
-    Worst is where a law of failing that was learned from the learning rows expects most. They run in batches as wide
-    as the fresh draws', for which an engine is there.
+    It looks worst where `worst`, a law of failing that was learned, is largest. They run in batches as wide as the
+    fresh draws', for which an engine is there.
     """
     number, width = CHECKED * certify.STEPS, int(store.read_points(folder / FRESH)["width"].iloc[0])
     again = seeded(exp, folder / AGAIN, exp.study.seed + 2, number)
     again = replace(again, settings=replace(again.settings, width=width))
     table = runner.wanted_points(again)
     x = table[names].to_numpy(dtype=float)
-    inside, order = found.inside(x), np.argsort(-certify.odds(*learning, convex=False)(x))
+    inside, order = found.inside(x), np.argsort(-worst(x))
     kinds = {
         "where the region looks worst": order[inside[order]][:CHECKED],
         "outside": np.flatnonzero(~inside)[:CHECKED],
