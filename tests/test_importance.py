@@ -102,6 +102,7 @@ def test_without_a_failure_there_is_a_bound_and_one_heavy_row_is_told():
     exp = SimpleNamespace(study=SimpleNamespace(name="some", design=design))
     none = rare.rare(rows, exp)  # pyright: ignore[reportArgumentType]
     assert none.high == pytest.approx(0.01 / importance.PLAIN, rel=0.02)
+    assert str(none).endswith("a larger study.design.wide, more draws or wider errors may find some")
     rows.loc[:9, "outcome"] = "failure"
     rows.loc[0, "axis.weight"] = 3.0
     assert "NOT to be trusted: one row carries 25%" in str(rare.rare(rows, exp))  # pyright: ignore[reportArgumentType]

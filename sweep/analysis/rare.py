@@ -17,6 +17,7 @@ LEAST = 0.01  # share of a mode that a cause has to be told
 NEAR = 3  # parameters that are told of a mode
 PLAINLY = "study.design.kind=monte_carlo"
 INSTEAD = "another study.design.lead may lead to one, study.design.kind=importance needs none, or take wider errors"
+WIDER = "a larger study.design.wide, more draws or wider errors may find some"
 RARE = 0.1  # probability from which on plain draws tell as much
 
 
@@ -42,7 +43,7 @@ class Weighted:
     def __str__(self) -> str:
         told = f"{self.rows} draws of {self.of}"
         if not self.failed:
-            return f"no failure in the last {told}: P(failure) <= {self.high:.2g} (95 %)"
+            return f"no failure in the last {told}: P(failure) <= {self.high:.2g} (95 %); {WIDER}"
         text = f"P(failure) = {self.probability:.3g}, {self.low:.2g} to {self.high:.2g} (95 %), by the last {told}, "
         text += f"of which {self.failed} failed; {self.plain:,.0f} plain draws would say as much"
         if self.invalid:
