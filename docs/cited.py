@@ -21,11 +21,11 @@ sys.path.insert(0, str(Path(__file__).parent))
 import headlines
 import hexagon_figures
 import validity_figures
-from robustness_figures import RATES, bounds_of, errors_of
+from robustness_figures import bounds_of, errors_of, rates
 
 from sweep.analysis.intervals import wilson
 from sweep.core.errors import InputError
-from sweep.core.provenance import code_version
+from sweep.core.provenance import of_this_code
 from sweep.metrics.outcome import COLUMNS
 from sweep.report.labels import axis_words, name_and_unit
 
@@ -54,11 +54,18 @@ def filled(text: str) -> str:
 
 def targets(text: str) -> set[str]:
     """Those whose data a page cites."""
-    return {name for found in BLOCK.finditer(text) for name in found[2].split()} - {"robustness_rates"}
+    return {name for found in BLOCK.finditer(text) for name in found[2].split()}
 
 
 def read(name: str) -> dict[str, Any]:
-    """The data of a target. Raises `InputError` where there are none."""
+    """The data of a target; of `rates`, what made all of it. Raises `InputError` where there are none."""
+    if name == "rates":
+        parts = [read(path.stem) for path in sorted(DATA.glob("rates_*.json"))]
+        made = {key: ", ".join(sorted({part[key] for part in parts})) for key in ("engine", "commit", "code")}
+        devices = sorted({device for part in parts for device in part["devices"]})
+        seconds = sum(part["seconds"] for part in parts)
+        made |= {"command": "python jobs/paper.py 'rates_*'", "devices": devices, "seconds": seconds}
+        return made | {"versions": parts[0]["versions"]}  # of one code are those of one set of libraries
     path = DATA / f"{name}.json"
     if not path.exists():
         raise InputError(f"{name} has no data: jobs/paper.py {name}, or bench/validity, writes them")
@@ -182,27 +189,25 @@ def interval(success: int, valid: int) -> dict[str, float]:
 
 def compared(_: str) -> str:
     """The sources' figures beside ours."""
-    return headlines.table(pd.read_csv(RATES), share, read)
+    return headlines.table(share, read)
 
 
 def bounds(_: str) -> str:
-    """How large an error each manoeuvre bears, from the rates that are kept."""
-    return next(bounds_of(pd.read_csv(RATES)))
+    """How large an error each manoeuvre bears."""
+    return next(bounds_of(rates(DATA)))
 
 
 def seen(_: str) -> str:
     """How large an error of rates, and of what is seen of free bodies, each manoeuvre bears."""
-    return [*bounds_of(pd.read_csv(RATES))][1]
+    return [*bounds_of(rates(DATA))][1]
 
 
-def codes(_: str) -> str:
-    """What code the rates that are kept are of: each commit, and the manoeuvres with it."""
-    lines = []
-    for commit, rates in pd.read_csv(RATES).groupby("commit"):
-        robots = rates.groupby("robot")["scenario"].unique()
-        listed = "; ".join(f"{robot}: {', '.join(f'`{name}`' for name in names)}" for robot, names in robots.items())
-        lines.append(f"- {commit}: {listed}")
-    return "\n".join(lines)
+def borne(_: str, scenario: str, robot: str, axis: str, value: str) -> str:
+    """`19 of 128`: successes with one error."""
+    table = rates(DATA)
+    here = (table["scenario"] == scenario) & (table["robot"] == robot) & (table["axis"] == axis)
+    (found,) = table[here & (table["value"] == float(value))].to_dict("records")
+    return f"{found['success']} of {found['valid']}"
 
 
 def table(name: str, which: str) -> str:
@@ -247,7 +252,8 @@ def changes(_: str) -> str:
 
 def outdated(text: str) -> str:
     """A sentence about data of a page that are of other code than this, for the site; empty where there are none."""
-    older = sorted(name for name in targets(text) if read(name)["code"] != code_version())
+    data = {name: read(name) for name in sorted(targets(text))}
+    older = [name for name, one in data.items() if not of_this_code(one["code"], one.get("versions", {}))]
     return f"Measured before the code of this site: {', '.join(older)}." if older else ""
 
 
@@ -258,11 +264,11 @@ def metrics(_: str) -> str:
 
 
 def learned(_: str) -> str:
-    """Successes of robots that are told wrong sizes, and of the same that learn, from the rates that are kept."""
+    """Successes of robots that are told wrong sizes, and of the same that learn, from their rates."""
     columns = [(axis, error, robot) for axis, error in (ROBOT, GROUND) for robot in ("believes", "learns")]
     lines = ["| manoeuvre | robot: believes | learns | ground: believes | learns |", "|:--|--:|--:|--:|--:|"]
-    for scenario, rates in _learning().groupby("scenario"):
-        found = {(one["axis"], one["value"], one["robot"]): one for one in rates.to_dict("records")}
+    for scenario, of_one in _learning().groupby("scenario"):
+        found = {(one["axis"], one["value"], one["robot"]): one for one in of_one.to_dict("records")}
         cells = [share(one["success"], one["valid"]) if (one := found.get(key)) else "" for key in columns]
         lines.append(f"| `{scenario}` | {' | '.join(cells)} |")
     return "\n".join(lines)
@@ -276,16 +282,16 @@ def gained(_: str, of: str) -> str:
     axis, error = {"robot": ROBOT, "ground": GROUND}[of]
     kept = _learning()
     kept = kept[(kept["axis"] == axis) & (kept["value"] == error)]
-    rates = kept.pivot_table(index="scenario", columns="robot", values=["success", "valid"]).dropna()
+    both = kept.pivot_table(index="scenario", columns="robot", values=["success", "valid"]).dropna()
     if of == "robot":
-        rates = rates.drop(index=list(TOUCH_ALONE))
-    (believe, learn), (_, of_all) = (rates[count].to_numpy(int).sum(axis=0) for count in ("success", "valid"))
-    return f"{learn:,} of {of_all:,} rollouts of {len(rates)} manoeuvres succeed, without it {believe:,}"
+        both = both.drop(index=list(TOUCH_ALONE))
+    (believe, learn), (_, of_all) = (both[count].to_numpy(int).sum(axis=0) for count in ("success", "valid"))
+    return f"{learn:,} of {of_all:,} rollouts of {len(both)} manoeuvres succeed, without it {believe:,}"
 
 
 def _learning() -> pd.DataFrame:
-    """Rates that are kept, with no difference between who calibrates only and who learns all there is."""
-    kept = pd.read_csv(RATES)
+    """All rates, with no difference between who calibrates only and who learns all there is."""
+    kept = rates(DATA)
     return kept.assign(robot=kept["robot"].replace("calibrates", "learns"))
 
 
@@ -304,7 +310,7 @@ def pages() -> Iterator[Path]:
 
 FORMS = {
     "rate": rate, "rollouts": rollouts, "causes": causes, "errors": errors, "along": along, "draws": draws,
-    "cells": cells, "each": each, "bounds": bounds, "seen": seen, "codes": codes, "compared": compared, "table": table,
+    "cells": cells, "each": each, "bounds": bounds, "seen": seen, "borne": borne, "compared": compared, "table": table,
     "halved": halved, "nominal": nominal, "learned": learned, "gained": gained, "metrics": metrics,
     "way_points": hexagon_figures.way_points, "changes": changes, "sources": sources,
     **{name: partial(lambda table, of, *words: table(read(of), *words), table)

@@ -1,11 +1,10 @@
-"""Draws docs/figures/robustness_*.png of the rates that are kept, and keeps those of further studies.
+"""Draws docs/figures/robustness_*.png of docs/data/rates_*.json, and writes docs/robustness_rates.md, which shows them.
 
-python docs/robustness_figures.py --bounds results/*_robustness results/*_robustness_learn
-python docs/robustness_figures.py --rates      # docs/robustness_rates.md and its figures, from the rates that are kept
+python docs/robustness_figures.py
 """
 
+import json
 import math
-import sys
 from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
@@ -13,13 +12,12 @@ from pathlib import Path
 import pandas as pd
 from PIL import Image
 
-from sweep.analysis import sensitivity
+from sweep.analysis.intervals import wilson
 from sweep.core.letters import LETTERS, folded, legend_below, lettering, sheet
 from sweep.core.letters import PAGE as PAGE_WIDTH
-from sweep.runs import results
 from sweep.trace.plots import DPI
 
-FIGURES = Path(__file__).parent / "figures"
+DOCS = Path(__file__).parent
 ERRORS = {  # what a line of the table is called, and how its numbers are told
     "axis.size_error": ("sizes and masses, each wrong by up to, %", 100),
     "axis.radius": ("radius of the pole believed too small (-) or too large, %", 100),
@@ -66,10 +64,9 @@ ROBOTS = {"believes": "#7F7F7F", "calibrates": "#009E73", "learns": "#0072B2"}
 ACROSS = 4  # panels
 APART = 0.15  # of a panel's width, between labels below it
 WANTED = 0.9  # share of rollouts that are to succeed
-RATES = Path(__file__).parent / "examples" / "robustness_rates.csv"
 PAGE = """# Robustness, manoeuvre by manoeuvre
 
-    python docs/robustness_figures.py --rates
+    python jobs/paper.py 'rates*'
 
 What share succeeds with one kind of error at a time, 128 draws a value, with 95 % Wilson intervals: the rates behind
 the first table of [robustness](robustness.md), which says what was run. Dotted: nine of ten.
@@ -103,19 +100,20 @@ def bound(rates: pd.DataFrame, scale: float, nominal: float) -> str:
     return f"{least:.4g} … {most.min():.4g}" if len(most) else f"{least:.4g} …"
 
 
-def bounds(folders: list[str]) -> None:
-    """Put these studies in `RATES`, in the place of the same errors of a scenario and robot; print all bounds."""
-    rates = pd.read_csv(RATES)
-    for folder in folders:
-        found = results.read(Path(folder))
-        control = found.exp.case.control
-        learns = "learns" if control.touch != "none" else "calibrates" if control.calibrate != "none" else "believes"
-        new = sensitivity.along(found.rows, found.exp)
-        same = (rates["scenario"] == found.exp.scenario) & (rates["robot"] == learns) & rates["axis"].isin(new["axis"])
-        new = new.assign(scenario=found.exp.scenario, robot=learns, commit=found.stored["commit"])
-        rates = pd.concat([rates[~same], new[rates.columns]])
-    rates.sort_values(["scenario", "robot"], kind="stable").to_csv(RATES, index=False, float_format="%.4g")
-    print("\n\n".join(bounds_of(rates)))
+def rates(data: Path) -> pd.DataFrame:
+    """A row for each value of each error of each manoeuvre and robot, by the targets of jobs/robustness.yaml.
+
+    Columns scenario, robot, axis, value, success, valid, and share with its 95 % Wilson interval, low and high.
+    """
+    lines = []
+    for path in sorted(data.glob("rates_*.json")):
+        found = json.loads(path.read_text(encoding="utf-8"))
+        robot = path.stem.removeprefix(f"rates_{found['scenario']}_").removesuffix("_seen")
+        counts = ((axis, *line[:3]) for axis, along in found["along"].items() for line in along)
+        lines += [(found["scenario"], robot, *one) for one in counts]
+    table = pd.DataFrame(lines, columns=["scenario", "robot", "axis", "value", "success", "valid"])
+    low, high = wilson(table["success"], table["valid"])
+    return table.assign(share=table["success"] / table["valid"], low=low, high=high)
 
 
 def bounds_of(rates: pd.DataFrame) -> Iterator[str]:
@@ -131,13 +129,13 @@ def bounds_of(rates: pd.DataFrame) -> Iterator[str]:
 
 
 def page() -> None:
-    """The rates in `RATES` as docs/robustness_rates.md, a figure for each manoeuvre."""
+    """All rates as docs/robustness_rates.md, a figure for each manoeuvre."""
     parts = [PAGE]
-    for scenario, rates in pd.read_csv(RATES).groupby("scenario"):
+    for scenario, of_one in rates(DOCS / "data").groupby("scenario"):
         with lettering():
-            draw_rates(rates, f"robustness_{scenario}")
+            draw_rates(of_one, f"robustness_{scenario}")
         parts.append(f"## {scenario}\n\n![rates of {scenario}](figures/robustness_{scenario}.png)\n")
-    (FIGURES.parent / "robustness_rates.md").write_text("\n".join(parts), encoding="utf-8")
+    (DOCS / "robustness_rates.md").write_text("\n".join(parts), encoding="utf-8")
 
 
 def labelled(errors: list[float]) -> list[str]:
@@ -177,11 +175,8 @@ def draw_rates(rates: pd.DataFrame, name: str) -> None:
         panel.set_ylabel("succeed, %")
     legend_below(figure, panels[0, 0].get_legend_handles_labels()[0])
     figure.savefig(picture := BytesIO(), dpi=DPI)
-    Image.open(picture).convert("RGB").quantize(32).save(FIGURES / f"{name}.png", optimize=True)
+    Image.open(picture).convert("RGB").quantize(32).save(DOCS / "figures" / f"{name}.png", optimize=True)
 
 
 if __name__ == "__main__":
-    if sys.argv[1] == "--bounds":
-        bounds(sys.argv[2:])
-    else:
-        page()
+    page()

@@ -1,11 +1,13 @@
-"""Makes what docs/ shows: runs the studies of jobs/paper.yaml, draws pictures, writes docs/data/NAME.json of each.
+"""Makes what docs/ shows: runs the studies of jobs/paper.yaml and jobs/robustness.yaml, draws pictures, writes
+docs/data/NAME.json of each.
 
     python jobs/paper.py [NAME ...] [--quick] [--jobs 1] [--studies] [--out results/paper]
 
 A study's folder finishes what is missing in it and refuses rows of other code, so each code has folders of its own
 below OUT: whatever is interrupted goes on, and rows are taken as they are where their code is this one. That is why no
 workflow engine is used, which would ask files for their dates instead. What changed beyond its interval is written
-with the data that it is about, and told at the end.
+with the data that it is about, and told at the end. Coarser studies go into a copy of docs/, OUT/quick/docs. Of the N
+that are made at the same time each has one GPU.
 """
 
 import argparse
@@ -19,7 +21,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -40,8 +42,7 @@ from sweep.runs import results
 from sweep.runs.results import Results
 
 ROOT = Path(__file__).parents[1]
-DOCS, TABLE = ROOT / "docs", Path(__file__).with_suffix(".yaml")
-FIGURES, DATA = DOCS / "figures", DOCS / "data"
+JOBS, DOCS = ROOT / "jobs", ROOT / "docs"
 ALLOWED = (0, 3, 4)  # invalid rows and broken expectations are results, too
 VALUES, PARTS = 20, 5  # of an axis, each for itself; of a longer one, equal parts
 DPI = 110
@@ -57,66 +58,108 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--studies", action="store_true", help="leave out the pictures of single runs")
     parser.add_argument("--out", type=Path, default=ROOT / "results" / "paper", help="folder of the studies")
     given = parser.parse_args(argv)
-    targets = yaml.safe_load(TABLE.read_text(encoding="utf-8"))
-    unknown = [name for name in given.names if not fnmatch.filter(targets, name)]
+    every = targets()
+    unknown = [name for name in given.names if not fnmatch.filter(every, name)]
     if unknown:
-        print(f"{unknown[0]} is not a target: {', '.join(targets)}", file=sys.stderr)
+        print(f"{unknown[0]} is not a target: {', '.join(every)}", file=sys.stderr)
         return 2
     if given.jobs < 1:
         print(f"--jobs {given.jobs}: allowed are 1 and more", file=sys.stderr)
         return 2
-    wanted = given.names or [name for name in targets if "alone" not in targets[name]]
-    chosen = [name for name in targets if any(fnmatch.fnmatch(name, one) for one in wanted)]
-    chosen = [name for name in chosen if not given.studies or "run" in targets[name]]
+    wanted = given.names or [name for name in every if "alone" not in every[name]]
+    chosen = {name: one for name, one in every.items() if any(fnmatch.fnmatch(name, word) for word in wanted)}
+    chosen = {name: one for name, one in chosen.items() if "run" in one or not given.studies}
+    chosen = {name: one for name, one in chosen.items() if len(one["budget"]) > 1 or not given.quick}
+    out, docs = given.out / code_version(), copied(given.out / "quick") if given.quick else DOCS
     changed, failed, start, number = [], [], time.monotonic(), 0
     os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")  # else the first process takes the GPU's memory
-    # each process a fresh one: a fork would share what JAX has started; the longest studies first
-    with ProcessPoolExecutor(given.jobs, mp_context=multiprocessing.get_context("spawn")) as processes:
-        waiting = {
-            processes.submit(each, {name: targets[name] for name in names}, given.out / code_version(), given.quick)
-            for names in sorted(shared(chosen, targets), key=lambda names: -longest(names, targets, given.quick))
-        }
-        for done in as_completed(waiting):
-            for name, lines, fault, seconds in done.result():
-                number += 1
-                state = "failed" if fault else "made"
-                print(f"{number} of {len(chosen)}, {time.monotonic() - start:.0f} s: {name} {state} in {seconds:.0f} s")
-                changed += lines
-                failed += [f"{name} failed: {fault}"] if fault else []
-                sys.stdout.flush()
+    context = multiprocessing.get_context("spawn")  # fresh processes: a fork would share what JAX has started
+    every_card, own = cards(), context.SimpleQueue()
+    for place in range(given.jobs):
+        own.put(every_card[place % len(every_card)])
+    with ProcessPoolExecutor(given.jobs, context, take, (own,)) as processes:
+        for name, lines, fault, seconds in finished(processes, chosen, out, docs, given.quick):
+            number += 1
+            state = "failed" if fault else "made"
+            print(f"{number} of {len(chosen)}, {time.monotonic() - start:.0f} s: {name} {state} in {seconds:.0f} s")
+            changed += lines
+            failed += [f"{name} failed: {fault}"] if fault else []
+            sys.stdout.flush()
     for line in [*changed, *failed] or ["nothing changed beyond its interval"]:
         print(line)
     return bool(failed)
 
 
-def shared(chosen: Sequence[str], targets: dict[str, Any]) -> Iterator[list[str]]:
-    """Names of targets that are made one after the other: those of one study, and all pictures each by itself."""
-    alone = [name for name in chosen if "run" not in targets[name]]
-    yield from ([name] for name in alone)
-    studies = sorted((name for name in chosen if name not in alone), key=lambda name: ran_as(targets[name]))
-    yield from (list(names) for _, names in groupby(studies, key=lambda name: ran_as(targets[name])))
+def targets() -> dict[str, dict[str, Any]]:
+    """What can be made, by name."""
+    table, manoeuvres = (yaml.safe_load((JOBS / f"{name}.yaml").read_text("utf-8")) for name in ("paper", "robustness"))
+    return table | dict(robustness(manoeuvres))
 
 
-def longest(names: Sequence[str], targets: dict[str, Any], quick: bool) -> int:
-    """Seconds that targets may take."""
-    return max(targets[name]["budget"][quick] for name in names)
+def robustness(manoeuvres: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Targets of errors of one kind at a time: two studies of each robot of each manoeuvre."""
+    for scenario, one in manoeuvres.items():
+        for robot, words in one["robots"].items():
+            for name, study, few in (("", one["ground"], "design.num"), ("_seen", one["seen"], "replicates")):
+                run = [f"study={study}", f"scenario={scenario}", "study.seed=41", *words]
+                target = {"run": run, "quick": [f"study.{few}=1"], "picture": False, "budget": one["budget"]}
+                yield f"rates_{scenario}_{robot}{name}", target
 
 
-def each(targets: dict[str, Any], out: Path, quick: bool) -> list[tuple[str, list[str], str, float]]:
+def copied(folder: Path) -> Path:
+    """A copy of docs/, and beside it of the benches that write into docs/ beside them."""
+    for beside in ("docs", "bench"):
+        shutil.copytree(ROOT / beside, folder / beside, dirs_exist_ok=True)
+    return folder / "docs"
+
+
+def cards() -> list[str]:
+    """The GPUs of this machine, as CUDA_VISIBLE_DEVICES names them; one name where there are none."""
+    given = os.environ.get("CUDA_VISIBLE_DEVICES", "")
+    if given or not shutil.which("nvidia-smi"):
+        return given.split(",") if given else ["0"]
+    listed = subprocess.run(["nvidia-smi", "-L"], capture_output=True, text=True, check=True).stdout.splitlines()
+    return [str(place) for place in range(len(listed))]
+
+
+def take(own: Any) -> None:
+    """Leave to this process one GPU, the next of a queue."""
+    os.environ["CUDA_VISIBLE_DEVICES"] = own.get()
+
+
+def finished(
+    processes: Executor, targets: dict[str, Any], out: Path, docs: Path, quick: bool
+) -> Iterator[tuple[str, list[str], str, float]]:
+    """What `each` tells of all targets, as soon as it is made: the longest first, then what is drawn of all others."""
+    for last in (False, True):
+        some = shared({name: one for name, one in targets.items() if ("last" in one) == last})
+        groups = sorted(some, key=lambda group: -max(one["budget"][quick] for one in group.values()))
+        for done in as_completed([processes.submit(each, group, out, docs, quick) for group in groups]):
+            yield from done.result()
+
+
+def shared(targets: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Targets that are made one after the other: those of one study, and all pictures each by itself."""
+    yield from ({name: one} for name, one in targets.items() if "run" not in one)
+    studies = sorted((item for item in targets.items() if "run" in item[1]), key=lambda item: ran_as(item[1]))
+    yield from (dict(group) for _, group in groupby(studies, key=lambda item: ran_as(item[1])))
+
+
+def each(targets: dict[str, Any], out: Path, docs: Path, quick: bool) -> list[tuple[str, list[str], str, float]]:
     """Make targets: of each its name, what changed, why it failed where it did, and seconds."""
     told = []
     for name, target in targets.items():
         start, lines, fault = time.monotonic(), [], ""
         try:
-            lines = made(name, target, out, quick)
+            lines = made(name, target, out, docs, quick)
         except Exception as error:  # whatever it is, the other targets are made
             fault = f"{type(error).__name__}: {error}"
         told.append((name, lines, fault, time.monotonic() - start))
     return told
 
 
-def made(name: str, target: dict[str, Any], out: Path, quick: bool) -> list[str]:
-    """Make one target; what changed beyond its interval since its data were written last."""
+def made(name: str, target: dict[str, Any], out: Path, docs: Path, quick: bool) -> list[str]:
+    """Make one target in `docs`; what changed beyond its interval since its data were written last."""
     folder, changed = out / ("quick" if quick else "full") / ran_as(target), []
     if "run" in target:
         command = [*target["run"], *(target.get("quick", []) if quick else [])]
@@ -128,12 +171,12 @@ def made(name: str, target: dict[str, Any], out: Path, quick: bool) -> list[str]
             folder = copy
         found = results.read(folder, target.get("only"))
         if "script" not in target and target.get("picture", True):
-            picture(found, target, FIGURES / f"{name}.png")
+            picture(found, target, docs / "figures" / f"{name}.png")
         about = {"command": f"sweep run {shlex.join(command)}", "quick": quick and "quick" in target}
-        changed = told(name, about | summary(found, target) | {"seconds": round(seconds)})
+        changed = told(docs / "data" / f"{name}.json", about | summary(found, target) | {"seconds": round(seconds)})
     if script := target.get("script"):
         words = [f"{word}{folder}" if word.endswith("=") else word for word in script[1:]]
-        run(str(DOCS / script[0]), *words)
+        run(str(docs / script[0]), *words)
     return changed
 
 
@@ -241,24 +284,22 @@ def cells(found: Results, chosen: tuple[str, ...]) -> dict[str, Any] | None:
     }
 
 
-def told(name: str, new: dict[str, Any]) -> list[str]:
+def told(path: Path, new: dict[str, Any]) -> list[str]:
     """Write the data of a target, and with them a line for each of its counts beyond the interval of the one before.
 
     Data of the same code keep the lines that they have; quick and full studies are not compared.
     """
-    path = DATA / f"{name}.json"
     old = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
     alike = old.get("quick") == new["quick"]
     if alike and old["code"] == new["code"]:
         changed = old.get("changed")
     else:
         changed = {"before": old["commit"], "counts": list(changes(old, new))} if alike else None
-    DATA.mkdir(exist_ok=True)
     lines = ",\n".join(
         f" {json.dumps(key)}: {json.dumps(value)}" for key, value in (new | {"changed": changed}).items()
     )
     write_whole(path, f"{{\n{lines}\n}}\n".encode())
-    return [f"{name}, {line} (commit {changed['before']})" for line in changed["counts"]] if changed else []
+    return [f"{path.stem}, {line} (commit {changed['before']})" for line in changed["counts"]] if changed else []
 
 
 def changes(old: dict[str, Any], new: dict[str, Any]) -> Iterator[str]:

@@ -22,7 +22,7 @@ import cited  # noqa: E402  # pyright: ignore[reportMissingImports]
 
 import paper  # noqa: E402  # pyright: ignore[reportMissingImports]
 
-TARGETS = yaml.safe_load((ROOT / "jobs" / "paper.yaml").read_text(encoding="utf-8"))
+TARGETS = paper.targets()
 PAGES = list(cited.pages())
 BY_HAND = ROOT / "tests" / "data" / "tables_by_hand.yaml"
 
@@ -136,10 +136,14 @@ def test_nominal_runs_are_told_with_their_figures(monkeypatch, tmp_path):
 
 
 def test_who_learns_is_told_beside_who_believes(monkeypatch, tmp_path):
+    monkeypatch.setattr(cited, "DATA", tmp_path)
     rows = [("a", "believes", cited.ROBOT, 3), ("a", "calibrates", cited.ROBOT, 4), ("b", "learns", cited.GROUND, 0)]
-    lines = [f"{name},{robot},{axis},{error},{success},4" for name, robot, (axis, error), success in rows]
-    (tmp_path / "rates.csv").write_text("\n".join(["scenario,robot,axis,value,success,valid", *lines]))
-    monkeypatch.setattr(cited, "RATES", tmp_path / "rates.csv")
+    for scenario, robot, (axis, error), success in rows:
+        data = {"scenario": scenario, "along": {axis: [[error, success, 4, 1]]}}
+        (tmp_path / f"rates_{scenario}_{robot}.json").write_text(json.dumps(data))
+    seen = {"scenario": "b", "along": {"noise.delay": [[5, 2, 4, 0]]}}
+    (tmp_path / "rates_b_learns_seen.json").write_text(json.dumps(seen))
+    assert cited.borne("", "b", "learns", "noise.delay", "5") == "2 of 4"
     assert cited.learned("").splitlines()[2:] == [
         "| `a` | 3 of 4 (30 to 95 %) | 4 of 4 (51 to 100 %) |  |  |", "| `b` |  |  |  | 0 of 4 (0 to 49 %) |",
     ]  # fmt: skip
@@ -174,36 +178,33 @@ def figures(name, target):
     return [name] if target.get("picture", True) else []
 
 
-@pytest.mark.parametrize("quick", [False, True])
-def test_every_target_can_be_run(quick):
+def test_every_target_can_be_run():
     for name, target in TARGETS.items():
-        if quick and "quick" not in target:
-            continue
         if "run" in target:
-            given = [*target["run"], *(target.get("quick", []) if quick else [])]
+            given = [*target["run"], *target.get("quick", [])]
             assert compose(given).study.axes, name
             assert all(word.split("=")[0] in GROUPS or "." in word for word in given), name
         else:
             assert (ROOT / "docs" / target["script"][0]).exists(), name
-        assert len(target["budget"]) == 2, name
+        assert len(target["budget"]) in (1, 2), name
         assert {"title", "exhibit", "script", "picture"} & set(target), f"{name}: what its map is called"
 
 
 def test_what_is_beyond_its_interval_is_told_and_kept(monkeypatch, tmp_path):
-    monkeypatch.setattr(paper, "DATA", tmp_path)
     monkeypatch.setattr(cited, "DATA", tmp_path)
+    one = tmp_path / "one.json"
     of = {"commit": "abc", "code": "one", "quick": False}
     grid = {"values": {"x": [1, 2], "y": [0]}, "success": [[1, 45]], "valid": [[1, 50]]}
     before = of | {"success": 90, "valid": 100, "along": {"x": [[1, 45, 50, 0], [2, 45, 50, 0]]}, "map": grid}
-    assert paper.told("one", before) == []
+    assert paper.told(one, before) == []
     after = before | {"success": 85, "along": {"x": [[1, 46, 50, 0], [2, 20, 50, 0]]}, "commit": "def", "code": "two"}
     after |= {"map": grid | {"success": [[0, 40]]}}  # a single rollout that ended otherwise, and one of chance
     lines = ["x = 2: 20 of 50 succeed, before 45 of 50", "x and y: 1 of 2 cells"]
-    assert paper.told("one", after) == [f"one, {line} (commit abc)" for line in lines]
-    assert paper.told("one", after) == [f"one, {line} (commit abc)" for line in lines]  # made again by the same code
-    assert json.loads((tmp_path / "one.json").read_text()) == after | {"changed": {"before": "abc", "counts": lines}}
+    assert paper.told(one, after) == [f"one, {line} (commit abc)" for line in lines]
+    assert paper.told(one, after) == [f"one, {line} (commit abc)" for line in lines]  # made again by the same code
+    assert json.loads(one.read_text()) == after | {"changed": {"before": "abc", "counts": lines}}
     assert cited.changes("").splitlines()[2:] == [f"| one | def | abc | {line} |" for line in lines]
-    assert paper.told("one", after | {"quick": True, "success": 10}) == []  # coarser studies are others
+    assert paper.told(one, after | {"quick": True, "success": 10}) == []  # coarser studies are others
 
 
 def test_what_fails_stops_nothing_else(monkeypatch, tmp_path, capsys):
@@ -211,8 +212,10 @@ def test_what_fails_stops_nothing_else(monkeypatch, tmp_path, capsys):
     same = {"run": ["study=no_such", "engine=fake"], "budget": [2, 2]}
     alone = {"script": ["no_such.py"], "budget": [1, 1]}
     (tmp_path / "paper.yaml").write_text(yaml.safe_dump({"a": same, "drawn": alone, "b": same}))
-    monkeypatch.setattr(paper, "TABLE", tmp_path / "paper.yaml")
-    assert list(paper.shared(["a", "drawn", "b"], {"a": same, "drawn": alone, "b": same})) == [["drawn"], ["a", "b"]]
+    monkeypatch.setattr(paper, "JOBS", tmp_path)
+    (tmp_path / "robustness.yaml").write_text("{}")
+    groups = paper.shared({"a": same, "drawn": alone, "b": same})
+    assert list(groups) == [{"drawn": alone}, {"a": same, "b": same}]
     assert paper.main(["--jobs", "2", "--out", str(tmp_path)]) == 1
     out = capsys.readouterr().out
     assert [out.count(f"{name} failed: RuntimeError: ") for name in ("a", "b", "drawn")] == [1, 1, 1]
@@ -220,6 +223,25 @@ def test_what_fails_stops_nothing_else(monkeypatch, tmp_path, capsys):
     assert "study=no_such" in out
     assert paper.main(["--studies", "drawn", "--out", str(tmp_path)]) == 0
     assert paper.main(["no_such_target"]) == paper.main(["--jobs", "0"]) == 2
+
+
+def test_coarser_studies_leave_the_pages_alone_and_what_is_drawn_of_all_comes_last(monkeypatch, tmp_path):
+    """Scripts in processes of their own, of which one takes no part in what is coarser."""
+    here, out = 'from pathlib import Path; here = Path(__file__).with_name("{}.txt"); ', tmp_path / "out"
+    (tmp_path / "bench").mkdir()
+    (tmp_path / "docs").mkdir()
+    for name, said in {"first": "1", "all": "here.with_name('first.txt').read_text() + '2'", "long": "3"}.items():
+        (tmp_path / "docs" / f"{name}.py").write_text(f"{here.format(name)}here.write_text(str({said}))")
+    table = {name: {"script": [f"{name}.py"], "budget": [9, 9]} for name in ("all", "first")}
+    table["all"]["last"], table["long"] = True, {"script": ["long.py"], "budget": [9]}
+    (tmp_path / "paper.yaml").write_text(yaml.safe_dump(table))
+    (tmp_path / "robustness.yaml").write_text("{}")
+    monkeypatch.setattr(paper, "ROOT", tmp_path)
+    monkeypatch.setattr(paper, "JOBS", tmp_path)
+    assert paper.main(["--quick", "--jobs", "2", "--out", str(out)]) == 0
+    assert (out / "quick" / "docs" / "all.txt").read_text() == "12"
+    assert not list((tmp_path / "docs").glob("*.txt"))
+    assert not (out / "quick" / "docs" / "long.txt").exists()
 
 
 def test_shipped_rollouts_end_as_they_did():

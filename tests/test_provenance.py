@@ -34,6 +34,15 @@ def test_words_and_format_do_not_change_the_version_of_the_code_and_all_else_doe
         assert statements(SOURCE) != statements(SOURCE.replace(old, new))
 
 
+def test_rows_of_the_same_sources_are_of_this_code_whatever_the_libraries(monkeypatch):
+    here, others = provenance.versions(), provenance.versions() | {"jax": "0.1"}
+    monkeypatch.setattr(provenance, "versions", lambda: others)
+    elsewhere = provenance.code_version.__wrapped__()
+    assert elsewhere != provenance.code_version()
+    assert provenance.of_this_code(elsewhere, others)
+    assert not provenance.of_this_code(elsewhere, here)
+
+
 def test_every_module_that_a_worker_runs_is_in_the_version_of_the_code(monkeypatch):
     loaded = subprocess.run([sys.executable, "-c", WORKER], check=True, capture_output=True, text=True).stdout.split()
     sources = provenance.sources(provenance.WORKER)

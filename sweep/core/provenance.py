@@ -8,6 +8,7 @@ import json
 import platform
 import subprocess
 import sys
+from collections.abc import Mapping
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -42,13 +43,18 @@ def processor() -> str:
 @functools.cache
 def code_version() -> str:
     """Hash of the sources that can change a row, and of their libraries' versions."""
-    return _version(WORKER)
+    return _version(WORKER, versions())
+
+
+def of_this_code(version: str, libraries: Mapping[str, str]) -> bool:
+    """Whether a `code_version` is of these sources, be the `libraries` with which it was made others."""
+    return version == _version(WORKER, libraries)
 
 
 @functools.cache
 def program_version() -> str:
     """Hash of the sources that can change a compiled program, and of their libraries' versions."""
-    return _version(PROGRAMS)
+    return _version(PROGRAMS, versions())
 
 
 def edited() -> bool:
@@ -57,7 +63,7 @@ def edited() -> bool:
     return any(file.stat().st_ctime > STARTED for file in (*sources(PROGRAMS), *plans, *project.module_sources()))
 
 
-def _version(modules: tuple[str, ...]) -> str:
+def _version(modules: tuple[str, ...], libraries: Mapping[str, str]) -> str:
     """Hash of what the sources of `modules` say, comments and docstrings apart, and of the libraries' versions."""
     content = hashlib.blake2b(digest_size=6)
     for file in sources(modules):
@@ -65,7 +71,7 @@ def _version(modules: tuple[str, ...]) -> str:
     content.update(_plans())
     for file in project.module_sources():
         content.update(_read(file)[1].encode())
-    content.update(repr(versions()).encode())
+    content.update(repr(libraries).encode())
     _keep()
     return content.hexdigest()
 
