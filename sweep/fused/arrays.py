@@ -124,9 +124,9 @@ class Arrays:
         return [self.program.node("part", (node,), node.dtype, OneOf(k), leg=False) for k in range(self.group)]
 
     def _over_legs(self, arrays: Sequence[Array], axis: int) -> bool:
-        """Whether the first row along `axis` is one for the legs."""
+        """Whether any row along `axis` is one for the legs."""
         rows = [np.moveaxis(x, axis, -1).reshape(-1, self.group) for x in arrays]
-        return bool(rows[0].size) and self._legs([row[0] for row in rows]) is not None
+        return any(self._legs(alike) is not None for alike in zip(*rows, strict=True))
 
     def _legs(self, rows: Sequence[Array]) -> list[Node] | None:
         """Rows of a number for each leg as nodes for the legs; None where that saves nothing."""

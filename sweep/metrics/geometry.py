@@ -1,8 +1,13 @@
-"""Geometry that the metrics need: support polygon, links as segments. World axes, metres."""
+"""Geometry that the metrics need: support polygon, links as segments. World axes, metres.
+
+Legs are the first axis throughout: what is done to each is then one operation of a compiled program.
+"""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
@@ -86,22 +91,24 @@ def leg_gap(joints: Float[Array, "6 k 3"]) -> Float[Array, ""]:
     `joints` are the points along each leg from the end of the hip's first link to the foot.
     """
     links = joints.shape[1] - 1
-    one, other = np.triu_indices(6, 1)
     i, j = (index.ravel() for index in np.indices((links, links)))
-    a, b = joints[one], joints[other]
-    return jnp.min(segment_distance(a[:, i], a[:, i + 1], b[:, j], b[:, j + 1]))
+
+    def gaps(others: Array) -> Array:
+        return segment_distance(joints[:, i], joints[:, i + 1], others[:, j], others[:, j + 1])
+
+    return jnp.min(jnp.stack([gaps(jnp.roll(joints, k, axis=0)) for k in (1, 2, 3)]))
 
 
 class Capsules(NamedTuple):
     """Links as they are solid."""
 
-    start: Float[Array, "n 3"]  # m, of the centre line
-    end: Float[Array, "n 3"]  # m
+    start: Float[Array, "6 n 3"]  # m, of the centre line
+    end: Float[Array, "6 n 3"]  # m
     radius: Float[Array, " n"]  # m
 
-    def to(self, solids: Sequence[Solid]) -> Float[Array, " n"]:
+    def to(self, solids: Sequence[Solid]) -> Float[Array, "6 n"]:
         """Signed distance (m) to the nearest of some solids."""
-        return distance_to_segments(solids, self.start, self.end) - self.radius
+        return jax.vmap(partial(distance_to_segments, solids))(self.start, self.end) - self.radius
 
 
 def capsules(joints: Float[Array, "6 k 3"], robot: Robot) -> Capsules:
@@ -119,11 +126,10 @@ def capsules(joints: Float[Array, "6 k 3"], robot: Robot) -> Capsules:
         return foot - jnp.minimum(distance / length, 1.0) * shin
 
     thick, thin = before_foot(FOOT_LENGTH + radius), before_foot(radius)
-    ends = joints.at[:, -1].set(thick)[:, 1:].reshape(-1, 3)
     return Capsules(
-        jnp.concatenate([joints[:, :-1].reshape(-1, 3), thick]),
-        jnp.concatenate([ends, thin]),
-        jnp.concatenate([jnp.broadcast_to(radius, len(ends)), jnp.full(len(thin), PIN_RADIUS, joints.dtype)]),
+        joints.at[:, -1].set(thick),
+        jnp.concatenate([joints[:, 1:-1], thick[:, None], thin[:, None]], axis=1),
+        jnp.stack([radius] * (joints.shape[1] - 1) + [jnp.asarray(PIN_RADIUS, joints.dtype)]),
     )
 
 
@@ -145,8 +151,8 @@ def base_gap(
     """
     points = (joints[:, -3:] - centre) @ rotation
     points = points.at[:, 0].set(_along(points[:, 0], points[:, 1], robot.hip_clearance + robot.link_radius))
-    ends = points[:, :-1].reshape(-1, 3), points[:, 1:].reshape(-1, 3)
-    return jnp.min(segment_box_distance(*ends, half_between_hips(robot))) - robot.link_radius
+    to_base = jax.vmap(segment_box_distance, (0, 0, None))
+    return jnp.min(to_base(points[:, :-1], points[:, 1:], half_between_hips(robot))) - robot.link_radius
 
 
 def fold_gap(joints: Float[Array, "6 k 3"], clearance: Array | float) -> Float[Array, ""]:

@@ -10,6 +10,7 @@ Manocha, OBBTree, SIGGRAPH 1996, 15.3); a rim counts as its tangent.
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol
 
 import jax
@@ -25,8 +26,8 @@ TINY = 1e-12  # m^2, under roots: their derivatives stay finite, and their value
 SOIL = (0.62, 0.66, 0.60, 1.0)
 WOOD = (0.72, 0.55, 0.36, 1.0)
 SIGNS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])  # of a box's corners
-# ends of a box's edges among its corners: the four along each axis
-STARTS, ENDS = (np.stack([np.flatnonzero(SIGNS[:, axis] == s) for axis in range(3)]) for s in (-1, 1))
+# ends of a box's edges among its corners: the four along each axis, in twos, as six are one operation when compiled
+STARTS, ENDS = (np.stack([np.flatnonzero(SIGNS[:, axis] == s) for axis in range(3)]).reshape(6, 2) for s in (-1, 1))
 
 
 class Solid(Protocol):
@@ -191,7 +192,8 @@ class _Convex(ABC):
         centre = self.inward(centre)
         rotation = rotation if self.rotation is None else self.rotation.T @ rotation
         corners = box_corners(centre, rotation, half)
-        at, from_edges = least_along(self.signed, corners[STARTS.ravel()], corners[ENDS.ravel()])
+        edges = (centre + (SIGNS[k].astype(half.dtype) * half) @ rotation.T for k in (STARTS, ENDS))
+        at, from_edges = jax.vmap(partial(least_along, self.signed))(*edges)
         from_tips = from_box((self.tips(rotation.T) - centre) @ rotation, half)
         apart = jnp.minimum(jnp.min(from_edges), jnp.min(from_tips))
         nearest = jnp.argmin(from_edges.reshape(3, 4), axis=1)  # of the edges along each axis

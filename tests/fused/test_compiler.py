@@ -227,6 +227,18 @@ def test_a_group_may_have_another_size(group):
     assert [n.leg for n in roots] == [True]
 
 
+def test_rows_that_are_alike_leave_the_others_one_operation_for_the_legs():
+    def rooted(x):
+        return {"x": jnp.sqrt(jnp.stack([jnp.broadcast_to(x[0], 6), x * x]))}
+
+    fused, xla = both(rooted, x := abs(some(6)))
+    np.testing.assert_allclose(fused["x"], xla["x"], rtol=1e-6)
+    one = jax.ShapeDtypeStruct(x.shape[1:], x.dtype)
+    program, _ = kernel.printed(lambda given, carried, k: (carried, rooted(given)), one, jnp.zeros(()))
+    roots = [n for n in inside(program.top) if isinstance(n, Node) and n.op == "sqrt"]
+    assert sorted(n.leg for n in roots) == [False, True]
+
+
 def test_the_pages_example_runs_and_its_operations_are_those_of_the_code(capsys):
     text = PAGE.read_text(encoding="utf-8")
     (sample,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)

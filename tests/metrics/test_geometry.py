@@ -102,11 +102,11 @@ def test_distance_of_a_segment_to_a_box_is_that_of_its_nearest_point(seed):
 def test_the_shin_is_thick_to_its_foot_and_then_a_pin():
     joints = jnp.asarray([[[0, 0, 0.6], [0, 0.4, 0.6], [0, 0.4, 0]]] * 6, float)
     found = capsules(joints, Robot())
-    np.testing.assert_allclose(found.start[1], [0, 0.4, 0.6], atol=1e-6)
-    np.testing.assert_allclose(found.end[1], [0, 0.4, FOOT_LENGTH + 0.015], atol=1e-6)
-    np.testing.assert_allclose(found.end[-1], [0, 0.4, 0.015], atol=1e-6)
+    np.testing.assert_allclose(found.start[0, 1], [0, 0.4, 0.6], atol=1e-6)
+    np.testing.assert_allclose(found.end[0, 1], [0, 0.4, FOOT_LENGTH + 0.015], atol=1e-6)
+    np.testing.assert_allclose(found.end[0, 2], [0, 0.4, 0.015], atol=1e-6)
     floor = HalfSpace(name="floor", normal=(0, 0, 1))
-    np.testing.assert_allclose(found.to([floor])[np.array([0, 1, -1])], [0.585, FOOT_LENGTH, 0.013], atol=1e-6)
+    np.testing.assert_allclose(found.to([floor])[0], [0.585, FOOT_LENGTH, 0.013], atol=1e-6)
     base = jnp.zeros(3), jnp.eye(3), Robot(body_length=1.0, body_width=0.5, body_height=0.1)
     assert float(base_gap(joints, *base)) == pytest.approx(0.15, abs=1e-3)  # the foot, beside the base
 
