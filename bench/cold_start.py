@@ -1,43 +1,132 @@
 """What a first start of scenarios takes, with nothing kept, and another one: CPU seconds of all threads, and wall time.
 
-To run: `python bench/cold_start.py [NAME...]`, from a checkout; the code is the one in the current folder. Overrides
-follow a name's comma: `ladder_climb,control=learn`. CPU seconds tell of a busy machine as well, to some tenths.
+To run: `python bench/cold_start.py [NAME...] [--parts]`, from a checkout; the code is the one in the current folder.
+Overrides follow a name's comma: `ladder_climb,control=learn`. CPU seconds tell of a busy machine as well, to some
+tenths. A start is what comes before the batch: imports, configuration, programs made or found. The rollout has its plan
+and the first launch with it. What a start consists of is told by when calls of `PARTS` begin and end, threads side by
+side.
 """
 
+import argparse
+import json
 import os
 import subprocess
 import sys
 import tempfile
 import time
+from collections import defaultdict
 from pathlib import Path
+from threading import get_ident
+from types import CodeType
+from typing import Any
 
+WATCHED = "--watched"  # how this file is called for one start
 SCENARIOS = Path(__file__).parent.parent / "conf" / "scenario"
+PARTS = {  # by file and name
+    ("sweep/cli/main.py", "main"): "command",
+    ("sweep/study/config.py", "compose"): "configuration",
+    ("sweep/core/provenance.py", "_version"): "sources",
+    ("sweep/engines/devices.py", "begin.<locals>.found"): "device",
+    ("sweep/engines/batching.py", "_planned"): "nominal plan",
+    ("sweep/engines/program_cache.py", "_load"): "kept programs",
+    ("sweep/fused/eager.py", "traced"): "traced for NumPy",
+    ("sweep/fused/trace.py", "traced"): "kernel traced",
+    ("sweep/fused/cuda.py", "Printer.__init__"): "kernel printed",
+    ("sweep/fused/cuda.py", "compiled"): "kernel by LLVM",
+    ("sweep/fused/llvm.py", "compiled"): "kernel by LLVM",
+    ("sweep/fused/driver.py", "_translated"): "kernel by the driver",
+    ("jax/_src/stages.py", "Lowered.compile"): "XLA",
+    ("sweep/engines/mjx.py", "Mjx._prepare"): "programs",
+    ("sweep/engines/planning.py", "Planning.__call__"): "plan",
+    ("sweep/engines/mjx.py", "Mjx._simulate"): "batch",
+}
+Spans = list[tuple[str, float, float]]  # of a part, s after the process was begun
 
 
-def start(name: str, cache: str) -> tuple[float, float]:
-    """CPU and wall time (s) of `sweep run` of one rollout; programs are kept in the folder `cache`."""
+def watched(began: float) -> Spans:
+    """Parts of this process as they come to an end."""
+    events, spans, begun = sys.monitoring.events, [], defaultdict(list)
+
+    def part(code: CodeType) -> str | None:
+        return next((PARTS[of] for of in PARTS if code.co_qualname == of[1] and code.co_filename.endswith(of[0])), None)
+
+    def enters(code: CodeType, _: int) -> Any:
+        if (name := part(code)) is None:
+            return sys.monitoring.DISABLE  # for this code alone: what is not a part takes no time
+        begun[name, get_ident()].append(time.monotonic() - began)
+        return None
+
+    def leaves(code: CodeType, *_: Any) -> Any:
+        if (name := part(code)) is None:
+            return sys.monitoring.DISABLE
+        spans.append((name, begun[name, get_ident()].pop(), time.monotonic() - began))
+        return None
+
+    sys.monitoring.use_tool_id(sys.monitoring.PROFILER_ID, "parts")
+    for event, told in ((events.PY_START, enters), (events.PY_RETURN, leaves)):
+        sys.monitoring.register_callback(sys.monitoring.PROFILER_ID, event, told)
+    sys.monitoring.set_events(sys.monitoring.PROFILER_ID, events.PY_START | events.PY_RETURN)
+    return spans
+
+
+def command(began: str, told: str, *given: str) -> int:
+    """`sweep`, whose parts go into the file `told`."""
+    spans = watched(float(began))
+    from sweep.cli.main import main as sweep
+
+    code = sweep(list(given))
+    Path(told).write_text(json.dumps(spans), encoding="utf-8")
+    return code
+
+
+def start(name: str, cache: str) -> dict[str, Any]:
+    """CPU and wall time (s) of `sweep run` of one rollout, and its parts; programs are kept in the folder `cache`."""
     scenario, *overrides = name.split(",")
-    command = [sys.executable, "-m", "sweep.cli", "run", f"scenario={scenario}", *overrides]
+    told = Path(cache, "parts.json")
     kept = {"XDG_CACHE_HOME": cache, "JAX_COMPILATION_CACHE_DIR": f"{cache}/programs"}
-    kept["PYTHONDONTWRITEBYTECODE"] = ""  # an installed package has its bytecode
+    kept |= {"CUDA_CACHE_DISABLE": "1", "PYTHONDONTWRITEBYTECODE": ""}  # an installed package has its bytecode
+    kept["PYTHONPATH"] = os.pathsep.join((os.getcwd(), os.environ.get("PYTHONPATH", "")))
     Path(cache, "programs").mkdir(mode=0o700, exist_ok=True)
-    began, before = time.perf_counter(), os.times()
-    done = subprocess.run(command, env={**os.environ, **kept}, capture_output=True, text=True, check=False)
+    began, before = time.monotonic(), os.times()
+    asked = [sys.executable, __file__, WATCHED, str(began), str(told), "run", f"scenario={scenario}", *overrides]
+    done = subprocess.run(asked, env={**os.environ, **kept}, capture_output=True, text=True, check=False)
+    wall, after = time.monotonic() - began, os.times()
     if done.returncode not in (0, 4):  # a rollout that fails has started too
         raise SystemExit(f"{name}: {done.stderr.strip()}")
-    after = os.times()
     cpu = sum(getattr(after, kind) - getattr(before, kind) for kind in ("children_user", "children_system"))
-    return cpu, time.perf_counter() - began
+    return {"cpu": cpu, "wall": wall, "parts": sorted(json.loads(told.read_text()), key=lambda part: part[1])}
 
 
-def main(*names: str) -> None:
-    """One line for each scenario."""
-    print("| scenario | first: CPU s | wall s | again: CPU s | wall s |\n|---|---|---|---|---|")
-    for name in names or sorted(path.stem for path in SCENARIOS.glob("*.yaml")):
+def line(took: dict[str, Any]) -> list[str]:
+    """CPU and wall time (s); of the latter the start, the rollout, and what follows it."""
+    (prepared,) = (to for name, _, to in took["parts"] if name == "programs")
+    (over,) = (to for name, _, to in took["parts"] if name == "batch")
+    return [f"{x:.1f}" for x in (took["cpu"], took["wall"], prepared, over - prepared, took["wall"] - over)]
+
+
+def consists_of(took: dict[str, Any]) -> str:
+    """The parts of a start one after the other, those of a tenth of a second and more."""
+    told = (f"{name} {begun:.1f} to {ended:.1f}" for name, begun, ended in took["parts"] if ended - begun >= 0.1)
+    return ", ".join(told)
+
+
+def main(*given: str) -> None:
+    """Two lines for each scenario, and below them the parts of its starts."""
+    asked = argparse.ArgumentParser()
+    asked.add_argument("names", nargs="*", default=sorted(path.stem for path in SCENARIOS.glob("*.yaml")))
+    asked.add_argument("--parts", action="store_true", help="tell as well what a start consists of")
+    options = asked.parse_args(given)
+    print("| scenario | | CPU s | wall s | start s | rollout s | after it s |\n|---|---|---|---|---|---|---|")
+    parts = []
+    for name in options.names:
         with tempfile.TemporaryDirectory() as cache:
-            figures = [f"{x:.1f}" for _ in range(2) for x in start(name, cache)]
-        print(f"| `{name}` | {' | '.join(figures)} |", flush=True)
+            for which in ("first", "again"):
+                took = start(name, cache)
+                print(f"| `{name}` | {which} | {' | '.join(line(took))} |", flush=True)
+                parts.append(f"{name}, {which}: {consists_of(took)}")
+    if options.parts:
+        print("\n" + "\n".join(parts))
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    sys.exit(command(*sys.argv[2:])) if sys.argv[1:2] == [WATCHED] else main(*sys.argv[1:])
