@@ -4,7 +4,6 @@ import re
 import shlex
 import subprocess
 import sys
-from functools import partial
 from pathlib import Path
 
 import mujoco
@@ -15,6 +14,7 @@ from mujoco.batch import Batch
 from small_study import content, wait_for
 
 from sweep.cli.main import main
+from sweep.engines import devices
 from sweep.runs import batches, results, store
 from sweep.runs.runner import wanted_points
 from sweep.study.config import compose
@@ -160,12 +160,13 @@ def test_a_row_has_its_bits_on_any_number_of_threads_and_cores(here, monkeypatch
     few = ["study.axes.load.num=3", "study.axes.grip.num=4"]
     noisy, found, pools = [*SHORT, *few, "noise.white=0.02", "noise.delay=1"], {}, []
 
-    def pool(threads, model, n):
-        pools.append(Batch(model, n, threads))
+    def pool(*given):
+        pools.append(Batch(*given))
         return pools[-1]
 
+    monkeypatch.setattr(batch, "Batch", pool)
     for threads in (1, 2, 5):
-        monkeypatch.setattr(batch, "Batch", partial(pool, threads))
+        monkeypatch.setattr(devices, "cores", lambda threads=threads: threads)
         found[threads] = figures(exp := compose(noisy), points := wanted_points(exp))
     assert {one._b.nthread for one in pools} == {*found}
     asked = ["-c", f"{ONE_CORE}sys.exit(main(sys.argv[1:]))", "run", *noisy, "engine.width=5", "out=one_core"]

@@ -234,7 +234,7 @@ class Native:
             quiet = is_quiet(world.noise)
             (world, belief), keys = devices.as_arrays((world, belief)), devices.keys(streams)
             programs = self._prepare((world, belief, keys), quiet)
-            batch = Batch(models[0], self.width)
+            batch = Batch(models[0], self.width, devices.cores())
             batch.set_models(models)
             plans, (between, state) = programs.start(world, belief, keys)
             told = np.full((self.width, N_JOINTS, 2), np.nan)  # models are built for a mode that may be another one

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import MODEL_FIELDS, Batch
 
+from sweep.engines import devices
 from sweep.engines.settings import EngineSettings
 from sweep.systems.own import fields
 from sweep.systems.own.policy import keys
@@ -62,7 +63,7 @@ def energies(batch: Batch) -> Iterator[np.ndarray]:
 def begin(own: Subject, settings: EngineSettings, world: Side, belief: Side, streams: np.ndarray) -> AtStart:
     """Rollouts of a batch of two sides."""
     n, number = len(streams), NUMBERS[settings.precision]
-    batch = Batch(own.model, n)
+    batch = Batch(own.model, n, devices.cores())
     qpos, qvel, sensors = (batch.bind(name) for name in ("qpos", "qvel", "sensordata"))
     # bound before the reset: what is bound after it is zero until the next call
     varied = fields.by_rollout(own.model, world.of("model"))
