@@ -320,9 +320,8 @@ class Mjx:
     ) -> tuple[Callable, str]:
         """A second of the batch that a GPU has, as one kernel, and its key; see `_chunk`."""
         room = 0 if kept is None else len(kept) // self._mesh.size
-        code = launch.compiled(
-            self._ticks(quiet), *of_one(arrays, batch), lambda carry: carry.over, self._chunk_ticks, room, self._local
-        )
+        form, over, width = of_one(arrays, batch), lambda carry: carry.over, self._local
+        code = launch.compiled(self._ticks(quiet), *form, over, self._chunk_ticks, room, width, few=self._few)
         columns = offered(self._nominal[0])
 
         def chunk(world: Case, belief: Case, plans: Plan, carry: Carry, first: Array, kept: Array | None) -> Any:

@@ -1,15 +1,18 @@
 """The program as PTX, for NVIDIA's GPUs: all ticks in a kernel, of which a block of threads has some rollouts.
 
 Loops, such as those of physics, have a lane of a warp for each leg and five rollouts in a warp; what the legs share is
-worked out by each lane. The parts between them, of which legs have less, have a thread for each rollout. What one part
-hands on lies in memory. Sums over the legs are in one order, so that a rollout's numbers depend neither on the
-rollouts beside it nor on how many there are.
+worked out by each lane. The parts between them, of which legs have less, have a thread for each rollout, where there
+are many: what is one operation for the legs is six there, and takes as long to compile. What one part hands on lies in
+memory. Sums over the legs are in one order, so that a rollout's numbers depend neither on the rollouts beside it nor on
+how many there are.
 """
 
 import subprocess
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from subprocess import PIPE
 from typing import Any
 
 import numpy as np
@@ -44,6 +47,7 @@ class Printer(Text):
         room: int,
         turns: int,
         group: int,
+        few: bool,
     ):
         super().__init__(1)
         self.group, self.beside = group, lanes_of(group)
@@ -68,7 +72,7 @@ class Printer(Text):
         (loop,) = (item for item in top.items if isinstance(item, Loop))
         before = [item for item in lanes.depth_first(top, needed) if item is not loop]
         flag = next((s.region for s in loop.body.stores if s.region.place == over and not s.region.record), None)
-        parts = [Part(before, top.stores, False), *lanes.parts(loop.body, needed, flag, group)]
+        parts = [Part(before, top.stores, False), *lanes.parts(loop.body, needed, flag, group, few)]
         self._keep(parts)
         self._head()
         self._ticks(*parts)
@@ -538,10 +542,16 @@ def lanes_of(group: int) -> int:
     return THREADS // group
 
 
-def compiled(text: str) -> str:
-    """PTX of a module. Raises `Unsupported` where LLVM cannot make it."""
+@contextmanager
+def compiler() -> Iterator[Callable[[str], str]]:
+    """PTX of a module, by a process that gets ready meanwhile. Raises `Unsupported` where LLVM cannot make it."""
     asked = [sys.executable, "-P", str(Path(__file__).with_name("nvptx.py"))]
-    done = subprocess.run(asked, input=text, capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise Unsupported((done.stderr.strip().splitlines() or ["what ends LLVM"])[-1])
-    return done.stdout
+    with subprocess.Popen(asked, stdin=PIPE, stdout=PIPE, stderr=PIPE, text=True) as process:
+
+        def compiled(text: str) -> str:
+            made, failed = process.communicate(text)
+            if process.returncode:
+                raise Unsupported((failed.strip().splitlines() or ["what ends LLVM"])[-1])
+            return made
+
+        yield compiled

@@ -91,12 +91,12 @@ def rows(top: Block, needed: set[int], group: int) -> tuple[dict[Place, tuple[in
     return {place: row for place, row in rows.items() if place[0] not in memory}, list(memory)
 
 
-def parts(block: Block, needed: set[int], last: Region | None, group: int) -> list[Part]:
-    """A block in parts: its loops, and what is between them.
+def parts(block: Block, needed: set[int], last: Region | None, group: int, few: bool) -> list[Part]:
+    """A block in parts: its loops, and what is between them, which has a thread for each rollout but for `few`.
 
     A result is put into memory as soon as it is there and nothing asks any more for what was there; `last` at the end.
     """
-    made = _cut(block, needed)
+    made = [part._replace(together=few or part.together) for part in _cut(block, needed)]
     home = {item.number: k for k, part in enumerate(made) for item in part.items if isinstance(item, Node)}
     asked: dict[Any, int] = {}  # the last part that reads a place, or by place somewhere in a region
     for k, part in enumerate(made):

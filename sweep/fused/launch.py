@@ -40,24 +40,27 @@ def compiled(
     room: int,
     width: int,
     group: int = GROUP,
+    few: bool = False,
 ) -> Ptx:
     """See `traced`. `over` picks the array of what is carried that tells a rollout without anything to come.
 
-    Blocks have as many rollouts as make use of all multiprocessors, of a batch of `width`.
+    Blocks have as many rollouts as make use of all multiprocessors, of a batch of `width`; with `few` it is compiled
+    sooner, as each part of it has the legs in lanes.
     """
 
     def told(given: Any, carried: Any, number: Array) -> tuple[Any, dict[str, Array]]:
         carried, record = function(given, carried, number)
         return carried, record if room else {}
 
-    program = traced(told, given, carried, _laid_out, together=False, group=group)
-    tree = jax.tree.structure(carried)
-    flag = program.carried[over(jax.tree.unflatten(tree, range(tree.num_leaves)))].place
-    sizes = _end(program.given), _end(program.carried), _end([*program.recorded.values()])
-    printed = cuda.Printer(
-        program.top, schedule.used(program.top), sizes, ticks, flag, room, _turns(width, group), group
-    )
-    text, blocks = cuda.compiled(printed.text()), printed.rollouts
+    with cuda.compiler() as compiler:
+        program = traced(told, given, carried, _laid_out, together=False, group=group)
+        tree = jax.tree.structure(carried)
+        flag = program.carried[over(jax.tree.unflatten(tree, range(tree.num_leaves)))].place
+        sizes = _end(program.given), _end(program.carried), _end([*program.recorded.values()])
+        printed = cuda.Printer(
+            program.top, schedule.used(program.top), sizes, ticks, flag, room, _turns(width, group), group, few
+        )
+        text, blocks = compiler(printed.text()), printed.rollouts
     return Ptx(text, program.given, program.carried, program.recorded, printed.words, ticks, room, blocks)
 
 

@@ -19,6 +19,7 @@ from sweep.fused.arrays import Unsupported
 from sweep.study.config import compose
 
 WIDTH = launch.BLOCK
+HOW = pytest.mark.parametrize("few", [False, True], ids=["many", "few"])  # some parts without legs in lanes, or none
 
 
 @pytest.fixture(autouse=True)
@@ -27,12 +28,12 @@ def without_a_gpu(monkeypatch):
         monkeypatch.setattr(launch, "call", ptx.call)
 
 
-def both(function, *batch):
+def both(function, *batch, few=False):
     """What `function` of one rollout records for a batch, by a kernel and by XLA."""
     one = [jax.ShapeDtypeStruct(x.shape[1:], x.dtype) for x in batch]
     state = [jax.ShapeDtypeStruct((), jnp.bool)]
     code = launch.compiled(
-        lambda given, carried, k: (carried, function(*given)), one, state, lambda x: x[0], 1, WIDTH, WIDTH
+        lambda given, carried, k: (carried, function(*given)), one, state, lambda x: x[0], 1, WIDTH, WIDTH, few=few
     )
     every = jnp.arange(WIDTH)
     _, record = launch.run(code, list(batch), [jnp.zeros(WIDTH, bool)], jnp.int32(0), every)
@@ -43,7 +44,8 @@ def some(*shape: int, seed: int = 0) -> jax.Array:
     return jnp.asarray(np.random.default_rng(seed).uniform(-3, 3, (WIDTH, *shape)), jnp.float32)
 
 
-def test_legs_in_lanes_are_moved_about_and_summed_as_jax_does():
+@HOW
+def test_legs_in_lanes_are_moved_about_and_summed_as_jax_does(few):
     def moved(x, m):
         legs = jnp.einsum("lij,lj->li", m, x)
         swapped = legs[jnp.array([1, 2, 3, 4, 5, 0])]
@@ -58,12 +60,13 @@ def test_legs_in_lanes_are_moved_about_and_summed_as_jax_does():
             "set": legs.at[:, 1].set(total[0]),
         }
 
-    kernel, xla = both(moved, some(6, 3), some(6, 3, 3, seed=1))
+    kernel, xla = both(moved, some(6, 3), some(6, 3, 3, seed=1), few=few)
     for name, values in kernel.items():
         np.testing.assert_allclose(values, xla[name], rtol=1e-4, atol=1e-3, err_msg=name)
 
 
-def test_loops_branches_and_places_that_depend_on_the_rollout():
+@HOW
+def test_loops_branches_and_places_that_depend_on_the_rollout(few):
     def walked(table, index):
         k = index.astype(jnp.int32)
 
@@ -76,18 +79,19 @@ def test_loops_branches_and_places_that_depend_on_the_rollout():
         chosen = jax.lax.cond(k > 1, lambda: feet[0], lambda: force[3])
         return {"row": table[k], "feet": feet, "chosen": chosen, "put": table.at[k, 0].set(9.0)}
 
-    kernel, xla = both(walked, 0.1 * some(6, 6), jnp.arange(WIDTH, dtype=jnp.float32) % 6)
+    kernel, xla = both(walked, 0.1 * some(6, 6), jnp.arange(WIDTH, dtype=jnp.float32) % 6, few=few)
     for name, values in kernel.items():
         np.testing.assert_allclose(values, xla[name], rtol=1e-4, atol=1e-4, err_msg=name)
 
 
-def test_not_a_number_stays_one_and_random_numbers_are_those_of_jax():
+@HOW
+def test_not_a_number_stays_one_and_random_numbers_are_those_of_jax(few):
     def drawn(x, words):
         bits = jax.random.bits(jax.random.fold_in(jax.random.wrap_key_data(words), 7), (3,))
         return {"most": jnp.max(x), "least": jnp.min(x), "finite": jnp.isfinite(x), "bits": bits, "log": jnp.log(x)}
 
     x = some(3).at[0, 1].set(jnp.nan).at[1, 0].set(jnp.inf).at[2, 2].set(0.0)
-    kernel, xla = both(drawn, x, jax.random.key_data(jax.random.split(jax.random.key(3), WIDTH)))
+    kernel, xla = both(drawn, x, jax.random.key_data(jax.random.split(jax.random.key(3), WIDTH)), few=few)
     for name, values in kernel.items():
         np.testing.assert_allclose(values, xla[name], rtol=1e-6, err_msg=name)
 
@@ -123,7 +127,8 @@ def test_rollouts_go_on_until_all_of_their_warp_are_over():
     assert over.tolist() == [True] * 32 + [False] * 2
 
 
-def test_lanes_do_not_part_where_some_rollouts_of_a_warp_are_over_with_all_beside_them_in_another_part():
+@HOW
+def test_lanes_do_not_part_where_some_rollouts_of_a_warp_are_over_with_all_beside_them_in_another_part(few):
     def ticked(given, carried, k):
         feet, over, least = carried
         often = (k + jnp.int32(2)) % 3  # worked out beside the flag, and asked for among legs
@@ -135,7 +140,7 @@ def test_lanes_do_not_part_where_some_rollouts_of_a_warp_are_over_with_all_besid
     feet = 0.1 * jnp.arange(WIDTH * 18.0).reshape(WIDTH, 6, 3)
     carried = feet, jnp.zeros(WIDTH, bool), jnp.full(WIDTH, 9.0)
     one = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), (given, carried))
-    code = launch.compiled(ticked, *one, lambda carried: carried[1], 7, 0, WIDTH)
+    code = launch.compiled(ticked, *one, lambda carried: carried[1], 7, 0, WIDTH, few=few)
     kernel, _ = launch.run(code, given, carried, jnp.int32(0), None)
     for k in range(7):
         carried, _ = jax.vmap(ticked, (0, 0, None))(given, carried, jnp.int32(k))
@@ -144,7 +149,8 @@ def test_lanes_do_not_part_where_some_rollouts_of_a_warp_are_over_with_all_besid
     np.testing.assert_allclose(kernel[2][going], carried[2][going], rtol=1e-4)
 
 
-def test_parts_hand_on_what_they_have_worked_out_however_many_rollouts_a_block_has(monkeypatch):
+@HOW
+def test_parts_hand_on_what_they_have_worked_out_however_many_rollouts_a_block_has(monkeypatch, few):
     def between(feet, given):
         some = jax.lax.scan(lambda x, i: (jnp.cos(given @ x) + x, None), given, jnp.arange(30.0))[0]
         return jnp.sum(some @ some) + jnp.min(feet[0] - feet[3])
@@ -170,7 +176,7 @@ def test_parts_hand_on_what_they_have_worked_out_however_many_rollouts_a_block_h
 
     def run(turns):
         monkeypatch.setattr(launch, "TURNS", turns)
-        code = launch.compiled(ticked, *one, lambda carried: carried[2], 2, WIDTH, width)
+        code = launch.compiled(ticked, *one, lambda carried: carried[2], 2, WIDTH, width, few=few)
         assert code.rollouts == turns * WIDTH
         return launch.run(code, given, carried, jnp.int32(3), jnp.arange(WIDTH))
 
@@ -189,7 +195,8 @@ def test_what_a_gpu_has_no_rule_for_is_named():
         both(lambda x: {"x": 2 * x}, some(3).astype(jnp.float64))
 
 
-def test_a_walk_is_that_of_the_cpu(monkeypatch):
+@HOW
+def test_a_walk_is_that_of_the_cpu(monkeypatch, few):
     exp = compose(["scenario=walk_tripod", "manoeuvre.steps=1"])
     engine = Mjx(replace(exp.settings, width=WIDTH, compiler="fused"), exp.case, exp.case)
     world = replace(exp.case, contact=replace(exp.case.contact, friction=np.linspace(0.1, 1.0, WIDTH)))
@@ -197,7 +204,7 @@ def test_a_walk_is_that_of_the_cpu(monkeypatch):
     given, tick = (world, belief, program.start(world, belief, keys)[0]), engine._ticks(quiet=True)
     _, carry = program.begin(world, belief, keys)
     one = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:] if x.ndim else (), x.dtype), (given, carry))
-    code = launch.compiled(tick, *one, lambda carry: carry.over, 2, WIDTH, WIDTH)
+    code = launch.compiled(tick, *one, lambda carry: carry.over, 2, WIDTH, WIDTH, few=few)
     gpu, _ = launch.run(code, given, carry, jnp.int32(0), jnp.arange(WIDTH))
     _, going = program.start(world, belief, keys)
     going.tiles.advance(0, 2)
