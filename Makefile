@@ -49,7 +49,7 @@ types: setup
 	$(BIN)/pyright
 	$(call SCRIPT,typescript@5.9,tsc,-p sweep/report/page)
 
-paper: setup  # all that docs/ shows, in 11 minutes on a GPU with 16 cores, JOBS=14 at once; QUICK=--quick on two cores, coarser
+paper: setup  # all that docs/ shows: JOBS=14 at once for each GPU with 16 cores; QUICK=--quick on two cores, coarser
 	$(BIN)/python jobs/paper.py --jobs $(or $(JOBS),1) $(QUICK)
 	$(BIN)/python docs/cited.py
 

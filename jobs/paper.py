@@ -53,7 +53,7 @@ def main(argv: list[str] | None = None) -> int:
     """Make the chosen targets, or all; 1 where one failed."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("names", nargs="*", metavar="NAME", help="targets, such as pole_map or 'ball_*' (all)")
-    parser.add_argument("--quick", action="store_true", help="coarser studies, for two cores")
+    parser.add_argument("--quick", action="store_true", help="coarser studies, and fewer, for two cores")
     parser.add_argument("--jobs", type=int, default=1, metavar="N", help="studies made at the same time (1)")
     parser.add_argument("--studies", action="store_true", help="leave out the pictures of single runs")
     parser.add_argument("--out", type=Path, default=ROOT / "results" / "paper", help="folder of the studies")
@@ -71,6 +71,8 @@ def main(argv: list[str] | None = None) -> int:
     chosen = {name: one for name, one in chosen.items() if "run" in one or not given.studies}
     chosen = {name: one for name, one in chosen.items() if len(one["budget"]) > 1 or not given.quick}
     out, docs = given.out / code_version(), copied(given.out / "quick") if given.quick else DOCS
+    for folder in ("data", "figures"):
+        (docs / folder).mkdir(exist_ok=True)
     changed, failed, start, number = [], [], time.monotonic(), 0
     os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")  # else the first process takes the GPU's memory
     context = multiprocessing.get_context("spawn")  # fresh processes: a fork would share what JAX has started

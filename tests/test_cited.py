@@ -190,6 +190,11 @@ def test_every_target_can_be_run():
         assert {"title", "exhibit", "script", "picture"} & set(target), f"{name}: what its map is called"
 
 
+def test_coarser_studies_take_half_an_hour_on_two_cores():
+    budgets = [target["budget"] for target in TARGETS.values() if "alone" not in target]
+    assert sum(quick for _, *seconds in budgets for quick in seconds) <= 1800
+
+
 def test_what_is_beyond_its_interval_is_told_and_kept(monkeypatch, tmp_path):
     monkeypatch.setattr(cited, "DATA", tmp_path)
     one = tmp_path / "one.json"
