@@ -195,7 +195,7 @@ def measured(name: str, width: int, seconds: str) -> Iterator[dict[str, Any]]:
     _, played, _ = made(name, width, seconds, "model.controller=played:policy")
     found = least({
         name: lambda: engine.run(*task),
-        f"{name}, its start": lambda: batch.begin(own, EngineSettings(), *task).pose(None),
+        f"{name}, its start": lambda: batch.begin(own, EngineSettings(), *task).energy(),
         **{"native": native, "mjx": on_mjx, "warp": on_warp}[name](own, controls, width),
         f"{name}, played": lambda: played.run(*task),
     })  # fmt: skip

@@ -17,7 +17,6 @@ from sweep.engines import devices
 from sweep.engines.base import Figures, Trace, Watch, single_joints
 from sweep.engines.settings import EngineSettings
 from sweep.systems.own import batch, figures
-from sweep.systems.own.batch import NUMBERS
 from sweep.systems.own.outcome import STAGE
 from sweep.systems.own.policy import Programs, Rollouts
 from sweep.systems.own.subject import Side, Subject
@@ -54,7 +53,7 @@ class Loop:
         self._substeps = substeps(self._model, own.about.period)
         ramp = (1 + np.arange(self._substeps)) / self._substeps  # what a command counts for, beside the one before
         self._shares = ramp if own.about.command == "ramped" else np.ones(self._substeps)
-        belief = {name: NUMBERS[settings.precision](value) for name, value in own.told({}).items()}
+        belief = {name: np.dtype(settings.precision).type(value) for name, value in own.told({}).items()}
         with self._within():
             self._programs = Programs(own, belief)
 
@@ -65,13 +64,8 @@ class Loop:
     def check_start(self) -> None:
         """Raise `InputError` where the controller's first controls are not finite, all being nominal."""
         begun = batch.begin(self._own, self._settings, Side(), Side(), np.zeros(1, np.int64))
-
-        def pose(start: np.ndarray | None) -> np.ndarray:
-            begun.pose(start)
-            return self._own.state(begun.qpos, begun.qvel, begun.sensors)[0]
-
         with self._within():
-            self._programs.check_start(begun.given, pose)
+            self._programs.check_start(begun)
 
     def cautions(self) -> Iterator[str]:
         """What is to be known of it before it runs, each a line."""
@@ -98,13 +92,13 @@ class Loop:
 
     def trace(self, world: Side, belief: Side, streams: np.ndarray, slot: int) -> Trace:
         """See `Engine`."""
-        return self._traces(world, belief, streams, np.array([slot]), 1)[0]
+        return self.traces(world, belief, streams, 1, slice(slot, slot + 1))[0]
 
-    def traces(self, world: Side, belief: Side, streams: np.ndarray, every: int) -> list[Trace]:
-        """See `Engine`."""
-        return self._traces(world, belief, streams, np.arange(len(streams)), every)
-
-    def _traces(self, world: Side, belief: Side, streams: np.ndarray, slots: np.ndarray, every: int) -> list[Trace]:
+    def traces(
+        self, world: Side, belief: Side, streams: np.ndarray, every: int, some: slice = slice(None)
+    ) -> list[Trace]:
+        """See `Engine`; of `some` slots."""
+        slots = np.arange(len(streams))[some]
         found, frames, models = self._simulate(world, belief, streams, slots, every)
         time = np.array([frame.time for frame in frames])
         traces = []
@@ -171,8 +165,8 @@ class Native(Loop):
             begun = batch.begin(own, self._settings, world, belief, streams)
             qpos, qvel, seen = begun.qpos, begun.qvel, begun.sensors
             rollouts = Rollouts(self._programs, begun.given, n)
-            before_all = begun.pose(rollouts.start)
-            ticks = batch.ticks(own, rollouts.duration, n)
+            before_all = begun.energy(rollouts.start)
+            ticks = batch.ticks(own, rollouts.duration)
             rollouts.enter(own.state(qpos, qvel, seen), ticks)
             meter = figures.Meter(own)
             sofar = aside.submit(meter.start, qpos.copy(), qvel.copy())

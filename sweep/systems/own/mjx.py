@@ -161,9 +161,9 @@ class Mjx(Loop):
             begun = batch.begin(own, self._settings, world, belief, streams)
             given = jax.device_put(begun.given)
             start, state, duration = self._first(given)
-            at_first = begun.pose(None if start is None else np.asarray(start))
+            at_first = begun.energy(start)
             seen = jnp.asarray(own.state(begun.qpos, begun.qvel, begun.sensors), float)
-            ticks = batch.ticks(own, None if duration is None else np.asarray(duration), n)
+            ticks = batch.ticks(own, duration)
             template, data, leaves = self._put(begun)
             now = {name: jnp.broadcast_to(getattr(data, name), (n, *getattr(data, name).shape)) for name in CARRIED}
             now |= {"qpos": jnp.asarray(begun.qpos, float), "qvel": jnp.asarray(begun.qvel, float)}
@@ -188,7 +188,7 @@ class Mjx(Loop):
             last = self._finish(given, carry["carried"], carry["seen"])
             measured = {name: np.asarray(values, float) for name, values in last.items()}
         last, (wrong, full) = carry["sofar"], (np.asarray(carry[name]) for name in ("wrong", "full"))
-        gained = begun.energy(*(np.asarray(last[name], float) for name in ("last", "speed"))) - at_first
+        gained = begun.energy(last["last"], last["speed"]) - at_first
         return self._meter.figures(last, begun.mass, gained, wrong, full) | measured, frames, begun.models(slots)
 
     def _put(self, begun: batch.AtStart) -> tuple[Any, Any, dict[str, Array]]:

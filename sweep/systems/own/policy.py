@@ -15,8 +15,8 @@ import numpy as np
 from jaxtyping import Array
 
 from sweep.core.errors import InputError
-from sweep.engines import devices
 from sweep.fused.numbers import worked_out
+from sweep.systems.own.batch import AtStart
 from sweep.systems.own.subject import Subject
 
 TILE = 64
@@ -45,16 +45,16 @@ class Programs:
 
     def __init__(self, own: Subject, belief: Belief):
         control, self._own = own.controller, own
-        self._measure, self._policy = control.measure, control.policy
         self._begin = control.begin or (lambda belief, key: (None, (), None))
-        self._figures = control.figures or (lambda *given: {})
-        if control.batched:
-            self._policy = lambda belief, told, state, key: (jnp.zeros(own.model.nu), state)
-        self._check(belief)
-        self._one = self.told_one if control.batched else self.tick_one
+        # what is batched is called with what this gives
+        self._policy = (lambda belief, told, state, key: (told, state)) if control.batched else control.policy
+        self._measure = control.measure or (lambda sofar, told: ())
+        figures = control.figures or (lambda *given: {})
+        self._figures = figures if control.measure else lambda belief, state, sofar: figures(belief, state)
+        self._tried(self._check, belief)
         each = self.begin_one, self.enter_one, self.finish_one
         self.first, self.enter, self.finish = (jax.jit(partial(_each, one)) for one in each)
-        self._tick = jax.jit(partial(_each, lambda *row: self._one(*row)[:2]), donate_argnums=(1,))
+        self._tick = jax.jit(partial(_each, self.tick_one), donate_argnums=(1,))
 
     def tick(self, given: Mapping[str, Any], carried: Any, now: np.ndarray) -> tuple[np.ndarray, Any]:
         """Controls (n, nu) of a tile, and what it carries on, after states (n, s)."""
@@ -62,58 +62,51 @@ class Programs:
         return self._controlled(made), carried
 
     def begin_one(self, given: Mapping[str, Any]) -> tuple[Any, Any, Any]:
-        """Start, state and duration of one rollout."""
-        return self._begin(given["belief"], jax.random.fold_in(jax.random.wrap_key_data(given["key"]), 0))
+        """Start, state and duration of one rollout, which is endless where the controller names none."""
+        key = jax.random.fold_in(jax.random.wrap_key_data(given["key"]), 0)
+        start, state, duration = self._begin(given["belief"], key)
+        return start, state, jnp.asarray(jnp.inf if duration is None else duration)
 
     def enter_one(self, given: Mapping[str, Any], state: Any, now: Array, ticks: Array) -> dict[str, Any]:
         """What one rollout carries from tick to tick, of its `state` and the model's (s,) at first."""
         key, seen = jax.random.fold_in(jax.random.wrap_key_data(given["key"]), 1), self._own.observed(now)
         bias, late = given["bias"] * _drawn(key, seen), jnp.tile(seen, (self._own.room + 1, 1))
-        sofar = self._measure(None, self._own.named(now)) if self._measure else ()
+        sofar = self._measure(None, self._own.named(now))
         return {"state": state, "late": late, "bias": bias, "tick": jnp.int32(0), "ticks": ticks, "sofar": sofar}
 
-    def told_one(self, given: Mapping[str, Any], carried: Any, now: Array) -> tuple[Array, Any, Array]:
-        """What one rollout's controller is told (k,) of a state (s,), what is carried on, and a key of its own."""
+    def tick_one(self, given: Mapping[str, Any], carried: Any, now: Array) -> tuple[Array, Any]:
+        """Controls (nu,) of one rollout, or what it is told (k,), and what it carries on, after a state (s,)."""
         tick, seen = carried["tick"], self._own.observed(now)
         own, noise = jax.random.split(jax.random.fold_in(jax.random.wrap_key_data(given["key"]), 2 + tick))
         late = jnp.concatenate([seen[None], carried["late"][:-1]])
         told = late[given["delay"]] + carried["bias"] + given["white"] * _drawn(noise, seen)
-        return told, {**carried, "late": late, "tick": tick + 1, "sofar": self._measured(carried, now)}, own
-
-    def tick_one(self, given: Mapping[str, Any], carried: Any, now: Array) -> tuple[Array, Any]:
-        """Controls (nu,) of one rollout, and what it carries on, after a state (s,)."""
-        told, after, own = self.told_one(given, carried, now)
         ctrl, state = self._policy(given["belief"], told, carried["state"], own)
-        return ctrl, {**after, "state": _until(carried["tick"] < carried["ticks"], state, carried["state"])}
+        new = {"late": late, "tick": tick + 1, "sofar": self._measured(carried, now)}
+        return ctrl, {**carried, **new, "state": _until(tick < carried["ticks"], state, carried["state"])}
 
     def finish_one(self, given: Mapping[str, Any], carried: Any, now: Array) -> dict[str, Array]:
         """The controller's own figures of one rollout that ends with a state (s,), by name."""
-        ends = [self._measured(carried, now)] if self._measure else []
-        return self._figures(given["belief"], carried["state"], *ends)
+        return self._figures(given["belief"], carried["state"], self._measured(carried, now))
 
     def _measured(self, carried: Any, now: Array) -> Any:
         """What is measured so far; a rollout that is over has its end in it already."""
-        if not self._measure:
-            return ()
         new = self._measure(carried["sofar"], self._own.named(now))
         within = (carried["tick"] > 0) & (carried["tick"] <= carried["ticks"])  # the start is in it
         return _until(within, new, carried["sofar"])
 
-    def check_start(self, given: Mapping[str, Any], pose: Callable[[Any], np.ndarray]) -> None:
-        """Raise `InputError` where the first rollout's first controls are not finite.
-
-        `pose` gives the state (s,) at a start (nq,).
-        """
+    def check_start(self, begun: AtStart) -> None:
+        """Raise `InputError` where the first rollout's first controls are not finite."""
 
         def found(function: Callable[..., Any], *more: Any) -> Any:  # without compiling it
             return worked_out(lambda: function(*jax.tree.map(jnp.asarray, (first, *more))))
 
-        first = jax.tree.map(lambda rows: rows[0], given)
+        first = jax.tree.map(lambda rows: rows[0], begun.given)
         start, state, _ = found(self.begin_one)
         if start is not None and not np.isfinite(start).all():
             raise self._wrong("begins at positions that are not finite")
-        now = pose(start)
-        ctrl, *_ = found(self._one, found(self.enter_one, state, now, np.int32(1)), now)
+        begun.energy(start)
+        now = self._own.state(begun.qpos, begun.qvel, begun.sensors)[0]
+        ctrl, _ = found(self.tick_one, found(self.enter_one, state, now, np.int32(1)), now)
         if not np.isfinite(self._controlled(np.tile(ctrl, (TILE, 1)))).all():
             raise self._wrong("gives controls that are not finite at the nominal start")
 
@@ -142,42 +135,38 @@ class Programs:
             raise self._wrong(f"gives {ctrl.dtype} {ctrl.shape}: {wanted}")
         return ctrl
 
-    def _forms(self, belief: Belief) -> tuple[Any, ...]:
-        """What its functions give, as forms of arrays; the state and what is measured before and after."""
-        model, measure = self._own.model, self._measure
-        start, state, duration = jax.eval_shape(self._begin, belief, key := jax.random.key(0))
-        now = jnp.zeros(model.nq + model.nv + model.nsensordata)
-        seen = jax.eval_shape(self._own.observed, now)
-        ctrl, after = jax.eval_shape(self._policy, belief, seen, state, key)
-        sofar = jax.eval_shape(lambda: measure(None, self._own.named(now))) if measure else ()
-        more = jax.eval_shape(measure, sofar, self._own.named(now)) if measure else ()
-        found = jax.eval_shape(self._figures, belief, after, *([sofar] if measure else []))
-        return start, duration, seen, ctrl, (state, after), (sofar, more), found
-
     def _check(self, belief: Belief) -> None:
-        model, measured = self._own.model, self._own.controller.measured
-        start, duration, seen, ctrl, states, sums, found = self._tried(self._forms, belief)
+        """Raise where the controller's functions fit neither each other nor the model."""
+        own, model, key = self._own, self._own.model, jax.random.key(0)
+        now = jnp.zeros(model.nq + model.nv + model.nsensordata)
+        start, state, duration = jax.eval_shape(self._begin, belief, key)
+        seen = jax.eval_shape(own.observed, now)
+        ctrl, after = jax.eval_shape(self._policy, belief, seen, state, key)
+        sofar = jax.eval_shape(lambda: self._measure(None, own.named(now)))
+        more = jax.eval_shape(self._measure, sofar, own.named(now))
+        found = jax.eval_shape(self._figures, belief, after, sofar)
         shape = getattr(ctrl, "shape", type(ctrl).__name__)
 
-        def differ(trees: tuple[Any, Any]) -> bool:
+        def differ(*trees: Any) -> bool:
             before, after = (jax.tree.map(lambda x: (x.shape, x.dtype), tree) for tree in trees)
             return before != after
 
         for wrong, what in (
             (getattr(seen, "ndim", 0) != 1, f"observes {getattr(seen, 'shape', seen)}: (k,) is wanted"),
-            (shape != (model.nu,), f"gives controls {shape}: ({model.nu},) are wanted"),
-            (differ(states), "gives a state of another form than it was given"),
-            (differ(sums), "measures in another form than at first"),
+            (not own.controller.batched and shape != (model.nu,),
+             f"gives controls {shape}: ({model.nu},) are wanted"),
+            (differ(state, after), "gives a state of another form than it was given"),
+            (differ(sofar, more), "measures in another form than at first"),
             (start is not None and start.shape != (model.nq,),
              f"begins at {getattr(start, 'shape', '')}: ({model.nq},) are wanted"),
             (duration is not None and duration.shape, f"lasts {getattr(duration, 'shape', '')}: one number is wanted"),
         ):  # fmt: skip
             if wrong:
                 raise self._wrong(what)
-        if {*found} != {*measured} or any(one.shape for one in found.values()):
+        if {*found} != {*own.controller.measured} or any(one.shape for one in found.values()):
             has = ", ".join(f"{name} {one.shape}" for name, one in found.items())
             raise self._wrong(f"has figures {has}: numbers are wanted, named in FIGURES")
-        if self._own.controller.batched:
+        if own.controller.batched:
             self._controlled(np.zeros((TILE, seen.shape[0]), jnp.zeros(0).dtype))
 
 
@@ -217,8 +206,3 @@ class Rollouts:
 
     def _joined(self, parts: Sequence[Any]) -> Any:
         return None if parts[0] is None else np.concatenate([np.asarray(one) for one in parts])[: self._n].astype(float)
-
-
-def keys(streams: np.ndarray) -> np.ndarray:
-    """Data of a key for each rollout, from its stream alone."""
-    return np.asarray(jax.random.key_data(devices.keys(streams)))
