@@ -28,6 +28,7 @@ BELOW_RUNS = (
 ROOMS = (*BELOW_RUNS, "runs", "trace", "report", "cli", "")
 # a controller and a model of a user's own; one rollout's surfaces; physics measured alone
 JAX_ABOVE_ENGINES = {
+    "sweep.systems.own.batch",
     "sweep.systems.own.policy",
     "sweep.systems.exported",
     "sweep.systems.own.mjx",

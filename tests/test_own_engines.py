@@ -156,6 +156,8 @@ def test_how_it_is_simulated_is_an_axis(here):
         assert rows["base_height_min_m"].nunique() == 2, line
     model = mujoco.MjModel.from_xml_path("hopper.xml")
     model.opt.timestep, model.opt.cone = 0.001, int(mujoco.mjtCone.mjCONE_ELLIPTIC)
+    for name, kinds in (("cone", mujoco.mjtCone), ("integrator", mujoco.mjtIntegrator), ("solver", mujoco.mjtSolver)):
+        assert [one.partition("_")[2] for one in kinds.__members__] == [word.upper() for word in fields.CHOSEN[name]]
     changed = fields.with_options(model, {"model.option.cone": "pyramidal", "model.option.timestep": 0.004})
     assert (changed.opt.cone, changed.opt.timestep, model.opt.timestep) == (0, 0.004, 0.001)
 
@@ -197,15 +199,15 @@ ON_BOX = '<geom type="box" size="1 1 1"/><body pos="0 0 3"><freejoint/><geom typ
     [
         ('integrator="implicit"', BALL, "", "no mjtIntegrator.mjINT_IMPLICIT (model.option.integrator=implicitfast"),
         ('solver="PGS"', BALL, "", "no mjtSolver.mjSOL_PGS (model.option.solver=Newton or CG, or engine=native)"),
-        ('noslip_iterations="3"', BALL, "", "MJX leaves out noslip_iterations"),
+        ('noslip_iterations="3"', BALL, "", "MJX leaves out option.noslip_iterations"),
         ('integrator="implicitfast" density="1.2"', BALL, "", "fluid drag (model.option.integrator=Euler, or"),
         ("", ON_BOX.format("ellipsoid"), "", "collisions not implemented (other shapes, or geoms that do not collide"),
         ("", ON_BOX.format("cylinder"), "", "collisions not implemented"),
-        ("", WHEEL, 'damping="0.3"', "MJX leaves out damping of actuators"),
-        ("", WHEEL, 'armature="0.3"', "MJX leaves out armature of actuators"),
-        ("", WHEEL.replace('name="a"', 'name="a" stiffness="0 1"'), "", "MJX leaves out polynomials of springs"),
-        ("", WHEEL.replace('name="a"', 'name="a" damping="0 1"'), "", "MJX leaves out polynomials of dampers"),
-        ('density="1"', BALL.replace("size", 'fluidshape="ellipsoid" size'), "", "MJX leaves out drag of geoms by"),
+        ("", WHEEL, 'damping="0.3"', "MJX leaves out actuator.damping"),
+        ("", WHEEL, 'armature="0.3"', "MJX leaves out actuator.armature"),
+        ("", WHEEL.replace('name="a"', 'name="a" stiffness="0 1"'), "", "MJX leaves out joint.stiffnesspoly"),
+        ("", WHEEL.replace('name="a"', 'name="a" damping="0 1"'), "", "MJX leaves out joint.dampingpoly"),
+        ('density="1"', BALL.replace("size", 'fluidshape="ellipsoid" size'), "", "MJX leaves out geom.fluid"),
     ],
 )
 def test_what_mjx_cannot_do_is_said_before_anything_runs(here, tmp_path, capsys, option, world, motor, line):
@@ -273,7 +275,7 @@ def test_what_warp_cannot_do_is_said_before_anything_runs(here, capsys):
     for what, words in (('damping="1"', "damping"), ('delay="0.02" nsample="4"', "delay")):
         Path("rail.xml").write_text(RAIL.replace('joint="x"/></act', f'joint="x" {what}/></act'))
         assert main(["run", "study=rail.yaml", "engine=warp", "out=refused"]) == 2
-        assert f"MJX leaves out {words} of actuators (a model without, or" in capsys.readouterr().err
+        assert f"MJX leaves out actuator.{words} (a model without, or" in capsys.readouterr().err
     assert not Path("refused").exists()
 
 

@@ -232,7 +232,7 @@ def test_outcomes_are_told_by_what_holds_first():
     )
     figures = {"height_m": np.array([0.3, 0.1, 0.3, 0.1, 0.3]), "way_m": np.array([3.0, 3.0, 1.5, 0.5, 0.5]),
                "not_finite": np.zeros(5), "buffer_full": np.array([0.0, 1, 0, 0, 0])}  # fmt: skip
-    labels = outcome.judge(figures, conditions)
+    labels = outcome.judge(figures, conditions, ["run"])
     assert list(labels["outcome"]) == ["success", "invalid", "failure", "failure", "failure"]
     assert list(labels["cause"]) == ["", "buffer_full", "goal_missed", "fell", "late"]
     np.testing.assert_allclose(labels["margin"], [0.5, -0.5, -0.25, -0.75, -0.75])
@@ -273,7 +273,7 @@ BROKEN = {
             "outcome.fell: base_hight_min_m is unknown: did you mean base_height_min_m?",
         ),
         ("outcome.fell=3", "outcome.fell = 3 is not a condition"),
-        ("controller.sped=1", "controller.sped is unknown: did you mean speed?"),
+        ("controller.sped=1", "controller.sped is unknown: did you mean controller.speed?"),
         ("study.axes.load.path=model.body.trnk.mass", "no body is called trnk: did you mean trunk?"),
         ("study.axes.load.path=model.body.world.mass", "the body has no mass in the file, so no inertia to scale"),
         ("study.axes.load.path=model.body.trunk.mas", "mas is unknown: did you mean mass?"),
@@ -288,7 +288,7 @@ BROKEN = {
             "study.axes.load.path=model.geom.floor.friction",
             "which of its numbers is unknown (allowed: roll, slide, spin)",
         ),
-        ("study.axes.load.path=noise.dely", "dely is unknown: did you mean delay?"),
+        ("study.axes.load.path=noise.dely", "noise.dely is unknown: did you mean noise.delay?"),
         ("study.axes.load.from=-1", "world.model.body.trunk.mass = -1 is not allowed: at least 1e-09 kg"),
         ("study.keep=[base_w_m]", "study.keep: base_w_m is unknown"),
     ],

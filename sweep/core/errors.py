@@ -15,6 +15,11 @@ class Fault(RuntimeError):
         return f"{super().__str__()}; what is on disk stays, the same command finishes the rest"
 
 
+def raised(error: Exception) -> str:
+    """Kind and first line of what code of a user's own raised."""
+    return f"{type(error).__name__}: {(str(error).splitlines() or [''])[0]}"
+
+
 def suggest(word: str, allowed: Iterable[str]) -> str:
     """The tail of a message about an unknown name: what is allowed, the closest first."""
     allowed = list(allowed)

@@ -47,19 +47,26 @@ def mask(frame: "pd.DataFrame", condition: str | None) -> np.ndarray:
     """
     if not condition:
         return np.ones(len(frame), dtype=bool)
-    shown = repr(condition) if len(condition) < 200 else f"{condition[:200]!r}..."
+    told = "where = " + (repr(condition) if len(condition) < 200 else f"{condition[:200]!r}...")
+    such = "'friction > 0.8 and replicate == 0'"
+    found = held(condition, lambda name: frame[column(frame, name)].to_numpy(), told, such)
+    return np.broadcast_to(found, (len(frame),))
+
+
+def held(condition: str, look_up: Callable[[str], Any], told: str, such: str) -> np.ndarray:
+    """Where a condition holds. Raises `InputError`, which names it as `told`, where it is none, as `such` a one is."""
     try:
-        result = evaluate(condition, lambda name: frame[column(frame, name)].to_numpy())
-        if np.asarray(result).dtype != bool:
+        found = np.asarray(evaluate(condition, look_up))
+        if found.dtype != bool:
             raise SyntaxError
-        return np.broadcast_to(result, (len(frame),))
+        return found
     except SyntaxError:
-        raise InputError(f"where = {shown} is not a condition, such as 'friction > 0.8 and replicate == 0'") from None
+        raise InputError(f"{told} is not a condition, such as {such}") from None
     except (TypeError, ValueError) as error:
         if isinstance(error, InputError):
             raise
         reason = str(error).splitlines()[0]
-        raise InputError(f"where = {shown} compares what cannot be compared: {reason}") from None
+        raise InputError(f"{told} compares what cannot be compared: {reason}") from None
 
 
 def evaluate(expression: str, look_up: Callable[[str], Any]) -> Any:

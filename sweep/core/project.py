@@ -14,7 +14,7 @@ from typing import Any
 
 import yaml
 
-from sweep.core.errors import InputError
+from sweep.core.errors import InputError, raised
 from sweep.core.groups import GROUPS
 
 SHIPPED, FILE, ENTRY_POINTS = "sweep.conf", "sweep.yaml", "sweep.modules"
@@ -105,13 +105,18 @@ def _imported(folder: Path | None, names: tuple[str, ...]) -> tuple[ModuleType, 
         try:
             found.append(importlib.import_module(name))
         except Exception as error:
-            reason = str(error).splitlines()[0] if str(error) else ""
-            raise InputError(f"module {name} cannot be imported: {type(error).__name__}: {reason}") from None
+            raise InputError(f"module {name} cannot be imported: {raised(error)}") from None
     return tuple(found)
 
 
 def module_sources() -> Iterator[Path]:
-    """The files of `modules`: of a package all of its own."""
+    """The files of `modules`."""
     for module in modules():
-        file = Path(str(module.__file__))
-        yield from sorted(file.parent.rglob("*.py")) if file.name == "__init__.py" else (file,)
+        yield from sources(module)
+
+
+def sources(module: ModuleType) -> list[Path]:
+    """The files of a module, of a package and what is in one all of that, as far as they are there."""
+    file = Path(str(module.__file__))
+    every = sorted(file.parent.rglob("*.py")) if (file.parent / "__init__.py").exists() else [file]
+    return [one for one in every if one.is_file()]

@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
+from sweep.core.errors import InputError
+
 if TYPE_CHECKING:
     import mujoco
 
@@ -47,6 +49,13 @@ class Trace:
 def single_joints(model: "mujoco.MjModel") -> np.ndarray:
     """Numbers of the hinges and slides of a model, in its order; of a legged robot leg by leg."""
     return np.flatnonzero(model.jnt_type >= SLIDE)
+
+
+def substeps(period: float, step: float, told: str) -> int:
+    """Physics steps of a control tick, both in s. Raises `InputError`, in the words `told`, where they do not fit."""
+    if period < step or abs(period / step - round(period / step)) > 1e-6:
+        raise InputError(told)
+    return round(period / step)
 
 
 def same_bits(a: Any, b: Any) -> bool:

@@ -13,7 +13,7 @@ from sweep.controllers.tracker import TrackerState
 from sweep.core.parameters import InputError
 from sweep.core.waiting import part
 from sweep.dynamics.step import Limits
-from sweep.engines import planning, program_cache
+from sweep.engines import base, planning, program_cache
 from sweep.engines.base import Figures, Trace
 from sweep.engines.settings import EngineSettings
 from sweep.metrics import outcome, stream
@@ -57,14 +57,9 @@ def step_time(settings: EngineSettings) -> float:
 def substeps(settings: EngineSettings) -> int:
     """Physics steps of a control tick. Raises `InputError` where they do not fit."""
     key = "native_time_step" if settings.name == "native" else "time_step"
-    step = step_time(settings)
-    ratio = settings.control_period / step
-    if ratio < 1 or abs(ratio - round(ratio)) > 1e-6:
-        raise InputError(
-            f"engine.{key} = {step:g} is not allowed: a whole fraction of "
-            f"engine.control_period = {settings.control_period:g} s"
-        )
-    return round(ratio)
+    step, period = step_time(settings), settings.control_period
+    allowed = f"a whole fraction of engine.control_period = {period:g} s"
+    return base.substeps(period, step, f"engine.{key} = {step:g} is not allowed: {allowed}")
 
 
 def pick(case: Case, slot: int) -> Case:

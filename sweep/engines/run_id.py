@@ -31,7 +31,7 @@ def device(settings: EngineSettings) -> str:
     return ", ".join(parts)
 
 
-def run_id(settings: EngineSettings) -> str:
-    """Hash of how a row is simulated: engine, steps, precision, width, device, code."""
-    content = repr((settings, device(settings), provenance.code_version()))
+def run_id(settings: EngineSettings, *more: str) -> str:
+    """Hash of how a row is simulated: engine, steps, precision, width, device, code, and what `more` tells."""
+    content = repr((settings, device(settings), provenance.code_version(), *more))
     return hashlib.blake2b(content.encode(), digest_size=6).hexdigest()

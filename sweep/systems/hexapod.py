@@ -71,6 +71,10 @@ class Hexapod:
     shown = ("mcap", "states", "model", "plot", "png", "video")
     lacks = MappingProxyType({})
     ways = WAYS
+    device = staticmethod(run_id.device)
+    run_id = staticmethod(run_id.run_id)
+    judge = staticmethod(outcome.classify)
+    why = staticmethod(outcome.why)
 
     @property
     def recorded(self) -> tuple[str, ...]:
@@ -200,20 +204,6 @@ class Hexapod:
 
         return engines.make(settings, world, belief, limits)
 
-    def device(self, settings: EngineSettings) -> str:
-        """See `System`."""
-        return run_id.device(settings)
-
-    def run_id(self, settings: EngineSettings) -> str:
-        """See `System`."""
-        return run_id.run_id(settings)
-
-    def judge(
-        self, figures: Mapping[str, np.ndarray], limits: Thresholds, stages: Sequence[str]
-    ) -> dict[str, np.ndarray]:
-        """See `System`."""
-        return outcome.classify(figures, limits, stages)
-
     def limit(self, text: str) -> tuple[str, float]:
         """See `System`: `slip_max_m<0.02`. The sign must agree with the name: a maximum is kept below."""
         sign = next((s for s in ("<=", ">=", "<", ">", "=") if s in text), None)
@@ -229,10 +219,6 @@ class Hexapod:
     def thresholds(self, limits: Thresholds) -> dict[str, float]:
         """See `System`."""
         return {cause.figure: outcome.limit_of(cause, limits) for cause in outcome.CAUSES if cause.threshold}
-
-    def why(self, row: Mapping[str, Any], limits: Thresholds) -> str:
-        """See `System`."""
-        return outcome.why(row, limits)
 
 
 def nominal(values: Mapping[str, Any], kinds: Kinds) -> Nominal:

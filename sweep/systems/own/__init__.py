@@ -6,7 +6,6 @@ Paths are `model.<kind>.<name>.<field>[.component]` (see `fields`), `noise.white
 
 import dataclasses
 import functools
-import hashlib
 import math
 import sys
 from collections.abc import Iterator, Mapping, Sequence
@@ -17,33 +16,29 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sweep.core import provenance
 from sweep.core.errors import InputError, known
 from sweep.core.parameters import build, checked, quantity
 from sweep.engines import run_id
 from sweep.engines.settings import EngineSettings
 from sweep.systems.base import Kinds, Nominal, Parameter, Values, Way, by_side, side_and_path
 from sweep.systems.own import fields, figures, files, idle, outcome
-from sweep.systems.own.engine import Loop, Native, substeps
+from sweep.systems.own.engine import Loop, Native
 from sweep.systems.own.outcome import Condition
-from sweep.systems.own.subject import About, Noise, Settings, Side, Subject
+from sweep.systems.own.subject import About, Settings, Side, Subject
 
 if TYPE_CHECKING:
     import pandas as pd
 
+_note = functools.cache(lambda line: print(f"sweep: note: {line}", file=sys.stderr))  # once
 AXES = ("name", "width", "precision")  # what an own model's engine has of the settings, beside the period of a tick
+OTHER = {"elliptic": "pyramidal", "pyramidal": "elliptic"}
 WAYS = {
     "again": Way("as before, in batches of another width"),
     "half_step": Way("half the time step", columns={"model.option.timestep": lambda step: step / 2}),
     "float64": Way("in double precision", lambda s: replace(s, precision="float64")),
     "other_engine": Way("on the other engine", lambda s: replace(s, name="mjx" if s.name == "native" else "native")),
-    "other_cone": Way(
-        "with the other friction cone",
-        columns={"model.option.cone": lambda cone: "elliptic" if cone == "pyramidal" else "pyramidal"},
-    ),
+    "other_cone": Way("with the other friction cone", columns={"model.option.cone": OTHER.get}),
 }
-
-LACKS = {"tune": "its controller's numbers are axes (controller.*)", "export-model": "it is an own model already"}
 
 
 @dataclass(frozen=True)
@@ -55,10 +50,15 @@ class Own(Subject):
     case = Side()
     groups = ("model", "controller", "noise")
     doubts = (*outcome.DOUBTS, outcome.UNTRUSTED)
-    silent = frozenset(figures.SILENT)
+    silent = frozenset(outcome.DOUBTS)
     shown = ("mcap", "png", "video")
-    lacks = MappingProxyType(LACKS)
+    lacks = MappingProxyType(
+        {"tune": "its controller's numbers are axes (controller.*)", "export-model": "it is an own model already"}
+    )
     ways = MappingProxyType(WAYS)
+    device = staticmethod(run_id.device)
+    idle = idle.why
+    judge = staticmethod(outcome.judge)
 
     @property
     def causes(self) -> dict[str, str]:
@@ -89,22 +89,16 @@ class Own(Subject):
     def parameter(self, column: str, settings: EngineSettings) -> Parameter:
         """See `System`."""
         path = side_and_path(column)[1]
-        root, _, name = path.partition(".")
-        known(root, (*self.groups, "engine"), f"axis {column} names nothing: {root}")
+        known(root := path.partition(".")[0], (*self.groups, "engine"), f"axis {column} names nothing: {root}")
         if root == "model":
             found = fields.parameter(self.model, path)
             fields.check(self.source, self.model, path)
             return found
-        those = {
-            "engine": {one.name: one for one in dataclasses.fields(Settings) if one.name in AXES},
-            "noise": {one.name: one for one in dataclasses.fields(Noise)},
-            "controller": dict.fromkeys(self.controller.parameters, quantity(0.0, "")),
-        }[root]
-        known(name, those, f"axis {column} names nothing: {name}")
+        those = {f"engine.{one.name}": one for one in dataclasses.fields(Settings) if one.name in AXES}
+        known(path, {**self.ranges, **those}, f"axis {column} names nothing: {path}")
         if root == "engine":
-            return those[name]
-        bounds = {key: value for key, value in those[name].metadata.items() if key != "role"}
-        return quantity({**self.noise, **dict(self.numbers)}[path], **bounds)
+            return those[path]
+        return dataclasses.field(default=self.usual(path), metadata=self.ranges[path].metadata)
 
     def nominal(self, column: str, settings: EngineSettings) -> Any:
         """See `System`."""
@@ -114,7 +108,6 @@ class Own(Subject):
     def inputs(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
         """See `System`: the model as a whole, and what is varied of it."""
         about = self.about
-        yield from self.errors
         yield from self.numbers
         yield "model", about.content
         yield "model.rollout", repr((about.period, about.duration, about.keyframe, about.observe, about.command))
@@ -122,7 +115,7 @@ class Own(Subject):
 
     def unsaid(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
         """See `System`: a model's number that is varied counts where it is not that of the model."""
-        yield from ((path, self._default(path)) for path in paths if path.startswith("model."))
+        yield from ((path, self.usual(path)) for path in paths if path.startswith("model."))
 
     def check(self, table: "pd.DataFrame", settings: EngineSettings) -> None:
         """See `System`: whether the controller is one, and the engine one for the model, too."""
@@ -133,14 +126,9 @@ class Own(Subject):
         for values in distinct:
             ways = {c.removeprefix("engine."): value for c, value in values.items() if c.startswith("engine.")}
             made = self.engine(replace(settings, **ways), *self.sides(values), limits=None)
-            made.vary(fields.by_rollout(self.model, dict.fromkeys(varied)))
-            for line in made.cautions():
-                _say_once(f"sweep: note: {line}")
+            for line in made.vary(fields.by_rollout(self.model, dict.fromkeys(varied))):
+                _note(line)
         self.engine(settings, *self.sides({}), limits=None).check_start()
-
-    def idle(self, column: str, settings: EngineSettings) -> str:
-        """See `System`."""
-        return idle.why(self, *side_and_path(column))
 
     def random(self, rows: "pd.DataFrame", settings: EngineSettings) -> np.ndarray:
         """See `System`: a controller may draw, too."""
@@ -154,7 +142,7 @@ class Own(Subject):
     def with_room(self, table: "pd.DataFrame") -> "Own":
         """See `System`."""
         varied = [table[c].max() for c in table.columns if side_and_path(c)[1] == "noise.delay"]
-        return replace(self, room=math.ceil(max([self.noise["noise.delay"], *varied])))
+        return replace(self, room=math.ceil(max([self.usual("noise.delay"), *varied])))
 
     def engine(self, settings: EngineSettings, world: Side, belief: Side, limits: Any) -> Loop:
         """See `System`."""
@@ -167,21 +155,9 @@ class Own(Subject):
 
         return Mjx(own, settings)
 
-    def device(self, settings: EngineSettings) -> str:
-        """See `System`."""
-        return run_id.device(settings)
-
     def run_id(self, settings: EngineSettings) -> str:
         """See `System`: on native nothing of width or threads changes bits."""
-        told = replace(settings, width=0) if settings.name == "native" else settings
-        here = (told, self.device(settings), provenance.code_version(), _content(self))
-        return hashlib.blake2b(repr(here).encode(), digest_size=6).hexdigest()
-
-    def judge(
-        self, figures: Mapping[str, np.ndarray], limits: tuple[Condition, ...], stages: Sequence[str]
-    ) -> dict[str, np.ndarray]:
-        """See `System`."""
-        return outcome.judge(figures, limits)
+        return run_id.run_id(replace(settings, width=0) if settings.name == "native" else settings, _content(self))
 
     def limit(self, text: str) -> tuple[str, str]:
         """See `System`: `goal=travelled_m >= 1`."""
@@ -196,41 +172,30 @@ class Own(Subject):
 
     def why(self, row: Mapping[str, Any], limits: tuple[Condition, ...]) -> str:
         """See `System`."""
-        own = next((one for one in limits if one.cause == row["cause"] and one.limit), None)
-        if own and own.limit:
-            return f"{own.sentence} ({own.limit[0]} {float(row[own.limit[0]]):.4g})"
+        for one in limits:
+            if one.cause == row["cause"] and one.limit:
+                return f"{one.sentence} ({one.limit[0]} {float(row[one.limit[0]]):.4g})"
         return self.causes.get(str(row["cause"]), "")
-
-
-@functools.cache
-def _say_once(line: str) -> None:
-    print(line, file=sys.stderr)
 
 
 def nominal(values: Mapping[str, Any], kinds: Kinds) -> Nominal:
     """See `sweep.systems.nominal`."""
     about = _about(values["model"])
-    noise = build(Noise, values.get("noise") or {}, "noise")
     settings, usual = build(Settings, values["engine"], "engine"), Settings()
     for field in dataclasses.fields(usual):
         if field.name not in (*AXES, "control_period") and getattr(settings, field.name) != getattr(usual, field.name):
             raise InputError(f"engine.{field.name} is not allowed: the model's file says how it is simulated")
-    own = Own(about, tuple((f"noise.{name}", value) for name, value in vars(noise).items()), ())
-    control, asked = own.controller, values.get("controller") or {}
-    substeps(own.model, about.period)
-    _ = own.told_of  # refuses unknown names
-    if about.keyframe:
-        keyframes = [own.model.key(k).name for k in range(own.model.nkey)]
-        known(about.keyframe, keyframes, f"model.keyframe = {about.keyframe}")
-    for name in asked:
-        known(name, control.parameters, f"controller.{name}")
-    numbers = {f"controller.{name}": value for name, value in {**control.parameters, **asked}.items()}
-    numbers = tuple((path, checked(quantity(0.0, ""), value, path)) for path, value in numbers.items())
-    conditions = outcome.parse(values.get("outcome") or {}, {*figures.names(own), *control.measured})
+    own, groups = Own(about, ()), {group: values.get(group) or {} for group in ("noise", "controller")}
+    asked = {f"{group}.{name}": value for group, given in groups.items() for name, value in given.items()}
+    for path in asked:
+        known(path, own.ranges, path)
+    numbers = tuple((path, checked(one, asked.get(path, one.default), path)) for path, one in own.ranges.items())
+    _ = own.told_of, own.keyframe  # which refuse unknown names
+    conditions = outcome.parse(values.get("outcome") or {}, {*figures.names(own), *own.controller.measured})
     content = about.content or _content(own)
     own = replace(own, about=replace(about, content=content), numbers=numbers, conditions=conditions)
-    told = {"model": {**values["model"], "content": content}}
-    return Nominal(own, replace(settings, control_period=about.period), conditions, told)
+    settings, told = replace(settings, control_period=about.period), {**values["model"], "content": content}
+    return Nominal(own, settings, conditions, {"model": told})
 
 
 def _about(given: Mapping[str, Any]) -> About:
@@ -238,21 +203,19 @@ def _about(given: Mapping[str, Any]) -> About:
     said = {key: value for key, value in given.items() if value is not None}
     for key in ("observe", "feet", "collisions"):
         names = said.get(key, ())
-        if isinstance(names, str) or not all(isinstance(one, str) for one in names):
+        if not isinstance(names, list | tuple) or not all(isinstance(one, str) for one in names):
             raise InputError(f"model.{key} = {names!r} is not allowed: a list of names")
         said[key] = tuple(names)
     direction, option = said.get("direction", About.direction), said.get("option", {})
-    try:
-        along = np.array([float(one) for one in direction])
-    except (TypeError, ValueError):
-        along = np.zeros(0)
-    if along.shape != (3,) or not np.isfinite(along).all() or not along.any():
+    along = direction if isinstance(direction, list | tuple) else ()
+    along = tuple(checked(quantity(0.0, ""), one, "model.direction") for one in along)
+    if len(along) != 3 or not any(along):
         raise InputError(f"model.direction = {direction!r} is not allowed: along the world's axes, as [1, 0, 0]")
     if not isinstance(option, Mapping):
         raise InputError(f"model.option = {option!r} is not allowed: names and values, such as {{cone: elliptic}}")
     model, paths = files.model(said.get("mjcf", "")), {f"model.option.{name}": value for name, value in option.items()}
     options = tuple((path, checked(fields.parameter(model, path), value, path)) for path, value in paths.items())
-    return build(About, {**said, "direction": tuple(along.tolist()), "option": options}, "model")
+    return build(About, {**said, "direction": along, "option": options}, "model")
 
 
 def _content(own: Own) -> str:

@@ -12,8 +12,6 @@ from sweep.engines.settings import EngineSettings
 from sweep.systems.own import fields
 from sweep.systems.own.subject import Side, Subject
 
-LIMITS = "actuator_forcerange", "jnt_range"
-
 
 class AtStart(NamedTuple):
     """n rollouts at their first tick."""
@@ -25,10 +23,6 @@ class AtStart(NamedTuple):
     given: dict[str, Any]  # to the controllers, by row
     mass: np.ndarray  # (n,) kg
     limits: dict[str, np.ndarray]  # by field, (n, ..., 2)
-
-    def models(self, slots: np.ndarray | None) -> list[mujoco.MjModel]:
-        """Of the rollouts in `slots`."""
-        return [] if slots is None else [self.batch.get_model(int(slot)) for slot in slots]
 
     def energy(self, qpos: Any = None, qvel: Any = None) -> np.ndarray:
         """Of each model (n,), potential and kinetic (J), as it is, or where it goes: (n, nq) and (n, nv), if given.
@@ -56,7 +50,7 @@ def begin(own: Subject, settings: EngineSettings, world: Side, belief: Side, str
     varied = fields.by_rollout(own.model, world.of("model"))
     fields.write(batch, {path: np.broadcast_to(value, (n,)) for path, value in varied.items()}, own.source)
     batch.reset(keyframe=own.keyframe, stage=int(mujoco.mjtStage.mjSTAGE_NONE))
-    noise = {**own.noise, **world.of("noise")}
+    noise = {**dict(own.numbers), **world.of("noise")}
     told = own.told({**belief.of("model"), **belief.of("controller")})
     given = {
         "belief": {name: np.broadcast_to(number(value), (n,)) for name, value in told.items()},
@@ -64,8 +58,8 @@ def begin(own: Subject, settings: EngineSettings, world: Side, belief: Side, str
         **{name: np.broadcast_to(number(noise[f"noise.{name}"]), (n,)) for name in ("white", "bias")},
         "key": np.asarray(jax.random.key_data(devices.keys(streams))),
     }
-    mass = batch.expand("body_mass").sum(axis=1)
-    return AtStart(batch, qpos, qvel, sensors, given, mass, {name: batch.expand(name) for name in LIMITS})
+    limits = {name: batch.expand(name) for name in ("actuator_forcerange", "jnt_range")}
+    return AtStart(batch, qpos, qvel, sensors, given, batch.expand("body_mass").sum(axis=1), limits)
 
 
 def ticks(own: Subject, duration: Any) -> np.ndarray:

@@ -12,47 +12,49 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from sweep.core.errors import InputError
 from sweep.engines import devices
-from sweep.engines.base import Figures, Trace, Watch, single_joints
+from sweep.engines.base import Figures, Trace, Watch, single_joints, substeps
 from sweep.engines.settings import EngineSettings
 from sweep.systems.own import batch, figures
-from sweep.systems.own.outcome import STAGE
 from sweep.systems.own.policy import Programs, Rollouts
 from sweep.systems.own.subject import Side, Subject
 
-WIDTH = 256
-W = mujoco.mjtWarning
-BROKEN = [int(w) for w in (W.mjWARN_INERTIA, W.mjWARN_BADQPOS, W.mjWARN_BADQVEL, W.mjWARN_BADQACC, W.mjWARN_BADCTRL)]
-SOLVER = ("solver_niter", "M", *figures.BALANCE)  # what is recorded of it, beside figures' own
-FULL = [int(w) for w in (W.mjWARN_CONTACTFULL, W.mjWARN_CNSTRFULL)]
+FULL = [int(mujoco.mjtWarning.mjWARN_CONTACTFULL), int(mujoco.mjtWarning.mjWARN_CNSTRFULL)]  # others are worse
+RECORDED = (*figures.STEPS, "solver_niter", "M", *figures.BALANCE)
 
 
 class Frame(NamedTuple):
     """What is recorded at the end of a tick, of some rollouts."""
 
     time: float
+    ctrl: np.ndarray
     qpos: np.ndarray
     qvel: np.ndarray
-    ctrl: np.ndarray
     force: np.ndarray
+
+
+Found = tuple[Figures, list[Frame], list[mujoco.MjModel]]  # of a batch; of some slots of it
 
 
 class Loop:
     """An `Engine`, but for `dynamics` and for the way from one tick to the next. Raises `InputError`."""
 
-    stages: tuple[str, ...] = (STAGE,)
+    stages: tuple[str, ...] = ("run",)  # there are no others
     dynamics: str
     devices = 1  # threads share it
-    width: int
 
     def __init__(self, own: Subject, settings: EngineSettings):
         devices.configure()
+        mujoco.set_mju_user_warning(lambda _: None)  # a row that it is about is invalid
         self._own, self._settings, self._model = own, settings, own.model
         self.duration = own.about.duration
-        self._substeps = substeps(self._model, own.about.period)
+        self.width = settings.width or (devices.CPU_WIDTH if settings.name == "native" else devices.default_width())
+        period, step = own.about.period, self._model.opt.timestep
+        allowed = f"a multiple of {step:g} s, the model's time step"
+        self._substeps = substeps(period, step, f"model.period = {period:g} is not allowed: {allowed}")
         ramp = (1 + np.arange(self._substeps)) / self._substeps  # what a command counts for, beside the one before
         self._shares = ramp if own.about.command == "ramped" else np.ones(self._substeps)
+        self._meter = figures.Meter(own)
         belief = {name: np.dtype(settings.precision).type(value) for name, value in own.told({}).items()}
         with self._within():
             self._programs = Programs(own, belief)
@@ -67,12 +69,9 @@ class Loop:
         with self._within():
             self._programs.check_start(begun)
 
-    def cautions(self) -> Iterator[str]:
-        """What is to be known of it before it runs, each a line."""
-        return iter(())
-
-    def vary(self, paths: Iterable[str]) -> None:
-        """Raise `InputError` where it cannot simulate models that differ in what `paths` name."""
+    def vary(self, paths: Iterable[str]) -> Iterable[str]:
+        """Raise `InputError` where models cannot differ in what `paths` name; what is to be known before, as lines."""
+        return ()
 
     def rollout_bytes(self) -> None:
         """See `Engine`."""
@@ -92,22 +91,18 @@ class Loop:
 
     def trace(self, world: Side, belief: Side, streams: np.ndarray, slot: int) -> Trace:
         """See `Engine`."""
-        return self.traces(world, belief, streams, 1, slice(slot, slot + 1))[0]
+        return self.traces(world, belief, streams, 1, [slot])[0]
 
-    def traces(
-        self, world: Side, belief: Side, streams: np.ndarray, every: int, some: slice = slice(None)
-    ) -> list[Trace]:
-        """See `Engine`; of `some` slots."""
-        slots = np.arange(len(streams))[some]
+    def traces(self, world: Side, belief: Side, streams: np.ndarray, every: int, slots: Any = None) -> list[Trace]:
+        """See `Engine`; of some `slots`, if they are named."""
+        slots = range(len(streams)) if slots is None else slots
         found, frames, models = self._simulate(world, belief, streams, slots, every)
-        time = np.array([frame.time for frame in frames])
+        time, *recorded = (np.stack(values) for values in zip(*frames, strict=True))
         traces = []
         for k, slot in enumerate(slots):
             row = {name: values[slot] for name, values in found.items()}
             within = time <= row["duration_s"] + self._own.about.period / 2
-            qpos, qvel, ctrl, force = (
-                np.stack([one[k] for one in values])[within] for values in zip(*(f[1:] for f in frames), strict=True)
-            )
+            ctrl, qpos, qvel, force = (values[within, k] for values in recorded)
             base, model, count = self._own.base, models[k], int(within.sum())
             pose = np.tile([0.0, 0, 0, 1, 0, 0, 0], (count, 1)) if base is None else qpos[:, base : base + 7]
             moved = time[within], qpos, qvel, ctrl, force @ levers(model)
@@ -116,9 +111,7 @@ class Loop:
             traces.append(Trace(world, belief, model, *moved, none, none, none, pose, *judged, self.stages, row))
         return traces
 
-    def _simulate(
-        self, world: Side, belief: Side, streams: np.ndarray, slots: np.ndarray | None = None, every: int = 1
-    ) -> tuple[Figures, list[Frame], list[mujoco.MjModel]]:
+    def _simulate(self, world: Side, belief: Side, streams: np.ndarray, slots: Any = (), every: int = 1) -> Found:
         """Figures of a batch; of the rollouts in `slots` frames at one in `every` ticks, and their models."""
         raise NotImplementedError
 
@@ -130,25 +123,10 @@ def levers(model: mujoco.MjModel) -> np.ndarray:
     return driven * model.actuator_gear[:, :1]
 
 
-def substeps(model: mujoco.MjModel, period: float) -> int:
-    """Physics steps of a tick. Raises `InputError` where they are not a whole number."""
-    steps = period / model.opt.timestep
-    if round(steps) < 1 or abs(steps - round(steps)) > 1e-6:
-        raise InputError(
-            f"model.period = {period:g} is not allowed: a multiple of {model.opt.timestep:g} s, the model's time step"
-        )
-    return round(steps)
-
-
 class Native(Loop):
     """See `Engine`."""
 
     dynamics = "C MuJoCo"
-
-    def __init__(self, own: Subject, settings: EngineSettings):
-        mujoco.set_mju_user_warning(lambda _: None)  # a row that it is about is invalid
-        super().__init__(own, settings)
-        self.width = settings.width or WIDTH
 
     @contextmanager
     def _within(self) -> Iterator[None]:
@@ -156,9 +134,7 @@ class Native(Loop):
         with super()._within(), devices.on_cpu():
             yield
 
-    def _simulate(
-        self, world: Side, belief: Side, streams: np.ndarray, slots: np.ndarray | None = None, every: int = 1
-    ) -> tuple[Figures, list[Frame], list[mujoco.MjModel]]:
+    def _simulate(self, world: Side, belief: Side, streams: np.ndarray, slots: Any = (), every: int = 1) -> Found:
         own, n = self._own, len(streams)
         # figures of a tick are worked out, on one core, while the next one is simulated on all of them
         with self._within(), ThreadPoolExecutor(1) as aside:
@@ -168,11 +144,11 @@ class Native(Loop):
             before_all = begun.energy(rollouts.start)
             ticks = batch.ticks(own, rollouts.duration)
             rollouts.enter(own.state(qpos, qvel, seen), ticks)
-            meter = figures.Meter(own)
-            sofar = aside.submit(meter.start, qpos.copy(), qvel.copy())
+            sofar = aside.submit(self._meter.start, qpos.copy(), qvel.copy())
 
             def measured(sofar: Any, steps: Any, going: np.ndarray) -> dict[str, Any]:
-                return meter.update(sofar, {**steps, "unsolved": unsolved(self._model, steps)}, begun.limits, going)
+                steps = {**steps, "unsolved": unsolved(self._model, steps)}
+                return self._meter.update(sofar, steps, begun.limits, going)
 
             broken, frames, before = np.zeros(n, dtype=bool), [], None
             recorded: list[Any] = [None, None]  # of this tick and the one before
@@ -186,21 +162,19 @@ class Native(Loop):
                 controls[:] = before[:, None] + self._shares[:, None] * (ctrl - before)[:, None]
                 before = ctrl
                 out = recorded[k % 2]
-                told = *figures.STEPS, *SOLVER
-                steps = recorded[k % 2] = begun.batch.rollout(self._substeps, controls, record=told, out=out)
+                steps = recorded[k % 2] = begun.batch.rollout(self._substeps, controls, record=RECORDED, out=out)
                 seen = steps["sensordata"][:, -1]
                 sofar = aside.submit(measured, sofar.result(), steps, going)
-                if slots is not None and (k + 1) % every == 0:
-                    last = (steps[name][slots, -1].copy() for name in ("qpos", "qvel", "actuator_force"))
-                    at, speed, force = last
-                    frames.append(Frame((k + 1) * own.about.period, at, speed, ctrl[slots], force))
+                if len(slots) and (k + 1) % every == 0:
+                    last = (steps[name][slots, -1] for name in ("qpos", "qvel", "actuator_force"))
+                    frames.append(Frame((k + 1) * own.about.period, ctrl[slots], *last))
             own_figures = rollouts.finish(own.state(qpos, qvel, seen))
         warned = begun.batch.warning[:, :, 0] > 0
-        broken |= warned[:, BROKEN].any(axis=1)
+        full, broken = warned[:, FULL].any(axis=1), broken | np.delete(warned, FULL, axis=1).any(axis=1)
         last = sofar.result()
         gained = begun.energy(last["last"], last["speed"]) - before_all
-        found = meter.figures(last, begun.mass, gained, broken, warned[:, FULL].any(axis=1))
-        return found | own_figures, frames, begun.models(slots)
+        found = self._meter.figures(last, begun.mass, gained, broken, full)
+        return found | own_figures, frames, [begun.batch.get_model(int(slot)) for slot in slots]
 
 
 def unsolved(model: mujoco.MjModel, steps: Mapping[str, np.ndarray]) -> np.ndarray:
@@ -210,7 +184,7 @@ def unsolved(model: mujoco.MjModel, steps: Mapping[str, np.ndarray]) -> np.ndarr
     """
     found = steps["solver_niter"].reshape(*steps["M"].shape[:2], -1).max(axis=2) >= model.opt.iterations
     if found.any() and model.opt.solver != int(mujoco.mjtSolver.mjSOL_PGS) and not model.opt.noslip_iterations:
-        inertia, *forces = (steps[name][found] for name in SOLVER[1:])
+        inertia, *forces = (steps[name][found] for name in ("M", *figures.BALANCE))
         row, column = np.repeat(np.arange(model.nv), model.M_rownnz), model.M_colind
         mass = np.zeros((len(inertia), model.nv, model.nv))  # of which the lower triangle is recorded
         mass[:, row, column] = mass[:, column, row] = inertia

@@ -41,6 +41,15 @@ class Place(NamedTuple):
     sign: float = 1.0
 
 
+class Thing(NamedTuple):
+    """What a path names a number of."""
+
+    kind: str
+    number: int  # as MuJoCo counts things of the kind; of options, which are one thing, 0
+    name: str
+    what: str  # the rest of the path
+
+
 RANGE = ("low", "high")
 # what may vary of each kind, in MJCF's words; with the field of MjModel where that is not what fields begin with and it
 WORDS = {
@@ -105,33 +114,36 @@ VARIED = {
     for kind, (begins, words) in WORDS.items()
 }
 OPTIONS = VARIED.pop(OPTION)
+KINDS = {name: getattr(mujoco.mjtObj, f"mjOBJ_{name.upper()}") for name in VARIED}  # as MuJoCo numbers them
 Shape = mujoco.mjtGeom
-ROUND = ("radius", "half_length")
 SIZES = {  # what numbers of a geom's size are, by its shape
     Shape.mjGEOM_SPHERE: ("radius",),
-    Shape.mjGEOM_CAPSULE: ROUND,
-    Shape.mjGEOM_CYLINDER: ROUND,
-    Shape.mjGEOM_BOX: XYZ,
-    Shape.mjGEOM_ELLIPSOID: XYZ,
+    **dict.fromkeys((Shape.mjGEOM_CAPSULE, Shape.mjGEOM_CYLINDER), ("radius", "half_length")),
+    **dict.fromkeys((Shape.mjGEOM_BOX, Shape.mjGEOM_ELLIPSOID), XYZ),
 }
-CHOSEN = {"cone": mujoco.mjtCone, "integrator": mujoco.mjtIntegrator, "solver": mujoco.mjtSolver}
 COUNTED = {"iterations": 1, "ls_iterations": 1, "noslip_iterations": 0}  # with the least of them
 TIMESTEP = "timestep"
-MJCF = {name.upper(): name for name in ("Euler", "RK4", "PGS", "CG", "Newton")}  # words that are not in small letters
-FREEDOM = {int(mujoco.mjtJoint.mjJNT_FREE): 6, int(mujoco.mjtJoint.mjJNT_BALL): 3}  # of joints; of the others 1
-SERVO = {"kp": ((0, 1.0), (1, -1.0)), "kv": ((2, -1.0),)}  # of gainprm's first, of biasprm; both, or its target scales
+CHOSEN = {  # the members of MuJoCo's enumerations in their order, by MJCF's words for them
+    "cone": ("pyramidal", "elliptic"),
+    "integrator": ("Euler", "RK4", "implicit", "implicitfast", "discrete"),
+    "solver": ("PGS", "CG", "Newton"),
+}
+SERVO = {  # what is written of a position servo: gain and bias together, or its target scales
+    "kp": (("actuator_gainprm", 0, 1.0), ("actuator_biasprm", 1, -1.0)),
+    "kv": (("actuator_biasprm", 2, -1.0),),
+}
+SETTINGS = {name: Numbers(names=("",), field=f"opt.{name}") for name in (*CHOSEN, *COUNTED, TIMESTEP)}
 
 
 def parameter(model: mujoco.MjModel, path: str) -> Parameter:
     """The number or the choice that `path` names, at its nominal value. Raises `InputError`."""
-    if (name := _setting(path)) in CHOSEN:
-        words = _words(CHOSEN[name])
-        return choice(next(word for word, kind in words.items() if kind == getattr(model.opt, name)), *words)
+    if (name := path.removeprefix(f"{ROOT}.{OPTION}.")) in CHOSEN:
+        return choice(CHOSEN[name][getattr(model.opt, name)], *CHOSEN[name])
     if name in COUNTED:
         return count(getattr(model.opt, name), at_least=COUNTED[name], at_most=10_000)
     if name == TIMESTEP:
         return setting(model.opt.timestep, "s", above=0, at_most=0.1)
-    numbers, places = _resolved(model, path)
+    numbers, places = resolved(model, path)
     value = places[0].sign * float(whole(model, numbers.field).flat[places[0].flat])
     return quantity(value, numbers.unit, at_least=numbers.at_least)
 
@@ -145,19 +157,9 @@ def with_options(model: mujoco.MjModel, values: Mapping[str, Any]) -> mujoco.MjM
     """A copy of a model with other options, by path; of vectors none."""
     changed = copy(model)
     for path, value in values.items():
-        name = _setting(path)
-        setattr(changed.opt, name, _words(CHOSEN[name])[value] if name in CHOSEN else value)
+        name = path.removeprefix(f"{ROOT}.{OPTION}.")
+        setattr(changed.opt, name, CHOSEN[name].index(value) if name in CHOSEN else value)
     return changed
-
-
-def _setting(path: str) -> str:
-    return path.removeprefix(f"{ROOT}.{OPTION}.")
-
-
-def _words(kinds: Any) -> dict[str, int]:
-    """The members of one of MuJoCo's enumerations by the words for them in MJCF: `mjINT_EULER` is `Euler`."""
-    names = {str(name).partition("_")[2]: int(kind) for name, kind in kinds.__members__.items()}
-    return {MJCF.get(name, name.lower()): number for name, number in names.items()}
 
 
 def write(batch: Batch, values: Mapping[str, Any], source: Callable[[], mujoco.MjSpec]) -> None:
@@ -165,12 +167,12 @@ def write(batch: Batch, values: Mapping[str, Any], source: Callable[[], mujoco.M
 
     `source` gives what the model was compiled from.
     """
-    made = {path: value for path, value in values.items() if compiled(batch.model, path)}
+    made = {path: value for path, value in values.items() if resolved(batch.model, path)[0].compiled}
     if made:
         _compile(batch, made, source())
     for path in values.keys() - made.keys():
         value = np.asarray(values[path])
-        for field, flat, sign in _resolved(batch.model, path)[1]:
+        for field, flat, sign in resolved(batch.model, path)[1]:
             rows = batch.expand(field).reshape(batch.nsim, -1)
             if field == "body_mass":
                 inertia = batch.expand("body_inertia").reshape(batch.nsim, -1, 3)
@@ -180,32 +182,20 @@ def write(batch: Batch, values: Mapping[str, Any], source: Callable[[], mujoco.M
         batch.set_const()
 
 
-def compiled(model: mujoco.MjModel, path: str) -> bool:
-    """Whether a model has to be compiled anew for another value."""
-    return path.startswith(f"{ROOT}.geom.") and _resolved(model, path)[0].compiled
-
-
 def check(source: Callable[[], mujoco.MjSpec], model: mujoco.MjModel, path: str) -> None:
     """Raise `InputError` where a path names a number that cannot vary in the model that `source` gives."""
-    kind, _, rest = path.removeprefix(f"{ROOT}.").partition(".")
-    number, called = named(model, kind, rest) if kind in KINDS else (-1, "")
-    what = rest.removeprefix(f"{called}.")
-    if kind == "body" and what == "mass" and not model.body_mass[number]:
-        raise InputError(f"axis {path} is not allowed: the body has no mass in the file, so no inertia to scale")
-    if kind == "body" and what.startswith("ipos") and model.body_simple[number]:
-        raise InputError(f'axis {path} is not allowed: MuJoCo has the body as a simple one, without simple="false"')
-    if not compiled(model, path):
-        return
-    geom = source().geom(called)
-    if np.isfinite(geom.fromto[0]) and what != "size.radius":
-        raise InputError(f"axis {path} is not allowed: the geom's fromto says where it ends")
-    if geom.type == Shape.mjGEOM_MESH:
-        raise InputError(f"axis {path} is not allowed: the geom is where its mesh has its middle")
-
-
-def fields_of(model: mujoco.MjModel, path: str) -> list[str]:
-    """The fields of MjModel that a path writes."""
-    return [place.field for place in _resolved(model, path)[1]]
+    kind, number, name, what = thing(model, path)
+    geom = source().geom(name) if resolved(model, path)[0].compiled else None
+    for wrong, why in (
+        (kind == "body" and what == "mass" and not model.body_mass[number],
+         "the body has no mass in the file, so no inertia to scale"),
+        (kind == "body" and what.startswith("ipos") and model.body_simple[number],
+         'MuJoCo has the body as a simple one, without simple="false"'),
+        (geom and np.isfinite(geom.fromto[0]) and what != "size.radius", "the geom's fromto says where it ends"),
+        (geom and geom.type == Shape.mjGEOM_MESH, "the geom is where its mesh has its middle"),
+    ):  # fmt: skip
+        if wrong:
+            raise InputError(f"axis {path} is not allowed: {why}")
 
 
 def _compile(batch: Batch, values: Mapping[str, Any], source: mujoco.MjSpec) -> None:
@@ -215,10 +205,8 @@ def _compile(batch: Batch, values: Mapping[str, Any], source: mujoco.MjSpec) -> 
     for k, row in enumerate(rows):
         spec = source.copy()
         for path, value in zip(values, row, strict=True):
-            number, called = named(model, "geom", path.removeprefix(f"{ROOT}.geom."))
-            (place,) = _resolved(model, path)[1]
-            field = place.field.removeprefix("geom_")
-            getattr(spec.geom(called), field)[place.flat - 3 * number] = value
+            (place,) = resolved(model, path)[1]
+            getattr(spec.geom(thing(model, path).name), place.field.removeprefix("geom_"))[place.flat % 3] = value
         other = spec.compile()
         for name in names:
             new = None if name.startswith("opt.") else whole(other, name)
@@ -226,47 +214,39 @@ def _compile(batch: Batch, values: Mapping[str, Any], source: mujoco.MjSpec) -> 
                 batch.expand(name)[which == k] = new
 
 
-def _resolved(model: mujoco.MjModel, path: str) -> tuple[Numbers, list[Place]]:
+def thing(model: mujoco.MjModel, path: str) -> Thing:
+    """What a path names a number of. Raises `InputError` where there is no such thing."""
     root, _, rest = path.partition(".")
     kind, _, rest = rest.partition(".")
-    kinds = [*VARIED, OPTION]
-    if root != ROOT or kind not in kinds:
-        raise _nothing(path, f"{kind or root} is unknown{suggest(kind or root, kinds)}")
+    known(kind if root == ROOT else root, (*VARIED, OPTION), f"axis {path} names nothing: {kind or root}")
     if kind == OPTION:
-        varied = OPTIONS | {name: Numbers(names=("",), field=f"opt.{name}") for name in (*CHOSEN, *COUNTED, TIMESTEP)}
-        return _component(path, varied, rest, lambda name: (np.size(whole(model, name)), [0]))
-    number, name = named(model, kind, rest)
-    if number < 0:
-        word = rest.partition(".")[0]
-        raise _nothing(path, f"no {kind} is called {word}{suggest(word, _names(model, kind))}")
-    rest = rest.removeprefix(name).removeprefix(".")
-    if kind == "actuator" and rest in SERVO:
-        return _servo(model, path, rest, number)
+        return Thing(kind, 0, "", rest)
+    parts = rest.split(".")
+    heads = [".".join(parts[:k]) for k in range(len(parts), 0, -1)]  # names may have points in them, too
+    for name in filter(None, heads):
+        if (number := mujoco.mj_name2id(model, KINDS[kind], name)) >= 0:
+            return Thing(kind, number, name, rest.removeprefix(name).removeprefix("."))
+    count = len(whole(model, next(iter(VARIED[kind].values())).field))
+    names = (mujoco.mj_id2name(model, KINDS[kind], k) for k in range(count))
+    near = suggest(parts[0], filter(None, names))
+    raise InputError(f"axis {path} names nothing: no {kind} is called {parts[0]}{near}")
 
-    def at(field: str) -> tuple[int, list[int]]:
-        """How many numbers a thing has in a field, and where the first of them is: one of each freedom of a joint."""
-        size = whole(model, field)[0].size
-        if kind != "joint" or field.startswith("jnt_"):
-            return size, [number * size]
-        first, freedom = int(model.jnt_dofadr[number]), FREEDOM.get(int(model.jnt_type[number]), 1)
-        if field == "qpos_spring":
-            return int(freedom == 1), [int(model.jnt_qposadr[number])]
-        return (freedom, [first]) if size == 1 else (size, [(first + k) * size for k in range(freedom)])
 
-    varied = VARIED[kind]
+def resolved(model: mujoco.MjModel, path: str) -> tuple[Numbers, list[Place]]:
+    """What a path varies, and the places that it writes. Raises `InputError`."""
+    kind, number, _, what = thing(model, path)
+    if kind == "actuator" and what in SERVO:
+        return _servo(model, path, what, number)
+    varied = OPTIONS | SETTINGS if kind == OPTION else VARIED[kind]
     if kind == "geom":
         sizes = SIZES.get(Shape(model.geom_type[number]), ())
         varied = {**varied, "size": varied["size"]._replace(names=sizes)}
         if not sizes:
             del varied["size"]
-    return _component(path, varied, rest, at)
-
-
-def _component(path: str, varied: dict[str, Numbers], rest: str, at: Any) -> tuple[Numbers, list[Place]]:
-    attribute, _, part = rest.partition(".")
+    attribute, _, part = what.partition(".")
     known(attribute, varied, f"axis {path} names nothing: {attribute or 'what of it'}")
     numbers = varied[attribute]
-    count, firsts = at(numbers.field)
+    count, firsts = _places(model, kind, number, numbers.field)
     names = [*(numbers.names or map(str, range(count)))][:count]
     if count == 1 and not part:
         part = names[0]
@@ -274,36 +254,26 @@ def _component(path: str, varied: dict[str, Numbers], rest: str, at: Any) -> tup
     return numbers, [Place(numbers.field, first + names.index(part)) for first in firsts]
 
 
+def _places(model: mujoco.MjModel, kind: str, number: int, field: str) -> tuple[int, list[int]]:
+    """How many numbers a thing has in a field, and where the first of them is: one of each freedom of a joint."""
+    if kind == OPTION:
+        return whole(model, field).size, [0]
+    size = whole(model, field)[0].size
+    if kind != "joint" or field.startswith("jnt_"):
+        return size, [number * size]
+    freedoms = [*map(int, np.flatnonzero(model.dof_jntid == number))]
+    if field == "qpos_spring":
+        return int(len(freedoms) == 1), [int(model.jnt_qposadr[number])]
+    return (len(freedoms), freedoms[:1]) if size == 1 else (size, [k * size for k in freedoms])
+
+
 def _servo(model: mujoco.MjModel, path: str, word: str, number: int) -> tuple[Numbers, list[Place]]:
     gain, bias = model.actuator_gainprm[number], model.actuator_biasprm[number]
     if model.actuator_biastype[number] != int(mujoco.mjtBias.mjBIAS_AFFINE) or gain[0] != -bias[1]:
-        raise _nothing(path, "the actuator is no position servo: gainprm.0 and biasprm.0, .1, .2")
-    places = [Place("actuator_biasprm", number * bias.size + k, s) for k, s in SERVO[word] if k]
-    if word == "kp":
-        places.insert(0, Place("actuator_gainprm", number * gain.size))
+        what = "the actuator is no position servo: gainprm.0 and biasprm.0, .1, .2"
+        raise InputError(f"axis {path} names nothing: {what}")
+    places = [Place(field, number * whole(model, field)[0].size + k, sign) for field, k, sign in SERVO[word]]
     return Numbers("", 0.0, field=places[0].field), places
-
-
-def _nothing(path: str, why: str) -> InputError:
-    return InputError(f"axis {path} names nothing: {why}")
-
-
-KINDS = {name: getattr(mujoco.mjtObj, f"mjOBJ_{name.upper()}") for name in VARIED}  # as MuJoCo numbers them
-
-
-def named(model: mujoco.MjModel, kind: str, rest: str) -> tuple[int, str]:
-    """Number and name of the thing that `rest` begins with; names may have points in them, too. -1 for none."""
-    parts = rest.split(".")
-    heads = (".".join(parts[:k]) for k in range(len(parts), 0, -1))
-    found = ((mujoco.mj_name2id(model, KINDS[kind], head), head) for head in heads if head)
-    return next(((number, head) for number, head in found if number >= 0), (-1, ""))
-
-
-def _names(model: mujoco.MjModel, kind: str) -> list[str]:
-    """What the things of a kind are called; those without a name are not there."""
-    count = {"joint": "njnt", "actuator": "nu", "equality": "neq"}.get(kind, f"n{kind}")
-    found = (mujoco.mj_id2name(model, KINDS[kind], k) for k in range(getattr(model, count)))
-    return [name for name in found if name]
 
 
 def located(model: Any, field: str) -> tuple[Any, str]:

@@ -1,23 +1,20 @@
 """Figures of an own model's rollouts, as sums and extremes over physics steps; units are at the ends of their names."""
 
-from collections.abc import Mapping
 from typing import Any
 
 import mujoco
 import numpy as np
 
 from sweep.core.constants import GRAVITY
+from sweep.engines.base import Figures
 from sweep.systems.own.subject import Subject, angle, level, namespace
 
-# what a tick records
-STEPS = ("qpos", "qvel", "actuator_force", "actuator_velocity", "sensordata", "site_xpos")
-# of which `unbalanced` is made, beside M
-BALANCE = ("qacc", "qfrc_smooth", "qfrc_constraint")
+STEPS = ("qpos", "qvel", "actuator_force", "actuator_velocity", "sensordata", "site_xpos")  # what a step tells
+BALANCE = ("qacc", "qfrc_smooth", "qfrc_constraint")  # of which `unbalanced` is made, beside M
 LOADED = 1.0  # N, from which a foot carries load
 LIMITED = 0.999  # share of a limit, from which an actuator is at it
+Tree = dict[str, Any]
 BALANCED = 0.01  # share of the forces, up to which those of a step are in balance
-
-SILENT = ("not_finite", "buffer_full")  # 1 where a number was not finite, where room for contacts was full
 
 
 class Meter:
@@ -29,7 +26,7 @@ class Meter:
     def __init__(self, own: Subject):
         model = own.model
         self._base, self._step = own.base, model.opt.timestep
-        self._along = own.direction
+        self._along = np.array(own.about.direction) / np.linalg.norm(own.about.direction)
         self._left = np.cross([0.0, 0.0, 1.0], self._along) if self._along[:2].any() else np.array([0.0, 1.0, 0.0])
         self._left /= np.linalg.norm(self._left)
         self._forced = np.flatnonzero(model.actuator_forcelimited)
@@ -39,18 +36,17 @@ class Meter:
         self._sites = model.sensor_objid[feet]
         self._collide = model.sensor_adr[own.touches("collisions")]
 
-    def start(self, qpos: Any, qvel: Any) -> dict[str, Any]:
+    def start(self, qpos: Any, qvel: Any) -> Tree:
         """What is measured at first, of positions (n, nq) and velocities (n, nv)."""
         xp, n, feet = namespace(qpos), len(qpos), len(self._sites)
         none = xp.zeros_like(qpos[:, 0])
         sums = "steps", "power", "work", "tilt", "slip", "load", "full", "ends", "unsolved", "touched", "impulse"
         down = {"down": xp.zeros((n, feet, 2), qpos.dtype), "loaded": xp.zeros((n, feet), bool)}
-        poses = {"start": qpos, "last": qpos, "speed": qvel, "height": none + np.inf, "finite": xp.ones(n, bool)}
+        poses = {"start": qpos, "last": qpos, "speed": qvel, "depth": none - np.inf, "finite": xp.ones(n, bool)}
         return dict.fromkeys(sums, none) | down | poses
 
-    def update(
-        self, sofar: Mapping[str, Any], steps: Mapping[str, Any], limits: Mapping[str, Any], going: Any
-    ) -> dict[str, Any]:
+    @np.errstate(invalid="ignore", over="ignore")
+    def update(self, sofar: Tree, steps: Tree, limits: Tree, going: Any) -> Tree:
         """After a tick: `steps` (n, s, ...) recorded at every physics step, and which of them are `unsolved`.
 
         Rollouts that are not `going` (n,) are over. `limits` are the models' own: `actuator_forcerange`, `jnt_range`,
@@ -59,56 +55,50 @@ class Meter:
         qpos, force, number = steps["qpos"], steps["actuator_force"], steps["qpos"].shape[1]
         xp, at = namespace(qpos), self._base
         most, sums, new = {}, {"steps": number, "unsolved": steps["unsolved"].sum(axis=1)}, {}
-        with np.errstate(invalid="ignore", over="ignore"):
-            finite = xp.isfinite(qpos.sum(axis=(1, 2)) + steps["qvel"].sum(axis=(1, 2)))
-            power = force * steps["actuator_velocity"]
-            sums |= {"power": xp.maximum(power, 0.0).sum(axis=(1, 2)), "work": power.sum(axis=(1, 2))}
-            if at is not None:
-                upright = slice(at + 3, at + 7)
-                low = xp.minimum(sofar["height"], qpos[..., at + 2].min(axis=1))
-                new["height"] = xp.where(going, low, sofar["height"])
-                most["tilt"] = angle(level(qpos[..., upright], sofar["start"][:, None, upright]).min(axis=1))
-            if len(self._forced):
-                range_ = limits["actuator_forcerange"][:, None, self._forced]
-                sums["full"] = at_end(force[..., self._forced], range_).mean(axis=2).sum(axis=1)
-            if len(self._joints):
-                range_ = limits["jnt_range"][:, None, self._joints]
-                sums["ends"] = at_end(qpos[..., self._places], range_).mean(axis=2).sum(axis=1)
-            if len(self._collide):
-                touch = steps["sensordata"][..., self._collide].sum(axis=2)
-                sums |= {"touched": (touch > 0).sum(axis=1), "impulse": touch.sum(axis=1)}
-            if len(self._sites):
-                load = steps["sensordata"][..., self._touch]
-                loaded, place = load > LOADED, steps["site_xpos"][:, :, self._sites, :2]
-                before = xp.concatenate([sofar["loaded"][:, None], loaded[:, :-1]], axis=1)
-                landed = xp.where(loaded & ~before, xp.arange(number)[:, None], -1)
-                when = xp.maximum.accumulate(landed, axis=1)[..., None]  # the last step at which it came down
-                there = xp.take_along_axis(place, xp.maximum(when, 0), axis=1)
-                down = xp.where(when >= 0, there, sofar["down"][:, None])
-                moved = xp.hypot(*xp.moveaxis(place - down, -1, 0)) * loaded
-                most |= {"load": load.max(axis=(1, 2)), "slip": moved.max(axis=(1, 2))}
-                new |= {"down": down[:, -1], "loaded": loaded[:, -1]}
-            new |= {name: xp.where(going, xp.maximum(sofar[name], value), sofar[name]) for name, value in most.items()}
-            new |= {name: sofar[name] + going * value for name, value in sums.items()}
+        finite = xp.isfinite(qpos.sum(axis=(1, 2)) + steps["qvel"].sum(axis=(1, 2)))
+        power = force * steps["actuator_velocity"]
+        sums |= {"power": xp.maximum(power, 0.0).sum(axis=(1, 2)), "work": power.sum(axis=(1, 2))}
+        if at is not None:
+            upright = slice(at + 3, at + 7)
+            most["depth"] = -qpos[..., at + 2].min(axis=1)
+            most["tilt"] = angle(level(qpos[..., upright], sofar["start"][:, None, upright]).min(axis=1))
+        if len(self._forced):
+            sums["full"] = at_end(force[..., self._forced], limits["actuator_forcerange"][:, self._forced])
+        if len(self._joints):
+            sums["ends"] = at_end(qpos[..., self._places], limits["jnt_range"][:, self._joints])
+        if len(self._collide):
+            touch = steps["sensordata"][..., self._collide].sum(axis=2)
+            sums |= {"touched": (touch > 0).sum(axis=1), "impulse": touch.sum(axis=1)}
+        if len(self._sites):
+            load = steps["sensordata"][..., self._touch]
+            loaded, place = load > LOADED, steps["site_xpos"][:, :, self._sites, :2]
+            before = xp.concatenate([sofar["loaded"][:, None], loaded[:, :-1]], axis=1)
+            landed = xp.where(loaded & ~before, xp.arange(number)[:, None], -1)
+            when = xp.maximum.accumulate(landed, axis=1)[..., None]  # the last step at which it came down
+            there = xp.take_along_axis(place, xp.maximum(when, 0), axis=1)
+            down = xp.where(when >= 0, there, sofar["down"][:, None])
+            moved = xp.hypot(*xp.moveaxis(place - down, -1, 0)) * loaded
+            most |= {"load": load.max(axis=(1, 2)), "slip": moved.max(axis=(1, 2))}
+            new |= {"down": down[:, -1], "loaded": loaded[:, -1]}
+        new |= {name: xp.where(going, xp.maximum(sofar[name], value), sofar[name]) for name, value in most.items()}
+        new |= {name: sofar[name] + going * value for name, value in sums.items()}
         ends = {"last": qpos[:, -1], "speed": steps["qvel"][:, -1]}
         new |= {name: xp.where(going[:, None], value, sofar[name]) for name, value in ends.items()}
         return {**sofar, **new, "finite": sofar["finite"] & (~going | finite)}
 
-    def figures(
-        self, sofar: Mapping[str, Any], mass: np.ndarray, gained: np.ndarray, broken: np.ndarray, full: np.ndarray
-    ) -> dict[str, np.ndarray]:
+    def figures(self, sofar: Tree, mass: Any, gained: Any, broken: Any, full: Any) -> Figures:
         """By name, (n,), of models of a `mass` (n,) kg whose energy is `gained` (n,) J more than at the start.
 
         `broken` and `full` are what an engine found itself.
         """
-        found: dict[str, np.ndarray] = {}
+        found: Figures = {}
         sofar = {name: np.asarray(value) for name, value in sofar.items()}
         steps, step = np.maximum(sofar["steps"], 1), self._step
         energy = sofar["power"] * step
         if self._base is not None:
             way = (sofar["last"] - sofar["start"])[:, self._base : self._base + 3]
             along = way @ self._along
-            found |= {"base_height_min_m": sofar["height"], "tilt_max_deg": sofar["tilt"], "travelled_m": along}
+            found |= {"base_height_min_m": -sofar["depth"], "tilt_max_deg": sofar["tilt"], "travelled_m": along}
             found |= {"drift_m": way @ self._left, "speed_mps": along / (steps * step)}
             found["cost_of_transport"] = energy / (mass * GRAVITY * np.maximum(np.abs(along), 1e-9))
         if len(self._sites):
@@ -132,6 +122,7 @@ def names(own: Subject) -> tuple[str, ...]:
     return tuple(meter.figures(meter.start(*still), one, one, one == 0, one == 0))
 
 
+@np.errstate(invalid="ignore", over="ignore")
 def unbalanced(mass: Any, qacc: Any, smooth: Any, constraint: Any) -> Any:
     """Which steps (...) a solver left unsolved: of M a = f + Jᵀλ more than a small share does not hold.
 
@@ -140,15 +131,14 @@ def unbalanced(mass: Any, qacc: Any, smooth: Any, constraint: Any) -> Any:
     the solver minimizes, and 0 where it has.
     """
     xp = namespace(mass)
-    with np.errstate(invalid="ignore", over="ignore"):
-        left = (mass @ qacc[..., None])[..., 0] - smooth - constraint
-        inertia = xp.diagonal(mass, axis1=-2, axis2=-1)
-        left, smooth, constraint = (xp.sqrt((one**2 / inertia).sum(axis=-1)) for one in (left, smooth, constraint))
+    left = (mass @ qacc[..., None])[..., 0] - smooth - constraint
+    inertia = xp.diagonal(mass, axis1=-2, axis2=-1)
+    left, smooth, constraint = (xp.sqrt((one**2 / inertia).sum(axis=-1)) for one in (left, smooth, constraint))
     return left > BALANCED * (smooth + constraint)
 
 
 def at_end(values: Any, range_: Any) -> Any:
-    """Which values (...) are at an end of their range (..., 2)."""
-    low, high = namespace(values).moveaxis(range_, -1, 0)
+    """Shares (n,) of values (n, s, k) that are at an end of their ranges (n, k, 2), summed over s."""
+    low, high = namespace(values).moveaxis(range_[:, None], -1, 0)
     room = (1 - LIMITED) * (high - low)
-    return (values <= low + room) | (values >= high - room)
+    return ((values <= low + room) | (values >= high - room)).mean(axis=2).sum(axis=1)

@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
-from types import MappingProxyType
+from types import MappingProxyType, ModuleType
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
@@ -19,7 +19,7 @@ import mujoco
 import numpy as np
 
 from sweep.core import project
-from sweep.core.errors import InputError, suggest
+from sweep.core.errors import InputError, raised, suggest
 
 ONNX, BINARY, PACKAGE = ".onnx", ".mjb", "package://"
 TYPES = {"tensor(float)": np.float32, "tensor(double)": np.float64}  # of a network's numbers
@@ -98,12 +98,9 @@ def _source(file: Path, changed: int) -> mujoco.MjSpec:
 def parts(mjcf: str) -> list[Path]:
     """A model's file, and all that it names: meshes, textures, heights, other files."""
     main = place() / mjcf
-    found, left, folders = [main], [main], {""}
-    while left:
-        file = left.pop()
-        if file.suffix not in (".xml", ".urdf"):
-            continue
-        every = [one.attrib for one in ElementTree.parse(file).iter()]
+    found, folders = [main], {""}
+    for file in found:  # which grows
+        every = [one.attrib for one in ElementTree.parse(file).iter()] if file.suffix in (".xml", ".urdf") else []
         folders |= {value for one in every for key, value in one.items() if key in FOLDERS}
         for named in (value for one in every for key, value in one.items() if key.startswith("file") and value):
             name = "/".join(named.removeprefix(PACKAGE).split("/")[named.startswith(PACKAGE) :])
@@ -112,7 +109,6 @@ def parts(mjcf: str) -> list[Path]:
             there = next((one for one in there if one.is_file()), None)
             if there and there not in found:
                 found.append(there)
-                left.append(there)
     return found
 
 
@@ -126,12 +122,18 @@ def digest(compiled: mujoco.MjModel) -> str:
 def controller(name: str) -> Policy:
     """The functions that `module:policy` names, or the network of a file. Raises `InputError`."""
     if name.endswith(ONNX):
-        return _of_network(name)
+        file = _found("controller", name, ONNX)
+        files = sorted(file.parent.glob(f"{file.name}*"))  # a large network's weights
+        policy = _network(name, str(file), max(one.stat().st_mtime_ns for one in files))
+        digest = f"{_digest(files)}-{metadata.version('onnxruntime')}"
+        if not file.with_suffix(".py").is_file():
+            return Policy(policy, tuple(files), digest, batched=True)
+        beside = project.sources(module := _module(name, ".".join(Path(name).with_suffix("").parts)))
+        return Policy(policy, (*files, *beside), f"{digest}-{_digest(beside)}", True, **_beside(name, module))
     module_name, sign, function = name.partition(":")
     if not (sign and module_name and function):
-        raise InputError(
-            f"model.controller = {name!r} is not allowed: as my.walk:policy, a module and its function, or walk.onnx"
-        )
+        such = "as my.walk:policy, a module and its function, or walk.onnx"
+        raise InputError(f"model.controller = {name!r} is not allowed: {such}")
     module = _module(name, module_name)
     if not callable(policy := getattr(module, function, None)):
         own = [key for key, value in vars(module).items() if callable(value) and not key.startswith("_")]
@@ -140,7 +142,7 @@ def controller(name: str) -> Policy:
     for file in files:
         if not file.is_file():
             raise InputError(f"model.controller = {name}: FILES has {file.name}, which is not a file")
-    files, more = (*_sources(module), *files), _beside(name, module)
+    files, more = (*project.sources(module), *files), _beside(name, module)
     if batched := _batched(policy):
         return Policy(policy, files, _digest(files), batched, **more)
     parameters, believes = (getattr(module, key, {}) for key in ("PARAMETERS", "BELIEVES"))
@@ -148,18 +150,6 @@ def controller(name: str) -> Policy:
         raise InputError(f"model.controller = {name}: {min(both)} is both in PARAMETERS and in BELIEVES")
     begin = getattr(module, "begin", None)
     return Policy(policy, files, _digest(files), batched, begin, parameters, believes, **more)
-
-
-def _of_network(name: str) -> Policy:
-    """A network of a file, and what a module beside it says."""
-    file = _found("controller", name, ONNX)
-    beside = sorted(file.parent.glob(f"{file.name}*"))  # a large network's weights
-    policy = _network(name, str(file), max(one.stat().st_mtime_ns for one in beside))
-    digest = f"{_digest(beside)}-{metadata.version('onnxruntime')}"
-    if not file.with_suffix(".py").is_file():
-        return Policy(policy, tuple(beside), digest, batched=True)
-    sources = _sources(module := _module(name, ".".join(Path(name).with_suffix("").parts)))
-    return Policy(policy, (*beside, *sources), f"{digest}-{_digest(sources)}", True, **_beside(name, module))
 
 
 @functools.lru_cache(maxsize=2)
@@ -190,9 +180,8 @@ def _network(name: str, file: str, changed: int) -> Callable[[np.ndarray], np.nd
         if isinstance(size, int) and size != seen.shape[1]:
             raise InputError(f"{told} takes {size} numbers: {seen.shape[1]} are observed (model.observe)")
         seen = seen.astype(TYPES[into[0].type])
-        parts = [
-            session.run(None, {into[0].name: part})[0] for part in (np.split(seen, len(seen)) if rows == 1 else [seen])
-        ]
+        parts = np.split(seen, len(seen)) if rows == 1 else [seen]
+        parts = [session.run(None, {into[0].name: part})[0] for part in parts]
         return np.concatenate(parts)  # pyright: ignore[reportArgumentType, reportCallIssue]
 
     return network
@@ -207,14 +196,24 @@ def _beside(name: str, module: Any) -> dict[str, Any]:
     return {**found, "measured": measured}
 
 
-def _module(told: str, name: str) -> Any:
-    """The module of a name, from the project's folder. Raises `InputError`."""
-    sys.path[:] = [str(place()), *(path for path in sys.path if path != str(place()))]
+def _module(told: str, name: str) -> ModuleType:
+    """The module of a name, from the project's folder, as its files are now. Raises `InputError`.
+
+    A process that goes on may know it as it was, or one of another project.
+    """
+    here, old, read = place(), sys.modules.get(name), _READ.get(name)
+    sys.path[:] = [str(here), *(path for path in sys.path if path != str(here))]
+    if old and read and read != (here, _digest(project.sources(old))) and read[0] in Path(old.__file__ or "").parents:
+        package = name.partition(".")[0]
+        for stale in [one for one in sys.modules if one == package or one.startswith(f"{package}.")]:
+            del sys.modules[stale]
+        importlib.invalidate_caches()
     try:
-        return _imported(name)
+        module = importlib.import_module(name)
+        _READ[name] = here, _digest(project.sources(module))
     except Exception as error:  # whatever a user's module raises
-        reason = (str(error).splitlines() or [""])[0]
-        raise InputError(f"model.controller = {told} cannot be imported: {type(error).__name__}: {reason}") from None
+        raise InputError(f"model.controller = {told} cannot be imported: {raised(error)}") from None
+    return module
 
 
 def _batched(policy: Callable[..., Any]) -> bool:
@@ -222,25 +221,6 @@ def _batched(policy: Callable[..., Any]) -> bool:
     every = inspect.signature(policy).parameters.values()
     places = [one for one in every if one.kind in (one.POSITIONAL_ONLY, one.POSITIONAL_OR_KEYWORD)]
     return len([one for one in places if one.default is one.empty]) == 1
-
-
-def _imported(name: str) -> Any:
-    """The module as its files are now: a process that goes on may know it as it was, or one of another project."""
-    old, read = sys.modules.get(name), _READ.get(name)
-    if old and read and read != (place(), _digest(_sources(old))) and read[0] in Path(old.__file__ or "").parents:
-        package = name.partition(".")[0]
-        for stale in [one for one in sys.modules if one == package or one.startswith(f"{package}.")]:
-            del sys.modules[stale]
-        importlib.invalidate_caches()
-    module = importlib.import_module(name)
-    _READ[name] = place(), _digest(_sources(module))
-    return module
-
-
-def _sources(module: Any) -> list[Path]:
-    file = Path(str(module.__file__))
-    every = sorted(file.parent.rglob("*.py")) if (file.parent / "__init__.py").exists() else [file]
-    return [one for one in every if one.is_file()]  # of a module that was deleted none
 
 
 def _digest(files: Sequence[Path]) -> str:

@@ -3,17 +3,19 @@
 import mujoco
 import numpy as np
 
+from sweep.engines.settings import EngineSettings
+from sweep.systems.base import side_and_path
 from sweep.systems.own import fields
 from sweep.systems.own.subject import Subject
 
 CONDIM = {"slide": 3, "spin": 4, "roll": 6}  # of contacts, from which a friction counts
-SENSED = int(mujoco.mjtObj.mjOBJ_SITE)
-FREE = int(mujoco.mjtJoint.mjJNT_FREE)
+SENSED, FREE = mujoco.mjtObj.mjOBJ_SITE, mujoco.mjtJoint.mjJNT_FREE
 
 
-def why(own: Subject, side: str, path: str) -> str:
-    """Why `path`, varied on a side, may change nothing; empty where nothing is known."""
-    root, _, name = path.partition(".")
+def why(own: Subject, column: str, settings: EngineSettings) -> str:
+    """Why a column may change nothing; empty where nothing is known: see `System.idle`."""
+    side, path = side_and_path(column)
+    root = path.partition(".")[0]
     if root == "noise":
         return "errors are those of the world" if side == "belief" else ""
     if root == "controller":
@@ -21,13 +23,10 @@ def why(own: Subject, side: str, path: str) -> str:
     if root != "model":
         return ""
     if side == "belief":
-        told = path in own.controller.believes.values()
-        return "" if told else "the controller is not told of it (BELIEVES)"
-    kind = name.partition(".")[0]
+        return "" if path in own.controller.believes.values() else "the controller is not told of it (BELIEVES)"
+    kind, number, _, what = fields.thing(own.model, path)
     if kind == fields.OPTION:
-        return _option(own.model, name.partition(".")[2])
-    number, called = fields.named(own.model, kind, name.partition(".")[2])
-    what = name.removeprefix(f"{kind}.{called}.")
+        return _option(own.model, what)
     return _geom(own.model, number, what) if kind == "geom" else _other(own.model, kind, number, what.partition(".")[0])
 
 

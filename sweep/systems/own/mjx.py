@@ -21,10 +21,9 @@ from jaxtyping import Array
 
 from sweep.core.errors import InputError
 from sweep.engines import devices
-from sweep.engines.base import Figures
 from sweep.engines.settings import EngineSettings
 from sweep.systems.own import batch, fields, figures
-from sweep.systems.own.engine import Frame, Loop
+from sweep.systems.own.engine import Found, Frame, Loop
 from sweep.systems.own.subject import Side, Subject
 
 with redirect_stdout(io.StringIO()):  # it prints which of its parts are not installed
@@ -36,27 +35,18 @@ RUBBING = "dof_frictionloss", "tendon_frictionloss"
 # by whether they are 0
 SHAPING = *RUBBING, "opt.density", "opt.viscosity", "opt.wind", "body_gravcomp", "geom_margin", "pair_margin"
 LEAST = 1e-9  # where a program has friction, MJX takes a joint with none for one that is held
-# fields that MJX does without in silence, by the words for them: it has none, or has them and makes no use of them
-IGNORED = {
-    "noslip_iterations": ("opt.noslip_iterations",),
-    "adhesion of geoms": ("geom_adhesion",),
-    "adhesion of pairs": ("pair_adhesion",),
-    "surface velocities": ("geom_surfacevel",),
-    "damping of actuators": ("actuator_damping", "actuator_dampingpoly"),
-    "armature of actuators": ("actuator_armature",),
-    "delay of actuators": ("actuator_delay",),
-    "delay of sensors": ("sensor_delay",),
-    "plugins": ("plugin",),
-    "polynomials of springs": ("jnt_stiffnesspoly", "tendon_stiffnesspoly"),
-    "polynomials of dampers": ("dof_dampingpoly", "tendon_dampingpoly"),
-    "drag of geoms by their shape": ("geom_fluid",),
+# what MJX may leave out in silence, by the words for it: all that varies, and what is no axis
+SILENT = {f"{kind}.{name}": one.field for kind, words in fields.VARIED.items() for name, one in words.items()} | {
+    "option.noslip_iterations": "opt.noslip_iterations",
+    "actuator.delay": "actuator_delay",
+    "sensor.delay": "sensor_delay",
+    "plugin": "plugin",
 }
-# of these what each has and makes no use of: of delays the history is not carried on
+# of this what it has a field for and makes no use of: of delays the history is not carried on
 UNUSED = {
-    "jax": (*IGNORED["polynomials of springs"], *IGNORED["polynomials of dampers"], "geom_fluid"),
-    "warp": (*IGNORED["delay of actuators"], *IGNORED["delay of sensors"]),
+    "jax": ("jnt_stiffnesspoly", "tendon_stiffnesspoly", "dof_dampingpoly", "tendon_dampingpoly", "geom_fluid"),
+    "warp": ("actuator_delay", "sensor_delay"),
 }
-IMPLEMENTED = {"mjx": "jax", "warp": "warp"}  # how MJX calls them, by engine
 CONTACTS, CONSTRAINTS = 64, 4  # warp's room for a rollout, and of a contact; a rollout with more is invalid
 INSTEAD = {  # by a part of what MJX says
     "collisions not implemented": "other shapes, or geoms that do not collide",
@@ -74,13 +64,14 @@ class Mjx(Loop):
     dynamics = "mjx"
 
     def __init__(self, own: Subject, settings: EngineSettings):
-        self._impl = IMPLEMENTED[settings.name]
-        if self._impl == "warp":
-            check_warp(settings)
+        self._impl = "warp" if settings.name == "warp" else "jax"  # as MJX calls it
+        if (warp := self._impl == "warp") and find_spec("warp") is None:
+            how = "pip install 'insect-sweep[warp]'"
+            raise InputError(f"engine.name = warp is not allowed: it needs NVIDIA Warp: {how}")
+        if warp and settings.precision != "float32":
+            raise InputError(f"engine.precision = {settings.precision} is not allowed: warp reckons in float32")
         super().__init__(own, settings)
-        self.width = settings.width or devices.default_width()
-        self._meter = figures.Meter(own)
-        self._rooms = rooms(self._model) if self._impl == "jax" else {}
+        self._limited = [] if warp else limited(self._model)
         self._placed: dict[Any, tuple[Any, Any]] = {}  # MJX's model and data of a batch's shape
         if own.controller.batched:
             raise self._refused("a controller of NumPy's or a network is no part of its program", "one of JAX's, ")
@@ -89,19 +80,17 @@ class Mjx(Loop):
         # made once: a function of its own in every run would be traced and compiled anew
         each = self._programs.begin_one, self._programs.enter_one, self._programs.finish_one
         self._first, self._enter, self._finish = (jax.jit(jax.vmap(one)) for one in each)
-        self._ticks = jax.jit(self._ticked, donate_argnums=6)
+        self._ticks = jax.jit(self._ticked, donate_argnums=2)
 
     def cautions(self) -> Iterator[str]:
-        """See `Loop`: where MJX is known to part from C MuJoCo."""
+        """Where MJX is known to part from C MuJoCo, each a line."""
         model = self._model
         damped = model.actuator_biasprm[:, 2] != 0
-        limited = (model.actuator_forcelimited | model.actuator_ctrllimited).astype(bool)
+        bounded = (model.actuator_forcelimited | model.actuator_ctrllimited).astype(bool)
         fast = self._impl == "jax" and model.opt.integrator == int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
-        if fast and (damped & limited).any():
-            yield (
-                "mjx damps actuators at a limit in an implicitfast step, C MuJoCo does not: the two differ there, and "
-                "agree with model.option.integrator=Euler"
-            )
+        if fast and (damped & bounded).any():
+            alike = "the two agree with model.option.integrator=Euler"
+            yield f"mjx damps actuators at a limit in an implicitfast step, C MuJoCo does not: {alike}"
         if self._impl == "warp":
             yield "on a GPU warp gives other last bits each time, in a replay, too; native's are those of its row"
             return
@@ -114,12 +103,10 @@ class Mjx(Loop):
         """Raise `InputError` where it cannot simulate the model, or would leave a part of it out without a word."""
         template = self._template(self._model)
         parts = template, template._impl, template.opt, getattr(template.opt, "_impl", None)
-        for words, names in IGNORED.items():
-            lacking = [
-                n for n in names if self._unused(n) or not any(hasattr(part, n.removeprefix("opt.")) for part in parts)
-            ]
-            if any(np.any(fields.whole(self._model, name)) for name in lacking):
-                raise self._refused(f"MJX leaves out {words}", "a model without, ")
+        has = {name for part in parts if part for name in vars(part)}.difference(UNUSED[self._impl])
+        for what, name in SILENT.items():
+            if name.removeprefix("opt.") not in has and np.any(fields.whole(self._model, name)):
+                raise self._refused(f"MJX leaves out {what}", "a model without, ")
 
     def _template(self, model: mujoco.MjModel) -> Any:
         """MJX's model. Raises `InputError` where it cannot simulate it."""
@@ -133,29 +120,21 @@ class Mjx(Loop):
             raise self._refused(f"MJX has no {said.rstrip('.')}", f"{instead}, " if instead else "") from None
         return template
 
-    def _unused(self, name: str) -> bool:
-        return name in UNUSED[self._impl]
-
     def _refused(self, why: str, instead: str) -> InputError:
         """One line, of what is to be changed."""
         return InputError(f"engine.name = {self._settings.name} is not allowed: {why} ({instead}or engine=native)")
 
-    def vary(self, paths: Iterable[str]) -> None:
+    def vary(self, paths: Iterable[str]) -> Iterable[str]:
         """See `Loop`."""
-        written = {path: fields.fields_of(self._model, path) for path in paths}
-        every = {name for names in written.values() for name in names}
-        template = self._template(shaped(self._model, dict.fromkeys(every.intersection(SHAPING), 1.0)))
-        for path, names in written.items():
-            for name in names:
-                if self._unused(name) or not hasattr(leaf(template, name), "at"):
-                    raise self._refused(
-                        f"MJX has no {fields.located(template, name)[1]}, which {path} varies", "other axes, "
-                    )
+        written = [(path, place.field) for path in paths for place in fields.resolved(self._model, path)[1]]
+        template = self._template(shaped(self._model, {name: 1.0 for _, name in written if name in SHAPING}))
+        for path, name in written:
+            if name in UNUSED[self._impl] or not hasattr(leaf(template, name), "at"):
+                raise self._refused(f"MJX has no {name.removeprefix('opt.')}, which {path} varies", "other axes, ")
+        return self.cautions()
 
     @devices.memory()
-    def _simulate(
-        self, world: Side, belief: Side, streams: np.ndarray, slots: np.ndarray | None = None, every: int = 1
-    ) -> tuple[Figures, list[Frame], list[mujoco.MjModel]]:
+    def _simulate(self, world: Side, belief: Side, streams: np.ndarray, slots: Any = (), every: int = 1) -> Found:
         own, n, frames = self._own, len(streams), []
         with self._within():
             begun = batch.begin(own, self._settings, world, belief, streams)
@@ -179,17 +158,19 @@ class Mjx(Loop):
             }
             carry = jax.tree.map(jnp.copy, carry)  # its buffers are given away, and some are there twice
             limits = {name: jnp.asarray(rows, float) for name, rows in begun.limits.items()}
-            longest, chunk = int(ticks.max(initial=0)), CHUNK if slots is None else every
+            fixed = template, data, leaves, given, limits
+            longest, chunk = int(ticks.max(initial=0)), every if len(slots) else CHUNK
             for k in range(0, longest, chunk):
-                carry = self._ticks(template, data, leaves, given, limits, min(chunk, longest - k), carry)
-                if slots is not None and k + every <= longest:
-                    last = carry["now"]["qpos"], carry["now"]["qvel"], carry["ctrl"], carry["force"]
+                carry = self._ticks(fixed, min(chunk, longest - k), carry)
+                if len(slots) and k + every <= longest:
+                    last = carry["ctrl"], carry["now"]["qpos"], carry["now"]["qvel"], carry["force"]
                     frames.append(Frame((k + every) * own.about.period, *(np.asarray(x)[slots] for x in last)))
-            last = self._finish(given, carry["carried"], carry["seen"])
-            measured = {name: np.asarray(values, float) for name, values in last.items()}
+            measured = self._finish(given, carry["carried"], carry["seen"])
+        measured = {name: np.asarray(values, float) for name, values in measured.items()}
         last, (wrong, full) = carry["sofar"], (np.asarray(carry[name]) for name in ("wrong", "full"))
         gained = begun.energy(last["last"], last["speed"]) - at_first
-        return self._meter.figures(last, begun.mass, gained, wrong, full) | measured, frames, begun.models(slots)
+        found = self._meter.figures(last, begun.mass, gained, wrong, full) | measured
+        return found, frames, [begun.batch.get_model(int(slot)) for slot in slots]
 
     def _put(self, begun: batch.AtStart) -> tuple[Any, Any, dict[str, Array]]:
         """MJX's model, its data at the keyframe, and the fields in which the rollouts' models differ, (n, ...)."""
@@ -212,24 +193,18 @@ class Mjx(Loop):
                 leaves[name] = jnp.asarray(values.reshape(n, *one.shape), float)
         return template, data, leaves
 
-    def _ticked(
-        self,
-        template: Any,
-        data: Any,
-        leaves: Mapping[str, Array],
-        given: Mapping[str, Any],
-        limits: Mapping[str, Array],
-        count: Array,
-        carry: Mapping[str, Any],
-    ) -> dict[str, Any]:
-        """What goes on after `count` more ticks: states, figures, and controls and forces (n, nu) of the last one."""
+    def _ticked(self, fixed: tuple[Any, ...], count: Array, carry: Mapping[str, Any]) -> dict[str, Any]:
+        """What goes on after `count` more ticks: states, figures, and controls and forces (n, nu) of the last one.
+
+        What is `fixed` are MJX's model and data, leaves by row, what controllers are given, and limits (n, ..., 2).
+        """
+        template, data, leaves, given, limits = fixed
 
         def one(rows: Mapping[str, Array], now: Mapping[str, Array], ctrl: Array) -> tuple[Any, Any]:
             model = template.tree_replace(rows)
             after = mjx.step(model, data.replace(**now, ctrl=ctrl))
-            told = {
-                name: getattr(after._impl if name == "actuator_velocity" else after, name) for name in figures.STEPS
-            }
+            own = {"actuator_velocity": after._impl}
+            told = {name: getattr(own.get(name, after), name) for name in figures.STEPS}
             told["full"], told["unsolved"] = self._doubted(model, after)
             return {name: getattr(after, name).astype(now[name].dtype) for name in CARRIED}, told
 
@@ -265,8 +240,10 @@ class Mjx(Loop):
             lacking = OverflowType.ALL & ~OverflowType.ITERATIONS & ~OverflowType.LS_ITERATIONS
             full = jnp.any(data._impl.overflow & int(lacking) > 0)
             return full, jnp.max(data._impl.solver_niter) >= self._model.opt.iterations
-        forces = (getattr(data, name) for name in figures.BALANCE)
-        return crowded(data, self._rooms), figures.unbalanced(mjx.full_m(model, data), *forces)
+        contact, forces = data._impl.contact, (getattr(data, name) for name in figures.BALANCE)
+        near = contact.dist < contact.includemargin
+        full = jnp.array([False, *(near[np.asarray(contact.dim) == dim].all() for dim in self._limited)]).any()
+        return full, figures.unbalanced(mjx.full_m(model, data), *forces)
 
 
 def numeric(model: mujoco.MjModel, name: str) -> np.ndarray | None:
@@ -275,21 +252,14 @@ def numeric(model: mujoco.MjModel, name: str) -> np.ndarray | None:
     return None if number < 0 else model.numeric_data[model.numeric_adr[number] :][:1]
 
 
-def rooms(model: mujoco.MjModel) -> dict[int, int]:
-    """How many contacts of a dimension MJX keeps, where it leaves others out: by a model's `max_contact_points`."""
+def limited(model: mujoco.MjModel) -> list[int]:
+    """Dimensions of contacts of which MJX keeps some and leaves others out: by a model's `max_contact_points`."""
     whole = copy(model)
     if (most := numeric(whole, "max_contact_points")) is None:
-        return {}
+        return []
     room, most[:] = int(most[0]), -1
     dims, counts = np.unique(mjx.make_data(whole)._impl.contact.dim, return_counts=True)
-    return {int(dim): room for dim, count in zip(dims, counts, strict=True) if 0 <= room < count}
-
-
-def crowded(data: Any, room: Mapping[int, int]) -> Array:
-    """Whether contacts took all of the `rooms` of some dimension."""
-    contact = data._impl.contact
-    near = contact.dist < contact.includemargin
-    return jnp.array([False, *(near[np.asarray(contact.dim) == dim].all() for dim in room)]).any()
+    return [int(dim) for dim, count in zip(dims, counts, strict=True) if 0 <= room < count]
 
 
 def leaf(model: Any, name: str) -> Any:
@@ -310,11 +280,3 @@ def shaped(model: mujoco.MjModel, most: Mapping[str, Any]) -> mujoco.MjModel:
 def room(model: mujoco.MjModel, n: int) -> dict[str, int]:
     """What n of Warp's rollouts have for contacts, all together, and for constraints, each."""
     return {"naconmax": CONTACTS * n, "njmax": CONSTRAINTS * CONTACTS + model.njnt + 2 * model.nv}
-
-
-def check_warp(settings: EngineSettings) -> None:
-    """Raise `InputError` where MuJoCo Warp is not installed, or cannot do what is asked."""
-    if find_spec("warp") is None:
-        raise InputError("engine.name = warp is not allowed: it needs NVIDIA Warp: pip install 'insect-sweep[warp]'")
-    if settings.precision != "float32":
-        raise InputError(f"engine.precision = {settings.precision} is not allowed: warp reckons in float32")

@@ -1,22 +1,21 @@
 """Outcomes of an own model: conditions on figures, in the language of `--where`."""
 
 import ast
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from sweep.core.errors import InputError, known
-from sweep.core.expressions import evaluate
+from sweep.core.expressions import evaluate, held
 from sweep.core.outcomes import FAILURE, INVALID, SUCCESS
 
 GOAL, MISSED, UNTRUSTED = "goal", "goal_missed", "untrusted"
-DOUBTS = {
+DOUBTS = {  # figures that are 1 where they hold
     "not_finite": "a number of the simulation or of the controller was not finite",
     "buffer_full": "MuJoCo's room for contacts or constraints was full",
 }
-STAGE = "run"  # there are no others
 
 
 class Condition(NamedTuple):
@@ -33,8 +32,8 @@ class Condition(NamedTuple):
 
     def holds(self, figures: Mapping[str, np.ndarray]) -> np.ndarray:
         """Whether rows fail by it."""
-        held = np.asarray(evaluate(self.text, lambda name: figures[name]), dtype=bool)
-        return ~held if self.cause == MISSED else held
+        found = np.asarray(evaluate(self.text, figures.__getitem__))
+        return ~found if self.cause == MISSED else found
 
     @property
     def limit(self) -> tuple[str, float, bool] | None:
@@ -68,34 +67,29 @@ def parse(given: Mapping[str, Any], figures: Collection[str]) -> tuple[Condition
             known(name, figures, f"outcome.{key}: {name}")
             return np.ones(1)
 
-        try:
-            if np.asarray(evaluate(str(text), look_up)).dtype != bool:
-                raise SyntaxError
-        except (SyntaxError, TypeError, ValueError) as error:
-            if isinstance(error, InputError):
-                raise
-            raise InputError(f"outcome.{key} = {text!r} is not a condition, such as 'tilt_max_deg > 60'") from None
+        held(str(text), look_up, f"outcome.{key} = {text!r}", "'tilt_max_deg > 60'")
         found.append(Condition({GOAL: MISSED, INVALID: UNTRUSTED}.get(key, str(key)), str(key), str(text)))
     if {one.key for one in found} <= {INVALID}:
-        raise InputError(
-            "outcome is empty: name what counts as a failure, such as {fell: tilt_max_deg > 60}, or a goal"
-        )
+        such = "such as {fell: tilt_max_deg > 60}, or a goal"
+        raise InputError(f"outcome is empty: name what counts as a failure, {such}")
     return tuple(sorted(found, key=lambda one: (one.cause != UNTRUSTED, one.cause == MISSED)))
 
 
-def judge(figures: Mapping[str, np.ndarray], conditions: tuple[Condition, ...]) -> dict[str, np.ndarray]:
+def judge(
+    figures: Mapping[str, np.ndarray], limits: tuple[Condition, ...], stages: Sequence[str]
+) -> dict[str, np.ndarray]:
     """The labels of each row: doubts first, then the first condition that holds; see `System.judge`."""
-    names = [*DOUBTS, *(one.cause for one in conditions)]
-    held = np.stack([*(figures[name] > 0 for name in DOUBTS), *(one.holds(figures) for one in conditions)])
-    any_held, first = held.any(axis=0), held.argmax(axis=0)
-    doubts = len(DOUBTS) + sum(one.cause == UNTRUSTED for one in conditions)
-    keys = np.array([""] * len(DOUBTS) + [one.key for one in conditions], dtype=object)
-    margins = np.stack([one.margin(figures) for one in conditions if one.cause != UNTRUSTED])
+    every = [*(Condition(name, "", f"{name} > 0") for name in DOUBTS), *limits]
+    causes, keys = np.array([(one.cause, one.key) for one in every], dtype=object).T
+    holds = np.stack([one.holds(figures) for one in every])
+    any_held, first = holds.any(axis=0), holds.argmax(axis=0)
+    judged = [one for one in limits if one.cause != UNTRUSTED]
+    doubts, margins = len(every) - len(judged), np.stack([one.margin(figures) for one in judged])
     nearest = np.argmin(np.nan_to_num(margins, nan=np.inf), axis=0)
     return {
         "outcome": np.where(any_held, np.where(first < doubts, INVALID, FAILURE), SUCCESS).astype(object),
-        "cause": np.where(any_held, np.array(names, dtype=object)[first], ""),
-        "stage": np.where(any_held, STAGE, "").astype(object),
+        "cause": np.where(any_held, causes[first], ""),
+        "stage": np.where(any_held, stages[0], "").astype(object),
         "t_cause_s": np.full(len(first), np.nan),
         "limit": np.where(any_held, keys[first], ""),
         "margin": np.take_along_axis(margins, nearest[None], axis=0)[0],

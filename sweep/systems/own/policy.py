@@ -6,7 +6,6 @@ NumPy's is called with a whole tile, whose width never changes.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from typing import Any
 
 import jax
@@ -14,18 +13,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from sweep.core.errors import InputError
+from sweep.core.errors import InputError, raised
 from sweep.fused.numbers import worked_out
 from sweep.systems.own.batch import AtStart
 from sweep.systems.own.subject import Subject
 
 TILE = 64
-Belief = Mapping[str, Any]
-
-
-def _each(function: Callable[..., Any], *rows: Any) -> Any:
-    """What `function` gives of each row."""
-    return jax.lax.map(lambda row: function(*row), rows)
 
 
 def _drawn(key: Array, like: Array) -> Array:
@@ -43,7 +36,7 @@ class Programs:
     `sofar` is None at first.
     """
 
-    def __init__(self, own: Subject, belief: Belief):
+    def __init__(self, own: Subject, belief: Mapping[str, Any]):
         control, self._own = own.controller, own
         self._begin = control.begin or (lambda belief, key: (None, (), None))
         # what is batched is called with what this gives
@@ -52,14 +45,12 @@ class Programs:
         figures = control.figures or (lambda *given: {})
         self._figures = figures if control.measure else lambda belief, state, sofar: figures(belief, state)
         self._tried(self._check, belief)
-        each = self.begin_one, self.enter_one, self.finish_one
-        self.first, self.enter, self.finish = (jax.jit(partial(_each, one)) for one in each)
-        self._tick = jax.jit(partial(_each, self.tick_one), donate_argnums=(1,))
 
-    def tick(self, given: Mapping[str, Any], carried: Any, now: np.ndarray) -> tuple[np.ndarray, Any]:
-        """Controls (n, nu) of a tile, and what it carries on, after states (n, s)."""
-        made, carried = self._tick(given, carried, now)
-        return self._controlled(made), carried
+        def each(one: Callable[..., Any]) -> Callable[..., Any]:  # of a tile's rollouts
+            return lambda *rows: jax.lax.map(lambda row: one(*row), rows)
+
+        self.first, self.enter = jax.jit(each(self.begin_one)), jax.jit(each(self.enter_one))
+        self.tick, self.finish = jax.jit(each(self.tick_one), donate_argnums=1), jax.jit(each(self.finish_one))
 
     def begin_one(self, given: Mapping[str, Any]) -> tuple[Any, Any, Any]:
         """Start, state and duration of one rollout, which is endless where the controller names none."""
@@ -107,7 +98,7 @@ class Programs:
         begun.energy(start)
         now = self._own.state(begun.qpos, begun.qvel, begun.sensors)[0]
         ctrl, _ = found(self.tick_one, found(self.enter_one, state, now, np.int32(1)), now)
-        if not np.isfinite(self._controlled(np.tile(ctrl, (TILE, 1)))).all():
+        if not np.isfinite(self.controlled(np.tile(ctrl, (TILE, 1)))).all():
             raise self._wrong("gives controls that are not finite at the nominal start")
 
     def _wrong(self, what: str) -> InputError:
@@ -121,10 +112,9 @@ class Programs:
         except InputError:
             raise
         except Exception as error:
-            reason = (str(error).splitlines() or [""])[0]
-            raise self._wrong(f"fails: {type(error).__name__}: {reason}") from None
+            raise self._wrong(f"fails: {raised(error)}") from None
 
-    def _controlled(self, told: np.ndarray) -> np.ndarray:
+    def controlled(self, told: np.ndarray) -> np.ndarray:
         """Controls (n, nu) of what the program gives (n, ...): they are it, or what a batched controller is told."""
         if not self._own.controller.batched:
             return told
@@ -135,7 +125,7 @@ class Programs:
             raise self._wrong(f"gives {ctrl.dtype} {ctrl.shape}: {wanted}")
         return ctrl
 
-    def _check(self, belief: Belief) -> None:
+    def _check(self, belief: Mapping[str, Any]) -> None:
         """Raise where the controller's functions fit neither each other nor the model."""
         own, model, key = self._own, self._own.model, jax.random.key(0)
         now = jnp.zeros(model.nq + model.nv + model.nsensordata)
@@ -167,7 +157,7 @@ class Programs:
             has = ", ".join(f"{name} {one.shape}" for name, one in found.items())
             raise self._wrong(f"has figures {has}: numbers are wanted, named in FIGURES")
         if own.controller.batched:
-            self._controlled(np.zeros((TILE, seen.shape[0]), jnp.zeros(0).dtype))
+            self.controlled(np.zeros((TILE, seen.shape[0]), jnp.zeros(0).dtype))
 
 
 def _until(going: Array, new: Any, old: Any) -> Any:
@@ -192,7 +182,7 @@ class Rollouts:
     def tick(self, now: np.ndarray) -> np.ndarray:
         """Controls (n, nu) at the next tick, after states (n, s)."""
         parts, self._carried = zip(*self._of_tiles(self._programs.tick, now), strict=True)
-        return self._joined(parts)
+        return self._joined([self._programs.controlled(one) for one in parts])
 
     def finish(self, now: np.ndarray) -> dict[str, np.ndarray]:
         """The controllers' own figures, (n,) by name, of states (n, s) at the end."""

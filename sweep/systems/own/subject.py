@@ -10,7 +10,7 @@ import numpy as np
 from sweep.core.errors import InputError, known
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.engines.settings import EngineSettings
-from sweep.systems.base import Values
+from sweep.systems.base import Parameter, Values
 from sweep.systems.own import fields, files
 
 
@@ -39,13 +39,11 @@ class Settings(EngineSettings):
     name: str = choice("native", "native", "mjx", "warp")
 
 
-@parameters
-class Noise:
-    """Errors of what the controller observes, alike in all components, in their own units."""
-
-    white: float = quantity(0.0, "", at_least=0)  # deviation, drawn anew at every tick
-    bias: float = quantity(0.0, "", at_least=0)  # deviation of the constant error
-    delay: float = quantity(0.0, "ticks", at_least=0, at_most=50)  # whole control ticks that it is late by
+NOISE = {  # errors of what the controller observes, alike in all components, in their own units
+    "noise.white": quantity(0.0, "", at_least=0),  # deviation, drawn anew at every tick
+    "noise.bias": quantity(0.0, "", at_least=0),  # deviation of the constant error
+    "noise.delay": quantity(0.0, "ticks", at_least=0, at_most=50),  # whole control ticks that it is late by
+}
 
 
 @dataclass(frozen=True)
@@ -64,8 +62,7 @@ class Subject:
     """A model and its controller, nominal."""
 
     about: About
-    errors: tuple[tuple[str, float], ...]  # `noise.*` by path
-    numbers: tuple[tuple[str, float], ...]  # `controller.*` by path
+    numbers: tuple[tuple[str, float], ...]  # `noise.*` and `controller.*` by path
     room: int = 0  # ticks of delay
 
     @cached_property
@@ -82,10 +79,10 @@ class Subject:
         """What its module says."""
         return files.controller(self.about.controller)
 
-    @property
-    def noise(self) -> dict[str, float]:
-        """Nominal errors by path."""
-        return dict(self.errors)
+    @cached_property
+    def ranges(self) -> dict[str, Parameter]:
+        """The parameters of noise and controller, by path."""
+        return NOISE | {f"controller.{name}": quantity(value, "") for name, value in self.controller.parameters.items()}
 
     @property
     def base(self) -> int | None:
@@ -103,14 +100,12 @@ class Subject:
         return [self.model.sensor(name).id for name in names]
 
     @property
-    def direction(self) -> np.ndarray:
-        """That it should go in, a unit vector (3,)."""
-        return np.array(self.about.direction) / np.linalg.norm(self.about.direction)
-
-    @property
     def keyframe(self) -> int:
-        """Its number; -1 for the model's own pose."""
-        return self.model.key(self.about.keyframe).id if self.about.keyframe else -1
+        """Its number; -1 for the model's own pose. Raises `InputError`."""
+        names, name = [self.model.key(k).name for k in range(self.model.nkey)], self.about.keyframe
+        if name:
+            known(name, names, f"model.keyframe = {name}")
+        return names.index(name) if name else -1
 
     def state(self, qpos: Any, qvel: Any, sensors: Any) -> Any:
         """All that can be observed (n, s) without errors: see `parts`."""
@@ -121,10 +116,9 @@ class Subject:
         """Where in that state are `qpos`, `qvel` and sensors by name."""
         model, first = self.model, self.model.nq + self.model.nv
         found = {"qpos": slice(0, model.nq), "qvel": slice(model.nq, first)}
-        for k in range(model.nsensor):
-            if name := model.sensor(k).name:
-                found[name] = slice(first + model.sensor_adr[k], first + model.sensor_adr[k] + model.sensor_dim[k])
-        return found
+        starts, sizes = first + model.sensor_adr, model.sensor_dim
+        named = {k: name for k in range(model.nsensor) if (name := model.sensor(k).name)}
+        return found | {name: slice(starts[k], starts[k] + sizes[k]) for k, name in named.items()}
 
     def named(self, state: Any) -> dict[str, Any]:
         """The parts of one state (s,) by name."""
@@ -144,21 +138,18 @@ class Subject:
             raise InputError("model.observe is not allowed beside the controller's own function `observe`")
         for name in names:
             known(name, self.parts, f"model.observe: {name}")
-        sensors = slice(model.nq + model.nv, None)
-        usual = [sensors] if model.nsensordata else [self.parts["qpos"], self.parts["qvel"]]
-        return [self.parts[name] for name in names] or usual
+        usual = slice(model.nq + model.nv if model.nsensordata else 0, None)
+        return [self.parts[name] for name in names] or [usual]
 
     def told(self, values: Values) -> dict[str, Any]:
         """What the controller believes by its own names: its own numbers and the model's, `values` by path if given."""
         paths = {**self.controller.believes, **{name: f"controller.{name}" for name in self.controller.parameters}}
-        usual = dict(self.numbers)
-        return {
-            name: values[path] if path in values else usual[path] if path in usual else self._default(path)
-            for name, path in paths.items()
-        }
+        return {name: values[path] if path in values else self.usual(path) for name, path in paths.items()}
 
-    def _default(self, path: str) -> Any:
-        return fields.parameter(self.model, path).default
+    def usual(self, path: str) -> Any:
+        """The nominal value of a parameter. Raises `InputError` where there is none."""
+        numbers = dict(self.numbers)
+        return numbers[path] if path in numbers else fields.parameter(self.model, path).default
 
     def record(self, qpos: np.ndarray, qvel: np.ndarray) -> dict[str, np.ndarray]:
         """Columns of time histories, of positions (n, nq) and velocities (n, nv)."""
