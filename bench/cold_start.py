@@ -28,6 +28,7 @@ PARTS = {  # by file and name
     ("sweep/core/provenance.py", "_version"): "sources",
     ("sweep/engines/devices.py", "begin.<locals>.found"): "device",
     ("sweep/engines/batching.py", "_planned"): "nominal plan",
+    ("sweep/engines/devices.py", "keys"): "noise keys",
     ("sweep/engines/program_cache.py", "_load"): "kept programs",
     ("sweep/fused/eager.py", "traced"): "traced for NumPy",
     ("sweep/fused/trace.py", "traced"): "kernel traced",

@@ -1,0 +1,74 @@
+"""Kernels of a GPU for few rollouts beside those for many: what the driver has to translate, speed, and equal bits.
+
+To run: `python bench/kernels.py NAME WIDTH...`, on one GPU. Friction varies evenly from 0.9 to 1.2. Plans are NumPy's
+at any width, and not counted.
+"""
+
+import sys
+import time
+from dataclasses import replace
+from typing import Any
+
+import jax
+import numpy as np
+
+from sweep.engines import devices, program_cache
+from sweep.engines.mjx import Mjx
+from sweep.fused import driver, launch
+from sweep.study.config import Experiment, compose
+from sweep.systems.hexapod import assign
+
+COMPILED, TRANSLATED = launch.compiled, driver._translated
+Figures = dict[str, np.ndarray]
+
+
+def timed(function: Any, took: list[float]) -> Any:
+    """A function that puts its seconds, until its results are there, into `took`."""
+
+    def wrapped(*given: Any) -> Any:
+        began = time.perf_counter()
+        result = jax.block_until_ready(function(*given))
+        took.append(time.perf_counter() - began)
+        return result
+
+    return wrapped
+
+
+def measured(exp: Experiment, width: int, few: bool) -> tuple[Figures, list[str]]:
+    """Figures, and cells: MB of PTX, seconds of the driver, seconds of the rollouts, millions of steps a second."""
+    driven, planned, texts = [], [], []
+    driver._made.clear()
+    driver._translated = timed(lambda text: texts.append(text) or TRANSLATED(text), driven)
+    launch.compiled = lambda *given, **named: COMPILED(*given, **{**named, "few": few})
+    world, streams = assign(exp.case, "contact.friction", np.linspace(0.9, 1.2, width)), np.arange(width)
+    engine = Mjx(replace(exp.settings, width=width), exp.case, exp.case, exp.thresholds)
+    with program_cache.unused():
+        engine.run(world, exp.case, streams)
+        ((form, programs),) = engine._programs.items()
+        engine._programs[form] = programs._replace(start=timed(programs.start, planned))
+        began = time.perf_counter()
+        figures = engine.run(world, exp.case, streams)
+        seconds = time.perf_counter() - began - planned[0]
+    steps = width * float(np.max(figures["duration_s"])) / exp.settings.time_step
+    cells = len(texts[0]) / 1e6, driven[0], seconds, steps / seconds / 1e6
+    return figures, [f"{x:.3g}" for x in cells]
+
+
+def main(name: str, *widths: str) -> None:
+    """Two lines for each width."""
+    devices.FEW = 1 << 30
+    exp = compose([f"scenario={name}"])
+    print("| scenario | rollouts | kernel for | PTX MB | driver s | rollouts s | M env-steps/s | figures unlike |")
+    print("|---|--:|---|--:|--:|--:|--:|--:|")
+    for width in map(int, widths):
+        of: dict[str, Figures] = {}
+        for kind in ("many", "few"):
+            of[kind], cells = measured(exp, width, kind == "few")
+            unlike = sum(
+                int(np.sum(~np.isclose(x, of["many"][key], 0, 0, equal_nan=True))) for key, x in of[kind].items()
+            )
+            print(f"| `{name}` | {width:,} | {kind} | {' | '.join(cells)} | {unlike} |", flush=True)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
