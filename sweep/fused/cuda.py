@@ -4,7 +4,7 @@ Loops, such as those of physics, have a lane of a warp for each leg and five rol
 worked out by each lane. The parts between them, of which legs have less, have a thread for each rollout, where there
 are many: what is one operation for the legs is six there, and takes as long to compile. What one part hands on lies in
 memory. Sums over the legs are in one order, so that a rollout's numbers depend neither on the rollouts beside it nor on
-how many there are.
+how many there are; kernels for few and for many may round otherwise.
 """
 
 import subprocess
