@@ -10,21 +10,15 @@ Barnard's where the difference of the shares does, in its standard deviations, a
 simulation, so that of two arms that are equal at most 5 % are found to differ, whatever share succeeds.
 """
 
-import json
 import time
-from pathlib import Path
 
 import numpy as np
+import shared
 from scipy.special import rel_entr
 from scipy.stats import binom
 
 from sweep.analysis.sequential import fixed_size, log_evidence
-from sweep.core.files import write_whole
-from sweep.core.provenance import made_with
-from sweep.engines.run_id import device
-from sweep.engines.settings import EngineSettings
 
-DATA = Path(__file__).parents[1] / "docs" / "data" / "anytime.json"
 Table = list[list[str]]  # columns, then rows
 
 ALPHA, REPETITIONS, MOST = 0.05, 2000, 4000
@@ -117,9 +111,7 @@ def main() -> None:
     """Measure the three tables."""
     rng, start = np.random.default_rng(0), time.perf_counter()
     tables = {"equal": equal(rng), "different": different(rng), "sequential": sequential(rng)}
-    about = {"command": "python bench/anytime.py", "engine": "none", "devices": [device(EngineSettings())]}
-    about |= made_with() | {"seconds": round(time.perf_counter() - start), "tables": tables}
-    write_whole(DATA, (json.dumps(about, indent=1, ensure_ascii=False) + "\n").encode())
+    shared.keep("anytime", (), start, tables)
 
 
 if __name__ == "__main__":

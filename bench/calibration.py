@@ -1,17 +1,15 @@
 """Calibration in physics: what robots with wrong sizes learn when they really go through the poses.
 
-    python bench/calibration.py [key=value ...]     # overrides of the configuration, such as noise=sensors
-
-Robots up to 2 % off in all lengths calibrate themselves on level ground: computed, as `control.calibrate=sizes` does,
-and simulated, on soft drives and on the drives as they are. Errors are root mean squares over the robots, of the sizes
-in %.
+To run: `python bench/calibration.py`. Robots up to 2 % off in all lengths calibrate themselves on level ground:
+computed, as `control.calibrate=sizes` does, and simulated, on soft drives and on the drives as they are. Errors are
+root mean squares over the robots, of the sizes in %. It writes docs/data/calibration.json, cited by docs/learning.md.
 """
 
 import dataclasses
-import sys
+import time
 
 import numpy as np
-import pandas as pd
+import shared
 
 from sweep.controllers.calibration import names
 from sweep.engines import devices, make
@@ -21,51 +19,62 @@ from sweep.study.config import compose
 
 ROBOTS, SPREAD = 16, 0.02
 STAND = ("scenario=walk_tripod", "manoeuvre=stand", "manoeuvre.duration=0.1")
-WAYS = {
-    "computed": ("control=calibrate",),
-    "simulated, `mjx`": ("control=calibrate_simulated",),
-    "simulated, `native`": ("control=calibrate_simulated", "engine=native"),
-    "the same, drives as they are": (
-        "control=calibrate_simulated",
-        "engine=native",
-        "control.stiffness=${drive.stiffness}",
-        "control.damping=${drive.damping}",
-    ),
-}
+COMPUTED, SIMULATED = ("control=calibrate",), ("control=calibrate_simulated",)
+STIFF = ("control.stiffness=${drive.stiffness}", "control.damping=${drive.damping}")
+EXACT, SENSORS = (), ("noise=sensors",)
+OFF = (*SENSORS, "noise.position_bias=0.005", "noise.orientation_bias=0.005")
+RUNS = (
+    ("exact", EXACT, "computed", COMPUTED),
+    ("exact", EXACT, "simulated, `mjx`", SIMULATED),
+    ("`sensors`", SENSORS, "computed", COMPUTED),
+    ("`sensors`", SENSORS, "simulated, `mjx`", SIMULATED),
+    ("`sensors`", SENSORS, "simulated, `native`", (*SIMULATED, "engine=native")),
+    ("`sensors`", SENSORS, "the same, drives as they are", (*SIMULATED, "engine=native", *STIFF)),
+    ("`sensors`, base 5 mm and 5 mrad off", OFF, "computed", COMPUTED),
+)
 
 
-def row(overrides: list[str], world_of: Case) -> dict[str, float]:
-    """Errors of what is learned, the largest slip in the poses (mm), and the share that went through them (%)."""
+def row(overrides: tuple[str, ...], world_of: Case) -> list[str]:
+    """Errors of what is learned (%), the largest slip in the poses (mm), and how many went through them."""
     exp = compose([*STAND, *overrides])
     world = dataclasses.replace(exp.case, robot=world_of.robot)
     engine = make(dataclasses.replace(exp.settings, width=ROBOTS), exp.case, exp.case, exp.thresholds)
     figures = engine.run(world, exp.case, np.arange(ROBOTS))
     cause = classify(figures, exp.thresholds, engine.stages)["cause"]
-    errors = {
-        f"{name}_%": 100 * rms(figures[f"learned_{name}_m"] / getattr(world.robot, name) - 1)
-        for name in names(world.robot)
-    }
+    errors = [rms(figures[f"learned_{name}_m"] / getattr(world.robot, name) - 1) for name in names(world.robot)]
     if "calibration_slip_max_m" not in figures:
-        return errors
+        return [*errors, "", ""]
     slip, done = figures["calibration_slip_max_m"], cause != "uncalibrated"
-    return {**errors, "slip_max_mm": 1e3 * float(slip.max()), "calibrated_%": 100 * float(np.mean(done))}
+    return [*errors, f"{1e3 * float(slip.max()):.3g}", f"{int(np.sum(done))} of {ROBOTS}"]
 
 
-def rms(values: np.ndarray) -> float:
-    """Root mean square."""
-    return float(np.sqrt(np.mean(np.square(values))))
+def rms(errors: np.ndarray) -> str:
+    """Root mean square, in %."""
+    return f"{100 * float(np.sqrt(np.mean(np.square(errors)))):.2g}"
 
 
-def main(overrides: list[str]) -> None:
-    """Print the table."""
+def main() -> None:
+    """Measure and keep the table."""
+    start = time.perf_counter()
     case, random = compose([*STAND]).case, np.random.default_rng(0)
-    true = {n: getattr(case.robot, n) * random.uniform(1 - SPREAD, 1 + SPREAD, ROBOTS) for n in names(case.robot)}
+    sizes = names(case.robot)
+    true = {n: getattr(case.robot, n) * random.uniform(1 - SPREAD, 1 + SPREAD, ROBOTS) for n in sizes}
     world = dataclasses.replace(case, robot=dataclasses.replace(case.robot, **true))
-    before = {f"{name}_%": 100 * rms(getattr(case.robot, name) / value - 1) for name, value in true.items()}
-    rows = {"before": before} | {way: row([*words, *overrides], world) for way, words in WAYS.items()}
-    print(pd.DataFrame(rows).T.to_markdown(floatfmt=".3g"))
+    before = [rms(getattr(case.robot, name) / value - 1) for name, value in true.items()]
+    rows = [["", "before", *before, "", ""]]
+    for sensors, noise, way, control in RUNS:
+        rows.append([sensors, way, *row((*control, *noise), world)])
+        print(*rows[-1], flush=True)
+    heads = [
+        "sensors",
+        "sizes",
+        *(f"{name.replace('_', ' ')}, %" for name in sizes),
+        "slip, mm",
+        "go through the poses",
+    ]
+    shared.keep("calibration", ("mjx", "native"), start, {"errors": [heads, *rows]})
 
 
 if __name__ == "__main__":
     devices.configure()
-    main(sys.argv[1:])
+    main()

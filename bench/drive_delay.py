@@ -2,17 +2,19 @@
 
     python bench/drive_delay.py
 
-The robot of `walk_tripod` stands, or hangs in the air, a joint's reference jumps by a milliradian, and for 0.2 s every
-drive's torque, which has no limit here, comes of the angle and rate that its joint had `delay` before. Where the
-joints' accelerations are larger in the last quarter of that than in the one before, it swings by itself; the shortest
-such delay is found by bisection. `formula` is `servo_delay` about the least inertia that a joint has with the base
-held, and its drive's.
+It writes docs/data/drive_delay.json, which docs/robustness.md cites. The robot of `walk_tripod` stands, or hangs in
+the air, a joint's reference jumps by a milliradian, and for 0.2 s every drive's torque, which has no limit here, comes
+of the angle and rate that its joint had `delay` before. Where the joints' accelerations are larger in the last quarter
+of that than in the one before, it swings by itself; the shortest such delay is found by bisection. `formula` is
+`servo_delay` about the least inertia that a joint has with the base held, and its drive's.
 """
 
+import time
 from dataclasses import replace
 
 import mujoco
 import numpy as np
+import shared
 
 from sweep.engines import devices
 from sweep.engines.closed_loop import start_state
@@ -24,8 +26,8 @@ from sweep.models.scene import compile_model
 from sweep.study.config import compose
 
 STEP, TIME, JUMP, AWAY = 1e-5, 0.2, 1e-3, 1e5  # s, s, rad, rad/s^2
-DRIVES = {"as it is": {}, "of the ladder": {"stiffness": 1.5e4, "damping": 335.0},
-          "soft": {"stiffness": 1500.0, "damping": 200.0}}  # fmt: skip
+DRIVES = {"as they are": {}, "of the ladder": {"stiffness": 1.5e4, "damping": 335.0},
+          "soft, of the calibration": {"stiffness": 1500.0, "damping": 200.0}}  # fmt: skip
 
 
 def grows(model: mujoco.MjModel, qpos: np.ndarray, drive: Drive, ticks: int) -> bool:
@@ -77,18 +79,20 @@ def least_inertia(case: Case) -> float:
 
 def main() -> None:
     """One line for each kind of drives."""
+    start = time.perf_counter()
     devices.configure()
     case = compose(["scenario=walk_tripod"]).case
-    print("| drives | stiffness | damping | least inertia | formula, ms | in the air, ms | standing, ms |")
-    print("|:--|--:|--:|--:|--:|--:|--:|")
+    rows = [["drives", "stiffness, N m/rad", "damping, N m s/rad", "`servo_delay`, ms", "swings in the air from, ms",
+             "standing from, ms"]]  # fmt: skip
     for name, gains in DRIVES.items():
         other = replace(case, drive=replace(case.drive, **gains))
         inertia, drive = least_inertia(other), other.drive
         said = evaluate("servo_delay", {"J": inertia, "stiffness": drive.stiffness, "damping": drive.damping,
                                         "c_e": drive.back_emf})["delay"]  # fmt: skip
-        measured = [1e3 * longest(other, air) for air in (True, False)]
-        print(f"| {name} | {drive.stiffness:g} | {drive.damping:g} | {inertia:.4f} | {1e3 * said:.3f} | "
-              f"{measured[0]:.2f} | {measured[1]:.2f} |", flush=True)  # fmt: skip
+        delays = (said, *(longest(other, air) for air in (True, False)))
+        rows.append([name, f"{drive.stiffness:g}", f"{drive.damping:g}", *(f"{1e3 * delay:.2f}" for delay in delays)])
+        print(*rows[-1], flush=True)
+    shared.keep("drive_delay", ("native",), start, {"delays": rows})
 
 
 if __name__ == "__main__":

@@ -1,10 +1,10 @@
 """Which rows and figures are bit-equal when they are simulated in other ways, and what `run_id` says.
 
-One table, and below it the figures that differ in any row.
-
     python bench/reproducibility.py        # some minutes: a walking study, one step long, once for each line
 
-Each run is a process of its own. Rows are paired by `point_id`; place in a batch and wall time are left out.
+It writes docs/data/reproducibility.json, which docs/reliability.md cites. Loops are XLA's: those that `fused` makes
+have the same bits whatever the batch. Each run is a process of its own. Rows are paired by `point_id`; place in a batch
+and wall time are left out.
 """
 
 import os
@@ -16,7 +16,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from tabulate import tabulate
+import shared
 
 from sweep.runs import store
 from sweep.study.columns import LABELS, PLAN, TIMING
@@ -28,6 +28,7 @@ STUDY = [
     "study.expect=[]",
     "manoeuvre.steps=1",
     "study.invalid_max=1",
+    "engine.compiler=xla",
 ]
 WIDTH = "engine.width=8"
 WAYS: dict[str, tuple[list[str], dict[str, str], int]] = {  # settings, environment, processor cores; 0: all
@@ -40,7 +41,6 @@ WAYS: dict[str, tuple[list[str], dict[str, str], int]] = {  # settings, environm
     "another instruction set": ([WIDTH], {"XLA_FLAGS": "--xla_cpu_max_isa=SSE4_2"}, 0),
 }
 Line = tuple[str, str, str, str, str]
-Found = tuple[Line, list[str], list[str]]  # with the figures that are bit-equal in all rows, and the others
 
 
 def started(out: Path, settings: list[str], environment: dict[str, str], cores: int) -> subprocess.Popen:
@@ -50,29 +50,14 @@ def started(out: Path, settings: list[str], environment: dict[str, str], cores: 
     return subprocess.Popen([*pinned, *command], env=os.environ | environment, stdout=subprocess.DEVNULL)
 
 
-def compared(way: str, base: Path, other: Path) -> Found:
+def compared(way: str, base: Path, other: Path) -> Line:
     """Rows and figures that are bit-equal, outcomes that are equal, and whether `run_id` is."""
     a, b = (store.read_rows(path).set_index("point_id").sort_index() for path in (base, other))
     names = [c for c in a.columns if c not in (*PLAN, *LABELS, *TIMING) and "." not in c]
     equal = (a[names] == b[names]) | (a[names].isna() & b[names].isna())
     same = "the same" if set(a["run_id"]) == set(b["run_id"]) else "another"
     outcomes = f"{(a['outcome'] == b['outcome']).sum()} of {len(a)}"
-    line = way, f"{equal.all(axis=1).sum()} of {len(a)}", f"{equal.all().sum()} of {len(names)}", outcomes, same
-    return line, [name for name in names if equal[name].all()], [name for name in names if not equal[name].all()]
-
-
-def named(found: list[Found]) -> str:
-    """The figures that are bit-equal or not, whichever are fewer, of the ways that change any."""
-    ways: dict[tuple[str, ...], list[str]] = {}
-    for (way, *_), _, differ in found:
-        ways.setdefault(tuple(differ), []).append(way)
-    of = {tuple(differ): equal for _, equal, differ in found}
-    lines = []
-    for differ, names in ways.items():
-        few = differ if len(differ) <= len(of[differ]) else of[differ]
-        how = "all but" if few is differ else "only"
-        lines += [f"- {'; '.join(names)}: {how} {', '.join(f'`{name}`' for name in few)}."] if differ else []
-    return "\n".join(["Figures that are bit-equal in all rows:", "", *lines]) if lines else "All figures are bit-equal."
+    return way, f"{equal.all(axis=1).sum()} of {len(a)}", f"{equal.all().sum()} of {len(names)}", outcomes, same
 
 
 def interrupted(out: Path) -> None:
@@ -101,22 +86,27 @@ def replayed(base: Path, rows: tuple[int, ...]) -> Line:
     return f"`sweep replay` of rows {', '.join(map(str, rows))}", bits, figures, "", "another" if other else "the same"
 
 
-def table(place: Path) -> list[Found]:
+def table(place: Path) -> list[Line]:
     """What was found in each way."""
     base, killed = place / "base", place / "killed"
     started(base, [WIDTH], {}, 0).wait()
-    found = []
+    lines = []
     for number, (way, how) in enumerate(WAYS.items()):
         started(place / str(number), *how).wait()
-        found.append(compared(way, base, place / str(number)))
-        print(*found[-1][0], sep="; ", file=sys.stderr)
+        lines.append(compared(way, base, place / str(number)))
+        print(*lines[-1], sep="; ", flush=True)
     interrupted(killed)
-    return [*found, compared("after `kill -9`", base, killed), (replayed(base, (0, 15)), [], [])]
+    return [*lines, compared("after `kill -9`", base, killed), replayed(base, (0, 15))]
+
+
+def main() -> None:
+    """Measure and keep the table."""
+    start = time.perf_counter()
+    heads = ["compared with width 8", "rows bit-equal", "figures bit-equal", "outcomes equal", "run_id"]
+    with tempfile.TemporaryDirectory() as folder:
+        lines = table(Path(folder))
+    shared.keep("reproducibility", ("mjx",), start, {"ways": [heads, *map(list, lines)]})
 
 
 if __name__ == "__main__":
-    with tempfile.TemporaryDirectory() as folder:
-        heads = ["compared with width 8", "rows bit-equal", "figures bit-equal", "outcomes equal", "run_id"]
-        found = table(Path(folder))
-    print(tabulate([line for line, *_ in found], headers=heads, tablefmt="github"))
-    print(f"\n{named(found)}")
+    main()

@@ -1,13 +1,19 @@
-"""A file of docs/data that processes side by side add to."""
+"""Files of docs/data: of tables that one command makes, and such that processes side by side add to."""
 
 import json
-from collections.abc import Callable, Iterable, Mapping
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import filelock
 
 from sweep.core.files import write_whole
+from sweep.core.provenance import made_with
+from sweep.engines.run_id import device
+from sweep.engines.settings import EngineSettings
+
+DATA = Path(__file__).parents[1] / "docs" / "data"
 
 SCENARIOS = "scenarios"
 BY = ("code", "commit")  # what each was made with; of several the names of all
@@ -39,3 +45,16 @@ def add(file: Path, name: str, found: dict[str, Any], command: str, tables: Call
             SCENARIOS: every,
         }
         write_whole(file, (json.dumps(whole, indent=1) + "\n").encode())
+
+
+def keep(name: str, engines: Sequence[str], start: float, tables: Mapping[str, list[list[str]]]) -> None:
+    """Write what `python bench/NAME.py` found, tables with their heads first; `start` is of `time.perf_counter`."""
+    about = {
+        "command": f"python bench/{name}.py",
+        "engine": " and ".join(f"`{engine}`" for engine in engines) or "none",
+        "devices": sorted({device(EngineSettings(name=engine)) for engine in engines or ("native",)}),
+        **made_with(),
+        "seconds": round(time.perf_counter() - start),
+        "tables": tables,
+    }
+    write_whole(DATA / f"{name}.json", (json.dumps(about, indent=1, ensure_ascii=False) + "\n").encode())
