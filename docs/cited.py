@@ -11,7 +11,6 @@ import re
 import sys
 from collections.abc import Iterator
 from functools import partial
-from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -124,6 +123,53 @@ def draws(names: str, figures: str = "") -> str:
     return "\n".join(lines)
 
 
+def groups(names: str, values: str = "") -> str:
+    """A line for each group of rows: what they have in common, what came of them, and values of those that succeed.
+
+    A value is `NAME`, the worst of it as of `draws`, or `NAME:min`, `:mean`, `:rms` or `:max`.
+    """
+    rows, columns = [row for name in names.split() for row in read(name)["groups"]], values.split()
+    axes = list(rows[0]["at"])
+    heads = [*map(axis_words, axes), "succeed", *(in_words(*one.split(":")) for one in columns)]
+    lines = [f"| {' | '.join(heads)} |", f"|{'--:|' * len(axes)}:--|{'--:|' * len(columns)}"]
+    for row in rows:
+        line = [*map(shown, row["at"].values()), came(row), *(valued(row, *one.split(":")) for one in columns)]
+        lines.append(f"| {' | '.join(line)} |")
+    return "\n".join(lines)
+
+
+def grid(name: str, across: str, value: str) -> str:
+    """The value of each group as of `groups`, those of one axis beside each other; of what fails why it does."""
+    rows = read(name)["groups"]
+    beside = next(axis for axis in rows[0]["at"] if axis.endswith(across))
+    heads = list(dict.fromkeys(row["at"][beside] for row in rows))
+    others = [axis for axis in rows[0]["at"] if axis != beside]
+    table: dict[tuple[Any, ...], dict[Any, str]] = {}
+    for row in rows:
+        cell = valued(row, *value.split(":"))
+        table.setdefault(tuple(row["at"][axis] for axis in others), {})[row["at"][beside]] = cell or came(row)
+    first, *rest = map(shown, heads)
+    lines = [f"| {' | '.join([*map(axis_words, others), f'{axis_words(beside)} {first}', *rest])} |"]
+    lines.append(f"|{'--:|' * (len(others) + len(heads))}")
+    for at, line in table.items():
+        lines.append(f"| {' | '.join([*map(shown, at), *(line.get(head, '') for head in heads)])} |")
+    return "\n".join(lines)
+
+
+def came(row: dict[str, Any]) -> str:
+    """What came of a group: `yes` or why not of one rollout, of several how many succeed, and of the others."""
+    others = ", ".join(f"{number:,} `{cause}`" for cause, number in row["causes"].items())
+    if row["success"] + sum(row["causes"].values()) == 1:
+        return others.partition(" ")[2] or "yes"
+    return f"{share(row['success'], row['valid'])}{others and f'; {others}'}"
+
+
+def valued(row: dict[str, Any], name: str, how: str = "") -> str:
+    """A value of a group; empty where none succeeds."""
+    ends = row["values"].get(name)
+    return (told(name, ends[how], ends[how]) if how else told(name, ends["min"], ends["max"])) if ends else ""
+
+
 def nominal(name: str, runs: str, figures: str) -> str:
     """A line for each of some nominal rollouts, `SCENARIO` or `SCENARIO:ENGINE`: whether it succeeds, and figures."""
     columns, found = figures.split(), read(name)["runs"]
@@ -136,16 +182,18 @@ def nominal(name: str, runs: str, figures: str) -> str:
     return "\n".join(lines)
 
 
-def in_words(figure: str) -> str:
+def in_words(figure: str, how: str = "") -> str:
     """`slip_max_m` -> `slip max (mm)`."""
     words, unit = name_and_unit(figure)
+    words = f"{words}, {how}" if how else words
     return f"{words} ({'mm' if unit == 'm' else unit})" if unit else words
 
 
 def told(figure: str, least: float, greatest: float) -> str:
     """The worse end of a figure, lengths in mm."""
     worse = least if "min" in figure.split("_") else greatest
-    return f"{1000 * worse:.3g}" if name_and_unit(figure)[1] == "m" else f"{worse:.3g}"
+    shown = 1000 * worse if name_and_unit(figure)[1] == "m" else worse
+    return f"{shown:.3g}" if abs(shown) < 1000 else f"{shown:.0f}"
 
 
 def cells(name: str) -> str:
@@ -295,12 +343,9 @@ def _learning() -> pd.DataFrame:
     return kept.assign(robot=kept["robot"].replace("calibrates", "learns"))
 
 
-def by_hand(text: str) -> Iterator[tuple[str, str]]:
-    """Tables with numbers that no block makes: a digest of the numbers of each, and its head."""
-    for found in TABLE.findall(BLOCK.sub("", text)):
-        numbers = NUMBER.findall(found)
-        if numbers:
-            yield sha256(" ".join(numbers).encode()).hexdigest()[:8], found.partition("\n")[0]
+def by_hand(text: str) -> list[str]:
+    """Heads of tables with numbers that no block makes."""
+    return [found.partition("\n")[0] for found in TABLE.findall(BLOCK.sub("", text)) if NUMBER.search(found)]
 
 
 def pages() -> Iterator[Path]:
@@ -310,7 +355,8 @@ def pages() -> Iterator[Path]:
 
 FORMS = {
     "rate": rate, "rollouts": rollouts, "causes": causes, "errors": errors, "along": along, "draws": draws,
-    "cells": cells, "each": each, "bounds": bounds, "seen": seen, "borne": borne, "compared": compared, "table": table,
+    "groups": groups, "grid": grid, "cells": cells, "each": each, "bounds": bounds, "seen": seen, "borne": borne,
+    "compared": compared, "table": table,
     "halved": halved, "nominal": nominal, "learned": learned, "gained": gained, "metrics": metrics,
     "way_points": hexagon_figures.way_points, "changes": changes, "sources": sources,
     **{name: partial(lambda table, of, *words: table(read(of), *words), table)

@@ -1,6 +1,6 @@
 """Runs scenarios once, nominal, and keeps their figures as docs/data/nominal.json: `python docs/nominal_runs.py`.
 
-Two dozen rollouts, each by a program of its own that has to be compiled: half an hour on two cores. Four cores each
+Three dozen rollouts, each by a program of its own that has to be compiled: an hour on two cores. Four cores each
 make one at a time.
 """
 
@@ -20,10 +20,10 @@ from sweep.study.columns import figure_columns
 from sweep.study.config import compose
 
 PATH = Path(__file__).parent / "data" / "nominal.json"
-ONE = ("walk_tripod", "walk_gallop", "walk_slope", "walk_kerb", "stand_push", "pole_climb", "pole_climb_held",
-       "ball_climb", "ball_descend")  # fmt: skip
-BOTH = ("hexagon_waypoints", "pole_descent_above", "pole_descent_below", "corner_climb", "corner_full", "ladder_climb",
-        "raft_cross", "beam_cross")  # fmt: skip
+ONE = ("walk_tripod", "walk_gallop", "walk_slope", "walk_kerb", "stand_push", "pole_climb_held")
+BOTH = ("hexagon_waypoints", "pole_climb", "pole_descent_above", "pole_descent_below", "corner_climb", "corner_full",
+        "ladder_climb", "raft_cross", "beam_cross", "ball_climb", "ball_descend", "ball_drive",
+        "ball_balance")  # fmt: skip
 RUNS = {  # what a table calls them
     **{name: [f"scenario={name}"] for name in (*ONE, *BOTH)},
     **{f"{name}:native": [f"scenario={name}", "engine=native"] for name in BOTH},

@@ -15,6 +15,7 @@ import fnmatch
 import json
 import multiprocessing
 import os
+import re
 import shlex
 import shutil
 import subprocess
@@ -22,16 +23,19 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from hashlib import sha256
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import yaml
 
 from sweep.analysis import sensitivity
 from sweep.analysis.intervals import wilson
 from sweep.analysis.stats import binned, rate, rates
+from sweep.core.expressions import column, evaluate
 from sweep.core.files import write_whole
 from sweep.core.letters import lettering
 from sweep.core.outcomes import SUCCESS
@@ -184,7 +188,8 @@ def made(name: str, target: dict[str, Any], out: Path, docs: Path, quick: bool) 
 
 def ran_as(target: dict[str, Any]) -> str:
     """The folder of a target's study: targets of one study share it."""
-    return "-".join(word.partition("=")[2] for word in target.get("run", ["=none"]))
+    name = "-".join(word.partition("=")[2] for word in target.get("run", ["=none"]))
+    return name if re.fullmatch(r"[\w.-]{1,100}", name) else sha256(name.encode()).hexdigest()[:16]
 
 
 def simulate(overrides: list[str], folder: Path) -> float:
@@ -226,7 +231,6 @@ def summary(found: Results, target: dict[str, Any]) -> dict[str, Any]:
     """What the rows of a study say, by cell and along each axis, and what they are of."""
     rows, stored = found.rows, found.stored
     whole = rate(rows["outcome"])
-    cause = rows["cause"][rows["outcome"] != "success"].value_counts()
     return {
         "scenario": found.exp.scenario,
         "engine": found.exp.settings.name,
@@ -235,10 +239,11 @@ def summary(found: Results, target: dict[str, Any]) -> dict[str, Any]:
         "invalid": whole.invalid,
         "valid": whole.valid,
         "success": whole.success,
-        "causes": {str(name): int(number) for name, number in cause.items()},
+        "causes": causes(rows),
         "along": {axis: along(found, axis) for axis in (*found.named, *found.listed)},
         "map": cells(found, tuple(target.get("map", ()))),
         "figures": extremes(found),
+        **({"groups": groups(found.rows, target)} if "by" in target else {}),
         "commit": stored["commit"],
         "code": stored["code"],
         "devices": stored["devices"],
@@ -267,6 +272,42 @@ def extremes(found: Results) -> dict[str, list[float]]:
     rows = found.rows[found.rows["outcome"] == SUCCESS]
     names = [name for name in judged_first(found) if rows[name].notna().any()]
     return {name: [float(f"{end:.4g}") for end in (rows[name].min(), rows[name].max())] for name in names}
+
+
+def groups(rows: pd.DataFrame, target: dict[str, Any]) -> list[dict[str, Any]]:
+    """What came of the rows with each combination of values of some columns, and `values` of those that succeed.
+
+    A value is a figure, or has an expression of columns.
+    """
+    found, names = [], [column(rows, name) for name in target["by"]]
+    for at, part in rows.groupby([rows[name].astype(object) for name in names], sort=False):
+        good = part[part["outcome"] == SUCCESS]
+        values = {}
+        for name, expression in target.get("values", {}).items():
+            drawn = np.asarray(
+                evaluate(expression or name, lambda name, good=good: good[column(good, name)].to_numpy())
+            )
+            if len(drawn) and np.isfinite(drawn).any():
+                ends = drawn[np.isfinite(drawn)]
+                told = {"min": ends.min(), "mean": ends.mean(), "rms": np.sqrt(np.mean(ends**2)), "max": ends.max()}
+                values[name] = {how: float(f"{value:.4g}") for how, value in told.items()}
+        whole = rate(part["outcome"])
+        found.append(
+            {
+                "at": dict(zip(names, at, strict=True)),
+                "success": whole.success,
+                "valid": whole.valid,
+                "causes": causes(part),
+                "values": values,
+            }
+        )
+    return found
+
+
+def causes(rows: pd.DataFrame) -> dict[str, int]:
+    """What came of those that do not succeed, the most frequent first."""
+    counts = rows["cause"][rows["outcome"] != SUCCESS].value_counts()
+    return {str(name): int(number) for name, number in counts.items()}
 
 
 def cells(found: Results, chosen: tuple[str, ...]) -> dict[str, Any] | None:
