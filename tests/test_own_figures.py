@@ -78,6 +78,21 @@ def test_what_is_not_to_be_trusted_is_invalid(here, engine):
     assert row["margin_of"] == "slow"
 
 
+def test_a_lack_of_room_for_contacts_is_invalid(here):
+    """Of twelve boxes on a floor, with MuJoCo's memory for the contacts of some."""
+    box = '<body pos="{} 0 0.0999"><freejoint/><geom type="box" size=".1 .1 .1"/></body>'
+    boxes = "".join(box.format(0.3 * k) for k in range(12))
+    world = f'<worldbody><geom type="plane" size="0 0 1"/>{boxes}</worldbody>'
+    Path("boxes.xml").write_text(f'<mujoco><size memory="50K"/>{world}</mujoco>')
+    Path("still.py").write_text(PUSH.replace("[4.0, 0.0]", "[]"))
+    Path("boxes.yaml").write_text(
+        "system: own\nmodel: {mjcf: boxes.xml, controller: 'still:policy', duration: 0.1}\nstudy: {name: boxes}\n"
+        "outcome: {up: energy_gained_j > 1}\n"
+    )
+    assert main(["run", "study=boxes.yaml", "study.invalid_max=1", "out=boxes"]) == 0
+    assert list(store.read_rows(Path("boxes"))["cause"]) == ["buffer_full"]
+
+
 WIDER = {
     "model.geom.trunk.size.x": 0.3,
     "model.geom.lf_foot.size.radius": 0.03,
