@@ -24,7 +24,8 @@ def content(folder: Path) -> pd.DataFrame:
 
 def start(folder: Path, *overrides: str, fake: bool = True, **environment: str) -> subprocess.Popen:
     """The study in a process group of its own; Dask workers have the fake engine too, unless it is the real one."""
-    paths = {"PYTHONPATH": str(FAKE.parent), "DASK_DISTRIBUTED__WORKER__PRELOAD": '["fake_engine"]'}
+    path = os.pathsep.join([str(FAKE.parent), *os.environ.get("PYTHONPATH", "").split(os.pathsep)])
+    paths = {"PYTHONPATH": path, "DASK_DISTRIBUTED__WORKER__PRELOAD": '["fake_engine"]'}
     program = [str(FAKE)] if fake else ["-m", "sweep.cli"]
     command = [sys.executable, *program, "run", *STUDY, f"out={folder}", *overrides]
     return subprocess.Popen(command, env={**os.environ, **paths, **environment}, stdout=subprocess.PIPE,
