@@ -85,7 +85,7 @@ def looks(family: str, **kinds: tuple[str, np.ndarray]) -> dict[str, Look]:
 DOUBTS = "sunk", "not_finite", "solver", "unsettled", "energy"
 LOOKS = {
     **looks("success", success=("#56B4E9", star(24))),
-    **looks("foot", slipped=("#C8102E", star(3, turn=180)), slipped_on_deck=("#FF5A5F", chevron(180))),
+    **looks("foot", slipped=("#C8102E", star(3, turn=180)), slipped_on_deck=("#FF6367", chevron(180))),
     **looks(
         "body",
         fell=("#D55E00", star(4, turn=45)),
@@ -112,8 +112,8 @@ LOOKS = {
     ),
     **looks(
         "goal",
-        stalled=("#8E1B5E", bar(0.35)),
-        goal_missed=("#5C1040", star(3)),
+        stalled=("#90115E", bar(0.35)),
+        goal_missed=("#480037", star(3)),
         off_course=("#B01E58", star(3, turn=-90)),
         obstacle_moved=("#A65B45", star(5)),
         obstacle_shifted=("#D08D74", star(3, turn=90)),
@@ -121,7 +121,7 @@ LOOKS = {
         lifted=("#B0413E", chevron()),
         rolled_off=("#C9A27C", ring(0.45)),
         restless=("#7A3350", hourglass(90)),
-        obstacle_turned=("#8C5426", star(4, 0.45)),
+        obstacle_turned=("#905F2E", star(4, 0.45)),
     ),
     **looks("doubt", **{doubt: ("#8A8C92", star(k, 0.3)) for k, doubt in enumerate(DOUBTS, 6)}),
 }
