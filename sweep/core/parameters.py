@@ -15,6 +15,8 @@ import numpy as np
 from sweep.core.errors import InputError, suggest
 
 LARGEST = 10**18  # of whole numbers, which 64 bits hold
+# of figures, by the ends of their names
+UNITS = {"m": "m", "s": "s", "deg": "deg", "rad": "rad", "n": "N", "nm": "N*m", "j": "J", "mps": "m/s", "kg": "kg"}
 
 
 def quantity(

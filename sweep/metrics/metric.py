@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from sweep.controllers.learned import Learned
 from sweep.controllers.plan import Plan, Stance
-from sweep.core.parameters import quantity
+from sweep.core.parameters import UNITS, quantity
 from sweep.models.case import Case
 from sweep.models.obstacles.surface import Bodies, FreeState
 
@@ -137,9 +137,8 @@ class Cause:
     name: str
     sentence: str
     figure: str  # a column of the metric
-    threshold: str  # its key in `outcome`; without one nobody can change it
     default: float | None
-    unit: str = "-"
+    key: str | None = None  # the threshold's in `outcome`, if not the figure's name; an empty one nobody can change
     below: bool = False  # it holds where the figure is below the threshold, not above
     # When it is known: in the tick that crosses it; from the start, in the stage that the figure `NAME_stage` tells; at
     # the end. Of those known in a tick each has a name of its own.
@@ -150,9 +149,15 @@ class Cause:
     twin: Twin | None = None  # of a count
     otherwise: Callable[[Case], float | None] = lambda case: None
 
+    @property
+    def threshold(self) -> str:
+        """Its key in `outcome`."""
+        return self.figure if self.key is None else self.key
+
     def quantity(self) -> Any:
-        """The threshold as a parameter."""
-        return quantity(self.default, self.unit, at_least=-math.inf if self.below else 0.0)
+        """The threshold as a parameter, in the figure's unit."""
+        unit = UNITS.get(self.figure.rpartition("_")[2], "-")
+        return quantity(self.default, unit, at_least=-math.inf if self.below else 0.0)
 
     def holds(self, value: Any, limit: Any) -> Any:
         """Whether figures (numbers or arrays, of numpy or JAX) are beyond `limit`."""

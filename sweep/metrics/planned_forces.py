@@ -33,7 +33,6 @@ METRIC = Metric(
             "infeasible",
             "no forces within the believed friction and torque limit hold a planned stance",
             "imbalance_max",
-            "imbalance_max",
             0.01,
             known="start",
         ),

@@ -47,9 +47,7 @@ METRIC = Metric(
             "unreachable",
             "a foot target was out of the leg's reach by more than reach_shortfall_max_m",
             "reach_shortfall_max_m",
-            "reach_shortfall_max_m",
             5e-3,
-            "m",
         ),
     ),
 )

@@ -50,9 +50,8 @@ METRIC = Metric(
             "restless",
             "the robot was not at rest when its plan had ended: some part went on by more than end_drift_max_m",
             "end_drift_m",
-            "end_drift_max_m",
             5e-3,
-            "m",
+            key="end_drift_max_m",
         ),
     ),
 )

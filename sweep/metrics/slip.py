@@ -66,15 +66,5 @@ METRIC = Metric(
     update,
     figures,
     {"slip_max_m": "largest distance of a loaded standing foot from where it took hold"},
-    (
-        Cause(
-            "slipped",
-            "a standing foot slipped beyond slip_max_m",
-            "slip_max_m",
-            "slip_max_m",
-            None,
-            "m",
-            otherwise=allowed,
-        ),
-    ),
+    (Cause("slipped", "a standing foot slipped beyond slip_max_m", "slip_max_m", None, otherwise=allowed),),
 )

@@ -5,12 +5,12 @@ import re
 import pandas as pd
 
 from sweep.core.outcomes import SUCCESS
-from sweep.core.parameters import written
+from sweep.core.parameters import UNITS, written
 from sweep.study.config import Experiment
 from sweep.study.designs import Axis
 from sweep.study.study import unit
 
-UNITS = {"m": "m", "s": "s", "deg": "°", "rad": "rad", "n": "N", "nm": "N·m", "j": "J", "mps": "m/s", "kg": "kg"}
+READ = {end: written(unit) for end, unit in UNITS.items()} | {"deg": "°"}  # units of figures as they are read
 
 
 def kind_of(rows: pd.DataFrame) -> pd.Series:
@@ -26,7 +26,7 @@ def meaning(kind: str, exp: Experiment) -> str:
 def name_and_unit(column: str) -> tuple[str, str]:
     """`slip_max_m` -> (`slip max`, `m`); the unit is empty where the column has none."""
     head, _, last = column.rpartition("_")
-    return (head.replace("_", " "), UNITS[last]) if head and last in UNITS else (column.replace("_", " "), "")
+    return (head.replace("_", " "), READ[last]) if head and last in READ else (column.replace("_", " "), "")
 
 
 def axis_words(column: str, exp: Experiment | None = None) -> str:
