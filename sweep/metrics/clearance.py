@@ -1,59 +1,36 @@
 """True distances: of base and links to the obstacle, of legs to one another and to the base."""
 
-from typing import NamedTuple
+from collections.abc import Iterator
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.core.rotations import matrix
 from sweep.metrics.geometry import base_gap, capsules, fold_gap, leg_gap
-from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment
+from sweep.metrics.metric import Cause, Moment, extremes
 from sweep.models.robot import half_size
 from sweep.models.solids import distance_to_box
 
 
-class Clearance(NamedTuple):
-    """Least distances so far (m)."""
+def distances(now: Moment) -> Iterator[Float[Array, ""]]:
+    """In the order of the columns (m).
 
-    obstacle: Float[Array, ""]
-    legs: Float[Array, ""]
-    base: Float[Array, ""]
-    fold: Float[Array, ""]
-
-
-def begin(start: Begin) -> Clearance:
-    """The metric before anything was near."""
-    far = jnp.full((), jnp.inf, start.feet.dtype)
-    return Clearance(far, far, far, far)
-
-
-def update(so_far: Clearance, now: Moment) -> Clearance:
-    """Links are `capsules`; near joints, towards base and thigh, they begin, round, beyond."""
+    Links are `capsules`; near joints, towards base and thigh, they begin, round, beyond.
+    """
     tick, robot = now.tick, now.world.robot
     base = tick.position, matrix(tick.quat)
     solids = now.world.obstacle.solids(tick.bodies)
     links = capsules(tick.joints, robot).to(solids)
-    return Clearance(
-        jnp.minimum(so_far.obstacle, jnp.minimum(jnp.min(links), distance_to_box(solids, *base, half_size(robot)))),
-        jnp.minimum(so_far.legs, leg_gap(tick.joints[:, -3:]) - 2 * robot.link_radius),
-        jnp.minimum(so_far.base, base_gap(tick.joints, *base, robot)),
-        jnp.minimum(
-            so_far.fold,
-            fold_gap(tick.joints, robot.fork_ratio * robot.shin + robot.link_radius) - 2 * robot.link_radius,
-        ),
-    )
+    yield jnp.minimum(jnp.min(links), distance_to_box(solids, *base, half_size(robot)))
+    yield leg_gap(tick.joints[:, -3:]) - 2 * robot.link_radius
+    yield base_gap(tick.joints, *base, robot)
+    yield fold_gap(tick.joints, robot.fork_ratio * robot.shin + robot.link_radius) - 2 * robot.link_radius
 
 
-def figures(found: Clearance, at: Elapsed) -> dict[str, Array]:
-    """See `METRIC`."""
-    return {"clearance_min_m": found.obstacle, "leg_gap_min_m": found.legs, "base_gap_min_m": found.base,
-            "fold_gap_min_m": found.fold}  # fmt: skip
-
-
-METRIC = Metric(
-    begin,
-    update,
-    figures,
+METRIC = extremes(
+    jnp.minimum,
+    jnp.inf,
+    distances,
     {
         "clearance_min_m": "least distance of base and links to the obstacle, negative inside; links collide only "
         "with `engine=native engine.solid=true`",

@@ -1,32 +1,23 @@
 """How deep feet go into what they stand on."""
 
+from collections.abc import Iterator
+
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment
+from sweep.metrics.metric import Cause, Moment, extremes
 from sweep.models.obstacles.surface import under
 
 
-def begin(start: Begin) -> Float[Array, ""]:
-    """The depth before any tick (m)."""
-    return jnp.zeros((), start.feet.dtype)
+def deepest(now: Moment) -> Iterator[Float[Array, ""]]:
+    """Of the feet as they are (m)."""
+    yield jnp.max(under(now.world.obstacle, now.tick.joints[:, -1], now.tick.bodies).depth)
 
 
-def update(so_far: Float[Array, ""], now: Moment) -> Float[Array, ""]:
-    """Of the feet as they are."""
-    surface = under(now.world.obstacle, now.tick.joints[:, -1], now.tick.bodies)
-    return jnp.maximum(so_far, jnp.max(surface.depth))
-
-
-def figures(found: Float[Array, ""], at: Elapsed) -> dict[str, Array]:
-    """See `METRIC`."""
-    return {"depth_max_m": found}
-
-
-METRIC = Metric(
-    begin,
-    update,
-    figures,
+METRIC = extremes(
+    jnp.maximum,
+    0.0,
+    deepest,
     {"depth_max_m": "largest depth of a foot inside what it stands on"},
     (
         Cause(

@@ -5,7 +5,7 @@ thresholds, outcomes and the tables that explain them follow.
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -189,3 +189,28 @@ class Metric[S](NamedTuple):
     causes: tuple[Cause, ...] = ()
     applies: Callable[[Case], bool] = lambda case: True  # to what kind of world; not by numbers
     interval: float = 0.0  # s, between updates, of a metric that is dear and would not miss anything shorter
+
+
+def extremes(
+    best: Callable[[Array, Array], Array],
+    start: float,
+    values: Callable[[Moment], Iterator[Array]],
+    columns: Mapping[str, str],
+    causes: tuple[Cause, ...] = (),
+    **how: Any,
+) -> Metric[tuple[Array, ...]]:
+    """A metric whose figures are the `best` so far (`jnp.maximum` or `jnp.minimum`) of what every tick gives.
+
+    `values` are in the order of `columns`, `start` is what they are before the first tick; `how` is as in `Metric`.
+    """
+
+    def begin(at: Begin) -> tuple[Array, ...]:
+        return tuple(jnp.full((), start, at.feet.dtype) for _ in columns)
+
+    def update(so_far: tuple[Array, ...], now: Moment) -> tuple[Array, ...]:
+        return tuple(best(old, new) for old, new in zip(so_far, values(now), strict=True))
+
+    def figures(found: tuple[Array, ...], at: Elapsed) -> dict[str, Array]:
+        return dict(zip(columns, found, strict=True))
+
+    return Metric(begin, update, figures, columns, causes, **how)
