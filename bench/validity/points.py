@@ -18,8 +18,8 @@ from sweep.controllers.manoeuvres.walking.walk import standing
 from sweep.controllers.tracker import joint_targets
 from sweep.models.case import Case
 from sweep.models.contact import Contact
-from sweep.models.obstacles.free import Free
 from sweep.models.obstacles.surface import Bodies, FreeState, Rolling, Surface
+from sweep.models.obstacles.usual import Usual
 from sweep.study.config import compose
 from validity.scenes import BODIES, TOUCHES, UP, Body, History, Scene, Touch, rotated
 from validity.simulation import simulate
@@ -31,7 +31,7 @@ IDLE = Body(1.0, (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
-class Points(Free):
+class Points(Usual):
     """The bodies and points of a scene: k bodies, m points of each."""
 
     mass: Array

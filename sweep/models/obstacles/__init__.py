@@ -11,15 +11,4 @@ from sweep.models.obstacles.pole_ledge import PoleLedge
 from sweep.models.obstacles.raft import Raft
 from sweep.models.obstacles.two_balls import TwoBalls
 
-OBSTACLES = {
-    "ball": Ball,
-    "beam": Beam,
-    "corner": Corner,
-    "kerb": Kerb,
-    "ladder": Ladder,
-    "ledges": Ledges,
-    "plane": Plane,
-    "pole_ledge": PoleLedge,
-    "raft": Raft,
-    "two_balls": TwoBalls,
-}
+OBSTACLES = {cls.kind: cls for cls in (Ball, Beam, Corner, Kerb, Ladder, Ledges, Plane, PoleLedge, Raft, TwoBalls)}

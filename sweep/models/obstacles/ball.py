@@ -10,9 +10,9 @@ from jaxtyping import Array, Float
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.models.frames import WORLD, fixed, koenig
 from sweep.models.obstacles.charts import Chart, Number, point
-from sweep.models.obstacles.free import Free
 from sweep.models.obstacles.geoms import add_rolling, add_solids
 from sweep.models.obstacles.surface import Bodies, FreeState, Rolling, Surface, own_axes
+from sweep.models.obstacles.usual import Usual
 from sweep.models.solids import HalfSpace, Solid, Sphere
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ def nose_up(of: "Ball", unit: Number, elevation: Number, distance: Number, ahead
 
 
 @parameters
-class Ball(Free):
+class Ball(Usual):
     """A free ball, of radius 0.8 a_r and 100 kg by default, on the floor.
 
     At the start it rests on the world's origin, or rolls over it."""

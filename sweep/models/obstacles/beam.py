@@ -7,8 +7,8 @@ from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.models.obstacles.charts import ALONG_Y, level
-from sweep.models.obstacles.fixed import Fixed
 from sweep.models.obstacles.surface import FOOT_RADIUS, Bodies, Surface
+from sweep.models.obstacles.usual import Fixed
 from sweep.models.solids import SOIL, Box, HalfSpace, Solid
 
 FLOOR, LEDGE, NEAR_WALL, FAR_WALL, TOP, LEFT, RIGHT, BOTTOM = range(8)

@@ -8,8 +8,8 @@ from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.models.obstacles.charts import Chart, Number, ahead_above, approached, point
-from sweep.models.obstacles.fixed import Fixed
 from sweep.models.obstacles.surface import Bodies, Surface
+from sweep.models.obstacles.usual import Fixed
 from sweep.models.solids import HalfSpace, Prism, Solid, maths
 
 FLOOR, RIGHT, LEFT, ROOF = range(4)  # faces; the walls as a robot sees them that comes along -y

@@ -7,8 +7,8 @@ from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.models.obstacles.charts import ALONG_X, approached, level
-from sweep.models.obstacles.fixed import Fixed
 from sweep.models.obstacles.surface import Bodies, Surface
+from sweep.models.obstacles.usual import Fixed
 from sweep.models.solids import SOIL, Box, HalfSpace, Solid
 
 FLOOR, TOP, WALL = range(3)

@@ -15,10 +15,10 @@ from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import matrix
 from sweep.models.frames import fixed
-from sweep.models.obstacles.charts import Chart, Number, approached, point
-from sweep.models.obstacles.free import Free
+from sweep.models.obstacles.charts import ALONG_Y, Chart, Number, approached, level, point
 from sweep.models.obstacles.geoms import add_solids, add_touching, invisible
 from sweep.models.obstacles.surface import FOOT_RADIUS, Bodies, FreeState, Surface, own_axes
+from sweep.models.obstacles.usual import Usual
 from sweep.models.solids import SOIL, Box, HalfSpace, Solid
 
 if TYPE_CHECKING:
@@ -29,6 +29,7 @@ EXTENT = 1.5  # m, half of how far the ledge reaches back
 SIDES = (-1.0, 1.0)
 TOP = 6.47  # rungs, of the ledge along the nominal ladder
 MORE = ("more_ahead", "more_out", "more_pitch")
+ON_LEDGE, _ = level(lambda of: (0.0, of.ledge_height), ALONG_Y)
 
 
 def on_rung(
@@ -36,13 +37,6 @@ def on_rung(
 ) -> Float[Array, " 3"]:
     """A point on a rung's top, `out` of the ladder's plane (rung depths)."""
     return point(side * aside * unit, of.up(rung) + depth, out * of.rung_depth)
-
-
-def on_ledge(
-    of: "Ladder", side: float, unit: Number, depth: Number, aside: Number, ahead: Number
-) -> Float[Array, " 3"]:
-    """A point beyond the ledge's edge."""
-    return point(side * aside * unit, -ahead * unit, of.ledge_height - depth)
 
 
 def along(
@@ -85,7 +79,7 @@ class Bars(NamedTuple):
 
 
 @parameters
-class Ladder(Free):
+class Ladder(Usual):
     """A ladder of 25 kg with six rungs that leans at 75 degrees on a ledge 2.5 a_r high, free to slide and to turn.
 
     Its lower ends touch the floor and its upper ends the wall. At the start it hangs free of both and falls."""
@@ -111,7 +105,7 @@ class Ladder(Free):
     charts: ClassVar = {
         "rung": Chart(("rung", "aside", "out"), on_rung, fixed(0)),
         **approached(lambda of: -of.foot),
-        "ledge": Chart(("aside", "ahead"), on_ledge),
+        "ledge": ON_LEDGE,
         "along": Chart(("up", "out", "pitch", *MORE), along, fixed(0), pitch=pitched, optional=3),
         "over": Chart(("ahead", "above", "pitch", *MORE), over, pitch=pitched, optional=3),
     }

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.models.frames import koenig
 from sweep.models.obstacles.ball import Ball
-from sweep.models.obstacles.charts import Chart, Number, point
+from sweep.models.obstacles.charts import Chart, Number, level, point
 from sweep.models.obstacles.geoms import add_touching
 from sweep.models.obstacles.surface import Bodies, FreeState, Rolling, Surface, critical_damping
 from sweep.models.solids import SOIL, Box, Solid
@@ -22,20 +22,8 @@ if TYPE_CHECKING:
 
 FLOOR, BALL, NEAR_TOP, NEAR_WALL, FAR_TOP, FAR_WALL = range(6)
 DEPTH, BREADTH = 4.0, 4.0  # m, of the ledges that are drawn; their surface has no end
-
-
-def near_ledge(
-    of: "Ledges", side: float, unit: Number, depth: Number, aside: Number, ahead: Number
-) -> Float[Array, " 3"]:
-    """A point of the near ledge, `ahead` of its edge."""
-    return point(ahead * unit, side * aside * unit, of.height - depth)
-
-
-def far_ledge(
-    of: "Ledges", side: float, unit: Number, depth: Number, aside: Number, ahead: Number
-) -> Float[Array, " 3"]:
-    """A point of the far ledge, `ahead` of its edge."""
-    return point(of.width + ahead * unit, side * aside * unit, of.height - depth)
+NEAR, _ = level(lambda of: (0.0, of.height))
+FAR, _ = level(lambda of: (of.width, of.height))
 
 
 def between(of: "Ledges", side: float, unit: Number, depth: Number, ahead: Number, above: Number) -> Float[Array, " 3"]:
@@ -49,8 +37,8 @@ class Ledges(Ball):
 
     charts: ClassVar = {
         **Ball.charts,
-        "near": Chart(("aside", "ahead"), near_ledge),
-        "far": Chart(("aside", "ahead"), far_ledge),
+        "near": NEAR,
+        "far": FAR,
         "between": Chart(("ahead", "above"), between, koenig(0)),
     }
     kind: str = choice("ledges", "ledges")

@@ -7,8 +7,8 @@ from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.models.obstacles.charts import Chart, Number, ahead_above, approached, point
-from sweep.models.obstacles.fixed import Fixed
 from sweep.models.obstacles.surface import Bodies, Surface
+from sweep.models.obstacles.usual import Fixed
 from sweep.models.solids import SOIL, Box, Cylinder, HalfSpace, Solid
 
 FLOOR, SIDE, TOP, LEDGE, WALL = range(5)

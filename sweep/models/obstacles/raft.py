@@ -17,9 +17,9 @@ from sweep.formulas.drag import raft_drag
 from sweep.formulas.raft_statics import buoyancy
 from sweep.models.frames import fixed
 from sweep.models.obstacles.charts import ALONG_X, level
-from sweep.models.obstacles.free import Free
 from sweep.models.obstacles.geoms import DRAWN, add_solids, add_touching
 from sweep.models.obstacles.surface import Bodies, FreeState, Surface, critical_damping, own_axes
+from sweep.models.obstacles.usual import Usual
 from sweep.models.solids import SOIL, Box, Solid
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ BEYOND, BY_FAR = level(lambda of: (of.water_width, 0.0))
 
 
 @parameters
-class Raft(Free):
+class Raft(Usual):
     """A floating box, 3 by 2 by 0.2 of a_r in the proportions of 4.4, whose deck is level with the banks under a robot.
 
     At the start it rests, `gap` from the near bank.

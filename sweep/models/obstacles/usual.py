@@ -1,4 +1,4 @@
-"""What obstacles have in common that never move."""
+"""What obstacles say where they say nothing else, and those that never move."""
 
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING
@@ -13,14 +13,23 @@ if TYPE_CHECKING:
     import mujoco
 
 
-class Fixed(ABC):
-    """An obstacle without free bodies: a kind, sizes, solids and a surface are all that it needs to say."""
+class Usual:
+    """Nothing is learned of it by touch, and nothing loads its bodies."""
 
-    free_bodies: tuple[str, ...] = ()
     forward: tuple[float, float] = (0.0, -1.0)
     heights: tuple[str, ...] = ()
     lying: tuple[str, ...] = ()
     stood_on: tuple[str, ...] = ()
+
+    def load(self, free: FreeState) -> Float[Array, "k 6"] | None:
+        """Nothing beside weight and contact."""
+        return None
+
+
+class Fixed(Usual, ABC):
+    """An obstacle without free bodies: a kind, sizes, solids and a surface are all that it needs to say."""
+
+    free_bodies: tuple[str, ...] = ()
     contact_sites: tuple[tuple[str, int], ...] = ()
 
     @abstractmethod
@@ -34,7 +43,3 @@ class Fixed(ABC):
     def leaves(self) -> dict[str, dict[str, Array]]:
         """No masses: nothing moves."""
         return {}
-
-    def load(self, free: FreeState) -> Float[Array, "0 6"] | None:
-        """No load: nothing moves."""
-        return None
