@@ -15,7 +15,7 @@ from sweep.core.parameters import InputError
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
 from sweep.models.legs import JOINTS, LEGS
-from sweep.models.obstacles.geoms import COLLIDING, DRAWN
+from sweep.models.obstacles.geoms import COLLIDING, DRAWN, STIFF
 from sweep.models.obstacles.surface import FOOT_RADIUS
 from sweep.models.robot import links, mount_yaw, mounts
 
@@ -107,37 +107,16 @@ def _add_looks(spec: mujoco.MjSpec) -> None:
     spec.visual.global_.offwidth, spec.visual.global_.offheight = 1280, 960
     spec.visual.headlight.ambient = [0.45, 0.45, 0.45]
     spec.worldbody.add_light(pos=[2, 3, 8], dir=[-0.2, -0.3, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
-    spec.add_texture(
-        name="ground",
-        type=mujoco.mjtTexture.mjTEXTURE_2D,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
-        width=256,
-        height=256,
-        rgb1=[0.80, 0.83, 0.80],
-        rgb2=[0.70, 0.74, 0.70],
-    )
-    spec.add_texture(
-        name="sky",
-        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-        width=64,
-        height=384,
-        rgb1=[0.93, 0.95, 0.98],
-        rgb2=[0.72, 0.80, 0.90],
-    )
-    material = spec.add_material(name="ground", texrepeat=[1, 1], texuniform=True)
-    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "ground"
-    spec.add_texture(
-        name="ball",
-        type=mujoco.mjtTexture.mjTEXTURE_CUBE,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
-        width=96,
-        height=96,
-        rgb1=[0.90, 0.75, 0.45],
-        rgb2=[0.78, 0.60, 0.34],
-    )
-    material = spec.add_material(name="ball", texrepeat=[1, 1], texuniform=True)
-    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "ball"
+    kinds, looks = mujoco.mjtTexture, mujoco.mjtBuiltin
+    for name, kind, look, width, height, one, other in (
+        ("ground", kinds.mjTEXTURE_2D, looks.mjBUILTIN_CHECKER, 256, 256, [0.80, 0.83, 0.80], [0.70, 0.74, 0.70]),
+        ("sky", kinds.mjTEXTURE_SKYBOX, looks.mjBUILTIN_GRADIENT, 64, 384, [0.93, 0.95, 0.98], [0.72, 0.80, 0.90]),
+        ("ball", kinds.mjTEXTURE_CUBE, looks.mjBUILTIN_CHECKER, 96, 96, [0.90, 0.75, 0.45], [0.78, 0.60, 0.34]),
+    ):
+        spec.add_texture(name=name, type=kind, builtin=look, width=width, height=height, rgb1=one, rgb2=other)
+    for name in ("ground", "ball"):
+        material = spec.add_material(name=name, texrepeat=[1, 1], texuniform=True)
+        material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
 
 
 def _set_inertia(body: mujoco.MjsBody, name: str, values: dict[str, dict[str, np.ndarray]]) -> None:
@@ -171,7 +150,8 @@ def _add_leg(
         for joint in hinges[link]:
             axis = [0, 0, 1] if joint == "alpha" else [1, 0, 0]
             body.add_joint(name=f"{joint}{leg}", axis=axis, armature=case.drive.armature)
-            _add_drive(spec, f"{joint}{leg}")
+            # a motor; the native engine turns it into the clamped servo of (1.2.1)
+            spec.add_actuator(name=f"{joint}{leg}", target=f"{joint}{leg}", trntype=mujoco.mjtTrn.mjTRN_JOINT)
         end = 2 * np.asarray(values["body_ipos"][name], float)
         if geoms and np.any(end):
             colour = _LEFT if leg % 2 == 0 else _RIGHT
@@ -193,12 +173,10 @@ def _add_leg(
             size=[FOOT_RADIUS, 0, 0],
             contype=1,
             conaffinity=0,
-            condim=3,
             friction=[0, 0, 0],
             mass=0.0,
             group=COLLIDING,
-            solref=[0.004, 1.0],
-            solimp=[0.95, 0.99, 0.001, 0.5, 2.0],
+            **STIFF,
         )
         force, net = 1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE), 3  # summed over the foot's contacts, world axes
         spec.add_sensor(
@@ -208,8 +186,3 @@ def _add_leg(
             objname=f"foot{leg}",
             intprm=[force, net, 1],
         )
-
-
-def _add_drive(spec: mujoco.MjSpec, joint: str) -> None:
-    """A motor; the native engine turns it into the clamped servo of (1.2.1)."""
-    spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
