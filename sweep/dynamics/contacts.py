@@ -1,6 +1,8 @@
 """Contact points as parts of root bodies: how fast they pass over their surfaces, and what their forces do to both."""
 
 from collections.abc import Sequence
+from functools import reduce
+from operator import add
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -10,7 +12,7 @@ from jaxtyping import Array, Float
 from sweep.core.vectors import Matrix, Vector
 from sweep.dynamics.spatial import Spatial
 from sweep.models.contact import Geometry
-from sweep.models.obstacles.surface import Rolling, Surface
+from sweep.models.obstacles.surface import Rolling
 
 
 class Arm(NamedTuple):
@@ -44,11 +46,13 @@ class Contacts(NamedTuple):
 
     def velocity(self, root: Sequence[Spatial]) -> Vector:
         """Of the points relative to their surfaces, as the root bodies move (m/s)."""
-        return _sum([arm.shared(root[arm.body].linear + root[arm.body].angular.cross(arm.at)) for arm in self.arms])
+        return reduce(
+            add, [arm.shared(root[arm.body].linear + root[arm.body].angular.cross(arm.at)) for arm in self.arms]
+        )
 
     def turning(self, root: Sequence[Spatial]) -> Vector:
         """Rates at which the bodies that carry the points turn relative to those under them (rad/s)."""
-        return _sum([arm.shared(root[arm.body].angular) for arm in self.arms])
+        return reduce(add, [arm.shared(root[arm.body].angular) for arm in self.arms])
 
     def onto(self, force: Vector, moment: Vector | None = None) -> list[tuple[int, Spatial]]:
         """Force and torque on root bodies, of forces and moments at the points."""
@@ -64,17 +68,3 @@ def arms(at: Vector, body: Array, owner: Sequence[int], origins: Sequence[Vector
     """Arms of free bodies to points `at` that `owner` carries and that stand on `body`; their origins, base axes."""
     shares = [jnp.equal(np.array(owner), k) - (body == k).astype(at.x.dtype) for k in range(len(origins))]
     return tuple(Arm(k + 1, share, at - origin) for k, (share, origin) in enumerate(zip(shares, origins, strict=True)))
-
-
-def part(surface: Surface, points: slice) -> Surface:
-    """The surface of some of the points."""
-    rolling = None if surface.rolling is None else Rolling(*(x[points] for x in surface.rolling))
-    own = [None if x is None else x[points] for x in (*surface[:5], surface.damping)]
-    return Surface(*own[:5], rolling=rolling, damping=own[5])  # pyright: ignore
-
-
-def _sum(vectors: list[Vector]) -> Vector:
-    first, *rest = vectors
-    for vector in rest:
-        first = first + vector
-    return first

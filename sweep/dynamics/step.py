@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 from sweep.core.constants import GRAVITY
 from sweep.core.vectors import Matrix, Vector, total
 from sweep.dynamics import free_bodies, newton
-from sweep.dynamics.contacts import Arm, Contacts, arms, part
+from sweep.dynamics.contacts import Arm, Contacts, arms
 from sweep.dynamics.free_bodies import FreeBodies
 from sweep.dynamics.interface import SmoothDynamics, Topology, Tree, owners
 from sweep.dynamics.rolling import Moments, resisting_moments
@@ -265,7 +265,7 @@ def _touches(case: Case, state: MovingState, here: _Here) -> list[_Touch]:
     surface = case.obstacle.surface(jnp.concatenate([each.array() for each in points]), owner, bodies)
     touches = []
     for k, (anchors, span) in enumerate(zip(state.anchors, (slice(N_LEGS), slice(N_LEGS, None)), strict=False)):
-        own, place, point = part(surface, span), at[k], points[k]
+        own, place, point = jax.tree.map(lambda x, span=span: x[span], surface), at[k], points[k]
         own = own if k else own._replace(rolling=None)  # feet do not
         if own.rolling is not None:
             offset = -own.rolling.radius * Vector.of(own.normal)

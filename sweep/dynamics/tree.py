@@ -3,7 +3,8 @@
 Generalised velocity: the base's (linear, angular), both in base axes, then alpha, beta, gamma of each leg.
 """
 
-from functools import partial
+from functools import partial, reduce
+from operator import add
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -102,28 +103,21 @@ def tree_terms(robot: Robot, armature: Number, pose: Pose, v: Motion) -> Tree:
     leg_bias, columns = [], []
     for k in range(3):
         moved = [i for i, link in enumerate(links) if link.joint >= k]
-        moment = _sum(moments[i] + (centres[i] - origins[k]).cross(forces[i]) for i in moved)
+        moment = reduce(add, (moments[i] + (centres[i] - origins[k]).cross(forces[i]) for i in moved))
         leg_bias.append(axes[k].dot(moment))
         momenta = [links[i].mass * axes[k].cross(centres[i] - origins[k]) for i in moved]
-        angular = _sum(
-            links[i].inertia_times(axes[k]) + centres[i].cross(p) for i, p in zip(moved, momenta, strict=True)
+        angular = reduce(
+            add, (links[i].inertia_times(axes[k]) + centres[i].cross(p) for i, p in zip(moved, momenta, strict=True))
         )
-        columns.append(Spatial(_sum(momenta), angular))
+        columns.append(Spatial(reduce(add, momenta), angular))
     box = _box(robot)
     spin_base = v.root[0].angular
-    wrench = _sum(forces).total() - robot.body_mass * gravity
-    twist = _sum(m + c.cross(f) for m, c, f in zip(moments, centres, forces, strict=True)).total()
+    wrench = reduce(add, forces).total() - robot.body_mass * gravity
+    twist = reduce(add, (m + c.cross(f) for m, c, f in zip(moments, centres, forces, strict=True))).total()
     twist = twist + spin_base.cross(Vector(box[0] * spin_base.x, box[1] * spin_base.y, box[2] * spin_base.z))
     feet = tuple(a.cross(start - o) for a, o in zip(axes, origins, strict=True))
     mass = Mass((_composite(robot, links, centres),), tuple(columns), _leg_block(axes, origins, columns, armature))  # pyright: ignore
     return Tree(mass, Motion((Spatial(wrench, twist),), tuple(leg_bias)), tuple(joints), feet)  # pyright: ignore
-
-
-def _sum(vectors) -> Vector:
-    first, *rest = vectors
-    for vector in rest:
-        first = first + vector
-    return first
 
 
 def _box(robot: Robot) -> tuple[Number, Number, Number]:
@@ -135,7 +129,7 @@ def _box(robot: Robot) -> tuple[Number, Number, Number]:
 
 def _composite(robot: Robot, links: list[Link], centres: list[Vector]) -> Inertia:
     """Mass, first moment and inertia of the whole robot about the base's origin."""
-    moment = _sum(link.mass * c for link, c in zip(links, centres, strict=True))
+    moment = reduce(add, (link.mass * c for link, c in zip(links, centres, strict=True)))
     entries = [jnp.zeros_like(centres[0].x)] * 6
     for link, c in zip(links, centres, strict=True):
         d, m, extra = link.direction, link.mass, link.along - link.across
