@@ -5,7 +5,7 @@ import re
 from pathlib import Path
 
 from sweep.core import project
-from sweep.core.errors import InputError, suggest
+from sweep.core.errors import known
 from sweep.core.groups import GROUPS
 
 PACKAGE = Path(__file__).parents[1]
@@ -30,9 +30,7 @@ def refuse_unknown(overrides: list[str]) -> None:
             continue
         if name.endswith(".yaml") or project.modules_named():
             continue
-        names = {**choices(group), **project.own(group)}
-        if name not in names:
-            raise InputError(f"{group} = {name} is unknown{suggest(name, names)}")
+        known(name, {**choices(group), **project.own(group)}, f"{group} = {name}")
 
 
 def _classes(module: Path) -> dict[str, str]:

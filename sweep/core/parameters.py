@@ -12,7 +12,7 @@ from typing import Any, dataclass_transform
 import jax
 import numpy as np
 
-from sweep.core.errors import InputError, suggest
+from sweep.core.errors import InputError, known
 
 LARGEST = 10**18  # of whole numbers, which 64 bits hold
 # of figures, by the ends of their names
@@ -70,16 +70,14 @@ def build[T](cls: type[T], values: Mapping[str, Any], path: str) -> T:
     """
     fields = {f.name: f for f in dataclasses.fields(cls)}  # pyright: ignore[reportArgumentType]
     for key in values:
-        if key not in fields:
-            raise InputError(f"{path}.{key} is unknown{suggest(str(key), fields)}")
+        known(key, fields, f"{path}.{key}")
     return cls(**{key: checked(fields[key], value, f"{path}.{key}") for key, value in values.items()})
 
 
 def of_kind(kinds: Mapping[str, type], values: Mapping[str, Any], path: str) -> Any:
     """The one of `kinds` that `values` name by their `kind`, made by `build`. Raises `InputError`."""
     kind: Any = values.get("kind")
-    if kind not in kinds:
-        raise InputError(f"{path}.kind = {kind!r} is unknown{suggest(str(kind), kinds)}")
+    known(kind, kinds, f"{path}.kind = {kind!r}")
     return build(kinds[kind], values, path)
 
 

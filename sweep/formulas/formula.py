@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from sweep.core.parameters import InputError, suggest
+from sweep.core.errors import InputError, known
 
 type Scalar = Float[Array, "..."] | float
 
@@ -162,8 +162,7 @@ class Formula:
         flat = dict(_flatten(values))
         names = [entry.name for entry in self.inputs]
         for name in flat:
-            if name not in names:
-                raise InputError(f"{self.name}.{name} is unknown{suggest(name, names)}")
+            known(name, names, f"{self.name}.{name}")
         return {entry.name: entry.checked(flat.get(entry.name, entry.default), self.name) for entry in self.inputs}
 
     def evaluate(self, values: Mapping[str, Any]) -> dict[str, Any]:

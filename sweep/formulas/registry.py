@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from sweep.core.parameters import InputError, suggest
+from sweep.core.errors import known
 from sweep.formulas import (  # noqa: F401  whose formulas are put among them as they are read
     ball,
     ball_meeting,
@@ -20,16 +20,15 @@ from sweep.formulas import (  # noqa: F401  whose formulas are put among them as
     raft_statics,
     thesis,
 )
-from sweep.formulas import formula as known
+from sweep.formulas import formula as defined
 from sweep.formulas.formula import Formula
 
-FORMULAS: Mapping[str, Formula] = dict(sorted(known.FORMULAS.items(), key=lambda item: item[1].place))
+FORMULAS: Mapping[str, Formula] = dict(sorted(defined.FORMULAS.items(), key=lambda item: item[1].place))
 
 
 def find(name: str) -> Formula:
     """The formula called `name`; raises `InputError` with what is allowed."""
-    if name not in FORMULAS:
-        raise InputError(f"formula {name} is unknown{suggest(name, FORMULAS)}")
+    known(name, FORMULAS, f"formula {name}")
     return FORMULAS[name]
 
 

@@ -18,7 +18,7 @@ import yaml
 from jaxtyping import Array
 
 from sweep.core import project
-from sweep.core.errors import InputError, suggest
+from sweep.core.errors import InputError, known, suggest
 from sweep.core.parameters import quantity
 from sweep.models.legs import GROUPS
 from sweep.models.obstacles.charts import Chart, charts
@@ -97,12 +97,12 @@ def tabled(case: Any) -> Content:
     off = [jnp.asarray(size(case, path) / at - 1.0, float) for path, at in sizes.items()]
     if not lines:
         return told(case)
-    known = numbers(content, charts(case.obstacle))
+    found = numbers(content, charts(case.obstacle))
     for path, line in lines.items():
-        if path not in known:
-            raise InputError(f"plan.{SLOPES}.{path} is unknown{suggest(path, known).partition(' (allowed')[0]}")
-        if unknown := [by for by in line if by not in sizes]:
-            raise InputError(f"plan.{SLOPES}.{path}.{unknown[0]} is unknown{suggest(unknown[0], sizes)}")
+        if path not in found:
+            raise InputError(f"plan.{SLOPES}.{path} is unknown{suggest(path, found).partition(' (allowed')[0]}")
+        for by in line:
+            known(by, sizes, f"plan.{SLOPES}.{path}.{by}")
     # one operation for all numbers, not one for each: it is compiled with every plan
     matrix = jnp.asarray([[line.get(by, 0.0) for by in sizes] for line in lines.values()])
     return _changed(case, dict(zip(lines, jnp.sum(matrix * jnp.stack(off), axis=1), strict=True)))
@@ -130,9 +130,8 @@ def _changed(case: Any, added: Mapping[str, Array]) -> Content:
 def size(case: Any, path: str) -> Any:
     """A size of robot or obstacle, as axes name it, such as `robot.thigh`. Raises `InputError`."""
     group, _, name = path.partition(".")
-    known = {f"{owner}.{f.name}" for owner in SIZED for f in dataclasses.fields(getattr(case, owner))}
-    if path not in known:
-        raise InputError(f"plan.{SLOPES}.{AT}.{path} is unknown{suggest(path, known)}")
+    every = {f"{owner}.{f.name}" for owner in SIZED for f in dataclasses.fields(getattr(case, owner))}
+    known(path, every, f"plan.{SLOPES}.{AT}.{path}")
     return getattr(getattr(case, group), name)
 
 

@@ -24,12 +24,13 @@ from omegaconf.errors import ConfigKeyError, OmegaConfBaseException, ValidationE
 
 from sweep import systems
 from sweep.core import project
+from sweep.core.errors import InputError, known, suggest
 from sweep.core.groups import GROUPS
-from sweep.core.parameters import InputError, checked, of_kind, suggest
+from sweep.core.parameters import checked, of_kind
 from sweep.engines.settings import EngineSettings
 from sweep.study import designs, sources
 from sweep.study.clusters import Cluster
-from sweep.study.designs import known, with_side
+from sweep.study.designs import keyed, with_side
 from sweep.study.study import ScenarioSchema, Study, StudySchema, check_keep
 from sweep.systems.base import Limits, System
 
@@ -130,8 +131,7 @@ def composed(overrides: list[str]) -> dict[str, Any]:
 def primary(overrides: list[str]) -> str:
     """What Hydra composes: the configuration of the system that scenario or study are for. Raises `InputError`."""
     name = sources.system({key: value for key, _, value in (one.partition("=") for one in overrides)})
-    if name not in systems.SYSTEMS:
-        raise InputError(f"system = {name} is unknown{suggest(name, systems.SYSTEMS)}")
+    known(name, systems.SYSTEMS, f"system = {name}")
     return systems.SYSTEMS[name].config
 
 
@@ -174,8 +174,7 @@ def experiment(values: Mapping[str, Any]) -> Experiment:
     kind = systems.kind_of(values)
     allowed = (*systems.COMMON, *kind.keys)
     for key in values:
-        if key not in allowed:
-            raise InputError(f"{key} is unknown{suggest(str(key), allowed)}")
+        known(key, allowed, str(key))
     usual = {"control": {}, "plan": None}  # which rows of before they were there have at their defaults
     values = {**{key: value for key, value in usual.items() if key in allowed}, **values}
     for group in (key for key in allowed if key not in (*kind.free, "out")):
@@ -183,8 +182,8 @@ def experiment(values: Mapping[str, Any]) -> Experiment:
             raise InputError(f"{group} = {values.get(group)} is not allowed: `sweep list` shows the choices")
     system, settings, limits, told = systems.nominal(values, KINDS)
     cluster = of_kind(KINDS["cluster"], values["cluster"], "cluster")
-    scenario = known("scenario", values["scenario"], _names(ScenarioSchema))
-    asked = known("study", values["study"], _names(StudySchema))
+    scenario = keyed("scenario", values["scenario"], _names(ScenarioSchema))
+    asked = keyed("study", values["study"], _names(StudySchema))
     chosen = {**dataclasses.asdict(StudySchema()), **asked}  # rows of before a key was there had its default
     single = not (chosen["name"] or chosen["axes"] or chosen["points"] or chosen["replicates"] != 1)
     if single:

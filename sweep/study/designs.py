@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sweep.core.errors import InputError, suggest
+from sweep.core.errors import InputError, known, suggest
 from sweep.study import sought, subset
-from sweep.study.distributions import Distribution, known, listed, number
+from sweep.study.distributions import Distribution, keyed, listed, number
 from sweep.study.distributions import parse as parse_distribution
 from sweep.systems.base import SIDES
 
@@ -152,14 +152,12 @@ def parse_axes(given: Mapping[str, Any]) -> tuple[Axis, ...]:
 
 def parse_design(given: Mapping[str, Any], axes: tuple[Axis, ...]) -> Design:
     """How the axes that have a distribution are drawn. Raises `InputError`."""
-    given = known("study.design", given, tuple(f.name for f in dataclasses.fields(Design)))
+    given = keyed("study.design", given, tuple(f.name for f in dataclasses.fields(Design)))
     drawn = [a.name for a in axes if a.distribution]
     given["correlation"] = _correlation("study.design.correlation", given.get("correlation") or [], drawn)
     design = Design(**given)
     for key, allowed in (("kind", DESIGNS), ("grid", GRIDS)):
-        if getattr(design, key) not in allowed:
-            value = getattr(design, key)
-            raise InputError(f"study.design.{key} = {value!r} is unknown{suggest(str(value), allowed)}")
+        known(value := getattr(design, key), allowed, f"study.design.{key} = {value!r}")
     if design.correlation and design.kind in ("saltelli", "morris"):
         raise InputError(f"study.design.correlation is not allowed with {design.kind}, which moves one axis at a time")
     least = 1 if drawn else 0
@@ -207,7 +205,7 @@ def caution(design: Design) -> str | None:
 
 
 def _axis(key: str, name: str, given: Any) -> Axis:
-    given = known(key, given, AXIS_KEYS)
+    given = keyed(key, given, AXIS_KEYS)
     side, path, times, relative = (given.get(word) for word in ("side", "path", "times", "relative"))
     if (side := side or "both") not in ("both", *SIDES):
         raise InputError(f"{key}.side = {side!r} is not allowed: one of both, world, belief")

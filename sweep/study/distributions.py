@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from sweep.core.errors import InputError, suggest
+from sweep.core.errors import InputError, known, suggest
 
 # what each distribution needs, and what it may have besides
 DISTRIBUTIONS = {
@@ -65,7 +65,7 @@ def parse(key: str, given: Any) -> Distribution:
             return _distribution_of_scipy(key, kind, given)
         raise InputError(f"{key}.kind = {kind!r} is unknown{suggest(kind, (*DISTRIBUTIONS, 'any of scipy.stats'))}")
     needed, optional = DISTRIBUTIONS[kind]
-    given = known(key, given, ("kind", *needed, *optional))
+    given = keyed(key, given, ("kind", *needed, *optional))
     for name in needed:
         if name not in given:
             raise InputError(f"{key}.{name} is missing: {kind} needs {' and '.join(needed)}")
@@ -99,7 +99,7 @@ def of_scipy(kind: str) -> Any:
 def _distribution_of_scipy(key: str, kind: str, given: Mapping[str, Any]) -> Distribution:
     """One of scipy.stats with its shapes, `loc` and `scale`, as its documentation names them."""
     shapes = tuple(name.strip() for name in (of_scipy(kind).shapes or "").split(",") if name.strip())
-    given = known(key, given, ("kind", *shapes, "loc", "scale", "from", "to"))
+    given = keyed(key, given, ("kind", *shapes, "loc", "scale", "from", "to"))
     for name in shapes:
         if name not in given:
             raise InputError(f"{key}.{name} is missing: {kind} needs {' and '.join(shapes)}")
@@ -109,13 +109,12 @@ def _distribution_of_scipy(key: str, kind: str, given: Mapping[str, Any]) -> Dis
     return found
 
 
-def known(path: str, given: Any, allowed: tuple[str, ...]) -> dict[str, Any]:
+def keyed(path: str, given: Any, allowed: tuple[str, ...]) -> dict[str, Any]:
     """`given` as a dict whose keys are all allowed. Raises `InputError`."""
     if not isinstance(given, Mapping):
         raise InputError(f"{path} = {given!r} is not allowed: keys and values (allowed: {', '.join(allowed)})")
     for key in given:
-        if key not in allowed:
-            raise InputError(f"{path}.{key} is unknown{suggest(str(key), allowed)}")
+        known(key, allowed, f"{path}.{key}")
     return {str(k): v for k, v in given.items()}
 
 

@@ -16,7 +16,7 @@ from typing import Any
 import pandas as pd
 
 from sweep.core import project
-from sweep.core.errors import InputError, suggest
+from sweep.core.errors import InputError, known, suggest
 from sweep.core.groups import GROUPS
 from sweep.core.parameters import bounds_text, written
 from sweep.study import config
@@ -38,12 +38,11 @@ def text(name: str) -> str:
     group, _, kind = name.partition("=")
     if group in every:
         kinds = [kind_of(cls) for cls in every[group]]
-        if kind and kind not in kinds:
-            raise InputError(f"{group} = {kind} is unknown{suggest(kind, kinds)}")
+        if kind:
+            known(kind, kinds, f"{group} = {kind}")
         return "\n\n".join(section(group, cls) for cls in every[group] if kind in ("", kind_of(cls)))
     group, _, key = name.partition(".")
-    if group not in every:
-        raise InputError(f"{name} is unknown{suggest(group, every)}")
+    known(group, every, name)
     found = [(cls, line) for cls in every[group] for line in parameters(cls) if line["parameter"] == key]
     if not found:
         names = {line["parameter"] for cls in every[group] for line in parameters(cls)}
@@ -57,12 +56,10 @@ def numbered(group: str, name: str) -> str:
     if not name:
         return "\n".join(f"{group}.{name:20} {project.described(file)}" for name, file in files.items())
     file, _, path = name.partition(".")
-    if file not in files:
-        raise InputError(f"{group} = {file} is unknown{suggest(file, files)}")
+    known(file, files, f"{group} = {file}")
     found = GROUPS[group].numbers_of(file, lambda other: files[other].read_text(encoding="utf-8"))
     if path:
-        if path not in found:
-            raise InputError(f"{group}.{name} is unknown{suggest(path, found)}")
+        known(path, found, f"{group}.{name}")
         return f"{group}.{path}: {found[path]:g}"
     told = [line.removeprefix("#").strip() for line in takewhile(lambda line: line.startswith("#"),
             files[file].read_text(encoding="utf-8").splitlines())]  # fmt: skip

@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sweep.core.errors import InputError, suggest
+from sweep.core.errors import InputError, known
 from sweep.core.expressions import mask
 from sweep.core.parameters import checked, within
 from sweep.engines.settings import EngineSettings
 from sweep.study import designs, searches
 from sweep.study.designs import Axis, Design
-from sweep.study.distributions import known
+from sweep.study.distributions import keyed
 from sweep.study.identity import DIGITS, point_ids, row_streams, streams
 from sweep.study.sought import KINDS, Draws
 from sweep.study.theory import Theory
@@ -154,7 +154,7 @@ class Study(_Plain):
 
 
 def _expectation(key: str, given: Any) -> Expectation:
-    given = known(key, given, ("where", "that", "at_least", "at_most"))
+    given = keyed(key, given, ("where", "that", "at_least", "at_most"))
     for limit in ("at_least", "at_most"):
         value = given.get(limit, 0)
         if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= 1:
@@ -181,8 +181,7 @@ def parameter_columns(table: "pd.DataFrame") -> list[str]:
 def check_keep(study: Study, system: System, settings: EngineSettings) -> None:
     """Raise `InputError` where time histories are asked for that there are none of."""
     for name in study.keep:
-        if name not in system.recorded:
-            raise InputError(f"study.keep: {name} is unknown{suggest(str(name), system.recorded)}")
+        known(name, system.recorded, f"study.keep: {name}")
     ticks = 1 / (settings.control_period * study.keep_rate) if study.keep_rate > 0 else 0.0
     if study.keep and (round(ticks) < 1 or abs(ticks - round(ticks)) > 1e-6):
         rate = f"a whole fraction of the control rate, {1 / settings.control_period:g} a second"

@@ -7,10 +7,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from sweep.core.errors import InputError, suggest
+from sweep.core.errors import InputError, known
 from sweep.core.expressions import evaluate
 from sweep.formulas import registry
-from sweep.study.distributions import known
+from sweep.study.distributions import keyed
 
 KEYS = ("label", "formula", "output", "of", "inputs", "measured")
 
@@ -48,14 +48,13 @@ class Theory:
 
 def parse(key: str, given: Any) -> Theory:
     """From plain values. Raises `InputError`."""
-    given = known(key, given, KEYS)
+    given = keyed(key, given, KEYS)
     for needed in ("formula", "output", "of"):
         if needed not in given:
             raise InputError(f"{key}.{needed} is missing")
     formula = registry.find(given["formula"])
-    if given["output"] not in formula.outputs:
-        raise InputError(f"{key}.output = {given['output']} is unknown{suggest(given['output'], formula.outputs)}")
-    inputs = known(f"{key}.inputs", given.get("inputs", {}), tuple(entry.name for entry in formula.inputs))
+    known(given["output"], formula.outputs, f"{key}.output = {given['output']}")
+    inputs = keyed(f"{key}.inputs", given.get("inputs", {}), tuple(entry.name for entry in formula.inputs))
     return Theory(
         given.get("label", formula.name), formula.name, given["output"], given["of"], inputs, given.get("measured", "")
     )

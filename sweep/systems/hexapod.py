@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sweep.controllers.manoeuvres import MANOEUVRES
-from sweep.core.errors import InputError, suggest
+from sweep.core.errors import InputError, known, suggest
 from sweep.core.groups import GROUPS
 from sweep.core.parameters import build, of_kind
 from sweep.engines import run_id
@@ -272,8 +272,7 @@ def _table(given: Any, manoeuvre: Any) -> PlanTable:
         raise InputError(f"plan = {given} is not allowed: `sweep list` shows the choices")
     if not isinstance(manoeuvre, Tabled):
         raise InputError(f"plan is not allowed: manoeuvre.kind = {kind} has its numbers in no file")
-    if (way := given.get(WAY, FORTH)) not in DIRECTIONS:
-        raise InputError(f"plan.{WAY} = {way} is unknown{suggest(str(way), DIRECTIONS)}")
+    known(way := given.get(WAY, FORTH), DIRECTIONS, f"plan.{WAY} = {way}")
     if way != FORTH and not isinstance(manoeuvre, TwoWay):
         raise InputError(f"plan.{WAY} = {way} is not allowed: manoeuvre.kind = {kind} goes {FORTH} alone")
     return PlanTable(json.dumps(given))
