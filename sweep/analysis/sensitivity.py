@@ -306,6 +306,23 @@ def measured(rows: pd.DataFrame, figure: str | None) -> pd.Series:
     return value.where(rows["outcome"] != "invalid")
 
 
+def _blocks(
+    rows: pd.DataFrame, exp: Experiment, figure: str | None, kind: str, what: str, more: int
+) -> tuple[list[Axis], np.ndarray]:
+    """The axes of a design of a `kind`, and the values of its blocks, as long as they and `more`; NaN of invalid rows.
+
+    Raises `InputError` where the design is another one, or rows are of several conditions.
+    """
+    axes = [a for a in exp.study.axes if a.distribution is not None]
+    if exp.study.design.kind != kind or not axes:
+        raise InputError(f"{what} need a study with design.kind = {kind}")
+    if conditions := listed(rows, exp):
+        raise InputError(f"{what} need one grid point: choose among {', '.join(a.column for a in conditions)}")
+    value, draw, length = measured(rows, figure), rows["replicate"] // exp.study.replicates, len(axes) + more
+    mean = value.groupby(draw).mean().where(value.notna().groupby(draw).any())
+    return axes, mean.reindex(range(exp.study.design.num * length)).to_numpy().reshape(-1, length)
+
+
 def sobol_indices(rows: pd.DataFrame, exp: Experiment, figure: str | None = None) -> pd.DataFrame:
     """Sobol indices of success, or of the column `figure`, from a Saltelli design, with 95 % errors (bootstrap).
 
@@ -313,20 +330,12 @@ def sobol_indices(rows: pd.DataFrame, exp: Experiment, figure: str | None = None
     in the latter. A block of d + 2 rows with an invalid one is left out: `blocks` tells how many remain. Raises
     `InputError` where the design is another one, is not complete, or nothing varies.
     """
-    axes = [a for a in exp.study.axes if a.distribution is not None]
-    if exp.study.design.kind != "saltelli" or not axes:
-        raise InputError("Sobol indices need a study with design.kind = saltelli")
-    if len(conditions := listed(rows, exp)):
-        raise InputError(f"Sobol indices need one grid point: choose among {', '.join(a.column for a in conditions)}")
     from SALib.analyze import sobol
 
-    value = measured(rows, figure)
-    draw, block = rows["replicate"] // exp.study.replicates, len(axes) + 2
-    by_draw = value.groupby(draw).mean().where(value.notna().groupby(draw).any())
-    whole = by_draw.reindex(range(exp.study.design.num * block)).to_numpy().reshape(-1, block)
+    axes, whole = _blocks(rows, exp, figure, "saltelli", "Sobol indices", 2)
     whole = whole[~np.isnan(whole).any(axis=1)]
     if len(whole) < 2 or whole.std() == 0:
-        raise InputError(f"Sobol indices need values that vary: {len(whole)} complete blocks of {block} draws")
+        raise InputError(f"Sobol indices need values that vary: {len(whole)} complete blocks of {whole.shape[1]} draws")
     problem = {"num_vars": len(axes), "names": [a.column for a in axes]}
     found = sobol.analyze(problem, whole.ravel(), calc_second_order=False, num_resamples=200, seed=0)
     return pd.DataFrame(
@@ -348,24 +357,16 @@ def elementary_effects(rows: pd.DataFrame, exp: Experiment, figure: str | None =
     deviation, large where an axis interacts or acts unevenly. A path with an invalid rollout is left out: `paths` tells
     how many remain. Raises `InputError` where the design is another one or fewer than two paths are left.
     """
-    axes = [a for a in exp.study.axes if a.distribution is not None]
-    if exp.study.design.kind != "morris" or not axes:
-        raise InputError("elementary effects need a study with design.kind = morris")
-    if len(conditions := listed(rows, exp)):
-        raise InputError(f"they need one grid point: choose among {', '.join(a.column for a in conditions)}")
     from SALib.analyze import morris
 
-    value = measured(rows, figure)
-    draw, length = rows["replicate"] // exp.study.replicates, len(axes) + 1
-    every = range(exp.study.design.num * length)
-    mean = value.groupby(draw).mean().where(value.notna().groupby(draw).any()).reindex(every).to_numpy()
-    whole = ~np.isnan(mean.reshape(-1, length)).any(axis=1)
+    axes, mean = _blocks(rows, exp, figure, "morris", "elementary effects", 1)
+    whole, length = ~np.isnan(mean).any(axis=1), mean.shape[1]
     if whole.sum() < 2:
         raise InputError(f"elementary effects need two complete paths of {length} draws, here: {whole.sum()}")
     chosen = np.repeat(whole, length)
     shares = shares_of(exp.study.axes, exp.study.design, exp.study.seed)[chosen]
     problem = {"num_vars": len(axes), "names": [a.column for a in axes], "bounds": [[*INNER]] * len(axes)}
-    found = morris.analyze(problem, shares, mean[chosen], num_levels=LEVELS, seed=0)
+    found = morris.analyze(problem, shares, mean[whole].ravel(), num_levels=LEVELS, seed=0)
     table = pd.DataFrame(
         {
             "axis": problem["names"],

@@ -16,7 +16,7 @@ import numpy as np
 
 from sweep.core.errors import InputError, known
 from sweep.core.expressions import mask
-from sweep.core.parameters import checked, within
+from sweep.core.parameters import checked, count, within
 from sweep.engines.settings import EngineSettings
 from sweep.study import designs, searches
 from sweep.study.designs import Axis, Design
@@ -59,14 +59,14 @@ class _Plain:
     name: str = ""
     points: str | None = None  # CSV file that takes the place of the axes
     where: str | None = None  # points to keep
-    replicates: int = 1
+    replicates: int = count(1, at_least=1)
     seed: int = 0
     resolution: float = 0.0  # cells that disagree are halved until they are this share of their axis; 0: not at all
     level: float = 0.5  # of the success region, where rollouts of a point differ
-    budget: int = 0  # most rollouts that refinement may take; 0: no limit
-    audit: int = 0  # random points in decided cells that are run as a check
+    budget: int = count(0)  # most rollouts that refinement may take; 0: no limit
+    audit: int = count(0)  # random points in decided cells that are run as a check
     keep_rate: float = 10.0  # samples of the columns `keep` in a simulated second
-    keep_rows: int = 1000  # of the plan, from its first, whose histories are kept
+    keep_rows: int = count(1000, at_least=1)  # of the plan, from its first, whose histories are kept
     invalid_max: float = 0.01  # largest tolerated share of invalid rows
 
 
@@ -120,8 +120,8 @@ class Study(_Plain):
     @classmethod
     def parse(cls, values: Mapping[str, Any], single: bool) -> "Study":
         """From plain values. Raises `InputError`."""
-        if values["replicates"] < 1:
-            raise InputError(f"study.replicates = {values['replicates']} is not allowed: at least 1")
+        for member in dataclasses.fields(_Plain):
+            checked(member, values[member.name], f"study.{member.name}")
         if values["seed"] < 0:
             raise InputError(f"study.seed = {values['seed']} is not allowed: at least 0")
         if not 0 < values["level"] < 1:
@@ -130,11 +130,6 @@ class Study(_Plain):
             raise InputError(f"study.resolution = {values['resolution']:g} is not allowed: at least 0 and below 1")
         if not 0 <= values["invalid_max"] <= 1:
             raise InputError(f"study.invalid_max = {values['invalid_max']:g} is not allowed: a share from 0 to 1")
-        if values["keep_rows"] < 1:
-            raise InputError(f"study.keep_rows = {values['keep_rows']} is not allowed: at least 1")
-        for key in ("budget", "audit"):
-            if values[key] < 0:
-                raise InputError(f"study.{key} = {values[key]} is not allowed: at least 0")
         name = values["name"]  # of a folder
         if name and (not name.strip(". ") or not re.fullmatch(r"[^/\x00-\x1f\x7f]{1,200}", name)):
             raise InputError(f"study.name = {name!r} is not allowed: a folder name")
@@ -204,9 +199,9 @@ def points(
     noise of their own by their values. `grid` takes the place of the study's grid points, and `round_` that of its
     draws (see `designs.table`).
     """
-    count = study.replicates if study.points or grid is not None else study.most
-    if count > designs.MOST:
-        raise InputError(f"study {study.name} has {count} rollouts: at most {designs.MOST} are allowed")
+    rollouts = study.replicates if study.points or grid is not None else study.most
+    if rollouts > designs.MOST:
+        raise InputError(f"study {study.name} has {rollouts} rollouts: at most {designs.MOST} are allowed")
     if study.points:
         design = _from_csv(study.points)
     else:
