@@ -3,7 +3,6 @@
 import argparse
 import json
 import re
-import sys
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from sweep.cli.exits import BAD_INPUT, DONE
+from sweep.cli.exits import DONE
 from sweep.core.files import write_whole
 from sweep.core.parameters import InputError
 from sweep.formulas import FORMULAS, Formula, Input, NoSolution, covering, find
@@ -20,14 +19,9 @@ PICTURES = (".pdf", ".png", ".svg")
 
 
 def main(argv: list[str]) -> int:
-    """Run `sweep formula ARGV`; 0, or 2 with one line on stderr for bad input."""
-    args = _parser().parse_args(argv)
-    try:
-        for line in _answer(args):
-            print(line)
-    except InputError as error:
-        print(f"sweep: {error}", file=sys.stderr)
-        return BAD_INPUT
+    """Run the command with the arguments after `formula`; the exit status. Raises `InputError`."""
+    for line in _answer(_parser().parse_args(argv)):
+        print(line)
     return DONE
 
 

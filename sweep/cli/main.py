@@ -7,8 +7,8 @@ import gc
 import io
 import os
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -29,6 +29,13 @@ if TYPE_CHECKING:
 
 LICENSE = "https://spdx.org/licenses/CC-BY-4.0"
 BENCH = ("arrowhead", "mjx", "native")  # rows of `sweep bench`
+WHOLE = {  # commands that parse their own arguments: the modules with their `main`, and what they do
+    "view": ("sweep.cli.view", "watch a rollout on its page"),
+    "replay": ("sweep.trace.replay", "record one rollout of a study again"),
+    "tune": ("sweep.cli.tune", "search the numbers of a plan"),
+    "export-model": ("sweep.cli.export_model", "the robot as an own model"),
+    "formula": ("sweep.cli.formula", "evaluate a closed-form result of the sources"),
+}
 RUN_HELP = f"""groups: {", ".join(GROUPS)}
   sweep list               their choices
   sweep describe robot     their parameters: unit, meaning, bounds, default
@@ -54,18 +61,11 @@ def main(argv: list[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):  # a terminal without our letters shows others instead
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
-    # these parse their own arguments
-    whole: dict[str, Callable[[list[str]], int]] = {
-        "run": run,
-        "view": view,
-        "replay": replay,
-        "formula": formula,
-        "tune": tune,
-        "export-model": export_model,
-    }
     try:
-        if args and args[0] in whole:
-            return whole[args[0]](args[1:])
+        if args and args[0] == "run":
+            return run(args[1:])
+        if args and args[0] in WHOLE:
+            return import_module(WHOLE[args[0]][0]).main(args[1:])
         given = parser().parse_args(args)
         return given.command(given)
     except InputError as error:
@@ -109,8 +109,7 @@ def parser() -> argparse.ArgumentParser:
         sub.add_argument("dir", type=Path, help="folder of a study, such as results/walk_map")
         return sub
 
-    delegated = "see `sweep {} --help`"
-    command("run", lambda _: DONE, "simulate a scenario, or every point of a study; " + delegated.format("run"))
+    command("run", lambda _: DONE, "simulate a scenario, or every point of a study; see `sweep run --help`")
     new = command("init", project.init, "make a project: a folder for studies, robots and modules of your own")
     new.add_argument("dir", type=Path, help="a new or empty folder")
     new.add_argument("--model", action="store_true", help="for a model and a controller of your own, docs/own_model.md")
@@ -233,11 +232,8 @@ def parser() -> argparse.ArgumentParser:
     bench.add_argument("--rollouts", type=int, default=0, help="of each row; 0: one batch")
     bench.add_argument("--width", type=int, default=0, help="rollouts in a batch; 0: the device's best")
     bench.add_argument("--rows", nargs="+", choices=BENCH, default=list(BENCH), help="which of them")
-    command("view", lambda _: DONE, "watch a rollout on its page; " + delegated.format("view"))
-    command("replay", lambda _: DONE, "record one rollout of a study again; " + delegated.format("replay"))
-    command("tune", lambda _: DONE, "search the numbers of a plan; " + delegated.format("tune"))
-    command("export-model", lambda _: DONE, "the robot as an own model; " + delegated.format("export-model"))
-    command("formula", lambda _: DONE, "evaluate a closed-form result of the sources; " + delegated.format("formula"))
+    for name, (_, text) in WHOLE.items():
+        command(name, lambda _: DONE, f"{text}; see `sweep {name} --help`")
     return top
 
 
@@ -315,41 +311,6 @@ def show_speed(args: argparse.Namespace) -> int:
     return DONE
 
 
-def replay(argv: list[str]) -> int:
-    """`sweep replay DIR POINT`."""
-    from sweep.trace import replay as recorder
-
-    return recorder.main(argv)
-
-
-def view(argv: list[str]) -> int:
-    """`sweep view DIR ID`, `sweep view scenario=NAME`."""
-    from sweep.cli import view as command
-
-    return command.main(argv)
-
-
-def formula(argv: list[str]) -> int:
-    """`sweep formula NAME key=value`."""
-    from sweep.cli import formula as command
-
-    return command.main(argv)
-
-
-def export_model(argv: list[str]) -> int:
-    """`sweep export-model`."""
-    from sweep.cli import export_model as command
-
-    return command.main(argv)
-
-
-def tune(argv: list[str]) -> int:
-    """`sweep tune`."""
-    from sweep.cli import tune
-
-    return tune.main(argv)
-
-
 def status(given: argparse.Namespace) -> int:
     """Planned, done, and how it went so far."""
     from sweep.analysis.stats import causes
@@ -379,11 +340,6 @@ def verify(given: argparse.Namespace) -> int:
     return UNEXPECTED if problems else DONE
 
 
-def selected(given: argparse.Namespace) -> "pd.DataFrame":
-    """Rows of a study that match `--where`."""
-    return matching(given.dir, given.where)
-
-
 def matching(folder: Path, condition: str | None) -> "pd.DataFrame":
     """Rows of a study that match `condition`."""
     from sweep.core.expressions import mask
@@ -407,7 +363,7 @@ def show_table(given: argparse.Namespace) -> int:
     if given.format == "parquet" and not given.output:
         raise InputError("--format parquet needs a file: -o FILE")
     exp = experiment(store.read_study(given.dir)["config"])
-    content = tables.render(selected(given), given.format, names(given.columns), exp)
+    content = tables.render(matching(given.dir, given.where), given.format, names(given.columns), exp)
     if given.output:
         write_output(given.output, content)
     else:
@@ -431,7 +387,7 @@ def show_statistics(given: argparse.Namespace) -> int:
     from sweep.runs import store
     from sweep.study.config import experiment
 
-    rows = selected(given)
+    rows = matching(given.dir, given.where)
     if given.figure:
         column(rows, given.figure)
     if not 0 < given.level < 1:
@@ -443,9 +399,15 @@ def show_statistics(given: argparse.Namespace) -> int:
     return DONE
 
 
+def again(done: int, of: int) -> str:
+    """How many rollouts are simulated once more, in words."""
+    return f"{done} of {of} rollouts simulated again"
+
+
 def draw_report(given: argparse.Namespace) -> int:
     """The page, and the success map where there are two parameters to draw it over."""
     from sweep.core.expressions import column
+    from sweep.core.waiting import counting
     from sweep.report import chosen, maps, page, replays, typical
     from sweep.runs import results
 
@@ -460,7 +422,7 @@ def draw_report(given: argparse.Namespace) -> int:
     if given.pictures:
         typical.draw(found)
     if given.replays:
-        with simulating(given.replays) as report:
+        with counting(again, 0, given.replays) as report:
             replays.make(found, chosen.chosen(found, given.replays), report)
     print(page.write(found, folder / "report.html", columns))
     for path in pictures(found, folder, columns):
@@ -468,23 +430,9 @@ def draw_report(given: argparse.Namespace) -> int:
     return DONE
 
 
-@contextmanager
-def simulating(number: int) -> Iterator[Callable[[int, int], None]]:
-    """A line that says how many rollouts are simulated again, kept up by what is called with done, and of how many."""
-    from sweep.core.waiting import waiting
-
-    made, of = 0, number
-
-    def report(done: int, all_of_them: int) -> None:
-        nonlocal made, of
-        made, of = done, all_of_them
-
-    with waiting(lambda: f"{made} of {of} rollouts simulated again"):
-        yield report
-
-
 def draw_pairs(given: argparse.Namespace, a: "Results", folder: Path) -> int:
     """The page of the same points in two folders."""
+    from sweep.core.waiting import counting
     from sweep.report import page, pairs
     from sweep.runs import results
 
@@ -493,7 +441,7 @@ def draw_pairs(given: argparse.Namespace, a: "Results", folder: Path) -> int:
     b = results.read(given.b, given.where)
     found, table = pairs.joined(a, b)
     if given.replays:
-        with simulating(given.replays) as report:
+        with counting(again, 0, given.replays) as report:
             pairs.simulated(a, b, given.replays, report)
     about = page.Pairs(
         f"{a.name} and {b.name}" if a.name != b.name else f"{a.name} twice",

@@ -16,7 +16,7 @@ from sweep.analysis.sample import distinct, pooled
 from sweep.analysis.stats import broken, causes, rate
 from sweep.cli.exits import DONE, INVALID, UNEXPECTED
 from sweep.core.errors import InputError
-from sweep.core.waiting import last_time, parts, remember, waiting
+from sweep.core.waiting import counting, last_time, parts, remember, waiting
 from sweep.report import tables
 from sweep.runs import histories, probe, refine, runner, sought, store
 from sweep.runs.batches import make_engine
@@ -96,13 +96,11 @@ def execute(exp: Experiment, flags: Flags) -> int:
 
 def checked(exp: Experiment, points: pd.DataFrame) -> int:
     """Whether every axis acts, and a rollout comes out alike twice; exit code 4 where not."""
-    done = 0
 
-    def told(rollouts: int) -> None:
-        nonlocal done
-        done = rollouts
+    def words(done: int) -> str:
+        return f"{exp.study.name}: {done} rollouts simulated to see whether its axes act"
 
-    with waiting(lambda: f"{exp.study.name}: {done} rollouts simulated to see whether its axes act"):
+    with counting(words, 0) as told:
         found = probe.run(exp, points, told)
     for line in found.lines(exp):
         print(f"sweep: {line}", file=sys.stderr)

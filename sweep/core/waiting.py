@@ -40,6 +40,19 @@ def waiting(what: Callable[[], str] | str) -> Iterator[None]:
 
 
 @contextmanager
+def counting(what: Callable[..., str], *counts: int) -> Iterator[Callable[..., None]]:
+    """Say, as `waiting` does, what is done by `counts`, until what this gives is called with others."""
+    now = counts
+
+    def count(*new: int) -> None:
+        nonlocal now
+        now = new
+
+    with waiting(lambda: what(*now)):
+        yield count
+
+
+@contextmanager
 def part(name: str) -> Iterator[None]:
     """Inside, a part of what is waited for is under way, maybe beside others; see `parts`."""
     start = _begun[name] = time.perf_counter()

@@ -181,27 +181,12 @@ def integrated(
 
 def rate(raft: RaftBody, state: Float[Array, " 18"]) -> Float[Array, " 18"]:
     """Time derivative of the state (4.2.1), (4.2.3)."""
-    r, R, v, w = _parts(state)
+    r, R, v, w = parts(state)
     force, moment = wrench(raft, r[2], R, v, w)
     spin = (moment - jnp.cross(w, raft.J * w)) / raft.J
     return jnp.concatenate([v, (R @ _cross(w)).ravel(), force / raft.M, spin])
 
 
-def energy(raft: RaftBody, state: Float[Array, " 18"]) -> Float[Array, ""]:
-    """Kinetic energy plus that of the load's height and of the displaced water (J); drag alone takes from it."""
-    r, R, v, w = _parts(state)
-    a31, a32, a33 = R[2]
-    area, cut = 4 * raft.a * raft.b, -r[2] / a33
-    wet = (cut + raft.d) ** 2 + ((a31 * raft.a) ** 2 + (a32 * raft.b) ** 2) / (3 * a33**2)
-    moving = (raft.M * v @ v + w @ (raft.J * w)) / 2
-    return moving + raft.P * (r[2] + R[2] @ raft.rs) + raft.gamma * area * a33 * wet / 2
-
-
-def vertical_momentum(raft: RaftBody, state: Float[Array, " 18"]) -> Float[Array, ""]:
-    """Angular momentum about the vertical (N m s), kept without drag: (4.2.4), p q r for the misprinted rho."""
-    _, R, _, w = _parts(state)
-    return R[2] @ (raft.J * w)
-
-
-def _parts(state: Float[Array, " 18"]) -> tuple[Array, Array, Array, Array]:
+def parts(state: Float[Array, " 18"]) -> tuple[Array, Array, Array, Array]:
+    """Position, rotation, velocity and angular velocity."""
     return state[:3], state[3:12].reshape(3, 3), state[12:15], state[15:]

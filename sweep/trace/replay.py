@@ -11,7 +11,7 @@ from matplotlib.backend_bases import FigureCanvasBase
 from tabulate import tabulate
 
 from sweep.core.parameters import InputError
-from sweep.core.waiting import waiting
+from sweep.core.waiting import counting, waiting
 from sweep.engines.base import Trace, same_bits
 from sweep.engines.settings import EngineSettings
 from sweep.runs import store
@@ -21,9 +21,10 @@ from sweep.study.columns import LABELS
 from sweep.study.config import experiment
 from sweep.study.study import parameter_columns
 from sweep.systems.base import judge_one
-from sweep.trace.frames import need_ffmpeg, write_png, write_video
+from sweep.trace.frames import VIDEO_RATE, need_ffmpeg, write_png, write_video
 from sweep.trace.mcap import write_mcap
 from sweep.trace.plots import PLOTS, save
+from sweep.trace.sampling import at_rate
 from sweep.trace.states import model_xml, states
 
 SHOWN = ("mcap", "states", "model", "plot", "png", "video")  # options that a system may have nothing for
@@ -69,13 +70,8 @@ def main(args: list[str]) -> int:
     if options.png:
         write_png(options.png, result.trace, came)
     if options.video:
-        drawn = "no picture drawn"
-
-        def report(done: int, of: int) -> None:
-            nonlocal drawn
-            drawn = f"{done} of {of} pictures drawn"
-
-        with waiting(lambda: drawn):
+        pictures = len(at_rate(result.trace, VIDEO_RATE))
+        with counting(lambda done, of: f"{done} of {of} pictures drawn", 0, pictures) as report:
             write_video(options.video, result.trace, f"row {result.stored.name}", came, report)
     return 0
 

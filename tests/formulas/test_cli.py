@@ -4,27 +4,27 @@ import json
 
 import pytest
 
-from sweep.cli.formula import main
+from sweep.cli.main import main
 from sweep.formulas import FORMULAS
 
 
 def test_lists_every_formula_in_a_line(capsys):
-    assert main([]) == 0
+    assert main(["formula"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in lines] == list(FORMULAS)
-    assert main(["2.1.6"]) == 0
+    assert main(["formula", "2.1.6"]) == 0
     assert capsys.readouterr().out.startswith("corner_balanced ")
 
 
 def test_prints_inputs_outputs_units_source_and_correction(capsys):
-    assert main(["max_ball", "k_f=0", "b=0"]) == 0
+    assert main(["formula", "max_ball", "k_f=0", "b=0"]) == 0
     text = capsys.readouterr().out
     for part in ("monograph (3.1.18-3.1.22)", "corrected: (3.1.22) has", "k_f = 0", "R = 0.855 m"):
         assert part in text
 
 
 def test_json_holds_the_same(capsys):
-    assert main(["raft_equilibrium", "r_s.0=0.02", "--json"]) == 0
+    assert main(["formula", "raft_equilibrium", "r_s.0=0.02", "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
     assert report["inputs"]["r_s"]["value"] == [0.02, 0.01, 0.05]
     assert report["outputs"]["depth"]["unit"] == "m"
@@ -33,7 +33,7 @@ def test_json_holds_the_same(capsys):
 
 def test_sweeps_a_table_with_gaps_and_draws_it(capsys, tmp_path):
     picture = tmp_path / "friction.png"
-    assert main(["corner_balanced", "--sweep", "k=0.9:1.3:3", "--plot", str(picture)]) == 0
+    assert main(["formula", "corner_balanced", "--sweep", "k=0.9:1.3:3", "--plot", str(picture)]) == 0
     header, outside, inside, _ = capsys.readouterr().out.splitlines()
     assert header.split() == ["k", "k_zeta", "k_tau", "N_u", "N_d"]
     assert outside.split() == ["0.9", "-", "-", "-", "-"]
@@ -58,7 +58,7 @@ def test_sweeps_a_table_with_gaps_and_draws_it(capsys, tmp_path):
     ],
 )
 def test_bad_input_is_one_line_and_exit_2(capsys, argv, message):
-    assert main(argv) == 2
+    assert main(["formula", *argv]) == 2
     captured = capsys.readouterr()
     assert captured.out == ""
     assert captured.err.count("\n") == 1

@@ -4,10 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from raft_laws import energy, vertical_momentum
 from scipy.integrate import solve_ivp
 
 from sweep.formulas import NoSolution, evaluate
-from sweep.formulas.raft_dynamics import RaftBody, energy, integrated, raft_linear, raft_ode, rate, vertical_momentum
+from sweep.formulas.raft_dynamics import RaftBody, integrated, raft_linear, raft_ode, rate
 
 A, B, D, GAMMA = 1.575, 1.05, 0.105, 9810.0
 WEIGHT = 4 * GAMMA * A * B * 0.1

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from raft_laws import energy, vertical_momentum
 from scipy.linalg import expm
 from validity.simulation import simulate
 
@@ -20,7 +21,7 @@ from sweep.core.rotations import exponential, matrix
 from sweep.engines import make
 from sweep.formulas import evaluate
 from sweep.formulas.raft_dynamics import RaftBody as Formula
-from sweep.formulas.raft_dynamics import energy, raft_linear, raft_modes, vertical_momentum
+from sweep.formulas.raft_dynamics import raft_linear, raft_modes
 from sweep.formulas.raft_statics import hydro_thick
 from sweep.models.case import Case
 from sweep.models.obstacles.raft import CORNERS, Raft

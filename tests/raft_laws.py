@@ -1,0 +1,21 @@
+"""What a raft's motion keeps, or only loses: `raft_ode` and the simulated raft are checked by it."""
+
+from jaxtyping import Array, Float
+
+from sweep.formulas.raft_dynamics import RaftBody, parts
+
+
+def energy(raft: RaftBody, state: Float[Array, " 18"]) -> Float[Array, ""]:
+    """Kinetic energy plus that of the load's height and of the displaced water (J); drag alone takes from it."""
+    r, R, v, w = parts(state)
+    a31, a32, a33 = R[2]
+    area, cut = 4 * raft.a * raft.b, -r[2] / a33
+    wet = (cut + raft.d) ** 2 + ((a31 * raft.a) ** 2 + (a32 * raft.b) ** 2) / (3 * a33**2)
+    moving = (raft.M * v @ v + w @ (raft.J * w)) / 2
+    return moving + raft.P * (r[2] + R[2] @ raft.rs) + raft.gamma * area * a33 * wet / 2
+
+
+def vertical_momentum(raft: RaftBody, state: Float[Array, " 18"]) -> Float[Array, ""]:
+    """Angular momentum about the vertical (N m s), kept without drag: (4.2.4), p q r for the misprinted rho."""
+    _, R, _, w = parts(state)
+    return R[2] @ (raft.J * w)
