@@ -61,7 +61,7 @@ class Robots:
     """Rollouts of a scenario, all by one engine."""
 
     def __init__(self, scenario: str, width: int, overrides: list[str]):
-        """Compiles."""
+        """Compiles, and runs a batch, so that those which follow are timed without it."""
         self.values = composed([f"scenario={scenario}", "study=any_rare", f"engine.width={width}", *overrides])
         self.lead = LEADS.get(scenario, LEAD)
         exp = self.scaled(1.0)
@@ -70,6 +70,7 @@ class Robots:
         start = nominal(self.exp, first.assign(width=width), width)
         self.width, self.engine = width, make_engine(self.exp, start)
         self.device = self.exp.system.device(start.settings)
+        self.run([first])
 
     def scaled(self, scale: float, **design: Any) -> Experiment:
         """The study with all errors times `scale`, drawn by `design`."""
@@ -172,11 +173,10 @@ def failed(rows: pd.DataFrame) -> np.ndarray:
 def measured(robots: Robots, kept: "Kept", given: argparse.Namespace, deadline: float) -> None:
     """Fill the cells that are missing, until it is time to stop."""
     exps: dict[tuple[str, str], list[Experiment]] = {}
-    design = {"kind": "subset", "num": given.level, "runs": given.repetitions}
-    for target in given.targets:  # levels first, whose rounds are many
-        exps[target, "levels"] = [robots.scaled(kept.scales[target], **design)]
-    for target in given.targets:
-        exps[target, "importance"] = importance(robots, kept.scales[target], given.num, range(1, given.repetitions + 1))
+    for target, num in given.level.items():  # levels first, whose rounds are many
+        exps[target, "levels"] = [robots.scaled(kept.scales[target], kind="subset", num=num, runs=given.repetitions)]
+    for target, num in given.num.items():
+        exps[target, "importance"] = importance(robots, kept.scales[target], num, range(1, given.repetitions + 1))
     exps = {key: some for key, some in exps.items() if key[1] in given.ways and "P" not in kept.cell(*key)}
     asks = {(*key, k): sought(exp) for key, some in exps.items() for k, exp in enumerate(some)}
     asked: dict[Asked, Draws] = {key: next(ask) for key, ask in asks.items()}
@@ -434,6 +434,13 @@ def variation(cell: Cell) -> float:
     return float(each.std(ddof=1) / each.mean()) if each.any() else np.inf
 
 
+def of_each(targets: list[str], words: str) -> dict[str, int]:
+    """Numbers of targets that have one, of one that all have or one for each; 0 is none."""
+    numbers = [int(word) for word in words.split(",")]
+    numbers *= len(targets) if len(numbers) == 1 else 1
+    return {target: number for target, number in zip(targets, numbers, strict=True) if number}
+
+
 def main(words: list[str]) -> None:
     """Measure a scenario, or what is missing of it."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -443,28 +450,29 @@ def main(words: list[str]) -> None:
     parser.add_argument("--scales", help="at which these fail, if known: one for each target")
     parser.add_argument("--ways", default=",".join(WAYS))
     parser.add_argument("--repetitions", type=int, default=30)
-    parser.add_argument("--num", type=int, default=1024, help="draws of a round of importance sampling")
-    parser.add_argument("--level", type=int, default=500, help="draws of a level of subset simulation")
+    parser.add_argument("--num", default="1024", help="draws of a round of importance sampling, of all targets or each")
+    parser.add_argument("--level", default="500", help="draws of a level of subset simulation, likewise; 0 is none")
     parser.add_argument("--width", type=int, default=32768, help="rollouts of a batch")
     parser.add_argument("--out", type=Path, default=DATA)
     parser.add_argument("--rows", type=Path, help="where what searches came to is kept, so that they go on")
     parser.add_argument("--commit", default="", help="where the sources are in no checkout")
     given, overrides = parser.parse_known_args(words)
+    targets = [float(p) for p in given.targets.split(",")]
+    given.targets = [f"{p:g}" for p in targets]
     start = time.perf_counter()
     robots = Robots(given.scenario, given.width, overrides)
     about = {**made_with(), "device": robots.device, "lead": robots.lead, "overrides": overrides}
     about |= {"num": given.num, "level": given.level, "repetitions": given.repetitions, "width": given.width}
     about |= {"commit": given.commit} if given.commit else {}
     kept = Kept(given.out, given.scenario, about, bool(given.rows and given.rows.exists()))
-    targets = [float(p) for p in given.targets.split(",")]
+    given.num, given.level = (of_each(given.targets, told) for told in (given.num, given.level))
     if given.scales:
         known = [float(scale) for scale in given.scales.split(",")]
         kept.content["scales"] = {f"{p:g}": scale for p, scale in zip(targets, known, strict=True)} | kept.scales
     elif not kept.scales:
-        kept.content["scales"] = scales(robots, targets, given.num)
+        kept.content["scales"] = scales(robots, targets, max(given.num.values()))
         kept.content["start_s"] = round(time.perf_counter() - start, 1)
     kept.write()
-    given.targets = [f"{p:g}" for p in targets]
     kept.truths = given.targets if "plain" in given.ways else []
     print(f"{given.scenario}: {kept.scales}, {time.perf_counter() - start:.0f} s", flush=True)
     measured(robots, kept, given, start + given.seconds)

@@ -7,12 +7,14 @@ import numpy as np
 import pandas as pd
 import pytest
 from fake_engine import FakeEngine
+from scipy.special import ndtri
 from scipy.stats import norm
 
 from sweep.analysis import rare
 from sweep.cli.main import main
 from sweep.runs import results, store
 from sweep.study import importance
+from sweep.study.sought import Seen
 
 FAR = 4.0  # standard deviations of the nearest failure
 
@@ -69,17 +71,17 @@ def test_a_run_in_parts_draws_the_same(fake_engine, tmp_path):
 def repeated(d, bounds, num=400, rounds=2, times=200):
     """Estimates of how often a sum, or one of two, is far off, and how often their intervals hold the truth."""
     fails = [lambda u: u.sum(axis=1) / np.sqrt(d) < -bounds[0], lambda u: u[:, 0] > bounds[1]]
+
+    def failed(draws):
+        return np.any([f(ndtri(draws.shares)) for f in fails], axis=0)
+
     found = []
     for seed in range(times):
-        draws, u = importance.first(d, num, 2.5, seed)
-        every, weight = [u], [draws.columns["weight"]]
-        for number in range(1, rounds + 1):
-            normals = np.concatenate(every)
-            failed = np.any([f(normals) for f in fails], axis=0)
-            draws, u = importance.next_round(normals, np.concatenate(weight), failed, num, 2.5, seed, number)
-            every, weight = [*every, u], [*weight, draws.columns["weight"]]
-        failed = np.any([f(u) for f in fails], axis=0)
-        found.append(draws.columns["weight"] @ failed / num)
+        search = importance.search(d, num, 2.5, rounds, seed)
+        draws = next(search)
+        for _ in range(rounds):
+            draws = search.send(Seen(failed(draws), np.zeros(num)))
+        found.append(draws.columns["weight"] @ failed(draws) / num)
         assert draws.columns["weight"].max() <= 1 / importance.PLAIN + 1e-9
     return np.array(found)
 

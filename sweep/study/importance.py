@@ -2,22 +2,25 @@
 
 Every drawn axis is a standard normal number u behind its quantile; plain draws have the density phi(u). The first round
 has normals `wide` times as wide. Each round after it is drawn from a mixture: normals fitted to what has failed so far,
-and beside them wide ones and plain ones, so that no weight phi / q exceeds 1 / `PLAIN`. What a round is fitted to was
-drawn before it, so that the mean of weight times failure over the round is an unbiased estimate of the probability of
-failing.
+and beside them wide ones and plain ones, so that no weight phi / q exceeds 1 / `PLAIN`. For the fit all rounds so far
+are one sample of the mean of their densities (the balance heuristic), whose weights are less uneven than those of each
+round by itself. What a round is fitted to was drawn before it, so that the mean of weight times failure over the round
+is an unbiased estimate of the probability of failing.
 """
 
+from collections.abc import Sequence
 from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from sweep.study.sought import Draws, Search
 
 FITTED, WIDE, PLAIN = 0.7, 0.15, 0.15  # shares of a round's draws
 PARTS = 3  # normals that are fitted, at most
 ROWS_A_PART = 5  # effective failures that a part needs for each axis
+PRIOR = 3  # effective rows for each axis, of a unit normal, that each part's covariance has beside its own
 TEMPERS = (1.0, 0.5, 0.25)  # powers of the weights: the fit takes the first that leaves it enough failures, or none
 STEPS = 50  # of expectation and maximisation
 DIP = 0.5  # of the density at the lower of two middles: parts between which it falls below that are modes of their own
@@ -51,62 +54,50 @@ def normal(d: int, width: float, share: float = 1.0) -> Mixture:
 
 def search(d: int, num: int, wide: float, rounds: int, seed: int) -> Search:
     """The first round of draws, and `rounds` after it: see `sweep.study.sought`."""
-    draws, u = first(d, num, wide, seed)
-    normals, weights, failures = [u], [draws.columns["weight"]], []
-    for number in range(1, rounds + 1):
-        failures.append((yield draws).failed)
-        so_far = (np.concatenate(parts) for parts in (normals, weights, failures))
-        draws, u = next_round(*so_far, num, wide, seed, number)
-        normals, weights = [*normals, u], [*weights, draws.columns["weight"]]
-    yield draws
+    from scipy.special import ndtr  # slow to import
+
+    mixtures, normals, failures = [normal(d, wide)], [], []
+    for number in range(rounds + 1):
+        normals.append(u := mixtures[-1].draw(num, np.random.default_rng([seed, number])))
+        columns = {"weight": weights(u, mixtures[-1:]), "round": np.full(num, float(number))}
+        shown = yield Draws(ndtr(u), number * num + np.arange(num), columns)
+        if number < rounds:
+            failures.append(shown.failed)
+            mixtures.append(mixed(np.concatenate(normals)[np.concatenate(failures)], mixtures, wide))
 
 
-def first(d: int, num: int, wide: float, seed: int) -> tuple[Draws, Float[np.ndarray, "n d"]]:
-    """The first round of draws, and their normals."""
-    return _round(normal(d, wide), num, np.random.default_rng([seed, 0]), 0)
+def weights(u: Float[np.ndarray, "n d"], rounds: Sequence[Mixture]) -> Float[np.ndarray, " n"]:
+    """Density of plain draws over that of all draws of rounds that are as long as each other."""
+    from scipy.special import logsumexp  # slow to import
 
-
-def next_round(
-    u: Float[np.ndarray, "n d"],
-    weight: Float[np.ndarray, " n"],
-    failed: Bool[np.ndarray, " n"],
-    num: int,
-    wide: float,
-    seed: int,
-    number: int,
-) -> tuple[Draws, Float[np.ndarray, "m d"]]:
-    """The round after those whose normals, weights and failures are given, and its normals."""
-    d = u.shape[1]
-    found = fitted(u[failed], weight[failed]) if failed.any() else None
-    parts = [normal(d, wide, WIDE if found else 1 - PLAIN), normal(d, 1.0, PLAIN)]
-    if found:
-        parts = [found._replace(share=FITTED * found.share), *parts]
-    mixture = Mixture(*(np.concatenate(each) for each in zip(*parts, strict=True)))
-    return _round(mixture, num, np.random.default_rng([seed, number]), number)
-
-
-def _round(mixture: Mixture, num: int, rng: np.random.Generator, number: int) -> tuple[Draws, np.ndarray]:
-    from scipy.special import logsumexp, ndtr  # slow to import
-
-    u = mixture.draw(num, rng)
+    logs = [logsumexp(mixture.log_density(u), axis=1) for mixture in rounds]
     plain = normal(u.shape[1], 1.0).log_density(u)[:, 0]
-    weight = np.exp(plain - logsumexp(mixture.log_density(u), axis=1))
-    columns = {"weight": weight, "round": np.full(num, float(number))}
-    return Draws(ndtr(u), number * num + np.arange(num), columns), u
+    return np.exp(plain + np.log(len(rounds)) - logsumexp(logs, axis=0))
+
+
+def mixed(u: Float[np.ndarray, "n d"], rounds: Sequence[Mixture], wide: float) -> Mixture:
+    """What the round after others is drawn from; `u` are all failures of these."""
+    d = u.shape[1]
+    parts = [normal(d, wide, WIDE if len(u) else 1 - PLAIN), normal(d, 1.0, PLAIN)]
+    if len(u):
+        found = fitted(u, weights(u, rounds))
+        parts = [found._replace(share=FITTED * found.share), *parts]
+    return Mixture(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
 
 def fitted(u: Float[np.ndarray, "n d"], weight: Float[np.ndarray, " n"]) -> Mixture:
     """Up to `PARTS` normals through what failed, by its weights, or by less uneven ones where these leave too little.
 
     Expectation and maximisation, from the heaviest row and those farthest from it; as much is added to each part as
-    one effective row for each axis of a unit normal about its middle would say.
+    `PRIOR` effective rows for each axis of a unit normal about its middle would say: along most ways failures lie as
+    plain draws do.
     """
     d = u.shape[1]
     powers = (weight**power / np.sum(weight**power) for power in TEMPERS)
     w = next((w for w in powers if np.sum(w**2) * ROWS_A_PART * d <= 1), np.full(len(u), 1 / len(u)))
     effective = 1 / np.sum(w**2)
     w = effective * w
-    count = int(np.clip(effective // (ROWS_A_PART * d), 1, PARTS))
+    count, prior = int(np.clip(effective // (ROWS_A_PART * d), 1, PARTS)), PRIOR * d
     chosen = [int(np.argmax(w))]
     while len(chosen) < count:
         away = np.min([((u - u[k]) ** 2).sum(axis=1) for k in chosen], axis=0)
@@ -118,8 +109,8 @@ def fitted(u: Float[np.ndarray, "n d"], weight: Float[np.ndarray, " n"]) -> Mixt
         size = belongs.sum(axis=0)
         mean = belongs.T @ u / np.maximum(size, 1e-9)[:, None]
         apart = u[:, None] - mean
-        spread = np.einsum("nk,nki,nkj->kij", belongs, apart, apart) + d * np.eye(d)
-        root = np.linalg.cholesky(spread / (size + d)[:, None, None])
+        spread = np.einsum("nk,nki,nkj->kij", belongs, apart, apart) + prior * np.eye(d)
+        root = np.linalg.cholesky(spread / (size + prior)[:, None, None])
         found = Mixture(np.maximum(size, 1e-9) / np.maximum(size, 1e-9).sum(), mean, root)
     return Mixture(found.share, np.round(found.mean, DIGITS), np.round(found.root, DIGITS))
 
