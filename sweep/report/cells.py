@@ -5,6 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.axes import Axes
 
+from sweep.core.evenly import evenly
+
 NAMED, SIDE_BY_SIDE = 12, 6  # values of an uneven axis that have a label; that have room beside each other
 
 
@@ -46,7 +48,7 @@ def mark_values(ax: Axes, cells: Cells) -> None:
     """Name the values of uneven axes, cell by cell."""
     for axis, values in ((ax.xaxis, cells.x), (ax.yaxis, cells.y)):
         if not evenly_spaced(values):
-            named = np.unique(np.linspace(0, len(values) - 1, NAMED).round().astype(int))
+            named = evenly(len(values), NAMED)
             axis.set_ticks(named, [number(float(values[k])) for k in named])
     if not evenly_spaced(cells.x) and len(cells.x) > SIDE_BY_SIDE:
         ax.tick_params(axis="x", labelrotation=60)

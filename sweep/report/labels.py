@@ -75,6 +75,12 @@ def unit_of(column: str, exp: Experiment) -> str:
 
 def heading(column: str, exp: Experiment | None = None) -> str:
     """Words and unit, for a table or beside an axis; without `exp` the units of parameters are not known."""
-    words = axis_words(column, exp) if "." in column else name_and_unit(column)[0]
-    known = unit_of(column, exp) if exp else name_and_unit(column)[1] if "." not in column else ""
+    words, known = words_and_unit(column, exp)
     return f"{words} [{known}]" if known else words
+
+
+def words_and_unit(column: str, exp: Experiment | None = None) -> tuple[str, str]:
+    """The same apart."""
+    if "." not in column:
+        return name_and_unit(column)
+    return axis_words(column, exp), unit_of(column, exp) if exp else ""

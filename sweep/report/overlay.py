@@ -1,12 +1,12 @@
 """Time histories over each other: what `study.keep` kept, a line for each rollout, with median and quantiles."""
 
 import matplotlib as mpl
-import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
+from sweep.core.evenly import evenly
 from sweep.core.letters import legend_below, sheet
 from sweep.report.labels import beside_axis
 from sweep.report.looks import DOUBTFUL, FAILURE, GOOD
@@ -70,7 +70,6 @@ def draw(results: Results, kept: pd.DataFrame, quantiles: pd.DataFrame) -> Figur
 def _lines(ax: Axes, kept: pd.DataFrame, name: str, colour: str) -> None:
     """Evenly chosen rollouts, as one picture inside the figure."""
     groups = [part for _, part in kept.groupby(identity(kept.columns), sort=False)]
-    chosen = np.unique(np.linspace(0, len(groups) - 1, min(LINES, len(groups))).round().astype(int))
-    lines = [groups[k][["time_s", name]].to_numpy() for k in chosen]
+    lines = [groups[k][["time_s", name]].to_numpy() for k in evenly(len(groups), LINES)]
     look = mpl.rcParams["lines.linewidth"] / 3
     ax.add_collection(LineCollection(lines, colors=colour, linewidths=look, alpha=0.4, rasterized=True))

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from sweep.analysis import compare
 from sweep.analysis.compare import SECOND
 from sweep.analysis.stats import binned
+from sweep.core.evenly import evenly
 from sweep.core.letters import PAGE, folded, sheet
 from sweep.core.outcomes import FAILURE, INVALID, SUCCESS
 from sweep.report import maps, replays
@@ -60,7 +61,7 @@ def simulated(a: Results, b: Results, number: int, progress: Callable[[int, int]
     """Keep replays, in both folders, of at most `number` pairs of which one succeeds alone, evenly over all of them."""
     found, pairs = joined(a, b)
     flipped = np.flatnonzero(found.rows["cause"].isin([ONLY_A, ONLY_B]))
-    some = flipped[np.unique(np.linspace(0, len(flipped) - 1, min(number, len(flipped))).round().astype(int))]
+    some = flipped[evenly(len(flipped), number)]
     for side, names in ((a, identity(pairs, "")), (b, identity(pairs, SECOND))):
         rows = side.rows[identity(side.rows, "").isin(names.iloc[some])]
         replays.make(side, rows.assign(why="one succeeds, the other fails"), progress)

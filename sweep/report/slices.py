@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 
 from sweep.analysis.intervals import anytime, wilson
 from sweep.analysis.stats import binned, rates
+from sweep.core.evenly import evenly
 from sweep.core.letters import COLUMN, PAGE, folded, sheet
 from sweep.report import limits, refined_cells
 from sweep.report.cells import Cells, mark_values
@@ -65,7 +66,7 @@ def cut(results: Results, x: str, y: str, others: list[str]) -> Slice:
     rows = results.rows
     if len(others) == 1:
         values = np.sort(rows[others[0]].unique())
-        chosen = values[np.unique(np.linspace(0, len(values) - 1, PANELS).round().astype(int))]
+        chosen = values[evenly(len(values), PANELS)]
         note = f"at values of {axis_words(others[0], results.exp)}"
         return Slice(x, y, others[0], rows[rows[others[0]].isin(chosen)], note)
     fixed = {}

@@ -15,13 +15,14 @@ import numpy as np
 from matplotlib.image import imsave
 from PIL import Image, ImageDraw, ImageFont
 
+from sweep.core.evenly import evenly
 from sweep.core.files import write_whole
 from sweep.core.parameters import InputError
 from sweep.engines.base import Trace
 from sweep.trace.arrows import arrow_tips
 from sweep.trace.contact_forces import surfaces
 from sweep.trace.draw import ARRAYS, MODEL, NO_OPENGL
-from sweep.trace.sampling import at_rate, base_pose, evenly
+from sweep.trace.sampling import at_rate, base_pose, finite_frames
 
 SIZE = (960, 544)  # pixels, multiples of 16 as video codecs want
 IN_A_ROW = 4  # frames of a strip, which should be full rows
@@ -42,7 +43,7 @@ def write_png(folder: str | Path, trace: Trace, outcome: str = "", number: int =
 
     Time and stage stand on each, and what came of it all.
     """
-    folder, chosen = Path(folder), evenly(trace, number)
+    folder, chosen = Path(folder), evenly(finite_frames(trace), number)
     folder.mkdir(parents=True, exist_ok=True)
     paths = [folder / f"t{trace.time[k]:07.3f}s.png" for k in chosen]
     for path, picture, k in zip(paths, render(trace, chosen), chosen, strict=True):

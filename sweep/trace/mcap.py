@@ -62,8 +62,9 @@ def _write(path: Path, trace: Trace, config: Mapping[str, Any], outcome: Mapping
     options = MCAPWriteOptions(profile="", compression_threads=0)
     context = Context()  # of its own: channels of the global one would leak into the next file
     with foxglove.open_mcap(path, allow_overwrite=True, context=context, writer_options=options) as writer:
-        _write_records(writer, plain(config), plain(outcome))
-        _write_outcome(context, plain(outcome), _nanoseconds(trace.time[0]))
+        came = dict(sorted(plain(outcome).items()))
+        _write_records(writer, plain(config), came)
+        _write_outcome(context, came, _nanoseconds(trace.time[0]))
         _write_stages(context, trace)
         _write_pictures(context, trace)
         _write_joints(context, trace)
@@ -72,10 +73,10 @@ def _write(path: Path, trace: Trace, config: Mapping[str, Any], outcome: Mapping
 
 
 def plain(value: Any) -> Any:
-    """`value` as JSON can hold it: numpy becomes Python, what is not finite becomes None, keys are sorted."""
+    """`value` as JSON can hold it: numpy becomes Python, what is not finite becomes None, keys are words."""
     match value:
         case Mapping():
-            return {str(key): plain(value[key]) for key in sorted(value, key=str)}
+            return {str(key): plain(one) for key, one in value.items()}
         case np.ndarray() | np.generic():
             return plain(value.tolist())
         case list() | tuple():
@@ -99,7 +100,7 @@ def _timestamp(nanoseconds: int) -> Timestamp:
 def _write_records(writer: MCAPWriter, config: dict[str, Any], outcome: dict[str, Any]) -> None:
     text = {key: "" if value is None else str(value) for key, value in outcome.items()}
     writer.write_metadata("outcome", text)
-    data = json.dumps(config, indent=1).encode()
+    data = json.dumps(config, indent=1, sort_keys=True).encode()
     writer.attach(log_time=0, create_time=0, name="config.json", media_type="application/json", data=data)
 
 

@@ -32,11 +32,6 @@ def at_rate(trace: Trace, rate: float) -> np.ndarray:
     return np.unique(at_times(trace, start + np.arange(int((end - start) * rate + 1e-6) + 1) / rate))
 
 
-def evenly(trace: Trace, number: int) -> np.ndarray:
-    """Indices of at most `number` finite frames, evenly spaced, the first and the last among them."""
-    return np.unique(np.linspace(0, finite_frames(trace) - 1, number).round().astype(int))
-
-
 def base_body(model: mujoco.MjModel) -> int:
     """The robot's body: the one called base if that moves, the first that is free, or the first that moves."""
     named = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, BASE)

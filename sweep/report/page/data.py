@@ -14,17 +14,12 @@ from sweep.analysis.sample import some
 from sweep.core.files import as_text
 from sweep.report import limits
 from sweep.report.exhibits import judged_first, thresholds
-from sweep.report.labels import (
-    axis_words,
-    kind_of,
-    meaning,
-    name_and_unit,
-    unit_of,
-)
+from sweep.report.labels import kind_of, meaning, words_and_unit
 from sweep.report.looks import FAILURE, GOOD, look_of
 from sweep.runs import refine
 from sweep.runs.results import Results
 from sweep.systems.base import side_and_path
+from sweep.trace.mcap import plain
 
 ROWS, SAMPLE = 40_000, 20_000  # with more rows than that the page has a sample of them, and maps of densities
 FIGURES = 28  # that are on the page, the ones that outcomes are judged by first
@@ -48,7 +43,7 @@ def data(results: Results, chosen: tuple[str, ...] = ()) -> dict[str, Any]:
     columns = [
         {
             "key": c,
-            **words(c, results),
+            **dict(zip(("label", "unit"), words_and_unit(c, results.exp), strict=True)),
             "axis": c in axes,
             "drawn": c not in (*results.listed, *results.named),
             "diverges": c == "margin",
@@ -92,21 +87,6 @@ def as_json(content: Any) -> str:
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
-def plain(content: Any) -> Any:
-    """`content` with numbers that JSON has, None in place of those that it has not."""
-    match content:
-        case dict():
-            return {str(key): plain(value) for key, value in content.items()}
-        case list() | tuple():
-            return [plain(one) for one in content]
-        case np.generic():
-            return plain(content.item())
-        case float():
-            return content if np.isfinite(content) else None
-        case _:
-            return content
-
-
 def codes_of(rows: pd.DataFrame, kinds: list[dict[str, Any]]) -> np.ndarray:
     """The place of each row's kind among `kinds`."""
     return pd.Index([one["key"] for one in kinds]).get_indexer(pd.Index(kind_of(rows)))
@@ -128,12 +108,6 @@ def kinds_of(results: Results) -> list[dict[str, Any]]:
         }
         for name in [*known, *sorted(set(counts.index) - set(known))]
     ]
-
-
-def words(column: str, results: Results) -> dict[str, str]:
-    """Label and unit of a column."""
-    label = axis_words(column, results.exp) if "." in column else name_and_unit(column)[0]
-    return {"label": label, "unit": unit_of(column, results.exp)}
 
 
 def code(values: pd.Series, bits: int) -> tuple[dict[str, Any], bytes]:
