@@ -22,7 +22,7 @@ from sweep.controllers.manoeuvres.balancing.ball_aside import BallAside, gain
 from sweep.controllers.manoeuvres.balancing.ball_climb import BallClimb
 from sweep.controllers.manoeuvres.balancing.ball_descend import BallDescend
 from sweep.controllers.manoeuvres.balancing.ball_over import BallOver
-from sweep.core.letters import legend_below, lettering, sheet
+from sweep.core.letters import legend_below, lettering, save, sheet
 from sweep.core.rotations import matrix, rotate
 from sweep.engines.base import Trace
 from sweep.formulas.ball import GRAVITY, ROLLING, lateral_mu
@@ -32,7 +32,7 @@ from sweep.models.robot import total_mass
 from sweep.runs.batches import Batch, make_engine
 from sweep.study.config import compose
 from sweep.trace.layout import LEG_COLORS
-from sweep.trace.plots import ACTUAL, PLOTS, REFERENCE, SECOND, save
+from sweep.trace.plots import ACTUAL, PLOTS, REFERENCE, SECOND
 from sweep.trace.sampling import base_pose, mass_centres
 
 FIGURES = Path(__file__).parent / "figures"

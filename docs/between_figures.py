@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from matplotlib.figure import Figure
 
-from sweep.core.letters import legend_below, lettering, sheet
+from sweep.core.letters import legend_below, lettering, save, sheet
 from sweep.core.rotations import rotate
 from sweep.engines.base import Trace
 from sweep.formulas.ball import GRAVITY, ROLLING
@@ -27,7 +27,7 @@ from sweep.runs.batches import Batch, make_engine
 from sweep.runs.results import Results
 from sweep.study.config import compose
 from sweep.trace.layout import LEG_COLORS
-from sweep.trace.plots import ACTUAL, REFERENCE, SECOND, save
+from sweep.trace.plots import ACTUAL, REFERENCE, SECOND
 from sweep.trace.sampling import base_pose, mass_centres
 
 FIGURES = Path(__file__).parent / "figures"

@@ -8,13 +8,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from sweep.core.letters import COLUMN, PAGE, legend_below, lettering, sheet
+from sweep.core.letters import COLUMN, DPI, PAGE, legend_below, lettering, sheet
 from sweep.formulas.ball import ball_climb, lateral_mu, stabilise_delta
 from sweep.formulas.ball_reach import max_ball
 from sweep.formulas.corner import corner_balanced, corner_equalN, corner_least_friction, corner_min_squeeze
 from sweep.formulas.raft_statics import raft_equilibrium, raft_offset_limit
 from sweep.formulas.thesis import thesis_step, thesis_workspace
-from sweep.trace.plots import ACTUAL, DPI, REFERENCE, SECOND
+from sweep.trace.plots import ACTUAL, REFERENCE, SECOND
 
 FIGURES = Path(__file__).parent / "figures"
 LEG = {"l1": 1.0, "l2": 1.0, "l3": 2.0}

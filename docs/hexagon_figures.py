@@ -14,13 +14,13 @@ from matplotlib.figure import Figure
 from sweep.controllers.manoeuvres.walking.waypoints import CIRCLE, TRIPODS, WAYPOINTS, Waypoints
 from sweep.controllers.plan import Plan, reference
 from sweep.controllers.tracker import joint_targets
-from sweep.core.letters import legend_below, lettering, sheet
+from sweep.core.letters import DPI, legend_below, lettering, sheet
 from sweep.engines import make
 from sweep.formulas.leg import SIDE
 from sweep.formulas.thesis import thesis_workspace
 from sweep.models.case import Case
 from sweep.study.config import compose
-from sweep.trace.plots import ACTUAL, DPI, REFERENCE, SECOND
+from sweep.trace.plots import ACTUAL, REFERENCE, SECOND
 
 FIGURES = Path(__file__).parent / "figures"
 SCENARIO = "scenario=hexagon_waypoints"

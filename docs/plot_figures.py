@@ -9,9 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
+from sweep.core.letters import save
 from sweep.runs.batches import Batch, make_engine
 from sweep.study.config import compose
-from sweep.trace.plots import PLOTS, save
+from sweep.trace.plots import PLOTS
 
 FIGURES = Path(__file__).parent / "figures"
 RUNS = {

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from sweep.core.letters import legend_below, lettering, sheet
+from sweep.core.letters import legend_below, lettering, save, sheet
 from sweep.engines.base import Trace
 from sweep.runs.batches import Batch, make_engine
 from sweep.study.config import compose
 from sweep.trace.layout import LEG_COLORS
-from sweep.trace.plots import ACTUAL, save
+from sweep.trace.plots import ACTUAL
 from sweep.trace.sampling import base_pose
 
 PATH = Path(__file__).parent / "figures" / "raft_crossing.png"

@@ -13,9 +13,8 @@ import pandas as pd
 from PIL import Image
 
 from sweep.analysis.intervals import wilson
-from sweep.core.letters import LETTERS, folded, legend_below, lettering, sheet
+from sweep.core.letters import DPI, LETTERS, folded, legend_below, lettering, sheet
 from sweep.core.letters import PAGE as PAGE_WIDTH
-from sweep.trace.plots import DPI
 
 DOCS = Path(__file__).parent
 ERRORS = {  # what a line of the table is called, and how its numbers are told

@@ -6,7 +6,6 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import matplotlib.pyplot as plt
 import pandas as pd
 from matplotlib.figure import Figure
 
@@ -74,9 +73,7 @@ class Accessor:
         """The map of success over two parameters, the first two that vary unless named. Raises `InputError`."""
         found = self._results()
         with lettering():
-            figure = maps.success_map(found.rows, found.stored, tuple(name for name in (x, y) if name))
-        plt.close(figure)  # else a notebook shows it once more at the end of the cell
-        return figure
+            return maps.success_map(found.rows, found.stored, tuple(name for name in (x, y) if name))
 
     def draws(self) -> Figure:
         """Every draw, what matters, and where they fail. Raises `InputError`."""

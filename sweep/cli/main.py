@@ -459,12 +459,17 @@ def draw_pairs(given: argparse.Namespace, a: "Results", folder: Path) -> int:
 
 def pictures(found: "Results", folder: Path, chosen: tuple[str, ...]) -> list[Path]:
     """The map of a study of conditions, or of the two parameters that are `chosen`; for draws the picture of draws."""
+    from sweep.core.letters import lettering, save
     from sweep.report import draws, maps
 
-    if draws.shown(found) and not chosen:
-        return draws.write(found, folder)
-    mapped = chosen or len(maps.independent(found.rows)) > 1
-    return maps.draw(found.rows, found.stored, folder, chosen) if mapped else []
+    with lettering():
+        if draws.shown(found) and not chosen:
+            name, figure = "draws", draws.draw(found)
+        elif chosen or len(maps.independent(found.rows)) > 1:
+            name, figure = "map", maps.success_map(found.rows, found.stored, chosen)
+        else:
+            return []
+    return [save(figure, folder / f"{name}.{form}", dpi=200) for form in ("png", "svg")]
 
 
 def export_results(given: argparse.Namespace) -> int:

@@ -2,6 +2,8 @@
 
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
@@ -13,9 +15,12 @@ from matplotlib.legend_handler import HandlerTuple
 from matplotlib.textpath import TextPath
 from matplotlib.ticker import MaxNLocator
 
+from sweep.core.files import write_whole
+
 COLUMN, PAGE = 84 / 25.4, 174 / 25.4  # in, as most journals have them
 TALL = 7.2  # in, as a page has room for above a caption: a taller figure would be shrunk, and its letters
 LETTERS = 8  # points
+DPI = 150  # of a picture in pixels
 SERIF = ["STIX Two Text", "Times New Roman", "STIXGeneral", "DejaVu Serif"]  # the one but last comes with matplotlib
 # where letters come from that are in none of those: the first that is there
 OTHER_FONTS = ("Noto Sans CJK SC", "Noto Sans CJK JP", "Source Han Sans SC", "WenQuanYi Zen Hei", "WenQuanYi Micro Hei")
@@ -42,6 +47,14 @@ def lettering(serif: bool = False) -> AbstractContextManager[None]:
 def sheet(height: float, width: float = PAGE) -> Figure:
     """An empty figure, in inches, no taller than a page has room for."""
     return Figure(figsize=(width, min(height, TALL)), layout="constrained")
+
+
+def save(figure: Figure, path: Path, dpi: int = DPI) -> Path:
+    """Write `figure` in the format that the suffix of `path` names, without a date in it; the path."""
+    metadata = {"Date": None} if path.suffix == ".svg" else None
+    with lettering(), mpl.rc_context({"svg.hashsalt": "sweep"}):
+        write_whole(path, partial(figure.savefig, dpi=dpi, metadata=metadata))
+    return path
 
 
 def legend_below(figure: Figure, handles: Sequence[Any]) -> None:

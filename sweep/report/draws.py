@@ -5,10 +5,8 @@ them take the same room.
 """
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
@@ -18,7 +16,7 @@ from matplotlib.figure import Figure
 from sweep.analysis import sensitivity
 from sweep.analysis.sample import pooled
 from sweep.core.errors import InputError
-from sweep.core.letters import PAGE, folded, legend_below, lettering, sheet, spaced
+from sweep.core.letters import PAGE, folded, legend_below, sheet, spaced
 from sweep.report.cells import not_below_zero
 from sweep.report.labels import axis_words, beside_axis, kind_of
 from sweep.report.looks import handle, kinds_by_number, look_of, marker
@@ -46,17 +44,6 @@ def importance(results: Results) -> pd.DataFrame:
         return sensitivity.regional(results.rows, results.exp)
     except InputError:
         return pd.DataFrame({"axis": [], "distance": [], "p": []})
-
-
-def write(results: Results, folder: Path) -> list[Path]:
-    """Write draws.png and draws.svg."""
-    folder.mkdir(parents=True, exist_ok=True)
-    paths = [folder / f"draws.{form}" for form in ("png", "svg")]
-    with lettering(), mpl.rc_context({"svg.hashsalt": "sweep"}):
-        figure = draw(results)
-        for path in paths:
-            figure.savefig(path, dpi=200, metadata={"Date": None} if path.suffix == ".svg" else None)
-    return paths
 
 
 def data(results: Results) -> pd.DataFrame:
@@ -98,8 +85,7 @@ def draw(results: Results) -> Figure:
     if "rank" in axes:
         bars(axes["rank"], ranked.head(AXES), results)
     pair(axes["pair"], results, columns)
-    if "margin" in axes:
-        margins(axes["margin"], results, columns[0])
+    margins(axes["margin"], results, columns[0])
     for name in panels[-2:]:
         spaced(axes[name], len(panels))
     handles = [handle(kind, f"{kind.replace('_', ' ')} ({len(part):,})") for kind, part in kinds(rows)]
@@ -153,10 +139,9 @@ def pair(ax: Axes, results: Results, columns: list[str]) -> None:
     ax.set_xlabel(beside_axis(columns[0], results.exp))
     if len(columns) > 1:
         ax.set_ylabel(beside_axis(columns[1], results.exp))
+        not_below_zero(ax)
     else:
         ax.set_yticks(range(len(every)), [kind.replace("_", " ") for kind, _ in every])
-    if len(columns) > 1:
-        not_below_zero(ax)
 
 
 def margins(ax: Axes, results: Results, column: str) -> None:

@@ -1,11 +1,8 @@
 """Where it succeeds: a map over two parameters, one panel for each combination of the named alternatives."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from functools import partial
-from pathlib import Path as File
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 from matplotlib.artist import Artist
@@ -20,8 +17,7 @@ from matplotlib.transforms import Affine2D
 
 from sweep.analysis.sample import pooled
 from sweep.core.expressions import column
-from sweep.core.files import write_whole
-from sweep.core.letters import LETTERS, PAGE, folded, legend_below, lettering
+from sweep.core.letters import LETTERS, PAGE, folded, legend_below, sheet
 from sweep.core.outcomes import SUCCESS
 from sweep.core.parameters import InputError
 from sweep.report import limits, refined_cells
@@ -37,26 +33,13 @@ OUTLINED, GLYPHS, BOXES = 4000, 40, 20_000
 GLYPH = 3.2  # points across, of a glyph whose radius is one
 
 
-def draw(rows: pd.DataFrame, stored: Mapping[str, Any], folder: File, chosen: tuple[str, ...] = ()) -> list[File]:
-    """Write map.png and map.svg into `folder`; `chosen` names the two parameters. Raises `InputError`.
-
-    With one rollout a cell its colour is the outcome or the cause of failure, with more it is the rate of success.
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    paths = [folder / f"map.{form}" for form in ("png", "svg")]
-    with lettering(), plt.rc_context({"svg.hashsalt": "sweep"}):
-        figure = success_map(rows, stored, chosen)
-        for path in paths:
-            metadata = {"Date": None} if path.suffix == ".svg" else None
-            write_whole(path, partial(figure.savefig, dpi=200, metadata=metadata))
-    plt.close(figure)
-    return paths
-
-
 def success_map(
     rows: pd.DataFrame, stored: Mapping[str, Any], chosen: tuple[str, ...] = (), called: str = ""
 ) -> Figure:
-    """The figure that `draw` writes, its title `called` or the study's name."""
+    """The figure, its title `called` or the study's name; `chosen` names the two parameters. Raises `InputError`.
+
+    With one rollout a cell its colour is the outcome or the cause of failure, with more it is the rate of success.
+    """
     x, y = map_axes(rows, chosen)
     exp = experiment(stored["config"])
     guessed = exp.study.resolution > 0 and {x, y} == {a.column for a in refine.lattice(exp.study).axes}
@@ -66,9 +49,8 @@ def success_map(
     most = max(int(count.max()) for count in counts)
     measured = limits.measured(exp, rows)
     columns = len(panels) * (1 + len(measured))
-    figure, axes = plt.subplots(
-        1, columns, figsize=(max(PAGE, 0.6 + 3 * columns), 3.6), squeeze=False, sharey=True, layout="constrained"
-    )
+    figure = sheet(3.6, max(PAGE, 0.6 + 3 * columns))
+    axes = figure.subplots(1, columns, squeeze=False, sharey=True)
     cells = Cells(np.sort(rows[x].unique()), np.sort(rows[y].unique()))
     room = 72 * (figure.get_size_inches()[0] - 1) / columns
     for ax, (title, panel) in zip(axes[0, : len(panels)], panels, strict=True):

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from functools import partial, wraps
-from pathlib import Path
 from typing import Any, Literal
 
 import mujoco
@@ -10,7 +9,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from sweep.core.files import write_whole
 from sweep.core.letters import LETTERS, PAGE, folded, legend_below, lettering, sheet
 from sweep.core.parameters import InputError
 from sweep.engines.base import Trace
@@ -23,7 +21,6 @@ from sweep.trace.sampling import KINDS, base_pose, joint_angle, mass_centres
 PAIRS = ((6, 5), (4, 3), (2, 1))
 SYMBOLS = dict(zip(KINDS, ("α", "β", "γ"), strict=True))
 ACTUAL, SECOND, REFERENCE = "#0072b2", "#d55e00", "0.25"
-DPI = 150
 SMOOTHED = 25  # ticks, over which the speed of a body is averaged
 SLANTED_STAGES = 10  # more names than this stand upright
 ROOM = 1.2 * LETTERS  # points from a stage's name to the next that is written
@@ -55,14 +52,10 @@ def joints(trace: Trace) -> Figure:
 def base(trace: Trace) -> Figure:
     """Position of the base against its reference, m, and its tilt, degrees."""
     pose = base_pose(trace)
-    figure, axes = _grid(4, 1, "Base (dashed: reference)")
-    for k, (ax, name) in enumerate(zip(axes[:3, 0], "xyz", strict=True)):
-        ax.plot(trace.time, trace.base_target[:, k], color=REFERENCE, ls="--", lw=1.0)
-        ax.plot(trace.time, pose[:, k], color=ACTUAL, lw=1.2)
-        ax.set_ylabel(f"{name} (m)")
-    axes[3, 0].plot(trace.time, tilt(trace.base_target), color=REFERENCE, ls="--", lw=1.0)
-    axes[3, 0].plot(trace.time, tilt(pose), color=ACTUAL, lw=1.2)
-    axes[3, 0].set_ylabel("tilt (deg)")
+    figure, axes = _column("Base (dashed: reference)", "x (m)", "y (m)", "z (m)", "tilt (deg)")
+    for of, color, style, width in ((trace.base_target, REFERENCE, "--", 1.0), (pose, ACTUAL, "-", 1.2)):
+        for ax, values in zip(axes[:, 0], [*of[:, :3].T, tilt(of)], strict=True):
+            ax.plot(trace.time, values, color=color, ls=style, lw=width)
     return _finish(figure, axes, trace)
 
 
@@ -77,19 +70,16 @@ def feet(trace: Trace) -> Figure:
         right.plot(trace.time, force[:, 2], color=ACTUAL, lw=1.2, label="vertical")
         right.plot(trace.time, np.linalg.norm(force[:, :2], axis=1), color=SECOND, lw=1.0, label="horizontal")
         right.set_ylabel("force (N)")
-    legend_below(figure, axes[0, 1].get_legend_handles_labels()[0])
     return _finish(figure, axes, trace)
 
 
 def margin(trace: Trace) -> Figure:
     """Margin to the nearest of the limits that are watched in every tick, a colour for each of these."""
-    figure, axes = _grid(1, 1, "Margin to the nearest limit, in units of it")
+    figure, axes = _column("Margin to the nearest limit, in units of it", "margin")
     for k, name in enumerate(dict.fromkeys(trace.margin_of)):
         nearest = np.where(trace.margin_of == name, trace.margin, np.nan)
         axes[0, 0].plot(trace.time, nearest, color=f"C{k}", lw=1.4, label=name)
     axes[0, 0].axhline(0, color=REFERENCE, lw=0.9)
-    axes[0, 0].set_ylabel("margin")
-    legend_below(figure, axes[0, 0].get_legend_handles_labels()[0])
     return _finish(figure, axes, trace)
 
 
@@ -129,15 +119,13 @@ def ball(trace: Trace) -> Figure:
     speed = [np.convolve(np.pad(rate, SMOOTHED // 2, mode="edge"), average, "valid") for rate in rates]
     few = slice(None, None, max(1, len(place) // 2000))
     over_ball = mass_centres(trace, few)[:, :2] - place[few, :2]
-    figure, axes = _grid(4, 1, "Ball: speed and way; base and mass centre over its centre")
+    labels = ("speed (mm/s)", "way (m)", "base (mm)", "mass centre (mm)")
+    figure, axes = _column("Ball: speed and way; base and mass centre over its centre", *labels)
     for k, (name, color) in enumerate((("ahead", ACTUAL), ("left", SECOND))):
         axes[0, 0].plot(trace.time, 1e3 * speed[k], color=color, lw=1.2, label=name)
         axes[1, 0].plot(trace.time, place[:, k] - place[0, k], color=color, lw=1.2)
         axes[2, 0].plot(trace.time, 1e3 * (base_pose(trace)[:, k] - place[:, k]), color=color, lw=1.2)
         axes[3, 0].plot(trace.time[few], 1e3 * over_ball[:, k], color=color, lw=1.2)
-    for ax, label in zip(axes[:, 0], ("speed (mm/s)", "way (m)", "base (mm)", "mass centre (mm)"), strict=True):
-        ax.set_ylabel(label)
-    legend_below(figure, axes[0, 0].get_legend_handles_labels()[0])
     return _finish(figure, axes, trace)
 
 
@@ -145,7 +133,8 @@ def flywheel(trace: Trace) -> Figure:
     """Middle legs as in figure 2.6.4, beta in rad, their torques, and how far the robot is off its upright line."""
     angle = joint_angle(trace).reshape(-1, 6, 3)
     torque = trace.joint_torque.reshape(-1, 6, 3)
-    figure, axes = _grid(4, 1, "Middle legs as a flywheel")
+    labels = ("β (rad)", "largest torque\nof β (N·m)", "centre of mass\nto the left (mm)", "tilt (deg)")
+    figure, axes = _column("Middle legs as a flywheel", *labels)
     for leg, color in ((3, ACTUAL), (4, SECOND)):
         wrapped = np.mod(angle[:, leg - 1, 1], 2 * np.pi)
         axes[0, 0].plot(trace.time, wrapped, color=color, lw=1.2, label=f"leg {leg}")
@@ -153,11 +142,7 @@ def flywheel(trace: Trace) -> Figure:
     aside = 1e3 * sideways(trace, mass_centres(trace, slice(None)) - trace.base_target[:, :3])
     axes[2, 0].plot(trace.time, aside, color="k", lw=1.0)
     axes[3, 0].plot(trace.time, tilt(base_pose(trace)), color="k", lw=1.0)
-    labels = ("β (rad)", "largest torque\nof β (N·m)", "centre of mass\nto the left (mm)", "tilt (deg)")
-    for ax, label in zip(axes[:, 0], labels, strict=True):
-        ax.set_ylabel(label)
     axes[0, 0].axhline(np.pi / 2, color=REFERENCE, ls="--", lw=0.8)
-    legend_below(figure, axes[0, 0].get_legend_handles_labels()[0])
     return _finish(figure, axes, trace)
 
 
@@ -167,7 +152,8 @@ def forces(trace: Trace) -> Figure:
     Planned forces are dashed. A dotted line every t* where the manoeuvre has a step cycle.
     """
     hold, wanted, friction = measured(trace), planned(trace), float(trace.world.contact.friction)
-    figure, axes = _grid(3, 1, "Forces of the feet on the surfaces under them (dashed: planned)")
+    title = "Forces of the feet on the surfaces under them (dashed: planned)"
+    figure, axes = _column(title, "N/P", "friction used", "margin to\nthe cone")
     for leg in range(N_LEGS):
         color, label = LEG_COLORS[leg], f"leg {leg + 1}"
         axes[1, 0].plot(trace.time, hold.friction[:, leg], color=color, lw=0.9, label=label)
@@ -181,13 +167,10 @@ def forces(trace: Trace) -> Figure:
             left = friction - np.nanmax(np.nan_to_num(one.friction), axis=1)
             axes[2, 0].plot(trace.time, left, color=color, ls=style, lw=1.0)
     axes[2, 0].axhline(0, color=REFERENCE, lw=0.8)
-    for ax, label in zip(axes[:, 0], ("N/P", "friction used", "margin to\nthe cone"), strict=True):
-        ax.set_ylabel(label)
     if rate := getattr(trace.belief.manoeuvre, "rate", None):
         step = float(stepping.swing_time(rate))
         for t in np.arange(step, trace.time[-1], step):
             axes[0, 0].axvline(t, color="0.75", lw=0.6, ls=":", zorder=0)
-    legend_below(figure, axes[1, 0].get_legend_handles_labels()[0])
     return _finish(figure, axes, trace)
 
 
@@ -205,13 +188,6 @@ def _lettered(draw: Callable[[Trace], Figure]) -> Callable[[Trace], Figure]:
 PLOTS: dict[str, Callable[[Trace], Figure]] = {
     draw.__name__: _lettered(draw) for draw in (torques, joints, base, feet, margin, paths, ball, flywheel, forces)
 }
-
-
-def save(figure: Figure, path: str | Path) -> None:
-    """Write `figure` in the format that the suffix of `path` names, without a date in it."""
-    metadata = {"Date": None} if Path(path).suffix == ".svg" else {}
-    with lettering():
-        write_whole(Path(path), partial(figure.savefig, dpi=DPI, metadata=metadata))
 
 
 def tilt(pose: np.ndarray) -> np.ndarray:
@@ -246,7 +222,6 @@ def _per_leg(
             if limit is not None:
                 ax.axhline(limit, color=REFERENCE, ls=":", lw=0.9, label="torque limit")
             ax.set_ylabel(f"leg {leg}\n{label}")
-    legend_below(figure, axes[0, 0].get_legend_handles_labels()[0])
     return _finish(figure, axes, trace)
 
 
@@ -257,8 +232,17 @@ def _grid(rows: int, columns: int, title: str, share: Literal["none", "col", "al
     return figure, figure.subplots(rows, columns, sharex=True, sharey=share, squeeze=False)
 
 
+def _column(title: str, *labels: str) -> tuple[Figure, Any]:
+    """Figure and its axes (labels, 1), one above the other, with the labels of their y axes."""
+    figure, axes = _grid(len(labels), 1, title)
+    for ax, label in zip(axes[:, 0], labels, strict=True):
+        ax.set_ylabel(label)
+    return figure, axes
+
+
 def _finish(figure: Figure, axes: np.ndarray, trace: Trace) -> Figure:
-    """Time axis, and a line where a stage begins, named above the top row."""
+    """Time axis, a line where a stage begins, named above the top row, and a legend of what has a label."""
+    legend_below(figure, [one for ax in axes.flat for one in ax.get_legend_handles_labels()[0]])
     starts = np.flatnonzero(np.diff(trace.stage, prepend=-1))
     room = ROOM / (72 * (PAGE / axes.shape[1] - BESIDE)) * (trace.time[-1] - trace.time[0])
     for ax in axes.flat:

@@ -10,6 +10,7 @@ import pandas as pd
 from matplotlib.backend_bases import FigureCanvasBase
 from tabulate import tabulate
 
+from sweep.core.letters import save
 from sweep.core.parameters import InputError
 from sweep.core.waiting import counting, waiting
 from sweep.engines.base import Trace, same_bits
@@ -23,7 +24,7 @@ from sweep.study.study import parameter_columns
 from sweep.systems.base import judge_one
 from sweep.trace.frames import VIDEO_RATE, need_ffmpeg, write_png, write_video
 from sweep.trace.mcap import write_mcap
-from sweep.trace.plots import PLOTS, save
+from sweep.trace.plots import PLOTS
 from sweep.trace.sampling import at_rate
 from sweep.trace.states import model_xml, states
 

@@ -5,10 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
+from sweep.core.letters import save
 from sweep.core.parameters import InputError
 from sweep.models import scene
 from sweep.study.config import compose
-from sweep.trace.plots import PLOTS, save, tilt
+from sweep.trace.plots import PLOTS, tilt
 
 LABELS = {
     "torques": {f"leg {leg}\ntorque (N·m)" for leg in range(1, 7)},
