@@ -424,7 +424,7 @@ def draw_report(given: argparse.Namespace) -> int:
     if given.replays:
         with counting(again, 0, given.replays) as report:
             replays.make(found, chosen.chosen(found, given.replays), report)
-    print(page.write(found, folder / "report.html", columns))
+    print(page.write(found, folder / "report.html", chosen=columns))
     for path in pictures(found, folder, columns):
         print(path)
     return DONE
@@ -449,11 +449,8 @@ def draw_pairs(given: argparse.Namespace, a: "Results", folder: Path) -> int:
         list(pairs.exhibits(found, table)),
         list(pairs.tables(table)),
     )
-    text = page.render(found, list(pairs.shown(a, b)), pairs=about)
     path = folder / f"report_{given.b.resolve().name}.html"
-    folder.mkdir(parents=True, exist_ok=True)
-    write_whole(path, text.encode())
-    print(path)
+    print(page.write(found, path, shown=list(pairs.shown(a, b)), pairs=about))
     return DONE
 
 

@@ -13,7 +13,6 @@ import pandas as pd
 from sweep.cli.exits import DONE
 from sweep.core import provenance
 from sweep.core.errors import InputError
-from sweep.core.files import write_whole
 from sweep.core.waiting import waiting
 from sweep.engines.base import Trace
 from sweep.report import page, replays
@@ -41,9 +40,7 @@ def main(args: list[str]) -> int:
     path = options.output or (
         Path(options.what[0]) / "view.html" if of_folder else PAGES / f"{found.exp.scenario}.html"
     )
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, page.render(found, shown, opened=1 + bool(options.beside)).encode())
-    print(path)
+    print(page.write(found, path, shown=shown, opened=1 + bool(options.beside)))
     if sys.platform != "linux" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
         webbrowser.open(path.resolve().as_uri())
     return DONE

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 import jinja2
 import matplotlib as mpl
@@ -63,10 +64,10 @@ class Plate:
     live: bool  # the script shows the same
 
 
-def write(results: Results, path: Path, chosen: tuple[str, ...] = ()) -> Path:
-    """Write the page of `results`; its map starts with the columns `chosen`."""
+def write(results: Results, path: Path, **options: Any) -> Path:
+    """Write the page of `results`, with the options of `render`."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, render(results, chosen=chosen).encode())
+    write_whole(path, render(results, **options).encode())
     return path
 
 
@@ -87,7 +88,7 @@ def render(
     opened: int = 0,
     pairs: Pairs | None = None,
 ) -> str:
-    """The page as HTML.
+    """The page as HTML, whose map starts with the columns `chosen`.
 
     It has the replays `shown`, the first `opened` of which, at most two, play from the start, or else those that the
     folder keeps. Of `pairs` a row of `results` is one, and its cause what came of both.
