@@ -4,9 +4,9 @@ Functions take the rows of a study and its `Experiment`, and give a line for eac
 and counted. Axes go by their column of the table (see `sweep.study.designs.Axis.column`).
 """
 
-import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -89,16 +89,11 @@ def grid_volume(rows: pd.DataFrame, exp: Experiment, level: float = 0.5) -> Grid
     places = tuple(np.searchsorted(v, table[c]) for c, v in zip(by, values, strict=True))
     corners = np.full([len(v) for v in values], np.nan)
     corners[places] = good
-    shifted = [
-        corners[tuple(slice(k, n - 1 + k) for k, n in zip(at, corners.shape, strict=True))]
-        for at in itertools.product((0, 1), repeat=len(by))
-    ]
-    sizes = np.ones(())
-    for v in values:
-        sizes = np.multiply.outer(sizes, np.diff(v))
-    weights = sizes / sizes.sum()
-    least, most = (np.nan_to_num(f(shifted, axis=0), nan=empty) for f, empty in ((np.min, 0), (np.max, 1)))
-    mean = np.nan_to_num(np.mean(shifted, axis=0), nan=0.5)
+    of_cell = np.lib.stride_tricks.sliding_window_view(corners, (2,) * len(by))
+    sizes = reduce(np.multiply.outer, map(np.diff, values))
+    weights, own = sizes / sizes.sum(), tuple(range(-len(by), 0))
+    least, most = (np.nan_to_num(f(of_cell, axis=own), nan=empty) for f, empty in ((np.min, 0), (np.max, 1)))
+    mean = np.nan_to_num(np.mean(of_cell, axis=own), nan=0.5)
     share, low, high = (float((weights * part).sum()) for part in (mean, least, most))
     return GridVolume(share, low, high, int(table["invalid"].sum()))
 

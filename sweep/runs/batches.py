@@ -89,12 +89,7 @@ def plan(exp: Experiment, planned: pd.DataFrame, wanted: pd.DataFrame) -> pd.Dat
     for column in ("batch", "slot", "width"):
         table[column] = table[column].fillna(-1).astype("int64") if column in table else -1
     for _, rows in table[table["batch"] < 0].groupby("group", sort=False):
-        width = _even_width(exp, rows)
-        order = np.arange(len(rows))
-        table.loc[rows.index, "batch"] = first + order // width
-        table.loc[rows.index, "slot"] = order % width
-        table.loc[rows.index, "width"] = width
-        first += -(-len(rows) // width)
+        first = _cut(table, rows.index, _even_width(exp, rows), first)
     return table
 
 
@@ -109,13 +104,16 @@ def halve(table: pd.DataFrame, batches: list[int], devices: int) -> pd.DataFrame
         width = int(table["width"].loc[rows].iloc[0]) // 2
         if not width:
             raise Fault("a single rollout does not fit in the memory of the device")
-        width = width // devices * devices or width
-        order = np.arange(len(rows))
-        table.loc[rows, "batch"] = first + order // width
-        table.loc[rows, "slot"] = order % width
-        table.loc[rows, "width"] = width
-        first += -(-len(rows) // width)
+        first = _cut(table, rows, width // devices * devices or width, first)
     return table
+
+
+def _cut(table: pd.DataFrame, rows: pd.Index, width: int, first: int) -> int:
+    """Put `rows` of `table` into batches of `width`, numbered from `first`; the number after the last."""
+    batches, slots = np.divmod(np.arange(len(rows)), width)
+    for column, values in (("batch", first + batches), ("slot", slots), ("width", width)):
+        table.loc[rows, column] = values
+    return first + -(-len(rows) // width)
 
 
 def among(rows: pd.DataFrame, others: pd.DataFrame) -> np.ndarray:
