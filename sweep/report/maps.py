@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 from matplotlib.artist import Artist
@@ -17,7 +18,7 @@ from matplotlib.transforms import Affine2D
 
 from sweep.analysis.sample import pooled
 from sweep.core.expressions import column
-from sweep.core.letters import LETTERS, PAGE, folded, legend_below, sheet
+from sweep.core.letters import LETTERS, PAGE, folded, legend_below
 from sweep.core.outcomes import SUCCESS
 from sweep.core.parameters import InputError
 from sweep.report import limits, refined_cells
@@ -49,8 +50,10 @@ def success_map(
     most = max(int(count.max()) for count in counts)
     measured = limits.measured(exp, rows)
     columns = len(panels) * (1 + len(measured))
-    figure = sheet(3.6, max(PAGE, 0.6 + 3 * columns))
-    axes = figure.subplots(1, columns, squeeze=False, sharey=True)
+    figure, axes = plt.subplots(
+        1, columns, figsize=(max(PAGE, 0.6 + 3 * columns), 3.6), squeeze=False, sharey=True, layout="constrained"
+    )
+    plt.close(figure)  # else a notebook shows it once more at the end of the cell
     cells = Cells(np.sort(rows[x].unique()), np.sort(rows[y].unique()))
     room = 72 * (figure.get_size_inches()[0] - 1) / columns
     for ax, (title, panel) in zip(axes[0, : len(panels)], panels, strict=True):

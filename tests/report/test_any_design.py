@@ -1,6 +1,5 @@
 """Studies of any design and shape go through every command that tells of their rows."""
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
@@ -134,7 +133,7 @@ def told(folder):
     if draws.shown(found):
         draws.draw(found)
     elif len(maps.independent(found.rows)) > 1:
-        plt.close(maps.success_map(found.rows, found.stored))
+        maps.success_map(found.rows, found.stored)
     assert data.data(found)["rows"] == len(found.rows)
     assert main(["stats", str(folder)]) == main(["table", str(folder)]) == 0
 

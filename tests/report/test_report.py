@@ -3,6 +3,7 @@ import io
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
@@ -90,8 +91,9 @@ def test_a_legend_shows_what_the_map_shows(rows):
     rows = rows.assign(outcome="failure", cause=[*causes, *causes])
     figure = maps.success_map(rows, STORED)
     figure.set_dpi(400)
-    figure.canvas.draw()
-    pixels = np.asarray(figure.canvas.buffer_rgba())[::-1, :, :3].astype(int)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    pixels = np.asarray(canvas.buffer_rgba())[::-1, :, :3].astype(int)
     legend = figure.legends[0]
     for text, mark in zip(legend.get_texts(), legend.legend_handles, strict=True):
         cause = text.get_text().replace(" ", "_")
