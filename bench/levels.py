@@ -1,21 +1,51 @@
-"""How right subset simulation is where the answer is known: `python bench/levels.py`, sums of normals beyond a bound.
+"""How right rare failures are told where the answer is known: `python bench/levels.py`.
 
-It writes docs/data/levels.json, which docs/certainty.md cites.
+Of sums of normals beyond a bound by subset simulation; of these and other shapes by importance sampling. It writes
+docs/data/levels.json, which docs/certainty.md cites.
 """
 
 import time
+from collections.abc import Callable
+from types import SimpleNamespace
 
 import numpy as np
+import pandas as pd
 import shared
 from scipy.special import ndtri
-from scipy.stats import norm
+from scipy.stats import chi2, norm
 
 from sweep.analysis import rare
-from sweep.study import subset
+from sweep.study import importance, subset
 from sweep.study.sought import Seen
 
 SUMS = ((2, 1e-3), (8, 1e-3), (8, 1e-5), (8, 1e-7), (50, 1e-5))  # parameters, and how likely the sum is to fail
 LEVELS, RUNS, REPETITIONS = subset.Levels(1000, 0.1, 1e-9), 5, 40
+WIDE, ROUNDS = 2.0, 2
+DRAWS = (512, 4096)  # of a round of importance sampling
+
+
+def plane(d: int, p: float) -> Callable[[np.ndarray], np.ndarray]:
+    """Whose sum is beyond a bound."""
+    return lambda u: u.sum(axis=1) / np.sqrt(d) < norm.ppf(p)
+
+
+def sides(d: int, p: float) -> Callable[[np.ndarray], np.ndarray]:
+    """Whose first is beyond a bound, on either side."""
+    return lambda u: np.abs(u[:, 0]) > norm.isf(p / 2)
+
+
+def corner(d: int, p: float) -> Callable[[np.ndarray], np.ndarray]:
+    """Both of whose first two are beyond a bound."""
+    return lambda u: u[:, :2].max(axis=1) < norm.ppf(np.sqrt(p))
+
+
+def ring(d: int, p: float) -> Callable[[np.ndarray], np.ndarray]:
+    """Which are far from nought, whichever way."""
+    return lambda u: (u**2).sum(axis=1) > chi2.isf(p, d)
+
+
+SHAPES = ((plane, 2, 1e-3), (plane, 8, 1e-3), (plane, 8, 1e-4), (plane, 8, 1e-6), (plane, 10, 1e-3),
+          (sides, 8, 1e-3), (corner, 8, 1e-3), (ring, 4, 1e-3))  # fmt: skip
 
 
 def searched(d: int, truth: float, seed: int) -> rare.Repeated:
@@ -41,11 +71,40 @@ def row(d: int, truth: float) -> list[str]:
     return [f"{d}", f"{truth:.0e}", *(f"{v:.2f}" for v in told), f"{hold} of {REPETITIONS}", f"{rollouts:,.0f}"]
 
 
+def weighted(fails: Callable[[np.ndarray], np.ndarray], d: int, num: int, seed: int) -> rare.Weighted | rare.Repeated:
+    """What a study by importance sampling says."""
+    search = importance.search(d, num, WIDE, ROUNDS, seed)
+    draws = next(search)
+    for _ in range(ROUNDS):
+        draws = search.send(Seen(fails(ndtri(draws.shares)), np.zeros(num)))
+    rows = pd.DataFrame({f"axis.{name}": values for name, values in draws.columns.items()})
+    rows["outcome"] = np.where(fails(ndtri(draws.shares)), "failure", "success")
+    design = SimpleNamespace(kind="importance", num=num, rounds=ROUNDS)
+    return rare.rare(rows, SimpleNamespace(study=SimpleNamespace(name="", design=design)))  # pyright: ignore[reportArgumentType]
+
+
+def importance_row(shape: Callable[..., Callable[[np.ndarray], np.ndarray]], d: int, truth: float) -> list[str]:
+    """What repetitions come to, for each number of draws."""
+    told = []
+    for num in DRAWS:
+        found = [weighted(shape(d, truth), d, num, seed) for seed in range(REPETITIONS)]
+        each = np.array([one.probability for one in found]) / truth
+        hold = sum(one.low <= truth <= one.high for one in found if isinstance(one, rare.Weighted))
+        told += [f"{each.mean():.2f}", f"{each.std(ddof=1):.2f}", f"{hold} of {REPETITIONS}",
+                 f"{sum(not one.trusted for one in found)} of {REPETITIONS}"]  # fmt: skip
+    return [shape.__name__, f"{d}", f"{truth:.0e}", *told]
+
+
 def main() -> None:
-    """Measure and keep the table."""
+    """Measure and keep the tables."""
     start, heads = time.perf_counter(), ["parameters", "P(failure)", "mean over truth", "variation of a run",
         f"of {RUNS}", "intervals that hold", "rollouts of a run"]  # fmt: skip
-    shared.keep("levels", (), start, {"sums": [heads, *(row(d, truth) for d, truth in SUMS)]})
+    titles = ["failures", "parameters", "P(failure)"]
+    for num in DRAWS:
+        titles += [f"{num:,} draws a round: mean over truth", "variation", "intervals that hold", "not trusted"]
+    tables = {"sums": [heads, *(row(d, truth) for d, truth in SUMS)]}
+    tables["importance"] = [titles, *(importance_row(*one) for one in SHAPES)]
+    shared.keep("levels", (), start, tables)
 
 
 if __name__ == "__main__":
