@@ -10,7 +10,7 @@ from sweep.core.errors import InputError
 from sweep.models.obstacles.charts import charts
 from sweep.models.plan_table import numbers, tabled
 from sweep.runs import tuning
-from sweep.runs.tuning import fit, free_numbers, search
+from sweep.runs.tuning import fit, follow, free_numbers, search
 from sweep.study.config import compose
 from sweep.tune.score import Score, stacked
 
@@ -51,39 +51,52 @@ def test_an_interrupted_search_goes_on_to_the_same_numbers(tmp_path):
 
 
 class Wants:
-    """Of draws each of which wants other numbers, in proportion to its sizes."""
+    """Of draws that want numbers `at`, moved in proportion to their sizes."""
 
     at, slopes = np.array([1.0, -2.0]), np.array([[0.5, 0.0], [0.0, -1.0]])
-    off = np.random.default_rng(1).uniform(-0.04, 0.04, (12, 2))
+    off, steps = np.random.default_rng(1).uniform(-0.04, 0.04, (12, 2)), np.array([0.02, 0.02])
 
     def __init__(self, ends=np.inf):
         self.asked, self.ends = 0, ends
 
-    def __call__(self, many):
+    def ask(self):
         if self.asked >= self.ends:
             raise KeyboardInterrupt
         self.asked += 1
-        lacks = (many - self.at - self.off @ self.slopes.T) / 0.01
+
+    def descent(self, numbers):
+        self.ask()
+        lacks = (numbers - self.at - self.off @ self.slopes.T) / 0.01
         return np.sum(lacks**2, axis=1), 2 * lacks / 0.01
 
+    def lacking(self, moved):
+        beside = (moved - self.off @ self.slopes.T) / 0.01
+        return np.hstack([beside, -beside])
 
-def test_numbers_that_follow_sizes_are_found_and_an_interrupted_search_goes_on(tmp_path):
-    def follow(wants, log, **changed):
-        how = {"seed": 1, "generations": 300, **changed}
-        return fit(wants, Wants.at - 0.05, np.array([0.02, 0.02]), Wants.off, how, log, lambda done, least: None)
+    def sloping(self, moved):
+        self.ask()
+        slope = np.vstack([np.eye(2), -np.eye(2)]) / 0.01
+        return self.lacking(moved)[:, None], np.broadcast_to(slope, (len(moved), 1, 4, 2))
 
-    whole = follow(Wants(), tmp_path / "whole")
-    np.testing.assert_allclose(whole[0], Wants.at, atol=2e-3)
-    np.testing.assert_allclose(whole[1], Wants.slopes, atol=0.05)
+    def by_gradients(self, how, log):
+        return fit(self.descent, self.at - 0.05, self.steps, how, log, lambda done, least: None) - self.at
+
+    def by_programs(self, how, log):
+        found = follow(self.lacking, self.sloping, self.steps, self.off, how, log, lambda done, least: None)
+        return found - self.slopes
+
+
+@pytest.mark.parametrize(("by", "ends", "off"), [(Wants.by_gradients, 100, 0.015), (Wants.by_programs, 2, 1e-6)])
+def test_what_draws_want_is_found_and_an_interrupted_search_goes_on(by, ends, off, tmp_path):
+    how, whole, rest = {"seed": 1, "generations": 300}, Wants(), Wants()
+    beside = by(whole, how, tmp_path / "whole")
+    assert np.abs(beside).max() < off
     with pytest.raises(KeyboardInterrupt):
-        follow(Wants(ends=100), tmp_path / "log")
-    rest = Wants()
-    again = follow(rest, tmp_path / "log")
-    assert rest.asked == 200
-    for one, other in zip(whole, again, strict=True):
-        np.testing.assert_array_equal(one, other)
+        by(Wants(ends), how, tmp_path / "log")
+    np.testing.assert_array_equal(by(rest, how, tmp_path / "log"), beside)
+    assert rest.asked == whole.asked - ends
     with pytest.raises(InputError, match="log is of another search"):
-        follow(rest, tmp_path / "log", seed=2)
+        by(rest, {**how, "seed": 2}, tmp_path / "log")
 
 
 def test_numbers_are_free_by_pattern_times_only_by_a_step():
@@ -155,7 +168,8 @@ def test_a_plan_is_tuned_to_follow_sizes_and_simulated(tmp_path, monkeypatch, ca
                  "--simulate", "out=plans/mine.yaml"]) == 0  # fmt: skip
     told = capsys.readouterr().out
     text = (tmp_path / "plans" / "mine.yaml").read_text()
-    assert "over.front.front.aside: {obstacle.radius: " in text
+    assert " before, 0 after" in told
+    assert "over.front.base.ahead: {obstacle.radius: -" in text
     for seed in (0, 1):
         line = next(line for line in told.splitlines() if line.startswith(f"simulated draws of seed {seed}"))
         assert f"# {line}" in text

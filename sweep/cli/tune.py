@@ -18,6 +18,7 @@ from sweep.analysis.stats import rate
 from sweep.cli.exits import DONE, UNEXPECTED
 from sweep.core.errors import InputError
 from sweep.core.files import write_whole
+from sweep.engines import devices
 from sweep.models import plan_table
 from sweep.models.case import Case
 from sweep.models.obstacles.charts import charts
@@ -46,6 +47,7 @@ examples:
 
 def main(args: list[str]) -> int:
     """Run the command with the arguments after `tune`; the exit status. Raises `InputError`."""
+    devices.configure()
     given, overrides = parser().parse_known_args(args)
     for flag, least in LEAST.items():
         if getattr(given, flag) < least:
@@ -66,9 +68,9 @@ def main(args: list[str]) -> int:
     numbers |= own
     if given.follow and beside:
         raise InputError(f"--free = {beside[0]} is not allowed with --follow: only a plan's numbers follow sizes")
-    descends = given.follow or given.gradients
     sizes = drawn_sizes(exp) if given.follow else {}
-    aims, width = [aim(text) for text in given.need], 1 if given.check or descends else given.population
+    method = "linear programs, to follow sizes" if given.follow else "gradients" if given.gradients else "CMA-ES"
+    aims, width = [aim(text) for text in given.need], given.population if method == "CMA-ES" else 1
     score = Score(case, list(steps), aims, given.stages or ["*"], moments(given.moments), given.forces, width)
     seen, others = (stacked(*tuning.draws(exp, exp.study.seed + k)) for k in (0, 1))
     first = np.array([numbers[path] for path in steps])
@@ -79,18 +81,18 @@ def main(args: list[str]) -> int:
         return DONE
     how = {"overrides": sorted(overrides), "free": steps, "stages": given.stages, "need": given.need,
            "moments": given.moments, "forces": given.forces, "seed": given.seed, "population": given.population,
-           "follow": given.follow, "gradients": descends, "generations": given.generations}  # fmt: skip
+           "follow": given.follow, "gradients": given.gradients, "generations": given.generations}  # fmt: skip
     where.parent.mkdir(parents=True, exist_ok=True)
     best, slopes = searched(score, seen, first, sizes, how, where.with_name(f"{where.name}.log"))
     left = {f"{name} {when}": score.margins(at, draws)
             for name, draws in zip(DRAWS, (seen, others), strict=True)
             for when, at in (("before", first), ("after", best + shares(draws, sizes) @ slopes.T))}  # fmt: skip
-    was, now = (float(score.lacks(left[f"{DRAWS[0]} {when}"])) for when in ("before", "after"))
+    ends = (left[f"{DRAWS[0]} {when}"] for when in ("before", "after"))
+    was, now = (float(tuning.cost(score.lacking(x)).mean() if given.follow else score.lacks(x)) for x in ends)
     told = table(score, left)
     print(f"score {was:.4g} before, {now:.4g} after\n{told}")
     if not now < was:
         return UNEXPECTED
-    method = "gradients, to follow sizes" if given.follow else "gradients" if descends else "CMA-ES"
     head = [f"{len(steps)} numbers searched for by {method}: score {was:.4g} before, {now:.4g} after",
             f"sweep tune {shlex.join(args)}", f"least margins over draws of seed {exp.study.seed}, and over others of "
             f"seed {exp.study.seed + 1}:", *told.splitlines()]  # fmt: skip
@@ -137,15 +139,21 @@ def searched(
         def tell(done: int, least: float) -> None:
             shown.update(task, completed=done, description=f"score {least:.4g}")
 
-        if not how["gradients"]:
+        if how["follow"]:
+            off = shares(seen, sizes)
+            score.keep(first, stacked(score.case, len(off)))
+            slopes = tuning.follow(
+                lambda moved: score.lacking(score.margins(first + moved, seen)),
+                lambda moved: score.slopes(first + moved, seen), scale, off, how, log, tell)  # fmt: skip
+            slight = np.abs(slopes) * np.abs(off).max(axis=0) < SLIGHT * scale[:, None]
+            return first, np.where(slight, 0.0, np.round(slopes, SLOPE_DIGITS))
+        if how["gradients"]:
+            best = tuning.fit(lambda numbers: score.descent(numbers, seen), first, scale, how, log, tell)
+        else:
             best, _ = tuning.search(
                 lambda many: score.lacks(score.margins(many[:, None], seen)), first, scale, how, log, tell
             )
-            return np.round(best, DIGITS), np.zeros((len(first), 0))
-        off = shares(seen, sizes)
-        best, slopes = tuning.fit(lambda many: score.descent(many, seen), first, scale, off, how, log, tell)
-    slight = np.abs(slopes) * np.abs(off).max(axis=0, initial=0.0) < SLIGHT * scale[:, None]
-    return np.round(best, DIGITS), np.where(slight, 0.0, np.round(slopes, SLOPE_DIGITS))
+    return np.round(best, DIGITS), np.zeros((len(first), 0))
 
 
 def simulated(overrides: list[str], file: Path, settings: list[str], seed: int) -> str:
@@ -178,15 +186,16 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("--stages", action="append", metavar="PATTERN", help="stages to judge (all)")
     made.add_argument("--need", action="append", default=[], metavar="MARGIN[@STAGES]=VALUE", help="what is aimed at")
     made.add_argument("--forces", action="store_true", help="search forces that hold the robot, too")
-    made.add_argument("--gradients", action="store_true", help="by gradients, not CMA-ES: for many numbers")
-    made.add_argument("--follow", action="store_true", help="have numbers follow the sizes that the study draws")
+    way = made.add_mutually_exclusive_group()
+    way.add_argument("--gradients", action="store_true", help="by gradients, not CMA-ES: for many numbers")
+    way.add_argument("--follow", action="store_true", help="have numbers follow the sizes that the study draws")
     made.add_argument("--simulate", action="store_true", help="run both draws by the plans before and after")
     made.add_argument("--check", action="store_true", help="only tell the margins of the plan as it is")
     made.add_argument(
         "--moments", action="append", default=[], metavar="[STAGES=]N", help=f"of each stage ({MOMENTS}), or of some"
     )
     made.add_argument("--population", type=int, default=16, help="plans of a generation (16)")
-    made.add_argument("--generations", type=int, default=200, help="at most (200); of gradients steps")
+    made.add_argument("--generations", type=int, default=200, help="at most (200); steps of gradients, linear programs")
     made.add_argument("--seed", type=int, default=1, help="of the search, at least 1")
     return made
 
@@ -243,7 +252,8 @@ def followed(content: Content, paths: Iterable[str], slopes: np.ndarray, sizes: 
     if not sizes:
         return content
     part = {**content.get(SLOPES, {})}
-    part[plan_table.AT] = {**part.get(plan_table.AT, {}), **sizes}
+    used = zip(sizes.items(), slopes.any(axis=0), strict=True)
+    part[plan_table.AT] = {**part.get(plan_table.AT, {}), **{size: at for (size, at), follows in used if follows}}
     for path, line in zip(paths, slopes.tolist(), strict=True):
         known = part.get(path, {})
         slopes_of = zip(sizes, line, strict=True)

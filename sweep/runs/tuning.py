@@ -1,10 +1,11 @@
 """Searches for a plan's numbers, which go on after an interruption.
 
-By CMA-ES, whose state are the scores so far, or by gradients, where numbers are many, as those that follow sizes are.
+By CMA-ES, whose state are the scores so far, by gradients where numbers are many, and how numbers follow sizes by
+linear programs, each of which brings down what margins lack by their slopes where the one before has ended.
 """
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -13,7 +14,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sweep.core.errors import InputError, suggest
-from sweep.core.files import write_whole
 from sweep.study.config import Experiment
 from sweep.study.study import is_static, parameter_columns, points
 
@@ -26,6 +26,10 @@ RATE, SLOWER = 0.1, 60  # of Adam: first steps by which numbers move at first, a
 RIDGE = 1e-3  # what a number's own first step from where it was costs: what helps nothing stays
 EVERY = 10  # steps after which they are kept
 FAR, UNKNOWN = 20.0, 1e3  # the longest gradient that a draw has, and the most that it lacks
+PRICE = 2e-3  # of a number that is its first step away in the farthest draw: what hardly helps does not pay
+REST, HALF = 0.1, 5.0  # what all that a draw lacks counts beside the worst of it; cost at which more counts half
+BAND = 1.0  # by how much a margin is over its aim, as lacks are counted, to be left out of a linear program
+RADIUS, WIDEST, TRIES = 0.5, 2.0, 6  # first steps that a program may go: at first, at most; and halvings that are tried
 
 
 def free_numbers(numbers: Mapping[str, float], patterns: Sequence[str]) -> dict[str, float]:
@@ -73,7 +77,7 @@ def search(
         import cma
     except ImportError:
         raise InputError("sweep tune needs the package cma: pip install 'insect-sweep[tune]'") from None
-    told = list(known(log, {key: value for key, value in how.items() if key != "generations"}))
+    told = known(log, how)
     options = {"popsize": how["population"], "seed": how["seed"], "verbose": -9, "ftarget": ENOUGH, "tolx": LEAST}
     strategy = cma.CMAEvolutionStrategy(np.zeros(len(first)), 1.0, options)
     best, least = first, np.inf
@@ -83,8 +87,7 @@ def search(
             found = np.array(told[k])
         else:
             found = scores(first + steps * asked)
-            with log.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(found.tolist()) + "\n")
+            keep(log, found.tolist())
         strategy.tell(list(asked), found.tolist())
         if found.min() < least:
             best, least = first + steps * asked[found.argmin()], float(found.min())
@@ -95,7 +98,7 @@ def search(
 
 
 class ByGradients(NamedTuple):
-    """Where a search by gradients is: numbers and slopes (n, 1 + k), in first steps and in their largest shares."""
+    """Where a search by gradients is: numbers (n,), in first steps."""
 
     done: int  # steps
     least: float  # mean of what the draws lack, at the best so far
@@ -117,54 +120,115 @@ def fit(
     descent: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
     first: np.ndarray,
     steps: np.ndarray,
+    how: Mapping[str, Any],
+    log: Path,
+    progress: Callable[[int, float], None],
+) -> np.ndarray:
+    """Numbers (n,) from `first` on, by gradients.
+
+    `descent` tells what every draw lacks by numbers, and the gradients of that (draws, n). The mean over the draws
+    is what descends; a draw counts no more than `FAR`: one that is out of reach says more than all others. `log`
+    keeps steps, from the last of which an interrupted search goes on. Raises `InputError` where it is of another one.
+    """
+    told = known(log, how)
+    done, least, *parts = told[-1] if told else (0, np.inf, *np.zeros((4, len(first))))
+    now = ByGradients(done, least, *map(np.array, parts))
+    while now.done < how["generations"]:
+        lack, gradients = descent(first + steps * now.at)
+        gradients = steps * gradients
+        gradients /= np.maximum(1.0, np.linalg.norm(gradients, axis=1, keepdims=True) / FAR)
+        mean = float(np.mean(np.minimum(np.nan_to_num(lack, nan=UNKNOWN), UNKNOWN)))
+        now = now.next(mean, gradients.mean(axis=0) + 2 * RIDGE * now.at)
+        if now.done % EVERY == 0 or now.done == how["generations"]:
+            keep(log, [now.done, now.least, *(part.tolist() for part in now[2:])])
+        progress(now.done, now.least)
+    return first + steps * now.best
+
+
+def follow(
+    lacking: Callable[[np.ndarray], np.ndarray],
+    slopes: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
+    steps: np.ndarray,
     shares: np.ndarray,
     how: Mapping[str, Any],
     log: Path,
     progress: Callable[[int, float], None],
-) -> tuple[np.ndarray, np.ndarray]:
-    """Numbers (n,), and slopes (n, k) by which they follow the shares (draws, k) of sizes, from `first` on.
+) -> np.ndarray:
+    """Slopes (n, k) by which numbers follow the shares (draws, k) of sizes, by linear programs one after the other.
 
-    `descent` tells what every draw lacks by its numbers (draws, n), and the gradients of that. The mean over the draws
-    is what descends; a draw counts no more than `FAR`: one that is out of reach says more than all others. `log`
-    keeps the last step, from which an interrupted search goes on. Raises `InputError` where it is of another search.
+    `lacking` tells what margins lack (draws, margins) where every draw's numbers have moved (draws, n); `slopes` that
+    at some moments (draws, moments, margins), and its slopes (..., n). A program goes no farther than a radius, which
+    halves until `cost` is less; where it never is, the search is over. `log` keeps what each finds, from where an
+    interrupted search goes on. Raises `InputError` where it is of another search.
     """
     spread = np.maximum(np.abs(shares).max(axis=0), 1e-12)
-    by = np.column_stack([np.ones(len(shares)), shares / spread])
-    begun = json.dumps({key: value for key, value in how.items() if key != "generations"})
-    now = kept(log, begun) or ByGradients(0, np.inf, *(np.zeros((len(first), by.shape[1])) for _ in range(4)))
-    while now.done < how["generations"]:
-        lack, gradients = descent(first + steps * (by @ now.at.T))
-        gradients = steps * gradients
-        gradients /= np.maximum(1.0, np.linalg.norm(gradients, axis=1, keepdims=True) / FAR)
-        mean = float(np.mean(np.minimum(np.nan_to_num(lack, nan=UNKNOWN), UNKNOWN)))
-        now = now.next(mean, gradients.T @ by / len(by) + 2 * RIDGE * now.at)
-        if now.done % EVERY == 0 or now.done == how["generations"]:
-            state = [now.done, now.least, *(part.tolist() for part in now[2:])]
-            write_whole(log, f"{begun}\n{json.dumps(state)}\n".encode())
-        progress(now.done, now.least)
-    best = steps[:, None] * now.best
-    return first + best[:, 0], best[:, 1:] / spread
+    by, told = shares / spread, known(log, how)
+    radius, at = told[-1] if told else (RADIUS, np.zeros((len(steps), len(spread))))
+    at = np.array(at)  # first steps, in draws of the largest shares
+    least = cost(lacking(steps * (by @ at.T))).mean()
+    for k in range(len(told), how["generations"]):
+        progress(k, least)
+        lack, slope = slopes(steps * (by @ at.T))
+        for tried in radius / 2.0 ** np.arange(TRIES):
+            to = program(lack, slope * steps, by, at, tried)
+            if (found := cost(lacking(steps * (by @ to.T))).mean()) < least:
+                break
+        else:
+            break
+        least, at, radius = found, to, min(1.5 * tried, WIDEST)
+        keep(log, [radius, at.tolist()])
+    return steps[:, None] * at / spread
 
 
-def kept(log: Path, begun: str) -> ByGradients | None:
-    """The last step that a log keeps. Raises `InputError` where it is of another search."""
-    if not log.exists():
-        return None
-    how, state = log.read_text(encoding="utf-8").splitlines()
-    if how != begun:
-        raise InputError(f"{log} is of another search: remove it, or choose another out")
-    done, least, *parts = json.loads(state)
-    return ByGradients(done, least, *map(np.array, parts))
+def cost(lack: np.ndarray) -> np.ndarray:
+    """The most that a draw lacks (draws,), of its margins (draws, margins), and a little of all; beyond `HALF` less."""
+    lack = np.clip(np.nan_to_num(lack), 0.0, UNKNOWN)
+    return HALF * np.log1p((lack.max(axis=-1) + REST * lack.sum(axis=-1)) / HALF)
 
 
-def known(log: Path, how: Mapping[str, Any]) -> Iterator[list[float]]:
-    """Scores of the generations that are done, of a log that is begun here. Raises `InputError`."""
+def program(lack: np.ndarray, slope: np.ndarray, by: np.ndarray, at: np.ndarray, radius: float) -> np.ndarray:
+    """Where (n, k), within a radius of `at`, the mean `cost` is least if all goes on by its slopes.
+
+    A linear program: where, up and down of nothing, what each margin of a draw lacks, and the most of every draw.
+    """
+    from scipy.optimize import linprog  # slow to import
+    from scipy.sparse import block_array, csr_array, eye_array, kron
+
+    near = np.isfinite(lack) & (lack > -BAND)
+    draw, _, margin = np.nonzero(near)
+    pairs, pair = np.unique(draw * lack.shape[-1] + margin, return_inverse=True)
+    row, number = np.nonzero(slope[near])
+    count, wide = len(by), slope.shape[-1] * len(by)
+    moves = csr_array((slope[near][row, number], (row, number * count + draw[row])), (len(draw), wide))
+    moves @= kron(eye_array(slope.shape[-1]), by)
+
+    def of(column: np.ndarray, width: int) -> Any:
+        return csr_array((-np.ones(len(column)), (np.arange(len(column)), column)), (len(column), width))
+
+    rows = block_array([[moves, -moves, of(pair, len(pairs)), None],
+                        [None, None, eye_array(len(pairs)), of(pairs // lack.shape[-1], count)]])  # fmt: skip
+    weight = np.exp(-cost(lack.max(axis=1)) / HALF) / count
+    price = np.concatenate([np.full(2 * at.size, PRICE), REST * weight[pairs // lack.shape[-1]], weight])
+    both = np.concatenate([at.ravel(), -at.ravel()])
+    near_by = np.maximum(np.stack([both - radius, both + radius], axis=1), 0.0)
+    bounds = np.concatenate([near_by, np.tile([0.0, np.inf], (len(pairs) + count, 1))])
+    found = linprog(price, rows, np.concatenate([moves @ at.ravel() - lack[near], np.zeros(len(pairs))]), bounds=bounds)
+    up, down = found.x[: 2 * at.size].reshape(2, *at.shape)
+    return up - down
+
+
+def known(log: Path, how: Mapping[str, Any]) -> list[Any]:
+    """What a log keeps of a search, which it begins to here. Raises `InputError` where it is of another one."""
     lines = log.read_text(encoding="utf-8").split("\n") if log.exists() else []
-    begun = json.dumps(how)
-    if len(lines) < 2:  # a line is whole with its end
-        log.write_text(begun + "\n", encoding="utf-8")
-        return
-    if lines[0] != begun:
+    begun = json.dumps({key: value for key, value in how.items() if key != "generations"})
+    whole = lines[:-1] or [begun]  # a line is whole with its end
+    if whole[0] != begun:
         raise InputError(f"{log} is of another search: remove it, or choose another out")
-    log.write_text("\n".join(lines[:-1]) + "\n", encoding="utf-8")
-    yield from map(json.loads, lines[1:-1])
+    log.write_text("\n".join(whole) + "\n", encoding="utf-8")
+    return [json.loads(line) for line in whole[1:]]
+
+
+def keep(log: Path, found: list[Any]) -> None:
+    """Add a line to a log."""
+    with log.open("a", encoding="utf-8") as file:
+        file.write(json.dumps(found) + "\n")

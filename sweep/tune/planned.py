@@ -130,13 +130,13 @@ def holding(case: Case, plan: Plan, stage: Int[Array, ""], u: Float[Array, ""], 
     return Holding(case.contact.friction - held.friction, case.drive.torque_limit - held.torque, -held.imbalance)
 
 
-@jax.custom_vjp
+@jax.custom_jvp
 def _sound(x: Array) -> Array:
     """The same, with no slope where it is not finite, as where no forces hold: what else is lacking has its own."""
     return x
 
 
-_sound.defvjp(lambda x: (x, None), lambda _, slope: (jnp.where(jnp.isfinite(slope), slope, 0.0),))
+_sound.defjvps(lambda slope, _, x: jnp.where(jnp.isfinite(slope), slope, 0.0))
 
 
 def posed(case: Case, plan: Plan, stage: Array, u: Array) -> tuple[Stance, Float[Array, "6 3"], Float[Array, " 6"]]:

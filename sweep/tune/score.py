@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from typing import Any, NamedTuple
@@ -37,7 +38,9 @@ AIMS = {
 }
 ALIKE = {"rate": 1.0, "friction": 0.02, "torque": 10.0, "balance": 0.01, "speed": 0.02}  # that count alike; else m:
 LENGTH = 0.01  # m
-UNKNOWN = 1e3  # what a margin lacks that is not a number
+SLACK = 0.1  # of what counts alike, that a margin may lose where numbers only follow sizes
+WORST, AT_ONCE = 5, 8  # moments of a stage that linear programs look at; draws that a core looks at together
+UNKNOWN = 1e3  # the most that a margin lacks, as one that is not a number
 PERIOD, TIMES = 0.04, 1.05  # s, of a tick in which a plan on a ball is played; its time, with that of waiting
 FRICTION = 2.5  # that forces may use, so that what is lacking is known where the believed one is too little
 SETS = 3  # axes of sets of numbers: set, draw, number
@@ -79,14 +82,20 @@ class Score:
             raise InputError(f"--forces is not allowed: manoeuvre.kind = {case.manoeuvre.kind} plans none")
         self.stages = [names[k] for k in chosen]
         self.aims = [Aim(margin, "*", value) for margin, value in AIMS.items()] + list(aims)
-        self._free, self._width = tuple(free), width
+        self.case, self._free, self._width = case, tuple(free), width
         counts = [next(n for pattern, n in reversed(moments) if fnmatchcase(name, pattern)) for name in self.stages]
         self._at = np.array(chosen), np.array(counts), hold
         self._plays = type(case.obstacle) is Ball  # what leans on something, or on another ball, is taken to rest
         time = jax.jit(lambda: jnp.sum(case.manoeuvre.plan(case).duration))() if self._plays else 0.0
         self._ticks = math.ceil(TIMES * float(time) / PERIOD) + len(names)
-        self._margins = jax.jit(jax.vmap(jax.vmap(self._left), (0, None)))
-        self._descent = jax.jit(jax.vmap(jax.value_and_grad(self._lack)))
+        self._kept: dict[str, np.ndarray] = {}
+
+        def twice(numbers: jax.Array, belief: Case) -> tuple[jax.Array, jax.Array]:
+            return 2 * (self.lacking(self._left(numbers, belief)),)
+
+        self._margins = jax.jit(jax.vmap(jax.vmap(self._left, (0, None))))
+        self._descent = jax.jit(jax.vmap(jax.value_and_grad(self._lack), (None, 0)))
+        self._slopes = jax.jit(jax.vmap(jax.jacfwd(twice, has_aux=True)))
 
     def margins(self, numbers: np.ndarray, draws: Case) -> dict[str, np.ndarray]:
         """Margins (..., draws, stages) by name, for numbers (..., draws or 1, free) or (free,).
@@ -96,32 +105,41 @@ class Score:
         count, single = len(draws.robot.body_length), numbers.ndim < SETS  # pyright: ignore[reportArgumentType]
         sets = np.broadcast_to(numbers, (1 if single else len(numbers), count, len(self._free)))
         padded = sets[np.minimum(np.arange(self._width), len(sets) - 1)]  # all calls have one shape
-        found = self._margins(jnp.asarray(padded), draws)
-        return {key: np.asarray(value, float)[0 if single else slice(len(sets))] for key, value in found.items()}
+        found = _in_parts(self._margins, padded.swapaxes(0, 1), draws)
+        chosen = 0 if single else slice(len(sets))
+        return {key: value[:, :, 0].swapaxes(0, 1)[chosen] for key, value in found.items()}
 
     def lacks(self, margins: Mapping[str, np.ndarray]) -> np.ndarray:
         """Sums (...) over stages and margins (..., draws, stages) of squares of what the worst draw lacks."""
-        total = np.zeros(next(iter(margins.values())).shape[:-2])
-        for key, value in margins.items():
-            lack = (self.aimed(key) - np.min(value, axis=-2)) / ALIKE.get(key, LENGTH)
-            total += np.sum(np.where(np.isnan(lack), UNKNOWN, np.maximum(lack, 0.0)) ** 2, axis=-1)
-        return total
+        return np.sum(np.clip(np.nan_to_num(self.lacking(margins)).max(axis=-2), 0.0, UNKNOWN) ** 2, axis=-1)
+
+    def lacking(self, margins: Mapping[str, Any]) -> Any:
+        """What margins (..., stages) with an aim lack (..., margins x stages), in what counts alike."""
+        aims = {key: self.aimed(key) for key in sorted(margins)}
+        return jnp.concatenate([(aim - margins[key]) / ALIKE.get(key, LENGTH)
+                                for key, aim in aims.items() if np.isfinite(aim).any()], axis=-1)  # fmt: skip
+
+    def keep(self, numbers: np.ndarray, draws: Case) -> None:
+        """Aim no higher than at what numbers keep in the first draw, less a little."""
+        kept = self.margins(numbers, draws)
+        self._kept = {key: value[0] - SLACK * ALIKE.get(key, LENGTH) for key, value in kept.items()}
 
     def descent(self, numbers: np.ndarray, draws: Case) -> tuple[np.ndarray, np.ndarray]:
-        """What every draw lacks (draws,) by numbers of its own (draws, free), and the gradients of that."""
+        """What every draw lacks (draws,) by numbers (free,), and the gradients of that (draws, free)."""
         lack, gradient = (np.asarray(x, float) for x in self._descent(jnp.asarray(numbers), draws))
         return lack, np.nan_to_num(gradient, posinf=0.0, neginf=0.0)
 
+    def slopes(self, numbers: np.ndarray, draws: Case) -> tuple[np.ndarray, np.ndarray]:
+        """What draws lack at worst moments (draws, moments, margins x stages) by their numbers (draws, free), and its
+        slopes (..., free).
+        """
+        slope, lack = _in_parts(self._slopes, numbers, draws)
+        return lack, np.nan_to_num(slope, posinf=0.0, neginf=0.0)
+
     def _lack(self, numbers: jax.Array, belief: Case) -> jax.Array:
         """The same as `lacks`, of one draw, to be differentiated."""
-        total = jnp.zeros(())
-        for key, value in self._left(numbers, belief).items():
-            if not np.isfinite(aim := self.aimed(key)).any():
-                continue  # what counts for nothing may have no slope
-            lack = (jnp.asarray(np.where(np.isfinite(aim), aim, 0.0)) - value) / ALIKE.get(key, LENGTH)
-            counts = np.isfinite(aim) & jnp.isfinite(value) & (lack > 0)  # what is infinite says nothing
-            total += jnp.sum(jnp.where(counts, lack, 0.0) ** 2)
-        return total
+        lack = self.lacking(self._left(numbers, belief))[0]
+        return jnp.sum(jnp.where(jnp.isfinite(lack) & (lack > 0), lack, 0.0) ** 2)  # what is infinite says nothing
 
     def aimed(self, margin: str) -> np.ndarray:
         """What is aimed at in every stage (S,); the last aim that names it counts, -inf without one."""
@@ -129,10 +147,10 @@ class Score:
         for aim in self.aims:
             if aim.margin == margin:
                 found = np.where([fnmatchcase(stage, aim.stages) for stage in self.stages], aim.value, found)
-        return found
+        return np.minimum(found, self._kept.get(margin, np.inf))
 
     def _left(self, numbers: jax.Array, belief: Case) -> dict[str, jax.Array]:
-        """Margins (S,) of one draw."""
+        """Margins (moments, S) of one draw, at the worst moments of every stage, the worst first."""
         for path, value in zip(self._free, numbers, strict=True):
             belief = changed(belief, path, value)
         plan = belief.manoeuvre.plan(belief)
@@ -146,8 +164,10 @@ class Score:
         ) -> dict[str, jax.Array]:
             phases = np.concatenate([np.linspace(0, 1, n) for n in counts])
             seen = jax.vmap(function)(jnp.repeat(chosen, counts), jnp.asarray(phases))
-            own = (np.cumsum(counts) - counts)[:, None] + np.minimum(np.arange(max(counts)), counts[:, None] - 1)
-            return {key: jnp.min(value[own], axis=1) for key, value in seen._asdict().items()}
+            most = max(WORST, *counts)
+            own = (np.cumsum(counts) - counts)[:, None] + np.minimum(np.arange(most), counts[:, None] - 1)
+            known = {key: jnp.where(jnp.isnan(x), -jnp.inf, x)[own] for key, x in seen._asdict().items()}
+            return {key: -jax.lax.top_k(-value, WORST)[0].T for key, value in known.items()}
 
         found = worst(lambda k, u: planned.margins(belief, plan, k, u), moments)
         if hold:
@@ -162,7 +182,19 @@ class Score:
         speed = jnp.max(jnp.linalg.norm(seen.free.velocity, axis=-1), axis=1)
         found["zmp"] = jax.ops.segment_min(played.zero_moment(seen, PERIOD), seen.stage, count)  # m
         found["speed"] = -jax.ops.segment_max(speed, seen.stage, count)  # m/s, of the ball, negative
-        return {key: value[chosen] for key, value in found.items()}
+        return {key: value[None, chosen] for key, value in found.items()}
+
+
+def _in_parts(function: Callable[..., Any], numbers: np.ndarray, draws: Case) -> Any:
+    """Of numbers (draws, ...) and draws, a few at a time, on all cores."""
+    count = len(numbers)
+    parts = np.minimum(np.arange(0, count, AT_ONCE)[:, None] + np.arange(min(AT_ONCE, count)), count - 1)
+
+    def part(own: np.ndarray) -> Any:
+        return jax.tree.map(np.asarray, function(numbers[own], jax.tree.map(lambda x: x[own], draws)))
+
+    with ThreadPoolExecutor() as pool:
+        return jax.tree.map(lambda *x: np.concatenate(x)[:count], *pool.map(part, parts))
 
 
 def changed(case: Case, path: str, value: Any) -> Case:
