@@ -39,39 +39,14 @@ METRIC = extremes(
         "robot.hip_clearance",
         "fold_gap_min_m": "least distance of a leg's thigh to its shin, farther from the knee than its fork is deep",
     },
-    (
-        Cause(
-            "link_collision",
-            "a link or the base came closer to the obstacle than clearance_min_m",
-            "clearance_min_m",
-            -5e-3,
-            below=True,
-            scale=0.02,
-        ),
-        Cause(
-            "leg_crossing",
-            "two legs came closer to each other than leg_gap_min_m",
-            "leg_gap_min_m",
-            -5e-3,
-            below=True,
-            scale=0.02,
-        ),
-        Cause(
-            "base_hit",
-            "a leg came closer to the base than base_gap_min_m",
-            "base_gap_min_m",
-            -5e-3,
-            below=True,
-            scale=0.02,
-        ),
-        Cause(
-            "folded",
-            "a leg's shin came closer to its thigh than fold_gap_min_m",
-            "fold_gap_min_m",
-            -5e-3,
-            below=True,
-            scale=0.02,
-        ),
+    tuple(
+        Cause(name, f"{what} than {figure}", figure, -5e-3, below=True, scale=0.02)
+        for figure, name, what in (
+            ("clearance_min_m", "link_collision", "a link or the base came closer to the obstacle"),
+            ("leg_gap_min_m", "leg_crossing", "two legs came closer to each other"),
+            ("base_gap_min_m", "base_hit", "a leg came closer to the base"),
+            ("fold_gap_min_m", "folded", "a leg's shin came closer to its thigh"),
+        )
     ),
     interval=0.02,
 )

@@ -94,26 +94,13 @@ METRIC = Metric(
             0.5,
             known="end",
         ),
-        Cause(
-            "overturned_leg",
-            "a leg turned to beyond turn_over_limit_max of drive.turn_limit",
-            "turn_over_limit",
-            1.0,
-            key="turn_over_limit_max",
-        ),
-        Cause(
-            "overspeed",
-            "a joint was faster than joint_speed_over_limit_max of drive.speed_limit",
-            "joint_speed_over_limit",
-            1.0,
-            key="joint_speed_over_limit_max",
-        ),
-        Cause(
-            "overpower",
-            "a joint gave or took more than joint_power_over_limit_max of drive.power_limit",
-            "joint_power_over_limit",
-            1.0,
-            key="joint_power_over_limit_max",
+        *(
+            Cause(name, f"{what} {figure}_max of drive.{size}", figure, 1.0)
+            for figure, size, name, what in (
+                ("turn_over_limit", "turn_limit", "overturned_leg", "a leg turned to beyond"),
+                ("joint_speed_over_limit", "speed_limit", "overspeed", "a joint was faster than"),
+                ("joint_power_over_limit", "power_limit", "overpower", "a joint gave or took more than"),
+            )
         ),
     ),
 )

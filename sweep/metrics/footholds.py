@@ -52,7 +52,6 @@ METRIC = Metric(
             "fewer feet than feet_on_target_min ended at their faces",
             "feet_on_target",
             None,
-            key="feet_on_target_min",
             below=True,
             known="end",
             whole=True,

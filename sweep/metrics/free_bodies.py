@@ -114,19 +114,12 @@ METRIC = Metric(
             -1e3,
             below=True,
         ),
-        Cause(
-            "obstacle_moved",
-            "a free body went farther than obstacle_moved_max_m",
-            "obstacle_moved_m",
-            1e3,
-            key="obstacle_moved_max_m",
-        ),
+        Cause("obstacle_moved", "a free body went farther than obstacle_moved_max_m", "obstacle_moved_m", 1e3),
         Cause(
             "obstacle_shifted",
             "a free body went farther than obstacle_shift_max_m from where it was when the plan's first stage ended",
             "obstacle_shift_m",
             None,
-            key="obstacle_shift_max_m",
         ),
         Cause(
             "obstacle_turned",
@@ -139,7 +132,6 @@ METRIC = Metric(
             "the body that the robot rides on ended off its speed by more than obstacle_speed_error_max_mps",
             "obstacle_speed_error_mps",
             None,
-            key="obstacle_speed_error_max_mps",
             known="end",
         ),
         Cause(

@@ -70,7 +70,6 @@ METRIC = Metric(
             "the ball stayed farther from the far wall than docking_gap_max_m when the robot left it",
             "docking_gap_m",
             None,
-            key="docking_gap_max_m",
             known="end",
         ),
         Cause(
@@ -78,7 +77,6 @@ METRIC = Metric(
             "the ball came to the far wall faster than docking_speed_max_mps",
             "docking_speed_mps",
             None,
-            key="docking_speed_max_mps",
             known="end",
         ),
     ),

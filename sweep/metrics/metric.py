@@ -138,7 +138,7 @@ class Cause:
     sentence: str
     figure: str  # a column of the metric
     default: float | None
-    key: str | None = None  # the threshold's in `outcome`, if not the figure's name; an empty one nobody can change
+    key: str | None = None  # the threshold's in `outcome`, if it has a name of its own; an empty one nobody can change
     below: bool = False  # it holds where the figure is below the threshold, not above
     # When it is known: in the tick that crosses it; from the start, in the stage that the figure `NAME_stage` tells; at
     # the end. Of those known in a tick each has a name of its own.
@@ -151,8 +151,12 @@ class Cause:
 
     @property
     def threshold(self) -> str:
-        """Its key in `outcome`."""
-        return self.figure if self.key is None else self.key
+        """Its key in `outcome`: the figure's name, with what it is of the figure, `min` or `max`, before the unit."""
+        words = self.figure.split("_")
+        if self.key is not None or {"min", "max"} & {*words}:
+            return self.figure if self.key is None else self.key
+        unit = words[-1:] if words[-1] in UNITS else []
+        return "_".join([*words[: len(words) - len(unit)], "min" if self.below else "max", *unit])
 
     def quantity(self) -> Any:
         """The threshold as a parameter, in the figure's unit."""

@@ -19,7 +19,6 @@ METRIC = Metric(
             "the robot failed as it went through the poses of its calibration, by anything that fails a rollout",
             "calibration_margin",
             0.0,
-            key="calibration_margin_min",
             below=True,
             scale=1.0,
         ),

@@ -98,7 +98,6 @@ METRIC = Metric(
             "progress to the goal stayed below progress_min",
             "progress",
             None,
-            key="progress_min",
             below=True,
             known="end",
             scale=0.1,

@@ -51,7 +51,6 @@ METRIC = Metric(
             "the robot was not at rest when its plan had ended: some part went on by more than end_drift_max_m",
             "end_drift_m",
             5e-3,
-            key="end_drift_max_m",
         ),
     ),
 )

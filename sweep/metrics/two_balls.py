@@ -76,7 +76,6 @@ METRIC = Metric(
             "the second ball ended faster than second_ball_speed_max_mps",
             "second_ball_speed_mps",
             None,
-            key="second_ball_speed_max_mps",
             known="end",
         ),
     ),
