@@ -1,6 +1,7 @@
 """Where it succeeds: a map over two parameters, one panel for each combination of the named alternatives."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import product
 from typing import Any
 
 import matplotlib.pyplot as plt
@@ -56,20 +57,17 @@ def success_map(
     plt.close(figure)  # else a notebook shows it once more at the end of the cell
     cells = Cells(np.sort(rows[x].unique()), np.sort(rows[y].unique()))
     room = 72 * (figure.get_size_inches()[0] - 1) / columns
-    for ax, (title, panel) in zip(axes[0, : len(panels)], panels, strict=True):
-        (categories if most == 1 else shares)(ax, panel.assign(x=panel[x], y=panel[y]), cells)
-        mark_values(ax, cells)
-        text = str(pooled(panel, exp)).replace(" (", "\n(", 1)
-        if guessed:  # the share of rollouts that succeed says nothing where they were placed near the boundary
-            refined_cells.draw(ax, exp, panel, x, y, cells)
-            text = f"{panel['known'].sum()} rollouts (dots); each cell as its corners"
-        ax.set_title("\n".join(folded(one, room) for one in [*title, text]))
-        ax.set_xlabel(beside_axis(x, exp))
-        limits.draw(ax, exp, panel, x, y, cells)
-    for ax, (title, panel), figure_name in zip(
-        axes[0, len(panels) :], panels * len(measured), np.repeat(measured, len(panels)), strict=True
-    ):
-        beside(ax, panel.assign(x=panel[x], y=panel[y]), cells, figure_name)
+    for ax, (measure, (title, panel)) in zip(axes[0], product([None, *measured], panels), strict=True):
+        placed = panel.assign(x=panel[x], y=panel[y])
+        if measure:
+            beside(ax, placed, cells, measure)
+        else:
+            (categories if most == 1 else shares)(ax, placed, cells)
+            text = str(pooled(panel, exp)).replace(" (", "\n(", 1)
+            if guessed:  # the share of rollouts that succeed says nothing where they were placed near the boundary
+                refined_cells.draw(ax, exp, panel, x, y, cells)
+                text = f"{panel['known'].sum()} rollouts (dots); each cell as its corners"
+            title = [*title, text]
         mark_values(ax, cells)
         ax.set_title("\n".join(folded(one, room) for one in title))
         ax.set_xlabel(beside_axis(x, exp))
