@@ -413,7 +413,7 @@ def beyond(scenarios: shared.Scenarios) -> list[list[str]]:
                 cells += [""] * 4
                 continue
             cell = ways[way]
-            ends = f"{cell['P']:.2g} ({cell['low']:.2g} to {cell['high']:.2g})"
+            ends = f"{cell['P']:.3g} ({cell['low']:.3g} to {cell['high']:.3g})"
             poor = f"{cell[bad]} of {len(cell['each'])}"
             cells += [ends, f"{variation(cell):.2f}", poor, f"{rollouts(cell):,.0f}"]
         if ways:
