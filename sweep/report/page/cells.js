@@ -1,6 +1,6 @@
 // What a map shows where: rows as cells of a grid, as quarters of a refined mesh's cells, or as marks.
 import { scaleOf } from "./axes.js";
-import { clamp } from "./numbers.js";
+import { clamp, lotOf } from "./numbers.js";
 
 /** @typedef {import("./axes.js").Scale} Scale */
 /** @typedef {import("./data.js").Column} Column */
@@ -20,6 +20,9 @@ import { clamp } from "./numbers.js";
  */
 
 const FULLEST = 400; // more values along an axis than that are no grid that a picture could show
+
+/** @type {Pick<Places, "form" | "bins" | "outlines">} of a plain grid */
+const GRIDDED = { form: "cells", bins: 0, outlines: new Float64Array() };
 
 /**
  * @param {Table} table
@@ -83,16 +86,7 @@ function celled(x, y, sx, sy, rows) {
     const start = left + step * taken[cell[k]]++;
     boxes.set([start, sy.edges?.[j] ?? 0, start + step, sy.edges?.[j + 1] ?? 1], 4 * k);
   });
-  return {
-    x: sx,
-    y: sy,
-    form: "cells",
-    rows: Int32Array.from(rows),
-    boxes,
-    cell,
-    bins: 0,
-    outlines: new Float64Array(),
-  };
+  return { ...GRIDDED, x: sx, y: sy, rows: Int32Array.from(rows), boxes, cell };
 }
 
 /**
@@ -109,36 +103,19 @@ function marked(x, y, rows, room) {
     boxes[4 * k] = sx.to(x.values[row] + (x.names ? scattered(row) : 0));
     boxes[4 * k + 1] = sy.to(y.values[row] + (y.names ? scattered(row + 1) : 0));
   });
-  const bins = binsFor(rows.length);
+  const bins = clamp(Math.round(Math.sqrt(rows.length / 20)), 3, 40); // in which some 20 marks are counted for a rate
   const bin = (/** @type {number} */ share) => clamp(Math.floor(share * bins), 0, bins - 1);
-  return {
-    x: sx,
-    y: sy,
-    form: "marks",
-    rows: Int32Array.from(rows),
-    boxes,
-    cell: Int32Array.from(rows, (_, k) => bin(boxes[4 * k + 1]) * bins + bin(boxes[4 * k])),
-    bins,
-    outlines: new Float64Array(),
-  };
+  const cell = Int32Array.from(rows, (_, k) => bin(boxes[4 * k + 1]) * bins + bin(boxes[4 * k]));
+  return { ...GRIDDED, x: sx, y: sy, form: "marks", rows: Int32Array.from(rows), boxes, cell, bins };
 }
 
 /**
- * Bins along either axis in which marks are counted for a rate: some 20 in each.
- * @param {number} count
- * @returns {number}
- */
-function binsFor(count) {
-  return clamp(Math.round(Math.sqrt(count / 20)), 3, 40);
-}
-
-/**
- * Where a mark of a name stands beside its middle, so that marks do not cover each other; the same for a row each time.
+ * Where a mark of a name stands beside its middle, so that marks do not cover each other.
  * @param {number} row
  * @returns {number}
  */
 function scattered(row) {
-  return (((row * 2654435761) >>> 8) % 1000) / 1400 - 0.357;
+  return lotOf(row) / 1400 - 0.357;
 }
 
 /**
@@ -177,13 +154,12 @@ function meshed(table, x, y, within, room, straight) {
     outlines.push(left, low, right, high);
   }
   return {
+    ...GRIDDED,
     x: sx,
     y: sy,
-    form: "cells",
     rows: Int32Array.from(rows),
     boxes: Float64Array.from(boxes),
     cell: Int32Array.from(rows, (_, k) => k),
-    bins: 0,
     outlines: Float64Array.from(outlines),
   };
 }

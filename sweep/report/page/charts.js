@@ -1,7 +1,7 @@
 // Smaller charts of what passes the filters: causes, what matters, distributions, rates, all pairs.
 import { alongOf, drawFrame, scaleOf, uneven, whole } from "./axes.js";
 import { binsOf, clipped, gridOf, smirnov } from "./data.js";
-import { byId, cssOf, element, offer, pointerOn, sheetOf } from "./dom.js";
+import { byId, cssOf, element, offer, optionsOf, pointerOn, sheetOf, straight } from "./dom.js";
 import { clamp, grouped, packRgb, rgbOf, shortly, wilson } from "./numbers.js";
 import { glyphOf, paintKind, pixelsOf, stampAt, stampOf } from "./paint.js";
 import { narrow } from "./state.js";
@@ -22,8 +22,18 @@ const PAIRED = 6; // columns of the matrix of pairs
  * @returns {(row: number) => number}
  */
 function sideOf({ table, state }) {
+  const side = ofAll(table);
+  return (row) => (state.mask[row] ? side(row) : 2);
+}
+
+/**
+ * The same, whether a row passes or not.
+ * @param {import("./data.js").Table} table
+ * @returns {(row: number) => number}
+ */
+function ofAll(table) {
   const sides = Uint8Array.from(table.about.kinds, ({ outcome }) => ({ success: 0, failure: 1, invalid: 2 })[outcome]);
-  return (row) => (state.mask[row] ? sides[table.kind[row]] : 2);
+  return (row) => sides[table.kind[row]];
 }
 
 /**
@@ -74,7 +84,7 @@ export function stageView(app) {
       pen.fillText("No rollout fails.", 4, 16);
     }
   };
-  return { root: canvas, draw, point: () => {}, resized: () => {} };
+  return { root: canvas, draw };
 }
 
 /**
@@ -140,17 +150,14 @@ export function importanceView(app) {
       pen.fillText(distance.toFixed(2), left + distance * room + 6, y + 8);
     });
     pen.strokeStyle = line;
-    pen.beginPath();
-    pen.moveTo(left - 0.5, 2);
-    pen.lineTo(left - 0.5, 6 + 24 * Math.min(16, found.length));
-    pen.stroke();
+    straight(pen, left - 0.5, 2, left - 0.5, 6 + 24 * Math.min(16, found.length));
     const one = found[0];
     byId("importance-note").textContent =
       one?.counts[0] && one.counts[1]
         ? `Among ${grouped(one.counts[0])} successes and ${grouped(one.counts[1])} failures.`
         : "Among what passes the filters not both succeed and fail.";
   };
-  return { root: canvas, draw, point: () => {}, resized: () => {} };
+  return { root: canvas, draw };
 }
 
 /**
@@ -163,14 +170,7 @@ export function rateView(app) {
   const canvas = /** @type {HTMLCanvasElement} */ (byId("rates"));
   const select = /** @type {HTMLSelectElement} */ (byId("rates-by"));
   const numbers = table.columns.filter((column) => !column.names);
-  offer(
-    select,
-    [
-      ["", "number of rollouts"],
-      ...numbers.map((column) => /** @type {[string, string]} */ ([column.key, column.title])),
-    ],
-    "",
-  );
+  offer(select, [["", "number of rollouts"], ...optionsOf(numbers)], "");
   select.addEventListener("change", () => app.redraw());
   const counting = Float64Array.from({ length: table.rows }, (_, row) => row);
   const draw = () => {
@@ -223,7 +223,7 @@ export function rateView(app) {
       { scale: y, title: "rate of success" },
     );
   };
-  return { root: canvas, draw, point: () => {}, resized: () => {} };
+  return { root: canvas, draw };
 }
 
 /**
@@ -338,19 +338,13 @@ export function distributionsView(app) {
       });
       pen.setLineDash([]);
       pen.strokeStyle = line;
-      pen.beginPath();
-      pen.moveTo(left, bottom + 0.5);
-      pen.lineTo(left + wide, bottom + 0.5);
-      pen.stroke();
+      straight(pen, left, bottom + 0.5, left + wide, bottom + 0.5);
       const place = (/** @type {number} */ value) => left + clamp(across.to(value), 0, 1) * wide;
       const limit = column.diverges ? 0 : column.limit;
       if (limit !== null && limit >= column.low && limit <= column.high) {
         pen.strokeStyle = ink;
         pen.setLineDash([3, 3]);
-        pen.beginPath();
-        pen.moveTo(place(limit), 8);
-        pen.lineTo(place(limit), bottom);
-        pen.stroke();
+        straight(pen, place(limit), 8, place(limit), bottom);
         pen.setLineDash([]);
       }
       const range = state.ranges.get(column.key);
@@ -371,7 +365,7 @@ export function distributionsView(app) {
       pen.fillText(column.title, width / 2, bottom + 18, width - 4);
     }
   };
-  return { root, draw, point: () => {}, resized: () => {} };
+  return { root, draw };
 }
 
 /**
@@ -437,7 +431,7 @@ export function pairsView(app) {
       }),
     );
   };
-  return { root: canvas, draw, point: () => {}, resized: () => {} };
+  return { root: canvas, draw };
 }
 
 /**
@@ -447,8 +441,7 @@ export function pairsView(app) {
  * @returns {{ column: Column, distance: number }[]}
  */
 export function rankedOf(table, order) {
-  const sides = table.about.kinds.map(({ outcome }) => ({ success: 0, failure: 1, invalid: 2 })[outcome]);
-  const side = (/** @type {number} */ row) => sides[table.kind[row]];
+  const side = ofAll(table);
   return table.columns
     .filter((column) => column.axis && !column.names)
     .map((column) => ({ column, distance: smirnov(order(column), column.values, side).distance }))

@@ -336,8 +336,16 @@ export function binsOf({ values }, bins, to) {
  * @param {Column} column
  * @returns {number[] | null} sorted
  */
-export function gridOf({ axis, drawn, names, values }) {
-  if (names) return names.map((_, code) => code);
-  if (!axis || drawn) return null;
+export function gridOf(column) {
+  if (column.names) return column.names.map((_, code) => code);
+  return column.axis && !column.drawn ? valuesOf(column) : null;
+}
+
+/**
+ * The values of a column, each once.
+ * @param {Column} column
+ * @returns {number[]} sorted
+ */
+export function valuesOf({ values }) {
   return [...new Set(values)].filter((value) => !Number.isNaN(value)).sort((a, b) => a - b);
 }

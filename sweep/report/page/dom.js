@@ -32,6 +32,15 @@ export function element(tag, attributes = {}, ...children) {
 }
 
 /**
+ * Columns as options of a selection list.
+ * @param {import("./data.js").Column[]} columns
+ * @returns {[string, string][]}
+ */
+export function optionsOf(columns) {
+  return columns.map(({ key, title }) => [key, title]);
+}
+
+/**
  * Fill a selection list.
  * @param {HTMLSelectElement} select
  * @param {[string, string][]} options values and words
@@ -67,6 +76,21 @@ export function sheetOf(canvas) {
   pen.font = `12px ${getComputedStyle(document.body).fontFamily}`;
   pen.lineJoin = "round";
   return { pen, width, height, ratio };
+}
+
+/**
+ * A straight line.
+ * @param {CanvasRenderingContext2D} pen
+ * @param {number} x
+ * @param {number} y
+ * @param {number} toX
+ * @param {number} toY
+ */
+export function straight(pen, x, y, toX, toY) {
+  pen.beginPath();
+  pen.moveTo(x, y);
+  pen.lineTo(toX, toY);
+  pen.stroke();
 }
 
 /**

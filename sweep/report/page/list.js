@@ -102,5 +102,5 @@ export function listView(app) {
     back.disabled = first === 0;
     on.disabled = first + LINES >= state.passing;
   };
-  return { root, draw, point: () => {}, resized: () => {} };
+  return { root, draw };
 }

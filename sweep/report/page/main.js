@@ -52,7 +52,7 @@ import { narrow, showAll, sift, stateOf } from "./state.js";
  */
 
 /** @typedef {"cells" | "marks"} Form */
-/** @typedef {{ root: HTMLElement, draw: () => void | Promise<void>, point: () => void, resized: () => void }} View */
+/** @typedef {{ root: HTMLElement, draw: () => void | Promise<void>, point?: () => void, resized?: () => void }} View */
 
 const SETTLED = 250; // ms after which the address says what is looked at
 
@@ -133,11 +133,11 @@ async function begin() {
     point: (row) => {
       if (row === state.cursor) return;
       state.cursor = row;
-      for (const view of views) if (visible(view.root)) view.point();
+      for (const view of views) if (visible(view.root)) view.point?.();
     },
     mark: (row) => {
       state.chosen = row;
-      for (const view of views) if (visible(view.root)) view.point();
+      for (const view of views) if (visible(view.root)) view.point?.();
       app.remember();
     },
     choose: (row) => {
@@ -194,7 +194,7 @@ async function begin() {
   const again = () => {
     theme = themeNow();
     looks = about.kinds.map((/** @type {import("./data.js").Kind} */ kind) => lookOf(kind, theme));
-    for (const view of views) view.resized();
+    for (const view of views) view.resized?.();
     chips();
     app.redraw();
     player.draw();

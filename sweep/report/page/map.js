@@ -1,8 +1,8 @@
 // The map: every rollout over two columns, as cells or marks; hover, brush, keyboard.
 import { drawFrame, whole } from "./axes.js";
 import { placesOf } from "./cells.js";
-import { clipped, inflate, readCounts } from "./data.js";
-import { byId, element, offer, pointerOn, sheetOf } from "./dom.js";
+import { clipped, inflate, readCounts, valuesOf } from "./data.js";
+import { byId, element, offer, optionsOf, pointerOn, sheetOf } from "./dom.js";
 import { KIND, markSize, paintCells, paintDensity, paintMarks, RATE, spanOf, spotOf } from "./fill.js";
 import { clamp, grouped, packRgb, scaleColour, shortly } from "./numbers.js";
 import { ownerNear, pixelsOf } from "./paint.js";
@@ -29,14 +29,12 @@ export function mapView(app) {
   const over = /** @type {HTMLCanvasElement} */ (byId("map-over"));
   const tip = byId("map-tip");
   const selects = ["map-x", "map-y", "map-colour"].map((id) => /** @type {HTMLSelectElement} */ (byId(id)));
-  const names = table.columns.map((column) => /** @type {[string, string]} */ ([column.key, column.title]));
+  const names = optionsOf(table.columns);
   const { wanted } = app;
   const start = [wanted.x, wanted.y].every((key) => table.named.has(key)) ? [wanted.x, wanted.y] : startOf(app);
   offer(selects[0], names, start[0]);
   offer(selects[1], names, start[1]);
-  const numbers = table.columns
-    .filter((column) => !column.names)
-    .map((column) => /** @type {[string, string]} */ ([column.key, column.title]));
+  const numbers = optionsOf(table.columns.filter((column) => !column.names));
   offer(selects[2], [[KIND, "outcome and cause"], [RATE, "rate of success"], ...numbers], KIND);
   if (wanted.colour === RATE || table.named.has(wanted.colour)) selects[2].value = wanted.colour;
 
@@ -371,14 +369,6 @@ export function mapView(app) {
     point: drawOver,
     resized: () => (places = null),
   };
-
-  /**
-   * @param {Column} column
-   * @returns {number[]}
-   */
-  function valuesOf(column) {
-    return [...new Set(column.values)].filter((value) => !Number.isNaN(value)).sort((a, b) => a - b);
-  }
 }
 
 /**

@@ -50,6 +50,15 @@ export function clamp(value, low, high) {
 }
 
 /**
+ * A number from 0 to 999 that is a row's own, the same each time.
+ * @param {number} row
+ * @returns {number}
+ */
+export function lotOf(row) {
+  return ((row * 2654435761) >>> 8) % 1000;
+}
+
+/**
  * Where `count` cells begin and end that lie about sorted values: half-way between them.
  * @param {ArrayLike<number>} values
  * @returns {Float64Array}

@@ -1,13 +1,18 @@
 // What lies over the map's cells and marks: outlines, limits of theories, the line of a used-up margin, rings.
 import { zeroLines } from "./contour.js";
 import { clipped } from "./data.js";
-import { cssOf } from "./dom.js";
+import { cssOf, straight } from "./dom.js";
 
 /** @typedef {import("./cells.js").Places} Places */
 /** @typedef {import("./data.js").Column} Column */
 /** @typedef {import("./main.js").App} App */
 
 const LINE = 16; // pixels from one line of text to the next
+const DASHES = [
+  [7, 4],
+  [7, 3, 2, 3],
+  [2, 3],
+]; // of limits, one after the other
 
 /**
  * Outlines of the cells that refinement ended with.
@@ -47,17 +52,10 @@ export function drawZero(app, pen, x, y, here, area) {
   pen.strokeStyle = app.theme().ink;
   pen.lineWidth = 1;
   pen.setLineDash([5, 3]);
-  pen.beginPath();
-  const [right, up] = [here.x.to(0) * area.width, (1 - here.y.to(0)) * area.height];
-  if (x.diverges && right > 0 && right < area.width) {
-    pen.moveTo(area.left + right, area.top);
-    pen.lineTo(area.left + right, area.top + area.height);
-  }
-  if (y.diverges && up > 0 && up < area.height) {
-    pen.moveTo(area.left, area.top + up);
-    pen.lineTo(area.left + area.width, area.top + up);
-  }
-  pen.stroke();
+  const { left, top, width, height } = area;
+  const [across, down] = [left + here.x.to(0) * width, top + (1 - here.y.to(0)) * height];
+  if (x.diverges && across > left && across < left + width) straight(pen, across, top, across, top + height);
+  if (y.diverges && down > top && down < top + height) straight(pen, left, down, left + width, down);
   pen.setLineDash([]);
 }
 
@@ -72,19 +70,12 @@ export function drawZero(app, pen, x, y, here, area) {
 export function drawContour(app, pen, here, column, area) {
   const lines = zeroLines(here, (row) => column.values[row]);
   pen.lineCap = "round";
-  for (const [colour, width] of /** @type {[string, number][]} */ ([
-    [app.theme().panel, 4],
-    [app.theme().ink, 1.8],
-  ])) {
-    pen.strokeStyle = colour;
-    pen.lineWidth = width;
-    pen.beginPath();
+  outlined(app, pen, app.theme().ink, [4, 1.8], () => {
     for (let k = 0; k < lines.length; k += 4) {
       pen.moveTo(area.left + lines[k] * area.width, area.top + (1 - lines[k + 1]) * area.height);
       pen.lineTo(area.left + lines[k + 2] * area.width, area.top + (1 - lines[k + 3]) * area.height);
     }
-    pen.stroke();
-  }
+  });
   pen.lineCap = "butt";
 }
 
@@ -114,23 +105,8 @@ export function drawTheory(app, pen, x, y, here, area) {
       const [u, v] = curve.of === x.key ? [limit, along] : [along, limit];
       return [[area.left + here.x.to(u) * area.width, area.top + (1 - here.y.to(v)) * area.height]];
     });
-    for (const [colour, width] of /** @type {[string, number][]} */ ([
-      [app.theme().panel, 5],
-      [app.theme().ink, 2],
-    ])) {
-      pen.strokeStyle = colour;
-      pen.lineWidth = width;
-      pen.setLineDash(
-        [
-          [7, 4],
-          [7, 3, 2, 3],
-          [2, 3],
-        ][number % 3],
-      );
-      pen.beginPath();
-      spots.forEach(([u, v], k) => (k ? pen.lineTo(u, v) : pen.moveTo(u, v)));
-      pen.stroke();
-    }
+    pen.setLineDash(DASHES[number % DASHES.length]);
+    outlined(app, pen, app.theme().ink, [5, 2], () => spots.forEach(([u, v]) => pen.lineTo(u, v)));
     pen.setLineDash([]);
     const end = spots
       .filter(
@@ -166,15 +142,23 @@ export function drawTheory(app, pen, x, y, here, area) {
  * @param {string} colour
  * @param {[number, number]} widths of what is around it, and its own
  */
-export function drawRing(app, pen, [u, v], size, colour, [around, own]) {
-  for (const [stroke, width] of /** @type {[string, number][]} */ ([
-    [app.theme().panel, around],
-    [colour, own],
-  ])) {
-    pen.strokeStyle = stroke;
-    pen.lineWidth = width;
-    pen.beginPath();
-    pen.arc(u, v, size, 0, 2 * Math.PI);
-    pen.stroke();
-  }
+export function drawRing(app, pen, [u, v], size, colour, widths) {
+  outlined(app, pen, colour, widths, () => pen.arc(u, v, size, 0, 2 * Math.PI));
+}
+
+/**
+ * A line that stands out from whatever is under it.
+ * @param {App} app
+ * @param {CanvasRenderingContext2D} pen
+ * @param {string} colour
+ * @param {[number, number]} widths of what is around it, and its own
+ * @param {() => void} path
+ */
+function outlined(app, pen, colour, [around, own], path) {
+  pen.beginPath();
+  path();
+  [pen.strokeStyle, pen.lineWidth] = [app.theme().panel, around];
+  pen.stroke();
+  [pen.strokeStyle, pen.lineWidth] = [colour, own];
+  pen.stroke();
 }

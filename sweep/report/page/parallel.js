@@ -1,8 +1,8 @@
 // Parallel coordinates: a line for each rollout from axis to axis, brushed along each; drawn in slices of time.
 import { alongOf, snapped, ticksAlong } from "./axes.js";
 import { clipped, gridOf } from "./data.js";
-import { byId, cssOf, pointerOn, sheetOf } from "./dom.js";
-import { clamp, grouped, shortly } from "./numbers.js";
+import { byId, cssOf, pointerOn, sheetOf, straight } from "./dom.js";
+import { clamp, grouped, lotOf, shortly } from "./numbers.js";
 import { narrow } from "./state.js";
 
 /** @typedef {import("./data.js").Column} Column */
@@ -33,7 +33,7 @@ export function parallelView(app) {
   const partOf = (/** @type {Column} */ column) => {
     const { to } = alongOf(column, ways.get(column));
     const { values, names } = column;
-    return Float32Array.from(values, (value, row) => to(value + (names ? jitter(row) : 0)));
+    return Float32Array.from(values, (value, row) => to(value + (names ? lotOf(row) / 5000 - 0.1 : 0)));
   };
   /** @type {Float32Array[]} shares of each axis by row */
   let parts = every.map(partOf);
@@ -88,10 +88,7 @@ export function parallelView(app) {
       axes.forEach((column, axis) => {
         pen.strokeStyle = line;
         pen.lineWidth = 1;
-        pen.beginPath();
-        pen.moveTo(places[axis], top);
-        pen.lineTo(places[axis], top + height);
-        pen.stroke();
+        straight(pen, places[axis], top, places[axis], top + height);
         pen.textAlign =
           axis === 0 && axes.length > 1 ? "left" : axis === axes.length - 1 && axes.length > 1 ? "right" : "center";
         const at =
@@ -180,11 +177,7 @@ export function parallelView(app) {
       pen.lineWidth = 2.5;
       pen.strokeStyle = app.theme().accent;
       pen.beginPath();
-      shares.forEach((share, axis) => {
-        const y = top + (1 - share[row]) * height;
-        if (axis) pen.lineTo(xOf(axis), y);
-        else pen.moveTo(xOf(axis), y);
-      });
+      shares.forEach((share, axis) => pen.lineTo(xOf(axis), top + (1 - share[row]) * height));
       pen.stroke();
     }
   };
@@ -267,7 +260,7 @@ export function parallelView(app) {
     const said = now ? `from ${shortly(now.low)} to ${shortly(now.high)}` : "all";
     app.tell(`${axes[keyed].title}: ${said}; ${grouped(state.passing)} rollouts`);
   });
-  return { root: base, draw, point: drawOver, resized: () => {} };
+  return { root: base, draw, point: drawOver };
 }
 
 /**
@@ -301,14 +294,6 @@ function twoLines({ label, unit }) {
   const cut = label.indexOf(" (");
   const second = [cut > 0 ? label.slice(cut + 1) : "", unit ? `[${unit}]` : ""].filter(Boolean).join(" ");
   return [clipped(cut > 0 ? label.slice(0, cut) : label), second];
-}
-
-/**
- * @param {number} row
- * @returns {number}
- */
-function jitter(row) {
-  return (((row * 2654435761) >>> 8) % 1000) / 5000 - 0.1;
 }
 
 /**

@@ -1,5 +1,5 @@
 // The robot on its obstacle, drawn on a canvas: no more than polygons, thick lines and their order.
-import { cssOf } from "./dom.js";
+import { cssOf, straight } from "./dom.js";
 import { plus, rotated } from "./kinematics.js";
 import { clamp, mixed } from "./numbers.js";
 import { backToFront, hides, isLink, solidOf } from "./solids.js";
@@ -287,10 +287,7 @@ function drawShadows(view, ground, casting) {
       if (!b) continue;
       pen.strokeStyle = cssOf([0, 0, 0], opacity);
       pen.lineWidth = ((2.4 * (solid.geom.size?.[0] ?? 0.01)) / ((a.depth + b.depth) / 2)) * view.focus;
-      pen.beginPath();
-      pen.moveTo(a.x, a.y);
-      pen.lineTo(b.x, b.y);
-      pen.stroke();
+      straight(pen, a.x, a.y, b.x, b.y);
     } else if (solid.geom.shape === "box") {
       const shadow = cssOf([0, 0, 0], opacity / 2);
       for (const face of solid.faces.slice(4))
@@ -444,10 +441,7 @@ export function drawForces(view, model, poses, force, arrow) {
     ])) {
       pen.strokeStyle = pen.fillStyle = stroke;
       pen.lineWidth = wide;
-      pen.beginPath();
-      pen.moveTo(p.x, p.y);
-      pen.lineTo(...tip(head, 0));
-      pen.stroke();
+      straight(pen, p.x, p.y, ...tip(head, 0));
       pen.beginPath();
       pen.moveTo(q.x, q.y);
       pen.lineTo(...tip(head, head / 2));
