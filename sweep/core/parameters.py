@@ -131,10 +131,12 @@ def written(unit: str) -> str:
 
 def bounds_text(field: "dataclasses.Field[Any]") -> str:
     """The bounds of `field` in words, with its unit."""
-    meta = field.metadata
-    parts = [
-        f"{word} {meta[key]:g}"
-        for key, word in (("above", "greater than"), ("at_least", "at least"), ("at_most", "at most"))
-        if math.isfinite(meta[key])
-    ]
-    return " and ".join(parts or ["finite"]) + ("" if meta["unit"] in ("", "-") else f" {written(meta['unit'])}")
+    unit = written(field.metadata["unit"])
+    return in_words(field.metadata) + (f" {unit}" if unit else "")
+
+
+def in_words(bounds: Mapping[str, Any]) -> str:
+    """What numbers are allowed by `above`, `at_least`, `below` and `at_most`, as far as these are finite."""
+    words = {"above": "greater than", "at_least": "at least", "below": "less than", "at_most": "at most"}
+    parts = [f"{word} {bounds[key]:g}" for key, word in words.items() if math.isfinite(bounds.get(key, math.inf))]
+    return " and ".join(parts) or "finite"

@@ -19,6 +19,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.core.errors import InputError, known
+from sweep.core.parameters import in_words
 
 type Scalar = Float[Array, "..."] | float
 
@@ -69,14 +70,7 @@ class Input:
         """What is allowed, in words and with the unit."""
         if self.options:
             return f"one of {', '.join(map(str, self.options))}"
-        bounds = (
-            ("greater than", self.above),
-            ("at least", self.at_least),
-            ("less than", self.below),
-            ("at most", self.at_most),
-        )
-        words = " and ".join(f"{word} {bound:g}" for word, bound in bounds if math.isfinite(bound))
-        return f"{words or 'finite'}{f' {self.unit}' if self.unit else ''}"
+        return f"{in_words(vars(self))}{f' {self.unit}' if self.unit else ''}"
 
 
 def positive(unit: str, default: float, below: float = math.inf) -> Input:
