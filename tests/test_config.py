@@ -102,6 +102,7 @@ BAD = [
     ("contact.friction='${oc.env:SECRET}'", ["contact.friction = ${oc.env:SECRET}", "another key"]),
     ("study.name=${oc.env:SECRET}", ["study.name = ${oc.env:SECRET}", "another key"]),
     ("scenario.expect=[{at_least: 2}]", ["scenario.expect.0.at_least = 2", "0 to 1"]),
+    ("scenario.expect=[{at_least: 0.9, at_most: 0.8}]", ["scenario.expect.0.at_least = 0.9", "at most", "0.8"]),
 ]
 
 

@@ -8,7 +8,6 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from sweep.analysis.intervals import Interval, wilson
-from sweep.core.errors import InputError
 from sweep.core.expressions import mask
 from sweep.study.study import Expectation
 
@@ -93,8 +92,6 @@ def broken(expectations: tuple[Expectation, ...], rows: pd.DataFrame) -> list[st
     lines = []
     valid = rows[rows["outcome"] != "invalid"]
     for one in expectations:
-        if one.at_least > one.at_most:
-            raise InputError(f"expectation at_least = {one.at_least:g} is above at_most = {one.at_most:g}")
         among = valid[mask(valid, one.where)]
         what = f"share of {one.that}" + (f" where {one.where}" if one.where else "")
         if among.empty:

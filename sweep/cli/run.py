@@ -24,7 +24,7 @@ from sweep.runs.batches import nominal as nominal_batch
 from sweep.study import designs
 from sweep.study.clusters import Watched, connected
 from sweep.study.config import Experiment, composed, experiment
-from sweep.study.study import parameter_columns, unit
+from sweep.study.study import check_expect, parameter_columns, unit
 from sweep.systems import kind_of
 
 JITTER = ["study=any_jitter"]  # sixteen rollouts that differ by 1e-6
@@ -53,6 +53,7 @@ def execute(exp: Experiment, flags: Flags) -> int:
         return execute_single(exp, flags)
     folder = exp.folder
     first = runner.wanted_points(exp, flags.where, flags.limit, lambda line: print(f"sweep: {line}", file=sys.stderr))
+    check_expect(exp.study, exp.system, first)
     whole = flags.where is None and flags.limit is None
     if exp.study.refined:
         refine.check(exp.study, first)
@@ -123,6 +124,7 @@ def execute_single(exp: Experiment, flags: Flags) -> int:
     """
     if exp.study.keep:
         raise InputError("study.keep keeps time histories beside a study's rows: give study=NAME or out=DIR")
+    check_expect(exp.study, exp.system)
     if flags.dry_run:
         print(f"{exp.scenario}: 1 rollout on {exp.settings.name}")
         return DONE

@@ -19,6 +19,7 @@ from sweep.core.expressions import mask
 from sweep.core.parameters import checked, count, within
 from sweep.engines.settings import EngineSettings
 from sweep.study import designs, searches
+from sweep.study.columns import LABELS, PLAN, TIMING
 from sweep.study.designs import Axis, Design
 from sweep.study.distributions import keyed
 from sweep.study.identity import DIGITS, point_ids, row_streams, streams
@@ -154,7 +155,10 @@ def _expectation(key: str, given: Any) -> Expectation:
         value = given.get(limit, 0)
         if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= 1:
             raise InputError(f"{key}.{limit} = {value!r} is not allowed: a share from 0 to 1")
-    return Expectation(**given)
+    one = Expectation(**given)
+    if one.at_least > one.at_most:
+        raise InputError(f"{key}.at_least = {one.at_least:g} is not allowed: at most its at_most, {one.at_most:g}")
+    return one
 
 
 def unit(column: str, system: System, settings: EngineSettings) -> str:
@@ -181,6 +185,21 @@ def check_keep(study: Study, system: System, settings: EngineSettings) -> None:
     if study.keep and (round(ticks) < 1 or abs(ticks - round(ticks)) > 1e-6):
         rate = f"a whole fraction of the control rate, {1 / settings.control_period:g} a second"
         raise InputError(f"study.keep_rate = {study.keep_rate:g} is not allowed: {rate}")
+
+
+def check_expect(study: Study, system: System, points: "pd.DataFrame | None" = None) -> None:
+    """Raise `InputError` where something is expected of columns that rows of these points will not have."""
+    import pandas as pd
+
+    names = (*(points if points is not None else ()), *PLAN, *LABELS, *TIMING, *system.figures)
+    rows = pd.DataFrame(columns=list(dict.fromkeys(names)), dtype=object)
+    for i, one in enumerate(study.expect):
+        for key, condition in (("where", one.where), ("that", one.that)):
+            try:
+                mask(rows, condition)
+            except InputError as error:
+                source = "scenario" if study.single else "study"
+                raise InputError(f"{source}.expect.{i}.{key}: {error}") from None
 
 
 def points(

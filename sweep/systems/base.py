@@ -61,6 +61,11 @@ class System(Protocol):
         ...
 
     @property
+    def figures(self) -> Collection[str]:
+        """All that a row may say of what was measured."""
+        ...
+
+    @property
     def silent(self) -> Collection[str]:
         """Figures that outcomes are derived from and that say nothing beside them."""
         ...

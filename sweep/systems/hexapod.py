@@ -67,6 +67,7 @@ class Hexapod:
     groups = tuple(f.name for f in dataclasses.fields(Case))
     causes = outcome.MEANING
     doubts = tuple(outcome.DOUBTS)
+    figures = frozenset({*outcome.COLUMNS, *outcome.BOOKKEEPING})
     silent = frozenset(outcome.BOOKKEEPING | {"finite", "finished", "end_stage"})
     shown = ("mcap", "states", "model", "plot", "png", "video")
     lacks = MappingProxyType({})

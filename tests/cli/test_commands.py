@@ -95,6 +95,8 @@ def test_points_from_a_file(tmp_path, capsys):
         ["run", "+study.axes.a={path: contact.frction, values: [1]}"],
         ["run", *SMALL, "--where", "frction > 1"],
         ["run", *SMALL, "--limit", "0"],
+        ["run", *SMALL, "study.expect=[{where: frction > 1}]"],
+        ["run", "scenario.expect=[{that: slip_mx_m < 1}]"],
         ["status", "nowhere"],
         ["table", "nowhere"],
         ["relabel", "nowhere", "slip_max_m<1"],

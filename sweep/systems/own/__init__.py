@@ -66,6 +66,11 @@ class Own(Subject):
         return {one.cause: one.sentence for one in self.conditions} | outcome.DOUBTS
 
     @property
+    def figures(self) -> tuple[str, ...]:
+        """See `System`."""
+        return (*figures.names(self), *self.controller.measured)
+
+    @property
     def recorded(self) -> tuple[str, ...]:
         """See `System`."""
         return tuple(self.record(self.model.qpos0[None], np.zeros((1, self.model.nv))))
@@ -191,7 +196,7 @@ def nominal(values: Mapping[str, Any], kinds: Kinds) -> Nominal:
         known(path, own.ranges, path)
     numbers = tuple((path, checked(one, asked.get(path, one.default), path)) for path, one in own.ranges.items())
     _ = own.told_of, own.keyframe  # which refuse unknown names
-    conditions = outcome.parse(values.get("outcome") or {}, {*figures.names(own), *own.controller.measured})
+    conditions = outcome.parse(values.get("outcome") or {}, own.figures)
     content = about.content or _content(own)
     own = replace(own, about=replace(about, content=content), numbers=numbers, conditions=conditions)
     settings, told = replace(settings, control_period=about.period), {**values["model"], "content": content}
