@@ -77,6 +77,7 @@ BAD = [
     ("robot.thigh=520", ["robot.thigh = 520 is not allowed: is it 0.52 m?", "at most 20 times the nominal 0.52 m"]),
     ("robot.shin=33.5", ["robot.shin = 33.5 is not allowed: is it 0.335 m?"]),
     ("contact.friction=-1", ["contact.friction = -1", "at least 0"]),
+    ("noise.delay=0.02", ["noise.delay = 0.02", "a whole number of control ticks"]),
     ("scenario=wlak_tripod", ["scenario = wlak_tripod", "did you mean walk_tripod?"]),
     ("robot.mounts=star", ["robot.mounts = 'star'", "rectangle, circle"]),
     ("frictoin=1", ["frictoin = 1", "contact"]),

@@ -113,8 +113,9 @@ def _checked_number(field: "dataclasses.Field[Any]", value: Any, path: str) -> f
         )
     if not within(field, value):
         raise InputError(f"{path} = {value:g} is not allowed: {bounds_text(field)}")
-    if whole and int(value) != value:
-        raise InputError(f"{path} = {value!r} is not allowed: a whole number")
+    ticks = field.metadata["unit"] == "ticks"  # only what is drawn is rounded: seconds would be no delay at all
+    if (whole or ticks) and int(value) != value:
+        raise InputError(f"{path} = {value!r} is not allowed: a whole number{' of control ticks' * ticks}")
     return int(value) if whole else float(value)
 
 
