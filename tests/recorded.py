@@ -20,8 +20,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from sweep.controllers import tracker
-from sweep.controllers.feedforward import Feedforward
 from sweep.controllers.forces import KNOTS, PlannedForces
+from sweep.controllers.layers import Feedforward
 from sweep.controllers.observation import Observation
 from sweep.core.errors import InputError
 from sweep.fused import eager

@@ -14,8 +14,8 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
+from sweep.controllers.frames import Stance
 from sweep.controllers.manoeuvres.walking.walk import standing
-from sweep.controllers.plan import Stance
 from sweep.controllers.tracker import joint_targets
 from sweep.core.constants import GRAVITY
 from sweep.engines.native import native_model

@@ -6,12 +6,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from sweep.controllers.easing import Ease
 from sweep.controllers.flywheel import Flywheel, Gains
-from sweep.controllers.held_legs import HeldLegs
-from sweep.controllers.plan import Curves, Plan, Stage, Stance, Ways, stance_to_frame, stance_to_world
+from sweep.controllers.frames import Stance, stance_to_frame, stance_to_world
+from sweep.controllers.layers import Ease, HeldLegs
+from sweep.controllers.plan import Curves, Plan, Stage, Support, Ways
 from sweep.controllers.programme import Programme
-from sweep.controllers.support import Support
 from sweep.core.rotations import exponential, multiply
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.surface import FreeState

@@ -4,8 +4,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from sweep.controllers.frames import Stance
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import Stance
 from sweep.controllers.posture import feet_in_world, mass_centre
 from sweep.controllers.tracker import joint_targets
 from sweep.core.constants import GRAVITY

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from sweep.controllers.plan import Stance
+from sweep.controllers.frames import Stance
 from sweep.controllers.posture import feet_in_world
 from sweep.core.rotations import exponential, multiply, rotate
 from sweep.models.control import Control

@@ -13,9 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from sweep.controllers.feedforward import Feedforward
-from sweep.controllers.frames import ground
-from sweep.controllers.plan import Plan, Stage, Stance, begins, reference, stance_to_world
+from sweep.controllers.frames import Stance, ground, stance_to_world
+from sweep.controllers.layers import Feedforward
+from sweep.controllers.plan import Plan, Stage, begins, reference
 from sweep.controllers.posture import foot_positions, mass_centre
 from sweep.controllers.tracker import joint_targets
 from sweep.core.constants import GRAVITY

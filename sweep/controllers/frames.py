@@ -1,4 +1,6 @@
-"""Frames in which a plan's targets live (`sweep/models/frames.py`), from one to another."""
+"""Where feet and base are told to be, in the frames of a plan (`sweep/models/frames.py`), from one to another."""
+
+from typing import NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
@@ -6,6 +8,14 @@ from jaxtyping import Array, Float, Int
 from sweep.core.rotations import conjugate, multiply, rotate
 from sweep.models.frames import fixed, koenig
 from sweep.models.obstacles.surface import FreeState, Obstacle, Surface, free_start, poses, under
+
+
+class Stance(NamedTuple):
+    """Where feet and base are, or are meant to be. World axes."""
+
+    feet: Float[Array, "6 3"]  # m
+    position: Float[Array, " 3"]  # m, of the base
+    quat: Float[Array, " 4"]  # base to world
 
 
 def to_world(points: Float[Array, "n 3"], frame: Int[Array, " n"], free: FreeState) -> Float[Array, "n 3"]:
@@ -43,6 +53,18 @@ def attitude_to_frame(quat: Float[Array, " 4"], frame: Int[Array, ""], free: Fre
     for k in range(free.position.shape[0]):
         quat = jnp.where(frame == fixed(k), multiply(conjugate(free.quat[k]), quat), quat)
     return quat
+
+
+def stance_to_world(stance: Stance, feet: Int[Array, " 6"], base: Int[Array, ""], free: FreeState) -> Stance:
+    """A stance whose feet and base are in the given frames."""
+    position = to_world(stance.position[None], base[None], free)[0]
+    return Stance(to_world(stance.feet, feet, free), position, attitude_to_world(stance.quat, base, free))
+
+
+def stance_to_frame(stance: Stance, feet: Int[Array, " 6"], base: Int[Array, ""], free: FreeState) -> Stance:
+    """The inverse of `stance_to_world`."""
+    position = to_frame(stance.position[None], base[None], free)[0]
+    return Stance(to_frame(stance.feet, feet, free), position, attitude_to_frame(stance.quat, base, free))
 
 
 def _goes_with(frame: Int[Array, " n"], body: int) -> Array:

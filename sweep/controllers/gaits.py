@@ -6,7 +6,8 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from sweep.controllers.plan import CYCLE_A, Stage, Stance
+from sweep.controllers.frames import Stance
+from sweep.controllers.plan import CYCLE_A, Stage
 from sweep.formulas import stepping
 from sweep.models.legs import LEGS
 

@@ -1,11 +1,18 @@
 """What a plan adds to the core of its tracker: layers, each with a table of its own, and a state where it needs one."""
 
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from sweep.controllers.frames import Stance, to_frame, to_world
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import Plan, Stance
+from sweep.controllers.plan import Plan
+from sweep.controllers.posture import feet_in_world
+from sweep.core.rotations import nearest
+from sweep.formulas import stepping
 from sweep.models.drive import Servo
 from sweep.models.obstacles.surface import FreeState
 from sweep.models.robot import Robot
@@ -77,3 +84,100 @@ class Layer:
     def driven(self, now: Now, joints: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
         """What the drives are told (rad) to have the joints at `joints`."""
         return joints
+
+
+class Slack(NamedTuple):
+    """Where feet are on their way, see `Ease`. World axes."""
+
+    command: Float[Array, "6 3"]  # m, in the last tick, from the origins of their frames
+    left: Float[Array, "6 3"]  # m, from where they stand to where they were commanded before the stage
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Ease(Layer):
+    """Feet that go over to where a stage takes them to stand: a jump would have the drives kick."""
+
+    time: Float[Array, ""]  # s, that it takes
+
+    def begun(self, start: Stance, joints: Float[Array, "6 3"], free: FreeState) -> Slack:
+        """Feet that stand where they were commanded."""
+        return Slack(start.feet, jnp.zeros_like(start.feet))
+
+    def led(self, now: Now, own: Slack, target: Stance) -> tuple[Slack, Stance]:
+        """The feet on their way, evenly within `time`."""
+        frame, nowhere = now.plan.foot_frame, jnp.zeros((6, 3))
+        was, here = (to_world(nowhere, frame[stage], now.free) for stage in (now.before, now.stage))
+        left = jnp.where(now.begins, own.command + was - target.feet, own.left)
+        feet = target.feet + jnp.clip(1 - now.clock / self.time, 0.0, 1.0) * left
+        return Slack(feet - here, left), target._replace(feet=feet)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class HeldLegs(Layer):
+    """Legs that follow joint angles instead of footholds: which do, and where they go, over S stages.
+
+    The state is where the joints (rad) were as the stage began.
+    """
+
+    held: Bool[Array, "s 6"]
+    joints: Float[Array, "s 6 3"]  # rad, at the end of the stage
+
+    def begun(self, start: Stance, joints: Float[Array, "6 3"], free: FreeState) -> Float[Array, "6 3"]:
+        """The joint angles (rad) at the start."""
+        return joints
+
+    def commanded(self, now: Now, own: Float[Array, "6 3"], command: Command) -> tuple[Float[Array, "6 3"], Command]:
+        """These legs on their straight way in joint space, spent by lambda_1; their reach counts for nothing."""
+        origin, held = jnp.where(now.begins, now.joints, own), self.held[now.stage]
+        goal = nearest(self.joints[now.stage], origin)
+        posed = origin + stepping.lambda_1(now.phase, 0.0, 1.0)[0] * (goal - origin)
+        joints, target = jnp.where(held[:, None], posed, command.joints), command.target
+        feet = feet_in_world(now.robot, target.position, target.quat, joints)
+        target = target._replace(feet=jnp.where(held[:, None], feet, target.feet))
+        shortfall = jnp.where(held, 0.0, command.shortfall)
+        return origin, command._replace(joints=joints, target=target, shortfall=shortfall)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Feedforward(Layer):
+    """Holding on with planned foot forces, over S stages and K even moments of each.
+
+    The drives are told of a force as an offset of their targets. It acts as planned only where the foothold is the
+    place at which the foot really stands: 1 mm off is a force as large as the robot's weight.
+    """
+
+    offset: Float[Array, "s k 6 3"]  # rad, that the drives turn into the joint torques wanted
+    imbalance: Float[Array, " s"]  # what the forces leave of the weight; more than a little where none hold it
+    inward: Float[Array, "s 6 3"]  # unit vectors into the surface at the footholds
+    creep: Float[Array, ""]  # m/s, of a foot that has not touched down at the end of its swing
+    anchoring: Float[Array, ""]  # s, in which the foothold of a loaded foot follows the place where it really is
+
+    def anchored(self, now: Now, feet: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
+        """Those of loaded standing feet follow the feet."""
+        stage, seen = now.stage, now.seen
+        places = feet_in_world(now.robot, seen.position, seen.quat, seen.angles)
+        real = to_frame(places, now.plan.foot_frame[stage], now.free)
+        share = jnp.where(seen.loaded & ~now.plan.swing[stage], jnp.minimum(1.0, now.period / self.anchoring), 0.0)
+        return feet + share[:, None] * (real - feet)
+
+    def crept(
+        self, plan: Plan, stage: Int[Array, ""], clock: Float[Array, ""], feet: Float[Array, "6 3"]
+    ) -> Float[Array, "6 3"]:
+        """Swinging feet go on inwards while the stage waits for their touchdown."""
+        late = jnp.maximum(clock - plan.duration[stage], 0.0)
+        return feet + jnp.where(plan.swing[stage][:, None], self.creep * late * self.inward[stage], 0.0)
+
+    def driven(self, now: Now, joints: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
+        """With the planned offset."""
+        return joints + between(self.offset, now.stage, now.phase)
+
+
+def between(moments: Float[Array, "s k 6 3"], stage: Int[Array, ""], phase: Float[Array, ""]) -> Float[Array, "6 3"]:
+    """What is planned for k even moments of every stage, at `phase` (0 to 1) of one: linear between them."""
+    last = moments.shape[1] - 1
+    before = jnp.minimum((phase * last).astype(jnp.int32), last - 1)
+    share = phase * last - before
+    return (1 - share) * moments[stage, before] + share * moments[stage, before + 1]

@@ -9,10 +9,10 @@ from jaxtyping import Array, Float, Int
 
 from sweep.controllers import touch
 from sweep.controllers.calibration import Calibrated
-from sweep.controllers.feedforward import Feedforward
-from sweep.controllers.held_legs import HeldLegs
+from sweep.controllers.frames import Stance, stance_to_world
+from sweep.controllers.layers import Feedforward, HeldLegs
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import Plan, Stance, stance_to_world
+from sweep.controllers.plan import Plan
 from sweep.controllers.touch import Touched
 from sweep.controllers.tracker import TrackerState, joint_targets
 from sweep.core.rotations import exponential, multiply

@@ -13,8 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.controllers.frames import to_frame, to_world
-from sweep.controllers.plan import CYCLE_A, CYCLE_B, CYCLE_B_SMOOTH, HALF_ELLIPSE, SMOOTH, STEADY, Stage
-from sweep.controllers.support import Support
+from sweep.controllers.plan import CYCLE_A, CYCLE_B, CYCLE_B_SMOOTH, HALF_ELLIPSE, SMOOTH, STEADY, Stage, Support
 from sweep.core.errors import InputError, suggest
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case

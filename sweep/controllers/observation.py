@@ -1,4 +1,4 @@
-"""What the controller is told of the state: bias, noise and delay."""
+"""What the controller is told of the state: bias, noise and delay; and where it takes free bodies to be by that."""
 
 from typing import Any, NamedTuple
 
@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from sweep.core.rotations import exponential, multiply
+from sweep.core.rotations import conjugate, exponential, logarithm, multiply
 from sweep.models.noise import Noise
 from sweep.models.obstacles.surface import FreeState
 
@@ -113,3 +113,31 @@ def observe(noise: Noise, sensors: Sensors, truth: Observation, key: Array) -> t
 def _scatter(key: Array, sizes: tuple[Array | float, ...], free: FreeState) -> Float[Array, "k 4 3"]:
     """Errors of the free bodies of the given deviations; the key is one that nothing of the robot draws from."""
     return jnp.stack(sizes)[:, None] * jax.random.normal(key, (*free.position.shape[:1], 4, 3), free.position.dtype)
+
+
+class Observer(NamedTuple):
+    """Two filters in a row: after one alone, feet that stand on a body would still change speed at every tick."""
+
+    first: FreeState
+    second: FreeState
+
+
+def followed(observer: Observer, seen: FreeState, time: Array | float, period: float) -> Observer:
+    """The poses a control tick of `period` (s) on: complementary filters.
+
+    They go on with the measured velocities and are drawn to the measured poses, each with half of the time constant
+    `time` (s), so that steady motion is followed without lag. With 0 s they are the measured ones.
+    """
+    first = _drawn(observer.first, seen, time / 2, period)
+    return Observer(first, _drawn(observer.second, first, time / 2, period))
+
+
+def _drawn(estimate: FreeState, to: FreeState, time: Array | float, period: float) -> FreeState:
+    share = period / jnp.maximum(time, period)
+    position = estimate.position + period * to.velocity
+    quat = multiply(exponential(period * to.turn), estimate.quat)
+    off = logarithm(multiply(to.quat, conjugate(quat)))
+    quat = multiply(exponential(share * off), quat)
+    # rounded products of thousands of ticks lose their length, and with it the feet that stand on the body their place
+    quat = quat / jnp.linalg.norm(quat, axis=-1, keepdims=True)
+    return to._replace(position=position + share * (to.position - position), quat=quat)

@@ -14,8 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from sweep.controllers.frames import attitude_to_frame, attitude_to_world, to_frame, to_world
-from sweep.controllers.support import Support
+from sweep.controllers.frames import Stance, stance_to_frame, stance_to_world
 from sweep.core.rotations import exponential, multiply, rotate
 from sweep.formulas import stepping
 from sweep.models.frames import WORLD
@@ -27,15 +26,31 @@ STEADY, SMOOTH, ELLIPTIC = range(3)  # how a body path is spent: by its rates, b
 # How a stage begins: with footholds and base shifted by the base's error; from the feet's measured places, at their
 # commanded depth or, on a free body, pressed as far beyond them as the stage says; or just from what was commanded.
 REZERO, REGRIP, GRIP, KEEP = "rezero", "regrip", "grip", "keep"
+# a body is: where it is seen; going over to a velocity; going to a pose; rolling along with the others; held where it
+# was meant to be when the stage before ended; one that floats: going to a pose, but along the world's y axis and in
+# height where it is
+MEASURED, TO_VELOCITY, TO_POSE, TOGETHER, KEPT, ALONGSIDE = range(6)
+STILL, LEVEL = np.zeros(3, np.float32), np.array([1, 0, 0, 0], np.float32)
 STAND = 0.5  # s, before the first and after the last swing
 
 
-class Stance(NamedTuple):
-    """Where feet and base are, or are meant to be. World axes."""
+class Support(NamedTuple):
+    """How a free body is meant to move from where it is seen when a stage begins; of a plan, over S stages, k bodies.
 
-    feet: Float[Array, "6 3"]  # m
-    position: Float[Array, " 3"]  # m, of the base
-    quat: Float[Array, " 4"]  # base to world
+    To the velocity (with its rate of turning) that it has at the stage's end, at constant acceleration: monograph
+    (3.3.5), also to rest. Not from one into the floor: a body that chatters on it falls for a step now and then, and
+    would be meant to go on and sink by millimetres. To a pose, spent by lambda_1. Together: as the mean of all bodies
+    has moved and turned. Kept: not from where it is seen, so that it is pulled back there.
+    """
+
+    mode: Int[Array, "*b"] | int = MEASURED
+    velocity: Float[Array, "*b 3"] | np.ndarray = STILL  # m/s
+    turn: Float[Array, "*b 3"] | np.ndarray = STILL  # rad/s
+    position: Float[Array, "*b 3"] | np.ndarray = STILL  # m
+    quat: Float[Array, "*b 4"] | np.ndarray = LEVEL
+
+
+RESTS, STAYS = Support(TO_VELOCITY), Support(KEPT)
 
 
 @dataclass(frozen=True)
@@ -141,18 +156,6 @@ def moved(plan: Plan, quat: Float[Array, " 4"], by: Float[Array, " 3"]) -> Plan:
     way = plan.way._replace(pivot=point(plan.way.pivot))
     return replace(plan, start=start, foothold=point(plan.foothold), curve=curve, quat=turned,
                    position=point(plan.position), way=way, turn=vector(plan.turn))  # fmt: skip
-
-
-def stance_to_world(stance: Stance, feet: Int[Array, " 6"], base: Int[Array, ""], free: FreeState) -> Stance:
-    """A stance whose feet and base are in the given frames."""
-    position = to_world(stance.position[None], base[None], free)[0]
-    return Stance(to_world(stance.feet, feet, free), position, attitude_to_world(stance.quat, base, free))
-
-
-def stance_to_frame(stance: Stance, feet: Int[Array, " 6"], base: Int[Array, ""], free: FreeState) -> Stance:
-    """The inverse of `stance_to_world`."""
-    position = to_frame(stance.position[None], base[None], free)[0]
-    return Stance(to_frame(stance.feet, feet, free), position, attitude_to_frame(stance.quat, base, free))
 
 
 def path_length(plan: Plan) -> Float[Array, ""]:

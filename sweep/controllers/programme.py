@@ -11,9 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from sweep.controllers.frames import Stance
 from sweep.controllers.layers import Layer
-from sweep.controllers.plan import Plan, Stance
-from sweep.controllers.support import ALONGSIDE, KEPT, TO_POSE, Support
+from sweep.controllers.plan import ALONGSIDE, KEPT, TO_POSE, Plan, Support
 from sweep.core.rotations import about_vertical, conjugate, exponential, heading, logarithm, multiply
 from sweep.formulas import stepping
 from sweep.models.obstacles.surface import FreeState

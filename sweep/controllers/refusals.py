@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from sweep.controllers.plan import Stance
+from sweep.controllers.frames import Stance
 from sweep.controllers.tracker import joint_targets
 from sweep.core.errors import InputError
 from sweep.fused.numbers import worked_out

@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from sweep.controllers.frames import to_frame, to_world
-from sweep.controllers.plan import Plan, Stance, begins, stance_to_world
+from sweep.controllers.frames import Stance, stance_to_world, to_frame, to_world
+from sweep.controllers.plan import Plan, begins
 from sweep.core.rotations import exponential, multiply
 from sweep.models import plan_table
 from sweep.models.case import Case

@@ -14,10 +14,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from sweep.controllers import frames
-from sweep.controllers.frames import to_frame, to_world
-from sweep.controllers.held_legs import HeldLegs
+from sweep.controllers.frames import Stance, to_frame, to_world
+from sweep.controllers.layers import HeldLegs
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import Plan, Stance
+from sweep.controllers.plan import Plan
 from sweep.controllers.posture import feet_in_world
 from sweep.controllers.tracker import TrackerState
 from sweep.models.control import Control

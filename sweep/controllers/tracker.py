@@ -9,17 +9,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from sweep.controllers import onset
-from sweep.controllers.frames import attitude_to_world
-from sweep.controllers.layers import Command, Now
-from sweep.controllers.observation import Observation
-from sweep.controllers.observer import Observer, followed
-from sweep.controllers.plan import REZERO, Plan, Stance, reference, stance_to_frame, stance_to_world
-from sweep.core.rotations import conjugate, exponential, logarithm, multiply, nearest, rotate
+from sweep.controllers.frames import Stance, attitude_to_world, stance_to_frame, stance_to_world
+from sweep.controllers.layers import Command, Feedforward, Now
+from sweep.controllers.observation import Observation, Observer, followed
+from sweep.controllers.plan import GRIP, KEEP, REGRIP, REZERO, Plan, reference
+from sweep.controllers.posture import feet_in_world
+from sweep.core.rotations import conjugate, exponential, heading, logarithm, multiply, nearest, rotate
 from sweep.formulas import leg
 from sweep.models.case import Case, Riding
-from sweep.models.obstacles.surface import FreeState, free_start
+from sweep.models.obstacles.surface import FreeState, free_start, poses, under
 from sweep.models.robot import Robot, mount_yaw, mounts
+
+LEFT = np.array([0.0, 1.0, 0.0], np.float32)  # of the base
 
 
 class TrackerState(NamedTuple):
@@ -217,9 +218,9 @@ def _advance(
     meant = bodies(plan, state, seen.free)
     ended = stance_to_world(reached, plan.foot_frame[stage], plan.base_frame[stage], meant)
     ended = ended._replace(feet=_crept(plan, stage, state.clock, ended.feet))
-    begun = onset.begun(belief, plan, following, ended, seen)
+    begun = onset(belief, plan, following, ended, seen)
     if (blind := _blind(plan, stage)) is not False:  # it sees nothing of where feet are: the error before holds on
-        known = onset.Begun(ended.feet, state.error, state.turn)
+        known = Onset(ended.feet, state.error, state.turn)
         begun = jax.tree.map(lambda a, b: jnp.where(blind, a, b), known, begun)
     frames, free = (plan.foot_frame[following], plan.base_frame[following]), seen.free
     feet, states = stance_to_frame(ended._replace(feet=begun.feet), *frames, free).feet, list(state.layers)
@@ -250,3 +251,79 @@ def bodies(plan: Plan, state: TrackerState, seen: FreeState) -> FreeState:
     for layer, own in zip(plan.layers, state.layers, strict=True):
         seen = layer.borne(plan, own, state.stage, state.clock, seen)
     return seen
+
+
+class Onset(NamedTuple):
+    """What a stage begins with, world axes."""
+
+    feet: Float[Array, "6 3"]  # m, footholds
+    error: Float[Array, " 3"]  # m, of the base
+    turn: Float[Array, " 3"]  # rad, of its attitude, as a rotation vector
+
+
+def onset(belief: Case, plan: Plan, following: Int[Array, ""], ended: Stance, seen: Observation) -> Onset:
+    """Stage number `following` begins after one that `ended` in a stance (world axes, as planned).
+
+    The feet of that stance are the commanded footholds, not the reached ones: that keeps the pressure on the ground.
+    """
+    zero = jnp.zeros(3, ended.feet.dtype)
+    ways = {
+        KEEP: lambda: Onset(ended.feet, zero, zero),
+        REGRIP: lambda: Onset(_regripped(belief, ended.feet, seen), zero, zero),
+        GRIP: lambda: Onset(_gripped(belief, ended.feet, plan.press[following], seen), zero, zero),
+        REZERO: lambda: _with_error(plan, ended, seen),
+    }
+    first, *others = sorted(set(plan.onset))
+    chosen = ways[first]()
+    for name in others:
+        here = jnp.asarray(np.array(plan.onset) == name)[following]
+        chosen = jax.tree.map(lambda new, old, here=here: jnp.where(here, new, old), ways[name](), chosen)
+    return chosen
+
+
+def _measured(belief: Case, seen: Observation) -> tuple[Array, Array, Bool[Array, " 6"]]:
+    """Feet where they are measured, the normals there, and which stand on a free body.
+
+    Along the surface also those that have not touched down yet: they are about to, as far off as the base is, which
+    would otherwise be handed on from step to step.
+    """
+    feet = feet_in_world(belief.robot, seen.position, seen.quat, seen.angles)
+    surface = under(belief.obstacle, feet, poses(seen.free))
+    return feet, surface.normal, surface.body >= 0
+
+
+def _regripped(belief: Case, commanded: Float[Array, "6 3"], seen: Observation) -> Float[Array, "6 3"]:
+    """Feet where they are measured along the surface, and as deep as they were commanded."""
+    measured, normal, _ = _measured(belief, seen)
+    return measured + jnp.sum((commanded - measured) * normal, axis=-1, keepdims=True) * normal
+
+
+def _gripped(
+    belief: Case, commanded: Float[Array, "6 3"], press: Float[Array, " 2"], seen: Observation
+) -> Float[Array, "6 3"]:
+    """Feet on free bodies deeper than they are measured, and inward, to the base's middle plane.
+
+    The others are regripped: feet on the ground need not be squeezed. A foot that bears nothing is as deep as it was
+    commanded: pressed from where it hangs, it would stay in the air.
+    """
+    measured, normal, on_body = _measured(belief, seen)
+    inward = -leg.SIDE[:, None] * rotate(seen.quat, jnp.asarray(LEFT))
+    regripped = _regripped(belief, commanded, seen)
+    deep = jnp.where(seen.loaded[:, None], measured - press[0] * normal, regripped)
+    return jnp.where(on_body[:, None], deep + press[1] * inward, regripped)
+
+
+def _with_error(plan: Plan, ended: Stance, seen: Observation) -> Onset:
+    """Feet moved with the base's error, which strains nothing, and that error: without it errors add up by stages.
+
+    In a plan that is steered only its parts in the plane count: taken up by the standing feet and not by those that
+    land, the others would put the diagonals at different heights.
+    """
+    error = seen.position - ended.position
+    off = multiply(seen.quat, conjugate(ended.quat))
+    turn = logarithm(off)
+    if plan.steered:
+        error, turn = error.at[2].set(0.0), jnp.zeros(3).at[2].set(heading(off))
+    moved = ended.position + error + rotate(exponential(turn)[None], ended.feet - ended.position)
+    anchored = plan.layer(Feedforward) is not None  # such feet need not be moved
+    return Onset(ended.feet if anchored else moved, error, turn)

@@ -8,10 +8,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.controllers import touch, tracker
+from sweep.controllers.frames import Stance
 from sweep.controllers.layers import Command
 from sweep.controllers.learned import Learned, at_first, felt, informed, newest, replanned
 from sweep.controllers.observation import Observation, Sensors, install, observe
-from sweep.controllers.plan import Plan, Stance
+from sweep.controllers.plan import Plan
 from sweep.controllers.posture import feet_in_world
 from sweep.controllers.tracker import TrackerState, joint_targets
 from sweep.core.rotations import about_vertical, conjugate, multiply, rotate

@@ -12,7 +12,7 @@ from jax.sharding import PartitionSpec
 from jax.stages import Compiled
 from jaxtyping import Array
 
-from sweep.controllers.feedforward import Feedforward
+from sweep.controllers.layers import Feedforward
 from sweep.controllers.learned import informed, newest, replanned
 from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError

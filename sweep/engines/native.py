@@ -14,9 +14,8 @@ from jax.stages import Compiled
 from jaxtyping import Array, Bool, Float
 from mujoco.batch import Batch
 
-from sweep.controllers.feedforward import Feedforward
 from sweep.controllers.flywheel import Flywheel
-from sweep.controllers.layers import Command
+from sweep.controllers.layers import Command, Feedforward
 from sweep.controllers.learned import Learned, informed, newest, replanned
 from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError

@@ -10,9 +10,10 @@ from jaxtyping import Array, Bool, Float
 
 from sweep.controllers import calibration, touch
 from sweep.controllers.calibration import HEIGHT, MOVES, Calibrated, Ground, Measured
+from sweep.controllers.frames import Stance
 from sweep.controllers.learned import Learned, informed
 from sweep.controllers.observation import biases, free_biases
-from sweep.controllers.plan import Plan, Stance
+from sweep.controllers.plan import Plan
 from sweep.controllers.posture import feet_in_world
 from sweep.controllers.tracker import joint_targets
 from sweep.core.errors import InputError

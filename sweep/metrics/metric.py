@@ -13,8 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from sweep.controllers.frames import Stance
 from sweep.controllers.learned import Learned
-from sweep.controllers.plan import Plan, Stance
+from sweep.controllers.plan import Plan
 from sweep.core.parameters import UNITS, quantity
 from sweep.models.case import Case
 from sweep.models.obstacles.surface import Bodies, FreeState

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sweep.controllers.feedforward import Feedforward
+from sweep.controllers.layers import Feedforward
 from sweep.controllers.plan import Plan
 from sweep.metrics.metric import Cause, Elapsed, Metric
 

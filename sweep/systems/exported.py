@@ -15,8 +15,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep import metrics
-from sweep.controllers.feedforward import Feedforward
 from sweep.controllers.flywheel import Flywheel
+from sweep.controllers.layers import Feedforward
 from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError
 from sweep.core.parameters import LARGEST

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sweep.controllers.feedforward import Feedforward, between
+from sweep.controllers.layers import Feedforward, between
 from sweep.core.constants import GRAVITY
 from sweep.engines.base import Trace
 from sweep.engines.closed_loop import free_state

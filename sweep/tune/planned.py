@@ -7,9 +7,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from sweep.controllers import forces
-from sweep.controllers.frames import to_world
-from sweep.controllers.held_legs import HeldLegs
-from sweep.controllers.plan import Plan, Stance, begins, reference, stance_to_world
+from sweep.controllers.frames import Stance, stance_to_world, to_world
+from sweep.controllers.layers import HeldLegs
+from sweep.controllers.plan import Plan, begins, reference
 from sweep.controllers.posture import feet_in_world, leg_points, mass_centre
 from sweep.controllers.tracker import in_hips, joint_targets
 from sweep.core.rotations import matrix, rotate, wrapped

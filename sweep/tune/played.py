@@ -13,12 +13,11 @@ from jaxtyping import Array, Bool, Float, Int
 
 from sweep.controllers import tracker
 from sweep.controllers.ball_state import UP
-from sweep.controllers.frames import to_frame, to_world
+from sweep.controllers.frames import Stance, to_frame, to_world
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import Plan, Stance
+from sweep.controllers.plan import MEASURED, Plan
 from sweep.controllers.posture import mass_centre
 from sweep.controllers.programme import Programme
-from sweep.controllers.support import MEASURED
 from sweep.controllers.tracker import TrackerState, joint_targets
 from sweep.core.constants import GRAVITY
 from sweep.core.rotations import exponential, multiply, rotate, wrapped

@@ -8,8 +8,8 @@ import pytest
 from scipy.optimize import linprog
 
 from sweep.controllers.forces import Bounds, StaticPose, distribute, joint_torque, pose
+from sweep.controllers.frames import Stance
 from sweep.controllers.manoeuvres.walking.walk import Stand
-from sweep.controllers.plan import Stance
 from sweep.controllers.tracker import joint_targets
 from sweep.formulas import corner
 from sweep.formulas.leg import SIDE

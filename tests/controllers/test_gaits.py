@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 from sweep.controllers.assembly import assemble
+from sweep.controllers.frames import Stance
 from sweep.controllers.gaits import GAITS, Step, advance, centre_offsets, regular_steps
-from sweep.controllers.plan import CYCLE_A, CYCLE_B, CYCLE_B_SMOOTH, HALF_ELLIPSE, Stance, swing_progress
+from sweep.controllers.plan import CYCLE_A, CYCLE_B, CYCLE_B_SMOOTH, HALF_ELLIPSE, swing_progress
 
 STEP = Step(0.105, 0.03, 1.2)
 CENTRES = jnp.asarray(np.random.default_rng(0).normal(size=(6, 3))).at[:, 2].set(0)

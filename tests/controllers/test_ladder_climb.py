@@ -5,7 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sweep.controllers.plan import Plan, Stance, begins, stance_to_world
+from sweep.controllers.frames import Stance, stance_to_world
+from sweep.controllers.plan import Plan, begins
 from sweep.controllers.symmetry import reversed_in_time
 from sweep.core.errors import InputError
 from sweep.core.rotations import exponential, matrix, multiply

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sweep.controllers.observer import Observer, followed
+from sweep.controllers.observation import Observer, followed
 from sweep.core.rotations import conjugate, exponential, logarithm, multiply
 from sweep.models.obstacles.surface import FreeState
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from playing import played, varied
 
-from sweep.controllers.plan import Plan, Stance, along_arc, moved, pace_progress, reference
+from sweep.controllers.frames import Stance
+from sweep.controllers.plan import Plan, along_arc, moved, pace_progress, reference
 from sweep.controllers.posture import leg_unit
 from sweep.controllers.tracker import joint_targets
 from sweep.core.rotations import exponential, matrix, rotate

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from playing import played, varied
 
-from sweep.controllers.plan import Plan, Stance, reference
+from sweep.controllers.frames import Stance
+from sweep.controllers.plan import Plan, reference
 from sweep.controllers.posture import mass_centre
 from sweep.controllers.tracker import joint_targets
 from sweep.core.rotations import matrix, rotate

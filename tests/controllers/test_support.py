@@ -7,22 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sweep.controllers import onset, tracker
+from sweep.controllers import tracker
 from sweep.controllers.assembly import assemble
+from sweep.controllers.frames import Stance
 from sweep.controllers.manoeuvres.balancing.ball import on_ball, perch
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import GRIP, Stage, Stance
+from sweep.controllers.plan import GRIP, KEPT, MEASURED, RESTS, STAYS, TO_POSE, TO_VELOCITY, TOGETHER, Stage, Support
 from sweep.controllers.programme import Programme, meant
-from sweep.controllers.support import (
-    KEPT,
-    MEASURED,
-    RESTS,
-    STAYS,
-    TO_POSE,
-    TO_VELOCITY,
-    TOGETHER,
-    Support,
-)
 from sweep.controllers.tracker import joint_targets
 from sweep.core.rotations import exponential, logarithm
 from sweep.models.frames import fixed, koenig
@@ -105,7 +96,7 @@ def test_feet_that_grip_are_pressed_in_and_inward(standing):
     plan = assemble(stance, [Stage("a", 1.0), Stage("b", 1.0, onset=GRIP, press=(2e-3, 3e-3))], 0.0)
     told = stance._replace(feet=stance.feet + 0.01)
     hangs = seen._replace(loaded=jnp.arange(6) > 0)
-    feet = onset.begun(CASE, plan, jnp.asarray(1), told, hangs).feet
+    feet = tracker.onset(CASE, plan, jnp.asarray(1), told, hangs).feet
     normal = (stance.feet - seen.free.position[0]) / jnp.linalg.norm(stance.feet - seen.free.position[0], axis=1)[
         :, None
     ]

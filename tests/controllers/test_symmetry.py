@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from test_pole import play_plan
 
-from sweep.controllers.plan import Plan, Stance
+from sweep.controllers.frames import Stance
+from sweep.controllers.plan import Plan
 from sweep.controllers.symmetry import OTHER_SIDE, joined, last_stance, mirrored, reversed_in_time
 from sweep.core.rotations import matrix
 from sweep.models.case import Case

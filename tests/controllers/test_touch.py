@@ -10,11 +10,11 @@ import pytest
 
 from sweep.controllers import touch
 from sweep.controllers.calibration import Calibrated
-from sweep.controllers.held_legs import HeldLegs
+from sweep.controllers.frames import Stance, stance_to_world
+from sweep.controllers.layers import HeldLegs
 from sweep.controllers.learned import Learned, felt, replanned
-from sweep.controllers.observation import Observation
-from sweep.controllers.observer import Observer
-from sweep.controllers.plan import Stance, begins, reference, stance_to_world
+from sweep.controllers.observation import Observation, Observer
+from sweep.controllers.plan import begins, reference
 from sweep.controllers.touch import Touched
 from sweep.controllers.tracker import init, joint_targets
 from sweep.core.errors import InputError

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from sweep.controllers import tracker
+from sweep.controllers.frames import Stance
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import REGRIP, Stance
+from sweep.controllers.plan import REGRIP
 from sweep.core.rotations import exponential, logarithm, rotate
 from sweep.models.obstacles.surface import no_bodies
 from sweep.study.config import compose

@@ -7,8 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from sweep.controllers.frames import Stance
 from sweep.controllers.manoeuvres.walking.waypoints import CIRCLE, TRIPODS, WAYPOINTS
-from sweep.controllers.plan import Plan, Stance, reference
+from sweep.controllers.plan import Plan, reference
 from sweep.controllers.tracker import joint_targets
 from sweep.core.errors import InputError
 from sweep.engines.batching import nominal_plan

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from validity.simulation import simulate
 
-from sweep.controllers.plan import Stance
+from sweep.controllers.frames import Stance
 from sweep.controllers.tracker import joint_targets
 from sweep.core.constants import GRAVITY
 from sweep.dynamics.free_bodies import resting

@@ -11,7 +11,7 @@ import pytest
 from dense import Dense, dense
 from mujoco import mjx
 
-from sweep.controllers.plan import Stance
+from sweep.controllers.frames import Stance
 from sweep.controllers.tracker import joint_targets
 from sweep.core.rotations import rotate
 from sweep.dynamics import interface as dynamics

@@ -10,8 +10,8 @@ import pytest
 from slab import Slab
 from validity.simulation import simulate
 
+from sweep.controllers.frames import Stance
 from sweep.controllers.manoeuvres.walking.walk import standing
-from sweep.controllers.plan import Stance
 from sweep.controllers.tracker import joint_targets
 from sweep.core.rotations import exponential
 from sweep.models import scene

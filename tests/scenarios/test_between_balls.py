@@ -9,13 +9,13 @@ from test_on_ball import outcomes
 
 from sweep.controllers import tracker
 from sweep.controllers.ball_state import centre_of_mass
+from sweep.controllers.frames import Stance
 from sweep.controllers.layers import Now
 from sweep.controllers.manoeuvres.balancing.ball import BallDrive
 from sweep.controllers.manoeuvres.balancing.ball_to_ball import BallDocking, Closing
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import Stance, ends
+from sweep.controllers.plan import MEASURED, ends
 from sweep.controllers.programme import Programme
-from sweep.controllers.support import MEASURED
 from sweep.controllers.tracker import in_hips
 from sweep.core.errors import InputError
 from sweep.engines import make

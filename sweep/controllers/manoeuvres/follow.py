@@ -7,12 +7,12 @@ import numpy as np
 
 from sweep.controllers.assembly import assemble
 from sweep.controllers.forces import PlannedForces
+from sweep.controllers.frames import Stance
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
 from sweep.controllers.moves import Terms, placed, stages_of
-from sweep.controllers.plan import GRIP, STAND, Plan, Stage, Stance, ends
+from sweep.controllers.plan import GRIP, RESTS, STAND, STAYS, TOGETHER, Plan, Stage, Support, ends
 from sweep.controllers.posture import leg_unit
 from sweep.controllers.refusals import refuse_reach
-from sweep.controllers.support import RESTS, STAYS, TOGETHER, Support
 from sweep.controllers.symmetry import gone
 from sweep.core.errors import InputError
 from sweep.core.parameters import choice, parameters, quantity

@@ -12,14 +12,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from sweep.controllers.assembly import assemble
+from sweep.controllers.frames import Stance
 from sweep.controllers.gaits import TRIPOD
 from sweep.controllers.layers import Now
 from sweep.controllers.manoeuvres.afloat.statics import refuse
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
 from sweep.controllers.moves import Move, Terms, moves, staged, stages_of, standing
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import REGRIP, Plan, Stage, Stance, led_by, reference
-from sweep.controllers.support import ALONGSIDE, STAYS, TO_VELOCITY, Support
+from sweep.controllers.plan import ALONGSIDE, REGRIP, STAYS, TO_VELOCITY, Plan, Stage, Support, led_by, reference
 from sweep.controllers.tracker import Guidance, TrackerState
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import IDENTITY, rotate

@@ -5,11 +5,12 @@ from typing import ClassVar
 import jax.numpy as jnp
 
 from sweep.controllers.assembly import assemble
+from sweep.controllers.frames import Stance
 from sweep.controllers.gaits import TRIPOD
 from sweep.controllers.manoeuvres.afloat.statics import refuse
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
 from sweep.controllers.manoeuvres.walking.walk import standing
-from sweep.controllers.plan import CYCLE_B_SMOOTH, REGRIP, Plan, Stage, Stance
+from sweep.controllers.plan import CYCLE_B_SMOOTH, REGRIP, Plan, Stage
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.models.case import Case
 from sweep.models.frames import fixed

@@ -26,14 +26,14 @@ from sweep.controllers.ball_state import (
     towards,
     turned_back,
 )
+from sweep.controllers.frames import Stance
 from sweep.controllers.gaits import TRIPOD
 from sweep.controllers.layers import Now
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
 from sweep.controllers.moves import Terms
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import CYCLE_A, GRIP, KEEP, REGRIP, Plan, Stage, Stance, swing_progress
+from sweep.controllers.plan import CYCLE_A, GRIP, KEEP, REGRIP, Plan, Stage, Support, swing_progress
 from sweep.controllers.refusals import refuse_reach
-from sweep.controllers.support import Support
 from sweep.controllers.tracker import Guidance, TrackerState
 from sweep.core.constants import GRAVITY
 from sweep.core.parameters import choice, count, parameters, quantity

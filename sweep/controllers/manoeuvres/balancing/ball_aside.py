@@ -8,10 +8,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.controllers.assembly import assemble
+from sweep.controllers.frames import Stance
 from sweep.controllers.layers import Now
 from sweep.controllers.manoeuvres.balancing.ball import OnBall, compensated, on_ball, perch
 from sweep.controllers.manoeuvres.goals import UPRIGHT
-from sweep.controllers.plan import KEEP, Plan, Stage, Stance
+from sweep.controllers.plan import KEEP, Plan, Stage
 from sweep.controllers.tracker import Guidance, TrackerState
 from sweep.core.constants import GRAVITY
 from sweep.core.parameters import choice, count, parameters, quantity

@@ -7,14 +7,14 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from sweep.controllers.assembly import assemble
+from sweep.controllers.frames import Stance
 from sweep.controllers.manoeuvres.balancing.ball import perch, refuse_start, terms
 from sweep.controllers.manoeuvres.balancing.ball_ride import RIDE, Ride
 from sweep.controllers.manoeuvres.balancing.beside_ball import CALM, BesideBall
 from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.moves import Standing, Terms, placed, stages_of
-from sweep.controllers.plan import Plan, Stage, Stance
+from sweep.controllers.plan import RESTS, TO_VELOCITY, Plan, Stage, Support
 from sweep.controllers.refusals import plain
-from sweep.controllers.support import RESTS, TO_VELOCITY, Support
 from sweep.controllers.tracker import Guided
 from sweep.core.errors import InputError
 from sweep.core.parameters import choice, parameters, quantity

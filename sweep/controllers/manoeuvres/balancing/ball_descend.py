@@ -19,8 +19,7 @@ from sweep.controllers.manoeuvres.balancing.ball import on_ball, perch, refuse_s
 from sweep.controllers.manoeuvres.balancing.beside_ball import CALM, BesideBall
 from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.moves import Move, moves, staged, standing
-from sweep.controllers.plan import Plan, Stage
-from sweep.controllers.support import RESTS, STAYS, Support
+from sweep.controllers.plan import RESTS, STAYS, Plan, Stage, Support
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.formulas.ball import ball_omega
 from sweep.models.case import Case

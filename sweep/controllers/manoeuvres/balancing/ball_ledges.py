@@ -13,14 +13,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
 from sweep.controllers.assembly import assemble
+from sweep.controllers.frames import Stance
 from sweep.controllers.layers import Now
 from sweep.controllers.manoeuvres.balancing.ball import BallDrive, DriveMemory, OnBall, perch, refuse_start, terms
 from sweep.controllers.manoeuvres.balancing.parts import InParts, has_just_begun
 from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.moves import Standing, Terms, mirrored, placed, placing, staged, stages_of
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import Plan, Stance
-from sweep.controllers.support import LEVEL, RESTS, Support
+from sweep.controllers.plan import LEVEL, RESTS, Plan, Support
 from sweep.controllers.tracker import Guidance, Guided, TrackerState
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.models.case import Case

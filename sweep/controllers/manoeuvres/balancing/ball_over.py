@@ -14,8 +14,7 @@ from sweep.controllers.manoeuvres.balancing.parts import Settling
 from sweep.controllers.manoeuvres.climbing.walking import AHEAD, EASED, centres, walk_away
 from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.moves import moves
-from sweep.controllers.plan import CYCLE_B, REGRIP, Plan, Stage
-from sweep.controllers.support import STAYS
+from sweep.controllers.plan import CYCLE_B, REGRIP, STAYS, Plan, Stage
 from sweep.controllers.tracker import Guided
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.formulas import stepping

@@ -7,9 +7,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from sweep.controllers.ball_state import centre_of_mass, measured_stance
+from sweep.controllers.frames import Stance
 from sweep.controllers.layers import Now
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import Plan, Stance, swings
+from sweep.controllers.plan import Plan, swings
 from sweep.controllers.tracker import Guidance, TrackerState
 from sweep.core.constants import GRAVITY
 from sweep.core.rotations import exponential, logarithm, rotate

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from sweep.controllers.assembly import assemble
+from sweep.controllers.frames import Stance
 from sweep.controllers.layers import Now
 from sweep.controllers.manoeuvres.balancing.ball import BallDrive, DriveMemory, OnBall, on_ball, perch, terms
 from sweep.controllers.manoeuvres.balancing.ball_descend import BallDescend
@@ -22,11 +23,10 @@ from sweep.controllers.manoeuvres.balancing.parts import InParts, OfBall, has_ju
 from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.moves import stages_of, standing
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import Plan, Stage, Stance, ends, reference
+from sweep.controllers.plan import TOGETHER, Plan, Stage, Support, ends, reference
 from sweep.controllers.posture import leg_points
 from sweep.controllers.programme import Programme
 from sweep.controllers.refusals import plain, refuse_reach
-from sweep.controllers.support import TOGETHER, Support
 from sweep.controllers.tracker import Guidance, Guided, TrackerState
 from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, parameters, quantity

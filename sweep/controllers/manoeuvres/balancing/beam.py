@@ -13,20 +13,11 @@ from jaxtyping import Array, Float
 
 from sweep.controllers.assembly import assemble
 from sweep.controllers.flywheel import Gains
+from sweep.controllers.frames import Stance
 from sweep.controllers.gaits import TRIPOD, Step, centre_offsets, regular_steps
 from sweep.controllers.manoeuvres.climbing.walking import TOWARDS
 from sweep.controllers.manoeuvres.goals import ARRIVED, UPRIGHT
-from sweep.controllers.plan import (
-    BALANCE,
-    CYCLE_B,
-    LEVELLING,
-    LOCKED,
-    SMOOTH,
-    STAND,
-    Plan,
-    Stage,
-    Stance,
-)
+from sweep.controllers.plan import BALANCE, CYCLE_B, LEVELLING, LOCKED, SMOOTH, STAND, Plan, Stage
 from sweep.controllers.tracker import joint_targets
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.formulas import stepping

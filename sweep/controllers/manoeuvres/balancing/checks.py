@@ -14,7 +14,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from sweep.controllers.assembly import assemble
 from sweep.controllers.ball_state import centre_of_mass
-from sweep.controllers.plan import Stage, Stance, ends
+from sweep.controllers.frames import Stance
+from sweep.controllers.plan import Stage, ends
 from sweep.controllers.tracker import in_hips
 from sweep.core.rotations import rotate
 from sweep.formulas.leg import SIDE

@@ -13,8 +13,7 @@ from jaxtyping import Array, Bool
 from sweep.controllers.layers import Now
 from sweep.controllers.manoeuvres.balancing.ball import BallDrive, DriveMemory
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import Plan, Stage, led_by, reference
-from sweep.controllers.support import Support
+from sweep.controllers.plan import Plan, Stage, Support, led_by, reference
 from sweep.controllers.tracker import Eventful, Guidance, Guided, TrackerState
 from sweep.models.case import Case
 from sweep.models.frames import WORLD, koenig

@@ -13,12 +13,13 @@ from jaxtyping import Array
 
 from sweep.controllers.assembly import assemble
 from sweep.controllers.forces import PlannedForces
+from sweep.controllers.frames import Stance
 from sweep.controllers.gaits import GALLOP, Step
 from sweep.controllers.manoeuvres.climbing.pole import OUTWARD, UP, pair
 from sweep.controllers.manoeuvres.climbing.walking import TOWARDS
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
 from sweep.controllers.moves import numbers_of
-from sweep.controllers.plan import CYCLE_B_SMOOTH, SMOOTH, STAND, Plan, Stage, Stance
+from sweep.controllers.plan import CYCLE_B_SMOOTH, SMOOTH, STAND, Plan, Stage
 from sweep.controllers.symmetry import gone
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.formulas import stepping

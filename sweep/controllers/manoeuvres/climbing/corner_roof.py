@@ -14,6 +14,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from sweep.controllers.frames import Stance
 from sweep.controllers.gaits import TRIPOD
 from sweep.controllers.manoeuvres.climbing.corner import (
     FRONT,
@@ -27,7 +28,7 @@ from sweep.controllers.manoeuvres.climbing.corner import (
 )
 from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.moves import Terms, moves, numbers_of, stages_of, standing
-from sweep.controllers.plan import CYCLE_B_SMOOTH, SMOOTH, Plan, Stage, Stance
+from sweep.controllers.plan import CYCLE_B_SMOOTH, SMOOTH, Plan, Stage
 from sweep.controllers.posture import leg_unit
 from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, parameters, quantity

@@ -11,11 +11,12 @@ import jax.numpy as jnp
 
 from sweep.controllers.assembly import assemble
 from sweep.controllers.forces import LAST, PlannedForces
+from sweep.controllers.frames import Stance
 from sweep.controllers.gaits import Step
 from sweep.controllers.manoeuvres.climbing.walking import walk_away, walk_up
 from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.moves import Terms, moves, placed, stages_of
-from sweep.controllers.plan import Plan, Stage, Stance, ends
+from sweep.controllers.plan import Plan, Stage, ends
 from sweep.controllers.posture import leg_unit
 from sweep.controllers.refusals import plain, refuse_reach
 from sweep.controllers.symmetry import gone

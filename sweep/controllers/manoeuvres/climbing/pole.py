@@ -13,11 +13,12 @@ from jaxtyping import Array, Float
 
 from sweep.controllers.assembly import assemble
 from sweep.controllers.forces import PlannedForces
+from sweep.controllers.frames import Stance
 from sweep.controllers.gaits import GALLOP, Step
 from sweep.controllers.manoeuvres.climbing.walking import walk_up
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
 from sweep.controllers.moves import numbers_of
-from sweep.controllers.plan import CYCLE_A, CYCLE_B, STAND, Plan, Stage, Stance
+from sweep.controllers.plan import CYCLE_A, CYCLE_B, STAND, Plan, Stage
 from sweep.controllers.posture import leg_unit
 from sweep.controllers.symmetry import gone
 from sweep.core.parameters import choice, count, parameters, quantity

@@ -25,12 +25,13 @@ from typing import ClassVar
 
 from jaxtyping import Array
 
+from sweep.controllers.frames import Stance
 from sweep.controllers.manoeuvres.climbing import walking
 from sweep.controllers.manoeuvres.climbing.pole import PoleSite
 from sweep.controllers.manoeuvres.climbing.pole_top import PoleTop
 from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.moves import stages_of
-from sweep.controllers.plan import Plan, Stage, Stance
+from sweep.controllers.plan import Plan, Stage
 from sweep.core.parameters import choice, count, parameters
 from sweep.models.case import Case
 from sweep.models.obstacles.charts import point

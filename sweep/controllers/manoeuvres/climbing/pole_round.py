@@ -11,10 +11,11 @@ import numpy as np
 from jaxtyping import Array
 
 from sweep.controllers.assembly import assemble
+from sweep.controllers.frames import Stance
 from sweep.controllers.gaits import GALLOP
 from sweep.controllers.manoeuvres.climbing.pole import OnPole, PoleSite
 from sweep.controllers.manoeuvres.goals import UPRIGHT
-from sweep.controllers.plan import CYCLE_B, STAND, Plan, Stage, Stance, moved
+from sweep.controllers.plan import CYCLE_B, STAND, Plan, Stage, moved
 from sweep.controllers.symmetry import joined, last_stance, mirrored, reversed_in_time
 from sweep.core.parameters import choice, count, parameters
 from sweep.core.rotations import exponential, rotate

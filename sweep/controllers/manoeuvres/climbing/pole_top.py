@@ -7,11 +7,12 @@ from typing import ClassVar
 
 import numpy as np
 
+from sweep.controllers.frames import Stance
 from sweep.controllers.gaits import GALLOP
 from sweep.controllers.manoeuvres.climbing.pole import OnPole, PoleSite
 from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.moves import Standing, Terms, stages_of, standing
-from sweep.controllers.plan import Plan, Stage, Stance
+from sweep.controllers.plan import Plan, Stage
 from sweep.core.parameters import choice, count, parameters
 from sweep.models.case import Case
 from sweep.models.obstacles.charts import ahead_above

@@ -7,8 +7,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from sweep.controllers.frames import Stance
 from sweep.controllers.gaits import TRIPOD, Step, centre_offsets, regular_steps
-from sweep.controllers.plan import CYCLE_B, Stage, Stance
+from sweep.controllers.plan import CYCLE_B, Stage
 from sweep.controllers.posture import foot_centres
 from sweep.core.rotations import IDENTITY, rotate
 from sweep.models.case import Case

@@ -6,9 +6,10 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from sweep.controllers.assembly import assemble
+from sweep.controllers.frames import Stance
 from sweep.controllers.gaits import GAITS, Step, centre_offsets, regular_steps
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
-from sweep.controllers.plan import STAND, Plan, Stage, Stance, moved
+from sweep.controllers.plan import STAND, Plan, Stage, moved
 from sweep.controllers.posture import foot_centres
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import IDENTITY, exponential
