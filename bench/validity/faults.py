@@ -12,7 +12,6 @@ import numpy as np
 from sweep.core.vectors import Vector
 from sweep.dynamics import contacts, free_bodies, step, tree
 from sweep.dynamics.spatial import Spatial
-from sweep.models import contact
 from validity import points, robot
 from validity.scenes import SCENES, error
 from validity.tables import law, short
@@ -39,14 +38,14 @@ def broken(found: Iterator[tuple[str, float, float]]) -> dict[str, float]:
     return dict(sorted(((name, by) for name, by in over.items() if by > 1), key=lambda one: -one[1]))
 
 
-def _forces(change: Callable[..., contact.Forces]) -> mock._patch:
-    right = contact.contact_forces
+def _forces(change: Callable[..., contacts.Forces]) -> mock._patch:
+    right = contacts.contact_forces
     return mock.patch.object(
         step, "contact_forces", lambda law, geometry, velocity: change(right, law, geometry, velocity)
     )
 
 
-def _pyramid(right, law, geometry, velocity) -> contact.Forces:
+def _pyramid(right, law, geometry, velocity) -> contacts.Forces:
     """Friction is limited along two axes each, not in size."""
     forces = right(law, geometry, velocity)
     free = right(law, geometry._replace(limit=1e6 * jnp.ones_like(geometry.limit)), velocity)
@@ -60,18 +59,18 @@ def _pyramid(right, law, geometry, velocity) -> contact.Forces:
     return forces._replace(tangential=tangential, force=forces.normal * n + tangential)
 
 
-def _wrong_sign(right, law, geometry, velocity) -> contact.Forces:
+def _wrong_sign(right, law, geometry, velocity) -> contacts.Forces:
     """Contacts drive what passes along them, where they should damp it."""
     rising = velocity.dot(geometry.normal) * geometry.normal
     return right(law, geometry, rising - (velocity - rising))
 
 
-def _wide_cone(right, law, geometry, velocity) -> contact.Forces:
+def _wide_cone(right, law, geometry, velocity) -> contacts.Forces:
     """The cone is 2 % too wide."""
     return right(law, geometry._replace(limit=1.02 * geometry.limit), velocity)
 
 
-def _pulling(right, law, geometry, velocity) -> contact.Forces:
+def _pulling(right, law, geometry, velocity) -> contacts.Forces:
     """Contacts are half as stiff as they say."""
     return right(law, geometry._replace(depth=0.5 * geometry.depth), velocity)
 
@@ -94,19 +93,19 @@ def _half_gravity(*of):
 _TERMS = tree.tree_terms
 
 
-def _forgotten(law, surface, point, frames, place, forces, velocity, h) -> contact.Anchors:
+def _forgotten(law, surface, point, frames, place, forces, velocity, h) -> contacts.Anchors:
     """A contact takes hold anew at every step."""
     found = _ANCHORS(law, surface, point, frames, place, forces, velocity, h)
     return found._replace(loaded=jnp.zeros_like(found.loaded))
 
 
-def _undragged(law, surface, point, frames, place, forces, velocity, h) -> contact.Anchors:
+def _undragged(law, surface, point, frames, place, forces, velocity, h) -> contacts.Anchors:
     """A contact that slips leaves its anchor where it is."""
     still = forces._replace(slipping=jnp.zeros_like(forces.slipping))
     return _ANCHORS(law, surface, point, frames, place, still, velocity, h)
 
 
-_ANCHORS = contact.update_anchors
+_ANCHORS = contacts.update_anchors
 
 
 def _no_gyroscope(inertia, motion, up) -> Spatial:

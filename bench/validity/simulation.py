@@ -10,7 +10,7 @@ import numpy as np
 
 from sweep.dynamics import interface, tree
 from sweep.dynamics.step import State, from_state, rest, step, to_state
-from sweep.engines import batching, devices
+from sweep.engines import devices, physics
 from sweep.engines.batch_last import batch_last_vmap
 from sweep.fused import launch
 from sweep.fused.kernel import Kernel, compiled
@@ -61,7 +61,7 @@ def _stepping(nominal: Case, q: np.ndarray, h: float, v: np.ndarray | None, iter
     top = interface.topology(nominal)
 
     def one(case: Case, state: State, reference: jax.Array) -> tuple[State, Record]:
-        limits = batching.execution_limits(case, jnp.zeros(()))
+        limits = physics.execution_limits(case, jnp.zeros(()))
         servo = position_mode(case.drive, reference)
         moving, report = step(tree.of(case), case, limits, from_state(state), servo, h, iterations)
         work = h * (jnp.sum(sum(report.power)) + report.outside[0])  # pyright: ignore[reportArgumentType]

@@ -8,11 +8,13 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from sweep.core.rotations import conjugate, exponential, logarithm, multiply
+from sweep.models.control import Control
 from sweep.models.noise import Noise
 from sweep.models.obstacles.surface import FreeState
 
 # folded into a key to draw errors of the free bodies, of the feet's load, and of what turns
 FREE, LOAD, RATES = 1, 2, 3
+DOUBT = 4.0  # deviations of what is measured on a foot in the air that do not yet make it stand
 
 
 class Observation(NamedTuple):
@@ -108,6 +110,11 @@ def observe(noise: Noise, sensors: Sensors, truth: Observation, key: Array) -> t
         ),
     )
     return sensors._replace(past=past), seen
+
+
+def threshold(control: Control, noise: Noise) -> Array | float:
+    """Measured load (N) from which on a foot stands."""
+    return control.load_threshold + DOUBT * jnp.sqrt(jnp.square(noise.load_noise) + jnp.square(noise.load_bias))
 
 
 def _scatter(key: Array, sizes: tuple[Array | float, ...], free: FreeState) -> Float[Array, "k 4 3"]:

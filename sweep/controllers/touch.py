@@ -28,7 +28,6 @@ from sweep.models.robot import Robot
 
 REACH = 0.04  # m, how far a foot that finds no surface goes on beyond where it is planned
 COMING = 0.5  # of a swing, from where on a foot that bears load has landed
-DOUBT = 4.0  # deviations of what is measured on a foot in the air that do not yet make it stand
 TOO_FAR = 0.002  # m, that a foot in search of the surface may go on before it is told of the load on it
 YIELD = 0.5  # of what presses a foot too much as it lands, by which it yields in a tick
 CLEAR = 0.005  # m, that a foot may land outside of the planned surface; farther out it is lifted, by as much
@@ -65,11 +64,6 @@ def untouched(control: Control, obstacle: Obstacle) -> Touched:
     caution = jnp.asarray(control.caution, float)
     known = _with(obstacle, sizes)
     return Touched(known, known, covariance, jnp.ones(N_LEGS, bool), jnp.zeros(N_LEGS), caution)
-
-
-def threshold(control: Control, noise: Noise) -> Array | float:
-    """Measured load (N) from which on a foot stands."""
-    return control.load_threshold + DOUBT * jnp.sqrt(jnp.square(noise.load_noise) + jnp.square(noise.load_bias))
 
 
 def standing(

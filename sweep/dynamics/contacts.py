@@ -1,18 +1,201 @@
-"""Contact points as parts of root bodies: how fast they pass over their surfaces, and what their forces do to both."""
+"""Contact points: their viscoelastic law with a Coulomb limit (monograph 1.2.2), and what they do to root bodies.
+
+The damping is evaluated implicitly. A contact point of the model that rolls is the centre of its sphere; it touches a
+radius below, along the surface's normal. There a Coulomb moment of a given arm times the normal force opposes the
+turning.
+"""
 
 from collections.abc import Sequence
 from functools import reduce
 from operator import add
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int
 
-from sweep.core.vectors import Matrix, Vector
+from sweep.core.vectors import Matrix, Vector, along, where
 from sweep.dynamics.spatial import Spatial
-from sweep.models.contact import Geometry
-from sweep.models.obstacles.surface import Rolling
+from sweep.models.contact import Contact
+from sweep.models.obstacles.surface import Bodies, Rolling, Surface
+
+FACE = jnp.int32  # in double precision obstacles may tell wider ones
+CREEP = 1e-4  # rad/s, at which the resisting moment reaches its limit: rest is a creep slower than this
+Frames = Sequence[tuple[Vector, Matrix]]  # (1,) of each free body: place of its origin, and body to world axes
+
+
+class Anchors(NamedTuple):
+    """Where each of n contact points holds on: r_T of (1.2.2)."""
+
+    # m, in the axes of the body that owns the face, world axes for the fixed world; of what rolls, from the contact
+    place: Vector
+    loaded: Bool[Array, " n"]
+    face: Int[Array, " n"]
+
+
+class Geometry(NamedTuple):
+    """Everything of n contacts that stays fixed while a step's velocity is solved for. Axes are those of its maker."""
+
+    depth: Float[Array, " n"]
+    normal: Vector
+    stretch: Vector  # tangential part of anchor minus point, m
+    limit: Float[Array, " n"]  # friction coefficient
+    damping: Float[Array, " n"] | float  # N s/m, d_n and the surface's own
+
+    def turned(self, by: Matrix) -> "Geometry":
+        """The geometry in other axes."""
+        return self._replace(normal=by @ self.normal, stretch=by @ self.stretch)
+
+
+class Forces(NamedTuple):
+    """Contact forces at a velocity."""
+
+    force: Vector  # N, on the point
+    normal: Float[Array, " n"]  # N, along the surface normal
+    tangential: Vector  # N
+    direction: Vector  # of the tangential force
+    share: Float[Array, " n"]  # of the elastic force that holds
+    slipping: Bool[Array, " n"]
+    loaded: Bool[Array, " n"]
+
+
+def nowhere(n: int, dtype: jnp.dtype) -> Anchors:
+    """Of points that have not touched anything."""
+    return Anchors(Vector.of(jnp.zeros((n, 3), dtype)), jnp.zeros(n, bool), jnp.zeros(n, FACE))
+
+
+def _world(place: Vector, body: Array, frames: Frames) -> Vector:
+    """Points from the axes of the free body that each belongs to (-1: the world) to world axes."""
+    for k, (origin, rotation) in enumerate(frames):
+        place = where(body == k, rotation @ place + origin, place)
+    return place
+
+
+def _own(place: Vector, body: Array, frames: Frames) -> Vector:
+    """The inverse of `_world`."""
+    for k, (origin, rotation) in enumerate(frames):
+        place = where(body == k, rotation.transposed @ (place - origin), place)
+    return place
+
+
+def _frames(bodies: Bodies) -> Frames:
+    """Frames of free bodies by their components."""
+    places = zip(bodies.position, bodies.rotation, strict=True)
+    return [(Vector.of(position[None]), Matrix.of(rotation[None])) for position, rotation in places]
+
+
+def to_world(place: Float[Array, "n 3"], body: Int[Array, " n"], bodies: Bodies) -> Float[Array, "n 3"]:
+    """Points from the axes of the free body that each belongs to (-1: the world) to world axes."""
+    return _world(Vector.of(place), body, _frames(bodies)).array()
+
+
+def to_body(place: Float[Array, "n 3"], body: Int[Array, " n"], bodies: Bodies) -> Float[Array, "n 3"]:
+    """The inverse of `to_world`."""
+    return _own(Vector.of(place), body, _frames(bodies)).array()
+
+
+def contact_geometry(
+    contact: Contact, surface: Surface, anchors: Anchors, point: Vector, frames: Frames
+) -> tuple[Geometry, Vector]:
+    """Contact geometry at the start of a step, and the anchors; world axes.
+
+    A point keeps its anchor while it stays loaded on the same face; otherwise it takes hold where it is now.
+    """
+    normal = Vector.of(surface.normal)
+    held = anchors.loaded & (anchors.face == surface.face)
+    fresh = point + surface.depth * normal
+    kept = _world(anchors.place, surface.body, frames)
+    if surface.rolling is not None:
+        kept = where(surface.rolling.radius > 0, point + anchors.place, kept)
+    place = where(held, kept, fresh)
+    gap = place - point
+    stretch = gap - gap.dot(normal) * normal
+    damping = contact.damping if surface.damping is None else contact.damping + surface.damping
+    return Geometry(surface.depth, normal, stretch, contact.friction * surface.friction_scale, damping), place
+
+
+def contact_forces(contact: Contact, geometry: Geometry, velocity: Vector) -> Forces:
+    """Forces in a step that is passed at `velocity` (m/s, relative to the surface).
+
+    N = c_n depth - d_n v_n where positive; the tangential force is elastic up to the Coulomb limit. The depth is that
+    at the step's start, the velocity that at its end: to first order in the step nothing but d_n damps. With the
+    depth at its end, c_n h would come on top.
+    """
+    n, g = geometry.normal, geometry.damping
+    v_normal = velocity.dot(n)
+    normal = jnp.maximum(0.0, contact.stiffness * geometry.depth - g * v_normal)
+    loaded = normal > 0
+    elastic = contact.stiffness * geometry.stretch - g * (velocity - v_normal * n)
+    size = jnp.sqrt(elastic.dot(elastic) + 1e-6)
+    most = geometry.limit * normal
+    slipping = loaded & ~(size <= most)  # a limit that is not a number must show, not hold
+    share = jnp.where(loaded, jnp.where(slipping, most / size, 1.0), 0.0)
+    tangential = share * elastic
+    return Forces(normal * n + tangential, normal, tangential, (1 / size) * elastic, share, slipping, loaded)
+
+
+def contact_slope(geometry: Geometry, forces: Forces, h: float) -> Matrix:
+    """-h d force / d velocity (N s^2/m), where `forces` are.
+
+    It keeps the coupling of the limit to the normal force, which makes it unsymmetric: without it the two iterations of
+    a step diverge at 2 ms. Its parts are kept as values: worked out twice, they might differ.
+    """
+    n, t = geometry.normal, forces.direction
+    scale = h * geometry.damping
+    slips, holds = forces.slipping.astype(t.x.dtype), forces.loaded.astype(t.x.dtype)
+    round_ = scale * forces.share
+    along_n = scale * (holds - forces.share) * n + (scale * slips * geometry.limit) * t
+    along_t = (-scale * slips * forces.share) * t
+    round_, along_n, along_t = jax.lax.optimization_barrier((round_, along_n, along_t))
+    return Matrix(*(a * n + b * t + along(k, round_) for k, (a, b) in enumerate(zip(along_n, along_t, strict=True))))
+
+
+def update_anchors(
+    contact: Contact,
+    surface: Surface,
+    point: Vector,
+    frames: Frames,
+    place: Vector,
+    forces: Forces,
+    velocity: Vector,
+    h: float,
+) -> Anchors:
+    """Anchors after the step: a slipping point drags its anchor along, so that it holds just the Coulomb limit.
+
+    The contact of what rolls moves over both surfaces alike: only the slip between them, at `velocity`, stretches it.
+    All in world axes.
+    """
+    normal = Vector.of(surface.normal)
+    landed = point + h * velocity + (surface.depth - h * normal.dot(velocity)) * normal
+    dragged = landed + (1 / contact.stiffness) * forces.tangential
+    place = where(forces.slipping, dragged, place)
+    kept = _own(place, surface.body, frames)
+    if surface.rolling is not None:
+        kept = where(surface.rolling.radius > 0, place - point - h * velocity, kept)
+    return Anchors(kept, forces.loaded, surface.face.astype(FACE))
+
+
+class Moments(NamedTuple):
+    """Moments on the spheres at a rate of turning, and how they fall with it."""
+
+    moment: Vector  # (m,) N m
+    slope: Matrix  # (m,) -d moment / d rate, N m s/rad
+
+
+def resisting_moments(rolling: Rolling, normal: Vector, load: Float[Array, "*m"], rate: Vector) -> Moments:
+    """Moments (N m) against rolling and spinning at `rate` (rad/s) under the normal forces `load` (N)."""
+    spin = rate.dot(normal)
+    roll = rate - spin * normal
+    size = jnp.sqrt(roll.dot(roll) + 1e-20)
+    of_roll = load * rolling.roll / jnp.maximum(size, CREEP)
+    of_spin = load * rolling.spin / jnp.maximum(jnp.abs(spin), CREEP)
+    moment = -of_roll * roll - (of_spin * spin) * normal
+    rests = (jnp.abs(spin) <= CREEP).astype(spin.dtype)
+    along_n = (rests * of_spin - of_roll) * normal
+    along_t = ((size > CREEP).astype(spin.dtype) * of_roll / size**2) * roll
+    rows = zip(along_n, along_t, strict=True)
+    return Moments(moment, Matrix(*(a * normal - b * roll + along(k, of_roll) for k, (a, b) in enumerate(rows))))
 
 
 class Arm(NamedTuple):

@@ -6,9 +6,10 @@ import jax.numpy as jnp
 
 from sweep.core.constants import GRAVITY
 from sweep.core.vectors import Matrix, Vector
+from sweep.dynamics.contacts import Frames
 from sweep.dynamics.spatial import Inertia, Motion, Pose, Spatial
 from sweep.models.case import Case
-from sweep.models.contact import Frames
+from sweep.models.legs import N_LEGS
 from sweep.models.obstacles.surface import Bodies, FreeState, free_start
 
 
@@ -63,6 +64,11 @@ def sites(case: Case, bodies: FreeBodies) -> list[Vector]:
             origin = origin + bodies.axes[k] @ Vector.of(jnp.asarray(places[name], origin.x.dtype)[None])
         found.append(origin)
     return [Vector(*(jnp.concatenate(parts) for parts in zip(*found, strict=True)))] if found else []
+
+
+def owners(case: Case) -> tuple[int, ...]:
+    """The free body that carries each contact point, -1 for the robot's feet, which come first."""
+    return (-1,) * N_LEGS + tuple(body for _, body in case.obstacle.contact_sites)
 
 
 def loads(case: Case, pose: Pose, motion: Motion, bodies: FreeBodies) -> list[Spatial]:

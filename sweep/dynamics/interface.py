@@ -13,6 +13,7 @@ import numpy as np
 
 from sweep.core.errors import InputError
 from sweep.core.vectors import Vector
+from sweep.dynamics.free_bodies import owners
 from sweep.dynamics.spatial import Mass, Motion, Pose
 from sweep.models import scene
 from sweep.models.case import Case
@@ -59,11 +60,6 @@ def topology(case: Case) -> Topology:
     leg = np.array([model.jnt_dofadr[names["joint"][joint]] for joint in JOINTS], np.int32).reshape(N_LEGS, 3)
     feet = np.array([names["site"][f"foot{leg}"] for leg in LEGS], np.int32)
     return Topology(model, names, leg, feet, free, owners(case))
-
-
-def owners(case: Case) -> tuple[int, ...]:
-    """The free body that carries each contact point, -1 for the robot's feet, which come first."""
-    return (-1,) * N_LEGS + tuple(body for _, body in case.obstacle.contact_sites)
 
 
 def saved(model: mujoco.MjModel) -> bytes:

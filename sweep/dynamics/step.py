@@ -19,21 +19,24 @@ from jaxtyping import Array, Float
 from sweep.core.constants import GRAVITY
 from sweep.core.vectors import Matrix, Vector, total
 from sweep.dynamics import free_bodies, newton
-from sweep.dynamics.contacts import Arm, Contacts, arms
-from sweep.dynamics.free_bodies import FreeBodies
-from sweep.dynamics.interface import SmoothDynamics, Topology, Tree, owners
-from sweep.dynamics.rolling import Moments, resisting_moments
-from sweep.dynamics.spatial import Mass, Motion, Pose, Rates, Spatial, by_joint, each, pack, shifted, unpack
-from sweep.models.case import Case
-from sweep.models.contact import (
+from sweep.dynamics.contacts import (
     Anchors,
+    Arm,
+    Contacts,
     Forces,
+    Moments,
+    arms,
     contact_forces,
     contact_geometry,
     contact_slope,
     nowhere,
+    resisting_moments,
     update_anchors,
 )
+from sweep.dynamics.free_bodies import FreeBodies
+from sweep.dynamics.interface import SmoothDynamics, Topology, Tree
+from sweep.dynamics.spatial import Mass, Motion, Pose, Rates, Spatial, by_joint, each, pack, shifted, unpack
+from sweep.models.case import Case
 from sweep.models.drive import Servo
 from sweep.models.legs import N_LEGS
 from sweep.models.obstacles.surface import Bodies, Surface
@@ -260,7 +263,7 @@ def _touches(case: Case, state: MovingState, here: _Here) -> list[_Touch]:
     base, turned, to_base = here.pose.root[0].position, here.turned, here.turned.transposed
     at = [here.robot.joints[-1], *free_bodies.sites(case, here.free)]
     points = [base + turned @ each for each in at]
-    owner, dtype = owners(case), at[0].x.dtype
+    owner, dtype = free_bodies.owners(case), at[0].x.dtype
     bodies = free_bodies.as_bodies(here.free, dtype)
     surface = case.obstacle.surface(jnp.concatenate([each.array() for each in points]), owner, bodies)
     touches = []

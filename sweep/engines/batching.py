@@ -12,7 +12,6 @@ from sweep.controllers.plan import Plan
 from sweep.controllers.tracker import TrackerState
 from sweep.core.parameters import InputError
 from sweep.core.waiting import part
-from sweep.dynamics.step import Limits
 from sweep.engines import base, planning, program_cache
 from sweep.engines.base import Figures, Trace
 from sweep.engines.settings import EngineSettings
@@ -21,7 +20,7 @@ from sweep.metrics.metric import Tick
 from sweep.metrics.outcome import Thresholds
 from sweep.models import scene
 from sweep.models.case import Case
-from sweep.models.legs import N_JOINTS, N_LEGS
+from sweep.models.legs import N_JOINTS
 
 
 def nominal_plan(belief: Case) -> Plan:
@@ -71,18 +70,6 @@ def check(streams: np.ndarray, width: int) -> None:
     """Raises `ValueError` where a batch does not have the engine's width."""
     if len(streams) != width:
         raise ValueError(f"a batch of {len(streams)} rollouts for an engine of width {width}")
-
-
-def execution_limits(world: Case, time: Array) -> Limits:
-    """What the drives can do, and the push, at `time` (s)."""
-    execution = world.execution
-    alive = jnp.arange(N_JOINTS).reshape(N_LEGS, 3) != jnp.round(execution.dead_joint)
-    torque = jnp.full((6, 3), execution.torque_scale * world.drive.torque_limit)
-    pushed = (time >= execution.push_time) & (time < execution.push_time + execution.push_duration)
-    size = jnp.where(pushed, execution.push_impulse / execution.push_duration, 0.0)
-    angle = execution.push_direction
-    direction = jnp.stack([jnp.cos(angle), jnp.sin(angle), jnp.zeros_like(jnp.cos(angle))])
-    return Limits(alive.astype(torque.dtype), torque, size * direction)
 
 
 def record(command: Command, state: TrackerState, tick: Tick, q: Array, v: Array, judged: Array) -> dict[str, Array]:

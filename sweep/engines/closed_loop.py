@@ -7,11 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from sweep.controllers import touch, tracker
+from sweep.controllers import tracker
 from sweep.controllers.frames import Stance
 from sweep.controllers.layers import Command
 from sweep.controllers.learned import Learned, at_first, felt, informed, newest, replanned
-from sweep.controllers.observation import Observation, Sensors, install, observe
+from sweep.controllers.observation import Observation, Sensors, install, observe, threshold
 from sweep.controllers.plan import Plan
 from sweep.controllers.posture import feet_in_world
 from sweep.controllers.tracker import TrackerState, joint_targets
@@ -158,7 +158,7 @@ def act(
     if not quiet:
         sensors, seen = observe(world.noise, sensors, seen, jax.random.fold_in(loop.key, tick))
     free = surface.placed(at_first(belief, loop.learned), seen.free)
-    seen = seen._replace(free=free, loaded=seen.load > touch.threshold(world.control, belief.noise))
+    seen = seen._replace(free=free, loaded=seen.load > threshold(world.control, belief.noise))
     state, followed, beside, learned = felt(world, belief, plan, loop.tracker, loop.learned, seen, period)
     state, command = tracker.step(informed(belief, learned), followed, state, seen, period, beside)
     servo = position_mode(world.drive, command.joints - seen.joint_error)

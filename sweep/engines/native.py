@@ -21,7 +21,7 @@ from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError
 from sweep.core.rotations import exponential, multiply
 from sweep.core.waiting import part
-from sweep.engines import batching, devices, fused_loop, planning, program_cache
+from sweep.engines import batching, devices, fused_loop, physics, planning, program_cache
 from sweep.engines.base import Figures, Trace, Watch
 from sweep.engines.closed_loop import (
     CHUNK,
@@ -406,7 +406,7 @@ class Native:
         The latter are those of the bodies moved on from the tick's start, `free`, as fast as they are there.
         """
         ahead = self.settings.native_time_step * jnp.arange(self.substeps)
-        push = jax.vmap(lambda t: batching.execution_limits(world, t).push)(start + ahead)
+        push = jax.vmap(lambda t: physics.execution_limits(world, t).push)(start + ahead)
         loads = jnp.zeros((self.substeps, 6 * len(world.obstacle.free_bodies)))
         if loads.size and (load := jax.vmap(lambda t: world.obstacle.load(_ahead(free, t)))(ahead)) is not None:
             loads = load.reshape(loads.shape)

@@ -16,14 +16,14 @@ from sweep.dynamics import step as dynamics
 from sweep.dynamics import tree
 from sweep.dynamics.interface import SmoothDynamics, Topology
 from sweep.dynamics.spatial import Rates, each
-from sweep.dynamics.step import Before, Report, State, from_state, to_state
+from sweep.dynamics.step import Before, Limits, Report, State, from_state, to_state
 from sweep.engines import batching
 from sweep.engines.closed_loop import free_state
 from sweep.engines.settings import EngineSettings
 from sweep.metrics.metric import Tick
 from sweep.models.case import Case
 from sweep.models.drive import Servo, towards
-from sweep.models.legs import N_LEGS
+from sweep.models.legs import N_JOINTS, N_LEGS
 from sweep.models.obstacles.surface import Bodies
 from sweep.models.robot import links
 
@@ -36,11 +36,23 @@ def taken(settings: EngineSettings) -> str:
 def make(settings: EngineSettings, top: Topology) -> "Physics":
     """The physics of a scenario."""
     if taken(settings) == "arrowhead":
-        return Physics(settings, tree.of)
+        return Physics(settings, batching.substeps(settings), tree.of)
     with redirect_stdout(io.StringIO()):  # MJX is slow to import, and prints that
         from sweep.dynamics import mjx
 
-    return Physics(settings, mjx.of(top))
+    return Physics(settings, batching.substeps(settings), mjx.of(top))
+
+
+def execution_limits(world: Case, time: Array) -> Limits:
+    """What the drives can do, and the push, at `time` (s)."""
+    execution = world.execution
+    alive = jnp.arange(N_JOINTS).reshape(N_LEGS, 3) != jnp.round(execution.dead_joint)
+    torque = jnp.full((6, 3), execution.torque_scale * world.drive.torque_limit)
+    pushed = (time >= execution.push_time) & (time < execution.push_time + execution.push_duration)
+    size = jnp.where(pushed, execution.push_impulse / execution.push_duration, 0.0)
+    angle = execution.push_direction
+    direction = jnp.stack([jnp.cos(angle), jnp.sin(angle), jnp.zeros_like(jnp.cos(angle))])
+    return Limits(alive.astype(torque.dtype), torque, size * direction)
 
 
 class Totals(NamedTuple):
@@ -73,6 +85,7 @@ class Physics(NamedTuple):
     """A way to simulate the world between two control ticks."""
 
     settings: EngineSettings
+    substeps: int
     smooth_dynamics: Callable[[Case], SmoothDynamics]
 
     def energy(self, world: Case, state: State) -> Array:
@@ -84,13 +97,13 @@ class Physics(NamedTuple):
 
         Positions and energy in the summary are those at the start of the last step: no kinematics twice.
         """
-        n, h = batching.substeps(self.settings), self.settings.time_step
+        n, h = self.substeps, self.settings.time_step
         smooth_dynamics = self.smooth_dynamics(world)
 
         def substep(carry: tuple, k: Array) -> tuple[tuple, None]:
             moving, totals, *_ = carry
             servo = towards(old, new, (k + 1) / n)
-            limits = batching.execution_limits(world, (tick * n + k) * h)
+            limits = execution_limits(world, (tick * n + k) * h)
             moving, report = dynamics.step(smooth_dynamics, world, limits, moving, servo, h, self.settings.iterations)
             return (moving, totals.plus(report), report.normal, report.before), None
 
@@ -99,7 +112,7 @@ class Physics(NamedTuple):
         return (state := to_state(moving)), self._summary(state, totals, load, before)
 
     def _summary(self, state: State, totals: Totals, load: Array, before: Before) -> Tick:
-        n, h, legs = batching.substeps(self.settings), self.settings.time_step, slice(3 * N_LEGS)
+        n, h, legs = self.substeps, self.settings.time_step, slice(3 * N_LEGS)
         force, normal = (1 / n) * totals.force, totals.normal / n
         along = force - normal * before.normal
         return Tick(

@@ -8,8 +8,8 @@ from jaxtyping import Array, Bool, Float
 from sweep.controllers.manoeuvres.afloat.raft_cross import PUSH, WAIT
 from sweep.controllers.plan import led_by
 from sweep.core.rotations import heading, rotate
+from sweep.dynamics.contacts import to_body
 from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment
-from sweep.models.contact import to_body
 from sweep.models.obstacles.raft import CORNERS, Raft
 from sweep.models.obstacles.surface import under
 

@@ -5,9 +5,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from sweep.dynamics.contacts import to_body, to_world
 from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment
 from sweep.models.case import Case
-from sweep.models.contact import to_body, to_world
 from sweep.models.obstacles.ball import Ball
 from sweep.models.obstacles.ledges import Ledges
 from sweep.models.obstacles.raft import Raft

@@ -9,10 +9,8 @@ from hypothesis import strategies as st
 
 from sweep.core.rotations import exponential, matrix
 from sweep.core.vectors import Matrix, Vector
-from sweep.dynamics.newton import Blocks
-from sweep.models.contact import (
+from sweep.dynamics.contacts import (
     Anchors,
-    Contact,
     Geometry,
     contact_forces,
     contact_geometry,
@@ -22,6 +20,8 @@ from sweep.models.contact import (
     to_world,
     update_anchors,
 )
+from sweep.dynamics.newton import Blocks
+from sweep.models.contact import Contact
 from sweep.models.obstacles.kerb import Kerb
 from sweep.models.obstacles.plane import Plane
 from sweep.models.obstacles.surface import Bodies, no_bodies, poses

@@ -15,7 +15,7 @@ import pytest
 
 from sweep.dynamics import interface, tree
 from sweep.dynamics.step import from_state, rest, step, to_state
-from sweep.engines import batching, devices
+from sweep.engines import devices, physics
 from sweep.engines.batch_last import batch_last_vmap
 from sweep.engines.native import native_model
 from sweep.models.drive import position_mode
@@ -44,7 +44,7 @@ def largest_error(recorded, case, width: int, seconds: float) -> np.ndarray:
     """How far (m) the base of each of `width` rollouts, started up to 1 um apart in height, was from the record."""
     devices.configure()
     top = interface.topology(case)
-    limits = batching.execution_limits(case, jnp.zeros(()))
+    limits = physics.execution_limits(case, jnp.zeros(()))
 
     def start(offset):
         return rest(top, jnp.asarray(recorded["q0"], jnp.float32).at[2].add(offset))

@@ -9,7 +9,7 @@ import pytest
 from sweep.dynamics import interface as dynamics
 from sweep.dynamics import mjx as mjx_dynamics
 from sweep.dynamics.step import from_state, rest, step
-from sweep.engines import batching, devices
+from sweep.engines import devices, physics
 from sweep.engines.batch_last import batch_last_vmap
 from sweep.engines.native import native_model
 from sweep.models.drive import Servo, position_mode
@@ -31,7 +31,7 @@ def one_step():
     top = dynamics.topology(CASE)
     smooth = mjx_dynamics.of(top)(CASE)
     q = jnp.asarray(top.model.qpos0).at[2].set(9.0).at[1 + top.leg].set(ANGLES)
-    limits = batching.execution_limits(CASE, jnp.zeros(()))
+    limits = physics.execution_limits(CASE, jnp.zeros(()))
 
     def run(torque):
         moving, report = step(smooth, CASE, limits, from_state(rest(top, q)), _order(torque), H, 3)

@@ -14,7 +14,7 @@ from sweep.core.errors import InputError
 from sweep.core.parameters import parameters
 from sweep.dynamics import interface, tree
 from sweep.dynamics.step import from_state, rest, step, to_state
-from sweep.engines import batching
+from sweep.engines import physics
 from sweep.models import scene
 from sweep.models.drive import position_mode
 from sweep.study.config import compose
@@ -86,7 +86,7 @@ def test_momentum_goes_where_forces_send_it(name):
             mujoco.mj_forward(model, data)
             state[2] += (5.05 if name == "slab" else 0.0) - np.median(data.site_xpos[top.feet][:, 2])
         targets = q[:, 7:25].reshape(-1, 6, 3) + rng.normal(scale=2e-3, size=(STATES, 6, 3))
-        limits = batching.execution_limits(case, jnp.zeros(()))
+        limits = physics.execution_limits(case, jnp.zeros(()))
 
         def one(q, v, target):
             start = rest(top, q)._replace(v=v)
