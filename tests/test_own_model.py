@@ -302,6 +302,15 @@ def test_a_mistake_is_one_line_and_nothing_is_written(here, tmp_path, capsys, ch
     assert not Path("wrong").exists()
 
 
+def test_a_model_with_too_little_memory_for_a_step_is_one_line(here, capsys):
+    small = Path("quadruped.xml").read_text().replace("<option", '<size memory="10K"/><option', 1)
+    Path("small.xml").write_text(small)
+    assert main(["run", "study=grip", "model.mjcf=small.xml"]) == 2
+    (told,) = capsys.readouterr().err.splitlines()
+    assert "model.mjcf = small.xml cannot be simulated: " in told
+    assert 'increase <size memory="..."/>' in told
+
+
 STILL = "def policy(belief, seen, state, key): return jnp.zeros(12), state\n"
 
 

@@ -6,12 +6,14 @@ many rollouts share a batch.
 
 from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
+from mujoco.batch import SimulationError
 
+from sweep.core.errors import InputError
 from sweep.engines import devices
 from sweep.engines.base import Figures, Trace, Watch, single_joints, substeps
 from sweep.engines.settings import EngineSettings
@@ -59,9 +61,15 @@ class Loop:
         with self._within():
             self._programs = Programs(own, belief)
 
-    def _within(self) -> AbstractContextManager:
-        """The precision that JAX reckons in."""
-        return devices.precision(self._settings)
+    @contextmanager
+    def _within(self) -> Iterator[None]:
+        """The precision that JAX reckons in. Raises `InputError` where MuJoCo has no room for a step of the model."""
+        try:
+            with devices.precision(self._settings):
+                yield
+        except SimulationError as error:
+            reason = " ".join(str(error).split())
+            raise InputError(f"model.mjcf = {self._own.about.mjcf} cannot be simulated: {reason}") from None
 
     def check_start(self) -> None:
         """Raise `InputError` where the controller's first controls are not finite, all being nominal."""
