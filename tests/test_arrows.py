@@ -39,6 +39,7 @@ JAX_ABOVE_ENGINES = {
 # the sources' own text; compiled programs; a study's name for its folder and its table of points; what a system is read
 # from, which goes with a study
 FILES_BELOW_RUNS = {
+    "sweep.core.letters",
     "sweep.core.files",
     "sweep.core.project",
     "sweep.core.waiting",
