@@ -2,7 +2,6 @@
 
 import argparse
 import os
-import sys
 import webbrowser
 from collections.abc import Iterator
 from dataclasses import replace
@@ -41,7 +40,7 @@ def main(args: list[str]) -> int:
         Path(options.what[0]) / "view.html" if of_folder else PAGES / f"{found.exp.scenario}.html"
     )
     print(page.write(found, path, shown=shown, opened=1 + bool(options.beside)))
-    if sys.platform != "linux" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
+    if viewer.screen():
         webbrowser.open(path.resolve().as_uri())
     return DONE
 

@@ -76,13 +76,8 @@ def shown(a: Results, b: Results) -> Iterator[Shown]:
         row, pair = found.rows.iloc[place], pairs.iloc[place]
         for side, mark, replay in (("A", "", kept), ("B", SECOND, of_b.get(names.iloc[place]))):
             if replay:
-                came = pair[f"cause{mark}"] or SUCCESS
-                yield Shown(-1 if mark else place, row, replay, f"{side} {came.replace('_', ' ')}, {titled(row)}")
-
-
-def titled(row: pd.Series) -> str:
-    """Which pair it is."""
-    return str(row["point_id"])[:6]
+                came = (pair[f"cause{mark}"] or SUCCESS).replace("_", " ")
+                yield Shown(-1 if mark else place, row, replay, f"{side} {came}, {row['point_id'][:6]}")
 
 
 def identity(rows: pd.DataFrame, mark: str) -> pd.Series:

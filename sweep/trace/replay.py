@@ -66,7 +66,8 @@ def main(args: list[str]) -> int:
     if options.model:
         options.model.write_text(model_xml(result.trace.world, result.settings), encoding="utf-8")
     for name in options.plot:
-        save(PLOTS[name](result.trace), plot_path(options.output, name, alone=len(options.plot) == 1))
+        beside = options.output.with_stem(f"{options.output.stem}-{name}")
+        save(PLOTS[name](result.trace), beside if len(options.plot) > 1 else options.output)
     came = str(result.again["cause"] or result.again["outcome"]).replace("_", " ")
     if options.png:
         write_png(options.png, result.trace, came)
@@ -112,11 +113,6 @@ def comparison(result: Replay) -> str:
     if result.other_run:
         lines.append(f"{result.other_run}: bits may differ")
     return "\n".join(lines)
-
-
-def plot_path(output: Path, name: str, alone: bool) -> Path:
-    """File of the plot `name`: `output` itself, or one beside it for each of several plots."""
-    return output if alone else output.with_stem(f"{output.stem}-{name}")
 
 
 def _shown(value: Any) -> str:

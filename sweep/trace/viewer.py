@@ -11,9 +11,14 @@ from sweep.trace.sampling import finite_frames
 HOLD = 1.0  # s, before it begins again
 
 
+def screen() -> bool:
+    """Whether there is one to show things on."""
+    return sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
 def check() -> None:
     """Raise `InputError` where there is no screen to show it on."""
-    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+    if not screen():
         raise InputError("--mujoco needs a screen: DISPLAY is not set. Without it the page shows the same")
 
 

@@ -178,9 +178,7 @@ def telling(one: Typical, exp: Experiment) -> Iterator[tuple[str, str]]:
 
 def image(one: Typical) -> str:
     """Its picture as a data URL; empty where there is none."""
-    if not one.picture.exists():
-        return ""
-    return address(one.picture.read_bytes())
+    return address(one.picture.read_bytes()) if one.picture.exists() else ""
 
 
 def table(rows: pd.DataFrame, exp: Experiment) -> Markup:
