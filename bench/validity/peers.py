@@ -2,8 +2,9 @@
 
 import io
 from contextlib import redirect_stdout
+from functools import partial
 from importlib.util import find_spec
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import mujoco
@@ -29,6 +30,7 @@ class Settings(NamedTuple):
 NATIVE = Settings("elliptic", 1e-3, 100.0, True)
 BY_MJX = ("slope at 0.9 of friction", "block kicked aside on a slope", "block pushed aside on a slope",
           "ball slides, then rolls")  # fmt: skip  # the few that it is asked for, as each compiles anew
+PIECE = 50  # steps of a program of MJX
 ELLIPTIC, PYRAMIDAL = Settings("elliptic", 2e-3), Settings("pyramidal", 2e-3)
 
 
@@ -118,16 +120,24 @@ def by_mjx(scene: Scene, settings: Settings, impl: str = "jax") -> History:
     made = model(scene, settings)
     there, begun = mjx.put_model(made, impl=impl), _begun(scene, made)
     mujoco.mj_forward(made, begun)
-    data = mjx.put_data(made, begun, impl=impl)
+    data, pieces, steps = mjx.put_data(made, begun, impl=impl), [], round(scene.seconds / settings.time_step)
+    for _ in range(0, steps, PIECE):
+        data, piece = _ahead(there, data)
+        pieces.append(piece)
+    q, v = (np.concatenate([np.asarray(piece[k], float) for piece in pieces])[:steps] for k in range(2))
+    return _history(q, v, settings.time_step, np.full(len(scene.touches), np.nan))
 
-    def ahead(data, _):
+
+@partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})  # run a few times
+def _ahead(there: Any, data: Any) -> Any:
+    """A piece of a scene by MJX; scenes of as many bodies and touches share a program."""
+    from mujoco import mjx
+
+    def ahead(data: Any, _: None) -> Any:
         data = mjx.step(there, data)
         return data, (data.qpos, data.qvel)
 
-    steps = round(scene.seconds / settings.time_step)
-    options = {"xla_backend_optimization_level": 0}  # run once
-    _, (q, v) = jax.jit(lambda data: jax.lax.scan(ahead, data, length=steps), compiler_options=options)(data)
-    return _history(np.asarray(q, float), np.asarray(v, float), settings.time_step, np.full(len(scene.touches), np.nan))
+    return jax.lax.scan(ahead, data, length=PIECE)
 
 
 def histories(scene: Scene) -> dict[str, History]:
@@ -136,6 +146,9 @@ def histories(scene: Scene) -> dict[str, History]:
     found["C pyramidal"] = by_mujoco(scene, PYRAMIDAL)
     if scene.name in BY_MJX:
         found["MJX elliptic"] = by_mjx(scene, ELLIPTIC)
-    if jax.default_backend() == "gpu" and find_spec("warp"):  # which MJX brings along
-        found["Warp elliptic"] = by_mjx(scene, ELLIPTIC, "warp")
     return found
+
+
+def by_warp(scene: Scene) -> dict[str, History]:
+    """A scene by MuJoCo Warp, on a GPU, where it is there."""
+    return {"Warp elliptic": by_mjx(scene, ELLIPTIC, "warp")} if find_spec("warp") else {}

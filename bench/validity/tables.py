@@ -2,13 +2,17 @@
 
 import math
 from collections.abc import Callable, Iterator
+from functools import cache
 from typing import Any
+
+import jax
 
 from validity import peers, points, raft, robot
 from validity.reference import converged
-from validity.scenes import LONG, SCENES, Scene, error
+from validity.scenes import LONG, SCENES, History, Scene, error
 
 STEPS = {"mjx": {"fused": True}, "mjx by XLA": {}, "mjx, double": {"double": True, "fused": True}}
+ON_GPU = {"mjx on a GPU": {"fused": True}}  # by its kernel: what else is not Warp's is the same on any machine
 
 
 def law() -> dict[tuple[str, str], float]:
@@ -19,10 +23,23 @@ def law() -> dict[tuple[str, str], float]:
 
 def jobs() -> Iterator[tuple[str, Callable[[], list[dict[str, Any]]]]]:
     """Every figure of every scene: its answer, and by engine its value and its error."""
-    yield "bodies", lambda: [*_points(SCENES, law())]
-    yield "flight", lambda: [*_points(LONG, {})]
-    yield "robot", lambda: [*_stands()]
-    yield "raft", lambda: [*_rafts()]
+    if jax.default_backend() == "gpu":
+        yield from _on_gpu()
+        return
+    yield "bodies", lambda: [*_points(SCENES, law(), _by_step(SCENES, STEPS), peers.histories)]
+    yield "flight", lambda: [*_points(LONG, {}, _by_step(LONG, STEPS), peers.histories)]
+    yield "robot", lambda: [*_stands(STEPS)]
+    yield "raft", lambda: [*_rafts(STEPS)]
+
+
+def _on_gpu() -> Iterator[tuple[str, Callable[[], list[dict[str, Any]]]]]:
+    """Scenes one by one, as Warp compiles for minutes."""
+    laws, ours = cache(law), cache(lambda of: _by_step(of, ON_GPU))
+    for of in (SCENES, LONG):
+        for k, scene in enumerate(of):
+            yield scene.name, lambda of=of, k=k: [*_points((of[k],), laws(), ours(of)[k : k + 1], peers.by_warp)]
+    yield "robot", lambda: [*_stands(ON_GPU)]
+    yield "raft", lambda: [*_rafts(ON_GPU)]
 
 
 def short(x: float) -> float | None:
@@ -30,11 +47,20 @@ def short(x: float) -> float | None:
     return float(f"{x:.4g}") if math.isfinite(x) else None
 
 
-def _points(of: tuple[Scene, ...], laws: dict[tuple[str, str], float]) -> Iterator[dict[str, Any]]:
-    ours = {name: points.by_step(of, **given) for name, given in STEPS.items()}
-    for k, scene in enumerate(of):
-        histories = {name: found[k] for name, found in ours.items()}
-        histories |= peers.histories(scene)
+def _by_step(of: tuple[Scene, ...], steps: dict[str, dict[str, bool]]) -> list[dict[str, History]]:
+    """Each scene by this package's step in several ways."""
+    ours = {name: points.by_step(of, **given) for name, given in steps.items()}
+    return [{name: found[k] for name, found in ours.items()} for k in range(len(of))]
+
+
+def _points(
+    of: tuple[Scene, ...],
+    laws: dict[tuple[str, str], float],
+    ours: list[dict[str, History]],
+    beside: Callable[[Scene], dict[str, History]],
+) -> Iterator[dict[str, Any]]:
+    for scene, own in zip(of, ours, strict=True):
+        histories = own | beside(scene)
         for figure in scene.figures:
             gives = laws.get((scene.name, figure.name), float("nan"))
             values = {name: figure.of(h) for name, h in histories.items()}
@@ -42,9 +68,9 @@ def _points(of: tuple[Scene, ...], laws: dict[tuple[str, str], float]) -> Iterat
                        {name: error(figure, value, gives) for name, value in values.items()}, values)  # fmt: skip
 
 
-def _stands() -> Iterator[dict[str, Any]]:
+def _stands(steps: dict[str, dict[str, bool]]) -> Iterator[dict[str, Any]]:
     case, rows = robot.rows()
-    ours = {name: robot.by_step(case, rows, **given) for name, given in STEPS.items()}
+    ours = {name: robot.by_step(case, rows, **given) for name, given in steps.items()}
     for k, row in enumerate(rows):
         forces = {name: found[k] for name, found in ours.items()} | {"native": robot.by_native(case, row)}
         errors = {name: robot.error(case, row, force) for name, force in forces.items()}
@@ -54,8 +80,8 @@ def _stands() -> Iterator[dict[str, Any]]:
         }
 
 
-def _rafts() -> Iterator[dict[str, Any]]:
-    motions = {name: raft.by_step(**given) for name, given in STEPS.items()}
+def _rafts(steps: dict[str, dict[str, bool]]) -> Iterator[dict[str, Any]]:
+    motions = {name: raft.by_step(**given) for name, given in steps.items()}
     motions["native"] = raft.by_mujoco(peers.NATIVE.time_step)
     for figure in raft.figures():
         values = {name: figure.of(motion) for name, motion in motions.items()}
