@@ -32,8 +32,8 @@ from validity import chaos, faults, manoeuvres, order, precision, tables  # noqa
 
 Jobs = Iterator[tuple[str, Callable[[], list[dict[str, Any]]]]]  # of a part: names, and what measures rows
 PARTS: dict[str, tuple[str, Callable[[], Jobs]]] = {  # with the engines
-    "scenes": ("mjx, native, C MuJoCo, MJX; on a GPU Warp", tables.jobs),
-    "faults": ("mjx by XLA", faults.jobs),
+    "scenes": ("mjx, native, C MuJoCo, MJX; on a GPU mjx and Warp", tables.jobs),
+    "faults": ("mjx", faults.jobs),
     "order": ("mjx, double", order.jobs),
     "peers": ("C MuJoCo", order.of_peers),
     "manoeuvres": ("mjx", manoeuvres.jobs),

@@ -1,51 +1,177 @@
-"""Wrong steps, and which scenes tell: every fault must break a bound. Nothing of this is in `sweep`."""
+"""Wrong steps, and which scenes tell: every fault must break a bound. Nothing of this is in `sweep`.
 
+All are in one program, in which each rollout has a number that says which fault it has, if any.
+"""
+
+import dataclasses
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from functools import cache
-from typing import Any
+from contextlib import ExitStack
+from typing import Any, cast
 from unittest import mock
 
+import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
+from sweep.core.parameters import parameters, quantity
 from sweep.core.vectors import Vector
 from sweep.dynamics import contacts, free_bodies, step, tree
-from sweep.dynamics.spatial import Spatial
-from validity import points, robot
-from validity.scenes import SCENES, error
+from sweep.dynamics.spatial import Motion, Spatial
+from sweep.models.case import Case
+from sweep.models.contact import Contact
+from sweep.models.obstacles.kerb import Kerb
+from validity import points, robot, simulation
+from validity.scenes import SCENES, History, error
 from validity.tables import law, short
 
+FAULTS = (
+    "none", "a friction pyramid in place of the cone", "the cone 2 % too wide", "an impulse applied twice",
+    "tangential damping with the wrong sign", "half the contact's stiffness", "half the gravity torque of the joints",
+    "anchors forgotten at every step", "anchors left behind by what slips", "no Coriolis force of free bodies",
+    "one iteration",
+)  # fmt: skip
+Laws = dict[tuple[str, str], float]
+Errors = list[tuple[str, float, float]]  # names, errors and bounds
 
-def errors(
-    iterations: int = 2, converged: dict[tuple[str, str], float] | None = None
-) -> Iterator[tuple[str, float, float]]:
-    """Names, errors and bounds of all that the step must keep; `converged` is of what the contact law alone gives."""
-    for scene, history in zip(SCENES, points.by_step(SCENES, iterations=iterations), strict=True):
+
+def errors(laws: Laws) -> Errors:
+    """All that the step must keep at its default settings; `laws` are what the contact law alone gives."""
+    case, rows = robot.rows()
+    return _errors(points.by_step(SCENES, fused=True), robot.by_step(case, rows, fused=True), laws)
+
+
+def _errors(histories: list[History], forces: np.ndarray, laws: Laws) -> Errors:
+    found, (case, rows) = [], robot.rows()
+    for scene, history in zip(SCENES, histories, strict=True):
         for figure in scene.figures:
             if figure.bound is not None:
-                law = (converged or {}).get((scene.name, figure.name), np.nan)
-                yield f"{scene.name}: {figure.name}", error(figure, figure.of(history), law), figure.bound
-    case, rows = robot.rows()
-    for row, force in zip(rows, robot.by_step(case, rows, iterations=iterations), strict=True):
+                gives = laws.get((scene.name, figure.name), np.nan)
+                found.append((f"{scene.name}: {figure.name}", error(figure, figure.of(history), gives), figure.bound))
+    for row, force in zip(rows, forces, strict=True):
         if row.bound is not None:
-            yield f"{row.name}: forces", robot.error(case, row, force), row.bound
+            found.append((f"{row.name}: forces", robot.error(case, row, force), row.bound))
+    return found
 
 
-def broken(found: Iterator[tuple[str, float, float]]) -> dict[str, float]:
+def with_each(laws: Laws) -> dict[str, Errors]:
+    """The same by steps with each fault."""
+    scenes, (case, rows), n = SCENES * len(FAULTS), robot.rows(), len(FAULTS)
+    begun = points.batch(scenes)
+    with ExitStack() as stack:
+        for patch in _patches():
+            stack.enter_context(patch)
+        nominal = _marked(begun.nominal, _Points, 0.0)
+        begun = begun._replace(case=_marked(begun.case, _Points, _numbers(SCENES)), nominal=nominal)
+        histories = points.stepped(scenes, begun, 2e-3, 2, double=False, fused=True)
+        nominal = _marked(case, _Kerb, 0.0)
+        forces = robot.by_step(_marked(case, _Kerb, _numbers(rows)), rows * n, fused=True, nominal=nominal)
+    parts = zip(np.split(np.arange(len(histories)), n), np.split(forces, n), strict=True)
+    told = ((places.tolist(), own) for places, own in parts)
+    return {name: _errors([histories[k] for k in at], own, laws) for name, (at, own) in zip(FAULTS, told, strict=True)}
+
+
+def _numbers(of: Any) -> np.ndarray:
+    return np.repeat(np.arange(float(len(FAULTS))), len(of))
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class _Points(points.Points):
+    fault: Array
+
+
+@parameters
+class _Kerb(Kerb):
+    fault: float = quantity(0.0, "-")
+
+
+def _marked(case: Case, kind: type, fault: Any) -> Case:
+    """With an obstacle that says which fault a rollout has."""
+    fields = {f.name: getattr(case.obstacle, f.name) for f in dataclasses.fields(cast(Any, case.obstacle))}
+    return dataclasses.replace(case, obstacle=kind(**fields, fault=fault))
+
+
+def broken(found: Errors) -> dict[str, float]:
     """What is beyond its bound, the farthest first, with how many times it is; what is no number is infinitely far."""
     over = {name: error / bound if np.isfinite(error) else np.inf for name, error, bound in found}
     return dict(sorted(((name, by) for name, by in over.items() if by > 1), key=lambda one: -one[1]))
 
 
-def _forces(change: Callable[..., contacts.Forces]) -> mock._patch:
-    right = contacts.contact_forces
-    return mock.patch.object(
-        step, "contact_forces", lambda law, geometry, velocity: change(right, law, geometry, velocity)
-    )
+def _patches() -> Iterator[Any]:
+    """Of what is traced, so that a step has the fault that its obstacle says."""
+    now: dict[str, Any] = {}  # of the step that is being traced: its fault, and the velocity that it begins with
+    right = {
+        name: getattr(owner, name)
+        for owner, name in (
+            (simulation, "step"), (step, "contact_forces"), (step, "update_anchors"), (contacts.Contacts, "onto"),
+            (tree, "tree_terms"), (free_bodies, "bias"), (step._Problem, "trial"), (step._Problem, "improve"),
+        )
+    }  # fmt: skip
+
+    def has(name: str) -> Array:
+        return now["fault"] == FAULTS.index(name)
+
+    def unless(name: str, otherwise: float) -> Array:
+        """A factor."""
+        return jnp.where(has(name), otherwise, 1.0)
+
+    def told(smooth: Any, case: Case, *of: Any) -> Any:
+        now.clear()
+        now["fault"] = case.obstacle.fault  # pyright: ignore[reportAttributeAccessIssue]
+        return right["step"](smooth, case, *of)
+
+    def forces(law: Contact, geometry: contacts.Geometry, velocity: Vector) -> contacts.Forces:
+        along = velocity - velocity.dot(geometry.normal) * geometry.normal
+        velocity = velocity - (1 - unless("tangential damping with the wrong sign", -1.0)) * along
+        geometry = geometry._replace(
+            limit=unless("the cone 2 % too wide", 1.02) * geometry.limit,
+            depth=unless("half the contact's stiffness", 0.5) * geometry.depth,
+        )
+        found = right["contact_forces"](law, geometry, velocity)
+        other = _pyramid(right["contact_forces"], law, geometry, velocity)
+        return jax.tree.map(lambda a, b: jnp.where(has(FAULTS[1]), a, b), other, found)
+
+    def onto(self: contacts.Contacts, force: Vector, moment: Vector | None = None) -> list[tuple[int, Spatial]]:
+        twice = unless("an impulse applied twice", 2.0)
+        return right["onto"](self, twice * force, None if moment is None else twice * moment)
+
+    def terms(*of: Any) -> Any:
+        found = right["tree_terms"](*of)
+        half = unless("half the gravity torque of the joints", 0.5)
+        return found._replace(bias=found.bias._replace(leg=tuple(half * part for part in found.bias.leg)))
+
+    def anchors(law, surface, point, frames, place, forces, velocity, h) -> contacts.Anchors:
+        dragged = forces.slipping & ~has("anchors left behind by what slips")
+        found = right["update_anchors"](
+            law, surface, point, frames, place, forces._replace(slipping=dragged), velocity, h
+        )
+        return found._replace(loaded=found.loaded & ~has("anchors forgotten at every step"))
+
+    def bias(*of: Any) -> Spatial:
+        found = right["bias"](*of)
+        return found._replace(angular=unless("no Coriolis force of free bodies", 0.0) * found.angular)
+
+    def trial(self: Any, w: Motion) -> Any:
+        now.setdefault("begins", w)  # what the first is asked for
+        return right["trial"](self, w)
+
+    def improve(self: Any, before: Any) -> Any:
+        """Nothing after the first improvement, which has left the velocity that the step begins with."""
+        pairs = zip(jax.tree.leaves(before.motion), jax.tree.leaves(now["begins"]), strict=True)
+        late = has("one iteration") & jnp.any(jnp.stack([jnp.any(a != b) for a, b in pairs]))
+        return jax.tree.map(lambda a, b: jnp.where(late, a, b), before, right["improve"](self, before))
+
+    wrong = (
+        (simulation, "step", told), (step, "contact_forces", forces), (step, "update_anchors", anchors),
+        (contacts.Contacts, "onto", onto), (tree, "tree_terms", terms), (free_bodies, "bias", bias),
+        (step._Problem, "trial", trial), (step._Problem, "improve", improve),
+    )  # fmt: skip
+    for owner, name, function in wrong:
+        yield mock.patch.object(owner, name, function)
 
 
-def _pyramid(right, law, geometry, velocity) -> contacts.Forces:
+def _pyramid(right: Callable[..., contacts.Forces], law, geometry, velocity) -> contacts.Forces:
     """Friction is limited along two axes each, not in size."""
     forces = right(law, geometry, velocity)
     free = right(law, geometry._replace(limit=1e6 * jnp.ones_like(geometry.limit)), velocity)
@@ -59,99 +185,12 @@ def _pyramid(right, law, geometry, velocity) -> contacts.Forces:
     return forces._replace(tangential=tangential, force=forces.normal * n + tangential)
 
 
-def _wrong_sign(right, law, geometry, velocity) -> contacts.Forces:
-    """Contacts drive what passes along them, where they should damp it."""
-    rising = velocity.dot(geometry.normal) * geometry.normal
-    return right(law, geometry, rising - (velocity - rising))
-
-
-def _wide_cone(right, law, geometry, velocity) -> contacts.Forces:
-    """The cone is 2 % too wide."""
-    return right(law, geometry._replace(limit=1.02 * geometry.limit), velocity)
-
-
-def _pulling(right, law, geometry, velocity) -> contacts.Forces:
-    """Contacts are half as stiff as they say."""
-    return right(law, geometry._replace(depth=0.5 * geometry.depth), velocity)
-
-
-def _twice(self, force, moment=None):
-    """Root bodies feel every force on a point twice."""
-    found = _ONTO(self, force, moment)
-    return [*found, *found]
-
-
-_ONTO = contacts.Contacts.onto
-
-
-def _half_gravity(*of):
-    """Weight turns joints half as much as it should."""
-    found = _TERMS(*of)
-    return found._replace(bias=found.bias._replace(leg=tuple(0.5 * part for part in found.bias.leg)))
-
-
-_TERMS = tree.tree_terms
-
-
-def _forgotten(law, surface, point, frames, place, forces, velocity, h) -> contacts.Anchors:
-    """A contact takes hold anew at every step."""
-    found = _ANCHORS(law, surface, point, frames, place, forces, velocity, h)
-    return found._replace(loaded=jnp.zeros_like(found.loaded))
-
-
-def _undragged(law, surface, point, frames, place, forces, velocity, h) -> contacts.Anchors:
-    """A contact that slips leaves its anchor where it is."""
-    still = forces._replace(slipping=jnp.zeros_like(forces.slipping))
-    return _ANCHORS(law, surface, point, frames, place, still, velocity, h)
-
-
-_ANCHORS = contacts.update_anchors
-
-
-def _no_gyroscope(inertia, motion, up) -> Spatial:
-    """A body's own turning has no Coriolis force."""
-    found = _BIAS(inertia, motion, up)
-    return found._replace(angular=0.0 * found.angular)
-
-
-_BIAS = free_bodies.bias
-
-
-@contextmanager
-def _one_iteration():
-    yield 1
-
-
-@contextmanager
-def _nothing():
-    yield 2
-
-
-FAULTS = {
-    "none": lambda: _nothing(),
-    "a friction pyramid in place of the cone": lambda: _forces(_pyramid),
-    "the cone 2 % too wide": lambda: _forces(_wide_cone),
-    "an impulse applied twice": lambda: mock.patch.object(contacts.Contacts, "onto", _twice),
-    "tangential damping with the wrong sign": lambda: _forces(_wrong_sign),
-    "half the contact's stiffness": lambda: _forces(_pulling),
-    "half the gravity torque of the joints": lambda: mock.patch.object(tree, "tree_terms", _half_gravity),
-    "anchors forgotten at every step": lambda: mock.patch.object(step, "update_anchors", _forgotten),
-    "anchors left behind by what slips": lambda: mock.patch.object(step, "update_anchors", _undragged),
-    "no Coriolis force of free bodies": lambda: mock.patch.object(free_bodies, "bias", _no_gyroscope),
-    "one iteration": lambda: _one_iteration(),
-}
-
-
 def jobs() -> Iterator[tuple[str, Callable[[], list[dict[str, Any]]]]]:
     """For each fault how many bounds it breaks, and the ones it breaks farthest."""
-    laws = cache(law)
-    for name in FAULTS:
-        yield name, lambda name=name: [_row(name, laws())]
+    yield "faults", lambda: [_row(name, found) for name, found in with_each(law()).items()]
 
 
-def _row(name: str, laws: dict[tuple[str, str], float]) -> dict[str, Any]:
-    with FAULTS[name]() as given:
-        found = list(errors(1 if given == 1 else 2, laws))
-    over = broken(iter(found))
+def _row(name: str, found: Errors) -> dict[str, Any]:
+    over = broken(found)
     worst = [[figure, short(by)] for figure, by in over.items()]
     return {"fault": name, "broken": len(over), "of": len(found), "worst": worst[:3]}

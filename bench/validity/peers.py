@@ -28,8 +28,6 @@ class Settings(NamedTuple):
 
 
 NATIVE = Settings("elliptic", 1e-3, 100.0, True)
-BY_MJX = ("slope at 0.9 of friction", "block kicked aside on a slope", "block pushed aside on a slope",
-          "ball slides, then rolls")  # fmt: skip  # the few that it is asked for, as each compiles anew
 PIECE = 50  # steps of a program of MJX
 ELLIPTIC, PYRAMIDAL = Settings("elliptic", 2e-3), Settings("pyramidal", 2e-3)
 
@@ -144,8 +142,7 @@ def histories(scene: Scene) -> dict[str, History]:
     """A scene by all that simulate beside this package's step."""
     found = {"native": by_mujoco(scene, NATIVE), "C elliptic": by_mujoco(scene, ELLIPTIC)}
     found["C pyramidal"] = by_mujoco(scene, PYRAMIDAL)
-    if scene.name in BY_MJX:
-        found["MJX elliptic"] = by_mjx(scene, ELLIPTIC)
+    found["MJX elliptic"] = by_mjx(scene, ELLIPTIC)
     return found
 
 

@@ -138,7 +138,14 @@ def by_step(
     scenes: Sequence[Scene], h: float = 2e-3, iterations: int = 2, double: bool = False, fused: bool = False
 ) -> list[History]:
     """Scenes simulated by this package's step, to the end of the longest, told to each one's own."""
-    case, nominal, q, v, joints = batch(scenes)
+    return stepped(scenes, batch(scenes), h, iterations, double, fused)
+
+
+def stepped(
+    scenes: Sequence[Scene], begun: Batch, h: float, iterations: int, double: bool, fused: bool
+) -> list[History]:
+    """The same of a batch that is there."""
+    case, nominal, q, v, joints = begun
     steps = max(round(scene.seconds / h) for scene in scenes)
     kind = np.float64 if double else np.float32
     references = np.broadcast_to(joints.astype(kind), (steps, 6, 3))

@@ -151,15 +151,19 @@ def by_step(
     iterations: int = 2,
     double: bool = False,
     fused: bool = False,
+    nominal: Case | None = None,
 ) -> Float[np.ndarray, "b 6 3"]:
-    """Forces on the feet (N) by this package's step, in the mean of the last tenth of a second."""
+    """Forces on the feet (N) by this package's step, in the mean of the last tenth of a second.
+
+    `nominal` has the structure of a case with swept leaves.
+    """
     ramp = np.minimum(np.arange(1, round(SECONDS / h) + 1) * h / RAMP, 1.0)[:, None, None, None]
     begun, targets = (np.stack(x) for x in ([row.q[7:].reshape(6, 3) for row in rows], [row.targets for row in rows]))
     references = begun + ramp * (targets - begun)
     kind = np.float64 if double else np.float32
     q = np.stack([row.q for row in rows]).astype(kind)
     with jax.enable_x64(double):
-        found = simulate(case, case, q, references.astype(kind), h, None, iterations, fused)
+        found = simulate(case, nominal or case, q, references.astype(kind), h, None, iterations, fused)
     return found.force[-round(0.1 / h) :].mean(axis=0)
 
 

@@ -11,8 +11,9 @@ from validity import peers, points, raft, robot
 from validity.reference import converged
 from validity.scenes import LONG, SCENES, History, Scene, error
 
-STEPS = {"mjx": {"fused": True}, "mjx by XLA": {}, "mjx, double": {"double": True, "fused": True}}
-ON_GPU = {"mjx on a GPU": {"fused": True}}  # by its kernel: what else is not Warp's is the same on any machine
+Steps = dict[str, dict[str, Any]]  # ways of this package's step, and what `by_step` is told
+STEPS: Steps = {"mjx": {"fused": True}, "mjx by XLA": {}, "mjx, double": {"double": True, "fused": True}}
+ON_GPU: Steps = {"mjx on a GPU": {"fused": True}}  # by its kernel: what else is not Warp's is the same on any machine
 
 
 def law() -> dict[tuple[str, str], float]:
@@ -47,7 +48,7 @@ def short(x: float) -> float | None:
     return float(f"{x:.4g}") if math.isfinite(x) else None
 
 
-def _by_step(of: tuple[Scene, ...], steps: dict[str, dict[str, bool]]) -> list[dict[str, History]]:
+def _by_step(of: tuple[Scene, ...], steps: Steps) -> list[dict[str, History]]:
     """Each scene by this package's step in several ways."""
     ours = {name: points.by_step(of, **given) for name, given in steps.items()}
     return [{name: found[k] for name, found in ours.items()} for k in range(len(of))]
@@ -68,7 +69,7 @@ def _points(
                        {name: error(figure, value, gives) for name, value in values.items()}, values)  # fmt: skip
 
 
-def _stands(steps: dict[str, dict[str, bool]]) -> Iterator[dict[str, Any]]:
+def _stands(steps: Steps) -> Iterator[dict[str, Any]]:
     case, rows = robot.rows()
     ours = {name: robot.by_step(case, rows, **given) for name, given in steps.items()}
     for k, row in enumerate(rows):
@@ -80,7 +81,7 @@ def _stands(steps: dict[str, dict[str, bool]]) -> Iterator[dict[str, Any]]:
         }
 
 
-def _rafts(steps: dict[str, dict[str, bool]]) -> Iterator[dict[str, Any]]:
+def _rafts(steps: Steps) -> Iterator[dict[str, Any]]:
     motions = {name: raft.by_step(**given) for name, given in steps.items()}
     motions["native"] = raft.by_mujoco(peers.NATIVE.time_step)
     for figure in raft.figures():

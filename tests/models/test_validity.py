@@ -1,4 +1,4 @@
-"""Scenes with known answers, within bounds that a wrong step breaks: `python bench/validity faults` shows by which."""
+"""Scenes with known answers, within bounds that a wrong step breaks, as each of ten does here."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,13 @@ FIGURES = [f"{scene.name}: {figure.name}" for scene in SCENES for figure in scen
 @pytest.fixture(scope="module")
 def errors():
     """Errors and bounds of the step at its default settings."""
-    return {name: (error, bound) for name, error, bound in faults.errors(converged=law())}
+    return {name: (error, bound) for name, error, bound in faults.errors(law())}
+
+
+@pytest.fixture(scope="module")
+def wrong():
+    """The same of wrong steps, by the name of what is wrong."""
+    return faults.with_each(law())
 
 
 def test_nothing_is_left_out(errors):
@@ -24,7 +30,14 @@ def test_nothing_is_left_out(errors):
 def test_what_is_known_comes_out(errors, name):
     chosen = {key: both for key, both in errors.items() if key == name or (name == "the robot" and key not in FIGURES)}
     assert chosen
-    assert faults.broken((key, *both) for key, both in chosen.items()) == {}
+    assert faults.broken([(key, *both) for key, both in chosen.items()]) == {}
+
+
+@pytest.mark.parametrize("name", faults.FAULTS)
+def test_each_fault_breaks_a_bound_and_none_breaks_none(wrong, errors, name):
+    found = wrong[name]
+    assert [figure for figure, *_ in found] == list(errors)
+    assert bool(faults.broken(found)) == (name != "none")
 
 
 def test_a_raft_heaves_and_rocks_as_closed_forms_say_in_c():
