@@ -253,7 +253,13 @@ def run(argv: list[str]) -> int:
     if given.points:
         overrides.append(f"study.points='{given.points}'")
 
+    several = any(one.startswith(("-m", "--m")) for one in overrides)  # Hydra's --multirun: one process, one choice
+
     def work(exp: "Experiment") -> int:
+        from sweep.runs import place
+
+        if exp.cluster.kind == "local" and not several:
+            place.of_run(exp)
         if exp.settings.name == "mjx" and not given.dry_run and not exp.cluster.elsewhere:
             devices.begin()
         from sweep.cli.run import Flags, execute  # takes another, which what is wrong need not wait for
@@ -409,7 +415,7 @@ def draw_report(given: argparse.Namespace) -> int:
     from sweep.core.expressions import column
     from sweep.core.waiting import counting
     from sweep.report import chosen, maps, page, replays, typical
-    from sweep.runs import results
+    from sweep.runs import place, results
 
     if given.replays < 0:
         raise InputError(f"--replays = {given.replays} is not allowed: at least 0")
@@ -422,6 +428,7 @@ def draw_report(given: argparse.Namespace) -> int:
     if given.pictures:
         typical.draw(found)
     if given.replays:
+        place.like_rows_of(given.dir)
         with counting(again, 0, given.replays) as report:
             replays.make(found, chosen.chosen(found, given.replays), report)
     print(page.write(found, folder / "report.html", chosen=columns))
@@ -434,13 +441,14 @@ def draw_pairs(given: argparse.Namespace, a: "Results", folder: Path) -> int:
     """The page of the same points in two folders."""
     from sweep.core.waiting import counting
     from sweep.report import page, pairs
-    from sweep.runs import results
+    from sweep.runs import place, results
 
     if given.pictures or given.x or given.y:
         raise InputError("--pictures, --x and --y are of one study")
     b = results.read(given.b, given.where)
     found, table = pairs.joined(a, b)
     if given.replays:
+        place.like_rows_of(given.dir)
         with counting(again, 0, given.replays) as report:
             pairs.simulated(a, b, given.replays, report)
     about = page.Pairs(
@@ -508,7 +516,9 @@ def compare_results(given: argparse.Namespace) -> int:
         raise InputError(f"--most = {given.most} is for --anytime")
     if given.anytime:
         from sweep.cli import anytime
+        from sweep.runs import place
 
+        place.like_rows_of(given.a)
         print(anytime.run(given, names(given.by)))
         return DONE
     a, differ, broken = matching(given.a, given.where_a), [], []
@@ -532,7 +542,9 @@ def certify_results(given: argparse.Namespace) -> int:
     import json
 
     from sweep.cli import certify
+    from sweep.runs import place
 
+    place.like_rows_of(given.dir)
     text, found = certify.run(given)
     print(text)
     if given.output:
@@ -544,11 +556,12 @@ def audit_results(given: argparse.Namespace) -> int:
     """Flips among rollouts next to the boundary and successes elsewhere, simulated again."""
     from sweep.cli import run as app
     from sweep.report import tables
-    from sweep.runs import audit, results
+    from sweep.runs import audit, place, results
 
     if given.points < 1:
         raise InputError(f"--points = {given.points} is not allowed: at least 1")
     found = results.read(given.dir, given.where)
+    place.like_rows_of(given.dir)
     ways = names(given.ways) or []
     most = 2 * given.points * len(ways or found.exp.system.ways)
     with app.reporting("audit", most, f"{found.exp.scenario} in other ways") as report:

@@ -12,7 +12,7 @@ from sweep.core.errors import InputError
 from sweep.core.waiting import waiting
 from sweep.engines.base import same_bits
 from sweep.report import crate, replays
-from sweep.runs import repair, results, store
+from sweep.runs import place, repair, results, store
 
 
 def run(given: argparse.Namespace) -> int:
@@ -25,6 +25,7 @@ def run(given: argparse.Namespace) -> int:
         if problems := repair.verify(folder)[0]:
             raise InputError(problems[0])
         found = results.read(folder)
+        place.like_rows_of(folder)
         number = min(given.rows, len(found.rows))
         rows = found.rows.sample(number, random_state=given.seed)
         lines: list[dict[str, Any]] = []

@@ -16,7 +16,7 @@ from sweep.core.waiting import waiting
 from sweep.engines.base import Trace
 from sweep.report import page, replays
 from sweep.report.page.stage import Shown, replays_of
-from sweep.runs import batches, results, runner, store
+from sweep.runs import batches, place, results, runner, store
 from sweep.runs.results import Results
 from sweep.study.config import Experiment, compose
 from sweep.trace import viewer
@@ -77,8 +77,9 @@ def names_in(folder: str) -> list[str]:
 def traces(what: list[str]) -> Iterator[Trace]:
     """The rollout that is asked for, with enough frames to look smooth. Raises `InputError`."""
     if store.STUDY in names_in(what[0]):
-        found, place = row_of(*folder_and_point(what))
-        again = replays.again(found.exp, found.rows.iloc[[place]], store.read_points(found.folder), SMOOTH)
+        found, at = row_of(*folder_and_point(what))
+        place.like_rows_of(found.folder)
+        again = replays.again(found.exp, found.rows.iloc[[at]], store.read_points(found.folder), SMOOTH)
     else:
         exp, planned = single(what)
         again = replays.again(exp, planned, planned, SMOOTH)
@@ -88,16 +89,17 @@ def traces(what: list[str]) -> Iterator[Trace]:
 def stored(what: list[str], beside: list[str]) -> tuple[Results, list[Shown]]:
     """A study's results, and the replays of its page with those asked for first. Raises `InputError`."""
     folder, point = folder_and_point(what)
-    found, place = row_of(folder, point)
-    wanted = [(found, place, "")]
+    found, first = row_of(folder, point)
+    wanted = [(found, first, "")]
     if beside:
         other = beside[0] if store.STUDY in names_in(beside[0]) else folder
-        named = beside[-1] if len(beside) > 1 or other == folder else str(found.rows["point_id"].iloc[place])
+        named = beside[-1] if len(beside) > 1 or other == folder else str(found.rows["point_id"].iloc[first])
         wanted.append((*row_of(other, named), "" if other == folder else str(other)))
     shown = []
     for of, at, title in wanted:
         row = of.rows.iloc[at]
         if not replays.path(of.folder, row).exists():
+            place.like_rows_of(of.folder)
             with waiting(f"simulating {row['point_id']} of {of.folder} again"):
                 replays.make(of, of.rows.iloc[[at]].assign(why=""))
         if not (kept := replays.read(of.folder, row)):
@@ -157,5 +159,6 @@ def single(overrides: list[str]) -> tuple[Experiment, pd.DataFrame]:
     exp = compose(overrides)
     if not exp.study.single:
         raise InputError(f"{exp.study.name} is a study: run it, then sweep view DIR ID shows one of its rows")
+    place.of_run(exp)
     exp = replace(exp, settings=replace(exp.settings, width=exp.settings.width or 1))
     return exp, batches.plan(exp, pd.DataFrame(), runner.wanted_points(exp))

@@ -1,8 +1,11 @@
 """The devices a batch runs on: set-up, precision, batch axes, and how arrays are spread."""
 
 import contextlib
+import glob
 import os
+import sys
 from collections.abc import Callable, Iterator, Sequence
+from importlib.util import find_spec
 from threading import Thread
 from typing import Any
 
@@ -23,6 +26,7 @@ CPU_WIDTH, GPU_WIDTH = 256, 131072  # a device's best number of rollouts, where 
 NATIVE_WIDTH = 64  # of C MuJoCo
 FEW = 256  # rollouts that NumPy plans for, and works figures out of, before a GPU's compiler has begun
 PLANNED = 1024  # rollouts that plan at a time on a GPU: one that learns takes 6 MiB for it
+GPUS = "/dev/nvidia[0-9]*"
 GPU_ROLLOUT = 64 << 10  # bytes of a rollout on a GPU with room to spare: 10 to 31 KiB were measured
 
 
@@ -56,6 +60,18 @@ def begin() -> None:
             jax.devices()
 
     Thread(target=found).start()
+
+
+def gpu_is_taken() -> bool:
+    """Whether JAX, told nothing, takes an NVIDIA GPU of this machine, found without starting CUDA."""
+    return not jax.config.jax_platforms and bool(find_spec("jax_plugins")) and bool(glob.glob(GPUS))
+
+
+def prefer_cpu(why: str) -> None:
+    """Keep JAX, before it looks for devices, from a GPU that it would take unasked; a line says so and `why`."""
+    if gpu_is_taken():
+        jax.config.update("jax_platforms", "cpu")
+        print(f"sweep: on the CPU, {why} (JAX_PLATFORMS=cuda,cpu takes the GPU)", file=sys.stderr)
 
 
 @contextlib.contextmanager

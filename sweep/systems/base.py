@@ -138,6 +138,10 @@ class System(Protocol):
         """A compiled engine for sides of this structure. Raises `InputError` where there is none."""
         ...
 
+    def few(self, settings: EngineSettings) -> int:
+        """Rollouts that end on the CPU before a GPU has begun; 0 where none are known to."""
+        ...
+
     def device(self, settings: EngineSettings) -> str:
         """What an engine runs on, as far as it may change bits."""
         ...

@@ -15,7 +15,7 @@ from sweep.controllers.manoeuvres import MANOEUVRES
 from sweep.core.errors import InputError, known, suggest
 from sweep.core.groups import GROUPS
 from sweep.core.parameters import build, of_kind
-from sweep.engines import run_id
+from sweep.engines import devices, run_id
 from sweep.engines.base import Engine
 from sweep.engines.settings import EngineSettings
 from sweep.engines.states import offered
@@ -165,6 +165,13 @@ class Hexapod:
                 f"engine.time_step = {step:g} is not allowed: at most contact.damping over contact.stiffness, "
                 f"{damping:g} N s/m over {stiffness:g} N/m"
             )
+
+    def few(self, settings: EngineSettings) -> int:
+        """See `System`: where this package compiles, a tile for each core, which takes it as long as one rollout."""
+        from sweep.fused.llvm import LANES  # whose library what is wrong need not wait for
+
+        fused = settings.compiler != "xla" and settings.dynamics != "mjx"
+        return LANES * devices.cores() if fused else 0
 
     def idle(self, column: str, settings: EngineSettings) -> str:
         """See `System`."""

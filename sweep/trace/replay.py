@@ -15,7 +15,7 @@ from sweep.core.parameters import InputError
 from sweep.core.waiting import counting, waiting
 from sweep.engines.base import Trace, same_bits
 from sweep.engines.settings import EngineSettings
-from sweep.runs import store
+from sweep.runs import place, store
 from sweep.runs.batches import make_engine, nominal, with_room
 from sweep.runs.runner import load_point
 from sweep.study.columns import LABELS
@@ -52,6 +52,7 @@ def main(args: list[str]) -> int:
         if getattr(options, name) and name not in system.shown:
             shown = ", ".join(f"--{one}" for one in sorted(system.shown))
             raise InputError(f"--{name} is not allowed: such rollouts are shown by {shown}, and what study.keep keeps")
+    place.like_rows_of(options.folder)
     with waiting(f"simulating {options.point} of {options.folder} in its batch"):
         result = replay(options.folder, options.point)
     print(comparison(result))

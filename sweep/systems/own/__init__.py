@@ -118,6 +118,10 @@ class Own(Subject):
         yield "model.rollout", repr((about.period, about.duration, about.keyframe, about.observe, about.command))
         yield from self.unsaid(paths)
 
+    def few(self, settings: EngineSettings) -> int:
+        """See `System`: what XLA makes for a core is not known to be sooner."""
+        return 0
+
     def unsaid(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
         """See `System`: a model's number that is varied counts where it is not that of the model."""
         yield from ((path, self.usual(path)) for path in paths if path.startswith("model."))
