@@ -23,6 +23,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from functools import partial
 from hashlib import sha256
 from itertools import groupby
 from pathlib import Path
@@ -50,6 +51,7 @@ JOBS, DOCS = ROOT / "jobs", ROOT / "docs"
 ALLOWED = (0, 3, 4)  # invalid rows and broken expectations are results, too
 VALUES, PARTS = 20, 5  # of an axis, each for itself; of a longer one, equal parts
 DPI = 110
+PAUSE = 60  # s, in which those that share a GPU may end
 COUNTS = ("success", "valid")
 
 
@@ -209,11 +211,22 @@ def sweep(*words: str) -> None:
 
 
 def run(*words: str, allowed: Sequence[int] = (0,)) -> None:
-    """Python in a process of its own. Raises `RuntimeError` with the last lines that it wrote."""
-    done = subprocess.run([sys.executable, *words], cwd=ROOT, capture_output=True, text=True, check=False)
+    """Python in a process of its own, once again where others had left it too little memory.
+
+    Raises `RuntimeError` with the last lines that it wrote.
+    """
+    once = partial(subprocess.run, [sys.executable, *words], cwd=ROOT, capture_output=True, text=True, check=False)
+    done = once()
+    if done.returncode not in allowed and re.search("resource_exhausted|memory", ended(done), re.IGNORECASE):
+        time.sleep(PAUSE)
+        done = once()
     if done.returncode not in allowed:
-        last = " | ".join(done.stderr.strip().splitlines()[-3:])
-        raise RuntimeError(f"{' '.join(words)} ended with {done.returncode}: {last}")
+        raise RuntimeError(f"{' '.join(words)} ended with {done.returncode}: {ended(done)}")
+
+
+def ended(done: subprocess.CompletedProcess[str]) -> str:
+    """The last lines that a process wrote."""
+    return " | ".join(done.stderr.strip().splitlines()[-3:])
 
 
 def picture(found: Results, target: dict[str, Any], path: Path) -> None:

@@ -235,6 +235,15 @@ def test_what_fails_stops_nothing_else(monkeypatch, tmp_path, capsys):
     assert paper.main(["no_such_target"]) == paper.main(["--jobs", "0"]) == 2
 
 
+@pytest.mark.parametrize(("error", "tries"), [("MemoryError", 2), ("RESOURCE_EXHAUSTED: 2 GiB", 2), ("no such", 1)])
+def test_what_lacks_memory_is_tried_once_again(monkeypatch, tmp_path, error, tries):
+    monkeypatch.setattr(paper, "PAUSE", 0)
+    script = f"open({str(tmp_path / 'tries')!r}, 'a').write('.'); raise SystemExit({error!r})"
+    with pytest.raises(RuntimeError, match=error):
+        paper.run("-c", script)
+    assert (tmp_path / "tries").read_text() == "." * tries
+
+
 def test_coarser_studies_leave_the_pages_alone_and_what_is_drawn_of_all_comes_last(monkeypatch, tmp_path):
     """Scripts in processes of their own, of which one takes no part in what is coarser."""
     here, out = 'from pathlib import Path; here = Path(__file__).with_name("{}.txt"); ', tmp_path / "out"
