@@ -9,7 +9,7 @@ words for it after a comma. A page with blocks ends in one of `<!-- data: source
 import json
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -131,11 +131,10 @@ def groups(names: str, values: str = "") -> str:
     rows, columns = [row for name in names.split() for row in read(name)["groups"]], values.split()
     axes = list(rows[0]["at"])
     heads = [*map(axis_words, axes), "succeed", *(in_words(*one.split(":")) for one in columns)]
-    lines = [f"| {' | '.join(heads)} |", f"|{'--:|' * len(axes)}:--|{'--:|' * len(columns)}"]
-    for row in rows:
-        line = [*map(shown, row["at"].values()), came(row), *(valued(row, *one.split(":")) for one in columns)]
-        lines.append(f"| {' | '.join(line)} |")
-    return "\n".join(lines)
+    lines = (
+        [*map(shown, row["at"].values()), came(row), *(valued(row, *one.split(":")) for one in columns)] for row in rows
+    )
+    return ruled([True] * len(axes) + [False] + [True] * len(columns), heads, *lines)
 
 
 def grid(name: str, across: str, value: str) -> str:
@@ -149,11 +148,9 @@ def grid(name: str, across: str, value: str) -> str:
         cell = valued(row, *value.split(":"))
         table.setdefault(tuple(row["at"][axis] for axis in others), {})[row["at"][beside]] = cell or came(row)
     first, *rest = map(shown, heads)
-    lines = [f"| {' | '.join([*map(axis_words, others), f'{axis_words(beside)} {first}', *rest])} |"]
-    lines.append(f"|{'--:|' * (len(others) + len(heads))}")
-    for at, line in table.items():
-        lines.append(f"| {' | '.join([*map(shown, at), *(line.get(head, '') for head in heads)])} |")
-    return "\n".join(lines)
+    lines = ([*map(shown, at), *(line.get(head, "") for head in heads)] for at, line in table.items())
+    columns = [*map(axis_words, others), f"{axis_words(beside)} {first}", *rest]
+    return ruled([True] * len(columns), columns, *lines)
 
 
 def came(row: dict[str, Any]) -> str:
@@ -262,8 +259,13 @@ def table(name: str, which: str) -> str:
     """A table as it was measured; columns of numbers end at the right."""
     columns, *rows = read(name)["tables"][which]
     numbers = (all(NUMBER.match(cell.lstrip("-")) for cell in column if cell) for column in zip(*rows, strict=True))
-    head, *body = (f"| {' | '.join(line)} |" for line in (columns, *rows))
-    return "\n".join([head, f"|{'|'.join('--:' if right else ':--' for right in numbers)}|", *body])
+    return ruled(numbers, columns, *rows)
+
+
+def ruled(right: Iterable[bool], *lines: Sequence[str]) -> str:
+    """A table, its heads first, and whether each of its columns ends at the right."""
+    head, *body = (f"| {' | '.join(line)} |" for line in lines)
+    return "\n".join([head, f"|{'|'.join('--:' if one else ':--' for one in right)}|", *body])
 
 
 def halved(name: str, scenarios: str) -> str:
