@@ -81,6 +81,8 @@ def test_another_controller_is_paired_by_what_both_vary():
     assert comparison.paired_by(compare.pair(a, a)) == ""
     with pytest.raises(InputError, match=r"--by world\.contact\.friction, replicate\)"):
         compare.pair(a, b.assign(replicate=0))
+    with pytest.raises(InputError, match=r"no row of A has .* \(other columns to pair by: none that both vary\)"):
+        compare.pair(a, b.rename(columns={"world.contact.friction": "world.robot.shin"}))
 
 
 def test_drift_is_typical_and_relative():

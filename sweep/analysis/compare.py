@@ -92,15 +92,21 @@ def pair(a: pd.DataFrame, b: pd.DataFrame, by: list[str] | None = None) -> pd.Da
             )
     both = a.merge(b.rename(columns={c: f"{c}{SECOND}" for c in b if c not in key}), on=key)
     if both.empty:
-        others = ", ".join(name for name in _varied(a, b) if name not in key) or "none that both have"
-        raise InputError(f"no row of A has the {', '.join(key)} of one of B (other columns to pair by: --by {others})")
+        others = ", ".join(name for name in _varied(a, b) if name not in key)
+        told = f"--by {others}" if others else "none that both vary"
+        raise InputError(f"no row of A has the {', '.join(key)} of one of B (other columns to pair by: {told})")
     both.attrs["by"] = varied
     return both
 
 
 def _varied(a: pd.DataFrame, b: pd.DataFrame) -> list[str]:
-    """What both vary, engine settings apart, and the replicate, which tells draws and repetitions apart."""
-    return [c for c in a.columns if c in b and ("." in c or c == "replicate") and not c.startswith("engine.")]
+    """What both vary, engine settings apart, and the replicate, which tells draws and repetitions of that apart.
+
+    Empty where they vary other things: the replicate alone would pair what has nothing in common.
+    """
+    first, second = ([c for c in rows if "." in c and not c.startswith("engine.")] for rows in (a, b))
+    both = [c for c in first if c in second]
+    return [c for c in (*both, "replicate") if c in a and c in b] if both or not (first or second) else []
 
 
 def _tell_apart(a: pd.DataFrame, b: pd.DataFrame, by: list[str]) -> bool:
