@@ -66,6 +66,8 @@ def test_a_new_project_has_a_study_that_runs_and_is_never_overwritten(home, caps
     assert len(sweep.load("results/first")) == 32
     assert main(["init", "."]) == 2
     assert "is there already" in capsys.readouterr().err
+    assert main(["init", "my lab"]) == 0
+    assert "next: cd 'my lab'; " in capsys.readouterr().out
     assert "results/" in (home / ".gitignore").read_text().split()
 
 

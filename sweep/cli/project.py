@@ -1,6 +1,7 @@
 """`sweep init`, `list`, `describe` and `completion`: what there is to work with. No simulator is loaded for a list."""
 
 import argparse
+import shlex
 from collections.abc import Iterator, Mapping
 from importlib.resources import files
 from importlib.resources.abc import Traversable
@@ -27,7 +28,7 @@ def init(given: argparse.Namespace) -> int:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(file.read_bytes())
         print(path)
-    print(f"next: cd {folder}; sweep run study={study}")
+    print(f"next: cd {shlex.quote(str(folder))}; sweep run study={study}")
     return DONE
 
 
