@@ -594,7 +594,7 @@ def test_names_of_theories_do_not_lie_on_each_other(browser, refined, tmp_path):
     at = {one.text: (float(one.attrib["x"]), float(one.attrib["y"])) for one in words if one.text in names}
     assert len(at) == 4
     heights = sorted(y for _, y in at.values())
-    assert min(np.diff(heights)) >= 15
+    assert min(np.diff(heights)) >= 31  # a line is free between two
 
 
 def test_time_is_scrubbed_and_the_view_turned(shown):

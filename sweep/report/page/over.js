@@ -79,8 +79,18 @@ export function drawContour(app, pen, here, column, area) {
   pen.lineCap = "butt";
 }
 
+/** @typedef {{ left: number, size: number, up: number }} Label */
+
 /**
- * Limits of theories, dashed, each with its name where no other stands.
+ * Whether a line is free between two labels, or they are beside each other.
+ * @param {Label} one
+ * @param {Label} other
+ */
+const apart = (one, other) =>
+  Math.abs(one.up - other.up) >= 2 * LINE || one.left >= other.left + other.size || other.left >= one.left + one.size;
+
+/**
+ * Limits of theories, dashed, each with its name along it, from its end, where no other stands.
  * @param {App} app
  * @param {CanvasRenderingContext2D} pen
  * @param {Column} x
@@ -96,7 +106,7 @@ export function drawTheory(app, pen, x, y, here, area) {
   pen.beginPath();
   pen.rect(area.left, area.top, area.width, area.height);
   pen.clip();
-  /** @type {{ left: number, size: number, up: number }[]} labels that stand already */
+  /** @type {Label[]} those that stand already */
   const named = [];
   curves.forEach((curve, number) => {
     const spots = curve.at.flatMap((along, k) => {
@@ -108,27 +118,28 @@ export function drawTheory(app, pen, x, y, here, area) {
     pen.setLineDash(DASHES[number % DASHES.length]);
     outlined(app, pen, app.theme().ink, [5, 2], () => spots.forEach(([u, v]) => pen.lineTo(u, v)));
     pen.setLineDash([]);
-    const end = spots
+    const name = clipped(curve.label);
+    const size = pen.measureText(name).width;
+    const places = spots
       .filter(
         ([u, v]) => u > area.left && u < area.left + area.width - 8 && v > area.top + 8 && v < area.top + area.height,
       )
-      .at(-1);
-    if (!end) return;
-    pen.textAlign = end[0] > area.left + area.width / 2 ? "right" : "left";
+      .map(([u, v]) => ({
+        left: u > area.left + area.width / 2 ? u - 8 - size : u + 8,
+        size,
+        up: Math.max(v - 4, area.top + 18),
+      }))
+      .reverse();
+    const free = places.find((here) => named.every((one) => apart(here, one))) ?? places[0];
+    if (!free) return;
+    named.push(free);
+    pen.textAlign = "left";
     pen.textBaseline = "bottom";
     pen.lineWidth = 4;
     pen.strokeStyle = app.theme().panel;
     pen.fillStyle = app.theme().ink;
-    const at = end[0] + (pen.textAlign === "right" ? -8 : 8);
-    const left = at - (pen.textAlign === "right" ? pen.measureText(clipped(curve.label)).width : 0);
-    const size = pen.measureText(clipped(curve.label)).width;
-    let up = Math.max(end[1] - 4, area.top + 18);
-    const covers = (/** @type {{ left: number, size: number, up: number }} */ one) =>
-      Math.abs(one.up - up) < LINE && left < one.left + one.size && one.left < left + size;
-    while (named.some(covers) && up < area.top + area.height) up += LINE;
-    named.push({ left, size, up });
-    pen.strokeText(clipped(curve.label), at, up);
-    pen.fillText(clipped(curve.label), at, up);
+    pen.strokeText(name, free.left, free.up);
+    pen.fillText(name, free.left, free.up);
   });
   pen.restore();
 }
