@@ -104,7 +104,7 @@ def _varied(a: pd.DataFrame, b: pd.DataFrame) -> list[str]:
 
     Empty where they vary other things: the replicate alone would pair what has nothing in common.
     """
-    first, second = ([c for c in rows if "." in c and not c.startswith("engine.")] for rows in (a, b))
+    first, second = ([c for c in rows.columns if "." in c and not c.startswith("engine.")] for rows in (a, b))
     both = [c for c in first if c in second]
     return [c for c in (*both, "replicate") if c in a and c in b] if both or not (first or second) else []
 
