@@ -125,7 +125,7 @@ export function drawTheory(app, pen, x, y, here, area) {
         ([u, v]) => u > area.left && u < area.left + area.width - 8 && v > area.top + 8 && v < area.top + area.height,
       )
       .map(([u, v]) => ({
-        left: u > area.left + area.width / 2 ? u - 8 - size : u + 8,
+        left: u + 8 + size > area.left + area.width ? u - 8 - size : u + 8,
         size,
         up: Math.max(v - 4, area.top + 18),
       }))
