@@ -120,9 +120,13 @@ class Accessor:
         """
         from sweep.trace.replay import replay
 
+        if row not in self._rows.index:
+            raise InputError(f"row {row} is none of these of {self._folder}: give a label of their index")
         return replay(self._folder, str(self._rows.loc[row, "point_id"]))
 
     def _results(self) -> results.Results:
+        if self._rows.empty:
+            raise InputError(f"no row of {self._folder} is chosen: nothing to show")
         stored = store.read_study(self._folder)
         exp = experiment(stored["config"])
         rows, copies = distinct(self._rows, exp)
