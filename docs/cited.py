@@ -361,7 +361,7 @@ FORMS = {
     "compared": compared, "table": table,
     "halved": halved, "nominal": nominal, "learned": learned, "gained": gained, "metrics": metrics,
     "way_points": hexagon_figures.way_points, "changes": changes, "sources": sources,
-    **{name: partial(lambda table, of, *words: table(read(of), *words), table)
+    **{name: partial(lambda table, of, *words: table(*map(read, of.split()), *words), table)
        for name, table in validity_figures.TABLES.items()},
 }  # fmt: skip
 

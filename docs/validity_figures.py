@@ -15,7 +15,10 @@ from sweep.core.letters import legend_below, lettering, sheet
 from sweep.report.looks import LOOKS
 
 DOCS = Path(__file__).parent
-ENGINES = ("mjx", "mjx by XLA", "mjx, double", "native", "C elliptic", "C pyramidal", "MJX elliptic", "Warp elliptic")
+ENGINES = (
+    "mjx", "mjx on a GPU", "mjx by XLA", "mjx, double", "native", "C elliptic", "C pyramidal", "MJX elliptic",
+    "Warp elliptic",
+)  # fmt: skip
 DRAWN = {  # whose colours, and marks
     "mjx": ("success", "o"), "C MuJoCo": ("fell", "s"), "MJX": ("slipped", "^"), "Warp": ("fell_off", "D"),
 }  # fmt: skip
@@ -31,12 +34,13 @@ SEEN = 1e-3  # error at 2 ms from which on a figure's order is told
 Row = dict[str, Any]
 
 
-def scenes(data: Row) -> str:
+def scenes(data: Row, on_gpu: Row) -> str:
     """What must come out, and by engine how far it is off, a line for each figure."""
-    engines = [name for name in ENGINES if any(name in row["errors"] for row in data["rows"])]
+    rows = _joined(data, on_gpu, values=True)
+    engines = [name for name in ENGINES if any(name in row["errors"] for row in rows)]
     lines = ["| scene | what | answer | " + " | ".join(engines) + " |", "|:--|:--|--:|" + "--:|" * len(engines)]
     before = None
-    for row in _figures(data):
+    for row in rows:
         name = row["scene"] if row["scene"] != before else ""
         before = row["scene"]
         cells = [_off(row, engine) for engine in engines]
@@ -44,14 +48,20 @@ def scenes(data: Row) -> str:
     return "\n".join(lines)
 
 
-def _figures(data: Row, values: bool = True) -> list[Row]:
+def _joined(data: Row, on_gpu: Row, values: bool) -> list[Row]:
     """Rows of scenes, whose figures have values, or of the robot's feet, whose forces have errors alone."""
-    return [row for row in data["rows"] if bool(row["values"]) == values]
+    found: dict[tuple[str, str], Row] = {}
+    for row in (*data["rows"], *on_gpu["rows"]):
+        if bool(row["values"]) == values:
+            first = found.setdefault((row["scene"], row["figure"]), row)
+            joined = {kind: {**row[kind], **first[kind]} for kind in ("errors", "values")}
+            found[row["scene"], row["figure"]] = first | joined
+    return list(found.values())
 
 
-def stands(data: Row) -> str:
+def stands(data: Row, on_gpu: Row) -> str:
     """How far the forces of the robot's feet are off, and how far the least ones that balance the weight are."""
-    rows = _figures(data, False)
+    rows = _joined(data, on_gpu, values=False)
     engines = [name for name in ENGINES if any(name in row["errors"] for row in rows)]
     lines = [f"| robot | least squares | {' | '.join(engines)} |", "|:--|" + "--:|" * (1 + len(engines))]
     for row in rows:
