@@ -12,7 +12,7 @@ from sweep.models.plan_table import numbers, tabled
 from sweep.runs import tuning
 from sweep.runs.tuning import fit, follow, free_numbers, search
 from sweep.study.config import compose
-from sweep.tune.score import Score, stacked
+from sweep.tune.score import UNKNOWN, Score, stacked
 
 AT, STEPS = np.array([1.0, -2.0, 0.5]), np.array([0.1, 0.1, 0.02])
 HOW = {"seed": 3, "population": 6, "generations": 12, "free": ["a"]}
@@ -141,6 +141,13 @@ def test_gradients_move_numbers_of_the_manoeuvre_too_and_the_file_says_so(tmp_pa
     )
     assert 0.175 < float(found) < 0.3
     assert main([*asked, *free, "--follow", "out=mine.yaml"]) == 2
+
+
+def test_a_margin_that_is_no_number_lacks_the_most():
+    score = Score(compose(["scenario=pole_top"]).case, [], [], ["over.front"], [("*", 3)], False, 1)
+    rates = [np.array([[[x], [0.0]]]) for x in (-1.0, -7.0, np.nan)]  # rad/s, of two draws
+    kept, short, unknown = (score.lacks({"rate": rate})[0] for rate in rates)
+    assert kept == 0 < short < unknown == UNKNOWN**2
 
 
 @pytest.mark.slow

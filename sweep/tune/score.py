@@ -116,7 +116,7 @@ class Score:
     def lacking(self, margins: Mapping[str, Any]) -> Any:
         """What margins (..., stages) with an aim lack (..., margins x stages), in what counts alike."""
         aims = {key: self.aimed(key) for key in sorted(margins)}
-        return jnp.concatenate([(aim - margins[key]) / ALIKE.get(key, LENGTH)
+        return jnp.concatenate([(aim - _known(margins[key])) / ALIKE.get(key, LENGTH)
                                 for key, aim in aims.items() if np.isfinite(aim).any()], axis=-1)  # fmt: skip
 
     def keep(self, numbers: np.ndarray, draws: Case) -> None:
@@ -166,8 +166,7 @@ class Score:
             seen = jax.vmap(function)(jnp.repeat(chosen, counts), jnp.asarray(phases))
             most = max(WORST, *counts)
             own = (np.cumsum(counts) - counts)[:, None] + np.minimum(np.arange(most), counts[:, None] - 1)
-            known = {key: jnp.where(jnp.isnan(x), -jnp.inf, x)[own] for key, x in seen._asdict().items()}
-            return {key: -jax.lax.top_k(-value, WORST)[0].T for key, value in known.items()}
+            return {key: -jax.lax.top_k(-_known(x)[own], WORST)[0].T for key, x in seen._asdict().items()}
 
         found = worst(lambda k, u: planned.margins(belief, plan, k, u), moments)
         if hold:
@@ -183,6 +182,11 @@ class Score:
         found["zmp"] = jax.ops.segment_min(played.zero_moment(seen, PERIOD), seen.stage, count)  # m
         found["speed"] = -jax.ops.segment_max(speed, seen.stage, count)  # m/s, of the ball, negative
         return {key: value[None, chosen] for key, value in found.items()}
+
+
+def _known(margin: Any) -> jax.Array:
+    """The same, where it is no number the worst that there is."""
+    return jnp.where(jnp.isnan(margin), -jnp.inf, margin)
 
 
 def _in_parts(function: Callable[..., Any], numbers: np.ndarray, draws: Case) -> Any:
