@@ -80,7 +80,7 @@ class Mjx:
         self.width = settings.width or devices.default_width()
         self._mesh = devices.mesh(self.width)
         self.devices = jax.device_count()
-        self.fused = _fused(settings, self.dynamics)
+        self.fused = _fused(settings)
         with devices.precision(settings):
             self.topology = dynamics.topology(world)
             self.physics = physics.make(settings, self.topology)
@@ -385,12 +385,12 @@ class Mjx:
         return Carry(state, loop), record
 
 
-def _fused(settings: EngineSettings, dynamics: str) -> bool:
+def _fused(settings: EngineSettings) -> bool:
     """Whether this package's own compiler makes the closed loop, as it does where it can."""
     known = (device := jax.default_backend()) in ("cpu", "gpu")
     if settings.compiler == "fused" and not known:
         raise InputError(f"engine.compiler = fused is not allowed on a {device}: auto or xla")
-    return settings.compiler != "xla" and known and dynamics == "arrowhead"
+    return settings.fusible and known
 
 
 def _with_new_plan(axes: Case) -> Callable[[Case, Plan, Carry], Carry]:

@@ -28,3 +28,8 @@ class EngineSettings:
             raise InputError("engine.solid = True is not allowed: false, or engine=native (elsewhere only feet touch)")
         if self.compiler == "fused" and self.dynamics == "mjx":
             raise InputError("engine.compiler = fused is not allowed with engine.dynamics = mjx: auto or xla")
+
+    @property
+    def fusible(self) -> bool:
+        """Whether this package's own compiler may make the closed loop of mjx: it has rules for its own dynamics."""
+        return self.compiler != "xla" and self.dynamics != "mjx"

@@ -170,8 +170,7 @@ class Hexapod:
         """See `System`: where this package compiles, a tile for each core, which takes it as long as one rollout."""
         from sweep.fused.llvm import LANES  # whose library what is wrong need not wait for
 
-        fused = settings.compiler != "xla" and settings.dynamics != "mjx"
-        return LANES * devices.cores() if fused else 0
+        return LANES * devices.cores() if settings.fusible else 0
 
     def idle(self, column: str, settings: EngineSettings) -> str:
         """See `System`."""
