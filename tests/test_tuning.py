@@ -12,7 +12,7 @@ from sweep.models.plan_table import numbers, tabled
 from sweep.runs import tuning
 from sweep.runs.tuning import fit, follow, free_numbers, search
 from sweep.study.config import compose
-from sweep.tune.score import UNKNOWN, Score, stacked
+from sweep.tune.score import MOVED, UNKNOWN, Score, groups, stacked
 
 AT, STEPS = np.array([1.0, -2.0, 0.5]), np.array([0.1, 0.1, 0.02])
 HOW = {"seed": 3, "population": 6, "generations": 12, "free": ["a"]}
@@ -161,6 +161,26 @@ def test_stages_are_judged_at_moments_of_their_own():
     some, all_of_them = rates(("*", 2), ("*.front", 9)), rates(("*", 9))
     np.testing.assert_allclose(some[0], all_of_them[0], rtol=1e-4)
     assert some[1] > all_of_them[1] + 0.05  # rad/s: joints stand still at the ends of a stage
+
+
+def test_only_what_touches_nothing_in_common_is_of_one_group():
+    touched = np.array([[1, 1, 0, 0], [0, 1, 1, 0], [0, 0, 1, 1], [0, 0, 0, 1]], bool)
+    assert groups(touched).tolist() == [0, 1, 0, 1]
+    assert groups(np.ones((3, 2), bool)).tolist() == [0, 1, 2]
+
+
+@pytest.mark.slow
+def test_slopes_of_numbers_that_move_together_are_those_of_each():
+    exp, free = compose(["scenario=pole_top"]), ["over.front.base.ahead", "top.rear.base.ahead", "top.rear.base.above"]
+    draws, told = stacked(*tuning.draws(exp, 1)), numbers(tabled(exp.case), charts(exp.case.obstacle))
+    first, steps = np.array([[told[path] for path in free]]), np.array([0.01, 0.02, 0.03])
+    score = Score(exp.case, free, [], ["over.front", "top.rear"], [("*", 3)], False, 1)
+    lack, slopes = score.slopes(first, draws, steps)
+    known = np.isfinite(lack[0, 0])
+    moved = [score.lacking(score.margins(first + MOVED * step, draws))[0, known] for step in np.diag(steps)]
+    apart = np.stack([x - lack[0, 0, known] for x in moved], axis=1)
+    np.testing.assert_allclose(slopes[0, 0, known] * MOVED * steps, apart, atol=2e-3)
+    assert (np.abs(apart) > 0.01).any(axis=0).all()
 
 
 @pytest.mark.slow

@@ -144,7 +144,7 @@ def searched(
             score.keep(first, stacked(score.case, len(off)))
             slopes = tuning.follow(
                 lambda moved: score.lacking(score.margins(first + moved, seen)),
-                lambda moved: score.slopes(first + moved, seen), scale, off, how, log, tell)  # fmt: skip
+                lambda moved: score.slopes(first + moved, seen, scale), scale, off, how, log, tell)  # fmt: skip
             slight = np.abs(slopes) * np.abs(off).max(axis=0) < SLIGHT * scale[:, None]
             return first, np.where(slight, 0.0, np.round(slopes, SLOPE_DIGITS))
         if how["gradients"]:

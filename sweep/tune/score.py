@@ -39,7 +39,8 @@ AIMS = {
 ALIKE = {"rate": 1.0, "friction": 0.02, "torque": 10.0, "balance": 0.01, "speed": 0.02}  # that count alike; else m:
 LENGTH = 0.01  # m
 SLACK = 0.1  # of what counts alike, that a margin may lose where numbers only follow sizes
-WORST, AT_ONCE = 5, 8  # moments of a stage that linear programs look at; draws that a core looks at together
+WORST, AT_ONCE = 3, 8  # moments of a stage that linear programs look at; draws that a core looks at together
+MOVED, SAME = 0.1, 1e-3  # of its step, by which a number moves for a difference; what is no difference
 UNKNOWN = 1e3  # the most that a margin lacks, as one that is not a number
 PERIOD, TIMES = 0.04, 1.05  # s, of a tick in which a plan on a ball is played; its time, with that of waiting
 FRICTION = 2.5  # that forces may use, so that what is lacking is known where the believed one is too little
@@ -90,12 +91,8 @@ class Score:
         self._ticks = math.ceil(TIMES * float(time) / PERIOD) + len(names)
         self._kept: dict[str, np.ndarray] = {}
 
-        def twice(numbers: jax.Array, belief: Case) -> tuple[jax.Array, jax.Array]:
-            return 2 * (self.lacking(self._left(numbers, belief)),)
-
         self._margins = jax.jit(jax.vmap(jax.vmap(self._left, (0, None))))
         self._descent = jax.jit(jax.vmap(jax.value_and_grad(self._lack), (None, 0)))
-        self._slopes = jax.jit(jax.vmap(jax.jacfwd(twice, has_aux=True)))
 
     def margins(self, numbers: np.ndarray, draws: Case) -> dict[str, np.ndarray]:
         """Margins (..., draws, stages) by name, for numbers (..., draws or 1, free) or (free,).
@@ -129,12 +126,27 @@ class Score:
         lack, gradient = (np.asarray(x, float) for x in self._descent(jnp.asarray(numbers), draws))
         return lack, np.nan_to_num(gradient, posinf=0.0, neginf=0.0)
 
-    def slopes(self, numbers: np.ndarray, draws: Case) -> tuple[np.ndarray, np.ndarray]:
+    def slopes(self, numbers: np.ndarray, draws: Case, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What draws lack at worst moments (draws, moments, margins x stages) by their numbers (draws, free), and its
-        slopes (..., free).
+        slopes (..., free), by differences of a part of `steps`: numbers that touch no stage in common move together.
         """
-        slope, lack = _in_parts(self._slopes, numbers, draws)
-        return lack, np.nan_to_num(slope, posinf=0.0, neginf=0.0)
+        count, stages = len(steps), len(self.stages)
+        first = jax.tree.map(lambda x: x[:1], draws)
+        alone = self._lacks(numbers[:1, None] + MOVED * steps * np.eye(count + 1, count, -1), first)[0]
+        touched = ~np.isclose(alone[1:], alone[0], 0.0, SAME).reshape(count, -1, stages).all(axis=1)
+        group = groups(touched)
+        moves = np.where(np.arange(-1, group.max() + 1)[:, None] == group, MOVED * steps, 0.0)
+        lack = self._lacks(numbers[:, None] + moves, draws)
+        known = np.where(np.isfinite(lack), lack, np.nan)
+        more = np.nan_to_num(np.moveaxis(known[:, 1:] - known[:, :1], 1, -1))[..., group]
+        return lack[:, 0], more * np.tile(touched.T, (lack.shape[-1] // stages, 1)) / (MOVED * steps)
+
+    def _lacks(self, numbers: np.ndarray, draws: Case) -> np.ndarray:
+        """What draws lack at worst moments (draws, sets, moments, margins x stages) by sets (draws, sets, free)."""
+        each = jax.tree.map(lambda x: np.repeat(x, numbers.shape[1], axis=0), draws)
+        found = _in_parts(self._margins, numbers.reshape(-1, 1, numbers.shape[-1]), each)
+        lack = np.asarray(self.lacking({key: value[:, 0] for key, value in found.items()}))
+        return lack.reshape(*numbers.shape[:2], *lack.shape[1:])
 
     def _lack(self, numbers: jax.Array, belief: Case) -> jax.Array:
         """The same as `lacks`, of one draw, to be differentiated."""
@@ -182,6 +194,15 @@ class Score:
         found["zmp"] = jax.ops.segment_min(played.zero_moment(seen, PERIOD), seen.stage, count)  # m
         found["speed"] = -jax.ops.segment_max(speed, seen.stage, count)  # m/s, of the ball, negative
         return {key: value[None, chosen] for key, value in found.items()}
+
+
+def groups(touched: np.ndarray) -> np.ndarray:
+    """Groups (n,) of what touches (n, m), where two of the same touch nothing in common."""
+    group, taken = np.zeros(len(touched), int), np.zeros(touched.shape, bool)
+    for k, own in enumerate(touched):
+        group[k] = np.argmin((taken & own).any(axis=1))
+        taken[group[k]] |= own
+    return group
 
 
 def _known(margin: Any) -> jax.Array:
