@@ -49,6 +49,7 @@ PILOTS, TRUTH = 4, 200  # repetitions that look at the middle scale; failures th
 RAREST = 1e-5  # target from which on there are to be plain draws
 SETS = 5  # runs of levels that a study has by default
 VARIATION = 0.1  # that costs are told for
+TERMS = 3  # of the law that probabilities of other scales are told by
 PLAIN = 1_000_000  # seed of plain draws, which no repetition has
 
 Ask = Generator[Draws, pd.DataFrame, pd.DataFrame]  # rounds, which are sent their rows; it returns all of these
@@ -403,11 +404,22 @@ def cost(scenarios: shared.Scenarios) -> list[list[str]]:
 
 
 def beyond(scenarios: shared.Scenarios) -> list[list[str]]:
-    """What both ways say where there is no truth: the mean of all repetitions, and how many rollouts it takes."""
+    """What both ways say where there is no truth: the mean of all repetitions, and how many rollouts it takes.
+
+    Beside them what plain draws of larger errors say, where there are some of three scales.
+    """
     titles = ["variation", "early or not trusted", "rollouts for a tenth"]
-    table = [["scenario", "errors times", "importance: P(failure)", *titles, "levels: P(failure)", *titles]]
+    table = [["scenario", "errors times", "plain draws of larger errors: P(failure)",
+              "importance: P(failure)", *titles, "levels: P(failure)", *titles]]  # fmt: skip
+    plain: dict[str, list[tuple[float, int, int]]] = {}
+    for (name, scale), ways in cells_of(scenarios):
+        plain.setdefault(name, []).append((float(scale), ways["plain"]["failed"], ways["plain"]["rollouts"]))
     for line, ways in cells_of(scenarios, known=False):
-        cells = []
+        cells = [""]
+        if len(larger := plain.get(line[0], [])) >= TERMS:
+            larger_scales, failures, of = np.array(larger).T
+            told = extrapolated(larger_scales, failures, of, float(line[1]))
+            cells = ["{:.2g} ({:.2g} to {:.2g})".format(*told)]
         for way, bad in (("importance", "untrusted"), ("levels", "early")):
             if way not in ways:
                 cells += [""] * 4
@@ -419,6 +431,20 @@ def beyond(scenarios: shared.Scenarios) -> list[list[str]]:
         if ways:
             table.append([*line, *cells])
     return table
+
+
+def extrapolated(scales: np.ndarray, failed: np.ndarray, of: np.ndarray, at: float) -> tuple[float, float, float]:
+    """A probability at a scale of errors, and its interval, from how many of plain draws failed at larger scales.
+
+    log P = a + b log s - c / s², fitted with each share's error (scaled-sigma sampling: Sun et al. 2015).
+    """
+    s, share = scales / at, failed / of
+    terms = np.stack([np.ones_like(s), np.log(s), 1 - s**-2], axis=1)  # times log P there, b, and c / at²
+    certain = failed / (1 - share)  # 1 / variance of log P
+    covariance = np.linalg.inv(terms.T @ (certain[:, None] * terms))
+    log_p = (covariance @ terms.T @ (certain * np.log(share)))[0]
+    half = ndtri(0.5 + CONFIDENCE / 2) * np.sqrt(covariance[0, 0])
+    return float(np.exp(log_p)), float(np.exp(log_p - half)), float(np.exp(log_p + half))
 
 
 def rollouts(cell: Cell) -> float:
