@@ -32,7 +32,6 @@ _BOUND: dict[Effort, str] = {"friction": "friction", "torque": "torque", "normal
 # level, from no balance to the first centre. In the end by `LAST`, if `Bounds` says nothing else.
 LAST = 0.01
 SLACK = np.repeat(np.array([1e12] * 12 + list(np.geomspace(5 * LAST, LAST, 40)), np.float32), 2)
-SETTLED = 8  # steps from a centre on through which slopes are taken
 LENGTHS = (1.0, 0.7, 0.5, 0.3, 0.15, 0.07, 0.03, 0.01)  # of a Newton step, of which the longest that fits is taken
 FOCUS = 8.0  # weight of the pressed bounds against all others
 KEEP = 0.2  # of the room to a bound that a step has to leave
@@ -111,17 +110,9 @@ def distribute(pose: StaticPose, bounds: Bounds, least: Effort) -> FootForces:
     the point that is farthest, in the logarithmic sense, from the level and all bounds, and so on with ever less room.
     With the least `slack` the effort ends within some 3 % of the least possible one. What is left of the weight
     (`imbalance`) stays below 1 % where forces within the bounds exist, and above it where there are none.
-
-    It may be differentiated: slopes are those of the last `SETTLED` steps alone, since a centre does not move but with
-    the pose and the bounds.
     """
     sought = Sought(pose, Bounds(*(jnp.asarray(b, float) for b in bounds)))
-    force = searched(least)(jax.tree.map(lambda x: jax.lax.stop_gradient(x)[None], sought))[0]
-    problem, last = _Problem.of(sought), len(SLACK)
-    found = jax.lax.fori_loop(
-        last - SETTLED, last, lambda k, so_far: problem.step(so_far, k, least), problem.nothing._replace(force=force)
-    )
-    return asked(pose, found.force)
+    return asked(pose, searched(least)(jax.tree.map(lambda x: x[None], sought))[0])
 
 
 def searched(least: Effort) -> Callable[[Sought], Float[Array, "n 6 3"]]:
@@ -364,15 +355,14 @@ class PlannedForces:
             Stage(f"{stage.name}.load", self.load_time, foot_frames=last.foot_frames, base_frame=last.base_frame), stage
         )]  # fmt: skip
 
+    def bounds(self, belief: Case) -> Bounds:
+        """What forces have to keep to."""
+        friction, torque = self.friction_share * belief.contact.friction, self.torque_share * belief.drive.torque_limit
+        return Bounds(friction, torque, self.least_normal, slack=self.slack)
+
     def course(self, belief: Case, plan: Plan) -> Course:
         """The forces of least `effort` along `plan`."""
-        bounds = Bounds(
-            self.friction_share * belief.contact.friction,
-            self.torque_share * belief.drive.torque_limit,
-            self.least_normal,
-            slack=self.slack,
-        )
-        return along(belief, plan, bounds, cast(Effort, self.effort))
+        return along(belief, plan, self.bounds(belief), cast(Effort, self.effort))
 
     def with_feedforward(self, belief: Case, plan: Plan) -> Plan:
         """`plan` with its `course` as offsets of what the believed drives are told (`Feedforward`)."""

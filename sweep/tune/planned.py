@@ -28,6 +28,7 @@ from sweep.models import solids
 from sweep.models.case import Case
 from sweep.models.obstacles.surface import Bodies, free_start, poses, under
 from sweep.models.robot import half_size
+from sweep.tune.hold import reserve
 
 LEVEL = 0.999  # least upward part of a level face's normal; on others feet may hold the robot beside their polygon
 MID_SWING = 0.05  # m from both ends of a swing, beyond which a foot has to be off the obstacle
@@ -50,14 +51,6 @@ class Margins(NamedTuple):
     rate: Float[Array, "*b"]  # rad/s, of the fastest joint, negative
     edge: Float[Array, "*b"]  # m, from standing feet to the edges of their face, no more than `AROUND`
     support: Float[Array, "*b"]  # m, of the mass centre in the standing feet's polygon; where all stand on level ground
-
-
-class Holding(NamedTuple):
-    """What planned forces leave."""
-
-    friction: Float[Array, "*b"]  # of the believed coefficient
-    torque: Float[Array, "*b"]  # N m, of the believed limit
-    balance: Float[Array, "*b"]  # weights that are not held, negative
 
 
 def margins(case: Case, plan: Plan, stage: Int[Array, ""], u: Float[Array, ""]) -> Margins:
@@ -122,17 +115,15 @@ def left(
     )
 
 
-def holding(case: Case, plan: Plan, stage: Int[Array, ""], u: Float[Array, ""], bounds: forces.Bounds) -> Holding:
-    """What the forces of least friction within `bounds` leave at phase `u` of a stage."""
+def holding(case: Case, plan: Plan, stage: Int[Array, ""], u: Float[Array, ""], bounds: forces.Bounds) -> Array:
+    """The `reserve` of forces within `bounds` (shares of the weight) at phase `u` of a stage."""
     pose = forces.moment(case, plan, stage, u)
-    pose = pose._replace(arm=_sound(pose.arm), jacobian=_sound(pose.jacobian), own_torque=_sound(pose.own_torque))
-    held = forces.distribute(pose, bounds, "friction")
-    return Holding(case.contact.friction - held.friction, case.drive.torque_limit - held.torque, -held.imbalance)
+    return reserve(pose._replace(jacobian=_sound(pose.jacobian), own_torque=_sound(pose.own_torque)), bounds)
 
 
 @jax.custom_jvp
 def _sound(x: Array) -> Array:
-    """The same, with no slope where it is not finite, as where no forces hold: what else is lacking has its own."""
+    """The same, with no slope where it is not finite, as where a leg is stretched: what is lacking there is reach."""
     return x
 
 

@@ -20,7 +20,7 @@ from sweep.models.case import Case
 from sweep.models.obstacles.ball import Ball
 from sweep.tune import planned, played
 
-# what is aimed at if not told (m, rad/s, N m, shares of the weight); a margin without an aim counts for nothing
+# what is aimed at if not told (m, rad/s, shares of the weight); a margin without an aim counts for nothing
 AIMS = {
     "base": 0.02,
     "links": 0.003,
@@ -32,18 +32,15 @@ AIMS = {
     "rate": -6.0,
     "edge": 0.02,
     "support": 0.02,
-    "friction": 0.0,
-    "torque": 0.0,
-    "balance": -0.002,
+    "hold": 0.01,
 }
-ALIKE = {"rate": 1.0, "friction": 0.02, "torque": 10.0, "balance": 0.01, "speed": 0.02}  # that count alike; else m:
+ALIKE = {"rate": 1.0, "hold": 0.01, "speed": 0.02}  # that count alike; else m:
 LENGTH = 0.01  # m
 SLACK = 0.1  # of what counts alike, that a margin may lose where numbers only follow sizes
 WORST, AT_ONCE = 3, 8  # moments of a stage that linear programs look at; draws that a core looks at together
 MOVED, SAME = 0.1, 1e-3  # of its step, by which a number moves for a difference; what is no difference
 UNKNOWN = 1e3  # the most that a margin lacks, as one that is not a number
 PERIOD, TIMES = 0.04, 1.05  # s, of a tick in which a plan on a ball is played; its time, with that of waiting
-FRICTION = 2.5  # that forces may use, so that what is lacking is known where the believed one is too little
 SETS = 3  # axes of sets of numbers: set, draw, number
 MANOEUVRE = "manoeuvre"  # beginning of paths that are not the table's
 
@@ -171,19 +168,18 @@ class Score:
     def _of_posed(self, belief: Case, plan: Plan) -> dict[str, jax.Array]:
         chosen, moments, hold = self._at
 
-        def worst(
-            function: Callable[..., planned.Margins | planned.Holding], counts: np.ndarray
-        ) -> dict[str, jax.Array]:
+        def worst(function: Callable[..., dict[str, jax.Array]], counts: np.ndarray) -> dict[str, jax.Array]:
             phases = np.concatenate([np.linspace(0, 1, n) for n in counts])
             seen = jax.vmap(function)(jnp.repeat(chosen, counts), jnp.asarray(phases))
             most = max(WORST, *counts)
             own = (np.cumsum(counts) - counts)[:, None] + np.minimum(np.arange(most), counts[:, None] - 1)
-            return {key: -jax.lax.top_k(-_known(x)[own], WORST)[0].T for key, x in seen._asdict().items()}
+            return {key: -jax.lax.top_k(-_known(x)[own], WORST)[0].T for key, x in seen.items()}
 
-        found = worst(lambda k, u: planned.margins(belief, plan, k, u), moments)
+        found = worst(lambda k, u: planned.margins(belief, plan, k, u)._asdict(), moments)
         if hold:
-            bounds = _bounds(belief)
-            found |= worst(lambda k, u: planned.holding(belief, plan, k, u, bounds), np.full(len(chosen), forces.KNOTS))
+            assert isinstance(belief.manoeuvre, PlannedForces)
+            bounds, knots = belief.manoeuvre.bounds(belief), np.full(len(chosen), forces.KNOTS)
+            found |= worst(lambda k, u: {"hold": planned.holding(belief, plan, k, u, bounds)}, knots)
         return found
 
     def _of_played(self, belief: Case, plan: Plan) -> dict[str, jax.Array]:
@@ -228,13 +224,6 @@ def changed(case: Case, path: str, value: Any) -> Case:
     if group == MANOEUVRE:
         return replace(case, manoeuvre=replace(case.manoeuvre, **{name: value}))  # pyright: ignore[reportArgumentType]
     return replace(case, plan=case.plan.changed(path, value))
-
-
-def _bounds(belief: Case) -> forces.Bounds:
-    """Of forces that hold the robot."""
-    how = belief.manoeuvre
-    assert isinstance(how, PlannedForces)
-    return forces.Bounds(FRICTION, how.torque_share * belief.drive.torque_limit, how.least_normal)
 
 
 def stacked(belief: Case, count: int) -> Case:

@@ -22,6 +22,7 @@ from sweep.models.noise import Noise
 from sweep.models.obstacles.plane import Plane
 from sweep.models.robot import Robot
 from sweep.models.scene import compile_model
+from sweep.tune.hold import reserve
 
 ROBOT = Robot()
 UPRIGHT = (0.5**0.5, 0.0, -(0.5**0.5), 0.0)  # x_r up
@@ -114,20 +115,6 @@ def test_forces_ask_for_hardly_more_than_a_linear_program_finds(least):
     assert np.all(np.asarray(found.torque)[holds] <= 200.0 * 1.001)
 
 
-@pytest.mark.slow
-def test_slopes_are_those_of_small_changes():
-    """Of the least friction, as the mass centre moves: by moving it by 5 mm to either side."""
-    poses = jax.tree.map(lambda *x: jnp.stack(x), *(standing(seed) for seed in (1, 2, 4, 5, 7, 8)))
-    bounds, way = Bounds(friction=2.5, torque=200.0, least_normal=2.0, most_normal=3000.0), jnp.array([1.0, 0.0, 0.0])
-
-    def asked(shift, p):
-        return distribute(p._replace(arm=p.arm + shift * way), bounds, "friction").friction
-
-    there = jax.jit(jax.vmap(jax.value_and_grad(asked), (None, 0)))
-    (less, _), (_, slope), (more, _) = (there(shift, poses) for shift in (-0.005, 0.0, 0.005))
-    np.testing.assert_allclose(slope, (more - less) / 0.01, rtol=0.03)
-
-
 def test_slack_buys_room_to_the_bounds_for_a_little_of_the_effort():
     """Feet bear more evenly on the whole, and friction stays in bounds."""
     poses = jax.tree.map(lambda *x: jnp.stack(x), *(standing(seed) for seed in range(12)))
@@ -141,6 +128,36 @@ def test_slack_buys_room_to_the_bounds_for_a_little_of_the_effort():
     assert np.mean(normal[1]) > np.mean(normal[0])
     assert np.mean(np.asarray(far.friction - close.friction)[holds]) > 0
     assert np.all(np.asarray(far.friction)[holds] <= 1.2)
+
+
+@pytest.mark.parametrize("aside", [0.0, 0.1, 0.3, 0.5])  # m; from 0.4 on the mass centre is not over the feet
+def test_on_level_ground_the_reserve_is_what_the_lightest_foot_bears_over_the_least(aside):
+    feet = jnp.asarray(np.stack([SIDE * 0.3, [0.4, 0.4, 0.0, 0.0, -0.4, -0.4], np.full(6, -0.5)], -1), float)
+    up, none = jnp.tile(jnp.array([0.0, 0.0, 1.0]), (6, 1)), jnp.zeros((6, 3))
+    stands = jnp.asarray([True, True, False, False, True, True])
+
+    def at(way):
+        shifted = feet + jnp.array([0.0, 1.0, 0.0]) * way
+        stance = StaticPose(shifted, up, stands, jnp.zeros((6, 3, 3)), none, jnp.asarray(100.0))
+        return reserve(stance, Bounds(1.0, 50.0, 5.0))
+
+    value, slope = jax.jit(jax.value_and_grad(at))(aside)
+    assert value == pytest.approx((1 - aside / 0.4) / 4 - 0.05, abs=1e-3)
+    assert aside == 0 or slope == pytest.approx(-1 / 1.6, rel=0.01)
+
+
+def test_the_reserve_is_positive_where_forces_hold_and_has_the_slopes_of_small_changes():
+    poses = jax.tree.map(lambda *x: jnp.stack(x), *(standing(seed) for seed in range(12)))
+    bounds = Bounds(friction=1.2, torque=200.0, least_normal=2.0)
+    found = jax.jit(jax.vmap(lambda p: distribute(p, bounds, "friction")))(poses)
+
+    def shifted(way, p):
+        return reserve(p._replace(arm=p.arm + way * jnp.array([1.0, 0.0, 0.0])), bounds)
+
+    there = jax.jit(jax.vmap(jax.value_and_grad(shifted), (None, 0)))
+    (less, _), (value, slope), (more, _) = (there(way, poses) for way in (-0.005, 0.0, 0.005))
+    np.testing.assert_array_equal(np.asarray(value) > 0, np.asarray(found.imbalance) < Thresholds().imbalance_max)
+    np.testing.assert_allclose(slope, (more - less) / 0.01, rtol=0.03, atol=0.01)
 
 
 def on_a_corner(psi: float, eps: float) -> StaticPose:
