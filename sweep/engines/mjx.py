@@ -258,7 +258,8 @@ class Mjx:
             plans, carry = devices.split(batch, self._mesh)
             if self._by_host:
                 with part("closed loop"):
-                    chunked = pool.submit(kernel.begun(self._ticks(quiet), *of_one(arrays, batch)))
+                    lanes = kernel.tile(self.width, devices.cores())
+                    chunked = pool.submit(kernel.begun(self._ticks(quiet), *of_one(arrays, batch), lanes=lanes))
                     finished = self._compile_finish(arrays, batch, on_devices)
                     again = self._compile_again(arrays, batch, on_devices)
                     return *started(), chunked.result(), finished, again

@@ -4,6 +4,7 @@ import ctypes
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -14,7 +15,7 @@ from sweep.fused import llvm, schedule
 from sweep.fused.randomness import is_key, words
 from sweep.fused.trace import GROUP, Leaf, Traced, traced
 
-LANES, ALIGN = llvm.LANES, llvm.ALIGN
+ALIGN = llvm.ALIGN
 
 
 class Code(NamedTuple):
@@ -26,47 +27,55 @@ class Code(NamedTuple):
     recorded: dict[str, Leaf]
     scratch: int  # bytes that a thread needs
     form: Any  # the tree of what is carried, True where that is a random key
+    lanes: int  # rollouts of a tile
 
 
 Tick = Callable[[Any, Any, Array], tuple[Any, dict[str, Array]]]  # of a rollout: given, carried, number
 
 
-def printed(function: Tick, given: Any, carried: Any, group: int = GROUP) -> tuple[Traced, llvm.Printer]:
+def tile(width: int, cores: int) -> int:
+    """Lanes for `width` rollouts: few as long as no core has two such tiles. Numbers are the same to the bit."""
+    return llvm.NARROW if width <= llvm.NARROW * cores else llvm.LANES
+
+
+def printed(
+    function: Tick, given: Any, carried: Any, group: int = GROUP, lanes: int = llvm.LANES
+) -> tuple[Traced, llvm.Printer]:
     """A program, and its text as LLVM's assembly; see `traced`. What is given and carried share a memory, in bytes."""
-    program = traced(function, given, carried, _laid_out, together=True, group=group)
+    program = traced(function, given, carried, partial(_laid_out, lanes), together=True, group=group)
     order = schedule.order(program.top, schedule.used(program.top))
-    return program, llvm.Printer(order, schedule.slots(order), group)
+    return program, llvm.Printer(order, schedule.slots(order), group, lanes)
 
 
-def compiled(function: Tick, given: Any, carried: Any, group: int = GROUP, effort: int = 2) -> Code:
-    """See `printed`, and `llvm.machine`."""
-    return begun(function, given, carried, group, effort)()
+def compiled(function: Tick, given: Any, carried: Any, group: int = GROUP, lanes: int = llvm.LANES) -> Code:
+    """See `printed`."""
+    return begun(function, given, carried, group, lanes)()
 
 
-def begun(function: Tick, given: Any, carried: Any, group: int = GROUP, effort: int = 2) -> Callable[[], Code]:
+def begun(function: Tick, given: Any, carried: Any, group: int = GROUP, lanes: int = llvm.LANES) -> Callable[[], Code]:
     """The rest of `compiled` once its text is there: most of the time, without Python, which can go on meanwhile."""
-    program, text = printed(function, given, carried, group)
+    program, text = printed(function, given, carried, group, lanes)
     form = jax.tree.map(is_key, carried)
 
     def rest() -> Code:
-        target = llvm.machine(effort)
+        target = llvm.machine()
         machine = llvm.compiled(text.text(target.triple), target)
-        return Code(machine, program.given, program.carried, program.recorded, text.scratch, form)
+        return Code(machine, program.given, program.carried, program.recorded, text.scratch, form, lanes)
 
     return rest
 
 
-def _size(leaf: Leaf) -> int:
+def _size(leaf: Leaf, lanes: int) -> int:
     """Bytes, of all lanes."""
-    return leaf.size * llvm.row(leaf.dtype)
+    return leaf.size * llvm.row(leaf.dtype, lanes)
 
 
-def _laid_out(shapes: Sequence[Any], start: int) -> tuple[list[Leaf], int]:
+def _laid_out(lanes: int, shapes: Sequence[Any], start: int) -> tuple[list[Leaf], int]:
     """Arrays one after the other in memory, in bytes, and where the last ends."""
     leaves = []
     for x in shapes:
         leaves.append(Leaf(start, tuple(x.shape), np.dtype(x.dtype).name))
-        start += llvm.rounded(_size(leaves[-1]))
+        start += llvm.rounded(_size(leaves[-1], lanes))
     return leaves, start
 
 
@@ -90,9 +99,9 @@ class Tiles:
     """A batch that goes through a program. `which` picks arrays of what is carried, or trees of them."""
 
     def __init__(self, kernel: Kernel, width: int):
-        self.code, self.width = kernel.code, width
+        self.code, self.width, lanes = kernel.code, width, kernel.code.lanes
         self._kernel = kernel  # whose machine code is gone when nobody holds it
-        self.memory = _aligned(-(-width // LANES), _end(self.code.carried))
+        self.memory = _aligned(-(-width // lanes), _end(self.code.carried, lanes))
         tree = jax.tree.structure(self.code.form)
         self._places = jax.tree.unflatten(tree, range(tree.num_leaves))
         rooms = range(min(len(os.sched_getaffinity(0)), len(self.memory)))
@@ -100,14 +109,15 @@ class Tiles:
 
     def put(self, leaves: Sequence[Leaf], tree: Any) -> None:
         """Values of a batch, or one for all of it; the last tile's idle lanes repeat the last rollout."""
+        lanes = self.code.lanes
         for leaf, given in zip(leaves, jax.tree.leaves(words(tree)), strict=True):
-            values, whole = np.asarray(given), _within(self.memory, leaf)
+            values, whole = np.asarray(given), _within(self.memory, leaf, lanes)
             if values.ndim == len(leaf.shape):
                 whole[...] = values.reshape(1, leaf.size, 1)
                 continue
-            full, rest = divmod(self.width, LANES)
+            full, rest = divmod(self.width, lanes)
             rows = values.reshape(self.width, leaf.size)
-            whole[:full] = rows[: full * LANES].reshape(full, LANES, leaf.size).transpose(0, 2, 1)
+            whole[:full] = rows[: full * lanes].reshape(full, lanes, leaf.size).transpose(0, 2, 1)
             if rest:
                 whole[full, :, :rest], whole[full, :, rest:] = rows[-rest:].T, rows[-1][:, None]
 
@@ -117,9 +127,9 @@ class Tiles:
 
     def advance(self, first: int, ticks: int, slots: np.ndarray | None = None) -> dict[str, np.ndarray] | None:
         """Go on by `ticks`. Records (ticks, slots, ...) of the rollouts in `slots`."""
-        recorded = self.code.recorded
-        size = _end([*recorded.values()])
-        wanted = sorted(set(() if slots is None else (slots // LANES).tolist()))
+        recorded, lanes = self.code.recorded, self.code.lanes
+        size = _end([*recorded.values()], lanes)
+        wanted = sorted(set(() if slots is None else (slots // lanes).tolist()))
         told: dict[Any, np.ndarray] = {tile: _aligned(ticks, size) for tile in wanted}
 
         def work(thread: int, threads: int) -> None:
@@ -136,8 +146,8 @@ class Tiles:
             work(0, 1)
         if slots is None:
             return None
-        rows = {name: {tile: _got(told[tile], leaf) for tile in wanted} for name, leaf in recorded.items()}
-        return {name: np.stack([of[k // LANES][:, k % LANES] for k in slots], axis=1) for name, of in rows.items()}
+        rows = {name: {tile: _got(told[tile], leaf, lanes) for tile in wanted} for name, leaf in recorded.items()}
+        return {name: np.stack([of[k // lanes][:, k % lanes] for k in slots], axis=1) for name, of in rows.items()}
 
     def leave(self) -> Any:
         """What is carried, (width, ...) each."""
@@ -148,8 +158,8 @@ class Tiles:
         """What `which` picks, (width, ...) each, without the others."""
 
         def rows(place: int) -> np.ndarray:
-            leaf = self.code.carried[place]
-            return np.array(_got(self.memory, leaf).reshape(len(self.memory) * LANES, *leaf.shape)[: self.width])
+            leaf, lanes = self.code.carried[place], self.code.lanes
+            return np.array(_got(self.memory, leaf, lanes).reshape(len(self.memory) * lanes, *leaf.shape)[: self.width])
 
         return jax.tree.map(rows, which(self._places))
 
@@ -161,17 +171,17 @@ def _aligned(rows: int, size: int) -> np.ndarray:
     return raw[start : start + rows * size].reshape(rows, size)
 
 
-def _end(leaves: Sequence[Leaf]) -> int:
+def _end(leaves: Sequence[Leaf], lanes: int) -> int:
     """Bytes up to where arrays end that lie one after the other."""
-    return max((leaf.place + llvm.rounded(_size(leaf)) for leaf in leaves), default=ALIGN)
+    return max((leaf.place + llvm.rounded(_size(leaf, lanes)) for leaf in leaves), default=ALIGN)
 
 
-def _within(memory: np.ndarray, leaf: Leaf) -> np.ndarray:
+def _within(memory: np.ndarray, leaf: Leaf, lanes: int) -> np.ndarray:
     """An array in memory (rows of memory, numbers, lanes)."""
-    found = memory[:, leaf.place : leaf.place + _size(leaf)].view(leaf.dtype)
-    return found.reshape(len(memory), leaf.size, LANES)
+    found = memory[:, leaf.place : leaf.place + _size(leaf, lanes)].view(leaf.dtype)
+    return found.reshape(len(memory), leaf.size, lanes)
 
 
-def _got(memory: np.ndarray, leaf: Leaf) -> np.ndarray:
+def _got(memory: np.ndarray, leaf: Leaf, lanes: int) -> np.ndarray:
     """Values (rows of memory, lanes, ...)."""
-    return _within(memory, leaf).transpose(0, 2, 1).reshape(len(memory), LANES, *leaf.shape)
+    return _within(memory, leaf, lanes).transpose(0, 2, 1).reshape(len(memory), lanes, *leaf.shape)

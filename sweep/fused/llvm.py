@@ -13,14 +13,14 @@ from sweep.fused.program import At, Branch, Count, Loop, Node, OneOf, Over, Regi
 from sweep.fused.schedule import Order, Slots, Turn, regions
 from sweep.fused.text import TYPES, Text
 
-LANES = 16
+LANES, NARROW = 16, 4  # rollouts of a tile; a narrow one takes half as long
 ALIGN = 64  # bytes
 FIRST = {"add": -0.0, "mul": 1, "max": -np.inf, "min": np.inf, "and": True, "or": False}  # of a reduction over the legs
 
 
-def row(dtype: str) -> int:
+def row(dtype: str, lanes: int) -> int:
     """Bytes of a number's lanes in memory."""
-    return LANES * np.dtype(dtype).itemsize
+    return lanes * np.dtype(dtype).itemsize
 
 
 def rounded(size: int) -> int:
@@ -34,18 +34,18 @@ class Printer(Text):
     `record` goes on by `stride` bytes each tick; `first` is the number of the first tick.
     """
 
-    def __init__(self, top: Order, slots: Slots, group: int):
-        super().__init__(LANES)
+    def __init__(self, top: Order, slots: Slots, group: int, lanes: int):
+        super().__init__(lanes)
         self.group = group
         self.slots = slots
         self.names: dict[int, str] = {}
         self.counts: dict[int, str] = {}  # of the loops that are open, by depth
-        self.row = LANES * slots.size
+        self.row = lanes * slots.size
         self.scratch = rounded(slots.count * self.group * self.row)
         self.places: dict[Region, int] = {}
         for region in sorted((r for r in regions(top) if r.place < 0), key=id):
             self.places[region] = self.scratch
-            self.scratch += rounded(region.size * row(region.dtype))
+            self.scratch += rounded(region.size * self.size(region.dtype))
         self._order(top)
 
     def text(self, triple: str) -> str:
@@ -148,6 +148,10 @@ class Printer(Text):
 
     # memory
 
+    def size(self, dtype: str) -> int:
+        """Bytes of a number's lanes."""
+        return row(dtype, self.lanes)
+
     def base(self, region: Region) -> tuple[str, int]:
         """Pointer and bytes from there to a region."""
         if region in self.places:
@@ -157,7 +161,7 @@ class Printer(Text):
     def _store(self, store: Store) -> None:
         region, value = store.region, store.value
         base, place = self.base(region)
-        size = row(region.dtype)
+        size = self.size(region.dtype)
         if region.record:
             count = self.counts[1]
             moved = self.emit(f"mul i64 {count}, %stride")
@@ -176,44 +180,43 @@ class Printer(Text):
         if node.op == "load":
             region, index, _, step = node.told(At)
             base, place = self.base(region)
-            return self.get(region.dtype, base, str(place + (index + k * step) * row(region.dtype)))
+            return self.get(region.dtype, base, str(place + (index + k * step) * self.size(region.dtype)))
         return self.get(node.dtype, "%scratch", str(self.slot(node) + k * self.row))
 
     def _put(self, value: str, dtype: str, base: str, offset: str) -> None:
         at = self.emit(f"getelementptr i8, ptr {base}, i64 {offset}")
         if dtype == "bool":
-            value = self.emit(f"zext <{LANES} x i1> {value} to <{LANES} x i8>")
-        stored = f"<{LANES} x i8>" if dtype == "bool" else self.vector(dtype)
-        self.lines.append(f"store {stored} {value}, ptr {at}, align {min(64, row(dtype))}")
+            value = self.emit(f"zext {self.vector('bool')} {value} to {self.vector('int8')}")
+        stored = self.vector("int8" if dtype == "bool" else dtype)
+        self.lines.append(f"store {stored} {value}, ptr {at}, align {min(64, self.size(dtype))}")
 
     def get(self, dtype: str, base: str, offset: str, name: str | None = None) -> str:
         """A number from memory, `offset` bytes from a pointer."""
         at = self.emit(f"getelementptr i8, ptr {base}, i64 {offset}")
         if dtype == "bool":
-            found = self.emit(f"load <{LANES} x i8>, ptr {at}, align {LANES}")
-            return self.emit(f"icmp ne <{LANES} x i8> {found}, zeroinitializer", name)
-        return self.emit(f"load {self.vector(dtype)}, ptr {at}, align {min(64, row(dtype))}", name)
+            found = self.emit(f"load {self.vector('int8')}, ptr {at}, align {self.lanes}")
+            return self.emit(f"icmp ne {self.vector('int8')} {found}, zeroinitializer", name)
+        return self.emit(f"load {self.vector(dtype)}, ptr {at}, align {min(64, self.size(dtype))}", name)
 
     def gather(self, node: Node, place: str, offset: str) -> str:
         """From a place of each rollout's own, `offset` bytes further on."""
         region = node.told(At).region
         base, _ = self.base(region)
-        size, wide = row(region.dtype), f"<{LANES} x i64>"
-        lanes = ", ".join(f"i64 {k * np.dtype(region.dtype).itemsize}" for k in range(LANES))
-        far = self.emit(f"sext <{LANES} x i32> {place} to {wide}")
+        size, wide = self.size(region.dtype), self.vector("int64")
+        lanes = ", ".join(f"i64 {k * np.dtype(region.dtype).itemsize}" for k in range(self.lanes))
+        far = self.emit(f"sext {self.vector('int32')} {place} to {wide}")
         moved = self.emit(f"mul {wide} {far}, {self.splat('i64', size)}")
         moved = self.emit(f"add {wide} {moved}, <{lanes}>")
         start = self.emit(f"getelementptr i8, ptr {base}, i64 {offset}")
         where = self.emit(f"getelementptr i8, ptr {start}, {wide} {moved}")
         kept = "i8" if region.dtype == "bool" else TYPES[region.dtype]
         short = {"float": "f32", "double": "f64"}.get(kept, kept)
-        function = f"@llvm.masked.gather.v{LANES}{short}.v{LANES}p0"
-        vector = f"<{LANES} x {kept}>"
-        self.declared.add(f"declare {vector} {function}(<{LANES} x ptr>, i32, <{LANES} x i1>, {vector})")
-        every = self.splat("i1", "true")
-        found = self.emit(
-            f"call {vector} {function}(<{LANES} x ptr> {where}, i32 1, <{LANES} x i1> {every}, {vector} poison)"
-        )
+        function = f"@llvm.masked.gather.v{self.lanes}{short}.v{self.lanes}p0"
+        vector = f"<{self.lanes} x {kept}>"
+        self.declared.add(f"declare {vector} {function}(<{self.lanes} x ptr>, i32, {self.vector('bool')}, {vector})")
+        every = f"{self.vector('bool')} {self.splat('i1', 'true')}"
+        given = f"<{self.lanes} x ptr> {where}, i32 1, {every}"
+        found = self.emit(f"call {vector} {function}({given}, {vector} poison)")
         return self.emit(f"icmp ne {vector} {found}, zeroinitializer") if region.dtype == "bool" else found
 
     # values
@@ -228,12 +231,12 @@ class Printer(Text):
             case "load":
                 region, index, _, _ = node.told(At)
                 base, place = self.base(region)
-                return self.get(region.dtype, base, str(place + index * row(region.dtype)))
+                return self.get(region.dtype, base, str(place + index * self.size(region.dtype)))
             case "gather":
                 region, index, _, step = node.told(At)
                 _, place = self.base(region)
-                offset = place + index * row(region.dtype)
-                at = leg.offset(step * row(region.dtype), offset) if leg and node.leg else str(offset)
+                offset = place + index * self.size(region.dtype)
+                at = leg.offset(step * self.size(region.dtype), offset) if leg and node.leg else str(offset)
                 return self.gather(node, args[0], at)
             case "part":
                 return self.part(node.args[0], node.told(OneOf).leg)
@@ -246,10 +249,9 @@ class Printer(Text):
 
     def _whole(self, number: str) -> str:
         short = self.emit(f"trunc i64 {number} to i32")
-        one = self.emit(f"insertelement <{LANES} x i32> poison, i32 {short}, i32 0")
-        return self.emit(
-            f"shufflevector <{LANES} x i32> {one}, <{LANES} x i32> poison, <{LANES} x i32> zeroinitializer"
-        )
+        wide = self.vector("int32")
+        one = self.emit(f"insertelement {wide} poison, i32 {short}, i32 0")
+        return self.emit(f"shufflevector {wide} {one}, {wide} poison, {wide} zeroinitializer")
 
 
 class Leg:
@@ -288,7 +290,7 @@ class Leg:
         if node.op == "load":
             region, index, _, step = node.told(At)
             base, place = printer.base(region)
-            size = row(region.dtype)
+            size = printer.size(region.dtype)
             return printer.get(region.dtype, base, self.offset(step * size, place + index * size))
         return printer.get(node.dtype, "%scratch", self.offset(printer.row, printer.slot(node)))
 
@@ -299,13 +301,13 @@ class Leg:
         return self.steps[key]
 
 
-def machine(effort: int = 2) -> llvm.TargetMachine:
-    """This processor, as LLVM compiles for it with more or less `effort`, 0 to 3: none for what is run once."""
+def machine() -> llvm.TargetMachine:
+    """This processor, as LLVM compiles for it."""
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     features = llvm.get_host_cpu_features().flatten()
     target = llvm.Target.from_default_triple()
-    return target.create_target_machine(llvm.get_host_cpu_name(), features, opt=effort, codemodel="default", jit=True)
+    return target.create_target_machine(llvm.get_host_cpu_name(), features, opt=2, codemodel="default", jit=True)
 
 
 def compiled(text: str, target: llvm.TargetMachine) -> bytes:

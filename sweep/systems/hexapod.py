@@ -167,7 +167,7 @@ class Hexapod:
             )
 
     def few(self, settings: EngineSettings) -> int:
-        """See `System`: where this package compiles, a tile for each core, which takes it as long as one rollout."""
+        """See `System`: where this package compiles, a full tile for each core."""
         from sweep.fused.llvm import LANES  # whose library what is wrong need not wait for
 
         return LANES * devices.cores() if settings.fusible else 0

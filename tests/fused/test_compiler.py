@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sweep.fused import kernel
+from sweep.fused import kernel, llvm
 from sweep.fused.arrays import Unsupported
 from sweep.fused.program import Node, inside
 
@@ -21,14 +21,22 @@ WIDTH = 5
 
 
 def both(function, *batch, group=6):
-    """What `function` of one rollout records for a batch, fused and by XLA."""
+    """What `function` of one rollout records for a batch, fused, by narrow tiles and wide ones, and by XLA."""
     one = [jax.ShapeDtypeStruct(x.shape[1:], x.dtype) for x in batch]
-    code = kernel.compiled(lambda given, carried, k: (carried, function(*given)), one, [jnp.zeros(())], group)
-    program = kernel.Kernel(code)
-    tiles = program.enter(list(batch), [jnp.zeros(WIDTH)], WIDTH)
-    record = tiles.advance(0, 1, np.arange(WIDTH))
-    assert record is not None
-    return {name: x[0] for name, x in record.items()}, jax.vmap(function)(*batch)
+
+    def fused(lanes: int):
+        code = kernel.compiled(
+            lambda given, carried, k: (carried, function(*given)), one, [jnp.zeros(())], group, lanes
+        )
+        tiles = kernel.Kernel(code).enter(list(batch), [jnp.zeros(WIDTH)], WIDTH)
+        record = tiles.advance(0, 1, np.arange(WIDTH))
+        assert record is not None
+        return {name: x[0] for name, x in record.items()}
+
+    wide, narrow = fused(llvm.LANES), fused(llvm.NARROW)
+    for name, values in narrow.items():
+        np.testing.assert_array_equal(values, wide[name], err_msg=name)
+    return wide, jax.vmap(function)(*batch)
 
 
 def some(*shape: int, seed: int = 0) -> jax.Array:
