@@ -36,7 +36,7 @@ class ClosedLoop(NamedTuple):
     """Controller, sensors and figures of one rollout."""
 
     tracker: TrackerState
-    sensors: Sensors
+    sensors: Sensors | None  # where measurement is not exact
     running: Running
     seen: Observation  # the truth at the end of the last tick
     servo: Servo  # what the drives were told last
@@ -111,9 +111,16 @@ def free_state(qpos: Array, qvel: Array, count: int) -> FreeState:
 
 
 def init(
-    world: Case, belief: Case, plan: Plan, start: Start, energy: Array, key: Array, learned: Learned | None
+    world: Case,
+    belief: Case,
+    plan: Plan,
+    start: Start,
+    energy: Array,
+    key: Array,
+    learned: Learned | None,
+    quiet: bool,
 ) -> ClosedLoop:
-    """Before the first tick; `belief` holds what was learned already."""
+    """Before the first tick; `belief` holds what was learned already. `quiet`: see `is_quiet`."""
     free = free_state(start.qpos, start.qvel, len(world.obstacle.free_bodies))
     joints = start.qpos[JOINT_Q].reshape(N_LEGS, 3)
     rates = start.qvel[JOINT_V].reshape(N_LEGS, 3)
@@ -130,7 +137,7 @@ def init(
         jnp.full(N_LEGS, jnp.inf),
     )
     bias_key, key = jax.random.split(key)
-    sensors = install(world.noise, bias_key, _by_landmarks(world.obstacle, truth))
+    sensors = None if quiet else install(world.noise, bias_key, _by_landmarks(world.obstacle, truth))
     feet = feet_in_world(world.robot, start.qpos[:3], start.qpos[3:7], joints)
     running = stream.begin(world, plan, start.qpos[:3], start.qpos[3:7], feet, free, energy, learned)
     servo = position_mode(world.drive, joints)
@@ -148,14 +155,14 @@ def with_new_plan(belief: Case, plan: Plan, loop: ClosedLoop) -> ClosedLoop:
 
 
 def act(
-    world: Case, belief: Case, plan: Plan, loop: ClosedLoop, tick: Array, period: float, quiet: bool
+    world: Case, belief: Case, plan: Plan, loop: ClosedLoop, tick: Array, period: float
 ) -> tuple[ClosedLoop, Command]:
     """The controller's part of a tick; the drives then go linearly from the old reference to the new one.
 
     Free bodies are seen by their landmarks, and taken to be where those that are believed have these.
     """
     sensors, seen = loop.sensors, _by_landmarks(world.obstacle, loop.seen)
-    if not quiet:
+    if sensors is not None:
         sensors, seen = observe(world.noise, sensors, seen, jax.random.fold_in(loop.key, tick))
     free = surface.placed(at_first(belief, loop.learned), seen.free)
     seen = seen._replace(free=free, loaded=seen.load > threshold(world.control, belief.noise))

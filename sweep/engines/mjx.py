@@ -95,7 +95,8 @@ class Mjx:
     def rollout_bytes(self) -> int:
         """See `Engine`; nothing is compiled for it."""
         with devices.precision(self.settings):
-            held = jax.eval_shape(self._start, *devices.as_arrays(self._nominal), jax.random.key(0))
+            start = partial(self._start, is_quiet(self._nominal[0].noise))
+            held = jax.eval_shape(start, *devices.as_arrays(self._nominal), jax.random.key(0))
         return sum(x.size * x.dtype.itemsize for x in jax.tree.leaves(held))
 
     @devices.memory()
@@ -254,17 +255,17 @@ class Mjx:
 
         recorded = (split, PartitionSpec(None, devices.BATCH))
         with ThreadPoolExecutor() as pool:
-            batch, started = planning.begun(pool, self._start, arrays, many, self._searches, self._few)
+            batch, started = planning.begun(pool, partial(self._start, quiet), arrays, many, self._searches, self._few)
             plans, carry = devices.split(batch, self._mesh)
             if self._by_host:
                 with part("closed loop"):
                     lanes = kernel.tile(self.width, devices.cores())
-                    chunked = pool.submit(kernel.begun(self._ticks(quiet), *of_one(arrays, batch), lanes=lanes))
+                    chunked = pool.submit(kernel.begun(self._ticks, *of_one(arrays, batch), lanes=lanes))
                     finished = self._compile_finish(arrays, batch, on_devices)
                     again = self._compile_again(arrays, batch, on_devices)
                     return *started(), chunked.result(), finished, again
             make = self._fused_chunk if self.fused else self._chunk
-            chunk, key = make(arrays, batch, quiet, kept, watch)
+            chunk, key = make(arrays, batch, kept, watch)
             chunk = on_devices(chunk, in_specs=(*specs, split, split, whole, split), out_specs=recorded)
             options = launch.OPTIONS if self.fused else None
             go_on = jax.jit(chunk, donate_argnums=3, compiler_options=options)
@@ -307,22 +308,17 @@ class Mjx:
             (world, _, plan), carry = of_one(arrays, batch)
             return fused_loop.eager_or(by_xla, self._finish, world, plan, carry)
 
-    def _ticks(self, quiet: bool) -> Callable:
+    def _ticks(self, given: tuple[Case, Case, Plan], carry: Carry, k: Array) -> tuple[Carry, dict[str, Array]]:
         """A tick of one rollout, for a compiler of this package."""
-
-        def tick(given: tuple[Case, Case, Plan], carry: Carry, k: Array) -> tuple[Carry, dict[str, Array]]:
-            world, belief, plan = given
-            return self._tick(world, belief, plan, carry, k, quiet)
-
-        return tick
+        return self._tick(*given, carry, k)
 
     def _fused_chunk(
-        self, arrays: tuple[Case, Case, Array], batch: Any, quiet: bool, kept: Array | None, watch: Watch | None
+        self, arrays: tuple[Case, Case, Array], batch: Any, kept: Array | None, watch: Watch | None
     ) -> tuple[Callable, str]:
         """A second of the batch that a GPU has, as one kernel, and its key; see `_chunk`."""
         room = 0 if kept is None else len(kept) // self._mesh.size
         form, over, width = of_one(arrays, batch), lambda carry: carry.over, self._local
-        code = launch.compiled(self._ticks(quiet), *form, over, self._chunk_ticks, room, width, few=self._few)
+        code = launch.compiled(self._ticks, *form, over, self._chunk_ticks, room, width, few=self._few)
         columns = offered(self._nominal[0])
 
         def chunk(world: Case, belief: Case, plans: Plan, carry: Carry, first: Array, kept: Array | None) -> Any:
@@ -337,12 +333,12 @@ class Mjx:
         return chunk, driver.key(code.text)
 
     def _chunk(
-        self, arrays: tuple[Case, Case, Array], batch: Any, quiet: bool, kept: Array | None, watch: Watch | None
+        self, arrays: tuple[Case, Case, Array], batch: Any, kept: Array | None, watch: Watch | None
     ) -> tuple[Callable, None]:
         """A second of the batch that a device has, of which some rollouts may be recorded: columns, or all there is."""
         axes = devices.axes(arrays[:2])
         columns = offered(self._nominal[0])
-        tick = batch_last_vmap(partial(self._tick, quiet=quiet), (*_last(axes), -1, -1, None), devices.reuse_from())
+        tick = batch_last_vmap(self._tick, (*_last(axes), -1, -1, None), devices.reuse_from())
 
         def chunk(world: Case, belief: Case, plans: Plan, carry: Carry, first: Array, kept: Array | None) -> Any:
             if self._nominal[0].control.replan != "never":
@@ -362,24 +358,22 @@ class Mjx:
 
         return chunk, None
 
-    def _start(self, world: Case, belief: Case, key: Array) -> tuple[Plan, Carry]:
+    def _start(self, quiet: bool, world: Case, belief: Case, key: Array) -> tuple[Plan, Carry]:
         plan, learned = prepared(world, belief, key)[1:]
         known = informed(belief, learned)
         start = start_state(world, known, plan, resting(world))
         state = rest(self.topology, start.qpos)._replace(v=start.qvel)
         energy = self.physics.energy(world, state)
-        return plan, Carry(state, init(world, known, plan, start, energy, key, learned))
+        return plan, Carry(state, init(world, known, plan, start, energy, key, learned, quiet))
 
     def _finish(self, world: Case, plan: Plan, carry: Carry) -> dict[str, Array]:
         plan = newest(plan, carry.loop.learned)
         return stream.figures(world, plan, carry.loop.running, carry.loop.tracker.stage)
 
-    def _tick(
-        self, world: Case, belief: Case, plan: Plan, carry: Carry, tick: Array, quiet: bool
-    ) -> tuple[Carry, dict[str, Array]]:
+    def _tick(self, world: Case, belief: Case, plan: Plan, carry: Carry, tick: Array) -> tuple[Carry, dict[str, Array]]:
         period = self.settings.control_period
         old = carry.loop.servo
-        loop, command = act(world, belief, plan, carry.loop, tick, period, quiet)
+        loop, command = act(world, belief, plan, carry.loop, tick, period)
         state, summary = self.physics.advance(world, carry.state, old, loop.servo, tick)
         loop, judged = measure(world, plan, self.limits, loop, command, summary, tick, period)
         record = batching.record(command, loop.tracker, summary, state.q, state.v, judged)

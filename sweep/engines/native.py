@@ -312,18 +312,15 @@ class Native:
             plan, learned = prepared(world, belief, key)[1:]
             known = informed(belief, learned)
             state = start_state(world, known, plan)
-            loop = init(world, known, plan, state, jnp.zeros(()), key, learned)
+            loop = init(world, known, plan, state, jnp.zeros(()), key, learned, quiet)
             nothing = jnp.zeros(len(stream.timed(world)), plan.duration.dtype)
-            return plan, (
-                self._acted(world, belief, plan, loop, self._nothing(state), nothing, jnp.int32(0), quiet),
-                state,
-            )
+            return plan, (self._acted(world, belief, plan, loop, self._nothing(state), nothing, jnp.int32(0)), state)
 
         def tick(given: tuple[Case, Case, Plan], now: Between, k: Array) -> tuple[Between, dict[str, Array]]:
             world, belief, plan = given
             summary = self._summary(world, now.steps, (k - 1) * period, now.loop.seen.free)
             loop, judged = measure(world, plan, self.limits, now.loop, now.command, summary, k - 1, period)
-            return self._acted(world, belief, plan, loop, now.steps, judged, k, quiet), {}
+            return self._acted(world, belief, plan, loop, now.steps, judged, k), {}
 
         def finish(world: Case, plan: Plan, loop: ClosedLoop) -> dict[str, Array]:
             return stream.figures(world, newest(plan, loop.learned), loop.running, loop.tracker.stage)
@@ -368,11 +365,10 @@ class Native:
         steps: Recorded,
         judged: Array,
         tick: Array,
-        quiet: bool,
     ) -> Between:
         """The controller's part of a tick, and what follows for the physics."""
         n, period, old = self.substeps, self.settings.control_period, loop.servo
-        loop, command = act(world, belief, plan, loop, tick, period, quiet)
+        loop, command = act(world, belief, plan, loop, tick, period)
         told = towards(old, loop.servo, (1 + jnp.arange(n))[:, None, None] / n)
         torques = (told.stiffness * told.target + told.torque).reshape(n, N_JOINTS)
         orders = Orders(torques, *self._outside(world, tick * period, loop.seen.free))
