@@ -25,6 +25,7 @@ from scipy.stats import t as student
 from sweep.analysis.intervals import CONFIDENCE, clopper_pearson
 from sweep.analysis.rare import Repeated, Weighted, rare
 from sweep.core.errors import InputError
+from sweep.core.expressions import column, evaluate
 from sweep.core.files import write_whole
 from sweep.core.provenance import made_with
 from sweep.runs import runner
@@ -40,6 +41,7 @@ LEADS = {
     "ball_balance": "stability_margin_min_m",
     "ball_drive": "stability_margin_min_m",
     "ladder_climb": "edge_reserve_min_m",
+    "pole_climb": "-turn_over_limit - 7 * base_gap_min_m + 0.6 * joint_speed_over_limit",
 }
 LEAD = "friction_reserve_min"  # of the others: see bench/margins.py
 WAYS = ("plain", "importance", "levels")
@@ -56,6 +58,8 @@ Ask = Generator[Draws, pd.DataFrame, pd.DataFrame]  # rounds, which are sent the
 Cell = dict[str, Any]
 Asked = tuple[str, str, int]  # a search: its target, its way, and which repetition
 SEARCH = ["target", "way", "repetition"]
+ROW = ["replicate", "outcome", "lead"]
+BY = (*shared.BY, "lead")  # what each cell was made with
 
 
 class Robots:
@@ -77,7 +81,7 @@ class Robots:
         """The study with all errors times `scale`, drawn by `design`."""
         study = self.values["study"]
         axes = {name: {**axis, "relative": scale * axis["relative"]} for name, axis in study["axes"].items()}
-        asked = {**study, "axes": axes, "design": {**study["design"], "lead": self.lead, **design}}
+        asked = {**study, "axes": axes, "design": {**study["design"], "lead": ROW[-1], **design}}
         return experiment({**self.values, "study": asked})
 
     @staticmethod
@@ -88,12 +92,15 @@ class Robots:
     def run(self, tables: list[pd.DataFrame]) -> list[pd.DataFrame]:
         """Rows of each table, in full batches but for the last."""
         every = pd.concat(tables, ignore_index=True).assign(width=self.width)
-        columns = [c for c in map(str, every) if c.startswith("axis.")]
-        columns += ["replicate", "outcome", *({self.lead} - {"replicate", "outcome"})]
         parts = [every[k : k + self.width] for k in range(0, len(every), self.width)]
-        rows = pd.concat([runner.simulate(self.exp, self.engine, part)[0][columns] for part in parts])
+        rows = pd.concat([self.asked(runner.simulate(self.exp, self.engine, part)[0]) for part in parts])
         ends = np.cumsum([0, *map(len, tables)])
         return [rows[a:b].reset_index(drop=True) for a, b in itertools.pairwise(ends)]
+
+    def asked(self, rows: pd.DataFrame) -> pd.DataFrame:
+        """What is asked of rows, with what their lead comes to."""
+        lead = evaluate(self.lead, lambda name: rows[column(rows, name)].to_numpy())
+        return rows.assign(lead=lead)[[*(c for c in map(str, rows) if c.startswith("axis.")), *ROW]]
 
 
 def plain(exp: Experiment, num: int, before: int) -> Draws:
@@ -193,7 +200,7 @@ def measured(robots: Robots, kept: "Kept", given: argparse.Namespace, deadline: 
             ended[key] = end.value
             del asked[key]
 
-    past = Past(given.rows, robots.lead)
+    past = Past(given.rows)
     for key in list(asked):
         while key in asked and (rows := past.of(key, table(key))) is not None:
             advance(key, rows)
@@ -227,12 +234,12 @@ def measured(robots: Robots, kept: "Kept", given: argparse.Namespace, deadline: 
 class Past:
     """What rows of searches came to, so that those that were stopped go on; kept in a file, if any."""
 
-    def __init__(self, file: Path | None, lead: str):
+    def __init__(self, file: Path | None):
         """Reads what is there."""
-        self.file, self.columns = file, ["replicate", "outcome", lead]
-        there = pd.read_parquet(file) if file and file.exists() else pd.DataFrame(columns=[*SEARCH, *self.columns])
+        self.file = file
+        there = pd.read_parquet(file) if file and file.exists() else pd.DataFrame(columns=[*SEARCH, *ROW])
         self.parts = [there]
-        self.known = {key: rows.set_index("replicate")[["outcome", lead]] for key, rows in there.groupby(SEARCH)}
+        self.known = {key: rows.set_index(ROW[0])[ROW[1:]] for key, rows in there.groupby(SEARCH)}
 
     def of(self, key: Asked, table: pd.DataFrame) -> pd.DataFrame | None:
         """A round as it was run; None where a row of it was not."""
@@ -242,7 +249,7 @@ class Past:
 
     def add(self, key: Asked, rows: pd.DataFrame) -> None:
         """Keep a round."""
-        self.parts.append(rows[self.columns].assign(**dict(zip(SEARCH, key, strict=True))))
+        self.parts.append(rows[ROW].assign(**dict(zip(SEARCH, key, strict=True))))
 
     def write(self) -> None:
         """Put all rounds into the file."""
@@ -259,11 +266,11 @@ class Kept:
         self.file, self.scenario = file, scenario
         there = shared.read(file).get(scenario, {})
         self.content = {**about, "seconds": 0.0, "scales": {}, "cells": {}, **there}
-        self.about = {key: about[key] for key in shared.BY}
+        self.about = {key: about[key] for key in BY}
         self.truths: list[str] = []  # targets that plain draws are asked for
         for ways in self.content["cells"].values():
             for way, cell in list(ways.items()):
-                ways[way] = cell = {**{key: there[key] for key in shared.BY}, **cell}
+                ways[way] = cell = {**{key: there[key] for key in BY}, **cell}
                 if "P" not in cell and (cell["code"] != about["code"] or not goes_on):  # a search begins anew
                     del ways[way]
         self.content |= {key: shared.joined([there, about], key) for key in self.about}
