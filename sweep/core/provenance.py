@@ -8,7 +8,7 @@ import json
 import platform
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -158,11 +158,19 @@ def statements(source: str) -> str:
 
 
 def _said(tree: ast.Module) -> tuple[str, list[ast.AST]]:
-    every = list(ast.walk(tree))
+    every = [tree, *_within(tree)]
     for node in every:
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node, clean=False):
             node.body = node.body[1:] or [ast.Pass()]
     return ast.unparse(tree), every
+
+
+def _within(node: ast.AST) -> Iterator[ast.AST]:
+    """Statements, at any depth: expressions, most of a tree, hold none."""
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, ast.stmt | ast.excepthandler | ast.match_case):
+            yield child
+            yield from _within(child)
 
 
 def versions() -> dict[str, str]:
