@@ -100,7 +100,7 @@ class Robots:
     def asked(self, rows: pd.DataFrame) -> pd.DataFrame:
         """What is asked of rows, with what their lead comes to."""
         lead = evaluate(self.lead, lambda name: rows[column(rows, name)].to_numpy())
-        return rows.assign(lead=lead)[ROW]
+        return rows.assign(lead=lead)[[*(c for c in map(str, rows) if c.startswith("axis.")), *ROW]]
 
 
 def plain(exp: Experiment, num: int, before: int) -> Draws:
