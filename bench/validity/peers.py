@@ -146,6 +146,11 @@ def histories(scene: Scene) -> dict[str, History]:
     return found
 
 
+def has_warp() -> bool:
+    """Whether MuJoCo Warp is there, and a GPU that it is made for."""
+    return jax.default_backend() == "gpu" and find_spec("warp") is not None
+
+
 def by_warp(scene: Scene) -> dict[str, History]:
-    """A scene by MuJoCo Warp, on a GPU, where it is there."""
-    return {"Warp elliptic": by_mjx(scene, ELLIPTIC, "warp")} if find_spec("warp") else {}
+    """A scene by MuJoCo Warp, where it is there."""
+    return {"Warp elliptic": by_mjx(scene, ELLIPTIC, "warp")} if has_warp() else {}

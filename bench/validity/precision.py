@@ -12,7 +12,6 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import redirect_stdout
 from functools import cache
-from importlib.util import find_spec
 from typing import Any, NamedTuple
 
 import jax
@@ -146,7 +145,7 @@ def jobs() -> Iterator[tuple[str, Callable[[], list[dict[str, Any]]]]]:
     """One for each engine and task."""
     mujoco.set_mju_user_warning(lambda _: None)  # that a robot falls shows in its errors
     engines: dict[str, Callable[[Task], list[dict[str, Any]]]] = {"mjx": _own}
-    if on_gpu() and find_spec("warp"):  # made for a GPU
+    if peers.has_warp():
         engines["Warp"] = lambda task: by_mjx(task, "Warp", "warp", BATCHED, GPU["Warp"])
     engines["C MuJoCo"] = _c
     engines["MJX"] = lambda task: by_mjx(task, "MJX", "jax", BATCHED, _width("MJX"))

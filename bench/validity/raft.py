@@ -4,7 +4,9 @@ Answers are Archimedes' draught, and small motions' poles (4.2).
 """
 
 import dataclasses
-from typing import NamedTuple
+import io
+from contextlib import redirect_stdout
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -135,6 +137,29 @@ def by_mujoco(h: float) -> Motion:
                 mujoco.mj_step(model, data)
                 kept.append(data.qpos.copy())
             found.append(np.array(kept))
+    return _motion(h, *found)
+
+
+def by_mjx(h: float, impl: str) -> Motion:
+    """The same by MJX, or with `impl="warp"`, on a GPU, by MuJoCo Warp, in single precision."""
+    with redirect_stdout(io.StringIO()):  # which it prints as it is imported
+        from mujoco import mjx
+
+    found = []
+    for k, raft in enumerate(rafts()):
+        model = _alone(raft, h)
+        data = mujoco.MjData(model)
+        data.qpos[:] = _start(raft, k)
+        mujoco.mj_forward(model, data)
+        there, begun = mjx.put_model(model, impl=impl), mjx.put_data(model, data, impl=impl)
+
+        def ahead(now: Any, _: None, raft: Raft = raft, there: Any = there) -> Any:
+            load = raft.load(free_state(now.qpos, now.qvel, 1))[0]
+            now = mjx.step(there, now.replace(xfrc_applied=now.xfrc_applied.at[1].set(load)))
+            return now, now.qpos
+
+        program = jax.jit(lambda now, ahead=ahead: jax.lax.scan(ahead, now, length=round(SECONDS / h))[1])
+        found.append(np.asarray(program(begun), float))
     return _motion(h, *found)
 
 

@@ -5,26 +5,30 @@ equilibrium of weight, drives and contact springs, found here by MuJoCo's kinema
 """
 
 import dataclasses
+import io
 from collections.abc import Sequence
-from typing import NamedTuple
+from contextlib import redirect_stdout
+from functools import partial
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from sweep.controllers.frames import Stance
 from sweep.controllers.manoeuvres.walking.walk import standing
 from sweep.controllers.tracker import joint_targets
 from sweep.core.constants import GRAVITY
-from sweep.engines.native import native_model
+from sweep.engines.native import native_model, native_spec
 from sweep.models import scene
 from sweep.models.case import Case
 from sweep.models.legs import JOINT_Q, JOINT_V, N_LEGS
 from sweep.models.obstacles.kerb import Kerb
 from sweep.models.robot import total_mass
 from sweep.study.config import compose
+from sweep.systems.own.mjx import CONSTRAINTS, CONTACTS
 from validity.simulation import simulate
 
 SECONDS, RAMP = 1.0, 0.4
@@ -185,6 +189,48 @@ def by_native(case: Case, row: Standing) -> Float[np.ndarray, "6 3"]:
         mujoco.mj_step(model, data)
         kept.append(-data.sensordata[: 3 * N_LEGS].reshape(N_LEGS, 3))
     return np.mean(kept[-100:], axis=0)
+
+
+def by_mjx(case: Case, rows: Sequence[Standing], impl: str) -> Float[np.ndarray, "b 6 3"]:
+    """The native engine's model by MJX, or with `impl="warp"`, on a GPU, by MuJoCo Warp, in single precision."""
+    with redirect_stdout(io.StringIO()):  # which it prints as it is imported
+        from mujoco import mjx
+
+    spec = native_spec(case, 1e-3)
+    spec.option.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_ENERGY)
+    for sensor in [*spec.sensors]:  # of contacts, which MJX does not add up
+        spec.delete(sensor)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    rooms = {"naconmax": CONTACTS, "njmax": CONSTRAINTS * CONTACTS + model.njnt + 2 * model.nv}
+    there, found = mjx.put_model(model, impl=impl), []
+
+    @partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})  # run a few times
+    def stood(now: Any, controls: Array) -> Any:
+        def ahead(now: Any, told: Array) -> Any:
+            now = mjx.step(there, now.replace(ctrl=told))
+            return now, (now.qpos, now.qfrc_constraint)
+
+        return jax.lax.scan(ahead, now, controls)[1]
+
+    ramp = np.minimum(np.arange(1, round(SECONDS / 1e-3) + 1) * 1e-3 / RAMP, 1.0)[:, None]
+    for row in rows:
+        data.qpos[:] = row.q
+        mujoco.mj_forward(model, data)
+        begun = mjx.put_data(model, data, impl=impl, **(rooms if impl == "warp" else {}))
+        told = float(case.drive.stiffness) * (row.q[7:] + ramp * (row.targets.ravel() - row.q[7:]))
+        q, loads = (np.asarray(x[-100:], float).mean(axis=0) for x in stood(begun, jnp.asarray(told, jnp.float32)))
+        data.qpos[:] = q
+        mujoco.mj_forward(model, data)
+        found.append([_on_foot(model, data, leg, loads) for leg in range(N_LEGS)])
+    return np.array(found)
+
+
+def _on_foot(model: mujoco.MjModel, data: mujoco.MjData, leg: int, loads: np.ndarray) -> np.ndarray:
+    """The force (3,) on a foot (N) of what contacts `loads` joints with."""
+    jacobian, own = np.zeros((3, model.nv)), slice(6 + 3 * leg, 9 + 3 * leg)
+    mujoco.mj_jacSite(model, data, jacobian, None, model.site(f"foot{leg + 1}").id)
+    return np.linalg.solve(jacobian[:, own].T, loads[own])
 
 
 def least_squares(case: Case, row: Standing) -> Float[np.ndarray, "6 3"]:

@@ -35,12 +35,12 @@ def jobs() -> Iterator[tuple[str, Callable[[], list[dict[str, Any]]]]]:
 
 def _on_gpu() -> Iterator[tuple[str, Callable[[], list[dict[str, Any]]]]]:
     """Scenes one by one, as Warp compiles for minutes."""
+    yield "robot", lambda: [*_stands(ON_GPU)]
+    yield "raft", lambda: [*_rafts(ON_GPU)]
     laws, ours = cache(law), cache(lambda of: _by_step(of, ON_GPU))
     for of in (SCENES, LONG):
         for k, scene in enumerate(of):
             yield scene.name, lambda of=of, k=k: [*_points((of[k],), laws(), ours(of)[k : k + 1], peers.by_warp)]
-    yield "robot", lambda: [*_stands(ON_GPU)]
-    yield "raft", lambda: [*_rafts(ON_GPU)]
 
 
 def short(x: float) -> float | None:
@@ -72,6 +72,8 @@ def _points(
 def _stands(steps: Steps) -> Iterator[dict[str, Any]]:
     case, rows = robot.rows()
     ours = {name: robot.by_step(case, rows, **given) for name, given in steps.items()}
+    if peers.has_warp():
+        ours["Warp as native"] = robot.by_mjx(case, rows, "warp")
     for k, row in enumerate(rows):
         forces = {name: found[k] for name, found in ours.items()} | {"native": robot.by_native(case, row)}
         errors = {name: robot.error(case, row, force) for name, force in forces.items()}
@@ -84,6 +86,8 @@ def _stands(steps: Steps) -> Iterator[dict[str, Any]]:
 def _rafts(steps: Steps) -> Iterator[dict[str, Any]]:
     motions = {name: raft.by_step(**given) for name, given in steps.items()}
     motions["native"] = raft.by_mujoco(peers.NATIVE.time_step)
+    if peers.has_warp():
+        motions["Warp elliptic"] = raft.by_mjx(peers.ELLIPTIC.time_step, "warp")
     for figure in raft.figures():
         values = {name: figure.of(motion) for name, motion in motions.items()}
         errors = {name: error(figure, value, float("nan")) for name, value in values.items()}
