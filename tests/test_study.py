@@ -113,7 +113,7 @@ def test_extending_a_study_keeps_membership_and_slots():
 
 
 def test_the_delay_buffer_has_room_for_the_longest_delay():
-    exp, table = table_of("+study.axes.d={path: noise.delay, side: world, values: [0.0, 2.5]}")
+    exp, table = table_of("+study.axes.d={path: noise.delay, side: world, values: [0, 3]}")
     assert with_room(exp, table).case.noise.delay_buffer == 3
     columns = "world.noise.delay", "world.noise.load_delay"
     table = pd.DataFrame([(0.0, 7.0), (5.0, 0.0), (4.0, 4.0)], columns=columns)

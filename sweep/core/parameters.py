@@ -15,6 +15,7 @@ import numpy as np
 from sweep.core.errors import InputError, known
 
 LARGEST = 10**18  # of whole numbers, which 64 bits hold
+TICKS = "ticks"  # unit of delays: whole control ticks
 # of figures, by the ends of their names
 UNITS = {"m": "m", "s": "s", "deg": "deg", "rad": "rad", "n": "N", "nm": "N*m", "j": "J", "mps": "m/s", "kg": "kg"}
 
@@ -113,7 +114,7 @@ def _checked_number(field: "dataclasses.Field[Any]", value: Any, path: str) -> f
         )
     if not within(field, value):
         raise InputError(f"{path} = {value:g} is not allowed: {bounds_text(field)}")
-    ticks = field.metadata["unit"] == "ticks"  # only what is drawn is rounded: seconds would be no delay at all
+    ticks = field.metadata["unit"] == TICKS  # only what is drawn is rounded: seconds would be no delay at all
     if (whole or ticks) and int(value) != value:
         raise InputError(f"{path} = {value!r} is not allowed: a whole number{' of control ticks' * ticks}")
     return int(value) if whole else float(value)

@@ -7,7 +7,8 @@ import dataclasses
 import functools
 import re
 import sys
-from collections.abc import Mapping, Sequence
+import typing
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -20,7 +21,13 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import QuotedString
 from hydra.errors import ConfigCompositionException, HydraException, MissingConfigException, OverrideParseException
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import ConfigKeyError, OmegaConfBaseException, ValidationError
+from omegaconf.errors import (
+    ConfigKeyError,
+    ConfigTypeError,
+    InterpolationResolutionError,
+    OmegaConfBaseException,
+    ValidationError,
+)
 
 from sweep import systems
 from sweep.core import project
@@ -34,6 +41,8 @@ from sweep.study.designs import keyed, with_side
 from sweep.study.study import ScenarioSchema, Study, StudySchema, check_keep
 from sweep.systems.base import Limits, System
 
+WORDS = {bool: "true or false", int: "a whole number", float: "a number", str: "a word", list: "a list", tuple: "a list",
+         dict: "keys and values"}  # what values of a type are  # fmt: skip
 CONFIG_MODULE, HYDRA_VERSION = "sweep.conf", "1.3"
 WHOLE: dict[str, type] = {name: group.load() for name, group in GROUPS.items() if group.whole}
 KINDS: dict[str, dict[str, type]] = {name: group.load() for name, group in GROUPS.items() if group.kinds}
@@ -212,41 +221,43 @@ def _names(cls: type) -> tuple[str, ...]:
 
 def one_line(error: Exception, overrides: list[str]) -> str:
     """Hydra's or OmegaConf's error as one line naming the key, the value and what is allowed."""
-    if isinstance(error, MissingConfigException) and error.options is not None and error.missing_cfg_file:
-        group, _, name = error.missing_cfg_file.partition("/")
+    group, _, name = ((isinstance(error, MissingConfigException) and error.missing_cfg_file) or "").partition("/")
+    if group in GROUPS:
         if name.endswith(".yaml"):
             return f"{group} = {name} is not a file"
-        return f"{group} = {name} is unknown{suggest(name, choices(error.options))}"
+        return f"{group} = {name} is unknown{suggest(name, sources.names(group))}"
     if isinstance(error, OverrideParseException):
-        reason = next((line for line in error.message.splitlines() if "missing" in line), "put quotes around its value")
+        reason = "put quotes around its value" if "=" in str(error.override) else "group=choice or group.name=value"
         return f"{error.override} cannot be read: {reason}"
     cause = error.__cause__ or error.__context__ if isinstance(error, ConfigCompositionException) else error
     if isinstance(cause, ConfigKeyError | AttributeError) and isinstance(cause, OmegaConfBaseException):
         key, given = str(cause.full_key), _given(str(cause.full_key), overrides)
         allowed = [str(k) for k in cause.parent_node or () if k != "hydra"]  # pyright: ignore[reportGeneralTypeIssues]
         return f"{key}{given} is unknown{suggest(str(cause.key), allowed)}"
-    if isinstance(cause, ValidationError):
+    if isinstance(cause, InterpolationResolutionError):
+        key = str(cause.full_key)
+        return f"{key}{_given(key, overrides)} is not allowed: an interpolation names another key"
+    if isinstance(cause, ValidationError | ConfigTypeError):
         return _wrong_type(cause, overrides)
     return ": ".join(line.strip().rstrip(":") for line in str(error).splitlines()[:2] if line.strip())
 
 
-def _wrong_type(error: ValidationError, overrides: list[str]) -> str:
+def _wrong_type(error: OmegaConfBaseException, overrides: list[str]) -> str:
     cls, key = error.object_type, str(error.full_key)
+    if f"~{key}" in overrides:
+        return f"~{key} is not allowed: a parameter has a value"
     for member in dataclasses.fields(cls) if dataclasses.is_dataclass(cls) else ():
-        if member.name == str(error.key):
+        if member.name == str(error.key) and isinstance(error, ValidationError):
             try:
                 checked(member, error.value, key)
             except InputError as known:
                 return str(known)
-    return f"{key}{_given(key, overrides)} is not allowed: {str(error.msg).splitlines()[0]}"
+    hint = typing.get_type_hints(cls).get(str(error.key)) if dataclasses.is_dataclass(cls) else error.ref_type
+    found = (one for one in (typing.get_origin(hint), hint, *typing.get_args(hint)) if one in WORDS)
+    return f"{key}{_given(key, overrides)} is not allowed: {WORDS.get(next(found, dict))}"
 
 
 def _given(key: str, overrides: list[str]) -> str:
     """` = value` where the command line gave `key` one."""
     texts = (o.lstrip("+~").partition("=") for o in overrides)
     return next((f" = {value}" for name, sign, value in texts if sign and name == key), "")
-
-
-def choices(options: Sequence[str]) -> list[str]:
-    """The files of a group a user may choose: schemas are not among them."""
-    return [o for o in options if not o.endswith("_schema")]

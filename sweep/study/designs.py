@@ -19,7 +19,7 @@ import numpy as np
 
 from sweep.core.errors import InputError, known, suggest
 from sweep.study import sought, subset
-from sweep.study.distributions import Distribution, keyed, listed, number
+from sweep.study.distributions import Distribution, keyed, listed, number, some
 from sweep.study.distributions import parse as parse_distribution
 from sweep.systems.base import SIDES
 
@@ -31,6 +31,7 @@ LEVELS, INNER = 4, (0.005, 0.995)  # of a morris design: values of an axis, and 
 MOST = 20_000_000  # rollouts of a study, whose plan takes 10 GB
 GRIDS = ("full", "one_at_a_time")
 AXIS_KEYS = ("path", "side", "values", "from", "to", "num", "distribution", "relative", "times", "with", "nominal")
+PARAMETER = "a parameter such as contact.friction"
 OLD_SIDE = ("on", True)  # what `side` was called; a bare `on` is YAML's true
 
 
@@ -137,7 +138,7 @@ def parse_axes(given: Mapping[str, Any]) -> tuple[Axis, ...]:
     for axis in axes:
         key = f"study.axes.{axis.name}"
         if axis.path is None and axis.name not in used:
-            raise InputError(f"{key}.path is missing: a parameter such as contact.friction")
+            raise InputError(f"{key}.path is missing: {PARAMETER}")
         if isinstance(axis.relative, str) and (axis.relative not in by_name or by_name[axis.relative].path):
             raise InputError(f"{key}.relative = {axis.relative!r} is not allowed: a number, or an axis without a path")
         if axis.along is not None:
@@ -209,15 +210,15 @@ def _axis(key: str, name: str, given: Any) -> Axis:
     side, path, times, relative = (given.get(word) for word in ("side", "path", "times", "relative"))
     if (side := side or "both") not in ("both", *SIDES):
         raise InputError(f"{key}.side = {side!r} is not allowed: one of both, world, belief")
-    for word, text in (("path", path), ("times", times)):
-        if text is not None and (not isinstance(text, str) or not text):
-            raise InputError(f"{key}.{word} = {text!r} is not allowed: a parameter such as contact.friction")
+    for word, what in (("path", PARAMETER), ("times", PARAMETER), ("with", "the name of an axis")):
+        if (text := given.get(word)) is not None and (not isinstance(text, str) or not text):
+            raise InputError(f"{key}.{word} = {text!r} is not allowed: {what}")
     if relative is not None and not isinstance(relative, str):
         relative = number(f"{key}.relative", relative)
     if relative is not None and times is not None:
         raise InputError(f"{key} has relative and times: one of them")
     if path is None and (relative is not None or times is not None):
-        raise InputError(f"{key}.path is missing: a parameter such as contact.friction")
+        raise InputError(f"{key}.path is missing: {PARAMETER}")
     values = _values(key, given)
     distribution = None
     if values is None:
@@ -233,9 +234,7 @@ def _values(key: str, given: Mapping[str, Any]) -> tuple[Any, ...] | None:
     """Listed values, or those of a range; None where the axis is drawn."""
     values = given.get("values")
     if values is not None:  # which win over a range, so that a command line can replace a study's range
-        if not isinstance(values, list) or not values:
-            raise InputError(f"{key}.values = {values!r} is not allowed: a list with at least one value")
-        return tuple(values)
+        return tuple(some(f"{key}.values", values))
     ends = [given.get("from"), given.get("to"), given.get("num")]
     if ends == [None] * 3:
         if given.get("distribution") is None and given.get("relative") is None:

@@ -59,9 +59,13 @@ class Distribution:
 
 def parse(key: str, given: Any) -> Distribution:
     """From plain values. Raises `InputError`."""
-    kind = str(given.get("kind") if isinstance(given, Mapping) else given)
-    if kind not in DISTRIBUTIONS or not isinstance(given, Mapping):
-        if isinstance(given, Mapping) and of_scipy(kind) is not None:
+    if not isinstance(given, Mapping):
+        raise InputError(
+            f"{key} = {given!r} is not allowed: keys and values, such as {{kind: uniform, from: 0, to: 1}}"
+        )
+    kind = str(given.get("kind"))
+    if kind not in DISTRIBUTIONS:
+        if of_scipy(kind) is not None:
             return _distribution_of_scipy(key, kind, given)
         raise InputError(f"{key}.kind = {kind!r} is unknown{suggest(kind, (*DISTRIBUTIONS, 'any of scipy.stats'))}")
     needed, optional = DISTRIBUTIONS[kind]
@@ -70,9 +74,7 @@ def parse(key: str, given: Any) -> Distribution:
         if name not in given:
             raise InputError(f"{key}.{name} is missing: {kind} needs {' and '.join(needed)}")
     if kind == "discrete":
-        values, weights = given["values"], given.get("weights", [1])
-        if not isinstance(values, list) or not values:
-            raise InputError(f"{key}.values = {values!r} is not allowed: a list with at least one value")
+        values, weights = some(f"{key}.values", given["values"]), given.get("weights", [1])
         if "weights" in given and (not isinstance(weights, list) or len(weights) != len(values)):
             raise InputError(f"{key}.weights = {weights!r} is not allowed: a number for each of {len(values)} values")
         if min(number(f"{key}.weights", w) for w in weights) < 0 or not sum(weights):
@@ -116,6 +118,13 @@ def keyed(path: str, given: Any, allowed: tuple[str, ...]) -> dict[str, Any]:
     for key in given:
         known(key, allowed, f"{path}.{key}")
     return {str(k): v for k, v in given.items()}
+
+
+def some(key: str, values: Any) -> list[Any]:
+    """`values` as a list of numbers or names. Raises `InputError`."""
+    if not isinstance(values, list) or not values or any(isinstance(one, list | Mapping) for one in values):
+        raise InputError(f"{key} = {values!r} is not allowed: a list with at least one value, each a number or a name")
+    return values
 
 
 def number(key: str, value: Any) -> float:

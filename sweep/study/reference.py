@@ -38,6 +38,8 @@ def text(name: str) -> str:
     group, _, kind = name.partition("=")
     if group in every:
         kinds = [kind_of(cls) for cls in every[group]]
+        if kind and not any(kinds):
+            raise InputError(f"{name} is unknown: {group} has no kinds, `sweep describe {group}` tells its parameters")
         if kind:
             known(kind, kinds, f"{group} = {kind}")
         return "\n\n".join(section(group, cls) for cls in every[group] if kind in ("", kind_of(cls)))

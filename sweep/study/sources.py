@@ -60,8 +60,7 @@ class Files(ConfigSource):
         """The names in a group."""
         if results_filter == ObjectType.GROUP:
             return []
-        kinds = SCHEMAS.get(config_path, {}) if GROUPS[config_path].kinds else {}
-        return sorted({*project.own(config_path), *project.shipped(config_path), *kinds})
+        return names(config_path)
 
     def load_config(self, config_path: str) -> ConfigResult:
         """The file as Hydra wants it. Raises `InputError`."""
@@ -182,8 +181,11 @@ def system(chosen: Mapping[str, str]) -> str:
 
 def part(group: str, file: Any, content: Mapping[str, Any]) -> dict[str, Any]:
     """Parameters of one group, on top of those of the file it extends or of its class."""
-    free = GROUPS[group].free
-    start = extended(group, file, content) or ([] if free else [f"/{group}/{content.get('kind', group)}_schema@_here_"])
+    free, kind = GROUPS[group].free, content.get("kind")
+    if "extends" not in content and GROUPS[group].kinds and kind not in _kinds(group):
+        told = "kind is missing" if kind is None else f"kind = {kind} is unknown"
+        raise InputError(f"{file}: {group}.{told}{suggest(str(kind or ''), _kinds(group))}")
+    start = extended(group, file, content) or ([] if free else [f"/{group}/{kind or group}_schema@_here_"])
     return {"defaults": [*start, "_self_"], **{k: v for k, v in content.items() if k != "extends"}}
 
 
@@ -218,8 +220,15 @@ def refuse_ring(group: str, file: Any, name: Any, ring: tuple[Any, ...]) -> None
 
 def chosen(file: Any, group: str, name: Any) -> str:
     """`name` if it is a file of `group`, or a kind. Raises `InputError`."""
-    kinds = SCHEMAS.get(group, {}) if GROUPS[group].kinds else {}
-    if not isinstance(name, str) or (project.find(group, name) is None and name not in kinds):
-        names = {*project.own(group), *project.shipped(group), *kinds}
-        raise InputError(f"{file}: {group} = {name} is unknown{suggest(str(name), names)}")
+    if not isinstance(name, str) or (project.find(group, name) is None and name not in _kinds(group)):
+        raise InputError(f"{file}: {group} = {name} is unknown{suggest(str(name), names(group))}")
     return name
+
+
+def names(group: str) -> list[str]:
+    """What may be chosen of a group: files of the project, shipped ones, and kinds."""
+    return sorted({*project.own(group), *project.shipped(group), *_kinds(group)})
+
+
+def _kinds(group: str) -> dict[str, Callable[[], DictConfig]]:
+    return SCHEMAS.get(group, {}) if GROUPS[group].kinds else {}

@@ -16,7 +16,7 @@ import numpy as np
 
 from sweep.core.errors import InputError, known
 from sweep.core.expressions import mask
-from sweep.core.parameters import checked, count, within
+from sweep.core.parameters import TICKS, checked, count, within
 from sweep.engines.settings import EngineSettings
 from sweep.study import designs, searches
 from sweep.study.columns import LABELS, PLAN, TIMING
@@ -144,7 +144,7 @@ class Study(_Plain):
                 raise InputError(f"study.{key} is not allowed with study.design.kind = {design.kind}")
         expect = tuple(_expectation(f"{source}.expect.{i}", one) for i, one in enumerate(values["expect"]))
         theory = tuple(parse_theory(f"study.theory.{i}", one) for i, one in enumerate(values["theory"]))
-        keep = tuple(dict.fromkeys(values["keep"]))
+        keep = tuple(dict.fromkeys(map(str, values["keep"])))
         told = {"axes": axes, "design": design, "expect": expect, "theory": theory, "keep": keep, "single": single}
         return cls(**{**values, **told})
 
@@ -155,6 +155,9 @@ def _expectation(key: str, given: Any) -> Expectation:
         value = given.get(limit, 0)
         if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= 1:
             raise InputError(f"{key}.{limit} = {value!r} is not allowed: a share from 0 to 1")
+    for condition in ("where", "that"):
+        if not isinstance(given.get(condition, ""), str | None):
+            raise InputError(f"{key}.{condition} = {given[condition]!r} is not allowed: a condition in quotes")
     one = Expectation(**given)
     if one.at_least > one.at_most:
         raise InputError(f"{key}.at_least = {one.at_least:g} is not allowed: at most its at_most, {one.at_most:g}")
@@ -231,8 +234,10 @@ def points(
         design = designs.table(study.axes, study.design, study.seed, told, grid, round_)
     draw = design.pop("draw") if not study.points else 0
     fields = {c: system.parameter(c, settings) for c in design.columns if not c.startswith("axis.")}
+    drawn = {axis.target for axis in study.axes if axis.distribution and not study.points}
+    listed = design.columns.difference([*drawn]) if grid is None else ()  # not those between listed ones
     for column, member in fields.items():
-        _check(member, design[column], column)
+        _check(member, design[column], column, exact=column in listed)
     # copied, as pandas is slow with hundreds of columns that were made one by one
     design = design.astype({column: DTYPES[member.metadata["role"]] for column, member in fields.items()}).copy()
     system.check(design, settings)
@@ -254,12 +259,13 @@ def points(
     return distinct
 
 
-def _check(member: Parameter, values: "pd.Series", column: str) -> None:
-    """Every value inside the bounds of its parameter; a million numbers at once."""
+def _check(member: Parameter, values: "pd.Series", column: str, exact: bool = False) -> None:
+    """Every value inside the bounds of its parameter, and an `exact` one of those it has; a million numbers at once."""
     import pandas as pd
 
     if values.dtype.kind == "f" and member.metadata["role"] == "quantity":
-        values = values[~(np.isfinite(values) & within(member, values))].head(1)
+        between = (values % 1 != 0) & (exact and member.metadata["unit"] == TICKS)
+        values = values[~(np.isfinite(values) & within(member, values)) | between].head(1)
     if values.dtype.kind in "OUT" and member.metadata["role"] != "choice":  # of a file: one word makes a column words
         no_number = values[pd.to_numeric(values, errors="coerce").isna()]
         values = (no_number if len(no_number) else values).head(1)
@@ -296,7 +302,9 @@ def _from_csv(file: str) -> "pd.DataFrame":
     try:
         table = pd.read_csv(file, skipinitialspace=True)
     except ValueError as error:
-        raise InputError(f"study.points = {file} is not a table: {str(error).splitlines()[0]}") from None
+        raise InputError(
+            f"study.points = {file} is not a table: {str(error).splitlines()[0].rpartition('C error: ')[2]}"
+        ) from None
     if table.empty:
         raise InputError(f"study.points = {file} holds no points")
     return table

@@ -121,7 +121,7 @@ class Hexapod:
             if name not in allowed or (name == last and step == 0):
                 parts = [(group, settings if group == "engine" else getattr(self.case, group)) for group in groups]
                 whole = [f"{group}.{name}" for group, part in parts if hasattr(part, name)] if step == 0 else []
-                hint = f": did you mean {' or '.join(whole)}?" if whole else suggest(name, allowed)
+                hint = f": did you mean {' or '.join(whole)}?" if whole else suggest(name, {*allowed} - {name})
                 before = "".join(f"{p}." for p in path.split(".")[:step])
                 raise InputError(f"axis {column} names nothing: {before}{name} is unknown{hint}")
             if step < len(above):
@@ -219,6 +219,8 @@ class Hexapod:
             number = float(value)
         except ValueError:
             raise InputError(f"{text!r} is not a threshold, such as 'slip_max_m<0.02'") from None
+        fields = dataclasses.fields(Thresholds)  # pyright: ignore[reportArgumentType]
+        known(key.strip(), [field.name for field in fields], f"outcome.{key.strip()}")
         if sign and sign != "=" and ("max" in key) != ("<" in sign):
             raise InputError(f"{text!r} is not allowed: {key.strip()} is a {'maximum' if 'max' in key else 'minimum'}")
         return key.strip(), number
