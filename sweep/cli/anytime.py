@@ -3,6 +3,7 @@
 import argparse
 
 from sweep.analysis import compare, sequential
+from sweep.analysis.intervals import CONFIDENCE
 from sweep.cli.run import reporting
 from sweep.core.errors import InputError
 from sweep.core.expressions import mask
@@ -15,16 +16,17 @@ def run(given: argparse.Namespace, by: list[str] | None) -> sequential.Verdict:
 
     Both grow by a batch of A at a time, or a quarter of what is there, to at most `--most` draws. Raises `InputError`.
     """
-    if not 0.5 <= given.level < 1:
-        raise InputError(f"--level = {given.level:g} is not allowed: at least 0.5 and below 1")
+    level = CONFIDENCE if given.level is None else given.level
+    if not 0.5 <= level < 1:
+        raise InputError(f"--level = {level:g} is not allowed: at least 0.5 and below 1")
     if len(given.b) > 1:
         raise InputError("--anytime compares two folders: give A and one B")
-    folders = {given.a: given.where_a, given.b[0]: given.where_b}
+    folders, conditions = (given.a, given.b[0]), (given.where_a, given.where_b)
     rows = [store.read_rows(folder) for folder in folders]
     exps = [experiment(store.read_study(folder)["config"]) for folder in folders]
     while True:
-        a, b = (one[mask(one, where)] for one, where in zip(rows, folders.values(), strict=True))
-        found = sequential.verdict(compare.pair(a, b, by), given.level)
+        a, b = (one[mask(one, where)] for one, where in zip(rows, conditions, strict=True))
+        found = sequential.verdict(compare.pair(a, b, by), level)
         now = max(map(growth.draws, exps))
         if found.decided or given.most is None or now >= given.most:
             return found

@@ -17,7 +17,7 @@ from sweep.cli.choices import refuse_unknown
 from sweep.cli.exits import BAD_INPUT, DONE, FAULT, INTERRUPTED, UNEXPECTED
 from sweep.core import terminal
 from sweep.core.errors import Fault, InputError
-from sweep.core.files import write_whole
+from sweep.core.files import reason, write_whole
 from sweep.core.groups import GROUPS
 from sweep.core.start import VERSION
 
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from sweep.study.config import Experiment
 
 LICENSE = "https://spdx.org/licenses/CC-BY-4.0"
+UNFIT = (errno.ENOENT, errno.EEXIST, errno.ENOTDIR, errno.EISDIR, errno.EACCES, errno.EPERM, errno.EROFS)  # of a path
 BENCH = ("arrowhead", "mjx", "native")  # rows of `sweep bench`
 WHOLE = {  # commands that parse their own arguments: the modules with their `main`, and what they do
     "view": ("sweep.cli.view", "watch a rollout on its page"),
@@ -80,12 +81,9 @@ def main(argv: list[str] | None = None) -> int:
     except BrokenPipeError:  # the reader, such as `head`, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
-    except (FileNotFoundError, FileExistsError, NotADirectoryError, IsADirectoryError, PermissionError) as error:
-        print(f"sweep: {error.filename}: {error.strerror}", file=sys.stderr)
-        return BAD_INPUT
-    except OSError as error:  # such as a full disk
-        print(f"sweep: {error}", file=sys.stderr)
-        return FAULT
+    except OSError as error:
+        print(f"sweep: {f'{error.filename}: ' if error.filename else ''}{reason(error)}", file=sys.stderr)
+        return BAD_INPUT if error.errno in UNFIT else FAULT  # such as a full disk
 
 
 def parser() -> argparse.ArgumentParser:
@@ -192,7 +190,7 @@ def parser() -> argparse.ArgumentParser:
     compare.add_argument(
         "--anytime", action="store_true", help="which succeeds more often: evidence that holds however often one looks"
     )
-    compare.add_argument("--level", type=float, default=0.95, help="how sure --anytime has to be (0.95)")
+    compare.add_argument("--level", type=float, help="how sure --anytime has to be (0.95)")
     compare.add_argument(
         "--most",
         type=int,
@@ -352,7 +350,10 @@ def matching(folder: Path, condition: str | None) -> "pd.DataFrame":
     from sweep.runs import store
 
     rows = store.read_rows(folder)
-    return rows[mask(rows, condition)].reset_index(drop=True) if condition else rows
+    found = rows[mask(rows, condition)].reset_index(drop=True) if condition else rows
+    if len(found) < len(rows) and found.empty:
+        print(f"sweep: none of {len(rows)} rows of {folder} matches {condition!r}", file=sys.stderr)
+    return found
 
 
 def names(text: str | None) -> list[str] | None:
@@ -512,8 +513,9 @@ def compare_results(given: argparse.Namespace) -> int:
         raise InputError(f"--tolerance = {given.tolerance:g} is not allowed: a share from 0 to 1")
     if given.figures is not None and not given.figures >= 0:
         raise InputError(f"--figures = {given.figures:g} is not allowed: at least 0")
-    if given.most is not None and not given.anytime:
-        raise InputError(f"--most = {given.most} is for --anytime")
+    for name in ("most", "level"):
+        if (value := getattr(given, name)) is not None and not given.anytime:
+            raise InputError(f"--{name} = {value:g} is for --anytime")
     if given.anytime:
         from sweep.cli import anytime
         from sweep.runs import place
@@ -579,6 +581,8 @@ def relabel(given: argparse.Namespace) -> int:
     stored = store.read_study(given.dir)
     exp = experiment(stored["config"])
     changes = dict(map(exp.system.limit, given.thresholds))
+    if len(changes) < len(given.thresholds):
+        raise InputError(f"a threshold is given twice: {' '.join(given.thresholds)}")
     with store.locked(given.dir):
         runner.relabel(given.dir, {**stored["config"]["outcome"], **changes})
     print(pooled(store.read_rows(given.dir), exp))

@@ -61,7 +61,10 @@ def execute(exp: Experiment, flags: Flags) -> int:
     if line := designs.caution(exp.study.design):
         print(f"sweep: {line}", file=sys.stderr)
     if flags.dry_run:
-        print(forecast(runner.lay_out(exp, folder, first)))
+        job = runner.lay_out(exp, folder, first)
+        for line in runner.regridded(exp, folder):
+            print(f"sweep: {line}", file=sys.stderr)
+        print(forecast(job))
         return DONE
     if flags.check:
         return checked(exp, first)
@@ -72,7 +75,7 @@ def execute(exp: Experiment, flags: Flags) -> int:
 
     watched = Watched(say)
     with store.locked(folder), connected(exp.cluster, watched) as dispatch:
-        for line in runner.mend(exp, folder):
+        for line in (*runner.mend(exp, folder), *runner.regridded(exp, folder)):
             say(line)
         done, start = 0, time.perf_counter()
         for job in jobs(exp, folder, first, whole):
@@ -127,6 +130,7 @@ def execute_single(exp: Experiment, flags: Flags) -> int:
         raise InputError("study.keep keeps time histories beside a study's rows: give study=NAME or out=DIR")
     check_expect(exp.study, exp.system)
     if flags.dry_run:
+        runner.lay_out_single(exp)
         print(f"{exp.scenario}: 1 rollout on {exp.settings.name}")
         return DONE
     what, start = program(exp), time.perf_counter()

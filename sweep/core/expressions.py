@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 LONGEST = 5000  # characters of an expression
+QUOTED = ' (a word is written in quotes: "{}")'
 _COMPARE: dict[type, Callable[[Any, Any], Any]] = {
     ast.Lt: operator.lt,
     ast.LtE: operator.le,
@@ -49,7 +50,7 @@ def mask(frame: "pd.DataFrame", condition: str | None) -> np.ndarray:
         return np.ones(len(frame), dtype=bool)
     told = "where = " + (repr(condition) if len(condition) < 200 else f"{condition[:200]!r}...")
     such = "'friction > 0.8 and replicate == 0'"
-    found = held(condition, lambda name: frame[column(frame, name)].to_numpy(), told, such)
+    found = held(condition, lambda name: frame[column(frame, name, QUOTED.format(name))].to_numpy(), told, such)
     return np.broadcast_to(found, (len(frame),))
 
 
@@ -62,11 +63,10 @@ def held(condition: str, look_up: Callable[[str], Any], told: str, such: str) ->
         return found
     except SyntaxError:
         raise InputError(f"{told} is not a condition, such as {such}") from None
-    except (TypeError, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
-        reason = str(error).splitlines()[0]
-        raise InputError(f"{told} compares what cannot be compared: {reason}") from None
+    except InputError:
+        raise
+    except (TypeError, ValueError):
+        raise InputError(f"{told} compares or reckons with what cannot be, such as words with numbers") from None
 
 
 def evaluate(expression: str, look_up: Callable[[str], Any]) -> Any:
@@ -86,15 +86,18 @@ def evaluate(expression: str, look_up: Callable[[str], Any]) -> Any:
         raise InputError(f"{expression[:200]!r} has no value: {error}") from None
 
 
-def column(frame: "pd.DataFrame", name: str) -> str:
-    """The column that `name` means: itself, or the only one that ends in `.name`."""
+def column(frame: "pd.DataFrame", name: str, hint: str = "") -> str:
+    """The column that `name` means: itself, or the only one that ends in `.name`.
+
+    Raises `InputError`, with a `hint` where there is none.
+    """
     if name in frame.columns:
         return name
     found = [c for c in frame.columns if c.endswith(f".{name}")]
     if len(found) > 1:
         raise InputError(f"column {name} is ambiguous (allowed: {', '.join(found)})")
     if not found:
-        raise InputError(f"column {name} is unknown{suggest(name, list(frame.columns))}")
+        raise InputError(f"column {name} is unknown{hint}{suggest(name, list(frame.columns))}")
     return found[0]
 
 

@@ -74,7 +74,11 @@ def compile_model(case: Case, geoms: bool = True) -> mujoco.MjModel:
     if not geoms:
         for element in [*spec.pairs, *spec.geoms]:
             spec.delete(element)
-    return spec.compile()
+    try:
+        return spec.compile()
+    except ValueError as error:  # such as a mass too small to divide by
+        reason = " ".join(str(error).removeprefix("Error: ").split())
+        raise InputError(f"robot or obstacle is not allowed: MuJoCo makes no model of it: {reason}") from None
 
 
 def describe(case: Case, geoms: bool = True) -> mujoco.MjSpec:

@@ -42,6 +42,7 @@ def run(results: Results, number: int, ways: list[str], progress: runner.Progres
     kept = [c for c in points if "." in str(c) and not str(c).startswith("engine.")]
     points = points[[*kept, "replicate", "stream", "point_id"]].reset_index(drop=True)
     folder = results.folder / AUDIT
+    folder.mkdir(exist_ok=True)
     for name in ways or known:
         try:
             _again(exp, known[name], points, folder / name, progress)

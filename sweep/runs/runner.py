@@ -168,6 +168,19 @@ def refuse_other(stored: Mapping[str, Any], exp: Experiment, folder: Path) -> No
         )
 
 
+def regridded(exp: Experiment, folder: Path) -> list[str]:
+    """A line for each axis whose listed values were others in `folder`, which is to hold the points of both."""
+    if store.read_points(folder).empty:
+        return []
+    there, here = (flat(v["study"]["axes"]) for v in (store.read_study(folder)["config"], exp.values))
+    return [
+        f"note: study.axes.{key} was {there.get(key)} in {folder} and is {here.get(key)} now: "
+        "what it has stays and what it lacks is added; out=DIR keeps them apart"
+        for key in sorted({*there, *here})
+        if there.get(key) != here.get(key) and key.rpartition(".")[2] in ("values", "from", "to", "num")
+    ]
+
+
 def fixed(values: Mapping[str, Any]) -> dict[str, Any]:
     """What may not change between runs into one folder, by dotted path."""
     whole = values["study"]["design"]["kind"] == "latin_hypercube"  # one draw more changes all of them
@@ -359,11 +372,16 @@ def simulate(exp: Experiment, engine: Engine, rows: pd.DataFrame) -> tuple[pd.Da
     return finished, histories.of_batch(finished, slots, samples, watched, task.settings.control_period)
 
 
-def run_single(exp: Experiment) -> pd.DataFrame:
-    """Rows of one batch, such as a nominal rollout, not stored. Raises `Fault` where the device cannot hold them."""
+def lay_out_single(exp: Experiment) -> tuple[Experiment, pd.DataFrame]:
+    """One batch that is not stored, such as a nominal rollout. Raises `InputError` where its plan is impossible."""
     exp = replace(exp, settings=replace(exp.settings, width=exp.settings.width or 1))
     table = plan(exp, pd.DataFrame(), wanted_points(exp))
-    exp = with_room(exp, table)
+    return with_room(exp, table), table
+
+
+def run_single(exp: Experiment) -> pd.DataFrame:
+    """Rows of one batch that is not stored. Raises `Fault` where the device cannot hold them."""
+    exp, table = lay_out_single(exp)
     start = nominal(exp, table, exp.settings.width)
     try:
         return simulate(exp, make_engine(exp, start), table)[0]

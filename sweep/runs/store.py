@@ -213,9 +213,10 @@ def read_rows(folder: Path) -> pd.DataFrame:
 
 def find_row(rows: pd.DataFrame, point: str, folder: Path) -> pd.Series:
     """The row named by its number or by the beginning of its point id. Raises `InputError`."""
-    if point.isdecimal() and int(point) < len(rows):
-        return rows.iloc[int(point)]
-    found = rows[rows["point_id"].str.startswith(point)]
+    number = int(point) if point.isdecimal() and len(point) < 9 else None  # no study has so many rows
+    if number is not None and number < len(rows):
+        return rows.iloc[number]
+    found = rows[rows["point_id"].str.startswith(point) & (number is None)]
     if len(found) != 1:
         problem = "is not a point" if found.empty else f"means {len(found)} points"
         raise InputError(f"{point} {problem} of {folder}: give a row from 0 to {len(rows) - 1} or a point_id")

@@ -5,8 +5,10 @@ import sys
 import pandas as pd
 import pytest
 
+from sweep import engines
 from sweep.cli.main import main
 
+REAL = engines.make
 SMALL = ["study=walk_map", "study.axes.friction.num=4", "study.axes.step.num=3"]
 
 
@@ -207,6 +209,20 @@ def test_mistakes_with_results_are_one_line_each(capsys, tmp_path):
         (["export", results, "--paper", "file"], "file/figures: Not a directory"),
         (["table", results, "-o", "none/rows.md"], "none/rows.md: No such file or directory"),
         (["table", results, "--where", "friction"], "where = 'friction' is not a condition"),
+        (
+            ["table", results, "--where", "outcome == failure"],
+            'failure is unknown (a word is written in quotes: "failure")',
+        ),
+        (["table", results, "--where", "not friction"], "what cannot be, such as words with numbers"),
+        (["replay", results, "99"], "99 is not a point of results/walk_map: give a row from 0 to 3"),
+        (["relabel", results, "slip_max<1"], "outcome.slip_max is unknown: did you mean slip_max_m"),
+        (["relabel", results, "slip_max_m<1", "slip_max_m<2"], "given twice: slip_max_m<1 slip_max_m<2"),
+        (["compare", results, results, "--level", "0.9"], "--level = 0.9 is for --anytime"),
+        (
+            ["run", *SMALL, "+study.axes.d={path: noise.delay, values: [1, 1.5]}"],
+            "noise.delay = 1.5 is not allowed: a whole",
+        ),
+        (["run", "obstacle=file.yaml"], "file.yaml: obstacle.kind is missing (allowed: ball, "),
         (["stats", results, "--figure", "slip_max_m"], "needs a study with study.design.kind=saltelli"),
         (["compare", results, results, "--regions", "firction"], "column firction is unknown"),
         (["compare", results, results, "--regions", "outcome"], "outcome is not a parameter"),
@@ -224,6 +240,7 @@ def test_mistakes_with_results_are_one_line_each(capsys, tmp_path):
         (["run", "contact.friction=inf"], "contact.friction = inf is not allowed: a finite number"),
         (["run", "--points", "file.csv"], "world.contact.friction = 'abc' is not allowed: a number"),
     ]
+    (tmp_path / "file.yaml").write_text("height: 3\n")
     (tmp_path / "file.csv").write_text("world.contact.friction\n0.3\n0.5\nabc\n")
     capsys.readouterr()
     for arguments, message in mistakes:
@@ -231,6 +248,48 @@ def test_mistakes_with_results_are_one_line_each(capsys, tmp_path):
         error = capsys.readouterr().err
         assert message in error
         assert error.count("\n") == 1
+    assert (
+        main(["table", results, "-o", "x" * 250]) == 5
+    )  # nor can what is half-written be removed, as on a disk to read
+    assert capsys.readouterr().err.startswith(f"sweep: {'x' * 250} cannot be written: File name too long")
+    assert main(["table", results, "--where", "friction > 9", "--format", "csv"]) == 0
+    assert capsys.readouterr().err == "sweep: none of 4 rows of results/walk_map matches 'friction > 9'\n"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (
+            ["robot.body_mass=1e-30"],
+            "robot or obstacle is not allowed: MuJoCo makes no model of it: mass and inertia of",
+        ),
+        (
+            ["scenario=corner_roof", "plan=bad.yaml", "--dry-run"],
+            "plan.roof.reverse = roof is not allowed: another part",
+        ),
+    ],
+)
+def test_what_only_the_engine_knows_is_one_line_too(arguments, message, capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr(engines, "make", REAL)
+    (tmp_path / "bad.yaml").write_text("extends: corner\nroof: {reverse: roof}\n")
+    assert main(["run", *arguments]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"sweep: {message}")
+    assert error.count("\n") == 1
+
+
+def test_a_grid_of_other_values_is_added_and_told(capsys):
+    other = "study.axes.friction.from=0.3"
+    assert main(["run", *SMALL, "study.expect=[]"]) == 0
+    for arguments in (["--dry-run"], []):
+        capsys.readouterr()
+        assert main(["run", *SMALL, "study.expect=[]", other, *arguments]) == 0
+        assert (
+            "sweep: note: study.axes.friction.from was 0.05 in results/walk_map and is 0.3 " in capsys.readouterr().err
+        )
+    assert main(["run", *SMALL, "study.expect=[]", other]) == 0
+    assert "note" not in capsys.readouterr().err
+    assert main(["compare", "results/walk_map", "results/walk_map", "--anytime"]) == 0  # with itself, too
 
 
 def test_rollouts_are_replayed_on_the_page_and_watched(capsys, tmp_path):
