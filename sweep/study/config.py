@@ -41,8 +41,8 @@ from sweep.study.designs import keyed, with_side
 from sweep.study.study import ScenarioSchema, Study, StudySchema, check_keep
 from sweep.systems.base import Limits, System
 
-WORDS = {bool: "true or false", int: "a whole number", float: "a number", str: "a word", list: "a list", tuple: "a list",
-         dict: "keys and values"}  # what values of a type are  # fmt: skip
+WORDS = {bool: "true or false", int: "a whole number", float: "a number", str: "a word",
+         list: "a list", tuple: "a list", dict: "keys and values"}  # what values of a type are  # fmt: skip
 CONFIG_MODULE, HYDRA_VERSION = "sweep.conf", "1.3"
 WHOLE: dict[str, type] = {name: group.load() for name, group in GROUPS.items() if group.whole}
 KINDS: dict[str, dict[str, type]] = {name: group.load() for name, group in GROUPS.items() if group.kinds}
