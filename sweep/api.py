@@ -16,7 +16,7 @@ from sweep.core.letters import lettering
 from sweep.report import draws, maps, overlay, page
 from sweep.report.labels import unit_of
 from sweep.runs import results, store
-from sweep.study.config import Experiment, compose, experiment
+from sweep.study.config import Experiment, compose
 
 if TYPE_CHECKING:
     import xarray
@@ -39,10 +39,10 @@ def run(overrides: list[str]) -> pd.DataFrame:
 def load(folder: str | PathLike[str], where: str | None = None) -> pd.DataFrame:
     """See `sweep.load`."""
     folder = Path(folder)
-    stored, rows = store.read_study(folder), store.read_rows(folder)
+    rows = store.read_rows(folder)
     if where:
         rows = rows[mask(rows, where)].reset_index(drop=True)
-    rows = _tidy(rows, experiment(stored["config"]))
+    rows = _tidy(rows, results.kept(folder))
     rows.attrs["folder"] = str(folder)
     return rows
 
@@ -128,7 +128,7 @@ class Accessor:
         if self._rows.empty:
             raise InputError(f"no row of {self._folder} is chosen: nothing to show")
         stored = store.read_study(self._folder)
-        exp = experiment(stored["config"])
+        exp = results.kept(self._folder)
         rows, copies = distinct(self._rows, exp)
         return results.Results(self._folder, stored, exp, rows, None, len(self._rows), copies)
 

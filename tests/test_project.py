@@ -159,6 +159,10 @@ def test_lists_and_completion_show_what_is_ones_own_apart(capsys, home):
     ):
         assert main(["completion", "--line", line]) == 0
         assert capsys.readouterr().out.split() == [wanted]
+    (odd := home / "results/a b$").mkdir(parents=True)
+    (odd / "study.yaml").touch()
+    assert main(["completion", "--line", "sweep table res"]) == 0
+    assert capsys.readouterr().out == "results/a\\ b\\$\n"
     code = "import sys; from sweep.cli.main import main; main(['completion', '--line', 'sweep run study=']); "
     code += "print(sys.modules.keys() & {'mujoco', 'hydra', 'jax', 'pandas'})"
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout

@@ -7,8 +7,7 @@ from sweep.analysis.intervals import CONFIDENCE
 from sweep.cli.run import reporting
 from sweep.core.errors import InputError
 from sweep.core.expressions import mask
-from sweep.runs import growth, store
-from sweep.study.config import experiment
+from sweep.runs import growth, results, store
 
 
 def run(given: argparse.Namespace, by: list[str] | None) -> sequential.Verdict:
@@ -23,7 +22,7 @@ def run(given: argparse.Namespace, by: list[str] | None) -> sequential.Verdict:
         raise InputError("--anytime compares two folders: give A and one B")
     folders, conditions = (given.a, given.b[0]), (given.where_a, given.where_b)
     rows = [store.read_rows(folder) for folder in folders]
-    exps = [experiment(store.read_study(folder)["config"]) for folder in folders]
+    exps = [results.kept(folder) for folder in folders]
     while True:
         a, b = (one[mask(one, where)] for one, where in zip(rows, conditions, strict=True))
         found = sequential.verdict(compare.pair(a, b, by), level)

@@ -16,7 +16,7 @@ from sweep.analysis.stats import percent
 from sweep.cli.run import reporting
 from sweep.core.errors import InputError
 from sweep.report.tables import page_table
-from sweep.runs import growth, runner, store
+from sweep.runs import growth, results, runner, store
 from sweep.study.config import Experiment, experiment
 
 MOST_PARAMETERS = 8
@@ -32,7 +32,7 @@ def run(given: argparse.Namespace) -> tuple[str, dict[str, Any]]:
     """
     check(given)
     folder, rows = given.dir, store.read_rows(given.dir)
-    exp = experiment(store.read_study(folder)["config"])
+    exp = results.kept(folder)
     names = parameters(exp, rows)
     order = np.random.default_rng(0).permutation(len(rows))
     learned = values(rows if given.rollouts else rows.iloc[order[::2]], names)

@@ -318,14 +318,13 @@ def show_speed(args: argparse.Namespace) -> int:
 def status(given: argparse.Namespace) -> int:
     """Planned, done, and how it went so far."""
     from sweep.analysis.stats import causes
-    from sweep.runs import store
-    from sweep.study.config import experiment
+    from sweep.runs import results, store
 
     stored, planned = store.read_study(given.dir), store.read_points(given.dir)
     done = planned["batch"].isin(store.finished(given.dir)).sum() if len(planned) else 0
     print(f"{given.dir}: {done} of {stored['rollouts']} rollouts done, code {stored['commit'] or stored['code']}")
     if done:
-        rows, meanings = store.read_rows(given.dir), experiment(stored["config"]).system.causes
+        rows, meanings = store.read_rows(given.dir), results.kept(given.dir).system.causes
         print(", ".join(f"{number} {outcome}" for outcome, number in rows["outcome"].value_counts().items()))
         for line in causes(rows["cause"], meanings):
             print(f"  {line}")
@@ -364,12 +363,11 @@ def names(text: str | None) -> list[str] | None:
 def show_table(given: argparse.Namespace) -> int:
     """Rows as csv, markdown, latex or parquet."""
     from sweep.report import tables
-    from sweep.runs import store
-    from sweep.study.config import experiment
+    from sweep.runs import results
 
     if given.format == "parquet" and not given.output:
         raise InputError("--format parquet needs a file: -o FILE")
-    exp = experiment(store.read_study(given.dir)["config"])
+    exp = results.kept(given.dir)
     content = tables.render(matching(given.dir, given.where), given.format, names(given.columns), exp)
     if given.output:
         write_output(given.output, content)
@@ -391,15 +389,14 @@ def show_statistics(given: argparse.Namespace) -> int:
     """What the rows say in numbers."""
     from sweep.core.expressions import column
     from sweep.report import statistics
-    from sweep.runs import store
-    from sweep.study.config import experiment
+    from sweep.runs import results
 
     rows = matching(given.dir, given.where)
     if given.figure:
         column(rows, given.figure)
     if not 0 < given.level < 1:
         raise InputError(f"--level = {given.level:g} is not allowed: between 0 and 1")
-    exp = experiment(store.read_study(given.dir)["config"])
+    exp = results.kept(given.dir)
     if given.figure and exp.study.design.kind not in ("saltelli", "morris"):
         raise InputError("--figure is for sensitivity: it needs a study with study.design.kind=saltelli or morris")
     terminal.show(statistics.render(rows, exp, given.level, given.figure), kept=("share", "low", "high"))
@@ -575,15 +572,13 @@ def audit_results(given: argparse.Namespace) -> int:
 def relabel(given: argparse.Namespace) -> int:
     """New thresholds, or conditions, for stored figures."""
     from sweep.analysis.sample import pooled
-    from sweep.runs import runner, store
-    from sweep.study.config import experiment
+    from sweep.runs import results, runner, store
 
-    stored = store.read_study(given.dir)
-    exp = experiment(stored["config"])
+    exp = results.kept(given.dir)
     changes = dict(map(exp.system.limit, given.thresholds))
     if len(changes) < len(given.thresholds):
         raise InputError(f"a threshold is given twice: {' '.join(given.thresholds)}")
     with store.locked(given.dir):
-        runner.relabel(given.dir, {**stored["config"]["outcome"], **changes})
+        runner.relabel(given.dir, {**exp.values["outcome"], **changes})
     print(pooled(store.read_rows(given.dir), exp))
     return DONE

@@ -1,6 +1,7 @@
 """`sweep init`, `list`, `describe` and `completion`: what there is to work with. No simulator is loaded for a list."""
 
 import argparse
+import re
 import shlex
 from collections.abc import Iterator, Mapping
 from importlib.resources import files
@@ -79,7 +80,7 @@ def completion(given: argparse.Namespace) -> int:
     if given.line is None:
         print(SCRIPT)
         return DONE
-    _, *before = given.line.split()
+    before = given.line.split()[1:]
     word = "" if given.line.endswith(" ") or not before else before.pop()
     kept = word.rpartition("=")[0] + "=" if "=" in word else ""  # bash takes the word to begin behind it
     for one in candidates(before, word, given.flags()):
@@ -95,7 +96,8 @@ def candidates(before: list[str], word: str, flags: dict[str, list[str]]) -> lis
     if word.startswith("-"):
         return flags.get(before[0], [])
     if before[0] != "run":
-        return sorted(str(file.parent) for file in Path().glob("results/*/study.yaml"))
+        found = sorted(str(file.parent) for file in Path().glob("results/*/study.yaml"))
+        return [re.sub(r"([^\w./+=:@%-])", r"\\\1", one) for one in found]  # as bash reads it
     group, sign, _ = word.partition("=")
     if not sign:
         return [f"{one}=" for one in GROUPS]

@@ -11,16 +11,17 @@ from sweep.runs import store
 
 
 def text(folders: list[Path]) -> str:
-    """The table of the studies in `folders`, or in the folders in them. Raises `InputError` without any."""
-    found = [one for folder in folders for one in ([folder] if (folder / store.STUDY).exists() else within(folder))]
-    if not found:
-        raise InputError(f"{', '.join(map(str, folders))} holds no study: a folder with {store.STUDY} is one")
+    """The table of the studies in `folders`, or in the folders in them. Raises `InputError` where one is without."""
+    found = [one for folder in folders for one in within(folder)]
     return pd.DataFrame([line(folder) for folder in found]).to_markdown(index=False, disable_numparse=True)
 
 
 def within(folder: Path) -> list[Path]:
-    """The studies just below."""
-    return sorted(file.parent for file in folder.glob(f"*/{store.STUDY}"))
+    """A study's folder, or those just below. Raises `InputError` without any."""
+    places = [folder / store.STUDY, *sorted(folder.glob(f"*/{store.STUDY}"))]
+    if found := [file.parent for file in places if file.exists()]:
+        return found[:1] if found[0] == folder else found
+    raise InputError(f"{folder} holds no study: a folder with {store.STUDY} is one")
 
 
 def line(folder: Path) -> dict[str, str]:

@@ -75,6 +75,15 @@ class Results:
         return {cause: words for cause, words in self.exp.system.causes.items() if cause in found}
 
 
+def kept(folder: Path) -> Experiment:
+    """The experiment of `folder`. Raises `InputError`, which names the version of one that this one cannot read."""
+    stored = store.read_study(folder)
+    try:
+        return experiment(stored["config"])
+    except InputError as error:
+        raise InputError(f"{folder}, by version {stored['commit'] or stored['code']}: {error}") from None
+
+
 def read(folder: Path, where: str | None = None) -> Results:
     """Finished rows of `folder` that match `where`, copies of noise-free ones left out. Raises `InputError`."""
     stored, rows = store.read_study(folder), store.read_rows(folder)
@@ -83,6 +92,6 @@ def read(folder: Path, where: str | None = None) -> Results:
         rows = rows[mask(rows, where)].reset_index(drop=True)
         if rows.empty:
             raise InputError(f"no row of {folder} matches where = {where!r}")
-    exp = experiment(stored["config"])
+    exp = kept(folder)
     chosen, copies = distinct(rows, exp)
     return Results(folder, stored, exp, chosen, where, done, copies)

@@ -15,7 +15,7 @@ from sweep.core.parameters import InputError
 from sweep.core.waiting import counting, waiting
 from sweep.engines.base import Trace, same_bits
 from sweep.engines.settings import EngineSettings
-from sweep.runs import place, store
+from sweep.runs import place, results, store
 from sweep.runs.batches import make_engine, nominal, with_room
 from sweep.runs.runner import load_point
 from sweep.study.columns import LABELS
@@ -47,7 +47,7 @@ def main(args: list[str]) -> int:
     """Run the command with the arguments after `replay`; the exit status. Raises `InputError`."""
     options = _parser().parse_args(args)
     _check(options)
-    system = experiment(store.read_study(options.folder)["config"]).system
+    system = results.kept(options.folder).system
     for name in SHOWN:
         if getattr(options, name) and name not in system.shown:
             shown = ", ".join(f"--{one}" for one in sorted(system.shown))

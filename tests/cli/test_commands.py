@@ -7,6 +7,7 @@ import pytest
 
 from sweep import engines
 from sweep.cli.main import main
+from sweep.runs import store
 
 REAL = engines.make
 SMALL = ["study=walk_map", "study.axes.friction.num=4", "study.axes.step.num=3"]
@@ -276,6 +277,19 @@ def test_what_only_the_engine_knows_is_one_line_too(arguments, message, capsys, 
     error = capsys.readouterr().err
     assert error.startswith(f"sweep: {message}")
     assert error.count("\n") == 1
+
+
+def test_a_folder_that_this_version_cannot_read_is_named_with_its_own(capsys, tmp_path):
+    assert main(["run", *SMALL, "study.expect=[]"]) == 0
+    stored = store.read_study(folder := tmp_path / "results/walk_map")
+    stored["config"]["contact"]["fricshun"] = 1
+    store.write_study(folder, stored | {"commit": "abc"})
+    for command in ("table", "stats", "report", "status", "replay"):
+        capsys.readouterr()
+        assert main([command, str(folder), *["0"] * (command == "replay")]) == 2
+        assert f"sweep: {folder}, by version abc: contact.fricshun is unknown: did you mean" in capsys.readouterr().err
+    assert main(["list", str(folder), "elsewhere"]) == 2
+    assert capsys.readouterr().err == "sweep: elsewhere holds no study: a folder with study.yaml is one\n"
 
 
 def test_a_grid_of_other_values_is_added_and_told(capsys):
