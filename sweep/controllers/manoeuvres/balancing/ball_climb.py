@@ -1,7 +1,7 @@
 """From the floor on to a free ball and to rest on its top (monograph 3.3.1, 3.3.2)."""
 
 from collections.abc import Mapping
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array
@@ -12,7 +12,7 @@ from sweep.controllers.manoeuvres.balancing.ball import perch, refuse_start, ter
 from sweep.controllers.manoeuvres.balancing.ball_ride import RIDE, Ride
 from sweep.controllers.manoeuvres.balancing.beside_ball import CALM, BesideBall
 from sweep.controllers.manoeuvres.goals import UPRIGHT
-from sweep.controllers.moves import Standing, Terms, placed, stages_of
+from sweep.controllers.moves import Standing, Terms, numbers_of, placed, stages_of
 from sweep.controllers.plan import RESTS, TO_VELOCITY, Plan, Stage, Support
 from sweep.controllers.refusals import plain
 from sweep.controllers.tracker import Guided
@@ -23,6 +23,13 @@ from sweep.formulas.ball_reach import max_ball
 from sweep.fused.numbers import worked_out
 from sweep.models.case import Case
 from sweep.models.obstacles.ball import Ball
+from sweep.models.obstacles.charts import Number
+
+
+class Push(NamedTuple):
+    """Of a plan's part `push`: what follows masses, as the least speed (3.1.15) does."""
+
+    speed: Number  # of the ball, in units of the manoeuvre's
 
 
 @parameters
@@ -32,7 +39,7 @@ class BallClimb(BesideBall):
     goal: ClassVar = {**UPRIGHT, "obstacle_speed_error_max_mps": 0.01, "obstacle_aside_max_m": 0.05}
     kind: str = choice("ball_climb", "ball_climb")
     calm_speed: float = quantity(0.0, "m/s", at_least=0)  # of a ball that needs no further step; 0: all are made
-    push_speed: float = quantity(0.324, "m/s", above=0)  # v_*, of the ball after the push
+    push_speed: float = quantity(0.324, "m/s", above=0)  # v_*, of the ball after the push, if the plan changes nothing
     gain: float = quantity(0.918, "-", above=0, at_most=2)  # of the rate (3.1.16)
     least_rate: float = quantity(0.2, "rad/s", at_least=0)  # of the ride, on a ball that stops before the top
     most_rate: float = quantity(1.5, "rad/s", above=0)  # of the ride, at most
@@ -74,8 +81,8 @@ class BallClimb(BesideBall):
     def terms(self, belief: Case, deepening: Array | float, press: tuple[Array | float, Array | float]) -> Terms:
         """Of moves to the ball and on it."""
         radius = belief.on(Ball).radius
-        rolls = Support(TO_VELOCITY, jnp.zeros(3).at[0].set(self.push_speed),
-                        jnp.zeros(3).at[1].set(self.push_speed / radius))  # fmt: skip
+        speed = self.push_speed * numbers_of(Push, belief, "push").speed
+        rolls = Support(TO_VELOCITY, jnp.zeros(3).at[0].set(speed), jnp.zeros(3).at[1].set(speed / radius))
         supports = {"free": (Support(),), "rests": (RESTS,), "rolls": (rolls,)}
         return terms(belief, radius, deepening, press, supports, (RIDE,))
 
