@@ -71,7 +71,7 @@ def test_numbers_follow_the_sizes_that_are_believed(lab):
 def test_a_plan_may_extend_one_that_extends_several(lab):
     lab.write_text("extends: ball_over\nstand: {rise: {seconds: 0.7}}\n")
     case = compose(["scenario=ball_over", "plan=mine"]).case
-    mine, own = (numbers(content, charts(case.obstacle)) for content in (tabled(case), shipped("ball_over")))
+    mine, own = (numbers(content, charts(case.obstacle)) for content in (told(case), shipped("ball_over")))
     assert {path for path in own if own[path] != mine[path]} == {"stand.rise.seconds"}
     lab.write_text("extends: [ball_climb, mine]\n")
     with pytest.raises(InputError, match="cannot start from itself"):
