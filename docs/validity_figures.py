@@ -17,7 +17,7 @@ from sweep.report.looks import LOOKS
 DOCS = Path(__file__).parent
 ENGINES = (
     "mjx", "mjx on a GPU", "mjx by XLA", "mjx, double", "native", "C elliptic", "C pyramidal", "MJX elliptic",
-    "Warp elliptic",
+    "Warp elliptic", "Warp as native",
 )  # fmt: skip
 DRAWN = {  # whose colours, and marks
     "mjx": ("success", "o"), "C MuJoCo": ("fell", "s"), "MJX": ("slipped", "^"), "Warp": ("fell_off", "D"),
