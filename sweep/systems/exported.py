@@ -132,8 +132,8 @@ def controller(case: Case, settings: EngineSettings, limits: Thresholds) -> Cont
         own = believed(belief)
         _, plan, _ = prepared(own, own, key)
         start = start_state(own, own, plan)
-        loop = init(own, own, plan, start, jnp.zeros(()), key, None)
-        _, command = act(own, own, plan, loop, jnp.int32(0), period, True)
+        loop = init(own, own, plan, start, jnp.zeros(()), key, None, quiet=True)
+        _, command = act(own, own, plan, loop, jnp.int32(0), period)
         state = {"plan": plan, "loop": loop, "command": command, "tick": jnp.int32(0)}
         return start.qpos, state, GRACE * jnp.sum(plan.duration) + REST
 
@@ -141,7 +141,7 @@ def controller(case: Case, settings: EngineSettings, limits: Thresholds) -> Cont
         own, plan, loop, tick = believed(belief), state["plan"], state["loop"], state["tick"]
         now, _ = measure(own, plan, limits, loop, state["command"], summary(own, seen, period), tick - 1, period)
         loop = jax.tree.map(lambda a, b: jnp.where(tick > 0, a, b), now, loop)
-        loop, command = act(own, own, plan, loop, tick, period, True)
+        loop, command = act(own, own, plan, loop, tick, period)
         angles = loop.servo.target + loop.servo.torque / own.drive.stiffness
         return angles.reshape(N_JOINTS), {"plan": plan, "loop": loop, "command": command, "tick": tick + 1}
 
