@@ -54,7 +54,7 @@ def home(fake_engine, monkeypatch, tmp_path, request):
 
 def write(path, text):
     path.parent.mkdir(exist_ok=True)
-    path.write_text(text)
+    path.write_text(text, errors="surrogateescape")
     return path
 
 
@@ -99,6 +99,9 @@ def test_a_study_is_a_plain_file_wherever_it_lies(home, monkeypatch):
         ("study: [\n", "cannot be read: line 2"),
         ("just words\n", "just words is unknown (allowed: "),
         ("study: 3\n", "study = 3 is not allowed"),
+        ("robot: 3\n", "bad.yaml: robot = 3 is not allowed: the name of a choice, or keys and values"),
+        ("study: {axes: {1: {path: contact.friction, values: [1]}}}\n", "study.axes.1 is not allowed: a name"),
+        ("\udcff", "bad.yaml is not a configuration"),
         ("contact: {frictoin: 1}\nstudy: {name: a}\n", "contact.frictoin is unknown: did you mean friction?"),
     ],
 )

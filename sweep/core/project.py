@@ -49,7 +49,7 @@ def find(group: str, name: str) -> Any:
 
 def described(file: Any) -> str:
     """The first comment of a configuration file."""
-    lines = file.read_text(encoding="utf-8").splitlines()
+    lines = file.read_text(encoding="utf-8", errors="replace").splitlines()
     return next((line[2:] for line in lines if line.startswith("# ") and not line.startswith("# @")), "")
 
 
@@ -65,7 +65,7 @@ def settings() -> dict[str, Any]:
     modules = content.get("modules", []) if isinstance(content, dict) else None
     unknown = [key for key in content if key not in KEYS] if isinstance(content, dict) else []
     if not isinstance(modules, list) or unknown:
-        what = f"{unknown[0]} is unknown" if isinstance(modules, list) else "it does not say so"
+        what = f"{unknown[0]} is unknown" if unknown else f"modules = {modules} is not allowed"
         raise InputError(f"{folder / FILE}: {what} (allowed: modules, a list of names of Python modules)")
     return {"modules": [str(module) for module in modules]}
 

@@ -25,6 +25,7 @@ from omegaconf.errors import (
     ConfigKeyError,
     ConfigTypeError,
     InterpolationResolutionError,
+    KeyValidationError,
     OmegaConfBaseException,
     ValidationError,
 )
@@ -234,6 +235,8 @@ def one_line(error: Exception, overrides: list[str]) -> str:
         key, given = str(cause.full_key), _given(str(cause.full_key), overrides)
         allowed = [str(k) for k in cause.parent_node or () if k != "hydra"]  # pyright: ignore[reportGeneralTypeIssues]
         return f"{key}{given} is unknown{suggest(str(cause.key), allowed)}"
+    if isinstance(cause, KeyValidationError):
+        return f"{cause.full_key} is not allowed: a name that is no number"
     if isinstance(cause, InterpolationResolutionError):
         key = str(cause.full_key)
         return f"{key}{_given(key, overrides)} is not allowed: an interpolation names another key"

@@ -140,7 +140,7 @@ def read(file: Any) -> dict[str, Any]:
         content = OmegaConf.load(io.StringIO(file.read_text(encoding="utf-8")))
     except yaml.YAMLError as error:
         raise InputError(f"{file} cannot be read: {project.one_line(error)}") from None
-    except OSError:
+    except (OSError, UnicodeDecodeError):
         content = None
     if not isinstance(content, DictConfig):
         raise InputError(f"{file} is not a configuration: keys and values are wanted, such as `study:`")
@@ -151,6 +151,8 @@ def whole(group: str, file: Any, content: Mapping[str, Any]) -> dict[str, Any]:
     """A study or a scenario: what it starts from, its choices, then its values. Its name is its file's unless given."""
     defaults, values = extended(group, file, content), {}
     for key, value in content.items():
+        if key in GROUPS and not isinstance(value, str | Mapping | None):
+            raise InputError(f"{file}: {key} = {value!r} is not allowed: the name of a choice, or keys and values")
         choice = value if isinstance(value, str) else value.get("extends") if isinstance(value, Mapping) else None
         if key in GROUPS and key != group and choice is not None:
             defaults.append({f"override /{key}": chosen(file, key, choice)})
