@@ -36,12 +36,21 @@ from sweep.study.sought import Draws, seen
 from sweep.study.study import points
 
 DATA = Path(__file__).parents[1] / "docs" / "data" / "rare.json"
+# less the greater of two linear laws of the sizes, each of a way to fail: mean and half of the difference
+_MEAN = (
+    "0.398 - (-1.07 * world.robot.body_length + 1.43 * world.robot.body_width"
+    " + 2.06 * world.robot.thigh - 0.79 * world.robot.shin)"
+)
+_HALF = (
+    "(-0.63 * world.robot.body_length - 0.22 * world.robot.body_width"
+    " - 0.94 * world.robot.thigh + 1.41 * world.robot.shin + 0.788)"
+)
 LEADS = {
     "walk_tripod": "margin",
     "ball_balance": "stability_margin_min_m",
     "ball_drive": "stability_margin_min_m",
     "ladder_climb": "edge_reserve_min_m",
-    "pole_climb": "-turn_over_limit - 7 * base_gap_min_m + 0.6 * joint_speed_over_limit",
+    "pole_climb": f"{_MEAN} - sqrt({_HALF} * {_HALF})",
 }
 LEAD = "friction_reserve_min"  # of the others: see bench/margins.py
 WAYS = ("plain", "importance", "levels")
