@@ -75,10 +75,12 @@ def execute(exp: Experiment, flags: Flags) -> int:
 
     watched = Watched(say)
     with store.locked(folder), connected(exp.cluster, watched) as dispatch:
-        for line in (*runner.mend(exp, folder), *runner.regridded(exp, folder)):
+        for line in runner.mend(exp, folder):
             say(line)
-        done, start = 0, time.perf_counter()
-        for job in jobs(exp, folder, first, whole):
+        done, start, to_do = 0, time.perf_counter(), jobs(exp, folder, first, whole)
+        for line in runner.regridded(exp, folder):
+            say(line)
+        for job in to_do:
             todo = len(job.rows(job.missing()))
             with reporting(exp.study.name, todo, program(exp), watched) as report:
                 job = runner.run(job, report, dispatch)
