@@ -2,8 +2,9 @@
 
 To run: `python bench/margins.py [SCENARIO ...] [--folder FOLDER] [OVERRIDE ...]`, from a checkout. Each line goes from
 nominal into a random direction of the normals behind the errors of `study=any_rare`; a second pass goes through the
-step in which it fails. The same command goes on where it was. It adds the scenarios to docs/data/margins.json, which
-docs/certainty.md cites; without any those that are there are measured again, with the lengths that they had.
+step in which it fails, and through those in which its margin falls by a cliff's height. The same command goes on where
+it was. It adds the scenarios to docs/data/margins.json, which docs/certainty.md cites; without any those that are there
+are measured again, with the lengths that they had.
 """
 
 import argparse
@@ -27,7 +28,7 @@ from sweep.study.study import points
 ROOT = Path(__file__).parents[1]
 FOLDER, DATA = ROOT / "results" / "lines", ROOT / "docs" / "data" / "margins.json"
 LINES, FAR = 16, 6.0  # standard deviations
-COARSE, FINE = 24, 5  # steps of a line; of the one of them that fails
+COARSE, FINE = 24, 5  # steps of a line; of one of them that is looked at closely
 CLIFF = 0.25  # of a margin, in units of its threshold, within a fine step
 LEADS = 0.8  # Spearman's coefficient of a column and the way, up to the first failure, of either sign
 FEWEST = 5  # steps before a failure by which a column can be said to lead
@@ -57,6 +58,19 @@ def first(rows: pd.DataFrame) -> int:
     return int(np.argmax(bad)) if bad.any() else len(bad)
 
 
+def falls(rows: pd.DataFrame) -> np.ndarray:
+    """How far the margin falls in each step of a line (n - 1,); what is below -1 has failed as much as it can."""
+    return -np.diff(rows["margin"].clip(lower=-1.0))
+
+
+def close(rows: pd.DataFrame) -> list[int]:
+    """Numbers of the steps of a line that are looked at closely, up to the one in which it fails."""
+    end = first(rows)
+    steep = falls(rows)[:end] > CLIFF
+    steep[end - 1 : end] = end < len(rows)
+    return np.flatnonzero(steep).tolist() if end else []
+
+
 def lines(exp: Experiment, folder: Path) -> list[pd.DataFrame]:
     """Rows of each line up to its first failure, by `way` (standard deviations from nominal)."""
     d = len(exp.study.axes)
@@ -66,15 +80,15 @@ def lines(exp: Experiment, folder: Path) -> list[pd.DataFrame]:
     along = (way[None, 1:, None] * towards[:, None]).reshape(-1, d)
     coarse = simulated(exp, folder, np.concatenate([np.zeros((1, d)), along]))
     every = [coarse.iloc[[0, *range(1 + k * COARSE, 1 + (k + 1) * COARSE)]].assign(way=way) for k in range(LINES)]
-    ends = [first(rows) for rows in every]
-    inner = [np.linspace(way[end - 1], way[end], FINE + 1)[1:-1] if 0 < end <= COARSE else [] for end in ends]
+    shares = np.linspace(0, 1, FINE + 1)[1:-1]
+    inner = [(way[close(rows), None] + way[1] * shares).ravel() for rows in every]
     u = [away * direction for steps, direction in zip(inner, towards, strict=True) for away in steps]
     if not u:
         return every
     fine = simulated(exp, folder, np.array(u)).assign(way=np.concatenate(inner))
     found, at = [], 0
-    for rows, end, steps in zip(every, ends, inner, strict=True):
-        part = pd.concat([rows[: end + 1], fine[at : at + len(steps)]]).sort_values("way", ignore_index=True)
+    for rows, steps in zip(every, inner, strict=True):
+        part = pd.concat([rows, fine[at : at + len(steps)]]).sort_values("way", ignore_index=True)
         found.append(part[: first(part) + 1])
         at += len(steps)
     return found
@@ -91,7 +105,7 @@ def told(rows: pd.DataFrame, columns: list[str]) -> dict[str, Any]:
         "way": round(float(last["way"]), 3),
         "cause": str(last["cause"]),
         "limit": str(last["limit"]),
-        "fall": round(float(-rows["margin"].clip(lower=-1.0).diff().min()), 3),
+        "fall": round(float(falls(rows).max()), 3),
         "margin_of": str(last["margin_of"]),
         "before_of": str(before["margin_of"].iloc[-1]),
         "before": round(float(before["margin"].iloc[-1]), 3),
