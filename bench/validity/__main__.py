@@ -11,6 +11,7 @@ or on a machine with a GPU docs/data/validity_PART_gpu.json.
     python bench/validity precision             # speed over error, beside MuJoCo
 
 Rows that a file has of the same code stay: what is interrupted goes on. Without its file a part is measured anew.
+Processes side by side, such as one for each GPU, take jobs of a part by their names: `precision --jobs 'Warp, *'`.
 """
 
 import argparse
@@ -18,8 +19,11 @@ import json
 import sys
 import time
 from collections.abc import Callable, Iterator
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
+
+import filelock
 
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "bench"))
@@ -46,30 +50,38 @@ def main(argv: list[str] | None = None) -> None:
     """Measure the chosen parts, or all."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(PARTS)} (all)")
+    parser.add_argument("--jobs", default="*", metavar="PATTERN", help="of names of jobs (all)")
     given = parser.parse_args(argv)
     if unknown := [name for name in given.parts if name not in PARTS]:
         parser.error(f"{unknown[0]} is not a part: {', '.join(PARTS)}")
     for name in given.parts or PARTS:
-        measure(name)
+        measure(name, given.jobs)
 
 
-def measure(part: str) -> None:
+def measure(part: str, pattern: str) -> None:
     """Measure what is missing of a part, and write its data after every job."""
     machine = "_gpu" if precision.on_gpu() else ""
     path = ROOT / "docs" / "data" / f"validity_{part}{machine}.json"
-    before = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
-    before = before if before.get("code") == code_version() else {}
-    seconds, rows = before.get("seconds", 0), before.get("rows", [])
     engine, jobs = PARTS[part]
-    for name, work in jobs():
-        if any(row["job"] == name for row in rows):
+    every = dict(jobs())
+    for name, work in every.items():
+        if not fnmatchcase(name, pattern) or any(row["job"] == name for row in there(path).get("rows", [])):
             continue
         start = time.perf_counter()
-        rows += [{"job": name, **row} for row in work()]
-        seconds += round(time.perf_counter() - start)
+        rows = [{"job": name, **row} for row in work()]
         about = {"command": f"python bench/validity {part}", "engine": engine, "devices": [device(EngineSettings())]}
-        told(path, about | made_with() | {"rows": rows, "seconds": seconds})
+        with filelock.FileLock(path.with_suffix(".lock")):  # others may add to it
+            before = there(path)
+            rows = sorted(before.get("rows", []) + rows, key=lambda row: [*every].index(row["job"]))
+            seconds = before.get("seconds", 0) + round(time.perf_counter() - start)
+            told(path, about | made_with() | {"rows": rows, "seconds": seconds})
         print(f"{part}, {name}: {seconds} s", flush=True)
+
+
+def there(path: Path) -> dict[str, Any]:
+    """What a file has of this code."""
+    before = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    return before if before.get("code") == code_version() else {}
 
 
 def told(path: Path, content: dict[str, Any]) -> None:
