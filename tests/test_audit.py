@@ -85,6 +85,15 @@ def test_an_audit_is_a_draw_and_is_not_simulated_twice(fake_engine, tmp_path):
     assert parts == {p: p.stat().st_mtime_ns for p in (tmp_path / "audit/half_step/parts").iterdir()}
 
 
+def test_a_folder_that_cannot_be_written_is_no_way_that_is_left_out(fake_engine, tmp_path, capsys):
+    assert main([*STUDY, f"out={tmp_path}"]) == 0
+    (tmp_path / "audit").mkdir()
+    (tmp_path / "audit/again").touch()
+    capsys.readouterr()
+    assert main(["audit", str(tmp_path), "--points", "2"]) == 2
+    assert capsys.readouterr().err == f"sweep: out = {tmp_path}/audit/again cannot be written: Not a directory\n"
+
+
 def test_what_has_neither_a_boundary_nor_successes_is_refused(fake_engine, tmp_path, capsys):
     assert main([*STUDY, f"out={tmp_path}", "study.where='friction < 0.15'"]) == 0
     for arguments, message in (

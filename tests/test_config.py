@@ -85,7 +85,7 @@ BAD = [
     ("robot.thigh", ["robot.thigh", "group.name=value"]),
     ("study.name=a<b", ["study.name=a<b cannot be read", "quotes"]),
     ("study.replicates=0", ["study.replicates = 0", "at least 1"]),
-    ("+study.axes.f={path: contact.friction, num: 3}", ["study.axes.f.from", "a number"]),
+    ("+study.axes.f={path: contact.friction, num: 3}", ["study.axes.f.from is missing", "from, to and num"]),
     ("+study.axes.f={path: contact.friction}", ["study.axes.f", "values, or from, to and num"]),
     ("+study.axes.f={path: contact.friction, form: 0}", ["study.axes.f.form", "did you mean from?"]),
     ("++contcat.friction=0.2", ["contcat is unknown", "did you mean contact?"]),

@@ -147,6 +147,19 @@ def test_one_axis_at_a_time_leaves_the_others_nominal(table_of):
     assert (np.abs(table["belief.robot.shin"] / 0.335 - 1) <= table["axis.error"]).all()
 
 
+def test_rows_say_which_whole_delays_and_joints_were_drawn(table_of):
+    axes = {
+        "delay": drawn("noise.delay", from_=0, to=3),
+        "joint": drawn("execution.dead_joint", side="world", from_=0, to=17),
+        "friction": FRICTION,
+    }
+    table = table_of(axes, **monte_carlo(64))
+    assert sorted(table["noise.delay"].unique()) == [0, 1, 2, 3]
+    assert (table["world.execution.dead_joint"] % 1 == 0).all()
+    assert (table["world.contact.friction"] % 1 != 0).all()
+    assert table["point_id"].is_unique  # each has noise of its own
+
+
 @pytest.mark.parametrize(
     ("axes", "design", "message"),
     [
@@ -165,6 +178,7 @@ def test_one_axis_at_a_time_leaves_the_others_nominal(table_of):
         ({"f": drawn("contact.friction", "normal", mean=0, std=1)}, {"num": 64}, "contact.friction = -"),
         ({"f": {"path": "contact.friction", "relative": "size"}}, {}, "an axis without a path"),
         ({"f": {"values": [1]}}, {}, "f.path is missing"),
+        ({"f": listed("contact.friction", 8, "9")}, {}, "[8, '9'] is not allowed: all numbers, or all names"),
         ({"p": {"path": "noise.delay", "relative": 0.1}}, {"num": 1}, "noise.delay is 0 nominally"),
         ({"f": listed("contact.friction", 1, times="robot.bdy_mass")}, {}, "did you mean body_mass?"),
         ({"f": listed("contact.friction", 1, **{"with": "g"})}, {}, "both need listed values"),

@@ -7,6 +7,7 @@ import mujoco
 import yaml
 
 from sweep.cli.exits import DONE
+from sweep.core.arguments import Arguments, no_flag
 from sweep.core.errors import InputError
 from sweep.study.config import compose
 from sweep.systems import exported
@@ -33,7 +34,8 @@ begin, policy, figures, PARAMETERS, FIGURES = controller(exp.case, exp.settings,
 
 def main(args: list[str]) -> int:
     """Run the command with the arguments after `export-model`; the exit status. Raises `InputError`."""
-    parser = argparse.ArgumentParser(
+    parser = Arguments(
+        others=no_flag,
         prog="sweep export-model",
         usage="sweep export-model scenario=NAME [group.name=value ...] out=DIR",
         description=__doc__,

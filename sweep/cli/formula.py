@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from sweep.cli.exits import DONE
+from sweep.core.arguments import Arguments
 from sweep.core.files import write_whole
 from sweep.core.parameters import InputError
 from sweep.formulas import FORMULAS, Formula, Input, NoSolution, covering, find
@@ -25,8 +26,8 @@ def main(argv: list[str]) -> int:
     return DONE
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+def _parser() -> Arguments:
+    parser = Arguments(
         prog="sweep formula",
         description="Closed-form results of the sources. Without a name: the list of them.",
         epilog="Elements of a vector are set together (r_s=0.1,0,0.05) or one by one (r_s.0=0.1).",

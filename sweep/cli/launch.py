@@ -3,22 +3,31 @@
 import os
 import sys
 from collections.abc import Callable
+from typing import NoReturn
 
 import hydra
+from hydra._internal.utils import get_args_parser
 from hydra.errors import HydraException
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
 from sweep.cli.exits import BAD_INPUT, DONE, FAULT
+from sweep.core.arguments import flags, refused
 from sweep.core.errors import Fault, InputError
 from sweep.study import config
 from sweep.study.config import Experiment
 
+ONE_OF = ("run", "multirun", "cfg", "info", "shell_completion")  # of what Hydra does
 
-def launch(overrides: list[str], work: Callable[[Experiment], int]) -> int:
-    """Do the `work` with what `overrides` compose; its exit code, the largest one of a Hydra multirun."""
+
+def launch(overrides: list[str], work: Callable[[Experiment], int], own: list[str]) -> int:
+    """Do the `work` with what `overrides` compose; its exit code, the largest one of a Hydra multirun.
+
+    Raises `InputError`, of a flag that is unknown with the closest of Hydra's and of our `own`.
+    """
     if not any(one.startswith(("-", "hydra", "+hydra", "~hydra")) for one in overrides):
         return work(config.compose(overrides))  # Hydra's application would compose it twice
+    check_flags(overrides, own)
     config.register()
     codes = [DONE]
 
@@ -50,3 +59,16 @@ def launch(overrides: list[str], work: Callable[[Experiment], int]) -> int:
     finally:
         sys.argv = before
     return max(codes)
+
+
+def check_flags(overrides: list[str], own: list[str]) -> None:
+    """Raise `InputError` where Hydra would print its usage."""
+    parser = get_args_parser()
+
+    def error(message: str) -> NoReturn:
+        raise refused(message, "sweep run", [*flags(parser), *own])
+
+    parser.error = error
+    given = parser.parse_args(overrides)
+    if len(both := [flag for flag in ONE_OF if getattr(given, flag)]) > 1:
+        raise InputError(f"--{both[0]} and --{both[1].replace('_', '-')} are not allowed together")

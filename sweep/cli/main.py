@@ -16,6 +16,7 @@ from sweep.cli import project
 from sweep.cli.choices import refuse_unknown
 from sweep.cli.exits import BAD_INPUT, DONE, FAULT, INTERRUPTED, UNEXPECTED
 from sweep.core import terminal
+from sweep.core.arguments import Arguments, flags
 from sweep.core.errors import Fault, InputError
 from sweep.core.files import reason, write_whole
 from sweep.core.groups import GROUPS
@@ -86,9 +87,9 @@ def main(argv: list[str] | None = None) -> int:
         return BAD_INPUT if error.errno in UNFIT else FAULT  # such as a full disk
 
 
-def parser() -> argparse.ArgumentParser:
+def parser() -> Arguments:
     """Commands and their arguments."""
-    top = argparse.ArgumentParser(prog="sweep", description="Batch experiments with six-legged robots.")
+    top = Arguments(prog="sweep", description="Batch experiments with six-legged robots.")
     top.add_argument("--version", action="version", version=f"sweep {VERSION}")
     commands = top.add_subparsers(required=True, metavar="command")
 
@@ -109,7 +110,7 @@ def parser() -> argparse.ArgumentParser:
 
     command("run", lambda _: DONE, "simulate a scenario, or every point of a study; see `sweep run --help`")
     new = command("init", project.init, "make a project: a folder for studies, robots and modules of your own")
-    new.add_argument("dir", type=Path, help="a new or empty folder")
+    new.add_argument("dir", help="a new or empty folder")
     new.add_argument("--model", action="store_true", help="for a model and a controller of your own, docs/own_model.md")
     choices = command("list", project.show, "scenarios, studies, robots and the other groups; or folders of results")
     choices.add_argument("dir", type=Path, nargs="*", help="folders of studies, such as results/: a line for each")
@@ -248,8 +249,11 @@ def run(argv: list[str]) -> int:
     from sweep.cli.launch import launch  # takes a second to import
     from sweep.engines import devices
 
-    if given.points:
-        overrides.append(f"study.points='{given.points}'")
+    if given.points is not None:
+        if not Path(given.points).is_file():
+            raise InputError(f"--points = {given.points} is not a file")
+        quoted = given.points.replace("\\", "\\\\").replace("'", "\\'")
+        overrides.append(f"study.points='{quoted}'")
 
     several = any(one.startswith(("-m", "--m")) for one in overrides)  # Hydra's --multirun: one process, one choice
 
@@ -264,13 +268,14 @@ def run(argv: list[str]) -> int:
 
         return execute(exp, Flags(given.dry_run, given.check, given.limit, given.where))
 
-    return launch(overrides, work)
+    return launch(overrides, work, flags(run_parser()))
 
 
-def run_parser() -> argparse.ArgumentParser:
+def run_parser() -> Arguments:
     """Our own flags of `sweep run`, and its help."""
-    own = argparse.ArgumentParser(
+    own = Arguments(
         prog="sweep run",
+        others=lambda _: True,  # Hydra's
         allow_abbrev=False,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         usage="sweep run [group=choice ...] [group.name=value ...] [flags]",
@@ -278,6 +283,7 @@ def run_parser() -> argparse.ArgumentParser:
         "results/STUDY.",
         epilog=RUN_HELP,
     )
+    own.add_argument("--version", action="version", version=f"sweep {VERSION}")
     own.add_argument("--dry-run", action="store_true", help="only say how many rollouts, in which batches")
     own.add_argument("--check", action="store_true", help="only try whether each axis acts; 4 if one does not")
     own.add_argument("--limit", type=int, metavar="N", help="only the first N points of the study")
@@ -286,13 +292,10 @@ def run_parser() -> argparse.ArgumentParser:
     return own
 
 
-def flags_of(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> dict[str, list[str]]:
+def flags_of(commands: "argparse._SubParsersAction[Arguments]") -> dict[str, list[str]]:
     """The commands and their flags."""
     parsers = {**commands.choices, "run": run_parser()}
-    return {
-        name: [flag for action in sub._actions for flag in action.option_strings if flag.startswith("--")]
-        for name, sub in parsers.items()
-    }
+    return {name: [flag for flag in flags(sub) if flag.startswith("--")] for name, sub in parsers.items()}
 
 
 def show_speed(args: argparse.Namespace) -> int:

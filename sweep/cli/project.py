@@ -19,7 +19,9 @@ HIDDEN = {"gitignore": ".gitignore"}  # files that a package cannot hold under t
 
 def init(given: argparse.Namespace) -> int:
     """Make a project in a folder, without touching what is there. Raises `InputError`."""
-    folder: Path = given.dir
+    if not str(given.dir).strip():
+        raise InputError(f"dir = {str(given.dir)!r} is not allowed: a new or empty folder")
+    folder = Path(given.dir)
     source, study = ("template_model", "grip") if given.model else ("template", "first")
     wanted = [(file, folder / Path(*path)) for file, path in template(files("sweep.cli") / source)]
     there = [str(path) for _, path in wanted if path.exists()]

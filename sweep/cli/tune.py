@@ -16,6 +16,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from sweep.analysis.stats import rate
 from sweep.cli.exits import DONE, UNEXPECTED
+from sweep.core.arguments import Arguments, no_flag
 from sweep.core.errors import InputError
 from sweep.core.files import write_whole
 from sweep.engines import devices
@@ -173,10 +174,10 @@ def simulated(overrides: list[str], file: Path, settings: list[str], seed: int) 
     return f"simulated draws of seed {seed} that succeed: {before} before, {after} after"
 
 
-def parser() -> argparse.ArgumentParser:
+def parser() -> Arguments:
     """The command's own flags."""
-    made = argparse.ArgumentParser(
-        prog="sweep tune", allow_abbrev=False, formatter_class=argparse.RawDescriptionHelpFormatter,
+    made = Arguments(
+        prog="sweep tune", others=no_flag, allow_abbrev=False, formatter_class=argparse.RawDescriptionHelpFormatter,
         usage="sweep tune [group=choice ...] [group.name=value ...] out=FILE.yaml [flags]", epilog=EPILOG,
         description="Search the numbers of a plan, until its margins are as they should be in all draws of a study.",
     )  # fmt: skip

@@ -11,6 +11,7 @@ import pandas as pd
 
 from sweep.cli.exits import DONE
 from sweep.core import provenance
+from sweep.core.arguments import Arguments
 from sweep.core.errors import InputError
 from sweep.core.waiting import waiting
 from sweep.engines.base import Trace
@@ -45,9 +46,9 @@ def main(args: list[str]) -> int:
     return DONE
 
 
-def parser() -> argparse.ArgumentParser:
+def parser() -> Arguments:
     """The arguments."""
-    made = argparse.ArgumentParser(
+    made = Arguments(
         prog="sweep view",
         description="Watch a rollout: simulate it and open its page, which plays it.",
         epilog="examples:\n  sweep view scenario=pole_climb contact.friction=0.5\n  sweep view results/walk_map 42\n"

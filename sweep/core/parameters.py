@@ -16,6 +16,7 @@ from sweep.core.errors import InputError, known
 
 LARGEST = 10**18  # of whole numbers, which 64 bits hold
 TICKS = "ticks"  # unit of delays: whole control ticks
+WHOLE = (TICKS, "index")  # units of numbers that are whole, and rounded where they are drawn
 # of figures, by the ends of their names
 UNITS = {"m": "m", "s": "s", "deg": "deg", "rad": "rad", "n": "N", "nm": "N*m", "j": "J", "mps": "m/s", "kg": "kg"}
 
@@ -114,9 +115,9 @@ def _checked_number(field: "dataclasses.Field[Any]", value: Any, path: str) -> f
         )
     if not within(field, value):
         raise InputError(f"{path} = {value:g} is not allowed: {bounds_text(field)}")
-    ticks = field.metadata["unit"] == TICKS  # only what is drawn is rounded: seconds would be no delay at all
-    if (whole or ticks) and int(value) != value:
-        raise InputError(f"{path} = {value!r} is not allowed: a whole number{' of control ticks' * ticks}")
+    unit = field.metadata["unit"]  # only what is drawn is rounded: seconds would be no delay at all
+    if (whole or unit in WHOLE) and int(value) != value:
+        raise InputError(f"{path} = {value!r} is not allowed: a whole number{' of control ticks' * (unit == TICKS)}")
     return int(value) if whole else float(value)
 
 

@@ -45,15 +45,20 @@ def run(results: Results, number: int, ways: list[str], progress: runner.Progres
     folder.mkdir(exist_ok=True)
     for name in ways or known:
         try:
-            _again(exp, known[name], points, folder / name, progress)
+            again, table = _again(exp, known[name], points, folder / name)
         except InputError as error:
             if ways:
                 raise
             if say:
                 say(f"audit: {name} is left out: {error}")
+            continue
+        with store.locked(again.folder):
+            runner.mend(again, again.folder)
+            runner.run(runner.lay_out(again, again.folder, table), progress)
 
 
-def _again(exp: Experiment, way: Way, points: pd.DataFrame, folder: Path, progress: runner.Progress) -> None:
+def _again(exp: Experiment, way: Way, points: pd.DataFrame, folder: Path) -> tuple[Experiment, pd.DataFrame]:
+    """The study in another way, and its points. Raises `InputError` where they cannot be simulated in it."""
     settings = replace(way.change(exp.settings), width=0)  # so few rollouts have a width of their own
     changed = {}
     for path, change in way.columns.items():
@@ -64,9 +69,7 @@ def _again(exp: Experiment, way: Way, points: pd.DataFrame, folder: Path, progre
     again = experiment({**exp.values, "study": study, "engine": asdict(settings), "out": str(folder)})
     table = points.assign(**changed)
     again.system.check(table, settings)
-    with store.locked(folder):
-        runner.mend(again, folder)
-        runner.run(runner.lay_out(again, folder, table), progress)
+    return again, table
 
 
 def one_engine(results: Results) -> Experiment:

@@ -146,7 +146,9 @@ def primary(overrides: list[str]) -> str:
 
 
 def check_choices(overrides: list[str]) -> None:
-    """Raises `InputError` where a group's choice is no name, which Hydra has no words for."""
+    """Raises `InputError` where a key or a group's choice is no name, which Hydra has no words for."""
+    if nameless := [text for text in overrides if text.lstrip("+~").startswith(("=", "@"))]:
+        raise InputError(f"{nameless[0]} cannot be read: group=choice or group.name=value")
     chosen = [text for text in overrides if text.partition("=")[0].lstrip("+") in GROUPS]
     for one in OverridesParser.create().parse_overrides(chosen):
         if one.is_sweep_override() or isinstance(one.value(), dict):
@@ -230,11 +232,19 @@ def one_line(error: Exception, overrides: list[str]) -> str:
     if isinstance(error, OverrideParseException):
         reason = "put quotes around its value" if "=" in str(error.override) else "group=choice or group.name=value"
         return f"{error.override} cannot be read: {reason}"
+    if found := re.match(r"Ambiguous value for argument '(.*)'", str(error)):
+        return f"{found[1]} cannot be read: key=[VALUE,VALUE] is a list, and --multirun runs each"
     cause = error.__cause__ or error.__context__ if isinstance(error, ConfigCompositionException) else error
     if isinstance(cause, ConfigKeyError | AttributeError) and isinstance(cause, OmegaConfBaseException):
         key, given = str(cause.full_key), _given(str(cause.full_key), overrides)
         allowed = [str(k) for k in cause.parent_node or () if k != "hydra"]  # pyright: ignore[reportGeneralTypeIssues]
-        return f"{key}{given} is unknown{suggest(str(cause.key), allowed)}"
+        every = {
+            **{group: [cls] for group, cls in CLASSES.items()},
+            **{g: kinds.values() for g, kinds in KINDS.items()},
+        }
+        within = [] if "." in key else [f"{g}.{key}" for g, own in every.items() if any(key in _names(c) for c in own)]
+        hint = f": did you mean {' or '.join(within)}?" if within else suggest(str(cause.key), allowed)
+        return f"{key}{given} is unknown{hint}"
     if isinstance(cause, KeyValidationError):
         return f"{cause.full_key} is not allowed: a name that is no number"
     if isinstance(cause, InterpolationResolutionError):
@@ -249,6 +259,8 @@ def _wrong_type(error: OmegaConfBaseException, overrides: list[str]) -> str:
     cls, key = error.object_type, str(error.full_key)
     if f"~{key}" in overrides:
         return f"~{key} is not allowed: a parameter has a value"
+    if below := next((o for o in overrides if o.lstrip("+~").startswith(f"{key}.")), None):
+        return f"{below} is not allowed: {key} has no parts"
     for member in dataclasses.fields(cls) if dataclasses.is_dataclass(cls) else ():
         if member.name == str(error.key) and isinstance(error, ValidationError):
             try:

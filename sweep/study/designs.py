@@ -242,6 +242,8 @@ def _values(key: str, given: Mapping[str, Any]) -> tuple[Any, ...] | None:
         return None
     if given.get("distribution") is not None:
         raise InputError(f"{key} has a range and a distribution: one of them")
+    if lacking := [name for name, end in zip(("from", "to", "num"), ends, strict=True) if end is None]:
+        raise InputError(f"{key}.{lacking[0]} is missing: a range has from, to and num")
     low, high = (number(f"{key}.{name}", end) for name, end in zip(("from", "to"), ends[:2], strict=True))
     if not isinstance(ends[2], int | float) or not 1 <= ends[2] <= MOST or ends[2] != int(ends[2]):
         raise InputError(f"{key}.num = {ends[2]!r} is not allowed: a whole number from 1 to {MOST}")

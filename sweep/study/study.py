@@ -16,7 +16,7 @@ import numpy as np
 
 from sweep.core.errors import InputError, known
 from sweep.core.expressions import mask
-from sweep.core.parameters import TICKS, checked, count, within
+from sweep.core.parameters import WHOLE, checked, count, within
 from sweep.engines.settings import EngineSettings
 from sweep.study import designs, searches
 from sweep.study.columns import LABELS, PLAN, TIMING
@@ -234,10 +234,12 @@ def points(
         design = designs.table(study.axes, study.design, study.seed, told, grid, round_)
     draw = design.pop("draw") if not study.points else 0
     fields = {c: system.parameter(c, settings) for c in design.columns if not c.startswith("axis.")}
-    drawn = {axis.target for axis in study.axes if axis.distribution and not study.points}
-    listed = design.columns.difference([*drawn]) if grid is None else ()  # not those between listed ones
+    drawn = [str(axis.target) for axis in study.axes if axis.distribution and axis.path and not study.points]
+    listed = design.columns.difference(drawn) if grid is None else ()  # not those between listed ones
     for column, member in fields.items():
         _check(member, design[column], column, exact=column in listed)
+    whole = [column for column in drawn if fields[column].metadata.get("unit") in WHOLE]
+    design[whole] = np.rint(design[whole])  # rows say what is simulated
     # copied, as pandas is slow with hundreds of columns that were made one by one
     design = design.astype({column: DTYPES[member.metadata["role"]] for column, member in fields.items()}).copy()
     system.check(design, settings)
@@ -264,7 +266,7 @@ def _check(member: Parameter, values: "pd.Series", column: str, exact: bool = Fa
     import pandas as pd
 
     if values.dtype.kind == "f" and member.metadata["role"] == "quantity":
-        between = (values % 1 != 0) & (exact and member.metadata["unit"] == TICKS)
+        between = (values % 1 != 0) & (exact and member.metadata["unit"] in WHOLE)
         values = values[~(np.isfinite(values) & within(member, values)) | between].head(1)
     if values.dtype.kind in "OUT" and member.metadata["role"] != "choice":  # of a file: one word makes a column words
         no_number = values[pd.to_numeric(values, errors="coerce").isna()]

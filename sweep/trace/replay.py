@@ -10,6 +10,7 @@ import pandas as pd
 from matplotlib.backend_bases import FigureCanvasBase
 from tabulate import tabulate
 
+from sweep.core.arguments import Arguments
 from sweep.core.letters import save
 from sweep.core.parameters import InputError
 from sweep.core.waiting import counting, waiting
@@ -120,8 +121,8 @@ def _shown(value: Any) -> str:
     return value if isinstance(value, str) else f"{value:.9g}"
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="sweep replay", description="Simulate one stored rollout again and show it.")
+def _parser() -> Arguments:
+    parser = Arguments(prog="sweep replay", description="Simulate one stored rollout again and show it.")
     parser.add_argument("folder", metavar="DIR", type=Path, help="result folder of a study")
     parser.add_argument("point", metavar="POINT", help="row number, or the beginning of a point_id")
     parser.add_argument("--mcap", metavar="FILE", type=Path, help="write a trace for Foxglove, and a layout beside it")

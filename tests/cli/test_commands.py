@@ -131,6 +131,41 @@ def test_what_is_wrong_is_told_before_what_is_slow_is_imported(argument, unneede
     assert not set(unneeded) & set(imported)
 
 
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "the following arguments are required: command (`sweep --help` tells more)"),
+        (["lits"], "command = lits is unknown: did you mean list? (allowed: audit, bench,"),
+        (["table"], "the following arguments are required: dir (`sweep table --help` tells more)"),
+        (["table", "results", "--whre", "x"], "--whre is unknown: did you mean --where? (allowed: --columns,"),
+        (["table", "results", "--format", "md"], "--format = md is unknown (allowed: csv, latex, markdown, parquet)"),
+        (["stats", "results", "--level", "x"], "--level = x is not allowed: a number"),
+        (["run", "--limit", "x"], "--limit = x is not allowed: a whole number"),
+        (
+            ["run", "study=walk_map", "--dryrun"],
+            "--dryrun is unknown: did you mean --dry-run? (allowed: --cfg, --check",
+        ),
+        (["run", "--cfg", "jb"], "--cfg/-c = jb is unknown: did you mean job? (allowed: all, hydra, job)"),
+        (["run", "--multirun", "--cfg", "job"], "--multirun and --cfg are not allowed together"),
+        (["tune", "--populaton", "3"], "--populaton is unknown: did you mean --population?"),
+        (["replay", "results", "3", "--plot", "torque"], "--plot = torque is unknown: did you mean torques?"),
+        (["formula", "--jsn"], "--jsn is unknown: did you mean --json?"),
+    ],
+)
+def test_mistaken_flags_are_one_line_without_the_usage(arguments, message, capsys):
+    assert main(arguments) == 2
+    told = capsys.readouterr()
+    assert told.err.startswith(f"sweep: {message}")
+    assert told.err.count("\n") == 1
+    assert not told.out
+
+
+def test_points_from_a_file_with_a_quote_in_its_name(tmp_path, capsys):
+    (tmp_path / "it's mine.csv").write_text("world.contact.friction\n1.0\n0.2\n")
+    assert main(["run", "--points", "it's mine.csv", "out=here"]) == 0
+    assert "1 of 2 succeed" in capsys.readouterr().out
+
+
 def test_hydra_keeps_its_own_flags(capsys):
     assert main(["run", "--cfg", "job", "contact.friction=0.5"]) == 0
     assert "friction: 0.5" in capsys.readouterr().out
@@ -239,6 +274,16 @@ def test_mistakes_with_results_are_one_line_each(capsys, tmp_path):
         ),
         (["run", "manoeuvre.steps=0"], "manoeuvre.steps = 0 is not allowed: at least 1"),
         (["run", "contact.friction=inf"], "contact.friction = inf is not allowed: a finite number"),
+        (["run", "@=3"], "@=3 cannot be read"),
+        (["run", "friction=0.3"], "friction = 0.3 is unknown: did you mean contact.friction?"),
+        (["run", "contact.friction.x=3"], "contact.friction.x=3 is not allowed: contact.friction has no parts"),
+        (
+            ["run", "robot=base,circular"],
+            "robot=base,circular cannot be read: key=[VALUE,VALUE] is a list, and --multi",
+        ),
+        (["run", "--points", ""], "--points =  is not a file"),
+        (["run", "execution.dead_joint=1.5"], "execution.dead_joint = 1.5 is not allowed: a whole number"),
+        (["init", " "], "dir = ' ' is not allowed: a new or empty folder"),
         (["run", "--points", "file.csv"], "world.contact.friction = 'abc' is not allowed: a number"),
     ]
     (tmp_path / "file.yaml").write_text("height: 3\n")

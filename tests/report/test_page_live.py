@@ -639,6 +639,18 @@ def test_the_keyboard_does_what_the_mouse_does(shown):
     assert names
 
 
+def test_lines_of_rollouts_keep_off_the_names_at_the_ends_of_an_axis(browser, tmp_path):
+    browser.open(page.write(results.read(Path(__file__).parents[1] / "data/ci_smoke"), tmp_path / "engines.html"))
+    browser.until("performance.getEntriesByName('map').length")
+    drawn = list(ElementTree.fromstring(drawing(browser, "Every rollout")).iter())
+    upper, lower = (next(float(one.attrib["y"]) for one in drawn if one.text == name) for name in ("native", "mjx"))
+    lines = [re.findall(r"[-\d.]+", one.attrib["d"])[1::2] for one in drawn if one.attrib.get("d", "").count("L") > 2]
+    heights = np.array([height for line in lines for height in line], dtype=float)
+    assert len(heights) > 36
+    assert upper < heights.min()
+    assert heights.max() < lower
+
+
 def test_axes_of_lines_are_arranged(shown):
     def first():
         shown.run("document.querySelector('#lines-over').focus()")

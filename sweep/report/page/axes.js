@@ -120,14 +120,17 @@ export function alongOf({ low, high, diverges }, way) {
 }
 
 /**
- * Round values along such an axis.
+ * Round values, or names, along such an axis.
  * @param {Column} column
  * @param {Way | undefined} way
  * @param {number} room
  * @returns {number[]}
  */
 export function ticksAlong({ names, low, high, diverges }, way, room) {
-  if (names) return [];
+  if (names) {
+    const every = Math.ceil(names.length / (3 * room)); // words lie flat
+    return names.map((_, k) => k).filter((k) => k > low && k < high && k % every === 0);
+  }
   if (way === "log") {
     const [first, last] = [Math.ceil(Math.log10(low)), Math.floor(Math.log10(high))];
     const every = Math.max(1, Math.ceil((last - first + 1) / room));

@@ -14,6 +14,7 @@ const MOST = 10; // axes side by side
 const NARROW = 84; // pixels that an axis needs for its title
 const AT_ONCE = 16; // ms of drawing before the page may answer
 const BATCH = 150; // lines between two looks at the clock
+const ABREAST = 0.2; // of the step from name to name, on which lines lie side by side; at the ends within the axis
 const FRAME = { left: 46, right: 46, top: 52, bottom: 30 };
 
 /**
@@ -32,8 +33,10 @@ export function parallelView(app) {
   const ways = new Map();
   const partOf = (/** @type {Column} */ column) => {
     const { to } = alongOf(column, ways.get(column));
-    const { values, names } = column;
-    return Float32Array.from(values, (value, row) => to(value + (names ? lotOf(row) / 5000 - 0.1 : 0)));
+    const { values, names, low, high } = column;
+    if (!names || !(high > low)) return Float32Array.from(values, to);
+    const scale = 1 - ABREAST / (high - low);
+    return Float32Array.from(values, (value, row) => to(low + scale * (value - low) + (ABREAST * lotOf(row)) / 1000));
   };
   /** @type {Float32Array[]} shares of each axis by row */
   let parts = every.map(partOf);
@@ -113,8 +116,8 @@ export function parallelView(app) {
           const share = to(value);
           if (share <= 0.08 || share >= 0.92) continue;
           const y = top + (1 - share) * height;
-          pen.strokeText(shortly(value), places[axis] + aside, y, room / 2);
-          pen.fillText(shortly(value), places[axis] + aside, y, room / 2);
+          pen.strokeText(worded(value), places[axis] + aside, y, room / 2);
+          pen.fillText(worded(value), places[axis] + aside, y, room / 2);
         }
       });
     };
