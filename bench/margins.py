@@ -58,9 +58,9 @@ def first(rows: pd.DataFrame) -> int:
     return int(np.argmax(bad)) if bad.any() else len(bad)
 
 
-def falls(rows: pd.DataFrame) -> np.ndarray:
-    """How far the margin falls in each step of a line (n - 1,); what is below -1 has failed as much as it can."""
-    return -np.diff(rows["margin"].clip(lower=-1.0))
+def falls(rows: pd.DataFrame, least: float = -1.0) -> np.ndarray:
+    """How far the margin falls in each step of a line (n - 1,); what is below `least` is as low as it can be."""
+    return -np.diff(rows["margin"].clip(lower=least))
 
 
 def close(rows: pd.DataFrame) -> list[int]:
@@ -106,9 +106,9 @@ def told(rows: pd.DataFrame, columns: list[str]) -> dict[str, Any]:
         "cause": str(last["cause"]),
         "limit": str(last["limit"]),
         "fall": round(float(falls(rows).max()), 3),
+        "fall_to_nought": round(float(falls(rows, least=0.0).max()), 3),
         "margin_of": str(last["margin_of"]),
         "before_of": str(before["margin_of"].iloc[-1]),
-        "before": round(float(before["margin"].iloc[-1]), 3),
         "steps": len(before),
         "leads": {c: value for c, value in leads.items() if abs(value) >= LEADS},
     }
@@ -116,14 +116,16 @@ def told(rows: pd.DataFrame, columns: list[str]) -> dict[str, Any]:
 
 def tables(scenarios: shared.Scenarios) -> dict[str, list[list[str]]]:
     """In how many lines what leads, and what the cliffs are of where there are more than a few."""
-    heads = ["scenario", "lengths off by, %", "fail", "no cliff", "near nought before"]
-    leading, falling = [[*heads, *COLUMNS.values()]], [["scenario", "cliffs", "cause", "nearest limit before"]]
+    heads = ["scenario", "lengths off by, %", "fail", "no cliff", "none above nought"]
+    leading = [[*heads, *COLUMNS.values()]]
+    falling = [["scenario", "cliffs", "above nought", "cause", "nearest limit before"]]
     for name, one in scenarios.items():
         if one["nominal_outcome"] != "success":  # no line begins
             continue
         failing, steep = one["lines"], [line for line in one["lines"] if line["fall"] > CLIFF]
-        near = sum(line["before"] <= CLIFF for line in failing)
-        cells = [f"`{name}`", f"{100 * one['lengths']:g}", str(len(failing)), str(len(failing) - len(steep)), str(near)]
+        high = sum(line["fall_to_nought"] > CLIFF for line in failing)
+        counts = [len(failing), len(failing) - len(steep), len(failing) - high]
+        cells = [f"`{name}`", f"{100 * one['lengths']:g}", *map(str, counts)]
         for column in COLUMNS:
             sign = 1 if column in GROWS else -1
             count = sum(sign * line["leads"].get(column, 0.0) >= LEADS for line in failing)
@@ -133,7 +135,7 @@ def tables(scenarios: shared.Scenarios) -> dict[str, list[list[str]]]:
             causes = Counter(f"`{line['cause']}`" for line in steep)
             nearest = Counter(f"`{line['before_of']}`" for line in steep)
             words = (", ".join(f"{key} {n}" for key, n in each.most_common()) for each in (causes, nearest))
-            falling.append([f"`{name}`", str(len(steep)), *words])
+            falling.append([f"`{name}`", str(len(steep)), str(high), *words])
     return {"leading": leading, "cliffs": falling}
 
 

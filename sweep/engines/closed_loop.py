@@ -26,9 +26,11 @@ from sweep.models.drive import Servo, position_mode
 from sweep.models.legs import JOINT_Q, JOINT_V, N_JOINTS, N_LEGS
 from sweep.models.noise import Noise
 from sweep.models.obstacles import surface
-from sweep.models.obstacles.surface import FreeState, Obstacle, free_start, poses, under
+from sweep.models.obstacles.surface import Bodies, FreeState, Obstacle, Surface, free_start, poses, under
 
 CHUNK = 1.0  # s of simulated time between two looks of the host, and from plan to plan of who plans again
+CLEAR = 0.1  # m, by which a foot inside is lifted to tell what it stands on: more than errors of sizes put it there
+FLAT = 1e-3  # cosine to the vertical, below which a face is a wall
 LONGEST = 600.0  # s; a rollout that takes longer is cut off unfinished: absurd parameters must not hold up a batch
 
 
@@ -74,10 +76,10 @@ def start_state(world: Case, belief: Case, plan: Plan, free: FreeState | None = 
     joints, _ = joint_targets(belief.robot, plan.start)
     start = displaced(world.execution, plan.start)
     feet = feet_in_world(world.robot, start.position, start.quat, joints)
-    ground = under(world.obstacle, feet, poses(free))
+    ground = _beneath(world.obstacle, feet, rotate(start.quat, jnp.array([0.0, 0.0, 1.0])), poses(free))
     along = jnp.array([0.0, 0.0, 1.0]) if world.obstacle.free_bodies else ground.normal[jnp.argmax(ground.depth)]
     slant = ground.normal @ along
-    below = jnp.where(slant > 1e-3, ground.depth / jnp.maximum(slant, 1e-3), -jnp.inf)  # no wall stops a foot's descent
+    below = jnp.where(slant > FLAT, ground.depth / jnp.maximum(slant, FLAT), -jnp.inf)  # no wall stops a foot's descent
     position = start.position + jnp.max(below) * along
     velocity, moving = jnp.zeros_like(position), jnp.zeros_like(feet)
     for k in range(free.position.shape[0]):
@@ -93,6 +95,17 @@ def start_state(world: Case, belief: Case, plan: Plan, free: FreeState | None = 
     turn = rotate(conjugate(free.quat), free.turn)  # a free joint turns about the body's own axes
     qvel = [velocity, jnp.zeros(3), rates.reshape(N_JOINTS), jnp.concatenate([free.velocity, turn], axis=1).ravel()]
     return Start(jnp.concatenate(qpos), jnp.concatenate(qvel))
+
+
+def _beneath(obstacle: Obstacle, feet: Float[Array, "6 3"], up: Float[Array, " 3"], bodies: Bodies) -> Surface:
+    """The surface under feet that may be inside; within an edge they came from above, however near the wall is."""
+    at, above = under(obstacle, feet, bodies), under(obstacle, feet + CLEAR * up, bodies)
+    rise = above.normal @ up
+    inside = (at.depth > 0) & (at.normal @ up < FLAT) & (rise > FLAT)
+    return at._replace(
+        depth=jnp.where(inside, above.depth + CLEAR * rise, at.depth),
+        normal=jnp.where(inside[:, None], above.normal, at.normal),
+    )
 
 
 def displaced(execution: Execution, start: Stance) -> Stance:

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from validity.simulation import simulate
 
+from sweep.controllers.posture import feet_in_world
+from sweep.controllers.tracker import joint_targets
 from sweep.core.constants import GRAVITY
 from sweep.engines.closed_loop import start_state
 from sweep.study.config import compose
@@ -63,3 +65,14 @@ def test_sliding_feet_drag_with_the_limit(history):
     loaded = normal > 1
     assert loaded.mean() > 0.4
     np.testing.assert_allclose(tangential[loaded], FRICTION * normal[loaded], rtol=1e-3)
+
+
+@pytest.mark.parametrize("share", [1.0, 1.03, 1.05])
+def test_a_robot_larger_than_believed_is_lifted_on_to_its_beam(share):
+    """Its feet are put up to 30 mm deep in the beam, 4 mm from its sides, which do not push it away."""
+    case = compose(["scenario=beam_walk"]).case
+    robot, plan = dataclasses.replace(case.robot, thigh=share * case.robot.thigh), case.manoeuvre.plan(case)
+    start = start_state(dataclasses.replace(case, robot=robot), case, plan).qpos
+    feet = np.asarray(feet_in_world(robot, start[:3], start[3:7], joint_targets(case.robot, plan.start)[0]))
+    np.testing.assert_allclose(start[:2], plan.start.position[:2], atol=1e-6)
+    np.testing.assert_allclose(feet[[0, 1, 4, 5], 2], case.obstacle.height, atol=1e-6)
