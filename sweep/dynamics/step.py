@@ -1,7 +1,7 @@
 """One physics step: clamped drives (1.2.1) and contact (1.2.2), implicit, on the smooth dynamics.
 
 The end velocity w solves M0 w = b0 + h (contact forces + clamped drive torques), both at w. Every Newton iteration
-decides anew which feet are loaded, which slip and which drives saturate; of three step lengths the one with the least
+decides anew which feet are loaded, which slip and which drives saturate; of four step lengths the one with the least
 residual is taken, which is what carries it across those switches.
 
 All is in the axes of the base at the start of the step, by components. Momentum and the velocities of contact points
@@ -41,7 +41,8 @@ from sweep.models.drive import Servo
 from sweep.models.legs import N_LEGS
 from sweep.models.obstacles.surface import Bodies, Surface
 
-STEP_LENGTHS = (1.0, 0.5, 0.2)
+# The last for drives: at a limit a drive's stiffness is not in the slope, and longer steps go on past its other limit.
+STEP_LENGTHS = (1.0, 0.5, 0.2, 0.1)
 
 
 class State(NamedTuple):
@@ -366,12 +367,9 @@ class _Problem(NamedTuple):
         lengths = jnp.asarray(STEP_LENGTHS, trial.motion.leg[0].dtype)[:, None]
         tried = shifted(trial, lengths, way)
         costs = self._cost(self.residual(tried, self.acting(tried)))
-        first, second, third = costs[0], costs[1], costs[2]
-        length = jnp.where(
-            third < jnp.minimum(first, second),
-            STEP_LENGTHS[2],
-            jnp.where(second < first, STEP_LENGTHS[1], STEP_LENGTHS[0]),
-        ).astype(first.dtype)
+        best, length = costs[0], jnp.full_like(costs[0], STEP_LENGTHS[0])
+        for cost, shorter in zip(costs[1:], STEP_LENGTHS[1:], strict=True):
+            best, length = jnp.where(cost < best, cost, best), jnp.where(cost < best, shorter, length)
         return shifted(trial, length, way)
 
     def _cost(self, left: Motion) -> Array:

@@ -171,3 +171,12 @@ def test_it_climbs_a_ball(engine):
     assert rows["outcome"].tolist() == ["success"] * 3, rows["cause"]
     assert 0.3 < rows["obstacle_x_m"].min() <= rows["obstacle_x_m"].max() < 0.45
     assert rows["leg_gap_min_m"].min() > 0
+
+
+def test_a_step_settles_in_which_drives_leave_their_limits():
+    """Of a light robot whose front feet come to the ball: its legs stop from the limit, and no long step ends there."""
+    rows = outcomes(["scenario=ball_climb", "manoeuvre.calm=8"], 3, obstacle={"mass": np.full(3, 467.0)},
+                    robot={"body_mass": np.array([9.9, 10.4, 10.9]), "thigh_mass": np.full(3, 0.42),
+                           "shin_mass": np.full(3, 0.456)})  # fmt: skip
+    assert rows["solver_residual_over_weight"].max() < 0.01, rows["solver_stage"]
+    assert "invalid" not in rows["outcome"].tolist(), rows["cause"]
