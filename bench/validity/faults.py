@@ -104,7 +104,7 @@ def _patches() -> Iterator[Any]:
     right = {
         name: getattr(owner, name)
         for owner, name in (
-            (simulation, "step"), (step, "contact_forces"), (step, "update_anchors"), (contacts.Contacts, "onto"),
+            (simulation, "step"), (step, "contact_forces"), (contacts, "update_anchors"), (contacts.Contacts, "onto"),
             (tree, "tree_terms"), (free_bodies, "bias"), (step._Problem, "trial"), (step._Problem, "improve"),
         )
     }  # fmt: skip
@@ -163,7 +163,7 @@ def _patches() -> Iterator[Any]:
         return jax.tree.map(lambda a, b: jnp.where(late, a, b), before, right["improve"](self, before))
 
     wrong = (
-        (simulation, "step", told), (step, "contact_forces", forces), (step, "update_anchors", anchors),
+        (simulation, "step", told), (step, "contact_forces", forces), (contacts, "update_anchors", anchors),
         (contacts.Contacts, "onto", onto), (tree, "tree_terms", terms), (free_bodies, "bias", bias),
         (step._Problem, "trial", trial), (step._Problem, "improve", improve),
     )  # fmt: skip

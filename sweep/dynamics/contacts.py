@@ -16,13 +16,16 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from sweep.core.vectors import Matrix, Vector, along, where
+from sweep.dynamics import free_bodies
+from sweep.dynamics.free_bodies import Frames, FreeBodies
 from sweep.dynamics.spatial import Spatial
+from sweep.models.case import Case
 from sweep.models.contact import Contact
+from sweep.models.legs import N_LEGS
 from sweep.models.obstacles.surface import Bodies, Rolling, Surface
 
 FACE = jnp.int32  # in double precision obstacles may tell wider ones
 CREEP = 1e-4  # rad/s, at which the resisting moment reaches its limit: rest is a creep slower than this
-Frames = Sequence[tuple[Vector, Matrix]]  # (1,) of each free body: place of its origin, and body to world axes
 
 
 class Anchors(NamedTuple):
@@ -251,3 +254,45 @@ def arms(at: Vector, body: Array, owner: Sequence[int], origins: Sequence[Vector
     """Arms of free bodies to points `at` that `owner` carries and that stand on `body`; their origins, base axes."""
     shares = [jnp.equal(np.array(owner), k) - (body == k).astype(at.x.dtype) for k in range(len(origins))]
     return tuple(Arm(k + 1, share, at - origin) for k, (share, origin) in enumerate(zip(shares, origins, strict=True)))
+
+
+class Touch(NamedTuple):
+    """The feet, or the sites of free bodies, at the start of a step. World axes, but for `contacts`, in base axes."""
+
+    contacts: Contacts
+    surface: Surface
+    point: Vector  # m
+    place: Vector  # m, the anchors
+
+    def after(
+        self, law: Contact, forces: Forces, velocity: Vector, turned: Matrix, frames: Frames, h: float
+    ) -> Anchors:
+        """The anchors after the step; forces and velocities in base axes, from which `turned` leads to the world's."""
+        world = forces._replace(tangential=turned @ forces.tangential)
+        return update_anchors(law, self.surface, self.point, frames, self.place, world, turned @ velocity, h)
+
+
+def touched(
+    case: Case, anchors: Sequence[Anchors], base: Vector, turned: Matrix, feet: Vector, free: FreeBodies
+) -> list[Touch]:
+    """Those of the feet (m, base axes), and of the sites of free bodies where there are some.
+
+    The base is at `base` (m), `turned` from its axes to the world's.
+    """
+    to_base, at = turned.transposed, [feet, *free_bodies.sites(case, free)]
+    points = [base + turned @ each for each in at]
+    owner, bodies = free_bodies.owners(case), free_bodies.as_bodies(free, feet.x.dtype)
+    surface = case.obstacle.surface(jnp.concatenate([each.array() for each in points]), owner, bodies)
+    touches = []
+    for k, (held, span) in enumerate(zip(anchors, (slice(N_LEGS), slice(N_LEGS, None)), strict=False)):
+        own, place, point = jax.tree.map(lambda x, span=span: x[span], surface), at[k], points[k]
+        own = own if k else own._replace(rolling=None)  # feet do not
+        if own.rolling is not None:
+            offset = -own.rolling.radius * Vector.of(own.normal)
+            point, place = point + offset, place + to_base @ offset
+        geometry, anchor = contact_geometry(case.contact, own, held, point, free.frames)
+        carried = arms(place, own.body, owner[span], free.origins)
+        if k == 0:
+            carried = (Arm(0, None, place), *carried)
+        touches.append(Touch(Contacts(geometry.turned(to_base), carried, own.rolling), own, point, anchor))
+    return touches

@@ -1,16 +1,18 @@
 """The obstacle's free bodies: rigid, each with its frame at its mass centre, along its principal axes."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
 
 from sweep.core.constants import GRAVITY
 from sweep.core.vectors import Matrix, Vector
-from sweep.dynamics.contacts import Frames
 from sweep.dynamics.spatial import Inertia, Motion, Pose, Spatial
 from sweep.models.case import Case
 from sweep.models.legs import N_LEGS
 from sweep.models.obstacles.surface import Bodies, FreeState, free_start
+
+Frames = Sequence[tuple[Vector, Matrix]]  # (1,) of each body: place of its origin, and its own axes to the world's
 
 
 class FreeBodies(NamedTuple):

@@ -21,17 +21,14 @@ from sweep.core.vectors import Matrix, Vector, total
 from sweep.dynamics import free_bodies, newton
 from sweep.dynamics.contacts import (
     Anchors,
-    Arm,
     Contacts,
     Forces,
     Moments,
-    arms,
     contact_forces,
-    contact_geometry,
     contact_slope,
     nowhere,
     resisting_moments,
-    update_anchors,
+    touched,
 )
 from sweep.dynamics.free_bodies import FreeBodies
 from sweep.dynamics.interface import SmoothDynamics, Topology, Tree
@@ -39,7 +36,7 @@ from sweep.dynamics.spatial import Mass, Motion, Pose, Rates, Spatial, by_joint,
 from sweep.models.case import Case
 from sweep.models.drive import Servo
 from sweep.models.legs import N_LEGS
-from sweep.models.obstacles.surface import Bodies, Surface
+from sweep.models.obstacles.surface import Bodies
 
 # The last for drives: at a limit a drive's stiffness is not in the slope, and longer steps go on past its other limit.
 STEP_LENGTHS = (1.0, 0.5, 0.2, 0.1)
@@ -121,7 +118,7 @@ def step(
     here = _here(smooth_dynamics, case, state)
     mass, turned, v = here.mass, here.turned, here.motion
     momentum, outside = mass.times(v), _outside(case, limits, state, here)
-    touches = _touches(case, state, here)
+    touches = touched(case, state.anchors, here.pose.root[0].position, turned, here.robot.joints[-1], here.free)
     error = each(sub, by_joint(servo.target), state.pose.angle)
     problem = _Problem(
         case,
@@ -151,7 +148,7 @@ def step(
         before=_before(here, normal, 0.5 * momentum.dot(v)),
     )
     anchors = tuple(
-        touch.after(case, forces, velocity, here, h)
+        touch.after(case.contact, forces, velocity, turned, here.free.frames, h)
         for touch, forces, velocity in zip(touches, acting.forces, trial.velocity, strict=True)
     )
     return MovingState(*_integrate(state.pose, w, world, here, h), anchors), report
@@ -241,45 +238,6 @@ def _integrate(pose: Pose, w: Motion, world: tuple[Spatial, ...], here: _Here, h
     ]
     angle = each(lambda a, rate: a + h * rate, pose.angle, w.leg)
     return Pose(tuple(places), angle), Motion(tuple(root), w.leg)
-
-
-class _Touch(NamedTuple):
-    """Contacts at the start of a step. World axes, but for `contacts`, in base axes."""
-
-    contacts: Contacts
-    surface: Surface
-    point: Vector  # m
-    place: Vector  # m, the anchors
-
-    def after(self, case: Case, forces: Forces, velocity: Vector, here: _Here, h: float) -> Anchors:
-        """The anchors after the step; forces and velocities in base axes."""
-        world = forces._replace(tangential=here.turned @ forces.tangential)
-        return update_anchors(
-            case.contact, self.surface, self.point, here.free.frames, self.place, world, here.turned @ velocity, h
-        )
-
-
-def _touches(case: Case, state: MovingState, here: _Here) -> list[_Touch]:
-    """The feet, and the sites of free bodies where there are some."""
-    base, turned, to_base = here.pose.root[0].position, here.turned, here.turned.transposed
-    at = [here.robot.joints[-1], *free_bodies.sites(case, here.free)]
-    points = [base + turned @ each for each in at]
-    owner, dtype = free_bodies.owners(case), at[0].x.dtype
-    bodies = free_bodies.as_bodies(here.free, dtype)
-    surface = case.obstacle.surface(jnp.concatenate([each.array() for each in points]), owner, bodies)
-    touches = []
-    for k, (anchors, span) in enumerate(zip(state.anchors, (slice(N_LEGS), slice(N_LEGS, None)), strict=False)):
-        own, place, point = jax.tree.map(lambda x, span=span: x[span], surface), at[k], points[k]
-        own = own if k else own._replace(rolling=None)  # feet do not
-        if own.rolling is not None:
-            offset = -own.rolling.radius * Vector.of(own.normal)
-            point, place = point + offset, place + to_base @ offset
-        geometry, anchor = contact_geometry(case.contact, own, anchors, point, here.free.frames)
-        carried = arms(place, own.body, owner[span], here.free.origins)
-        if k == 0:
-            carried = (Arm(0, None, place), *carried)
-        touches.append(_Touch(Contacts(geometry.turned(to_base), carried, own.rolling), own, point, anchor))
-    return touches
 
 
 class _Trial(NamedTuple):
