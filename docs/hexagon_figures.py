@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from sweep.controllers.manoeuvres.walking.waypoints import CIRCLE, TRIPODS, WAYPOINTS, Waypoints
 from sweep.controllers.plan import Plan, reference
-from sweep.controllers.tracker import joint_targets
+from sweep.controllers.posture import joint_targets
 from sweep.core.letters import DPI, legend_below, lettering, sheet
 from sweep.engines import make
 from sweep.formulas.leg import SIDE

@@ -15,7 +15,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from sweep.controllers.manoeuvres.walking.walk import standing
-from sweep.controllers.tracker import joint_targets
+from sweep.controllers.posture import joint_targets
 from sweep.models.case import Case
 from sweep.models.contact import Contact
 from sweep.models.obstacles.surface import Bodies, FreeState, Rolling, Surface

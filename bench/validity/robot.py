@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 
 from sweep.controllers.frames import Stance
 from sweep.controllers.manoeuvres.walking.walk import standing
-from sweep.controllers.tracker import joint_targets
+from sweep.controllers.posture import joint_targets
 from sweep.core.constants import GRAVITY
 from sweep.engines.native import native_model, native_spec
 from sweep.models import scene

@@ -6,8 +6,7 @@ from jaxtyping import Array, Float
 
 from sweep.controllers.frames import Stance
 from sweep.controllers.observation import Observation
-from sweep.controllers.posture import feet_in_world, mass_centre
-from sweep.controllers.tracker import joint_targets
+from sweep.controllers.posture import feet_in_world, joint_targets, mass_centre
 from sweep.core.constants import GRAVITY
 from sweep.core.rotations import exponential, rotate
 from sweep.formulas.ball import ROLLING

@@ -16,8 +16,7 @@ from jaxtyping import Array, Bool, Float, Int
 from sweep.controllers.frames import Stance, ground, stance_to_world
 from sweep.controllers.layers import Feedforward
 from sweep.controllers.plan import Plan, Stage, begins, reference
-from sweep.controllers.posture import foot_positions, mass_centre
-from sweep.controllers.tracker import joint_targets
+from sweep.controllers.posture import foot_positions, joint_targets, mass_centre
 from sweep.core.constants import GRAVITY
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.core.rotations import rotate
@@ -300,7 +299,8 @@ def moment(belief: Case, plan: Plan, stage: Int[Array, ""], u: Float[Array, ""])
     free, frames = free_start(belief.obstacle), (plan.foot_frame[stage], plan.base_frame[stage])
     feet, position = begins(plan, stage, free)
     stance = stance_to_world(reference(plan, stage, u, feet, position), *frames, free)
-    return pose(belief.robot, stance, surface_normals(belief, feet, plan.foot_frame[stage]), ~plan.swing[stage])
+    normal = ground(belief.obstacle, feet, plan.foot_frame[stage]).normal
+    return pose(belief.robot, stance, normal, ~plan.swing[stage])
 
 
 def along(belief: Case, plan: Plan, bounds: Bounds, least: Effort) -> Course:
@@ -324,11 +324,6 @@ def along(belief: Case, plan: Plan, bounds: Bounds, least: Effort) -> Course:
     share = phases[:, None, None]
     force = jnp.where(rests[:, None, None, None], (1 - share) * before + share * after, force)
     return Course(force, jax.vmap(jax.vmap(joint_torque))(poses, force), planned)
-
-
-def surface_normals(belief: Case, feet: Float[Array, "6 3"], frame: Int[Array, " 6"]) -> Float[Array, "6 3"]:
-    """Outward normals (world axes) of the believed obstacle, its bodies as they start, at footholds in some frames."""
-    return ground(belief.obstacle, feet, frame).normal
 
 
 @parameters
@@ -367,7 +362,7 @@ class PlannedForces:
     def with_feedforward(self, belief: Case, plan: Plan) -> Plan:
         """`plan` with its `course` as offsets of what the believed drives are told (`Feedforward`)."""
         course = self.course(belief, plan)
-        inward = -jax.vmap(lambda *feet: surface_normals(belief, *feet))(plan.foothold, plan.foot_frame)
+        inward = -jax.vmap(lambda *feet: ground(belief.obstacle, *feet).normal)(plan.foothold, plan.foot_frame)
         offset = course.torque / belief.drive.stiffness
         told = (jnp.asarray(x, float) for x in (self.creep, self.anchoring))
         return plan.with_layer(Feedforward(offset, jnp.max(course.planned.imbalance, axis=-1), inward, *told))

@@ -13,8 +13,9 @@ from sweep.controllers.frames import Stance, stance_to_world
 from sweep.controllers.layers import Feedforward, HeldLegs
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import Plan
+from sweep.controllers.posture import joint_targets
 from sweep.controllers.touch import Touched
-from sweep.controllers.tracker import TrackerState, joint_targets
+from sweep.controllers.tracker import TrackerState
 from sweep.core.rotations import exponential, multiply
 from sweep.models.case import Case
 from sweep.models.frames import fixed

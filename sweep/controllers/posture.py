@@ -1,11 +1,12 @@
-"""Standing postures that manoeuvres start from."""
+"""Kinematics of the whole robot: feet, legs and mass centre by joint angles, and joint angles by a stance."""
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from sweep.core.rotations import exponential, rotate
-from sweep.formulas.leg import SIDE, fk
+from sweep.controllers.frames import Stance
+from sweep.core.rotations import conjugate, exponential, rotate
+from sweep.formulas.leg import SIDE, fk, ik
 from sweep.models.robot import Robot, mount_yaw, mounts
 
 
@@ -43,6 +44,21 @@ def feet_in_world(
 ) -> Float[Array, "6 3"]:
     """Feet (m, world axes) of a base at `position` (m) and `quat` with joint angles (rad)."""
     return position + rotate(quat[None], foot_positions(robot, angles))
+
+
+def joint_targets(robot: Robot, stance: Stance) -> tuple[Float[Array, "6 3"], Float[Array, " 6"]]:
+    """Joint angles (rad) of the believed robot in a stance, and how far each foot is out of reach (m)."""
+    feet = in_hips(robot, stance)
+    return ik(SIDE, feet, robot.coxa, robot.thigh, robot.shin, robot.knees == "mirror")
+
+
+def in_hips(robot: Robot, stance: Stance) -> Float[Array, "6 3"]:
+    """Feet (m) of a stance in the axes of their hips, whose y is to the left, or turned with the mounts."""
+    to_base = jnp.broadcast_to(conjugate(stance.quat), (6, 4))
+    foot = rotate(to_base, stance.feet - stance.position) - mounts(robot)
+    yaw = np.zeros((6, 3))
+    yaw[:, 2] = -mount_yaw(robot)
+    return rotate(exponential(jnp.asarray(yaw, foot.dtype)), foot)
 
 
 def mass_centre(robot: Robot, angles: Float[Array, "6 3"]) -> Float[Array, " 3"]:

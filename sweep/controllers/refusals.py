@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.controllers.frames import Stance
-from sweep.controllers.tracker import joint_targets
+from sweep.controllers.posture import joint_targets
 from sweep.core.errors import InputError
 from sweep.fused.numbers import worked_out
 from sweep.models.case import Case

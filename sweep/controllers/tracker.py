@@ -13,12 +13,11 @@ from sweep.controllers.frames import Stance, attitude_to_world, stance_to_frame,
 from sweep.controllers.layers import Command, Feedforward, Now
 from sweep.controllers.observation import Observation, Observer, followed
 from sweep.controllers.plan import GRIP, KEEP, REGRIP, REZERO, Plan, reference
-from sweep.controllers.posture import feet_in_world
+from sweep.controllers.posture import feet_in_world, joint_targets
 from sweep.core.rotations import conjugate, exponential, heading, logarithm, multiply, nearest, rotate
-from sweep.formulas import leg
+from sweep.formulas.leg import SIDE
 from sweep.models.case import Case, Riding
 from sweep.models.obstacles.surface import FreeState, free_start, poses, under
-from sweep.models.robot import Robot, mount_yaw, mounts
 
 LEFT = np.array([0.0, 1.0, 0.0], np.float32)  # of the base
 
@@ -47,21 +46,6 @@ class Guidance(NamedTuple):
     stance: Stance
     goal: Float[Array, "6 3"]  # m, footholds at the end of the stage
     memory: Any
-
-
-def joint_targets(robot: Robot, stance: Stance) -> tuple[Float[Array, "6 3"], Float[Array, " 6"]]:
-    """Joint angles (rad) of the believed robot in a stance, and how far each foot is out of reach (m)."""
-    feet = in_hips(robot, stance)
-    return leg.ik(leg.SIDE, feet, robot.coxa, robot.thigh, robot.shin, robot.knees == "mirror")
-
-
-def in_hips(robot: Robot, stance: Stance) -> Float[Array, "6 3"]:
-    """Feet (m) of a stance in the axes of their hips, whose y is to the left, or turned with the mounts."""
-    to_base = jnp.broadcast_to(conjugate(stance.quat), (6, 4))
-    foot = rotate(to_base, stance.feet - stance.position) - mounts(robot)
-    yaw = np.zeros((6, 3))
-    yaw[:, 2] = -mount_yaw(robot)
-    return rotate(exponential(jnp.asarray(yaw, foot.dtype)), foot)
 
 
 @runtime_checkable
@@ -307,7 +291,7 @@ def _gripped(
     commanded: pressed from where it hangs, it would stay in the air.
     """
     measured, normal, on_body = _measured(belief, seen)
-    inward = -leg.SIDE[:, None] * rotate(seen.quat, jnp.asarray(LEFT))
+    inward = -SIDE[:, None] * rotate(seen.quat, jnp.asarray(LEFT))
     regripped = _regripped(belief, commanded, seen)
     deep = jnp.where(seen.loaded[:, None], measured - press[0] * normal, regripped)
     return jnp.where(on_body[:, None], deep + press[1] * inward, regripped)

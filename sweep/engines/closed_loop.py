@@ -13,8 +13,8 @@ from sweep.controllers.layers import Command
 from sweep.controllers.learned import Learned, at_first, felt, informed, newest, replanned
 from sweep.controllers.observation import Observation, Sensors, install, observe, threshold
 from sweep.controllers.plan import Plan
-from sweep.controllers.posture import feet_in_world
-from sweep.controllers.tracker import TrackerState, joint_targets
+from sweep.controllers.posture import feet_in_world, joint_targets
+from sweep.controllers.tracker import TrackerState
 from sweep.core.rotations import about_vertical, conjugate, multiply, rotate
 from sweep.metrics import stream
 from sweep.metrics.metric import GRACE, REST, Tick

@@ -14,8 +14,7 @@ from sweep.controllers.frames import Stance
 from sweep.controllers.learned import Learned, informed
 from sweep.controllers.observation import biases, free_biases
 from sweep.controllers.plan import Plan
-from sweep.controllers.posture import feet_in_world
-from sweep.controllers.tracker import joint_targets
+from sweep.controllers.posture import feet_in_world, joint_targets
 from sweep.core.errors import InputError
 from sweep.core.rotations import exponential, multiply
 from sweep.engines import planning

@@ -10,8 +10,7 @@ from sweep.controllers import forces
 from sweep.controllers.frames import Stance, stance_to_world, to_world
 from sweep.controllers.layers import HeldLegs
 from sweep.controllers.plan import Plan, begins, reference
-from sweep.controllers.posture import feet_in_world, leg_points, mass_centre
-from sweep.controllers.tracker import in_hips, joint_targets
+from sweep.controllers.posture import feet_in_world, in_hips, joint_targets, leg_points, mass_centre
 from sweep.core.rotations import matrix, rotate, wrapped
 from sweep.formulas import leg, stepping
 from sweep.metrics.geometry import (

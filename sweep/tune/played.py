@@ -16,9 +16,9 @@ from sweep.controllers.ball_state import UP
 from sweep.controllers.frames import Stance, to_frame, to_world
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import MEASURED, Plan
-from sweep.controllers.posture import mass_centre
+from sweep.controllers.posture import joint_targets, mass_centre
 from sweep.controllers.programme import Programme
-from sweep.controllers.tracker import TrackerState, joint_targets
+from sweep.controllers.tracker import TrackerState
 from sweep.core.constants import GRAVITY
 from sweep.core.rotations import exponential, multiply, rotate, wrapped
 from sweep.formulas.ball import ROLLING

@@ -9,7 +9,7 @@ from sweep.controllers import flywheel, tracker
 from sweep.controllers.flywheel import Flywheel
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import BALANCE, LEVELLING, LOCKED
-from sweep.controllers.posture import foot_positions, mass_centre
+from sweep.controllers.posture import foot_positions, joint_targets, mass_centre
 from sweep.core.rotations import rotate
 from sweep.models.obstacles.surface import no_bodies
 from sweep.study.config import compose
@@ -42,7 +42,7 @@ def followed(plan):
             state, command = tracker.step(CASE, plan, state, seen, PERIOD)
             return (state, command.target, command.joints), (state.stage, command)
 
-        first = (tracker.init(CASE, plan), plan.start, tracker.joint_targets(CASE.robot, plan.start)[0])
+        first = (tracker.init(CASE, plan), plan.start, joint_targets(CASE.robot, plan.start)[0])
         return jax.lax.scan(tick, first, None, length=ticks)[1]
 
     stage, command = run(plan)

@@ -10,7 +10,7 @@ from scipy.optimize import linprog
 from sweep.controllers.forces import Bounds, StaticPose, distribute, joint_torque, pose
 from sweep.controllers.frames import Stance
 from sweep.controllers.manoeuvres.walking.walk import Stand
-from sweep.controllers.tracker import joint_targets
+from sweep.controllers.posture import joint_targets
 from sweep.formulas import corner
 from sweep.formulas.leg import SIDE
 from sweep.metrics.outcome import Thresholds

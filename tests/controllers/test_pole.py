@@ -10,8 +10,7 @@ from playing import played, varied
 
 from sweep.controllers.frames import Stance
 from sweep.controllers.plan import Plan, along_arc, moved, pace_progress, reference
-from sweep.controllers.posture import leg_unit
-from sweep.controllers.tracker import joint_targets
+from sweep.controllers.posture import joint_targets, leg_unit
 from sweep.core.rotations import exponential, matrix, rotate
 from sweep.formulas.leg import SIDE
 from sweep.formulas.stepping import LANDING

@@ -8,8 +8,7 @@ from playing import played, varied
 
 from sweep.controllers.frames import Stance
 from sweep.controllers.plan import Plan, reference
-from sweep.controllers.posture import mass_centre
-from sweep.controllers.tracker import joint_targets
+from sweep.controllers.posture import joint_targets, mass_centre
 from sweep.core.rotations import matrix, rotate
 from sweep.metrics.geometry import support_margin
 from sweep.models.case import Case

@@ -13,8 +13,8 @@ from sweep.controllers.frames import Stance
 from sweep.controllers.manoeuvres.balancing.ball import on_ball, perch
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import GRIP, KEPT, MEASURED, RESTS, STAYS, TO_POSE, TO_VELOCITY, TOGETHER, Stage, Support
+from sweep.controllers.posture import joint_targets
 from sweep.controllers.programme import Programme, meant
-from sweep.controllers.tracker import joint_targets
 from sweep.core.rotations import exponential, logarithm
 from sweep.models.frames import fixed, koenig
 from sweep.models.obstacles.surface import FreeState, free_start

@@ -15,8 +15,9 @@ from sweep.controllers.layers import HeldLegs
 from sweep.controllers.learned import Learned, felt, replanned
 from sweep.controllers.observation import Observation, Observer, threshold
 from sweep.controllers.plan import begins, reference
+from sweep.controllers.posture import joint_targets
 from sweep.controllers.touch import Touched
-from sweep.controllers.tracker import init, joint_targets
+from sweep.controllers.tracker import init
 from sweep.core.errors import InputError
 from sweep.core.rotations import exponential, multiply
 from sweep.engines import make

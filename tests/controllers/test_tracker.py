@@ -11,6 +11,7 @@ from sweep.controllers import tracker
 from sweep.controllers.frames import Stance
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import REGRIP
+from sweep.controllers.posture import joint_targets
 from sweep.core.rotations import exponential, logarithm, rotate
 from sweep.models.obstacles.surface import no_bodies
 from sweep.study.config import compose
@@ -115,7 +116,7 @@ def test_regripped_feet_stand_where_they_are(plan):
     def second_stage():
         position, quat = plan.start.position + ahead, plan.start.quat
         feet = plan.start.feet + ahead
-        angles, _ = tracker.joint_targets(CASE.robot, Stance(feet, position, quat))
+        angles, _ = joint_targets(CASE.robot, Stance(feet, position, quat))
         still, joints = jnp.zeros(3), jnp.zeros((6, 3))
         seen = Observation(position, quat, still, still, angles, joints, joints, jnp.zeros(6, bool), no_bodies())
         late = tracker.init(CASE, plan)._replace(clock=plan.duration[0] + plan.patience)

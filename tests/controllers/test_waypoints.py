@@ -10,7 +10,7 @@ import pytest
 from sweep.controllers.frames import Stance
 from sweep.controllers.manoeuvres.walking.waypoints import CIRCLE, TRIPODS, WAYPOINTS
 from sweep.controllers.plan import Plan, reference
-from sweep.controllers.tracker import joint_targets
+from sweep.controllers.posture import joint_targets
 from sweep.core.errors import InputError
 from sweep.engines.batching import nominal_plan
 from sweep.models.case import Case

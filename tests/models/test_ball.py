@@ -10,7 +10,7 @@ import pytest
 from validity.simulation import simulate
 
 from sweep.controllers.frames import Stance
-from sweep.controllers.tracker import joint_targets
+from sweep.controllers.posture import joint_targets
 from sweep.core.constants import GRAVITY
 from sweep.dynamics.free_bodies import resting
 from sweep.engines.native import native_model

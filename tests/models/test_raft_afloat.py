@@ -13,8 +13,7 @@ from validity.simulation import simulate
 from sweep.controllers.assembly import assemble
 from sweep.controllers.manoeuvres.walking.walk import Stand, standing
 from sweep.controllers.plan import Plan, Stage
-from sweep.controllers.posture import mass_centre
-from sweep.controllers.tracker import joint_targets
+from sweep.controllers.posture import joint_targets, mass_centre
 from sweep.core.constants import GRAVITY
 from sweep.core.parameters import parameters, quantity
 from sweep.core.rotations import exponential, matrix

@@ -12,7 +12,7 @@ from dense import Dense, dense
 from mujoco import mjx
 
 from sweep.controllers.frames import Stance
-from sweep.controllers.tracker import joint_targets
+from sweep.controllers.posture import joint_targets
 from sweep.core.rotations import rotate
 from sweep.dynamics import interface as dynamics
 from sweep.dynamics import mjx as mjx_dynamics

@@ -12,7 +12,7 @@ from validity.simulation import simulate
 
 from sweep.controllers.frames import Stance
 from sweep.controllers.manoeuvres.walking.walk import standing
-from sweep.controllers.tracker import joint_targets
+from sweep.controllers.posture import joint_targets
 from sweep.core.rotations import exponential
 from sweep.models import scene
 from sweep.study.config import compose

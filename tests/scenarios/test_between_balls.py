@@ -15,8 +15,8 @@ from sweep.controllers.manoeuvres.balancing.ball import BallDrive
 from sweep.controllers.manoeuvres.balancing.ball_to_ball import BallDocking, Closing
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import MEASURED, ends
+from sweep.controllers.posture import in_hips
 from sweep.controllers.programme import Programme
-from sweep.controllers.tracker import in_hips
 from sweep.core.errors import InputError
 from sweep.engines import make
 from sweep.metrics.outcome import classify

@@ -18,7 +18,7 @@ from sweep.controllers.gaits import TRIPOD, Step, centre_offsets, regular_steps
 from sweep.controllers.manoeuvres.climbing.walking import TOWARDS
 from sweep.controllers.manoeuvres.goals import ARRIVED, UPRIGHT
 from sweep.controllers.plan import BALANCE, CYCLE_B, LEVELLING, LOCKED, SMOOTH, STAND, Plan, Stage
-from sweep.controllers.tracker import joint_targets
+from sweep.controllers.posture import joint_targets
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.formulas import stepping
 from sweep.formulas.leg import SIDE

@@ -16,7 +16,7 @@ from sweep.controllers.assembly import assemble
 from sweep.controllers.ball_state import centre_of_mass
 from sweep.controllers.frames import Stance
 from sweep.controllers.plan import Stage, ends
-from sweep.controllers.tracker import in_hips
+from sweep.controllers.posture import in_hips
 from sweep.core.rotations import rotate
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
