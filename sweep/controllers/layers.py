@@ -78,7 +78,7 @@ class Layer:
         return own, target
 
     def commanded(self, now: Now, own: Any, command: Command) -> tuple[Any, Command]:
-        """Its state and what is asked for."""
+        """Its state and the command, where the tracker asks for `command`."""
         return own, command
 
     def driven(self, now: Now, joints: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
@@ -171,7 +171,7 @@ class Feedforward(Layer):
         return feet + jnp.where(plan.swing[stage][:, None], self.creep * late * self.inward[stage], 0.0)
 
     def driven(self, now: Now, joints: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
-        """With the planned offset."""
+        """Targets with the offset that the planned forces take."""
         return joints + between(self.offset, now.stage, now.phase)
 
 

@@ -9,14 +9,12 @@ from jaxtyping import Array, Float, Int
 
 from sweep.controllers import touch
 from sweep.controllers.calibration import Calibrated
-from sweep.controllers.frames import Stance, stance_to_world
 from sweep.controllers.layers import Feedforward, HeldLegs
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import Plan
+from sweep.controllers.plan import Plan, ends
 from sweep.controllers.posture import joint_targets
 from sweep.controllers.touch import Touched
 from sweep.controllers.tracker import TrackerState
-from sweep.core.rotations import exponential, multiply
 from sweep.models.case import Case
 from sweep.models.frames import fixed
 from sweep.models.obstacles.surface import Obstacle, free_start, landmarks
@@ -117,12 +115,7 @@ def _shifted(plan: Plan, by: Float[Array, "k 3"]) -> Plan:
 
 def _shortfall(belief: Case, plan: Plan) -> Float[Array, " s"]:
     """How far the worst foot is out of reach (m) at the end of each stage, free bodies being where they start."""
-    free = free_start(belief.obstacle)
-    stances = Stance(plan.foothold, plan.position, multiply(exponential(plan.turn), plan.quat))
-
-    def short(stance: Stance, feet: Array, base: Array) -> Array:
-        return joint_targets(belief.robot, stance_to_world(stance, feet, base, free))[1]
-
-    out = jax.vmap(short)(stances, plan.foot_frame, plan.base_frame)
+    last = ends(plan, free_start(belief.obstacle))
+    out = jax.vmap(lambda stance: joint_targets(belief.robot, stance)[1])(last)
     legs = plan.layer(HeldLegs)
     return jnp.max(out if legs is None else jnp.where(legs.held, 0.0, out), axis=1)

@@ -135,7 +135,7 @@ class Terms:
 
     @property
     def left(self) -> Float[np.ndarray, " 3"]:
-        """To where the robot's left is."""
+        """Unit vector (world axes) to the left of the robot."""
         x, y = self.belief.obstacle.forward
         return np.array([-y, x, 0.0])
 

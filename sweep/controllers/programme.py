@@ -31,13 +31,13 @@ class Programme(Layer):
     afloat: bool = field(metadata={"static": True})
 
     def begun(self, start: Stance, joints: Float[Array, "6 3"], free: FreeState) -> FreeState:
-        """As they start."""
+        """The state: bodies as they start."""
         return free
 
     def borne(
         self, plan: Plan, own: FreeState, stage: Int[Array, ""], clock: Float[Array, ""], free: FreeState
     ) -> FreeState:
-        """As the stage means them to be."""
+        """Bodies as the stage means them to be."""
         here, duration = jax.tree.map(lambda x: x[stage], self.support), plan.duration[stage]
         if not self.afloat:
             return meant(here, own, free, clock, duration)

@@ -176,13 +176,13 @@ def felt(
 
 
 def _variance(control: Control, noise: Noise, obstacle: Obstacle) -> Array | float:
-    """Of a touched place off the surface (m^2)."""
+    """Variance of how far a touched place is measured off the surface (m^2)."""
     own = control.touch_error**2 + noise.position_noise**2 + noise.position_bias**2
     return own + noise.body_position_noise**2 + noise.body_position_bias**2 if obstacle.free_bodies else own
 
 
 def _at_rest(obstacle: Obstacle) -> Bodies:
-    """Its free bodies as they start."""
+    """Poses of its free bodies as they start."""
     return poses(free_start(obstacle))
 
 

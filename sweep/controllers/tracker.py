@@ -71,7 +71,7 @@ class Eventful(Protocol):
 
 
 def init(belief: Case, plan: Plan) -> TrackerState:
-    """At the plan's start, standing as it wants."""
+    """The state before the first tick, the robot standing where the plan starts."""
     zero = jnp.zeros((), plan.duration.dtype)
     manoeuvre = belief.manoeuvre
     free = free_start(belief.obstacle)

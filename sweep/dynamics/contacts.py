@@ -64,7 +64,7 @@ class Forces(NamedTuple):
 
 
 def nowhere(n: int, dtype: jnp.dtype) -> Anchors:
-    """Of points that have not touched anything."""
+    """Anchors of n points that have not touched anything."""
     return Anchors(Vector.of(jnp.zeros((n, 3), dtype)), jnp.zeros(n, bool), jnp.zeros(n, FACE))
 
 

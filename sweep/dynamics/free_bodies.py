@@ -24,7 +24,7 @@ class FreeBodies(NamedTuple):
 
 
 def kinematics(pose: Pose, to_base: Matrix) -> FreeBodies:
-    """Of the free bodies of a pose."""
+    """Where the free bodies of a pose are, `to_base` leading from world to base axes."""
     base, *free = pose.root
     frames = [(place.position, place.rotation()) for place in free]
     origins = [to_base @ (position - base.position) for position, _ in frames]

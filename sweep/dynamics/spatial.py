@@ -19,7 +19,7 @@ Rates = tuple[Array, Array, Array]  # (l,) of alpha, beta, gamma
 
 
 def by_joint(values: Float[Array, "l 3"]) -> Rates:
-    """Of each joint of the legs."""
+    """A table of the legs' joints (l, 3) by columns."""
     return values[:, 0], values[:, 1], values[:, 2]
 
 
@@ -91,7 +91,7 @@ class Motion(NamedTuple):
 
 
 class Inertia(NamedTuple):
-    """Of a body, about its origin."""
+    """How a body resists: mass, first moment and moments of inertia, about its origin."""
 
     mass: Array  # (1,) kg
     moment: Vector | None  # (1,) kg m, mass times mass centre; None where that is the origin

@@ -51,7 +51,7 @@ class State(NamedTuple):
 
 
 class MovingState(NamedTuple):
-    """The same by components."""
+    """A `State` by the components of its bodies and joints."""
 
     pose: Pose
     motion: Motion  # in the bodies' own axes

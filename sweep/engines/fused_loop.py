@@ -91,7 +91,7 @@ def eager_or(by_xla: Callable[[], Compiled], function: Callable[..., Any], *give
 
 
 def ready(program: Eager | Compiled, width: int) -> Callable[..., Any]:
-    """The same for a batch of `width`."""
+    """`program` of one rollout, or of a batch, as a function of a batch of `width`."""
     return functools.partial(*(program, width) if isinstance(program, Eager) else (devices.run, program))
 
 

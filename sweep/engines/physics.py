@@ -68,7 +68,7 @@ class Totals(NamedTuple):
     outside: Array
 
     def plus(self, report: Report) -> "Totals":
-        """With one more step."""
+        """These with what one more step reports."""
         return Totals(
             each(lambda peak, u: jnp.maximum(peak, jnp.abs(u)), self.torque_peak, report.torque),
             each(add, self.saturated, report.saturated),

@@ -38,7 +38,7 @@ class Planning(NamedTuple):
 
     @classmethod
     def of(cls, program: Eager | Compiled, searches: dict[str, Code]) -> "Planning":
-        """From what is kept of it."""
+        """From the programs that are kept of it on disk."""
         return cls(program, {name: Kernel(code) for name, code in searches.items()})
 
     def __call__(self, world: Any, belief: Any, keys: Array) -> Any:

@@ -90,7 +90,7 @@ class Formula:
 
     @property
     def name(self) -> str:
-        """That of its function."""
+        """The name of its function, by which commands and studies know it."""
         return self.function.__name__
 
     @property

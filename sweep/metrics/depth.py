@@ -10,7 +10,7 @@ from sweep.models.obstacles.surface import under
 
 
 def deepest(now: Moment) -> Iterator[Float[Array, ""]]:
-    """Of the feet as they are (m)."""
+    """Largest depth of a foot, where it really is, in what is under it (m)."""
     yield jnp.max(under(now.world.obstacle, now.tick.joints[:, -1], now.tick.bodies).depth)
 
 

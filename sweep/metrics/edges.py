@@ -11,7 +11,7 @@ from sweep.models.obstacles.plane import Plane
 
 
 def nearest(now: Moment) -> Iterator[Float[Array, ""]]:
-    """Of feet that carry load (m)."""
+    """Least distance of a foot that carries load to an edge of its face (m)."""
     tick = now.tick
     left = edge_distance(now.world.obstacle, tick.joints[:, -1], tick.bodies)
     yield jnp.min(jnp.where(tick.loaded, left, AROUND))

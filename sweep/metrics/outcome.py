@@ -61,7 +61,7 @@ def thresholds(values: Mapping[str, float | None], case: Case) -> Thresholds:
 
 
 def limit_of(cause: Cause, limits: Thresholds) -> float:
-    """Its threshold; infinite where there is none."""
+    """The threshold of a cause's figure; infinite where there is none."""
     value = getattr(limits, cause.threshold) if cause.threshold else cause.default
     return (-np.inf if cause.below else np.inf) if value is None else value
 

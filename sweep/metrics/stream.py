@@ -60,7 +60,7 @@ def begin(
 
 
 def with_energy(world: Case, running: Running, energy: Array) -> Running:
-    """The same with another energy at the start (J)."""
+    """`running` with another energy at the start (J)."""
     states = zip(metrics.of(world), running.states, strict=True)
     return running._replace(
         states=tuple(s._replace(energy=energy) if metric is solver.METRIC else s for metric, s in states)

@@ -241,7 +241,7 @@ class Box(_Convex):
 
 @dataclass(frozen=True, kw_only=True)
 class Cylinder(_Convex):
-    """Along its own z axis about its position."""
+    """A round solid whose axis is its own z axis, its middle at its position."""
 
     radius: Any
     half: Any  # of its height

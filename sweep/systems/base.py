@@ -87,7 +87,7 @@ class System(Protocol):
 
     @property
     def ways(self) -> Mapping[str, Way]:
-        """In which `sweep audit` simulates again."""
+        """Ways in which `sweep audit` simulates rollouts again, by name."""
         ...
 
     def words(self, settings: EngineSettings) -> Mapping[str, str]:

@@ -67,7 +67,7 @@ def pitched(
     of: "Ladder", unit: Number, one: Number, other: Number, pitch: Number,
     more_ahead: Number = 0.0, more_out: Number = 0.0, more_pitch: Number = 0.0,
 ) -> Number:  # fmt: skip
-    """Of a base (rad, nose up), see `along`."""
+    """Pitch of a base whose place is told by `along` (rad, nose up)."""
     return (pitch + more_pitch * of.excess / unit) * of.lean
 
 
@@ -140,7 +140,7 @@ class Ladder(Usual):
         return point(0.0, self.centre, 0.0)[None]
 
     def _volumes(self) -> tuple[Array | float, Array | float]:
-        """Of rails and of rungs (m^3)."""
+        """Volume of both rails, and of all rungs (m^3)."""
         rails = 2 * self.length * self.rail_breadth * self.rail_depth
         return rails, self.rungs * self.width * self.rung_height * self.rung_depth
 
@@ -204,7 +204,7 @@ class Ladder(Usual):
         }
 
     def start(self) -> FreeState:
-        """At rest, `gap` away from floor and wall."""
+        """The ladder at rest, `gap` away from floor and wall."""
         lean, edge = jnp.asarray(self.lean), self.rail_depth / 2
         sin, cos, zero = jnp.sin(lean), jnp.cos(lean), jnp.zeros_like(lean)
         y = self.gap + (self.length - self.centre) * cos + edge * sin

@@ -27,7 +27,7 @@ def over_ground(
 
 
 def pitched(of: "Plane", unit: Number, ahead: Number, above: Number, pitch: Number = 0.0) -> Array:
-    """Of such a base (rad, nose up)."""
+    """Pitch of a base that is told by these numbers (rad, nose up)."""
     return of.slope + jnp.radians(jnp.asarray(pitch, float))
 
 

@@ -43,7 +43,7 @@ def no_bodies() -> FreeState:
 
 
 def own_axes(count: int) -> Bodies:
-    """Of free bodies in their own axes."""
+    """Poses of free bodies seen from their own axes."""
     return Bodies(jnp.zeros((count, 3)), jnp.asarray(np.tile(np.eye(3), (count, 1, 1))))
 
 

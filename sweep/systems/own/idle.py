@@ -68,7 +68,7 @@ def _geom(model: mujoco.MjModel, geom: int, what: str) -> str:
 
 
 def _other(model: mujoco.MjModel, kind: str, number: int, what: str) -> str:
-    """Of what is no geom, its attribute `what`."""
+    """Why the attribute `what` of something that is no geom counts for nothing; empty where it counts."""
     match kind, what:
         case "body", "pos" if (first := model.body_jntadr[number]) >= 0 and model.jnt_type[first] == FREE:
             return "a free body is where its joint is: in the keyframe"

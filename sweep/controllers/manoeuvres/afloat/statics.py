@@ -2,11 +2,11 @@
 
 from collections.abc import Sequence
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from sweep.controllers.refusals import plain
 from sweep.core.constants import GRAVITY
 from sweep.core.errors import InputError
 from sweep.formulas.raft_statics import raft_equilibrium
@@ -33,7 +33,7 @@ def loaded(belief: Case, offset: Sequence[Array | float], height: Array | float)
 
 def refuse(belief: Case, offset: Sequence[float]) -> None:
     """Raise `InputError` where a raft of plain numbers capsizes or sinks, the robot `offset` (m) from its middle."""
-    if not all(isinstance(x, float) for x in jax.tree.leaves((belief.robot, belief.obstacle, belief.manoeuvre))):
+    if not plain(belief.robot, belief.obstacle, belief.manoeuvre):
         return
     freeboard, draught = map(float, worked_out(lambda: loaded(belief, offset, 0.5 * belief.robot.body_length)))
     if freeboard > 0 and draught > 0:

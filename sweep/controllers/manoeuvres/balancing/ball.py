@@ -311,7 +311,7 @@ class BallDrive(OnBall):
         return stages
 
     def track(self, place: Float[Array, " 3"]) -> Track:
-        """Of a ball at `place` (m): along x."""
+        """Where a ball at `place` (m) is on its way, which is along x."""
         return Track(jnp.array([1.0, 0.0]), place[0], place[1], jnp.zeros_like(place[0]))
 
     def memory(self, belief: Case, plan: Plan) -> DriveMemory:
@@ -369,7 +369,7 @@ class BallDrive(OnBall):
 
 
 def left(memory: DriveMemory) -> Float[Array, " 2"]:
-    """Of the ball's way."""
+    """Unit vector to the left of the ball's way."""
     return jnp.stack([-memory.along[1], memory.along[0]])
 
 

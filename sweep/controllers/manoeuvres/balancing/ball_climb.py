@@ -79,7 +79,7 @@ class BallClimb(BesideBall):
         return Stance(feet, position, jnp.array(IDENTITY)), at
 
     def terms(self, belief: Case, deepening: Array | float, press: tuple[Array | float, Array | float]) -> Terms:
-        """Of moves to the ball and on it."""
+        """What the words of the moves to the ball and on it mean."""
         radius = belief.on(Ball).radius
         speed = self.push_speed * numbers_of(Push, belief, "push").speed
         rolls = Support(TO_VELOCITY, jnp.zeros(3).at[0].set(speed), jnp.zeros(3).at[1].set(speed / radius))

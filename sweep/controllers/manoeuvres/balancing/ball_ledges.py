@@ -55,7 +55,7 @@ class WallDocking(NamedTuple):
 
 @parameters
 class BallLedges(OnBall, InParts):
-    """From ledge to ledge with a ball."""
+    """Get on to the ball from one ledge, roll it to the other wall, get off on the ledge there."""
 
     goal: ClassVar = {
         **UPRIGHT, "docking_gap_max_m": 4e-3, "docking_speed_max_mps": 0.04, "past_centre_max_m": 0.02
@@ -107,7 +107,7 @@ class BallLedges(OnBall, InParts):
         return Stance(feet + aside, position, jnp.asarray(LEVEL)), at
 
     def terms(self, belief: Case) -> Terms:
-        """Of moves between ledges and ball."""
+        """What the words of the moves between ledges and ball mean."""
         press, supports = (self.press, self.squeeze), {"free": (Support(),), "rests": (RESTS,)}
         return terms(belief, belief.robot.body_length, self.deepening, press, supports, (ON, OFF))
 

@@ -98,7 +98,7 @@ class Ride(NamedTuple):
         return jnp.minimum(jnp.maximum(self.gain * jnp.where(enough, root, fastest), self.least), most)
 
     def ends(self, belief: Case, plan: Plan, state: TrackerState, seen: Observation) -> Bool[Array, ""]:
-        """On top, in the last stage."""
+        """The last stage is over where the robot has come to the top."""
         last = _first(plan) + plan.laws.count(RIDE) - 1
         return (state.stage == last) & (state.memory.elevation >= 0.5 * np.pi - 1e-4)
 

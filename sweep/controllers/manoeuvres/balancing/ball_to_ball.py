@@ -117,13 +117,13 @@ FARTHEST = 0.02  # m, that a stage closes
 
 
 def touching(belief: Case) -> Case:
-    """The same with balls that touch."""
+    """`belief` with balls that touch, one right behind the other."""
     return replace(belief, obstacle=replace(belief.on(TwoBalls), gap=0.0, offset=0.0))
 
 
 @parameters
 class BallToBall(OnBall, InParts):
-    """From one ball to another."""
+    """Roll the first ball to the second, go over from one to the other, and calm that or get off it."""
 
     goal: ClassVar = {**UPRIGHT, "second_ball_speed_max_mps": 0.01}
     kind: str = choice("ball_to_ball", "ball_to_ball")

@@ -23,7 +23,7 @@ class BallTurn(BallDrive):
     radius: float = quantity(4.0, "m")  # rho, of the way of the ball's centre
 
     def track(self, place: Float[Array, " 3"]) -> Track:
-        """Of a ball at `place` (m): along x, then along the circle."""
+        """Where a ball at `place` (m) is on its way, which is along x, then along the circle."""
         before = super().track(place)
         x, y = (place[0] - self.straight) / self.radius, 1 - place[1] / self.radius
         angle, out = jnp.arctan2(x, y), jnp.hypot(x, y)

@@ -126,7 +126,7 @@ class BeamWalk:
         return Gains(self.c1, self.c2, self.c3, self.c4, self.c5, self.c6, belief.drive.back_emf)
 
     def mode(self, wanted: int) -> int:
-        """Of the flywheel, unless it is off."""
+        """The mode `wanted` of the flywheel, or that of planned legs where the flywheel is off."""
         return wanted if self.flywheel == "on" else LOCKED
 
     def diagonal(self, site: BeamSite, start: Array | float, way: Array | float) -> list[Stage]:
@@ -210,7 +210,7 @@ class BeamCross(BeamWalk):
         return start, stages
 
     def walking(self, site: BeamSite) -> BeamSite:
-        """With the step of the tripods."""
+        """The site with the step that tripods take."""
         return site._replace(step=site.step._replace(half_length=self.walk_step_ratio * site.robot.body_length))
 
     def tripods(self, site: BeamSite, start: Stance, number: int) -> list[Stage]:

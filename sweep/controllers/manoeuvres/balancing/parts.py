@@ -25,7 +25,7 @@ class InParts(ABC):
     @property
     @abstractmethod
     def parts(self) -> Mapping[str, Guided]:
-        """Its laws, by their names."""
+        """What guides the stages under each law, by the law's name."""
 
     def memory(self, belief: Case, plan: Plan) -> dict[str, Any]:
         """The memories of all parts, by law."""

@@ -123,7 +123,7 @@ def over_edge(site: CornerSite, belief: Case) -> list[Stage]:
 
 
 def on_house(site: CornerSite, belief: Case) -> Terms:
-    """Of moves over the edge."""
+    """What the words of the moves over the edge mean, lengths in `leg_unit`s."""
     return Terms(belief, leg_unit(belief.robot), site.step.time, site.step.height)
 
 
