@@ -68,6 +68,13 @@ def test_a_new_project_has_a_study_that_runs_and_is_never_overwritten(home, caps
     assert "is there already" in capsys.readouterr().err
     assert main(["init", "my lab"]) == 0
     assert "next: cd 'my lab'; " in capsys.readouterr().out
+    (home / "my lab/sweep.yaml").unlink()  # as where the disk was full
+    assert main(["init", "my lab"]) == 0
+    assert (home / "my lab/sweep.yaml").read_text() == (home / "sweep.yaml").read_text()
+    (home / "my lab/sweep.yaml").unlink()
+    (home / "my lab/studies/first.yaml").write_text("# mine")
+    assert main(["init", "my lab"]) == 2
+    assert "my lab/studies/first.yaml is there already" in capsys.readouterr().err
     assert "results/" in (home / ".gitignore").read_text().split()
 
 

@@ -18,6 +18,8 @@ def run(given: argparse.Namespace, by: list[str] | None) -> sequential.Verdict:
     level = CONFIDENCE if given.level is None else given.level
     if not 0.5 <= level < 1:
         raise InputError(f"--level = {level:g} is not allowed: at least 0.5 and below 1")
+    if given.most is not None and given.most < 1:
+        raise InputError(f"--most = {given.most} is not allowed: at least 1")
     if len(given.b) > 1:
         raise InputError("--anytime compares two folders: give A and one B")
     folders, conditions = (given.a, given.b[0]), (given.where_a, given.where_b)

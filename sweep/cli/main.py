@@ -83,7 +83,8 @@ def main(argv: list[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
     except OSError as error:
-        print(f"sweep: {f'{error.filename}: ' if error.filename else ''}{reason(error)}", file=sys.stderr)
+        name = error.filename2 or error.filename  # of a copy the target
+        print(f"sweep: {f'{name}: ' if name else ''}{reason(error)}", file=sys.stderr)
         return BAD_INPUT if error.errno in UNFIT else FAULT  # such as a full disk
 
 
@@ -490,6 +491,8 @@ def export_results(given: argparse.Namespace) -> int:
             raise InputError("--where and --serif are of --paper: a crate has the whole study")
         print(crate.write(results.read(given.dir), given.crate, given.license, given.zip, given.author))
         return DONE
+    if given.zip or given.author or given.license != LICENSE:
+        raise InputError("--zip, --author and --license are of --crate")
     for path in paper.write(results.read(given.dir, given.where), given.paper, given.serif):
         print(path)
     return DONE

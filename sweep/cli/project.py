@@ -12,27 +12,38 @@ from sweep.cli.choices import choices
 from sweep.cli.exits import DONE
 from sweep.core import project, terminal
 from sweep.core.errors import InputError
+from sweep.core.files import write_whole
 from sweep.core.groups import GROUPS
 
 HIDDEN = {"gitignore": ".gitignore"}  # files that a package cannot hold under their name
 
 
 def init(given: argparse.Namespace) -> int:
-    """Make a project in a folder, without touching what is there. Raises `InputError`."""
+    """Make a project in a folder, without touching what is there; what a full disk cut short is finished.
+
+    Raises `InputError`.
+    """
     if not str(given.dir).strip():
         raise InputError(f"dir = {str(given.dir)!r} is not allowed: a new or empty folder")
     folder = Path(given.dir)
     source, study = ("template_model", "grip") if given.model else ("template", "first")
     wanted = [(file, folder / Path(*path)) for file, path in template(files("sweep.cli") / source)]
-    there = [str(path) for _, path in wanted if path.exists()]
-    if there:
-        raise InputError(f"{there[0]} is there already: choose an empty folder")
+    there = {path for _, path in wanted if path.exists()}
+    others = [path for file, path in wanted if path in there and not same(path, file)]
+    if others or len(there) == len(wanted):
+        raise InputError(f"{(others or sorted(there))[0]} is there already: choose an empty folder")
     for file, path in wanted:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(file.read_bytes())
+        if path not in there:
+            write_whole(path, file.read_bytes())
         print(path)
     print(f"next: cd {shlex.quote(str(folder))}; sweep run study={study}")
     return DONE
+
+
+def same(path: Path, file: Traversable) -> bool:
+    """Whether a path has the content of a file of ours."""
+    return path.is_file() and path.read_bytes() == file.read_bytes()
 
 
 def template(folder: Traversable, above: tuple[str, ...] = ()) -> Iterator[tuple[Traversable, tuple[str, ...]]]:

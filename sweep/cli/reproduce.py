@@ -21,6 +21,8 @@ def run(given: argparse.Namespace) -> int:
         raise InputError(f"--rows = {given.rows} is not allowed: at least 1")
     if not given.tolerance >= 0:
         raise InputError(f"--tolerance = {given.tolerance:g} is not allowed: at least 0")
+    if not 0 <= given.seed < 2**32:
+        raise InputError(f"--seed = {given.seed} is not allowed: at least 0 and below 2^32")
     with crate.opened(given.crate) as folder:
         if problems := repair.verify(folder)[0]:
             raise InputError(problems[0])

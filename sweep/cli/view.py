@@ -29,6 +29,9 @@ PAGES = Path("results") / "view"  # of rollouts that belong to no folder
 def main(args: list[str]) -> int:
     """Run the command with the arguments after `view`; the exit status. Raises `InputError`."""
     options = parser().parse_args(args)
+    for name in (options.what[0], *options.beside[:-1][:1]):  # one word alone is a row of the same folder
+        if "=" not in name and store.STUDY not in names_in(name):
+            raise InputError(f"{name} is neither a folder of results nor group.name=value")
     if options.mujoco:
         viewer.check()
         with waiting(f"simulating {' '.join(options.what)}"):

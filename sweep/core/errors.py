@@ -20,10 +20,10 @@ def raised(error: Exception) -> str:
     return f"{type(error).__name__}: {(str(error).splitlines() or [''])[0]}"
 
 
-def suggest(word: str, allowed: Iterable[str]) -> str:
-    """The tail of a message about an unknown name: what is allowed, the closest first."""
+def suggest(word: str, allowed: Iterable[str], short: Iterable[str] = ()) -> str:
+    """The tail of a message about an unknown name: what is allowed, the closest first, or one of the `short` names."""
     allowed = list(allowed)
-    close = difflib.get_close_matches(word, allowed, n=1, cutoff=0.6)
+    close = difflib.get_close_matches(word, [*allowed, *short], n=1, cutoff=0.6)
     hint = f": did you mean {close[0]}?" if close else ""
     return f"{hint} (allowed: {', '.join(sorted(allowed))})"
 

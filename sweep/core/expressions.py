@@ -97,7 +97,8 @@ def column(frame: "pd.DataFrame", name: str, hint: str = "") -> str:
     if len(found) > 1:
         raise InputError(f"column {name} is ambiguous (allowed: {', '.join(found)})")
     if not found:
-        raise InputError(f"column {name} is unknown{hint}{suggest(name, list(frame.columns))}")
+        short = [c.rpartition(".")[2] for c in frame.columns]
+        raise InputError(f"column {name} is unknown{hint}{suggest(name, frame.columns, short)}")
     return found[0]
 
 

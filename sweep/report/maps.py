@@ -89,6 +89,8 @@ def map_axes(rows: pd.DataFrame, chosen: tuple[str, ...]) -> tuple[str, str]:
     found = independent(rows, chosen)
     if len(set(found)) < 2:
         raise InputError(f"a map needs two varied parameters, here: {', '.join(found) or 'none'}")
+    if words := [one for one in found if rows[one].dtype.kind not in "fi"]:
+        raise InputError(f"a map over {words[0]} is not allowed: its axes are numbers")
     return found[0], found[1]
 
 

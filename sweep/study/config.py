@@ -238,13 +238,7 @@ def one_line(error: Exception, overrides: list[str]) -> str:
     if isinstance(cause, ConfigKeyError | AttributeError) and isinstance(cause, OmegaConfBaseException):
         key, given = str(cause.full_key), _given(str(cause.full_key), overrides)
         allowed = [str(k) for k in cause.parent_node or () if k != "hydra"]  # pyright: ignore[reportGeneralTypeIssues]
-        every = {
-            **{group: [cls] for group, cls in CLASSES.items()},
-            **{g: kinds.values() for g, kinds in KINDS.items()},
-        }
-        within = [] if "." in key else [f"{g}.{key}" for g, own in every.items() if any(key in _names(c) for c in own)]
-        hint = f": did you mean {' or '.join(within)}?" if within else suggest(str(cause.key), allowed)
-        return f"{key}{given} is unknown{hint}"
+        return f"{key}{given} is unknown{hint_whole(key) or suggest(str(cause.key), allowed)}"
     if isinstance(cause, KeyValidationError):
         return f"{cause.full_key} is not allowed: a name that is no number"
     if isinstance(cause, InterpolationResolutionError):
@@ -253,6 +247,13 @@ def one_line(error: Exception, overrides: list[str]) -> str:
     if isinstance(cause, ValidationError | ConfigTypeError):
         return _wrong_type(cause, overrides)
     return ": ".join(line.strip().rstrip(":") for line in str(error).splitlines()[:2] if line.strip())
+
+
+def hint_whole(name: str) -> str:
+    """The paths of what some groups call `name`, as a question; empty without."""
+    every = {group: [cls] for group, cls in CLASSES.items()} | {group: [*own.values()] for group, own in KINDS.items()}
+    found = [f"{group}.{name}" for group, own in every.items() if any(name in _names(cls) for cls in own)]
+    return f": did you mean {' or '.join(found)}?" if found else ""
 
 
 def _wrong_type(error: OmegaConfBaseException, overrides: list[str]) -> str:
