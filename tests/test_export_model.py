@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sweep.cli.main import main
-from sweep.engines.native import native_model
+from sweep.models.scene import native_model
 from sweep.runs import store
 from sweep.study.config import compose
 from sweep.systems.exported import controller

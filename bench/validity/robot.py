@@ -21,7 +21,6 @@ from sweep.controllers.frames import Stance
 from sweep.controllers.manoeuvres.walking.walk import standing
 from sweep.controllers.posture import joint_targets
 from sweep.core.constants import GRAVITY
-from sweep.engines.native import native_model, native_spec
 from sweep.models import scene
 from sweep.models.case import Case
 from sweep.models.legs import JOINT_Q, JOINT_V, N_LEGS
@@ -179,7 +178,7 @@ def error(case: Case, row: Standing, force: Float[np.ndarray, "6 3"]) -> float:
 
 def by_native(case: Case, row: Standing) -> Float[np.ndarray, "6 3"]:
     """The same by C MuJoCo as the native engine has it."""
-    model = native_model(case, 1e-3)
+    model = scene.native_model(case, 1e-3)
     data = mujoco.MjData(model)
     data.qpos[:] = row.q
     kept, stiffness = [], float(case.drive.stiffness)
@@ -196,7 +195,7 @@ def by_mjx(case: Case, rows: Sequence[Standing], impl: str) -> Float[np.ndarray,
     with redirect_stdout(io.StringIO()):  # which it prints as it is imported
         from mujoco import mjx
 
-    spec = native_spec(case, 1e-3)
+    spec = scene.native_spec(case, 1e-3)
     spec.option.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_ENERGY)
     for sensor in [*spec.sensors]:  # of contacts, which MJX does not add up
         spec.delete(sensor)

@@ -47,9 +47,8 @@ from sweep.metrics.metric import GRACE, Tick
 from sweep.metrics.outcome import Thresholds
 from sweep.models import scene
 from sweep.models.case import Case
-from sweep.models.collisions import collide
 from sweep.models.drive import Servo, towards
-from sweep.models.legs import JOINT_Q, JOINT_V, JOINTS, N_JOINTS, N_LEGS
+from sweep.models.legs import JOINT_Q, JOINT_V, N_JOINTS, N_LEGS
 from sweep.models.obstacles.surface import FreeState, poses, under
 from sweep.models.robot import links
 
@@ -132,40 +131,6 @@ class ByXla:
         return jax.tree.map(np.asarray, which(self._carried))
 
 
-def native_model(case: Case, time_step: float, solid: bool = False) -> mujoco.MjModel:
-    """The compiled `native_spec`."""
-    return native_spec(case, time_step, solid).compile()
-
-
-def native_spec(case: Case, time_step: float, solid: bool = False) -> mujoco.MjSpec:
-    """The model of one case with contact, the clamped servos of (1.2.1) and foot force sensors.
-
-    The settings are those that hold a stiff robot still: elliptic cones, impratio 100, stiff contact. Where it is
-    `solid`, not only feet touch.
-    """
-    spec = scene.describe(case)
-    spec.option.timestep = time_step
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    spec.option.impratio = 100
-    if not case.obstacle.free_bodies:  # legs share no joint until they load the same body
-        spec.option.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
-    spec.option.iterations = 50
-    spec.option.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
-    drive, execution = case.drive, case.execution
-    dead, limit = round(float(execution.dead_joint)), execution.torque_scale * drive.torque_limit
-    for number, (name, motor) in enumerate(zip(JOINTS, spec.actuators, strict=True)):
-        alive = float(number != dead)
-        motor.gainprm[0] = alive  # controls are torques: stiffness times target, and what comes on top
-        motor.biastype = mujoco.mjtBias.mjBIAS_AFFINE
-        motor.biasprm[1:3] = -alive * drive.stiffness, -alive * drive.damping
-        motor.forcelimited, motor.forcerange = True, [-limit, limit]
-        spec.joint(name).damping[0] = drive.back_emf
-    if solid:
-        collide(spec, case, links(case.robot))
-    return spec
-
-
 class Native:
     """One C simulation per rollout; the host goes through the control ticks."""
 
@@ -244,28 +209,30 @@ class Native:
             steps, records = None, []
             for k in range(most_ticks(plans, self.settings.control_period)):
                 if programs.replan and k % round(CHUNK / self.settings.control_period) == 0:
-                    going.change(_learned, programs.replan(belief, plans, *going.look(_known)))
+                    known = going.look(lambda now: (now.loop.tracker.stage, now.loop.learned))
+                    going.change(lambda now: now.loop.learned, programs.replan(belief, plans, *known))
                 if plans.layer(Flywheel) is not None:
-                    told = _retune(batch, models, told, _gains(going.look(lambda between: between.loop.servo)))
-                controls = _ordered(controls, *going.look(_orders))
+                    told = _retune(batch, models, told, _gains(going.look(lambda now: now.loop.servo)))
+                controls = _ordered(controls, *going.look(lambda now: now.orders))
                 steps = batch.rollout(self.substeps, controls, CONTROL, RECORD, out=steps)
                 if k == 0:  # derived fields are those before a step, hence the start's
                     energy = steps["energy"][:, 0].sum(axis=-1)
-                    going.change(_loop, _with_energy(self._nominal, going.leave().loop, energy))
+                    going.change(lambda now: now.loop, _with_energy(self._nominal, going.leave().loop, energy))
                 due = slots if (k + 1) % every == 0 else None
                 if due is not None:
                     records.append(_record(world, going, steps, due))
                 broken = unbuilt | np.any(batch.warning[:, :, 0] > 0, axis=1)
-                going.change(lambda between: between.steps, self._steps(steps, broken))
+                going.change(lambda now: now.steps, self._steps(steps, broken))
                 going.advance(k + 1, 1)
                 if due is not None:
-                    records[-1]["judged"] = going.look(_judged)[due]
-                if np.all(going.look(lambda between: between.loop.running.over)):
+                    records[-1]["judged"] = going.look(lambda now: now.judged)[due]
+                if np.all(going.look(lambda now: now.loop.running.over)):
                     break
             if (
                 slots is not None and steps and not records
-            ):  # all ended before the first sample, which has the form of none
-                records.append({**_record(world, going, steps, slots), "judged": going.look(_judged)[slots]})
+            ):  # all ended before the first one, which is kept for its form
+                judged = going.look(lambda now: now.judged)[slots]
+                records.append({**_record(world, going, steps, slots), "judged": judged})
             figures = programs.finish(world, plans, going.leave().loop)
             return {name: np.asarray(values) for name, values in figures.items()}, records
 
@@ -285,7 +252,7 @@ class Native:
         return [model or stand_in for model in models], unbuilt  # pyright: ignore[reportReturnType]
 
     def _model(self, world: Case) -> mujoco.MjModel:
-        return native_model(world, self.settings.native_time_step, self.settings.solid)
+        return scene.native_model(world, self.settings.native_time_step, self.settings.solid)
 
     def _prepare(self, arrays: tuple[Case, Case, Array], quiet: bool) -> Programs:
         """The programs for the batch axes of `arrays`."""
@@ -450,26 +417,6 @@ class Native:
         )
 
 
-def _loop(between: Between) -> ClosedLoop:
-    return between.loop
-
-
-def _learned(between: Between) -> Learned | None:
-    return between.loop.learned
-
-
-def _known(between: Between) -> tuple[Array, Learned | None]:
-    return between.loop.tracker.stage, between.loop.learned
-
-
-def _orders(between: Between) -> Orders:
-    return between.orders
-
-
-def _judged(between: Between) -> Array:
-    return between.judged
-
-
 def _ordered(controls: np.ndarray, torques: np.ndarray, push: np.ndarray, loads: np.ndarray) -> np.ndarray:
     """Controls, then outside wrenches on all bodies: the world, the robot from its base on, free bodies last."""
     controls[..., :N_JOINTS], controls[..., N_JOINTS + 6 : N_JOINTS + 9] = torques, push
@@ -522,7 +469,7 @@ def _record(
     """What is kept of a tick of the rollouts in `slots`, before it is judged."""
     back_emf = np.broadcast_to(world.drive.back_emf, steps["qpos"].shape[:1])[slots, None, None]
     torque = _torque(steps["actuator_force"][slots], steps["qvel"][slots][..., JOINT_V], back_emf)
-    told = going.look(lambda b: (b.command.joints, b.command.target, b.loop.tracker.stage))
+    told = going.look(lambda now: (now.command.joints, now.command.target, now.loop.tracker.stage))
     (joints, target, stage), n = jax.tree.map(lambda x: x[slots], told), len(slots)
     return {
         "qpos": steps["qpos"][slots, -1],

@@ -14,6 +14,7 @@ from sweep.core.constants import GRAVITY
 from sweep.core.parameters import InputError
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
+from sweep.models.collisions import collide
 from sweep.models.legs import JOINTS, LEGS
 from sweep.models.obstacles.geoms import COLLIDING, DRAWN, STIFF
 from sweep.models.obstacles.surface import FOOT_RADIUS
@@ -190,3 +191,37 @@ def _add_leg(
             objname=f"foot{leg}",
             intprm=[force, net, 1],
         )
+
+
+def native_model(case: Case, time_step: float, solid: bool = False) -> mujoco.MjModel:
+    """The compiled `native_spec`."""
+    return native_spec(case, time_step, solid).compile()
+
+
+def native_spec(case: Case, time_step: float, solid: bool = False) -> mujoco.MjSpec:
+    """The model of one case with contact, the clamped servos of (1.2.1) and foot force sensors.
+
+    The settings are those that hold a stiff robot still: elliptic cones, impratio 100, stiff contact. Where it is
+    `solid`, not only feet touch.
+    """
+    spec = describe(case)
+    spec.option.timestep = time_step
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    spec.option.impratio = 100
+    if not case.obstacle.free_bodies:  # legs share no joint until they load the same body
+        spec.option.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
+    spec.option.iterations = 50
+    spec.option.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
+    drive, execution = case.drive, case.execution
+    dead, limit = round(float(execution.dead_joint)), execution.torque_scale * drive.torque_limit
+    for number, (name, motor) in enumerate(zip(JOINTS, spec.actuators, strict=True)):
+        alive = float(number != dead)
+        motor.gainprm[0] = alive  # controls are torques: stiffness times target, and what comes on top
+        motor.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+        motor.biasprm[1:3] = -alive * drive.stiffness, -alive * drive.damping
+        motor.forcelimited, motor.forcerange = True, [-limit, limit]
+        spec.joint(name).damping[0] = drive.back_emf
+    if solid:
+        collide(spec, case, links(case.robot))
+    return spec

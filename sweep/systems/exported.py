@@ -22,7 +22,6 @@ from sweep.core.errors import InputError
 from sweep.core.parameters import LARGEST
 from sweep.engines.batching import nominal_plan
 from sweep.engines.closed_loop import GRACE, ClosedLoop, act, free_state, init, is_quiet, measure, start_state
-from sweep.engines.native import native_spec
 from sweep.engines.prelude import prepared
 from sweep.engines.settings import EngineSettings
 from sweep.metrics import stream
@@ -32,6 +31,7 @@ from sweep.models.case import Case
 from sweep.models.legs import JOINT_Q, JOINT_V, JOINTS, N_JOINTS, N_LEGS
 from sweep.models.obstacles.surface import poses, under
 from sweep.models.robot import links
+from sweep.models.scene import native_spec
 from sweep.systems.hexapod import assign, flat
 
 BELIEVED = "robot", "drive", "contact", "obstacle", "manoeuvre"  # groups whose quantities the controller is told

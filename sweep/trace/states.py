@@ -5,7 +5,6 @@ import pandas as pd
 
 from sweep.engines.base import Trace
 from sweep.engines.batching import step_time
-from sweep.engines.native import native_spec
 from sweep.engines.settings import EngineSettings
 from sweep.engines.states import offered
 from sweep.models import scene
@@ -22,7 +21,7 @@ def states(trace: Trace) -> pd.DataFrame:
 def model_xml(world: Case, settings: EngineSettings) -> str:
     """The world's MuJoCo model as MJCF, to six digits; mjx has a contact of its own in place of MuJoCo's."""
     if settings.name == "native":
-        spec = native_spec(world, settings.native_time_step, settings.solid)
+        spec = scene.native_spec(world, settings.native_time_step, settings.solid)
     else:
         spec = scene.describe(world)
         spec.option.timestep = step_time(settings)

@@ -9,7 +9,7 @@ import pytest
 
 from sweep.core.errors import InputError
 from sweep.engines import make
-from sweep.engines.native import native_model
+from sweep.models.scene import native_model
 from sweep.study.config import compose
 from sweep.study.study import points
 from sweep.systems.base import judge_one

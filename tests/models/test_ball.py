@@ -13,10 +13,10 @@ from sweep.controllers.frames import Stance
 from sweep.controllers.posture import joint_targets
 from sweep.core.constants import GRAVITY
 from sweep.dynamics.free_bodies import resting
-from sweep.engines.native import native_model
 from sweep.formulas.leg import SIDE
 from sweep.models import scene
 from sweep.models.obstacles.ball import Ball
+from sweep.models.scene import native_model
 from sweep.study.config import compose
 
 STEP, SECONDS, FALL, PERIOD = 2e-3, 2.0, 1.0, 0.4

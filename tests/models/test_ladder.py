@@ -11,9 +11,9 @@ from validity.simulation import simulate
 from sweep.core.constants import GRAVITY
 from sweep.core.errors import InputError
 from sweep.core.rotations import matrix
-from sweep.engines.native import native_model
 from sweep.models.obstacles.ladder import BARS, FLOOR, LEDGE, WALL, Ladder
 from sweep.models.obstacles.surface import marked, placed
+from sweep.models.scene import native_model
 from sweep.study.config import compose
 
 STEP, SECONDS = 2e-3, 5.0

@@ -17,9 +17,9 @@ from sweep.dynamics import interface, tree
 from sweep.dynamics.step import from_state, rest, step, to_state
 from sweep.engines import devices, physics
 from sweep.engines.batch_last import batch_last_vmap
-from sweep.engines.native import native_model
 from sweep.models.drive import position_mode
 from sweep.models.obstacles import PoleLedge
+from sweep.models.scene import native_model
 from sweep.study.config import compose
 
 TICK, SAMPLE = 4e-3, 25  # s; ticks between two recorded poses

@@ -11,8 +11,8 @@ from sweep.dynamics import mjx as mjx_dynamics
 from sweep.dynamics.step import from_state, rest, step
 from sweep.engines import devices, physics
 from sweep.engines.batch_last import batch_last_vmap
-from sweep.engines.native import native_model
 from sweep.models.drive import Servo, position_mode
+from sweep.models.scene import native_model
 from sweep.study.config import compose
 
 H = 1e-3
