@@ -156,12 +156,13 @@ def mend(exp: Experiment, folder: Path) -> list[str]:
 def refuse_other(stored: Mapping[str, Any], exp: Experiment, folder: Path) -> None:
     """Raise `InputError` where a folder holds rows that would not belong with those of `exp`."""
     there, here = fixed(stored["config"]), fixed(exp.values)
-    for key in sorted({*there, *here}):
+    newer = stored["code"] != provenance.code_version()  # which may have parameters that the other does not
+    for key in sorted({*there} & {*here} if newer else {*there, *here}):
         if there.get(key) != here.get(key):
             raise InputError(
                 f"{folder} holds another study: {key} is {there.get(key)} there and {here.get(key)} here; give out=DIR"
             )
-    if stored["code"] != provenance.code_version():
+    if newer:
         raise InputError(
             f"{folder} was simulated by another version of the code or of its libraries "
             f"({stored['commit'] or stored['code']}): remove it or give out=DIR"

@@ -347,6 +347,18 @@ def test_a_folder_that_this_version_cannot_read_is_named_with_its_own(capsys, tm
     assert capsys.readouterr().err == "sweep: elsewhere holds no study: a folder with study.yaml is one\n"
 
 
+def test_a_folder_of_another_version_is_no_other_study(capsys, tmp_path):
+    assert main(["run", *SMALL, "study.expect=[]"]) == 0
+    stored = store.read_study(folder := tmp_path / "results/walk_map")
+    del stored["config"]["control"]  # which came later
+    store.write_study(folder, stored | {"code": "before", "commit": "abc"})
+    capsys.readouterr()
+    assert main(["run", *SMALL, "study.expect=[]"]) == 2
+    assert "was simulated by another version of the code or of its libraries (abc)" in capsys.readouterr().err
+    assert main(["run", *SMALL, "study.expect=[]", "contact.damping=4000"]) == 2
+    assert "holds another study: contact.damping is " in capsys.readouterr().err
+
+
 def test_a_grid_of_other_values_is_added_and_told(capsys):
     other = "study.axes.friction.from=0.3"
     assert main(["run", *SMALL, "study.expect=[]"]) == 0
