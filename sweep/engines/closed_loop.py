@@ -26,6 +26,7 @@ from sweep.models.drive import Servo, position_mode
 from sweep.models.legs import JOINT_Q, JOINT_V, N_JOINTS, N_LEGS
 from sweep.models.noise import Noise
 from sweep.models.obstacles import surface
+from sweep.models.obstacles.charts import point
 from sweep.models.obstacles.surface import Bodies, FreeState, Obstacle, Surface, free_start, poses, under
 
 CHUNK = 1.0  # s of simulated time between two looks of the host, and from plan to plan of who plans again
@@ -110,7 +111,7 @@ def _beneath(obstacle: Obstacle, feet: Float[Array, "6 3"], up: Float[Array, " 3
 
 def displaced(execution: Execution, start: Stance) -> Stance:
     """The start with the errors of the robot's placement."""
-    position = start.position + jnp.stack([jnp.asarray(x, float) for x in (execution.start_x, execution.start_y, 0.0)])
+    position = start.position + point(execution.start_x, execution.start_y, 0.0)
     turn = about_vertical(jnp.asarray(execution.start_yaw, float))
     feet = position + rotate(turn[None], start.feet - start.position)
     return Stance(feet, position, multiply(turn, start.quat))

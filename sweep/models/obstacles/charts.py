@@ -6,9 +6,9 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from sweep.core.vectors import Number
 from sweep.models.frames import WORLD
 
-Number = Array | float
 Forward = tuple[float, float]  # the way that robots come, in the plane
 ALONG_X, ALONG_Y = (1.0, 0.0), (0.0, -1.0)
 

@@ -61,7 +61,7 @@ class Ledges(Ball):
     def start(self) -> FreeState:
         """The ball at rest beside the near wall."""
         free = super().start()
-        place = jnp.stack([jnp.asarray(x, float) for x in (self.radius + self.gap, self.offset, 0.0)])
+        place = point(self.radius + self.gap, self.offset, 0.0)
         return free._replace(position=free.position + place)
 
     @property

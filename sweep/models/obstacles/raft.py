@@ -16,7 +16,7 @@ from sweep.core.rotations import logarithm, matrix
 from sweep.formulas.drag import raft_drag
 from sweep.formulas.raft_statics import buoyancy
 from sweep.models.frames import fixed
-from sweep.models.obstacles.charts import ALONG_X, level
+from sweep.models.obstacles.charts import ALONG_X, level, point
 from sweep.models.obstacles.geoms import DRAWN, add_solids, add_touching
 from sweep.models.obstacles.surface import Bodies, FreeState, Surface, critical_damping, own_axes
 from sweep.models.obstacles.usual import Usual
@@ -72,7 +72,7 @@ class Raft(Usual):
     @property
     def half(self) -> Float[Array, " 3"]:
         """a, b, d (m)."""
-        return 0.5 * jnp.stack([jnp.asarray(x, float) for x in (self.length, self.width, self.thickness)])
+        return 0.5 * point(self.length, self.width, self.thickness)
 
     @property
     def mass(self) -> Array | float:

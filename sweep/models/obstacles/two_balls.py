@@ -62,7 +62,7 @@ class TwoBalls(Ball):
         """Both at rest or rolling without slip."""
         first = super().start()
         ahead = 2 * self.radius + self.gap
-        place = jnp.stack([jnp.asarray(x, float) for x in (ahead, self.offset, self.radius)])[None]
+        place = point(ahead, self.offset, self.radius)[None]
         velocity = self.second_speed * jnp.array([[1.0, 0.0, 0.0]])
         turn = self.second_speed / self.radius * jnp.array([[0.0, 1.0, 0.0]])
         second = FreeState(place, first.quat, velocity, turn)

@@ -14,6 +14,7 @@ from sweep.controllers.plan import CYCLE_B_SMOOTH, REGRIP, Plan, Stage
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.models.case import Case
 from sweep.models.frames import fixed
+from sweep.models.obstacles.charts import point
 from sweep.models.obstacles.raft import Raft
 
 DECK = (fixed(0),) * 6
@@ -51,7 +52,7 @@ class RaftStand:
         stance, centres = standing(belief, self.spread_ratio * length, self.height_ratio * length)
         deck = free.position[0] + jnp.array([0.0, 0.0, 1.0]) * raft.half[2]
         start = Stance(deck + stance.feet, deck + stance.position, stance.quat)
-        way = jnp.stack([jnp.asarray(x, float) for x in (self.ahead, self.aside, 0.0)])
+        way = point(self.ahead, self.aside, 0.0)
         over, down = jnp.array([0.0, 0.0, 1.0]), jnp.array([0.0, 0.0, -1.0]) * self.deepening
         base = stance.position + raft.half[2] * over
         stages = [Stage("stand", 1.0, position=base, onset=REGRIP, foot_frames=DECK, base_frame=fixed(0))]

@@ -1,7 +1,5 @@
 """Whether a raft carries its robot: monograph 4.1.1."""
 
-from collections.abc import Sequence
-
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
@@ -12,11 +10,12 @@ from sweep.core.errors import InputError
 from sweep.formulas.raft_statics import raft_equilibrium
 from sweep.fused.numbers import worked_out
 from sweep.models.case import Case
+from sweep.models.obstacles.charts import point
 from sweep.models.obstacles.raft import CORNERS, WATER_DENSITY, Raft
 from sweep.models.robot import total_mass
 
 
-def loaded(belief: Case, offset: Sequence[Array | float], height: Array | float) -> tuple[Array, Array]:
+def loaded(belief: Case, offset: tuple[Array | float, Array | float], height: Array | float) -> tuple[Array, Array]:
     """Least freeboard of the deck's corners, and least draught of the bottom's (m); nan where it capsizes.
 
     With the robot's mass centre `offset` (m) from the raft's middle, `height` (m) over its deck.
@@ -24,14 +23,14 @@ def loaded(belief: Case, offset: Sequence[Array | float], height: Array | float)
     raft, load = belief.on(Raft), total_mass(belief.robot)
     a, b, d = raft.half
     mass = raft.mass + load
-    place = load / mass * jnp.stack([jnp.asarray(x, float) for x in (*offset, d + height)])
+    place = load / mass * point(*offset, d + height)
     rest = raft_equilibrium(GRAVITY * mass, place, a, b, d, WATER_DENSITY * GRAVITY)
     corners = jnp.stack([x * a * rest.a31 + y * b * rest.a32 for x, y in CORNERS])
     over = d * rest.a33 - rest.depth
     return over + jnp.min(corners), 2 * d * rest.a33 - over - jnp.max(corners)
 
 
-def refuse(belief: Case, offset: Sequence[float]) -> None:
+def refuse(belief: Case, offset: tuple[float, float]) -> None:
     """Raise `InputError` where a raft of plain numbers capsizes or sinks, the robot `offset` (m) from its middle."""
     if not plain(belief.robot, belief.obstacle, belief.manoeuvre):
         return
