@@ -407,6 +407,14 @@ def test_a_second_replay_lies_dashed_over_the_first(shown):
         assert len(re.findall(dashed, panel)) == many, title
 
 
+def test_captions_of_narrow_pictures_are_cut_and_not_squeezed(shown):
+    chosen(shown, "#replay-with", "2")
+    shown.until("getComputedStyle(document.querySelector('#scene-b')).display === 'block'")
+    words = list(ElementTree.fromstring(drawing(shown, "Replay")).iter("{http://www.w3.org/2000/svg}text"))
+    assert not [one.text for one in words if "textLength" in one.attrib]
+    assert any((one.text or "").endswith("…") for one in words)
+
+
 def test_feet_and_base_are_told_where_mujoco_has_them(shown):
     trace = moved()
     told = {**motion(trace), "bodies": bodies(trace.model, 6)}

@@ -94,6 +94,19 @@ export function straight(pen, x, y, toX, toY) {
 }
 
 /**
+ * A text, cut short where there is no room for all of it: squeezed into it nobody could read it.
+ * @param {CanvasRenderingContext2D} pen
+ * @param {string} text
+ * @param {number} room pixels
+ * @returns {string}
+ */
+export function fitting(pen, text, room) {
+  let cut = text;
+  for (let kept = text.length; kept > 0 && pen.measureText(cut).width > room; kept--) cut = `${text.slice(0, kept)}…`;
+  return cut;
+}
+
+/**
  * @typedef {object} Theme
  * @property {boolean} dark
  * @property {Rgb} paper of panels

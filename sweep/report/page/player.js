@@ -1,6 +1,6 @@
 // The player of replays: time, stages, speed, orbit, and a second replay beside or over the first.
 import { clipped, inflate, nearestReplay } from "./data.js";
-import { byId, cssOf, element, pointerOn, sheetOf } from "./dom.js";
+import { byId, cssOf, element, fitting, pointerOn, sheetOf } from "./dom.js";
 import { historyView } from "./history.js";
 import { endOf, frameAt, posesOf, readMotion, stateAt } from "./kinematics.js";
 import { clamp, shortly } from "./numbers.js";
@@ -259,12 +259,13 @@ export function playerOf(app) {
     sheet.pen.textBaseline = "bottom";
     sheet.pen.lineWidth = 3;
     sheet.pen.strokeStyle = cssOf(theme.paper, 0.85);
-    lines.forEach((text, k) => {
+    lines.forEach((line, k) => {
       sheet.pen.font = sheet.pen.font.replace(/^(bold )?/, k ? "" : "bold ");
       sheet.pen.fillStyle = k ? theme.soft : theme.ink;
       const y = sheet.height - 10 - 17 * (lines.length - 1 - k);
-      sheet.pen.strokeText(text, 12, y, sheet.width - 24);
-      sheet.pen.fillText(text, 12, y, sheet.width - 24);
+      const text = fitting(sheet.pen, line, sheet.width - 24);
+      sheet.pen.strokeText(text, 12, y);
+      sheet.pen.fillText(text, 12, y);
     });
   };
 
