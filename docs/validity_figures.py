@@ -227,17 +227,11 @@ def precision(data: Row) -> str:
         left = f"{small(row['residual_n'])} N" if "residual_n" in row else ""
         fell = unit == "weights" and (row["error"] or 0) > FELL
         error = "–" if row["error"] is None else "falls" if fell else f"{row['error']:.1e} {unit}"
-        told = (" to ".join(f"{x:.3g}" for x in each) for each in zip(*_speeds(row), strict=True))
+        told = (f"{row[key]:.3g}" for key in ("per_s", "steps_per_s"))
         cells = (row["motion"], row["engine"], f"{1e3 * row['time_step']:g}", row["iterations"], error, row["width"],
                  *told, row["of"], row.get("contacts", ""), taken + left)  # fmt: skip
         lines.append(f"| {' | '.join(str(cell) for cell in cells)} |")
     return "\n".join(lines)
-
-
-def _speeds(row: Row) -> list[tuple[float, float]]:
-    """Simulated seconds, and steps, in a second: of all, and of the fastest hundred steps if others were on the GPU."""
-    fastest = [row["most_per_s"]] if "most_per_s" in row else []
-    return [(row["per_s"], row["steps_per_s"]), *((x, x / row["time_step"]) for x in fastest)]
 
 
 TABLES = {
@@ -260,9 +254,8 @@ def draw_precision(rows: list[Row], path: Path) -> None:
                 own = [row for row in own if row["error"] and (unit != "weights" or row["error"] < FELL)]
                 for row in own:
                     filled = colour if row["iterations"] > FEWEST.get(engine, 0) else "none"
-                    speeds = [speed for speed, _ in _speeds(row)]
-                    axes.loglog([row["error"]] * len(speeds), speeds, color=colour, lw=1)
-                    axes.loglog(row["error"], speeds[0], mark, ms=_size(row["time_step"]), color=colour, mfc=filled)
+                    size = _size(row["time_step"])
+                    axes.loglog(row["error"], row["per_s"], mark, ms=size, color=colour, mfc=filled)
             axes.margins(0.25, 0.1)
             axes.set(title=motion, xlabel=f"error {of} ({unit})")
             axes.grid(alpha=0.3, lw=0.5)
