@@ -8,7 +8,7 @@ import functools
 import re
 import sys
 import typing
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -238,7 +238,7 @@ def one_line(error: Exception, overrides: list[str]) -> str:
     if isinstance(cause, ConfigKeyError | AttributeError) and isinstance(cause, OmegaConfBaseException):
         key, given = str(cause.full_key), _given(str(cause.full_key), overrides)
         allowed = [str(k) for k in cause.parent_node or () if k != "hydra"]  # pyright: ignore[reportGeneralTypeIssues]
-        return f"{key}{given} is unknown{hint_whole(key) or suggest(str(cause.key), allowed)}"
+        return f"{key}{given} is unknown{hint_whole(key, allowed) or suggest(str(cause.key), allowed)}"
     if isinstance(cause, KeyValidationError):
         return f"{cause.full_key} is not allowed: a name that is no number"
     if isinstance(cause, InterpolationResolutionError):
@@ -249,10 +249,12 @@ def one_line(error: Exception, overrides: list[str]) -> str:
     return ": ".join(line.strip().rstrip(":") for line in str(error).splitlines()[:2] if line.strip())
 
 
-def hint_whole(name: str) -> str:
-    """The paths of what some groups call `name`, as a question; empty without."""
+def hint_whole(name: str, groups: Collection[str]) -> str:
+    """The paths of what some of the `groups` call `name`, as a question; empty without."""
     every = {group: [cls] for group, cls in CLASSES.items()} | {group: [*own.values()] for group, own in KINDS.items()}
-    found = [f"{group}.{name}" for group, own in every.items() if any(name in _names(cls) for cls in own)]
+    found = [
+        f"{group}.{name}" for group, own in every.items() if group in groups and any(name in _names(cls) for cls in own)
+    ]
     return f": did you mean {' or '.join(found)}?" if found else ""
 
 

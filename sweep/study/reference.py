@@ -45,7 +45,7 @@ def text(name: str) -> str:
         return "\n\n".join(section(group, cls) for cls in every[group] if kind in ("", kind_of(cls)))
     group, _, key = name.partition(".")
     if group not in every:
-        raise InputError(f"{name} is unknown{config.hint_whole(name) or suggest(group, every)}")
+        raise InputError(f"{name} is unknown{config.hint_whole(name, every) or suggest(group, every)}")
     found = [(cls, line) for cls in every[group] for line in parameters(cls) if line["parameter"] == key]
     if not found:
         names = {line["parameter"] for cls in every[group] for line in parameters(cls)}

@@ -20,6 +20,7 @@ from browser import CHROMIUM, Browser
 from conftest import simulated
 from moved import arm, body_places, moved
 from PIL import Image
+from scipy.stats import ks_2samp
 
 from sweep.core.expressions import mask
 from sweep.metrics.outcome import FAILURES
@@ -820,6 +821,20 @@ def by_script(browser, told, code):
     return browser.run(f"""(async () => {{ {modules}
         const told = {json.dumps(told)};
         {code} }})()""")
+
+
+def test_what_matters_is_what_the_statistics_tell(shown):
+    """Of few rows, too: by SciPy's exact p."""
+    rng, sets = np.random.default_rng(0), []
+    while len(sets) < 40:
+        values, failed = rng.normal(size=32), rng.permutation(32) < 9
+        values[failed] += rng.uniform(0.5, 1.2)
+        told = ks_2samp(values[failed], values[~failed]).pvalue
+        if not 0.04 < told < 0.06:  # between which the page only estimates
+            sets.append((values.tolist(), failed.astype(int).tolist(), bool(told < 0.05)))
+    order = "values.map((_, k) => k).sort((a, b) => values[a] - values[b])"
+    code = f"return told.map(([values, sides]) => smirnov({order}, values, (row) => sides[row]).told)"
+    assert by_script(shown, sets, code) == [told for *_, told in sets]
 
 
 def test_a_margin_is_read_with_the_limit_that_it_is_to(shown):
