@@ -1,7 +1,9 @@
 """`sweep tune`: a search for a plan's numbers, which goes on where it was interrupted."""
 
+import math
 import re
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -12,7 +14,7 @@ from sweep.models.plan_table import numbers, tabled
 from sweep.runs import tuning
 from sweep.runs.tuning import fit, follow, free_numbers, search
 from sweep.study.config import compose
-from sweep.tune.score import MOVED, UNKNOWN, Score, groups, stacked
+from sweep.tune.score import MOVED, UNKNOWN, Score, groups, lows, stacked
 
 AT, STEPS = np.array([1.0, -2.0, 0.5]), np.array([0.1, 0.1, 0.02])
 HOW = {"seed": 3, "population": 6, "generations": 12, "free": ["a"]}
@@ -161,6 +163,18 @@ def test_stages_are_judged_at_moments_of_their_own():
     some, all_of_them = rates(("*", 2), ("*.front", 9)), rates(("*", 9))
     np.testing.assert_allclose(some[0], all_of_them[0], rtol=1e-4)
     assert some[1] > all_of_them[1] + 0.05  # rad/s: joints stand still at the ends of a stage
+    plan = exp.case.manoeuvre.plan(exp.case)
+    counts = [math.ceil(float(plan.duration[plan.names.index(name)]) / 0.05) + 1 for name in stages]
+    np.testing.assert_allclose(rates(), rates(*zip(stages, counts, strict=True)), rtol=1e-4)
+
+
+def test_worst_moments_are_those_worse_than_beside_them():
+    found = lows(
+        jnp.array([[3.0, 1.0, 2.0, 2.0, 0.0, 0.0], [1.0, 2.0, 3.0, 2.0, 1.0, 2.0], [1.0, 1.0, 1.0, 1.0, 1.0, 1.0]])
+    )
+    least = np.full((3, 6), np.inf)
+    least[[0, 0, 1, 1, 2], [1, 5, 0, 4, 5]] = [1.0, 0.0, 1.0, 1.0, 1.0]
+    np.testing.assert_array_equal(found, least)
 
 
 def test_only_what_touches_nothing_in_common_is_of_one_group():

@@ -28,12 +28,12 @@ from sweep.runs import store, tuning
 from sweep.study.config import Experiment, compose
 from sweep.study.study import parameter_columns, points
 from sweep.systems.base import side_and_path
-from sweep.tune.score import MANOEUVRE, Aim, Score, shares, stacked, worst
+from sweep.tune.score import APART, MANOEUVRE, MOMENTS, Aim, Score, shares, stacked, worst
 
 DIGITS, SLOPE_DIGITS = 4, 3  # to which numbers are rounded, and slopes
 DRAWS = ("here", "other draws")
 LEAST = {"population": 4, "generations": 1, "seed": 1}  # of the flags
-MOMENTS, ENDS = 11, 2  # of a stage, if not told; at least
+ENDS = 2  # moments of a stage, at least
 SLIGHT = 0.05  # first steps by which a number has to follow a size in the farthest draw, or it does not
 EPILOG = """Margins are those of sweep/tune/planned.py; draws are the points of the study, known to the planner. What is
 found is checked on the draws of the study's next seed. With --follow numbers get slopes, by which they follow the sizes
@@ -193,7 +193,11 @@ def parser() -> Arguments:
     made.add_argument("--simulate", action="store_true", help="run both draws by the plans before and after")
     made.add_argument("--check", action="store_true", help="only tell the margins of the plan as it is")
     made.add_argument(
-        "--moments", action="append", default=[], metavar="[STAGES=]N", help=f"of each stage ({MOMENTS}), or of some"
+        "--moments",
+        action="append",
+        default=[],
+        metavar="[STAGES=]N",
+        help=f"of each stage, or of some ({MOMENTS}, and no more than {APART} s apart)",
     )
     made.add_argument("--population", type=int, default=16, help="plans of a generation (16)")
     made.add_argument("--generations", type=int, default=200, help="at most (200); steps of gradients, linear programs")
@@ -216,7 +220,7 @@ def moments(texts: Iterable[str]) -> list[tuple[str, int]]:
 
     Raises `InputError`.
     """
-    found = [("*", MOMENTS)]
+    found = []
     for text in texts:
         pattern, _, count = text.rpartition("=")
         if not count.isdecimal() or int(count) < ENDS:

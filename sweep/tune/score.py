@@ -37,6 +37,7 @@ AIMS = {
 ALIKE = {"rate": 1.0, "hold": 0.01, "speed": 0.02}  # that count alike; else m:
 LENGTH = 0.01  # m
 SLACK = 0.1  # of what counts alike, that a margin may lose where numbers only follow sizes
+MOMENTS, APART = 11, 0.05  # of a stage, at least; s, at most, in which a leg that swings goes some centimetres
 WORST, AT_ONCE = 3, 8  # moments of a stage that linear programs look at; draws that a core looks at together
 MOVED, SAME = 0.1, 1e-3  # of its step, by which a number moves for a difference; what is no difference
 UNKNOWN = 1e3  # the most that a margin lacks, as one that is not a number
@@ -57,7 +58,7 @@ class Score:
     """Margins at the worst moment of every stage, and what they lack in the worst draw, by the plan's free numbers.
 
     Plans on a ball are played by their tracker, with the ball where it rolls to; others are posed as they are planned,
-    at as many `moments` of a stage as the last pattern says that names it.
+    at as many `moments` of a stage as the last pattern says that names it, or else at least `MOMENTS`, `APART` in time.
     Raises `InputError` where no stage is named as asked, or the manoeuvre plans no forces that are asked for.
     """
 
@@ -81,11 +82,13 @@ class Score:
         self.stages = [names[k] for k in chosen]
         self.aims = [Aim(margin, "*", value) for margin, value in AIMS.items()] + list(aims)
         self.case, self._free, self._width = case, tuple(free), width
-        counts = [next(n for pattern, n in reversed(moments) if fnmatchcase(name, pattern)) for name in self.stages]
-        self._at = np.array(chosen), np.array(counts), hold
         self._plays = type(case.obstacle) is Ball  # what leans on something, or on another ball, is taken to rest
-        time = jax.jit(lambda: jnp.sum(case.manoeuvre.plan(case).duration))() if self._plays else 0.0
-        self._ticks = math.ceil(TIMES * float(time) / PERIOD) + len(names)
+        time = np.asarray(jax.jit(lambda: case.manoeuvre.plan(case).duration)(), float)
+        self._ticks = math.ceil(TIMES * time.sum() / PERIOD) + len(names)
+        counts = np.maximum(np.ceil(time[chosen] / APART).astype(int) + 1, MOMENTS)
+        for pattern, count in moments:
+            counts = np.where([fnmatchcase(name, pattern) for name in self.stages], count, counts)
+        self._at = np.array(chosen), counts, hold
         self._kept: dict[str, np.ndarray] = {}
 
         self._margins = jax.jit(jax.vmap(jax.vmap(self._left, (0, None))))
@@ -173,7 +176,7 @@ class Score:
             seen = jax.vmap(function)(jnp.repeat(chosen, counts), jnp.asarray(phases))
             most = max(WORST, *counts)
             own = (np.cumsum(counts) - counts)[:, None] + np.minimum(np.arange(most), counts[:, None] - 1)
-            return {key: -jax.lax.top_k(-_known(x)[own], WORST)[0].T for key, x in seen.items()}
+            return {key: -jax.lax.top_k(-lows(_known(x)[own]), WORST)[0].T for key, x in seen.items()}
 
         found = worst(lambda k, u: planned.margins(belief, plan, k, u)._asdict(), moments)
         if hold:
@@ -204,6 +207,12 @@ def groups(touched: np.ndarray) -> np.ndarray:
 def _known(margin: Any) -> jax.Array:
     """The same, where it is no number the worst that there is."""
     return jnp.where(jnp.isnan(margin), -jnp.inf, margin)
+
+
+def lows(margin: jax.Array) -> jax.Array:
+    """Margins (S, moments) where they are least among their neighbours, the last of equal ones; others infinite."""
+    before, after = (jnp.pad(margin, ((0, 0), ends), constant_values=jnp.inf) for ends in ((1, 0), (0, 1)))
+    return jnp.where((margin <= before[:, :-1]) & (margin < after[:, 1:]), margin, jnp.inf)
 
 
 def _in_parts(function: Callable[..., Any], numbers: np.ndarray, draws: Case) -> Any:
