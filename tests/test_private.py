@@ -14,6 +14,7 @@ PACKAGE = Path(__file__).parents[1] / "sweep"
 TRIED = {"hydra-core": "1.3.8", "omegaconf": "2.3.1", "mujoco-mjx": "3.17.0", "jax": "0.12.0.1"}
 PARTS = {  # what it belongs to, and what it is called with
     "hydra._internal.core_plugins.file_config_source:FileConfigSource.load_config": ("hydra-core", "self config_path"),
+    "hydra._internal.utils:get_args_parser": ("hydra-core", ""),
     "hydra._internal.sources_registry:SourcesRegistry.instance": ("hydra-core", "args kwargs"),
     "hydra.plugins.config_source:ConfigSource._get_header_dict": ("hydra-core", "config_text"),
     "omegaconf:DictConfig._get_node": ("omegaconf", "self key validate_access validate_key throw_on_missing_value throw_on_missing_key"),  # noqa: E501
