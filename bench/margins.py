@@ -68,7 +68,7 @@ def close(rows: pd.DataFrame) -> list[int]:
     end = first(rows)
     steep = falls(rows)[:end] > CLIFF
     steep[end - 1 : end] = end < len(rows)
-    return np.flatnonzero(steep).tolist() if end else []
+    return np.flatnonzero(steep).tolist()
 
 
 def lines(exp: Experiment, folder: Path) -> list[pd.DataFrame]:
