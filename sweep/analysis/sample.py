@@ -17,18 +17,15 @@ def some(number: int, most: int) -> np.ndarray:
     return every if number <= most else np.sort(np.random.default_rng(0).choice(every, most, replace=False))
 
 
-def copies(rows: pd.DataFrame, exp: Experiment) -> np.ndarray:
-    """Which rows repeat an earlier one: replicates of a point that draws no errors, so that they cannot differ."""
-    if exp.study.replicates < 2:
-        return np.zeros(len(rows), dtype=bool)
-    random = exp.system.random(rows, exp.settings)
-    points = rows[parameter_columns(rows)].assign(draw=rows["replicate"] // exp.study.replicates)
-    return points.duplicated().to_numpy() & ~random
-
-
 def distinct(rows: pd.DataFrame, exp: Experiment) -> tuple[pd.DataFrame, str]:
-    """The rows without copies, and a sentence about those; empty without any."""
-    again = copies(rows, exp)
+    """The rows without copies, and a sentence about those; empty without any.
+
+    Replicates of a point that draws no errors repeat its first one: they cannot differ.
+    """
+    if exp.study.replicates < 2:
+        return rows, ""
+    points = rows[parameter_columns(rows)].assign(draw=rows["replicate"] // exp.study.replicates)
+    again = points.duplicated().to_numpy() & ~exp.system.random(rows, exp.settings)
     if not again.any():
         return rows, ""
     number = int(again.sum())

@@ -26,19 +26,14 @@ def check(exp: Experiment, folder: Path) -> None:
         raise InputError(f"{folder} cannot grow: it has neither draws nor replicates")
 
 
-def with_draws(exp: Experiment, folder: Path, number: int) -> Experiment:
-    """The same study with so many draws, or replicates where nothing is drawn."""
-    own: dict[str, Any] = dict(exp.values["study"])
-    own |= {"design": {**own["design"], "num": number}} if exp.study.design.num else {"replicates": number}
-    return experiment({**exp.values, "study": own, "out": str(folder)})
-
-
 def grow(exp: Experiment, folder: Path, number: int, progress: runner.Progress) -> Experiment:
-    """Simulate what `folder` lacks of so many draws of its study; the study as it is then.
+    """Simulate what `folder` lacks of so many draws, or replicates, of its study; the study as it is then.
 
     The code must be that of the rows that are there. Raises `InputError`.
     """
-    more = with_draws(exp, folder, number)
+    own: dict[str, Any] = dict(exp.values["study"])
+    own |= {"design": {**own["design"], "num": number}} if exp.study.design.num else {"replicates": number}
+    more = experiment({**exp.values, "study": own, "out": str(folder)})
     with store.locked(folder):
         runner.mend(more, folder)
         runner.run(runner.lay_out(more, folder, runner.wanted_points(more)), progress)

@@ -52,17 +52,14 @@ def parse(folder: Path) -> tuple[list[Entry], list[int]]:
     for number, row in enumerate(content.split(b"\n")[:-1] if content.endswith(b"\n") else content.split(b"\n"), 1):
         check, _, text = row.partition(b" ")
         if check == files.digest(text)[:CHECK].encode():
-            entries.append(_entry(text))
+            values = json.loads(text)
+            tuples = {name: tuple(values[name]) for name in ("batches", "run_ids")}
+            entries.append(Entry(**{**values, **tuples}))
         else:
             damaged.append(number)
     if content and not content.endswith(b"\n") and not damaged:
         damaged.append(len(entries))
     return entries, damaged
-
-
-def _entry(text: bytes) -> Entry:
-    values = json.loads(text)
-    return Entry(**{**values, "batches": tuple(values["batches"]), "run_ids": tuple(values["run_ids"])})
 
 
 def read(folder: Path) -> list[Entry]:

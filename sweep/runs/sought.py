@@ -31,7 +31,8 @@ def rounds(exp: Experiment, folder: Path) -> Iterator[Job]:
         planned = store.read_points(folder)
         _check(folder, planned, table)
         if not exp.settings.width:
-            least = table.head(searches.smallest_round(study.design))
+            design = study.design  # whose smallest round in which all runs go on is
+            least = table.head(design.runs * design.levels.chains if design.kind == "subset" else design.num)
             first = planned if len(planned) else lay_out(exp, folder, least).table
             exp = replace(exp, settings=replace(exp.settings, width=int(first["width"].iloc[-1])))
         yield lay_out(exp, folder, table)

@@ -8,7 +8,6 @@ Every axis gives a number n, listed or drawn, and turns it into a value of its p
 """
 
 import dataclasses
-import hashlib
 import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -21,6 +20,7 @@ from sweep.core.errors import InputError, known, suggest
 from sweep.study import sought, subset
 from sweep.study.distributions import Distribution, keyed, listed, number, some
 from sweep.study.distributions import parse as parse_distribution
+from sweep.study.identity import text_hash
 from sweep.systems.base import SIDES
 
 if TYPE_CHECKING:
@@ -96,6 +96,11 @@ class Design:
     lead: str = sought.LEAD  # of subset: column, or sum of some, that shrinks before anything breaks
     # one, other, coefficient: of pairs of drawn axes, by the normals of a Gaussian copula
     correlation: tuple[Any, ...] = ()
+
+    @property
+    def levels(self) -> subset.Levels:
+        """How runs of subset simulation go."""
+        return subset.Levels(self.num, self.share, self.target)
 
 
 def with_side(axes: Mapping[str, Any]) -> dict[str, Any]:
@@ -291,7 +296,7 @@ def size(axes: tuple[Axis, ...], design: Design) -> int:
     more = {"saltelli": drawn + 2, "morris": drawn + 1, "importance": design.rounds + 1}
     draws = design.num * more.get(design.kind, design.scrambles)
     if design.kind == "subset" and design.num:
-        draws = design.runs * subset.Levels(design.num, design.share, design.target).most
+        draws = design.runs * design.levels.most
     return (sum(lengths) if design.grid == "one_at_a_time" else math.prod(lengths)) * max(draws, 1)
 
 
@@ -319,42 +324,39 @@ def _one_at_a_time(axes: list[Axis], nominal: Callable[[str], Any]) -> "pd.DataF
 
 def shares_of(axes: tuple[Axis, ...], design: Design, seed: int) -> np.ndarray:
     """Numbers (draws, drawn axes) in (0, 1), spread as the design wants: the quantiles that are drawn."""
-    return _shares([a for a in axes if a.distribution], design, seed)
-
-
-def _shares(axes: list[Axis], design: Design, seed: int) -> np.ndarray:
-    if not axes:
+    drawn = [a for a in axes if a.distribution]
+    if not drawn:
         return np.empty((0, 0))
     # scipy is slow to import, and a listing needs none of it
     match design.kind:
         case "monte_carlo":  # a stream for each axis: one more axis or more draws leave the others as they are
-            rngs = [np.random.default_rng([seed, _number_of(a.name)]) for a in axes]
+            rngs = [np.random.default_rng([seed, int(text_hash(a.name))]) for a in drawn]
             shares = np.stack([rng.random(design.num) for rng in rngs], axis=1)
         case "latin_hypercube":
             from scipy.stats import qmc
 
-            shares = qmc.LatinHypercube(len(axes), rng=np.random.default_rng([seed])).random(design.num)
+            shares = qmc.LatinHypercube(len(drawn), rng=np.random.default_rng([seed])).random(design.num)
         case "sobol":
             from scipy.stats import qmc
 
             with warnings.catch_warnings(action="ignore", category=UserWarning):  # its balance: see `caution`
                 parts = [
-                    qmc.Sobol(len(axes), rng=np.random.default_rng([seed, k])).random(design.num)
+                    qmc.Sobol(len(drawn), rng=np.random.default_rng([seed, k])).random(design.num)
                     for k in range(design.scrambles)
                 ]
-            shares = np.stack(parts, axis=1).reshape(-1, len(axes))  # more draws come last
+            shares = np.stack(parts, axis=1).reshape(-1, len(drawn))  # more draws come last
         case "morris":  # of paths that change one axis after the other; scaled, as 0 and 1 are infinitely far for some
             from SALib.sample import morris
 
-            problem = {"num_vars": len(axes), "names": [a.name for a in axes], "bounds": [[*INNER]] * len(axes)}
+            problem = {"num_vars": len(drawn), "names": [a.name for a in drawn], "bounds": [[*INNER]] * len(drawn)}
             shares = morris.sample(problem, design.num, num_levels=LEVELS, seed=seed)
         case _:
             from SALib.sample import sobol
 
-            problem = {"num_vars": len(axes), "names": [a.name for a in axes], "bounds": [[0.0, 1.0]] * len(axes)}
+            problem = {"num_vars": len(drawn), "names": [a.name for a in drawn], "bounds": [[0.0, 1.0]] * len(drawn)}
             with warnings.catch_warnings(action="ignore", category=UserWarning):
                 shares = sobol.sample(problem, design.num, calc_second_order=False, seed=seed)
-    return _spread(shares, axes, design)
+    return _spread(shares, drawn, design)
 
 
 def _spread(shares: np.ndarray, axes: list[Axis], design: Design) -> np.ndarray:
@@ -366,10 +368,6 @@ def _spread(shares: np.ndarray, axes: list[Axis], design: Design) -> np.ndarray:
         root = np.linalg.cholesky(_matrix(design.correlation, [a.name for a in axes]))
         shares = np.clip(ndtr(ndtri(shares) @ root.T), sought.EDGE, 1 - sought.EDGE)
     return shares
-
-
-def _number_of(word: str) -> int:
-    return int.from_bytes(hashlib.blake2b(word.encode(), digest_size=8).digest())
 
 
 def _columns(axes: tuple[Axis, ...], numbers: "pd.DataFrame", nominal: Callable[[str], Any]) -> dict[str, Any]:

@@ -20,7 +20,7 @@ def streams(seed: int, replicates: int) -> np.ndarray:
 
 def row_streams(seed: int, table: "pd.DataFrame") -> np.ndarray:
     """The same (n,) by the values of each row, its replicate among them, wherever it stands in `table`."""
-    total = np.full(len(table), _text_hash(f"seed {seed}"))
+    total = np.full(len(table), text_hash(f"seed {seed}"))
     for column in table.columns:
         total += _hashes(str(column), table[column].to_numpy())
     return (_mixed(total) >> np.uint64(1)).astype(np.int64)
@@ -63,8 +63,8 @@ def _hashes(key: str, values: np.ndarray) -> np.ndarray:
         parts = _mixed(mantissa.astype(np.uint64) + _mixed(exponent.astype(np.uint64)))
     else:
         codes, names = pd.factorize(values.astype(object))
-        parts = np.asarray([_text_hash(str(name)) for name in names], np.uint64)[codes]
-    return _mixed(parts + _text_hash(key))
+        parts = np.asarray([text_hash(str(name)) for name in names], np.uint64)[codes]
+    return _mixed(parts + text_hash(key))
 
 
 def _decimal(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -78,7 +78,8 @@ def _decimal(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.where(carried, mantissa // 10, mantissa), np.where(mantissa == 0, 0, exponent + carried)
 
 
-def _text_hash(text: str) -> np.uint64:
+def text_hash(text: str) -> np.uint64:
+    """Of 64 bits."""
     return np.uint64(int.from_bytes(hashlib.blake2b(text.encode(), digest_size=8).digest()))
 
 

@@ -28,22 +28,12 @@ def check(design: Design, axes: tuple[Axis, ...]) -> None:
         raise InputError(f"study.design.num = {design.num} is not allowed: {least}, as study.design.share has it")
 
 
-def plan(design: Design) -> subset.Levels:
-    """How runs of subset simulation go."""
-    return subset.Levels(design.num, design.share, design.target)
-
-
 def search(axes: tuple[Axis, ...], design: Design, seed: int) -> sought.Search:
     """Rounds of draws of a design that seeks failures."""
     drawn = sum(axis.distribution is not None for axis in axes)
     if design.kind == "subset":
-        return subset.search(drawn, plan(design), design.runs, seed)
+        return subset.search(drawn, design.levels, design.runs, seed)
     return importance.search(drawn, design.num, design.wide, design.rounds, seed)
-
-
-def smallest_round(design: Design) -> int:
-    """Draws in the smallest of its rounds in which all runs go on."""
-    return design.runs * plan(design).chains if design.kind == "subset" else design.num
 
 
 def ends(axes: tuple[Axis, ...]) -> sought.Draws:

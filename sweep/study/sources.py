@@ -97,7 +97,8 @@ class Unexecuted(FileConfigSource):
 
 def refuse_code(config_path: str, values: Any, package: str) -> None:
     """Raise `InputError` where Hydra would be told what to run."""
-    where = [config_path, package, *_texts(values, "defaults")]
+    defaults = values.get("defaults") if isinstance(values, Mapping) else None
+    where = [config_path, package, *(map(str, defaults) if isinstance(defaults, list) else ())]
     named = [key for key in _keys(values) if key in ("hydra", "_target_")]
     named += ["hydra" for text in where if re.search(r"\bhydra\b", text)]
     if named:
@@ -112,11 +113,6 @@ def _keys(values: Any) -> Iterator[str]:
     elif isinstance(values, list):
         for value in values:
             yield from _keys(value)
-
-
-def _texts(values: Any, key: str) -> list[str]:
-    found = values.get(key) if isinstance(values, Mapping) else None
-    return [str(one) for one in found] if isinstance(found, list) else []
 
 
 class SearchPath(SearchPathPlugin):
