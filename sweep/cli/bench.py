@@ -11,7 +11,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from sweep.engines import batching, make, program_cache
+from sweep.engines import make, program_cache
 from sweep.engines.settings import EngineSettings
 from sweep.metrics.outcome import Thresholds
 from sweep.models.case import Case
@@ -64,9 +64,7 @@ def _engine(settings: EngineSettings, nominal: Case, rollouts: int) -> dict[str,
     seconds = sum(simulate(batch) for batch in batches)
     wall = time.perf_counter() - start
     compile_s = first - wall / len(batches)
-    return _line(
-        settings.name, engine.dynamics, engine.width, rollouts, seconds, wall, compile_s, batching.step_time(settings)
-    )
+    return _line(settings.name, engine.dynamics, engine.width, rollouts, seconds, wall, compile_s, settings.step)
 
 
 def timed(work: Callable[[], object]) -> float:

@@ -48,15 +48,10 @@ def _planned(belief: Case) -> Plan:
     return plan
 
 
-def step_time(settings: EngineSettings) -> float:
-    """Physics time step of the engine (s)."""
-    return settings.native_time_step if settings.name == "native" else settings.time_step
-
-
 def substeps(settings: EngineSettings) -> int:
     """Physics steps of a control tick. Raises `InputError` where they do not fit."""
     key = "native_time_step" if settings.name == "native" else "time_step"
-    step, period = step_time(settings), settings.control_period
+    step, period = settings.step, settings.control_period
     allowed = f"a whole fraction of engine.control_period = {period:g} s"
     return base.substeps(period, step, f"engine.{key} = {step:g} is not allowed: {allowed}")
 

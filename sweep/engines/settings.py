@@ -30,6 +30,11 @@ class EngineSettings:
             raise InputError("engine.compiler = fused is not allowed with engine.dynamics = mjx: auto or xla")
 
     @property
+    def step(self) -> float:
+        """Physics time step of the engine (s)."""
+        return self.native_time_step if self.name == "native" else self.time_step
+
+    @property
     def fusible(self) -> bool:
         """Whether this package's own compiler may make the closed loop of mjx: it has rules for its own dynamics."""
         return self.compiler != "xla" and self.dynamics != "mjx"

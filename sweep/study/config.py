@@ -192,7 +192,7 @@ def experiment(values: Mapping[str, Any]) -> Experiment:
     for group in (key for key in allowed if key not in (*kind.free, "out")):
         if not isinstance(values.get(group), Mapping):
             raise InputError(f"{group} = {values.get(group)} is not allowed: `sweep list` shows the choices")
-    system, settings, limits, told = systems.nominal(values, KINDS)
+    system, settings, limits, told = kind.nominal(values, KINDS)
     cluster = of_kind(KINDS["cluster"], values["cluster"], "cluster")
     scenario = keyed("scenario", values["scenario"], _names(ScenarioSchema))
     asked = keyed("study", values["study"], _names(StudySchema))

@@ -88,9 +88,8 @@ class Hexapod:
 
     def words(self, settings: EngineSettings) -> dict[str, str]:
         """See `System`."""
-        step = settings.native_time_step if settings.name == "native" else settings.time_step
         about = {"manoeuvre": self.case.manoeuvre.kind, "obstacle": self.case.obstacle.kind, "engine": settings.name}
-        return {**about, "step": f"{1000 * step:g} ms", "precision": settings.precision}
+        return {**about, "step": f"{1000 * settings.step:g} ms", "precision": settings.precision}
 
     def parameter(self, column: str, settings: EngineSettings) -> Parameter:
         """See `System`."""
@@ -231,7 +230,7 @@ class Hexapod:
 
 
 def nominal(values: Mapping[str, Any], kinds: Kinds) -> Nominal:
-    """See `sweep.systems.nominal`."""
+    """See `sweep.systems.Kind`."""
     classes = {"engine": EngineSettings, "outcome": Thresholds}
     classes |= {name: group.load() for name, group in GROUPS.items() if group.in_case and group.one_class}
     parts = {group: build(cls, values[group], group) for group, cls in classes.items()}

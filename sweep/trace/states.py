@@ -4,7 +4,6 @@ import numpy as np
 import pandas as pd
 
 from sweep.engines.base import Trace
-from sweep.engines.batching import step_time
 from sweep.engines.settings import EngineSettings
 from sweep.engines.states import offered
 from sweep.models import scene
@@ -24,6 +23,6 @@ def model_xml(world: Case, settings: EngineSettings) -> str:
         spec = scene.native_spec(world, settings.native_time_step, settings.solid)
     else:
         spec = scene.describe(world)
-        spec.option.timestep = step_time(settings)
+        spec.option.timestep = settings.step
     spec.compile()
     return spec.to_xml()

@@ -188,7 +188,7 @@ class Own(Subject):
 
 
 def nominal(values: Mapping[str, Any], kinds: Kinds) -> Nominal:
-    """See `sweep.systems.nominal`."""
+    """See `sweep.systems.Kind`."""
     about = _about(values["model"])
     settings, usual = build(Settings, values["engine"], "engine"), Settings()
     for field in dataclasses.fields(usual):
