@@ -91,7 +91,8 @@ def _eliminate_legs(
     upper, lower = columns(pulls), columns(pushes)
     leg = Matrix(*(Vector(*(j.dot(f) for f in pulls)) for j in j_leg)).plus(mass.leg)
     inverse = leg.plus(diagonal(*stiff)).inverse()
-    solved = [[_combine(row, [own[i] for own in lower]) for i in range(2 + moving)] for row in inverse]
+    a, b, c = lower
+    solved = [[row.x * a[i] + row.y * b[i] + row.z * c[i] for i in range(2 + moving)] for row in inverse]
     moved, turned = arm.columns(slope)[1], arm.rows(slope)[1]
     direct = [[slope, moved, slope], [turned, arm.rows(moved)[1], turned], [slope, moved, slope]]
 
@@ -104,10 +105,6 @@ def _eliminate_legs(
         return Matrix(*rows)
 
     return Legs(upper, solved, inverse, [[rest(i, j) for j in range(2 + moving)] for i in range(2 + moving)])
-
-
-def _combine(shares: Vector, vectors: list[Vector]) -> Vector:
-    return shares.x * vectors[0] + shares.y * vectors[1] + shares.z * vectors[2]
 
 
 def _stand_on(blocks: "Blocks", arm: Arm, rest: list[list[Matrix]]) -> None:

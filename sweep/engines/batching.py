@@ -1,6 +1,7 @@
 """What engines share in handling batches: batch axes, keys, precision, records of a traced rollout."""
 
 from functools import lru_cache
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +13,7 @@ from sweep.controllers.plan import Plan
 from sweep.controllers.tracker import TrackerState
 from sweep.core.parameters import InputError
 from sweep.core.waiting import part
-from sweep.engines import base, planning, program_cache
+from sweep.engines import base, devices, planning, program_cache
 from sweep.engines.base import Figures, Trace
 from sweep.engines.settings import EngineSettings
 from sweep.metrics import outcome, stream
@@ -81,6 +82,40 @@ def record(command: Command, state: TrackerState, tick: Tick, q: Array, v: Array
         "stage": state.stage,
         "judged": judged,
     }
+
+
+class Batched:
+    """How engines of the robot simulate rollouts: all of a batch, recorded or not, so that numbers are the same."""
+
+    settings: EngineSettings
+    limits: Thresholds
+    stages: tuple[str, ...]
+    width: int
+
+    def _simulate(
+        self, world: Case, belief: Case, streams: np.ndarray, slots: np.ndarray | None = None, every: int = 1
+    ) -> tuple[Figures, list[Any]]:
+        """Figures of a batch; of the rollouts in `slots`, if any, parts of what is recorded at one in `every` ticks."""
+        raise NotImplementedError
+
+    @devices.memory()
+    def run(self, world: Case, belief: Case, streams: np.ndarray) -> Figures:
+        """See `Engine`; stops early when every rollout is over."""
+        return self._simulate(world, belief, streams)[0]
+
+    def trace(self, world: Case, belief: Case, streams: np.ndarray, slot: int) -> Trace:
+        """See `Engine`."""
+        return self.traces(world, belief, streams, 1, np.array([slot]))[0]
+
+    def traces(
+        self, world: Case, belief: Case, streams: np.ndarray, every: int, slots: np.ndarray | None = None
+    ) -> list[Trace]:
+        """See `Engine`; of the rollouts in `slots`, if they are named."""
+        slots = np.arange(self.width) if slots is None else slots
+        figures, parts = self._simulate(world, belief, streams, slots, every)
+        records = jax.tree.map(lambda *each: np.concatenate(each), *parts)
+        tick = self.settings.control_period
+        return to_traces((world, belief), slots, figures, records, self.stages, self.limits, tick, every)
 
 
 def to_traces(

@@ -10,14 +10,14 @@ from jaxtyping import Array, Float
 from sweep.controllers import tracker
 from sweep.controllers.frames import Stance
 from sweep.controllers.layers import Command
-from sweep.controllers.learned import Learned, at_first, felt, informed, newest, replanned
+from sweep.controllers.learned import Learned, at_first, felt, informed, newest
 from sweep.controllers.observation import Observation, Sensors, install, observe, threshold
 from sweep.controllers.plan import Plan
 from sweep.controllers.posture import feet_in_world, joint_targets
 from sweep.controllers.tracker import TrackerState
 from sweep.core.rotations import about_vertical, conjugate, multiply, rotate
 from sweep.metrics import stream
-from sweep.metrics.metric import GRACE, REST, Tick
+from sweep.metrics.metric import GRACE, REST, Begin, Moment, Tick
 from sweep.metrics.outcome import Thresholds
 from sweep.metrics.stream import Running
 from sweep.models.case import Case, Driving
@@ -151,21 +151,13 @@ def init(
         jnp.full(N_LEGS, jnp.inf),
     )
     bias_key, key = jax.random.split(key)
-    sensors = None if quiet else install(world.noise, bias_key, _by_landmarks(world.obstacle, truth))
+    sensors = None
+    if not quiet:
+        sensors = install(world.noise, bias_key, truth._replace(free=surface.marked(world.obstacle, truth.free)))
     feet = feet_in_world(world.robot, start.qpos[:3], start.qpos[3:7], joints)
-    running = stream.begin(world, plan, start.qpos[:3], start.qpos[3:7], feet, free, energy, learned)
+    running = stream.begin(Begin(world, plan, start.qpos[:3], start.qpos[3:7], feet, free, energy, learned))
     servo = position_mode(world.drive, joints)
     return ClosedLoop(tracker.init(belief, plan), sensors, running, truth, servo, key, learned)
-
-
-def _by_landmarks(obstacle: Obstacle, truth: Observation) -> Observation:
-    return truth._replace(free=surface.marked(obstacle, truth.free))
-
-
-def with_new_plan(belief: Case, plan: Plan, loop: ClosedLoop) -> ClosedLoop:
-    """What is left of the way planned by what is known by now; `belief` and `plan` are those of the start."""
-    assert loop.learned is not None  # since there is something to plan by
-    return loop._replace(learned=replanned(belief, plan, loop.tracker.stage, loop.learned))
 
 
 def act(
@@ -175,7 +167,7 @@ def act(
 
     Free bodies are seen by their landmarks, and taken to be where those that are believed have these.
     """
-    sensors, seen = loop.sensors, _by_landmarks(world.obstacle, loop.seen)
+    sensors, seen = loop.sensors, loop.seen._replace(free=surface.marked(world.obstacle, loop.seen.free))
     if sensors is not None:
         sensors, seen = observe(world.noise, sensors, seen, jax.random.fold_in(loop.key, tick))
     free = surface.placed(at_first(belief, loop.learned), seen.free)
@@ -206,12 +198,25 @@ def measure(
     plan: nobody steps on.
     """
     plan = newest(plan, loop.learned)
-    running, judged = stream.update(
-        world, plan, limits, loop.tracker, command, loop.running, loop.learned, tick, number, period
+    state, time = loop.tracker, loop.running.time + period
+    now = Moment(
+        world,
+        plan,
+        state.stage,
+        command.phase,
+        state.finished,
+        state.position,
+        command.target,
+        jnp.max(command.shortfall),
+        tick,
+        period,
+        time,
+        loop.learned,
     )
+    running, judged = stream.update(loop.running, now, limits, number)
     late = running.time - running.rested >= GRACE * jnp.sum(plan.duration)
     rest = 0.0 if isinstance(world.manoeuvre, Driving) else REST
-    rested = loop.tracker.finished & (running.rested > rest - period / 2)
+    rested = state.finished & (running.rested > rest - period / 2)
     running = running._replace(over=running.over | rested | late)
     truth = Observation(
         tick.position,

@@ -17,7 +17,7 @@ from sweep.engines import devices
 from sweep.engines.base import Watch
 from sweep.engines.planning import Planning
 from sweep.engines.settings import EngineSettings
-from sweep.engines.states import offered
+from sweep.engines.states import watched
 from sweep.fused import eager
 from sweep.fused.arrays import Unsupported
 from sweep.fused.eager import Eager
@@ -62,9 +62,7 @@ class Fused(NamedTuple):
         record = carry.tiles.advance(tick, self.ticks, kept)
         if record is None or self.watch is None:
             return carry, record
-        last = {name: np.moveaxis(x, (0, 1), (-2, -1)) for name, x in record.items()}
-        columns = offered(world)
-        return carry, np.stack([np.asarray(columns[name](last)) for name in self.watch.columns], axis=-1)
+        return carry, watched(world, record, self.watch.columns)
 
     def finish(self, world: Case, plans: Plan, carry: Going) -> dict[str, Array]:
         """Figures."""

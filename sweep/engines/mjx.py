@@ -21,8 +21,9 @@ from sweep.dynamics import interface as dynamics
 from sweep.dynamics.free_bodies import resting
 from sweep.dynamics.step import State, rest
 from sweep.engines import batching, devices, fused_loop, physics, planning, program_cache
-from sweep.engines.base import Figures, Trace, Watch
+from sweep.engines.base import Figures, Watch
 from sweep.engines.batch_last import batch_last_vmap
+from sweep.engines.batching import Batched
 from sweep.engines.closed_loop import (
     CHUNK,
     ClosedLoop,
@@ -32,13 +33,12 @@ from sweep.engines.closed_loop import (
     measure,
     most_ticks,
     start_state,
-    with_new_plan,
 )
 from sweep.engines.fused_loop import Fused, of_one
 from sweep.engines.planning import Planning
 from sweep.engines.prelude import check, prepared
 from sweep.engines.settings import EngineSettings
-from sweep.engines.states import offered
+from sweep.engines.states import offered, watched
 from sweep.fused import driver, kernel, launch
 from sweep.fused.eager import Eager
 from sweep.fused.kernel import Code, Kernel
@@ -68,7 +68,7 @@ class Programs(NamedTuple):
     finish: Callable[[Case, Plan, Any], dict[str, Array]]
 
 
-class Mjx:
+class Mjx(Batched):
     """The implicit contact step on structured or on MJX's smooth dynamics."""
 
     def __init__(self, settings: EngineSettings, world: Case, belief: Case, limits: Thresholds | None = None):
@@ -100,16 +100,11 @@ class Mjx:
         return sum(x.size * x.dtype.itemsize for x in jax.tree.leaves(held))
 
     @devices.memory()
-    def run(self, world: Case, belief: Case, streams: np.ndarray) -> Figures:
-        """Figures of `width` rollouts; stops early when every rollout is over."""
-        return self._simulate(world, belief, streams)[0]
-
-    @devices.memory()
     def histories(
         self, world: Case, belief: Case, streams: np.ndarray, slots: np.ndarray, watch: Watch
     ) -> tuple[Figures, np.ndarray]:
         """See `Engine`."""
-        figures, parts = self._simulate(world, belief, streams, slots, watch.every, watch.most, watch)
+        figures, parts = self._simulate(world, belief, streams, slots, watch.every, watch)
         return figures, np.concatenate([np.zeros((0, len(slots), len(watch.columns)), np.float32), *parts])
 
     def _simulate(
@@ -119,13 +114,13 @@ class Mjx:
         streams: np.ndarray,
         slots: np.ndarray | None = None,
         every: int = 1,
-        most: int = 1,
         watch: Watch | None = None,
     ) -> tuple[Figures, list[Any]]:
         """Figures of the batch, and of the rollouts in `slots`, if any, what is recorded in each chunk of ticks.
 
-        That is one in `every` ticks: all there is of them, or what is to be watched. Room is made for `most` slots.
+        That is one in `every` ticks: all there is of them, or what is to be watched.
         """
+        most = watch.most if watch else 1 if slots is None else len(slots)  # slots that room is made for
         with devices.precision(self.settings):
             (world, belief, keys), programs, kept, places = self._prepare(world, belief, streams, slots, most, watch)
             plans, carry = programs.start(world, belief, keys)
@@ -140,20 +135,6 @@ class Mjx:
                     break
             figures = programs.finish(world, plans, carry).items()
             return {name: np.asarray(values) for name, values in figures}, records
-
-    def trace(self, world: Case, belief: Case, streams: np.ndarray, slot: int) -> Trace:
-        """The rollout in `slot`, simulated in its batch so that its numbers are those of `run`."""
-        return self._traces(world, belief, streams, np.array([slot]), 1)[0]
-
-    def traces(self, world: Case, belief: Case, streams: np.ndarray, every: int) -> list[Trace]:
-        """See `Engine`."""
-        return self._traces(world, belief, streams, np.arange(self.width), every)
-
-    def _traces(self, world: Case, belief: Case, streams: np.ndarray, slots: np.ndarray, every: int) -> list[Trace]:
-        figures, parts = self._simulate(world, belief, streams, slots, every, len(slots))
-        records = jax.tree.map(lambda *each: np.concatenate(each), *parts)
-        tick = self.settings.control_period
-        return batching.to_traces((world, belief), slots, figures, records, self.stages, self.limits, tick, every)
 
     @property
     def _by_host(self) -> bool:
@@ -260,7 +241,7 @@ class Mjx:
             if self._by_host:
                 with part("closed loop"):
                     lanes = kernel.tile(self.width, devices.cores())
-                    chunked = pool.submit(kernel.begun(self._ticks, *of_one(arrays, batch), lanes=lanes))
+                    chunked = pool.submit(kernel.begun(self._tick, *of_one(arrays, batch), lanes=lanes))
                     finished = self._compile_finish(arrays, batch, on_devices)
                     again = self._compile_again(arrays, batch, on_devices)
                     return *started(), chunked.result(), finished, again
@@ -308,18 +289,13 @@ class Mjx:
             (world, _, plan), carry = of_one(arrays, batch)
             return fused_loop.eager_or(by_xla, self._finish, world, plan, carry)
 
-    def _ticks(self, given: tuple[Case, Case, Plan], carry: Carry, k: Array) -> tuple[Carry, dict[str, Array]]:
-        """A tick of one rollout, for a compiler of this package."""
-        return self._tick(*given, carry, k)
-
     def _fused_chunk(
         self, arrays: tuple[Case, Case, Array], batch: Any, kept: Array | None, watch: Watch | None
     ) -> tuple[Callable, str]:
         """A second of the batch that a GPU has, as one kernel, and its key; see `_chunk`."""
         room = 0 if kept is None else len(kept) // self._mesh.size
         form, over, width = of_one(arrays, batch), lambda carry: carry.over, self._local
-        code = launch.compiled(self._ticks, *form, over, self._chunk_ticks, room, width, few=self._few)
-        columns = offered(self._nominal[0])
+        code = launch.compiled(self._tick, *form, over, self._chunk_ticks, room, width, few=self._few)
 
         def chunk(world: Case, belief: Case, plans: Plan, carry: Carry, first: Array, kept: Array | None) -> Any:
             if self._nominal[0].control.replan != "never":
@@ -327,8 +303,7 @@ class Mjx:
             carry, record = launch.run(code, (world, belief, plans), carry, first, kept)
             if watch is None or record is None:
                 return carry, record
-            last = {name: jnp.moveaxis(x, (0, 1), (-2, -1)) for name, x in record.items()}
-            return carry, jnp.stack([columns[name](last) for name in watch.columns], axis=-1)
+            return carry, watched(self._nominal[0], record, watch.columns)
 
         return chunk, driver.key(code.text)
 
@@ -336,17 +311,17 @@ class Mjx:
         self, arrays: tuple[Case, Case, Array], batch: Any, kept: Array | None, watch: Watch | None
     ) -> tuple[Callable, None]:
         """A second of the batch that a device has, of which some rollouts may be recorded: columns, or all there is."""
-        axes = devices.axes(arrays[:2])
-        columns = offered(self._nominal[0])
-        tick = batch_last_vmap(self._tick, (*_last(axes), -1, -1, None), devices.reuse_from())
+        axes, columns = devices.axes(arrays[:2]), offered(self._nominal[0])
+        last = jax.tree.map(lambda _: -1, (*axes, batch[0]))  # batch axes of what has been put `_batch_last`
+        tick = batch_last_vmap(self._tick, (last, -1, None), devices.reuse_from())
 
         def chunk(world: Case, belief: Case, plans: Plan, carry: Carry, first: Array, kept: Array | None) -> Any:
             if self._nominal[0].control.replan != "never":
                 carry = _with_new_plan(axes[1])(belief, plans, carry)
-            world, belief, plans, carry = _batch_last((world, belief, plans, carry))
+            given, carry = _batch_last(((world, belief, plans), carry))
 
             def body(carry: Carry, k: Array) -> tuple[Carry, Any]:
-                carry, record = tick(world, belief, plans, carry, k)
+                carry, record = tick(given, carry, k)
                 if kept is None:
                     return carry, None
                 record = jax.tree.map(lambda x: x[..., kept], record)
@@ -354,7 +329,7 @@ class Mjx:
                 return carry, jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), chosen)
 
             carry, records = jax.lax.scan(body, carry, first + jnp.arange(self._chunk_ticks))
-            return _batch_first(carry), records
+            return jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), carry), records
 
         return chunk, None
 
@@ -370,9 +345,9 @@ class Mjx:
         plan = newest(plan, carry.loop.learned)
         return stream.figures(world, plan, carry.loop.running, carry.loop.tracker.stage)
 
-    def _tick(self, world: Case, belief: Case, plan: Plan, carry: Carry, tick: Array) -> tuple[Carry, dict[str, Array]]:
-        period = self.settings.control_period
-        old = carry.loop.servo
+    def _tick(self, given: tuple[Case, Case, Plan], carry: Carry, tick: Array) -> tuple[Carry, dict[str, Array]]:
+        world, belief, plan = given
+        period, old = self.settings.control_period, carry.loop.servo
         loop, command = act(world, belief, plan, carry.loop, tick, period)
         state, summary = self.physics.advance(world, carry.state, old, loop.servo, tick)
         loop, judged = measure(world, plan, self.limits, loop, command, summary, tick, period)
@@ -392,20 +367,13 @@ def _with_new_plan(axes: Case) -> Callable[[Case, Plan, Carry], Carry]:
     """Every rollout of a batch plans again; `axes` are those of what is believed."""
 
     def one(belief: Case, plan: Plan, carry: Carry) -> Carry:
-        return carry._replace(loop=with_new_plan(belief, plan, carry.loop))
+        loop = carry.loop
+        assert loop.learned is not None  # since there is something to plan by
+        return carry._replace(loop=loop._replace(learned=replanned(belief, plan, loop.tracker.stage, loop.learned)))
 
     return jax.vmap(one, in_axes=(axes, 0, 0))
-
-
-def _last(axes: Any) -> Any:
-    """Batch axes of what has been put `_batch_last`."""
-    return jax.tree.map(lambda _: -1, axes)
 
 
 def _batch_last(tree: Any) -> Any:
     """Leaves that vary over the batch with that axis last; the others are plain numbers."""
     return jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1) if jnp.ndim(x) else x, tree)
-
-
-def _batch_first(tree: Any) -> Any:
-    return jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), tree)

@@ -22,7 +22,8 @@ from sweep.core.errors import InputError
 from sweep.core.rotations import exponential, multiply
 from sweep.core.waiting import part
 from sweep.engines import batching, devices, fused_loop, physics, planning, program_cache
-from sweep.engines.base import Figures, Trace, Watch
+from sweep.engines.base import Figures, Watch
+from sweep.engines.batching import Batched
 from sweep.engines.closed_loop import (
     CHUNK,
     ClosedLoop,
@@ -38,7 +39,7 @@ from sweep.engines.closed_loop import (
 from sweep.engines.planning import Planning
 from sweep.engines.prelude import check, prepared
 from sweep.engines.settings import EngineSettings
-from sweep.engines.states import offered
+from sweep.engines.states import watched
 from sweep.fused import kernel
 from sweep.fused.eager import Eager
 from sweep.fused.kernel import Code, Kernel, Tiles
@@ -131,7 +132,7 @@ class ByXla:
         return jax.tree.map(np.asarray, which(self._carried))
 
 
-class Native:
+class Native(Batched):
     """One C simulation per rollout; the host goes through the control ticks."""
 
     def __init__(self, settings: EngineSettings, world: Case, belief: Case, limits: Thresholds | None = None):
@@ -157,41 +158,16 @@ class Native:
         return None
 
     @devices.memory()
-    def run(self, world: Case, belief: Case, streams: np.ndarray) -> Figures:
-        """Figures of `width` rollouts."""
-        return self._simulate(world, belief, streams, None)[0]
-
-    @devices.memory()
     def histories(
         self, world: Case, belief: Case, streams: np.ndarray, slots: np.ndarray, watch: Watch
     ) -> tuple[Figures, np.ndarray]:
         """See `Engine`."""
-        columns = offered(self._nominal)
-
-        def chosen(record: dict[str, np.ndarray]) -> np.ndarray:
-            parts = {name: np.moveaxis(values, 0, -1) for name, values in record.items()}
-            return np.stack([np.asarray(columns[name](parts)) for name in watch.columns], axis=-1)
-
-        figures, records = self._simulate(world, belief, streams, slots, watch.every)
-        return figures, np.stack([chosen(record) for record in records])
-
-    def trace(self, world: Case, belief: Case, streams: np.ndarray, slot: int) -> Trace:
-        """The rollout in `slot`."""
-        return self._traces(world, belief, streams, np.array([slot]), 1)[0]
-
-    def traces(self, world: Case, belief: Case, streams: np.ndarray, every: int) -> list[Trace]:
-        """See `Engine`."""
-        return self._traces(world, belief, streams, np.arange(self.width), every)
-
-    def _traces(self, world: Case, belief: Case, streams: np.ndarray, slots: np.ndarray, every: int) -> list[Trace]:
-        figures, parts = self._simulate(world, belief, streams, slots, every)
-        records = {name: np.stack([part[name] for part in parts]) for name in parts[0]}
-        tick = self.settings.control_period
-        return batching.to_traces((world, belief), slots, figures, records, self.stages, self.limits, tick, every)
+        figures, parts = self._simulate(world, belief, streams, slots, watch.every)
+        return figures, np.concatenate([watched(self._nominal, part, watch.columns) for part in parts])
 
     def _simulate(
-        self, world: Case, belief: Case, streams: np.ndarray, slots: np.ndarray | None, every: int = 1
-    ) -> tuple[Figures, list[dict[str, np.ndarray]]]:
+        self, world: Case, belief: Case, streams: np.ndarray, slots: np.ndarray | None = None, every: int = 1
+    ) -> tuple[Figures, list[Any]]:
         batching.check(streams, self.width)
         with devices.precision(self.settings):
             models, unbuilt = self._models(world)
@@ -234,7 +210,8 @@ class Native:
                 judged = going.look(lambda now: now.judged)[slots]
                 records.append({**_record(world, going, steps, slots), "judged": judged})
             figures = programs.finish(world, plans, going.leave().loop)
-            return {name: np.asarray(values) for name, values in figures.items()}, records
+            parts = [jax.tree.map(lambda *each: np.stack(each), *records)] if records else []
+            return {name: np.asarray(values) for name, values in figures.items()}, parts
 
     def _models(self, world: Case) -> tuple[list[mujoco.MjModel], np.ndarray]:
         """Each row's model, and which rows cannot be built: absurd sizes, in whose place the nominal model runs."""

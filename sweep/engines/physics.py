@@ -109,13 +109,10 @@ class Physics(NamedTuple):
 
         nothing = _nothing(world, state.q.dtype)
         (moving, totals, load, before), _ = jax.lax.scan(substep, (from_state(state), *nothing), jnp.arange(n))
-        return (state := to_state(moving)), self._summary(state, totals, load, before)
-
-    def _summary(self, state: State, totals: Totals, load: Array, before: Before) -> Tick:
-        n, h, legs = self.substeps, self.settings.time_step, slice(3 * N_LEGS)
+        state, legs = to_state(moving), slice(3 * N_LEGS)
         force, normal = (1 / n) * totals.force, totals.normal / n
         along = force - normal * before.normal
-        return Tick(
+        return state, Tick(
             torque_peak=_by_joint(totals.torque_peak),
             saturated=_by_joint(totals.saturated) / n,
             force=force.array(),

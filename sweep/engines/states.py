@@ -1,8 +1,11 @@
 """Names for what engines record of a rollout: the columns of its states, in files and in `study.keep`."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
 
 from sweep.metrics.attitude import from_level
 from sweep.models.case import Case
@@ -24,6 +27,13 @@ def offered(world: Case) -> dict[str, Column]:
         at = {axis: (leg - 1, k) for k, axis in enumerate("xyz")}
         columns |= {f"foot{leg}_force_{axis}_n": partial(_number, "foot_force", place) for axis, place in at.items()}
     return columns
+
+
+def watched(world: Case, record: Record, names: Sequence[str]) -> Any:
+    """Columns (samples, rollouts, names) of a record (samples, rollouts, ...), of NumPy or of JAX as that is."""
+    columns, xp = offered(world), np if isinstance(record["qpos"], np.ndarray) else jnp
+    last = {name: xp.moveaxis(x, (0, 1), (-2, -1)) for name, x in record.items()}
+    return xp.stack([xp.asarray(columns[name](last)) for name in names], axis=-1)
 
 
 def _number(name: str, place: tuple[int, ...], record: Record) -> Any:

@@ -48,7 +48,8 @@ def update(so_far: BodiesMotion, now: Moment) -> BodiesMotion:
     settled = jnp.where(now.stage == 0, place, so_far.settled)
     upright = jnp.where(now.stage == 0, quat, so_far.quat)
     turn = jnp.linalg.norm(logarithm(multiply(quat, conjugate(upright))), axis=-1)
-    here = Tail(place, now.time)
+    here, manoeuvre = Tail(place, now.time), now.world.manoeuvre
+    aside = manoeuvre.aside if isinstance(manoeuvre, Driving) else lambda way: jnp.abs(way[1])
     return BodiesMotion(
         start=so_far.start,
         settled=settled,
@@ -59,14 +60,9 @@ def update(so_far: BodiesMotion, now: Moment) -> BodiesMotion:
         moved=jnp.maximum(so_far.moved, jnp.max(jnp.linalg.norm(way, axis=-1))),
         shifted=jnp.maximum(so_far.shifted, jnp.max(jnp.linalg.norm(place - settled, axis=-1))),
         turned=jnp.maximum(so_far.turned, jnp.max(turn)),
-        aside=jnp.maximum(so_far.aside, _aside(now, way[0])),
+        aside=jnp.maximum(so_far.aside, aside(way[0])),
         ride_height=jnp.minimum(so_far.ride_height, now.tick.position[2] - place[0, 2]),
     )
-
-
-def _aside(now: Moment, way: Float[Array, " 3"]) -> Float[Array, ""]:
-    manoeuvre = now.world.manoeuvre
-    return manoeuvre.aside(way) if isinstance(manoeuvre, Driving) else jnp.abs(way[1])
 
 
 def figures(found: BodiesMotion, at: Elapsed) -> dict[str, Array]:

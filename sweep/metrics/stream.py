@@ -7,15 +7,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from sweep import metrics
-from sweep.controllers.layers import Command
-from sweep.controllers.learned import Learned
 from sweep.controllers.plan import Plan
-from sweep.controllers.tracker import TrackerState
 from sweep.metrics import solver
-from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment, Tick
+from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment
 from sweep.metrics.outcome import Thresholds, limit_of
 from sweep.models.case import Case
-from sweep.models.obstacles.surface import FreeState
 
 OVERTURNED = 60.0  # deg of tilt: nothing after it tells anything of the manoeuvre
 
@@ -36,24 +32,14 @@ def timed(world: Case) -> tuple[Cause, ...]:
     return tuple(cause for metric in metrics.of(world) for cause in metric.causes if cause.known == "tick")
 
 
-def begin(
-    world: Case,
-    plan: Plan,
-    position: Float[Array, " 3"],
-    quat: Float[Array, " 4"],
-    feet: Float[Array, "6 3"],
-    free: FreeState,
-    energy: Float[Array, ""],
-    learned: Learned | None,
-) -> Running:
-    """Nothing has happened yet; `feet` are where they really are, `energy` that of the start (J)."""
-    start = Begin(world, plan, position, quat, feet, free, energy, learned)
-    dtype, n = plan.duration.dtype, len(timed(world))
+def begin(start: Begin) -> Running:
+    """Nothing has happened yet."""
+    dtype, n = start.plan.duration.dtype, len(timed(start.world))
     return Running(
         time=jnp.zeros((), dtype),
         rested=jnp.zeros((), dtype),
         over=jnp.asarray(False),
-        states=tuple(metric.begin(start) for metric in metrics.of(world)),
+        states=tuple(metric.begin(start) for metric in metrics.of(start.world)),
         cause_time=jnp.full(n, jnp.nan, dtype),
         cause_stage=jnp.full(n, -1, jnp.int32),
     )
@@ -67,49 +53,24 @@ def with_energy(world: Case, running: Running, energy: Array) -> Running:
     )
 
 
-def update(
-    world: Case,
-    plan: Plan,
-    limits: Thresholds,
-    state: TrackerState,
-    command: Command,
-    running: Running,
-    learned: Learned | None,
-    tick: Tick,
-    number: Array,
-    period: float,
-) -> tuple[Running, Float[Array, " c"]]:
+def update(running: Running, now: Moment, limits: Thresholds, number: Array) -> tuple[Running, Float[Array, " c"]]:
     """Control tick `number` on, which all rollouts share, and the figures so far that the `timed` causes judge.
 
     `limits` only say when the moment of a cause is noted.
     """
-    time = running.time + period
-    now = Moment(
-        world,
-        plan,
-        state.stage,
-        command.phase,
-        state.finished,
-        state.position,
-        command.target,
-        jnp.max(command.shortfall),
-        tick,
-        period,
-        time,
-        learned,
-    )
+    world, time = now.world, now.time
     states = tuple(_updated(m, s, now, number) for m, s in zip(metrics.of(world), running.states, strict=True))
-    found = _figures(Elapsed(world, plan, time, state.stage), states)
+    found = _figures(Elapsed(world, now.plan, time, now.stage), states)
     judged = [found[cause.figure] for cause in timed(world)]
     crossed = [c.holds(value, limit_of(c, limits)) for c, value in zip(timed(world), judged, strict=True)]
     first = jnp.stack(crossed) & jnp.isnan(running.cause_time)
     new = Running(
         time=time,
-        rested=running.rested + period * state.finished,
+        rested=running.rested + now.period * now.finished,
         over=(found["tilt_max_deg"] > OVERTURNED) | ~found["finite"],
         states=states,
         cause_time=jnp.where(first, time, running.cause_time),
-        cause_stage=jnp.where(first, state.stage, running.cause_stage),
+        cause_stage=jnp.where(first, now.stage, running.cause_stage),
     )
     kept = jax.tree.map(lambda old, fresh: jnp.where(running.over, old, fresh), running, new)
     return kept, jnp.stack([jnp.asarray(value, time.dtype) for value in judged])

@@ -201,7 +201,7 @@ def test_a_walk_is_that_of_the_cpu(monkeypatch, few):
     engine = Mjx(replace(exp.settings, width=WIDTH, compiler="fused"), exp.case, exp.case)
     world = replace(exp.case, contact=replace(exp.case.contact, friction=np.linspace(0.1, 1.0, WIDTH)))
     (world, belief, keys), program, *_ = engine._prepare(world, exp.case, np.arange(WIDTH), None, 1, None)
-    given, tick = (world, belief, program.start(world, belief, keys)[0]), engine._ticks
+    given, tick = (world, belief, program.start(world, belief, keys)[0]), engine._tick
     _, carry = program.begin(world, belief, keys)
     one = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:] if x.ndim else (), x.dtype), (given, carry))
     code = launch.compiled(tick, *one, lambda carry: carry.over, 2, WIDTH, WIDTH, few=few)
