@@ -7,7 +7,6 @@ python docs/ball_figures.py ball_noise=results/ball_noise
 """
 
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -15,6 +14,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from one_run import traced
 
 from sweep import load
 from sweep.analysis.intervals import wilson
@@ -29,8 +29,6 @@ from sweep.formulas.ball import GRAVITY, ROLLING, lateral_mu
 from sweep.models.case import Case
 from sweep.models.obstacles.ball import Ball
 from sweep.models.robot import total_mass
-from sweep.runs.batches import Batch, make_engine
-from sweep.study.config import compose
 from sweep.trace.layout import LEG_COLORS
 from sweep.trace.plots import ACTUAL, PLOTS, REFERENCE, SECOND
 from sweep.trace.sampling import base_pose, mass_centres
@@ -51,9 +49,7 @@ RUNS = {
 
 def draw(name: str) -> Path:
     """The plot of one run on the native engine."""
-    exp = compose([*RUNS[name], "engine=native"])
-    one = Batch(replace(exp.settings, width=1), exp.case, exp.case, np.zeros(1, int))
-    trace = make_engine(exp, one).trace(exp.case, exp.case, one.streams, 0)
+    exp, trace = traced(*RUNS[name], "engine=native")
     path = FIGURES / f"{name}.png"
     match exp.case.manoeuvre:
         case BallDescend() | BallOver():

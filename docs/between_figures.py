@@ -6,12 +6,12 @@ python docs/between_figures.py [ball_ledges] [ball_to_ball] [ball_to_ball_grip=r
 """
 
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
 from matplotlib.figure import Figure
+from one_run import traced
 
 from sweep.core.letters import legend_below, lettering, save, sheet
 from sweep.core.rotations import rotate
@@ -23,25 +23,21 @@ from sweep.models.robot import total_mass
 from sweep.report import maps
 from sweep.report.looks import INK
 from sweep.runs import results
-from sweep.runs.batches import Batch, make_engine
 from sweep.runs.results import Results
-from sweep.study.config import compose
 from sweep.trace.layout import LEG_COLORS
 from sweep.trace.plots import ACTUAL, REFERENCE, SECOND
 from sweep.trace.sampling import base_pose, mass_centres
 
 FIGURES = Path(__file__).parent / "figures"
+RUNS = {
+    "ball_ledges": ["scenario=ball_ledges"],
+    "ball_to_ball": ["scenario=ball_to_ball", "manoeuvre.finish=floor"],
+    "ball_to_ball_grip": ["scenario=ball_to_ball", "obstacle.gap=0"],
+}
 FEET = (1, 3, 5)  # of a gallop the others go alongside
 LINES = {"II": "over.squat", "III": "over.ahead", "IV": "over.middle5", "V": "lower"}  # stages that begin there
 TITLE = "Where going from ball to ball needs friction between these"
 WAYS = (0.1, 0.3, 1.0)  # of the radius, that are drawn over the map
-
-
-def traced(*overrides: str) -> Trace:
-    """One run on the native engine."""
-    exp = compose([*overrides, "engine=native"])
-    one = Batch(replace(exp.settings, width=1), exp.case, exp.case, np.zeros(1, int))
-    return make_engine(exp, one).trace(exp.case, exp.case, one.streams, 0)
 
 
 def begins(trace: Trace, word: str) -> float:
@@ -154,10 +150,7 @@ if __name__ == "__main__":
         for word in sys.argv[1:] or ("ball_ledges", "ball_to_ball"):
             name, _, folder = word.partition("=")
             path = FIGURES / f"{name}.png"
-            if folder:
-                save(grip_map(results.read(Path(folder)), traced("scenario=ball_to_ball", "obstacle.gap=0")), path)
-            elif name == "ball_ledges":
-                save(ledges(traced("scenario=ball_ledges")), path)
-            else:
-                save(balls(traced("scenario=ball_to_ball", "manoeuvre.finish=floor")), path)
+            _, trace = traced(*RUNS[name], "engine=native")
+            draw = ledges if name == "ball_ledges" else balls
+            save(grip_map(results.read(Path(folder)), trace) if folder else draw(trace), path)
             print(path)

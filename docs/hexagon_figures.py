@@ -1,6 +1,5 @@
 """Draws the pictures of docs/hexagon.md: `python docs/hexagon_figures.py`. The last one simulates: about a minute."""
 
-from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -10,12 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from one_run import traced
 
 from sweep.controllers.manoeuvres.walking.waypoints import CIRCLE, TRIPODS, WAYPOINTS, Waypoints
 from sweep.controllers.plan import Plan, reference
 from sweep.controllers.posture import joint_targets
 from sweep.core.letters import DPI, legend_below, lettering, sheet
-from sweep.engines import make
 from sweep.formulas.leg import SIDE
 from sweep.formulas.thesis import thesis_workspace
 from sweep.models.case import Case
@@ -149,9 +148,7 @@ def angles(case: Case) -> None:
 
 def physics() -> None:
     """Planned and actual paths in simulation, and how far the base is from its plan."""
-    trial = compose([SCENARIO])
-    engine = make(replace(trial.settings, width=1), trial.case, trial.case)
-    trace = engine.trace(trial.case, trial.case, np.zeros(1, dtype=np.int64), 0)
+    _, trace = traced(SCENARIO)
     figure = sheet(6.4)
     above, error = figure.subplots(2, 1, height_ratios=[3, 1])
     for leg in CIRCLE:

@@ -4,14 +4,11 @@ python docs/plot_figures.py [NAME ...]
 """
 
 import sys
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
+from one_run import traced
 
 from sweep.core.letters import save
-from sweep.runs.batches import Batch, make_engine
-from sweep.study.config import compose
 from sweep.trace.plots import PLOTS
 
 FIGURES = Path(__file__).parent / "figures"
@@ -27,9 +24,7 @@ RUNS = {
 def drawn(name: str) -> Path:
     """The plot of a run."""
     plot, scenario = RUNS[name]
-    exp = compose([f"scenario={scenario}", "engine=native"])
-    one = Batch(replace(exp.settings, width=1), exp.case, exp.case, np.zeros(1, int))
-    trace = make_engine(exp, one).trace(exp.case, exp.case, one.streams, 0)
+    _, trace = traced(f"scenario={scenario}", "engine=native")
     save(PLOTS[plot](trace), path := FIGURES / f"{name}.png")
     return path
 

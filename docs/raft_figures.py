@@ -3,16 +3,14 @@
 python docs/raft_figures.py
 """
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
+from one_run import traced
 
 from sweep.core.letters import legend_below, lettering, save, sheet
 from sweep.engines.base import Trace
-from sweep.runs.batches import Batch, make_engine
-from sweep.study.config import compose
 from sweep.trace.layout import LEG_COLORS
 from sweep.trace.plots import ACTUAL
 from sweep.trace.sampling import base_pose
@@ -47,8 +45,7 @@ def crossing(trace: Trace) -> Figure:
 
 
 if __name__ == "__main__":
-    exp = compose(["scenario=raft_cross", "manoeuvre.offset=0.1", "engine=native"])
-    one = Batch(replace(exp.settings, width=1), exp.case, exp.case, np.zeros(1, int))
+    _, trace = traced("scenario=raft_cross", "manoeuvre.offset=0.1", "engine=native")
     with lettering():
-        save(crossing(make_engine(exp, one).trace(exp.case, exp.case, one.streams, 0)), PATH)
+        save(crossing(trace), PATH)
     print(PATH)

@@ -7,21 +7,20 @@ how long parts of the way over a ball take; how hard the right middle leg's driv
 import json
 import time
 from collections.abc import Iterator
-from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
 import jax
 import numpy as np
 from jaxtyping import Bool
+from one_run import traced
 
 from sweep.core.constants import GRAVITY
 from sweep.core.files import write_whole
 from sweep.core.provenance import made_with
 from sweep.engines.base import Trace
 from sweep.models.robot import total_mass
-from sweep.runs.batches import Batch, make_engine
-from sweep.study.config import Experiment, compose
+from sweep.study.config import Experiment
 from sweep.trace.plots import BOOK_TORQUE
 
 PATH = Path(__file__).parent / "data" / "traced_tables.json"
@@ -62,12 +61,11 @@ LEDGE = {"on to the pole": "on.front.load", "gallop": "gallop1.front.load", "edg
 DEVICES: set[str] = set()
 
 
-def traced(*overrides: str) -> tuple[Experiment, Trace]:
-    """One nominal run."""
-    exp = compose([*overrides])
-    one = Batch(replace(exp.settings, width=1), exp.case, exp.case, np.zeros(1, int))
+def told(*words: str) -> tuple[Experiment, Trace]:
+    """One nominal run, whose device is noted."""
+    exp, trace = traced(*words)
     DEVICES.add(exp.system.device(exp.settings))
-    return exp, make_engine(exp, one).trace(exp.case, exp.case, one.streams, 0)
+    return exp, trace
 
 
 def among(names: tuple[str, ...], ours: str) -> Bool[np.ndarray, " s"]:
@@ -82,7 +80,7 @@ def events() -> Iterator[list[str]]:
     """Tables 2.2 to 2.5: what our events are called, and what they take."""
     yield ["event of tables 2.2 to 2.5", "here", "feet to", "friction planned", "torque planned (N m)", "F/P",
            "torque (N m)"]  # fmt: skip
-    exp, trace = traced("scenario=ladder_climb")
+    exp, trace = told("scenario=ladder_climb")
     case, manoeuvre = exp.case, exp.case.manoeuvre
     plan = jax.jit(manoeuvre.way)(case)
     planned = jax.jit(manoeuvre.course)(case, plan).planned
@@ -108,7 +106,7 @@ def split(trace: Trace, begins: list[str]) -> Iterator[np.ndarray]:
 def over() -> Iterator[list[str]]:
     """How long the parts of the way over a ball take, here and in print."""
     yield ["part", "here, s", "print, s"]
-    _, trace = traced("scenario=ball_over")
+    _, trace = told("scenario=ball_over")
     tick = float(np.median(np.diff(trace.time)))
     for (part, (_, printed)), frames in zip(
         OVER.items(), split(trace, [name for name, _ in OVER.values()]), strict=True
@@ -121,14 +119,14 @@ def torques() -> Iterator[list[str]]:
     yield ["part", *(f"{ledge}: {joint}" for ledge in ("lower", "higher") for joint in "αβγ")]
     parts: dict[str, list[str]] = {name: [] for name in LEDGE}
     for ledge in ("below", "above"):
-        _, trace = traced(f"scenario=pole_ledge_{ledge}", "engine=native")
-        for told, frames in zip(parts.values(), split(trace, list(LEDGE.values())), strict=True):
+        _, trace = told(f"scenario=pole_ledge_{ledge}", "engine=native")
+        for cells, frames in zip(parts.values(), split(trace, list(LEDGE.values())), strict=True):
             asked = np.abs(trace.joint_torque.reshape(-1, 6, 3)[frames, MIDDLE - 1]) / BOOK_TORQUE
-            told += [
+            cells += [
                 f"{mean:.2f} ({high:.2f})"
                 for mean, high in zip(asked.mean(0), np.percentile(asked, 99, 0), strict=True)
             ]
-    yield from ([name, *told] for name, told in parts.items())
+    yield from ([name, *cells] for name, cells in parts.items())
 
 
 if __name__ == "__main__":
