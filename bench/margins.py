@@ -37,7 +37,7 @@ LENGTHS = ("body_length", "body_width", "thigh", "shin")
 SPREAD = 0.02  # of them, where nothing else is told: their standard deviation, a share
 COLUMNS = {"margin": "`margin`", "friction_reserve_min": "friction", "friction_demand_max": "a foot's friction",
            "torque_reserve_min": "torque", "reach_reserve_min_m": "reach", "edge_reserve_min_m": "edge",
-           "stability_margin_min_m": "stability"}  # fmt: skip
+           "landing_reserve_min": "landing", "stability_margin_min_m": "stability"}  # fmt: skip
 GROWS = ("friction_demand_max",)  # which goes up where others go down
 
 
@@ -71,11 +71,16 @@ def close(rows: pd.DataFrame) -> list[int]:
     return np.flatnonzero(steep).tolist()
 
 
+def directions(exp: Experiment) -> np.ndarray:
+    """Unit vectors (LINES, d) along which the lines go."""
+    towards = np.random.default_rng(0).standard_normal((LINES, len(exp.study.axes)))
+    return towards / np.linalg.norm(towards, axis=1, keepdims=True)
+
+
 def lines(exp: Experiment, folder: Path) -> list[pd.DataFrame]:
     """Rows of each line up to its first failure, by `way` (standard deviations from nominal)."""
-    d = len(exp.study.axes)
-    towards = np.random.default_rng(0).standard_normal((LINES, d))
-    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+    towards = directions(exp)
+    d = towards.shape[1]
     way = np.linspace(0, FAR, COARSE + 1)
     along = (way[None, 1:, None] * towards[:, None]).reshape(-1, d)
     coarse = simulated(exp, folder, np.concatenate([np.zeros((1, d)), along]))
@@ -117,7 +122,7 @@ def told(rows: pd.DataFrame, columns: list[str]) -> dict[str, Any]:
 def tables(scenarios: shared.Scenarios) -> dict[str, list[list[str]]]:
     """In how many lines what leads, and what the cliffs are of where there are more than a few."""
     heads = ["scenario", "lengths off by, %", "fail", "no cliff", "none above nought"]
-    leading = [[*heads, *COLUMNS.values()]]
+    leading = [[*heads, *COLUMNS.values(), "any"]]
     falling = [["scenario", "cliffs", "above nought", "cause", "nearest limit before"]]
     for name, one in scenarios.items():
         if one["nominal_outcome"] != "success":  # no line begins
@@ -126,10 +131,9 @@ def tables(scenarios: shared.Scenarios) -> dict[str, list[list[str]]]:
         high = sum(line["fall_to_nought"] > CLIFF for line in failing)
         counts = [len(failing), len(failing) - len(steep), len(failing) - high]
         cells = [f"`{name}`", f"{100 * one['lengths']:g}", *map(str, counts)]
-        for column in COLUMNS:
-            sign = 1 if column in GROWS else -1
-            count = sum(sign * line["leads"].get(column, 0.0) >= LEADS for line in failing)
-            cells.append(str(count) if column in one["nominal"] else "")
+        goes = {column: [_leads(line, column) for line in failing] for column in COLUMNS}
+        cells += [str(sum(lines)) if column in one["nominal"] else "" for column, lines in goes.items()]
+        cells.append(str(sum(map(any, zip(*goes.values(), strict=True)))))
         leading.append(cells)
         if len(steep) > MOST_CLIFFS:
             causes = Counter(f"`{line['cause']}`" for line in steep)
@@ -137,6 +141,10 @@ def tables(scenarios: shared.Scenarios) -> dict[str, list[list[str]]]:
             words = (", ".join(f"{key} {n}" for key, n in each.most_common()) for each in (causes, nearest))
             falling.append([f"`{name}`", str(len(steep)), str(high), *words])
     return {"leading": leading, "cliffs": falling}
+
+
+def _leads(line: dict[str, Any], column: str) -> bool:
+    return (1 if column in GROWS else -1) * line["leads"].get(column, 0.0) >= LEADS
 
 
 def main(words: list[str]) -> None:
@@ -154,11 +162,16 @@ def main(words: list[str]) -> None:
         measure(scenario, given.lengths or known, [word for word in given.words if "=" in word], given)
 
 
+def experiment(scenario: str, spread: float, overrides: list[str]) -> Experiment:
+    """The errors of `any_rare`, whose robot's lengths have the standard deviation `spread`."""
+    lengths = [f"study.axes.{axis}.relative={spread:g}" for axis in LENGTHS]
+    return compose([f"scenario={scenario}", "study=any_rare", "study.design.num=1", *lengths, *overrides])
+
+
 def measure(scenario: str, spread: float, overrides: list[str], given: argparse.Namespace) -> None:
     """Measure a scenario, or what is missing of it, whose robot's lengths have the standard deviation `spread`."""
     start = time.perf_counter()
-    lengths = [f"study.axes.{axis}.relative={spread:g}" for axis in LENGTHS]
-    exp = compose([f"scenario={scenario}", "study=any_rare", "study.design.num=1", *lengths, *overrides])
+    exp = experiment(scenario, spread, overrides)
     where = given.folder / scenario
     where.mkdir(parents=True, exist_ok=True)
     every = lines(exp, where)

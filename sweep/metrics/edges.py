@@ -21,7 +21,10 @@ METRIC = extremes(
     jnp.minimum,
     AROUND,
     nearest,
-    {"edge_reserve_min_m": f"least distance of a loaded foot to an edge of its face, at most {AROUND:g} m"},
+    {
+        "edge_reserve_min_m": "least distance of a loaded foot to an edge of its face, at most "
+        f"{AROUND:g} m or half of how thick it is there"
+    },
     applies=lambda case: not isinstance(case.obstacle, Plane),
     interval=0.02,
 )

@@ -4,7 +4,7 @@ Legs are the first axis throughout: what is done to each is then one operation o
 """
 
 from collections.abc import Sequence
-from functools import partial
+from functools import partial, reduce
 from typing import NamedTuple
 
 import jax
@@ -18,6 +18,7 @@ from sweep.models.solids import Solid, distance_to_segments, from_box
 
 HALVINGS = 8  # a segment of 0.4 m is searched to 1 mm
 AROUND = 0.05  # m, how far from a foot edges are looked for
+PROBES = (0.4, 1.0)  # of it, how deep under a foot: the first is in the middle of a rung, 40 mm thick
 
 
 def support_margin(feet: Float[Array, "n 2"], standing: Bool[Array, " n"], point: Float[Array, " 2"]) -> Array:
@@ -40,8 +41,13 @@ def support_margin(feet: Float[Array, "n 2"], standing: Bool[Array, " n"], point
 
 
 def edge_distance(obstacle: Obstacle, feet: Float[Array, "n 3"], bodies: Bodies) -> Float[Array, " n"]:
-    """How far (m) feet are from the edges of the faces that they stand on, no more than `AROUND`."""
-    return under(obstacle, feet - AROUND * under(obstacle, feet, bodies).normal, bodies).depth
+    """How far (m) feet are from the edges of the faces that they stand on, no more than `AROUND`.
+
+    Nor than half of how thick it is there: what is as deep as `AROUND` may be through it.
+    """
+    normal = under(obstacle, feet, bodies).normal
+    probes = [under(obstacle, feet - share * AROUND * normal, bodies).depth for share in PROBES]
+    return reduce(jnp.maximum, probes)
 
 
 def segment_distance(
