@@ -231,7 +231,15 @@ def test_a_plan_is_tuned_to_follow_sizes_and_simulated(tmp_path, monkeypatch, ca
             ["scenario=pole_top", "out=x.yaml", "--follow"],
             "--follow is not allowed: study pole_top draws no number of robot",
         ),
-        (["scenario=pole_top", "out=x.yaml", "--stages", "roof"], "--stages = roof names no stage of stand"),
+        (["scenario=pole_top", "out=x.yaml", "--stages", "*", "--stages", "roof"], "--stages = roof names no stage of"),
+        (["scenario=pole_top", "out=x.yaml", "--moments", "roof=3"], "--moments = roof names no stage of stand"),
+        (["scenario=pole_top", "out=x.yaml", "--need", "base@roof=1"], "--need = roof names no stage of stand"),
+        (
+            ["scenario=pole_top", "out=x.yaml", "--need", "bass=1"],
+            "--need: margin bass is unknown: did you mean base? (allowed: base, body, edge, fold, legs, links",
+        ),
+        (["scenario=pole_top", "out=x.yaml", "--need", "hold=1"], "--need: margin hold is unknown"),
+        (["scenario=pole_top", "out=x.yaml", "--need", "base=nan"], "--need = base=nan is not allowed: MARGIN"),
         (
             ["scenario=pole_top", "out=x.yaml", "--forces", "--need", "base"],
             "--need = base is not allowed: MARGIN",

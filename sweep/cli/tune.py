@@ -2,6 +2,7 @@
 
 import argparse
 import dataclasses
+import math
 import shlex
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
@@ -210,9 +211,11 @@ def aim(text: str) -> Aim:
     name, _, value = text.partition("=")
     margin, _, pattern = name.partition("@")
     try:
-        return Aim(margin, pattern or "*", float(value))
+        if (least := float(value)) < math.inf:
+            return Aim(margin, pattern or "*", least)
     except ValueError:
-        raise InputError(f"--need = {text} is not allowed: MARGIN=VALUE or MARGIN@STAGES=VALUE") from None
+        pass
+    raise InputError(f"--need = {text} is not allowed: MARGIN=VALUE or MARGIN@STAGES=VALUE, a number")
 
 
 def moments(texts: Iterable[str]) -> list[tuple[str, int]]:

@@ -14,7 +14,7 @@ import numpy as np
 from sweep.controllers import forces
 from sweep.controllers.forces import PlannedForces
 from sweep.controllers.plan import Plan
-from sweep.core.errors import InputError
+from sweep.core.errors import InputError, known
 from sweep.models import plan_table
 from sweep.models.case import Case
 from sweep.models.obstacles.ball import Ball
@@ -42,6 +42,7 @@ WORST, AT_ONCE = 3, 8  # moments of a stage that linear programs look at; draws 
 MOVED, SAME = 0.1, 1e-3  # of its step, by which a number moves for a difference; what is no difference
 UNKNOWN = 1e3  # the most that a margin lacks, as one that is not a number
 PERIOD, TIMES = 0.04, 1.05  # s, of a tick in which a plan on a ball is played; its time, with that of waiting
+PLAYED = ("zmp", "speed")  # margins of such a plan alone
 SETS = 3  # axes of sets of numbers: set, draw, number
 MANOEUVRE = "manoeuvre"  # beginning of paths that are not the table's
 
@@ -59,7 +60,7 @@ class Score:
 
     Plans on a ball are played by their tracker, with the ball where it rolls to; others are posed as they are planned,
     at as many `moments` of a stage as the last pattern says that names it, or else at least `MOMENTS`, `APART` in time.
-    Raises `InputError` where no stage is named as asked, or the manoeuvre plans no forces that are asked for.
+    Raises `InputError` where no stage or margin is named as asked, or the plan's forces are not searched for.
     """
 
     def __init__(
@@ -73,16 +74,23 @@ class Score:
         width: int,
     ):
         names = jax.eval_shape(case.manoeuvre.plan, jax.tree.map(jnp.asarray, case)).names
-        chosen = [k for k, name in enumerate(names)
-                  if any(fnmatchcase(name, p) for p in patterns) and not name.endswith(".load")]  # fmt: skip
-        if not chosen:
-            raise InputError(f"--stages = {' '.join(patterns)} names no stage of {', '.join(names)}")
+        judged = [name for name in names if not name.endswith(".load")]
+        asked = [("--stages", text) for text in patterns] + [("--moments", text) for text, _ in moments]
+        for flag, pattern in (*asked, *(("--need", aim.stages) for aim in aims)):
+            if not any(fnmatchcase(name, pattern) for name in judged):
+                raise InputError(f"{flag} = {pattern} names no stage of {', '.join(judged)}")
+        self._plays = type(case.obstacle) is Ball  # what leans on something, or on another ball, is taken to rest
         if hold and not isinstance(case.manoeuvre, PlannedForces):
             raise InputError(f"--forces is not allowed: manoeuvre.kind = {case.manoeuvre.kind} plans none")
+        if hold and self._plays:
+            raise InputError("--forces is not allowed: a plan on a ball is played, not held")
+        told = (*planned.Margins._fields, *(PLAYED if self._plays else ("hold",) if hold else ()))
+        for aim in aims:
+            known(aim.margin, told, f"--need: margin {aim.margin}")
+        chosen = [k for k, name in enumerate(names) if name in judged and any(fnmatchcase(name, p) for p in patterns)]
         self.stages = [names[k] for k in chosen]
         self.aims = [Aim(margin, "*", value) for margin, value in AIMS.items()] + list(aims)
         self.case, self._free, self._width = case, tuple(free), width
-        self._plays = type(case.obstacle) is Ball  # what leans on something, or on another ball, is taken to rest
         time = np.asarray(jax.jit(lambda: case.manoeuvre.plan(case).duration)(), float)
         self._ticks = math.ceil(TIMES * time.sum() / PERIOD) + len(names)
         counts = np.maximum(np.ceil(time[chosen] / APART).astype(int) + 1, MOMENTS)
@@ -190,8 +198,8 @@ class Score:
         seen = played.play(belief, plan, PERIOD, self._ticks)
         found = played.by_stage(seen, count)._asdict()
         speed = jnp.max(jnp.linalg.norm(seen.free.velocity, axis=-1), axis=1)
-        found["zmp"] = jax.ops.segment_min(played.zero_moment(seen, PERIOD), seen.stage, count)  # m
-        found["speed"] = -jax.ops.segment_max(speed, seen.stage, count)  # m/s, of the ball, negative
+        zmp = jax.ops.segment_min(played.zero_moment(seen, PERIOD), seen.stage, count)  # m
+        found |= zip(PLAYED, (zmp, -jax.ops.segment_max(speed, seen.stage, count)), strict=True)  # m/s, negative
         return {key: value[None, chosen] for key, value in found.items()}
 
 
