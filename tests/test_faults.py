@@ -5,6 +5,7 @@ import resource
 import signal
 import subprocess
 import time
+from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
@@ -71,6 +72,19 @@ def test_a_folder_that_cannot_be_written_is_refused(tmp_path, monkeypatch, capsy
     (tmp_path / "file").touch()
     assert main(["run", *STUDY, f"out={place}"]) == 2
     one_line(capsys.readouterr().err, f"out = {place} cannot be written")
+
+
+@pytest.mark.parametrize("place", ["/", "mine"])
+@pytest.mark.parametrize("flags", [[], ["--dry-run"]])
+def test_a_folder_of_other_files_is_refused_and_left_as_it_is(tmp_path, monkeypatch, capsys, place, flags):
+    """Such as the folder of a study's own file, which would be written over."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "study.yaml").write_text("scenario: walk_tripod\n")
+    assert main(["run", *STUDY, f"out={place}", *flags]) == 2
+    one_line(capsys.readouterr().err, f"out = {place} holds ", " and no results: give a new folder, or an empty one")
+    assert [path.name for path in (tmp_path / "mine").iterdir()] == ["study.yaml"]
+    assert not Path("/parts").exists()
 
 
 def test_damaged_parts_are_named_and_simulated_again(tmp_path, capsys, whole):

@@ -52,6 +52,8 @@ def execute(exp: Experiment, flags: Flags) -> int:
     if exp.study.single and not exp.out:
         return execute_single(exp, flags)
     folder = exp.folder
+    if not flags.check:  # which writes nothing
+        store.refuse_strangers(folder)
     first = runner.wanted_points(exp, flags.where, flags.limit, lambda line: print(f"sweep: {line}", file=sys.stderr))
     if not flags.check:  # which judges nothing by outcomes
         check_expect(exp.study, exp.system, first)

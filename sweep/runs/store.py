@@ -33,6 +33,18 @@ class Damaged(InputError):
     """A file is lost or not as it was written; `sweep run` mends it."""
 
 
+def refuse_strangers(folder: Path) -> None:
+    """Raise `InputError` where `folder` holds other files and no results, which come with a folder of parts."""
+    try:
+        names = sorted(path.name for path in folder.iterdir() if not path.name.startswith("."))
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        raise InputError(f"out = {folder} cannot be written: {files.reason(error)}") from None
+    if names and PARTS not in names:
+        raise InputError(f"out = {folder} holds {names[0]} and no results: give a new folder, or an empty one")
+
+
 @contextlib.contextmanager
 def locked(folder: Path) -> Iterator[None]:
     """Hold `folder` for this process, making it where missing and clearing what a killed one left half-written.
