@@ -1,6 +1,7 @@
 """What may be pooled: copies of a rollout are no evidence, and only a sample of something has an interval."""
 
 import dataclasses
+from collections.abc import Collection
 
 import numpy as np
 import pandas as pd
@@ -32,15 +33,18 @@ def distinct(rows: pd.DataFrame, exp: Experiment) -> tuple[pd.DataFrame, str]:
     return rows[~again].reset_index(drop=True), f"{number:,} copies of noise-free rollouts are counted once"
 
 
-def is_sample(rows: pd.DataFrame, exp: Experiment) -> bool:
-    """Whether the rows are draws or noisy replicates at one condition, and not a choice of conditions."""
+def is_sample(rows: pd.DataFrame, exp: Experiment, at: Collection[str] = ()) -> bool:
+    """Whether the rows are draws or noisy replicates at one condition, and not a choice of conditions.
+
+    Or, with columns `at`, those that have the same values of these.
+    """
     if exp.study.refined or exp.study.sought:
         return False
     if exp.study.design.kind in ("saltelli", "morris") and exp.study.design.num:
         return False
     if exp.study.points:
-        return all(rows[c].nunique() == 1 for c in parameter_columns(rows))
-    return not sensitivity.listed(rows, exp)
+        return all(c in at or rows[c].nunique() == 1 for c in parameter_columns(rows))
+    return all(axis.column in at for axis in sensitivity.listed(rows, exp))
 
 
 def pooled(rows: pd.DataFrame, exp: Experiment) -> Rate:

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from sweep.analysis import compare, sensitivity
 from sweep.analysis.compare import SECOND
+from sweep.analysis.sample import is_sample
 from sweep.analysis.stats import binned, percent, rate, rates
 from sweep.core.letters import COLUMN, PAGE, legend_below, sheet, spaced
 from sweep.report import draws, overlay, slices
@@ -119,12 +120,17 @@ def effects(results: Results) -> Iterator[Exhibit]:
         for axis in results.numeric:
             value = results.rows[axis]
             value = value if value.nunique() <= EFFECT_VALUES else binned(value, EFFECT_BINS)
-            tables.append(rates(results.rows.assign(value=value), [*by, "value"]).assign(axis=axis))
+            found = rates(results.rows.assign(value=value), [*by, "value"]).assign(axis=axis)
+            if not is_sample(results.rows, results.exp, (axis, *by)):
+                found[["low", "high"]] = np.nan
+            tables.append(found)
         tables = [table for table in tables if table["total"].max() > 1]
         if not tables:
             return
         table = pd.concat(tables, ignore_index=True)
-        caption = "Rate of success at each value of one parameter, over all others, with its 95 % Wilson interval."
+        sure = table.groupby("axis")["low"].agg(lambda low: low.notna().any())
+        interval = ", with its 95 % Wilson interval" + ("" if sure.all() else " where these are drawn")
+        caption = f"Rate of success at each value of one parameter, over all others{interval if sure.any() else ''}."
     table = table[["axis", *by, *table.columns.drop(["axis", *by])]]
     caption += invalid(results.rows, "left out")
     yield Exhibit("effects", "Each parameter alone", caption, table, lambda: _draw_effects(results, table, by))

@@ -12,7 +12,7 @@ from matplotlib.collections import PolyCollection
 from moved import moved
 
 from sweep.cli.main import main
-from sweep.report import chosen, page, replays, slices, typical
+from sweep.report import chosen, exhibits, page, replays, slices, typical
 from sweep.report.page import data, script, stage
 from sweep.runs import results, store
 from sweep.study.config import compose
@@ -131,6 +131,24 @@ def test_one_success_is_told_without_what_it_does_not_say(fake_engine, tmp_path,
     assert not re.search(r"interval \d", text)
     assert main(["relabel", str(tmp_path), "tilt_max_deg<50"]) == 0
     assert capsys.readouterr().out == "1 of 1 succeed (100.0 %), 0 invalid (0.0 %)\n"
+
+
+@pytest.mark.parametrize("listed", ["[0.3, 0.5, 0.7]", "[0.5]"])
+def test_only_what_is_drawn_at_one_condition_has_an_interval(fake_engine, tmp_path, listed):
+    draws = "{path: manoeuvre.half_step_ratio, distribution: {kind: uniform, from: 0.05, to: 0.15}}"
+    axes = [f"study.axes.friction.values={listed}", "~study.axes.step", f"+study.axes.drawn={draws}",
+            "study.design={kind: monte_carlo, num: 60}"]  # fmt: skip
+    assert main(["run", "study=walk_map", *axes, "study.expect=[]", f"out={tmp_path}"]) == 0
+    found = results.read(tmp_path)
+    (shown,) = exhibits.effects(found)
+    sure = shown.data["low"].notna().groupby(shown.data["axis"]).agg(lambda known: {*known})
+    several = "," in listed
+    assert sure.get("world.contact.friction", {True}) == {True}  # at each of its values steps are drawn
+    assert sure["manoeuvre.half_step_ratio"] == {not several}
+    assert ("Wilson interval where these are drawn." in shown.caption) == several
+    text = page.render(found)
+    assert ("Without an interval: which points are counted was chosen" in text) == several
+    assert f'"sure":{str(not several).lower()}' in text
 
 
 def test_a_refined_map_is_shown_whole(fake_engine, tmp_path):

@@ -101,7 +101,8 @@ def render(
     style, script = style_sheet(), bundle()
     plates = [plate(one) for one in (pairs.exhibits if pairs else exhibits(results))]
     typicals = [(one, image(one), list(telling(one, results.exp))) for one in (() if pairs else typical(results))]
-    about = data.data(results, chosen)
+    rate = pooled(rows, results.exp)
+    about = data.data(results, chosen) | {"sure": rate.sure}
     others = [
         style,
         script,
@@ -121,7 +122,7 @@ def render(
         script=Markup(script),
         data=Markup(data.as_json(about | ({"name": pairs.name} if pairs else {}))),
         streams=Markup("\n".join(replays.streams)),
-        rate=(rate := pooled(rows, results.exp)),
+        rate=rate,
         sure=rate.sure,
         came=str(kind_of(rows).iloc[0]).replace("_", " ") if len(rows) else "",
         watched=[

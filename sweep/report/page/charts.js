@@ -205,11 +205,13 @@ export function rateView(app) {
     };
     const spot = (/** @type {number} */ at, /** @type {number} */ rate) =>
       /** @type {const} */ ([box.left + x.to(at) * box.width, box.top + (1 - rate) * box.height]);
-    pen.fillStyle = cssOf(rgbOf(table.about.colours.success), 0.3);
-    pen.beginPath();
-    curve.forEach(({ at, ends }) => pen.lineTo(...spot(at, ends[1])));
-    [...curve].reverse().forEach(({ at, ends }) => pen.lineTo(...spot(at, ends[0])));
-    pen.fill();
+    if (table.about.sure) {
+      pen.fillStyle = cssOf(rgbOf(table.about.colours.success), 0.3);
+      pen.beginPath();
+      curve.forEach(({ at, ends }) => pen.lineTo(...spot(at, ends[1])));
+      [...curve].reverse().forEach(({ at, ends }) => pen.lineTo(...spot(at, ends[0])));
+      pen.fill();
+    }
     pen.strokeStyle = app.theme().accent;
     pen.lineWidth = 2;
     pen.beginPath();

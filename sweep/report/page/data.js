@@ -97,6 +97,7 @@ import { clamp } from "./numbers.js";
  * @property {number} digits
  * @property {string} block
  * @property {boolean} one_at_a_time whether each parameter was varied alone
+ * @property {boolean} sure whether all rows together have an interval
  * @property {string[]} start
  * @property {Theory[]} theory
  * @property {Mesh | null} refined_cells
