@@ -4,21 +4,41 @@ What it takes before the second batch is measured apart, with nothing kept from 
 GPU the driver's translation at the first launch.
 """
 
+import argparse
+import sys
 import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import jax
 import numpy as np
+from tabulate import tabulate
 
+from sweep.cli.exits import DONE
+from sweep.core.errors import InputError
 from sweep.engines import make, program_cache
 from sweep.engines.settings import EngineSettings
 from sweep.metrics.outcome import Thresholds
 from sweep.models.case import Case
+from sweep.study.config import compose
 from sweep.systems.hexapod import assign
 
 MOST_NATIVE = 128  # rollouts for the row of C MuJoCo, the slowest
 MEASURED = "walk_tripod over walk_map: controller, physics and metrics of whole rollouts; env-steps are physics steps"
+
+
+def show(given: argparse.Namespace) -> int:
+    """`sweep bench`: a line as soon as it is measured, then all as a table."""
+    for name in ("rollouts", "width"):
+        if getattr(given, name) < 0:
+            raise InputError(f"--{name} = {getattr(given, name)} is not allowed: at least 0")
+    lines = []
+    for line in table(compose(["scenario=walk_tripod"]).case, given.rollouts, given.width, tuple(given.rows)):
+        print(f"{line['engine']} {line['dynamics']}: {line['env-steps/s']:.4g} env-steps/s", file=sys.stderr)
+        lines.append(line)
+    print(MEASURED)
+    print(tabulate(lines, headers="keys", tablefmt="github", floatfmt=".4g", missingval=""))
+    return DONE
 
 
 def table(nominal: Case, rollouts: int, width: int, rows: tuple[str, ...]) -> Iterator[dict[str, Any]]:

@@ -1,6 +1,5 @@
 """What a user is told in one line, without a traceback. Imports nothing, so that the command line starts at once."""
 
-import difflib
 from collections.abc import Iterable
 
 
@@ -22,6 +21,8 @@ def raised(error: Exception) -> str:
 
 def suggest(word: str, allowed: Iterable[str], short: Iterable[str] = ()) -> str:
     """The tail of a message about an unknown name: what is allowed, the closest first, or one of the `short` names."""
+    import difflib
+
     allowed = list(allowed)
     close = difflib.get_close_matches(word, [*allowed, *short], n=1, cutoff=0.6)
     hint = f": did you mean {close[0]}?" if close else ""

@@ -2,6 +2,7 @@
 
 import base64
 import contextlib
+import errno
 import hashlib
 import os
 import socket
@@ -11,14 +12,17 @@ from pathlib import Path
 
 from sweep.core.errors import Fault, InputError
 
+# where the path is to blame, not the disk
+UNFIT = (errno.ENOENT, errno.EEXIST, errno.ENOTDIR, errno.EISDIR, errno.ENAMETOOLONG, errno.ELOOP,
+         errno.EACCES, errno.EPERM, errno.EROFS)  # fmt: skip
 HIDDEN = ".tmp-"  # begins the name of a file that is not whole yet
 
 
 def write_whole(path: Path, content: bytes | Callable[[Path], object]) -> None:
-    """Put `content`, or what it writes to the path that it is given, in the place of `path` at once. Raises `Fault`.
+    """Put `content`, or what it writes to the path that it is given, in the place of `path` at once.
 
     The path given ends as `path` does, so that what goes by a file's suffix can write there. A link stays one, and a
-    device such as /dev/stdout is written to as it is.
+    device such as /dev/stdout is written to as it is. Raises `InputError` where the path is to blame, else `Fault`.
     """
     path = path.resolve() if path.is_symlink() else path
     if path.exists() and not path.is_file():
@@ -31,7 +35,8 @@ def write_whole(path: Path, content: bytes | Callable[[Path], object]) -> None:
             os.fsync(written.fileno())  # a power cut leaves the old content or the new
         os.replace(hidden, path)
     except OSError as error:
-        raise Fault(f"{path} cannot be written: {reason(error)}") from None
+        kind = InputError if error.errno in UNFIT else Fault
+        raise kind(f"{path} cannot be written: {reason(error)}") from None
     finally:
         with contextlib.suppress(OSError):  # nor can it be there where nothing can be written
             hidden.unlink()

@@ -131,6 +131,8 @@ class Study(_Plain):
             raise InputError(f"study.resolution = {values['resolution']:g} is not allowed: at least 0 and below 1")
         if not 0 <= values["invalid_max"] <= 1:
             raise InputError(f"study.invalid_max = {values['invalid_max']:g} is not allowed: a share from 0 to 1")
+        if values["points"] == "":  # which is no study without them
+            raise InputError("study.points =  is not a file")
         name = values["name"]  # of a folder
         if name and (not name.strip(". ") or not re.fullmatch(r"[^/\x00-\x1f\x7f]{1,200}", name)):
             raise InputError(f"study.name = {name!r} is not allowed: a folder name")

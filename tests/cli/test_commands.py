@@ -115,6 +115,23 @@ def test_bad_input_is_one_line_and_exit_code_2(arguments, capsys, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_an_early_interruption_finds_the_command_ready():
+    code = """import sys
+class Interrupts:
+    def find_spec(self, name, *_):
+        if name == "sweep.cli.commands":
+            raise KeyboardInterrupt
+sys.meta_path.insert(0, Interrupts())
+before = {*sys.modules}
+from sweep.cli.main import main
+print(main(["list"]), *{*sys.modules} - before)"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    status, *imported = done.stdout.split()
+    assert status == "130"
+    assert done.stderr.startswith("sweep: interrupted")
+    assert len([name for name in imported if not name.startswith("sweep")]) < 10
+
+
 @pytest.mark.parametrize(
     ("argument", "unneeded"),
     [
@@ -243,7 +260,7 @@ def test_mistakes_with_results_are_one_line_each(capsys, tmp_path):
         (["report", results, "--where", "friction > 9"], "no row of results/walk_map matches where = 'friction > 9'"),
         (["report", results, "-o", "file"], "file: File exists"),
         (["export", results, "--paper", "file"], "file/figures: Not a directory"),
-        (["table", results, "-o", "none/rows.md"], "none/rows.md: No such file or directory"),
+        (["table", results, "-o", "none/rows.md"], "none/rows.md cannot be written: No such file or directory"),
         (["table", results, "--where", "friction"], "where = 'friction' is not a condition"),
         (
             ["table", results, "--where", "outcome == failure"],
@@ -291,7 +308,7 @@ def test_mistakes_with_results_are_one_line_each(capsys, tmp_path):
             ["run", "robot=base,circular"],
             "robot=base,circular cannot be read: key=[VALUE,VALUE] is a list, and --multi",
         ),
-        (["run", "--points", ""], "--points =  is not a file"),
+        (["run", "--points", ""], "study.points =  is not a file"),
         (["run", "execution.dead_joint=1.5"], "execution.dead_joint = 1.5 is not allowed: a whole number"),
         (["init", " "], "dir = ' ' is not allowed: a new or empty folder"),
         (["run", "--points", "file.csv"], "world.contact.friction = 'abc' is not allowed: a number"),
@@ -304,10 +321,11 @@ def test_mistakes_with_results_are_one_line_each(capsys, tmp_path):
         error = capsys.readouterr().err
         assert message in error
         assert error.count("\n") == 1
-    assert (
-        main(["table", results, "-o", "x" * 250]) == 5
-    )  # nor can what is half-written be removed, as on a disk to read
-    assert capsys.readouterr().err.startswith(f"sweep: {'x' * 250} cannot be written: File name too long")
+    long = "x" * 250
+    assert main(["table", results, "-o", long]) == 2  # nor can what is half-written be removed, as on a disk to read
+    assert capsys.readouterr().err == f"sweep: {long} cannot be written: File name too long\n"
+    assert main(["report", results, "-o", "/proc/self"]) == 2  # where not even root may write
+    assert capsys.readouterr().err == "sweep: /proc/self/report.html cannot be written: No such file or directory\n"
     assert main(["table", results, "--where", "friction > 9", "--format", "csv"]) == 0
     assert capsys.readouterr().err == "sweep: none of 4 rows of results/walk_map matches 'friction > 9'\n"
 

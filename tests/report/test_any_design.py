@@ -5,7 +5,8 @@ import pandas as pd
 import pytest
 from fake_engine import FakeEngine
 
-from sweep.cli.main import main, pictures
+from sweep.cli.folders import pictures
+from sweep.cli.main import main
 from sweep.report import draws, exhibits, maps, slices
 from sweep.report.page import data
 from sweep.runs import results

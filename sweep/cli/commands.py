@@ -1,0 +1,272 @@
+"""The commands and their arguments, and `sweep run`. Heavy imports wait until a command needs them."""
+
+import argparse
+import os
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from sweep.cli import folders, project
+from sweep.cli.choices import refuse_unknown
+from sweep.cli.exits import DONE
+from sweep.core.arguments import Arguments, flags
+from sweep.core.errors import InputError
+from sweep.core.groups import GROUPS
+from sweep.core.start import VERSION
+
+if TYPE_CHECKING:
+    from sweep.study.config import Experiment
+
+BENCH = ("arrowhead", "mjx", "native")  # rows of `sweep bench`
+WHOLE = {  # commands that parse their own arguments: the modules with their `main`, and what they do
+    "view": ("sweep.cli.view", "watch a rollout on its page"),
+    "replay": ("sweep.trace.replay", "record one rollout of a study again"),
+    "tune": ("sweep.cli.tune", "search the numbers of a plan"),
+    "export-model": ("sweep.cli.export_model", "the robot as an own model"),
+    "formula": ("sweep.cli.formula", "evaluate a closed-form result of the sources"),
+}
+RUN_HELP = f"""groups: {", ".join(GROUPS)}
+  sweep list               their choices
+  sweep describe robot     their parameters: unit, meaning, bounds, default
+  sweep run --cfg job      the whole configuration
+  sweep run --multirun     a run for each of robot=base,circular
+examples:
+  sweep run scenario=walk_slope contact.friction=0.2 robot=three_link
+  sweep run study=walk_map study.axes.friction.num=65 out=results/fine
+  sweep run study=my/study.yaml --dry-run
+exit codes:
+  0 done, 2 bad input, 3 too many invalid rollouts, 4 an expectation is not met, 5 disk, memory or workers failed,
+  130 interrupted"""
+
+
+def execute(args: list[str]) -> int:
+    """Run the command that `args` begin with; its exit code. Raises `InputError`."""
+    if args and args[0] == "run":
+        return run(args[1:])
+    if args and args[0] in WHOLE:
+        return import_module(WHOLE[args[0]][0]).main(args[1:])
+    given = parser().parse_args(args)
+    return given.command(given)
+
+
+def parser() -> Arguments:
+    """Commands and their arguments."""
+    top = Arguments(prog="sweep", description="Batch experiments with six-legged robots.")
+    top.add_argument("--version", action="version", version=f"sweep {VERSION}")
+    commands = top.add_subparsers(required=True, metavar="command")
+
+    def command(
+        name: str, action: Callable[[argparse.Namespace], int], text: str, example: str = ""
+    ) -> argparse.ArgumentParser:
+        raw, epilog = argparse.RawDescriptionHelpFormatter, f"example:\n  {example}" if example else None
+        sub = commands.add_parser(name, help=text, description=text, epilog=epilog, formatter_class=raw)
+        sub.set_defaults(command=action)
+        return sub
+
+    def of_results(
+        name: str, action: Callable[[argparse.Namespace], int], text: str, example: str = ""
+    ) -> argparse.ArgumentParser:
+        sub = command(name, action, text, example)
+        sub.add_argument("dir", type=Path, help="folder of a study, such as results/walk_map")
+        return sub
+
+    command("run", lambda _: DONE, "simulate a scenario, or every point of a study; see `sweep run --help`")
+    new = command("init", project.init, "make a project: a folder for studies, robots and modules of your own")
+    new.add_argument("dir", help="a new or empty folder")
+    new.add_argument("--model", action="store_true", help="for a model and a controller of your own, docs/own_model.md")
+    choices = command("list", project.show, "scenarios, studies, robots and the other groups; or folders of results")
+    choices.add_argument("dir", type=Path, nargs="*", help="folders of studies, such as results/: a line for each")
+    about = command(
+        "describe",
+        project.describe,
+        "parameters: unit, meaning, bounds, default",
+        "sweep describe robot; sweep describe drive.torque_limit",
+    )
+    about.add_argument("name", nargs="?", help="a group, obstacle=ball, or a parameter; all of them without")
+    words = command("completion", project.completion, "completion for bash", 'eval "$(sweep completion)"  # in .bashrc')
+    words.add_argument("--line", help=argparse.SUPPRESS)
+    words.set_defaults(flags=lambda: flags_of(commands))
+    of_results("status", folders.status, "how far a study is")
+    of_results("verify", folders.verify, "which files of a study are damaged, missing or no part of it")
+    table = of_results("table", folders.show_table, "the rows of a study as a table")
+    table.add_argument("--format", choices=("csv", "markdown", "latex", "parquet"), default="markdown")
+    table.add_argument("--where", help="only rows that match, such as 'friction > 0.8 and outcome == \"failure\"'")
+    table.add_argument("--columns", help="only these columns, separated by commas")
+    table.add_argument("-o", "--output", type=Path, help="write to this file instead of the standard output")
+    stats = of_results("stats", folders.show_statistics, "rates, volume, margins, tolerance and sensitivity of a study")
+    stats.add_argument("--where", help="only rows that match")
+    stats.add_argument("--level", type=float, default=0.9, help="probability of success for the tolerance (0.9)")
+    stats.add_argument("--figure", help="Sobol indices or elementary effects of this column instead of success")
+    report = of_results(
+        "report", folders.draw_report, "a page about the study, report.html, and its map, map.png and map.svg"
+    )
+    report.add_argument(
+        "b",
+        type=Path,
+        nargs="?",
+        metavar="B",
+        help="another folder: a page of the points of both, and where they differ",
+    )
+    report.add_argument("--x", help="parameter along the map")
+    report.add_argument("--y", help="parameter up the map")
+    report.add_argument("--where", help="only rows that match")
+    report.add_argument(
+        "--replays", type=int, default=0, metavar="N", help="simulate the N most telling rollouts again"
+    )
+    report.add_argument("--pictures", action="store_true", help="simulate typical rollouts again for their pictures")
+    report.add_argument("-o", "--output", type=Path, help="folder for page and map instead of DIR")
+    export = of_results("export", folders.export_results, "a study for others' programs")
+    export.add_argument("--paper", type=Path, metavar="FOLDER", help="LaTeX tables, figures, numbers, data")
+    export.add_argument(
+        "--crate", type=Path, metavar="FOLDER", help="an RO-Crate: rows, configuration, pictures, how they were made"
+    )
+    export.add_argument("--zip", action="store_true", help="the crate as FOLDER.zip, as archives take it")
+    export.add_argument(
+        "--license", default=folders.LICENSE, metavar="ADDRESS", help="licence of the crate's data (CC-BY-4.0)"
+    )
+    export.add_argument("--where", help="only rows that match")
+    export.add_argument("--serif", action="store_true", help="letters of figures with serifs")
+    again = command(
+        "reproduce",
+        later("reproduce", "run"),
+        "simulate rows of a crate again, here: what is equal, what ends otherwise",
+        "sweep reproduce walk_map.zip --rows 50",
+    )
+    again.add_argument("crate", type=Path, help="what `sweep export DIR --crate` wrote: a folder or an archive")
+    again.add_argument("--rows", type=int, default=20, help="how many, drawn at random (20)")
+    again.add_argument("--seed", type=int, default=0, help="of their draw (0)")
+    again.add_argument("--tolerance", type=float, default=1e-3, help="relative, within which figures are alike (0.001)")
+    export.add_argument("--author", default="", metavar="NAME", help="who ran the study, for the crate")
+    compare = command(
+        "compare",
+        folders.compare_results,
+        "the same points in two folders: which outcomes differ, and where",
+        "sweep compare results/before results/after --tolerance 0.01 --figures 0.1",
+    )
+    compare.add_argument(
+        "a", type=Path, metavar="A", help="folder of the reference; each of its rows needs its pair in B"
+    )
+    compare.add_argument("b", type=Path, nargs="+", metavar="B", help="folder of another engine, version or controller")
+    compare.add_argument("--a", dest="where_a", metavar="CONDITION", help="only rows of A that match")
+    compare.add_argument("--b", dest="where_b", metavar="CONDITION", help="only rows of B that match")
+    compare.add_argument("--by", metavar="NAMES", help="columns that are equal in a pair (default: point_id)")
+    compare.add_argument("--regions", metavar="NAMES", help="parameters whose thirds are compared one by one")
+    compare.add_argument("--tolerance", type=float, default=0.0, help="largest share of pairs whose outcome may differ")
+    compare.add_argument("--figures", type=float, metavar="SHARE", help="largest typical relative change of a figure")
+    compare.add_argument("-o", "--output", type=Path, help="write the pairs that differ as CSV")
+    compare.add_argument(
+        "--anytime", action="store_true", help="which succeeds more often: evidence that holds however often one looks"
+    )
+    compare.add_argument("--level", type=float, help="how sure --anytime has to be (0.95)")
+    compare.add_argument(
+        "--most",
+        type=int,
+        metavar="N",
+        help="with --anytime: simulate more draws in both, up to N, until it is decided",
+    )
+    sure = of_results(
+        "certify",
+        folders.certify_results,
+        "the largest region of drawn parameters in which failures are promised to be rare",
+        "sweep certify results/draws --failures 1e-2 --confidence 0.95 --rollouts 4096",
+    )
+    sure.add_argument("--failures", type=float, default=1e-2, help="largest probability of failing in it (0.01)")
+    sure.add_argument("--confidence", type=float, default=0.95, help="that the promise holds (0.95)")
+    sure.add_argument("--shape", choices=("box", "ellipsoid", "score"), default="box", help="of the region (box)")
+    sure.add_argument(
+        "--rollouts", type=int, metavar="N", help="simulate N fresh draws to test with; else half of the rows do"
+    )
+    sure.add_argument("-o", "--output", type=Path, help="write the certificate as JSON")
+    audit = of_results(
+        "audit",
+        folders.audit_results,
+        "rollouts at the boundary and successes again: at half the time step, in other ways",
+    )
+    audit.add_argument("--points", type=int, default=32, help="how many of each, drawn at random (32)")
+    audit.add_argument(
+        "--ways", help="separated by commas: again, half_step, float64, other_engine, solid; without it all"
+    )
+    audit.add_argument("--where", help="only rows that match")
+    judge = of_results(
+        "relabel",
+        folders.relabel,
+        "judge stored rollouts by other thresholds, without simulating",
+        "sweep relabel results/walk_map 'slip_max_m<0.02' 'tilt_max_deg<15'",
+    )
+    wanted = "such as 'slip_max_m<0.02'; of an own model a condition, 'goal=travelled_m >= 1'"
+    judge.add_argument("thresholds", nargs="+", metavar="'KEY<VALUE'", help=wanted)
+    bench = command(
+        "bench", later("bench", "show"), "how fast the walking map is simulated here, by engine and dynamics"
+    )
+    bench.add_argument("--rollouts", type=int, default=0, help="of each row; 0: one batch")
+    bench.add_argument("--width", type=int, default=0, help="rollouts in a batch; 0: the device's best")
+    bench.add_argument("--rows", nargs="+", choices=BENCH, default=list(BENCH), help="which of them")
+    for name, (_, text) in WHOLE.items():
+        command(name, lambda _: DONE, f"{text}; see `sweep {name} --help`")
+    return top
+
+
+def later(module: str, name: str) -> Callable[[argparse.Namespace], int]:
+    """A command of a module that is imported as it is called."""
+    return lambda given: getattr(import_module(f"sweep.cli.{module}"), name)(given)
+
+
+def run(argv: list[str]) -> int:
+    """`sweep run`: our own flags are taken out, the rest is Hydra's."""
+    given, overrides = run_parser().parse_known_args(argv)
+    if given.limit is not None and given.limit < 1:
+        raise InputError(f"--limit = {given.limit} is not allowed: at least 1")
+    for group in GROUPS:
+        if len(chosen := [one for one in overrides if one.startswith(f"{group}=")]) > 1:
+            raise InputError(f"{group} is chosen twice: {' '.join(chosen)}")
+    refuse_unknown(overrides)
+    os.environ.setdefault("MUJOCO_GL", "disable")  # a run opens no window; to look for a library takes a tenth second
+    from sweep.cli.launch import launch  # takes a second to import
+    from sweep.engines import devices
+
+    if given.points is not None:
+        quoted = given.points.replace("\\", "\\\\").replace("'", "\\'")
+        overrides.append(f"study.points='{quoted}'")
+
+    several = any(one.startswith(("-m", "--m")) for one in overrides)  # Hydra's --multirun: one process, one choice
+
+    def work(exp: "Experiment") -> int:
+        from sweep.runs import place
+
+        if exp.cluster.kind == "local" and not several:
+            place.of_run(exp)
+        if exp.settings.name == "mjx" and not given.dry_run and not exp.cluster.elsewhere:
+            devices.begin()
+        from sweep.cli.run import Flags, execute  # takes another, which what is wrong need not wait for
+
+        return execute(exp, Flags(given.dry_run, given.check, given.limit, given.where))
+
+    return launch(overrides, work, flags(run_parser()))
+
+
+def run_parser() -> Arguments:
+    """Our own flags of `sweep run`, and its help."""
+    own = Arguments(
+        prog="sweep run",
+        others=lambda _: True,  # Hydra's
+        allow_abbrev=False,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        usage="sweep run [group=choice ...] [group.name=value ...] [flags]",
+        description="Without a study: one nominal rollout of a scenario. With one: every point of it, into "
+        "results/STUDY.",
+        epilog=RUN_HELP,
+    )
+    own.add_argument("--version", action="version", version=f"sweep {VERSION}")
+    own.add_argument("--dry-run", action="store_true", help="only say how many rollouts, in which batches")
+    own.add_argument("--check", action="store_true", help="only try whether each axis acts; 4 if one does not")
+    own.add_argument("--limit", type=int, metavar="N", help="only the first N points of the study")
+    own.add_argument("--where", metavar="CONDITION", help="only points that match, such as 'friction > 0.8'")
+    own.add_argument("--points", metavar="FILE.csv", help="points from a table whose columns are parameters")
+    return own
+
+
+def flags_of(commands: "argparse._SubParsersAction[Arguments]") -> dict[str, list[str]]:
+    """The commands and their flags."""
+    parsers = {**commands.choices, "run": run_parser()}
+    return {name: [flag for flag in flags(sub) if flag.startswith("--")] for name, sub in parsers.items()}
