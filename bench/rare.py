@@ -4,7 +4,8 @@ All eight errors of `study=any_rare` at once, times scales at which about the `-
 are the truth, beside repetitions of importance sampling (each the study of one seed) and of subset simulation. All go
 on side by side: what a batch has room for beside rounds that are asked for are plain draws. Scenarios may run in
 processes of their own, on one GPU too. Cells that are done are taken as they are, and those of other code; plain draws
-go on, and with `--rows` searches. After each batch all is written to docs/data/rare.json, cited by docs/certainty.md.
+go on, and with `--rows` searches; too few of other code begin anew. After each batch all is written to
+docs/data/rare.json, cited by docs/certainty.md.
 """
 
 import argparse
@@ -219,8 +220,8 @@ def measured(robots: Robots, kept: "Kept", given: argparse.Namespace, deadline: 
         fitting = list(asked)[: max(1, int(np.sum(ends <= robots.width)))]
         tables: dict[Any, pd.DataFrame] = {key: table(key) for key in fitting}
         room = -sum(map(len, tables.values())) % robots.width or (0 if tables else robots.width)
-        if room and kept.growing:  # for the truth, of the first cell that lacks some
-            exp = robots.scaled(kept.scales[target := kept.lacking() or kept.growing[-1]])
+        if room and (growing := kept.growing()):  # for the truth, of the first cell that lacks some
+            exp = robots.scaled(kept.scales[target := kept.lacking() or growing[-1]])
             tables[target] = robots.points(exp, plain(exp, room, kept.plain()))
         found = dict(zip(tables, robots.run(list(tables.values())), strict=True))
         took = (time.perf_counter() - start) / sum(map(len, tables.values()))
@@ -276,7 +277,7 @@ class Kept:
         there = shared.read(file).get(scenario, {})
         self.content = {**about, "seconds": 0.0, "scales": {}, "cells": {}, **there}
         self.about = {key: about[key] for key in BY}
-        self.truths: list[str] = []  # targets that plain draws are asked for
+        self.truths: list[str] = []  # targets that have plain draws, or are to have them
         for ways in self.content["cells"].values():
             for way, cell in list(ways.items()):
                 ways[way] = cell = {**{key: there[key] for key in BY}, **cell}
@@ -319,15 +320,21 @@ class Kept:
                  "invalid": cell["invalid"] + int(invalid.sum()),
                  "seconds": round(cell["seconds"] + took * len(bad), 2)}  # fmt: skip
 
-    @property
-    def growing(self) -> list[str]:
-        """Targets that have plain draws, or are to have them, of this code."""
-        to_have = [p for p in self.truths if float(p) >= RAREST]
-        return [p for p in to_have if self.cell(p, "plain")["code"] == self.about["code"]]
+    def ask(self, targets: list[str]) -> None:
+        """Have plain draws of targets; those of other code begin anew where they are too few, which is said."""
+        self.truths = [p for p in targets if float(p) >= RAREST]
+        while (target := self.lacking(own=False)) is not None:
+            cell = self.content["cells"][target].pop("plain")
+            others = f"its {cell['rollouts']} rollouts are of code {cell['code']}"
+            print(f"{self.file}: {self.scenario} {target} plain begins anew, {others}", flush=True)
 
-    def lacking(self) -> str | None:
+    def growing(self, own: bool = True) -> list[str]:
+        """Targets whose plain draws are of this code, or of other."""
+        return [p for p in self.truths if (self.cell(p, "plain")["code"] == self.about["code"]) == own]
+
+    def lacking(self, own: bool = True) -> str | None:
         """The first of them that have fewer than their truth is to have."""
-        return next((p for p in self.growing if self.cell(p, "plain")["rollouts"] * float(p) < TRUTH), None)
+        return next((p for p in self.growing(own) if self.cell(p, "plain")["rollouts"] * float(p) < TRUTH), None)
 
     def plain(self) -> int:
         """How many plain draws there are."""
@@ -515,7 +522,7 @@ def main(words: list[str]) -> None:
         kept.content["scales"] = scales(robots, targets, max(given.num.values()))
         kept.content["start_s"] = round(time.perf_counter() - start, 1)
     kept.write()
-    kept.truths = given.targets if "plain" in given.ways else []
+    kept.ask(given.targets if "plain" in given.ways else [])
     print(f"{given.scenario}: {kept.scales}, {time.perf_counter() - start:.0f} s", flush=True)
     measured(robots, kept, given, start + given.seconds)
 
