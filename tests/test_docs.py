@@ -13,6 +13,7 @@ from fake_engine import FakeEngine
 
 from sweep.cli import main as cli
 from sweep.cli import view
+from sweep.cli.commands import parser
 from sweep.study.config import compose
 from sweep.trace import replay
 
@@ -87,7 +88,7 @@ def test_every_command_of_a_page_works(page, fake_engine, monkeypatch, tmp_path,
             elif words[0] == "view":
                 code = view.parser().parse_args(words[1:]) and 0
             elif words[0] == "bench" or "1e-5" in words:  # which takes a third of a million rollouts
-                code = cli.parser().parse_args(words) and 0
+                code = parser().parse_args(words) and 0
             else:
                 code = cli.main([*words, "--dry-run"] if any(word.startswith("cluster=") for word in words) else words)
         except SystemExit as end:
@@ -117,7 +118,7 @@ def test_every_link_and_file_of_a_page_is_there(page):
 
 
 def test_every_command_has_help_and_is_in_the_readme(capsys):
-    actions = cli.parser()._actions
+    actions = parser()._actions
     (names,) = [action.choices for action in actions if isinstance(action, argparse._SubParsersAction)]
     readme = (ROOT / "README.md").read_text()
     for name in names:
