@@ -12,6 +12,8 @@ def faultless(case=None):
     good = {name: 0.0 for metric in metrics for name in metric.columns}
     for cause in (cause for metric in metrics for cause in metric.causes):
         good[cause.figure] = 100.0 if cause.below else 0.0
+        if cause.lead:
+            good[cause.lead.figure] = 100.0
         if cause.known == "tick":
             good |= {f"{cause.name}_time_s": np.nan, f"{cause.name}_stage": -1.0}
     assert {name for name in good if name in BOOKKEEPING} >= {"fell_time_s", "fell_stage"}

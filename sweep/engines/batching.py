@@ -139,7 +139,7 @@ def to_traces(
         samples = round(float(row["duration_s"]) / tick) // every  # the sum of many ticks is rough
         kept = {name: values[:samples, place] for name, values in records.items()}
         causes, judged = stream.timed(world), kept.pop("judged").T
-        watched = {cause.figure: values for cause, values in zip(causes, judged, strict=True)}
+        watched = dict(zip(stream.watched(world), judged, strict=True))
         margin, margin_of = outcome.margins_of(causes, watched, limits)
         time, model = every * tick * (1 + np.arange(len(kept["stage"]))), scene.compile_model(world)
         traces.append(

@@ -191,7 +191,7 @@ def measure(
     tick: Tick,
     number: Array,
     period: float,
-) -> tuple[ClosedLoop, Float[Array, " c"]]:
+) -> tuple[ClosedLoop, Float[Array, " w"]]:
     """The metrics' part of a tick, and the figures that it is judged by so far, see `stream.update`.
 
     A rollout that has rested after its plan, or had its time, is over. One that is to end in motion is over with its

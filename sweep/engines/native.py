@@ -86,7 +86,7 @@ class Between(NamedTuple):
     command: Command
     steps: Recorded
     orders: Orders
-    judged: Float[Array, " c"]  # see `measure`
+    judged: Float[Array, " w"]  # see `measure`
 
 
 class Programs(NamedTuple):

@@ -127,6 +127,13 @@ class Twin(NamedTuple):
     scale: float  # in which its margin is counted
 
 
+class Lead(NamedTuple):
+    """A figure that shrinks to nought before that of a cause can grow: at nought nothing has failed yet."""
+
+    figure: str
+    scale: float  # in which its margin is counted
+
+
 @dataclass(frozen=True)
 class Cause:
     """A figure beyond its threshold, and what that means: a way to fail, or a reason not to trust the simulation.
@@ -148,6 +155,7 @@ class Cause:
     scale: float | None = None  # in which its margin is counted; the threshold's size by default
     whole: bool = False  # a count, which is enough or not
     twin: Twin | None = None  # of a count
+    lead: Lead | None = None  # where there is one, in such a world
     otherwise: Callable[[Case], float | None] = lambda case: None
 
     @property
@@ -168,20 +176,30 @@ class Cause:
         """Whether figures (numbers or arrays, of numpy or JAX) are beyond `limit`."""
         return value < limit if self.below else value > limit
 
-    def margin(self, value: Any, limit: float, twin: Any = None) -> Any:
+    @property
+    def beside(self) -> str:
+        """The figure that its margin is of, too: its twin or its lead; empty where it has neither."""
+        other = self.twin or self.lead
+        return other.figure if other else ""
+
+    def margin(self, value: Any, limit: float, beside: Any = None) -> Any:
         """How far figures are from `limit`, in units of `scale`, at most 1; negative where the cause holds.
 
-        Of a count it is how far its `twin` is from its own limit, where both say the same.
+        Of a count it is how far its `twin` is from its own limit, where both say the same. With a `lead` it is no more
+        than what that has left, but not below nought unless the cause holds.
         """
         left = value - limit if self.below else limit - value
         if self.whole:
             count = np.where(left < 0, left, 1.0)
-            if self.twin is None or twin is None:
+            if self.twin is None or beside is None:
                 return count
-            smooth = ((self.twin.limit - twin) / self.twin.scale).clip(max=1.0)
+            smooth = ((self.twin.limit - beside) / self.twin.scale).clip(max=1.0)
             return np.where((smooth < 0) == (left < 0), smooth, count)
         size = abs(limit) if self.scale is None else self.scale
-        return (left / size if size else left).clip(max=1.0)
+        left = (left / size if size else left).clip(max=1.0)
+        if self.lead is None or beside is None:
+            return left
+        return np.where(left > 0, np.fmin(left, (beside / self.lead.scale).clip(min=0.0)), left)
 
 
 class Metric[S](NamedTuple):

@@ -114,7 +114,7 @@ def margins_of(
     def value(name: str) -> np.ndarray | None:
         return np.asarray(figures[name], float) if name in figures else None
 
-    margins = np.stack([c.margin(value(c.figure), limit, c.twin and value(c.twin.figure)) for c, limit in judged])
+    margins = np.stack([c.margin(value(c.figure), limit, value(c.beside)) for c, limit in judged])
     nearest = np.argmin(np.nan_to_num(margins, nan=-np.inf), axis=0)
     names = np.array([cause.threshold or cause.name for cause, _ in judged], dtype=object)
     return np.take_along_axis(margins, nearest[None], axis=0)[0], names[nearest]

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from sweep.dynamics.contacts import to_body, to_world
-from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment
+from sweep.metrics.metric import Begin, Cause, Elapsed, Lead, Metric, Moment
 from sweep.models.case import Case
 from sweep.models.obstacles.ball import Ball
 from sweep.models.obstacles.ledges import Ledges
@@ -66,5 +66,14 @@ METRIC = Metric(
     update,
     figures,
     {"slip_max_m": "largest distance of a loaded standing foot from where it took hold"},
-    (Cause("slipped", "a standing foot slipped beyond slip_max_m", "slip_max_m", None, otherwise=allowed),),
+    (
+        Cause(
+            "slipped",
+            "a standing foot slipped beyond slip_max_m",
+            "slip_max_m",
+            None,
+            lead=Lead("edge_reserve_min_m", 0.02),
+            otherwise=allowed,
+        ),
+    ),
 )

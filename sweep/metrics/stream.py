@@ -32,6 +32,13 @@ def timed(world: Case) -> tuple[Cause, ...]:
     return tuple(cause for metric in metrics.of(world) for cause in metric.causes if cause.known == "tick")
 
 
+def watched(world: Case) -> tuple[str, ...]:
+    """The figures by which a rollout is judged in every tick: those of the `timed` causes, and such as lead to them."""
+    causes = timed(world)
+    there = {name for metric in metrics.of(world) for name in metric.columns}
+    return (*(c.figure for c in causes), *(c.beside for c in causes if c.beside in there))
+
+
 def begin(start: Begin) -> Running:
     """Nothing has happened yet."""
     dtype, n = start.plan.duration.dtype, len(timed(start.world))
@@ -53,16 +60,15 @@ def with_energy(world: Case, running: Running, energy: Array) -> Running:
     )
 
 
-def update(running: Running, now: Moment, limits: Thresholds, number: Array) -> tuple[Running, Float[Array, " c"]]:
-    """Control tick `number` on, which all rollouts share, and the figures so far that the `timed` causes judge.
+def update(running: Running, now: Moment, limits: Thresholds, number: Array) -> tuple[Running, Float[Array, " w"]]:
+    """Control tick `number` on, which all rollouts share, and the figures so far that are `watched`.
 
     `limits` only say when the moment of a cause is noted.
     """
     world, time = now.world, now.time
     states = tuple(_updated(m, s, now, number) for m, s in zip(metrics.of(world), running.states, strict=True))
     found = _figures(Elapsed(world, now.plan, time, now.stage), states)
-    judged = [found[cause.figure] for cause in timed(world)]
-    crossed = [c.holds(value, limit_of(c, limits)) for c, value in zip(timed(world), judged, strict=True)]
+    crossed = [c.holds(found[c.figure], limit_of(c, limits)) for c in timed(world)]
     first = jnp.stack(crossed) & jnp.isnan(running.cause_time)
     new = Running(
         time=time,
@@ -73,7 +79,7 @@ def update(running: Running, now: Moment, limits: Thresholds, number: Array) -> 
         cause_stage=jnp.where(first, now.stage, running.cause_stage),
     )
     kept = jax.tree.map(lambda old, fresh: jnp.where(running.over, old, fresh), running, new)
-    return kept, jnp.stack([jnp.asarray(value, time.dtype) for value in judged])
+    return kept, jnp.stack([jnp.asarray(found[name], time.dtype) for name in watched(world)])
 
 
 def _updated(metric: Metric, state: Any, now: Moment, number: Array) -> Any:

@@ -125,6 +125,16 @@ def test_a_twin_that_says_otherwise_than_the_count_is_not_heard():
     assert (got["outcome"], got["margin"]) == ("success", 1.0)
 
 
+@pytest.mark.parametrize(
+    ("slip", "edge", "margin"), [(0.005, 0.03, 0.75), (0.005, 0.004, 0.2), (0.005, 0.0, 0.0), (0.025, 0.004, -0.25)]
+)
+def test_a_foot_is_no_farther_from_slipping_than_from_the_edge(slip, edge, margin):
+    """But at the edge nothing has failed yet."""
+    got = label(slip_max_m=slip, edge_reserve_min_m=edge)
+    assert (got["margin_of"], got["margin"]) == ("slip_max_m", pytest.approx(margin))
+    assert (got["outcome"] == "success") == (margin >= 0)
+
+
 def test_a_manoeuvre_states_its_goal_and_outcome_may_loosen_it():
     assert compose(["scenario=pole_top"]).thresholds.feet_on_target_min == 6
     assert compose(["scenario=pole_top", "outcome.feet_on_target_min=4"]).thresholds.feet_on_target_min == 4
