@@ -108,6 +108,8 @@ def test_without_a_failure_there_is_a_bound_and_one_heavy_row_is_told():
     rows.loc[:9, "outcome"] = "failure"
     rows.loc[0, "axis.weight"] = 3.0
     assert "NOT to be trusted: one row carries 25%" in str(rare.rare(rows, exp))  # pyright: ignore[reportArgumentType]
+    every = rare.rare(rows.assign(outcome="failure", **{"axis.weight": 1.3}), exp)  # pyright: ignore[reportArgumentType]
+    assert (every.low, every.probability, every.high) == (1.0, 1.0, 1.0)  # whatever weights sum to
 
 
 @pytest.mark.parametrize(
@@ -115,6 +117,8 @@ def test_without_a_failure_there_is_a_bound_and_one_heavy_row_is_told():
     [
         ("study.design.wide=7", "study.design.wide = 7 is not allowed: from 1 to 5"),
         ("study.design.rounds=0", "study.design.rounds = 0 is not allowed: at least 1"),
+        ("study.design.num=1", "study.design.num = 1 is not allowed: at least 2"),
+        ("study.points=rows.csv", "study.points is not allowed with study.design.kind = importance"),
         ("study.axes.step={path: manoeuvre.half_step_ratio, values: [0.1, 0.2]}", "not allowed with listed axes: step"),
     ],
 )

@@ -20,6 +20,14 @@ def run(given: argparse.Namespace, by: list[str] | None) -> sequential.Verdict:
         raise InputError(f"--level = {level:g} is not allowed: at least 0.5 and below 1")
     if given.most is not None and given.most < 1:
         raise InputError(f"--most = {given.most} is not allowed: at least 1")
+    others = {
+        "regions": given.regions,
+        "figures": given.figures,
+        "output": given.output,
+        "tolerance": given.tolerance or None,
+    }
+    if asked := [flag for flag, value in others.items() if value is not None]:
+        raise InputError(f"--{asked[0]} is not for --anytime, which only says which is better")
     if len(given.b) > 1:
         raise InputError("--anytime compares two folders: give A and one B")
     folders, conditions = (given.a, given.b[0]), (given.where_a, given.where_b)

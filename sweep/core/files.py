@@ -25,15 +25,14 @@ def write_whole(path: Path, content: bytes | Callable[[Path], object]) -> None:
     device such as /dev/stdout is written to as it is. Raises `InputError` where the path is to blame, else `Fault`.
     """
     path = path.resolve() if path.is_symlink() else path
-    if path.exists() and not path.is_file():
-        path.write_bytes(content) if isinstance(content, bytes) else content(path)
-        return
     hidden = path.with_name(f"{HIDDEN}{socket.gethostname()}-{os.getpid()}-{path.name}")
     try:
-        hidden.write_bytes(content) if isinstance(content, bytes) else content(hidden)
-        with hidden.open("rb") as written:
-            os.fsync(written.fileno())  # a power cut leaves the old content or the new
-        os.replace(hidden, path)
+        to = path if path.exists() and not path.is_file() else hidden
+        to.write_bytes(content) if isinstance(content, bytes) else content(to)
+        if to is hidden:
+            with hidden.open("rb") as written:
+                os.fsync(written.fileno())  # a power cut leaves the old content or the new
+            os.replace(hidden, path)
     except OSError as error:
         kind = InputError if error.errno in UNFIT else Fault
         raise kind(f"{path} cannot be written: {reason(error)}") from None

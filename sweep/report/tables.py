@@ -29,7 +29,7 @@ def render(rows: pd.DataFrame, form: str, names: list[str] | None = None, exp: E
     Headings have units where the form is one to read.
     """
     if names:
-        rows = rows[[column(rows, name) for name in names]]
+        rows = rows[list(dict.fromkeys(column(rows, name) for name in names))]
     elif form in ("markdown", "latex"):  # a page has no room for more; csv and parquet hold everything
         rows = rows[reading(rows)]
     match form:

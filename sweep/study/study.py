@@ -141,8 +141,8 @@ class Study(_Plain):
         source = "scenario" if single else "study"
         if design.kind in KINDS:
             searches.check(design, axes)
-            if values["replicates"] > 1 or values["where"]:
-                key = "where" if values["where"] else "replicates"
+            beside = {"where": values["where"], "points": values["points"], "replicates": values["replicates"] > 1}
+            for key in (key for key, value in beside.items() if value):
                 raise InputError(f"study.{key} is not allowed with study.design.kind = {design.kind}")
         expect = tuple(_expectation(f"{source}.expect.{i}", one) for i, one in enumerate(values["expect"]))
         theory = tuple(parse_theory(f"study.theory.{i}", one) for i, one in enumerate(values["theory"]))

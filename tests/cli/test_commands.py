@@ -53,6 +53,8 @@ def test_a_study_from_run_to_table_and_map(capsys, tmp_path):
     assert capsys.readouterr().out.count("\n") == 4
     assert main(["table", "results/walk_map", "--format", "parquet", "-o", "rows.parquet"]) == 0
     assert len(pd.read_parquet("rows.parquet")) == 12
+    assert main(["table", "results/walk_map", "--columns", "friction,slip_max_m,friction", "--format", "csv"]) == 0
+    assert capsys.readouterr().out.startswith("world.contact.friction,slip_max_m\n")  # each once
     assert main(["table", "results/walk_map", "--columns", "friction,slip_max_m"]) == 0
     assert "slip max [m]" in capsys.readouterr().out
     assert main(["stats", "results/walk_map"]) == 0
@@ -289,6 +291,8 @@ def test_mistakes_with_results_are_one_line_each(capsys, tmp_path):
         ),
         (["reproduce", "empty", "--seed", "-1"], "--seed = -1 is not allowed: at least 0 and below 2^32"),
         (["compare", results, results, "--anytime", "--most", "-3"], "--most = -3 is not allowed: at least 1"),
+        (["compare", results, results, "--anytime", "-o", "x.csv"], "--output is not for --anytime"),
+        (["compare", results, results, "--anytime", "--figures", "0"], "--figures is not for --anytime"),
         (["export", results, "--paper", "p", "--zip"], "--zip, --author and --license are of --crate"),
         (["view", "nowhere", "3"], "nowhere is neither a folder of results nor group.name=value"),
         (["describe", "torque_limit"], "torque_limit is unknown: did you mean drive.torque_limit?"),
