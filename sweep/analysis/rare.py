@@ -152,9 +152,9 @@ def _weighted(rows: pd.DataFrame, exp: Experiment) -> Weighted:
     p = total / n
     variance = max(square / n - p**2, 0.0) / n
     wide = np.exp(ndtri(0.5 + CONFIDENCE / 2) * np.sqrt(np.log1p(variance / p**2)))
-    p, *ends = (float(min(one, 1.0)) for one in (p, p / wide, p * wide))  # weights may sum to more
+    p, low, high = (float(min(one, 1.0)) for one in (p, p / wide, p * wide))  # weights may sum to more
     plain = p * (1 - p) / variance if variance else np.inf
-    return Weighted(p, *ends, **counts, largest=float(share.max() / total), plain=float(plain))
+    return Weighted(p, low, high, **counts, largest=float(share.max() / total), plain=float(plain))
 
 
 def modes(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:

@@ -244,8 +244,11 @@ def one_line(error: Exception, overrides: list[str]) -> str:
     if isinstance(cause, InterpolationResolutionError):
         key = str(cause.full_key)
         return f"{key}{_given(key, overrides)} is not allowed: an interpolation names another key"
-    if isinstance(cause, ValidationError | ConfigTypeError):
+    if isinstance(cause, ValidationError | ConfigTypeError) and cause.full_key:
         return _wrong_type(cause, overrides)
+    if isinstance(cause, ValidationError | ConfigTypeError):  # of a part of a file, which Hydra does not name
+        file = re.match(r"In '(.*?)'", str(error))
+        return f"{file[1] if file else 'the configuration'} has a list or a word where keys and values are wanted"
     return ": ".join(line.strip().rstrip(":") for line in str(error).splitlines()[:2] if line.strip())
 
 

@@ -312,12 +312,16 @@ def test_mistakes_with_results_are_one_line_each(capsys, tmp_path):
             ["run", "robot=base,circular"],
             "robot=base,circular cannot be read: key=[VALUE,VALUE] is a list, and --multi",
         ),
+        (["run", "study=list.yaml"], "study/list.yaml has a list or a word where keys and values are wanted"),
+        (["run", "study=word.yaml"], "study/word.yaml has a list or a word where keys and values are wanted"),
         (["run", "--points", ""], "study.points =  is not a file"),
         (["run", "execution.dead_joint=1.5"], "execution.dead_joint = 1.5 is not allowed: a whole number"),
         (["init", " "], "dir = ' ' is not allowed: a new or empty folder"),
         (["run", "--points", "file.csv"], "world.contact.friction = 'abc' is not allowed: a number"),
     ]
     (tmp_path / "file.yaml").write_text("height: 3\n")
+    for name, part in (("list", "axes: [1, 2]"), ("word", "design: sobol")):
+        (tmp_path / f"{name}.yaml").write_text(f"scenario: walk_tripod\nstudy:\n  {part}\n")
     (tmp_path / "file.csv").write_text("world.contact.friction\n0.3\n0.5\nabc\n")
     capsys.readouterr()
     for arguments, message in mistakes:
