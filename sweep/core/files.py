@@ -25,9 +25,11 @@ def write_whole(path: Path, content: bytes | Callable[[Path], object]) -> None:
     device such as /dev/stdout is written to as it is. Raises `InputError` where the path is to blame, else `Fault`.
     """
     path = path.resolve() if path.is_symlink() else path
-    hidden = path.with_name(f"{HIDDEN}{socket.gethostname()}-{os.getpid()}-{path.name}")
+    hidden = path.parent / f"{HIDDEN}{socket.gethostname()}-{os.getpid()}-{path.name}"
     try:
         to = path if path.exists() and not path.is_file() else hidden
+        if to is hidden or path.is_dir():
+            to.open("wb").close()  # what is wrong with a path others' writers do not tell
         to.write_bytes(content) if isinstance(content, bytes) else content(to)
         if to is hidden:
             with hidden.open("rb") as written:

@@ -291,6 +291,11 @@ def test_mistakes_with_results_are_one_line_each(capsys, tmp_path):
         ),
         (["reproduce", "empty", "--seed", "-1"], "--seed = -1 is not allowed: at least 0 and below 2^32"),
         (["compare", results, results, "--anytime", "--most", "-3"], "--most = -3 is not allowed: at least 1"),
+        (["table", results, "-o", "."], ". cannot be written: Is a directory"),
+        (
+            ["replay", results, "0", "--mcap", "/proc/self/x"],
+            "/proc/self/x cannot be written: No such file or directory",
+        ),
         (["compare", results, results, "--anytime", "-o", "x.csv"], "--output is not for --anytime"),
         (["compare", results, results, "--anytime", "--figures", "0"], "--figures is not for --anytime"),
         (["export", results, "--paper", "p", "--zip"], "--zip, --author and --license are of --crate"),
