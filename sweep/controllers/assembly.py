@@ -60,14 +60,11 @@ def assemble(
     table = jax.tree.map(lambda *values: jnp.stack(values), *rows)
     names = tuple(stage.name for stage in stages)
     onset, laws = tuple(stage.onset for stage in stages), tuple(stage.law for stage in stages)
-    layers = (_ease(ease), _held(stages), _flywheel(stages, gains), _programme(stages, afloat))
+    eased = None if ease is None else Ease(jnp.asarray(ease, float))
+    layers = (eased, _held(stages), _flywheel(stages, gains), _programme(stages, afloat))
     return Plan(names=names, start=start, patience=jnp.asarray(patience, float), steered=steered, onset=onset,
                 laws=laws,
                 layers=tuple(layer for layer in layers if layer is not None), **table)  # fmt: skip
-
-
-def _ease(time: Array | float | None) -> Ease | None:
-    return None if time is None else Ease(jnp.asarray(time, float))
 
 
 def _flywheel(stages: Sequence[Stage], gains: Gains | None) -> Flywheel | None:

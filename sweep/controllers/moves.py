@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 
 from sweep.controllers.frames import to_frame, to_world
 from sweep.controllers.plan import CYCLE_A, CYCLE_B, CYCLE_B_SMOOTH, HALF_ELLIPSE, SMOOTH, STEADY, Stage, Support
-from sweep.core.errors import InputError, suggest
+from sweep.core.errors import InputError, known, suggest
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
 from sweep.models.frames import WORLD
@@ -192,11 +192,15 @@ def _stage(name: str, move: Move, terms: Terms, at: Standing) -> tuple[Stage, St
                 ways = (terms.unit * terms.vector(leg, numbers) for numbers in (move.leave, move.land))
                 starts = in_frame(terms.belief, left, frames[leg]), feet[leg].at
                 guides[leg] = jnp.stack([start + way for start, way in zip(starts, ways, strict=True)])
+    known(move.support, terms.supports, f"{move.path}.support = {move.support}")
+    if move.law:
+        known(move.law, terms.laws, f"{move.path}.law = {move.law}")
     stage = Stage(
         name, move.time * terms.time if move.seconds is None else move.seconds, swing,
-        CYCLES[move.swing], move.lift * terms.lift, _plane(move, terms), guides=guides,
-        foot_frames=tuple(frames[leg] for leg in LEGS), base_frame=at.frame, support=_support(move, terms),
-        law=_law(move, terms), **terms.stage,
+        CYCLES[move.swing], move.lift * terms.lift,
+        (0.0, 0.0, 1.0) if move.plane is None else jnp.stack([terms.vector(leg, move.plane) for leg in LEGS]),
+        guides=guides, foot_frames=tuple(frames[leg] for leg in LEGS), base_frame=at.frame,
+        support=terms.supports[move.support], law=move.law, **terms.stage,
     )  # fmt: skip
     pace, rates = PACES[move.pace]
     press = move.press * stage.press[0], move.press * stage.press[1]
@@ -225,23 +229,6 @@ def in_frame(belief: Case, foot: Footing, frame: int) -> Float[Array, " 3"]:
     return to_frame(to_world(foot.at[None], jnp.array([foot.frame]), free), jnp.array([frame]), free)[0]
 
 
-def _support(move: Move, terms: Terms) -> tuple[Support, ...]:
-    if move.support not in terms.supports:
-        raise InputError(f"{move.path}.support = {move.support} is unknown{suggest(move.support, terms.supports)}")
-    return terms.supports[move.support]
-
-
-def _law(move: Move, terms: Terms) -> str:
-    if move.law and move.law not in terms.laws:
-        raise InputError(f"{move.path}.law = {move.law} is unknown{suggest(move.law, terms.laws)}")
-    return move.law
-
-
-def _plane(move: Move, terms: Terms) -> Array | tuple[float, float, float]:
-    """By leg, out to whose side it is."""
-    return (0.0, 0.0, 1.0) if move.plane is None else jnp.stack([terms.vector(leg, move.plane) for leg in LEGS])
-
-
 def moves(belief: Case, part: str) -> dict[str, Move]:
     """The moves of a part of a case's plan, by name. Raises `InputError`.
 
@@ -256,8 +243,8 @@ def moves(belief: Case, part: str) -> dict[str, Move]:
     if "reverse" not in common:
         return {name: _move(f"plan.{part}.{name}", {**common, **given, "base": _based(common, given)})
                 for name, given in content[part].items() if isinstance(given, Mapping)}  # fmt: skip
-    if unknown := [key for key in content[part] if key not in REVERSED]:
-        raise InputError(f"plan.{part}.{unknown[0]} is unknown{suggest(unknown[0], REVERSED)}")
+    for key in content[part]:
+        known(key, REVERSED, f"plan.{part}.{key}")
     if part == common["reverse"]:
         raise InputError(f"plan.{part}.reverse = {part} is not allowed: another part")
     forth = {"": placing(belief, common.get("from", ""))[1], **moves(belief, common["reverse"])}
@@ -335,10 +322,9 @@ def _move(where: str, given: Mapping[str, Any]) -> Move:
     words = {key: value for key, value in given.items() if key not in GROUPS}
     allowed = [f.name for f in fields(Move) if f.name not in ("feet", "path")]
     for key, value in words.items():
-        if key not in allowed:
-            raise InputError(f"{where}.{key} is unknown{suggest(key, [*allowed, *GROUPS])}")
-        if key in WORDS and value not in WORDS[key]:
-            raise InputError(f"{where}.{key} = {value} is unknown{suggest(str(value), WORDS[key])}")
+        known(key, [*allowed, *GROUPS], f"{where}.{key}")
+        if key in WORDS:
+            known(value, WORDS[key], f"{where}.{key} = {value}")
         if key in SIZES and (not isinstance(value, list) or (value and len(value) != SIZES[key])):
             raise InputError(f"{where}.{key} = {value} is not allowed: [{', '.join(COMPONENTS[key])}]")
     for key, value in given.items():
@@ -365,6 +351,6 @@ def numbers_of[T](cls: type[T], belief: Case, part: str) -> T:
     given, names = tabled(belief).get(part, {}), cls.__annotations__
     if missing := [name for name in names if name not in given]:
         raise InputError(f"plan.{part}.{missing[0]} is missing")
-    if unknown := [name for name in given if name not in names]:
-        raise InputError(f"plan.{part}.{unknown[0]} is unknown{suggest(unknown[0], names)}")
+    for name in given:
+        known(name, names, f"plan.{part}.{name}")
     return cls(**{name: tuple(value) if isinstance(value, list) else value for name, value in given.items()})

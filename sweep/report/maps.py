@@ -210,14 +210,9 @@ def paint(ax: Axes, rows: pd.DataFrame, cells: Cells, **style: Any) -> None:
         for box in boxes:
             ax.add_patch(Rectangle(*box, fill=False, hatch="////", linewidth=0.4))
     elif 0 < len(boxes) <= BOXES:
-        path = Path.make_compound_path(*(Rectangle(*box).get_path().transformed(box_of(box)) for box in boxes))
+        turns = (Affine2D().scale(width, height).translate(*corner) for corner, width, height in boxes)
+        path = Path.make_compound_path(*map(Path.unit_rectangle().transformed, turns))
         ax.add_patch(PathPatch(path, fill=False, hatch="////", linewidth=0))
-
-
-def box_of(box: tuple[tuple[float, float], float, float]) -> Affine2D:
-    """From the unit square to a box of cells."""
-    corner, width, height = box
-    return Affine2D().scale(width, height).translate(*corner)
 
 
 def coloured(ax: Axes, values: np.ma.MaskedArray, cells: Cells, **style: Any) -> Any:

@@ -9,11 +9,10 @@ import numpy as np
 import pandas as pd
 
 from sweep.core.outcomes import SUCCESS
+from sweep.report import replays
 from sweep.report.labels import kind_of, meaning
-from sweep.runs import batches
 from sweep.runs.results import Results
 from sweep.study.columns import figure_columns
-from sweep.systems.base import judge_one
 
 SAMPLE = 1000  # rollouts of a kind that are looked at
 PICTURES = "pictures"  # folder beside the study's parts
@@ -72,22 +71,20 @@ def draw(results: Results) -> list[Path]:
     from sweep.trace.frames import write_strip
     from sweep.trace.sampling import at_times
 
-    wanted = [one for one in typical(results) if not one.picture.exists()]
-    drawn = []
-    for group in sorted({int(one.row["group"]) for one in wanted}):
-        own = [one for one in wanted if one.row["group"] == group]
-        rows = pd.DataFrame([one.row for one in own]).assign(width=len(own)).infer_objects()
-        exp = batches.with_room(results.exp, results.rows)
-        task = batches.batch(exp, rows)
-        engine = batches.make_engine(exp, batches.nominal(exp, rows, len(own)))
-        for one, trace in zip(own, engine.traces(task.world, task.belief, task.streams, 1), strict=True):
-            labels = judge_one(exp.system, trace.figures, exp.thresholds, engine.stages)
-            if (labels["outcome"], labels["cause"]) != (one.row["outcome"], one.row["cause"]):
-                print(f"sweep: no picture of {one.row['point_id']}: here it ends otherwise", file=sys.stderr)
-                continue
-            end = np.fmin(one.row["t_cause_s"] + AFTER, trace.time[-1])
-            one.picture.parent.mkdir(exist_ok=True)
-            shown = at_times(trace, np.linspace(trace.time[0], end, FRAMES))
-            write_strip(one.picture, trace, shown, one.kind.replace("_", " "))
-            drawn.append(one.picture)
+    wanted = {one.row.name: one for one in typical(results) if not one.picture.exists()}
+    rows, drawn = pd.DataFrame([one.row for one in wanted.values()]).infer_objects(), []
+    if rows.empty:
+        return drawn
+    groups = rows.groupby("group")["group"]
+    rows = rows.assign(width=groups.transform("size"), slot=groups.cumcount())
+    for row, trace, labels in replays.again(results.exp, rows, results.rows, np.inf):
+        one = wanted[row.name]
+        if (labels["outcome"], labels["cause"]) != (row["outcome"], row["cause"]):
+            print(f"sweep: no picture of {row['point_id']}: here it ends otherwise", file=sys.stderr)
+            continue
+        end = np.fmin(row["t_cause_s"] + AFTER, trace.time[-1])
+        one.picture.parent.mkdir(exist_ok=True)
+        shown = at_times(trace, np.linspace(trace.time[0], end, FRAMES))
+        write_strip(one.picture, trace, shown, one.kind.replace("_", " "))
+        drawn.append(one.picture)
     return drawn

@@ -5,6 +5,7 @@ import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -190,7 +191,8 @@ class Hexapod:
 
     def sides(self, values: Values) -> tuple[Case, Case]:
         """See `System`."""
-        world, belief = (_assigned(self.case, own) for own in by_side(values).values())
+        sides = by_side(values).values()
+        world, belief = (reduce(lambda case, one: assign(case, *one), own.items(), self.case) for own in sides)
         return world, belief
 
     def with_room(self, table: "pd.DataFrame") -> "Hexapod":
@@ -261,12 +263,6 @@ def assign[T](owner: T, path: str, value: Any) -> T:
     name, _, rest = path.partition(".")
     inner = assign(getattr(owner, name), rest, value) if rest else value
     return dataclasses.replace(owner, **{name: inner})  # pyright: ignore[reportArgumentType]
-
-
-def _assigned(case: Case, values: Values) -> Case:
-    for path, value in values.items():
-        case = assign(case, path, value)
-    return case
 
 
 def _table(given: Any, manoeuvre: Any) -> PlanTable:

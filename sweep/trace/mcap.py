@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 from foxglove import Channel, Context
 from foxglove.channels import FrameTransformsChannel, JointStatesChannel, SceneUpdateChannel
-from foxglove.mcap import MCAPWriteOptions, MCAPWriter
+from foxglove.mcap import MCAPWriteOptions
 from foxglove.messages import (
     ArrowPrimitive,
     Color,
@@ -63,8 +63,11 @@ def _write(path: Path, trace: Trace, config: Mapping[str, Any], outcome: Mapping
     context = Context()  # of its own: channels of the global one would leak into the next file
     with foxglove.open_mcap(path, allow_overwrite=True, context=context, writer_options=options) as writer:
         came = dict(sorted(plain(outcome).items()))
-        _write_records(writer, plain(config), came)
-        _write_outcome(context, came, _nanoseconds(trace.time[0]))
+        writer.write_metadata("outcome", {key: "" if value is None else str(value) for key, value in came.items()})
+        data = json.dumps(plain(config), indent=1, sort_keys=True).encode()
+        writer.attach(log_time=0, create_time=0, name="config.json", media_type="application/json", data=data)
+        schema = {"title": "sweep.Outcome", "type": "object", "properties": {key: {} for key in came}}
+        Channel("/outcome", schema=schema, context=context).log(came, log_time=_nanoseconds(trace.time[0]))
         _write_stages(context, trace)
         _write_pictures(context, trace)
         _write_joints(context, trace)
@@ -95,18 +98,6 @@ def _nanoseconds(seconds: Any) -> int:
 
 def _timestamp(nanoseconds: int) -> Timestamp:
     return Timestamp(*divmod(nanoseconds, 10**9))
-
-
-def _write_records(writer: MCAPWriter, config: dict[str, Any], outcome: dict[str, Any]) -> None:
-    text = {key: "" if value is None else str(value) for key, value in outcome.items()}
-    writer.write_metadata("outcome", text)
-    data = json.dumps(config, indent=1, sort_keys=True).encode()
-    writer.attach(log_time=0, create_time=0, name="config.json", media_type="application/json", data=data)
-
-
-def _write_outcome(context: Context, outcome: dict[str, Any], time: int) -> None:
-    schema = {"title": "sweep.Outcome", "type": "object", "properties": {key: {} for key in outcome}}
-    Channel("/outcome", schema=schema, context=context).log(outcome, log_time=time)
 
 
 def _write_stages(context: Context, trace: Trace) -> None:

@@ -52,6 +52,8 @@ def data(results: Results, chosen: tuple[str, ...] = ()) -> dict[str, Any]:
         }
         for c, (about, _) in zip((*axes, *figures), coded, strict=True)
     ]
+    # of a map: two listed numbers; elsewhere the script takes what matters most
+    first = results.listed[:2] if len(results.listed) > 1 and not results.one_at_a_time else []
     stages = [*results.stages, *sorted(set(rows["stage"].astype(str)) - {*results.stages, ""})]
     kind = codes_of(rows, kinds).astype(np.uint8)
     stage = 1 + pd.Index(stages).get_indexer(pd.Index(rows["stage"].astype(str)))  # 0: there is none
@@ -69,7 +71,7 @@ def data(results: Results, chosen: tuple[str, ...] = ()) -> dict[str, Any]:
         "digits": DIGITS,
         "block": as_text(b"".join(blocks)),
         "one_at_a_time": results.one_at_a_time,
-        "start": [c for c in (*chosen, *first_axes(results)) if c in (*axes, *figures)][:2],
+        "start": [c for c in (*chosen, *first) if c in (*axes, *figures)][:2],
         "theory": list(curves(results, rows)),
         "refined_cells": refined_cells(results) if len(rows) == len(results.rows) else None,
         "densities": list(densities(results, kinds)) if len(rows) < len(results.rows) else [],
@@ -134,11 +136,6 @@ def code(values: pd.Series, bits: int) -> tuple[dict[str, Any], bytes]:
 def split(values: np.ndarray) -> bytes:
     """Whole numbers from 0 to 65535, all low bytes before all high ones."""
     return values.astype("<u2").view(np.uint8).reshape(-1, 2).T.tobytes()
-
-
-def first_axes(results: Results) -> list[str]:
-    """What a map starts with: two listed numbers; elsewhere the script takes what matters most."""
-    return results.listed[:2] if len(results.listed) > 1 and not results.one_at_a_time else []
 
 
 def curves(results: Results, rows: pd.DataFrame) -> Any:
