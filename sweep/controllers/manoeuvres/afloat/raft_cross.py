@@ -74,11 +74,7 @@ class RaftCross:
     patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
 
     needs = (Raft,)
-
-    @property
-    def own_plan(self) -> str:
-        """The file that holds the plan's numbers, in a_r."""
-        return "raft_cross"
+    own_plan = "raft_cross"  # in a_r
 
     def plan(self, belief: Case) -> Plan:
         """The whole way.

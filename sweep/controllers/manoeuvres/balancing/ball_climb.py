@@ -47,10 +47,7 @@ class BallClimb(BesideBall):
     centring: float = quantity(1.52, "s", above=0)  # in which the base goes on to the point of its tangent, in the ride
     lean: float = quantity(2.5, "s", at_least=0)  # of the base against the ball's speed aside, in the ride
 
-    @property
-    def own_plan(self) -> str:
-        """The file that holds the plan's numbers, in R."""
-        return "ball_climb"
+    own_plan = "ball_climb"  # in R
 
     def plan(self, belief: Case) -> Plan:
         """Feet to the ball, base to its tangent, push, ride, stand on top, calm the ball.

@@ -84,10 +84,7 @@ class BallDescend(BesideBall):
     rate: float = quantity(1.0, "-", above=0, at_most=10)  # of the way down to the floor, over that of the plan's file
     rest: float = quantity(3.5, "s", above=0)  # on the floor, in the end
 
-    @property
-    def own_plan(self) -> str:
-        """The file that holds the plan's numbers, in R."""
-        return "ball_descend"
+    own_plan = "ball_descend"  # in R
 
     def plan(self, belief: Case) -> Plan:
         """Calm the ball, come down, rest.

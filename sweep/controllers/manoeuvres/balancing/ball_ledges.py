@@ -77,11 +77,7 @@ class BallLedges(OnBall, InParts):
     patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
 
     needs = (Ledges,)
-
-    @property
-    def own_plan(self) -> str:
-        """The file that holds the plan's numbers."""
-        return "ball_ledges"
+    own_plan = "ball_ledges"
 
     def plan(self, belief: Case) -> Plan:
         """On to the ball, over to the other ledge, off.

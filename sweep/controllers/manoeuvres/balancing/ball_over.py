@@ -47,10 +47,7 @@ class BallOver(BesideBall):
     spread_ratio: float = quantity(0.3, "a_r", at_least=0, at_most=2)  # feet out from the hips then
     turning: float = quantity(3.0, "rad/s", above=0, at_most=20)  # varpi, of those swings, whose time t* it gives
 
-    @property
-    def own_plan(self) -> str:
-        """The file that holds the plan's numbers, in R."""
-        return "ball_over"
+    own_plan = "ball_over"  # in R
 
     @property
     def up(self) -> BallClimb:

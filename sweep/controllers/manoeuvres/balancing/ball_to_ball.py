@@ -148,11 +148,7 @@ class BallToBall(OnBall, InParts):
     patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
 
     needs = (TwoBalls,)
-
-    @property
-    def own_plan(self) -> str:
-        """The file that holds the plan's numbers."""
-        return "ball_to_ball"
+    own_plan = "ball_to_ball"
 
     def plan(self, belief: Case) -> Plan:
         """Roll, go over, calm the second ball.

@@ -112,11 +112,7 @@ class OnCorner(PlannedForces):
 
     needs = (Corner,)
     two_way: ClassVar = True
-
-    @property
-    def own_plan(self) -> str:
-        """The file that holds the plan's numbers."""
-        return "corner"
+    own_plan = "corner"
 
     def site(self, belief: Case) -> CornerSite:
         """What is believed of the robot and of the corner."""

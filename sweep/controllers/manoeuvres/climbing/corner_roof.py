@@ -55,10 +55,7 @@ class CornerRoof(OnCorner):
     kind: str = choice("corner_roof", "corner_roof")
     cycles: int = count(2, at_least=1, at_most=100)  # of the gallop, which goes as far as the house is high
 
-    @property
-    def own_plan(self) -> str:
-        """See `OnCorner`."""
-        return "corner_roof"
+    own_plan = "corner_roof"
 
     def ascend(self, belief: Case) -> tuple[CornerSite, Stance, list[Stage]]:
         """Climb until the front feet are below the edge, and get over it.

@@ -60,11 +60,7 @@ class LadderClimb(PlannedForces):
 
     needs = (Ladder,)
     two_way: ClassVar = True
-
-    @property
-    def own_plan(self) -> str:
-        """The file that holds the plan's numbers, in leg units."""
-        return "ladder_climb"
+    own_plan = "ladder_climb"  # in leg units
 
     def plan(self, belief: Case) -> Plan:
         """Wait, walk up, climb, walk away, halt.

@@ -126,11 +126,7 @@ class OnPole(PlannedForces):
     forces: str = choice("deepening", "deepening", "planned")
 
     needs = (PoleLedge,)
-
-    @property
-    def own_plan(self) -> str:
-        """The file that holds the plan's numbers."""
-        return "pole"
+    own_plan = "pole"
 
     def site(self, belief: Case) -> PoleSite:
         """What is believed of the robot and of the pole."""

@@ -29,10 +29,7 @@ class PoleTop(OnPole):
     kind: str = choice("pole_top", "pole_top")
     cycles: int = count(2, at_least=1, at_most=100)  # of the gallop, all alike, of about 3 x* each
 
-    @property
-    def own_plan(self) -> str:
-        """See `OnPole`."""
-        return "pole_top"
+    own_plan = "pole_top"
 
     def terms(self, site: PoleSite, belief: Case) -> Terms:
         """Of moves on the pole; the chart `hang` is for a base beside the pole."""
