@@ -209,11 +209,16 @@ def measured(robots: Robots, kept: "Kept", given: argparse.Namespace, deadline: 
         except StopIteration as end:
             ended[key] = end.value
             del asked[key]
+            target, way, _ = key
+            all_of = [ended.get((target, way, k)) for k in range(len(exps[target, way]))]
+            if all(rows is not None for rows in all_of):
+                kept.done(target, way, [rare(rows, exp) for rows, exp in zip(all_of, exps[target, way], strict=True)])
 
     past = Past(given.rows)
     for key in list(asked):
         while key in asked and (rows := past.of(key, table(key))) is not None:
             advance(key, rows)
+    kept.write()
     lasts = 0.0  # a batch
     while (start := time.perf_counter()) + lasts < deadline and (asked or kept.lacking()):
         ends = np.cumsum([len(draws.numbers) for draws in asked.values()])
@@ -232,9 +237,6 @@ def measured(robots: Robots, kept: "Kept", given: argparse.Namespace, deadline: 
             kept.spent(key[0], key[1], rows, took)
             past.add(key, rows)
             advance(key, rows)
-        for (target, way), some in exps.items():
-            if all((target, way, k) in ended for k in range(len(some))) and "P" not in kept.cell(target, way):
-                kept.done(target, way, [rare(ended[target, way, k], exp) for k, exp in enumerate(some)])
         kept.seconds += (lasts := time.perf_counter() - start)
         past.write()
         kept.write()
@@ -347,7 +349,8 @@ class Kept:
             (one,) = found
             taken = [share for run in one.runs for share in run.accepted]
             sets = [Repeated(one.target, one.runs[k : k + SETS]) for k in range(0, len(one.runs) - SETS + 1, SETS)]
-            cell |= {"each": one.each.tolist(), "intervals": [some.interval for some in sets],
+            told = [some.interval for some in sets if some.each.any()]
+            cell |= {"each": one.each.tolist(), "intervals": told,
                      "early": len(one.stuck), "why": one.stuck[0].why if one.stuck else "",
                      "accepted": [min(taken), max(taken)] if taken else []}  # fmt: skip
         else:
