@@ -2,6 +2,7 @@ import itertools
 import re
 
 import pytest
+from small_study import one_line
 
 from sweep.cli.choices import choices
 from sweep.cli.main import main
@@ -149,9 +150,7 @@ def test_a_file_of_a_user_runs_nothing(tmp_path, monkeypatch, capsys, kind):
     (tmp_path / "evil.pickle").write_bytes(b"cos\nmkdir\n(S'ran'\ntR.")
     assert main(["run", "--config-dir", "conf", "study=mine", "--dry-run"]) == 2
     assert not (tmp_path / "ran").exists()
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1
-    assert "which runs code" in error
+    one_line(capsys.readouterr().err, "which runs code")
 
 
 @pytest.mark.usefixtures("fake_engine")

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
-from fake_engine import FakeEngine
+from distant import AXES, FAR, CliffEngine
 from scipy.special import ndtri
 from scipy.stats import norm
 
@@ -16,24 +16,9 @@ from sweep.runs import results, store
 from sweep.study import importance
 from sweep.study.sought import Seen
 
-FAR = 4.0  # standard deviations of the nearest failure
-
-
-class FarEngine(FakeEngine):
-    """Tilts where friction and mass together are four standard deviations low."""
-
-    def run(self, world, belief, streams):
-        figures = super().run(world, belief, streams)
-        u = [np.broadcast_to(v, (self.width,)) for v in (world.contact.friction, world.robot.body_mass)]
-        away = ((u[0] - 0.8) / 0.01 + (u[1] - 10.0) / 0.1) / np.sqrt(2)
-        return figures | {"tilt_max_deg": np.where(away < -FAR, 40.0, 1.0), "slip_max_m": np.zeros(self.width)}
-
-
-far = pytest.mark.parametrize("fake_engine", [FarEngine], indirect=True)
+far = pytest.mark.parametrize("fake_engine", [CliffEngine], indirect=True)
 STUDY = [
-    "run", "scenario=walk_tripod", "study.name=rare", "study.design.kind=importance", "study.design.num=512",
-    "study.axes={friction: {path: contact.friction, side: world, distribution: {kind: normal, mean: 0.8, std: 0.01}}, "
-    "mass: {path: robot.body_mass, side: world, distribution: {kind: normal, mean: 10, std: 0.1}}}",
+    "run", "scenario=walk_tripod", "study.name=rare", "study.design.kind=importance", "study.design.num=512", AXES,
 ]  # fmt: skip
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from mujoco.batch import Batch
-from small_study import content, wait_for
+from small_study import content, one_line, wait_for
 
 from sweep.cli.main import main
 from sweep.engines import devices
@@ -297,8 +297,7 @@ def test_a_mistake_is_one_line_and_nothing_is_written(here, tmp_path, capsys, ch
     for name, text in BROKEN.items():
         (tmp_path / name).write_text(text)
     assert main(["run", "study=grip", "out=wrong", change.replace("TMP", str(tmp_path))]) == 2
-    (told,) = capsys.readouterr().err.splitlines()
-    assert line in told
+    one_line(capsys.readouterr().err, line)
     assert not Path("wrong").exists()
 
 
@@ -347,8 +346,7 @@ def test_a_controller_that_cannot_be_is_one_line_and_nothing_is_written(here, ca
     Path(f"{name}.py").write_text(f"import jax.numpy as jnp\n{code}\n")
     observe = ["model.observe=[]"] if "def observe" in code else []
     assert main(["run", *SHORT, *observe, f"model.controller={name}:policy", "out=wrong"]) == 2
-    (told,) = capsys.readouterr().err.splitlines()
-    assert line in told
+    one_line(capsys.readouterr().err, line)
     assert not Path("wrong").exists()
 
 
@@ -445,6 +443,5 @@ def test_a_policy_that_was_trained_elsewhere_runs_as_it_is(here, capsys):
 def test_a_policy_of_another_size_is_one_line(here, capsys, write, controller, line):
     write()
     assert main(["run", *SHORT, "out=wrong", f"model.controller={controller}"]) == 2
-    (told,) = capsys.readouterr().err.splitlines()
-    assert line in told
+    one_line(capsys.readouterr().err, line)
     assert not Path("wrong").exists()

@@ -6,6 +6,7 @@ import sys
 import warnings
 
 import pytest
+from small_study import one_line
 
 import sweep
 from sweep.cli.main import main
@@ -115,9 +116,7 @@ def test_a_study_is_a_plain_file_wherever_it_lies(home, monkeypatch):
 def test_what_is_wrong_with_a_study_file_is_one_line(home, capsys, text, named):
     write(home / "bad.yaml", text)
     assert main(["run", "study=bad.yaml"]) == 2
-    error = capsys.readouterr().err
-    assert named in error
-    assert error.count("\n") == 1
+    one_line(capsys.readouterr().err, named)
     assert main(["run", "study=none.yaml"]) == 2
     assert "study = none.yaml is not a file" in capsys.readouterr().err
 
@@ -127,10 +126,7 @@ def test_files_that_extend_each_other_in_a_ring_are_refused(home, capsys, folder
     for name, above in (("a", "b"), ("b", "c"), ("c", "b")):
         write(home / folder / f"{name}.yaml", f"extends: {above}\n")
     assert main(["run", f"{option}=a"]) == 2
-    error = capsys.readouterr().err
-    assert "b.yaml extends " in error
-    assert "c.yaml extends " in error
-    assert error.count("\n") == 1
+    one_line(capsys.readouterr().err, "b.yaml extends ", "c.yaml extends ")
 
 
 def test_every_group_is_listed_completed_chosen_once_and_has_a_folder(home, capsys):

@@ -3,7 +3,7 @@ import signal
 import numpy as np
 import pandas as pd
 import pytest
-from small_study import BATCHES, STUDY, content, start, wait_for
+from small_study import BATCHES, STUDY, content, one_line, start, wait_for
 
 from sweep.cli.main import main
 from sweep.runs import runner, store
@@ -61,9 +61,7 @@ def test_a_folder_keeps_to_one_study_and_one_version_of_the_code(tmp_path, capsy
     ):
         capsys.readouterr()
         assert main(["run", *STUDY, out, *other]) == 2
-        error = capsys.readouterr().err
-        assert named in error
-        assert error.count("\n") == 1
+        one_line(capsys.readouterr().err, named)
     monkeypatch.setattr(runner.provenance, "code_version", lambda: "other")
     assert main(["run", *STUDY, out]) == 2
     assert "another version of the code" in capsys.readouterr().err

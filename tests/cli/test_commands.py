@@ -4,6 +4,7 @@ import sys
 
 import pandas as pd
 import pytest
+from small_study import one_line
 
 from sweep import engines
 from sweep.cli.main import main
@@ -331,9 +332,7 @@ def test_mistakes_with_results_are_one_line_each(capsys, tmp_path):
     capsys.readouterr()
     for arguments, message in mistakes:
         assert main(arguments) == 2, arguments
-        error = capsys.readouterr().err
-        assert message in error
-        assert error.count("\n") == 1
+        one_line(capsys.readouterr().err, message)
     long = "x" * 250
     assert main(["table", results, "-o", long]) == 2  # nor can what is half-written be removed, as on a disk to read
     assert capsys.readouterr().err == f"sweep: {long} cannot be written: File name too long\n"
@@ -360,9 +359,7 @@ def test_what_only_the_engine_knows_is_one_line_too(arguments, message, capsys, 
     monkeypatch.setattr(engines, "make", REAL)
     (tmp_path / "bad.yaml").write_text("extends: corner\nroof: {reverse: roof}\n")
     assert main(["run", *arguments]) == 2
-    error = capsys.readouterr().err
-    assert error.startswith(f"sweep: {message}")
-    assert error.count("\n") == 1
+    one_line(capsys.readouterr().err, f"sweep: {message}")
 
 
 def test_a_folder_that_this_version_cannot_read_is_named_with_its_own(capsys, tmp_path):
