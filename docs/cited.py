@@ -100,10 +100,8 @@ def errors(name: str) -> str:
 
 def along(name: str, axis: str) -> str:
     """Successes at each value of an axis, a line each."""
-    lines = [f"| {axis} | succeed |", "|--:|:--|"]
-    for value, success, valid, _ in read(name)["along"][axis]:
-        lines.append(f"| {shown(value)} | {share(success, valid)} |")
-    return "\n".join(lines)
+    lines = ([shown(value), share(success, valid)] for value, success, valid, _ in read(name)["along"][axis])
+    return ruled([True, False], [axis, "succeed"], *lines)
 
 
 def draws(names: str, figures: str = "") -> str:
@@ -198,21 +196,20 @@ def cells(name: str) -> str:
     grid = read(name)["map"]
     (x, across), (y, up) = grid["values"].items()
     most = max(max(line) for line in grid["valid"])
-    lines = [f"| {axis_words(y)} by {axis_words(x)}, of {most} | {' | '.join(f'{value:g}' for value in across)} |"]
-    lines.append("|--:|" + "--:|" * len(across))
+    heads, lines = [f"{axis_words(y)} by {axis_words(x)}, of {most}", *map(shown, across)], []
     for value, success, valid in zip(up, grid["success"], grid["valid"], strict=True):
         counts = (f"{a}" if b == most else f"{a} of {b}" for a, b in zip(success, valid, strict=True))
-        lines.append(f"| {value:g} | {' | '.join(counts)} |")
-    return "\n".join(lines)
+        lines.append([shown(value), *counts])
+    return ruled([True] * len(heads), heads, *lines)
 
 
 def each(name: str) -> str:
     """Successes along each axis for itself, a line each."""
-    lines = ["| error | values | succeed |", "|:--|:--|:--|"]
+    lines = []
     for axis, table in read(name)["along"].items():
         counts = ", ".join(f"{success} of {valid}" for _, success, valid, _ in table)
-        lines.append(f"| {axis_words(axis)} | {', '.join(shown(value) for value, *_ in table)} | {counts} |")
-    return "\n".join(lines)
+        lines.append([axis_words(axis), ", ".join(shown(value) for value, *_ in table), counts])
+    return ruled([False] * 3, ["error", "values", "succeed"], *lines)
 
 
 def shown(value: float | str) -> str:
@@ -282,22 +279,23 @@ def halved(name: str, scenarios: str) -> str:
 
 def sources(names: list[str]) -> str:
     """What made the data of a page: command, engine, code, machine, a line each."""
-    lines = ["| data | made by | engine, machine | code | s |", "|:--|:--|:--|:--|--:|"]
+    lines = []
     for name in names:
         data = read(name)
         where = f"{data['engine']}, {'; '.join(data['devices'])}"
-        lines.append(f"| {name} | `{data['command']}` | {where} | {data['commit']} | {data['seconds']} |")
-    return "\n".join(lines)
+        lines.append([name, f"`{data['command']}`", where, data["commit"], str(data["seconds"])])
+    return ruled([False] * 4 + [True], ["data", "made by", "engine, machine", "code", "s"], *lines)
 
 
 def changes(_: str) -> str:
     """What is beyond its interval since the data before those that are there, a line for each count."""
-    lines = ["| data | code | before | beyond its interval |", "|:--|:--|:--|:--|"]
+    lines = []
     for path in sorted(DATA.glob("*.json")):
         data = read(path.stem)
         changed = data.get("changed") or {"before": "", "counts": []}
-        lines += [f"| {path.stem} | {data['commit']} | {changed['before']} | {one} |" for one in changed["counts"]]
-    return "\n".join(lines) if lines[2:] else "Nothing is beyond its interval."
+        lines += [[path.stem, data["commit"], changed["before"], one] for one in changed["counts"]]
+    heads = ["data", "code", "before", "beyond its interval"]
+    return ruled([False] * 4, heads, *lines) if lines else "Nothing is beyond its interval."
 
 
 def outdated(text: str) -> str:
