@@ -149,8 +149,15 @@ def tables(scenarios: shared.Scenarios) -> dict[str, list[list[str]]]:
             *(1e3 * np.array([one[key] for one in parting]) for key in ("before_m", "apart_m")),
             np.array([max(one["at_s"] - one["parted_s"], 0.0) for one in parting]),
         )
-        medians = (f"{np.median(values):.2g}" if len(parting) else "" for values in typical)
-        causes.append([f"`{cause}`" if cause else "none", *_counts(some), *medians, str(bears) if parting else ""])
+        medians = (f"{float(f'{np.median(values):.2g}'):g}" if parting else "" for values in typical)
+        causes.append(
+            [
+                f"`{cause}`" if cause else "none, within successes",
+                *_counts(some),
+                *medians,
+                str(bears) if parting else "",
+            ]
+        )
     where = [["scenario", *judged, "stages in which they part"]]
     for name in scenarios:
         some = [one for one in every if one["scenario"] == name]
