@@ -50,6 +50,12 @@ def test_an_interrupted_search_goes_on_to_the_same_numbers(tmp_path):
     assert found(log, {**HOW, "generations": 13})[2] == 1
     with pytest.raises(InputError, match="log is of another search"):
         found(log, {**HOW, "seed": 4})
+    log.write_text("\n".join(lines[:1]) + "\n")  # which came to nothing
+    assert found(log, {**HOW, "seed": 4})[2] == whole[2]
+    for content in (b"{}\n[0.1, \n", b"\xbe\n"):
+        log.write_bytes(content)
+        with pytest.raises(InputError, match="log is damaged: remove it"):
+            found(log)
 
 
 class Wants:
@@ -127,6 +133,9 @@ def test_a_plan_that_touches_is_tuned_until_it_does_not(tmp_path, monkeypatch, c
     was, now = (numbers(tabled(case), charts(case.obstacle)) for case in (was, now))
     assert {path for path in was if was[path] != now[path]} == {"over.front.base.ahead", "over.front.base.above"}
     assert len((tmp_path / "plans" / "mine.yaml.log").read_text().splitlines()) == 1 + 3
+    (tmp_path / "low.yaml").write_text("extends: pole_top\nover:\n  front: {base: [-0.018, 0.34, 22]}\n")
+    assert main([*search, "out=plans/mine.yaml"]) == 2
+    assert "mine.yaml.log is of another search" in capsys.readouterr().err
 
 
 @pytest.mark.slow

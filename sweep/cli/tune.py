@@ -20,6 +20,7 @@ from sweep.cli.exits import DONE, UNEXPECTED
 from sweep.core.arguments import Arguments, no_flag
 from sweep.core.errors import InputError
 from sweep.core.files import write_whole
+from sweep.core.provenance import code_version
 from sweep.engines import devices
 from sweep.models import plan_table
 from sweep.models.case import Case
@@ -83,9 +84,12 @@ def main(args: list[str]) -> int:
         return DONE
     how = {"overrides": sorted(overrides), "free": steps, "stages": given.stages, "need": given.need,
            "moments": given.moments, "forces": given.forces, "seed": given.seed, "population": given.population,
-           "follow": given.follow, "gradients": given.gradients, "generations": given.generations}  # fmt: skip
+           "follow": given.follow, "gradients": given.gradients, "generations": given.generations,
+           "config": store.digest(exp.values), "code": code_version()}  # fmt: skip
     where.parent.mkdir(parents=True, exist_ok=True)
-    best, slopes = searched(score, seen, first, sizes, how, where.with_name(f"{where.name}.log"))
+    log = where.with_name(f"{where.name}.log")
+    tuning.known(log, how)  # refuses before what is slow
+    best, slopes = searched(score, seen, first, sizes, how, log)
     left = {f"{name} {when}": score.margins(at, draws)
             for name, draws in zip(DRAWS, (seen, others), strict=True)
             for when, at in (("before", first), ("after", best + shares(draws, sizes) @ slopes.T))}  # fmt: skip

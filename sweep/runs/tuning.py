@@ -219,13 +219,16 @@ def program(lack: np.ndarray, slope: np.ndarray, by: np.ndarray, at: np.ndarray,
 
 def known(log: Path, how: Mapping[str, Any]) -> list[Any]:
     """What a log keeps of a search, which it begins to here. Raises `InputError` where it is of another one."""
-    lines = log.read_text(encoding="utf-8").split("\n") if log.exists() else []
     begun = json.dumps({key: value for key, value in how.items() if key != "generations"})
-    whole = lines[:-1] or [begun]  # a line is whole with its end
-    if whole[0] != begun:
+    try:
+        lines = log.read_text(encoding="utf-8").split("\n")[:-1] if log.exists() else []  # one is whole with its end
+        told = [json.loads(line) for line in lines[1:]]
+    except ValueError:
+        raise InputError(f"{log} is damaged: remove it, or choose another out") from None
+    if told and lines[0] != begun:
         raise InputError(f"{log} is of another search: remove it, or choose another out")
-    log.write_text("\n".join(whole) + "\n", encoding="utf-8")
-    return [json.loads(line) for line in whole[1:]]
+    log.write_text("\n".join([begun, *lines[1:]]) + "\n", encoding="utf-8")
+    return told
 
 
 def keep(log: Path, found: list[Any]) -> None:
