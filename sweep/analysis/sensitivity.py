@@ -77,14 +77,14 @@ class GridVolume:
     invalid: int  # rollouts
 
 
-def grid_volume(rows: pd.DataFrame, exp: Experiment, level: float = 0.5) -> GridVolume:
-    """Of the numbers listed; a grid point succeeds where at least `level` of its valid rollouts do."""
+def grid_volume(rows: pd.DataFrame, exp: Experiment) -> GridVolume:
+    """Of the numbers listed; a grid point succeeds where at least half of its valid rollouts do."""
     axes = numeric(rows, listed(rows, exp))
     if not axes or exp.study.design.grid != "full":
         raise InputError("the volume of a grid needs a full grid of numbers")
     by = [a.column for a in axes]
     table = rates(rows, by)
-    good = (table["share"] >= level).astype(float).where(table["share"].notna())
+    good = (table["share"] >= 0.5).astype(float).where(table["share"].notna())
     values = [np.sort(rows[c].unique()) for c in by]
     places = tuple(np.searchsorted(v, table[c]) for c, v in zip(by, values, strict=True))
     corners = np.full([len(v) for v in values], np.nan)

@@ -25,6 +25,7 @@ from sweep.trace.draw import ARRAYS, MODEL, NO_OPENGL
 from sweep.trace.sampling import at_rate, base_pose, finite_frames
 
 SIZE = (960, 544)  # pixels, multiples of 16 as video codecs want
+SMALL = (424, 240)  # of a frame of a strip
 IN_A_ROW = 4  # frames of a strip, which should be full rows
 STILL = 4  # samples of a pixel of a picture that is looked at
 VIDEO_RATE = 25  # frames per second, simulated and shown
@@ -72,14 +73,10 @@ def captioned(picture: np.ndarray, text: str) -> np.ndarray:
     return np.asarray(image)
 
 
-def write_strip(path: str | Path, trace: Trace, chosen: np.ndarray, outcome: str = "", height: int = 240) -> None:
-    """Write the frames with the indices `chosen` side by side, `height` pixels high, at most `IN_A_ROW` in a row.
-
-    Raises as `render` does.
-    """
-    width = round(SIZE[0] * height / SIZE[1])
+def write_strip(path: str | Path, trace: Trace, chosen: np.ndarray, outcome: str = "") -> None:
+    """Write the frames with the indices `chosen` side by side, at most `IN_A_ROW` in a row; raises as `render` does."""
     small = [
-        captioned(np.asarray(Image.fromarray(picture).resize((width, height))), caption(trace, k, outcome))
+        captioned(np.asarray(Image.fromarray(picture).resize(SMALL)), caption(trace, k, outcome))
         for picture, k in zip(render(trace, chosen), chosen, strict=True)
     ]
     rows = [np.concatenate(row, axis=1) for row in itertools.batched(small, IN_A_ROW)]

@@ -90,9 +90,7 @@ def add_rolling(
     world.add_geom(name="floor_rolling", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.1], **rolling)
 
 
-def add_touching(
-    spec: "mujoco.MjSpec", one: str, other: str, friction: float, damping_ratio: float, time: float = 0.004
-) -> None:
+def add_touching(spec: "mujoco.MjSpec", one: str, other: str, friction: float, damping_ratio: float) -> None:
     """How geoms of two bodies, or of a body and the world, meet whatever else they feel.
 
     With its own friction and damping: the impedance of the feet lets bodies rebound with most of their speed.
@@ -103,7 +101,7 @@ def add_touching(
         geomname2=other,
         condim=3,
         friction=[friction] * 2 + [0.0] * 3,
-        solref=[time, damping_ratio],
+        solref=[STIFF["solref"][0], damping_ratio],
         solimp=STIFF["solimp"],
     )
 
