@@ -68,6 +68,15 @@ def test_numbers_follow_the_sizes_that_are_believed(lab):
     np.testing.assert_allclose(changed(0.3), 0.3 - 0.5 * 0.04, atol=1e-7)
 
 
+def test_feet_on_top_of_a_smaller_ball_stand_on_a_circle_that_is_larger_for_it():
+    def circle(radius):
+        case = compose(["scenario=ball_over", f"obstacle.radius={radius}"]).case
+        feet = case.manoeuvre.down.perched(case).feet
+        return jnp.max(jnp.hypot(feet[:, 0], feet[:, 1])) / radius
+
+    np.testing.assert_allclose(circle(0.84 * 0.95) / circle(0.84), 1 + 0.05 * 0.6, rtol=1e-4)
+
+
 def test_a_plan_may_extend_one_that_extends_several(lab):
     lab.write_text("extends: ball_over\nstand: {rise: {seconds: 0.7}}\n")
     case = compose(["scenario=ball_over", "plan=mine"]).case

@@ -322,7 +322,7 @@ class BallDrive(OnBall):
     def guide(self, belief: Case, now: Now, state: TrackerState) -> Guidance:
         """The step's own law, planned where it begins."""
         plan, stage, phase, free = now.plan, now.stage, now.phase, now.seen.free
-        planned, landing = self._planned(belief, state, now.seen)
+        planned, landing = self._planned(belief, now, state)
         memory = jax.tree.map(partial(jnp.where, now.begins), planned, state.memory)
         swings = plan.swing[stage][:, None]
         goal = jnp.where(now.begins, jnp.where(swings, landing, state.feet), state.goal)
@@ -339,9 +339,9 @@ class BallDrive(OnBall):
         feet = jnp.where(swings, feet, rotate(conjugate(free.quat), feet))
         return Guidance(Stance(feet, position, plan.quat[stage]), goal, memory)
 
-    def _planned(self, belief: Case, state: TrackerState, seen: Observation) -> tuple[DriveMemory, Float[Array, "6 3"]]:
-        """(3.1.8), delta r^(3) and the turned footholds, from the ball's measured place and speed."""
-        ball, memory = belief.on(Ball), state.memory
+    def _planned(self, belief: Case, now: Now, state: TrackerState) -> tuple[DriveMemory, Float[Array, "6 3"]]:
+        """(3.1.8), delta r^(3) and the plan's footholds turned, from the ball's measured place and speed."""
+        ball, memory, seen = belief.on(Ball), state.memory, now.seen
         track = self.track(seen.free.position[0])
         speed = seen.free.velocity[0, :2] @ track.along
         wanted = jnp.minimum(self.speed, self.brake * (self.place - track.come))
@@ -355,12 +355,11 @@ class BallDrive(OnBall):
         before = jnp.where(state.stage == 0, track.off, memory.way)
         lean = speed**2 * track.curve * leaning(belief, ball.radius + self.height_ratio * belief.robot.body_length)
         aside = lean + self.aside_gain_before * before - self.aside_gain * track.off
-        circle = self.circle_ratio * ball.radius
         planned = memory._replace(
             push=push, missing=missing, along=track.along, ahead=track.come, aside=aside, aside_before=memory.aside,
             way=track.off,
         )  # fmt: skip
-        level = footholds(ball.radius, circle, self.chord_ratio * circle) * (1 - self.deepening / ball.radius)
+        level = now.plan.foothold[now.stage]
         return planned, turned_back(level, self.step_time * speed / (2 * ball.radius), track.along)
 
     def _compensated(self, belief: Case, perched: Array, feet: Array, wanted: Float[Array, " 2"]) -> Float[Array, " 3"]:

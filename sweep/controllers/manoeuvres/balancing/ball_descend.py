@@ -9,16 +9,16 @@ come to rest, and put down short of it by the way that a ball of the believed ma
 
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array
 
 from sweep.controllers.assembly import assemble
-from sweep.controllers.manoeuvres.balancing.ball import on_ball, perch, refuse_start, terms
+from sweep.controllers.manoeuvres.balancing.ball import Perch, on_ball, perch, refuse_start, terms
 from sweep.controllers.manoeuvres.balancing.beside_ball import CALM, BesideBall
 from sweep.controllers.manoeuvres.goals import UPRIGHT
-from sweep.controllers.moves import Move, moves, staged, standing
+from sweep.controllers.moves import Move, moves, numbers_of, staged, standing
 from sweep.controllers.plan import RESTS, STAYS, Plan, Stage, Support
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.formulas.ball import ball_omega
@@ -26,7 +26,14 @@ from sweep.models.case import Case
 from sweep.models.frames import fixed, koenig
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.ball import Ball
+from sweep.models.obstacles.charts import Number
 from sweep.models.robot import total_mass
+
+
+class Circle(NamedTuple):
+    """Of a plan's part `perch`: what follows the ball's radius, since the legs' reach does not."""
+
+    circle: Number  # radius of the circle of footholds on top, in units of the manoeuvre's
 
 
 def speed(belief: Case, last: Move, time: Array) -> Array:
@@ -86,13 +93,18 @@ class BallDescend(BesideBall):
 
     own_plan = "ball_descend"  # in R
 
+    def perched(self, belief: Case) -> Perch:
+        """Where the robot stands on top, on the plan's circle."""
+        circle = self.circle_ratio * numbers_of(Circle, belief, "perch").circle
+        return perch(belief, replace(self, circle_ratio=circle))
+
     def plan(self, belief: Case) -> Plan:
         """Calm the ball, come down, rest.
 
         Raises `InputError` where the feet do not reach the ball, by plain numbers.
         """
-        perched = perch(belief, self)
-        refuse_start(belief, lambda: on_ball(belief, perch(belief, self)))
+        perched = self.perched(belief)
+        refuse_start(belief, lambda: on_ball(belief, self.perched(belief)))
         calm = self.calming.steps_of(perched, CALM, first=0.5)
         return assemble(on_ball(belief, perched), [*calm, *self.way_down(belief)], self.patience, ease=self.ease)
 
@@ -100,7 +112,7 @@ class BallDescend(BesideBall):
         """From the perch to a rest on the floor, in the end in the frame of a ball that is not to move."""
         supports = {"free": (Support(),), "rests": (RESTS,), "stays": (STAYS,)}
         how = terms(belief, belief.on(Ball).radius, self.deepening, (self.press, self.squeeze), supports)
-        feet = dict(zip(LEGS, perch(belief, self).feet, strict=True))
+        feet = dict(zip(LEGS, self.perched(belief).feet, strict=True))
         down, _ = staged(led(belief, self.rate), how, standing(feet, 0.0, fixed(0)), "")
         last = down[-1]
         halt = Stage("rest", self.rest, foot_frames=(koenig(0),) * 6, base_frame=koenig(0), support=(STAYS,),

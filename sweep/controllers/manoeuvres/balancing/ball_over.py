@@ -6,7 +6,7 @@ from typing import ClassVar
 
 from sweep.controllers.assembly import assemble
 from sweep.controllers.gaits import Step
-from sweep.controllers.manoeuvres.balancing.ball import BallDrive, perch
+from sweep.controllers.manoeuvres.balancing.ball import BallDrive
 from sweep.controllers.manoeuvres.balancing.ball_climb import BallClimb
 from sweep.controllers.manoeuvres.balancing.ball_descend import BallDescend
 from sweep.controllers.manoeuvres.balancing.beside_ball import CALM, BesideBall
@@ -78,7 +78,7 @@ class BallOver(BesideBall):
 
         Raises `InputError` where the ball is too large, or the feet do not reach the floor, by plain numbers.
         """
-        perched = perch(belief, self)
+        perched = self.down.perched(belief)
         start, up = self.up.way_up(belief)
         calm = self.calming.steps_of(perched, CALM)
         along = self.driving.steps_of(perched, DRIVE)

@@ -158,7 +158,7 @@ class BallToBall(OnBall, InParts):
         """
         self.refuse(belief)
         perched, down = perch(belief, self), self.down
-        calm = down.calming.steps_of(perch(belief, down), CALM)
+        calm = down.calming.steps_of(down.perched(belief), CALM)
         off = down.way_down(belief) if self.finish == "floor" else []
         stages = [
             *self.rolling.steps_of(perched, ROLLS),
