@@ -14,7 +14,7 @@ from sweep.models.plan_table import numbers, tabled
 from sweep.runs import tuning
 from sweep.runs.tuning import fit, follow, free_numbers, search
 from sweep.study.config import compose
-from sweep.tune.score import MOVED, UNKNOWN, Score, groups, lows, stacked
+from sweep.tune.score import MOVED, UNKNOWN, Aim, Score, groups, lows, stacked
 
 AT, STEPS = np.array([1.0, -2.0, 0.5]), np.array([0.1, 0.1, 0.02])
 HOW = {"seed": 3, "population": 6, "generations": 12, "free": ["a"]}
@@ -152,6 +152,16 @@ def test_gradients_move_numbers_of_the_manoeuvre_too_and_the_file_says_so(tmp_pa
     )
     assert 0.175 < float(found) < 0.3
     assert main([*asked, *free, "--follow", "out=mine.yaml"]) == 2
+
+
+@pytest.mark.slow
+def test_gradients_of_what_forces_lack_are_those_of_small_changes():
+    exp, stages = compose(["scenario=pole_top"]), ["over.front"]
+    draws = stacked(*tuning.draws(exp, 1))
+    score = Score(exp.case, ["over.front.base.above"], [Aim("hold", "*", 0.5)], stages, [("*", 2)], True, 1)
+    above = numbers(tabled(exp.case), charts(exp.case.obstacle))["over.front.base.above"]
+    (less, _), (_, slope), (more, _) = (score.descent(np.array([above + by]), draws) for by in (-0.002, 0.0, 0.002))
+    np.testing.assert_allclose(slope[:, 0], (more - less) / 0.004, rtol=0.05)
 
 
 def test_a_margin_that_is_no_number_lacks_the_most():

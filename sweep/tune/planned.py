@@ -116,17 +116,21 @@ def left(
 
 def holding(case: Case, plan: Plan, stage: Int[Array, ""], u: Float[Array, ""], bounds: forces.Bounds) -> Array:
     """The `reserve` of forces within `bounds` (shares of the weight) at phase `u` of a stage."""
-    pose = forces.moment(case, plan, stage, u)
-    return reserve(pose._replace(jacobian=_sound(pose.jacobian), own_torque=_sound(pose.own_torque)), bounds)
+    return reserve(forces.moment(case, jax.tree.map(_sound, plan), stage, u), bounds)
 
 
-@jax.custom_jvp
+@jax.custom_vjp
 def _sound(x: Array) -> Array:
     """The same, with no slope where it is not finite, as where a leg is stretched: what is lacking there is reach."""
     return x
 
 
-_sound.defjvps(lambda slope, _, x: jnp.where(jnp.isfinite(slope), slope, 0.0))
+def _backwards(_: None, slope: Array) -> tuple[Array]:
+    # whole numbers, such as those of frames, have none
+    return (jnp.where(jnp.isfinite(slope), slope, 0.0) if jnp.issubdtype(slope.dtype, jnp.floating) else slope,)
+
+
+_sound.defvjp(lambda x: (x, None), _backwards)
 
 
 def posed(case: Case, plan: Plan, stage: Array, u: Array) -> tuple[Stance, Float[Array, "6 3"], Float[Array, " 6"]]:
