@@ -65,6 +65,25 @@ def test_a_full_disk_is_one_line_and_loses_nothing(tmp_path, whole):
     pd.testing.assert_frame_equal(content(tmp_path / "out"), whole)
 
 
+def test_a_full_disk_leaves_no_part_of_what_is_exported(tmp_path, fake_engine, capsys):
+    study, soft_hard = str(tmp_path / "out"), resource.getrlimit(resource.RLIMIT_FSIZE)
+    assert main(["run", *STUDY, f"out={study}"]) == 0
+    place = str(tmp_path / "there")
+    for command in (
+        ["replay", study, "0", "--mcap"],
+        ["export", study, "--crate"],
+        ["export", study, "--zip", "--crate"],
+    ):
+        resource.setrlimit(resource.RLIMIT_FSIZE, (2_000, soft_hard[1]))
+        capsys.readouterr()
+        try:
+            assert main([*command, place]) == 5
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, soft_hard)
+        one_line(capsys.readouterr().err, place)
+        assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
 @pytest.mark.parametrize("place", ["/proc/sweep", "file/below"])
 def test_a_folder_that_cannot_be_written_is_refused(tmp_path, monkeypatch, capsys, place):
     """Places where not even root may write, whom permissions do not stop."""

@@ -7,10 +7,12 @@ import tempfile
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
+from shutil import rmtree
 from typing import TYPE_CHECKING, Any
 
 from sweep.core import project
 from sweep.core.errors import InputError
+from sweep.core.files import write_whole
 from sweep.core.start import VERSION
 from sweep.report.page import dates
 from sweep.runs import manifest, store
@@ -51,9 +53,13 @@ def write(results: Results, out: Path, license_: str, zipped: bool, author: str 
     described(crate, results, license_, author)
     if zipped:
         path = out.with_name(f"{out.name}.zip")
-        crate.write_zip(path)
+        write_whole(path, b"".join(crate.stream_zip()))
         return path
-    crate.write(out)
+    try:
+        crate.write(out)
+    except OSError:
+        rmtree(out, ignore_errors=True)  # which was empty: a half of one would be in the way
+        raise
     return out
 
 

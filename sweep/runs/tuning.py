@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sweep.core.errors import InputError, suggest
+from sweep.core.files import append, write_whole
 from sweep.study.config import Experiment
 from sweep.study.study import is_static, parameter_columns, points
 
@@ -227,11 +228,10 @@ def known(log: Path, how: Mapping[str, Any]) -> list[Any]:
         raise InputError(f"{log} is damaged: remove it, or choose another out") from None
     if told and lines[0] != begun:
         raise InputError(f"{log} is of another search: remove it, or choose another out")
-    log.write_text("\n".join([begun, *lines[1:]]) + "\n", encoding="utf-8")
+    write_whole(log, ("\n".join([begun, *lines[1:]]) + "\n").encode())
     return told
 
 
 def keep(log: Path, found: list[Any]) -> None:
     """Add a line to a log."""
-    with log.open("a", encoding="utf-8") as file:
-        file.write(json.dumps(found) + "\n")
+    append(log, json.dumps(found))

@@ -27,6 +27,7 @@ from foxglove.messages import (
     Timestamp,
 )
 
+from sweep.core.errors import Fault
 from sweep.core.files import write_whole
 from sweep.engines.base import Trace
 from sweep.trace.arrows import ARROW_RADIUS, FORCE_COLOR, arrow_tips
@@ -53,7 +54,12 @@ def write_mcap(path: str | Path, trace: Trace, config: Mapping[str, Any], outcom
     if there are none.
     """
     path = Path(path)
-    write_whole(path, partial(_write, trace=trace, config=config, outcome=outcome))
+    try:
+        write_whole(path, partial(_write, trace=trace, config=config, outcome=outcome))
+    except RuntimeError as error:  # as Foxglove tells of a full disk
+        if "I/O error" not in str(error):
+            raise
+        raise Fault(f"{path} cannot be written: {error}") from None
     write_whole(path.with_suffix(".layout.json"), f"{json.dumps(layout(trace), indent=1)}\n".encode())
 
 
