@@ -257,7 +257,7 @@ class Native(Batched):
             known = informed(belief, learned)
             state = start_state(world, known, plan)
             loop = init(world, known, plan, state, jnp.zeros(()), key, learned, quiet)
-            nothing = jnp.zeros(len(stream.timed(world)), plan.duration.dtype)
+            nothing = jnp.zeros(len(stream.watched(world)), plan.duration.dtype)
             return plan, (self._acted(world, belief, plan, loop, self._nothing(state), nothing, jnp.int32(0)), state)
 
         def tick(given: tuple[Case, Case, Plan], now: Between, k: Array) -> tuple[Between, dict[str, Array]]:
