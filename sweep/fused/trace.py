@@ -52,7 +52,7 @@ def traced(
     """The ticks `function(given, carried, number) -> (carried, record)` of one rollout, for trees of arrays like these.
 
     `together`: what is given and what is carried share a memory. `group`: how many numbers are one operation's, see
-    `program`. Raises `Unsupported`.
+    `program`. Raises `Unsupported`, and `TypeError` where what is carried changes its shapes, as its memory does not.
     """
     (first, tree), (second, other) = jax.tree.flatten(given), jax.tree.flatten(carried)
     n = len(first)
@@ -64,7 +64,10 @@ def traced(
         return jax.tree.leaves(words(moved)), record
 
     shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in words([*first, *second])]
-    jaxpr, (_, record) = jax.make_jaxpr(flat, return_shape=True)(*shapes, jax.ShapeDtypeStruct((), jnp.int32))
+    jaxpr, (moved, record) = jax.make_jaxpr(flat, return_shape=True)(*shapes, jax.ShapeDtypeStruct((), jnp.int32))
+    both = [(old.shape, new.shape) for old, new in zip(shapes[n:], moved, strict=True)]
+    if changed := [f"{old} to {new}" for old, new in both if old != new]:
+        raise TypeError(f"what is carried changes its shapes: {', '.join(changed)}")
     constant, size = layout(shapes[:n], 0)
     moving, _ = layout(shapes[n:], size if together else 0)
     names = sorted(record)  # as JAX flattens them

@@ -212,6 +212,13 @@ def test_places_that_depend_on_the_rollout_and_loops():
         np.testing.assert_allclose(values, xla[name], rtol=1e-5, atol=1e-5, err_msg=name)
 
 
+def test_what_is_carried_keeps_its_shapes_or_is_refused():
+    """Else ticks would write beyond the memory that a batch began with."""
+    given, carried = jnp.zeros(()), (jnp.zeros(2), jnp.zeros(()))
+    with pytest.raises(TypeError, match=r"shapes: \(2,\) to \(3,\)$"):
+        kernel.compiled(lambda given, carried, k: ((jnp.zeros(3), carried[1] + given), {}), given, carried)
+
+
 def test_what_has_no_rule_is_named():
     with pytest.raises(Unsupported, match="sort"):
         both(lambda x: {"x": jnp.sort(x)}, some(3))
