@@ -210,9 +210,9 @@ def measured(robots: Robots, kept: "Kept", given: argparse.Namespace, deadline: 
             ended[key] = end.value
             del asked[key]
             target, way, _ = key
-            all_of = [ended.get((target, way, k)) for k in range(len(exps[target, way]))]
-            if all(rows is not None for rows in all_of):
-                kept.done(target, way, [rare(rows, exp) for rows, exp in zip(all_of, exps[target, way], strict=True)])
+            every = {(target, way, k): exp for k, exp in enumerate(exps[target, way])}
+            if every.keys() <= ended.keys():
+                kept.done(target, way, [rare(ended[one], exp) for one, exp in every.items()])
 
     past = Past(given.rows)
     for key in list(asked):
