@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from sweep.metrics.footholds import AT_FACE
 from sweep.metrics.metric import Begin, Elapsed, Metric, Moment
@@ -11,40 +11,34 @@ from sweep.models.obstacles.surface import under
 
 
 class Landing(NamedTuple):
-    """The stage of the last tick, when it began (s), whether the plan had ended; how far feet hung from faces (m).
-
-    And the least reserve of the stages before.
-    """
+    """The stage of the last tick, when it began (s), and what it had left then; the least of the stages before."""
 
     stage: Int[Array, ""]
     began: Float[Array, ""]
-    finished: Bool[Array, ""]
-    gap: Float[Array, " 6"]
+    left: Float[Array, ""]
     reserve: Float[Array, ""]
 
 
 def begin(start: Begin) -> Landing:
     """The metric before the first stage."""
     zero = jnp.zeros((), start.feet.dtype)
-    return Landing(jnp.int32(0), zero, jnp.asarray(False), jnp.zeros(6, start.feet.dtype), zero + 1)
+    return Landing(jnp.int32(0), zero, zero + 1, zero + 1)
 
 
 def update(so_far: Landing, now: Moment) -> Landing:
-    """Where a stage begins, the one before is judged by how it ended, in the tick before."""
-    plan, tick, before = now.plan, now.tick, so_far.stage
+    """Where a stage begins, the one before is judged by what it had left, in the tick before; so is the plan's last."""
+    plan, tick, new = now.plan, now.tick, now.stage != so_far.stage
+    began = jnp.where(new, now.time - now.period, so_far.began)
+    waited = jnp.maximum(now.time - began - plan.duration[now.stage], 0.0) / jnp.maximum(plan.patience, now.period)
     depth = under(now.world.obstacle, tick.joints[:, -1], tick.bodies).depth
-    begins = now.time - now.period
-    waited = jnp.maximum(begins - so_far.began - plan.duration[before], 0.0) / jnp.maximum(plan.patience, now.period)
-    hangs = jnp.max(jnp.where(plan.swing[before], so_far.gap, 0.0))
+    hangs = jnp.max(jnp.where(plan.swing[now.stage] & ~tick.loaded, -depth, 0.0))
     left = jnp.where(hangs > 0, -hangs / AT_FACE, 1 - jnp.minimum(waited, 1.0))
-    new = now.stage != before
-    judged = (new | (now.finished & ~so_far.finished)) & jnp.any(plan.swing[before])
+    over = new | now.finished
     return Landing(
         stage=now.stage,
-        began=jnp.where(new, begins, so_far.began),
-        finished=now.finished,
-        gap=jnp.where(tick.loaded, 0.0, jnp.maximum(-depth, 0.0)),
-        reserve=jnp.where(judged, jnp.minimum(so_far.reserve, left), so_far.reserve),
+        began=began,
+        left=jnp.where(now.finished, so_far.left, jnp.where(jnp.any(plan.swing[now.stage]), left, 1.0)),
+        reserve=jnp.where(over, jnp.minimum(so_far.reserve, so_far.left), so_far.reserve),
     )
 
 
