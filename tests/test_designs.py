@@ -260,3 +260,8 @@ def test_correlations_that_go_with_no_distribution_tell_how_much_smaller_ones_do
     with pytest.raises(InputError):
         parsed(0.56)
     assert "study.design.correlation" in str(told.value)
+
+
+def test_an_axis_has_a_name():
+    with pytest.raises(InputError, match=r"study.axes.' ' is not allowed: a name"):
+        designs.check_told({"axes": {"friction": {}, " ": {}}})

@@ -44,6 +44,18 @@ def test_rows_of_the_same_sources_are_of_this_code_whatever_the_libraries(monkey
     assert not provenance.of_this_code(elsewhere, here)
 
 
+def test_what_judges_and_searches_a_plan_is_in_the_version_of_a_search(monkeypatch):
+    real, version = provenance._read, provenance.search_version()
+    for edited in ("tune/score.py", "tune/planned.py", "runs/tuning.py", "controllers/plan.py"):
+
+        def read(file, edited=edited):
+            imports, said = real(file)
+            return imports, said + "\nvalues *= 2" * (file == provenance.ROOT / edited)
+
+        monkeypatch.setattr(provenance, "_read", read)
+        assert provenance.search_version.__wrapped__() != version, edited
+
+
 def test_every_module_that_a_worker_runs_is_in_the_version_of_the_code(monkeypatch):
     loaded = subprocess.run([sys.executable, "-c", WORKER], check=True, capture_output=True, text=True).stdout.split()
     sources = provenance.sources(provenance.WORKER)

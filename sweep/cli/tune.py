@@ -20,7 +20,7 @@ from sweep.cli.exits import DONE, UNEXPECTED
 from sweep.core.arguments import Arguments, no_flag
 from sweep.core.errors import InputError
 from sweep.core.files import write_whole
-from sweep.core.provenance import code_version
+from sweep.core.provenance import search_version
 from sweep.engines import devices
 from sweep.models import plan_table
 from sweep.models.case import Case
@@ -85,7 +85,7 @@ def main(args: list[str]) -> int:
     how = {"overrides": sorted(overrides), "free": steps, "stages": given.stages, "need": given.need,
            "moments": given.moments, "forces": given.forces, "seed": given.seed, "population": given.population,
            "follow": given.follow, "gradients": given.gradients, "generations": given.generations,
-           "config": store.digest(exp.values), "code": code_version()}  # fmt: skip
+           "config": store.digest(exp.values), "code": search_version()}  # fmt: skip
     where.parent.mkdir(parents=True, exist_ok=True)
     log = where.with_name(f"{where.name}.log")
     tuning.known(log, how)  # refuses before what is slow

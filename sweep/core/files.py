@@ -6,6 +6,8 @@ import errno
 import hashlib
 import os
 import socket
+import sys
+import tempfile
 import zlib
 from collections.abc import Buffer, Callable
 from pathlib import Path
@@ -14,7 +16,8 @@ from sweep.core.errors import Fault, InputError
 
 # where the path is to blame, not the disk
 UNFIT = (errno.ENOENT, errno.EEXIST, errno.ENOTDIR, errno.EISDIR, errno.ENAMETOOLONG, errno.ELOOP,
-         errno.EACCES, errno.EPERM, errno.EROFS)  # fmt: skip
+         errno.EACCES, errno.EPERM, errno.EROFS, errno.EBADF)  # fmt: skip
+LINKS = 40  # that lead on from one to the next, at most, as Linux has it
 HIDDEN = ".tmp-"  # begins the name of a file that is not whole yet
 
 
@@ -22,11 +25,15 @@ def write_whole(path: Path, content: bytes | Callable[[Path], object]) -> None:
     """Put `content`, or what it writes to the path that it is given, in the place of `path` at once.
 
     The path given ends as `path` does, so that what goes by a file's suffix can write there. A link stays one, and a
-    device such as /dev/stdout is written to as it is. Raises `InputError` where the path is to blame, else `Fault`.
+    device is written to as it is, /dev/stdout after what is there. Raises `InputError` where the path is to blame,
+    else `Fault`.
     """
-    path = path.resolve() if path.is_symlink() else path
-    hidden = path.parent / f"{HIDDEN}{socket.gethostname()}-{os.getpid()}-{path.name}"
+    hidden = None
     try:
+        if (stream := descriptor(path)) is not None:
+            return _pass_on(stream, path.name, content)
+        path = path.resolve() if path.is_symlink() else path
+        hidden = path.parent / f"{HIDDEN}{socket.gethostname()}-{os.getpid()}-{path.name}"
         to = path if path.exists() and not path.is_file() else hidden
         if to is hidden or path.is_dir():
             to.open("wb").close()  # what is wrong with a path others' writers do not tell
@@ -40,7 +47,33 @@ def write_whole(path: Path, content: bytes | Callable[[Path], object]) -> None:
         raise kind(f"{path} cannot be written: {reason(error)}") from None
     finally:
         with contextlib.suppress(OSError):  # nor can it be there where nothing can be written
-            hidden.unlink()
+            if hidden:
+                hidden.unlink()
+
+
+def descriptor(path: Path) -> int | None:
+    """The number of the open file that `path` stands for, such as /dev/stdout or /dev/fd/3; None of any other path.
+
+    Behind it may be a file that others append to: to put another in its place would lose what they write.
+    """
+    for _ in range(LINKS):
+        if path.name.isdecimal() and path.parent.resolve() in (Path("/dev/fd"), Path(f"/proc/{os.getpid()}/fd")):
+            return int(path.name)
+        if not path.is_symlink():
+            return None
+        path = path.parent / path.readlink()
+    return None
+
+
+def _pass_on(stream: int, name: str, content: bytes | Callable[[Path], object]) -> None:
+    """Write to a descriptor; what writes to a path of its own may have to seek there, so that it has a file first."""
+    if not isinstance(content, bytes):
+        with tempfile.TemporaryDirectory() as folder:
+            content(file := Path(folder) / name)
+            content = file.read_bytes()
+    sys.stdout.flush()  # what was said before
+    with open(stream, "wb", closefd=False) as file:
+        file.write(content)
 
 
 def as_text(content: bytes) -> str:

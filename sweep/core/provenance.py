@@ -22,6 +22,7 @@ from sweep.core.start import STARTED
 ROOT = Path(__file__).parents[1]
 WORKER = ("sweep.runs.runner",)  # what it imports can change a row
 PROGRAMS = ("sweep.engines", "sweep.controllers.manoeuvres")  # what they import can change a compiled program
+SEARCH = (*WORKER, "sweep.runs.tuning", "sweep.tune.score")  # can change what a search of a plan's numbers finds
 LIBRARIES = ("mujoco", "mujoco-mjx", "jax", "jaxlib", "llvmlite", "numpy", "scipy", "SALib")
 CPU_INFO = Path("/proc/cpuinfo")
 _parsed: dict[str, tuple[list[str], str]] = {}  # see `_read`
@@ -44,6 +45,13 @@ def processor() -> str:
 def code_version() -> str:
     """Hash of the sources that can change a row, and of their libraries' versions."""
     return _version(WORKER, versions())
+
+
+@functools.cache
+def search_version() -> str:
+    """Hash of the sources that can change what a search of a plan's numbers finds, and of their libraries' versions."""
+    cma = next((one.version for one in metadata.distributions(name="cma")), "")  # which may be missing
+    return _version(SEARCH, {**versions(), "cma": cma})
 
 
 def of_this_code(version: str, libraries: Mapping[str, str]) -> bool:

@@ -166,6 +166,7 @@ def resolve(config: DictConfig) -> dict[str, Any]:
     values: Any = OmegaConf.to_container(config, resolve=True)
     if not isinstance(values.get("study"), dict) or not isinstance(values["study"].get("axes"), dict):
         return values  # which `experiment` refuses
+    designs.check_told(values["study"])
     axes = with_side(values["study"]["axes"])
     if axes != values["study"]["axes"]:
         print("sweep: note: the key `on` of an axis is called `side` now", file=sys.stderr)

@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 DESIGNS = ("monte_carlo", "latin_hypercube", "sobol", "saltelli", "morris", *sought.KINDS)
 LEVELS, INNER = 4, (0.005, 0.995)  # of a morris design: values of an axis, and the shares that they lie between
 MOST = 20_000_000  # rollouts of a study, whose plan takes 10 GB
+KIND_OF = {"wide": "importance", "rounds": "importance", "share": "subset", "target": "subset", "runs": "subset",
+           "lead": "subset"}  # of the designs that have a number or a name of their own  # fmt: skip
 GRIDS = ("full", "one_at_a_time")
 AXIS_KEYS = ("path", "side", "values", "from", "to", "num", "distribution", "relative", "times", "with", "nominal")
 PARAMETER = "a parameter such as contact.friction"
@@ -101,6 +103,23 @@ class Design:
     def levels(self) -> subset.Levels:
         """How runs of subset simulation go."""
         return subset.Levels(self.num, self.share, self.target)
+
+
+def check_told(study: Mapping[str, Any]) -> None:
+    """Raise `InputError` where a study's plain values name what nothing would be made of.
+
+    Folders of earlier versions may have it, so that it is refused only where it is told.
+    """
+    if blank := [name for name in study["axes"] if not str(name).strip()]:
+        raise InputError(f"study.axes.{blank[0]!r} is not allowed: a name")
+    design = study.get("design")
+    if not isinstance(design, Mapping):
+        return  # which is refused by what reads it
+    for key, kind in KIND_OF.items():
+        usual, value = getattr(Design, key), design[key]
+        if design["kind"] != kind and value != usual:
+            other = f"not allowed with study.design.kind = {design['kind']}: {usual} there, it is of kind {kind} only"
+            raise InputError(f"study.design.{key} = {value} is {other}")
 
 
 def with_side(axes: Mapping[str, Any]) -> dict[str, Any]:

@@ -61,6 +61,20 @@ def test_a_full_disk_leaves_the_old_output(folder, tmp_path, monkeypatch, capsys
     assert before == {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
 
 
+def test_an_open_file_is_added_to_where_it_is(folder, tmp_path):
+    """A log that the shell has opened, and a link to it, keep what is there; other files are put in place whole."""
+    log, link, other = tmp_path / "log", tmp_path / "link", tmp_path / "other"
+    log.write_text("before\n")
+    link.symlink_to("/dev/stdout")
+    for name in ("/dev/stdout", str(link), "/dev/fd/1"):
+        words = [sys.executable, str(FAKE), "table", str(folder), "--format", "csv", "-o", name]
+        with log.open("ab") as opened:
+            subprocess.run(words, check=True, stdout=opened)
+    assert main(["table", str(folder), "--format", "csv", "-o", str(other)]) == 0
+    assert log.read_text() == "before\n" + 3 * other.read_text()
+    assert link.is_symlink()
+
+
 def test_a_user_without_a_home_or_our_letters_is_served(folder, tmp_path):
     plain = {key: value for key, value in os.environ.items() if key != "HOME" and not key.startswith(("LC_", "LANG"))}
     plain |= {"LC_ALL": "POSIX", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "PYTHONPATH": str(FAKE.parent)}
