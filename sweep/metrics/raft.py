@@ -3,19 +3,18 @@
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from sweep.controllers.manoeuvres.afloat.raft_cross import PUSH, WAIT
 from sweep.controllers.plan import led_by
 from sweep.core.rotations import heading, rotate
-from sweep.dynamics.contacts import to_body
 from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment
+from sweep.metrics.slip import Holding
 from sweep.models.obstacles.raft import CORNERS, Raft
-from sweep.models.obstacles.surface import under
 
 
 class Afloat(NamedTuple):
-    """Least freeboard and draught of its corners (m), tilt (rad), motion; where feet took hold of the deck."""
+    """Least freeboard and draught of its corners (m), tilt (rad), motion; where feet hold."""
 
     freeboard: Float[Array, ""]
     draught: Float[Array, ""]
@@ -23,38 +22,31 @@ class Afloat(NamedTuple):
     pushed: Float[Array, ""]  # m/s
     arrived: Float[Array, ""]  # m/s
     turned: Float[Array, ""]  # rad
-    place: Float[Array, "6 3"]  # m, raft's axes
-    holds: Bool[Array, " 6"]
+    hold: Holding
     slip: Float[Array, ""]  # m
 
 
 def begin(start: Begin) -> Afloat:
     """Nothing stands on it yet."""
     far, zero = jnp.full((), jnp.inf, start.feet.dtype), jnp.zeros((), start.feet.dtype)
-    return Afloat(far, far, zero, zero, zero, zero, jnp.zeros_like(start.feet), jnp.zeros(6, bool), zero)
+    return Afloat(far, far, zero, zero, zero, zero, Holding.nowhere(start), zero)
 
 
 def update(so_far: Afloat, now: Moment) -> Afloat:
-    """A foot slips on the deck from where it was first loaded there after its swing."""
+    """What slips on the deck are feet that took hold there."""
     raft, tick = now.world.obstacle, now.tick
     assert isinstance(raft, Raft)
-    free, feet = tick.free, tick.joints[:, -1]
+    free = tick.truth.free
     half = raft.half * jnp.array([[x, y, 1.0] for x, y in CORNERS])
     quat = jnp.broadcast_to(free.quat[0], (4, 4))
     deck, bottom = (
         free.position[0, 2] + rotate(quat, half * jnp.array([1.0, 1.0, side]))[:, 2] + raft.bank_height
         for side in (1.0, -1.0)
     )
-    up = rotate(free.quat[0], jnp.array([0.0, 0.0, 1.0], feet.dtype))
+    up = rotate(free.quat[0], jnp.array([0.0, 0.0, 1.0], free.quat.dtype))
     pushes, arrives = (led_by(now.plan, now.stage, law) for law in (PUSH, WAIT))
     speed = free.velocity[0, 0]
-    body = under(raft, feet, tick.bodies).body
-    swings = now.plan.swing[now.stage] & ~now.finished
-    on_deck = tick.loaded & (body == 0) & (~swings | (now.phase > 0.5))
-    here = to_body(feet, jnp.zeros(6, jnp.int32), tick.bodies)
-    holds = (so_far.holds & ~swings & (body == 0)) | on_deck
-    place = jnp.where((so_far.holds & holds)[:, None], so_far.place, here)
-    slip = jnp.max(jnp.where(holds & tick.loaded, jnp.linalg.norm(here - place, axis=-1), 0.0))
+    hold, way = so_far.hold.after(now)
     return Afloat(
         freeboard=jnp.minimum(so_far.freeboard, jnp.min(deck)),
         draught=jnp.minimum(so_far.draught, -jnp.max(bottom)),
@@ -62,14 +54,13 @@ def update(so_far: Afloat, now: Moment) -> Afloat:
         pushed=jnp.where(pushes, speed, so_far.pushed),
         arrived=jnp.where(arrives, speed, so_far.arrived),
         turned=jnp.where(arrives, heading(free.quat[0]), so_far.turned),
-        place=place,
-        holds=holds,
-        slip=jnp.maximum(so_far.slip, slip),
+        hold=hold,
+        slip=jnp.maximum(so_far.slip, jnp.max(jnp.where(hold.body == 0, way, 0.0))),
     )
 
 
 def figures(found: Afloat, at: Elapsed) -> dict[str, Array]:
-    """See `METRIC`."""
+    """Extremes so far, and the motion as the raft left and came."""
     return {
         "freeboard_min_m": found.freeboard,
         "draught_min_m": found.draught,

@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from sweep.dynamics.contacts import to_body, to_world
 from sweep.metrics.metric import Begin, Cause, Elapsed, Lead, Metric, Moment
@@ -11,44 +11,66 @@ from sweep.models.case import Case
 from sweep.models.obstacles.ball import Ball
 from sweep.models.obstacles.ledges import Ledges
 from sweep.models.obstacles.raft import Raft
-from sweep.models.obstacles.surface import poses, under
+from sweep.models.obstacles.surface import under
 from sweep.models.obstacles.two_balls import TwoBalls
 
 
-class Slip(NamedTuple):
-    """Where each foot took hold (m), in the axes of what it stands on, whether it has yet, and the largest slip (m)."""
+class Holding(NamedTuple):
+    """Where feet took hold (m), in the axes of what they did on; which free body that is, if any, and who has yet.
+
+    A foot that passes on to another body without a swing has gone as far as it is from there.
+    """
 
     place: Float[Array, "6 3"]
+    body: Int[Array, " 6"] | None  # -1 is fixed ground; None where there is nothing else
     holds: Bool[Array, " 6"]
+
+    @classmethod
+    def nowhere(cls, start: Begin) -> "Holding":
+        """Of feet that have not been loaded yet."""
+        body = jnp.full(6, -1, jnp.int32) if len(start.free.position) else None
+        return cls(jnp.zeros_like(start.feet), body, jnp.zeros(6, bool))
+
+    def after(self, now: Moment) -> tuple["Holding", Float[Array, " 6"]]:
+        """A tick on, and how far each loaded foot is from where it took hold (m).
+
+        It does where it really is when it is first loaded: after the start, or in the second half of a swing. A
+        standing foot that is unloaded for a moment keeps its place, so that chattering along does not hide a slip.
+        """
+        tick = now.tick
+        feet = tick.joints[:, -1]
+        swings = now.plan.swing[now.stage] & ~now.finished
+        holds = jnp.where(swings, tick.truth.loaded & (now.phase > 0.5), self.holds | tick.truth.loaded)
+        held = holds & self.holds
+        here = under(now.world.obstacle, feet, tick.bodies).body.astype(jnp.int32)
+        body = here if self.body is None else jnp.where(held, self.body, here)
+        place = jnp.where(held[:, None], self.place, to_body(feet, body, tick.bodies))
+        way = jnp.linalg.norm(feet - to_world(place, body, tick.bodies), axis=-1)
+        return Holding(place, None if self.body is None else body, holds), jnp.where(
+            holds & tick.truth.loaded, way, 0.0
+        )
+
+
+class Slip(NamedTuple):
+    """Where feet hold, and the largest slip so far (m)."""
+
+    hold: Holding
     most: Float[Array, ""]
 
 
 def begin(start: Begin) -> Slip:
     """No foot has been loaded yet."""
-    bodies = poses(start.free)
-    body = under(start.world.obstacle, start.feet, bodies).body
-    return Slip(to_body(start.feet, body, bodies), jnp.zeros(6, bool), jnp.zeros((), start.feet.dtype))
+    return Slip(Holding.nowhere(start), jnp.zeros((), start.feet.dtype))
 
 
 def update(so_far: Slip, now: Moment) -> Slip:
-    """A foot takes hold where it really is when it is first loaded: after the start, or in the second half of a swing.
-
-    A standing foot that is unloaded for a moment keeps its place, so that chattering along does not hide a slip.
-    """
-    tick = now.tick
-    feet = tick.joints[:, -1]
-    body = under(now.world.obstacle, feet, tick.bodies).body
-    swings = now.plan.swing[now.stage] & ~now.finished
-    holds = jnp.where(swings, tick.loaded & (now.phase > 0.5), so_far.holds | tick.loaded)
-    here = to_body(feet, body, tick.bodies)
-    place = jnp.where((holds & so_far.holds)[:, None], so_far.place, here)
-    slip = jnp.linalg.norm(feet - to_world(place, body, tick.bodies), axis=-1)
-    slip = jnp.where(holds & tick.loaded, slip, 0.0)
-    return Slip(place, holds, jnp.maximum(so_far.most, jnp.max(slip)))
+    """The largest slip a tick on."""
+    hold, way = so_far.hold.after(now)
+    return Slip(hold, jnp.maximum(so_far.most, jnp.max(way)))
 
 
 def figures(found: Slip, at: Elapsed) -> dict[str, Array]:
-    """See `METRIC`."""
+    """The largest slip of any foot."""
     return {"slip_max_m": found.most}
 
 
