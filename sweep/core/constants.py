@@ -1,3 +1,4 @@
-"""What nature sets, for formulas and models alike."""
+"""Constants for formulas, models and judges alike."""
 
 GRAVITY = 9.81  # m/s^2
+LOADED = 1.0  # N, from which a foot carries load

@@ -15,6 +15,7 @@ from sweep.controllers.observation import Observation, Sensors, install, observe
 from sweep.controllers.plan import Plan
 from sweep.controllers.posture import feet_in_world, joint_targets
 from sweep.controllers.tracker import TrackerState
+from sweep.core.constants import LOADED
 from sweep.core.rotations import about_vertical, conjugate, multiply, rotate
 from sweep.metrics import stream
 from sweep.metrics.metric import GRACE, REST, Begin, Moment, Tick
@@ -124,6 +125,13 @@ def free_state(qpos: Array, qvel: Array, count: int) -> FreeState:
     return FreeState(pose[:, :3], pose[:, 3:], motion[:, :3], rotate(pose[:, 3:], motion[:, 3:]))
 
 
+def truth(qpos: Array, qvel: Array, count: int, load: Float[Array, " 6"]) -> Observation:
+    """What exact sensors see of a state of MuJoCo with `count` free bodies, its feet under a `load` (N)."""
+    joints, rates = qpos[JOINT_Q].reshape(N_LEGS, 3), qvel[JOINT_V].reshape(N_LEGS, 3)
+    base = qpos[:3], qpos[3:7], qvel[:3], qvel[3:6]
+    return Observation(*base, joints, rates, jnp.zeros_like(joints), load > LOADED, free_state(qpos, qvel, count), load)
+
+
 def init(
     world: Case,
     belief: Case,
@@ -135,29 +143,15 @@ def init(
     quiet: bool,
 ) -> ClosedLoop:
     """Before the first tick; `belief` holds what was learned already. `quiet`: see `is_quiet`."""
-    free = free_state(start.qpos, start.qvel, len(world.obstacle.free_bodies))
-    joints = start.qpos[JOINT_Q].reshape(N_LEGS, 3)
-    rates = start.qvel[JOINT_V].reshape(N_LEGS, 3)
-    truth = Observation(
-        start.qpos[:3],
-        start.qpos[3:7],
-        start.qvel[:3],
-        start.qvel[3:6],
-        joints,
-        rates,
-        jnp.zeros_like(joints),
-        jnp.ones(N_LEGS, bool),
-        free,
-        jnp.full(N_LEGS, jnp.inf),
-    )
+    seen = truth(start.qpos, start.qvel, len(world.obstacle.free_bodies), jnp.full(N_LEGS, jnp.inf))
     bias_key, key = jax.random.split(key)
     sensors = None
     if not quiet:
-        sensors = install(world.noise, bias_key, truth._replace(free=surface.marked(world.obstacle, truth.free)))
-    feet = feet_in_world(world.robot, start.qpos[:3], start.qpos[3:7], joints)
-    running = stream.begin(Begin(world, plan, start.qpos[:3], start.qpos[3:7], feet, free, energy, learned))
-    servo = position_mode(world.drive, joints)
-    return ClosedLoop(tracker.init(belief, plan), sensors, running, truth, servo, key, learned)
+        sensors = install(world.noise, bias_key, seen._replace(free=surface.marked(world.obstacle, seen.free)))
+    feet = feet_in_world(world.robot, seen.position, seen.quat, seen.angles)
+    running = stream.begin(Begin(world, plan, seen.position, seen.quat, feet, seen.free, energy, learned))
+    servo = position_mode(world.drive, seen.angles)
+    return ClosedLoop(tracker.init(belief, plan), sensors, running, seen, servo, key, learned)
 
 
 def act(
@@ -218,16 +212,4 @@ def measure(
     rest = 0.0 if isinstance(world.manoeuvre, Driving) else REST
     rested = state.finished & (running.rested > rest - period / 2)
     running = running._replace(over=running.over | rested | late)
-    truth = Observation(
-        tick.position,
-        tick.quat,
-        tick.velocity,
-        tick.spin,
-        tick.angles,
-        tick.rates,
-        jnp.zeros_like(command.joints),
-        tick.loaded,
-        tick.free,
-        tick.load,
-    )
-    return loop._replace(running=running, seen=truth), judged
+    return loop._replace(running=running, seen=tick.truth), judged

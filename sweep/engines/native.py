@@ -35,6 +35,7 @@ from sweep.engines.closed_loop import (
     measure,
     most_ticks,
     start_state,
+    truth,
 )
 from sweep.engines.planning import Planning
 from sweep.engines.prelude import check, prepared
@@ -49,7 +50,7 @@ from sweep.metrics.outcome import Thresholds
 from sweep.models import scene
 from sweep.models.case import Case
 from sweep.models.drive import Servo, towards
-from sweep.models.legs import JOINT_Q, JOINT_V, N_JOINTS, N_LEGS
+from sweep.models.legs import JOINT_V, N_JOINTS, N_LEGS
 from sweep.models.obstacles.surface import FreeState, poses, under
 from sweep.models.robot import links
 
@@ -363,11 +364,11 @@ class Native(Batched):
         push, loads = self._outside(world, start, before)
         count = len(world.obstacle.free_bodies)
         force = -jnp.mean(steps.foot_force.reshape(-1, N_LEGS, 3), axis=0)
-        qpos, qvel = steps.qpos[-1], steps.qvel[-1]
-        free = free_state(qpos, qvel, count)
-        normals = under(world.obstacle, steps.feet, poses(free)).normal
+        bodies = poses(free_state(steps.qpos[-1], steps.qvel[-1], count))
+        normals = under(world.obstacle, steps.feet, bodies).normal
         normal = jnp.sum(force * normals, axis=-1)
         last = -jnp.sum(steps.foot_force[-1].reshape(N_LEGS, 3) * normals, axis=-1)
+        seen = truth(steps.qpos[-1], steps.qvel[-1], count, last)
         outside = jnp.sum(push * steps.qvel[:, :3]) + jnp.sum(loads * _twists(steps, count))
         return Tick(
             torque_peak=jnp.max(jnp.abs(torque), axis=0).reshape(N_LEGS, 3),
@@ -375,22 +376,15 @@ class Native(Batched):
             force=force,
             normal=normal,
             tangential=jnp.linalg.norm(force - normal[:, None] * normals, axis=-1),
-            load=last,
             residual=jnp.zeros(()),  # the C solver reports no residual force
             work=h * (jnp.sum(power) + outside),
             effort=h * jnp.sum(jnp.maximum(power, 0.0)),
             power=jnp.mean(power, axis=0).reshape(N_LEGS, 3),
             energy=jnp.where(steps.broken, jnp.nan, steps.energy),
-            position=qpos[:3],
-            quat=qpos[3:7],
-            velocity=qvel[:3],
-            spin=qvel[3:6],
-            angles=qpos[JOINT_Q].reshape(N_LEGS, 3),
-            rates=rate[-1].reshape(N_LEGS, 3),
+            truth=seen,
             centre_of_mass=steps.centre_of_mass,
             joints=jnp.concatenate([steps.links.reshape(N_LEGS, -1, 3), steps.feet[:, None]], axis=1),
-            bodies=poses(free),
-            free=free,
+            bodies=bodies,
         )
 
 

@@ -18,7 +18,7 @@ from sweep.dynamics.interface import SmoothDynamics, Topology
 from sweep.dynamics.spatial import Rates, each
 from sweep.dynamics.step import Before, Limits, Report, State, from_state, to_state
 from sweep.engines import batching
-from sweep.engines.closed_loop import free_state
+from sweep.engines.closed_loop import truth
 from sweep.engines.settings import EngineSettings
 from sweep.metrics.metric import Tick
 from sweep.models.case import Case
@@ -109,7 +109,7 @@ class Physics(NamedTuple):
 
         nothing = _nothing(world, state.q.dtype)
         (moving, totals, load, before), _ = jax.lax.scan(substep, (from_state(state), *nothing), jnp.arange(n))
-        state, legs = to_state(moving), slice(3 * N_LEGS)
+        state = to_state(moving)
         force, normal = (1 / n) * totals.force, totals.normal / n
         along = force - normal * before.normal
         return state, Tick(
@@ -118,22 +118,15 @@ class Physics(NamedTuple):
             force=force.array(),
             normal=normal,
             tangential=jnp.sqrt(along.dot(along)),
-            load=load,
             residual=totals.residual[0],
             work=h * (jnp.sum(reduce(add, totals.power)) + totals.outside[0]),
             effort=h * jnp.sum(totals.effort),
             power=_by_joint(totals.power) / n,
             energy=before.energy[0],
-            position=state.q[:3],
-            quat=state.q[3:7],
-            velocity=state.v[:3],
-            spin=state.v[3:6],
-            angles=state.q[7:][legs].reshape(N_LEGS, 3),
-            rates=state.v[6:][legs].reshape(N_LEGS, 3),
+            truth=truth(state.q, state.v, before.bodies.position.shape[0], load),
             centre_of_mass=before.centre_of_mass.array()[0],
             joints=jnp.stack([joint.array() for joint in before.joints], axis=1),
             bodies=before.bodies,
-            free=free_state(state.q, state.v, before.bodies.position.shape[0]),
         )
 
 

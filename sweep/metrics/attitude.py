@@ -25,11 +25,11 @@ def begin(start: Begin) -> Attitude:
 
 def update(so_far: Attitude, now: Moment) -> Attitude:
     """Tilt of the base from its commanded vertical, and the turn about it."""
-    off = multiply(conjugate(now.target.quat), now.tick.quat)
+    off = multiply(conjugate(now.target.quat), now.tick.truth.quat)
     w, _, _, z = off
     heading = jnp.degrees(jnp.abs(2 * jnp.arctan2(z * jnp.sign(w), jnp.abs(w))))
     tilt = jnp.maximum(so_far.tilt, from_level(off))
-    return Attitude(tilt, jnp.maximum(so_far.heading, heading), now.tick.quat)
+    return Attitude(tilt, jnp.maximum(so_far.heading, heading), now.tick.truth.quat)
 
 
 def from_level(quat: Float[Array, " 4"]) -> Float[Array, ""]:

@@ -18,7 +18,7 @@ def distances(now: Moment) -> Iterator[Float[Array, ""]]:
     Links are `capsules`; near joints, towards base and thigh, they begin, round, beyond.
     """
     tick, robot = now.tick, now.world.robot
-    base = tick.position, matrix(tick.quat)
+    base = tick.truth.position, matrix(tick.truth.quat)
     solids = now.world.obstacle.solids(tick.bodies)
     links = capsules(tick.joints, robot).to(solids)
     yield jnp.minimum(jnp.min(links), distance_to_box(solids, *base, half_size(robot)))

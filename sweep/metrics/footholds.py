@@ -21,7 +21,7 @@ def begin(start: Begin) -> Last:
 
 def update(so_far: Last, now: Moment) -> Last:
     """Feet and free bodies in this tick."""
-    return now.tick.joints[:, -1], now.tick.free
+    return now.tick.joints[:, -1], now.tick.truth.free
 
 
 def figures(found: Last, at: Elapsed) -> dict[str, Array]:

@@ -43,7 +43,7 @@ def begin(start: Begin) -> BodiesMotion:
 
 def update(so_far: BodiesMotion, now: Moment) -> BodiesMotion:
     """Their ways from the start."""
-    place, quat = now.tick.free.position, now.tick.free.quat
+    place, quat = now.tick.truth.free.position, now.tick.truth.free.quat
     way = place - so_far.start
     settled = jnp.where(now.stage == 0, place, so_far.settled)
     upright = jnp.where(now.stage == 0, quat, so_far.quat)
@@ -61,7 +61,7 @@ def update(so_far: BodiesMotion, now: Moment) -> BodiesMotion:
         shifted=jnp.maximum(so_far.shifted, jnp.max(jnp.linalg.norm(place - settled, axis=-1))),
         turned=jnp.maximum(so_far.turned, jnp.max(turn)),
         aside=jnp.maximum(so_far.aside, aside(way[0])),
-        ride_height=jnp.minimum(so_far.ride_height, now.tick.position[2] - place[0, 2]),
+        ride_height=jnp.minimum(so_far.ride_height, now.tick.truth.position[2] - place[0, 2]),
     )
 
 

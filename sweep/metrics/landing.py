@@ -31,7 +31,7 @@ def update(so_far: Landing, now: Moment) -> Landing:
     began = jnp.where(new, now.time - now.period, so_far.began)
     waited = jnp.maximum(now.time - began - plan.duration[now.stage], 0.0) / jnp.maximum(plan.patience, now.period)
     depth = under(now.world.obstacle, tick.joints[:, -1], tick.bodies).depth
-    hangs = jnp.max(jnp.where(plan.swing[now.stage] & ~tick.loaded, -depth, 0.0))
+    hangs = jnp.max(jnp.where(plan.swing[now.stage] & ~tick.truth.loaded, -depth, 0.0))
     left = jnp.where(hangs > 0, -hangs / AT_FACE, 1 - jnp.minimum(waited, 1.0))
     over = new | now.finished
     return Landing(

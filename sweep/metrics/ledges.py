@@ -31,7 +31,7 @@ def update(so_far: LedgeCrossing, now: Moment) -> LedgeCrossing:
     """The far wall is asked for once."""
     ledges, tick = now.world.obstacle, now.tick
     assert isinstance(ledges, Ledges)
-    ball, speed = tick.free.position[0], tick.free.velocity[0, 0]
+    ball, speed = tick.truth.free.position[0], tick.truth.free.velocity[0, 0]
     ahead = tick.centre_of_mass[0] - ball[0]
     leaves = led_by(now.plan, now.stage, OFF)
     past = jnp.where(led_by(now.plan, now.stage, ON), ahead, jnp.where(leaves, -ahead, -jnp.inf))

@@ -15,12 +15,12 @@ from jaxtyping import Array, Bool, Float, Int
 
 from sweep.controllers.frames import Stance
 from sweep.controllers.learned import Learned
+from sweep.controllers.observation import Observation
 from sweep.controllers.plan import Plan
 from sweep.core.parameters import UNITS, quantity
 from sweep.models.case import Case
 from sweep.models.obstacles.surface import Bodies, FreeState
 
-LOADED = 1.0  # N, from which a foot carries load
 REST = 1.0  # s, that a rollout goes on after its plan has ended, in which nothing may change
 GRACE = 1.2  # a plan that is not finished at this multiple of its duration is given up
 BRIEF = 0.05  # s, over which forces are averaged: a bounce of the feet is neither a fall nor a slip
@@ -34,27 +34,15 @@ class Tick(NamedTuple):
     force: Float[Array, "6 3"]  # N, mean, on the feet
     normal: Float[Array, " 6"]  # N, mean
     tangential: Float[Array, " 6"]  # N, size of the mean
-    load: Float[Array, " 6"]  # N, normal, at the end
     residual: Float[Array, ""]  # N, largest of the solver
     work: Float[Array, ""]  # J, of drives and pushes
     effort: Float[Array, ""]  # J, positive drive work only
     power: Float[Array, "6 3"]  # W, of the drives, mean
     energy: Float[Array, ""]  # J, kinetic and potential, at the end
-    position: Float[Array, " 3"]  # m, of the base
-    quat: Float[Array, " 4"]
-    velocity: Float[Array, " 3"]  # m/s, of the base
-    spin: Float[Array, " 3"]  # rad/s, of the base, base axes
-    angles: Float[Array, "6 3"]  # rad, of the joints
-    rates: Float[Array, "6 3"]  # rad/s
+    truth: Observation  # what exact sensors would see at the end
     centre_of_mass: Float[Array, " 3"]  # m, of the robot
     joints: Float[Array, "6 k 3"]  # m, along each leg: hip, ..., knee, foot
     bodies: Bodies
-    free: FreeState
-
-    @property
-    def loaded(self) -> Bool[Array, " 6"]:
-        """Which feet carry load."""
-        return self.load > LOADED
 
 
 class Begin(NamedTuple):

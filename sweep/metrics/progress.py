@@ -36,15 +36,15 @@ def update(so_far: Progress, now: Moment) -> Progress:
     way = now.plan.position[now.stage] - now.stage_start
     length = jnp.linalg.norm(way)
     moving = (length > 1e-6) & ~now.finished
-    step = (now.tick.position - so_far.position) @ (way / jnp.maximum(length, 1e-6))
+    step = (now.tick.truth.position - so_far.position) @ (way / jnp.maximum(length, 1e-6))
     given = GRACE * jnp.sum(now.plan.duration)
     ended = jnp.where(so_far.finished, so_far.use, jnp.minimum(now.time / given, 1.0))
     lacks = 1 + jnp.maximum(time_left(now) / given, 1e-6)
     return so_far._replace(
-        position=now.tick.position,
+        position=now.tick.truth.position,
         travel=so_far.travel + jnp.where(moving, step, 0.0),
         travel_time=so_far.travel_time + jnp.where(moving, now.period, 0.0),
-        error=jnp.maximum(so_far.error, jnp.linalg.norm(now.tick.position - now.target.position)),
+        error=jnp.maximum(so_far.error, jnp.linalg.norm(now.tick.truth.position - now.target.position)),
         finished=now.finished,
         use=jnp.where(now.finished, ended, lacks),
     )

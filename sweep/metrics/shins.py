@@ -18,7 +18,7 @@ def update(so_far: Float[Array, ""], now: Moment) -> Float[Array, ""]:
     tick = now.tick
     normal = under(now.world.obstacle, tick.joints[:, -1], tick.bodies).normal
     goes = now.plan.swing[now.stage] & ~now.finished & (now.phase <= 0.5)
-    return jnp.minimum(so_far, jnp.min(jnp.where(tick.loaded & ~goes, shin_slopes(tick.joints, normal), 1.0)))
+    return jnp.minimum(so_far, jnp.min(jnp.where(tick.truth.loaded & ~goes, shin_slopes(tick.joints, normal), 1.0)))
 
 
 def figures(found: Float[Array, ""], at: Elapsed) -> dict[str, Array]:

@@ -34,7 +34,7 @@ def begin(start: Begin) -> Balls:
 
 def update(so_far: Balls, now: Moment) -> Balls:
     """Meeting is asked for once."""
-    balls, free = now.world.obstacle, now.tick.free
+    balls, free = now.world.obstacle, now.tick.truth.free
     assert isinstance(balls, TwoBalls)
     apart = jnp.linalg.norm(free.position[1] - free.position[0]) - 2 * balls.radius
     speed = free.velocity[0, 0] - free.velocity[1, 0]

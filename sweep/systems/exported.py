@@ -21,14 +21,14 @@ from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError
 from sweep.core.parameters import LARGEST
 from sweep.engines.batching import nominal_plan
-from sweep.engines.closed_loop import GRACE, ClosedLoop, act, free_state, init, is_quiet, measure, start_state
+from sweep.engines.closed_loop import GRACE, ClosedLoop, act, init, is_quiet, measure, start_state, truth
 from sweep.engines.prelude import prepared
 from sweep.engines.settings import EngineSettings
 from sweep.metrics import stream
 from sweep.metrics.metric import REST, Tick
 from sweep.metrics.outcome import Thresholds, limit_of
 from sweep.models.case import Case
-from sweep.models.legs import JOINT_Q, JOINT_V, JOINTS, N_JOINTS, N_LEGS
+from sweep.models.legs import JOINT_V, JOINTS, N_JOINTS, N_LEGS
 from sweep.models.obstacles.surface import poses, under
 from sweep.models.robot import links
 from sweep.models.scene import native_spec
@@ -161,28 +161,22 @@ def summary(case: Case, seen: Float[Array, " k"], period: float) -> Tick:
     qpos, qvel, load, centre, places, feet, effort = jnp.split(seen, np.cumsum(sizes)[:-1])
     feet, rates = feet.reshape(N_LEGS, 3), qvel[JOINT_V]
     torque = effort - drive.back_emf * rates
-    free = free_state(qpos, qvel, 0)
-    normals = under(case.obstacle, feet, poses(free)).normal
+    exact = truth(qpos, qvel, 0, load)
+    bodies = poses(exact.free)
+    normals = under(case.obstacle, feet, bodies).normal
     return Tick(
         torque_peak=jnp.abs(torque).reshape(N_LEGS, 3),
         saturated=(jnp.abs(effort) >= 0.999 * drive.torque_limit).astype(seen.dtype).reshape(N_LEGS, 3),
         force=load[:, None] * normals,
         normal=load,
         tangential=jnp.zeros(N_LEGS),
-        load=load,
         residual=jnp.zeros(()),
         work=period * jnp.sum(torque * rates),
         effort=period * jnp.sum(jnp.maximum(torque * rates, 0.0)),
         power=(torque * rates).reshape(N_LEGS, 3),
         energy=jnp.zeros(()),
-        position=qpos[:3],
-        quat=qpos[3:7],
-        velocity=qvel[:3],
-        spin=qvel[3:6],
-        angles=qpos[JOINT_Q].reshape(N_LEGS, 3),
-        rates=rates.reshape(N_LEGS, 3),
+        truth=exact,
         centre_of_mass=centre,
         joints=jnp.concatenate([places.reshape(N_LEGS, -1, 3), feet[:, None]], axis=1),
-        bodies=poses(free),
-        free=free,
+        bodies=bodies,
     )

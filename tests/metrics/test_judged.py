@@ -30,25 +30,25 @@ def moment(time: float = 0.0, legs: np.ndarray = LEGS, free: FreeState | None = 
     free = no_bodies() if free is None else free
     none = jnp.zeros((6, 3))
     tick = {
-        "joints": jnp.asarray(legs), "position": BASE, "quat": UPRIGHT, "bodies": poses(free), "free": free,
-        "angles": none, "rates": none, "power": none, "torque_peak": none, "saturated": none, "effort": jnp.zeros(()),
-        "work": jnp.zeros(()), "energy": jnp.zeros(()), "residual": jnp.zeros(()), "loaded": jnp.ones(6, bool),
+        "joints": jnp.asarray(legs), "bodies": poses(free), "power": none, "torque_peak": none, "saturated": none,
+        "effort": jnp.zeros(()), "work": jnp.zeros(()), "energy": jnp.zeros(()), "residual": jnp.zeros(()),
     }  # fmt: skip
+    truth = {"position": BASE, "quat": UPRIGHT, "free": free, "angles": none, "rates": none,
+             "loaded": jnp.ones(6, bool)}  # fmt: skip
     now = {
         "target": SimpleNamespace(position=BASE, quat=UPRIGHT), "finished": jnp.asarray(False), "period": 0.02,
         "world": CASE, "stage": jnp.int32(0), "time": time, "phase": jnp.asarray(1.0),
         "plan": SimpleNamespace(duration=jnp.array([1.0]), swing=jnp.zeros((1, 6), bool)),
     }  # fmt: skip
-    tick |= {name: value for name, value in changes.items() if name in tick}
-    now |= {name: value for name, value in changes.items() if name in now}
-    return SimpleNamespace(tick=SimpleNamespace(**tick), **now)
+    tick, truth, now = ({name: changes.get(name, value) for name, value in part.items()} for part in (tick, truth, now))
+    return SimpleNamespace(tick=SimpleNamespace(truth=SimpleNamespace(**truth), **tick), **now)
 
 
 def judged(metric: Any, moments: list[Any], experiment: Any = EXPERIMENT) -> tuple[dict[str, float], set[str]]:
     """Its figures of a way, and the names of the causes that hold, a goal's by its threshold."""
     world, limits, first = experiment.case, experiment.thresholds, moments[0].tick
     start = SimpleNamespace(
-        world=world, feet=jnp.asarray(LEGS[:, -1]), free=first.free, quat=UPRIGHT, energy=first.energy
+        world=world, feet=jnp.asarray(LEGS[:, -1]), free=first.truth.free, quat=UPRIGHT, energy=first.energy
     )
     state = metric.METRIC.begin(start)
     for now in moments:

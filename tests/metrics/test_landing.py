@@ -31,7 +31,8 @@ def reserve(*stages):
     for number, (takes, height, lands) in enumerate(stages):
         feet = FEET + height * FIRST[:, None] * np.array([0, 0, 1.0])
         loaded = ALL if lands else ~FIRST
-        tick = SimpleNamespace(joints=jnp.asarray(feet)[:, None], loaded=jnp.asarray(loaded), bodies=poses(no_bodies()))
+        truth = SimpleNamespace(loaded=jnp.asarray(loaded))
+        tick = SimpleNamespace(joints=jnp.asarray(feet)[:, None], truth=truth, bodies=poses(no_bodies()))
         for _ in range(round(takes / PERIOD)):
             time += 1
             now = SimpleNamespace(world=WORLD, plan=PLAN, stage=jnp.int32(number), finished=jnp.asarray(False),
