@@ -20,9 +20,9 @@ import numpy as np
 import pandas as pd
 import shared
 
+from sweep.core.constants import LOADED
 from sweep.core.provenance import made_with
 from sweep.engines.base import Trace
-from sweep.metrics.metric import LOADED
 from sweep.report.replays import again
 from sweep.runs import store
 from sweep.study.config import Experiment

@@ -32,7 +32,7 @@ PARTS = {  # by file and name
     ("sweep/engines/program_cache.py", "_load"): "kept programs",
     ("sweep/fused/eager.py", "traced"): "traced for NumPy",
     ("sweep/fused/trace.py", "traced"): "kernel traced",
-    ("sweep/fused/cuda.py", "Printer.__init__"): "kernel printed",
+    ("sweep/fused/cuda.py", "GpuPrinter.__init__"): "kernel printed",
     ("sweep/fused/cuda.py", "compiler.<locals>.compiled"): "kernel by LLVM",
     ("sweep/fused/llvm.py", "compiled"): "kernel by LLVM",
     ("sweep/fused/driver.py", "_translated"): "kernel by the driver",

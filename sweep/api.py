@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 def run(overrides: list[str]) -> pd.DataFrame:
-    """See `sweep.run`."""
+    """Rows of a run, see `sweep.run`."""
     from sweep.cli import run as app
     from sweep.runs import runner
 
@@ -37,7 +37,7 @@ def run(overrides: list[str]) -> pd.DataFrame:
 
 
 def load(folder: str | PathLike[str], where: str | None = None) -> pd.DataFrame:
-    """See `sweep.load`."""
+    """Rows of a folder, see `sweep.load`."""
     folder = Path(folder)
     rows = store.read_rows(folder)
     if where:

@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from sweep.analysis.intervals import CONFIDENCE
 from sweep.analysis.rare import weights
-from sweep.analysis.sample import some
+from sweep.analysis.sample import FILLING, some
 from sweep.analysis.sensitivity import drawn, numeric
 from sweep.core.errors import InputError
 from sweep.study.config import Experiment
@@ -23,7 +23,6 @@ from sweep.study.config import Experiment
 MOST, FEWEST = 600, 20  # rows of either kind that are looked at
 AXES = 10  # of which all sets are gone through
 GROUPS = 10  # of rows, one of which is left out at a time to tell the error
-FILLING = ("monte_carlo", "latin_hypercube", "sobol")  # designs whose rows are plain draws
 
 
 def shares(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:

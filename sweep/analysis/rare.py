@@ -62,12 +62,12 @@ class Repeated:
 
     @property
     def each(self) -> np.ndarray:
-        """By each run."""
+        """Probabilities that the runs told, one each."""
         return np.array([run.probability for run in self.runs])
 
     @property
     def probability(self) -> float:
-        """Their mean."""
+        """Mean of what the runs told."""
         return float(self.each.mean())
 
     @property

@@ -11,6 +11,8 @@ from sweep.analysis.stats import Rate, rate
 from sweep.study.config import Experiment
 from sweep.study.study import parameter_columns
 
+FILLING = ("monte_carlo", "latin_hypercube", "sobol")  # designs whose rows are plain draws, evenly over a box
+
 
 def some(number: int, most: int) -> np.ndarray:
     """Places among `number`, in order: all, or `most` of them at random, every time the same."""

@@ -3,13 +3,13 @@
 import numpy as np
 import pandas as pd
 
+from sweep.analysis.sample import FILLING
 from sweep.analysis.sensitivity import drawn, listed, measured, numeric
 from sweep.core.errors import InputError
 from sweep.study.config import Experiment
 
 LEAST, MOST = 100, 20_000  # rollouts that are asked for, and that are looked at
 SLICES, HARMONICS = 10, 10  # of PAWN; of RBD-FAST
-DESIGNS = ("monte_carlo", "latin_hypercube", "sobol")  # whose draws fill the box evenly
 
 
 def pawn(rows: pd.DataFrame, exp: Experiment, figure: str | None = None) -> pd.DataFrame:
@@ -57,8 +57,8 @@ def _sample(
 ) -> tuple[list[str], np.ndarray, np.ndarray]:
     """Drawn axes, their numbers (n, d), and what came of them (n,), of valid rollouts."""
     names = [axis.column for axis in numeric(rows, drawn(rows, exp))]
-    if exp.study.design.kind not in DESIGNS or not names:
-        raise InputError(f"{what} a study with draws of design.kind = {', '.join(DESIGNS)}")
+    if exp.study.design.kind not in FILLING or not names:
+        raise InputError(f"{what} a study with draws of design.kind = {', '.join(FILLING)}")
     if conditions := listed(rows, exp):
         raise InputError(f"{what} one grid point: choose among {', '.join(a.column for a in conditions)}")
     value = measured(rows, figure)

@@ -57,12 +57,12 @@ class Verdict:
 
     @property
     def a(self) -> int:
-        """Successes of A."""
+        """Pairs in which A succeeds."""
         return self.both + self.lost
 
     @property
     def b(self) -> int:
-        """Successes of B."""
+        """Pairs in which B succeeds."""
         return self.both + self.gained
 
     def __str__(self) -> str:

@@ -44,7 +44,7 @@ class Rate:
 
     @property
     def broken(self) -> str:
-        """`3 invalid (1.2 %)`."""
+        """Invalid rollouts in words: `3 invalid (1.2 %)`."""
         return f"{self.invalid:,} invalid ({percent(self.invalid_share)})"
 
     def __str__(self) -> str:
@@ -55,7 +55,7 @@ class Rate:
 
 
 def percent(share: float) -> str:
-    """`0.123` -> `12.3 %`."""
+    """A share in words: `0.123` -> `12.3 %`."""
     return f"{100 * share:.1f} %"
 
 

@@ -88,7 +88,7 @@ def _engine(settings: EngineSettings, nominal: Case, rollouts: int) -> dict[str,
 
 
 def timed(work: Callable[[], object]) -> float:
-    """Wall time (s)."""
+    """Wall time that `work` takes (s)."""
     start = time.perf_counter()
     work()
     return time.perf_counter() - start

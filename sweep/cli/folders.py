@@ -59,7 +59,7 @@ def matching(folder: Path, condition: str | None) -> "pd.DataFrame":
 
 
 def names(text: str | None) -> list[str] | None:
-    """`a, b` -> [`a`, `b`]."""
+    """A list of names as it is given: `a, b` -> [`a`, `b`]."""
     return [name.strip() for name in text.split(",")] if text else None
 
 

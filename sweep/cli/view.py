@@ -50,7 +50,7 @@ def main(args: list[str]) -> int:
 
 
 def parser() -> Arguments:
-    """The arguments."""
+    """The arguments of `sweep view`."""
     made = Arguments(
         prog="sweep view",
         description="Watch a rollout: simulate it and open its page, which plays it.",

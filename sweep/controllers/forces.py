@@ -125,7 +125,7 @@ def searched(least: Effort) -> Callable[[Sought], Float[Array, "n 6 3"]]:
 
 def _by_xla(least: Effort) -> Callable[[Sought], Float[Array, "n 6 3"]]:
     def one(sought: Sought) -> Array:
-        problem = _Problem.of(sought)
+        problem = _Task.of(sought)
         return jax.lax.fori_loop(0, len(SLACK), lambda k, s: problem.step(s, k, least), problem.nothing).force
 
     def search(sought: Sought) -> Array:
@@ -137,7 +137,7 @@ def _by_xla(least: Effort) -> Callable[[Sought], Float[Array, "n 6 3"]]:
 
 def step(least: Effort, sought: Sought, so_far: Search, number: Int[Array, ""]) -> Search:
     """Newton step `number` of the search for one pose, the first of which takes nothing from `so_far`."""
-    return _Problem.of(sought).step(so_far, number, least)
+    return _Task.of(sought).step(so_far, number, least)
 
 
 def asked(pose: StaticPose, force: Float[Array, "6 3"]) -> FootForces:
@@ -248,7 +248,7 @@ class _Scaled(NamedTuple):
         return force + length * direction
 
 
-class _Problem(NamedTuple):
+class _Task(NamedTuple):
     """A pose, what forces have to keep to there, and how far the levels are away."""
 
     scaled: _Scaled
@@ -256,7 +256,7 @@ class _Problem(NamedTuple):
     slack: Float[Array, ""]  # over `LAST`
 
     @classmethod
-    def of(cls, sought: Sought) -> "_Problem":
+    def of(cls, sought: Sought) -> "_Task":
         (pose, bounds), scaled = sought, _Scaled.of(sought.pose)
         start = Bounds(
             bounds.friction,
@@ -269,7 +269,7 @@ class _Problem(NamedTuple):
 
     @property
     def nothing(self) -> Search:
-        """Before the first step."""
+        """The search before its first step."""
         return Search(jnp.zeros_like(self.scaled.normal), jnp.zeros_like(self.scaled.stands))
 
     def step(self, so_far: Search, number: Array, least: Effort) -> Search:

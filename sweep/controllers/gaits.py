@@ -12,7 +12,7 @@ from sweep.formulas import stepping
 from sweep.models.legs import LEGS
 
 TRIPOD = ((1, 4, 5), (2, 3, 6))
-GALLOP = ((5, 6), (3, 4), (1, 2))  # front, middle, rear: the text of 1.3, and what climbs a pole
+GALLOP = FRONT, MIDDLE, REAR = (5, 6), (3, 4), (1, 2)  # the order in the text of 1.3, and what climbs a pole
 # The printed phase shifts instead take the rear pair before the middle one. On level ground they are the right ones:
 # the middle feet then stand ahead of the centre of mass while the front pair swings, and behind it for the rear pair,
 # where in the text's order the robot tips onto the swinging pair.

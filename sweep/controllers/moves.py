@@ -18,7 +18,7 @@ from sweep.core.errors import InputError, known, suggest
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
 from sweep.models.frames import WORLD
-from sweep.models.legs import GROUPS, LEGS, SIDED
+from sweep.models.legs import GROUPS, LEGS, NAMES
 from sweep.models.obstacles.charts import Chart, Number, charts
 from sweep.models.obstacles.surface import free_start
 from sweep.models.plan_table import COMPONENTS, tabled
@@ -26,7 +26,6 @@ from sweep.models.plan_table import COMPONENTS, tabled
 CYCLES = {"a": CYCLE_A, "b": CYCLE_B, "b_smooth": CYCLE_B_SMOOTH, "half_ellipse": HALF_ELLIPSE}
 # how the base's way is spent: evenly, as a cubic from rest to rest, or by lambda_1
 PACES = {"even": (STEADY, (1.0, 1.0)), "eased": (STEADY, (0.0, 0.0)), "smooth": (SMOOTH, (1.0, 1.0))}
-NAMES = {leg: name for name, (leg,) in SIDED.items()}
 OPPOSITE = {group: group.replace("front", "rear") if "front" in group else group.replace("rear", "front")
             for group in GROUPS}  # fmt: skip
 type Feet = dict[int, Float[Array, " 3"]]  # m, by leg

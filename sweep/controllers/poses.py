@@ -26,7 +26,7 @@ class Poses:
     kind: str = choice("poses", "poses")
 
     def plan(self, belief: Case) -> Plan:
-        """See `Manoeuvre`."""
+        """The poses one after the other, from all feet on the ground."""
         start = self.before.plan(replace(belief, manoeuvre=self.before)).start
         position, quat = calibration.poses(belief.control, start)
         turn = logarithm(multiply(jnp.roll(quat, -1, axis=0), conjugate(quat)))

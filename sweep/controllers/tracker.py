@@ -57,7 +57,7 @@ class Guided(Protocol):
         ...
 
     def guide(self, belief: Case, now: Now, state: TrackerState) -> Guidance:
-        """One tick."""
+        """What its feedback makes of a control tick."""
         ...
 
 

@@ -18,7 +18,7 @@ class Arguments(argparse.ArgumentParser):
         self.others = others
 
     def error(self, message: str) -> NoReturn:
-        """See `refused`."""
+        """End with one line that says what is wrong, see `refused`."""
         raise refused(message, self.prog, flags(self))
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[argparse.Namespace, list[str]]:  # pyright: ignore[reportIncompatibleMethodOverride]

@@ -1,4 +1,4 @@
-"""Some of many, evenly."""
+"""Some of many things, spread evenly over them."""
 
 import numpy as np
 

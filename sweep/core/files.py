@@ -82,7 +82,7 @@ def as_text(content: bytes) -> str:
 
 
 def from_text(text: str) -> bytes:
-    """Bytes from their text."""
+    """Bytes from the text that `as_text` made of them."""
     return zlib.decompress(base64.b64decode(text))
 
 

@@ -35,7 +35,7 @@ def quantity(
 
 
 def choice(default: str, *options: str) -> Any:
-    """One of a few names."""
+    """A parameter that is one of a few names."""
     return dataclasses.field(default=default, metadata={"role": "choice", "options": options})
 
 

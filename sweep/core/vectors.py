@@ -52,11 +52,11 @@ class Vector:
         return Vector(-self.x, -self.y, -self.z)
 
     def dot(self, other: "Vector") -> Array:
-        """Scalar product."""
+        """Scalar product with another one."""
         return self.x * other.x + self.y * other.y + self.z * other.z
 
     def cross(self, other: "Vector") -> "Vector":
-        """Vector product."""
+        """Vector product with another one."""
         return Vector(
             self.y * other.z - self.z * other.y,
             self.z * other.x - self.x * other.z,
@@ -69,7 +69,7 @@ class Vector:
 
 
 class Matrix(NamedTuple):
-    """A 3x3 matrix by rows."""
+    """3x3 matrices by their rows."""
 
     x: Vector
     y: Vector
@@ -81,7 +81,7 @@ class Matrix(NamedTuple):
         return cls(*(Vector.of(array[..., k, :]) for k in range(3)))
 
     def array(self) -> Float[Array, "*n 3 3"]:
-        """Rows and columns last."""
+        """One array whose last two axes are rows and columns."""
         return jnp.stack([row.array() for row in self], axis=-2)
 
     def __matmul__(self, v: Vector) -> Vector:  # pyright: ignore[reportIncompatibleMethodOverride]
@@ -89,11 +89,11 @@ class Matrix(NamedTuple):
 
     @property
     def transposed(self) -> "Matrix":
-        """Columns as rows."""
+        """The matrix whose rows are these columns."""
         return Matrix(*(Vector(*parts) for parts in zip(*self, strict=True)))
 
     def plus(self, other: "Matrix") -> "Matrix":
-        """Sum, entry by entry."""
+        """Sum with another one, entry by entry."""
         return Matrix(*(a + b for a, b in zip(self, other, strict=True)))
 
     def minus(self, other: "Matrix") -> "Matrix":
@@ -106,11 +106,11 @@ class Matrix(NamedTuple):
 
     @property
     def negative(self) -> "Matrix":
-        """Minus every entry."""
+        """The matrix with minus every entry."""
         return Matrix(*(-row for row in self))
 
     def times(self, other: "Matrix") -> "Matrix":
-        """Matrix product."""
+        """Product with another matrix on the right."""
         columns = other.transposed
         return Matrix(*(columns @ row for row in self))
 
@@ -119,11 +119,11 @@ class Matrix(NamedTuple):
         return Matrix(*(row.cross(v) for row in self))
 
     def total(self) -> "Matrix":
-        """Sum over the legs."""
+        """Sum of the matrices of all legs."""
         return Matrix(*(row.total() for row in self))
 
     def inverse(self) -> "Matrix":
-        """By cofactors."""
+        """The inverse, by cofactors."""
         rows = self.y.cross(self.z), self.z.cross(self.x), self.x.cross(self.y)
         scale = 1 / self.x.dot(rows[0])
         return Matrix(*(row * scale for row in rows)).transposed

@@ -44,7 +44,7 @@ class Spatial(NamedTuple):
         return Spatial(by @ self.linear, by @ self.angular)
 
 
-class Place(NamedTuple):
+class RootPose(NamedTuple):
     """Place and attitude of a root body."""
 
     position: Vector  # (1,) m, of its origin, world axes
@@ -54,7 +54,7 @@ class Place(NamedTuple):
         """Its rotation, body to world."""
         return rotation(*self.quat)
 
-    def after(self, velocity: Vector, spin: Vector, h: float) -> "Place":
+    def after(self, velocity: Vector, spin: Vector, h: float) -> "RootPose":
         """Moved on for h seconds at `velocity` (m/s, world axes) and `spin` (rad/s, own axes)."""
         rate = jnp.sqrt(spin.dot(spin) + 1e-24)
         half = 0.5 * h * rate
@@ -68,13 +68,13 @@ class Place(NamedTuple):
             w0 * z + x0 * y - y0 * x + z0 * c,
         )
         scale = jax.lax.rsqrt(sum(part * part for part in out))
-        return Place(self.position + h * velocity, tuple(part * scale for part in out))  # pyright: ignore
+        return RootPose(self.position + h * velocity, tuple(part * scale for part in out))  # pyright: ignore
 
 
 class Pose(NamedTuple):
     """Where root bodies and joints are."""
 
-    root: tuple[Place, ...]
+    root: tuple[RootPose, ...]
     angle: Rates  # (l,) rad: alpha, beta, gamma
 
 
@@ -137,7 +137,7 @@ def unpack(q: Array, v: Array) -> tuple[Pose, Motion]:
         at, of = 7 * k + joints * (k > 0), 6 * k + joints * (k > 0)
         x, y, z, *quat = (q[at + i : at + i + 1] for i in range(7))
         moving = [v[of + i : of + i + 1] for i in range(6)]
-        place = Place(Vector(x, y, z), tuple(quat))  # pyright: ignore
+        place = RootPose(Vector(x, y, z), tuple(quat))  # pyright: ignore
         places.append(place)
         motions.append(Spatial(place.rotation().transposed @ Vector(*moving[:3]), Vector(*moving[3:])))
     return Pose(tuple(places), by_joint(angle)), Motion(tuple(motions), by_joint(rate))

@@ -21,6 +21,8 @@ from jax.extend import core
 from jax.extend.core import ClosedJaxpr  # pyright: ignore[reportPrivateImportUsage]
 from jaxtyping import Array
 
+from sweep.fused.interpret import CALLS
+
 ELEMENTWISE = frozenset("""
     abs acos acosh add add_any and asin asinh atan atan2 atanh cbrt ceil clamp convert_element_type copy cos cosh div
     eq erf erf_inv erfc exp exp2 expm1 floor ge gt integer_pow is_finite le log log1p logistic lt max min mul ne neg
@@ -31,8 +33,6 @@ REDUCTIONS = frozenset(
     ("argmax", "argmin", "reduce_and", "reduce_max", "reduce_min", "reduce_or", "reduce_prod", "reduce_sum")
 )
 SAME_AXES = REDUCTIONS | {"cummax", "cummin", "cumprod", "cumsum", "rev", "squeeze"}  # counted from the front
-CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "core_call": "call_jaxpr", "checkpoint": "jaxpr",
-         "custom_jvp_call": "call_jaxpr", "custom_vjp_call": "call_jaxpr"}  # fmt: skip
 COST = {"convert_element_type": 0, "copy": 0, "div": 8, "sqrt": 8, "rsqrt": 8, "sin": 20, "cos": 20, "atan2": 20,
         "acos": 20, "pow": 20, "exp": 20, "log": 20}  # of an operation, where it is not 1  # fmt: skip
 

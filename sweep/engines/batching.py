@@ -104,7 +104,7 @@ class Batched:
         return self._simulate(world, belief, streams)[0]
 
     def trace(self, world: Case, belief: Case, streams: np.ndarray, slot: int) -> Trace:
-        """See `Engine`."""
+        """One rollout of a batch recorded, see `Engine`."""
         return self.traces(world, belief, streams, 1, np.array([slot]))[0]
 
     def traces(

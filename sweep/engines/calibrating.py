@@ -53,12 +53,12 @@ class Calibrating:
         self._learn: dict[Any, Callable[..., Any]] = {}
 
     def rollout_bytes(self) -> int | None:
-        """See `Engine`."""
+        """Bytes of the larger of both rollouts, see `Engine`."""
         sizes = self._poses.rollout_bytes(), self._then.rollout_bytes()
         return None if None in sizes else max(size for size in sizes if size is not None)
 
     def run(self, world: Case, belief: Case, streams: np.ndarray) -> Figures:
-        """See `Engine`."""
+        """Figures of both rollouts as one, see `Engine`."""
         sides, before = self._calibrated(world, belief, streams)
         return self._joined(before, self._then.run(*sides, streams))
 
@@ -69,13 +69,13 @@ class Calibrating:
         raise InputError("study.keep is not allowed with control.calibrate = simulated: none, sizes")
 
     def trace(self, world: Case, belief: Case, streams: np.ndarray, slot: int) -> Trace:
-        """See `Engine`."""
+        """The poses and what follows as one record, see `Engine`."""
         sides, before = self._calibrated(world, belief, streams)
         first = self._poses.trace(_in_poses(world), _in_poses(belief), streams, slot)
         return self._chained(before, slot, first, self._then.trace(*sides, streams, slot))
 
     def traces(self, world: Case, belief: Case, streams: np.ndarray, every: int) -> list[Trace]:
-        """See `Engine`."""
+        """The same of all rollouts, see `Engine`."""
         sides, before = self._calibrated(world, belief, streams)
         firsts = self._poses.traces(_in_poses(world), _in_poses(belief), streams, every)
         thens = self._then.traces(*sides, streams, every)
@@ -124,7 +124,7 @@ class Calibrating:
         return joined | before
 
     def _chained(self, before: Figures, slot: int, first: Trace, then: Trace) -> Trace:
-        """One trace of both."""
+        """One trace of the poses and of what follows."""
         own = {name: values[slot] for name, values in before.items()}
         rows = {k: np.concatenate([x, getattr(then, k)]) for k, x in vars(first).items() if isinstance(x, np.ndarray)}
         rows["time"][len(first.time) :] += own["calibration_s"]

@@ -32,7 +32,7 @@ class Going(NamedTuple):
 
     @property
     def over(self) -> np.ndarray:
-        """Which rollouts are."""
+        """Which rollouts have ended."""
         return self.tiles.look(lambda carried: carried.loop.running.over)
 
 
@@ -65,7 +65,7 @@ class Fused(NamedTuple):
         return carry, watched(world, record, self.watch.columns)
 
     def finish(self, world: Case, plans: Plan, carry: Going) -> dict[str, Array]:
-        """Figures."""
+        """Figures of a batch that has gone through its ticks."""
         return self.end(world, plans, carry.tiles.leave())
 
 

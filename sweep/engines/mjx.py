@@ -60,7 +60,7 @@ class Carry(NamedTuple):
         return self.loop.running.over
 
 
-class Programs(NamedTuple):
+class XlaPrograms(NamedTuple):
     """What a batch runs through, compiled."""
 
     start: Callable[[Case, Case, Array], tuple[Plan, Any]]
@@ -90,7 +90,7 @@ class Mjx(Batched):
             self._searches = plan.layer(Feedforward) is not None
             self.duration = float(GRACE * np.sum(np.asarray(plan.duration)))
         self._nominal = world, belief
-        self._programs: dict[Any, Programs | Fused] = {}
+        self._programs: dict[Any, XlaPrograms | Fused] = {}
 
     def rollout_bytes(self) -> int:
         """See `Engine`; nothing is compiled for it."""
@@ -103,7 +103,7 @@ class Mjx(Batched):
     def histories(
         self, world: Case, belief: Case, streams: np.ndarray, slots: np.ndarray, watch: Watch
     ) -> tuple[Figures, np.ndarray]:
-        """See `Engine`."""
+        """Figures, and columns over time, see `Engine`."""
         figures, parts = self._simulate(world, belief, streams, slots, watch.every, watch)
         return figures, np.concatenate([np.zeros((0, len(slots), len(watch.columns)), np.float32), *parts])
 
@@ -148,7 +148,7 @@ class Mjx(Batched):
 
     @property
     def _local(self) -> int:
-        """Rollouts of a device."""
+        """Rollouts that a device has of a batch."""
         return self.width // self._mesh.size
 
     def _kept(self, slots: np.ndarray | None, room: int) -> tuple[Any, np.ndarray | None]:
@@ -168,7 +168,7 @@ class Mjx(Batched):
 
     def _prepare(
         self, world: Case, belief: Case, streams: np.ndarray, slots: np.ndarray | None, most: int, watch: Watch | None
-    ) -> tuple[tuple[Case, Case, Array], Programs | Fused, Any, np.ndarray | None]:
+    ) -> tuple[tuple[Case, Case, Array], XlaPrograms | Fused, Any, np.ndarray | None]:
         """Arguments as arrays of the right type, and the programs for their batch axes; what is recorded, and where."""
         batching.check(streams, self.width)
         kept, places = self._kept(slots, min(self._local, most))
@@ -196,14 +196,14 @@ class Mjx(Batched):
         chunk: Compiled | Code,
         finish: Eager | Compiled,
         again: Eager | Compiled | None = None,
-        machine: driver.Kernel | None = None,
-    ) -> Programs | Fused:
+        machine: driver.GpuKernel | None = None,
+    ) -> XlaPrograms | Fused:
         begin, end = Planning.of(start, searches), fused_loop.ready(finish, self.width)
         if not isinstance(chunk, Code):
             if machine:
                 driver.add(machine)
             compiled = isinstance(start, Compiled)
-            return Programs(begin if compiled else lambda *of: devices.placed(begin(*of), self._mesh), chunk, end)
+            return XlaPrograms(begin if compiled else lambda *of: devices.placed(begin(*of), self._mesh), chunk, end)
         new = again and fused_loop.ready(again, self.width)
         return Fused(begin, Kernel(chunk), end, new, self._chunk_ticks, self.width, None)
 
@@ -275,7 +275,7 @@ class Mjx(Batched):
     def _compile_finish(
         self, arrays: tuple[Case, Case, Array], batch: Any, on_devices: Callable[..., Callable]
     ) -> Eager | Compiled:
-        """See `_compile`."""
+        """The program that makes figures of a batch, see `_compile`."""
         split = PartitionSpec(devices.BATCH)
 
         def by_xla() -> Compiled:

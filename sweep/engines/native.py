@@ -90,7 +90,7 @@ class Between(NamedTuple):
     judged: Float[Array, " w"]  # see `measure`
 
 
-class Programs(NamedTuple):
+class NativePrograms(NamedTuple):
     """What a batch runs through, compiled."""
 
     start: Callable[[Case, Case, Array], tuple[Plan, tuple[Between, Start]]]
@@ -120,16 +120,16 @@ class ByXla:
         self._carried = jax.tree.unflatten(form, leaves)
 
     def advance(self, first: int, ticks: int) -> None:
-        """Go on by `ticks`."""
+        """Go on by `ticks` from control tick `first`."""
         for k in range(first, first + ticks):
             self._carried = self._tick(self._carried, k)
 
     def leave(self) -> Between:
-        """What is carried."""
+        """What all rollouts carry on."""
         return self._carried
 
     def look(self, which: Callable[[Any], Any]) -> Any:
-        """What `which` picks."""
+        """What `which` picks of what is carried, as NumPy's."""
         return jax.tree.map(np.asarray, which(self._carried))
 
 
@@ -152,17 +152,17 @@ class Native(Batched):
         self._searches = plan.layer(Feedforward) is not None
         self.duration = float(GRACE * np.sum(np.asarray(plan.duration)))
         self.fused = settings.compiler != "xla"
-        self._programs: dict[Any, Programs] = {}
+        self._programs: dict[Any, NativePrograms] = {}
 
     def rollout_bytes(self) -> None:
-        """See `Engine`."""
+        """Nothing: C keeps plan, state and figures."""
         return None
 
     @devices.memory()
     def histories(
         self, world: Case, belief: Case, streams: np.ndarray, slots: np.ndarray, watch: Watch
     ) -> tuple[Figures, np.ndarray]:
-        """See `Engine`."""
+        """Figures, and columns over time, see `Engine`."""
         figures, parts = self._simulate(world, belief, streams, slots, watch.every)
         return figures, np.concatenate([watched(self._nominal, part, watch.columns) for part in parts])
 
@@ -232,7 +232,7 @@ class Native(Batched):
     def _model(self, world: Case) -> mujoco.MjModel:
         return scene.native_model(world, self.settings.native_time_step, self.settings.solid)
 
-    def _prepare(self, arrays: tuple[Case, Case, Array], quiet: bool) -> Programs:
+    def _prepare(self, arrays: tuple[Case, Case, Array], quiet: bool) -> NativePrograms:
         """The programs for the batch axes of `arrays`."""
         form = devices.form(arrays[:2]), quiet
         if form not in self._programs:
@@ -245,7 +245,7 @@ class Native(Batched):
             start, searches, tick, *rest = parts
             finish, again = (one and fused_loop.ready(one, self.width) for one in rest)
             tick = Kernel(tick) if isinstance(tick, Code) else tick
-            self._programs[form] = Programs(Planning.of(start, searches), tick, finish, again)
+            self._programs[form] = NativePrograms(Planning.of(start, searches), tick, finish, again)
         return self._programs[form]
 
     @fused_loop.or_what_is_missing

@@ -136,6 +136,6 @@ def _searched(search: Kernel, *asked: Shaped[np.ndarray, "n ... b"]) -> Float[np
 
 
 def _nothing(force: Any) -> Search:
-    """Before the first step."""
+    """The search before its first step."""
     zeros: Any = np.zeros((N_LEGS, 4), force.dtype)
     return Search(zeros[:, :3], zeros[:, 3])

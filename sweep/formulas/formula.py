@@ -119,7 +119,7 @@ class Formula:
 
     @cached_property
     def outputs(self) -> Mapping[str, str]:
-        """Name and unit."""
+        """Units of the results by name."""
         results = get_type_hints(self._annotations["return"], include_extras=True)
         return {name: _metadata(hint)[0] for name, hint in results.items()}
 
@@ -208,7 +208,7 @@ def _flatten(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str,
 
 
 def _order(equation: str) -> tuple[int, ...]:
-    """(2, 1, 4) of "2.1.4"."""
+    """Numbers to sort equations by: (2, 1, 4) of "2.1.4"."""
     return tuple(map(int, equation.split(".")))
 
 

@@ -123,7 +123,7 @@ def raft_modes(raft: RaftBody) -> Modes:
 
 
 class RaftMotion(NamedTuple):
-    """The state at the end."""
+    """The raft's state at the end of its motion."""
 
     state: Annotated[Float[Array, " 18"], "SI"]
 

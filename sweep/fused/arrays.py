@@ -33,7 +33,7 @@ class Arrays:
         self.program, self.group = program, program.group
 
     def constant(self, value: Any) -> Array:
-        """An array of constants."""
+        """A constant array, of numbers that are known."""
         value = np.asarray(value)
         return filled(value.shape, lambda at: self.program.const(value[at], value.dtype.name))
 
@@ -100,7 +100,7 @@ class Arrays:
         return total
 
     def choose(self, index: Array, cases: Sequence[Array]) -> Array:
-        """The case of `index`."""
+        """The case that `index` names, number by number."""
         dtype = cases[0].flat[0].dtype if cases[0].size else "float32"
         if len(cases) == 2 and (not index.size or index.flat[0].dtype == "bool"):
             return self.lift("select", [index, cases[1], cases[0]], dtype)

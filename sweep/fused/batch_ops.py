@@ -44,7 +44,7 @@ def quotient(x: Values, y: Values) -> Values:
 
 
 def reciprocal_root(x: Values) -> Values:
-    """1 / sqrt(x)."""
+    """One over the square root: 1 / sqrt(x)."""
     return 1 / np.sqrt(x)
 
 
@@ -56,17 +56,17 @@ def erf_inv(x: Values) -> Values:
 
 
 def logistic(x: Values) -> Values:
-    """1 / (1 + exp(-x))."""
+    """The logistic function 1 / (1 + exp(-x))."""
     return 1 / (1 + np.exp(-x))
 
 
 def one_minus_square(x: Values) -> Values:
-    """1 - x^2."""
+    """1 - x^2, exact next to 1."""
     return (1 - x) * (1 + x)
 
 
 def clamped(low: Values, x: Values, high: Values) -> Values:
-    """From `low` to `high`."""
+    """`x`, or the nearer one of `low` and `high`."""
     return np.minimum(np.maximum(x, low), high)
 
 
@@ -116,12 +116,12 @@ def tiled(times: tuple[int, ...], x: Values) -> Values:
 
 
 def turned(order: tuple[int, ...], x: Values) -> Values:
-    """Axes in another order."""
+    """The same numbers, axes in another order."""
     return x.transpose(*order, *range(len(order), x.ndim))
 
 
 def part(window: tuple[slice, ...], x: Values) -> Values:
-    """A window."""
+    """What lies in a window of slices."""
     return x[window]
 
 
@@ -134,7 +134,7 @@ def padded(shape: tuple[int, ...], window: tuple[slice, ...], x: Values, value: 
 
 
 def flipped(axes: tuple[int, ...], x: Values) -> Values:
-    """In reverse along axes."""
+    """The same numbers in reverse along axes."""
     return np.flip(x, axes)
 
 
@@ -144,7 +144,7 @@ def joined(axis: int, *parts: Values) -> Values:
 
 
 def stacked(axis: int, *parts: Values) -> Values:
-    """Along a new axis."""
+    """Parts side by side along a new axis."""
     return np.stack(_of_one_width(parts), axis)
 
 
@@ -154,7 +154,7 @@ def unstacked(axis: int, x: Values) -> list[Values]:
 
 
 def split(axis: int, ends: tuple[int, ...], x: Values) -> list[Values]:
-    """Parts along an axis."""
+    """Parts of an array along an axis, by where they end."""
     return np.split(x, ends, axis)
 
 
@@ -181,7 +181,7 @@ def extreme(of: np.ufunc, axes: tuple[int, ...], x: Values) -> Values:
 
 
 def counted(shape: tuple[int, ...], axis: int, dtype: np.dtype) -> Values:
-    """Places along an axis."""
+    """The place of every number along an axis."""
     return np.broadcast_to(
         np.arange(shape[axis], dtype=dtype).reshape([-1 if d == axis else 1 for d in range(len(shape) + 1)]),
         (*shape, 1),
@@ -189,7 +189,7 @@ def counted(shape: tuple[int, ...], axis: int, dtype: np.dtype) -> Values:
 
 
 def whole(value: Any, dtype: np.dtype) -> Values:
-    """A number."""
+    """A single number, the same for all rollouts."""
     return np.full(1, value, dtype)
 
 
@@ -204,7 +204,7 @@ def best(of: Callable, axis: int, dtype: np.dtype, x: Values) -> Values:
 
 
 def running(add: np.ufunc, axis: int, reverse: bool, x: Values) -> Values:
-    """Totals so far."""
+    """Totals so far along an axis, or from its end."""
     if reverse:
         return np.flip(add.accumulate(np.flip(x, axis), axis), axis)
     return add.accumulate(x, axis)
@@ -222,7 +222,7 @@ class Product(NamedTuple):
 
 
 def multiplied(how: Product, a: Values, b: Values) -> Values:
-    """A sum of products."""
+    """Products of two arrays, summed term by term."""
     a, b = turned(how.left, a), turned(how.right, b)
     n = how.contracted + how.shared
     a = a.reshape(-1, *a.shape[how.contracted : -1], *[1] * how.free[1], a.shape[-1])

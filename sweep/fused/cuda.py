@@ -30,7 +30,7 @@ NATIVE = {"sqrt", "floor", "ceil", "round"}
 ZERO, HALF, ONE = "0.0", "0.5", "1.0"
 
 
-class Printer(Text):
+class GpuPrinter(Text):
     """The text of a kernel `run(given, first, state)`, or with `kept` and `record`; `ticks` in one launch.
 
     `given` and `state` are tiles. `kept` has for each rollout where it is among the `room` that are recorded, or -1.
@@ -78,7 +78,7 @@ class Printer(Text):
         self._ticks(*parts)
 
     def text(self) -> str:
-        """The module."""
+        """The module as LLVM's assembly for a GPU."""
         told = ["readonly %kept_", "%record_"] if self.room else []
         operands = ", ".join(f"ptr noalias {x}" for x in ("readonly %given_", "readonly %first_", "%state_", *told))
         return "\n".join([

@@ -39,8 +39,8 @@ class Call(NamedTuple):
     operands: list[int]  # where they are
 
 
-class Kernel(NamedTuple):
-    """One, as it is kept."""
+class GpuKernel(NamedTuple):
+    """A GPU's kernel as machine code, as it is kept."""
 
     key: str
     code: bytes  # for a machine
@@ -177,12 +177,12 @@ def begin(text: str) -> str:
     return name
 
 
-def made(name: str) -> Kernel:
+def made(name: str) -> GpuKernel:
     """What has been translated. Raises `Unsupported` with what is wrong."""
-    return Kernel(name, _made[name].result())
+    return GpuKernel(name, _made[name].result())
 
 
-def add(kernel: Kernel) -> None:
+def add(kernel: GpuKernel) -> None:
     """Have it at hand for calls, as it was kept."""
     _made[kernel.key] = done = Future()
     done.set_result(kernel.code)

@@ -12,15 +12,14 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 from jax.extend import core
-from jaxtyping import Shaped
 
 from sweep.fused import batch_ops, randomness
 from sweep.fused.arrays import Unsupported
+from sweep.fused.batch_ops import Values
 from sweep.fused.eager_rules import COMPUTED, RULES
 from sweep.fused.interpret import CALLS
 from sweep.fused.randomness import is_key, keyed, words
 
-Values = Shaped[np.ndarray, "... b"]
 ALIAS = frozenset(("stop_gradient", "copy", "optimization_barrier", "random_wrap", "random_unwrap"))
 
 
@@ -34,7 +33,7 @@ class Operation(NamedTuple):
 
 
 class Listing(NamedTuple):
-    """A program."""
+    """A program: operations in their order, on values by number."""
 
     size: int  # values
     known: dict[int, Values]
@@ -144,7 +143,7 @@ class Writer:
         return self._constants[what]
 
     def write(self, jaxpr: Any, consts: Sequence[Any], args: Sequence[int]) -> list[int]:
-        """Results of `jaxpr`."""
+        """Numbers of the results of `jaxpr`."""
         at = dict(zip(jaxpr.invars, args, strict=True))
         at |= zip(jaxpr.constvars, (self.constant(_array(x)) for x in consts), strict=True)
 
@@ -229,7 +228,7 @@ class Writer:
         return self.write(traced.jaxpr, traced.consts, args)
 
     def _scan(self, args: list[int], eqn: Any) -> Sequence[int]:
-        """A loop over steps."""
+        """Results of a loop over steps."""
         inner, length = eqn.params["jaxpr"], eqn.params["length"]
         if not length:
             raise Unsupported("a loop without steps")

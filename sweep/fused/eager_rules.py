@@ -10,7 +10,7 @@ import numpy as np
 from sweep.fused import batch_ops as ops
 from sweep.fused.arrays import EMPTY, Unsupported
 from sweep.fused.batch_ops import Places, Product, Triangle
-from sweep.fused.operations import COMPARE
+from sweep.fused.operations import COMPARE, REDUCTIONS
 from sweep.fused.rules import outside
 
 UFUNCS: dict[str, np.ufunc] = {
@@ -26,8 +26,6 @@ UFUNCS: dict[str, np.ufunc] = {
     "shift_right_arithmetic": np.right_shift,
 }  # fmt: skip
 
-REDUCTIONS = {"reduce_sum": "add", "reduce_prod": "mul", "reduce_max": "max", "reduce_min": "min", "reduce_and": "and",
-              "reduce_or": "or"}  # fmt: skip
 CUMULATIVE = {"cumsum": "add", "cumprod": "mul", "cummax": "max", "cummin": "min"}
 COMPUTED: dict[str, Callable[..., Any]] = {
     **UFUNCS, "rsqrt": ops.reciprocal_root, "logistic": ops.logistic, "one_minus_square": ops.one_minus_square,

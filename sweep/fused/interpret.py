@@ -13,6 +13,7 @@ from jax.extend import core
 
 from sweep.fused import maths
 from sweep.fused.arrays import Array, Arrays, Unsupported, filled, stacked
+from sweep.fused.operations import REDUCTIONS
 from sweep.fused.program import At, Branch, Count, Node, Region, value_of
 from sweep.fused.rules import MANY, RULES
 
@@ -23,8 +24,6 @@ ELEMENTWISE = frozenset("""
     shift_right_arithmetic shift_right_logical sqrt sub xor bitcast_convert_type
 """.split())  # fmt: skip  # noqa: SIM905
 ALIAS = {"stop_gradient": None, "copy": None, "optimization_barrier": None, "add_any": "add"}
-REDUCTIONS = {"reduce_sum": "add", "reduce_max": "max", "reduce_min": "min", "reduce_and": "and", "reduce_or": "or",
-              "reduce_prod": "mul"}  # fmt: skip
 UNROLLED = 1000  # operations up to which a loop is written out
 
 

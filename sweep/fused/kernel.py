@@ -40,15 +40,15 @@ def tile(width: int, cores: int) -> int:
 
 def printed(
     function: Tick, given: Any, carried: Any, group: int = GROUP, lanes: int = llvm.LANES
-) -> tuple[Traced, llvm.Printer]:
+) -> tuple[Traced, llvm.CpuPrinter]:
     """A program, and its text as LLVM's assembly; see `traced`. What is given and carried share a memory, in bytes."""
     program = traced(function, given, carried, partial(_laid_out, lanes), together=True, group=group)
     order = schedule.order(program.top, schedule.used(program.top))
-    return program, llvm.Printer(order, schedule.slots(order), group, lanes)
+    return program, llvm.CpuPrinter(order, schedule.slots(order), group, lanes)
 
 
 def compiled(function: Tick, given: Any, carried: Any, group: int = GROUP, lanes: int = llvm.LANES) -> Code:
-    """See `printed`."""
+    """The program of a function, made at once, see `begun`."""
     return begun(function, given, carried, group, lanes)()
 
 
@@ -66,7 +66,7 @@ def begun(function: Tick, given: Any, carried: Any, group: int = GROUP, lanes: i
 
 
 def _size(leaf: Leaf, lanes: int) -> int:
-    """Bytes, of all lanes."""
+    """Bytes that a leaf takes in all lanes."""
     return leaf.size * llvm.row(leaf.dtype, lanes)
 
 

@@ -57,7 +57,7 @@ def compiled(
         tree = jax.tree.structure(carried)
         flag = program.carried[over(jax.tree.unflatten(tree, range(tree.num_leaves)))].place
         sizes = _end(program.given), _end(program.carried), _end([*program.recorded.values()])
-        printed = cuda.Printer(
+        printed = cuda.GpuPrinter(
             program.top, schedule.used(program.top), sizes, ticks, flag, room, _turns(width, group), group, few
         )
         text, blocks = compiler(printed.text()), printed.rollouts

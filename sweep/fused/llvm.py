@@ -28,7 +28,7 @@ def rounded(size: int) -> int:
     return -(-size // ALIGN) * ALIGN
 
 
-class Printer(Text):
+class CpuPrinter(Text):
     """The text of a function `run(rollouts, scratch, record, stride, first, ticks)`.
 
     `record` goes on by `stride` bytes each tick; `first` is the number of the first tick.
@@ -49,7 +49,7 @@ class Printer(Text):
         self._order(top)
 
     def text(self, triple: str) -> str:
-        """The module."""
+        """The module as LLVM's assembly for a CPU."""
         head = "define void @run(ptr noalias %rollouts, ptr noalias %scratch, ptr noalias %record, i64 %stride, "
         declared = "\n".join(sorted(self.declared))
         return (f'target triple = "{triple}"\n{declared}\n{head}i64 %first, i64 %ticks) {{\nentry:\n{self.body()}\n'
@@ -222,7 +222,7 @@ class Printer(Text):
     # values
 
     def value(self, node: Node) -> str:
-        """A plain value."""
+        """A node's value, of all legs alike."""
         return self.literal(value_of(node)) if node.op == "const" else self.names[node.number]
 
     def _work(self, node: Node, args: list[str], leg: "Leg | None" = None) -> str:
@@ -257,7 +257,7 @@ class Printer(Text):
 class Leg:
     """Values inside a loop over the legs."""
 
-    def __init__(self, printer: Printer, count: str):
+    def __init__(self, printer: CpuPrinter, count: str):
         self.printer, self.count = printer, count
         self.here: dict[int, str] = {}
         self.steps: dict[int, str] = {}

@@ -81,7 +81,7 @@ def acos(x: Array) -> Array:
 
 
 def asin(x: Array) -> Array:
-    """Angle (rad) of a sine."""
+    """The angle (rad) whose sine is x."""
     return atan2(x, jnp.sqrt((1.0 - x) * (1.0 + x)))
 
 
@@ -103,7 +103,7 @@ def exp(x: Array) -> Array:
 
 
 def log(x: Array) -> Array:
-    """The natural logarithm."""
+    """The natural logarithm of x."""
     bits = lax.bitcast_convert_type(x, jnp.int32)
     power = ((bits - 0x3F3504F3) >> 23).astype(jnp.float32)  # so that what is left lies around 1
     rest = lax.bitcast_convert_type(bits - (power.astype(jnp.int32) << 23), jnp.float32) - 1.0
@@ -128,7 +128,7 @@ def rem(x: Array, y: Array) -> Array:
 
 
 def sign(x: Array) -> Array:
-    """-1, 0 or 1."""
+    """The sign of x: -1, 0 or 1."""
     return jnp.where(x > 0, jnp.ones_like(x), jnp.where(x < 0, -jnp.ones_like(x), x))
 
 

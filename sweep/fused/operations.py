@@ -19,6 +19,8 @@ NUMPY: dict[str, Callable] = {
     "xor": np.bitwise_xor, "and": np.bitwise_and, "or": np.bitwise_or, "shift_left": np.left_shift,
     "shift_right_logical": np.right_shift, "shift_right_arithmetic": np.right_shift,
 }  # fmt: skip
+REDUCTIONS = {"reduce_sum": "add", "reduce_max": "max", "reduce_min": "min", "reduce_and": "and", "reduce_or": "or",
+              "reduce_prod": "mul"}  # fmt: skip
 
 
 def fold(name: str, dtype: str, values: Sequence[Any]) -> Any:

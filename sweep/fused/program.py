@@ -14,7 +14,7 @@ import numpy as np
 
 
 class Const(NamedTuple):
-    """Of `const`: its value."""
+    """What a `const` is: its value."""
 
     bits: tuple[bytes, ...]  # one, or one for each leg: they tell -0 from 0 and one NaN from the next
 
@@ -145,7 +145,7 @@ class Program:
 
     @property
     def top(self) -> Block:
-        """The outermost block."""
+        """The block that all others are in."""
         return self.blocks[0]
 
     def node(self, op: str, args: Sequence[Node], dtype: str, extra: Extra = None, leg: bool | None = None) -> Node:

@@ -62,13 +62,13 @@ def fold_in(key: Array, number: Array) -> Array:
 
 
 def bits(key: Array, shape: tuple[int, ...]) -> Array:
-    """Words of 32 bits."""
+    """Random words of 32 bits."""
     a, b = _counted(key, int(np.prod(shape)))
     return (a ^ b).reshape(shape)
 
 
 def long_bits(key: Array, shape: tuple[int, ...]) -> Array:
-    """Words of 64 bits."""
+    """Random words of 64 bits."""
     a, b = _counted(key, int(np.prod(shape)))
     return ((a.astype(jnp.uint64) << jnp.uint64(32)) | b.astype(jnp.uint64)).reshape(shape)
 

@@ -42,7 +42,7 @@ class Slots:
     size: int = 4
 
     def take(self) -> int:
-        """A slot that is free."""
+        """The number of a slot that is free, or of a new one."""
         if self.free:
             return self.free.pop()
         self.count += 1

@@ -30,7 +30,7 @@ class Text:
         self._fresh = 0
 
     def body(self) -> str:
-        """The lines so far."""
+        """The lines written so far, as text."""
         return "\n".join(f"  {line}" if not line.endswith(":") else line for line in self.lines)
 
     def fresh(self) -> str:
@@ -45,7 +45,7 @@ class Text:
         return name
 
     def start(self, label: str) -> None:
-        """Begin a basic block."""
+        """Begin a basic block of this label."""
         self.lines.append(f"{label}:")
         self.label = label
 

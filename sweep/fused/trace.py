@@ -25,7 +25,7 @@ class Leaf(NamedTuple):
 
     @property
     def size(self) -> int:
-        """Numbers."""
+        """How many numbers it has in a rollout."""
         return math.prod(self.shape)
 
 

@@ -39,7 +39,7 @@ def from_level(quat: Float[Array, " 4"]) -> Float[Array, ""]:
 
 
 def figures(found: Attitude, at: Elapsed) -> dict[str, Array]:
-    """See `METRIC`."""
+    """Errors so far, and the tilt as it is."""
     return {
         "tilt_max_deg": found.tilt,
         "end_tilt_deg": from_level(found.quat),

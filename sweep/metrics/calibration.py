@@ -24,7 +24,7 @@ def begin(start: Begin) -> Calibrated:
 
 
 def figures(found: Calibrated, at: Elapsed) -> dict[str, Array]:
-    """See `METRIC`."""
+    """Sizes that were found, and their deviations."""
     return told(found)
 
 

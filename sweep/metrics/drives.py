@@ -6,8 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.metrics.metric import BRIEF, Begin, Cause, Elapsed, Metric, Moment
-
-JOINTS = ("alpha", "beta", "gamma")
+from sweep.models.legs import KINDS
 
 
 class Drives(NamedTuple):
@@ -53,10 +52,10 @@ def update(so_far: Drives, now: Moment) -> Drives:
 
 
 def figures(found: Drives, at: Elapsed) -> dict[str, Array]:
-    """See `METRIC`."""
+    """Peaks, shares of the time, and what they are over the drives' limits."""
     share = found.saturated / jnp.maximum(at.time, 1e-9)
-    torques = {f"torque_peak_{joint}_nm": found.torque[k] for k, joint in enumerate(JOINTS)}
-    shares = {f"saturation_share_{joint}": share[k] for k, joint in enumerate(JOINTS)}
+    torques = {f"torque_peak_{joint}_nm": found.torque[k] for k, joint in enumerate(KINDS)}
+    shares = {f"saturation_share_{joint}": share[k] for k, joint in enumerate(KINDS)}
     drive = at.world.drive
     limits = {
         "turn_over_limit": found.turn / drive.turn_limit,
@@ -75,8 +74,8 @@ METRIC = Metric(
     figures,
     {
         "energy_j": "positive work of the drives",
-        **{f"torque_peak_{joint}_nm": f"largest torque of a {joint} joint" for joint in JOINTS},
-        **{f"saturation_share_{joint}": f"share of time at the torque limit of {joint} joints" for joint in JOINTS},
+        **{f"torque_peak_{joint}_nm": f"largest torque of a {joint} joint" for joint in KINDS},
+        **{f"saturation_share_{joint}": f"share of time at the torque limit of {joint} joints" for joint in KINDS},
         "saturation_share_max": "largest of the three",
         "torque_reserve_min": "least of 1 minus torque over its limit, of a kind of joint in the mean of all legs, "
         "over 50 ms",

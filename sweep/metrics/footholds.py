@@ -25,7 +25,7 @@ def update(so_far: Last, now: Moment) -> Last:
 
 
 def figures(found: Last, at: Elapsed) -> dict[str, Array]:
-    """See `METRIC`."""
+    """Feet at their faces by where they were last."""
     feet, free = found
     target = to_world(at.plan.foothold[-1], at.plan.foot_frame[-1], free)
     here, there = (under(at.world.obstacle, p, poses(free)) for p in (feet, target))

@@ -66,7 +66,7 @@ def update(so_far: BodiesMotion, now: Moment) -> BodiesMotion:
 
 
 def figures(found: BodiesMotion, at: Elapsed) -> dict[str, Array]:
-    """See `METRIC`."""
+    """Ways so far, and speeds over the last part of the plan."""
     manoeuvre = at.world.manoeuvre
     if isinstance(manoeuvre, Driving):
         aim, velocity = manoeuvre.obstacle_speed(jnp.sum(at.plan.duration)), found.tail.velocity(*found.ended)

@@ -43,7 +43,7 @@ def update(so_far: Landing, now: Moment) -> Landing:
 
 
 def figures(found: Landing, at: Elapsed) -> dict[str, Array]:
-    """See `METRIC`."""
+    """The least reserve of a landing so far."""
     return {"landing_reserve_min": found.reserve}
 
 

@@ -44,7 +44,7 @@ def update(so_far: LedgeCrossing, now: Moment) -> LedgeCrossing:
 
 
 def figures(found: LedgeCrossing, at: Elapsed) -> dict[str, Array]:
-    """See `METRIC`."""
+    """Past the ball's centre, and the docking."""
     return {"past_centre_max_m": found.past, "docking_gap_m": found.gap, "docking_speed_mps": found.docking}
 
 

@@ -5,8 +5,8 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sweep.core.constants import GRAVITY
-from sweep.metrics.metric import BRIEF, LOADED, Begin, Elapsed, Metric, Moment
+from sweep.core.constants import GRAVITY, LOADED
+from sweep.metrics.metric import BRIEF, Begin, Elapsed, Metric, Moment
 from sweep.models.obstacles.surface import under
 from sweep.models.robot import total_mass
 
@@ -52,7 +52,7 @@ def update(so_far: Load, now: Moment) -> Load:
 
 
 def figures(found: Load, at: Elapsed) -> dict[str, Array]:
-    """See `METRIC`."""
+    """Peaks and means of friction, and what it left."""
     return {
         "friction_demand_max": found.friction,
         "friction_demand_mean": found.use / jnp.maximum(at.time, 1e-9),

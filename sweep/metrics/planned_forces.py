@@ -9,7 +9,7 @@ from sweep.metrics.metric import Cause, Elapsed, Metric
 
 
 def figures(found: None, at: Elapsed) -> dict[str, Array]:
-    """See `METRIC`."""
+    """The worst stage of the plan, by what its forces lack."""
     left = imbalance(at.plan)
     return {"imbalance_max": jnp.max(left), "infeasible_stage": jnp.argmax(left).astype(jnp.int32)}
 

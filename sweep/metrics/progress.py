@@ -51,7 +51,7 @@ def update(so_far: Progress, now: Moment) -> Progress:
 
 
 def figures(found: Progress, at: Elapsed) -> dict[str, Array]:
-    """See `METRIC`."""
+    """How far the way is done, and how fast."""
     length = path_length(at.plan)
     left = jnp.linalg.norm(found.position - at.plan.position[-1])
     goes = (length > 1e-6) & (at.plan.base_frame[-1] == WORLD)  # on a free body the goal is a motion, not a place

@@ -30,7 +30,7 @@ def update(so_far: Reach, now: Moment) -> Reach:
 
 
 def figures(found: Reach, at: Elapsed) -> dict[str, Array]:
-    """See `METRIC`."""
+    """The worst foot so far, beyond its reach or within it."""
     return {"reach_shortfall_max_m": found.shortfall, "reach_reserve_min_m": found.left}
 
 

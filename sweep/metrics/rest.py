@@ -33,7 +33,7 @@ def update(so_far: Resting, now: Moment) -> Resting:
 
 
 def figures(found: Resting, at: Elapsed) -> dict[str, Array]:
-    """See `METRIC`."""
+    """The largest drift since the plan has ended."""
     return {"end_drift_m": found.drift}
 
 

@@ -22,7 +22,7 @@ def update(so_far: Float[Array, ""], now: Moment) -> Float[Array, ""]:
 
 
 def figures(found: Float[Array, ""], at: Elapsed) -> dict[str, Array]:
-    """See `METRIC`."""
+    """The least angle, of its sine."""
     return {"shin_angle_min_rad": jnp.arcsin(found)}
 
 

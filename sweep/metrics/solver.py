@@ -57,7 +57,7 @@ def update(so_far: Solver, now: Moment) -> Solver:
 
 
 def figures(found: Solver, at: Elapsed) -> dict[str, Array]:
-    """See `METRIC`."""
+    """Residuals over the weight, and growth of energy."""
     return {
         "finite": found.finite,
         "solver_residual_max_n": found.residual,

@@ -5,8 +5,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from sweep.core.constants import LOADED
 from sweep.metrics.geometry import support_margin
-from sweep.metrics.metric import BRIEF, LOADED, Begin, Elapsed, Metric, Moment
+from sweep.metrics.metric import BRIEF, Begin, Elapsed, Metric, Moment
 
 
 class Stability(NamedTuple):
@@ -31,7 +32,7 @@ def update(so_far: Stability, now: Moment) -> Stability:
 
 
 def figures(found: Stability, at: Elapsed) -> dict[str, Array]:
-    """See `METRIC`."""
+    """The least margin of the mass centre."""
     return {"stability_margin_min_m": found.margin}
 
 

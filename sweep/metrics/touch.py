@@ -28,7 +28,7 @@ def _of(at: Begin | Moment) -> Touched:
 
 
 def figures(found: Touched, at: Elapsed) -> dict[str, Array]:
-    """See `METRIC`."""
+    """Sizes that were felt, and their deviations."""
     parts = ({f"learned_{n}_{u}": jnp.asarray(getattr(found.obstacle, n)),
               f"learned_{n}_sd_{u}": jnp.sqrt(found.covariance[k, k])}
              for k, (n, u) in enumerate(units(at.world.obstacle).items()))  # fmt: skip

@@ -49,7 +49,7 @@ def update(so_far: Balls, now: Moment) -> Balls:
 
 
 def figures(found: Balls, at: Elapsed) -> dict[str, Array]:
-    """See `METRIC`."""
+    """How both met, and how the second one ended."""
     return {
         "meeting_speed_mps": found.meeting,
         "balls_apart_max_m": found.apart,

@@ -5,8 +5,10 @@ PAIRS = {"front": (5, 6), "middle": (3, 4), "rear": (1, 2)}
 SIDED = {f"{pair}_{side}": (leg,) for pair, legs in PAIRS.items()
          for leg, side in zip(legs, ("right", "left"), strict=True)}  # fmt: skip
 GROUPS = PAIRS | SIDED  # that plans name
+NAMES = {leg: name for name, (leg,) in SIDED.items()}  # of single legs
 N_LEGS = len(LEGS)
-JOINTS = tuple(f"{joint}{leg}" for leg in LEGS for joint in ("alpha", "beta", "gamma"))
+KINDS = ("alpha", "beta", "gamma")  # the joints of a leg, from the body outwards
+JOINTS = tuple(f"{kind}{leg}" for leg in LEGS for kind in KINDS)
 N_JOINTS = len(JOINTS)
 # of MuJoCo's positions and velocities: the base, then the joints, then free bodies
 JOINT_Q, JOINT_V = slice(7, 7 + N_JOINTS), slice(6, 6 + N_JOINTS)

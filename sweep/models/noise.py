@@ -1,4 +1,4 @@
-"""Errors of measurement."""
+"""Errors of what sensors measure."""
 
 from sweep.core.parameters import count, parameters, quantity
 

@@ -72,7 +72,7 @@ class TwoWay(Tabled, Protocol):
 
     @property
     def two_way(self) -> bool:
-        """True."""
+        """That it goes backwards in time, too: True."""
         ...
 
 
@@ -141,7 +141,7 @@ def own(case: Any) -> Content:
 
 
 def numbers(content: Content, places: Mapping[str, Chart]) -> dict[str, float]:
-    """All numbers by path."""
+    """All numbers of a plan by path."""
     found: dict[str, float] = {}
     mapped(content, places, lambda path, value: found.setdefault(path, float(value)))
     return found

@@ -64,7 +64,7 @@ def total_mass(robot: Robot) -> Array | float:
 
 
 def mounts(robot: Robot) -> Float[Array, "6 3"]:
-    """Hips in base axes (m)."""
+    """Where the hips are (m, base axes)."""
     if robot.mounts == "circle":
         return circular_mounts(robot.mount_radius)
     return rectangular_mounts(robot.body_length, robot.body_width)

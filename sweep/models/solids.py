@@ -88,7 +88,7 @@ def maths(x: Any) -> Any:
 def box_corners(
     centre: Float[Array, " 3"], rotation: Float[Array, "3 3"], half: Float[Array, " 3"]
 ) -> Float[Array, "8 3"]:
-    """Corners of a box."""
+    """The eight corners of a box (m)."""
     return centre + (SIGNS.astype(half.dtype) * half) @ rotation.T
 
 
@@ -101,19 +101,19 @@ class HalfSpace:
     body: int = -1
 
     def to_segments(self, a: Array, b: Array) -> Array:
-        """See `Solid`."""
+        """By the lower end, see `Solid`."""
         normal = _vector(self.normal, a.dtype)
         return jnp.minimum(a @ normal, b @ normal)
 
     def to_box(self, centre: Array, rotation: Array, half: Array) -> Array:
-        """See `Solid`."""
+        """By the lowest corner, see `Solid`."""
         normal = _vector(self.normal, centre.dtype)
         return centre @ normal - jnp.abs(normal @ rotation) @ half
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sphere:
-    """A ball."""
+    """A ball about its centre."""
 
     name: str
     radius: Any
@@ -121,13 +121,13 @@ class Sphere:
     body: int = -1
 
     def to_segments(self, a: Array, b: Array) -> Array:
-        """See `Solid`."""
+        """By the centre's distance to the nearest point, see `Solid`."""
         centre, along = _vector(self.centre, a.dtype), b - a
         share = jnp.clip(_dot(centre - a, along) / (_dot(along, along) + TINY), 0.0, 1.0)
         return _length(a + share[:, None] * along - centre) - self.radius
 
     def to_box(self, centre: Array, rotation: Array, half: Array) -> Array:
-        """See `Solid`."""
+        """By the centre's distance, see `Solid`."""
         return from_box((_vector(self.centre, centre.dtype) - centre) @ rotation, half) - self.radius
 
 
@@ -171,7 +171,7 @@ class _Convex(ABC):
         return offset if self.rotation is None else offset @ self.rotation
 
     def to_segments(self, a: Array, b: Array) -> Array:
-        """See `Solid`."""
+        """By points along the segment, or by parting planes, see `Solid`."""
         a, b = self.inward(a), self.inward(b)
         at, apart = least_along(self.signed, a, b)
         along = (b - a) / _length(b - a)[:, None]
@@ -188,7 +188,7 @@ class _Convex(ABC):
         return jnp.where(apart > 0, apart, jnp.max(parted, axis=0))
 
     def to_box(self, centre: Array, rotation: Array, half: Array) -> Array:
-        """See `Solid`."""
+        """By both solids' corners, or by parting planes, see `Solid`."""
         centre = self.inward(centre)
         rotation = rotation if self.rotation is None else self.rotation.T @ rotation
         corners = box_corners(centre, rotation, half)
@@ -218,24 +218,24 @@ class Box(_Convex):
     half: Sequence[Any] | Array
 
     def signed(self, points: Array) -> Array:
-        """See `_Convex`."""
+        """By its half-sizes, see `_Convex`."""
         return from_box(points, _vector(self.half, points.dtype))
 
     def reach(self, axes: Array) -> tuple[Array, Array]:
-        """See `_Convex`."""
+        """The same both ways, see `_Convex`."""
         extent = jnp.abs(axes) @ _vector(self.half, axes.dtype)
         return extent, extent
 
     def tips(self, axes: Array) -> Array:
-        """See `_Convex`."""
+        """The eight corners, see `_Convex`."""
         return jnp.asarray(SIGNS, axes.dtype) * _vector(self.half, axes.dtype)
 
     def planes(self, dtype: Any) -> Array:
-        """See `_Convex`."""
+        """Those of its three axes, see `_Convex`."""
         return jnp.eye(3, dtype=dtype)
 
     def crosses(self, along: Array, at: Array) -> list[Array]:
-        """See `_Convex`."""
+        """By its three edges, see `_Convex`."""
         return [jnp.cross(edge, along) for edge in np.eye(3, dtype=along.dtype)]
 
 
@@ -247,25 +247,25 @@ class Cylinder(_Convex):
     half: Any  # of its height
 
     def signed(self, points: Array) -> Array:
-        """See `_Convex`."""
+        """By radius and height, see `_Convex`."""
         return _extruded(_length(points[..., :2]) - self.radius, jnp.abs(points[..., 2]) - self.half)
 
     def reach(self, axes: Array) -> tuple[Array, Array]:
-        """See `_Convex`."""
+        """The same both ways, see `_Convex`."""
         extent = self.radius * _length(axes[..., :2]) + self.half * jnp.abs(axes[..., 2])
         return extent, extent
 
     def tips(self, axes: Array) -> Array:
-        """See `_Convex`."""
+        """Points of both rims, see `_Convex`."""
         rim = self._rim(axes[:, :2] / _length(axes[:, :2])[:, None], jnp.where(axes[:, 2] < 0, -1.0, 1.0))
         return jnp.concatenate([rim, -rim])
 
     def planes(self, dtype: Any) -> Array:
-        """See `_Convex`."""
+        """That of its ends, see `_Convex`."""
         return jnp.eye(3, dtype=dtype)[2:]
 
     def rays(self, points: Array) -> list[Array]:
-        """See `_Convex`."""
+        """From the axis outwards, see `_Convex`."""
         return [points * np.array([1, 1, 0], points.dtype)]
 
     def crosses(self, along: Array, at: Array) -> list[Array]:
@@ -303,7 +303,7 @@ class Prism(_Convex):
         return super().inward(points) - _vector((0.0, 0.0, self.height / 2), points.dtype)
 
     def signed(self, points: Array) -> Array:
-        """See `_Convex`."""
+        """By the sides of its base and by its height, see `_Convex`."""
         corners, along, length = self._sides(points.dtype)
         offset = points[:, None, :2] - corners
         out, on = _dot(offset, _left_of(along)), _dot(offset, along)
@@ -313,21 +313,21 @@ class Prism(_Convex):
         return _extruded(aside, jnp.abs(points[:, 2]) - self.height / 2)
 
     def reach(self, axes: Array) -> tuple[Array, Array]:
-        """See `_Convex`."""
+        """Farther one way than the other, see `_Convex`."""
         at = axes[..., :2] @ self._sides(axes.dtype)[0].T
         up = self.height / 2 * jnp.abs(axes[..., 2])
         return up + jnp.max(at, axis=-1), up - jnp.min(at, axis=-1)
 
     def tips(self, axes: Array) -> Array:
-        """See `_Convex`."""
+        """Corners of both ends, see `_Convex`."""
         return jnp.concatenate([_raised(self._sides(axes.dtype)[0], end * self.height / 2) for end in (-1, 1)])
 
     def planes(self, dtype: Any) -> Array:
-        """See `_Convex`."""
+        """Those of its sides and of its ends, see `_Convex`."""
         return jnp.concatenate([_raised(_left_of(self._sides(dtype)[1]), 0.0), jnp.eye(3, dtype=dtype)[2:]])
 
     def crosses(self, along: Array, at: Array) -> list[Array]:
-        """See `_Convex`."""
+        """By the edges of its base and its height, see `_Convex`."""
         edges = [*_raised(self._sides(along.dtype)[1], 0.0), jnp.eye(3, dtype=along.dtype)[2]]
         return [jnp.cross(edge, along) for edge in edges]
 

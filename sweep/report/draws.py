@@ -52,7 +52,7 @@ def data(results: Results) -> pd.DataFrame:
 
 
 def caption(results: Results) -> str:
-    """The figure in words."""
+    """What the figure of draws shows, in words."""
     columns, size = columns_of(results), len(results.rows)
     lines = sum(min(len(part), LINES) for _, part in kinds(results.rows))
     text = "Above: a line for each rollout through its drawn values, each axis from the least to the largest. "
@@ -72,7 +72,7 @@ def kinds(rows: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
 
 
 def draw(results: Results) -> Figure:
-    """The figure."""
+    """Draw what came of draws."""
     rows, ranked = results.rows, importance(results)
     columns = list(ranked["axis"]) or columns_of(results)
     panels = [*(["rank"] if len(ranked) else []), "pair", "margin"]

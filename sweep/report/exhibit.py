@@ -1,4 +1,4 @@
-"""What an exhibit is."""
+"""Exhibits: figures with captions and their numbers."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

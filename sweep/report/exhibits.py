@@ -47,7 +47,7 @@ def exhibits(results: Results) -> Iterator[Exhibit]:
 
 
 def drawn(results: Results) -> Iterator[Exhibit]:
-    """What came of draws."""
+    """What came of draws, parameter by parameter."""
     if draws.shown(results):
         table, caption = draws.data(results), draws.caption(results)
         yield Exhibit("draws", "Draws", caption, table, lambda: draws.draw(results))

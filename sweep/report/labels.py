@@ -80,7 +80,7 @@ def heading(column: str, exp: Experiment | None = None) -> str:
 
 
 def words_and_unit(column: str, exp: Experiment | None = None) -> tuple[str, str]:
-    """The same apart."""
+    """Words for a column, and its unit apart."""
     if "." not in column:
         return name_and_unit(column)
     return axis_words(column, exp), unit_of(column, exp) if exp else ""

@@ -20,7 +20,7 @@ COLOURS = {"success": GOOD, "failure": FAILURE, "invalid": DOUBTFUL}
 
 
 def shown(results: Results) -> bool:
-    """Whether there are any."""
+    """Whether histories were kept."""
     return bool(results.exp.study.keep) and bool(store.beside(results.folder, store.HISTORIES))
 
 

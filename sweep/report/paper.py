@@ -208,7 +208,7 @@ def camel(text: str) -> str:
 
 
 def escape(text: str) -> str:
-    """`text` for LaTeX."""
+    """`text` so that LaTeX prints it as it is."""
     special = {
         "\\": r"\textbackslash{}",
         "~": r"\textasciitilde{}",

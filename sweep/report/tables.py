@@ -116,7 +116,7 @@ def one_rollout(exp: Experiment, row: pd.Series) -> str:
 
 
 def parameters(results: Results) -> Iterator[dict[str, Any]]:
-    """What was varied."""
+    """The table of what was varied."""
     for name in results.axes:
         values = results.rows[name]
         side, path = side_and_path(name)

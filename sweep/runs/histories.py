@@ -24,7 +24,7 @@ MOST = 500_000_000  # numbers that a study may keep, of 4 bytes
 
 
 def watch(exp: Experiment, settings: EngineSettings) -> Watch:
-    """What the study keeps."""
+    """What the study keeps over time."""
     every = max(1, round(1 / (exp.study.keep_rate * settings.control_period)))
     return Watch(exp.study.keep, every, exp.study.keep_rows)
 

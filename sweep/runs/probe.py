@@ -37,7 +37,7 @@ class Dead(NamedTuple):
 
 @dataclass
 class Found:
-    """What a check tells."""
+    """What the check of a controller tells."""
 
     axes: int
     engines: list[str]

@@ -262,7 +262,7 @@ class Refined:
 
     @property
     def rollouts(self) -> int:
-        """That were run."""
+        """How many rollouts were run."""
         return self.rate.total
 
     @property

@@ -60,7 +60,7 @@ class Results:
 
     @property
     def name(self) -> str:
-        """The study's name."""
+        """The name that its study has."""
         return self.exp.study.name
 
     @cached_property

@@ -233,5 +233,5 @@ def known(log: Path, how: Mapping[str, Any]) -> list[Any]:
 
 
 def keep(log: Path, found: list[Any]) -> None:
-    """Add a line to a log."""
+    """Add what was found to a log, as a line."""
     append(log, json.dumps(found))

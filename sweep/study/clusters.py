@@ -251,7 +251,7 @@ class _Watch:
     last: float = -math.inf  # s, when this looked
 
     def look(self) -> None:
-        """Once a second."""
+        """Look once a second how workers do."""
         now = time.monotonic()
         if now < self.last + 1:
             return

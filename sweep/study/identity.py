@@ -79,7 +79,7 @@ def _decimal(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def text_hash(text: str) -> np.uint64:
-    """Of 64 bits."""
+    """A hash of 64 bits of a text."""
     return np.uint64(int.from_bytes(hashlib.blake2b(text.encode(), digest_size=8).digest()))
 
 

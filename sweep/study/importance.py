@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from sweep.study.sought import Draws, Search
+from sweep.study.sought import DIGITS, Draws, Search
 
 FITTED, WIDE, PLAIN = 0.7, 0.15, 0.15  # shares of a round's draws
 PARTS = 3  # normals that are fitted, at most
@@ -24,7 +24,6 @@ PRIOR = 3  # effective rows for each axis, of a unit normal, that each part's co
 TEMPERS = (1.0, 0.5, 0.25)  # powers of the weights: the fit takes the first that leaves it enough failures, or none
 STEPS = 50  # of expectation and maximisation
 DIP = 0.5  # of the density at the lower of two middles: parts between which it falls below that are modes of their own
-DIGITS = 6  # of fitted numbers: draws are the same on machines whose last bits differ
 
 
 class Mixture(NamedTuple):

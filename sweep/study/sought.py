@@ -18,12 +18,13 @@ if TYPE_CHECKING:
     import pandas as pd
 
 KINDS = ("importance", "subset")
+DIGITS = 6  # of what draws follow from: they are the same on machines whose last bits differ
 EDGE = 2.0**-32  # of shares: no distribution is asked for its infinite ends
 LEAD = "margin"  # what subset simulation goes by if not told
 
 
 class Draws(NamedTuple):
-    """A round of draws."""
+    """A round of draws that are to be simulated."""
 
     shares: Float[np.ndarray, "n d"]  # quantiles, before axes are correlated
     numbers: Int[np.ndarray, " n"]  # of the draws: each has noise of its own
@@ -37,7 +38,7 @@ class Seen(NamedTuple):
     lead: Float[np.ndarray, " n"]  # what shrinks before anything breaks
 
     def part(self, where: slice) -> "Seen":
-        """Of some of them."""
+        """The same of some of the draws."""
         return Seen(self.failed[where], self.lead[where])
 
 

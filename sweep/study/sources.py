@@ -40,11 +40,11 @@ class Files(ConfigSource):
 
     @staticmethod
     def scheme() -> str:
-        """Of the search path."""
+        """The word that its search path begins with."""
         return SCHEME
 
     def available(self) -> bool:
-        """They always are."""
+        """That they can always be asked for."""
         return True
 
     def is_group(self, config_path: str) -> bool:
@@ -57,7 +57,7 @@ class Files(ConfigSource):
         return group in GROUPS and (project.find(group, name) is not None or schema(group, name) is not None)
 
     def list(self, config_path: str, results_filter: ObjectType | None) -> list[str]:
-        """The names in a group."""
+        """The names that a group has."""
         if results_filter == ObjectType.GROUP:
             return []
         return names(config_path)
@@ -119,12 +119,12 @@ class SearchPath(SearchPathPlugin):
     """Our files before Hydra's other sources."""
 
     def manipulate_search_path(self, search_path: ConfigSearchPath) -> None:
-        """Add them."""
+        """Put these files first on Hydra's search path."""
         search_path.prepend("sweep", f"{SCHEME}://")
 
 
 def register() -> None:
-    """Tell Hydra of both."""
+    """Tell Hydra of both sources."""
     for plugin in (Files, SearchPath):
         Plugins.instance().register(plugin)  # which puts Hydra's own source of files in the place of ours
     SourcesRegistry.instance().types[Unexecuted.scheme()] = Unexecuted

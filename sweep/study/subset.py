@@ -13,14 +13,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from sweep.study.sought import Draws, Search, Seen
+from sweep.study.sought import DIGITS, Draws, Search, Seen
 
 ACCEPTED = 0.44  # share of proposals that is aimed at
 WIDTH = 0.6  # of the first proposals, in standard deviations
 NARROWEST = 0.05
 PLATEAU = 2.0  # a level may have so many times the rows that it is to have, if they have one lead
 FEWEST = 10  # rows below it that chains are then begun from instead
-DIGITS = 6  # of the width, and of normals: draws are the same on machines whose last bits differ
 
 
 class Level(NamedTuple):
@@ -32,7 +31,7 @@ class Level(NamedTuple):
     lead: Float[np.ndarray, " n"]  # -inf where failed
 
     def rows(self, which: np.ndarray) -> "Level":
-        """Some of them."""
+        """The level with some of its rollouts."""
         return Level(*(part[which] for part in self))
 
     def where(self, which: np.ndarray, others: "Level") -> "Level":
@@ -62,7 +61,7 @@ class Levels:
 
     @property
     def chains(self) -> int:
-        """In a level."""
+        """How many chains a level has."""
         return round(self.num * self.share)
 
     @property
@@ -77,7 +76,7 @@ class Levels:
 
     @property
     def most(self) -> int:
-        """Rollouts of a run."""
+        """How many rollouts a run has at most."""
         return self.num + (self.levels - 1) * self.chains * self.steps
 
 
@@ -102,7 +101,7 @@ def search(d: int, plan: Levels, runs: int, seed: int) -> Search:
 
 
 def _together(parts: list[Draws]) -> Draws:
-    """Rounds as one."""
+    """Several rounds of draws as one."""
     columns = {name: np.concatenate([part.columns[name] for part in parts]) for name in parts[0].columns}
     shares, numbers = (np.concatenate([getattr(part, name) for part in parts]) for name in ("shares", "numbers"))
     return Draws(shares, numbers, columns)

@@ -13,7 +13,7 @@ USUAL = "hexapod"  # where a scenario names no `system`
 
 
 class Kind(NamedTuple):
-    """A kind of system."""
+    """A kind of system, as a scenario names it."""
 
     config: str  # what Hydra composes it from
     keys: tuple[str, ...]  # of its configuration, beside the common ones

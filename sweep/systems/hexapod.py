@@ -80,7 +80,7 @@ class Hexapod:
 
     @property
     def recorded(self) -> tuple[str, ...]:
-        """See `System`."""
+        """Columns of states in such a world, see `System`."""
         return tuple(offered(self.case))
 
     def files(self) -> dict[str, Path]:
@@ -88,12 +88,12 @@ class Hexapod:
         return {}
 
     def words(self, settings: EngineSettings) -> dict[str, str]:
-        """See `System`."""
+        """Manoeuvre, obstacle, engine and its step, see `System`."""
         about = {"manoeuvre": self.case.manoeuvre.kind, "obstacle": self.case.obstacle.kind, "engine": settings.name}
         return {**about, "step": f"{1000 * settings.step:g} ms", "precision": settings.precision}
 
     def parameter(self, column: str, settings: EngineSettings) -> Parameter:
-        """See `System`."""
+        """A field of the case or of the engine's settings, or a plan's number, see `System`."""
         side, path = side_and_path(column)
         if path.startswith("plan."):
             if side == "world":
@@ -106,7 +106,7 @@ class Hexapod:
         return found
 
     def nominal(self, column: str, settings: EngineSettings) -> Any:
-        """See `System`."""
+        """What case, settings or plan have, see `System`."""
         if side_and_path(column)[1].startswith("plan."):
             return self.parameter(column, settings).default
         return getattr(*self._owner(column, settings))
@@ -131,7 +131,7 @@ class Hexapod:
         return owner, last
 
     def inputs(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
-        """See `System`."""
+        """All fields of the case, and what the plan says, see `System`."""
         yield from flat(self.case, "")
         yield from _said(self.case, plan_table.told(self.case))
 
@@ -145,7 +145,7 @@ class Hexapod:
         yield from _said(self.case, plan_table.own(self.case))
 
     def check(self, table: "pd.DataFrame", settings: EngineSettings) -> None:
-        """See `System`."""
+        """Sizes of which a unit must be wrong, and steps that are too long, see `System`."""
         for column in table.columns:
             if not column.startswith("axis.") and table[column].dtype.kind == "f":
                 _check_size(column, self.parameter(column, settings), table[column].max())
@@ -173,7 +173,7 @@ class Hexapod:
         return LANES * devices.cores() if settings.fusible else 0
 
     def idle(self, column: str, settings: EngineSettings) -> str:
-        """See `System`."""
+        """Of errors that only the world has, see `System`."""
         side, path = side_and_path(column)
         if side == "world" and path.startswith(("manoeuvre.", "control.")):
             return "plans are made of what is believed"
@@ -182,7 +182,7 @@ class Hexapod:
         return "errors are those of the world" if side == "belief" and path.startswith("noise.") else ""
 
     def random(self, rows: "pd.DataFrame", settings: EngineSettings) -> np.ndarray:
-        """See `System`."""
+        """Rows with errors that are drawn, see `System`."""
         found = np.zeros(len(rows), dtype=bool)
         for path, none in RANDOM.items():
             column = next((c for c in (f"world.{path}", path) if c in rows), None)
@@ -190,13 +190,13 @@ class Hexapod:
         return found
 
     def sides(self, values: Values) -> tuple[Case, Case]:
-        """See `System`."""
+        """Two cases, see `System`."""
         sides = by_side(values).values()
         world, belief = (reduce(lambda case, one: assign(case, *one), own.items(), self.case) for own in sides)
         return world, belief
 
     def with_room(self, table: "pd.DataFrame") -> "Hexapod":
-        """See `System`."""
+        """With memory for the longest delay, see `System`."""
 
         def of(name: str) -> Any:
             columns = [c for c in table.columns if side_and_path(c)[1] == f"noise.{name}"]
@@ -207,7 +207,7 @@ class Hexapod:
         return Hexapod(assign(self.case, "noise.delay_buffer", room))
 
     def engine(self, settings: EngineSettings, world: Case, belief: Case, limits: Thresholds) -> Engine:
-        """See `System`."""
+        """One of the robot's two engines, see `System`."""
         from sweep import engines  # slow to import
 
         return engines.make(settings, world, belief, limits)
@@ -227,7 +227,7 @@ class Hexapod:
         return key.strip(), number
 
     def thresholds(self, limits: Thresholds) -> dict[str, float]:
-        """See `System`."""
+        """Limits of all causes that have one, see `System`."""
         return {cause.figure: outcome.limit_of(cause, limits) for cause in outcome.CAUSES if cause.threshold}
 
 

@@ -8,10 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from sweep.controllers.layers import Feedforward, between
-from sweep.core.constants import GRAVITY
+from sweep.core.constants import GRAVITY, LOADED
 from sweep.engines.base import Trace
 from sweep.engines.closed_loop import free_state
-from sweep.metrics.metric import LOADED
 from sweep.models.obstacles.surface import Obstacle, Surface, poses, under
 from sweep.models.robot import total_mass
 

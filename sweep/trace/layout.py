@@ -4,7 +4,8 @@ from itertools import cycle
 from typing import Any
 
 from sweep.engines.base import Trace
-from sweep.trace.sampling import KINDS, base_body, joint_names
+from sweep.models.legs import KINDS
+from sweep.trace.sampling import base_body, joint_names
 from sweep.trace.shapes import body_name
 
 _EFFORT = '/joint_states.joints[:]{{name=="{}"}}.effort'

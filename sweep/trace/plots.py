@@ -13,10 +13,10 @@ from sweep.core.letters import LETTERS, PAGE, folded, legend_below, lettering, s
 from sweep.core.parameters import InputError
 from sweep.engines.base import Trace
 from sweep.formulas import stepping
-from sweep.models.legs import N_LEGS
+from sweep.models.legs import KINDS, N_LEGS
 from sweep.trace.contact_forces import measured, planned
 from sweep.trace.layout import LEG_COLORS
-from sweep.trace.sampling import KINDS, base_pose, joint_angle, mass_centres
+from sweep.trace.sampling import base_pose, joint_angle, mass_centres
 
 PAIRS = ((6, 5), (4, 3), (2, 1))
 SYMBOLS = dict(zip(KINDS, ("α", "β", "γ"), strict=True))

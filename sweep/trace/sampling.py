@@ -6,7 +6,6 @@ import numpy as np
 from sweep.engines.base import Trace, single_joints
 
 BASE = "base"  # the robot's body
-KINDS = ("alpha", "beta", "gamma")  # the joints of a leg, from the body outwards
 
 
 def finite_frames(trace: Trace) -> int:

@@ -12,8 +12,9 @@ from sweep.core.constants import GRAVITY
 from sweep.engines.mjx import Mjx
 from sweep.engines.native import Native
 from sweep.formulas import stepping
-from sweep.metrics import drives, stream
+from sweep.metrics import stream
 from sweep.metrics.outcome import Thresholds, classify, margins_of
+from sweep.models.legs import KINDS
 from sweep.study.config import compose
 
 STEPS, WIDTH = 3, 12
@@ -210,7 +211,7 @@ def test_all_rollouts_of_a_batch_are_recorded_as_one_is(name, mjx, world, nomina
         cases, streams, slot = (nominal, nominal), np.zeros(2, int), 1
     one, every = engine.trace(*cases, streams, slot), engine.traces(*cases, streams, 25)
     peaks = one.joint_torque.reshape(-1, 6, 3).max(axis=(0, 1))  # back-EMF taken off, as in the row
-    np.testing.assert_allclose(peaks, [one.figures[f"torque_peak_{joint}_nm"] for joint in drives.JOINTS], rtol=1e-5)
+    np.testing.assert_allclose(peaks, [one.figures[f"torque_peak_{joint}_nm"] for joint in KINDS], rtol=1e-5)
     assert len(every) == len(streams)
     again = every[slot]
     assert again.time == pytest.approx(one.time[24::25])

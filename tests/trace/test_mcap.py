@@ -13,6 +13,7 @@ from moved import arm
 from scipy.spatial import ConvexHull
 
 from sweep.engines.base import Trace
+from sweep.models.legs import KINDS
 from sweep.trace import sampling
 from sweep.trace.arrows import FORCE_SCALE, arrow_tips
 from sweep.trace.hulls import hull_of
@@ -84,7 +85,7 @@ def test_joints_are_numbers_of_foxgloves_own_schema(written, trace):
     """Name, angle, rate and torque of each joint, in the order of the fields of `foxglove.JointState`."""
     message = _messages(written)["/joint_states"][100][1].data
     angle, rate, torque = sampling.joint_angle(trace)[100], sampling.joint_rate(trace)[100], trace.joint_torque[100]
-    for k, name in enumerate(f"{kind}{leg}" for leg in range(1, 7) for kind in sampling.KINDS):
+    for k, name in enumerate(f"{kind}{leg}" for leg in range(1, 7) for kind in KINDS):
         assert message.count(name.encode()) == 1
         rest = message[message.index(name.encode()) + len(name) :]
         found = {rest[at] >> 3: struct.unpack_from("<d", rest, at + 1)[0] for at in (0, 9, 18)}

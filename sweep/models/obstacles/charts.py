@@ -91,7 +91,7 @@ class Charted(Protocol):
 
     @property
     def charts(self) -> Mapping[str, Chart]:
-        """Its charts by name."""
+        """Charts for feet and bases by name."""
         ...
 
 

@@ -1,4 +1,4 @@
-"""Flat or tilted ground."""
+"""Ground that is flat, or tilted along x."""
 
 from typing import ClassVar
 
@@ -57,7 +57,7 @@ class Plane(Fixed):
         return (HalfSpace(name="ground", normal=(-sin, 0.0, cos)),)
 
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: Bodies) -> Surface:
-        """Depth below the plane."""
+        """The plane's depth and normal, the same everywhere."""
         normal = self.rotation()[:, 2].astype(points.dtype)
         n = points.shape[0]
         none = jnp.zeros(n, jnp.int32)

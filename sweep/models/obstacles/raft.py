@@ -71,12 +71,12 @@ class Raft(Usual):
 
     @property
     def half(self) -> Float[Array, " 3"]:
-        """a, b, d (m)."""
+        """Half of its length, width and thickness: a, b, d (m)."""
         return 0.5 * point(self.length, self.width, self.thickness)
 
     @property
     def mass(self) -> Array | float:
-        """M (kg)."""
+        """Mass M of the whole block (kg)."""
         return self.density * self.length * self.width * self.thickness
 
     @property

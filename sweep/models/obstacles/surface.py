@@ -38,7 +38,7 @@ def poses(free: FreeState) -> Bodies:
 
 
 def no_bodies() -> FreeState:
-    """Where nothing is free."""
+    """The state of no free bodies at all."""
     return FreeState(jnp.zeros((0, 3)), jnp.zeros((0, 4)), jnp.zeros((0, 3)), jnp.zeros((0, 3)))
 
 

@@ -37,7 +37,7 @@ class Fixed(Usual, ABC):
         """The solids that it consists of."""
 
     def add_to(self, spec: "mujoco.MjSpec", friction: float) -> None:
-        """Its solids, as geoms."""
+        """Put its solids in the spec, as geoms."""
         add_solids(spec, self.solids(own_axes(0)), friction)
 
     def leaves(self) -> dict[str, dict[str, Array]]:

@@ -55,7 +55,7 @@ TELLING = (
 
 @dataclass(frozen=True)
 class Plate:
-    """A figure on the page."""
+    """An exhibit as the page shows it."""
 
     key: str
     title: str
@@ -189,7 +189,7 @@ def table(rows: pd.DataFrame, exp: Experiment) -> Markup:
 
 
 def as_html(shown: pd.DataFrame, index: bool) -> Markup:
-    """A table of words."""
+    """A table of words as HTML."""
     return Markup(shown.to_html(index=index, border=0, escape=True, classes="rows"))
 
 
@@ -212,7 +212,7 @@ def png(figure: Figure, title: str) -> Markup:
 
 
 def address(picture: bytes) -> str:
-    """A PNG as a data URL."""
+    """A PNG picture as a data URL."""
     return f"data:image/png;base64,{base64.b64encode(picture).decode()}"
 
 

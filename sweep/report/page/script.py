@@ -25,7 +25,7 @@ def bundle() -> str:
 
 @cache
 def style_sheet() -> str:
-    """The style as it is."""
+    """The page's style, as it is in its file."""
     return (files(__package__) / "style.css").read_text(encoding="utf-8")
 
 

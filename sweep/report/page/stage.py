@@ -19,7 +19,7 @@ LATER = {"torque_scale": 0.0, "torque_limit": None, "margin_scale": 0.0, "limits
 
 
 class Shown(NamedTuple):
-    """A replay on the page."""
+    """A replay that the page plays."""
 
     place: int  # of its row among those of the results, -1 where it is not one of them
     row: pd.Series
@@ -28,7 +28,7 @@ class Shown(NamedTuple):
 
 
 class Replays(NamedTuple):
-    """All of them."""
+    """All replays that a page has."""
 
     about: list[dict[str, Any]]
     streams: list[str]

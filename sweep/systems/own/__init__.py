@@ -22,7 +22,7 @@ from sweep.engines import run_id
 from sweep.engines.settings import EngineSettings
 from sweep.systems.base import Kinds, Nominal, Parameter, Values, Way, by_side, side_and_path
 from sweep.systems.own import fields, figures, files, idle, outcome
-from sweep.systems.own.engine import Loop, Native
+from sweep.systems.own.engine import OwnEngine, OwnNative
 from sweep.systems.own.outcome import Condition
 from sweep.systems.own.subject import About, Settings, Side, Subject
 
@@ -62,17 +62,17 @@ class Own(Subject):
 
     @property
     def causes(self) -> dict[str, str]:
-        """See `System`."""
+        """Its scenario's conditions, and what makes a rollout doubtful, see `System`."""
         return {one.cause: one.sentence for one in self.conditions} | outcome.DOUBTS
 
     @property
     def figures(self) -> tuple[str, ...]:
-        """See `System`."""
+        """Those of any model, and its controller's own, see `System`."""
         return (*figures.names(self), *self.controller.measured)
 
     @property
     def recorded(self) -> tuple[str, ...]:
-        """See `System`."""
+        """Columns of its positions and velocities, see `System`."""
         return tuple(self.record(self.model.qpos0[None], np.zeros((1, self.model.nv))))
 
     def files(self) -> dict[str, Path]:
@@ -87,12 +87,12 @@ class Own(Subject):
         return found
 
     def words(self, settings: EngineSettings) -> dict[str, str]:
-        """See `System`."""
+        """Its files, engine and step, see `System`."""
         about = {"model": self.about.mjcf, "controller": self.about.controller, "engine": settings.name}
         return {**about, "step": f"{1000 * self.model.opt.timestep:g} ms"}
 
     def parameter(self, column: str, settings: EngineSettings) -> Parameter:
-        """See `System`."""
+        """A field of the model, or a number of controller, noise or engine, see `System`."""
         path = side_and_path(column)[1]
         known(root := path.partition(".")[0], (*self.groups, "engine"), f"axis {column} names nothing: {root}")
         if root == "model":
@@ -106,7 +106,7 @@ class Own(Subject):
         return dataclasses.field(default=self.usual(path), metadata=self.ranges[path].metadata)
 
     def nominal(self, column: str, settings: EngineSettings) -> Any:
-        """See `System`."""
+        """What the model or its settings have, see `System`."""
         root, _, name = column.partition(".")
         return getattr(settings, name) if root == "engine" else self.parameter(column, settings).default
 
@@ -144,25 +144,25 @@ class Own(Subject):
         return np.ones(len(rows), dtype=bool)
 
     def sides(self, values: Values) -> tuple[Side, Side]:
-        """See `System`."""
+        """Values by path, of either side, see `System`."""
         world, belief = (Side(tuple(own.items())) for own in by_side(values).values())
         return world, belief
 
     def with_room(self, table: "pd.DataFrame") -> "Own":
-        """See `System`."""
+        """With memory for the longest delay, see `System`."""
         varied = [table[c].max() for c in table.columns if side_and_path(c)[1] == "noise.delay"]
         return replace(self, room=math.ceil(max([self.usual("noise.delay"), *varied])))
 
-    def engine(self, settings: EngineSettings, world: Side, belief: Side, limits: Any) -> Loop:
-        """See `System`."""
+    def engine(self, settings: EngineSettings, world: Side, belief: Side, limits: Any) -> OwnEngine:
+        """C MuJoCo's, or MJX's by either name, see `System`."""
         model = world.of("model")
         shared = {path: value for path, value in model.items() if path not in fields.by_rollout(self.model, model)}
         own = replace(self, about=replace(self.about, option=(*self.about.option, *shared.items())))
         if settings.name == "native":
-            return Native(own, settings)
-        from sweep.systems.own.mjx import Mjx  # slow to import
+            return OwnNative(own, settings)
+        from sweep.systems.own.mjx import OwnMjx  # slow to import
 
-        return Mjx(own, settings)
+        return OwnMjx(own, settings)
 
     def run_id(self, settings: EngineSettings) -> str:
         """See `System`: on native nothing of width or threads changes bits."""
@@ -176,11 +176,11 @@ class Own(Subject):
         return key, condition
 
     def thresholds(self, limits: tuple[Condition, ...]) -> dict[str, float]:
-        """See `System`."""
+        """Limits of conditions that have one, see `System`."""
         return {one.limit[0]: one.limit[1] for one in limits if one.limit}
 
     def why(self, row: Mapping[str, Any], limits: tuple[Condition, ...]) -> str:
-        """See `System`."""
+        """The condition that ended it, with its figure, see `System`."""
         for one in limits:
             if one.cause == row["cause"] and one.limit:
                 return f"{one.sentence} ({one.limit[0]} {float(row[one.limit[0]]):.4g})"

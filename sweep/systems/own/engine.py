@@ -18,7 +18,7 @@ from sweep.engines import devices
 from sweep.engines.base import Figures, Trace, Watch, single_joints, substeps
 from sweep.engines.settings import EngineSettings
 from sweep.systems.own import batch, figures
-from sweep.systems.own.policy import Programs, Rollouts
+from sweep.systems.own.policy import ControllerPrograms, Rollouts
 from sweep.systems.own.subject import Side, Subject
 
 FULL = [int(mujoco.mjtWarning.mjWARN_CONTACTFULL), int(mujoco.mjtWarning.mjWARN_CNSTRFULL)]  # others are worse
@@ -38,7 +38,7 @@ class Frame(NamedTuple):
 Found = tuple[Figures, list[Frame], list[mujoco.MjModel]]  # of a batch; of some slots of it
 
 
-class Loop:
+class OwnEngine:
     """An `Engine`, but for `dynamics` and for the way from one tick to the next. Raises `InputError`."""
 
     stages: tuple[str, ...] = ("run",)  # there are no others
@@ -59,7 +59,7 @@ class Loop:
         self._meter = figures.Meter(own)
         belief = {name: np.dtype(settings.precision).type(value) for name, value in own.told({}).items()}
         with self._within():
-            self._programs = Programs(own, belief)
+            self._programs = ControllerPrograms(own, belief)
 
     @contextmanager
     def _within(self) -> Iterator[None]:
@@ -82,23 +82,23 @@ class Loop:
         return ()
 
     def rollout_bytes(self) -> None:
-        """See `Engine`."""
+        """None that is known, see `Engine`."""
 
     def run(self, world: Side, belief: Side, streams: np.ndarray) -> Figures:
-        """See `Engine`."""
+        """Figures of a batch, see `Engine`."""
         return self._simulate(world, belief, streams)[0]
 
     def histories(
         self, world: Side, belief: Side, streams: np.ndarray, slots: np.ndarray, watch: Watch
     ) -> tuple[Figures, np.ndarray]:
-        """See `Engine`."""
+        """Figures, and columns over time, see `Engine`."""
         found, frames, _ = self._simulate(world, belief, streams, slots, watch.every)
         columns = [self._own.record(frame.qpos, frame.qvel) for frame in frames]
         samples = [np.stack([one[name] for name in watch.columns], axis=-1) for one in columns]
         return found, np.stack(samples) if samples else np.zeros((0, len(slots), len(watch.columns)))
 
     def trace(self, world: Side, belief: Side, streams: np.ndarray, slot: int) -> Trace:
-        """See `Engine`."""
+        """One rollout recorded, see `Engine`."""
         return self.traces(world, belief, streams, 1, [slot])[0]
 
     def traces(self, world: Side, belief: Side, streams: np.ndarray, every: int, slots: Any = None) -> list[Trace]:
@@ -131,14 +131,14 @@ def levers(model: mujoco.MjModel) -> np.ndarray:
     return driven * model.actuator_gear[:, :1]
 
 
-class Native(Loop):
-    """See `Engine`."""
+class OwnNative(OwnEngine):
+    """The engine on C MuJoCo, whose bits are the same on all cores."""
 
     dynamics = "C MuJoCo"
 
     @contextmanager
     def _within(self) -> Iterator[None]:
-        """See `Loop`; and on the CPU, of which rows say that they are, beside a GPU too."""
+        """See `OwnEngine`; and on the CPU, of which rows say that they are, beside a GPU too."""
         with super()._within(), devices.on_cpu():
             yield
 

@@ -5,13 +5,12 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from sweep.core.constants import GRAVITY
+from sweep.core.constants import GRAVITY, LOADED
 from sweep.engines.base import Figures
 from sweep.systems.own.subject import Subject, angle, level, namespace
 
 STEPS = ("qpos", "qvel", "actuator_force", "actuator_velocity", "sensordata", "site_xpos")  # what a step tells
 BALANCE = ("qacc", "qfrc_smooth", "qfrc_constraint")  # of which `unbalanced` is made, beside M
-LOADED = 1.0  # N, from which a foot carries load
 LIMITED = 0.999  # share of a limit, from which an actuator is at it
 Tree = dict[str, Any]
 BALANCED = 0.01  # share of the forces, up to which those of a step are in balance

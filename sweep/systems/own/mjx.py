@@ -23,7 +23,7 @@ from sweep.core.errors import InputError
 from sweep.engines import devices
 from sweep.engines.settings import EngineSettings
 from sweep.systems.own import batch, fields, figures
-from sweep.systems.own.engine import Found, Frame, Loop
+from sweep.systems.own.engine import Found, Frame, OwnEngine
 from sweep.systems.own.subject import Side, Subject
 
 with redirect_stdout(io.StringIO()):  # it prints which of its parts are not installed
@@ -58,7 +58,7 @@ INSTEAD = {  # by a part of what MJX says
 }
 
 
-class Mjx(Loop):
+class OwnMjx(OwnEngine):
     """See `Engine`. Raises `InputError` where MJX cannot simulate the model, or would leave a part of it out."""
 
     dynamics = "mjx"
@@ -125,7 +125,7 @@ class Mjx(Loop):
         return InputError(f"engine.name = {self._settings.name} is not allowed: {why} ({instead}or engine=native)")
 
     def vary(self, paths: Iterable[str]) -> Iterable[str]:
-        """See `Loop`."""
+        """Refuse what MJX does not vary; cautions beside it, see `OwnEngine`."""
         written = [(path, place.field) for path in paths for place in fields.resolved(self._model, path)[1]]
         template = self._template(shaped(self._model, {name: 1.0 for _, name in written if name in SHAPING}))
         for path, name in written:

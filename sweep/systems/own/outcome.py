@@ -27,7 +27,7 @@ class Condition(NamedTuple):
 
     @property
     def sentence(self) -> str:
-        """What it means."""
+        """What the condition means, in words."""
         return f"not {self.text}" if self.cause == MISSED else self.text
 
     def holds(self, figures: Mapping[str, np.ndarray]) -> np.ndarray:

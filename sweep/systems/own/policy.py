@@ -26,7 +26,7 @@ def _drawn(key: Array, like: Array) -> Array:
     return jax.random.normal(key, like.shape, jnp.float32).astype(like.dtype)
 
 
-class Programs:
+class ControllerPrograms:
     """The controller of an own model for any number of rollouts. Raises `InputError` where it is none.
 
     `begin(belief, key) -> (start, state, duration)`: positions (nq,) and seconds, or None for the model's own.
@@ -102,7 +102,7 @@ class Programs:
             raise self._wrong("gives controls that are not finite at the nominal start")
 
     def _wrong(self, what: str) -> InputError:
-        """One line."""
+        """One line that says what a controller does wrong."""
         return InputError(f"model.controller = {self._own.about.controller} {what}")
 
     def _tried(self, function: Callable[..., Any], *given: Any) -> Any:
@@ -168,7 +168,7 @@ def _until(going: Array, new: Any, old: Any) -> Any:
 class Rollouts:
     """The controllers of n rollouts, in whole tiles of which the last repeats the last rollout; `given` by row."""
 
-    def __init__(self, programs: Programs, given: Mapping[str, Any], n: int):
+    def __init__(self, programs: ControllerPrograms, given: Mapping[str, Any], n: int):
         self._programs, self._n = programs, n
         self._rows = np.minimum(np.arange(-(-self._n // TILE) * TILE), self._n - 1).reshape(-1, TILE)
         self._given = [jax.device_put(jax.tree.map(lambda x, r=r: np.asarray(x)[r], given)) for r in self._rows]

@@ -76,7 +76,7 @@ class Subject:
 
     @cached_property
     def controller(self) -> files.Policy:
-        """What its module says."""
+        """What the controller's module says."""
         return files.controller(self.about.controller)
 
     @cached_property

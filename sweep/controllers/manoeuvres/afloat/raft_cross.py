@@ -26,7 +26,7 @@ from sweep.core.rotations import IDENTITY, rotate
 from sweep.formulas.crossing import Crossing, crossing
 from sweep.models.case import Case
 from sweep.models.frames import WORLD, fixed
-from sweep.models.legs import LEGS, SIDED
+from sweep.models.legs import LEGS, NAMES
 from sweep.models.obstacles.charts import Chart, Number, point
 from sweep.models.obstacles.raft import Raft
 from sweep.models.obstacles.surface import FreeState
@@ -39,7 +39,6 @@ FIRST = -0.75  # a_r, of the base, before it boards
 # Laws: pushing off; coasting, until the raft is at the other bank; finding the place where it has come to; pulling it
 # in; and going on as planned from that place.
 PUSH, WAIT, REACH, PULL, ASHORE = "push", "wait", "reach", "pull", "ashore"
-NAMES = {leg: name for name, (leg,) in SIDED.items()}
 
 
 @parameters

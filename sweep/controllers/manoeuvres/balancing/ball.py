@@ -286,7 +286,7 @@ class BallDrive(OnBall):
         return jnp.where(self.speed * duration > self.place, 0.0, self.speed)
 
     def aside(self, way: Float[Array, " 3"]) -> Array:
-        """See `Driving`."""
+        """How far the ball is beside its way (m), see `Driving`."""
         return jnp.abs(self.track(way).off)
 
     def plan(self, belief: Case) -> Plan:

@@ -26,7 +26,7 @@ from sweep.models.obstacles.ball import Ball
 from sweep.models.obstacles.charts import Number
 
 
-class Push(NamedTuple):
+class BallPush(NamedTuple):
     """Of a plan's part `push`: what follows masses, as the least speed (3.1.15) does."""
 
     speed: Number  # of the ball, in units of the manoeuvre's
@@ -78,7 +78,7 @@ class BallClimb(BesideBall):
     def terms(self, belief: Case, deepening: Array | float, press: tuple[Array | float, Array | float]) -> Terms:
         """What the words of the moves to the ball and on it mean."""
         radius = belief.on(Ball).radius
-        speed = self.push_speed * numbers_of(Push, belief, "push").speed
+        speed = self.push_speed * numbers_of(BallPush, belief, "push").speed
         rolls = Support(TO_VELOCITY, jnp.zeros(3).at[0].set(speed), jnp.zeros(3).at[1].set(speed / radius))
         supports = {"free": (Support(),), "rests": (RESTS,), "rolls": (rolls,)}
         return terms(belief, radius, deepening, press, supports, (RIDE,))

@@ -30,7 +30,7 @@ from sweep.models.obstacles.charts import Number
 from sweep.models.robot import total_mass
 
 
-class Circle(NamedTuple):
+class PerchCircle(NamedTuple):
     """Of a plan's part `perch`: what follows the ball's radius, since the legs' reach does not."""
 
     circle: Number  # radius of the circle of footholds on top, in units of the manoeuvre's
@@ -95,7 +95,7 @@ class BallDescend(BesideBall):
 
     def perched(self, belief: Case) -> Perch:
         """Where the robot stands on top, on the plan's circle."""
-        circle = self.circle_ratio * numbers_of(Circle, belief, "perch").circle
+        circle = self.circle_ratio * numbers_of(PerchCircle, belief, "perch").circle
         return perch(belief, replace(self, circle_ratio=circle))
 
     def plan(self, belief: Case) -> Plan:

@@ -30,7 +30,7 @@ ROUNDS = 4  # the mass centre follows with 0.8 or more of a base's way, and a li
 
 
 class Asked(NamedTuple):
-    """What the checks ask."""
+    """Limits that the checks keep to."""
 
     spare: Array | float  # m, of the mass centre between the feet that stand
     straight: Array | float  # share of thigh and shin: the book's modified length of a leg

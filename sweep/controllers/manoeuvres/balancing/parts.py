@@ -85,7 +85,7 @@ class OfBall(NamedTuple):
     ball: int
 
     def memory(self, belief: Case, plan: Plan) -> Any:
-        """The memory of the law."""
+        """The law's memory, as if there were no other ball."""
         return self.law.memory(belief, plan)
 
     def guide(self, belief: Case, now: Now, state: TrackerState) -> Guidance:

@@ -14,7 +14,7 @@ from jaxtyping import Array
 from sweep.controllers.assembly import assemble
 from sweep.controllers.forces import PlannedForces
 from sweep.controllers.frames import Stance
-from sweep.controllers.gaits import GALLOP, Step
+from sweep.controllers.gaits import FRONT, MIDDLE, REAR, Step
 from sweep.controllers.manoeuvres.climbing.pole import OUTWARD, UP, pair
 from sweep.controllers.manoeuvres.climbing.walking import TOWARDS
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
@@ -28,7 +28,6 @@ from sweep.models.legs import LEGS
 from sweep.models.obstacles.charts import point
 from sweep.models.obstacles.corner import Corner
 
-FRONT, MIDDLE, REAR = GALLOP
 # e of stages 2.4.3 and 2.4.5
 RISING = OUTWARD + UP
 SLANTED = (OUTWARD + 0.9 * UP).tolist()

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from sweep.controllers.assembly import assemble
 from sweep.controllers.forces import PlannedForces
 from sweep.controllers.frames import Stance
-from sweep.controllers.gaits import GALLOP, Step
+from sweep.controllers.gaits import FRONT, GALLOP, MIDDLE, REAR, Step
 from sweep.controllers.manoeuvres.climbing.walking import walk_up
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
 from sweep.controllers.moves import numbers_of
@@ -28,7 +28,6 @@ from sweep.models.case import Case
 from sweep.models.obstacles.charts import point
 from sweep.models.obstacles.pole_ledge import PoleLedge
 
-FRONT, MIDDLE, REAR = GALLOP
 OUTWARD = SIDE[:, None] * np.array([1, 0, 0])  # (6, 3), e_n of (2.3.2)
 UP = np.array([0, 0, 1])
 
@@ -174,7 +173,7 @@ class PoleClimb(OnPole):
     kind: str = choice("pole_climb", "pole_climb")
 
     def plan(self, belief: Case) -> Plan:
-        """The climb, and a halt."""
+        """The climb to the end of the gallop, and a halt."""
         site = self.site(belief)
         start, stages = self.climb(site, belief, site.step.landing)
         return self.assembled(belief, start, stages)

@@ -50,7 +50,7 @@ class PoleToLedge(PoleTop):
 
     @property
     def own_plan(self) -> str:
-        """See `OnPole`."""
+        """The file for a ledge above, below or level with the top."""
         return f"pole_ledge_{self.across}"
 
     def way(self, belief: Case) -> tuple[Stance, list[Stage]]:
