@@ -11,7 +11,6 @@ import pytest
 from sweep.cli.main import main
 from sweep.core import project
 from sweep.core.errors import InputError
-from sweep.models.obstacles.charts import charts
 from sweep.models.plan_table import GROUP, differences, numbers, shipped, tabled, told
 from sweep.study.config import compose
 from sweep.study.study import points
@@ -48,7 +47,7 @@ def test_a_number_that_varies_moves_its_foothold_and_is_traced():
 
 def test_a_plan_of_a_project_changes_what_it_says_and_keeps_the_rest(lab):
     own, mine = (compose([*ROOF, *more]).case for more in ([], ["plan=mine"]))
-    was, now = (numbers(tabled(case), charts(case.obstacle)) for case in (own, mine))
+    was, now = (numbers(tabled(case), case.obstacle.charts) for case in (own, mine))
     changed = {path for path in was if was[path] != now[path]}
     assert changed == {f"roof.pitch.base.{name}" for name in ("ahead", "above", "pitch")}
     assert now["roof.pitch.base.pitch"] == 45
@@ -80,7 +79,7 @@ def test_feet_on_top_of_a_smaller_ball_stand_on_a_circle_that_is_larger_for_it()
 def test_a_plan_may_extend_one_that_extends_several(lab):
     lab.write_text("extends: ball_over\nstand: {rise: {seconds: 0.7}}\n")
     case = compose(["scenario=ball_over", "plan=mine"]).case
-    mine, own = (numbers(content, charts(case.obstacle)) for content in (told(case), shipped("ball_over")))
+    mine, own = (numbers(content, case.obstacle.charts) for content in (told(case), shipped("ball_over")))
     assert {path for path in own if own[path] != mine[path]} == {"stand.rise.seconds"}
     lab.write_text("extends: [ball_climb, mine]\n")
     with pytest.raises(InputError, match="cannot start from itself"):
@@ -193,7 +192,7 @@ def test_numbers_are_described_by_the_paths_they_are_varied_by(scenario, capsys)
     case = compose([f"scenario={scenario}"]).case
     assert main(["describe", f"plan.{case.manoeuvre.own_plan}"]) == 0
     said = {word.removeprefix("plan.") for word in capsys.readouterr().out.split() if word.startswith("plan.")}
-    known = numbers(told(case), charts(case.obstacle))
+    known = numbers(told(case), case.obstacle.charts)
     assert said == set(known)
     assert not [path for path in known if path[-1].isdigit() and not path.startswith("entry.")]
 

@@ -9,7 +9,6 @@ import pytest
 
 from sweep.cli.main import main
 from sweep.core.errors import InputError
-from sweep.models.obstacles.charts import charts
 from sweep.models.plan_table import numbers, tabled
 from sweep.runs import tuning
 from sweep.runs.tuning import fit, follow, free_numbers, search
@@ -130,7 +129,7 @@ def test_a_plan_that_touches_is_tuned_until_it_does_not(tmp_path, monkeypatch, c
         f"# 2 numbers searched for by CMA-ES: score {before:.4g} before, {after:.4g} after\n# sweep tune"
     )
     was, now = (compose(["scenario=pole_top", f"plan={file}"]).case for file in ("low.yaml", "plans/mine.yaml"))
-    was, now = (numbers(tabled(case), charts(case.obstacle)) for case in (was, now))
+    was, now = (numbers(tabled(case), case.obstacle.charts) for case in (was, now))
     assert {path for path in was if was[path] != now[path]} == {"over.front.base.ahead", "over.front.base.above"}
     assert len((tmp_path / "plans" / "mine.yaml.log").read_text().splitlines()) == 1 + 3
     (tmp_path / "low.yaml").write_text("extends: pole_top\nover:\n  front: {base: [-0.018, 0.34, 22]}\n")
@@ -159,7 +158,7 @@ def test_gradients_of_what_forces_lack_are_those_of_small_changes():
     exp, stages = compose(["scenario=pole_top"]), ["over.front"]
     draws = stacked(*tuning.draws(exp, 1))
     score = Score(exp.case, ["over.front.base.above"], [Aim("hold", "*", 0.5)], stages, [("*", 2)], True, 1)
-    above = numbers(tabled(exp.case), charts(exp.case.obstacle))["over.front.base.above"]
+    above = numbers(tabled(exp.case), exp.case.obstacle.charts)["over.front.base.above"]
     (less, _), (_, slope), (more, _) = (score.descent(np.array([above + by]), draws) for by in (-0.002, 0.0, 0.002))
     np.testing.assert_allclose(slope[:, 0], (more - less) / 0.004, rtol=0.05)
 
@@ -205,7 +204,7 @@ def test_only_what_touches_nothing_in_common_is_of_one_group():
 @pytest.mark.slow
 def test_slopes_of_numbers_that_move_together_are_those_of_each():
     exp, free = compose(["scenario=pole_top"]), ["over.front.base.ahead", "top.rear.base.ahead", "top.rear.base.above"]
-    draws, told = stacked(*tuning.draws(exp, 1)), numbers(tabled(exp.case), charts(exp.case.obstacle))
+    draws, told = stacked(*tuning.draws(exp, 1)), numbers(tabled(exp.case), exp.case.obstacle.charts)
     first, steps = np.array([[told[path] for path in free]]), np.array([0.01, 0.02, 0.03])
     score = Score(exp.case, free, [], ["over.front", "top.rear"], [("*", 3)], False, 1)
     lack, slopes = score.slopes(first, draws, steps)

@@ -24,7 +24,6 @@ from sweep.core.provenance import search_version
 from sweep.engines import devices
 from sweep.models import plan_table
 from sweep.models.case import Case
-from sweep.models.obstacles.charts import charts
 from sweep.models.plan_table import SLOPES, Content
 from sweep.runs import store, tuning
 from sweep.study.config import Experiment, compose
@@ -63,7 +62,7 @@ def main(args: list[str]) -> int:
         raise InputError(f"manoeuvre.kind = {case.manoeuvre.kind} has its numbers in no file")
     if not given.check and where.suffix != ".yaml":
         raise InputError(f"out = {exp.out or ''} is not allowed: the file of the plan, such as plans/mine.yaml")
-    numbers, own = plan_table.numbers(plan_table.told(case), charts(case.obstacle)), manoeuvre_numbers(case)
+    numbers, own = plan_table.numbers(plan_table.told(case), case.obstacle.charts), manoeuvre_numbers(case)
     patterns = given.free or ["*"]
     beside = [text for text in patterns if text.startswith(f"{MANOEUVRE}.")]
     steps = tuning.free_numbers(numbers, [text for text in patterns if text not in beside])

@@ -19,7 +19,7 @@ from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
 from sweep.models.frames import WORLD
 from sweep.models.legs import GROUPS, LEGS, NAMES
-from sweep.models.obstacles.charts import Chart, Number, charts
+from sweep.models.obstacles.charts import Chart, Number
 from sweep.models.obstacles.surface import free_start
 from sweep.models.plan_table import COMPONENTS, tabled
 
@@ -126,7 +126,7 @@ class Terms:
         if len(place) != 1:
             raise InputError(f"{where} = {dict(place)} is not allowed: coordinates in one chart")
         name, numbers = next(iter(place.items()))
-        offered = {**charts(self.belief.obstacle), **self.own}
+        offered = {**self.belief.obstacle.charts, **self.own}
         if name not in offered:
             kind = self.belief.obstacle.kind
             raise InputError(f"{where}: chart {name} is unknown on {kind}{suggest(name, offered)}")
@@ -266,7 +266,7 @@ def backwards(moves: Mapping[str, Move]) -> dict[str, Move]:
 
 def _pitched(belief: Case, moves: Mapping[str, Move]) -> dict[str, Move]:
     """Moves that say the pitch which the base keeps where it says none: its charts do not tell it."""
-    offered, kept, found = charts(belief.obstacle), 0.0, {}
+    offered, kept, found = belief.obstacle.charts, 0.0, {}
     for name, move in moves.items():
         for place, numbers in move.base.items():
             chart = offered.get(place)
@@ -295,7 +295,7 @@ def placing(belief: Case, part: str) -> tuple[str, Move]:
 
 def mirrored(belief: Case, move: Move, swapped: Sequence[str]) -> Move:
     """A move in a mirror across the robot's way: what is ahead is behind, front legs are rear ones."""
-    offered, other = charts(belief.obstacle), dict(zip(swapped, reversed(swapped), strict=True))
+    offered, other = belief.obstacle.charts, dict(zip(swapped, reversed(swapped), strict=True))
 
     def place(given: Place | None) -> Place | None:
         return given and {other.get(chart, chart): [-number if name == "ahead" else number

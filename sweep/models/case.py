@@ -29,7 +29,7 @@ class Manoeuvre(Protocol):
 
     @property
     def needs(self) -> tuple[type, ...]:
-        """The obstacles that it is for, any one of them; `Charted`: all that offer charts."""
+        """The obstacles that it is for, any one of them; `Obstacle`: all that offer charts."""
         ...
 
     @property

@@ -21,7 +21,7 @@ from sweep.core import project
 from sweep.core.errors import InputError, known, suggest
 from sweep.core.parameters import quantity
 from sweep.models.legs import GROUPS
-from sweep.models.obstacles.charts import Chart, charts
+from sweep.models.obstacles.charts import Chart
 
 GROUP = "plan"
 SLOPES, AT = "slopes", "at"  # the part that says how numbers follow sizes; its line with the sizes where they hold
@@ -97,7 +97,7 @@ def tabled(case: Any) -> Content:
     off = [jnp.asarray(size(case, path) / at - 1.0, float) for path, at in sizes.items()]
     if not lines:
         return told(case)
-    found = numbers(content, charts(case.obstacle))
+    found = numbers(content, case.obstacle.charts)
     for path, line in lines.items():
         if path not in found:
             raise InputError(f"plan.{SLOPES}.{path} is unknown{suggest(path, found).partition(' (allowed')[0]}")
@@ -124,7 +124,7 @@ def _changed(case: Any, added: Mapping[str, Array]) -> Content:
         value = changes.get(path, value)
         return value + added[path] if path in added else value
 
-    return mapped(_written(case), charts(case.obstacle), now)
+    return mapped(_written(case), case.obstacle.charts, now)
 
 
 def size(case: Any, path: str) -> Any:
@@ -186,7 +186,7 @@ def _below(
 
 def member(case: Any, path: str) -> "dataclasses.Field[Any]":
     """The number at `path` (without `plan.`) as a parameter. Raises `InputError`."""
-    found = numbers(told(case), charts(case.obstacle))
+    found = numbers(told(case), case.obstacle.charts)
     if path not in found:
         if not found:
             raise InputError(

@@ -27,7 +27,7 @@ from sweep.models.case import Case, Manoeuvre
 from sweep.models.control import Control
 from sweep.models.noise import Noise
 from sweep.models.obstacles import OBSTACLES
-from sweep.models.obstacles.charts import Charted, charts
+from sweep.models.obstacles.surface import Obstacle
 from sweep.models.plan_table import DIRECTIONS, FORTH, WAY, Content, PlanTable, Tabled, TwoWay
 from sweep.systems.base import Kinds, Nominal, Parameter, Values, Way, by_side, side_and_path
 
@@ -252,7 +252,7 @@ def nominal(values: Mapping[str, Any], kinds: Kinds) -> Nominal:
 
 def plan_numbers(file: str, read: Callable[[str], str]) -> dict[str, float]:
     """The numbers of a plan's file by path, whatever obstacle it is for; `read` gives the text of a file's name."""
-    places = {key: chart for cls in OBSTACLES.values() for key, chart in getattr(cls, "charts", {}).items()}
+    places = {key: chart for cls in OBSTACLES.values() for key, chart in cls.charts.items()}
     return plan_table.numbers(plan_table.merged(file, read), places)
 
 
@@ -282,14 +282,14 @@ def _table(given: Any, manoeuvre: Any) -> PlanTable:
     return PlanTable(json.dumps(given))
 
 
-def _suits(obstacle: type, manoeuvre: Manoeuvre) -> bool:
+def _suits(obstacle: type[Obstacle], manoeuvre: Manoeuvre) -> bool:
     """Whether obstacles of a class are what a manoeuvre needs: the nearest class that any one asks for, or charts.
 
     A ball between ledges is no ball on a floor.
     """
     asked = {cls for kind in MANOEUVRES.values() for cls in kind.needs}
     nearest = next((cls for cls in obstacle.__mro__ if cls in asked), None)
-    return nearest in manoeuvre.needs or (Charted in manoeuvre.needs and hasattr(obstacle, "charts"))
+    return nearest in manoeuvre.needs or (Obstacle in manoeuvre.needs and bool(obstacle.charts))
 
 
 def _check_size(column: str, member: Parameter, value: Any) -> None:
@@ -305,7 +305,7 @@ def _check_size(column: str, member: Parameter, value: Any) -> None:
 
 def _said(case: Case, plan: Content) -> Iterator[tuple[str, Any]]:
     """A plan's numbers by path, and all its words as one."""
-    places = charts(case.obstacle)
+    places = case.obstacle.charts
     yield from ((f"plan.{path}", value) for path, value in plan_table.numbers(plan, places).items())
     yield "plan", json.dumps(plan_table.mapped(plan, places, lambda path, value: 0))
 

@@ -19,8 +19,7 @@ from sweep.core.parameters import choice, parameters, quantity
 from sweep.core.rotations import about_vertical, exponential, multiply
 from sweep.formulas import stepping
 from sweep.models.case import Case
-from sweep.models.obstacles.charts import Charted, charts
-from sweep.models.obstacles.surface import free_start
+from sweep.models.obstacles.surface import Obstacle, free_start
 from sweep.models.plan_table import BESIDE, tabled
 
 START = "start"  # part that places the robot
@@ -46,7 +45,7 @@ class Follow(PlannedForces):
     # what presses feet on: footholds inside, or forces planned for every stance
     forces: str = choice("deepening", "deepening", "planned")
 
-    needs = (Charted,)
+    needs = (Obstacle,)
     two_way: ClassVar = True
     own_plan = ""
 
@@ -84,7 +83,7 @@ class Follow(PlannedForces):
         bodies = len(obstacle.free_bodies)
         return Terms(
             belief, unit, stepping.swing_time(self.rate), self.lift_ratio * unit,
-            dict.fromkeys(charts(obstacle), self.deepening),
+            dict.fromkeys(obstacle.charts, self.deepening),
             supports={name: (support,) * bodies for name, support in supports.items()},
             stage={"onset": GRIP, "press": (self.press, self.squeeze)} if bodies else {},
         )  # fmt: skip

@@ -1,6 +1,5 @@
 """A homogeneous ball that lies on the floor and is free to roll (monograph 3.1)."""
 
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, ClassVar
 
 import jax.numpy as jnp
@@ -74,7 +73,7 @@ class Ball(Usual):
     course: float = quantity(0.0, "rad")  # direction of that speed, from the world's x axis
 
     # of feet, then of bases, from the ball's centre
-    charts: ClassVar[Mapping[str, Chart]] = {
+    charts: ClassVar = {
         "ball": Chart(("aside", "elevation"), at_elevation, koenig(0), fixed(0)),
         "cap": Chart(("aside", "ahead"), on_cap, koenig(0), fixed(0)),
         "ground": Chart(("aside", "ahead"), on_ground, koenig(0), WORLD),

@@ -1,7 +1,7 @@
 """Charts: coordinates in which plans say where feet and base are to be, offered by obstacles (and by manoeuvres)."""
 
-from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -83,18 +83,3 @@ def facing(forward: Forward, aside: Number, ahead: Number, up: Number) -> Float[
 def point(x: Number, y: Number, z: Number) -> Float[Array, " 3"]:
     """A vector of numbers that may be traced."""
     return jnp.stack([jnp.asarray(value, float) for value in (x, y, z)])
-
-
-@runtime_checkable
-class Charted(Protocol):
-    """An obstacle that offers charts has this member besides."""
-
-    @property
-    def charts(self) -> Mapping[str, Chart]:
-        """Charts for feet and bases by name."""
-        ...
-
-
-def charts(obstacle: Any) -> Mapping[str, Chart]:
-    """Those that it offers, if any."""
-    return obstacle.charts if isinstance(obstacle, Charted) else {}

@@ -1,6 +1,6 @@
 """What a point feels of an obstacle; the interface that contact, planning, metrics and pictures share."""
 
-from typing import TYPE_CHECKING, NamedTuple, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, ClassVar, NamedTuple, Protocol, runtime_checkable
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,6 +11,8 @@ from sweep.models.solids import Solid
 
 if TYPE_CHECKING:
     import mujoco
+
+    from sweep.models.obstacles.charts import Chart
 
 STIFFNESS = 1e6  # N/m, of the contact that an obstacle's `impact_damping` is a share of the critical damping of
 FOOT_RADIUS = 1e-3  # m, of the native engine's spheres: a larger one rolls under the drives and drifts
@@ -69,6 +71,8 @@ class Surface(NamedTuple):
 
 class Obstacle(Protocol):
     """An obstacle is a parameter dataclass with these members."""
+
+    charts: ClassVar[dict[str, "Chart"]]  # in which plans of files tell places of feet and bases, by name, if any
 
     @property
     def kind(self) -> str:

@@ -1,10 +1,11 @@
 """What obstacles say where they say nothing else, and those that never move."""
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from jaxtyping import Array, Float
 
+from sweep.models.obstacles.charts import Chart
 from sweep.models.obstacles.geoms import add_solids
 from sweep.models.obstacles.surface import Bodies, FreeState, own_axes
 from sweep.models.solids import Solid
@@ -14,8 +15,9 @@ if TYPE_CHECKING:
 
 
 class Usual:
-    """Nothing is learned of it by touch, and nothing loads its bodies."""
+    """It offers no charts, nothing is learned of it by touch, and nothing loads its bodies."""
 
+    charts: ClassVar[dict[str, Chart]] = {}
     forward: tuple[float, float] = (0.0, -1.0)
     heights: tuple[str, ...] = ()
     lying: tuple[str, ...] = ()

@@ -43,7 +43,6 @@ from sweep.models.case import Case
 from sweep.models.frames import fixed, koenig
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.ball import Ball
-from sweep.models.obstacles.charts import charts
 from sweep.models.robot import Robot, total_mass
 
 CENTRING = 4  # Newton's iterations that put the mass centre over the ball's
@@ -85,7 +84,7 @@ def terms(
     laws: tuple[str, ...] = (),
 ) -> Terms:
     """Of moves on balls and beside them, lengths in `unit` (m), how feet stand in m: see `Terms` and `Stage.press`."""
-    depths = dict.fromkeys(charts(belief.obstacle), deepening)
+    depths = dict.fromkeys(belief.obstacle.charts, deepening)
     return Terms(belief, unit, 1.0, unit, depths, supports=supports,
                  laws=laws, stage={"onset": GRIP, "press": press})  # fmt: skip
 

@@ -27,7 +27,7 @@ from sweep.formulas.ladder import ladder as statics
 from sweep.fused.numbers import worked_out
 from sweep.models.case import Case
 from sweep.models.legs import LEGS
-from sweep.models.obstacles.charts import charts, point
+from sweep.models.obstacles.charts import point
 from sweep.models.obstacles.ladder import Ladder
 from sweep.models.robot import total_mass
 
@@ -75,7 +75,7 @@ class LadderClimb(PlannedForces):
         ladder, robot = belief.on(Ladder), belief.robot
         length, unit = robot.body_length, leg_unit(robot)
         step = Step(self.half_step_ratio * length, self.lift_ratio * length, stepping.swing_time(self.rate))
-        terms = Terms(belief, unit, step.time, 0.0, dict.fromkeys(charts(ladder), self.deepening))
+        terms = Terms(belief, unit, step.time, 0.0, dict.fromkeys(ladder.charts, self.deepening))
         height, spread = self.height_ratio * unit, self.spread_ratio * length
         places, arrival, at = placed("arrive", terms)
         start, walk = walk_up(
