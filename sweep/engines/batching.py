@@ -8,16 +8,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from sweep.controllers.layers import Command
+from sweep.controllers.layers import Command, Feedforward
 from sweep.controllers.plan import Plan
 from sweep.controllers.tracker import TrackerState
 from sweep.core.parameters import InputError
 from sweep.core.waiting import part
-from sweep.engines import base, devices, planning, program_cache
+from sweep.engines import base, devices, planning, prelude, program_cache
 from sweep.engines.base import Figures, Trace
 from sweep.engines.settings import EngineSettings
 from sweep.metrics import outcome, stream
-from sweep.metrics.metric import Tick
+from sweep.metrics.metric import GRACE, Tick
 from sweep.metrics.outcome import Thresholds
 from sweep.models import scene
 from sweep.models.case import Case
@@ -87,10 +87,19 @@ def record(command: Command, state: TrackerState, tick: Tick, q: Array, v: Array
 class Batched:
     """How engines of the robot simulate rollouts: all of a batch, recorded or not, so that numbers are the same."""
 
-    settings: EngineSettings
-    limits: Thresholds
-    stages: tuple[str, ...]
     width: int
+
+    def __init__(self, settings: EngineSettings, world: Case, belief: Case, limits: Thresholds | None = None):
+        devices.configure()
+        self.settings, self.limits, self._nominal = settings, limits or Thresholds(), (world, belief)
+        self.substeps = substeps(settings)
+        with devices.precision(settings):
+            plan = nominal_plan(belief)
+            prelude.check(world, belief, plan)
+        self.stages, self.duration = plan.names, float(GRACE * np.sum(np.asarray(plan.duration)))
+        self._searches = plan.layer(Feedforward) is not None  # for planned forces
+        self._replans = world.control.replan != "never"
+        self._programs: dict[Any, Any] = {}  # by the form of what they are given
 
     def _simulate(
         self, world: Case, belief: Case, streams: np.ndarray, slots: np.ndarray | None = None, every: int = 1

@@ -21,7 +21,7 @@ from sweep.engines.settings import EngineSettings
 from sweep.metrics import calibration, outcome
 from sweep.metrics.outcome import Thresholds
 from sweep.models.case import Case
-from sweep.models.legs import JOINT_Q, LEGS, N_LEGS
+from sweep.models.legs import JOINT_Q, KINDS, LEGS, N_LEGS
 
 EVERY = 0.04  # s between the samples of a pose that is held
 WATCHED = (
@@ -103,7 +103,7 @@ class Calibrating:
         failed, margin = labels["outcome"] == FAILURE, labels["margin"].astype(float)
         margin = np.where(failed & (margin >= 0), -1.0, margin)
         number = {name: k for k, name in enumerate(self._poses.stages)}
-        peaks = [figures[f"torque_peak_{joint}_nm"] for joint in ("alpha", "beta", "gamma")]
+        peaks = [figures[f"torque_peak_{joint}_nm"] for joint in KINDS]
         figures = figures | {"torque_peak_nm": np.max(peaks, axis=0)}
         return {
             **{name: figures[own] for name, own in KEPT.items() if own in figures},

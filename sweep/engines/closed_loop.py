@@ -213,3 +213,8 @@ def measure(
     rested = state.finished & (running.rested > rest - period / 2)
     running = running._replace(over=running.over | rested | late)
     return loop._replace(running=running, seen=tick.truth), judged
+
+
+def figures_of(world: Case, plan: Plan, loop: ClosedLoop) -> dict[str, Array]:
+    """The row's figures of a rollout as far as it has come, see `stream.figures`; it began with `plan`."""
+    return stream.figures(world, newest(plan, loop.learned), loop.running, loop.tracker.stage)

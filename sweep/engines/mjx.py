@@ -12,8 +12,7 @@ from jax.sharding import PartitionSpec
 from jax.stages import Compiled
 from jaxtyping import Array
 
-from sweep.controllers.layers import Feedforward
-from sweep.controllers.learned import informed, newest, replanned
+from sweep.controllers.learned import replanned
 from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError
 from sweep.core.waiting import part
@@ -28,6 +27,7 @@ from sweep.engines.closed_loop import (
     CHUNK,
     ClosedLoop,
     act,
+    figures_of,
     init,
     is_quiet,
     measure,
@@ -36,14 +36,12 @@ from sweep.engines.closed_loop import (
 )
 from sweep.engines.fused_loop import Fused, of_one
 from sweep.engines.planning import Planning
-from sweep.engines.prelude import check, prepared
+from sweep.engines.prelude import prepared
 from sweep.engines.settings import EngineSettings
 from sweep.engines.states import offered, watched
 from sweep.fused import driver, kernel, launch
 from sweep.fused.eager import Eager
 from sweep.fused.kernel import Code, Kernel
-from sweep.metrics import stream
-from sweep.metrics.metric import GRACE
 from sweep.metrics.outcome import Thresholds
 from sweep.models.case import Case
 
@@ -72,10 +70,7 @@ class Mjx(Batched):
     """The implicit contact step on structured or on MJX's smooth dynamics."""
 
     def __init__(self, settings: EngineSettings, world: Case, belief: Case, limits: Thresholds | None = None):
-        devices.configure()
-        self.settings = settings
-        self.limits = limits or Thresholds()
-        self.substeps = batching.substeps(settings)
+        super().__init__(settings, world, belief, limits)
         self.dynamics = physics.taken(settings)
         self.width = settings.width or devices.default_width()
         self._mesh = devices.mesh(self.width)
@@ -84,13 +79,6 @@ class Mjx(Batched):
         with devices.precision(settings):
             self.topology = dynamics.topology(world)
             self.physics = physics.make(settings, self.topology)
-            plan = batching.nominal_plan(belief)
-            check(world, belief, plan)
-            self.stages = plan.names
-            self._searches = plan.layer(Feedforward) is not None
-            self.duration = float(GRACE * np.sum(np.asarray(plan.duration)))
-        self._nominal = world, belief
-        self._programs: dict[Any, XlaPrograms | Fused] = {}
 
     def rollout_bytes(self) -> int:
         """See `Engine`; nothing is compiled for it."""
@@ -258,7 +246,7 @@ class Mjx(Batched):
         self, arrays: tuple[Case, Case, Array], batch: Any, on_devices: Callable[..., Callable]
     ) -> Eager | Compiled | None:
         """What plans again, if anything does."""
-        if self._nominal[0].control.replan == "never":
+        if not self._replans:
             return None
         (_, belief, plan), carry = of_one(arrays, batch)
         plans, carries = devices.split(batch, self._mesh)
@@ -298,7 +286,7 @@ class Mjx(Batched):
         code = launch.compiled(self._tick, *form, over, self._chunk_ticks, room, width, few=self._few)
 
         def chunk(world: Case, belief: Case, plans: Plan, carry: Carry, first: Array, kept: Array | None) -> Any:
-            if self._nominal[0].control.replan != "never":
+            if self._replans:
                 carry = _with_new_plan(devices.axes(arrays[1]))(belief, plans, carry)
             carry, record = launch.run(code, (world, belief, plans), carry, first, kept)
             if watch is None or record is None:
@@ -316,7 +304,7 @@ class Mjx(Batched):
         tick = batch_last_vmap(self._tick, (last, -1, None), devices.reuse_from())
 
         def chunk(world: Case, belief: Case, plans: Plan, carry: Carry, first: Array, kept: Array | None) -> Any:
-            if self._nominal[0].control.replan != "never":
+            if self._replans:
                 carry = _with_new_plan(axes[1])(belief, plans, carry)
             given, carry = _batch_last(((world, belief, plans), carry))
 
@@ -334,16 +322,14 @@ class Mjx(Batched):
         return chunk, None
 
     def _start(self, quiet: bool, world: Case, belief: Case, key: Array) -> tuple[Plan, Carry]:
-        plan, learned = prepared(world, belief, key)[1:]
-        known = informed(belief, learned)
+        known, plan, learned = prepared(world, belief, key)
         start = start_state(world, known, plan, resting(world))
         state = rest(self.topology, start.qpos)._replace(v=start.qvel)
         energy = self.physics.energy(world, state)
         return plan, Carry(state, init(world, known, plan, start, energy, key, learned, quiet))
 
     def _finish(self, world: Case, plan: Plan, carry: Carry) -> dict[str, Array]:
-        plan = newest(plan, carry.loop.learned)
-        return stream.figures(world, plan, carry.loop.running, carry.loop.tracker.stage)
+        return figures_of(world, plan, carry.loop)
 
     def _tick(self, given: tuple[Case, Case, Plan], carry: Carry, tick: Array) -> tuple[Carry, dict[str, Array]]:
         world, belief, plan = given

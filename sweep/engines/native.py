@@ -15,8 +15,8 @@ from jaxtyping import Array, Bool, Float
 from mujoco.batch import Batch
 
 from sweep.controllers.flywheel import Flywheel
-from sweep.controllers.layers import Command, Feedforward
-from sweep.controllers.learned import Learned, informed, newest, replanned
+from sweep.controllers.layers import Command
+from sweep.controllers.learned import Learned, replanned
 from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError
 from sweep.core.rotations import exponential, multiply
@@ -29,6 +29,7 @@ from sweep.engines.closed_loop import (
     ClosedLoop,
     Start,
     act,
+    figures_of,
     free_state,
     init,
     is_quiet,
@@ -38,14 +39,14 @@ from sweep.engines.closed_loop import (
     truth,
 )
 from sweep.engines.planning import Planning
-from sweep.engines.prelude import check, prepared
+from sweep.engines.prelude import prepared
 from sweep.engines.settings import EngineSettings
 from sweep.engines.states import watched
 from sweep.fused import kernel
 from sweep.fused.eager import Eager
 from sweep.fused.kernel import Code, Kernel, Tiles
 from sweep.metrics import stream
-from sweep.metrics.metric import GRACE, Tick
+from sweep.metrics.metric import Tick
 from sweep.metrics.outcome import Thresholds
 from sweep.models import scene
 from sweep.models.case import Case
@@ -137,22 +138,12 @@ class Native(Batched):
     """One C simulation per rollout; the host goes through the control ticks."""
 
     def __init__(self, settings: EngineSettings, world: Case, belief: Case, limits: Thresholds | None = None):
-        devices.configure()
+        super().__init__(settings, world, belief, limits)
         mujoco.set_mju_user_warning(lambda _: None)  # or it fills screen and disk; a row that it is about is invalid
-        self.settings = settings
-        self._nominal = world
-        self.limits = limits or Thresholds()
-        self.substeps = batching.substeps(settings)
         self.dynamics = "C MuJoCo"
         self.devices = 1  # threads share it
         self.width = settings.width or devices.NATIVE_WIDTH
-        plan = batching.nominal_plan(belief)
-        check(world, belief, plan)
-        self.stages = plan.names
-        self._searches = plan.layer(Feedforward) is not None
-        self.duration = float(GRACE * np.sum(np.asarray(plan.duration)))
         self.fused = settings.compiler != "xla"
-        self._programs: dict[Any, NativePrograms] = {}
 
     def rollout_bytes(self) -> None:
         """Nothing: C keeps plan, state and figures."""
@@ -164,7 +155,7 @@ class Native(Batched):
     ) -> tuple[Figures, np.ndarray]:
         """Figures, and columns over time, see `Engine`."""
         figures, parts = self._simulate(world, belief, streams, slots, watch.every)
-        return figures, np.concatenate([watched(self._nominal, part, watch.columns) for part in parts])
+        return figures, np.concatenate([watched(self._nominal[0], part, watch.columns) for part in parts])
 
     def _simulate(
         self, world: Case, belief: Case, streams: np.ndarray, slots: np.ndarray | None = None, every: int = 1
@@ -194,7 +185,7 @@ class Native(Batched):
                 steps = batch.rollout(self.substeps, controls, CONTROL, RECORD, out=steps)
                 if k == 0:  # derived fields are those before a step, hence the start's
                     energy = steps["energy"][:, 0].sum(axis=-1)
-                    going.change(lambda now: now.loop, _with_energy(self._nominal, going.leave().loop, energy))
+                    going.change(lambda now: now.loop, _with_energy(self._nominal[0], going.leave().loop, energy))
                 due = slots if (k + 1) % every == 0 else None
                 if due is not None:
                     records.append(_record(world, going, steps, due))
@@ -226,7 +217,7 @@ class Native(Batched):
             except ValueError:  # of MuJoCo's compiler
                 models.append(None)
         unbuilt = np.array([model is None for model in models])
-        stand_in = self._model(self._nominal) if unbuilt.any() else None
+        stand_in = self._model(self._nominal[0]) if unbuilt.any() else None
         return [model or stand_in for model in models], unbuilt  # pyright: ignore[reportReturnType]
 
     def _model(self, world: Case) -> mujoco.MjModel:
@@ -254,8 +245,7 @@ class Native(Batched):
         axes, period = devices.axes((world, belief)), self.settings.control_period
 
         def start(world: Case, belief: Case, key: Array) -> tuple[Plan, tuple[Between, Start]]:
-            plan, learned = prepared(world, belief, key)[1:]
-            known = informed(belief, learned)
+            known, plan, learned = prepared(world, belief, key)
             state = start_state(world, known, plan)
             loop = init(world, known, plan, state, jnp.zeros(()), key, learned, quiet)
             nothing = jnp.zeros(len(stream.watched(world)), plan.duration.dtype)
@@ -266,9 +256,6 @@ class Native(Batched):
             summary = self._summary(world, now.steps, (k - 1) * period, now.loop.seen.free)
             loop, judged = measure(world, plan, self.limits, now.loop, now.command, summary, k - 1, period)
             return self._acted(world, belief, plan, loop, now.steps, judged, k), {}
-
-        def finish(world: Case, plan: Plan, loop: ClosedLoop) -> dict[str, Array]:
-            return stream.figures(world, newest(plan, loop.learned), loop.running, loop.tracker.stage)
 
         def many(start: Callable) -> Callable:
             return jax.vmap(start, in_axes=(*axes, 0))
@@ -292,9 +279,11 @@ class Native(Batched):
                 else:
                     rows = jax.vmap(lambda *of: tick(*of)[0], in_axes=((*axes, 0), 0, None))
                     ticks = pool.submit(jax.jit(rows).lower((world, belief, plans), between, 0).compile)
-                finished = made("figures", finish, (world, plans, between.loop), (one, plan, now.loop), (axes[0], 0, 0))
+                finished = made(
+                    "figures", figures_of, (world, plans, between.loop), (one, plan, now.loop), (axes[0], 0, 0)
+                )
                 again = None
-                if self._nominal.control.replan != "never":
+                if self._replans:
                     given, of_it = ((x.loop.tracker.stage, x.loop.learned) for x in (between, now))
                     again = made(
                         "new plan", replanned, (belief, plans, *given), (known, plan, *of_it), (axes[1], 0, 0, 0)
@@ -321,14 +310,14 @@ class Native(Batched):
 
     def _nothing(self, start: Start) -> Recorded:
         """Before the first physics step."""
-        n, count = self.substeps, N_LEGS * len(links(self._nominal.robot))
+        n, count = self.substeps, N_LEGS * len(links(self._nominal[0].robot))
         qpos, qvel, forces = jnp.tile(start.qpos, (n, 1)), jnp.tile(start.qvel, (n, 1)), jnp.zeros((n, N_JOINTS))
         axes, feet, centre = jnp.zeros((count, 3)), jnp.zeros((N_LEGS, 3)), jnp.zeros(3)
         return Recorded(qpos, qvel, forces, forces, jnp.zeros(()), axes, feet, centre, jnp.zeros((), bool))
 
     def _steps(self, steps: dict[str, np.ndarray], broken: np.ndarray) -> tuple[np.ndarray, ...]:
         """`Recorded` of a batch, from its record."""
-        count = N_LEGS * len(links(self._nominal.robot))
+        count = N_LEGS * len(links(self._nominal[0].robot))
         return (
             steps["qpos"],
             steps["qvel"],

@@ -17,14 +17,12 @@ from jaxtyping import Array, Float
 from sweep import metrics
 from sweep.controllers.flywheel import Flywheel
 from sweep.controllers.layers import Feedforward
-from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError
 from sweep.core.parameters import LARGEST
 from sweep.engines.batching import nominal_plan
-from sweep.engines.closed_loop import GRACE, ClosedLoop, act, init, is_quiet, measure, start_state, truth
+from sweep.engines.closed_loop import GRACE, act, figures_of, init, is_quiet, measure, start_state, truth
 from sweep.engines.prelude import prepared
 from sweep.engines.settings import EngineSettings
-from sweep.metrics import stream
 from sweep.metrics.metric import REST, Tick
 from sweep.metrics.outcome import Thresholds, limit_of
 from sweep.models.case import Case
@@ -146,9 +144,7 @@ def controller(case: Case, settings: EngineSettings, limits: Thresholds) -> Cont
         return angles.reshape(N_JOINTS), {"plan": plan, "loop": loop, "command": command, "tick": tick + 1}
 
     def figures(belief: Mapping[str, Array], state: Any) -> dict[str, Array]:
-        plan: Plan = state["plan"]
-        loop: ClosedLoop = state["loop"]
-        found = stream.figures(believed(belief), plan, loop.running, loop.tracker.stage)
+        found = figures_of(believed(belief), state["plan"], state["loop"])
         return {name: jnp.asarray(found[name], float) for name in measured}
 
     return Controller(begin, policy, figures, numbers, measured)
