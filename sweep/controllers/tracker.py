@@ -108,6 +108,7 @@ def step(
     begins = (state.stage != old.stage) | ((old.stage == 0) & (old.clock == 0))
     free = bodies(plan, state, seen.free)
     now = Now(belief.robot, plan, old.stage, state.stage, state.clock, phase, begins, seen, free, period, state.joints)
+    frames = plan.foot_frame[state.stage], plan.base_frame[state.stage]
     for layer in plan.layers:
         state = state._replace(feet=layer.anchored(now, state.feet))
     if isinstance(manoeuvre, Guided):
@@ -116,13 +117,16 @@ def step(
     else:
         goal = _goal(plan, state.stage, old.stage, beside)
         wanted = reference(plan, state.stage, phase, state.feet, state.position, goal)
+    here = stance_to_world(wanted, *frames, free)
     if old.told is not None:
-        state = _from_told(now, old.told, state, wanted)
-    target, states = _in_world(now, state, wanted), list(state.layers)
+        state = _from_told(now, old.told, state, here)
+    # the body error that the stage began with fades out, unless the base's place says nothing of the feet's
+    left = jnp.where(_blind(plan, state.stage), 1.0, 1 - phase)
+    quat = multiply(exponential(left * state.turn), here.quat)
+    target, states = Stance(here.feet, here.position + left * state.error, quat), list(state.layers)
     for k, layer in enumerate(plan.layers):
         states[k], target = layer.led(now, states[k], target)
     if state.told is not None:
-        frames = plan.foot_frame[state.stage], plan.base_frame[state.stage]
         state = state._replace(told=stance_to_frame(target, *frames, free))
     target = target._replace(feet=_crept(plan, state.stage, state.clock, target.feet))
     joints, shortfall = joint_targets(belief.robot, target)
@@ -133,50 +137,6 @@ def step(
     for layer in plan.layers:
         command = command._replace(joints=layer.driven(now, command.joints))
     return state, command
-
-
-def _crept(plan: Plan, stage: Array, clock: Array, feet: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
-    """Feet (m, world axes) with what layers have them do beyond the plan."""
-    for layer in plan.layers:
-        feet = layer.crept(plan, stage, clock, feet)
-    return feet
-
-
-def _in_world(now: Now, state: TrackerState, wanted: Stance) -> Stance:
-    """What the stage wants, with the free bodies as they are seen, or meant to be.
-
-    The body error that the stage began with fades out, unless the base's place says nothing of the feet's.
-    """
-    plan, stage = now.plan, now.stage
-    left = jnp.where(_blind(plan, stage), 1.0, 1 - now.phase)
-    feet, position, quat = stance_to_world(wanted, plan.foot_frame[stage], plan.base_frame[stage], now.free)
-    return Stance(feet, position + left * state.error, multiply(exponential(left * state.turn), quat))
-
-
-def _from_told(now: Now, told: Stance, state: TrackerState, wanted: Stance) -> TrackerState:
-    """The base goes over from where it was told to be to what a stage wants that begins elsewhere.
-
-    As the error of one that is rezeroed does, which is measured.
-    """
-    plan, stage = now.plan, now.stage
-    was = stance_to_world(told, plan.foot_frame[now.before], plan.base_frame[now.before], now.free)
-    here = stance_to_world(wanted, plan.foot_frame[stage], plan.base_frame[stage], now.free)
-    takes = now.begins & ~jnp.asarray(np.array(plan.onset) == REZERO)[stage]
-    return state._replace(
-        error=jnp.where(takes, was.position - here.position, state.error),
-        turn=jnp.where(takes, logarithm(multiply(was.quat, conjugate(here.quat))), state.turn),
-    )
-
-
-def _blind(plan: Plan, stage: Int[Array, ""]) -> Bool[Array, ""] | bool:
-    """Whether a layer has the base tilt, so that its place says nothing of the feet's."""
-    return functools.reduce(operator.or_, (layer.blind(stage) for layer in plan.layers), False)
-
-
-def _goal(plan: Plan, stage: Array, felt: Array, beside: Array | None) -> Float[Array, "6 3"]:
-    """Footholds at the end of a stage (m, in its frames): those of the stage `felt` are beside the planned ones."""
-    planned = plan.foothold[stage]
-    return planned if beside is None else planned + jnp.where(stage == felt, beside, 0.0)
 
 
 def _advance(
@@ -228,13 +188,6 @@ def _advance(
     hold = last | ~ends
     kept = state._replace(finished=state.finished | (ends & last))
     return jax.tree.map(lambda a, b: jnp.where(hold, a, b), kept, shifted)
-
-
-def bodies(plan: Plan, state: TrackerState, seen: FreeState) -> FreeState:
-    """Free bodies as the stage has them: as they are seen, or meant to be."""
-    for layer, own in zip(plan.layers, state.layers, strict=True):
-        seen = layer.borne(plan, own, state.stage, state.clock, seen)
-    return seen
 
 
 class Onset(NamedTuple):
@@ -311,3 +264,45 @@ def _with_error(plan: Plan, ended: Stance, seen: Observation) -> Onset:
     moved = ended.position + error + rotate(exponential(turn)[None], ended.feet - ended.position)
     anchored = plan.layer(Feedforward) is not None  # such feet need not be moved
     return Onset(ended.feet if anchored else moved, error, turn)
+
+
+def _goal(plan: Plan, stage: Array, felt: Array, beside: Array | None) -> Float[Array, "6 3"]:
+    """Footholds at the end of a stage (m, in its frames): those of the stage `felt` are beside the planned ones."""
+    planned = plan.foothold[stage]
+    return planned if beside is None else planned + jnp.where(stage == felt, beside, 0.0)
+
+
+def _from_told(now: Now, told: Stance, state: TrackerState, here: Stance) -> TrackerState:
+    """The base goes over from where it was told to be to what a stage wants that begins elsewhere, `here` in the world.
+
+    As the error of one that is rezeroed does, which is measured.
+    """
+    plan, before = now.plan, now.before
+    was = stance_to_world(told, plan.foot_frame[before], plan.base_frame[before], now.free)
+    takes = now.begins & ~jnp.asarray(np.array(plan.onset) == REZERO)[now.stage]
+    return state._replace(
+        error=jnp.where(takes, was.position - here.position, state.error),
+        turn=jnp.where(takes, logarithm(multiply(was.quat, conjugate(here.quat))), state.turn),
+    )
+
+
+# what all layers say
+
+
+def bodies(plan: Plan, state: TrackerState, seen: FreeState) -> FreeState:
+    """Free bodies as the stage has them: as they are seen, or meant to be."""
+    for layer, own in zip(plan.layers, state.layers, strict=True):
+        seen = layer.borne(plan, own, state.stage, state.clock, seen)
+    return seen
+
+
+def _blind(plan: Plan, stage: Int[Array, ""]) -> Bool[Array, ""] | bool:
+    """Whether a layer has the base tilt, so that its place says nothing of the feet's."""
+    return functools.reduce(operator.or_, (layer.blind(stage) for layer in plan.layers), False)
+
+
+def _crept(plan: Plan, stage: Array, clock: Array, feet: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
+    """Feet (m, world axes) with what layers have them do beyond the plan."""
+    for layer in plan.layers:
+        feet = layer.crept(plan, stage, clock, feet)
+    return feet
