@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.core.rotations import conjugate, multiply
-from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment
+from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment, missed
 
 
 class Attitude(NamedTuple):
@@ -59,6 +59,6 @@ METRIC = Metric(
     (
         Cause("fell", "the base tilted beyond tilt_max_deg", "tilt_max_deg", 20.0),
         Cause("off_course", "the heading was off by more than heading_error_max_deg", "heading_error_max_deg", 5.0),
-        Cause("goal_missed", "the base ended tilted by more than end_tilt_max_deg", "end_tilt_deg", None, known="end"),
+        missed("the base ended tilted by more than end_tilt_max_deg", "end_tilt_deg"),
     ),
 )

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.controllers.frames import to_world
-from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment, Twin
+from sweep.metrics.metric import Begin, Elapsed, Metric, Moment, Twin, missed
 from sweep.models.obstacles.surface import FreeState, poses, under
 
 # m, within which a foot that may hover, since others carry, is at a face: what a base off by 2 degrees makes of the
@@ -47,13 +47,10 @@ METRIC = Metric(
         "its foothold, but more than 20 mm",
     },
     (
-        Cause(
-            "goal_missed",
+        missed(
             "fewer feet than feet_on_target_min ended at their faces",
             "feet_on_target",
-            None,
             below=True,
-            known="end",
             whole=True,
             twin=Twin("foot_gap_max_m", AT_FACE, AT_FACE),
         ),

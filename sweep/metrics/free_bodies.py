@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.core.rotations import conjugate, logarithm, multiply
-from sweep.metrics.metric import REST, Begin, Cause, Elapsed, Metric, Moment, Tail
+from sweep.metrics.metric import REST, Begin, Cause, Elapsed, Metric, Moment, Tail, missed
 from sweep.models.case import Driving
 
 TAIL = 12.0  # s of the plan, its last, over which the speed of a body that is left in motion is taken
@@ -123,20 +123,11 @@ METRIC = Metric(
             "obstacle_turn_max_rad",
             None,
         ),
-        Cause(
-            "goal_missed",
+        missed(
             "the body that the robot rides on ended off its speed by more than obstacle_speed_error_max_mps",
             "obstacle_speed_error_mps",
-            None,
-            known="end",
         ),
-        Cause(
-            "goal_missed",
-            "the body that the robot rides on went aside by more than obstacle_aside_max_m",
-            "obstacle_aside_max_m",
-            None,
-            known="end",
-        ),
+        missed("the body that the robot rides on went aside by more than obstacle_aside_max_m", "obstacle_aside_max_m"),
     ),
     applies=lambda case: bool(case.obstacle.free_bodies),
 )

@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 
 from sweep.controllers.manoeuvres.balancing.ball_ledges import OFF, ON
 from sweep.controllers.plan import led_by
-from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment
+from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment, missed
 from sweep.models.obstacles.ledges import Ledges
 
 THERE = 4e-3  # m, of a ball that has come to the far wall
@@ -65,20 +65,10 @@ METRIC = Metric(
             "past_centre_max_m",
             None,
         ),
-        Cause(
-            "goal_missed",
-            "the ball stayed farther from the far wall than docking_gap_max_m when the robot left it",
-            "docking_gap_m",
-            None,
-            known="end",
+        missed(
+            "the ball stayed farther from the far wall than docking_gap_max_m when the robot left it", "docking_gap_m"
         ),
-        Cause(
-            "goal_missed",
-            "the ball came to the far wall faster than docking_speed_max_mps",
-            "docking_speed_mps",
-            None,
-            known="end",
-        ),
+        missed("the ball came to the far wall faster than docking_speed_max_mps", "docking_speed_mps"),
     ),
     applies=lambda case: isinstance(case.obstacle, Ledges),
 )

@@ -23,6 +23,7 @@ from sweep.models.obstacles.surface import Bodies, FreeState
 
 REST = 1.0  # s, that a rollout goes on after its plan has ended, in which nothing may change
 GRACE = 1.2  # a plan that is not finished at this multiple of its duration is given up
+GOAL = "goal_missed"  # the name of all causes that are parts of a manoeuvre's goal
 BRIEF = 0.05  # s, over which forces are averaged: a bounce of the feet is neither a fall nor a slip
 
 
@@ -188,6 +189,11 @@ class Cause:
         if self.lead is None or beside is None:
             return left
         return np.where(left > 0, np.fmin(left, (beside / self.lead.scale).clip(min=0.0)), left)
+
+
+def missed(sentence: str, figure: str, **how: Any) -> Cause:
+    """The goal was missed by a figure at the end, if the manoeuvre aims at one; `how` is as in `Cause`."""
+    return Cause(GOAL, sentence, figure, None, known="end", **how)
 
 
 class Metric[S](NamedTuple):

@@ -10,10 +10,9 @@ from sweep.core.errors import InputError
 from sweep.core.outcomes import FAILURE, INVALID, SUCCESS
 from sweep.core.parameters import parameters
 from sweep.metrics import CAUSES, METRICS, of
-from sweep.metrics.metric import Cause
+from sweep.metrics.metric import GOAL, Cause
 from sweep.models.case import Case
 
-GOAL = "goal_missed"
 _MEANING = {cause.name: cause.sentence for cause in CAUSES} | {
     GOAL: "the manoeuvre's goal was missed; the column `limit` says which part of it"
 }

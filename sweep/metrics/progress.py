@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from sweep.controllers.plan import path_length
-from sweep.metrics.metric import GRACE, Begin, Cause, Elapsed, Metric, Moment, Twin, time_left
+from sweep.metrics.metric import GRACE, Begin, Cause, Elapsed, Metric, Moment, Twin, missed, time_left
 from sweep.models.frames import WORLD
 
 
@@ -93,14 +93,6 @@ METRIC = Metric(
             whole=True,
             twin=Twin("time_use", 1.0, 1 - 1 / GRACE),
         ),
-        Cause(
-            "goal_missed",
-            "progress to the goal stayed below progress_min",
-            "progress",
-            None,
-            below=True,
-            known="end",
-            scale=0.1,
-        ),
+        missed("progress to the goal stayed below progress_min", "progress", below=True, scale=0.1),
     ),
 )

@@ -8,7 +8,7 @@ from jaxtyping import Array, Bool, Float
 
 from sweep.controllers.manoeuvres.balancing.ball_to_ball import OVER
 from sweep.controllers.plan import led_by
-from sweep.metrics.metric import REST, Begin, Cause, Elapsed, Metric, Moment, Tail
+from sweep.metrics.metric import REST, Begin, Elapsed, Metric, Moment, Tail, missed
 from sweep.models.obstacles.two_balls import TwoBalls
 
 NEAR = 4e-3  # m, between balls that touch
@@ -70,14 +70,6 @@ METRIC = Metric(
         "second_ball_y_m": "the same along y",
         "second_ball_speed_mps": f"its mean speed in the {REST:g} s after the plan",
     },
-    (
-        Cause(
-            "goal_missed",
-            "the second ball ended faster than second_ball_speed_max_mps",
-            "second_ball_speed_mps",
-            None,
-            known="end",
-        ),
-    ),
+    (missed("the second ball ended faster than second_ball_speed_max_mps", "second_ball_speed_mps"),),
     applies=lambda case: isinstance(case.obstacle, TwoBalls),
 )

@@ -23,7 +23,7 @@ from sweep.engines.batching import nominal_plan
 from sweep.engines.closed_loop import GRACE, act, figures_of, init, is_quiet, measure, start_state, truth
 from sweep.engines.prelude import prepared
 from sweep.engines.settings import EngineSettings
-from sweep.metrics.metric import REST, Tick
+from sweep.metrics.metric import GOAL, REST, Tick
 from sweep.metrics.outcome import Thresholds, limit_of
 from sweep.models.case import Case
 from sweep.models.legs import JOINT_V, JOINTS, N_JOINTS, N_LEGS
@@ -109,7 +109,7 @@ def _conditions(case: Case, limits: Thresholds) -> Iterator[tuple[str, str]]:
     for cause in sorted(every, key=lambda cause: cause.known == "end"):
         limit = limit_of(cause, limits)
         if math.isfinite(limit):
-            name = cause.name if cause.name != "goal_missed" else f"missed_{cause.threshold}"
+            name = cause.name if cause.name != GOAL else f"missed_{cause.threshold}"
             yield name, f"{cause.figure} {'<' if cause.below else '>'} {limit!r}"
 
 
