@@ -35,6 +35,7 @@ LENGTHS = (1.0, 0.7, 0.5, 0.3, 0.15, 0.07, 0.03, 0.01)  # of a Newton step, of w
 FOCUS = 8.0  # weight of the pressed bounds against all others
 KEEP = 0.2  # of the room to a bound that a step has to leave
 MOVES = 1e-5  # m and rad, of a base that does: more than single precision makes of changing frames
+LOAD = "load"  # law of rests in which load goes over
 KNOTS = 5  # moments of a stage for which forces are planned
 
 
@@ -347,7 +348,8 @@ class PlannedForces:
         """
         before = [Stage("", 0.0), *stages]
         return [s for last, stage in zip(before, stages, strict=False) for s in (
-            Stage(f"{stage.name}.load", self.load_time, foot_frames=last.foot_frames, base_frame=last.base_frame), stage
+            Stage(f"{stage.name}.{LOAD}", self.load_time, law=LOAD,
+                  foot_frames=last.foot_frames, base_frame=last.base_frame), stage
         )]  # fmt: skip
 
     def bounds(self, belief: Case) -> Bounds:

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from sweep.controllers import forces
-from sweep.controllers.forces import PlannedForces
+from sweep.controllers.forces import LOAD, PlannedForces
 from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError, known
 from sweep.models import plan_table
@@ -73,8 +73,8 @@ class Score:
         hold: bool,
         width: int,
     ):
-        names = jax.eval_shape(case.manoeuvre.plan, jax.tree.map(jnp.asarray, case)).names
-        judged = [name for name in names if not name.endswith(".load")]
+        plan = jax.eval_shape(case.manoeuvre.plan, jax.tree.map(jnp.asarray, case))
+        names, judged = plan.names, [name for name, law in zip(plan.names, plan.laws, strict=True) if law != LOAD]
         asked = [("--stages", text) for text in patterns] + [("--moments", text) for text, _ in moments]
         for flag, pattern in (*asked, *(("--need", aim.stages) for aim in aims)):
             if not any(fnmatchcase(name, pattern) for name in judged):
