@@ -122,12 +122,16 @@ def _nearest(values: np.ndarray, at: float) -> np.ndarray:
 
 
 def along(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
-    """Rate of success with its Wilson interval at each value of each listed axis, the others nominal."""
+    """Rate of success at each value of each listed axis, the others nominal, with its Wilson interval.
+
+    One rollout of each, without draws or replicates, is a choice and no sample: it has none.
+    """
     parts = [
         rates(part, [axis.column]).rename(columns={axis.column: "value"}).assign(axis=axis.column)
         for axis, _, part in arms(rows, exp)
     ]
-    return pd.concat(parts, ignore_index=True)[["axis", *parts[0].columns.drop("axis")]]
+    table = pd.concat(parts, ignore_index=True)[["axis", *parts[0].columns.drop("axis")]]
+    return table if exp.study.noisy else table.assign(low=np.nan, high=np.nan)
 
 
 def margins(rows: pd.DataFrame, exp: Experiment, level: float = 0.5) -> pd.DataFrame:

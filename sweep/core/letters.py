@@ -9,6 +9,7 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties, fontManager
 from matplotlib.legend_handler import HandlerTuple
@@ -99,6 +100,11 @@ def spaced(ax: Axes, columns: int) -> None:
         widest = max(wide(label) for label in ax.xaxis.get_major_formatter().format_ticks(list(ticks)))
         if np.diff(ticks).min() / (high - low) * room > widest + LETTERS / 2:
             return
+
+
+def counted(axis: Axis) -> None:
+    """Ticks at whole numbers, along which something is counted."""
+    axis.set_major_locator(MaxNLocator("auto", steps=[1, 2, 5, 10], integer=True))
 
 
 def folded(text: str, room: float) -> str:

@@ -12,7 +12,7 @@ from sweep.analysis import compare, sensitivity
 from sweep.analysis.compare import SECOND
 from sweep.analysis.sample import is_sample
 from sweep.analysis.stats import binned, percent, rate, rates
-from sweep.core.letters import COLUMN, PAGE, legend_below, sheet, spaced
+from sweep.core.letters import COLUMN, PAGE, counted, legend_below, sheet, spaced
 from sweep.report import draws, overlay, slices
 from sweep.report.cells import not_below_zero
 from sweep.report.exhibit import Exhibit
@@ -114,6 +114,8 @@ def effects(results: Results) -> Iterator[Exhibit]:
             "Rate of success at each value of one parameter, the others nominal, with its 95 % Wilson interval; "
             "dotted: logistic fit of the error on either side of the nominal value, "
             f"unless the rates reject it (p < {REJECTED:g})."
+            if results.exp.study.noisy
+            else "Whether a rollout succeeds at each value of one parameter, the others nominal."
         )
     else:
         tables = []
@@ -153,7 +155,7 @@ def _draw_effects(results: Results, table: pd.DataFrame, by: list[str]) -> Figur
         ax.set_ylim(-0.02, 1.02)
     if by:  # below: in a panel it would lie on its lines
         legend_below(figure, [line for ax in spots for line in ax.get_lines()])
-    if results.one_at_a_time:
+    if results.one_at_a_time and results.exp.study.noisy:
         _draw_fits(results, dict(zip(axes, spots, strict=True)))
     return figure
 
@@ -204,6 +206,7 @@ def _draw_causes(table: pd.DataFrame) -> Figure:
     for y, total in enumerate(left):
         ax.annotate(f"{total:,.0f}", (total, y), xytext=(4, 0), textcoords="offset points", va="center")
     ax.invert_yaxis()
+    counted(ax.xaxis)
     ax.set(xlabel="rollouts", ylabel="stage")
     ax.spines[["top", "right"]].set_visible(False)
     legend_below(figure, [cell(str(c).replace("_", " "), look_of(str(c)).colour, str(c)) for c in table])
@@ -303,6 +306,7 @@ def _draw_distributions(results: Results, data: pd.DataFrame) -> Figure:
             ax.axvline(limit, color="black", linestyle="--", linewidth=1)
         ax.set_xlabel(beside_axis(name))
         spaced(ax, min(len(names), 3))
+        counted(ax.yaxis)
         ax.spines[["top", "right"]].set_visible(False)
     legend_below(figure, [one for ax in spots for one in ax.get_legend_handles_labels()[0]])
     return figure

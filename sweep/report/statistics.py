@@ -38,7 +38,8 @@ def sections(
         return
     one_at_a_time = bool(numbers) and exp.study.design.grid == "one_at_a_time"
     if one_at_a_time:
-        yield "Rate along each axis, the others nominal (Wilson, 95 %)", sensitivity.along(rows, exp)
+        sure = " (Wilson, 95 %)" if exp.study.noisy else ""
+        yield f"Rate along each axis, the others nominal{sure}", sensitivity.along(rows, exp)
     elif drawn and exp.study.design.kind != "morris":
         yield "Share of the draws that succeeds (Clopper-Pearson, or by scrambles)", sensitivity.volume(rows, exp)
     elif several and listed:

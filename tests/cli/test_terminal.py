@@ -53,6 +53,7 @@ def test_counts_shares_and_units_are_told_in_one_way():
 
 def test_a_share_comes_with_its_interval(fake_engine, tmp_path, capsys, monkeypatch):
     axes = ["study.axes.friction.num=3", "study.axes.step.num=3", "study.design={grid: one_at_a_time}"]
+    axes += ["study.replicates=2"]
     assert main(["run", "study=walk_map", *axes, "study.expect=[]", f"out={tmp_path}"]) == 0
     capsys.readouterr()
     monkeypatch.setattr(sys.stdout, "isatty", lambda: True)

@@ -178,3 +178,18 @@ def test_every_command_ends_well(design, fake_engine, tmp_path, monkeypatch):
     ran(tmp_path / "study", *(of_points(design, tmp_path) if design in POINTS else DESIGNS[design]))
     for name, *more in COMMANDS:
         assert main([name, "study", *more]) == 0, name
+
+
+def test_single_rollouts_of_one_axis_at_a_time_have_no_interval_and_counts_are_whole(fake_engine, tmp_path, capsys):
+    for replicates, sure in ((1, False), (2, True)):
+        ran(folder := tmp_path / str(replicates), *DESIGNS["one_at_a_time"], f"study.replicates={replicates}")
+        shown = {one.key: one for one in exhibits.exhibits(results.read(folder))}
+        assert shown["effects"].data["low"].notna().all() == sure
+        assert ("Wilson" in shown["effects"].caption) == sure
+        for name, axis in (("distributions", "yaxis"), ("causes", "xaxis")):
+            ticks = np.concatenate([getattr(ax, axis).get_majorticklocs() for ax in shown[name].draw().axes])
+            assert len(ticks)
+            assert not (ticks % 1).any()
+        capsys.readouterr()
+        assert main(["stats", str(folder)]) == 0
+        assert ("the others nominal (Wilson" in capsys.readouterr().out) == sure
