@@ -36,6 +36,11 @@ class Weighted:
     plain: float  # plain draws that would say as much; NaN without a failure
 
     @property
+    def interval(self) -> tuple[float, float]:
+        """Of 95 %."""
+        return self.low, self.high
+
+    @property
     def trusted(self) -> bool:
         """Whether no single row carries much of the sum."""
         return self.failed > 0 and self.largest <= LARGEST

@@ -13,6 +13,7 @@ import jinja2
 import numpy as np
 import pandas as pd
 
+from sweep.analysis import rare
 from sweep.analysis.sample import is_sample, pooled
 from sweep.core.expressions import mask
 from sweep.core.files import write_whole
@@ -94,6 +95,7 @@ def write(results: Results, out: Path, serif: bool = False) -> list[Path]:
         escape=escape,
         tables=captions,
         sample=is_sample(results.rows, results.exp),
+        beside=beside(results),
     )
     for name, text in texts.items():
         write_whole(out / name, text.encode())
@@ -160,6 +162,13 @@ def quoted(results: Results) -> Iterator[Number]:
         yield _percent(start + "RateLow", one.low, f"lower end of the 95 % Wilson interval of the {share}", valid)
         yield _percent(start + "RateHigh", one.high, f"upper end of the 95 % Wilson interval of the {share}", valid)
     yield _percent(start + "InvalidRate", one.invalid_share, 'share of outcome == "invalid"', None)
+    if results.exp.study.sought:
+        found = rare.rare(rows, results.exp)
+        for name, value in zip(("", "Low", "High"), (found.probability, *found.interval), strict=True):
+            what = (
+                f"probability of failing{f', its {name.lower()} 95 % end' if name else ''}, by where rows were sought"
+            )
+            yield Number(f"{start}Failing{name}", value, small(value), what, None)
     for cause in results.causes_seen:
         where = f'cause == "{cause}"'
         count = int((rows["cause"] == cause).sum())
@@ -175,6 +184,24 @@ def quoted(results: Results) -> Iterator[Number]:
         for word, value in (("Median", won[figure].median()), ("Min", won[figure].min()), ("Max", won[figure].max())):
             what = f"{word.lower()} of {figure}"
             yield Number(start + camel(figure) + word, float(value), f"{value:.4g}", what, 'outcome == "success"')
+
+
+def beside(results: Results) -> str:
+    """What has to be said beside the rate of rows that were chosen by what others of them showed."""
+    if results.exp.study.refined:
+        return "Most were run next to the boundary, so that this is not the region's share."
+    if not results.exp.study.sought:
+        return ""
+    macro, found = f"\\{prefix(results)}Failing", rare.rare(results.rows, results.exp)
+    text = "They were drawn where failures are, so that this is not the study's rate: "
+    text += f"it fails with a probability of {macro}{{}}, {macro}Low{{}} to {macro}High{{}} at 95\\,\\%"
+    return text + ("." if found.trusted else ", which is not to be trusted: \\texttt{sweep stats} says why.")
+
+
+def small(value: float) -> str:
+    """A probability as LaTeX writes it."""
+    digits, _, power = f"{value:.2g}".partition("e")
+    return "--" if np.isnan(value) else rf"${digits}\cdot10^{{{int(power)}}}$" if power else digits
 
 
 def _percent(name: str, share: float, what: str, where: str | None) -> Number:
