@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from sweep.controllers.frames import Stance
 from sweep.controllers.plan import CYCLE_A, Stage
@@ -28,6 +28,11 @@ class Step(NamedTuple):
     height: Array | float  # m, d_y
     time: Array | float  # s, t*
 
+    @classmethod
+    def of(cls, unit: Array | float, half: Array | float, lift: Array | float, rate: Array | float) -> "Step":
+        """That of ratios to a `unit` (m): of what a foot moves ahead, by halves, and of how high; at a rate (rad/s)."""
+        return cls(half * unit, lift * unit, stepping.swing_time(rate))
+
     @property
     def landing(self) -> Array | float:
         """x* (m): a foot swings from -x* to x* about its cycle's centre."""
@@ -42,19 +47,14 @@ def advance(gait: Sequence[Sequence[int]], step: Step) -> Array | float:
     return 2 * step.landing / (len(gait) - 1)
 
 
-def centre_offsets(gait: Sequence[Sequence[int]], step: Step) -> dict[int, Array | float]:
-    """Feet at the start relative to their cycles' centres (m, forward): each as far back as its turn is near.
+def centre_offsets(gait: Sequence[Sequence[int]], step: Step, forward: Float[Array, " 3"]) -> Float[Array, "6 3"]:
+    """Feet at the start relative to their cycles' centres (m): each as far back as its turn is near.
 
     A leg that swings at turns p, p' of n lands at half of what the body goes in its stance ahead of the centre, so
     that it stands symmetrically about the centre.
     """
-    offsets = {}
     way = advance(gait, step)
-    for leg in LEGS:
-        turns = _turns(gait, leg)
-        until_first = turns[0]
-        offsets[leg] = until_first * way - _half_stance(gait, leg) * way
-    return offsets
+    return jnp.stack([(_turns(gait, leg)[0] * way - _half_stance(gait, leg) * way) * forward for leg in LEGS])
 
 
 def _turns(gait: Sequence[Sequence[int]], leg: int) -> list[int]:

@@ -16,7 +16,7 @@ FORWARD = jnp.array([1.0, 0.0, 0.0])
 
 def plan_of(name, cycles=3):
     gait = GAITS[name]
-    start = CENTRES + jnp.array([[centre_offsets(gait, STEP)[leg], 0, 0] for leg in range(1, 7)])
+    start = CENTRES + centre_offsets(gait, STEP, FORWARD)
     stance = Stance(start, jnp.zeros(3), jnp.array([1.0, 0, 0, 0]))
     stages = regular_steps(gait, STEP, stance, CENTRES, FORWARD, cycles * len(gait), 0.0)
     return gait, assemble(stance, stages, 0.1)

@@ -17,7 +17,6 @@ from sweep.controllers.moves import moves
 from sweep.controllers.plan import CYCLE_B, REGRIP, STAYS, Plan, Stage
 from sweep.controllers.tracker import Guided
 from sweep.core.parameters import choice, count, parameters, quantity
-from sweep.formulas import stepping
 from sweep.models.case import Case
 from sweep.models.frames import koenig
 from sweep.models.legs import PAIRS
@@ -90,7 +89,7 @@ class BallOver(BesideBall):
         """By tripod, once the middle feet are under their hips; in the frame of a ball that is not to move."""
         radius, length = belief.on(Ball).radius, belief.robot.body_length
         height, spread = self.hips_ratio * length, self.spread_ratio * length
-        step = Step(self.half_step_ratio * length, self.lift_ratio * length, stepping.swing_time(self.turning))
+        step = Step.of(length, self.half_step_ratio, self.lift_ratio, self.turning)
         *_, last = moves(belief, "off").values()
         stood = tangent(belief.on(Ball), 1.0, radius, 0.0, *last.base["tangent"])
         position = stood.at[0].add(step.half_length).at[2].set(height - radius)  # so far that no leg hits the ball

@@ -20,7 +20,6 @@ from sweep.controllers.manoeuvres.goals import ARRIVED, UPRIGHT
 from sweep.controllers.plan import BALANCE, CYCLE_B, LEVELLING, LOCKED, SMOOTH, STAND, Plan, Stage
 from sweep.controllers.posture import joint_targets
 from sweep.core.parameters import choice, count, parameters, quantity
-from sweep.formulas import stepping
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
 from sweep.models.legs import LEGS
@@ -117,7 +116,7 @@ class BeamWalk:
     def site(self, belief: Case) -> BeamSite:
         """The beam and the robot as they are believed."""
         length = belief.robot.body_length
-        step = Step(self.half_step_ratio * length, self.lift_ratio * length, stepping.swing_time(self.rate))
+        step = Step.of(length, self.half_step_ratio, self.lift_ratio, self.rate)
         track = belief.on(Beam).width - 2 * self.inset
         return BeamSite(belief.robot, belief.on(Beam).height, self.height_ratio * length, track, self.deepening, step)
 
@@ -199,8 +198,7 @@ class BeamCross(BeamWalk):
         site, forward = self.walking(site), jnp.array(FORWARD)
         step = site.step
         first = y + 2 * step.landing * self.approach
-        offsets = centre_offsets(TRIPOD, step)
-        feet = site.feet(first, self.wide_track / 2) + jnp.stack([offsets[leg] * forward for leg in LEGS])
+        feet = site.feet(first, self.wide_track / 2) + centre_offsets(TRIPOD, step, forward)
         start = Stance(feet, site.base(first), jnp.array(TOWARDS))
         stages = [Stage("stand", STAND), *self.tripods(site, start, self.approach)]
         goal = site.feet(y, self.wide_track / 2)

@@ -22,7 +22,6 @@ from sweep.controllers.moves import numbers_of
 from sweep.controllers.plan import CYCLE_B_SMOOTH, SMOOTH, STAND, Plan, Stage
 from sweep.controllers.symmetry import gone
 from sweep.core.parameters import choice, count, parameters, quantity
-from sweep.formulas import stepping
 from sweep.models.case import Case
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.charts import point
@@ -126,7 +125,7 @@ class OnCorner(PlannedForces):
             standoff=self.standoff_ratio * a_r,
             span=self.span_ratio * a_r,
             near=self.near_ratio * a_r,
-            step=Step(self.half_step_ratio * a_r, self.lift_ratio * a_r, stepping.swing_time(self.rate)),
+            step=Step.of(a_r, self.half_step_ratio, self.lift_ratio, self.rate),
         )
 
     def assembled(self, belief: Case, start: Stance, stages: list[Stage]) -> Plan:

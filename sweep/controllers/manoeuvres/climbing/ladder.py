@@ -22,7 +22,6 @@ from sweep.controllers.refusals import plain, refuse_reach
 from sweep.controllers.symmetry import gone
 from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, parameters, quantity
-from sweep.formulas import stepping
 from sweep.formulas.ladder import ladder as statics
 from sweep.fused.numbers import worked_out
 from sweep.models.case import Case
@@ -74,7 +73,7 @@ class LadderClimb(PlannedForces):
         """The plan but for its forces."""
         ladder, robot = belief.on(Ladder), belief.robot
         length, unit = robot.body_length, leg_unit(robot)
-        step = Step(self.half_step_ratio * length, self.lift_ratio * length, stepping.swing_time(self.rate))
+        step = Step.of(length, self.half_step_ratio, self.lift_ratio, self.rate)
         terms = Terms(belief, unit, step.time, 0.0, dict.fromkeys(ladder.charts, self.deepening))
         height, spread = self.height_ratio * unit, self.spread_ratio * length
         places, arrival, at = placed("arrive", terms)

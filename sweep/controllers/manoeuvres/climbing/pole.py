@@ -22,7 +22,6 @@ from sweep.controllers.plan import CYCLE_A, CYCLE_B, STAND, Plan, Stage
 from sweep.controllers.posture import leg_unit
 from sweep.controllers.symmetry import gone
 from sweep.core.parameters import choice, count, parameters, quantity
-from sweep.formulas import stepping
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
 from sweep.models.obstacles.charts import point
@@ -130,7 +129,7 @@ class OnPole(PlannedForces):
     def site(self, belief: Case) -> PoleSite:
         """What is believed of the robot and of the pole."""
         unit, pole = leg_unit(belief.robot), belief.on(PoleLedge)
-        step = Step(self.half_step_ratio * unit, self.lift_ratio * unit, stepping.swing_time(self.rate))
+        step = Step.of(unit, self.half_step_ratio, self.lift_ratio, self.rate)
         track = belief.robot.body_width / 2 + self.spread_ratio * unit
         return PoleSite(
             belief.robot.body_length,

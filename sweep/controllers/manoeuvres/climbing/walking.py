@@ -13,7 +13,6 @@ from sweep.controllers.plan import CYCLE_B, Stage
 from sweep.controllers.posture import foot_centres
 from sweep.core.rotations import IDENTITY, rotate
 from sweep.models.case import Case
-from sweep.models.legs import LEGS
 
 
 class Facing(NamedTuple):
@@ -51,8 +50,7 @@ def walk_up(
     """
     forward, home = jnp.array(ALONG_Y.forward), centres(belief, spread, arrival[2])
     position = arrival - (gap + 2 * step.landing * steps) * forward
-    offsets = centre_offsets(TRIPOD, step)
-    feet = position + home + jnp.stack([offsets[leg] * forward for leg in LEGS])
+    feet = position + home + centre_offsets(TRIPOD, step, forward)
     start = Stance(feet, position, jnp.array(TOWARDS))
     stages = regular_steps(TRIPOD, step, start, home, forward, steps, 0.0)
     for k, legs in enumerate(TRIPOD):
@@ -74,8 +72,7 @@ def walk_away(
 ) -> tuple[list[Stage], list[Stage]]:
     """The feet to where a tripod gait may start, the base at `position` (m), and `steps` swings of it."""
     forward, home = jnp.array(facing.forward), centres(belief, spread, clearance, facing)
-    offsets = centre_offsets(TRIPOD, step)
-    feet = position + home + jnp.stack([offsets[leg] * forward for leg in LEGS])
+    feet = position + home + centre_offsets(TRIPOD, step, forward)
     stages = []
     for legs in TRIPOD:
         name = f"away.{'-'.join(map(str, legs))}"

@@ -13,9 +13,7 @@ from sweep.controllers.plan import STAND, Plan, Stage, moved
 from sweep.controllers.posture import foot_centres
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import IDENTITY, exponential
-from sweep.formulas import stepping
 from sweep.models.case import Case
-from sweep.models.legs import LEGS
 from sweep.models.obstacles.plane import Plane
 
 
@@ -42,12 +40,11 @@ class Walk:
         """Stand, `steps` swings, stand. Along the believed ground, with the base parallel to it."""
         robot = belief.robot
         length = robot.body_length
-        step = Step(self.half_step_ratio * length, self.lift_ratio * length, stepping.swing_time(self.rate))
+        step = Step.of(length, self.half_step_ratio, self.lift_ratio, self.rate)
         gait = GAITS[self.gait]
         start, centres = standing(belief, self.spread_ratio * length, self.height_ratio * length)
         forward = jnp.array([1.0, 0.0, 0.0])
-        offsets = centre_offsets(gait, step)
-        start = start._replace(feet=start.feet + jnp.stack([offsets[leg] * forward for leg in LEGS]))
+        start = start._replace(feet=start.feet + centre_offsets(gait, step, forward))
         swings = regular_steps(gait, step, start, centres, forward, self.steps, self.deepening)
         plan = assemble(start, [Stage("stand", STAND), *swings, Stage("halt", 2 * STAND)], self.patience)
         return on_ground(plan, belief)

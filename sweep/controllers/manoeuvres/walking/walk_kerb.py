@@ -10,9 +10,7 @@ from sweep.controllers.gaits import GAITS, Step, centre_offsets, regular_steps
 from sweep.controllers.manoeuvres.walking.walk import Walk, standing
 from sweep.controllers.plan import STAND, Plan, Stage
 from sweep.core.parameters import choice, count, parameters, quantity
-from sweep.formulas import stepping
 from sweep.models.case import Case
-from sweep.models.legs import LEGS
 from sweep.models.obstacles.kerb import Kerb
 
 
@@ -31,12 +29,11 @@ class WalkKerb(Walk):
     def plan(self, belief: Case) -> Plan:
         """Stand, `steps` swings, stand."""
         length, height, gait = belief.robot.body_length, belief.on(Kerb).height, GAITS[self.gait]
-        step = Step(self.half_step_ratio * length, self.lift_ratio * length, stepping.swing_time(self.rate))
+        step = Step.of(length, self.half_step_ratio, self.lift_ratio, self.rate)
         start, centres = standing(belief, self.spread_ratio * length, self.height_ratio * length)
         forward = jnp.array([1.0, 0.0, 0.0])
-        offsets = centre_offsets(gait, step)
         back = (jnp.max(centres[:, 0]) + self.distance) * forward
-        ahead = jnp.stack([offsets[leg] * forward for leg in LEGS])
+        ahead = centre_offsets(gait, step, forward)
         start = start._replace(feet=start.feet + ahead - back, position=start.position - back)
 
         def foothold(foot: Float[Array, " 3"]) -> Float[Array, " 3"]:
