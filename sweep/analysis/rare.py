@@ -37,7 +37,7 @@ class Weighted:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Of 95 %."""
+        """The interval of 95 %, from low to high."""
         return self.low, self.high
 
     @property
