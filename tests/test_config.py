@@ -85,6 +85,7 @@ BAD = [
     ("obstacle=ball", ["obstacle.kind = ball", "manoeuvre.kind = walk needs plane"]),
     ("robot.thigh", ["robot.thigh", "group.name=value"]),
     ("study.name=a<b", ["study.name=a<b cannot be read", "quotes"]),
+    ("out=results/ö", ["out=results/ö cannot be read", """'out="results/ö"'"""]),
     ("study.replicates=0", ["study.replicates = 0", "at least 1"]),
     ("+study.axes.f={path: contact.friction, num: 3}", ["study.axes.f.from is missing", "from, to and num"]),
     ("+study.axes.f={path: contact.friction}", ["study.axes.f", "values, or from, to and num"]),

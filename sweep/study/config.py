@@ -231,7 +231,11 @@ def one_line(error: Exception, overrides: list[str]) -> str:
             return f"{group} = {name} is not a file"
         return f"{group} = {name} is unknown{suggest(name, sources.names(group))}"
     if isinstance(error, OverrideParseException):
-        reason = "put quotes around its value" if "=" in str(error.override) else "group=choice or group.name=value"
+        key, given, value = str(error.override).partition("=")
+        quoted = (
+            f" that the shell leaves: '{key}=\"{value}\"'" if value and not re.search(r"[\"'\[\]{}]", value) else ""
+        )
+        reason = f"put quotes around its value{quoted}" if given else "group=choice or group.name=value"
         return f"{error.override} cannot be read: {reason}"
     if found := re.match(r"Ambiguous value for argument '(.*)'", str(error)):
         return f"{found[1]} cannot be read: key=[VALUE,VALUE] is a list, and --multirun runs each"

@@ -28,7 +28,7 @@ from foxglove.messages import (
 )
 
 from sweep.core.errors import Fault
-from sweep.core.files import write_whole
+from sweep.core.files import descriptor, write_whole
 from sweep.engines.base import Trace
 from sweep.trace.arrows import ARROW_RADIUS, FORCE_COLOR, arrow_tips
 from sweep.trace.layout import layout
@@ -47,7 +47,7 @@ _STAGE_SCHEMA = {
 
 
 def write_mcap(path: str | Path, trace: Trace, config: Mapping[str, Any], outcome: Mapping[str, Any]) -> None:
-    """Write `trace` to `path`, and a Foxglove layout beside it (`<name>.layout.json`).
+    """Write `trace` to `path`, and a Foxglove layout beside it (`<name>.layout.json`); beside a device none.
 
     `config` is attached as `config.json`; `outcome` is a message at the start and a metadata record. Log times
     are simulated time. The same input gives the same bytes. Only finite frames are written; raises `ValueError`
@@ -60,7 +60,8 @@ def write_mcap(path: str | Path, trace: Trace, config: Mapping[str, Any], outcom
         if "I/O error" not in str(error):
             raise
         raise Fault(f"{path} cannot be written: {error}") from None
-    write_whole(path.with_suffix(".layout.json"), f"{json.dumps(layout(trace), indent=1)}\n".encode())
+    if path.is_file() and descriptor(path) is None:
+        write_whole(path.with_suffix(".layout.json"), f"{json.dumps(layout(trace), indent=1)}\n".encode())
 
 
 def _write(path: Path, trace: Trace, config: Mapping[str, Any], outcome: Mapping[str, Any]) -> None:

@@ -115,6 +115,12 @@ def test_config_is_attached(written):
     assert metadata.metadata == {"outcome": "success", "cause": "", "slip_max_m": "0.25", "clearance_min_m": ""}
 
 
+def test_a_device_has_no_layout_beside_it(trace, tmp_path):
+    (tmp_path / "device.mcap").symlink_to("/dev/null")
+    write_mcap(tmp_path / "device.mcap", trace, CONFIG, OUTCOME)
+    assert [path.name for path in tmp_path.iterdir()] == ["device.mcap"]
+
+
 def test_same_input_same_bytes(written, trace, tmp_path):
     write_mcap(tmp_path / "again.mcap", trace, CONFIG, dict(reversed(OUTCOME.items())))
     assert (tmp_path / "again.mcap").read_bytes() == written.read_bytes()
