@@ -142,6 +142,8 @@ def test_a_shipped_plan_says_where_its_numbers_come_from(name):
         (OWN.replace("base", "bsae"), "plan.roof.pitch.bsae is unknown: did you mean base?"),
         (OWN.replace("45]", "45, 1]"), "plan.roof.pitch.base = .* is not allowed: \\[ahead, above, pitch\\]"),
         (OWN.replace("-0.2", "near"), "plan.roof.pitch.base = near is not allowed: a number"),
+        (OWN.replace("base:", "time: 0, base:"), "plan.roof.pitch.time = 0 is not allowed: above 0"),
+        (OWN.replace("base:", "seconds: -1, base:"), "plan.roof.pitch.seconds = -1 is not allowed: above 0"),
         (OWN.replace("base: [-0.2, 0.1, 45]", "front: {rof: [0, 0]}"), "chart rof is unknown on corner: did you mean"),
         ("roof: {}", "plan.entry.pitch is missing"),
         ("extends: corner\nroof: {reverse: roof}", "plan.roof.reverse = roof is not allowed: another part"),

@@ -4,6 +4,7 @@ A move takes the base somewhere and feet to places, both in charts that the obst
 pair are placed alike.
 """
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, NamedTuple
@@ -60,6 +61,7 @@ class Move:
 
 REVERSED = ("reverse", "from", "mirror", "law")  # what a part says that is another one backwards
 WORDS = {"pace": PACES, "swing": CYCLES}
+LONG = ("time", "seconds")
 SIZES = {key: len(names) for key, names in COMPONENTS.items() if key != "base"}  # of lists
 
 
@@ -330,6 +332,8 @@ def _move(where: str, given: Mapping[str, Any]) -> Move:
         wrong = [number for number in _listed(value) if isinstance(number, str | bool)]
         if wrong and key not in (*WORDS, "support", "law"):
             raise InputError(f"{where}.{key} = {wrong[0]} is not allowed: a number")
+        if key in LONG and isinstance(value, int | float) and not 0 < value < math.inf:
+            raise InputError(f"{where}.{key} = {value:g} is not allowed: above 0")
     for key in ("base", *feet):
         if (place := given.get(key)) and (not isinstance(place, Mapping) or len(place) != 1):
             raise InputError(f"{where}.{key} = {place} is not allowed: coordinates in one chart")
