@@ -63,6 +63,18 @@ def names(text: str | None) -> list[str] | None:
     return [name.strip() for name in text.split(",")] if text else None
 
 
+def save(path: Path, content: bytes) -> None:
+    """Write what `-o` asks for. Raises `InputError` where it is a file that a folder's rows are read from."""
+    from sweep.runs import manifest, store
+
+    named, folder = path.name in (store.STUDY, store.POINTS, manifest.MANIFEST), path.parent
+    if not named and folder.name in store.PLACES:
+        named, folder = True, folder.parent
+    if named and (folder / store.STUDY).exists():
+        raise InputError(f"-o = {path} is not allowed: a study's own file")
+    write_whole(path, content)
+
+
 def show_table(given: argparse.Namespace) -> int:
     """Rows as csv, markdown, latex or parquet."""
     from sweep.report import tables
@@ -73,7 +85,7 @@ def show_table(given: argparse.Namespace) -> int:
     exp = results.kept(given.dir)
     content = tables.render(matching(given.dir, given.where), given.format, names(given.columns), exp)
     if given.output:
-        write_whole(given.output, content)
+        save(given.output, content)
     else:
         kept, elsewhere = ("outcome", "cause"), "`--columns` chooses others, a file has all"
         terminal.show(content.decode(), kept, elsewhere)
@@ -220,7 +232,7 @@ def compare_results(given: argparse.Namespace) -> int:
         differ.append(compare.differences(pairs).assign(**({"B": str(folder)} if len(given.b) > 1 else {})))
         broken += comparison.broken(pairs, len(a), given.tolerance, given.figures)
     if given.output:
-        write_whole(given.output, pd.concat(differ).to_csv(index=False).encode())
+        save(given.output, pd.concat(differ).to_csv(index=False).encode())
     for line in broken:
         print(f"sweep: {line}", file=sys.stderr)
     return UNEXPECTED if broken else DONE
@@ -237,7 +249,7 @@ def certify_results(given: argparse.Namespace) -> int:
     text, found = certify.run(given)
     print(text)
     if given.output:
-        write_whole(given.output, f"{json.dumps(found, indent=1)}\n".encode())
+        save(given.output, f"{json.dumps(found, indent=1)}\n".encode())
     return DONE if found["certified"] else UNEXPECTED
 
 
