@@ -80,7 +80,7 @@ def test_it_keeps_clear_of_ladder_ledge_and_its_own_legs(plan):
     assert found.links.min() > -0.003  # the judge allows 5 mm, as for the next
     assert found.fold.min() > -0.003
     assert found.reach.min() > 0.01
-    assert found.outer.min() > 0.01  # or a leg turns over
+    assert found.outer.min() > 0.005  # or a leg turns over
 
 
 @pytest.mark.parametrize(
