@@ -17,6 +17,9 @@ from sweep.models.drive import Servo
 from sweep.models.obstacles.surface import FreeState
 from sweep.models.robot import Robot
 
+SOON = 0.1  # s after the end of a swing, in which all its feet go on inwards; then those do that hang
+FASTER = 3.0  # than all of them, those go on that hang
+
 
 class Now(NamedTuple):
     """A control tick as layers and guidance see it."""
@@ -68,7 +71,7 @@ class Layer:
         return feet
 
     def crept(
-        self, plan: Plan, stage: Int[Array, ""], clock: Float[Array, ""], feet: Float[Array, "6 3"]
+        self, plan: Plan, own: Any, stage: Int[Array, ""], clock: Float[Array, ""], feet: Float[Array, "6 3"]
     ) -> Float[Array, "6 3"]:
         """Feet (m, world axes) `clock` s into a stage, where it has them at `feet`."""
         return feet
@@ -146,7 +149,9 @@ class Feedforward(Layer):
     """Holding on with planned foot forces, over S stages and K even moments of each.
 
     The drives are told of a force as an offset of their targets. It acts as planned only where the foothold is the
-    place at which the foot really stands: 1 mm off is a force as large as the robot's weight.
+    place at which the foot really stands: 1 mm off is a force as large as the robot's weight. So a foot that
+    hangs longer than the others of its swing goes on alone: they would push the base away. The state is how far (m)
+    each has gone on alone.
     """
 
     offset: Float[Array, "s k 6 3"]  # rad, that the drives turn into the joint torques wanted
@@ -154,6 +159,21 @@ class Feedforward(Layer):
     inward: Float[Array, "s 6 3"]  # unit vectors into the surface at the footholds
     creep: Float[Array, ""]  # m/s, of a foot that has not touched down at the end of its swing
     anchoring: Float[Array, ""]  # s, in which the foothold of a loaded foot follows the place where it really is
+
+    def begun(self, start: Stance, joints: Float[Array, "6 3"], free: FreeState) -> Float[Array, " 6"]:
+        """No foot has gone on yet."""
+        return jnp.zeros(len(joints))
+
+    def entered(
+        self, stage: Int[Array, ""], own: Float[Array, " 6"], was: FreeState, free: FreeState
+    ) -> tuple[Float[Array, " 6"], FreeState]:
+        """No foot has gone on in a stage that begins."""
+        return jnp.zeros_like(own), free
+
+    def led(self, now: Now, own: Float[Array, " 6"], target: Stance) -> tuple[Float[Array, " 6"], Stance]:
+        """Farther, those that bear no load long after the end of their swing."""
+        late = jnp.clip(now.clock - now.plan.duration[now.stage] - SOON, 0.0, now.period)
+        return own + jnp.where(now.seen.loaded, 0.0, FASTER * self.creep * late), target
 
     def anchored(self, now: Now, feet: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
         """Those of loaded standing feet follow the feet."""
@@ -164,11 +184,13 @@ class Feedforward(Layer):
         return feet + share[:, None] * (real - feet)
 
     def crept(
-        self, plan: Plan, stage: Int[Array, ""], clock: Float[Array, ""], feet: Float[Array, "6 3"]
-    ) -> Float[Array, "6 3"]:
+        self, plan: Plan, own: Float[Array, " 6"], stage: Int[Array, ""], clock: Float[Array, ""],
+        feet: Float[Array, "6 3"],
+    ) -> Float[Array, "6 3"]:  # fmt: skip
         """Swinging feet go on inwards while the stage waits for their touchdown."""
-        late = jnp.maximum(clock - plan.duration[stage], 0.0)
-        return feet + jnp.where(plan.swing[stage][:, None], self.creep * late * self.inward[stage], 0.0)
+        late = jnp.clip(clock - plan.duration[stage], 0.0, SOON)
+        way = (self.creep * late + own)[:, None] * self.inward[stage]
+        return feet + jnp.where(plan.swing[stage][:, None], way, 0.0)
 
     def driven(self, now: Now, joints: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
         """Targets with the offset that the planned forces take."""

@@ -2,6 +2,7 @@
 
 import functools
 import operator
+from collections.abc import Sequence
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
@@ -128,7 +129,7 @@ def step(
         states[k], target = layer.led(now, states[k], target)
     if state.told is not None:
         state = state._replace(told=stance_to_frame(target, *frames, free))
-    target = target._replace(feet=_crept(plan, state.stage, state.clock, target.feet))
+    target = target._replace(feet=_crept(plan, states, state.stage, state.clock, target.feet))
     joints, shortfall = joint_targets(belief.robot, target)
     command = Command(nearest(joints, state.joints), target, phase, shortfall)
     for k, layer in enumerate(plan.layers):
@@ -161,7 +162,7 @@ def _advance(
     following = jnp.where(last, stage, stage + 1)
     meant = bodies(plan, state, seen.free)
     ended = stance_to_world(reached, plan.foot_frame[stage], plan.base_frame[stage], meant)
-    ended = ended._replace(feet=_crept(plan, stage, state.clock, ended.feet))
+    ended = ended._replace(feet=_crept(plan, state.layers, stage, state.clock, ended.feet))
     begun = onset(belief, plan, following, ended, seen)
     if (blind := _blind(plan, stage)) is not False:  # it sees nothing of where feet are: the error before holds on
         known = Onset(ended.feet, state.error, state.turn)
@@ -301,8 +302,10 @@ def _blind(plan: Plan, stage: Int[Array, ""]) -> Bool[Array, ""] | bool:
     return functools.reduce(operator.or_, (layer.blind(stage) for layer in plan.layers), False)
 
 
-def _crept(plan: Plan, stage: Array, clock: Array, feet: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
+def _crept(
+    plan: Plan, states: Sequence[Any], stage: Array, clock: Array, feet: Float[Array, "6 3"]
+) -> Float[Array, "6 3"]:
     """Feet (m, world axes) with what layers have them do beyond the plan."""
-    for layer in plan.layers:
-        feet = layer.crept(plan, stage, clock, feet)
+    for layer, own in zip(plan.layers, states, strict=True):
+        feet = layer.crept(plan, own, stage, clock, feet)
     return feet
