@@ -61,7 +61,7 @@ class Move:
 
 REVERSED = ("reverse", "from", "mirror", "law")  # what a part says that is another one backwards
 WORDS = {"pace": PACES, "swing": CYCLES}
-LONG = ("time", "seconds")
+LONG = ("time", "seconds")  # which are of a move that lasts
 SIZES = {key: len(names) for key, names in COMPONENTS.items() if key != "base"}  # of lists
 
 

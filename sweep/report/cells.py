@@ -54,12 +54,12 @@ def mark_values(ax: Axes, cells: Cells) -> None:
         ax.tick_params(axis="x", labelrotation=60)
 
 
-def number(value: float) -> str:
-    """A number of four digits beside an axis: `0.125`, `20,000`, `$2.5·10^{-7}$`."""
-    digits, _, power = f"{value:.4g}".partition("e")
+def number(value: float, size: int = 4) -> str:
+    """A number of `size` digits beside an axis or in LaTeX: `0.125`, `20,000`, `$2.5·10^{-7}$`."""
+    digits, _, power = f"{value:.{size}g}".partition("e")
     if not power:
         return digits
-    return f"{value:,.0f}" if 0 < int(power) < 6 else rf"${digits} \cdot 10^{{{int(power)}}}$"
+    return f"{value:,.0f}" if 0 < int(power) < 6 else rf"${digits}\cdot10^{{{int(power)}}}$"
 
 
 def places(numbers: np.ndarray, values: np.ndarray) -> np.ndarray:

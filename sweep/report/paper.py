@@ -18,7 +18,7 @@ from sweep.analysis.sample import is_sample, pooled
 from sweep.core.expressions import mask
 from sweep.core.files import write_whole
 from sweep.core.letters import lettering
-from sweep.report import statistics, tables
+from sweep.report import cells, statistics, tables
 from sweep.report.exhibits import exhibits
 from sweep.report.labels import heading
 from sweep.runs import audit
@@ -70,7 +70,8 @@ def write(results: Results, out: Path, serif: bool = False) -> list[Path]:
         write_whole(paths[-1], table.to_csv(index=False).encode())
         if len(table) <= LINES:
             texts[f"tables/{name}.tex"], captions[name] = tables.latex(table, results.exp), caption
-    numbers = list(quoted(results))
+    found = rare.rare(results.rows, results.exp) if results.exp.study.sought else None
+    numbers = list(quoted(results, found))
     table = pd.DataFrame([vars(one) for one in numbers])
     write_whole(out / "data" / "numbers.csv", table.to_csv(index=False).encode())
     texts["numbers.tex"] = "".join(macro(results, one, paths[0].name) for one in numbers)
@@ -95,7 +96,7 @@ def write(results: Results, out: Path, serif: bool = False) -> list[Path]:
         escape=escape,
         tables=captions,
         sample=is_sample(results.rows, results.exp),
-        beside=beside(results),
+        beside=beside(results, found),
     )
     for name, text in texts.items():
         write_whole(out / name, text.encode())
@@ -145,8 +146,11 @@ def summaries(results: Results) -> Iterator[tuple[str, str, pd.DataFrame]]:
             yield f"statistics-{number}", escape(title) + ".", content
 
 
-def quoted(results: Results) -> Iterator[Number]:
-    """Every number of the bundle's text, and those that a text about the study is likely to need."""
+def quoted(results: Results, found: rare.Weighted | rare.Repeated | None) -> Iterator[Number]:
+    """Every number of the bundle's text, and those that a text about the study is likely to need.
+
+    `found` is what a study that seeks failures says.
+    """
     rows, start = results.rows, prefix(results)
     one, valid = pooled(rows, results.exp), 'outcome != "invalid"'
     for name, count, where in (
@@ -162,13 +166,13 @@ def quoted(results: Results) -> Iterator[Number]:
         yield _percent(start + "RateLow", one.low, f"lower end of the 95 % Wilson interval of the {share}", valid)
         yield _percent(start + "RateHigh", one.high, f"upper end of the 95 % Wilson interval of the {share}", valid)
     yield _percent(start + "InvalidRate", one.invalid_share, 'share of outcome == "invalid"', None)
-    if results.exp.study.sought:
-        found = rare.rare(rows, results.exp)
+    if found:
         for name, value in zip(("", "Low", "High"), (found.probability, *found.interval), strict=True):
             what = (
                 f"probability of failing{f', its {name.lower()} 95 % end' if name else ''}, by where rows were sought"
             )
-            yield Number(f"{start}Failing{name}", value, small(value), what, None)
+            shown = "--" if np.isnan(value) else cells.number(value, 2)
+            yield Number(f"{start}Failing{name}", value, shown, what, None)
     for cause in results.causes_seen:
         where = f'cause == "{cause}"'
         count = int((rows["cause"] == cause).sum())
@@ -186,22 +190,16 @@ def quoted(results: Results) -> Iterator[Number]:
             yield Number(start + camel(figure) + word, float(value), f"{value:.4g}", what, 'outcome == "success"')
 
 
-def beside(results: Results) -> str:
+def beside(results: Results, found: rare.Weighted | rare.Repeated | None) -> str:
     """What has to be said beside the rate of rows that were chosen by what others of them showed."""
     if results.exp.study.refined:
         return "Most were run next to the boundary, so that this is not the region's share."
-    if not results.exp.study.sought:
+    if not found:
         return ""
-    macro, found = f"\\{prefix(results)}Failing", rare.rare(results.rows, results.exp)
+    macro = f"\\{prefix(results)}Failing"
     text = "They were drawn where failures are, so that this is not the study's rate: "
     text += f"it fails with a probability of {macro}{{}}, {macro}Low{{}} to {macro}High{{}} at 95\\,\\%"
     return text + ("." if found.trusted else ", which is not to be trusted: \\texttt{sweep stats} says why.")
-
-
-def small(value: float) -> str:
-    """A probability as LaTeX writes it."""
-    digits, _, power = f"{value:.2g}".partition("e")
-    return "--" if np.isnan(value) else rf"${digits}\cdot10^{{{int(power)}}}$" if power else digits
 
 
 def _percent(name: str, share: float, what: str, where: str | None) -> Number:
