@@ -1,8 +1,7 @@
 // What is looked at, as the end of the page's address and as a condition of the command line: reloads and links keep it.
 
-/** @typedef {import("./data.js").Table} Table */
-/** @typedef {import("./state.js").Range} Range */
-/** @typedef {import("./state.js").State} State */
+/** @import { Table } from "./data.js" */
+/** @import { Range, State } from "./state.js" */
 
 /**
  * @typedef {object} Wanted
@@ -20,9 +19,7 @@ const OWN = ["x", "y", "colour", "hide", "point", "time"];
 
 /**
  * What an address asks for; of what this study lacks, nothing.
- * @param {Table} table
- * @param {string} hash
- * @returns {Wanted}
+ * @type {(table: Table, hash: string) => Wanted}
  */
 export function wantedOf(table, hash) {
   const told = new URLSearchParams(hash.replace(/^#/, ""));
@@ -70,9 +67,7 @@ export function addressOf(table, state, { x, y, colour, point, time }) {
 
 /**
  * The filters as `--where` of the commands takes them; empty without any.
- * @param {Table} table
- * @param {State} state
- * @returns {string}
+ * @type {(table: Table, state: State) => string}
  */
 export function conditionOf(table, state) {
   const parts = [];

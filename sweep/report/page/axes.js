@@ -1,14 +1,17 @@
 // Axes of charts: from values to pixels and back, ticks and titles.
 import { bent, clamp, edgesOf, placeIn, shortly, ticks, unbent } from "./numbers.js";
 
-/** @typedef {import("./data.js").Column} Column */
+/** @import { Column } from "./data.js" */
+/** @import { Sheet, Theme } from "./dom.js" */
+/** @typedef {{ value: number, text: string }} Mark along an axis */
+/** @typedef {{ scale: Scale, title: string }} Titled */
 
 /**
  * A way from values to a share of an axis, 0 to 1, and back.
  * @typedef {object} Scale
  * @property {(value: number) => number} to
  * @property {(share: number) => number} back
- * @property {{ value: number, text: string }[]} ticks
+ * @property {Mark[]} ticks
  * @property {Float64Array | null} edges of cells, as shares, where the axis has cells
  * @property {Float64Array | null} cells their values
  */
@@ -47,23 +50,12 @@ export function scaleOf(column, cells, room) {
   return uneven(cells, room);
 }
 
-/**
- * @param {number} low
- * @param {number} high
- * @param {number} room
- * @returns {{ value: number, text: string }[]}
- */
+/** @type {(low: number, high: number, room: number) => Mark[]} */
 function numbered(low, high, room) {
   return ticks(low, high, room).map((value) => ({ value, text: shortly(value) }));
 }
 
-/**
- * @param {number} low
- * @param {number} high
- * @param {{ value: number, text: string }[]} marks
- * @param {Float64Array | null} cells
- * @returns {Scale}
- */
+/** @type {(low: number, high: number, marks: Mark[], cells: Float64Array | null) => Scale} */
 function even(low, high, marks, cells) {
   const size = high - low || 1;
   const to = (/** @type {number} */ value) => (value - low) / size;
@@ -73,9 +65,7 @@ function even(low, high, marks, cells) {
 
 /**
  * A scale that shows how near zero values are, however far a few of them are from it.
- * @param {Column} column
- * @param {number} room
- * @returns {Scale}
+ * @type {(column: Column, room: number) => Scale}
  */
 function bentScale({ low, high }, room) {
   const [first, last] = [bent(low) - 0.1, bent(high) + 0.1];
@@ -86,10 +76,7 @@ function bentScale({ low, high }, room) {
 
 /**
  * Zero, and powers of ten on both sides of it.
- * @param {number} low
- * @param {number} high
- * @param {number} room
- * @returns {number[]}
+ * @type {(low: number, high: number, room: number) => number[]}
  */
 function bentTicks(low, high, room) {
   const size = Math.max(-low, high);
@@ -104,9 +91,7 @@ function bentTicks(low, high, room) {
 /**
  * The way from values of a column to shares of an axis from its lowest to its highest, and back: even, or bent about zero
  * where the column diverges.
- * @param {Column} column
- * @param {Way} [way]
- * @returns {Along}
+ * @type {(column: Column, way?: Way) => Along}
  */
 export function alongOf({ low, high, diverges }, way) {
   if (!(high > low)) return { to: () => 0.5, back: () => low };
@@ -121,10 +106,7 @@ export function alongOf({ low, high, diverges }, way) {
 
 /**
  * Round values, or names, along such an axis.
- * @param {Column} column
- * @param {Way | undefined} way
- * @param {number} room
- * @returns {number[]}
+ * @type {(column: Column, way: Way | undefined, room: number) => number[]}
  */
 export function ticksAlong({ names, low, high, diverges }, way, room) {
   if (names) {
@@ -142,12 +124,8 @@ export function ticksAlong({ names, low, high, diverges }, way, room) {
 }
 
 /**
- * The range between two places of an axis: of a grid's values as many as it comes nearest to.
- * @param {Along} along
- * @param {number[] | null} grid sorted values
- * @param {number} a share of the axis
- * @param {number} b
- * @returns {{ low: number, high: number }}
+ * The range between two places of an axis, as shares of it: of a grid's sorted values as many as it comes nearest to.
+ * @type {(along: Along, grid: number[] | null, a: number, b: number) => { low: number, high: number }}
  */
 export function snapped({ to, back }, grid, a, b) {
   if (!grid) return whole({ edges: null, back }, a, b);
@@ -157,11 +135,8 @@ export function snapped({ to, back }, grid, a, b) {
 }
 
 /**
- * The range between two places of an axis; of cells as many as it touches, whole.
- * @param {Pick<Scale, "edges" | "back">} scale
- * @param {number} a share of the axis
- * @param {number} b
- * @returns {{ low: number, high: number }}
+ * The range between two places of an axis, as shares of it; of cells as many as it touches, whole.
+ * @type {(scale: Pick<Scale, "edges" | "back">, a: number, b: number) => { low: number, high: number }}
  */
 export function whole({ edges, back }, a, b) {
   const [low, high] = [Math.min(a, b), Math.max(a, b)];
@@ -173,9 +148,7 @@ export function whole({ edges, back }, a, b) {
 
 /**
  * Cells of equal width, whose values are not evenly spaced.
- * @param {Float64Array} cells
- * @param {number} room
- * @returns {Scale}
+ * @type {(cells: Float64Array, room: number) => Scale}
  */
 export function uneven(cells, room) {
   const count = cells.length;
@@ -198,11 +171,7 @@ export function uneven(cells, room) {
 
 /**
  * The frame of a chart: ticks with numbers along the lower and the left side, and the axes' titles.
- * @param {import("./dom.js").Sheet} sheet
- * @param {import("./dom.js").Theme} theme
- * @param {Box} box
- * @param {{ scale: Scale, title: string }} x
- * @param {{ scale: Scale, title: string }} y
+ * @type {(sheet: Sheet, theme: Theme, box: Box, x: Titled, y: Titled) => void}
  */
 export function drawFrame({ pen }, theme, box, x, y) {
   const { left, top, width, height } = box;

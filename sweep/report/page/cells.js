@@ -2,16 +2,16 @@
 import { scaleOf } from "./axes.js";
 import { clamp, lotOf } from "./numbers.js";
 
-/** @typedef {import("./axes.js").Scale} Scale */
-/** @typedef {import("./data.js").Column} Column */
-/** @typedef {import("./data.js").Table} Table */
+/** @import { Scale } from "./axes.js" */
+/** @import { Column, Table } from "./data.js" */
+/** @import { Form } from "./main.js" */
 
 /**
  * Rows and where they are; boxes are left, low, right and high as shares of the axes.
  * @typedef {object} Places
  * @property {Scale} x
  * @property {Scale} y
- * @property {import("./main.js").Form} form
+ * @property {Form} form
  * @property {Int32Array} rows
  * @property {Float64Array} boxes four for each of `rows`; of marks the first two are the place
  * @property {Int32Array} cell number of the cell, or of marks the bin, that each of `rows` is in
@@ -48,9 +48,8 @@ export function placesOf(table, x, y, within, room) {
 }
 
 /**
- * @param {Float64Array} values
- * @param {number[]} rows
- * @returns {Float64Array} sorted
+ * Values of some rows, sorted.
+ * @type {(values: Float64Array, rows: number[]) => Float64Array}
  */
 function distinct(values, rows) {
   const seen = new Set();
@@ -63,12 +62,7 @@ function distinct(values, rows) {
 
 /**
  * Rows of a cell share its width.
- * @param {Column} x
- * @param {Column} y
- * @param {Scale} sx
- * @param {Scale} sy
- * @param {number[]} rows
- * @returns {Places}
+ * @type {(x: Column, y: Column, sx: Scale, sy: Scale, rows: number[]) => Places}
  */
 function celled(x, y, sx, sy, rows) {
   const column = new Map(Array.from(sx.cells ?? [], (value, k) => [value, k]));
@@ -89,13 +83,7 @@ function celled(x, y, sx, sy, rows) {
   return { ...GRIDDED, x: sx, y: sy, rows: Int32Array.from(rows), boxes, cell };
 }
 
-/**
- * @param {Column} x
- * @param {Column} y
- * @param {number[]} rows
- * @param {number} room
- * @returns {Places}
- */
+/** @type {(x: Column, y: Column, rows: number[], room: number) => Places} */
 function marked(x, y, rows, room) {
   const [sx, sy] = [scaleOf(x, null, room), scaleOf(y, null, room)];
   const boxes = new Float64Array(4 * rows.length);
@@ -111,8 +99,7 @@ function marked(x, y, rows, room) {
 
 /**
  * Where a mark of a name stands beside its middle, so that marks do not cover each other.
- * @param {number} row
- * @returns {number}
+ * @type {(row: number) => number}
  */
 function scattered(row) {
   return lotOf(row) / 1400 - 0.357;

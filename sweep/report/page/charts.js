@@ -6,10 +6,10 @@ import { clamp, grouped, packRgb, rgbOf, shortly, wilson } from "./numbers.js";
 import { glyphOf, paintKind, pixelsOf, stampAt, stampOf } from "./paint.js";
 import { narrow } from "./state.js";
 
-/** @typedef {import("./data.js").Column} Column */
-/** @typedef {import("./dom.js").Rgb} Rgb */
-/** @typedef {import("./main.js").App} App */
-/** @typedef {import("./main.js").View} View */
+/** @import { Along, Scale } from "./axes.js" */
+/** @import { Column, Table } from "./data.js" */
+/** @import { Look, Rgb, Sheet } from "./dom.js" */
+/** @import { App, View } from "./main.js" */
 
 const [BINS, LISTED] = [32, 60]; // bins of what was drawn or measured; values of a grid that have one each
 const SHOWN = 8; // distributions before one asks for more
@@ -18,8 +18,7 @@ const PAIRED = 6; // columns of the matrix of pairs
 
 /**
  * 0 for a success, 1 for a failure, 2 for what counts neither way or does not pass.
- * @param {App} app
- * @returns {(row: number) => number}
+ * @type {(app: App) => (row: number) => number}
  */
 function sideOf({ table, state }) {
   const side = ofAll(table);
@@ -28,8 +27,7 @@ function sideOf({ table, state }) {
 
 /**
  * The same, whether a row passes or not.
- * @param {import("./data.js").Table} table
- * @returns {(row: number) => number}
+ * @type {(table: Table) => (row: number) => number}
  */
 function ofAll(table) {
   const sides = Uint8Array.from(table.about.kinds, ({ outcome }) => ({ success: 0, failure: 1, invalid: 2 })[outcome]);
@@ -38,8 +36,7 @@ function ofAll(table) {
 
 /**
  * Causes by the stage in which they came.
- * @param {App} app
- * @returns {View}
+ * @type {(app: App) => View}
  */
 export function stageView(app) {
   const { table, state } = app;
@@ -94,7 +91,7 @@ export function stageView(app) {
  * @param {number} y
  * @param {number} width
  * @param {number} height
- * @param {import("./dom.js").Look} look
+ * @param {Look} look
  * @param {number} ratio
  */
 export function boxed(pen, x, y, width, height, look, ratio) {
@@ -107,9 +104,7 @@ export function boxed(pen, x, y, width, height, look, ratio) {
 
 /**
  * A mark of a kind on paper: as those of the map.
- * @param {import("./dom.js").Sheet} sheet
- * @param {import("./dom.js").Look} look
- * @param {Rgb} paper
+ * @type {(sheet: Sheet, look: Look, paper: Rgb) => void}
  */
 export function keyMark(sheet, look, paper) {
   const { pen, width, height, ratio } = sheet;
@@ -121,8 +116,7 @@ export function keyMark(sheet, look, paper) {
 
 /**
  * How much each parameter has to do with failure.
- * @param {App} app
- * @returns {View}
+ * @type {(app: App) => View}
  */
 export function importanceView(app) {
   const { table } = app;
@@ -162,8 +156,7 @@ export function importanceView(app) {
 
 /**
  * The rate of success of all rollouts up to a value, or up to a number of rollouts.
- * @param {App} app
- * @returns {View}
+ * @type {(app: App) => View}
  */
 export function rateView(app) {
   const { table } = app;
@@ -196,13 +189,8 @@ export function rateView(app) {
     /** @type {Column} */
     const shown = { ...(column ?? numbers[0] ?? table.columns[0]), names: null, low, high };
     const x = scaleOf(shown, null, width / 80);
-    const y = {
-      to: (/** @type {number} */ v) => v,
-      back: (/** @type {number} */ v) => v,
-      ticks: [0, 0.25, 0.5, 0.75, 1].map((value) => ({ value, text: `${100 * value} %` })),
-      edges: null,
-      cells: null,
-    };
+    const marks = [0, 0.25, 0.5, 0.75, 1].map((value) => ({ value, text: `${100 * value} %` }));
+    const y = { to: Number, back: Number, ticks: marks, edges: null, cells: null };
     const spot = (/** @type {number} */ at, /** @type {number} */ rate) =>
       /** @type {const} */ ([box.left + x.to(at) * box.width, box.top + (1 - rate) * box.height]);
     if (table.about.sure) {
@@ -217,21 +205,15 @@ export function rateView(app) {
     pen.beginPath();
     curve.forEach(({ at, rate }) => pen.lineTo(...spot(at, rate)));
     pen.stroke();
-    drawFrame(
-      sheet,
-      app.theme(),
-      box,
-      { scale: x, title: column ? `${column.title}, up to` : "rollouts, as they were planned" },
-      { scale: y, title: "rate of success" },
-    );
+    const title = column ? `${column.title}, up to` : "rollouts, as they were planned";
+    drawFrame(sheet, app.theme(), box, { scale: x, title }, { scale: y, title: "rate of success" });
   };
   return { root: canvas, draw };
 }
 
 /**
  * Distributions of columns among failures beside successes.
- * @param {App} app
- * @returns {View}
+ * @type {(app: App) => View}
  */
 export function distributionsView(app) {
   const { table, state } = app;
@@ -252,7 +234,7 @@ export function distributionsView(app) {
   const many = clamp(Math.round(1.6 * Math.sqrt(few ?? 1)), 8, BINS);
   const more = byId("distributions-more");
   let shown = SHOWN;
-  /** @typedef {Pick<import("./axes.js").Scale, "to" | "back" | "edges">} Across */
+  /** @typedef {Pick<Scale, "to" | "back" | "edges">} Across */
   /** @type {{ canvas: HTMLCanvasElement, column: Column, many: number, bins: Uint8Array, across: Across }[]} */
   let panels = [];
   const fill = () => {
@@ -276,11 +258,7 @@ export function distributionsView(app) {
   });
   fill();
 
-  /**
-   * @param {HTMLCanvasElement} canvas
-   * @param {Column} column
-   * @param {Across} across
-   */
+  /** @type {(canvas: HTMLCanvasElement, column: Column, across: Across) => void} */
   function brushed(canvas, column, across) {
     /** @type {number | null} */
     let from = null;
@@ -372,8 +350,7 @@ export function distributionsView(app) {
 
 /**
  * All pairs of the columns that matter most, when they are asked for.
- * @param {App} app
- * @returns {View}
+ * @type {(app: App) => View}
  */
 export function pairsView(app) {
   const { table, state } = app;
@@ -414,18 +391,10 @@ export function pairsView(app) {
           if (!state.mask[row]) continue;
           const [u, v] = [x.values[row], y.values[row]];
           if (Number.isNaN(u) || Number.isNaN(v)) continue;
-          const at = (/** @type {import("./axes.js").Along} */ column, /** @type {number} */ value) =>
-            0.03 + 0.94 * column.to(value);
+          const at = (/** @type {Along} */ column, /** @type {number} */ value) => 0.03 + 0.94 * column.to(value);
           const kind = table.kind[row];
-          stampAt(
-            pixels,
-            stamps[kind],
-            at(alongs[i], u) * size,
-            (1 - at(alongs[j], v)) * size,
-            looks[kind].mark,
-            0.6,
-            -2,
-          );
+          const [across, down] = [at(alongs[i], u) * size, (1 - at(alongs[j], v)) * size];
+          stampAt(pixels, stamps[kind], across, down, looks[kind].mark, 0.6, -2);
         }
         pen.putImageData(pixels.image, Math.round(left * ratio), Math.round(top * ratio));
         pen.strokeStyle = line;
@@ -438,9 +407,7 @@ export function pairsView(app) {
 
 /**
  * Parameters by how much they have to do with failure, over all rows.
- * @param {import("./data.js").Table} table
- * @param {(column: Column) => Uint32Array} order
- * @returns {{ column: Column, distance: number }[]}
+ * @type {(table: Table, order: (column: Column) => Uint32Array) => { column: Column, distance: number }[]}
  */
 export function rankedOf(table, order) {
   const side = ofAll(table);

@@ -1,6 +1,6 @@
 // Where a figure is zero between the rollouts of a map: straight lines across the cells of a grid or a refined mesh.
 
-/** @typedef {import("./cells.js").Places} Places */
+/** @import { Places } from "./cells.js" */
 
 /**
  * Where a figure is zero, between the middles of a grid's cells or the corners of a mesh's. Of several rollouts in a cell
@@ -26,11 +26,7 @@ export function zeroLines(here, value) {
 
 /** @typedef {[number, number, number][]} Corners around a cell: places and values */
 
-/**
- * @param {Places} here
- * @param {(row: number) => number} value
- * @returns {Generator<Corners>}
- */
+/** @type {(here: Places, value: (row: number) => number) => Generator<Corners>} */
 function* gridCorners({ x, y, rows, cell, form }, value) {
   if (form !== "cells" || !x.cells || !y.cells) return;
   const [across, up] = [x.cells, y.cells];
@@ -50,11 +46,7 @@ function* gridCorners({ x, y, rows, cell, form }, value) {
       yield [corner(i, j), corner(i + 1, j), corner(i + 1, j + 1), corner(i, j + 1)];
 }
 
-/**
- * @param {Places} here
- * @param {(row: number) => number} value
- * @returns {Generator<Corners>}
- */
+/** @type {(here: Places, value: (row: number) => number) => Generator<Corners>} */
 function* meshCorners({ rows, outlines }, value) {
   for (let k = 0; k < outlines.length; k += 4) {
     const [left, low, right, high] = outlines.subarray(k, k + 4);

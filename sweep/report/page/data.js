@@ -145,8 +145,7 @@ export const LONGEST = 120; // letters of a name that are shown
 
 /**
  * The bytes that a text of the page stands for.
- * @param {string} text
- * @returns {Promise<ArrayBuffer>}
+ * @type {(text: string) => Promise<ArrayBuffer>}
  */
 export async function inflate(text) {
   const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
@@ -155,17 +154,13 @@ export async function inflate(text) {
 
 /**
  * A name that is not too long to be shown.
- * @param {string} text
- * @returns {string}
+ * @type {(text: string) => string}
  */
 export function clipped(text) {
   return text.length > LONGEST ? `${text.slice(0, LONGEST)}…` : text;
 }
 
-/**
- * @param {About} about
- * @returns {Promise<Table>}
- */
+/** @type {(about: About) => Promise<Table>} */
 export async function readTable(about) {
   const { rows } = about;
   const buffer = await inflate(about.block);
@@ -192,10 +187,7 @@ export async function readTable(about) {
 
 /**
  * Values of a column, from all its low bytes and then all its high ones.
- * @param {Told} told
- * @param {Uint8Array} bytes
- * @param {number} rows
- * @returns {Float64Array}
+ * @type {(told: Told, bytes: Uint8Array, rows: number) => Float64Array}
  */
 export function readColumn(told, bytes, rows) {
   const values = new Float64Array(rows);
@@ -210,11 +202,7 @@ export function readColumn(told, bytes, rows) {
   return values;
 }
 
-/**
- * @param {Told} told
- * @param {Float64Array} values
- * @returns {Column}
- */
+/** @type {(told: Told, values: Float64Array) => Column} */
 function columnOf(told, values) {
   let low = Infinity;
   let high = -Infinity;
@@ -231,9 +219,7 @@ function columnOf(told, values) {
 
 /**
  * The beginning of a row's point id.
- * @param {Table} table
- * @param {number} row
- * @returns {string}
+ * @type {(table: Table, row: number) => string}
  */
 export function pointOf(table, row) {
   const half = table.about.digits / 2;
@@ -243,8 +229,7 @@ export function pointOf(table, row) {
 
 /**
  * Counts of densities by kind, from their bytes in planes.
- * @param {ArrayBuffer} buffer
- * @returns {Uint32Array}
+ * @type {(buffer: ArrayBuffer) => Uint32Array}
  */
 export function readCounts(buffer) {
   const bytes = new Uint8Array(buffer);
@@ -310,8 +295,7 @@ export function smirnov(order, values, side) {
 
 /**
  * Rows in the order of a column's values; those without one are left out.
- * @param {Column} column
- * @returns {Uint32Array}
+ * @type {(column: Column) => Uint32Array}
  */
 export function orderOf(column) {
   const { values } = column;
@@ -334,9 +318,8 @@ export function binsOf({ values }, bins, to) {
 }
 
 /**
- * The values of a column that are those of a grid, or its names' codes.
- * @param {Column} column
- * @returns {number[] | null} sorted
+ * The values of a column that are those of a grid, or its names' codes; sorted.
+ * @type {(column: Column) => number[] | null}
  */
 export function gridOf(column) {
   if (column.names) return column.names.map((_, code) => code);
@@ -344,9 +327,8 @@ export function gridOf(column) {
 }
 
 /**
- * The values of a column, each once.
- * @param {Column} column
- * @returns {number[]} sorted
+ * The values of a column, each once, sorted.
+ * @type {(column: Column) => number[]}
  */
 export function valuesOf({ values }) {
   return [...new Set(values)].filter((value) => !Number.isNaN(value)).sort((a, b) => a - b);

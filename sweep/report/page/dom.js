@@ -2,13 +2,12 @@
 import { rgbOf } from "./numbers.js";
 import { VectorPen } from "./vector.js";
 
-/** @typedef {import("./data.js").Kind} Kind */
+/** @import { Column, Kind } from "./data.js" */
 /** @typedef {[number, number, number]} Rgb */
 
 /**
  * The element with an id of the page.
- * @param {string} id
- * @returns {HTMLElement}
+ * @type {(id: string) => HTMLElement}
  */
 export function byId(id) {
   const found = document.getElementById(id);
@@ -32,19 +31,26 @@ export function element(tag, attributes = {}, ...children) {
 }
 
 /**
+ * A button with attributes and children, and what it does when it is pressed.
+ * @type {(attributes: Record<string, string>, pressed: () => void, ...children: (Node | string)[]) => HTMLButtonElement}
+ */
+export function buttonOf(attributes, pressed, ...children) {
+  const made = element("button", { type: "button", ...attributes }, ...children);
+  made.addEventListener("click", pressed);
+  return made;
+}
+
+/**
  * Columns as options of a selection list.
- * @param {import("./data.js").Column[]} columns
- * @returns {[string, string][]}
+ * @type {(columns: Column[]) => [string, string][]}
  */
 export function optionsOf(columns) {
   return columns.map(({ key, title }) => [key, title]);
 }
 
 /**
- * Fill a selection list.
- * @param {HTMLSelectElement} select
- * @param {[string, string][]} options values and words
- * @param {string} chosen
+ * Fill a selection list; options are values and words.
+ * @type {(select: HTMLSelectElement, options: [string, string][], chosen: string) => void}
  */
 export function offer(select, options, chosen) {
   select.replaceChildren(...options.map(([value, text]) => element("option", { value }, text)));
@@ -58,8 +64,7 @@ export const recorders = new Map();
 
 /**
  * A canvas ready to be drawn on in CSS pixels, as sharp as the screen, cleared.
- * @param {HTMLCanvasElement} canvas
- * @returns {Sheet}
+ * @type {(canvas: HTMLCanvasElement) => Sheet}
  */
 export function sheetOf(canvas) {
   const ratio = Math.min(window.devicePixelRatio || 1, 2);
@@ -80,11 +85,7 @@ export function sheetOf(canvas) {
 
 /**
  * A straight line.
- * @param {CanvasRenderingContext2D} pen
- * @param {number} x
- * @param {number} y
- * @param {number} toX
- * @param {number} toY
+ * @type {(pen: CanvasRenderingContext2D, x: number, y: number, toX: number, toY: number) => void}
  */
 export function straight(pen, x, y, toX, toY) {
   pen.beginPath();
@@ -94,11 +95,8 @@ export function straight(pen, x, y, toX, toY) {
 }
 
 /**
- * A text, cut short where there is no room for all of it: squeezed into it nobody could read it.
- * @param {CanvasRenderingContext2D} pen
- * @param {string} text
- * @param {number} room pixels
- * @returns {string}
+ * A text, cut short where there is no room (in pixels) for all of it: squeezed into it nobody could read it.
+ * @type {(pen: CanvasRenderingContext2D, text: string, room: number) => string}
  */
 export function fitting(pen, text, room) {
   let cut = text;
@@ -135,9 +133,7 @@ export function themeNow() {
 /**
  * How a kind of outcome looks, whatever the theme: as a mark or a line, and as a cell with its glyph. What is invalid has no
  * colour of its own as a cell.
- * @param {Kind} kind
- * @param {Theme} theme
- * @returns {Look}
+ * @type {(kind: Kind, theme: Theme) => Look}
  */
 export function lookOf({ colour, shape, outcome }, theme) {
   const mark = rgbOf(colour);
@@ -147,20 +143,14 @@ export function lookOf({ colour, shape, outcome }, theme) {
   return { cell: mark, mark, ink, hatched: false, glyphed: outcome === "failure", shape };
 }
 
-/**
- * @param {Rgb} rgb
- * @param {number} opacity
- * @returns {string}
- */
+/** @type {(rgb: Rgb, opacity?: number) => string} */
 export function cssOf(rgb, opacity = 1) {
   return `rgba(${rgb.map(Math.round).join(",")},${opacity})`;
 }
 
 /**
  * Where a pointer is on an element.
- * @param {{ clientX: number, clientY: number }} event
- * @param {HTMLElement} target
- * @returns {[number, number]}
+ * @type {(event: { clientX: number, clientY: number }, target: HTMLElement) => [number, number]}
  */
 export function pointerOn(event, target) {
   const box = target.getBoundingClientRect();

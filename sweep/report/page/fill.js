@@ -2,11 +2,12 @@
 import { bent, clamp, mixed, packRgb, scaleColour } from "./numbers.js";
 import { fillCell, glyphOf, paintKind, stampAt, stampOf } from "./paint.js";
 
-/** @typedef {import("./cells.js").Places} Places */
-/** @typedef {import("./data.js").Column} Column */
-/** @typedef {import("./dom.js").Rgb} Rgb */
-/** @typedef {import("./main.js").App} App */
-/** @typedef {import("./paint.js").Pixels} Pixels */
+/** @import { Box } from "./axes.js" */
+/** @import { Places } from "./cells.js" */
+/** @import { Binned, Column } from "./data.js" */
+/** @import { Rgb } from "./dom.js" */
+/** @import { App } from "./main.js" */
+/** @import { Pixels } from "./paint.js" */
 
 export const KIND = "kind";
 export const RATE = "rate";
@@ -15,10 +16,7 @@ const FADED = 0.86; // of what does not pass the filters
 
 /**
  * The middle of what a map shows of a row, in CSS pixels.
- * @param {Places} here
- * @param {number} k
- * @param {import("./axes.js").Box} area
- * @returns {[number, number]}
+ * @type {(here: Places, k: number, area: Box) => [number, number]}
  */
 export function spotOf(here, k, area) {
   const [left, low, right, high] = here.boxes.subarray(4 * k, 4 * k + 4);
@@ -27,8 +25,8 @@ export function spotOf(here, k, area) {
 }
 
 /**
- * @param {Places} here
- * @returns {number} radius of its marks in CSS pixels
+ * Radius of marks in CSS pixels.
+ * @type {(here: Places) => number}
  */
 export function markSize(here) {
   return clamp(70 / Math.sqrt(here.rows.length + 1) + 1.2, 1.7, 5);
@@ -36,8 +34,7 @@ export function markSize(here) {
 
 /**
  * Ends of a scale of colours: all but the most extreme hundredths.
- * @param {Column} column
- * @returns {[number, number]}
+ * @type {(column: Column) => [number, number]}
  */
 export function spanOf(column) {
   const values = column.values.filter((value) => !Number.isNaN(value)).sort();
@@ -48,11 +45,8 @@ export function spanOf(column) {
 }
 
 /**
- * How rows are coloured: a colour for each row, packed or as three numbers.
- * @param {App} app
- * @param {Places} here
- * @param {string} by
- * @returns {((k: number) => number) | null} null for kinds
+ * How rows are coloured: a colour for each row, packed or as three numbers; null for kinds.
+ * @type {(app: App, here: Places, by: string) => ((k: number) => number) | null}
  */
 function coloursBy({ table, state }, here, by) {
   if (by === KIND) return null;
@@ -81,13 +75,7 @@ function coloursBy({ table, state }, here, by) {
   };
 }
 
-/**
- * @param {App} app
- * @param {Pixels} pixels
- * @param {Places} here
- * @param {string} by
- * @param {number} ratio
- */
+/** @type {(app: App, pixels: Pixels, here: Places, by: string, ratio: number) => void} */
 export function paintCells(app, pixels, here, by, ratio) {
   const { table, state } = app;
   const { paper } = app.theme();
@@ -118,13 +106,7 @@ export function paintCells(app, pixels, here, by, ratio) {
   }
 }
 
-/**
- * @param {App} app
- * @param {Pixels} pixels
- * @param {Places} here
- * @param {string} by
- * @param {number} ratio
- */
+/** @type {(app: App, pixels: Pixels, here: Places, by: string, ratio: number) => void} */
 export function paintMarks(app, pixels, here, by, ratio) {
   const { table, state } = app;
   const { paper } = app.theme();
@@ -153,12 +135,7 @@ export function paintMarks(app, pixels, here, by, ratio) {
 
 /**
  * Counts as colours: kinds in proportion, the stronger the more rollouts there are.
- * @param {App} app
- * @param {Pixels} pixels
- * @param {Places} here
- * @param {import("./data.js").Binned} density
- * @param {Uint32Array} counts
- * @param {boolean} faint
+ * @type {(app: App, pixels: Pixels, here: Places, density: Binned, counts: Uint32Array, faint: boolean) => void}
  */
 export function paintDensity(app, pixels, here, density, counts, faint) {
   const { wide, high } = density;

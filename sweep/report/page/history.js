@@ -1,14 +1,12 @@
 // What goes with a replay over time: margin, forces, friction, torques, joints, base and slip, stages behind them, a line where the replay is.
-import { byId, element, pointerOn, sheetOf } from "./dom.js";
-import { frameAt, plus, turnOf } from "./kinematics.js";
+import { byId, element, pointerOn, sheetOf, straight } from "./dom.js";
+import { frameAt, plus, spansOf, turnOf } from "./kinematics.js";
 import { clamp, shortly, ticks } from "./numbers.js";
-import { drawPaths, pathsOf, pointPaths, FACES } from "./path.js";
+import { BESIDE, drawPaths, drawRuled, pathsOf, pointPaths, FACES } from "./path.js";
 
-/** @typedef {import("./kinematics.js").Model} Model */
-/** @typedef {import("./kinematics.js").Motion} Motion */
-/** @typedef {import("./main.js").App} App */
-/** @typedef {import("./path.js").Paths} Paths */
-/** @typedef {import("./path.js").Reel} Reel */
+/** @import { Model, Motion } from "./kinematics.js" */
+/** @import { App } from "./main.js" */
+/** @import { Paths, Reel } from "./path.js" */
 
 /**
  * Lines over time in one panel.
@@ -19,14 +17,11 @@ import { drawPaths, pathsOf, pointPaths, FACES } from "./path.js";
  * @property {string[]} [told] what the line is of in each frame
  */
 
-const EDGE = { left: 44, right: 8, top: 20, bottom: 20 };
 const LOADED = 1; // N on a foot that stands
 
 /**
  * What a replay tells over time.
- * @param {Reel} reel
- * @param {Paths} paths
- * @returns {Histories[]}
+ * @type {(reel: Reel, paths: Paths) => Histories[]}
  */
 export function historiesOf({ model, motion }, paths) {
   const { frames, coordinates, qpos, force, torque, friction } = motion;
@@ -95,8 +90,8 @@ export function historiesOf({ model, motion }, paths) {
 }
 
 /**
- * @param {Model} model
- * @returns {number} where the robot's free joint is among the coordinates, -1 where it has none
+ * Where the robot's free joint is among the coordinates, -1 where it has none.
+ * @type {(model: Model) => number}
  */
 function freeOf({ bodies, geoms }) {
   let body = geoms.find(({ robot }) => robot)?.body ?? 0;
@@ -142,7 +137,7 @@ export function historyView(app, to) {
   const pointed = new Map();
 
   const xOf = (/** @type {number} */ at, /** @type {number} */ width) =>
-    EDGE.left + (at / total) * (width - EDGE.left - EDGE.right);
+    BESIDE.left + (at / total) * (width - BESIDE.left - BESIDE.right);
 
   const draw = () => {
     if (!box.open || !shown.length) return;
@@ -153,29 +148,22 @@ export function historyView(app, to) {
     point(time);
   };
 
-  /**
-   * @param {HTMLCanvasElement} canvas
-   * @param {number} k
-   */
+  /** @type {(canvas: HTMLCanvasElement, k: number) => void} */
   const drawPanel = (canvas, k) => {
     const sheet = sheetOf(canvas);
     const { pen, width, height } = sheet;
-    const { ink, soft, line } = app.theme();
+    const { ink, line } = app.theme();
     const colours = app.table.about.legs;
-    const [top, bottom] = [EDGE.top, height - EDGE.bottom];
+    const [top, bottom] = [BESIDE.top, height - BESIDE.bottom];
     const [first] = shown;
-    const { motion } = first.reel;
-    for (let from = 0; from < motion.frames;) {
-      let end = from;
-      while (end < motion.frames && motion.stage[end] === motion.stage[from]) end++;
-      pen.globalAlpha = motion.stage[from] % 2 ? 0.34 : 0.1;
-      pen.fillStyle = line;
-      const left = xOf(from * motion.step, width);
-      pen.fillRect(left, top, xOf(end * motion.step, width) - left, bottom - top);
-      from = end;
+    pen.fillStyle = line;
+    for (const { stage, from, to } of spansOf(first.reel.motion)) {
+      pen.globalAlpha = stage % 2 ? 0.34 : 0.1;
+      const left = xOf(from, width);
+      pen.fillRect(left, top, xOf(to, width) - left, bottom - top);
     }
     pen.globalAlpha = 1;
-    const { title, limit } = first.histories[k];
+    const { title, limit, told } = first.histories[k];
     const like = shown.map(({ histories }) => histories.find((other) => other.title === title)?.lines ?? []);
     const lines = like.flat();
     let [low, high] = [Infinity, -Infinity];
@@ -186,34 +174,14 @@ export function historyView(app, to) {
     const room = 0.04 * (high - low);
     const yOf = (/** @type {number} */ value) =>
       bottom - ((value - low + room) / (high - low + 2 * room)) * (bottom - top);
-    pen.font = pen.font.replace(/\d+px/, "11px");
-    pen.fillStyle = soft;
-    pen.textAlign = "right";
-    pen.textBaseline = "middle";
-    pen.strokeStyle = line;
-    pen.lineWidth = 1;
-    pen.beginPath();
-    for (const value of ticks(low, high, 4)) {
-      pen.moveTo(EDGE.left, yOf(value));
-      pen.lineTo(width - EDGE.right, yOf(value));
-      pen.fillText(shortly(value), EDGE.left - 5, yOf(value), EDGE.left - 8);
-    }
-    pen.stroke();
-    pen.textAlign = "center";
-    pen.textBaseline = "top";
-    for (const at of ticks(0, total, width / 90)) pen.fillText(`${shortly(at)} s`, xOf(at, width), bottom + 4);
-    pen.textAlign = "left";
-    pen.fillStyle = ink;
-    pen.fillText(title, EDGE.left, 3, first.histories[k].told ? width / 2 - EDGE.left : width - EDGE.left);
+    const across = ticks(low, high, 4).map((value) => ({ at: yOf(value), text: shortly(value) }));
+    const below = ticks(0, total, width / 90).map((at) => ({ at: xOf(at, width), text: `${shortly(at)} s` }));
+    drawRuled(sheet, app.theme(), across, below, title, width / (told ? 2 : 1) - BESIDE.left);
     if (limit !== null && reached) {
       pen.strokeStyle = ink;
       pen.setLineDash([2, 3]);
-      pen.beginPath();
-      for (const at of low < 0 ? [limit, -limit] : [limit]) {
-        pen.moveTo(EDGE.left, yOf(at));
-        pen.lineTo(width - EDGE.right, yOf(at));
-      }
-      pen.stroke();
+      for (const at of low < 0 ? [limit, -limit] : [limit])
+        straight(pen, BESIDE.left, yOf(at), width - BESIDE.right, yOf(at));
     }
     shown.forEach(({ reel }, number) => {
       const own = like[number];
@@ -248,11 +216,11 @@ export function historyView(app, to) {
       pointed.set(over, `${x} ${words}`);
       const { pen, width, height } = sheetOf(over);
       pen.fillStyle = app.theme().ink;
-      pen.fillRect(x - 0.75, EDGE.top, 1.5, height - EDGE.top - EDGE.bottom);
+      pen.fillRect(x - 0.75, BESIDE.top, 1.5, height - BESIDE.top - BESIDE.bottom);
       pen.font = pen.font.replace(/\d+px/, "11px");
       pen.textAlign = "right";
       pen.textBaseline = "top";
-      pen.fillText(words, width - EDGE.right, 3, width / 2);
+      pen.fillText(words, width - BESIDE.right, 3, width / 2);
     });
   };
 
@@ -263,7 +231,7 @@ export function historyView(app, to) {
       const base = element("canvas", { role: "img", "aria-label": label });
       const over = element("canvas", { class: "over", "aria-hidden": "true" });
       const scrub = (/** @type {PointerEvent} */ event) =>
-        to(((pointerOn(event, over)[0] - EDGE.left) / (over.clientWidth - EDGE.left - EDGE.right)) * total);
+        to(((pointerOn(event, over)[0] - BESIDE.left) / (over.clientWidth - BESIDE.left - BESIDE.right)) * total);
       over.addEventListener("pointerdown", (event) => {
         over.setPointerCapture(event.pointerId);
         scrub(event);

@@ -1,6 +1,6 @@
 // A replay's stream of states, and where its bodies are in each.
 
-/** @typedef {import("./data.js").Shown} Shown */
+/** @import { Shown } from "./data.js" */
 
 /**
  * @typedef {object} Body
@@ -102,8 +102,8 @@ export function readMotion(shown, model, buffer) {
 }
 
 /**
- * @param {Motion} motion
- * @returns {number} s, of the last frame
+ * When the last frame is, s.
+ * @type {(motion: Motion) => number}
  */
 export function endOf(motion) {
   return motion.step * motion.frames;
@@ -111,19 +111,26 @@ export function endOf(motion) {
 
 /**
  * The frame that is shown at a time.
- * @param {Motion} motion
- * @param {number} time
- * @returns {number}
+ * @type {(motion: Motion, time: number) => number}
  */
 export function frameAt(motion, time) {
   return Math.max(0, Math.min(motion.frames - 1, Math.round(time / motion.step) - 1));
 }
 
 /**
- * Coordinates between frames, on a cubic through the four around (Catmull and Rom).
- * @param {Motion} motion
- * @param {number} time s
- * @returns {Float64Array}
+ * The stages of a motion one after the other.
+ * @type {(motion: Motion) => Generator<{ stage: number, from: number, to: number }>} s, when each begins and ends
+ */
+export function* spansOf({ stage, frames, step }) {
+  for (let from = 0, to = 0; from < frames; from = to) {
+    while (to < frames && stage[to] === stage[from]) to++;
+    yield { stage: stage[from], from: from * step, to: to * step };
+  }
+}
+
+/**
+ * Coordinates at a time (s) between frames, on a cubic through the four around (Catmull and Rom).
+ * @type {(motion: Motion, time: number) => Float64Array}
  */
 export function stateAt(motion, time) {
   const { frames, coordinates, qpos } = motion;
@@ -143,9 +150,8 @@ export function stateAt(motion, time) {
 }
 
 /**
- * The rotation matrix of a quaternion of any length, by lines.
- * @param {ArrayLike<number>} quat w, x, y, z
- * @returns {number[]}
+ * The rotation matrix of a quaternion w, x, y, z of any length, by lines.
+ * @type {(quat: ArrayLike<number>) => number[]}
  */
 export function turnOf(quat) {
   const size = Math.hypot(quat[0], quat[1], quat[2], quat[3]) || 1;
@@ -164,9 +170,8 @@ export function turnOf(quat) {
 }
 
 /**
- * @param {number[]} a
- * @param {number[]} b
- * @returns {number[]} the product of two matrices
+ * The product of two matrices.
+ * @type {(a: number[], b: number[]) => number[]}
  */
 export function turned(a, b) {
   const made = new Array(9);
@@ -175,32 +180,29 @@ export function turned(a, b) {
   return made;
 }
 
-/**
- * @param {number[]} turn
- * @param {ArrayLike<number>} v
- * @returns {number[]}
- */
+/** @type {(turn: number[], v: ArrayLike<number>) => number[]} */
 export function rotated(turn, v) {
   return [0, 3, 6].map((i) => turn[i] * v[0] + turn[i + 1] * v[1] + turn[i + 2] * v[2]);
 }
 
 /**
- * @param {ArrayLike<number>} a
- * @param {ArrayLike<number>} b
- * @param {number} times
- * @returns {number[]} a + times b
+ * a + times b
+ * @type {(a: ArrayLike<number>, b: ArrayLike<number>, times?: number) => number[]}
  */
 export function plus(a, b, times = 1) {
   return [a[0] + times * b[0], a[1] + times * b[1], a[2] + times * b[2]];
+}
+
+/** @type {(a: ArrayLike<number>, b: ArrayLike<number>) => number} */
+export function dot(a, b) {
+  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
 
 /** @typedef {{ pos: number[], turn: number[] }} Pose */
 
 /**
  * Where all bodies are: MuJoCo's kinematics.
- * @param {Model} model
- * @param {Float64Array} state
- * @returns {Pose[]}
+ * @type {(model: Model, state: Float64Array) => Pose[]}
  */
 export function posesOf(model, state) {
   /** @type {Pose[]} */

@@ -1,19 +1,15 @@
 // The rows as a table, for those who read rather than look: sorted, page by page, each with its replay.
 import { pointOf } from "./data.js";
-import { byId, element } from "./dom.js";
+import { buttonOf, byId, element } from "./dom.js";
 import { grouped, shortly } from "./numbers.js";
 
-/** @typedef {import("./data.js").Column} Column */
-/** @typedef {import("./main.js").App} App */
-/** @typedef {import("./main.js").View} View */
+/** @import { Column } from "./data.js" */
+/** @import { App, View } from "./main.js" */
 
 const LINES = 20;
 const WIDE = 10; // columns of numbers
 
-/**
- * @param {App} app
- * @returns {View}
- */
+/** @type {(app: App) => View} */
 export function listView(app) {
   const { table, state } = app;
   const root = byId("list");
@@ -28,15 +24,13 @@ export function listView(app) {
   let before = state.passing;
 
   const heads = columns.map((column, k) => {
-    const button = element("button", { type: "button", class: "sort" }, column.title);
-    const head = element("th", { scope: "col", "aria-sort": "none" }, button);
-    button.addEventListener("click", () => {
+    const sort = () => {
       falling = sorted === k && !falling;
       sorted = k;
       first = 0;
       app.redraw();
-    });
-    return head;
+    };
+    return element("th", { scope: "col", "aria-sort": "none" }, buttonOf({ class: "sort" }, sort, column.title));
   });
   const body = element("tbody");
   const words = ["replay", "outcome", "stage"].map((text) => element("th", { scope: "col" }, text));
@@ -44,15 +38,11 @@ export function listView(app) {
     element("table", { class: "rows" }, element("thead", {}, element("tr", {}, ...words, ...heads)), body),
   );
   const pages = byId("list-pages");
-  const turn = (/** @type {string} */ text, /** @type {number} */ by) => {
-    const button = element("button", { type: "button" }, text);
-    button.addEventListener("click", () => {
-      first = Math.max(0, first + by * LINES);
-      app.redraw();
-    });
-    return button;
+  const turn = (/** @type {number} */ by) => () => {
+    first = Math.max(0, first + by * LINES);
+    app.redraw();
   };
-  const [back, on] = [turn("Previous", -1), turn("Next", 1)];
+  const [back, on] = [buttonOf({}, turn(-1), "Previous"), buttonOf({}, turn(1), "Next")];
   const where = element("span", { class: "soft" });
   pages.replaceChildren(back, where, on);
 
@@ -74,24 +64,12 @@ export function listView(app) {
       ...rows.map((row) => {
         const own = table.replayed.has(row);
         const point = pointOf(table, row);
-        const button = element(
-          "button",
-          { type: "button", "aria-label": `show ${own ? "the replay" : "a replay near"} ${point}` },
-          own ? "▶" : "▷",
-        );
-        button.addEventListener("click", () => app.choose(row));
-        const cells = columns.map(({ names, values }) =>
-          element("td", {}, names ? (names[values[row]] ?? "") : shortly(values[row])),
-        );
+        const label = `show ${own ? "the replay" : "a replay near"} ${point}`;
+        const button = buttonOf({ "aria-label": label }, () => app.choose(row), own ? "▶" : "▷");
+        const numbers = columns.map(({ names, values }) => (names ? (names[values[row]] ?? "") : shortly(values[row])));
         const stage = table.stage[row] ? (stages[table.stage[row] - 1] ?? "") : "";
-        const line = element(
-          "tr",
-          {},
-          element("td", {}, button),
-          element("td", {}, kinds[table.kind[row]].label),
-          element("td", {}, stage),
-          ...cells,
-        );
+        const cells = [button, kinds[table.kind[row]].label, stage, ...numbers];
+        const line = element("tr", {}, ...cells.map((cell) => element("td", {}, cell)));
         if (row === state.chosen) line.setAttribute("aria-current", "true");
         return line;
       }),

@@ -11,7 +11,7 @@ import {
   stageView,
 } from "./charts.js";
 import { clipped, orderOf, pointOf, readTable } from "./data.js";
-import { byId, element, lookOf, sheetOf, themeNow } from "./dom.js";
+import { buttonOf, byId, element, lookOf, sheetOf, themeNow } from "./dom.js";
 import { listView } from "./list.js";
 import { mapView, worded } from "./map.js";
 import { grouped, shortly } from "./numbers.js";
@@ -20,18 +20,17 @@ import { playerOf } from "./player.js";
 import { csvOf, give, offerPictures } from "./save.js";
 import { narrow, showAll, sift, stateOf } from "./state.js";
 
-/** @typedef {import("./data.js").Column} Column */
-/** @typedef {import("./data.js").Table} Table */
-/** @typedef {import("./dom.js").Look} Look */
-/** @typedef {import("./dom.js").Theme} Theme */
-/** @typedef {import("./state.js").State} State */
+/** @import { Wanted } from "./address.js" */
+/** @import { Column, Kind, Table } from "./data.js" */
+/** @import { Look, Theme } from "./dom.js" */
+/** @import { State } from "./state.js" */
 
 /**
  * What views may ask for and say.
  * @typedef {object} App
  * @property {Table} table
  * @property {State} state
- * @property {import("./address.js").Wanted} wanted what the page's address asks for
+ * @property {Wanted} wanted what the page's address asks for
  * @property {() => void} remember what is looked at, in the address
  * @property {{ column: Column, distance: number }[]} ranked parameters by how much they have to do with failure
  * @property {() => Theme} theme
@@ -73,7 +72,7 @@ async function begin() {
     return known;
   };
   let theme = themeNow();
-  let looks = about.kinds.map((/** @type {import("./data.js").Kind} */ kind) => lookOf(kind, theme));
+  let looks = about.kinds.map((/** @type {Kind} */ kind) => lookOf(kind, theme));
   /** @type {string[] | null} */
   let streams = null;
   /** @type {View[]} */
@@ -193,7 +192,7 @@ async function begin() {
 
   const again = () => {
     theme = themeNow();
-    looks = about.kinds.map((/** @type {import("./data.js").Kind} */ kind) => lookOf(kind, theme));
+    looks = about.kinds.map((/** @type {Kind} */ kind) => lookOf(kind, theme));
     for (const view of views) view.resized?.();
     chips();
     app.redraw();
@@ -228,9 +227,8 @@ function offerTables(app) {
 }
 
 /**
- * @param {Table} table
- * @param {string} point the beginning of its id
- * @returns {number} -1 for none
+ * The row whose id begins so, -1 for none.
+ * @type {(table: Table, point: string) => number}
  */
 function rowOf(table, point) {
   for (let row = 0; row < table.rows; row++) if (pointOf(table, row) === point) return row;
@@ -238,9 +236,8 @@ function rowOf(table, point) {
 }
 
 /**
- * Kinds as buttons that show and hide them, and filters that can be taken off.
- * @param {App} app
- * @returns {() => void} draws them
+ * Kinds as buttons that show and hide them, and filters that can be taken off; what draws them.
+ * @type {(app: App) => () => void}
  */
 function chipsOf(app) {
   const { table, state } = app;
@@ -248,18 +245,12 @@ function chipsOf(app) {
   const buttons = table.about.kinds.map((kind, k) => {
     const swatch = element("canvas", { class: "swatch", "aria-hidden": "true" });
     const count = element("span", { class: "soft" });
-    const button = element(
-      "button",
-      { type: "button", class: "chip", "aria-pressed": "true", title: kind.meaning },
-      swatch,
-      clipped(kind.label),
-      count,
-    );
-    button.addEventListener("click", () => {
-      if (state.hidden.has(k)) state.hidden.delete(k);
-      else state.hidden.add(k);
+    const toggle = () => {
+      if (!state.hidden.delete(k)) state.hidden.add(k);
       app.filtered();
-    });
+    };
+    const told = { class: "chip", "aria-pressed": "true", title: kind.meaning };
+    const button = buttonOf(told, toggle, swatch, clipped(kind.label), count);
     return { button, swatch, count };
   });
   root.replaceChildren(...buttons.map(({ button }) => button));
@@ -286,16 +277,12 @@ function chipsOf(app) {
       const column = table.named.get(key);
       const names = column?.names?.filter((_, code) => code >= low && code <= high);
       const text = names ? names.join(", ") : `${shortly(low)} to ${shortly(high)}`;
-      const button = element(
-        "button",
-        { type: "button", class: "chip", title: "take this filter off" },
-        `${column?.label ?? key}: ${clipped(text)} ×`,
-      );
-      button.addEventListener("click", () => {
+      const off = () => {
         narrow(state, key, null);
         app.filtered();
-      });
-      return button;
+      };
+      const told = { class: "chip", title: "take this filter off" };
+      return buttonOf(told, off, `${column?.label ?? key}: ${clipped(text)} ×`);
     });
     byId("filters").replaceChildren(...filters);
     const of = `${grouped(table.rows)} ${table.rows < total ? `drawn from ${grouped(total)} ` : ""}rollouts`;
@@ -305,11 +292,8 @@ function chipsOf(app) {
 }
 
 /**
- * What is said of a row: outcome, parameters, figures.
- * @param {App} app
- * @param {number} row
- * @param {Column[]} columns that are shown anyway
- * @returns {Node[]}
+ * What is said of a row: outcome, the columns that are shown anyway, parameters, figures.
+ * @type {(app: App, row: number, columns: Column[]) => Node[]}
  */
 function wordsOf({ table }, row, columns) {
   const kind = table.about.kinds[table.kind[row]];
@@ -341,12 +325,11 @@ function linkTypical(app) {
     const point = article.getAttribute("data-point") ?? "";
     const shown = app.table.about.replays.find((one) => one.point === point);
     if (!shown || shown.row < 0) continue;
-    const button = element("button", { type: "button" }, "▶ replay");
-    button.addEventListener("click", () => {
+    const open = () => {
       app.choose(shown.row);
       byId("replay").scrollIntoView({ behavior: "smooth", block: "center" });
-    });
-    article.querySelector("h3")?.append(" ", button);
+    };
+    article.querySelector("h3")?.append(" ", buttonOf({}, open, "▶ replay"));
   }
 }
 

@@ -9,20 +9,17 @@ import { ownerNear, pixelsOf } from "./paint.js";
 import { drawContour, drawOutlines, drawRing, drawTheory, drawZero } from "./over.js";
 import { narrow, showAll } from "./state.js";
 
-/** @typedef {import("./cells.js").Places} Places */
-/** @typedef {import("./data.js").Column} Column */
-/** @typedef {import("./dom.js").Rgb} Rgb */
-/** @typedef {import("./main.js").App} App */
-/** @typedef {import("./main.js").View} View */
-/** @typedef {import("./paint.js").Pixels} Pixels */
+/** @import { Box } from "./axes.js" */
+/** @import { Places } from "./cells.js" */
+/** @import { Column } from "./data.js" */
+/** @import { Rgb } from "./dom.js" */
+/** @import { App, View } from "./main.js" */
+/** @import { Pixels } from "./paint.js" */
 
 const MARGIN = { left: 64, right: 14, top: 12, bottom: 48 };
 const DRAG = 5; // pixels that make a click a drag
 
-/**
- * @param {App} app
- * @returns {View}
- */
+/** @type {(app: App) => View} */
 export function mapView(app) {
   const { table, state } = app;
   const base = /** @type {HTMLCanvasElement} */ (byId("map-base"));
@@ -51,11 +48,9 @@ export function mapView(app) {
 
   const columns = () => selects.slice(0, 2).map((select) => table.named.get(select.value) ?? table.columns[0]);
   const box = () => {
-    const [width, height] = [
-      base.clientWidth - MARGIN.left - MARGIN.right,
-      base.clientHeight - MARGIN.top - MARGIN.bottom,
-    ];
-    return { left: MARGIN.left, top: MARGIN.top, width: Math.max(10, width), height: Math.max(10, height) };
+    const width = Math.max(10, base.clientWidth - MARGIN.left - MARGIN.right);
+    const height = Math.max(10, base.clientHeight - MARGIN.top - MARGIN.bottom);
+    return { left: MARGIN.left, top: MARGIN.top, width, height };
   };
 
   const lay = () => {
@@ -70,12 +65,13 @@ export function mapView(app) {
 
   const slicing = () => {
     const [x, y] = columns();
-    const further = table.columns.filter(
-      (column) => column.axis && column !== x && column !== y && (column.names || !column.drawn),
-    );
     const kept = new Map(state.fixed);
     state.fixed.clear();
-    const shown = further.filter((column) => valuesOf(column).length > 1 && valuesOf(column).length <= 200);
+    const shown = table.columns.filter((column) => {
+      if (!column.axis || column === x || column === y || (column.drawn && !column.names)) return false;
+      const count = valuesOf(column).length;
+      return count > 1 && count <= 200;
+    });
     byId("map-slices").replaceChildren(
       ...shown.slice(0, 8).map((column) => {
         const select = element("select", {});
@@ -167,9 +163,8 @@ export function mapView(app) {
       note.append(column ? column.title : rate, " ", shortly(low), " ", bar, " ", shortly(high));
       note.append(column?.diverges && places?.form === "cells" ? "; the line on the map is at 0." : ".");
     } else if (densityOf()) {
-      note.append(
-        `${grouped(table.about.total)} rollouts counted in cells; a choice is shown by ${grouped(table.rows)} of them, drawn at random.`,
-      );
+      const [all, few] = [table.about.total, table.rows].map(grouped);
+      note.append(`${all} rollouts counted in cells; a choice is shown by ${few} of them, drawn at random.`);
     } else if (table.about.total > table.rows) {
       note.append(`${grouped(table.rows)} of ${grouped(table.about.total)} rollouts, drawn at random.`);
     } else if (table.mesh && places?.outlines.length) {
@@ -182,9 +177,7 @@ export function mapView(app) {
 
   /**
    * Rings around rollouts that have a replay.
-   * @param {CanvasRenderingContext2D} pen
-   * @param {Places} here
-   * @param {import("./axes.js").Box} area
+   * @type {(pen: CanvasRenderingContext2D, here: Places, area: Box) => void}
    */
   const drawReplayed = (pen, here, area) => {
     const done = new Set();
@@ -229,9 +222,8 @@ export function mapView(app) {
   };
 
   /**
-   * @param {number} x
-   * @param {number} y
-   * @returns {number} the row there, -1 for none
+   * The row there, -1 for none.
+   * @type {(x: number, y: number) => number}
    */
   const rowAt = (x, y) => {
     if (!pixels) return -1;
@@ -302,12 +294,7 @@ export function mapView(app) {
     });
     const way = ways[event.key];
     if (way && places) {
-      const row = stepFrom(
-        places,
-        state.cursor,
-        way,
-        (/** @type {number} */ one) => event.shiftKey || state.mask[one] > 0,
-      );
+      const row = stepFrom(places, state.cursor, way, (one) => event.shiftKey || state.mask[one] > 0);
       if (event.shiftKey && state.cursor >= 0) {
         const [x, y] = columns();
         anchor ??= [x.values[state.cursor], y.values[state.cursor]];
@@ -337,11 +324,7 @@ export function mapView(app) {
     }),
   );
 
-  /**
-   * @param {{ x: number, y: number, part: "both" | "x" | "y" }} from
-   * @param {number} toX
-   * @param {number} toY
-   */
+  /** @type {(from: { x: number, y: number, part: "both" | "x" | "y" }, toX: number, toY: number) => void} */
   const brush = (from, toX, toY) => {
     if (!places) return;
     const area = box();
@@ -373,10 +356,7 @@ export function mapView(app) {
 
 /**
  * A range that takes both of two values in.
- * @param {Column} column
- * @param {number} a
- * @param {number} b
- * @returns {{ low: number, high: number }}
+ * @type {(column: Column, a: number, b: number) => { low: number, high: number }}
  */
 function around(column, a, b) {
   const room = 1e-9 * (column.high - column.low || 1);
@@ -385,9 +365,7 @@ function around(column, a, b) {
 
 /**
  * A value of a column in words.
- * @param {Column} column
- * @param {number} value
- * @returns {string}
+ * @type {(column: Column, value: number) => string}
  */
 export function worded(column, value) {
   if (Number.isNaN(value)) return "–";
@@ -398,8 +376,7 @@ export function worded(column, value) {
 /**
  * The columns that the map starts with: what the page says, or the two parameters that have most to do with failure; the
  * margin for the second where each was varied alone.
- * @param {App} app
- * @returns {[string, string]}
+ * @type {(app: App) => [string, string]}
  */
 function startOf({ table, ranked }) {
   const { start } = table.about;
@@ -417,11 +394,7 @@ function startOf({ table, ranked }) {
 
 /**
  * The nearest row in a direction: what lies aside counts twice.
- * @param {Places} here
- * @param {number} row
- * @param {[number, number]} way
- * @param {(row: number) => boolean} passes
- * @returns {number}
+ * @type {(here: Places, row: number, way: [number, number], passes: (row: number) => boolean) => number}
  */
 export function stepFrom(here, row, way, passes) {
   const unit = { left: 0, top: 0, width: 1, height: 1 };

@@ -2,8 +2,7 @@
 
 /**
  * Four digits are enough to read.
- * @param {number} value
- * @returns {string}
+ * @type {(value: number) => string}
  */
 export function shortly(value) {
   if (!Number.isFinite(value)) return "–";
@@ -14,8 +13,7 @@ export function shortly(value) {
 
 /**
  * A count with its thousands apart: 16,384.
- * @param {number} count
- * @returns {string}
+ * @type {(count: number) => string}
  */
 export function grouped(count) {
   return String(count).replace(/\B(?=(\d{3})+$)/g, ",");
@@ -23,10 +21,7 @@ export function grouped(count) {
 
 /**
  * Round numbers between two ends, about `count` of them.
- * @param {number} low
- * @param {number} high
- * @param {number} count
- * @returns {number[]}
+ * @type {(low: number, high: number, count: number) => number[]}
  */
 export function ticks(low, high, count) {
   if (!(high > low) || count < 1) return [low];
@@ -39,20 +34,14 @@ export function ticks(low, high, count) {
   return found;
 }
 
-/**
- * @param {number} value
- * @param {number} low
- * @param {number} high
- * @returns {number}
- */
+/** @type {(value: number, low: number, high: number) => number} */
 export function clamp(value, low, high) {
   return Math.max(low, Math.min(high, value));
 }
 
 /**
  * A number from 0 to 999 that is a row's own, the same each time.
- * @param {number} row
- * @returns {number}
+ * @type {(row: number) => number}
  */
 export function lotOf(row) {
   return ((row * 2654435761) >>> 8) % 1000;
@@ -60,8 +49,7 @@ export function lotOf(row) {
 
 /**
  * Where `count` cells begin and end that lie about sorted values: half-way between them.
- * @param {ArrayLike<number>} values
- * @returns {Float64Array}
+ * @type {(values: ArrayLike<number>) => Float64Array}
  */
 export function edgesOf(values) {
   const count = values.length;
@@ -77,9 +65,7 @@ export function edgesOf(values) {
 
 /**
  * Index of the last of sorted numbers that is not above `value`; -1 below the first.
- * @param {ArrayLike<number>} sorted
- * @param {number} value
- * @returns {number}
+ * @type {(sorted: ArrayLike<number>, value: number) => number}
  */
 export function placeIn(sorted, value) {
   let low = 0;
@@ -99,10 +85,8 @@ const SCALE = [0x00224e, 0x123570, 0x3b496c, 0x575d6d, 0x707173, 0x8a8678, 0xa59
 const DIVERGING = [0x7a2e00, 0xb24a00, 0xe08214, 0xfdc583, 0xf5f2ee, 0xb6dbf2, 0x6db3e0, 0x2878b5, 0x0b3c6f];
 
 /**
- * The colour of a share between 0 and 1, as `packRgb` packs it.
- * @param {number} share
- * @param {boolean} diverging about the middle
- * @returns {number}
+ * The colour of a share between 0 and 1, as `packRgb` packs it; diverging about the middle.
+ * @type {(share: number, diverging?: boolean) => number}
  */
 export function scaleColour(share, diverging = false) {
   const scale = diverging ? DIVERGING : SCALE;
@@ -117,10 +101,7 @@ export function scaleColour(share, diverging = false) {
 
 /**
  * A colour as a number of an image's memory, opaque.
- * @param {number} red
- * @param {number} green
- * @param {number} blue
- * @returns {number}
+ * @type {(red: number, green: number, blue: number) => number}
  */
 export function packRgb(red, green, blue) {
   return ((255 << 24) | (Math.round(blue) << 16) | (Math.round(green) << 8) | Math.round(red)) >>> 0;
@@ -128,8 +109,7 @@ export function packRgb(red, green, blue) {
 
 /**
  * `#D55E00` as three numbers.
- * @param {string} hex
- * @returns {[number, number, number]}
+ * @type {(hex: string) => [number, number, number]}
  */
 export function rgbOf(hex) {
   const value = parseInt(hex.slice(1), 16);
@@ -138,10 +118,7 @@ export function rgbOf(hex) {
 
 /**
  * A colour on the way from one to another.
- * @param {[number, number, number]} from
- * @param {[number, number, number]} to
- * @param {number} share
- * @returns {[number, number, number]}
+ * @type {(from: [number, number, number], to: [number, number, number], share: number) => [number, number, number]}
  */
 export function mixed(from, to, share) {
   const part = (/** @type {number} */ k) => from[k] + (to[k] - from[k]) * share;
@@ -152,16 +129,15 @@ const LINEAR = 0.1; // within which a bent scale is even
 
 /**
  * A number on a scale that is even next to zero and logarithmic beyond, so that a few extremes leave room for the rest.
- * @param {number} value
- * @returns {number}
+ * @type {(value: number) => number}
  */
 export function bent(value) {
   return Math.asinh(value / LINEAR);
 }
 
 /**
- * @param {number} share on that scale
- * @returns {number}
+ * The number at a place of that scale.
+ * @type {(share: number) => number}
  */
 export function unbent(share) {
   return LINEAR * Math.sinh(share);
@@ -169,9 +145,7 @@ export function unbent(share) {
 
 /**
  * Wilson's interval of a rate, for 95 %.
- * @param {number} good
- * @param {number} total
- * @returns {[number, number]}
+ * @type {(good: number, total: number) => [number, number]}
  */
 export function wilson(good, total) {
   if (!total) return [NaN, NaN];

@@ -3,9 +3,10 @@ import { zeroLines } from "./contour.js";
 import { clipped } from "./data.js";
 import { cssOf, straight } from "./dom.js";
 
-/** @typedef {import("./cells.js").Places} Places */
-/** @typedef {import("./data.js").Column} Column */
-/** @typedef {import("./main.js").App} App */
+/** @import { Box } from "./axes.js" */
+/** @import { Places } from "./cells.js" */
+/** @import { Column } from "./data.js" */
+/** @import { App } from "./main.js" */
 
 const LINE = 16; // pixels from one line of text to the next
 const DASHES = [
@@ -16,10 +17,7 @@ const DASHES = [
 
 /**
  * Outlines of the cells that refinement ended with.
- * @param {App} app
- * @param {CanvasRenderingContext2D} pen
- * @param {Places} here
- * @param {import("./axes.js").Box} area
+ * @type {(app: App, pen: CanvasRenderingContext2D, here: Places, area: Box) => void}
  */
 export function drawOutlines(app, pen, here, area) {
   const { outlines } = here;
@@ -41,12 +39,7 @@ export function drawOutlines(app, pen, here, area) {
 
 /**
  * Where a margin is used up.
- * @param {App} app
- * @param {CanvasRenderingContext2D} pen
- * @param {Column} x
- * @param {Column} y
- * @param {Places} here
- * @param {import("./axes.js").Box} area
+ * @type {(app: App, pen: CanvasRenderingContext2D, x: Column, y: Column, here: Places, area: Box) => void}
  */
 export function drawZero(app, pen, x, y, here, area) {
   pen.strokeStyle = app.theme().ink;
@@ -61,11 +54,7 @@ export function drawZero(app, pen, x, y, here, area) {
 
 /**
  * The contour of zero of the figure that gives the map its colours.
- * @param {App} app
- * @param {CanvasRenderingContext2D} pen
- * @param {Places} here
- * @param {Column} column
- * @param {import("./axes.js").Box} area
+ * @type {(app: App, pen: CanvasRenderingContext2D, here: Places, column: Column, area: Box) => void}
  */
 export function drawContour(app, pen, here, column, area) {
   const lines = zeroLines(here, (row) => column.values[row]);
@@ -83,20 +72,14 @@ export function drawContour(app, pen, here, column, area) {
 
 /**
  * Whether a line is free between two labels, or they are beside each other.
- * @param {Label} one
- * @param {Label} other
+ * @type {(one: Label, other: Label) => boolean}
  */
 const apart = (one, other) =>
   Math.abs(one.up - other.up) >= 2 * LINE || one.left >= other.left + other.size || other.left >= one.left + one.size;
 
 /**
  * Limits of theories, dashed, each with its name along it, from its end, where no other stands.
- * @param {App} app
- * @param {CanvasRenderingContext2D} pen
- * @param {Column} x
- * @param {Column} y
- * @param {Places} here
- * @param {import("./axes.js").Box} area
+ * @type {(app: App, pen: CanvasRenderingContext2D, x: Column, y: Column, here: Places, area: Box) => void}
  */
 export function drawTheory(app, pen, x, y, here, area) {
   const curves = app.table.about.theory.filter(

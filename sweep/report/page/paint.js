@@ -1,7 +1,8 @@
 // Marks and cells put straight into the memory of an image: tens of thousands of them take milliseconds.
 import { packRgb } from "./numbers.js";
 
-/** @typedef {import("./dom.js").Rgb} Rgb */
+/** @import { Look, Rgb } from "./dom.js" */
+/** @typedef {{ left: number, top: number, right: number, bottom: number }} Edges */
 
 /**
  * @typedef {object} Pixels
@@ -12,11 +13,7 @@ import { packRgb } from "./numbers.js";
  * @property {ImageData} image
  */
 
-/**
- * @param {number} width
- * @param {number} height
- * @returns {Pixels}
- */
+/** @type {(width: number, height: number) => Pixels} */
 export function pixelsOf(width, height) {
   const image = new ImageData(Math.max(1, width), Math.max(1, height));
   const owner = new Int32Array(image.width * image.height).fill(-1);
@@ -59,10 +56,8 @@ export function fillCell(pixels, left, top, right, bottom, colour, row, tile, in
 /** @typedef {{ size: number, cover: Float32Array }} Stamp */
 
 /**
- * How much of each pixel a mark covers.
- * @param {number[]} shape its corners for a radius of one
- * @param {number} radius in pixels
- * @returns {Stamp}
+ * How much of each pixel a mark covers, whose shape has its corners for a radius of one, with this radius in pixels.
+ * @type {(shape: number[], radius: number) => Stamp}
  */
 export function stampOf(shape, radius) {
   const size = 2 * Math.ceil(1.3 * radius) + 1;
@@ -79,10 +74,7 @@ export function stampOf(shape, radius) {
 
 /**
  * Whether a place is in a shape: its sides to the right of it are odd in number.
- * @param {number[]} shape
- * @param {number} x
- * @param {number} y
- * @returns {boolean}
+ * @type {(shape: number[], x: number, y: number) => boolean}
  */
 function inside(shape, x, y) {
   let odd = false;
@@ -127,12 +119,8 @@ export function stampAt(pixels, stamp, x, y, rgb, opacity, row) {
 }
 
 /**
- * The row that is shown at a place, or near it.
- * @param {Pixels} pixels
- * @param {number} x
- * @param {number} y
- * @param {number} reach in pixels
- * @returns {number} -1 for none
+ * The row that is shown at a place, or so many pixels from it; -1 for none.
+ * @type {(pixels: Pixels, x: number, y: number, reach: number) => number}
  */
 export function ownerNear(pixels, x, y, reach) {
   const { width, height, owner } = pixels;
@@ -149,9 +137,7 @@ export function ownerNear(pixels, x, y, reach) {
 
 /**
  * What is put on the cells of a kind: the shape of a cause of failure.
- * @param {import("./dom.js").Look} look
- * @param {number} ratio
- * @returns {Stamp | null}
+ * @type {(look: Look, ratio: number) => Stamp | null}
  */
 export function glyphOf({ glyphed, shape }, ratio) {
   return glyphed ? stampOf(shape, GLYPH * ratio) : null;
@@ -159,12 +145,7 @@ export function glyphOf({ glyphed, shape }, ratio) {
 
 /**
  * A cell of a kind, with the glyph of its cause where there is room.
- * @param {Pixels} pixels
- * @param {{ left: number, top: number, right: number, bottom: number }} box
- * @param {import("./dom.js").Look} look
- * @param {Stamp | null} glyph
- * @param {number} row
- * @param {number} ratio
+ * @type {(pixels: Pixels, box: Edges, look: Look, glyph: Stamp | null, row: number, ratio: number) => void}
  */
 export function paintKind(pixels, { left, top, right, bottom }, look, glyph, row, ratio) {
   const hatching = look.hatched ? HATCHING : null;

@@ -5,10 +5,9 @@ import { byId, cssOf, pointerOn, sheetOf, straight } from "./dom.js";
 import { clamp, grouped, lotOf, shortly } from "./numbers.js";
 import { narrow } from "./state.js";
 
-/** @typedef {import("./data.js").Column} Column */
-/** @typedef {import("./main.js").App} App */
-/** @typedef {import("./axes.js").Way} Way */
-/** @typedef {import("./main.js").View} View */
+/** @import { Way } from "./axes.js" */
+/** @import { Column } from "./data.js" */
+/** @import { App, View } from "./main.js" */
 
 const MOST = 10; // axes side by side
 const NARROW = 84; // pixels that an axis needs for its title
@@ -17,10 +16,7 @@ const BATCH = 150; // lines between two looks at the clock
 const ABREAST = 0.2; // of the step from name to name, on which lines lie side by side; at the ends within the axis
 const FRAME = { left: 46, right: 46, top: 52, bottom: 30 };
 
-/**
- * @param {App} app
- * @returns {View}
- */
+/** @type {(app: App) => View} */
 export function parallelView(app) {
   const { table, state } = app;
   const base = /** @type {HTMLCanvasElement} */ (byId("lines-base"));
@@ -268,9 +264,7 @@ export function parallelView(app) {
 
 /**
  * What a click on an axis' title makes of it: even, inverted, logarithmic where it can be, and even again.
- * @param {Column} column
- * @param {Way} [way]
- * @returns {Way | undefined}
+ * @type {(column: Column, way?: Way) => Way | undefined}
  */
 function nextWay({ low, names }, way) {
   if (!way) return "inverted";
@@ -279,8 +273,7 @@ function nextWay({ low, names }, way) {
 
 /**
  * The axes of the lines: drawn numbers, those that matter most first, or what there is.
- * @param {App} app
- * @returns {Column[]}
+ * @type {(app: App) => Column[]}
  */
 function axesOf({ table, ranked }) {
   const axes = ranked.map(({ column }) => column);
@@ -289,10 +282,7 @@ function axesOf({ table, ranked }) {
   return [...axes, ...rest].slice(0, MOST - margin.length).concat(margin);
 }
 
-/**
- * @param {Column} column
- * @returns {string[]}
- */
+/** @type {(column: Column) => string[]} */
 function twoLines({ label, unit }) {
   const cut = label.indexOf(" (");
   const second = [cut > 0 ? label.slice(cut + 1) : "", unit ? `[${unit}]` : ""].filter(Boolean).join(" ");
@@ -301,8 +291,7 @@ function twoLines({ label, unit }) {
 
 /**
  * Rows in an order that any part of is a fair sample, the same each time.
- * @param {number} count
- * @returns {Uint32Array}
+ * @type {(count: number) => Uint32Array}
  */
 export function shuffled(count) {
   const order = Uint32Array.from({ length: count }, (_, k) => k);

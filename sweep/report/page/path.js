@@ -1,11 +1,11 @@
 // Ways of base and feet in space: from above and from the side, a mark where the replay is.
-import { sheetOf } from "./dom.js";
+import { sheetOf, straight } from "./dom.js";
 import { frameAt, plus, posesOf, rotated } from "./kinematics.js";
 import { shortly, ticks } from "./numbers.js";
 
-/** @typedef {import("./kinematics.js").Model} Model */
-/** @typedef {import("./kinematics.js").Motion} Motion */
-/** @typedef {import("./main.js").App} App */
+/** @import { Sheet, Theme } from "./dom.js" */
+/** @import { Model, Motion } from "./kinematics.js" */
+/** @import { App } from "./main.js" */
 /** @typedef {{ model: Model, motion: Motion }} Reel */
 
 /**
@@ -16,7 +16,7 @@ import { shortly, ticks } from "./numbers.js";
  * @property {[number, number][]} ends of x, y and z, of all these
  */
 
-const BESIDE = { left: 44, right: 8, top: 20, bottom: 20 };
+export const BESIDE = { left: 44, right: 8, top: 20, bottom: 20 }; // a panel, CSS pixels
 export const FACES = /** @type {const} */ ([
   { title: "way from above: y over x [m]", up: 1 },
   { title: "way from the side: z over x [m]", up: 2 },
@@ -46,8 +46,8 @@ export function pathsOf({ model, motion }, free) {
 }
 
 /**
- * @param {number[]} values
- * @returns {[number, number]} the least and the greatest
+ * The least and the greatest.
+ * @type {(values: number[]) => [number, number]}
  */
 const endsOf = (values) =>
   values.reduce(([a, b], value) => [Math.min(a, value), Math.max(b, value)], [Infinity, -Infinity]);
@@ -80,6 +80,31 @@ export function laidOut(paths, up, width, height) {
   return { spot, ends: shown };
 }
 
+/** @typedef {{ at: number, text: string }} Tick in CSS pixels */
+
+/**
+ * What is around a panel: lines across it with numbers on the left, numbers below, and a title.
+ * @type {(sheet: Sheet, theme: Theme, across: Tick[], below: Tick[], title: string, room: number) => void}
+ */
+export function drawRuled({ pen, width, height }, { ink, soft, line }, across, below, title, room) {
+  pen.font = pen.font.replace(/\d+px/, "11px");
+  pen.fillStyle = soft;
+  pen.strokeStyle = line;
+  pen.lineWidth = 1;
+  pen.textAlign = "right";
+  pen.textBaseline = "middle";
+  for (const { at, text } of across) {
+    straight(pen, BESIDE.left, at, width - BESIDE.right, at);
+    pen.fillText(text, BESIDE.left - 5, at, BESIDE.left - 8);
+  }
+  pen.textAlign = "center";
+  pen.textBaseline = "top";
+  for (const { at, text } of below) pen.fillText(text, at, height - BESIDE.bottom + 4);
+  pen.textAlign = "left";
+  pen.fillStyle = ink;
+  pen.fillText(title, BESIDE.left, 3, room);
+}
+
 /**
  * @param {App} app
  * @param {HTMLCanvasElement} canvas
@@ -87,33 +112,16 @@ export function laidOut(paths, up, width, height) {
  * @param {(typeof FACES)[number]} side
  */
 export function drawPaths(app, canvas, paths, { title, up }) {
-  const { pen, width, height } = sheetOf(canvas);
-  const { ink, soft, line } = app.theme();
+  const sheet = sheetOf(canvas);
+  const { pen, width, height } = sheet;
   const { spot, ends } = laidOut(paths, up, width, height);
-  pen.font = pen.font.replace(/\d+px/, "11px");
-  pen.fillStyle = soft;
-  pen.strokeStyle = line;
-  pen.textAlign = "right";
-  pen.textBaseline = "middle";
-  pen.beginPath();
-  for (const value of ticks(ends[1][0], ends[1][1], 4)) {
-    const [, y] = spot([0, value, value]);
-    pen.moveTo(BESIDE.left, y);
-    pen.lineTo(width - BESIDE.right, y);
-    pen.fillText(shortly(value), BESIDE.left - 5, y, BESIDE.left - 8);
-  }
-  pen.textAlign = "center";
-  pen.textBaseline = "top";
-  for (const value of ticks(ends[0][0], ends[0][1], width / 90))
-    pen.fillText(shortly(value), spot([value, 0, 0])[0], height - BESIDE.bottom + 4);
-  pen.stroke();
-  pen.textAlign = "left";
-  pen.fillStyle = ink;
-  pen.fillText(title, BESIDE.left, 3, width - BESIDE.left);
+  const across = ticks(...ends[1], 4).map((one) => ({ at: spot([0, one, one])[1], text: shortly(one) }));
+  const below = ticks(...ends[0], width / 90).map((one) => ({ at: spot([one, 0, 0])[0], text: shortly(one) }));
+  drawRuled(sheet, app.theme(), across, below, title, width - BESIDE.left);
   paths.forEach(({ base, feet }, number) => {
     pen.setLineDash(number ? [4, 3] : []);
     [...feet, base].forEach((places, leg) => {
-      pen.strokeStyle = leg < feet.length ? app.table.about.legs[leg % app.table.about.legs.length] : ink;
+      pen.strokeStyle = leg < feet.length ? app.table.about.legs[leg % app.table.about.legs.length] : app.theme().ink;
       pen.lineWidth = leg < feet.length ? 1 : 1.6;
       pen.beginPath();
       for (const place of places) pen.lineTo(...spot(place));

@@ -10,10 +10,9 @@ import { freest, sizeOf, farEnough, START } from "./sight.js";
 import { drawStages } from "./strip.js";
 import { worded } from "./map.js";
 
-/** @typedef {import("./kinematics.js").Model} Model */
-/** @typedef {import("./kinematics.js").Motion} Motion */
-/** @typedef {import("./main.js").App} App */
-/** @typedef {import("./scene.js").Camera} Camera */
+/** @import { Model, Motion } from "./kinematics.js" */
+/** @import { App } from "./main.js" */
+/** @import { Camera } from "./scene.js" */
 
 /**
  * @typedef {object} Reel
@@ -35,10 +34,7 @@ const GHOST = /** @type {[number, number, number]} */ ([140, 86, 190]);
 const HOLD = 0.8; // s before a replay that has ended begins again
 const FOLLOW = 0.12; // share of the way to the base that the camera goes in a frame
 
-/**
- * @param {App} app
- * @returns {Player}
- */
+/** @type {(app: App) => Player} */
 export function playerOf(app) {
   const { table } = app;
   const { replays } = table.about;
@@ -91,10 +87,7 @@ export function playerOf(app) {
   list.replaceChildren(...groups());
   beside.replaceChildren(element("option", { value: "" }, "nothing"), ...groups());
 
-  /**
-   * @param {number} number
-   * @returns {Promise<Reel>}
-   */
+  /** @type {(number: number) => Promise<Reel>} */
   const reelOf = (number) => {
     models ??= inflate(table.about.models).then((buffer) => JSON.parse(new TextDecoder().decode(buffer)));
     const known = reels.get(number);
@@ -137,10 +130,7 @@ export function playerOf(app) {
     return true;
   };
 
-  /**
-   * @param {number} row
-   * @param {number | null} at
-   */
+  /** @type {(row: number, at?: number | null) => void} */
   const openRow = (row, at = null) => {
     const number = nearestReplay(table, row);
     if (number < 0) return;
@@ -216,17 +206,10 @@ export function playerOf(app) {
    */
   const posesAt = ({ model, motion }) => posesOf(model, stateAt(motion, time));
 
-  /**
-   * @param {Reel} reel
-   * @returns {string}
-   */
+  /** @type {(reel: Reel) => string} */
   const stageOf = ({ motion, number }) => clipped(replays[number].stages[motion.stage[frameAt(motion, time)]] ?? "");
 
-  /**
-   * @param {HTMLCanvasElement} canvas
-   * @param {Reel} reel
-   * @param {Reel | null} ghost
-   */
+  /** @type {(canvas: HTMLCanvasElement, reel: Reel, ghost: Reel | null) => void} */
   const scene = (canvas, reel, ghost) => {
     const { model, motion, arrow } = reel;
     const sheet = sheetOf(canvas);
@@ -271,9 +254,7 @@ export function playerOf(app) {
 
   /**
    * Arrows no longer than the robot.
-   * @param {Model} model
-   * @param {Motion} motion
-   * @returns {Reel["arrow"]}
+   * @type {(model: Model, motion: Motion) => Reel["arrow"]}
    */
   const arrowOf = (model, motion) => {
     const robot = 2 * sizeOf(model);
@@ -286,8 +267,7 @@ export function playerOf(app) {
   let second = null;
   /**
    * A canvas of the same size that is not shown.
-   * @param {HTMLCanvasElement} canvas
-   * @returns {HTMLCanvasElement}
+   * @type {(canvas: HTMLCanvasElement) => HTMLCanvasElement}
    */
   const overlay = (canvas) => {
     second ??= element("canvas");
@@ -442,9 +422,7 @@ export function playerOf(app) {
 
 /**
  * What a replay is called in lists: its own title, or its outcome and its place in the study.
- * @param {App} app
- * @param {number} number
- * @returns {string}
+ * @type {(app: App, number: number) => string}
  */
 function titleOf({ table, ranked }, number) {
   const shown = table.about.replays[number];

@@ -1,14 +1,13 @@
 // What a reader takes away: pictures of views, the chosen rows as a table, a replay as a video.
 import { pointOf } from "./data.js";
-import { element, recorders } from "./dom.js";
+import { buttonOf, element, recorders } from "./dom.js";
 import { VectorPen } from "./vector.js";
 
-/** @typedef {import("./main.js").App} App */
+/** @import { App } from "./main.js" */
 
 /**
  * Give the reader a file.
- * @param {Blob} content
- * @param {string} name
+ * @type {(content: Blob, name: string) => void}
  */
 export function give(content, name) {
   const address = URL.createObjectURL(content);
@@ -18,8 +17,7 @@ export function give(content, name) {
 
 /**
  * The rows that pass the filters as CSV, a column for each that the page holds.
- * @param {App} app
- * @returns {string}
+ * @type {(app: App) => string}
  */
 export function csvOf({ table, state }) {
   const { kinds, stages } = table.about;
@@ -40,8 +38,7 @@ export function csvOf({ table, state }) {
 
 /**
  * What a panel draws, where it does: canvases of an explanation or a button are none of it.
- * @param {Element} panel
- * @returns {{ canvases: HTMLCanvasElement[], boxes: DOMRect[], whole: DOMRect }}
+ * @type {(panel: Element) => { canvases: HTMLCanvasElement[], boxes: DOMRect[], whole: DOMRect }}
  */
 function drawnIn(panel) {
   const canvases = [.../** @type {NodeListOf<HTMLCanvasElement>} */ (panel.querySelectorAll("canvas"))].filter(
@@ -55,9 +52,7 @@ function drawnIn(panel) {
 
 /**
  * A panel's canvases as one picture of pixels.
- * @param {App} app
- * @param {Element} panel
- * @returns {Promise<Blob | null>}
+ * @type {(app: App, panel: Element) => Promise<Blob | null>}
  */
 async function pictureOf(app, panel) {
   await app.drawn();
@@ -77,9 +72,7 @@ async function pictureOf(app, panel) {
 
 /**
  * A panel's canvases as one drawing: its lines and words stay such, its cells and marks are images.
- * @param {App} app
- * @param {Element} panel
- * @returns {Promise<Blob>}
+ * @type {(app: App, panel: Element) => Promise<Blob>}
  */
 async function drawingOf(app, panel) {
   const { canvases, boxes, whole } = drawnIn(panel);
@@ -107,13 +100,12 @@ export function offerPictures(app) {
       ["PNG", pictureOf],
       ["SVG", drawingOf],
     ])) {
-      const title = `save "${name}" as ${word}`;
-      const button = element("button", { type: "button", class: "save", title }, word);
-      button.addEventListener("click", async () => {
+      const save = async () => {
         if (!drawnIn(panel).canvases.length) return;
         const content = await made(app, panel);
         if (content) give(content, `${name}.${word.toLowerCase()}`);
-      });
+      };
+      const button = buttonOf({ class: "save", title: `save "${name}" as ${word}` }, save, word);
       if (!panel.querySelector("#list")) head?.append(" ", button);
     }
   }

@@ -1,15 +1,12 @@
 // The robot on its obstacle, drawn on a canvas: no more than polygons, thick lines and their order.
 import { cssOf, straight } from "./dom.js";
-import { plus, rotated } from "./kinematics.js";
+import { dot, plus, rotated } from "./kinematics.js";
 import { clamp, mixed } from "./numbers.js";
 import { backToFront, hides, isLink, solidOf } from "./solids.js";
 
-/** @typedef {import("./dom.js").Rgb} Rgb */
-/** @typedef {import("./dom.js").Sheet} Sheet */
-/** @typedef {import("./dom.js").Theme} Theme */
-/** @typedef {import("./kinematics.js").Model} Model */
-/** @typedef {import("./kinematics.js").Pose} Pose */
-/** @typedef {import("./solids.js").Solid} Solid */
+/** @import { Rgb, Sheet, Theme } from "./dom.js" */
+/** @import { Model, Pose } from "./kinematics.js" */
+/** @import { Solid } from "./solids.js" */
 
 /** @typedef {{ azimuth: number, elevation: number, distance: number, target: number[] }} Camera angles in rad */
 
@@ -33,9 +30,9 @@ const SUN = 0.55; // share of a face's colour that depends on the light
 const GRID_LINES = linesOf(4);
 
 /**
- * The grid's lines around the origin, from the strongest to the faintest: each how far aside it is, from where to where.
- * @param {number} levels
- * @returns {[number, number, number][][]} m
+ * The grid's lines (m) around the origin, from the strongest to the faintest: each how far aside it is, from where to
+ * where.
+ * @type {(levels: number) => [number, number, number][][]}
  */
 function linesOf(levels) {
   /** @type {[number, number, number][][]} */
@@ -52,12 +49,7 @@ function linesOf(levels) {
   return found;
 }
 
-/**
- * @param {Sheet} sheet
- * @param {Theme} theme
- * @param {Camera} camera
- * @returns {View}
- */
+/** @type {(sheet: Sheet, theme: Theme, camera: Camera) => View} */
 export function viewOf(sheet, theme, camera) {
   const { azimuth, elevation, distance, target } = camera;
   const [ca, sa] = [Math.cos(azimuth), Math.sin(azimuth)];
@@ -69,20 +61,15 @@ export function viewOf(sheet, theme, camera) {
 }
 
 /**
- * @param {View} view
- * @param {ArrayLike<number>} point
- * @returns {number[]} right, up, away
+ * How far a point is to the right of the eye, up and away.
+ * @type {(view: View, point: ArrayLike<number>) => number[]}
  */
 function seen(view, point) {
   const offset = plus(point, view.eye, -1);
-  return view.axes.map((axis) => axis[0] * offset[0] + axis[1] * offset[1] + axis[2] * offset[2]);
+  return view.axes.map((axis) => dot(axis, offset));
 }
 
-/**
- * @param {View} view
- * @param {number[]} local
- * @returns {Spot}
- */
+/** @type {(view: View, local: number[]) => Spot} */
 function onSheet(view, local) {
   const { width, height } = view.sheet;
   const scale = view.focus / local[2];
@@ -91,9 +78,7 @@ function onSheet(view, local) {
 
 /**
  * The part of a polygon that is before the eye, on the sheet.
- * @param {View} view
- * @param {number[][]} points
- * @returns {Spot[]}
+ * @type {(view: View, points: number[][]) => Spot[]}
  */
 export function outline(view, points) {
   const locals = points.map((point) => seen(view, point));
@@ -106,12 +91,7 @@ export function outline(view, points) {
   return kept.map((local) => onSheet(view, local));
 }
 
-/**
- * @param {View} view
- * @param {number[][]} points
- * @param {string | null} fill
- * @param {string | null} stroke
- */
+/** @type {(view: View, points: number[][], fill: string | null, stroke: string | null) => void} */
 function polygon(view, points, fill, stroke) {
   const spots = outline(view, points);
   if (spots.length < 3) return;
@@ -131,14 +111,10 @@ function polygon(view, points, fill, stroke) {
 
 /**
  * A colour in the light that falls along a normal.
- * @param {Theme} theme
- * @param {Rgb} rgb
- * @param {number[]} normal
- * @returns {Rgb}
+ * @type {(theme: Theme, rgb: Rgb, normal: number[]) => Rgb}
  */
 function lit(theme, rgb, normal) {
-  const light = normal[0] * LIGHT[0] + normal[1] * LIGHT[1] + normal[2] * LIGHT[2];
-  const share = 1 - SUN / 2 + (SUN / 2) * light;
+  const share = 1 - SUN / 2 + (SUN / 2) * dot(normal, LIGHT);
   return mixed([0, 0, 0], rgb, clamp(share * (theme.dark ? 0.8 : 1.04), 0, 1));
 }
 
@@ -161,11 +137,8 @@ export function drawWorld(view, model, poses, target) {
 }
 
 /**
- * The robot alone, in one colour.
- * @param {View} view
- * @param {Model} model
- * @param {Pose[]} poses of its bodies
- * @param {Rgb} tint
+ * The robot alone, its bodies at their poses, in one colour.
+ * @type {(view: View, model: Model, poses: Pose[], tint: Rgb) => void}
  */
 export function drawRobot(view, model, poses, tint) {
   const solids = model.geoms.map((geom) => solidOf(geom, poses[geom.body]));
@@ -174,12 +147,7 @@ export function drawRobot(view, model, poses, tint) {
   drawInOrder(view, bodies, links, tint);
 }
 
-/**
- * @param {View} view
- * @param {Solid[]} bodies
- * @param {Solid[]} links
- * @param {Rgb | null} tint
- */
+/** @type {(view: View, bodies: Solid[], links: Solid[], tint: Rgb | null) => void} */
 function drawInOrder(view, bodies, links, tint) {
   const order = backToFront(bodies, view.eye);
   const layers = /** @type {{ depth: number, draw: () => void }[][]} */ ([...order, null].map(() => []));
@@ -203,9 +171,7 @@ function drawInOrder(view, bodies, links, tint) {
 
   /**
    * Before which of the ordered bodies a piece is drawn: the first that hides it.
-   * @param {number[]} point
-   * @param {number} radius
-   * @returns {number}
+   * @type {(point: number[], radius: number) => number}
    */
   function layerOf(point, radius) {
     const towards = plus(view.eye, point, -1);
@@ -228,18 +194,14 @@ function drawSky({ sheet, theme }) {
 
 /**
  * A plane around the target, fading out, with a grid.
- * @param {View} view
- * @param {Solid} ground
- * @param {number[]} target
+ * @type {(view: View, ground: Solid, target: number[]) => void}
  */
 function drawGround(view, ground, target) {
   const { pen } = view.sheet;
   const [right, ahead, normal] = [0, 1, 2].map((k) => [ground.turn[k], ground.turn[3 + k], ground.turn[6 + k]]);
-  const inPlane = (/** @type {number[]} */ axis) =>
-    axis.reduce((sum, part, k) => sum + part * (target[k] - ground.pos[k]), 0);
-  const [u, v] = [inPlane(right), inPlane(ahead)];
+  const [u, v] = [right, ahead].map((axis) => dot(axis, plus(target, ground.pos, -1)));
   const at = (/** @type {number} */ x, /** @type {number} */ y) => plus(plus(ground.pos, right, x), ahead, y);
-  const below = plus(view.eye, ground.pos, -1).reduce((sum, part, k) => sum + part * normal[k], 0) < 0;
+  const below = dot(plus(view.eye, ground.pos, -1), normal) < 0;
   const soil = cssOf(view.theme.dark ? [46, 52, 55] : [226, 230, 225], below ? 0.15 : 0.34);
   const ring = (/** @type {number} */ radius) =>
     Array.from({ length: 40 }, (_, k) => at(u + radius * Math.cos(k / 6.3662), v + radius * Math.sin(k / 6.3662)));
@@ -266,15 +228,13 @@ function drawGround(view, ground, target) {
 
 /**
  * What falls on a plane from above along its normal, soft.
- * @param {View} view
- * @param {Solid} ground
- * @param {Solid[]} casting
+ * @type {(view: View, ground: Solid, casting: Solid[]) => void}
  */
 function drawShadows(view, ground, casting) {
   const normal = [ground.turn[2], ground.turn[5], ground.turn[8]];
   const { pen } = view.sheet;
   const fallen = (/** @type {number[]} */ point) => {
-    const height = plus(point, ground.pos, -1).reduce((sum, part, k) => sum + part * normal[k], 0);
+    const height = dot(plus(point, ground.pos, -1), normal);
     return { spot: plus(point, normal, -height), height };
   };
   pen.lineCap = "round";
@@ -290,22 +250,15 @@ function drawShadows(view, ground, casting) {
       straight(pen, a.x, a.y, b.x, b.y);
     } else if (solid.geom.shape === "box") {
       const shadow = cssOf([0, 0, 0], opacity / 2);
-      for (const face of solid.faces.slice(4))
-        polygon(
-          view,
-          face.points.map((p) => fallen(p).spot),
-          shadow,
-          null,
-        );
+      for (const { points } of solid.faces.slice(4)) {
+        const below = points.map((point) => fallen(point).spot);
+        polygon(view, below, shadow, null);
+      }
     }
   }
 }
 
-/**
- * @param {View} view
- * @param {Solid} solid
- * @param {Rgb | null} tint
- */
+/** @type {(view: View, solid: Solid, tint: Rgb | null) => void} */
 function drawSolid(view, solid, tint) {
   const own = tint ?? solid.geom.colour;
   if (solid.geom.shape === "sphere") {
@@ -315,8 +268,7 @@ function drawSolid(view, solid, tint) {
   const { pen } = view.sheet;
   pen.lineWidth = 1;
   for (const face of solid.faces) {
-    const sight = plus(face.points[0], view.eye, -1);
-    if (sight.reduce((sum, part, k) => sum + part * face.normal[k], 0) >= 0) continue;
+    if (dot(plus(face.points[0], view.eye, -1), face.normal) >= 0) continue;
     const colour = lit(view.theme, own, face.normal);
     const edge = face.edges ? cssOf(mixed(colour, view.theme.dark ? [0, 0, 0] : [255, 255, 255], 0.35)) : cssOf(colour);
     polygon(view, face.points, cssOf(colour), edge);
@@ -325,9 +277,7 @@ function drawSolid(view, solid, tint) {
 
 /**
  * A ball with three circles around it, which show how it turns.
- * @param {View} view
- * @param {Solid} solid
- * @param {Rgb} own
+ * @type {(view: View, solid: Solid, own: Rgb) => void}
  */
 function drawBall(view, solid, own) {
   const { pen } = view.sheet;
@@ -355,7 +305,7 @@ function drawBall(view, solid, own) {
       point[(circle + 1) % 3] = radius * Math.sin(angle);
       const out = rotated(solid.turn, point);
       const place = plus(solid.pos, out);
-      const facing = plus(view.eye, place, -1).reduce((sum, part, axis) => sum + part * out[axis], 0) > 0;
+      const facing = dot(plus(view.eye, place, -1), out) > 0;
       const spot = facing ? onSheet(view, seen(view, place)) : null;
       if (spot && before) pen.lineTo(spot.x, spot.y);
       else if (spot) pen.moveTo(spot.x, spot.y);
@@ -367,11 +317,7 @@ function drawBall(view, solid, own) {
 
 /**
  * A limb: a thick line that tapers with distance, bright on the side of the light.
- * @param {View} view
- * @param {number[]} from
- * @param {number[]} to
- * @param {number} radius
- * @param {Rgb} rgb
+ * @type {(view: View, from: number[], to: number[], radius: number, rgb: Rgb) => void}
  */
 function drawLink(view, from, to, radius, rgb) {
   const [a, b] = [seen(view, from), seen(view, to)];
@@ -382,11 +328,10 @@ function drawLink(view, from, to, radius, rgb) {
   const colour = mixed([0, 0, 0], rgb, view.theme.dark ? 0.88 : 0.94);
   limb(p, q, r + 0.9, s + 0.9, cssOf(mixed(colour, [0, 0, 0], 0.45)));
   limb(p, q, r, s, cssOf(colour));
-  const shine = { x: -0.3, y: -0.34 };
-  const moved = (/** @type {Spot} */ spot, /** @type {number} */ size) => ({
-    ...spot,
-    x: spot.x + shine.x * size,
-    y: spot.y + shine.y * size,
+  const moved = (/** @type {Spot} */ { x, y, depth }, /** @type {number} */ size) => ({
+    x: x - 0.3 * size,
+    y: y - 0.34 * size,
+    depth,
   });
   limb(moved(p, r), moved(q, s), 0.42 * r, 0.42 * s, cssOf(mixed(colour, [255, 255, 255], 0.36)));
 
@@ -454,10 +399,8 @@ export function drawForces(view, model, poses, force, arrow) {
 }
 
 /**
- * What the robot may be hidden behind.
- * @param {Model} model
- * @param {Pose[]} poses of its bodies
- * @returns {Solid[]}
+ * What the robot may be hidden behind, where its model's bodies are.
+ * @type {(model: Model, poses: Pose[]) => Solid[]}
  */
 export function obstaclesOf(model, poses) {
   const others = model.geoms.filter((geom) => !geom.robot && geom.shape !== "plane");
@@ -465,10 +408,8 @@ export function obstaclesOf(model, poses) {
 }
 
 /**
- * Where the robot's base is.
- * @param {Model} model
- * @param {Pose[]} poses of its bodies
- * @returns {number[]}
+ * Where the robot's base is, by the poses of its model's bodies.
+ * @type {(model: Model, poses: Pose[]) => number[]}
  */
 export function baseOf(model, poses) {
   const robot = model.geoms.find((geom) => geom.robot);

@@ -4,15 +4,15 @@ import { clamp } from "./numbers.js";
 import { baseOf, obstaclesOf } from "./scene.js";
 import { hides, solidOf } from "./solids.js";
 
-/** @typedef {import("./kinematics.js").Model} Model */
-/** @typedef {import("./player.js").Reel} Reel */
+/** @import { Model } from "./kinematics.js" */
+/** @import { Reel } from "./player.js" */
 
 export const START = { azimuth: -0.75, elevation: 0.36 };
 const ANGLES = [-0.75, 0.75, -2.4, 2.4, 0, 3.14]; // that a replay may be seen from at first
 
 /**
- * @param {Reel} reel
- * @returns {number} m from where the robot is seen whole
+ * From how far the robot is seen whole, m.
+ * @type {(reel: Reel) => number}
  */
 export function farEnough({ model, motion }) {
   const poses = posesOf(model, stateAt(motion, motion.step));
@@ -23,8 +23,8 @@ export function farEnough({ model, motion }) {
 }
 
 /**
- * @param {Reel} reel
- * @returns {number} the angle that the base is least hidden from, of a few
+ * The angle that the base is least hidden from, of a few.
+ * @type {(reel: Reel) => number}
  */
 export function freest(reel) {
   const { model, motion } = reel;
@@ -46,8 +46,8 @@ export function freest(reel) {
 }
 
 /**
- * @param {Model} model
- * @returns {number} m, the largest half-size of the robot's parts
+ * The largest half-size of the robot's parts, m.
+ * @type {(model: Model) => number}
  */
 export function sizeOf(model) {
   const parts = model.geoms.filter((geom) => geom.robot);

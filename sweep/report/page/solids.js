@@ -1,8 +1,7 @@
 // Convex solids of a scene: their faces, and what they hide.
-import { plus, rotated, turned, turnOf } from "./kinematics.js";
+import { dot, plus, rotated, turned, turnOf } from "./kinematics.js";
 
-/** @typedef {import("./kinematics.js").Geom} Geom */
-/** @typedef {import("./kinematics.js").Pose} Pose */
+/** @import { Geom, Pose } from "./kinematics.js" */
 
 /**
  * A geom in the world. A link is drawn as a line with thickness, anything else by its faces.
@@ -29,8 +28,7 @@ const BOX = [
 
 /**
  * Whether a geom is a limb of the robot: long and round.
- * @param {Geom} geom
- * @returns {boolean}
+ * @type {(geom: Geom) => boolean}
  */
 export function isLink(geom) {
   const [radius = 0, half = 0] = geom.size ?? [];
@@ -38,9 +36,8 @@ export function isLink(geom) {
 }
 
 /**
- * @param {Geom} geom
- * @param {Pose} pose of its body
- * @returns {Solid}
+ * A geom in the world, by the pose of its body.
+ * @type {(geom: Geom, pose: Pose) => Solid}
  */
 export function solidOf(geom, pose) {
   const pos = plus(pose.pos, rotated(pose.turn, geom.pos));
@@ -57,8 +54,7 @@ export function solidOf(geom, pose) {
 
 /**
  * Faces in a geom's own axes.
- * @param {Geom} geom
- * @returns {Face[]}
+ * @type {(geom: Geom) => Face[]}
  */
 function facesOf(geom) {
   const [a = 0, b = 0, c = 0] = geom.size ?? [];
@@ -111,8 +107,7 @@ const rimOf = (radius) =>
 
 /**
  * The unit normal of a face's points, counterclockwise seen from outside.
- * @param {number[][]} points
- * @returns {number[]}
+ * @type {(points: number[][]) => number[]}
  */
 function normalOf(points) {
   const [p, q, r] = points;
@@ -124,8 +119,7 @@ function normalOf(points) {
 
 /**
  * Points at the ends of a geom, in its own axes.
- * @param {Geom} geom
- * @returns {number[][]}
+ * @type {(geom: Geom) => number[][]}
  */
 function outlineOf(geom) {
   const [a = 0, b = 0, c = 0] = geom.size ?? [];
@@ -161,10 +155,7 @@ function outlineOf(geom) {
 
 /**
  * Whether a solid stands between the eye and a point.
- * @param {Solid} solid
- * @param {number[]} eye
- * @param {number[]} point
- * @returns {boolean}
+ * @type {(solid: Solid, eye: number[], point: number[]) => boolean}
  */
 export function hides(solid, eye, point) {
   const local = (/** @type {number[]} */ p) => rotated(transposed(solid.turn), plus(p, solid.pos, -1));
@@ -194,9 +185,7 @@ export function hides(solid, eye, point) {
     case "mesh":
       for (const face of facesOf(solid.geom)) {
         const [p] = face.points;
-        const dot = (/** @type {number[]} */ v) =>
-          v[0] * face.normal[0] + v[1] * face.normal[1] + v[2] * face.normal[2];
-        cut(dot(plus(from, p, -1)), dot(way));
+        cut(dot(plus(from, p, -1), face.normal), dot(way, face.normal));
       }
       break;
     default:
@@ -229,19 +218,14 @@ export function hides(solid, eye, point) {
   }
 }
 
-/**
- * @param {number[]} turn
- * @returns {number[]}
- */
+/** @type {(turn: number[]) => number[]} */
 export function transposed(turn) {
   return [turn[0], turn[3], turn[6], turn[1], turn[4], turn[7], turn[2], turn[5], turn[8]];
 }
 
 /**
  * Solids from the hidden to the hiding.
- * @param {Solid[]} solids
- * @param {number[]} eye
- * @returns {Solid[]}
+ * @type {(solids: Solid[], eye: number[]) => Solid[]}
  */
 export function backToFront(solids, eye) {
   const middles = solids.map((solid) => {

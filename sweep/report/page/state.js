@@ -1,6 +1,6 @@
 // What is chosen: which rows pass the filters, and who draws anew when that changes.
 
-/** @typedef {import("./data.js").Table} Table */
+/** @import { Table } from "./data.js" */
 /** @typedef {{ low: number, high: number }} Range */
 
 /**
@@ -15,10 +15,7 @@
  * @property {number} chosen the row that was clicked, -1 for none
  */
 
-/**
- * @param {Table} table
- * @returns {State}
- */
+/** @type {(table: Table) => State} */
 export function stateOf(table) {
   const mask = new Uint8Array(table.rows).fill(1);
   const [ranges, fixed, hidden] = [new Map(), new Map(), new Set()];
@@ -27,8 +24,7 @@ export function stateOf(table) {
 
 /**
  * Mark the rows that pass all filters; how many do.
- * @param {State} state
- * @returns {number}
+ * @type {(state: State) => number}
  */
 export function sift(state) {
   const { table, mask, hidden } = state;
@@ -56,9 +52,7 @@ export function showAll({ ranges, hidden }) {
 
 /**
  * A range of a column as a filter; without one the filter goes.
- * @param {State} state
- * @param {string} key
- * @param {Range | null} range
+ * @type {(state: State, key: string, range: Range | null) => void}
  */
 export function narrow(state, key, range) {
   if (range) state.ranges.set(key, { low: Math.min(range.low, range.high), high: Math.max(range.low, range.high) });

@@ -1,14 +1,16 @@
 // The strip below a replay: its stages, its cause, and where it is.
 import { clipped } from "./data.js";
 import { sheetOf } from "./dom.js";
+import { spansOf } from "./kinematics.js";
 
-/** @typedef {import("./main.js").App} App */
+/** @import { App } from "./main.js" */
+/** @import { Reel } from "./player.js" */
 
 /**
  * Stages along the time, and when the cause came.
  * @param {App} app
  * @param {HTMLCanvasElement} canvas
- * @param {import("./player.js").Reel} reel
+ * @param {Reel} reel
  * @param {number} time s
  * @param {number} total s
  */
@@ -17,23 +19,19 @@ export function drawStages(app, canvas, reel, time, total) {
   const { replays } = table.about;
   const { pen, width, height } = sheetOf(canvas);
   const { ink, soft, line, accent } = app.theme();
-  const { motion } = reel;
   const xOf = (/** @type {number} */ at) => (at / total) * width;
   pen.textBaseline = "middle";
   pen.textAlign = "left";
-  for (let from = 0; from < motion.frames;) {
-    let to = from;
-    while (to < motion.frames && motion.stage[to] === motion.stage[from]) to++;
-    const [left, right] = [xOf(from * motion.step), xOf(to * motion.step)];
-    const now = time > from * motion.step && time <= to * motion.step + 1e-9;
-    pen.globalAlpha = now ? 0.45 : motion.stage[from] % 2 ? 0.42 : 0.2;
+  for (const { stage, from, to } of spansOf(reel.motion)) {
+    const [left, right] = [xOf(from), xOf(to)];
+    const now = time > from && time <= to + 1e-9;
+    pen.globalAlpha = now ? 0.45 : stage % 2 ? 0.42 : 0.2;
     pen.fillStyle = now ? accent : line;
     pen.fillRect(left, 0, right - left - 1, height);
     pen.globalAlpha = 1;
-    const name = clipped(replays[reel.number].stages[motion.stage[from]] ?? "");
+    const name = clipped(replays[reel.number].stages[stage] ?? "");
     pen.fillStyle = now ? ink : soft;
     if (pen.measureText(name).width < right - left - 8) pen.fillText(name, left + 4, height / 2);
-    from = to;
   }
   const row = replays[reel.number].row;
   const cause = table.named.get("t_cause_s")?.values[row];

@@ -23,10 +23,7 @@ class Gradient {
     this.end = `</${kind}>`;
   }
 
-  /**
-   * @param {number} offset
-   * @param {string} colour
-   */
+  /** @type {(offset: number, colour: string) => void} */
   addColorStop(offset, colour) {
     this.text += `<stop offset="${offset}" stop-color="${asText(colour)}"/>`;
   }
@@ -92,8 +89,7 @@ export class VectorPen {
 
   /**
    * Of what is drawn with it only text is moved.
-   * @param {number} x
-   * @param {number} y
+   * @type {(x: number, y: number) => void}
    */
   translate(x, y) {
     this.moved += `translate(${brief(x)} ${brief(y)})`;
@@ -117,39 +113,24 @@ export class VectorPen {
     this.path += "Z";
   }
 
-  /**
-   * @param {number} x
-   * @param {number} y
-   */
+  /** @type {(x: number, y: number) => void} */
   moveTo(x, y) {
     this.path += `M${brief(x)} ${brief(y)}`;
   }
 
-  /**
-   * @param {number} x
-   * @param {number} y
-   */
+  /** @type {(x: number, y: number) => void} */
   lineTo(x, y) {
     this.path += `${this.path ? "L" : "M"}${brief(x)} ${brief(y)}`;
   }
 
-  /**
-   * @param {number} x
-   * @param {number} y
-   * @param {number} width
-   * @param {number} height
-   */
+  /** @type {(x: number, y: number, width: number, height: number) => void} */
   rect(x, y, width, height) {
     this.path += `M${brief(x)} ${brief(y)}h${brief(width)}v${brief(height)}h${brief(-width)}Z`;
   }
 
   /**
    * Clockwise, a whole turn where the angles are one apart.
-   * @param {number} x
-   * @param {number} y
-   * @param {number} radius
-   * @param {number} from
-   * @param {number} to
+   * @type {(x: number, y: number, radius: number, from: number, to: number) => void}
    */
   arc(x, y, radius, from, to) {
     const turn = to - from >= 2 * Math.PI ? 2 * Math.PI : (((to - from) % (2 * Math.PI)) + 2 * Math.PI) % (2 * Math.PI);
@@ -164,10 +145,7 @@ export class VectorPen {
     this.parts.push(`<clipPath id="${this.clipped}"><path d="${this.path}"/></clipPath>`);
   }
 
-  /**
-   * @param {unknown} style
-   * @returns {string}
-   */
+  /** @type {(style: unknown) => string} */
   paint(style) {
     if (!(style instanceof Gradient)) return asText(style);
     this.gradients.add(style);
@@ -200,33 +178,19 @@ export class VectorPen {
     if (this.path) this.add(`<path d="${this.path}" fill="none"${this.line()}`);
   }
 
-  /**
-   * @param {number} x
-   * @param {number} y
-   * @param {number} width
-   * @param {number} height
-   */
+  /** @type {(x: number, y: number, width: number, height: number) => void} */
   fillRect(x, y, width, height) {
     this.alone(x, y, width, height).fill();
   }
 
-  /**
-   * @param {number} x
-   * @param {number} y
-   * @param {number} width
-   * @param {number} height
-   */
+  /** @type {(x: number, y: number, width: number, height: number) => void} */
   strokeRect(x, y, width, height) {
     this.alone(x, y, width, height).stroke();
   }
 
   /**
    * This pen with a rectangle for its path.
-   * @param {number} x
-   * @param {number} y
-   * @param {number} width
-   * @param {number} height
-   * @returns {this}
+   * @type {(x: number, y: number, width: number, height: number) => this}
    */
   alone(x, y, width, height) {
     this.beginPath();
@@ -234,23 +198,14 @@ export class VectorPen {
     return this;
   }
 
-  /**
-   * @param {string} text
-   * @returns {TextMetrics}
-   */
+  /** @type {(text: string) => TextMetrics} */
   measureText(text) {
     const pen = /** @type {CanvasRenderingContext2D} */ (this.canvas.getContext("2d"));
     pen.font = this.font;
     return pen.measureText(text);
   }
 
-  /**
-   * @param {string} text
-   * @param {number} x
-   * @param {number} y
-   * @param {number} most
-   * @param {string} paint
-   */
+  /** @type {(text: string, x: number, y: number, most?: number, paint?: string) => void} */
   fillText(text, x, y, most = Infinity, paint = ` fill="${this.paint(this.fillStyle)}"`) {
     const { font, textAlign, textBaseline, moved } = this;
     const [, bold, size, family] = /(bold )?(\d+)px (.*)/.exec(font) ?? [];
@@ -263,21 +218,12 @@ export class VectorPen {
     this.add(`<text${place}${face}${anchor}${narrow}${paint}`, `>${asText(text)}</text>`);
   }
 
-  /**
-   * @param {string} text
-   * @param {number} x
-   * @param {number} y
-   * @param {number} most
-   */
+  /** @type {(text: string, x: number, y: number, most?: number) => void} */
   strokeText(text, x, y, most = Infinity) {
     this.fillText(text, x, y, most, ` fill="none"${this.line()}`);
   }
 
-  /**
-   * @param {ImageData} image
-   * @param {number} x
-   * @param {number} y
-   */
+  /** @type {(image: ImageData, x: number, y: number) => void} */
   putImageData(image, x, y) {
     const made = document.createElement("canvas");
     [made.width, made.height] = [image.width, image.height];
@@ -285,38 +231,18 @@ export class VectorPen {
     this.drawImage(made, x / this.ratio, y / this.ratio, image.width / this.ratio, image.height / this.ratio);
   }
 
-  /**
-   * @param {HTMLCanvasElement} image
-   * @param {number} x
-   * @param {number} y
-   * @param {number} width
-   * @param {number} height
-   */
+  /** @type {(image: HTMLCanvasElement, x: number, y: number, width: number, height: number) => void} */
   drawImage(image, x, y, width, height) {
     const place = ` x="${brief(x)}" y="${brief(y)}" width="${brief(width)}" height="${brief(height)}"`;
     this.add(`<image${place} preserveAspectRatio="none" href="${image.toDataURL()}"`);
   }
 
-  /**
-   * @param {number} x1
-   * @param {number} y1
-   * @param {number} x2
-   * @param {number} y2
-   * @returns {Gradient}
-   */
+  /** @type {(x1: number, y1: number, x2: number, y2: number) => Gradient} */
   createLinearGradient(x1, y1, x2, y2) {
     return new Gradient("linearGradient", { x1, y1, x2, y2 });
   }
 
-  /**
-   * @param {number} fx
-   * @param {number} fy
-   * @param {number} fr
-   * @param {number} cx
-   * @param {number} cy
-   * @param {number} r
-   * @returns {Gradient}
-   */
+  /** @type {(fx: number, fy: number, fr: number, cx: number, cy: number, r: number) => Gradient} */
   createRadialGradient(fx, fy, fr, cx, cy, r) {
     return new Gradient("radialGradient", { fx, fy, fr, cx, cy, r });
   }
