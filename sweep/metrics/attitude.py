@@ -3,10 +3,11 @@
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.core.rotations import conjugate, multiply
-from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment, missed
+from sweep.metrics.metric import Cause, Elapsed, Metric, Moment, missed, still
 
 
 class Attitude(NamedTuple):
@@ -15,12 +16,6 @@ class Attitude(NamedTuple):
     tilt: Float[Array, ""]
     heading: Float[Array, ""]
     quat: Float[Array, " 4"]
-
-
-def begin(start: Begin) -> Attitude:
-    """The metric before any error."""
-    zero = jnp.zeros((), start.quat.dtype)
-    return Attitude(zero, zero, start.quat)
 
 
 def update(so_far: Attitude, now: Moment) -> Attitude:
@@ -48,7 +43,7 @@ def figures(found: Attitude, at: Elapsed) -> dict[str, Array]:
 
 
 METRIC = Metric(
-    begin,
+    still(Attitude, 0.0, 0.0, np.zeros(4)),
     update,
     figures,
     {

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from sweep.controllers.calibration import Calibrated, names
-from sweep.metrics.metric import Begin, Elapsed, Metric
+from sweep.metrics.metric import Begin, Metric
 
 SIZES = {
     "body_length": "the body's length",
@@ -23,13 +23,8 @@ def begin(start: Begin) -> Calibrated:
     return start.learned.calibrated
 
 
-def figures(found: Calibrated, at: Elapsed) -> dict[str, Array]:
-    """Sizes that were found, and their deviations."""
-    return told(found)
-
-
 def told(found: Calibrated) -> dict[str, Array]:
-    """The figures of what was found."""
+    """Sizes that were found, and their deviations."""
     sizes = names(found.robot)
     own = {f"learned_{name}_m": jnp.asarray(getattr(found.robot, name)) for name in sizes}
     deviations = {name: jnp.sqrt(found.covariance[k, k]) for k, name in enumerate(sizes)}
@@ -39,7 +34,7 @@ def told(found: Calibrated) -> dict[str, Array]:
 METRIC = Metric(
     begin,
     lambda so_far, now: so_far,
-    figures,
+    lambda found, at: told(found),
     {f"learned_{name}_m": f"{what}, as calibration has found" for name, what in SIZES.items()}
     | {f"learned_{name}_sd_m": f"standard deviation of that for {what}" for name, what in SIZES.items()},
     applies=lambda case: case.control.calibrate == "sizes",

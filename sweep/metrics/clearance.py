@@ -28,8 +28,6 @@ def distances(now: Moment) -> Iterator[Float[Array, ""]]:
 
 
 METRIC = extremes(
-    jnp.minimum,
-    jnp.inf,
     distances,
     {
         "clearance_min_m": "least distance of base and links to the obstacle, negative inside; links collide only "

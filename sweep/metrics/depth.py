@@ -15,8 +15,6 @@ def deepest(now: Moment) -> Iterator[Float[Array, ""]]:
 
 
 METRIC = extremes(
-    jnp.maximum,
-    0.0,
     deepest,
     {"depth_max_m": "largest depth of a foot inside what it stands on"},
     (

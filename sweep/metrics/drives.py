@@ -3,9 +3,10 @@
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
-from sweep.metrics.metric import BRIEF, Begin, Cause, Elapsed, Metric, Moment
+from sweep.metrics.metric import BRIEF, Cause, Elapsed, Metric, Moment, still
 from sweep.models.legs import KINDS
 
 
@@ -24,13 +25,6 @@ class Drives(NamedTuple):
     power: Float[Array, ""]
     use: Float[Array, " 3"]
     reserve: Float[Array, ""]
-
-
-def begin(start: Begin) -> Drives:
-    """The metric of drives at rest."""
-    zero = jnp.zeros((), start.feet.dtype)
-    three = jnp.zeros(3, start.feet.dtype)
-    return Drives(three, three, zero, zero, zero, zero, three, zero + 1)
 
 
 def update(so_far: Drives, now: Moment) -> Drives:
@@ -69,7 +63,7 @@ def figures(found: Drives, at: Elapsed) -> dict[str, Array]:
 
 
 METRIC = Metric(
-    begin,
+    still(Drives, np.zeros(3), np.zeros(3), 0.0, 0.0, 0.0, 0.0, np.zeros(3), 1.0),
     update,
     figures,
     {

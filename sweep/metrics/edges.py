@@ -14,12 +14,10 @@ def nearest(now: Moment) -> Iterator[Float[Array, ""]]:
     """Least distance of a foot that carries load to an edge of its face (m)."""
     tick = now.tick
     left = edge_distance(now.world.obstacle, tick.joints[:, -1], tick.bodies)
-    yield jnp.min(jnp.where(tick.truth.loaded, left, AROUND))
+    yield jnp.minimum(jnp.min(jnp.where(tick.truth.loaded, left, AROUND)), AROUND)
 
 
 METRIC = extremes(
-    jnp.minimum,
-    AROUND,
     nearest,
     {
         "edge_reserve_min_m": "least distance of a loaded foot to an edge of its face, at most "

@@ -3,10 +3,11 @@
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 from sweep.metrics.footholds import AT_FACE
-from sweep.metrics.metric import Begin, Elapsed, Metric, Moment
+from sweep.metrics.metric import Metric, Moment, still
 from sweep.models.obstacles.surface import under
 
 
@@ -17,12 +18,6 @@ class Landing(NamedTuple):
     began: Float[Array, ""]
     left: Float[Array, ""]
     reserve: Float[Array, ""]
-
-
-def begin(start: Begin) -> Landing:
-    """The metric before the first stage."""
-    zero = jnp.zeros((), start.feet.dtype)
-    return Landing(jnp.int32(0), zero, zero + 1, zero + 1)
 
 
 def update(so_far: Landing, now: Moment) -> Landing:
@@ -42,15 +37,10 @@ def update(so_far: Landing, now: Moment) -> Landing:
     )
 
 
-def figures(found: Landing, at: Elapsed) -> dict[str, Array]:
-    """The least reserve of a landing so far."""
-    return {"landing_reserve_min": found.reserve}
-
-
 METRIC = Metric(
-    begin,
+    still(Landing, np.int32(0), 0.0, 1.0, 1.0),
     update,
-    figures,
+    lambda found, at: {"landing_reserve_min": found.reserve},
     {
         "landing_reserve_min": "least of 1 minus the time that a stage waited for its swinging feet to touch down over "
         f"its patience; where one did not, minus its distance from its face over {1e3 * AT_FACE:g} mm"

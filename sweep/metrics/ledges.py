@@ -1,5 +1,6 @@
 """What the crossing with a ball from ledge to ledge is checked for: monograph 3.2.2, 3.2.3."""
 
+import math
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -7,7 +8,7 @@ from jaxtyping import Array, Float
 
 from sweep.controllers.manoeuvres.balancing.ball_ledges import OFF, ON
 from sweep.controllers.plan import led_by
-from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment, missed
+from sweep.metrics.metric import Cause, Elapsed, Metric, Moment, missed, still
 from sweep.models.obstacles.ledges import Ledges
 
 THERE = 4e-3  # m, of a ball that has come to the far wall
@@ -19,12 +20,6 @@ class LedgeCrossing(NamedTuple):
     past: Float[Array, ""]
     gap: Float[Array, ""]
     docking: Float[Array, ""]  # m/s
-
-
-def begin(start: Begin) -> LedgeCrossing:
-    """The metric before the crossing."""
-    zero = jnp.zeros((), start.feet.dtype)
-    return LedgeCrossing(jnp.full_like(zero, -jnp.inf), jnp.full_like(zero, jnp.inf), zero)
 
 
 def update(so_far: LedgeCrossing, now: Moment) -> LedgeCrossing:
@@ -49,7 +44,7 @@ def figures(found: LedgeCrossing, at: Elapsed) -> dict[str, Array]:
 
 
 METRIC = Metric(
-    begin,
+    still(LedgeCrossing, -math.inf, math.inf, 0.0),
     update,
     figures,
     {

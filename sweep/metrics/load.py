@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.core.constants import GRAVITY, LOADED
-from sweep.metrics.metric import BRIEF, Begin, Elapsed, Metric, Moment
+from sweep.metrics.metric import BRIEF, Elapsed, Metric, Moment, still
 from sweep.models.obstacles.surface import under
 from sweep.models.robot import total_mass
 
@@ -23,12 +23,6 @@ class Load(NamedTuple):
     taken: Float[Array, ""]
     allowed: Float[Array, ""]
     reserve: Float[Array, ""]
-
-
-def begin(start: Begin) -> Load:
-    """The metric before any load."""
-    zero = jnp.zeros((), start.feet.dtype)
-    return Load(zero, zero, zero, zero, zero + LOADED, zero + 1)
 
 
 def update(so_far: Load, now: Moment) -> Load:
@@ -62,7 +56,7 @@ def figures(found: Load, at: Elapsed) -> dict[str, Array]:
 
 
 METRIC = Metric(
-    begin,
+    still(Load, 0.0, 0.0, 0.0, 0.0, LOADED, 1.0),
     update,
     figures,
     {

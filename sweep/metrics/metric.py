@@ -25,6 +25,8 @@ REST = 1.0  # s, that a rollout goes on after its plan has ended, in which nothi
 GRACE = 1.2  # a plan that is not finished at this multiple of its duration is given up
 GOAL = "goal_missed"  # the name of all causes that are parts of a manoeuvre's goal
 BRIEF = 0.05  # s, over which forces are averaged: a bounce of the feet is neither a fall nor a slip
+# how a figure follows from the ticks, by a word of its name, and what it is before the first one
+BEST = {"max": (jnp.maximum, 0.0), "min": (jnp.minimum, math.inf)}
 
 
 class Tick(NamedTuple):
@@ -208,26 +210,33 @@ class Metric[S](NamedTuple):
     interval: float = 0.0  # s, between updates, of a metric that is dear and would not miss anything shorter
 
 
+def still[S](kind: Callable[..., S], *values: Any) -> Callable[[Begin], S]:
+    """A state of plain numbers that every rollout begins in, in its own precision."""
+
+    def begin(start: Begin) -> S:
+        floats = (np.asarray(value).dtype.kind == "f" for value in values)
+        return kind(*(jnp.asarray(x, start.feet.dtype if f else None) for x, f in zip(values, floats, strict=True)))
+
+    return begin
+
+
 def extremes(
-    best: Callable[[Array, Array], Array],
-    start: float,
     values: Callable[[Moment], Iterator[Array]],
     columns: Mapping[str, str],
     causes: tuple[Cause, ...] = (),
     **how: Any,
 ) -> Metric[tuple[Array, ...]]:
-    """A metric whose figures are the `best` so far (`jnp.maximum` or `jnp.minimum`) of what every tick gives.
+    """A metric of what every tick gives, in the order of `columns`: of each the largest so far, or the least.
 
-    `values` are in the order of `columns`, `start` is what they are before the first tick; `how` is as in `Metric`.
+    Which of them says the figure's name: `max`, of what is not negative, or `min`; `how` is as in `Metric`.
     """
-
-    def begin(at: Begin) -> tuple[Array, ...]:
-        return tuple(jnp.full((), start, at.feet.dtype) for _ in columns)
+    kinds = [next(BEST[word] for word in name.split("_") if word in BEST) for name in columns]
 
     def update(so_far: tuple[Array, ...], now: Moment) -> tuple[Array, ...]:
-        return tuple(best(old, new) for old, new in zip(so_far, values(now), strict=True))
+        return tuple(best(old, new) for (best, _), old, new in zip(kinds, so_far, values(now), strict=True))
 
     def figures(found: tuple[Array, ...], at: Elapsed) -> dict[str, Array]:
         return dict(zip(columns, found, strict=True))
 
+    begin = still(lambda *found: found, *(start for _, start in kinds))
     return Metric(begin, update, figures, columns, causes, **how)

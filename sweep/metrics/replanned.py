@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 
-import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.metrics.metric import Cause, Moment, extremes
@@ -16,8 +15,6 @@ def lacking(now: Moment) -> Iterator[Float[Array, ""]]:
 
 
 METRIC = extremes(
-    jnp.maximum,
-    0.0,  # it starts with a plan
     lacking,
     {"replanned_shortfall_max_m": "largest distance beyond a leg's reach of a foothold planned again; inf: no plan"},
     (

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from sweep.core.rotations import matrix
-from sweep.metrics.metric import REST, Begin, Cause, Elapsed, Metric, Moment
+from sweep.metrics.metric import REST, Begin, Cause, Metric, Moment
 
 
 class Resting(NamedTuple):
@@ -32,15 +32,10 @@ def update(so_far: Resting, now: Moment) -> Resting:
     return Resting(now.finished, place, jnp.maximum(so_far.drift, drift))
 
 
-def figures(found: Resting, at: Elapsed) -> dict[str, Array]:
-    """The largest drift since the plan has ended."""
-    return {"end_drift_m": found.drift}
-
-
 METRIC = Metric(
     begin,
     update,
-    figures,
+    lambda found, at: {"end_drift_m": found.drift},
     {
         "end_drift_m": f"farthest that a hip, knee or foot went in the {REST:g} s after the plan, seen from where the "
         "base is told to be"

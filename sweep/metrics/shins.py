@@ -4,13 +4,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.metrics.geometry import shin_slopes
-from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment
+from sweep.metrics.metric import Cause, Metric, Moment, still
 from sweep.models.obstacles.surface import under
-
-
-def begin(start: Begin) -> Float[Array, ""]:
-    """No foot has been loaded yet; upright."""
-    return jnp.ones((), start.feet.dtype)
 
 
 def update(so_far: Float[Array, ""], now: Moment) -> Float[Array, ""]:
@@ -21,15 +16,10 @@ def update(so_far: Float[Array, ""], now: Moment) -> Float[Array, ""]:
     return jnp.minimum(so_far, jnp.min(jnp.where(tick.truth.loaded & ~goes, shin_slopes(tick.joints, normal), 1.0)))
 
 
-def figures(found: Float[Array, ""], at: Elapsed) -> dict[str, Array]:
-    """The least angle, of its sine."""
-    return {"shin_angle_min_rad": jnp.arcsin(found)}
-
-
 METRIC = Metric(
-    begin,
+    still(jnp.asarray, 1.0),  # upright
     update,
-    figures,
+    lambda sine, at: {"shin_angle_min_rad": jnp.arcsin(sine)},
     {"shin_angle_min_rad": "least angle of a standing foot's shin over the face that it stands on, negative under it"},
     (
         Cause(

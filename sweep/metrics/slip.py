@@ -6,13 +6,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from sweep.dynamics.contacts import to_body, to_world
-from sweep.metrics.metric import Begin, Cause, Elapsed, Lead, Metric, Moment
+from sweep.metrics.metric import Begin, Cause, Lead, Metric, Moment
 from sweep.models.case import Case
 from sweep.models.obstacles.ball import Ball
-from sweep.models.obstacles.ledges import Ledges
 from sweep.models.obstacles.raft import Raft
 from sweep.models.obstacles.surface import under
-from sweep.models.obstacles.two_balls import TwoBalls
 
 
 class Holding(NamedTuple):
@@ -69,24 +67,19 @@ def update(so_far: Slip, now: Moment) -> Slip:
     return Slip(hold, jnp.maximum(so_far.most, jnp.max(way)))
 
 
-def figures(found: Slip, at: Elapsed) -> dict[str, Array]:
-    """The largest slip of any foot."""
-    return {"slip_max_m": found.most}
-
-
 def allowed(case: Case) -> float:
     """The slip (m) that what is stood on leaves room for: half of the way to where a foot holds on no more.
 
     Rungs are 40 mm wide. On a ball plans have feet where it is as steep as 37.8 degrees, and friction 1 holds up to 45:
     106 mm on. From the edges of raft and banks they keep 105 mm away.
     """
-    return 0.05 if isinstance(case.obstacle, Ball | Ledges | TwoBalls | Raft) else 0.02
+    return 0.05 if isinstance(case.obstacle, Ball | Raft) else 0.02
 
 
 METRIC = Metric(
     begin,
     update,
-    figures,
+    lambda found, at: {"slip_max_m": found.most},
     {"slip_max_m": "largest distance of a loaded standing foot from where it took hold"},
     (
         Cause(

@@ -1,13 +1,15 @@
 """Whether the mass centre is over the feet that carry."""
 
+import math
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.core.constants import LOADED
 from sweep.metrics.geometry import support_margin
-from sweep.metrics.metric import BRIEF, Begin, Elapsed, Metric, Moment
+from sweep.metrics.metric import BRIEF, Metric, Moment, still
 
 
 class Stability(NamedTuple):
@@ -15,12 +17,6 @@ class Stability(NamedTuple):
 
     load: Float[Array, " 6"]
     margin: Float[Array, ""]
-
-
-def begin(start: Begin) -> Stability:
-    """The metric where all feet carry."""
-    dtype = start.feet.dtype
-    return Stability(jnp.full(6, 2 * LOADED, dtype), jnp.full((), jnp.inf, dtype))
 
 
 def update(so_far: Stability, now: Moment) -> Stability:
@@ -31,15 +27,10 @@ def update(so_far: Stability, now: Moment) -> Stability:
     return Stability(load, jnp.minimum(so_far.margin, margin))
 
 
-def figures(found: Stability, at: Elapsed) -> dict[str, Array]:
-    """The least margin of the mass centre."""
-    return {"stability_margin_min_m": found.margin}
-
-
 METRIC = Metric(
-    begin,
+    still(Stability, np.full(6, 2 * LOADED), math.inf),  # all feet carry
     update,
-    figures,
+    lambda found, at: {"stability_margin_min_m": found.margin},
     {
         "stability_margin_min_m": "least distance of the centre of mass, seen from above, to the border of the convex "
         "hull of the feet that carry load (5 N over 50 ms), negative outside"

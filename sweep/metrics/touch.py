@@ -11,17 +11,8 @@ from sweep.models.obstacles import OBSTACLES
 from sweep.models.obstacles.surface import Obstacle
 
 
-def begin(start: Begin) -> Touched:
-    """Nothing is touched yet."""
-    return _of(start)
-
-
-def update(so_far: Touched, now: Moment) -> Touched:
-    """The sizes that are known by now."""
-    return _of(now)
-
-
-def _of(at: Begin | Moment) -> Touched:
+def touched(at: Begin | Moment) -> Touched:
+    """The sizes as they are known by now."""
     assert at.learned is not None
     assert at.learned.touched is not None  # since it applies
     return at.learned.touched
@@ -51,4 +42,10 @@ def _columns() -> dict[str, str]:
     return told
 
 
-METRIC = Metric(begin, update, figures, _columns(), applies=lambda case: case.control.touch == "obstacle")
+METRIC = Metric(
+    touched,
+    lambda so_far, now: touched(now),
+    figures,
+    _columns(),
+    applies=lambda case: case.control.touch == "obstacle",
+)

@@ -23,31 +23,8 @@ from sweep.controllers.manoeuvres.walking.walk import Stand, Walk
 from sweep.controllers.manoeuvres.walking.walk_kerb import WalkKerb
 from sweep.controllers.manoeuvres.walking.waypoints import Waypoints
 
-MANOEUVRES = {
-    "follow": Follow,
-    "walk": Walk,
-    "stand": Stand,
-    "waypoints": Waypoints,
-    "walk_kerb": WalkKerb,
-    "pole_climb": PoleClimb,
-    "pole_top": PoleTop,
-    "pole_ledge": PoleToLedge,
-    "pole_round": PoleRound,
-    "beam_walk": BeamWalk,
-    "beam_cross": BeamCross,
-    "ladder_climb": LadderClimb,
-    "corner_climb": CornerClimb,
-    "corner_roof": CornerRoof,
-    "corner_full": CornerFull,
-    "ball_balance": BallBalance,
-    "ball_drive": BallDrive,
-    "ball_turn": BallTurn,
-    "ball_aside": BallAside,
-    "ball_climb": BallClimb,
-    "ball_descend": BallDescend,
-    "ball_over": BallOver,
-    "ball_ledges": BallLedges,
-    "ball_to_ball": BallToBall,
-    "raft_cross": RaftCross,
-    "raft_stand": RaftStand,
-}
+MANOEUVRES = {cls.kind: cls for cls in (
+    Follow, Walk, Stand, Waypoints, WalkKerb, PoleClimb, PoleTop, PoleToLedge, PoleRound, BeamWalk, BeamCross,
+    LadderClimb, CornerClimb, CornerRoof, CornerFull, BallBalance, BallDrive, BallTurn, BallAside, BallClimb,
+    BallDescend, BallOver, BallLedges, BallToBall, RaftCross, RaftStand,
+)}  # fmt: skip

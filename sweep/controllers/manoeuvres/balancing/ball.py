@@ -119,6 +119,12 @@ def on_ball(belief: Case, perched: Perch) -> Stance:
     return Stance(perched.feet + centre, perched.position + centre, jnp.array(IDENTITY))
 
 
+def staying(perched: Perch, times: Mapping[str, Array | float]) -> list[Stage]:
+    """Stages in which all feet stay, by their times (s)."""
+    return [Stage(name, time, position=perched.position, foot_frames=(fixed(0),) * 6, base_frame=koenig(0), onset=KEEP)
+            for name, time in times.items()]  # fmt: skip
+
+
 class BalanceMemory(NamedTuple):
     """Of the law in use: a move and a pulse planned at a stage's start, or the way and the momentum so far."""
 
@@ -160,17 +166,7 @@ class BallBalance(OnBall):
         perched = perch(belief, self)
         off = jnp.stack([jnp.asarray(self.offset, float), jnp.asarray(self.offset_aside, float)])
         perched = perched._replace(position=perched.position.at[:2].add(off))
-        stages = [
-            Stage(
-                f"balance{k + 1}",
-                self.period,
-                position=perched.position,
-                foot_frames=(fixed(0),) * 6,
-                base_frame=koenig(0),
-                onset=KEEP,
-            )
-            for k in range(self.stages)
-        ]
+        stages = staying(perched, {f"balance{k + 1}": self.period for k in range(self.stages)})
         return assemble(on_ball(belief, perched), stages, 0.0)
 
     def memory(self, belief: Case, plan: Plan) -> BalanceMemory:
@@ -181,9 +177,7 @@ class BallBalance(OnBall):
         """The base's place by the chosen law."""
         memory: BalanceMemory = state.memory
         if self.law == "manoeuvre":
-            memory = jax.tree.map(
-                lambda a, b: jnp.where(now.begins, a, b), self._planned(belief, memory, now.seen), memory
-            )
+            memory = jax.tree.map(partial(jnp.where, now.begins), self._planned(belief, memory, now.seen), memory)
             shape = stabilise_delta(self.period, self.rest, state.clock)
             way = memory.move * shape.delta + memory.pulse * shape.pulse_integral_T
             position = memory.place.at[:2].add(way)
@@ -334,7 +328,8 @@ class BallDrive(OnBall):
         aside = memory.aside_before + blend**2 * (3 - 2 * blend) * (memory.aside - memory.aside_before)
         pulse = memory.push * time / self.step_time * stabilise_delta(time, 0.0, state.clock).pulse  # as fast in any
         wanted = pulse * memory.along + aside * left(memory)
-        position = self._compensated(belief, plan.position[stage], feet, wanted)
+        lengthwise = self.compensate == "both"
+        position = compensated(belief.robot, plan.position[stage], feet, wanted, lengthwise)
         feet = jnp.where(swings, feet, rotate(conjugate(free.quat), feet))
         return Guidance(Stance(feet, position, plan.quat[stage]), goal, memory)
 
@@ -360,10 +355,6 @@ class BallDrive(OnBall):
         )  # fmt: skip
         level = now.plan.foothold[now.stage]
         return planned, turned_back(level, self.step_time * speed / (2 * ball.radius), track.along)
-
-    def _compensated(self, belief: Case, perched: Array, feet: Array, wanted: Float[Array, " 2"]) -> Float[Array, " 3"]:
-        """The base (m, Koenig) that has the robot's mass centre at `wanted` (m)."""
-        return compensated(belief.robot, perched, feet, wanted, self.compensate == "both")
 
 
 def left(memory: DriveMemory) -> Float[Array, " 2"]:

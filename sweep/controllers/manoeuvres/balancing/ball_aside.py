@@ -1,35 +1,26 @@
 """Driving a free ball sideways, the robot standing on it (monograph 3.3.3)."""
 
-from functools import partial
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.controllers.assembly import assemble
 from sweep.controllers.frames import Stance
 from sweep.controllers.layers import Now
-from sweep.controllers.manoeuvres.balancing.ball import OnBall, compensated, on_ball, perch
+from sweep.controllers.manoeuvres.balancing.ball import OnBall, compensated, on_ball, perch, staying
 from sweep.controllers.manoeuvres.goals import UPRIGHT
-from sweep.controllers.plan import KEEP, Plan, Stage
+from sweep.controllers.plan import Plan
 from sweep.controllers.tracker import Guidance, TrackerState
 from sweep.core.constants import GRAVITY
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import rotate
 from sweep.formulas.ball import ROLLING, lateral_mu
 from sweep.models.case import Case
-from sweep.models.frames import fixed, koenig
 from sweep.models.obstacles.ball import Ball
 from sweep.models.robot import total_mass
 
 PLATEAU = 1.5  # integral of mu over T
-
-
-class AsideMemory(NamedTuple):
-    """What a stage was planned with."""
-
-    push: Float[Array, ""]  # m, k_l (v_d - v_b) to the left
 
 
 @parameters
@@ -55,15 +46,11 @@ class BallAside(OnBall):
         perched = perch(belief, self)
         times = {"drive": self.period, "coast": self.coast}
         times |= {f"stop{k + 1}": self.period for k in range(self.stops)}
-        stages = [
-            Stage(name, time, position=perched.position, foot_frames=(fixed(0),) * 6, base_frame=koenig(0), onset=KEEP)
-            for name, time in times.items()
-        ]
-        return assemble(on_ball(belief, perched), stages, 0.0)
+        return assemble(on_ball(belief, perched), staying(perched, times), 0.0)
 
-    def memory(self, belief: Case, plan: Plan) -> AsideMemory:
-        """The memory before the first push."""
-        return AsideMemory(jnp.zeros(()))
+    def memory(self, belief: Case, plan: Plan) -> Float[Array, ""]:
+        """The push of the stage, k_l (v_d - v_b) to the left (m), before the first one."""
+        return jnp.zeros(())
 
     def guide(self, belief: Case, now: Now, state: TrackerState) -> Guidance:
         """The mass centre over the ball, and aside of it as the stage has planned where it began."""
@@ -71,12 +58,12 @@ class BallAside(OnBall):
         wanted = jnp.where(stage == 0, self.speed, free.velocity[0, 1])  # coasting, as it goes
         wanted = jnp.where(stage > 1, 0.0, wanted)
         push = self.gain * gain(belief, plan, self.period) * (wanted - free.velocity[0, 1])
-        memory: AsideMemory = jax.tree.map(partial(jnp.where, now.begins), AsideMemory(push), state.memory)
-        aside = memory.push * lateral_mu(self.period, jnp.minimum(state.clock, self.period)).mu
+        push = jnp.where(now.begins, push, state.memory)
+        aside = push * lateral_mu(self.period, jnp.minimum(state.clock, self.period)).mu
         feet = rotate(free.quat, state.feet)
         over = jnp.stack([jnp.zeros_like(aside), aside])
         position = compensated(belief.robot, plan.position[stage], feet, over, lengthwise=True)
-        return Guidance(Stance(state.feet, position, plan.quat[stage]), state.feet, memory)
+        return Guidance(Stance(state.feet, position, plan.quat[stage]), state.feet, push)
 
 
 def gain(belief: Case, plan: Plan, period: Array | float) -> Array:

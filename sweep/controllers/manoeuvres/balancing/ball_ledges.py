@@ -6,51 +6,44 @@ The mass centre stays between the ledge's edge and the ball's centre, so that th
 """
 
 from collections.abc import Mapping
-from dataclasses import replace
-from typing import ClassVar, NamedTuple
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
 from sweep.controllers.assembly import assemble
 from sweep.controllers.frames import Stance
-from sweep.controllers.layers import Now
-from sweep.controllers.manoeuvres.balancing.ball import BallDrive, DriveMemory, OnBall, perch, refuse_start, terms
-from sweep.controllers.manoeuvres.balancing.parts import InParts, has_just_begun
+from sweep.controllers.manoeuvres.balancing.ball import BallDrive, OnBall, perch, refuse_start, terms
+from sweep.controllers.manoeuvres.balancing.parts import Driven, InParts
 from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.moves import Standing, Terms, mirrored, placed, placing, staged, stages_of
-from sweep.controllers.observation import Observation
 from sweep.controllers.plan import LEVEL, RESTS, Plan, Support
-from sweep.controllers.tracker import Guidance, Guided, TrackerState
+from sweep.controllers.tracker import Guided
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.models.case import Case
 from sweep.models.obstacles.ledges import Ledges
+from sweep.models.obstacles.surface import FreeState
 
 ROLLS, ON, OFF = "roll", "on", "off"
 
 
-class WallDocking(NamedTuple):
-    """Steps that roll the ball to the far wall, as many as it needs."""
+@dataclass(frozen=True)
+class WallDocking(Driven):
+    """Until the ball rests at the far wall."""
 
-    drive: BallDrive
     speed: Array | float  # m/s, at the wall
     near: Array | float  # m, that may be left to the wall
     calm: Array | float  # m/s, of a ball that rests there
 
-    def memory(self, belief: Case, plan: Plan) -> DriveMemory:
-        """The memory of the drive."""
-        return self.drive.memory(belief, plan)
+    def led(self, belief: Case, free: FreeState) -> Guided:
+        """To a place so far behind the wall that its speed is left there."""
+        return replace(self.drive, place=belief.on(Ledges).at_far_wall + self.speed / self.drive.brake)
 
-    def guide(self, belief: Case, now: Now, state: TrackerState) -> Guidance:
-        """By the drive's law, to a place so far behind the wall that its speed is left there."""
-        place = belief.on(Ledges).at_far_wall + self.speed / self.drive.brake
-        return replace(self.drive, place=place).guide(belief, now, state)
-
-    def ends(self, belief: Case, plan: Plan, state: TrackerState, seen: Observation) -> Bool[Array, ""]:
-        """No step is begun where the ball rests at the wall."""
-        left = belief.on(Ledges).at_far_wall - seen.free.position[0, 0]
-        rests = jnp.linalg.norm(seen.free.velocity[0]) < self.calm
-        return has_just_begun(plan, state) & (left < self.near) & rests
+    def arrived(self, belief: Case, free: FreeState) -> Bool[Array, ""]:
+        """By what is left to the wall, and its speed."""
+        left = belief.on(Ledges).at_far_wall - free.position[0, 0]
+        return (left < self.near) & (jnp.linalg.norm(free.velocity[0]) < self.calm)
 
 
 @parameters

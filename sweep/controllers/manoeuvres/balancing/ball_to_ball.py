@@ -5,7 +5,7 @@ do in the mean, and feet on the second press it to the first: (3.5.2).
 """
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import ClassVar, NamedTuple
 
 import jax.numpy as jnp
@@ -14,12 +14,12 @@ from jaxtyping import Array, Bool, Float
 from sweep.controllers.assembly import assemble
 from sweep.controllers.frames import Stance
 from sweep.controllers.layers import Now
-from sweep.controllers.manoeuvres.balancing.ball import BallDrive, DriveMemory, OnBall, on_ball, perch, terms
+from sweep.controllers.manoeuvres.balancing.ball import BallDrive, OnBall, on_ball, perch, terms
 from sweep.controllers.manoeuvres.balancing.ball_descend import BallDescend
 from sweep.controllers.manoeuvres.balancing.ball_ride import about_aside
 from sweep.controllers.manoeuvres.balancing.beside_ball import CALM
 from sweep.controllers.manoeuvres.balancing.checks import Asked, between, checked, stands_next
-from sweep.controllers.manoeuvres.balancing.parts import InParts, OfBall, has_just_begun
+from sweep.controllers.manoeuvres.balancing.parts import Driven, InParts, OfBall
 from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.moves import stages_of, standing
 from sweep.controllers.observation import Observation
@@ -46,26 +46,20 @@ def apart(balls: TwoBalls, free: FreeState) -> Float[Array, ""]:
     return free.position[1, 0] - free.position[0, 0] - 2 * balls.radius
 
 
-class BallDocking(NamedTuple):
-    """Steps that roll the first ball to the second, until they touch."""
+@dataclass(frozen=True)
+class BallDocking(Driven):
+    """Until the first ball touches the second."""
 
-    drive: BallDrive
     speed: Array | float  # m/s, as it comes there
 
-    def memory(self, belief: Case, plan: Plan) -> DriveMemory:
-        """The memory of the drive."""
-        return self.drive.memory(belief, plan)
-
-    def guide(self, belief: Case, now: Now, state: TrackerState) -> Guidance:
-        """By the drive's law, to a place so far behind the second ball that its speed is left there."""
-        free = now.seen.free
+    def led(self, belief: Case, free: FreeState) -> Guided:
+        """To a place so far behind the second ball that its speed is left there."""
         place = free.position[0, 0] + apart(belief.on(TwoBalls), free) + self.speed / self.drive.brake
-        told = OfBall(replace(self.drive, place=place), 0)
-        return told.guide(belief, now, state)
+        return OfBall(replace(self.drive, place=place), 0)
 
-    def ends(self, belief: Case, plan: Plan, state: TrackerState, seen: Observation) -> Bool[Array, ""]:
-        """No step is begun where the balls touch."""
-        return has_just_begun(plan, state) & (apart(belief.on(TwoBalls), seen.free) < 4e-3)
+    def arrived(self, belief: Case, free: FreeState) -> Bool[Array, ""]:
+        """By how far the balls are from each other."""
+        return apart(belief.on(TwoBalls), free) < 4e-3
 
 
 class ClosingMemory(NamedTuple):

@@ -55,8 +55,7 @@ class BeamSite(NamedTuple):
 
     def swing(self, name: str, legs: Sequence[int], feet: Float[Array, "6 3"], **more) -> Stage:
         """Some legs step to where `feet` has theirs."""
-        goal = {leg: feet[leg - 1] for leg in legs}
-        return Stage(name, self.step.time, goal, CYCLE_B, self.step.height, **more)
+        return Stage(name, self.step.time, chosen(feet, legs), CYCLE_B, self.step.height, **more)
 
     def angles(self, y: Array | float, feet: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
         """Joint angles (rad) that put the feet there, for a base at y."""
@@ -134,7 +133,7 @@ class BeamWalk:
         While a pair swings the centre of mass is over the line of the other two feet: these are abreast of their
         hips. The body goes on while four feet stand, and the middle legs come to rest.
         """
-        stages, y = [], start
+        stages, y, rest = [], start, self.mode(LEVELLING)
         for k in range(self.steps):
             pair = DIAGONALS[k % 2]
             goal = site.feet(y - way, site.track / 2)
@@ -142,13 +141,7 @@ class BeamWalk:
             y = y - way
             stages += [
                 site.swing(name, pair, goal, flywheel=self.mode(BALANCE)),
-                Stage(
-                    f"{k + 1}.body",
-                    2 * site.step.time,
-                    position=site.base(y),
-                    pace=SMOOTH,
-                    flywheel=self.mode(LEVELLING),
-                ),
+                Stage(f"{k + 1}.body", 2 * site.step.time, position=site.base(y), pace=SMOOTH, flywheel=rest),
             ]
         last, goal = DIAGONALS[self.steps % 2], site.feet(y, site.track / 2)
         stages.append(site.swing("close", last, goal, flywheel=self.mode(BALANCE)))
@@ -202,10 +195,7 @@ class BeamCross(BeamWalk):
         start = Stance(feet, site.base(first), jnp.array(TOWARDS))
         stages = [Stage("stand", STAND), *self.tripods(site, start, self.approach)]
         goal = site.feet(y, self.wide_track / 2)
-        for legs in TRIPOD:
-            name = f"place.{'-'.join(map(str, legs))}"
-            stages.append(site.swing(name, legs, goal))
-        return start, stages
+        return start, stages + [site.swing(f"place.{'-'.join(map(str, legs))}", legs, goal) for legs in TRIPOD]
 
     def walking(self, site: BeamSite) -> BeamSite:
         """The site with the step that tripods take."""
@@ -225,8 +215,8 @@ class BeamCross(BeamWalk):
         """2.6.3: back on to the narrow track, the same way."""
         raised, out = self.on_the_way(site, y)
         feet = site.feet(y, site.track / 2)
-        goal = {leg: feet[leg - 1] for leg in MIDDLE}
-        down = Stage("down.3", site.step.time, goal, posture=chosen(site.angles(y, feet), MIDDLE))
+        angles = chosen(site.angles(y, feet), MIDDLE)
+        down = Stage("down.3", site.step.time, chosen(feet, MIDDLE), posture=angles)
         return [*postures(site, "down", (out, raised)), down]
 
     def on_the_way(self, site: BeamSite, y: Array | float) -> tuple[Array, Array]:
@@ -246,8 +236,7 @@ def rebuild(site: BeamSite, y: Array | float, track: Array | float, lift: Array 
     for legs in TRIPOD:
         label = f"{name}.{'-'.join(map(str, legs))}"
         stages.append(Stage(f"{label}.over", site.step.time, posture=chosen(over, legs)))
-        down = {leg: goal[leg - 1] for leg in legs}
-        stages.append(Stage(f"{label}.down", site.step.time, down, posture=chosen(angles, legs)))
+        stages.append(Stage(f"{label}.down", site.step.time, chosen(goal, legs), posture=chosen(angles, legs)))
     return stages
 
 
@@ -256,6 +245,6 @@ def postures(site: BeamSite, name: str, angles: Sequence[Array]) -> list[Stage]:
     return [Stage(f"{name}.{k}", site.step.time, posture=chosen(a, MIDDLE)) for k, a in enumerate(angles, start=1)]
 
 
-def chosen(angles: Float[Array, "6 3"], legs: Sequence[int]) -> dict[int, Array]:
-    """Joint angles of some legs by number."""
-    return {leg: angles[leg - 1] for leg in legs}
+def chosen(values: Float[Array, "6 3"], legs: Sequence[int]) -> dict[int, Array]:
+    """Feet or joint angles of some legs by number."""
+    return {leg: values[leg - 1] for leg in legs}

@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -17,6 +17,7 @@ from sweep.controllers.plan import Plan, Stage, Support, led_by, reference
 from sweep.controllers.tracker import Eventful, Guidance, Guided, TrackerState
 from sweep.models.case import Case
 from sweep.models.frames import WORLD, koenig
+from sweep.models.obstacles.surface import FreeState
 
 
 class InParts(ABC):
@@ -52,17 +53,11 @@ class InParts(ABC):
         return over
 
 
-def has_just_begun(plan: Plan, state: TrackerState) -> Bool[Array, ""]:
-    """Whether the stage is a step that may still be left out."""
-    return state.clock < 0.05 * plan.duration[state.stage]
-
-
-class Settling(NamedTuple):
-    """Tripods on a ball until it is calm, and where it is to be; as many as it needs."""
+@dataclass(frozen=True)
+class Driven(ABC):
+    """Tripods that roll a ball by the law of a drive, as many as it needs."""
 
     drive: BallDrive
-    calm: Array | float  # m/s
-    within: Array | float  # m, of the drive's place
 
     def memory(self, belief: Case, plan: Plan) -> DriveMemory:
         """The memory of the drive."""
@@ -70,12 +65,33 @@ class Settling(NamedTuple):
 
     def guide(self, belief: Case, now: Now, state: TrackerState) -> Guidance:
         """A tick of the drive's law."""
-        return self.drive.guide(belief, now, state)
+        return self.led(belief, now.seen.free).guide(belief, now, state)
+
+    def led(self, belief: Case, free: FreeState) -> Guided:
+        """The drive, with the place that it goes to."""
+        return self.drive
+
+    @abstractmethod
+    def arrived(self, belief: Case, free: FreeState) -> Bool[Array, ""]:
+        """Whether the ball needs no further step."""
 
     def ends(self, belief: Case, plan: Plan, state: TrackerState, seen: Observation) -> Bool[Array, ""]:
         """No step is begun where the ball needs none."""
-        near = jnp.abs(seen.free.position[0, 0] - self.drive.place) < self.within
-        return has_just_begun(plan, state) & near & (jnp.linalg.norm(seen.free.velocity[0]) < self.calm)
+        has_just_begun = state.clock < 0.05 * plan.duration[state.stage]
+        return has_just_begun & self.arrived(belief, seen.free)
+
+
+@dataclass(frozen=True)
+class Settling(Driven):
+    """Until it is calm, and where it is to be."""
+
+    calm: Array | float  # m/s
+    within: Array | float  # m, of the drive's place
+
+    def arrived(self, belief: Case, free: FreeState) -> Bool[Array, ""]:
+        """By its place along x, and its speed."""
+        near = jnp.abs(free.position[0, 0] - self.drive.place) < self.within
+        return near & (jnp.linalg.norm(free.velocity[0]) < self.calm)
 
 
 class OfBall(NamedTuple):

@@ -4,6 +4,7 @@ World axes: the corner's edge stands along z at the origin and the robot comes a
 and z; its eta counts from the middle between the tracks on the walls.
 """
 
+from abc import abstractmethod
 from collections.abc import Sequence
 from typing import ClassVar, NamedTuple
 
@@ -128,10 +129,15 @@ class OnCorner(PlannedForces):
             step=Step.of(a_r, self.half_step_ratio, self.lift_ratio, self.rate),
         )
 
-    def assembled(self, belief: Case, start: Stance, stages: list[Stage]) -> Plan:
-        """The plan and its forces."""
-        stages = [Stage("stand", STAND), *self.loading(stages), Stage("halt", STAND)]
+    def plan(self, belief: Case) -> Plan:
+        """Stand, the way, halt, and the forces."""
+        start, way = self.way(belief)
+        stages = [Stage("stand", STAND), *self.loading(way), Stage("halt", STAND)]
         return self.with_feedforward(belief, gone(belief, assemble(start, stages, self.patience)))
+
+    @abstractmethod
+    def way(self, belief: Case) -> tuple[Stance, list[Stage]]:
+        """Where the robot stands at the start, and the stages from there on."""
 
 
 @parameters
@@ -153,26 +159,20 @@ class CornerClimb(OnCorner):
     kind: str = choice("corner_climb", "corner_climb")
     rise_ratio: float = quantity(0.14, "a_r", at_least=0, at_most=100)  # of the whole gallop
 
-    def plan(self, belief: Case) -> Plan:
-        """Stand, get on, spread the feet, gallop, halt."""
+    def way(self, belief: Case) -> tuple[Stance, list[Stage]]:
+        """Get on, spread the feet, gallop."""
         site = self.site(belief)
-        start, stages, feet = climb(site, numbers_of(CornerEntry, belief, "entry"))
-        rise = self.rise_ratio * site.length
-        return self.assembled(belief, start, [*stages, *gallop(site, feet, rise, self.cycles)])
+        start, stages, feet = get_on(belief, site)
+        return start, [*stages, *gallop(site, feet, self.rise_ratio * site.length, self.cycles)]
 
 
-def climb(site: CornerSite, entry: CornerEntry) -> tuple[Stance, list[Stage], dict]:
-    """2.4.1 to 2.4.8: from the floor to where the gallop starts, with the feet's heights then."""
-    start, on, feet = get_on(site, entry)
-    spread, feet = spread_out(site, feet)
-    return start, [*on, *spread], feet
+def get_on(belief: Case, site: CornerSite) -> tuple[Stance, list[Stage], dict]:
+    """2.4.1 to 2.4.8: the base pitches up, its front edge on a vertical line, its rear edge on a level one.
 
-
-def get_on(site: CornerSite, entry: CornerEntry) -> tuple[Stance, list[Stage], dict]:
-    """2.4.1 to 2.4.5: the base pitches up, its front edge on a vertical line, its rear edge on a level one.
-
-    The feet's heights on the wall are returned beside the stages, by pair.
+    Then the rear feet go up, the middle ones out of their way first. The feet's heights on the wall, where the gallop
+    starts, are returned beside the stages, by pair.
     """
+    entry = numbers_of(CornerEntry, belief, "entry")
     a_r, x = site.length, site.step.landing
     pivot = site.at(0.0, site.standoff, site.clearance)
     behind = {FRONT: 0.0, MIDDLE: a_r / 2 - entry.middle_floor * x, REAR: a_r}
@@ -190,27 +190,19 @@ def get_on(site: CornerSite, entry: CornerEntry) -> tuple[Stance, list[Stage], d
     front = site.clearance + a_r - entry.front * x
     middle = front - 0.7 * a_r + entry.middle * x
     rear, nearer = site.clearance - entry.rear * x, site.standoff + a_r - entry.rear_floor * x
+    higher = front + entry.higher * x
+    feet = {FRONT: higher, MIDDLE: higher - site.span + site.near, REAR: higher - site.span}
     upright = np.tile(UP, (6, 1))
     stages = [
         site.swing("2.4.1", site.on_wall(FRONT, front, entry.track), 2.0, **pitched(0)),
         site.swing("2.4.2", site.on_floor(REAR, nearer), 2.0, upright, **pitched(1)),
         site.swing("2.4.3", site.on_wall(MIDDLE, middle), 2.6, RISING, **pitched(2)),
-        site.swing("2.4.4", site.on_wall(FRONT, front + entry.higher * x)),
+        site.swing("2.4.4", site.on_wall(FRONT, higher)),
         site.swing("2.4.5", site.on_wall(REAR, rear), plane=SLANTED),
-    ]
-    return start, stages, {FRONT: front + entry.higher * x, MIDDLE: middle, REAR: rear}
-
-
-def spread_out(site: CornerSite, feet: dict) -> tuple[list[Stage], dict]:
-    """2.4.6 and 2.4.8: rear feet up, the middle ones out of their way first."""
-    feet = dict(feet)
-    feet[REAR] = feet[FRONT] - site.span
-    feet[MIDDLE] = feet[REAR] + site.near
-    stages = [
         site.swing("2.4.6", site.on_wall(MIDDLE, feet[MIDDLE]), 2.0, position=site.between(feet)),
         site.swing("2.4.8", site.on_wall(REAR, feet[REAR])),
     ]
-    return stages, feet
+    return start, stages, feet
 
 
 def gallop(site: CornerSite, feet: dict, rise: Array | float, cycles: int) -> list[Stage]:

@@ -16,19 +16,10 @@ from jaxtyping import Array, Float
 
 from sweep.controllers.frames import Stance
 from sweep.controllers.gaits import TRIPOD
-from sweep.controllers.manoeuvres.climbing.corner import (
-    FRONT,
-    MIDDLE,
-    REAR,
-    CornerEntry,
-    CornerSite,
-    OnCorner,
-    climb,
-    gallop,
-)
+from sweep.controllers.manoeuvres.climbing.corner import FRONT, MIDDLE, REAR, CornerSite, OnCorner, gallop, get_on
 from sweep.controllers.manoeuvres.goals import UPRIGHT
-from sweep.controllers.moves import Terms, moves, numbers_of, stages_of, standing
-from sweep.controllers.plan import CYCLE_B_SMOOTH, SMOOTH, Plan, Stage
+from sweep.controllers.moves import Terms, moves, stages_of, standing
+from sweep.controllers.plan import CYCLE_B_SMOOTH, SMOOTH, Stage
 from sweep.controllers.posture import leg_unit
 from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, parameters, quantity
@@ -64,12 +55,17 @@ class CornerRoof(OnCorner):
         it is too low are not a number, hence invalid.
         """
         site, top = self.site(belief), belief.on(Corner).height
-        start, stages, feet = climb(site, numbers_of(CornerEntry, belief, "entry"))
-        rise = below_edge(site, top)[FRONT] - feet[FRONT]
+        start, stages, feet = get_on(belief, site)
+        front = top - BELOW * site.length
+        rear = front - site.span
+        edge = {FRONT: front, MIDDLE: rear + site.near, REAR: rear}  # heights of the pairs where the gallop ends
+        rise = front - feet[FRONT]
         if not isinstance(rise, Tracer):
             self.refuse(belief, float(rise), float(MOST_RISE * site.length))
         up = gallop(site, feet, jnp.where(rise >= 0, rise, jnp.nan), self.cycles)
-        return site, start, [*stages, *up, *over_edge(site, belief)]
+        below = {leg: foot for legs, height in edge.items() for leg, foot in site.on_wall(legs, height).items()}
+        over, _ = stages_of("roof", on_house(site, belief), standing(below, np.pi / 2))
+        return site, start, [*stages, *up, *over]
 
     def refuse(self, belief: Case, rise: float, most: float) -> None:
         """Raise `InputError` where the gallop cannot go up by `rise` (m), `most` (m) a cycle."""
@@ -84,10 +80,9 @@ class CornerRoof(OnCorner):
                 f"manoeuvre.cycles = {self.cycles} is not allowed: at least {needed} for obstacle.height = {top:g} m"
             )
 
-    def plan(self, belief: Case) -> Plan:
-        """Get on to the roof, halt."""
-        _, start, stages = self.ascend(belief)
-        return self.assembled(belief, start, stages)
+    def way(self, belief: Case) -> tuple[Stance, list[Stage]]:
+        """Up to the edge and over it on to the roof."""
+        return self.ascend(belief)[1:]
 
 
 @parameters
@@ -98,25 +93,11 @@ class CornerFull(CornerRoof):
     steps: int = count(10, at_least=0, at_most=100)  # swings by tripod on the roof
     roof_step_ratio: float = quantity(0.1, "a_r", above=0, at_most=0.3)  # way of the base in each, from the third on
 
-    def plan(self, belief: Case) -> Plan:
-        """Get on to the roof, walk on, halt."""
+    def way(self, belief: Case) -> tuple[Stance, list[Stage]]:
+        """On to the roof, and some steps on."""
         site, start, stages = self.ascend(belief)
         on = walk_on(site, belief, self.steps, self.roof_step_ratio * site.length)
-        return self.assembled(belief, start, [*stages, *on])
-
-
-def below_edge(site: CornerSite, top: Array | float) -> dict:
-    """Heights of the pairs where the gallop ends."""
-    front = top - BELOW * site.length
-    rear = front - site.span
-    return {FRONT: front, MIDDLE: rear + site.near, REAR: rear}
-
-
-def over_edge(site: CornerSite, belief: Case) -> list[Stage]:
-    """2.4.3, from the end of the gallop on."""
-    heights = below_edge(site, belief.on(Corner).height)
-    feet = {leg: foot for legs, height in heights.items() for leg, foot in site.on_wall(legs, height).items()}
-    return stages_of("roof", on_house(site, belief), standing(feet, np.pi / 2))[0]
+        return start, [*stages, *on]
 
 
 def on_house(site: CornerSite, belief: Case) -> Terms:

@@ -148,19 +148,20 @@ class OnPole(PlannedForces):
     def climb(
         self, site: PoleSite, belief: Case, rise: Array | float, gap: Array | float = 0.0
     ) -> tuple[Stance, list[Stage]]:
-        """Stand, approach, get on, shift the feet up, and gallop by `rise` (m) a swing; `gap` as in `approach`."""
-        start, walk = approach(site, belief, self.steps, gap)
+        """Stand, go to the places of (2.3.1), get on, shift the feet up, gallop by `rise` (m) a swing.
+
+        `gap` is as in `walk_up`.
+        """
+        arrival = site.crossing + point(0.0, site.length / 2, 0.0)
+        places = {leg: place for legs in GALLOP for leg, place in site.on_floor(legs).items()}
+        spread = site.track - belief.robot.body_width / 2
+        start, walk = walk_up(belief, site.step, arrival, spread, places, self.steps, gap)
         climb = [*get_on(site), *shift_up(site), *gallop(site, self.cycles, rise)]
         return start, [Stage("stand", STAND), *walk, *self.rested(climb)]
 
     def rested(self, stages: list[Stage]) -> list[Stage]:
         """With planned forces, `stages` with a rest before each of them for the load to go over."""
         return self.loading(stages) if self.forces == "planned" else stages
-
-    def assembled(self, belief: Case, start: Stance, stages: list[Stage]) -> Plan:
-        """The plan, with its forces if they are planned."""
-        plan = gone(belief, assemble(start, [*stages, Stage("halt", STAND)], self.patience))
-        return self.with_feedforward(belief, plan) if self.forces == "planned" else plan
 
 
 @parameters
@@ -172,20 +173,15 @@ class PoleClimb(OnPole):
     kind: str = choice("pole_climb", "pole_climb")
 
     def plan(self, belief: Case) -> Plan:
-        """The climb to the end of the gallop, and a halt."""
+        """The way and a halt, with its forces if they are planned."""
+        start, stages = self.way(belief)
+        plan = gone(belief, assemble(start, [*stages, Stage("halt", STAND)], self.patience))
+        return self.with_feedforward(belief, plan) if self.forces == "planned" else plan
+
+    def way(self, belief: Case) -> tuple[Stance, list[Stage]]:
+        """The climb to the end of the gallop."""
         site = self.site(belief)
-        start, stages = self.climb(site, belief, site.step.landing)
-        return self.assembled(belief, start, stages)
-
-
-def approach(site: PoleSite, belief: Case, steps: int, gap: Array | float = 0.0) -> tuple[Stance, list[Stage]]:
-    """`steps` swings by tripod up to the pole, then a swing of each tripod to the places of (2.3.1).
-
-    The base walks up to `gap` (m) before where it gets on, and goes the rest while the feet go to their places.
-    """
-    arrival = site.crossing + point(0.0, site.length / 2, 0.0)
-    places = {leg: place for legs in GALLOP for leg, place in site.on_floor(legs).items()}
-    return walk_up(belief, site.step, arrival, site.track - belief.robot.body_width / 2, places, steps, gap)
+        return self.climb(site, belief, site.step.landing)
 
 
 def get_on(site: PoleSite) -> list[Stage]:

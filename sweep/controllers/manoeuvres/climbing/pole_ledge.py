@@ -23,15 +23,12 @@ What differs from the print, and why:
 
 from typing import ClassVar
 
-from jaxtyping import Array
-
 from sweep.controllers.frames import Stance
-from sweep.controllers.manoeuvres.climbing import walking
-from sweep.controllers.manoeuvres.climbing.pole import PoleSite
 from sweep.controllers.manoeuvres.climbing.pole_top import PoleTop
+from sweep.controllers.manoeuvres.climbing.walking import walk_away
 from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.moves import stages_of
-from sweep.controllers.plan import Plan, Stage
+from sweep.controllers.plan import Stage
 from sweep.core.parameters import choice, count, parameters
 from sweep.models.case import Case
 from sweep.models.obstacles.charts import point
@@ -58,16 +55,7 @@ class PoleToLedge(PoleTop):
         site, ledge = self.site(belief), belief.on(PoleLedge).ledge_height
         start, stages, at = self.ascend(site, belief)
         cross, _ = stages_of("ledge", self.terms(site, belief), at)
-        away, walk = walk_away(site, belief, ledge, self.steps_away)
+        spread = site.track - belief.robot.body_width / 2
+        last = point(0.0, -site.radius - 0.75 * site.unit, ledge + site.clearance)
+        away, walk = walk_away(belief, site.step, last, spread, site.clearance, self.steps_away)
         return start, [*stages, *self.rested([*cross, *away]), *walk]
-
-    def plan(self, belief: Case) -> Plan:
-        """The whole way, and a halt."""
-        return self.assembled(belief, *self.way(belief))
-
-
-def walk_away(site: PoleSite, belief: Case, ledge: Array | float, steps: int) -> tuple[list[Stage], list[Stage]]:
-    """The feet to where a tripod gait may start, and `steps` swings of it on the ledge."""
-    spread = site.track - belief.robot.body_width / 2
-    where = point(0.0, -site.radius - 0.75 * site.unit, ledge + site.clearance)
-    return walking.walk_away(belief, site.step, where, spread, site.clearance, steps)

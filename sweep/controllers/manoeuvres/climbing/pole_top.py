@@ -9,10 +9,10 @@ import numpy as np
 
 from sweep.controllers.frames import Stance
 from sweep.controllers.gaits import GALLOP
-from sweep.controllers.manoeuvres.climbing.pole import OnPole, PoleSite
+from sweep.controllers.manoeuvres.climbing.pole import PoleClimb, PoleSite
 from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.moves import Standing, Terms, stages_of, standing
-from sweep.controllers.plan import Plan, Stage
+from sweep.controllers.plan import Stage
 from sweep.core.parameters import choice, count, parameters
 from sweep.models.case import Case
 from sweep.models.obstacles.charts import ahead_above
@@ -21,11 +21,10 @@ PRESS = "press"  # law of moves for feet that are pressed in, left out where pla
 
 
 @parameters
-class PoleTop(OnPole):
+class PoleTop(PoleClimb):
     """By tripod to the pole, up it by gallop, and on to its top."""
 
     goal: ClassVar = UPRIGHT
-    two_way: ClassVar = True
     kind: str = choice("pole_top", "pole_top")
     cycles: int = count(2, at_least=1, at_most=100)  # of the gallop, all alike, of about 3 x* each
 
@@ -48,7 +47,6 @@ class PoleTop(OnPole):
             stages += [stage for stage in more if stage.law != PRESS or self.forces != "planned"]
         return start, [*climb, *self.rested(stages)], at
 
-    def plan(self, belief: Case) -> Plan:
-        """The way to the top, and a halt."""
-        start, stages, _ = self.ascend(self.site(belief), belief)
-        return self.assembled(belief, start, stages)
+    def way(self, belief: Case) -> tuple[Stance, list[Stage]]:
+        """To where it stands on the top, at rest."""
+        return self.ascend(self.site(belief), belief)[:2]

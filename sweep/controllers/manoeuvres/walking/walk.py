@@ -1,5 +1,6 @@
 """Walking on level or tilted ground by a regular gait (monograph 1.3)."""
 
+from collections.abc import Callable
 from typing import ClassVar
 
 import jax.numpy as jnp
@@ -38,16 +39,19 @@ class Walk:
 
     def plan(self, belief: Case) -> Plan:
         """Stand, `steps` swings, stand. Along the believed ground, with the base parallel to it."""
-        robot = belief.robot
-        length = robot.body_length
-        step = Step.of(length, self.half_step_ratio, self.lift_ratio, self.rate)
-        gait = GAITS[self.gait]
-        start, centres = standing(belief, self.spread_ratio * length, self.height_ratio * length)
-        forward = jnp.array([1.0, 0.0, 0.0])
-        start = start._replace(feet=start.feet + centre_offsets(gait, step, forward))
-        swings = regular_steps(gait, step, start, centres, forward, self.steps, self.deepening)
+        start, swings = self.swings(belief, lambda centres: 0.0)
         plan = assemble(start, [Stage("stand", STAND), *swings, Stage("halt", 2 * STAND)], self.patience)
         return on_ground(plan, belief)
+
+    def swings(self, belief: Case, back: Callable[[Array], Array | float]) -> tuple[Stance, list[Stage]]:
+        """On level ground, from a stance that is so far (m) behind the origin, by where its feet are from the base."""
+        length, gait, forward = belief.robot.body_length, GAITS[self.gait], jnp.array([1.0, 0.0, 0.0])
+        step = Step.of(length, self.half_step_ratio, self.lift_ratio, self.rate)
+        start, centres = standing(belief, self.spread_ratio * length, self.height_ratio * length)
+        behind = back(centres) * forward
+        feet = start.feet + centre_offsets(gait, step, forward) - behind
+        start = start._replace(feet=feet, position=start.position - behind)
+        return start, regular_steps(gait, step, start, centres, forward, self.steps, self.deepening)
 
 
 @parameters

@@ -6,8 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.controllers.assembly import assemble
-from sweep.controllers.gaits import GAITS, Step, centre_offsets, regular_steps
-from sweep.controllers.manoeuvres.walking.walk import Walk, standing
+from sweep.controllers.manoeuvres.walking.walk import Walk
 from sweep.controllers.plan import STAND, Plan, Stage
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.models.case import Case
@@ -28,13 +27,7 @@ class WalkKerb(Walk):
 
     def plan(self, belief: Case) -> Plan:
         """Stand, `steps` swings, stand."""
-        length, height, gait = belief.robot.body_length, belief.on(Kerb).height, GAITS[self.gait]
-        step = Step.of(length, self.half_step_ratio, self.lift_ratio, self.rate)
-        start, centres = standing(belief, self.spread_ratio * length, self.height_ratio * length)
-        forward = jnp.array([1.0, 0.0, 0.0])
-        back = (jnp.max(centres[:, 0]) + self.distance) * forward
-        ahead = centre_offsets(gait, step, forward)
-        start = start._replace(feet=start.feet + ahead - back, position=start.position - back)
+        length, height = belief.robot.body_length, belief.on(Kerb).height
 
         def foothold(foot: Float[Array, " 3"]) -> Float[Array, " 3"]:
             x = jnp.where(foot[0] > 0, jnp.maximum(foot[0], self.margin), jnp.minimum(foot[0], -self.margin))
@@ -46,6 +39,6 @@ class WalkKerb(Walk):
             swing = {leg: foothold(foot) for leg, foot in stage.swing.items()}
             return replace(stage, swing=swing, position=stage.position.at[2].add(share * height))
 
-        level = regular_steps(gait, step, start, centres, forward, self.steps, self.deepening)
+        start, level = self.swings(belief, lambda centres: jnp.max(centres[:, 0]) + self.distance)
         stages = [Stage("stand", STAND), *map(lifted, level), Stage("halt", 2 * STAND)]
         return assemble(start, stages, self.patience)
