@@ -9,7 +9,6 @@ wrong about half the time, as it is chosen because it looked good.
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 
@@ -24,18 +23,6 @@ ROUND = 1e-3  # least curvature of an ellipsoid, in the parameters' own spreads
 DIGITS = 9  # of the numbers of a region, so that its condition has all of them
 
 
-class Outside(Protocol):
-    """How far outside rows are: regions are where it is small."""
-
-    def __call__(self, x: np.ndarray) -> np.ndarray:
-        """Rows (n, d) to numbers (n,)."""
-        ...
-
-    def condition(self, names: list[str], threshold: float) -> str:
-        """`score(x) <= threshold` as a condition on columns, such as `--where` takes."""
-        ...
-
-
 @dataclass(frozen=True)
 class Boxes:
     """Nested boxes: the whole of what was drawn, and one side after the other taken off. The last has the fewest."""
@@ -44,13 +31,13 @@ class Boxes:
     high: np.ndarray
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
-        """The number of boxes that x is not in."""
+        """Rows (n, d) to the number of boxes that each is not in (n,)."""
         sides = [np.searchsorted(low, v, side="right") for low, v in zip(self.low.T, x.T, strict=True)]
         sides += [np.searchsorted(-high, -v, side="right") for high, v in zip(self.high.T, x.T, strict=True)]
         return len(self.low) - np.min(sides, axis=0).astype(float)
 
     def condition(self, names: list[str], threshold: float) -> str:
-        """Ends of every parameter."""
+        """`score(x) <= threshold` as a condition on columns, such as `--where` takes: ends of every parameter."""
         number = len(self.low) - int(threshold) - 1
         ends = zip(names, self.low[number].tolist(), self.high[number].tolist(), strict=True)
         return " and ".join(f"{low!r} <= {name} <= {high!r}" for name, low, high in ends)
@@ -72,7 +59,7 @@ class Odds:
         return self.constant + z @ self.linear + np.einsum("ni,ij,nj->n", z, self.form, z)
 
     def condition(self, names: list[str], threshold: float) -> str:
-        """The polynomial written out."""
+        """The same: the polynomial written out."""
         z = [f"({name} - {_text(c)}) / {_text(s)}" for name, c, s in zip(names, self.centre, self.scale, strict=True)]
         terms = [f"{_text(w)} * {one}" for w, one in zip(self.linear, z, strict=True)]
         for i in range(len(z)):
@@ -80,6 +67,9 @@ class Odds:
                 weight = self.form[i, j] * (1 if i == j else 2)
                 terms.append(f"{float(weight)!r} * {z[i]} * {z[j]}")
         return f"{_text(self.constant)} + {' + '.join(terms)} <= {float(threshold)!r}"
+
+
+Outside = Boxes | Odds  # a score, how far outside rows are: regions are where it is small
 
 
 def _rounded(numbers: np.ndarray) -> np.ndarray:

@@ -24,15 +24,8 @@ def pawn(rows: pd.DataFrame, exp: Experiment, figure: str | None = None) -> pd.D
     names, x, y = _sample(rows, exp, figure, "PAWN indices need")
     chance = np.random.default_rng(0).random(len(x))
     found = salib.analyze({"num_vars": len(names) + 1, "names": [*names, ""]}, np.column_stack([x, chance]), y, SLICES)
-    table = pd.DataFrame(
-        {
-            "axis": names,
-            "median": found["median"][:-1],
-            "largest": found["maximum"][:-1],
-            "by_chance": found["median"][-1],
-            "draws": len(y),
-        }
-    )
+    columns = {"axis": names, "median": found["median"][:-1], "largest": found["maximum"][:-1]}
+    table = pd.DataFrame({**columns, "by_chance": found["median"][-1], "draws": len(y)})
     return table.sort_values("median", ascending=False, ignore_index=True)
 
 

@@ -121,6 +121,15 @@ def _nearest(values: np.ndarray, at: float) -> np.ndarray:
     return np.isclose(distance, distance.min(), rtol=1e-9, atol=1e-12 * max(1.0, abs(at)))
 
 
+def _sides(rows: pd.DataFrame, exp: Experiment) -> Iterator[tuple[dict[str, Any], np.ndarray, pd.DataFrame]]:
+    """Either side of the `arms`: what a table calls it, distances (n,) from the nominal number, and its rows."""
+    for axis, centre, part in arms(rows, exp):
+        away = part[axis.column].to_numpy(dtype=float) - centre
+        for side, sign in (("below", -1), ("above", 1)):
+            here = sign * away >= -1e-12
+            yield {"axis": axis.column, "side": side, "nominal": centre}, np.abs(away[here]), part[here]
+
+
 def along(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
     """Rate of success at each value of each listed axis, the others nominal, with its Wilson interval.
 
@@ -141,28 +150,17 @@ def margins(rows: pd.DataFrame, exp: Experiment, level: float = 0.5) -> pd.DataF
     `level` of the valid rollouts succeed; NaN where there is none. `margin` is the distance to `holds_to`.
     """
     lines = []
-    for axis, centre, part in arms(rows, exp):
-        table = rates(part, [axis.column])
-        for side, sign in (("below", -1), ("above", 1)):
-            way = table[sign * (table[axis.column] - centre) >= -1e-12].sort_values(axis.column, ascending=sign > 0)
-            if (way[axis.column] - centre).abs().max() <= 1e-12 or way.empty:
-                continue
-            values, holds = way[axis.column].to_numpy(dtype=float), (way["share"] >= level).to_numpy()
-            first = len(holds) if holds.all() else int(np.argmin(holds))
-            last = values[first - 1] if first else np.nan
-            fails = values[first] if first < len(values) else np.nan
-            counts = {k: int(way[k].sum()) for k in ("total", "invalid")}
-            lines.append(
-                {
-                    "axis": axis.column,
-                    "side": side,
-                    "nominal": centre,
-                    "holds_to": last,
-                    "fails_at": fails,
-                    "margin": abs(last - centre),
-                    **counts,
-                }
-            )
+    for told, away, part in _sides(rows, exp):
+        if away.max(initial=0) <= 1e-12:
+            continue
+        way = rates(part, [told["axis"]]).sort_values(told["axis"], ascending=told["side"] == "above")
+        values, holds = way[told["axis"]].to_numpy(dtype=float), (way["share"] >= level).to_numpy()
+        first = len(holds) if holds.all() else int(np.argmin(holds))
+        last = values[first - 1] if first else np.nan
+        fails = values[first] if first < len(values) else np.nan
+        counts = {k: int(way[k].sum()) for k in ("total", "invalid")}
+        found = {"holds_to": last, "fails_at": fails, "margin": abs(last - told["nominal"])}
+        lines.append({**told, **found, **counts})
     return pd.DataFrame(lines)
 
 
@@ -249,30 +247,16 @@ def tolerance(rows: pd.DataFrame, exp: Experiment, probability: float = 0.9) -> 
     at the values tried do not follow the fit, so that neither its `error` is to be quoted.
     """
     lines = []
-    for axis, centre, part in arms(rows, exp):
-        away = part[axis.column].to_numpy(dtype=float) - centre
-        for side, sign in (("below", -1), ("above", 1)):
-            here = sign * away >= -1e-12
-            size, outcome = np.abs(away[here]), part["outcome"].to_numpy()[here]
-            valid = outcome != "invalid"
-            if size[valid].max(initial=0) <= 1e-12:
-                continue
-            fit = logistic(size[valid], outcome[valid] == "success")
-            x, (low, high) = fit.where(probability)
-            lines.append(
-                {
-                    "axis": axis.column,
-                    "side": side,
-                    "nominal": centre,
-                    "error": max(x, 0.0),
-                    "low": max(float(low), 0.0),
-                    "high": max(float(high), 0.0),
-                    "tried": size[valid].max(),
-                    "fit_p": goodness(fit, size[valid], outcome[valid] == "success"),
-                    "total": len(valid),
-                    "invalid": int((~valid).sum()),
-                }
-            )
+    for told, away, part in _sides(rows, exp):
+        valid = (part["outcome"] != "invalid").to_numpy()
+        size, success = away[valid], (part["outcome"] == "success").to_numpy()[valid]
+        if size.max(initial=0) <= 1e-12:
+            continue
+        fit = logistic(size, success)
+        x, (low, high) = fit.where(probability)
+        ends = {"error": max(x, 0.0), "low": max(float(low), 0.0), "high": max(float(high), 0.0)}
+        known = {"tried": size.max(), "fit_p": goodness(fit, size, success)}
+        lines.append({**told, **ends, **known, "total": len(valid), "invalid": int((~valid).sum())})
     return pd.DataFrame(lines)
 
 
@@ -337,16 +321,9 @@ def sobol_indices(rows: pd.DataFrame, exp: Experiment, figure: str | None = None
         raise InputError(f"Sobol indices need values that vary: {len(whole)} complete blocks of {whole.shape[1]} draws")
     problem = {"num_vars": len(axes), "names": [a.column for a in axes]}
     found = sobol.analyze(problem, whole.ravel(), calc_second_order=False, num_resamples=200, seed=0)
-    return pd.DataFrame(
-        {
-            "axis": problem["names"],
-            "first": found["S1"],
-            "first_error": found["S1_conf"],
-            "total": found["ST"],
-            "total_error": found["ST_conf"],
-            "blocks": len(whole),
-        }
-    )
+    columns = {"first": "S1", "first_error": "S1_conf", "total": "ST", "total_error": "ST_conf"}
+    told = {name: found[key] for name, key in columns.items()}
+    return pd.DataFrame({"axis": problem["names"], **told, "blocks": len(whole)})
 
 
 def elementary_effects(rows: pd.DataFrame, exp: Experiment, figure: str | None = None) -> pd.DataFrame:
@@ -366,16 +343,9 @@ def elementary_effects(rows: pd.DataFrame, exp: Experiment, figure: str | None =
     shares = shares_of(exp.study.axes, exp.study.design, exp.study.seed)[chosen]
     problem = {"num_vars": len(axes), "names": [a.column for a in axes], "bounds": [[*INNER]] * len(axes)}
     found = morris.analyze(problem, shares, mean[whole].ravel(), num_levels=LEVELS, seed=0)
-    table = pd.DataFrame(
-        {
-            "axis": problem["names"],
-            "mean_size": found["mu_star"],
-            "error": found["mu_star_conf"],
-            "mean": found["mu"],
-            "spread": found["sigma"],
-            "paths": int(whole.sum()),
-        }
-    )
+    columns = {"mean_size": "mu_star", "error": "mu_star_conf", "mean": "mu", "spread": "sigma"}
+    told = {name: found[key] for name, key in columns.items()}
+    table = pd.DataFrame({"axis": problem["names"], **told, "paths": int(whole.sum())})
     return table.sort_values("mean_size", ascending=False, ignore_index=True)
 
 

@@ -68,7 +68,7 @@ def walk_map(nominal: Case, rollouts: int, width: int) -> list[tuple[Case, Case]
 
 
 def _engine(settings: EngineSettings, nominal: Case, rollouts: int) -> dict[str, Any]:
-    """Controller, physics and metrics."""
+    """A line of the table: controller, physics and metrics; each slot of a batch simulates all of its seconds."""
     engine = make(settings, nominal, nominal, Thresholds())
     rollouts = rollouts or engine.width
     if settings.name == "native":
@@ -84,7 +84,20 @@ def _engine(settings: EngineSettings, nominal: Case, rollouts: int) -> dict[str,
     seconds = sum(simulate(batch) for batch in batches)
     wall = time.perf_counter() - start
     compile_s = first - wall / len(batches)
-    return _line(settings.name, engine.dynamics, engine.width, rollouts, seconds, wall, compile_s, settings.step)
+    device, native = jax.devices()[0], settings.name == "native"
+    peak = (device.memory_stats() or {}).get("peak_bytes_in_use")
+    share = 1 if native else jax.device_count()
+    return {
+        "engine": settings.name,
+        "dynamics": engine.dynamics,
+        "device": f"{share} x {device.device_kind}",
+        "width": engine.width,
+        "env-steps/s": engine.width * seconds / settings.step / wall,
+        "rollouts/s": rollouts / wall,
+        # lost beside a long run whose speed is not even
+        "compile and first launch s": compile_s if compile_s > 0 else None,
+        "KiB/rollout": peak / (engine.width / share) / 1024 if peak and not native else None,
+    }
 
 
 def timed(work: Callable[[], object]) -> float:
@@ -92,23 +105,3 @@ def timed(work: Callable[[], object]) -> float:
     start = time.perf_counter()
     work()
     return time.perf_counter() - start
-
-
-def _line(
-    name: str, kind: str, width: int, rollouts: int, seconds: float, wall: float, compile_s: float, step: float
-) -> dict[str, Any]:
-    """One line of the table; `seconds` were simulated by each slot of the batch."""
-    device = jax.devices()[0]
-    peak = (device.memory_stats() or {}).get("peak_bytes_in_use")
-    share = jax.device_count() if name != "native" else 1
-    return {
-        "engine": name,
-        "dynamics": kind,
-        "device": f"{share} x {device.device_kind}",
-        "width": width,
-        "env-steps/s": width * seconds / step / wall,
-        "rollouts/s": rollouts / wall,
-        # lost beside a long run whose speed is not even
-        "compile and first launch s": compile_s if compile_s > 0 else None,
-        "KiB/rollout": peak / (width / share) / 1024 if peak and name != "native" else None,
-    }

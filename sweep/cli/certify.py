@@ -101,11 +101,7 @@ def seeded(exp: Experiment, folder: Path, seed: int, number: int) -> Experiment:
 
 
 def checked(
-    exp: Experiment,
-    folder: Path,
-    found: certify.Certificate,
-    names: list[str],
-    worst: certify.Outside,
+    exp: Experiment, folder: Path, found: certify.Certificate, names: list[str], worst: certify.Outside
 ) -> list[dict[str, Any]]:
     """How many draws fail where the region looks worst, and outside it: they play no part in the promise.
 

@@ -123,16 +123,9 @@ def kept(folder: Path) -> Iterator[str]:
 def about(name: str, meaning: str = "") -> dict[str, Any]:
     """What a crate says of a file."""
     kind = {".parquet": "application/vnd.apache.parquet", ".yaml": "application/yaml"}.get(Path(name).suffix)
-    meaning = (
-        meaning
-        or MEANINGS.get(name)
-        or ("finished rows" if name.endswith(".parquet") else f"picture of the study, {name}")
-    )
-    return {
-        "name": name,
-        "description": meaning,
-        "encodingFormat": kind or mimetypes.guess_type(name)[0] or "text/plain",
-    }
+    other = "finished rows" if name.endswith(".parquet") else f"picture of the study, {name}"
+    form = kind or mimetypes.guess_type(name)[0] or "text/plain"
+    return {"name": name, "description": meaning or MEANINGS.get(name, other), "encodingFormat": form}
 
 
 @contextlib.contextmanager

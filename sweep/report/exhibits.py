@@ -192,14 +192,7 @@ def _draw_causes(table: pd.DataFrame) -> Figure:
     left, totals = np.zeros(len(table)), table.to_numpy().sum(axis=1)
     for cause in table:
         number = table[cause].to_numpy()
-        ax.barh(
-            table.index,
-            number,
-            left=left,
-            color=look_of(str(cause)).colour,
-            edgecolor="white",
-            linewidth=0.4,
-        )
+        ax.barh(table.index, number, left=left, color=look_of(str(cause)).colour, edgecolor="white", linewidth=0.4)
         roomy = number > BARE * totals.max()
         stamp(ax, str(cause), (left + number / 2)[roomy], np.flatnonzero(roomy))
         left += number

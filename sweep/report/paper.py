@@ -234,14 +234,9 @@ def camel(text: str) -> str:
 
 def escape(text: str) -> str:
     """`text` so that LaTeX prints it as it is."""
-    special = {
-        "\\": r"\textbackslash{}",
-        "~": r"\textasciitilde{}",
-        "^": r"\textasciicircum{}",
-        "<": r"\textless{}",
-        ">": r"\textgreater{}",
-    }
-    return tables.signs("".join(special.get(c, f"\\{c}" if c in "&%$#_{}" else c) for c in text))
+    words = {"\\": "backslash", "~": "asciitilde", "^": "asciicircum", "<": "less", ">": "greater"}
+    special = {c: rf"\text{word}{{}}" for c, word in words.items()} | {c: f"\\{c}" for c in "&%$#_{}"}
+    return tables.signs("".join(special.get(c, c) for c in text))
 
 
 def foreign(text: str) -> tuple[list[str], list[str], list[str]]:

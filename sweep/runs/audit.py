@@ -139,20 +139,8 @@ def table(results: Results) -> pd.DataFrame:
             if of_kind.empty:
                 continue
             found = compare.flips(of_kind)
-            low, high = found.interval()
-            lines.append(
-                (
-                    results.exp.system.ways[way].words,
-                    kind,
-                    len(points),
-                    found.pairs,
-                    found.pairs - found.tested,
-                    found.flipped,
-                    found.flipped / found.tested if found.tested else np.nan,
-                    low,
-                    high,
-                )
-            )
-    return pd.DataFrame(
-        lines, columns=["simulated", "drawn", "of", "rollouts", "invalid", "flips", "share", "low", "high"]
-    )
+            share = found.flipped / found.tested if found.tested else np.nan
+            counts = len(points), found.pairs, found.pairs - found.tested, found.flipped
+            lines.append((results.exp.system.ways[way].words, kind, *counts, share, *found.interval()))
+    columns = ["simulated", "drawn", "of", "rollouts", "invalid", "flips", "share", "low", "high"]
+    return pd.DataFrame(lines, columns=columns)

@@ -48,15 +48,10 @@ def mend(folder: Path, study: str, labels: str) -> list[str]:
     lines = [f"{folder / manifest.MANIFEST} is damaged in line {number}: rebuilt" for number in damaged]
     kept = [entry for entry in entries if entry.file == store.POINTS]
     left = [entry for entry in entries if entry.batches and entry.labels != labels]  # by a relabelling that was killed
-    for entry in manifest.judged(entries, labels):
+    for entry in (*manifest.judged(entries, labels), *filter(_is_beside, entries)):
         if problem := _problem(folder, entry):
-            lines.append(f"{folder / entry.file} is damaged ({problem}): its rollouts are simulated again")
-            left.append(entry)
-        else:
-            kept.append(entry)
-    for entry in filter(_is_beside, entries):
-        if problem := _problem(folder, entry):
-            lines.append(f"{folder / entry.file} is damaged ({problem}): `sweep replay` shows its rollouts again")
+            remedy = "its rollouts are simulated again" if entry.batches else "`sweep replay` shows its rollouts again"
+            lines.append(f"{folder / entry.file} is damaged ({problem}): {remedy}")
             left.append(entry)
         else:
             kept.append(entry)

@@ -18,17 +18,7 @@ from sweep.core.expressions import mask
 from sweep.core.outcomes import INVALID
 from sweep.engines.base import Engine
 from sweep.runs import histories, manifest, repair, store
-from sweep.runs.batches import (
-    Batch,
-    among,
-    batch,
-    forget_engine,
-    halve,
-    make_engine,
-    nominal,
-    plan,
-    with_room,
-)
+from sweep.runs.batches import Batch, among, batch, forget_engine, halve, make_engine, nominal, plan, with_room
 from sweep.runs.manifest import Entry
 from sweep.study.clusters import Dispatch
 from sweep.study.columns import figure_columns

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 from matplotlib.backend_bases import FigureCanvasBase
 from tabulate import tabulate
@@ -16,6 +17,9 @@ from sweep.core.parameters import InputError
 from sweep.core.waiting import counting, waiting
 from sweep.engines.base import Trace, same_bits
 from sweep.engines.settings import EngineSettings
+from sweep.engines.states import offered
+from sweep.models import scene
+from sweep.models.case import Case
 from sweep.runs import place, results, store
 from sweep.runs.batches import make_engine, nominal, with_room
 from sweep.runs.runner import load_point
@@ -27,7 +31,6 @@ from sweep.trace.frames import VIDEO_RATE, need_ffmpeg, write_png, write_video
 from sweep.trace.mcap import write_mcap
 from sweep.trace.plots import PLOTS
 from sweep.trace.sampling import at_rate
-from sweep.trace.states import model_xml, states
 
 SHOWN = ("mcap", "states", "model", "plot", "png", "video")  # options that a system may have nothing for
 
@@ -99,6 +102,24 @@ def replay(folder: Path, point: str) -> Replay:
         then, here = " or ".join(stored["devices"]), exp.system.device(task.settings)
         other_run = f"the row was simulated by other code or libraries, or on another device ({then}; here {here})"
     return Replay(row, again, trace, task.settings, {**config, "point": values}, other_run)
+
+
+def states(trace: Trace) -> pd.DataFrame:
+    """One row a control tick, one column a number, see `offered`."""
+    record = {name: np.moveaxis(getattr(trace, name), 0, -1) for name in ("qpos", "qvel", "joint_torque", "foot_force")}
+    columns = {name: np.asarray(column(record)) for name, column in offered(trace.world).items()}
+    return pd.DataFrame({"time_s": trace.time, "stage": [trace.stages[k] for k in trace.stage], **columns})
+
+
+def model_xml(world: Case, settings: EngineSettings) -> str:
+    """The world's MuJoCo model as MJCF, to six digits; mjx has a contact of its own in place of MuJoCo's."""
+    if settings.name == "native":
+        spec = scene.native_spec(world, settings.native_time_step, settings.solid)
+    else:
+        spec = scene.describe(world)
+        spec.option.timestep = settings.step
+    spec.compile()
+    return spec.to_xml()
 
 
 def comparison(result: Replay) -> str:

@@ -171,10 +171,7 @@ def refined_cells(results: Results) -> dict[str, Any] | None:
             found.append(np.stack([place[tuple(corner.T)] for corner in corners], axis=1))
     cells = np.concatenate(found) if found else np.zeros((0, 4), int)
     cells = cells[(cells >= 0).all(axis=1)]
-    return {
-        "axes": [axis.column for axis in axes],
-        "block": as_text(cells.astype("<i4").tobytes()),
-    }
+    return {"axes": [axis.column for axis in axes], "block": as_text(cells.astype("<i4").tobytes())}
 
 
 def densities(results: Results, kinds: list[dict[str, Any]]) -> Any:
