@@ -294,14 +294,8 @@ class _Problem(NamedTuple):
 
     def _drive(self, w: Motion) -> tuple[Rates, Rates]:
         stiffness, torque, limit = (by_joint(x) for x in (self.servo.stiffness, self.servo.torque, self.limits.torque))
-        pull = each(
-            lambda k, error, u, damping, rate: k * error + u - damping * rate,
-            stiffness,
-            self.error,
-            torque,
-            self._damping(),
-            w.leg,
-        )
+        terms = stiffness, self.error, torque, self._damping(), w.leg
+        pull = each(lambda k, error, u, damping, rate: k * error + u - damping * rate, *terms)
         wanted = each(mul, by_joint(self.limits.gain), pull)
         free = each(lambda u, most: (jnp.abs(u) < most).astype(u.dtype), wanted, limit)
         return each(lambda u, most: jnp.clip(u, -most, most), wanted, limit), free

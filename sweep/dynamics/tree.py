@@ -16,7 +16,7 @@ from sweep.dynamics.interface import SmoothDynamics, Tree
 from sweep.dynamics.spatial import Inertia, Mass, Motion, Pose, Rates, Spatial
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
-from sweep.models.robot import Robot, mount_yaw, mounts
+from sweep.models.robot import Robot, links, mount_yaw, mounts
 
 
 class Link(NamedTuple):
@@ -51,23 +51,13 @@ def leg_links(robot: Robot, angle: Rates) -> tuple[Vector, list[Link]]:
         "thigh": ((side * jnp.sin(lift)) * out - (side * jnp.cos(lift)) * up, 1),
         "shin": (-jnp.sin(bend) * out + jnp.cos(bend) * up, 2),
     }
-    names = ("coxa", "thigh", "shin") if robot.legs == "three_link" else ("thigh", "shin")
-    links = []
-    for name in names:
-        length, mass = getattr(robot, name), getattr(robot, f"{name}_mass")
+    found = []
+    for name in links(robot):
+        length, mass, radius = getattr(robot, name), getattr(robot, f"{name}_mass"), robot.link_radius
         direction, joint = ways[name]
-        radius = robot.link_radius
-        links.append(
-            Link(
-                mass,
-                mass * (3 * radius**2 + length**2) / 12,
-                mass * radius**2 / 2,
-                length * direction,
-                direction,
-                joint,
-            )
-        )
-    return across, links
+        inertia = mass * (3 * radius**2 + length**2) / 12, mass * radius**2 / 2
+        found.append(Link(mass, *inertia, length * direction, direction, joint))
+    return across, found
 
 
 def tree_terms(robot: Robot, armature: Number, pose: Pose, v: Motion) -> Tree:
