@@ -23,30 +23,23 @@ from sweep.models.obstacles.surface import Obstacle, free_start, landmarks
 class Learned(NamedTuple):
     """What the robot has found out; None where it does not look."""
 
-    calibrated: Calibrated | None
-    touched: Touched | None
-    plan: Plan | None  # the newest, where it plans again
+    calibrated: Calibrated | None = None
+    touched: Touched | None = None
+    plan: Plan | None = None  # the newest, where it plans again
     # m, by how much what is left of it leaves the legs' reach; infinite where there is no plan for what is known
     shortfall: Float[Array, ""] | None = None
 
 
-def informed(belief: Case, learned: Learned | None) -> Case:
+def informed(belief: Case, learned: Learned) -> Case:
     """What is believed with what was learned, to plan and act by."""
-    if learned is None:
-        return belief
-    robot = belief.robot if learned.calibrated is None else learned.calibrated.robot
-    obstacle = belief.obstacle if learned.touched is None else touch.planned_for(learned.touched)
+    robot = learned.calibrated.robot if learned.calibrated else belief.robot
+    obstacle = touch.planned_for(learned.touched) if learned.touched else belief.obstacle
     return replace(belief, robot=robot, obstacle=obstacle)
 
 
-def at_first(belief: Case, learned: Learned | None) -> Obstacle:
+def at_first(belief: Case, learned: Learned) -> Obstacle:
     """The obstacle as the first plan was made for: it has the axes of free bodies in which plans are given."""
-    return belief.obstacle if learned is None or learned.touched is None else learned.touched.first
-
-
-def newest(plan: Plan, learned: Learned | None) -> Plan:
-    """The plan that is followed, where it began as `plan`."""
-    return plan if learned is None or learned.plan is None else learned.plan
+    return learned.touched.first if learned.touched else belief.obstacle
 
 
 def felt(
@@ -54,18 +47,19 @@ def felt(
     belief: Case,
     plan: Plan,
     state: TrackerState,
-    learned: Learned | None,
+    learned: Learned,
     seen: Observation,
     period: float,
-) -> tuple[TrackerState, Plan, Float[Array, "6 3"] | None, Learned | None]:
+) -> tuple[TrackerState, Plan, Float[Array, "6 3"] | None, Learned]:
     """Footholds, plan, how far those of swings are beside it (m), and what is known, after a tick of touching.
 
     `belief` and `plan` are those of the start.
     """
-    if learned is None or learned.touched is None or not touch.by_feet(belief.obstacle):
-        return state, newest(plan, learned), None, learned
+    now = learned.plan or plan
+    if learned.touched is None or not touch.by_feet(belief.obstacle):
+        return state, now, None, learned
     ground = touch.planned_on(learned.touched, plan, state.stage)
-    robot, now = informed(belief, learned).robot, newest(plan, learned)
+    robot = informed(belief, learned).robot
     known = world.control, belief.noise, robot, now, ground
     touched, moves, searches = touch.felt(*known, state, learned.touched, seen, period)
     swings = now.swing[state.stage]
@@ -82,7 +76,7 @@ def replanned(belief: Case, plan: Plan, stage: Int[Array, ""], learned: Learned)
 
     Planned forces stay: they are dear to work out, and sizes that differ by a per cent change them by about as much.
     """
-    old = newest(plan, learned)
+    old = learned.plan or plan
     known = informed(belief, learned)
     fresh = replace(known.manoeuvre.plan(known), start=old.start)
     if (forces := old.layer(Feedforward)) is not None:

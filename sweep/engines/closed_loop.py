@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from sweep.controllers import tracker
 from sweep.controllers.frames import Stance
 from sweep.controllers.layers import Command
-from sweep.controllers.learned import Learned, at_first, felt, informed, newest
+from sweep.controllers.learned import Learned, at_first, felt, informed
 from sweep.controllers.observation import Observation, Sensors, install, observe, threshold
 from sweep.controllers.plan import Plan
 from sweep.controllers.posture import feet_in_world, joint_targets
@@ -45,7 +45,7 @@ class ClosedLoop(NamedTuple):
     seen: Observation  # the truth at the end of the last tick
     servo: Servo  # what the drives were told last
     key: Array
-    learned: Learned | None  # where the robot finds out what it believes
+    learned: Learned
 
 
 class Start(NamedTuple):
@@ -139,7 +139,7 @@ def init(
     start: Start,
     energy: Array,
     key: Array,
-    learned: Learned | None,
+    learned: Learned,
     quiet: bool,
 ) -> ClosedLoop:
     """Before the first tick; `belief` holds what was learned already. `quiet`: see `is_quiet`."""
@@ -191,7 +191,7 @@ def measure(
     A rollout that has rested after its plan, or had its time, is over. One that is to end in motion is over with its
     plan: nobody steps on.
     """
-    plan = newest(plan, loop.learned)
+    plan = loop.learned.plan or plan
     state, time = loop.tracker, loop.running.time + period
     now = Moment(
         world,
@@ -217,4 +217,4 @@ def measure(
 
 def figures_of(world: Case, plan: Plan, loop: ClosedLoop) -> dict[str, Array]:
     """The row's figures of a rollout as far as it has come, see `stream.figures`; it began with `plan`."""
-    return stream.figures(world, newest(plan, loop.learned), loop.running, loop.tracker.stage)
+    return stream.figures(world, loop.learned.plan or plan, loop.running, loop.tracker.stage)

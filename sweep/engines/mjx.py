@@ -354,7 +354,6 @@ def _with_new_plan(axes: Case) -> Callable[[Case, Plan, Carry], Carry]:
 
     def one(belief: Case, plan: Plan, carry: Carry) -> Carry:
         loop = carry.loop
-        assert loop.learned is not None  # since there is something to plan by
         return carry._replace(loop=loop._replace(learned=replanned(belief, plan, loop.tracker.stage, loop.learned)))
 
     return jax.vmap(one, in_axes=(axes, 0, 0))

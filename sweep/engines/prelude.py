@@ -28,13 +28,13 @@ FLAT = 1e-5  # within which ground is the floor, z = 0
 ERRORS, PLACES = 1, 2  # folded into a rollout's key to draw the errors of calibration, and of the bodies' places
 
 
-def prepared(world: Case, belief: Case, key: Array) -> tuple[Case, Plan, Learned | None]:
+def prepared(world: Case, belief: Case, key: Array) -> tuple[Case, Plan, Learned]:
     """What is believed from the start on, the plan that follows, what was learned for it; `key` is the rollout's."""
     plan, control = belief.manoeuvre.plan(belief), world.control
     if control.calibrate == "none" and control.touch == "none":
-        return belief, plan, None
+        return belief, plan, Learned()
     seen = measured(world, start_state(world, belief, plan), key)
-    learned = Learned(None, None, None)
+    learned = Learned()
     if control.calibrate != "none":
         calibrated = calibration.estimate(control, belief.noise, belief.robot, _ground(belief, plan.start), seen)
         learned = learned._replace(calibrated=calibrated)

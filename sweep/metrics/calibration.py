@@ -18,7 +18,6 @@ SIZES = {
 
 def begin(start: Begin) -> Calibrated:
     """What was learned does not change."""
-    assert start.learned is not None
     assert start.learned.calibrated is not None  # since it applies
     return start.learned.calibrated
 

@@ -58,7 +58,7 @@ class Begin(NamedTuple):
     feet: Float[Array, "6 3"]  # m, where they really are
     free: FreeState
     energy: Float[Array, ""]  # J
-    learned: Learned | None = None  # where the robot finds out something
+    learned: Learned = Learned()
 
 
 class Moment(NamedTuple):
@@ -75,7 +75,7 @@ class Moment(NamedTuple):
     tick: Tick
     period: float  # s, of a tick
     time: Float[Array, ""]  # s, at its end
-    learned: Learned | None = None
+    learned: Learned = Learned()
 
 
 def time_left(now: Moment) -> Float[Array, ""]:

@@ -9,7 +9,6 @@ from sweep.metrics.metric import Cause, Moment, extremes
 
 def lacking(now: Moment) -> Iterator[Float[Array, ""]]:
     """Distance by which the newest plan leaves the legs' reach (m)."""
-    assert now.learned is not None
     assert now.learned.shortfall is not None  # since it applies
     yield now.learned.shortfall
 

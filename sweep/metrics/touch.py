@@ -13,7 +13,6 @@ from sweep.models.obstacles.surface import Obstacle
 
 def touched(at: Begin | Moment) -> Touched:
     """The sizes as they are known by now."""
-    assert at.learned is not None
     assert at.learned.touched is not None  # since it applies
     return at.learned.touched
 

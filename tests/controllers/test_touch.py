@@ -110,7 +110,6 @@ def test_a_foot_that_finds_a_height_lower_than_cautiously_planned_stands_as_deep
     assert np.all(higher > 2e-3)
     stance = reference(plan, jnp.int32(stage), jnp.ones(()), *begins(plan, jnp.int32(stage), no_bodies()))
     now = seen(stance._replace(feet=stance.feet.at[:, 2].set(case.on(Kerb).height)))
-    assert learned is not None
     assert learned.touched is not None
     learned = learned._replace(touched=learned.touched._replace(felt=jnp.zeros(6, bool)))
     state = init(case, plan)._replace(stage=jnp.int32(stage), feet=plan.foothold[stage], clock=plan.duration[stage])
