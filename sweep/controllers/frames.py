@@ -41,30 +41,20 @@ def ground(obstacle: Obstacle, feet: Float[Array, "6 3"], frame: Int[Array, " 6"
     return under(obstacle, to_world(feet, frame, free), poses(free))
 
 
-def attitude_to_world(quat: Float[Array, " 4"], frame: Int[Array, ""], free: FreeState) -> Float[Array, " 4"]:
-    """An attitude that is given in a frame; only a body's own axes turn it."""
-    for k in range(free.position.shape[0]):
-        quat = jnp.where(frame == fixed(k), multiply(free.quat[k], quat), quat)
-    return quat
-
-
-def attitude_to_frame(quat: Float[Array, " 4"], frame: Int[Array, ""], free: FreeState) -> Float[Array, " 4"]:
-    """The inverse of `attitude_to_world`."""
-    for k in range(free.position.shape[0]):
-        quat = jnp.where(frame == fixed(k), multiply(conjugate(free.quat[k]), quat), quat)
-    return quat
-
-
 def stance_to_world(stance: Stance, feet: Int[Array, " 6"], base: Int[Array, ""], free: FreeState) -> Stance:
-    """A stance whose feet and base are in the given frames."""
-    position = to_world(stance.position[None], base[None], free)[0]
-    return Stance(to_world(stance.feet, feet, free), position, attitude_to_world(stance.quat, base, free))
+    """A stance whose feet and base are in the given frames; only a body's own axes turn its attitude."""
+    position, quat = to_world(stance.position[None], base[None], free)[0], stance.quat
+    for k in range(free.position.shape[0]):
+        quat = jnp.where(base == fixed(k), multiply(free.quat[k], quat), quat)
+    return Stance(to_world(stance.feet, feet, free), position, quat)
 
 
 def stance_to_frame(stance: Stance, feet: Int[Array, " 6"], base: Int[Array, ""], free: FreeState) -> Stance:
     """The inverse of `stance_to_world`."""
-    position = to_frame(stance.position[None], base[None], free)[0]
-    return Stance(to_frame(stance.feet, feet, free), position, attitude_to_frame(stance.quat, base, free))
+    position, quat = to_frame(stance.position[None], base[None], free)[0], stance.quat
+    for k in range(free.position.shape[0]):
+        quat = jnp.where(base == fixed(k), multiply(conjugate(free.quat[k]), quat), quat)
+    return Stance(to_frame(stance.feet, feet, free), position, quat)
 
 
 def _goes_with(frame: Int[Array, " n"], body: int) -> Array:

@@ -73,7 +73,7 @@ class Layer:
     def crept(
         self, plan: Plan, own: Any, stage: Int[Array, ""], clock: Float[Array, ""], feet: Float[Array, "6 3"]
     ) -> Float[Array, "6 3"]:
-        """Feet (m, world axes) `clock` s into a stage, where it has them at `feet`."""
+        """Feet (m, world axes) as a stage ends `clock` s after it began, where the plan has them at `feet`."""
         return feet
 
     def led(self, now: Now, own: Any, target: Stance) -> tuple[Any, Stance]:
@@ -171,9 +171,10 @@ class Feedforward(Layer):
         return jnp.zeros_like(own), free
 
     def led(self, now: Now, own: Float[Array, " 6"], target: Stance) -> tuple[Float[Array, " 6"], Stance]:
-        """Farther, those that bear no load long after the end of their swing."""
+        """Feet `crept`; farther, those that bear no load long after the end of their swing."""
         late = jnp.clip(now.clock - now.plan.duration[now.stage] - SOON, 0.0, now.period)
-        return own + jnp.where(now.seen.loaded, 0.0, FASTER * self.creep * late), target
+        own = own + jnp.where(now.seen.loaded, 0.0, FASTER * self.creep * late)
+        return own, target._replace(feet=self.crept(now.plan, own, now.stage, now.clock, target.feet))
 
     def anchored(self, now: Now, feet: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
         """Those of loaded standing feet follow the feet."""

@@ -1,8 +1,6 @@
 """The controller: follows a plan stage by stage, and turns feet and base into joint targets (monograph 1.3, 1.4)."""
 
-import functools
-import operator
-from collections.abc import Sequence
+from functools import partial
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
@@ -10,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from sweep.controllers.frames import Stance, attitude_to_world, stance_to_frame, stance_to_world
+from sweep.controllers.frames import Stance, stance_to_frame, stance_to_world, to_frame
 from sweep.controllers.layers import Command, Feedforward, Now
 from sweep.controllers.observation import Observation, Observer, followed
 from sweep.controllers.plan import GRIP, KEEP, REGRIP, REZERO, Plan, reference
@@ -18,7 +16,7 @@ from sweep.controllers.posture import feet_in_world, joint_targets
 from sweep.core.rotations import conjugate, exponential, heading, logarithm, multiply, nearest, rotate
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case, Riding
-from sweep.models.obstacles.surface import FreeState, free_start, poses, under
+from sweep.models.obstacles.surface import FreeState, Surface, free_start, poses, under
 
 LEFT = np.array([0.0, 1.0, 0.0], np.float32)  # of the base
 
@@ -116,7 +114,9 @@ def step(
         wanted, to, memory = manoeuvre.guide(belief, now, state)
         state = state._replace(goal=to, memory=memory)
     else:
-        goal = _goal(plan, state.stage, old.stage, beside)
+        goal = plan.foothold[state.stage]
+        if beside is not None:
+            goal = goal + jnp.where(state.stage == old.stage, beside, 0.0)
         wanted = reference(plan, state.stage, phase, state.feet, state.position, goal)
     here = stance_to_world(wanted, *frames, free)
     if old.told is not None:
@@ -129,7 +129,6 @@ def step(
         states[k], target = layer.led(now, states[k], target)
     if state.told is not None:
         state = state._replace(told=stance_to_frame(target, *frames, free))
-    target = target._replace(feet=_crept(plan, states, state.stage, state.clock, target.feet))
     joints, shortfall = joint_targets(belief.robot, target)
     command = Command(nearest(joints, state.joints), target, phase, shortfall)
     for k, layer in enumerate(plan.layers):
@@ -151,9 +150,10 @@ def _advance(
     over = state.clock - plan.duration[stage]
     landed = jnp.all(seen.loaded | ~plan.swing[stage])
     ends = (over >= 0) & (landed | (over >= plan.patience)) & ~state.finished
-    to = state.goal if isinstance(manoeuvre, Guided) else _goal(plan, stage, stage, beside)
+    planned = plan.foothold[stage] if beside is None else plan.foothold[stage] + beside
+    goal = state.goal if isinstance(manoeuvre, Guided) else planned
     wanted = multiply(exponential(plan.turn[stage]), plan.quat[stage])
-    reached = Stance(jnp.where(plan.swing[stage][:, None], to, state.feet), plan.position[stage], wanted)
+    reached = Stance(jnp.where(plan.swing[stage][:, None], goal, state.feet), plan.position[stage], wanted)
     if isinstance(manoeuvre, Eventful) and state.told is not None:
         ends = ends | (manoeuvre.ends(belief, plan, state, seen) & ~state.finished)
         early = (over < 0) & plan.swing[stage][:, None]
@@ -162,17 +162,17 @@ def _advance(
     following = jnp.where(last, stage, stage + 1)
     meant = bodies(plan, state, seen.free)
     ended = stance_to_world(reached, plan.foot_frame[stage], plan.base_frame[stage], meant)
-    ended = ended._replace(feet=_crept(plan, state.layers, stage, state.clock, ended.feet))
+    for layer, own in zip(plan.layers, state.layers, strict=True):
+        ended = ended._replace(feet=layer.crept(plan, own, stage, state.clock, ended.feet))
     begun = onset(belief, plan, following, ended, seen)
     if (blind := _blind(plan, stage)) is not False:  # it sees nothing of where feet are: the error before holds on
-        known = Onset(ended.feet, state.error, state.turn)
-        begun = jax.tree.map(lambda a, b: jnp.where(blind, a, b), known, begun)
-    frames, free = (plan.foot_frame[following], plan.base_frame[following]), seen.free
-    feet, states = stance_to_frame(ended._replace(feet=begun.feet), *frames, free).feet, list(state.layers)
+        begun = jax.tree.map(partial(jnp.where, blind), Onset(ended.feet, state.error, state.turn), begun)
+    frames, free, states = (plan.foot_frame[following], plan.base_frame[following]), seen.free, list(state.layers)
+    feet = to_frame(begun.feet, frames[0], free)
     for k, layer in enumerate(plan.layers):
         states[k], free = layer.entered(following, states[k], meant, free)
     if free.position.shape[0]:  # what is left to the attitude of another frame fades as the error does
-        wanted = attitude_to_world(plan.quat[following], frames[1], free)
+        wanted = stance_to_world(ended._replace(quat=plan.quat[following]), *frames, free).quat
         left = logarithm(multiply(exponential(begun.turn), multiply(ended.quat, conjugate(wanted))))
         stays = plan.base_frame[stage] == plan.base_frame[following]
         begun = begun._replace(turn=jnp.where(stays, begun.turn, left))
@@ -180,7 +180,7 @@ def _advance(
         stage=following,
         clock=jnp.where(last, state.clock, jnp.minimum(jnp.maximum(over, 0.0), period)),
         feet=feet,
-        position=stance_to_frame(ended, *frames, free).position,
+        position=to_frame(ended.position[None], frames[1][None], free)[0],
         error=begun.error,
         turn=begun.turn,
         finished=last,
@@ -188,7 +188,7 @@ def _advance(
     )
     hold = last | ~ends
     kept = state._replace(finished=state.finished | (ends & last))
-    return jax.tree.map(lambda a, b: jnp.where(hold, a, b), kept, shifted)
+    return jax.tree.map(partial(jnp.where, hold), kept, shifted)
 
 
 class Onset(NamedTuple):
@@ -204,54 +204,52 @@ def onset(belief: Case, plan: Plan, following: Int[Array, ""], ended: Stance, se
 
     The feet of that stance are the commanded footholds, not the reached ones: that keeps the pressure on the ground.
     """
-    zero = jnp.zeros(3, ended.feet.dtype)
-    ways = {
-        KEEP: lambda: Onset(ended.feet, zero, zero),
-        REGRIP: lambda: Onset(_regripped(belief, ended.feet, seen), zero, zero),
-        GRIP: lambda: Onset(_gripped(belief, ended.feet, plan.press[following], seen), zero, zero),
-        REZERO: lambda: _with_error(plan, ended, seen),
-    }
     first, *others = sorted(set(plan.onset))
-    chosen = ways[first]()
+    chosen = ONSETS[first](belief, plan, following, ended, seen)
     for name in others:
         here = jnp.asarray(np.array(plan.onset) == name)[following]
-        chosen = jax.tree.map(lambda new, old, here=here: jnp.where(here, new, old), ways[name](), chosen)
+        chosen = jax.tree.map(partial(jnp.where, here), ONSETS[name](belief, plan, following, ended, seen), chosen)
     return chosen
 
 
-def _measured(belief: Case, seen: Observation) -> tuple[Array, Array, Bool[Array, " 6"]]:
-    """Feet where they are measured, the normals there, and which stand on a free body.
+def _kept(belief: Case, plan: Plan, following: Int[Array, ""], ended: Stance, seen: Observation) -> Onset:
+    """Just what was commanded."""
+    zero = jnp.zeros(3, ended.feet.dtype)
+    return Onset(ended.feet, zero, zero)
 
-    Along the surface also those that have not touched down yet: they are about to, as far off as the base is, which
-    would otherwise be handed on from step to step.
+
+def _regripped(belief: Case, plan: Plan, following: Int[Array, ""], ended: Stance, seen: Observation) -> Onset:
+    """Feet where they are measured along the surface, and as deep as they were commanded.
+
+    Also those that have not touched down yet: they are about to, as far off as the base is, which would otherwise be
+    handed on from step to step.
     """
-    feet = feet_in_world(belief.robot, seen.position, seen.quat, seen.angles)
-    surface = under(belief.obstacle, feet, poses(seen.free))
-    return feet, surface.normal, surface.body >= 0
+    measured, surface = _measured(belief, seen)
+    deep = jnp.sum((ended.feet - measured) * surface.normal, axis=-1, keepdims=True)
+    return _kept(belief, plan, following, ended._replace(feet=measured + deep * surface.normal), seen)
 
 
-def _regripped(belief: Case, commanded: Float[Array, "6 3"], seen: Observation) -> Float[Array, "6 3"]:
-    """Feet where they are measured along the surface, and as deep as they were commanded."""
-    measured, normal, _ = _measured(belief, seen)
-    return measured + jnp.sum((commanded - measured) * normal, axis=-1, keepdims=True) * normal
-
-
-def _gripped(
-    belief: Case, commanded: Float[Array, "6 3"], press: Float[Array, " 2"], seen: Observation
-) -> Float[Array, "6 3"]:
+def _gripped(belief: Case, plan: Plan, following: Int[Array, ""], ended: Stance, seen: Observation) -> Onset:
     """Feet on free bodies deeper than they are measured, and inward, to the base's middle plane.
 
     The others are regripped: feet on the ground need not be squeezed. A foot that bears nothing is as deep as it was
     commanded: pressed from where it hangs, it would stay in the air.
     """
-    measured, normal, on_body = _measured(belief, seen)
+    (measured, surface), press = _measured(belief, seen), plan.press[following]
     inward = -SIDE[:, None] * rotate(seen.quat, jnp.asarray(LEFT))
-    regripped = _regripped(belief, commanded, seen)
-    deep = jnp.where(seen.loaded[:, None], measured - press[0] * normal, regripped)
-    return jnp.where(on_body[:, None], deep + press[1] * inward, regripped)
+    regripped = _regripped(belief, plan, following, ended, seen)
+    deep = jnp.where(seen.loaded[:, None], measured - press[0] * surface.normal, regripped.feet)
+    on_body = (surface.body >= 0)[:, None]
+    return regripped._replace(feet=jnp.where(on_body, deep + press[1] * inward, regripped.feet))
 
 
-def _with_error(plan: Plan, ended: Stance, seen: Observation) -> Onset:
+def _measured(belief: Case, seen: Observation) -> tuple[Float[Array, "6 3"], Surface]:
+    """Feet where they are measured (m, world axes), and the believed surface there."""
+    feet = feet_in_world(belief.robot, seen.position, seen.quat, seen.angles)
+    return feet, under(belief.obstacle, feet, poses(seen.free))
+
+
+def _rezeroed(belief: Case, plan: Plan, following: Int[Array, ""], ended: Stance, seen: Observation) -> Onset:
     """Feet moved with the base's error, which strains nothing, and that error: without it errors add up by stages.
 
     In a plan that is steered only its parts in the plane count: taken up by the standing feet and not by those that
@@ -267,10 +265,7 @@ def _with_error(plan: Plan, ended: Stance, seen: Observation) -> Onset:
     return Onset(ended.feet if anchored else moved, error, turn)
 
 
-def _goal(plan: Plan, stage: Array, felt: Array, beside: Array | None) -> Float[Array, "6 3"]:
-    """Footholds at the end of a stage (m, in its frames): those of the stage `felt` are beside the planned ones."""
-    planned = plan.foothold[stage]
-    return planned if beside is None else planned + jnp.where(stage == felt, beside, 0.0)
+ONSETS = {KEEP: _kept, REGRIP: _regripped, GRIP: _gripped, REZERO: _rezeroed}
 
 
 def _from_told(now: Now, told: Stance, state: TrackerState, here: Stance) -> TrackerState:
@@ -299,13 +294,7 @@ def bodies(plan: Plan, state: TrackerState, seen: FreeState) -> FreeState:
 
 def _blind(plan: Plan, stage: Int[Array, ""]) -> Bool[Array, ""] | bool:
     """Whether a layer has the base tilt, so that its place says nothing of the feet's."""
-    return functools.reduce(operator.or_, (layer.blind(stage) for layer in plan.layers), False)
-
-
-def _crept(
-    plan: Plan, states: Sequence[Any], stage: Array, clock: Array, feet: Float[Array, "6 3"]
-) -> Float[Array, "6 3"]:
-    """Feet (m, world axes) with what layers have them do beyond the plan."""
-    for layer, own in zip(plan.layers, states, strict=True):
-        feet = layer.crept(plan, own, stage, clock, feet)
-    return feet
+    blind = False
+    for layer in plan.layers:
+        blind = blind | layer.blind(stage)
+    return blind

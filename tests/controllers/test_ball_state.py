@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sweep.controllers.ball_state import angular_momentum, centre_of_mass, follow_up, footholds, over_ball, turned_back
-from sweep.controllers.frames import attitude_to_frame, attitude_to_world, to_frame, to_world
+from sweep.controllers.frames import Stance, stance_to_frame, stance_to_world, to_frame, to_world
 from sweep.controllers.manoeuvres.balancing.ball import on_ball, perch
 from sweep.controllers.manoeuvres.balancing.ball_turn import BallTurn
 from sweep.controllers.observation import Observation
@@ -43,9 +43,10 @@ def test_frames_go_with_their_bodies():
     np.testing.assert_allclose(to_frame(seen, frames, free), jnp.stack([point] * 5), atol=1e-6)
     quat = exponential(jnp.array([0.2, 0.1, 0.0]))
     for frame, wanted in ((koenig(1), quat), (fixed(1), multiply(turn[1], quat))):
-        there = attitude_to_world(quat, jnp.asarray(frame), free)
-        np.testing.assert_allclose(there, wanted, atol=1e-6)
-        np.testing.assert_allclose(attitude_to_frame(there, jnp.asarray(frame), free), quat, atol=1e-6)
+        frames = jnp.full(6, WORLD), jnp.asarray(frame)
+        there = stance_to_world(Stance(jnp.zeros((6, 3)), point, quat), *frames, free)
+        np.testing.assert_allclose(there.quat, wanted, atol=1e-6)
+        np.testing.assert_allclose(stance_to_frame(there, *frames, free).quat, quat, atol=1e-6)
 
 
 def test_mass_centre_is_over_the_ball(perched):
