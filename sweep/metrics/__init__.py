@@ -29,10 +29,35 @@ from sweep.metrics import (
 from sweep.metrics.metric import Cause, Metric
 from sweep.models.case import Case
 
-METRICS: tuple[Metric, ...] = tuple(module.METRIC for module in (
-    progress, attitude, rest, slip, depth, reach, replanned, shins, clearance, planned_forces, free_bodies, raft,
-    ledges, two_balls, drives, footholds, landing, edges, support, load, calibration, poses, touch, solver,
-))  # fmt: skip
+METRICS: tuple[Metric, ...] = tuple(
+    module.METRIC
+    for module in (
+        progress,
+        attitude,
+        rest,
+        slip,
+        depth,
+        reach,
+        replanned,
+        shins,
+        clearance,
+        planned_forces,
+        free_bodies,
+        raft,
+        ledges,
+        two_balls,
+        drives,
+        footholds,
+        landing,
+        edges,
+        support,
+        load,
+        calibration,
+        poses,
+        touch,
+        solver,
+    )
+)
 CAUSES: tuple[Cause, ...] = tuple(cause for metric in METRICS for cause in metric.causes)
 
 
