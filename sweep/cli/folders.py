@@ -64,7 +64,10 @@ def names(text: str | None) -> list[str] | None:
 
 
 def save(path: Path, content: bytes) -> None:
-    """Write what `-o` asks for. Raises `InputError` where it is a file that a folder's rows are read from."""
+    """Write what `-o` asks for; `-` is the standard output, as of other commands.
+
+    Raises `InputError` where it is a file that a folder's rows are read from.
+    """
     from sweep.runs import manifest, store
 
     named, folder = path.name in (store.STUDY, store.POINTS, manifest.MANIFEST), path.parent
@@ -72,7 +75,7 @@ def save(path: Path, content: bytes) -> None:
         named, folder = True, folder.parent
     if named and (folder / store.STUDY).exists():
         raise InputError(f"-o = {path} is not allowed: a study's own file")
-    write_whole(path, content)
+    write_whole(Path("/dev/stdout") if path == Path("-") else path, content)
 
 
 def show_table(given: argparse.Namespace) -> int:

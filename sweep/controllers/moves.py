@@ -22,7 +22,7 @@ from sweep.models.frames import WORLD
 from sweep.models.legs import GROUPS, LEGS, NAMES
 from sweep.models.obstacles.charts import Chart, Number
 from sweep.models.obstacles.surface import free_start
-from sweep.models.plan_table import COMPONENTS, tabled
+from sweep.models.plan_table import COMPONENTS, LONG, tabled
 
 CYCLES = {"a": CYCLE_A, "b": CYCLE_B, "b_smooth": CYCLE_B_SMOOTH, "half_ellipse": HALF_ELLIPSE}
 # how the base's way is spent: evenly, as a cubic from rest to rest, or by lambda_1
@@ -61,7 +61,6 @@ class Move:
 
 REVERSED = ("reverse", "from", "mirror", "law")  # what a part says that is another one backwards
 WORDS = {"pace": PACES, "swing": CYCLES}
-LONG = ("time", "seconds")  # which are of a move that lasts
 SIZES = {key: len(names) for key, names in COMPONENTS.items() if key != "base"}  # of lists
 
 

@@ -8,6 +8,7 @@ whole is gone backwards in time, with `way: there_and_back` both ways.
 import dataclasses
 import functools
 import json
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
@@ -34,6 +35,7 @@ CURVE = ("out", "ahead", "up")  # out to the leg's side, in the robot's way, up
 COMPONENTS = {"base": ("ahead", "above", "pitch"), "leave": CURVE, "land": CURVE, "plane": CURVE,
               "pivot": ("ahead", "above"), "rates": ("first", "last")}  # fmt: skip
 PLACE = ("aside", "ahead")  # the same of a foot, or just the last one, in charts of a manoeuvre's own
+LONG = ("time", "seconds")  # keys of how long a move lasts, which is above 0
 Content = Mapping[str, Any]
 Names = tuple[str, ...]
 
@@ -194,8 +196,9 @@ def member(case: Any, path: str) -> "dataclasses.Field[Any]":
             )
         near = suggest(path, found).partition(" (allowed")[0]
         raise InputError(f"plan.{path} is unknown{near} (`sweep describe plan` tells what plans have)")
-    field = quantity(found[path], "")
-    field.name = path.rpartition(".")[2]
+    name = path.rpartition(".")[2]
+    field = quantity(found[path], "", above=0 if name in LONG else -math.inf)
+    field.name = name
     return field
 
 

@@ -3,7 +3,7 @@
 import re
 import sys
 import unicodedata
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from importlib.resources import files
@@ -15,6 +15,7 @@ import pandas as pd
 
 from sweep.analysis import rare
 from sweep.analysis.sample import is_sample, pooled
+from sweep.core.errors import InputError
 from sweep.core.expressions import mask
 from sweep.core.files import write_whole
 from sweep.core.letters import lettering
@@ -53,19 +54,22 @@ def write(results: Results, out: Path, serif: bool = False) -> list[Path]:
     """Write the bundle into the folder `out`: main.tex, numbers.tex, tables, figures, and the data of all of them.
 
     Letters of figures have serifs where the paper's have. A line on the standard error says what the study's name needs
-    of LaTeX where it has letters beyond Latin and Cyrillic ones.
+    of LaTeX where it has letters beyond Latin and Cyrillic ones. Raises `InputError` where `out` has files of others.
     """
-    for folder in ("figures", "data", "tables"):
+    shown, summed = list(exhibits(results)), list(summaries(results))
+    keys, names = [one.key for one in shown], [name for name, *_ in summed]
+    own = {"figures": keys, "data": [*keys, *names, "rows", "numbers"], "tables": names}
+    _refuse_others(out, own)
+    for folder in own:
         (out / folder).mkdir(parents=True, exist_ok=True)
     paths = [_rows(results, out)]
-    shown = list(exhibits(results))
     for one in shown:
         paths += [out / "data" / f"{one.key}.csv", out / "figures" / f"{one.key}.pdf"]
         write_whole(paths[-2], one.data.to_csv(index=False).encode())
         with lettering(serif):
             write_whole(paths[-1], partial(one.draw().savefig, metadata={"CreationDate": None}))
     texts, captions = {}, {}
-    for name, caption, table in summaries(results):
+    for name, caption, table in summed:
         paths.append(out / "data" / f"{name}.csv")
         write_whole(paths[-1], table.to_csv(index=False).encode())
         if len(table) <= LINES:
@@ -101,6 +105,20 @@ def write(results: Results, out: Path, serif: bool = False) -> list[Path]:
     for name, text in texts.items():
         write_whole(out / name, text.encode())
     return [*paths, out / "data" / "numbers.csv", *(out / name for name in texts)]
+
+
+def _refuse_others(out: Path, own: Mapping[str, Collection[str]]) -> None:
+    """Raise `InputError` where `out` has a main.tex that is no bundle's, or in its folders files not named as its own.
+
+    Of a folder's own files the names are without endings: a study's rows are in another form once they are many.
+    """
+    first, *_ = _source().encode().splitlines()
+    others = [path for path in [out / "main.tex"] if path.is_file() and not path.read_bytes().startswith(first)]
+    for folder, names in own.items():
+        others += sorted(path for path in (out / folder).glob("[!.]*") if path.stem not in names)
+    if others:
+        held = others[0].relative_to(out)
+        raise InputError(f"--paper = {out} holds {held}, no part of this paper: give a new folder, or an empty one")
 
 
 def _rows(results: Results, out: Path) -> Path:
@@ -257,4 +275,9 @@ def _template() -> jinja2.Template:
     """LaTeX is full of braces: << value >>, <% statement %>."""
     signs = ("<%", "%>", "<<", ">>", "<#", "#>")
     environment = jinja2.Environment(*signs, trim_blocks=True, undefined=jinja2.StrictUndefined)
-    return environment.from_string((files("sweep.report") / "paper.tex.j2").read_text(encoding="utf-8"))
+    return environment.from_string(_source())
+
+
+def _source() -> str:
+    """The template of main.tex, whose first line every bundle's begins with."""
+    return (files("sweep.report") / "paper.tex.j2").read_text(encoding="utf-8")

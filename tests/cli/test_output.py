@@ -66,12 +66,12 @@ def test_an_open_file_is_added_to_where_it_is(folder, tmp_path):
     log, link, other = tmp_path / "log", tmp_path / "link", tmp_path / "other"
     log.write_text("before\n")
     link.symlink_to("/dev/stdout")
-    for name in ("/dev/stdout", str(link), "/dev/fd/1"):
+    for name in ("/dev/stdout", str(link), "/dev/fd/1", "-"):
         words = [sys.executable, str(FAKE), "table", str(folder), "--format", "csv", "-o", name]
         with log.open("ab") as opened:
             subprocess.run(words, check=True, stdout=opened)
     assert main(["table", str(folder), "--format", "csv", "-o", str(other)]) == 0
-    assert log.read_text() == "before\n" + 3 * other.read_text()
+    assert log.read_text() == "before\n" + 4 * other.read_text()
     assert link.is_symlink()
 
 

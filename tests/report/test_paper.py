@@ -120,6 +120,16 @@ def test_names_and_words_are_fit_for_latex():
     assert paper.escape("[a_r], [m⁴]") == r"[$a_r$], [m\textsuperscript{4}]"
 
 
+@pytest.mark.parametrize("name", ["figures/of_another.pdf", "data/of_another.csv", "main.tex"])
+def test_a_paper_is_made_anew_in_its_folder_but_not_in_another_s(bundle, folder, tmp_path, name, capsys):
+    shutil.copytree(bundle, out := tmp_path / "paper")
+    assert main(["export", str(folder), "--paper", str(out)]) == 0
+    (out / name).write_text("of others")
+    assert main(["export", str(folder), "--paper", str(out)]) == 2
+    assert f"holds {name}, no part of this paper: give a new folder" in capsys.readouterr().err
+    assert (out / name).read_text() == "of others"
+
+
 @pytest.fixture(scope="module")
 def foreign(folder, tmp_path_factory):
     """The bundle of a study whose name has letters of Russian, Greek and Chinese."""
