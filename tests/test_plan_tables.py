@@ -47,7 +47,7 @@ def test_a_number_that_varies_moves_its_foothold_and_is_traced():
 
 def test_a_plan_of_a_project_changes_what_it_says_and_keeps_the_rest(lab):
     own, mine = (compose([*ROOF, *more]).case for more in ([], ["plan=mine"]))
-    was, now = (numbers(tabled(case), case.obstacle.charts) for case in (own, mine))
+    was, now = (numbers(told(case), case.obstacle.charts) for case in (own, mine))
     changed = {path for path in was if was[path] != now[path]}
     assert changed == {f"roof.pitch.base.{name}" for name in ("ahead", "above", "pitch")}
     assert now["roof.pitch.base.pitch"] == 45
@@ -141,7 +141,10 @@ def test_a_shipped_plan_says_where_its_numbers_come_from(name):
     [
         (OWN.replace("base", "bsae"), "plan.roof.pitch.bsae is unknown: did you mean base?"),
         (OWN.replace("45]", "45, 1]"), "plan.roof.pitch.base = .* is not allowed: \\[ahead, above, pitch\\]"),
-        (OWN.replace("-0.2", "near"), "plan.roof.pitch.base = near is not allowed: a number"),
+        (
+            "extends: corner_roof\nroof: {over: {base: [near, 0.1]}}",
+            "plan.roof.over.base = near is not allowed: a number",
+        ),
         (OWN.replace("base:", "time: 0, base:"), "plan.roof.pitch.time = 0 is not allowed: above 0"),
         (OWN.replace("base:", "seconds: -1, base:"), "plan.roof.pitch.seconds = -1 is not allowed: above 0"),
         (OWN.replace("base: [-0.2, 0.1, 45]", "front: {rof: [0, 0]}"), "chart rof is unknown on corner: did you mean"),
@@ -158,8 +161,8 @@ def test_a_shipped_plan_says_where_its_numbers_come_from(name):
             "plan.slopes.roof.pich.base.ahead is unknown: did you mean roof.pitch.base.ahead",
         ),
         (
-            f"{OWN}slopes: {{at: {{robot.thigh: 0.5}}, roof.pitch.base.ahead: {{robot.shin: 1}}}}",
-            "plan.slopes.roof.pitch.base.ahead.robot.shin is unknown",
+            f"{OWN}slopes: {{at: {{robot.thigh: 0.5}}, roof.pitch.base.ahead: {{robot.hip: 1}}}}",
+            "plan.slopes.roof.pitch.base.ahead.robot.hip is unknown",
         ),
     ],
 )
@@ -178,6 +181,14 @@ def test_what_has_no_file_or_no_such_number_is_refused(capsys):
         exp.system.parameter(f"world.{AHEAD}", exp.settings)
     assert main(["run", "scenario=walk_tripod", "plan=pole", "--dry-run"]) == 2
     assert "manoeuvre.kind = walk has its numbers in no file" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("values", ["0, 1", "1, -2"])
+def test_times_of_an_axis_are_above_0_as_told_ones_are(values, capsys):
+    axis = f"+study.axes.t={{path: plan.top.rear.time, values: [{values}]}}"
+    assert main(["run", "scenario=pole_top", "study.name=times", axis, "--dry-run"]) == 2
+    assert "plan.top.rear.time = " in (said := capsys.readouterr().err)
+    assert "is not allowed: greater than 0" in said
 
 
 def test_described_plans_say_where_their_numbers_come_from(capsys):

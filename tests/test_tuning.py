@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from sweep.cli.main import main
+from sweep.cli.tune import drawn_sizes
 from sweep.core.errors import InputError
 from sweep.models.plan_table import numbers, tabled
 from sweep.runs import tuning
@@ -290,3 +291,10 @@ def test_a_foot_that_lands_has_not_swung_into_the_ground(tmp_path, monkeypatch):
     case = compose(["scenario=beside"]).case
     played = Score(case, (), (), ("go.*",), [("*", 1)], False, 1).margins(np.zeros(0), stacked(case, 1))
     assert played["swing"].min() > 0.003
+
+
+def test_numbers_do_not_follow_a_size_that_is_nought():
+    exp = compose(["scenario=ball_to_ball", "study=ball_to_ball_known"])
+    assert exp.case.obstacle.offset == 0
+    assert "obstacle.gap" in (sizes := drawn_sizes(exp))
+    assert "obstacle.offset" not in sizes

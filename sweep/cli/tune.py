@@ -119,15 +119,16 @@ def main(args: list[str]) -> int:
 def drawn_sizes(exp: Experiment) -> dict[str, float]:
     """Sizes of robot and obstacle that the experiment's study draws, those where its plan's numbers hold.
 
-    Raises `InputError` where there are none.
+    Numbers follow shares of sizes, which one that is nought has none of. Raises `InputError` where there are none.
     """
     told = {side_and_path(column)[1] for column in parameter_columns(points(exp.study, exp.system, exp.settings))}
     at = plan_table.told(exp.case).get(SLOPES, {}).get(plan_table.AT, {})
     found = {path: at.get(path, float(plan_table.size(exp.case, path)))
              for path in sorted(told) if path.partition(".")[0] in plan_table.SIZED}  # fmt: skip
+    found = {path: size for path, size in found.items() if size}
     if not found:
         groups = " or ".join(plan_table.SIZED)
-        raise InputError(f"--follow is not allowed: study {exp.study.name} draws no number of {groups}")
+        raise InputError(f"--follow is not allowed: study {exp.study.name} draws no number of {groups} beside nought")
     return found
 
 

@@ -21,6 +21,7 @@ from sweep.controllers.manoeuvres.climbing.walking import TOWARDS
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
 from sweep.controllers.moves import numbers_of
 from sweep.controllers.plan import CYCLE_B_SMOOTH, SMOOTH, STAND, Plan, Stage
+from sweep.controllers.posture import leg_unit
 from sweep.controllers.symmetry import gone
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.models.case import Case
@@ -36,7 +37,8 @@ SLANTED = (OUTWARD + 0.9 * UP).tolist()
 class CornerSite(NamedTuple):
     """What the stages are made of (m)."""
 
-    length: Array | float  # a_r
+    length: Array | float  # a_r, of the body
+    unit: Array | float  # `leg_unit`, nominally a_r, in which all is measured that legs have to reach
     track: Array | float  # x_f, half the distance between the tracks on the walls
     floor_track: Array | float  # half the distance between the feet on the floor
     edge: Array | float  # eta of the corner's edge
@@ -89,7 +91,10 @@ class CornerEntry(NamedTuple):
 
 @parameters
 class OnCorner(PlannedForces):
-    """What manoeuvres on a corner have in common. Ratios are to the body's length a_r."""
+    """What manoeuvres on a corner have in common. Ratios are to a_r as `leg_unit` has it.
+
+    The book measures all in the body's length; legs shorter than its body's then do not reach where feet stand.
+    """
 
     cycles: int = count(1, at_least=0, at_most=100)  # of the gallop up the corner
     anchoring: float = quantity(0.03, "s", above=0)  # in which footholds follow the feet
@@ -97,6 +102,8 @@ class OnCorner(PlannedForces):
     track_ratio: float = quantity(1 / 3, "a_r", above=0, at_most=1)
     # eta_f, of the vertical base from the middle between the tracks
     standoff_ratio: float = quantity(0.39, "a_r", above=0, at_most=2)
+    # of the vertical base from the corner's edge, at least; it goes farther from a sharper one
+    edge_gap: float = quantity(8e-3, "m", at_least=0, at_most=1)
     # half the distance between the feet on the floor
     floor_track_ratio: float = quantity(0.44, "a_r", above=0, at_most=1)
     span_ratio: float = quantity(1.3, "a_r", above=0, at_most=3)  # from the rear to the front feet on the wall
@@ -115,18 +122,20 @@ class OnCorner(PlannedForces):
 
     def site(self, belief: Case) -> CornerSite:
         """What is believed of the robot and of the corner."""
-        a_r = belief.robot.body_length
-        track = self.track_ratio * a_r
+        unit = leg_unit(belief.robot)
+        track = self.track_ratio * unit
+        edge = track / jnp.tan(belief.on(Corner).half_angle)
         return CornerSite(
-            length=a_r,
+            length=belief.robot.body_length,
+            unit=unit,
             track=track,
-            floor_track=self.floor_track_ratio * a_r,
-            edge=track / jnp.tan(belief.on(Corner).half_angle),
-            clearance=self.height_ratio * a_r,
-            standoff=self.standoff_ratio * a_r,
-            span=self.span_ratio * a_r,
-            near=self.near_ratio * a_r,
-            step=Step.of(a_r, self.half_step_ratio, self.lift_ratio, self.rate),
+            floor_track=self.floor_track_ratio * unit,
+            edge=edge,
+            clearance=self.height_ratio * unit,
+            standoff=jnp.maximum(self.standoff_ratio * unit, edge + belief.robot.body_height / 2 + self.edge_gap),
+            span=self.span_ratio * unit,
+            near=self.near_ratio * unit,
+            step=Step.of(unit, self.half_step_ratio, self.lift_ratio, self.rate),
         )
 
     def plan(self, belief: Case) -> Plan:
@@ -189,7 +198,7 @@ def get_on(belief: Case, site: CornerSite) -> tuple[Stance, list[Stage], dict]:
 
     front = site.clearance + a_r - entry.front * x
     middle = front - 0.7 * a_r + entry.middle * x
-    rear, nearer = site.clearance - entry.rear * x, site.standoff + a_r - entry.rear_floor * x
+    rear, nearer = site.clearance - entry.rear * x, site.standoff + site.unit - entry.rear_floor * x
     higher = front + entry.higher * x
     feet = {FRONT: higher, MIDDLE: higher - site.span + site.near, REAR: higher - site.span}
     upright = np.tile(UP, (6, 1))
