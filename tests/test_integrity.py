@@ -3,6 +3,8 @@
 import os
 import random
 import shutil
+import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import pandas as pd
@@ -71,6 +73,19 @@ def test_no_flipped_bit_is_silent_and_none_ends_in_a_traceback(folder, whole):
         path.write_bytes(sound)
     pd.testing.assert_frame_equal(content(folder), whole)
     assert main(["verify", str(folder)]) == 0
+
+
+@pytest.mark.parametrize("there", [0, 100])
+def test_a_line_that_is_being_written_is_no_damage(folder, there):
+    """Who reads a folder takes no lock, and may come between the file and its line, or within the line."""
+    path = folder / manifest.MANIFEST
+    lines = path.read_bytes()
+    path.write_bytes(lines[:there])
+    with ThreadPoolExecutor() as others:
+        found = others.submit(store.finished, folder)
+        time.sleep(0.03)  # longer than the first look, shorter than any patience
+        path.write_bytes(lines)
+        assert found.result() == set(range(BATCHES))
 
 
 @pytest.mark.parametrize("name", [store.STUDY, store.POINTS, manifest.MANIFEST])

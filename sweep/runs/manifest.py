@@ -5,6 +5,7 @@ entry to the command, so that one whose command died or went on without it can d
 """
 
 import json
+import time
 from collections.abc import Buffer, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -14,6 +15,7 @@ from sweep.core.errors import InputError
 
 MANIFEST = "manifest.txt"
 CHECK = 16  # digits of a line's own digest, before it
+PAUSES = (0.01, 0.05, 0.2, 0.5)  # s that who adds a line is given to finish it
 
 
 @dataclass(frozen=True)
@@ -45,11 +47,11 @@ def line(entry: Entry) -> str:
 def parse(folder: Path) -> tuple[list[Entry], list[int]]:
     """The entries, and the numbers of the lines that are damaged."""
     try:
-        content = (folder / MANIFEST).read_bytes()
+        content = _settled(folder / MANIFEST)
     except FileNotFoundError:
         return [], []
     entries, damaged = [], []
-    for number, row in enumerate(content.split(b"\n")[:-1] if content.endswith(b"\n") else content.split(b"\n"), 1):
+    for number, row in enumerate(content.removesuffix(b"\n").split(b"\n"), 1):
         check, _, text = row.partition(b" ")
         if check == files.digest(text)[:CHECK].encode():
             values = json.loads(text)
@@ -60,6 +62,15 @@ def parse(folder: Path) -> tuple[list[Entry], list[int]]:
     if content and not content.endswith(b"\n") and not damaged:
         damaged.append(len(entries))
     return entries, damaged
+
+
+def _settled(path: Path) -> bytes:
+    """The content of `path`, whose last line may be half there while a command that runs adds it."""
+    for pause in PAUSES:
+        if (content := path.read_bytes()).endswith(b"\n"):
+            return content
+        time.sleep(pause)
+    return path.read_bytes()
 
 
 def read(folder: Path) -> list[Entry]:
