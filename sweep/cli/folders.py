@@ -64,7 +64,7 @@ def names(text: str | None) -> list[str] | None:
 
 
 def save(path: Path, content: bytes) -> None:
-    """Write what `-o` asks for; `-` is the standard output, as of other commands.
+    """Write what `-o` asks for; `-` is the standard output.
 
     Raises `InputError` where it is a file that a folder's rows are read from.
     """

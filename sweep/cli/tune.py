@@ -123,9 +123,8 @@ def drawn_sizes(exp: Experiment) -> dict[str, float]:
     """
     told = {side_and_path(column)[1] for column in parameter_columns(points(exp.study, exp.system, exp.settings))}
     at = plan_table.told(exp.case).get(SLOPES, {}).get(plan_table.AT, {})
-    found = {path: at.get(path, float(plan_table.size(exp.case, path)))
-             for path in sorted(told) if path.partition(".")[0] in plan_table.SIZED}  # fmt: skip
-    found = {path: size for path, size in found.items() if size}
+    drawn = [path for path in sorted(told) if path.partition(".")[0] in plan_table.SIZED]
+    found = {path: size for path in drawn if (size := at.get(path, float(plan_table.size(exp.case, path))))}
     if not found:
         groups = " or ".join(plan_table.SIZED)
         raise InputError(f"--follow is not allowed: study {exp.study.name} draws no number of {groups} beside nought")

@@ -14,7 +14,7 @@ def nearest(now: Moment) -> Iterator[Float[Array, ""]]:
     """Least distance of a foot that carries load to an edge of its face (m)."""
     tick = now.tick
     left = edge_distance(now.world.obstacle, tick.joints[:, -1], tick.bodies)
-    yield jnp.minimum(jnp.min(jnp.where(tick.truth.loaded, left, AROUND)), AROUND)
+    yield jnp.min(left, where=tick.truth.loaded, initial=AROUND)
 
 
 METRIC = extremes(

@@ -91,9 +91,10 @@ class CornerEntry(NamedTuple):
 
 @parameters
 class OnCorner(PlannedForces):
-    """What manoeuvres on a corner have in common. Ratios are to a_r as `leg_unit` has it.
+    """What manoeuvres on a corner have in common. Ratios are to a_r.
 
-    The book measures all in the body's length; legs shorter than its body's then do not reach where feet stand.
+    That is `leg_unit` where legs have to reach, and the body's length for the rise of a gallop and steps on a roof. The
+    book measures all by the body: legs shorter than its body's then do not reach where feet stand.
     """
 
     cycles: int = count(1, at_least=0, at_most=100)  # of the gallop up the corner

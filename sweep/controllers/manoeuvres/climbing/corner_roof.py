@@ -20,7 +20,6 @@ from sweep.controllers.manoeuvres.climbing.corner import FRONT, MIDDLE, REAR, Co
 from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.moves import Terms, moves, stages_of, standing
 from sweep.controllers.plan import CYCLE_B_SMOOTH, SMOOTH, Stage
-from sweep.controllers.posture import leg_unit
 from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.formulas.leg import SIDE
@@ -102,7 +101,7 @@ class CornerFull(CornerRoof):
 
 def on_house(site: CornerSite, belief: Case) -> Terms:
     """What the words of the moves over the edge mean, lengths in `leg_unit`s."""
-    return Terms(belief, leg_unit(belief.robot), site.step.time, site.step.height)
+    return Terms(belief, site.unit, site.step.time, site.step.height)
 
 
 def walk_on(site: CornerSite, belief: Case, steps: int, way: Array | float) -> list[Stage]:
