@@ -324,6 +324,8 @@ STILL = "def policy(belief, seen, state, key): return jnp.zeros(12), state\n"
             STILL.replace("(12)", "(12) / jnp.zeros(12)"),
             "gives controls that are not finite at",
         ),
+        (STILL.replace("jnp.zeros", "exit() or jnp.zeros"), "model.controller = NAME:policy fails: SystemExit"),
+        (f"{STILL}raise SystemExit('later')", "NAME:policy cannot be imported: SystemExit: later"),
         (f"{STILL}def begin(belief, key): return jnp.zeros(3), (), None", "begins at (3,): (19,) are wanted"),
         (
             f"{STILL}def begin(belief, key): return jnp.full(19, jnp.nan), (), None",
@@ -346,7 +348,7 @@ def test_a_controller_that_cannot_be_is_one_line_and_nothing_is_written(here, ca
     Path(f"{name}.py").write_text(f"import jax.numpy as jnp\n{code}\n")
     observe = ["model.observe=[]"] if "def observe" in code else []
     assert main(["run", *SHORT, *observe, f"model.controller={name}:policy", "out=wrong"]) == 2
-    one_line(capsys.readouterr().err, line)
+    one_line(capsys.readouterr().err, line.replace("NAME", name))
     assert not Path("wrong").exists()
 
 

@@ -7,6 +7,9 @@ class InputError(ValueError):
     """Bad input from the user: the message is one line naming the key, the value and what is allowed."""
 
 
+WRONG = (Exception, SystemExit)  # what code of a user's own raises where it is wrong, `sys.exit()` among it
+
+
 class Fault(RuntimeError):
     """The machine failed a sound run: disk, memory, workers."""
 
@@ -14,9 +17,9 @@ class Fault(RuntimeError):
         return f"{super().__str__()}; what is on disk stays, the same command finishes the rest"
 
 
-def raised(error: Exception) -> str:
+def raised(error: BaseException) -> str:
     """Kind and first line of what code of a user's own raised."""
-    return f"{type(error).__name__}: {(str(error).splitlines() or [''])[0]}"
+    return ": ".join([type(error).__name__, *str(error).splitlines()[:1]])
 
 
 def suggest(word: str, allowed: Iterable[str], short: Iterable[str] = ()) -> str:

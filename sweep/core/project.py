@@ -14,7 +14,7 @@ from typing import Any
 
 import yaml
 
-from sweep.core.errors import InputError, raised
+from sweep.core.errors import WRONG, InputError, raised
 from sweep.core.groups import GROUPS
 
 SHIPPED, FILE, ENTRY_POINTS = "sweep.conf", "sweep.yaml", "sweep.modules"
@@ -104,7 +104,7 @@ def _imported(folder: Path | None, names: tuple[str, ...]) -> tuple[ModuleType, 
     for name in names:
         try:
             found.append(importlib.import_module(name))
-        except Exception as error:
+        except WRONG as error:
             raise InputError(f"module {name} cannot be imported: {raised(error)}") from None
     return tuple(found)
 

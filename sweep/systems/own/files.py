@@ -19,7 +19,7 @@ import mujoco
 import numpy as np
 
 from sweep.core import project
-from sweep.core.errors import InputError, raised, suggest
+from sweep.core.errors import WRONG, InputError, raised, suggest
 
 ONNX, BINARY, PACKAGE = ".onnx", ".mjb", "package://"
 TYPES = {"tensor(float)": np.float32, "tensor(double)": np.float64}  # of a network's numbers
@@ -211,7 +211,7 @@ def _module(told: str, name: str) -> ModuleType:
     try:
         module = importlib.import_module(name)
         _READ[name] = here, _digest(project.sources(module))
-    except Exception as error:  # whatever a user's module raises
+    except WRONG as error:
         raise InputError(f"model.controller = {told} cannot be imported: {raised(error)}") from None
     return module
 

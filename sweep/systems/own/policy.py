@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from sweep.core.errors import InputError, raised
+from sweep.core.errors import WRONG, InputError, raised
 from sweep.fused.numbers import worked_out
 from sweep.systems.own.batch import AtStart
 from sweep.systems.own.subject import Subject
@@ -89,7 +89,7 @@ class ControllerPrograms:
         """Raise `InputError` where the first rollout's first controls are not finite."""
 
         def found(function: Callable[..., Any], *more: Any) -> Any:  # without compiling it
-            return worked_out(lambda: function(*jax.tree.map(jnp.asarray, (first, *more))))
+            return self._tried(worked_out, lambda: function(*jax.tree.map(jnp.asarray, (first, *more))))
 
         first = jax.tree.map(lambda rows: rows[0], begun.given)
         start, state, _ = found(self.begin_one)
@@ -111,7 +111,7 @@ class ControllerPrograms:
             return function(*given)
         except InputError:
             raise
-        except Exception as error:
+        except WRONG as error:
             raise self._wrong(f"fails: {raised(error)}") from None
 
     def controlled(self, told: np.ndarray) -> np.ndarray:
