@@ -334,6 +334,13 @@ STILL = "def policy(belief, seen, state, key): return jnp.zeros(12), state\n"
         (f"{STILL}def begin(belief, key): return None, (), jnp.ones(2)", "lasts (2,): one number is wanted"),
         (f"{STILL}def observe(told): return told['turn'][None]", "observes (1, 4): (k,) is wanted"),
         (f"{STILL}def observe(told): return told['trn']", "fails: KeyError: 'trn'"),
+        (STILL.replace("(12)", "(12) > 0"), "gives controls bool (12,): numbers are wanted"),
+        (STILL.replace("(12)", "(12) * 1j"), "gives controls complex64 (12,): numbers are wanted"),
+        (f"{STILL}def begin(belief, key): return None, (), jnp.array(1j)", "lasts complex64 (): numbers are wanted"),
+        (
+            f"{STILL}FIGURES = {{'a': 'b'}}\ndef figures(*given): return {{'a': jnp.array(1j)}}",
+            "has figures a complex64 (): numbers are wanted, named in FIGURES",
+        ),
         (f"{STILL}FIGURES = {{'a': 'b'}}", "figures, a function, and FIGURES, their names, go together"),
         (f"{STILL}BELIEVES = {{'load': 'model.body.trnk.mass'}}", "no body is called trnk: did you mean trunk?"),
         (f"{STILL}PARAMETERS = {{'speed': 'fast'}}", "controller.speed = 'fast' is not allowed"),

@@ -153,8 +153,13 @@ class ControllerPrograms:
         ):  # fmt: skip
             if wrong:
                 raise self._wrong(what)
-        if {*found} != {*own.controller.measured} or any(one.shape for one in found.values()):
-            has = ", ".join(f"{name} {one.shape}" for name, one in found.items())
+        told = {"observes": seen, "gives controls": None if own.controller.batched else ctrl, "begins at": start,
+                "lasts": duration}  # fmt: skip
+        for what, one in told.items():
+            if one is not None and not jnp.isdtype(one.dtype, ("real floating", "integral")):
+                raise self._wrong(f"{what} {one.dtype} {one.shape}: numbers are wanted")
+        if {*found} != {*own.controller.measured} or any(one.shape or one.dtype.kind == "c" for one in found.values()):
+            has = ", ".join(f"{name} {one.dtype} {one.shape}" for name, one in found.items())
             raise self._wrong(f"has figures {has}: numbers are wanted, named in FIGURES")
         if own.controller.batched:
             self.controlled(np.zeros((TILE, seen.shape[0]), jnp.zeros(0).dtype))
