@@ -262,6 +262,7 @@ BROKEN = {
         ("model.observe=[turn,spim]", "model.observe: spim is unknown: did you mean spin?"),
         ("model.observe=[turn]", "model.controller = trot:policy fails: "),
         ("model.feet=[turn]", "model.feet: turn is no touch sensor"),
+        ("model.feet=[lf_touch,lf_touch]", "model.feet = ['lf_touch', 'lf_touch'] is not allowed: each name once"),
         ("model.durations=3", "model.durations is unknown: did you mean duration?"),
         ("model.option.cone=round", "model.option.cone = 'round' is not allowed: one of pyramidal, elliptic"),
         ("model.option.timestp=0.001", "timestp is unknown: did you mean timestep?"),

@@ -214,6 +214,8 @@ def _about(given: Mapping[str, Any]) -> About:
         names = said.get(key, ())
         if not isinstance(names, list | tuple) or not all(isinstance(one, str) for one in names):
             raise InputError(f"model.{key} = {names!r} is not allowed: a list of names")
+        if key != "observe" and len({*names}) < len(names):
+            raise InputError(f"model.{key} = {names!r} is not allowed: each name once")
         said[key] = tuple(names)
     direction, option = said.get("direction", About.direction), said.get("option", {})
     along = direction if isinstance(direction, list | tuple) else ()
