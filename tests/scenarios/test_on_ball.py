@@ -162,6 +162,15 @@ def test_it_drives_a_ball_aside(engine):
 
 
 @pytest.mark.parametrize("engine", ["native", "mjx"])
+def test_feet_stand_aside_of_the_hips_of_a_wide_body(engine):
+    """On a ball's own circle alone a front leg turns over as the ball has rolled."""
+    at = ["robot.body_width=0.516", "obstacle.radius=0.811"]
+    rows = outcomes(["scenario=ball_aside", f"engine={engine}", *at])
+    assert list(rows["outcome"]) == ["success"]
+    assert outcomes(["scenario=ball_aside", *at, "manoeuvre.room_ratio=0"])["outcome"][0] == "failure"
+
+
+@pytest.mark.parametrize("engine", ["native", "mjx"])
 def test_it_climbs_a_ball(engine):
     """Which it pushes ahead first and brings to rest under it, not by a single grip and rate of coming to the top."""
     near = {"press": np.array([1.6e-3, 1.6e-3, 2e-3]), "squeeze": np.array([3.8e-3, 3.8e-3, 3e-3])}

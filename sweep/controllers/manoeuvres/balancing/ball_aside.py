@@ -1,5 +1,6 @@
 """Driving a free ball sideways, the robot standing on it (monograph 3.3.3)."""
 
+from dataclasses import replace
 from typing import ClassVar
 
 import jax.numpy as jnp
@@ -31,11 +32,15 @@ class BallAside(OnBall):
     angular momentum of robot and ball about the ball's lowest point: so that one stage gives the speed that lacks. The
     print moves the base so; what its feet take the mass centre aside while the ball rolls off below adds to the push,
     and is taken back by (3.1.10) at every tick.
+
+    The ball turns the feet on its right in under their hips as it rolls, and a leg whose foot is farther in than its
+    hip turns over. On a ball that is smaller for its robot the circle of footholds is larger for it.
     """
 
     goal: ClassVar = {**UPRIGHT, "obstacle_speed_error_max_mps": 0.01}
     kind: str = choice("ball_aside", "ball_aside")
     speed: float = quantity(0.03, "m/s")  # v_d, to the left
+    room_ratio: float = quantity(0.105, "a_r", at_least=0, at_most=1)  # of feet aside of their hips, at least
     period: float = quantity(2.0, "s", above=0, at_most=20)  # T, time of a stage
     coast: float = quantity(0.5, "s", above=0)  # between driving and stopping
     gain: float = quantity(1.0, "-", above=0)  # of k_l, over that by the angular momentum
@@ -43,10 +48,17 @@ class BallAside(OnBall):
 
     def plan(self, belief: Case) -> Plan:
         """Drive, coast, stop; all feet stay."""
-        perched = perch(belief, self)
+        perched = perch(belief, replace(self, circle_ratio=self._circle(belief)))
         times = {"drive": self.period, "coast": self.coast}
         times |= {f"stop{k + 1}": self.period for k in range(self.stops)}
         return assemble(on_ball(belief, perched), staying(perched, times), 0.0)
+
+    def _circle(self, belief: Case) -> Array:
+        """d_1 (R) at which front and rear feet have their room."""
+        robot = belief.robot
+        aside = robot.body_width / 2 + self.room_ratio * robot.body_length
+        wanted = aside / (belief.on(Ball).radius * jnp.sqrt(1 - self.chord_ratio**2))
+        return jnp.clip(wanted, self.circle_ratio, 1.0)
 
     def memory(self, belief: Case, plan: Plan) -> Float[Array, ""]:
         """The push of the stage, k_l (v_d - v_b) to the left (m), before the first one."""
