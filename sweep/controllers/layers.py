@@ -1,7 +1,7 @@
 """What a plan adds to the core of its tracker: layers, each with a table of its own, and a state where it needs one."""
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -49,6 +49,8 @@ class Command(NamedTuple):
 
 class Layer:
     """A layer does nothing in moments of which it does not say otherwise."""
+
+    anchors: ClassVar = False  # whether footholds follow the feet, which need not be moved with the base's error then
 
     def begun(self, start: Stance, joints: Float[Array, "6 3"], free: FreeState) -> Any:
         """Its state before the first tick, with feet in their frames and free bodies as in `free`."""
@@ -154,6 +156,7 @@ class Feedforward(Layer):
     each has gone on alone.
     """
 
+    anchors: ClassVar = True
     offset: Float[Array, "s k 6 3"]  # rad, that the drives turn into the joint torques wanted
     imbalance: Float[Array, " s"]  # what the forces leave of the weight; more than a little where none hold it
     inward: Float[Array, "s 6 3"]  # unit vectors into the surface at the footholds

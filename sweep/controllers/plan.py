@@ -187,7 +187,8 @@ def along_arc(start: Array, end: Array, pivot: Array, arc: Array, share: Array) 
 
     Equal shares are equal angles where the ellipse is a circle. With arc 0 the way is straight.
     """
-    near, far = (part * jnp.sinc(part * arc / jnp.pi) / jnp.sinc(arc / jnp.pi) for part in (1 - share, share))
+    whole, rest = jnp.sinc(arc / jnp.pi), 1 - share
+    near, far = rest * jnp.sinc(rest * arc / jnp.pi) / whole, share * jnp.sinc(share * arc / jnp.pi) / whole
     return near * start + far * end + (1 - near - far) * pivot
 
 
@@ -224,17 +225,6 @@ def ends(plan: Plan, free: FreeState) -> Stance:
     return jax.vmap(stance_to_world, (0, 0, 0, None))(last, plan.foot_frame, plan.base_frame, free)
 
 
-def swings(plan: Plan, stage: Int[Array, ""], u: Float[Array, ""], feet: Array, goal: Array) -> Float[Array, "6 3"]:
-    """Feet at phase u (0 to 1) of stage number `stage`: those that swing on their way from `feet` to `goal`."""
-    curve = plan.curve
-    share, height = swing_progress(curve.cycle[stage], curve.carry[stage], u)
-    lift = stepping.lift_direction(goal - feet, curve.plane[stage])
-    along = feet + share * (goal - feet) + curve.height[stage] * height * lift
-    guided = along_guides(feet, curve.guides[stage], goal, share)
-    along = jnp.where(curve.guided[stage][:, None], guided, along)
-    return jnp.where(plan.swing[stage][:, None], along, feet)
-
-
 def reference(
     plan: Plan, stage: Int[Array, ""], u: Float[Array, ""], feet: Array, position: Array, goal: Array | None = None
 ) -> Stance:
@@ -242,8 +232,13 @@ def reference(
 
     Those that swing go to `goal` (6, 3) if it is given, to their footholds else.
     """
-    way = plan.way
+    way, curve, goal = plan.way, plan.curve, plan.foothold[stage] if goal is None else goal
     done = pace_progress(way.pace[stage], way.rates[stage], u)
     quat = multiply(exponential(done * plan.turn[stage]), plan.quat[stage])
     centre = along_arc(position, plan.position[stage], way.pivot[stage], way.arc[stage], done)
-    return Stance(swings(plan, stage, u, feet, plan.foothold[stage] if goal is None else goal), centre, quat)
+    share, height = swing_progress(curve.cycle[stage], curve.carry[stage], u)
+    lift = stepping.lift_direction(goal - feet, curve.plane[stage])
+    lifted = feet + share * (goal - feet) + curve.height[stage] * height * lift
+    guided = along_guides(feet, curve.guides[stage], goal, share)
+    along = jnp.where(curve.guided[stage][:, None], guided, lifted)
+    return Stance(jnp.where(plan.swing[stage][:, None], along, feet), centre, quat)

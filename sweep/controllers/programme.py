@@ -38,10 +38,8 @@ class Programme(Layer):
         self, plan: Plan, own: FreeState, stage: Int[Array, ""], clock: Float[Array, ""], free: FreeState
     ) -> FreeState:
         """Bodies as the stage means them to be."""
-        here, duration = jax.tree.map(lambda x: x[stage], self.support), plan.duration[stage]
-        if not self.afloat:
-            return meant(here, own, free, clock, duration)
-        return floating(meant(placed(here, own), own, free, clock, duration), free)
+        here = jax.tree.map(lambda x: x[stage], self.support)
+        return (floating if self.afloat else meant)(here, own, free, clock, plan.duration[stage])
 
     def entered(
         self, stage: Int[Array, ""], own: FreeState, was: FreeState, free: FreeState
@@ -92,22 +90,21 @@ def meant(support: Support, start: FreeState, seen: FreeState, clock: Array, dur
     return FreeState(*[chosen(*parts) for parts in zip(seen, to_velocity, to_pose, together, kept, strict=True)])
 
 
-def placed(support: Support, start: FreeState) -> Support:
-    """`support` with bodies that go alongside as ones that go to a pose, which is found at the `start` of the stage."""
+def floating(support: Support, start: FreeState, seen: FreeState, clock: Array, duration: Array) -> FreeState:
+    """Free bodies as they are `meant` to be in the plane; water carries them: height and tilt are as they are seen.
+
+    Those that go alongside go to a pose that is found at the `start` of the stage.
+    """
     alongside = jnp.asarray(support.mode) == ALONGSIDE
     kept = alongside[..., None] & (np.arange(3) > 0)
-    return support._replace(
-        mode=jnp.where(alongside, TO_POSE, support.mode), position=jnp.where(kept, start.position, support.position)
-    )
-
-
-def floating(meant: FreeState, seen: FreeState) -> FreeState:
-    """Free bodies as they are `meant` to be in the plane; water carries them: height and tilt are as they are seen."""
-    ahead = jax.vmap(heading)(multiply(meant.quat, conjugate(seen.quat)))
-    upright = np.array([0.0, 0.0, 1.0], np.float32)
+    position = jnp.where(kept, start.position, support.position)
+    support = support._replace(mode=jnp.where(alongside, TO_POSE, support.mode), position=position)
+    plane = meant(support, start, seen, clock, duration)
+    ahead = jax.vmap(heading)(multiply(plane.quat, conjugate(seen.quat)))
+    upright = np.array([False, False, True])
     return FreeState(
-        jnp.where(upright > 0, seen.position, meant.position),
+        jnp.where(upright, seen.position, plane.position),
         multiply(jax.vmap(about_vertical)(ahead), seen.quat),
-        jnp.where(upright > 0, seen.velocity, meant.velocity),
-        jnp.where(upright > 0, meant.turn, seen.turn),
+        jnp.where(upright, seen.velocity, plane.velocity),
+        jnp.where(upright, plane.turn, seen.turn),
     )

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from sweep.controllers.frames import Stance, stance_to_frame, stance_to_world, to_frame
-from sweep.controllers.layers import Command, Feedforward, Now
+from sweep.controllers.layers import Command, Now
 from sweep.controllers.observation import Observation, Observer, followed
 from sweep.controllers.plan import GRIP, KEEP, REGRIP, REZERO, Plan, reference
 from sweep.controllers.posture import feet_in_world, joint_targets
@@ -105,7 +105,7 @@ def step(
     state = _advance(belief, plan, state._replace(clock=state.clock + period), seen, period, beside)
     phase = jnp.clip(state.clock / plan.duration[state.stage], 0.0, 1.0)
     begins = (state.stage != old.stage) | ((old.stage == 0) & (old.clock == 0))
-    free = bodies(plan, state, seen.free)
+    free, blind = borne(plan, state, seen.free)
     now = Now(belief.robot, plan, old.stage, state.stage, state.clock, phase, begins, seen, free, period, state.joints)
     frames = plan.foot_frame[state.stage], plan.base_frame[state.stage]
     for layer in plan.layers:
@@ -122,7 +122,7 @@ def step(
     if old.told is not None:
         state = _from_told(now, old.told, state, here)
     # the body error that the stage began with fades out, unless the base's place says nothing of the feet's
-    left = jnp.where(_blind(plan, state.stage), 1.0, 1 - phase)
+    left = jnp.where(blind, 1.0, 1 - phase)
     quat = multiply(exponential(left * state.turn), here.quat)
     target, states = Stance(here.feet, here.position + left * state.error, quat), list(state.layers)
     for k, layer in enumerate(plan.layers):
@@ -160,12 +160,12 @@ def _advance(
         reached = Stance(jnp.where(early, state.told.feet, reached.feet), *state.told[1:])
     last = stage == plan.duration.shape[0] - 1
     following = jnp.where(last, stage, stage + 1)
-    meant = bodies(plan, state, seen.free)
+    meant, blind = borne(plan, state, seen.free)
     ended = stance_to_world(reached, plan.foot_frame[stage], plan.base_frame[stage], meant)
     for layer, own in zip(plan.layers, state.layers, strict=True):
         ended = ended._replace(feet=layer.crept(plan, own, stage, state.clock, ended.feet))
     begun = onset(belief, plan, following, ended, seen)
-    if (blind := _blind(plan, stage)) is not False:  # it sees nothing of where feet are: the error before holds on
+    if blind is not False:  # it sees nothing of where feet are: the error before holds on
         begun = jax.tree.map(partial(jnp.where, blind), Onset(ended.feet, state.error, state.turn), begun)
     frames, free, states = (plan.foot_frame[following], plan.base_frame[following]), seen.free, list(state.layers)
     feet = to_frame(begun.feet, frames[0], free)
@@ -261,7 +261,7 @@ def _rezeroed(belief: Case, plan: Plan, following: Int[Array, ""], ended: Stance
     if plan.steered:
         error, turn = error.at[2].set(0.0), jnp.zeros(3).at[2].set(heading(off))
     moved = ended.position + error + rotate(exponential(turn)[None], ended.feet - ended.position)
-    anchored = plan.layer(Feedforward) is not None  # such feet need not be moved
+    anchored = any(layer.anchors for layer in plan.layers)
     return Onset(ended.feet if anchored else moved, error, turn)
 
 
@@ -282,19 +282,9 @@ def _from_told(now: Now, told: Stance, state: TrackerState, here: Stance) -> Tra
     )
 
 
-# what all layers say
-
-
-def bodies(plan: Plan, state: TrackerState, seen: FreeState) -> FreeState:
-    """Free bodies as the stage has them: as they are seen, or meant to be."""
-    for layer, own in zip(plan.layers, state.layers, strict=True):
-        seen = layer.borne(plan, own, state.stage, state.clock, seen)
-    return seen
-
-
-def _blind(plan: Plan, stage: Int[Array, ""]) -> Bool[Array, ""] | bool:
-    """Whether a layer has the base tilt, so that its place says nothing of the feet's."""
+def borne(plan: Plan, state: TrackerState, seen: FreeState) -> tuple[FreeState, Bool[Array, ""] | bool]:
+    """Free bodies as layers have them in the stage, seen or meant to be; whether the base's place tells no feet's."""
     blind = False
-    for layer in plan.layers:
-        blind = blind | layer.blind(stage)
-    return blind
+    for layer, own in zip(plan.layers, state.layers, strict=True):
+        seen, blind = layer.borne(plan, own, state.stage, state.clock, seen), blind | layer.blind(state.stage)
+    return seen, blind

@@ -84,7 +84,7 @@ def play(case: Case, plan: Plan, period: float, ticks: int) -> Played:
         h = jnp.where((remains > 2 * SHORT) & (remains <= period + SHORT), remains - SHORT, period)
         state, command = tracker.step(case, plan, state, seen, cast(float, h))
         position, quat = command.target.position, command.target.quat
-        stage, free = state.stage, tracker.bodies(plan, state, seen.free)
+        stage, free = state.stage, tracker.borne(plan, state, seen.free)[0]
         swings = plan.swing[stage]
         stood = jax.tree.map(lambda a, b: jnp.where(swings.reshape(-1, *[1] * (a.ndim - 1)), a, b),
                              _standing(case, command.target.feet, free), stood)  # fmt: skip

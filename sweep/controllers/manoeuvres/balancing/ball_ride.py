@@ -10,7 +10,7 @@ from sweep.controllers.ball_state import centre_of_mass, measured_stance
 from sweep.controllers.frames import Stance
 from sweep.controllers.layers import Now
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import Plan, swings
+from sweep.controllers.plan import Plan, reference
 from sweep.controllers.tracker import Guidance, TrackerState
 from sweep.core.constants import GRAVITY
 from sweep.core.rotations import exponential, logarithm, rotate
@@ -75,7 +75,7 @@ class Ride(NamedTuple):
         swing, phase = plan.swing[state.stage][:, None], state.clock / plan.duration[state.stage]
         goal = jnp.where(swing, rotate(round_[None], plan.foothold[state.stage]), state.feet)
         goal = jnp.where(phase < 1, goal, state.goal)  # late feet stay, or they would meet those ahead of them
-        feet = swings(plan, state.stage, jnp.clip(phase, 0.0, 1.0), state.feet, goal)
+        feet = reference(plan, state.stage, jnp.clip(phase, 0.0, 1.0), state.feet, state.position, goal).feet
         position = tangent(ball, 1.0, 1.0, 0.0, *pose).at[1].set(aside)
         return Guidance(Stance(feet, position, about_aside(down)), goal, memory)
 
