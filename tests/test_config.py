@@ -77,6 +77,8 @@ BAD = [
     ("robot.coxa=long", ["robot.coxa = 'long'", "a number"]),
     ("robot.thigh=520", ["robot.thigh = 520 is not allowed: is it 0.52 m?", "at most 20 times the nominal 0.52 m"]),
     ("robot.shin=33.5", ["robot.shin = 33.5 is not allowed: is it 0.335 m?"]),
+    ("contact.friction=.nan", ["contact.friction = .nan is not allowed: a finite number"]),
+    ("+study.axes.f={path: contact.friction, values: [1, -.Inf]}", ["study.axes.f = -.Inf", "a finite number"]),
     ("contact.friction=-1", ["contact.friction = -1", "at least 0"]),
     ("noise.delay=0.02", ["noise.delay = 0.02", "a whole number of control ticks"]),
     ("scenario=wlak_tripod", ["scenario = wlak_tripod", "did you mean walk_tripod?"]),

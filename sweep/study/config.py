@@ -42,6 +42,7 @@ from sweep.study.designs import keyed, with_side
 from sweep.study.study import ScenarioSchema, Study, StudySchema, check_keep
 from sweep.systems.base import Limits, System
 
+NOT_FINITE = re.compile(r"(?<=[=\[:, ])[-+]?\.(nan|inf)(?=[\]}, ]|$)", re.IGNORECASE)  # of YAML, to Hydra a word
 WORDS = {bool: "true or false", int: "a whole number", float: "a number", str: "a word",
          list: "a list", tuple: "a list", dict: "keys and values"}  # what values of a type are  # fmt: skip
 CONFIG_MODULE, HYDRA_VERSION = "sweep.conf", "1.3"
@@ -149,6 +150,9 @@ def check_choices(overrides: list[str]) -> None:
     """Raises `InputError` where a key or a group's choice is no name, which Hydra has no words for."""
     if nameless := [text for text in overrides if text.lstrip("+~").startswith(("=", "@"))]:
         raise InputError(f"{nameless[0]} cannot be read: group=choice or group.name=value")
+    for text in overrides:
+        if found := NOT_FINITE.search(text):
+            raise InputError(f"{text.lstrip('+~').partition('=')[0]} = {found[0]} is not allowed: a finite number")
     chosen = [text for text in overrides if text.partition("=")[0].lstrip("+") in GROUPS]
     for one in OverridesParser.create().parse_overrides(chosen):
         if one.is_sweep_override() or isinstance(one.value(), dict):
