@@ -20,6 +20,9 @@ AHEAD = "plan.roof.front.on.front.ahead"
 OWN = "extends: corner_roof\nroof: {pitch: {base: [-0.2, 0.1, 45]}}\n"
 
 
+SLOPED = OWN.partition("\n")[0] + "\nslopes: {at: {robot.thigh: 0.52}, roof.pitch.base.ahead: {robot.thigh: 1}}\n"
+
+
 @pytest.fixture
 def lab(tmp_path, monkeypatch):
     """A project with a plan of its own."""
@@ -158,11 +161,36 @@ def test_a_shipped_plan_says_where_its_numbers_come_from(name):
         (f"{OWN}slopes: {{at: {{robot.tigh: 0.5}}}}", "plan.slopes.at.robot.tigh is unknown: did you mean robot.thigh"),
         (
             f"{OWN}slopes: {{at: {{robot.thigh: 0.5}}, roof.pich.base.ahead: {{robot.thigh: 1}}}}",
-            "plan.slopes.roof.pich.base.ahead is unknown: did you mean roof.pitch.base.ahead",
+            "plan.slopes.roof.pich.base.ahead is unknown: did you mean plan.slopes.roof.pitch.base.ahead",
         ),
         (
             f"{OWN}slopes: {{at: {{robot.thigh: 0.5}}, roof.pitch.base.ahead: {{robot.hip: 1}}}}",
             "plan.slopes.roof.pitch.base.ahead.robot.hip is unknown",
+        ),
+        (
+            f"{SLOPED}roof: {{pitch: {{base: [far, 0.1]}}}}",
+            "plan.roof.pitch.base = \\['far', 0.1\\] is not allowed: plan.slopes want its number ahead, not above",
+        ),
+        (f"{SLOPED}roof: {{pitch: {{base: far}}}}", "plan.roof.pitch.base = far is not allowed: plan.slopes want"),
+        (
+            f"{SLOPED}roof: {{pitch: {{base: [1, 2, 3, 4]}}}}",
+            "plan.roof.pitch.base = \\[1.0, 2, 3, 4\\] is not allowed",
+        ),
+        (f"{OWN}slopes: {{at: {{obstacle.kind: 1}}}}", "plan.slopes.at.obstacle.kind is unknown"),
+        (OWN.replace("base: [-0.2, 0.1, 45]", "lift: [1]"), "plan.roof.pitch.lift = \\[1\\] is not allowed: a number"),
+        (
+            OWN.replace("base: [-0.2, 0.1, 45]", "front: {roof: 1}"),
+            "{'roof': 1} is not allowed: coordinates in one chart",
+        ),
+        ("extends: corner\nentry: {pitch: [1]}", "plan.entry.pitch = \\[1\\] is not allowed: 2 numbers"),
+        ("extends: corner_roof\nroof: {base: 3}", "plan.roof.base = 3 is not allowed: a chart's name"),
+        (
+            "extends: corner\nroof: {reverse: a}\na: {reverse: roof}",
+            "plan.roof.from = None is not allowed: another part",
+        ),
+        (
+            "extends: corner\nroof: {reverse: entry, from: a}\na: {reverse: entry, from: roof}",
+            "plan.a.from = roof is not allowed: another part",
         ),
     ],
 )
@@ -173,9 +201,32 @@ def test_mistakes_in_a_file_are_told_in_one_line(lab, text, told):
         case.manoeuvre.plan(case)
 
 
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("roof: far", "plan.roof = far is not allowed: keys and values"),
+        ("roof: {pitch: {base: [.inf, 1]}}", "plan.roof.pitch.base = inf is not allowed: a finite number"),
+        ("roof: {pitch: {base: [[1], 1]}}", r"plan.roof.pitch.base = \[1\] is not allowed: numbers or words"),
+        ("roof: {pitch: {time: !!binary aGk=}}", "plan.roof.pitch.time = b'hi' is not allowed: a number"),
+        ("roof: &a {pitch: *a}", r"mine.yaml cannot be read: an anchor in it \(&\) holds itself"),
+        ("slopes: far", "plan.slopes = far is not allowed: keys and values"),
+        ("slopes: {at: 3}", "plan.slopes.at = 3 is not allowed: sizes and numbers"),
+        ("slopes: {at: {robot.thigh: 0}}", "plan.slopes.at.robot.thigh = 0 is not allowed: a number other than 0"),
+        (
+            "slopes: {roof.time: {robot.thigh: far}}",
+            "plan.slopes.roof.time.robot.thigh = 'far' is not allowed: a number",
+        ),
+    ],
+)
+def test_a_file_that_is_no_plan_is_refused_as_it_is_read(lab, text, told):
+    lab.write_text(f"extends: corner_roof\n{text}\n")
+    with pytest.raises(InputError, match=told):
+        compose([*ROOF, "plan=mine"])
+
+
 def test_what_has_no_file_or_no_such_number_is_refused(capsys):
     exp = compose(ROOF)
-    with pytest.raises(InputError, match=r"did you mean roof\.pitch\.base\.ahead"):
+    with pytest.raises(InputError, match=r"did you mean plan\.roof\.pitch\.base\.ahead"):
         exp.system.parameter("plan.roof.pitch.base.ahed", exp.settings)
     with pytest.raises(InputError, match="made of what is believed"):
         exp.system.parameter(f"world.{AHEAD}", exp.settings)

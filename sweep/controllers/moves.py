@@ -7,10 +7,12 @@ pair are placed alike.
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args, get_origin
 
+import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from sweep.controllers.frames import to_frame, to_world
@@ -29,6 +31,7 @@ CYCLES = {"a": CYCLE_A, "b": CYCLE_B, "b_smooth": CYCLE_B_SMOOTH, "half_ellipse"
 PACES = {"even": (STEADY, (1.0, 1.0)), "eased": (STEADY, (0.0, 0.0)), "smooth": (SMOOTH, (1.0, 1.0))}
 OPPOSITE = {group: group.replace("front", "rear") if "front" in group else group.replace("rear", "front")
             for group in GROUPS}  # fmt: skip
+WRONG = str | bool | list | Mapping | None  # is no number
 type Feet = dict[int, Float[Array, " 3"]]  # m, by leg
 type Numbers = list[Any]
 type Place = Mapping[str, Numbers]  # coordinates in one chart
@@ -61,6 +64,7 @@ class Move:
 
 REVERSED = ("reverse", "from", "mirror", "law")  # what a part says that is another one backwards
 WORDS = {"pace": PACES, "swing": CYCLES}
+NUMBERS = {f.name: f.default for f in fields(Move) if f.name in ("time", "seconds", "arc", "depth", "lift", "press")}
 SIZES = {key: len(names) for key, names in COMPONENTS.items() if key != "base"}  # of lists
 
 
@@ -104,7 +108,7 @@ class Terms:
         """Of a leg at a place, at the usual depth or another one (m). Raises `InputError` of what stands `where`."""
         name, chart, numbers = self.chart(place, where)
         if not len(chart.names) - chart.optional <= len(numbers) <= len(chart.names):
-            raise InputError(f"{where} = {numbers} is not allowed: [{', '.join(chart.names)}]")
+            raise InputError(f"{where} = {_plain(numbers)} is not allowed: [{', '.join(chart.names)}]")
         deep = self.depths.get(name, 0.0) if depth is None else depth
         stands = chart.frame if chart.stands is None else chart.stands
         at = chart.at(self.belief.obstacle, float(SIDE[leg - 1]), self.unit, deep, *numbers)
@@ -115,7 +119,7 @@ class Terms:
         _, chart, numbers = self.chart(place, where)
         names, count = chart.based(), len(chart.names)
         if not (count - chart.optional <= len(numbers) <= len(names)):
-            raise InputError(f"{where} = {numbers} is not allowed: [{', '.join(names)}]")
+            raise InputError(f"{where} = {_plain(numbers)} is not allowed: [{', '.join(names)}]")
         of, numbers, beside = self.belief.obstacle, numbers[:count], numbers[count:]
         at = chart.at(of, 1.0, self.unit, 0.0, *numbers)
         if chart.pitch:
@@ -125,7 +129,7 @@ class Terms:
     def chart(self, place: Place, where: str) -> tuple[str, Chart, Numbers]:
         """Name and chart of a place, and its coordinates. Raises `InputError`."""
         if len(place) != 1:
-            raise InputError(f"{where} = {dict(place)} is not allowed: coordinates in one chart")
+            raise InputError(f"{where} = {_plain(place)} is not allowed: coordinates in one chart")
         name, numbers = next(iter(place.items()))
         offered = {**self.belief.obstacle.charts, **self.own}
         if name not in offered:
@@ -229,7 +233,7 @@ def in_frame(belief: Case, foot: Footing, frame: int) -> Float[Array, " 3"]:
     return to_frame(to_world(foot.at[None], jnp.array([foot.frame]), free), jnp.array([frame]), free)[0]
 
 
-def moves(belief: Case, part: str) -> dict[str, Move]:
+def moves(belief: Case, part: str, above: tuple[str, ...] = ()) -> dict[str, Move]:
     """The moves of a part of a case's plan, by name. Raises `InputError`.
 
     A part with `reverse` has those of another one backwards, which began as the only move of the part `from` places the
@@ -240,16 +244,22 @@ def moves(belief: Case, part: str) -> dict[str, Move]:
     if part not in content:
         raise InputError(f"plan.{part} is missing{suggest(part, content)}")
     common = {key: value for key, value in content[part].items() if not isinstance(value, Mapping)}
+    if not isinstance(chart := common.get("base", ""), str):
+        raise InputError(f"plan.{part}.base = {chart} is not allowed: a chart's name")
     if "reverse" not in common:
         return {name: _move(f"plan.{part}.{name}", {**common, **given, "base": _based(common, given)})
                 for name, given in content[part].items() if isinstance(given, Mapping)}  # fmt: skip
     for key in content[part]:
         known(key, REVERSED, f"plan.{part}.{key}")
-    if part == common["reverse"]:
-        raise InputError(f"plan.{part}.reverse = {part} is not allowed: another part")
-    forth = {"": placing(belief, common.get("from", ""))[1], **moves(belief, common["reverse"])}
+    above = (*above, part)  # which are made of this one
+    for key in ("reverse", "from"):
+        if not isinstance(other := common.get(key), str) or other in above:
+            raise InputError(f"plan.{part}.{key} = {other} is not allowed: another part")
+    forth = {"": placing(belief, common["from"], above)[1], **moves(belief, common["reverse"], above)}
     found = backwards(_pitched(belief, forth))
     if one_and_other := common.get("mirror"):
+        if not isinstance(one_and_other, list) or len(one_and_other) != 2:
+            raise InputError(f"plan.{part}.mirror = {one_and_other} is not allowed: two charts")
         found = {name: mirrored(belief, move, one_and_other) for name, move in found.items()}
     return {name: replace(move, law=common.get("law", move.law)) for name, move in found.items()}
 
@@ -286,9 +296,9 @@ def _by_leg(move: Move) -> dict[str, Place | None]:
     return {NAMES[leg]: place for group, place in move.feet.items() for leg in GROUPS[group]}
 
 
-def placing(belief: Case, part: str) -> tuple[str, Move]:
+def placing(belief: Case, part: str, above: tuple[str, ...] = ()) -> tuple[str, Move]:
     """A part's only move, which places base and feet, with its name. Raises `InputError`."""
-    (name, move), *others = moves(belief, part).items()
+    (name, move), *others = moves(belief, part, above).items()
     if others or not move.base or len({leg for leg, place in _by_leg(move).items() if place}) < len(LEGS):
         raise InputError(f"plan.{part} is not allowed: one move, which places the base and all feet")
     return name, move
@@ -326,17 +336,29 @@ def _move(where: str, given: Mapping[str, Any]) -> Move:
         if key in WORDS:
             known(value, WORDS[key], f"{where}.{key} = {value}")
         if key in SIZES and (not isinstance(value, list) or (value and len(value) != SIZES[key])):
-            raise InputError(f"{where}.{key} = {value} is not allowed: [{', '.join(COMPONENTS[key])}]")
+            raise InputError(f"{where}.{key} = {_plain(value)} is not allowed: [{', '.join(COMPONENTS[key])}]")
+        if key in NUMBERS and (isinstance(value, Mapping | list) or (value is None is not NUMBERS[key])):
+            raise InputError(f"{where}.{key} = {_plain(value)} is not allowed: a number")
     for key, value in given.items():
-        wrong = [number for number in _listed(value) if isinstance(number, str | bool)]
+        wrong = [number for number in _listed(value) if isinstance(number, WRONG)]
         if wrong and key not in (*WORDS, "support", "law"):
             raise InputError(f"{where}.{key} = {wrong[0]} is not allowed: a number")
         if key in LONG and isinstance(value, int | float) and not 0 < value < math.inf:
             raise InputError(f"{where}.{key} = {value:g} is not allowed: above 0")
     for key in ("base", *feet):
-        if (place := given.get(key)) and (not isinstance(place, Mapping) or len(place) != 1):
-            raise InputError(f"{where}.{key} = {place} is not allowed: coordinates in one chart")
+        place = given.get(key)
+        if place and not (isinstance(place, Mapping) and [*map(type, place.values())] == [list]):
+            raise InputError(f"{where}.{key} = {_plain(place)} is not allowed: coordinates in one chart")
     return Move(where, feet, **words)
+
+
+def _plain(value: Any) -> Any:
+    """What stands in a plan, for a message: numbers that have followed a size as others."""
+
+    def plain(x: Any) -> Any:
+        return float(f"{x:.6g}") if isinstance(x, jax.Array) and not isinstance(x, Tracer) else x
+
+    return jax.tree.map(plain, value)
 
 
 def _listed(value: Any) -> Iterator[Any]:
@@ -353,6 +375,11 @@ def numbers_of[T](cls: type[T], belief: Case, part: str) -> T:
     given, names = tabled(belief).get(part, {}), cls.__annotations__
     if missing := [name for name in names if name not in given]:
         raise InputError(f"plan.{part}.{missing[0]} is missing")
-    for name in given:
+    for name, value in given.items():
         known(name, names, f"plan.{part}.{name}")
+        several = get_origin(names[name]) is tuple
+        wanted, every = (len(get_args(names[name])), value) if several else (1, [value])
+        if not isinstance(every, list) or len(every) != wanted or any(isinstance(x, WRONG) for x in every):
+            told = f"{wanted} numbers" if several else "a number"
+            raise InputError(f"plan.{part}.{name} = {_plain(value)} is not allowed: {told}")
     return cls(**{name: tuple(value) if isinstance(value, list) else value for name, value in given.items()})

@@ -9,9 +9,9 @@ import dataclasses
 import functools
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, NoReturn, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -20,7 +20,7 @@ from jaxtyping import Array
 
 from sweep.core import project
 from sweep.core.errors import InputError, known, suggest
-from sweep.core.parameters import quantity
+from sweep.core.parameters import checked, quantity
 from sweep.models.legs import GROUPS
 from sweep.models.obstacles.charts import Chart
 
@@ -36,6 +36,7 @@ COMPONENTS = {"base": ("ahead", "above", "pitch"), "leave": CURVE, "land": CURVE
               "pivot": ("ahead", "above"), "rates": ("first", "last")}  # fmt: skip
 PLACE = ("aside", "ahead")  # the same of a foot, or just the last one, in charts of a manoeuvre's own
 LONG = ("time", "seconds")  # keys of how long a move lasts, which is above 0
+ANY = quantity(0.0, "")
 Content = Mapping[str, Any]
 Names = tuple[str, ...]
 
@@ -78,6 +79,36 @@ class TwoWay(Tabled, Protocol):
         ...
 
 
+def refuse_malformed(content: Content) -> None:
+    """Raise `InputError` where a file's content cannot be a plan: parts, and slopes, of words and finite numbers."""
+
+    def wanted(form: Any, value: Any, path: str, what: str) -> None:
+        if not isinstance(value, form):
+            raise InputError(f"{path} = {value} is not allowed: {what}")
+
+    def leaves(value: Any, path: str) -> None:
+        if isinstance(value, Mapping):
+            for key, below in value.items():
+                leaves(below, f"{path}.{key}")
+        elif isinstance(value, list):
+            for below in value:
+                wanted(str | bool | int | float, below, path, "numbers or words")
+                leaves(below, path)
+        elif not isinstance(value, str | bool | None):
+            checked(ANY, value, path)
+
+    for part, given in content.items():
+        if part != WAY:
+            wanted(Mapping, given, f"{GROUP}.{part}", "keys and values")
+            leaves(given, f"{GROUP}.{part}")
+    for number, line in content.get(SLOPES, {}).items():
+        wanted(Mapping, line, f"{GROUP}.{SLOPES}.{number}", "sizes and numbers")
+        for size, value in line.items():
+            at = f"{GROUP}.{SLOPES}.{number}.{size}"
+            if not checked(ANY, value, at) and number == AT:
+                raise InputError(f"{at} = {value} is not allowed: a number other than 0")
+
+
 def way(case: Any) -> str:
     """How a case's plan is gone, one of `DIRECTIONS`."""
     return str(_written(case).get(WAY, FORTH))
@@ -102,12 +133,33 @@ def tabled(case: Any) -> Content:
     found = numbers(content, case.obstacle.charts)
     for path, line in lines.items():
         if path not in found:
-            raise InputError(f"plan.{SLOPES}.{path} is unknown{suggest(path, found).partition(' (allowed')[0]}")
+            _refuse_lost(content, path, found)
         for by in line:
             known(by, sizes, f"plan.{SLOPES}.{path}.{by}")
     # one operation for all numbers, not one for each: it is compiled with every plan
     matrix = jnp.asarray([[line.get(by, 0.0) for by in sizes] for line in lines.values()])
     return _changed(case, dict(zip(lines, jnp.sum(matrix * jnp.stack(off), axis=1), strict=True)))
+
+
+def _refuse_lost(content: Content, path: str, found: Mapping[str, float]) -> NoReturn:
+    """Raise `InputError` of slopes whose number is none of those that are `found`, by what stands in its place."""
+    stands, names = content, path.split(".")
+    while names and isinstance(stands, Mapping) and names[0] in stands:
+        stands = stands[names.pop(0)]
+    above = path.removesuffix(".".join(names)).removesuffix(".")
+    if not names:
+        raise InputError(f"plan.{path} = {stands} is not allowed: a number")
+    if isinstance(stands, Mapping) and above.count(".") < 2:  # no move has it
+        raise InputError(f"plan.{SLOPES}.{path} is unknown{near(path, found, f'plan.{SLOPES}.')}")
+    own = [one.removeprefix(f"{above}.") for one in found if one.startswith(f"{above}.")]
+    alone = f", not {', '.join(own)} alone" if own else ""
+    number = ".".join(names)
+    raise InputError(f"plan.{above} = {stands} is not allowed: plan.{SLOPES} want its number {number}{alone}")
+
+
+def near(path: str, found: Iterable[str], before: str = "plan.") -> str:
+    """The number whose path is the closest, as what may have been meant; empty without."""
+    return suggest(before + path, [before + one for one in found]).partition(" (allowed")[0]
 
 
 def _written(case: Any) -> Content:
@@ -132,7 +184,8 @@ def _changed(case: Any, added: Mapping[str, Array]) -> Content:
 def size(case: Any, path: str) -> Any:
     """A size of robot or obstacle, as axes name it, such as `robot.thigh`. Raises `InputError`."""
     group, _, name = path.partition(".")
-    every = {f"{owner}.{f.name}" for owner in SIZED for f in dataclasses.fields(getattr(case, owner))}
+    every = {f"{owner}.{f.name}" for owner in SIZED for f in dataclasses.fields(getattr(case, owner))
+             if f.metadata.get("role") in ("quantity", "count")}  # fmt: skip
     known(path, every, f"plan.{SLOPES}.{AT}.{path}")
     return getattr(getattr(case, group), name)
 
@@ -194,8 +247,7 @@ def member(case: Any, path: str) -> "dataclasses.Field[Any]":
             raise InputError(
                 f"plan.{path} is unknown: manoeuvre.kind = {case.manoeuvre.kind} has its numbers in no file"
             )
-        near = suggest(path, found).partition(" (allowed")[0]
-        raise InputError(f"plan.{path} is unknown{near} (`sweep describe plan` tells what plans have)")
+        raise InputError(f"plan.{path} is unknown{near(path, found)} (`sweep describe plan` tells what plans have)")
     name = path.rpartition(".")[2]
     field = quantity(found[path], "", above=0 if name in LONG else -math.inf)
     field.name = name

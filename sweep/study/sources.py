@@ -136,6 +136,8 @@ def read(file: Any) -> dict[str, Any]:
         content = OmegaConf.load(io.StringIO(file.read_text(encoding="utf-8")))
     except yaml.YAMLError as error:
         raise InputError(f"{file} cannot be read: {project.one_line(error)}") from None
+    except RecursionError:
+        raise InputError(f"{file} cannot be read: an anchor in it (&) holds itself") from None
     except (OSError, UnicodeDecodeError):
         content = None
     if not isinstance(content, DictConfig):

@@ -276,6 +276,7 @@ def _table(given: Any, manoeuvre: Any) -> PlanTable:
         raise InputError(f"plan = {given} is not allowed: `sweep list` shows the choices")
     if not isinstance(manoeuvre, Tabled):
         raise InputError(f"plan is not allowed: manoeuvre.kind = {kind} has its numbers in no file")
+    plan_table.refuse_malformed(given)
     known(way := given.get(WAY, FORTH), DIRECTIONS, f"plan.{WAY} = {way}")
     if way != FORTH and not isinstance(manoeuvre, TwoWay):
         raise InputError(f"plan.{WAY} = {way} is not allowed: manoeuvre.kind = {kind} goes {FORTH} alone")
