@@ -135,5 +135,5 @@ def test_a_manoeuvre_of_a_file_goes_there_and_back_within_reach(tmp_path, monkey
         np.testing.assert_allclose(back, there, atol=1e-6)
     (tmp_path / "scenarios/platform.yaml").write_text(text.replace("{top: [0.75, -0.42]}", "{top: [0.75, 0.42]}"))
     farther = compose(["scenario=platform"]).case
-    with pytest.raises(InputError, match=r"foot [56] is .* m out of reach at the end of up\.front"):
+    with pytest.raises(InputError, match=r"foot [56] is .* m out of reach at the end of stage up\.front"):
         farther.manoeuvre.plan(farther)

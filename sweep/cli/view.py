@@ -2,6 +2,8 @@
 
 import argparse
 import os
+import sys
+import time
 import webbrowser
 from collections.abc import Iterator
 from dataclasses import replace
@@ -20,9 +22,9 @@ from sweep.report.page.stage import Shown, replays_of
 from sweep.runs import batches, place, results, runner, store
 from sweep.runs.results import Results
 from sweep.study.config import Experiment, compose
-from sweep.trace import viewer
+from sweep.trace.sampling import finite_frames
 
-SMOOTH = 60.0  # frames per second in MuJoCo's viewer
+SMOOTH, HOLD = 60.0, 1.0  # frames per second in MuJoCo's viewer, and s before it begins again
 PAGES = Path("results") / "view"  # of rollouts that belong to no folder
 
 
@@ -33,10 +35,11 @@ def main(args: list[str]) -> int:
         if "=" not in name and store.STUDY not in names_in(name):
             raise InputError(f"{name} is neither a folder of results nor group.name=value")
     if options.mujoco:
-        viewer.check()
+        if not screen():
+            raise InputError("--mujoco needs a screen: DISPLAY is not set. Without it the page shows the same")
         with waiting(f"simulating {' '.join(options.what)}"):
             trace = next(traces(options.what))
-        viewer.play(trace)
+        play(trace)
         return DONE
     of_folder = store.STUDY in names_in(options.what[0])
     found, shown = (stored if of_folder else fresh)(options.what, options.beside)
@@ -44,7 +47,7 @@ def main(args: list[str]) -> int:
         Path(options.what[0]) / "view.html" if of_folder else PAGES / f"{found.exp.scenario}.html"
     )
     print(page.write(found, path, shown=shown, opened=1 + bool(options.beside)))
-    if viewer.screen():
+    if screen():
         webbrowser.open(path.resolve().as_uri())
     return DONE
 
@@ -71,6 +74,29 @@ def parser() -> Arguments:
     made.add_argument("--mujoco", action="store_true", help="MuJoCo's own viewer in place of the page")
     made.add_argument("-o", "--output", type=Path, metavar="FILE", help="the page's file")
     return made
+
+
+def screen() -> bool:
+    """Whether there is one to show things on."""
+    return sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def play(trace: Trace) -> None:
+    """Play the trace in MuJoCo's viewer again and again until its window is closed."""
+    import mujoco.viewer
+
+    data, frames = mujoco.MjData(trace.model), finite_frames(trace)
+    with mujoco.viewer.launch_passive(trace.model, data) as window:
+        while window.is_running():
+            start = time.perf_counter()
+            for k in range(frames):
+                if not window.is_running():
+                    return
+                data.qpos[:], data.time = trace.qpos[k], trace.time[k]
+                mujoco.mj_forward(trace.model, data)
+                window.sync()
+                time.sleep(max(0.0, trace.time[k] - (time.perf_counter() - start)))
+            time.sleep(HOLD)
 
 
 def names_in(folder: str) -> list[str]:

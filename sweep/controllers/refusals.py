@@ -9,15 +9,23 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.controllers.frames import Stance
+from sweep.controllers.plan import Plan, ends
 from sweep.controllers.posture import joint_targets
 from sweep.core.errors import InputError
 from sweep.fused.numbers import worked_out
 from sweep.models.case import Case
+from sweep.models.obstacles.surface import FreeState
 
 
 def plain(*parts: Any) -> bool:
     """Whether all numbers of these are plain ones: those of a rollout that is compiled are not, nor those of draws."""
     return all(isinstance(x, float) for x in jax.tree.leaves(parts))
+
+
+def at_ends(plan: Plan, free: FreeState) -> dict[str, Stance]:
+    """Stances at the ends of a plan's stages, bodies as `free`, by words that say when."""
+    last = ends(plan, free)
+    return {f"at the end of stage {name}": Stance(*(x[k] for x in last)) for k, name in enumerate(plan.names)}
 
 
 def refuse_reach(belief: Case, stances: Callable[[], Mapping[str, Stance]], said: str = "") -> None:

@@ -18,6 +18,7 @@ from sweep.analysis.sample import pooled
 from sweep.core.errors import InputError
 from sweep.core.letters import PAGE, folded, legend_below, sheet, spaced
 from sweep.report.cells import not_below_zero
+from sweep.report.exhibit import Exhibit
 from sweep.report.labels import axis_words, beside_axis, kind_of
 from sweep.report.looks import handle, kinds_by_number, look_of, marker
 from sweep.runs.results import Results
@@ -46,22 +47,22 @@ def importance(results: Results) -> pd.DataFrame:
         return pd.DataFrame({"axis": [], "distance": [], "p": []})
 
 
-def data(results: Results) -> pd.DataFrame:
-    """What is drawn, a row for each rollout."""
-    return results.rows[[*columns_of(results), *LABELS, "point_id"]]
-
-
-def caption(results: Results) -> str:
-    """What the figure of draws shows, in words."""
+def exhibits(results: Results) -> Iterator[Exhibit]:
+    """What came of draws, parameter by parameter, with a row for each rollout."""
+    if not shown(results):
+        return
     columns, size = columns_of(results), len(results.rows)
     lines = sum(min(len(part), LINES) for _, part in kinds(results.rows))
     text = "Above: a line for each rollout through its drawn values, each axis from the least to the largest. "
     if lines < size or len(columns) > AXES:
         text += f"{lines} of {size} lines and {min(len(columns), AXES)} of {len(columns)} parameters are shown. "
     if not {"success", "failure"} <= set(results.rows["outcome"]):
-        return text + "Below: the rollouts over the first parameters."
-    text += "Below: how differently each parameter is distributed among successes and failures (Kolmogorov and "
-    return text + "Smirnov's distance; grey where p > 0.05), and the rollouts over the parameters that matter most."
+        text += "Below: the rollouts over the first parameters."
+    else:
+        text += "Below: how differently each parameter is distributed among successes and failures (Kolmogorov and "
+        text += "Smirnov's distance; grey where p > 0.05), and the rollouts over the parameters that matter most."
+    table = results.rows[[*columns, *LABELS, "point_id"]]
+    yield Exhibit("draws", "Draws", text, table, lambda: draw(results))
 
 
 def kinds(rows: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:

@@ -37,28 +37,13 @@ STYLES = (
 
 def exhibits(results: Results) -> Iterator[Exhibit]:
     """All figures that a study has something to show in."""
-    yield from drawn(results)
+    yield from draws.exhibits(results)
     yield from maps(results)
     yield from effects(results)
     yield from causes(results)
     yield from distributions(results)
-    yield from histories(results)
+    yield from overlay.exhibits(results)
     yield from audits(results)
-
-
-def drawn(results: Results) -> Iterator[Exhibit]:
-    """What came of draws, parameter by parameter."""
-    if draws.shown(results):
-        table, caption = draws.data(results), draws.caption(results)
-        yield Exhibit("draws", "Draws", caption, table, lambda: draws.draw(results))
-
-
-def histories(results: Results) -> Iterator[Exhibit]:
-    """What was kept over time."""
-    if overlay.shown(results):
-        kept = overlay.samples(results)
-        table, caption = overlay.data(results, kept), overlay.caption(results, kept)
-        yield Exhibit("histories", "Over time", caption, table, lambda: overlay.draw(results, kept, table))
 
 
 def maps(results: Results) -> Iterator[Exhibit]:

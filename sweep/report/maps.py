@@ -10,6 +10,7 @@ import pandas as pd
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
+from matplotlib.collections import PolyCollection
 from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -22,8 +23,8 @@ from sweep.core.expressions import column
 from sweep.core.letters import LETTERS, PAGE, folded, legend_below
 from sweep.core.outcomes import SUCCESS
 from sweep.core.parameters import InputError
-from sweep.report import limits, refined_cells
-from sweep.report.cells import Cells, edges, mark_values
+from sweep.report import limits
+from sweep.report.cells import Cells, edges, mark_values, places
 from sweep.report.labels import beside_axis, with_value
 from sweep.report.looks import INVALID, ink_on, look_of, marker
 from sweep.runs import refine
@@ -65,7 +66,7 @@ def success_map(
             (categories if most == 1 else shares)(ax, placed, cells)
             text = str(pooled(panel, exp)).replace(" (", "\n(", 1)
             if guessed:  # the share of rollouts that succeed says nothing where they were placed near the boundary
-                refined_cells.draw(ax, exp, panel, x, y, cells)
+                outlines(ax, exp, panel, x, y, cells)
                 text = f"{panel['known'].sum()} rollouts (dots); each cell as its corners"
             title = [*title, text]
         mark_values(ax, cells)
@@ -221,6 +222,22 @@ def coloured(ax: Axes, values: np.ma.MaskedArray, cells: Cells, **style: Any) ->
     if values.size > OUTLINED:
         return ax.pcolorfast(x, y, values, **style)
     return ax.pcolormesh(x, y, values, edgecolors="white", linewidth=0.4, **style)
+
+
+def outlines(ax: Axes, exp: Experiment, painted: pd.DataFrame, x: str, y: str, cells: Cells) -> None:
+    """The cells that refinement ended with, over a map of `painted` rows (see `refine.painted`); those run as dots."""
+    rows = painted[painted["known"]]
+    for panel in refine.refined(exp, rows):
+        columns = [a.column for a in panel.grid.axes]
+        for power, corners in enumerate(panel.cells if panel.rollouts else ()):
+            (left, right), (low, high) = (
+                [places(panel.grid.values[k][corners[:, k] + step], values) for step in (0, 2**power)]
+                for k, values in zip(map(columns.index, (x, y)), cells, strict=True)
+            )
+            boxes = np.stack([[left, low], [right, low], [right, high], [left, high]]).transpose(2, 0, 1)
+            ax.add_collection(PolyCollection(list(boxes), facecolor="none", edgecolor="0.35", linewidth=0.3))
+    dots = [places(rows[c].to_numpy(), values) for c, values in zip((x, y), cells, strict=True)]
+    ax.plot(*dots, ".", markersize=1.5, color="black")
 
 
 def beside(ax: Axes, rows: pd.DataFrame, cells: Cells, name: str) -> None:

@@ -1,5 +1,7 @@
 """Time histories over each other: what `study.keep` kept, a line for each rollout, with median and quantiles."""
 
+from collections.abc import Iterator
+
 import matplotlib as mpl
 import pandas as pd
 from matplotlib.axes import Axes
@@ -8,6 +10,7 @@ from matplotlib.figure import Figure
 
 from sweep.core.evenly import evenly
 from sweep.core.letters import legend_below, sheet
+from sweep.report.exhibit import Exhibit
 from sweep.report.labels import beside_axis
 from sweep.report.looks import DOUBTFUL, FAILURE, GOOD
 from sweep.runs import histories, store
@@ -19,11 +22,6 @@ LOW, HIGH = 0.1, 0.9  # quantiles that the band lies between
 COLOURS = {"success": GOOD, "failure": FAILURE, "invalid": DOUBTFUL}
 
 
-def shown(results: Results) -> bool:
-    """Whether histories were kept."""
-    return bool(results.exp.study.keep) and bool(store.beside(results.folder, store.HISTORIES))
-
-
 def samples(results: Results) -> pd.DataFrame:
     """The histories of the rows at hand, with their `outcome`."""
     kept = histories.read(results.folder)
@@ -31,25 +29,25 @@ def samples(results: Results) -> pd.DataFrame:
     return kept.merge(results.rows[[*keys, "outcome"]], on=keys)
 
 
-def data(results: Results, kept: pd.DataFrame) -> pd.DataFrame:
-    """Of the `samples` quantiles of every column at every moment, among an outcome's rollouts still under way."""
+def exhibits(results: Results) -> Iterator[Exhibit]:
+    """What was kept over time: quantiles of every column at every moment, among an outcome's rollouts under way."""
+    if not results.exp.study.keep or not store.beside(results.folder, store.HISTORIES):
+        return
+    kept = samples(results)
     long = kept.melt(["outcome", "time_s"], list(results.exp.study.keep), "column")
     found = long.groupby(["column", "outcome", "time_s"], sort=False)["value"]
     parts = {"low": found.quantile(LOW), "median": found.median(), "high": found.quantile(HIGH)}
-    return pd.DataFrame({**parts, "rollouts": found.count()}).reset_index()
-
-
-def caption(results: Results, kept: pd.DataFrame) -> str:
-    """The figure of the `samples` in words."""
+    table = pd.DataFrame({**parts, "rollouts": found.count()}).reset_index()
     rollouts = len(kept[identity(kept.columns)].drop_duplicates())
-    return (
+    caption = (
         f"Over time: {rollouts} of {len(results.rows)} rollouts, a thin line each (at most {LINES} of an outcome), "
         f"their median, and the band that holds {HIGH - LOW:.0%} of those still under way."
     )
+    yield Exhibit("histories", "Over time", caption, table, lambda: draw(results, kept, table))
 
 
 def draw(results: Results, kept: pd.DataFrame, quantiles: pd.DataFrame) -> Figure:
-    """A panel for each column: the `samples`, and the `data` of them."""
+    """A panel for each column: the `samples`, and their quantiles."""
     columns = results.exp.study.keep[:PANELS]
     figure = sheet(0.8 + 1.4 * len(columns))
     spots = figure.subplots(len(columns), 1, sharex=True, squeeze=False)[:, 0]

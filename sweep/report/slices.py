@@ -15,10 +15,10 @@ from sweep.analysis.intervals import anytime, wilson
 from sweep.analysis.stats import binned, rates
 from sweep.core.evenly import evenly
 from sweep.core.letters import COLUMN, PAGE, folded, sheet
-from sweep.report import limits, refined_cells
+from sweep.report import limits
 from sweep.report.cells import Cells, mark_values
 from sweep.report.labels import axis_words, beside_axis, with_value
-from sweep.report.maps import categories, glyphed, kinds_in, legend, paint, split
+from sweep.report.maps import categories, glyphed, kinds_in, legend, outlines, paint, split
 from sweep.runs import refine
 from sweep.runs.results import Results
 
@@ -131,7 +131,7 @@ def draw(results: Results, chosen: Slice) -> Figure:
                 paint(ax, values, cells, cmap="cividis", vmin=0, vmax=1)
             word = {"low": "lower end", "share": "rate of success", "high": "upper end"}.get(kind, "")
             if chosen.refined:
-                refined_cells.draw(ax, results.exp, panel, x, y, cells)
+                outlines(ax, results.exp, panel, x, y, cells)
             room = 72 * (PAGE - 1) / 3 - 10  # titles side by side stay apart
             ax.set_title(folded(", ".join([*title, word] if word else title), room))
             mark_values(ax, cells)

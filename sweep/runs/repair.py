@@ -55,17 +55,15 @@ def mend(folder: Path, study: str, labels: str) -> list[str]:
             left.append(entry)
         else:
             kept.append(entry)
-    planned = _planned(folder, kept)
+    planned, lost = _planned(folder, kept), bool(damaged) or not entries
     for path in _unlisted(folder, entries):
         found = _own(folder, path)
-        if found and _is_beside(found) and found.study == study and (damaged or not entries):
+        found = found if found and found.study == study else None
+        beside = found and _is_beside(found)
+        if found and (lost if beside else found.labels == labels and _fits(folder, found, kept, planned)):
             kept.append(found)
             lines.append(f"{path} was not in {manifest.MANIFEST}: listed")
-            continue
-        if found and found.study == study and found.labels == labels and _fits(folder, found, kept, planned):
-            kept.append(found)
-            lines.append(f"{path} was not in {manifest.MANIFEST}: listed")
-        elif found and found.study == study and set(found.batches) <= {b for entry in kept for b in entry.batches}:
+        elif found and set(found.batches) <= {b for entry in kept for b in entry.batches}:
             path.unlink()  # its rows are in another part: a worker or a merger was too late
         else:
             lines.append(f"{path} is not of this study as it is: ignored")

@@ -7,9 +7,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from sweep import formulas
 from sweep.core.errors import InputError, known
 from sweep.core.expressions import evaluate
-from sweep.formulas import registry
 from sweep.study.distributions import keyed
 
 KEYS = ("label", "formula", "output", "of", "inputs", "measured")
@@ -31,7 +31,7 @@ class Theory:
 
         Raises `InputError`.
         """
-        outputs = registry.find(self.formula).compute(self.numbers(value_of))
+        outputs = formulas.find(self.formula).compute(self.numbers(value_of))
         return float(outputs[self.output])
 
     def numbers(self, value_of: Callable[[str], Any]) -> dict[str, Any]:
@@ -43,7 +43,7 @@ class Theory:
             except (SyntaxError, TypeError, ValueError) as error:
                 reason = error if isinstance(error, InputError) else "a number or an expression of parameters"
                 raise InputError(f"study.theory.inputs.{name} = {value!r} is not allowed: {reason}") from None
-        return registry.find(self.formula).complete(given)
+        return formulas.find(self.formula).complete(given)
 
 
 def parse(key: str, given: Any) -> Theory:
@@ -52,7 +52,7 @@ def parse(key: str, given: Any) -> Theory:
     for needed in ("formula", "output", "of"):
         if needed not in given:
             raise InputError(f"{key}.{needed} is missing")
-    formula = registry.find(given["formula"])
+    formula = formulas.find(given["formula"])
     known(given["output"], formula.outputs, f"{key}.output = {given['output']}")
     inputs = keyed(f"{key}.inputs", given.get("inputs", {}), tuple(entry.name for entry in formula.inputs))
     return Theory(

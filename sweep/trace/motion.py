@@ -55,15 +55,12 @@ def motion(trace: Trace) -> dict[str, Any]:
     torque_scale = max(float(np.abs(torque).max(initial=0)) / LEVELS, 1e-6)
     known = np.isfinite(trace.margin[:frames]).any()
     limits = sorted(set(trace.margin_of[:frames])) if known else []
-    small = np.column_stack(
-        [
-            np.round(np.nan_to_num(force) / force_scale),
-            trace.stage[:frames],
-            np.round(torque / torque_scale),
-            *([_margins(trace, frames), np.searchsorted(limits, trace.margin_of[:frames])] if known else ()),
-            *([_friction(trace, frames)] if force.size else ()),
-        ]
-    ).astype(np.int8)
+    small = [np.round(np.nan_to_num(force) / force_scale), trace.stage[:frames], np.round(torque / torque_scale)]
+    if known:
+        margin = np.nan_to_num(trace.margin[:frames], nan=-1.0).clip(-1.0, 1.0)
+        small += [np.round(MARGIN * margin), np.searchsorted(limits, trace.margin_of[:frames])]
+    if force.size:
+        small.append(np.round(FRICTION * np.nan_to_num(measured(trace).share[:frames])).clip(0, INT8))
     whole = {
         "step": float(trace.time[0]),
         "frames": frames,
@@ -74,21 +71,13 @@ def motion(trace: Trace) -> dict[str, Any]:
         "margin_scale": 1 / MARGIN,
         "friction_scale": 1 / FRICTION,
         "limits": limits,
-        "states": packed(np.round(qpos / scales).astype(np.int16), small),
+        "states": packed(np.round(qpos / scales).astype(np.int16), np.column_stack(small).astype(np.int8)),
     }
     kept, every = whole, 1
     while len(kept["states"]) > ROOM and every < frames:
         every += 1
         kept = thinned(whole, every)
     return kept
-
-
-def _margins(trace: Trace, frames: int) -> np.ndarray:
-    return np.round(MARGIN * np.nan_to_num(trace.margin[:frames], nan=-1.0).clip(-1.0, 1.0))
-
-
-def _friction(trace: Trace, frames: int) -> np.ndarray:
-    return np.round(FRICTION * np.nan_to_num(measured(trace).share[:frames])).clip(0, INT8)
 
 
 def thinned(kept: dict[str, Any], every: int) -> dict[str, Any]:

@@ -55,7 +55,7 @@ def planned():
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
-        ("-1.6", "0", r"foot 5 is 0\.\d+ m out of reach at the end of up.front"),
+        ("-1.6", "0", r"foot 5 is 0\.\d+ m out of reach at the end of stage up.front"),
         ("/obstacle: corner", "/obstacle: flat", "chart floor is unknown on plane"),
         (SCENARIO[SCENARIO.index("plan:") :], "", "plan is missing: manoeuvre.kind = follow has none of its own"),
         (

@@ -10,9 +10,9 @@ from sweep.controllers.forces import PlannedForces
 from sweep.controllers.frames import Stance
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
 from sweep.controllers.moves import Terms, placed, stages_of
-from sweep.controllers.plan import GRIP, RESTS, STAND, STAYS, TOGETHER, Plan, Stage, Support, ends
+from sweep.controllers.plan import GRIP, RESTS, STAND, STAYS, TOGETHER, Plan, Stage, Support
 from sweep.controllers.posture import leg_unit
-from sweep.controllers.refusals import refuse_reach
+from sweep.controllers.refusals import at_ends, refuse_reach
 from sweep.controllers.symmetry import gone
 from sweep.core.errors import InputError
 from sweep.core.parameters import choice, parameters, quantity
@@ -55,7 +55,7 @@ class Follow(PlannedForces):
         Raises `InputError` for what the file lacks, and where a foot is out of reach, by plain numbers.
         """
         plan = self.way(belief)
-        refuse_reach(belief, lambda: self.stances(belief), "plan is not allowed: ")
+        refuse_reach(belief, lambda: at_ends(self.way(belief), free_start(belief.obstacle)), "plan is not allowed: ")
         return self.with_feedforward(belief, plan) if self.forces == "planned" else plan
 
     def way(self, belief: Case) -> Plan:
@@ -87,9 +87,3 @@ class Follow(PlannedForces):
             supports={name: (support,) * bodies for name, support in supports.items()},
             stage={"onset": GRIP, "press": (self.press, self.squeeze)} if bodies else {},
         )  # fmt: skip
-
-    def stances(self, belief: Case) -> dict[str, Stance]:
-        """At the ends of the plan's stages, by words that say when."""
-        plan = self.way(belief)
-        last = ends(plan, free_start(belief.obstacle))
-        return {f"at the end of {name}": Stance(*(x[k] for x in last)) for k, name in enumerate(plan.names)}

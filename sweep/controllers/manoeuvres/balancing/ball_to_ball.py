@@ -12,7 +12,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from sweep.controllers.assembly import assemble
-from sweep.controllers.frames import Stance
 from sweep.controllers.layers import Now
 from sweep.controllers.manoeuvres.balancing.ball import BallDrive, OnBall, on_ball, perch, terms
 from sweep.controllers.manoeuvres.balancing.ball_descend import BallDescend
@@ -26,7 +25,7 @@ from sweep.controllers.observation import Observation
 from sweep.controllers.plan import TOGETHER, Plan, Stage, Support, ends, reference
 from sweep.controllers.posture import leg_points
 from sweep.controllers.programme import Programme
-from sweep.controllers.refusals import plain, refuse_reach
+from sweep.controllers.refusals import at_ends, plain, refuse_reach
 from sweep.controllers.tracker import Guidance, Guided, TrackerState
 from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, parameters, quantity
@@ -179,16 +178,14 @@ class BallToBall(OnBall, InParts):
         if not plain(belief.robot, belief.obstacle, self):
             return
 
-        def over() -> tuple[Plan, Stance, Array]:
-            plan = assemble(on_ball(belief, perch(belief, self)), self.over(belief), 0.0)
-            last = ends(plan, touching(belief).on(TwoBalls).start())
-            return plan, last, between(belief.robot, last, stands_next(plan.swing))
+        start = touching(belief).on(TwoBalls).start
 
-        plan, last, inside = worked_out(over)
-        at = {f"at the end of stage {name}": k for k, name in enumerate(plan.names)}
-        refuse_reach(
-            belief, lambda: {words: Stance(*(x[k] for x in last)) for words, k in at.items()}, f"{self.kind}: "
-        )
+        def over() -> tuple[Plan, Array]:
+            plan = assemble(on_ball(belief, perch(belief, self)), self.over(belief), 0.0)
+            return plan, between(belief.robot, ends(plan, start()), stands_next(plan.swing))
+
+        plan, inside = worked_out(over)
+        refuse_reach(belief, lambda: at_ends(plan, start()), f"{self.kind}: ")
         inside = inside.min(axis=0)
         if not inside.min() >= self.spare:
             raise InputError(

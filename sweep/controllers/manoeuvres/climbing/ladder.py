@@ -11,14 +11,13 @@ import jax.numpy as jnp
 
 from sweep.controllers.assembly import assemble
 from sweep.controllers.forces import LAST, PlannedForces
-from sweep.controllers.frames import Stance
 from sweep.controllers.gaits import Step
 from sweep.controllers.manoeuvres.climbing.walking import walk_away, walk_up
 from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.moves import Terms, moves, placed, stages_of
-from sweep.controllers.plan import Plan, Stage, ends
+from sweep.controllers.plan import Plan, Stage
 from sweep.controllers.posture import leg_unit
-from sweep.controllers.refusals import plain, refuse_reach
+from sweep.controllers.refusals import at_ends, plain, refuse_reach
 from sweep.controllers.symmetry import gone
 from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, parameters, quantity
@@ -107,13 +106,7 @@ class LadderClimb(PlannedForces):
             )
         refuse_reach(
             belief,
-            lambda: self.stances(belief),
+            lambda: at_ends(self.way(belief), ladder.start()),
             f"obstacle.ledge_height = {ladder.ledge_height:g} is not allowed with obstacle.length = {ladder.length:g} "
             f"and obstacle.rung_step = {ladder.rung_step:g}: ",
         )
-
-    def stances(self, belief: Case) -> dict[str, Stance]:
-        """At the ends of the plan's stages, by words that say when."""
-        plan = self.way(belief)
-        last = ends(plan, belief.on(Ladder).start())
-        return {f"at the end of stage {name}": Stance(*(x[k] for x in last)) for k, name in enumerate(plan.names)}
