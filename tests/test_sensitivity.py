@@ -175,6 +175,7 @@ def test_sobol_indices_are_those_of_a_known_function(study):
     found = sensitivity.sobol_indices(rows, exp, "slip_max_m")
     np.testing.assert_allclose(found["first"], [3 / 4, 3 / 16, 0], atol=0.02)
     np.testing.assert_allclose(found["total"], [13 / 16, 1 / 4, 0], atol=0.02)
+    assert sensitivity.sobol_indices(rows, exp, "slip_max_m").equals(found)  # its bootstrap too
     assert sensitivity.sobol_indices(rows, exp)["first"].tolist() == pytest.approx([0, 1, 0], abs=0.05)
     rows.loc[rows["replicate"] == 7, "outcome"] = "invalid"
     assert (sensitivity.sobol_indices(rows, exp)["blocks"] == 511).all()

@@ -320,7 +320,8 @@ def sobol_indices(rows: pd.DataFrame, exp: Experiment, figure: str | None = None
     if len(whole) < 2 or whole.std() == 0:
         raise InputError(f"Sobol indices need values that vary: {len(whole)} complete blocks of {whole.shape[1]} draws")
     problem = {"num_vars": len(axes), "names": [a.column for a in axes]}
-    found = sobol.analyze(problem, whole.ravel(), calc_second_order=False, num_resamples=200, seed=0)
+    # SALib takes a seed of 0 for none
+    found = sobol.analyze(problem, whole.ravel(), calc_second_order=False, num_resamples=200, seed=1)
     columns = {"first": "S1", "first_error": "S1_conf", "total": "ST", "total_error": "ST_conf"}
     told = {name: found[key] for name, key in columns.items()}
     return pd.DataFrame({"axis": problem["names"], **told, "blocks": len(whole)})
