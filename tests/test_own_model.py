@@ -240,6 +240,8 @@ def test_outcomes_are_told_by_what_holds_first():
 
 BROKEN = {
     "bad.xml": '<mujoco><worldbody><geom sise="1"/></worldbody></mujoco>',
+    "still.xml": "<mujoco/>",
+    "bad.mjb": "bad",
     "lost.xml": '<mujoco><asset><mesh name="m" file="hul.obj"/></asset></mujoco>',
 }
 
@@ -263,6 +265,11 @@ BROKEN = {
         ("model.observe=[turn]", "model.controller = trot:policy fails: "),
         ("model.feet=[turn]", "model.feet: turn is no touch sensor"),
         ("model.feet=[lf_touch,lf_touch]", "model.feet = ['lf_touch', 'lf_touch'] is not allowed: each name once"),
+        ("model.mjcf=[quadruped.xml]", "model.mjcf = ['quadruped.xml'] is not allowed: a word"),
+        ("model.mjcf=TMP/still.xml", "model.mjcf = still.xml is not allowed: it has no joints, and nothing moves"),
+        ("model.mjcf=TMP/bad.mjb", "model.mjcf = bad.mjb does not compile: "),
+        ("model.duration=0.01", "model.duration = 0.01 is not allowed: at least model.period, 0.02 s"),
+        ("controller=3", "controller = 3 is not allowed"),
         ("model.durations=3", "model.durations is unknown: did you mean duration?"),
         ("model.option.cone=round", "model.option.cone = 'round' is not allowed: one of pyramidal, elliptic"),
         ("model.option.timestp=0.001", "timestp is unknown: did you mean timestep?"),
@@ -324,6 +331,22 @@ STILL = "def policy(belief, seen, state, key): return jnp.zeros(12), state\n"
         (
             STILL.replace("(12)", "(12) / jnp.zeros(12)"),
             "gives controls that are not finite at",
+        ),
+        (f"{STILL}PARAMETERS = ['a']", "PARAMETERS = ['a'] is not allowed: numbers by name"),
+        (f"{STILL}BELIEVES = {{'a': 3}}", "BELIEVES = {'a': 3} is not allowed: paths by name"),
+        (f"{STILL}FILES = 3", "FILES = 3 is not allowed: a list of names"),
+        (
+            f"{STILL}FIGURES = {{'a.b': ''}}\ndef figures(*given): return {{'a.b': 1.0}}",
+            "FIGURES has 'a.b': letters, digits and _ make a name",
+        ),
+        (
+            f"{STILL}FIGURES = {{'outcome': ''}}\ndef figures(*given): return {{'outcome': 1.0}}",
+            "a figure called outcome is not allowed: all rows have a column of that name",
+        ),
+        ("policy = dict", "fails: TypeError: dict expected at most 1 argument"),
+        (
+            f"{STILL}def begin(belief, key): return None, (), jnp.nan",
+            "lasts nan s: at least a tick of 0.02 s is wanted",
         ),
         (STILL.replace("jnp.zeros", "exit() or jnp.zeros"), "model.controller = NAME:policy fails: SystemExit"),
         (f"{STILL}raise SystemExit('later')", "NAME:policy cannot be imported: SystemExit: later"),

@@ -29,7 +29,7 @@ def suggest(word: str, allowed: Iterable[str], short: Iterable[str] = ()) -> str
     allowed = list(allowed)
     close = difflib.get_close_matches(word, [*allowed, *short], n=1, cutoff=0.6)
     hint = f": did you mean {close[0]}?" if close else ""
-    return f"{hint} (allowed: {', '.join(sorted(allowed))})"
+    return f"{hint} (allowed: {', '.join(sorted(allowed))})" if allowed else hint
 
 
 def known(word: object, allowed: Iterable[str], told: str) -> None:

@@ -38,6 +38,7 @@ from sweep.core.parameters import checked, of_kind
 from sweep.engines.settings import EngineSettings
 from sweep.study import designs, sources
 from sweep.study.clusters import Cluster
+from sweep.study.columns import LABELS, PLAN, TIMING
 from sweep.study.designs import keyed, with_side
 from sweep.study.study import ScenarioSchema, Study, StudySchema, check_keep
 from sweep.systems.base import Limits, System
@@ -194,10 +195,12 @@ def experiment(values: Mapping[str, Any]) -> Experiment:
         known(key, allowed, str(key))
     usual = {"control": {}, "plan": None}  # which rows of before they were there have at their defaults
     values = {**{key: value for key, value in usual.items() if key in allowed}, **values}
-    for group in (key for key in allowed if key not in (*kind.free, "out")):
-        if not isinstance(values.get(group), Mapping):
-            raise InputError(f"{group} = {values.get(group)} is not allowed: `sweep list` shows the choices")
+    for group in (key for key in allowed if key != "out"):
+        if not isinstance(said := values.get(group), Mapping) and (said or group not in kind.free):
+            raise InputError(f"{group} = {said} is not allowed: `sweep list` shows the choices")
     system, settings, limits, told = kind.nominal(values, KINDS)
+    if taken := {*PLAN, *LABELS, *TIMING} & {*system.figures}:
+        raise InputError(f"a figure called {min(taken)} is not allowed: all rows have a column of that name")
     cluster = of_kind(KINDS["cluster"], values["cluster"], "cluster")
     scenario = keyed("scenario", values["scenario"], _names(ScenarioSchema))
     asked = keyed("study", values["study"], _names(StudySchema))

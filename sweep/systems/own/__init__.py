@@ -210,6 +210,9 @@ def nominal(values: Mapping[str, Any], kinds: Kinds) -> Nominal:
 def _about(given: Mapping[str, Any]) -> About:
     """What a configuration's `model` says, checked."""
     said = {key: value for key, value in given.items() if value is not None}
+    for key in ("mjcf", "controller", "keyframe"):
+        if not isinstance(said.get(key, ""), str):
+            raise InputError(f"model.{key} = {said[key]!r} is not allowed: a word")
     for key in ("observe", "feet", "collisions"):
         names = said.get(key, ())
         if not isinstance(names, list | tuple) or not all(isinstance(one, str) for one in names):
@@ -226,7 +229,11 @@ def _about(given: Mapping[str, Any]) -> About:
         raise InputError(f"model.option = {option!r} is not allowed: names and values, such as {{cone: elliptic}}")
     model, paths = files.model(said.get("mjcf", "")), {f"model.option.{name}": value for name, value in option.items()}
     options = tuple((path, checked(fields.parameter(model, path), value, path)) for path, value in paths.items())
-    return build(About, {**said, "direction": along, "option": options}, "model")
+    about = build(About, {**said, "direction": along, "option": options}, "model")
+    if about.duration < about.period:
+        allowed = f"at least model.period, {about.period:g} s"
+        raise InputError(f"model.duration = {about.duration:g} is not allowed: {allowed}")
+    return about
 
 
 def _content(own: Own) -> str:

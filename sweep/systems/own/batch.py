@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import MODEL_FIELDS, Batch
 
+from sweep.core.errors import InputError
 from sweep.engines import devices
 from sweep.engines.settings import EngineSettings
 from sweep.systems.own import fields
@@ -63,8 +64,15 @@ def begin(own: Subject, settings: EngineSettings, world: Side, belief: Side, str
 
 
 def ticks(own: Subject, duration: Any) -> np.ndarray:
-    """Control ticks (n,) of rollouts whose controllers would end them after a `duration` (n,) in s."""
-    return np.rint(np.minimum(np.asarray(duration, float), own.about.duration) / own.about.period).astype(int)
+    """Control ticks (n,) of rollouts whose controllers would end them after a `duration` (n,) in s.
+
+    Raises `InputError` where one is shorter than a tick.
+    """
+    found = np.rint(np.minimum(np.asarray(duration, float), own.about.duration) / own.about.period)
+    for short in np.ravel(duration)[~(np.ravel(found) >= 1)]:
+        wanted = f"at least a tick of {own.about.period:g} s is wanted"
+        raise InputError(f"model.controller = {own.about.controller} lasts {short:g} s: {wanted}")
+    return found.astype(int)
 
 
 def differing(batch: Batch) -> dict[str, np.ndarray]:

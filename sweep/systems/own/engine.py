@@ -47,7 +47,6 @@ class OwnEngine:
 
     def __init__(self, own: Subject, settings: EngineSettings):
         devices.configure()
-        mujoco.set_mju_user_warning(lambda _: None)  # a row that it is about is invalid
         self._own, self._settings, self._model = own, settings, own.model
         self.duration = own.about.duration
         self.width = settings.width or (devices.CPU_WIDTH if settings.name == "native" else devices.default_width())

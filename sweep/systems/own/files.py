@@ -24,6 +24,12 @@ from sweep.core.errors import WRONG, InputError, raised, suggest
 ONNX, BINARY, PACKAGE = ".onnx", ".mjb", "package://"
 TYPES = {"tensor(float)": np.float32, "tensor(double)": np.float64}  # of a network's numbers
 FOLDERS = ("meshdir", "texturedir", "assetdir")  # of a model's files, as its compiler's options name them
+FORMS = {  # what a module may say beside its functions
+    "PARAMETERS": (Mapping, "numbers by name"),
+    "BELIEVES": (Mapping, "paths by name"),
+    "FIGURES": (Mapping, "meanings by name"),
+    "FILES": ((list, tuple), "a list of names"),
+}
 _READ: dict[str, tuple[Path, str]] = {}  # of modules by name: the project that they were read in, and their digest
 
 
@@ -65,14 +71,19 @@ def _found(key: str, name: str, suffix: str) -> Path:
 
 @functools.lru_cache(maxsize=4)
 def _compiled(file: Path, changed: int) -> mujoco.MjModel:
+    mujoco.set_mju_user_warning(lambda _: None)  # what cannot be read is told below, and a row is invalid
     try:
-        return mujoco.MjModel.from_binary_path(str(file)) if file.suffix == BINARY else _source(file, changed).compile()
+        binary = file.suffix == BINARY
+        made = mujoco.MjModel.from_binary_path(str(file)) if binary else _source(file, changed).compile()
     except (ValueError, RuntimeError) as error:
         reason, near = " ".join(str(error).split()), ""
         if lost := re.search(r"opening file '(?:.*/)?([^/']+)'", reason):
             there = {one.name for one in place().rglob(f"*{Path(lost[1]).suffix}")}
             near = suggest(lost[1], there) if there else ""
         raise InputError(f"model.mjcf = {file.name} does not compile: {reason}{near}") from None
+    if not made.nv:
+        raise InputError(f"model.mjcf = {file.name} is not allowed: it has no joints, and nothing moves")
+    return made
 
 
 def source(mjcf: str) -> mujoco.MjSpec:
@@ -193,6 +204,8 @@ def _beside(name: str, module: Any) -> dict[str, Any]:
     measured = getattr(module, "FIGURES", {})
     if bool(measured) != callable(found["figures"]):
         raise InputError(f"model.controller = {name}: figures, a function, and FIGURES, their names, go together")
+    if odd := next((one for one in measured if not one.isidentifier()), None):
+        raise InputError(f"model.controller = {name}: FIGURES has {odd!r}: letters, digits and _ make a name")
     return {**found, "measured": measured}
 
 
@@ -213,12 +226,20 @@ def _module(told: str, name: str) -> ModuleType:
         _READ[name] = here, _digest(project.sources(module))
     except WRONG as error:
         raise InputError(f"model.controller = {told} cannot be imported: {raised(error)}") from None
+    for key, (form, what) in FORMS.items():
+        said = getattr(module, key, ())
+        words = [*said, *(said.values() if key == "BELIEVES" else ())] if said and isinstance(said, form) else []
+        if said != () and not (isinstance(said, form) and all(isinstance(one, str | Path) for one in words)):
+            raise InputError(f"model.controller = {told}: {key} = {said!r} is not allowed: {what}")
     return module
 
 
 def _batched(policy: Callable[..., Any]) -> bool:
     """Whether a function takes observations only."""
-    every = inspect.signature(policy).parameters.values()
+    try:
+        every = inspect.signature(policy).parameters.values()
+    except ValueError:  # not known of what is built in, which is found out by calling it
+        return False
     places = [one for one in every if one.kind in (one.POSITIONAL_ONLY, one.POSITIONAL_OR_KEYWORD)]
     return len([one for one in places if one.default is one.empty]) == 1
 

@@ -15,7 +15,7 @@ from jaxtyping import Array
 
 from sweep.core.errors import WRONG, InputError, raised
 from sweep.fused.numbers import worked_out
-from sweep.systems.own.batch import AtStart
+from sweep.systems.own.batch import AtStart, ticks
 from sweep.systems.own.subject import Subject
 
 TILE = 64
@@ -92,7 +92,8 @@ class ControllerPrograms:
             return self._tried(worked_out, lambda: function(*jax.tree.map(jnp.asarray, (first, *more))))
 
         first = jax.tree.map(lambda rows: rows[0], begun.given)
-        start, state, _ = found(self.begin_one)
+        start, state, duration = found(self.begin_one)
+        ticks(self._own, duration)
         if start is not None and not np.isfinite(start).all():
             raise self._wrong("begins at positions that are not finite")
         begun.energy(start)
