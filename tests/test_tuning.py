@@ -221,7 +221,7 @@ def test_a_plan_is_tuned_to_follow_sizes_and_simulated(tmp_path, monkeypatch, ca
     monkeypatch.chdir(tmp_path)
     (tmp_path / "draws.yaml").write_text(
         "scenario: pole_top\nstudy:\n  design: {kind: monte_carlo, num: 4}\n  axes:\n"
-        "    radius: {path: obstacle.radius, relative: 0.1}\n"
+        "    radius: {path: obstacle.radius, relative: 0.1}\n    mass: {path: robot.shin_mass, relative: 0.1}\n"
     )
     asked = ["tune", "scenario=pole_top", "study=draws.yaml", "--stages", "over.front", "--moments", "3"]
     assert main([*asked, "--free", "over.front.*", "--need", "outer=0.006", "--generations", "20", "--follow",
@@ -230,10 +230,14 @@ def test_a_plan_is_tuned_to_follow_sizes_and_simulated(tmp_path, monkeypatch, ca
     text = (tmp_path / "plans" / "mine.yaml").read_text()
     assert " before, 0 after" in told
     assert "over.front.base.ahead: {obstacle.radius: -" in text
+    assert ": {robot.shin_mass" not in text  # on which no margin depends
+    assert ", robot.shin_mass" not in text
     for seed in (0, 1):
         line = next(line for line in told.splitlines() if line.startswith(f"simulated draws of seed {seed}"))
         assert f"# {line}" in text
         assert (tmp_path / "plans" / "mine.draws" / f"after-{seed}" / "study.yaml").exists()
+    assert main([*asked, "--follow", "out=x.yaml", "study.axes.radius.relative=0"]) == 2
+    assert "no margin depends on obstacle.radius, robot.shin_mass" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -29,7 +29,7 @@ from sweep.runs import store, tuning
 from sweep.study.config import Experiment, compose
 from sweep.study.study import parameter_columns, points
 from sweep.systems.base import side_and_path
-from sweep.tune.score import APART, MANOEUVRE, MOMENTS, Aim, Score, shares, stacked, worst
+from sweep.tune.score import APART, MANOEUVRE, MOMENTS, SAME, Aim, Score, shares, stacked, worst
 
 DIGITS, SLOPE_DIGITS = 4, 3  # to which numbers are rounded, and slopes
 DRAWS = ("here", "other draws")
@@ -81,6 +81,7 @@ def main(args: list[str]) -> int:
             table(score, {name: score.margins(first, draws) for name, draws in zip(DRAWS, (seen, others), strict=True)})
         )
         return DONE
+    sizes = felt(exp, score, first, seen, sizes) if sizes else {}
     how = {"overrides": sorted(overrides), "free": steps, "stages": given.stages, "need": given.need,
            "moments": given.moments, "forces": given.forces, "seed": given.seed, "population": given.population,
            "follow": given.follow, "gradients": given.gradients, "generations": given.generations,
@@ -128,6 +129,22 @@ def drawn_sizes(exp: Experiment) -> dict[str, float]:
     if not found:
         groups = " or ".join(plan_table.SIZED)
         raise InputError(f"--follow is not allowed: study {exp.study.name} draws no number of {groups} beside nought")
+    return found
+
+
+def felt(
+    exp: Experiment, score: Score, numbers: np.ndarray, seen: Case, sizes: Mapping[str, float]
+) -> dict[str, float]:
+    """Those of `sizes` that margins feel as far as the draws go: slopes in others, as in masses without forces, would
+    be of chance, and carry far where they are drawn farther. Raises `InputError` where there are none.
+    """
+    off = shares(seen, sizes)
+    alone = 1 + np.vstack([np.diag(np.abs(off).max(axis=0)), np.zeros((max(1, len(off) - len(sizes)), len(sizes)))])
+    tried = exp.system.sides({path: at * alone[:, k] for k, (path, at) in enumerate(sizes.items())})[1]
+    lack = np.asarray(score.lacking(score.margins(numbers, stacked(tried, len(alone)))))
+    moved = ~np.isclose(lack, lack[-1], 0.0, SAME, equal_nan=True).all(axis=1)
+    if not (found := {path: at for (path, at), feels in zip(sizes.items(), moved, strict=False) if feels}):
+        raise InputError(f"--follow is not allowed: no margin depends on {', '.join(sizes)}")
     return found
 
 
