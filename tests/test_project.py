@@ -192,10 +192,64 @@ def test_obstacles_and_manoeuvres_of_ones_own_are_simulated(home, capsys, monkey
     with pytest.raises(InputError, match=r"obstacle\.slope = 2 is not allowed: at least 0 and at most 1 rad"):
         compose(["obstacle=ramp", "obstacle.slope=2"])
     for text, named in (("modules: [nowhere]", "module nowhere cannot be imported: ModuleNotFoundError"),
+                        ("\udcff", "sweep.yaml cannot be read: it is no text in UTF-8"),
                         ("moduls: [own]", "moduls is unknown"), ("modules: own", "a list of names")):  # fmt: skip
         write(home / "sweep.yaml", text)
         with pytest.raises(InputError, match=named):
             compose([])
+
+
+STEP = """from sweep.core.parameters import choice, parameters, quantity
+from sweep.models.obstacles.charts import Chart, facing
+from sweep.models.obstacles.plane import Plane
+
+
+@parameters
+class Step(Plane):
+    kind: str = choice("step", "step")
+    charts = {"floor": Chart(("aside", "ahead"), lambda of, side, unit, depth, x, y: facing((0.0, 1.0), x, y, 0.0))}
+
+    def surface(self, points, owner, bodies):
+        found = super().surface(points, owner, bodies)
+        return found
+
+
+OBSTACLES = {"step": Step}
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("return found", "exit()", "obstacle.kind = step is not allowed: surface fails: SystemExit"),
+        ("return found", "pass", "surface gives NoneType: a Surface is wanted"),
+        (
+            "return found",
+            "return found._replace(depth=points)",
+            "surface gives depth (2, 3) of 2 points: (2,) is wanted",
+        ),
+        ("depth, x, y: f", "depth, x: f", "chart floor fails: TypeError: "),
+        ("facing((0.0, 1.0), x, y, 0.0)", "x", "chart floor gives (): (3,) is wanted"),
+        (
+            "return found",
+            "return found\n    def solids(self, bodies): return [3]",
+            "solids gives [3]: a tuple of solids",
+        ),
+        ("@parameters\n", "", "not a class with @parameters and a field `kind`"),
+        ("(Plane)", "", "module own: obstacle step has no solids"),
+        ('{"step": Step}', "[Step]", "OBSTACLES = [<class 'own.Step'>] is not allowed: classes by kind"),
+        (
+            "return found",
+            "return found\n    @property\n    def free_bodies(self): exit()",
+            "own.py, line 15, fails: SystemExit",
+        ),
+    ],
+)
+def test_what_is_wrong_with_an_obstacle_of_ones_own_is_one_line(home, capsys, old, new, told):
+    write(home / "own.py", STEP.replace(old, new))
+    write(home / "sweep.yaml", "modules: [own]\n")
+    assert main(["run", "obstacle=step"]) == 2
+    one_line(capsys.readouterr().err, told)
 
 
 def test_no_parameter_is_explained_by_a_symbol_alone():

@@ -22,8 +22,10 @@ def main(argv: list[str] | None = None) -> int:
             stream.reconfigure(errors="backslashreplace")
     try:
         from sweep.cli import commands  # takes a tenth of a second
+        from sweep.core import project
 
-        return commands.execute(list(sys.argv[1:] if argv is None else argv))
+        with project.blaming():
+            return commands.execute(list(sys.argv[1:] if argv is None else argv))
     except InputError as error:
         print(f"sweep: {error}", file=sys.stderr)
         return BAD_INPUT

@@ -7,6 +7,7 @@ import functools
 import importlib
 import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import metadata, resources
 from pathlib import Path
 from types import ModuleType
@@ -14,7 +15,7 @@ from typing import Any
 
 import yaml
 
-from sweep.core.errors import WRONG, InputError, raised
+from sweep.core.errors import WRONG, Fault, InputError, raised
 from sweep.core.groups import GROUPS
 
 SHIPPED, FILE, ENTRY_POINTS = "sweep.conf", "sweep.yaml", "sweep.modules"
@@ -60,6 +61,8 @@ def settings() -> dict[str, Any]:
         return {}
     try:
         content = yaml.safe_load((folder / FILE).read_text(encoding="utf-8")) or {}
+    except UnicodeDecodeError:
+        raise InputError(f"{folder / FILE} cannot be read: it is no text in UTF-8") from None
     except yaml.YAMLError as error:
         raise InputError(f"{folder / FILE} cannot be read: {one_line(error)}") from None
     modules = content.get("modules", []) if isinstance(content, dict) else None
@@ -107,6 +110,23 @@ def _imported(folder: Path | None, names: tuple[str, ...]) -> tuple[ModuleType, 
         except WRONG as error:
             raise InputError(f"module {name} cannot be imported: {raised(error)}") from None
     return tuple(found)
+
+
+@contextmanager
+def blaming() -> Iterator[None]:
+    """Tell what code of the `modules` raises, or that it ends the process, as an `InputError` that says where."""
+    try:
+        yield
+    except (InputError, Fault):
+        raise
+    except WRONG as error:
+        import traceback
+
+        own = {str(file) for name in modules_named() if name in sys.modules for file in sources(sys.modules[name])}
+        for frame in reversed(traceback.extract_tb(error.__traceback__)):
+            if frame.filename in own:
+                raise InputError(f"{frame.filename}, line {frame.lineno}, fails: {raised(error)}") from None
+        raise
 
 
 def module_sources() -> Iterator[Path]:

@@ -47,6 +47,7 @@ NOT_FINITE = re.compile(r"(?<=[=\[:, ])[-+]?\.(nan|inf)(?=[\]}, ]|$)", re.IGNORE
 WORDS = {bool: "true or false", int: "a whole number", float: "a number", str: "a word",
          list: "a list", tuple: "a list", dict: "keys and values"}  # what values of a type are  # fmt: skip
 CONFIG_MODULE, HYDRA_VERSION = "sweep.conf", "1.3"
+MEMBERS = {"obstacle": ("surface", "solids", "charts"), "manoeuvre": ("plan", "needs", "goal")}  # of classes
 WHOLE: dict[str, type] = {name: group.load() for name, group in GROUPS.items() if group.whole}
 KINDS: dict[str, dict[str, type]] = {name: group.load() for name, group in GROUPS.items() if group.kinds}
 CLASSES: dict[str, type] = {name: group.load() for name, group in GROUPS.items() if group.one_class}
@@ -106,7 +107,14 @@ def add_modules(modules: tuple[ModuleType, ...]) -> None:
     tables = {name: group.table for name, group in GROUPS.items() if group.in_case and group.kinds}
     for module in modules:
         for group, name in tables.items():
-            for kind, cls in getattr(module, name, {}).items():
+            if not isinstance(own := getattr(module, name, {}), Mapping):
+                raise InputError(f"module {module.__name__}: {name} = {own} is not allowed: classes by kind")
+            for kind, cls in own.items():
+                if not isinstance(cls, type) or "kind" not in vars(cls).get("__dataclass_fields__", ()):
+                    wanted = "a class with @parameters and a field `kind`"
+                    raise InputError(f"module {module.__name__}: {name} has {kind}: {cls}, not {wanted}")
+                if lacks := [one for one in MEMBERS[group] if not hasattr(cls, one)]:
+                    raise InputError(f"module {module.__name__}: {group} {kind} has no {lacks[0]}")
                 if KINDS[group].setdefault(kind, cls) is not cls:
                     raise InputError(f"module {module.__name__}: {group} {kind} is there already: give it another name")
 

@@ -27,6 +27,7 @@ from sweep.models.case import Case, Manoeuvre
 from sweep.models.control import Control
 from sweep.models.noise import Noise
 from sweep.models.obstacles import OBSTACLES
+from sweep.models.obstacles.own import refuse_odd
 from sweep.models.obstacles.surface import Obstacle
 from sweep.models.plan_table import DIRECTIONS, FORTH, WAY, Content, PlanTable, Tabled, TwoWay
 from sweep.systems.base import Kinds, Nominal, Parameter, Values, Way, by_side, side_and_path
@@ -243,6 +244,8 @@ def nominal(values: Mapping[str, Any], kinds: Kinds) -> Nominal:
         needed = " or ".join(kind for kind, cls in OBSTACLES.items() if _suits(cls, case.manoeuvre))
         both = f"obstacle.kind = {case.obstacle.kind} is not allowed: manoeuvre.kind = {case.manoeuvre.kind}"
         raise InputError(f"{both} needs {needed}")
+    if not type(case.obstacle).__module__.startswith("sweep."):
+        refuse_odd(case.obstacle)
     for group in SIZED:
         part = getattr(case, group)
         for member in dataclasses.fields(part):

@@ -1,0 +1,47 @@
+"""What an obstacle of a user's own gives, seen before anything is compiled."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from sweep.core.errors import WRONG, InputError, raised
+from sweep.models.obstacles.charts import Chart
+from sweep.models.obstacles.surface import Obstacle, Surface, own_axes
+
+POINTS = 2
+FORMS = {"depth": (POINTS,), "normal": (POINTS, 3), "face": (POINTS,), "body": (POINTS,), "friction_scale": (POINTS,)}
+
+
+def refuse_odd(obstacle: Obstacle) -> None:
+    """Raise `InputError` where its solids, its surface or a chart fail, or give something of another form."""
+    bodies = own_axes(len(obstacle.free_bodies))
+
+    def tried(what: str, function: Callable[..., Any], *given: Any) -> Any:
+        try:
+            return function(*given)
+        except WRONG as error:
+            raise _refused(obstacle, f"{what} fails: {raised(error)}") from None
+
+    solids = tried("solids", obstacle.solids, bodies)
+    if not isinstance(solids, tuple | list) or not all(hasattr(one, "to_segments") for one in solids):
+        raise _refused(obstacle, f"solids gives {solids!r}: a tuple of solids is wanted")
+    points, owner = jnp.zeros((POINTS, 3)), (-1,) * POINTS
+    found = tried("surface", jax.eval_shape, lambda at: obstacle.surface(at, owner, bodies), points)
+    if not isinstance(found, Surface):
+        raise _refused(obstacle, f"surface gives {type(found).__name__}: a Surface is wanted")
+    for name, form in FORMS.items():
+        if (given := getattr(getattr(found, name), "shape", None)) != form:
+            raise _refused(obstacle, f"surface gives {name} {given} of {POINTS} points: {form} is wanted")
+    if not isinstance(obstacle.charts, Mapping) or not all(isinstance(c, Chart) for c in obstacle.charts.values()):
+        raise _refused(obstacle, f"charts are {obstacle.charts}: a Chart by each name is wanted")
+    for name, chart in obstacle.charts.items():
+        numbers = jnp.zeros(3 + len(chart.names))  # the leg's side, the unit, how deep, the coordinates
+        point = tried(f"chart {name}", jax.eval_shape, lambda x, at=chart.at: at(obstacle, *x), numbers)
+        if getattr(point, "shape", None) != (3,):
+            raise _refused(obstacle, f"chart {name} gives {getattr(point, 'shape', point)}: (3,) is wanted")
+
+
+def _refused(obstacle: Obstacle, what: str) -> InputError:
+    return InputError(f"obstacle.kind = {obstacle.kind} is not allowed: {what}")
