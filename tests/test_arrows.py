@@ -42,7 +42,6 @@ FILES_BELOW_RUNS = {
     "sweep.core.letters",
     "sweep.core.files",
     "sweep.core.project",
-    "sweep.core.waiting",
     "sweep.core.provenance",
     "sweep.fused.cuda",
     "sweep.engines.program_cache",

@@ -1,8 +1,11 @@
+import os
 import subprocess
 import sys
 import time
 
-from sweep.core import waiting
+import pytest
+
+from sweep.core import files, waiting
 
 
 def test_a_wait_in_a_pipe_is_told_and_remembered(monkeypatch, tmp_path, capsys):
@@ -34,6 +37,25 @@ def test_which_program_is_compiled_is_told_with_what_it_took_last_time(monkeypat
     waiting.remember("ladder for mjx", 5.0)  # with programs that were kept
     assert waiting.last_time("ladder for mjx") == " (5 s last time)"
     assert waiting.last_time("ladder for mjx: closed loop")
+
+
+@pytest.mark.parametrize("folder", [True, False])
+def test_waits_are_kept_where_programs_are_or_not_at_all(monkeypatch, tmp_path, folder):
+    kept = tmp_path / ".cache" / "insect-sweep"
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_CACHE_HOME", "")
+    monkeypatch.setenv("HOME", str(tmp_path))
+    if not folder:  # as for a user without a home
+        monkeypatch.setattr(waiting, "cache_folder", lambda: None)
+    before = os.umask(0o002)
+    try:
+        waiting.remember("walk for mjx", 17.2)
+    finally:
+        os.umask(before)
+    assert waiting.last_time("walk for mjx") == (" (17 s last time)" if folder else "")
+    assert list(tmp_path.rglob("*.json")) == ([kept / "waits.json"] if folder else [])
+    if folder:
+        assert files.private(kept)
 
 
 def test_the_compilers_own_alarm_is_silent_unless_asked_for():

@@ -1,16 +1,18 @@
 """What is told while one has to wait: on a terminal a line that changes, in a pipe a line now and then."""
 
 import json
-import os
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from pathlib import Path
+
+from sweep.core.errors import InputError
+from sweep.core.files import cache_folder, private
 
 FIRST, NEXT = 15.0, 60.0  # s, of silence, before the first line in a pipe and between the others
 WORTH = 2.0  # s, that a wait lasts to be remembered
+KEPT = "waits.json"  # beside the compiled programs
 _begun: dict[str, float] = {}  # parts of what is waited for that are under way, and since when
 _took: dict[str, float] = {}  # s, of those that are done
 
@@ -78,19 +80,15 @@ def last_time(what: str) -> str:
 def remember(what: str, seconds: float) -> None:
     """Keep how long `what` and its parts took, beside the compiled programs."""
     took = {what: seconds, **{f"{what}: {name}": _took.pop(name) for name in tuple(_took)}}
-    if long := {name: round(one, 1) for name, one in took.items() if one > WORTH}:
-        with suppress(OSError):  # such as a home that cannot be written
-            file = _file()
-            file.parent.mkdir(parents=True, exist_ok=True)
-            file.write_text(json.dumps({**_waits(), **long}))
+    long = {name: round(one, 1) for name, one in took.items() if one > WORTH}
+    if long and (folder := cache_folder()):
+        with suppress(OSError, InputError):  # such as a home that cannot be written
+            if private(folder):
+                (folder / KEPT).write_text(json.dumps({**_waits(), **long}))
 
 
 def _waits() -> dict[str, float]:
-    try:
-        return dict(json.loads(_file().read_text()))
-    except (OSError, ValueError):
-        return {}
-
-
-def _file() -> Path:
-    return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "insect-sweep" / "waits.json"
+    folder = cache_folder()
+    with suppress(OSError, ValueError):
+        return dict(json.loads((folder / KEPT).read_text())) if folder else {}
+    return {}
