@@ -214,7 +214,7 @@ function columnOf(told, values) {
   const label = clipped(told.label);
   const title = told.unit ? `${label} [${told.unit}]` : label;
   const names = told.names ? told.names.map(clipped) : null;
-  return { ...told, label, title, names, limit: told.limit, values, low, high };
+  return { ...told, label, title, names, values, low, high };
 }
 
 /**

@@ -263,7 +263,7 @@ export function mapView(app) {
       drawOver();
       return;
     }
-    if (Math.hypot(x - pressed.x, y - pressed.y) < DRAG && !pressed.part.startsWith("d")) return;
+    if (Math.hypot(x - pressed.x, y - pressed.y) < DRAG) return;
     tip.hidden = true;
     brush(pressed, x, y);
   });
