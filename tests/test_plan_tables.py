@@ -266,3 +266,11 @@ def test_differences_of_plans_are_a_file_that_extends_one():
     other = {**own, "over": {**own["over"], "base": "brink"}, "new": {"move": {"lift": 1}}}
     assert differences(own, other) == {"over": {"base": "brink"}, "new": {"move": {"lift": 1}}}
     assert differences(own, own) == {}
+
+
+def test_on_and_off_are_names_in_a_plan_that_is_chosen(tmp_path):
+    """YAML takes them for truths."""
+    (tmp_path / "mine.yaml").write_text("# é\nextends: ball_ledges\non: {front: {seconds: 0.9}}\n")
+    for plan, seconds in (("ball_ledges", 0.8), (tmp_path / "mine.yaml", 0.9)):
+        case = compose(["scenario=ball_ledges", f"plan={plan}"]).case
+        assert numbers(told(case), case.obstacle.charts)["on.front.seconds"] == seconds

@@ -21,6 +21,8 @@ from sweep.core.groups import GROUPS
 SHIPPED, FILE, ENTRY_POINTS = "sweep.conf", "sweep.yaml", "sweep.modules"
 FOLDERS = {group: "studies" if group == "study" else f"{group}s" for group in GROUPS}  # of a project
 KEYS = ("modules",)
+LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # where there is one, the fast one
+TRUTHS = ("on", "off", "yes", "no", "true", "false")  # that YAML takes for truths
 
 
 def root() -> Path | None:
@@ -71,6 +73,14 @@ def settings() -> dict[str, Any]:
         what = f"{unknown[0]} is unknown" if unknown else f"modules = {modules} is not allowed"
         raise InputError(f"{folder / FILE}: {what} (allowed: modules, a list of names of Python modules)")
     return {"modules": [str(module) for module in modules]}
+
+
+def words(text: str) -> str:
+    """The YAML of a plan with `on`, `off` and their like in quotes: they are names there. Raises `yaml.YAMLError`."""
+    for event in reversed(list(yaml.parse(text, LOADER))):
+        if isinstance(event, yaml.ScalarEvent) and event.implicit[0] and event.value.lower() in TRUTHS:
+            text = f'{text[: event.start_mark.index]}"{event.value}"{text[event.end_mark.index :]}'
+    return text
 
 
 def one_line(error: yaml.YAMLError) -> str:

@@ -260,19 +260,9 @@ def shipped(name: str) -> Content:
     return merged(name, lambda other: project.shipped(GROUP)[other].read_text(encoding="utf-8"))
 
 
-class _Loader(yaml.SafeLoader):
-    """Reads words as words: `on` and `off` are names here."""
-
-
-_Loader.yaml_implicit_resolvers = {
-    first: [(tag, pattern) for tag, pattern in resolvers if not tag.endswith(":bool")]
-    for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
-}
-
-
 def merged(name: str, read: Callable[[str], str]) -> Content:
     """The plan `name` over those that it extends, the first one or a list; texts of files are `read` by name."""
-    content = dict(yaml.load(read(name), _Loader))
+    content = dict(yaml.load(project.words(read(name)), project.LOADER))
     bases = content.pop("extends", [])
     below = [merged(base, read) for base in ([bases] if isinstance(bases, str) else bases)]
     return functools.reduce(_over, [*below, content])

@@ -15,7 +15,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import yaml
 
-from sweep.core import files
+from sweep.core import files, project
 from sweep.core.errors import Fault, InputError
 from sweep.runs import manifest
 from sweep.runs.manifest import Entry
@@ -82,7 +82,7 @@ def read_study(folder: Path) -> dict[str, Any]:
         text, check, given = path.read_bytes().rpartition(CHECK.encode())
         if check and given != f"{files.digest(text)}\n".encode():
             raise damaged
-        content = yaml.load(text if check else given, _Loader)
+        content = yaml.load(text if check else given, project.LOADER)
     except (FileNotFoundError, NotADirectoryError):
         raise Damaged(f"{folder} is not a folder of results: it has no {STUDY}") from None
     except (OSError, ValueError, RecursionError, yaml.YAMLError):
@@ -95,9 +95,6 @@ def read_study(folder: Path) -> dict[str, Any]:
         by = f"format {content['format']}, of version {content.get('commit') or content.get('code')}"
         raise InputError(f"{folder} has {by}; this one reads {FORMAT}: give out=DIR")
     return content
-
-
-_Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
 def digest(values: Any) -> str:

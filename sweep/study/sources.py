@@ -25,6 +25,7 @@ from omegaconf import DictConfig, OmegaConf
 from sweep.core import project
 from sweep.core.errors import InputError, suggest
 from sweep.core.groups import GROUPS
+from sweep.models.plan_table import GROUP as PLANS
 from sweep.systems import USUAL
 
 SCHEME, SYSTEM = "sweep", "system"
@@ -68,7 +69,7 @@ class Files(ConfigSource):
         if project.find(group, name) is None and (made := schema(group, name)):
             return ConfigResult(self.provider, self.full_path(), made(), {"package": None})
         file = project.find(group, name)
-        content = read(file)
+        content = read(file, words=group == PLANS)
         header = ConfigSource._get_header_dict(file.read_text(encoding="utf-8")[:512])
         refuse_code(config_path, content, str(header.get("package")))
         if GROUPS[group].whole:
@@ -130,10 +131,11 @@ def register() -> None:
     SourcesRegistry.instance().types[Unexecuted.scheme()] = Unexecuted
 
 
-def read(file: Any) -> dict[str, Any]:
-    """A file's keys and values. Raises `InputError`."""
+def read(file: Any, words: bool = False) -> dict[str, Any]:
+    """A file's keys and values; with `words` as plans have them (see `project.words`). Raises `InputError`."""
     try:
-        content = OmegaConf.load(io.StringIO(file.read_text(encoding="utf-8")))
+        text = file.read_text(encoding="utf-8")
+        content = OmegaConf.load(io.StringIO(project.words(text) if words else text))
     except yaml.YAMLError as error:
         raise InputError(f"{file} cannot be read: {project.one_line(error)}") from None
     except RecursionError:
