@@ -41,13 +41,13 @@ def test_the_first_rows_of_a_study_are_kept_over_time(folder, whole):
 
 def test_a_report_lays_histories_over_each_other(folder):
     found = results.read(folder)
-    kept = overlay.samples(found)
-    table = overlay.data(found, kept)
+    (exhibit,) = overlay.exhibits(found)
+    table = exhibit.data
     first = table[(table["column"] == "tilt_deg") & (table["time_s"] == 0.5)]
     assert first["rollouts"].sum() == 20
     assert (first["median"] == 0.5).all()
-    assert "20 of 56 rollouts" in overlay.caption(found, kept)
-    assert len(overlay.draw(found, kept, table).axes) == 2
+    assert "20 of 56 rollouts" in exhibit.caption
+    assert len(exhibit.draw().axes) == 2
     assert main(["report", str(folder)]) == 0
     assert "Over time" in (folder / "report.html").read_text()
 

@@ -447,7 +447,7 @@ def test_what_is_observed_and_measured_may_be_functions(here, engine, kind):
 def test_figures_have_names(here, capsys):
     rail("nameless", PUSH.replace('{"speed_mps": state', '{"speed": state'))
     assert main(["run", "study=rail.yaml", "out=nameless"]) == 2
-    assert "has figures speed (): numbers are wanted, named in FIGURES" in capsys.readouterr().err
+    assert "has figures speed float32 (): numbers are wanted, named in FIGURES" in capsys.readouterr().err
 
 
 def test_a_row_says_on_what_it_was_simulated(here, monkeypatch):

@@ -25,7 +25,6 @@ from omegaconf import DictConfig, OmegaConf
 from sweep.core import project
 from sweep.core.errors import InputError, suggest
 from sweep.core.groups import GROUPS
-from sweep.models.plan_table import GROUP as PLANS
 from sweep.systems import USUAL
 
 SCHEME, SYSTEM = "sweep", "system"
@@ -69,7 +68,7 @@ class Files(ConfigSource):
         if project.find(group, name) is None and (made := schema(group, name)):
             return ConfigResult(self.provider, self.full_path(), made(), {"package": None})
         file = project.find(group, name)
-        content = read(file, words=group == PLANS)
+        content = read(file, words=GROUPS[group].free)
         header = ConfigSource._get_header_dict(file.read_text(encoding="utf-8")[:512])
         refuse_code(config_path, content, str(header.get("package")))
         if GROUPS[group].whole:
