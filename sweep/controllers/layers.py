@@ -35,6 +35,7 @@ class Now(NamedTuple):
     free: FreeState  # as the stage has them
     period: float  # s
     joints: Float[Array, "6 3"]  # rad, last targets
+    untold: Array | float = 0.0  # s, for which a foot stands before its load is seen
 
 
 class Command(NamedTuple):
@@ -174,9 +175,13 @@ class Feedforward(Layer):
         return jnp.zeros_like(own), free
 
     def led(self, now: Now, own: Float[Array, " 6"], target: Stance) -> tuple[Float[Array, " 6"], Stance]:
-        """Feet `crept`; farther, those that bear no load long after the end of their swing."""
-        late = jnp.clip(now.clock - now.plan.duration[now.stage] - SOON, 0.0, now.period)
-        own = own + jnp.where(now.seen.loaded, 0.0, FASTER * self.creep * late)
+        """Feet `crept`; farther, those that bear no load long after the end of their swing.
+
+        None that may bear some, since it would push the base away; not before it is known which did in time.
+        """
+        late = jnp.clip(now.clock - now.plan.duration[now.stage] - (SOON + now.untold), 0.0, now.period)
+        bears = now.seen.loaded if now.seen.perhaps is None else now.seen.perhaps
+        own = own + jnp.where(bears, 0.0, FASTER * self.creep * late)
         return own, target._replace(feet=self.crept(now.plan, own, now.stage, now.clock, target.feet))
 
     def anchored(self, now: Now, feet: Float[Array, "6 3"]) -> Float[Array, "6 3"]:

@@ -27,9 +27,10 @@ class Observation(NamedTuple):
     angles: Float[Array, "6 3"]  # rad, of the joints
     rates: Float[Array, "6 3"]  # rad/s
     joint_error: Float[Array, "6 3"]  # rad, measured minus true joint angle: what the drives' feedback suffers
-    loaded: Bool[Array, " 6"]  # which feet carry load
+    loaded: Bool[Array, " 6"]  # which feet carry load, for sure
     free: FreeState
     load: Float[Array, " 6"] | float = np.inf  # N, on each foot, along the normal
+    perhaps: Bool[Array, " 6"] | None = None  # which do by what is measured; None: those that are loaded
 
 
 class Biases(NamedTuple):
@@ -112,9 +113,16 @@ def observe(noise: Noise, sensors: Sensors, truth: Observation, key: Array) -> t
     return sensors._replace(past=past), seen
 
 
-def threshold(control: Control, noise: Noise) -> Array | float:
-    """Measured load (N) from which on a foot stands."""
-    return control.load_threshold + DOUBT * jnp.sqrt(jnp.square(noise.load_noise) + jnp.square(noise.load_bias))
+def weighed(control: Control, noise: Noise, seen: Observation) -> Observation:
+    """`seen`, and which feet carry load by what is measured: for sure, where `noise` is believed, and perhaps."""
+    doubt = DOUBT * jnp.sqrt(jnp.square(noise.load_noise) + jnp.square(noise.load_bias))
+    perhaps = seen.load > control.load_threshold
+    return seen._replace(loaded=seen.load > control.load_threshold + doubt, perhaps=perhaps)
+
+
+def untold(noise: Noise, period: float) -> Array | float:
+    """For how long (s) a foot stands before its load is known."""
+    return (noise.delay + noise.load_delay) * period
 
 
 def _scatter(key: Array, sizes: tuple[Array | float, ...], free: FreeState) -> Float[Array, "k 4 3"]:

@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float, Int
 from sweep.controllers import frames
 from sweep.controllers.frames import Stance, to_frame, to_world
 from sweep.controllers.layers import HeldLegs
-from sweep.controllers.observation import Observation
+from sweep.controllers.observation import Observation, untold
 from sweep.controllers.plan import Plan
 from sweep.controllers.posture import feet_in_world
 from sweep.controllers.tracker import TrackerState
@@ -159,9 +159,9 @@ def felt(
     follows = jnp.where(has & seen.loaded, jnp.clip(left, -step, step), 0.0)
     late = comes & (state.clock >= plan.duration[stage])
     searches = ((stands & ~has) | (late & ~seen.loaded)) & uncertain & (left > -REACH)
-    untold = (noise.delay + noise.load_delay) * period  # s, for which a foot stands before that is known
-    goes_on = searches & (stands | (state.clock >= plan.duration[stage] + untold))
-    onwards = jnp.where(goes_on, jnp.minimum(step, TOO_FAR * period / jnp.maximum(untold, period)), 0.0)
+    unknown = untold(noise, period)
+    goes_on = searches & (stands | (state.clock >= plan.duration[stage] + unknown))
+    onwards = jnp.where(goes_on, jnp.minimum(step, TOO_FAR * period / jnp.maximum(unknown, period)), 0.0)
     strain = jnp.sum((places - told) * normal, axis=1)  # m, by which it is held outside of where it is told to be
     pressed = YIELD / (1 + noise.delay) * (strain - ground.depth)
     back = jnp.maximum(pressed, -jnp.maximum(left, 0.0))  # to where it was planned, at most

@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from sweep.controllers.frames import Stance, stance_to_frame, stance_to_world, to_frame
 from sweep.controllers.layers import Command, Now
-from sweep.controllers.observation import Observation, Observer, followed
+from sweep.controllers.observation import Observation, Observer, followed, untold
 from sweep.controllers.plan import GRIP, KEEP, REGRIP, REZERO, Plan, reference
 from sweep.controllers.posture import feet_in_world, joint_targets
 from sweep.core.rotations import conjugate, exponential, heading, logarithm, multiply, nearest, rotate
@@ -106,7 +106,8 @@ def step(
     phase = jnp.clip(state.clock / plan.duration[state.stage], 0.0, 1.0)
     begins = (state.stage != old.stage) | ((old.stage == 0) & (old.clock == 0))
     free, blind = borne(plan, state, seen.free)
-    now = Now(belief.robot, plan, old.stage, state.stage, state.clock, phase, begins, seen, free, period, state.joints)
+    now = Now(belief.robot, plan, old.stage, state.stage, state.clock, phase, begins, seen, free, period, state.joints,
+              untold(belief.noise, period))  # fmt: skip
     frames = plan.foot_frame[state.stage], plan.base_frame[state.stage]
     for layer in plan.layers:
         state = state._replace(feet=layer.anchored(now, state.feet))

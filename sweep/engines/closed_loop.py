@@ -11,7 +11,7 @@ from sweep.controllers import tracker
 from sweep.controllers.frames import Stance
 from sweep.controllers.layers import Command
 from sweep.controllers.learned import Learned, at_first, felt, informed
-from sweep.controllers.observation import Observation, Sensors, install, observe, threshold
+from sweep.controllers.observation import Observation, Sensors, install, observe, weighed
 from sweep.controllers.plan import Plan
 from sweep.controllers.posture import feet_in_world, joint_targets
 from sweep.controllers.tracker import TrackerState
@@ -165,7 +165,7 @@ def act(
     if sensors is not None:
         sensors, seen = observe(world.noise, sensors, seen, jax.random.fold_in(loop.key, tick))
     free = surface.placed(at_first(belief, loop.learned), seen.free)
-    seen = seen._replace(free=free, loaded=seen.load > threshold(world.control, belief.noise))
+    seen = weighed(world.control, belief.noise, seen._replace(free=free))
     state, followed, beside, learned = felt(world, belief, plan, loop.tracker, loop.learned, seen, period)
     state, command = tracker.step(informed(belief, learned), followed, state, seen, period, beside)
     servo = position_mode(world.drive, command.joints - seen.joint_error)

@@ -14,6 +14,7 @@ from sweep.controllers.observation import Observation
 from sweep.controllers.plan import REGRIP
 from sweep.controllers.posture import joint_targets
 from sweep.core.rotations import exponential, logarithm, rotate
+from sweep.models.noise import Noise
 from sweep.models.obstacles.surface import no_bodies
 from sweep.study.config import compose
 
@@ -80,21 +81,27 @@ def test_a_stage_waits_for_its_feet_as_long_as_patience_lasts(follow, plan):
     np.testing.assert_allclose(took, np.asarray(plan.duration)[:-1] + late, atol=2 * PERIOD)
 
 
-def test_a_foot_that_hangs_goes_on_alone(plan):
-    """Held by planned forces: those that swing with it, and have touched down, are soon pressed on no farther."""
+@pytest.mark.parametrize(("sure", "late"), [(True, 0.0), (False, 0.0), (True, 0.08)])
+def test_a_foot_that_hangs_goes_on_alone(plan, sure, late):
+    """Held by planned forces: those that swing with it, and have touched down, are soon pressed on no farther.
+
+    Neither are those that may have, as far as can be told (not `sure`), nor any until loads are known (`late`, s).
+    """
     stage, creep, wait = int(np.argmax(np.any(plan.swing, axis=1))), 0.01, 0.3  # m/s, s
     first, *others = np.flatnonzero(plan.swing[stage])
     down = jnp.broadcast_to(jnp.array([0.0, 0.0, -1.0]), plan.foothold.shape)
     numbers = jnp.zeros((len(plan.names), 2, 6, 3)), jnp.zeros(len(plan.names)), down, jnp.array(creep), jnp.array(0.03)
     held = replace(plan, patience=jnp.array(1.0)).with_layer(Feedforward(*numbers))
-    still, joints, loaded = jnp.zeros(3), jnp.zeros((6, 3)), jnp.arange(6) != first
-    seen = Observation(*plan.start[1:], still, still, joints, joints, joints, loaded, no_bodies())
-    begun = tracker.init(CASE, held)._replace(stage=jnp.int32(stage), clock=plan.duration[stage])
+    still, joints, stands = jnp.zeros(3), jnp.zeros((6, 3)), jnp.arange(6) != first
+    seen = Observation(*plan.start[1:], still, still, joints, joints, joints, stands & sure, no_bodies())
+    seen = seen._replace(perhaps=stands)
+    told = replace(CASE, noise=Noise(delay=0.25 * late / PERIOD, load_delay=0.75 * late / PERIOD))
+    begun = tracker.init(told, held)._replace(stage=jnp.int32(stage), clock=plan.duration[stage])
 
     @jax.jit
     def waiting(state):
         def tick(state, _):
-            state, command = tracker.step(CASE, held, state, seen, PERIOD)
+            state, command = tracker.step(told, held, state, seen, PERIOD)
             return state, (state.stage, command.target.feet)
 
         return jax.lax.scan(tick, state, None, length=round(wait / PERIOD))[1]
@@ -103,7 +110,7 @@ def test_a_foot_that_hangs_goes_on_alone(plan):
     assert np.all(stages == stage)
     below = np.asarray(plan.foothold[stage, :, 2] - feet[-1, :, 2])
     np.testing.assert_allclose(below[others], creep * SOON, atol=1e-5)
-    assert below[first] == pytest.approx(creep * (SOON + FASTER * (wait - SOON)), abs=1e-5)
+    assert below[first] == pytest.approx(creep * (SOON + FASTER * (wait - SOON - late)), abs=1e-5)
 
 
 def test_body_error_shifts_feet_and_body_and_fades(follow, plan):
