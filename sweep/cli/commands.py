@@ -12,6 +12,7 @@ from sweep.cli.choices import refuse_unknown
 from sweep.cli.exits import DONE
 from sweep.core.arguments import Arguments, flags
 from sweep.core.errors import InputError
+from sweep.core.files import legible
 from sweep.core.groups import GROUPS
 from sweep.core.start import VERSION
 
@@ -42,6 +43,8 @@ exit codes:
 
 def execute(args: list[str]) -> int:
     """Run the command that `args` begin with; its exit code. Raises `InputError`."""
+    if strange := [word for word in args if legible(word) != word]:
+        raise InputError(f"{legible(strange[0])} is not allowed: letters in UTF-8")
     if args and args[0] == "run":
         return run(args[1:])
     if args and args[0] in WHOLE:

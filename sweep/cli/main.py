@@ -2,12 +2,11 @@
 
 import atexit
 import gc
-import io
-import os
 import sys
 
-from sweep.cli.exits import BAD_INPUT, DONE, FAULT, INTERRUPTED
-from sweep.core.errors import Fault, InputError
+from sweep.cli import streams
+from sweep.cli.exits import BAD_INPUT, FAULT, INTERRUPTED
+from sweep.core.errors import Fault, InputError, in_one_line
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -17,15 +16,17 @@ def main(argv: list[str] | None = None) -> int:
     """
     gc.set_threshold(50_000)  # imports and tracing make a million objects, none in vain: 10 % of a start
     atexit.register(gc.freeze)  # nor are they looked through at the end, which takes as long again
-    for stream in (sys.stdout, sys.stderr):  # a terminal without our letters shows others instead
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")
+    if sys.stdout is sys.__stdout__:  # not of a notebook, or of a test
+        streams.bear()
     try:
         from sweep.cli import commands  # takes a tenth of a second
         from sweep.core import project
 
-        with project.blaming():
-            return commands.execute(list(sys.argv[1:] if argv is None else argv))
+        try:
+            with project.blaming():
+                return commands.execute(list(sys.argv[1:] if argv is None else argv))
+        finally:
+            sys.stdout.flush()  # here, where it is told that nothing could be written
     except InputError as error:
         print(f"sweep: {error}", file=sys.stderr)
         return BAD_INPUT
@@ -35,12 +36,9 @@ def main(argv: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("sweep: interrupted; what is on disk stays, the same command finishes the rest", file=sys.stderr)
         return INTERRUPTED
-    except BrokenPipeError:  # the reader, such as `head`, has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return DONE
     except OSError as error:
         from sweep.core.files import UNFIT, reason
 
         name = error.filename2 or error.filename  # of a copy the target
-        print(f"sweep: {f'{name}: ' if name else ''}{reason(error)}", file=sys.stderr)
+        print(f"sweep: {in_one_line(f'{name}: ' if name else '')}{reason(error)}", file=sys.stderr)
         return BAD_INPUT if error.errno in UNFIT else FAULT  # such as a full disk

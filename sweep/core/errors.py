@@ -6,6 +6,9 @@ from collections.abc import Iterable
 class InputError(ValueError):
     """Bad input from the user: the message is one line naming the key, the value and what is allowed."""
 
+    def __str__(self) -> str:
+        return in_one_line(super().__str__())
+
 
 WRONG = (Exception, SystemExit)  # what code of a user's own raises where it is wrong, `sys.exit()` among it
 
@@ -14,7 +17,12 @@ class Fault(RuntimeError):
     """The machine failed a sound run: disk, memory, workers."""
 
     def __str__(self) -> str:
-        return f"{super().__str__()}; what is on disk stays, the same command finishes the rest"
+        return f"{in_one_line(super().__str__())}; what is on disk stays, the same command finishes the rest"
+
+
+def in_one_line(text: str) -> str:
+    """`text`, which may name a file with a line break in its name, without one."""
+    return text.replace("\n", "\\n")
 
 
 def raised(error: BaseException) -> str:

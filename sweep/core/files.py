@@ -72,8 +72,14 @@ def _pass_on(stream: int, name: str, content: bytes | Callable[[Path], object]) 
             content(file := Path(folder) / name)
             content = file.read_bytes()
     sys.stdout.flush()  # what was said before
-    with open(stream, "wb", closefd=False) as file:
+    # a reader, such as `head`, has seen enough
+    with contextlib.suppress(BrokenPipeError), open(stream, "wb", closefd=False) as file:
         file.write(content)
+
+
+def legible(name: str | Path) -> str:
+    """A name as text that can be written anywhere: bytes of it that are no UTF-8 as `\\xe9`."""
+    return str(name).encode(errors="surrogateescape").decode(errors="backslashreplace")
 
 
 def as_text(content: bytes) -> str:

@@ -7,6 +7,7 @@ import pandas as pd
 
 from sweep.analysis.stats import percent, rate
 from sweep.core.errors import InputError
+from sweep.core.files import legible
 from sweep.runs import store
 
 
@@ -26,15 +27,16 @@ def within(folder: Path) -> list[Path]:
 
 def line(folder: Path) -> dict[str, str]:
     """Study, rollouts done and planned, rate of success, invalid ones, code, and when it was last worked on."""
+    name = legible(folder)
     empty = dict.fromkeys(("study", "rollouts", "succeed", "invalid", "commit", "date"), "")
     try:
         stored = store.read_study(folder)
         outcome = outcomes(folder)
     except InputError as error:
-        return {"folder": str(folder), **empty, "study": str(error).split(":")[0].removeprefix(f"{folder}/")}
+        return {"folder": name, **empty, "study": legible(str(error).split(":")[0].removeprefix(f"{folder}/"))}
     found, config = rate(outcome), stored["config"]
     return {
-        "folder": str(folder),
+        "folder": name,
         "study": config["study"]["name"] or config["scenario"]["name"],
         "rollouts": f"{found.total:,} of {stored['rollouts']:,}",
         "succeed": percent(found.share) if found.valid else "",

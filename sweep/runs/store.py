@@ -127,7 +127,7 @@ def content_of(path: Path) -> pa.Buffer:
 
     Of bytes held by Python a thread of Arrow may let go while the interpreter ends, which then aborts.
     """
-    with pa.OSFile(os.fspath(path)) as file:
+    with pa.OSFile(os.fsencode(path)) as file:
         return file.read_buffer()
 
 

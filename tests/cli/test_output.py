@@ -3,6 +3,7 @@
 import errno
 import io
 import os
+import shutil
 import subprocess
 import sys
 
@@ -82,3 +83,30 @@ def test_a_user_without_a_home_or_our_letters_is_served(folder, tmp_path):
         done = subprocess.run([sys.executable, str(FAKE), *command], env=plain, capture_output=True)
         assert done.returncode == 0, done.stderr
     assert len(store.read_rows(tmp_path)) == 56
+
+
+@pytest.mark.parametrize(
+    ("streams", "code"),
+    [(">&- 2>&-", 0), ("2> /dev/full", 0), ("> /dev/full", 5), ("2>&1 | true", 0), ("> /dev/full 2>&1", 5)],
+)
+def test_rows_are_kept_whatever_becomes_of_the_streams(tmp_path, streams, code):
+    """Closed, full, or without a reader; a failing output is told, where it can be."""
+    words = " ".join(f"'{word}'" for word in (sys.executable, str(FAKE), "run", *STUDY, f"out={tmp_path / 'o'}"))
+    buffered = {key: value for key, value in os.environ.items() if key != "PYTHONUNBUFFERED"}
+    done = subprocess.run(["bash", "-c", f"set -o pipefail; {words} {streams}"], env=buffered, capture_output=True)
+    assert done.returncode == code
+    assert len(store.read_rows(tmp_path / "o")) == 56
+    told = done.stderr.decode().splitlines()[1:]
+    assert told == (["sweep: standard output: No space left on device"] if streams == "> /dev/full" else [])
+
+
+def test_names_that_are_no_letters_are_refused_and_listed(folder, tmp_path, capsys):
+    latin = os.fsencode(tmp_path) + b"/caf\xe9"
+    shutil.copytree(os.fsencode(folder), latin)
+    for words in (["run", *STUDY, f"out='{os.fsdecode(latin)}'"], ["table", os.fsdecode(latin)]):
+        assert main(words) == 2
+        one_line(capsys.readouterr().err, r"caf\xe9", "not allowed: letters in UTF-8")
+    assert main(["list", str(tmp_path)]) == 0
+    assert r"caf\xe9 | walk_map | 56 of 56" in " ".join(capsys.readouterr().out.split())
+    assert main(["table", str(tmp_path / "new\nline")]) == 2
+    one_line(capsys.readouterr().err, r"new\nline is not a folder of results")
