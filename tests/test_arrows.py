@@ -37,8 +37,9 @@ JAX_ABOVE_ENGINES = {
     "sweep.cli.bench",
 }
 # the sources' own text; compiled programs; a study's name for its folder and its table of points; what a system is read
-# from, which goes with a study
+# from, which goes with a study; a command's arguments
 FILES_BELOW_RUNS = {
+    "sweep.core.arguments",
     "sweep.core.letters",
     "sweep.core.files",
     "sweep.core.project",

@@ -85,6 +85,7 @@ BAD = [
     ("robot.mounts=star", ["robot.mounts = 'star'", "rectangle, circle"]),
     ("frictoin=1", ["frictoin = 1", "contact"]),
     ("obstacle=ball", ["obstacle.kind = ball", "manoeuvre.kind = walk needs plane"]),
+    ("plan.top.rear.time=1", ["plan.top is unknown", "first a plan is chosen, plan=NAME"]),
     ("robot.thigh", ["robot.thigh", "group.name=value"]),
     ("study.name=a<b", ["study.name=a<b cannot be read", "quotes"]),
     ("out=results/ö", ["out=results/ö cannot be read", """'out="results/ö"'"""]),

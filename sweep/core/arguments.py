@@ -3,11 +3,12 @@
 import argparse
 import re
 from collections.abc import Callable, Iterable
+from pathlib import Path
 from typing import Any, NoReturn
 
 from sweep.core.errors import InputError, suggest
 
-KINDS = {"float": "a number", "int": "a whole number"}  # as argparse calls them, and as we do
+KINDS = {"float": "a number", "int": "a whole number", "Path": "a path"}  # as argparse calls them, and as we do
 
 
 class Arguments(argparse.ArgumentParser):
@@ -16,6 +17,7 @@ class Arguments(argparse.ArgumentParser):
     def __init__(self, *given: Any, others: Callable[[str], bool] = lambda _: False, **named: Any) -> None:
         super().__init__(*given, **named)
         self.others = others
+        self.register("type", Path, _path)
 
     def error(self, message: str) -> NoReturn:
         """End with one line that says what is wrong, see `refused`."""
@@ -27,6 +29,13 @@ class Arguments(argparse.ArgumentParser):
         if unknown := [word for word in words if not self.others(word)]:
             self.error(f"unrecognized arguments: {' '.join(unknown)}")
         return found, words
+
+
+def _path(word: str) -> Path:
+    """Not of an empty word, such as of a variable that is not set, which would be the folder one is in."""
+    if not word:
+        raise ValueError
+    return Path(word)
 
 
 def no_flag(word: str) -> bool:
@@ -45,6 +54,6 @@ def refused(message: str, command: str, known: Iterable[str]) -> InputError:
         return InputError(f"{found[1]} is unknown{suggest(found[1], {*known})}")
     if found := re.match(r"argument (\S+): invalid choice: '(.*)' \(choose from (.*)\)", message):
         return InputError(f"{found[1]} = {found[2]} is unknown{suggest(found[2], re.findall(r'[\w.-]+', found[3]))}")
-    if found := re.match(r"argument (\S+): invalid (float|int) value: '(.*)'", message):
+    if found := re.match(r"argument (\S+): invalid (float|int|Path) value: '(.*)'", message):
         return InputError(f"{found[1]} = {found[3]} is not allowed: {KINDS[found[2]]}")
     return InputError(f"{message} (`{command} --help` tells more)")

@@ -63,8 +63,8 @@ def held(condition: str, look_up: Callable[[str], Any], told: str, such: str) ->
         return found
     except SyntaxError:
         raise InputError(f"{told} is not a condition, such as {such}") from None
-    except InputError:
-        raise
+    except InputError as error:
+        raise InputError(f"{told.partition(' = ')[0]}: {error}") from None
     except (TypeError, ValueError):
         raise InputError(f"{told} compares or reckons with what cannot be, such as words with numbers") from None
 

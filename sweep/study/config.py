@@ -177,6 +177,8 @@ def resolve(config: DictConfig) -> dict[str, Any]:
         if isinstance(text, str) and re.search(r"\$\{[^}]*:", text):  # such as oc.env, whose secret would be stored
             raise InputError(f"{key} = {text} is not allowed: an interpolation names another key")
     values: Any = OmegaConf.to_container(config, resolve=True)
+    if made := [key for key in systems.DERIVED if key in flat(values)]:
+        raise InputError(f"{made[0]} is not allowed: it is made of what the files hold")
     if not isinstance(values.get("study"), dict) or not isinstance(values["study"].get("axes"), dict):
         return values  # which `experiment` refuses
     designs.check_told(values["study"])
@@ -258,6 +260,8 @@ def one_line(error: Exception, overrides: list[str]) -> str:
     if isinstance(cause, ConfigKeyError | AttributeError) and isinstance(cause, OmegaConfBaseException):
         key, given = str(cause.full_key), _given(str(cause.full_key), overrides)
         allowed = [str(k) for k in cause.parent_node or () if k != "hydra"]  # pyright: ignore[reportGeneralTypeIssues]
+        if not allowed and (group := key.partition(".")[0]) in GROUPS:
+            return f"{key}{given} is unknown: first a {group} is chosen, {group}=NAME (`sweep list` shows them)"
         return f"{key}{given} is unknown{hint_whole(key, allowed) or suggest(str(cause.key), allowed)}"
     if isinstance(cause, KeyValidationError):
         return f"{cause.full_key} is not allowed: a name that is no number"
@@ -294,7 +298,7 @@ def _wrong_type(error: OmegaConfBaseException, overrides: list[str]) -> str:
             except InputError as known:
                 return str(known)
     hint = typing.get_type_hints(cls).get(str(error.key)) if dataclasses.is_dataclass(cls) else error.ref_type
-    found = (one for one in (typing.get_origin(hint), hint, *typing.get_args(hint)) if one in WORDS)
+    found = (one for one in (typing.get_origin(hint), hint, *typing.get_args(hint), cls) if one in WORDS)
     return f"{key}{_given(key, overrides)} is not allowed: {WORDS.get(next(found, dict))}"
 
 

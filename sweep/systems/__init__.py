@@ -7,7 +7,7 @@ from sweep.core.groups import GROUPS
 from sweep.systems.base import Kinds, Nominal
 
 COMMON = ("scenario", "study", "cluster", "out")  # keys of every configuration
-
+DERIVED = ("model.content",)  # keys that a stored one has besides
 
 USUAL = "hexapod"  # where a scenario names no `system`
 

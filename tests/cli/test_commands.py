@@ -262,6 +262,7 @@ def test_mistakes_with_results_are_one_line_each(capsys, tmp_path):
         (["report", "empty"], "empty is not a folder of results"),
         (["report", results, "--where", "friction > 9"], "no row of results/walk_map matches where = 'friction > 9'"),
         (["report", results, "-o", "file"], "file: File exists"),
+        (["report", results, "-o", ""], "-o/--output =  is not allowed: a path"),
         (["export", results, "--paper", "file"], "file/figures: Not a directory"),
         (["table", results, "-o", "none/rows.md"], "none/rows.md cannot be written: No such file or directory"),
         (["table", results, "--where", "friction"], "where = 'friction' is not a condition"),

@@ -58,14 +58,15 @@ class Condition(NamedTuple):
 
 def parse(given: Mapping[str, Any], figures: Collection[str]) -> tuple[Condition, ...]:
     """The conditions of a configuration in its order, but doubt first and the goal last. Raises `InputError`."""
+
+    def look_up(name: str) -> np.ndarray:
+        known(name, figures, name)
+        return np.ones(1)
+
     found = []
     for key, text in given.items():
         if key in (*DOUBTS, MISSED, UNTRUSTED, SUCCESS, FAILURE) or not str(key).isidentifier():
             raise InputError(f"outcome.{key} is not allowed: a name of your own for a failure, {GOAL} or {INVALID}")
-
-        def look_up(name: str, key: str = key) -> np.ndarray:
-            known(name, figures, f"outcome.{key}: {name}")
-            return np.ones(1)
 
         held(str(text), look_up, f"outcome.{key} = {text!r}", "'tilt_max_deg > 60'")
         found.append(Condition({GOAL: MISSED, INVALID: UNTRUSTED}.get(key, str(key)), str(key), str(text)))
