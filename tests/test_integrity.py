@@ -205,6 +205,20 @@ def test_many_small_parts_become_few_when_a_run_ends(tmp_path, whole, monkeypatc
     pd.testing.assert_frame_equal(content(tmp_path), rows)
 
 
+def test_parts_that_are_put_together_while_they_are_read_are_no_damage(folder, whole, monkeypatch):
+    monkeypatch.setattr(repair, "FEW", 2)
+    read = store.read_table
+
+    def late(*given):
+        monkeypatch.setattr(store, "read_table", read)
+        repair.compact(folder, store.read_points(folder))
+        return read(*given)
+
+    monkeypatch.setattr(store, "read_table", late)
+    pd.testing.assert_frame_equal(content(folder), whole)
+    assert len(store.counted(folder)) == 1
+
+
 def test_parts_are_put_together_without_changing_the_order_of_rows(tmp_path, monkeypatch):
     """Two engines, parts of a later extension, and gaps that are still to be run."""
     monkeypatch.setattr(repair, "FEW", 2)

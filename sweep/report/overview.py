@@ -48,5 +48,5 @@ def line(folder: Path) -> dict[str, str]:
 
 def outcomes(folder: Path) -> pd.Series:
     """The outcomes of finished rows. Raises `InputError` where a part is damaged."""
-    parts = [store.read_table(folder, entry)["outcome"].to_pandas() for entry in store.counted(folder)]
+    parts = [part["outcome"].to_pandas() for part in store.read_parts(folder, ["outcome"])]
     return pd.concat(parts, ignore_index=True) if parts else pd.Series([], dtype=object)

@@ -212,12 +212,23 @@ def read_table(folder: Path, entry: Entry, columns: list[str] | None = None) -> 
 def read_rows(folder: Path) -> pd.DataFrame:
     """All finished rows, in the order of their batches. Raises `InputError` where there are none."""
     read_study(folder)
-    parts = counted(folder)
-    if not parts:
+    if not (parts := read_parts(folder)):
         raise InputError(f"{folder} has no finished rollouts yet")
     # into pandas once, column by column: a million rows take seconds and little more memory than they need
-    table = pa.concat_tables([read_table(folder, entry) for entry in parts], promote_options="permissive")
+    table = pa.concat_tables(parts, promote_options="permissive")
+    del parts  # which would hold all columns
     return table.to_pandas(self_destruct=True)
+
+
+def read_parts(folder: Path, columns: list[str] | None = None) -> list[pa.Table]:
+    """All parts, in the order of their batches, also where a run puts them together meanwhile. Raises `InputError`."""
+    while True:
+        parts = counted(folder)
+        try:
+            return [read_table(folder, entry, columns) for entry in parts]
+        except InputError:
+            if counted(folder) == parts:
+                raise
 
 
 def find_row(rows: pd.DataFrame, point: str, folder: Path) -> pd.Series:
