@@ -3,14 +3,15 @@
 import argparse
 from pathlib import Path
 
-import mujoco
 import yaml
 
 from sweep.cli.exits import DONE
 from sweep.core.arguments import Arguments, no_flag
 from sweep.core.errors import InputError
+from sweep.core.files import write_whole
 from sweep.study.config import compose
 from sweep.systems import exported
+from sweep.systems.own.files import binary
 
 EPILOG = """A check of the robot by code that is not its own: C MuJoCo's and MJX's own step. The folder is a project.
 MuJoCo reads robot.mjb, which has all digits; robot.xml is the same to read, to six.
@@ -64,9 +65,10 @@ def main(args: list[str]) -> int:
     for name in (*texts, "robot.mjb"):
         if (folder / name).exists():
             raise InputError(f"out = {folder} is not allowed: {name} is there already")
+    folder.mkdir(parents=True, exist_ok=True)
+    write_whole(folder / "robot.mjb", binary(model))  # the largest first: where it has no room nothing is left
     for name, text in texts.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        (folder / name).write_text(text, encoding="utf-8")
-    mujoco.mj_saveModel(model, str(folder / "robot.mjb"))
+        write_whole(folder / name, text.encode())
     print(f"{folder}: cd {folder}; sweep run scenario=own")
     return DONE

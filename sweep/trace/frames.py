@@ -7,6 +7,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Generator
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
@@ -109,13 +110,14 @@ def _write_video(path: Path, trace: Trace, title: str, outcome: str, progress: C
     chosen = at_rate(trace, VIDEO_RATE)
     pictures = render(trace, chosen, samples=0)
     first = next(pictures)  # before there is a file, so that a failure to draw leaves none
-    with subprocess.Popen(command, stdin=subprocess.PIPE) as process:
+    # of a pipe that breaks ffmpeg says why, and it ends
+    with suppress(BrokenPipeError), subprocess.Popen(command, stdin=subprocess.PIPE) as process:
         assert process.stdin is not None
         for done, (k, picture) in enumerate(zip(chosen, itertools.chain([first], pictures), strict=True), start=1):
             process.stdin.write(captioned(picture, caption(trace, k, known(trace, k, outcome), title)).tobytes())
             progress(done, len(chosen))
     if process.returncode:
-        raise RuntimeError(f"ffmpeg failed to write {path}")
+        raise OSError(f"ffmpeg ends with {process.returncode}")
 
 
 def need_ffmpeg() -> None:

@@ -56,8 +56,8 @@ def write_mcap(path: str | Path, trace: Trace, config: Mapping[str, Any], outcom
     path = Path(path)
     try:
         write_whole(path, partial(_write, trace=trace, config=config, outcome=outcome))
-    except RuntimeError as error:  # as Foxglove tells of a full disk
-        if "I/O error" not in str(error):
+    except RuntimeError as error:  # as Foxglove tells of a full disk, by the write that fails or by one after it
+        if not any(words in str(error) for words in ("I/O error", "after a write method failed")):
             raise
         raise Fault(f"{path} cannot be written: {error}") from None
     if path.is_file() and descriptor(path) is None:

@@ -3,6 +3,7 @@
 import argparse
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from matplotlib.backend_bases import FigureCanvasBase
 from tabulate import tabulate
 
 from sweep.core.arguments import Arguments
+from sweep.core.files import write_whole
 from sweep.core.letters import save
 from sweep.core.parameters import InputError
 from sweep.core.waiting import counting, waiting
@@ -67,9 +69,9 @@ def main(args: list[str]) -> int:
         outcome = {"point_id": result.stored["point_id"], **result.again}
         write_mcap(options.mcap, result.trace, result.config, outcome)
     if options.states:
-        states(result.trace).to_parquet(options.states, index=False)
+        write_whole(options.states, partial(states(result.trace).to_parquet, index=False))
     if options.model:
-        options.model.write_text(model_xml(result.trace.world, result.settings), encoding="utf-8")
+        write_whole(options.model, model_xml(result.trace.world, result.settings).encode())
     for name in options.plot:
         beside = options.output.with_stem(f"{options.output.stem}-{name}")
         save(PLOTS[name](result.trace), beside if len(options.plot) > 1 else options.output)

@@ -45,10 +45,11 @@ def test_a_line_break_in_a_condition_is_no_line_of_latex(folder, tmp_path):
     assert all(line.startswith(("%", "\\newcommand")) for line in lines)
 
 
-@pytest.mark.parametrize("command", ["table", "report", "export"])
+@pytest.mark.parametrize("command", ["table", "report", "export", "replay"])
 def test_a_full_disk_leaves_the_old_output(folder, tmp_path, monkeypatch, capsys, command):
     options = {"table": ["--format", "csv", "-o", str(tmp_path / "t.csv")], "report": ["-o", str(tmp_path)],
-               "export": ["--paper", str(tmp_path)]}  # fmt: skip
+               "export": ["--paper", str(tmp_path)],
+               "replay": ["3", "--states", str(tmp_path / "s.parquet")]}  # fmt: skip
     assert main([command, str(folder), *options[command]]) == 0
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
 

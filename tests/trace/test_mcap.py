@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import resource
 import struct
 from collections import Counter, defaultdict
 
@@ -12,6 +13,7 @@ from mcap.stream_reader import StreamReader
 from moved import arm
 from scipy.spatial import ConvexHull
 
+from sweep.core.errors import Fault
 from sweep.engines.base import Trace
 from sweep.models.legs import KINDS
 from sweep.trace import sampling
@@ -181,3 +183,16 @@ def test_turning_x_into_the_force(force):
 
 def test_plain_is_json():
     assert plain({2: np.arange(2), "1": (True, np.inf), "a": None}) == {"1": [True, None], "2": [0, 1], "a": None}
+
+
+@pytest.mark.parametrize("room", [0, 100, 5000])
+def test_a_file_without_room_is_told_and_left_out(trace, tmp_path, room):
+    """At whatever write it ends: Foxglove says it of the one that fails, or of one after it."""
+    before, most = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (room, most))
+    try:
+        with pytest.raises(Fault, match=r"x\.mcap cannot be written"):
+            write_mcap(tmp_path / "x.mcap", trace, CONFIG, OUTCOME)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (before, most))
+    assert not list(tmp_path.iterdir())

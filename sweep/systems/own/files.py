@@ -125,9 +125,14 @@ def parts(mjcf: str) -> list[Path]:
 
 def digest(compiled: mujoco.MjModel) -> str:
     """Of all numbers of a model, its meshes among them."""
+    return hashlib.blake2b(binary(compiled), digest_size=8).hexdigest()
+
+
+def binary(compiled: mujoco.MjModel) -> bytes:
+    """A model as MuJoCo's MJB file has it."""
     content = np.zeros(mujoco.mj_sizeModel(compiled), np.uint8)
     mujoco.mj_saveModel(compiled, None, content)
-    return hashlib.blake2b(content.tobytes(), digest_size=8).hexdigest()
+    return content.tobytes()
 
 
 def controller(name: str) -> Policy:
