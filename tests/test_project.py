@@ -109,7 +109,7 @@ def test_a_study_is_a_plain_file_wherever_it_lies(home, monkeypatch):
         ("study: 3\n", "study = 3 is not allowed"),
         ("robot: 3\n", "bad.yaml: robot = 3 is not allowed: the name of a choice, or keys and values"),
         ("study: {axes: {1: {path: contact.friction, values: [1]}}}\n", "study.axes.1 is not allowed: a name"),
-        ("\udcff", "bad.yaml is not a configuration"),
+        ("\udcff", "bad.yaml cannot be read: letters in UTF-8 are wanted"),
         ("contact: {frictoin: 1}\nstudy: {name: a}\n", "contact.frictoin is unknown: did you mean friction?"),
     ],
 )

@@ -187,7 +187,8 @@ def parse_design(given: Mapping[str, Any], axes: tuple[Axis, ...]) -> Design:
         raise InputError(f"study.design.correlation is not allowed with {design.kind}, which moves one axis at a time")
     least = 1 if drawn else 0
     if design.num < least:
-        raise InputError(f"study.design.num = {design.num} is not allowed: at least {least} for {', '.join(drawn)}")
+        of = f" for {', '.join(drawn)}" if drawn else ""
+        raise InputError(f"study.design.num = {design.num} is not allowed: at least {least}{of}")
     if design.num and not drawn:
         raise InputError(f"study.design.num = {design.num} is not allowed: no axis has a distribution")
     if design.scrambles < 1 or (design.scrambles > 1 and design.kind != "sobol"):

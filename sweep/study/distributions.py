@@ -122,9 +122,9 @@ def keyed(path: str, given: Any, allowed: tuple[str, ...]) -> dict[str, Any]:
 
 def some(key: str, values: Any) -> list[Any]:
     """`values` as a list of numbers or names. Raises `InputError`."""
-    if not isinstance(values, list) or not values or any(isinstance(one, list | Mapping) for one in values):
+    if not isinstance(values, list) or not values or any(isinstance(one, list | Mapping | None) for one in values):
         raise InputError(f"{key} = {values!r} is not allowed: a list with at least one value, each a number or a name")
-    if len({isinstance(one, str) for one in values}) > 1:
+    if len({(isinstance(one, str), isinstance(one, bool)) for one in values}) > 1:
         raise InputError(f"{key} = {values!r} is not allowed: all numbers, or all names")
     return values
 

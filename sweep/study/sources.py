@@ -24,6 +24,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from sweep.core import project
 from sweep.core.errors import InputError, suggest
+from sweep.core.files import reason
 from sweep.core.groups import GROUPS
 from sweep.systems import USUAL
 
@@ -134,12 +135,17 @@ def read(file: Any, words: bool = False) -> dict[str, Any]:
     """A file's keys and values; with `words` as plans have them (see `project.words`). Raises `InputError`."""
     try:
         text = file.read_text(encoding="utf-8")
+    except UnicodeDecodeError:
+        raise InputError(f"{file} cannot be read: letters in UTF-8 are wanted") from None
+    except OSError as error:
+        raise InputError(f"{file} cannot be read: {reason(error)}") from None
+    try:
         content = OmegaConf.load(io.StringIO(project.words(text) if words else text))
     except yaml.YAMLError as error:
         raise InputError(f"{file} cannot be read: {project.one_line(error)}") from None
     except RecursionError:
         raise InputError(f"{file} cannot be read: an anchor in it (&) holds itself") from None
-    except (OSError, UnicodeDecodeError):
+    except OSError:  # as OmegaConf tells of a word
         content = None
     if not isinstance(content, DictConfig):
         raise InputError(f"{file} is not a configuration: keys and values are wanted, such as `study:`")

@@ -5,6 +5,7 @@ one of the two is varied, or `axis.NAME` for a number that values are made from 
 """
 
 import dataclasses
+import math
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -129,12 +130,14 @@ class Study(_Plain):
             raise InputError(f"study.level = {values['level']:g} is not allowed: between 0 and 1")
         if not 0 <= values["resolution"] < 1:
             raise InputError(f"study.resolution = {values['resolution']:g} is not allowed: at least 0 and below 1")
+        if not 0 < values["keep_rate"] < math.inf:
+            raise InputError(f"study.keep_rate = {values['keep_rate']:g} is not allowed: above 0, and finite")
         if not 0 <= values["invalid_max"] <= 1:
             raise InputError(f"study.invalid_max = {values['invalid_max']:g} is not allowed: a share from 0 to 1")
         if values["points"] == "":  # which is no study without them
             raise InputError("study.points =  is not a file")
         name = values["name"]  # of a folder
-        if name and (not name.strip(". ") or not re.fullmatch(r"[^/\x00-\x1f\x7f]{1,200}", name)):
+        if name and (not name.strip(". ") or not re.fullmatch(r"[^/\x00-\x1f\x7f\ud800-\udfff]{1,200}", name)):
             raise InputError(f"study.name = {name!r} is not allowed: a folder name")
         axes = designs.parse_axes(values["axes"])
         design = designs.parse_design(values["design"], axes)
@@ -186,7 +189,7 @@ def check_keep(study: Study, system: System, settings: EngineSettings) -> None:
     """Raise `InputError` where time histories are asked for that there are none of."""
     for name in study.keep:
         known(name, system.recorded, f"study.keep: {name}")
-    ticks = 1 / (settings.control_period * study.keep_rate) if study.keep_rate > 0 else 0.0
+    ticks = 1 / (settings.control_period * study.keep_rate)
     if study.keep and (round(ticks) < 1 or abs(ticks - round(ticks)) > 1e-6):
         rate = f"a whole fraction of the control rate, {1 / settings.control_period:g} a second"
         raise InputError(f"study.keep_rate = {study.keep_rate:g} is not allowed: {rate}")
@@ -309,6 +312,8 @@ def _from_csv(file: str) -> "pd.DataFrame":
         raise InputError(
             f"study.points = {file} is not a table: {str(error).splitlines()[0].rpartition('C error: ')[2]}"
         ) from None
+    if not isinstance(table.index, pd.RangeIndex):  # as of numbers with a decimal comma: pandas shifts them
+        raise InputError(f"study.points = {file} is not a table: more values in a line than there are names")
     if table.empty:
         raise InputError(f"study.points = {file} holds no points")
     return table

@@ -88,6 +88,9 @@ def test_points_from_a_file(tmp_path, capsys):
     (tmp_path / "p.csv").write_text("world.contact.friction,manoeuvre.half_step_ratio\n1.0,0.1\n0.2,0.1\n")
     assert main(["run", "--points", "p.csv", "out=here"]) == 0
     assert "1 of 2 succeed" in capsys.readouterr().out
+    (tmp_path / "comma.csv").write_text("contact.friction\n0,9\n")
+    assert main(["run", "--points", "comma.csv"]) == 2
+    one_line(capsys.readouterr().err, "comma.csv is not a table: more values in a line than there are names")
     assert main(["run", "--points", "none.csv"]) == 2
 
 
