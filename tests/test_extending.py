@@ -28,13 +28,18 @@ SAID = {  # by the commands of a page
     "A formula": ["v = 0.", "0.15"],
     "An exhibit": ["report.html"],
     "A metric": ["base_speed_max_mps", "m/s", "| base speed max"],
-    "A plan": ["pole_top_high        As pole_top", "plan.top.rear.base.above                      0.75", "0.7, 0.75"],
+    "A plan": [
+        "pole_top_high        As pole_top",
+        "plan.top.rear.base.above                      0.75",
+        "0.7, 0.75",
+        "0.05 + gap / 4",
+    ],
     PLATFORM: ["platform             The base robot steps up", "| reach ", "| platform "],
     CHART: [
         "stairs_climb         The base robot climbs",
         "from edge to edge",
         "| stairs_climb                | success",
-        "plan.up.a1.base.above",
+        "plan.up.a.base.above",
     ],
     KERB: ["kerb                 A kerb, 0.1 m high", "| walk_kerb "],
 }

@@ -280,7 +280,7 @@ BROKEN = {
             "outcome.fell='base_hight_min_m<1'",
             "outcome.fell: base_hight_min_m is unknown: did you mean base_height_min_m?",
         ),
-        ("outcome.fell='abs(drift_m)>1'", "outcome.fell: 'abs(drift_m)' is not allowed in a condition"),
+        ("outcome.fell='abs(drift_m)>1'", "outcome.fell: 'abs(drift_m)' is not allowed: names, numbers"),
         ("model.observe={turn: 1}", "model.observe = {turn: 1} is not allowed: a list"),
         ("model.content=1", "model.content is not allowed: it is made of what the files hold"),
         ("outcome.fell=3", "outcome.fell = 3 is not a condition"),

@@ -1,25 +1,42 @@
 """Plans as files: what they say, how their numbers vary, and what is told of mistakes in them."""
 
+import json
 import re
 from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from recorded import without_forces
 
 from sweep.cli.main import main
 from sweep.core import project
 from sweep.core.errors import InputError
-from sweep.models.plan_table import GROUP, differences, numbers, shipped, tabled, told
+from sweep.fused.eager import worked_out
+from sweep.models.plan_table import (
+    GROUP,
+    PlanTable,
+    differences,
+    formulas,
+    mapped,
+    numbers,
+    shipped,
+    tabled,
+    told,
+    valued,
+)
 from sweep.study.config import compose
 from sweep.study.study import points
+from sweep.systems.hexapod import assign
 
 ROOF = ["scenario=corner_roof"]
 AHEAD = "plan.roof.front.on.front.ahead"
 OWN = "extends: corner_roof\nroof: {pitch: {base: [-0.2, 0.1, 45]}}\n"
 
 
+NO_ROOF = "extends: corner\nsizes: {rise: 0}\n"
 SLOPED = OWN.partition("\n")[0] + "\nslopes: {at: {robot.thigh: 0.52}, roof.pitch.base.ahead: {robot.thigh: 1}}\n"
 
 
@@ -40,7 +57,7 @@ def test_a_number_that_varies_moves_its_foothold_and_is_traced():
 
     @jax.jit
     def foothold(belief):
-        _, _, stages = belief.manoeuvre.ascend(belief)
+        _, stages = belief.manoeuvre.ascend(belief)
         return next(s.swing[5] for s in stages if s.name == "roof.front.on")
 
     moved = [foothold(exp.system.sides({f"belief.{AHEAD}": value})[1]) for value in (start, start + by)]
@@ -139,25 +156,80 @@ def test_a_shipped_plan_says_where_its_numbers_come_from(name):
     assert re.search("by hand|none of its own|not kept|sweep tune ", said)
 
 
+def same(one, other):
+    one, other = (worked_out(partial(without_forces, case)) for case in (one, other))
+    assert one.names == other.names
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-6), one, other)
+
+
+@pytest.mark.parametrize("scenario", ["pole_climb", "corner_gallop"])
+def test_a_formula_is_the_number_that_it_stands_for(scenario):
+    case = compose([f"scenario={scenario}", "manoeuvre.cycles=1"]).case
+    charts, values, content = case.obstacle.charts, valued(case), told(case)
+    plain = replace(case, plan=PlanTable(json.dumps(mapped(content, charts, lambda path, value: values[path]))))
+    assert len(formulas(case)) > 50
+    assert formulas(plain) == {}
+    same(case, plain)
+
+
+def test_formulas_name_sizes_in_any_order_parameters_and_functions(lab):
+    lab.write_text("""extends: corner_roof
+roof: {pitch: {base: [share - 1, -half / unit, deg(asin(0.5))], time: 2 * share}}
+sizes: {share: "max(half, 0.1) / obstacle.height", half: obstacle.height / 2}
+""")
+    case = compose([*ROOF, "plan=mine"]).case
+    move = jax.jit(lambda case: tabled(case, "roof")["roof"]["pitch"])
+    for height in (2.3, 2.4):
+        found = move(assign(case, "obstacle.height", height))
+        np.testing.assert_allclose(found["base"], [-0.5, -height / 2 / 1.05, 30], rtol=1e-6)
+        assert found["time"] == 1
+    assert move._cache_size() == 1
+    found = move(assign(assign(case, "plan.sizes.half", 1.0), "plan.roof.pitch.time", 3.0))  # in its place
+    np.testing.assert_allclose([found["base"][0], found["time"]], [1 / 2.3 - 1, 3], rtol=1e-6)
+    lab.write_text(lab.read_text() + "slopes: {at: {robot.thigh: 0.26}, roof.pitch.base.ahead: {robot.thigh: 0.2}}")
+    np.testing.assert_allclose(move(compose([*ROOF, "plan=mine"]).case)["base"][0], 0.2 - 0.5, rtol=1e-6)
+
+
+REPEATED = """start: {stand: {base: {over_ground: [0, 0.5]},
+  front: {ground: [0.5, 0.5]}, middle: {ground: [0.5, 0]}, rear: {ground: [0.5, -0.5]}}}
+on: {base: over_ground, lift: 1, """
+PAIRS = "{base: [%s, 0.5], front: {ground: [0.5, %s]}, rear: {ground: [0.5, %s]}}"
+
+
+def test_a_part_that_is_repeated_is_its_moves_again_and_again(lab):
+    def case(moves):
+        lab.write_text(f"{REPEATED}{moves}}}\nsizes: {{step: 0.05}}\n")
+        return compose(["scenario=walk_tripod", "manoeuvre=follow", "plan=mine"]).case
+
+    def written(step, more=0.0):
+        return ", ".join(f"{k}.all: {PAIRS % (k * step + more, 0.5 + k * step, k * step - 0.5)}" for k in (1, 2))
+
+    again = case(f"repeat: 1 + 1, all: {PAIRS % ('step * (k + 1)', 'step * (k + 1) + 0.5', 'step * (k + 1) - 0.5')}")
+    assert worked_out(partial(without_forces, again)).names == ("stand", "on.1.all", "on.2.all", "halt")
+    same(again, case(written(0.05)))
+    same(assign(again, "plan.sizes.step", 0.04), case(written(0.04)))
+    same(assign(again, "plan.on.all.base.ahead", 0.07), case(written(0.05, 0.02)))  # the first, and others by as much
+
+
 @pytest.mark.parametrize(
     ("text", "told"),
     [
         (OWN.replace("base", "bsae"), "plan.roof.pitch.bsae is unknown: did you mean base?"),
         (OWN.replace("45]", "45, 1]"), "plan.roof.pitch.base = .* is not allowed: \\[ahead, above, pitch\\]"),
         (
-            "extends: corner_roof\nroof: {over: {base: [near, 0.1]}}",
-            "plan.roof.over.base = near is not allowed: a number",
+            "extends: corner_roof\nroof: {over: {base: [far, 0.1]}}",
+            "plan.roof.over.base.ahead = far is not allowed: far is unknown",
         ),
         (OWN.replace("base:", "time: 0, base:"), "plan.roof.pitch.time = 0 is not allowed: above 0"),
         (OWN.replace("base:", "seconds: -1, base:"), "plan.roof.pitch.seconds = -1 is not allowed: above 0"),
         (OWN.replace("base: [-0.2, 0.1, 45]", "front: {rof: [0, 0]}"), "chart rof is unknown on corner: did you mean"),
-        ("roof: {}", "plan.entry.pitch is missing"),
-        ("extends: corner\nroof: {reverse: roof}", "plan.roof.reverse = roof is not allowed: another part"),
+        ("roof: {}", "plan.sizes.rise is missing"),
+        (f"{NO_ROOF}roof: {{reverse: roof}}", "plan.roof.reverse = roof is not allowed: another part"),
         (
-            "extends: corner\na: {b: {}}\nroof: {reverse: entry, from: a}",
+            f"{NO_ROOF}a: {{b: {{}}}}\nroof: {{reverse: climb, from: a}}",
             "plan.a is not allowed: one move",
         ),
-        ("extends: corner\nroof: {reverse: entry, to: a}", "plan.roof.to is unknown"),
+        (f"{NO_ROOF}roof: {{reverse: climb, to: a}}", "plan.roof.to is unknown"),
         (f"{OWN}slopes: {{at: {{robot.tigh: 0.5}}}}", "plan.slopes.at.robot.tigh is unknown: did you mean robot.thigh"),
         (
             f"{OWN}slopes: {{at: {{robot.thigh: 0.5}}, roof.pich.base.ahead: {{robot.thigh: 1}}}}",
@@ -169,7 +241,7 @@ def test_a_shipped_plan_says_where_its_numbers_come_from(name):
         ),
         (
             f"{SLOPED}roof: {{pitch: {{base: [far, 0.1]}}}}",
-            "plan.roof.pitch.base = \\['far', 0.1\\] is not allowed: plan.slopes want its number ahead, not above",
+            "plan.roof.pitch.base.ahead = far is not allowed: far is unknown",
         ),
         (f"{SLOPED}roof: {{pitch: {{base: far}}}}", "plan.roof.pitch.base = far is not allowed: plan.slopes want"),
         (
@@ -177,19 +249,36 @@ def test_a_shipped_plan_says_where_its_numbers_come_from(name):
             "plan.roof.pitch.base = \\[1.0, 2, 3, 4\\] is not allowed",
         ),
         (f"{OWN}slopes: {{at: {{obstacle.kind: 1}}}}", "plan.slopes.at.obstacle.kind is unknown"),
+        (
+            OWN.replace("0.1", "hight"),
+            "plan.roof.pitch.base.above = hight is not allowed: hight is unknown: did you mean",
+        ),
+        (
+            OWN.replace("0.1", "robot.tigh"),
+            "plan.roof.pitch.base.above = robot.tigh is not allowed: robot.tigh is unknown",
+        ),
+        (OWN.replace("0.1", "k"), "plan.roof.pitch.base.above = k is not allowed: k is unknown"),
+        (
+            OWN.replace("0.1", "1 +"),
+            r"plan.roof.pitch.base.above = 1 \+ is not allowed: a number, or a formula such as",
+        ),
+        (OWN.replace("0.1", "1 < 2"), "plan.roof.pitch.base.above = 1 < 2 is not allowed: a number, or a formula"),
+        (OWN.replace("0.1", "unit ** 2"), "= unit .. 2 is not allowed: 'unit .. 2' is not allowed: names, numbers"),
+        (f"{OWN}sizes: {{rise: each}}", "plan.sizes.each = rise / .* is not allowed: rise is told by itself"),
+        (f"{OWN}gallop: {{repeat: -1}}", "plan.gallop.repeat = -1 is not allowed: a whole number"),
+        (f"{OWN}gallop: {{repeat: unit}}", "plan.gallop.repeat = unit is not allowed: a whole number"),
         (OWN.replace("base: [-0.2, 0.1, 45]", "lift: [1]"), "plan.roof.pitch.lift = \\[1\\] is not allowed: a number"),
         (
             OWN.replace("base: [-0.2, 0.1, 45]", "front: {roof: 1}"),
             "{'roof': 1} is not allowed: coordinates in one chart",
         ),
-        ("extends: corner\nentry: {pitch: [1]}", "plan.entry.pitch = \\[1\\] is not allowed: 2 numbers"),
         ("extends: corner_roof\nroof: {base: 3}", "plan.roof.base = 3 is not allowed: a chart's name"),
         (
-            "extends: corner\nroof: {reverse: a}\na: {reverse: roof}",
+            f"{NO_ROOF}roof: {{reverse: a}}\na: {{reverse: roof}}",
             "plan.roof.from = None is not allowed: another part",
         ),
         (
-            "extends: corner\nroof: {reverse: entry, from: a}\na: {reverse: entry, from: roof}",
+            f"{NO_ROOF}roof: {{reverse: climb, from: a}}\na: {{reverse: climb, from: roof}}",
             "plan.a.from = roof is not allowed: another part",
         ),
     ],
@@ -209,6 +298,7 @@ def test_mistakes_in_a_file_are_told_in_one_line(lab, text, told):
         ("roof: {pitch: {base: [[1], 1]}}", r"plan.roof.pitch.base = \[1\] is not allowed: numbers or words"),
         ("roof: {pitch: {time: !!binary aGk=}}", "plan.roof.pitch.time = b'hi' is not allowed: a number"),
         ("roof: &a {pitch: *a}", r"mine.yaml cannot be read: an anchor in it \(&\) holds itself"),
+        ("sizes: {a: [1]}", r"plan.sizes.a = \[1\] is not allowed: a number or a formula"),
         ("slopes: far", "plan.slopes = far is not allowed: keys and values"),
         ("slopes: {at: 3}", "plan.slopes.at = 3 is not allowed: sizes and numbers"),
         ("slopes: {at: {robot.thigh: 0}}", "plan.slopes.at.robot.thigh = 0 is not allowed: a number other than 0"),
@@ -258,7 +348,7 @@ def test_numbers_are_described_by_the_paths_they_are_varied_by(scenario, capsys)
     said = {word.removeprefix("plan.") for word in capsys.readouterr().out.split() if word.startswith("plan.")}
     known = numbers(told(case), case.obstacle.charts)
     assert said == set(known)
-    assert not [path for path in known if path[-1].isdigit() and not path.startswith("entry.")]
+    assert not [path for path in known if path[-1].isdigit() and not path.startswith("sizes.")]
 
 
 def test_differences_of_plans_are_a_file_that_extends_one():

@@ -2,19 +2,22 @@
 
 import math
 import re
+from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from sweep.cli.main import main
-from sweep.cli.tune import drawn_sizes
+from sweep.cli.tune import changed, drawn_sizes
 from sweep.core.errors import InputError
+from sweep.models import plan_table
 from sweep.models.plan_table import numbers, tabled
 from sweep.runs import tuning
 from sweep.runs.tuning import fit, follow, free_numbers, search
 from sweep.study.config import compose
 from sweep.tune.score import MOVED, UNKNOWN, Aim, Score, groups, lows, stacked
+from sweep.tune.score import changed as moved
 
 AT, STEPS = np.array([1.0, -2.0, 0.5]), np.array([0.1, 0.1, 0.02])
 HOW = {"seed": 3, "population": 6, "generations": 12, "free": ["a"]}
@@ -136,6 +139,22 @@ def test_a_plan_that_touches_is_tuned_until_it_does_not(tmp_path, monkeypatch, c
     (tmp_path / "low.yaml").write_text("extends: pole_top\nover:\n  front: {base: [-0.018, 0.34, 22]}\n")
     assert main([*search, "out=plans/mine.yaml"]) == 2
     assert "mine.yaml.log is of another search" in capsys.readouterr().err
+
+
+def test_a_formula_is_free_with_a_step_and_raised_to_what_is_found():
+    case, path = compose(["scenario=pole_climb"]).case, "climb.up.rear.rear.above"
+    formulas = plan_table.formulas(case)
+    assert set(free_numbers(plan_table.valued(case), ["climb.up.rear.*"], formulas)) == {
+        f"climb.up.rear.{name}" for name in ("rear.ahead", "lift", "plane.out", "plane.ahead", "plane.up")
+    }
+    assert free_numbers(plan_table.valued(case), [f"{path}=0.1"], formulas) == {path: 0.1}
+    found = {path: formulas[path] + 0.01, "climb.up.middle.base.above": formulas["climb.up.middle.base.above"] + 1e-5}
+    content = changed(case, found)
+    assert content["climb"]["up.rear"]["rear"]["side"] == [0, "upright - reach + 0.01"]
+    assert content["climb"]["up.middle"] == plan_table.told(case)["climb"]["up.middle"]
+    longer = replace(case, robot=replace(case.robot, body_length=1.06))  # which it goes on to follow
+    raised = numbers(tabled(moved(longer, path, found[path], formulas)), case.obstacle.charts)
+    np.testing.assert_allclose(raised[path], plan_table.valued(longer)[path] + 0.01, atol=1e-12)
 
 
 @pytest.mark.slow

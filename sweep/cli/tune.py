@@ -62,10 +62,10 @@ def main(args: list[str]) -> int:
         raise InputError(f"manoeuvre.kind = {case.manoeuvre.kind} has its numbers in no file")
     if not given.check and where.suffix != ".yaml":
         raise InputError(f"out = {exp.out or ''} is not allowed: the file of the plan, such as plans/mine.yaml")
-    numbers, own = plan_table.numbers(plan_table.told(case), case.obstacle.charts), manoeuvre_numbers(case)
+    numbers, own = plan_table.valued(case), manoeuvre_numbers(case)
     patterns = given.free or ["*"]
     beside = [text for text in patterns if text.startswith(f"{MANOEUVRE}.")]
-    steps = tuning.free_numbers(numbers, [text for text in patterns if text not in beside])
+    steps = tuning.free_numbers(numbers, [text for text in patterns if text not in beside], plan_table.formulas(case))
     steps |= tuning.free_numbers(own, beside)
     numbers |= own
     if given.follow and beside:
@@ -203,7 +203,7 @@ def parser() -> Arguments:
         description="Search the numbers of a plan, until its margins are as they should be in all draws of a study.",
     )  # fmt: skip
     made.add_argument(
-        "--free", action="append", metavar="PATTERN[=STEP]", help="numbers to search (all of the plan), first step"
+        "--free", action="append", metavar="PATTERN[=STEP]", help="numbers to search (all but formulas), first step"
     )
     made.add_argument("--stages", action="append", metavar="PATTERN", help="stages to judge (all)")
     made.add_argument("--need", action="append", default=[], metavar="MARGIN[@STAGES]=VALUE", help="what is aimed at")
@@ -269,9 +269,11 @@ def table(score: Score, found: Mapping[str, Mapping[str, np.ndarray]]) -> str:
 
 
 def changed(case: Case, changes: Mapping[str, float]) -> Content:
-    """What the case says of its plan, with other numbers."""
+    """What the case says of its plan, with other numbers; formulas that have not moved stay as they are."""
+    formulas = plan_table.formulas(case)
     for path, value in changes.items():
-        case = replace(case, plan=case.plan.changed(path, value))
+        if round(value - formulas.get(path, math.inf), DIGITS):
+            case = replace(case, plan=case.plan.changed(path, value, formulas))
     return plan_table.told(case)
 
 

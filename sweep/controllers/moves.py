@@ -24,7 +24,7 @@ from sweep.models.frames import WORLD
 from sweep.models.legs import GROUPS, LEGS, NAMES
 from sweep.models.obstacles.charts import Chart, Number
 from sweep.models.obstacles.surface import free_start
-from sweep.models.plan_table import COMPONENTS, LONG, tabled
+from sweep.models.plan_table import COMPONENTS, LONG, REPEAT, SINGLE, tabled
 
 CYCLES = {"a": CYCLE_A, "b": CYCLE_B, "b_smooth": CYCLE_B_SMOOTH, "half_ellipse": HALF_ELLIPSE}
 # how the base's way is spent: evenly, as a cubic from rest to rest, or by lambda_1
@@ -54,6 +54,7 @@ class Move:
     depth: Number | None = None  # m, of these feet in what they stand on
     swing: str = "b"
     lift: Number = 0.0  # d_y
+    carry: Number = 0.0  # share of the swing's way that is made evenly, as the base goes
     plane: Numbers | None = None  # in which the swing is lifted; upwards if it does not say
     leave: Numbers | None = None  # control points of the swing's curve, from the place that is left ...
     land: Numbers | None = None  # ... and from the new one
@@ -64,7 +65,7 @@ class Move:
 
 REVERSED = ("reverse", "from", "mirror", "law")  # what a part says that is another one backwards
 WORDS = {"pace": PACES, "swing": CYCLES}
-NUMBERS = {f.name: f.default for f in fields(Move) if f.name in ("time", "seconds", "arc", "depth", "lift", "press")}
+NUMBERS = {f.name: f.default for f in fields(Move) if f.name in SINGLE}
 SIZES = {key: len(names) for key, names in COMPONENTS.items() if key != "base"}  # of lists
 
 
@@ -191,7 +192,7 @@ def _stage(name: str, move: Move, terms: Terms, at: Standing) -> tuple[Stage, St
                 raise InputError(f"{where} is not allowed without a place: nothing says where it stands")
             feet[leg] = terms.foot(leg, place, where)
             frames[leg] = feet[leg].frame
-            swing[leg] = terms.foot(leg, place, where, move.depth).at
+            swing[leg] = feet[leg].at if move.depth is None else terms.foot(leg, place, where, move.depth).at
             if move.leave and move.land:
                 ways = (terms.unit * terms.vector(leg, numbers) for numbers in (move.leave, move.land))
                 starts = in_frame(terms.belief, left, frames[leg]), feet[leg].at
@@ -203,7 +204,7 @@ def _stage(name: str, move: Move, terms: Terms, at: Standing) -> tuple[Stage, St
         name, move.time * terms.time if move.seconds is None else move.seconds, swing,
         CYCLES[move.swing], move.lift * terms.lift,
         (0.0, 0.0, 1.0) if move.plane is None else jnp.stack([terms.vector(leg, move.plane) for leg in LEGS]),
-        guides=guides, foot_frames=tuple(frames[leg] for leg in LEGS), base_frame=at.frame,
+        carry=move.carry, guides=guides, foot_frames=tuple(frames[leg] for leg in LEGS), base_frame=at.frame,
         support=terms.supports[move.support], law=move.law, **terms.stage,
     )  # fmt: skip
     pace, rates = PACES[move.pace]
@@ -216,8 +217,8 @@ def _stage(name: str, move: Move, terms: Terms, at: Standing) -> tuple[Stage, St
     pivot, arc = None, jnp.radians(jnp.asarray(move.arc, float))
     if move.pivot:
         pivot = terms.base({next(iter(move.base)): move.pivot}, f"{move.path}.pivot")[0]
-    elif chart.round and turn is not None:
-        pivot, arc = jnp.zeros(3), jnp.abs(turn)
+    elif chart.about and turn is not None:
+        pivot, arc = chart.about(terms.belief.obstacle, terms.unit, *next(iter(move.base.values()))), jnp.abs(turn)
     stage = replace(
         stage, position=position, turn=None if turn is None else turn * terms.left, pivot=pivot, arc=arc,
         base_frame=chart.frame,
@@ -238,17 +239,20 @@ def moves(belief: Case, part: str, above: tuple[str, ...] = ()) -> dict[str, Mov
 
     A part with `reverse` has those of another one backwards, which began as the only move of the part `from` places the
     robot; with `mirror`, two charts, as seen in a mirror across its way, in which the charts change places; under a
-    `law` of its own, if it says one.
+    `law` of its own, if it says one. One with `repeat` has its own again and again, with `1.`, `2.` before their names.
     """
-    content = tabled(belief)
+    content = tabled(belief, part)
     if part not in content:
         raise InputError(f"plan.{part} is missing{suggest(part, content)}")
     common = {key: value for key, value in content[part].items() if not isinstance(value, Mapping)}
     if not isinstance(chart := common.get("base", ""), str):
         raise InputError(f"plan.{part}.base = {chart} is not allowed: a chart's name")
     if "reverse" not in common:
-        return {name: _move(f"plan.{part}.{name}", {**common, **given, "base": _based(common, given)})
-                for name, given in content[part].items() if isinstance(given, Mapping)}  # fmt: skip
+        again = [f"{k + 1}." for k in range(common.pop(REPEAT))] if REPEAT in common else [""]
+        found = {name: {**common, **given, "base": _based(common, given)}
+                 for name, given in content[part].items() if isinstance(given, Mapping)}  # fmt: skip
+        return {before + name: _move(f"plan.{part}.{name}", _at(given, k))
+                for k, before in enumerate(again) for name, given in found.items()}  # fmt: skip
     for key in content[part]:
         known(key, REVERSED, f"plan.{part}.{key}")
     above = (*above, part)  # which are made of this one
@@ -262,6 +266,11 @@ def moves(belief: Case, part: str, above: tuple[str, ...] = ()) -> dict[str, Mov
             raise InputError(f"plan.{part}.mirror = {one_and_other} is not allowed: two charts")
         found = {name: mirrored(belief, move, one_and_other) for name, move in found.items()}
     return {name: replace(move, law=common.get("law", move.law)) for name, move in found.items()}
+
+
+def _at(given: Any, k: int) -> Any:
+    """What a move says when it is made after `k` times: numbers that go by it are arrays."""
+    return jax.tree.map(lambda x: x[k] if np.ndim(x) else x, given)
 
 
 def backwards(moves: Mapping[str, Move]) -> dict[str, Move]:

@@ -16,11 +16,6 @@ def outward(robot: Robot) -> Float[Array, "6 3"]:
     return jnp.asarray(np.stack([-SIDE * np.sin(yaw), SIDE * np.cos(yaw), np.zeros(6)], axis=-1))
 
 
-def leg_unit(robot: Robot) -> Array | float:
-    """The length (m) of a body to which these legs are in the book's proportions: nominally a_r."""
-    return (robot.thigh + robot.shin) * (1.05 / 0.855)
-
-
 def foot_centres(robot: Robot, spread: Array | float, height: Array | float) -> Float[Array, "6 3"]:
     """Feet `spread` (m) out from the hips and `height` (m) below them, base axes: C' of monograph (1.3.4)."""
     down = jnp.array([0.0, 0.0, -1.0])

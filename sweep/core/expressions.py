@@ -1,4 +1,4 @@
-"""Row conditions such as `friction > 0.8 and engine.name == "mjx"`: parsed, never evaluated as Python."""
+"""Row conditions such as `friction > 0.8 and engine.name == "mjx"`, and formulas: parsed, never run as Python."""
 
 import ast
 import operator
@@ -32,7 +32,9 @@ _ARITHMETIC: dict[type, Callable[[Any, Any], Any]] = {
     ast.BitAnd: operator.and_,
     ast.BitOr: operator.or_,
 }
-_FUNCTIONS = {"sqrt": np.sqrt, "sin": np.sin, "cos": np.cos, "tan": np.tan, "asin": np.arcsin, "acos": np.arccos}
+_FUNCTIONS = {"sqrt": "sqrt", "sin": "sin", "cos": "cos", "tan": "tan", "asin": "arcsin", "acos": "arccos",
+              "rad": "radians", "deg": "degrees"}  # fmt: skip
+_OF_TWO = {"max": "maximum", "min": "minimum"}
 _UNARY: dict[type, Callable[[Any], Any]] = {
     ast.Not: operator.invert,
     ast.Invert: operator.invert,
@@ -69,8 +71,10 @@ def held(condition: str, look_up: Callable[[str], Any], told: str, such: str) ->
         raise InputError(f"{told} compares or reckons with what cannot be, such as words with numbers") from None
 
 
-def evaluate(expression: str, look_up: Callable[[str], Any]) -> Any:
+def evaluate(expression: str, look_up: Callable[[str], Any], maths: Callable[[Any], Any] = lambda x: np) -> Any:
     """Value of an expression whose dotted names mean what `look_up` says.
+
+    `maths` tells the module, NumPy or one like it, whose functions take a value.
 
     Raises `SyntaxError` where it is none, and `InputError` where it holds more than names, numbers and operators, or
     has no value.
@@ -79,7 +83,7 @@ def evaluate(expression: str, look_up: Callable[[str], Any]) -> Any:
         raise InputError(f"an expression of {len(expression)} characters is not allowed: at most {LONGEST}")
     try:
         with np.errstate(all="ignore"):
-            return _value(ast.parse(expression, mode="eval").body, look_up)
+            return _value(ast.parse(expression, mode="eval").body, look_up, maths)
     except (RecursionError, MemoryError):
         raise InputError(f"{expression[:20]!r}... is not allowed: nested too deeply") from None
     except ArithmeticError as error:
@@ -102,30 +106,37 @@ def column(frame: "pd.DataFrame", name: str, hint: str = "") -> str:
     return found[0]
 
 
-def _value(node: ast.expr, look_up: Callable[[str], Any]) -> Any:
+def _value(node: ast.expr, look_up: Callable[[str], Any], maths: Callable[[Any], Any]) -> Any:
+    def value(node: ast.expr) -> Any:
+        return _value(node, look_up, maths)
+
     match node:
-        case ast.Constant(value=value):
-            return value
+        case ast.Constant(value=constant):
+            return constant
         case ast.Name() | ast.Attribute():
             return look_up(ast.unparse(node))
         case ast.List(elts=items) | ast.Tuple(elts=items):
-            return [_value(item, look_up) for item in items]
+            return [value(item) for item in items]
         case ast.UnaryOp(op=op, operand=operand) if type(op) in _UNARY:
-            return _UNARY[type(op)](_value(operand, look_up))
+            return _UNARY[type(op)](value(operand))
         case ast.BinOp(left=left, op=op, right=right) if type(op) in _ARITHMETIC:
-            return _ARITHMETIC[type(op)](_number(_value(left, look_up)), _number(_value(right, look_up)))
+            return _ARITHMETIC[type(op)](_number(value(left)), _number(value(right)))
         case ast.Call(func=ast.Name(id=name), args=[argument], keywords=[]) if name in _FUNCTIONS:
-            return _FUNCTIONS[name](_value(argument, look_up))
+            x = value(argument)
+            return getattr(maths(x), _FUNCTIONS[name])(x)
+        case ast.Call(func=ast.Name(id=name), args=[one, other], keywords=[]) if name in _OF_TWO:
+            x, y = value(one), value(other)
+            return getattr(maths(x + y), _OF_TWO[name])(x, y)
         case ast.BoolOp(op=op, values=values):
             combine = np.logical_and if isinstance(op, ast.And) else np.logical_or
-            return combine.reduce([_value(v, look_up) for v in values])
+            return combine.reduce([value(v) for v in values])
         case ast.Compare(left=left, ops=ops, comparators=others) if all(type(op) in _COMPARE for op in ops):
-            values = [_value(v, look_up) for v in (left, *others)]
+            values = [value(v) for v in (left, *others)]
             pairs = zip(ops, values[:-1], values[1:], strict=True)
             return np.logical_and.reduce([_COMPARE[type(op)](a, b) for op, a, b in pairs])
         case _:
             raise InputError(
-                f"{ast.unparse(node)!r} is not allowed in a condition: columns, numbers, comparisons, and/or/not"
+                f"{ast.unparse(node)!r} is not allowed: names, numbers, + - * /, comparisons, and/or/not, sqrt()"
             )
 
 

@@ -33,8 +33,8 @@ class Group(NamedTuple):
         """Whether one parameter dataclass is its schema."""
         return not (self.kinds or self.whole or self.free)
 
-    def numbers_of(self, file: str, read: Callable[[str], str]) -> dict[str, float]:
-        """The numbers of one of its files by path; `read` gives the text of a file's name."""
+    def numbers_of(self, file: str, read: Callable[[str], str]) -> dict[str, float | str]:
+        """The numbers of one of its files by path, formulas as they are; `read` gives the text of a file's name."""
         return resolve_name(self.numbers)(file, read)
 
     def load(self) -> Any:

@@ -1,8 +1,10 @@
 """Numbers of plans, as files of the group `plan` have them: parts of moves, or of numbers that a manoeuvre names.
 
 A file's `extends` names the one that it starts from. Every number has a path, such as `plan.ledge.front2.base.ahead`.
-Numbers hold for the sizes that the part `slopes` has under `at`, and follow others in proportion. With `way: back` the
-whole is gone backwards in time, with `way: there_and_back` both ways.
+In place of a number a formula may stand, of names of the part `sizes` and of parameters, such as `obstacle.radius`; the
+moves of a part with `repeat` are made again and again, `k` times before. Numbers hold for the sizes that the part
+`slopes` has under `at`, and follow others in proportion. With `way: back` the whole is gone backwards in time, with
+`way: there_and_back` both ways.
 """
 
 import dataclasses
@@ -15,27 +17,36 @@ from typing import Any, NoReturn, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import yaml
 from jaxtyping import Array
 
 from sweep.core import project
 from sweep.core.errors import InputError, known, suggest
+from sweep.core.expressions import evaluate
 from sweep.core.parameters import checked, quantity
 from sweep.models.legs import GROUPS
 from sweep.models.obstacles.charts import Chart
+from sweep.models.robot import leg_unit
+from sweep.models.solids import maths
 
 GROUP = "plan"
 SLOPES, AT = "slopes", "at"  # the part that says how numbers follow sizes; its line with the sizes where they hold
 WAY = "way"  # the line that says how the whole is gone: `forth` if there is none
 FORTH, BACK, _ = DIRECTIONS = ("forth", "back", "there_and_back")
-BESIDE = (SLOPES, WAY)  # keys of no part of moves or numbers
+SIZES = "sizes"  # the part whose numbers formulas name
+REPEAT, TIMES = "repeat", "k"  # the line that says how often a part is made; how often it was, in its formulas
+BESIDE = (SLOPES, WAY, SIZES)  # keys of no part of moves or of a manoeuvre's numbers
 SIZED = ("robot", "obstacle")  # groups whose sizes numbers may follow
+NAMED = (*SIZED, "manoeuvre")  # groups whose numbers formulas may name
+MORE = "+"  # before a path: by how much the number there is more than what its formula says
 CURVE = ("out", "ahead", "up")  # out to the leg's side, in the robot's way, up
 # names of the numbers in a list, by the key that it stands under; those of a place are its chart's
 COMPONENTS = {"base": ("ahead", "above", "pitch"), "leave": CURVE, "land": CURVE, "plane": CURVE,
               "pivot": ("ahead", "above"), "rates": ("first", "last")}  # fmt: skip
 PLACE = ("aside", "ahead")  # the same of a foot, or just the last one, in charts of a manoeuvre's own
 LONG = ("time", "seconds")  # keys of how long a move lasts, which is above 0
+SINGLE = (*LONG, "arc", "depth", "lift", "carry", "press")  # keys of a move's single numbers
 ANY = quantity(0.0, "")
 Content = Mapping[str, Any]
 Names = tuple[str, ...]
@@ -53,8 +64,10 @@ class PlanTable:
     paths: tuple[str, ...] = dataclasses.field(default=(), metadata={"static": True})  # of numbers that are changed
     values: tuple[Array | float, ...] = ()
 
-    def changed(self, path: str, value: Any) -> "PlanTable":
-        """With the number at `path` (without `plan.`) changed."""
+    def changed(self, path: str, value: Any, formulas: Mapping[str, float] | None = None) -> "PlanTable":
+        """With the number at `path` (without `plan.`) changed; one of `formulas`, by what it comes to, raised to it."""
+        if formulas and path in formulas:
+            path, value = MORE + path, value - formulas[path]
         changes = dict(zip(self.paths, self.values, strict=True)) | {path: value}
         return dataclasses.replace(self, paths=tuple(changes), values=tuple(changes.values()))
 
@@ -101,6 +114,8 @@ def refuse_malformed(content: Content) -> None:
         if part != WAY:
             wanted(Mapping, given, f"{GROUP}.{part}", "keys and values")
             leaves(given, f"{GROUP}.{part}")
+    for name, value in content.get(SIZES, {}).items():
+        wanted(str | int | float, value, f"{GROUP}.{SIZES}.{name}", "a number or a formula")
     for number, line in content.get(SLOPES, {}).items():
         wanted(Mapping, line, f"{GROUP}.{SLOPES}.{number}", "sizes and numbers")
         for size, value in line.items():
@@ -116,20 +131,44 @@ def way(case: Any) -> str:
 
 def told(case: Any) -> Content:
     """What a case says of its plan, by part and move; nothing where its numbers are not in a file."""
-    return _changed(case, {})
+    changes = _changes(case)
+
+    def now(path: str, value: Any) -> Any:
+        more = changes.get(MORE + path)
+        return changes.get(path, value) if more is None else f"{value} + {more:.4g}"
+
+    return mapped(_written(case), case.obstacle.charts, now) if changes else _written(case)
 
 
-def tabled(case: Any) -> Content:
-    """The same, with numbers that have followed the sizes of this case.
+def tabled(case: Any, part: str = "") -> Content:
+    """The same, with formulas worked out and numbers that have followed the sizes of this case; or a part of it alone.
 
-    Raises `InputError` for slopes of no number, or by no size.
+    What formulas make of `k` has an axis for it. Raises `InputError` for formulas of what has no name, and for slopes
+    of no number, or by no size.
     """
     content = _written(case)
+    return _worked_out(case, content, _followed(case, content), part if part in content else "")
+
+
+def valued(case: Any) -> dict[str, float]:
+    """All numbers of a case's plan by path, formulas worked out, as they are before they follow sizes."""
+    found = numbers(_worked_out(case, _written(case), {}), case.obstacle.charts)
+    return {path: float(value) for path, value in found.items()}
+
+
+def formulas(case: Any) -> dict[str, float]:
+    """What formulas come to, by path."""
+    text = {path for path, value in numbers(told(case), case.obstacle.charts).items() if isinstance(value, str)}
+    return {path: value for path, value in valued(case).items() if path in text}
+
+
+def _followed(case: Any, content: Content) -> dict[str, Array]:
+    """What is added to numbers by path, as they follow the sizes of this case."""
     slopes = content.get(SLOPES, {})
     lines, sizes = {path: line for path, line in slopes.items() if path != AT}, slopes.get(AT, {})
     off = [jnp.asarray(size(case, path) / at - 1.0, float) for path, at in sizes.items()]
     if not lines:
-        return told(case)
+        return {}
     found = numbers(content, case.obstacle.charts)
     for path, line in lines.items():
         if path not in found:
@@ -138,10 +177,69 @@ def tabled(case: Any) -> Content:
             known(by, sizes, f"plan.{SLOPES}.{path}.{by}")
     # one operation for all numbers, not one for each: it is compiled with every plan
     matrix = jnp.asarray([[line.get(by, 0.0) for by in sizes] for line in lines.values()])
-    return _changed(case, dict(zip(lines, jnp.sum(matrix * jnp.stack(off), axis=1), strict=True)))
+    return dict(zip(lines, jnp.sum(matrix * jnp.stack(off), axis=1), strict=True))
 
 
-def _refuse_lost(content: Content, path: str, found: Mapping[str, float]) -> NoReturn:
+def _worked_out(case: Any, content: Content, added: Mapping[str, Array], alone: str = "") -> Content:
+    """`content`, or a part of it alone, with formulas worked out, what the case changes and what is added by path."""
+    changes, sizes, times = _changes(case), content.get(SIZES, {}), {}
+    names: dict[str, Any] = {"unit": leg_unit(case.robot)}
+
+    def named(name: str) -> Any:
+        if name not in names and name in sizes:
+            names[name] = None  # until it is known
+            names[name] = now(f"{SIZES}.{name}", sizes[name])
+        group = name.partition(".")[0]
+        if group in NAMED:
+            return size(case, name, name, (group,))
+        if name not in names:
+            beside = f", or numbers of {', '.join(NAMED)}, such as obstacle.height"
+            raise InputError(f"{name} is unknown{suggest(name, {*names, *sizes})}{beside}")
+        if names[name] is None:
+            raise InputError(f"{name} is told by itself")
+        return names[name]
+
+    def now(path: str, value: Any) -> Any:
+        if isinstance(value, str):
+            value = _number(path, value, named, times.get(path.partition(".")[0]))
+        if path in changes:  # what goes by `k` is told as it is at first, and changed as much later
+            value = changes[path] + (value - value[0]) if np.ndim(value) else changes[path]
+        for more in (changes.get(MORE + path), added.get(path)):
+            value = value if more is None else value + more
+        return value
+
+    def counted(part: str, given: Any) -> Any:
+        if part in BESIDE or REPEAT not in given:
+            return given
+        said = given[REPEAT]
+        count = _number(f"{part}.{REPEAT}", said, named) if isinstance(said, str) else said
+        if not isinstance(count, int | np.integer) or isinstance(count, bool) or count < 0:
+            raise InputError(f"plan.{part}.{REPEAT} = {said} is not allowed: a whole number, or one that "
+                             "shapes what is compiled, such as manoeuvre.cycles")  # fmt: skip
+        times[part] = np.arange(max(1, count))
+        return {**given, REPEAT: count}
+
+    def change(path: str, value: Any) -> Any:
+        part, _, name = path.partition(".")
+        return named(name) if part == SIZES else now(path, value)
+
+    parts = {part: counted(part, given) for part, given in content.items() if part == alone or not alone}
+    return mapped(parts, case.obstacle.charts, change)
+
+
+def _number(path: str, formula: str, named: Callable[[str], Any], times: np.ndarray | None = None) -> Any:
+    """What a formula at a path comes to, an array where it goes by `k`. Raises `InputError`."""
+    try:
+        value = evaluate(formula, lambda name: named(name) if times is None or name != TIMES else times, maths)
+        if jnp.issubdtype(jnp.result_type(value), jnp.number):
+            return value
+        raise TypeError
+    except (SyntaxError, TypeError, ValueError) as error:
+        reason = error if isinstance(error, InputError) else "a number, or a formula such as 'obstacle.radius / unit'"
+        raise InputError(f"plan.{path} = {formula} is not allowed: {reason}") from None
+
+
+def _refuse_lost(content: Content, path: str, found: Iterable[str]) -> NoReturn:
     """Raise `InputError` of slopes whose number is none of those that are `found`, by what stands in its place."""
     stands, names = content, path.split(".")
     while names and isinstance(stands, Mapping) and names[0] in stands:
@@ -167,26 +265,17 @@ def _written(case: Any) -> Content:
     return json.loads(case.plan.text) if case.plan.text else own(case)
 
 
-def _changed(case: Any, added: Mapping[str, Array]) -> Content:
-    """The same with the numbers that a case changes, and what is added to numbers by path."""
-    table: PlanTable = case.plan
-    changes = dict(zip(table.paths, table.values, strict=True))
-    if not changes and not added:
-        return _written(case)
-
-    def now(path: str, value: Any) -> Any:
-        value = changes.get(path, value)
-        return value + added[path] if path in added else value
-
-    return mapped(_written(case), case.obstacle.charts, now)
+def _changes(case: Any) -> dict[str, Any]:
+    """What a case changes, by path."""
+    return dict(zip(case.plan.paths, case.plan.values, strict=True))
 
 
-def size(case: Any, path: str) -> Any:
-    """A size of robot or obstacle, as axes name it, such as `robot.thigh`. Raises `InputError`."""
+def size(case: Any, path: str, told: str = "", groups: Names = SIZED) -> Any:
+    """A number of one of these groups, as axes name it, such as `robot.thigh`. Raises `InputError` of it, as `told`."""
     group, _, name = path.partition(".")
-    every = {f"{owner}.{f.name}" for owner in SIZED for f in dataclasses.fields(getattr(case, owner))
+    every = {f"{owner}.{f.name}" for owner in groups for f in dataclasses.fields(getattr(case, owner))
              if f.metadata.get("role") in ("quantity", "count")}  # fmt: skip
-    known(path, every, f"plan.{SLOPES}.{AT}.{path}")
+    known(path, every, told or f"plan.{SLOPES}.{AT}.{path}")
     return getattr(getattr(case, group), name)
 
 
@@ -195,30 +284,35 @@ def own(case: Any) -> Content:
     return shipped(case.manoeuvre.own_plan) if isinstance(case.manoeuvre, Tabled) and case.manoeuvre.own_plan else {}
 
 
-def numbers(content: Content, places: Mapping[str, Chart]) -> dict[str, float]:
-    """All numbers of a plan by path."""
-    found: dict[str, float] = {}
-    mapped(content, places, lambda path, value: found.setdefault(path, float(value)))
+def numbers(content: Content, places: Mapping[str, Chart]) -> dict[str, float | str]:
+    """All numbers of a plan by path, the first of those that are repeated; formulas as they are written."""
+    found: dict[str, float | str] = {}
+    mapped(content, places, lambda path, value: found.setdefault(
+        path, value if isinstance(value, str) else float(np.ravel(value)[0])))  # fmt: skip
     return found
 
 
 def mapped(
     content: Any, places: Mapping[str, Chart], change: Callable[[str, Any], Any], path: str = "", names: Names = ()
 ) -> Any:
-    """`content` with every number, but those of `slopes`, replaced by what `change` makes of its path and value.
+    """`content` with every number and formula, but those of `slopes`, replaced by what `change` makes of its path and
+    value.
 
     A path does not name the chart (of `places`) in which a place is. Numbers of a list have `names`, or are counted.
     """
     if isinstance(content, Mapping):
-        return {key: value if key == SLOPES else
+        return {key: value if _is_word(key, value, path) else
                 mapped(value, places, change, *_below(key, value, content, places, path, names))
                 for key, value in content.items()}  # fmt: skip
     if isinstance(content, list):
         named = (*names, *range(len(names), len(content)))
         return [mapped(value, places, change, f"{path}.{name}") for name, value in zip(named, content, strict=False)]
-    if isinstance(content, int | float) and not isinstance(content, bool):
-        return change(path, content)
-    return content
+    return content if content is None or isinstance(content, bool) else change(path, content)
+
+
+def _is_word(key: str, value: Any, path: str) -> bool:
+    """Whether what stands under a key is no number or formula, nor holds any."""
+    return key in (SLOPES, REPEAT, "mirror") or (isinstance(value, str) and key not in SINGLE and path != SIZES)
 
 
 def _below(
@@ -241,7 +335,7 @@ def _below(
 
 def member(case: Any, path: str) -> "dataclasses.Field[Any]":
     """The number at `path` (without `plan.`) as a parameter. Raises `InputError`."""
-    found = numbers(told(case), case.obstacle.charts)
+    found = valued(case)
     if path not in found:
         if not found:
             raise InputError(

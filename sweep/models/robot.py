@@ -63,6 +63,11 @@ def total_mass(robot: Robot) -> Array | float:
     return robot.body_mass + N_LEGS * (coxa + robot.thigh_mass + robot.shin_mass)
 
 
+def leg_unit(robot: Robot) -> Array | float:
+    """The length (m) of a body to which these legs are in the book's proportions: nominally a_r."""
+    return (robot.thigh + robot.shin) * (1.05 / 0.855)
+
+
 def mounts(robot: Robot) -> Float[Array, "6 3"]:
     """Where the hips are (m, base axes)."""
     if robot.mounts == "circle":

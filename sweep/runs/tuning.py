@@ -5,7 +5,7 @@ linear programs, each of which brings down what margins lack by their slopes whe
 """
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -33,15 +33,19 @@ BAND = 1.0  # by how much a margin is over its aim, as lacks are counted, to be 
 RADIUS, WIDEST, TRIES = 0.5, 2.0, 6  # first steps that a program may go: at first, at most; and halvings that are tried
 
 
-def free_numbers(numbers: Mapping[str, float], patterns: Sequence[str]) -> dict[str, float]:
-    """First steps by path, of numbers named by `PATTERN` or `PATTERN=STEP`. Raises `InputError`."""
+def free_numbers(
+    numbers: Mapping[str, float], patterns: Sequence[str], formulas: Collection[str] = ()
+) -> dict[str, float]:
+    """First steps by path, of numbers named by `PATTERN`, which are no formulas, or `PATTERN=STEP`.
+
+    Raises `InputError`."""
     found: dict[str, float] = {}
     for text in patterns:
         pattern, sign, step = text.partition("=")
         try:
             steps = {path: float(step) if sign else STEPS.get(path.rpartition(".")[2], STEP)
                      for path in numbers if fnmatchcase(path, pattern)
-                     and (sign or path.rpartition(".")[2] not in BOUND)}  # fmt: skip
+                     and (sign or (path.rpartition(".")[2] not in BOUND and path not in formulas))}  # fmt: skip
         except ValueError:
             raise InputError(f"--free = {text} is not allowed: a pattern, or PATTERN=STEP") from None
         if not steps or min(steps.values()) <= 0:

@@ -60,13 +60,14 @@ def numbered(group: str, name: str) -> str:
         return "\n".join(f"{group}.{name:20} {project.described(file)}" for name, file in files.items())
     file, _, path = name.partition(".")
     known(file, files, f"{group} = {file}")
-    found = GROUPS[group].numbers_of(file, lambda other: files[other].read_text(encoding="utf-8"))
+    said = GROUPS[group].numbers_of(file, lambda other: files[other].read_text(encoding="utf-8"))
+    found = {path: value if isinstance(value, str) else f"{value:g}" for path, value in said.items()}
     if path:
         known(path, found, f"{group}.{name}")
-        return f"{group}.{path}: {found[path]:g}"
+        return f"{group}.{path}: {found[path]}"
     told = [line.removeprefix("#").strip() for line in takewhile(lambda line: line.startswith("#"),
             files[file].read_text(encoding="utf-8").splitlines())]  # fmt: skip
-    return "\n".join([*told, "", *(f"{group}.{path:40} {value:g}" for path, value in found.items())])
+    return "\n".join([*told, "", *(f"{group}.{path:40} {value}" for path, value in found.items())])
 
 
 def page() -> str:

@@ -253,8 +253,8 @@ def nominal(values: Mapping[str, Any], kinds: Kinds) -> Nominal:
     return Nominal(Hexapod(case), settings, outcome.thresholds(given, case))
 
 
-def plan_numbers(file: str, read: Callable[[str], str]) -> dict[str, float]:
-    """The numbers of a plan's file by path, whatever obstacle it is for; `read` gives the text of a file's name."""
+def plan_numbers(file: str, read: Callable[[str], str]) -> dict[str, float | str]:
+    """Numbers and formulas of a plan's file by path, whatever obstacle it is for; `read` gives the text of a name."""
     places = {key: chart for cls in OBSTACLES.values() for key, chart in cls.charts.items()}
     return plan_table.numbers(plan_table.merged(file, read), places)
 
@@ -308,10 +308,12 @@ def _check_size(column: str, member: Parameter, value: Any) -> None:
 
 
 def _said(case: Case, plan: Content) -> Iterator[tuple[str, Any]]:
-    """A plan's numbers by path, and all its words as one."""
+    """A plan's numbers by path, and all its words and formulas as one."""
     places = case.obstacle.charts
-    yield from ((f"plan.{path}", value) for path, value in plan_table.numbers(plan, places).items())
-    yield "plan", json.dumps(plan_table.mapped(plan, places, lambda path, value: 0))
+    found = plan_table.numbers(plan, places).items()
+    yield from ((f"plan.{path}", value) for path, value in found if not isinstance(value, str))
+    words = plan_table.mapped(plan, places, lambda path, value: value if isinstance(value, str) else 0)
+    yield "plan", json.dumps(words)
 
 
 def flat(value: Any, path: str) -> Iterator[tuple[str, Any]]:

@@ -91,6 +91,7 @@ class Score:
         self.stages = [names[k] for k in chosen]
         self.aims = [Aim(margin, "*", value) for margin, value in AIMS.items()] + list(aims)
         self.case, self._free, self._width = case, tuple(free), width
+        self._formulas = plan_table.formulas(case)
         time = np.asarray(jax.jit(lambda: case.manoeuvre.plan(case).duration)(), float)
         self._ticks = math.ceil(TIMES * time.sum() / PERIOD) + len(names)
         counts = np.maximum(np.ceil(time[chosen] / APART).astype(int) + 1, MOMENTS)
@@ -172,7 +173,7 @@ class Score:
     def _left(self, numbers: jax.Array, belief: Case) -> dict[str, jax.Array]:
         """Margins (moments, S) of one draw, at the worst moments of every stage, the worst first."""
         for path, value in zip(self._free, numbers, strict=True):
-            belief = changed(belief, path, value)
+            belief = changed(belief, path, value, self._formulas)
         plan = belief.manoeuvre.plan(belief)
         return self._of_played(belief, plan) if self._plays else self._of_posed(belief, plan)
 
@@ -235,12 +236,12 @@ def _in_parts(function: Callable[..., Any], numbers: np.ndarray, draws: Case) ->
         return jax.tree.map(lambda *x: np.concatenate(x)[:count], *pool.map(part, parts))
 
 
-def changed(case: Case, path: str, value: Any) -> Case:
-    """With another number: of the plan's table, or of the manoeuvre where the path says so."""
+def changed(case: Case, path: str, value: Any, formulas: Mapping[str, float]) -> Case:
+    """With another number: of the plan's table, see `PlanTable.changed`, or of the manoeuvre where the path says so."""
     group, _, name = path.partition(".")
     if group == MANOEUVRE:
         return replace(case, manoeuvre=replace(case.manoeuvre, **{name: value}))  # pyright: ignore[reportArgumentType]
-    return replace(case, plan=case.plan.changed(path, value))
+    return replace(case, plan=case.plan.changed(path, value, formulas))
 
 
 def stacked(belief: Case, count: int) -> Case:

@@ -366,7 +366,7 @@ def test_mistakes_with_results_are_one_line_each(capsys, tmp_path):
 )
 def test_what_only_the_engine_knows_is_one_line_too(arguments, message, capsys, tmp_path, monkeypatch):
     monkeypatch.setattr(engines, "make", REAL)
-    (tmp_path / "bad.yaml").write_text("extends: corner\nroof: {reverse: roof}\n")
+    (tmp_path / "bad.yaml").write_text("extends: corner\nsizes: {rise: 0}\nroof: {reverse: roof}\n")
     assert main(["run", *arguments]) == 2
     one_line(capsys.readouterr().err, f"sweep: {message}")
 

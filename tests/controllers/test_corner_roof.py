@@ -8,7 +8,6 @@ from playing import play, varied
 
 from sweep.controllers import forces
 from sweep.controllers.assembly import assemble
-from sweep.controllers.manoeuvres.climbing.corner_roof import walk_on
 from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError
 from sweep.core.rotations import matrix
@@ -23,8 +22,7 @@ def case() -> Case:
 
 def plan_of(case: Case) -> Plan:
     """The whole way, without the forces and the rests that they need."""
-    site, start, stages = case.manoeuvre.ascend(case)
-    return assemble(start, [*stages, *walk_on(site, case, 10, 0.1)], 0.5)
+    return assemble(*case.manoeuvre.way(case), 0.5)
 
 
 @pytest.mark.parametrize(("share", "seed"), [(0.0, 0), (0.02, 101), (0.02, 102), (0.04, 103)])

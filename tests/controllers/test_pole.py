@@ -10,12 +10,13 @@ from playing import played, varied
 
 from sweep.controllers.frames import Stance
 from sweep.controllers.plan import Plan, along_arc, moved, pace_progress, reference
-from sweep.controllers.posture import joint_targets, leg_unit
+from sweep.controllers.posture import joint_targets
 from sweep.core.rotations import exponential, matrix, rotate
 from sweep.formulas.leg import SIDE
 from sweep.formulas.stepping import LANDING
 from sweep.models.case import Case
 from sweep.models.plan_table import tabled
+from sweep.models.robot import leg_unit
 from sweep.study.config import compose
 
 U = np.linspace(0, 1, 41)
@@ -95,13 +96,14 @@ def test_its_edges_run_on_two_rails_while_it_pitches_up(case):
     first = plan.names.index("on.front")
     quat, position = (x[first : first + 5].reshape(-1, x.shape[-1]) for x in (stances.quat, stances.position))
     front, rear = (rotate(quat, np.broadcast_to([x, 0.0, 0.0], position.shape)) + position for x in (HALF, -HALF))
-    entry = tabled(case)["entry"]
-    np.testing.assert_allclose(front[:, 1], D_C + 2 * HALF * entry["away"], atol=1e-9)
-    np.testing.assert_allclose(rear[:, 2], D - 2 * HALF * entry["lower"], atol=1e-9)
+    sizes = tabled(case)["sizes"]
+    np.testing.assert_allclose(front[:, 1], D_C + 2 * HALF * sizes["away"], atol=1e-9)
+    np.testing.assert_allclose(rear[:, 2], D - 2 * HALF * sizes["lower"], atol=1e-9)
     _, along, rise = (front - rear).T
     pitch = np.arctan2(rise, -along)
     assert np.all(np.diff(pitch) > -1e-9)
-    np.testing.assert_allclose(pitch.reshape(5, -1)[:, -1], np.radians([*entry["pitch"], 90]), atol=1e-7)
+    after = [*(sizes[f"pitch{k}"] for k in range(1, 5)), 90]
+    np.testing.assert_allclose(pitch.reshape(5, -1)[:, -1], np.radians(after), atol=1e-7)
 
 
 def test_the_pitch_rate_does_not_jump_between_stages(case):

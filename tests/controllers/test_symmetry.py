@@ -95,7 +95,7 @@ def test_round_the_pole_ends_behind_it_on_the_ledge(case, plan):
     end = last_stance(plan)
     np.testing.assert_allclose(end.feet[:, 2], ledge, atol=1e-9)
     assert np.all(end.feet[:, 1] < -case.obstacle.radius)
-    np.testing.assert_allclose(end.position[2], ledge + (0.5 - tabled(case)["entry"]["lower"]) * length, atol=1e-9)
+    np.testing.assert_allclose(end.position[2], ledge + (0.5 - tabled(case)["sizes"]["lower"]) * length, atol=1e-9)
     np.testing.assert_allclose(matrix(end.quat)[:, 0], [0, 1, 0], atol=1e-9)  # it looks back at the pole
     # consecutive parts of the plan fit together: nothing jumps between stages
     for values in (stances.feet, stances.position):

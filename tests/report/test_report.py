@@ -174,7 +174,7 @@ def test_theory_is_a_curve_over_the_map_and_what_it_limits_is_beside():
     ("output", "q", r"theory.0.output = q is unknown \(allowed: k, k_tau, k_zeta"),
     ("of", "contact.fiction", "did you mean friction"),
     ("inputs.eps", "drive.torque / 2", r"study.theory.inputs.eps = 'drive.torque / 2' is not allowed: .*torque_limit"),
-    ("inputs.eps", "exec(2)", "exec.2.' is not allowed in a condition"),
+    ("inputs.eps", "exec(2)", "exec.2.' is not allowed: names, numbers"),
     ("inputs.eps", "-1", "eps = -1 is not allowed: greater than 0"),
 ])  # fmt: skip
 def test_theory_that_means_nothing_is_refused_at_once(key, value, complaint):

@@ -11,7 +11,6 @@ from sweep.controllers.frames import Stance
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
 from sweep.controllers.moves import Terms, placed, stages_of
 from sweep.controllers.plan import GRIP, RESTS, STAND, STAYS, TOGETHER, Plan, Stage, Support
-from sweep.controllers.posture import leg_unit
 from sweep.controllers.refusals import at_ends, refuse_reach
 from sweep.controllers.symmetry import gone
 from sweep.core.errors import InputError
@@ -20,7 +19,8 @@ from sweep.core.rotations import about_vertical, exponential, multiply
 from sweep.formulas import stepping
 from sweep.models.case import Case
 from sweep.models.obstacles.surface import Obstacle, free_start
-from sweep.models.plan_table import BESIDE, tabled
+from sweep.models.plan_table import BESIDE, told
+from sweep.models.robot import leg_unit
 
 START = "start"  # part that places the robot
 
@@ -62,7 +62,7 @@ class Follow(PlannedForces):
         """The plan but for its forces."""
         terms, stages = self.terms(belief), []
         feet, position, at = placed(START, terms)
-        for part in tabled(belief):
+        for part in told(belief):
             if part not in (START, *BESIDE):
                 more, at = stages_of(part, terms, at)
                 stages += more

@@ -57,6 +57,11 @@ def nose_up(of: "Ball", unit: Number, elevation: Number, distance: Number, ahead
     return jnp.radians(90 - jnp.asarray(elevation, float))
 
 
+def centre(of: "Ball", unit: Number, *at: Number) -> Float[Array, " 3"]:
+    """About which such bases go."""
+    return jnp.zeros(3)
+
+
 @parameters
 class Ball(Usual):
     """A free ball, of radius 0.8 a_r and 100 kg by default, on the floor.
@@ -77,7 +82,9 @@ class Ball(Usual):
         "ball": Chart(("aside", "elevation"), at_elevation, koenig(0), fixed(0)),
         "cap": Chart(("aside", "ahead"), on_cap, koenig(0), fixed(0)),
         "ground": Chart(("aside", "ahead"), on_ground, koenig(0), WORLD),
-        "tangent": Chart(("elevation", "distance", "ahead"), tangent, koenig(0), pitch=nose_up, round=True, optional=1),
+        "tangent": Chart(
+            ("elevation", "distance", "ahead"), tangent, koenig(0), pitch=nose_up, about=centre, optional=1
+        ),
     }
     lying = ("radius",)
     forward = (1.0, 0.0)

@@ -25,7 +25,8 @@ class Chart(NamedTuple):
     # nose up (rad), of a base, by: what offers the chart; the unit; the coordinates. Without it the number after the
     # coordinates says it (deg), or it stays
     pitch: Callable[..., Number] | None = None
-    round: bool = False  # whether bases go round the frame's origin by as much as they pitch
+    # the point (m) that bases go round by as much as they pitch, by the same
+    about: Callable[..., Float[Array, " 3"]] | None = None
     optional: int = 0  # of the last coordinates, which are 0 where they are not said
 
     def based(self) -> tuple[str, ...]:
@@ -72,6 +73,26 @@ def level(
         return facing(forward, 0.0, along + ahead * unit, up + above * unit)
 
     return Chart(("aside", "ahead"), on_ground, frame), Chart(("ahead", "above"), base, frame)
+
+
+def rearing(length: Number) -> Chart:
+    """A chart for bases of a `length` (m) that pitch up before what they come to along -y.
+
+    Their front edge goes up a vertical line, their rear edge along a level one, and their centre goes round where these
+    cross, so far ahead of the origin and above it.
+    """
+
+    def crossing(owner: Any, unit: Number, ahead: Number, above: Number, pitch: Number) -> Float[Array, " 3"]:
+        return point(0.0, -ahead * unit, above * unit)
+
+    def at(owner: Any, side: float, unit: Number, depth: Number, ahead: Number, above: Number, pitch: Number) -> Array:
+        angle = nose_up(owner, unit, ahead, above, pitch)
+        return crossing(owner, unit, ahead, above, pitch) + length / 2 * point(0.0, jnp.cos(angle), jnp.sin(angle))
+
+    def nose_up(owner: Any, unit: Number, ahead: Number, above: Number, pitch: Number) -> Array:
+        return jnp.radians(jnp.asarray(pitch, float))
+
+    return Chart(("ahead", "above", "pitch"), at, pitch=nose_up, about=crossing)
 
 
 def facing(forward: Forward, aside: Number, ahead: Number, up: Number) -> Float[Array, " 3"]:

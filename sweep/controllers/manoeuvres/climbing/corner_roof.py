@@ -7,18 +7,18 @@ The printed sequence of events (table 2.1) is replaced by the part `roof` of the
 """
 
 import math
+from dataclasses import replace
 from typing import ClassVar
 
 import jax.numpy as jnp
-import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from sweep.controllers.frames import Stance
 from sweep.controllers.gaits import TRIPOD
-from sweep.controllers.manoeuvres.climbing.corner import FRONT, MIDDLE, REAR, CornerSite, OnCorner, gallop, get_on
+from sweep.controllers.manoeuvres.climbing.corner import OnCorner
 from sweep.controllers.manoeuvres.goals import UPRIGHT
-from sweep.controllers.moves import Terms, moves, stages_of, standing
+from sweep.controllers.moves import moves, stages_of
 from sweep.controllers.plan import CYCLE_B_SMOOTH, SMOOTH, Stage
 from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, parameters, quantity
@@ -26,8 +26,9 @@ from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
 from sweep.models.obstacles.charts import point
 from sweep.models.obstacles.corner import Corner
+from sweep.models.plan_table import MORE, SIZES, tabled
+from sweep.models.robot import leg_unit
 
-BELOW = 0.029  # a_r, of the front feet under the edge when the first event begins
 MOST_RISE = 0.28  # a_r, of a cycle of the gallop; from 0.35 on front and middle legs cross
 # when walking on the roof (a_r)
 BRINK = 0.05  # of feet behind its edges, along y
@@ -47,24 +48,23 @@ class CornerRoof(OnCorner):
 
     own_plan = "corner_roof"
 
-    def ascend(self, belief: Case) -> tuple[CornerSite, Stance, list[Stage]]:
+    def ascend(self, belief: Case) -> tuple[Stance, list[Stage]]:
         """Climb until the front feet are below the edge, and get over it.
 
         Raises `InputError` where the house is too low, or too high for the cycles, by plain numbers; rows in which
         it is too low are not a number, hence invalid.
         """
-        site, top = self.site(belief), belief.on(Corner).height
-        start, stages, feet = get_on(belief, site)
-        front = top - BELOW * site.length
-        rear = front - site.span
-        edge = {FRONT: front, MIDDLE: rear + site.near, REAR: rear}  # heights of the pairs where the gallop ends
-        rise = front - feet[FRONT]
+        sizes = tabled(belief, SIZES).get(SIZES, {})
+        if "rise" not in sizes:
+            raise InputError(f"plan.{SIZES}.rise is missing")
+        rise = sizes["rise"]
         if not isinstance(rise, Tracer):
-            self.refuse(belief, float(rise), float(MOST_RISE * site.length))
-        up = gallop(site, feet, jnp.where(rise >= 0, rise, jnp.nan), self.cycles)
-        below = {leg: foot for legs, height in edge.items() for leg, foot in site.on_wall(legs, height).items()}
-        over, _ = stages_of("roof", on_house(site, belief), standing(below, np.pi / 2))
-        return site, start, [*stages, *up, *over]
+            unit = leg_unit(belief.robot)
+            self.refuse(belief, float(rise * unit), float(MOST_RISE * belief.robot.body_length))
+        known = belief.plan.changed(f"{MORE}{SIZES}.rise", jnp.where(rise >= 0, 0.0, jnp.nan))
+        start, stages, at = self.climb(replace(belief, plan=known))
+        over, _ = stages_of("roof", self.terms(belief), at)
+        return start, [*stages, *over]
 
     def refuse(self, belief: Case, rise: float, most: float) -> None:
         """Raise `InputError` where the gallop cannot go up by `rise` (m), `most` (m) a cycle."""
@@ -81,7 +81,7 @@ class CornerRoof(OnCorner):
 
     def way(self, belief: Case) -> tuple[Stance, list[Stage]]:
         """Up to the edge and over it on to the roof."""
-        return self.ascend(belief)[1:]
+        return self.ascend(belief)
 
 
 @parameters
@@ -94,40 +94,34 @@ class CornerFull(CornerRoof):
 
     def way(self, belief: Case) -> tuple[Stance, list[Stage]]:
         """On to the roof, and some steps on."""
-        site, start, stages = self.ascend(belief)
-        on = walk_on(site, belief, self.steps, self.roof_step_ratio * site.length)
-        return start, [*stages, *on]
+        start, stages = self.ascend(belief)
+        return start, [*stages, *self.walk_on(belief)]
+
+    def walk_on(self, belief: Case) -> list[Stage]:
+        """Swings by tripod, from where the base is over the edge.
+
+        Where the roof is narrow, so are the tracks. In the first two the feet go beside their hips and the base rests:
+        farther on middle feet would meet the front legs.
+        """
+        terms, stages, length = self.terms(belief), [], belief.robot.body_length
+        way, height = self.roof_step_ratio * length, belief.on(Corner).height + self.height_ratio * terms.unit
+        *_, last = moves(belief, "roof").values()
+        base = terms.base(last.base, last.path)[0][1]
+        for k in range(self.steps):
+            on = way if k >= len(TRIPOD) else 0.0
+            base = base - on
+            swing = {}
+            for leg in TRIPOD[k % 2]:
+                hip = base - on / 2 + (1 - (leg - 1) // 2) * length / 2
+                swing[leg] = on_roof(belief, leg, hip, self.floor_track_ratio * terms.unit)
+            stages.append(Stage(f"on{k + 1}", terms.time, swing, CYCLE_B_SMOOTH, terms.lift, pace=SMOOTH,
+                                position=point(0.0, base, height)))  # fmt: skip
+        return stages
 
 
-def on_house(site: CornerSite, belief: Case) -> Terms:
-    """What the words of the moves over the edge mean, lengths in `leg_unit`s."""
-    return Terms(belief, site.unit, site.step.time, site.step.height)
-
-
-def walk_on(site: CornerSite, belief: Case, steps: int, way: Array | float) -> list[Stage]:
-    """Swings by tripod, in each of which the base goes `way` (m) on, from where it is over the edge.
-
-    Where the roof is narrow, so are the tracks. In the first two the feet go beside their hips and the base rests:
-    farther on middle feet would meet the front legs.
-    """
-    top, stages = belief.on(Corner).height, []
-    *_, last = moves(belief, "roof").values()
-    base = on_house(site, belief).base(last.base, last.path)[0][1]
-    for k in range(steps):
-        on = way if k >= len(TRIPOD) else 0.0
-        base = base - on
-        swing = {}
-        for leg in TRIPOD[k % 2]:
-            hip = base - on / 2 + (1 - (leg - 1) // 2) * site.length / 2
-            swing[leg] = on_roof(site, belief, leg, hip)
-        stages.append(Stage(f"on{k + 1}", site.step.time, swing, CYCLE_B_SMOOTH, site.step.height, pace=SMOOTH,
-                            position=point(0.0, base, top + site.clearance)))  # fmt: skip
-    return stages
-
-
-def on_roof(site: CornerSite, belief: Case, leg: int, y: Array | float) -> Float[Array, " 3"]:
-    """A foothold beside a hip at `y` (m), or as far back as the roof is wide enough."""
-    slope, brink = jnp.tan(belief.on(Corner).half_angle), BRINK * site.length
-    y = jnp.minimum(y, -brink - NARROWEST * site.length / slope)
-    aside = jnp.minimum(site.floor_track, slope * (-y - brink))
+def on_roof(belief: Case, leg: int, y: Array | float, aside: Array | float) -> Float[Array, " 3"]:
+    """A foothold beside a hip at `y`, so far `aside` (m), or as far back as the roof is wide enough."""
+    slope, length = jnp.tan(belief.on(Corner).half_angle), belief.robot.body_length
+    y = jnp.minimum(y, -BRINK * length - NARROWEST * length / slope)
+    aside = jnp.minimum(aside, slope * (-y - BRINK * length))
     return point(float(SIDE[leg - 1]) * aside, y, belief.on(Corner).height)

@@ -16,7 +16,6 @@ from sweep.controllers.manoeuvres.climbing.walking import walk_away, walk_up
 from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.moves import Terms, moves, placed, stages_of
 from sweep.controllers.plan import Plan, Stage
-from sweep.controllers.posture import leg_unit
 from sweep.controllers.refusals import at_ends, plain, refuse_reach
 from sweep.controllers.symmetry import gone
 from sweep.core.errors import InputError
@@ -27,7 +26,7 @@ from sweep.models.case import Case
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.charts import point
 from sweep.models.obstacles.ladder import Ladder
-from sweep.models.robot import total_mass
+from sweep.models.robot import leg_unit, total_mass
 
 GAP = 0.15  # leg units, that the base still has to go when the feet take their places before the ladder
 AWAY = 0.72  # leg units beyond the ledge's edge, of the base when it begins to walk away

@@ -52,10 +52,10 @@ class PoleToLedge(PoleTop):
 
     def way(self, belief: Case) -> tuple[Stance, list[Stage]]:
         """Get on the top, cross to the ledge, walk away."""
-        site, ledge = self.site(belief), belief.on(PoleLedge).ledge_height
-        start, stages, at = self.ascend(site, belief)
-        cross, _ = stages_of("ledge", self.terms(site, belief), at)
-        spread = site.track - belief.robot.body_width / 2
-        last = point(0.0, -site.radius - 0.75 * site.unit, ledge + site.clearance)
-        away, walk = walk_away(belief, site.step, last, spread, site.clearance, self.steps_away)
+        start, stages, at = self.ascend(belief)
+        terms, pole = self.terms(belief), belief.on(PoleLedge)
+        cross, _ = stages_of("ledge", terms, at)
+        height, spread = self.height_ratio * terms.unit, self.spread_ratio * terms.unit
+        last = point(0.0, -pole.radius - 0.75 * terms.unit, pole.ledge_height + height)
+        away, walk = walk_away(belief, self.step(belief), last, spread, height, self.steps_away)
         return start, [*stages, *self.rested([*cross, *away]), *walk]

@@ -12,8 +12,8 @@ from jaxtyping import Array
 
 from sweep.controllers.assembly import assemble
 from sweep.controllers.frames import Stance
-from sweep.controllers.gaits import GALLOP
-from sweep.controllers.manoeuvres.climbing.pole import OnPole, PoleSite
+from sweep.controllers.gaits import GALLOP, Step
+from sweep.controllers.manoeuvres.climbing.pole import OnPole
 from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.plan import CYCLE_B, STAND, Plan, Stage, moved
 from sweep.controllers.symmetry import joined, last_stance, mirrored, reversed_in_time
@@ -22,6 +22,8 @@ from sweep.core.rotations import exponential, rotate
 from sweep.models.case import Case
 from sweep.models.obstacles.charts import point
 from sweep.models.obstacles.pole_ledge import PoleLedge
+from sweep.models.plan_table import SIZES
+from sweep.models.robot import leg_unit
 
 STEP = np.pi / 8  # sigma: how far round the pole the base goes in 3 t*; printed as pi/6 in 2 t*
 BEHIND = (0.0, 0.0, np.pi)  # rotation vector of the half turn to the ledge's side
@@ -43,21 +45,21 @@ class PoleRound(OnPole):
 
     def plan(self, belief: Case) -> Plan:
         """Climb, go round, and the climb from the ledge backwards."""
-        site, ledge = self.site(belief), belief.on(PoleLedge).ledge_height
-        landing = site.step.landing
+        step, ledge, away = self.step(belief), belief.on(PoleLedge).ledge_height, replace(self, cycles=self.down_cycles)
         # A gap of x*, since walking up to the pole the front feet would stand beside it, where the ledge has ended.
-        start, stages = replace(self, cycles=self.down_cycles).climb(site, belief, landing, landing)
+        start, stages, _ = away.climb(replace(belief, manoeuvre=away), step.landing)
         from_ledge = assemble(start, stages, self.patience)
-        rise = (ledge + 3 * self.down_cycles * landing) / (3 * self.cycles)
-        up = assemble(*self.climb(site, belief, rise), self.patience)
+        rise = (ledge + 3 * self.down_cycles * step.landing) / (3 * self.cycles * leg_unit(belief.robot))
+        start, stages, _ = self.climb(replace(belief, plan=belief.plan.changed(f"{SIZES}.rise", rise)))
+        up = assemble(start, stages, self.patience)
         top = last_stance(up)
-        across = assemble(top, [Stage("hang", STAND), *half_way_round(site, top)], self.patience)
+        across = assemble(top, [Stage("hang", STAND), *half_way_round(step, top)], self.patience)
         down = moved(reversed_in_time(from_ledge), exponential(jnp.array(BEHIND)), point(0.0, 0.0, ledge))
         plan = joined(up, across, down)
         return plan if self.side == "left" else mirrored(plan, np.array([1.0, 0.0, 0.0]))
 
 
-def half_way_round(site: PoleSite, start: Stance) -> list[Stage]:
+def half_way_round(step: Step, start: Stance) -> list[Stage]:
     """2.3.6: pairs of feet go round the pole by `STEP` in their turns, while the base goes round it evenly.
 
     Printed for tripods. The three feet that stay then press unevenly, since the base turns a little while only three
@@ -75,7 +77,7 @@ def half_way_round(site: PoleSite, start: Stance) -> list[Stage]:
         away = jnp.stack([about_pole(foot, STEP / 2) for foot in feet]).at[:, 2].set(0.0)
         position = about_pole(position, way)
         name = f"round{k // 3 + 1}.{('front', 'middle', 'rear')[k % 3]}"
-        stages.append(Stage(name, site.step.time, swing, CYCLE_B, 1.5 * site.step.height, away, position=position,
+        stages.append(Stage(name, step.time, swing, CYCLE_B, 1.5 * step.height, away, position=position,
                             turn=turn, pivot=axis, arc=way))  # fmt: skip
         for leg in legs:
             feet = feet.at[leg - 1].set(swing[leg])

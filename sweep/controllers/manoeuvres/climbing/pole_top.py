@@ -5,19 +5,13 @@ World axes as in `pole`. The way from the gallop on is in the plan's file: its p
 
 from typing import ClassVar
 
-import numpy as np
-
 from sweep.controllers.frames import Stance
-from sweep.controllers.gaits import GALLOP
-from sweep.controllers.manoeuvres.climbing.pole import PoleClimb, PoleSite
+from sweep.controllers.manoeuvres.climbing.pole import PRESS, PoleClimb
 from sweep.controllers.manoeuvres.goals import UPRIGHT
-from sweep.controllers.moves import Standing, Terms, stages_of, standing
+from sweep.controllers.moves import Standing, stages_of
 from sweep.controllers.plan import Stage
 from sweep.core.parameters import choice, count, parameters
 from sweep.models.case import Case
-from sweep.models.obstacles.charts import ahead_above
-
-PRESS = "press"  # law of moves for feet that are pressed in, left out where planned forces hold them
 
 
 @parameters
@@ -30,18 +24,10 @@ class PoleTop(PoleClimb):
 
     own_plan = "pole_top"
 
-    def terms(self, site: PoleSite, belief: Case) -> Terms:
-        """Of moves on the pole; the chart `hang` is for a base beside the pole."""
-        hang = ahead_above(lambda pole: (site.standoff, pole.height))
-        sides = {"side": self.deepening}
-        return Terms(belief, site.unit, site.step.time, site.step.height, sides, {"hang": hang}, laws=(PRESS,))
-
-    def ascend(self, site: PoleSite, belief: Case) -> tuple[Stance, list[Stage], Standing]:
+    def ascend(self, belief: Case) -> tuple[Stance, list[Stage], Standing]:
         """Climb until the base's front edge is x* below the top, and go on to the top; where it stands then."""
-        below = site.top - site.step.landing - site.length / 2  # zeta_O(t_1) of 2.3.3
-        start, climb = self.climb(site, belief, (below - site.upright) / (3 * self.cycles))
-        feet = {leg: foot for legs in GALLOP for leg, foot in site.on_pole(legs, 0.0, below).items()}
-        terms, stages, at = self.terms(site, belief), [], standing(feet, np.pi / 2)
+        start, climb, at = self.climb(belief)
+        terms, stages = self.terms(belief), []
         for part in ("edge", "over", "top"):
             more, at = stages_of(part, terms, at)
             stages += [stage for stage in more if stage.law != PRESS or self.forces != "planned"]
@@ -49,4 +35,4 @@ class PoleTop(PoleClimb):
 
     def way(self, belief: Case) -> tuple[Stance, list[Stage]]:
         """To where it stands on the top, at rest."""
-        return self.ascend(self.site(belief), belief)[:2]
+        return self.ascend(belief)[:2]
