@@ -3,6 +3,7 @@
 import os
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import NoReturn
 
 import hydra
@@ -18,6 +19,7 @@ from sweep.study import config
 from sweep.study.config import Experiment
 
 ONE_OF = ("run", "multirun", "cfg", "info", "shell_completion")  # of what Hydra does
+COMPLETED = ("install=", "uninstall=", "query=")  # what its completion is told
 
 
 def launch(overrides: list[str], work: Callable[[Experiment], int], own: list[str]) -> int:
@@ -72,3 +74,9 @@ def check_flags(overrides: list[str], own: list[str]) -> None:
     given = parser.parse_args(overrides)
     if len(both := [flag for flag in ONE_OF if getattr(given, flag)]) > 1:
         raise InputError(f"--{both[0]} and --{both[1].replace('_', '-')} are not allowed together")
+    if given.resolve and not given.cfg:
+        raise InputError("--resolve is for --cfg")
+    if given.shell_completion and not any(one.startswith(COMPLETED) for one in given.overrides):
+        raise InputError(f"--shell-completion wants {', '.join(COMPLETED)} and a shell; `sweep completion` is ours")
+    if (file := given.experimental_rerun) and not Path(file).is_file():
+        raise InputError(f"--experimental-rerun = {file} is not a file")

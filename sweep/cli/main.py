@@ -1,6 +1,7 @@
 """The command `sweep`. What it imports at first is little, so that an early Ctrl-C finds it ready."""
 
 import atexit
+import errno
 import gc
 import sys
 
@@ -39,6 +40,7 @@ def main(argv: list[str] | None = None) -> int:
     except OSError as error:
         from sweep.core.files import UNFIT, reason
 
-        name = error.filename2 or error.filename  # of a copy the target
+        lost = "the working folder" if error.errno == errno.ENOENT else ""  # which alone has no name here
+        name = error.filename2 or error.filename or lost  # of a copy the target
         print(f"sweep: {in_one_line(f'{name}: ' if name else '')}{reason(error)}", file=sys.stderr)
         return BAD_INPUT if error.errno in UNFIT else FAULT  # such as a full disk

@@ -111,3 +111,11 @@ def test_names_that_are_no_letters_are_refused_and_listed(folder, tmp_path, caps
     assert r"caf\xe9 | walk_map | 56 of 56" in " ".join(capsys.readouterr().out.split())
     assert main(["table", str(tmp_path / "new\nline")]) == 2
     one_line(capsys.readouterr().err, r"new\nline is not a folder of results")
+
+
+def test_a_working_folder_that_is_gone_is_named(tmp_path, monkeypatch, capsys):
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    assert main(["list"]) == 2
+    one_line(capsys.readouterr().err, "the working folder: No such file or directory")
