@@ -36,6 +36,7 @@ class Now(NamedTuple):
     period: float  # s
     joints: Float[Array, "6 3"]  # rad, last targets
     untold: Array | float = 0.0  # s, for which a foot stands before its load is seen
+    behind: Array | float = 0.0  # s, by which loads are seen later than places
 
 
 class Command(NamedTuple):
@@ -185,11 +186,13 @@ class Feedforward(Layer):
         return own, target._replace(feet=self.crept(now.plan, own, now.stage, now.clock, target.feet))
 
     def anchored(self, now: Now, feet: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
-        """Those of loaded standing feet follow the feet."""
+        """Those of loaded standing feet follow the feet, no faster than loads are seen behind places."""
         stage, seen = now.stage, now.seen
         places = feet_in_world(now.robot, seen.position, seen.quat, seen.angles)
         real = to_frame(places, now.plan.foot_frame[stage], now.free)
-        share = jnp.where(seen.loaded & ~now.plan.swing[stage], jnp.minimum(1.0, now.period / self.anchoring), 0.0)
+        # a foot that has just left, or come, is followed wrongly for as long as loads come later than places
+        time = jnp.maximum(self.anchoring, now.behind)
+        share = jnp.where(seen.loaded & ~now.plan.swing[stage], jnp.minimum(1.0, now.period / time), 0.0)
         return feet + share[:, None] * (real - feet)
 
     def crept(

@@ -107,7 +107,7 @@ def step(
     begins = (state.stage != old.stage) | ((old.stage == 0) & (old.clock == 0))
     free, blind = borne(plan, state, seen.free)
     now = Now(belief.robot, plan, old.stage, state.stage, state.clock, phase, begins, seen, free, period, state.joints,
-              untold(belief.noise, period))  # fmt: skip
+              untold(belief.noise, period), belief.noise.load_delay * period)  # fmt: skip
     frames = plan.foot_frame[state.stage], plan.base_frame[state.stage]
     for layer in plan.layers:
         state = state._replace(feet=layer.anchored(now, state.feet))

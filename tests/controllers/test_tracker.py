@@ -12,7 +12,7 @@ from sweep.controllers.frames import Stance
 from sweep.controllers.layers import FASTER, SOON, Feedforward
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import REGRIP
-from sweep.controllers.posture import joint_targets
+from sweep.controllers.posture import feet_in_world, joint_targets
 from sweep.core.rotations import exponential, logarithm, rotate
 from sweep.models.noise import Noise
 from sweep.models.obstacles.surface import no_bodies
@@ -111,6 +111,20 @@ def test_a_foot_that_hangs_goes_on_alone(plan, sure, late):
     below = np.asarray(plan.foothold[stage, :, 2] - feet[-1, :, 2])
     np.testing.assert_allclose(below[others], creep * SOON, atol=1e-5)
     assert below[first] == pytest.approx(creep * (SOON + FASTER * (wait - SOON - late)), abs=1e-5)
+
+
+@pytest.mark.parametrize(("behind", "time"), [(0.0, 0.03), (0.02, 0.03), (0.08, 0.08)])
+def test_footholds_follow_no_faster_than_loads_come_behind(plan, behind, time):
+    """Those of feet that bear planned forces; one that left would be followed until its load (s) is known."""
+    down = jnp.broadcast_to(jnp.array([0.0, 0.0, -1.0]), plan.foothold.shape)
+    numbers = jnp.zeros((len(plan.names), 2, 6, 3)), jnp.zeros(len(plan.names)), down, jnp.array(0.01), jnp.array(0.03)
+    held, told = plan.with_layer(Feedforward(*numbers)), replace(CASE, noise=Noise(load_delay=behind / PERIOD))
+    still, joints = jnp.zeros(3), jnp.zeros((6, 3))
+    seen = Observation(*plan.start[1:], still, still, joints, joints, joints, jnp.ones(6, bool), no_bodies())
+    begun = tracker.init(told, held)
+    after, _ = tracker.step(told, held, begun, seen, PERIOD)
+    places = feet_in_world(CASE.robot, seen.position, seen.quat, joints)
+    np.testing.assert_allclose(after.feet - begun.feet, PERIOD / time * (places - begun.feet), atol=1e-6)
 
 
 def test_body_error_shifts_feet_and_body_and_fades(follow, plan):
