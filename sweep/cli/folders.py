@@ -66,11 +66,11 @@ def names(text: str | None) -> list[str] | None:
 def save(path: Path, content: bytes) -> None:
     """Write what `-o` asks for; `-` is the standard output.
 
-    Raises `InputError` where it is a file that a folder's rows are read from.
+    Raises `InputError` where it is a file that a folder's rows are read from, or its log.
     """
     from sweep.runs import manifest, store
 
-    named, folder = path.name in (store.STUDY, store.POINTS, manifest.MANIFEST), path.parent
+    named, folder = path.name in (store.STUDY, store.POINTS, manifest.MANIFEST, store.LOG), path.parent
     if not named and folder.name in store.PLACES:
         named, folder = True, folder.parent
     if named and (folder / store.STUDY).exists():

@@ -300,6 +300,7 @@ def test_mistakes_with_results_are_one_line_each(capsys, tmp_path):
         (["reproduce", "empty", "--seed", "-1"], "--seed = -1 is not allowed: at least 0 and below 2^32"),
         (["compare", results, results, "--anytime", "--most", "-3"], "--most = -3 is not allowed: at least 1"),
         (["table", results, "-o", f"{results}/study.yaml"], "study.yaml is not allowed: a study's own file"),
+        (["table", results, "-o", f"{results}/log.txt"], "log.txt is not allowed: a study's own file"),
         (
             ["compare", results, results, "-o", f"{results}/points.parquet"],
             "points.parquet is not allowed: a study's own",

@@ -63,6 +63,18 @@ def test_a_crate_has_the_study_and_says_how_it_was_made(study, tmp_path, capsys)
         assert error in capsys.readouterr().err
 
 
+def test_a_log_that_is_damaged_tells_what_days_it_has(study, tmp_path):
+    pytest.importorskip("rocrate")
+    folder, crate = tmp_path / "study", tmp_path / "crate"
+    shutil.copytree(study, folder)
+    (folder / store.LOG).write_bytes(b"| a |\n2026-01-02T03:04:05+0000 batch 0\n\xff\x00 batch 1\n")
+    assert main(["export", str(folder), "--crate", str(crate)]) == 0
+    (run,) = (
+        one for one in json.loads((crate / "ro-crate-metadata.json").read_text())["@graph"] if one["@id"] == "#run"
+    )
+    assert run["startTime"] == run["endTime"] == "2026-01-02T03:04:05+00:00"
+
+
 @pytest.mark.skipif(not VALIDATOR, reason="needs pipx install roc-validator")
 def test_a_crate_has_all_that_its_profile_requires(study, tmp_path):
     pytest.importorskip("rocrate")

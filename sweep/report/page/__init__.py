@@ -5,7 +5,9 @@ import io
 import itertools
 import re
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
+from datetime import datetime
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -194,12 +196,13 @@ def as_html(shown: pd.DataFrame, index: bool) -> Markup:
 
 
 def dates(folder: Path) -> tuple[str, str]:
-    """First and last day and time of the log; empty without one."""
-    try:
-        lines = (folder / store.LOG).read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return "", ""
-    stamps = [line.partition(" ")[0] for line in lines if line]
+    """First and last day and time of the log, which may be damaged; empty without one."""
+    stamps = []
+    with suppress(OSError):
+        for line in (folder / store.LOG).read_text(encoding="utf-8", errors="replace").splitlines():
+            with suppress(ValueError):  # of a line that begins with none
+                datetime.fromisoformat(stamp := line.partition(" ")[0])
+                stamps.append(stamp)
     return (stamps[0], stamps[-1]) if stamps else ("", "")
 
 
