@@ -1,7 +1,9 @@
 """The commands on folders of results that have no module of their own. Heavy imports wait until one needs them."""
 
 import argparse
+import os
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -188,14 +190,17 @@ def pictures(found: "Results", folder: Path, chosen: tuple[str, ...]) -> list[Pa
 def export_results(given: argparse.Namespace) -> int:
     """The bundle for a paper, or the crate."""
     from sweep.report import crate, paper
-    from sweep.runs import results
+    from sweep.runs import results, store
 
     if bool(given.paper) == bool(given.crate):
         raise InputError("export wants one of --paper FOLDER and --crate FOLDER")
     if given.crate:
         if given.where or given.serif:
             raise InputError("--where and --serif are of --paper: a crate has the whole study")
-        print(crate.write(results.read(given.dir), given.crate, given.license, given.zip, given.author))
+        store.read_study(given.dir)  # before it is held, which would make it
+        # nothing is added while it is copied, nor ever to what cannot be written
+        with store.locked(given.dir) if os.access(given.dir, os.W_OK) else nullcontext():
+            print(crate.write(results.read(given.dir), given.crate, given.license, given.zip, given.author))
         return DONE
     if given.zip or given.author or given.license != LICENSE:
         raise InputError("--zip, --author and --license are of --crate")

@@ -63,6 +63,14 @@ def test_a_crate_has_the_study_and_says_how_it_was_made(study, tmp_path, capsys)
         assert error in capsys.readouterr().err
 
 
+def test_a_study_that_a_run_adds_to_is_no_crate(study, tmp_path, capsys):
+    pytest.importorskip("rocrate")
+    with store.locked(study):
+        assert main(["export", str(study), "--crate", str(tmp_path / "crate")]) == 2
+    assert "in use by another sweep process" in capsys.readouterr().err
+    assert not (tmp_path / "crate").exists()
+
+
 def test_a_log_that_is_damaged_tells_what_days_it_has(study, tmp_path):
     pytest.importorskip("rocrate")
     folder, crate = tmp_path / "study", tmp_path / "crate"
