@@ -75,9 +75,13 @@ class Layer:
         return feet
 
     def crept(
-        self, plan: Plan, own: Any, stage: Int[Array, ""], clock: Float[Array, ""], feet: Float[Array, "6 3"]
-    ) -> Float[Array, "6 3"]:
-        """Feet (m, world axes) as a stage ends `clock` s after it began, where the plan has them at `feet`."""
+        self, plan: Plan, own: Any, stage: Int[Array, ""], clock: Float[Array, ""], feet: Float[Array, "6 3"],
+        behind: Array | float,
+    ) -> Float[Array, "6 3"]:  # fmt: skip
+        """Feet (m, world axes) as a stage ends `clock` s after it began, where the plan has them at `feet`.
+
+        Loads are seen `behind` s later than places.
+        """
         return feet
 
     def led(self, now: Now, own: Any, target: Stance) -> tuple[Any, Stance]:
@@ -183,7 +187,7 @@ class Feedforward(Layer):
         late = jnp.clip(now.clock - now.plan.duration[now.stage] - (SOON + now.untold), 0.0, now.period)
         bears = now.seen.loaded if now.seen.perhaps is None else now.seen.perhaps
         own = own + jnp.where(bears, 0.0, FASTER * self.creep * late)
-        return own, target._replace(feet=self.crept(now.plan, own, now.stage, now.clock, target.feet))
+        return own, target._replace(feet=self.crept(now.plan, own, now.stage, now.clock, target.feet, now.behind))
 
     def anchored(self, now: Now, feet: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
         """Those of loaded standing feet follow the feet, no faster than loads are seen behind places."""
@@ -197,10 +201,14 @@ class Feedforward(Layer):
 
     def crept(
         self, plan: Plan, own: Float[Array, " 6"], stage: Int[Array, ""], clock: Float[Array, ""],
-        feet: Float[Array, "6 3"],
+        feet: Float[Array, "6 3"], behind: Array | float,
     ) -> Float[Array, "6 3"]:  # fmt: skip
-        """Swinging feet go on inwards while the stage waits for their touchdown."""
-        late = jnp.clip(clock - plan.duration[stage], 0.0, SOON)
+        """Swinging feet go on inwards while the stage waits for their touchdown.
+
+        As soon as it may be known which landed in time, since those that go on lift the base off the others; not later
+        than `SOON`: feet that really hang have the base sink meanwhile.
+        """
+        late = jnp.clip(clock - plan.duration[stage] - jnp.minimum(behind, SOON), 0.0, SOON)
         way = (self.creep * late + own)[:, None] * self.inward[stage]
         return feet + jnp.where(plan.swing[stage][:, None], way, 0.0)
 

@@ -120,6 +120,11 @@ def weighed(control: Control, noise: Noise, seen: Observation) -> Observation:
     return seen._replace(loaded=seen.load > control.load_threshold + doubt, perhaps=perhaps)
 
 
+def behind(noise: Noise, period: float) -> Array | float:
+    """By how much later (s) loads are seen than places."""
+    return noise.load_delay * period
+
+
 def untold(noise: Noise, period: float) -> Array | float:
     """For how long (s) a foot stands before its load is known."""
     return (noise.delay + noise.load_delay) * period

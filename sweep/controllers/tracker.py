@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from sweep.controllers.frames import Stance, stance_to_frame, stance_to_world, to_frame
 from sweep.controllers.layers import Command, Now
-from sweep.controllers.observation import Observation, Observer, followed, untold
+from sweep.controllers.observation import Observation, Observer, behind, followed, untold
 from sweep.controllers.plan import GRIP, KEEP, REGRIP, REZERO, Plan, reference
 from sweep.controllers.posture import feet_in_world, joint_targets
 from sweep.core.rotations import conjugate, exponential, heading, logarithm, multiply, nearest, rotate
@@ -107,7 +107,7 @@ def step(
     begins = (state.stage != old.stage) | ((old.stage == 0) & (old.clock == 0))
     free, blind = borne(plan, state, seen.free)
     now = Now(belief.robot, plan, old.stage, state.stage, state.clock, phase, begins, seen, free, period, state.joints,
-              untold(belief.noise, period), belief.noise.load_delay * period)  # fmt: skip
+              untold(belief.noise, period), behind(belief.noise, period))  # fmt: skip
     frames = plan.foot_frame[state.stage], plan.base_frame[state.stage]
     for layer in plan.layers:
         state = state._replace(feet=layer.anchored(now, state.feet))
@@ -163,8 +163,9 @@ def _advance(
     following = jnp.where(last, stage, stage + 1)
     meant, blind = borne(plan, state, seen.free)
     ended = stance_to_world(reached, plan.foot_frame[stage], plan.base_frame[stage], meant)
+    late = behind(belief.noise, period)
     for layer, own in zip(plan.layers, state.layers, strict=True):
-        ended = ended._replace(feet=layer.crept(plan, own, stage, state.clock, ended.feet))
+        ended = ended._replace(feet=layer.crept(plan, own, stage, state.clock, ended.feet, late))
     begun = onset(belief, plan, following, ended, seen)
     if blind is not False:  # it sees nothing of where feet are: the error before holds on
         begun = jax.tree.map(partial(jnp.where, blind), Onset(ended.feet, state.error, state.turn), begun)
