@@ -139,6 +139,8 @@ def test_a_plan_that_touches_is_tuned_until_it_does_not(tmp_path, monkeypatch, c
     (tmp_path / "low.yaml").write_text("extends: pole_top\nover:\n  front: {base: [-0.018, 0.34, 22]}\n")
     assert main([*search, "out=plans/mine.yaml"]) == 2
     assert "mine.yaml.log is of another search" in capsys.readouterr().err
+    assert main([*asked, "--free", "top.centre.lift", "--generations", "1", "out=plans/other.yaml"]) == 4
+    assert "nothing better was found, and plans/other.yaml is left as it was" in capsys.readouterr().err
 
 
 def test_a_formula_is_free_with_a_step_and_raised_to_what_is_found():

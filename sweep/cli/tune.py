@@ -4,6 +4,7 @@ import argparse
 import dataclasses
 import math
 import shlex
+import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -98,6 +99,7 @@ def main(args: list[str]) -> int:
     told = table(score, left)
     print(f"score {was:.4g} before, {now:.4g} after\n{told}")
     if not now < was:
+        print(f"sweep: nothing better was found, and {where} is left as it was", file=sys.stderr)
         return UNEXPECTED
     head = [f"{len(steps)} numbers searched for by {method}: score {was:.4g} before, {now:.4g} after",
             f"sweep tune {shlex.join(args)}", f"least margins over draws of seed {exp.study.seed}, and over others of "
