@@ -197,6 +197,13 @@ def test_it_goes_from_ball_to_ball(engine, finish):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("gap", [0.1, 1.3])
+def test_the_plan_is_for_every_gap(gap):
+    """Numbers follow sizes in proportion: what was searched for close to nominal must not lead astray far from it."""
+    assert outcomes(["scenario=ball_to_ball", f"obstacle.gap={gap}"])["outcome"].tolist() == ["success"]
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", ["mjx", "native"])
 def test_what_the_checks_have_mended_succeeds(engine):
     """All three: the base goes on, a foot stands farther, another one nearer after a squat as low as may be."""
