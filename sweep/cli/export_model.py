@@ -9,9 +9,9 @@ from sweep.cli.exits import DONE
 from sweep.core.arguments import Arguments, no_flag
 from sweep.core.errors import InputError
 from sweep.core.files import write_whole
+from sweep.models.binary import binary
 from sweep.study.config import compose
 from sweep.systems import exported
-from sweep.systems.own.files import binary
 
 EPILOG = """A check of the robot by code that is not its own: C MuJoCo's and MJX's own step. The folder is a project.
 MuJoCo reads robot.mjb, which has all digits; robot.xml is the same to read, to six.

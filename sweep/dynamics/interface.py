@@ -60,10 +60,3 @@ def topology(case: Case) -> Topology:
     leg = np.array([model.jnt_dofadr[names["joint"][joint]] for joint in JOINTS], np.int32).reshape(N_LEGS, 3)
     feet = np.array([names["site"][f"foot{leg}"] for leg in LEGS], np.int32)
     return Topology(model, names, leg, feet, free, owners(case))
-
-
-def saved(model: mujoco.MjModel) -> bytes:
-    """All that is in a compiled model."""
-    content = np.empty(mujoco.mj_sizeModel(model), np.uint8)
-    mujoco.mj_saveModel(model, None, content)
-    return content.tobytes()

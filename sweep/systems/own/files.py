@@ -20,6 +20,7 @@ import numpy as np
 
 from sweep.core import project
 from sweep.core.errors import WRONG, InputError, raised, suggest
+from sweep.models.binary import binary
 
 ONNX, BINARY, PACKAGE = ".onnx", ".mjb", "package://"
 TYPES = {"tensor(float)": np.float32, "tensor(double)": np.float64}  # of a network's numbers
@@ -126,13 +127,6 @@ def parts(mjcf: str) -> list[Path]:
 def digest(compiled: mujoco.MjModel) -> str:
     """Of all numbers of a model, its meshes among them."""
     return hashlib.blake2b(binary(compiled), digest_size=8).hexdigest()
-
-
-def binary(compiled: mujoco.MjModel) -> bytes:
-    """A model as MuJoCo's MJB file has it."""
-    content = np.zeros(mujoco.mj_sizeModel(compiled), np.uint8)
-    mujoco.mj_saveModel(compiled, None, content)
-    return content.tobytes()
 
 
 def controller(name: str) -> Policy:
