@@ -52,6 +52,19 @@ def follow(plan):
     return history_of
 
 
+def pressed(plan, creep):
+    """The plan with forces, none, that press feet down: those that hang by `creep` (m/s); footholds follow in 30 ms."""
+    down = jnp.broadcast_to(jnp.array([0.0, 0.0, -1.0]), plan.foothold.shape)
+    numbers = jnp.zeros((len(plan.names), 2, 6, 3)), jnp.zeros(len(plan.names)), down, jnp.array(creep), jnp.array(0.03)
+    return plan.with_layer(Feedforward(*numbers))
+
+
+def seen_at_start(plan, loaded):
+    """A robot at rest, its base where the plan starts, all joints at 0."""
+    still, joints = jnp.zeros(3), jnp.zeros((6, 3))
+    return Observation(*plan.start[1:], still, still, joints, joints, joints, loaded, no_bodies())
+
+
 def stage_starts(states) -> np.ndarray:
     return (1 + np.flatnonzero(np.diff(states.stage))) * PERIOD
 
@@ -90,12 +103,8 @@ def test_a_foot_that_hangs_goes_on_alone(plan, sure, late):
     """
     stage, creep, wait = int(np.argmax(np.any(plan.swing, axis=1))), 0.01, 0.3  # m/s, s
     first, *others = np.flatnonzero(plan.swing[stage])
-    down = jnp.broadcast_to(jnp.array([0.0, 0.0, -1.0]), plan.foothold.shape)
-    numbers = jnp.zeros((len(plan.names), 2, 6, 3)), jnp.zeros(len(plan.names)), down, jnp.array(creep), jnp.array(0.03)
-    held = replace(plan, patience=jnp.array(1.0)).with_layer(Feedforward(*numbers))
-    still, joints, stands = jnp.zeros(3), jnp.zeros((6, 3)), jnp.arange(6) != first
-    seen = Observation(*plan.start[1:], still, still, joints, joints, joints, stands & sure, no_bodies())
-    seen = seen._replace(perhaps=stands)
+    held, stands = pressed(replace(plan, patience=jnp.array(1.0)), creep), jnp.arange(6) != first
+    seen = seen_at_start(plan, stands & sure)._replace(perhaps=stands)
     told = replace(CASE, noise=Noise(delay=0.25 * late / PERIOD, load_delay=0.75 * late / PERIOD))
     begun = tracker.init(told, held)._replace(stage=jnp.int32(stage), clock=plan.duration[stage])
 
@@ -118,14 +127,10 @@ def test_a_foot_that_hangs_goes_on_alone(plan, sure, late):
 @pytest.mark.parametrize(("behind", "time"), [(0.0, 0.03), (0.02, 0.03), (0.08, 0.08)])
 def test_footholds_follow_no_faster_than_loads_come_behind(plan, behind, time):
     """Those of feet that bear planned forces; one that left would be followed until its load (s) is known."""
-    down = jnp.broadcast_to(jnp.array([0.0, 0.0, -1.0]), plan.foothold.shape)
-    numbers = jnp.zeros((len(plan.names), 2, 6, 3)), jnp.zeros(len(plan.names)), down, jnp.array(0.01), jnp.array(0.03)
-    held, told = plan.with_layer(Feedforward(*numbers)), replace(CASE, noise=Noise(load_delay=behind / PERIOD))
-    still, joints = jnp.zeros(3), jnp.zeros((6, 3))
-    seen = Observation(*plan.start[1:], still, still, joints, joints, joints, jnp.ones(6, bool), no_bodies())
-    begun = tracker.init(told, held)
+    held, told = pressed(plan, 0.01), replace(CASE, noise=Noise(load_delay=behind / PERIOD))
+    seen, begun = seen_at_start(plan, jnp.ones(6, bool)), tracker.init(told, held)
     after, _ = tracker.step(told, held, begun, seen, PERIOD)
-    places = feet_in_world(CASE.robot, seen.position, seen.quat, joints)
+    places = feet_in_world(CASE.robot, seen.position, seen.quat, seen.angles)
     np.testing.assert_allclose(after.feet - begun.feet, PERIOD / time * (places - begun.feet), atol=1e-6)
 
 
