@@ -68,8 +68,17 @@ class PlanTable:
         """With the number at `path` (without `plan.`) changed; one of `formulas`, by what it comes to, raised to it."""
         if formulas and path in formulas:
             path, value = MORE + path, value - formulas[path]
-        changes = dict(zip(self.paths, self.values, strict=True)) | {path: value}
+        changes = self.changes | {path: value}
         return dataclasses.replace(self, paths=tuple(changes), values=tuple(changes.values()))
+
+    def raised(self, path: str, more: Any) -> "PlanTable":
+        """With the number at `path` so much more than what its formula says, and what it was raised by before."""
+        return self.changed(MORE + path, self.changes.get(MORE + path, 0.0) + more)
+
+    @property
+    def changes(self) -> dict[str, Any]:
+        """What is changed, by path."""
+        return dict(zip(self.paths, self.values, strict=True))
 
 
 @runtime_checkable
@@ -131,7 +140,7 @@ def way(case: Any) -> str:
 
 def told(case: Any) -> Content:
     """What a case says of its plan, by part and move; nothing where its numbers are not in a file."""
-    changes = _changes(case)
+    changes = case.plan.changes
 
     def now(path: str, value: Any) -> Any:
         more = changes.get(MORE + path)
@@ -182,7 +191,7 @@ def _followed(case: Any, content: Content) -> dict[str, Array]:
 
 def _worked_out(case: Any, content: Content, added: Mapping[str, Array], alone: str = "") -> Content:
     """`content`, or a part of it alone, with formulas worked out, what the case changes and what is added by path."""
-    changes, sizes, times = _changes(case), content.get(SIZES, {}), {}
+    changes, sizes, times = case.plan.changes, content.get(SIZES, {}), {}
     names: dict[str, Any] = {"unit": leg_unit(case.robot)}
 
     def named(name: str) -> Any:
@@ -263,11 +272,6 @@ def near(path: str, found: Iterable[str], before: str = "plan.") -> str:
 def _written(case: Any) -> Content:
     """What the file of a case's plan says."""
     return json.loads(case.plan.text) if case.plan.text else own(case)
-
-
-def _changes(case: Any) -> dict[str, Any]:
-    """What a case changes, by path."""
-    return dict(zip(case.plan.paths, case.plan.values, strict=True))
 
 
 def size(case: Any, path: str, told: str = "", groups: Names = SIZED) -> Any:

@@ -12,6 +12,7 @@ from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError
 from sweep.core.rotations import matrix
 from sweep.models.case import Case
+from sweep.models.robot import leg_unit
 from sweep.study.config import compose
 
 
@@ -77,3 +78,12 @@ def test_the_way_over_the_edge_needs_no_more_friction_than_the_climb(case):
     needed, over = np.asarray(course.planned.friction.max(axis=1)), np.char.startswith(plan.names, "roof.")
     assert float(course.planned.imbalance.max()) < 0.01
     assert needed[over].max() <= needed[~over].max() < 1.07
+
+
+def test_what_a_search_raises_a_formula_by_stays_raised():
+    """Of the gallop's rise, which is made not a number where a house is too low."""
+    case = compose(["scenario=corner_full"]).case
+    lower = replace(case, plan=case.plan.raised("sizes.rise", -0.02).raised("sizes.rise", -0.01))
+    ends = [{stage.name: stage.position for stage in one.manoeuvre.way(one)[1]} for one in (case, lower)]
+    off = ends[1]["gallop2.up"] - ends[0]["gallop2.up"]
+    np.testing.assert_allclose(off, [0, 0, -0.03 * 0.75 * leg_unit(case.robot)], atol=1e-6)  # after 1.5 of 2 cycles

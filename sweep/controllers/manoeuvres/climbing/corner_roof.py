@@ -26,7 +26,7 @@ from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
 from sweep.models.obstacles.charts import point
 from sweep.models.obstacles.corner import Corner
-from sweep.models.plan_table import MORE, SIZES, tabled
+from sweep.models.plan_table import SIZES, tabled
 from sweep.models.robot import leg_unit
 
 MOST_RISE = 0.28  # a_r, of a cycle of the gallop; from 0.35 on front and middle legs cross
@@ -48,7 +48,7 @@ class CornerRoof(OnCorner):
 
     own_plan = "corner_roof"
 
-    def ascend(self, belief: Case) -> tuple[Stance, list[Stage]]:
+    def way(self, belief: Case) -> tuple[Stance, list[Stage]]:
         """Climb until the front feet are below the edge, and get over it.
 
         Raises `InputError` where the house is too low, or too high for the cycles, by plain numbers; rows in which
@@ -61,7 +61,7 @@ class CornerRoof(OnCorner):
         if not isinstance(rise, Tracer):
             unit = leg_unit(belief.robot)
             self.refuse(belief, float(rise * unit), float(MOST_RISE * belief.robot.body_length))
-        known = belief.plan.changed(f"{MORE}{SIZES}.rise", jnp.where(rise >= 0, 0.0, jnp.nan))
+        known = belief.plan.raised(f"{SIZES}.rise", jnp.where(rise >= 0, 0.0, jnp.nan))
         start, stages, at = self.climb(replace(belief, plan=known))
         over, _ = stages_of("roof", self.terms(belief), at)
         return start, [*stages, *over]
@@ -79,10 +79,6 @@ class CornerRoof(OnCorner):
                 f"manoeuvre.cycles = {self.cycles} is not allowed: at least {needed} for obstacle.height = {top:g} m"
             )
 
-    def way(self, belief: Case) -> tuple[Stance, list[Stage]]:
-        """Up to the edge and over it on to the roof."""
-        return self.ascend(belief)
-
 
 @parameters
 class CornerFull(CornerRoof):
@@ -94,7 +90,7 @@ class CornerFull(CornerRoof):
 
     def way(self, belief: Case) -> tuple[Stance, list[Stage]]:
         """On to the roof, and some steps on."""
-        start, stages = self.ascend(belief)
+        start, stages = super().way(belief)
         return start, [*stages, *self.walk_on(belief)]
 
     def walk_on(self, belief: Case) -> list[Stage]:
