@@ -63,7 +63,6 @@ CONTRACT = {
     "sweep.engines.settings",
     "sweep.engines.devices",
 }
-SHORT = 22  # characters, of a docstring that says next to nothing
 ALIKE = {("ROUNDS", "4"), ("AROUND", "0.05"), ("DIGITS", "12")}  # constants with one name and number, of two things
 
 
@@ -147,20 +146,6 @@ def test_only_engines_and_what_is_below_know_jax():
 def test_only_runs_and_what_is_above_know_files():
     files = {"pathlib", "tempfile", "shutil"}
     assert {n for n in MODULES if files & ARROWS[n] and room(n) in BELOW_RUNS} == FILES_BELOW_RUNS
-
-
-def test_a_class_name_means_one_thing():
-    """And what is documented is told in more than a word or two."""
-    classes, short = {}, []
-    for name, path in MODULES.items():
-        for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.ClassDef):
-                classes.setdefault(node.name, []).append(name)
-            if isinstance(node, ast.ClassDef | ast.FunctionDef | ast.Module):
-                said = ast.get_docstring(node)
-                short += [(name, said)] if said is not None and len(said) <= SHORT else []
-    assert {name: places for name, places in classes.items() if len(places) > 1} == {}
-    assert short == []
 
 
 def test_a_constant_stands_once():
