@@ -38,6 +38,7 @@ def test_what_is_exported_is_the_robot_to_its_last_digit(tmp_path, monkeypatch, 
         (["scenario=ball_balance"], "obstacle.kind = ball is not allowed: it may move"),
         (["scenario=walk_tripod", "noise.position_noise=0.001"], "noise is not allowed: an own model has its own"),
         (["scenario=walk_tripod", "control.calibrate=sizes"], "control is not allowed: nothing is learned"),
+        (["scenario=stand_push"], "execution.push_impulse is not allowed: controllers of own models do not push"),
         (["study=walk_map"], "study is not allowed: one scenario is exported"),
     ],
 )

@@ -61,7 +61,7 @@ def _stepping(nominal: Case, q: np.ndarray, h: float, v: np.ndarray | None, iter
     top = interface.topology(nominal)
 
     def one(case: Case, state: State, reference: jax.Array) -> tuple[State, Record]:
-        limits = physics.execution_limits(case, jnp.zeros(()))
+        limits = physics.execution_limits(case, jnp.int32(0), h)
         servo = position_mode(case.drive, reference)
         moving, report = step(tree.of(case), case, limits, from_state(state), servo, h, iterations)
         work = h * (jnp.sum(sum(report.power)) + report.outside[0])  # pyright: ignore[reportArgumentType]

@@ -21,7 +21,7 @@ from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError
 from sweep.core.rotations import exponential, multiply
 from sweep.core.waiting import part
-from sweep.engines import batching, devices, fused_loop, physics, planning, program_cache
+from sweep.engines import batching, devices, fused_loop, planning, program_cache
 from sweep.engines.base import Figures, Watch
 from sweep.engines.batching import Batched
 from sweep.engines.closed_loop import (
@@ -38,6 +38,7 @@ from sweep.engines.closed_loop import (
     start_state,
     truth,
 )
+from sweep.engines.physics import push_force
 from sweep.engines.planning import Planning
 from sweep.engines.prelude import prepared
 from sweep.engines.settings import EngineSettings
@@ -253,7 +254,7 @@ class Native(Batched):
 
         def tick(given: tuple[Case, Case, Plan], now: Between, k: Array) -> tuple[Between, dict[str, Array]]:
             world, belief, plan = given
-            summary = self._summary(world, now.steps, (k - 1) * period, now.loop.seen.free)
+            summary = self._summary(world, now.steps, k - 1, now.loop.seen.free)
             loop, judged = measure(world, plan, self.limits, now.loop, now.command, summary, k - 1, period)
             return self._acted(world, belief, plan, loop, now.steps, judged, k), {}
 
@@ -305,7 +306,7 @@ class Native(Batched):
         loop, command = act(world, belief, plan, loop, tick, period)
         told = towards(old, loop.servo, (1 + jnp.arange(n))[:, None, None] / n)
         torques = (told.stiffness * told.target + told.torque).reshape(n, N_JOINTS)
-        orders = Orders(torques, *self._outside(world, tick * period, loop.seen.free))
+        orders = Orders(torques, *self._outside(world, tick, loop.seen.free))
         return Between(loop, command, steps, orders, judged)
 
     def _nothing(self, start: Start) -> Recorded:
@@ -330,19 +331,20 @@ class Native(Batched):
             broken,
         )
 
-    def _outside(self, world: Case, start: Array, free: FreeState) -> tuple[Float[Array, "n 3"], Float[Array, "n w"]]:
-        """The push, and the wrenches on the obstacle's free bodies, in the tick's steps.
+    def _outside(self, world: Case, tick: Array, free: FreeState) -> tuple[Float[Array, "n 3"], Float[Array, "n w"]]:
+        """The push, and the wrenches on the obstacle's free bodies, in the steps of tick number `tick`.
 
         The latter are those of the bodies moved on from the tick's start, `free`, as fast as they are there.
         """
-        ahead = self.settings.native_time_step * jnp.arange(self.substeps)
-        push = jax.vmap(lambda t: physics.execution_limits(world, t).push)(start + ahead)
+        h, numbers = self.settings.native_time_step, jnp.arange(self.substeps)
+        push = jax.vmap(lambda step: push_force(world.execution, step, h))(tick * self.substeps + numbers)
+        ahead = h * numbers
         loads = jnp.zeros((self.substeps, 6 * len(world.obstacle.free_bodies)))
         if loads.size and (load := jax.vmap(lambda t: world.obstacle.load(_ahead(free, t)))(ahead)) is not None:
             loads = load.reshape(loads.shape)
         return push, loads
 
-    def _summary(self, world: Case, steps: Recorded, start: Array, before: FreeState) -> Tick:
+    def _summary(self, world: Case, steps: Recorded, number: Array, before: FreeState) -> Tick:
         """What the metrics want of a tick; free bodies were `before` it."""
         h, drive = self.settings.native_time_step, world.drive
         rate = steps.qvel[:, JOINT_V]
@@ -350,7 +352,7 @@ class Native(Batched):
         effort = jnp.abs(steps.actuator_force)
         limit = world.execution.torque_scale * drive.torque_limit
         power = torque * rate
-        push, loads = self._outside(world, start, before)
+        push, loads = self._outside(world, number, before)
         count = len(world.obstacle.free_bodies)
         force = -jnp.mean(steps.foot_force.reshape(-1, N_LEGS, 3), axis=0)
         bodies = poses(free_state(steps.qpos[-1], steps.qvel[-1], count))

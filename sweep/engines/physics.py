@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from sweep.core.vectors import Vector
 from sweep.dynamics import step as dynamics
@@ -22,6 +22,7 @@ from sweep.engines.closed_loop import truth
 from sweep.engines.settings import EngineSettings
 from sweep.metrics.metric import Tick
 from sweep.models.case import Case
+from sweep.models.disturbance import Execution
 from sweep.models.drive import Servo, towards
 from sweep.models.legs import N_JOINTS, N_LEGS
 from sweep.models.obstacles.surface import Bodies
@@ -43,16 +44,49 @@ def make(settings: EngineSettings, top: Topology) -> "Physics":
     return Physics(settings, batching.substeps(settings), mjx.of(top))
 
 
-def execution_limits(world: Case, time: Array) -> Limits:
-    """What the drives can do, and the push, at `time` (s)."""
+def execution_limits(world: Case, step: Array, h: float) -> Limits:
+    """Limits of the drives, and the force of the push, during one physics step.
+
+    Args:
+        world: the simulated case.
+        step: number of the physics step, from the start of the rollout.
+        h: length of a physics step (s).
+
+    Returns:
+        Gain and torque limit (N m) of each joint, and the push on the base (N, world axes), see `push_force`.
+    """
     execution = world.execution
     alive = jnp.arange(N_JOINTS).reshape(N_LEGS, 3) != jnp.round(execution.dead_joint)
     torque = jnp.full((6, 3), execution.torque_scale * world.drive.torque_limit)
-    pushed = (time >= execution.push_time) & (time < execution.push_time + execution.push_duration)
-    size = jnp.where(pushed, execution.push_impulse / execution.push_duration, 0.0)
+    return Limits(alive.astype(torque.dtype), torque, push_force(execution, step, h))
+
+
+def push_force(execution: Execution, step: Array, h: float) -> Float[Array, " 3"]:
+    """Mean force of the push during one physics step.
+
+    A step that the push fills in part gets that part of its force, so that the forces of all steps add up to the
+    impulse, whatever the duration. A push shorter than a step has its impulse in one step, or in two.
+
+    Args:
+        execution: the push: impulse (N s), direction (rad), beginning and duration (s).
+        step: number of the physics step, from the start of the rollout.
+        h: length of a physics step (s).
+
+    Returns:
+        Force on the base (N, world axes).
+    """
+    begin, length = _whole(execution.push_time / h), _whole(execution.push_duration / h)  # in steps
+    since = step - begin
+    part = jnp.clip(since + 1, 0, length) - jnp.clip(since, 0, length)
+    size = execution.push_impulse / jnp.maximum(execution.push_duration, h) * (part / jnp.minimum(length, 1))
     angle = execution.push_direction
-    direction = jnp.stack([jnp.cos(angle), jnp.sin(angle), jnp.zeros_like(jnp.cos(angle))])
-    return Limits(alive.astype(torque.dtype), torque, size * direction)
+    return size * jnp.stack([jnp.cos(angle), jnp.sin(angle), jnp.zeros_like(jnp.cos(angle))])
+
+
+def _whole(steps: Array | float) -> Array:
+    """A number of steps without its rounding: whole where it is within a millionth of a whole number."""
+    nearest = jnp.round(steps)
+    return jnp.where(jnp.abs(steps - nearest) <= 1e-6 * jnp.abs(steps), nearest, steps)
 
 
 class Totals(NamedTuple):
@@ -103,7 +137,7 @@ class Physics(NamedTuple):
         def substep(carry: tuple, k: Array) -> tuple[tuple, None]:
             moving, totals, *_ = carry
             servo = towards(old, new, (k + 1) / n)
-            limits = execution_limits(world, (tick * n + k) * h)
+            limits = execution_limits(world, tick * n + k, h)
             moving, report = dynamics.step(smooth_dynamics, world, limits, moving, servo, h, self.settings.iterations)
             return (moving, totals.plus(report), report.normal, report.before), None
 

@@ -55,6 +55,8 @@ def check(case: Case) -> None:
         f"{kind} is not allowed: it changes its servos' gains": plan.layer(Flywheel) is not None,
         f"{kind} is not allowed: it searches forces before it starts": plan.layer(Feedforward) is not None,
         "noise is not allowed: an own model has its own": not is_quiet(case.noise),
+        "execution.push_impulse is not allowed: controllers of own models do not push": case.execution.push_impulse
+        != 0,
         "control is not allowed: nothing is learned": (case.control.calibrate, case.control.touch) != ("none", "none"),
     }
     for reason, holds in reasons.items():

@@ -31,7 +31,7 @@ def one_step():
     top = dynamics.topology(CASE)
     smooth = mjx_dynamics.of(top)(CASE)
     q = jnp.asarray(top.model.qpos0).at[2].set(9.0).at[1 + top.leg].set(ANGLES)
-    limits = physics.execution_limits(CASE, jnp.zeros(()))
+    limits = physics.execution_limits(CASE, jnp.int32(0), H)
 
     def run(torque):
         moving, report = step(smooth, CASE, limits, from_state(rest(top, q)), _order(torque), H, 3)

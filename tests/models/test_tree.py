@@ -86,7 +86,7 @@ def test_momentum_goes_where_forces_send_it(name):
             mujoco.mj_forward(model, data)
             state[2] += (5.05 if name == "slab" else 0.0) - np.median(data.site_xpos[top.feet][:, 2])
         targets = q[:, 7:25].reshape(-1, 6, 3) + rng.normal(scale=2e-3, size=(STATES, 6, 3))
-        limits = physics.execution_limits(case, jnp.zeros(()))
+        limits = physics.execution_limits(case, jnp.int32(0), H)
 
         def one(q, v, target):
             start = rest(top, q)._replace(v=v)
