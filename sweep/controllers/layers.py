@@ -47,6 +47,8 @@ class Command(NamedTuple):
     phase: Float[Array, ""]  # of the stage, 0 to 1
     shortfall: Float[Array, " 6"]  # m, by how much foot targets are out of reach
     own: tuple[Bool[Array, "6 3"], Servo] | None = None  # which joints do otherwise than go to `joints`, and what
+    # `target` with the base where exact sensors would have it, which metrics compare the true pose with; None: the same
+    reference: Stance | None = None
 
 
 class Layer:

@@ -21,6 +21,13 @@ from sweep.models.obstacles.surface import FreeState, Surface, free_start, poses
 LEFT = np.array([0.0, 1.0, 0.0], np.float32)  # of the base
 
 
+class PoseError(NamedTuple):
+    """How far the base is from where a stage wants it when the stage begins. World axes."""
+
+    position: Float[Array, " 3"]  # m
+    turn: Float[Array, " 3"]  # rad, as a rotation vector
+
+
 class TrackerState(NamedTuple):
     """What the controller remembers."""
 
@@ -37,6 +44,7 @@ class TrackerState(NamedTuple):
     observer: Observer | None  # of the obstacle's free bodies, of a manoeuvre on them
     told: Stance | None  # in the last tick, in the stage's frames, of a manoeuvre with events
     layers: tuple[Any, ...]  # states of the plan's layers
+    true_error: PoseError | None = None  # what `error` and `turn` would be by exact sensors; None: sensors are exact
 
 
 class Guidance(NamedTuple):
@@ -69,9 +77,16 @@ class Eventful(Protocol):
         ...
 
 
-def init(belief: Case, plan: Plan) -> TrackerState:
-    """The state before the first tick, the robot standing where the plan starts."""
+def init(belief: Case, plan: Plan, exact: bool = True) -> TrackerState:
+    """State of the tracker before the first tick, with the robot standing where the plan starts.
+
+    Args:
+        belief: the case that the controller believes in.
+        plan: the plan that is followed.
+        exact: whether sensors are exact, so that `step` needs no true pose.
+    """
     zero = jnp.zeros((), plan.duration.dtype)
+    none = jnp.zeros(3, zero.dtype)
     manoeuvre = belief.manoeuvre
     free = free_start(belief.obstacle)
     joints, _ = joint_targets(belief.robot, plan.start)
@@ -82,8 +97,8 @@ def init(belief: Case, plan: Plan) -> TrackerState:
         clock=zero,
         feet=start.feet,
         position=start.position,
-        error=jnp.zeros(3, zero.dtype),
-        turn=jnp.zeros(3, zero.dtype),
+        error=none,
+        turn=none,
         joints=joints,
         finished=jnp.asarray(False),
         goal=start.feet,
@@ -91,18 +106,39 @@ def init(belief: Case, plan: Plan) -> TrackerState:
         observer=Observer(free, free) if isinstance(manoeuvre, Riding) else None,
         told=start if isinstance(manoeuvre, Eventful) else None,
         layers=tuple(layer.begun(start, joints, free) for layer in plan.layers),
+        true_error=None if exact else PoseError(none, none),
     )
 
 
 def step(
-    belief: Case, plan: Plan, state: TrackerState, seen: Observation, period: float, beside: Array | None = None
+    belief: Case,
+    plan: Plan,
+    state: TrackerState,
+    seen: Observation,
+    period: float,
+    beside: Array | None = None,
+    truth: Observation | None = None,
 ) -> tuple[TrackerState, Command]:
-    """One control tick of `period` seconds; footholds of its stage are `beside` planned ones by so much (6, 3) m."""
+    """Follow the plan for one control tick.
+
+    Args:
+        belief: the case that the controller believes in.
+        plan: the plan that is followed.
+        state: the tracker's state after the last tick.
+        seen: what the sensors measure.
+        period: length of a tick (s).
+        beside: offsets (6, 3) of the stage's footholds from the planned ones (m).
+        truth: what exact sensors would measure. It changes no command: `Command.reference` alone follows from it.
+            None if sensors are exact.
+
+    Returns:
+        The new state, and the command.
+    """
     old, manoeuvre = state, belief.manoeuvre
     if isinstance(manoeuvre, Riding) and state.observer is not None:
         observer = followed(state.observer, seen.free, manoeuvre.observer, period)
         state, seen = state._replace(observer=observer), seen._replace(free=observer.second)
-    state = _advance(belief, plan, state._replace(clock=state.clock + period), seen, period, beside)
+    state = _advance(belief, plan, state._replace(clock=state.clock + period), seen, period, beside, truth)
     phase = jnp.clip(state.clock / plan.duration[state.stage], 0.0, 1.0)
     begins = (state.stage != old.stage) | ((old.stage == 0) & (old.clock == 0))
     free, blind = borne(plan, state, seen.free)
@@ -124,14 +160,14 @@ def step(
         state = _from_told(now, old.told, state, here)
     # the body error that the stage began with fades out, unless the base's place says nothing of the feet's
     left = jnp.where(blind, 1.0, 1 - phase)
-    quat = multiply(exponential(left * state.turn), here.quat)
-    target, states = Stance(here.feet, here.position + left * state.error, quat), list(state.layers)
+    target, states = _moved_base(here, left, PoseError(state.error, state.turn)), list(state.layers)
     for k, layer in enumerate(plan.layers):
         states[k], target = layer.led(now, states[k], target)
+    true_target = None if state.true_error is None else _moved_base(here, left, state.true_error)
     if state.told is not None:
         state = state._replace(told=stance_to_frame(target, *frames, free))
     joints, shortfall = joint_targets(belief.robot, target)
-    command = Command(nearest(joints, state.joints), target, phase, shortfall)
+    command = Command(nearest(joints, state.joints), target, phase, shortfall, reference=true_target)
     for k, layer in enumerate(plan.layers):
         states[k], command = layer.commanded(now, states[k], command)
     state = state._replace(joints=command.joints, layers=tuple(states))
@@ -140,8 +176,20 @@ def step(
     return state, command
 
 
+def _moved_base(stance: Stance, left: Array | float, error: PoseError) -> Stance:
+    """`stance` with its base moved and turned by the part of an error that is `left`. World axes."""
+    quat = multiply(exponential(left * error.turn), stance.quat)
+    return Stance(stance.feet, stance.position + left * error.position, quat)
+
+
 def _advance(
-    belief: Case, plan: Plan, state: TrackerState, seen: Observation, period: float, beside: Array | None
+    belief: Case,
+    plan: Plan,
+    state: TrackerState,
+    seen: Observation,
+    period: float,
+    beside: Array | None,
+    truth: Observation | None,
 ) -> TrackerState:
     """Go on to the next stage when time is up and every swinging foot has touched down, or patience has run out.
 
@@ -166,27 +214,42 @@ def _advance(
     late = behind(belief.noise, period)
     for layer, own in zip(plan.layers, state.layers, strict=True):
         ended = ended._replace(feet=layer.crept(plan, own, stage, state.clock, ended.feet, late))
-    begun = onset(belief, plan, following, ended, seen)
-    if blind is not False:  # it sees nothing of where feet are: the error before holds on
-        begun = jax.tree.map(partial(jnp.where, blind), Onset(ended.feet, state.error, state.turn), begun)
+
+    def begin(seen: Observation, before: PoseError) -> Onset:
+        begun = onset(belief, plan, following, ended, seen)
+        if blind is False:
+            return begun
+        # it sees nothing of where feet are: the error before holds on
+        return jax.tree.map(partial(jnp.where, blind), Onset(ended.feet, before), begun)
+
+    begun, true_error = begin(seen, PoseError(state.error, state.turn)), state.true_error
+    if true_error is not None and truth is not None:
+        true_error = begin(seen._replace(position=truth.position, quat=truth.quat), true_error).error
     frames, free, states = (plan.foot_frame[following], plan.base_frame[following]), seen.free, list(state.layers)
     feet = to_frame(begun.feet, frames[0], free)
     for k, layer in enumerate(plan.layers):
         states[k], free = layer.entered(following, states[k], meant, free)
     if free.position.shape[0]:  # what is left to the attitude of another frame fades as the error does
         wanted = stance_to_world(ended._replace(quat=plan.quat[following]), *frames, free).quat
-        left = logarithm(multiply(exponential(begun.turn), multiply(ended.quat, conjugate(wanted))))
+        between = multiply(ended.quat, conjugate(wanted))
         stays = plan.base_frame[stage] == plan.base_frame[following]
-        begun = begun._replace(turn=jnp.where(stays, begun.turn, left))
+
+        def with_rest(error: PoseError) -> PoseError:
+            left = logarithm(multiply(exponential(error.turn), between))
+            return error._replace(turn=jnp.where(stays, error.turn, left))
+
+        begun = begun._replace(error=with_rest(begun.error))
+        true_error = true_error and with_rest(true_error)
     shifted = state._replace(
         stage=following,
         clock=jnp.where(last, state.clock, jnp.minimum(jnp.maximum(over, 0.0), period)),
         feet=feet,
         position=to_frame(ended.position[None], frames[1][None], free)[0],
-        error=begun.error,
-        turn=begun.turn,
+        error=begun.error.position,
+        turn=begun.error.turn,
         finished=last,
         layers=tuple(states),
+        true_error=true_error,
     )
     hold = last | ~ends
     kept = state._replace(finished=state.finished | (ends & last))
@@ -197,8 +260,7 @@ class Onset(NamedTuple):
     """What a stage begins with, world axes."""
 
     feet: Float[Array, "6 3"]  # m, footholds
-    error: Float[Array, " 3"]  # m, of the base
-    turn: Float[Array, " 3"]  # rad, of its attitude, as a rotation vector
+    error: PoseError  # of the base
 
 
 def onset(belief: Case, plan: Plan, following: Int[Array, ""], ended: Stance, seen: Observation) -> Onset:
@@ -217,7 +279,7 @@ def onset(belief: Case, plan: Plan, following: Int[Array, ""], ended: Stance, se
 def _kept(belief: Case, plan: Plan, following: Int[Array, ""], ended: Stance, seen: Observation) -> Onset:
     """Just what was commanded."""
     zero = jnp.zeros(3, ended.feet.dtype)
-    return Onset(ended.feet, zero, zero)
+    return Onset(ended.feet, PoseError(zero, zero))
 
 
 def _regripped(belief: Case, plan: Plan, following: Int[Array, ""], ended: Stance, seen: Observation) -> Onset:
@@ -264,7 +326,7 @@ def _rezeroed(belief: Case, plan: Plan, following: Int[Array, ""], ended: Stance
         error, turn = error.at[2].set(0.0), jnp.zeros(3).at[2].set(heading(off))
     moved = ended.position + error + rotate(exponential(turn)[None], ended.feet - ended.position)
     anchored = any(layer.anchors for layer in plan.layers)
-    return Onset(ended.feet if anchored else moved, error, turn)
+    return Onset(ended.feet if anchored else moved, PoseError(error, turn))
 
 
 ONSETS = {KEEP: _kept, REGRIP: _regripped, GRIP: _gripped, REZERO: _rezeroed}
@@ -278,10 +340,10 @@ def _from_told(now: Now, told: Stance, state: TrackerState, here: Stance) -> Tra
     plan, before = now.plan, now.before
     was = stance_to_world(told, plan.foot_frame[before], plan.base_frame[before], now.free)
     takes = now.begins & ~jnp.asarray(np.array(plan.onset) == REZERO)[now.stage]
-    return state._replace(
-        error=jnp.where(takes, was.position - here.position, state.error),
-        turn=jnp.where(takes, logarithm(multiply(was.quat, conjugate(here.quat))), state.turn),
-    )
+    jump = PoseError(was.position - here.position, logarithm(multiply(was.quat, conjugate(here.quat))))
+    error, turn = jax.tree.map(partial(jnp.where, takes), jump, PoseError(state.error, state.turn))
+    true_error = state.true_error and jax.tree.map(partial(jnp.where, takes), jump, state.true_error)
+    return state._replace(error=error, turn=turn, true_error=true_error)
 
 
 def borne(plan: Plan, state: TrackerState, seen: FreeState) -> tuple[FreeState, Bool[Array, ""] | bool]:

@@ -151,7 +151,7 @@ def init(
     feet = feet_in_world(world.robot, seen.position, seen.quat, seen.angles)
     running = stream.begin(Begin(world, plan, seen.position, seen.quat, feet, seen.free, energy, learned))
     servo = position_mode(world.drive, seen.angles)
-    return ClosedLoop(tracker.init(belief, plan), sensors, running, seen, servo, key, learned)
+    return ClosedLoop(tracker.init(belief, plan, exact=quiet), sensors, running, seen, servo, key, learned)
 
 
 def act(
@@ -167,7 +167,8 @@ def act(
     free = surface.placed(at_first(belief, loop.learned), seen.free)
     seen = weighed(world.control, belief.noise, seen._replace(free=free))
     state, followed, beside, learned = felt(world, belief, plan, loop.tracker, loop.learned, seen, period)
-    state, command = tracker.step(informed(belief, learned), followed, state, seen, period, beside)
+    exact = None if sensors is None else loop.seen
+    state, command = tracker.step(informed(belief, learned), followed, state, seen, period, beside, exact)
     servo = position_mode(world.drive, command.joints - seen.joint_error)
     if command.own is not None:
         owned, own = command.own
@@ -201,6 +202,7 @@ def measure(
         state.finished,
         state.position,
         command.target,
+        command.reference or command.target,
         jnp.max(command.shortfall),
         tick,
         period,

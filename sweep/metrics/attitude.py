@@ -20,7 +20,7 @@ class Attitude(NamedTuple):
 
 def update(so_far: Attitude, now: Moment) -> Attitude:
     """Tilt of the base from its commanded vertical, and the turn about it."""
-    off = multiply(conjugate(now.target.quat), now.tick.truth.quat)
+    off = multiply(conjugate(now.reference.quat), now.tick.truth.quat)
     w, _, _, z = off
     heading = jnp.degrees(jnp.abs(2 * jnp.arctan2(z * jnp.sign(w), jnp.abs(w))))
     tilt = jnp.maximum(so_far.tilt, from_level(off))

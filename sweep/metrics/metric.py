@@ -71,6 +71,7 @@ class Moment(NamedTuple):
     finished: Bool[Array, ""]  # the plan
     stage_start: Float[Array, " 3"]  # m, planned base when the stage began, in its frame
     target: Stance  # what feet and base were told
+    reference: Stance  # `target` with the base where exact sensors would have it: the true command, see `Command`
     shortfall: Float[Array, ""]  # m, of targets beyond the legs' reach
     tick: Tick
     period: float  # s, of a tick

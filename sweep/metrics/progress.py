@@ -44,7 +44,7 @@ def update(so_far: Progress, now: Moment) -> Progress:
         position=now.tick.truth.position,
         travel=so_far.travel + jnp.where(moving, step, 0.0),
         travel_time=so_far.travel_time + jnp.where(moving, now.period, 0.0),
-        error=jnp.maximum(so_far.error, jnp.linalg.norm(now.tick.truth.position - now.target.position)),
+        error=jnp.maximum(so_far.error, jnp.linalg.norm(now.tick.truth.position - now.reference.position)),
         finished=now.finished,
         use=jnp.where(now.finished, ended, lacks),
     )

@@ -36,7 +36,8 @@ def moment(time: float = 0.0, legs: np.ndarray = LEGS, free: FreeState | None = 
     truth = {"position": BASE, "quat": UPRIGHT, "free": free, "angles": none, "rates": none,
              "loaded": jnp.ones(6, bool)}  # fmt: skip
     now = {
-        "target": SimpleNamespace(position=BASE, quat=UPRIGHT), "finished": jnp.asarray(False), "period": 0.02,
+        "target": SimpleNamespace(position=BASE, quat=UPRIGHT),
+        "reference": SimpleNamespace(position=BASE, quat=UPRIGHT), "finished": jnp.asarray(False), "period": 0.02,
         "world": CASE, "stage": jnp.int32(0), "time": time, "phase": jnp.asarray(1.0),
         "plan": SimpleNamespace(duration=jnp.array([1.0]), swing=jnp.zeros((1, 6), bool)),
     }  # fmt: skip
@@ -79,7 +80,7 @@ def test_a_base_that_leans_has_fallen_and_one_that_turns_is_off_course(quat, met
     """Of what it is told to do: told to lean or turn, it has done neither."""
     assert judged(attitude, [moment(quat=quat), moment()])[1] == met
     told = SimpleNamespace(position=BASE, quat=quat)
-    assert judged(attitude, [moment(quat=quat, target=told), moment()])[1] == set()
+    assert judged(attitude, [moment(quat=quat, reference=told), moment()])[1] == set()
 
 
 @pytest.mark.parametrize(("way", "met"), [(0.019, set()), (0.021, {"slipped"})])
