@@ -38,7 +38,9 @@ def main(args: list[str]) -> int:
         if not screen():
             raise InputError("--mujoco needs a screen: DISPLAY is not set. Without it the page shows the same")
         with waiting(f"simulating {' '.join(options.what)}"):
-            trace = next(traces(options.what))
+            trace = next(traces(options.what), None)
+        if trace is None:
+            raise InputError(f"{' '.join(options.what)} cannot be shown")
         play(trace)
         return DONE
     of_folder = store.STUDY in names_in(options.what[0])
@@ -161,7 +163,10 @@ def fresh(what: list[str], beside: list[str]) -> tuple[Results, list[Shown]]:
         one, planned = single(overrides)
         exp = exp or one
         with waiting(f"simulating {' '.join(overrides)}"):
-            (row, trace, labels), *_ = replays.again(one, planned, planned)
+            found = next(replays.again(one, planned, planned), None)
+        if found is None:
+            raise InputError(f"{one.scenario} cannot be shown")
+        row, trace, labels = found
         row = pd.concat(
             [row, pd.Series({**labels, **trace.figures, "run_id": one.system.run_id(one.settings), "wall_s": 0.0})]
         )

@@ -1,5 +1,6 @@
 """What every engine offers, whatever it simulates, and what a traced rollout holds."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
@@ -44,6 +45,12 @@ class Trace:
     stages: tuple[str, ...]
     figures: dict[str, Any]  # the row's figures, as `run` gives them
     torque_limit: float | None = None  # N m, where all joints have the same
+
+
+class NoTrace(NamedTuple):
+    """Stands for the `Trace` of a rollout whose model cannot be drawn."""
+
+    reason: str
 
 
 def single_joints(model: "mujoco.MjModel") -> np.ndarray:
@@ -97,6 +104,16 @@ class Engine(Protocol):
         """The rollout in `slot` of a batch, recorded."""
         ...
 
-    def traces(self, world: Any, belief: Any, streams: np.ndarray, every: int) -> list[Trace]:
-        """All rollouts of a batch, recorded at one in `every` ticks; the batch runs once."""
+    def traces(self, world: Any, belief: Any, streams: np.ndarray, every: int) -> Sequence[Trace | NoTrace]:
+        """Record all rollouts of a batch, which runs once.
+
+        Args:
+            world: parameters of the simulated side, numbers or arrays over the batch.
+            belief: parameters that the controller believes in, likewise.
+            streams: numbers (width,) that are folded into the noise key.
+            every: control ticks from one sample to the next.
+
+        Returns:
+            A trace for each rollout, or the reason that its model cannot be drawn.
+        """
         ...

@@ -14,7 +14,7 @@ from sweep.controllers.tracker import TrackerState
 from sweep.core.parameters import InputError
 from sweep.core.waiting import part
 from sweep.engines import base, devices, planning, prelude, program_cache
-from sweep.engines.base import Figures, Trace
+from sweep.engines.base import Figures, NoTrace, Trace
 from sweep.engines.settings import EngineSettings
 from sweep.metrics import outcome, stream
 from sweep.metrics.metric import GRACE, Tick
@@ -114,17 +114,24 @@ class Batched:
 
     def trace(self, world: Case, belief: Case, streams: np.ndarray, slot: int) -> Trace:
         """One rollout of a batch recorded, see `Engine`."""
-        return self.traces(world, belief, streams, 1, np.array([slot]))[0]
+        return drawn(self.traces(world, belief, streams, 1, np.array([slot]))[0])
 
     def traces(
         self, world: Case, belief: Case, streams: np.ndarray, every: int, slots: np.ndarray | None = None
-    ) -> list[Trace]:
+    ) -> list[Trace | NoTrace]:
         """See `Engine`; of the rollouts in `slots`, if they are named."""
         slots = np.arange(self.width) if slots is None else slots
         figures, parts = self._simulate(world, belief, streams, slots, every)
         records = jax.tree.map(lambda *each: np.concatenate(each), *parts)
         tick = self.settings.control_period
         return to_traces((world, belief), slots, figures, records, self.stages, self.limits, tick, every)
+
+
+def drawn(trace: Trace | NoTrace) -> Trace:
+    """A trace. Raises `InputError` where its model cannot be drawn."""
+    if isinstance(trace, NoTrace):
+        raise InputError(trace.reason)
+    return trace
 
 
 def to_traces(
@@ -136,12 +143,12 @@ def to_traces(
     limits: Thresholds,
     tick: float,
     every: int,
-) -> list[Trace]:
+) -> list[Trace | NoTrace]:
     """The rollouts in `slots` of a batch, of world and belief `cases`, each up to its end.
 
     `records` (samples, slots, ...) are of one in `every` control ticks of `tick` seconds.
     """
-    traces = []
+    traces: list[Trace | NoTrace] = []
     for place, slot in enumerate(slots):
         world, belief = (pick(case, slot) for case in cases)
         row = {name: values[slot] for name, values in figures.items()}
@@ -150,7 +157,12 @@ def to_traces(
         causes, judged = stream.timed(world), kept.pop("judged").T
         watched = dict(zip(stream.watched(world), judged, strict=True))
         margin, margin_of = outcome.margins_of(causes, watched, limits)
-        time, model = every * tick * (1 + np.arange(len(kept["stage"]))), scene.compile_model(world)
+        time = every * tick * (1 + np.arange(len(kept["stage"])))
+        try:
+            model = scene.compile_model(world)
+        except InputError as error:
+            traces.append(NoTrace(str(error)))
+            continue
         traces.append(
             Trace(
                 world=world,

@@ -16,7 +16,8 @@ from sweep.controllers.poses import HOLD, MOVE, Poses, held
 from sweep.core.errors import InputError
 from sweep.core.outcomes import FAILURE, INVALID
 from sweep.engines import batching, devices, prelude
-from sweep.engines.base import Engine, Figures, Trace, Watch
+from sweep.engines.base import Engine, Figures, NoTrace, Trace, Watch
+from sweep.engines.batching import drawn
 from sweep.engines.settings import EngineSettings
 from sweep.metrics import calibration, outcome
 from sweep.metrics.outcome import Thresholds
@@ -74,13 +75,17 @@ class Calibrating:
         first = self._poses.trace(_in_poses(world), _in_poses(belief), streams, slot)
         return self._chained(before, slot, first, self._then.trace(*sides, streams, slot))
 
-    def traces(self, world: Case, belief: Case, streams: np.ndarray, every: int) -> list[Trace]:
+    def traces(self, world: Case, belief: Case, streams: np.ndarray, every: int) -> list[Trace | NoTrace]:
         """The same of all rollouts, see `Engine`."""
         sides, before = self._calibrated(world, belief, streams)
         firsts = self._poses.traces(_in_poses(world), _in_poses(belief), streams, every)
         thens = self._then.traces(*sides, streams, every)
         both = enumerate(zip(firsts, thens, strict=True))
-        return [self._chained(before, slot, first, then) for slot, (first, then) in both]
+        return [
+            next((one for one in (first, then) if isinstance(one, NoTrace)), None)
+            or self._chained(before, slot, drawn(first), drawn(then))
+            for slot, (first, then) in both
+        ]
 
     def _calibrated(self, world: Case, belief: Case, streams: np.ndarray) -> tuple[tuple[Case, Case], Figures]:
         """World and belief after the poses, and what a row keeps of these."""

@@ -1,5 +1,6 @@
 """The second opinion: C MuJoCo with its own contact solver on a thread pool, under the same controller and metrics."""
 
+import sys
 import warnings
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -207,16 +208,25 @@ class Native(Batched):
             return {name: np.asarray(values) for name, values in figures.items()}, parts
 
     def _models(self, world: Case) -> tuple[list[mujoco.MjModel], np.ndarray]:
-        """Each row's model, and which rows cannot be built: absurd sizes, in whose place the nominal model runs."""
+        """Each row's model, and which rows MuJoCo makes no model of: the nominal one runs in their place.
+
+        These rows are invalid; a line on the standard error says why.
+        """
         models: list[mujoco.MjModel | None] = []
+        reasons: dict[str, int] = {}
         for i in range(self.width):
             try:
                 with warnings.catch_warnings(action="ignore", category=UserWarning):  # as of a singular inertia
                     models.append(self._model(batching.pick(world, i)))
             except InputError:
                 raise
-            except ValueError:  # of MuJoCo's compiler
+            except ValueError as error:  # of MuJoCo's compiler
                 models.append(None)
+                reason = " ".join(str(error).removeprefix("Error: ").split())
+                reasons[reason] = reasons.get(reason, 0) + 1
+        for reason, count in reasons.items():
+            rows = f"{count} of {self.width} rollouts of a batch are invalid"
+            print(f"sweep: note: {rows}: MuJoCo makes no model of them: {reason}", file=sys.stderr)
         unbuilt = np.array([model is None for model in models])
         stand_in = self._model(self._nominal[0]) if unbuilt.any() else None
         return [model or stand_in for model in models], unbuilt  # pyright: ignore[reportReturnType]

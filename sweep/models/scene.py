@@ -82,11 +82,28 @@ def compile_model(case: Case, geoms: bool = True) -> mujoco.MjModel:
         raise InputError(f"robot or obstacle is not allowed: MuJoCo makes no model of it: {reason}") from None
 
 
+def too_small(case: Case) -> np.ndarray:
+    """Cases of a batch with a body of so little mass or inertia that MuJoCo compiles no model.
+
+    Args:
+        case: the case, with varied quantities as arrays (n,).
+
+    Returns:
+        Booleans (n,).
+    """
+    axes = jax.tree.map(lambda x: 0 if np.ndim(x) else None, case)
+
+    def least(one: Case) -> Array:
+        fields = leaves(one)
+        parts = [*fields["body_mass"].values(), *fields["body_inertia"].values()]
+        return jnp.min(jnp.concatenate([jnp.ravel(part) for part in parts]))
+
+    return np.asarray(jax.jit(jax.vmap(least, in_axes=(axes,)))(case)) < mujoco.mjMINVAL
+
+
 def describe(case: Case, geoms: bool = True) -> mujoco.MjSpec:
     """What `compile_model` compiles; without `geoms` the robot has none."""
     robot = case.robot
-    if robot.legs == "two_link" and robot.coxa != 0:
-        raise InputError(f"robot.coxa = {robot.coxa:g} is not allowed: 0 m, or robot.legs=three_link")
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     spec.option.gravity = [0, 0, -GRAVITY]
@@ -127,8 +144,13 @@ def _add_looks(spec: mujoco.MjSpec) -> None:
 def _set_inertia(body: mujoco.MjsBody, name: str, values: dict[str, dict[str, np.ndarray]]) -> None:
     body.explicitinertial = True
     body.mass = float(values["body_mass"][name])
-    body.inertia = np.asarray(values["body_inertia"][name], float)
+    body.inertia = _without_rounding(np.asarray(values["body_inertia"][name], float))
     body.ipos = np.asarray(values["body_ipos"].get(name, np.zeros(3)), float)
+
+
+def _without_rounding(inertia: np.ndarray) -> np.ndarray:
+    """Moments of inertia (3,) of which none is larger than the sum of the others, as of a thin plate by rounding."""
+    return np.minimum(inertia, np.roll(inertia, 1) + np.roll(inertia, 2))
 
 
 def _add_leg(

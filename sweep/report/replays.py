@@ -11,7 +11,7 @@ import pandas as pd
 
 from sweep.core.files import write_whole
 from sweep.engines import devices
-from sweep.engines.base import Trace, same_bits
+from sweep.engines.base import NoTrace, Trace, same_bits
 from sweep.runs import batches, store
 from sweep.runs.results import Results
 from sweep.study.config import Experiment
@@ -47,6 +47,8 @@ def again(
 ) -> Iterator[tuple[pd.Series, Trace, dict[str, Any]]]:
     """Each of `rows`, its rollout recorded `rate` times a second, and the labels that it has here.
 
+    A line on the standard error names a rollout whose model cannot be drawn; it is left out.
+
     `planned` are all points of the study, `rows` some of them with the slots that they were simulated in.
     """
     devices.configure()  # the CPU counts as several devices from then on
@@ -61,6 +63,9 @@ def again(
         traces = engine.traces(task.world, task.belief, task.streams, every)
         for _, row in part.iterrows():
             trace = traces[row["slot"]]
+            if isinstance(trace, NoTrace):
+                print(f"sweep: no replay of {row['point_id']}: {trace.reason}", file=sys.stderr)
+                continue
             yield row, trace, judge_one(exp.system, trace.figures, exp.thresholds, engine.stages)
 
 

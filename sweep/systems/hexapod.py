@@ -22,7 +22,7 @@ from sweep.engines.settings import EngineSettings
 from sweep.engines.states import offered
 from sweep.metrics import outcome
 from sweep.metrics.outcome import Thresholds
-from sweep.models import plan_table
+from sweep.models import plan_table, scene
 from sweep.models.case import Case, Manoeuvre
 from sweep.models.control import Control
 from sweep.models.noise import Noise
@@ -30,7 +30,7 @@ from sweep.models.obstacles import OBSTACLES
 from sweep.models.obstacles.own import refuse_odd
 from sweep.models.obstacles.surface import Obstacle
 from sweep.models.plan_table import DIRECTIONS, FORTH, WAY, Content, PlanTable, Tabled, TwoWay
-from sweep.systems.base import Kinds, Nominal, Parameter, Values, Way, by_side, side_and_path
+from sweep.systems.base import SIDES, Kinds, Nominal, Parameter, Values, Way, by_side, side_and_path
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 VARIED = "quantity", "count", "choice"
 LONGEST_DELAY = 100  # ticks: of what is measured and of the load, each at most 50
 SIZED, SMALLEST, LARGEST = ("robot", "obstacle"), 0.01, 20.0  # whose lengths (m) from where on, how often the nominal
+CHECKED = 1 << 16  # rows whose bodies are checked at a time
 RELAXING = "contact.stiffness", "contact.damping", "engine.time_step", "engine.name"
 ALONE = {"mjx": ("engine.time_step", "engine.dynamics", "engine.iterations"), "native": ("engine.native_time_step",)}
 LATER = ("noise.load_", "noise.position_offset_", "noise.orientation_offset_")  # inputs of before were as by default
@@ -146,19 +147,44 @@ class Hexapod:
         yield from _said(self.case, plan_table.own(self.case))
 
     def check(self, table: "pd.DataFrame", settings: EngineSettings) -> None:
-        """Sizes of which a unit must be wrong, and steps that are too long, see `System`."""
+        """Refuse sizes of a wrong unit, robots that cannot be built, and steps that are too long, see `System`."""
         for column in table.columns:
             if not column.startswith("axis.") and table[column].dtype.kind == "f":
                 _check_size(column, self.parameter(column, settings), table[column].max())
+        self._check_coxa(table, settings)
+        self._check_built(table)
         self._check_step(table, settings)
+
+    def _check_coxa(self, table: "pd.DataFrame", settings: EngineSettings) -> None:
+        """Raise `InputError` where two-link legs have a coxa: no engine and no model has a link for it."""
+        for side in SIDES:
+            legs, coxa = (_of_side(self, table, side, path, settings) for path in ("robot.legs", "robot.coxa"))
+            wrong = (legs == "two_link") & (coxa != 0)
+            if wrong.any():
+                raise InputError(f"robot.coxa = {coxa[wrong].iloc[0]:g} is not allowed: 0 m, or robot.legs=three_link")
+
+    def _check_built(self, table: "pd.DataFrame") -> None:
+        """Raise `InputError` for the first row whose robot or obstacle is too small for MuJoCo, whatever the engine."""
+        world = [c for c in table.columns if side_and_path(c)[0] != "belief"]
+        varied = [c for c in world if side_and_path(c)[1].startswith(("robot.", "obstacle."))]
+        sizes = [c for c in varied if table[c].dtype.kind == "f"]
+        if not sizes:
+            return
+        distinct = table[varied].drop_duplicates()
+        names = [c for c in varied if c not in sizes]
+        kinds = [part for _, part in distinct.groupby(names)] if names else [distinct]
+        for part in (kind.iloc[k : k + CHECKED] for kind in kinds for k in range(0, len(kind), CHECKED)):
+            words = {name: part[name].iloc[0] for name in names}
+            case, _ = self.sides({**words, **{name: part[name].to_numpy() for name in sizes}})
+            for _, row in part[scene.too_small(case)].iterrows():
+                said = ", ".join(f"{name} = {row[name]:g}" for name in sizes)
+                raise InputError(f"{said} is not allowed: a body's mass or inertia is too small for MuJoCo")
 
     def _check_step(self, table: "pd.DataFrame", settings: EngineSettings) -> None:
         """Raises `InputError` where a step of mjx is longer than contacts take to relax: they would not stay."""
         import pandas as pd
 
-        sides = {path: [c for c in (f"world.{path}", path) if c in table.columns] for path in RELAXING}
-        values = {path: table[own[0]] if own else self.nominal(path, settings) for path, own in sides.items()}
-        found = pd.DataFrame(values, index=table.index)
+        found = pd.DataFrame({path: _of_side(self, table, "world", path, settings) for path in RELAXING})
         stiffness, damping, step, name = (found[path] for path in RELAXING)
         slow = found[(name == "mjx") & (step * stiffness > damping * (1 + 1e-9))]
         for stiffness, damping, step, _ in slow.head(1).itertuples(index=False):
@@ -294,6 +320,16 @@ def _suits(obstacle: type[Obstacle], manoeuvre: Manoeuvre) -> bool:
     asked = {cls for kind in MANOEUVRES.values() for cls in kind.needs}
     nearest = next((cls for cls in obstacle.__mro__ if cls in asked), None)
     return nearest in manoeuvre.needs or (Obstacle in manoeuvre.needs and bool(obstacle.charts))
+
+
+def _of_side(
+    system: Hexapod, table: "pd.DataFrame", side: str, path: str, settings: EngineSettings
+) -> "pd.Series[Any]":
+    """The values of a parameter on one side, a row each: varied there, varied on both, or nominal."""
+    import pandas as pd
+
+    column = next((c for c in (f"{side}.{path}", path) if c in table.columns), None)
+    return table[column] if column else pd.Series(system.nominal(path, settings), index=table.index)
 
 
 def _check_size(column: str, member: Parameter, value: Any) -> None:
